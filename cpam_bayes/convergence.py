@@ -1,0 +1,212 @@
+"""The smallest Ritz space that is converged for a plate, and how far from converged it is.
+
+A rich space is solved at a few parameter sets. A small one grows where growth pays most until its
+frequencies agree with the rich one's, then loses the trial functions that no mode uses. The error
+of the small space is measured against the rich one, the error of the rich one against itself with
+its highest polynomials left out.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cpam_bayes.affine import AffineOperator, discretise, discretise_at
+from cpam_bayes.modes import Spectrum, solve
+from cpam_bayes.problem import Problem, Values
+from cpam_bayes.spaces.ritz import RitzSettings, RitzSpace, ritz_space
+
+Array = NDArray[Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Tolerance:
+    """Relative error of every frequency that is allowed at the sampled parameter sets.
+
+    kept : of the small space against the rich one; rich : of the rich one against itself.
+    """
+
+    kept: float = 7e-5
+    rich: float = 4e-5
+    largest_degree: int = 30
+
+
+DEFAULT_TOLERANCE = Tolerance()
+# Edge exponentials, from few to many: (exponentials at each edge, carried by all bending fields).
+_LAYERS = ((1, False), (1, True), (2, True))
+
+
+@dataclass(frozen=True, slots=True)
+class ConvergedOperator:
+    """An operator on a converged space and the relative error of its frequencies.
+
+    error : (n_modes,) estimated relative error, the largest over the sampled parameter sets.
+    settings : the basis before trimming.
+    """
+
+    operator: AffineOperator
+    error: Array
+    settings: RitzSettings
+
+
+def converge(
+    problem: Problem, samples: Values, n_modes: int, tolerance: Tolerance = DEFAULT_TOLERANCE
+) -> ConvergedOperator:
+    """The problem on the smallest Ritz space found whose frequencies are converged at all samples.
+
+    samples : parameter values, each (n_samples,), that cover what will be asked. Raises
+    ``ValueError`` where even ``tolerance.largest_degree`` polynomials are not enough.
+    """
+    rich, rich_error, rich_settings = _rich(problem, samples, n_modes, tolerance)
+    settings = _grow(problem, samples, rich.frequencies, rich_settings, tolerance)
+    space = ritz_space(problem.edges, problem.nominal, settings)
+    sampled = discretise_at(problem, space, samples)
+    eye = np.eye(len(rich.eigenvalues))
+    own = solve(sampled, eye, eye, n_modes, vectors=True)
+    importance, rigid = _importance(sampled, own), _rigid_functions(space)
+    keep, error = np.ones(len(importance), dtype=bool), own.frequencies / rich.frequencies - 1.0
+    for threshold in 10.0 ** np.arange(-7.0, -4.0, 0.25):
+        candidate = (importance > threshold) | rigid
+        frequencies = solve(sampled.restricted(candidate), eye, eye, n_modes).frequencies
+        its_error = frequencies / rich.frequencies - 1.0
+        if its_error.max() > tolerance.kept:
+            break
+        keep, error = candidate, its_error
+    return ConvergedOperator(
+        operator=discretise(problem, space.restricted(keep), samples),
+        error=np.maximum(error.max(axis=0), 0.0) + rich_error,
+        settings=settings,
+    )
+
+
+def _sampled_frequencies(
+    problem: Problem, samples: Values, settings: RitzSettings, n_modes: int
+) -> Array:
+    operator = discretise_at(problem, ritz_space(problem.edges, problem.nominal, settings), samples)
+    eye = np.eye(_count(samples))
+    return solve(operator, eye, eye, n_modes).frequencies
+
+
+def _count(samples: Values) -> int:
+    return int(np.broadcast_shapes(*(np.shape(v) for v in samples.values()), (1,))[0])
+
+
+def _grow(
+    problem: Problem, samples: Values, reference: Array, rich: RitzSettings, tolerance: Tolerance
+) -> RitzSettings:
+    """Smallest basis found whose error against ``reference`` (n_samples, n_modes) is within tolerance.
+
+    Each step adds two polynomials in x, or two in y, or edge exponentials, whichever lowers the
+    error most for the trial functions that it costs.
+    """
+    n_modes = reference.shape[1]
+
+    def error(settings: RitzSettings) -> float:
+        found = _sampled_frequencies(problem, samples, settings, n_modes)
+        return float(np.max(found / reference - 1.0))
+
+    start = 7 + int(np.sqrt(n_modes) / 2)
+    current, level = RitzSettings(start, start, *_LAYERS[0]), 0
+    now = error(current)
+    while now > tolerance.kept:
+        choices = []
+        if current.degree_x < rich.degree_x:
+            choices.append((replace(current, degree_x=current.degree_x + 2), level))
+        if current.degree_y < rich.degree_y:
+            choices.append((replace(current, degree_y=current.degree_y + 2), level))
+        if level + 1 < len(_LAYERS) and _LAYERS[level + 1] <= (rich.layers, rich.coupled):
+            layers, coupled = _LAYERS[level + 1]
+            choices.append((replace(current, layers=layers, coupled=coupled), level + 1))
+        if not choices:
+            return rich
+        scored = []
+        for settings, its_level in choices:
+            its_error = max(error(settings), 1e-9)
+            cost = np.log(_basis_size(settings) / _basis_size(current))
+            scored.append((np.log(now / its_error) / cost, its_error, settings, its_level))
+        _, now, current, level = max(scored, key=lambda s: s[0])
+    return current
+
+
+def _basis_size(settings: RitzSettings) -> int:
+    """Trial functions of a free plate without in-plane fields, for comparing costs."""
+    nx, ny = settings.degree_x, settings.degree_y
+    more = 2 * settings.layers
+    if settings.coupled:
+        return 3 * (nx + more) * (ny + more)
+    return nx * ny + (nx + more) * ny + nx * (ny + more)
+
+
+def _rich(
+    problem: Problem, samples: Values, n_modes: int, tolerance: Tolerance
+) -> tuple[Spectrum, Array, RitzSettings]:
+    """Modes of a rich space at the samples, and its own relative error (n_modes,)."""
+    stiffness = np.abs(problem.state(samples).stiffness()).reshape(-1, 8, 8).max(axis=0)
+    orthotropic = np.max(stiffness[[0, 3, 1, 4], [2, 5, 2, 5]]) <= 1e-9 * stiffness[3, 3]
+    layers = _LAYERS[0] if orthotropic and "C" not in problem.edges else _LAYERS[2]
+    degree = 10 + int(np.sqrt(n_modes))
+    settings = RitzSettings(degree, degree, *layers)
+    eye = np.eye(_count(samples))
+    while True:
+        space = ritz_space(problem.edges, problem.nominal, settings)
+        operator = discretise_at(problem, space, samples)
+        spectrum = solve(operator, eye, eye, n_modes)
+        error = [
+            solve(operator.restricted(_without_highest(space, axis)), eye, eye, n_modes).frequencies
+            / spectrum.frequencies
+            - 1.0
+            for axis in (0, 1)
+        ]
+        if max(e.max() for e in error) <= tolerance.rich:
+            return spectrum, (error[0] + error[1]).max(axis=0), settings
+        more = [3 if e.max() > tolerance.rich else 0 for e in error]
+        settings = replace(
+            settings, degree_x=settings.degree_x + more[0], degree_y=settings.degree_y + more[1]
+        )
+        if max(settings.degree_x, settings.degree_y) > tolerance.largest_degree:
+            raise ValueError(
+                f"{n_modes} modes are not converged with {tolerance.largest_degree} polynomials in a "
+                "direction; ask for fewer modes or use finite elements"
+            )
+
+
+def _without_highest(space: RitzSpace, axis: int) -> Array:
+    """Mask of the trial functions that are not of the highest polynomial of their family."""
+    return np.concatenate(
+        [s.pairs[:, axis] < (s.x, s.y)[axis].size - 1 for s in space.sectors]
+    )
+
+
+def _importance(operator: AffineOperator, spectrum: Spectrum) -> Array:
+    """Largest share of a mode's energy that a trial function carries, (n_functions,).
+
+    c_i^2 (K_ii - lambda M_ii) / lambda: to first order what lambda gains if function i is left out.
+    """
+    share = np.zeros(sum(b.size for b in operator.blocks))
+    if spectrum.vectors is None:
+        raise ValueError("importance needs mode vectors")
+    for b, block in enumerate(operator.blocks):
+        k = np.diagonal(block.stiffness.stack, axis1=1, axis2=2)
+        m = np.diagonal(block.mass.stack, axis1=1, axis2=2)
+        for i, n in zip(*np.nonzero(spectrum.block == b), strict=True):
+            c = spectrum.vectors[b][i, :, spectrum.column[i, n]]
+            lam = spectrum.eigenvalues[i, n]
+            share[block.index] = np.maximum(share[block.index], c * c * np.abs(k[i] - lam * m[i]) / lam)
+    return share
+
+
+def _rigid_functions(space: RitzSpace) -> Array:
+    """Mask of the trial functions that rigid-body motions are made of."""
+    motions = {"u": ((0, 0), (0, 1)), "v": ((0, 0), (1, 0)), "w": ((0, 0), (1, 0), (0, 1))}
+    (x, wx), (y, wy) = space.x_grid, space.y_grid
+    masks = []
+    for s in space.sectors:
+        fx, fy = s.x.evaluate(x, False), s.y.evaluate(y, False)
+        content = np.zeros((s.x.size, s.y.size))
+        for i, j in motions.get(s.field, ((0, 0),)):
+            content = np.maximum(content, np.abs(np.outer(fx.T @ (wx * x**i), fy.T @ (wy * y**j))))
+        masks.append(content[s.pairs[:, 0], s.pairs[:, 1]] > 1e-9)
+    return np.concatenate(masks)

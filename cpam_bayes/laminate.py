@@ -1,0 +1,272 @@
+"""Laminate stiffness: from ply constants and ply angles to the symmetric 8 x 8 matrix [A B; B D; A_s].
+
+Generalised strains are ordered ``(eps_x, eps_y, gamma_xy, kappa_x, kappa_y, kappa_xy, gamma_yz, gamma_xz)``.
+Every function is vectorised over leading axes and accepts complex input, so that derivatives
+can be taken by a complex step.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[Any]
+
+N_STRAINS = 8
+MEMBRANE = slice(0, 3)
+CURVATURE = slice(3, 6)
+SHEAR = slice(6, 8)
+
+# Gauss points per ply: the shear stresses are quadratic in z, their energy quartic, 3 points are exact.
+_GAUSS_Z, _GAUSS_W = np.polynomial.legendre.leggauss(3)
+
+
+@dataclass(frozen=True, slots=True)
+class ShearModel:
+    """How the transverse shear stiffness A_s follows from the plies.
+
+    ``factor is None`` : energy-consistent, from the equilibrium shear stresses of the layup
+    (Rohwer, 1988; Whitney, 1973). Otherwise A_s is ``factor`` times the integral of the ply
+    moduli, 5/6 being Reissner's value for a homogeneous section.
+    """
+
+    factor: float | None = None
+
+
+ENERGY_CONSISTENT = ShearModel()
+FIVE_SIXTHS = ShearModel(5.0 / 6.0)
+
+
+def reduced_stiffness(constants: Mapping[str, ArrayLike]) -> Array:
+    """Plane-stress ply stiffness ``(Q11, Q12, Q22, Q66)`` on the last axis.
+
+    Q11 = E1 / (1 - nu12 nu21), Q12 = nu12 Q22, Q22 = E2 / (1 - nu12 nu21), Q66 = G12 with
+    nu21 = nu12 E2 / E1 (Jones, Mechanics of Composite Materials, eq. 2.61).
+
+    constants : E1, E2, nu12, G12, each (...), Pa. Returns (..., 4), Pa.
+    """
+    e1, e2 = np.asarray(constants["E1"]), np.asarray(constants["E2"])
+    nu12, g12 = np.asarray(constants["nu12"]), np.asarray(constants["G12"])
+    inverse = 1.0 / (1.0 - nu12 * nu12 * e2 / e1)
+    q22 = e2 * inverse
+    return np.stack(np.broadcast_arrays(e1 * inverse, nu12 * q22, q22, g12), axis=-1)
+
+
+def stiffness_invariants(reduced: Array) -> Array:
+    """Tsai-Pagano invariants ``(U1, ..., U5)`` of a ply, (..., 4) -> (..., 5), Pa."""
+    q11, q12, q22, q66 = np.moveaxis(reduced, -1, 0)
+    return np.stack(
+        (
+            (3 * q11 + 3 * q22 + 2 * q12 + 4 * q66) / 8,
+            (q11 - q22) / 2,
+            (q11 + q22 - 2 * q12 - 4 * q66) / 8,
+            (q11 + q22 + 6 * q12 - 4 * q66) / 8,
+            (q11 + q22 - 2 * q12 + 4 * q66) / 8,
+        ),
+        axis=-1,
+    )
+
+
+def angle_functions(angles_deg: ArrayLike) -> Array:
+    """Angle functions ``(1, cos 2t, cos 4t, sin 2t, sin 4t)`` of plies, (...) degrees -> (..., 5)."""
+    t = np.deg2rad(1.0) * np.asarray(angles_deg)
+    return np.stack((1.0 + 0.0 * t, np.cos(2 * t), np.cos(4 * t), np.sin(2 * t), np.sin(4 * t)), -1)
+
+
+def rotated_stiffness(invariants: Array, weights: Array) -> Array:
+    """Stiffness ``(X11, X12, X22, X66, X16, X26)`` of plies whose angle functions sum to ``weights``.
+
+    X11 = U1 w0 + U2 w1 + U3 w2 and so on (Jones, section 2.7): with ``weights`` the angle
+    functions of one ply it is the ply's own Qbar, with their integral over z, z or z^2 it is A,
+    B or D.
+
+    invariants (..., 5), weights (..., 5) -> (..., 6).
+    """
+    u1, u2, u3, u4, u5 = np.moveaxis(invariants, -1, 0)
+    w0, w1, w2, w3, w4 = np.moveaxis(weights, -1, 0)
+    even, odd, quad, half = u1 * w0 + u3 * w2, u2 * w1, u3 * w4, 0.5 * u2 * w3
+    return np.stack(
+        np.broadcast_arrays(
+            even + odd, u4 * w0 - u3 * w2, even - odd, u5 * w0 - u3 * w2, half + quad, half - quad
+        ),
+        axis=-1,
+    )
+
+
+def _symmetric3(x: Array) -> Array:
+    """(X11, X12, X22, X66, X16, X26) on the last axis -> (..., 3, 3)."""
+    x11, x12, x22, x66, x16, x26 = np.moveaxis(x, -1, 0)
+    rows = ((x11, x12, x16), (x12, x22, x26), (x16, x26, x66))
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def _merge_equal_plies(angles_deg: Array) -> tuple[Array, Array]:
+    """Neighbouring plies of one angle as one ply: angles (m,) and interfaces (m + 1,) in z / h."""
+    n = angles_deg.size
+    change = np.flatnonzero(np.diff(angles_deg)) + 1
+    starts = np.concatenate(([0], change))
+    return angles_deg[starts], np.concatenate((starts, [n])) / n - 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class LaminateGeometry:
+    """What of a layup does not depend on the elastic constants, for unit thickness.
+
+    in_plane, coupling, flexural : (..., 5), lamination parameters: integrals of the angle
+    functions times 1, z and z^2. gauss : (..., n_points, 5) their running integrals from the
+    bottom times z (``first``) and times 1 (``zeroth``, ``None`` where the laminate is symmetric);
+    ``ply`` (..., n_points, 5) the angle functions at the points and ``weight`` (n_points,).
+    """
+
+    in_plane: Array
+    coupling: Array
+    flexural: Array
+    symmetric: bool
+    ply: Array
+    first: Array
+    zeroth: Array | None
+    weight: Array
+
+
+def laminate_geometry(angles_deg: ArrayLike, *, symmetric: bool | None = None) -> LaminateGeometry:
+    """Lamination parameters and running integrals of a layup of plies of equal thickness.
+
+    angles_deg : (n_plies,) bottom to top, or (..., n_plies) for a stack of layups. ``symmetric``
+    states that all of them are symmetric about the midplane; left out, it is read off the angles.
+    """
+    angles = np.asarray(angles_deg)
+    if symmetric is None:
+        symmetric = bool(np.array_equal(angles, angles[..., ::-1]))
+    if angles.ndim == 1 and not np.iscomplexobj(angles):
+        angles, z = _merge_equal_plies(angles)
+    else:
+        z = np.arange(angles.shape[-1] + 1) / angles.shape[-1] - 0.5
+    functions = angle_functions(angles)
+    moments = [np.diff(z**k) / k for k in (1, 2, 3)]
+    in_plane, coupling, flexural = (np.einsum("...kj,k->...j", functions, m) for m in moments)
+    if symmetric:  # the lower half carries half of the energy
+        keep = z[:-1] < -1e-12
+        functions = functions[..., keep, :]
+        bottom, top = z[:-1][keep], np.minimum(z[1:][keep], 0.0)
+        coupling = np.zeros_like(coupling)
+    else:
+        bottom, top = z[:-1], z[1:]
+    middle, half = (top + bottom) / 2, (top - bottom) / 2
+    points = middle[:, None] + half[:, None] * _GAUSS_Z
+
+    def running(power: int) -> Array:
+        whole = functions * ((top**power - bottom**power) / power)[:, None]
+        below = np.cumsum(whole, axis=-2) - whole
+        part = (points**power - bottom[:, None] ** power) / power
+        at_points = below[..., :, None, :] + functions[..., :, None, :] * part[..., None]
+        return at_points.reshape(*functions.shape[:-2], -1, 5)
+
+    return LaminateGeometry(
+        in_plane=in_plane,
+        coupling=coupling,
+        flexural=flexural,
+        symmetric=symmetric,
+        ply=np.repeat(functions, len(_GAUSS_Z), axis=-2),
+        first=running(2),
+        zeroth=None if symmetric else running(1),
+        weight=(half[:, None] * _GAUSS_W).ravel() * (2.0 if symmetric else 1.0),
+    )
+
+
+def _shear_compliance(geometry: LaminateGeometry, invariants: Array, abd: Array, g13: Array, g23: Array) -> Array:
+    """Energy-consistent transverse shear compliance of unit thickness, (..., 2, 2), order (yz, xz).
+
+    Equilibrium gives tau_xz = -F11 Qx - F32 Qy and tau_yz = -F31 Qx - F22 Qy with
+    F(z) = int_{-h/2}^{z} Qbar (b + zeta d) dzeta, [a b; b^T d] the inverse of [A B; B D], once two
+    cylindrical bendings M_x,x = Qx and M_y,y = Qy are assumed (Rohwer, DLR-FB 88-14, 1988). The
+    energy int tau^T S tau dz = Q^T A_s^{-1} Q defines A_s.
+    """
+    if geometry.symmetric:
+        d = np.linalg.inv(abd[..., 3:6, 3:6])
+        b = None
+    else:
+        inverse = np.linalg.inv(abd[..., :6, :6])
+        b, d = inverse[..., :3, 3:], inverse[..., 3:, 3:]
+
+    def rows(running: Array, columns: Array) -> tuple[Array, Array, Array, Array]:
+        p11, p12, p22, p66, p16, p26 = np.moveaxis(
+            rotated_stiffness(invariants[..., None, :], running), -1, 0
+        )
+        c = columns[..., None, :, :]
+        f11 = p11 * c[..., 0, 0] + p12 * c[..., 1, 0] + p16 * c[..., 2, 0]
+        f31 = p16 * c[..., 0, 0] + p26 * c[..., 1, 0] + p66 * c[..., 2, 0]
+        f22 = p12 * c[..., 0, 1] + p22 * c[..., 1, 1] + p26 * c[..., 2, 1]
+        f32 = p16 * c[..., 0, 1] + p26 * c[..., 1, 1] + p66 * c[..., 2, 1]
+        return f11, f22, f31, f32
+
+    f11, f22, f31, f32 = rows(geometry.first, d)
+    if b is not None and geometry.zeroth is not None:
+        g11, g22, g31, g32 = rows(geometry.zeroth, b)
+        f11, f22, f31, f32 = f11 + g11, f22 + g22, f31 + g31, f32 + g32
+    c2, s2 = geometry.ply[..., 1], geometry.ply[..., 3]
+    mean, half = (0.5 / g23 + 0.5 / g13)[..., None], (0.5 / g23 - 0.5 / g13)[..., None]
+    weight = geometry.weight
+    s_yz, s_xz, s_mix = (mean + half * c2) * weight, (mean - half * c2) * weight, -half * s2 * weight
+    h_yy = np.sum(s_yz * f22 * f22 + s_xz * f32 * f32 + 2 * s_mix * f22 * f32, axis=-1)
+    h_xx = np.sum(s_yz * f31 * f31 + s_xz * f11 * f11 + 2 * s_mix * f31 * f11, axis=-1)
+    h_xy = np.sum(s_yz * f22 * f31 + s_xz * f32 * f11 + s_mix * (f22 * f11 + f32 * f31), axis=-1)
+    return np.stack((np.stack((h_yy, h_xy), -1), np.stack((h_xy, h_xx), -1)), -2)
+
+
+def _inverse2(x: Array) -> Array:
+    determinant = x[..., 0, 0] * x[..., 1, 1] - x[..., 0, 1] * x[..., 1, 0]
+    adjugate = np.stack(
+        (np.stack((x[..., 1, 1], -x[..., 0, 1]), -1), np.stack((-x[..., 1, 0], x[..., 0, 0]), -1)), -2
+    )
+    return adjugate / determinant[..., None, None]
+
+
+def laminate_stiffness(
+    constants: Mapping[str, ArrayLike],
+    layup: ArrayLike | LaminateGeometry,
+    thickness: ArrayLike,
+    shear: ShearModel = ENERGY_CONSISTENT,
+) -> Array:
+    """Stiffness of a laminate against the eight generalised strains, [A B 0; B D 0; 0 0 A_s].
+
+    (A, B, D)_ij = sum_k Qbar_ij,k (z_k - z_{k-1}, (z_k^2 - z_{k-1}^2) / 2, (z_k^3 - z_{k-1}^3) / 3)
+    (Jones, eq. 4.22 to 4.24); A_s as ``shear`` says.
+
+    constants : E1, E2, G12, G13, G23 in Pa and nu12, each (...). layup : angles in degrees
+    (n_plies,) or (..., n_plies) bottom to top, or a ``LaminateGeometry``. thickness : (...), m.
+    Returns (..., 8, 8) in N/m, N, N m and N/m.
+    """
+    geometry = layup if isinstance(layup, LaminateGeometry) else laminate_geometry(layup)
+    h = np.asarray(thickness)
+    invariants = stiffness_invariants(reduced_stiffness(constants))
+    a = _symmetric3(rotated_stiffness(invariants, geometry.in_plane))
+    d = _symmetric3(rotated_stiffness(invariants, geometry.flexural))
+    b = _symmetric3(rotated_stiffness(invariants, geometry.coupling))
+    g13, g23 = np.asarray(constants["G13"]), np.asarray(constants["G23"])
+    shape = np.broadcast_shapes(a.shape[:-2], h.shape, g13.shape, g23.shape)
+    unit = np.zeros((*shape, N_STRAINS, N_STRAINS), dtype=np.result_type(a, h, g13, g23))
+    unit[..., MEMBRANE, MEMBRANE] = a
+    unit[..., CURVATURE, CURVATURE] = d
+    unit[..., MEMBRANE, CURVATURE] = b
+    unit[..., CURVATURE, MEMBRANE] = b
+    if shear.factor is None:
+        compliance = _shear_compliance(geometry, invariants, unit, g13, g23)
+        unit[..., SHEAR, SHEAR] = _inverse2(compliance)
+    else:
+        c2, s2 = geometry.in_plane[..., 1], geometry.in_plane[..., 3]
+        unit[..., 6, 6] = (g23 + g13) / 2 + (g23 - g13) / 2 * c2
+        unit[..., 7, 7] = (g23 + g13) / 2 - (g23 - g13) / 2 * c2
+        unit[..., 6, 7] = unit[..., 7, 6] = (g13 - g23) / 2 * s2
+        unit[..., SHEAR, SHEAR] *= shear.factor
+    return unit * thickness_powers(h)
+
+
+def thickness_powers(thickness: ArrayLike) -> Array:
+    """Power of h that each entry of the 8 x 8 stiffness of a similar laminate carries, (..., 8, 8)."""
+    h = np.asarray(thickness)[..., None]
+    per_strain = np.concatenate(np.broadcast_arrays(*[np.ones_like(h)] * 3, *[h] * 3, *[np.ones_like(h)] * 2), -1)
+    return per_strain[..., :, None] * per_strain[..., None, :] * h[..., None]
