@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from functools import cached_property
+from typing import Any, Generic, Literal, Protocol, TypeVar
 
 import numpy as np
+import scipy.linalg
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
 from numpy.typing import NDArray
 
 from cpam_bayes.problem import Form, Problem, Values
@@ -14,9 +18,11 @@ from cpam_bayes.spaces.protocol import Space
 from cpam_bayes.spaces.ritz import Family, RitzSpace, evaluate_sector
 
 Array = NDArray[Any]
+SpaceT = TypeVar("SpaceT", bound=Space, covariant=True)
+BlockT = TypeVar("BlockT", bound="Block", covariant=True)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class AffineMatrix:
     """A symmetric matrix that is a sum of fixed matrices times coefficients, on one block.
 
@@ -27,15 +33,17 @@ class AffineMatrix:
     stack: Array
     active: Array
 
+    @cached_property
+    def is_diagonal(self) -> bool:
+        """Whether every matrix of the sum is diagonal."""
+        rows, columns = np.nonzero(np.any(self.stack != 0.0, axis=0))
+        return bool(np.all(rows == columns))
+
     def assemble(self, coefficients: Array) -> Array:
         """The matrix at coefficients (..., n_terms), (..., n, n)."""
         n = self.stack.shape[-1]
         flat = coefficients[..., self.active] @ self.stack.reshape(len(self.active), n * n)
         return flat.reshape(*coefficients.shape[:-1], n, n)
-
-    def quadratic(self, left: Array, right: Array) -> Array:
-        """left^T K_q right of every active term, (n_active, left.shape[1], right.shape[1])."""
-        return left.T @ (self.stack @ right)
 
     def restricted(self, keep: Array) -> AffineMatrix:
         """The same sum on some of the trial functions, ``keep`` (n,) bool."""
@@ -46,40 +54,94 @@ class AffineMatrix:
         return AffineMatrix(basis.T @ (self.stack @ basis), self.active)
 
 
-@dataclass(frozen=True, slots=True)
-class Block:
-    """Trial functions that couple only among themselves, by symmetry.
+class Block(Protocol):
+    """Trial functions that couple only among themselves: what an eigensolver needs of them.
 
-    index : (n,) positions of the block's trial functions in the whole space.
+    Coefficients are (m, n_stiffness) and (m, n_mass), as from ``AffineOperator.coefficients``.
     """
+
+    @property
+    def size(self) -> int:
+        """Number of trial functions."""
+        ...
+
+    def eigenpairs(
+        self, stiffness: Array, mass: Array, n: int, *, vectors: bool
+    ) -> tuple[Array, Array | None]:
+        """The n lowest eigenvalues (m, n) and, if asked, M-normalised vectors (m, size, n)."""
+        ...
+
+    def energies(self, vectors: Array) -> tuple[Array, Array]:
+        """phi^T K_q phi and phi^T M_q phi of vectors (k, size) for every term, (k, n_terms) each."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class DenseBlock:
+    """A block of a dense space. index : (n,) positions of its trial functions in the whole space."""
 
     stiffness: AffineMatrix
     mass: AffineMatrix
     index: Array
+    n_terms: tuple[int, int]
 
     @property
     def size(self) -> int:
         """Number of trial functions."""
         return len(self.index)
 
+    def eigenpairs(
+        self, stiffness: Array, mass: Array, n: int, *, vectors: bool
+    ) -> tuple[Array, Array | None]:
+        """The n lowest eigenvalues (m, n) and, if asked, M-normalised vectors (m, size, n)."""
+        k = self.stiffness.assemble(stiffness)
+        if self.mass.is_diagonal:
+            diagonal = np.diagonal(self.mass.stack, axis1=1, axis2=2)
+            scale = 1.0 / np.sqrt(mass[..., self.mass.active] @ diagonal)
+            k *= scale[..., :, None]
+            k *= scale[..., None, :]
+            if not vectors:
+                return np.linalg.eigvalsh(k)[..., :n], None
+            lam, phi = _lowest_eigenpairs(k, n)
+            return lam, scale[..., :, None] * phi
+        back = np.swapaxes(np.linalg.inv(np.linalg.cholesky(self.mass.assemble(mass))), -1, -2)
+        k = np.swapaxes(back, -1, -2) @ k @ back
+        if not vectors:
+            return np.linalg.eigvalsh(k)[..., :n], None
+        lam, phi = _lowest_eigenpairs(k, n)
+        return lam, back @ phi
+
+    def energies(self, vectors: Array) -> tuple[Array, Array]:
+        """phi^T K_q phi and phi^T M_q phi of vectors (k, size) for every term, (k, n_terms) each."""
+        found = []
+        for matrix, n_terms in zip((self.stiffness, self.mass), self.n_terms, strict=True):
+            energy = np.zeros((len(vectors), n_terms))
+            images = np.einsum("qij,kj->kqi", matrix.stack, vectors, optimize=True)
+            energy[:, matrix.active] = np.einsum("kqi,ki->kq", images, vectors)
+            found.append(energy)
+        return found[0], found[1]
+
+
+# From this size on LAPACK finds a few eigenvectors sooner than all of them.
+_LARGE = 100
+
+
+def _lowest_eigenpairs(k: Array, n: int) -> tuple[Array, Array]:
+    """The n lowest eigenpairs of a stack of symmetric matrices (m, size, size)."""
+    if k.shape[-1] < _LARGE:
+        lam, phi = np.linalg.eigh(k)
+        return lam[..., :n], phi[..., :n]
+    pairs = [scipy.linalg.eigh(one, subset_by_index=(0, n - 1), driver="evr") for one in k]
+    return np.stack([p[0] for p in pairs]), np.stack([p[1] for p in pairs])
+
 
 @dataclass(frozen=True, slots=True)
-class AffineOperator:
-    """A problem on a dense space, split into blocks that do not couple."""
+class AffineOperator(Generic[SpaceT, BlockT]):
+    """A problem on a space, split into blocks that do not couple."""
 
     problem: Problem
-    space: RitzSpace
-    blocks: tuple[Block, ...]
-
-    def restricted(self, keep: Array) -> AffineOperator:
-        """The operator on the trial functions marked in ``keep`` (n_functions,) bool."""
-        number = np.cumsum(keep) - 1
-        blocks = [
-            Block(b.stiffness.restricted(k), b.mass.restricted(k), number[b.index[k]])
-            for b, k in ((b, keep[b.index]) for b in self.blocks)
-            if k.any()
-        ]
-        return AffineOperator(self.problem, self.space.restricted(keep), tuple(blocks))
+    space: SpaceT
+    blocks: tuple[BlockT, ...]
 
     def coefficients(self, values: Values) -> tuple[Array, Array]:
         """Coefficients of K and of M at parameter values, (..., n_stiffness) and (..., n_mass)."""
@@ -89,6 +151,18 @@ class AffineOperator:
         )
 
 
+def restricted(operator: DenseOperator, keep: Array) -> DenseOperator:
+    """The operator on the trial functions marked in ``keep`` (n_functions,) bool."""
+    number = np.cumsum(keep) - 1
+    blocks = [
+        DenseBlock(b.stiffness.restricted(k), b.mass.restricted(k), number[b.index[k]], b.n_terms)
+        for b, k in ((b, keep[b.index]) for b in operator.blocks)
+        if k.any()
+    ]
+    return AffineOperator(operator.problem, operator.space.restricted(keep), tuple(blocks))
+
+
+DenseOperator = AffineOperator[RitzSpace, DenseBlock]
 Piece = tuple[int, int, Array]
 MatrixKind = Literal["stiffness", "mass"]
 MATRICES: tuple[MatrixKind, MatrixKind] = ("stiffness", "mass")
@@ -106,11 +180,15 @@ def _area_pieces(form: Form, space: RitzSpace) -> list[Piece]:
             in_y = _overlap(left.y, right.y, form, "y", y, wy)
             if in_x is not None and in_y is not None:
                 p, q = left.pairs, right.pairs
-                pieces.append((i, j, in_x[np.ix_(p[:, 0], q[:, 0])] * in_y[np.ix_(p[:, 1], q[:, 1])]))
+                pieces.append(
+                    (i, j, in_x[np.ix_(p[:, 0], q[:, 0])] * in_y[np.ix_(p[:, 1], q[:, 1])])
+                )
     return pieces
 
 
-def _overlap(left: Family, right: Family, form: Form, axis: str, t: Array, w: Array) -> Array | None:
+def _overlap(
+    left: Family, right: Family, form: Form, axis: str, t: Array, w: Array
+) -> Array | None:
     """One-dimensional integrals of products of two families; ``None`` where they vanish by parity."""
     in_left, in_right = form.left.derivative == axis, form.right.derivative == axis
     if left.parity * right.parity * (-1) ** (in_left + in_right) < 0:
@@ -132,7 +210,12 @@ def _general_pieces(form: Form, space: RitzSpace) -> list[Piece]:
                 continue
             b_right = evaluate_sector(right, rule.points, form.right.derivative)
             matrix = b_left.T @ (weights[:, None] * b_right)
-            scale = np.sqrt(len(weights)) * np.abs(weights).max() * np.abs(b_left).max() * np.abs(b_right).max()
+            scale = (
+                np.sqrt(len(weights))
+                * np.abs(weights).max()
+                * np.abs(b_left).max()
+                * np.abs(b_right).max()
+            )
             if np.abs(matrix).max(initial=0.0) > 1e-12 * scale:
                 pieces.append((i, j, matrix))
     return pieces
@@ -156,11 +239,13 @@ def active_terms(problem: Problem, samples: Values, matrix: MatrixKind) -> Array
 
 def _comparable(forms: Sequence[Form], coefficients: Array) -> Array:
     """Magnitude that a coefficient is compared with to be called zero: its largest diagonal relatives."""
-    own = {f.left: c for f, c in zip(forms, coefficients.max(axis=0), strict=True) if f.left == f.right}
+    own = {
+        f.left: c for f, c in zip(forms, coefficients.max(axis=0), strict=True) if f.left == f.right
+    }
     return np.array([np.sqrt(own.get(f.left, 0.0) * own.get(f.right, 0.0)) for f in forms])
 
 
-def discretise(problem: Problem, space: RitzSpace, samples: Values) -> AffineOperator:
+def discretise(problem: Problem, space: RitzSpace, samples: Values) -> DenseOperator:
     """The problem on a dense space, split by the symmetries that hold at all ``samples``.
 
     samples : parameter values, each (n_samples,), that cover what will be asked: forms whose
@@ -170,20 +255,21 @@ def discretise(problem: Problem, space: RitzSpace, samples: Values) -> AffineOpe
     return _discretise(problem, space, samples, (np.eye(n_k), np.eye(n_m)))
 
 
-def discretise_at(problem: Problem, space: RitzSpace, samples: Values) -> AffineOperator:
+def discretise_at(problem: Problem, space: RitzSpace, samples: Values) -> DenseOperator:
     """The problem at fixed parameter samples only, to be used with ``np.eye(n_samples)`` as coefficients.
 
     It needs the memory of n_samples matrices instead of one a form.
     """
     stiffness, mass = (np.atleast_2d(problem.coefficients(samples, kind)) for kind in MATRICES)
     n = max(len(stiffness), len(mass))
-    combine = tuple(np.broadcast_to(c, (n, c.shape[-1])) for c in (stiffness, mass))
-    return _discretise(problem, space, samples, combine)
+    stiffness = np.broadcast_to(stiffness, (n, stiffness.shape[-1]))
+    mass = np.broadcast_to(mass, (n, mass.shape[-1]))
+    return _discretise(problem, space, samples, (stiffness, mass))
 
 
 def _discretise(
     problem: Problem, space: RitzSpace, samples: Values, combine: tuple[Array, Array]
-) -> AffineOperator:
+) -> DenseOperator:
     """Blocks of sum_q combine[r, q] K_q for every row r of ``combine`` (n_rows, n_forms)."""
     pieces: list[dict[int, list[Piece]]] = []
     links = {(i, i) for i in range(len(space.sectors))}
@@ -192,6 +278,7 @@ def _discretise(
         forms = problem.forms(kind)
         pieces.append({q: form_pieces(f, space) for q, f in enumerate(forms) if active[q]})
         links |= {(i, j) for parts in pieces[-1].values() for i, j, _ in parts}
+    n_terms = (combine[0].shape[0], combine[1].shape[0])
     starts = np.cumsum([0, *(s.size for s in space.sectors)])
     blocks = []
     for members in _components(len(space.sectors), links):
@@ -201,7 +288,7 @@ def _discretise(
             _stack(p, c, place, int(local[-1])) for p, c in zip(pieces, combine, strict=True)
         ]
         index = np.concatenate([np.arange(starts[i], starts[i + 1]) for i in members])
-        blocks.append(Block(*matrices, index=index))
+        blocks.append(DenseBlock(matrices[0], matrices[1], index, n_terms))
     return AffineOperator(problem, space, tuple(blocks))
 
 
@@ -222,10 +309,7 @@ def _stack(
 
 def _components(n: int, links: set[tuple[int, int]]) -> list[list[int]]:
     """Connected components of a graph on n nodes, each sorted, in the order of their first node."""
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.csgraph import connected_components
-
-    rows, columns = zip(*sorted(links), strict=True)
+    rows, columns = np.array(sorted(links)).T
     graph = coo_matrix((np.ones(len(links)), (rows, columns)), shape=(n, n))
     count, label = connected_components(graph, directed=False)
     return [np.flatnonzero(label == c).tolist() for c in range(count)]

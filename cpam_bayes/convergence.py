@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cpam_bayes.affine import AffineOperator, discretise, discretise_at
+from cpam_bayes.affine import DenseOperator, discretise, discretise_at, restricted
 from cpam_bayes.modes import Spectrum, solve
 from cpam_bayes.problem import Problem, Values
 from cpam_bayes.spaces.ritz import RitzSettings, RitzSpace, ritz_space
@@ -47,7 +47,7 @@ class ConvergedOperator:
     settings : the basis before trimming.
     """
 
-    operator: AffineOperator
+    operator: DenseOperator
     error: Array
     settings: RitzSettings
 
@@ -70,7 +70,7 @@ def converge(
     keep, error = np.ones(len(importance), dtype=bool), own.frequencies / rich.frequencies - 1.0
     for threshold in 10.0 ** np.arange(-7.0, -4.0, 0.25):
         candidate = (importance > threshold) | rigid
-        frequencies = solve(sampled.restricted(candidate), eye, eye, n_modes).frequencies
+        frequencies = solve(restricted(sampled, candidate), eye, eye, n_modes).frequencies
         its_error = frequencies / rich.frequencies - 1.0
         if its_error.max() > tolerance.kept:
             break
@@ -155,7 +155,9 @@ def _rich(
         operator = discretise_at(problem, space, samples)
         spectrum = solve(operator, eye, eye, n_modes)
         error = [
-            solve(operator.restricted(_without_highest(space, axis)), eye, eye, n_modes).frequencies
+            solve(
+                restricted(operator, _without_highest(space, axis)), eye, eye, n_modes
+            ).frequencies
             / spectrum.frequencies
             - 1.0
             for axis in (0, 1)
@@ -175,12 +177,10 @@ def _rich(
 
 def _without_highest(space: RitzSpace, axis: int) -> Array:
     """Mask of the trial functions that are not of the highest polynomial of their family."""
-    return np.concatenate(
-        [s.pairs[:, axis] < (s.x, s.y)[axis].size - 1 for s in space.sectors]
-    )
+    return np.concatenate([s.pairs[:, axis] < (s.x, s.y)[axis].size - 1 for s in space.sectors])
 
 
-def _importance(operator: AffineOperator, spectrum: Spectrum) -> Array:
+def _importance(operator: DenseOperator, spectrum: Spectrum) -> Array:
     """Largest share of a mode's energy that a trial function carries, (n_functions,).
 
     c_i^2 (K_ii - lambda M_ii) / lambda: to first order what lambda gains if function i is left out.
@@ -194,7 +194,9 @@ def _importance(operator: AffineOperator, spectrum: Spectrum) -> Array:
         for i, n in zip(*np.nonzero(spectrum.block == b), strict=True):
             c = spectrum.vectors[b][i, :, spectrum.column[i, n]]
             lam = spectrum.eigenvalues[i, n]
-            share[block.index] = np.maximum(share[block.index], c * c * np.abs(k[i] - lam * m[i]) / lam)
+            share[block.index] = np.maximum(
+                share[block.index], c * c * np.abs(k[i] - lam * m[i]) / lam
+            )
     return share
 
 

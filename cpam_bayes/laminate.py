@@ -177,7 +177,9 @@ def laminate_geometry(angles_deg: ArrayLike, *, symmetric: bool | None = None) -
     )
 
 
-def _shear_compliance(geometry: LaminateGeometry, invariants: Array, abd: Array, g13: Array, g23: Array) -> Array:
+def _shear_compliance(
+    geometry: LaminateGeometry, invariants: Array, abd: Array, g13: Array, g23: Array
+) -> Array:
     """Energy-consistent transverse shear compliance of unit thickness, (..., 2, 2), order (yz, xz).
 
     Equilibrium gives tau_xz = -F11 Qx - F32 Qy and tau_yz = -F31 Qx - F22 Qy with
@@ -210,7 +212,11 @@ def _shear_compliance(geometry: LaminateGeometry, invariants: Array, abd: Array,
     c2, s2 = geometry.ply[..., 1], geometry.ply[..., 3]
     mean, half = (0.5 / g23 + 0.5 / g13)[..., None], (0.5 / g23 - 0.5 / g13)[..., None]
     weight = geometry.weight
-    s_yz, s_xz, s_mix = (mean + half * c2) * weight, (mean - half * c2) * weight, -half * s2 * weight
+    s_yz, s_xz, s_mix = (
+        (mean + half * c2) * weight,
+        (mean - half * c2) * weight,
+        -half * s2 * weight,
+    )
     h_yy = np.sum(s_yz * f22 * f22 + s_xz * f32 * f32 + 2 * s_mix * f22 * f32, axis=-1)
     h_xx = np.sum(s_yz * f31 * f31 + s_xz * f11 * f11 + 2 * s_mix * f31 * f11, axis=-1)
     h_xy = np.sum(s_yz * f22 * f31 + s_xz * f32 * f11 + s_mix * (f22 * f11 + f32 * f31), axis=-1)
@@ -220,9 +226,10 @@ def _shear_compliance(geometry: LaminateGeometry, invariants: Array, abd: Array,
 def _inverse2(x: Array) -> Array:
     determinant = x[..., 0, 0] * x[..., 1, 1] - x[..., 0, 1] * x[..., 1, 0]
     adjugate = np.stack(
-        (np.stack((x[..., 1, 1], -x[..., 0, 1]), -1), np.stack((-x[..., 1, 0], x[..., 0, 0]), -1)), -2
+        (np.stack((x[..., 1, 1], -x[..., 0, 1]), -1), np.stack((-x[..., 1, 0], x[..., 0, 0]), -1)),
+        -2,
     )
-    return adjugate / determinant[..., None, None]
+    return np.asarray(adjugate / determinant[..., None, None])
 
 
 def laminate_stiffness(
@@ -262,11 +269,13 @@ def laminate_stiffness(
         unit[..., 7, 7] = (g23 + g13) / 2 - (g23 - g13) / 2 * c2
         unit[..., 6, 7] = unit[..., 7, 6] = (g13 - g23) / 2 * s2
         unit[..., SHEAR, SHEAR] *= shear.factor
-    return unit * thickness_powers(h)
+    return np.asarray(unit * thickness_powers(h))
 
 
 def thickness_powers(thickness: ArrayLike) -> Array:
     """Power of h that each entry of the 8 x 8 stiffness of a similar laminate carries, (..., 8, 8)."""
     h = np.asarray(thickness)[..., None]
-    per_strain = np.concatenate(np.broadcast_arrays(*[np.ones_like(h)] * 3, *[h] * 3, *[np.ones_like(h)] * 2), -1)
-    return per_strain[..., :, None] * per_strain[..., None, :] * h[..., None]
+    per_strain = np.concatenate(
+        np.broadcast_arrays(*[np.ones_like(h)] * 3, *[h] * 3, *[np.ones_like(h)] * 2), -1
+    )
+    return np.asarray(per_strain[..., :, None] * per_strain[..., None, :] * h[..., None])

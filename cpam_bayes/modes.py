@@ -6,10 +6,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import scipy.linalg
 from numpy.typing import NDArray
 
-from cpam_bayes.affine import AffineMatrix, AffineOperator, Block
+from cpam_bayes.affine import AffineOperator
 from cpam_bayes.problem import rigid_body_count
 
 Array = NDArray[Any]
@@ -17,8 +16,6 @@ Array = NDArray[Any]
 # A rigid-body motion has eigenvalue zero but for rounding, which grows with the range of K (up to
 # 2e11 on thin plates); a deformation mode has not.
 RIGID_TOLERANCE = 1e-4
-# From this size on LAPACK finds a few eigenvectors sooner than all of them.
-LARGE = 100
 
 
 class RigidBodyError(ValueError):
@@ -53,28 +50,13 @@ class Spectrum:
         return b, self.vectors[b][index, :, int(self.column[index, mode])]
 
 
-def _whitened(block: Block, stiffness: Array, mass: Array) -> tuple[Array, Array, bool]:
-    """K in coordinates in which M is the identity, and the map back (diagonal or full)."""
-    k = block.stiffness.assemble(stiffness)
-    if is_diagonal(block.mass):
-        diagonal = np.diagonal(block.mass.stack, axis1=1, axis2=2)
-        scale = 1.0 / np.sqrt(mass[..., block.mass.active] @ diagonal)
-        return k * scale[..., :, None] * scale[..., None, :], scale, True
-    back = np.linalg.inv(np.linalg.cholesky(block.mass.assemble(mass)))
-    back = np.swapaxes(back, -1, -2)
-    return np.swapaxes(back, -1, -2) @ k @ back, back, False
-
-
-def is_diagonal(matrix: AffineMatrix) -> bool:
-    """Whether every matrix of the sum is diagonal."""
-    off = matrix.stack.copy()
-    i = np.arange(off.shape[-1])
-    off[:, i, i] = 0.0
-    return not off.any()
-
-
 def solve(
-    operator: AffineOperator, stiffness: Array, mass: Array, n_modes: int, *, vectors: bool = False
+    operator: AffineOperator[Any, Any],
+    stiffness: Array,
+    mass: Array,
+    n_modes: int,
+    *,
+    vectors: bool = False,
 ) -> Spectrum:
     """Lowest deformation modes, K phi = lambda M phi, of a stack of coefficient sets.
 
@@ -87,16 +69,13 @@ def solve(
     n_rigid = rigid_body_count(operator.problem.edges)
     wanted = n_modes + n_rigid
     if sum(b.size for b in operator.blocks) <= wanted:
-        raise ValueError(f"{n_modes} modes asked for, the space has {sum(b.size for b in operator.blocks)}")
-    values, shapes = [], []
-    for block in operator.blocks:
-        k, back, diagonal = _whitened(block, stiffness, mass)
-        if vectors:
-            lam, phi = _lowest_eigenpairs(k, min(wanted, block.size))
-            shapes.append(back[..., :, None] * phi if diagonal else back @ phi)
-        else:
-            lam = np.linalg.eigvalsh(k)
-        values.append(lam[..., : min(wanted, block.size)])
+        raise ValueError(
+            f"{n_modes} modes asked for, the space has {sum(b.size for b in operator.blocks)}"
+        )
+    pairs = [
+        b.eigenpairs(stiffness, mass, min(wanted, b.size), vectors=vectors) for b in operator.blocks
+    ]
+    values = [lam for lam, _ in pairs]
     counts = [v.shape[-1] for v in values]
     owner = np.repeat(np.arange(len(counts)), counts)
     place = np.concatenate([np.arange(c) for c in counts])
@@ -109,18 +88,9 @@ def solve(
         eigenvalues=ranked[..., n_rigid:],
         block=owner[order],
         column=place[order],
-        vectors=tuple(shapes) if vectors else None,
+        vectors=tuple(phi for _, phi in pairs if phi is not None) if vectors else None,
         rigid=ranked[..., :n_rigid],
     )
-
-
-def _lowest_eigenpairs(k: Array, n: int) -> tuple[Array, Array]:
-    """The n lowest eigenpairs of a stack of symmetric matrices (m, size, size)."""
-    if k.shape[-1] < LARGE:
-        lam, phi = np.linalg.eigh(k)
-        return lam[..., :n], phi[..., :n]
-    pairs = [scipy.linalg.eigh(one, subset_by_index=(0, n - 1), driver="evr") for one in k]
-    return np.stack([p[0] for p in pairs]), np.stack([p[1] for p in pairs])
 
 
 def _check_rigid(ranked: Array, n_rigid: int) -> None:
@@ -133,27 +103,25 @@ def _check_rigid(ranked: Array, n_rigid: int) -> None:
         )
 
 
-def energy_terms(operator: AffineOperator, spectrum: Spectrum) -> tuple[Array, Array]:
+def energy_terms(operator: AffineOperator[Any, Any], spectrum: Spectrum) -> tuple[Array, Array]:
     """phi^T K_q phi and phi^T M_q phi of every mode and term, (m, n_modes, n_terms) each.
 
-    With them d lambda / d p = sum_q (d theta_q / d p) phi^T K_q phi - lambda (d mu_q / d p) phi^T M_q phi.
+    With them d lambda / d p = sum_q (d theta_q / d p) phi^T K_q phi - lambda (d mu_q / d p) phi^T M_q phi
+    (Fox and Kapoor, AIAA J. 6, 1968, eq. 8).
     """
     if spectrum.vectors is None:
         raise ValueError("the spectrum was solved without vectors; solve with vectors=True")
-    m, n_modes = spectrum.eigenvalues.shape
-    problem = operator.problem
-    energy = {
-        "stiffness": np.zeros((m, n_modes, len(problem.forms("stiffness")))),
-        "mass": np.zeros((m, n_modes, len(problem.forms("mass")))),
-    }
+    found: tuple[list[Array], list[Array]] = ([], [])
+    where = []
     for b, block in enumerate(operator.blocks):
         sets, modes = np.nonzero(spectrum.block == b)
-        if not len(sets):
-            continue
-        phi = spectrum.vectors[b][sets, :, spectrum.column[sets, modes]]
-        for kind, matrix in (("stiffness", block.stiffness), ("mass", block.mass)):
-            images = np.einsum("qij,kj->kqi", matrix.stack, phi, optimize=True)
-            energy[kind][sets[:, None], modes[:, None], matrix.active] = np.einsum(
-                "kqi,ki->kq", images, phi
-            )
-    return energy["stiffness"], energy["mass"]
+        if len(sets):
+            phi = spectrum.vectors[b][sets, :, spectrum.column[sets, modes]]
+            for energies, energy in zip(found, block.energies(phi), strict=True):
+                energies.append(energy)
+            where.append(np.ravel_multi_index((sets, modes), spectrum.eigenvalues.shape))
+    order = np.argsort(np.concatenate(where))
+    stiffness, mass = (
+        np.concatenate(e)[order].reshape(*spectrum.eigenvalues.shape, -1) for e in found
+    )
+    return stiffness, mass

@@ -180,7 +180,7 @@ def laminate_coefficients(state: PlateState, values: Values) -> Array:
     del values
     length, width = np.asarray(state.length)[..., None], np.asarray(state.width)[..., None]
     sizes = length ** (1 - _POWER[0]) * width ** (1 - _POWER[1])
-    return state.stiffness()[..., _ENTRY[0], _ENTRY[1]] * sizes
+    return np.asarray(state.stiffness()[..., _ENTRY[0], _ENTRY[1]] * sizes)
 
 
 def inertia_coefficients(state: PlateState, values: Values) -> Array:
@@ -195,13 +195,17 @@ LAMINATE_TERM = Term("laminate", "stiffness", LAMINATE_FORMS, laminate_coefficie
 INERTIA_TERM = Term("inertia", "mass", MASS_FORMS, inertia_coefficients)
 
 
-def bare_plate(parameters: ParameterSet, edges: str, nominal: PlateState, state: StateFunction) -> Problem:
+def bare_plate(
+    parameters: ParameterSet, edges: str, nominal: PlateState, state: StateFunction
+) -> Problem:
     """The plate without any effect: first-order shear deformation with rotary inertia, in vacuum.
 
     Raises ``ValueError`` if ``edges`` is not four of F, S, C.
     """
     if len(edges) != 4 or any(e not in HELD for e in edges):
-        raise ValueError(f"edges: got {edges!r}, expected four of F, S, C (x=0, y=0, x=length, y=width)")
+        raise ValueError(
+            f"edges: got {edges!r}, expected four of F, S, C (x=0, y=0, x=length, y=width)"
+        )
     return Problem(parameters, edges, nominal, state, (LAMINATE_TERM, INERTIA_TERM))
 
 

@@ -113,7 +113,11 @@ def _raw(
 
 
 def make_families(
-    n: int, rates: tuple[float, ...], held: tuple[bool, bool], split: bool, grid: tuple[Array, Array]
+    n: int,
+    rates: tuple[float, ...],
+    held: tuple[bool, bool],
+    split: bool,
+    grid: tuple[Array, Array],
 ) -> tuple[Family, ...]:
     """Orthonormal families of n polynomials and the exponentials, zero at the ends that are held.
 
@@ -217,7 +221,9 @@ class RitzSpace:
         """Trial functions of a field at points, (n_points, dimension)."""
         return np.concatenate(
             [
-                evaluate_sector(s, quadrature.points, derivative).reshape(len(quadrature.points), -1)
+                evaluate_sector(s, quadrature.points, derivative).reshape(
+                    len(quadrature.points), -1
+                )
                 for s in self.field_sectors(field)
             ],
             axis=1,
@@ -254,7 +260,9 @@ def ritz_space(edges: str, nominal: PlateState, settings: RitzSettings) -> RitzS
         tangential = field == ("phi_y" if axis == "x" else "phi_x")
         layered = tangential or (settings.coupled and field not in MEMBRANE_FIELDS)
         # parity is a symmetry of the plate only if both edges are alike in every field
-        return make_families(degrees[axis], rates[axis] if layered else (), held, a == b, grids[axis])
+        return make_families(
+            degrees[axis], rates[axis] if layered else (), held, a == b, grids[axis]
+        )
 
     sectors = [
         Sector(field, x, y, np.argwhere(np.ones((x.size, y.size), dtype=bool)))
