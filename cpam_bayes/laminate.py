@@ -163,7 +163,7 @@ def laminate_geometry(angles_deg: ArrayLike, *, symmetric: bool | None = None) -
         below = np.cumsum(whole, axis=-2) - whole
         part = (points**power - bottom[:, None] ** power) / power
         at_points = below[..., :, None, :] + functions[..., :, None, :] * part[..., None]
-        return at_points.reshape(*functions.shape[:-2], -1, 5)
+        return np.asarray(at_points.reshape(*functions.shape[:-2], -1, 5))
 
     return LaminateGeometry(
         in_plane=in_plane,
@@ -279,3 +279,20 @@ def thickness_powers(thickness: ArrayLike) -> Array:
         np.broadcast_arrays(*[np.ones_like(h)] * 3, *[h] * 3, *[np.ones_like(h)] * 2), -1
     )
     return np.asarray(per_strain[..., :, None] * per_strain[..., None, :] * h[..., None])
+
+
+def flexural_constants(stiffness: Array, thickness: float) -> dict[str, float]:
+    """Bending stiffness and flexural engineering constants of one laminate.
+
+    Ex = 12 / (h^3 d11), Ey = 12 / (h^3 d22), Gxy = 12 / (h^3 d66), nuxy = -d12 / d11 with d the
+    bending block of the inverse of [A B; B D] (Jones, section 4.4; Daniel and Ishai, eq. 7.91).
+
+    stiffness : (8, 8), thickness : m. Returns D11 D12 D22 D66 D16 D26 in N m, Ex Ey Gxy in Pa, nuxy.
+    """
+    d = np.linalg.inv(stiffness[:6, :6])[3:, 3:]
+    factor = 12 / thickness**3
+    own = {"D11": (3, 3), "D12": (3, 4), "D22": (4, 4), "D66": (5, 5), "D16": (3, 5), "D26": (4, 5)}
+    constants = {name: float(stiffness[entry]) for name, entry in own.items()}
+    constants["Ex"], constants["Ey"] = float(factor / d[0, 0]), float(factor / d[1, 1])
+    constants["Gxy"], constants["nuxy"] = float(factor / d[2, 2]), float(-d[0, 1] / d[0, 0])
+    return constants

@@ -27,13 +27,16 @@ class RitzSettings:
 
     degree_x, degree_y : number of Legendre polynomials in each direction. layers : exponentials at
     each edge, with rates s times ``spread`` to half-integer powers. coupled : whether w and the
-    normal rotation carry them too (clamped edges, layups with D16, D26 or A45).
+    normal rotation carry them too (clamped edges, layups with D16, D26 or A45). corner_layers :
+    exponentials of u and v with decay lengths of 1/8, 1/32, 1/128 ... of the plate, which add up
+    to the power of the distance that the stress has at a corner between a clamped and a free edge.
     """
 
     degree_x: int
     degree_y: int
     layers: int = 1
     coupled: bool = False
+    corner_layers: int = 0
     spread: float = 2.0
 
 
@@ -250,8 +253,9 @@ def ritz_space(edges: str, nominal: PlateState, settings: RitzSettings) -> RitzS
         "x": tuple(float(r) for r in s_x * powers * sizes["x"] / h),
         "y": tuple(float(r) for r in s_y * powers * sizes["y"] / h),
     }
+    corner_rates = tuple(8.0 * 4.0**k for k in range(settings.corner_layers))
     degrees = {"x": settings.degree_x, "y": settings.degree_y}
-    grids = {axis: graded_quadrature(rates[axis], degrees[axis]) for axis in "xy"}
+    grids = {axis: graded_quadrature(rates[axis] + corner_rates, degrees[axis]) for axis in "xy"}
     ends = {"x": (edges[0], edges[2]), "y": (edges[1], edges[3])}
 
     def families(field: Field, axis: str) -> tuple[Family, ...]:

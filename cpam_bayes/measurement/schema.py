@@ -1,0 +1,213 @@
+"""The plate file as strict models: names, types and ranges of single values.
+
+What relates several values is in checks.py. The description of a field is what an error says is
+accepted.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Final
+
+from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag
+
+__all__ = ["TAGS", "MaterialModel", "MeasurementModel", "NormalModel", "PlateFile", "PlateModel"]
+
+# Beyond these, areas and masses would overflow or vanish.
+_SMALLEST: Final = 1e-12
+_LARGEST: Final = 1e12
+
+
+def _positive(unit: str) -> Any:
+    accepted = f"a number above 0, in {unit}" if unit else "a number above 0"
+    return Field(gt=0, ge=_SMALLEST, le=_LARGEST, allow_inf_nan=False, description=accepted)
+
+
+def _finite(accepted: str) -> Any:
+    return Field(ge=-_LARGEST, le=_LARGEST, allow_inf_nan=False, description=accepted)
+
+
+def _not_negative(accepted: str) -> Any:
+    return Field(ge=0, le=_LARGEST, allow_inf_nan=False, description=accepted)
+
+
+Millimetres = Annotated[float, _positive("mm")]
+Grams = Annotated[float, _positive("g")]
+Density = Annotated[float, _positive("kg/m3")]
+GPa = Annotated[float, _positive("GPa")]
+Hertz = Annotated[float, _positive("Hz")]
+Poisson = Annotated[float, _finite("a number, Poisson's ratio")]
+Spread = Annotated[float, _positive("")]
+Place = Annotated[float, _not_negative("a number, in mm from the corner x = y = 0")]
+Text = Annotated[str, Field(min_length=1, max_length=200, description="a text, not empty")]
+Flag = Annotated[bool, Field(description="true or false")]
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(strict=True, extra="forbid", frozen=True)
+
+
+class PlateSpreads(_Table):
+    length_mm: Millimetres | None = None
+    width_mm: Millimetres | None = None
+    thickness_mm: Millimetres | None = None
+    density_kg_m3: Density | None = None
+    mass_g: Grams | None = None
+
+
+class PlateModel(_Table):
+    """The table [plate]."""
+
+    length_mm: Millimetres
+    width_mm: Millimetres
+    thickness_mm: Millimetres
+    density_kg_m3: Density | None = None
+    mass_g: Grams | None = None
+    layup: Annotated[str, Field(description='a layup such as "[(0/90)_8]_s"')] | None = None
+    sequence_layup: (
+        Annotated[
+            str, Field(description='a layup with "?" for the angles that `sequence` looks for')
+        ]
+        | None
+    ) = None
+    edges: Annotated[
+        str,
+        Field(
+            pattern="^[FSC]{4}$",
+            description="four letters of F S C for x=0, y=0, x=length, y=width",
+        ),
+    ]
+    mesh: (
+        Annotated[str, Field(min_length=1, description="the path of a mesh file, from this file")]
+        | None
+    ) = None
+    sd: Annotated[PlateSpreads, Field(description="a table [plate.sd]")] | None = None
+
+
+class MaterialSpreads(_Table):
+    E1_GPa: GPa | None = None
+    E2_GPa: GPa | None = None
+    nu12: Spread | None = None
+    G12_GPa: GPa | None = None
+    G13_GPa: GPa | None = None
+    G23_GPa: GPa | None = None
+
+
+class MaterialModel(_Table):
+    """The table [material]."""
+
+    isotropic: Flag
+    E1_GPa: GPa
+    E2_GPa: GPa | None = None
+    nu12: Poisson
+    G12_GPa: GPa | None = None
+    G13_GPa: GPa | None = None
+    G23_GPa: GPa | None = None
+    name: Text | None = None
+    sd: Annotated[MaterialSpreads, Field(description="a table [material.sd]")] | None = None
+
+
+Bounds = Annotated[
+    list[Annotated[float, _finite("a number")]],
+    Field(min_length=2, max_length=2, description="[lower, upper]"),
+]
+
+
+class NormalModel(_Table):
+    """A truncated normal prior in [unknowns], before the cut."""
+
+    mean: Annotated[float, _finite("a number")]
+    sd: Spread
+    bounds: Bounds
+
+
+def _form(value: object) -> str | None:
+    if isinstance(value, list):
+        return "bounds"
+    return "normal" if isinstance(value, dict | NormalModel) else None
+
+
+# The names of the two forms stand in pydantic's locations, not in the file.
+TAGS: Final = ("bounds", "normal")
+
+PriorModel = Annotated[
+    Annotated[Bounds, Tag("bounds")] | Annotated[NormalModel, Tag("normal")],
+    Discriminator(_form),
+    Field(description="[lower, upper] or { mean = M, sd = S, bounds = [lower, upper] }"),
+]
+
+
+class UnknownsModel(_Table):
+    E1_GPa: PriorModel | None = None
+    E2_GPa: PriorModel | None = None
+    nu12: PriorModel | None = None
+    G12_GPa: PriorModel | None = None
+    G13_GPa: PriorModel | None = None
+    G23_GPa: PriorModel | None = None
+    angle_grid_deg: Annotated[
+        float,
+        Field(
+            gt=0, le=180, allow_inf_nan=False, description="a step that divides 180, 0.1 or more"
+        ),
+    ] = 5.0
+
+
+class EnvironmentModel(_Table):
+    air_density_kg_m3: Annotated[float, _not_negative("a number, 0 or above, in kg/m3")] | None = (
+        None
+    )
+
+
+class SensorModel(_Table):
+    mass_g: Grams
+    x_mm: Place
+    y_mm: Place
+
+
+class MeasurementModel(_Table):
+    """The table [measurement]."""
+
+    frequencies_hz: Annotated[
+        list[Hertz], Field(min_length=1, description="a list of at least one frequency, ascending")
+    ]
+    resolution_hz: Annotated[float, _not_negative("a number, 0 or above, in Hz")] = 0.0
+    relative_std: (
+        Annotated[
+            float,
+            Field(gt=0, lt=1, allow_inf_nan=False, description="a fraction above 0 and below 1"),
+        ]
+        | None
+    ) = None
+    frequency_sd_hz: (
+        Annotated[list[Hertz], Field(description="a list, one for each frequency")] | None
+    ) = None
+    labels: (
+        Annotated[
+            list[Annotated[str, Field(description='a text, "" for none')]],
+            Field(description="a list of texts, one for each frequency"),
+        ]
+        | None
+    ) = None
+    complete: Flag = True
+
+
+class PlateFile(_Table):
+    """A plate file."""
+
+    name: Text
+    specimen: Text | None = None
+    notes: Annotated[
+        list[Annotated[str, Field(description="a text")]], Field(description="a list of texts")
+    ] = []
+    plate: Annotated[PlateModel, Field(description="a table [plate]")]
+    material: Annotated[MaterialModel, Field(description="a table [material]")]
+    unknowns: Annotated[UnknownsModel, Field(description="a table [unknowns]")] = UnknownsModel()
+    environment: Annotated[EnvironmentModel, Field(description="a table [environment]")] = (
+        EnvironmentModel()
+    )
+    sensor: Annotated[
+        list[Annotated[SensorModel, Field(description="a table [[sensor]]")]],
+        Field(description="tables [[sensor]]"),
+    ] = []
+    measurement: Annotated[MeasurementModel, Field(description="a table [measurement]")] | None = (
+        None
+    )

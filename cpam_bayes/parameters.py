@@ -1,0 +1,184 @@
+"""Parameters with names, units and priors, and the one place where names become vectors."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cpam_bayes.priors import Prior, ScaledStudentT, TruncatedNormal, Uniform
+
+__all__ = ["Parameter", "ParameterSet", "Prior", "ScaledStudentT", "TruncatedNormal", "Uniform"]
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """One quantity that may vary.
+
+    name : unique within a set
+    unit : SI, "" when dimensionless
+    prior : in that unit
+    null : the value that gives back the plain model, for the parameters of an effect
+    """
+
+    name: str
+    unit: str
+    prior: Prior
+    null: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterSet:
+    """Parameters in the order in which a vector holds them.
+
+    parameters : the ones that vary, `size` of them
+    fixed : (name, value) of the ones held at a value; `mapping` gives them too
+    raises ValueError when a name occurs twice
+    """
+
+    parameters: tuple[Parameter, ...]
+    fixed: tuple[tuple[str, float], ...] = ()
+
+    def __post_init__(self) -> None:
+        names = [*self.names, *(name for name, _ in self.fixed)]
+        twice = sorted({name for name in names if names.count(name) > 1})
+        if twice:
+            raise ValueError(f"names of parameters: received {twice} more than once")
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the varying parameters, in the order of a vector."""
+        return tuple(parameter.name for parameter in self.parameters)
+
+    @property
+    def size(self) -> int:
+        """Length of a vector."""
+        return len(self.parameters)
+
+    @property
+    def lower(self) -> NDArray[np.float64]:
+        """Lower bounds, (size,), each in its unit."""
+        return _read_only([parameter.prior.lower for parameter in self.parameters])
+
+    @property
+    def upper(self) -> NDArray[np.float64]:
+        """Upper bounds, (size,), each in its unit."""
+        return _read_only([parameter.prior.upper for parameter in self.parameters])
+
+    def __contains__(self, name: object) -> bool:
+        """Whether a parameter of this name varies."""
+        return name in self.names
+
+    def __getitem__(self, name: str) -> Parameter:
+        """The varying parameter of this name; KeyError says which names there are."""
+        for parameter in self.parameters:
+            if parameter.name == name:
+                return parameter
+        raise KeyError(f"parameter {name!r}: there are {list(self.names)}")
+
+    def union(self, other: ParameterSet) -> ParameterSet:
+        """Both sets, in order, what they share once.
+
+        raises ValueError when a name is defined differently in the two
+        """
+        mine: dict[str, Parameter | float] = {p.name: p for p in self.parameters}
+        mine |= dict(self.fixed)
+        theirs: dict[str, Parameter | float] = {p.name: p for p in other.parameters}
+        theirs |= dict(other.fixed)
+        for name, definition in theirs.items():
+            if name in mine and mine[name] != definition:
+                raise ValueError(
+                    f"parameter {name!r} is defined twice: {mine[name]} and {definition}; "
+                    "rename one or make them equal"
+                )
+        return ParameterSet(
+            self.parameters + tuple(p for p in other.parameters if p.name not in mine),
+            self.fixed + tuple((name, value) for name, value in other.fixed if name not in mine),
+        )
+
+    def fix(self, **values: float) -> ParameterSet:
+        """The same set with some parameters held at values, in their own units.
+
+        raises ValueError for a name that does not vary or a value that is not finite
+        """
+        self._require(values)
+        wrong = {name: value for name, value in values.items() if not np.isfinite(value)}
+        if wrong:
+            raise ValueError(f"fixed values: received {wrong}, accepted: finite numbers")
+        rest = self.without(*values)
+        return ParameterSet(
+            rest.parameters,
+            self.fixed + tuple((name, float(value)) for name, value in values.items()),
+        )
+
+    def without(self, *names: str) -> ParameterSet:
+        """The same set less some of its varying parameters.
+
+        raises ValueError for a name that does not vary
+        """
+        self._require(names)
+        return ParameterSet(tuple(p for p in self.parameters if p.name not in names), self.fixed)
+
+    def mapping(self, x: ArrayLike) -> dict[str, NDArray[Any]]:
+        """Vectors to names: (..., size) -> {name: (...)}, fixed ones included; real or complex.
+
+        raises ValueError when the last axis is not `size` long
+        """
+        x = self._vectors(x)
+        named = {name: x[..., i] for i, name in enumerate(self.names)}
+        fixed = {name: np.full(x.shape[:-1], value) for name, value in self.fixed}
+        return named | fixed
+
+    def vector(self, mapping: Mapping[str, ArrayLike]) -> NDArray[Any]:
+        """Names to vectors: {name: (...)} -> (..., size); names beyond the set are left aside.
+
+        raises ValueError for a missing name
+        """
+        missing = [name for name in self.names if name not in mapping]
+        if missing:
+            raise ValueError(f"parameters {missing} have no value; received {sorted(mapping)}")
+        if not self.parameters:
+            return np.empty(0)
+        columns = np.broadcast_arrays(*(np.asarray(mapping[name]) for name in self.names))
+        return np.stack(columns, axis=-1)
+
+    def log_prior(self, x: ArrayLike) -> NDArray[np.float64]:
+        """Log density of independent priors, (..., size) -> (...), -inf outside any bound.
+
+        raises ValueError when the last axis is not `size` long
+        """
+        x = self._vectors(x)
+        total = np.zeros(x.shape[:-1])
+        for i, parameter in enumerate(self.parameters):
+            total = total + parameter.prior.log_density(x[..., i])
+        return np.asarray(total)
+
+    def sample(self, rng: np.random.Generator, size: int) -> NDArray[np.float64]:
+        """Independent draws from the priors, (size, self.size)."""
+        draws = np.empty((size, self.size))
+        for i, parameter in enumerate(self.parameters):
+            draws[:, i] = parameter.prior.sample(rng, size)
+        return draws
+
+    def _require(self, names: Mapping[str, float] | tuple[str, ...]) -> None:
+        unknown = [name for name in names if name not in self]
+        if unknown:
+            raise ValueError(f"parameters {unknown} do not vary; there are {list(self.names)}")
+
+    def _vectors(self, x: ArrayLike) -> NDArray[Any]:
+        array = np.asarray(x)
+        if array.ndim == 0 or array.shape[-1] != self.size:
+            raise ValueError(
+                f"parameter vector: received shape {array.shape}, "
+                f"accepted: (..., {self.size}) for {list(self.names)}"
+            )
+        return array
+
+
+def _read_only(values: list[float]) -> NDArray[np.float64]:
+    array = np.array(values, dtype=float)
+    array.flags.writeable = False
+    return array
