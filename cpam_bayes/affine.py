@@ -9,9 +9,9 @@ from typing import Any, Generic, Literal, Protocol, TypeVar
 
 import numpy as np
 import scipy.linalg
+from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
-from numpy.typing import NDArray
 
 from cpam_bayes.problem import Form, Problem, Values
 from cpam_bayes.spaces.protocol import Space
@@ -180,15 +180,11 @@ def _area_pieces(form: Form, space: RitzSpace) -> list[Piece]:
             in_y = _overlap(left.y, right.y, form, "y", y, wy)
             if in_x is not None and in_y is not None:
                 p, q = left.pairs, right.pairs
-                pieces.append(
-                    (i, j, in_x[np.ix_(p[:, 0], q[:, 0])] * in_y[np.ix_(p[:, 1], q[:, 1])])
-                )
+                pieces.append((i, j, in_x[np.ix_(p[:, 0], q[:, 0])] * in_y[np.ix_(p[:, 1], q[:, 1])]))
     return pieces
 
 
-def _overlap(
-    left: Family, right: Family, form: Form, axis: str, t: Array, w: Array
-) -> Array | None:
+def _overlap(left: Family, right: Family, form: Form, axis: str, t: Array, w: Array) -> Array | None:
     """One-dimensional integrals of products of two families; ``None`` where they vanish by parity."""
     in_left, in_right = form.left.derivative == axis, form.right.derivative == axis
     if left.parity * right.parity * (-1) ** (in_left + in_right) < 0:
@@ -211,10 +207,7 @@ def _general_pieces(form: Form, space: RitzSpace) -> list[Piece]:
             b_right = evaluate_sector(right, rule.points, form.right.derivative)
             matrix = b_left.T @ (weights[:, None] * b_right)
             scale = (
-                np.sqrt(len(weights))
-                * np.abs(weights).max()
-                * np.abs(b_left).max()
-                * np.abs(b_right).max()
+                np.sqrt(len(weights)) * np.abs(weights).max() * np.abs(b_left).max() * np.abs(b_right).max()
             )
             if np.abs(matrix).max(initial=0.0) > 1e-12 * scale:
                 pieces.append((i, j, matrix))
@@ -239,9 +232,7 @@ def active_terms(problem: Problem, samples: Values, matrix: MatrixKind) -> Array
 
 def _comparable(forms: Sequence[Form], coefficients: Array) -> Array:
     """Magnitude that a coefficient is compared with to be called zero: its largest diagonal relatives."""
-    own = {
-        f.left: c for f, c in zip(forms, coefficients.max(axis=0), strict=True) if f.left == f.right
-    }
+    own = {f.left: c for f, c in zip(forms, coefficients.max(axis=0), strict=True) if f.left == f.right}
     return np.array([np.sqrt(own.get(f.left, 0.0) * own.get(f.right, 0.0)) for f in forms])
 
 
@@ -282,19 +273,17 @@ def _discretise(
     starts = np.cumsum([0, *(s.size for s in space.sectors)])
     blocks = []
     for members in _components(len(space.sectors), links):
+        if not any(space.sectors[i].size for i in members):
+            continue
         local = np.cumsum([0, *(space.sectors[i].size for i in members)])
         place = {i: slice(a, b) for i, a, b in zip(members, local[:-1], local[1:], strict=True)}
-        matrices = [
-            _stack(p, c, place, int(local[-1])) for p, c in zip(pieces, combine, strict=True)
-        ]
+        matrices = [_stack(p, c, place, int(local[-1])) for p, c in zip(pieces, combine, strict=True)]
         index = np.concatenate([np.arange(starts[i], starts[i + 1]) for i in members])
         blocks.append(DenseBlock(matrices[0], matrices[1], index, n_terms))
     return AffineOperator(problem, space, tuple(blocks))
 
 
-def _stack(
-    pieces: dict[int, list[Piece]], combine: Array, place: dict[int, slice], n: int
-) -> AffineMatrix:
+def _stack(pieces: dict[int, list[Piece]], combine: Array, place: dict[int, slice], n: int) -> AffineMatrix:
     inside = {q: [p for p in parts if p[0] in place] for q, parts in pieces.items()}
     present = [q for q, parts in inside.items() if parts]
     active = np.flatnonzero(np.any(combine[:, present] != 0.0, axis=1))

@@ -56,49 +56,62 @@ class ConvergedOperator:
     """An operator on a converged space and the relative error of its frequencies.
 
     error : (n_modes,) estimated relative error, the largest over the sampled parameter sets.
-    settings : the basis before trimming.
+    settings : the basis before trimming. keep : its trial functions that were kept, bool.
     """
 
     operator: DenseOperator
     error: Array
     settings: RitzSettings
+    keep: Array
 
 
 def converge(
-    problem: Problem, samples: Values, n_modes: int, tolerance: Tolerance | None = None
+    problem: Problem,
+    samples: Values,
+    n_modes: int,
+    tolerance: Tolerance | None = None,
+    allowance: Array | None = None,
 ) -> ConvergedOperator:
     """The problem on the smallest Ritz space found whose frequencies are converged at all samples.
 
     samples : parameter values, each (n_samples,), that cover what will be asked. tolerance :
-    ``default_tolerance`` if left out. Where even the largest space does not meet it, the error says
+    ``default_tolerance`` if left out. allowance : (n_samples,) factors by which the error may exceed
+    the tolerance at each sample, ones if left out; the error returned is that of the samples with
+    the smallest factor. Where even the largest space does not meet it, the error says
     so; ``ValueError`` is raised where there are too few trial functions for the modes.
     """
     tolerance = tolerance or default_tolerance(problem)
-    rich, rich_error, rich_settings = _rich(problem, samples, n_modes, tolerance)
-    settings = _grow(problem, samples, rich.frequencies, rich_settings, tolerance)
+    n_samples = _count(samples)
+    allowed = (np.ones(n_samples) if allowance is None else allowance)[:, None]
+    rich, rich_error, rich_settings = _rich(problem, samples, n_modes, tolerance, allowed)
+    settings = _grow(problem, samples, rich.frequencies, rich_settings, tolerance, allowed)
     space = ritz_space(problem.edges, problem.nominal, settings)
     sampled = discretise_at(problem, space, samples)
     eye = np.eye(len(rich.eigenvalues))
-    own = solve(sampled, eye, eye, n_modes, vectors=True)
-    importance, rigid = _importance(sampled, own), _rigid_functions(space)
-    keep, error = np.ones(len(importance), dtype=bool), own.frequencies / rich.frequencies - 1.0
+    own = solve(sampled, eye, eye, _more_modes(n_modes), vectors=True)
+    importance, rigid = _importance(sampled, own, n_modes), _rigid_functions(space)
+    keep, error = (
+        np.ones(len(importance), dtype=bool),
+        own.frequencies[:, :n_modes] / rich.frequencies - 1.0,
+    )
     for threshold in 10.0 ** np.arange(-7.0, -4.0, 0.25):
         candidate = (importance > threshold) | rigid
         frequencies = solve(restricted(sampled, candidate), eye, eye, n_modes).frequencies
         its_error = frequencies / rich.frequencies - 1.0
-        if its_error.max() > tolerance.kept:
+        if np.max(its_error / allowed) > tolerance.kept:
             break
         keep, error = candidate, its_error
     return ConvergedOperator(
         operator=discretise(problem, space.restricted(keep), samples),
-        error=np.maximum(error.max(axis=0), 0.0) + rich_error,
+        error=np.maximum(_strictest(error, allowed), 0.0) + _strictest(rich_error, allowed),
         settings=settings,
+        keep=keep,
     )
 
 
 @dataclass(frozen=True, slots=True)
 class RichFrequencies:
-    """Frequencies (n_samples, n_modes) Hz of a rich space and their relative error (n_modes,)."""
+    """Frequencies of a rich space and their relative errors, (n_samples, n_modes) Hz and 1."""
 
     frequencies: Array
     error: Array
@@ -108,18 +121,20 @@ def rich_frequencies(
     problem: Problem, samples: Values, n_modes: int, tolerance: Tolerance | None = None
 ) -> RichFrequencies:
     """Frequencies as exact as ``converge`` would compare with, at parameter samples (n_samples,)."""
-    spectrum, error, _ = _rich(
-        problem, samples, n_modes, tolerance or default_tolerance(problem)
-    )
+    allowed = np.ones((_count(samples), 1))
+    spectrum, error, _ = _rich(problem, samples, n_modes, tolerance or default_tolerance(problem), allowed)
     return RichFrequencies(spectrum.frequencies, error)
 
 
-def _sampled_frequencies(
-    problem: Problem, samples: Values, settings: RitzSettings, n_modes: int
-) -> Array:
+def _sampled_frequencies(problem: Problem, samples: Values, settings: RitzSettings, n_modes: int) -> Array:
     operator = discretise_at(problem, ritz_space(problem.edges, problem.nominal, settings), samples)
     eye = np.eye(_count(samples))
     return solve(operator, eye, eye, n_modes).frequencies
+
+
+def _strictest(error: Array, allowed: Array) -> Array:
+    """Largest error (n_samples, n_modes) of the samples with the least allowance, (n_modes,)."""
+    return np.asarray(error[allowed[:, 0] == allowed.min()].max(axis=0))
 
 
 def _count(samples: Values) -> int:
@@ -127,7 +142,12 @@ def _count(samples: Values) -> int:
 
 
 def _grow(
-    problem: Problem, samples: Values, reference: Array, rich: RitzSettings, tolerance: Tolerance
+    problem: Problem,
+    samples: Values,
+    reference: Array,
+    rich: RitzSettings,
+    tolerance: Tolerance,
+    allowed: Array,
 ) -> RitzSettings:
     """Smallest basis found whose error against ``reference`` (n_samples, n_modes) is within tolerance.
 
@@ -137,13 +157,13 @@ def _grow(
     n_modes = reference.shape[1]
     start = 7 + int(np.sqrt(n_modes) / 2)
     current, level = RitzSettings(start, start, *_LAYERS[0]), 0
-    errors = _sampled_frequencies(problem, samples, current, n_modes) / reference - 1.0
+    errors = (_sampled_frequencies(problem, samples, current, n_modes) / reference - 1.0) / allowed
     hardest = int(np.argmax(errors.max(axis=1)))
     sample = {name: np.atleast_1d(values)[[hardest]] for name, values in samples.items()}
 
     def error(settings: RitzSettings) -> float:
         found = _sampled_frequencies(problem, sample, settings, n_modes)
-        return float(np.max(found[0] / reference[hardest] - 1.0))
+        return float(np.max(found[0] / reference[hardest] - 1.0) / allowed[hardest, 0])
 
     now = float(errors.max())
     while now > tolerance.kept:
@@ -180,9 +200,9 @@ def _basis_size(settings: RitzSettings) -> int:
 
 
 def _rich(
-    problem: Problem, samples: Values, n_modes: int, tolerance: Tolerance
+    problem: Problem, samples: Values, n_modes: int, tolerance: Tolerance, allowed: Array
 ) -> tuple[Spectrum, Array, RitzSettings]:
-    """Modes of a rich space at the samples, its own relative error (n_modes,), and its settings.
+    """Modes of a rich space at the samples, its own relative errors (n_samples, n_modes), its settings.
 
     The error is what a polynomial less in x, one less in y and one exponential less would add; the
     space grows where that is too much.
@@ -199,9 +219,7 @@ def _rich(
         operator = discretise_at(problem, space, samples)
         spectrum = solve(operator, eye, eye, n_modes)
         less = [
-            solve(
-                restricted(operator, _without_highest(space, axis)), eye, eye, n_modes
-            ).frequencies
+            solve(restricted(operator, _without_highest(space, axis)), eye, eye, n_modes).frequencies
             for axis in (0, 1)
         ]
         if settings.coupled:
@@ -212,9 +230,10 @@ def _rich(
             )
             less.append(_sampled_frequencies(problem, samples, fewer, n_modes))
         error = [np.maximum(f / spectrum.frequencies - 1.0, 0.0) for f in less]
-        grown = _grown(settings, [bool(e.max() > tolerance.rich) for e in error], tolerance)
+        wanting = [bool(np.max(e / allowed) > tolerance.rich) for e in error]
+        grown = _grown(settings, wanting, tolerance)
         if grown == settings:
-            return spectrum, np.sum(error, axis=0).max(axis=0), settings
+            return spectrum, np.sum(error, axis=0), settings
         settings = grown
 
 
@@ -242,23 +261,32 @@ def _without_highest(space: RitzSpace, axis: int) -> Array:
     return np.concatenate([s.pairs[:, axis] < (s.x, s.y)[axis].size - 1 for s in space.sectors])
 
 
-def _importance(operator: DenseOperator, spectrum: Spectrum) -> Array:
+def _more_modes(n_modes: int) -> int:
+    """Modes to look at so that in-plane ones which other constants would bring into range are seen."""
+    return 2 * n_modes + 4
+
+
+def _importance(operator: DenseOperator, spectrum: Spectrum, n_modes: int) -> Array:
     """Largest share of a mode's energy that a trial function carries, (n_functions,).
 
     c_i^2 (K_ii - lambda M_ii) / lambda: to first order what lambda gains if function i is left out.
+    Modes beyond the first n_modes count where they are purely in-plane: these move past the bending
+    modes when the constants change.
     """
     share = np.zeros(sum(b.size for b in operator.blocks))
-    if spectrum.vectors is None:
-        raise ValueError("importance needs mode vectors")
+    n_in_plane = operator.space.dimension("u") + operator.space.dimension("v")
+    assert spectrum.vectors is not None
     for b, block in enumerate(operator.blocks):
         k = np.diagonal(block.stiffness.stack, axis1=1, axis2=2)
         m = np.diagonal(block.mass.stack, axis1=1, axis2=2)
+        in_plane = block.index.max() < n_in_plane
         for i, n in zip(*np.nonzero(spectrum.block == b), strict=True):
+            if n >= n_modes and not in_plane:
+                continue
             c = spectrum.vectors[b][i, :, spectrum.column[i, n]]
             lam = spectrum.eigenvalues[i, n]
-            share[block.index] = np.maximum(
-                share[block.index], c * c * np.abs(k[i] - lam * m[i]) / lam
-            )
+            energy = c * c * np.abs(k[i] - lam * m[i]) / lam
+            share[block.index] = np.maximum(share[block.index], energy)
     return share
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final, NoReturn
+from typing import Any, Final, NoReturn
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -76,18 +76,19 @@ class Layup:
         known = np.array_equal(self.angles_deg, self.angles_deg[::-1], equal_nan=True)
         return known and np.array_equal(self.unknown_index, self.unknown_index[::-1])
 
-    def angles(self, unknown_deg: ArrayLike) -> NDArray[np.float64]:
-        """Angles of every ply, (..., n_unknown) -> (..., n_plies), degrees.
+    def angles(self, unknown_deg: ArrayLike) -> NDArray[Any]:
+        """Angles of every ply, (..., n_unknown) -> (..., n_plies), degrees; complex input passes.
 
         raises ValueError when the last axis is not n_unknown long
         """
-        unknown = np.asarray(unknown_deg, dtype=float)
+        unknown = np.asarray(unknown_deg)
         if unknown.ndim == 0 or unknown.shape[-1] != self.n_unknown:
             raise ValueError(
                 f"unknown angles of {self.text}: received shape {unknown.shape}, "
                 f"accepted: (..., {self.n_unknown})"
             )
-        full = np.broadcast_to(self.angles_deg, (*unknown.shape[:-1], self.n_plies)).copy()
+        known = self.angles_deg.astype(np.result_type(unknown, float))
+        full = np.broadcast_to(known, (*unknown.shape[:-1], self.n_plies)).copy()
         open_plies = self.unknown_index >= 0
         full[..., open_plies] = unknown[..., self.unknown_index[open_plies]]
         return full

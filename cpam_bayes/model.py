@@ -8,24 +8,33 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cpam_bayes.affine import AffineOperator
+from cpam_bayes.affine import AffineOperator, discretise
 from cpam_bayes.convergence import Tolerance, converge, rich_frequencies
 from cpam_bayes.effects import add_known_mass
-from cpam_bayes.elasticity import complete_constants, is_admissible
+from cpam_bayes.elasticity import CONSTANTS, complete_constants, is_admissible
 from cpam_bayes.laminate import ENERGY_CONSISTENT, ShearModel, laminate_geometry
 from cpam_bayes.measurement.records import Specimen
-from cpam_bayes.modes import Spectrum, energy_terms, solve
-from cpam_bayes.parameters import ParameterSet
+from cpam_bayes.modes import Spectrum, eigenvalue_derivatives, solve
+from cpam_bayes.parameters import Parameter, ParameterSet, Uniform
 from cpam_bayes.problem import PlateState, Problem, Values, bare_plate
 from cpam_bayes.shapes import Mode, describe_modes
+from cpam_bayes.spaces.ritz import RitzSettings, ritz_space
 
 Array = NDArray[Any]
 
 NO_PARAMETERS = ParameterSet(())
 # Step of the complex-step derivative, relative to a parameter: any small number does, no digits go.
 _STEP = 1e-25
-# A space is converged at constants this far from the reference, as a fraction.
+# A space is converged at constants this far from the centre, as a fraction.
 _NEIGHBOURHOOD = 0.3
+# Elsewhere in the prior box its error may be this many times larger.
+_FAR_ALLOWANCE = 20.0
+
+
+def angle_parameters(specimen: Specimen) -> ParameterSet:
+    """The unknown ply angles of a specimen as continuous parameters, in degrees."""
+    names = specimen.plate.layup.unknown_names
+    return ParameterSet(tuple(Parameter(name, "deg", Uniform(-90.0, 90.0)) for name in names))
 
 
 def plate_problem(
@@ -33,36 +42,46 @@ def plate_problem(
     parameters: ParameterSet = NO_PARAMETERS,
     shear: ShearModel = ENERGY_CONSISTENT,
 ) -> Problem:
-    """The plate of a specimen as an eigenvalue problem in some of its elastic constants.
+    """The plate of a specimen as an eigenvalue problem in some of its constants and angles.
 
-    parameters : the constants that vary; the others keep their reference value, G13, G23 and the
-    constants of an isotropic plate following eq. (6) and (11) where they are not given. Raises
-    ``ValueError`` if the layup has unknown angles.
+    parameters : what varies; other constants keep their reference value, G13, G23 and the constants
+    of an isotropic plate following eq. (6) and (11) where they are not given. Raises ``ValueError``
+    if an unknown angle of the layup is not among the parameters.
     """
-    plate = specimen.plate
-    if plate.layup.n_unknown:
-        raise ValueError(
-            f"layup {plate.layup.text} has {plate.layup.n_unknown} unknown angles; "
-            "a known layup is needed"
-        )
+    plate, material = specimen.plate, specimen.material
+    layup = plate.layup
+    missing = [name for name in layup.unknown_names if name not in parameters]
+    if missing:
+        raise ValueError(f"layup {layup.text} has {len(missing)} unknown angles; a known layup is needed")
+    # unknown angles are spread evenly, so that the nominal plate favours no direction
+    spread = np.linspace(-90.0, 90.0, layup.n_unknown + 1)[1:] if layup.n_unknown else np.empty(0)
     nominal = PlateState(
         length=np.asarray(plate.length),
         width=np.asarray(plate.width),
         thickness=np.asarray(plate.thickness),
         density=np.asarray(plate.density),
-        constants=complete_constants(specimen.material.constants, specimen.material.isotropic),
-        layup=laminate_geometry(plate.layup.angles_deg),
+        constants=complete_constants(material.constants, material.isotropic),
+        layup=laminate_geometry(layup.angles(spread), symmetric=layup.is_symmetric),
         shear=shear,
+        symmetric=layup.is_symmetric,
     )
 
-    def state(values: Values) -> PlateState:
-        own = {k: v for k, v in values.items() if k in parameters}
-        constants = {**specimen.material.constants, **own}
-        return replace(
-            nominal, constants=complete_constants(constants, specimen.material.isotropic)
-        )
+    def given_constants(values: Values) -> dict[str, Any]:
+        return {**material.constants, **{k: v for k, v in values.items() if k in CONSTANTS}}
 
-    problem = bare_plate(parameters, plate.edges, nominal, state)
+    def state(values: Values) -> PlateState:
+        constants = complete_constants(given_constants(values), material.isotropic)
+        found = replace(nominal, constants=constants)
+        if not layup.n_unknown:
+            return found
+        angles = np.stack([values[name] for name in layup.unknown_names], axis=-1)
+        return replace(found, layup=layup.angles(angles))
+
+    def admissible(values: Values) -> NDArray[np.bool_]:
+        shape = np.broadcast_shapes(*(np.shape(v) for v in values.values()))
+        return np.broadcast_to(is_admissible(given_constants(values), material.isotropic), shape)
+
+    problem = bare_plate(parameters, plate.edges, nominal, state, admissible)
     for sensor in specimen.sensors:
         problem = add_known_mass(problem, sensor.mass, sensor.x, sensor.y)
     return problem
@@ -84,21 +103,27 @@ class Prediction:
 class PlateModel:
     """A converged plate: parameter vectors in, frequencies out.
 
-    error : (n_modes,) estimated relative error of each frequency.
+    error : (n_modes,) estimated relative error of each frequency. basis : the trial functions as
+    ``converge`` chose them, for those who store a model; ``None`` for other operators.
     """
 
     operator: AffineOperator[Any, Any]
     n_modes: int
     error: Array
+    basis: tuple[RitzSettings, Array] | None = None
 
     @property
     def parameters(self) -> ParameterSet:
         """The parameters that vary, in the order of the vectors."""
         return self.operator.problem.parameters
 
+    def admissible(self, x: Array) -> Array:
+        """Whether parameter vectors (m, n) satisfy the constraints (9), (m,) bool."""
+        return self.operator.problem.admissible(self.parameters.mapping(x))
+
     def spectrum(self, x: Array, *, vectors: bool = False) -> Spectrum:
         """Modes at parameter vectors (m, n)."""
-        stiffness, mass = self._coefficients(np.atleast_2d(x))
+        stiffness, mass = self.coefficients(np.atleast_2d(x))
         return solve(self.operator, stiffness, mass, self.n_modes, vectors=vectors)
 
     def predict(self, x: Array, *, jacobian: bool = False) -> Prediction:
@@ -111,19 +136,16 @@ class PlateModel:
         f = spectrum.frequencies
         if not jacobian:
             return Prediction(f, None)
-        k_energy, m_energy = energy_terms(self.operator, spectrum)
-        dk, dm = self._coefficient_derivatives(x)
-        lam = spectrum.eigenvalues[..., None]
-        d_lambda = k_energy @ dk - lam * (m_energy @ dm)
-        return Prediction(f, d_lambda / (8 * np.pi**2 * f[..., None]))
+        derivative = eigenvalue_derivatives(self.operator, spectrum, *self._coefficient_derivatives(x))
+        return Prediction(f, derivative / (8 * np.pi**2 * f[..., None]))
 
     def modes(self, x: Array) -> tuple[Mode, ...]:
         """Frequencies, kinds and labels at one parameter vector (n,)."""
         spectrum = self.spectrum(x, vectors=True)
-        _, mass = self._coefficients(np.atleast_2d(x))
+        _, mass = self.coefficients(np.atleast_2d(x))
         return describe_modes(self.operator, spectrum, mass)
 
-    def _coefficients(self, x: Array) -> tuple[Array, Array]:
+    def coefficients(self, x: Array) -> tuple[Array, Array]:
         """Coefficients of K and M at parameter vectors (m, n), (m, n_terms) each."""
         found = self.operator.coefficients(self.parameters.mapping(x))
         k, m = (np.broadcast_to(c, (len(x), c.shape[-1])) for c in found)
@@ -134,28 +156,66 @@ class PlateModel:
         m, n = x.shape
         step = _STEP * np.maximum(np.abs(x), np.finfo(float).tiny ** 0.25)
         shifted = x[:, None, :] + 1j * step[:, None, :] * np.eye(n)
-        found = self._coefficients(shifted.reshape(m * n, n))
+        found = self.coefficients(shifted.reshape(m * n, n))
         k, mass = (np.swapaxes(c.imag.reshape(m, n, -1) / step[:, :, None], 1, 2) for c in found)
         return k, mass
 
 
-def reference_samples(specimen: Specimen, parameters: ParameterSet, n: int = 3) -> Array:
-    """The reference constants and n admissible sets within 30 % of them, (n + 1, n_parameters).
+def training_sets(problem: Problem, n: int, rng: np.random.Generator) -> Array:
+    """Admissible parameter vectors that fill the prior box and its faces, (n, n_parameters).
 
-    They tell a discretisation what it will be asked; the seed is fixed so that a model does not
-    depend on a run's. Values are brought within the bounds of the parameters.
+    Half are drawn from the prior, half with more weight on the bounds (a beta distribution with
+    both parameters 1/2), because an optimum often sits on one.
     """
+    parameters = problem.parameters
+    found = np.empty((0, parameters.size))
+    lower, upper = parameters.lower, parameters.upper
+    while len(found) < n:
+        inside = parameters.sample(rng, n)
+        faces = lower + (upper - lower) * rng.beta(0.5, 0.5, size=(n, parameters.size))
+        both = np.stack((inside, faces), axis=1).reshape(-1, parameters.size)
+        found = np.concatenate((found, both[problem.admissible(parameters.mapping(both))]))
+    return found[:n]
+
+
+@dataclass(frozen=True, slots=True)
+class Samples:
+    """Parameter vectors (m, n_parameters) that tell a discretisation what it will be asked.
+
+    allowance : (m,) factors by which the error may exceed the tolerance there.
+    """
+
+    x: Array
+    allowance: Array
+
+
+def convergence_samples(
+    specimen: Specimen, problem: Problem, centre: Array | None = None, near: int = 3, far: int = 4
+) -> Samples:
+    """A centre, neighbours within 30 % of its constants, and sets all over the prior box.
+
+    centre : (n_parameters,), by default the reference constants. Far from it the space need only be
+    good enough to tell that the data lie elsewhere. The seed is fixed, so that a model does not
+    depend on the run that first needs it. Angles are drawn from their prior throughout.
+    """
+    parameters = problem.parameters
+    if not parameters.size:
+        return Samples(np.empty((1, 0)), np.ones(1))
     rng = np.random.default_rng(0)
-    constants, isotropic = specimen.material.constants, specimen.material.isotropic
-    complete = complete_constants(constants, isotropic)
-    centre = np.array([float(complete[name]) for name in parameters.names])
-    found = [centre]
-    while parameters.size and len(found) <= n:
-        factor = 1.0 + _NEIGHBOURHOOD * rng.uniform(-1.0, 1.0, parameters.size)
-        x = np.clip(centre * factor, parameters.lower, parameters.upper)
-        if is_admissible({**constants, **parameters.mapping(x)}, isotropic):
+    complete = complete_constants(specimen.material.constants, specimen.material.isotropic)
+    found: list[Array] = []
+    while len(found) <= near:
+        x = parameters.sample(rng, 1)[0]
+        for i, name in enumerate(parameters.names):
+            if name in CONSTANTS:
+                away = _NEIGHBOURHOOD * rng.uniform(-1.0, 1.0) if found else 0.0
+                x[i] = (float(complete[name]) if centre is None else centre[i]) * (1.0 + away)
+        x = np.clip(x, parameters.lower, parameters.upper)
+        if problem.admissible(parameters.mapping(x)):
             found.append(x)
-    return np.array(found)
+    everywhere = training_sets(problem, far, rng)
+    allowance = np.concatenate((np.ones(near + 1), np.full(far, _FAR_ALLOWANCE)))
+    return Samples(np.concatenate((found, everywhere)), allowance)
 
 
 def converged_model(
@@ -164,19 +224,31 @@ def converged_model(
     n_modes: int,
     shear: ShearModel = ENERGY_CONSISTENT,
     tolerance: Tolerance | None = None,
-    at: Array | None = None,
+    centre: Array | None = None,
 ) -> PlateModel:
     """The plate of a specimen on a Ritz space that is converged about given constants.
 
-    parameters : the constants that vary (``NO_PARAMETERS`` for the reference ones alone). at : the
-    parameter vectors (m, n) to converge at, by default the reference constants and their
-    neighbourhood.
+    parameters : what varies (``NO_PARAMETERS`` for the reference constants alone). centre : as in
+    ``convergence_samples``.
     """
     problem = plate_problem(specimen, parameters, shear)
-    x = reference_samples(specimen, parameters) if at is None else np.atleast_2d(at)
-    samples = parameters.mapping(x)
-    converged = converge(problem, samples, n_modes, tolerance)
-    return PlateModel(converged.operator, n_modes, converged.error)
+    samples = convergence_samples(specimen, problem, centre)
+    converged = converge(problem, parameters.mapping(samples.x), n_modes, tolerance, samples.allowance)
+    basis = (converged.settings, converged.keep)
+    return PlateModel(converged.operator, n_modes, converged.error, basis)
+
+
+def model_on_basis(
+    problem: Problem, samples: Array, n_modes: int, error: Array, basis: tuple[RitzSettings, Array]
+) -> PlateModel:
+    """The model that ``converged_model`` found before, from its basis and error.
+
+    samples : (m, n_parameters), where the symmetries of the problem are read off.
+    """
+    settings, keep = basis
+    space = ritz_space(problem.edges, problem.nominal, settings).restricted(keep)
+    operator = discretise(problem, space, problem.parameters.mapping(samples))
+    return PlateModel(operator, n_modes, error, basis)
 
 
 def discretisation_error(model: PlateModel, x: Array) -> Array:
@@ -189,4 +261,4 @@ def discretisation_error(model: PlateModel, x: Array) -> Array:
     problem = model.operator.problem
     finer = rich_frequencies(problem, model.parameters.mapping(x), model.n_modes)
     difference = np.abs(model.predict(x).frequencies / finer.frequencies - 1.0)
-    return np.asarray(difference.max(axis=0) + finer.error)
+    return np.asarray((difference + finer.error).max(axis=0))

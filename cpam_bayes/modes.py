@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import scipy.optimize
 from numpy.typing import NDArray
 
 from cpam_bayes.affine import AffineOperator
@@ -16,6 +17,8 @@ Array = NDArray[Any]
 # A rigid-body motion has eigenvalue zero but for rounding, which grows with the range of K (up to
 # 2e11 on thin plates); a deformation mode has not.
 RIGID_TOLERANCE = 1e-4
+# Relative distance of eigenvalues under which their eigenvectors are arbitrary in their common plane.
+COINCIDENT = 1e-9
 
 
 class RigidBodyError(ValueError):
@@ -69,12 +72,8 @@ def solve(
     n_rigid = rigid_body_count(operator.problem.edges)
     wanted = n_modes + n_rigid
     if sum(b.size for b in operator.blocks) <= wanted:
-        raise ValueError(
-            f"{n_modes} modes asked for, the space has {sum(b.size for b in operator.blocks)}"
-        )
-    pairs = [
-        b.eigenpairs(stiffness, mass, min(wanted, b.size), vectors=vectors) for b in operator.blocks
-    ]
+        raise ValueError(f"{n_modes} modes asked for, the space has {sum(b.size for b in operator.blocks)}")
+    pairs = [b.eigenpairs(stiffness, mass, min(wanted, b.size), vectors=vectors) for b in operator.blocks]
     values = [lam for lam, _ in pairs]
     counts = [v.shape[-1] for v in values]
     owner = np.repeat(np.arange(len(counts)), counts)
@@ -121,7 +120,81 @@ def energy_terms(operator: AffineOperator[Any, Any], spectrum: Spectrum) -> tupl
                 energies.append(energy)
             where.append(np.ravel_multi_index((sets, modes), spectrum.eigenvalues.shape))
     order = np.argsort(np.concatenate(where))
-    stiffness, mass = (
-        np.concatenate(e)[order].reshape(*spectrum.eigenvalues.shape, -1) for e in found
-    )
+    stiffness, mass = (np.concatenate(e)[order].reshape(*spectrum.eigenvalues.shape, -1) for e in found)
     return stiffness, mass
+
+
+def modal_assurance(operator: AffineOperator[Any, Any], mass: Array, a: Spectrum, b: Spectrum) -> Array:
+    """Modal assurance of the modes of two spectra of one operator, (n_modes of a, n_modes of b).
+
+    MAC_ij = (phi_i^T M phi_j)^2 for M-normalised modes: 1 for equal shapes, 0 for orthogonal ones
+    (Allemang, Sound and Vibration 37, 2003, with the mass as weight).
+
+    mass : (n_mass,) coefficients of the M that weighs. The first parameter set of each spectrum counts.
+    """
+    found = np.zeros((a.eigenvalues.shape[1], b.eigenvalues.shape[1]))
+    for i in range(found.shape[0]):
+        block_a, phi = a.vector(0, i)
+        for j in range(found.shape[1]):
+            block_b, psi = b.vector(0, j)
+            if block_a == block_b:
+                cross = _bilinear(operator, block_a, phi, psi)[1] @ mass
+                sizes = [operator.blocks[block_a].energies(v[None])[1][0] @ mass for v in (phi, psi)]
+                found[i, j] = cross**2 / (sizes[0] * sizes[1])
+    return found
+
+
+def track_modes(operator: AffineOperator[Any, Any], mass: Array, a: Spectrum, b: Spectrum) -> Array:
+    """For each mode of ``a`` the mode of ``b`` that has its shape, (n_modes,): best total assurance."""
+    _, order = scipy.optimize.linear_sum_assignment(modal_assurance(operator, mass, a, b), maximize=True)
+    return np.asarray(order)
+
+
+def _bilinear(operator: AffineOperator[Any, Any], block: int, phi: Array, psi: Array) -> tuple[Array, Array]:
+    """phi^T K_q psi and phi^T M_q psi of every term, by polarisation of the energies."""
+    k, m = operator.blocks[block].energies(np.stack((phi + psi, phi - psi)))
+    return (k[0] - k[1]) / 4, (m[0] - m[1]) / 4
+
+
+def eigenvalue_derivatives(
+    operator: AffineOperator[Any, Any], spectrum: Spectrum, d_stiffness: Array, d_mass: Array
+) -> Array:
+    """Derivatives of the eigenvalues with respect to parameters, (m, n_modes, n_parameters).
+
+    d lambda = phi^T (dK - lambda dM) phi. Where modes of one block coincide, their derivatives along
+    a parameter are the eigenvalues of Phi^T (dK - lambda dM) Phi over the coinciding shapes Phi,
+    ascending: what the sorted eigenvalues do when that parameter grows (Lancaster, Numer. Math. 6,
+    1964).
+
+    d_stiffness, d_mass : derivatives of the coefficients, (m, n_terms, n_parameters).
+    """
+    k_energy, m_energy = energy_terms(operator, spectrum)
+    lam = spectrum.eigenvalues[..., None]
+    derivative = k_energy @ d_stiffness - lam * (m_energy @ d_mass)
+    for s, members in _coincident(spectrum):
+        size = len(members)
+        matrix = np.zeros((derivative.shape[2], size, size))
+        for p in range(size):
+            matrix[:, p, p] = derivative[s, members[p]]
+            for q in range(p):
+                block, phi = spectrum.vector(s, members[p])
+                k, m = _bilinear(operator, block, phi, spectrum.vector(s, members[q])[1])
+                value = k @ d_stiffness[s] - spectrum.eigenvalues[s, members[p]] * (m @ d_mass[s])
+                matrix[:, p, q] = matrix[:, q, p] = value
+        derivative[s, members] = np.linalg.eigvalsh(matrix).T
+    return np.asarray(derivative)
+
+
+def _coincident(spectrum: Spectrum) -> list[tuple[int, list[int]]]:
+    """Groups of modes of one block whose eigenvalues coincide: (parameter set, modes)."""
+    lam = spectrum.eigenvalues
+    close = np.diff(lam, axis=1) < COINCIDENT * lam[:, 1:]
+    groups = []
+    for s in np.flatnonzero(close.any(axis=1)):
+        starts = np.flatnonzero(np.concatenate(([True], ~close[s])))
+        for run in np.split(np.arange(lam.shape[1]), starts[1:]):
+            for block in np.unique(spectrum.block[s, run]):
+                members = run[spectrum.block[s, run] == block].tolist()
+                if len(members) > 1:
+                    groups.append((int(s), members))
+    return groups

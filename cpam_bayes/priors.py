@@ -105,9 +105,7 @@ class TruncatedNormal:
         _require_ascending(self.lower, self.upper)
         _require_scale(self.scale)
         if not math.isfinite(self.loc):
-            raise ValueError(
-                f"loc of a truncated normal prior: received {self.loc}, accepted: finite"
-            )
+            raise ValueError(f"loc of a truncated normal prior: received {self.loc}, accepted: finite")
         _require_mass(self._cut.mass, self)
 
     @property
@@ -241,9 +239,7 @@ def _cut(a: float, b: float, distribution: Callable[[float], float]) -> _Cut:
     return _Cut(a, b, sign, below, distribution(b) - below)
 
 
-def _quadrature_moments(
-    a: float, b: float, shape: Callable[[Floats], Floats]
-) -> tuple[float, float]:
+def _quadrature_moments(a: float, b: float, shape: Callable[[Floats], Floats]) -> tuple[float, float]:
     """Mean and variance of a smooth density known up to a factor on a short interval."""
     offset = 0.5 * (b - a) * _NODES
     centre = 0.5 * (a + b)

@@ -62,7 +62,7 @@ class Atom:
 
 @dataclass(frozen=True, slots=True)
 class Form:
-    """Symmetric bilinear form: the integral of left(a) right(b) + right(a) left(b), times 1/2 if left is right.
+    """Symmetric bilinear form: the integral of left(a) right(b), and of right(a) left(b) if they differ.
 
     ``weight`` maps reference points (n, 2) to values (n,); ``None`` is one.
     """
@@ -130,6 +130,7 @@ class PlateState:
 
 Values = Mapping[str, Array]
 StateFunction = Callable[[Values], PlateState]
+Admissible = Callable[[Values], NDArray[np.bool_]]
 CoefficientFunction = Callable[[PlateState, Values], Array]
 
 
@@ -149,6 +150,7 @@ class Problem:
 
     ``edges`` are four of F, S, C for x = 0, y = 0, x = length, y = width. ``state`` maps parameter
     values to the plate's numbers, ``nominal`` is the state that discretisations are tuned to.
+    ``admissible`` says which parameter values are physical, (...) bool.
     """
 
     parameters: ParameterSet
@@ -156,6 +158,7 @@ class Problem:
     nominal: PlateState
     state: StateFunction
     terms: tuple[Term, ...]
+    admissible: Admissible
 
     def coefficients(self, values: Values, matrix: Literal["stiffness", "mass"]) -> Array:
         """Coefficients of every form of K or M at the given values, (..., n_forms)."""
@@ -195,18 +198,25 @@ LAMINATE_TERM = Term("laminate", "stiffness", LAMINATE_FORMS, laminate_coefficie
 INERTIA_TERM = Term("inertia", "mass", MASS_FORMS, inertia_coefficients)
 
 
+def everything(values: Values) -> NDArray[np.bool_]:
+    """All parameter values are admissible."""
+    return np.ones(np.broadcast_shapes(*(np.shape(v) for v in values.values())), dtype=bool)
+
+
 def bare_plate(
-    parameters: ParameterSet, edges: str, nominal: PlateState, state: StateFunction
+    parameters: ParameterSet,
+    edges: str,
+    nominal: PlateState,
+    state: StateFunction,
+    admissible: Admissible = everything,
 ) -> Problem:
     """The plate without any effect: first-order shear deformation with rotary inertia, in vacuum.
 
     Raises ``ValueError`` if ``edges`` is not four of F, S, C.
     """
     if len(edges) != 4 or any(e not in HELD for e in edges):
-        raise ValueError(
-            f"edges: got {edges!r}, expected four of F, S, C (x=0, y=0, x=length, y=width)"
-        )
-    return Problem(parameters, edges, nominal, state, (LAMINATE_TERM, INERTIA_TERM))
+        raise ValueError(f"edges: got {edges!r}, expected four of F, S, C (x=0, y=0, x=length, y=width)")
+    return Problem(parameters, edges, nominal, state, (LAMINATE_TERM, INERTIA_TERM), admissible)
 
 
 def rigid_body_count(edges: str) -> int:

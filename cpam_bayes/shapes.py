@@ -91,9 +91,7 @@ def _sign_changes(profile: Array) -> int:
     return int(np.count_nonzero(np.diff(signs)))
 
 
-def describe_modes(
-    operator: AffineOperator[Any, Any], spectrum: Spectrum, mass: Array
-) -> tuple[Mode, ...]:
+def describe_modes(operator: AffineOperator[Any, Any], spectrum: Spectrum, mass: Array) -> tuple[Mode, ...]:
     """Frequency, kind and label of every mode of the first parameter set.
 
     The label of an in-plane mode is that of its larger displacement, named before it: "u(1,0)".

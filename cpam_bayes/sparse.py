@@ -6,8 +6,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import scipy.linalg
 from numpy.typing import NDArray
-from scipy.sparse import coo_array, csc_array, csr_array, dia_array
+from scipy.sparse import coo_array, csc_array, csr_array, diags_array
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import LinearOperator, eigsh, splu
 
@@ -110,6 +111,10 @@ class SparseBlock:
     def _lowest(self, stiffness: Array, mass: Array, n: int) -> tuple[Array, Array]:
         pattern = self.stiffness.pattern
         k, m = self.stiffness.entries(stiffness), self.mass.entries(mass)
+        if n + _SPARE >= self.size:
+            return scipy.linalg.eigh(
+                pattern.matrix(k).toarray(), pattern.matrix(m).toarray(), subset_by_index=(0, n - 1)
+            )
         # positive definite, so that no pivoting is needed and the ordering may be symmetric
         factor = splu(
             pattern.matrix(k - self.shift * m),
@@ -121,7 +126,7 @@ class SparseBlock:
         inertia.eliminate_zeros()
         lam, phi = eigsh(
             pattern.matrix(k),
-            k=min(n + _SPARE, self.size - 1),
+            k=n + _SPARE,
             M=inertia,
             sigma=self.shift,
             OPinv=LinearOperator((self.size, self.size), matvec=factor.solve, dtype=float),
@@ -131,7 +136,7 @@ class SparseBlock:
         return lam[order], phi[:, order]
 
     def energies(self, vectors: Array) -> tuple[Array, Array]:
-        """phi^T K_q phi and phi^T M_q phi of vectors (k, size) for every term, (k, n_terms) each."""
+        """phi^T K_q phi and phi^T M_q phi of vectors (k, size) for each term, (k, n_terms) both."""
         found = []
         for matrix, n_terms in zip((self.stiffness, self.mass), self.n_terms, strict=True):
             energy = np.zeros((len(vectors), n_terms))
@@ -151,7 +156,7 @@ def discretise_sparse(problem: Problem, space: FemSpace, samples: Values) -> Spa
     coefficient is zero at all of them are left out. A symmetric laminate gives a membrane and a
     bending block.
     """
-    active = {kind: np.flatnonzero(active_terms(problem, samples, kind)) for kind in MATRICES}
+    active = {kind: np.flatnonzero(active_terms(problem, samples, kind)).tolist() for kind in MATRICES}
     forms = {kind: problem.forms(kind) for kind in MATRICES}
     n_terms = (len(forms["stiffness"]), len(forms["mass"]))
     used = [forms[kind][q] for kind in MATRICES for q in active[kind]]
@@ -170,7 +175,7 @@ def discretise_sparse(problem: Problem, space: FemSpace, samples: Values) -> Spa
             ]
             for kind in MATRICES
         }
-        keys = np.unique(np.concatenate([k for kind in MATRICES for _, k, _ in entries[kind]]))
+        keys = _sorted_unique([k for kind in MATRICES for _, k, _ in entries[kind]])
         pattern = _pattern(keys, len(index))
         stiffness, mass = (_on_pattern(pattern, keys, entries[kind]) for kind in MATRICES)
         shift = -_reference_eigenvalue(problem.nominal, fields)
@@ -195,8 +200,8 @@ def _form_entries(
     weights = rule.weights * (1.0 if form.weight is None else form.weight(rule.points))
     left = space.evaluate(form.left.field, rule, form.left.derivative)
     right = space.evaluate(form.right.field, rule, form.right.derivative)
-    scaled = dia_array((weights[None], [0]), shape=(len(weights), len(weights))) @ right
-    matrix = (left.T @ scaled).tocoo()
+    weighting: csr_array[Any] = diags_array(weights, format="csr")
+    matrix = coo_array(left.T @ weighting @ right)
     rows = matrix.row.astype(np.int64) + starts[form.left.field]
     columns = matrix.col.astype(np.int64) + starts[form.right.field]
     if form.left == form.right:
@@ -205,9 +210,13 @@ def _form_entries(
     return keys, np.concatenate((matrix.data, matrix.data))
 
 
-def _on_pattern(
-    pattern: Pattern, keys: Array, entries: list[tuple[int, Array, Array]]
-) -> SparseAffineMatrix:
+def _sorted_unique(parts: list[Array]) -> Array:
+    """What ``np.unique`` gives, ten times sooner: numpy hashes integers, millions of them here."""
+    keys = np.sort(np.concatenate(parts))
+    return keys[np.concatenate(([True], keys[1:] > keys[:-1]))]
+
+
+def _on_pattern(pattern: Pattern, keys: Array, entries: list[tuple[int, Array, Array]]) -> SparseAffineMatrix:
     active = np.array([q for q, _, _ in entries], dtype=int)
     rows = np.concatenate([np.full(len(k), i) for i, (_, k, _) in enumerate(entries)])
     places = np.searchsorted(keys, np.concatenate([k for _, k, _ in entries]))
@@ -217,13 +226,11 @@ def _on_pattern(
 
 
 def _reference_eigenvalue(nominal: PlateState, fields: tuple[Field, ...]) -> float:
-    """Eigenvalue of the order of the lowest, (rad/s)^2: ten times a strip's stiffness over its mass."""
-    k = np.real(nominal.stiffness())
-    h, density, length, width = (
-        float(np.real(x)) for x in (nominal.thickness, nominal.density, nominal.length, nominal.width)
-    )
+    """An eigenvalue of the order of the lowest, (rad/s)^2: ten times that of a strip's rigidity."""
+    k, h = np.real(nominal.stiffness()), float(np.real(nominal.thickness))
+    length, width = float(np.real(nominal.length)), float(np.real(nominal.width))
     if set(fields) <= set(MEMBRANE_FIELDS):
-        stiffness = min(k[0, 0] / length**2, k[1, 1] / width**2)
+        rigidity = min(k[0, 0] / length**2, k[1, 1] / width**2)
     else:
-        stiffness = min(k[3, 3] / length**4, k[4, 4] / width**4)
-    return float(10.0 * stiffness / (density * h))
+        rigidity = min(k[3, 3] / length**4, k[4, 4] / width**4)
+    return float(10.0 * rigidity / (h * float(np.real(nominal.density))))

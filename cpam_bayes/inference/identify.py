@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cpam_bayes.elasticity import complete_constants, is_admissible
+from cpam_bayes.cache import reduced_model
+from cpam_bayes.elasticity import complete_constants
 from cpam_bayes.inference.pso import SwarmResult, SwarmSettings, initial_swarm, minimise
 from cpam_bayes.laminate import flexural_constants
 from cpam_bayes.measurement import Measurement, Specimen
-from cpam_bayes.model import PlateModel, converged_model, discretisation_error, plate_problem
+from cpam_bayes.model import PlateModel, discretisation_error, plate_problem
 from cpam_bayes.parameters import ParameterSet
+from cpam_bayes.reduced import ReducedModel
 from cpam_bayes.shapes import Mode
 
 Array = NDArray[Any]
@@ -27,6 +29,9 @@ _ON_BOUND = 1e-3
 # Ratio of the linearised standard deviation to that of the search interval: below the first value
 # the data decide, above the second the interval does.
 _DETERMINED, _UNDETERMINED = 0.15, 0.5
+# Relative error of the plate model at the answer above which the model is converged anew there.
+_ACCEPTED_ERROR = 5e-4
+_MOST_MODELS = 3
 # Prediction over measurement beyond which a unit in the plate file is suspected.
 SUSPICIOUS_RATIO = 3.0
 
@@ -36,8 +41,8 @@ class ConstantEstimate:
     """One identified constant, SI.
 
     sd : linearised standard deviation, ``nan`` where the noise is not known (no more frequencies
-    than unknowns and no repeatability in the plate file). bound : "lower" or "upper" where the estimate sits on one.
-    reference : the value of the plate file.
+    than unknowns and no repeatability in the plate file). bound : "lower" or "upper" where the
+    estimate sits on one. reference : the value of the plate file.
     """
 
     name: str
@@ -91,35 +96,46 @@ def identify(
     settings: SwarmSettings | None = None,
     residual: Residual = "absolute",
     progress: Callable[[int, float], None] | None = None,
+    notify: Callable[[str], None] = lambda text: None,
 ) -> Identification:
     """Elastic constants of a specimen by the particle swarm of the paper.
 
     Minimises ``misfit`` over the unknowns of the plate file within their bounds under the
-    constraints of eq. (9). Raises ``ValueError`` if the specimen has no measured frequencies or no
-    unknowns, or if no particle is feasible.
+    constraints of eq. (9). The swarm runs on the reduced model; what is reported of its best particle
+    comes from the full one. ``notify`` is told what takes long before the swarm starts. Raises
+    ``ValueError`` if the specimen has no measured frequencies or no unknowns, or if no particle is
+    feasible.
     """
     start = time.perf_counter()
     measurement, unknowns = _required(specimen)
     isotropic = specimen.material.isotropic
-    model = converged_model(specimen, unknowns, measurement.size)
-    rng = np.random.default_rng(seed)
     settings = settings or SwarmSettings()
+    known = tuple((k, v) for k, v in specimen.material.constants.items() if k not in unknowns)
+    centre, solves = None, 0
+    for _ in range(_MOST_MODELS):
+        model = reduced_model(specimen, unknowns, measurement.size, centre=centre, notify=notify)
+        rng = np.random.default_rng(seed)
+        swarm = minimise(
+            _objective(model, measurement, residual),
+            unknowns.lower,
+            unknowns.upper,
+            initial_swarm(replace(unknowns, fixed=known), isotropic, settings.particles, rng),
+            settings,
+            rng,
+            feasible=model.full.admissible,
+            progress=progress,
+        )
+        solves += swarm.evaluations
+        error = discretisation_error(model.full, swarm.best)
+        if error.max() <= _ACCEPTED_ERROR:
+            break
+        notify("the answer is far from the reference constants: converging the plate model there")
+        centre = swarm.best
+    return summarise(specimen, model.full, replace(swarm, evaluations=solves), error, residual, start)
 
-    def feasible(x: Array) -> Array:
-        values = {**specimen.material.constants, **unknowns.mapping(x)}
-        return np.broadcast_to(is_admissible(values, isotropic), x.shape[:1])
 
-    swarm = minimise(
-        lambda x: misfit(model.predict(x).frequencies, measurement.frequencies, residual),
-        unknowns.lower,
-        unknowns.upper,
-        initial_swarm(unknowns, isotropic, settings.particles, rng),
-        settings,
-        rng,
-        feasible=feasible,
-        progress=progress,
-    )
-    return summarise(specimen, model, swarm, residual, start)
+def _objective(model: ReducedModel, measurement: Measurement, residual: Residual) -> Callable[[Array], Array]:
+    return lambda x: misfit(model.predict(x).frequencies, measurement.frequencies, residual)
 
 
 def _required(specimen: Specimen) -> tuple[Measurement, ParameterSet]:
@@ -131,7 +147,12 @@ def _required(specimen: Specimen) -> tuple[Measurement, ParameterSet]:
 
 
 def summarise(
-    specimen: Specimen, model: PlateModel, swarm: SwarmResult, residual: Residual, start: float
+    specimen: Specimen,
+    model: PlateModel,
+    swarm: SwarmResult,
+    error: Array,
+    residual: Residual,
+    start: float,
 ) -> Identification:
     """What an engineer needs to know about the swarm's best particle."""
     measurement, unknowns = _required(specimen)
@@ -156,7 +177,7 @@ def summarise(
         rms=rms,
         noise=noise,
         noise_is_inferred=inferred,
-        error=discretisation_error(model, best),
+        error=error,
         laminate=flexural_constants(np.real(state.stiffness()), float(state.thickness)),
         swarm=swarm,
         seconds=time.perf_counter() - start,
@@ -218,9 +239,7 @@ def _estimate(specimen: Specimen, name: str, value: float, sd: float) -> Constan
     else:
         verdict = "determined" if ratio < _DETERMINED else "weakly determined"
     complete = complete_constants(specimen.material.constants, specimen.material.isotropic)
-    return ConstantEstimate(
-        name, value, sd, prior.lower, prior.upper, bound, verdict, float(complete[name])
-    )
+    return ConstantEstimate(name, value, sd, prior.lower, prior.upper, bound, verdict, float(complete[name]))
 
 
 def _warnings(measurement: Measurement, predicted: Array, n_unknowns: int) -> tuple[str, ...]:

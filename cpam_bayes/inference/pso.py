@@ -96,9 +96,7 @@ def initial_swarm(
     """
     if n < 1:
         raise ValueError(TEXTS["no particle"].format(particles=n))
-    bounds = dict(
-        zip(parameters.names, zip(parameters.lower, parameters.upper, strict=True), strict=True)
-    )
+    bounds = dict(zip(parameters.names, zip(parameters.lower, parameters.upper, strict=True), strict=True))
     drawn = {name: np.full(n, value) for name, value in parameters.fixed}
     edge = np.ones(n)  # sqrt(E1 / E2)
     if not isotropic and "E2" in bounds:
@@ -197,9 +195,7 @@ def step_swarm(
         + settings.c1 * r1 * (state.personal_bests - positions)
         + settings.c2 * r2 * (state.personal_bests[state.leader] - positions)
     )
-    positions, velocities = confine(
-        positions + velocities, velocities, problem.lower, problem.upper
-    )
+    positions, velocities = confine(positions + velocities, velocities, problem.lower, problem.upper)
     values, solves = _evaluate(problem, positions)
     better = values < state.personal_values
     personal_values = np.where(better, values, state.personal_values)

@@ -40,9 +40,7 @@ TEXTS: Final[Mapping[str, str]] = {
         "component {index}: the lower bound {low!r} and the upper bound {high!r} must be finite, "
         "and the lower one below the upper one"
     ),
-    "start shape": (
-        "the start has shape {shape}; one row a particle and {size} components are expected"
-    ),
+    "start shape": ("the start has shape {shape}; one row a particle and {size} components are expected"),
     "start bounds": "particle {index} of the start lies outside the bounds or is not finite",
     "reply shape": "{source} returned shape {shape} for {particles} particles, expected {expected}",
     "setting": "{name} = {value!r} is not accepted: it must be {rule}",

@@ -26,9 +26,7 @@ __all__ = ["build_specimen"]
 _ISOTROPIC_LAYUP = "[0]"
 
 
-def build_specimen(
-    file: PlateFile, source: str, directory: Path | None, sequence: bool
-) -> Specimen:
+def build_specimen(file: PlateFile, source: str, directory: Path | None, sequence: bool) -> Specimen:
     """The records of a file that passed every check.
 
     sequence : take `sequence_layup`, where the file has one, for the layup
@@ -104,9 +102,7 @@ def _prior(user: str, model: list[float] | NormalModel) -> Prior:
 
 
 def _sensor(model: SensorModel) -> Sensor:
-    return Sensor(
-        to_si("mass_g", model.mass_g), to_si("x_mm", model.x_mm), to_si("y_mm", model.y_mm)
-    )
+    return Sensor(to_si("mass_g", model.mass_g), to_si("x_mm", model.x_mm), to_si("y_mm", model.y_mm))
 
 
 def _measurement(model: MeasurementModel) -> Measurement:

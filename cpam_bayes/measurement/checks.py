@@ -85,8 +85,7 @@ def _layups(data: Data) -> Problems:
     if known is not None and sequence is not None and known.n_plies != sequence.n_plies:
         yield Problem(
             ("plate", "sequence_layup"),
-            f"other number of plies, received {sequence.n_plies}, "
-            f"accepted: {known.n_plies} as in layup",
+            f"other number of plies, received {sequence.n_plies}, accepted: {known.n_plies} as in layup",
         )
 
 
@@ -148,8 +147,7 @@ def _frequencies(data: Data) -> Problems:
         if isinstance(values, list) and len(values) != len(listed):
             yield Problem(
                 ("measurement", key),
-                f"wrong length, received {len(values)}, "
-                f"accepted: {len(listed)}, one for each frequency",
+                f"wrong length, received {len(values)}, accepted: {len(listed)}, one for each frequency",
             )
 
 

@@ -46,9 +46,7 @@ def constants_of_kind(data: Data) -> Problems:
     elif material.get("isotropic") is False:
         for key in _REQUIRED:
             if key not in material and key not in _ISOTROPIC:
-                yield Problem(
-                    ("material", key), "missing, an orthotropic material has E1 E2 nu12 G12"
-                )
+                yield Problem(("material", key), "missing, an orthotropic material has E1 E2 nu12 G12")
 
 
 def _reference(data: Data) -> tuple[dict[str, float], bool] | None:
@@ -82,9 +80,7 @@ def physical_material(data: Data) -> Problems:
         said = ", ".join(f"{user_name(name)} = {value:g}" for name, value in constants.items())
         accepted = "-1 < nu12 < 0.5" if isotropic else _RELATIONS[int(broken[-1])]
         key = "E1_GPa" if 3 in broken else "nu12"
-        yield Problem(
-            ("material", key), f"impossible constants, received {said}, accepted: {accepted}"
-        )
+        yield Problem(("material", key), f"impossible constants, received {said}, accepted: {accepted}")
 
 
 def search_bounds(data: Data) -> Problems:
@@ -100,19 +96,13 @@ def search_bounds(data: Data) -> Problems:
         lower, upper = bounds
         path = ("unknowns", key, "bounds") if normal is not None else ("unknowns", key)
         if not lower < upper:
-            yield Problem(
-                path, f"bounds, received {received(bounds)}, accepted: [lower, upper] ascending"
-            )
+            yield Problem(path, f"bounds, received {received(bounds)}, accepted: [lower, upper] ascending")
             continue
         if key == "nu12" and not -1.0 < lower < upper < 1.0:
-            yield Problem(
-                path, f"not physical, received {received(bounds)}, accepted: within -1 and 1"
-            )
+            yield Problem(path, f"not physical, received {received(bounds)}, accepted: within -1 and 1")
             continue
         if key != "nu12" and lower <= 0.0:
-            yield Problem(
-                path, f"not physical, received {received(bounds)}, accepted: bounds above 0"
-            )
+            yield Problem(path, f"not physical, received {received(bounds)}, accepted: bounds above 0")
             continue
         mean = number(normal, "mean") if normal is not None else None
         if mean is not None and not lower <= mean <= upper:

@@ -24,9 +24,7 @@ _KEY_END = re.compile(r"[=,{}\[\]#\n]")
 _PLACE = re.compile(r"\s*\(at (?:line (\d+), column (\d+)|end of document)\)$")
 
 
-def parse_specimen(
-    text: str, source: str, directory: Path | None = None, sequence: bool = False
-) -> Specimen:
+def parse_specimen(text: str, source: str, directory: Path | None = None, sequence: bool = False) -> Specimen:
     """Read the text of a plate file.
 
     source : how messages name the file; directory : where its relative paths begin
@@ -46,8 +44,7 @@ def _load(text: str, source: str) -> Mapping[str, Any]:
             parts = max(part.count(".") for part in _KEY_END.split(line.partition("#")[0]))
             if parts > _MAX_KEY_PARTS:
                 raise PlateFileError(
-                    f"{source}:{number}: file: a key of {parts + 1} parts, "
-                    f"accepted: up to {_MAX_KEY_PARTS}"
+                    f"{source}:{number}: file: a key of {parts + 1} parts, accepted: up to {_MAX_KEY_PARTS}"
                 )
     try:
         return tomllib.loads(text)

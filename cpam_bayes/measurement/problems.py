@@ -46,9 +46,7 @@ class Problem:
     what: str
 
 
-def plate_file_error(
-    source: str, problems: Iterable[Problem], lines: Mapping[Path, int]
-) -> PlateFileError:
+def plate_file_error(source: str, problems: Iterable[Problem], lines: Mapping[Path, int]) -> PlateFileError:
     """All problems of a file as one error, in the order of their lines."""
     located = sorted(
         ((_line(problem.path, lines), problem) for problem in problems), key=lambda item: item[0]

@@ -69,9 +69,7 @@ def _read_bytes(path: str, source: str) -> bytes:
 
 def _require_small_file(status: os.stat_result, source: str) -> None:
     if stat.S_ISDIR(status.st_mode):
-        raise PlateFileError(
-            f"{source}: a directory, accepted: a plate file or a built-in specimen"
-        )
+        raise PlateFileError(f"{source}: a directory, accepted: a plate file or a built-in specimen")
     if not stat.S_ISREG(status.st_mode):
         raise PlateFileError(f"{source}: a pipe or device, accepted: a regular file")
     if status.st_size > MAX_BYTES:
@@ -87,7 +85,5 @@ def _unknown_name(name: str, source: str) -> str:
     folded = {known.casefold(): known for known in names}
     close = difflib.get_close_matches(name.casefold(), folded, n=3, cutoff=0.5)
     nearest = [folded[match] for match in close]
-    hint = (
-        f"the nearest built-in: {' '.join(nearest)}" if nearest else f"built in: {' '.join(names)}"
-    )
+    hint = f"the nearest built-in: {' '.join(nearest)}" if nearest else f"built in: {' '.join(names)}"
     return f"{source}: neither a file nor a built-in specimen, {hint}"

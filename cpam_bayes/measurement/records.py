@@ -130,9 +130,7 @@ def angle_grid(step_deg: float) -> NDArray[np.float64]:
     """
     count = round(180.0 / step_deg) if 0.1 <= step_deg <= 180.0 else 0
     if count < 1 or abs(count * step_deg - 180.0) > 1e-9:
-        raise ValueError(
-            f"angle grid: received a step of {step_deg}, accepted: 0.1 or more, dividing 180"
-        )
+        raise ValueError(f"angle grid: received a step of {step_deg}, accepted: 0.1 or more, dividing 180")
     return _read_only(np.round(90.0 - step_deg * np.arange(count - 1, -1, -1), 9) + 0.0)
 
 

@@ -64,10 +64,7 @@ class PlateModel(_Table):
     mass_g: Grams | None = None
     layup: Annotated[str, Field(description='a layup such as "[(0/90)_8]_s"')] | None = None
     sequence_layup: (
-        Annotated[
-            str, Field(description='a layup with "?" for the angles that `sequence` looks for')
-        ]
-        | None
+        Annotated[str, Field(description='a layup with "?" for the angles that `sequence` looks for')] | None
     ) = None
     edges: Annotated[
         str,
@@ -77,8 +74,7 @@ class PlateModel(_Table):
         ),
     ]
     mesh: (
-        Annotated[str, Field(min_length=1, description="the path of a mesh file, from this file")]
-        | None
+        Annotated[str, Field(min_length=1, description="the path of a mesh file, from this file")] | None
     ) = None
     sd: Annotated[PlateSpreads, Field(description="a table [plate.sd]")] | None = None
 
@@ -145,16 +141,12 @@ class UnknownsModel(_Table):
     G23_GPa: PriorModel | None = None
     angle_grid_deg: Annotated[
         float,
-        Field(
-            gt=0, le=180, allow_inf_nan=False, description="a step that divides 180, 0.1 or more"
-        ),
+        Field(gt=0, le=180, allow_inf_nan=False, description="a step that divides 180, 0.1 or more"),
     ] = 5.0
 
 
 class EnvironmentModel(_Table):
-    air_density_kg_m3: Annotated[float, _not_negative("a number, 0 or above, in kg/m3")] | None = (
-        None
-    )
+    air_density_kg_m3: Annotated[float, _not_negative("a number, 0 or above, in kg/m3")] | None = None
 
 
 class SensorModel(_Table):
@@ -177,9 +169,7 @@ class MeasurementModel(_Table):
         ]
         | None
     ) = None
-    frequency_sd_hz: (
-        Annotated[list[Hertz], Field(description="a list, one for each frequency")] | None
-    ) = None
+    frequency_sd_hz: Annotated[list[Hertz], Field(description="a list, one for each frequency")] | None = None
     labels: (
         Annotated[
             list[Annotated[str, Field(description='a text, "" for none')]],
@@ -201,13 +191,9 @@ class PlateFile(_Table):
     plate: Annotated[PlateModel, Field(description="a table [plate]")]
     material: Annotated[MaterialModel, Field(description="a table [material]")]
     unknowns: Annotated[UnknownsModel, Field(description="a table [unknowns]")] = UnknownsModel()
-    environment: Annotated[EnvironmentModel, Field(description="a table [environment]")] = (
-        EnvironmentModel()
-    )
+    environment: Annotated[EnvironmentModel, Field(description="a table [environment]")] = EnvironmentModel()
     sensor: Annotated[
         list[Annotated[SensorModel, Field(description="a table [[sensor]]")]],
         Field(description="tables [[sensor]]"),
     ] = []
-    measurement: Annotated[MeasurementModel, Field(description="a table [measurement]")] | None = (
-        None
-    )
+    measurement: Annotated[MeasurementModel, Field(description="a table [measurement]")] | None = None

@@ -127,11 +127,7 @@ def make_families(
     ``split`` gives an even and an odd family, which needs equal conditions at both ends.
     """
     t, w = grid
-    classes = (
-        [(np.arange(0, n, 2), (1,)), (np.arange(1, n, 2), (-1,))]
-        if split
-        else [(np.arange(n), (2, 3))]
-    )
+    classes = [(np.arange(0, n, 2), (1,)), (np.arange(1, n, 2), (-1,))] if split else [(np.arange(n), (2, 3))]
     families = []
     for degrees, signs in classes:
         raw = _raw(degrees, rates, signs, t, derivative=False)
@@ -202,9 +198,7 @@ class RitzSpace:
     def restricted(self, keep: Array) -> RitzSpace:
         """The space of the trial functions marked in ``keep`` (n_functions,) bool."""
         parts = np.split(keep, np.cumsum([s.size for s in self.sectors])[:-1])
-        sectors = [
-            Sector(s.field, s.x, s.y, s.pairs[k]) for s, k in zip(self.sectors, parts, strict=True)
-        ]
+        sectors = [Sector(s.field, s.x, s.y, s.pairs[k]) for s, k in zip(self.sectors, parts, strict=True)]
         return RitzSpace(tuple(sectors), self.x_grid, self.y_grid)
 
     def quadrature(self, region: Region) -> Quadrature:
@@ -224,9 +218,7 @@ class RitzSpace:
         """Trial functions of a field at points, (n_points, dimension)."""
         return np.concatenate(
             [
-                evaluate_sector(s, quadrature.points, derivative).reshape(
-                    len(quadrature.points), -1
-                )
+                evaluate_sector(s, quadrature.points, derivative).reshape(len(quadrature.points), -1)
                 for s in self.field_sectors(field)
             ],
             axis=1,
@@ -264,9 +256,7 @@ def ritz_space(edges: str, nominal: PlateState, settings: RitzSettings) -> RitzS
         tangential = field == ("phi_y" if axis == "x" else "phi_x")
         layered = tangential or (settings.coupled and field not in MEMBRANE_FIELDS)
         # parity is a symmetry of the plate only if both edges are alike in every field
-        return make_families(
-            degrees[axis], rates[axis] if layered else (), held, a == b, grids[axis]
-        )
+        return make_families(degrees[axis], rates[axis] if layered else (), held, a == b, grids[axis])
 
     sectors = [
         Sector(field, x, y, np.argwhere(np.ones((x.size, y.size), dtype=bool)))

@@ -1,0 +1,67 @@
+"""The command `cpam-bayes`: one BLAS thread, and a clean end when it is interrupted."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from types import FrameType
+
+# Before numpy loads: small eigenproblems lose more by sharing out than they gain.
+for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ.setdefault(_name, "1")
+
+INTERRUPTED = 130
+_MESSAGE = "cpam-bayes: interrupted\n"
+
+
+def main() -> int:
+    """Run the command line and return its exit status."""
+    # A shell may have told us to ignore the signal, as for jobs in the background.
+    listening = signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    try:
+        if listening:
+            signal.signal(signal.SIGINT, _leave)
+        status = _run(listening)
+    except KeyboardInterrupt:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        os.write(2, _MESSAGE.encode())
+        status = INTERRUPTED
+    except SystemExit as leaving:  # argparse: help, version, or options it refuses
+        status = leaving.code if isinstance(leaving.code, int) else 0
+    except BrokenPipeError:  # the reader of the answer has seen enough
+        status = 0
+    return _flushed(status)
+
+
+def _run(listening: bool) -> int:
+    from cpam_bayes.cli import prepare
+
+    work = prepare(sys.argv[1:])
+    if listening:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+    return work()
+
+
+def _leave(signal_number: int, frame: FrameType | None) -> None:
+    """Leave at once: an exception inside the import of a library does not always come out of it."""
+    os.write(2, _MESSAGE.encode())
+    os._exit(INTERRUPTED)
+
+
+def _flushed(status: int) -> int:
+    """Write out what is left; after a failure the interpreter must not try once more."""
+    try:
+        if sys.stdout is not None:
+            sys.stdout.flush()
+    except OSError as error:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        if isinstance(error, BrokenPipeError):
+            return status
+        os.write(2, f"error: standard output: {error.strerror}\n".encode())
+        return 1
+    return status
+
+
+if __name__ == "__main__":
+    sys.exit(main())

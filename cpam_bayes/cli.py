@@ -1,0 +1,173 @@
+"""The command line: options in, an answer to standard output, warnings and errors beside it.
+
+Only the standard library is imported here; a command's own module loads once it was asked for.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Sequence
+from functools import partial
+from importlib import import_module
+from typing import TYPE_CHECKING, Final
+
+from cpam_bayes import __version__
+from cpam_bayes.commands import BACKENDS, DEFAULT_SEED, MOST_MODES, SOLVERS
+
+if TYPE_CHECKING:
+    from cpam_bayes.report.answer import Answer
+
+BAD_INPUT: Final = 2
+NOT_WRITTEN: Final = 1
+
+_STATUS_TEXT: Final = """\
+exit status: 0 done, 1 ran and did not reach its goal, 2 bad input, 130 interrupted.
+PLATE is a built-in specimen (`cpam-bayes plates` lists them) or the path of a plate file.
+"""
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command and return its exit status; argparse leaves by `SystemExit`."""
+    return prepare(sys.argv[1:] if argv is None else argv)()
+
+
+def prepare(argv: Sequence[str]) -> Callable[[], int]:
+    """Read the options and the plate file and load what the command needs; return its work."""
+    args = _parser().parse_args(argv)
+    try:
+        if args.out is not None:
+            import_module("cpam_bayes.report.figures")
+        module = import_module(f"cpam_bayes.commands.{args.command}")
+        work: Callable[[], Answer] = module.prepare(args)
+    except ValueError as error:
+        return partial(_refuse, error)
+    return partial(_finish, work, args)
+
+
+def _refuse(error: ValueError) -> int:
+    for problem in getattr(error, "problems", (str(error),)):
+        print(f"error: {problem}", file=sys.stderr)
+    return BAD_INPUT
+
+
+def _finish(work: Callable[[], Answer], args: argparse.Namespace) -> int:
+    """Do the work, save its files, and show its answer even if they could not be saved."""
+    from cpam_bayes.report.files import save, staging
+
+    not_saved: OSError | None = None
+    try:
+        with staging(args.out) as stage:
+            answer = work()
+            try:
+                save(answer, stage)
+            except OSError as error:
+                not_saved = error
+    except ValueError as error:
+        return _refuse(error)
+    for warning in answer.warnings:
+        print(f"warning: {warning}", file=sys.stderr)
+    _show(answer, args.json)
+    if not_saved is not None:
+        print(f"error: --out {args.out}: {not_saved}; not all files are there", file=sys.stderr)
+        return NOT_WRITTEN
+    return answer.status
+
+
+def _show(answer: Answer, as_json: bool) -> None:
+    from cpam_bayes.report.documents import json_text
+    from cpam_bayes.report.tables import screen_text
+
+    stream = sys.stdout
+    if stream is None:  # closed by the caller
+        return
+    text = json_text(answer.document) if as_json else screen_text(answer.screen, stream)
+    encoding = stream.encoding or "utf-8"
+    stream.write(text.encode(encoding, "backslashreplace").decode(encoding))
+    stream.flush()
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="cpam-bayes",
+        description="Elastic constants of composite plates from their natural frequencies.",
+        epilog=_STATUS_TEXT,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
+    )
+    parser.add_argument("--version", action="version", version=f"cpam-bayes {__version__}")
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
+    _command(commands, "plates", "list the built-in specimens")
+
+    forward = _command(commands, "forward", "natural frequencies from the reference constants")
+    forward.add_argument("plate", metavar="PLATE", help="built-in specimen or path of a plate file")
+    forward.add_argument(
+        "--solver", choices=tuple(SOLVERS), default="ritz", help="plate solver (default: ritz)"
+    )
+    forward.add_argument(
+        "--modes",
+        type=_whole(1, MOST_MODES),
+        metavar="N",
+        help=f"number of modes, 1 to {MOST_MODES} (default: as many as were measured, or 10)",
+    )
+
+    identify = _command(commands, "identify", "constants from the measured frequencies")
+    identify.add_argument("plate", metavar="PLATE", help="built-in specimen or path of a plate file")
+    identify.add_argument(
+        "--backend", choices=tuple(BACKENDS), default="pso", help="pso: the paper's particle swarm"
+    )
+    identify.add_argument(
+        "--residuals",
+        choices=("absolute", "relative"),
+        default="absolute",
+        help="what the swarm minimises: squares of differences in Hz, eq. (7), or of relative ones",
+    )
+    identify.add_argument(
+        "--particles",
+        type=_whole(5, 10_000),
+        metavar="N",
+        help="particles of the swarm, 5 to 10000 (default: 40)",
+    )
+    identify.add_argument(
+        "--iterations",
+        type=_whole(1, 100_000),
+        metavar="N",
+        help="budget of the swarm, 1 to 100000 iterations (default: 400)",
+    )
+    return parser
+
+
+def _command(
+    commands: argparse._SubParsersAction[argparse.ArgumentParser], name: str, what: str
+) -> argparse.ArgumentParser:
+    """Add a command with the options that all commands have."""
+    parser = commands.add_parser(
+        name,
+        help=what,
+        description=f"{what[0].upper()}{what[1:]}.",
+        epilog=_STATUS_TEXT,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
+    )
+    parser.add_argument("--json", action="store_true", help="print one JSON document instead of the screen")
+    parser.add_argument(
+        "--seed",
+        type=_whole(0, 2**63 - 1),
+        default=DEFAULT_SEED,
+        metavar="N",
+        help=f"seed: the same one gives the same answer (default: {DEFAULT_SEED})",
+    )
+    parser.add_argument("--out", metavar="DIR", help="write result files and figures to DIR")
+    parser.add_argument("--quiet", action="store_true", help="no progress on standard error")
+    return parser
+
+
+def _whole(low: int, high: int) -> Callable[[str], int]:
+    def read(text: str) -> int:
+        # int() also takes "1_000", and a number of a million digits takes it minutes.
+        if text.isascii() and text.isdigit() and len(text) < 20 and low <= int(text) <= high:
+            return int(text)
+        shown = text if len(text) < 40 else f"{text[:40]}..."
+        raise argparse.ArgumentTypeError(f"received {shown!r}, accepted: a whole number from {low} to {high}")
+
+    return read

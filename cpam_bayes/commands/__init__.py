@@ -1,0 +1,28 @@
+"""The commands, one module each, with `prepare(args)`: options in, the work still to be done out.
+
+This module is imported for `--help`, so it names the solvers and back ends without loading them.
+"""
+
+from collections.abc import Callable
+from importlib import import_module
+from typing import Any, Final
+
+SOLVERS: Final = {
+    "ritz": "cpam_bayes.commands.solvers:ritz",
+}
+"""Name of a solver -> the function (specimen, n_modes) -> ForwardAnswer."""
+
+BACKENDS: Final = {
+    "pso": "cpam_bayes.commands.swarm:identify_by_swarm",
+}
+"""Name of a back end -> the function (specimen, args) -> Answer."""
+
+DEFAULT_SEED: Final = 0
+MOST_MODES: Final = 100
+
+
+def load(place: str) -> Callable[..., Any]:
+    """Import the function "module:name"."""
+    module, _, name = place.partition(":")
+    function: Callable[..., Any] = getattr(import_module(module), name)
+    return function

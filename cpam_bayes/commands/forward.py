@@ -1,0 +1,56 @@
+"""`cpam-bayes forward PLATE`: natural frequencies and mode shapes from the reference constants."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from functools import partial
+
+from cpam_bayes.commands import SOLVERS, load
+from cpam_bayes.commands.supported import require_supported, solver_failure
+from cpam_bayes.measurement import Specimen, read_specimen
+from cpam_bayes.modes import RigidBodyError
+from cpam_bayes.report.answer import Answer, Figures
+from cpam_bayes.report.forward import (
+    ForwardAnswer,
+    forward_document,
+    forward_screen,
+    forward_warnings,
+)
+from cpam_bayes.report.progress import announce
+
+_DEFAULT_MODES = 10
+
+
+def prepare(args: argparse.Namespace) -> Callable[[], Answer]:
+    """Read the plate and load the solver; return the work."""
+    specimen = require_supported(read_specimen(args.plate))
+    return partial(_answer, specimen, load(SOLVERS[args.solver]), args)
+
+
+def _answer(
+    specimen: Specimen,
+    solver: Callable[[Specimen, int], ForwardAnswer],
+    args: argparse.Namespace,
+) -> Answer:
+    measured = specimen.measurement
+    n_modes = args.modes or (_DEFAULT_MODES if measured is None else measured.size)
+    announce(f"forward {specimen.name}: {n_modes} modes, solver {args.solver}", args.quiet)
+    try:
+        result = solver(specimen, n_modes)
+    except RigidBodyError as error:
+        raise solver_failure(specimen, error) from error
+    warnings = forward_warnings(result)
+    return Answer(
+        "forward",
+        forward_document(result, args.seed, warnings),
+        forward_screen(result, warnings),
+        warnings,
+        partial(_figures, result),
+    )
+
+
+def _figures(result: ForwardAnswer) -> Figures:
+    from cpam_bayes.report.figures import mode_figures
+
+    return mode_figures(result)

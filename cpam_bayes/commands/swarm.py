@@ -1,0 +1,52 @@
+"""`identify --backend pso`: the particle swarm, its progress, and its answer."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from dataclasses import replace
+from functools import partial
+
+from cpam_bayes.commands.supported import solver_failure
+from cpam_bayes.inference.identify import Identification, identify
+from cpam_bayes.inference.swarm import SwarmSettings
+from cpam_bayes.measurement import Specimen
+from cpam_bayes.modes import RigidBodyError
+from cpam_bayes.report.answer import Answer, Figures
+from cpam_bayes.report.documents import identification_document
+from cpam_bayes.report.identification import identification_screen
+from cpam_bayes.report.progress import progress
+from cpam_bayes.report.remarks import warnings_of
+
+
+def identify_by_swarm(specimen: Specimen, args: argparse.Namespace) -> Answer:
+    """Identify a specimen with the options of the command line."""
+    chosen = {
+        name: getattr(args, name) for name in ("particles", "iterations") if getattr(args, name) is not None
+    }
+    settings = replace(SwarmSettings(), **chosen)
+    n = 1 if specimen.measurement is None else specimen.measurement.size
+    unit, factor = ("%", 100.0) if args.residuals == "relative" else ("Hz", 1.0)
+
+    def described(value: float) -> str:
+        return f"rms misfit {factor * math.sqrt(value / n):.4g} {unit}"
+
+    with progress(f"identify {specimen.name}", settings.iterations, args.quiet, described) as tick:
+        try:
+            result = identify(specimen, args.seed, settings=settings, residual=args.residuals, progress=tick)
+        except RigidBodyError as error:
+            raise solver_failure(specimen, error) from error
+    warnings = warnings_of(result)
+    return Answer(
+        "identify",
+        identification_document(result, args.seed, args.backend, args.residuals, warnings),
+        identification_screen(result, args.residuals, args.seed, warnings),
+        warnings,
+        partial(_figures, result),
+    )
+
+
+def _figures(result: Identification) -> Figures:
+    from cpam_bayes.report.figures import identification_figures
+
+    return identification_figures(result)

@@ -1,0 +1,45 @@
+"""How numbers are written: as many digits as they are worth."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+
+__all__ = ["NOT_KNOWN", "decimals_of", "fixed", "significant", "with_spread"]
+
+NOT_KNOWN = "-"
+
+
+def fixed(value: float, decimals: int) -> str:
+    """A number with so many decimals, without a minus before zero."""
+    text = f"{value:.{decimals}f}"
+    return text.removeprefix("-") if float(text) == 0.0 else text
+
+
+def significant(value: float, digits: int = 4) -> str:
+    """A number with so many significant digits, trailing zeros included."""
+    if not math.isfinite(value):
+        return NOT_KNOWN
+    if value == 0.0:
+        return "0"
+    power = math.floor(math.log10(abs(float(f"{value:.{digits - 1}e}"))))
+    if not -4 <= power < 7:
+        return f"{value:.{digits - 1}e}"
+    decimals = digits - 1 - power
+    return f"{value:.{decimals}f}" if decimals >= 0 else f"{round(value, decimals):.0f}"
+
+
+def with_spread(value: float, sd: float) -> tuple[str, str]:
+    """A value and its standard deviation, to two significant digits of the latter."""
+    if not (math.isfinite(sd) and sd > 0.0):
+        return significant(value), NOT_KNOWN
+    decimals = 1 - math.floor(math.log10(float(f"{sd:.1e}")))
+    if not 0 <= decimals <= 6:
+        return significant(value, 6 if decimals > 6 else 4), significant(sd, 2)
+    return fixed(value, decimals), fixed(sd, decimals)
+
+
+def decimals_of(values: Iterable[float]) -> int:
+    """The decimals that a list of numbers was written with, six at most."""
+    parts = (f"{value:.6f}".rstrip("0").partition(".")[2] for value in values)
+    return max((len(part) for part in parts), default=0)
