@@ -65,10 +65,17 @@ class Block(Protocol):
         """Number of trial functions."""
         ...
 
-    def eigenpairs(
-        self, stiffness: Array, mass: Array, n: int, *, vectors: bool
-    ) -> tuple[Array, Array | None]:
-        """The n lowest eigenvalues (m, n) and, if asked, M-normalised vectors (m, size, n)."""
+    def eigenvalues(self, stiffness: Array, mass: Array, n: int) -> Array:
+        """The n lowest eigenvalues of m coefficient sets, (m, n)."""
+        ...
+
+    def eigenvectors(
+        self, stiffness: Array, mass: Array, sets: Array, column: Array, eigenvalues: Array
+    ) -> Array:
+        """M-normalised eigenvectors (k, size) of some modes of m coefficient sets.
+
+        sets, column : (k,) the coefficient set of each and which of its eigenvalues (m, n) it has.
+        """
         ...
 
     def energies(self, vectors: Array) -> tuple[Array, Array]:
@@ -90,26 +97,51 @@ class DenseBlock:
         """Number of trial functions."""
         return len(self.index)
 
-    def eigenpairs(
-        self, stiffness: Array, mass: Array, n: int, *, vectors: bool
-    ) -> tuple[Array, Array | None]:
-        """The n lowest eigenvalues (m, n) and, if asked, M-normalised vectors (m, size, n)."""
+    def _whitened(self, stiffness: Array, mass: Array) -> tuple[Array, Array]:
+        """K where M is the identity, and the map back: (m, n) where M is diagonal, else (m, n, n)."""
         k = self.stiffness.assemble(stiffness)
         if self.mass.is_diagonal:
             diagonal = np.diagonal(self.mass.stack, axis1=1, axis2=2)
             scale = 1.0 / np.sqrt(mass[..., self.mass.active] @ diagonal)
             k *= scale[..., :, None]
             k *= scale[..., None, :]
-            if not vectors:
-                return np.linalg.eigvalsh(k)[..., :n], None
-            lam, phi = _lowest_eigenpairs(k, n)
-            return lam, scale[..., :, None] * phi
+            return k, scale
         back = np.swapaxes(np.linalg.inv(np.linalg.cholesky(self.mass.assemble(mass))), -1, -2)
-        k = np.swapaxes(back, -1, -2) @ k @ back
-        if not vectors:
-            return np.linalg.eigvalsh(k)[..., :n], None
-        lam, phi = _lowest_eigenpairs(k, n)
-        return lam, back @ phi
+        return np.swapaxes(back, -1, -2) @ k @ back, back
+
+    def eigenvalues(self, stiffness: Array, mass: Array, n: int) -> Array:
+        """The n lowest eigenvalues of m coefficient sets, (m, n)."""
+        return np.linalg.eigvalsh(self._whitened(stiffness, mass)[0])[..., :n]
+
+    def eigenvectors(
+        self, stiffness: Array, mass: Array, sets: Array, column: Array, eigenvalues: Array
+    ) -> Array:
+        """M-normalised eigenvectors (k, size) of some modes of m coefficient sets.
+
+        sets, column : (k,) the coefficient set of each and which of its eigenvalues (m, n) it has.
+        One inverse iteration from a fixed vector; LAPACK's vectors where two eigenvalues are close.
+        """
+        own, place = np.unique(sets, return_inverse=True)
+        k, back = self._whitened(stiffness[own], mass[own])
+        lam = eigenvalues[sets, column]
+        distance = np.abs(eigenvalues[sets] - lam[:, None])
+        distance[np.arange(len(sets)), column] = np.inf
+        close = distance.min(axis=1, initial=np.inf) < _CLOSE * np.abs(lam)
+        if self.size > _LARGE:  # LAPACK finds a few vectors of one matrix sooner
+            close[:] = True
+        phi = np.empty((len(sets), self.size))
+        i = np.arange(self.size)
+        apart = np.flatnonzero(~close)
+        if len(apart):
+            shifted = k[place[apart]]
+            shifted[:, i, i] -= (lam[apart] * (1.0 + _SHIFT))[:, None]
+            phi[apart] = np.linalg.solve(shifted, np.cos(1.0 + i * i)[:, None])[..., 0]
+        for s in np.unique(place[close]):
+            rows = np.flatnonzero(close & (place == s))
+            every = scipy.linalg.eigh(k[s], subset_by_index=(0, int(column[rows].max())))[1]
+            phi[rows] = every[:, column[rows]].T
+        phi /= np.linalg.norm(phi, axis=1, keepdims=True)
+        return back[place] * phi if back.ndim == 2 else (back[place] @ phi[..., None])[..., 0]
 
     def energies(self, vectors: Array) -> tuple[Array, Array]:
         """phi^T K_q phi and phi^T M_q phi of vectors (k, size) for every term, (k, n_terms) each."""
@@ -122,17 +154,12 @@ class DenseBlock:
         return found[0], found[1]
 
 
-# From this size on LAPACK finds a few eigenvectors sooner than all of them.
+# Size beyond which the inverse iteration does not pay.
 _LARGE = 100
-
-
-def _lowest_eigenpairs(k: Array, n: int) -> tuple[Array, Array]:
-    """The n lowest eigenpairs of a stack of symmetric matrices (m, size, size)."""
-    if k.shape[-1] < _LARGE:
-        lam, phi = np.linalg.eigh(k)
-        return lam[..., :n], phi[..., :n]
-    pairs = [scipy.linalg.eigh(one, subset_by_index=(0, n - 1), driver="evr") for one in k]
-    return np.stack([p[0] for p in pairs]), np.stack([p[1] for p in pairs])
+# Relative distance of eigenvalues under which an inverse iteration does not tell their vectors apart.
+_CLOSE = 1e-5
+# Relative distance from an eigenvalue at which the inverse iteration is taken.
+_SHIFT = 1e-11
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,7 @@ import numpy as np
 import scipy.optimize
 from numpy.typing import NDArray
 
-from cpam_bayes.affine import AffineOperator
+from cpam_bayes.affine import AffineOperator, Block
 from cpam_bayes.problem import rigid_body_count
 
 Array = NDArray[Any]
@@ -30,8 +30,8 @@ class Spectrum:
     """Lowest deformation modes of a stack of m parameter sets.
 
     eigenvalues : (m, n_modes), (rad/s)^2, ascending. block, column : (m, n_modes), where the
-    mode's vector stands in ``vectors``: one array (m, n_block, n_kept) a block, M-normalised, or
-    ``None``. rigid : (m, n_rigid) eigenvalues of the rigid-body motions.
+    mode's vector stands in ``vectors``: one array (m, n_block, n_columns) a block, M-normalised, with
+    the vectors of these modes only, or ``None``. rigid : (m, n_rigid) eigenvalues of the rigid-body motions.
     """
 
     eigenvalues: Array
@@ -73,8 +73,7 @@ def solve(
     wanted = n_modes + n_rigid
     if sum(b.size for b in operator.blocks) <= wanted:
         raise ValueError(f"{n_modes} modes asked for, the space has {sum(b.size for b in operator.blocks)}")
-    pairs = [b.eigenpairs(stiffness, mass, min(wanted, b.size), vectors=vectors) for b in operator.blocks]
-    values = [lam for lam, _ in pairs]
+    values = [b.eigenvalues(stiffness, mass, min(wanted, b.size)) for b in operator.blocks]
     counts = [v.shape[-1] for v in values]
     owner = np.repeat(np.arange(len(counts)), counts)
     place = np.concatenate([np.arange(c) for c in counts])
@@ -83,13 +82,31 @@ def solve(
     ranked = np.take_along_axis(pooled, order, axis=-1)
     _check_rigid(ranked, n_rigid)
     order = order[..., n_rigid:]
-    return Spectrum(
-        eigenvalues=ranked[..., n_rigid:],
-        block=owner[order],
-        column=place[order],
-        vectors=tuple(phi for _, phi in pairs if phi is not None) if vectors else None,
-        rigid=ranked[..., :n_rigid],
-    )
+    block, column = owner[order], place[order]
+    shapes = None
+    if vectors:
+        shapes = tuple(
+            _vectors(b, lam, stiffness, mass, np.nonzero(block == i), column)
+            for i, (b, lam) in enumerate(zip(operator.blocks, values, strict=True))
+        )
+    return Spectrum(ranked[..., n_rigid:], block, column, shapes, ranked[..., :n_rigid])
+
+
+def _vectors(
+    block: Block,
+    eigenvalues: Array,
+    stiffness: Array,
+    mass: Array,
+    where: tuple[Array, ...],
+    column: Array,
+) -> Array:
+    """Vectors of the modes ``where`` (parameter sets, modes) of one block; zero in other columns."""
+    sets, modes = where
+    columns = column[sets, modes]
+    found = np.zeros((len(eigenvalues), block.size, int(columns.max(initial=-1)) + 1))
+    if len(sets):
+        found[sets, :, columns] = block.eigenvectors(stiffness, mass, sets, columns, eigenvalues)
+    return found
 
 
 def _check_rigid(ranked: Array, n_rigid: int) -> None:

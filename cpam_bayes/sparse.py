@@ -97,20 +97,35 @@ class SparseBlock:
         """Number of trial functions."""
         return len(self.index)
 
-    def eigenpairs(
-        self, stiffness: Array, mass: Array, n: int, *, vectors: bool
-    ) -> tuple[Array, Array | None]:
-        """The n lowest eigenvalues (m, n) and, if asked, M-normalised vectors (m, size, n).
+    def eigenvalues(self, stiffness: Array, mass: Array, n: int) -> Array:
+        """The n lowest eigenvalues of m coefficient sets, (m, n).
 
         Lanczos iteration on (K - shift M)^-1 M, from a start vector that is always the same.
         """
-        pairs = [self._lowest(k, m, n) for k, m in zip(stiffness, mass, strict=True)]
-        values = np.stack([lam for lam, _ in pairs])
-        return values, np.stack([phi for _, phi in pairs]) if vectors else None
+        sets = range(max(len(stiffness), len(mass)))
+        return np.stack([self._lowest(stiffness, mass, i, n)[0] for i in sets])
 
-    def _lowest(self, stiffness: Array, mass: Array, n: int) -> tuple[Array, Array]:
+    def eigenvectors(
+        self, stiffness: Array, mass: Array, sets: Array, column: Array, eigenvalues: Array
+    ) -> Array:
+        """M-normalised eigenvectors (k, size) of some modes of m coefficient sets.
+
+        sets, column : (k,) the coefficient set of each and which of its eigenvalues (m, n) it has.
+        The iteration of ``eigenvalues`` is repeated, once for each set that occurs.
+        """
+        found = np.empty((len(sets), self.size))
+        for i in np.unique(sets):
+            own = sets == i
+            _, phi = self._lowest(stiffness, mass, int(i), eigenvalues.shape[-1])
+            found[own] = phi[:, column[own]].T
+        return found
+
+    def _lowest(self, stiffness: Array, mass: Array, i: int, n: int) -> tuple[Array, Array]:
+        """The n lowest eigenvalues (n,) and vectors (size, n) of coefficient set i."""
         pattern = self.stiffness.pattern
-        k, m = self.stiffness.entries(stiffness), self.mass.entries(mass)
+        # where all sets share them, coefficients are given once
+        k = self.stiffness.entries(stiffness[min(i, len(stiffness) - 1)])
+        m = self.mass.entries(mass[min(i, len(mass) - 1)])
         if n + _SPARE >= self.size:
             return scipy.linalg.eigh(
                 pattern.matrix(k).toarray(), pattern.matrix(m).toarray(), subset_by_index=(0, n - 1)

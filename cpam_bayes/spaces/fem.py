@@ -180,7 +180,7 @@ def fem_space(
     to a quarter of the decay length of a free edge's twisting layer; it also resolves the
     singular corner of a clamped and a free edge.
 
-    With the default counts frequencies of six to ten modes are within 0.03 % of converged ones
+    With the default counts frequencies of six to ten modes are within 0.05 % of converged ones
     for h / a from 1/10 to 1/1000; the locking that reduced integration leaves grows like (a / h)^2
     beyond. Raises ``ValueError`` for counts below one.
     """
