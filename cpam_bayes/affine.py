@@ -148,8 +148,9 @@ class DenseBlock:
         found = []
         for matrix, n_terms in zip((self.stiffness, self.mass), self.n_terms, strict=True):
             energy = np.zeros((len(vectors), n_terms))
-            images = np.einsum("qij,kj->kqi", matrix.stack, vectors, optimize=True)
-            energy[:, matrix.active] = np.einsum("kqi,ki->kq", images, vectors)
+            n = matrix.stack.shape[-1]
+            images = (matrix.stack.reshape(-1, n) @ vectors.T).reshape(-1, n, len(vectors))
+            energy[:, matrix.active] = np.sum(images * vectors.T, axis=1).T
             found.append(energy)
         return found[0], found[1]
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -112,7 +113,7 @@ def _merge_equal_plies(angles_deg: Array) -> tuple[Array, Array]:
     return angles_deg[starts], np.concatenate((starts, [n])) / n - 0.5
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class LaminateGeometry:
     """What of a layup does not depend on the elastic constants, for unit thickness.
 
@@ -130,6 +131,39 @@ class LaminateGeometry:
     first: Array
     zeroth: Array | None
     weight: Array
+
+    @cached_property
+    def shear_energy(self) -> Array:
+        """Shear energy of one layup as quadratic forms, (2, 3, n, n).
+
+        The shear stresses are linear in the products of an invariant U_i with a compliance d_jk (or
+        b_jk): with these in a vector X_k of length n = 15 (30 with b), the entries (yy, xx, xy) of
+        the shear compliance are m X^T T_0 X + d X^T T_1 X with m the mean and d half the difference
+        of 1/G23 and 1/G13. Only for a single layup: it replaces sums over plies by small products.
+        """
+        columns = [self.first] if self.zeroth is None else [self.first, self.zeroth]
+        # rows x, y, xy of the running stiffness that each product of U_i with row j gives, (3, p, n)
+        rows = np.concatenate([_running_rows(c) for c in columns], axis=-1)
+        c2, s2 = self.ply[:, 1] * self.weight, self.ply[:, 3] * self.weight
+        forms = []
+        for s_yz, s_xz, s_mix in ((self.weight, self.weight, 0.0 * c2), (c2, -c2, -s2)):
+            along_y, along_x = (rows[1], rows[2]), (rows[2], rows[0])  # (tau_yz, tau_xz) of Qy, of Qx
+            for (a_yz, a_xz), (b_yz, b_xz) in (
+                (along_y, along_y),
+                (along_x, along_x),
+                (along_y, along_x),
+            ):
+                form = a_yz.T @ (s_yz[:, None] * b_yz) + a_xz.T @ (s_xz[:, None] * b_xz)
+                forms.append(form + a_yz.T @ (s_mix[:, None] * b_xz) + a_xz.T @ (s_mix[:, None] * b_yz))
+        return np.array(forms).reshape(2, 3, *forms[0].shape)
+
+
+def _running_rows(running: Array) -> Array:
+    """Rows x, y and xy of the running stiffness (n_points, 5) for unit invariants, (3, n_points, 15)."""
+    entries = np.stack([rotated_stiffness(unit, running) for unit in np.eye(5)], axis=1)
+    x11, x12, x22, x66, x16, x26 = np.moveaxis(entries, -1, 0)
+    rows = ((x11, x12, x16), (x12, x22, x26), (x16, x26, x66))
+    return np.stack([np.stack(row, axis=-1).reshape(len(running), 15) for row in rows])
 
 
 def laminate_geometry(angles_deg: ArrayLike, *, symmetric: bool | None = None) -> LaminateGeometry:
@@ -194,6 +228,37 @@ def _shear_compliance(
         inverse = np.linalg.inv(abd[..., :6, :6])
         b, d = inverse[..., :3, 3:], inverse[..., 3:, 3:]
 
+    mean, half = 0.5 / g23 + 0.5 / g13, 0.5 / g23 - 0.5 / g13
+    if geometry.first.ndim == 2:
+        h_yy, h_xx, h_xy = _energy_of_one_layup(geometry, invariants, d, b, mean, half)
+    else:
+        h_yy, h_xx, h_xy = _energy_of_layups(geometry, invariants, d, b, mean, half)
+    return np.stack((np.stack((h_yy, h_xy), -1), np.stack((h_xy, h_xx), -1)), -2)
+
+
+def _energy_of_one_layup(
+    geometry: LaminateGeometry, invariants: Array, d: Array, b: Array | None, mean: Array, half: Array
+) -> Array:
+    """Entries (yy, xx, xy) of the shear compliance of one layup for a stack of constants, (3, ...)."""
+
+    def products(column: int) -> Array:
+        parts = [d] if b is None else [d, b]
+        x = [invariants[..., :, None] * part[..., None, :, column] for part in parts]
+        return np.concatenate([y.reshape(*y.shape[:-2], 15) for y in x], axis=-1)
+
+    of_x, of_y = products(0), products(1)
+    found = []
+    for k, (left, right) in enumerate(((of_y, of_y), (of_x, of_x), (of_y, of_x))):
+        at_mean, at_half = (np.sum((left @ form[k]) * right, axis=-1) for form in geometry.shear_energy)
+        found.append(mean * at_mean + half * at_half)
+    return np.stack(np.broadcast_arrays(*found))
+
+
+def _energy_of_layups(
+    geometry: LaminateGeometry, invariants: Array, d: Array, b: Array | None, mean: Array, half: Array
+) -> Array:
+    """Entries (yy, xx, xy) of the shear compliance of a stack of layups, (3, ...), point by point."""
+
     def rows(running: Array, columns: Array) -> tuple[Array, Array, Array, Array]:
         p11, p12, p22, p66, p16, p26 = np.moveaxis(
             rotated_stiffness(invariants[..., None, :], running), -1, 0
@@ -210,17 +275,12 @@ def _shear_compliance(
         g11, g22, g31, g32 = rows(geometry.zeroth, b)
         f11, f22, f31, f32 = f11 + g11, f22 + g22, f31 + g31, f32 + g32
     c2, s2 = geometry.ply[..., 1], geometry.ply[..., 3]
-    mean, half = (0.5 / g23 + 0.5 / g13)[..., None], (0.5 / g23 - 0.5 / g13)[..., None]
-    weight = geometry.weight
-    s_yz, s_xz, s_mix = (
-        (mean + half * c2) * weight,
-        (mean - half * c2) * weight,
-        -half * s2 * weight,
-    )
+    mean, half, weight = mean[..., None], half[..., None], geometry.weight
+    s_yz, s_xz, s_mix = (mean + half * c2) * weight, (mean - half * c2) * weight, -half * s2 * weight
     h_yy = np.sum(s_yz * f22 * f22 + s_xz * f32 * f32 + 2 * s_mix * f22 * f32, axis=-1)
     h_xx = np.sum(s_yz * f31 * f31 + s_xz * f11 * f11 + 2 * s_mix * f31 * f11, axis=-1)
     h_xy = np.sum(s_yz * f22 * f31 + s_xz * f32 * f11 + s_mix * (f22 * f11 + f32 * f31), axis=-1)
-    return np.stack((np.stack((h_yy, h_xy), -1), np.stack((h_xy, h_xx), -1)), -2)
+    return np.stack((h_yy, h_xx, h_xy))
 
 
 def _inverse2(x: Array) -> Array:
