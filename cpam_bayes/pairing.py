@@ -1,0 +1,141 @@
+"""Which measured frequency belongs to which mode of the model.
+
+A complete list is paired one to one. Otherwise modes may be missing from the list and peaks may be
+spurious; every pairing that keeps the order is possible, each missed mode and each spurious peak at
+a price, and the likelihood is the sum over all of them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[Any]
+
+
+@dataclass(frozen=True, slots=True)
+class PairingPrior:
+    """Prices of an incomplete list.
+
+    missed : probability that a mode in the measured range is not in the list. spurious : expected
+    number of listed frequencies that belong to no mode, evenly spread over the range.
+    """
+
+    missed: float = 0.1
+    spurious: float = 0.1
+
+
+DEFAULT_PAIRING = PairingPrior()
+
+
+@dataclass(frozen=True, slots=True)
+class Pairing:
+    """The most probable pairing of one parameter set.
+
+    mode : (n,) the model mode of each measured frequency, -1 for a spurious one. missed : model modes
+    in the measured range that the list lacks. log_probability : of this pairing among all.
+    """
+
+    mode: Array
+    missed: Array
+    log_probability: float
+
+
+def monotone_log_likelihood(
+    log_density: Array, in_range: Array, measured_range: float, prior: PairingPrior = DEFAULT_PAIRING
+) -> Array:
+    """Log of the sum over all order-keeping pairings of n measured frequencies with k modes, (m,).
+
+    A pairing has the likelihood product over pairs of (1 - p) exp(log_density_ij), times p for every
+    mode in range without a partner, times lambda / range for every frequency without one. Skipped
+    rows and columns between two pairs are counted once, by two nested recursions.
+
+    log_density : (m, n, k), log density of frequency i if it is mode j. in_range : (m, k) bool, modes
+    that a complete list would contain; those beyond it cost nothing when missed.
+    """
+    table = _Prices(log_density, in_range, measured_range, prior)
+    forward = table.sums()[0]
+    return np.asarray(np.logaddexp(table.nothing, _log_sum(forward + table.tail(), axes=(1, 2))))
+
+
+def most_probable_pairing(
+    log_density: Array, in_range: Array, measured_range: float, prior: PairingPrior = DEFAULT_PAIRING
+) -> Pairing:
+    """The pairing with the largest likelihood of one parameter set (log_density (n, k))."""
+    table = _Prices(log_density[None], in_range[None], measured_range, prior)
+    best, came_from = table.sums(maximise=True)
+    total = (best + table.tail())[0]
+    n, k = log_density.shape
+    mode = np.full(n, -1)
+    everything = monotone_log_likelihood(log_density[None], in_range[None], measured_range, prior)[0]
+    value = float(table.nothing[0])
+    if total.max() > value:
+        value = float(total.max())
+        i, j = np.unravel_index(int(total.argmax()), total.shape)
+        while i >= 0:
+            mode[i] = j
+            i, j = came_from[int(i), int(j)]
+    missed = np.setdiff1d(np.flatnonzero(in_range), mode)
+    return Pairing(mode, missed, value - float(everything))
+
+
+class _Prices:
+    """Log prices of pairs and skips of m tables."""
+
+    def __init__(self, log_density: Array, in_range: Array, span: float, prior: PairingPrior) -> None:
+        self.m, self.n, self.k = log_density.shape
+        self.pair = np.log1p(-prior.missed) + log_density
+        self.miss = np.where(in_range, np.log(prior.missed), 0.0)
+        self.extra = float(np.log(prior.spurious / span)) if prior.spurious > 0 else -np.inf
+        self.nothing = self.n * self.extra + self.miss.sum(axis=1)
+
+    def sums(self, *, maximise: bool = False) -> tuple[Array, dict[tuple[int, int], tuple[int, int]]]:
+        """Log sum (or maximum) over all pairings that end with the pair (i, j), (m, n, k).
+
+        When maximising also the pair before each, (-1, -1) where it is the first; m is 1 then.
+        """
+        join = np.maximum if maximise else np.logaddexp
+        before = np.concatenate((np.zeros((self.m, 1)), np.cumsum(self.miss, axis=1)), axis=1)[:, :-1]
+        ends = np.empty((self.m, self.n, self.k))
+        came_from: dict[tuple[int, int], tuple[int, int]] = {}
+        # reach[:, j]: best of all pairings within the rows above that end left of column j, carried
+        # to this row and column at the price of the rows and columns in between
+        reach = np.full((self.m, self.k), -np.inf)
+        source: list[tuple[int, int]] = [(-1, -1)] * self.k
+        for i in range(self.n):
+            first = i * self.extra + before
+            ends[:, i] = self.pair[:, i] + join(reach, first)
+            if maximise:
+                for j in range(self.k):
+                    came_from[i, j] = source[j] if reach[0, j] > first[0, j] else (-1, -1)
+            along = np.full(self.m, -np.inf)
+            within: tuple[int, int] = (-1, -1)
+            following = np.empty_like(reach)
+            for j in range(self.k):
+                down = reach[:, j] + self.extra
+                following[:, j] = join(along, down)
+                if maximise and along[0] > down[0]:
+                    source[j] = within
+                stays = along + self.miss[:, j]
+                if maximise and ends[0, i, j] > stays[0]:
+                    within = (i, j)
+                along = join(stays, ends[:, i, j])
+            reach = following
+        return ends, came_from
+
+    def tail(self) -> Array:
+        """Log price of what is left after the pair (i, j), (m, n, k)."""
+        after = self.miss.sum(axis=1, keepdims=True) - np.cumsum(self.miss, axis=1)
+        rows = np.arange(self.n - 1, -1, -1.0)
+        spare = np.where(rows > 0, rows * (self.extra if np.isfinite(self.extra) else -1e300), 0.0)
+        return np.asarray(after[:, None, :] + spare[None, :, None])
+
+
+def _log_sum(values: Array, axes: tuple[int, ...]) -> Array:
+    top = values.max(axis=axes, keepdims=True)
+    top = np.where(np.isfinite(top), top, 0.0)
+    with np.errstate(divide="ignore"):
+        return np.asarray(np.log(np.sum(np.exp(values - top), axis=axes)) + top.reshape(len(values)))
