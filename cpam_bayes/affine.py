@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Generic, Literal, Protocol, TypeVar
+from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 import scipy.linalg
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from cpam_bayes.problem import Form, Problem, Values
+from cpam_bayes.problem import Form, MatrixKind, Problem, Values
 from cpam_bayes.spaces.protocol import Space
 from cpam_bayes.spaces.ritz import Family, RitzSpace, evaluate_sector
 
@@ -192,7 +192,6 @@ def restricted(operator: DenseOperator, keep: Array) -> DenseOperator:
 
 DenseOperator = AffineOperator[RitzSpace, DenseBlock]
 Piece = tuple[int, int, Array]
-MatrixKind = Literal["stiffness", "mass"]
 MATRICES: tuple[MatrixKind, MatrixKind] = ("stiffness", "mass")
 
 
@@ -226,11 +225,11 @@ def _general_pieces(form: Form, space: RitzSpace) -> list[Piece]:
     weights = rule.weights * (1.0 if form.weight is None else form.weight(rule.points))
     pieces = []
     for i, left in enumerate(space.sectors):
-        if left.field != form.left.field:
+        if left.field != form.left.field or not left.size:
             continue
         b_left = evaluate_sector(left, rule.points, form.left.derivative)
         for j, right in enumerate(space.sectors):
-            if right.field != form.right.field:
+            if right.field != form.right.field or not right.size:
                 continue
             b_right = evaluate_sector(right, rule.points, form.right.derivative)
             matrix = b_left.T @ (weights[:, None] * b_right)

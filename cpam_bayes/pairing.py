@@ -68,16 +68,15 @@ def most_probable_pairing(
     table = _Prices(log_density[None], in_range[None], measured_range, prior)
     best, came_from = table.sums(maximise=True)
     total = (best + table.tail())[0]
-    n, k = log_density.shape
-    mode = np.full(n, -1)
+    mode = np.full(len(log_density), -1)
     everything = monotone_log_likelihood(log_density[None], in_range[None], measured_range, prior)[0]
     value = float(table.nothing[0])
     if total.max() > value:
         value = float(total.max())
-        i, j = np.unravel_index(int(total.argmax()), total.shape)
+        i, j = divmod(int(total.argmax()), total.shape[1])
         while i >= 0:
             mode[i] = j
-            i, j = came_from[int(i), int(j)]
+            i, j = came_from[i, j]
     missed = np.setdiff1d(np.flatnonzero(in_range), mode)
     return Pairing(mode, missed, value - float(everything))
 

@@ -27,6 +27,7 @@ from cpam_bayes.parameters import ParameterSet
 Array = NDArray[Any]
 Field = Literal["u", "v", "w", "phi_x", "phi_y"]
 Derivative = Literal["", "x", "y"]
+MatrixKind = Literal["stiffness", "mass"]
 
 FIELDS: tuple[Field, ...] = ("u", "v", "w", "phi_x", "phi_y")
 MEMBRANE_FIELDS: tuple[Field, ...] = ("u", "v")
@@ -139,7 +140,7 @@ class Term:
     """Forms that enter K or M with coefficients (..., n_forms) computed from the plate's state."""
 
     name: str
-    matrix: Literal["stiffness", "mass"]
+    matrix: MatrixKind
     forms: tuple[Form, ...]
     coefficients: CoefficientFunction
 
@@ -160,7 +161,7 @@ class Problem:
     terms: tuple[Term, ...]
     admissible: Admissible
 
-    def coefficients(self, values: Values, matrix: Literal["stiffness", "mass"]) -> Array:
+    def coefficients(self, values: Values, matrix: MatrixKind) -> Array:
         """Coefficients of every form of K or M at the given values, (..., n_forms)."""
         state = self.state(values)
         parts = [t.coefficients(state, values) for t in self.terms if t.matrix == matrix]
@@ -169,7 +170,7 @@ class Problem:
         shape = np.broadcast_shapes(*(p.shape[:-1] for p in parts))
         return np.concatenate([np.broadcast_to(p, (*shape, p.shape[-1])) for p in parts], axis=-1)
 
-    def forms(self, matrix: Literal["stiffness", "mass"]) -> tuple[Form, ...]:
+    def forms(self, matrix: MatrixKind) -> tuple[Form, ...]:
         """Forms of K or M, in the order of ``coefficients``."""
         return tuple(f for t in self.terms if t.matrix == matrix for f in t.forms)
 

@@ -12,8 +12,8 @@ from scipy.sparse import coo_array, csc_array, csr_array, diags_array
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import LinearOperator, eigsh, splu
 
-from cpam_bayes.affine import MATRICES, AffineOperator, MatrixKind, active_terms
-from cpam_bayes.problem import FIELDS, MEMBRANE_FIELDS, Field, Form, PlateState, Problem, Values
+from cpam_bayes.affine import MATRICES, AffineOperator, active_terms
+from cpam_bayes.problem import FIELDS, MEMBRANE_FIELDS, Field, Form, MatrixKind, PlateState, Problem, Values
 from cpam_bayes.spaces.fem import FemSpace
 
 Array = NDArray[Any]

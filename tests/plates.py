@@ -42,7 +42,7 @@ def plate(
 
 def frequencies(problem: Problem, n_modes: int, tolerance: Tolerance | None = None) -> np.ndarray:
     """Converged frequencies of a plate without unknowns, (n_modes,) Hz."""
-    found = converge(problem, {}, n_modes, tolerance or Tolerance()).operator
+    found = converge(problem, {}, n_modes, tolerance).operator
     return solve(found, *found.coefficients({}), n_modes).frequencies[0]
 
 

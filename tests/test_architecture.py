@@ -28,6 +28,7 @@ LAYERS = (
     "shapes",
     "convergence",
     "measurement",
+    "calculix",
     "model",
     "reduced",
     "cache",
@@ -37,6 +38,7 @@ LAYERS = (
     "diagnosis",
     "paper",
     "report",
+    "commands",
     "cli",
     "__main__",
 )

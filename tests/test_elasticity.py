@@ -49,9 +49,7 @@ def test_complex_step_derivatives_match_central_differences(isotropic):
     base = {"E1": 121.2, "nu12": 0.23} if isotropic else {**CARBON, "E1": 121.2e9}
     for name, value in base.items():
         step = 1e-6 * value
-        up, down = (
-            complete_constants(base | {name: value + sign * step}, isotropic) for sign in (1, -1)
-        )
+        up, down = (complete_constants(base | {name: value + sign * step}, isotropic) for sign in (1, -1))
         exact = complete_constants(base | {name: value + 1e-30j * value}, isotropic)
         for key, derivative in exact.items():
             difference = (up[key] - down[key]) / 2e-6

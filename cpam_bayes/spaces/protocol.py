@@ -7,7 +7,7 @@ from typing import Any, Protocol
 
 from numpy.typing import NDArray
 
-from cpam_bayes.problem import Derivative, Field, Region
+from cpam_bayes.problem import Derivative, Field, MatrixKind, Region
 
 Array = NDArray[Any]
 
@@ -32,8 +32,11 @@ class Space(Protocol):
         """Number of trial functions of a field."""
         ...
 
-    def quadrature(self, region: Region) -> Quadrature:
-        """Points and weights that integrate products of two trial functions over the region."""
+    def quadrature(self, region: Region, matrix: MatrixKind = "stiffness") -> Quadrature:
+        """Points and weights that integrate products of two trial functions over the region.
+
+        A space that underintegrates its stiffness says so by ``matrix``.
+        """
         ...
 
     def evaluate(self, field: Field, quadrature: Quadrature, derivative: Derivative) -> Any:

@@ -15,10 +15,23 @@ import numpy as np
 from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
-from cpam_bayes.problem import FIELDS, HELD, MEMBRANE_FIELDS, Derivative, Field, PlateState, Region
+from cpam_bayes.problem import (
+    FIELDS,
+    HELD,
+    MEMBRANE_FIELDS,
+    Derivative,
+    Field,
+    MatrixKind,
+    PlateState,
+    Region,
+)
 from cpam_bayes.spaces.protocol import Quadrature
 
 Array = NDArray[Any]
+
+
+# Share of an exponential that polynomials must lack for it to join a family.
+_NEW_SHARE = 1e-5
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,16 +115,16 @@ def _raw(
 ) -> Array:
     """Legendre polynomials and e(-r t) + sign e(-r (1 - t)); sign 0 stands for the two ends apart."""
     columns = []
+    for n in degrees:
+        c = np.zeros(int(n) + 1)
+        c[-1] = np.sqrt(2 * n + 1)
+        columns.append(legendre.legval(2 * t - 1, 2 * legendre.legder(c) if derivative else c))
     for r in rates:
         near, far = np.exp(-r * t), np.exp(-r * (1 - t))
         if derivative:
             near, far = -r * near, r * far
         for sign in signs:
             columns.append({1: near + far, -1: near - far, 2: near, 3: far}[sign])
-    for n in degrees:
-        c = np.zeros(int(n) + 1)
-        c[-1] = np.sqrt(2 * n + 1)
-        columns.append(legendre.legval(2 * t - 1, 2 * legendre.legder(c) if derivative else c))
     return np.stack(columns, axis=-1)
 
 
@@ -133,29 +146,44 @@ def make_families(
         raw = _raw(degrees, rates, signs, t, derivative=False)
         transform = np.eye(raw.shape[1])
         ends = [end for end, is_held in zip((0.0, 1.0), held, strict=True) if is_held]
+        ends = ends[:1] if split else ends
         if ends:
-            values = _raw(degrees, rates, signs, np.array(ends[:1] if split else ends), False)
-            transform = _vanishing(values, first=len(rates) * len(signs))
-        for _ in range(2):  # the second pass restores the digits that the first one lost
-            _, r = np.linalg.qr(np.sqrt(w)[:, None] * (raw @ transform))
-            transform = np.linalg.solve(r.T, transform.T).T
+            transform = _vanishing(_raw(degrees, rates, signs, np.array(ends), False))
+        transform = _orthonormal(raw, transform, w, n_polynomials=len(degrees) - len(ends))
         families.append(Family(degrees, rates, signs, transform, signs[0] if split else 0))
     return tuple(families)
 
 
-def _vanishing(values: Array, first: int) -> Array:
+def _vanishing(values: Array) -> Array:
     """Combinations of raw functions that vanish where ``values`` (n_ends, n_raw) were taken, (n_raw, n).
 
-    The lowest polynomials, at columns ``first`` and after, are spent on it, so that the order of
-    the others is kept and a shorter family spans part of a longer one.
+    The lowest polynomials are spent on it, so that the order of the others is kept.
     """
     n_ends, n_raw = values.shape
-    pivots = np.arange(first, first + n_ends)
-    others = np.setdiff1d(np.arange(n_raw), pivots)
-    transform = np.zeros((n_raw, len(others)))
-    transform[others, np.arange(len(others))] = 1.0
-    transform[pivots] = -np.linalg.solve(values[:, pivots], values[:, others])
+    transform = np.eye(n_raw)[:, n_ends:]
+    transform[:n_ends] = -np.linalg.solve(values[:, :n_ends], values[:, n_ends:])
     return transform
+
+
+def _orthonormal(raw: Array, transform: Array, w: Array, n_polynomials: int) -> Array:
+    """Orthonormal combinations of the functions ``raw @ transform`` under the weights w, (n_raw, n).
+
+    Polynomials come first, being nearly orthonormal as they are, and an exponential that they all but
+    make up is left out. The orthonormal functions are then turned so that the exponentials stand
+    before the polynomials: leaving out the last function then leaves out the highest polynomial.
+    """
+    root = np.sqrt(w)[:, None]
+    transform = transform / np.linalg.norm(root * (raw @ transform), axis=0)
+    _, r = np.linalg.qr(root * (raw @ transform))
+    kept = (np.arange(transform.shape[1]) < n_polynomials) | (np.abs(np.diagonal(r)) > _NEW_SHARE)
+    functions = transform[:, kept]
+    orthonormal = functions
+    for _ in range(2):  # the second pass restores the digits that the first one lost
+        _, r = np.linalg.qr(root * (raw @ orthonormal))
+        orthonormal = np.linalg.solve(r.T, orthonormal.T).T
+    coordinates = (root * (raw @ orthonormal)).T @ (root * (raw @ functions))
+    turn, _ = np.linalg.qr(np.roll(coordinates, -n_polynomials, axis=1))
+    return np.asarray(orthonormal @ turn)
 
 
 @dataclass(frozen=True)
@@ -201,8 +229,9 @@ class RitzSpace:
         sectors = [Sector(s.field, s.x, s.y, s.pairs[k]) for s, k in zip(self.sectors, parts, strict=True)]
         return RitzSpace(tuple(sectors), self.x_grid, self.y_grid)
 
-    def quadrature(self, region: Region) -> Quadrature:
-        """Points and weights of a region, exact for the basis."""
+    def quadrature(self, region: Region, matrix: MatrixKind = "stiffness") -> Quadrature:
+        """Points and weights of a region, exact for the basis in either matrix."""
+        del matrix
         (x, wx), (y, wy) = self.x_grid, self.y_grid
         if region.kind == "area":
             points = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)

@@ -65,9 +65,7 @@ def search(objective, lower, upper, *, seed=1, feasible=everywhere, progress=Non
     chosen = SwarmSettings(**settings)
     lower, upper = np.asarray(lower, float), np.asarray(upper, float)
     start = rng.uniform(lower, upper, (chosen.particles, lower.size))
-    return minimise(
-        objective, lower, upper, start, chosen, rng, feasible=feasible, progress=progress
-    )
+    return minimise(objective, lower, upper, start, chosen, rng, feasible=feasible, progress=progress)
 
 
 # Known minima. A converged swarm agrees to spread_tolerance = 1e-3 of the box.
@@ -89,9 +87,7 @@ def test_swarm_finds_the_end_of_rosenbrocks_valley(seed: int) -> None:
 
 @pytest.mark.parametrize("seed", range(5))
 def test_swarm_reaches_an_optimum_on_a_bound_exactly(seed: int) -> None:
-    result = search(
-        lambda x: np.sum((x - [1.5, 0.4, -0.5]) ** 2, axis=1), [0.0] * 3, [1.0] * 3, seed=seed
-    )
+    result = search(lambda x: np.sum((x - [1.5, 0.4, -0.5]) ** 2, axis=1), [0.0] * 3, [1.0] * 3, seed=seed)
     assert result.status == "converged"
     assert result.best[0] == 1.0
     assert result.best[2] == 0.0
@@ -161,9 +157,7 @@ def test_a_particle_that_leaves_the_box_is_put_on_its_bound_and_turns() -> None:
 
 
 def test_same_seed_gives_the_same_answer_bit_for_bit() -> None:
-    first, again, other = (
-        search(rosenbrock, [-2.0, -2.0], [2.0, 2.0], seed=seed) for seed in (7, 7, 8)
-    )
+    first, again, other = (search(rosenbrock, [-2.0, -2.0], [2.0, 2.0], seed=seed) for seed in (7, 7, 8))
     assert_array_equal(first.personal_bests, again.personal_bests)
     assert_array_equal(first.history, again.history)
     assert first.value == again.value
@@ -172,9 +166,7 @@ def test_same_seed_gives_the_same_answer_bit_for_bit() -> None:
 
 def test_a_result_is_consistent_with_itself() -> None:
     seen: list[tuple[int, float]] = []
-    result = search(
-        sphere, [-1.0] * 3, [1.0] * 3, progress=lambda i, value: seen.append((i, value))
-    )
+    result = search(sphere, [-1.0] * 3, [1.0] * 3, progress=lambda i, value: seen.append((i, value)))
     assert result.history.shape == (result.iterations + 1,)
     assert np.all(np.diff(result.history) <= 0.0)
     assert seen == list(enumerate(result.history))

@@ -147,9 +147,7 @@ def test_each_error_names_file_line_key_and_what_is_accepted(full_text, good, ba
 
 
 def test_a_material_without_an_isotropic_flag_lacks_only_the_flag(full_text):
-    assert "material.isotropic: missing" in one_problem(
-        full_text.replace("isotropic = false\n", "")
-    )
+    assert "material.isotropic: missing" in one_problem(full_text.replace("isotropic = false\n", ""))
 
 
 def test_all_errors_of_a_file_come_at_once_in_the_order_of_their_lines(full_text):

@@ -107,9 +107,7 @@ def test_constants_are_those_of_table_3_known_to_a_tenth(name):
 @pytest.mark.parametrize("name", TABULATED)
 def test_frequencies_are_those_of_table_4(name):
     measurement = builtin(name).measurement
-    assert measurement.frequencies.tolist() == [
-        float(f) for f in TABLE_4[_table_name(name)].split()
-    ]
+    assert measurement.frequencies.tolist() == [float(f) for f in TABLE_4[_table_name(name)].split()]
     assert measurement.resolution == 1.0
     assert measurement.relative_std is None
     assert measurement.frequency_sd is None
