@@ -32,7 +32,7 @@ class Tolerance:
 
     kept: float
     rich: float
-    largest_degree: int = 22
+    largest_degree: int = 18
 
 
 THIN = Tolerance(kept=7e-5, rich=4e-5)

@@ -190,7 +190,7 @@ class Samples:
 
 
 def convergence_samples(
-    specimen: Specimen, problem: Problem, centre: Array | None = None, near: int = 3, far: int = 4
+    specimen: Specimen, problem: Problem, centre: Array | None = None, near: int = 2, far: int = 3
 ) -> Samples:
     """A centre, neighbours within 30 % of its constants, and sets all over the prior box.
 

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from cpam_bayes.affine import AffineMatrix, AffineOperator, DenseBlock, DenseOperator
 from cpam_bayes.model import PlateModel, Prediction, training_sets
 from cpam_bayes.modes import Spectrum, solve
+from cpam_bayes.parameters import ParameterSet
 
 Array = NDArray[Any]
 
@@ -77,6 +78,15 @@ class ReducedModel:
     def n_modes(self) -> int:
         """Number of modes predicted."""
         return self.full.n_modes
+
+    @property
+    def parameters(self) -> ParameterSet:
+        """The parameters that vary, in the order of the vectors."""
+        return self.full.parameters
+
+    def admissible(self, x: Array) -> Array:
+        """Whether parameter vectors (m, n) satisfy the constraints (9), (m,) bool."""
+        return self.full.admissible(x)
 
     def predict(self, x: Array, *, jacobian: bool = False) -> Prediction:
         """Frequencies at parameter vectors (m, n) and, if asked, their derivatives."""

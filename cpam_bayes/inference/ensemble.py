@@ -1,0 +1,343 @@
+"""Affine-invariant ensemble sampling by emcee, started from the particle swarm.
+
+Independent ensembles run side by side in rounds. After every round the chains are looked at:
+sampling ends when the ensembles agree (R-hat) and hold enough effective samples, or at a budget.
+Every finished round is a file of its own in the store, written under another name and renamed, so
+that a run that was killed at any moment goes on from its last round, bit for bit as if nothing had
+happened.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cpam_bayes.inference.laplace import GaussianPicture, optimise, prior_sd
+from cpam_bayes.posterior import NOISE, Posterior
+
+Array = NDArray[Any]
+
+
+class StoreError(ValueError):
+    """A store that cannot be used: of another problem, damaged, or not to be written."""
+
+
+@dataclass(frozen=True, slots=True)
+class EnsembleSettings:
+    """How long to sample.
+
+    ensembles, walkers : independent ensembles and walkers in each. round_steps : steps between two
+    looks at the chains. r_hat, effective : what ends the sampling. most_steps : the budget.
+    """
+
+    ensembles: int = 2
+    walkers: int = 40
+    round_steps: int = 500
+    r_hat: float = 1.01
+    effective: float = 1000.0
+    most_steps: int = 20_000
+
+
+DEFAULT_SETTINGS = EnsembleSettings()
+
+
+@dataclass(frozen=True, slots=True)
+class Diagnostics:
+    """State of the chains, the worst over the parameters."""
+
+    r_hat: float
+    ess_bulk: float
+    autocorrelation_time: float
+    converged: bool
+    steps: int
+    burn_in: int
+
+
+@dataclass(frozen=True, slots=True)
+class EnsembleResult:
+    """Chains of all ensembles after burn-in.
+
+    chain : (ensembles, steps, walkers, n). log_prob : (ensembles, steps, walkers).
+    """
+
+    chain: Array
+    log_prob: Array
+    diagnostics: Diagnostics
+    status: Literal["converged", "budget"]
+
+    @property
+    def draws(self) -> Array:
+        """All draws in one list, (n_draws, n)."""
+        return self.chain.reshape(-1, self.chain.shape[-1])
+
+
+def start_positions(
+    posterior: Posterior, swarm: Array, values: Array, n: int, rng: np.random.Generator
+) -> Array:
+    """Walker positions about the optima that a swarm found, (n, n_parameters).
+
+    The swarm's distinct personal bests, the best first, are carried to optima of the posterior. From
+    each optimum that is not hopeless walkers are drawn along the data's own covariance, as many as
+    its height and volume deserve: a collapsed swarm gives no degenerate ensemble. Raises
+    ``ValueError`` where no particle is in the support of the prior.
+
+    swarm : (m, n_plate) personal bests; values : (m,) their misfits.
+    """
+    optima = _optima(posterior, swarm, values)
+    height = np.array([o.log_prob + 0.5 * np.linalg.slogdet(o.covariance)[1] for o in optima])
+    weight = np.exp(height - height.max())
+    chosen = rng.choice(len(optima), size=n, p=weight / weight.sum())
+    found = np.empty((n, posterior.parameters.size))
+    for i, k in enumerate(chosen):
+        factor = np.linalg.cholesky(optima[k].covariance)
+        widen = 1.0
+        while True:
+            x = optima[k].optimum + widen * factor @ rng.standard_normal(len(factor))
+            if np.isfinite(posterior.log_prob(x[None])[0]):
+                break
+            widen = max(0.9 * widen, 1e-3)  # at a bound most of the Gaussian lies outside
+        found[i] = x
+    return found
+
+
+def _optima(posterior: Posterior, swarm: Array, values: Array, most: int = 4) -> list[GaussianPicture]:
+    """Distinct optima next to the best and most different personal bests of a swarm."""
+    parameters = posterior.parameters
+    order = np.argsort(values, kind="stable")
+    order = order[np.isfinite(values[order])]
+    scale = prior_sd(posterior)
+    starts: list[Array] = []
+    for i in order:
+        x = np.clip(swarm[i], parameters.lower[: swarm.shape[1]], parameters.upper[: swarm.shape[1]])
+        if posterior.noise_is_inferred:
+            x = np.append(x, _noise_of(posterior, x))
+        far = all(np.linalg.norm((x - s) / scale) > 0.3 for s in starts)
+        if far and np.isfinite(posterior.log_prob(x[None])[0]):
+            starts.append(x)
+        if len(starts) == most:
+            break
+    if not starts:
+        raise ValueError(
+            "chains cannot start: no particle of the swarm is within the bounds and the constraints (9)"
+        )
+    return [optimise(posterior, x) for x in starts]
+
+
+def _noise_of(posterior: Posterior, x: Array) -> float:
+    """Relative noise that the residuals at a particle suggest, within its prior's bounds."""
+    f = posterior.measurement.frequencies
+    predicted = posterior.model.predict(x[None]).frequencies[0]
+    nearest = predicted[np.abs(predicted[None, :] - f[:, None]).argmin(axis=1)]
+    paired = predicted[: len(f)] if posterior.measurement.complete else nearest
+    rms = float(np.sqrt(np.mean((paired / f - 1.0) ** 2)))
+    prior = posterior.parameters[NOISE].prior
+    return float(np.clip(rms, 2 * prior.lower, 0.5 * prior.upper))
+
+
+def problem_hash(posterior: Posterior, start: Array, settings: EnsembleSettings, seed: int) -> str:
+    """Hash of what a chain depends on: names, priors, data, probabilities of the start, settings, seed."""
+    own = posterior.measurement
+    digest = hashlib.sha256()
+    parts = [
+        posterior.parameters.names,
+        [repr(p.prior) for p in posterior.parameters.parameters],
+        own.frequencies.tolist(),
+        own.resolution,
+        own.relative_std,
+        None if own.frequency_sd is None else own.frequency_sd.tolist(),
+        own.complete,
+        posterior.degrees_of_freedom,
+        [settings.ensembles, settings.walkers, settings.round_steps],
+        seed,
+    ]
+    digest.update(json.dumps(parts).encode())
+    digest.update(np.ascontiguousarray(start).tobytes())
+    digest.update(np.ascontiguousarray(posterior.log_prob(start.reshape(-1, start.shape[-1]))).tobytes())
+    return digest.hexdigest()[:32]
+
+
+def sample(
+    posterior: Posterior,
+    start: Array,
+    seed: int,
+    settings: EnsembleSettings = DEFAULT_SETTINGS,
+    *,
+    store: Path | None = None,
+    progress: Callable[[Diagnostics], None] = lambda diagnostics: None,
+) -> EnsembleResult:
+    """Sample a posterior until the ensembles agree or the budget ends.
+
+    start : (ensembles, walkers, n). store : a directory for the rounds; one that holds rounds of the
+    same problem is gone on with, one of another problem raises ``StoreError``. ``progress`` is told
+    the diagnostics after each round.
+
+    Moves: differential evolution (ter Braak, 2006), nine in ten with the usual factor, one in ten
+    with factor 1, which jumps between separate optima. They mixed two to three times as well as the
+    stretch move on the posteriors of B1, C1, A1 and D3.
+    """
+    key = problem_hash(posterior, start, settings, seed)
+    rounds = _Rounds(store, key) if store is not None else None
+    samplers = [_sampler(posterior, settings) for _ in range(settings.ensembles)]
+    states = [_state(start[e], posterior, seed, e) for e in range(settings.ensembles)]
+    chains: list[Array] = []
+    log_probs: list[Array] = []
+    while True:
+        i = len(chains)
+        stored = rounds.read(i) if rounds is not None else None
+        if stored is None:
+            pieces = [
+                _advance(s, state, settings.round_steps) for s, state in zip(samplers, states, strict=True)
+            ]
+            chain, log_prob = (np.stack([p[k] for p in pieces]) for k in (0, 1))
+            states = [p[2] for p in pieces]
+            if rounds is not None:
+                rounds.write(i, chain, log_prob, states)
+        else:
+            chain, log_prob, states = stored
+        chains.append(chain)
+        log_probs.append(log_prob)
+        found = diagnose_chains(np.concatenate(chains, axis=1), settings)
+        progress(found)
+        if found.converged or found.steps >= settings.most_steps:
+            return EnsembleResult(
+                np.concatenate(chains, axis=1)[:, found.burn_in :],
+                np.concatenate(log_probs, axis=1)[:, found.burn_in :],
+                found,
+                "converged" if found.converged else "budget",
+            )
+
+
+def diagnose_chains(chain: Array, settings: EnsembleSettings) -> Diagnostics:
+    """Convergence of chains (ensembles, steps, walkers, n), the worst over the parameters.
+
+    R-hat is that of the split halves of whole ensembles: walkers of one ensemble are not independent
+    (Gelman and Rubin, 1992; Vehtari et al., 2021, without rank normalisation). The effective
+    number of samples is the number of draws over the integrated autocorrelation time (Goodman and
+    Weare, 2010), whose first five are left out as burn-in.
+    """
+    from emcee.autocorr import integrated_time
+
+    steps = chain.shape[1]
+    half = chain[:, steps // 2 :]
+    tau = np.max([integrated_time(e, tol=0, quiet=True) for e in half], axis=0)
+    worst = float(np.max(tau)) if np.all(np.isfinite(tau)) else float(steps)
+    burn_in = min(int(np.ceil(5.0 * worst)), steps // 2)
+    kept = chain[:, burn_in:]
+    n_draws = kept.shape[0] * kept.shape[1] * kept.shape[2]
+    r_hat = float(np.max(_split_r_hat(kept)))
+    ess = n_draws / worst
+    # an autocorrelation time is known once the chain is fifty of them long
+    long_enough = kept.shape[1] >= 50.0 * worst
+    converged = bool(long_enough and r_hat <= settings.r_hat and ess >= settings.effective)
+    return Diagnostics(r_hat, ess, worst, converged, steps, burn_in)
+
+
+def _split_r_hat(chain: Array) -> Array:
+    """R-hat of every parameter over the halves of ensembles, (n,)."""
+    n_ensembles, steps, walkers, n = chain.shape
+    half = steps // 2
+    parts = chain[:, : 2 * half].reshape(n_ensembles * 2, half * walkers, n)
+    within = parts.var(axis=1, ddof=1).mean(axis=0)
+    between = parts.mean(axis=1).var(axis=0, ddof=1)
+    return np.asarray(np.sqrt(1.0 + between / within))
+
+
+def _sampler(posterior: Posterior, settings: EnsembleSettings) -> Any:
+    import emcee
+
+    moves = [(emcee.moves.DEMove(), 0.9), (emcee.moves.DEMove(gamma0=1.0), 0.1)]
+    n = posterior.parameters.size
+    return emcee.EnsembleSampler(settings.walkers, n, posterior.log_prob, moves=moves, vectorize=True)
+
+
+def _state(start: Array, posterior: Posterior, seed: int, ensemble: int) -> Any:
+    import emcee
+
+    words = np.random.SeedSequence([seed, ensemble]).generate_state(624)
+    random_state = np.random.RandomState(words).get_state()
+    return emcee.State(start, log_prob=posterior.log_prob(start), random_state=random_state)
+
+
+def _advance(sampler: Any, state: Any, steps: int) -> tuple[Array, Array, Any]:
+    """One round of one ensemble: chain (steps, walkers, n), log probabilities, final state."""
+    sampler.reset()
+    end = sampler.run_mcmc(state, steps, skip_initial_state_check=True)
+    return sampler.get_chain().copy(), sampler.get_log_prob().copy(), end
+
+
+class _Rounds:
+    """Finished rounds of one problem in a directory, a file each."""
+
+    def __init__(self, directory: Path, key: str) -> None:
+        self.directory, self.key = directory, key
+        try:
+            directory.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise StoreError(f"store {directory}: cannot be made: {error.strerror}") from error
+
+    def path(self, i: int) -> Path:
+        return self.directory / f"round_{i:04d}.h5"
+
+    def read(self, i: int) -> tuple[Array, Array, list[Any]] | None:
+        """A stored round, or ``None`` if it was not finished."""
+        import emcee
+        import h5py
+
+        path = self.path(i)
+        if not path.exists():
+            return None
+        try:
+            with h5py.File(path, "r") as file:
+                if file.attrs.get("problem") != self.key:
+                    raise StoreError(
+                        f"store {path}: holds another problem (plate, priors, data, settings or seed "
+                        "differ); choose another directory or remove it"
+                    )
+                chain, log_prob = file["chain"][:], file["log_prob"][:]
+                states = [
+                    emcee.State(
+                        chain[e, -1],
+                        log_prob=log_prob[e, -1],
+                        random_state=(
+                            "MT19937",
+                            file["random_keys"][e],
+                            int(file["random_position"][e]),
+                            int(file["random_has_gauss"][e]),
+                            float(file["random_gauss"][e]),
+                        ),
+                    )
+                    for e in range(len(chain))
+                ]
+        except (OSError, KeyError) as error:
+            raise StoreError(
+                f"store {path}: is damaged or no HDF5 file of this package; remove it to sample that "
+                "round again"
+            ) from error
+        return chain, log_prob, states
+
+    def write(self, i: int, chain: Array, log_prob: Array, states: list[Any]) -> None:
+        import h5py
+
+        path = self.path(i)
+        part = path.with_suffix(".part")
+        try:
+            with h5py.File(part, "w") as file:
+                file.attrs["problem"] = self.key
+                file["chain"], file["log_prob"] = chain, log_prob
+                random = [s.random_state for s in states]
+                file["random_keys"] = np.stack([r[1] for r in random])
+                for k, name in ((2, "position"), (3, "has_gauss"), (4, "gauss")):
+                    file[f"random_{name}"] = np.array([r[k] for r in random])
+            part.replace(path)
+        except OSError as error:
+            part.unlink(missing_ok=True)
+            raise StoreError(
+                f"store {path}: cannot be written ({error}); the rounds before it are kept"
+            ) from error
