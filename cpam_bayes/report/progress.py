@@ -6,10 +6,22 @@ import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 
-__all__ = ["announce", "progress"]
+__all__ = ["Progress", "announce", "progress"]
 
 _LINES = 10
+
+
+@dataclass(frozen=True, slots=True)
+class Progress:
+    """What a work tells while it runs.
+
+    tick : (iteration, best misfit). notify : what begins that takes long.
+    """
+
+    tick: Callable[[int, float], None]
+    notify: Callable[[str], None]
 
 
 def announce(text: str, quiet: bool) -> None:
@@ -21,51 +33,49 @@ def announce(text: str, quiet: bool) -> None:
 @contextmanager
 def progress(
     description: str, total: int, quiet: bool, described: Callable[[float], str]
-) -> Iterator[Callable[[int, float], None]]:
-    """Yield a function (iteration, best misfit) to be called as the work goes on.
+) -> Iterator[Progress]:
+    """Show the progress of a work until it ends.
 
     total : the budget of iterations, which a search need not use. described : the misfit in words.
     """
     if quiet or sys.stderr is None:
-        yield lambda iteration, best: None
+        yield Progress(lambda iteration, best: None, lambda text: None)
     elif sys.stderr.isatty() and os.environ.get("TERM") not in {None, "dumb", "unknown"}:
         yield from _bar(description, total, described)
     else:
         yield _lines(description, total, described)
 
 
-def _lines(description: str, total: int, described: Callable[[float], str]) -> Callable[[int, float], None]:
+def _lines(description: str, total: int, described: Callable[[float], str]) -> Progress:
     step = max(1, total // _LINES)
-    announce(f"{description}: the plate model first, then up to {total} iterations", False)
+    announce(f"{description}: up to {total} iterations", False)
 
     def tick(iteration: int, best: float) -> None:
         if iteration % step == 0:
             announce(f"{description}: iteration {iteration} of {total}, {described(best)}", False)
 
-    return tick
+    return Progress(tick, lambda text: announce(f"{description}: {text}", False))
 
 
-def _bar(
-    description: str, total: int, described: Callable[[float], str]
-) -> Iterator[Callable[[int, float], None]]:
+def _bar(description: str, total: int, described: Callable[[float], str]) -> Iterator[Progress]:
     from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+    from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
+    from rich.progress import Progress as Bar
 
     columns = (
         TextColumn("{task.description}", markup=False),
         BarColumn(),
-        TextColumn("{task.fields[best]}", markup=False),
+        TextColumn("{task.fields[what]}", markup=False),
         TimeElapsedColumn(),
     )
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task(description, total=None, best="plate model")
+    with Bar(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(description, total=None, what="plate model")
 
         def tick(iteration: int, best: float) -> None:
-            bar.update(
-                task,
-                total=total,
-                completed=iteration,
-                best=f"iteration {iteration} of {total}, {described(best)}",
-            )
+            what = f"iteration {iteration} of {total}, {described(best)}"
+            bar.update(task, total=total, completed=iteration, what=what)
 
-        yield tick
+        def notify(text: str) -> None:
+            bar.update(task, total=None, what=text)
+
+        yield Progress(tick, notify)

@@ -17,11 +17,14 @@ __all__ = ["error_warning", "noise_sentence", "verdict_sentences", "warnings_of"
 _SHARE_OF_NOISE = 0.2
 # ... or, where the noise is not known, more than this share of a frequency.
 _LARGE_ERROR = 1e-3
+# A residual beyond this share of a frequency is no scatter of a measurement any more.
+_POOR_FIT = 0.05
 
 
 def warnings_of(result: Identification) -> tuple[str, ...]:
     """Everything that is a reason not to trust the numbers as they stand."""
     found = list(result.warnings)
+    found += _poor_fit(result)
     if result.swarm.status == "budget":
         found.append(result.swarm.message)
     limit = _SHARE_OF_NOISE * result.noise if math.isfinite(result.noise) else _LARGE_ERROR
@@ -65,7 +68,7 @@ def _verdict(result: Identification, constant: ConstantEstimate) -> str:
         shown = f"{to_user(name, value):g} {user_name(name).removeprefix(name).strip('_')}".strip()
         return (
             f"{name} sits on its {constant.bound} bound, {shown}: the bound decided, not the "
-            "frequencies. Its sd does not hold there; the other constants follow the bound too."
+            "frequencies. Its sd does not hold there, and the other constants depend on the bound."
         )
     share = 100 * constant.sd / result.specimen.unknowns[name].prior.sd
     spread = f"its sd is {share:.0f} % of that of the search interval"
@@ -90,6 +93,21 @@ def noise_sentence(result: Identification) -> str:
         f"{level}, inferred from the residuals ({measurement.size} frequencies less "
         f"{len(result.constants)} unknowns: {freedom} left over){rounding}"
     )
+
+
+def _poor_fit(result: Identification) -> list[str]:
+    measurement = result.specimen.measurement
+    assert measurement is not None
+    predicted = np.array([mode.frequency for mode in result.predicted])
+    relative = predicted / measurement.frequencies - 1.0
+    worst = int(np.argmax(np.abs(relative)))
+    if abs(relative[worst]) <= _POOR_FIT:
+        return []
+    return [
+        f"the prediction of mode {worst + 1} is {100 * relative[worst]:+.1f} % off: even with its best "
+        "constants the model does not describe this list; do not trust them before the plate, the "
+        "edges and the order and completeness of the frequencies are checked"
+    ]
 
 
 def _other_labels(result: Identification) -> list[str]:
