@@ -31,9 +31,16 @@ def identify_by_swarm(specimen: Specimen, args: argparse.Namespace) -> Answer:
     def described(value: float) -> str:
         return f"rms misfit {factor * math.sqrt(value / n):.4g} {unit}"
 
-    with progress(f"identify {specimen.name}", settings.iterations, args.quiet, described) as tick:
+    with progress(f"identify {specimen.name}", settings.iterations, args.quiet, described) as shown:
         try:
-            result = identify(specimen, args.seed, settings=settings, residual=args.residuals, progress=tick)
+            result = identify(
+                specimen,
+                args.seed,
+                settings=settings,
+                residual=args.residuals,
+                progress=shown.tick,
+                notify=shown.notify,
+            )
         except RigidBodyError as error:
             raise solver_failure(specimen, error) from error
     warnings = warnings_of(result)

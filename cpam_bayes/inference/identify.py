@@ -15,7 +15,7 @@ from cpam_bayes.elasticity import complete_constants
 from cpam_bayes.inference.pso import SwarmResult, SwarmSettings, initial_swarm, minimise
 from cpam_bayes.laminate import flexural_constants
 from cpam_bayes.measurement import Measurement, Specimen
-from cpam_bayes.model import PlateModel, discretisation_error, plate_problem
+from cpam_bayes.model import discretisation_error, plate_problem
 from cpam_bayes.parameters import ParameterSet
 from cpam_bayes.reduced import ReducedModel
 from cpam_bayes.shapes import Mode
@@ -62,7 +62,7 @@ class Identification:
     predicted : one mode for each measured frequency. rms : root mean square of the relative
     residuals. noise : relative standard deviation used for the linearised ones, the file's or, where
     that is left out, the residuals' own. error : (n_modes,) estimated relative error of the solver
-    at the answer. laminate : flexural stiffness and constants, SI.
+    at the answer. laminate : flexural stiffness and constants, SI. model : what the swarm ran on.
     """
 
     specimen: Specimen
@@ -73,6 +73,7 @@ class Identification:
     noise_is_inferred: bool
     error: Array
     laminate: Mapping[str, float]
+    model: ReducedModel
     swarm: SwarmResult
     seconds: float
     warnings: tuple[str, ...]
@@ -107,7 +108,7 @@ def identify(
     feasible.
     """
     start = time.perf_counter()
-    measurement, unknowns = _required(specimen)
+    measurement, unknowns = required(specimen)
     isotropic = specimen.material.isotropic
     settings = settings or SwarmSettings()
     known = tuple((k, v) for k, v in specimen.material.constants.items() if k not in unknowns)
@@ -131,14 +132,15 @@ def identify(
             break
         notify("the answer is far from the reference constants: converging the plate model there")
         centre = swarm.best
-    return summarise(specimen, model.full, replace(swarm, evaluations=solves), error, residual, start)
+    return summarise(specimen, model, replace(swarm, evaluations=solves), error, residual, start)
 
 
 def _objective(model: ReducedModel, measurement: Measurement, residual: Residual) -> Callable[[Array], Array]:
     return lambda x: misfit(model.predict(x).frequencies, measurement.frequencies, residual)
 
 
-def _required(specimen: Specimen) -> tuple[Measurement, ParameterSet]:
+def required(specimen: Specimen) -> tuple[Measurement, ParameterSet]:
+    """Measured frequencies and unknowns of a specimen; ``ValueError`` if it lacks either."""
     if specimen.measurement is None:
         raise ValueError(f"{specimen.source}: [measurement] is missing, nothing to identify from")
     if not specimen.unknowns.size:
@@ -148,16 +150,16 @@ def _required(specimen: Specimen) -> tuple[Measurement, ParameterSet]:
 
 def summarise(
     specimen: Specimen,
-    model: PlateModel,
+    model: ReducedModel,
     swarm: SwarmResult,
     error: Array,
     residual: Residual,
     start: float,
 ) -> Identification:
     """What an engineer needs to know about the swarm's best particle."""
-    measurement, unknowns = _required(specimen)
+    measurement, unknowns = required(specimen)
     best = swarm.best
-    prediction = model.predict(best, jacobian=True)
+    prediction = model.full.predict(best, jacobian=True)
     predicted = prediction.frequencies[0]
     relative = predicted / measurement.frequencies - 1.0
     rms = float(np.sqrt(np.mean(relative**2)))
@@ -173,12 +175,13 @@ def summarise(
     return Identification(
         specimen=specimen,
         constants=estimates,
-        predicted=model.modes(best),
+        predicted=model.full.modes(best),
         rms=rms,
         noise=noise,
         noise_is_inferred=inferred,
         error=error,
         laminate=flexural_constants(np.real(state.stiffness()), float(state.thickness)),
+        model=model,
         swarm=swarm,
         seconds=time.perf_counter() - start,
         warnings=_warnings(measurement, predicted, unknowns.size),

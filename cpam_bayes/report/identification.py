@@ -92,7 +92,7 @@ def _fit(result: Identification) -> Table:
     rows = (
         ("rms residual", f"{significant(100 * result.rms, 3)} %, {significant(rms, 3)} Hz"),
         ("noise", noise_sentence(result)),
-        ("sd", "linearised: this noise alone, as if the plate model had no error"),
+        ("sd", "linearised, from this noise; a systematic error of the plate model is not in it"),
         (
             "solver",
             f"error at most {significant(100 * float(np.max(result.error)), 2)} % of a frequency, "

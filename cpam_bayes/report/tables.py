@@ -88,6 +88,8 @@ def _terminal_text(tables: tuple[Table, ...]) -> str:
     )
     for table in tables:
         console.print(_rich_table(table))
+        if table.headings is None:  # the others end with an empty line of their own
+            console.print()
     return sheet.getvalue()
 
 
@@ -107,6 +109,4 @@ def _rich_table(table: Table) -> object:
         drawn.add_column(column.heading, justify="right" if column.number else "left", overflow="fold")
     for i, row in enumerate(table.rows):
         drawn.add_row(*row, style="yellow" if i in table.flagged else None)
-    if table.headings is None:
-        drawn.caption = ""
     return drawn
