@@ -35,6 +35,7 @@ from cpam_bayes.reduced import (
     reduce,
 )
 from cpam_bayes.spaces.ritz import RitzSettings
+from cpam_bayes.threads import single_blas_thread
 
 Array = NDArray[Any]
 
@@ -83,6 +84,7 @@ def model_key(
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:32]
 
 
+@single_blas_thread
 def reduced_model(
     specimen: Specimen,
     parameters: ParameterSet,

@@ -19,6 +19,7 @@ from cpam_bayes.parameters import Parameter, ParameterSet, Uniform
 from cpam_bayes.problem import PlateState, Problem, Values, bare_plate
 from cpam_bayes.shapes import Mode, describe_modes
 from cpam_bayes.spaces.ritz import RitzSettings, ritz_space
+from cpam_bayes.threads import single_blas_thread
 
 Array = NDArray[Any]
 
@@ -218,6 +219,7 @@ def convergence_samples(
     return Samples(np.concatenate((found, everywhere)), allowance)
 
 
+@single_blas_thread
 def converged_model(
     specimen: Specimen,
     parameters: ParameterSet,

@@ -19,6 +19,7 @@ from cpam_bayes.model import discretisation_error, plate_problem
 from cpam_bayes.parameters import ParameterSet
 from cpam_bayes.reduced import ReducedModel
 from cpam_bayes.shapes import Mode
+from cpam_bayes.threads import single_blas_thread
 
 Array = NDArray[Any]
 Residual = Literal["absolute", "relative"]
@@ -90,6 +91,7 @@ def misfit(predicted: Array, measured: Array, residual: Residual) -> Array:
     return np.asarray(np.sum(difference**2, axis=-1))
 
 
+@single_blas_thread
 def identify(
     specimen: Specimen,
     seed: int,

@@ -30,6 +30,7 @@ from cpam_bayes.posterior import Posterior, plate_posterior
 from cpam_bayes.reduced import DEFAULT_SETTINGS as REDUCTION
 from cpam_bayes.reduced import ReducedModel
 from cpam_bayes.shapes import Mode
+from cpam_bayes.threads import single_blas_thread
 
 Array = NDArray[Any]
 Verdict = Literal["determined by the data", "determined by data and prior", "determined by the prior"]
@@ -92,6 +93,7 @@ class SampledIdentification:
     seconds: float
 
 
+@single_blas_thread
 def identify_by_sampling(
     specimen: Specimen,
     seed: int,
