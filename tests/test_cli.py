@@ -1,0 +1,482 @@
+"""The command line as a user and a script see it: exit status, standard output, standard error."""
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from cpam_bayes import __version__
+from cpam_bayes.cli import main
+
+SHORT = ("--iterations", "8", "--quiet")  # a few steps of the swarm say all that is asked here
+
+PLATE = """\
+name = "plate 7"
+
+[plate]
+length_mm = 300.0
+width_mm = 280.0
+thickness_mm = 3.0
+density_kg_m3 = 2700.0
+edges = "FFFF"
+
+[material]
+isotropic = true
+E1_GPa = 69.0
+nu12 = 0.33
+
+[unknowns]
+E1_GPa = [10.0, 200.0]
+nu12 = [0.15, 0.4]
+
+[measurement]
+frequencies_hz = [114, 167, 218, 289, 300, 497]
+resolution_hz = 1.0
+"""
+
+
+@pytest.fixture(scope="module")
+def cache(tmp_path_factory):
+    return tmp_path_factory.mktemp("cache")
+
+
+@pytest.fixture(autouse=True)
+def own_cache(cache, monkeypatch):
+    monkeypatch.setenv("CPAM_BAYES_CACHE", str(cache))
+
+
+@pytest.fixture
+def plate_file(tmp_path):
+    """Write a plate file, by default with some words replaced, and return its path."""
+
+    def write(*changes, text=PLATE):
+        for old, new in changes:
+            assert old in text
+            text = text.replace(old, new)
+        path = tmp_path / "plate.toml"
+        path.write_text(text, encoding="utf-8")
+        return str(path)
+
+    return write
+
+
+@pytest.fixture
+def run(capsys):
+    """Run a command in this process: exit status, standard output, standard error."""
+
+    def run_here(*argv):
+        try:
+            status = main(argv)
+        except SystemExit as leaving:
+            status = leaving.code
+        shown = capsys.readouterr()
+        return status, shown.out, shown.err
+
+    return run_here
+
+
+def start(*argv, code=None, **options):
+    """Start the command as a process of its own that listens to interruptions."""
+    how = ("-c", code) if code else ("-m", "cpam_bayes")
+    return subprocess.Popen(
+        [sys.executable, *how, *argv],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        # A shell that starts tests in the background lets its children ignore the signal.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+        **options,
+    )
+
+
+# What is asked for is answered
+
+
+def test_help_and_version_load_neither_numpy_nor_any_other_heavy_library():
+    code = """
+import sys
+sys.argv = ["cpam-bayes", sys.argv[1]]
+from cpam_bayes.__main__ import main
+status = main()
+heavy = {"numpy", "scipy", "pydantic", "rich", "matplotlib"} & set(sys.modules)
+sys.exit(f"status {status}, loaded {heavy}" if status or heavy else 0)
+"""
+    for option in ("--help", "--version"):
+        process = start(option, code=code)
+        out, err = process.communicate(timeout=60)
+        assert (process.returncode, err) == (0, "")
+        assert out.startswith("usage: cpam-bayes" if option == "--help" else "cpam-bayes ")
+
+
+@pytest.mark.parametrize("command", ["plates", "forward", "identify"])
+def test_every_command_explains_itself(run, command):
+    status, out, _ = run(command, "--help")
+    assert status == 0
+    assert all(option in out for option in ("--json", "--seed", "--out", "--quiet", "exit status"))
+
+
+def test_plates_lists_every_specimen_with_its_layup(run):
+    status, out, err = run("plates")
+    assert (status, err) == (0, "")
+    assert re.search(r"^ +D&G +254 x 254 x 3.16 +isotropic +FFFF +aluminium", out, re.M)
+    assert re.search(r"C1 +260 x 260 x 3.2 +\[\(0/90\)_8\]_s, 32 plies +FFFF .* 6 +thin", out)
+    assert re.search(r"D3 +.*CFFF .* 10 +thick", out)
+
+
+def test_plates_as_json_has_a_key_with_all_of_them(run):
+    plates = json.loads(run("plates", "--json")[1])["plates"]
+    assert len(plates) == 17
+    assert {"name", "length_mm", "layup", "edges", "material", "frequencies"} <= set(plates[0])
+
+
+def test_forward_as_json_has_the_keys_of_the_contract(run):
+    status, out, err = run("forward", "A1", "--json", "--quiet", "--modes", "4")
+    document = json.loads(out)
+    assert (status, err) == (0, "")
+    assert len(document["modes"]) == 4
+    first = document["modes"][0]
+    assert (first["kind"], first["label"]) == ("bending", "(1,1)")
+    assert first["frequency_hz"] == pytest.approx(114, rel=0.05)
+    assert 0 < document["relative_error_estimate"] < 2e-4
+    assert document["version"] == __version__
+
+
+def test_forward_computes_as_many_modes_as_were_measured(run, plate_file):
+    path = plate_file(("218, 289, 300, 497", "218"))
+    assert len(json.loads(run("forward", path, "--json")[1])["modes"]) == 3
+
+
+def test_forward_says_what_it_computed_with_and_how_exactly(run):
+    status, out, err = run("forward", "A1", "--modes", "8")
+    assert status == 0
+    assert "8 modes" in err
+    assert "vacuum, no air in the model" in out
+    assert re.search(r"error +at most 0\.0\d+ % of a frequency, estimated", out)
+    assert re.search(r"1 +11\d\.\d+ +bending +\(1,1\) +114 +[-+]\d", out)
+    assert re.search(r"G12 +25.9398 +GPa +eq. \(11\)", out)
+
+
+def test_identify_as_json_has_the_keys_of_the_contract(run):
+    status, out, err = run("identify", "A1", "--json", *SHORT)
+    document = json.loads(out)
+    assert status == 0
+    assert set(document["constants"]) == {"E1_GPa", "nu12"}
+    constant = document["constants"]["E1_GPa"]
+    assert {"value", "sd", "lower", "upper", "verdict", "reference"} <= set(constant)
+    assert (constant["lower"], constant["upper"], constant["reference"]) == (10.0, 200.0, 69.0)
+    assert len(document["frequencies"]) == 6
+    for row in document["frequencies"]:
+        assert row["kind"] == "bending"
+        ratio = row["predicted_hz"] / row["measured_hz"]
+        assert row["residual_percent"] == pytest.approx(100 * (ratio - 1), abs=1e-9)
+    assert {"D11", "D12", "D22", "D66", "D16", "D26", "Ex_GPa"} <= set(document["laminate"])
+    assert document["forward_solves"] > 0
+    assert document["seconds"] > 0
+    assert document["relative_error_estimate"] < 1e-3
+    assert (document["status"], document["seed"]) == ("budget", 0)
+    assert "budget" in document["message"]
+    assert document["warnings"]
+    assert all(f"warning: {warning}" in err for warning in document["warnings"])
+
+
+def test_the_same_seed_gives_the_same_document_and_another_seed_another(run):
+    first, again, other = (
+        json.loads(run("identify", "A1", "--json", "--seed", seed, *SHORT)[1]) for seed in "334"
+    )
+    for document in (first, again):
+        document.pop("seconds")
+    assert first == again
+    assert first["constants"] != other["constants"]
+
+
+def test_relative_residuals_and_the_size_of_the_swarm_are_options(run):
+    argv = ("identify", "A1", "--json", "--residuals", "relative", "--particles", "7", *SHORT)
+    document = json.loads(run(*argv)[1])
+    assert document["residuals"] == "relative"
+    assert document["forward_solves"] <= 7 * 9
+
+
+def test_progress_is_a_line_now_and_then_and_none_with_quiet(run):
+    _, _, err = run("identify", "A1", "--iterations", "40")
+    lines = [line for line in err.splitlines() if "iteration " in line]
+    assert 5 <= len(lines) <= 12
+    assert "rms misfit" in lines[0]
+    assert "\x1b" not in err
+    assert "iteration " not in run("identify", "A1", "--iterations", "40", "--quiet")[2]
+
+
+# What does not hold is said
+
+
+def test_no_more_frequencies_than_unknowns_is_answered_with_the_bounds_decide(run, plate_file):
+    path = plate_file(("[114, 167, 218, 289, 300, 497]", "[114]"))
+    status, out, err = run("identify", path, *SHORT)
+    assert status == 0
+    assert "the bounds decide" in out
+    assert "the bounds decide" in err
+    assert "No standard deviations" in out
+    document = json.loads(run("identify", path, "--json", *SHORT)[1])
+    assert document["constants"]["E1_GPa"]["sd"] is None
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("thickness_mm = 3.0", "thickness_mm = 30.0"),
+        ("thickness_mm = 3.0", "thickness_mm = 0.3"),
+        ("density_kg_m3 = 2700.0", "density_kg_m3 = 2.7"),
+    ],
+)
+@pytest.mark.parametrize("command", ["forward", "identify"])
+def test_a_slip_of_units_is_suspected(run, plate_file, command, old, new):
+    argv = [command, plate_file((old, new)), "--quiet"]
+    status, out, err = run(*argv, *(SHORT[:2] if command == "identify" else ()))
+    assert status == 0
+    assert re.search(r"times the measured one.*check the units", err)
+    assert "times the measured one" in out
+
+
+def test_a_fit_that_misses_a_frequency_is_not_to_be_trusted(run, plate_file):
+    path = plate_file(("[114, 167, 218", "[114, 130, 218"))
+    assert re.search(r"mode 2 is \+\d\d\.\d % off: .*do not trust", run("identify", path, *SHORT)[2])
+
+
+def test_what_the_swarm_leaves_aside_is_said(run, plate_file):
+    path = plate_file(
+        ("[material]\n", "[plate.sd]\nthickness_mm = 0.02\n\n[material]\n"),
+        ("nu12 = [0.15, 0.4]", "nu12 = { mean = 0.33, sd = 0.02, bounds = [0.15, 0.4] }"),
+        ("resolution_hz = 1.0", 'resolution_hz = 1.0\nlabels = ["(2,0)", "", "", "", "", ""]'),
+    )
+    err = run("identify", path, *SHORT)[2]
+    assert "[plate.sd] is not used by the swarm" in err
+    assert "mean and sd of nu12" in err
+    assert "labelled (2,0) in the plate file, the model's mode 1 is (1,1)" in err
+
+
+# Bad input: exit status 2, one message, nothing on standard output
+
+
+def refused(answer, *fragments):
+    status, out, err = answer
+    assert (status, out) == (2, "")
+    assert "Traceback" not in err
+    assert err.count("error: ") == 1
+    for fragment in fragments:
+        assert fragment in err
+
+
+BAD_FILES = {
+    "NaN": (("3.0", "nan"), ":6: plate.thickness_mm: not a finite number"),
+    "infinity": (("2700.0", "inf"), ":7: plate.density_kg_m3: not a finite number"),
+    "zero": (("300.0", "0.0"), ":4: plate.length_mm: out of range"),
+    "negative": (("280.0", "-280.0"), ":5: plate.width_mm: out of range, received -280.0"),
+    "in metres, the other way": (("3.0", "3000"), ":6: plate.thickness_mm: not a plate"),
+    "unknown key": (("edges", "edgs"), ":8: plate.edgs: unknown key, the nearest known key is edges"),
+    "descending": (("218, 289", "289, 218"), "measurement.frequencies_hz item 4: descending"),
+    "impossible": (("nu12 = 0.33", "nu12 = 0.99"), ":13: material"),
+    "layup": (('edges = "FFFF"', 'edges = "FFFF"\nlayup = "[0/9x]"'), "(character 5)\n"),
+    "million plies": (('edges = "FFFF"', 'edges = "FFFF"\nlayup = "[0_1000000]"'), "plate.layup"),
+    "invalid TOML": (("[plate]", "[plate"), ":3: file: not valid TOML"),
+    "air": (
+        ("[measurement]", "[environment]\nair_density_kg_m3 = 1.2\n[measurement]"),
+        "environment.air_density_kg_m3: received 1.2, this version computes plates in vacuum only",
+    ),
+    "unknown angles": (
+        ('edges = "FFFF"', 'edges = "FFFF"\nlayup = "[?/0]_s"'),
+        "plate.layup: received [?/0]_s, 1 of its angles are unknown; a known layup is needed",
+    ),
+    "far too thin": (("3.0", "0.003"), "plate.thickness_mm: received 0.003, 1/93333 of the shorter side"),
+}
+
+
+@pytest.mark.parametrize("command", ["forward", "identify"])
+@pytest.mark.parametrize(("change", "message"), BAD_FILES.values(), ids=BAD_FILES)
+def test_a_bad_plate_file_is_refused_with_file_line_and_key(run, plate_file, command, change, message):
+    path = plate_file(change)
+    answer = run(command, path, "--json", "--quiet")
+    if message.startswith((":1: ", ":3: ")) or "unknown key" not in message:
+        refused(answer, path, message)
+    else:  # the key that is then missing is a problem of its own
+        status, out, err = answer
+        assert (status, out) == (2, "")
+        assert f"{path}{message}" in err
+
+
+def test_an_impossible_path_is_refused(run, tmp_path):
+    refused(run("identify", str(tmp_path / "none.toml")), "neither a file nor a built-in")
+    refused(run("identify", "C5"), "C5: neither a file nor a built-in specimen, the nearest", "C4")
+    refused(run("forward", str(tmp_path)), str(tmp_path), "a directory")
+    binary = tmp_path / "binary.toml"
+    binary.write_bytes(bytes(range(256)))
+    refused(run("forward", str(binary)), "binary.toml", "a binary file")
+    huge = tmp_path / "huge.toml"
+    with open(huge, "wb") as file:
+        file.truncate(10**9)
+    refused(run("identify", str(huge)), "huge.toml", "too large")
+
+
+def test_a_mesh_is_refused_as_long_as_it_is_not_computed(run, plate_file, tmp_path):
+    (tmp_path / "plate.msh").write_text("")
+    path = plate_file(('edges = "FFFF"', 'edges = "FFFF"\nmesh = "plate.msh"'))
+    refused(run("forward", path), "plate.mesh", "rectangular plates only")
+
+
+def test_a_list_with_gaps_can_be_computed_but_not_identified(run, plate_file):
+    path = plate_file(("resolution_hz = 1.0", "complete = false"))
+    refused(run("identify", path), "measurement.complete: received false")
+    assert run("forward", path, "--modes", "2", "--quiet")[0] == 0
+
+
+@pytest.mark.parametrize("table", ["unknowns", "measurement"])
+def test_nothing_to_identify_is_refused(run, plate_file, table):
+    text = re.sub(rf"\[{table}\]\n(.+\n)+", "", PLATE)
+    refused(run("identify", plate_file(text=text), "--quiet"), f"[{table}] is missing")
+
+
+@pytest.mark.parametrize(
+    ("argv", "fragment"),
+    [
+        (["forward", "A1", "--modes", "0"], "received '0', accepted: a whole number from 1 to 100"),
+        (["forward", "A1", "--modes", "101"], "accepted: a whole number from 1 to 100"),
+        (["forward", "A1", "--modes", "9" * 10**5], "accepted: a whole number from 1 to 100"),
+        (["forward", "A1", "--solver", "abaqus"], "invalid choice: 'abaqus'"),
+        (["identify", "A1", "--backend", "annealing"], "invalid choice: 'annealing'"),
+        (["identify", "A1", "--seed", "-1"], "--seed"),
+        (["identify", "A1", "--particles", "2.5"], "whole number from 5"),
+        (["identify", "A1", "--iter", "3"], "unrecognized arguments"),
+        (["identify"], "PLATE"),
+        (["guess", "A1"], "guess"),
+        ([], "COMMAND"),
+    ],
+)
+def test_a_bad_option_is_refused_with_what_is_accepted(run, argv, fragment):
+    refused(run(*argv), fragment)
+
+
+def test_an_unexpected_error_is_not_taken_for_bad_input(monkeypatch):
+    def fail(name):
+        raise KeyError(name)
+
+    monkeypatch.setattr("cpam_bayes.commands.plates.builtin", fail)
+    with pytest.raises(KeyError):
+        main(["plates"])
+
+
+# Result files
+
+
+def test_identify_writes_its_document_and_figures(run, tmp_path):
+    out = tmp_path / "new" / "results"
+    status, text, _ = run("identify", "A1", "--json", "--out", str(out), *SHORT)
+    assert status == 0
+    names = ("predicted_against_measured", "residuals")
+    expected = {"identify.json"} | {f"figures/{n}.{end}" for n in names for end in ("png", "svg")}
+    assert {str(p.relative_to(out)) for p in out.rglob("*") if p.is_file()} == expected
+    assert list(out.glob(".*")) == []
+    assert (out / "identify.json").read_text(encoding="utf-8") == text
+
+
+def test_forward_writes_the_mode_shapes(run, tmp_path):
+    assert run("forward", "A1", "--modes", "2", "--out", str(tmp_path), "--quiet")[0] == 0
+    assert (tmp_path / "figures" / "modes.png").read_bytes().startswith(b"\x89PNG")
+    assert "<svg" in (tmp_path / "figures" / "modes.svg").read_text(encoding="utf-8")
+    assert len(json.loads((tmp_path / "forward.json").read_text())["modes"]) == 2
+
+
+@pytest.mark.parametrize("below", ["", "deeper"])
+def test_a_file_in_the_place_of_the_directory_is_refused_before_the_work(run, tmp_path, below, monkeypatch):
+    def never(*args, **kwargs):
+        raise AssertionError("the work has begun")
+
+    monkeypatch.setattr("cpam_bayes.commands.solvers.converged_model", never)
+    taken = tmp_path / "taken"
+    taken.write_text("mine")
+    refused(run("forward", "A1", "--out", str(taken / below)), "--out", "taken")
+    assert taken.read_text() == "mine"
+
+
+def test_a_failed_run_leaves_no_directory(run, plate_file, tmp_path):
+    path = plate_file(("3.0", "0.003"))
+    refused(run("forward", path, "--quiet", "--out", str(tmp_path / "a" / "b")), "too thin")
+    assert not (tmp_path / "a").exists()
+
+
+def test_an_answer_that_cannot_be_saved_is_shown_all_the_same(run, tmp_path, monkeypatch):
+    def full(*args):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("cpam_bayes.report.figures.save_figures", full)
+    out = tmp_path / "out"
+    argv = ("forward", "A1", "--modes", "1", "--json", "--quiet", "--out", str(out))
+    status, text, err = run(*argv)
+    assert status == 1
+    assert json.loads(text)["modes"]
+    assert "No space left" in err
+    assert not out.exists()
+
+
+# Interruptions
+
+
+@pytest.mark.parametrize("line", ["up to 100000 iterations", "iteration 0 of 100000"])
+def test_an_interrupted_run_ends_with_130_one_line_and_no_files(line, tmp_path):
+    out = tmp_path / "out"
+    argv = ("identify", "A1", "--particles", "10000", "--iterations", "100000", "--out", str(out))
+    process = start(*argv)
+    for said in process.stderr:
+        if line in said:
+            break
+    process.send_signal(signal.SIGINT)
+    rest, err = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert rest == ""
+    assert "Traceback" not in err
+    assert err.splitlines()[-1] == "cpam-bayes: interrupted"
+    assert not out.exists()
+
+
+def test_an_interruption_while_libraries_load_ends_with_130():
+    code = """
+import os, signal, sys
+
+class Interrupt:
+    def find_spec(self, name, path=None, target=None):
+        if name == "numpy.linalg":
+            os.kill(os.getpid(), signal.SIGINT)
+
+sys.meta_path.insert(0, Interrupt())
+from cpam_bayes.__main__ import main
+sys.exit(main())
+"""
+    process = start("identify", "A1", code=code)
+    out, err = process.communicate(timeout=60)
+    assert (process.returncode, out, err) == (130, "", "cpam-bayes: interrupted\n")
+
+
+def test_a_reader_that_leaves_early_is_no_error():
+    read, write = os.pipe()
+    os.close(read)
+    process = subprocess.run(
+        [sys.executable, "-m", "cpam_bayes", "plates"],
+        stdout=write,
+        stderr=subprocess.PIPE,
+        timeout=60,
+        check=False,
+    )
+    os.close(write)
+    assert (process.returncode, process.stderr) == (0, b"")
+
+
+def test_the_command_gives_each_library_one_thread_unless_told_otherwise():
+    code = "import os, cpam_bayes.__main__; print(os.environ['OPENBLAS_NUM_THREADS'])"
+    for given, expected in ((None, "1"), ("3", "3")):
+        own = {k: v for k, v in os.environ.items() if k != "OPENBLAS_NUM_THREADS"}
+        if given:
+            own["OPENBLAS_NUM_THREADS"] = given
+        out, _ = start(code=code, env=own, cwd=Path(__file__).parent.parent).communicate(timeout=60)
+        assert out.strip() == expected
