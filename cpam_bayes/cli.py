@@ -114,7 +114,10 @@ def _parser() -> argparse.ArgumentParser:
     identify = _command(commands, "identify", "constants from the measured frequencies")
     identify.add_argument("plate", metavar="PLATE", help="built-in specimen or path of a plate file")
     identify.add_argument(
-        "--backend", choices=tuple(BACKENDS), default="pso", help="pso: the paper's particle swarm"
+        "--backend",
+        choices=tuple(BACKENDS),
+        default="pso",
+        help="pso: the paper's particle swarm; emcee: the posterior, sampled from that swarm on",
     )
     identify.add_argument(
         "--residuals",
@@ -133,6 +136,17 @@ def _parser() -> argparse.ArgumentParser:
         type=_whole(1, 100_000),
         metavar="N",
         help="budget of the swarm, 1 to 100000 iterations (default: 400)",
+    )
+    identify.add_argument(
+        "--steps",
+        type=_whole(1, 10_000_000),
+        metavar="N",
+        help="emcee: budget of the chains in steps (default: 20000)",
+    )
+    identify.add_argument(
+        "--store",
+        metavar="DIR",
+        help="emcee: keep finished rounds in DIR; the same command goes on from there",
     )
     return parser
 

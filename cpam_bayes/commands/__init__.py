@@ -14,6 +14,7 @@ SOLVERS: Final = {
 
 BACKENDS: Final = {
     "pso": "cpam_bayes.commands.swarm:identify_by_swarm",
+    "emcee": "cpam_bayes.commands.ensemble:identify_by_ensembles",
 }
 """Name of a back end -> the function (specimen, args) -> Answer."""
 

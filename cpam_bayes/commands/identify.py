@@ -14,5 +14,7 @@ from cpam_bayes.report.answer import Answer
 
 def prepare(args: argparse.Namespace) -> Callable[[], Answer]:
     """Read the plate and load the back end; return the work."""
-    specimen = require_paired_list(require_supported(read_specimen(args.plate)))
+    specimen = require_supported(read_specimen(args.plate))
+    if args.backend == "pso":
+        require_paired_list(specimen)
     return partial(load(BACKENDS[args.backend]), specimen, args)

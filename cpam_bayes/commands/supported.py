@@ -55,7 +55,7 @@ def solver_failure(specimen: Specimen, error: RigidBodyError) -> ValueError:
         return error
     return PlateFileError(
         f"{specimen.source}: plate.thickness_mm: received {plate.thickness * 1e3:g}, 1/{ratio:.0f} "
-        f"of the shorter side, too thin for the plate solver; check the unit ({error})"
+        f"of the shorter side, too thin for the plate solver; check its unit"
     )
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cpam_bayes.cache import reduced_model
+from cpam_bayes.elasticity import complete_constants
 from cpam_bayes.inference.ensemble import (
     DEFAULT_SETTINGS,
     Diagnostics,
@@ -223,8 +224,13 @@ def _marginal(specimen: Specimen, posterior: Posterior, i: int, draws: Array) ->
         at_lower=float(np.mean(draws < prior.lower + touch)),
         at_upper=float(np.mean(draws > prior.upper - touch)),
         verdict=verdict,
-        reference=float(specimen.material.constants.get(parameter.name, np.nan)),
+        reference=_reference(specimen, parameter.name),
     )
+
+
+def _reference(specimen: Specimen, name: str) -> float:
+    material = specimen.material
+    return float(complete_constants(material.constants, material.isotropic).get(name, np.nan))
 
 
 def _predictive_p_value(

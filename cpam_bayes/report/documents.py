@@ -13,7 +13,7 @@ from cpam_bayes import __version__
 from cpam_bayes.inference.identify import Identification
 from cpam_bayes.measurement import Specimen, to_user, user_name
 
-__all__ = ["identification_document", "json_text", "plate_keys"]
+__all__ = ["identification_document", "json_text", "laminate_unit", "plate_keys"]
 
 _ENGINEERING_GPA = ("Ex", "Ey", "Gxy")
 
@@ -89,11 +89,13 @@ def identification_document(
 
 def laminate_keys(laminate: Mapping[str, float]) -> dict[str, dict[str, float]]:
     """D11 to D26 in N m, Ex, Ey, Gxy in GPa by name, nuxy."""
-    keys = {}
-    for name, value in laminate.items():
-        gpa = name in _ENGINEERING_GPA
-        keys[f"{name}_GPa" if gpa else name] = {"value": value / 1e9 if gpa else value}
-    return keys
+    units = {name: laminate_unit(name) for name in laminate}
+    return {key: {"value": laminate[name] * factor} for name, (key, factor) in units.items()}
+
+
+def laminate_unit(name: str) -> tuple[str, float]:
+    """Key of a laminate constant in documents, with its unit, and the factor from SI."""
+    return (f"{name}_GPa", 1e-9) if name in _ENGINEERING_GPA else (name, 1.0)
 
 
 def _plain(value: Any) -> Any:

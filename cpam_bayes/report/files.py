@@ -29,6 +29,8 @@ def staging(out: str | None) -> Iterator[Stage | None]:
     if out is None:
         yield None
         return
+    if not out:
+        raise ValueError("--out: received an empty name, accepted: a directory")
     directory = Path(out)
     made = _made(directory)
     draft = _draft(directory, made)

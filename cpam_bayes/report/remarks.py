@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from cpam_bayes.inference.identify import ConstantEstimate, Identification
+from cpam_bayes.inference.identify import SUSPICIOUS_RATIO, ConstantEstimate, Identification
 from cpam_bayes.measurement import Specimen, to_user, user_name
 from cpam_bayes.priors import TruncatedNormal
 from cpam_bayes.report.numbers import significant
@@ -101,7 +101,9 @@ def _poor_fit(result: Identification) -> list[str]:
     predicted = np.array([mode.frequency for mode in result.predicted])
     relative = predicted / measurement.frequencies - 1.0
     worst = int(np.argmax(np.abs(relative)))
-    if abs(relative[worst]) <= _POOR_FIT:
+    # Beyond this ratio the units are suspected, which `identify` says itself.
+    off_by_units = abs(np.log1p(relative[worst])) > np.log(SUSPICIOUS_RATIO)
+    if off_by_units or abs(relative[worst]) <= _POOR_FIT:
         return []
     return [
         f"the prediction of mode {worst + 1} is {100 * relative[worst]:+.1f} % off: even with its best "

@@ -1,0 +1,53 @@
+"""`identify --backend emcee`: the ensembles, their progress, and their answer."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import replace
+from pathlib import Path
+
+from cpam_bayes.commands.supported import solver_failure
+from cpam_bayes.inference.ensemble import DEFAULT_SETTINGS, Diagnostics
+from cpam_bayes.inference.sampled import identify_by_sampling
+from cpam_bayes.measurement import Specimen
+from cpam_bayes.modes import RigidBodyError
+from cpam_bayes.report.answer import Answer
+from cpam_bayes.report.progress import progress
+from cpam_bayes.report.sampled import sampled_document, sampled_screen, sampled_warnings
+
+NOT_CONVERGED = 1
+
+
+def identify_by_ensembles(specimen: Specimen, args: argparse.Namespace) -> Answer:
+    """Sample the posterior of a specimen's constants with the options of the command line."""
+    settings = replace(DEFAULT_SETTINGS, most_steps=args.steps or DEFAULT_SETTINGS.most_steps)
+    latest: list[Diagnostics] = []
+
+    def described(r_hat: float) -> str:
+        return f"R-hat {r_hat:.4f}, {latest[-1].ess_bulk:.0f} effective samples"
+
+    with progress(f"identify {specimen.name}", settings.most_steps, args.quiet, described) as bar:
+
+        def tell(diagnostics: Diagnostics) -> None:
+            latest.append(diagnostics)
+            bar.tick(diagnostics.steps, diagnostics.r_hat)
+
+        try:
+            result = identify_by_sampling(
+                specimen,
+                args.seed,
+                settings=settings,
+                store=None if args.store is None else Path(args.store),
+                notify=bar.notify,
+                progress=tell,
+            )
+        except RigidBodyError as error:
+            raise solver_failure(specimen, error) from error
+    warnings = sampled_warnings(result)
+    return Answer(
+        "identify",
+        sampled_document(result, args.seed, warnings),
+        sampled_screen(result, args.seed, warnings),
+        warnings,
+        status=0 if result.result.status == "converged" else NOT_CONVERGED,
+    )
