@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from cpam_bayes.commands.supported import solver_failure
 from cpam_bayes.inference.ensemble import DEFAULT_SETTINGS, Diagnostics
-from cpam_bayes.inference.sampled import identify_by_sampling
+from cpam_bayes.inference.sampled import SampledIdentification, identify_by_sampling
 from cpam_bayes.measurement import Specimen
 from cpam_bayes.modes import RigidBodyError
-from cpam_bayes.report.answer import Answer
+from cpam_bayes.report.answer import Answer, Figures
 from cpam_bayes.report.progress import progress
 from cpam_bayes.report.sampled import sampled_document, sampled_screen, sampled_warnings
 
@@ -49,5 +50,19 @@ def identify_by_ensembles(specimen: Specimen, args: argparse.Namespace) -> Answe
         sampled_document(result, args.seed, warnings),
         sampled_screen(result, args.seed, warnings),
         warnings,
+        partial(_figures, result),
+        partial(_files, result, args.seed),
         status=0 if result.result.status == "converged" else NOT_CONVERGED,
     )
+
+
+def _figures(result: SampledIdentification) -> Figures:
+    from cpam_bayes.report.posterior_data import posterior_figures
+
+    return posterior_figures(result)
+
+
+def _files(result: SampledIdentification, seed: int, directory: Path) -> None:
+    from cpam_bayes.report.posterior_data import write_posterior
+
+    write_posterior(result, seed, directory)

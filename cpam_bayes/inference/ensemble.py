@@ -141,10 +141,9 @@ def _noise_of(posterior: Posterior, x: Array) -> float:
     return float(np.clip(rms, 2 * prior.lower, 0.5 * prior.upper))
 
 
-def problem_hash(posterior: Posterior, start: Array, settings: EnsembleSettings, seed: int) -> str:
-    """Hash of what a chain depends on: names, priors, data, probabilities of the start, settings, seed."""
+def problem_hash(posterior: Posterior, at: Array) -> str:
+    """Hash of a posterior: names, priors, data and the log probability at some vectors (m, n)."""
     own = posterior.measurement
-    digest = hashlib.sha256()
     parts = [
         posterior.parameters.names,
         [repr(p.prior) for p in posterior.parameters.parameters],
@@ -154,13 +153,21 @@ def problem_hash(posterior: Posterior, start: Array, settings: EnsembleSettings,
         None if own.frequency_sd is None else own.frequency_sd.tolist(),
         own.complete,
         posterior.degrees_of_freedom,
+        posterior.log_prob(at).tolist(),
+    ]
+    return hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:32]
+
+
+def chain_hash(posterior: Posterior, start: Array, settings: EnsembleSettings, seed: int) -> str:
+    """Hash of all that a chain depends on: the posterior, where it starts, settings and seed."""
+    flat = start.reshape(-1, start.shape[-1])
+    parts = [
+        problem_hash(posterior, flat),
+        flat.tolist(),
         [settings.ensembles, settings.walkers, settings.round_steps],
         seed,
     ]
-    digest.update(json.dumps(parts).encode())
-    digest.update(np.ascontiguousarray(start).tobytes())
-    digest.update(np.ascontiguousarray(posterior.log_prob(start.reshape(-1, start.shape[-1]))).tobytes())
-    return digest.hexdigest()[:32]
+    return hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:32]
 
 
 def sample(
@@ -182,7 +189,7 @@ def sample(
     with factor 1, which jumps between separate optima. They mixed two to three times as well as the
     stretch move on the posteriors of B1, C1, A1 and D3.
     """
-    key = problem_hash(posterior, start, settings, seed)
+    key = chain_hash(posterior, start, settings, seed)
     rounds = _Rounds(store, key) if store is not None else None
     samplers = [_sampler(posterior, settings) for _ in range(settings.ensembles)]
     states = [_state(start[e], posterior, seed, e) for e in range(settings.ensembles)]

@@ -42,7 +42,7 @@ def staging(out: str | None) -> Iterator[Stage | None]:
 
 
 def save(answer: Answer, stage: Stage | None) -> None:
-    """Write NAME.json and the figures as PNG and SVG; raise ``OSError`` where that fails."""
+    """Write NAME.json, the figures as PNG and SVG, other files; raise ``OSError`` where that fails."""
     if stage is None:
         return
     directory, draft = stage
@@ -52,6 +52,7 @@ def save(answer: Answer, stage: Stage | None) -> None:
 
         (draft / _FIGURES).mkdir()
         save_figures(figures, draft / _FIGURES)
+    answer.files(draft)
     (draft / f"{answer.name}.json").write_text(json_text(answer.document), encoding="utf-8")
     written = sorted(path for path in draft.rglob("*") if path.is_file())
     for path in written:
