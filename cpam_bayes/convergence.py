@@ -42,7 +42,9 @@ _THICK_RATIO = 1 / 40
 # Shorter side over thickness beyond which double precision is not enough.
 _THINNEST = 600.0
 # Edge exponentials, from few to many: (exponentials at each edge, carried by all bending fields).
-_LAYERS = ((1, False), (1, True), (2, True), (3, True))
+_UNCOUPLED_LAYERS = ((1, False), (2, False), (3, False))
+_COUPLED_LAYERS = ((1, False), (1, True), (2, True), (3, True))
+_MOST_LAYERS = 3
 _MOST_CORNER_LAYERS = 3
 
 
@@ -158,7 +160,8 @@ def _grow(
     """
     n_modes = reference.shape[1]
     start = 7 + int(np.sqrt(n_modes) / 2)
-    current, level = RitzSettings(start, start, *_LAYERS[0]), 0
+    ladder = _COUPLED_LAYERS if rich.coupled else _UNCOUPLED_LAYERS
+    current, level = RitzSettings(start, start, *ladder[0]), 0
     errors = (_sampled_frequencies(problem, samples, current, n_modes) / reference - 1.0) / allowed
     hardest = int(np.argmax(errors.max(axis=1)))
     sample = {name: np.atleast_1d(values)[[hardest]] for name, values in samples.items()}
@@ -174,8 +177,8 @@ def _grow(
             choices.append((replace(current, degree_x=current.degree_x + 2), level))
         if current.degree_y < rich.degree_y:
             choices.append((replace(current, degree_y=current.degree_y + 2), level))
-        if level + 1 < len(_LAYERS) and _LAYERS[level + 1] <= (rich.layers, rich.coupled):
-            layers, coupled = _LAYERS[level + 1]
+        if level + 1 < len(ladder) and ladder[level + 1][0] <= rich.layers:
+            layers, coupled = ladder[level + 1]
             choices.append((replace(current, layers=layers, coupled=coupled), level + 1))
         if current.corner_layers < rich.corner_layers:
             more_corner = replace(current, corner_layers=current.corner_layers + 1)
@@ -213,9 +216,8 @@ def _rich(
     stiffness = np.abs(problem.state(samples).stiffness()).reshape(-1, 8, 8).max(axis=0)
     orthotropic = np.max(stiffness[[0, 3, 1, 4], [2, 5, 2, 5]]) <= 1e-9 * stiffness[3, 3]
     clamped = "C" in problem.edges
-    layers, coupled = (1, False) if orthotropic and not clamped else (2, True)
     degree = 10 + int(np.sqrt(n_modes))
-    settings = RitzSettings(degree, degree, layers, coupled, 2 if clamped else 0)
+    settings = RitzSettings(degree, degree, 2, clamped or not orthotropic, 2 if clamped else 0)
     eye = np.eye(_count(samples))
     while True:
         space = ritz_space(problem.edges, problem.nominal, settings)
@@ -225,13 +227,12 @@ def _rich(
             solve(restricted(operator, _without_highest(space, axis)), eye, eye, n_modes).frequencies
             for axis in (0, 1)
         ]
-        if settings.coupled:
-            fewer = replace(
-                settings,
-                layers=settings.layers - 1,
-                corner_layers=max(settings.corner_layers - 1, 0),
-            )
-            less.append(_sampled_frequencies(problem, samples, fewer, n_modes))
+        fewer = replace(
+            settings,
+            layers=settings.layers - 1,
+            corner_layers=max(settings.corner_layers - 1, 0),
+        )
+        less.append(_sampled_frequencies(problem, samples, fewer, n_modes))
         error = [np.maximum(f / spectrum.frequencies - 1.0, 0.0) for f in less]
         wanting = [bool(np.max(e / allowed) > tolerance.rich) for e in error]
         grown = _grown(settings, wanting, tolerance)
@@ -259,11 +260,11 @@ def _grown(settings: RitzSettings, wanting: list[bool], tolerance: Tolerance) ->
     """Settings with more of what is wanting: polynomials in x, in y, exponentials; or the same."""
     degree_x, degree_y = (
         min(n + 3, max(tolerance.largest_degree, n)) if more else n
-        for n, more in zip((settings.degree_x, settings.degree_y), wanting, strict=False)
+        for n, more in zip((settings.degree_x, settings.degree_y), wanting[:2], strict=True)
     )
     layers, corner_layers = settings.layers, settings.corner_layers
-    if len(wanting) > 2 and wanting[2]:
-        layers = min(layers + 1, _LAYERS[-1][0])
+    if wanting[2]:
+        layers = min(layers + 1, _MOST_LAYERS)
         corner_layers = min(corner_layers + 1, _MOST_CORNER_LAYERS) if corner_layers else 0
     return replace(
         settings,

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
+from numpy.polynomial.legendre import legvander
 from numpy.typing import NDArray
 
 from cpam_bayes.affine import AffineOperator
@@ -21,6 +22,11 @@ PURE = 0.1
 # A second separable part this large beside the first makes a mode a combination, as on square plates.
 COMBINED = 0.5
 _GRID = 41
+# Highest Legendre polynomial that a label may name.
+_HIGHEST = 16
+_DISPLACEMENTS: tuple[Field, ...] = ("u", "v", "w")
+Extent = tuple[tuple[float, float], tuple[float, float]]
+UNIT_SQUARE: Extent = ((0.0, 1.0), (0.0, 1.0))
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,28 +59,67 @@ def mode_kind(share: float) -> Kind:
     return "in-plane" if share > 1.0 - PURE else "coupled"
 
 
-def shape_on_grid(
-    operator: AffineOperator[Any, Any], spectrum: Spectrum, mode: int, field: Field, n: int = _GRID
+def grid_points(extent: Extent = UNIT_SQUARE, n: int = _GRID) -> Array:
+    """Points of an n x n grid in reference coordinates, (n * n, 2), x the slower."""
+    x, y = (np.linspace(low, high, n) for low, high in extent)
+    return np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
+
+
+def shapes_on_grid(
+    operator: AffineOperator[Any, Any],
+    spectrum: Spectrum,
+    extent: Extent = UNIT_SQUARE,
+    n: int = _GRID,
 ) -> Array:
-    """A field of one mode of the first parameter set on an n x n grid of the plate, (n, n)."""
-    b, vector = spectrum.vector(0, mode)
+    """u, v and w of the modes of the first parameter set on a grid, (n_modes, 3, n, n).
+
+    extent : least and greatest x, and y, of the grid in reference coordinates.
+    """
     sizes = [operator.space.dimension(f) for f in FIELDS]
-    whole = np.zeros(sum(sizes))
-    whole[operator.blocks[b].index] = vector
-    start = int(np.sum(sizes[: FIELDS.index(field)]))
-    t = np.linspace(0.0, 1.0, n)
-    points = np.stack(np.meshgrid(t, t, indexing="ij"), axis=-1).reshape(-1, 2)
+    vectors = np.zeros((spectrum.eigenvalues.shape[1], sum(sizes)))
+    for mode, whole in enumerate(vectors):
+        b, vector = spectrum.vector(0, mode)
+        whole[operator.blocks[b].index] = vector
+    points = grid_points(extent, n)
     rule = Quadrature(Region("point"), points, np.ones(len(points)))
-    values = operator.space.evaluate(field, rule, "")
-    return np.asarray(values @ whole[start : start + operator.space.dimension(field)]).reshape(n, n)
+    found = np.empty((len(vectors), len(_DISPLACEMENTS), n, n))
+    for k, field in enumerate(_DISPLACEMENTS):
+        start = int(np.sum(sizes[: FIELDS.index(field)]))
+        own = vectors[:, start : start + operator.space.dimension(field)]
+        found[:, k] = (operator.space.evaluate(field, rule, "") @ own.T).T.reshape(-1, n, n)
+    return found
 
 
 def label_of_shape(values: Array, edges: str, field: Field) -> str:
-    """Label of a shape given on a regular grid (nx, ny), from its leading separable parts."""
+    """Label of a shape given on a regular grid (nx, ny), from its leading parts.
+
+    A plate that is free all round has parts P_m(x) P_n(y), Legendre polynomials, which look like its
+    modes and tell a ring, f(x) + f(y), from a product; other plates have the leading separable parts.
+    """
+    free = all(field not in HELD[e][axis] for e, axis in zip(edges, "xyxy", strict=True))
+    parts = _legendre_parts(values) if free else _separable_parts(values, edges, field)
+    (largest, first), (second, other) = parts
+    names = {first, other} if second > COMBINED * largest else {first}
+    return "+".join(sorted((f"({m},{n})" for m, n in names), reverse=True))
+
+
+def _legendre_parts(values: Array) -> list[tuple[float, tuple[int, int]]]:
+    """The two largest coefficients of a shape in products of Legendre polynomials, with their degrees."""
+    v_x, v_y = (
+        legvander(np.linspace(-1.0, 1.0, n), _HIGHEST) * np.sqrt(2 * np.arange(_HIGHEST + 1) + 1)
+        for n in values.shape
+    )
+    c = np.abs(np.linalg.pinv(v_x) @ values @ np.linalg.pinv(v_y).T)
+    order = np.argsort(c, axis=None)[::-1][:2]
+    degrees = np.stack(np.unravel_index(order, c.shape), axis=1)
+    return [(float(c[m, n]), (int(m), int(n))) for m, n in degrees]
+
+
+def _separable_parts(values: Array, edges: str, field: Field) -> list[tuple[float, tuple[int, int]]]:
+    """The two leading singular parts of a shape, with their nodal lines or half-waves."""
     left, sigma, right = np.linalg.svd(values)
-    parts = 2 if sigma[1] > COMBINED * sigma[0] else 1
-    names = []
-    for i in range(parts):
+    found = []
+    for i in range(2):
         counts = []
         for profile, ends, axis in (
             (left[:, i], (edges[0], edges[2]), "x"),
@@ -82,8 +127,8 @@ def label_of_shape(values: Array, edges: str, field: Field) -> str:
         ):
             held = all(field in HELD[e][axis] for e in ends)
             counts.append(_sign_changes(profile) + int(held))
-        names.append(f"({counts[0]},{counts[1]})")
-    return "+".join(sorted(set(names), reverse=True))
+        found.append((float(sigma[i]), (counts[0], counts[1])))
+    return found
 
 
 def _sign_changes(profile: Array) -> int:
@@ -91,18 +136,21 @@ def _sign_changes(profile: Array) -> int:
     return int(np.count_nonzero(np.diff(signs)))
 
 
-def describe_modes(operator: AffineOperator[Any, Any], spectrum: Spectrum, mass: Array) -> tuple[Mode, ...]:
+def describe_modes(
+    operator: AffineOperator[Any, Any], spectrum: Spectrum, mass: Array, extent: Extent = UNIT_SQUARE
+) -> tuple[Mode, ...]:
     """Frequency, kind and label of every mode of the first parameter set.
 
     The label of an in-plane mode is that of its larger displacement, named before it: "u(1,0)".
+    extent : as of ``shapes_on_grid``, where the plate is no rectangle.
     """
     shares = in_plane_share(operator, spectrum, mass)[0]
     modes = []
-    for i, share in enumerate(shares):
+    for i, (share, shape) in enumerate(zip(shares, shapes_on_grid(operator, spectrum, extent), strict=True)):
+        own = dict(zip(_DISPLACEMENTS, shape, strict=True))
         fields: tuple[Field, ...] = MEMBRANE_FIELDS if share > 0.5 else ("w",)
-        shapes = {f: shape_on_grid(operator, spectrum, i, f) for f in fields}
-        field = max(shapes, key=lambda f: float(np.sum(shapes[f] ** 2)))
-        label = label_of_shape(shapes[field], operator.problem.edges, field)
+        field = max(fields, key=lambda f: float(np.sum(own[f] ** 2)))
+        label = label_of_shape(own[field], operator.problem.edges, field)
         modes.append(
             Mode(
                 frequency=float(spectrum.frequencies[0, i]),

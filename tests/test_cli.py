@@ -13,6 +13,7 @@ import pytest
 from cpam_bayes import __version__
 from cpam_bayes.cli import main
 
+PROJECT = Path(__file__).parent.parent
 SHORT = ("--iterations", "8", "--quiet")  # a few steps of the swarm say all that is asked here
 
 PLATE = """\
@@ -88,6 +89,7 @@ def start(*argv, code=None, **options):
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
+        cwd=PROJECT,
         # A shell that starts tests in the background lets its children ignore the signal.
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
         **options,
@@ -228,7 +230,7 @@ def test_no_more_frequencies_than_unknowns_is_answered_with_the_bounds_decide(ru
     ("old", "new"),
     [
         ("thickness_mm = 3.0", "thickness_mm = 30.0"),
-        ("thickness_mm = 3.0", "thickness_mm = 0.3"),
+        ("thickness_mm = 3.0", "thickness_mm = 0.5"),
         ("density_kg_m3 = 2700.0", "density_kg_m3 = 2.7"),
     ],
 )
@@ -276,7 +278,10 @@ BAD_FILES = {
     "zero": (("300.0", "0.0"), ":4: plate.length_mm: out of range"),
     "negative": (("280.0", "-280.0"), ":5: plate.width_mm: out of range, received -280.0"),
     "in metres, the other way": (("3.0", "3000"), ":6: plate.thickness_mm: not a plate"),
-    "unknown key": (("edges", "edgs"), ":8: plate.edgs: unknown key, the nearest known key is edges"),
+    "unknown key": (
+        ("edges", "width_m = 0.28\nedges"),
+        ":8: plate.width_m: unknown key, the nearest known key is width_mm",
+    ),
     "descending": (("218, 289", "289, 218"), "measurement.frequencies_hz item 4: descending"),
     "impossible": (("nu12 = 0.33", "nu12 = 0.99"), ":13: material"),
     "layup": (('edges = "FFFF"', 'edges = "FFFF"\nlayup = "[0/9x]"'), "(character 5)\n"),
@@ -298,13 +303,7 @@ BAD_FILES = {
 @pytest.mark.parametrize(("change", "message"), BAD_FILES.values(), ids=BAD_FILES)
 def test_a_bad_plate_file_is_refused_with_file_line_and_key(run, plate_file, command, change, message):
     path = plate_file(change)
-    answer = run(command, path, "--json", "--quiet")
-    if message.startswith((":1: ", ":3: ")) or "unknown key" not in message:
-        refused(answer, path, message)
-    else:  # the key that is then missing is a problem of its own
-        status, out, err = answer
-        assert (status, out) == (2, "")
-        assert f"{path}{message}" in err
+    refused(run(command, path, "--json", "--quiet"), f"{path}:", message)
 
 
 def test_an_impossible_path_is_refused(run, tmp_path):
@@ -320,10 +319,10 @@ def test_an_impossible_path_is_refused(run, tmp_path):
     refused(run("identify", str(huge)), "huge.toml", "too large")
 
 
-def test_a_mesh_is_refused_as_long_as_it_is_not_computed(run, plate_file, tmp_path):
+def test_constants_of_a_plate_with_a_mesh_are_refused(run, plate_file, tmp_path):
     (tmp_path / "plate.msh").write_text("")
     path = plate_file(('edges = "FFFF"', 'edges = "FFFF"\nmesh = "plate.msh"'))
-    refused(run("forward", path), "plate.mesh", "rectangular plates only")
+    refused(run("identify", path), "plate.mesh", "rectangular plates only")
 
 
 def test_a_list_with_gaps_can_be_computed_but_not_identified(run, plate_file):
@@ -464,6 +463,7 @@ def test_a_reader_that_leaves_early_is_no_error():
     process = subprocess.run(
         [sys.executable, "-m", "cpam_bayes", "plates"],
         stdout=write,
+        cwd=PROJECT,
         stderr=subprocess.PIPE,
         timeout=60,
         check=False,
@@ -478,5 +478,5 @@ def test_the_command_gives_each_library_one_thread_unless_told_otherwise():
         own = {k: v for k, v in os.environ.items() if k != "OPENBLAS_NUM_THREADS"}
         if given:
             own["OPENBLAS_NUM_THREADS"] = given
-        out, _ = start(code=code, env=own, cwd=Path(__file__).parent.parent).communicate(timeout=60)
+        out, _ = start(code=code, env=own).communicate(timeout=60)
         assert out.strip() == expected

@@ -397,7 +397,6 @@ def test_free_square_has_its_saddle_and_its_pair() -> None:
     assert sorted(labels[3:]) == ["(1,2)", "(2,1)"]
 
 
-@pytest.mark.xfail(strict=True, reason="the leading singular part of a ring is counted as (2,2)")
 def test_ring_of_a_free_square_is_the_sum_of_two_bendings() -> None:
     # w = f(x) + f(y): its nodal line is closed, and (2,2) is the name of a mode twice as high
     found = described(plate(0.3, 0.3, 0.003, 2700.0, ISOTROPIC), 3)

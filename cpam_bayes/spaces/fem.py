@@ -20,7 +20,7 @@ from skfem import CellBasis, ElementQuadS2, MeshQuad1
 from skfem.mapping import MappingIsoparametric
 from skfem.quadrature import get_quadrature
 
-from cpam_bayes.problem import EDGES, FIELDS, HELD, Derivative, Field, PlateState, Region
+from cpam_bayes.problem import AREA, EDGES, FIELDS, HELD, Derivative, Field, PlateState, Region
 from cpam_bayes.spaces.mesh_file import read_mesh
 from cpam_bayes.spaces.protocol import Quadrature
 from cpam_bayes.spaces.ritz import layer_rates
@@ -64,6 +64,25 @@ class FemSpace:
     def n_elements(self) -> int:
         """Number of elements."""
         return int(self.basis.mesh.nelements)
+
+    @property
+    def extent(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Least and greatest x, and y, of the mesh, m."""
+        nodes = self.basis.mesh.doflocs
+        low, high = nodes.min(axis=1), nodes.max(axis=1)
+        x, y = ((float(a * s), float(b * s)) for a, b, s in zip(low, high, self.size, strict=True))
+        return x, y
+
+    @property
+    def area(self) -> float:
+        """Area of the mesh, m2."""
+        return float(self._area(AREA, _FULL).weights.sum()) * self.size[0] * self.size[1]
+
+    def covers(self, points: Array) -> Array:
+        """Whether points (n, 2) in reference coordinates are on the mesh, (n,) bool."""
+        on_mesh = np.zeros(len(points), dtype=bool)
+        on_mesh[self._locate(points)[0]] = True
+        return on_mesh
 
     def dimension(self, field: Field) -> int:
         """Number of trial functions of a field."""
@@ -185,11 +204,7 @@ def fem_space(
     beyond. Raises ``ValueError`` for counts below one.
     """
     size = _size(nominal)
-    longer = max(size)
-    counts = [
-        n if n is not None else max(_SHORTER, round(_LONGER * s / longer))
-        for n, s in zip((nx, ny), size, strict=True)
-    ]
+    counts = [n if n is not None else d for n, d in zip((nx, ny), default_counts(nominal), strict=True)]
     if min(counts) < 1:
         raise ValueError(f"elements along x and y: received {counts}, accepted: 1 or more")
     h = float(np.real(nominal.thickness))
@@ -228,6 +243,13 @@ def fem_space_from_mesh(path: str | Path, edges: str, nominal: PlateState, *, un
                 f"constant {name[0]}; accepted on other lines: F and C"
             )
     return space
+
+
+def default_counts(nominal: PlateState) -> tuple[int, int]:
+    """Elements along x and y that ``fem_space`` takes by itself, before grading."""
+    size = _size(nominal)
+    nx, ny = (max(_SHORTER, round(_LONGER * s / max(size))) for s in size)
+    return nx, ny
 
 
 def _size(nominal: PlateState) -> tuple[float, float]:

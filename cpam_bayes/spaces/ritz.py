@@ -274,6 +274,8 @@ def ritz_space(edges: str, nominal: PlateState, settings: RitzSettings) -> RitzS
         "x": tuple(float(r) for r in s_x * powers * sizes["x"] / h),
         "y": tuple(float(r) for r in s_y * powers * sizes["y"] / h),
     }
+    k = np.real(nominal.stiffness())
+    unsymmetric = np.abs(k[:3, 3:6]).max() > 1e-9 * np.sqrt(np.abs(k[0, 0] * k[3, 3]))
     corner_rates = tuple(8.0 * 4.0**k for k in range(settings.corner_layers))
     degrees = {"x": settings.degree_x, "y": settings.degree_y}
     grids = {axis: graded_quadrature(rates[axis] + corner_rates, degrees[axis]) for axis in "xy"}
@@ -283,9 +285,13 @@ def ritz_space(edges: str, nominal: PlateState, settings: RitzSettings) -> RitzS
         a, b = ends[axis]
         held = (field in HELD[a][axis], field in HELD[b][axis])
         tangential = field == ("phi_y" if axis == "x" else "phi_x")
-        layered = tangential or (settings.coupled and field not in MEMBRANE_FIELDS)
+        if field in MEMBRANE_FIELDS:
+            # where B is not zero, the layer of the twist pulls u and v along
+            its_rates = corner_rates + (rates[axis] if settings.coupled and unsymmetric else ())
+        else:
+            its_rates = rates[axis] if tangential or settings.coupled else ()
         # parity is a symmetry of the plate only if both edges are alike in every field
-        return make_families(degrees[axis], rates[axis] if layered else (), held, a == b, grids[axis])
+        return make_families(degrees[axis], its_rates, held, a == b, grids[axis])
 
     sectors = [
         Sector(field, x, y, np.argwhere(np.ones((x.size, y.size), dtype=bool)))

@@ -1,0 +1,54 @@
+"""Result files appear when all of them are whole, or not at all."""
+
+import pytest
+
+from cpam_bayes.report.answer import Answer
+from cpam_bayes.report.files import save, staging
+
+ANSWER = Answer("forward", {"seconds": 1.0}, ())
+
+
+def listed(directory):
+    return sorted(str(path.relative_to(directory)) for path in directory.rglob("*"))
+
+
+def test_without_a_directory_nothing_is_written(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with staging(None) as stage:
+        save(ANSWER, stage)
+    assert listed(tmp_path) == []
+
+
+def test_an_older_result_is_replaced_and_other_files_stay(tmp_path):
+    (tmp_path / "forward.json").write_text("old")
+    (tmp_path / "notes.txt").write_text("mine")
+    with staging(str(tmp_path)) as stage:
+        assert (tmp_path / "forward.json").read_text() == "old"
+        save(ANSWER, stage)
+    assert listed(tmp_path) == ["forward.json", "notes.txt"]
+    assert "seconds" in (tmp_path / "forward.json").read_text()
+
+
+@pytest.mark.parametrize("end", [KeyboardInterrupt, RuntimeError])
+def test_work_that_ends_early_leaves_everything_as_it_was(tmp_path, end):
+    (tmp_path / "old").mkdir()
+    (tmp_path / "old" / "forward.json").write_text("old")
+    for name in ("old", "new/deep"):
+        with pytest.raises(end), staging(str(tmp_path / name)):
+            raise end
+    assert listed(tmp_path) == ["old", "old/forward.json"]
+
+
+def test_a_file_where_the_figures_go_is_refused_before_the_work(tmp_path):
+    (tmp_path / "figures").write_text("mine")
+    with pytest.raises(ValueError, match="figures is no directory"), staging(str(tmp_path)):
+        raise AssertionError("the work has begun")
+    assert listed(tmp_path) == ["figures"]
+
+
+@pytest.mark.parametrize("name", ["", "a\0b", "x" * 5000])
+def test_an_impossible_directory_is_refused(name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ValueError, match="--out"), staging(name):
+        raise AssertionError("the work has begun")
+    assert listed(tmp_path) == []
