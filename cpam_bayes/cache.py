@@ -40,7 +40,8 @@ from cpam_bayes.threads import single_blas_thread
 Array = NDArray[Any]
 
 # To be raised when the same inputs give other numbers.
-_FORMAT = 1
+_FORMAT = 2
+_NEEDED = {"basis", "keep", "error", "reference", "rounding"}
 
 
 def cache_directory() -> Path:
@@ -106,7 +107,7 @@ def reduced_model(
     path = (directory or cache_directory()) / f"{key}.npz"
     problem = plate_problem(specimen, parameters, shear)
     stored = _read(path)
-    if stored is not None:
+    if stored is not None and _NEEDED <= stored.keys():
         samples = convergence_samples(specimen, problem, centre)
         full = model_on_basis(problem, samples.x, n_modes, stored["error"], _basis(stored))
         return _unpack(stored, full)

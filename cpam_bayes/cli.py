@@ -13,7 +13,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Final
 
 from cpam_bayes import __version__
-from cpam_bayes.commands import BACKENDS, DEFAULT_SEED, MOST_MODES, SOLVERS
+from cpam_bayes.commands import BACKENDS, DEFAULT_SEED, ELEMENTS, MOST_MODES, SOLVERS
 
 if TYPE_CHECKING:
     from cpam_bayes.report.answer import Answer
@@ -67,7 +67,12 @@ def _finish(work: Callable[[], Answer], args: argparse.Namespace) -> int:
         return _refuse(error)
     for warning in answer.warnings:
         print(f"warning: {warning}", file=sys.stderr)
-    _show(answer, args.json)
+    try:
+        _show(answer, args.json)
+    except BrokenPipeError:
+        raise
+    except OSError:  # a full disk, which is said when standard output is closed
+        return NOT_WRITTEN
     if not_saved is not None:
         print(f"error: --out {args.out}: {not_saved}; not all files are there", file=sys.stderr)
         return NOT_WRITTEN
@@ -102,14 +107,38 @@ def _parser() -> argparse.ArgumentParser:
     forward = _command(commands, "forward", "natural frequencies from the reference constants")
     forward.add_argument("plate", metavar="PLATE", help="built-in specimen or path of a plate file")
     forward.add_argument(
-        "--solver", choices=tuple(SOLVERS), default="ritz", help="plate solver (default: ritz)"
+        "--solver",
+        choices=tuple(SOLVERS),
+        help="ritz; fem: finite elements, which also take [plate] mesh; ccx: the program CalculiX "
+        "(default: fem for a plate with a mesh, ritz for the others)",
     )
     forward.add_argument(
-        "--modes",
-        type=_whole(1, MOST_MODES),
-        metavar="N",
-        help=f"number of modes, 1 to {MOST_MODES} (default: as many as were measured, or 10)",
+        "--element",
+        choices=ELEMENTS,
+        help="ccx: brick, 20 nodes, in layers of plies, or shell, 8 nodes (default: brick)",
     )
+    _modes(forward)
+
+    export = _command(commands, "export", "write the plate as an input file of CalculiX and ABAQUS", out=None)
+    export.add_argument("plate", metavar="PLATE", help="built-in specimen or path of a plate file")
+    export.add_argument(
+        "--to", choices=("ccx",), required=True, help="ccx: CalculiX, and ABAQUS reads it too"
+    )
+    export.add_argument(
+        "--element",
+        choices=ELEMENTS,
+        default="shell",
+        help="shell, 8 nodes (S8R), or brick, 20 nodes, in layers of plies (C3D20R) (default: shell)",
+    )
+    _modes(export)
+    export.add_argument(
+        "--out",
+        dest="file",
+        metavar="FILE",
+        help="the file to write, not a directory as of other commands (default: PLATE.inp, here)",
+    )
+    export.add_argument("--force", action="store_true", help="write over a file that is there")
+    export.set_defaults(out=None)
 
     identify = _command(commands, "identify", "constants from the measured frequencies")
     identify.add_argument("plate", metavar="PLATE", help="built-in specimen or path of a plate file")
@@ -151,10 +180,22 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
+def _modes(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "--modes",
+        type=_whole(1, MOST_MODES),
+        metavar="N",
+        help=f"number of modes, 1 to {MOST_MODES} (default: as many as were measured, or 10)",
+    )
+
+
 def _command(
-    commands: argparse._SubParsersAction[argparse.ArgumentParser], name: str, what: str
+    commands: argparse._SubParsersAction[argparse.ArgumentParser],
+    name: str,
+    what: str,
+    out: str | None = "write result files and figures to DIR",
 ) -> argparse.ArgumentParser:
-    """Add a command with the options that all commands have."""
+    """Add a command with the options that all commands have; out : help of `--out DIR`, None for none."""
     parser = commands.add_parser(
         name,
         help=what,
@@ -171,7 +212,8 @@ def _command(
         metavar="N",
         help=f"seed: the same one gives the same answer (default: {DEFAULT_SEED})",
     )
-    parser.add_argument("--out", metavar="DIR", help="write result files and figures to DIR")
+    if out is not None:
+        parser.add_argument("--out", metavar="DIR", help=out)
     parser.add_argument("--quiet", action="store_true", help="no progress on standard error")
     return parser
 

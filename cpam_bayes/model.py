@@ -38,6 +38,13 @@ def angle_parameters(specimen: Specimen) -> ParameterSet:
     return ParameterSet(tuple(Parameter(name, "deg", Uniform(-90.0, 90.0)) for name in names))
 
 
+def reference_constants(specimen: Specimen) -> dict[str, float]:
+    """All six reference constants of a specimen, Pa or dimensionless."""
+    material = specimen.material
+    complete = complete_constants(material.constants, material.isotropic)
+    return {name: float(value) for name, value in complete.items()}
+
+
 def plate_problem(
     specimen: Specimen,
     parameters: ParameterSet = NO_PARAMETERS,

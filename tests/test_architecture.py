@@ -31,6 +31,7 @@ LAYERS = (
     "measurement",
     "calculix",
     "model",
+    "elements",
     "reduced",
     "cache",
     "pairing",

@@ -19,6 +19,7 @@ from cpam_bayes.problem import (
     Field,
     PlateState,
     Problem,
+    Region,
     bare_plate,
     rigid_body_count,
 )
@@ -129,6 +130,23 @@ def test_wrong_edges_are_refused_with_what_is_accepted() -> None:
         with pytest.raises(ValueError, match="expected four of F, S, C") as caught:
             bare_plate(thick().parameters, edges, thick().nominal, thick().state)
         assert repr(edges) in str(caught.value)
+
+
+@pytest.mark.parametrize("edges", ["CFSF", "FSFC", "SCFS"])
+def test_trial_functions_vanish_where_an_edge_holds_them_and_only_there(edges: str) -> None:
+    # S is Navier's support: what turns or moves along the edge is held, what does so across it is not
+    held: dict[str, dict[str, set[str]]] = {
+        "F": {"x": set(), "y": set()},
+        "S": {"x": {"v", "w", "phi_y"}, "y": {"u", "w", "phi_x"}},
+        "C": {"x": set(FIELDS), "y": set(FIELDS)},
+    }
+    space = ritz_space(edges, thick(edges).nominal, RitzSettings(5, 5, 1, True, 1))
+    for name, condition in zip(("x0", "y0", "x1", "y1"), edges, strict=True):
+        rule = space.quadrature(Region("edge", name))
+        assert np.all(rule.points[:, "xy".index(name[0])] == float(name[1]))
+        for field in FIELDS:
+            largest = np.abs(space.evaluate(field, rule, "")).max()
+            assert (largest < 1e-10) == (field in held[condition][name[0]]), (name, field)
 
 
 # Forms

@@ -9,8 +9,13 @@ from typing import Any, Final
 
 SOLVERS: Final = {
     "ritz": "cpam_bayes.commands.solvers:ritz",
+    "fem": "cpam_bayes.commands.elements:fem",
+    "ccx": "cpam_bayes.commands.calculix:ccx",
 }
-"""Name of a solver -> the function (specimen, n_modes) -> ForwardAnswer."""
+"""Name of a solver -> the function (specimen, n_modes) -> ForwardAnswer; ccx also takes element."""
+
+ELEMENTS: Final = ("brick", "shell")
+"""What CalculiX computes with."""
 
 BACKENDS: Final = {
     "pso": "cpam_bayes.commands.swarm:identify_by_swarm",

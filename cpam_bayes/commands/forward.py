@@ -24,18 +24,31 @@ _DEFAULT_MODES = 10
 
 def prepare(args: argparse.Namespace) -> Callable[[], Answer]:
     """Read the plate and load the solver; return the work."""
-    specimen = require_supported(read_specimen(args.plate))
-    return partial(_answer, specimen, load(SOLVERS[args.solver]), args)
+    specimen = read_specimen(args.plate)
+    name = args.solver or ("ritz" if specimen.plate.mesh is None else "fem")
+    advice = f"--solver {name} computes rectangular plates only; use --solver fem"
+    require_supported(specimen, None if name == "fem" else advice)
+    solver = load(SOLVERS[name])
+    if args.element is not None:
+        if name != "ccx":
+            raise ValueError(f"--element: received {args.element}, accepted: with --solver ccx only")
+        solver = partial(solver, element=args.element)
+    return partial(_answer, specimen, name, solver, args)
+
+
+def measured_modes(specimen: Specimen) -> int:
+    """As many modes as were measured, or 10."""
+    return _DEFAULT_MODES if specimen.measurement is None else specimen.measurement.size
 
 
 def _answer(
     specimen: Specimen,
+    name: str,
     solver: Callable[[Specimen, int], ForwardAnswer],
     args: argparse.Namespace,
 ) -> Answer:
-    measured = specimen.measurement
-    n_modes = args.modes or (_DEFAULT_MODES if measured is None else measured.size)
-    announce(f"forward {specimen.name}: {n_modes} modes, solver {args.solver}", args.quiet)
+    n_modes = args.modes or measured_modes(specimen)
+    announce(f"forward {specimen.name}: {n_modes} modes, solver {name}", args.quiet)
     try:
         result = solver(specimen, n_modes)
     except RigidBodyError as error:

@@ -1,4 +1,4 @@
-"""The plate solvers of `forward`, behind one call: (specimen, n_modes) -> ForwardAnswer."""
+"""`forward --solver ritz`, and what solvers of a plate model share."""
 
 from __future__ import annotations
 
@@ -7,26 +7,30 @@ import time
 import numpy as np
 
 from cpam_bayes.measurement import Specimen
-from cpam_bayes.model import NO_PARAMETERS, converged_model
+from cpam_bayes.model import NO_PARAMETERS, PlateModel, converged_model
 from cpam_bayes.report.forward import ForwardAnswer, ModeShape
-from cpam_bayes.shapes import shape_on_grid
+from cpam_bayes.shapes import UNIT_SQUARE, Array, Extent, Mode, describe_modes, shapes_on_grid
 
 
 def ritz(specimen: Specimen, n_modes: int) -> ForwardAnswer:
     """First-order shear deformation theory on a converged Ritz space."""
     start = time.perf_counter()
     model = converged_model(specimen, NO_PARAMETERS, n_modes)
-    reference = np.empty(0)
-    spectrum = model.spectrum(reference, vectors=True)
-    shapes = tuple(
-        ModeShape(*(shape_on_grid(model.operator, spectrum, i, field) for field in ("u", "v", "w")))
-        for i in range(n_modes)
-    )
+    modes, shapes = described(model)
     return ForwardAnswer(
         specimen=specimen,
         solver="Ritz, first-order shear deformation",
-        modes=model.modes(reference),
+        modes=modes,
         error=model.error,
-        shapes=shapes,
+        shapes=tuple(ModeShape(*shape) for shape in shapes),
         seconds=time.perf_counter() - start,
     )
+
+
+def described(model: PlateModel, extent: Extent = UNIT_SQUARE) -> tuple[tuple[Mode, ...], Array]:
+    """Modes of a model without parameters, and their u, v, w on a grid, (n_modes, 3, n, n)."""
+    none = np.empty((1, 0))
+    spectrum = model.spectrum(none, vectors=True)
+    _, mass = model.coefficients(none)
+    modes = describe_modes(model.operator, spectrum, mass, extent)
+    return modes, shapes_on_grid(model.operator, spectrum, extent)

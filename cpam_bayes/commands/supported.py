@@ -12,14 +12,14 @@ __all__ = ["require_paired_list", "require_supported", "solver_failure"]
 _THIN = 300.0
 
 
-def require_supported(specimen: Specimen) -> Specimen:
-    """Return the specimen, or raise `PlateFileError` with all that cannot be computed yet."""
+def require_supported(specimen: Specimen, no_mesh: str | None) -> Specimen:
+    """Return the specimen, or raise `PlateFileError` with all that cannot be computed yet.
+
+    no_mesh : what to say to a plate with a mesh, None where meshes are computed
+    """
     plate, problems = specimen.plate, []
-    if plate.mesh is not None:
-        problems.append(
-            f"plate.mesh: received {plate.mesh}, this version computes rectangular plates only; "
-            "leave mesh out"
-        )
+    if plate.mesh is not None and no_mesh is not None:
+        problems.append(f"plate.mesh: received {plate.mesh}, {no_mesh}")
     if specimen.air_density is not None:
         problems.append(
             f"environment.air_density_kg_m3: received {specimen.air_density:g}, this version "

@@ -43,7 +43,7 @@ def identify_by_swarm(specimen: Specimen, args: argparse.Namespace) -> Answer:
             )
         except RigidBodyError as error:
             raise solver_failure(specimen, error) from error
-    warnings = warnings_of(result)
+    warnings = warnings_of(result, args.residuals)
     return Answer(
         "identify",
         identification_document(result, args.seed, args.backend, args.residuals, warnings),

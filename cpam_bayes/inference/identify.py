@@ -115,7 +115,7 @@ def identify(
     settings = settings or SwarmSettings()
     known = tuple((k, v) for k, v in specimen.material.constants.items() if k not in unknowns)
     centre, solves = None, 0
-    for _ in range(_MOST_MODELS):
+    for attempt in range(1, _MOST_MODELS + 1):
         model = reduced_model(specimen, unknowns, measurement.size, centre=centre, notify=notify)
         rng = np.random.default_rng(seed)
         swarm = minimise(
@@ -130,7 +130,7 @@ def identify(
         )
         solves += swarm.evaluations
         error = discretisation_error(model.full, swarm.best)
-        if error.max() <= _ACCEPTED_ERROR:
+        if error.max() <= _ACCEPTED_ERROR or attempt == _MOST_MODELS:
             break
         notify("the answer is far from the reference constants: converging the plate model there")
         centre = swarm.best

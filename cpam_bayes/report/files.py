@@ -12,7 +12,7 @@ from pathlib import Path
 from cpam_bayes.report.answer import Answer
 from cpam_bayes.report.documents import json_text
 
-__all__ = ["Stage", "save", "staging"]
+__all__ = ["Stage", "check_writable", "save", "staging", "write_whole"]
 
 _FIGURES = "figures"
 
@@ -59,6 +59,31 @@ def save(answer: Answer, stage: Stage | None) -> None:
         target = directory / path.relative_to(draft)
         target.parent.mkdir(exist_ok=True)
         os.replace(path, target)
+
+
+def check_writable(path: Path, force: bool) -> None:
+    """Raise ``ValueError`` where a file cannot be written, or is there and ``force`` is not given."""
+    shown = f"--out {path}"
+    try:
+        if path.is_dir():
+            raise ValueError(f"{shown}: a directory, accepted: the file to write")
+        if os.path.lexists(path) and not force:
+            raise ValueError(f"{shown}: exists; give another name, or --force to write over it")
+        if not path.parent.is_dir():
+            raise ValueError(f"{shown}: {path.parent} is no directory")
+    except OSError as error:
+        raise ValueError(f"{shown}: cannot be written to: {error.strerror}") from None
+
+
+def write_whole(path: Path, text: str) -> None:
+    """Write a file that is there whole or not at all; raise ``ValueError`` where that fails."""
+    try:
+        with tempfile.TemporaryDirectory(prefix=".cpam-bayes-", dir=path.parent) as draft:
+            written = Path(draft, "file")
+            written.write_text(text, encoding="utf-8", newline="\n")
+            os.replace(written, path)
+    except OSError as error:
+        raise ValueError(f"--out {path}: cannot be written to: {error.strerror}") from None
 
 
 def _made(directory: Path) -> list[Path]:

@@ -31,7 +31,10 @@ __all__ = [
 
 @dataclass(frozen=True, slots=True)
 class ModeShape:
-    """Displacements of one mode on a regular grid of the plate, (nx, ny) each, of any scale."""
+    """Displacements of one mode on a regular grid of the plate, (nx, ny) each, of any scale.
+
+    They are NaN off the plate: in a hole, or beyond an oblique edge.
+    """
 
     u: Array
     v: Array
@@ -43,7 +46,8 @@ class ForwardAnswer:
     """Modes of a plate with its reference constants.
 
     solver : in words. error : (n_modes,) estimated relative error of the frequencies, NaN where the
-    solver has no estimate. shapes : one for each mode. seconds : wall clock.
+    solver has no estimate, and no_estimate says why. shapes : one for each mode. seconds : wall
+    clock. extent : m, least and greatest x, and y, of the shapes' grid; None for the rectangle.
     """
 
     specimen: Specimen
@@ -52,6 +56,8 @@ class ForwardAnswer:
     error: Array
     shapes: tuple[ModeShape, ...]
     seconds: float
+    no_estimate: str = ""
+    extent: tuple[tuple[float, float], tuple[float, float]] | None = None
 
 
 def forward_warnings(result: ForwardAnswer) -> tuple[str, ...]:
@@ -92,7 +98,7 @@ def forward_screen(result: ForwardAnswer, warnings: tuple[str, ...]) -> tuple[Ta
         ("solver", result.solver),
         ("error", f"at most {significant(100 * worst, 2)} % of a frequency, estimated")
         if np.isfinite(worst)
-        else ("error", "no estimate"),
+        else ("error", result.no_estimate or "no estimate"),
         ("labels", "nodal lines across x and across y; half-waves between two held edges"),
         ("time", f"{result.seconds:.1f} s"),
     )
@@ -123,6 +129,7 @@ def forward_document(result: ForwardAnswer, seed: int, warnings: tuple[str, ...]
             for mode, error, measured in zip(result.modes, result.error, _measured(result), strict=True)
         ],
         "relative_error_estimate": float(np.max(result.error)),
+        "no_error_estimate": result.no_estimate or None,
         "constants": {
             user_name(name): {"value": to_user(name, value), "source": source}
             for name, value, source in _all_constants(result.specimen)

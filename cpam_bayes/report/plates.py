@@ -20,18 +20,16 @@ _CONDITIONS = {"F": "free", "S": "simply supported", "C": "clamped"}
 def plate_head(title: str, specimen: Specimen) -> Table:
     """What was computed: the plate as the file gives it, and where the file says more."""
     plate = specimen.plate
-    weighed = "from mass_g" if plate.mass is not None else "as given"
     rows = [
         ("source", specimen.source),
         ("size", f"{_size(plate)} mm, {thickness_class(plate)} ({_ratio(plate)})"),
-        (
-            "density",
-            f"{plate.density:.6g} kg/m3 {weighed}, {plate.density * _volume(plate) * 1e3:.5g} g",
-        ),
+        ("density", _density(plate)),
         ("material", specimen.material.name or "not named"),
         ("layup", layup_text(specimen)),
         ("edges", f"{plate.edges}: {edges_text(plate.edges)}"),
     ]
+    if plate.mesh is not None:
+        rows.append(("outline", f"the mesh {plate.mesh}"))
     rows += [
         ("mass", f"{s.mass * 1e3:g} g at x = {s.x * 1e3:g} mm, y = {s.y * 1e3:g} mm")
         for s in specimen.sensors
@@ -138,5 +136,11 @@ def _ratio(plate: Plate) -> str:
     return f"1/{min(plate.length, plate.width) / plate.thickness:.3g}"
 
 
-def _volume(plate: Plate) -> float:
-    return plate.area * plate.thickness
+def _density(plate: Plate) -> str:
+    """Density and, unless only the mesh would tell it, mass."""
+    density = f"{plate.density:.6g} kg/m3"
+    if plate.mass is not None:
+        return f"{density} from mass_g, {plate.mass * 1e3:.5g} g"
+    if plate.mesh is not None:
+        return f"{density} as given"
+    return f"{density} as given, {plate.density * plate.area * plate.thickness * 1e3:.5g} g"

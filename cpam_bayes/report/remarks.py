@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from cpam_bayes.inference.identify import SUSPICIOUS_RATIO, ConstantEstimate, Identification
+from cpam_bayes.inference.identify import SUSPICIOUS_RATIO, ConstantEstimate, Identification, Residual
 from cpam_bayes.measurement import Specimen, to_user, user_name
 from cpam_bayes.priors import TruncatedNormal
 from cpam_bayes.report.numbers import significant
@@ -17,13 +17,19 @@ __all__ = ["error_warning", "noise_sentence", "verdict_sentences", "warnings_of"
 _SHARE_OF_NOISE = 0.2
 # ... or, where the noise is not known, more than this share of a frequency.
 _LARGE_ERROR = 1e-3
+# A search model is good to some 5e-5 of a frequency; beyond this it lacks something.
+_SEARCH_ERROR = 3e-4
 # A residual beyond this share of a frequency is no scatter of a measurement any more.
 _POOR_FIT = 0.05
 
 
-def warnings_of(result: Identification) -> tuple[str, ...]:
-    """Everything that is a reason not to trust the numbers as they stand."""
+def warnings_of(result: Identification, residual: Residual) -> tuple[str, ...]:
+    """Everything that is a reason not to trust the numbers as they stand.
+
+    residual : what the swarm minimised.
+    """
     found = list(result.warnings)
+    found += _other_misfit(result, residual)
     found += _poor_fit(result)
     if result.swarm.status == "budget":
         found.append(result.swarm.message)
@@ -93,6 +99,26 @@ def noise_sentence(result: Identification) -> str:
         f"{level}, inferred from the residuals ({measurement.size} frequencies less "
         f"{len(result.constants)} unknowns: {freedom} left over){rounding}"
     )
+
+
+def _other_misfit(result: Identification, residual: Residual) -> list[str]:
+    """A warning if the swarm saw another misfit at its best than the full plate model has there."""
+    measurement = result.specimen.measurement
+    assert measurement is not None
+    predicted = np.array([mode.frequency for mode in result.predicted])
+    difference = predicted - measurement.frequencies
+    scale = float(np.max(measurement.frequencies))
+    if residual == "relative":
+        difference, scale = difference / measurement.frequencies, 1.0
+    seen = math.sqrt(result.swarm.value / measurement.size)
+    own = float(np.sqrt(np.mean(difference**2)))
+    if abs(own - seen) <= _SEARCH_ERROR * scale:
+        return []
+    unit, factor = ("%", 100.0) if residual == "relative" else ("Hz", 1.0)
+    return [
+        f"the fast model of the search had an rms misfit of {significant(factor * seen, 3)} {unit} at these "
+        f"constants, the plate solver has {significant(factor * own, 3)} {unit}: they are not the best ones"
+    ]
 
 
 def _poor_fit(result: Identification) -> list[str]:
