@@ -107,7 +107,7 @@ def reduced_model(
     path = (directory or cache_directory()) / f"{key}.npz"
     problem = plate_problem(specimen, parameters, shear)
     stored = _read(path)
-    if stored is not None and _NEEDED <= stored.keys():
+    if stored is not None and stored.keys() >= _NEEDED:
         samples = convergence_samples(specimen, problem, centre)
         full = model_on_basis(problem, samples.x, n_modes, stored["error"], _basis(stored))
         return _unpack(stored, full)
