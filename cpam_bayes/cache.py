@@ -40,7 +40,7 @@ from cpam_bayes.threads import single_blas_thread
 Array = NDArray[Any]
 
 # To be raised when the same inputs give other numbers.
-_FORMAT = 2
+_FORMAT = 3
 _NEEDED = {"basis", "keep", "error", "reference", "rounding"}
 
 
@@ -161,7 +161,7 @@ def _unpack(stored: dict[str, Array], full: PlateModel) -> ReducedModel:
 def _read(path: Path) -> dict[str, Array] | None:
     """Arrays of a stored model; ``None`` if there is none or the file is damaged."""
     try:
-        with np.load(path, allow_pickle=False) as archive:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
             return {name: archive[name] for name in archive.files}
     except (OSError, ValueError, EOFError, zipfile.BadZipFile):
         return None

@@ -238,8 +238,10 @@ def converged_model(
     """The plate of a specimen on a Ritz space that is converged about given constants.
 
     parameters : what varies (``NO_PARAMETERS`` for the reference constants alone). centre : as in
-    ``convergence_samples``.
+    ``convergence_samples``. Raises ``ValueError`` for a plate with a mesh.
     """
+    if specimen.plate.mesh is not None:
+        raise ValueError(f"{specimen.source}: the Ritz space is of a rectangle, not of {specimen.plate.mesh}")
     problem = plate_problem(specimen, parameters, shear)
     samples = convergence_samples(specimen, problem, centre)
     converged = converge(problem, parameters.mapping(samples.x), n_modes, tolerance, samples.allowance)

@@ -9,6 +9,7 @@ its mode in the full space.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -184,7 +185,8 @@ def reduce(
     The basis of each block takes the modes that it represents worst, among those at
     ``settings.training`` parameter sets, until the frequencies of all are within
     ``settings.tolerance`` (a greedy method; the errors are the true ones). Of ``settings.checks``
-    other sets, those with the largest error estimates and a few at random then join the training,
+    other sets and the corners of the box, those with the largest error estimates and a few more then
+    join the training,
     until none of their errors is large.
     """
     x = training_sets(model.operator.problem, settings.training, rng)
@@ -200,7 +202,7 @@ def reduce(
         rounding=_rounding(operator, stiffness[middle], mass[middle]),
     )
     bases = _rigid_vectors(operator, stiffness[middle], mass[middle], first)
-    checks = training_sets(model.operator.problem, settings.checks, rng)
+    checks = np.vstack((_corners(model), training_sets(model.operator.problem, settings.checks, rng)))
     for _ in range(settings.rounds):
         bases = [
             _greedy_basis(b, operator, stiffness, mass, spectrum, basis, settings.tolerance)
@@ -219,6 +221,16 @@ def reduce(
             break
         checks = np.delete(checks, examined, axis=0)
     return reduced
+
+
+def _corners(model: PlateModel) -> Array:
+    """Admissible corners of the prior box, at most 64 of them, (n, n_parameters)."""
+    parameters = model.parameters
+    signs = np.array(list(product((False, True), repeat=min(parameters.size, 6))))
+    high = np.zeros((len(signs), parameters.size), dtype=bool)
+    high[:, : signs.shape[1]] = signs
+    corners = np.where(high, parameters.upper, parameters.lower)
+    return corners[model.admissible(corners)]
 
 
 @dataclass(frozen=True, slots=True)
