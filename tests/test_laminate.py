@@ -255,9 +255,9 @@ def test_shear_factors_of_a_120_ply_cross_ply_are_those_of_vlachoutsis(
 
 
 def test_shear_stiffness_of_a_carbon_cross_ply_is_rohwers() -> None:
-    # Rohwer, DLR-FB 88-14 (1988), as quoted in the tests of the package composites: [0/90]_s of unit thickness, in units of 1 kN/mm: A55 = 2.313 and
-    # A44 = 2.521. The first is met to its last digit, the second to 0.17 %, by the rounding of the
-    # ply constants that are printed.
+    # Rohwer, DLR-FB 88-14 (1988), as quoted in the tests of the package composites: [0/90]_s of unit
+    # thickness, in units of 1 kN/mm: A55 = 2.313 and A44 = 2.521. The first is met to its last digit,
+    # the second to 0.17 %, by the rounding of the ply constants that are printed.
     constants = {"E1": 138.0, "E2": 9.3, "nu12": 0.3, "G12": 4.6, "G13": 4.6, "G23": 2.3}
     found = stiffness((0.0, 90.0, 90.0, 0.0), constants, 1.0)[SHEAR, SHEAR]
     assert found[1, 1] == pytest.approx(2.313, abs=5e-4)
