@@ -1,0 +1,112 @@
+"""Our models of a case: built in a process of its own, which tells its time and memory.
+
+python -m benchmarks.building CASE DIRECTORY [--quick]
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.cases import CASES, Array, Case, parameters, reference_vector
+from cpam_bayes.cache import reduced_model
+from cpam_bayes.model import PlateModel, training_sets
+from cpam_bayes.reduced import DEFAULT_SETTINGS, ReducedModel, ReductionSettings
+from cpam_bayes.threads import single_blas_thread
+
+# Parameter sets that are solved together.
+STACK = 64
+_QUICK = ReductionSettings(training=16, checks=16, rounds=1)
+_ROOT = Path(__file__).resolve().parent.parent
+
+
+@dataclass(frozen=True, slots=True)
+class Ours:
+    """Our models of a case.
+
+    x : (STACK, n_parameters), the reference plate and admissible sets all over the prior box.
+    seconds, peak_mib : what building them took; the memory is ``None`` where the system does not
+    tell it.
+    """
+
+    case: Case
+    reduced: ReducedModel
+    x: Array
+    seconds: float
+    peak_mib: float | None
+
+    @property
+    def full(self) -> PlateModel:
+        """The model that the reduced one was made from."""
+        return self.reduced.full
+
+
+def prepare(case: Case, directory: Path, quick: bool) -> Ours:
+    """Build the models of a case in another process and read them from the directory."""
+    built = _built_elsewhere(case, directory, quick)
+    reduced = _reduced(case, directory, quick)
+    drawn = training_sets(reduced.full.operator.problem, STACK - 1, np.random.default_rng(7))
+    x = np.concatenate((reference_vector(case)[None], drawn))
+    return Ours(case, reduced, x, built["seconds"], built["peak_mib"])
+
+
+def _reduced(case: Case, directory: Path, quick: bool) -> ReducedModel:
+    specimen = case.specimen()
+    return reduced_model(
+        specimen,
+        parameters(specimen),
+        case.n_modes,
+        settings=_QUICK if quick else DEFAULT_SETTINGS,
+        directory=directory,
+    )
+
+
+def _built_elsewhere(case: Case, directory: Path, quick: bool) -> dict[str, Any]:
+    command = [sys.executable, "-m", "benchmarks.building", case.name, str(directory)]
+    path = os.pathsep.join([str(_ROOT), *(p for p in sys.path if p)])
+    done = subprocess.run(
+        [*command, "--quick"] if quick else command,
+        cwd=_ROOT,
+        env={**os.environ, "PYTHONPATH": path},
+        stdout=subprocess.PIPE,
+        text=True,
+        check=True,
+    )
+    found: dict[str, Any] = json.loads(done.stdout)
+    return found
+
+
+def _peak_memory() -> float | None:
+    """Largest resident memory of this program so far, MiB; what its parent once held is not in it."""
+    status = Path("/proc/self/status")
+    if not status.exists():
+        return None
+    line = next(line for line in status.read_text().splitlines() if line.startswith("VmHWM"))
+    return int(line.split()[1]) / 1024
+
+
+def main() -> None:
+    """Build the models of one case and print what it took."""
+    parser = argparse.ArgumentParser(description="Build the models of a case, print its time and memory.")
+    parser.add_argument("case", choices=[case.name for case in CASES])
+    parser.add_argument("directory", type=Path)
+    parser.add_argument("--quick", action="store_true")
+    given = parser.parse_args()
+    case = next(c for c in CASES if c.name == given.case)
+    start = time.perf_counter()
+    single_blas_thread(_reduced)(case, given.directory, given.quick)
+    seconds = time.perf_counter() - start
+    print(json.dumps({"seconds": seconds, "peak_mib": _peak_memory()}))
+
+
+if __name__ == "__main__":
+    main()

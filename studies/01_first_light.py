@@ -1,0 +1,400 @@
+"""First light: the paper's thin plates identified by the swarm, and how exact the plate model is.
+
+python studies/01_first_light.py [--quick]
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cpam_bayes.convergence import Tolerance
+from cpam_bayes.inference.identify import ConstantEstimate, Identification, identify
+from cpam_bayes.inference.swarm import SwarmSettings
+from cpam_bayes.laminate import ENERGY_CONSISTENT, FIVE_SIXTHS, ShearModel
+from cpam_bayes.layup import parse_layup
+from cpam_bayes.measurement import Specimen, builtin, to_user, user_name
+from cpam_bayes.model import NO_PARAMETERS, PlateModel, converged_model, plate_problem
+from cpam_bayes.report.remarks import warnings_of
+from cpam_bayes.report.tables import Column, Table, remarks, screen_text
+from cpam_bayes.threads import single_blas_thread
+
+RESULTS = Path(__file__).parent / "results" / f"{Path(__file__).stem}.json"
+
+KEYS = {
+    "quick": "whether this is the small version",
+    "identifications": "one a plate: constants with sd, verdict and reference; frequencies; work and seconds",
+    "forward_errors": "one a reference: its values, the solver's, the worst error and the estimated one",
+    "solves": "time and size of one converged forward solve",
+}
+
+THIN_PLATES = ("D&G", "A1", "A2", "B1", "B2", "C1", "C2", "C3", "C4")
+SEED = 0
+REFERENCE = np.empty((1, 0))  # the reference constants: no parameter varies
+
+# Leissa, The free vibration of rectangular plates, J. Sound Vib. 31 (1973): omega a^2 sqrt(rho h / D)
+# of thin square plates, nu = 0.3. Upper bounds of a Ritz basis of 36 products: the free square's
+# are converged to the last digit, the cantilever's up to 0.15 % high.
+LEISSA = {
+    "FFFF": ([13.468, 19.596, 24.270, 34.801, 34.801, 61.093], 0.1),
+    "CFFF": ([3.4711, 8.5062, 21.284, 27.199, 30.955, 54.187], 0.2),
+}
+# Hz, converged by two bases of an independent program, which agree to 2e-6; shear factor 5/6.
+CONVERGED = {
+    "C1": [100.366, 298.584, 324.574, 360.347, 381.139, 600.611],
+    "A2": [40.9165, 90.673, 240.069, 276.238, 340.704, 566.456],
+    "D1": [1351.155, 3015.301, 3150.239, 4044.149, 4055.798, 6775.498, 8143.114, 8273.099,
+           8849.348, 9154.067],
+}  # fmt: skip
+# Simply supported plates that have Navier's exact solution: layup, thickness in m.
+NAVIER = {
+    "orthotropic, thin": ("[0]", 0.001),
+    "orthotropic, thick": ("[0]", 0.02),
+    "cross-ply, thin": ("[(0/90)_8]_s", 0.0032),
+    "cross-ply, thick": ("[(0/90)_8]_s", 0.03),
+    "[0/90], thin": ("[0/90]", 0.004),
+    "[0/90], thick": ("[0/90]", 0.03),
+}
+# What is promised: percent of a frequency of a thin plate and of one thicker than side / 40.
+THIN_PERCENT, THICK_PERCENT = 0.02, 0.05
+
+
+@single_blas_thread
+def run(quick: bool) -> dict[str, Any]:
+    """All plates and references; quick: A1 with a small swarm, one reference of each kind."""
+    plates = ("A1",) if quick else THIN_PLATES
+    settings = SwarmSettings(particles=8, iterations=3) if quick else SwarmSettings()
+    errors = [_against_navier(name) for name in (["orthotropic, thin"] if quick else NAVIER)]
+    errors += [_against_converged(name) for name in (["C1"] if quick else CONVERGED)]
+    errors += [] if quick else [_against_leissa(edges) for edges in LEISSA]
+    return {
+        "quick": quick,
+        "identifications": [_identified(builtin(name), settings) for name in plates],
+        "forward_errors": errors,
+        "solves": [_solve_time(builtin(name), 3 if quick else 200) for name in ("C1", "D1")],
+    }
+
+
+# Identification
+
+
+def _identified(specimen: Specimen, settings: SwarmSettings) -> dict[str, Any]:
+    """One plate, first with the reduced model still to be built, then with it on disk."""
+    with _empty_cache():
+        first = identify(specimen, SEED, settings=settings)
+        again = identify(specimen, SEED, settings=settings)
+    measurement = specimen.measurement
+    assert measurement is not None
+    return {
+        "plate": specimen.name,
+        "layup": specimen.plate.layup.text,
+        "edges": specimen.plate.edges,
+        "constants": _constants(first),
+        "frequencies": [
+            {
+                "label": mode.label,
+                "kind": mode.kind,
+                "measured_hz": float(measured),
+                "predicted_hz": mode.frequency,
+                "residual_percent": 100.0 * (mode.frequency / float(measured) - 1.0),
+            }
+            for measured, mode in zip(measurement.frequencies, first.predicted, strict=True)
+        ],
+        "rms_percent": 100.0 * first.rms,
+        "noise_percent": 100.0 * first.noise,
+        "solver_error_percent": 100.0 * float(np.max(first.error)),
+        "swarm": first.swarm.status,
+        "forward_solves": first.swarm.evaluations,
+        "seconds": first.seconds,
+        "seconds_model_on_disk": again.seconds,
+        "warnings": list(warnings_of(first, "absolute")),
+    }
+
+
+def _constants(found: Identification) -> dict[str, dict[str, Any]]:
+    return {
+        user_name(c.name): {
+            "value": to_user(c.name, c.value),
+            "sd": to_user(c.name, c.sd),
+            "reference": to_user(c.name, c.reference),
+            "reference_sd": to_user(c.name, found.specimen.material.sd.get(c.name, 0.0)),
+            "percent": 100.0 * (c.value / c.reference - 1.0),
+            "verdict": c.verdict,
+            "bound": c.bound,
+            "agrees": _agrees(found.specimen, c),
+        }
+        for c in found.constants
+    }
+
+
+def _agrees(specimen: Specimen, constant: ConstantEstimate) -> bool | None:
+    """Whether estimate and reference are within two joint sd; ``None`` where the data do not decide."""
+    if constant.verdict not in ("determined", "weakly determined"):
+        return None
+    both = np.hypot(constant.sd, specimen.material.sd.get(constant.name, 0.0))
+    return bool(abs(constant.value - constant.reference) <= 2.0 * both)
+
+
+@contextmanager
+def _empty_cache() -> Iterator[None]:
+    """A cache of reduced models of its own, so that the time to build them is seen."""
+    before = os.environ.get("CPAM_BAYES_CACHE")
+    with tempfile.TemporaryDirectory() as folder:
+        os.environ["CPAM_BAYES_CACHE"] = folder
+        try:
+            yield
+        finally:
+            if before is None:
+                del os.environ["CPAM_BAYES_CACHE"]
+            else:
+                os.environ["CPAM_BAYES_CACHE"] = before
+
+
+# The forward solver against references
+
+
+def _against_navier(name: str) -> dict[str, Any]:
+    layup, thickness = NAVIER[name]
+    specimen = _plate(builtin("C1"), 0.3, 0.2, thickness, "SSSS", layup)
+    model = converged_model(specimen, NO_PARAMETERS, 10)
+    exact = navier(specimen, 10)
+    allowed = THIN_PERCENT if thickness < 0.2 / 40 else THICK_PERCENT
+    return _error(f"SSSS {name}", "Navier, exact", "Hz", exact, _solved(model), allowed, model.error)
+
+
+def navier(specimen: Specimen, n_modes: int, highest: int = 12) -> np.ndarray:
+    """Frequencies of a simply supported cross-ply plate by Navier's solution, (n_modes,) Hz.
+
+    With u = U cos(ax) sin(by), v = V sin cos, w = W sin sin, phi_x = X cos sin, phi_y = Y sin cos
+    each generalised strain is one product of a sine and a cosine, and each pair of half-wave counts
+    an eigenproblem of five unknowns (Reddy, Mechanics of Laminated Composite Plates, section 7.2).
+    """
+    plate, state = specimen.plate, plate_problem(specimen).nominal
+    c = np.real(state.stiffness())
+    inertia = plate.density * plate.thickness * np.array([1, 1, 1, *[plate.thickness**2 / 12] * 2])
+    found = []
+    for m in range(highest + 1):
+        for n in range(highest + 1):
+            a, b = m * np.pi / plate.length, n * np.pi / plate.width
+            strain = np.zeros((8, 5))
+            strain[[0, 1, 2, 2], [0, 1, 0, 1]] = -a, -b, b, a
+            strain[[3, 4, 5, 5], [3, 4, 3, 4]] = -a, -b, b, a
+            strain[[6, 6, 7, 7], [2, 4, 2, 3]] = b, 1, a, 1
+            present = [n > 0, m > 0, m > 0 and n > 0, n > 0, m > 0]
+            k = (strain.T @ c @ strain)[np.ix_(present, present)]
+            scale = 1 / np.sqrt(inertia[present])
+            found.append(np.linalg.eigvalsh(k * scale[:, None] * scale))
+    return np.sqrt(np.sort(np.concatenate(found))[:n_modes]) / (2 * np.pi)
+
+
+def _against_converged(name: str) -> dict[str, Any]:
+    reference = np.array(CONVERGED[name])
+    model = converged_model(builtin(name), NO_PARAMETERS, len(reference), FIVE_SIXTHS)
+    allowed = THICK_PERCENT if name.startswith("D") else THIN_PERCENT
+    source = "converged by two bases of an independent program"
+    return _error(f"{name}, shear factor 5/6", source, "Hz", reference, _solved(model), allowed, model.error)
+
+
+def _against_leissa(edges: str) -> dict[str, Any]:
+    """Frequency parameters at h / a = 1/100 and 1/200, extrapolated linearly to the thin limit.
+
+    A free edge's twisting layer makes the frequencies approach Kirchhoff's as slowly as that. What
+    the two frequencies err by, the extrapolation multiplies by up to three: a tighter tolerance.
+    """
+    reference, allowed = LEISSA[edges]
+    parameters, errors = [], []
+    for h in (0.01, 0.005):
+        specimen = _isotropic(_plate(builtin("D&G"), 1.0, 1.0, h, edges, None), 70e9, 0.3)
+        model = converged_model(specimen, NO_PARAMETERS, len(reference), FIVE_SIXTHS, Tolerance(2e-5, 1e-5))
+        rigidity = np.real(plate_problem(specimen).nominal.stiffness())[3, 3]
+        scale = np.sqrt(specimen.plate.density * h / rigidity)
+        parameters.append(2 * np.pi * _solved(model) * scale)
+        errors.append(model.error)
+    found = 2 * parameters[1] - parameters[0]
+    name = f"{edges} square, h to 0"
+    source = "Leissa (1973)"
+    return _error(name, source, "1", np.array(reference), found, allowed, 2 * errors[1] + errors[0])
+
+
+def _error(
+    case: str,
+    source: str,
+    unit: str,
+    reference: np.ndarray,
+    found: np.ndarray,
+    allowed: float,
+    estimate: np.ndarray,
+) -> dict[str, Any]:
+    error = 100.0 * (found / reference - 1.0)
+    worst = int(np.argmax(np.abs(error)))
+    return {
+        "case": case,
+        "source": source,
+        "unit": unit,
+        "reference": [float(f) for f in reference],
+        "found": [float(f) for f in found],
+        "worst_percent": float(error[worst]),
+        "worst_mode": worst + 1,
+        "estimate_percent": 100.0 * float(np.max(estimate)),
+        "allowed_percent": allowed,
+        "passes": bool(abs(error[worst]) <= allowed),
+    }
+
+
+def _solved(model: PlateModel) -> np.ndarray:
+    return model.predict(REFERENCE).frequencies[0]
+
+
+def _plate(
+    specimen: Specimen, length: float, width: float, thickness: float, edges: str, layup: str | None
+) -> Specimen:
+    """A built-in specimen's material on another plate."""
+    own = specimen.plate.layup if layup is None else parse_layup(layup)
+    plate = replace(
+        specimen.plate, length=length, width=width, thickness=thickness, edges=edges, layup=own, mass=None
+    )
+    return replace(specimen, plate=plate)
+
+
+def _isotropic(specimen: Specimen, modulus: float, ratio: float) -> Specimen:
+    return replace(specimen, material=replace(specimen.material, constants={"E1": modulus, "nu12": ratio}))
+
+
+# Time of one solve
+
+
+def _solve_time(specimen: Specimen, repeats: int, shear: ShearModel = ENERGY_CONSISTENT) -> dict[str, Any]:
+    measurement = specimen.measurement
+    assert measurement is not None
+    start = time.perf_counter()
+    model = converged_model(specimen, NO_PARAMETERS, measurement.size, shear)
+    building = time.perf_counter() - start
+    times = []
+    for _ in range(repeats):
+        start = time.perf_counter()
+        model.predict(REFERENCE)
+        times.append(time.perf_counter() - start)
+    return {
+        "plate": specimen.name,
+        "modes": measurement.size,
+        "blocks": [block.size for block in model.operator.blocks],
+        "error_percent": 100.0 * float(np.max(model.error)),
+        "milliseconds": 1e3 * float(np.median(times)),
+        "seconds_to_converge": building,
+    }
+
+
+# Output
+
+
+def show(results: dict[str, Any]) -> None:
+    """Print the results as tables."""
+    found = results["identifications"]
+    constants = ("plate", "constant", "value", "sd", "reference", "off %", "verdict", "within 2 sd")
+    frequencies = ("plate", "mode", "label", "kind", "measured Hz", "predicted Hz", "residual %")
+    work = ("plate", "rms %", "swarm", "forward solves", "s", "s, model on disk", "solver error %")
+    forward = ("case", "reference", "modes", "worst %", "of mode", "estimated %", "allowed %", "")
+    solves = ("plate", "modes", "ms", "estimated error %", "s to converge", "trial functions by block")
+    tables = (
+        Table(f"Constants by the swarm, seed {SEED}", _columns(constants), _constant_rows(found)),
+        Table("Frequencies", _columns(frequencies), _frequency_rows(found)),
+        Table("Work", _columns(work), _work_rows(found)),
+        remarks("Warnings", tuple(f"{f['plate']}: {text}" for f in found for text in f["warnings"])),
+        Table(
+            "Forward solver against references", _columns(forward), _forward_rows(results["forward_errors"])
+        ),
+        Table("One converged forward solve", _columns(solves), _solve_rows(results["solves"])),
+    )
+    print(screen_text(tables, sys.stdout))
+
+
+_TEXT = {"plate", "constant", "label", "kind", "swarm", "verdict", "within 2 sd", "case", "reference", ""}
+
+
+def _columns(headings: Sequence[str]) -> tuple[Column, ...]:
+    return tuple(Column(heading, heading not in _TEXT) for heading in headings)
+
+
+Rows = tuple[tuple[str, ...], ...]
+
+
+def _constant_rows(found: list[dict[str, Any]]) -> Rows:
+    agrees = {True: "yes", False: "NO", None: "-"}
+    return tuple(
+        (
+            f["plate"],
+            name,
+            *(f"{c['value']:.4g}", f"{c['sd']:.2g}", f"{c['reference']:.4g}", f"{c['percent']:+.1f}"),
+            *(c["verdict"], agrees[c["agrees"]]),
+        )
+        for f in found
+        for name, c in f["constants"].items()
+    )
+
+
+def _frequency_rows(found: list[dict[str, Any]]) -> Rows:
+    return tuple(
+        (
+            *(f["plate"], str(i), mode["label"], mode["kind"]),
+            *(f"{mode['measured_hz']:g}", f"{mode['predicted_hz']:.2f}", f"{mode['residual_percent']:+.2f}"),
+        )
+        for f in found
+        for i, mode in enumerate(f["frequencies"], 1)
+    )
+
+
+def _work_rows(found: list[dict[str, Any]]) -> Rows:
+    return tuple(
+        (
+            *(f["plate"], f"{f['rms_percent']:.2f}", f["swarm"], str(f["forward_solves"])),
+            *(f"{f['seconds']:.1f}", f"{f['seconds_model_on_disk']:.2f}", f"{f['solver_error_percent']:.3f}"),
+        )
+        for f in found
+    )
+
+
+def _forward_rows(errors: list[dict[str, Any]]) -> Rows:
+    return tuple(
+        (
+            *(e["case"], e["source"], str(len(e["reference"]))),
+            *(f"{e['worst_percent']:+.4f}", str(e["worst_mode"]), f"{e['estimate_percent']:.4f}"),
+            *(f"{e['allowed_percent']:g}", "pass" if e["passes"] else "FAIL"),
+        )
+        for e in errors
+    )
+
+
+def _solve_rows(solves: list[dict[str, Any]]) -> Rows:
+    return tuple(
+        (
+            *(s["plate"], str(s["modes"]), f"{s['milliseconds']:.2f}", f"{s['error_percent']:.4f}"),
+            *(f"{s['seconds_to_converge']:.2f}", " ".join(str(n) for n in s["blocks"])),
+        )
+        for s in solves
+    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="the small version; nothing is saved")
+    quick = parser.parse_args().quick
+    results = run(quick)
+    show(results)
+    if not quick:
+        RESULTS.parent.mkdir(exist_ok=True)
+        RESULTS.write_text(json.dumps(results, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

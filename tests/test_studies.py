@@ -1,0 +1,153 @@
+"""Studies and figures keep working: small runs, saved results, pictures, and the lists of them."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import re
+from functools import cache
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+
+PROJECT = Path(__file__).parent.parent
+SAVED = PROJECT / "studies" / "results"
+STUDIES = sorted(path.stem for path in (PROJECT / "studies").glob("[0-9]*.py"))
+FIGURES = sorted(path.stem for path in (PROJECT / "figures").glob("*.py"))
+AGREEMENT = "02_agreement"
+
+
+@cache
+def script(folder: str, name: str) -> ModuleType:
+    """A script with a number for a name, which the import statement cannot spell."""
+    spec = importlib.util.spec_from_file_location(f"{folder}_{name}", PROJECT / folder / f"{name}.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@cache
+def quick_text(name: str) -> str:
+    """Results of the small version of a study as JSON, which has no NaN."""
+    return json.dumps(script("studies", name).run(True), allow_nan=False)
+
+
+def quick(name: str) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads(quick_text(name))
+    return found
+
+
+def saved(name: str) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads((SAVED / f"{name}.json").read_text(encoding="utf-8"))
+    return found
+
+
+@pytest.fixture(scope="module")
+def quick_results(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the results of the small versions of all studies."""
+    folder = tmp_path_factory.mktemp("results")
+    for name in STUDIES:
+        (folder / f"{name}.json").write_text(quick_text(name), encoding="utf-8")
+    return folder
+
+
+@pytest.mark.parametrize("name", STUDIES)
+def test_a_small_run_has_the_documented_keys(name: str) -> None:
+    found = quick(name)
+    assert list(found) == list(script("studies", name).KEYS)
+    assert found["quick"] is True
+
+
+@pytest.mark.parametrize("name", STUDIES)
+def test_saved_results_are_those_of_a_full_run(name: str) -> None:
+    found = saved(name)
+    assert list(found) == list(script("studies", name).KEYS)
+    assert found["quick"] is False
+
+
+@pytest.mark.parametrize("name", FIGURES)
+def test_a_figure_is_drawn_from_saved_results(name: str, tmp_path: Path) -> None:
+    drawn = script("figures", name).draw(SAVED, tmp_path)
+    assert drawn, "the files that were written are returned"
+    for path in drawn:
+        assert path.parent == tmp_path
+        assert path.read_bytes().startswith(b"\x89PNG")
+        assert (PROJECT / "figures" / path.name).exists(), "the picture is kept beside its script"
+        assert path.stat().st_size < 300e3
+
+
+@pytest.mark.parametrize("name", FIGURES)
+def test_a_figure_is_drawn_from_a_small_run(name: str, quick_results: Path, tmp_path: Path) -> None:
+    script("figures", name).draw(quick_results, tmp_path)
+
+
+def test_the_same_results_give_the_same_picture(quick_results: Path, tmp_path: Path) -> None:
+    draw = script("figures", "mode_shapes").draw
+    first = [path.read_bytes() for path in draw(quick_results, tmp_path)]
+    again = [path.read_bytes() for path in draw(quick_results, tmp_path)]
+    assert first == again
+
+
+def listed(readme: Path) -> set[str]:
+    """The scripts that a README's table begins a row with."""
+    return set(re.findall(r"^\| `([\w.]+)\.py` \|", readme.read_text(encoding="utf-8"), re.MULTILINE))
+
+
+def test_each_study_is_listed_and_has_a_figure() -> None:
+    assert listed(PROJECT / "studies" / "README.md") == set(STUDIES)
+    assert set(STUDIES) <= set(FIGURES)
+
+
+def test_each_figure_and_picture_is_listed() -> None:
+    readme = PROJECT / "figures" / "README.md"
+    assert listed(readme) == set(FIGURES)
+    pictures = {path.name for path in (PROJECT / "figures").glob("*.png")}
+    assert set(re.findall(r"`([\w.]+\.png)`", readme.read_text(encoding="utf-8"))) >= pictures
+
+
+# What the studies say
+
+
+def test_the_forward_solver_meets_its_references() -> None:
+    for found in (quick("01_first_light"), saved("01_first_light")):
+        for error in found["forward_errors"]:
+            assert error["passes"], error["case"]
+            assert abs(error["worst_percent"]) <= error["allowed_percent"]
+
+
+def test_swarms_of_the_full_study_converge() -> None:
+    found = saved("01_first_light")["identifications"]
+    assert {f["swarm"] for f in found} == {"converged"}
+    assert all(f["solver_error_percent"] <= 0.05 for f in found)
+
+
+def test_solvers_agree_within_the_limit() -> None:
+    for found in (quick(AGREEMENT), saved(AGREEMENT)):
+        rows = [*found["specimens"], *found["unsymmetric"]]
+        rows += [row for plate in found["edges"] for row in plate["rows"]]
+        apart = {(r["edges"], r["worst_percent"]) for r in rows if not r["passes"]}
+        assert apart == set()
+
+
+def test_edges_are_reduced_by_the_symmetry_of_the_plate() -> None:
+    study = script("studies", AGREEMENT)
+    mirrored, turned = study.distinct_edges(True), study.distinct_edges(False)
+    # Burnside: (81 + 27 + 27 + 9) / 4 and (81 + 9) / 2 fixed combinations
+    assert (len(mirrored), len(turned)) == (36, 45)
+    assert set(mirrored) <= set(turned)
+    assert study.edges_form("FCCF", True) == "CCFF"
+    assert study.edges_form("FCCF", False) != study.edges_form("FFCC", False)
+
+
+def test_navier_gives_the_known_frequency_of_a_thin_isotropic_plate() -> None:
+    study = script("studies", "01_first_light")
+    thin = study._plate(study.builtin("D&G"), 0.3, 0.2, 2e-4, "SSSS", None)
+    rigidity = np.real(study.plate_problem(thin).nominal.stiffness())[3, 3]
+    exact = np.pi / 2 * (1 / 0.3**2 + 1 / 0.2**2) * np.sqrt(rigidity / (thin.plate.density * 2e-4))
+    # shear deformation lowers it by (pi h / a)^2
+    assert study.navier(thin, 1)[0] == pytest.approx(exact, rel=1e-5)
