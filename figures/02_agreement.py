@@ -20,7 +20,7 @@ from matplotlib.image import AxesImage
 HERE = Path(__file__).parent
 RESULTS = HERE.parent / "studies" / "results"
 
-DPI = 120
+DPI = 100
 ELEMENTS, BRICKS, LIMIT = "#c1440e", "#4878a8", "#333333"
 
 

@@ -24,9 +24,10 @@ DPI = 110
 COLUMNS = {6: 3, 10: 5}
 OUTLINE, HELD, MOVED = "#333333", "#111111", "#c1440e"
 # Every so many grid lines of an in-plane mode are drawn, moved by so much of the shorter side.
-STRIDE, LARGEST = 2, 0.13
-# Nodal lines that cross look torn on a coarse grid.
+STRIDE, LARGEST = 4, 0.13
+# Nodal lines that cross look torn on a coarse grid. Steps of colour.
 FINER = 6
+LEVELS = 20
 
 
 def draw(results: Path = RESULTS, folder: Path = HERE) -> list[Path]:
@@ -48,42 +49,46 @@ def _plate(name: str, plate: Mapping[str, Any]) -> Figure:
     rows = -(-len(modes) // columns)
     wide = 2.6
     tall = wide * size[1] / size[0]
-    figure = Figure(figsize=(wide * columns, rows * (tall + 0.75) + 0.9), layout="constrained")
+    figure = Figure(figsize=(wide * columns, rows * (tall + 0.5) + 0.6), layout="constrained")
+    drawn = "colour: deflection w, its nodal lines black"
+    if any("w" not in mode for mode in modes):
+        drawn += "; grid: displacement in the plane"
     layup = re.sub(r"_(\w+)", r"$_{\1}$", plate["layup"])
-    figure.suptitle(
-        f"{name}: {layup}, {size[0]:g} x {size[1]:g} mm, edges {plate['edges']}\n"
-        "colour: deflection w, its nodal lines black; grid: displacement in the plane",
-        fontsize=10,
-    )
+    title = f"{name}: {layup}, {size[0]:g} x {size[1]:g} mm, edges {plate['edges']}"
+    figure.suptitle(f"{title}\n{drawn}", fontsize=10)
     for i, (axes, mode) in enumerate(zip(figure.subplots(rows, columns).ravel(), modes, strict=True), 1):
         (_deflection if "w" in mode else _in_plane)(axes, mode, size)
         _edges(axes, plate["edges"], size)
         axes.set_aspect("equal")
         axes.set_axis_off()
-        margin = 0.5 * LARGEST * min(size)
+        margin = 0.02 * min(size)
+        # for the width of the outline
         axes.set(xlim=(-margin, size[0] + margin), ylim=(-margin, size[1] + margin))
         axes.set_title(f"{i}   {mode['frequency_hz']:.1f} Hz\n{mode['kind']} {mode['label']}", fontsize=9)
     return figure
 
 
 def _deflection(axes: Axes, mode: Mapping[str, Any], size: tuple[float, float]) -> None:
-    w = zoom(np.array(mode["w"]) / 1000.0, FINER, order=3)
+    w = zoom(np.array(mode["w"], dtype=float), FINER, order=3)
     # a vector's sign is arbitrary: the first of the largest deflections is drawn upwards
     large = np.flatnonzero(np.abs(w) > 0.99 * np.abs(w).max())
-    w = w * np.sign(w.flat[large[0]])
-    extent = (0.0, size[0], 0.0, size[1])
-    axes.imshow(w.T, cmap="RdBu_r", vmin=-1, vmax=1, origin="lower", extent=extent, interpolation="bilinear")
-    if w.min() < -0.02:
-        axes.contour(w.T, [0.0], colors="black", linewidths=1.2, extent=extent)
+    w /= w.flat[large[0]]
+    x, y = (np.linspace(0.0, s, n) for s, n in zip(size, w.shape, strict=True))
+    axes.contourf(x, y, w.T, np.linspace(-1, 1, LEVELS + 1), cmap="RdBu_r", extend="both")
+    # a clamped edge is zero all along, which is no nodal line
+    inside = np.abs(w) > 1e-3
+    if w[inside].min() < 0.0:
+        axes.contour(x, y, w.T, [0.0], colors="black", linewidths=1.4)
 
 
 def _in_plane(axes: Axes, mode: Mapping[str, Any], size: tuple[float, float]) -> None:
-    u, v = np.array(mode["u"]) / 1000.0, np.array(mode["v"]) / 1000.0
+    u, v = np.array(mode["u"], dtype=float), np.array(mode["v"], dtype=float)
+    largest = np.hypot(u, v).max()
     x, y = np.meshgrid(*(np.linspace(0, s, n) for s, n in zip(size, u.shape, strict=True)), indexing="ij")
-    for scale, color, width in ((0.0, "0.8", 0.7), (LARGEST * min(size), MOVED, 1.0)):
+    for scale, color, width in ((0.0, "0.8", 0.7), (LARGEST * min(size) / largest, MOVED, 1.0)):
         px, py = x + scale * u, y + scale * v
-        axes.plot(px[:, ::STRIDE], py[:, ::STRIDE], color=color, linewidth=width)
-        axes.plot(px[::STRIDE].T, py[::STRIDE].T, color=color, linewidth=width)
+        axes.plot(px[:, ::STRIDE], py[:, ::STRIDE], color=color, linewidth=width, clip_on=False)
+        axes.plot(px[::STRIDE].T, py[::STRIDE].T, color=color, linewidth=width, clip_on=False)
 
 
 def _edges(axes: Axes, edges: str, size: tuple[float, float]) -> None:
