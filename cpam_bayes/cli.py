@@ -170,7 +170,7 @@ def _parser() -> argparse.ArgumentParser:
         "--steps",
         type=_whole(1, 10_000_000),
         metavar="N",
-        help="emcee: budget of the chains in steps (default: 20000)",
+        help="emcee: budget of the chains in steps, used in rounds of 500 (default: 20000)",
     )
     identify.add_argument(
         "--store",

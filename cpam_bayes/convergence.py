@@ -39,8 +39,8 @@ THIN = Tolerance(kept=7e-5, rich=4e-5)
 THICK = Tolerance(kept=2e-4, rich=1e-4)
 # Thickness over the shorter side from which a plate counts as thick.
 _THICK_RATIO = 1 / 40
-# Shorter side over thickness beyond which double precision is not enough.
-_THINNEST = 600.0
+# Longer side over thickness beyond which double precision is not enough.
+_THINNEST = 700.0
 # Edge exponentials, from few to many: (exponentials at each edge, carried by all bending fields).
 _UNCOUPLED_LAYERS = ((1, False), (2, False), (3, False))
 _COUPLED_LAYERS = ((1, False), (1, True), (2, True), (3, True))
@@ -248,10 +248,10 @@ def _refuse_too_thin(problem: Problem) -> None:
     that eliminates the rotations first; at 1/1000 they are wrong in the third digit.
     """
     nominal = problem.nominal
-    ratio = float(np.real(min(nominal.length, nominal.width) / nominal.thickness))
+    ratio = float(np.real(max(nominal.length, nominal.width) / nominal.thickness))
     if ratio > _THINNEST:
         raise RigidBodyError(
-            f"the thickness is 1/{ratio:.0f} of the shorter side; from 1/{_THINNEST:.0f} on this solver "
+            f"the thickness is 1/{ratio:.0f} of the longer side; from 1/{_THINNEST:.0f} on this solver "
             "cannot tell bending from rounding"
         )
 

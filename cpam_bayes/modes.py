@@ -113,9 +113,9 @@ def _check_rigid(ranked: Array, n_rigid: int) -> None:
     first = ranked[..., n_rigid]
     largest = np.abs(ranked[..., :n_rigid]).max(axis=-1, initial=0.0)
     if np.any(first <= 0.0) or np.any(largest > RIGID_TOLERANCE * first):
+        seen = ", ".join(f"{v:.3g}" for v in ranked.reshape(-1, ranked.shape[-1])[0][: n_rigid + 2])
         raise RigidBodyError(
-            f"the edges leave {n_rigid} rigid-body motions, the lowest eigenvalues are "
-            f"{ranked.reshape(-1, ranked.shape[-1])[0][: n_rigid + 2]} (rad/s)^2"
+            f"the edges leave {n_rigid} rigid-body motions, the lowest eigenvalues are {seen} (rad/s)^2"
         )
 
 

@@ -88,7 +88,7 @@ def _accuracy(ax: Axes, points: list[dict[str, Any]]) -> None:
     )
     ax.invert_xaxis()
     ax.margins(x=0.12, y=0.08)
-    ax.set_ylim(bottom=0.25)
+    ax.set_ylim(bottom=0.15 * min(p["full_s"] for p in points) * 1e3)
     ax.set_xlabel("worst relative error of a frequency")
     ax.set_ylabel("time of a full solve, ms")
     ax.set_title("Full solve, six modes of C1 and ten of D1")

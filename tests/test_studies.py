@@ -87,9 +87,10 @@ def test_a_figure_is_drawn_from_a_small_run(name: str, quick_results: Path, tmp_
 
 
 def test_the_same_results_give_the_same_picture(quick_results: Path, tmp_path: Path) -> None:
-    draw = script("figures", "mode_shapes").draw
-    first = [path.read_bytes() for path in draw(quick_results, tmp_path)]
-    again = [path.read_bytes() for path in draw(quick_results, tmp_path)]
+    first, again = (
+        [path.read_bytes() for path in script("figures", "mode_shapes").draw(quick_results, tmp_path)]
+        for _ in range(2)
+    )
     assert first == again
 
 

@@ -21,7 +21,10 @@ NOT_CONVERGED = 1
 
 def identify_by_ensembles(specimen: Specimen, args: argparse.Namespace) -> Answer:
     """Sample the posterior of a specimen's constants with the options of the command line."""
-    settings = replace(DEFAULT_SETTINGS, most_steps=args.steps or DEFAULT_SETTINGS.most_steps)
+    steps = args.steps or DEFAULT_SETTINGS.most_steps
+    settings = replace(
+        DEFAULT_SETTINGS, most_steps=steps, round_steps=min(steps, DEFAULT_SETTINGS.round_steps)
+    )
     latest: list[Diagnostics] = []
 
     def described(r_hat: float) -> str:

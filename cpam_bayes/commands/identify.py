@@ -15,11 +15,16 @@ _NO_MESH = (
     "identify computes rectangular plates only; leave mesh out, or compute this plate's frequencies "
     "from its reference constants: forward --solver fem"
 )
+# Options that a back end has no use for.
+_FOREIGN = {"pso": ("steps", "store"), "emcee": ("particles", "iterations")}
 
 
 def prepare(args: argparse.Namespace) -> Callable[[], Answer]:
     """Read the plate and load the back end; return the work."""
     specimen = require_supported(read_specimen(args.plate), _NO_MESH)
+    foreign = [name for name in _FOREIGN[args.backend] if getattr(args, name) is not None]
+    if foreign:
+        raise ValueError(f"--{foreign[0]}: not an option of the back end {args.backend}; leave it out")
     if args.backend == "pso":
         require_paired_list(specimen)
     return partial(load(BACKENDS[args.backend]), specimen, args)

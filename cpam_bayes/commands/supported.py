@@ -8,7 +8,7 @@ from cpam_bayes.modes import RigidBodyError
 
 __all__ = ["require_paired_list", "require_supported", "solver_failure"]
 
-# Shorter side over thickness from which a failure is blamed on the thickness.
+# Longer side over thickness from which a failure is blamed on the thickness.
 _THIN = 300.0
 
 
@@ -41,7 +41,7 @@ def require_paired_list(specimen: Specimen) -> Specimen:
             specimen,
             [
                 "measurement.complete: received false, this version pairs the first model mode "
-                "with the first frequency and so on; give a list without gaps and complete = true"
+                "with the first frequency and so on; use --backend emcee, which sums over all pairings"
             ],
         )
     return specimen
@@ -50,12 +50,15 @@ def require_paired_list(specimen: Specimen) -> Specimen:
 def solver_failure(specimen: Specimen, error: RigidBodyError) -> ValueError:
     """Say what a user can do where the solver cannot tell bending from rounding."""
     plate = specimen.plate
-    ratio = min(plate.length, plate.width) / plate.thickness
+    ratio = max(plate.length, plate.width) / plate.thickness
     if ratio < _THIN:
-        return error
+        return PlateFileError(
+            f"{specimen.source}: the plate solver cannot tell bending from rounding; check [plate] and "
+            f"[material] for slips of units ({error})"
+        )
     return PlateFileError(
         f"{specimen.source}: plate.thickness_mm: received {plate.thickness * 1e3:g}, 1/{ratio:.0f} "
-        f"of the shorter side, too thin for the plate solver; check its unit"
+        f"of the longer side, too thin for the plate solver; check its unit"
     )
 
 

@@ -34,12 +34,16 @@ from cpam_bayes.shapes import Mode
 from cpam_bayes.threads import single_blas_thread
 
 Array = NDArray[Any]
-Verdict = Literal["determined by the data", "determined by data and prior", "determined by the prior"]
+Verdict = Literal[
+    "determined by the data", "determined by data and prior", "determined by the prior", "at a bound"
+]
 
 # Posterior contraction from which the data decide, and below which the prior does.
 _BY_DATA, _BY_PRIOR = 0.9, 0.5
 # Share of the search interval that counts as touching a bound.
 _TOUCH = 0.01
+# Share of draws next to a bound that an even density over the interval would not put there.
+_AT_BOUND = 0.05
 # Modes looked at beyond the list where it may lack some.
 _SPARE_MODES = 4
 # Draws that predictions and laminate constants are averaged over.
@@ -210,6 +214,12 @@ def _marginal(specimen: Specimen, posterior: Posterior, i: int, draws: Array) ->
     elif contraction < _BY_PRIOR:
         verdict = "determined by the prior"
     touch = _TOUCH * (prior.upper - prior.lower)
+    at_lower, at_upper = (
+        float(np.mean(draws < prior.lower + touch)),
+        float(np.mean(draws > prior.upper - touch)),
+    )
+    if max(at_lower, at_upper) > _AT_BOUND:
+        verdict = "at a bound"
     q025, median, q975 = (float(q) for q in np.quantile(draws, (0.025, 0.5, 0.975)))
     return ConstantPosterior(
         name=parameter.name,
@@ -221,8 +231,8 @@ def _marginal(specimen: Specimen, posterior: Posterior, i: int, draws: Array) ->
         lower=prior.lower,
         upper=prior.upper,
         contraction=contraction,
-        at_lower=float(np.mean(draws < prior.lower + touch)),
-        at_upper=float(np.mean(draws > prior.upper - touch)),
+        at_lower=at_lower,
+        at_upper=at_upper,
         verdict=verdict,
         reference=_reference(specimen, parameter.name),
     )

@@ -96,7 +96,7 @@ def forward_screen(result: ForwardAnswer, warnings: tuple[str, ...]) -> tuple[Ta
     worst = float(np.max(result.error))
     told = (
         ("solver", result.solver),
-        ("error", f"at most {significant(100 * worst, 2)} % of a frequency, estimated")
+        ("error", f"about {significant(100 * worst, 2)} % of a frequency in the worst mode, estimated")
         if np.isfinite(worst)
         else ("error", result.no_estimate or "no estimate"),
         ("labels", "nodal lines across x and across y; half-waves between two held edges"),

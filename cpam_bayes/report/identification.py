@@ -95,7 +95,7 @@ def _fit(result: Identification) -> Table:
         ("sd", "linearised, from this noise; a systematic error of the plate model is not in it"),
         (
             "solver",
-            f"error at most {significant(100 * float(np.max(result.error)), 2)} % of a frequency, "
+            f"error about {significant(100 * float(np.max(result.error)), 2)} % in the worst mode, "
             "estimated at these constants",
         ),
     )

@@ -16,8 +16,6 @@ from cpam_bayes.report.tables import Column, Table, facts, remarks
 
 __all__ = ["sampled_document", "sampled_screen", "sampled_warnings"]
 
-# Share of draws next to a bound that an even density over the interval would not put there.
-_AT_BOUND = 0.05
 # A posterior predictive p-value this far out says that noise alone does not explain the residuals.
 _P_LOW = 0.02
 
@@ -184,12 +182,12 @@ def _verdicts(result: SampledIdentification) -> tuple[str, ...]:
             found.append(
                 f"{c.name} is determined by the prior, not by the frequencies. Do not use its value."
             )
-        for share, bound in ((c.at_lower, "lower"), (c.at_upper, "upper")):
-            if share > _AT_BOUND:
-                found.append(
-                    f"{c.name}: {100 * share:.0f} % of the draws lie at its {bound} bound; the other "
-                    "constants depend on that bound."
-                )
+        if c.verdict == "at a bound":
+            share, bound = max((c.at_lower, "lower"), (c.at_upper, "upper"))
+            found.append(
+                f"{c.name}: {100 * share:.0f} % of the draws lie at its {bound} bound; the bound has a say "
+                "in it, and the other constants depend on it."
+            )
     sure = [c.name for c in _constants(result) if c.verdict == "determined by the data"]
     return (*found, f"Determined by the frequencies: {', '.join(sure) or 'none of the constants'}.")
 
@@ -271,7 +269,7 @@ def _chains(result: SampledIdentification, seed: int) -> Table:
         ),
         (
             "solver",
-            f"error at most {significant(100 * float(np.max(result.error)), 2)} % of a frequency, "
+            f"error about {significant(100 * float(np.max(result.error)), 2)} % in the worst mode, "
             "part of the noise",
         ),
         ("work", f"{result.forward_solves} forward solves in {result.seconds:.1f} s, seed {seed}"),
