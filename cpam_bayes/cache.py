@@ -40,7 +40,7 @@ from cpam_bayes.threads import single_blas_thread
 Array = NDArray[Any]
 
 # To be raised when the same inputs give other numbers.
-_FORMAT = 3
+_FORMAT = 4
 _NEEDED = {"basis", "keep", "error", "reference", "rounding"}
 
 

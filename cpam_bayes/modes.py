@@ -17,6 +17,8 @@ Array = NDArray[Any]
 # A rigid-body motion has eigenvalue zero but for rounding, which grows with the range of K (up to
 # 2e11 on thin plates); a deformation mode has not.
 RIGID_TOLERANCE = 1e-4
+# A first deformation mode this far below the last one asked for is a rigid-body motion in disguise.
+LEAST_SHARE = 1e-9
 # Relative distance of eigenvalues under which their eigenvectors are arbitrary in their common plane.
 COINCIDENT = 1e-9
 
@@ -112,7 +114,8 @@ def _vectors(
 def _check_rigid(ranked: Array, n_rigid: int) -> None:
     first = ranked[..., n_rigid]
     largest = np.abs(ranked[..., :n_rigid]).max(axis=-1, initial=0.0)
-    if np.any(first <= 0.0) or np.any(largest > RIGID_TOLERANCE * first):
+    least = LEAST_SHARE * ranked[..., -1]
+    if np.any(first <= least) or np.any(largest > RIGID_TOLERANCE * first):
         seen = ", ".join(f"{v:.3g}" for v in ranked.reshape(-1, ranked.shape[-1])[0][: n_rigid + 2])
         raise RigidBodyError(
             f"the edges leave {n_rigid} rigid-body motions, the lowest eigenvalues are {seen} (rad/s)^2"
