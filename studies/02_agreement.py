@@ -64,7 +64,7 @@ def run(quick: bool) -> dict[str, Any]:
     start = time.perf_counter()
     names = SHAPES[:1] if quick else _distinct_plates()
     unsymmetric = UNSYMMETRIC[:1] if quick else UNSYMMETRIC
-    finer = 0.8 if quick else FINER
+    finer = 0.7 if quick else FINER
     with _bricks([] if quick else _brick_plates()) as bricks:
         specimens = [_specimen_row(builtin(name), finer, bricks) for name in names]
         coupled = [_specimen_row(_changed(name, layup), finer, bricks) for name, layup in unsymmetric]
