@@ -18,11 +18,10 @@ from cpam_bayes.inference.ensemble import (
     Diagnostics,
     EnsembleResult,
     EnsembleSettings,
-    sample,
-    start_positions,
 )
 from cpam_bayes.inference.identify import identify, required
-from cpam_bayes.inference.pso import SwarmSettings, minimise
+from cpam_bayes.inference.pso import SwarmSettings
+from cpam_bayes.inference.sampling import sample_from, swarm_on_posterior
 from cpam_bayes.laminate import flexural_constants
 from cpam_bayes.measurement import Specimen
 from cpam_bayes.model import discretisation_error
@@ -124,41 +123,16 @@ def identify_by_sampling(
     else:
         model = reduced_model(specimen, unknowns, measurement.size + _SPARE_MODES, notify=notify)
         posterior = plate_posterior(model, measurement, _solver_error(model.full.error))
-        bests, values, solves = _swarm_on_posterior(posterior, seed, swarm_settings or SwarmSettings())
-    rng = np.random.default_rng([seed, 1])
+        bests, values, solves = swarm_on_posterior(posterior, seed, swarm_settings or SwarmSettings())
     notify("starting the ensembles from the swarm")
-    n_walkers = settings.ensembles * settings.walkers
-    walkers = start_positions(posterior, bests, values, n_walkers, rng)
-    result = sample(
-        posterior,
-        walkers.reshape(settings.ensembles, settings.walkers, -1),
-        seed,
-        settings,
-        store=store,
-        progress=progress,
-    )
-    solves += result.diagnostics.steps * n_walkers
+    result = sample_from(posterior, bests, values, seed, settings=settings, store=store, progress=progress)
+    solves += result.diagnostics.steps * settings.ensembles * settings.walkers
+    rng = np.random.default_rng([seed, 3])
     return _summarise(specimen, posterior, model, result, solves, start, rng)
 
 
 def _solver_error(error: Array) -> Array:
     return np.asarray(np.hypot(error, REDUCTION.tolerance))
-
-
-def _swarm_on_posterior(posterior: Posterior, seed: int, settings: SwarmSettings) -> tuple[Array, Array, int]:
-    """Personal bests of the plate's parameters, their values and the solves of a swarm on -log p."""
-    rng = np.random.default_rng(seed)
-    n = posterior.model.parameters.size
-    swarm = minimise(
-        lambda x: -posterior.log_prob(x),
-        posterior.parameters.lower,
-        posterior.parameters.upper,
-        posterior.parameters.sample(rng, settings.particles),
-        settings,
-        rng,
-        feasible=lambda x: np.isfinite(posterior.log_prior(x)),
-    )
-    return swarm.personal_bests[:, :n], swarm.personal_values, swarm.evaluations
 
 
 def _summarise(
