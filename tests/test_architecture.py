@@ -15,11 +15,13 @@ import cpam_bayes
 LAYERS = (
     "errors",
     "threads",
+    "parallel",
     "priors",
     "parameters",
     "elasticity",
     "layup",
     "laminate",
+    "weights",
     "problem",
     "effects",
     "spaces",
@@ -34,6 +36,8 @@ LAYERS = (
     "elements",
     "reduced",
     "cache",
+    "labels",
+    "noise",
     "pairing",
     "posterior",
     "inference",
@@ -44,7 +48,7 @@ LAYERS = (
     "cli",
     "__main__",
 )
-HEAVY = ("arviz", "emcee", "matplotlib", "skfem")
+HEAVY = ("arviz", "distributed", "emcee", "matplotlib", "skfem")
 # The package itself may be asked for these by any layer; it imports nothing.
 ROOT_NAMES = {"__version__"}
 

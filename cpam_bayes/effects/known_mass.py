@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
 from cpam_bayes.problem import Array, Atom, Form, PlateState, Problem, Region, Term, Values
@@ -18,10 +20,10 @@ def add_known_mass(problem: Problem, mass: float, x: float, y: float) -> Problem
     length, width = float(problem.nominal.length), float(problem.nominal.width)
     place = Region("point", point=(x / length, y / width))
     forms = tuple(Form(Atom(f), Atom(f), place) for f in ("u", "v", "w", "phi_x", "phi_y"))
+    return problem.with_terms(Term("known_mass", "mass", forms, partial(_coefficients, mass)))
 
-    def coefficients(state: PlateState, values: Values) -> Array:
-        del values
-        rotary = mass * (np.asarray(state.thickness) / 2) ** 2
-        return np.stack(np.broadcast_arrays(*[mass + 0.0 * rotary] * 3, *[rotary] * 2), axis=-1)
 
-    return problem.with_terms(Term("known_mass", "mass", forms, coefficients))
+def _coefficients(mass: float, state: PlateState, values: Values) -> Array:
+    del values
+    rotary = mass * (np.asarray(state.thickness) / 2) ** 2
+    return np.stack(np.broadcast_arrays(*[mass + 0.0 * rotary] * 3, *[rotary] * 2), axis=-1)

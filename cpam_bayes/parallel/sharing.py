@@ -1,0 +1,266 @@
+"""Sharing out: items go to workers in batches and their results come back in order."""
+
+from __future__ import annotations
+
+import math
+import os
+import pickle
+import tempfile
+from collections import deque
+from collections.abc import Callable, Collection, Iterator, Sequence
+from concurrent.futures import (
+    FIRST_COMPLETED,
+    BrokenExecutor,
+    CancelledError,
+    Executor,
+    Future,
+    ProcessPoolExecutor,
+    wait,
+)
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, TypeVar, cast
+
+from cpam_bayes.parallel.executors import DaskCluster, WorkersLostError, open_executor, workers_of
+from cpam_bayes.parallel.worker import Outcome, Ticket, digest_of, forget, work_through
+from cpam_bayes.threads import single_blas_thread
+
+T = TypeVar("T")
+Shared = TypeVar("Shared")
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+# How often a batch may be lost with its worker.
+_MOST_LOSSES = 3
+# Seconds that a batch should last: long beside the cost of sending it, short beside a user's patience.
+_BATCH_SECONDS = 0.5
+# A batch is at most this many times larger than one before it.
+_GROWTH = 8
+# Batches handed out for each worker: one that it works on and one that waits.
+_AHEAD = 2
+
+
+@dataclass(frozen=True, slots=True)
+class _Batch:
+    """Items start to stop; how often a worker died with them, or had no way to the shared object."""
+
+    start: int
+    stop: int
+    losses: int = 0
+    misses: int = 0
+
+
+@single_blas_thread
+def run(
+    work: Callable[[Shared, Item], Result],
+    shared: Shared,
+    items: Sequence[Item],
+    executor: Executor | None = None,
+    *,
+    batch_size: int | None = None,
+    on_result: Callable[[int, Result], None] | None = None,
+) -> list[Result]:
+    """``work(shared, item)`` of every item, in the order of the items.
+
+    Items must carry their own seeds; then the results are the same bit for bit whatever the executor,
+    the number of its workers and the batches are: the work sees copies of ``shared`` and of the items
+    that were restored from pickles, in this process too if they can be pickled.
+
+    executor : ``None`` for this process. ``shared`` is sent once to each worker. batch_size : items
+    sent at a time, by default what takes half a second. on_result : called in this process with index
+    and result as results arrive, in any order.
+
+    Batches lost with a worker are done again by others. Raises what ``work`` or ``on_result`` raised,
+    with the item's index as a note, ``WorkersLostError`` if a batch was lost four times, and
+    ``ValueError`` for a batch size below 1 or workers with another version of this package; batches
+    not done are then cancelled.
+    """
+    if batch_size is not None and batch_size < 1:
+        raise ValueError(f"batch_size: received {batch_size}, accepted: 1 or more")
+    tell = on_result or (lambda index, result: None)
+    if executor is None:
+        return _run_here(work, shared, items, tell)
+    return _run_there(work, shared, items, executor, batch_size, tell) if len(items) else []
+
+
+def _run_here(
+    work: Callable[[Shared, Item], Result],
+    shared: Shared,
+    items: Sequence[Item],
+    tell: Callable[[int, Result], None],
+) -> list[Result]:
+    shared = _copied(shared)
+    results = []
+    for index, item in enumerate(items):
+        try:
+            result = work(shared, _copied(item))
+        except Exception as error:
+            error.add_note(_place(index, len(items)))
+            raise
+        results.append(result)
+        tell(index, result)
+    return results
+
+
+def _copied(value: T) -> T:
+    """The value as a worker would get it; itself if it could not be sent to one."""
+    try:
+        return cast(T, pickle.loads(pickle.dumps(value)))
+    except (pickle.PicklingError, AttributeError, TypeError):
+        return value
+
+
+def _place(index: int, n: int) -> str:
+    return f"It was raised by the work on item {index} of {n} (counted from 0)."
+
+
+def _run_there(
+    work: Callable[[Shared, Item], Result],
+    shared: Shared,
+    items: Sequence[Item],
+    executor: Executor,
+    batch_size: int | None,
+    tell: Callable[[int, Result], None],
+) -> list[Result]:
+    dumps: Callable[[Any], bytes] = executor.pickled if isinstance(executor, DaskCluster) else pickle.dumps
+    pickled = dumps(shared)
+    queue = _Queue(len(items), batch_size)
+    results: dict[int, Result] = {}
+    pending: dict[Future[Outcome], _Batch] = {}
+    with ExitStack() as stack:
+        ticket = stack.enter_context(_issued(pickled, executor))
+        laden = replace(ticket, pickled=pickled)
+        # A cluster is told anew who lacks the shared object; any other worker gets it with the batch.
+        patience = 1 if isinstance(executor, DaskCluster) else 0
+        stack.push(_cancel_on_exception(pending))
+        while True:
+            workers = workers_of(executor)
+            while len(pending) < _AHEAD * workers and (batch := queue.take(workers, pending.values())):
+                packed = dumps([items[i] for i in range(batch.start, batch.stop)])
+                sent = laden if batch.misses > patience else ticket
+                try:
+                    pending[executor.submit(work_through, work, sent, packed)] = batch
+                except BrokenExecutor as error:
+                    queue.lost(batch, error)
+                    executor = _usable(executor, stack)
+            if not pending:
+                return [results[i] for i in range(len(items))]
+            done, _ = wait(pending, return_when=FIRST_COMPLETED)
+            for future in sorted(done, key=lambda f: pending[f].start):
+                batch = pending.pop(future)
+                failure = CancelledError("cancelled") if future.cancelled() else future.exception()
+                if failure is not None:
+                    if not _is_loss(failure):
+                        failure.add_note(
+                            f"It was raised while sending items {batch.start} to {batch.stop - 1}."
+                        )
+                        raise failure
+                    queue.lost(batch, failure)
+                    executor = _usable(executor, stack)
+                    continue
+                outcome = future.result()
+                if outcome.missing:
+                    if isinstance(executor, DaskCluster):
+                        executor.deliver(ticket.digest, pickled)
+                    queue.missed(batch)
+                    continue
+                for index, result in enumerate(outcome.results, batch.start):
+                    results[index] = result
+                    tell(index, result)
+                if outcome.error is not None:
+                    outcome.error.add_note(_place(batch.start + len(outcome.results), len(items)))
+                    raise outcome.error
+                queue.done(batch, outcome.seconds)
+
+
+class _Queue:
+    """Batches still to be handed out."""
+
+    def __init__(self, n: int, batch_size: int | None) -> None:
+        self._n, self._next = n, 0
+        self._fixed, self._size = batch_size, 1
+        self._again: deque[_Batch] = deque()
+        self._suspect: deque[_Batch] = deque()
+
+    def take(self, workers: int, out: Collection[_Batch]) -> _Batch | None:
+        """The next batch, unless there is none or it must wait for those that are out.
+
+        Those lost before come last, and after a second loss alone, so that none is blamed for another.
+        """
+        if self._next < self._n:
+            share = math.ceil((self._n - self._next) / (_AHEAD * workers))
+            start = self._next
+            self._next = min(self._n, start + (self._fixed or min(self._size, share)))
+            return _Batch(start, self._next)
+        if self._again:
+            return self._again.popleft()
+        return self._suspect.popleft() if self._suspect and not out else None
+
+    def done(self, batch: _Batch, seconds: float) -> None:
+        """Learn from a batch how many items make a good one."""
+        n = batch.stop - batch.start
+        fitting = _BATCH_SECONDS * n / max(seconds, 1e-9)
+        self._size = max(1, int(min(fitting, _GROWTH * n)))
+
+    def missed(self, batch: _Batch) -> None:
+        """Take back a batch whose worker had no way to the shared object."""
+        self._again.append(replace(batch, misses=batch.misses + 1))
+
+    def lost(self, batch: _Batch, error: BaseException) -> None:
+        """Take back a batch whose worker died, or raise ``WorkersLostError``."""
+        if batch.losses == _MOST_LOSSES:
+            raise WorkersLostError(
+                f"items {batch.start} to {batch.stop - 1} of {self._n} (counted from 0) were lost "
+                f"{batch.losses + 1} times because their worker died ({type(error).__name__}: {error}); "
+                "they may need more memory than there is: try fewer workers, or the executor serial"
+            ) from error
+        place = self._suspect if batch.losses else self._again
+        place.append(replace(batch, losses=batch.losses + 1))
+
+
+def _is_loss(error: BaseException) -> bool:
+    """Whether an error says that a worker died, not that the work failed.
+
+    Dask's is told by its name: Dask need not be installed.
+    """
+    names = {kind.__name__ for kind in type(error).__mro__}
+    return isinstance(error, (BrokenExecutor, CancelledError)) or "KilledWorker" in names
+
+
+def _usable(executor: Executor, stack: ExitStack) -> Executor:
+    """The executor, or new processes in place of a caller's pool, which is of no use once broken."""
+    if not isinstance(executor, ProcessPoolExecutor):
+        return executor
+    found = stack.enter_context(open_executor(None, workers_of(executor)))
+    return executor if found is None else found
+
+
+def _cancel_on_exception(pending: dict[Future[Outcome], _Batch]) -> Callable[..., None]:
+    def leave(kind: type[BaseException] | None, *_: object) -> None:
+        if kind is not None:
+            for future in pending:
+                future.cancel()
+
+    return leave
+
+
+@contextmanager
+def _issued(pickled: bytes, executor: Executor) -> Iterator[Ticket]:
+    """What leads workers to a shared object, as long as it is needed."""
+    digest = digest_of(pickled)
+    if isinstance(executor, DaskCluster):
+        executor.deliver(digest, pickled)
+        try:
+            yield Ticket(digest)
+        finally:
+            executor.forget(digest)
+        return
+    handle, path = tempfile.mkstemp(prefix="cpam_bayes_", suffix=".pickle")
+    try:
+        with os.fdopen(handle, "wb") as file:
+            file.write(pickled)
+        yield Ticket(digest, path)
+    finally:
+        Path(path).unlink(missing_ok=True)
+        forget(digest)  # threads of this process restored it here

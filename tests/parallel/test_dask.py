@@ -1,0 +1,224 @@
+"""The same work on a Dask cluster of this machine: a scheduler and two worker processes."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from concurrent.futures import Executor
+from contextlib import AbstractContextManager, contextmanager, suppress
+from pathlib import Path
+
+import numpy as np
+import pytest
+from distributed import Client
+
+from cpam_bayes import __version__
+from cpam_bayes.cache import reduced_model
+from cpam_bayes.measurement import read_specimen
+from cpam_bayes.parallel import WorkersLostError, executors, open_executor, run
+from cpam_bayes.posterior import Posterior, plate_posterior
+from tests.parallel import work
+
+pytestmark = pytest.mark.slow
+
+SEEDS = range(24)
+
+
+@contextmanager
+def _started(directory: Path, path: list[str], *words: str) -> Iterator[subprocess.Popen[bytes]]:
+    """A Dask program, ended with all processes that it started."""
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([*path, *sys.path])}
+    with (directory / "log").open("ab") as log:
+        program = subprocess.Popen(
+            [sys.executable, "-m", "dask", *words, "--host", "127.0.0.1", "--no-dashboard"],
+            stdout=log,
+            stderr=log,
+            cwd=directory,
+            env=environment,
+            start_new_session=True,
+        )
+    try:
+        yield program
+    finally:
+        with suppress(ProcessLookupError):
+            os.killpg(program.pid, signal.SIGKILL)
+        program.wait()
+
+
+def _scheduler(directory: Path) -> AbstractContextManager[subprocess.Popen[bytes]]:
+    # the operating system finds the port, and the scheduler writes it down
+    return _started(directory, [], "scheduler", "--port", "0", "--scheduler-file", str(directory / "address"))
+
+
+def _workers(directory: Path, n: int, *path: str) -> AbstractContextManager[subprocess.Popen[bytes]]:
+    options = ("--nworkers", str(n), "--nthreads", "1", "--memory-limit", "0")
+    place = ("--scheduler-file", str(directory / "address"), "--local-directory", str(directory))
+    return _started(directory, list(path), "worker", *options, *place)
+
+
+@contextmanager
+def _client(directory: Path) -> Iterator[Client]:
+    """Waits for the scheduler's file; workers do so too."""
+    client = Client(scheduler_file=str(directory / "address"), timeout=120, set_as_default=False)
+    try:
+        yield client
+    finally:
+        client.close()
+
+
+def _spec(directory: Path) -> str:
+    with _client(directory):
+        return json.loads((directory / "address").read_text())["address"].replace("tcp://", "dask://")
+
+
+@pytest.fixture(scope="module")
+def directory(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("dask")
+
+
+@pytest.fixture(scope="module")
+def spec(directory: Path) -> Iterator[str]:
+    with _scheduler(directory), _workers(directory, 2):
+        with _client(directory) as client:
+            client.wait_for_workers(2, timeout=120)
+        yield _spec(directory)
+
+
+@pytest.fixture
+def cluster(spec: str, directory: Path) -> Iterator[Executor | None]:
+    with _client(directory) as client:  # one may have been killed by the test before
+        client.wait_for_workers(2, timeout=120)
+    with open_executor(spec) as executor:
+        yield executor
+
+
+@pytest.fixture(scope="module")
+def posterior() -> Posterior:
+    specimen = read_specimen("C1")
+    assert specimen.measurement is not None
+    model = reduced_model(specimen, specimen.unknowns, specimen.measurement.size)
+    return plate_posterior(model, specimen.measurement, model.full.error)
+
+
+def test_the_posterior_of_a_plate_is_the_same_bit_for_bit(
+    cluster: Executor, posterior: Posterior, tmp_path: Path
+) -> None:
+    here = run(
+        work.log_probabilities, work.Evaluation(posterior, work.Counted(0, str(tmp_path / "0"))), SEEDS
+    )
+    assert all(np.isfinite(values).any() for values in here)
+    for batch_size in (1, 5, None):
+        log = tmp_path / f"log {batch_size}"
+        shared = work.Evaluation(posterior, work.Counted(0, str(log)))
+        there = run(work.log_probabilities, shared, SEEDS, cluster, batch_size=batch_size)
+        assert np.array_equal(_values(here), _values(there))
+        assert all(values.flags.writeable for values in there)  # as those of a serial run
+        processes = {f"{values[-1]:.0f}" for values in there}
+        assert str(os.getpid()) not in processes
+        assert sorted(work.lines(log)) == sorted(processes)
+
+
+def test_both_workers_restore_the_shared_object_once(cluster: Executor, tmp_path: Path) -> None:
+    log, pipe = tmp_path / "log", tmp_path / "pipe"
+    os.mkfifo(pipe)
+    found = run(work.meeting, work.Counted(str(pipe), str(log)), SEEDS, cluster, batch_size=1)
+    processes = {str(process) for _, process in found}
+    assert len(processes) == 2
+    assert sorted(work.lines(log)) == sorted(processes)
+
+
+@pytest.mark.parametrize("batch_size", [1, 4])
+def test_a_worker_killed_in_the_middle_changes_no_bit(
+    cluster: Executor, posterior: Posterior, tmp_path: Path, batch_size: int
+) -> None:
+    counted = work.Counted(0, str(tmp_path / "log"))
+    here = run(work.log_probabilities, work.Evaluation(posterior, counted), SEEDS)
+    flag = tmp_path / "killed"
+    shared = work.Evaluation(posterior, counted, str(flag))
+    there = run(work.log_probabilities, shared, SEEDS, cluster, batch_size=batch_size)
+    assert flag.exists()
+    assert np.array_equal(_values(here), _values(there))
+
+
+def _values(results: list[np.ndarray]) -> np.ndarray:
+    """Log probabilities without the process that computed them."""
+    return np.array(results)[:, :-1]
+
+
+def test_an_error_of_the_work_comes_as_it_is_with_its_item(cluster: Executor, tmp_path: Path) -> None:
+    log = tmp_path / "log"
+    with pytest.raises(LookupError, match="no luck with 12") as caught:
+        run(work.fail_at, (12, str(log)), range(10, 200), cluster, batch_size=1)
+    assert "item 2 of 190" in caught.value.__notes__[-1]
+    assert len(work.lines(log)) < 20
+
+
+def test_work_of_the_main_module_is_sent_by_value(cluster: Executor) -> None:
+    # the workers have no main module of this program, nor what a function defines
+    def add(shared: int, item: int) -> int:
+        return shared + item
+
+    assert run(add, 1, range(5), cluster) == [1, 2, 3, 4, 5]
+
+
+def test_an_executor_of_dask_itself_does_as_well(cluster: Executor, spec: str) -> None:
+    matrix = np.random.default_rng(0).normal(size=(30, 40))
+    client = Client(spec.replace("dask://", "tcp://"), set_as_default=False)
+    try:
+        there = run(work.noisy_norm, matrix, SEEDS, client.get_executor(pure=False))
+    finally:
+        client.close()
+    assert there == run(work.noisy_norm, matrix, SEEDS)
+
+
+@pytest.mark.parametrize(
+    ("source", "message"),
+    [
+        ('__version__ = "0.0.1"', r"the Dask worker tcp://\S+ has 0\.0\.1; install the same version"),
+        ('raise ImportError("not here")', r"the Dask worker tcp://\S+ cannot import it \(.*not here"),
+    ],
+)
+def test_a_worker_without_this_version_is_refused(
+    spec: str, directory: Path, tmp_path: Path, source: str, message: str
+) -> None:
+    package = tmp_path / "cpam_bayes"
+    package.mkdir()
+    (package / "__init__.py").write_text(source)
+    (package / "parallel.py").touch()
+    with _workers(directory, 1, str(tmp_path)):
+        with _client(directory) as client:
+            client.wait_for_workers(3, timeout=120)
+        with (
+            pytest.raises(ValueError, match=f"this process has cpam_bayes {__version__}.*{message}"),
+            open_executor(spec),
+        ):
+            pass
+
+
+def test_a_scheduler_without_workers_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(executors, "_PATIENCE", 0.5)
+    with _scheduler(tmp_path):
+        spec = _spec(tmp_path)
+        with (
+            pytest.raises(ValueError, match=f"the Dask scheduler {spec} has no workers"),
+            open_executor(spec),
+        ):
+            pass
+
+
+def test_a_scheduler_that_goes_away_ends_the_work_with_an_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(executors, "_PATIENCE", 120)
+    with _scheduler(tmp_path) as scheduler, _workers(tmp_path, 1), open_executor(_spec(tmp_path)) as executor:
+
+        def stop(index: int, result: int) -> None:
+            os.killpg(scheduler.pid, signal.SIGKILL)
+            scheduler.wait()
+
+        with pytest.raises(WorkersLostError, match=r"the Dask scheduler at tcp://127\.0\.0\.1:\d+ is gone"):
+            run(work.square_or_kill_always, -1, range(100), executor, batch_size=1, on_result=stop)
