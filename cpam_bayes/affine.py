@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from cpam_bayes.problem import Form, MatrixKind, Problem, Values
-from cpam_bayes.spaces.protocol import Space
-from cpam_bayes.spaces.ritz import Family, RitzSpace, evaluate_sector
+from cpam_bayes.problem import Atom, Form, MatrixKind, Problem, Values
+from cpam_bayes.spaces.protocol import Quadrature, Space
+from cpam_bayes.spaces.ritz import Family, RitzSpace, broken_quadrature, evaluate_sector
+from cpam_bayes.weights import Product
 
 Array = NDArray[Any]
 SpaceT = TypeVar("SpaceT", bound=Space, covariant=True)
@@ -201,15 +202,21 @@ MATRICES: tuple[MatrixKind, MatrixKind] = ("stiffness", "mass")
 
 
 def _area_pieces(form: Form, space: RitzSpace) -> list[Piece]:
-    """Sector-by-sector matrices of an unweighted area form, by products of one-dimensional integrals."""
+    """Sector-by-sector matrices of an area form, by products of one-dimensional integrals.
+
+    Its weight is one or a product of functions of xi and of eta.
+    """
     (x, wx), (y, wy) = space.x_grid, space.y_grid
+    if isinstance(form.weight, Product):
+        x, wx = broken_quadrature(form.weight.x.breaks) if form.weight.x.breaks else (x, wx)
+        y, wy = broken_quadrature(form.weight.y.breaks) if form.weight.y.breaks else (y, wy)
     pieces = []
     for i, left in enumerate(space.sectors):
         for j, right in enumerate(space.sectors):
             if left.field != form.left.field or right.field != form.right.field:
                 continue
             in_x = _overlap(left.x, right.x, form, "x", x, wx)
-            in_y = _overlap(left.y, right.y, form, "y", y, wy)
+            in_y = _overlap(left.y, right.y, form, "y", y, wy) if in_x is not None else None
             if in_x is not None and in_y is not None:
                 p, q = left.pairs, right.pairs
                 pieces.append((i, j, in_x[np.ix_(p[:, 0], q[:, 0])] * in_y[np.ix_(p[:, 1], q[:, 1])]))
@@ -219,7 +226,12 @@ def _area_pieces(form: Form, space: RitzSpace) -> list[Piece]:
 def _overlap(left: Family, right: Family, form: Form, axis: str, t: Array, w: Array) -> Array | None:
     """One-dimensional integrals of products of two families; ``None`` where they vanish by parity."""
     in_left, in_right = form.left.derivative == axis, form.right.derivative == axis
-    if left.parity * right.parity * (-1) ** (in_left + in_right) < 0:
+    parity = left.parity * right.parity * (-1) ** (in_left + in_right)
+    if isinstance(form.weight, Product):
+        profile = form.weight.x if axis == "x" else form.weight.y
+        parity *= profile.parity
+        w = w * profile(t)
+    if parity < 0:
         return None
     return np.asarray(left.evaluate(t, in_left).T @ (w[:, None] * right.evaluate(t, in_right)))
 
@@ -227,6 +239,8 @@ def _overlap(left: Family, right: Family, form: Form, axis: str, t: Array, w: Ar
 def _general_pieces(form: Form, space: RitzSpace) -> list[Piece]:
     """Sector-by-sector matrices of any form, by quadrature over its region."""
     rule = space.quadrature(form.region)
+    if form.region.kind == "projection":
+        return _projection_pieces(form, space, rule)
     weights = rule.weights * (1.0 if form.weight is None else form.weight(rule.points))
     pieces = []
     for i, left in enumerate(space.sectors):
@@ -246,9 +260,30 @@ def _general_pieces(form: Form, space: RitzSpace) -> list[Piece]:
     return pieces
 
 
+def _projection_pieces(form: Form, space: RitzSpace, rule: Quadrature) -> list[Piece]:
+    """Sector-by-sector matrices of a form that is a sum of products of integrals."""
+    functions = projected_functions(form, rule)
+
+    def moments(atom: Atom) -> list[tuple[int, Array]]:
+        own = [(i, s) for i, s in enumerate(space.sectors) if s.field == atom.field and s.size]
+        found = [(i, evaluate_sector(s, rule.points, atom.derivative).T @ functions) for i, s in own]
+        size = max((np.abs(g).max() for _, g in found), default=0.0)
+        # what is left of integrals that vanish by parity
+        return [(i, np.where(np.abs(g) > 1e-12 * size, g, 0.0)) for i, g in found]
+
+    pairs = [(i, j, a @ b.T) for i, a in moments(form.left) for j, b in moments(form.right)]
+    return [(i, j, matrix) for i, j, matrix in pairs if matrix.any()]
+
+
+def projected_functions(form: Form, rule: Quadrature) -> Array:
+    """Weighted values (n_points, r) of the functions on which a form projects."""
+    values = np.ones((len(rule.points), 1)) if form.weight is None else form.weight(rule.points)
+    return np.asarray(rule.weights[:, None] * values)
+
+
 def form_pieces(form: Form, space: RitzSpace) -> list[Piece]:
     """Non-zero sector-by-sector matrices of a form, both triangles: (row sector, column sector, matrix)."""
-    plain = form.region.kind == "area" and form.weight is None
+    plain = form.region.kind == "area" and (form.weight is None or isinstance(form.weight, Product))
     pieces = _area_pieces(form, space) if plain else _general_pieces(form, space)
     if form.left != form.right:
         pieces = pieces + [(j, i, m.T) for i, j, m in pieces]
@@ -263,9 +298,17 @@ def active_terms(problem: Problem, samples: Values, matrix: MatrixKind) -> Array
 
 
 def _comparable(forms: Sequence[Form], coefficients: Array) -> Array:
-    """Magnitude that a coefficient is compared with to be called zero: its largest diagonal relatives."""
-    own = {f.left: c for f, c in zip(forms, coefficients.max(axis=0), strict=True) if f.left == f.right}
-    return np.array([np.sqrt(own.get(f.left, 0.0) * own.get(f.right, 0.0)) for f in forms])
+    """Magnitude that a coefficient is compared with to be called zero: its largest diagonal relatives.
+
+    Relatives are forms over the same region with the same weight.
+    """
+    own: dict[tuple[Any, ...], float] = {}
+    for f, c in zip(forms, coefficients.max(axis=0), strict=True):
+        if f.left == f.right:
+            key = (f.left, f.region, f.weight)
+            own[key] = max(own.get(key, 0.0), float(c))
+    sizes = [[own.get((atom, f.region, f.weight), 0.0) for atom in (f.left, f.right)] for f in forms]
+    return np.array([np.sqrt(a * b) for a, b in sizes])
 
 
 def discretise(problem: Problem, space: RitzSpace, samples: Values) -> DenseOperator:

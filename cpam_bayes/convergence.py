@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from cpam_bayes.affine import DenseOperator, discretise, discretise_at, restricted
 from cpam_bayes.modes import RigidBodyError, Spectrum, solve
-from cpam_bayes.problem import Problem, Values
+from cpam_bayes.problem import CLAMPED, Problem, Values
 from cpam_bayes.spaces.ritz import RitzSettings, RitzSpace, ritz_space
 
 Array = NDArray[Any]
@@ -93,7 +93,7 @@ def converge(
     sampled = discretise_at(problem, space, samples)
     eye = np.eye(len(rich.eigenvalues))
     own = solve(sampled, eye, eye, _more_modes(n_modes), vectors=True)
-    importance, rigid = _importance(sampled, own, n_modes), _rigid_functions(space)
+    importance, rigid = _importance(sampled, own, n_modes), _rigid_functions(space, problem)
     keep, error = (
         np.ones(len(importance), dtype=bool),
         own.frequencies[:, :n_modes] / rich.frequencies - 1.0,
@@ -162,16 +162,21 @@ def _grow(
     start = 7 + int(np.sqrt(n_modes) / 2)
     ladder = _COUPLED_LAYERS if rich.coupled else _UNCOUPLED_LAYERS
     current, level = RitzSettings(start, start, *ladder[0]), 0
-    errors = (_sampled_frequencies(problem, samples, current, n_modes) / reference - 1.0) / allowed
-    hardest = int(np.argmax(errors.max(axis=1)))
-    sample = {name: np.atleast_1d(values)[[hardest]] for name, values in samples.items()}
 
-    def error(settings: RitzSettings) -> float:
-        found = _sampled_frequencies(problem, sample, settings, n_modes)
-        return float(np.max(found[0] / reference[hardest] - 1.0) / allowed[hardest, 0])
+    def error(settings: RitzSettings, which: Array) -> Array:
+        own = {name: np.atleast_1d(values)[which] for name, values in samples.items()}
+        found = _sampled_frequencies(problem, own, settings, n_modes)
+        return np.asarray(np.max(found / reference[which] - 1.0, axis=1) / allowed[which, 0])
 
-    now = float(errors.max())
-    while now > tolerance.kept:
+    everywhere = np.arange(len(reference))
+    errors = error(current, everywhere)
+    hardest, now = everywhere[[np.argmax(errors)]], float(errors.max())
+    while True:
+        if now <= tolerance.kept:  # where it was hardest: another sample may be so now
+            errors = error(current, everywhere)
+            hardest, now = everywhere[[np.argmax(errors)]], float(errors.max())
+            if now <= tolerance.kept:
+                return current
         choices = []
         if current.degree_x < rich.degree_x:
             choices.append((replace(current, degree_x=current.degree_x + 2), level))
@@ -187,11 +192,10 @@ def _grow(
             return rich
         scored = []
         for settings, its_level in choices:
-            its_error = max(error(settings), 1e-9)
+            its_error = max(float(error(settings, hardest)[0]), 1e-9)
             cost = np.log(_basis_size(settings) / _basis_size(current))
             scored.append((np.log(now / its_error) / cost, its_error, settings, its_level))
         _, now, current, level = max(scored, key=lambda s: s[0])
-    return current
 
 
 def _basis_size(settings: RitzSettings) -> int:
@@ -215,7 +219,7 @@ def _rich(
     _refuse_too_thin(problem)
     stiffness = np.abs(problem.state(samples).stiffness()).reshape(-1, 8, 8).max(axis=0)
     orthotropic = np.max(stiffness[[0, 3, 1, 4], [2, 5, 2, 5]]) <= 1e-9 * stiffness[3, 3]
-    clamped = "C" in problem.edges
+    clamped = any(edge in CLAMPED for edge in problem.edges)
     degree = 10 + int(np.sqrt(n_modes))
     settings = RitzSettings(degree, degree, 2, clamped or not orthotropic, 2 if clamped else 0)
     eye = np.eye(_count(samples))
@@ -309,7 +313,7 @@ def _importance(operator: DenseOperator, spectrum: Spectrum, n_modes: int) -> Ar
     return share
 
 
-def _rigid_functions(space: RitzSpace) -> Array:
+def _rigid_functions(space: RitzSpace, problem: Problem) -> Array:
     """Mask of the trial functions that rigid-body motions are made of."""
     motions = {"u": ((0, 0), (0, 1)), "v": ((0, 0), (1, 0)), "w": ((0, 0), (1, 0), (0, 1))}
     (x, wx), (y, wy) = space.x_grid, space.y_grid
@@ -317,7 +321,8 @@ def _rigid_functions(space: RitzSpace) -> Array:
     for s in space.sectors:
         fx, fy = s.x.evaluate(x, False), s.y.evaluate(y, False)
         content = np.zeros((s.x.size, s.y.size))
-        for i, j in motions.get(s.field, ((0, 0),)):
+        further = tuple(powers for field, powers in problem.rigid_content if field == s.field)
+        for i, j in motions.get(s.field, ((0, 0),)) + further:
             content = np.maximum(content, np.abs(np.outer(fx.T @ (wx * x**i), fy.T @ (wy * y**j))))
         masks.append(content[s.pairs[:, 0], s.pairs[:, 1]] > 1e-9)
     return np.concatenate(masks)

@@ -17,6 +17,8 @@ Array = NDArray[Any]
 # A rigid-body motion has eigenvalue zero but for rounding, which grows with the range of K (up to
 # 2e11 on thin plates); a deformation mode has not.
 RIGID_TOLERANCE = 1e-4
+# The same on a soft support, where the rigid-body motions have frequencies of their own.
+SUPPORTED_TOLERANCE = 0.5
 # A first deformation mode this far below the last one asked for is a rigid-body motion in disguise.
 LEAST_SHARE = 1e-9
 # Relative distance of eigenvalues under which their eigenvectors are arbitrary in their common plane.
@@ -82,7 +84,7 @@ def solve(
     pooled = np.concatenate(values, axis=-1)
     order = np.argsort(pooled, axis=-1, kind="stable")[..., : n_rigid + n_modes]
     ranked = np.take_along_axis(pooled, order, axis=-1)
-    _check_rigid(ranked, n_rigid)
+    _check_rigid(ranked, n_rigid, SUPPORTED_TOLERANCE if operator.problem.supported else RIGID_TOLERANCE)
     order = order[..., n_rigid:]
     block, column = owner[order], place[order]
     shapes = None
@@ -111,11 +113,11 @@ def _vectors(
     return found
 
 
-def _check_rigid(ranked: Array, n_rigid: int) -> None:
+def _check_rigid(ranked: Array, n_rigid: int, tolerance: float) -> None:
     first = ranked[..., n_rigid]
     largest = np.abs(ranked[..., :n_rigid]).max(axis=-1, initial=0.0)
     least = LEAST_SHARE * ranked[..., -1]
-    if np.any(first <= least) or np.any(largest > RIGID_TOLERANCE * first):
+    if np.any(first <= least) or np.any(largest > tolerance * first):
         seen = ", ".join(f"{v:.3g}" for v in ranked.reshape(-1, ranked.shape[-1])[0][: n_rigid + 2])
         raise RigidBodyError(
             f"the edges leave {n_rigid} rigid-body motions, the lowest eigenvalues are {seen} (rad/s)^2"

@@ -20,6 +20,7 @@ from cpam_bayes.affine import AffineMatrix, AffineOperator, DenseBlock, DenseOpe
 from cpam_bayes.model import PlateModel, Prediction, training_sets
 from cpam_bayes.modes import Spectrum, solve
 from cpam_bayes.parameters import ParameterSet
+from cpam_bayes.problem import FIELDS
 
 Array = NDArray[Any]
 
@@ -202,6 +203,16 @@ def reduce(
         rounding=_rounding(operator, stiffness[middle], mass[middle]),
     )
     bases = _rigid_vectors(operator, stiffness[middle], mass[middle], first)
+    if model.operator.problem.rigid_content:  # rigid-body motions change with a parameter, linearly
+        for other in (int(np.argmin(size)), int(np.argmax(size))):
+            more = _rigid_vectors(operator, stiffness[other], mass[other], first)
+            joined = (np.column_stack(pair) for pair in zip(bases, more, strict=True))
+            bases = [_orthonormal(v, b, mass[middle]) for v, b in zip(joined, operator.blocks, strict=True)]
+    if _sides_vary(model, x):
+        bases = [
+            _orthonormal(_by_field(operator, block, rigid), block, mass[middle])
+            for block, rigid in zip(operator.blocks, bases, strict=True)
+        ]
     checks = np.vstack((_corners(model), training_sets(model.operator.problem, settings.checks, rng)))
     for _ in range(settings.rounds):
         bases = [
@@ -260,13 +271,35 @@ def _factor(block: DenseBlock, stiffness: Array, mass: Array, shift: float) -> A
 
 
 def _rigid_vectors(operator: DenseOperator, stiffness: Array, mass: Array, first: float) -> list[Array]:
-    """Rigid-body motions of every block, (n, n_rigid); they do not depend on the parameters."""
+    """Rigid-body motions of every block, (n, n_rigid); they depend on the sides alone."""
     found = []
     for block in operator.blocks:
         m = block.mass.assemble(mass)
         lam, phi = scipy.linalg.eigh(block.stiffness.assemble(stiffness), m)
         found.append(phi[:, np.abs(lam) < 1e-3 * first])
     return found
+
+
+def _sides_vary(model: PlateModel, x: Array) -> bool:
+    """Whether length or width is not the same at all parameter vectors (m, n)."""
+    state = model.operator.problem.state(model.parameters.mapping(x))
+    return any(bool(np.ptp(np.atleast_1d(np.real(side))) > 0.0) for side in (state.length, state.width))
+
+
+def _by_field(operator: DenseOperator, block: DenseBlock, vectors: Array) -> Array:
+    """Each column (n, k) cut into the parts of its fields, without those that are zero.
+
+    On the reference square a rotation is w = length xi with phi_x = -1. Where the sides vary, so does
+    the share of each field, and each is needed by itself.
+    """
+    if not vectors.size:
+        return vectors
+    ends = np.cumsum([operator.space.dimension(field) for field in FIELDS])
+    field = np.searchsorted(ends, block.index, side="right")
+    parts = [np.where((field == i)[:, None], vectors, 0.0) for i in range(len(FIELDS))]
+    every = np.concatenate(parts, axis=1)
+    size = np.linalg.norm(every, axis=0)
+    return every[:, size > 1e-6 * size.max()]
 
 
 def _greedy_basis(

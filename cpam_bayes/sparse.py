@@ -12,7 +12,7 @@ from scipy.sparse import coo_array, csc_array, csr_array, diags_array
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import LinearOperator, eigsh, splu
 
-from cpam_bayes.affine import MATRICES, AffineOperator, active_terms
+from cpam_bayes.affine import MATRICES, AffineOperator, active_terms, projected_functions
 from cpam_bayes.problem import FIELDS, MEMBRANE_FIELDS, Field, Form, MatrixKind, PlateState, Problem, Values
 from cpam_bayes.spaces.fem import FemSpace
 
@@ -212,11 +212,15 @@ def _form_entries(
 ) -> tuple[Array, Array]:
     """Keys and values of a form's entries in a block of n functions, both triangles."""
     rule = space.quadrature(form.region, kind)
-    weights = rule.weights * (1.0 if form.weight is None else form.weight(rule.points))
     left = space.evaluate(form.left.field, rule, form.left.derivative)
     right = space.evaluate(form.right.field, rule, form.right.derivative)
-    weighting: csr_array[Any] = diags_array(weights, format="csr")
-    matrix = coo_array(left.T @ weighting @ right)
+    if form.region.kind == "projection":  # every function with every other: dense
+        functions = projected_functions(form, rule)
+        matrix = coo_array((left.T @ functions) @ (right.T @ functions).T)
+    else:
+        weights = rule.weights * (1.0 if form.weight is None else form.weight(rule.points))
+        weighting: csr_array[Any] = diags_array(weights, format="csr")
+        matrix = coo_array(left.T @ weighting @ right)
     rows = matrix.row.astype(np.int64) + starts[form.left.field]
     columns = matrix.col.astype(np.int64) + starts[form.right.field]
     if form.left == form.right:

@@ -1,5 +1,78 @@
-"""What a bare plate may lack: functions from a problem to a problem, one file a family."""
+"""What a plate model may lack: functions from a problem to a problem, one file a family.
 
+A new effect is one file and one line in ``CATALOGUE``; ``docs/effects.md`` shows how.
+"""
+
+from cpam_bayes.effects.air import AIR, add_air
+from cpam_bayes.effects.angles import INNER_PLY_ANGLE, MISORIENTATION, OUTER_PLY_ANGLE
+from cpam_bayes.effects.clamps import CLAMP_ROTATION, CLAMP_SLIP, CLAMP_TRANSLATION
+from cpam_bayes.effects.damage import DAMAGE
+from cpam_bayes.effects.effect import Effect, PlateFacts, extend, scale_of, variants, widened
 from cpam_bayes.effects.known_mass import add_known_mass
+from cpam_bayes.effects.observation import FREQUENCY_SCALE, MODE_IDENTITY, OUTLIER, VISCOELASTIC
+from cpam_bayes.effects.sensor import SENSOR_MASS
+from cpam_bayes.effects.shape import SKEW, TAPER_X, TAPER_Y, WARP
+from cpam_bayes.effects.sizes import CLAMP_LENGTH, DENSITY, LENGTH, THICKNESS, WIDTH
+from cpam_bayes.effects.stiffness import RESIN_SKIN, SHEAR_RATIO, TRANSVERSE_SHEAR
+from cpam_bayes.effects.stress import MEMBRANE_STRESS
+from cpam_bayes.effects.support import SUPPORT
 
-__all__ = ["add_known_mass"]
+CATALOGUE: tuple[Effect, ...] = (
+    CLAMP_ROTATION,
+    CLAMP_TRANSLATION,
+    CLAMP_SLIP,
+    CLAMP_LENGTH,
+    SENSOR_MASS,
+    SUPPORT,
+    AIR,
+    THICKNESS,
+    DENSITY,
+    LENGTH,
+    WIDTH,
+    FREQUENCY_SCALE,
+    TAPER_X,
+    TAPER_Y,
+    SKEW,
+    MISORIENTATION,
+    OUTER_PLY_ANGLE,
+    INNER_PLY_ANGLE,
+    WARP,
+    MEMBRANE_STRESS,
+    TRANSVERSE_SHEAR,
+    SHEAR_RATIO,
+    DAMAGE,
+    RESIN_SKIN,
+    VISCOELASTIC,
+    MODE_IDENTITY,
+    OUTLIER,
+)
+
+# Slips of the pen or of the print: what is stated may be wrong far beyond its tolerance.
+GROSS: tuple[Effect, ...] = (
+    widened(THICKNESS, 10.0, {"thickness_deviation": 0.6}),
+    widened(DENSITY, 10.0, {"density_deviation": 0.6}),
+    widened(LENGTH, 25.0),
+    widened(WIDTH, 25.0),
+    widened(CLAMP_LENGTH, 10.0),
+    widened(MISORIENTATION, 10.0, {"misorientation_deg": 90.0}),
+)
+
+
+def applicable(facts: PlateFacts, effects: tuple[Effect, ...] = CATALOGUE) -> tuple[Effect, ...]:
+    """The effects that a plate may have."""
+    return tuple(effect for effect in effects if effect.applies_to(facts))
+
+
+__all__ = [
+    "CATALOGUE",
+    "GROSS",
+    "Effect",
+    "PlateFacts",
+    "add_air",
+    "add_known_mass",
+    "applicable",
+    "extend",
+    "scale_of",
+    "variants",
+    "widened",
+]

@@ -35,6 +35,8 @@ _LONGER, _SHORTER = 24, 16
 _FIRST, _GROWTH = 0.25, 3.0
 # Least width of an element, of the plate's side: thinner ones cost digits and gain nothing.
 _THINNEST = 2e-4
+# Points an element for a part of an edge: its ends are met within a thousandth of the edge.
+_MIDPOINTS = 64
 # Distance from the mesh, in units of the plate, at which a point still counts as on it.
 _ON_MESH = 1e-6
 
@@ -96,7 +98,7 @@ class FemSpace:
         plate's nominal width (x0, x1) or length (y0, y1). Raises ``ValueError`` for an edge that
         the mesh does not name and for a point that is not on the mesh.
         """
-        if region.kind == "area":
+        if region.kind in ("area", "projection"):
             return self._area(region, _REDUCED if matrix == "stiffness" else _FULL)
         return self._edge(region) if region.kind == "edge" else self._point(region)
 
@@ -143,11 +145,17 @@ class FemSpace:
         mapping, find = self.basis.mapping, self.facets[region.edge]
         cells = self.basis.mesh.f2t[0, find]
         x, w = get_quadrature(self.basis.mesh.brefdom, _FULL)
+        part = region.span != (0.0, 1.0)
+        if part:  # its ends lie anywhere in an element
+            x, w = (np.arange(_MIDPOINTS) + 0.5)[None] / _MIDPOINTS, np.full(_MIDPOINTS, 1.0 / _MIDPOINTS)
         points = mapping.G(x, find=find)
         local = mapping.invF(points, tind=cells)
         along = self.size[1 if region.edge[0] == "x" else 0]
         stretch = [self.size[i] / along * mapping.bndJ(i, 0, x, find=find) for i in (0, 1)]
         weights = np.hypot(*stretch) * w
+        if part:
+            t = points[1 if region.edge[0] == "x" else 0]
+            weights = np.where((t >= region.span[0]) & (t <= region.span[1]), weights, 0.0)
         return ElementQuadrature(region, points.reshape(2, -1).T, weights.ravel(), cells, local)
 
     def _point(self, region: Region) -> Quadrature:

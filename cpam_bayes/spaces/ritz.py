@@ -86,6 +86,29 @@ def graded_quadrature(rates: Sequence[float], degree: int) -> tuple[Array, Array
     return (middle + half * points).ravel(), (half * weights).ravel()
 
 
+def broken_quadrature(breaks: tuple[float, ...]) -> tuple[Array, Array]:
+    """Composite Gauss rule on [0, 1] with panels between given points, graded towards both ends."""
+    towards_end = 1e-3 * 3.0 ** np.arange(6)
+    nodes = np.concatenate(([0.0, 0.5, 1.0], towards_end, 1.0 - towards_end, np.array(breaks)))
+    nodes = np.unique(nodes[(nodes >= 0.0) & (nodes <= 1.0)])
+    return _composite(nodes[np.append(np.diff(nodes) > 1e-12, True)])
+
+
+def _composite(nodes: Array) -> tuple[Array, Array]:
+    points, weights = legendre.leggauss(20)
+    half, middle = np.diff(nodes)[:, None] / 2, (nodes[1:] + nodes[:-1])[:, None] / 2
+    return (middle + half * points).ravel(), (half * weights).ravel()
+
+
+# Panels of a part of an edge, finer towards its ends.
+_PART = np.array([0.0, 0.01, 0.05, 0.2, 0.5, 0.8, 0.95, 0.99, 1.0])
+
+
+def _part_quadrature(start: float, end: float) -> tuple[Array, Array]:
+    """Composite Gauss rule on a part of an edge, for polynomials and exponentials at either end."""
+    return _composite(start + (end - start) * _PART)
+
+
 @dataclass(frozen=True)
 class Family:
     """Orthonormal functions of one coordinate on [0, 1], of one parity or of none.
@@ -233,12 +256,14 @@ class RitzSpace:
         """Points and weights of a region, exact for the basis in either matrix."""
         del matrix
         (x, wx), (y, wy) = self.x_grid, self.y_grid
-        if region.kind == "area":
+        if region.kind in ("area", "projection"):
             points = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
             return Quadrature(region, points, np.outer(wx, wy).ravel())
         if region.kind == "point":
             return Quadrature(region, np.array([region.point]), np.ones(1))
         level = float(region.edge[1])
+        if region.span != (0.0, 1.0):
+            y, wy = x, wx = _part_quadrature(*region.span)
         if region.edge[0] == "x":
             return Quadrature(region, np.stack((np.full_like(y, level), y), axis=-1), wy)
         return Quadrature(region, np.stack((x, np.full_like(x, level)), axis=-1), wx)

@@ -1,0 +1,133 @@
+"""The air that an unbaffled plate moves."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache, partial
+
+import numpy as np
+from scipy.special import eval_chebyu, expn, jv
+
+from cpam_bayes.effects.effect import Effect, PlateFacts
+from cpam_bayes.parameters import Parameter, TruncatedNormal
+from cpam_bayes.problem import Array, Atom, Form, PlateState, Problem, Region, Term, Values
+
+# Functions along each side: added masses are converged to 1e-4 of themselves.
+_ORDER = 12
+# Wave numbers, in units of 2 / side, up to which Bessel functions are integrated; beyond, their mean.
+_CUTOFF = 400.0
+
+
+@dataclass(frozen=True, slots=True)
+class PressureJumps:
+    """Functions g of the plate with rho sum (integral of g_k w)^2 twice the kinetic energy of the air.
+
+    The jump of the velocity potential is a sum of chi_mn = sqrt(1 - x^2) U_m(x) sqrt(1 - y^2) U_n(y),
+    x and y from -1 to 1; its energy is c^T Lambda c with Lambda = 1/2 int |k| chi chi* d2k / (4 pi^2).
+    What the plate's velocity w sets in motion is F^T Lambda^-1 F, F = int chi w. length, width : m.
+    """
+
+    length: float
+    width: float
+
+    def __call__(self, points: Array) -> Array:
+        """Values (n, r) at reference points (n, 2), times the plate's area."""
+        x, y = (_jumps(2.0 * points[:, i] - 1.0) for i in (0, 1))
+        chi = (x[:, :, None] * y[:, None, :]).reshape(len(points), -1)
+        return np.asarray(chi @ _inverse_root(self.length, self.width)) * (self.length * self.width)
+
+
+def _jumps(s: Array) -> Array:
+    root = np.sqrt(np.maximum(1.0 - s**2, 0.0))
+    return np.stack([root * eval_chebyu(m, s) for m in range(_ORDER)], axis=-1)
+
+
+@lru_cache(maxsize=32)
+def _inverse_root(length: float, width: float) -> Array:
+    """R with R R^T = Lambda^-1, (r, r), block by block of equal parities, so that these stay apart."""
+    energy = jump_energy(length, width)
+    parity = [(m % 2, n % 2) for m in range(_ORDER) for n in range(_ORDER)]
+    root = np.zeros_like(energy)
+    for kind in set(parity):
+        own = np.flatnonzero([p == kind for p in parity])
+        inverse = np.linalg.inv(np.linalg.cholesky(energy[np.ix_(own, own)]))
+        root[np.ix_(own, own)] = inverse.T
+    root.flags.writeable = False
+    return root
+
+
+def jump_energy(length: float, width: float) -> Array:
+    """Lambda of a rectangle, (r, r) with r the number of pairs (m, n), m.
+
+    The square root is taken apart, |k| = 1 / (2 sqrt(pi)) int_0^inf (1 - exp(-|k|^2 t)) t^-3/2 dt, which
+    leaves products of integrals over one wave number; t = exp(tau) by the trapezoidal rule.
+    """
+    half = np.array([length, width]) / 2.0
+    tau = np.linspace(-26.0, 26.0, 261)
+    t = np.exp(tau) * half[0] * half[1]
+    in_x, in_y = (_side_integrals(t / a**2) for a in half)
+    at_zero = _side_integrals(np.zeros(1))[0]
+    whole = np.einsum("mp,nq->mnpq", at_zero, at_zero)
+    weight = t**-0.5 * (tau[1] - tau[0]) / (2.0 * np.sqrt(np.pi))
+    weight[[0, -1]] /= 2.0
+    found = whole * (weight.sum() + t[-1] ** -0.5 / np.sqrt(np.pi))
+    found -= np.einsum("t,tmp,tnq->mnpq", weight, in_x, in_y, optimize=True)
+    r = _ORDER**2
+    return np.asarray(0.5 * half[0] * half[1] / (4.0 * np.pi**2) * found.reshape(r, r))
+
+
+def _side_integrals(t: Array) -> Array:
+    """Integrals over all k of chi_m chi_p* exp(-k^2 t), (n_t, m, p), t in units of (side / 2)^2.
+
+    The transform of sqrt(1 - x^2) U_m is pi (-i)^m (m + 1) J_{m+1}(k) / k. Beyond the cutoff
+    J_{m+1} J_{p+1} is taken at its mean, cos((m - p) pi / 2) / (pi k).
+    """
+    nodes, weights = np.polynomial.legendre.leggauss(12)
+    panels = np.linspace(0.0, _CUTOFF, int(_CUTOFF / 2) + 1)
+    wide = np.diff(panels)[:, None] / 2
+    k = ((panels[1:] + panels[:-1])[:, None] / 2 + wide * nodes).ravel()
+    w = (wide * weights).ravel()
+    order = np.arange(_ORDER)
+    bessel = jv(order + 1, k[:, None]) * (order + 1) / k[:, None]
+    same = (order[:, None] + order) % 2 == 0
+    sign = np.where(same, (-1.0) ** ((order - order[:, None]) // 2), 0.0)
+    decay = np.exp(-np.outer(t, k**2)) * w
+    near = np.einsum("tk,km,kp->tmp", decay, bessel, bessel, optimize=True) * sign
+    beyond = expn(2, _CUTOFF**2 * t) / (2.0 * _CUTOFF**2) / np.pi
+    far = np.where(same, np.outer(order + 1, order + 1), 0.0) * beyond[:, None, None]
+    return np.asarray(2.0 * np.pi**2 * (near + far))
+
+
+def _in_air(problem: Problem, density: float | None) -> Problem:
+    """M += rho F^T Lambda^-1 F; for another size of the plate it scales with the area to 3/2."""
+    nominal = problem.nominal
+    length, width = float(np.real(nominal.length)), float(np.real(nominal.width))
+    form = Form(Atom("w"), Atom("w"), Region("projection"), PressureJumps(length, width))
+    coefficients = partial(_added_mass, length * width, density)
+    return problem.with_terms(Term("air", "mass", (form,), coefficients))
+
+
+def _added_mass(area: float, density: float | None, state: PlateState, values: Values) -> Array:
+    rho = np.asarray(values["air_density"] if density is None else density)
+    return np.asarray(rho * (np.asarray(state.area) / area) ** 1.5)[..., None]
+
+
+def add_air(problem: Problem, density: float) -> Problem:
+    """The problem in air of a known density, kg/m3."""
+    return _in_air(problem, density)
+
+
+def _air(problem: Problem, facts: PlateFacts) -> Problem:
+    del facts
+    return _in_air(problem, None)
+
+
+AIR = Effect(
+    "air",
+    "surroundings",
+    "terms",
+    # what a room has, whatever its height above the sea and its weather
+    (Parameter("air_density", "kg/m3", TruncatedNormal(1.2, 0.06, 0.0, 1.5), null=0.0),),
+    "the plate moves air along: always there, never detectable alone",
+    _air,
+)

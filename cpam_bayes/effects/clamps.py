@@ -1,0 +1,178 @@
+"""Clamped edges that give way: rotation, translation, slip.
+
+The fields of the edge are set free and held by springs k = stiffness / ((c + c0) side). c0 stands for
+the rigid clamp; with it no frequency differs from that of the held edge by more than 1e-4.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from cpam_bayes.effects.effect import Effect, PlateFacts, one_sided, stacked
+from cpam_bayes.problem import (
+    EDGES,
+    FIELDS,
+    Array,
+    Atom,
+    Field,
+    Form,
+    PlateState,
+    Problem,
+    Region,
+    Term,
+    Values,
+)
+
+# Compliances of the clamp that counts as rigid, in units of side / D (turning) and side^3 / D. Stiffer
+# springs would cost digits: their eigenvalues stand 1e12 above the lowest.
+_RIGID_TURN, _RIGID_SHIFT = 3e-5, 1e-7
+# Pieces of the edge with a compliance each, as fractions of it from its first end.
+_PIECES = (0.0, 0.01, 0.02, 0.035, 0.05, 0.07, 0.10, 0.14, 0.19, 0.24, 0.30)
+# Compliance of the loose part at a distance d side from where the grip begins: this share of that of a
+# strip as long, which is d side / D for rotations, d^3 side^3 / D for w and d side / A for u and v.
+_LOOSE: dict[Field, tuple[float, int]] = {
+    "u": (0.02, 1),
+    "v": (0.02, 1),
+    "w": (0.01, 3),
+    "phi_x": (0.1, 1),
+    "phi_y": (0.1, 1),
+}
+# The condition of an edge when some of its fields go on springs.
+_YIELD = {
+    ("C", "rotation"): "R",
+    ("C", "translation"): "T",
+    ("R", "translation"): "E",
+    ("T", "rotation"): "E",
+    ("C", "slip"): "E",
+}
+_SPRUNG: dict[str, tuple[Field, ...]] = {
+    "rotation": ("phi_x", "phi_y"),
+    "translation": ("u", "v", "w"),
+    "slip": FIELDS,
+}
+
+
+def _yielding(edges: str, clamped: Sequence[int], way: str) -> str:
+    found = list(edges)
+    for i in clamped:
+        if (edges[i], way) not in _YIELD:
+            raise ValueError(
+                f"clamp_{way}: the edges are {edges} already; a clamp's slip does not go with another "
+                "clamp effect, and each effect goes once"
+            )
+        found[i] = _YIELD[edges[i], way]
+    return "".join(found)
+
+
+def _spring(state: PlateState, axis: int, field: Field, compliance: Array) -> Array:
+    """Spring per length of a clamped edge across an axis (0: x, 1: y), times the edge's length.
+
+    D / (c a) on rotations, D / (c a^3) on w, A / (c a) on u and v.
+    """
+    stiffness = state.stiffness()
+    side, along = (state.length, state.width) if axis == 0 else (state.width, state.length)
+    bending, membrane = stiffness[..., 3 + axis, 3 + axis], stiffness[..., axis, axis]
+    if field in ("phi_x", "phi_y"):
+        return np.asarray(bending * along / ((compliance + _RIGID_TURN) * side))
+    if field == "w":
+        return np.asarray(bending * along / ((compliance + _RIGID_SHIFT) * side**3))
+    return np.asarray(membrane * along / ((compliance + _RIGID_SHIFT) * side))
+
+
+def _clamped(facts: PlateFacts) -> list[int]:
+    return [i for i, edge in enumerate(facts.edges) if edge == "C"]
+
+
+def _compliant(parameter: str, way: str) -> Callable[[Problem, PlateFacts], Problem]:
+    def change(problem: Problem, facts: PlateFacts) -> Problem:
+        clamped = _clamped(facts)
+        springs = [(i, field) for i in clamped for field in _SPRUNG[way]]
+        forms = tuple(Form(Atom(f), Atom(f), Region("edge", EDGES[i])) for i, f in springs)
+        coefficients = partial(_compliant_springs, parameter, springs)
+        relaxed = replace(problem, edges=_yielding(problem.edges, clamped, way))
+        return relaxed.with_terms(Term(f"clamp_{way}", "stiffness", forms, coefficients))
+
+    return change
+
+
+def _compliant_springs(
+    parameter: str, springs: list[tuple[int, Field]], state: PlateState, values: Values
+) -> Array:
+    c = np.asarray(values[parameter])
+    return stacked(*(_spring(state, i % 2, field, c) for i, field in springs))
+
+
+def _slip(problem: Problem, facts: PlateFacts) -> Problem:
+    """The grip fades from a fraction of the edge towards its first end.
+
+    The compliance grows as that of a strip with the distance from where the grip begins, averaged over
+    pieces of the edge. Springs that end abruptly would leave a singularity that no global basis resolves.
+    """
+    clamped = _clamped(facts)
+    starts, ends = np.array(_PIECES), np.array([*_PIECES[1:], 1.0])
+    springs = [(i, field) for i in clamped for field in FIELDS]
+    forms = tuple(
+        Form(Atom(field), Atom(field), Region("edge", EDGES[i], span=(float(start), float(end))))
+        for i, field in springs
+        for start, end in zip(starts, ends, strict=True)
+    )
+
+    coefficients = partial(_fading_springs, springs, starts, ends)
+    relaxed = replace(problem, edges=_yielding(problem.edges, clamped, "slip"))
+    return relaxed.with_terms(Term("clamp_slip", "stiffness", forms, coefficients))
+
+
+def _fading_springs(
+    springs: list[tuple[int, Field]], starts: Array, ends: Array, state: PlateState, values: Values
+) -> Array:
+    slipped = np.asarray(values["slip_fraction"])
+
+    def mean_power(k: int) -> Array:
+        """Mean of d^k over every piece, d = 0 where the grip holds, (..., n_pieces)."""
+        parts = [slipped[..., None] - end for end in (starts, ends)]
+        above, below = (np.where(np.real(d) > 0.0, d, 0.0) ** (k + 1) for d in parts)
+        return np.asarray((above - below) / ((k + 1) * (ends - starts)))
+
+    distance = {k: mean_power(k) for k in (1, 3)}
+    found = []
+    for i, field in springs:
+        share, k = _LOOSE[field]
+        found += [_spring(state, i % 2, field, share * distance[k][..., j]) for j in range(len(starts))]
+    return stacked(*found)
+
+
+def _has_clamp(facts: PlateFacts) -> bool:
+    return bool(_clamped(facts))
+
+
+CLAMP_ROTATION = Effect(
+    "clamp_rotation",
+    "clamp",
+    "terms",
+    (one_sided("rotation_compliance", "", 0.02),),
+    "the clamp turns with the plate: a spring D11 / (c a) on both rotations",
+    _compliant("rotation_compliance", "rotation"),
+    applies_to=_has_clamp,
+)
+CLAMP_TRANSLATION = Effect(
+    "clamp_translation",
+    "clamp",
+    "terms",
+    (one_sided("translation_compliance", "", 0.002),),
+    "the clamp moves with the plate: springs D11 / (c a^3) on w, A11 / (c a) on u and v",
+    _compliant("translation_compliance", "translation"),
+    applies_to=_has_clamp,
+)
+CLAMP_SLIP = Effect(
+    "clamp_slip",
+    "clamp",
+    "terms",
+    (one_sided("slip_fraction", "", 0.05, _PIECES[-1]),),
+    "the grip fades towards the first end of the edge",
+    _slip,
+    applies_to=_has_clamp,
+)

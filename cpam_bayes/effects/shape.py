@@ -1,0 +1,195 @@
+"""Plates that are not the flat rectangle of even thickness: taper, skew, warp."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from math import comb
+
+import numpy as np
+from numpy.polynomial import polynomial
+
+from cpam_bayes.effects.effect import Effect, PlateFacts, either_sign, with_state
+from cpam_bayes.problem import (
+    LAMINATE_FORMS,
+    MASS_FORMS,
+    STRAIN_ATOMS,
+    THICKNESS_POWERS,
+    Array,
+    Atom,
+    CoefficientFunction,
+    Field,
+    Form,
+    PlateState,
+    Problem,
+    Term,
+    Values,
+    inertia_coefficients,
+    laminate_coefficients,
+)
+from cpam_bayes.weights import LINE, ONE, Polynomial, Product, power
+
+# Powers of h that the coefficients of MASS_FORMS carry.
+_MASS_POWERS = np.array([1, 1, 1, 3, 3])
+
+
+def _taper(parameter: str, axis: str) -> Callable[[Problem, PlateFacts], Problem]:
+    """Thickness h (1 + t s), s from -1 to 1 across the plate, the midplane staying plane.
+
+    (1 + t s)^p = sum_k C(p, k) t^k s^k with p = 1 for A, A_s and the mass, 2 for B, 3 for D and the
+    rotary inertia: further forms with the weights s^k.
+    """
+
+    def term(
+        name: str,
+        forms: tuple[Form, ...],
+        powers: Array,
+        plain: CoefficientFunction,
+        matrix: str,
+    ) -> Term:
+        rows = [(q, int(p), k) for q, p in enumerate(powers) for k in range(1, int(p) + 1)]
+        which = np.array([q for q, _, _ in rows])
+        binomial = np.array([float(comb(p, k)) for _, p, k in rows])
+        order = np.array([k for _, _, k in rows])
+        weights = {
+            k: Product(power(k), ONE) if axis == "x" else Product(ONE, power(k)) for k in set(order.tolist())
+        }
+        weighted = tuple(replace(forms[q], weight=weights[k]) for q, _, k in rows)
+        coefficients = partial(_taper_coefficients, parameter, plain, which, binomial, order)
+        return Term(name, "stiffness" if matrix == "stiffness" else "mass", weighted, coefficients)
+
+    def change(problem: Problem, facts: PlateFacts) -> Problem:
+        del facts
+        return problem.with_terms(
+            term(parameter, LAMINATE_FORMS, THICKNESS_POWERS, laminate_coefficients, "stiffness"),
+            term(parameter, MASS_FORMS, _MASS_POWERS, inertia_coefficients, "mass"),
+        )
+
+    return change
+
+
+def _taper_coefficients(
+    parameter: str,
+    plain: CoefficientFunction,
+    which: Array,
+    binomial: Array,
+    order: Array,
+    state: PlateState,
+    values: Values,
+) -> Array:
+    t = np.asarray(values[parameter])[..., None]
+    return np.asarray(plain(state, values)[..., which] * binomial * t**order)
+
+
+def _skew(problem: Problem, facts: PlateFacts) -> Problem:
+    """A parallelogram: the edges x = 0 and x = length lean by an angle; see ``PlateState.skew``."""
+    del facts
+    # turning in the plane, v is x, which changes along eta too
+    content = (*problem.rigid_content, ("v", (0, 1)))
+    return replace(with_state(problem, _skewed), rigid_content=content)
+
+
+def _skewed(state: PlateState, values: Values) -> PlateState:
+    return replace(state, skew=np.deg2rad(1.0) * np.asarray(values["skew_deg"]))
+
+
+# Rows of the membrane strain that an initial deflection adds, eps' = w0,x w,x and so on: row, atom of w,
+# weight along x and along y, along which axis w0 is derived. Its slopes are -4 sag s / side.
+_SLOPES = (
+    (0, Atom("w", "x"), (LINE, ONE), "x"),
+    (1, Atom("w", "y"), (ONE, LINE), "y"),
+    (2, Atom("w", "y"), (LINE, ONE), "x"),
+    (2, Atom("w", "x"), (ONE, LINE), "y"),
+)
+
+
+def _times(a: Polynomial, b: Polynomial) -> Polynomial:
+    return Polynomial(tuple(polynomial.polymul(np.array(a.coefficients), np.array(b.coefficients)).tolist()))
+
+
+def _warp(problem: Problem, facts: PlateFacts) -> Problem:
+    """A shallow cap, w0 = sag ((1 - s_x^2) + (1 - s_y^2)), of curvatures 8 sag / a^2 and 8 sag / b^2.
+
+    Marguerre's theory: eps_x += w0,x w,x, eps_y += w0,y w,y, gamma_xy += w0,x w,y + w0,y w,x (Proc. 5th
+    Int. Congr. Appl. Mech., 1938).
+    """
+    del facts
+    forms: list[Form] = []
+    # (row, row, powers of 1/a and 1/b, factor, power of the sag)
+    table: list[tuple[int, int, Array, float, int]] = []
+
+    def slope(atom: Atom, along: str) -> Array:
+        """Powers of 1/a and 1/b in an added strain: a derivative of w0 times one of w."""
+        axes = (atom.derivative, along)
+        return np.array([axes.count("x"), axes.count("y")], dtype=float)
+
+    for i, row in enumerate(STRAIN_ATOMS[:6]):
+        for atom, size in row:
+            plain = np.array([size == "length", size == "width"], dtype=float)
+            for j, added, weight, along in _SLOPES:
+                forms.append(Form(atom, added, weight=Product(*weight)))
+                table.append((i, j, plain + slope(added, along), -4.0, 1))
+    for m, (i, left, w_left, along_left) in enumerate(_SLOPES):
+        for n, (j, right, w_right, along_right) in enumerate(_SLOPES[m:], start=m):
+            square = Product(_times(w_left[0], w_right[0]), _times(w_left[1], w_right[1]))
+            twice = 2.0 if m != n and left == right else 1.0
+            forms.append(Form(left, right, weight=square))
+            table.append((i, j, slope(left, along_left) + slope(right, along_right), 16.0 * twice, 2))
+    rows, columns = np.array([r[0] for r in table]), np.array([r[1] for r in table])
+    sides = np.array([r[2] for r in table])
+    factor, order = np.array([r[3] for r in table]), np.array([r[4] for r in table])
+    coefficients = partial(_warp_coefficients, rows, columns, sides, factor, order)
+    # tilting, w is x or y, and u, v are what keeps the cap from stretching
+    squares: tuple[Field, ...] = ("u", "v")
+    tilting = tuple((field, powers) for field in squares for powers in ((2, 0), (0, 2)))
+    warped = replace(problem, rigid_content=problem.rigid_content + tilting)
+    return warped.with_terms(Term("warp", "stiffness", tuple(forms), coefficients))
+
+
+def _warp_coefficients(
+    rows: Array, columns: Array, sides: Array, factor: Array, order: Array, state: PlateState, values: Values
+) -> Array:
+    length, width = np.asarray(state.length)[..., None], np.asarray(state.width)[..., None]
+    sag = np.asarray(values["sag"])[..., None]
+    scale = factor * sag**order * length ** (1.0 - sides[:, 0]) * width ** (1.0 - sides[:, 1])
+    return np.asarray(state.stiffness()[..., rows, columns] * scale)
+
+
+TAPER_X = Effect(
+    "taper_x",
+    "shape",
+    "terms",
+    (either_sign("taper_x", "", 0.03),),
+    "thickness grows along x; of first order where the edges x = 0 and x = length differ",
+    _taper("taper_x", "x"),
+    even=True,
+)
+TAPER_Y = Effect(
+    "taper_y",
+    "shape",
+    "terms",
+    (either_sign("taper_y", "", 0.03),),
+    "thickness grows along y; of first order where the edges y = 0 and y = width differ",
+    _taper("taper_y", "y"),
+    even=True,
+)
+SKEW = Effect(
+    "skew",
+    "shape",
+    "coefficients",
+    (either_sign("skew_deg", "deg", 1.0),),
+    "corners that are not square",
+    _skew,
+    applies_to=lambda facts: "S" not in facts.edges,
+    even=True,
+)
+WARP = Effect(
+    "warp",
+    "shape",
+    "terms",
+    (either_sign("sag", "m", 0.5e-3),),
+    "a plate that is not flat stretches when it bends",
+    _warp,
+    even=True,
+)

@@ -1,0 +1,98 @@
+"""Stiffness that the layup does not have as computed: transverse shear, G13, resin at the faces."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from cpam_bayes.effects.effect import Effect, PlateFacts, either_sign, one_sided, with_state
+from cpam_bayes.laminate import SHEAR, reduced_stiffness, thickness_powers
+from cpam_bayes.problem import Array, PlateState, Problem, Values
+
+# Cured epoxy: Daniel and Ishai, Engineering Mechanics of Composite Materials, table A.2.
+_RESIN = {"E1": 3.5e9, "E2": 3.5e9, "nu12": 0.35, "G12": 3.5e9 / 2.7}
+
+
+def _transverse_shear(problem: Problem, facts: PlateFacts) -> Problem:
+    """A_s exp(t)."""
+    del facts
+    return with_state(problem, _of_other_shear)
+
+
+def _of_other_shear(state: PlateState, values: Values) -> PlateState:
+    factor = np.exp(np.asarray(values["log_shear_factor"]))[..., None, None]
+    return replace(state, changes=(*state.changes, partial(_scaled_shear, factor)))
+
+
+def _scaled_shear(factor: Array, stiffness: Array) -> Array:
+    shape = np.broadcast_shapes(stiffness.shape, factor.shape)
+    found = np.array(np.broadcast_to(stiffness, shape), dtype=np.result_type(stiffness, factor))
+    found[..., SHEAR, SHEAR] *= factor
+    return found
+
+
+def _shear_ratio(problem: Problem, facts: PlateFacts) -> Problem:
+    """G13 (1 + r)."""
+    del facts
+    return with_state(problem, _of_other_g13)
+
+
+def _of_other_g13(state: PlateState, values: Values) -> PlateState:
+    g13 = np.asarray(state.constants["G13"]) * (1.0 + values["shear_ratio_deviation"])
+    return replace(state, constants={**state.constants, "G13": g13})
+
+
+def _resin_skin(problem: Problem, facts: PlateFacts) -> Problem:
+    """The plies fill h - 2 t, pure resin the rest; h and the mass are as measured.
+
+    A = A_plies + 2 t Q, D = D_plies + (h^3 - (h - 2 t)^3) / 12 Q with Q of the resin; the faces carry
+    no transverse shear, A_s is that of the plies.
+    """
+    del facts
+    return with_state(problem, _of_a_thinner_core)
+
+
+def _of_a_thinner_core(state: PlateState, values: Values) -> PlateState:
+    h = np.asarray(state.thickness)
+    core = h - 2.0 * np.asarray(values["skin_thickness"])
+    return replace(state, changes=(*state.changes, partial(_between_skins, h, core)))
+
+
+def _between_skins(h: Array, core: Array, stiffness: Array) -> Array:
+    q11, q12, q22, q66 = reduced_stiffness(_RESIN)
+    q = np.array([[q11, q12, 0.0], [q12, q22, 0.0], [0.0, 0.0, q66]])
+    found = stiffness * thickness_powers(core / h)
+    found[..., :3, :3] += (h - core)[..., None, None] * q
+    found[..., 3:6, 3:6] += ((h**3 - core**3) / 12)[..., None, None] * q
+    return np.asarray(found)
+
+
+TRANSVERSE_SHEAR = Effect(
+    "transverse_shear",
+    "stiffness",
+    "coefficients",
+    (either_sign("log_shear_factor", "", 0.3),),
+    "A_s times a factor: nothing on thin plates, the higher modes of thick ones",
+    _transverse_shear,
+)
+SHEAR_RATIO = Effect(
+    "shear_ratio",
+    "stiffness",
+    "coefficients",
+    (either_sign("shear_ratio_deviation", "", 0.25, 0.8),),
+    "G13 differs from the value that the model takes, G12 unless given",
+    _shear_ratio,
+    applies_to=lambda facts: not facts.isotropic,
+)
+RESIN_SKIN = Effect(
+    "resin_skin",
+    "stiffness",
+    "coefficients",
+    (one_sided("skin_thickness", "m", 50e-6, 250e-6),),
+    "soft layers on both faces lower all bending modes alike; the constants absorb it",
+    _resin_skin,
+    applies_to=lambda facts: not facts.isotropic and facts.thickness > 1e-3,
+    absorbed=True,
+)

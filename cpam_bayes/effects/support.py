@@ -1,0 +1,36 @@
+"""The foam that a free plate lies on."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from cpam_bayes.effects.effect import Effect, PlateFacts, one_sided
+from cpam_bayes.problem import Array, Atom, Form, PlateState, Problem, Term, Values
+
+
+def _support(problem: Problem, facts: PlateFacts) -> Problem:
+    """K += k integral of w^2, k = (2 pi f_r)^2 rho h: f^2 becomes f^2 + f_r^2."""
+    del facts
+
+    form = Form(Atom("w"), Atom("w"))
+    supported = replace(problem, supported=True)
+    return supported.with_terms(Term("support", "stiffness", (form,), _foam))
+
+
+def _foam(state: PlateState, values: Values) -> Array:
+    omega = 2 * np.pi * np.asarray(values["support_frequency"])
+    return np.asarray(omega**2 * state.density * state.thickness * state.area)[..., None]
+
+
+SUPPORT = Effect(
+    "support",
+    "surroundings",
+    "terms",
+    (one_sided("support_frequency", "Hz", 8.0, 40.0),),
+    "the plate bounces on its foam at f_r: the lowest modes rise most",
+    _support,
+    applies_to=lambda facts: facts.edges == "FFFF",
+    even=True,
+)

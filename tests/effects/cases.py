@@ -1,0 +1,85 @@
+"""Plates with effects on Ritz and on finite elements, as the tests of effects need them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import lru_cache
+
+import numpy as np
+
+from cpam_bayes.affine import DenseOperator, discretise
+from cpam_bayes.effects import CATALOGUE, Effect, PlateFacts, extend
+from cpam_bayes.measurement.specimens import builtin
+from cpam_bayes.model import plate_problem
+from cpam_bayes.modes import solve
+from cpam_bayes.problem import Problem
+from cpam_bayes.spaces.fem import fem_space
+from cpam_bayes.spaces.ritz import RitzSettings, ritz_space
+from cpam_bayes.sparse import discretise_sparse
+
+MODES = {"C1": 6, "A2": 6, "D3": 10}
+BY_NAME = {effect.name: effect for effect in CATALOGUE}
+
+
+@lru_cache
+def facts(name: str) -> PlateFacts:
+    specimen = builtin(name)
+    return PlateFacts.of(specimen.plate, specimen.material.isotropic)
+
+
+@lru_cache
+def bare(name: str) -> Problem:
+    return plate_problem(builtin(name))
+
+
+def with_effect(name: str, effect: Effect) -> Problem:
+    return extend(bare(name), effect, facts(name)) if effect.change else bare(name)
+
+
+def values_at(effect: Effect, sds: tuple[float, ...]) -> dict[str, np.ndarray]:
+    """Values of an effect at multiples of its catalogue standard deviation, each (len(sds),)."""
+    return {key: np.array([effect.scaled(s)[key] for s in sds]) for key in effect.null}
+
+
+def settings(problem: Problem, degree: int) -> RitzSettings:
+    held = problem.edges != "FFFF"
+    return RitzSettings(degree, degree, 2, held, 2 if held else 0)
+
+
+def ritz_operator(problem: Problem, values: Mapping[str, np.ndarray], degree: int) -> DenseOperator:
+    space = ritz_space(problem.edges, problem.nominal, settings(problem, degree))
+    return discretise(problem, space, values)
+
+
+def ritz(
+    name: str, effect: Effect | None, sds: tuple[float, ...] = (0.0, 1.0), degree: int = 13
+) -> np.ndarray:
+    """Frequencies (len(sds), n_modes) of a plate with an effect; without one, of the bare plate, (1, n)."""
+    problem = with_effect(name, effect) if effect else bare(name)
+    values = values_at(effect, sds) if effect else {}
+    found = _frequencies(ritz_operator(problem, values, degree), values, MODES[name])
+    return observed(effect, found, values) if effect else found
+
+
+def elements(
+    name: str, effect: Effect, sds: tuple[float, ...] = (0.0, 1.0), counts: tuple[int, int] | None = None
+) -> np.ndarray:
+    """The same on finite elements."""
+    problem, values = with_effect(name, effect), values_at(effect, sds)
+    space = fem_space(problem.edges, problem.nominal, *(counts or (None, None)))
+    found = _frequencies(discretise_sparse(problem, space, values), values, MODES[name])
+    return observed(effect, found, values)
+
+
+def observed(effect: Effect, frequencies: np.ndarray, values: Mapping[str, np.ndarray]) -> np.ndarray:
+    if effect.observe is None:
+        return frequencies
+    n = len(next(iter(values.values())))
+    return effect.observe(np.broadcast_to(frequencies, (n, frequencies.shape[-1])), values)
+
+
+def _frequencies(operator, values, n_modes):  # type: ignore[no-untyped-def]
+    found = [np.atleast_2d(c) for c in operator.coefficients(values)]
+    m = max(len(c) for c in found)
+    stiffness, mass = (np.broadcast_to(c, (m, c.shape[-1])) for c in found)
+    return solve(operator, stiffness, mass, n_modes).frequencies

@@ -1,0 +1,381 @@
+"""Effects against closed forms, against other descriptions of the same plate, and against quadrature."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+
+from cpam_bayes.affine import discretise
+from cpam_bayes.effects import (
+    CATALOGUE,
+    PlateFacts,
+    add_air,
+    add_known_mass,
+    extend,
+)
+from cpam_bayes.effects.air import PressureJumps, jump_energy
+from cpam_bayes.effects.stress import _G
+from cpam_bayes.layup import from_angles
+from cpam_bayes.measurement.specimens import builtin
+from cpam_bayes.model import angle_parameters, plate_problem
+from cpam_bayes.modes import solve
+from cpam_bayes.problem import AREA, FIELDS, Derivative, Field, Problem
+from cpam_bayes.spaces.fem import fem_space
+from cpam_bayes.spaces.ritz import RitzSettings, RitzSpace, ritz_space
+from cpam_bayes.sparse import discretise_sparse
+from tests.effects.cases import BY_NAME, bare, facts, ritz, ritz_operator, values_at, with_effect
+from tests.plates import CARBON, CROSS_PLY_16S, plate
+
+PLY = CARBON | {"G13": 5.1e9, "G23": 3.0e9}
+
+
+def facts_of(problem: Problem, layup: tuple[float, ...] = (0.0,)) -> PlateFacts:
+    n = problem.nominal
+    size = (float(n.length), float(n.width), float(n.thickness))
+    return PlateFacts(*size, from_angles(layup), problem.edges, isotropic=False)
+
+
+def frequencies(problem: Problem, values: dict[str, float], n: int = 6, degree: int = 9) -> np.ndarray:
+    stack = {name: np.array([value]) for name, value in values.items()}
+    operator = ritz_operator(problem, stack, degree)
+    k, m = (np.atleast_2d(c) for c in operator.coefficients(stack))
+    return solve(operator, k, m, n).frequencies[0]
+
+
+def applied(problem: Problem, name: str, layup: tuple[float, ...] = (0.0,)) -> Problem:
+    return extend(problem, BY_NAME[name], facts_of(problem, layup))
+
+
+# The same plate, described otherwise
+
+
+def test_sizes_thickness_and_density_are_those_of_a_plate_so_stated() -> None:
+    original = plate(0.26, 0.2, 0.003, 1600.0, PLY, CROSS_PLY_16S)
+    for name, other in {
+        "thickness": plate(0.26, 0.2, 0.003 * 1.03, 1600.0, PLY, CROSS_PLY_16S),
+        "density": plate(0.26, 0.2, 0.003, 1600.0 * 1.03, PLY, CROSS_PLY_16S),
+        "length": plate(0.26 * 1.03, 0.2, 0.003, 1600.0, PLY, CROSS_PLY_16S),
+        "width": plate(0.26, 0.2 * 1.03, 0.003, 1600.0, PLY, CROSS_PLY_16S),
+    }.items():
+        problem = applied(original, name)
+        for kind in ("stiffness", "mass"):
+            found = problem.coefficients({f"{name}_deviation": np.asarray(0.03)}, kind)
+            np.testing.assert_allclose(found, other.coefficients({}, kind), rtol=1e-12, atol=1e-12)
+
+
+def test_clamp_length_is_the_length_across_the_clamp() -> None:
+    for edges, longer in (("CFFF", (0.261, 0.2)), ("FFFC", (0.26, 0.201)), ("CFCF", (0.261, 0.2))):
+        problem = applied(plate(0.26, 0.2, 0.003, 1600.0, PLY, edges=edges), "clamp_length")
+        found = problem.state({"clamp_shift": np.asarray(1e-3)})
+        np.testing.assert_allclose((found.length, found.width), longer, rtol=1e-14)
+
+
+@pytest.mark.parametrize("layup", [CROSS_PLY_16S, (30.0, -60.0, 10.0)])
+def test_misorientation_is_the_layup_with_every_angle_turned(layup: tuple[float, ...]) -> None:
+    for alpha in (-7.0, 3.0):
+        original = plate(0.26, 0.2, 0.003, 1600.0, PLY, layup, shear=bare("C1").nominal.shear)
+        turned = plate(
+            0.26, 0.2, 0.003, 1600.0, PLY, tuple(a + alpha for a in layup), shear=bare("C1").nominal.shear
+        )
+        found = applied(original, "misorientation", layup).state({"misorientation_deg": np.asarray(alpha)})
+        expected = turned.nominal.stiffness()
+        np.testing.assert_allclose(found.stiffness(), expected, rtol=0, atol=1e-12 * expected.max())
+
+
+@pytest.mark.parametrize(("name", "ply"), [("outer_ply", 0), ("inner_ply", 14)])
+def test_a_turned_pair_of_plies_is_the_layup_so_written(name: str, ply: int) -> None:
+    angles = list(CROSS_PLY_16S)
+    angles[ply] += 12.0
+    angles[31 - ply] += 12.0
+    original = plate(0.26, 0.2, 0.003, 1600.0, PLY, CROSS_PLY_16S)
+    turned = plate(0.26, 0.2, 0.003, 1600.0, PLY, tuple(angles))
+    found = applied(original, f"{name}_angle", CROSS_PLY_16S).state({f"{name}_deg": np.asarray(12.0)})
+    expected = turned.nominal.stiffness()
+    np.testing.assert_allclose(found.stiffness(), expected, rtol=0, atol=1e-12 * expected.max())
+
+
+def test_stiffness_effects_change_their_own_entries_alone() -> None:
+    problem = with_effect("C1", BY_NAME["transverse_shear"])
+    plain, changed = bare("C1").state({}).stiffness(), problem.state({"log_shear_factor": np.asarray(0.3)})
+    expected = plain.copy()
+    expected[6:, 6:] *= np.exp(0.3)
+    np.testing.assert_allclose(changed.stiffness(), expected, rtol=1e-14)
+    assert bare("C1").state({}).stiffness()[6, 6] == plain[6, 6]  # the bare plate is left alone
+    ratio = with_effect("C1", BY_NAME["shear_ratio"]).state({"shear_ratio_deviation": np.asarray(-0.2)})
+    assert ratio.constants["G13"] == pytest.approx(0.8 * 6.25e9)
+    np.testing.assert_array_equal(ratio.stiffness()[:6, :6], plain[:6, :6])
+
+
+def test_resin_skin_is_a_thinner_laminate_between_two_resin_plies() -> None:
+    h, t = 3.2e-3, 1e-4
+    found = with_effect("C1", BY_NAME["resin_skin"]).state({"skin_thickness": np.asarray(t)}).stiffness()
+    core = replace(bare("C1").nominal, thickness=np.asarray(h - 2 * t)).stiffness()
+    q = 3.5e9 / (1 - 0.35**2)
+    assert found[0, 0] == pytest.approx(core[0, 0] + 2 * t * q)
+    # parallel axes: each skin has its own inertia and that of its distance from the midplane
+    inertia = 2 * (t**3 / 12 + t * ((h - t) / 2) ** 2)
+    assert found[3, 3] == pytest.approx(core[3, 3] + inertia * q)
+    assert found[5, 5] == pytest.approx(core[5, 5] + inertia * 3.5e9 / 2.7)
+    np.testing.assert_allclose(found[6:, 6:], core[6:, 6:], rtol=1e-12)
+
+
+def test_sensor_mass_is_a_known_mass_of_that_size() -> None:
+    n = bare("D3").nominal
+    effect = BY_NAME["sensor_mass"].at((0.95, 0.275))  # type: ignore[misc]
+    problem = extend(bare("D3"), effect, facts("D3"))
+    known = add_known_mass(bare("D3"), 2e-3, 0.95 * float(n.length), 0.275 * float(n.width))
+    found = problem.coefficients({"sensor_mass": np.asarray(2e-3)}, "mass")
+    np.testing.assert_allclose(found, known.coefficients({}, "mass"), rtol=1e-14)
+    places = [np.array([f.region.point for f in p.forms("mass")]) for p in (problem, known)]
+    np.testing.assert_allclose(*places, rtol=1e-14)
+
+
+@pytest.mark.parametrize("edges", ["FFFF", "CFFF"])
+def test_a_skewed_isotropic_plate_is_the_same_seen_from_its_other_side(edges: str) -> None:
+    # the parallelogram of sides a, b mirrored in its bisector has sides b, a
+    isotropic = {"E1": 70e9, "nu12": 0.3}
+    swapped = {"FFFF": "FFFF", "CFFF": "FCFF"}[edges]
+    one = applied(plate(0.3, 0.2, 0.004, 2700.0, isotropic, edges=edges), "skew")
+    other = applied(plate(0.2, 0.3, 0.004, 2700.0, isotropic, edges=swapped), "skew")
+    f, g = (frequencies(p, {"skew_deg": 15.0}, degree=9) for p in (one, other))
+    straight = frequencies(one, {"skew_deg": 0.0}, degree=9)
+    np.testing.assert_allclose(f, g, rtol=3e-4)  # bases of nine polynomials err by 1e-4
+    assert np.abs(f / straight - 1).max() > 0.01
+
+
+def test_a_square_turned_to_a_rhombus_has_its_area_in_the_mass() -> None:
+    problem = with_effect("C1", BY_NAME["skew"])
+    plain, skewed = (problem.coefficients({"skew_deg": np.asarray(s)}, "mass") for s in (0.0, 8.0))
+    np.testing.assert_allclose(skewed, np.cos(np.deg2rad(8.0)) * plain, rtol=1e-13)
+
+
+# Closed forms
+
+
+@pytest.mark.parametrize("c", [0.0, 0.02, 0.1])
+def test_a_strip_on_a_rotational_spring_has_the_frequencies_of_a_beam(c: float) -> None:
+    # 1 + cos b cosh b + c b (cos b sinh b - sin b cosh b) = 0 for a root spring EI / (c L)
+    length, h, e, rho = 0.4, 2e-3, 70e9, 2700.0
+    strip = plate(length, 0.02, h, rho, {"E1": e, "nu12": 0.0}, edges="CFFF")
+    found = frequencies(applied(strip, "clamp_rotation"), {"rotation_compliance": c}, n=1, degree=7)[0]
+    b = brentq(
+        lambda b: 1 + np.cos(b) * np.cosh(b) + c * b * (np.cos(b) * np.sinh(b) - np.sin(b) * np.cosh(b)),
+        1.0,
+        2.5,
+    )
+    expected = b**2 / (2 * np.pi * length**2) * np.sqrt(e * h**2 / (12 * rho))
+    # the plate's shear and rotary inertia are worth 1e-4, the rigid clamp's own spring 6e-5
+    assert found == pytest.approx(expected, rel=5e-4)
+
+
+def test_a_strip_on_a_translational_spring_has_the_frequency_of_a_beam() -> None:
+    # (1 + cos b cosh b) - c b^3 (cos b sinh b + sin b cosh b) = 0 for a root spring EI / (c L^3)
+    length, h, e, rho, c = 0.4, 2e-3, 70e9, 2700.0, 0.01
+    strip = plate(length, 0.02, h, rho, {"E1": e, "nu12": 0.0}, edges="CFFF")
+    found = frequencies(applied(strip, "clamp_translation"), {"translation_compliance": c}, n=1, degree=7)[0]
+    b = brentq(
+        lambda b: 1 + np.cos(b) * np.cosh(b) - c * b**3 * (np.cos(b) * np.sinh(b) + np.sin(b) * np.cosh(b)),
+        1.0,
+        2.0,
+    )
+    expected = b**2 / (2 * np.pi * length**2) * np.sqrt(e * h**2 / (12 * rho))
+    assert found == pytest.approx(expected, rel=5e-4)
+
+
+def test_rotation_and_translation_of_a_clamp_go_together_and_slip_goes_alone() -> None:
+    both = bare("D3")
+    for name in ("clamp_rotation", "clamp_translation"):
+        both = extend(both, BY_NAME[name], facts("D3"))
+    assert both.edges == "EFFF"
+    assert both.parameters.names == ("rotation_compliance", "translation_compliance")
+    values = {"rotation_compliance": 0.02, "translation_compliance": 0.002}
+    alone = [
+        frequencies(with_effect("D3", BY_NAME[name]), {p: values[p]}, degree=8)
+        for name, p in zip(("clamp_rotation", "clamp_translation"), values, strict=True)
+    ]
+    assert np.all(frequencies(both, values, degree=8) < np.minimum(*alone) * (1 + 1e-5))
+    with pytest.raises(ValueError, match="slip does not go with another"):
+        extend(both, BY_NAME["clamp_slip"], facts("D3"))
+
+
+def test_support_adds_the_square_of_its_frequency() -> None:
+    f = ritz("C1", BY_NAME["support"], (0.0, 1.0))
+    # but for the rotary inertia, (h / wavelength)^2, which the foam does not hold
+    np.testing.assert_allclose(f[1] ** 2 - f[0] ** 2, 64.0, rtol=2e-3)
+
+
+@pytest.mark.parametrize(("aspect", "expected"), [(1.0, 0.579), (1.5, 0.690), (2.0, 0.757)])
+def test_heaving_plate_moves_the_added_mass_of_the_literature(aspect: float, expected: float) -> None:
+    # in units of rho pi / 4 short^2 long (Meyerhoff, J. Ship Research 14, 1970)
+    t, w = np.polynomial.legendre.leggauss(120)
+    points = np.stack(np.meshgrid((t + 1) / 2, (t + 1) / 2, indexing="ij"), axis=-1).reshape(-1, 2)
+    moments = np.outer(w / 2, w / 2).ravel() @ PressureJumps(aspect, 1.0)(points)
+    assert np.sum(moments**2) / (np.pi / 4 * aspect) == pytest.approx(expected, abs=6e-4)
+
+
+def test_energy_of_the_potential_jumps_is_symmetric_definite_and_scales_with_length() -> None:
+    small, large = jump_energy(0.3, 0.2), jump_energy(0.6, 0.4)
+    np.testing.assert_allclose(small, small.T, rtol=0, atol=1e-12 * small.max())
+    assert np.linalg.eigvalsh(small)[0] > 0
+    np.testing.assert_allclose(large, 2 * small, rtol=0, atol=1e-9 * small.max())
+
+
+def test_air_of_a_known_density_is_the_effect_at_that_value() -> None:
+    known = add_air(bare("C1"), 1.1)
+    effect = with_effect("C1", BY_NAME["air"])
+    found = effect.coefficients({"air_density": np.asarray(1.1)}, "mass")
+    np.testing.assert_array_equal(known.coefficients({}, "mass"), found)
+
+
+def test_residual_stress_is_in_equilibrium_free_of_edge_loads_and_of_the_stated_size() -> None:
+    assert [float(_G(np.array([t]))[0]) for t in (0.0, 1.0)] == [0.0, 0.0]
+    assert [float(_G.derivative()(np.array([t]))[0]) for t in (0.0, 1.0)] == [0.0, 0.0]
+    a, b = 0.28, 0.25
+    problem = applied(plate(a, b, 3e-3, 2700.0, {"E1": 70e9, "nu12": 0.3}), "membrane_stress")
+    (term,) = [t for t in problem.terms if t.name == "membrane_stress"]
+    c = term.coefficients(problem.nominal, {"residual_stress": np.asarray(1e6)})
+    t = np.linspace(0, 1, 401)
+    grid = np.stack(np.meshgrid(t, t, indexing="ij"), axis=-1).reshape(-1, 2)
+    # the coefficients hold the area and the two sides that derivatives are divided by
+    n_x, n_y, n_xy = (
+        q * form.weight(grid).reshape(401, 401) * scale  # type: ignore[misc]
+        for q, form, scale in zip(c, term.forms, (a / b, b / a, 1.0), strict=True)
+    )
+    largest = max(np.abs(n).max() for n in (n_x, n_y, n_xy))
+    assert largest / 3e-3 == pytest.approx(1e6, rel=1e-12)
+    # N_x,x + N_xy,y = 0 and N_xy,x + N_y,y = 0, by differences of second order
+    d = t[1]
+    for first, second in ((n_x / a, n_xy / b), (n_xy / a, n_y / b)):
+        parts = np.gradient(first, d, axis=0), np.gradient(second, d, axis=1)
+        inner = (slice(1, -1), slice(1, -1))
+        assert np.abs(parts[0] + parts[1])[inner].max() < 1e-3 * np.abs(parts[0]).max()
+
+
+def test_loss_tangent_stiffens_by_its_share_of_pi_per_unit_of_log_frequency() -> None:
+    observe = BY_NAME["viscoelastic"].observe
+    assert observe is not None
+    f = np.array([100.0, 100.0 * np.e, 100.0 * np.e**2])
+    found = observe(f, {"loss_tangent": np.array([0.01])})[0]
+    np.testing.assert_allclose(np.log(found / f), [0.0, 0.01 / np.pi, 0.02 / np.pi], rtol=1e-12, atol=1e-15)
+
+
+# Energies from the definitions, by quadrature
+
+
+def strains(problem: Problem, space: RitzSpace, deflection: float) -> tuple[np.ndarray, np.ndarray]:
+    """Generalised strains (n_points, 8, n) of a shallow cap and the points' weights times the area."""
+    state, rule = problem.nominal, space.quadrature(AREA)
+    a, b = float(state.length), float(state.width)
+    sizes = [space.dimension(f) for f in FIELDS]
+    starts = dict(zip(FIELDS, np.cumsum([0, *sizes[:-1]]), strict=True))
+    found = np.zeros((len(rule.points), 8, sum(sizes)))
+
+    def add(row: int, field: Field, derivative: Derivative, factor: np.ndarray | float = 1.0) -> None:
+        values = space.evaluate(field, rule, derivative) / {"": 1.0, "x": a, "y": b}[derivative]
+        found[:, row, starts[field] : starts[field] + values.shape[1]] += np.reshape(factor, (-1, 1)) * values
+
+    for row, along_x, along_y in ((0, "u", "v"), (3, "phi_x", "phi_y")):
+        add(row, along_x, "x")  # type: ignore[arg-type]
+        add(row + 1, along_y, "y")  # type: ignore[arg-type]
+        add(row + 2, along_x, "y")  # type: ignore[arg-type]
+        add(row + 2, along_y, "x")  # type: ignore[arg-type]
+    add(6, "w", "y")
+    add(6, "phi_y", "")
+    add(7, "w", "x")
+    add(7, "phi_x", "")
+    # w0 = sag (4 xi (1 - xi) + 4 eta (1 - eta))
+    slope_x, slope_y = (deflection * 4 * (1 - 2 * rule.points.T) / np.array([[a], [b]])).reshape(2, -1)
+    add(0, "w", "x", slope_x)
+    add(1, "w", "y", slope_y)
+    add(2, "w", "y", slope_x)
+    add(2, "w", "x", slope_y)
+    return found, rule.weights * a * b
+
+
+def whole(problem: Problem, space: RitzSpace, values: dict[str, np.ndarray]) -> np.ndarray:
+    operator = discretise(problem, space, values)
+    c = np.atleast_2d(operator.coefficients(values)[0])[0]
+    n = sum(block.size for block in operator.blocks)
+    found = np.zeros((n, n))
+    for block in operator.blocks:
+        found[np.ix_(block.index, block.index)] = block.stiffness.assemble(c)
+    return found
+
+
+@pytest.mark.parametrize("name", ["taper_x", "taper_y", "damage", "warp"])
+def test_stiffness_with_an_effect_is_the_energy_of_its_strains_by_quadrature(name: str) -> None:
+    layup = (30.0, -60.0, 10.0)
+    problem = plate(0.3, 0.2, 0.02, 1600.0, PLY, layup, "CFFF")
+    effect = applied(problem, name, layup)
+    space = ritz_space("CFFF", problem.nominal, RitzSettings(5, 5, 1, True))
+    value = {"taper_x": 0.1, "taper_y": -0.1, "damage": 0.3, "warp": 4e-3}[name]
+    parameter = effect.parameters.names[0]
+    found = whole(effect, space, {parameter: np.array([value])})
+    b, area = strains(problem, space, value if name == "warp" else 0.0)
+    points = space.quadrature(AREA).points
+    stiffness = np.broadcast_to(problem.nominal.stiffness(), (len(points), 8, 8)).copy()
+    if name.startswith("taper"):
+        s = 2 * points[:, "xy".index(name[-1])] - 1
+        local = replace(problem.nominal, thickness=0.02 * (1 + value * s))
+        stiffness = local.stiffness()
+    if name == "damage":
+        away = (points - 0.5) * np.array([0.3, 0.2])
+        bell = 1 - value * np.exp(-np.sum(away**2, axis=1) / (2 * 0.01**2))
+        stiffness[:, 3:6, 3:6] *= bell[:, None, None]
+        stiffness[:, 6:, 6:] *= bell[:, None, None]
+    expected = np.einsum("p,pin,pij,pjm->nm", area, b, stiffness, b, optimize=True)
+    # both integrate polynomials exactly; the bell is narrow for the rule that is compared with
+    tolerance = 2e-3 if name == "damage" else 1e-11
+    np.testing.assert_allclose(found, expected, rtol=0, atol=tolerance * np.abs(expected).max())
+
+
+# Two at once
+
+
+def test_effects_compose_in_either_order() -> None:
+    names = ("misorientation", "membrane_stress", "thickness")
+    values = {"misorientation_deg": 3.0, "residual_stress": 5e5, "thickness_deviation": 0.02}
+    found = []
+    for order in (names, names[::-1]):
+        problem = bare("C1")
+        for name in order:
+            problem = extend(problem, BY_NAME[name], facts("C1"))
+        found.append(frequencies(problem, values, degree=8))
+    np.testing.assert_allclose(found[0], found[1], rtol=1e-7)
+    assert set(problem.parameters.names) == set(values)
+
+
+def test_every_effect_works_with_an_unknown_layup() -> None:
+    specimen = builtin("C1", sequence=True)
+    problem = plate_problem(specimen, angle_parameters(specimen))
+    its_facts = PlateFacts.of(specimen.plate, isotropic=False)
+    angles = {name: np.array([10.0, 20.0]) for name in problem.parameters.names}
+    for effect in CATALOGUE:
+        if effect.change is None or not effect.applies_to(its_facts):
+            continue
+        extended = extend(problem, effect, its_facts)
+        for kind in ("stiffness", "mass"):
+            c = extended.coefficients(angles | values_at(effect, (0.0, 1.0)), kind)
+            assert np.all(np.isfinite(c))
+            assert c.shape[-1] == len(extended.forms(kind))
+        if effect.name == "outer_ply_angle":
+            turned = {name: a[:1] for name, a in angles.items()} | {"outer_ply_deg": np.array([0.0, 5.0])}
+            assert not np.allclose(*extended.coefficients(turned, "stiffness"))
+
+
+def test_finite_elements_take_the_part_of_an_edge_that_ritz_takes() -> None:
+    effect = BY_NAME["clamp_slip"]
+    problem = with_effect("D3", effect)
+    space = fem_space(problem.edges, problem.nominal, 8, 8)
+    other = ritz_space(problem.edges, problem.nominal, RitzSettings(6, 6, 1, True, 1))
+    for form in problem.forms("stiffness"):
+        if form.region.kind == "edge":
+            start, end = form.region.span
+            total = [s.quadrature(form.region).weights.sum() for s in (space, other)]
+            # elements: midpoints, 64 to an eighth of the edge
+            assert total[0] == pytest.approx(end - start, abs=2 / (8 * 64))
+            assert total[1] == pytest.approx(end - start, rel=1e-13)
+    assert len(discretise_sparse(problem, space, values_at(effect, (1.0,))).blocks) == 2
