@@ -1,0 +1,477 @@
+"""How often the paper's fuzzy swarm finds a stacking sequence, and what it costs beside enumeration.
+
+python studies/07_fpso.py [--quick] [--processes N]
+
+A swarm succeeds when the sequence that it ends on, with the constants fitted to it, has F of eq. (7)
+within a margin of the smallest F known. Two margins are counted: n resolution^2 / 12, the F that
+rounding n frequencies makes by itself, and sum (0.01 f_i)^2, the F that a repeatability of 1 % makes:
+sequences closer than that are not told apart by such a list. The smallest F known comes from
+
+* enumeration of every class of sequences, where two angles are unknown;
+* the plate's own sequence, whose F is zero, on synthetic data: frequencies of the printed layup with
+  the reference constants, as the reduced model has them, neither noisy nor rounded;
+* otherwise the best of all seeds, of the printed sequence, and of descents from these that change one
+  angle at a time: an upper bound of the minimum, so the rates are upper bounds too.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Callable, Iterable
+from concurrent.futures import Executor
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import beta
+
+from cpam_bayes.cache import reduced_model
+from cpam_bayes.inference.fpso import FuzzyResult
+from cpam_bayes.inference.pso import SwarmSettings
+from cpam_bayes.inference.sequence_classes import canonical, is_canonical
+from cpam_bayes.inference.sequence_search import (
+    SequenceFit,
+    best_constants,
+    run_swarms,
+    sequence_parameters,
+    sequence_starts,
+)
+from cpam_bayes.inference.symmetries import Symmetry, plate_symmetries
+from cpam_bayes.layup import parse_layup
+from cpam_bayes.measurement import Specimen, builtin, to_si
+from cpam_bayes.measurement.records import angle_grid
+from cpam_bayes.model import reference_vector
+from cpam_bayes.paper.sequences import identified_sequences
+from cpam_bayes.parallel import open_executor
+from cpam_bayes.reduced import DEFAULT_SETTINGS, ReductionSettings
+from cpam_bayes.report.tables import Column, Table, screen_text
+from cpam_bayes.threads import single_blas_thread
+
+Array = NDArray[Any]
+Results = dict[str, Any]
+Notify = Callable[[str], None]
+
+RESULTS = Path(__file__).parent / "results" / f"{Path(__file__).stem}.json"
+
+KEYS = {
+    "quick": "whether this is the small version",
+    "settings": "particles, budget and seeds of the swarms, starts of the fits",
+    "cases": "one case on one kind of data: smallest F known and its source, each run, success, cost",
+    "particles": "success and cost on one case against the number of particles",
+}
+
+SYNTHETIC, PRINTED = "synthetic", "printed"
+# Two unknown angles can be enumerated; the others are those of Table 9(b).
+TWO_ANGLES = {"C1, two angles": ("C1", "[(?/?)_8]_s"), "D2, two angles": ("D2", "[(?/?)_8]_s")}
+LADDER = ("C1", (10, 20, 40, 80, 160))
+SETTINGS = SwarmSettings(iterations=200)
+SEEDS = 20
+STARTS = 3
+# Sequences that a step of a descent fits constants to, and sequences that descents begin at.
+FITTED, DESCENTS = 24, 3
+# F that counts as zero, Hz^2 a frequency: a thousandth of what rounding to 1 Hz makes.
+NOTHING = 1e-4
+
+
+class Plan(NamedTuple):
+    """How much is done."""
+
+    cases: tuple[str, ...]
+    seeds: int
+    settings: SwarmSettings
+    ladder: tuple[int, ...]
+    reduction: ReductionSettings
+    step_deg: float | None
+    descents: int
+
+
+FULL = Plan(
+    (*TWO_ANGLES, *identified_sequences()), SEEDS, SETTINGS, LADDER[1], DEFAULT_SETTINGS, None, DESCENTS
+)
+QUICK = Plan(
+    ("C1, two angles",),
+    3,
+    replace(SETTINGS, particles=12, iterations=15),
+    (4, 8),
+    ReductionSettings(training=12, checks=12, rounds=1),
+    45.0,
+    1,
+)
+
+
+@single_blas_thread
+def run(quick: bool, executor: Executor | None = None, notify: Notify = lambda text: None) -> Results:
+    """All cases on both kinds of data, then the ladder of swarm sizes."""
+    plan = QUICK if quick else FULL
+    cases = []
+    for name in plan.cases:
+        specimen = case_specimen(name, plan.step_deg)
+        for kind in (SYNTHETIC, PRINTED):
+            notify(f"{name}, {kind} data")
+            cases.append({"case": name, **_case(specimen, name, kind, plan, executor)})
+    notify("numbers of particles")
+    return {
+        "quick": quick,
+        "settings": {
+            "particles": plan.settings.particles,
+            "iterations": plan.settings.iterations,
+            "inertia": plan.settings.inertia,
+            "c1": plan.settings.c1,
+            "c2": plan.settings.c2,
+            "seeds": plan.seeds,
+            "starts": STARTS,
+        },
+        "cases": cases,
+        "particles": _ladder(plan, executor),
+    }
+
+
+def case_specimen(name: str, step_deg: float | None = None) -> Specimen:
+    """A case by its name, if wanted on another grid of angles."""
+    plate, layup = TWO_ANGLES.get(name, (name, None))
+    specimen = builtin(plate, sequence=True)
+    if layup is not None:
+        specimen = replace(specimen, plate=replace(specimen.plate, layup=parse_layup(layup)))
+    return specimen if step_deg is None else replace(specimen, angle_grid_deg=step_deg)
+
+
+def true_sequence(specimen: Specimen) -> Array:
+    """Grid indices of the plate's own layup, (n_plies,)."""
+    known = builtin(specimen.name).plate.layup.angles_deg
+    index = specimen.plate.layup.unknown_index
+    own = [known[np.flatnonzero(index == k)[0]] for k in range(specimen.plate.layup.n_unknown)]
+    return _on_grid(np.array(own), angle_grid(specimen.angle_grid_deg))
+
+
+def _on_grid(angles_deg: Array, grid: Array) -> Array:
+    return np.abs(angles_deg[:, None] - grid).argmin(axis=1)
+
+
+def _fit(specimen: Specimen, kind: str, reduction: ReductionSettings) -> SequenceFit:
+    assert specimen.measurement is not None
+    n_modes = specimen.measurement.size
+    model = reduced_model(specimen, sequence_parameters(specimen), n_modes, settings=reduction)
+    grid = angle_grid(specimen.angle_grid_deg)
+    measured = specimen.measurement.frequencies
+    if kind == SYNTHETIC:
+        constants = reference_vector(specimen, specimen.unknowns)
+        measured = model.predict(np.concatenate((constants, grid[true_sequence(specimen)]))).frequencies[0]
+    return SequenceFit(specimen, model, measured, grid)
+
+
+# One case
+
+
+def _case(specimen: Specimen, name: str, kind: str, plan: Plan, executor: Executor | None) -> Results:
+    fit = _fit(specimen, kind, plan.reduction)
+    symmetries = plate_symmetries(specimen)
+    starts = sequence_starts(fit, STARTS)
+    swarms = run_swarms(fit, range(plan.seeds), plan.settings, executor)
+    ends = np.array([s.sequence for s in swarms])
+    fitted = _fitted_ends(fit, swarms, starts, executor)
+    known = _known_sequences(specimen, name, kind)
+    own = best_constants(fit, known, starts, executor)
+    margins = _margins(specimen, fit)
+    sequences = len(fit.grid_deg) ** fit.n_plies
+    if name in TWO_ANGLES:
+        every = _every_class(fit, symmetries)
+        found = best_constants(fit, every, starts, executor)
+        best, value, source = every[found.values.argmin()], float(found.values.min()), "enumeration"
+        each, classes = found.evaluations / len(every), len(every)
+    else:
+        pool, values = np.concatenate((ends, known)), np.concatenate((fitted, own.values))
+        best, value, source = pool[values.argmin()], float(values.min()), "best known"
+        if kind == SYNTHETIC:
+            best, value, source = known[0], 0.0, "own sequence"
+        else:
+            best, value = _descended(fit, pool, values, starts, plan.descents, executor)
+        each = _solves_of_a_fit(fit, starts, executor)
+        classes = _count_classes(fit, symmetries)
+    if source == "enumeration" and kind == SYNTHETIC:
+        assert own.values[0] < NOTHING * len(fit.measured), "the data are those of the plate's own sequence"
+    same = _same_class(ends, known[0], symmetries)
+    return {
+        "data": kind,
+        "plate": specimen.name,
+        "layup": specimen.plate.layup.text,
+        "unknown_angles": fit.n_plies,
+        "sequences": sequences,
+        "classes": classes,
+        "symmetries": [s.name for s in symmetries],
+        "frequencies": len(fit.measured),
+        "smallest": {
+            "F": value,
+            "angles_deg": fit.grid_deg[best].tolist(),
+            "source": source,
+        },
+        "reference": {
+            "F": float(own.values[0]),
+            "angles_deg": fit.grid_deg[known[0]].tolist(),
+            "is": "own sequence"
+            if kind == SYNTHETIC
+            else "printed in Table 9(b)"
+            if _printed(name)
+            else "own",
+            "F_printed_constants": _printed_misfit(fit, name) if kind == PRINTED else None,
+        },
+        "margins": margins,
+        "runs": [
+            {
+                "seed": seed,
+                "angles_deg": fit.grid_deg[s.sequence].tolist(),
+                "F": s.value,
+                "F_fitted": float(f),
+                "reference_class": bool(c),
+                "evaluations": s.evaluations,
+                "iterations": s.iterations,
+                "status": s.status,
+            }
+            for seed, (s, f, c) in enumerate(zip(swarms, fitted, same, strict=True))
+        ],
+        "success": {name: _rate(fitted <= value + margin) for name, margin in margins.items()},
+        "reference_found": _rate(same),
+        "cost": {
+            "swarm_solves": float(np.mean([s.evaluations for s in swarms])),
+            "enumeration_solves_a_class": float(each),
+            "enumeration_solves": float(each) * classes,
+            "enumerated": source == "enumeration",
+            "solve_s": _seconds_of_a_solve(fit, plan.settings.particles),
+        },
+    }
+
+
+def _margins(specimen: Specimen, fit: SequenceFit) -> dict[str, float]:
+    measurement = specimen.measurement
+    assert measurement is not None
+    return {
+        "rounding": measurement.size * measurement.resolution**2 / 12.0,
+        "one_percent": float(np.sum((0.01 * fit.measured) ** 2)),
+    }
+
+
+def _printed(name: str) -> bool:
+    return name in identified_sequences()
+
+
+def _known_sequences(specimen: Specimen, name: str, kind: str) -> Array:
+    """The sequence that a run is compared with, then others whose F is worth knowing."""
+    own = true_sequence(specimen)
+    if kind == SYNTHETIC or not _printed(name):
+        return own[None]
+    printed = np.array(identified_sequences()[name].angles_deg, dtype=float)
+    return np.array([_on_grid(printed, angle_grid(specimen.angle_grid_deg)), own])
+
+
+def _printed_misfit(fit: SequenceFit, name: str) -> float | None:
+    """F of the printed sequence with the constants printed beside it; None where there are none."""
+    row = identified_sequences().get(name)
+    if row is None or not row.constants:
+        return None
+    si = dict(
+        zip(fit.unknowns.names, (to_si(key, float(text)) for key, text in row.constants.items()), strict=True)
+    )
+    sequence = _on_grid(np.array(row.angles_deg, dtype=float), fit.grid_deg)
+    return float(fit.values(fit.unknowns.vector(si)[None], sequence[None])[0])
+
+
+def _fitted_ends(
+    fit: SequenceFit, swarms: list[FuzzyResult], starts: Array, executor: Executor | None
+) -> Array:
+    """F of the swarms' sequences with their constants fitted, each from the swarm's own too, (m,)."""
+    ends = np.array([s.sequence for s in swarms])
+    fitted = best_constants(fit, ends, starts, executor).values
+    # a fit may miss the minimum that the swarm's own constants lie in
+    return np.minimum(
+        fitted,
+        [
+            best_constants(fit, s.sequence[None], s.constants[None]).values[0] if s.value < f else f
+            for s, f in zip(swarms, fitted, strict=True)
+        ],
+    )
+
+
+def _same_class(sequences: Array, other: Array, symmetries: tuple[Symmetry, ...]) -> Array:
+    both = canonical(np.vstack((other, sequences)), symmetries).representative
+    return np.all(both[1:] == both[0], axis=1)
+
+
+def _rate(successes: Array) -> Results:
+    """A share with its 68 % interval, Jeffreys' prior."""
+    n, k = len(successes), int(np.sum(successes))
+    low, high = beta.ppf([0.16, 0.84], k + 0.5, n - k + 0.5)
+    return {"count": k, "of": n, "low": float(low) if k else 0.0, "high": float(high) if k < n else 1.0}
+
+
+# Enumeration
+
+
+def _every_class(fit: SequenceFit, symmetries: tuple[Symmetry, ...]) -> Array:
+    axes = [np.arange(len(fit.grid_deg))] * fit.n_plies
+    every = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, fit.n_plies)
+    return every[is_canonical(every, symmetries)]
+
+
+def _count_classes(fit: SequenceFit, symmetries: tuple[Symmetry, ...]) -> int:
+    """Number of classes by Burnside's lemma: the mean number of sequences that a motion leaves alone."""
+    assert all(s.everywhere for s in symmetries)
+    index = np.arange(len(fit.grid_deg))
+    fixed = [len(index) ** fit.n_plies]
+    fixed += [int(np.sum(s.permutation == index)) ** fit.n_plies for s in symmetries]
+    return sum(fixed) // len(fixed)
+
+
+def _solves_of_a_fit(fit: SequenceFit, starts: Array, executor: Executor | None) -> float:
+    """Solves with derivatives that the constants of one random sequence take."""
+    rows = np.random.default_rng(0).integers(0, len(fit.grid_deg), (64, fit.n_plies))
+    return best_constants(fit, rows, starts, executor).evaluations / len(rows)
+
+
+def _descended(
+    fit: SequenceFit, pool: Array, values: Array, starts: Array, n: int, executor: Executor | None
+) -> tuple[Array, float]:
+    """The smallest F that is reached from the best n sequences by changing one angle at a time.
+
+    In each round all neighbours are tried with the constants of the present sequence, and constants
+    are fitted to the best of them.
+    """
+    _, first = np.unique(pool, axis=0, return_index=True)
+    first = first[np.argsort(values[first], kind="stable")][:n]
+    best, value = pool[first[0]], float(values[first[0]])
+    for start in first:
+        here, own = pool[start], best_constants(fit, pool[start][None], starts)
+        while True:
+            near = _neighbours(here, len(fit.grid_deg))
+            guess = fit.values(np.repeat(own.constants, len(near), axis=0), near)
+            near = near[np.argsort(guess, kind="stable")[:FITTED]]
+            found = best_constants(fit, near, np.vstack((own.constants, starts)), executor)
+            if not found.values.min() < own.values[0]:
+                break
+            here = near[found.values.argmin()]
+            own = best_constants(fit, here[None], np.vstack((found.constants[found.values.argmin()], starts)))
+        if own.values[0] < value:
+            best, value = here, float(own.values[0])
+    return best, value
+
+
+def _neighbours(sequence: Array, n_angles: int) -> Array:
+    rows = np.tile(sequence, (len(sequence) * n_angles, 1))
+    ply, angle = np.divmod(np.arange(len(rows)), n_angles)
+    rows[np.arange(len(rows)), ply] = angle
+    return rows[angle != sequence[ply]]
+
+
+def _seconds_of_a_solve(fit: SequenceFit, particles: int) -> float:
+    """Processor's seconds of one solve in a stack of a swarm's size."""
+    rng = np.random.default_rng(0)
+    rows = rng.integers(0, len(fit.grid_deg), (particles, fit.n_plies))
+    constants = np.repeat(sequence_starts(fit, 1), particles, axis=0)
+    taken = []
+    for _ in range(3):
+        start = time.process_time()
+        fit.values(constants, rows)
+        taken.append((time.process_time() - start) / particles)
+    return float(np.median(taken))
+
+
+# Number of particles
+
+
+def _ladder(plan: Plan, executor: Executor | None) -> list[Results]:
+    specimen = case_specimen(LADDER[0] if plan is FULL else plan.cases[0], plan.step_deg)
+    fit = _fit(specimen, SYNTHETIC, plan.reduction)
+    starts = sequence_starts(fit, STARTS)
+    margins = _margins(specimen, fit)
+    points = []
+    for particles in plan.ladder:
+        swarms = run_swarms(fit, range(plan.seeds), replace(plan.settings, particles=particles), executor)
+        fitted = _fitted_ends(fit, swarms, starts, executor)
+        points.append(
+            {
+                "case": specimen.name,
+                "particles": particles,
+                "success": {name: _rate(fitted <= margin) for name, margin in margins.items()},
+                "median_F": float(np.median(fitted)),
+                "swarm_solves": float(np.mean([s.evaluations for s in swarms])),
+            }
+        )
+    return points
+
+
+# Output
+
+
+def show(results: Results) -> None:
+    """Print the results as tables."""
+    rows = tuple(
+        (
+            c["case"],
+            c["data"],
+            *(_share(c["success"][margin]) for margin in ("rounding", "one_percent")),
+            _share(c["reference_found"]),
+            f"{c['smallest']['F']:.4g}",
+            c["smallest"]["source"],
+            _angles(c["smallest"]["angles_deg"]),
+            f"{c['reference']['F']:.4g}",
+            f"{np.median([r['F_fitted'] for r in c['runs']]):.4g}",
+            f"{c['cost']['swarm_solves']:.0f}",
+            f"{c['cost']['enumeration_solves']:.3g}",
+        )
+        for c in results["cases"]
+    )
+    headings = (
+        *("case", "data", "to rounding", "to 1 %", "own or printed", "smallest F", "from", "angles"),
+        *("F of own or printed", "median F", "solves", "by enumeration"),
+    )
+    tables = [Table("Fuzzy swarms", _columns(headings, (0, 1, 6, 7)), rows)]
+    rows = tuple(
+        (
+            str(p["particles"]),
+            *(_share(p["success"][margin]) for margin in ("rounding", "one_percent")),
+            f"{p['median_F']:.4g}",
+            f"{p['swarm_solves']:.0f}",
+        )
+        for p in results["particles"]
+    )
+    tables.append(
+        Table(
+            "Number of particles",
+            _columns(("particles", "to rounding", "to 1 %", "median F", "solves"), ()),
+            rows,
+        )
+    )
+    print(screen_text(tuple(tables), sys.stdout))
+
+
+def _share(rate: Results) -> str:
+    return f"{rate['count']}/{rate['of']}"
+
+
+def _angles(angles_deg: Iterable[float]) -> str:
+    return "/".join(f"{a:g}" for a in angles_deg)
+
+
+def _columns(headings: tuple[str, ...], text: tuple[int, ...]) -> tuple[Column, ...]:
+    return tuple(Column(heading, i not in text) for i, heading in enumerate(headings))
+
+
+def main() -> None:
+    """Run the study, print its tables and save the results."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="the small version; nothing is saved")
+    parser.add_argument("--processes", type=int, help="worker processes, by default one a core")
+    options = parser.parse_args()
+    with open_executor("serial" if options.quick else None, options.processes) as executor:
+        results = run(options.quick, executor, lambda text: print(text, file=sys.stderr))
+    show(results)
+    if not options.quick:
+        RESULTS.parent.mkdir(exist_ok=True)
+        RESULTS.write_text(json.dumps(results, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
