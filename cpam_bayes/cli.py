@@ -6,6 +6,7 @@ Only the standard library is imported here; a command's own module loads once it
 from __future__ import annotations
 
 import argparse
+import math
 import sys
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -13,13 +14,15 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Final
 
 from cpam_bayes import __version__
-from cpam_bayes.commands import BACKENDS, DEFAULT_SEED, ELEMENTS, MOST_MODES, SOLVERS
+from cpam_bayes.commands import BACKENDS, DEFAULT_SEED, ELEMENTS, MOST_MODES, NOISE_SHAPES, SOLVERS
+from cpam_bayes.commands.options import add_executor_options, whole
 
 if TYPE_CHECKING:
     from cpam_bayes.report.answer import Answer
 
 BAD_INPUT: Final = 2
 NOT_WRITTEN: Final = 1
+MOST_NOISE: Final = 50.0
 
 _STATUS_TEXT: Final = """\
 exit status: 0 done, 1 ran and did not reach its goal, 2 bad input, 130 interrupted.
@@ -156,19 +159,19 @@ def _parser() -> argparse.ArgumentParser:
     )
     identify.add_argument(
         "--particles",
-        type=_whole(5, 10_000),
+        type=whole(5, 10_000),
         metavar="N",
         help="particles of the swarm, 5 to 10000 (default: 40)",
     )
     identify.add_argument(
         "--iterations",
-        type=_whole(1, 100_000),
+        type=whole(1, 100_000),
         metavar="N",
         help="budget of the swarm, 1 to 100000 iterations (default: 400)",
     )
     identify.add_argument(
         "--steps",
-        type=_whole(1, 10_000_000),
+        type=whole(1, 10_000_000),
         metavar="N",
         help="emcee: budget of the chains in steps, used in rounds of 500 (default: 20000)",
     )
@@ -177,13 +180,83 @@ def _parser() -> argparse.ArgumentParser:
         metavar="DIR",
         help="emcee: keep finished rounds in DIR; the same command goes on from there",
     )
+    identify.add_argument(
+        "--likelihood",
+        choices=("relative", "absolute"),
+        help="emcee: noise in proportion to a frequency, or one standard deviation in Hz for all modes, "
+        "which is inferred: eq. (7) (default: relative)",
+    )
+    identify.add_argument(
+        "--noise",
+        choices=tuple(NOISE_SHAPES),
+        help="emcee: gaussian, or student-t with 4 degrees of freedom, which a few bad frequencies do "
+        "not sway (default: gaussian)",
+    )
+
+    _sensitivity(commands)
+    _sequence(commands)
     return parser
+
+
+def _sequence(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    command = _command(commands, "sequence", "the probability of every stacking sequence on the grid")
+    command.add_argument(
+        "plate",
+        metavar="PLATE",
+        help='built-in specimen, with the unknown angles of Table 9(b), or path of a plate file with "?" '
+        "in its layup",
+    )
+    command.add_argument(
+        "--top",
+        type=whole(1, 2000),
+        default=100,
+        metavar="N",
+        help="most probable sequences to list, 1 to 2000 (default: 100)",
+    )
+    add_executor_options(command)
+
+
+def _sensitivity(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    what = "noisy lists inverted again and again, beside the posterior at that noise"
+    command = _command(commands, "sensitivity", what)
+    command.add_argument("plate", metavar="PLATE", help="built-in specimen or path of a plate file")
+    command.add_argument(
+        "--levels",
+        type=_level,
+        nargs="+",
+        default=(1.0, 5.0, 10.0),
+        metavar="P",
+        help="levels of noise in percent, above 0, at most 50 (default: 1 5 10)",
+    )
+    command.add_argument(
+        "--groups",
+        type=whole(2, 1000),
+        default=10,
+        metavar="N",
+        help="noisy lists at each level, 2 to 1000 (default: 10)",
+    )
+    command.add_argument(
+        "--reading",
+        choices=("both", "relative", "rms"),
+        default="both",
+        help="eq. (12) as a share of each frequency, or of the root mean square frequency for all modes "
+        "(default: both)",
+    )
+    command.add_argument(
+        "--list",
+        choices=("model", "measured"),
+        default="model",
+        help="what noise is added to: the frequencies that the plate model gives at the reference constants, "
+        "or the measured ones, as the paper does (default: model)",
+    )
+    _modes(command)
+    add_executor_options(command)
 
 
 def _modes(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--modes",
-        type=_whole(1, MOST_MODES),
+        type=whole(1, MOST_MODES),
         metavar="N",
         help=f"number of modes, 1 to {MOST_MODES} (default: as many as were measured, or 10)",
     )
@@ -207,7 +280,7 @@ def _command(
     parser.add_argument("--json", action="store_true", help="print one JSON document instead of the screen")
     parser.add_argument(
         "--seed",
-        type=_whole(0, 2**63 - 1),
+        type=whole(0, 2**63 - 1),
         default=DEFAULT_SEED,
         metavar="N",
         help=f"seed: the same one gives the same answer (default: {DEFAULT_SEED})",
@@ -218,12 +291,14 @@ def _command(
     return parser
 
 
-def _whole(low: int, high: int) -> Callable[[str], int]:
-    def read(text: str) -> int:
-        # int() also takes "1_000", and a number of a million digits takes it minutes.
-        if text.isascii() and text.isdigit() and len(text) < 20 and low <= int(text) <= high:
-            return int(text)
-        shown = text if len(text) < 40 else f"{text[:40]}..."
-        raise argparse.ArgumentTypeError(f"received {shown!r}, accepted: a whole number from {low} to {high}")
-
-    return read
+def _level(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if 0.0 < value <= MOST_NOISE:
+        return value
+    shown = text if len(text) < 40 else f"{text[:40]}..."
+    raise argparse.ArgumentTypeError(
+        f"received {shown!r}, accepted: a percentage above 0 and at most {MOST_NOISE:g}"
+    )

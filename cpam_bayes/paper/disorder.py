@@ -1,0 +1,108 @@
+"""Tables 10 to 14: constants that the paper identified from frequencies with added noise."""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
+from itertools import product
+from typing import Final
+
+__all__ = ["Contradiction", "DisorderTable", "PrintedConstant", "contradictions", "disorder_table"]
+
+_TABLES: Final = {"A2": 10, "C1": 11, "C3": 12, "D1": 13, "D3": 14}
+
+
+@dataclass(frozen=True, slots=True)
+class PrintedConstant:
+    """One row, in the digits of the print.
+
+    key : name with its unit, as in plate files. free : identified from the list without noise.
+    amount, percent_error : mean over ten noisy lists and its difference from ``free``, one a level.
+    """
+
+    key: str
+    free: str
+    amount: tuple[str, ...]
+    percent_error: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class DisorderTable:
+    """One of Tables 10 to 14.
+
+    angles_deg : the unknown plies without noise, then one sequence a level; empty where none was
+    sought. The paper sought angles and constants together.
+    """
+
+    number: int
+    specimen: str
+    levels_percent: tuple[float, ...]
+    constants: tuple[PrintedConstant, ...]
+    angles_deg: tuple[tuple[int, ...], ...]
+
+    def percent_error(self, key: str, level_percent: float) -> float | None:
+        """The printed percentage, or None where the table has no such constant or level."""
+        for row in self.constants:
+            if row.key == key and level_percent in self.levels_percent:
+                return float(row.percent_error[self.levels_percent.index(level_percent)])
+        return None
+
+
+@dataclass(frozen=True, slots=True)
+class Contradiction:
+    """A printed percentage that its own row cannot give, whatever was rounded.
+
+    lowest, highest : percentages that the printed amounts allow.
+    """
+
+    table: int
+    key: str
+    level_percent: float
+    printed: str
+    lowest: float
+    highest: float
+
+
+@cache
+def disorder_table(specimen: str) -> DisorderTable | None:
+    """The table of a built-in specimen, or None where the paper has none for it."""
+    number = _TABLES.get(specimen)
+    if number is None:
+        return None
+    resource = files("cpam_bayes") / "data" / "paper" / f"table_{number}.toml"
+    content = tomllib.loads(resource.read_text(encoding="utf-8"))
+    angles = content.get("angles_deg")
+    return DisorderTable(
+        number=content["table"],
+        specimen=content["specimen"],
+        levels_percent=tuple(content["levels_percent"]),
+        constants=tuple(
+            PrintedConstant(key, row["free"], tuple(row["amount"]), tuple(row["percent_error"]))
+            for key, row in content["constants"].items()
+        ),
+        angles_deg=() if angles is None else tuple(tuple(a) for a in (angles["free"], *angles["found"])),
+    )
+
+
+def contradictions(table: DisorderTable) -> tuple[Contradiction, ...]:
+    """Printed percentages outside of what 100 (amount / free - 1) can be before rounding.
+
+    Amount and free value may each be half a unit of their last digit off, the percentage a whole one,
+    since some were cut off and not rounded.
+    """
+    found = []
+    for row in table.constants:
+        for level, amount, printed in zip(table.levels_percent, row.amount, row.percent_error, strict=True):
+            ends = product(*((float(t) - _unit(t) / 2, float(t) + _unit(t) / 2) for t in (amount, row.free)))
+            possible = [100.0 * (a / f - 1.0) for a, f in ends]
+            lowest, highest = min(possible), max(possible)
+            if not lowest - _unit(printed) <= float(printed) <= highest + _unit(printed):
+                found.append(Contradiction(table.number, row.key, level, printed, lowest, highest))
+    return tuple(found)
+
+
+def _unit(text: str) -> float:
+    """One unit of the last digit printed."""
+    return float(10.0 ** -len(text.partition(".")[2]))
