@@ -40,7 +40,7 @@ from cpam_bayes.threads import single_blas_thread
 Array = NDArray[Any]
 
 # To be raised when the same inputs give other numbers.
-_FORMAT = 4
+_FORMAT = 5
 _NEEDED = {"basis", "keep", "error", "reference", "rounding"}
 
 
@@ -66,7 +66,7 @@ def model_key(
     content = {
         "format": _FORMAT,
         "version": __version__,
-        "sizes": [plate.length, plate.width, plate.thickness, plate.density],
+        "sizes": [plate.length, plate.width, plate.thickness, plate.density, plate.mass],
         "layup": [
             [repr(float(a)) for a in plate.layup.angles_deg],
             plate.layup.unknown_index.tolist(),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,9 +14,9 @@ from cpam_bayes.convergence import Tolerance, converge, rich_frequencies
 from cpam_bayes.effects import add_known_mass
 from cpam_bayes.elasticity import CONSTANTS, complete_constants, is_admissible
 from cpam_bayes.laminate import ENERGY_CONSISTENT, ShearModel, laminate_geometry
-from cpam_bayes.measurement.records import Specimen
+from cpam_bayes.measurement.records import Material, Plate, Specimen
 from cpam_bayes.modes import Spectrum, eigenvalue_derivatives, solve
-from cpam_bayes.parameters import Parameter, ParameterSet, Uniform
+from cpam_bayes.parameters import Parameter, ParameterSet, TruncatedNormal, Uniform
 from cpam_bayes.problem import PlateState, Problem, Values, bare_plate
 from cpam_bayes.shapes import Mode, describe_modes
 from cpam_bayes.spaces.ritz import RitzSettings, ritz_space
@@ -24,10 +25,16 @@ from cpam_bayes.threads import single_blas_thread
 Array = NDArray[Any]
 
 NO_PARAMETERS = ParameterSet(())
+SIZES = {"length": "m", "width": "m", "thickness": "m", "density": "kg/m3", "mass": "kg"}
+"""What is measured of a plate beside its frequencies, with its unit."""
+# A size varies within this many standard deviations and within these factors of its value.
+_SIZE_RANGE, _SIZE_FACTOR = 5.0, 4.0
 # Step of the complex-step derivative, relative to a parameter: any small number does, no digits go.
 _STEP = 1e-25
 # A space is converged at constants this far from the centre, as a fraction.
 _NEIGHBOURHOOD = 0.3
+# Angles that unknown plies take in turn, beside those drawn from the prior.
+_SPECIAL_DEG = ((0.0,), (90.0,), (0.0, 90.0), (45.0, -45.0))
 # Elsewhere in the prior box its error may be this many times larger.
 _FAR_ALLOWANCE = 20.0
 
@@ -36,6 +43,53 @@ def angle_parameters(specimen: Specimen) -> ParameterSet:
     """The unknown ply angles of a specimen as continuous parameters, in degrees."""
     names = specimen.plate.layup.unknown_names
     return ParameterSet(tuple(Parameter(name, "deg", Uniform(-90.0, 90.0)) for name in names))
+
+
+def size_parameters(specimen: Specimen) -> ParameterSet:
+    """Sizes, density and mass of a specimen that are known to a standard deviation, SI.
+
+    Each has a normal prior about the value of the plate file, cut at five standard deviations and at
+    a quarter and four times the value.
+    """
+    plate = specimen.plate
+    found = []
+    for name, unit in SIZES.items():
+        if name in plate.sd:
+            value, sd = float(getattr(plate, name)), plate.sd[name]
+            lower = max(value - _SIZE_RANGE * sd, value / _SIZE_FACTOR)
+            upper = min(value + _SIZE_RANGE * sd, value * _SIZE_FACTOR)
+            found.append(Parameter(name, unit, TruncatedNormal(value, sd, lower, upper)))
+    return ParameterSet(tuple(found))
+
+
+def reference_vector(specimen: Specimen, parameters: ParameterSet) -> Array:
+    """Reference constants and sizes of the plate file as a vector (n,), moved into their bounds.
+
+    Parameters that are neither, unknown angles for instance, take the mean of their prior.
+    """
+    known = {**reference_constants(specimen), **_given_sizes(specimen)}
+    x = np.array([known.get(p.name, p.prior.mean) for p in parameters.parameters])
+    return np.asarray(np.clip(x, parameters.lower, parameters.upper))
+
+
+def _given_sizes(specimen: Specimen) -> dict[str, float]:
+    sizes = {name: getattr(specimen.plate, name) for name in SIZES}
+    return {name: float(value) for name, value in sizes.items() if value is not None}
+
+
+def varied_sizes(plate: Plate, values: Values) -> dict[str, Any]:
+    """Length, width, thickness and density that differ from the plate file's, by name.
+
+    Where the file gives the mass, the density follows from it and the sizes.
+    """
+    found = {name: values[name] for name in SIZES if name in values}
+    mass = found.pop("mass", plate.mass)
+    if mass is not None and any(name in values for name in SIZES):
+        length, width, thickness = (
+            found.get(name, getattr(plate, name)) for name in ("length", "width", "thickness")
+        )
+        found["density"] = np.asarray(mass / (length * width * thickness))
+    return found
 
 
 def reference_constants(specimen: Specimen) -> dict[str, float]:
@@ -50,10 +104,11 @@ def plate_problem(
     parameters: ParameterSet = NO_PARAMETERS,
     shear: ShearModel = ENERGY_CONSISTENT,
 ) -> Problem:
-    """The plate of a specimen as an eigenvalue problem in some of its constants and angles.
+    """The plate of a specimen as an eigenvalue problem in some of its constants, angles and sizes.
 
     parameters : what varies; other constants keep their reference value, G13, G23 and the constants
-    of an isotropic plate following eq. (6) and (11) where they are not given. Raises ``ValueError``
+    of an isotropic plate following eq. (6) and (11) where they are not given. Known masses keep
+    their place in proportion where a size varies. Raises ``ValueError``
     if an unknown angle of the layup is not among the parameters.
     """
     plate, material = specimen.plate, specimen.material
@@ -74,25 +129,31 @@ def plate_problem(
         symmetric=layup.is_symmetric,
     )
 
-    def given_constants(values: Values) -> dict[str, Any]:
-        return {**material.constants, **{k: v for k, v in values.items() if k in CONSTANTS}}
-
-    def state(values: Values) -> PlateState:
-        constants = complete_constants(given_constants(values), material.isotropic)
-        found = replace(nominal, constants=constants)
-        if not layup.n_unknown:
-            return found
-        angles = np.stack([values[name] for name in layup.unknown_names], axis=-1)
-        return replace(found, layup=layup.angles(angles))
-
-    def admissible(values: Values) -> NDArray[np.bool_]:
-        shape = np.broadcast_shapes(*(np.shape(v) for v in values.values()))
-        return np.broadcast_to(is_admissible(given_constants(values), material.isotropic), shape)
-
-    problem = bare_plate(parameters, plate.edges, nominal, state, admissible)
+    # partial objects, not closures: a model must be picklable to be sent to another process
+    state = partial(_plate_state, plate, material, nominal)
+    problem = bare_plate(parameters, plate.edges, nominal, state, partial(_is_physical, material))
     for sensor in specimen.sensors:
         problem = add_known_mass(problem, sensor.mass, sensor.x, sensor.y)
     return problem
+
+
+def _plate_state(plate: Plate, material: Material, nominal: PlateState, values: Values) -> PlateState:
+    """The nominal state with the constants, sizes and angles that vary."""
+    constants = complete_constants(_given_constants(material, values), material.isotropic)
+    found = replace(nominal, constants=constants, **varied_sizes(plate, values))
+    if not plate.layup.n_unknown:
+        return found
+    angles = np.stack([values[name] for name in plate.layup.unknown_names], axis=-1)
+    return replace(found, layup=plate.layup.angles(angles))
+
+
+def _is_physical(material: Material, values: Values) -> NDArray[np.bool_]:
+    shape = np.broadcast_shapes(*(np.shape(v) for v in values.values()))
+    return np.broadcast_to(is_admissible(_given_constants(material, values), material.isotropic), shape)
+
+
+def _given_constants(material: Material, values: Values) -> dict[str, Any]:
+    return {**material.constants, **{k: v for k, v in values.items() if k in CONSTANTS}}
 
 
 @dataclass(frozen=True, slots=True)
@@ -204,26 +265,43 @@ def convergence_samples(
 
     centre : (n_parameters,), by default the reference constants. Far from it the space need only be
     good enough to tell that the data lie elsewhere. The seed is fixed, so that a model does not
-    depend on the run that first needs it. Angles are drawn from their prior throughout.
+    depend on the run that first needs it. Angles are drawn from their prior; where there are unknown
+    ones the centre is also taken with all of them at 0, at 90, at both and at 45 and -45 deg, which the
+    prior almost never gives and where free edges are hardest.
     """
     parameters = problem.parameters
     if not parameters.size:
         return Samples(np.empty((1, 0)), np.ones(1))
     rng = np.random.default_rng(0)
-    complete = complete_constants(specimen.material.constants, specimen.material.isotropic)
+    middle = reference_vector(specimen, parameters) if centre is None else centre
     found: list[Array] = []
     while len(found) <= near:
         x = parameters.sample(rng, 1)[0]
         for i, name in enumerate(parameters.names):
             if name in CONSTANTS:
                 away = _NEIGHBOURHOOD * rng.uniform(-1.0, 1.0) if found else 0.0
-                x[i] = (float(complete[name]) if centre is None else centre[i]) * (1.0 + away)
+                x[i] = middle[i] * (1.0 + away)
+            elif name in SIZES and not found:
+                x[i] = middle[i]
         x = np.clip(x, parameters.lower, parameters.upper)
         if problem.admissible(parameters.mapping(x)):
             found.append(x)
+    found += _special_layups(specimen, parameters, found[0])
     everywhere = training_sets(problem, far, rng)
-    allowance = np.concatenate((np.ones(near + 1), np.full(far, _FAR_ALLOWANCE)))
+    allowance = np.concatenate((np.ones(len(found)), np.full(far, _FAR_ALLOWANCE)))
     return Samples(np.concatenate((found, everywhere)), allowance)
+
+
+def _special_layups(specimen: Specimen, parameters: ParameterSet, centre: Array) -> list[Array]:
+    """A vector (n,) with its unknown angles in the patterns of the usual layups, none without angles."""
+    names = specimen.plate.layup.unknown_names
+    at = [i for i, name in enumerate(parameters.names) if name in names]
+    found = []
+    for pattern in _SPECIAL_DEG if at else ():
+        x = centre.copy()
+        x[at] = np.resize(pattern, len(at))
+        found.append(np.clip(x, parameters.lower, parameters.upper))
+    return found
 
 
 @single_blas_thread

@@ -57,6 +57,8 @@ def monotone_log_likelihood(
     that a complete list would contain; those beyond it cost nothing when missed.
     """
     table = _Prices(log_density, in_range, measured_range, prior)
+    if not table.n:
+        return np.asarray(table.nothing)
     forward = table.sums()[0]
     return np.asarray(np.logaddexp(table.nothing, _log_sum(forward + table.tail(), axes=(1, 2))))
 
@@ -65,6 +67,8 @@ def most_probable_pairing(
     log_density: Array, in_range: Array, measured_range: float, prior: PairingPrior = DEFAULT_PAIRING
 ) -> Pairing:
     """The pairing with the largest likelihood of one parameter set (log_density (n, k))."""
+    if not len(log_density):
+        return Pairing(np.empty(0, dtype=int), np.flatnonzero(in_range), 0.0)
     table = _Prices(log_density[None], in_range[None], measured_range, prior)
     best, came_from = table.sums(maximise=True)
     total = (best + table.tail())[0]
@@ -79,6 +83,51 @@ def most_probable_pairing(
             i, j = came_from[i, j]
     missed = np.setdiff1d(np.flatnonzero(in_range), mode)
     return Pairing(mode, missed, value - float(everything))
+
+
+def labelled_log_likelihood(
+    log_density: Array,
+    in_range: Array,
+    measured_range: float,
+    labelled: Array,
+    prior: PairingPrior = DEFAULT_PAIRING,
+) -> Array:
+    """Log of the sum over all pairings that give frequencies with a known mode their own, (m,).
+
+    A frequency marked in ``labelled`` (n,) bool is the mode of its own number and is neither spurious
+    nor another; the other frequencies are paired with the other modes as in
+    ``monotone_log_likelihood``, whatever the order of the labelled ones.
+    """
+    if not labelled.any():
+        return monotone_log_likelihood(log_density, in_range, measured_range, prior)
+    own = np.flatnonzero(labelled)
+    rows, columns = _others(log_density, labelled)
+    others = monotone_log_likelihood(
+        log_density[:, rows][:, :, columns], in_range[:, columns], measured_range, prior
+    )
+    return np.asarray(others + np.sum(np.log1p(-prior.missed) + log_density[:, own, own], axis=1))
+
+
+def most_probable_labelled_pairing(
+    log_density: Array,
+    in_range: Array,
+    measured_range: float,
+    labelled: Array,
+    prior: PairingPrior = DEFAULT_PAIRING,
+) -> Pairing:
+    """The most probable pairing of one parameter set that respects labels (log_density (n, k))."""
+    rows, columns = _others(log_density, labelled)
+    others = most_probable_pairing(log_density[rows][:, columns], in_range[columns], measured_range, prior)
+    mode = np.arange(len(log_density))
+    mode[rows] = np.where(others.mode >= 0, columns[others.mode], -1)
+    return Pairing(mode, columns[others.missed], others.log_probability)
+
+
+def _others(log_density: Array, labelled: Array) -> tuple[Array, Array]:
+    """Frequencies without a known mode, and modes that no labelled frequency has."""
+    own = np.flatnonzero(labelled)
+    n, k = log_density.shape[-2:]
+    return np.setdiff1d(np.arange(n), own), np.setdiff1d(np.arange(k), own)
 
 
 class _Prices:

@@ -296,6 +296,21 @@ def test_far_from_the_centre_the_error_stays_within_its_allowance() -> None:
     assert np.all(model.admissible(samples.x))
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "n_modes"), [("C3", 6), ("D1", 10)])
+def test_no_sample_is_left_behind_when_the_hardest_one_is_converged(name: str, n_modes: int) -> None:
+    specimen = read_specimen(name)
+    problem = plate_problem(specimen, specimen.unknowns)
+    samples = convergence_samples(specimen, problem)
+    values, tolerance = specimen.unknowns.mapping(samples.x), default_tolerance(problem)
+    found = converge(problem, values, n_modes, tolerance, samples.allowance)
+    exact = rich_frequencies(problem, values, n_modes, tolerance)
+    own = solve(found.operator, *found.operator.coefficients(values), n_modes).frequencies
+    error = (own / exact.frequencies - 1.0).max(axis=1)
+    # what it is compared with here is a little richer than what it was converged against
+    assert np.all(error <= 1.1 * samples.allowance * tolerance.kept)
+
+
 def at_corner_of_the_box(model: PlateModel) -> np.ndarray:
     """All moduli but E1 at their lower bounds: far from the centre and slow to converge."""
     names, parameters = model.parameters.names, model.parameters

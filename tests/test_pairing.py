@@ -7,7 +7,13 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from cpam_bayes.pairing import PairingPrior, monotone_log_likelihood, most_probable_pairing
+from cpam_bayes.pairing import (
+    PairingPrior,
+    labelled_log_likelihood,
+    monotone_log_likelihood,
+    most_probable_labelled_pairing,
+    most_probable_pairing,
+)
 
 
 def every_pairing(
@@ -74,3 +80,29 @@ def test_a_spurious_peak_is_left_without_a_mode() -> None:
     best = most_probable_pairing(density, modes <= listed[-1], 400.0)
     np.testing.assert_array_equal(best.mode, [0, -1, 1, 2])
     assert len(best.missed) == 0
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_labelled_frequencies_keep_their_modes_and_the_others_are_summed_over(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    n, k = rng.integers(1, 5), rng.integers(4, 7)
+    labelled = rng.uniform(size=n) < 0.5
+    log_density = 4.0 * rng.normal(size=(n, k)) - 3.0
+    in_range = rng.uniform(size=k) < 0.7
+    prior = PairingPrior(rng.uniform(0.01, 0.5), rng.uniform(0.01, 1.0))
+    own = np.flatnonzero(labelled)
+    rows, columns = np.setdiff1d(np.arange(n), own), np.setdiff1d(np.arange(k), own)
+    fixed = sum(np.log1p(-prior.missed) + log_density[i, i] for i in own)
+    expected = []
+    for value, mode in every_pairing(log_density[np.ix_(rows, columns)], in_range[columns], 7.0, prior):
+        whole = np.arange(n)
+        whole[rows] = np.where(mode >= 0, columns[mode], -1)
+        expected.append((value + fixed, whole))
+    values = np.array([v for v, _ in expected])
+    total = np.logaddexp.reduce(values)
+    found = labelled_log_likelihood(log_density[None], in_range[None], 7.0, labelled, prior)[0]
+    best = most_probable_labelled_pairing(log_density, in_range, 7.0, labelled, prior)
+    assert found == pytest.approx(total, abs=1e-10)
+    np.testing.assert_array_equal(best.mode, expected[int(values.argmax())][1])
+    assert best.log_probability == pytest.approx(values.max() - total, abs=1e-10)
+    assert set(best.missed) == set(columns[in_range[columns]]) - set(best.mode)

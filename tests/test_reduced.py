@@ -12,9 +12,18 @@ import numpy as np
 import pytest
 
 from cpam_bayes.cache import cache_directory, model_key, reduced_model
+from cpam_bayes.convergence import Tolerance, rich_frequencies
 from cpam_bayes.laminate import ENERGY_CONSISTENT, FIVE_SIXTHS, ShearModel
 from cpam_bayes.measurement import Specimen, read_specimen
-from cpam_bayes.model import PlateModel, angle_parameters, converged_model, training_sets
+from cpam_bayes.model import (
+    PlateModel,
+    angle_parameters,
+    converged_model,
+    convergence_samples,
+    plate_problem,
+    reference_vector,
+    training_sets,
+)
 from cpam_bayes.modes import solve
 from cpam_bayes.parameters import ParameterSet
 from cpam_bayes.problem import rigid_body_count
@@ -136,6 +145,52 @@ def test_estimate_follows_the_error_over_the_orders_of_magnitude(name: str) -> N
     assert np.quantile(error, 0.9) > 1e-4
     assert np.mean(error <= estimate) >= 0.99
     assert np.corrcoef(np.log(np.maximum(error, 1e-12)).ravel(), np.log(estimate).ravel())[0, 1] > 0.8
+
+
+@pytest.mark.parametrize("n_modes", [6, 8])
+def test_no_mode_of_the_square_isotropic_plate_is_lost(n_modes: int) -> None:
+    # its modes come in equal pairs, which lie in two blocks and of which a basis can lack one: all
+    # frequencies above a lost one are then those of the next mode, wrong by per cents
+    specimen = read_specimen("D&G")
+    full = converged_model(specimen, specimen.unknowns, n_modes)
+    model = reduce(full, np.random.default_rng(0))
+    x = prior_draws(full, 300, seed=5)
+    exact = full.predict(x).frequencies
+    gap = np.diff(exact, axis=1) / exact[:, :-1]
+    assert gap.min() < 1e-6, "there is a pair"
+    error = np.abs(model.predict(x).frequencies / exact - 1.0)
+    assert np.all(error <= model.error(x) + 1e-9)
+    assert error.max() < 1e-4
+
+
+def test_usual_layups_are_among_the_samples_of_unknown_angles() -> None:
+    specimen = specimen_of(ANY)
+    problem = plate_problem(specimen, parameters_of(specimen))
+    samples = convergence_samples(specimen, problem)
+    angles = samples.x[samples.allowance == 1.0][:, -4:].tolist()
+    for layup in ([0.0] * 4, [90.0] * 4, [0.0, 90.0] * 2, [45.0, -45.0] * 2):
+        assert layup in angles
+    assert np.all(problem.admissible(problem.parameters.mapping(samples.x)))
+    known = read_specimen("C1")
+    fixed = convergence_samples(known, plate_problem(known, known.unknowns))
+    assert len(fixed.x) == len(samples.x) - 4
+
+
+@pytest.mark.slow
+def test_printed_error_of_any_layup_holds_on_the_usual_layups() -> None:
+    full = reduced(ANY).full
+    parameters = full.parameters
+    x = np.tile(reference_vector(specimen_of(ANY), parameters), (6, 1))
+    x[:, -4:] = [
+        *([0, 90, 0, 90], [90, 0, 90, 0], [0, 0, 0, 0], [90, 90, 90, 90]),
+        *([45, -45, 45, -45], [0, 0, 90, 90]),
+    ]
+    tight = Tolerance(kept=1e-6, rich=2e-6, largest_degree=22)
+    exact = rich_frequencies(full.operator.problem, parameters.mapping(x), 6, tight)
+    error = np.abs(full.predict(x).frequencies / exact.frequencies - 1.0)
+    assert exact.error.max() < 2e-5
+    assert np.all(error <= full.error + exact.error)
+    assert full.error.max() < 2e-4, "what is promised of a thin plate"
 
 
 def test_coercivity_is_the_least_ratio_of_strain_energies() -> None:

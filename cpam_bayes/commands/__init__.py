@@ -23,6 +23,9 @@ BACKENDS: Final = {
 }
 """Name of a back end -> the function (specimen, args) -> Answer."""
 
+NOISE_SHAPES: Final = {"gaussian": float("inf"), "student-t": 4.0}
+"""Name of a shape of noise -> its degrees of freedom."""
+
 DEFAULT_SEED: Final = 0
 MOST_MODES: Final = 100
 

@@ -7,16 +7,18 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from cpam_bayes.commands.supported import solver_failure
+from cpam_bayes.commands import NOISE_SHAPES
+from cpam_bayes.commands.supported import plate_warnings, solver_failure
 from cpam_bayes.inference.ensemble import DEFAULT_SETTINGS, Diagnostics
 from cpam_bayes.inference.sampled import SampledIdentification, identify_by_sampling
 from cpam_bayes.measurement import Specimen
 from cpam_bayes.modes import RigidBodyError
 from cpam_bayes.report.answer import Answer, Figures
 from cpam_bayes.report.progress import progress
-from cpam_bayes.report.sampled import sampled_document, sampled_screen, sampled_warnings
+from cpam_bayes.report.sampled import sampled_screen, sampled_warnings
+from cpam_bayes.report.sampled_document import sampled_document
 
-NOT_CONVERGED = 1
+NOT_REACHED = 1
 
 
 def identify_by_ensembles(specimen: Specimen, args: argparse.Namespace) -> Answer:
@@ -40,6 +42,8 @@ def identify_by_ensembles(specimen: Specimen, args: argparse.Namespace) -> Answe
             result = identify_by_sampling(
                 specimen,
                 args.seed,
+                likelihood=args.likelihood or "relative",
+                degrees_of_freedom=NOISE_SHAPES[args.noise or "gaussian"],
                 settings=settings,
                 store=None if args.store is None else Path(args.store),
                 notify=bar.notify,
@@ -47,7 +51,8 @@ def identify_by_ensembles(specimen: Specimen, args: argparse.Namespace) -> Answe
             )
         except RigidBodyError as error:
             raise solver_failure(specimen, error) from error
-    warnings = sampled_warnings(result)
+    warnings = (*sampled_warnings(result), *plate_warnings(specimen))
+    reached = result.result.status == "converged" and result.result.not_stored is None
     return Answer(
         "identify",
         sampled_document(result, args.seed, warnings),
@@ -55,12 +60,12 @@ def identify_by_ensembles(specimen: Specimen, args: argparse.Namespace) -> Answe
         warnings,
         partial(_figures, result),
         partial(_files, result, args.seed),
-        status=0 if result.result.status == "converged" else NOT_CONVERGED,
+        status=0 if reached else NOT_REACHED,
     )
 
 
 def _figures(result: SampledIdentification) -> Figures:
-    from cpam_bayes.report.posterior_data import posterior_figures
+    from cpam_bayes.report.posterior_figures import posterior_figures
 
     return posterior_figures(result)
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from functools import partial
 
 from cpam_bayes.commands import SOLVERS, load
-from cpam_bayes.commands.supported import require_supported, solver_failure
+from cpam_bayes.commands.supported import plate_warnings, require_supported, solver_failure
 from cpam_bayes.measurement import Specimen, read_specimen
 from cpam_bayes.modes import RigidBodyError
 from cpam_bayes.report.answer import Answer, Figures
@@ -53,7 +53,7 @@ def _answer(
         result = solver(specimen, n_modes)
     except RigidBodyError as error:
         raise solver_failure(specimen, error) from error
-    warnings = forward_warnings(result)
+    warnings = (*forward_warnings(result), *plate_warnings(specimen))
     return Answer(
         "forward",
         forward_document(result, args.seed, warnings),

@@ -16,7 +16,7 @@ _NO_MESH = (
     "from its reference constants: forward --solver fem"
 )
 # Options that a back end has no use for.
-_FOREIGN = {"pso": ("steps", "store"), "emcee": ("particles", "iterations")}
+_FOREIGN = {"pso": ("steps", "store", "likelihood", "noise"), "emcee": ("particles", "iterations")}
 
 
 def prepare(args: argparse.Namespace) -> Callable[[], Answer]:

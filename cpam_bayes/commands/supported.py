@@ -1,4 +1,4 @@
-"""What a plate file may say and this version does not compute: refused, never left aside."""
+"""What a plate file says beyond what can be computed or believed: refused, or warned of."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from cpam_bayes.errors import PlateFileError
 from cpam_bayes.measurement import Specimen
 from cpam_bayes.modes import RigidBodyError
 
-__all__ = ["require_paired_list", "require_supported", "solver_failure"]
+__all__ = ["plate_warnings", "require_paired_list", "require_sequence", "require_supported", "solver_failure"]
 
 # Longer side over thickness from which a failure is blamed on the thickness.
 _THIN = 300.0
@@ -17,21 +17,47 @@ def require_supported(specimen: Specimen, no_mesh: str | None) -> Specimen:
 
     no_mesh : what to say to a plate with a mesh, None where meshes are computed
     """
-    plate, problems = specimen.plate, []
-    if plate.mesh is not None and no_mesh is not None:
-        problems.append(f"plate.mesh: received {plate.mesh}, {no_mesh}")
+    plate, problems = specimen.plate, _not_computed(specimen, no_mesh)
+    if plate.layup.n_unknown:
+        problems.append(
+            f"plate.layup: received {plate.layup.text}, {plate.layup.n_unknown} of its angles are "
+            'unknown; a known layup is needed, write the angles for "?", or let `sequence` find them'
+        )
+    _raise(specimen, problems)
+    return specimen
+
+
+def require_sequence(specimen: Specimen) -> Specimen:
+    """Return the specimen, or raise `PlateFileError` if its sequence cannot be asked for."""
+    problems = _not_computed(specimen, "sequence computes rectangular plates only; leave mesh out")
+    if not specimen.plate.layup.n_unknown:
+        problems.append(
+            f'plate.layup: received {specimen.plate.layup.text}, none of its angles is "?"; write "?" for '
+            "the unknown ones"
+        )
+    if specimen.measurement is None:
+        problems.append("[measurement] is missing, nothing to tell the sequences apart by")
+    elif any(specimen.measurement.labels):
+        problems.append(
+            "measurement.labels: received labels, sequence pairs frequencies with modes in ascending order; "
+            "leave them out"
+        )
+    if not specimen.unknowns.size:
+        problems.append("[unknowns] is missing, the constants must be free within bounds")
+    _raise(specimen, problems)
+    return specimen
+
+
+def _not_computed(specimen: Specimen, no_mesh: str | None) -> list[str]:
+    problems = []
+    if specimen.plate.mesh is not None and no_mesh is not None:
+        problems.append(f"plate.mesh: received {specimen.plate.mesh}, {no_mesh}")
     if specimen.air_density is not None:
         problems.append(
             f"environment.air_density_kg_m3: received {specimen.air_density:g}, this version "
             "computes plates in vacuum only; leave air_density_kg_m3 out"
         )
-    if plate.layup.n_unknown:
-        problems.append(
-            f"plate.layup: received {plate.layup.text}, {plate.layup.n_unknown} of its angles are "
-            'unknown; a known layup is needed, write the angles for "?"'
-        )
-    _raise(specimen, problems)
-    return specimen
+    return problems
 
 
 def require_paired_list(specimen: Specimen) -> Specimen:
@@ -45,6 +71,22 @@ def require_paired_list(specimen: Specimen) -> Specimen:
             ],
         )
     return specimen
+
+
+def plate_warnings(specimen: Specimen) -> tuple[str, ...]:
+    """What of a plate file is possible and yet most likely a slip."""
+    plate = specimen.plate
+    mass = plate.density * plate.area * plate.thickness
+    if plate.mesh is not None:  # which may be smaller than the rectangle
+        mass = plate.mass or mass
+    sensors = sum(sensor.mass for sensor in specimen.sensors)
+    if not sensors > mass:
+        return ()
+    number = "the sensor weighs" if len(specimen.sensors) == 1 else "the sensors together weigh"
+    return (
+        f"{number} {sensors * 1e3:.6g} g, more than the plate, {mass * 1e3:.6g} g: check mass_g of "
+        "[[sensor]] and the density of the plate",
+    )
 
 
 def solver_failure(specimen: Specimen, error: RigidBodyError) -> ValueError:

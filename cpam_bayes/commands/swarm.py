@@ -7,7 +7,7 @@ import math
 from dataclasses import replace
 from functools import partial
 
-from cpam_bayes.commands.supported import solver_failure
+from cpam_bayes.commands.supported import plate_warnings, solver_failure
 from cpam_bayes.inference.identify import Identification, identify
 from cpam_bayes.inference.swarm import SwarmSettings
 from cpam_bayes.measurement import Specimen
@@ -43,7 +43,7 @@ def identify_by_swarm(specimen: Specimen, args: argparse.Namespace) -> Answer:
             )
         except RigidBodyError as error:
             raise solver_failure(specimen, error) from error
-    warnings = warnings_of(result, args.residuals)
+    warnings = (*warnings_of(result, args.residuals), *plate_warnings(specimen))
     return Answer(
         "identify",
         identification_document(result, args.seed, args.backend, args.residuals, warnings),

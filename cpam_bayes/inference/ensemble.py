@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cpam_bayes.inference.laplace import GaussianPicture, optimise, prior_sd
-from cpam_bayes.posterior import NOISE, Posterior
+from cpam_bayes.posterior import Posterior
 
 Array = NDArray[Any]
 
@@ -35,6 +36,8 @@ class EnsembleSettings:
 
     ensembles, walkers : independent ensembles and walkers in each. round_steps : steps between two
     looks at the chains. r_hat, effective : what ends the sampling. most_steps : the budget.
+    lengths : autocorrelation times that a chain has to be long; a time that is known to 10 % takes
+    about fifty, draws for a rank or a test take fewer.
     """
 
     ensembles: int = 2
@@ -43,6 +46,7 @@ class EnsembleSettings:
     r_hat: float = 1.01
     effective: float = 1000.0
     most_steps: int = 20_000
+    lengths: float = 50.0
 
 
 DEFAULT_SETTINGS = EnsembleSettings()
@@ -64,13 +68,15 @@ class Diagnostics:
 class EnsembleResult:
     """Chains of all ensembles after burn-in.
 
-    chain : (ensembles, steps, walkers, n). log_prob : (ensembles, steps, walkers).
+    chain : (ensembles, steps, walkers, n). log_prob : (ensembles, steps, walkers). not_stored : why
+    rounds are missing in the store, ``None`` if none is.
     """
 
     chain: Array
     log_prob: Array
     diagnostics: Diagnostics
     status: Literal["converged", "budget"]
+    not_stored: str | None = None
 
     @property
     def draws(self) -> Array:
@@ -117,7 +123,7 @@ def _optima(posterior: Posterior, swarm: Array, values: Array, most: int = 4) ->
     for i in order:
         x = np.clip(swarm[i], parameters.lower[: swarm.shape[1]], parameters.upper[: swarm.shape[1]])
         if posterior.noise_is_inferred:
-            x = np.append(x, _noise_of(posterior, x))
+            x = np.append(x, _noise_of(posterior, x[None]))
         far = all(np.linalg.norm((x - s) / scale) > 0.3 for s in starts)
         if far and np.isfinite(posterior.log_prob(x[None])[0]):
             starts.append(x)
@@ -131,14 +137,12 @@ def _optima(posterior: Posterior, swarm: Array, values: Array, most: int = 4) ->
 
 
 def _noise_of(posterior: Posterior, x: Array) -> float:
-    """Relative noise that the residuals at a particle suggest, within its prior's bounds."""
+    """Amplitude of the noise that the residuals at a particle (1, n_plate) suggest."""
     f = posterior.measurement.frequencies
-    predicted = posterior.model.predict(x[None]).frequencies[0]
+    predicted = posterior.predict(x)[0]
     nearest = predicted[np.abs(predicted[None, :] - f[:, None]).argmin(axis=1)]
     paired = predicted[: len(f)] if posterior.measurement.complete else nearest
-    rms = float(np.sqrt(np.mean((paired / f - 1.0) ** 2)))
-    prior = posterior.parameters[NOISE].prior
-    return float(np.clip(rms, 2 * prior.lower, 0.5 * prior.upper))
+    return posterior.noise_model.suggested(paired - f)
 
 
 def problem_hash(posterior: Posterior, at: Array) -> str:
@@ -152,6 +156,7 @@ def problem_hash(posterior: Posterior, at: Array) -> str:
         own.relative_std,
         None if own.frequency_sd is None else own.frequency_sd.tolist(),
         own.complete,
+        own.labels,
         posterior.degrees_of_freedom,
         posterior.log_prob(at).tolist(),
     ]
@@ -182,8 +187,9 @@ def sample(
     """Sample a posterior until the ensembles agree or the budget ends.
 
     start : (ensembles, walkers, n). store : a directory for the rounds; one that holds rounds of the
-    same problem is gone on with, one of another problem raises ``StoreError``. ``progress`` is told
-    the diagnostics after each round.
+    same problem is gone on with, one of another problem raises ``StoreError``. A round that cannot be
+    written, on a full disk for instance, ends the storing and not the sampling: the result says so.
+    ``progress`` is told the diagnostics after each round.
 
     Moves: differential evolution (ter Braak, 2006), nine in ten with the usual factor, one in ten
     with factor 1, which jumps between separate optima. They mixed two to three times as well as the
@@ -195,17 +201,18 @@ def sample(
     states = [_state(start[e], posterior, seed, e) for e in range(settings.ensembles)]
     chains: list[Array] = []
     log_probs: list[Array] = []
+    not_stored: str | None = None
     while True:
         i = len(chains)
-        stored = rounds.read(i) if rounds is not None else None
+        stored = rounds.read(i) if rounds is not None and not_stored is None else None
         if stored is None:
             pieces = [
                 _advance(s, state, settings.round_steps) for s, state in zip(samplers, states, strict=True)
             ]
             chain, log_prob = (np.stack([p[k] for p in pieces]) for k in (0, 1))
             states = [p[2] for p in pieces]
-            if rounds is not None:
-                rounds.write(i, chain, log_prob, states)
+            if rounds is not None and not_stored is None:
+                not_stored = rounds.write(i, chain, log_prob, states)
         else:
             chain, log_prob, states = stored
         chains.append(chain)
@@ -218,6 +225,7 @@ def sample(
                 np.concatenate(log_probs, axis=1)[:, found.burn_in :],
                 found,
                 "converged" if found.converged else "budget",
+                not_stored,
             )
 
 
@@ -233,15 +241,15 @@ def diagnose_chains(chain: Array, settings: EnsembleSettings) -> Diagnostics:
 
     steps = chain.shape[1]
     half = chain[:, steps // 2 :]
-    tau = np.max([integrated_time(e, tol=0, quiet=True) for e in half], axis=0)
+    with np.errstate(invalid="ignore"):  # a walker that never moved has no autocorrelation
+        tau = np.max([integrated_time(e, tol=0, quiet=True) for e in half], axis=0)
     worst = float(np.max(tau)) if np.all(np.isfinite(tau)) else float(steps)
     burn_in = min(int(np.ceil(5.0 * worst)), steps // 2)
     kept = chain[:, burn_in:]
     n_draws = kept.shape[0] * kept.shape[1] * kept.shape[2]
     r_hat = float(np.max(_split_r_hat(kept)))
     ess = n_draws / worst
-    # an autocorrelation time is known once the chain is fifty of them long
-    long_enough = kept.shape[1] >= 50.0 * worst
+    long_enough = kept.shape[1] >= settings.lengths * worst
     converged = bool(long_enough and r_hat <= settings.r_hat and ess >= settings.effective)
     return Diagnostics(r_hat, ess, worst, converged, steps, burn_in)
 
@@ -329,7 +337,8 @@ class _Rounds:
             ) from error
         return chain, log_prob, states
 
-    def write(self, i: int, chain: Array, log_prob: Array, states: list[Any]) -> None:
+    def write(self, i: int, chain: Array, log_prob: Array, states: list[Any]) -> str | None:
+        """Store a round; what to say if it could not be."""
         import h5py
 
         path = self.path(i)
@@ -343,8 +352,12 @@ class _Rounds:
                 for k, name in ((2, "position"), (3, "has_gauss"), (4, "gauss")):
                     file[f"random_{name}"] = np.array([r[k] for r in random])
             part.replace(path)
-        except OSError as error:
+        except (OSError, RuntimeError) as error:  # h5py: either, as the write or the closing fails
             part.unlink(missing_ok=True)
-            raise StoreError(
-                f"store {path}: cannot be written ({error}); the rounds before it are kept"
-            ) from error
+            said = re.search(r"error message = '([^']*)'", str(error))  # deep in a text of HDF5's
+            reason = said[1] if said else getattr(error, "strerror", None) or str(error).splitlines()[0]
+            return (
+                f"store {path}: cannot be written ({reason}); {i} rounds before it are kept and the same "
+                "command goes on from there, those from it on are in this answer alone"
+            )
+        return None

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from cpam_bayes.cache import reduced_model
 from cpam_bayes.elasticity import complete_constants
 from cpam_bayes.inference.pso import SwarmResult, SwarmSettings, initial_swarm, minimise
+from cpam_bayes.labels import LabelledModel, labelled_model, list_order, spare_modes
 from cpam_bayes.laminate import flexural_constants
 from cpam_bayes.measurement import Measurement, Specimen
 from cpam_bayes.model import discretisation_error, plate_problem
@@ -110,13 +111,49 @@ def identify(
     feasible.
     """
     start = time.perf_counter()
+    found = search(specimen, seed, settings=settings, residual=residual, progress=progress, notify=notify)
+    return summarise(specimen, found.model, found.swarm, found.error, residual, start)
+
+
+@dataclass(frozen=True, slots=True)
+class Search:
+    """What a swarm found and the plate model that it ran on.
+
+    error : (n_modes,) relative error of the solver at its best particle. centre : of the model, as of
+    ``reduced_model``.
+    """
+
+    model: ReducedModel | LabelledModel
+    swarm: SwarmResult
+    error: Array
+    centre: Array | None
+
+
+@single_blas_thread
+def search(
+    specimen: Specimen,
+    seed: int,
+    *,
+    spare: int = 0,
+    settings: SwarmSettings | None = None,
+    residual: Residual = "absolute",
+    progress: Callable[[int, float], None] | None = None,
+    notify: Callable[[str], None] = lambda text: None,
+) -> Search:
+    """The swarm of ``identify``, on a model of ``spare`` modes more than the list has.
+
+    Frequencies with a label are compared with the mode that has it, the others in ascending order.
+    Raises as ``identify`` does, and ``LabelError`` for labels that the model does not have.
+    """
     measurement, unknowns = required(specimen)
     isotropic = specimen.material.isotropic
     settings = settings or SwarmSettings()
     known = tuple((k, v) for k, v in specimen.material.constants.items() if k not in unknowns)
+    n_modes = measurement.size + max(spare, spare_modes(measurement))
     centre, solves = None, 0
     for attempt in range(1, _MOST_MODELS + 1):
-        model = reduced_model(specimen, unknowns, measurement.size, centre=centre, notify=notify)
+        reduced = reduced_model(specimen, unknowns, n_modes, centre=centre, notify=notify)
+        model = labelled_model(reduced, measurement, specimen)
         rng = np.random.default_rng(seed)
         swarm = minimise(
             _objective(model, measurement, residual),
@@ -134,11 +171,14 @@ def identify(
             break
         notify("the answer is far from the reference constants: converging the plate model there")
         centre = swarm.best
-    return summarise(specimen, model, replace(swarm, evaluations=solves), error, residual, start)
+    return Search(model, replace(swarm, evaluations=solves), error, centre)
 
 
-def _objective(model: ReducedModel, measurement: Measurement, residual: Residual) -> Callable[[Array], Array]:
-    return lambda x: misfit(model.predict(x).frequencies, measurement.frequencies, residual)
+def _objective(
+    model: ReducedModel | LabelledModel, measurement: Measurement, residual: Residual
+) -> Callable[[Array], Array]:
+    n = measurement.size
+    return lambda x: misfit(model.predict(x).frequencies[:, :n], measurement.frequencies, residual)
 
 
 def required(specimen: Specimen) -> tuple[Measurement, ParameterSet]:
@@ -152,7 +192,7 @@ def required(specimen: Specimen) -> tuple[Measurement, ParameterSet]:
 
 def summarise(
     specimen: Specimen,
-    model: ReducedModel,
+    model: ReducedModel | LabelledModel,
     swarm: SwarmResult,
     error: Array,
     residual: Residual,
@@ -162,13 +202,15 @@ def summarise(
     measurement, unknowns = required(specimen)
     best = swarm.best
     prediction = model.full.predict(best, jacobian=True)
-    predicted = prediction.frequencies[0]
+    order = list_order(model, best)[: measurement.size]
+    modes = model.full.modes(best)
+    predicted = prediction.frequencies[0, order]
     relative = predicted / measurement.frequencies - 1.0
     rms = float(np.sqrt(np.mean(relative**2)))
     noise, inferred = _noise(measurement, relative, unknowns.size)
     assert prediction.jacobian is not None
     prior_sd = np.array([unknowns[name].prior.sd for name in unknowns.names])
-    sd = linearised_sd(prediction.jacobian[0], prior_sd, measurement, noise, residual)
+    sd = linearised_sd(prediction.jacobian[0, order], prior_sd, measurement, noise, residual)
     estimates = tuple(
         _estimate(specimen, name, float(value), float(its_sd))
         for name, value, its_sd in zip(unknowns.names, best, sd, strict=True)
@@ -177,13 +219,13 @@ def summarise(
     return Identification(
         specimen=specimen,
         constants=estimates,
-        predicted=model.full.modes(best),
+        predicted=tuple(modes[j] for j in order),
         rms=rms,
         noise=noise,
         noise_is_inferred=inferred,
-        error=error,
+        error=error[order],
         laminate=flexural_constants(np.real(state.stiffness()), float(state.thickness)),
-        model=model,
+        model=model.reduced if isinstance(model, LabelledModel) else model,
         swarm=swarm,
         seconds=time.perf_counter() - start,
         warnings=_warnings(measurement, predicted, unknowns.size),

@@ -38,7 +38,17 @@ Hertz = Annotated[float, _positive("Hz")]
 Poisson = Annotated[float, _finite("a number, Poisson's ratio")]
 Spread = Annotated[float, _positive("")]
 Place = Annotated[float, _not_negative("a number, in mm from the corner x = y = 0")]
-Text = Annotated[str, Field(min_length=1, max_length=200, description="a text, not empty")]
+# No control, formatting or line characters: texts are printed as they stand.
+_PRINTABLE: Final = r"^[^\p{Cc}\p{Cf}\p{Zl}\p{Zp}]*$"
+Text = Annotated[
+    str,
+    Field(
+        min_length=1,
+        max_length=200,
+        pattern=_PRINTABLE,
+        description="a text of printable characters, not empty",
+    ),
+]
 Flag = Annotated[bool, Field(description="true or false")]
 
 
@@ -172,7 +182,7 @@ class MeasurementModel(_Table):
     frequency_sd_hz: Annotated[list[Hertz], Field(description="a list, one for each frequency")] | None = None
     labels: (
         Annotated[
-            list[Annotated[str, Field(description='a text, "" for none')]],
+            list[Annotated[str, Field(pattern=_PRINTABLE, description='a text, "" for none')]],
             Field(description="a list of texts, one for each frequency"),
         ]
         | None
@@ -186,7 +196,8 @@ class PlateFile(_Table):
     name: Text
     specimen: Text | None = None
     notes: Annotated[
-        list[Annotated[str, Field(description="a text")]], Field(description="a list of texts")
+        list[Annotated[str, Field(pattern=_PRINTABLE, description="a text of printable characters")]],
+        Field(description="a list of texts"),
     ] = []
     plate: Annotated[PlateModel, Field(description="a table [plate]")]
     material: Annotated[MaterialModel, Field(description="a table [material]")]

@@ -24,6 +24,8 @@ USER_UNITS: Final[Mapping[str, tuple[str, float]]] = MappingProxyType(
         "x_mm": ("x", 1e-3),
         "y_mm": ("y", 1e-3),
         "air_density_kg_m3": ("air_density", 1.0),
+        "relative_std": ("relative_std", 1.0),
+        "absolute_sd_hz": ("absolute_sd", 1.0),
     }
 )
 """Name in the plate file -> (name inside, what one of the file's unit is in SI)."""

@@ -145,8 +145,8 @@ def _other_labels(result: Identification) -> list[str]:
     for i, (given, mode) in enumerate(zip(measurement.labels, result.predicted, strict=True), 1):
         if given and given.replace(" ", "") != mode.label.replace(" ", ""):
             found.append(
-                f"frequency {i} is labelled {given} in the plate file, the model's mode {i} is "
-                f"{mode.label}: this version pairs in order and does not look at labels"
+                f"frequency {i} is labelled {given} in the plate file and compared with the mode that "
+                f"follows from it; at these constants its shape is rather {mode.label}"
             )
     return found
 

@@ -150,3 +150,51 @@ def test_a_store_that_is_a_file_is_refused(tmp_path: Path) -> None:
     place.write_text("")
     with pytest.raises(StoreError, match="cannot be made"):
         run(place)
+
+
+FULL_DISK = """
+import resource, sys
+from pathlib import Path
+import tests.inference.test_ensemble as t
+from cpam_bayes.inference.ensemble import sample
+own, rounds = t.posterior(), []
+def fill(diagnostics):
+    rounds.append(diagnostics)
+    if len(rounds) == 2:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (1000, resource.RLIM_INFINITY))
+found = sample(own, t.start(own), 7, t.SETTINGS, store=Path(sys.argv[1]), progress=fill)
+print(found.status, len(rounds), found.chain.shape[1] + found.diagnostics.burn_in, found.not_stored)
+"""
+
+
+def test_on_a_full_disk_rounds_are_kept_sampling_goes_on_and_the_result_says_so(tmp_path: Path) -> None:
+    whole = run()
+    command = [sys.executable, "-c", FULL_DISK, str(tmp_path)]
+    done = subprocess.run(command, cwd=ROOT, check=False, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    status, rounds, steps, not_stored = done.stdout.strip().split(" ", 3)
+    assert status == "converged"
+    assert int(steps) == whole.diagnostics.steps == int(rounds) * SETTINGS.round_steps
+    assert "round_0002.h5: cannot be written (File too large); 2 rounds before it are kept" in not_stored
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["round_0000.h5", "round_0001.h5"]
+    # with room again the same problem goes on from there
+    np.testing.assert_array_equal(run(tmp_path).chain, whole.chain)
+
+
+@pytest.mark.parametrize("error", [OSError(28, "No space left on device"), RuntimeError("cannot close")])
+def test_whatever_the_failure_of_a_write_nothing_sampled_is_lost(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: Exception
+) -> None:
+    def fail(self: Path, target: Path) -> None:
+        raise error
+
+    monkeypatch.setattr(Path, "replace", fail)
+    found = run(tmp_path)
+    assert found.not_stored is not None
+    assert "round_0000.h5: cannot be written" in found.not_stored
+    assert list(tmp_path.iterdir()) == []
+    np.testing.assert_array_equal(found.chain, run().chain)
+
+
+def test_a_stored_run_says_nothing_of_the_store(tmp_path: Path) -> None:
+    assert run(tmp_path).not_stored is None

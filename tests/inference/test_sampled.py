@@ -92,5 +92,5 @@ def test_the_posterior_file_opens_in_plain_arviz(tmp_path: Path, sampled: Sample
     assert data.log_likelihood["frequencies_hz"].dims == ("chain", "draw", "mode")
     assert data.posterior["E1_GPa"].mean().item() == pytest.approx(69.0, abs=0.5)
     pointwise = data.log_likelihood["frequencies_hz"].sum("mode")
-    difference = data.sample_stats["lp"] - pointwise - data.log_prior["all_parameters"]
+    difference = data.sample_stats["lp"] - pointwise - data.log_prior.to_array().sum("variable")
     np.testing.assert_allclose(difference, 0.0, atol=1e-8)

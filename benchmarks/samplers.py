@@ -1,0 +1,312 @@
+"""emcee on this package's log probability beside emcee on one written in a page of scikit-fem.
+
+python -m benchmarks.samplers [--quick] [--rounds N] [--json FILE]
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import emcee
+import numpy as np
+from emcee.autocorr import integrated_time
+from numpy.typing import NDArray
+
+from benchmarks.plain_likelihood import Frequencies, plain_frequencies
+from benchmarks.targets import Target
+from benchmarks.timing import interleaved, ratio
+from cpam_bayes.cache import reduced_model
+from cpam_bayes.inference.ensemble import DEFAULT_SETTINGS, EnsembleSettings
+from cpam_bayes.inference.sampled import identify_by_sampling
+from cpam_bayes.inference.sampling import sample_posterior
+from cpam_bayes.measurement import Specimen, read_specimen
+from cpam_bayes.posterior import Posterior, plate_posterior
+from cpam_bayes.reduced import DEFAULT_SETTINGS as REDUCTION
+from cpam_bayes.report.tables import Column, Table, remarks, screen_text
+from cpam_bayes.threads import single_blas_thread
+
+Array = NDArray[Any]
+Results = dict[str, Any]
+LogProb = Callable[[Array], Any]
+
+PLATE = "C1"
+MESH, QUICK_MESH = 8, 2
+# Effective samples a second against the plain likelihood.
+_REACH = 500.0
+# A thin and a thick specimen to a converged posterior, seconds, models built in them.
+_CONVERGED = {"C1": 20.0, "D1": 40.0}
+DE, STRETCH = "DE", "stretch"
+MOVES: dict[str, Any] = {
+    DE: [(emcee.moves.DEMove(), 0.9), (emcee.moves.DEMove(gamma0=1.0), 0.1)],  # the package's
+    STRETCH: None,  # emcee's own default
+}
+OURS = "ours"
+ASSEMBLING, SUMMING = "scikit-fem, assembled at a call", "scikit-fem, summed at a call"
+# Steps that one repetition takes, many where they are fast.
+_OUR_STEPS = 20
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """One log probability under one move."""
+
+    sampler: str
+    moves: str
+    log_prob: LogProb
+    steps: int
+
+    @property
+    def key(self) -> tuple[str, str]:
+        return self.sampler, self.moves
+
+
+@single_blas_thread
+def run(quick: bool = False, rounds: int | None = None) -> Results:
+    """Time steps of all samplers in turn; benchmarks/README.md says what the keys of the results mean."""
+    rounds = rounds or (2 if quick else 9)
+    mesh = QUICK_MESH if quick else MESH
+    settings = EnsembleSettings(
+        walkers=12 if quick else DEFAULT_SETTINGS.walkers,
+        round_steps=200,
+        r_hat=1.1,
+        effective=100.0,
+        most_steps=2000,
+        lengths=10.0,
+    )
+    load = [_load()]
+    specimen = read_specimen(PLATE)
+    posterior = _posterior(specimen)
+    chain = sample_posterior(posterior, 0, settings=settings).chain
+    start = chain[0, -1]
+    plain = plain_frequencies(specimen, posterior.measurement.size, mesh)
+    theirs = {n: _plain_log_prob(posterior, f) for n, f in zip((ASSEMBLING, SUMMING), plain, strict=True)}
+    entries = [Entry(OURS, moves, posterior.log_prob, _OUR_STEPS) for moves in MOVES]
+    entries += [Entry(name, moves, f, 1) for name, f in theirs.items() for moves in (STRETCH, DE)]
+    tau = {moves: _autocorrelation_time(posterior, start, moves, quick) for moves in MOVES}
+    timed = interleaved(
+        {entry.key: _steps(entry, start, posterior.parameters.size) for entry in entries},
+        rounds,
+        shortest=0.01,
+        budget=2.0 if quick else 60.0,
+    )
+    # seconds for an effective sample
+    cost = {e.key: timed[e.key] / e.steps / len(start) * tau[e.moves] for e in entries}
+    rows = [_row(entry, timed[entry.key], cost, tau, len(start)) for entry in entries]
+    draws = chain.reshape(-1, chain.shape[-1])[:: max(1, chain[..., 0].size // (5 if quick else 30))]
+    converged = [] if quick else [_converged(name) for name in _CONVERGED]
+    return {
+        "quick": quick,
+        "plate": PLATE,
+        "mesh": mesh,
+        "walkers": len(start),
+        "rounds": rounds,
+        "load": [*load, _load()],
+        "agreement": [_agreement(name, f, posterior, draws) for name, f in theirs.items()],
+        "rows": rows,
+        "converged": converged,
+        "targets": [] if quick else [asdict(t) | {"reached": t.reached} for t in _targets(rows, converged)],
+    }
+
+
+def _load() -> float | None:
+    return os.getloadavg()[0] if hasattr(os, "getloadavg") else None
+
+
+def _posterior(specimen: Specimen) -> Posterior:
+    assert specimen.measurement is not None
+    model = reduced_model(specimen, specimen.unknowns, specimen.measurement.size)
+    error = np.hypot(model.full.error, REDUCTION.tolerance)
+    return plate_posterior(model, specimen.measurement, error)
+
+
+def _plain_log_prob(posterior: Posterior, frequencies: Frequencies) -> LogProb:
+    """Gaussian log likelihood of one parameter vector, the priors being those of the posterior."""
+    own, names = posterior.measurement, posterior.model.parameters.names
+    listed = own.frequencies
+
+    def log_prob(x: Array) -> float:
+        prior = float(posterior.log_prior(x[None])[0])
+        if not np.isfinite(prior):
+            return -np.inf
+        predicted = frequencies(dict(zip(names, x[:-1], strict=True)))
+        variance = (x[-1] * listed) ** 2 + own.resolution**2 / 12
+        return prior - 0.5 * float(
+            np.sum((listed - predicted) ** 2 / variance + np.log(2 * np.pi * variance))
+        )
+
+    return log_prob
+
+
+def _sampler(log_prob: LogProb, moves: str, walkers: int, n: int, vectorize: bool) -> Any:
+    sampler = emcee.EnsembleSampler(walkers, n, log_prob, moves=MOVES[moves], vectorize=vectorize)
+    sampler.random_state = np.random.RandomState(0).get_state()
+    return sampler
+
+
+def _steps(entry: Entry, start: Array, n: int) -> Callable[[], None]:
+    """A call that takes a sampler further by the entry's number of steps."""
+    sampler = _sampler(entry.log_prob, entry.moves, len(start), n, entry.sampler == OURS)
+    state: list[Any] = [start]
+
+    def go_on() -> None:
+        state[0] = sampler.run_mcmc(state[0], entry.steps, skip_initial_state_check=True)
+        sampler.reset()
+
+    return go_on
+
+
+def _autocorrelation_time(posterior: Posterior, start: Array, moves: str, quick: bool) -> float:
+    """Steps, of the slowest parameter, from a chain on our log probability.
+
+    It belongs to the posterior, the moves and the number of walkers, whoever computes the density.
+    """
+    sampler = _sampler(posterior.log_prob, moves, len(start), posterior.parameters.size, True)
+    sampler.run_mcmc(start, 300 if quick else 5000, skip_initial_state_check=True)
+    return float(np.max(integrated_time(sampler.get_chain(), tol=0, quiet=True)))
+
+
+def _row(
+    entry: Entry, times: Array, cost: dict[tuple[str, str], Array], tau: dict[str, float], walkers: int
+) -> Results:
+    to_ours = ratio(cost[entry.key], cost[OURS, DE])
+    return {
+        "sampler": entry.sampler,
+        "moves": entry.moves,
+        "rounds": int(np.isfinite(times).sum()),
+        "evaluation_s": float(np.nanmedian(times)) / entry.steps / walkers,
+        "autocorrelation_time": tau[entry.moves],
+        "effective_per_s": float(1.0 / np.nanmedian(cost[entry.key])),
+        "ratio": to_ours.median,
+        "ratio_quartiles": [to_ours.low, to_ours.high],
+    }
+
+
+def _agreement(name: str, log_prob: LogProb, posterior: Posterior, draws: Array) -> Results:
+    """Largest difference of two log probabilities over draws, their means apart."""
+    difference = np.array([log_prob(x) for x in draws]) - posterior.log_prob(draws)
+    return {
+        "sampler": name,
+        "draws": len(draws),
+        "largest_difference": float(np.abs(difference - difference.mean()).max()),
+    }
+
+
+def _converged(name: str) -> Results:
+    """An identification from nothing, its models built anew, to a converged posterior."""
+    with tempfile.TemporaryDirectory() as directory:
+        before = os.environ.get("CPAM_BAYES_CACHE")
+        os.environ["CPAM_BAYES_CACHE"] = directory
+        try:
+            start, used = time.perf_counter(), time.process_time()
+            found = identify_by_sampling(read_specimen(name), 0).result
+            seconds, processor = time.perf_counter() - start, time.process_time() - used
+        finally:
+            if before is None:
+                del os.environ["CPAM_BAYES_CACHE"]
+            else:
+                os.environ["CPAM_BAYES_CACHE"] = before
+    own = found.diagnostics
+    return {
+        "plate": name,
+        "status": found.status,
+        "seconds": seconds,
+        "processor_seconds": processor,
+        "r_hat": own.r_hat,
+        "ess_bulk": own.ess_bulk,
+        "effective_per_s": own.ess_bulk / seconds,
+        "effective_per_processor_s": own.ess_bulk / processor,
+    }
+
+
+def _targets(rows: list[Results], converged: list[Results]) -> list[Target]:
+    found = []
+    for row in rows:
+        if row["sampler"] != OURS:
+            against = f"{row['sampler']}, {row['moves']} moves"
+            # the page as its author would leave it: emcee's own moves
+            reach = _REACH if row["moves"] == STRETCH else None
+            found.append(
+                Target(
+                    case=PLATE,
+                    what="effective samples a second",
+                    unit="times",
+                    found=row["ratio"],
+                    reach=reach,
+                    at_least=True,
+                    against=against,
+                )
+            )
+    for one in converged:
+        seconds = one["processor_seconds"]
+        reach = _CONVERGED[one["plate"]] if one["status"] == "converged" else None
+        found.append(Target(one["plate"], "converged posterior, processor's time", "s", seconds, reach))
+    return found
+
+
+def tables(results: Results) -> tuple[Table, ...]:
+    """Results of ``run`` as a reader wants them."""
+    rows = tuple(
+        (
+            row["sampler"],
+            row["moves"],
+            f"{1e3 * row['evaluation_s']:.3g}",
+            f"{row['autocorrelation_time']:.0f}",
+            f"{row['effective_per_s']:.3g}",
+            f"{row['ratio']:.3g}",
+            "{:.3g} to {:.3g}".format(*row["ratio_quartiles"]),
+        )
+        for row in results["rows"]
+    )
+    headings = ("evaluation, ms", "autocorrelation", "effective/s", "times slower", "quartiles")
+    columns = (Column("log probability"), Column("moves"), *(Column(heading, True) for heading in headings))
+    title = f"emcee on {results['plate']}, {results['walkers']} walkers, {results['rounds']} rounds"
+    agreement = tuple(
+        f"{a['sampler']}: log probabilities differ by at most {a['largest_difference']:.2g} over "
+        f"{a['draws']} draws, {results['mesh']} x {results['mesh']} elements"
+        for a in results["agreement"]
+    )
+    converged = tuple(
+        f"{c['plate']}: {c['status']} in {c['seconds']:.1f} s ({c['processor_seconds']:.1f} s of the "
+        f"processor), R-hat {c['r_hat']:.4f}, {c['ess_bulk']:.0f} effective samples, "
+        f"{c['effective_per_processor_s']:.0f} a second of the processor"
+        for c in results["converged"]
+    )
+    targets = tuple(
+        f"{t['case']}, {t['what']}: {t['found']:.3g} {t['unit']}"
+        + (f" against {t['against']}" if t["against"] else "")
+        + (f" ({'reaches' if t['reached'] else 'misses'} {t['reach']:g})" if t["reach"] else "")
+        for t in results["targets"]
+    )
+    return (
+        Table(title, columns, rows),
+        remarks("Same posterior", agreement),
+        remarks("Converged posteriors, models built in them", converged),
+        remarks("Figures to reach", targets),
+    )
+
+
+def main() -> None:
+    """Run the benchmark, print its tables and save its results if asked."""
+    parser = argparse.ArgumentParser(description="Time emcee on our log probability and on a plain one.")
+    parser.add_argument("--quick", action="store_true", help="a coarse mesh and few steps: does it run")
+    parser.add_argument("--rounds", type=int, help="repetitions of every sampler, 9 if left out")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="save the results")
+    given = parser.parse_args()
+    results = run(given.quick, given.rounds)
+    print(screen_text(tables(results), sys.stdout))
+    if given.json is not None:
+        given.json.parent.mkdir(parents=True, exist_ok=True)
+        given.json.write_text(json.dumps(results, indent=2) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

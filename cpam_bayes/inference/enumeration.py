@@ -1,0 +1,221 @@
+"""Every stacking sequence on the grid, by its tabulated log evidence: sums, marginals, the most probable.
+
+Sequences are taken by their first plies: for each choice of these, all choices of the others at once.
+Nothing is sampled. What the table leaves out is counted, and bounded by the table's floor.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cpam_bayes.inference.evidence_table import EvidenceTable
+from cpam_bayes.inference.ply_sums import PlySums
+
+Array = NDArray[Any]
+
+# Unknown angles that are taken together.
+_TOGETHER = 3
+# Width of a bin of log evidence, nats, and number of bins below the best.
+BIN, BINS = 0.01, 4000
+
+
+@dataclass(frozen=True, slots=True)
+class Enumerator:
+    """What it takes to go through all sequences.
+
+    reference : log evidence that weights are relative to, about the largest. negation : (n_grid,) the grid
+    index of minus each angle where sequences and their mirror images are equally probable, else ``None``.
+    most : how many of the most probable sequences of each piece are listed.
+    """
+
+    table: EvidenceTable
+    sums: PlySums
+    reference: float
+    negation: Array | None
+    most: int
+
+    @property
+    def n_inner(self) -> int:
+        """Unknown angles taken together."""
+        return min(_TOGETHER, self.sums.n_unknown)
+
+    @property
+    def n_prefixes(self) -> int:
+        """Choices of the plies before them."""
+        return int(len(self.sums.grid_deg) ** (self.sums.n_unknown - self.n_inner))
+
+
+@dataclass(frozen=True, slots=True)
+class Piece:
+    """Sums over the sequences of some prefixes. Weights are exp(log evidence - reference).
+
+    prefixes : (p,) their numbers; mass : (p,) weight of each, mirror images included; inner : (n_inner,
+    n_grid) marginal weights of the last plies. count, weight : (BINS,) sequences and their weight by log
+    evidence below ``reference + 5``. kept, left_out : sequences in cells of the table and outside.
+    best : (b, k) grid indices, log_evidence : (b,) of the most probable ones; squares : sum of weights^2.
+    entropy : sum of weight * (log evidence - reference).
+    """
+
+    prefixes: Array
+    mass: Array
+    inner: Array
+    count: Array
+    weight: Array
+    kept: int
+    left_out: int
+    best: Array
+    log_evidence: Array
+    squares: float
+    entropy: float
+
+
+def prefix_digits(own: Enumerator, prefixes: Array) -> Array:
+    """Grid indices (p, k - n_inner) of prefixes by number."""
+    g, n = len(own.sums.grid_deg), own.sums.n_unknown - own.n_inner
+    place = g ** np.arange(n - 1, -1, -1, dtype=np.int64)
+    return np.asarray(prefixes[:, None] // place % g)
+
+
+def prefixes_to_visit(own: Enumerator) -> Array:
+    """Numbers of the prefixes that stand for all: of two mirror images the first."""
+    every = np.arange(own.n_prefixes)
+    if own.negation is None or own.n_prefixes == 1:
+        return every
+    return every[every <= _mirrored(own, every)]
+
+
+def _mirrored(own: Enumerator, prefixes: Array) -> Array:
+    assert own.negation is not None
+    g, n = len(own.sums.grid_deg), own.sums.n_unknown - own.n_inner
+    place = g ** np.arange(n - 1, -1, -1, dtype=np.int64)
+    return np.asarray(own.negation[prefix_digits(own, prefixes)] @ place)
+
+
+def enumerate_prefixes(own: Enumerator, prefixes: Array) -> Piece:
+    """All sequences that begin with some prefixes (p,)."""
+    g, n_inner = len(own.sums.grid_deg), own.n_inner
+    inner_v, inner_q = _inner_sums(own)
+    digits = prefix_digits(own, prefixes)
+    outer_v, outer_q = _outer_sums(own, digits)
+    twice = np.ones(len(prefixes), dtype=np.int64)
+    if own.negation is not None and own.n_prefixes > 1:
+        twice = np.where(_mirrored(own, prefixes) == prefixes, 1, 2)
+    mass = np.zeros(len(prefixes))
+    inner = np.zeros(g**n_inner)
+    count, weight = np.zeros(BINS, dtype=np.int64), np.zeros(BINS)
+    kept_total, squares, entropy = 0, 0.0, 0.0
+    best: list[Array] = []
+    values: list[Array] = []
+    threshold = -np.inf
+    held = 0
+    for p, times in enumerate(twice):
+        rows, found = _one_prefix(own, inner_v, inner_q, outer_v[p], outer_q[p])
+        kept_total += int(times) * len(rows)
+        if not len(rows):
+            continue
+        below = found - own.reference
+        w = np.exp(below)
+        mass[p] = times * w.sum()
+        inner[rows] += times * w
+        squares += float(times * (w @ w))
+        entropy += float(times * (w @ below))
+        bins = np.clip(((5.0 - below) / BIN).astype(np.int64), 0, BINS - 1)
+        count += times * np.bincount(bins, minlength=BINS)
+        weight += times * np.bincount(bins, w, minlength=BINS)
+        high = np.flatnonzero(found > threshold)
+        if len(high) > own.most:
+            high = high[np.argpartition(-found[high], own.most)[: own.most]]
+        best.append(
+            np.column_stack((np.tile(digits[p], (len(high), 1)), _inner_digits(g, n_inner, rows[high])))
+        )
+        values.append(found[high])
+        held += len(high)
+        if held > 20 * own.most:
+            best, values = _cut(best, values, own.most)
+            held, threshold = len(values[0]), float(values[0].min())
+    best, values = _cut(best, values, own.most)
+    total = int(twice.sum()) * g**n_inner
+    marginal = inner.reshape((g,) * n_inner)
+    by_ply = np.stack([marginal.sum(axis=tuple(i for i in range(n_inner) if i != j)) for j in range(n_inner)])
+    return Piece(
+        prefixes,
+        mass,
+        by_ply,
+        count,
+        weight,
+        kept_total,
+        total - kept_total,
+        best[0],
+        values[0],
+        squares,
+        entropy,
+    )
+
+
+def values_of_prefix(own: Enumerator, prefix: int) -> tuple[Array, Array]:
+    """Sequences (m, k) of one prefix that the table holds, and their log evidence (m,)."""
+    inner_v, inner_q = _inner_sums(own)
+    digits = prefix_digits(own, np.array([prefix]))
+    outer_v, outer_q = _outer_sums(own, digits)
+    rows, found = _one_prefix(own, inner_v, inner_q, outer_v[0], outer_q[0])
+    inner = _inner_digits(len(own.sums.grid_deg), own.n_inner, rows)
+    return np.column_stack((np.tile(digits[0], (len(rows), 1)), inner)), found
+
+
+def _one_prefix(
+    own: Enumerator, inner_v: Array, inner_q: Array, outer_v: Array, outer_q: Array
+) -> tuple[Array, Array]:
+    """Inner choices that the table holds (m,), and their log evidence (m,)."""
+    table = own.table
+    flat = np.zeros(inner_v.shape[1], dtype=np.int64)
+    scale = np.float32(1.0 / table.width)
+    for i in range(4):
+        cell = ((inner_v[i] + np.float32(outer_v[i] + 1.0)) * scale).astype(np.int32)
+        np.minimum(cell, table.side - 1, out=cell)
+        flat *= table.side
+        flat += cell
+    leaf = table.leaf[flat]
+    rows = np.flatnonzero(leaf >= 0)
+    v = inner_v[:, rows].T + outer_v.astype(np.float32)
+    q = inner_q[:, rows].T + outer_q.astype(np.float32)
+    return rows, table.values(leaf[rows], v, q)
+
+
+def _inner_sums(own: Enumerator) -> tuple[Array, Array]:
+    """Sums of all choices of the inner plies, (4, g^n_inner) and (n_q, g^n_inner)."""
+    found = []
+    for table in (own.sums.first, own.sums.rest):
+        total = np.zeros((1, table.shape[2]))
+        for ply in table[own.sums.n_unknown - own.n_inner :]:
+            total = (total[:, None, :] + ply[None, :, :]).reshape(-1, table.shape[2])
+        found.append(np.ascontiguousarray(total.T, dtype=np.float32))
+    return found[0], found[1]
+
+
+def _outer_sums(own: Enumerator, digits: Array) -> tuple[Array, Array]:
+    found = []
+    for table in (own.sums.first, own.sums.rest):
+        total = np.zeros((len(digits), table.shape[2]))
+        for j in range(digits.shape[1]):
+            total += table[j][digits[:, j]]
+        found.append(total)
+    return found[0], found[1]
+
+
+def _inner_digits(g: int, n_inner: int, rows: Array) -> Array:
+    place = g ** np.arange(n_inner - 1, -1, -1)
+    return np.asarray(rows[:, None] // place % g)
+
+
+def _cut(best: Sequence[Array], values: Sequence[Array], most: int) -> tuple[list[Array], list[Array]]:
+    """The most probable of what was found, in descending order."""
+    if not best:
+        return [np.empty((0, 0), dtype=np.int64)], [np.empty(0)]
+    every, value = np.concatenate(best), np.concatenate(values)
+    order = np.argsort(-value, kind="stable")[:most]
+    return [every[order]], [value[order]]

@@ -1,0 +1,314 @@
+"""Evidence of stacking sequences, the constants and the noise marginalised: many sequences at once.
+
+A sequence is fixed; what is left is a posterior of the constants alone. Its evidence is Laplace's about
+the best of a few optima, and, where it must be exact, that of importance sampling about the same optima.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import logsumexp, ndtri
+from scipy.stats import chi2, qmc
+
+from cpam_bayes.inference.box import log_student_t
+from cpam_bayes.inference.climb import climb
+from cpam_bayes.inference.expansion import Expansion, expand
+from cpam_bayes.inference.normal_scores import NormalScores, normal_scores
+from cpam_bayes.laminate import LaminateGeometry, laminate_geometry
+from cpam_bayes.model import PlateModel
+from cpam_bayes.parameters import ParameterSet
+from cpam_bayes.posterior import ForwardModel, Posterior, plate_posterior
+from cpam_bayes.problem import PlateState, StateFunction, Values
+from cpam_bayes.reduced import ReducedModel
+from cpam_bayes.threads import single_blas_thread
+
+Array = NDArray[Any]
+
+# Degrees of freedom and widening of the proposals of importance sampling.
+_NU, _WIDER = 6.0, 1.1
+# Draws of the constants that are kept of each sequence.
+_KEPT = 8
+# Two climbs of a sequence ended at one optimum if they are this near, in standard deviations.
+_SAME = 0.5
+# Optima this far below the best one of a sequence carry nothing.
+_HOPELESS = 12.0
+# Least curvature, against a flat direction that prior and data leave.
+_FLOOR = 1e-3
+# Climbs end where a step promises less than this, nats, or after so many steps.
+_PROMISED, _MOST_STEPS = 1e-4, 30
+# Sequences that are solved for together: their matrices stay in the processor's cache.
+_TOGETHER = 64
+
+
+@dataclass(frozen=True, slots=True)
+class SequencePosterior:
+    """The posterior of constants (and noise) that any sequence of one layup has.
+
+    model : reduced, of the unknown angles and then the constants. template : a posterior of the
+    constants alone, whose model is that of some sequence. axes : coordinates in which
+    the prior is a standard normal.
+    """
+
+    model: ReducedModel
+    template: Posterior
+    axes: NormalScores
+    n_angles: int
+
+    @property
+    def parameters(self) -> ParameterSet:
+        """Constants, and the noise where it is inferred."""
+        return self.template.parameters
+
+    def at(self, angles_deg: Array) -> Posterior:
+        """The posterior of stacks whose row i has the sequence i, (m, n_angles) degrees."""
+        return replace(self.template, model=_model_at(self.model, self.n_angles, _geometry(self, angles_deg)))
+
+
+def sequence_posterior(
+    model: ReducedModel, n_angles: int, measurement: Any, solver_error: Array, **options: Any
+) -> SequencePosterior:
+    """The posterior of the constants of a model whose first ``n_angles`` parameters are ply angles.
+
+    options : as of ``plate_posterior``.
+    """
+    some = _model_at(model, n_angles, None)
+    template = plate_posterior(some, measurement, solver_error, **options)
+    return SequencePosterior(model, template, normal_scores(template), n_angles)
+
+
+def _geometry(own: SequencePosterior, angles_deg: Array) -> LaminateGeometry:
+    problem = own.model.fast.operator.problem
+    names = problem.parameters.names[: own.n_angles]
+    others = {p.name: np.asarray(p.prior.mean) for p in problem.parameters.parameters[own.n_angles :]}
+    values = {**others, **{name: angles_deg[:, i] for i, name in enumerate(names)}}
+    state = problem.state(values)
+    assert not isinstance(state.layup, LaminateGeometry)
+    return laminate_geometry(state.layup, symmetric=state.symmetric)
+
+
+def _model_at(model: ReducedModel, n_angles: int, geometry: LaminateGeometry | None) -> ForwardModel:
+    """The reduced plate with the sequences of a geometry: row i of a stack has the layup i."""
+    operator = model.fast.operator
+    problem = operator.problem
+    constants = ParameterSet(problem.parameters.parameters[n_angles:], problem.parameters.fixed)
+    angles = {name: np.asarray(0.0) for name in problem.parameters.names[:n_angles]}
+    state = partial(_state_at, problem.state, angles, geometry)
+    admissible = partial(_admissible_at, problem.admissible, angles)
+    bound = replace(problem, parameters=constants, state=state, admissible=admissible)
+    return PlateModel(replace(operator, problem=bound), model.n_modes, model.fast.error)
+
+
+def _state_at(
+    state: StateFunction, angles: Values, geometry: LaminateGeometry | None, values: Values
+) -> PlateState:
+    found = state({**values, **angles})
+    if geometry is None or len(geometry.first) == 1:
+        return found if geometry is None else replace(found, layup=geometry)
+    size = int(np.prod(np.broadcast_shapes(*(np.shape(v) for v in values.values()))))
+    # derivatives ask for every row as often as there are parameters, one after the other
+    return replace(found, layup=_repeated(geometry, size // len(geometry.first)))
+
+
+def _admissible_at(admissible: Any, angles: Values, values: Values) -> Any:
+    return admissible({**values, **angles})
+
+
+def _repeated(geometry: LaminateGeometry, times: int) -> LaminateGeometry:
+    return geometry if times == 1 else _rows(geometry, np.repeat(np.arange(len(geometry.first)), times))
+
+
+def _rows(geometry: LaminateGeometry, rows: Array) -> LaminateGeometry:
+    """The geometry of some layups of a stack."""
+    return replace(
+        geometry,
+        in_plane=geometry.in_plane[rows],
+        coupling=geometry.coupling[rows],
+        flexural=geometry.flexural[rows],
+        ply=geometry.ply[rows],
+        first=geometry.first[rows],
+        zeroth=None if geometry.zeroth is None else geometry.zeroth[rows],
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class SequenceFits:
+    """The conditional posteriors of m sequences about their optima.
+
+    log_evidence : (m,) Laplace's, summed over the distinct optima. x : (m, n) parameters at the best
+    optimum. residual : (m, n_frequencies) measured / predicted - 1 there, modes in ascending order.
+    optima : (m, s, n) all optima, normal scores; weight : (m, s) their shares of the evidence, zero for
+    copies. curvature : (m, s, n, n) negative Hessians (Gauss-Newton) there.
+    """
+
+    log_evidence: Array
+    x: Array
+    residual: Array
+    optima: Array
+    weight: Array
+    curvature: Array
+
+    def __getitem__(self, rows: Any) -> SequenceFits:
+        """The fits of some of the sequences."""
+        return SequenceFits(*(getattr(self, name)[rows] for name in self.__slots__))
+
+
+Stack = TypeVar("Stack", "SequenceFits", "Conditionals")
+
+
+def joined(pieces: list[Stack]) -> Stack:
+    """What is known of several stacks as that of one."""
+    kind = type(pieces[0])
+    return kind(*(np.concatenate([getattr(p, name) for p in pieces]) for name in kind.__slots__))
+
+
+@single_blas_thread
+def fit_sequences(own: SequencePosterior, angles_deg: Array, starts: Array) -> SequenceFits:
+    """Laplace's evidence of sequences (m, n_angles), each climbed from every one of its starts.
+
+    Z = sum over optima of (2 pi)^(n/2) det(H)^(-1/2) p(z), z being normal scores: the prior has no
+    bounds there, and a constant that the data leave open is integrated exactly.
+
+    starts : (s, n) for all sequences, or (m, s, n), parameters.
+    """
+    starts = np.broadcast_to(starts, (len(angles_deg), *starts.shape[-2:]))
+    return joined(
+        [
+            _fit(own, angles_deg[i : i + _TOGETHER], starts[i : i + _TOGETHER])
+            for i in range(0, len(angles_deg), _TOGETHER)
+        ]
+    )
+
+
+def _fit(own: SequencePosterior, angles_deg: Array, starts: Array) -> SequenceFits:
+    m, s, n = starts.shape
+    axes = own.axes
+    geometry = _geometry(own, angles_deg)
+    of_start = np.repeat(np.arange(m), s)
+
+    def target(z: Array, rows: Array) -> Expansion:
+        return _expand(own, geometry, z, of_start[rows])
+
+    summit = climb(
+        target,
+        axes.to_z(starts.reshape(m * s, n)),
+        axes.lower,
+        axes.upper,
+        most_steps=_MOST_STEPS,
+        promised=_PROMISED,
+    )
+    e = summit.expansion
+    value = np.where(np.isfinite(e.value), e.value, -1e300).reshape(m, s)
+    z = summit.u.reshape(m, s, n)
+    curvature = e.curvature.reshape(m, s, n, n)
+    log_z = value + 0.5 * n * np.log(2 * np.pi) - 0.5 * np.linalg.slogdet(curvature + _FLOOR * np.eye(n))[1]
+    log_z[~_distinct(z, value, curvature)] = -np.inf
+    total = logsumexp(log_z, axis=1)
+    x = axes.to_x(z[np.arange(m), value.argmax(axis=1)])
+    at = replace(own.template, model=_model_at(own.model, own.n_angles, geometry))
+    measured = own.template.measurement.frequencies
+    residual = measured / at.predict(x)[:, : len(measured)] - 1.0
+    return SequenceFits(total, x, residual, z, np.exp(log_z - total[:, None]), curvature)
+
+
+def _expand(own: SequencePosterior, geometry: LaminateGeometry, z: Array, rows: Array) -> Expansion:
+    """Log density over normal scores of stacks whose rows have the sequences ``rows`` of a geometry."""
+    axes = own.axes
+    x = axes.to_x(z)
+    # rows outside the support go first: every row of a stack must have its parameter set
+    inside = np.flatnonzero(np.isfinite(own.template.log_prior(x)))
+    m, n = z.shape
+    found = Expansion(np.full(m, -np.inf), np.zeros((m, n)), np.zeros((m, n, n)))
+    if not len(inside):
+        return found
+    model = _model_at(own.model, own.n_angles, _rows(geometry, rows[inside]))
+    e = expand(replace(own.template, model=model), x[inside])
+    value, gradient, curvature = axes.carried(e, x[inside], z[inside])
+    found.value[inside], found.gradient[inside], found.curvature[inside] = value, gradient, curvature
+    return found
+
+
+def _distinct(z: Array, value: Array, curvature: Array) -> Array:
+    """Which of the optima (m, s) count: no copies of better ones and not hopeless, bool."""
+    m, s = value.shape
+    order = np.argsort(-value, axis=1, kind="stable")
+    keep = np.asarray(value > value.max(axis=1, keepdims=True) - _HOPELESS)
+    row = np.arange(m)
+    for a in range(s):
+        first = order[:, a]
+        for b in range(a + 1, s):
+            second = order[:, b]
+            away = z[row, first] - z[row, second]
+            near = np.einsum("mi,mij,mj->m", away, curvature[row, first], away) < _SAME**2
+            keep[row, second] &= ~(near & keep[row, first])
+    return keep
+
+
+@dataclass(frozen=True, slots=True)
+class Conditionals:
+    """The conditional posteriors of m sequences by importance sampling.
+
+    log_evidence : (m,); error : (m,) its standard error, that of independent draws, an upper bound.
+    mean, sd : (m, n) of the parameters; draws : (m, 8, n), equally probable.
+    """
+
+    log_evidence: Array
+    error: Array
+    mean: Array
+    sd: Array
+    draws: Array
+
+    def __getitem__(self, rows: Any) -> Conditionals:
+        """Those of some of the sequences."""
+        return Conditionals(*(getattr(self, name)[rows] for name in self.__slots__))
+
+
+@single_blas_thread
+def importance_evidence(
+    own: SequencePosterior, angles_deg: Array, fits: SequenceFits, log2_points: int = 9
+) -> Conditionals:
+    """Conditional posteriors of sequences by importance sampling about their optima.
+
+    The proposal is a mixture of Student-t densities about the optima; its points are those of a Sobol
+    sequence, scrambled in the same way for every sequence, so that differences between sequences are
+    known better than each alone.
+    """
+    found = [_importance(own, a, fits[i], log2_points) for i, a in enumerate(angles_deg)]
+    return Conditionals(*(np.stack(column) for column in zip(*found, strict=True)))
+
+
+def _importance(
+    own: SequencePosterior, angle_deg: Array, fit: SequenceFits, log2_points: int
+) -> tuple[Array, ...]:
+    axes, n = own.axes, fit.x.size
+    used = np.flatnonzero(fit.weight > 1e-4)
+    share = np.maximum(fit.weight[used], 0.1)
+    share = share / share.sum()
+    factor = np.linalg.cholesky(np.linalg.inv(fit.curvature[used] + _FLOOR * np.eye(n))) * _WIDER
+    size = 1 << log2_points
+    uniform = qmc.Sobol(n + 2, rng=np.random.default_rng(0)).random(size)
+    # a Student-t is a Gaussian over the root of a chi-squared variable
+    step = ndtri(uniform[:, :n]) / np.sqrt(chi2.ppf(uniform[:, n], _NU) / _NU)[:, None]
+    component = np.searchsorted(np.cumsum(share)[:-1], uniform[:, n + 1])
+    centre = fit.optima[used]
+    z = centre[component] + np.einsum("mij,mj->mi", factor[component], step)
+    log_q = logsumexp(
+        [np.log(w) + log_student_t(z, c, f, _NU) for w, c, f in zip(share, centre, factor, strict=True)],
+        axis=0,
+    )
+    log_p = axes.log_density(own.at(angle_deg[None]), z)
+    top = float((log_p - log_q).max())
+    weights = np.exp(log_p - log_q - top)
+    share = weights / weights.sum()
+    x = axes.to_x(z)
+    mean = share @ x
+    sd = np.sqrt(share @ (x - mean) ** 2)
+    # systematic resampling over the points as the Sobol sequence has them, which is as good as at random
+    at = np.searchsorted(np.cumsum(share), (np.arange(_KEPT) + 0.5) / _KEPT)
+    value = top + np.log(weights.mean())
+    error = weights.std() / weights.mean() / np.sqrt(size)
+    return np.asarray(value), np.asarray(error), mean, sd, x[np.minimum(at, size - 1)]

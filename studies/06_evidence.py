@@ -1,0 +1,292 @@
+"""Evidence three ways: importance sampling, nested sampling, Laplace; and moments beside emcee's.
+
+python studies/06_evidence.py [--quick]
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from cpam_bayes.inference.ensemble import EnsembleResult, EnsembleSettings
+from cpam_bayes.inference.evidence import Evidence, EvidenceSettings, evidence_of, importance_evidence
+from cpam_bayes.inference.laplace import approximate, find_optima
+from cpam_bayes.inference.nested import NestedEvidence, nested_evidence
+from cpam_bayes.inference.pso import SwarmSettings
+from cpam_bayes.inference.sampling import sample_from
+from cpam_bayes.inference.starting import start_of
+from cpam_bayes.measurement import builtin, to_user, user_name
+from cpam_bayes.posterior import Posterior
+from cpam_bayes.report.tables import Column, Table, screen_text
+from cpam_bayes.threads import single_blas_thread
+
+RESULTS = Path(__file__).parent / "results" / f"{Path(__file__).stem}.json"
+
+KEYS = {
+    "quick": "whether this is the small version",
+    "specimens": "one a plate: log evidence by method; mean and sd of each parameter by method; agreement",
+}
+
+PLATES = ("B1", "C1", "D1")
+SEED = 0
+# Differences up to so many standard errors count as agreement. Of some 40 differences one beyond 3 is
+# expected in a dozen studies.
+AGREES = 3.5
+# Largest difference of a mean or an sd, in posterior sd, that is no difference in practice: the standard
+# errors of nested sampling leave the correlation of its walks out.
+NEAR = 0.1
+
+
+class Effort(NamedTuple):
+    ensembles: EnsembleSettings
+    swarm: SwarmSettings
+    evidence: EvidenceSettings
+    live_points: int
+
+
+FULL = Effort(EnsembleSettings(effective=4000.0), SwarmSettings(), EvidenceSettings(), 1000)
+SMALL = Effort(
+    EnsembleSettings(walkers=16, round_steps=300, effective=200.0, most_steps=600),
+    SwarmSettings(particles=10, iterations=10),
+    EvidenceSettings(draws=4000, rounds=3, round_draws=1000),
+    50,
+)
+
+
+@single_blas_thread
+def run(quick: bool) -> dict[str, Any]:
+    """All plates; quick: A1 with little effort."""
+    plates, effort = (("A1",), SMALL) if quick else (PLATES, FULL)
+    return {"quick": quick, "specimens": [_examined(name, effort) for name in plates]}
+
+
+class Moments(NamedTuple):
+    """Means and standard deviations of the parameters and their standard errors, (n,) each."""
+
+    mean: np.ndarray
+    sd: np.ndarray
+    mean_error: np.ndarray
+    sd_error: np.ndarray
+
+
+def _examined(name: str, effort: Effort) -> dict[str, Any]:
+    specimen = builtin(name)
+    start = start_of(specimen, SEED, swarm_settings=effort.swarm)
+    posterior = start.posterior
+    chains, chain_seconds = _timed(
+        lambda: sample_from(posterior, start.bests, start.values, SEED, settings=effort.ensembles)
+    )
+    none = np.empty((0, posterior.parameters.size))
+    alone, alone_seconds = _timed(
+        lambda: importance_evidence(posterior, none, SEED, settings=effort.evidence)
+    )
+    from_chains, from_chains_seconds = _timed(
+        lambda: evidence_of(posterior, chains, SEED, settings=effort.evidence)
+    )
+    nested, nested_seconds = _timed(lambda: nested_evidence(posterior, SEED, live_points=effort.live_points))
+    moments = {
+        "importance": _weighted(alone),
+        "emcee": _of_chains(chains),
+        "nested": Moments(nested.mean, nested.sd, nested.mean_error, nested.sd_error),
+    }
+    return {
+        "plate": name,
+        "log_evidence": {
+            "importance": _value(alone, alone_seconds),
+            "importance from chains": _value(from_chains, from_chains_seconds),
+            "nested": _nested(nested, nested_seconds),
+            **_laplace(posterior),
+        },
+        "emcee": {
+            "effective": chains.diagnostics.ess_bulk,
+            "r_hat": chains.diagnostics.r_hat,
+            "status": chains.status,
+            "seconds": chain_seconds,
+        },
+        "parameters": [_parameter(posterior, i, moments) for i in range(posterior.parameters.size)],
+        "evidence_z": _z(
+            alone.log_evidence, alone.standard_error, nested.log_evidence, nested.standard_error
+        ),
+        "worst_z": _worst(moments, near=0.0),
+        "agrees": bool(
+            abs(_z(alone.log_evidence, alone.standard_error, nested.log_evidence, nested.standard_error))
+            <= AGREES
+            and _worst(moments, near=NEAR) <= AGREES
+        ),
+    }
+
+
+def _timed(work: Any) -> tuple[Any, float]:
+    begin = time.perf_counter()
+    found = work()
+    return found, time.perf_counter() - begin
+
+
+def _z(one: float, its_error: float, other: float, other_error: float) -> float:
+    return float((one - other) / np.hypot(its_error, other_error))
+
+
+def _value(found: Evidence, seconds: float) -> dict[str, Any]:
+    return {
+        "value": found.log_evidence,
+        "error": found.standard_error,
+        "effective": found.effective_size,
+        "k_hat": found.k_hat,
+        "status": found.status,
+        "solves": found.solves,
+        "seconds": seconds,
+    }
+
+
+def _nested(found: NestedEvidence, seconds: float) -> dict[str, Any]:
+    return {
+        "value": found.log_evidence,
+        "error": found.standard_error,
+        "solves": found.calls,
+        "seconds": seconds,
+    }
+
+
+def _laplace(posterior: Posterior) -> dict[str, Any]:
+    """Sums over the optima of the Gaussian approximations with either Hessian and of the Student-t's."""
+    none = np.empty((0, posterior.parameters.size))
+    optima = find_optima(posterior, none, np.random.default_rng(SEED))
+    kinds = {
+        "Laplace, Gauss-Newton": ("gauss-newton", np.inf),
+        "Laplace, exact Hessian": ("exact", np.inf),
+        "Laplace, Student-t": ("exact", 5.0),
+    }
+    found = {}
+    for kind, (hessian, freedom) in kinds.items():
+        each = [approximate(posterior, o, hessian, freedom).log_evidence for o in optima]
+        found[kind] = {"value": float(np.logaddexp.reduce(each)), "optima": len(optima)}
+    return found
+
+
+def _weighted(found: Evidence) -> Moments:
+    weights = np.exp(found.log_weights)[:, None]
+    away = found.draws - found.mean
+    mean_error = np.sqrt(np.sum((weights * away) ** 2, axis=0))
+    sd_error = np.sqrt(np.sum((weights * (away**2 - found.sd**2)) ** 2, axis=0)) / (2 * found.sd)
+    return Moments(found.mean, found.sd, mean_error, sd_error)
+
+
+def _of_chains(result: EnsembleResult) -> Moments:
+    draws, effective = result.draws, result.diagnostics.ess_bulk
+    mean, sd = draws.mean(axis=0), draws.std(axis=0)
+    kurtosis = np.mean(((draws - mean) / sd) ** 4, axis=0)
+    return Moments(mean, sd, sd / np.sqrt(effective), sd * np.sqrt((kurtosis - 1) / (4 * effective)))
+
+
+def _parameter(posterior: Posterior, i: int, moments: dict[str, Moments]) -> dict[str, Any]:
+    name = posterior.parameters.names[i]
+    return {
+        "name": user_name(name),
+        **{
+            method: {
+                "mean": to_user(name, float(m.mean[i])),
+                "sd": to_user(name, float(m.sd[i])),
+                "mean_error": to_user(name, float(m.mean_error[i])),
+                "sd_error": to_user(name, float(m.sd_error[i])),
+            }
+            for method, m in moments.items()
+        },
+    }
+
+
+def _worst(moments: dict[str, Moments], near: float) -> float:
+    """Largest difference of a mean or an sd between two methods, in combined errors, beyond ``near`` sd."""
+    worst = 0.0
+    methods = list(moments.values())
+    for i, one in enumerate(methods):
+        for other in methods[:i]:
+            for a, b, ea, eb in (
+                (one.mean, other.mean, one.mean_error, other.mean_error),
+                (one.sd, other.sd, one.sd_error, other.sd_error),
+            ):
+                beyond = np.abs(a - b) > near * one.sd
+                z = np.where(beyond, np.abs(a - b) / np.hypot(ea, eb), 0.0)
+                worst = max(worst, float(z.max()))
+    return worst
+
+
+# Output
+
+
+def show(results: dict[str, Any]) -> None:
+    """Print the results as tables."""
+    evidence = ("plate", "method", "log evidence", "error", "effective", "k-hat", "solves", "s")
+    moments = ("plate", "parameter", "method", "mean", "error", "sd", "error of sd")
+    agreement = ("plate", "evidence, z", "moments, worst z", "agrees")
+    specimens = results["specimens"]
+    tables = (
+        Table(f"Log evidence, seed {SEED}", _columns(evidence), _evidence_rows(specimens)),
+        Table("Means and standard deviations", _columns(moments), _moment_rows(specimens)),
+        Table("Agreement", _columns(agreement), _agreement_rows(specimens)),
+    )
+    print(screen_text(tables, sys.stdout))
+
+
+_TEXT = {"plate", "method", "parameter", "agrees"}
+Rows = tuple[tuple[str, ...], ...]
+
+
+def _columns(headings: Sequence[str]) -> tuple[Column, ...]:
+    return tuple(Column(heading, heading not in _TEXT) for heading in headings)
+
+
+def _evidence_rows(specimens: list[dict[str, Any]]) -> Rows:
+    forms = {"error": ".3f", "effective": ".0f", "k_hat": ".2f", "solves": "d", "seconds": ".1f"}
+    return tuple(
+        (
+            s["plate"],
+            method,
+            f"{e['value']:.3f}",
+            *(format(e[key], form) if key in e else "-" for key, form in forms.items()),
+        )
+        for s in specimens
+        for method, e in s["log_evidence"].items()
+    )
+
+
+def _moment_rows(specimens: list[dict[str, Any]]) -> Rows:
+    return tuple(
+        (
+            s["plate"],
+            p["name"],
+            method,
+            *(f"{p[method][key]:.4g}" for key in ("mean", "mean_error", "sd", "sd_error")),
+        )
+        for s in specimens
+        for p in s["parameters"]
+        for method in ("importance", "emcee", "nested")
+    )
+
+
+def _agreement_rows(specimens: list[dict[str, Any]]) -> Rows:
+    return tuple(
+        (s["plate"], f"{s['evidence_z']:+.1f}", f"{s['worst_z']:.1f}", "yes" if s["agrees"] else "NO")
+        for s in specimens
+    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="the small version; nothing is saved")
+    quick = parser.parse_args().quick
+    results = run(quick)
+    show(results)
+    if not quick:
+        RESULTS.parent.mkdir(exist_ok=True)
+        RESULTS.write_text(json.dumps(results, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

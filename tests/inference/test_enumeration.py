@@ -1,0 +1,151 @@
+"""Every sequence on a grid, gone through by tables, against a loop over all of them."""
+
+from itertools import product
+
+import numpy as np
+import pytest
+
+from cpam_bayes.inference.enumeration import (
+    Enumerator,
+    enumerate_prefixes,
+    prefixes_to_visit,
+    values_of_prefix,
+)
+from cpam_bayes.inference.evidence_table import EvidenceTable, build_table
+from cpam_bayes.inference.ply_sums import PlySums, ply_sums
+from cpam_bayes.inference.smooth_map import fit_map
+from cpam_bayes.laminate import laminate_geometry
+from cpam_bayes.layup import parse_layup
+from cpam_bayes.measurement.records import angle_grid
+
+GRID = angle_grid(20.0)
+LAYUP = parse_layup("[?/?/?/?]_s")
+CENTRE = np.array([0.3, 0.0, -0.1, 0.0])
+SCALE = np.array([0.15, 0.2, 0.25, 0.3])
+
+
+def surface(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """A Gaussian valley over v, even in the sines, with a slope in the first further sum."""
+    d = (x[:, :4] - CENTRE) / SCALE
+    slope = np.zeros_like(x)
+    slope[:, :4] = -d / SCALE
+    slope[:, 4] = 2.0
+    return -0.5 * np.sum(d**2, axis=1) + 2.0 * x[:, 4], slope
+
+
+def everything(sums: PlySums) -> tuple[np.ndarray, np.ndarray]:
+    sequences = np.array(list(product(range(len(GRID)), repeat=4)))
+    return sequences, surface(sums.features(sequences))[0]
+
+
+def enumerator(sums: PlySums, floor: float, mirrored: bool = True) -> Enumerator:
+    table = build_table(surface, sums.rest_reach, floor, halvings=2, slack=0.6)
+    negation = np.array(
+        [int(np.flatnonzero(np.isclose((a + b) % 180.0, 0.0))[0]) for a in GRID for b in [GRID]]
+    )
+    return Enumerator(table, sums, 0.0, negation if mirrored else None, most=50)
+
+
+@pytest.fixture(scope="module")
+def sums() -> PlySums:
+    return ply_sums(LAYUP, GRID)
+
+
+def test_the_first_sums_are_the_bending_lamination_parameters(sums: PlySums) -> None:
+    sequences = np.random.default_rng(0).integers(len(GRID), size=(30, 4))
+    geometry = laminate_geometry(LAYUP.angles(GRID[sequences]), symmetric=True)
+    w0, cos2, cos4, sin2, sin4 = geometry.flexural.T
+    expected = np.stack((cos2, sin2, cos4, sin4), axis=1) / w0[:, None]
+    np.testing.assert_allclose(sums.features(sequences)[:, :4], expected, atol=1e-12)
+
+
+def test_a_mirror_image_has_the_sums_with_the_mirrors_signs(sums: PlySums) -> None:
+    sequences = np.random.default_rng(1).integers(len(GRID), size=(30, 4))
+    negation = enumerator(sums, -3.0).negation
+    assert negation is not None
+    np.testing.assert_allclose(
+        sums.features(negation[sequences]), sums.features(sequences) * sums.mirror, atol=1e-12
+    )
+
+
+def test_unsymmetric_layups_are_refused() -> None:
+    with pytest.raises(ValueError, match="symmetric layup"):
+        ply_sums(parse_layup("[?/?/?/?]"), GRID)
+
+
+@pytest.mark.parametrize("mirrored", [True, False])
+def test_sums_over_all_sequences_are_those_of_a_loop(sums: PlySums, mirrored: bool) -> None:
+    sequences, value = everything(sums)
+    own = enumerator(sums, -12.0, mirrored)
+    piece = enumerate_prefixes(own, prefixes_to_visit(own))
+    inside = own.table.lookup(sums.features(sequences)[:, :4]) >= 0
+    assert piece.kept == inside.sum()
+    assert piece.kept + piece.left_out == len(sequences) == 9**4
+    weight = np.exp(value) * inside
+    # the quadratics are exact for this surface; its values are kept in single precision
+    assert piece.mass.sum() == pytest.approx(weight.sum(), rel=1e-5)
+    assert piece.weight.sum() == pytest.approx(weight.sum(), rel=1e-5)
+    assert piece.squares == pytest.approx(np.sum(weight**2), rel=1e-5)
+    kept = weight[inside]
+    assert piece.entropy == pytest.approx(np.sum(kept * value[inside]), rel=1e-5)
+    marginal = np.stack([np.bincount(sequences[:, j], weight, minlength=9) for j in (1, 2, 3)])
+    found = piece.inner
+    if mirrored:
+        assert own.negation is not None
+        found = 0.5 * (found + found[:, own.negation])
+    np.testing.assert_allclose(found, marginal, rtol=1e-5, atol=1e-5 * weight.sum())
+    assert piece.log_evidence.max() == pytest.approx(value.max(), abs=1e-4)
+
+
+def test_what_is_left_out_lies_below_the_floor(sums: PlySums) -> None:
+    sequences, value = everything(sums)
+    table: EvidenceTable = enumerator(sums, -6.0).table
+    outside = table.lookup(sums.features(sequences)[:, :4]) < 0
+    assert outside.any()
+    assert value[outside].max() < -6.0
+
+
+def test_the_list_holds_the_most_probable_sequences(sums: PlySums) -> None:
+    _, value = everything(sums)
+    own = enumerator(sums, -12.0, mirrored=False)
+    pieces = [enumerate_prefixes(own, p) for p in np.array_split(prefixes_to_visit(own), 3)]
+    listed = np.sort(np.concatenate([p.log_evidence for p in pieces]))[::-1][:50]
+    np.testing.assert_allclose(listed, np.sort(value)[::-1][:50], atol=1e-4)
+
+
+def test_one_prefix_alone_gives_its_share(sums: PlySums) -> None:
+    own = enumerator(sums, -12.0)
+    piece = enumerate_prefixes(own, np.array([4]))
+    sequences, value = values_of_prefix(own, 4)
+    assert np.all(sequences[:, 0] == 4)
+    twice = 1 if own.negation is not None and own.negation[4] == 4 else 2
+    assert piece.mass[0] == pytest.approx(twice * np.exp(value).sum(), rel=1e-6)
+
+
+def wave(x: np.ndarray) -> np.ndarray:
+    return np.column_stack((np.sin(x[:, 0]) * np.cos(2 * x[:, 1]), x[:, 0] + x[:, 1] ** 2))
+
+
+def test_the_smooth_map_learns_a_smooth_function_and_its_slope() -> None:
+    rng = np.random.default_rng(0)
+    x, new = rng.uniform(-1, 1, (200, 2)), rng.uniform(-0.9, 0.9, (40, 2))
+    found = fit_map(x, wave(x), rng)
+    np.testing.assert_allclose(found.values(new), wave(new), atol=2e-3)
+    value, slope = found.expansion(new)
+    np.testing.assert_allclose(value, found.values(new), atol=1e-12)
+    h = 1e-5
+    for j in range(2):
+        step = h * (np.arange(2) == j)
+        difference = (found.values(new + step) - found.values(new - step)) / (2 * h)
+        np.testing.assert_allclose(slope[:, :, j], difference, atol=1e-6)
+
+
+def test_a_mirrored_map_is_even_and_learns_from_half_the_plane() -> None:
+    rng = np.random.default_rng(0)
+    x, new = rng.uniform(0, 1, (120, 2)), rng.uniform(0.05, 0.95, (40, 2))
+    signs = np.array([1.0, -1.0])
+    found = fit_map(x, wave(x), rng, signs)
+    np.testing.assert_allclose(found.values(new * signs), found.values(new), atol=1e-12)
+    np.testing.assert_allclose(found.values(new * signs), wave(new), atol=5e-3)
+    slope = found.expansion(new)[1]
+    np.testing.assert_allclose(found.expansion(new * signs)[1], slope * signs, atol=1e-9)

@@ -1,0 +1,236 @@
+"""Optima and Laplace approximations against posteriors in closed form."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.special import gammaln, log_ndtr
+from scipy.stats import norm
+
+from cpam_bayes.inference.expansion import coordinates, expand_u, hessian_u, log_density
+from cpam_bayes.inference.laplace import (
+    approximate,
+    find_optima,
+    gauss_newton_covariance,
+    laplace_log_evidence,
+    optimise,
+)
+from cpam_bayes.measurement import Measurement
+from cpam_bayes.parameters import TruncatedNormal, Uniform
+from cpam_bayes.posterior import Posterior, plate_posterior
+from tests.linear_model import MEAN_HZ, SLOPE_HZ, LinearModel, exact_gaussian, measurement
+from tests.toy_models import (
+    ToyModel,
+    crossing,
+    independent,
+    integral,
+    integral_over_noise,
+    linear,
+    listed,
+    parameters,
+    two_peaks,
+)
+
+NOWHERE = np.empty((0, 2))
+
+
+def linear_posterior() -> Posterior:
+    return plate_posterior(LinearModel(), measurement(0.01), np.zeros(4))
+
+
+def exact_log_evidence(data: Measurement) -> float:
+    """Of the linear model where its bounds are far away: the residual's density over the prior's volume."""
+    assert data.relative_std is not None
+    sd = data.relative_std * data.frequencies
+    mean, covariance = exact_gaussian(data)
+    height = norm.logpdf(data.frequencies, MEAN_HZ + SLOPE_HZ @ mean, sd).sum() - 2 * np.log(4.0)
+    return float(height + np.log(2 * np.pi) + 0.5 * np.linalg.slogdet(covariance)[1])
+
+
+@pytest.mark.parametrize("hessian", ["gauss-newton", "exact"])
+def test_evidence_of_a_linear_model_is_the_closed_form(hessian: str) -> None:
+    own = linear_posterior()
+    (optimum,) = find_optima(own, NOWHERE, np.random.default_rng(0))
+    found = approximate(own, optimum, hessian)
+    assert optimum.verified
+    assert found.hessian == hessian
+    np.testing.assert_allclose(optimum.x, exact_gaussian(measurement(0.01))[0], atol=1e-5)
+    # bounds are 10 standard deviations away; differences of the gradient leave 1e-8
+    assert found.log_evidence == pytest.approx(exact_log_evidence(measurement(0.01)), abs=1e-6)
+
+
+@pytest.mark.parametrize("hessian", ["gauss-newton", "exact"])
+@pytest.mark.parametrize("off", [(-1.0, 5.0), (0.5, 12.0), (-4.0, -3.0)], ids=["edge", "both ends", "corner"])
+def test_evidence_of_a_gaussian_cut_at_its_bounds_is_the_closed_form(
+    off: tuple[float, float], hessian: str
+) -> None:
+    own = independent(off)
+    (optimum,) = find_optima(own, NOWHERE, np.random.default_rng(0))
+    found = approximate(own, optimum, hessian)
+    mean = np.array(off) / 10.0
+    np.testing.assert_allclose(optimum.x, np.clip(mean, 0.0, 1.0), atol=1e-4)
+    masses = norm.cdf(1.0, mean, 0.1) - norm.cdf(0.0, mean, 0.1)
+    # each frequency's density integrates to a tenth of the mass within the bounds
+    assert found.log_evidence == pytest.approx(np.log(masses / 10.0).sum(), abs=2e-3)
+
+
+def test_correlated_gaussian_cut_at_a_corner_is_the_quadrature() -> None:
+    slope = np.array([[10.0, 9.0], [1.0, 4.0]])
+    model = linear(np.array([100.0, 200.0]), slope, parameters(a=Uniform(0.0, 1.0), b=Uniform(0.0, 1.0)))
+    own = plate_posterior(model, listed(np.array([97.5, 203.0]), np.array([2.0, 2.0])), np.zeros(2))
+    (optimum,) = find_optima(own, NOWHERE, np.random.default_rng(0))
+    assert optimum.x[0] == 0.0
+    edges = (np.linspace(0.0, 1.0, 801),) * 2
+    assert approximate(own, optimum).log_evidence == pytest.approx(integral(own, edges), abs=2e-3)
+
+
+def test_a_slope_without_curvature_is_an_exponential() -> None:
+    """Far out in the tail of Student-t noise the density is log-convex: only its slope ends it."""
+    own_parameters = parameters(a=Uniform(0.0, 1.0), b=Uniform(0.0, 1.0))
+    model = linear(np.array([100.0, 200.0]), np.diag([60.0, 10.0]), own_parameters)
+    data = listed(np.array([80.0, 205.0]), np.array([1.0, 1.0]))
+    own = plate_posterior(model, data, np.zeros(2), degrees_of_freedom=20.0)
+    (optimum,) = find_optima(own, NOWHERE, np.random.default_rng(0))
+    edges = (np.linspace(0.0, 1.0, 2001), np.linspace(0.0, 1.0, 401))
+    gradient = optimum.expansion.gradient[0]
+    assert optimum.x[0] == 0.0
+    assert hessian_u(own, coordinates(own), optimum.u, np.full(2, 0.01))[0, 0] < 0.0
+    assert gradient[0] < -1.0
+    found = approximate(own, optimum)
+    assert found.hessian == "exact"
+    # a tail 21 log(1 + z^2 / 20) is fatter than the exponential of its slope at z = 20 by (1 + 1/21)
+    assert found.log_evidence == pytest.approx(integral(own, edges), abs=0.15)
+
+
+def test_a_student_t_has_the_gaussians_evidence_but_for_its_constant() -> None:
+    own = linear_posterior()
+    (optimum,) = find_optima(own, NOWHERE, np.random.default_rng(0))
+    gaussian, student = (approximate(own, optimum, degrees_of_freedom=nu) for nu in (np.inf, 5.0))
+    np.testing.assert_allclose(student.scale, gaussian.scale * 7.0 / 5.0, rtol=1e-9)
+    # integral of (1 + z^2 / (nu + n))^-((nu + n) / 2) over that of exp(-z^2 / 2), n = 2
+    constant = np.log(7.0 / 2.0) + gammaln(2.5) - gammaln(3.5)
+    # 1e-3 of a Student-t of this width lies beyond the bounds
+    assert student.log_evidence - gaussian.log_evidence == pytest.approx(constant, abs=2e-3)
+
+
+def test_a_student_t_on_a_bound_has_the_slopes_half_gaussian() -> None:
+    own = independent((-3.0,))
+    (optimum,) = find_optima(own, np.array([[0.5]]))
+    found = approximate(own, optimum, degrees_of_freedom=1e6)
+    exact = np.log(0.1) + float(log_ndtr(-3.0))
+    # an exponential of slope 3 instead of the Gaussian's tail, which falls off faster: by a tenth
+    assert found.log_evidence == pytest.approx(exact, abs=0.12)
+    np.testing.assert_array_equal(found.centre, optimum.u)
+
+
+def test_noise_that_is_inferred_is_a_gaussian_in_its_logarithm() -> None:
+    rng = np.random.default_rng(5)
+    slope = rng.normal(size=(16, 2), scale=10.0)
+    f = 100.0 * np.arange(10, 26)
+    own_parameters = parameters(a=Uniform(-2.0, 2.0), b=Uniform(-2.0, 2.0))
+    data = listed(f + rng.normal(size=16) * 0.001 * f, None)
+    own = plate_posterior(linear(f, slope, own_parameters), data, np.zeros(16))
+    (optimum,) = find_optima(own, np.empty((0, 3)), np.random.default_rng(0))
+    axes = coordinates(own)
+    # an optimum of the density over log s: over s itself the slope is -1 / s there
+    h = 1e-4
+    up, down = (log_density(own, axes, (optimum.u + d * np.eye(3)[2])[None])[0] for d in (h, -h))
+    assert abs(up - down) / (2 * h) < 1e-3
+    # with k frequencies the next term of the expansion is some 3 / k
+    assert approximate(own, optimum).log_evidence == pytest.approx(integral_over_noise(own), abs=0.25)
+
+
+def test_a_normal_prior_on_a_nuisance_parameter_counts() -> None:
+    """b is known to 0.02, by far better than the data tell: the posterior follows the prior."""
+    own_parameters = parameters(a=Uniform(-2.0, 2.0), b=TruncatedNormal(-0.3, 0.02, -np.inf, np.inf))
+    data = measurement(0.02)
+    own = plate_posterior(LinearModel(own_parameters), data, np.zeros(4))
+    (optimum,) = find_optima(own, NOWHERE, np.random.default_rng(0))
+    weight = 1.0 / (0.02 * data.frequencies) ** 2
+    precision = SLOPE_HZ.T @ (weight[:, None] * SLOPE_HZ) + np.diag([0.0, 1 / 0.02**2])
+    right = SLOPE_HZ.T @ (weight * (data.frequencies - MEAN_HZ)) + np.array([0.0, -0.3 / 0.02**2])
+    expected = np.linalg.solve(precision, right)
+    np.testing.assert_allclose(optimum.x, expected, atol=1e-4 * np.sqrt(np.linalg.inv(precision)[0, 0]))
+    height = own.log_prob(expected)[0]
+    exact = height + np.log(2 * np.pi) - 0.5 * np.linalg.slogdet(precision)[1]
+    assert approximate(own, optimum).log_evidence == pytest.approx(exact, abs=1e-5)
+
+
+def test_separate_optima_are_all_kept_and_are_symmetric() -> None:
+    own = two_peaks()
+    found = find_optima(own, NOWHERE, np.random.default_rng(0))
+    assert len(found) == 2
+    assert sorted(round(float(o.x[0]), 3) for o in found) == [-1.0, 1.0]
+    assert found[0].log_prob == pytest.approx(found[1].log_prob, abs=1e-6)
+
+
+def test_one_start_gives_one_optimum_and_several_more() -> None:
+    own = two_peaks()
+    assert len(find_optima(own, np.array([[0.9, 0.1]]))) == 1
+    assert len(find_optima(own, np.array([[0.9, 0.1], [0.8, 0.0], [-0.9, 0.5]]))) == 2
+
+
+def test_peaks_that_run_into_each_other_are_one_optimum() -> None:
+    own = two_peaks(separation=0.05)  # a^2 is known to 0.1: no dip between a and -a
+    assert len(find_optima(own, NOWHERE, np.random.default_rng(0))) == 1
+
+
+@pytest.mark.parametrize("start", [(-0.5, 0.7), (-0.4, 0.2), (-0.1, 0.9), (0.0, 0.0)])
+def test_a_start_on_the_wrong_side_of_a_crossing_finds_the_optimum(start: tuple[float, float]) -> None:
+    own = crossing()
+    best = find_optima(own, np.array([start]), np.random.default_rng(0))[0]
+    assert best.verified
+    np.testing.assert_allclose(best.x, [0.4, 0.7], atol=0.01)
+
+
+def test_an_incomplete_list_has_an_optimum_where_its_complete_part_lies() -> None:
+    truth = np.array([0.4, -0.3])
+    f = np.delete(MEAN_HZ + SLOPE_HZ @ truth, 2)
+    gaps = Measurement(f, 0.0, 0.002, None, ("",) * 3, complete=False)
+    own = plate_posterior(LinearModel(), gaps, np.zeros(4))
+    best = find_optima(own, NOWHERE, np.random.default_rng(0))[0]
+    # the list is met exactly, and no other pairing is near
+    np.testing.assert_allclose(best.x, truth, atol=1e-4)
+    # its own Gaussian, in a window of five standard deviations: other pairings have optima of their own
+    sd = np.sqrt(np.diag(gauss_newton_covariance(own, best.x)))
+    edges = tuple(np.linspace(c - 5 * s, c + 5 * s, 201) for c, s in zip(best.x, sd, strict=True))
+    assert approximate(own, best).log_evidence == pytest.approx(integral(own, edges), abs=1e-3)
+
+
+def test_an_optimum_at_the_edge_of_the_constraints_is_found() -> None:
+    own = independent((3.0, 7.0))
+    assert isinstance(own.model, ToyModel)
+    below = replace(own, model=replace(own.model, allowed=lambda x: x[:, 0] + x[:, 1] < 0.8))
+    best = find_optima(below, NOWHERE, np.random.default_rng(0))[0]
+    # the nearest allowed point to (0.3, 0.7) is (0.2, 0.6); polls come to 0.01 standard deviations of it
+    np.testing.assert_allclose(best.x, [0.2, 0.6], atol=0.02)
+
+
+def test_a_start_outside_the_support_is_refused() -> None:
+    with pytest.raises(ValueError, match="start of an optimisation lies outside"):
+        optimise(independent((3.0,)), np.array([np.nan]))
+
+
+def test_covariance_adds_the_variance_of_the_priors() -> None:
+    own = linear_posterior()
+    _, covariance = exact_gaussian(measurement(0.01))
+    found = gauss_newton_covariance(own, np.array([0.1, 0.2]))
+    # 4^2 / 12 is the variance of the uniform priors
+    np.testing.assert_allclose(np.linalg.inv(found), np.linalg.inv(covariance) + 0.75 * np.eye(2), rtol=1e-9)
+
+
+@pytest.mark.parametrize("nu", [np.inf, 5.0])
+def test_a_stack_of_evidences_is_what_each_gives_alone(nu: float) -> None:
+    """Optima inside, on an edge and in a corner, of one posterior with moved data each."""
+    pictures, parts = [], []
+    for off in ((4.0, 6.0), (-2.0, 6.0), (-1.0, 13.0)):
+        own = independent(off)
+        (optimum,) = find_optima(own, NOWHERE, np.random.default_rng(0))
+        axes = coordinates(own)
+        e = expand_u(own, axes, optimum.u[None])
+        parts.append((e.value, e.gradient, e.curvature, optimum.u[None]))
+        pictures.append(approximate(own, optimum, "gauss-newton", nu).log_evidence)
+    stacked = [np.concatenate(p) for p in zip(*parts, strict=True)]
+    np.testing.assert_allclose(laplace_log_evidence(*stacked, axes, nu), pictures, rtol=1e-9)
