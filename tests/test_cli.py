@@ -252,12 +252,10 @@ def test_what_the_swarm_leaves_aside_is_said(run, plate_file):
     path = plate_file(
         ("[material]\n", "[plate.sd]\nthickness_mm = 0.02\n\n[material]\n"),
         ("nu12 = [0.15, 0.4]", "nu12 = { mean = 0.33, sd = 0.02, bounds = [0.15, 0.4] }"),
-        ("resolution_hz = 1.0", 'resolution_hz = 1.0\nlabels = ["(2,0)", "", "", "", "", ""]'),
     )
     err = run("identify", path, *SHORT)[2]
     assert "[plate.sd] is not used by the swarm" in err
     assert "mean and sd of nu12" in err
-    assert "labelled (2,0) in the plate file, the model's mode 1 is (1,1)" in err
 
 
 # Bad input: exit status 2, one message, nothing on standard output

@@ -18,7 +18,7 @@ KEYS = {
     *("agreement", "rows", "converged", "targets"),
 }
 ROW_KEYS = {
-    *("sampler", "moves", "rounds", "evaluation_s", "autocorrelation_time"),
+    *("sampler", "moves", "walkers", "rounds", "evaluation_s", "autocorrelation_time"),
     *("effective_per_s", "ratio", "ratio_quartiles"),
 }
 
@@ -54,7 +54,8 @@ def test_a_small_run_of_the_benchmark_has_the_documented_keys() -> None:
     ratios = {(row["sampler"], row["moves"]): row["ratio"] for row in results["rows"]}
     assert ratios[samplers.OURS, samplers.DE] == 1.0
     theirs = (samplers.ASSEMBLING, samplers.SUMMING)
-    assert set(ratios) == {(s, m) for s in (samplers.OURS, *theirs) for m in samplers.MOVES}
+    ours = {(samplers.OURS, move) for move in samplers.MOVES} | {(samplers.OURS_MANY, samplers.DE)}
+    assert set(ratios) == ours | {(s, m) for s in theirs for m in samplers.MOVES}
     for row in results["rows"]:
         per_second = 1.0 / (row["evaluation_s"] * row["autocorrelation_time"])
         # the same numbers, medians taken before or after the division

@@ -87,6 +87,7 @@ def answer(tmp_path_factory: pytest.TempPathFactory) -> Answer:
     return found
 
 
+@pytest.mark.slow
 def test_sizes_stand_apart_from_the_constants_in_the_document(answer: Answer) -> None:
     document = answer.document
     assert list(document["constants"]) == ["E1_GPa", "nu12"]
@@ -97,6 +98,7 @@ def test_sizes_stand_apart_from_the_constants_in_the_document(answer: Answer) ->
     assert thickness["sd"] == pytest.approx(0.03, rel=0.4)  # frequencies say nothing of it beside E1
 
 
+@pytest.mark.slow
 def test_priors_stand_beside_the_posterior(answer: Answer) -> None:
     tables = {table.title: plain_text(table) for table in answer.screen}
     constants, sizes = tables["Constants, posterior"], tables["Sizes, posterior"]
@@ -106,6 +108,7 @@ def test_priors_stand_beside_the_posterior(answer: Answer) -> None:
     assert "thickness" not in constants
 
 
+@pytest.mark.slow
 def test_noise_has_a_scale_and_a_shape(answer: Answer) -> None:
     assert answer.document["noise"]["name"] == "absolute_sd_hz"
     assert 0.5 < answer.document["noise"]["mean"] < 20.0
@@ -231,6 +234,7 @@ def test_a_list_that_lacks_a_mode_is_put_in_doubt(run: Run, plate_file: Write) -
 SENSOR = "[[sensor]]\nmass_g = {}\nx_mm = 10.0\ny_mm = 10.0\n\n[measurement]"
 
 
+@pytest.mark.slow
 def test_a_sensor_heavier_than_the_plate_is_a_warning(run: Run, plate_file: Write) -> None:
     path = plate_file(("[measurement]", SENSOR.format(700.0)))
     status, out, err = run("forward", path, "--quiet", "--modes", "1", "--json")
