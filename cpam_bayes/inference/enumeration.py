@@ -124,7 +124,7 @@ def enumerate_prefixes(own: Enumerator, prefixes: Array) -> Piece:
         inner[rows] += times * w
         squares += float(times * (w @ w))
         entropy += float(times * (w @ below))
-        bins = np.clip(((5.0 - below) / BIN).astype(np.int64), 0, BINS - 1)
+        bins = bin_of(below)
         count += times * np.bincount(bins, minlength=BINS)
         weight += times * np.bincount(bins, w, minlength=BINS)
         high = np.flatnonzero(found > threshold)
@@ -155,6 +155,11 @@ def enumerate_prefixes(own: Enumerator, prefixes: Array) -> Piece:
         squares,
         entropy,
     )
+
+
+def bin_of(below: Array) -> Array:
+    """The bin of log evidences relative to the reference (m,)."""
+    return np.asarray(np.clip(((5.0 - below) / BIN).astype(np.int64), 0, BINS - 1))
 
 
 def values_of_prefix(own: Enumerator, prefix: int) -> tuple[Array, Array]:

@@ -19,8 +19,10 @@ from numpy.typing import NDArray
 
 from cpam_bayes.cache import reduced_model
 from cpam_bayes.inference.enumeration import (
+    BINS,
     Enumerator,
     Piece,
+    bin_of,
     enumerate_prefixes,
     prefixes_to_visit,
     values_of_prefix,
@@ -297,18 +299,13 @@ def _learned(
     weight = np.exp(miss - miss.max())
     correction = float(np.log(weight.mean()) + miss.max())
     g, k = len(task.grid_deg), task.n_unknown
-    # the listed ones by their exact evidence, the rest by the learned one as the draws correct it
     exact, learned_listed, size = listed
     reference = enumerator.reference
-    rest = whole.mass.sum() - float(np.sum(size * np.exp(learned_listed - reference)))
-    total_weight = max(rest, 0.0) * np.exp(correction) + float(
-        np.sum(size * np.exp(exact.log_evidence - reference))
-    )
+    sums_over_all = _with_exact(task, enumerator, whole, exact, learned_listed, size, correction)
+    total_weight = float(sums_over_all.weight.sum())
     total = float(np.log(total_weight)) + reference
     left_out = whole.left_out * np.exp(enumerator.table.floor - reference)
     order = np.argsort(-exact.log_evidence, kind="stable")[: settings.listed]
-    count, mass = np.cumsum(whole.count), np.cumsum(whole.weight)
-    at = int(np.searchsorted(mass, CREDIBLE * mass[-1]))
     return SequenceAnswer(
         specimen=task.specimen,
         own=task.own,
@@ -323,9 +320,9 @@ def _learned(
         log_evidence=exact.log_evidence[order],
         log_evidence_error=exact.conditionals.error[order],
         components=exact[order],
-        marginals=_marginals(enumerator, whole),
-        credible_count=_credible_count(count, mass, whole, at),
-        effective_count=float(np.exp(np.log(whole.mass.sum()) - whole.entropy / whole.mass.sum())),
+        marginals=sums_over_all.marginals,
+        credible_count=_credible_count(sums_over_all),
+        effective_count=float(np.exp(np.log(total_weight) - sums_over_all.entropy / total_weight)),
         unaccounted=float(left_out / (left_out + total_weight)),
         drawn=drawn,
         draw_weight=weight / weight.sum(),
@@ -340,11 +337,57 @@ def _learned(
     )
 
 
-def _credible_count(count: Array, mass: Array, whole: Piece, at: int) -> int:
+@dataclass(frozen=True, slots=True)
+class _Sums:
+    """Sums over all sequences, the listed ones by their exact evidence, weights as in ``Piece``.
+
+    count, weight : (BINS,). entropy : sum of weight * (log evidence - reference). marginals : (k, n_grid),
+    normalised.
+    """
+
+    count: Array
+    weight: Array
+    entropy: float
+    marginals: Array
+
+
+def _with_exact(
+    task: _Task,
+    own: Enumerator,
+    whole: Piece,
+    exact: Evaluated,
+    learned: Array,
+    size: Array,
+    correction: float,
+) -> _Sums:
+    """The learned sums, as the draws correct them, with the listed sequences' own evidences put in."""
+    factor = np.exp(correction)
+    before, after = learned - own.reference, exact.log_evidence - own.reference
+    old, new = factor * np.exp(before), np.exp(after)
+    count, weight = whole.count.astype(float), factor * whole.weight
+    for values, sign, weights in ((before, -1.0, old), (after, 1.0, new)):
+        bins = bin_of(values)
+        count += sign * np.bincount(bins, size, minlength=BINS)
+        weight += sign * np.bincount(bins, size * weights, minlength=BINS)
+    count, weight = np.maximum(count, 0.0), np.maximum(weight, 0.0)
+    entropy = factor * (whole.entropy + correction * whole.mass.sum())
+    entropy += float(np.sum(size * (new * after - old * (before + correction))))
+    marginals = factor * whole.mass.sum() * _marginals(own, whole)
+    ply = np.arange(task.n_unknown)
+    for sequence, change in zip(exact.sequences, new - old, strict=True):
+        for image in members(sequence, task.symmetries):
+            marginals[ply, image] += change
+    marginals = np.maximum(marginals, 0.0)
+    return _Sums(count, weight, entropy, marginals / marginals.sum(axis=1, keepdims=True))
+
+
+def _credible_count(sums: _Sums) -> int:
     """Sequences in the smallest set with 95 %, the last bin in proportion."""
-    before_n, before_m = (int(count[at - 1]), float(mass[at - 1])) if at else (0, 0.0)
-    share = (CREDIBLE * mass[-1] - before_m) / max(float(whole.weight[at]), 1e-300)
-    return before_n + int(np.ceil(share * int(whole.count[at])))
+    mass = np.cumsum(sums.weight)
+    at = int(np.searchsorted(mass, CREDIBLE * mass[-1]))
+    before = (float(sums.count[:at].sum()), float(mass[at - 1]) if at else 0.0)
+    share = (CREDIBLE * mass[-1] - before[1]) / max(float(sums.weight[at]), 1e-300)
+    return int(np.ceil(before[0] + share * sums.count[at] - 1e-9))
 
 
 def _negation(task: _Task) -> Array | None:
