@@ -155,8 +155,8 @@ class _Counts:
 
     def __init__(self, n: int, probability: Array) -> None:
         at = np.arange(n + 1)[:, None]
-        self.up_to = binom.cdf(at, n, probability)
-        self.from_on = binom.sf(at - 1, n, probability)
+        self.up_to = np.asarray(binom.cdf(at, n, probability))
+        self.from_on = np.asarray(binom.sf(at - 1, n, probability))
         self.places = np.arange(len(probability))
 
     def least_tail(self, counts: Array) -> Array:
