@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
 BAD_INPUT: Final = 2
 NOT_WRITTEN: Final = 1
+NOT_DONE: Final = 1
 MOST_NOISE: Final = 50.0
 
 _STATUS_TEXT: Final = """\
@@ -56,6 +57,7 @@ def _refuse(error: ValueError) -> int:
 
 def _finish(work: Callable[[], Answer], args: argparse.Namespace) -> int:
     """Do the work, save its files, and show its answer even if they could not be saved."""
+    from cpam_bayes.parallel import WorkersLostError
     from cpam_bayes.report.files import save, staging
 
     not_saved: OSError | None = None
@@ -68,6 +70,9 @@ def _finish(work: Callable[[], Answer], args: argparse.Namespace) -> int:
                 not_saved = error
     except ValueError as error:
         return _refuse(error)
+    except WorkersLostError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return NOT_DONE
     for warning in answer.warnings:
         print(f"warning: {warning}", file=sys.stderr)
     try:

@@ -478,3 +478,15 @@ def test_the_command_gives_each_library_one_thread_unless_told_otherwise():
             own["OPENBLAS_NUM_THREADS"] = given
         out, _ = start(code=code, env=own).communicate(timeout=60)
         assert out.strip() == expected
+
+
+def test_lost_workers_end_a_command_with_one_message_and_1(run, monkeypatch) -> None:
+    from cpam_bayes.commands import plates
+    from cpam_bayes.parallel import WorkersLostError
+
+    def lost() -> None:
+        raise WorkersLostError("four workers died at item 3")
+
+    monkeypatch.setattr(plates, "prepare", lambda args: lost)
+    status, out, err = run("plates")
+    assert (status, out, err) == (1, "", "error: four workers died at item 3\n")
