@@ -148,13 +148,13 @@ class WithoutOne(Posterior):
 
 
 @pytest.mark.slow
-def test_closed_form_on_c1_is_near_sampling_without_each_mode() -> None:
+def test_closed_form_on_c1_is_near_sampling_without_a_mode() -> None:
     settings = EnsembleSettings(walkers=24, round_steps=1000, effective=300.0, most_steps=3000)
     found = identify_by_sampling(builtin("C1"), 0, settings=settings)
     own = found.posterior
     left_out = found.assessment.left_out
     parts = (own.model, own.measurement, own.parameters, own.noise_model, own.labelled, own.pairing)
-    for i in range(own.measurement.size):
+    for i in (0, 3):  # the largest leverage and the largest residual
         without = WithoutOne(*parts, left_out=i)
         draws = sample_posterior(without, 1, settings=settings).draws[::7]
         predicted = without.predict(draws)
