@@ -152,9 +152,10 @@ def _values(results: list[np.ndarray]) -> np.ndarray:
 def test_an_error_of_the_work_comes_as_it_is_with_its_item(cluster: Executor, tmp_path: Path) -> None:
     log = tmp_path / "log"
     with pytest.raises(LookupError, match="no luck with 12") as caught:
-        run(work.fail_at, (12, str(log)), range(10, 200), cluster, batch_size=1)
-    assert "item 2 of 190" in caught.value.__notes__[-1]
-    assert len(work.lines(log)) < 20
+        run(work.fail_at, (12, str(log)), range(10, 5000), cluster, batch_size=1)
+    assert "item 2 of 4990" in caught.value.__notes__[-1]
+    # how many were done before the cancellation reached the scheduler depends on the machine's load
+    assert len(work.lines(log)) < 2500
 
 
 def test_work_of_the_main_module_is_sent_by_value(cluster: Executor) -> None:
@@ -217,8 +218,9 @@ def test_a_scheduler_that_goes_away_ends_the_work_with_an_error(
     with _scheduler(tmp_path) as scheduler, _workers(tmp_path, 1), open_executor(_spec(tmp_path)) as executor:
 
         def stop(index: int, result: int) -> None:
-            os.killpg(scheduler.pid, signal.SIGKILL)
+            with suppress(ProcessLookupError):  # results that were on their way come after the first
+                os.killpg(scheduler.pid, signal.SIGKILL)
             scheduler.wait()
 
         with pytest.raises(WorkersLostError, match=r"the Dask scheduler at tcp://127\.0\.0\.1:\d+ is gone"):
-            run(work.square_or_kill_always, -1, range(100), executor, batch_size=1, on_result=stop)
+            run(work.square_or_kill_always, -1, range(5000), executor, batch_size=1, on_result=stop)
