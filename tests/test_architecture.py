@@ -48,7 +48,7 @@ LAYERS = (
     "cli",
     "__main__",
 )
-HEAVY = ("arviz", "distributed", "emcee", "matplotlib", "skfem")
+HEAVY = ("arviz", "dynesty", "distributed", "emcee", "matplotlib", "skfem")
 # The package itself may be asked for these by any layer; it imports nothing.
 ROOT_NAMES = {"__version__"}
 

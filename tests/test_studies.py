@@ -144,6 +144,12 @@ def test_solvers_agree_within_the_limit() -> None:
         assert apart == set()
 
 
+def test_evidences_and_moments_of_three_methods_agree() -> None:
+    specimens = saved("06_evidence")["specimens"]
+    assert len(specimens) == 3
+    assert all(s["agrees"] for s in specimens)
+
+
 def test_bricks_agree_as_far_as_their_mesh_and_the_theory_allow() -> None:
     # thin plates: the error of the mesh; thick ones: as much again from the theory itself
     for row in saved(AGREEMENT)["specimens"]:
