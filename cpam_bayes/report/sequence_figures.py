@@ -25,9 +25,9 @@ def sequence_figures(result: SequenceAnswer) -> Figures:
 
 
 def angle_map(result: SequenceAnswer) -> Figure:
-    """Probability of each angle for each unknown ply, the most probable sequence marked."""
+    """Probability of each angle for each unknown, the outermost above, the most probable sequence marked."""
     k = len(result.marginals)
-    figure = Figure(figsize=(8.0, 1.2 + 0.45 * k), layout="constrained")
+    figure = Figure(figsize=(8.0, 1.7 + 0.45 * k), layout="constrained")
     axes = figure.subplots()
     step = result.grid_deg[1] - result.grid_deg[0] if len(result.grid_deg) > 1 else 180.0
     edges = np.append(result.grid_deg - step / 2, result.grid_deg[-1] + step / 2)
@@ -35,13 +35,13 @@ def angle_map(result: SequenceAnswer) -> Figure:
     axes.plot(result.top[0], np.arange(k) + 1, "o", mfc="none", mec="C3", label="most probable sequence")
     axes.set(
         xlabel="angle, degrees",
-        ylabel="unknown angle, 1 outermost",
+        ylabel="unknown angle",
         yticks=np.arange(k) + 1,
         xticks=np.arange(-90, 91, 30),
         title=f"{result.specimen.name}: {result.credible_count} sequences in the 95 % set",
     )
     axes.invert_yaxis()
-    axes.legend(loc="upper left", bbox_to_anchor=(0.0, -0.28), frameon=False)
+    figure.legend(loc="outside lower left", frameon=False)
     figure.colorbar(drawn, ax=axes, label="probability")
     return figure
 
