@@ -1,7 +1,7 @@
 """One BLAS thread for all tests, and the switch that makes a skipped test a failed one."""
 
 import os
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 
 import pytest
 
@@ -14,6 +14,23 @@ for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
 def _own_cache(tmp_path_factory: pytest.TempPathFactory) -> None:
     """Reduced models of the tests are built by the code under test, never read from a user's cache."""
     os.environ["CPAM_BAYES_CACHE"] = str(tmp_path_factory.mktemp("cache"))
+
+
+@pytest.fixture
+def run(capsys: pytest.CaptureFixture[str]) -> Callable[..., tuple[object, str, str]]:
+    """Run a command in this process: exit status, standard output, standard error."""
+    from cpam_bayes.cli import main
+
+    def run_here(*argv: str) -> tuple[object, str, str]:
+        status: object
+        try:
+            status = main(argv)
+        except SystemExit as leaving:
+            status = leaving.code
+        shown = capsys.readouterr()
+        return status, shown.out, shown.err
+
+    return run_here
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

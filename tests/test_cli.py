@@ -12,33 +12,13 @@ import pytest
 
 from cpam_bayes import __version__
 from cpam_bayes.cli import main
+from tests.plate_file import MEASURED
+from tests.plate_file import PLATE as WITHOUT_LIST
 
 PROJECT = Path(__file__).parent.parent
 SHORT = ("--iterations", "8", "--quiet")  # a few steps of the swarm say all that is asked here
 
-PLATE = """\
-name = "plate 7"
-
-[plate]
-length_mm = 300.0
-width_mm = 280.0
-thickness_mm = 3.0
-density_kg_m3 = 2700.0
-edges = "FFFF"
-
-[material]
-isotropic = true
-E1_GPa = 69.0
-nu12 = 0.33
-
-[unknowns]
-E1_GPa = [10.0, 200.0]
-nu12 = [0.15, 0.4]
-
-[measurement]
-frequencies_hz = [114, 167, 218, 289, 300, 497]
-resolution_hz = 1.0
-"""
+PLATE = WITHOUT_LIST + MEASURED
 
 
 @pytest.fixture(scope="module")
@@ -64,21 +44,6 @@ def plate_file(tmp_path):
         return str(path)
 
     return write
-
-
-@pytest.fixture
-def run(capsys):
-    """Run a command in this process: exit status, standard output, standard error."""
-
-    def run_here(*argv):
-        try:
-            status = main(argv)
-        except SystemExit as leaving:
-            status = leaving.code
-        shown = capsys.readouterr()
-        return status, shown.out, shown.err
-
-    return run_here
 
 
 def start(*argv, code=None, **options):

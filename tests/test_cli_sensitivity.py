@@ -6,35 +6,11 @@ import re
 import numpy as np
 import pytest
 
-from cpam_bayes.cli import main
 from cpam_bayes.commands import sensitivity as command
 from cpam_bayes.inference.ensemble import EnsembleSettings
 from cpam_bayes.inference.swarm import SwarmSettings
+from tests.plate_file import MEASURED, PLATE
 
-PLATE = """\
-name = "plate 7"
-
-[plate]
-length_mm = 300.0
-width_mm = 280.0
-thickness_mm = 3.0
-density_kg_m3 = 2700.0
-edges = "FFFF"
-
-[material]
-isotropic = true
-E1_GPa = 69.0
-nu12 = 0.33
-
-[unknowns]
-E1_GPa = [10.0, 200.0]
-nu12 = [0.15, 0.4]
-"""
-MEASURED = """
-[measurement]
-frequencies_hz = [114, 167, 218, 289, 300, 497]
-resolution_hz = 1.0
-"""
 FEW = ("--groups", "3", "--executor", "serial", "--quiet")
 
 
@@ -56,19 +32,6 @@ def plate_file(tmp_path):
         return str(path)
 
     return write
-
-
-@pytest.fixture
-def run(capsys):
-    def run_here(*argv):
-        try:
-            status = main(argv)
-        except SystemExit as leaving:
-            status = leaving.code
-        shown = capsys.readouterr()
-        return status, shown.out, shown.err
-
-    return run_here
 
 
 @pytest.fixture

@@ -107,7 +107,6 @@ def evaluate(
     starts: Array,
     log2_points: int,
     executor: Executor | None,
-    on_result: Callable[[int, Any], None] | None = None,
 ) -> Evaluated:
     """Log evidence of sequences (m, k) by importance sampling, climbed from starts (m, s, n) or (s, n)."""
     angles = grid_deg[sequences]
@@ -116,7 +115,7 @@ def evaluate(
         (angles[i : i + _BATCH], starts[i : i + _BATCH], log2_points)
         for i in range(0, len(sequences), _BATCH)
     ]
-    pieces = run(_evaluate_batch, own, items, executor, batch_size=1, on_result=on_result)
+    pieces = run(_evaluate_batch, own, items, executor, batch_size=1)
     return Evaluated(sequences, joined([p[0] for p in pieces]), joined([p[1] for p in pieces]))
 
 
@@ -163,7 +162,7 @@ def learn(
         if rms <= settings.error or len(data.sequences) + settings.each_round > settings.most:
             return surface, data
         drawn, cold = _draws(surface, sums, data, settings.each_round, rng)
-        drawn_starts = _starts_near(sums, data, drawn, starts)
+        drawn_starts = starts_near(sums, data, drawn, starts)
         fresh = evaluate(own, sums.grid_deg, drawn, drawn_starts, settings.log2_points, executor)
         miss = surface.values(sums.features(drawn[cold])) - fresh.log_evidence[cold]
         rms, worst = float(np.sqrt(np.mean(miss**2))), float(np.abs(miss).max())
@@ -184,17 +183,12 @@ def _fit(
     )
 
 
-def _starts_near(sums: PlySums, data: Evaluated, sequences: Array, starts: Array) -> Array:
-    """For each sequence the common starts' first and the optimum of the nearest one evaluated."""
+def starts_near(sums: PlySums, data: Evaluated, sequences: Array, starts: Array) -> Array:
+    """Starts (m, 2, n) of sequences (m, k): the first common one and the optimum of the nearest evaluated."""
     known, asked = sums.features(data.sequences), sums.features(sequences)
     nearest = np.array([int(np.argmin(np.sum((known - a) ** 2, axis=1))) for a in asked])
     first = np.broadcast_to(starts[0], (len(sequences), starts.shape[1]))
     return np.stack((first, data.fits.x[nearest]), axis=1)
-
-
-def starts_near(sums: PlySums, data: Evaluated, sequences: Array, starts: Array) -> Array:
-    """Starts (m, 2, n) of sequences (m, k): the reference and the optimum of the nearest known one."""
-    return _starts_near(sums, data, sequences, starts)
 
 
 def _draws(

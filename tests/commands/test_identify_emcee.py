@@ -9,38 +9,20 @@ from pathlib import Path
 
 import pytest
 
-from cpam_bayes.cli import main, prepare
+from cpam_bayes.cli import prepare
 from cpam_bayes.commands.supported import plate_warnings
 from cpam_bayes.measurement import read_specimen
 from cpam_bayes.report.answer import Answer
 from cpam_bayes.report.tables import plain_text
+from tests.plate_file import MEASURED
+from tests.plate_file import PLATE as WITHOUT_LIST
 
 Run = Callable[..., tuple[int, str, str]]
 Write = Callable[..., str]
 
-PLATE = """\
-name = "plate 7"
-
-[plate]
-length_mm = 300.0
-width_mm = 280.0
-thickness_mm = 3.0
-density_kg_m3 = 2700.0
-edges = "FFFF"
-
-[material]
-isotropic = true
-E1_GPa = 69.0
-nu12 = 0.33
-
-[unknowns]
-E1_GPa = [10.0, 200.0]
-nu12 = { mean = 0.3, sd = 0.05, bounds = [0.15, 0.4] }
-
-[measurement]
-frequencies_hz = [114, 167, 218, 289, 300, 497]
-resolution_hz = 1.0
-"""
+PLATE = (WITHOUT_LIST + MEASURED).replace(
+    "nu12 = [0.15, 0.4]", "nu12 = { mean = 0.3, sd = 0.05, bounds = [0.15, 0.4] }"
+)
 SIZES = ("[material]", "[plate.sd]\nthickness_mm = 0.03\nwidth_mm = 0.1\n\n[material]")
 EMCEE = ("--backend", "emcee", "--quiet", "--steps", "200")
 
@@ -59,18 +41,6 @@ def plate_file(tmp_path: Path) -> Write:
         return str(path)
 
     return write
-
-
-@pytest.fixture
-def run(capsys: pytest.CaptureFixture[str]) -> Run:
-    """Run a command in this process: exit status, standard output, standard error."""
-
-    def run_here(*argv: str) -> tuple[int, str, str]:
-        status = main(argv)
-        shown = capsys.readouterr()
-        return status, shown.out, shown.err
-
-    return run_here
 
 
 @pytest.fixture(scope="module")
