@@ -21,10 +21,10 @@ def run(capsys: pytest.CaptureFixture[str]) -> Callable[..., tuple[object, str, 
     """Run a command in this process: exit status, standard output, standard error."""
     from cpam_bayes.cli import main
 
-    def run_here(*argv: str) -> tuple[object, str, str]:
+    def run_here(*argv: object) -> tuple[object, str, str]:
         status: object
         try:
-            status = main(argv)
+            status = main([str(word) for word in argv])
         except SystemExit as leaving:
             status = leaving.code
         shown = capsys.readouterr()

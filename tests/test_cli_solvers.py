@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from cpam_bayes.calculix import PROGRAM_VARIABLE
-from cpam_bayes.cli import main
 from tests.meshes import Quads, grid, rectangle
 
 PLATE = """\
@@ -29,21 +28,6 @@ nu12 = 0.33
 [unknowns]
 E1_GPa = [10.0, 200.0]
 """
-
-
-@pytest.fixture
-def run(capsys):
-    """Run a command in this process: exit status, standard output, standard error."""
-
-    def run_here(*argv):
-        try:
-            status = main([str(arg) for arg in argv])
-        except SystemExit as leaving:
-            status = leaving.code
-        shown = capsys.readouterr()
-        return status, shown.out, shown.err
-
-    return run_here
 
 
 @pytest.fixture
