@@ -20,6 +20,7 @@ from cpam_bayes.inference.ensemble import EnsembleResult, EnsembleSettings
 from cpam_bayes.inference.evidence import Evidence, EvidenceSettings, evidence_of, importance_evidence
 from cpam_bayes.inference.laplace import approximate, find_optima
 from cpam_bayes.inference.nested import NestedEvidence, nested_evidence
+from cpam_bayes.inference.proposal import AdaptationSettings
 from cpam_bayes.inference.pso import SwarmSettings
 from cpam_bayes.inference.sampling import sample_from
 from cpam_bayes.inference.starting import start_of
@@ -54,7 +55,7 @@ FULL = Effort(EnsembleSettings(effective=4000.0), SwarmSettings(), EvidenceSetti
 SMALL = Effort(
     EnsembleSettings(walkers=16, round_steps=300, effective=200.0, most_steps=600),
     SwarmSettings(particles=10, iterations=10),
-    EvidenceSettings(draws=4000, rounds=3, round_draws=1000),
+    EvidenceSettings(draws=4000, adaptation=AdaptationSettings(rounds=3, draws=1000)),
     2,
     40,
 )

@@ -43,7 +43,7 @@ Array = NDArray[Any]
 N_DRAWS = 99
 # Shorter than what an identification needs: a rank asks for a hundred draws, not for the tails.
 SETTINGS = EnsembleSettings(
-    walkers=20, round_steps=600, r_hat=1.05, effective=2.0 * N_DRAWS, most_steps=6000, lengths=15.0
+    walkers=40, round_steps=80, r_hat=1.05, effective=2.0 * N_DRAWS, most_steps=3000, lengths=10.0
 )
 
 

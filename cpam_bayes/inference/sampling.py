@@ -17,11 +17,15 @@ from cpam_bayes.inference.ensemble import (
     sample,
     start_positions,
 )
+from cpam_bayes.inference.proposal import AdaptationSettings, adapted
 from cpam_bayes.inference.pso import SwarmSettings, minimise
 from cpam_bayes.posterior import Posterior
 from cpam_bayes.threads import single_blas_thread
 
 Array = NDArray[Any]
+
+# Of the proposal that chains jump to: it need not be as good as that of an evidence.
+JUMPS = AdaptationSettings()
 
 
 @single_blas_thread
@@ -62,7 +66,9 @@ def sample_from(
     n_walkers = settings.ensembles * settings.walkers
     walkers = start_positions(posterior, bests, values, n_walkers, rng)
     start = walkers.reshape(settings.ensembles, settings.walkers, -1)
-    return sample(posterior, start, seed, settings, store=store, progress=progress)
+    best = walkers[np.argmax(posterior.log_prob(walkers))]
+    proposal = adapted(posterior, best[None], seed, JUMPS)
+    return sample(posterior, start, seed, settings, proposal=proposal, store=store, progress=progress)
 
 
 def swarm_on_posterior(posterior: Posterior, seed: int, settings: SwarmSettings) -> tuple[Array, Array, int]:

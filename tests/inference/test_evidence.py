@@ -16,6 +16,7 @@ from cpam_bayes.inference.evidence import (
     importance_evidence,
     pareto_shape,
 )
+from cpam_bayes.inference.proposal import AdaptationSettings
 from cpam_bayes.inference.pso import SwarmSettings
 from cpam_bayes.inference.sampling import sample_posterior
 from cpam_bayes.measurement import Measurement
@@ -32,7 +33,7 @@ from tests.toy_models import (
     two_peaks,
 )
 
-SETTINGS = EvidenceSettings(draws=6000, round_draws=1000)
+SETTINGS = EvidenceSettings(draws=6000, adaptation=AdaptationSettings(draws=1000))
 
 
 def sampled(own: Posterior, seed: int = 0, starts: np.ndarray | None = None) -> Evidence:
@@ -185,7 +186,10 @@ def test_a_proposal_that_cannot_follow_is_not_called_reliable() -> None:
     data = Measurement(np.array([100.0, 200.0]), 0.0, None, np.full(2, 0.05), ("", ""), complete=True)
     own = plate_posterior(ToyModel(own_parameters, comb), data, np.zeros(2))
     found = importance_evidence(
-        own, np.empty((0, 2)), 0, settings=EvidenceSettings(draws=2000, rounds=2, round_draws=500, attempts=1)
+        own,
+        np.empty((0, 2)),
+        0,
+        settings=EvidenceSettings(2000, AdaptationSettings(rounds=2, draws=500), attempts=1),
     )
     assert found.status == "unreliable"
 

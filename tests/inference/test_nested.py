@@ -8,6 +8,7 @@ from scipy.stats import norm
 
 from cpam_bayes.inference.evidence import EvidenceSettings, importance_evidence
 from cpam_bayes.inference.nested import Lockstep, nested_evidence
+from cpam_bayes.inference.proposal import AdaptationSettings
 from tests.toy_models import independent, two_peaks
 
 
@@ -74,7 +75,10 @@ def test_nested_and_importance_sampling_agree_on_two_peaks() -> None:
     own = two_peaks()
     nested = nested_evidence(own, 1, runs=3, live_points=80)
     sampled = importance_evidence(
-        own, np.empty((0, 2)), 1, settings=EvidenceSettings(draws=6000, round_draws=1000)
+        own,
+        np.empty((0, 2)),
+        1,
+        settings=EvidenceSettings(draws=6000, adaptation=AdaptationSettings(draws=1000)),
     )
     error = np.hypot(nested.standard_error, sampled.standard_error)
     assert nested.log_evidence == pytest.approx(sampled.log_evidence, abs=3.0 * error)

@@ -1,0 +1,237 @@
+"""A mixture of Student-t densities that covers a posterior: about its optima, refined by its own draws.
+
+Bounded parameters are carried to the whole line by a logistic map, so that nothing is cut: a posterior that
+piles up on a bound becomes a peak with an exponential tail, which a Student-t covers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cpam_bayes.inference.box import box_draws
+from cpam_bayes.inference.expansion import coordinates, log_density
+from cpam_bayes.inference.laplace import Approximation, approximate, find_optima
+from cpam_bayes.inference.mixture import (
+    Mixture,
+    draw,
+    fit,
+    log_mixture,
+    log_sum_exp,
+    single,
+    split,
+    widened,
+)
+from cpam_bayes.inference.whole_line import WholeLine, whole_line
+from cpam_bayes.posterior import Posterior
+
+Array = NDArray[Any]
+
+# Said where importance sampling meets nothing but zeros.
+NOWHERE = "no draw of the proposal lies in the support of the prior; check bounds and constraints"
+_FREEDOM = 5.0
+# Effective share of a round's draws from which adapting more is not worth it.
+_GOOD_SHARE = 0.6
+# Share and width of the component that catches what the others leave out.
+_SAFE_SHARE, _SAFE_WIDTH = 0.1, 2.0
+# Adapting ends too when, after so many rounds, the share no longer grows by such a factor.
+_LEVEL, _GAIN = 4, 1.05
+# Rounds at least.
+_FEWEST_ROUNDS = 2
+# Draws of a chain that a mixture is fitted to, and of each approximation.
+_MOST_CHAIN, _PICTURE_DRAWS = 4000, 1000
+
+
+@dataclass(frozen=True, slots=True)
+class AdaptationSettings:
+    """How a proposal is fitted.
+
+    rounds, draws : adaptive steps at most, and draws of each. components : Student-t densities beyond those
+    of separate optima.
+    """
+
+    rounds: int = 8
+    draws: int = 2500
+    components: int = 6
+
+
+@dataclass(frozen=True, slots=True)
+class Proposal:
+    """A density over the parameters that is drawn from and evaluated at once.
+
+    line : coordinates without bounds. mixture : over these.
+    """
+
+    line: WholeLine
+    mixture: Mixture
+
+    def draw(self, size: int, rng: np.random.Generator | np.random.RandomState) -> Array:
+        """Independent parameters (size, n); some may break the constraints (9)."""
+        return self.line.axes.to_x(self.line.to_u(draw(self.mixture, size, rng)))
+
+    def log_density(self, x: Array) -> Array:
+        """Log density over the parameters x (m, n), (m,)."""
+        u = self.line.axes.to_u(x)
+        v = self.line.to_v(u)
+        return np.asarray(
+            log_mixture(self.mixture, v) - self.line.log_jacobian(v) - self.line.axes.log_jacobian(x)
+        )
+
+
+@dataclass(slots=True)
+class Adaptation:
+    """A proposal on its way, and all draws that it was fitted to."""
+
+    posterior: Posterior
+    line: WholeLine
+    history: History
+    proposal: Mixture
+    components: int
+
+
+def adapted(posterior: Posterior, starts: Array, seed: int, settings: AdaptationSettings) -> Proposal:
+    """The proposal of a posterior whose optima lie near the starts (m, n), or are found from the prior."""
+    found = adapt(posterior, starts, np.random.default_rng([seed, 5]), settings)
+    return Proposal(found.line, found.proposal)
+
+
+def adapt(
+    posterior: Posterior,
+    starts: Array,
+    rng: np.random.Generator,
+    settings: AdaptationSettings,
+    chain: Array | None = None,
+) -> Adaptation:
+    """Fit a proposal in rounds (population Monte Carlo: Cappe et al., 2008).
+
+    It begins as the Laplace approximations about the optima, and with the draws of a chain (n_draws, n)
+    where there are some. Raises ``ValueError`` where nothing lies in the support of the prior.
+    """
+    line = whole_line(coordinates(posterior))
+    optima = find_optima(posterior, starts.reshape(-1, posterior.parameters.size), rng)
+    pictures = [approximate(posterior, optimum, degrees_of_freedom=_FREEDOM) for optimum in optima]
+    proposal = _from_pictures(line, pictures, rng)
+    if chain is not None:
+        proposal = _joined(proposal, _from_chain(line, chain, settings.components, rng))
+    components = len(optima) + settings.components - 1
+    state = Adaptation(posterior, line, History([], [], []), proposal, components)
+    shares: list[float] = []
+    while len(shares) < settings.rounds:
+        shares.append(draw_round(state, settings.draws, rng))
+        refine(state)
+        if len(shares) >= _FEWEST_ROUNDS and shares[-1] >= _GOOD_SHARE:
+            break
+        if len(shares) >= _LEVEL and shares[-1] < _GAIN * max(shares[:-1]):
+            break
+    return state
+
+
+@dataclass(frozen=True, slots=True)
+class History:
+    """All draws so far: the proposals, the points of each and the log densities there."""
+
+    proposals: list[Mixture]
+    points: list[Array]
+    targets: list[Array]
+
+
+def _log_target(posterior: Posterior, line: WholeLine, v: Array) -> Array:
+    """Log density over v but for the evidence, (m, n) -> (m,)."""
+    return log_density(posterior, line.axes, line.to_u(v)) + line.log_jacobian(v)
+
+
+def _from_pictures(line: WholeLine, pictures: Sequence[Approximation], rng: np.random.Generator) -> Mixture:
+    """One component about each optimum: mean and covariance of draws of the cut approximation."""
+    found = []
+    for picture in pictures:
+        u, _ = box_draws(
+            picture.centre,
+            picture.scale,
+            line.axes.lower,
+            line.axes.upper,
+            picture.degrees_of_freedom,
+            _PICTURE_DRAWS,
+            rng,
+        )
+        even = np.full(_PICTURE_DRAWS, 1.0 / _PICTURE_DRAWS)
+        found.append(single(line.to_v(u), even, _FREEDOM))
+    height = np.array([picture.log_evidence for picture in pictures])
+    share = np.maximum(np.exp(height - height.max()), 0.02)
+    return Mixture(
+        share / share.sum(),
+        np.concatenate([f.centre for f in found]),
+        np.concatenate([f.factor for f in found]),
+        _FREEDOM,
+    )
+
+
+def _from_chain(line: WholeLine, chain: Array, components: int, rng: np.random.Generator) -> Mixture:
+    few = chain[rng.choice(len(chain), size=min(_MOST_CHAIN, len(chain)), replace=False)]
+    v = line.to_v(line.axes.to_u(few))
+    even = np.full(len(v), 1.0 / len(v))
+    return fit(split(single(v, even, _FREEDOM), v, even, components), v, even, 20)
+
+
+def _joined(one: Mixture, other: Mixture) -> Mixture:
+    """Both mixtures, half and half."""
+    parts = zip((one.share, one.centre, one.factor), (other.share, other.centre, other.factor), strict=True)
+    share, centre, factor = (np.concatenate(p) for p in parts)
+    return Mixture(0.5 * share, centre, factor, one.degrees_of_freedom)
+
+
+def draw_round(state: Adaptation, size: int, rng: np.random.Generator) -> float:
+    """Draws of a proposal, added to its history, and their effective share."""
+    v = draw(state.proposal, size, rng)
+    history = state.history
+    history.proposals.append(state.proposal)
+    history.points.append(v)
+    history.targets.append(_log_target(state.posterior, state.line, v))
+    return effective_size(history.targets[-1] - log_mixture(state.proposal, v)) / size
+
+
+def refine(state: Adaptation) -> None:
+    """The next proposal: a mixture fitted to all draws so far, and a wide component besides.
+
+    Every draw is weighed against the blend of all proposals (Cornuet et al., 2012), so that a bad first
+    round does not lead the next one astray.
+    """
+    history = state.history
+    points = np.concatenate(history.points)
+    sizes = np.log([len(v) for v in history.points])
+    blend = np.stack([log_mixture(p, points) for p in history.proposals], axis=1) + sizes
+    log_weight = np.concatenate(history.targets) - log_sum_exp(blend, axis=1)
+    weights = _tempered(log_weight, 20.0 * points.shape[1])
+    main = history.proposals[-1]
+    if len(history.proposals) > 1:  # less the wide component, which is added anew
+        share = main.share[:-1]
+        main = Mixture(share / share.sum(), main.centre[:-1], main.factor[:-1], main.degrees_of_freedom)
+    fitted = fit(split(main, points, weights, state.components), points, weights)
+    state.proposal = widened(fitted, _SAFE_SHARE, _SAFE_WIDTH, points, weights)
+
+
+def effective_size(log_weight: Array) -> float:
+    """(sum w)^2 / sum w^2 of weights that are given by their logarithms."""
+    top = float(log_weight.max())
+    if not np.isfinite(top):
+        return 0.0
+    w = np.exp(log_weight - top)
+    return float(w.sum() ** 2 / np.sum(w**2))
+
+
+def _tempered(log_weight: Array, least: float) -> Array:
+    """Normalised weights, flattened to the power at which their effective size is the least wanted."""
+    finite = np.isfinite(log_weight)
+    if not finite.any():
+        raise ValueError(NOWHERE)
+    power = 1.0
+    while (
+        effective_size(np.where(finite, power * log_weight, -np.inf)) < min(least, finite.sum())
+        and power > 1e-3
+    ):
+        power *= 0.7
+    w = np.exp(np.where(finite, power * (log_weight - log_weight[finite].max()), -np.inf))
+    return np.asarray(w / w.sum())
