@@ -27,6 +27,7 @@ from cpam_bayes.model import (
     plate_problem,
 )
 from cpam_bayes.parameters import ParameterSet
+from cpam_bayes.problem import Problem
 from cpam_bayes.reduced import (
     DEFAULT_SETTINGS,
     ReducedModel,
@@ -40,7 +41,7 @@ from cpam_bayes.threads import single_blas_thread
 Array = NDArray[Any]
 
 # To be raised when the same inputs give other numbers.
-_FORMAT = 5
+_FORMAT = 6
 _NEEDED = {"basis", "keep", "error", "reference", "rounding"}
 
 
@@ -75,6 +76,7 @@ def model_key(
         "isotropic": specimen.material.isotropic,
         "constants": sorted(specimen.material.constants.items()),
         "sensors": [[s.mass, s.x, s.y] for s in specimen.sensors],
+        "air": specimen.air_density,
         "parameters": [[p.name, repr(p.prior)] for p in parameters.parameters],
         "fixed": sorted(parameters.fixed),
         "n_modes": n_modes,
@@ -104,18 +106,37 @@ def reduced_model(
     again. ``notify`` is told what takes long. The model is the same bit for bit whether it was read or built.
     """
     key = model_key(specimen, parameters, n_modes, shear, settings, centre)
-    path = (directory or cache_directory()) / f"{key}.npz"
     problem = plate_problem(specimen, parameters, shear)
+
+    def build() -> ReducedModel:
+        notify("converging the plate model")
+        full = converged_model(specimen, parameters, n_modes, shear, centre=centre)
+        notify("building the reduced model")
+        # the seed is fixed: a model does not depend on the run that first needed it
+        return reduce(full, np.random.default_rng(0), settings)
+
+    samples = convergence_samples(specimen, problem, centre).x
+    return stored_model(key, problem, samples, n_modes, build, directory)
+
+
+def stored_model(
+    key: str,
+    problem: Problem,
+    samples: Array,
+    n_modes: int,
+    build: Callable[[], ReducedModel],
+    directory: Path | None = None,
+) -> ReducedModel:
+    """The reduced model of a problem from disk, or built and stored under a key.
+
+    samples : (m, n_parameters), where the symmetries of the problem are read off.
+    """
+    path = (directory or cache_directory()) / f"{key}.npz"
     stored = _read(path)
     if stored is not None and stored.keys() >= _NEEDED:
-        samples = convergence_samples(specimen, problem, centre)
-        full = model_on_basis(problem, samples.x, n_modes, stored["error"], _basis(stored))
+        full = model_on_basis(problem, samples, n_modes, stored["error"], _basis(stored))
         return _unpack(stored, full)
-    notify("converging the plate model")
-    full = converged_model(specimen, parameters, n_modes, shear, centre=centre)
-    notify("building the reduced model")
-    # the seed is fixed: a model does not depend on the run that first needed it
-    reduced = reduce(full, np.random.default_rng(0), settings)
+    reduced = build()
     _write(path, _pack(reduced))
     return reduced
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from cpam_bayes.affine import AffineOperator, discretise
 from cpam_bayes.convergence import Tolerance, converge, rich_frequencies
-from cpam_bayes.effects import add_known_mass
+from cpam_bayes.effects import add_air, add_known_mass
 from cpam_bayes.elasticity import CONSTANTS, complete_constants, is_admissible
 from cpam_bayes.laminate import ENERGY_CONSISTENT, ShearModel, laminate_geometry
 from cpam_bayes.measurement.records import Material, Plate, Specimen
@@ -134,6 +134,8 @@ def plate_problem(
     problem = bare_plate(parameters, plate.edges, nominal, state, partial(_is_physical, material))
     for sensor in specimen.sensors:
         problem = add_known_mass(problem, sensor.mass, sensor.x, sensor.y)
+    if specimen.air_density:
+        problem = add_air(problem, specimen.air_density)
     return problem
 
 

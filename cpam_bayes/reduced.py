@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from cpam_bayes.affine import AffineMatrix, AffineOperator, DenseBlock, DenseOperator
 from cpam_bayes.model import PlateModel, Prediction, training_sets
-from cpam_bayes.modes import Spectrum, solve
+from cpam_bayes.modes import SUPPORTED_TOLERANCE, Spectrum, solve
 from cpam_bayes.parameters import ParameterSet
 from cpam_bayes.problem import FIELDS
 
@@ -272,11 +272,13 @@ def _factor(block: DenseBlock, stiffness: Array, mass: Array, shift: float) -> A
 
 def _rigid_vectors(operator: DenseOperator, stiffness: Array, mass: Array, first: float) -> list[Array]:
     """Rigid-body motions of every block, (n, n_rigid); they depend on the sides alone."""
+    # on a soft support they have frequencies of their own, well below those of the modes
+    highest = (SUPPORTED_TOLERANCE if operator.problem.supported else 1e-3) * first
     found = []
     for block in operator.blocks:
         m = block.mass.assemble(mass)
         lam, phi = scipy.linalg.eigh(block.stiffness.assemble(stiffness), m)
-        found.append(phi[:, np.abs(lam) < 1e-3 * first])
+        found.append(phi[:, np.abs(lam) < highest])
     return found
 
 

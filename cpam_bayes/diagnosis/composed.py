@@ -1,0 +1,166 @@
+"""One list of frequencies from one or several plates with what each may have: the model of a hypothesis."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cpam_bayes.model import Prediction
+from cpam_bayes.parameters import ParameterSet
+from cpam_bayes.posterior import ForwardModel
+from cpam_bayes.problem import Values
+
+Array = NDArray[Any]
+
+_STEP = 1e-30
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """An effect in the model of one plate.
+
+    model : of the plate with the effect, its parameters the plate's and then the effect's; ``None`` where
+    the effect acts on the frequencies. columns : of the effect's parameters in the joint vector. observe :
+    frequencies (..., n_modes) and values (...) -> frequencies.
+    """
+
+    names: tuple[str, ...]
+    columns: tuple[int, ...]
+    model: ForwardModel | None = None
+    observe: Callable[[Array, Values], Array] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """One plate under one test.
+
+    bare : its model. columns : (n,) of its parameters in the joint vector. scatter : (n,) columns of their
+    relative deviations from these, -1 for none. changes : what it has. modes : (n_f,) the model mode of
+    each frequency of its list. slip : frequency whose value is misread, and the column of by how much.
+    """
+
+    bare: ForwardModel
+    columns: Array
+    scatter: Array
+    changes: tuple[Change, ...]
+    modes: Array
+    slip: tuple[int, int] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class ComposedModel:
+    """Frequencies of the lists of all plates, one after the other, from one parameter vector.
+
+    Two effects of one plate add their relative shifts: ln f = ln f_1 + ln f_2 - ln f_0, with f_0 of the
+    bare plate.
+    """
+
+    parameters: ParameterSet
+    parts: tuple[Part, ...]
+
+    def predict(self, x: Array, *, jacobian: bool = False) -> Prediction:
+        """Frequencies at parameter vectors (m, n) and, if asked, their derivatives."""
+        x = np.atleast_2d(x)
+        x = x[:, : self.parameters.size]
+        found = [_predict(part, x, jacobian) for part in self.parts]
+        slopes = [f.jacobian for f in found if f.jacobian is not None]
+        return Prediction(
+            np.concatenate([f.frequencies for f in found], axis=1),
+            np.concatenate(slopes, axis=1) if jacobian else None,
+        )
+
+    def admissible(self, x: Array) -> Array:
+        """Whether parameter vectors (m, n) satisfy the constraints (9) for every plate, (m,) bool."""
+        x = np.atleast_2d(x)
+        found = np.ones(len(x), dtype=bool)
+        for part in self.parts:
+            found &= part.bare.admissible(_own(part, x))
+        return found
+
+
+def _own(part: Part, x: Array) -> Array:
+    """Parameters of one plate, (m, n_plate)."""
+    own = x[:, part.columns]
+    varied = part.scatter >= 0
+    if varied.any():
+        own = own.copy()
+        own[:, varied] *= 1.0 + x[:, part.scatter[varied]]
+    return own
+
+
+def _predict(part: Part, x: Array, jacobian: bool) -> Prediction:
+    own = _own(part, x)
+    of_plate = [change for change in part.changes if change.model is not None]
+    if len(of_plate) == 1:
+        log_f, slope = _log_prediction(part, own, x, of_plate[0], jacobian)
+    else:
+        log_f, slope = _log_prediction(part, own, x, None, jacobian)
+        bare_f, bare_slope = log_f, slope
+        for change in of_plate:
+            with_f, with_slope = _log_prediction(part, own, x, change, jacobian)
+            log_f = log_f + with_f - bare_f
+            slope = slope + with_slope - bare_slope
+    f = np.exp(log_f)
+    slope = slope * f[..., None]
+    for change in part.changes:
+        if change.observe is not None:
+            f, slope = _observed(change, f, slope, x, jacobian)
+    f, slope = f[:, part.modes], slope[:, part.modes]
+    if part.slip is not None:
+        i, column = part.slip
+        factor = 1.0 + x[:, column]
+        f, slope = f.copy(), slope.copy()
+        if jacobian:
+            slope[:, i] *= factor[:, None]
+            slope[:, i, column] += f[:, i]
+        f[:, i] *= factor
+    return Prediction(f, slope if jacobian else None)
+
+
+def _log_prediction(
+    part: Part, own: Array, x: Array, change: Change | None, jacobian: bool
+) -> tuple[Array, Array]:
+    """Log frequencies (m, n_modes) and their derivatives over the joint vector, (m, n_modes, n) or a zero."""
+    if change is None:
+        found = part.bare.predict(own, jacobian=jacobian)
+    else:
+        assert change.model is not None
+        vector = np.column_stack((own, x[:, list(change.columns)]))
+        found = change.model.predict(vector, jacobian=jacobian)
+    f = found.frequencies
+    if found.jacobian is None:
+        return np.log(f), np.zeros((1, 1, 1))
+    own_slope = found.jacobian / f[..., None]
+    n = len(part.columns)
+    slope = np.zeros((*f.shape, x.shape[1]))
+    varied = np.flatnonzero(part.scatter >= 0)
+    factor = np.ones_like(own)
+    if len(varied):
+        scatter = part.scatter[varied]
+        factor[:, varied] = 1.0 + x[:, scatter]
+        slope[:, :, scatter] = own_slope[:, :, varied] * x[:, None, part.columns[varied]]
+    slope[:, :, part.columns] += own_slope[:, :, :n] * factor[:, None, :]
+    if change is not None:
+        slope[:, :, list(change.columns)] += own_slope[:, :, n:]
+    return np.log(f), slope
+
+
+def _observed(change: Change, f: Array, slope: Array, x: Array, jacobian: bool) -> tuple[Array, Array]:
+    """What an effect on the frequencies makes of them; derivatives by complex step along each parameter."""
+    assert change.observe is not None
+    values = {name: x[:, column] for name, column in zip(change.names, change.columns, strict=True)}
+    new = change.observe(f, values)
+    if not jacobian:
+        return new, slope
+    found = np.empty_like(slope)
+    for j in range(slope.shape[2]):
+        stepped = {
+            name: value + 1j * _STEP * (j == column)
+            for (name, value), column in zip(values.items(), change.columns, strict=True)
+        }
+        found[:, :, j] = np.imag(change.observe(f + 1j * _STEP * slope[:, :, j], stepped)) / _STEP
+    return new, found

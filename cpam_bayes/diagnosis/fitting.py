@@ -1,0 +1,181 @@
+"""From a plate, its list and a hypothesis to the comparison whose marginal likelihood is asked."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cpam_bayes.diagnosis.comparison import Comparison, Listed
+from cpam_bayes.diagnosis.composed import Change, ComposedModel, Part
+from cpam_bayes.diagnosis.hypotheses import Hypothesis
+from cpam_bayes.diagnosis.models import PlateModels, extended_model
+from cpam_bayes.diagnosis.scores import scores_of
+from cpam_bayes.effects import Effect
+from cpam_bayes.measurement import Measurement
+from cpam_bayes.noise import NOISE_PRIOR
+from cpam_bayes.parameters import Parameter, ParameterSet, TruncatedNormal
+from cpam_bayes.reduced import ReducedModel
+
+Array = NDArray[Any]
+
+NOISE = Parameter("relative_std", "", NOISE_PRIOR)
+# Relative scatter of a constant from plate to plate of one material, standard deviation.
+SCATTER = 0.02
+
+
+@dataclass(frozen=True, slots=True)
+class PlateCase:
+    """One plate with its list.
+
+    modes : (n,) model mode of each frequency where nothing is wrong with the list. kept : (n,) frequencies
+    that belong to a mode. extended : reduced models of its effects so far, by name and variant.
+    """
+
+    models: PlateModels
+    measurement: Measurement
+    modes: Array
+    extended: dict[tuple[str, str], ReducedModel] = field(default_factory=dict)
+
+    @property
+    def name(self) -> str:
+        """Name of the plate's file."""
+        return self.models.specimen.name
+
+    def with_effect(self, effect: Effect, notify: Callable[[str], None] = lambda text: None) -> ReducedModel:
+        """The reduced model of the plate with an effect, built when first asked for."""
+        key = (effect.name, effect.variant)
+        if key not in self.extended:
+            self.extended[key] = extended_model(self.models, effect, notify)
+        return self.extended[key]
+
+
+def comparison_of(
+    cases: Sequence[PlateCase],
+    hypotheses: Mapping[int, Hypothesis] | Hypothesis,
+    *,
+    scatter: float = SCATTER,
+) -> Comparison:
+    """The plates' lists against their models under a hypothesis for each plate.
+
+    hypotheses : by plate, or one that all plates share, with one size of the effect. Constants of equal
+    names are shared; where there are several specimens each has its own relative deviations from them.
+    """
+    of_plate = (
+        dict.fromkeys(range(len(cases)), hypotheses) if isinstance(hypotheses, Hypothesis) else hypotheses
+    )
+    shared = isinstance(hypotheses, Hypothesis)
+    joint = _Joint(cases, scatter)
+    parts, lists = [], []
+    for i, case in enumerate(cases):
+        hypothesis = of_plate.get(i)
+        part, listed = _part(joint, i, case, hypothesis, shared)
+        parts.append(part)
+        lists.append(listed)
+    model = ComposedModel(ParameterSet(tuple(joint.parameters)), tuple(parts))
+    return _compared(model, lists, joint, of_plate.get(0))
+
+
+@dataclass(slots=True)
+class _Joint:
+    """The joint parameter vector as it grows."""
+
+    cases: Sequence[PlateCase]
+    scatter: float
+    parameters: list[Parameter] = field(default_factory=list)
+    column: dict[str, int] = field(default_factory=dict)
+
+    def add(self, parameter: Parameter, name: str | None = None) -> int:
+        """Column of a parameter, which is added if its name is new."""
+        name = name or parameter.name
+        if name not in self.column:
+            self.column[name] = len(self.parameters)
+            self.parameters.append(replace(parameter, name=name))
+        return self.column[name]
+
+
+def _part(
+    joint: _Joint, i: int, case: PlateCase, hypothesis: Hypothesis | None, shared: bool
+) -> tuple[Part, Listed]:
+    own = case.models
+    several = len({c.models.specimen.specimen for c in joint.cases}) > 1
+    columns, scatter = [], []
+    for parameter in own.parameters.parameters:
+        of_material = parameter.name in own.specimen.unknowns
+        suffix = "" if of_material else f" of {own.specimen.specimen}" if several else ""
+        columns.append(joint.add(parameter, parameter.name + suffix))
+    for parameter in own.parameters.parameters:
+        if not (several and parameter.name in own.specimen.unknowns):
+            scatter.append(-1)
+            continue
+        prior = TruncatedNormal(0.0, joint.scatter, -4 * joint.scatter, 4 * joint.scatter)
+        name = f"scatter of {parameter.name}, {own.specimen.specimen}"
+        scatter.append(joint.add(Parameter(name, "", prior)))
+    f, n = case.measurement.frequencies, case.measurement.size
+    modes, kept, log_constant, slip = case.modes, np.arange(n), 0.0, None
+    changes: list[Change] = []
+    if hypothesis is not None:
+        for effect in hypothesis.effects:
+            suffix = "" if shared or len(joint.cases) == 1 else f" of {case.name}"
+            at = tuple(joint.add(p, p.name + suffix) for p in effect.parameters)
+            names = tuple(p.name for p in effect.parameters)
+            model = None if effect.change is None else case.with_effect(effect)
+            changes.append(Change(names, at, model, effect.observe))
+        listed = hypothesis.listed
+        for missed in listed.missed:
+            modes = np.where(modes >= missed, modes + 1, modes)
+        if listed.spurious is not None:
+            kept = np.delete(kept, listed.spurious)
+            modes = np.where(np.arange(n) > listed.spurious, modes - 1, modes)[kept]
+            log_constant = -float(np.log(f[-1]))  # a false peak lies anywhere below the last one
+        if listed.misread is not None:
+            slip = (listed.misread, joint.add(hypothesis.parameters[-1]))
+    error = own.error[np.minimum(modes, len(own.error) - 1)]
+    part = Part(own.bare, np.array(columns), np.array(scatter), tuple(changes), modes, slip)
+    return part, _listed(case.measurement, kept, error, log_constant)
+
+
+def _listed(measurement: Measurement, kept: Array, error: Array, log_constant: float) -> Listed:
+    f = measurement.frequencies[kept]
+    variance = measurement.resolution**2 / 12 + (error * f) ** 2
+    scale = np.zeros_like(f)
+    if measurement.frequency_sd is not None:
+        variance = variance + measurement.frequency_sd[kept] ** 2
+    elif measurement.relative_std is not None:
+        variance = variance + (measurement.relative_std * f) ** 2
+    else:
+        scale = f
+    return Listed(f, variance, scale, log_constant)
+
+
+def _compared(
+    model: ComposedModel, lists: list[Listed], joint: _Joint, hypothesis: Hypothesis | None
+) -> Comparison:
+    listed = Listed(
+        *(
+            np.concatenate([getattr(one, name) for one in lists])
+            for name in ("frequencies", "variance", "scale")
+        ),
+        sum(one.log_constant for one in lists),
+    )
+    parameters = list(joint.parameters)
+    noise = discrepancy = None
+    if listed.scale.any():
+        noise = len(parameters)
+        parameters.append(NOISE)
+    if hypothesis is not None and hypothesis.cause == "other":
+        discrepancy = len(parameters)
+        parameters.append(hypothesis.parameters[0])
+    every = ParameterSet(tuple(parameters))
+    return Comparison(model, listed, every, scores_of(every), noise, discrepancy)
+
+
+def quadrature_of(comparison: Comparison, hypothesis: Hypothesis) -> int | None:
+    """Column that is integrated by quadrature: the first parameter of the hypothesis."""
+    if not hypothesis.parameters:
+        return None
+    first = hypothesis.parameters[0].name
+    return next(i for i, name in enumerate(comparison.parameters.names) if name.startswith(first))

@@ -1,0 +1,176 @@
+"""Which causes are compared on a plate, and how probable each is beforehand."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+from cpam_bayes.effects import GROSS, Effect, PlateFacts, applicable, variants
+from cpam_bayes.effects.effect import either_sign, one_sided
+from cpam_bayes.parameters import Parameter
+
+NONE, OTHER = "none", "other"
+
+# Prior probabilities: that nothing is wrong, that something is which no cause describes, that two causes
+# act at once; the rest is shared out evenly over the families, and in a family over its causes.
+P_NONE, P_OTHER, P_PAIR = 0.50, 0.06, 0.04
+# Share of a cause's probability that its gross variant has: a slip of the pen, not a tolerance.
+_GROSS_SHARE = 0.1
+# Shares of what may be wrong with a list: one mode missed or one false peak, and two modes missed.
+_TWO_SHARE = 0.1
+# Relative error of a frequency that is misread, and scatter of all modes that nothing explains.
+_SLIP = either_sign("misreading", "", 0.05, end=0.6)
+DISCREPANCY = one_sided("discrepancy", "", 0.01, end=0.3)
+
+
+@dataclass(frozen=True, slots=True)
+class ListChange:
+    """What is wrong with a list: model modes that it lacks, a frequency that is no mode or is misread."""
+
+    missed: tuple[int, ...] = ()
+    spurious: int | None = None
+    misread: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Hypothesis:
+    """One way in which the model may be wrong.
+
+    cause : its name in answers; several variants may share it. family : causes of one family share a
+    prior probability. effects : of the plate, with their parameters. listed : of the list. parameters :
+    of all of these. log_prior : of this variant.
+    """
+
+    cause: str
+    family: str
+    variant: str = ""
+    effects: tuple[Effect, ...] = ()
+    listed: ListChange = ListChange()
+    parameters: tuple[Parameter, ...] = ()
+    prior: float = 0.0
+
+    @property
+    def causes(self) -> tuple[str, ...]:
+        """The causes that act: one, two of a pair, none."""
+        if self.cause in (NONE, OTHER):
+            return ()
+        return tuple(dict.fromkeys(e.name for e in self.effects)) or (self.cause,)
+
+    @property
+    def is_gross(self) -> bool:
+        """Whether it is a slip of the pen or of the print."""
+        return "gross" in self.variant
+
+
+Kind = Literal["none", "other", "single", "pair"]
+
+
+def single_hypotheses(
+    facts: PlateFacts, n_listed: int, *, complete: bool, air_is_known: bool
+) -> tuple[Hypothesis, ...]:
+    """None, other and every single cause that a plate with a list of so many frequencies may have."""
+    found = [Hypothesis(NONE, NONE, prior=P_NONE)]
+    found.append(Hypothesis(OTHER, OTHER, parameters=(DISCREPANCY,), prior=P_OTHER))
+    by_family: dict[str, dict[str, list[tuple[Hypothesis, float]]]] = defaultdict(lambda: defaultdict(list))
+    possible = [e for e in applicable(facts) if not (e.name == "air" and air_is_known)]
+    gross = {e.name: e for e in applicable(facts, GROSS)}
+    for effect in possible:
+        causes = by_family[effect.family][effect.name]
+        if effect.stage in ("pairing", "noise"):
+            causes += _of_list(effect, n_listed, complete)
+            continue
+        places = variants(effect, facts)
+        wide = gross.get(effect.name)
+        share = (1.0 - (_GROSS_SHARE if wide else 0.0)) / len(places)
+        causes += [(_of_effect(e), share) for e in places]
+        if wide:
+            causes.append((_of_effect(wide), _GROSS_SHARE))
+    families = {name: causes for name, causes in by_family.items() if any(causes.values())}
+    whole = 1.0 - P_NONE - P_OTHER - P_PAIR
+    for causes_of in families.values():
+        filled = {name: list_ for name, list_ in causes_of.items() if list_}
+        for entries in filled.values():
+            own = whole / len(families) / len(filled)
+            total = sum(share for _, share in entries)
+            found += [replace(h, prior=own * share / total) for h, share in entries]
+    return tuple(found)
+
+
+def pairs_of(leading: Sequence[Hypothesis], singles: Sequence[Hypothesis]) -> tuple[Hypothesis, ...]:
+    """Two at a time of the leading single causes, each pair with its share of the probability of pairs.
+
+    The prior of pairs is shared over all pairs of causes of the plate in proportion to the product of
+    theirs, so that what is not looked at keeps its own.
+    """
+    by_cause: dict[str, float] = defaultdict(float)
+    for h in singles:
+        if h.cause not in (NONE, OTHER):
+            by_cause[h.cause] += h.prior
+    total = sum(by_cause.values())
+    every = 0.5 * (total**2 - sum(p**2 for p in by_cause.values()))
+    found = []
+    for i, a in enumerate(leading):
+        for b in leading[i + 1 :]:
+            if a.cause == b.cause or not _compatible(a, b):
+                continue
+            found.append(
+                Hypothesis(
+                    cause=f"{a.cause} + {b.cause}",
+                    family="pair",
+                    variant=" / ".join(v for v in (a.variant, b.variant) if v),
+                    effects=a.effects + b.effects,
+                    listed=_both(a.listed, b.listed),
+                    parameters=a.parameters + b.parameters,
+                    prior=P_PAIR * a.prior * b.prior / every,
+                )
+            )
+    return tuple(found)
+
+
+def _of_effect(effect: Effect) -> Hypothesis:
+    return Hypothesis(effect.name, effect.family, effect.variant, (effect,), parameters=effect.parameters)
+
+
+def _of_list(effect: Effect, n: int, complete: bool) -> list[tuple[Hypothesis, float]]:
+    """Variants of a cause that concerns the list: which mode or frequency it is."""
+    if effect.name == "outlier":
+        return [
+            (
+                Hypothesis(
+                    "outlier",
+                    effect.family,
+                    f"frequency {i + 1}",
+                    listed=ListChange(misread=i),
+                    parameters=(_SLIP,),
+                ),
+                1.0 / n,
+            )
+            for i in range(n)
+        ]
+    if not complete:  # skipped modes are part of the model of an incomplete list
+        return []
+    one = [(ListChange(missed=(k,)), f"mode {k + 1} missed") for k in range(n)]
+    one += [(ListChange(spurious=i), f"frequency {i + 1} false") for i in range(n)]
+    two = [
+        (ListChange(missed=(j, k)), f"modes {j + 1} and {k + 1} missed")
+        for j in range(n + 1)
+        for k in range(j + 1, n + 1)
+    ]
+    shares = [(1.0 - _TWO_SHARE) / len(one)] * len(one) + [_TWO_SHARE / len(two)] * len(two)
+    return [
+        (Hypothesis(effect.name, effect.family, variant, listed=change), share)
+        for (change, variant), share in zip(one + two, shares, strict=True)
+    ]
+
+
+def _compatible(a: Hypothesis, b: Hypothesis) -> bool:
+    """Whether two causes can be put together: not two of the clamp, not two of the list."""
+    clamp = sum(h.family == "clamp" and h.cause != "clamp_length" for h in (a, b))
+    of_list = sum(h.listed != ListChange() for h in (a, b))
+    return clamp < 2 and of_list < 2
+
+
+def _both(a: ListChange, b: ListChange) -> ListChange:
+    return b if a == ListChange() else a

@@ -1,0 +1,299 @@
+"""Marginal likelihood of a hypothesis: quadrature over one effect's size, Laplace over what is left.
+
+Skew, taper, warp and turned plies have zero slope at zero by symmetry: the posterior of their size may
+have a peak on either side, or a flat top about zero, which no Gaussian describes. Its score is therefore
+gone through on a grid, refined where the mass is; the constants and the noise are integrated at each node
+by Laplace's method in normal scores, where nothing is cut at a bound.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import PchipInterpolator
+from scipy.special import chdtri, logsumexp, ndtri
+from scipy.stats import qmc
+
+from cpam_bayes.diagnosis.comparison import Comparison
+from cpam_bayes.diagnosis.scores import FARTHEST
+from cpam_bayes.inference.box import log_student_t
+from cpam_bayes.inference.climb import climb
+from cpam_bayes.inference.expansion import Expansion
+from cpam_bayes.threads import single_blas_thread
+
+Array = NDArray[Any]
+
+# Scores of the first grid; intervals are halved where the log density changes by more than _STEEP within
+# _DEEP of the best, but never below _FINEST.
+_GRID = np.linspace(-3.6, 3.6, 19)
+_STEEP, _DEEP, _FINEST, _MOST_HALVINGS = 1.0, 9.0, 0.01, 6
+# Climbs end where a step promises less than this, nats, or after so many steps.
+_PROMISED, _MOST_STEPS = 1e-3, 25
+# Points of the fine quadrature between the nodes.
+_FINE = 1601
+# Proposals of importance sampling: degrees of freedom, widening, and log2 of the points.
+_FREEDOM, _WIDER, _LOG2_POINTS = 6.0, 1.15, 9
+# Nodes that carry less than this share propose nothing.
+_LEAST_SHARE = 1e-4
+_HALF_LOG_2PI = 0.5 * np.log(2 * np.pi)
+
+
+@dataclass(frozen=True, slots=True)
+class Marginal:
+    """What one hypothesis says of the data, and what the data say of its parameters.
+
+    log_evidence : log marginal likelihood; error : its standard error where importance sampling gave it,
+    ``nan`` for Laplace's. z : (k, n) optima at the nodes; curvature : (k, n - 1, n - 1) or (1, n, n) without
+    quadrature; weight : (k,) shares of the nodes. draws, log_weight : (d, n) parameters and their normalised
+    log weights, made by importance sampling.
+    """
+
+    comparison: Comparison
+    quadrature: int | None
+    log_evidence: float
+    error: float
+    z: Array
+    curvature: Array
+    weight: Array
+    draws: Array
+    log_weight: Array
+
+    @property
+    def best(self) -> Array:
+        """Most probable parameters of the node with most mass, (n,)."""
+        return np.asarray(self.comparison.scores.to_x(self.z[int(np.argmax(self.weight))]))
+
+    def moments(self) -> tuple[Array, Array]:
+        """Posterior mean and standard deviation of the parameters, (n,) each."""
+        w = np.exp(self.log_weight)
+        mean = w @ self.draws
+        return mean, np.sqrt(np.maximum(w @ (self.draws - mean) ** 2, 0.0))
+
+    def resampled(self, size: int) -> Array:
+        """Equally probable draws (size, n), by systematic resampling."""
+        share = np.cumsum(np.exp(self.log_weight))
+        at = np.searchsorted(share / share[-1], (np.arange(size) + 0.5) / size)
+        return np.asarray(self.draws[np.minimum(at, len(self.draws) - 1)])
+
+
+@single_blas_thread
+def laplace_marginal(comparison: Comparison, quadrature: int | None, starts: Array) -> Marginal:
+    """The marginal likelihood by quadrature over the score of one parameter, or without.
+
+    starts : (s, n) scores that climbs begin from. The draws are those of the Laplace picture.
+    """
+    if quadrature is None:
+        return _at_one_node(comparison, starts)
+    grid = _GRID
+    rest = np.delete(starts, quadrature, axis=1)
+    nodes = _climbed(comparison, quadrature, grid, np.tile(rest, (len(grid), 1, 1)))
+    nodes = _from_neighbours(comparison, quadrature, nodes)
+    for _ in range(_MOST_HALVINGS):
+        new, begin = _halved(nodes)
+        if not len(new):
+            break
+        nodes = _merged(nodes, _climbed(comparison, quadrature, new, begin))
+    log_z, weight = _integrated(nodes)
+    z = np.insert(nodes.rest, quadrature, nodes.score, axis=1)
+    found = Marginal(
+        comparison, quadrature, log_z, np.nan, z, nodes.curvature, weight, np.empty(0), np.empty(0)
+    )
+    draws = comparison.scores.to_x(_proposed(found, 1.0, np.inf)[0])
+    return replace(found, draws=draws, log_weight=np.full(len(draws), -np.log(len(draws))))
+
+
+def _at_one_node(comparison: Comparison, starts: Array) -> Marginal:
+    summit = climb(
+        lambda z, rows: comparison.expand(z),
+        starts,
+        *(np.full(starts.shape[1], v) for v in (-FARTHEST, FARTHEST)),
+        most_steps=2 * _MOST_STEPS,
+        promised=_PROMISED,
+    )
+    best = int(np.argmax(np.where(np.isfinite(summit.expansion.value), summit.expansion.value, -np.inf)))
+    n = starts.shape[1]
+    curvature = summit.expansion.curvature[best]
+    log_z = float(summit.expansion.value[best] + n * _HALF_LOG_2PI - 0.5 * np.linalg.slogdet(curvature)[1])
+    found = Marginal(
+        comparison,
+        None,
+        log_z,
+        np.nan,
+        summit.u[best][None],
+        curvature[None],
+        np.ones(1),
+        np.empty(0),
+        np.empty(0),
+    )
+    draws = comparison.scores.to_x(_proposed(found, 1.0, np.inf)[0])
+    return replace(found, draws=draws, log_weight=np.full(len(draws), -np.log(len(draws))))
+
+
+@single_blas_thread
+def sampled_marginal(found: Marginal) -> Marginal:
+    """The same by importance sampling about the Laplace picture, from a scrambled Sobol sequence.
+
+    The proposal is a mixture over the nodes: the effect's score Gaussian about the node, the others
+    Student-t about the optimum there, which is carried along between nodes.
+    """
+    z, log_q = _proposed(found, _WIDER, _FREEDOM)
+    log_p = found.comparison.log_density(z)
+    log_ratio = log_p - log_q
+    top = float(log_ratio.max())
+    if not np.isfinite(top):
+        return found
+    ratio = np.exp(log_ratio - top)
+    log_evidence = top + float(np.log(ratio.mean()))
+    error = float(ratio.std() / ratio.mean() / np.sqrt(len(ratio)))
+    return replace(
+        found,
+        log_evidence=log_evidence,
+        error=error,
+        draws=found.comparison.scores.to_x(z),
+        log_weight=log_ratio - float(logsumexp(log_ratio)),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Nodes:
+    """Conditional optima at scores (k,): value (k,), rest (k, n - 1), curvature (k, n - 1, n - 1)."""
+
+    score: Array
+    value: Array
+    rest: Array
+    curvature: Array
+
+    @property
+    def log_density(self) -> Array:
+        """Log density of the score and the data, the rest integrated, (k,)."""
+        n = self.rest.shape[1]
+        return np.asarray(self.value + n * _HALF_LOG_2PI - 0.5 * np.linalg.slogdet(self.curvature)[1])
+
+
+def _climbed(comparison: Comparison, quadrature: int, score: Array, starts: Array) -> _Nodes:
+    """The best optimum at every score (k,) from starts (k, s, n - 1)."""
+    k, s, n = starts.shape
+    of_node = np.repeat(score, s)
+    rest_columns = np.delete(np.arange(n + 1), quadrature)
+
+    def target(u: Array, rows: Array) -> Expansion:
+        e = comparison.expand(np.insert(u, quadrature, of_node[rows], axis=1))
+        own = np.ix_(np.arange(len(u)), rest_columns, rest_columns)
+        return Expansion(e.value, e.gradient[:, rest_columns], e.curvature[own])
+
+    bound = np.full(n, FARTHEST)
+    summit = climb(
+        target, starts.reshape(k * s, n), -bound, bound, most_steps=_MOST_STEPS, promised=_PROMISED
+    )
+    value = np.where(np.isfinite(summit.expansion.value), summit.expansion.value, -1e300).reshape(k, s)
+    best = np.arange(k) * s + value.argmax(axis=1)
+    return _Nodes(score, value.max(axis=1), summit.u[best], summit.expansion.curvature[best])
+
+
+def _from_neighbours(comparison: Comparison, quadrature: int, nodes: _Nodes) -> _Nodes:
+    """The nodes climbed again from what the better of their neighbours found: crossing modes part climbs."""
+    k = len(nodes.score)
+    height = np.concatenate(([-np.inf], nodes.value, [-np.inf]))
+    better_side = np.where(height[:-2] > height[2:], -1, 1)
+    start = nodes.rest[np.clip(np.arange(k) + better_side, 0, k - 1)]
+    again = _climbed(comparison, quadrature, nodes.score, start[:, None])
+    better = again.value > nodes.value + 1e-3
+    return _Nodes(
+        nodes.score,
+        np.where(better, again.value, nodes.value),
+        np.where(better[:, None], again.rest, nodes.rest),
+        np.where(better[:, None, None], again.curvature, nodes.curvature),
+    )
+
+
+def _halved(nodes: _Nodes) -> tuple[Array, Array]:
+    """Midpoints of intervals that are too coarse, and starts for them from both ends."""
+    g = nodes.log_density
+    height = np.maximum(g[1:], g[:-1])
+    steep = np.abs(np.diff(g)) > _STEEP
+    which = np.flatnonzero(steep & (height > g.max() - _DEEP) & (np.diff(nodes.score) > _FINEST))
+    middle = 0.5 * (nodes.score[which] + nodes.score[which + 1])
+    return middle, np.stack((nodes.rest[which], nodes.rest[which + 1]), axis=1)
+
+
+def _merged(a: _Nodes, b: _Nodes) -> _Nodes:
+    score = np.concatenate((a.score, b.score))
+    order = np.argsort(score)
+    return _Nodes(
+        score[order],
+        *(
+            np.concatenate((getattr(a, name), getattr(b, name)))[order]
+            for name in ("value", "rest", "curvature")
+        ),
+    )
+
+
+def _integrated(nodes: _Nodes) -> tuple[float, Array]:
+    """Log of the integral over the score, and the share of each node's surroundings, (k,)."""
+    g = nodes.log_density
+    top = float(g.max())
+    fine = np.unique(np.concatenate((np.linspace(nodes.score[0], nodes.score[-1], _FINE), nodes.score)))
+    density = np.exp(np.maximum(PchipInterpolator(nodes.score, g)(fine) - top, -700.0))
+    panel = 0.5 * (density[1:] + density[:-1]) * np.diff(fine)
+    # beyond the grid the prior is left, and the likelihood of its ends
+    tail = np.exp(g[[0, -1]] - top) / np.abs(nodes.score[[0, -1]])
+    owner = np.abs(0.5 * (fine[1:] + fine[:-1])[:, None] - nodes.score).argmin(axis=1)
+    share = np.bincount(owner, panel, minlength=len(g))
+    share[[0, -1]] += tail
+    total = share.sum()
+    return top + float(np.log(total)), share / total
+
+
+def _proposed(found: Marginal, wider: float, freedom: float) -> tuple[Array, Array]:
+    """Scores (d, n) near the Laplace picture, and their log density, (d,)."""
+    n = found.z.shape[1]
+    used = np.flatnonzero(found.weight >= _LEAST_SHARE)
+    share = found.weight[used] / found.weight[used].sum()
+    uniform = qmc.Sobol(n + 2, rng=np.random.default_rng(0)).random_base2(_LOG2_POINTS)
+    uniform = np.clip(uniform, 1e-12, 1 - 1e-12)
+    which = np.searchsorted(np.cumsum(share)[:-1], uniform[:, n + 1])
+    normal = ndtri(uniform[:, :n])
+    stretch = np.ones(len(uniform))
+    if np.isfinite(freedom):  # a Student-t is a Gaussian over the root of a chi-squared variable
+        stretch = 1.0 / np.sqrt(chdtri(freedom, 1.0 - uniform[:, n]) / freedom)
+    factor = np.linalg.cholesky(np.linalg.inv(found.curvature[used])) * wider
+    if found.quadrature is None:
+        centre = found.z[used]
+        step = np.einsum("mij,mj->mi", factor[which], normal) * stretch[:, None]
+        z = centre[which] + step
+        log_q = log_student_t(z, centre[0], factor[0], freedom)
+        return z, np.asarray(log_q)
+    q = found.quadrature
+    columns = np.delete(np.arange(n), q)
+    score, rest = found.z[used, q], found.z[np.ix_(used, columns)]
+    width = _spacing(found.z[:, q])[used] * wider
+    along = _slopes(found.z[:, q], found.z[:, columns])[used]
+    t = score[which] + width[which] * normal[:, n - 1]
+    step = np.einsum("mij,mj->mi", factor[which], normal[:, : n - 1]) * stretch[:, None]
+    u = rest[which] + along[which] * (t - score[which])[:, None] + step
+    log_q = np.stack(
+        [
+            np.log(share[k])
+            - 0.5 * ((t - score[k]) / width[k]) ** 2
+            - np.log(width[k])
+            - _HALF_LOG_2PI
+            + log_student_t(u - along[k] * (t - score[k])[:, None], rest[k], factor[k], freedom)
+            for k in range(len(used))
+        ]
+    )
+    return np.insert(u, q, t, axis=1), np.asarray(logsumexp(log_q, axis=0))
+
+
+def _spacing(score: Array) -> Array:
+    """Half the distance between the neighbours of every node, (k,)."""
+    padded = np.concatenate((score[:1] - np.diff(score[:2]), score, score[-1:] + np.diff(score[-2:])))
+    return np.asarray(0.5 * (padded[2:] - padded[:-2]))
+
+
+def _slopes(score: Array, rest: Array) -> Array:
+    """How the optimum of the rest moves with the score, (k, n - 1); none where it jumps."""
+    found = np.gradient(rest, score, axis=0)
+    return np.where(np.abs(found) < 3.0, found, 0.0)

@@ -1,0 +1,162 @@
+"""Reduced models of one plate, bare and with what it may have, over the priors of its constants."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cpam_bayes.cache import model_key, stored_model
+from cpam_bayes.convergence import converge
+from cpam_bayes.effects import Effect, PlateFacts, extend
+from cpam_bayes.laminate import ENERGY_CONSISTENT
+from cpam_bayes.measurement import Specimen
+from cpam_bayes.model import (
+    PlateModel,
+    Samples,
+    convergence_samples,
+    model_on_basis,
+    plate_problem,
+    size_parameters,
+)
+from cpam_bayes.parameters import Parameter, ParameterSet, TruncatedNormal
+from cpam_bayes.problem import Problem
+from cpam_bayes.reduced import ReducedModel, ReductionSettings, reduce
+from cpam_bayes.spaces.ritz import RitzSettings
+from cpam_bayes.threads import single_blas_thread
+
+Array = NDArray[Any]
+
+# Rigid-body motions and stretching that some effect needs, kept in the space of the bare plate.
+_CONTENT = (("v", (0, 1)), ("u", (2, 0)), ("u", (0, 2)), ("v", (2, 0)), ("v", (0, 2)))
+# A normal prior from the plate file is cut here, standard deviations from its mean.
+_CUT = 4.0
+# Of the models: they hold over a narrow prior.
+_REDUCTION = ReductionSettings(tolerance=1e-4, training=48, checks=60, rounds=2)
+
+
+@dataclass(frozen=True, slots=True)
+class PlateModels:
+    """A plate with its constants' priors, converged, and ready to be extended.
+
+    parameters : constants, and sizes with a standard deviation. problem : the bare plate. settings, keep :
+    its converged space; error : (n_modes,) of it. bare : its reduced model. key : hash of all of that.
+    """
+
+    specimen: Specimen
+    facts: PlateFacts
+    parameters: ParameterSet
+    problem: Problem
+    samples: Samples
+    settings: RitzSettings
+    keep: Array
+    error: Array
+    n_modes: int
+    bare: ReducedModel
+    key: str
+
+
+def diagnosis_parameters(specimen: Specimen) -> ParameterSet:
+    """The unknown constants with the priors of [material.sd], and the sizes of [plate.sd].
+
+    A constant whose reference has a standard deviation is normal about it, cut at the search bounds and
+    at four standard deviations; others keep the prior of [unknowns].
+    """
+    own = tuple(_with_sd(p, specimen) for p in specimen.unknowns.parameters)
+    return ParameterSet(own, specimen.unknowns.fixed).union(size_parameters(specimen))
+
+
+def _with_sd(parameter: Parameter, specimen: Specimen) -> Parameter:
+    mean, sd = (source.get(parameter.name) for source in (specimen.material.constants, specimen.material.sd))
+    if mean is None or sd is None:
+        return parameter
+    prior = parameter.prior
+    low, high = max(prior.lower, mean - _CUT * sd), min(prior.upper, mean + _CUT * sd)
+    if not low < high:
+        raise ValueError(
+            f"{specimen.source}: unknowns.{parameter.name}: its bounds leave nothing within {_CUT:g} standard "
+            "deviations of [material.sd]; widen the bounds or the standard deviation"
+        )
+    return replace(parameter, prior=TruncatedNormal(mean, sd, low, high))
+
+
+@single_blas_thread
+def plate_models(
+    specimen: Specimen, n_modes: int, notify: Callable[[str], None] = lambda text: None
+) -> PlateModels:
+    """Converge a plate over its priors and reduce it."""
+    parameters = diagnosis_parameters(specimen)
+    problem = replace(plate_problem(specimen, parameters), rigid_content=_CONTENT)
+    key = model_key(specimen, parameters, n_modes, ENERGY_CONSISTENT, _REDUCTION, None)
+    samples = convergence_samples(specimen, problem)
+
+    def build() -> ReducedModel:
+        notify(f"{specimen.name}: converging the plate")
+        return _reduced(_converged(problem, samples, n_modes))
+
+    bare = stored_model(_hash(key, "bare"), problem, samples.x, n_modes, build)
+    assert bare.full.basis is not None
+    settings, keep = bare.full.basis
+    facts = PlateFacts.of(specimen.plate, specimen.material.isotropic, loaded=bool(specimen.sensors))
+    return PlateModels(
+        specimen,
+        facts,
+        parameters,
+        problem,
+        samples,
+        settings,
+        keep,
+        bare.full.error,
+        n_modes,
+        bare,
+        key,
+    )
+
+
+@single_blas_thread
+def extended_model(
+    plate: PlateModels, effect: Effect, notify: Callable[[str], None] = lambda text: None
+) -> ReducedModel:
+    """The reduced model of a plate with an effect, over the priors of both.
+
+    Where the effect changes the edges or couples bending with stretching the space is converged anew.
+    """
+    problem = extend(plate.problem, effect, plate.facts)
+    values = [effect.null, effect.scaled(1.0)]
+    added = np.array([[v[p.name] for p in effect.parameters] for v in values])
+    samples = np.column_stack((np.repeat(plate.samples.x[:1], 2, axis=0), added))
+
+    def build() -> ReducedModel:
+        notify(f"{plate.specimen.name}: building {effect.name} {effect.variant}".rstrip())
+        if problem.edges != plate.problem.edges or _couples(problem, plate.problem):
+            return _reduced(_converged(problem, Samples(samples, np.ones(2)), plate.n_modes))
+        basis = (plate.settings, plate.keep)
+        return _reduced(model_on_basis(problem, samples, plate.n_modes, plate.error, basis))
+
+    priors = [[p.name, repr(p.prior)] for p in effect.parameters]
+    key = _hash(plate.key, json.dumps([effect.name, effect.variant, effect.place, priors]))
+    return stored_model(key, problem, samples, plate.n_modes, build)
+
+
+def _converged(problem: Problem, samples: Samples, n_modes: int) -> PlateModel:
+    found = converge(problem, problem.parameters.mapping(samples.x), n_modes, None, samples.allowance)
+    return PlateModel(found.operator, n_modes, found.error, (found.settings, found.keep))
+
+
+def _reduced(full: PlateModel) -> ReducedModel:
+    # the seed is fixed: a model does not depend on the run that first needed it
+    return reduce(full, np.random.default_rng(0), _REDUCTION)
+
+
+def _couples(problem: Problem, bare: Problem) -> bool:
+    """Whether an effect stretches the plate as it bends: the bare plate's space lacks functions for that."""
+    return len(problem.rigid_content) > len(bare.rigid_content) + 1
+
+
+def _hash(*parts: str) -> str:
+    return hashlib.sha256(json.dumps(["diagnosis", *parts]).encode()).hexdigest()[:32]
