@@ -61,7 +61,8 @@ def comparison_of(
 ) -> Comparison:
     """The plates' lists against their models under a hypothesis for each plate.
 
-    hypotheses : by plate, or one that all plates share, with one size of the effect. Constants of equal
+    hypotheses : by plate, or one that all plates share, with one size of the effect; plates of one specimen
+    share it in either case. Constants of equal
     names are shared; where there are several specimens each has its own relative deviations from them.
     """
     of_plate = (
@@ -76,7 +77,7 @@ def comparison_of(
         parts.append(part)
         lists.append(listed)
     model = ComposedModel(ParameterSet(tuple(joint.parameters)), tuple(parts))
-    return _compared(model, lists, joint, of_plate.get(0))
+    return _compared(model, lists, joint, next(iter(of_plate.values()), None))
 
 
 @dataclass(slots=True)
@@ -119,7 +120,7 @@ def _part(
     changes: list[Change] = []
     if hypothesis is not None:
         for effect in hypothesis.effects:
-            suffix = "" if shared or len(joint.cases) == 1 else f" of {case.name}"
+            suffix = "" if shared or not several else f" of {own.specimen.specimen}"
             at = tuple(joint.add(p, p.name + suffix) for p in effect.parameters)
             names = tuple(p.name for p in effect.parameters)
             model = None if effect.change is None else case.with_effect(effect)
@@ -173,9 +174,10 @@ def _compared(
     return Comparison(model, listed, every, scores_of(every), noise, discrepancy)
 
 
-def quadrature_of(comparison: Comparison, hypothesis: Hypothesis) -> int | None:
-    """Column that is integrated by quadrature: the first parameter of the hypothesis."""
-    if not hypothesis.parameters:
-        return None
-    first = hypothesis.parameters[0].name
-    return next(i for i, name in enumerate(comparison.parameters.names) if name.startswith(first))
+def effect_columns(comparison: Comparison, hypothesis: Hypothesis) -> tuple[int, ...]:
+    """Columns of a hypothesis's own parameters in the joint vector, one for each."""
+    names = comparison.parameters.names
+    return tuple(
+        next(i for i, name in enumerate(names) if name == p.name or name.startswith(f"{p.name} of "))
+        for p in hypothesis.parameters
+    )

@@ -32,6 +32,8 @@ _GRID = np.linspace(-3.6, 3.6, 19)
 _STEEP, _DEEP, _FINEST, _MOST_HALVINGS = 1.0, 9.0, 0.01, 6
 # Climbs end where a step promises less than this, nats, or after so many steps.
 _PROMISED, _MOST_STEPS = 1e-3, 25
+# Local maxima of the first grid that are climbed from.
+_MOST_PEAKS = 3
 # Points of the fine quadrature between the nodes.
 _FINE = 1601
 # Proposals of importance sampling: degrees of freedom, widening, and log2 of the points.
@@ -80,27 +82,36 @@ class Marginal:
 
 
 @single_blas_thread
-def laplace_marginal(comparison: Comparison, quadrature: int | None, starts: Array) -> Marginal:
+def laplace_marginal(
+    comparison: Comparison, quadrature: int | None, starts: Array, *, floor: float = -np.inf
+) -> Marginal:
     """The marginal likelihood by quadrature over the score of one parameter, or without.
 
-    starts : (s, n) scores that climbs begin from. The draws are those of the Laplace picture.
+    starts : (s, n) scores that climbs begin from. floor : a log evidence below which the grid is not
+    refined, as the hypothesis carries nothing. The draws are those of the Laplace picture.
     """
     if quadrature is None:
         return _at_one_node(comparison, starts)
-    grid = _GRID
     rest = np.delete(starts, quadrature, axis=1)
-    nodes = _climbed(comparison, quadrature, grid, np.tile(rest, (len(grid), 1, 1)))
+    nodes = _climbed(comparison, quadrature, _GRID, np.tile(rest, (len(_GRID), 1, 1)))
     nodes = _from_neighbours(comparison, quadrature, nodes)
-    for _ in range(_MOST_HALVINGS):
-        new, begin = _halved(nodes)
-        if not len(new):
-            break
-        nodes = _merged(nodes, _climbed(comparison, quadrature, new, begin))
+    nodes = _with_peaks(comparison, quadrature, nodes)
+    if nodes.log_density.max() > floor:
+        for _ in range(_MOST_HALVINGS):
+            new, begin = _halved(nodes)
+            if not len(new):
+                break
+            nodes = _merged(nodes, _climbed(comparison, quadrature, new, begin))
     log_z, weight = _integrated(nodes)
     z = np.insert(nodes.rest, quadrature, nodes.score, axis=1)
-    found = Marginal(
-        comparison, quadrature, log_z, np.nan, z, nodes.curvature, weight, np.empty(0), np.empty(0)
-    )
+    return _with_draws(comparison, quadrature, log_z, z, nodes.curvature, weight)
+
+
+def _with_draws(
+    comparison: Comparison, quadrature: int | None, log_z: float, z: Array, curvature: Array, weight: Array
+) -> Marginal:
+    nothing = np.empty(0)
+    found = Marginal(comparison, quadrature, log_z, np.nan, z, curvature, weight, nothing, nothing)
     draws = comparison.scores.to_x(_proposed(found, 1.0, np.inf)[0])
     return replace(found, draws=draws, log_weight=np.full(len(draws), -np.log(len(draws))))
 
@@ -117,19 +128,7 @@ def _at_one_node(comparison: Comparison, starts: Array) -> Marginal:
     n = starts.shape[1]
     curvature = summit.expansion.curvature[best]
     log_z = float(summit.expansion.value[best] + n * _HALF_LOG_2PI - 0.5 * np.linalg.slogdet(curvature)[1])
-    found = Marginal(
-        comparison,
-        None,
-        log_z,
-        np.nan,
-        summit.u[best][None],
-        curvature[None],
-        np.ones(1),
-        np.empty(0),
-        np.empty(0),
-    )
-    draws = comparison.scores.to_x(_proposed(found, 1.0, np.inf)[0])
-    return replace(found, draws=draws, log_weight=np.full(len(draws), -np.log(len(draws))))
+    return _with_draws(comparison, None, log_z, summit.u[best][None], curvature[None], np.ones(1))
 
 
 @single_blas_thread
@@ -207,6 +206,31 @@ def _from_neighbours(comparison: Comparison, quadrature: int, nodes: _Nodes) -> 
         np.where(better[:, None], again.rest, nodes.rest),
         np.where(better[:, None, None], again.curvature, nodes.curvature),
     )
+
+
+def _with_peaks(comparison: Comparison, quadrature: int, nodes: _Nodes) -> _Nodes:
+    """The nodes, and where climbs over all scores end that begin at their local maxima."""
+    padded = np.concatenate(([-np.inf], nodes.value, [-np.inf]))
+    peaks = np.flatnonzero((padded[1:-1] >= padded[:-2]) & (padded[1:-1] >= padded[2:]))
+    peaks = peaks[np.argsort(-nodes.value[peaks], kind="stable")][:_MOST_PEAKS]
+    start = np.insert(nodes.rest[peaks], quadrature, nodes.score[peaks], axis=1)
+    bound = np.full(start.shape[1], FARTHEST)
+    summit = climb(
+        lambda z, rows: comparison.expand(z),
+        start,
+        -bound,
+        bound,
+        most_steps=2 * _MOST_STEPS,
+        promised=_PROMISED,
+    )
+    score = summit.u[:, quadrature]
+    new = (np.abs(score[:, None] - nodes.score).min(axis=1) > _FINEST) & np.isfinite(summit.expansion.value)
+    new &= np.abs(score) < -_GRID[0]
+    if not new.any():
+        return nodes
+    score, first = np.unique(np.round(score[new], 6), return_index=True)
+    begin = np.delete(summit.u[new][first], quadrature, axis=1)
+    return _merged(nodes, _climbed(comparison, quadrature, score, begin[:, None]))
 
 
 def _halved(nodes: _Nodes) -> tuple[Array, Array]:

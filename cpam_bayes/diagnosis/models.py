@@ -79,8 +79,8 @@ def _with_sd(parameter: Parameter, specimen: Specimen) -> Parameter:
     low, high = max(prior.lower, mean - _CUT * sd), min(prior.upper, mean + _CUT * sd)
     if not low < high:
         raise ValueError(
-            f"{specimen.source}: unknowns.{parameter.name}: its bounds leave nothing within {_CUT:g} standard "
-            "deviations of [material.sd]; widen the bounds or the standard deviation"
+            f"{specimen.source}: unknowns.{parameter.name}: its bounds leave nothing within {_CUT:g} "
+            "standard deviations of [material.sd]; widen the bounds or the standard deviation"
         )
     return replace(parameter, prior=TruncatedNormal(mean, sd, low, high))
 

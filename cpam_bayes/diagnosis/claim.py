@@ -1,0 +1,80 @@
+"""What is claimed of the causes, by fixed rules over their probabilities and signatures."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+from cpam_bayes.diagnosis.hypotheses import NONE, OTHER
+
+Kind = Literal["none", "named", "class", "pair", "other", "undecided"]
+
+# Probability from which something is claimed, and from which nothing is.
+SURE, PLAIN = 0.9, 0.5
+# Log Bayes factor of a class over the best outsider.
+CLEAR = 3.0
+# Members of a class at most, and causes listed where nothing is decided.
+MOST, UNDECIDED = 6, 3
+
+
+@dataclass(frozen=True, slots=True)
+class Claim:
+    """The claim, the causes that it names and its probability."""
+
+    kind: Kind
+    causes: tuple[str, ...]
+    probability: float
+
+
+def claim_of(
+    probability: Mapping[str, float],
+    log_evidence: Mapping[str, float],
+    alike: Mapping[str, frozenset[str]],
+    pairs: Mapping[str, tuple[str, ...]],
+) -> Claim:
+    """The claim.
+
+    probability : of every cause, of pairs, none and other. log_evidence : of each, its variants averaged
+    over their priors. alike : by cause, the causes that frequencies cannot tell from it. pairs : by name,
+    the two causes of each pair.
+
+    Nothing is wrong where none has half the probability. A single cause is named, or its class, where the
+    class has 0.9 and its best member is 3 nats above the best outsider; a member alone where it has 0.9
+    itself. Then a pair or other at 0.9. The rest is undecided.
+    """
+    if probability[NONE] >= PLAIN:
+        return Claim("none", (), probability[NONE])
+    singles = [c for c in probability if c not in (NONE, OTHER) and c not in pairs]
+    ranked = sorted(singles, key=lambda c: -probability[c])
+    if ranked:
+        best = ranked[0]
+        members = [best, *(c for c in ranked[1:] if c in alike[best])]
+        whole = sum(probability[c] for c in members)
+        outside = [
+            e for c, e in log_evidence.items() if c not in members and not _contains(pairs, c, members)
+        ]
+        ahead = max(log_evidence[c] for c in members) - max(outside, default=float("-inf"))
+        if whole >= SURE and ahead >= CLEAR:
+            if probability[best] >= SURE:
+                return Claim("named", (best,), probability[best])
+            if len(members) <= MOST:
+                return Claim("class", tuple(members), whole)
+            members = members[:MOST]
+            whole = sum(probability[c] for c in members)
+            if whole >= SURE:
+                return Claim("class", tuple(members), whole)
+    for name, causes in pairs.items():
+        if probability[name] >= SURE:
+            return Claim("pair", causes, probability[name])
+    if probability[OTHER] >= SURE:
+        return Claim("other", (), probability[OTHER])
+    # a pair stands for both of its causes
+    named = sorted((c for c in probability if c not in (NONE, OTHER)), key=lambda c: -probability[c])
+    causes = tuple(dict.fromkeys(c for name in named for c in pairs.get(name, (name,))))[:UNDECIDED]
+    return Claim("undecided", causes, sum(probability[c] for c in causes if c in probability))
+
+
+def _contains(pairs: Mapping[str, tuple[str, ...]], name: str, members: list[str]) -> bool:
+    """Whether a pair holds a member: it does not contradict it, and costs its own prior."""
+    return any(c in members for c in pairs.get(name, ()))

@@ -1,0 +1,140 @@
+"""What a cause does to the frequencies, and how much of it the constants cannot imitate."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cpam_bayes.diagnosis.comparison import Comparison
+from cpam_bayes.diagnosis.marginal import Marginal
+from cpam_bayes.diagnosis.weighing import Tested
+from cpam_bayes.effects import scale_of
+
+Array = NDArray[Any]
+
+# Two causes are told apart below this cosine of their visible signatures.
+ALIKE = 0.95
+# A cause of which less than this share of the signature is visible is absorbed by the constants.
+ABSORBED = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class Signature:
+    """Relative shifts of the frequencies by one hypothesis at fixed constants.
+
+    shift : (n_f,), in units of the noise, at the size that the data suggest. visible : the same with what
+    the constants imitate taken out. share : norm of the visible over the whole. bias : (n,) scores by which
+    the constants move to imitate it. largest : largest relative shift of a frequency at one standard
+    deviation of the catalogue.
+    """
+
+    shift: Array
+    visible: Array
+    share: float
+    bias: Array
+    largest: float
+
+    @property
+    def is_absorbed(self) -> bool:
+        """Whether the constants hide it."""
+        return self.share < ABSORBED
+
+
+@dataclass(frozen=True, slots=True)
+class Projector:
+    """Takes out of a shift what the constants can imitate within their priors.
+
+    With A the derivatives of the frequencies over the scores in units of the noise, the data's precision
+    with the constants integrated is I - A (A^T A + I)^-1 A^T. root : (n_f, n_f) its square root. absorb :
+    (n, n_f), the scores that imitate a shift.
+    """
+
+    root: Array
+    absorb: Array
+
+    def visible(self, shift: Array) -> Array:
+        """The part of a shift (n_f,) that is left."""
+        return np.asarray(self.root @ shift)
+
+
+def projector_of(none: Marginal) -> Projector:
+    """The projector about the optimum of the plain model."""
+    comparison, z = none.comparison, none.z[:1]
+    x = comparison.scores.to_x(z)
+    _, slope = comparison.predict(x, jacobian=True)
+    assert slope is not None
+    sigma = np.sqrt(comparison.variance(x)[0])
+    a = slope[0] * comparison.scores.slope(x, z)[0] / sigma[:, None]
+    inverse = np.linalg.inv(a.T @ a + np.eye(a.shape[1]))
+    values, vectors = np.linalg.eigh(np.eye(len(a)) - a @ inverse @ a.T)
+    return Projector((vectors * np.sqrt(np.clip(values, 0.0, None))) @ vectors.T, inverse @ a.T)
+
+
+def signature_of(tested: Tested, none: Marginal, projector: Projector) -> Signature:
+    """The signature of a hypothesis at the constants of the plain model.
+
+    Its size is the root mean square of its posterior, with the sign of the mean where that is clear.
+    """
+    comparison = tested.marginal.comparison
+    at = dict(zip(none.comparison.parameters.names, none.best, strict=True))
+    null = {p.name: 0.0 if p.null is None else p.null for p in tested.hypothesis.parameters}
+    names = comparison.parameters.names
+    plain = np.array([at.get(name, 0.0) for name in names])
+    with_it, one_sd = plain.copy(), plain.copy()
+    mean, sd = tested.marginal.moments()
+    for parameter, column in zip(tested.hypothesis.parameters, tested.columns, strict=True):
+        plain[column] = null[parameter.name]
+        size = np.hypot(mean[column] - null[parameter.name], sd[column])
+        sign = -1.0 if mean[column] < null[parameter.name] else 1.0
+        with_it[column] = null[parameter.name] + sign * size
+        one_sd[column] = null[parameter.name] + scale_of(parameter)
+    within = (comparison.parameters.lower, comparison.parameters.upper)
+    points = np.clip(np.stack((plain, with_it, one_sd)), *within)
+    f = _aligned(comparison, points, none)
+    sigma = np.sqrt(none.comparison.variance(none.best[None])[0])
+    listed = none.comparison.listed.frequencies
+    shift = (f[1] - f[0]) / sigma
+    visible = projector.visible(shift)
+    whole = float(np.linalg.norm(shift))
+    share = float(np.linalg.norm(visible)) / whole if whole > 0.0 else 0.0
+    return Signature(
+        shift, visible, share, projector.absorb @ shift, float(np.abs((f[2] - f[0]) / listed).max())
+    )
+
+
+def cosine(a: Signature, b: Signature) -> float:
+    """Cosine between the visible parts of two signatures, 0 where one of them is absorbed."""
+    size = float(np.linalg.norm(a.visible) * np.linalg.norm(b.visible))
+    if a.is_absorbed or b.is_absorbed or size == 0.0:
+        return 0.0
+    return float(a.visible @ b.visible) / size
+
+
+def alike(signatures: Sequence[Signature], i: int) -> tuple[int, ...]:
+    """Numbers of the signatures that frequencies cannot tell from the i-th."""
+    return tuple(j for j, s in enumerate(signatures) if j != i and abs(cosine(signatures[i], s)) > ALIKE)
+
+
+def _aligned(comparison: Comparison, x: Array, none: Marginal) -> Array:
+    """Predictions at parameters (m, n) for every frequency of the whole list, (m, n_f).
+
+    A hypothesis about the list shifts what belongs to which mode: its null is the plain pairing. A false
+    peak is predicted as measured.
+    """
+    f, _ = comparison.predict(x)
+    plain, _ = none.comparison.predict(none.best[None])
+    n = plain.shape[1]
+    if f.shape[1] == n:
+        parts = zip(comparison.model.parts, none.comparison.model.parts, strict=True)
+        if all(np.array_equal(a.modes, b.modes) for a, b in parts):
+            return f
+        return np.concatenate((plain, f[1:]))
+    listed = none.comparison.listed.frequencies
+    kept = np.isin(listed, comparison.listed.frequencies)
+    whole = np.tile(listed, (len(x), 1))
+    whole[:, kept] = f
+    return np.concatenate((plain, whole[1:]))
