@@ -15,7 +15,7 @@ from scipy.stats import chi2
 from cpam_bayes.diagnosis.cases import hypotheses_of, plate_case
 from cpam_bayes.diagnosis.claim import Claim, claim_of
 from cpam_bayes.diagnosis.fitting import SCATTER, PlateCase
-from cpam_bayes.diagnosis.hypotheses import NONE, OTHER
+from cpam_bayes.diagnosis.hypotheses import NONE, OTHER, PAIR
 from cpam_bayes.diagnosis.marginal import Marginal, sampled_marginal
 from cpam_bayes.diagnosis.signatures import Signature, alike, projector_of, signature_of
 from cpam_bayes.diagnosis.weighing import Tested, Weighed, marginal_of, weigh
@@ -59,8 +59,8 @@ class Cause:
 class Fit:
     """What a model makes of the lists.
 
-    constants : name -> mean, sd, 2.5 % and 97.5 % quantile, SI. predicted, predicted_sd, sigma,
-    standardised : of all frequencies, plate by plate. rms : relative. p_value : posterior predictive, of the sum of squared
+    constants : name -> mean, sd, 2.5 % and 97.5 % quantile, SI. predicted, predicted_sd, sigma : of all
+    frequencies, plate by plate. rms : relative. p_value : posterior predictive, of the sum of squared
     standardised residuals. draws : (d, n_constants) behind it, equally probable.
     """
 
@@ -197,7 +197,9 @@ def _causes(
     best: Mapping[str, Tested],
     signatures: Mapping[str, Signature],
 ) -> tuple[Cause, ...]:
-    names, own = list(signatures), list(signatures.values())
+    pairs = {t.hypothesis.cause for t in weighed.tested if t.hypothesis.family == PAIR}
+    names = [name for name in signatures if name not in pairs]
+    own = [signatures[name] for name in names]
     like = {name: tuple(names[j] for j in alike(own, i)) for i, name in enumerate(names)}
     found = []
     for name, probability in weighed.by_cause().items():
@@ -233,7 +235,7 @@ def _parameters(t: Tested) -> dict[str, tuple[float, float, str]]:
         if parameter.prior.lower < 0.0 and any(e.even for e in t.hypothesis.effects) and 0.1 < above < 0.9:
             x = np.abs(x)
         mean = float(weights @ x)
-        sd = float(np.sqrt(max(weights @ (x - mean) ** 2, 0.0)))
+        sd = float(np.sqrt(weights @ (x - mean) ** 2))
         found[parameter.name] = (mean, sd, parameter.unit)
     return found
 
@@ -247,7 +249,7 @@ def _bias(none: Marginal, signature: Signature) -> dict[str, float]:
 
 
 def _claim(weighed: Weighed, causes: Sequence[Cause]) -> Claim:
-    pairs = {t.hypothesis.cause: t.hypothesis.causes for t in weighed.tested if t.hypothesis.family == "pair"}
+    pairs = {t.hypothesis.cause: t.hypothesis.causes for t in weighed.tested if t.hypothesis.family == PAIR}
     return claim_of(
         {c.name: c.probability for c in causes},
         {c.name: c.log_bayes_factor for c in causes},
@@ -262,7 +264,7 @@ def _members(weighed: Weighed, claim: Claim) -> tuple[tuple[Tested, float], ...]
         return ()
     if claim.kind == "pair":
         own = [
-            t for t in weighed.tested if t.hypothesis.family == "pair" and t.hypothesis.causes == claim.causes
+            t for t in weighed.tested if t.hypothesis.family == PAIR and t.hypothesis.causes == claim.causes
         ]
     else:
         names = claim.causes or (OTHER,)

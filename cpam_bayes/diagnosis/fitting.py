@@ -156,10 +156,9 @@ def _compared(
     model: ComposedModel, lists: list[Listed], joint: _Joint, hypothesis: Hypothesis | None
 ) -> Comparison:
     listed = Listed(
-        *(
-            np.concatenate([getattr(one, name) for one in lists])
-            for name in ("frequencies", "variance", "scale")
-        ),
+        np.concatenate([one.frequencies for one in lists]),
+        np.concatenate([one.variance for one in lists]),
+        np.concatenate([one.scale for one in lists]),
         sum(one.log_constant for one in lists),
     )
     parameters = list(joint.parameters)

@@ -11,11 +11,11 @@ from cpam_bayes.effects import GROSS, Effect, PlateFacts, applicable, variants
 from cpam_bayes.effects.effect import either_sign, one_sided
 from cpam_bayes.parameters import Parameter
 
-NONE, OTHER = "none", "other"
+NONE, OTHER, PAIR = "none", "other", "pair"
 
 # Prior probabilities: that nothing is wrong, that something is which no cause describes, that two causes
 # act at once; the rest is shared out evenly over the families, and in a family over its causes.
-P_NONE, P_OTHER, P_PAIR = 0.50, 0.06, 0.04
+P_NONE, P_OTHER, P_PAIR = 0.50, 0.06, 0.01
 # Share of a cause's probability that its gross variant has: a slip of the pen, not a tolerance.
 _GROSS_SHARE = 0.1
 # Shares of what may be wrong with a list: one mode missed or one false peak, and two modes missed.
@@ -118,7 +118,7 @@ def pairs_of(leading: Sequence[Hypothesis], singles: Sequence[Hypothesis]) -> tu
             found.append(
                 Hypothesis(
                     cause=f"{a.cause} + {b.cause}",
-                    family="pair",
+                    family=PAIR,
                     variant=" / ".join(v for v in (a.variant, b.variant) if v),
                     effects=a.effects + b.effects,
                     listed=_both(a.listed, b.listed),

@@ -265,8 +265,9 @@ def _integrated(nodes: _Nodes) -> tuple[float, Array]:
     # beyond the grid the prior is left, and the likelihood of its ends
     tail = np.exp(g[[0, -1]] - top) / np.abs(nodes.score[[0, -1]])
     owner = np.abs(0.5 * (fine[1:] + fine[:-1])[:, None] - nodes.score).argmin(axis=1)
-    share = np.bincount(owner, panel, minlength=len(g))
-    share[[0, -1]] += tail
+    share = np.asarray(np.bincount(owner, panel, minlength=len(g)), dtype=float)
+    share[0] += tail[0]
+    share[-1] += tail[1]
     total = share.sum()
     return top + float(np.log(total)), share / total
 

@@ -25,7 +25,7 @@ from cpam_bayes.model import (
     size_parameters,
 )
 from cpam_bayes.parameters import Parameter, ParameterSet, TruncatedNormal
-from cpam_bayes.problem import Problem
+from cpam_bayes.problem import Field, Problem
 from cpam_bayes.reduced import ReducedModel, ReductionSettings, reduce
 from cpam_bayes.spaces.ritz import RitzSettings
 from cpam_bayes.threads import single_blas_thread
@@ -33,7 +33,13 @@ from cpam_bayes.threads import single_blas_thread
 Array = NDArray[Any]
 
 # Rigid-body motions and stretching that some effect needs, kept in the space of the bare plate.
-_CONTENT = (("v", (0, 1)), ("u", (2, 0)), ("u", (0, 2)), ("v", (2, 0)), ("v", (0, 2)))
+_CONTENT: tuple[tuple[Field, tuple[int, int]], ...] = (
+    ("v", (0, 1)),
+    ("u", (2, 0)),
+    ("u", (0, 2)),
+    ("v", (2, 0)),
+    ("v", (0, 2)),
+)
 # A normal prior from the plate file is cut here, standard deviations from its mean.
 _CUT = 4.0
 # Of the models: they hold over a narrow prior.

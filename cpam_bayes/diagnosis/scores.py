@@ -42,18 +42,18 @@ class Scores:
         """Parameters (..., n) of scores (..., n)."""
         share = self.low + self.mass * ndtr(self.sign * z)
         inner = np.where(self.shape == _UNIFORM, share, 0.0)
-        for shape, quantile in ((_NORMAL, ndtri), (_STUDENT, lambda p: stdtrit(self._freedom(_STUDENT), p))):
-            own = self.shape == shape
-            inner[..., own] = quantile(share[..., own])
+        normal, student = self.shape == _NORMAL, self.shape == _STUDENT
+        inner[..., normal] = ndtri(share[..., normal])
+        inner[..., student] = stdtrit(self.freedom[student], share[..., student])
         return np.asarray(np.clip(self.loc + self.sign * self.scale * inner, self.lower, self.upper))
 
     def to_z(self, x: Array) -> Array:
         """Scores (..., n) of parameters (..., n)."""
         inner = self.sign * (np.clip(x, self.lower, self.upper) - self.loc) / self.scale
         share = inner.copy()
-        for shape, cdf in ((_NORMAL, ndtr), (_STUDENT, lambda t: stdtr(self._freedom(_STUDENT), t))):
-            own = self.shape == shape
-            share[..., own] = cdf(inner[..., own])
+        normal, student = self.shape == _NORMAL, self.shape == _STUDENT
+        share[..., normal] = ndtr(inner[..., normal])
+        share[..., student] = stdtr(self.freedom[student], inner[..., student])
         with np.errstate(divide="ignore"):
             z = self.sign * ndtri(np.clip((share - self.low) / self.mass, 0.0, 1.0))
         return np.asarray(np.clip(z, -FARTHEST, FARTHEST))
@@ -68,9 +68,6 @@ class Scores:
         log_normal = -0.5 * (z**2 + np.log(2 * np.pi))
         return np.asarray(self.scale * self.mass * np.exp(log_normal - log_density))
 
-    def _freedom(self, shape: int) -> Array:
-        return self.freedom[self.shape == shape]
-
 
 def scores_of(parameters: ParameterSet) -> Scores:
     """The scores of a parameter set."""
@@ -80,15 +77,17 @@ def scores_of(parameters: ParameterSet) -> Scores:
         if isinstance(p, Uniform):
             rows.append((_UNIFORM, p.lower, p.upper - p.lower, 0.0, 1.0, 1.0, 1.0))
             continue
-        shape, loc, nu = (
-            (_NORMAL, p.loc, 1.0) if isinstance(p, TruncatedNormal) else (_STUDENT, 0.0, p.degrees_of_freedom)
-        )
-        assert isinstance(p, TruncatedNormal | ScaledStudentT)
-        a, b = (p.lower - loc) / p.scale, (p.upper - loc) / p.scale
-        sign = 1.0
+        if isinstance(p, TruncatedNormal):
+            kind, loc, nu, width = _NORMAL, p.loc, 1.0, p.scale
+        else:
+            assert isinstance(p, ScaledStudentT)
+            kind, loc, nu, width = _STUDENT, 0.0, p.degrees_of_freedom, p.scale
+        a, b = (p.lower - loc) / width, (p.upper - loc) / width
+        mirror = 1.0
         if a > 0.0:
-            a, b, sign = -b, -a, -1.0
-        low, high = (float(ndtr(v)) if shape == _NORMAL else float(stdtr(nu, v)) for v in (a, b))
-        rows.append((shape, loc, p.scale, low, high - low, sign, nu))
+            a, b, mirror = -b, -a, -1.0
+        below, above = (float(ndtr(v)) if kind == _NORMAL else float(stdtr(nu, v)) for v in (a, b))
+        rows.append((kind, loc, width, below, above - below, mirror, nu))
     columns = np.array(rows, dtype=float).reshape(-1, 7).T
-    return Scores(columns[0], *columns[1:], parameters.lower, parameters.upper)
+    shape, location, scale, low, mass, sign, freedom = columns
+    return Scores(shape, location, scale, low, mass, sign, freedom, parameters.lower, parameters.upper)

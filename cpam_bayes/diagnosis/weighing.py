@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from cpam_bayes.diagnosis.comparison import Comparison
 from cpam_bayes.diagnosis.fitting import SCATTER, PlateCase, comparison_of, effect_columns
-from cpam_bayes.diagnosis.hypotheses import NONE, OTHER, Hypothesis, ListChange, pairs_of
+from cpam_bayes.diagnosis.hypotheses import NONE, OTHER, PAIR, Hypothesis, ListChange, pairs_of
 from cpam_bayes.diagnosis.marginal import Marginal, laplace_marginal, sampled_marginal
 from cpam_bayes.modes import RigidBodyError
 
@@ -165,7 +165,7 @@ def _starts(comparison: Comparison, hypothesis: Hypothesis, none: Marginal | Non
         return np.concatenate((np.zeros((1, n)), rng.standard_normal((_STARTS, n))))
     at = dict(zip(none.comparison.parameters.names, none.z[int(np.argmax(none.weight))], strict=True))
     start = np.array([at.get(name, 0.0) for name in comparison.parameters.names])
-    far = hypothesis.is_gross or hypothesis.listed != ListChange() or hypothesis.family == "pair"
+    far = hypothesis.is_gross or hypothesis.listed != ListChange() or hypothesis.family == PAIR
     return np.stack((start, np.zeros(n))) if far else start[None]
 
 

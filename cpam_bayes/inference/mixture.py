@@ -44,7 +44,7 @@ def log_mixture(mixture: Mixture, v: Array) -> Array:
     return log_sum_exp(log_components(mixture, v), axis=1)
 
 
-def draw(mixture: Mixture, size: int, rng: np.random.Generator) -> Array:
+def draw(mixture: Mixture, size: int, rng: np.random.Generator | np.random.RandomState) -> Array:
     """Independent draws, (size, n)."""
     k, n = mixture.centre.shape
     which = rng.choice(k, size=size, p=mixture.share)
