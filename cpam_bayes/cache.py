@@ -8,7 +8,7 @@ import os
 import tempfile
 import zipfile
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -35,7 +35,7 @@ from cpam_bayes.reduced import (
     ResidualForm,
     reduce,
 )
-from cpam_bayes.spaces.ritz import RitzSettings
+from cpam_bayes.spaces.ritz import RitzSettings, ritz_space
 from cpam_bayes.threads import single_blas_thread
 
 Array = NDArray[Any]
@@ -126,19 +126,36 @@ def stored_model(
     n_modes: int,
     build: Callable[[], ReducedModel],
     directory: Path | None = None,
+    *,
+    light: bool = False,
 ) -> ReducedModel:
     """The reduced model of a problem from disk, or built and stored under a key.
 
-    samples : (m, n_parameters), where the symmetries of the problem are read off.
+    samples : (m, n_parameters), where the symmetries of the problem are read off. light : without the
+    matrices of the full space, which take most of the time and memory; only predictions are asked of it.
     """
     path = (directory or cache_directory()) / f"{key}.npz"
     stored = _read(path)
     if stored is not None and stored.keys() >= _NEEDED:
-        full = model_on_basis(problem, samples, n_modes, stored["error"], _basis(stored))
-        return _unpack(stored, full)
+        error, basis = stored["error"], _basis(stored)
+        if light:
+            return _unpack(stored, _without_matrices(problem, n_modes, error, basis))
+        return _unpack(stored, model_on_basis(problem, samples, n_modes, error, basis))
     reduced = build()
     _write(path, _pack(reduced))
+    if light:
+        assert reduced.full.basis is not None
+        full = _without_matrices(problem, n_modes, reduced.full.error, reduced.full.basis)
+        return replace(reduced, full=full)
     return reduced
+
+
+def _without_matrices(
+    problem: Problem, n_modes: int, error: Array, basis: tuple[RitzSettings, Array]
+) -> PlateModel:
+    settings, keep = basis
+    space = ritz_space(problem.edges, problem.nominal, settings).restricted(keep)
+    return PlateModel(AffineOperator(problem, space, ()), n_modes, error, basis)
 
 
 def _basis(stored: dict[str, Array]) -> tuple[RitzSettings, Array]:

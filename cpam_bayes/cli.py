@@ -24,6 +24,8 @@ BAD_INPUT: Final = 2
 NOT_WRITTEN: Final = 1
 NOT_DONE: Final = 1
 MOST_NOISE: Final = 50.0
+MOST_SCATTER: Final = 0.5
+MOST_PRIOR: Final = 0.99
 
 _STATUS_TEXT: Final = """\
 exit status: 0 done, 1 ran and did not reach its goal, 2 bad input, 130 interrupted.
@@ -159,26 +161,26 @@ def _parser() -> argparse.ArgumentParser:
     identify.add_argument(
         "--residuals",
         choices=("absolute", "relative"),
-        default="absolute",
-        help="what the swarm minimises: squares of differences in Hz, eq. (7), or of relative ones",
+        help="pso: what the swarm minimises, squares of differences in Hz, eq. (7), or of relative ones "
+        "(default: absolute)",
     )
     identify.add_argument(
         "--particles",
         type=whole(5, 10_000),
         metavar="N",
-        help="particles of the swarm, 5 to 10000 (default: 40)",
+        help="pso: particles of the swarm, 5 to 10000 (default: 40)",
     )
     identify.add_argument(
         "--iterations",
         type=whole(1, 100_000),
         metavar="N",
-        help="budget of the swarm, 1 to 100000 iterations (default: 400)",
+        help="pso: budget of the swarm, 1 to 100000 iterations (default: 400)",
     )
     identify.add_argument(
         "--steps",
         type=whole(1, 10_000_000),
         metavar="N",
-        help="emcee: budget of the chains in steps, used in rounds of 500 (default: 20000)",
+        help="emcee: budget of the chains in steps, used in rounds of 100 (default: 10000)",
     )
     identify.add_argument(
         "--store",
@@ -200,7 +202,46 @@ def _parser() -> argparse.ArgumentParser:
 
     _sensitivity(commands)
     _sequence(commands)
+    _diagnose(commands)
     return parser
+
+
+def _diagnose(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    what = "what the plate model gets wrong, the cause by its probability, the extended model and its gain"
+    command = _command(commands, "diagnose", what)
+    command.add_argument(
+        "plates",
+        nargs="+",
+        metavar="PLATE",
+        help="built-in specimens or paths of plate files; several are plates of one material, which share "
+        "their constants, or with equal `specimen` one plate under several tests",
+    )
+    command.add_argument(
+        "--scatter",
+        type=partial(_share, most=MOST_SCATTER),
+        default=0.02,
+        metavar="S",
+        help="standard deviation of a constant from plate to plate of one material, relative, above 0, at "
+        "most 0.5 (default: 0.02)",
+    )
+    command.add_argument(
+        "--prior-none",
+        type=partial(_share, most=MOST_PRIOR),
+        metavar="P",
+        help="probability beforehand that nothing is wrong, above 0, at most 0.99 (default: 0.5)",
+    )
+    command.add_argument(
+        "--next",
+        choices=("open", "always", "never"),
+        default="open",
+        help="when to say which further test would tell most about the cause: while the cause is open, "
+        "always, or never (default: open)",
+    )
+    command.add_argument(
+        "--emcee",
+        action="store_true",
+        help="sample the constants of the extended model by emcee too",
+    )
 
 
 def _sequence(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -294,6 +335,17 @@ def _command(
         parser.add_argument("--out", metavar="DIR", help=out)
     parser.add_argument("--quiet", action="store_true", help="no progress on standard error")
     return parser
+
+
+def _share(text: str, most: float) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if 0.0 < value <= most:
+        return value
+    shown = text if len(text) < 40 else f"{text[:40]}..."
+    raise argparse.ArgumentTypeError(f"received {shown!r}, accepted: a number above 0 and at most {most:g}")
 
 
 def _level(text: str) -> float:

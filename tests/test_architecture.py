@@ -33,6 +33,7 @@ LAYERS = (
     "measurement",
     "calculix",
     "model",
+    "air_shift",
     "elements",
     "reduced",
     "cache",

@@ -151,7 +151,6 @@ def test_options_out_of_range_are_refused_with_what_is_accepted(run, plate_file,
             "--modes: received 4, accepted: with --list model only",
         ),
         ("width_mm", 'mesh = "plate.msh"\nwidth_mm', (), "plate.mesh"),
-        ("[material]", "[environment]\nair_density_kg_m3 = 1.2\n\n[material]", (), "air_density_kg_m3"),
     ],
 )
 def test_plates_that_cannot_be_studied_are_refused(run, plate_file, old, new, options, said):

@@ -15,7 +15,7 @@ from tests.test_closed_forms import CONVERGED_HZ
 # As benchmarks/README.md has them.
 KEYS = {
     *("quick", "plate", "mesh", "walkers", "rounds", "load"),
-    *("agreement", "rows", "converged", "targets"),
+    *("fit", "agreement", "rows", "converged", "targets"),
 }
 ROW_KEYS = {
     *("sampler", "moves", "walkers", "rounds", "evaluation_s", "autocorrelation_time"),
@@ -52,10 +52,14 @@ def test_a_small_run_of_the_benchmark_has_the_documented_keys() -> None:
     assert set(results) == KEYS
     assert all(set(row) == ROW_KEYS for row in results["rows"])
     ratios = {(row["sampler"], row["moves"]): row["ratio"] for row in results["rows"]}
-    assert ratios[samplers.OURS, samplers.DE] == 1.0
-    theirs = (samplers.ASSEMBLING, samplers.SUMMING)
-    ours = {(samplers.OURS, move) for move in samplers.MOVES} | {(samplers.OURS_MANY, samplers.DE)}
-    assert set(ratios) == ours | {(s, m) for s in theirs for m in samplers.MOVES}
+    assert ratios[samplers.OURS, samplers.JUMPS] == 1.0
+    local = (samplers.DE, samplers.STRETCH)
+    ours = {(s, m) for s in (samplers.OURS, samplers.OURS_MANY) for m in (samplers.JUMPS, *local)}
+    assert set(ratios) == ours | {(s, m) for s in (samplers.ASSEMBLING, samplers.SUMMING) for m in local}
+    times = {(row["moves"], row["walkers"]): row["autocorrelation_time"] for row in results["rows"]}
+    # three against forty steps on longer chains
+    assert all(times[samplers.JUMPS, n] < 0.5 * times[samplers.DE, n] for n in {n for _, n in times})
+    assert results["fit"]["solves"] >= 2 * 2500, "two rounds at least"
     for row in results["rows"]:
         per_second = 1.0 / (row["evaluation_s"] * row["autocorrelation_time"])
         # the same numbers, medians taken before or after the division

@@ -17,11 +17,12 @@ from cpam_bayes.report.deck import WrittenDeck, deck_document, deck_screen
 from cpam_bayes.report.files import check_writable, write_whole
 
 _NO_MESH = "decks are written for rectangular plates only; leave mesh out"
+_NO_AIR = "decks hold a plate in vacuum; leave air_density_kg_m3 out"
 
 
 def prepare(args: argparse.Namespace) -> Callable[[], Answer]:
     """Read the plate and look at the place of the file; return the work."""
-    specimen = require_supported(read_specimen(args.plate), _NO_MESH)
+    specimen = require_supported(read_specimen(args.plate), _NO_MESH, _NO_AIR)
     if args.file == "":
         raise ValueError("--out: received an empty name, accepted: the file to write")
     path = Path(args.file or f"{Path(args.plate).stem}.inp")

@@ -27,7 +27,8 @@ def prepare(args: argparse.Namespace) -> Callable[[], Answer]:
     specimen = read_specimen(args.plate)
     name = args.solver or ("ritz" if specimen.plate.mesh is None else "fem")
     advice = f"--solver {name} computes rectangular plates only; use --solver fem"
-    require_supported(specimen, None if name == "fem" else advice)
+    no_air = "CalculiX computes plates in vacuum; leave air_density_kg_m3 out, or use --solver ritz or fem"
+    require_supported(specimen, None if name == "fem" else advice, no_air if name == "ccx" else None)
     solver = load(SOLVERS[name])
     if args.element is not None:
         if name != "ccx":

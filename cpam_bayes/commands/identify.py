@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable
 from functools import partial
+from pathlib import Path
 
 from cpam_bayes.commands import BACKENDS, load
 from cpam_bayes.commands.supported import require_paired_list, require_supported
@@ -16,7 +17,10 @@ _NO_MESH = (
     "from its reference constants: forward --solver fem"
 )
 # Options that a back end has no use for.
-_FOREIGN = {"pso": ("steps", "store", "likelihood", "noise"), "emcee": ("particles", "iterations")}
+_FOREIGN = {
+    "pso": ("steps", "store", "likelihood", "noise"),
+    "emcee": ("residuals", "particles", "iterations"),
+}
 
 
 def prepare(args: argparse.Namespace) -> Callable[[], Answer]:
@@ -25,6 +29,16 @@ def prepare(args: argparse.Namespace) -> Callable[[], Answer]:
     foreign = [name for name in _FOREIGN[args.backend] if getattr(args, name) is not None]
     if foreign:
         raise ValueError(f"--{foreign[0]}: not an option of the back end {args.backend}; leave it out")
+    if args.store is not None:
+        _require_directory(args.store)
     if args.backend == "pso":
         require_paired_list(specimen)
     return partial(load(BACKENDS[args.backend]), specimen, args)
+
+
+def _require_directory(store: str) -> None:
+    """Refuse a store that cannot be one, before any work."""
+    if not store:
+        raise ValueError("--store: received an empty name, accepted: a directory")
+    if Path(store).exists() and not Path(store).is_dir():
+        raise ValueError(f"--store {store}: a file, accepted: a directory")

@@ -6,15 +6,23 @@ import argparse
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
+
+import numpy as np
 
 from cpam_bayes.commands.supported import require_sequence, solver_failure
+from cpam_bayes.inference.given_sequence import GivenSequence, given_sequence
+from cpam_bayes.inference.sequence_mixture import SequenceMixture, mixture_posterior
 from cpam_bayes.inference.sequences import DEFAULT_SETTINGS, SequenceAnswer, sequence_probabilities
 from cpam_bayes.measurement import Specimen, read_specimen
 from cpam_bayes.modes import RigidBodyError
+from cpam_bayes.paper.sequences import identified_sequences
 from cpam_bayes.parallel import open_executor
 from cpam_bayes.report.answer import Answer, Figures
 from cpam_bayes.report.progress import progress
 from cpam_bayes.report.sequences import sequence_document, sequence_screen, sequence_warnings
+
+NOT_REACHED = 1
 
 
 def prepare(args: argparse.Namespace) -> Callable[[], Answer]:
@@ -25,32 +33,55 @@ def prepare(args: argparse.Namespace) -> Callable[[], Answer]:
 
 def _answer(specimen: Specimen, args: argparse.Namespace) -> Answer:
     settings = replace(DEFAULT_SETTINGS, listed=max(DEFAULT_SETTINGS.listed, args.top))
-    with (
-        progress(f"sequence {specimen.name}", 64, args.quiet, lambda done: "of the pieces") as shown,
-        open_executor(args.executor, args.workers) as executor,
-    ):
-        try:
-            result = sequence_probabilities(
-                specimen,
+    with open_executor(args.executor, args.workers) as executor:
+        with progress(f"sequence {specimen.name}", 64, args.quiet, lambda done: "of the pieces") as shown:
+            try:
+                result = sequence_probabilities(
+                    specimen,
+                    args.seed,
+                    settings=settings,
+                    executor=executor,
+                    notify=shown.notify,
+                    progress=lambda done, _: shown.tick(done, float(done)),
+                )
+            except RigidBodyError as error:
+                raise solver_failure(specimen, error) from error
+        given = _printed(result, args.plate)
+        with progress("constants by emcee", 21, args.quiet, lambda done: "a class each") as shown:
+            mixture = mixture_posterior(
+                result,
                 args.seed,
-                settings=settings,
+                given=given,
                 executor=executor,
-                notify=shown.notify,
                 progress=lambda done, _: shown.tick(done, float(done)),
             )
-        except RigidBodyError as error:
-            raise solver_failure(specimen, error) from error
-    warnings = sequence_warnings(result)
+    warnings = sequence_warnings(result, mixture)
     return Answer(
         "sequence",
-        sequence_document(result, args.seed, args.top, warnings),
-        sequence_screen(result, args.seed, warnings),
+        sequence_document(result, mixture, given, args.seed, args.top, warnings),
+        sequence_screen(result, mixture, given, args.seed, warnings),
         warnings,
-        partial(_figures, result),
+        partial(_figures, result, mixture, given),
+        partial(_files, result, mixture, args.seed),
+        status=0 if mixture.converged else NOT_REACHED,
     )
 
 
-def _figures(result: SequenceAnswer) -> Figures:
+def _printed(result: SequenceAnswer, plate: str) -> GivenSequence | None:
+    """What Table 9(b) prints for a built-in specimen."""
+    printed = identified_sequences().get(plate)
+    if printed is None:
+        return None
+    return given_sequence(result, np.array(printed.angles_deg, dtype=float))
+
+
+def _figures(result: SequenceAnswer, mixture: SequenceMixture, given: GivenSequence | None) -> Figures:
     from cpam_bayes.report.sequence_figures import sequence_figures
 
-    return sequence_figures(result)
+    return sequence_figures(result, mixture, given)
+
+
+def _files(result: SequenceAnswer, mixture: SequenceMixture, seed: int, directory: Path) -> None:
+    from cpam_bayes.report.sequence_data import write_sequence_posterior
+
+    write_sequence_posterior(result, mixture, seed, directory)

@@ -6,23 +6,37 @@ from cpam_bayes.errors import PlateFileError
 from cpam_bayes.measurement import Specimen
 from cpam_bayes.modes import RigidBodyError
 
-__all__ = ["plate_warnings", "require_paired_list", "require_sequence", "require_supported", "solver_failure"]
+__all__ = [
+    "plate_warnings",
+    "require_diagnosable",
+    "require_paired_list",
+    "require_sequence",
+    "require_supported",
+    "solver_failure",
+]
 
 # Longer side over thickness from which a failure is blamed on the thickness.
 _THIN = 300.0
 
 
-def require_supported(specimen: Specimen, no_mesh: str | None) -> Specimen:
+def require_supported(specimen: Specimen, no_mesh: str | None, no_air: str | None = None) -> Specimen:
     """Return the specimen, or raise `PlateFileError` with all that cannot be computed yet.
 
-    no_mesh : what to say to a plate with a mesh, None where meshes are computed
+    no_mesh : what to say to a plate with a mesh, None where meshes are computed. no_air : what to say to
+    air in the plate file, None where it is part of the model.
     """
-    plate, problems = specimen.plate, _not_computed(specimen, no_mesh)
-    if plate.layup.n_unknown:
-        problems.append(
-            f"plate.layup: received {plate.layup.text}, {plate.layup.n_unknown} of its angles are "
-            'unknown; a known layup is needed, write the angles for "?", or let `sequence` find them'
-        )
+    _raise(specimen, [*_not_computed(specimen, no_mesh, no_air), *_unknown_angles(specimen)])
+    return specimen
+
+
+def require_diagnosable(specimen: Specimen) -> Specimen:
+    """Return the specimen, or raise `PlateFileError` if what is wrong with it cannot be asked for."""
+    no_mesh = "diagnose computes rectangular plates only; leave mesh out"
+    problems = [*_not_computed(specimen, no_mesh), *_unknown_angles(specimen)]
+    if specimen.measurement is None:
+        problems.append("[measurement] is missing, nothing to be compared with the model")
+    if not specimen.unknowns.size:
+        problems.append("[unknowns] is missing; name the constants that may differ from [material]")
     _raise(specimen, problems)
     return specimen
 
@@ -48,16 +62,26 @@ def require_sequence(specimen: Specimen) -> Specimen:
     return specimen
 
 
-def _not_computed(specimen: Specimen, no_mesh: str | None) -> list[str]:
+def _not_computed(specimen: Specimen, no_mesh: str | None, no_air: str | None = None) -> list[str]:
     problems = []
-    if specimen.plate.mesh is not None and no_mesh is not None:
-        problems.append(f"plate.mesh: received {specimen.plate.mesh}, {no_mesh}")
-    if specimen.air_density is not None:
-        problems.append(
-            f"environment.air_density_kg_m3: received {specimen.air_density:g}, this version "
-            "computes plates in vacuum only; leave air_density_kg_m3 out"
-        )
+    mesh, air = specimen.plate.mesh, specimen.air_density
+    if mesh is not None and no_mesh is not None:
+        problems.append(f"plate.mesh: received {mesh}, {no_mesh}")
+    if air and mesh is not None and no_mesh is None:
+        no_air = "the air about a plate with a mesh is not computed; leave air_density_kg_m3 out"
+    if air and no_air is not None:
+        problems.append(f"environment.air_density_kg_m3: received {air:g}, {no_air}")
     return problems
+
+
+def _unknown_angles(specimen: Specimen) -> list[str]:
+    layup = specimen.plate.layup
+    if not layup.n_unknown:
+        return []
+    return [
+        f"plate.layup: received {layup.text}, {layup.n_unknown} of its angles are "
+        'unknown; a known layup is needed, write the angles for "?", or let `sequence` find them'
+    ]
 
 
 def require_paired_list(specimen: Specimen) -> Specimen:

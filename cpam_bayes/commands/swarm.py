@@ -8,7 +8,7 @@ from dataclasses import replace
 from functools import partial
 
 from cpam_bayes.commands.supported import plate_warnings, solver_failure
-from cpam_bayes.inference.identify import Identification, identify
+from cpam_bayes.inference.identify import Identification, Residual, identify
 from cpam_bayes.inference.swarm import SwarmSettings
 from cpam_bayes.measurement import Specimen
 from cpam_bayes.modes import RigidBodyError
@@ -26,7 +26,8 @@ def identify_by_swarm(specimen: Specimen, args: argparse.Namespace) -> Answer:
     }
     settings = replace(SwarmSettings(), **chosen)
     n = 1 if specimen.measurement is None else specimen.measurement.size
-    unit, factor = ("%", 100.0) if args.residuals == "relative" else ("Hz", 1.0)
+    residual: Residual = args.residuals or "absolute"
+    unit, factor = ("%", 100.0) if residual == "relative" else ("Hz", 1.0)
 
     def described(value: float) -> str:
         return f"rms misfit {factor * math.sqrt(value / n):.4g} {unit}"
@@ -37,17 +38,17 @@ def identify_by_swarm(specimen: Specimen, args: argparse.Namespace) -> Answer:
                 specimen,
                 args.seed,
                 settings=settings,
-                residual=args.residuals,
+                residual=residual,
                 progress=shown.tick,
                 notify=shown.notify,
             )
         except RigidBodyError as error:
             raise solver_failure(specimen, error) from error
-    warnings = (*warnings_of(result, args.residuals), *plate_warnings(specimen))
+    warnings = (*warnings_of(result, residual), *plate_warnings(specimen))
     return Answer(
         "identify",
-        identification_document(result, args.seed, args.backend, args.residuals, warnings),
-        identification_screen(result, args.residuals, args.seed, warnings),
+        identification_document(result, args.seed, args.backend, residual, warnings),
+        identification_screen(result, residual, args.seed, warnings),
         warnings,
         partial(_figures, result),
     )

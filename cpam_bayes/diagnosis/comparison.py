@@ -38,6 +38,18 @@ class Listed:
         return Listed(self.frequencies[kept], self.variance[kept], self.scale[kept], self.log_constant)
 
 
+def kept_of(whole: Array, listed: Array) -> Array:
+    """Which frequencies (n,) of a list are in a shorter one of the same order, bool.
+
+    Equal frequencies are told apart by their order.
+    """
+    found, at = np.zeros(len(whole), dtype=bool), 0
+    for i, f in enumerate(whole):
+        if at < len(listed) and f == listed[at]:
+            found[i], at = True, at + 1
+    return found
+
+
 @dataclass(frozen=True, slots=True)
 class Comparison:
     """A model against lists.

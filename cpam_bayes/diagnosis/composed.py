@@ -50,6 +50,15 @@ class Part:
     modes: Array
     slip: tuple[int, int] | None = None
 
+    def own(self, x: Array) -> Array:
+        """Parameters of the plate at joint vectors (m, n), (m, n_plate)."""
+        own = x[:, self.columns]
+        varied = self.scatter >= 0
+        if varied.any():
+            own = own.copy()
+            own[:, varied] *= 1.0 + x[:, self.scatter[varied]]
+        return np.asarray(own)
+
 
 @dataclass(frozen=True, slots=True)
 class ComposedModel:
@@ -78,22 +87,12 @@ class ComposedModel:
         x = np.atleast_2d(x)
         found = np.ones(len(x), dtype=bool)
         for part in self.parts:
-            found &= part.bare.admissible(_own(part, x))
+            found &= part.bare.admissible(part.own(x))
         return found
 
 
-def _own(part: Part, x: Array) -> Array:
-    """Parameters of one plate, (m, n_plate)."""
-    own = x[:, part.columns]
-    varied = part.scatter >= 0
-    if varied.any():
-        own = own.copy()
-        own[:, varied] *= 1.0 + x[:, part.scatter[varied]]
-    return own
-
-
 def _predict(part: Part, x: Array, jacobian: bool) -> Prediction:
-    own = _own(part, x)
+    own = part.own(x)
     of_plate = [change for change in part.changes if change.model is not None]
     if len(of_plate) == 1:
         log_f, slope = _log_prediction(part, own, x, of_plate[0], jacobian)

@@ -14,8 +14,9 @@ from scipy.stats import chi2
 
 from cpam_bayes.diagnosis.cases import hypotheses_of, plate_case
 from cpam_bayes.diagnosis.claim import Claim, claim_of
+from cpam_bayes.diagnosis.comparison import kept_of
 from cpam_bayes.diagnosis.fitting import SCATTER, PlateCase
-from cpam_bayes.diagnosis.hypotheses import NONE, OTHER, PAIR
+from cpam_bayes.diagnosis.hypotheses import NONE, OTHER, PAIR, Hypothesis
 from cpam_bayes.diagnosis.marginal import Marginal, sampled_marginal
 from cpam_bayes.diagnosis.signatures import Signature, alike, projector_of, signature_of
 from cpam_bayes.diagnosis.weighing import Tested, Weighed, marginal_of, weigh
@@ -150,15 +151,20 @@ def diagnose(
 def diagnose_cases(
     cases: Sequence[PlateCase],
     *,
+    hypotheses: Sequence[tuple[Hypothesis, tuple[int, ...]]] | None = None,
     scatter: float = SCATTER,
     pairs: bool = True,
     gain: bool = True,
     notify: Callable[[str], None] = lambda text: None,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Diagnosis:
-    """The same from plates whose models are there; without ``gain`` no frequency is left out."""
+    """The same from plates whose models are there; without ``gain`` no frequency is left out.
+
+    hypotheses : with the plates that each is about, none first, by default all that the plates may have.
+    """
     start = time.perf_counter()
-    hypotheses = hypotheses_of(cases)
+    if hypotheses is None:
+        hypotheses = hypotheses_of(cases)
     notify(f"weighing {len(hypotheses)} hypotheses")
     weighed = weigh(cases, hypotheses, scatter=scatter, pairs=pairs, progress=progress)
     best = {name: weighed.best_of(name) for name in weighed.by_cause()}
@@ -171,8 +177,9 @@ def diagnose_cases(
     causes = _causes(cases, weighed, best, signatures)
     claim = _claim(weighed, causes)
     members = _members(weighed, claim)
-    baseline = _fit([(weighed.none, 1.0)])
-    extended = _fit(members) if members else None
+    whole = weighed.none.marginal.comparison.listed.frequencies
+    baseline = _fit([(weighed.none, 1.0)], whole)
+    extended = _fit(members, whole) if members else None
     found_gain = None
     if gain and extended is not None and members:
         notify("leaving one frequency out")
@@ -204,7 +211,7 @@ def _causes(
     found = []
     for name, probability in weighed.by_cause().items():
         t = best[name]
-        variants = [v for v in weighed.tested if v.hypothesis.cause == name]
+        variants = [v for v in weighed.every if v.hypothesis.cause == name]
         priors = np.array([v.hypothesis.prior for v in variants])
         evidence = np.array([v.log_bayes_factor for v in variants])
         signature = signatures.get(name)
@@ -275,21 +282,20 @@ def _members(weighed: Weighed, claim: Claim) -> tuple[tuple[Tested, float], ...]
     return tuple((t, t.probability / total) for t in kept)
 
 
-def _fit(members: Sequence[tuple[Tested, float]]) -> Fit:
-    """The fit of a mixture of hypotheses with the same constants."""
+def _fit(members: Sequence[tuple[Tested, float]], whole: Array) -> Fit:
+    """The fit of a mixture of hypotheses with the same constants; whole : all listed frequencies."""
     first = members[0][0].marginal.comparison
     model_names = first.model.parameters.names
     shared = [n for n in model_names if all(n in t.marginal.comparison.parameters.names for t, _ in members)]
     own = [n for n in shared if n not in {p.name for t, _ in members for p in t.hypothesis.parameters}]
     draws, predicted, variance, residual = [], [], [], []
-    whole = first.listed.frequencies
     for t, share in members:
         marginal, comparison = t.marginal, t.marginal.comparison
         x = marginal.resampled(max(round(share * _DRAWS), 2))
         f, _ = comparison.predict(x)
         v = comparison.variance(x)
         if f.shape[1] < len(whole):  # a false peak is predicted as measured
-            kept = np.isin(whole, comparison.listed.frequencies)
+            kept = kept_of(whole, comparison.listed.frequencies)
             f_all, v_all = np.tile(whole, (len(x), 1)), np.full((len(x), len(whole)), np.median(v))
             f_all[:, kept], v_all[:, kept] = f, v
             f, v = f_all, v_all
@@ -359,14 +365,15 @@ def _left_out(cases: Sequence[PlateCase], t: Tested, n: int, none: Marginal | No
     """
     found = np.full(n, t.marginal.log_evidence)
     listed = t.hypothesis.listed
+    before = sum(case.measurement.size for case in cases[: t.plates[0]])  # frequencies of other plates
     for i in range(n):
-        if listed.misread is not None and i == listed.misread:
+        if listed.misread is not None and i == before + listed.misread:
             continue
         at = i
         if listed.spurious is not None:
-            if i == listed.spurious:
+            if i == before + listed.spurious:
                 continue
-            at = i - (i > listed.spurious)
+            at = i - (i > before + listed.spurious)
         marginal = marginal_of(cases, t.hypothesis, t.plates, scatter=scatter, none=none, left_out=at)
         found[i] = sampled_marginal(marginal).log_evidence
     return found

@@ -11,13 +11,14 @@ from numpy.typing import NDArray
 
 from cpam_bayes.diagnosis.comparison import Comparison, Listed
 from cpam_bayes.diagnosis.composed import Change, ComposedModel, Part
-from cpam_bayes.diagnosis.hypotheses import Hypothesis
+from cpam_bayes.diagnosis.hypotheses import SLIP, Hypothesis
 from cpam_bayes.diagnosis.models import PlateModels, extended_model
 from cpam_bayes.diagnosis.scores import scores_of
 from cpam_bayes.effects import Effect
 from cpam_bayes.measurement import Measurement
 from cpam_bayes.noise import NOISE_PRIOR
 from cpam_bayes.parameters import Parameter, ParameterSet, TruncatedNormal
+from cpam_bayes.posterior import ForwardModel
 from cpam_bayes.reduced import ReducedModel
 
 Array = NDArray[Any]
@@ -58,12 +59,14 @@ def comparison_of(
     hypotheses: Mapping[int, Hypothesis] | Hypothesis,
     *,
     scatter: float = SCATTER,
+    stand_ins: Mapping[int, ForwardModel] | None = None,
 ) -> Comparison:
     """The plates' lists against their models under a hypothesis for each plate.
 
     hypotheses : by plate, or one that all plates share, with one size of the effect; plates of one specimen
-    share it in either case. Constants of equal
-    names are shared; where there are several specimens each has its own relative deviations from them.
+    share it in either case. stand_ins : cheaper models of plates, used where a plate has no hypothesis.
+    Constants of one material are shared; where there are several specimens each has its own relative
+    deviations from them.
     """
     of_plate = (
         dict.fromkeys(range(len(cases)), hypotheses) if isinstance(hypotheses, Hypothesis) else hypotheses
@@ -73,7 +76,10 @@ def comparison_of(
     parts, lists = [], []
     for i, case in enumerate(cases):
         hypothesis = of_plate.get(i)
-        part, listed = _part(joint, i, case, hypothesis, shared)
+        bare: ForwardModel = case.models.bare
+        if hypothesis is None and stand_ins is not None:
+            bare = stand_ins[i]
+        part, listed = _part(joint, i, case, bare, hypothesis, shared)
         parts.append(part)
         lists.append(listed)
     model = ComposedModel(ParameterSet(tuple(joint.parameters)), tuple(parts))
@@ -99,14 +105,21 @@ class _Joint:
 
 
 def _part(
-    joint: _Joint, i: int, case: PlateCase, hypothesis: Hypothesis | None, shared: bool
+    joint: _Joint,
+    i: int,
+    case: PlateCase,
+    bare: ForwardModel,
+    hypothesis: Hypothesis | None,
+    shared: bool,
 ) -> tuple[Part, Listed]:
     own = case.models
     several = len({c.models.specimen.specimen for c in joint.cases}) > 1
+    materials = {c.models.specimen.material.name for c in joint.cases}
+    material = f" of {own.specimen.material.name or own.specimen.name}" if len(materials) > 1 else ""
     columns, scatter = [], []
     for parameter in own.parameters.parameters:
         of_material = parameter.name in own.specimen.unknowns
-        suffix = "" if of_material else f" of {own.specimen.specimen}" if several else ""
+        suffix = material if of_material else f" of {own.specimen.specimen}" if several else ""
         columns.append(joint.add(parameter, parameter.name + suffix))
     for parameter in own.parameters.parameters:
         if not (several and parameter.name in own.specimen.unknowns):
@@ -133,9 +146,9 @@ def _part(
             modes = np.where(np.arange(n) > listed.spurious, modes - 1, modes)[kept]
             log_constant = -float(np.log(f[-1]))  # a false peak lies anywhere below the last one
         if listed.misread is not None:
-            slip = (listed.misread, joint.add(hypothesis.parameters[-1]))
+            slip = (listed.misread, joint.add(SLIP))
     error = own.error[np.minimum(modes, len(own.error) - 1)]
-    part = Part(own.bare, np.array(columns), np.array(scatter), tuple(changes), modes, slip)
+    part = Part(bare, np.array(columns), np.array(scatter), tuple(changes), modes, slip)
     return part, _listed(case.measurement, kept, error, log_constant)
 
 

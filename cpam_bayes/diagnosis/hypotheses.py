@@ -21,7 +21,7 @@ _GROSS_SHARE = 0.1
 # Shares of what may be wrong with a list: one mode missed or one false peak, and two modes missed.
 _TWO_SHARE = 0.1
 # Relative error of a frequency that is misread, and scatter of all modes that nothing explains.
-_SLIP = either_sign("misreading", "", 0.05, end=0.6)
+SLIP = either_sign("misreading", "", 0.05, end=0.6)
 DISCREPANCY = one_sided("discrepancy", "", 0.01, end=0.3)
 
 
@@ -56,7 +56,8 @@ class Hypothesis:
         """The causes that act: one, two of a pair, none."""
         if self.cause in (NONE, OTHER):
             return ()
-        return tuple(dict.fromkeys(e.name for e in self.effects)) or (self.cause,)
+        # not the effects' names: causes of the list have no effect of the plate
+        return tuple(self.cause.split(" + "))
 
     @property
     def is_gross(self) -> bool:
@@ -98,6 +99,21 @@ def single_hypotheses(
     return tuple(found)
 
 
+def with_prior_of_none(
+    hypotheses: Sequence[tuple[Hypothesis, tuple[int, ...]]], prior: float
+) -> list[tuple[Hypothesis, tuple[int, ...]]]:
+    """The same hypotheses with another probability of none, all others in their proportions.
+
+    Raises ``ValueError`` for a probability that is not above 0 and below 1.
+    """
+    if not 0.0 < prior < 1.0:
+        raise ValueError(f"prior of none: received {prior:g}, accepted: above 0 and below 1")
+    others = (1.0 - prior) / (1.0 - P_NONE)
+    return [
+        (replace(h, prior=prior if h.cause == NONE else others * h.prior), plates) for h, plates in hypotheses
+    ]
+
+
 def pairs_of(leading: Sequence[Hypothesis], singles: Sequence[Hypothesis]) -> tuple[Hypothesis, ...]:
     """Two at a time of the leading single causes, each pair with its share of the probability of pairs.
 
@@ -108,6 +124,8 @@ def pairs_of(leading: Sequence[Hypothesis], singles: Sequence[Hypothesis]) -> tu
     for h in singles:
         if h.cause not in (NONE, OTHER):
             by_cause[h.cause] += h.prior
+    none = next((h.prior for h in singles if h.cause == NONE), P_NONE)
+    of_pairs = P_PAIR * (1.0 - none) / (1.0 - P_NONE)
     total = sum(by_cause.values())
     every = 0.5 * (total**2 - sum(p**2 for p in by_cause.values()))
     found = []
@@ -123,7 +141,7 @@ def pairs_of(leading: Sequence[Hypothesis], singles: Sequence[Hypothesis]) -> tu
                     effects=a.effects + b.effects,
                     listed=_both(a.listed, b.listed),
                     parameters=a.parameters + b.parameters,
-                    prior=P_PAIR * a.prior * b.prior / every,
+                    prior=of_pairs * a.prior * b.prior / every,
                 )
             )
     return tuple(found)
@@ -143,7 +161,7 @@ def _of_list(effect: Effect, n: int, complete: bool) -> list[tuple[Hypothesis, f
                     effect.family,
                     f"frequency {i + 1}",
                     listed=ListChange(misread=i),
-                    parameters=(_SLIP,),
+                    parameters=(SLIP,),
                 ),
                 1.0 / n,
             )

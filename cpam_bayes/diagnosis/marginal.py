@@ -28,10 +28,10 @@ Array = NDArray[Any]
 
 # Scores of the first grid; intervals are halved where the log density changes by more than _STEEP within
 # _DEEP of the best, but never below _FINEST.
-_GRID = np.linspace(-3.6, 3.6, 19)
+GRID = np.linspace(-3.6, 3.6, 19)
 _STEEP, _DEEP, _FINEST, _MOST_HALVINGS = 1.0, 9.0, 0.01, 6
 # Climbs end where a step promises less than this, nats, or after so many steps.
-_PROMISED, _MOST_STEPS = 1e-3, 25
+_PROMISED, _MOST_STEPS = 3e-3, 12
 # Local maxima of the first grid that are climbed from.
 _MOST_PEAKS = 3
 # Points of the fine quadrature between the nodes.
@@ -93,7 +93,7 @@ def laplace_marginal(
     if quadrature is None:
         return _at_one_node(comparison, starts)
     rest = np.delete(starts, quadrature, axis=1)
-    nodes = _climbed(comparison, quadrature, _GRID, np.tile(rest, (len(_GRID), 1, 1)))
+    nodes = _climbed(comparison, quadrature, GRID, np.tile(rest, (len(GRID), 1, 1)))
     nodes = _from_neighbours(comparison, quadrature, nodes)
     nodes = _with_peaks(comparison, quadrature, nodes)
     if nodes.log_density.max() > floor:
@@ -225,7 +225,7 @@ def _with_peaks(comparison: Comparison, quadrature: int, nodes: _Nodes) -> _Node
     )
     score = summit.u[:, quadrature]
     new = (np.abs(score[:, None] - nodes.score).min(axis=1) > _FINEST) & np.isfinite(summit.expansion.value)
-    new &= np.abs(score) < -_GRID[0]
+    new &= np.abs(score) < -GRID[0]
     if not new.any():
         return nodes
     score, first = np.unique(np.round(score[new], 6), return_index=True)

@@ -139,14 +139,14 @@ def extended_model(
 
     def build() -> ReducedModel:
         notify(f"{plate.specimen.name}: building {effect.name} {effect.variant}".rstrip())
-        if problem.edges != plate.problem.edges or _couples(problem, plate.problem):
+        if problem.edges != plate.problem.edges or couples(problem, plate.problem):
             return _reduced(_converged(problem, Samples(samples, np.ones(2)), plate.n_modes))
         basis = (plate.settings, plate.keep)
         return _reduced(model_on_basis(problem, samples, plate.n_modes, plate.error, basis))
 
     priors = [[p.name, repr(p.prior)] for p in effect.parameters]
     key = _hash(plate.key, json.dumps([effect.name, effect.variant, effect.place, priors]))
-    return stored_model(key, problem, samples, plate.n_modes, build)
+    return stored_model(key, problem, samples, plate.n_modes, build, light=True)
 
 
 def _converged(problem: Problem, samples: Samples, n_modes: int) -> PlateModel:
@@ -159,7 +159,7 @@ def _reduced(full: PlateModel) -> ReducedModel:
     return reduce(full, np.random.default_rng(0), _REDUCTION)
 
 
-def _couples(problem: Problem, bare: Problem) -> bool:
+def couples(problem: Problem, bare: Problem) -> bool:
     """Whether an effect stretches the plate as it bends: the bare plate's space lacks functions for that."""
     return len(problem.rigid_content) > len(bare.rigid_content) + 1
 

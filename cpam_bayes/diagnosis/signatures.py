@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cpam_bayes.diagnosis.comparison import Comparison
+from cpam_bayes.diagnosis.comparison import Comparison, kept_of
 from cpam_bayes.diagnosis.marginal import Marginal
 from cpam_bayes.diagnosis.weighing import Tested
 from cpam_bayes.effects import scale_of
@@ -134,7 +134,7 @@ def _aligned(comparison: Comparison, x: Array, none: Marginal) -> Array:
             return f
         return np.concatenate((plain, f[1:]))
     listed = none.comparison.listed.frequencies
-    kept = np.isin(listed, comparison.listed.frequencies)
+    kept = kept_of(listed, comparison.listed.frequencies)
     whole = np.tile(listed, (len(x), 1))
     whole[:, kept] = f
     return np.concatenate((plain, whole[1:]))

@@ -2,16 +2,14 @@
 
 Independent ensembles run side by side in rounds. After every round the chains are looked at:
 sampling ends when the ensembles agree (R-hat) and hold enough effective samples, or at a budget.
-Every finished round is a file of its own in the store, written under another name and renamed, so
-that a run that was killed at any moment goes on from its last round, bit for bit as if nothing had
-happened.
+Finished rounds are stored: a run that was killed at any moment goes on from its last one, bit for bit as
+if nothing had happened.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
-import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,15 +18,13 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from cpam_bayes.inference.autocorrelation import integrated_times
 from cpam_bayes.inference.laplace import GaussianPicture, optimise, prior_sd
 from cpam_bayes.inference.proposal import Proposal
+from cpam_bayes.inference.round_store import Rounds
 from cpam_bayes.posterior import Posterior
 
 Array = NDArray[Any]
-
-
-class StoreError(ValueError):
-    """A store that cannot be used: of another problem, damaged, or not to be written."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,8 +34,9 @@ class EnsembleSettings:
     ensembles, walkers : independent ensembles and walkers in each. round_steps : steps between two
     looks at the chains. r_hat, effective : what ends the sampling. most_steps : the budget.
     lengths : autocorrelation times that a chain has to be long. With a window of five times it, a time
-    is known to sqrt(20 / (lengths walkers)) (Sokal, 1996): 10 % from twenty of a hundred walkers.
-    jumps : share of the steps that are drawn from a proposal, where there is one.
+    is known to sqrt(20 / (lengths walkers)) (Sokal, 1996): 14 % from half of twenty, that the diagnostics
+    use, of a hundred walkers. jumps : share of the steps that jump to draws of a proposal, where there is
+    one; the others are local moves.
     """
 
     ensembles: int = 2
@@ -57,7 +54,10 @@ DEFAULT_SETTINGS = EnsembleSettings()
 
 @dataclass(frozen=True, slots=True)
 class Diagnostics:
-    """State of the chains, the worst over the parameters."""
+    """State of the chains, the worst over the parameters.
+
+    autocorrelation_time : steps; where it is not known, all steps, which no chain is long enough for.
+    """
 
     r_hat: float
     ess_bulk: float
@@ -71,14 +71,16 @@ class Diagnostics:
 class EnsembleResult:
     """Chains of all ensembles after burn-in.
 
-    chain : (ensembles, steps, walkers, n). log_prob : (ensembles, steps, walkers). not_stored : why
-    rounds are missing in the store, ``None`` if none is.
+    chain : (ensembles, steps, walkers, n). log_prob : (ensembles, steps, walkers). solves : forward
+    solves of all steps and of the fit of the proposal. not_stored : why rounds are missing in the store,
+    ``None`` if none is.
     """
 
     chain: Array
     log_prob: Array
     diagnostics: Diagnostics
     status: Literal["converged", "budget"]
+    solves: int
     not_stored: str | None = None
 
     @property
@@ -197,8 +199,9 @@ def sample(
 ) -> EnsembleResult:
     """Sample a posterior until the ensembles agree or the budget ends.
 
-    start : (ensembles, walkers, n). proposal : covers the posterior, for independent jumps. store : a directory for the rounds; one that holds rounds of the
-    same problem is gone on with, one of another problem raises ``StoreError``. A round that cannot be
+    start : (ensembles, walkers, n). proposal : covers the posterior; without one there are local moves
+    only. store : a directory for the rounds; one that holds rounds of the same problem, proposal
+    included, is gone on with, one of another problem raises ``StoreError``. A round that cannot be
     written, on a full disk for instance, ends the storing and not the sampling: the result says so.
     ``progress`` is told the diagnostics after each round.
 
@@ -209,7 +212,7 @@ def sample(
     they forget at once where they were; where it is bad, the other moves are left.
     """
     key = chain_hash(posterior, start, settings, seed, proposal)
-    rounds = _Rounds(store, key) if store is not None else None
+    rounds = Rounds(store, key) if store is not None else None
     samplers = [_sampler(posterior, settings, proposal) for _ in range(settings.ensembles)]
     states = [_state(start[e], posterior, seed, e) for e in range(settings.ensembles)]
     chains: list[Array] = []
@@ -238,6 +241,7 @@ def sample(
                 np.concatenate(log_probs, axis=1)[:, found.burn_in :],
                 found,
                 "converged" if found.converged else "budget",
+                start[..., 0].size * found.steps + (0 if proposal is None else proposal.solves),
                 not_stored,
             )
 
@@ -248,14 +252,13 @@ def diagnose_chains(chain: Array, settings: EnsembleSettings) -> Diagnostics:
     R-hat is that of the split halves of whole ensembles: walkers of one ensemble are not independent
     (Gelman and Rubin, 1992; Vehtari et al., 2021, without rank normalisation). The effective
     number of samples is the number of draws over the integrated autocorrelation time (Goodman and
-    Weare, 2010), whose first five are left out as burn-in.
+    Weare, 2010), estimated from the latter halves of the chains; five such times are left out as burn-in.
+    A walker that does not move throughout that half leaves the time unknown: the chains then count as not
+    converged.
     """
-    from emcee.autocorr import integrated_time
-
     steps = chain.shape[1]
     half = chain[:, steps // 2 :]
-    with np.errstate(invalid="ignore"):  # a walker that never moved has no autocorrelation
-        tau = np.max([integrated_time(e, tol=0, quiet=True) for e in half], axis=0)
+    tau = np.max([integrated_times(e) for e in half], axis=0)
     worst = float(np.max(tau)) if np.all(np.isfinite(tau)) else float(steps)
     burn_in = min(int(np.ceil(5.0 * worst)), steps // 2)
     kept = chain[:, burn_in:]
@@ -268,9 +271,11 @@ def diagnose_chains(chain: Array, settings: EnsembleSettings) -> Diagnostics:
 
 
 def _split_r_hat(chain: Array) -> Array:
-    """R-hat of every parameter over the halves of ensembles, (n,)."""
+    """R-hat of every parameter over the halves of ensembles, (n,), infinite where no step can be halved."""
     n_ensembles, steps, walkers, n = chain.shape
     half = steps // 2
+    if not half:
+        return np.full(n, np.inf)
     parts = chain[:, : 2 * half].reshape(n_ensembles * 2, half * walkers, n)
     within = parts.var(axis=1, ddof=1).mean(axis=0)
     between = parts.mean(axis=1).var(axis=0, ddof=1)
@@ -278,7 +283,10 @@ def _split_r_hat(chain: Array) -> Array:
 
 
 def moves_of(proposal: Proposal | None, jumps: float) -> list[tuple[Any, float]]:
-    """emcee's moves and their shares."""
+    """emcee's moves and their shares: jumps to draws of a proposal q, where there is one, and local moves.
+
+    A jump from x to a draw y of q is accepted with the probability min(1, p(y) q(x) / (p(x) q(y))).
+    """
     import emcee
 
     local = [(emcee.moves.DEMove(), 0.9), (emcee.moves.DEMove(gamma0=1.0), 0.1)]
@@ -313,79 +321,3 @@ def _advance(sampler: Any, state: Any, steps: int) -> tuple[Array, Array, Any]:
     sampler.reset()
     end = sampler.run_mcmc(state, steps, skip_initial_state_check=True)
     return sampler.get_chain().copy(), sampler.get_log_prob().copy(), end
-
-
-class _Rounds:
-    """Finished rounds of one problem in a directory, a file each."""
-
-    def __init__(self, directory: Path, key: str) -> None:
-        self.directory, self.key = directory, key
-        try:
-            directory.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise StoreError(f"store {directory}: cannot be made: {error.strerror}") from error
-
-    def path(self, i: int) -> Path:
-        return self.directory / f"round_{i:04d}.h5"
-
-    def read(self, i: int) -> tuple[Array, Array, list[Any]] | None:
-        """A stored round, or ``None`` if it was not finished."""
-        import emcee
-        import h5py
-
-        path = self.path(i)
-        if not path.exists():
-            return None
-        try:
-            with h5py.File(path, "r") as file:
-                if file.attrs.get("problem") != self.key:
-                    raise StoreError(
-                        f"store {path}: holds another problem (plate, priors, data, settings or seed "
-                        "differ); choose another directory or remove it"
-                    )
-                chain, log_prob = file["chain"][:], file["log_prob"][:]
-                states = [
-                    emcee.State(
-                        chain[e, -1],
-                        log_prob=log_prob[e, -1],
-                        random_state=(
-                            "MT19937",
-                            file["random_keys"][e],
-                            int(file["random_position"][e]),
-                            int(file["random_has_gauss"][e]),
-                            float(file["random_gauss"][e]),
-                        ),
-                    )
-                    for e in range(len(chain))
-                ]
-        except (OSError, KeyError) as error:
-            raise StoreError(
-                f"store {path}: is damaged or no HDF5 file of this package; remove it to sample that "
-                "round again"
-            ) from error
-        return chain, log_prob, states
-
-    def write(self, i: int, chain: Array, log_prob: Array, states: list[Any]) -> str | None:
-        """Store a round; what to say if it could not be."""
-        import h5py
-
-        path = self.path(i)
-        part = path.with_suffix(".part")
-        try:
-            with h5py.File(part, "w") as file:
-                file.attrs["problem"] = self.key
-                file["chain"], file["log_prob"] = chain, log_prob
-                random = [s.random_state for s in states]
-                file["random_keys"] = np.stack([r[1] for r in random])
-                for k, name in ((2, "position"), (3, "has_gauss"), (4, "gauss")):
-                    file[f"random_{name}"] = np.array([r[k] for r in random])
-            part.replace(path)
-        except (OSError, RuntimeError) as error:  # h5py: either, as the write or the closing fails
-            part.unlink(missing_ok=True)
-            said = re.search(r"error message = '([^']*)'", str(error))  # deep in a text of HDF5's
-            reason = said[1] if said else getattr(error, "strerror", None) or str(error).splitlines()[0]
-            return (
-                f"store {path}: cannot be written ({reason}); {i} rounds before it are kept and the same "
-                "command goes on from there, those from it on are in this answer alone"
-            )
-        return None

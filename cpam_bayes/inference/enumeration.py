@@ -1,4 +1,4 @@
-"""Every stacking sequence on the grid, by its tabulated log evidence: sums, marginals, the most probable.
+"""Every stacking sequence on the grid, by its tabulated log evidence: a list of the best, sums over the rest.
 
 Sequences are taken by their first plies: for each choice of these, all choices of the others at once.
 Nothing is sampled. What the table leaves out is counted, and bounded by the table's floor.
@@ -30,14 +30,14 @@ class Enumerator:
 
     reference : log evidence that weights are relative to, about the largest. negation : (n_grid,) the grid
     index of minus each angle where sequences and their mirror images are equally probable, else ``None``.
-    most : how many of the most probable sequences of each piece are listed.
+    threshold : sequences with this log evidence or more are listed one by one, the others are summed.
     """
 
     table: EvidenceTable
     sums: PlySums
     reference: float
     negation: Array | None
-    most: int
+    threshold: float
 
     @property
     def n_inner(self) -> int:
@@ -52,13 +52,13 @@ class Enumerator:
 
 @dataclass(frozen=True, slots=True)
 class Piece:
-    """Sums over the sequences of some prefixes. Weights are exp(log evidence - reference).
+    """Sums over the sequences of some prefixes but for the listed ones; weights exp(log evidence - reference).
 
     prefixes : (p,) their numbers; mass : (p,) weight of each, mirror images included; inner : (n_inner,
     n_grid) marginal weights of the last plies. count, weight : (BINS,) sequences and their weight by log
-    evidence below ``reference + 5``. kept, left_out : sequences in cells of the table and outside.
-    best : (b, k) grid indices, log_evidence : (b,) of the most probable ones; squares : sum of weights^2.
-    entropy : sum of weight * (log evidence - reference).
+    evidence below ``reference + 5``. entropy : sum of weight * (log evidence - reference). listed : (b, k)
+    grid indices, log_evidence : (b,), times : (b,) 2 for those that stand for their mirror images as well.
+    kept, left_out : all sequences in cells of the table and outside.
     """
 
     prefixes: Array
@@ -66,12 +66,12 @@ class Piece:
     inner: Array
     count: Array
     weight: Array
+    entropy: float
+    listed: Array
+    log_evidence: Array
+    times: Array
     kept: int
     left_out: int
-    best: Array
-    log_evidence: Array
-    squares: float
-    entropy: float
 
 
 def prefix_digits(own: Enumerator, prefixes: Array) -> Array:
@@ -108,52 +108,59 @@ def enumerate_prefixes(own: Enumerator, prefixes: Array) -> Piece:
     mass = np.zeros(len(prefixes))
     inner = np.zeros(g**n_inner)
     count, weight = np.zeros(BINS, dtype=np.int64), np.zeros(BINS)
-    kept_total, squares, entropy = 0, 0.0, 0.0
-    best: list[Array] = []
-    values: list[Array] = []
-    threshold = -np.inf
-    held = 0
+    kept, entropy = 0, 0.0
+    listed: list[Array] = [np.empty((0, own.sums.n_unknown), dtype=np.int16)]
+    values: list[Array] = [np.empty(0)]
+    times_listed: list[Array] = [np.empty(0, dtype=np.int64)]
     for p, times in enumerate(twice):
         rows, found = _one_prefix(own, inner_v, inner_q, outer_v[p], outer_q[p])
-        kept_total += int(times) * len(rows)
-        if not len(rows):
-            continue
+        kept += int(times) * len(rows)
+        high = found >= own.threshold
+        if high.any():
+            listed.append(_sequences(own, digits[p], rows[high]).astype(np.int16))
+            values.append(found[high])
+            times_listed.append(np.full(len(values[-1]), times))
+            rows, found = rows[~high], found[~high]
         below = found - own.reference
         w = np.exp(below)
         mass[p] = times * w.sum()
         inner[rows] += times * w
-        squares += float(times * (w @ w))
         entropy += float(times * (w @ below))
         bins = bin_of(below)
         count += times * np.bincount(bins, minlength=BINS)
         weight += times * np.bincount(bins, w, minlength=BINS)
-        high = np.flatnonzero(found > threshold)
-        if len(high) > own.most:
-            high = high[np.argpartition(-found[high], own.most)[: own.most]]
-        best.append(
-            np.column_stack((np.tile(digits[p], (len(high), 1)), _inner_digits(g, n_inner, rows[high])))
-        )
-        values.append(found[high])
-        held += len(high)
-        if held > 20 * own.most:
-            best, values = _cut(best, values, own.most)
-            held, threshold = len(values[0]), float(values[0].min())
-    best, values = _cut(best, values, own.most)
     total = int(twice.sum()) * g**n_inner
     marginal = inner.reshape((g,) * n_inner)
     by_ply = np.stack([marginal.sum(axis=tuple(i for i in range(n_inner) if i != j)) for j in range(n_inner)])
     return Piece(
-        prefixes,
-        mass,
-        by_ply,
-        count,
-        weight,
-        kept_total,
-        total - kept_total,
-        best[0],
-        values[0],
-        squares,
-        entropy,
+        prefixes=prefixes,
+        mass=mass,
+        inner=by_ply,
+        count=count,
+        weight=weight,
+        entropy=entropy,
+        listed=np.concatenate(listed),
+        log_evidence=np.concatenate(values),
+        times=np.concatenate(times_listed),
+        kept=kept,
+        left_out=total - kept,
+    )
+
+
+def together(pieces: Sequence[Piece]) -> Piece:
+    """The sums and lists of several pieces as one."""
+    return Piece(
+        prefixes=np.concatenate([p.prefixes for p in pieces]),
+        mass=np.concatenate([p.mass for p in pieces]),
+        inner=np.sum([p.inner for p in pieces], axis=0),
+        count=np.sum([p.count for p in pieces], axis=0),
+        weight=np.sum([p.weight for p in pieces], axis=0),
+        entropy=sum(p.entropy for p in pieces),
+        listed=np.concatenate([p.listed for p in pieces]),
+        log_evidence=np.concatenate([p.log_evidence for p in pieces]),
+        times=np.concatenate([p.times for p in pieces]),
+        kept=sum(p.kept for p in pieces),
+        left_out=sum(p.left_out for p in pieces),
     )
 
 
@@ -163,13 +170,13 @@ def bin_of(below: Array) -> Array:
 
 
 def values_of_prefix(own: Enumerator, prefix: int) -> tuple[Array, Array]:
-    """Sequences (m, k) of one prefix that the table holds, and their log evidence (m,)."""
+    """Sequences (m, k) of one prefix that are summed, not listed, and their log evidence (m,)."""
     inner_v, inner_q = _inner_sums(own)
     digits = prefix_digits(own, np.array([prefix]))
     outer_v, outer_q = _outer_sums(own, digits)
     rows, found = _one_prefix(own, inner_v, inner_q, outer_v[0], outer_q[0])
-    inner = _inner_digits(len(own.sums.grid_deg), own.n_inner, rows)
-    return np.column_stack((np.tile(digits[0], (len(rows), 1)), inner)), found
+    low = found < own.threshold
+    return _sequences(own, digits[0], rows[low]), found[low]
 
 
 def _one_prefix(
@@ -212,15 +219,7 @@ def _outer_sums(own: Enumerator, digits: Array) -> tuple[Array, Array]:
     return found[0], found[1]
 
 
-def _inner_digits(g: int, n_inner: int, rows: Array) -> Array:
-    place = g ** np.arange(n_inner - 1, -1, -1)
-    return np.asarray(rows[:, None] // place % g)
-
-
-def _cut(best: Sequence[Array], values: Sequence[Array], most: int) -> tuple[list[Array], list[Array]]:
-    """The most probable of what was found, in descending order."""
-    if not best:
-        return [np.empty((0, 0), dtype=np.int64)], [np.empty(0)]
-    every, value = np.concatenate(best), np.concatenate(values)
-    order = np.argsort(-value, kind="stable")[:most]
-    return [every[order]], [value[order]]
+def _sequences(own: Enumerator, outer: Array, rows: Array) -> Array:
+    """Grid indices (m, k) of the inner choices ``rows`` (m,) of one prefix."""
+    place = len(own.sums.grid_deg) ** np.arange(own.n_inner - 1, -1, -1)
+    return np.column_stack((np.tile(outer, (len(rows), 1)), rows[:, None] // place % len(own.sums.grid_deg)))

@@ -15,6 +15,12 @@ Array = NDArray[Any]
 # Sums that vary less than this over all sequences, once V is known, do not count.
 _NEGLIGIBLE = 3e-3
 _SAMPLE = 4000
+# What motions of the plate do to cos 2t, sin 2t, cos 4t, sin 4t.
+_SIGNS = {
+    "mirror image": (1, -1, 1, -1),
+    "quarter turn": (-1, -1, 1, 1),
+    "diagonal mirror image": (-1, 1, 1, -1),
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,13 +33,13 @@ class PlySums:
     (1 - 4 z^2 / h^2)^2, and of the membrane stiffness, less their linear regression on v.
 
     first : (k, n_grid, 4), contributions to v. rest : (k, n_grid, n_q), to q. grid_deg : (n_grid,).
-    mirror : (4 + n_q,) signs that a mirror image, all angles negated, gives to the sums.
+    function : (4 + n_q,) which of the four angle functions each sum is of.
     """
 
     first: Array
     rest: Array
     grid_deg: Array
-    mirror: Array
+    function: Array
 
     @property
     def n_unknown(self) -> int:
@@ -44,6 +50,10 @@ class PlySums:
     def rest_reach(self) -> Array:
         """Bounds of the magnitude of q over all sequences, (n_q,)."""
         return np.asarray(np.abs(self.rest).max(axis=1).sum(axis=0))
+
+    def signs(self, motion: str) -> Array:
+        """Signs that the image under a motion of the plate, by its name, gives to the sums, (4 + n_q,)."""
+        return np.array(_SIGNS[motion], dtype=float)[self.function]
 
     def features(self, sequences: Array) -> Array:
         """Sums (v, q) of sequences of grid indices (m, k), (m, 4 + n_q)."""
@@ -71,19 +81,19 @@ def ply_sums(layup: Layup, grid_deg: Array) -> PlySums:
     t = np.deg2rad(grid_deg)
     e = np.stack((np.cos(2 * t), np.sin(2 * t), np.cos(4 * t), np.sin(4 * t)), axis=-1)
     first = by_unknown[0][:, None, None] * e
-    others = np.concatenate([w[:, None, None] * e for w in by_unknown[1:]], axis=2)
-    even, odd = (_independent(first[..., i::2], others[..., i::2]) for i in (0, 1))
-    signs = np.concatenate(([1, -1, 1, -1], np.ones(even.shape[2]), -np.ones(odd.shape[2])))
-    return PlySums(first, np.concatenate((even, odd), axis=2), grid_deg, signs)
+    others = by_unknown[1:, :, None, None] * e
+    rest = [_independent(first[..., i], others[..., i]) for i in range(4)]
+    function = np.repeat(np.arange(4), [r.shape[2] for r in rest])
+    return PlySums(first, np.concatenate(rest, axis=2), grid_deg, np.concatenate((np.arange(4), function)))
 
 
 def _independent(first: Array, others: Array) -> Array:
-    """What of further sums is not a linear function of the first ones, in its principal directions."""
-    k, n_grid, _ = others.shape
+    """What of further sums (n, k, n_grid) is no multiple of the first (k, n_grid), principal directions."""
+    k, n_grid = first.shape
     sequences = np.random.default_rng(0).integers(n_grid, size=(_SAMPLE, k))
-    v, q = (np.sum(table[np.arange(k), sequences], axis=1) for table in (first, others))
-    relation = np.linalg.lstsq(v, q, rcond=None)[0]
-    left = q - v @ relation
-    _, spread, directions = np.linalg.svd(left / np.sqrt(len(left)), full_matrices=False)
+    ply = np.arange(k)
+    v, q = first[ply, sequences].sum(axis=1), others[:, ply, sequences].sum(axis=2).T
+    relation = v @ q / (v @ v)
+    _, spread, directions = np.linalg.svd((q - v[:, None] * relation) / np.sqrt(_SAMPLE), full_matrices=False)
     kept = directions[spread > _NEGLIGIBLE].T
-    return np.asarray((others - first @ relation) @ kept).reshape(k, n_grid, -1)
+    return np.asarray((np.moveaxis(others, 0, -1) - first[..., None] * relation) @ kept)

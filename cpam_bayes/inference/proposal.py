@@ -63,18 +63,23 @@ class AdaptationSettings:
 class Proposal:
     """A density over the parameters that is drawn from and evaluated at once.
 
-    line : coordinates without bounds. mixture : over these.
+    line : coordinates without bounds. mixture : over these. solves : forward solves that fitting it took,
+    those of the search for optima apart.
     """
 
     line: WholeLine
     mixture: Mixture
+    solves: int = 0
 
     def draw(self, size: int, rng: np.random.Generator | np.random.RandomState) -> Array:
         """Independent parameters (size, n); some may break the constraints (9)."""
         return self.line.axes.to_x(self.line.to_u(draw(self.mixture, size, rng)))
 
     def log_density(self, x: Array) -> Array:
-        """Log density over the parameters x (m, n), (m,)."""
+        """Log density over the parameters x (m, n), (m,).
+
+        log q(x) = log q(v) - log |du / dv| - log |dx / du|, for the map from v to u to x.
+        """
         u = self.line.axes.to_u(x)
         v = self.line.to_v(u)
         return np.asarray(
@@ -96,7 +101,7 @@ class Adaptation:
 def adapted(posterior: Posterior, starts: Array, seed: int, settings: AdaptationSettings) -> Proposal:
     """The proposal of a posterior whose optima lie near the starts (m, n), or are found from the prior."""
     found = adapt(posterior, starts, np.random.default_rng([seed, 5]), settings)
-    return Proposal(found.line, found.proposal)
+    return Proposal(found.line, found.proposal, sum(map(len, found.history.points)))
 
 
 def adapt(

@@ -148,7 +148,7 @@ def identify_by_sampling(
     sampling = time.perf_counter() - sampling
     notify("assessing the posterior")
     evidence = evidence_of(posterior, result, seed)
-    solves = begun.solves + evidence.solves + result.diagnostics.steps * settings.ensembles * settings.walkers
+    solves = begun.solves + result.solves + evidence.solves
     rng = np.random.default_rng([seed, 3])
     return _summarise(specimen, posterior, model, result, evidence, solves, (start, sampling), rng)
 

@@ -7,15 +7,14 @@ the best of a few optima, and, where it must be exact, that of importance sampli
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache, partial
 from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import logsumexp, ndtri
+from scipy.special import gammaln, logsumexp, ndtri
 from scipy.stats import chi2, qmc
 
-from cpam_bayes.inference.box import log_student_t
 from cpam_bayes.inference.climb import climb
 from cpam_bayes.inference.expansion import Expansion, expand
 from cpam_bayes.inference.normal_scores import NormalScores, normal_scores
@@ -41,8 +40,12 @@ _HOPELESS = 12.0
 _FLOOR = 1e-3
 # Climbs end where a step promises less than this, nats, or after so many steps.
 _PROMISED, _MOST_STEPS = 1e-4, 30
-# Sequences that are solved for together: their matrices stay in the processor's cache.
-_TOGETHER = 64
+# Numbers in the matrices of sequences that are solved for together: they stay in the processor's cache.
+_CACHED = 1 << 19
+# Points of importance sampling that are solved for together.
+_POINTS = 2048
+# Shares of optima that count in a proposal, and the least that one then has.
+_USED, _LEAST_SHARE = 1e-4, 0.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,11 +179,10 @@ def fit_sequences(own: SequencePosterior, angles_deg: Array, starts: Array) -> S
     starts : (s, n) for all sequences, or (m, s, n), parameters.
     """
     starts = np.broadcast_to(starts, (len(angles_deg), *starts.shape[-2:]))
+    largest = max(block.size for block in own.model.fast.operator.blocks)
+    each = int(np.clip(_CACHED // largest**2, 64, 512))
     return joined(
-        [
-            _fit(own, angles_deg[i : i + _TOGETHER], starts[i : i + _TOGETHER])
-            for i in range(0, len(angles_deg), _TOGETHER)
-        ]
+        [_fit(own, angles_deg[i : i + each], starts[i : i + each]) for i in range(0, len(angles_deg), each)]
     )
 
 
@@ -277,38 +279,79 @@ def importance_evidence(
     sequence, scrambled in the same way for every sequence, so that differences between sequences are
     known better than each alone.
     """
-    found = [_importance(own, a, fits[i], log2_points) for i, a in enumerate(angles_deg)]
-    return Conditionals(*(np.stack(column) for column in zip(*found, strict=True)))
+    each = max(_POINTS >> log2_points, 1)
+    return joined(
+        [
+            _importance(own, angles_deg[i : i + each], fits[i : i + each], log2_points)
+            for i in range(0, len(angles_deg), each)
+        ]
+    )
 
 
 def _importance(
-    own: SequencePosterior, angle_deg: Array, fit: SequenceFits, log2_points: int
-) -> tuple[Array, ...]:
-    axes, n = own.axes, fit.x.size
-    used = np.flatnonzero(fit.weight > 1e-4)
-    share = np.maximum(fit.weight[used], 0.1)
-    share = share / share.sum()
-    factor = np.linalg.cholesky(np.linalg.inv(fit.curvature[used] + _FLOOR * np.eye(n))) * _WIDER
+    own: SequencePosterior, angles_deg: Array, fits: SequenceFits, log2_points: int
+) -> Conditionals:
+    axes, (m, s, n) = own.axes, fits.optima.shape
     size = 1 << log2_points
-    uniform = qmc.Sobol(n + 2, rng=np.random.default_rng(0)).random(size)
-    # a Student-t is a Gaussian over the root of a chi-squared variable
-    step = ndtri(uniform[:, :n]) / np.sqrt(chi2.ppf(uniform[:, n], _NU) / _NU)[:, None]
-    component = np.searchsorted(np.cumsum(share)[:-1], uniform[:, n + 1])
-    centre = fit.optima[used]
-    z = centre[component] + np.einsum("mij,mj->mi", factor[component], step)
-    log_q = logsumexp(
-        [np.log(w) + log_student_t(z, c, f, _NU) for w, c, f in zip(share, centre, factor, strict=True)],
-        axis=0,
-    )
-    log_p = axes.log_density(own.at(angle_deg[None]), z)
-    top = float((log_p - log_q).max())
-    weights = np.exp(log_p - log_q - top)
-    share = weights / weights.sum()
+    used = fits.weight > _USED
+    share = np.where(used, np.maximum(fits.weight, _LEAST_SHARE), 0.0)
+    share /= share.sum(axis=1, keepdims=True)
+    covariance = np.linalg.inv(fits.curvature + _FLOOR * np.eye(n))
+    factor = np.linalg.cholesky(covariance) * _WIDER
+    step, uniform = _proposal_points(n, log2_points)
+    component = np.sum(np.cumsum(share, axis=1)[:, None, :-1] < uniform[:, None], axis=2)
+    row = np.arange(m)[:, None]
+    z = fits.optima[row, component] + np.einsum("mpij,pj->mpi", factor[row, component], step)
+    log_q = np.full((m, size), -np.inf)
+    for j in range(s):
+        rows = np.flatnonzero(used[:, j])
+        away = z[rows] - fits.optima[rows, j][:, None, :]
+        density = np.log(share[rows, j])[:, None] + _log_student_t(away, factor[rows, j])
+        log_q[rows] = np.logaddexp(log_q[rows], density)
+    log_ratio = _log_density(own, angles_deg, z) - log_q
+    top = log_ratio.max(axis=1)
+    weights = np.exp(log_ratio - top[:, None])
+    mean_weight = weights.mean(axis=1)
+    share = weights / weights.sum(axis=1, keepdims=True)
     x = axes.to_x(z)
-    mean = share @ x
-    sd = np.sqrt(share @ (x - mean) ** 2)
+    mean = np.einsum("mp,mpj->mj", share, x)
+    sd = np.sqrt(np.einsum("mp,mpj->mj", share, (x - mean[:, None, :]) ** 2))
     # systematic resampling over the points as the Sobol sequence has them, which is as good as at random
-    at = np.searchsorted(np.cumsum(share), (np.arange(_KEPT) + 0.5) / _KEPT)
-    value = top + np.log(weights.mean())
-    error = weights.std() / weights.mean() / np.sqrt(size)
-    return np.asarray(value), np.asarray(error), mean, sd, x[np.minimum(at, size - 1)]
+    places = (np.arange(_KEPT) + 0.5) / _KEPT
+    kept = np.sum(np.cumsum(share, axis=1)[:, :, None] < places, axis=1)
+    draws = x[row, np.minimum(kept, size - 1)]
+    error = weights.std(axis=1) / mean_weight / np.sqrt(size)
+    return Conditionals(top + np.log(mean_weight), error, mean, sd, draws)
+
+
+def _log_density(own: SequencePosterior, angles_deg: Array, z: Array) -> Array:
+    """Log density over normal scores z (m, p, n), row i having the sequence i, (m, p)."""
+    axes, (m, p, n) = own.axes, z.shape
+    z = z.reshape(m * p, n)
+    x = axes.to_x(z)
+    inside = np.all((z >= axes.lower) & (z <= axes.upper), axis=1) & np.isfinite(own.template.log_prior(x))
+    found = np.full(m * p, -np.inf)
+    # every row of a stack must have its parameter set: those outside the support go first
+    rows = np.flatnonzero(inside)
+    if len(rows):
+        geometry = _rows(_geometry(own, angles_deg), rows // p)
+        at = replace(own.template, model=_model_at(own.model, own.n_angles, geometry))
+        found[rows] = at.log_prob(x[rows]) + np.log(axes.slope(x[rows], z[rows])).sum(axis=1)
+    return found.reshape(m, p)
+
+
+@cache
+def _proposal_points(n: int, log2_points: int) -> tuple[Array, Array]:
+    """Points of a standard Student-t (2^log2_points, n), and uniform ones that choose its component."""
+    uniform = qmc.Sobol(n + 2, rng=np.random.default_rng(0)).random(1 << log2_points)
+    # a Student-t is a Gaussian over the root of a chi-squared variable
+    return ndtri(uniform[:, :n]) / np.sqrt(chi2.ppf(uniform[:, n], _NU) / _NU)[:, None], uniform[:, n + 1]
+
+
+def _log_student_t(away: Array, factor: Array) -> Array:
+    """Log density of Student-t's at ``away`` (m, p, n) from their centres, Cholesky factors (m, n, n), (m, p)."""
+    n = away.shape[2]
+    squared = np.sum(np.einsum("mij,mpj->mpi", np.linalg.inv(factor), away) ** 2, axis=2)
+    log_det = np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1)
+    constant = gammaln(0.5 * (_NU + n)) - gammaln(0.5 * _NU) - 0.5 * n * np.log(_NU * np.pi)
+    return np.asarray(constant - log_det[:, None] - 0.5 * (_NU + n) * np.log1p(squared / _NU))

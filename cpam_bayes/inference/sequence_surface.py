@@ -4,30 +4,34 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import Executor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cpam_bayes.inference.evidence_table import log_evidence
+from cpam_bayes.inference.focus import focused
 from cpam_bayes.inference.ply_sums import PlySums
-from cpam_bayes.inference.sequence_evidence import (
-    Conditionals,
-    SequenceFits,
-    SequencePosterior,
-    fit_sequences,
-    importance_evidence,
-    joined,
-)
+from cpam_bayes.inference.sequence_evaluation import Evaluated, evaluate, merged, neighbours
+from cpam_bayes.inference.sequence_evidence import SequencePosterior
 from cpam_bayes.inference.smooth_map import SmoothMap, fit_map
-from cpam_bayes.parallel import run
+from cpam_bayes.model import training_sets
 
 Array = NDArray[Any]
 
-# Sequences that a worker takes at a time.
-_BATCH = 16
 # Below the best by more than this, nats, a value counts as this far below.
 _DEPTH = 45.0
+# Fits farther off than this, standard deviations of the noise, are left out: they say nothing of the top.
+_FAR = 60.0
+# A first basis for the whole box: parameter sets that it is made from, and its relative error.
+_BOX_SETS, _BOX_ERROR = 400, 1e-3
+# The basis about the posterior: how far below the best, nats, a sequence belongs to it; sets; error.
+_NEAR, _NEAR_SETS, _NEAR_ERROR = 18.0, 800, 1e-4
+# Evenly drawn sequences are sampled with so many points: most are hopeless.
+_FIRST_POINTS = 4
+# Root mean square error, nats, from which on the region of the posterior is known.
+_FOUND = 4.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,49 +43,39 @@ class LearningSettings:
     importance sampling of each sequence.
     """
 
-    first: int = 500
-    each_round: int = 160
-    most: int = 1800
-    error: float = 0.05
-    log2_points: int = 7
-
-
-@dataclass(frozen=True, slots=True)
-class Evaluated:
-    """Sequences of grid indices (m, k) with their fits and conditional posteriors."""
-
-    sequences: Array
-    fits: SequenceFits
-    conditionals: Conditionals
-
-    @property
-    def log_evidence(self) -> Array:
-        """Log evidence by importance sampling, (m,)."""
-        return self.conditionals.log_evidence
-
-    def __getitem__(self, rows: Any) -> Evaluated:
-        """Some of the sequences."""
-        return Evaluated(self.sequences[rows], self.fits[rows], self.conditionals[rows])
+    first: int = 300
+    each_round: int = 180
+    most: int = 1500
+    error: float = 0.1
+    log2_points: int = 6
 
 
 @dataclass(frozen=True, slots=True)
 class Surface:
-    """A learned log evidence: the map, the top of its data, and its error on fresh posterior draws, nats."""
+    """A learned log evidence: the map, the top of its data, and its error on fresh posterior draws, nats.
+
+    scored : the map gives the residuals z of the frequencies at the best fit, in standard deviations of the
+    noise, and last what is left of the log evidence, which varies little: log Z = rest - |z|^2 / 2.
+    Otherwise it gives log Z, pressed together far below the top.
+    """
 
     smooth: SmoothMap
+    scored: bool
     top: float
     rms_error: float
     largest_error: float
 
     def values(self, features: Array) -> Array:
         """Log evidence at features (m, d), (m,)."""
-        return _expanded(self.smooth.values(features)[:, 0], self.top)
+        y = self.smooth.values(features)
+        return log_evidence(y) if self.scored else _expanded(y[:, 0], self.top)
 
-    def expansion(self, features: Array) -> tuple[Array, Array]:
-        """Log evidence (m,) and gradient (m, d) at features (m, d)."""
+    def tangent(self, features: Array) -> tuple[Array, Array]:
+        """Scores and rest at features (m, d), (m, n_z + 1), and their gradients (m, n_z + 1, d)."""
         y, slope = self.smooth.expansion(features)
-        value = _expanded(y[:, 0], self.top)
-        return value, slope[:, 0] * _expansion_slope(y[:, 0], self.top)[:, None]
+        if self.scored:
+            return y, slope
+        return _expanded(y, self.top), slope * _expansion_slope(y, self.top)[:, :, None]
 
 
 def _compressed(log_evidence: Array, top: float) -> Array:
@@ -100,99 +94,129 @@ def _expansion_slope(y: Array, top: float) -> Array:
     return np.asarray(1.0 / -np.expm1(-above))
 
 
-def evaluate(
-    own: SequencePosterior,
-    grid_deg: Array,
-    sequences: Array,
-    starts: Array,
-    log2_points: int,
-    executor: Executor | None,
-) -> Evaluated:
-    """Log evidence of sequences (m, k) by importance sampling, climbed from starts (m, s, n) or (s, n)."""
-    angles = grid_deg[sequences]
-    starts = np.broadcast_to(starts, (len(sequences), *starts.shape[-2:]))
-    items = [
-        (angles[i : i + _BATCH], starts[i : i + _BATCH], log2_points)
-        for i in range(0, len(sequences), _BATCH)
-    ]
-    pieces = run(_evaluate_batch, own, items, executor, batch_size=1)
-    return Evaluated(sequences, joined([p[0] for p in pieces]), joined([p[1] for p in pieces]))
+@dataclass(frozen=True, slots=True)
+class Learned:
+    """A surface, the sequences that it was learned from, and the posterior on a basis about the mass."""
 
-
-def _evaluate_batch(
-    own: SequencePosterior, item: tuple[Array, Array, int]
-) -> tuple[SequenceFits, Conditionals]:
-    angles, starts, log2_points = item
-    fits = fit_sequences(own, angles, starts)
-    return fits, importance_evidence(own, angles, fits, log2_points)
-
-
-def merged(a: Evaluated, b: Evaluated) -> Evaluated:
-    """Both, one after the other."""
-    return Evaluated(
-        np.concatenate((a.sequences, b.sequences)),
-        joined([a.fits, b.fits]),
-        joined([a.conditionals, b.conditionals]),
-    )
+    surface: Surface
+    data: Evaluated
+    near: SequencePosterior
 
 
 def learn(
     own: SequencePosterior,
     sums: PlySums,
+    images: Array,
     starts: Array,
     rng: np.random.Generator,
     settings: LearningSettings,
-    mirrored: bool,
     executor: Executor | None,
     notify: Callable[[str], None],
-) -> tuple[Surface, Evaluated]:
-    """The surface, and the sequences that it was learned from.
+) -> Learned:
+    """The surface, by rounds, on reduced bases that are made for where the rounds go.
 
     Evenly drawn sequences come first. Then, round after round, sequences are drawn from the posterior as
     the surface has it, a third each at temperatures 1, 2 and 4, and join. Those of temperature 1 tell its
-    error before they do. mirrored : sequences and their mirror images have one evidence.
+    error before they do. images : (n_images, d) changes of sign of the features that change no frequency.
     """
     g, k = len(sums.grid_deg), sums.n_unknown
+    box = training_sets(own.model.full.operator.problem, _BOX_SETS, rng)
+    rough = replace(own, model=focused(own.model, box, _BOX_ERROR))
     sequences = np.unique(rng.integers(g, size=(settings.first, k)), axis=0)
     notify(f"log evidence of {len(sequences)} sequences drawn evenly")
-    data = evaluate(own, sums.grid_deg, sequences, starts, settings.log2_points, executor)
-    rms, worst = np.inf, np.inf
+    data = evaluate(rough, sums.grid_deg, sequences, starts, _FIRST_POINTS, executor)
+    near, rms, worst, before = rough, np.inf, np.inf, np.inf
+    surface = None
     while True:
-        surface = _fit(sums, data, rng, rms, worst, mirrored)
-        if rms <= settings.error or len(data.sequences) + settings.each_round > settings.most:
-            return surface, data
+        surface = _fit(own, sums, data, rng, rms, worst, images, surface)
+        # one round may by chance have met nothing new
+        if max(rms, before) <= settings.error or len(data.sequences) >= settings.most:
+            return Learned(surface, data, near if near is not rough else _about(own, sums, data, rng))
         drawn, cold = _draws(surface, sums, data, settings.each_round, rng)
-        drawn_starts = starts_near(sums, data, drawn, starts)
-        fresh = evaluate(own, sums.grid_deg, drawn, drawn_starts, settings.log2_points, executor)
+        around = neighbours(
+            sums.features(data.sequences), data.fits.x, surface.smooth.lengths, images
+        ).nearest(sums.features(drawn))
+        both = np.stack((around, np.broadcast_to(starts[0], around.shape)), axis=1)
+        fresh = evaluate(near, sums.grid_deg, drawn, both, settings.log2_points, executor)
         miss = surface.values(sums.features(drawn[cold])) - fresh.log_evidence[cold]
+        before = rms
         rms, worst = float(np.sqrt(np.mean(miss**2))), float(np.abs(miss).max())
         data = merged(data, fresh)
+        if rms < _FOUND:
+            first = near is rough
+            near = _about(own, sums, data, rng)
+            if first:  # what the rough basis gave is not good enough next to the top
+                data = _again(near, sums, data, settings, executor)
         notify(f"log evidence learned from {len(data.sequences)} sequences to {rms:.2f} nats")
 
 
-def _fit(
-    sums: PlySums, data: Evaluated, rng: np.random.Generator, rms: float, worst: float, mirrored: bool
-) -> Surface:
-    top = float(data.log_evidence.max())
-    y = _compressed(data.log_evidence, top)
-    return Surface(
-        fit_map(sums.features(data.sequences), y[:, None], rng, sums.mirror if mirrored else None),
-        top,
-        rms,
-        worst,
+def _about(
+    own: SequencePosterior, sums: PlySums, data: Evaluated, rng: np.random.Generator
+) -> SequencePosterior:
+    """The posterior on a basis that is made for the sequences near the top and their constants."""
+    some = np.flatnonzero(data.log_evidence > data.log_evidence.max() - _NEAR)
+    draws = data.conditionals.draws[some][..., : own.template.model.parameters.size]
+    angles = np.repeat(sums.grid_deg[data.sequences[some]], draws.shape[1], axis=0)
+    x = np.column_stack((angles, draws.reshape(len(angles), -1)))
+    x = x[rng.permutation(len(x))[:_NEAR_SETS]]
+    return replace(own, model=focused(own.model, x, _NEAR_ERROR))
+
+
+def _again(
+    near: SequencePosterior,
+    sums: PlySums,
+    data: Evaluated,
+    settings: LearningSettings,
+    executor: Executor | None,
+) -> Evaluated:
+    """The data with those near the top evaluated anew."""
+    some = data.log_evidence > data.log_evidence.max() - _NEAR
+    fresh = evaluate(
+        near,
+        sums.grid_deg,
+        data.sequences[some],
+        near.axes.to_x(data.fits.optima[some]),
+        settings.log2_points,
+        executor,
     )
+    return merged(data[~some], fresh)
 
 
-def starts_near(sums: PlySums, data: Evaluated, sequences: Array, starts: Array) -> Array:
-    """Starts (m, 2, n) of sequences (m, k): the first common one and the optimum of the nearest evaluated."""
-    known, asked = sums.features(data.sequences), sums.features(sequences)
-    nearest = np.array([int(np.argmin(np.sum((known - a) ** 2, axis=1))) for a in asked])
-    first = np.broadcast_to(starts[0], (len(sequences), starts.shape[1]))
-    return np.stack((first, data.fits.x[nearest]), axis=1)
+def _fit(
+    own: SequencePosterior,
+    sums: PlySums,
+    data: Evaluated,
+    rng: np.random.Generator,
+    rms: float,
+    worst: float,
+    images: Array,
+    before: Surface | None,
+) -> Surface:
+    like = None if before is None else before.smooth
+    top = float(data.log_evidence.max())
+    features = sums.features(data.sequences)
+    scored = own.template.measurement.complete
+    if not scored:  # frequencies have no mode of their own
+        y = _compressed(data.log_evidence, top)[:, None]
+        return Surface(fit_map(features, y, rng, images, like), False, top, rms, worst)
+    z = _scores(own, data)
+    size = np.sum(z**2, axis=1)
+    kept = size <= max(_FAR**2, float(np.median(size)))
+    y = np.column_stack((z, data.log_evidence + 0.5 * size))[kept]
+    return Surface(fit_map(features[kept], y, rng, images, like), True, top, rms, worst)
+
+
+def _scores(own: SequencePosterior, data: Evaluated) -> Array:
+    """Residuals at the best fits in standard deviations of the noise there, (m, n_frequencies)."""
+    measured = own.template.measurement.frequencies
+    predicted = measured / (1.0 + data.fits.residual)
+    i = np.arange(len(measured))
+    sigma = own.template.noise(data.fits.x, predicted)[:, i, i]
+    return np.asarray((measured - predicted) / sigma)
 
 
 def _draws(
-    surface: Surface, sums: PlySums, data: Evaluated, n: int, rng: np.random.Generator, sweeps: int = 12
+    surface: Surface, sums: PlySums, data: Evaluated, n: int, rng: np.random.Generator, sweeps: int = 8
 ) -> tuple[Array, Array]:
     """Distinct sequences drawn by Gibbs' sampler, n or fewer, and which of them at temperature 1, bool.
 

@@ -16,32 +16,34 @@ Array = NDArray[Any]
 _LEARNED_FROM = 400
 # Bounds of the length scales in standard deviations of the points, and of the nugget's variance.
 _LENGTHS, _NUGGETS = (0.2, 200.0), (1e-8, 0.3)
-_ROWS = 2048
+_NUGGET = 1e-4
+# Points that are looked up together: their kernel stays in the processor's cache.
+_ROWS = 128
 
 
 @dataclass(frozen=True, slots=True)
 class SmoothMap:
     """f(x) = mean + sum_i k(x, x_i) a_i, outputs in columns.
 
-    k(x, y) = exp(-|(x - y) / l|^2 / 2); with a mirror s, where f(x) = f(s x), that plus
-    exp(-|(s x - y) / l|^2 / 2).
+    k(x, y) = sum_s exp(-|(s x - y) / l|^2 / 2), the sum over the changes of sign under which
+    f(s x) = f(x), the identity among them.
 
     points : (N, d) in units of the length scales. coefficients : (N, p). mean : (p,). lengths : (d,).
-    mirror : (d,) signs, or ``None``.
+    images : (n_images, d) signs, the first row all ones.
     """
 
     points: Array
     coefficients: Array
     mean: Array
     lengths: Array
-    mirror: Array | None
+    images: Array
 
     def values(self, x: Array) -> Array:
         """The functions at points (m, d), (m, p)."""
         found = np.empty((len(x), len(self.mean)))
         for i in range(0, len(x), _ROWS):
             at = x[i : i + _ROWS] / self.lengths
-            found[i : i + _ROWS] = sum(_kernel(a, self.points) for a in self._images(at)) @ self.coefficients
+            found[i : i + _ROWS] = sum(_kernel(at * s, self.points) for s in self.images) @ self.coefficients
         return found + self.mean
 
     def expansion(self, x: Array) -> tuple[Array, Array]:
@@ -52,61 +54,66 @@ class SmoothMap:
         value, slope = np.zeros((len(x), p)), np.zeros((len(x), p, d))
         for i in range(0, len(x), _ROWS):
             at = x[i : i + _ROWS] / self.lengths
-            for image, sign in zip(self._images(at), (1.0, self.mirror), strict=False):
+            for sign in self.images:
+                image = at * sign
                 sums = _kernel(image, self.points) @ both
                 value[i : i + _ROWS] += sums[:, :p]
                 moment = sums[:, p:].reshape(len(at), p, d)
                 slope[i : i + _ROWS] += (moment - sums[:, :p, None] * image[:, None, :]) * sign / self.lengths
         return value + self.mean, slope
 
-    def _images(self, at: Array) -> tuple[Array, ...]:
-        return (at,) if self.mirror is None else (at, at * self.mirror)
 
-
-def fit_map(points: Array, values: Array, rng: np.random.Generator, mirror: Array | None = None) -> SmoothMap:
+def fit_map(
+    points: Array, values: Array, rng: np.random.Generator, images: Array | None = None, like: SmoothMap | None = None
+) -> SmoothMap:
     """The map through values (N, p) at points (N, d), length scales by the largest marginal likelihood.
 
     One set of length scales, one per dimension, and one nugget serve all outputs, each in units of its
     own spread (Rasmussen and Williams, Gaussian Processes for Machine Learning, 2006, chapters 2, 5).
+    images : (n_images, d) changes of sign that leave the functions as they are, the identity first.
+    like : a map through fewer points, whose length scales are a start.
     """
     n, d = points.shape
+    signs = np.ones((1, d)) if images is None else images
     unit = np.maximum(points.std(axis=0), 1e-12)
     mean, spread = values.mean(axis=0), np.maximum(values.std(axis=0), 1e-12)
     y = (values - mean) / spread
     some = rng.permutation(n)[:_LEARNED_FROM]
-    start = np.log(np.concatenate((np.full(d, 2.0), [1e-4])))
+    start = np.full(d, 2.0) if like is None else np.clip(like.lengths / unit, *_LENGTHS)
     bounds = [(np.log(_LENGTHS[0]), np.log(_LENGTHS[1]))] * d + [(np.log(_NUGGETS[0]), np.log(_NUGGETS[1]))]
     found = minimize(
         _cost,
-        start,
-        args=(points[some] / unit, y[some], mirror),
+        np.log(np.concatenate((start, [_NUGGET]))),
+        args=(points[some] / unit, y[some], signs),
         jac=True,
         bounds=bounds,
         method="L-BFGS-B",
-        options={"maxiter": 60},
+        options={"maxiter": 60 if like is None else 15},
     )
     lengths, nugget = np.exp(found.x[:d]) * unit, np.exp(found.x[d])
     at = points / lengths
-    matrix = _kernel(at, at) if mirror is None else _kernel(at, at) + _kernel(at * mirror, at)
+    matrix = np.sum([_kernel(at * s, at) for s in signs], axis=0)
     matrix[np.diag_indices(n)] += nugget
     solved = scipy.linalg.cho_solve(scipy.linalg.cho_factor(matrix, lower=True, overwrite_a=True), y)
-    return SmoothMap(at, solved * spread, mean, lengths, mirror)
+    return SmoothMap(at, solved * spread, mean, lengths, signs)
 
 
 def _kernel(a: Array, b: Array) -> Array:
-    squared = np.sum(a**2, axis=1)[:, None] + np.sum(b**2, axis=1)[None, :] - 2.0 * (a @ b.T)
-    np.maximum(squared, 0.0, out=squared)
-    squared *= -0.5
-    return np.asarray(np.exp(squared, out=squared))
+    """exp(-|a - b|^2 / 2) of rows (m, d) and (n, d), (m, n): the exponent is one product."""
+    left = np.column_stack((a, -0.5 * np.sum(a**2, axis=1), np.ones(len(a))))
+    right = np.column_stack((b, np.ones(len(b)), -0.5 * np.sum(b**2, axis=1)))
+    exponent = left @ right.T
+    np.minimum(exponent, 0.0, out=exponent)
+    return np.asarray(np.exp(exponent, out=exponent))
 
 
-def _cost(log_scales: Array, points: Array, y: Array, mirror: Array | None) -> tuple[float, Array]:
+def _cost(log_scales: Array, points: Array, y: Array, signs: Array) -> tuple[float, Array]:
     """Negative log marginal likelihood, each output's amplitude at its best, and its gradient."""
     n, p = y.shape
     d = points.shape[1]
     at = points / np.exp(log_scales[:d])
     nugget = np.exp(log_scales[d])
-    images = (at,) if mirror is None else (at, at * mirror)
+    images = [at * s for s in signs]
     kernels = [_kernel(image, at) for image in images]
     matrix = np.sum(kernels, axis=0)
     matrix[np.diag_indices(n)] += nugget

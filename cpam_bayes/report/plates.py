@@ -5,12 +5,17 @@ from __future__ import annotations
 from typing import Any
 
 from cpam_bayes import __version__
+from cpam_bayes.air_shift import ROOM_AIR, air_shifts
 from cpam_bayes.measurement import Plate, Specimen, to_user, user_name
+from cpam_bayes.modes import RigidBodyError
+from cpam_bayes.report.numbers import fixed
 from cpam_bayes.report.tables import Column, Table, facts, remarks
 
-__all__ = ["NO_AIR", "plate_head", "plates_document", "plates_screen", "unit_of"]
+__all__ = ["NO_AIR", "air_text", "plate_head", "plates_document", "plates_screen", "unit_of"]
 
 NO_AIR = "none given: vacuum, no air in the model"
+# Modes that are told what air would do to, where no list says how many there are.
+_MODES_IN_AIR = 6
 # Shorter side over thickness from which transverse shear hardly shows in the lowest modes.
 _THIN = 20.0
 _EDGES = ("x = 0", "y = 0", "x = length", "y = width")
@@ -34,9 +39,27 @@ def plate_head(title: str, specimen: Specimen) -> Table:
         ("mass", f"{s.mass * 1e3:g} g at x = {s.x * 1e3:g} mm, y = {s.y * 1e3:g} mm")
         for s in specimen.sensors
     ]
-    rows.append(("air", NO_AIR))
+    rows.append(("air", air_text(specimen)))
     rows += [("note", note) for note in specimen.notes]
     return facts(title, tuple(rows))
+
+
+def air_text(specimen: Specimen) -> str:
+    """The air in the model, or what it would change."""
+    if specimen.air_density:
+        return f"{specimen.air_density:.6g} kg/m3, in the model"
+    said = NO_AIR if specimen.air_density is None else "none: vacuum"
+    if specimen.plate.mesh is not None or specimen.plate.layup.n_unknown:
+        return said
+    measurement = specimen.measurement
+    n = _MODES_IN_AIR if measurement is None else measurement.size
+    try:
+        lower = -100.0 * air_shifts(specimen, n)
+    except RigidBodyError:
+        return said
+    least, most = (fixed(float(v), 2) for v in (lower.min(), lower.max()))
+    span = f"{most} %" if least == most else f"{least} to {most} %"
+    return f"{said}; {ROOM_AIR:g} kg/m3 would lower the first {n} frequencies by {span}"
 
 
 def plates_screen(specimens: tuple[Specimen, ...]) -> tuple[Table, ...]:

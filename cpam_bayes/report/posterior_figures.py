@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.colors import PowerNorm
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
@@ -20,6 +21,10 @@ from cpam_bayes.report.plates import unit_of
 __all__ = ["posterior_figures"]
 
 _BINS = 40
+# Bins of a pair are wider, for its draws are spread over their square.
+_PAIR_BINS = 26
+# Colour grows as this power of the count: tails and lesser optima are seen.
+_CONTRAST = 0.6
 # Share of the draws beyond either end of the pairs.
 _TAIL = 0.0005
 _BLUE, _GREY, _RED, _ORANGE = "#4878a8", "#808080", "#c0392b", "#c1440e"
@@ -54,7 +59,13 @@ def _pairs(result: SampledIdentification) -> Figure:
                 _draw_marginal(here, result, result.constants[i], draws[:, i], spans[i])
             else:
                 both = [spans[j], spans[i]]
-                here.hist2d(draws[:, j], draws[:, i], _BINS, range=both, cmap="Blues", rasterized=True)
+                here.hist2d(
+                    *(draws[:, j], draws[:, i], _PAIR_BINS),
+                    range=both,
+                    cmap="Blues",
+                    norm=PowerNorm(_CONTRAST),
+                    rasterized=True,
+                )
                 at = [result.constants[k].reference * to_user(names[k], 1.0) for k in (j, i)]
                 here.plot(*at, "+", color=_RED, markersize=8)  # nothing where one is nan
                 here.set(xlim=spans[j], ylim=spans[i])

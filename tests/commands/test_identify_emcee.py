@@ -11,6 +11,7 @@ import pytest
 
 from cpam_bayes.cli import prepare
 from cpam_bayes.commands.supported import plate_warnings
+from cpam_bayes.inference.ensemble import DEFAULT_SETTINGS
 from cpam_bayes.measurement import read_specimen
 from cpam_bayes.report.answer import Answer
 from cpam_bayes.report.tables import plain_text
@@ -93,6 +94,21 @@ REFUSED = {
         "--likelihood: not an option of the back end pso",
     ),
     "swarm and noise": ((), ("--noise", "gaussian"), "--noise: not an option of the back end pso"),
+    "emcee and residuals": (
+        (),
+        ("--backend", "emcee", "--residuals", "relative"),
+        "--residuals: not an option of the back end emcee",
+    ),
+    "emcee and particles": (
+        (),
+        ("--backend", "emcee", "--particles", "40"),
+        "--particles: not an option of the back end emcee",
+    ),
+    "store without a name": (
+        (),
+        (*EMCEE, "--store", ""),
+        "--store: received an empty name, accepted: a directory",
+    ),
     "absolute and relative_std": (
         (("resolution_hz = 1.0", "relative_std = 0.01"),),
         (*EMCEE, "--likelihood", "absolute"),
@@ -130,6 +146,18 @@ def test_what_cannot_be_is_refused_in_one_line(
     assert said in err
     assert err.count("error:") == 1
     assert err.isprintable() or err.replace("\n", "").isprintable()
+
+
+def test_a_store_that_is_a_file_is_refused_before_any_work(run: Run, plate_file: Write) -> None:
+    path = plate_file()
+    status, out, err = run("identify", path, "--backend", "emcee", "--store", path)
+    assert (status, out, err) == (2, "", f"error: --store {path}: a file, accepted: a directory\n")
+
+
+def test_the_help_names_the_settings_that_the_chains_have(run: Run) -> None:
+    _, out, _ = run("identify", "--help")
+    said = f"in rounds of {DEFAULT_SETTINGS.round_steps} (default: {DEFAULT_SETTINGS.most_steps})"
+    assert said in " ".join(out.split())
 
 
 @pytest.mark.slow

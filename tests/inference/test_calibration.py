@@ -25,9 +25,10 @@ from cpam_bayes.inference.calibration import (
     simulate,
     spread_draws,
 )
-from cpam_bayes.inference.ensemble import EnsembleSettings, StoreError
+from cpam_bayes.inference.ensemble import EnsembleSettings
 from cpam_bayes.inference.pso import SwarmSettings
 from cpam_bayes.inference.rank_statistics import coverage, holm, rank_statistics
+from cpam_bayes.inference.round_store import StoreError
 from cpam_bayes.noise import NOISE_PRIOR
 from cpam_bayes.parallel import open_executor
 from tests.linear_model import LinearModel, exact_gaussian

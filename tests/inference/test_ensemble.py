@@ -5,23 +5,34 @@ from __future__ import annotations
 import subprocess
 import sys
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 from cpam_bayes.inference.ensemble import (
     EnsembleResult,
     EnsembleSettings,
-    StoreError,
+    diagnose_chains,
     sample,
     start_positions,
 )
+from cpam_bayes.inference.expansion import coordinates
 from cpam_bayes.inference.laplace import optimise
+from cpam_bayes.inference.mixture import Mixture
+from cpam_bayes.inference.proposal import AdaptationSettings, Proposal, adapted
+from cpam_bayes.inference.round_store import StoreError
+from cpam_bayes.inference.whole_line import whole_line
+from cpam_bayes.parameters import TruncatedNormal, Uniform
 from cpam_bayes.posterior import Posterior, plate_posterior
 from tests.linear_model import LinearModel, exact_gaussian, measurement
+from tests.toy_models import ToyModel, independent, integral, linear, listed, parameters, two_peaks
 
 SETTINGS = EnsembleSettings(walkers=16, round_steps=200, effective=6000.0, most_steps=6000)
+# Of a chain that forgets in a few steps.
+JUMPING = replace(SETTINGS, round_steps=100, effective=4000.0)
 ROOT = Path(__file__).parents[2]
 
 
@@ -37,9 +48,23 @@ def start(own: Posterior, settings: EnsembleSettings = SETTINGS) -> np.ndarray:
     return start_positions(own, swarm, values, n, rng).reshape(settings.ensembles, settings.walkers, -1)
 
 
-def run(store: Path | None = None, settings: EnsembleSettings = SETTINGS) -> EnsembleResult:
+def run(
+    store: Path | None = None, settings: EnsembleSettings = SETTINGS, proposal: Proposal | None = None
+) -> EnsembleResult:
     own = posterior()
-    return sample(own, start(own, settings), 7, settings, store=store)
+    return sample(own, start(own, settings), 7, settings, proposal=proposal, store=store)
+
+
+@cache
+def good_proposal() -> Proposal:
+    return adapted(posterior(), np.array([[0.4, -0.3]]), 0, AdaptationSettings(draws=500))
+
+
+def around(own: Posterior, x: np.ndarray, sd: np.ndarray) -> Proposal:
+    """A proposal of one component about a point (n,), sd (n,) wide on the whole line."""
+    line = whole_line(coordinates(own))
+    v = line.to_v(line.axes.to_u(x))
+    return Proposal(line, Mixture(np.ones(1), v[None], np.diag(sd)[None], 5.0))
 
 
 def test_means_and_covariance_are_those_of_the_closed_form() -> None:
@@ -52,6 +77,134 @@ def test_means_and_covariance_are_those_of_the_closed_form() -> None:
     assert found.diagnostics.r_hat <= 1.01
     np.testing.assert_array_less(np.abs(found.draws.mean(axis=0) - mean) / sd, error)
     np.testing.assert_allclose(np.cov(found.draws.T), covariance, atol=error * 2 * sd.max() ** 2)
+
+
+def check_moments(found: EnsembleResult, mean: np.ndarray, covariance: np.ndarray) -> None:
+    """Within four Monte Carlo standard errors at the effective number of samples."""
+    sd = np.sqrt(np.diag(covariance))
+    error = 4.0 / np.sqrt(found.diagnostics.ess_bulk)
+    assert found.status == "converged"
+    np.testing.assert_array_less(np.abs(found.draws.mean(axis=0) - mean) / sd, error)
+    # the standard error of a covariance is below 1.5 products of standard deviations
+    scaled = (np.cov(found.draws.T).reshape(covariance.shape) - covariance) / np.outer(sd, sd)
+    np.testing.assert_array_less(np.abs(scaled), 1.5 * error)
+
+
+# Where a proposal is bad, it is off by so many standard deviations, or so many times as wide.
+BAD = {"far away": (40.0, 1.0), "off": (4.0, 1.0), "too narrow": (0.0, 0.1), "too wide": (0.0, 30.0)}
+
+
+@pytest.mark.parametrize("name", ["good", *BAD])
+def test_chains_that_jump_have_the_closed_form_however_good_the_proposal_is(name: str) -> None:
+    mean, covariance = exact_gaussian(measurement(0.01))
+    sd = np.sqrt(np.diag(covariance))
+    if name == "good":
+        proposal = good_proposal()
+    else:
+        away, width = BAD[name]
+        # v = logit((x + 2) / 4), so that dv / dx is near 1 about the middle
+        proposal = around(posterior(), mean + away * sd, width * sd)
+    found = run(settings=JUMPING, proposal=proposal)
+    check_moments(found, mean, covariance)
+    time = found.diagnostics.autocorrelation_time
+    # half the steps jump, and nearly all of these are accepted, or hardly any
+    assert time < 5.0 if name == "good" else time > 5.0
+
+
+def test_chains_that_only_jump_have_a_gaussian_that_a_bound_cuts() -> None:
+    own = independent((-1.0, 5.0))
+    proposal = adapted(own, np.array([[0.1, 0.5]]), 0, AdaptationSettings(draws=500))
+    settings = replace(JUMPING, jumps=1.0)
+    rng = np.random.default_rng(0)
+    begun = rng.uniform(0.02, 0.5, (settings.ensembles, settings.walkers, 2))
+    ratio = norm.pdf(1.0) / norm.sf(1.0)
+    mean, variance = 0.1 * (ratio - 1.0), 0.01 * (1.0 + ratio - ratio**2)
+    found = sample(own, begun, 7, settings, proposal=proposal)
+    check_moments(found, np.array([mean, 0.5]), np.diag([variance, 0.01]))
+
+
+def test_chains_that_only_jump_have_the_noise_that_they_infer() -> None:
+    """Its logarithm is what the proposal draws: a forgotten Jacobian would show."""
+    slope = np.array([[10.0], [30.0], [-20.0]])
+    f, off = np.array([100.0, 200.0, 300.0]), np.array([2.0, -3.0, 3.0])
+    model = linear(f, slope, parameters(a=Uniform(-2.0, 2.0)))
+    own = plate_posterior(model, listed(f + off, None), np.zeros(3))
+    lower, upper = own.parameters.lower[1], own.parameters.upper[1]
+    a, s = np.linspace(-1.0, 1.0, 1201), np.geomspace(lower * (1 + 1e-12), upper * (1 - 1e-12), 1500)
+    grid = np.stack(np.meshgrid(a, s, indexing="ij"), axis=-1).reshape(-1, 2)
+    weight = np.exp(own.log_prob(grid)).reshape(len(a), len(s))
+    moments = [np.trapezoid(np.trapezoid(weight, a, axis=0) * s**k, s) for k in range(3)]
+    mean, variance = moments[1] / moments[0], moments[2] / moments[0] - (moments[1] / moments[0]) ** 2
+    proposal = adapted(own, np.array([[0.0, 0.01]]), 0, AdaptationSettings(draws=500))
+    settings = replace(JUMPING, jumps=1.0)
+    rng = np.random.default_rng(0)
+    shape = (settings.ensembles, settings.walkers)
+    begun = np.stack((rng.uniform(-0.2, 0.2, shape), rng.uniform(0.005, 0.03, shape)), axis=-1)
+    found = sample(own, begun, 7, settings, proposal=proposal)
+    noise = replace(found, chain=found.chain[..., 1:])
+    check_moments(noise, np.array([mean]), np.array([[variance]]))
+
+
+def uneven_peaks() -> Posterior:
+    """Two peaks fifty nats above the dip between them, one with seven times the mass of the other."""
+    own = two_peaks()
+    assert isinstance(own.model, ToyModel)
+    uneven = parameters(a=TruncatedNormal(0.5, 0.7, -2.0, 2.0), b=Uniform(-2.0, 2.0))
+    return replace(own, model=replace(own.model, parameters=uneven), parameters=uneven)
+
+
+@pytest.mark.parametrize("jumps", [True, False], ids=["jumps", "local moves"])
+def test_separate_peaks_have_their_weights_though_all_walkers_start_on_the_lesser(jumps: bool) -> None:
+    own = uneven_peaks()
+    b = np.linspace(-2.0, 2.0, 801)
+    right, left = (integral(own, (a, b)) for a in (np.linspace(0.0, 2.0, 801), np.linspace(-2.0, 0.0, 801)))
+    weight = 1.0 / (1.0 + np.exp(right - left))
+    assert 0.1 < weight < 0.15
+    rng = np.random.default_rng(0)
+    begun = rng.normal([-1.0, 1.3], 0.05, (JUMPING.ensembles, JUMPING.walkers, 2))
+    proposal = adapted(own, np.array([[1.0, -0.7]]), 0, AdaptationSettings(draws=500)) if jumps else None
+    found = sample(own, begun, 7, JUMPING, proposal=proposal)
+    share = float(np.mean(found.draws[:, 0] < 0.0))
+    if jumps:
+        error = np.sqrt(weight * (1.0 - weight) / found.diagnostics.ess_bulk)
+        assert share == pytest.approx(weight, abs=4.0 * error)
+        assert found.status == "converged"
+    else:
+        assert share == 1.0, "local moves have no way over"
+
+
+def test_the_solves_of_steps_and_fit_are_counted() -> None:
+    few = replace(JUMPING, most_steps=100, effective=1e9)
+    assert run(settings=few).solves == 100 * 2 * 16
+    proposal = good_proposal()
+    assert run(settings=few, proposal=proposal).solves == 100 * 2 * 16 + proposal.solves
+
+
+def test_chains_with_a_walker_that_never_moves_have_no_time_and_are_not_converged() -> None:
+    chain = np.random.default_rng(0).standard_normal((2, 400, 16, 3))
+    settings = replace(SETTINGS, effective=1000.0)
+    free = diagnose_chains(chain, settings)
+    assert free.converged
+    assert free.autocorrelation_time < 1.3
+    chain[1, 200:, 5] = chain[1, 200, 5]
+    stuck = diagnose_chains(chain, settings)
+    assert not stuck.converged
+    assert stuck.autocorrelation_time == 400
+    assert stuck.burn_in == 200
+    assert stuck.ess_bulk == 2 * 200 * 16 / 400
+    # let go before the latter half, it counts no more
+    chain[1, 200:, 5] = np.random.default_rng(1).standard_normal((200, 3))
+    chain[1, :200, 5] = 0.0
+    assert diagnose_chains(chain, settings).autocorrelation_time < 1.3
+
+
+@pytest.mark.parametrize("steps", [1, 2, 3, 7])
+def test_a_few_steps_say_that_nothing_is_known_and_warn_of_nothing(steps: int) -> None:
+    found = run(settings=replace(SETTINGS, most_steps=steps, round_steps=steps))
+    assert found.status == "budget"
+    assert found.diagnostics.steps == steps
+    assert found.diagnostics.r_hat > 1.01
+    assert found.draws.shape[1] == 2
 
 
 def test_optimum_and_covariance_of_a_linear_model_are_exact() -> None:
@@ -72,6 +225,22 @@ def test_a_collapsed_swarm_still_gives_walkers_that_span_the_posterior() -> None
     ratio = found.std(axis=0) / np.sqrt(np.diag(covariance))
     assert np.all((ratio > 0.6) & (ratio < 1.6))
     assert np.linalg.matrix_rank(found - found.mean(axis=0)) == 2
+
+
+def test_walkers_start_on_both_optima_of_a_swarm_with_duplicates_and_infeasible_particles() -> None:
+    own = two_peaks()
+    assert isinstance(own.model, ToyModel)
+    right = replace(own.model, allowed=lambda x: np.abs(x[:, 0]) > 0.5)
+    own = replace(own, model=right)
+    near, far = np.array([1.0, -0.7]), np.array([-1.02, 1.3])
+    swarm = np.concatenate((np.tile(near, (30, 1)), [[0.1, 0.2], [0.0, 0.0]], np.tile(far, (5, 1))))
+    # the first of the two infeasible particles has the best value of all, the second has none
+    values = np.concatenate((np.full(30, 1.0), [0.0, np.inf], np.full(5, 2.0)))
+    found = start_positions(own, swarm, values, 200, np.random.default_rng(0))
+    assert np.all(np.isfinite(own.log_prob(found)))
+    # equal peaks: a half within four binomial standard errors, whatever the numbers of particles
+    assert np.mean(found[:, 0] < 0.0) == pytest.approx(0.5, abs=4.0 * 0.5 / np.sqrt(200))
+    assert len(np.unique(found, axis=0)) == 200
 
 
 def test_infeasible_particles_start_nothing() -> None:
@@ -101,30 +270,45 @@ def test_the_same_seed_gives_the_same_chain_bit_for_bit(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("kept", [0, 1, 2])
-def test_a_store_with_some_rounds_goes_on_bit_for_bit(tmp_path: Path, kept: int) -> None:
-    whole = run(tmp_path)
+@pytest.mark.parametrize("jumps", [False, True], ids=["local moves", "jumps"])
+def test_a_store_with_some_rounds_goes_on_bit_for_bit(tmp_path: Path, jumps: bool, kept: int) -> None:
+    settings = replace(JUMPING, round_steps=50) if jumps else SETTINGS
+    proposal = good_proposal() if jumps else None
+    whole = run(tmp_path, settings, proposal)
     rounds = sorted(tmp_path.glob("round_*.h5"))
     assert len(rounds) > 2
     for path in rounds[kept:]:
         path.unlink()
-    np.testing.assert_array_equal(run(tmp_path).chain, whole.chain)
+    again = run(tmp_path, settings, proposal)
+    np.testing.assert_array_equal(again.chain, whole.chain)
+    assert again.solves == whole.solves
 
 
-def test_a_run_that_is_killed_goes_on_bit_for_bit(tmp_path: Path) -> None:
-    script = (
-        "import os, sys; from pathlib import Path; import tests.inference.test_ensemble as t\n"
-        "from cpam_bayes.inference.ensemble import sample\n"
-        "own = t.posterior(); rounds = []\n"
-        "def die(diagnostics):\n"
-        "    rounds.append(diagnostics)\n"
-        "    if len(rounds) == 2: os.kill(os.getpid(), 9)\n"
-        "sample(own, t.start(own), 7, t.SETTINGS, store=Path(sys.argv[1]), progress=die)\n"
-    )
-    command = [sys.executable, "-c", script, str(tmp_path)]
+KILLED = """
+import os, sys
+from pathlib import Path
+import tests.inference.test_ensemble as t
+from cpam_bayes.inference.ensemble import sample
+own, rounds = t.posterior(), []
+def die(diagnostics):
+    rounds.append(diagnostics)
+    if len(rounds) == 2:
+        os.kill(os.getpid(), 9)
+proposal = t.good_proposal() if sys.argv[2] == "True" else None
+sample(own, t.start(own), 7, t.SETTINGS, proposal=proposal, store=Path(sys.argv[1]), progress=die)
+"""
+
+
+@pytest.mark.parametrize("jumps", [False, True], ids=["local moves", "jumps"])
+def test_a_run_that_is_killed_goes_on_bit_for_bit(tmp_path: Path, jumps: bool) -> None:
+    command = [sys.executable, "-c", KILLED, str(tmp_path), str(jumps)]
     killed = subprocess.run(command, cwd=ROOT, check=False, capture_output=True)
     assert killed.returncode == -9, killed.stderr.decode()
     assert len(list(tmp_path.glob("round_*.h5"))) == 2
-    np.testing.assert_array_equal(run(tmp_path).chain, run().chain)
+    proposal = good_proposal() if jumps else None
+    np.testing.assert_array_equal(
+        run(tmp_path, SETTINGS, proposal).chain, run(None, SETTINGS, proposal).chain
+    )
 
 
 def test_a_store_of_another_problem_is_refused_and_left_alone(tmp_path: Path) -> None:
@@ -134,6 +318,20 @@ def test_a_store_of_another_problem_is_refused_and_left_alone(tmp_path: Path) ->
     with pytest.raises(StoreError, match="holds another problem"):
         sample(own, start(own), 7, SETTINGS, store=tmp_path)
     assert {p.name: p.read_bytes() for p in tmp_path.iterdir()} == before
+
+
+@pytest.mark.parametrize("other", ["none", "a wider one", "fewer jumps"])
+def test_a_store_of_chains_with_other_jumps_is_refused(tmp_path: Path, other: str) -> None:
+    few, own = replace(JUMPING, most_steps=100), good_proposal()
+    run(tmp_path, few, own)
+    wider = replace(own, mixture=replace(own.mixture, factor=1.01 * own.mixture.factor))
+    settings, proposal = {
+        "none": (few, None),
+        "a wider one": (few, wider),
+        "fewer jumps": (replace(few, jumps=0.4), own),
+    }[other]
+    with pytest.raises(StoreError, match="holds another problem"):
+        run(tmp_path, settings, proposal)
 
 
 @pytest.mark.parametrize("content", [b"", b"no HDF5 at all", None], ids=["empty", "foreign", "truncated"])

@@ -36,7 +36,7 @@ def test_the_screen_has_constants_frequencies_and_how_they_were_found(identifica
     assert "rms residual  1.0" in text
     assert re.search(r"solver +error about 0\.00\d+ % in the worst mode", text)
     assert re.search(rf"{identification.swarm.evaluations} forward solves in \d+\.\d s, seed 1", text)
-    assert "  air       none given: vacuum, no air in the model" in text
+    assert "  air       none given: vacuum, no air in the model; 1.2 kg/m3 would lower" in text
     assert "Table 3 also prints G12" in text
     assert "Warnings" not in text
 

@@ -1,0 +1,308 @@
+"""Trials of the diagnosis: something is hidden in a simulated list, and the answer is compared with it."""
+
+from __future__ import annotations
+
+import time
+import zlib
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import logsumexp
+
+from cpam_bayes.diagnosis.cases import hypotheses_of
+from cpam_bayes.diagnosis.claim import SURE
+from cpam_bayes.diagnosis.composed import ComposedModel
+from cpam_bayes.diagnosis.diagnose import Diagnosis, diagnose_cases
+from cpam_bayes.diagnosis.hypotheses import NONE, OTHER, PAIR, Hypothesis
+from cpam_bayes.diagnosis.truths import (
+    Bench,
+    Linear,
+    Reached,
+    linear,
+    of_cause,
+    oracle,
+    parameter_of,
+    random_constants,
+    size_for,
+    true_frequencies,
+)
+from cpam_bayes.diagnosis.weighing import Tested
+
+Array = NDArray[Any]
+Record = dict[str, Any]
+
+Kind = Literal["clean", "one", "two", "outside", "prior"]
+
+# The constants of a truth lie within this share of the reference.
+SPREAD = 0.1
+# Modes beyond the list that are simulated too, and draws that they are predicted with.
+FURTHER, _DRAWS = 2, 256
+# Places tried for a cause before it is given up.
+_PLACES = 6
+# Modes that a list may lack are simulated as well.
+_MOST_MISSED = 2
+# Causes that are kept in a record.
+_LISTED = 8
+
+
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """One trial, which depends on nothing but this and the plate.
+
+    kind : "clean"; "one" hidden cause; "two" at once; "outside": one whose class the dictionary lacks;
+    "prior": truth, size and constants drawn from the diagnosis's own priors. cause : names of what is
+    hidden. ratio : signal to noise of each. lacks : whether the list lacks a mode and says which.
+    """
+
+    kind: Kind
+    cause: tuple[str, ...] = ()
+    ratio: float = 0.0
+    number: int = 0
+    lacks: bool = False
+    seed: int = 0
+
+    @property
+    def rng(self) -> np.random.Generator:
+        """The generator of this trial."""
+        return np.random.default_rng([self.seed, zlib.crc32(repr(asdict(self)).encode())])
+
+
+@dataclass(frozen=True, slots=True)
+class Hidden:
+    """A simulated plate.
+
+    causes : what is hidden, with sizes; x : constants. listed : the list without noise, of ``own``, and
+    further : the modes beyond it. noise : of the list in units of s. shift : (n_listed,) that the
+    dictionary's own model has in the list, in units of s.
+    """
+
+    own: Bench
+    at: Linear
+    causes: tuple[Hypothesis, ...]
+    sizes: Array
+    listed: Array
+    further: Array
+    noise: Array
+    shift: Array
+
+
+def run_trial(own: Bench, trial: Trial) -> Record:
+    """A trial's record: truth, answer, and what of it is right; {"reached": False} where nothing can be hidden."""
+    start = time.perf_counter()
+    rng = trial.rng
+    hidden = _hide(own, trial, rng)
+    head: Record = {"trial": asdict(trial)}
+    if isinstance(hidden, Reached):
+        return head | {"reached": False, "most_ratio": hidden.most, "share": hidden.share}
+    known = oracle(hidden.at, hidden.shift, hidden.noise)
+    names = tuple(h.cause for h in hidden.causes)
+    alike = (known.alike | set(names)) if len(names) == 1 else frozenset(names)
+    case = replace(
+        hidden.own.case,
+        measurement=hidden.own.list_of(hidden.listed * np.exp(hidden.own.noise * hidden.noise)),
+    )
+    hypotheses = hypotheses_of([case])
+    if trial.kind == "outside":
+        hypotheses = [(h, plates) for h, plates in hypotheses if h.cause not in alike]
+    simulated = time.perf_counter()
+    processor = time.process_time()
+    found = diagnose_cases([case], hypotheses=hypotheses, gain=False)
+    best = next((c for c in known.probability if c not in (NONE, OTHER)), NONE)
+    return head | {
+        "reached": True,
+        "causes": list(names),
+        "variants": [h.variant for h in hidden.causes],
+        "sizes": hidden.sizes.tolist(),
+        "alike": sorted(alike),
+        "oracle": {
+            "best": best,
+            "right": best in alike,
+            "none": known.probability.get(NONE, 0.0),
+            "class": sum(p for c, p in known.probability.items() if c in alike),
+        },
+        "answer": _answer(found),
+        "said_alike": _said(found, names, alike) if len(names) == 1 else None,
+        "constants": _constants(hidden, found),
+        "further": _further(hidden, found),
+        "seconds": time.perf_counter() - simulated,
+        "processor_seconds": time.process_time() - processor,
+        "simulation_seconds": simulated - start,
+    }
+
+
+def _hide(own: Bench, trial: Trial, rng: np.random.Generator) -> Hidden | Reached:
+    n = own.n_listed
+    if trial.lacks:
+        gone = int(rng.integers(n))
+        own = replace(own, case=replace(own.case, modes=np.delete(np.arange(n + 1), gone)))
+    if trial.kind == "prior":
+        causes, x, sizes = _from_priors(own, rng)
+        at = linear(own, x)
+    else:
+        x = random_constants(own, SPREAD, rng)
+        at = linear(own, x)
+        chosen = [_chosen(at, cause, trial.ratio, rng) for cause in trial.cause]
+        missing = next((c for c in chosen if isinstance(c, Reached)), None)
+        if missing is not None:
+            return missing
+        causes = tuple(c[0] for c in chosen if not isinstance(c, Reached))
+        sizes = np.array([c[1] for c in chosen if not isinstance(c, Reached)])
+    f = true_frequencies(own, causes, x, sizes, n + FURTHER + _MOST_MISSED)
+    listed = f[own.case.modes]
+    for h, size in zip(causes, sizes, strict=True):
+        if h.listed.missed:
+            listed = np.delete(f, h.listed.missed)[:n]
+        if h.listed.spurious is not None:
+            extra = rng.uniform(0.7 * f[0], f[n - 1])
+            listed = np.sort(np.append(f[: n - 1], extra))
+        if h.listed.misread is not None:
+            listed = listed.copy()
+            listed[h.listed.misread] *= 1.0 + size
+    noise = rng.standard_normal(n)
+    if any(h.cause == OTHER for h in causes):
+        noise = noise + float(sizes[0]) / own.noise * rng.standard_normal(n)
+    shift = np.zeros(n)
+    for h, size in zip(causes, sizes, strict=True):
+        if h.parameters and h.cause != OTHER:
+            shift = shift + at.shift(h, np.array([size]))[0]
+    return Hidden(own, at, causes, sizes, listed, f[n : n + FURTHER], noise, shift)
+
+
+def _chosen(
+    at: Linear, cause: str, ratio: float, rng: np.random.Generator
+) -> tuple[Hypothesis, float] | Reached:
+    """A variant of a cause with its size, at a place and of a sign drawn at random."""
+    variants = of_cause(at.own, cause)
+    share = np.array([h.prior for h in variants])
+    order = rng.choice(len(variants), size=len(variants), replace=False, p=share / share.sum())
+    best = Reached(np.nan, 0.0, 0.0)
+    for i in order[:_PLACES]:
+        h = variants[i]
+        if not h.parameters:
+            return h, 0.0
+        prior = parameter_of(h).prior
+        sign = 1.0 if prior.lower >= 0.0 else float(rng.choice((-1.0, 1.0)))
+        for side in (sign, -sign) if prior.lower < 0.0 else (sign,):
+            found = size_for(at, h, ratio, side)
+            if found.usable:
+                return h, found.size
+            best = max(best, found, key=lambda r: r.most)
+    return best
+
+
+def _from_priors(own: Bench, rng: np.random.Generator) -> tuple[tuple[Hypothesis, ...], Array, Array]:
+    """A hypothesis, constants and a size drawn from the priors; pairs are left out."""
+    singles = own.singles
+    share = np.array([h.prior for h in singles])
+    h = singles[int(rng.choice(len(singles), p=share / share.sum()))]
+    models = own.case.models
+    while True:
+        x = models.parameters.sample(rng, 1)
+        if models.bare.admissible(x)[0]:
+            break
+    if h.cause == NONE:
+        return (), x[0], np.empty(0)
+    sizes = np.array([float(parameter_of(h).prior.sample(rng, 1)[0]) if h.parameters else 0.0])
+    return (h,), x[0], sizes
+
+
+def _answer(found: Diagnosis) -> Record:
+    ranked = [c for c in found.causes if c.name not in (NONE, OTHER)]
+    singles = [c for c in ranked if " + " not in c.name]
+    by_name = {c.name: c.probability for c in found.causes}
+    # the class of each cause that leads its own class, with the class's probability
+    classes = []
+    for c in singles:
+        members = [c.name, *(m for m in c.indistinguishable_from if m in by_name)]
+        if by_name[c.name] >= max(by_name[m] for m in members):
+            classes.append((sum(by_name[m] for m in members), members))
+    probability, members = max(classes, key=lambda k: k[0]) if classes else (0.0, [])
+    pair = next((c for c in ranked if " + " in c.name), None)
+    return {
+        "claim": found.claim.kind,
+        "claimed": list(found.claim.causes),
+        "claim_probability": found.claim.probability,
+        "none": by_name[NONE],
+        "other": by_name[OTHER],
+        "class": members,
+        "class_probability": probability,
+        "pair": pair.name.split(" + ") if pair else [],
+        "pair_probability": pair.probability if pair else 0.0,
+        "causes": [[c.name, c.variant, c.probability, c.log_bayes_factor] for c in ranked[:_LISTED]],
+        "wrong_single": max(by_name[c.name] for c in singles) >= SURE if singles else False,
+        "tested": len(found.weighed.tested),
+    }
+
+
+def _said(found: Diagnosis, names: Sequence[str], alike: frozenset[str]) -> list[list[Any]]:
+    """For every cause like the truth whether the answer says that they cannot be told apart."""
+    said = {c.name: set(c.indistinguishable_from) for c in found.causes}
+    truth = names[0]
+    if truth not in said:
+        return []
+    return [[c, c in said[truth]] for c in sorted(alike - {truth}) if c in said]
+
+
+def _extension(found: Diagnosis) -> tuple[tuple[Tested, float], ...]:
+    """What the leading class of causes, claimed or not, would extend the model by."""
+    if found.members:
+        return found.members
+    leading = next((t for t in found.weighed.tested if t.hypothesis.cause not in (NONE, OTHER)), None)
+    return ((leading, 1.0),) if leading is not None else ()
+
+
+def _constants(hidden: Hidden, found: Diagnosis) -> list[list[Any]]:
+    """name, truth, and for the model that the answer leaves the user with: mean, sd, 2.5 and 97.5 % quantile."""
+    parameters = hidden.at.own.case.models.parameters
+    fit = found.extended or found.baseline
+    rows = []
+    for p, truth in zip(parameters.parameters, hidden.at.x, strict=True):
+        if p.name in fit.constants:
+            rows.append([p.name, float(truth), *fit.constants[p.name], float(p.prior.sd)])
+    return rows
+
+
+def _further(hidden: Hidden, found: Diagnosis) -> Record | None:
+    """Log predictive densities of modes beyond the list, by the plain and by the extended model."""
+    if any(h.listed.missed for h in hidden.causes) or not np.array_equal(
+        hidden.own.case.modes, np.arange(hidden.own.n_listed)
+    ):
+        return None  # they are in the list
+    rng = np.random.default_rng(zlib.crc32(hidden.listed.tobytes()))
+    measured = hidden.further * np.exp(hidden.own.noise * rng.standard_normal(len(hidden.further)))
+    plain = _log_score(hidden.own, [(found.weighed.none, 1.0)], measured)
+    members = _extension(found)
+    return {
+        "plain": plain,
+        "extended": _log_score(hidden.own, members, measured) if members else plain,
+        "claimed": bool(found.members),
+    }
+
+
+def _log_score(own: Bench, members: Sequence[tuple[Tested, float]], measured: Array) -> float:
+    """Log density of further frequencies (k,) under a mixture of fitted hypotheses, per Hz each."""
+    beyond = own.n_listed + np.arange(len(measured))
+    terms = []
+    for t, share in members:
+        comparison = t.marginal.comparison
+        parts = tuple(replace(part, modes=beyond, slip=None) for part in comparison.model.parts)
+        x = t.marginal.resampled(_DRAWS)
+        f = ComposedModel(comparison.model.parameters, parts).predict(x).frequencies
+        error = own.case.models.error[np.minimum(beyond, len(own.case.models.error) - 1)]
+        variance = (own.noise**2 + error**2) * f**2 + own.case.measurement.resolution**2 / 12
+        if comparison.discrepancy is not None:
+            variance = variance + (x[:, comparison.discrepancy, None] * f) ** 2
+        own_density = -0.5 * np.sum((measured - f) ** 2 / variance + np.log(2 * np.pi * variance), axis=1)
+        terms.append(float(np.log(share) + logsumexp(own_density) - np.log(len(x))))
+    return float(logsumexp(terms))
+
+
+def is_right(record: Record) -> bool:
+    """Whether the leading class of causes is that of the truth."""
+    return bool(set(record["answer"]["class"][:1]) & set(record["alike"]))
+
+
+__all__ = ["FURTHER", "PAIR", "SPREAD", "Hidden", "Kind", "Record", "Trial", "is_right", "run_trial"]

@@ -1,0 +1,136 @@
+"""What is asked of the posterior over stacking sequences, and what is answered."""
+
+from __future__ import annotations
+
+from concurrent.futures import Executor
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cpam_bayes.inference.sequence_classes import members
+from cpam_bayes.inference.sequence_evaluation import Evaluated
+from cpam_bayes.inference.sequence_evidence import SequencePosterior
+from cpam_bayes.inference.sequence_surface import LearningSettings
+from cpam_bayes.inference.symmetries import Symmetry
+from cpam_bayes.measurement import Specimen
+
+Array = NDArray[Any]
+
+# Share of the probability that a credible set holds.
+CREDIBLE = 0.95
+
+
+@dataclass(frozen=True, slots=True)
+class SequenceSettings:
+    """How the sequences are gone through.
+
+    exhaustive : up to so many classes of sequences each evidence is computed. learning : of the surface.
+    halvings : of the table's cells. unaccounted : probability that may be left out. fitted : most sequences
+    whose constants are fitted one by one; sampled : most of these whose evidence is then sampled. listed :
+    most probable sequences whose evidence is computed with care. draws : sequences drawn to check and
+    correct the rest. log2_points : of the importance sampling of these.
+    """
+
+    exhaustive: int = 1500
+    learning: LearningSettings = field(default_factory=LearningSettings)
+    halvings: int = 2
+    unaccounted: float = 1e-3
+    fitted: int = 150_000
+    sampled: int = 12_000
+    listed: int = 200
+    draws: int = 500
+    log2_points: int = 9
+
+
+DEFAULT_SETTINGS = SequenceSettings()
+
+
+@dataclass(frozen=True, slots=True)
+class SurfaceCheck:
+    """How good the evidence is of sequences where it is not computed with care.
+
+    learned_from : sequences. rms, largest : error of the log evidence on draws from the posterior, nats.
+    correction : log of the factor on the sum of what was learned that the draws found. effective : share of
+    the draws that count. fitted : sequences fitted one by one; sampled : classes of these whose
+    evidence was sampled; learned_probability : of all sequences whose evidence is learned alone.
+    """
+
+    learned_from: int
+    rms: float
+    largest: float
+    correction: float
+    effective: float
+    fitted: int
+    sampled: int
+    learned_probability: float
+
+
+@dataclass(frozen=True, slots=True)
+class SequenceAnswer:
+    """The posterior over the sequences of one specimen.
+
+    enumerated : sequences on the grid. classes : distinct ones, symmetric images merged, ``None`` where they
+    were not counted. log_evidence_total : log of their mean evidence. top : the most
+    probable classes, each by its first member, (t, k) degrees, in descending order; multiplicity : (t,)
+    sequences in each; probability : (t,) of each single sequence; log_evidence, log_evidence_error : (t,).
+    marginals : (k, n_grid) probability of every angle, ply by ply. credible_count : sequences in the smallest
+    set that holds 95 %. effective_count : exp of the entropy. unaccounted : bound of what is left out.
+    drawn : sequences drawn from the posterior with their conditional posteriors; draw_weight : (d,) what each
+    counts. components : those of ``top``. check : ``None`` where every evidence was computed.
+    """
+
+    specimen: Specimen
+    own: SequencePosterior
+    symmetries: tuple[Symmetry, ...]
+    grid_deg: Array
+    enumerated: int
+    classes: int | None
+    log_evidence_total: float
+    top: Array
+    multiplicity: Array
+    probability: Array
+    log_evidence: Array
+    log_evidence_error: Array
+    components: Evaluated
+    marginals: Array
+    credible_count: int
+    effective_count: float
+    unaccounted: float
+    drawn: Evaluated
+    draw_weight: Array
+    check: SurfaceCheck | None
+    seconds: float
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """The sequences of one specimen: their posteriors, symmetries and grid; starts (2, n) of every climb."""
+
+    specimen: Specimen
+    own: SequencePosterior
+    symmetries: tuple[Symmetry, ...]
+    grid_deg: Array
+    starts: Array
+    settings: SequenceSettings
+    executor: Executor | None
+
+    @property
+    def n_unknown(self) -> int:
+        """Number of unknown angles."""
+        return self.own.n_angles
+
+    @property
+    def n_sequences(self) -> int:
+        """Number of sequences on the grid."""
+        return int(len(self.grid_deg) ** self.n_unknown)
+
+
+def moved(task: Task, data: Evaluated, rng: np.random.Generator) -> Evaluated:
+    """Sequences replaced by members of their classes at random: all are equally probable."""
+    found = data.sequences.copy()
+    for i, sequence in enumerate(data.sequences):
+        every = members(sequence, task.symmetries)
+        found[i] = every[rng.integers(len(every))]
+    return replace(data, sequences=found)

@@ -1,0 +1,169 @@
+"""Evidence of stacks of sequences, shared out: Laplace's for many, sampled for those that count."""
+
+from __future__ import annotations
+
+from concurrent.futures import Executor
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from cpam_bayes.inference.sequence_evidence import (
+    Conditionals,
+    SequenceFits,
+    SequencePosterior,
+    fit_sequences,
+    importance_evidence,
+    joined,
+)
+from cpam_bayes.parallel import run
+
+Array = NDArray[Any]
+
+# Sequences that a worker takes at a time: where all is computed, and where only optima are located.
+_BATCH, _LOCATED = 32, 512
+# An evidence this far below the one expected, nats, may be that of a lesser optimum.
+_SUSPECT = 1.0
+# Neighbours among which the second start is looked for.
+_NEIGHBOURS = 8
+
+
+@dataclass(frozen=True, slots=True)
+class Evaluated:
+    """Sequences of grid indices (m, k) with their fits and conditional posteriors."""
+
+    sequences: Array
+    fits: SequenceFits
+    conditionals: Conditionals
+
+    @property
+    def log_evidence(self) -> Array:
+        """Log evidence by importance sampling, (m,)."""
+        return self.conditionals.log_evidence
+
+    def __getitem__(self, rows: Any) -> Evaluated:
+        """Some of the sequences."""
+        return Evaluated(self.sequences[rows], self.fits[rows], self.conditionals[rows])
+
+
+def evaluate(
+    own: SequencePosterior,
+    grid_deg: Array,
+    sequences: Array,
+    starts: Array,
+    log2_points: int,
+    executor: Executor | None,
+) -> Evaluated:
+    """Log evidence of sequences (m, k) by importance sampling, climbed from starts (m, s, n) or (s, n)."""
+    angles = grid_deg[sequences]
+    starts = np.broadcast_to(starts, (len(sequences), *starts.shape[-2:]))
+    items = [
+        (angles[i : i + _BATCH], starts[i : i + _BATCH], log2_points)
+        for i in range(0, len(sequences), _BATCH)
+    ]
+    pieces = run(_evaluate_batch, own, items, executor, batch_size=1)
+    return Evaluated(sequences, joined([p[0] for p in pieces]), joined([p[1] for p in pieces]))
+
+
+def _evaluate_batch(
+    own: SequencePosterior, item: tuple[Array, Array, int]
+) -> tuple[SequenceFits, Conditionals]:
+    angles, starts, log2_points = item
+    fits = fit_sequences(own, angles, starts)
+    return fits, importance_evidence(own, angles, fits, log2_points)
+
+
+def merged(a: Evaluated, b: Evaluated) -> Evaluated:
+    """Both, one after the other."""
+    return Evaluated(
+        np.concatenate((a.sequences, b.sequences)),
+        joined([a.fits, b.fits]),
+        joined([a.conditionals, b.conditionals]),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Located:
+    """Laplace's log evidence of m sequences (m,) and the parameters at their best optima (m, n)."""
+
+    log_evidence: Array
+    x: Array
+
+
+def locate(
+    own: SequencePosterior,
+    grid_deg: Array,
+    sequences: Array,
+    near: Array,
+    expected: Array,
+    starts: Array,
+    executor: Executor | None,
+) -> Located:
+    """Laplace's evidence of sequences (m, k), each climbed from one start next to its optimum.
+
+    near : (m, n) parameters, the optima of neighbours. Those that end a nat below the log evidence
+    expected of them (m,) are climbed again from the common ``starts`` (s, n).
+    """
+    angles = grid_deg[sequences]
+    items = [
+        (angles[i : i + _LOCATED], near[i : i + _LOCATED], expected[i : i + _LOCATED], starts)
+        for i in range(0, len(sequences), _LOCATED)
+    ]
+    if not items:
+        return Located(np.empty(0), np.empty((0, near.shape[1])))
+    pieces = run(_locate_batch, own, items, executor, batch_size=1)
+    return Located(np.concatenate([p.log_evidence for p in pieces]), np.concatenate([p.x for p in pieces]))
+
+
+def _locate_batch(own: SequencePosterior, item: tuple[Array, Array, Array, Array]) -> Located:
+    angles, near, expected, starts = item
+    fits = fit_sequences(own, angles, near[:, None, :])
+    log_evidence, x = fits.log_evidence.copy(), fits.x.copy()
+    low = np.flatnonzero(log_evidence < expected - _SUSPECT)
+    if len(low):
+        again = fit_sequences(own, angles[low], starts)
+        better = again.log_evidence > log_evidence[low]
+        log_evidence[low[better]], x[low[better]] = again.log_evidence[better], again.x[better]
+    return Located(log_evidence, x)
+
+
+@dataclass(frozen=True, slots=True)
+class Neighbours:
+    """Where evaluated sequences lie among all: a tree over their features and all images of these.
+
+    tree : over points in units of ``lengths`` (d,). owner : which sequence a point belongs to. x : (m, n)
+    optima of the sequences.
+    """
+
+    tree: cKDTree
+    lengths: Array
+    owner: Array
+    x: Array
+
+    def nearest(self, features: Array) -> Array:
+        """Optima of the nearest sequences, (m, n)."""
+        return self.x[self.owner[self.tree.query(features / self.lengths)[1]]]
+
+    def starts(self, features: Array, own: Array | None = None) -> Array:
+        """Two starts of each, (m, 2, n): the nearest optimum or ``own`` (m, n), and an unlike one nearby."""
+        n = min(_NEIGHBOURS, self.tree.n)
+        around = self.tree.query(features / self.lengths, k=np.arange(1, n + 1))[1]
+        some = self.x[self.owner[around]]
+        first = some[:, 0] if own is None else own
+        away = np.sum(((some - first[:, None, :]) / self.x.std(axis=0).clip(1e-300)) ** 2, axis=2)
+        return np.stack((first, some[np.arange(len(some)), away.argmax(axis=1)]), axis=1)
+
+    def mean(self, features: Array, values: Array) -> Array:
+        """Mean over the nearest sequences of values that they have (m,), near ones counting more."""
+        n = min(_NEIGHBOURS, self.tree.n)
+        distance, around = self.tree.query(features / self.lengths, k=np.arange(1, n + 1))
+        weight = 1.0 / (distance + 0.1 * np.mean(distance) + 1e-12)
+        return np.asarray(np.sum(weight * values[self.owner[around]], axis=1) / weight.sum(axis=1))
+
+
+def neighbours(features: Array, x: Array, lengths: Array, images: Array) -> Neighbours:
+    """The tree of sequences with features (m, d), their images by changes of sign (n_images, d)."""
+    points = (features[None] * images[:, None, :] / lengths).reshape(-1, features.shape[1])
+    return Neighbours(cKDTree(points), lengths, np.tile(np.arange(len(features)), len(images)), x)

@@ -1,0 +1,444 @@
+"""The posterior over many stacking sequences: learned, then computed where the mass is, then checked.
+
+The learned evidence says which sequences can matter. These are listed and fitted one by one, from optima
+nearby, and the evidence of those that carry the mass is sampled. The rest is summed with its learned
+evidence. Draws from the result are computed with care: they say how far the evidence of each part is off
+and correct the sums of the parts that were not sampled.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import Executor
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cpam_bayes.inference.enumeration import (
+    BIN,
+    BINS,
+    Enumerator,
+    Piece,
+    enumerate_prefixes,
+    prefixes_to_visit,
+    together,
+    values_of_prefix,
+)
+from cpam_bayes.inference.evidence_table import build_table
+from cpam_bayes.inference.ply_sums import PlySums
+from cpam_bayes.inference.sequence_answer import (
+    CREDIBLE,
+    SequenceAnswer,
+    SurfaceCheck,
+    Task,
+    moved,
+)
+from cpam_bayes.inference.sequence_classes import canonical
+from cpam_bayes.inference.sequence_evaluation import (
+    Evaluated,
+    Located,
+    Neighbours,
+    evaluate,
+    locate,
+    merged,
+    neighbours,
+)
+from cpam_bayes.inference.sequence_surface import Learned, Surface, learn
+from cpam_bayes.inference.symmetries import Symmetry
+from cpam_bayes.parallel import run
+
+Array = NDArray[Any]
+
+# Pieces that the prefixes are shared out in.
+_PIECES = 64
+# A floor this far below the best to begin with, and deeper by this much while too much is left out.
+_FLOOR, _DEEPER, _DEEPEST = 14.0, 5.0, 35.0
+# Prefixes that tell beforehand how much a floor leaves out, and how long a list gets.
+_SCOUTS = 512
+# Share of what may be unaccounted that may be learned alone where the list can be long enough.
+_UNLISTED = 0.1
+# Of every so many listed sequences one is fitted first, for the others to start from.
+_SPARSE = 16
+# Fewest draws from a part that is not sampled.
+_FEWEST = 64
+
+
+def learned(
+    task: Task,
+    sums: PlySums,
+    rng: np.random.Generator,
+    notify: Callable[[str], None],
+    progress: Callable[[int, int], None],
+) -> SequenceAnswer:
+    """The evidence learned, all sequences gone through, those that can matter computed."""
+    images = _images(task, sums)
+    known = learn(task.own, sums, images, task.starts, rng, task.settings.learning, task.executor, notify)
+    enumerator = _enumerator(task, sums, known, rng, notify)
+    notify(f"{task.n_sequences} sequences, {len(enumerator.table.centre)} cells")
+    whole = _gone_through(enumerator, task.executor, progress)
+    notify(f"{len(whole.log_evidence)} sequences are fitted one by one")
+    listed = _computed(task, sums, known, whole, images, notify)
+    drawn = _drawn(task, sums, known, enumerator, whole, listed, rng)
+    return _answer(task, known, enumerator, whole, listed, drawn, rng)
+
+
+def _images(task: Task, sums: PlySums) -> Array:
+    """Changes of sign of the features that change no frequency, the identity first, (n_images, d)."""
+    found = [np.ones(len(sums.function))]
+    found += [sums.signs(s.name) for s in task.symmetries if _of_angles(task, s)]
+    return np.array(found)
+
+
+def _of_angles(task: Task, s: Symmetry) -> bool:
+    """Whether a symmetry changes every angle in the same way and leaves the plies in their places."""
+    return s.everywhere and np.array_equal(s.source, np.arange(task.n_unknown))
+
+
+def _negation(task: Task) -> Array | None:
+    """Grid index of minus every angle if all sequences have an equally probable mirror image."""
+    for s in task.symmetries:
+        if s.name == "mirror image" and _of_angles(task, s):
+            return np.asarray(s.permutation)
+    return None
+
+
+def _enumerator(
+    task: Task, sums: PlySums, known: Learned, rng: np.random.Generator, notify: Callable[[str], None]
+) -> Enumerator:
+    """A table whose floor is so low that what it leaves out does not count, and what is to be listed."""
+    settings, surface = task.settings, known.surface
+    slack = float(np.clip(surface.largest_error, 0.2, 3.0))
+    depth = _FLOOR
+    while True:
+        floor = surface.top - depth
+        tangent = partial(_tangents, surface, task.executor)
+        table = build_table(tangent, sums.rest_reach, floor, settings.halvings, slack)
+        found = Enumerator(table, sums, surface.top, _negation(task), np.inf)
+        visited = prefixes_to_visit(found)
+        scouts = np.sort(rng.choice(visited, size=min(_SCOUTS, len(visited)), replace=False))
+        items = [s for s in np.array_split(scouts, _PIECES) if len(s)]
+        piece = together(run(enumerate_prefixes, found, items, task.executor, batch_size=1))
+        share = len(scouts) / len(visited)
+        left_out = piece.left_out * np.exp(floor - surface.top)
+        allowed = 0.5 * settings.unaccounted * piece.mass.sum()
+        if left_out <= allowed or depth > _DEEPEST:
+            return replace(found, threshold=_threshold(task, found, piece, share))
+        depth += float(np.clip(np.log(left_out / max(allowed, 1e-300)), 1.0, _DEEPER))
+        notify(f"the table reaches {depth:.0f} nats below the best")
+
+
+def _tangents(surface: Surface, executor: Executor | None, features: Array) -> tuple[Array, Array]:
+    """The surface's tangents at features (m, d), shared out."""
+    pieces = run(Surface.tangent, surface, np.array_split(features, _PIECES), executor, batch_size=1)
+    return np.concatenate([p[0] for p in pieces]), np.concatenate([p[1] for p in pieces])
+
+
+def _values(surface: Surface, executor: Executor | None, features: Array) -> Array:
+    """The learned log evidence at features (m, d), shared out, (m,)."""
+    pieces = run(Surface.values, surface, np.array_split(features, _PIECES), executor, batch_size=1)
+    return np.concatenate(pieces)
+
+
+def _threshold(task: Task, own: Enumerator, scouted: Piece, share: float) -> float:
+    """Log evidence from which on sequences are listed: nearly all the mass, but not too many."""
+    settings = task.settings
+    rest = 1.0 - np.cumsum(scouted.weight) / scouted.weight.sum()
+    number = np.cumsum(scouted.count) / share / (1 if own.negation is None else 2)
+    enough = int(np.argmax(rest <= _UNLISTED * settings.unaccounted))
+    most = int(np.searchsorted(number, settings.fitted, side="right"))
+    return own.reference + 5.0 - BIN * min(enough + 1, most)
+
+
+def _gone_through(own: Enumerator, executor: Executor | None, progress: Callable[[int, int], None]) -> Piece:
+    """The sums over all sequences and the list of the best."""
+    items = [p for p in np.array_split(prefixes_to_visit(own), _PIECES) if len(p)]
+    done = [0]
+
+    def count(index: int, piece: Piece) -> None:
+        del index, piece
+        done[0] += 1
+        progress(done[0], len(items))
+
+    return together(run(enumerate_prefixes, own, items, executor, batch_size=1, on_result=count))
+
+
+@dataclass(frozen=True, slots=True)
+class _Listed:
+    """The m classes that were fitted, in descending order of their log evidence as it is known.
+
+    sequences : (m, k) their first members. size : (m,) sequences in each class, count : (m,) of them
+    on the list. log_evidence : (m,). sampled : (m,) whether by sampling. around : where they lie. careful : the
+    first of them, computed with care. of_row : (b,) which class each row of the enumerator's list is of.
+    """
+
+    sequences: Array
+    size: Array
+    count: Array
+    log_evidence: Array
+    sampled: Array
+    around: Neighbours
+    careful: Evaluated
+    of_row: Array
+
+
+def _computed(
+    task: Task, sums: PlySums, known: Learned, whole: Piece, images: Array, notify: Callable[[str], None]
+) -> _Listed:
+    """Every listed class fitted, those that carry the mass sampled, the first ones with care."""
+    settings = task.settings
+    orbits = canonical(whole.listed.astype(np.int64), task.symmetries)
+    g, k = len(task.grid_deg), task.n_unknown
+    code = orbits.representative @ (g ** np.arange(k - 1, -1, -1, dtype=np.int64))
+    _, first, of_row = np.unique(code, return_index=True, return_inverse=True)
+    of_row = of_row.ravel()
+    sequences, size = orbits.representative[first], orbits.size[first]
+    count = np.bincount(of_row, whole.times)
+    features = sums.features(sequences)
+    lengths = known.surface.smooth.lengths
+    expected = _values(known.surface, task.executor, features)
+    found = _located(task, sums, known, sequences, features, expected, images)
+    order = np.argsort(-found.log_evidence, kind="stable")
+    mass = np.cumsum(count[order] * np.exp(found.log_evidence[order] - found.log_evidence.max()))
+    needed = int(np.searchsorted(mass, (1.0 - settings.unaccounted) * mass[-1])) + 1
+    some = order[: min(max(needed, settings.listed), settings.sampled)]
+    notify(f"evidence of {len(some)} classes of sequences")
+    around = neighbours(features, found.x, lengths, images)
+    starts = around.starts(features[some], found.x[some])
+    exact = evaluate(
+        known.near, task.grid_deg, sequences[some], starts, settings.learning.log2_points, task.executor
+    )
+    log_evidence = found.log_evidence.copy()
+    if len(some) < len(order):  # what sampling changes is much the same for neighbours
+        change = exact.log_evidence - log_evidence[some]
+        other = order[len(some) :]
+        near_sampled = neighbours(features[some], found.x[some], lengths, images)
+        log_evidence[other] += near_sampled.mean(features[other], change)
+    log_evidence[some] = exact.log_evidence
+    sampled = np.zeros(len(order), dtype=bool)
+    sampled[some] = True
+    top = some[np.argsort(-exact.log_evidence, kind="stable")[: settings.listed]]
+    careful = _with_care(task, known, around, sequences[top], features[top], found.x[top])
+    log_evidence[top] = careful.log_evidence
+    careful = careful[np.argsort(-careful.log_evidence, kind="stable")]
+    order = np.argsort(-log_evidence, kind="stable")
+    place = np.empty(len(order), dtype=np.int64)
+    place[order] = np.arange(len(order))
+    return _Listed(
+        sequences=sequences[order],
+        size=size[order],
+        count=count[order],
+        log_evidence=log_evidence[order],
+        sampled=sampled[order],
+        around=around,
+        careful=careful,
+        of_row=place[of_row],
+    )
+
+
+def _located(
+    task: Task,
+    sums: PlySums,
+    known: Learned,
+    sequences: Array,
+    features: Array,
+    expected: Array,
+    images: Array,
+) -> Located:
+    """Laplace's evidence of sequences (m, k): of a few from those learned from, of the others from these."""
+    lengths = known.surface.smooth.lengths
+    learned_at = sums.features(known.data.sequences)
+    around = neighbours(learned_at, known.data.fits.x, lengths, images)
+    m = len(sequences)
+    log_evidence, x = np.empty(m), np.empty((m, known.data.fits.x.shape[1]))
+    every = np.arange(m)
+    for rows in (every[::_SPARSE], np.delete(every, np.s_[::_SPARSE])):
+        near = around.nearest(features[rows])
+        found = locate(
+            known.near, task.grid_deg, sequences[rows], near, expected[rows], task.starts, task.executor
+        )
+        log_evidence[rows], x[rows] = found.log_evidence, found.x
+        around = neighbours(
+            np.concatenate((learned_at, features[rows])),
+            np.concatenate((known.data.fits.x, found.x)),
+            lengths,
+            images,
+        )
+    return Located(log_evidence, x)
+
+
+def _with_care(
+    task: Task, known: Learned, around: Neighbours, sequences: Array, features: Array, x: Array | None
+) -> Evaluated:
+    """Sequences (m, k) climbed from two optima nearby and the common starts, and sampled with more points."""
+    near = around.starts(features, x)
+    common = np.broadcast_to(task.starts, (len(sequences), *task.starts.shape))
+    starts = np.concatenate((near, common), axis=1)
+    return evaluate(known.near, task.grid_deg, sequences, starts, task.settings.log2_points, task.executor)
+
+
+@dataclass(frozen=True, slots=True)
+class _Part:
+    """Draws from one part of the sequences, computed with care.
+
+    mass : weight of the part as it was known. miss : (d,) log evidence less what it was drawn by.
+    """
+
+    mass: float
+    data: Evaluated
+    miss: Array
+
+    @property
+    def correction(self) -> float:
+        """Log of the factor on the part's mass."""
+        return float(np.log(np.mean(np.exp(self.miss - self.miss.max()))) + self.miss.max())
+
+
+def _drawn(
+    task: Task,
+    sums: PlySums,
+    known: Learned,
+    own: Enumerator,
+    whole: Piece,
+    listed: _Listed,
+    rng: np.random.Generator,
+) -> tuple[_Part | None, ...]:
+    """Draws from the classes that were sampled, from those fitted only, and from all that is not listed."""
+    weight = listed.count * np.exp(listed.log_evidence - own.reference)
+    rows = (np.flatnonzero(listed.sampled), np.flatnonzero(~listed.sampled))
+    masses = (*(float(weight[r].sum()) for r in rows), float(whole.mass.sum()))
+    found: list[_Part | None] = []
+    for i, mass in enumerate(masses):
+        if mass <= 0.0:
+            found.append(None)
+            continue
+        n = max(round(task.settings.draws * mass / sum(masses)), min(_FEWEST, task.settings.draws))
+        if i < len(rows):
+            pick = rows[i][rng.choice(len(rows[i]), size=n, p=weight[rows[i]] / mass)]
+            sequences, value = listed.sequences[pick], listed.log_evidence[pick]
+        else:
+            sequences, value = _unlisted(own, whole, n, rng)
+        distinct, place = np.unique(sequences, axis=0, return_inverse=True)
+        features = sums.features(distinct)
+        data = _with_care(task, known, listed.around, distinct, features, None)[place.ravel()]
+        found.append(_Part(mass, data, data.log_evidence - value))
+    return tuple(found)
+
+
+def _unlisted(own: Enumerator, whole: Piece, n: int, rng: np.random.Generator) -> tuple[Array, Array]:
+    """Sequences (n, k) drawn from those that are not listed, by their learned log evidence (n,)."""
+    prefix = rng.choice(len(whole.mass), size=n, p=whole.mass / whole.mass.sum())
+    sequences = np.empty((n, own.sums.n_unknown), dtype=np.int64)
+    value = np.empty(n)
+    for p in np.unique(prefix):
+        rows = np.flatnonzero(prefix == p)
+        some, log_evidence = values_of_prefix(own, int(whole.prefixes[p]))
+        weight = np.exp(log_evidence - log_evidence.max())
+        pick = rng.choice(len(some), size=len(rows), p=weight / weight.sum())
+        sequences[rows], value[rows] = some[pick], log_evidence[pick]
+    return sequences, value
+
+
+def _answer(
+    task: Task,
+    known: Learned,
+    own: Enumerator,
+    whole: Piece,
+    listed: _Listed,
+    parts: tuple[_Part | None, ...],
+    rng: np.random.Generator,
+) -> SequenceAnswer:
+    """All parts together, those that were not sampled as the draws correct them."""
+    fitted, rest = (0.0 if part is None else part.correction for part in parts[1:])
+    value = listed.log_evidence + np.where(listed.sampled, 0.0, fitted)
+    below = value - own.reference
+    weight = np.exp(below)
+    rest_mass = float(np.exp(rest) * whole.mass.sum())
+    listed_mass = float(listed.count @ weight)
+    total = listed_mass + rest_mass
+    log_total = float(np.log(total)) + own.reference
+    entropy = float((listed.count * weight) @ below) + np.exp(rest) * (
+        whole.entropy + rest * whole.mass.sum()
+    )
+    left_out = whole.left_out * np.exp(own.table.floor - own.reference)
+    some = [p for p in parts if p is not None]
+    # sampled classes count as they were drawn: what a draw with care adds to them is noise of both
+    share = [
+        p.mass / total * (np.full(len(p.miss), 1.0 / len(p.miss)) if p is parts[0] else _shares(p))
+        for p in some
+    ]
+    draw_weight = np.concatenate(share)
+    draw_weight = draw_weight / draw_weight.sum()
+    drawn = some[0].data
+    for part in some[1:]:
+        drawn = merged(drawn, part.data)
+    miss = np.concatenate([p.miss for p in some])
+    top = np.arange(min(task.settings.listed, len(listed.careful.sequences)))
+    careful = listed.careful[top]
+    return SequenceAnswer(
+        specimen=task.specimen,
+        own=task.own,
+        symmetries=task.symmetries,
+        grid_deg=task.grid_deg,
+        enumerated=task.n_sequences,
+        classes=None,
+        log_evidence_total=log_total - float(np.log(task.n_sequences)),
+        top=task.grid_deg[careful.sequences],
+        multiplicity=canonical(careful.sequences, task.symmetries).size,
+        probability=np.exp(careful.log_evidence - log_total),
+        log_evidence=careful.log_evidence,
+        log_evidence_error=careful.conditionals.error,
+        components=careful,
+        marginals=_marginals(own, whole, listed, weight, float(np.exp(rest))),
+        credible_count=_credible_count(whole, listed, weight, rest, total),
+        effective_count=float(np.exp(np.log(total) - entropy / total)),
+        unaccounted=float(left_out / (left_out + total)),
+        drawn=moved(task, drawn, rng),
+        draw_weight=draw_weight,
+        check=SurfaceCheck(
+            learned_from=len(known.data.sequences),
+            rms=float(np.sqrt(np.sum(draw_weight * miss**2))),
+            largest=float(np.abs(miss).max()),
+            correction=rest,
+            effective=float(1.0 / np.sum(draw_weight**2) / len(draw_weight)),
+            fitted=len(listed.size),
+            sampled=int(listed.sampled.sum()),
+            learned_probability=rest_mass / total,
+        ),
+        seconds=0.0,
+    )
+
+
+def _shares(part: _Part) -> Array:
+    """What each draw of a part counts, (d,), as a share of the part's mass before it was corrected."""
+    return np.asarray(np.exp(part.miss) / len(part.miss))
+
+
+def _credible_count(whole: Piece, listed: _Listed, weight: Array, correction: float, total: float) -> int:
+    """Sequences in the smallest set with 95 %, the last group in proportion."""
+    value = np.exp(5.0 - BIN * (np.arange(BINS) + 0.5) + correction)
+    each = np.concatenate((weight, value))
+    count = np.concatenate((listed.count, whole.count)).astype(float)
+    mass = np.concatenate((listed.count * weight, np.exp(correction) * whole.weight))
+    order = np.argsort(-each, kind="stable")
+    held = np.cumsum(mass[order])
+    at = int(np.searchsorted(held, CREDIBLE * total))
+    before = float(count[order[:at]].sum())
+    share = (CREDIBLE * total - (held[at - 1] if at else 0.0)) / max(float(mass[order[at]]), 1e-300)
+    return int(np.ceil(before + share * count[order[at]] - 1e-9))
+
+
+def _marginals(own: Enumerator, whole: Piece, listed: _Listed, weight: Array, factor: float) -> Array:
+    """Probability of every angle, ply by ply, (k, n_grid)."""
+    g, n_inner = len(own.sums.grid_deg), own.n_inner
+    n_outer = own.sums.n_unknown - n_inner
+    place = g ** np.arange(n_outer - 1, -1, -1, dtype=np.int64)
+    outer = [np.bincount(whole.prefixes // p % g, whole.mass, minlength=g) for p in place]
+    found = factor * np.concatenate((np.reshape(outer, (n_outer, g)), whole.inner))
+    row_weight = whole.times * weight[listed.of_row]
+    found = found + np.stack([np.bincount(column, row_weight, minlength=g) for column in whole.listed.T])
+    if own.negation is not None:
+        found = 0.5 * (found + found[:, own.negation])
+    return np.asarray(found / found.sum(axis=1, keepdims=True))

@@ -1,0 +1,324 @@
+"""How many stacking sequences do the paper's lists allow, and what noise would determine one?
+
+python studies/08_sequences.py [--quick] [--only NAME ...] [--workers N] [--executor SPEC]
+
+Every case of Table 9(b): the posterior over all sequences on the grid of 5 degrees, the constants
+marginalised, from the printed list with its noise inferred. Two cases with two unknown angles besides, which
+need no learned evidence. Then the list of C1's own sequence and reference constants, noise-free, with smaller
+and smaller noise stated: the probability of its class. Cases that were saved before are kept.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import resource
+import sys
+import time
+from collections.abc import Callable
+from concurrent.futures import Executor
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cpam_bayes.cache import reduced_model
+from cpam_bayes.inference.angle_information import angle_information
+from cpam_bayes.inference.given_sequence import given_sequence
+from cpam_bayes.inference.sequences import (
+    DEFAULT_SETTINGS,
+    SequenceAnswer,
+    SequenceSettings,
+    sequence_probabilities,
+)
+from cpam_bayes.layup import parse_layup
+from cpam_bayes.measurement import Measurement, Specimen, builtin
+from cpam_bayes.model import angle_parameters, reference_vector
+from cpam_bayes.paper.sequences import identified_sequences
+from cpam_bayes.parallel import open_executor, read_spec
+from cpam_bayes.report.tables import Column, Table, screen_text
+
+Results = dict[str, Any]
+Notify = Callable[[str], None]
+
+RESULTS = Path(__file__).parent / "results" / f"{Path(__file__).stem}.json"
+
+KEYS = {
+    "quick": "whether this is the small version",
+    "cases": "one a plate and layup: printed and own sequence, credible set, most probable sequence, cost",
+    "noise": "C1's own list with smaller and smaller noise stated: probability of its class",
+}
+
+SEED = 0
+TWO_ANGLES = {"C1, two angles": ("C1", "[(?/?)_8]_s"), "D2, two angles": ("D2", "[(?/?)_8]_s")}
+PRINTED = tuple(identified_sequences())
+# Cases of the noise study: unknown angles of C1.
+NOISE_LAYUPS = {"C1 noise, two angles": "[(?/?)_8]_s", "C1 noise": "[(?/?/?/?)_4]_s"}
+NOISE = (0.02, 0.01, 0.005, 0.002, 0.001, 0.0005)
+NAMES = (*TWO_ANGLES, *PRINTED, *NOISE_LAYUPS)
+# A class is determined if it has this probability.
+DETERMINED = 0.95
+# Classes whose probabilities are kept.
+KEPT = 20
+
+SMALL = SequenceSettings(draws=30, listed=12, log2_points=6)
+
+
+def run(
+    quick: bool,
+    executor: Executor | None = None,
+    only: tuple[str, ...] | None = None,
+    notify: Notify = lambda text: None,
+) -> Results:
+    """All cases, or those named; quick: C1 with two angles on a coarse grid, and one noise."""
+    wanted = ("C1, two angles", "C1 noise, two angles") if quick else only or NAMES
+    settings = SMALL if quick else DEFAULT_SETTINGS
+    step = 45.0 if quick else None
+    cases = []
+    for name in wanted:
+        if name not in NOISE_LAYUPS:
+            notify(name)
+            cases.append(_case(name, step, settings, executor))
+    noise = [
+        _noise(name, NOISE[:1] if quick else NOISE, step, settings, executor, notify)
+        for name in wanted
+        if name in NOISE_LAYUPS
+    ]
+    return {"quick": quick, "cases": cases, "noise": noise}
+
+
+def case_specimen(name: str, step_deg: float | None = None) -> Specimen:
+    """A case by its name, if wanted on another grid of angles."""
+    plate, layup = TWO_ANGLES.get(name, (name, None))
+    specimen = builtin(plate, sequence=True)
+    if layup is not None:
+        specimen = replace(specimen, plate=replace(specimen.plate, layup=parse_layup(layup)))
+    return specimen if step_deg is None else replace(specimen, angle_grid_deg=step_deg)
+
+
+def own_sequence(specimen: Specimen) -> np.ndarray:
+    """The plate's own angles at the places of the unknown ones, (k,) degrees."""
+    known = builtin(specimen.name).plate.layup.angles_deg
+    index = specimen.plate.layup.unknown_index
+    return np.array([known[np.flatnonzero(index == i)[0]] for i in range(specimen.plate.layup.n_unknown)])
+
+
+def _case(name: str, step: float | None, settings: SequenceSettings, executor: Executor | None) -> Results:
+    specimen = case_specimen(name, step)
+    start = time.process_time()
+    answer = sequence_probabilities(specimen, SEED, settings=settings, executor=executor)
+    processor = time.process_time() - start
+    information = angle_information(specimen.plate.layup, answer.marginals)
+    printed = identified_sequences()[name].angles_deg if name in PRINTED else None
+    return {
+        "case": name,
+        "layup": specimen.plate.layup.text,
+        "unknown_angles": answer.own.n_angles,
+        "frequencies": answer.own.template.measurement.size,
+        "printed": None if printed is None else _sequence(answer, np.array(printed, dtype=float)),
+        "own": _sequence(answer, own_sequence(specimen)),
+        **_posterior(answer),
+        "entropy_bits": information.entropy_bits.tolist(),
+        "most_bits": information.most_bits,
+        "outer_better": information.outer_better,
+        "seconds": answer.seconds,
+        "processor_seconds_here": processor,
+        "peak_gib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20,
+    }
+
+
+def _sequence(answer: SequenceAnswer, angles_deg: np.ndarray) -> Results:
+    found = given_sequence(answer, angles_deg)
+    return {
+        "angles_deg": found.angles_deg.tolist(),
+        "probability": found.probability,
+        "rank": found.rank,
+        "log_evidence_below_best": float(answer.log_evidence[0] - found.log_evidence),
+    }
+
+
+def _posterior(answer: SequenceAnswer) -> Results:
+    check = answer.check
+    return {
+        "enumerated": answer.enumerated,
+        "credible_95_count": answer.credible_count,
+        "effective_count": answer.effective_count,
+        "unaccounted": answer.unaccounted,
+        "learned_rms": None if check is None else check.rms,
+        "most_probable": {
+            "angles_deg": answer.top[0].tolist(),
+            "probability": float(answer.probability[0]),
+            "images": int(answer.multiplicity[0]),
+        },
+        "classes": [
+            {"angles_deg": a.tolist(), "probability": float(p), "images": int(m)}
+            for a, p, m in zip(
+                answer.top[:KEPT], answer.probability[:KEPT], answer.multiplicity[:KEPT], strict=True
+            )
+        ],
+        "angle_grid_deg": answer.grid_deg.tolist(),
+        "angle_marginals": answer.marginals.tolist(),
+    }
+
+
+def _noise(
+    name: str,
+    levels: tuple[float, ...],
+    step: float | None,
+    settings: SequenceSettings,
+    executor: Executor | None,
+    notify: Notify,
+) -> Results:
+    """C1's own list, as the reduced model has it, at several noises that are stated, none added."""
+    specimen = builtin("C1", sequence=True)
+    specimen = replace(specimen, plate=replace(specimen.plate, layup=parse_layup(NOISE_LAYUPS[name])))
+    specimen = specimen if step is None else replace(specimen, angle_grid_deg=step)
+    assert specimen.measurement is not None
+    n = specimen.measurement.size
+    model = reduced_model(specimen, angle_parameters(specimen).union(specimen.unknowns), n)
+    own = own_sequence(specimen)
+    x = np.concatenate((own, reference_vector(specimen, specimen.unknowns)))
+    frequencies = model.predict(x[None]).frequencies[0]
+    rows = []
+    for level in levels:
+        notify(f"{name}, {100 * level:g} %")
+        listed = Measurement(frequencies, 0.0, level, None, ("",) * n, complete=True)
+        answer = sequence_probabilities(
+            replace(specimen, measurement=listed), SEED, settings=settings, executor=executor
+        )
+        true = given_sequence(answer, own)
+        images = 1 if true.index is None else int(answer.multiplicity[true.index])
+        rows.append(
+            {
+                "relative_std": level,
+                "class_probability": images * true.probability,
+                "rank": true.rank,
+                "credible_95_count": answer.credible_count,
+                "effective_count": answer.effective_count,
+                "learned_rms": None if answer.check is None else answer.check.rms,
+                "seconds": answer.seconds,
+            }
+        )
+    enough = [r["relative_std"] for r in rows if r["class_probability"] >= DETERMINED]
+    return {
+        "case": name,
+        "layup": specimen.plate.layup.text,
+        "model_error": float(model.full.error.max()),
+        "levels": rows,
+        # the largest noise of those tried from which on down all determine the class
+        "determined_at": max(
+            (
+                e
+                for e in enough
+                if all(r["class_probability"] >= DETERMINED for r in rows if r["relative_std"] <= e)
+            ),
+            default=None,
+        ),
+    }
+
+
+# Output
+
+
+def show(results: Results) -> None:
+    """Print the results as tables."""
+    cases = (
+        "case",
+        "unknown",
+        "sequences",
+        "95 % set",
+        "effective",
+        "most probable",
+        "its p",
+        "printed",
+        "its p",
+    )
+    cases = (*cases, "rank", "s")
+    rows = tuple(_row(c) for c in results["cases"])
+    text = {"case", "most probable", "printed"}
+    tables = [Table("Sequences", tuple(Column(h, h not in text) for h in cases), rows)]
+    noise = ("case", "noise, %", "p of the class", "rank", "95 % set", "s")
+    levels = tuple(
+        (
+            n["case"],
+            f"{100 * r['relative_std']:g}",
+            f"{r['class_probability']:.3g}",
+            _rank(r["rank"]),
+            str(r["credible_95_count"]),
+            f"{r['seconds']:.0f}",
+        )
+        for n in results["noise"]
+        for r in n["levels"]
+    )
+    tables.append(Table("C1's own list", tuple(Column(h, h != "case") for h in noise), levels))
+    print(screen_text(tuple(tables), sys.stdout))
+
+
+def _rank(rank: int | None) -> str:
+    return "beyond" if rank is None else str(rank)
+
+
+def _angles(angles: list[float]) -> str:
+    return "/".join(f"{a:g}" for a in angles)
+
+
+def _row(c: Results) -> tuple[str, ...]:
+    shown = c["printed"] or c["own"]
+    return (
+        c["case"],
+        str(c["unknown_angles"]),
+        str(c["enumerated"]),
+        str(c["credible_95_count"]),
+        f"{c['effective_count']:.3g}",
+        _angles(c["most_probable"]["angles_deg"]),
+        f"{c['most_probable']['probability']:.2g}",
+        _angles(shown["angles_deg"]),
+        f"{shown['probability']:.2g}",
+        _rank(shown["rank"]),
+        f"{c['seconds']:.0f}",
+    )
+
+
+def kept_and(results: Results) -> Results:
+    """The results with what was saved before and not run again."""
+    if not RESULTS.exists():
+        return results
+    saved = json.loads(RESULTS.read_text(encoding="utf-8"))
+    both = {
+        key: {**{c["case"]: c for c in saved[key]}, **{c["case"]: c for c in results[key]}}
+        for key in ("cases", "noise")
+    }
+    return {**results, **{key: [own[n] for n in NAMES if n in own] for key, own in both.items()}}
+
+
+def save(results: Results) -> None:
+    """Keep the results beside those of other cases."""
+    RESULTS.parent.mkdir(exist_ok=True)
+    text = json.dumps(kept_and(results), indent=1, allow_nan=False)
+    RESULTS.write_text(text + "\n", encoding="utf-8")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="the small version; nothing is saved")
+    parser.add_argument("--only", nargs="+", choices=NAMES, metavar="NAME", help=f"of: {', '.join(NAMES)}")
+    parser.add_argument("--workers", type=int, help="worker processes (default: as many as cores)")
+    parser.add_argument("--executor", type=read_spec, help="serial, processes or dask://HOST:PORT")
+    args = parser.parse_args()
+
+    def tell(text: str) -> None:
+        print(text, file=sys.stderr, flush=True)
+
+    with open_executor(args.executor, args.workers) as executor:
+        if args.quick:
+            show(run(True, executor, notify=tell))
+            return
+        # one at a time, so that what is done stays when the rest is stopped
+        for name in args.only or NAMES:
+            save(run(False, executor, (name,), tell))
+    show(json.loads(RESULTS.read_text(encoding="utf-8")))
+
+
+if __name__ == "__main__":
+    main()

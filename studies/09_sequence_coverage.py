@@ -1,0 +1,205 @@
+"""Do sets of stacking sequences hold the true one as often as they say?
+
+python studies/09_sequence_coverage.py [--quick] [--only NAME ...] [--trials N] [--workers N] [--executor SPEC]
+
+Sequence and constants are drawn from the prior, a list with 1 % noise is simulated by the reduced model that
+the evidences have too, and the place of the true sequence among all is noted
+(cpam_bayes/inference/sequence_coverage.py). One case a plate; cases that were saved before are kept.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from concurrent.futures import Executor
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from cpam_bayes.inference.sequence_coverage import (
+    ALLOWED,
+    CoverageSettings,
+    Trial,
+    sequence_coverage,
+    summarised,
+)
+from cpam_bayes.layup import parse_layup
+from cpam_bayes.measurement import Specimen, builtin
+from cpam_bayes.parallel import open_executor, read_spec
+from cpam_bayes.report.tables import Column, Table, screen_text
+
+Results = dict[str, Any]
+
+RESULTS = Path(__file__).parent / "results" / f"{Path(__file__).stem}.json"
+
+KEYS = {
+    "quick": "whether this is the small version",
+    "noise": "relative standard deviation of the lists",
+    "allowed": "difference of a coverage from its level that passes, in binomial standard deviations",
+    "cases": "one a plate: layup, grid, trials one by one, coverage at three levels, seconds",
+}
+
+SEED = 0
+LEVELS = (0.5, 0.8, 0.95)
+
+
+class Case(NamedTuple):
+    """A plate like a built-in one, and what is unknown of it."""
+
+    plate: str
+    layup: str
+    width: float | None
+    step_deg: float
+    modes: int
+    trials: int
+
+
+CASES = {
+    "thin": Case("C1", "[(?/?)_4]_s", 0.19, 15.0, 6, 300),
+    "thick": Case("D1", "[(?/?)_4]_s", None, 15.0, 10, 100),
+    "four angles": Case("C1", "[(?/?/?/?)_2]_s", 0.19, 30.0, 6, 100),
+}
+QUICK = {"thin": CASES["thin"]._replace(step_deg=45.0, trials=6)}
+SMALL = CoverageSettings(library=150, log2_points=6)
+
+
+def specimen_of(case: Case) -> Specimen:
+    """The plate of a case; a rectangular one has fewer images."""
+    own = builtin(case.plate)
+    width = own.plate.width if case.width is None else case.width
+    plate = replace(own.plate, layup=parse_layup(case.layup), width=width)
+    return replace(own, plate=plate, angle_grid_deg=case.step_deg)
+
+
+def run(
+    quick: bool,
+    executor: Executor | None = None,
+    only: tuple[str, ...] | None = None,
+    trials: int | None = None,
+) -> Results:
+    """All cases, or those named; quick: a few trials of the thin plate on a coarse grid."""
+    cases = QUICK if quick else CASES
+    settings = SMALL if quick else CoverageSettings()
+    return {
+        "quick": quick,
+        "noise": settings.relative_std,
+        "allowed": ALLOWED,
+        "cases": [
+            _case(name, case, trials or case.trials, settings, executor, quiet=quick)
+            for name, case in cases.items()
+            if only is None or name in only
+        ],
+    }
+
+
+def _case(
+    name: str, case: Case, n: int, settings: CoverageSettings, executor: Executor | None, *, quiet: bool
+) -> Results:
+    begin = time.perf_counter(), time.process_time()
+
+    def tell(done: int, total: int) -> None:
+        if not quiet:
+            end = "" if done < total else "\n"
+            print(f"\r{name}: {done} of {total}", end=end, file=sys.stderr, flush=True)
+
+    found = sequence_coverage(
+        specimen_of(case),
+        n,
+        SEED,
+        settings=replace(settings, modes=case.modes),
+        executor=executor,
+        progress=tell,
+    )
+    return {
+        "case": name,
+        **{key: value for key, value in case._asdict().items() if key != "trials"},
+        "seconds": time.perf_counter() - begin[0],
+        **summary(found),
+    }
+
+
+def summary(found: tuple[Trial, ...]) -> Results:
+    """What the trials of one case say."""
+    coverage = [summarised(found, level) for level in LEVELS]
+    return {
+        "coverage": [
+            {"level": c.level, "covered": c.covered, "sd": c.sd, "z": c.z, "passes": c.passes}
+            for c in coverage
+        ],
+        "p_uniform": coverage[0].p_uniform,
+        "median_set_size": float(np.median([t.set_size for t in found])),
+        "truth_ranked_first": float(np.mean([t.rank == 1 for t in found])),
+        "median_error": float(np.median([t.error for t in found])),
+        "trials": [asdict(t) for t in found],
+    }
+
+
+def show(results: Results) -> None:
+    """Print the results as a table."""
+    headings = (
+        "case",
+        "layup",
+        "trials",
+        "level",
+        "covered",
+        "sd",
+        "z",
+        "passes",
+        "p uniform",
+        "set",
+        "first",
+    )
+    rows = tuple(
+        (
+            c["case"],
+            c["layup"],
+            str(len(c["trials"])),
+            f"{level['level']:g}",
+            f"{level['covered']:.3f}",
+            f"{level['sd']:.3f}",
+            f"{level['z']:+.1f}",
+            "yes" if level["passes"] else "NO",
+            f"{c['p_uniform']:.3f}",
+            f"{c['median_set_size']:g}",
+            f"{c['truth_ranked_first']:.2f}",
+        )
+        for c in results["cases"]
+        for level in c["coverage"]
+    )
+    columns = tuple(Column(h, h not in {"case", "layup", "passes"}) for h in headings)
+    print(screen_text((Table("Randomised credible sets of sequences", columns, rows),), sys.stdout))
+
+
+def kept_and(results: Results) -> Results:
+    """The results with the cases saved before that were not run again."""
+    if not RESULTS.exists():
+        return results
+    saved = {c["case"]: c for c in json.loads(RESULTS.read_text(encoding="utf-8"))["cases"]}
+    both = {**saved, **{c["case"]: c for c in results["cases"]}}
+    return {**results, "cases": [both[name] for name in CASES if name in both]}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="the small version; nothing is saved")
+    parser.add_argument("--only", nargs="+", choices=tuple(CASES), help="cases to run (default: all)")
+    parser.add_argument("--trials", type=int, help="lists of each case")
+    parser.add_argument("--workers", type=int, help="worker processes (default: as many as cores)")
+    parser.add_argument("--executor", type=read_spec, help="serial, processes or dask://HOST:PORT")
+    args = parser.parse_args()
+    only = None if args.only is None else tuple(args.only)
+    with open_executor(args.executor, args.workers) as executor:
+        results = run(args.quick, executor, only, args.trials)
+    if not args.quick:
+        results = kept_and(results)
+        RESULTS.parent.mkdir(exist_ok=True)
+        RESULTS.write_text(json.dumps(results, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    show(results)
+
+
+if __name__ == "__main__":
+    main()

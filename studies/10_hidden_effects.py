@@ -1,0 +1,267 @@
+"""Effects hidden in simulated lists: are they found, and is nothing found where nothing is hidden?
+
+python studies/10_hidden_effects.py [--quick] [--workers N | --executor SPEC] [--per-cell N] [--clean N]
+    [--only KIND ...] [--plates NAME ...] [--minutes M] [--store DIR]
+
+Truths are finite elements on a mesh of their own with constants within 10 % of the reference, 0.2 % of noise
+and rounding to 0.1 Hz; the diagnosis has Ritz models (cpam_bayes/diagnosis/truths.py, trials.py). Trials are
+kept as they come: a run that was stopped, or was given some minutes, goes on where it was, and its results
+are those of the trials that there are.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import sys
+import time
+from collections.abc import Sequence
+from concurrent.futures import Executor
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from cpam_bayes.cache import cache_directory
+from cpam_bayes.diagnosis.trial_statistics import (
+    figures,
+    confusion,
+    reliability,
+    table,
+    unreached,
+)
+from cpam_bayes.diagnosis.trials import Trial, run_trial
+from cpam_bayes.diagnosis.truths import MESH, Bench, bench
+from cpam_bayes.inference.draw_store import DrawStore
+from cpam_bayes.parallel import open_executor, read_spec, run as share_out
+from cpam_bayes.report.tables import Column, Table, screen_text
+
+Results = dict[str, Any]
+
+RESULTS = Path(__file__).parent / "results" / f"{Path(__file__).stem}.json"
+
+KEYS = {
+    "quick": "whether this is the small version",
+    "noise": "relative standard deviation of a frequency",
+    "resolution_hz": "rounding of the lists",
+    "mesh": "elements of the truths along x and y",
+    "benches": "plates with the modes in a list, and how many trials of each kind were done and planned",
+    "figures": "one each: what was asked, the value, its standard error, the number of trials",
+    "table": "by bench, cause and signal to noise: trials, shares that were right, probabilities",
+    "confusion": "by bench and signal to noise: counts of leading causes by what was hidden",
+    "reliability": "by set of trials: bins of the probability of the leading class, and how often it was right",
+    "not_reached": "causes that do not reach the signal to noise within their prior, or that are absorbed",
+}
+
+SEED = 0
+NOISE, RESOLUTION_HZ = 0.002, 0.1
+# Plate and frequencies in a list.
+BENCHES = (("C1", 10), ("A2", 10), ("C1", 6))
+RATIOS = (8.0, 4.0)
+KINDS = ("clean", "one", "lacks", "two", "outside", "prior")
+PER_CELL, CLEAN = 10, 300
+# Trials of two causes, of causes that the dictionary lacks and from the priors, for one trial a cell.
+TWO, OUTSIDE, PRIOR = 4, 8, 12
+# Signal to noise of each of two causes and of those outside the dictionary.
+STRONG = 8.0
+# Causes in turn that are two at once.
+PAIRS = (
+    ("sensor_mass", "warp"),
+    ("taper_x", "membrane_stress"),
+    ("skew", "sensor_mass"),
+    ("warp", "outlier"),
+    ("clamp_rotation", "taper_y"),
+    ("clamp_translation", "warp"),
+    ("misorientation", "sensor_mass"),
+    ("viscoelastic", "taper_y"),
+)
+QUICK_BENCH = ("C1", 6)
+QUICK_TRIALS = (Trial("clean", seed=SEED), Trial("one", ("warp",), 8.0, seed=SEED))
+
+
+def plan(own: Bench, per_cell: int, clean: int, kinds: Sequence[str]) -> list[Trial]:
+    """All trials of a bench, in rounds: stopped anywhere, every cell has about as many."""
+    causes = tuple(dict.fromkeys(h.cause for h in own.singles if h.cause not in ("none", "other")))
+    pairs = [p for p in PAIRS if set(p) <= set(causes)]
+    found: list[Trial] = []
+    for i in range(per_cell):
+        if "one" in kinds:
+            for ratio in RATIOS:
+                # what is no shift has no ratio
+                own_causes = causes if ratio == RATIOS[0] else [c for c in causes if c != "mode_identity"]
+                found += [Trial("one", (c,), ratio, i, seed=SEED) for c in own_causes]
+        if "lacks" in kinds:
+            found.append(Trial("one", (causes[i % len(causes)],), STRONG, i, lacks=True, seed=SEED))
+        if "two" in kinds:
+            found += [Trial("two", pairs[(TWO * i + k) % len(pairs)], STRONG, i, seed=SEED) for k in range(TWO)]
+        if "outside" in kinds:
+            at = [causes[(OUTSIDE * i + k) % len(causes)] for k in range(OUTSIDE)]
+            found += [Trial("outside", (c,), STRONG, i, seed=SEED) for c in at]
+        if "prior" in kinds:
+            found += [Trial("prior", number=PRIOR * i + k, seed=SEED) for k in range(PRIOR)]
+        if "clean" in kinds:
+            own_share = range(clean * i // per_cell, clean * (i + 1) // per_cell)
+            found += [Trial("clean", number=k, seed=SEED) for k in own_share]
+    return list(dict.fromkeys(found))
+
+
+def run(
+    quick: bool,
+    executor: Executor | None = None,
+    store: Path | None = None,
+    *,
+    per_cell: int = PER_CELL,
+    clean: int = CLEAN,
+    kinds: Sequence[str] = KINDS,
+    plates: Sequence[str] | None = None,
+    minutes: float | None = None,
+) -> Results:
+    """Trials on all benches; quick: two on a thin plate with six modes.
+
+    minutes : after which no further trials are begun. What a store has is counted whatever is asked for.
+    """
+    end = None if minutes is None else time.monotonic() + 60.0 * minutes
+    records: dict[str, list[Results]] = {}
+    rows = []
+    for plate, modes in (QUICK_BENCH,) if quick else BENCHES:
+        if plates is not None and plate not in plates:
+            own = None
+        else:
+            own = bench(plate, modes, noise=NOISE, resolution=RESOLUTION_HZ)
+        trials = [] if own is None else list(QUICK_TRIALS) if quick else plan(own, per_cell, clean, kinds)
+        name = f"{plate}, {modes} modes"
+        records[name] = _trials(name, own, trials, executor, store, end)
+        rows.append(_progress(name, records[name], trials))
+    return {
+        "quick": quick,
+        "noise": NOISE,
+        "resolution_hz": RESOLUTION_HZ,
+        "mesh": list(MESH),
+        "benches": rows,
+        "figures": figures(records),
+        "table": table(records),
+        "confusion": confusion(records),
+        "reliability": reliability(records),
+        "not_reached": unreached(records),
+    }
+
+
+def _trials(
+    name: str,
+    own: Bench | None,
+    trials: list[Trial],
+    executor: Executor | None,
+    store: Path | None,
+    end: float | None,
+) -> list[Results]:
+    """Records of the trials that are done, those of the store among them."""
+    kept = None
+    if store is not None:
+        key = hashlib.sha256(json.dumps([name, NOISE, RESOLUTION_HZ, MESH, SEED]).encode()).hexdigest()[:32]
+        kept = DrawStore.open(store / f"{name.replace(', ', '_').replace(' ', '_')}.jsonl", key)
+    done = {json.dumps(r["trial"]): r for r in kept.records} if kept is not None else {}
+    missing = [t for t in trials if _name(t) not in done]
+
+    def take(index: int, record: Results) -> None:
+        del index
+        if kept is not None:
+            kept.append(record)
+        done[json.dumps(record["trial"])] = record
+        if store is not None:
+            print(f"\r{name}: {len(done)} done", end="", file=sys.stderr, flush=True)
+
+    # a piece at a time, so that minutes can end it
+    piece = 8 if end is not None else max(len(missing), 1)
+    for start in range(0, len(missing), piece):
+        if end is not None and time.monotonic() > end:
+            break
+        share_out(run_trial, own, missing[start : start + piece], executor, batch_size=1, on_result=take)
+    if store is not None:
+        print(file=sys.stderr)
+    return sorted(done.values(), key=lambda r: json.dumps(r["trial"]))
+
+
+def _name(trial: Trial) -> str:
+    return json.dumps(json.loads(json.dumps(asdict(trial))))
+
+
+def _progress(name: str, records: list[Results], trials: list[Trial]) -> Results:
+    done: dict[str, int] = {}
+    for r in records:
+        done[r["trial"]["kind"]] = done.get(r["trial"]["kind"], 0) + 1
+    planned: dict[str, int] = {}
+    for t in trials:
+        planned[t.kind] = planned.get(t.kind, 0) + 1
+    return {"name": name, "done": done, "planned": planned}
+
+
+def show(results: Results) -> None:
+    """Print the results as tables."""
+    lines = tuple(
+        (f["name"], f["asked"], "-" if f["value"] is None else f"{f['value']:.3f}({f['error']:.3f})", str(f["n"]))
+        for f in results["figures"]
+    )
+    head = (Column("figure"), Column("asked"), Column("reached", True), Column("trials", True))
+    found = [Table("Figures reached, standard error in brackets", head, lines)]
+    cells = tuple(
+        (
+            row["bench"],
+            row["cause"],
+            f"{row['ratio']:g}",
+            str(row["n"]),
+            f"{row['right']:.2f}",
+            f"{row['oracle']:.2f}",
+            f"{row['class_probability']:.2f}",
+            f"{row['none']:.2f}",
+            ", ".join(row["alike"]),
+        )
+        for row in results["table"]
+    )
+    titles = ("bench", "cause", "signal to noise", "trials", "class right", "oracle", "P(class)", "P(none)")
+    columns = (*(Column(t, i > 1) for i, t in enumerate(titles)), Column("like it"))
+    found.append(Table("Hidden causes; means over the trials of a cell", columns, cells))
+    print(screen_text(tuple(found), sys.stdout))
+    for row in results["not_reached"]:
+        print(f"{row['bench']}: {row['cause']} does not reach {row['ratio']:g}: {row['why']}")
+
+
+def main() -> None:
+    """Run the study, print its tables and save the results."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="the small version; nothing is saved")
+    parser.add_argument("--workers", type=int, metavar="N", help="number of processes (default: one a core)")
+    parser.add_argument(
+        "--executor", type=read_spec, metavar="SPEC", help="processes, serial, dask://HOST:PORT"
+    )
+    parser.add_argument("--per-cell", type=int, default=PER_CELL, metavar="N", help="trials of each cell")
+    parser.add_argument("--clean", type=int, default=CLEAN, metavar="N", help="clean plates of each bench")
+    parser.add_argument("--only", nargs="+", choices=KINDS, default=KINDS, metavar="KIND", help=", ".join(KINDS))
+    parser.add_argument("--plates", nargs="+", metavar="NAME", help="plates to work on; others as stored")
+    parser.add_argument("--minutes", type=float, metavar="M", help="begin no further trials after M minutes")
+    parser.add_argument(
+        "--store",
+        type=Path,
+        metavar="DIR",
+        default=cache_directory() / "hidden_effects",
+        help="where trials are kept, a file a bench (default: in the package's cache)",
+    )
+    args = parser.parse_args()
+    with open_executor(args.executor, args.workers) as executor:
+        results = run(
+            args.quick,
+            executor,
+            None if args.quick else args.store,
+            per_cell=args.per_cell,
+            clean=args.clean,
+            kinds=args.only,
+            plates=args.plates,
+            minutes=args.minutes,
+        )
+    show(results)
+    if not args.quick:
+        RESULTS.parent.mkdir(exist_ok=True)
+        RESULTS.write_text(json.dumps(results, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,159 @@
+"""What every cause of the catalogue does to the modes of a plate, and how much of it constants imitate.
+
+python studies/11_effects.py [--quick]
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cpam_bayes.diagnosis.cases import plate_case
+from cpam_bayes.diagnosis.fitting import PlateCase
+from cpam_bayes.effects import CATALOGUE, Effect, applicable
+from cpam_bayes.measurement import builtin
+from cpam_bayes.model import reference_vector
+from cpam_bayes.report.diagnosis_numbers import effect_unit
+from cpam_bayes.report.tables import Column, Table, screen_text
+
+Array = NDArray[Any]
+Results = dict[str, Any]
+HERE = Path(__file__).parent
+RESULTS = HERE / "results" / "11_effects.json"
+
+KEYS = {
+    "quick": "whether this is the small version",
+    "plates": "by plate: its modes' labels and frequencies, and the constants that are projected out",
+    "effects": "one a cause: plate, size, relative shift of every mode in %, before and after projection",
+}
+
+# The free plate, and the clamped one for what the first cannot have.
+FREE, CLAMPED = "C1", "A2"
+# Where a mass and a flaw are put, and the frequency that is misread, the mode that is missed.
+PLACES = {"sensor_mass": (0.95, 0.95), "damage": (0.5, 0.5)}
+LISTED = 2
+# The misreading that is drawn, relative.
+SLIP = 0.05
+# Those of the quick version need no further plate model.
+QUICK = ("frequency_scale", "viscoelastic", "mode_identity", "outlier")
+
+
+def run(quick: bool) -> Results:
+    """Shifts at one standard deviation of the catalogue at the reference constants."""
+    plates = {name: plate_case(builtin(name)) for name in ((FREE,) if quick else (FREE, CLAMPED))}
+    effects = [e for e in CATALOGUE if not quick or e.name in QUICK]
+    return {
+        "quick": quick,
+        "plates": {name: _plate(case) for name, case in plates.items()},
+        "effects": [_shifts(plates, effect) for effect in effects],
+    }
+
+
+def _plate(case: PlateCase) -> dict[str, Any]:
+    modes = case.models.bare.full.modes(_reference(case))
+    return {
+        "labels": [mode.label for mode in modes],
+        "frequencies_hz": [mode.frequency for mode in modes],
+        "constants": list(case.models.parameters.names),
+    }
+
+
+def _shifts(plates: dict[str, PlateCase], effect: Effect) -> dict[str, Any]:
+    case = next(c for c in plates.values() if effect in applicable(c.models.facts))
+    shift, size, unit = _of_list(case, effect) if effect.stage in ("pairing", "noise") else _own(case, effect)
+    return {
+        "cause": effect.name,
+        "family": effect.family,
+        "plate": case.name,
+        "size": size,
+        "unit": unit,
+        "shift_percent": (100.0 * shift).tolist(),
+        "projected_percent": (100.0 * _projected(case, shift)).tolist(),
+        "note": effect.note,
+    }
+
+
+def _own(case: PlateCase, effect: Effect) -> tuple[Array, float, str]:
+    """Relative shift by an effect on the plate or on its frequencies, the size and its unit as shown."""
+    x = _reference(case)
+    if effect.name in PLACES:
+        assert effect.at is not None
+        effect = effect.at(PLACES[effect.name])
+    (parameter,) = effect.parameters
+    null, one = (values[parameter.name] for values in (effect.null, effect.scaled(1.0)))
+    unit, factor = effect_unit(parameter.name, parameter.unit)
+    if effect.observe is not None:
+        bare = case.models.bare.predict(x[None]).frequencies[0]
+        found = effect.observe(bare, {parameter.name: np.asarray(one)})
+        return found / bare - 1.0, factor * one, unit
+    model = case.with_effect(effect)
+    f = model.predict(np.array([[*x, null], [*x, one]])).frequencies
+    return f[1] / f[0] - 1.0, factor * one, unit
+
+
+def _of_list(case: PlateCase, effect: Effect) -> tuple[Array, float, str]:
+    """The third frequency misread, or the third mode missed: then each listed one is that of the next."""
+    f = case.models.bare.predict(_reference(case)[None]).frequencies[0]
+    if effect.name == "outlier":
+        return SLIP * (np.arange(len(f)) == LISTED), 100.0 * SLIP, "%"
+    later = np.append(f[1:], np.nan) / f - 1.0
+    shift = np.where(np.arange(len(f)) < LISTED, 0.0, later)
+    return shift[:-1], float(LISTED + 1), "mode"
+
+
+def _projected(case: PlateCase, shift: Array) -> Array:
+    """What is left of a shift when the constants take what they can, without any prior."""
+    x = _reference(case)[None]
+    found = case.models.bare.predict(x, jacobian=True)
+    assert found.jacobian is not None
+    by_constants = (found.jacobian[0] * x / found.frequencies[0][:, None])[: len(shift)]
+    left: Array = shift - by_constants @ np.linalg.lstsq(by_constants, shift)[0]
+    return left
+
+
+def _reference(case: PlateCase) -> Array:
+    return reference_vector(case.models.specimen, case.models.parameters)
+
+
+def show(results: Results) -> None:
+    """Print the largest shifts."""
+    columns = (
+        Column("cause"),
+        Column("plate"),
+        Column("size", number=True),
+        Column("unit"),
+        Column("largest shift %", number=True),
+        Column("left by the constants %", number=True),
+    )
+    rows = tuple(
+        (
+            e["cause"],
+            e["plate"],
+            f"{e['size']:g}",
+            e["unit"],
+            *(f"{max(e[key], key=abs):+.3f}" for key in ("shift_percent", "projected_percent")),
+        )
+        for e in results["effects"]
+    )
+    print(screen_text((Table("Relative shifts at one standard deviation", columns, rows),), sys.stdout))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="the small version; nothing is saved")
+    quick = parser.parse_args().quick
+    results = run(quick)
+    show(results)
+    if not quick:
+        RESULTS.parent.mkdir(exist_ok=True)
+        RESULTS.write_text(json.dumps(results, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,208 @@
+"""What the diagnosis finds on the paper's plates and on five plates of spruce, alone and jointly.
+
+python studies/12_findings.py [--quick] [--only C1 ...]
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import json
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from cpam_bayes.diagnosis.diagnose import Diagnosis, Fit, diagnose
+from cpam_bayes.measurement import Specimen, builtin, read_specimen, to_user, user_name
+from cpam_bayes.report.tables import Column, Table, screen_text
+
+HERE = Path(__file__).parent
+RESULTS = HERE / "results" / f"{Path(__file__).stem}.json"
+SPRUCE = HERE / "data" / "spruce_plates.csv"
+
+KEYS = {
+    "quick": "whether this is the small version",
+    "groups": "one a group of plates: plates, claim, causes, probability, hypotheses (the first ten), "
+    "baseline, extended, gain, seconds",
+}
+
+ALONE = ("D&G", "A1", "A2", "B1", "B2", "C1", "C2", "C3", "C4", "D1", "D2", "D3", "D4")
+TOGETHER = (("A1", "A2"), ("B1", "B2"), ("C1", "C2"), ("C3", "C4"), ("D1", "D2"), ("D3", "D4"))
+_LISTED = 10
+
+
+def run(quick: bool = False, only: Sequence[str] = ()) -> dict[str, Any]:
+    """Diagnose every group; quick: one plate. only : names of groups, plates joined by ``+``."""
+    wood = spruce()
+    groups: list[tuple[str, ...]] = [(name,) for name in ALONE] + [(name,) for name in wood]
+    groups += [*TOGETHER, ("1L", "2L"), ("3L", "4L")]
+    if quick:
+        groups = [("D&G",)]
+    if only:
+        groups = [g for g in groups if "+".join(g) in only]
+    found = []
+    for group in groups:
+        specimens = [wood[name] if name in wood else builtin(name) for name in group]
+        start = time.process_time()
+        diagnosis = diagnose(specimens)
+        found.append({**told(diagnosis), "seconds": time.process_time() - start})
+        if not quick:
+            print(
+                f"{' + '.join(group)}: {diagnosis.claim.kind} {found[-1]['seconds']:.0f} s", file=sys.stderr
+            )
+    return {"quick": quick, "groups": found}
+
+
+def told(diagnosis: Diagnosis) -> dict[str, Any]:
+    """A diagnosis as plain data, in the units of the plate file."""
+    fit = {"baseline": _fit(diagnosis.baseline)}
+    fit["extended"] = None if diagnosis.extended is None else _fit(diagnosis.extended)
+    gain = diagnosis.gain
+    return {
+        "plates": [case.name for case in diagnosis.cases],
+        "claim": diagnosis.claim.kind,
+        "causes": list(diagnosis.claim.causes),
+        "probability": diagnosis.claim.probability,
+        "hypotheses": [
+            {
+                "cause": c.name,
+                "variant": c.variant,
+                "plates": list(c.plates),
+                "probability": c.probability,
+                "log_bayes_factor": c.log_bayes_factor,
+                "parameters": {name: list(value) for name, value in c.parameters.items()},
+                "indistinguishable_from": list(c.indistinguishable_from),
+                "visible": c.visible,
+            }
+            for c in diagnosis.causes[:_LISTED]
+        ],
+        "not_tested": list(diagnosis.weighed.not_tested),
+        **fit,
+        "gain": None
+        if gain is None
+        else {
+            "log_bayes_factor": gain.log_bayes_factor,
+            "held_out": gain.held_out_difference,
+            "held_out_se": gain.held_out_se,
+            "stable": gain.stable,
+        },
+    }
+
+
+def _fit(fit: Fit) -> dict[str, Any]:
+    return {
+        "constants": {
+            user_name(name): [to_user(name, v) for v in values]
+            for name, values in fit.constants.items()
+            if not name.startswith("scatter")
+        },
+        "rms_percent": 100.0 * fit.rms,
+        "p_value": fit.p_value,
+        "log_evidence": fit.log_evidence,
+        "standardised": [float(r) for r in fit.standardised],
+        "residual_percent": [float(100.0 * r) for r in fit.measured / fit.predicted - 1.0],
+    }
+
+
+def spruce() -> dict[str, Specimen]:
+    """The five plates of spruce.
+
+    Priors of the constants: Sitka spruce of the Wood Handbook (FPL-GTR-282, Tables 5-1, 5-2 and 5-3: E_L 10 %
+    above the static modulus, ratios E_R / E_L 0.078, G_LR / E_L 0.064, G_LT / E_L 0.061, G_RT / E_L 0.003,
+    nu_LR 0.372), wide enough for tonewood.
+    """
+    with SPRUCE.open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(line for line in file if not line.startswith("#")))
+    found = {}
+    with tempfile.TemporaryDirectory() as directory:
+        for row in rows:
+            widths = [float(w) for w in row["widths_mm"].split(";")]
+            path = Path(directory) / f"{row['plate']}.toml"
+            path.write_text(
+                f"""name = "{row["plate"]}"
+[plate]
+length_mm = {row["length_mm"]}
+width_mm = {sum(widths) / len(widths):.2f}
+thickness_mm = {row["thickness_mm"]}
+mass_g = {row["mass_g"]}
+layup = "[0]"
+edges = "FFFF"
+[material]
+name = "spruce"
+isotropic = false
+E1_GPa = 10.9
+E2_GPa = 0.85
+nu12 = 0.372
+G12_GPa = 0.70
+G13_GPa = 0.665
+G23_GPa = 0.033
+[material.sd]
+E1_GPa = 1.6
+E2_GPa = 0.25
+nu12 = 0.08
+G12_GPa = 0.2
+[unknowns]
+E1_GPa = [5.0, 20.0]
+E2_GPa = [0.2, 2.0]
+nu12 = [0.1, 0.7]
+G12_GPa = [0.2, 2.0]
+[environment]
+air_density_kg_m3 = 1.2
+[measurement]
+frequencies_hz = [{row["frequencies_hz"].replace(";", ", ")}]
+resolution_hz = 0.5
+complete = false
+""",
+                encoding="utf-8",
+            )
+            found[row["plate"]] = read_specimen(str(path))
+    return found
+
+
+def show(results: dict[str, Any]) -> None:
+    """Print the claims, one line a group."""
+    rows = []
+    for group in results["groups"]:
+        first = next(h for h in group["hypotheses"])
+        extended = group["extended"]
+        rows.append(
+            (
+                " + ".join(group["plates"]),
+                group["claim"],
+                " ".join(group["causes"]),
+                f"{group['probability']:.2f}",
+                f"{first['cause']} {first['variant']}".strip(),
+                f"{first['log_bayes_factor']:.1f}",
+                f"{group['baseline']['rms_percent']:.2f}",
+                "" if extended is None else f"{extended['rms_percent']:.2f}",
+                f"{group['baseline']['p_value']:.2f}",
+            )
+        )
+    columns = tuple(
+        Column(name)
+        for name in ("plates", "claim", "causes", "P", "leading", "log BF", "rms %", "after %", "p")
+    )
+    print(screen_text((Table("Diagnoses", columns, tuple(rows)),), sys.stdout))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="the small version; nothing is saved")
+    parser.add_argument("--only", nargs="+", default=(), help="groups, plates of one joined by +")
+    args = parser.parse_args()
+    results = run(args.quick, args.only)
+    if args.only and RESULTS.exists():  # what was not asked for stays
+        old = json.loads(RESULTS.read_text(encoding="utf-8"))["groups"]
+        new = {tuple(g["plates"]): g for g in (*old, *results["groups"])}
+        results["groups"] = list(new.values())
+    show(results)
+    if not args.quick:
+        RESULTS.parent.mkdir(exist_ok=True)
+        RESULTS.write_text(json.dumps(results, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,41 @@
+"""Diagnoses whose truth is known, of hypotheses that need no further plate model."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from cpam_bayes.diagnosis.cases import hypotheses_of, plate_case, with_list
+from cpam_bayes.diagnosis.diagnose import Diagnosis, diagnose_cases
+from cpam_bayes.diagnosis.fitting import PlateCase
+from cpam_bayes.measurement import parse_specimen
+from tests.plate_file import MEASURED, PLATE
+
+# Relative noise of the lists, and one draw of it in its own unit.
+NOISE = 0.002
+DRAWN = np.array([0.3, -0.8, 0.5, 0.9, -0.6, -0.2])
+
+
+def diagnosed(cases: Sequence[PlateCase], causes: Sequence[str], *, gain: bool = True) -> Diagnosis:
+    """The diagnosis with none, other and these causes alone, which act on frequencies or lists."""
+    asked = {"none", "other", *causes}
+    some = [(h, at) for h, at in hypotheses_of(cases) if h.cause in asked]
+    return diagnose_cases(cases, hypotheses=some, pairs=False, gain=gain)
+
+
+def aluminium_case(name: str = "plate 7") -> PlateCase:
+    """The plate of the tests of commands, with a list by its own model at the reference constants."""
+    text = (PLATE + MEASURED).replace('"plate 7"', f'"{name}"')
+    text = text.replace("[material]\n", '[material]\nname = "aluminium"\n')
+    text += f"relative_std = {NOISE}\n"
+    return plate_case(parse_specimen(text, f"{name}.toml"))
+
+
+def listed(case: PlateCase, factor: np.ndarray, noise: np.ndarray = DRAWN) -> PlateCase:
+    """The case with the list that its model gives, times (n,) factors, with noise."""
+    x = np.array([[69e9, 0.33]])
+    f = case.models.bare.predict(x).frequencies[0, : len(factor)]
+    measured = np.round(f * factor * (1.0 + NOISE * noise), 1)
+    return with_list(case, replace(case.measurement, frequencies=measured, resolution=0.1))

@@ -1,0 +1,186 @@
+"""Which hypotheses plates have, how probable each is beforehand, and how a list is paired."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cpam_bayes.diagnosis.cases import hypotheses_of, plate_case, with_list
+from cpam_bayes.diagnosis.fitting import PlateCase
+from cpam_bayes.diagnosis.hypotheses import (
+    NONE,
+    OTHER,
+    P_NONE,
+    P_OTHER,
+    P_PAIR,
+    Hypothesis,
+    ListChange,
+    single_hypotheses,
+)
+from cpam_bayes.effects import GROSS, PlateFacts, applicable
+from cpam_bayes.measurement.specimens import builtin, builtin_names
+from tests.diagnosis.toy_plates import F0, a_list, case
+
+
+def facts_of(name: str) -> PlateFacts:
+    specimen = builtin(name)
+    return PlateFacts.of(specimen.plate, specimen.material.isotropic)
+
+
+def singles(name: str, n: int = 8, *, complete: bool = True, air: bool = False) -> tuple[Hypothesis, ...]:
+    return single_hypotheses(facts_of(name), n, complete=complete, air_is_known=air)
+
+
+def of_families(hypotheses: tuple[Hypothesis, ...]) -> dict[str, float]:
+    found: dict[str, float] = defaultdict(float)
+    for h in hypotheses:
+        found[h.family] += h.prior
+    return found
+
+
+PLATES = [name for name in builtin_names() if not builtin(name).plate.layup.n_unknown]
+
+
+@pytest.mark.parametrize("name", PLATES)
+@pytest.mark.parametrize("complete", [True, False])
+def test_priors_and_that_of_pairs_sum_to_one(name: str, complete: bool) -> None:
+    found = singles(name, complete=complete)
+    assert sum(h.prior for h in found) + P_PAIR == pytest.approx(1.0, abs=1e-12)
+    assert found[0] == Hypothesis(NONE, NONE, prior=P_NONE)
+    assert of_families(found)[OTHER] == P_OTHER
+
+
+@pytest.mark.parametrize("name", ["C1", "A2", "D3"])
+def test_families_are_equally_probable_and_so_are_the_causes_of_one(name: str) -> None:
+    found = singles(name)
+    families = of_families(found)
+    rest = [p for family, p in families.items() if family not in (NONE, OTHER)]
+    np.testing.assert_allclose(rest, (1.0 - P_NONE - P_OTHER - P_PAIR) / len(rest), rtol=1e-12)
+    by_cause: dict[tuple[str, str], float] = defaultdict(float)
+    for h in found:
+        by_cause[h.family, h.cause] += h.prior
+    for family in families:
+        own = [p for (f, _), p in by_cause.items() if f == family]
+        np.testing.assert_allclose(own, own[0], rtol=1e-12)
+
+
+def test_every_cause_that_the_plate_may_have_is_there() -> None:
+    for name in ("C1", "A2"):
+        assert {h.cause for h in singles(name)} == {
+            NONE,
+            OTHER,
+            *(effect.name for effect in applicable(facts_of(name))),
+        }
+
+
+def test_variants_of_a_cause_share_its_prior_evenly_and_a_slip_of_the_pen_has_a_tenth() -> None:
+    found = singles("C1")
+    masses = [h for h in found if h.cause == "sensor_mass"]
+    assert len(masses) > 5
+    assert len({h.prior for h in masses}) == 1
+    lengths = {h.is_gross: h.prior for h in found if h.cause == "length"}
+    assert lengths[True] / (lengths[True] + lengths[False]) == pytest.approx(0.1)
+    assert {h.cause for h in found if h.is_gross} == {e.name for e in applicable(facts_of("C1"), GROSS)}
+
+
+def test_any_frequency_may_be_misread_any_mode_missed_or_false() -> None:
+    n = 7
+    found = singles("C1", n)
+    assert [h.listed.misread for h in found if h.cause == "outlier"] == list(range(n))
+    of_list = [h for h in found if h.cause == "mode_identity"]
+    one_missed = [h.listed.missed for h in of_list if len(h.listed.missed) == 1]
+    assert one_missed == [(k,) for k in range(n)]
+    assert [h.listed.spurious for h in of_list if h.listed.spurious is not None] == list(range(n))
+    two = [h.listed.missed for h in of_list if len(h.listed.missed) == 2]
+    assert len(two) == n * (n + 1) // 2
+    whole = sum(h.prior for h in of_list)
+    assert sum(h.prior for h in of_list if len(h.listed.missed) == 2) == pytest.approx(0.1 * whole)
+
+
+def test_an_incomplete_list_has_missed_modes_in_its_pairing() -> None:
+    found = singles("C1", complete=False)
+    assert all(h.cause != "mode_identity" for h in found)
+    assert any(h.cause == "outlier" for h in found)
+
+
+def test_air_that_the_file_states_is_no_cause() -> None:
+    assert any(h.cause == "air" for h in singles("C1"))
+    assert all(h.cause != "air" for h in singles("C1", air=True))
+
+
+def toys(*plates: tuple[str, str]) -> list[PlateCase]:
+    """Free aluminium plates by their names and specimens."""
+    return [case(a_list(F0, 0.002), name=name, specimen=specimen) for name, specimen in plates]
+
+
+def test_one_plate_has_its_single_hypotheses_none_first() -> None:
+    found = hypotheses_of(toys(("one", "one")))
+    assert found[0][0].cause == NONE
+    assert all(plates == (0,) for _, plates in found)
+    assert sum(h.prior for h, _ in found) == pytest.approx(1.0 - P_PAIR)
+
+
+def test_plates_of_one_material_have_causes_of_their_own_and_in_common() -> None:
+    found = hypotheses_of(toys(("one", "one"), ("two", "two")))
+    assert found[0][0].cause == NONE
+    assert len({(h.cause, h.variant, plates) for h, plates in found}) == len(found)
+    lengths = {plates: h.prior for h, plates in found if h.cause == "length" and not h.is_gross}
+    assert set(lengths) == {(0, 1), (0,), (1,)}
+    assert lengths[0, 1] == pytest.approx(lengths[0,] + lengths[1,])
+    # what is wrong with a list is wrong with one list
+    assert {plates for h, plates in found if h.listed != ListChange()} == {(0,), (1,)}
+
+
+def test_tests_of_one_specimen_share_its_flaws_and_not_their_lists() -> None:
+    found = hypotheses_of(toys(("one", "same"), ("two", "same")))
+    assert {plates for h, plates in found if h.cause == "length"} == {(0, 1)}
+    assert {plates for h, plates in found if h.cause == "outlier"} == {(0,), (1,)}
+    assert sum(h.prior for h, _ in found) == pytest.approx(1.0 - P_PAIR)
+
+
+def test_no_more_than_all_probability_is_given_away() -> None:
+    for plates in (
+        (("one", "one"), ("two", "two")),
+        (("one", "same"), ("two", "same"), ("three", "three")),
+    ):
+        assert sum(h.prior for h, _ in hypotheses_of(toys(*plates))) <= 1.0 - P_PAIR + 1e-12
+
+
+def test_another_list_shares_the_models() -> None:
+    first = toys(("one", "one"))[0]
+    second = with_list(first, a_list(1.01 * F0, 0.003))
+    assert second.models is first.models
+    assert second.extended is first.extended
+    assert second.measurement.relative_std == 0.003
+
+
+def test_a_plate_without_a_list_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"\[measurement\] is missing"):
+        plate_case(replace(builtin("A1"), measurement=None))
+
+
+def test_a_plate_without_unknowns_is_refused() -> None:
+    own = builtin("A1")
+    nothing = own.unknowns.without(*own.unknowns.names)
+    with pytest.raises(ValueError, match=r"\[unknowns\] is missing"):
+        plate_case(replace(own, unknowns=nothing))
+
+
+@pytest.mark.slow
+def test_a_plates_list_is_paired_in_order_by_its_labels_or_by_what_is_most_probable() -> None:
+    own = builtin("A1")
+    assert own.measurement is not None
+    ordered = plate_case(own)
+    np.testing.assert_array_equal(ordered.modes, np.arange(own.measurement.size))
+    assert ordered.models.n_modes == own.measurement.size + 2
+    # the aluminium plate measured without its second mode, which the file says may be
+    f = np.delete(own.measurement.frequencies, 1)
+    short = replace(own.measurement, frequencies=f, labels=("",) * len(f), complete=False)
+    found = plate_case(replace(own, measurement=short))
+    np.testing.assert_array_equal(found.modes, np.delete(np.arange(len(f) + 1), 1))
+    # constants are normal about the reference where its standard deviation is given
+    prior = found.models.parameters["E1"].prior
+    assert prior.sd / prior.mean == pytest.approx(0.1, rel=0.02)

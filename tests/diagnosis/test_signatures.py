@@ -1,0 +1,193 @@
+"""Signatures: what the constants imitate, what is left, and which causes look alike."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from cpam_bayes.diagnosis import weighing
+from cpam_bayes.diagnosis.hypotheses import NONE, SLIP, Hypothesis, ListChange
+from cpam_bayes.diagnosis.marginal import Marginal
+from cpam_bayes.diagnosis.signatures import (
+    Projector,
+    Signature,
+    alike,
+    cosine,
+    projector_of,
+    signature_of,
+)
+from cpam_bayes.diagnosis.weighing import marginal_of
+from cpam_bayes.effects import Effect
+from tests.diagnosis.toy_plates import (
+    BUMP,
+    DENT,
+    F0,
+    SD,
+    A,
+    Array,
+    a_list,
+    case,
+    cause,
+    even,
+    hypothesis,
+    straight,
+    whole_normal,
+)
+
+NOISE = 0.001
+PRIOR = whole_normal(0.02)
+SHIFTS = {
+    "bump": BUMP,
+    "more bump": -2.0 * BUMP,
+    "bump and stiffer": BUMP + A @ [0.5, -1.0],
+    "dent": DENT,
+    "stiffer": A @ [0.6, 0.3],
+}
+EFFECTS = {name: cause(name, PRIOR) for name in SHIFTS}
+FALSE = Hypothesis("mode_identity", "list", listed=ListChange(spurious=3))
+MISSED = Hypothesis("mode_identity", "list", listed=ListChange(missed=(5,)))
+MISREAD = Hypothesis("outlier", "list", listed=ListChange(misread=3), parameters=(SLIP,))
+
+
+def plate(f: Array, noise: float = NOISE, *, n_modes: int = 8) -> tuple[Marginal, Projector, object]:
+    effects = [(e, straight(SHIFTS[name])) for name, e in EFFECTS.items()]
+    own = case(a_list(f, noise), effects, n_modes=n_modes)
+    none = marginal_of([own], Hypothesis(NONE, NONE), (0,))
+    return none, projector_of(none), own
+
+
+def signature(of: Effect | Hypothesis, f: Array, noise: float = NOISE) -> Signature:
+    none, projector, own = plate(f, noise)
+    asked = of if isinstance(of, Hypothesis) else hypothesis(of, 0.1)
+    marginal = marginal_of([own], asked, (0,), none=none)  # type: ignore[list-item]
+    return signature_of(weighing.Tested(asked, (0,), marginal), none, projector)
+
+
+def weighted_slopes(f: Array, noise: float = NOISE) -> Array:
+    """Derivatives over the scores of the constants in units of the noise."""
+    return np.asarray(SD * A * F0[:, None] / (noise * f)[:, None])
+
+
+def test_the_projection_is_the_precision_with_the_constants_integrated() -> None:
+    _, projector, _ = plate(F0)
+    a = weighted_slopes(F0)
+    marginal = np.linalg.inv(np.eye(8) + a @ a.T)  # of a linear model with Gaussian priors
+    shift = np.random.default_rng(0).standard_normal(8)
+    visible = projector.visible(shift)
+    assert visible @ visible == pytest.approx(shift @ marginal @ shift, rel=1e-9)
+
+
+def test_what_the_constants_take_up_is_their_posterior_mean() -> None:
+    _, projector, _ = plate(F0)
+    a = weighted_slopes(F0)
+    shift = a @ [0.8, -0.3]
+    expected = np.linalg.solve(a.T @ a + np.eye(2), a.T @ shift)
+    np.testing.assert_allclose(projector.absorb @ shift, expected, rtol=1e-9)
+
+
+def test_a_shift_that_the_constants_can_make_is_absorbed() -> None:
+    found = signature(EFFECTS["stiffer"], F0 * (1.0 + A @ [0.02, 0.01]))
+    assert found.is_absorbed
+    # a standard deviation of the constants is 25 to 50 of the noise
+    assert found.share < 0.05
+    size = found.bias / SD  # scores per relative change of a constant
+    assert size[0] / size[1] == pytest.approx(2.0, rel=0.02)
+
+
+def test_a_shift_that_the_constants_cannot_make_is_visible() -> None:
+    found = signature(EFFECTS["dent"], F0 * (1.0 + 0.01 * DENT))
+    assert not found.is_absorbed
+    a = weighted_slopes(F0)
+    direction = DENT * F0 / (NOISE * F0)
+    left = direction - a @ np.linalg.lstsq(a, direction, rcond=None)[0]
+    # the constants' priors are wide against the noise: nearly a plain projection
+    assert found.share == pytest.approx(np.linalg.norm(left) / np.linalg.norm(direction), abs=0.01)
+
+
+def test_the_shift_has_the_size_and_sign_that_the_data_suggest() -> None:
+    for size in (0.012, -0.012):
+        found = signature(EFFECTS["dent"], F0 * (1.0 + size * DENT))
+        np.testing.assert_allclose(found.shift, size * DENT / NOISE, atol=0.1 * abs(size) / NOISE)
+
+
+def test_the_largest_shift_is_that_of_one_catalogue_standard_deviation() -> None:
+    found = signature(EFFECTS["bump"], F0)
+    # the catalogue's size of a parameter that is normal is its mean, zero here: nothing is shifted
+    assert found.largest == pytest.approx(0.0, abs=1e-12)
+    assert signature(MISREAD, F0).largest == pytest.approx(SLIP.prior.scale, rel=0.01)  # type: ignore[attr-defined]
+
+
+def test_the_size_of_an_even_cause_is_no_mean_of_both_its_peaks() -> None:
+    warp = cause("warp", whole_normal(0.1), is_even=True)
+    f = F0 * (1.0 + 0.2**2 * DENT)
+    own = case(a_list(f, NOISE), [(warp, even(DENT))])
+    none = marginal_of([own], Hypothesis(NONE, NONE), (0,))
+    asked = hypothesis(warp, 0.1)
+    found = signature_of(
+        weighing.Tested(asked, (0,), marginal_of([own], asked, (0,), none=none)), none, projector_of(none)
+    )
+    np.testing.assert_allclose(found.shift * NOISE, 0.2**2 * DENT, atol=0.1 * 0.2**2)
+
+
+def signatures(f: Array) -> dict[str, Signature]:
+    return {name: signature(effect, f) for name, effect in EFFECTS.items()}
+
+
+def test_causes_whose_visible_shifts_are_parallel_are_alike() -> None:
+    found = signatures(F0 * (1.0 + 0.01 * BUMP))
+    names = list(found)
+    by_name = {n: {names[j] for j in alike(list(found.values()), i)} for i, n in enumerate(names)}
+    same = {"bump", "more bump", "bump and stiffer"}
+    for name in same:
+        assert by_name[name] == same - {name}
+    assert by_name["dent"] == set()
+    assert by_name["stiffer"] == set()
+    assert abs(cosine(found["bump"], found["more bump"])) == pytest.approx(1.0, abs=1e-9)
+    # what is added lies in the constants' span
+    assert abs(cosine(found["bump"], found["bump and stiffer"])) > 0.99
+
+
+def test_the_cosine_is_that_of_what_the_constants_leave() -> None:
+    found = signatures(F0 * (1.0 + 0.01 * (BUMP + DENT)))
+    a = weighted_slopes(F0)
+    left = [d - A @ np.linalg.lstsq(A, d, rcond=None)[0] for d in (BUMP, DENT)]
+    del a
+    expected = left[0] @ left[1] / np.linalg.norm(left[0]) / np.linalg.norm(left[1])
+    sign = np.sign(found["bump"].shift @ BUMP) * np.sign(found["dent"].shift @ DENT)
+    assert cosine(found["bump"], found["dent"]) == pytest.approx(sign * expected, abs=0.02)
+
+
+def test_an_absorbed_cause_is_like_none() -> None:
+    found = signatures(F0)
+    assert cosine(found["stiffer"], found["bump"]) == 0.0
+
+
+def test_a_missed_mode_shifts_all_that_follow() -> None:
+    f = F0 * (1.0 + A @ [0.01, 0.02])
+    listed = np.delete(f, 5)
+    none, projector, own = plate(listed)
+    marginal = marginal_of([own], MISSED, (0,), none=none)  # type: ignore[list-item]
+    found = signature_of(weighing.Tested(MISSED, (0,), marginal), none, projector)
+    assert found.shift.shape == (7,)
+    # the plain model is bent by the wrong pairing: by the noise's measure both ends are far off
+    assert np.abs(found.shift[5:]).min() > 10.0 * NOISE
+    assert found.share > 0.3
+
+
+def test_a_false_peak_shifts_what_lies_above_it() -> None:
+    f = F0 * (1.0 + A @ [0.01, 0.02])
+    listed = np.insert(f[:7], 4, 350.0)
+    false = Hypothesis("mode_identity", "list", listed=ListChange(spurious=4))
+    found = signature(false, listed)
+    assert found.shift.shape == (8,)
+    assert np.all(np.isfinite(found.shift))
+
+
+def test_a_false_peak_may_equal_its_neighbour() -> None:
+    """Two frequencies of a list that are rounded to the same number are two frequencies."""
+    f = np.insert(F0[:7], 4, F0[3])
+    for i in (3, 4):
+        false = Hypothesis("mode_identity", "list", listed=ListChange(spurious=i))
+        found = signature(false, f)
+        assert found.shift.shape == (8,)
+        assert np.all(np.isfinite(found.shift))
