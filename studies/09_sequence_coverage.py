@@ -1,6 +1,6 @@
 """Do sets of stacking sequences hold the true one as often as they say?
 
-python studies/09_sequence_coverage.py [--quick] [--only NAME ...] [--trials N] [--workers N] [--executor SPEC]
+python studies/09_sequence_coverage.py [--quick] [--only NAME ...] [--trials N] [--workers N] [...]
 
 Sequence and constants are drawn from the prior, a list with 1 % noise is simulated by the reduced model that
 the evidences have too, and the place of the true sequence among all is noted

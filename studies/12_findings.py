@@ -11,7 +11,7 @@ import json
 import sys
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -34,8 +34,15 @@ TOGETHER = (("A1", "A2"), ("B1", "B2"), ("C1", "C2"), ("C3", "C4"), ("D1", "D2")
 _LISTED = 10
 
 
-def run(quick: bool = False, only: Sequence[str] = ()) -> dict[str, Any]:
-    """Diagnose every group; quick: one plate. only : names of groups, plates joined by ``+``."""
+def run(
+    quick: bool = False,
+    only: Sequence[str] = (),
+    keep: Callable[[dict[str, Any]], None] = lambda results: None,
+) -> dict[str, Any]:
+    """Diagnose every group; quick: one plate.
+
+    only : names of groups, plates joined by ``+``. keep : told the results after each group.
+    """
     wood = spruce()
     groups: list[tuple[str, ...]] = [(name,) for name in ALONE] + [(name,) for name in wood]
     groups += [*TOGETHER, ("1L", "2L"), ("3L", "4L")]
@@ -53,6 +60,7 @@ def run(quick: bool = False, only: Sequence[str] = ()) -> dict[str, Any]:
             print(
                 f"{' + '.join(group)}: {diagnosis.claim.kind} {found[-1]['seconds']:.0f} s", file=sys.stderr
             )
+            keep({"quick": quick, "groups": found})
     return {"quick": quick, "groups": found}
 
 
@@ -193,15 +201,15 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="the small version; nothing is saved")
     parser.add_argument("--only", nargs="+", default=(), help="groups, plates of one joined by +")
     args = parser.parse_args()
-    results = run(args.quick, args.only)
-    if args.only and RESULTS.exists():  # what was not asked for stays
-        old = json.loads(RESULTS.read_text(encoding="utf-8"))["groups"]
-        new = {tuple(g["plates"]): g for g in (*old, *results["groups"])}
-        results["groups"] = list(new.values())
-    show(results)
-    if not args.quick:
+    old = json.loads(RESULTS.read_text(encoding="utf-8"))["groups"] if RESULTS.exists() else []
+
+    def keep(results: dict[str, Any]) -> None:  # what was not asked for stays
+        groups = {tuple(g["plates"]): g for g in (*old, *results["groups"])}
+        results = {"quick": False, "groups": list(groups.values())}
         RESULTS.parent.mkdir(exist_ok=True)
         RESULTS.write_text(json.dumps(results, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+
+    show(run(args.quick, args.only, keep))
 
 
 if __name__ == "__main__":

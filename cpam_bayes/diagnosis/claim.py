@@ -40,8 +40,8 @@ def claim_of(
     the two causes of each pair.
 
     Nothing is wrong where none has half the probability. A single cause is named, or its class, where the
-    class has 0.9 and its best member is 3 nats above the best outsider; a member alone where it has 0.9
-    itself. Then a pair or other at 0.9. The rest is undecided.
+    class has 0.9 and its best member is 3 nats above the best outsider, none and other among these; a
+    member alone where it has 0.9 itself. Pairs count in the probabilities, with their priors. Then a pair or other at 0.9. The rest is undecided.
     """
     if probability[NONE] >= PLAIN:
         return Claim("none", (), probability[NONE])
@@ -51,9 +51,7 @@ def claim_of(
         best = ranked[0]
         members = [best, *(c for c in ranked[1:] if c in alike[best])]
         whole = sum(probability[c] for c in members)
-        outside = [
-            e for c, e in log_evidence.items() if c not in members and not _contains(pairs, c, members)
-        ]
+        outside = [e for c, e in log_evidence.items() if c not in members and c not in pairs]
         ahead = max(log_evidence[c] for c in members) - max(outside, default=float("-inf"))
         if whole >= SURE and ahead >= CLEAR:
             if probability[best] >= SURE:
@@ -73,8 +71,3 @@ def claim_of(
     named = sorted((c for c in probability if c not in (NONE, OTHER)), key=lambda c: -probability[c])
     causes = tuple(dict.fromkeys(c for name in named for c in pairs.get(name, (name,))))[:UNDECIDED]
     return Claim("undecided", causes, sum(probability[c] for c in causes if c in probability))
-
-
-def _contains(pairs: Mapping[str, tuple[str, ...]], name: str, members: list[str]) -> bool:
-    """Whether a pair holds a member: it does not contradict it, and costs its own prior."""
-    return any(c in members for c in pairs.get(name, ()))

@@ -32,7 +32,7 @@ WEIGHED, GAUGED = 1e-3, 3e-3
 _COMMON = ("air", "frequency_scale", "shear_ratio", "transverse_shear", "viscoelastic")
 # Draws that the model of a test is solved at, at least, and for each term of the response that carries it to
 # the other draws, as far as so many standard deviations beyond these.
-_SOLVED, _PER_TERM, _BEYOND = 20, 3, 1.0
+_SOLVED, _PER_TERM, _BEYOND = 20, 2.5, 1.0
 # Of spaces that are converged for a test alone: a tenth of a measurement's noise will do.
 _TOLERANCE = Tolerance(kept=3e-4, rich=2e-4)
 
@@ -198,22 +198,21 @@ def _under_test(t: Tested, about: int, plate: PlateModels, bare: ForwardModel, m
 def _response(model: ComposedModel, drawn: _Drawn, weight: Array) -> Predicted:
     """Frequencies at all draws from those at some; their relative scatter about the response is missing.
 
-    Log frequencies are taken as linear in the logarithms of constants and sizes, as a scale of all
-    stiffnesses makes them, and as quadratic in the effects' parameters.
+    Log frequencies are taken as quadratic in each of the logarithms of constants and sizes and of the
+    effects' parameters: they are linear in the logarithm of what scales all stiffnesses, even in a skew.
     """
     v, weight = drawn.v.copy(), weight / weight.sum()
     v[:, : drawn.own] = np.log(v[:, : drawn.own])
     mean = weight @ v
     sd = np.sqrt(weight @ (v - mean) ** 2)
     varied = np.flatnonzero(sd > 1e-12)
-    bent = np.flatnonzero(varied >= drawn.own)
-    n = 1 + len(varied) + len(bent)
-    size = max(_SOLVED, _PER_TERM * n)
+    n = 1 + 2 * len(varied)
+    size = max(_SOLVED, round(_PER_TERM * n))
     share = np.cumsum(weight)
     rows = np.unique(np.searchsorted(share / share[-1], (np.arange(size) + 0.5) / size).clip(max=len(v) - 1))
     u = (v[:, varied] - mean[varied]) / sd[varied]
     u = np.clip(u, u[rows].min(axis=0) - _BEYOND, u[rows].max(axis=0) + _BEYOND)
-    terms = np.column_stack((np.ones(len(v)), u, u[:, bent] ** 2))
+    terms = np.column_stack((np.ones(len(v)), u, u**2))
     log_f = np.log(model.predict(drawn.v[rows]).frequencies)
     slopes, *_ = np.linalg.lstsq(terms[rows], log_f, rcond=None)
     left = log_f - terms[rows] @ slopes

@@ -1,0 +1,106 @@
+"""What `sequence` says: screen, document, pictures and the posterior file."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cpam_bayes.inference.given_sequence import given_sequence
+from cpam_bayes.report.figures import save_figures
+from cpam_bayes.report.sequence_data import EMCEE, write_sequence_posterior
+from cpam_bayes.report.sequence_figures import sequence_figures
+from cpam_bayes.report.sequences import sequence_document, sequence_screen, sequence_warnings
+from cpam_bayes.report.tables import plain_text
+from tests.sequence_cases import TRUE, answer, mixture
+
+pytestmark = pytest.mark.slow
+
+
+def test_the_document_has_what_the_contract_names() -> None:
+    own, mixed = answer(), mixture()
+    document = json.loads(json.dumps(sequence_document(own, mixed, None, 0, 5, ()), allow_nan=False))
+    assert document["enumerated"] == 36
+    assert len(document["sequences"]) == 5
+    first = document["sequences"][0]
+    assert set(first) >= {"angles_deg", "probability", "log_evidence", "constants"}
+    assert first["sampled_by"] == "emcee"
+    assert document["sequences"][4]["sampled_by"] == "importance sampling"
+    assert set(first["constants"]) == {"E1_GPa", "E2_GPa", "nu12", "G12_GPa"}
+    assert document["credible_95_count"] == own.credible_count
+    assert document["unaccounted_probability"] == 0.0
+    np.testing.assert_allclose(np.sum(document["angle_marginals"], axis=1), 1.0)
+    assert document["outer_plies_better_determined"] is True
+    mean = document["constants"]["E1_GPa"]["mean"]
+    assert document["constants"]["E1_GPa"]["q025"] < mean < document["constants"]["E1_GPa"]["q975"]
+    assert mean == pytest.approx(mixed.parameters[:, 0].mean() / 1e9)
+
+
+def test_the_printed_sequence_stands_in_document_and_screen() -> None:
+    own, mixed = answer(), mixture()
+    given = given_sequence(own, np.array(TRUE))
+    with_given = replace(mixed, given=mixed.components[0])
+    document = sequence_document(own, with_given, given, 0, 5, ())
+    assert document["printed_sequence"]["rank"] == 1
+    assert document["printed_sequence"]["constants"] == document["sequences"][0]["constants"]
+    text = "\n".join(plain_text(t) for t in sequence_screen(own, with_given, given, 0, ()) if t.rows)
+    assert "30/-60: probability" in text
+    assert "given the printed one" in text
+
+
+def test_the_screen_says_set_number_and_plies() -> None:
+    text = "\n".join(plain_text(t) for t in sequence_screen(answer(), mixture(), None, 0, ()) if t.rows)
+    assert f"{answer().credible_count} sequences" in text
+    assert "outer angles are better determined than inner ones" in text
+    assert "emcee on the first 3 of the list" in text
+
+
+def test_chains_that_failed_or_disagree_are_warned_of() -> None:
+    mixed = mixture()
+    own = replace(answer(), log_evidence_error=np.zeros(len(answer().top)))
+    assert sequence_warnings(own, mixed) == ()
+    first, second = mixed.components[:2]
+    failed = replace(first, diagnostics=replace(first.diagnostics, converged=False))
+    wrong = replace(second, importance=first.importance)
+    said = sequence_warnings(own, replace(mixed, components=(failed, wrong)))
+    assert "the chains of sequence 1 have not converged" in said[0]
+    assert "the chains of sequence 2 and importance sampling differ by" in said[1]
+
+
+def test_the_posterior_file_opens_in_plain_arviz(tmp_path: Path) -> None:
+    import arviz
+
+    own, mixed = answer(), mixture()
+    write_sequence_posterior(own, mixed, 3, tmp_path)
+    data = arviz.from_netcdf(str(tmp_path / "posterior.nc"))
+    posterior = data.posterior
+    assert posterior["angle_deg"].dims == ("chain", "draw", "ply")
+    assert posterior.sizes["draw"] == len(mixed.parameters)
+    np.testing.assert_allclose(posterior["E1_GPa"].values[0], mixed.parameters[:, 0] / 1e9)
+    assert posterior["E1_GPa"].attrs["unit"] == "GPa"
+    by = data.sample_stats["sampled_by"].values[0]
+    assert np.mean(by == EMCEE) == pytest.approx(mixed.emcee_share, abs=1e-3)
+    np.testing.assert_array_equal(posterior["component"].values[0], mixed.origin)
+    # a draw's angles are an image of its component's
+    listed = data.constant_data["sequence_angle_deg"].values
+    assert np.all(np.abs(posterior["angle_deg"].values[0][mixed.origin == 0]) == np.abs(listed[0]))
+    np.testing.assert_allclose(data.constant_data["angle_marginal"].sum("angle"), 1.0)
+    assert data.observed_data.sizes["mode"] == 6
+    assert data.posterior.attrs["seed"] == 3
+    assert len(data.posterior.attrs["problem_hash"]) == 32
+
+
+def test_the_same_answer_gives_the_same_pictures(tmp_path: Path) -> None:
+    for name in ("first", "again"):
+        (tmp_path / name).mkdir()
+        figures = sequence_figures(answer(), mixture(), given_sequence(answer(), np.array(TRUE)))
+        save_figures(figures, tmp_path / name)
+    files = sorted(p.name for p in (tmp_path / "first").iterdir())
+    assert {p.removesuffix(".png") for p in files if p.endswith(".png")} == {
+        "angles_C1",
+        "constants_C1",
+        "credible_set_C1",
+    }
+    for file in files:
+        assert (tmp_path / "first" / file).read_bytes() == (tmp_path / "again" / file).read_bytes()
