@@ -41,7 +41,8 @@ def claim_of(
 
     Nothing is wrong where none has half the probability. A single cause is named, or its class, where the
     class has 0.9 and its best member is 3 nats above the best outsider, none and other among these; a
-    member alone where it has 0.9 itself. Pairs count in the probabilities, with their priors. Then a pair or other at 0.9. The rest is undecided.
+    member alone where it has 0.9 itself. Pairs count in the probabilities, with their priors. Then a pair
+    or other is claimed at 0.9. The rest is undecided.
     """
     if probability[NONE] >= PLAIN:
         return Claim("none", (), probability[NONE])

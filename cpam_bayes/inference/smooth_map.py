@@ -64,7 +64,11 @@ class SmoothMap:
 
 
 def fit_map(
-    points: Array, values: Array, rng: np.random.Generator, images: Array | None = None, like: SmoothMap | None = None
+    points: Array,
+    values: Array,
+    rng: np.random.Generator,
+    images: Array | None = None,
+    like: SmoothMap | None = None,
 ) -> SmoothMap:
     """The map through values (N, p) at points (N, d), length scales by the largest marginal likelihood.
 
