@@ -24,8 +24,8 @@ from typing import Any
 
 from cpam_bayes.cache import cache_directory
 from cpam_bayes.diagnosis.trial_statistics import (
-    figures,
     confusion,
+    figures,
     reliability,
     table,
     unreached,
@@ -33,7 +33,8 @@ from cpam_bayes.diagnosis.trial_statistics import (
 from cpam_bayes.diagnosis.trials import Trial, run_trial
 from cpam_bayes.diagnosis.truths import MESH, Bench, bench
 from cpam_bayes.inference.draw_store import DrawStore
-from cpam_bayes.parallel import open_executor, read_spec, run as share_out
+from cpam_bayes.parallel import open_executor, read_spec
+from cpam_bayes.parallel import run as share_out
 from cpam_bayes.report.tables import Column, Table, screen_text
 
 Results = dict[str, Any]
@@ -49,7 +50,7 @@ KEYS = {
     "figures": "one each: what was asked, the value, its standard error, the number of trials",
     "table": "by bench, cause and signal to noise: trials, shares that were right, probabilities",
     "confusion": "by bench and signal to noise: counts of leading causes by what was hidden",
-    "reliability": "by set of trials: bins of the probability of the leading class, and how often it was right",
+    "reliability": "by set of trials: bins of the leading class's probability, and how often it was right",
     "not_reached": "causes that do not reach the signal to noise within their prior, or that are absorbed",
 }
 
@@ -93,7 +94,9 @@ def plan(own: Bench, per_cell: int, clean: int, kinds: Sequence[str]) -> list[Tr
         if "lacks" in kinds:
             found.append(Trial("one", (causes[i % len(causes)],), STRONG, i, lacks=True, seed=SEED))
         if "two" in kinds:
-            found += [Trial("two", pairs[(TWO * i + k) % len(pairs)], STRONG, i, seed=SEED) for k in range(TWO)]
+            found += [
+                Trial("two", pairs[(TWO * i + k) % len(pairs)], STRONG, i, seed=SEED) for k in range(TWO)
+            ]
         if "outside" in kinds:
             at = [causes[(OUTSIDE * i + k) % len(causes)] for k in range(OUTSIDE)]
             found += [Trial("outside", (c,), STRONG, i, seed=SEED) for c in at]
@@ -198,7 +201,12 @@ def _progress(name: str, records: list[Results], trials: list[Trial]) -> Results
 def show(results: Results) -> None:
     """Print the results as tables."""
     lines = tuple(
-        (f["name"], f["asked"], "-" if f["value"] is None else f"{f['value']:.3f}({f['error']:.3f})", str(f["n"]))
+        (
+            f["name"],
+            f["asked"],
+            "-" if f["value"] is None else f"{f['value']:.3f}({f['error']:.3f})",
+            str(f["n"]),
+        )
         for f in results["figures"]
     )
     head = (Column("figure"), Column("asked"), Column("reached", True), Column("trials", True))
@@ -210,7 +218,7 @@ def show(results: Results) -> None:
             f"{row['ratio']:g}",
             str(row["n"]),
             f"{row['right']:.2f}",
-            f"{row['oracle']:.2f}",
+            "-" if row["oracle"] is None else f"{row['oracle']:.2f}",
             f"{row['class_probability']:.2f}",
             f"{row['none']:.2f}",
             ", ".join(row["alike"]),
@@ -235,7 +243,9 @@ def main() -> None:
     )
     parser.add_argument("--per-cell", type=int, default=PER_CELL, metavar="N", help="trials of each cell")
     parser.add_argument("--clean", type=int, default=CLEAN, metavar="N", help="clean plates of each bench")
-    parser.add_argument("--only", nargs="+", choices=KINDS, default=KINDS, metavar="KIND", help=", ".join(KINDS))
+    parser.add_argument(
+        "--only", nargs="+", choices=KINDS, default=KINDS, metavar="KIND", help=", ".join(KINDS)
+    )
     parser.add_argument("--plates", nargs="+", metavar="NAME", help="plates to work on; others as stored")
     parser.add_argument("--minutes", type=float, metavar="M", help="begin no further trials after M minutes")
     parser.add_argument(

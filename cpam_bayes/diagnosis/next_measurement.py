@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -21,9 +21,9 @@ from cpam_bayes.threads import single_blas_thread
 
 Array = NDArray[Any]
 
-# Hypotheses that tests are to tell apart: until they have so much probability, of so many causes and in so
-# many variants at most.
-_ENOUGH, _MOST_CAUSES, _MOST_VARIANTS = 0.99, 6, 12
+# Causes that tests are to tell apart: until they have so much probability, so many at most, in so many
+# variants at most.
+_ENOUGH, _MOST_CAUSES, _MOST_VARIANTS = 0.99, 6, 10
 # Claims after which nothing is left to be told apart.
 _SETTLED = ("none", "named")
 # Simulated data, log2, of each hypothesis; probability from which a cause counts as found.
@@ -99,19 +99,28 @@ def next_measurements(
 
 
 def leading_hypotheses(weighed: Weighed) -> tuple[Tested, ...]:
-    """The most probable hypotheses, in falling probability."""
-    found: list[Tested] = []
-    causes: set[str] = set()
-    total = 0.0
-    for t in weighed.tested:
-        if total >= _ENOUGH or len(found) == _MOST_VARIANTS:
+    """The best variants of the most probable causes, in falling probability, each cause with all of its own.
+
+    Causes are taken until they hold 99 %, six at most, with ten variants in all at most.
+    """
+    causes: dict[str, float] = {}
+    for name, p in weighed.by_cause().items():
+        if sum(causes.values()) >= _ENOUGH or len(causes) == _MOST_CAUSES:
             break
-        if t.hypothesis.cause not in causes and len(causes) == _MOST_CAUSES:
-            continue
-        causes.add(t.hypothesis.cause)
-        found.append(t)
-        total += t.probability
-    return tuple(found)
+        causes[name] = p
+    of_these = [t for t in weighed.tested if t.hypothesis.cause in causes]
+    best = [next(t for t in of_these if t.hypothesis.cause == name) for name in causes]
+    chosen = {
+        id(t) for t in [*best, *(t for t in of_these if all(t is not b for b in best))][:_MOST_VARIANTS]
+    }
+    kept = [t for t in of_these if id(t) in chosen]
+    held = {name: sum(t.probability for t in kept if t.hypothesis.cause == name) for name in causes}
+    whole = [
+        replace(t, probability=t.probability * causes[t.hypothesis.cause] / held[t.hypothesis.cause])
+        for t in kept
+        if held[t.hypothesis.cause] > 0.0
+    ]
+    return tuple(sorted(whole, key=lambda t: -t.probability))
 
 
 def information(outlook: Outlook, log2_data: int = _LOG2_DATA) -> tuple[float, float, float]:

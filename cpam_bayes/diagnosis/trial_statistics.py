@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from cpam_bayes.diagnosis.claim import SURE
 from cpam_bayes.diagnosis.trials import is_right
 
 Record = dict[str, Any]
@@ -97,7 +96,7 @@ def table(records: Records) -> list[Record]:
             "right": _mean(map(is_right, own)),
             "exact": _mean(r["answer"]["class"][:1] == [cause] for r in own),
             "among_three": _mean(map(_among_three, own)),
-            "oracle": _mean(r["oracle"]["right"] for r in own),
+            "oracle": _mean(r["oracle"]["right"] for r in own if r["oracle"]["right"] is not None),
             "class_probability": _mean(_truth_probability(r) for r in own),
             "oracle_probability": _mean(r["oracle"]["class"] for r in own),
             "none": _mean(r["answer"]["none"] for r in own),
@@ -280,18 +279,6 @@ def _row(name: str, asked: str, value: float | None, error: float, n: int) -> Re
     return {"name": name, "asked": asked, "value": value, "error": error, "n": n}
 
 
-def _mean(values: Iterable[float | bool]) -> float:
+def _mean(values: Iterable[float | bool]) -> float | None:
     own = [float(v) for v in values]
-    return sum(own) / len(own)
-
-
-__all__ = [
-    "SURE",
-    "Callable",
-    "calibration_error",
-    "confusion",
-    "figures",
-    "reliability",
-    "table",
-    "unreached",
-]
+    return sum(own) / len(own) if own else None

@@ -13,10 +13,9 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from cpam_bayes.diagnosis.cases import hypotheses_of
-from cpam_bayes.diagnosis.claim import SURE
 from cpam_bayes.diagnosis.composed import ComposedModel
 from cpam_bayes.diagnosis.diagnose import Diagnosis, diagnose_cases
-from cpam_bayes.diagnosis.hypotheses import NONE, OTHER, PAIR, Hypothesis
+from cpam_bayes.diagnosis.hypotheses import NONE, OTHER, Hypothesis
 from cpam_bayes.diagnosis.truths import (
     Bench,
     Linear,
@@ -38,8 +37,9 @@ Kind = Literal["clean", "one", "two", "outside", "prior"]
 
 # The constants of a truth lie within this share of the reference.
 SPREAD = 0.1
-# Modes beyond the list that are simulated too, and draws that they are predicted with.
-FURTHER, _DRAWS = 2, 256
+# Modes beyond the list that are simulated too, draws that they are predicted with, and how often they are
+# measured.
+FURTHER, _DRAWS, _REPEATED = 2, 256, 64
 # Places tried for a cause before it is given up.
 _PLACES = 6
 # Modes that a list may lack are simulated as well.
@@ -90,7 +90,10 @@ class Hidden:
 
 
 def run_trial(own: Bench, trial: Trial) -> Record:
-    """A trial's record: truth, answer, and what of it is right; {"reached": False} where nothing can be hidden."""
+    """A trial's record: truth, answer and what it is measured by.
+
+    "reached" is false where the cause cannot be hidden with the ratio; then "most_ratio" and "share" say why.
+    """
     start = time.perf_counter()
     rng = trial.rng
     hidden = _hide(own, trial, rng)
@@ -119,7 +122,8 @@ def run_trial(own: Bench, trial: Trial) -> Record:
         "alike": sorted(alike),
         "oracle": {
             "best": best,
-            "right": best in alike,
+            # what reorders the list is not in its dictionary
+            "right": best in alike if hidden.shift.any() else None,
             "none": known.probability.get(NONE, 0.0),
             "class": sum(p for c, p in known.probability.items() if c in alike),
         },
@@ -216,7 +220,7 @@ def _answer(found: Diagnosis) -> Record:
     # the class of each cause that leads its own class, with the class's probability
     classes = []
     for c in singles:
-        members = [c.name, *(m for m in c.indistinguishable_from if m in by_name)]
+        members = [c.name, *(m for m in c.indistinguishable_from if " + " not in m)]
         if by_name[c.name] >= max(by_name[m] for m in members):
             classes.append((sum(by_name[m] for m in members), members))
     probability, members = max(classes, key=lambda k: k[0]) if classes else (0.0, [])
@@ -232,7 +236,6 @@ def _answer(found: Diagnosis) -> Record:
         "pair": pair.name.split(" + ") if pair else [],
         "pair_probability": pair.probability if pair else 0.0,
         "causes": [[c.name, c.variant, c.probability, c.log_bayes_factor] for c in ranked[:_LISTED]],
-        "wrong_single": max(by_name[c.name] for c in singles) >= SURE if singles else False,
         "tested": len(found.weighed.tested),
     }
 
@@ -255,7 +258,10 @@ def _extension(found: Diagnosis) -> tuple[tuple[Tested, float], ...]:
 
 
 def _constants(hidden: Hidden, found: Diagnosis) -> list[list[Any]]:
-    """name, truth, and for the model that the answer leaves the user with: mean, sd, 2.5 and 97.5 % quantile."""
+    """By constant: name, truth, mean, sd, 2.5 and 97.5 % quantile, and the sd of its prior.
+
+    The model is the extended one, or the plain one where nothing is claimed.
+    """
     parameters = hidden.at.own.case.models.parameters
     fit = found.extended or found.baseline
     rows = []
@@ -266,13 +272,17 @@ def _constants(hidden: Hidden, found: Diagnosis) -> list[list[Any]]:
 
 
 def _further(hidden: Hidden, found: Diagnosis) -> Record | None:
-    """Log predictive densities of modes beyond the list, by the plain and by the extended model."""
+    """Log predictive densities of modes beyond the list, by the plain and by the extended model.
+
+    They are means over repeated measurements of these modes.
+    """
     if any(h.listed.missed for h in hidden.causes) or not np.array_equal(
         hidden.own.case.modes, np.arange(hidden.own.n_listed)
     ):
         return None  # they are in the list
     rng = np.random.default_rng(zlib.crc32(hidden.listed.tobytes()))
-    measured = hidden.further * np.exp(hidden.own.noise * rng.standard_normal(len(hidden.further)))
+    noise = rng.standard_normal((_REPEATED, len(hidden.further)))
+    measured = hidden.further * np.exp(hidden.own.noise * noise)
     plain = _log_score(hidden.own, [(found.weighed.none, 1.0)], measured)
     members = _extension(found)
     return {
@@ -283,8 +293,8 @@ def _further(hidden: Hidden, found: Diagnosis) -> Record | None:
 
 
 def _log_score(own: Bench, members: Sequence[tuple[Tested, float]], measured: Array) -> float:
-    """Log density of further frequencies (k,) under a mixture of fitted hypotheses, per Hz each."""
-    beyond = own.n_listed + np.arange(len(measured))
+    """Mean log density of further frequencies (m, k) under a mixture of fitted hypotheses, per Hz each."""
+    beyond = own.n_listed + np.arange(measured.shape[1])
     terms = []
     for t, share in members:
         comparison = t.marginal.comparison
@@ -295,14 +305,12 @@ def _log_score(own: Bench, members: Sequence[tuple[Tested, float]], measured: Ar
         variance = (own.noise**2 + error**2) * f**2 + own.case.measurement.resolution**2 / 12
         if comparison.discrepancy is not None:
             variance = variance + (x[:, comparison.discrepancy, None] * f) ** 2
-        own_density = -0.5 * np.sum((measured - f) ** 2 / variance + np.log(2 * np.pi * variance), axis=1)
-        terms.append(float(np.log(share) + logsumexp(own_density) - np.log(len(x))))
-    return float(logsumexp(terms))
+        squared = (measured[:, None] - f) ** 2 / variance
+        density = -0.5 * np.sum(squared + np.log(2 * np.pi * variance), axis=2)
+        terms.append(np.log(share) + logsumexp(density, axis=1) - np.log(len(x)))
+    return float(np.mean(logsumexp(terms, axis=0)))
 
 
 def is_right(record: Record) -> bool:
     """Whether the leading class of causes is that of the truth."""
     return bool(set(record["answer"]["class"][:1]) & set(record["alike"]))
-
-
-__all__ = ["FURTHER", "PAIR", "SPREAD", "Hidden", "Kind", "Record", "Trial", "is_right", "run_trial"]

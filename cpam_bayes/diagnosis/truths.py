@@ -23,7 +23,7 @@ from cpam_bayes.diagnosis.fitting import PlateCase
 from cpam_bayes.diagnosis.hypotheses import NONE, OTHER, Hypothesis
 from cpam_bayes.diagnosis.scores import scores_of
 from cpam_bayes.diagnosis.signatures import ABSORBED, ALIKE
-from cpam_bayes.effects import Effect, extend
+from cpam_bayes.effects import extend
 from cpam_bayes.measurement import Measurement, builtin
 from cpam_bayes.model import reference_vector
 from cpam_bayes.modes import solve
@@ -317,27 +317,3 @@ def _scattered(at: Linear, h: Hypothesis, residual: Array, a: Array, log_weight:
 def of_cause(own: Bench, cause: str) -> tuple[Hypothesis, ...]:
     """The variants of a cause that are no slips of the pen."""
     return tuple(h for h in own.singles if h.cause == cause and not h.is_gross)
-
-
-def effect_names(hidden: Sequence[Hypothesis]) -> tuple[str, ...]:
-    """The causes that act."""
-    return tuple(h.cause for h in hidden)
-
-
-__all__ = [
-    "MESH",
-    "Bench",
-    "Effect",
-    "Linear",
-    "Oracle",
-    "Reached",
-    "bench",
-    "linear",
-    "of_cause",
-    "oracle",
-    "parameter_of",
-    "random_constants",
-    "size_for",
-    "sizes_of",
-    "true_frequencies",
-]

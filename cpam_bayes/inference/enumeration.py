@@ -52,7 +52,7 @@ class Enumerator:
 
 @dataclass(frozen=True, slots=True)
 class Piece:
-    """Sums over the sequences of some prefixes but for the listed ones; weights exp(log evidence - reference).
+    """Sums over the sequences of some prefixes, listed ones left out; weights exp(log evidence - reference).
 
     prefixes : (p,) their numbers; mass : (p,) weight of each, mirror images included; inner : (n_inner,
     n_grid) marginal weights of the last plies. count, weight : (BINS,) sequences and their weight by log

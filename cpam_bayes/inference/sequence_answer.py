@@ -52,9 +52,10 @@ class SurfaceCheck:
     """How good the evidence is of sequences where it is not computed with care.
 
     learned_from : sequences. rms, largest : error of the log evidence on draws from the posterior, nats.
-    correction : log of the factor on the sum of what was learned that the draws found. effective : share of
-    the draws that count. fitted : sequences fitted one by one; sampled : classes of these whose
-    evidence was sampled; learned_probability : of all sequences whose evidence is learned alone.
+    correction : log of the factor on the sum of what was learned that the draws found. effective : share
+    of the draws that count. fitted : sequences fitted one by one; sampled : classes of these whose
+    evidence was sampled; learned_probability : of all sequences whose evidence is learned alone. basis_error :
+    largest relative error of a frequency, at constants drawn, by the basis that is made for the posterior.
     """
 
     learned_from: int
@@ -65,6 +66,7 @@ class SurfaceCheck:
     fitted: int
     sampled: int
     learned_probability: float
+    basis_error: float
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from concurrent.futures import Executor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -82,6 +82,20 @@ def merged(a: Evaluated, b: Evaluated) -> Evaluated:
         joined([a.fits, b.fits]),
         joined([a.conditionals, b.conditionals]),
     )
+
+
+def with_optima(data: Evaluated, n: int) -> Evaluated:
+    """The same with the n optima of each sequence that count most."""
+    fits = data.fits
+    best = np.argsort(-fits.weight, axis=1, kind="stable")[:, :n]
+    row = np.arange(len(best))[:, None]
+    kept = replace(
+        fits,
+        optima=fits.optima[row, best],
+        weight=fits.weight[row, best],
+        curvature=fits.curvature[row, best],
+    )
+    return replace(data, fits=kept)
 
 
 @dataclass(frozen=True, slots=True)

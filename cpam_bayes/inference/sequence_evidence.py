@@ -349,7 +349,7 @@ def _proposal_points(n: int, log2_points: int) -> tuple[Array, Array]:
 
 
 def _log_student_t(away: Array, factor: Array) -> Array:
-    """Log density of Student-t's at ``away`` (m, p, n) from their centres, Cholesky factors (m, n, n), (m, p)."""
+    """Log density of Student-t's ``away`` (m, p, n) from their centres, factors (m, n, n), (m, p)."""
     n = away.shape[2]
     squared = np.sum(np.einsum("mij,mpj->mpi", np.linalg.inv(factor), away) ** 2, axis=2)
     log_det = np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1)

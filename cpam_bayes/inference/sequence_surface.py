@@ -133,6 +133,8 @@ def learn(
         if max(rms, before) <= settings.error or len(data.sequences) >= settings.most:
             return Learned(surface, data, near if near is not rough else _about(own, sums, data, rng))
         drawn, cold = _draws(surface, sums, data, settings.each_round, rng)
+        if not len(drawn):  # every sequence that counts is known
+            return Learned(surface, data, near if near is not rough else _about(own, sums, data, rng))
         around = neighbours(
             sums.features(data.sequences), data.fits.x, surface.smooth.lengths, images
         ).nearest(sums.features(drawn))
@@ -140,7 +142,10 @@ def learn(
         fresh = evaluate(near, sums.grid_deg, drawn, both, settings.log2_points, executor)
         miss = surface.values(sums.features(drawn[cold])) - fresh.log_evidence[cold]
         before = rms
-        rms, worst = float(np.sqrt(np.mean(miss**2))), float(np.abs(miss).max())
+        rms, worst = (
+            float(np.sqrt(np.mean(miss**2))) if len(miss) else 0.0,
+            float(np.abs(miss).max(initial=0.0)),
+        )
         data = merged(data, fresh)
         if rms < _FOUND:
             first = near is rough
@@ -148,6 +153,21 @@ def learn(
             if first:  # what the rough basis gave is not good enough next to the top
                 data = _again(near, sums, data, settings, executor)
         notify(f"log evidence learned from {len(data.sequences)} sequences to {rms:.2f} nats")
+
+
+def learn_more(
+    own: SequencePosterior,
+    sums: PlySums,
+    images: Array,
+    known: Learned,
+    fresh: Evaluated,
+    rng: np.random.Generator,
+) -> Learned:
+    """The surface learned from further sequences as well, and a basis that is made for them too."""
+    data = merged(known.data, fresh)
+    old = known.surface
+    surface = _fit(own, sums, data, rng, old.rms_error, old.largest_error, images, old)
+    return Learned(surface, data, _about(own, sums, data, rng))
 
 
 def _about(
@@ -218,7 +238,7 @@ def _scores(own: SequencePosterior, data: Evaluated) -> Array:
 def _draws(
     surface: Surface, sums: PlySums, data: Evaluated, n: int, rng: np.random.Generator, sweeps: int = 8
 ) -> tuple[Array, Array]:
-    """Distinct sequences drawn by Gibbs' sampler, n or fewer, and which of them at temperature 1, bool.
+    """New sequences drawn by Gibbs' sampler, n or fewer, and which of them at temperature 1, bool.
 
     Each chain starts from a sequence that was evaluated, drawn by its evidence at its temperature.
     """
@@ -240,5 +260,6 @@ def _draws(
             state[:, j] = np.minimum((cumulative < pick[:, None]).sum(axis=1), g - 1)
             total = without + both[j][state[:, j]]
     _, first = np.unique(state, axis=0, return_index=True)
-    first = np.sort(first)
-    return state[first], temperature[first] == 1.0
+    known = {tuple(s) for s in data.sequences}
+    new = np.array([i for i in np.sort(first) if tuple(state[i]) not in known], dtype=np.int64)
+    return state[new], temperature[new] == 1.0

@@ -161,18 +161,22 @@ def made(of: Hypothesis, own: PlateCase, probability: float = 0.5) -> weighing.T
     return weighing.Tested(of, (0,), marginal, probability)
 
 
-def test_leading_hypotheses_hold_99_percent_of_six_causes_at_most() -> None:
+def test_leading_causes_are_six_at_most_with_all_their_probability() -> None:
     def weighed(*p: tuple[str, float]) -> Weighed:
         none: Any = None
         tested = tuple(weighing.Tested(Hypothesis(c, c), (0,), none, value) for c, value in p)
         return Weighed(tested=tested, screened=(), not_tested=())
 
-    enough = weighed(("a", 0.6), ("b", 0.395), ("c", 0.005))
-    assert [t.hypothesis.cause for t in leading_hypotheses(enough)] == ["a", "b"]
-    many = weighed(*((c, 0.12) for c in "abcdefgh"), ("a", 0.02))
-    assert [t.hypothesis.cause for t in leading_hypotheses(many)] == [*"abcdef", "a"]
-    places_of_one = weighed(*(("a", 0.04) for _ in range(25)))
-    assert len(leading_hypotheses(places_of_one)) == 12
+    def found(*p: tuple[str, float]) -> list[tuple[str, float]]:
+        return [(t.hypothesis.cause, t.probability) for t in leading_hypotheses(weighed(*p))]
+
+    assert found(("a", 0.6), ("b", 0.395), ("c", 0.005)) == [("a", 0.6), ("b", 0.395)]
+    assert [c for c, _ in found(*((c, 0.12) for c in "abcdefgh"))] == list("abcdef")
+    # ten of the places where a mass may be stand for all of them, beside none
+    many = found(("none", 0.2), *(("a", 0.032) for _ in range(25)))
+    assert len(many) == 10
+    assert sum(p for c, p in many if c == "a") == pytest.approx(0.8)
+    assert dict(many)["none"] == pytest.approx(0.2)
 
 
 def test_the_outlook_has_the_moments_of_the_draws_and_the_noise_of_the_list() -> None:

@@ -1,0 +1,298 @@
+"""From plates to an answer: claim, extended fit and gain, on toys and on a real plate."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cpam_bayes.diagnosis import diagnose as diagnosing
+from cpam_bayes.diagnosis.cases import plate_case
+from cpam_bayes.diagnosis.diagnose import Diagnosis, diagnose_cases
+from cpam_bayes.diagnosis.extension import resample
+from cpam_bayes.diagnosis.fitting import PlateCase
+from cpam_bayes.diagnosis.hypotheses import DISCREPANCY, NONE, OTHER, SLIP, Hypothesis, ListChange
+from cpam_bayes.effects import CATALOGUE, Effect
+from cpam_bayes.inference.ensemble import EnsembleSettings
+from cpam_bayes.measurement import Measurement
+from cpam_bayes.measurement.specimens import builtin
+from cpam_bayes.parameters import ScaledStudentT
+from tests.diagnosis.toy_plates import (
+    BUMP,
+    DENT,
+    F0,
+    SD,
+    A,
+    Array,
+    a_list,
+    case,
+    cause,
+    even,
+    exact_log_evidence,
+    hypothesis,
+    straight,
+    whole_normal,
+)
+
+NOISE = 0.002
+SCATTER = np.array([1.0, -0.5, 0.3, 1.2, -1.0, 0.2, 0.9, -1.4])
+TWIN_SHIFT = BUMP + 0.02 * DENT
+BENT, TWIN = cause("bent", whole_normal(0.02)), cause("twin", whole_normal(0.02))
+DENTED = cause("dented", whole_normal(0.02))
+WARP = cause("warp", ScaledStudentT(0.1, 4.0, -0.8, 0.8), is_even=True)
+STIFF = cause("stiff", whole_normal(0.02))
+SHIFTS = {
+    "bent": straight(BUMP),
+    "twin": straight(TWIN_SHIFT),
+    "dented": straight(DENT),
+    "warp": even(DENT),
+    "stiff": straight(A @ [0.5, 0.5]),
+}
+NOTHING = Hypothesis(NONE, NONE, prior=0.5)
+ANYTHING = Hypothesis(OTHER, OTHER, parameters=(DISCREPANCY,), prior=0.06)
+FALSE = tuple(
+    Hypothesis("mode_identity", "list", f"frequency {i + 1} false", listed=ListChange(spurious=i), prior=0.01)
+    for i in range(8)
+)
+MISREAD = tuple(
+    Hypothesis(
+        "outlier", "list", f"frequency {i + 1}", listed=ListChange(misread=i), parameters=(SLIP,), prior=0.01
+    )
+    for i in range(8)
+)
+
+
+def plate(shift: Array, *effects: Effect, name: str = "toy") -> PlateCase:
+    f = F0 * (1.0 + A @ [0.03, -0.04] + shift) * (1.0 + NOISE * SCATTER)
+    return case(a_list(f, NOISE), [(e, SHIFTS[e.name]) for e in effects], name=name)
+
+
+def of_list(f: Array, *effects: Effect, name: str = "toy") -> PlateCase:
+    return case(a_list(f, NOISE), [(e, SHIFTS[e.name]) for e in effects], name=name, n_modes=8)
+
+
+def diagnosed(
+    monkeypatch: pytest.MonkeyPatch,
+    own: PlateCase,
+    *singles: Hypothesis,
+    gain: bool = True,
+    pairs: bool = True,
+) -> Diagnosis:
+    every = [(h, (0,)) for h in (NOTHING, ANYTHING, *singles)]
+    monkeypatch.setattr(diagnosing, "hypotheses_of", lambda cases: every)
+    return diagnose_cases([own], gain=gain, pairs=pairs)
+
+
+def test_a_clean_plate_has_nothing_claimed(monkeypatch: pytest.MonkeyPatch) -> None:
+    own = plate(np.zeros(8), BENT, DENTED)
+    found = diagnosed(monkeypatch, own, hypothesis(BENT, 0.1), hypothesis(DENTED, 0.1))
+    assert found.claim.kind == "none"
+    assert found.extended is None
+    assert found.gain is None
+    assert found.members == ()
+    assert sum(c.probability for c in found.causes) == pytest.approx(1.0)
+    assert {NONE, OTHER, "bent", "dented"} == {c.name for c in found.causes}
+
+
+def test_a_cause_is_named_with_its_size_its_fit_and_its_gain(monkeypatch: pytest.MonkeyPatch) -> None:
+    own = plate(0.03 * BUMP, BENT, DENTED)
+    found = diagnosed(monkeypatch, own, hypothesis(BENT, 0.1), hypothesis(DENTED, 0.1))
+    assert found.claim.kind == "named"
+    assert found.claim.causes == ("bent",)
+    named = found.causes[0]
+    f = own.measurement.frequencies
+    with_it = exact_log_evidence(f, NOISE * f, (BUMP, 0.02))
+    plain = exact_log_evidence(f, NOISE * f)
+    assert named.log_bayes_factor == pytest.approx(with_it - plain, abs=0.15)
+    mean, sd, unit = named.parameters["size of bent"]
+    assert abs(mean - 0.03) < 3 * sd
+    assert unit == ""
+    assert found.extended is not None
+    assert found.gain is not None
+    # the list's own noise is left
+    assert found.extended.rms < NOISE < found.baseline.rms
+    assert found.gain.rms_before == found.baseline.rms
+    assert found.gain.rms_after == found.extended.rms
+    assert found.gain.log_bayes_factor == pytest.approx(with_it - plain, abs=0.15)
+    assert found.gain.stable == 1.0
+    assert found.extended.p_value > 0.05
+    assert found.baseline.p_value < 1e-3
+    # the extended model covers the constants, the plain one was bent away from them
+    for name, truth in (("E1", 1.03), ("G12", 0.96)):
+        mean, sd, low, high = found.extended.constants[name]
+        assert low < mean < high
+        assert abs(mean - truth) < 3.5 * sd
+        assert high - low == pytest.approx(3.92 * sd, rel=0.1)
+
+
+def test_held_out_scores_are_conditional_densities(monkeypatch: pytest.MonkeyPatch) -> None:
+    own = plate(0.03 * BUMP, BENT)
+    found = diagnosed(monkeypatch, own, hypothesis(BENT, 0.1))
+    assert found.gain is not None
+    f = own.measurement.frequencies
+
+    def left_out(i: int, *causes: tuple[Array, float]) -> float:
+        kept = np.arange(8) != i
+        slope = np.column_stack([SD * A, *(sd * d for d, sd in causes)]) * F0[:, None]
+        covariance = slope @ slope.T + np.diag((NOISE * f) ** 2)
+        away = (f - F0)[kept]
+        own = covariance[np.ix_(kept, kept)]
+        short = -0.5 * away @ np.linalg.solve(own, away) - 0.5 * np.linalg.slogdet(2 * np.pi * own)[1]
+        return exact_log_evidence(f, NOISE * f, *causes) - float(short)
+
+    expected = [left_out(i, (BUMP, 0.02)) - left_out(i) for i in range(8)]
+    # four evidences by importance sampling, 0.03 each
+    np.testing.assert_allclose(found.gain.held_out, expected, atol=0.25)
+    assert found.gain.held_out_difference == pytest.approx(sum(expected), abs=0.8)
+    assert found.gain.held_out_se == pytest.approx(np.sqrt(8) * np.std(expected, ddof=1), rel=0.1)
+
+
+def test_causes_that_look_alike_are_claimed_as_a_class(monkeypatch: pytest.MonkeyPatch) -> None:
+    own = plate(0.03 * BUMP, BENT, TWIN, DENTED)
+    found = diagnosed(monkeypatch, own, *(hypothesis(e, 0.1) for e in (BENT, TWIN, DENTED)), gain=False)
+    assert found.claim.kind == "class"
+    assert set(found.claim.causes) == {"bent", "twin"}
+    by_name = {c.name: c for c in found.causes}
+    assert by_name["bent"].indistinguishable_from == ("twin",)
+    assert sum(share for _, share in found.members) == pytest.approx(1.0)
+    assert {t.hypothesis.cause for t, _ in found.members} == {"bent", "twin"}
+
+
+def test_a_cause_that_the_constants_absorb_is_reported_with_its_bias(monkeypatch: pytest.MonkeyPatch) -> None:
+    own = plate(np.zeros(8), STIFF, BENT)
+    found = diagnosed(monkeypatch, own, hypothesis(STIFF, 0.1), hypothesis(BENT, 0.1), gain=False)
+    absorbed = {c.name: c for c in found.causes}["stiff"]
+    assert absorbed.absorbed
+    assert absorbed.visible < 0.1
+    size = found.signatures["stiff"].shift * NOISE * own.measurement.frequencies / F0
+    expected = np.linalg.lstsq(A, size, rcond=None)[0]
+    for i, name in enumerate(("E1", "G12")):
+        assert absorbed.bias[name] == pytest.approx(expected[i], rel=0.1)
+    assert not {c.name: c for c in found.causes}["bent"].absorbed
+
+
+def test_an_even_cause_is_told_by_its_magnitude(monkeypatch: pytest.MonkeyPatch) -> None:
+    own = plate(0.15**2 * DENT, WARP)
+    found = diagnosed(monkeypatch, own, hypothesis(WARP, 0.1), gain=False)
+    assert found.claim.causes == ("warp",)
+    mean, sd, _ = found.causes[0].parameters["size of warp"]
+    assert mean == pytest.approx(0.15, abs=3 * sd)
+    assert sd < 0.02
+
+
+def test_two_causes_are_claimed_as_a_pair(monkeypatch: pytest.MonkeyPatch) -> None:
+    own = plate(0.04 * BUMP + 0.04 * DENT, BENT, DENTED)
+    found = diagnosed(monkeypatch, own, hypothesis(BENT, 0.1), hypothesis(DENTED, 0.1))
+    assert found.claim.kind == "pair"
+    assert set(found.claim.causes) == {"bent", "dented"}
+    assert found.extended is not None
+    assert found.extended.rms < 2 * NOISE
+
+
+def test_what_no_cause_explains_is_other(monkeypatch: pytest.MonkeyPatch) -> None:
+    wild = 0.05 * np.array([1.0, 1.0, -1.0, 1.0, -1.0, -1.0, 1.0, 1.0])
+    own = plate(wild, BENT)
+    found = diagnosed(monkeypatch, own, hypothesis(BENT, 0.1), gain=False, pairs=False)
+    assert found.claim.kind == "other"
+    assert found.claim.causes == ()
+    assert found.extended is not None
+
+
+@pytest.mark.parametrize("at", [2, 7])
+def test_a_false_peak_is_found_and_the_rest_refitted(at: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    f = F0 * (1.0 + A @ [0.03, -0.04]) * (1.0 + NOISE * SCATTER)
+    listed = np.insert(f[:7], at, 0.5 * (f[at - 1] + f[at]))
+    found = diagnosed(monkeypatch, of_list(listed, BENT), hypothesis(BENT, 0.1), *FALSE)
+    assert found.claim.causes == ("mode_identity",)
+    assert found.causes[0].variant == f"frequency {at + 1} false"
+    assert found.extended is not None
+    # all eight frequencies are in the answer, the false one as it was measured
+    assert found.extended.predicted.shape == found.baseline.predicted.shape == (8,)
+    assert found.extended.predicted[at] == pytest.approx(listed[at], rel=1e-12)
+    assert found.extended.rms < NOISE
+    assert found.gain is not None
+    assert found.gain.held_out.shape == (8,)
+    assert np.all(np.isfinite(found.gain.held_out))
+
+
+def test_a_false_peak_next_to_its_equal_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A list rounded to 1 Hz may hold one number twice."""
+    f = F0 * (1.0 + A @ [0.03, -0.04]) * (1.0 + NOISE * SCATTER)
+    listed = np.insert(f[:7], 4, f[3])
+    found = diagnosed(monkeypatch, of_list(listed, BENT), hypothesis(BENT, 0.1), *FALSE)
+    assert found.claim.causes == ("mode_identity",)
+    assert found.extended is not None
+    np.testing.assert_allclose(found.extended.predicted, listed, rtol=3 * NOISE)
+
+
+def test_what_is_wrong_with_one_of_two_lists_is_left_out_of_that_list(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    slip = np.zeros(8)
+    slip[3] = 0.15
+    cases = [plate(np.zeros(8), name="one"), plate(slip, name="two")]
+    every = [(NOTHING, (0, 1)), (ANYTHING, (0, 1)), *((h, (k,)) for k in (0, 1) for h in MISREAD)]
+    monkeypatch.setattr(diagnosing, "hypotheses_of", lambda cases: every)
+    found = diagnose_cases(cases)
+    assert found.claim.causes == ("outlier",)
+    assert found.causes[0].plates == ("two",)
+    assert found.gain is not None
+    # the misread frequency is the twelfth of both lists: under its own cause nothing was known of it
+    held_out = found.gain.held_out
+    assert int(np.argmax(np.abs(held_out))) == 11
+    assert held_out[11] > 5.0
+    assert np.abs(np.delete(held_out, 11)).max() < 0.3 * held_out[11]
+
+
+def test_emcee_agrees_with_the_extended_fit(monkeypatch: pytest.MonkeyPatch) -> None:
+    own = plate(0.03 * BUMP, BENT, TWIN)
+    settings = EnsembleSettings(walkers=40, effective=2000.0, most_steps=2000)
+    found = diagnosed(monkeypatch, own, hypothesis(BENT, 0.1), hypothesis(TWIN, 0.1), gain=False)
+    again = resample(found, 0, settings)
+    assert again is not None
+    assert again.converged
+    assert found.extended is not None
+    for name in ("E1", "G12"):
+        mean, sd = found.extended.constants[name][:2]
+        # 300 effective draws of importance sampling
+        assert again.constants[name][0] == pytest.approx(mean, abs=0.2 * sd)
+        assert again.constants[name][1] == pytest.approx(sd, rel=0.15)
+    nothing = diagnosed(monkeypatch, plate(np.zeros(8), BENT), hypothesis(BENT, 0.1))
+    assert resample(nothing, 0, settings) is None
+
+
+@pytest.mark.slow
+def test_a_loose_clamp_of_a_real_plate_is_found_and_its_constants_recovered(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    own = builtin("A2")
+    assert own.measurement is not None
+
+    def list_of(f: Array) -> Measurement:
+        return Measurement(f, 0.0, 0.001, None, ("",) * len(f), complete=True)
+
+    by_name = {effect.name: effect for effect in CATALOGUE}
+    clamp = by_name["clamp_rotation"]
+    blank = plate_case(replace(own, measurement=list_of(own.measurement.frequencies)))
+    truth = np.array([p.prior.mean for p in blank.models.parameters.parameters])
+    f = blank.with_effect(clamp).predict(np.append(truth, 0.06)[None]).frequencies[0, :6]
+    noisy = f * (1.0 + 0.001 * np.random.default_rng(3).standard_normal(6))
+    real = replace(blank, measurement=list_of(noisy))
+    others = [by_name[name] for name in ("thickness", "length", "transverse_shear")]
+    found = diagnosed(monkeypatch, real, *(hypothesis(e, 0.1) for e in (clamp, *others)), pairs=False)
+    assert found.causes[0].name == "clamp_rotation"
+    assert found.claim.kind in ("named", "class")
+    mean, sd, _ = found.causes[0].parameters["rotation_compliance"]
+    assert abs(mean - 0.06) < 3 * sd
+    assert found.gain is not None
+    assert found.gain.held_out_difference > 0.0
+    again = resample(found, 0)
+    assert again is not None
+    assert again.converged
+    assert found.extended is not None
+    for i, p in enumerate(blank.models.parameters.parameters):
+        mean, sd = again.constants[p.name][:2]
+        assert abs(mean - truth[i]) < 3.5 * sd
+        assert found.extended.constants[p.name][0] == pytest.approx(mean, abs=0.25 * sd)
+        assert found.extended.constants[p.name][1] == pytest.approx(sd, rel=0.2)
