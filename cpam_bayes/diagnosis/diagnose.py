@@ -211,7 +211,7 @@ def _causes(
     found = []
     for name, probability in weighed.by_cause().items():
         t = best[name]
-        variants = [v for v in weighed.every if v.hypothesis.cause == name]
+        variants = [v for v in weighed.tested if v.hypothesis.cause == name]
         priors = np.array([v.hypothesis.prior for v in variants])
         evidence = np.array([v.log_bayes_factor for v in variants])
         signature = signatures.get(name)

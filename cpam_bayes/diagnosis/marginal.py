@@ -50,7 +50,7 @@ class Marginal:
     log_evidence : log marginal likelihood; error : its standard error where importance sampling gave it,
     ``nan`` for Laplace's. z : (k, n) optima at the nodes; curvature : (k, n - 1, n - 1) or (1, n, n) without
     quadrature; weight : (k,) shares of the nodes. draws, log_weight : (d, n) parameters and their normalised
-    log weights, made by importance sampling.
+    log weights, made by importance sampling. is_climbed : whether the optima are, or only a first look.
     """
 
     comparison: Comparison
@@ -62,6 +62,8 @@ class Marginal:
     weight: Array
     draws: Array
     log_weight: Array
+
+    is_climbed: bool = True
 
     @property
     def best(self) -> Array:

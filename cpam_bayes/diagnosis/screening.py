@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from cpam_bayes.diagnosis.comparison import Comparison
-from cpam_bayes.diagnosis.marginal import GRID
+from cpam_bayes.diagnosis.marginal import GRID, Marginal
 from cpam_bayes.noise import NOISE_PRIOR
 
 Array = NDArray[Any]
@@ -24,11 +24,12 @@ _AMPLITUDES = np.geomspace(5e-4, 0.15, 12)
 _AMPLITUDE_WEIGHTS = np.exp(NOISE_PRIOR.log_density(_AMPLITUDES)) * np.gradient(_AMPLITUDES)
 
 
-def screened_log_evidence(comparison: Comparison, quadrature: int | None, z: Array) -> float:
-    """Approximate log marginal likelihood from scores z (n,) at the optimum of the plain model.
+def screened_marginal(comparison: Comparison, quadrature: int | None, z: Array) -> Marginal:
+    """Approximate marginal likelihood from scores z (n,) at the optimum of the plain model.
 
     Nothing is climbed. The constants answer the effect's shift once, in a linear step; where that does not
-    reach the value is too low, rarely by more than some nats.
+    reach the value is too low, rarely by more than some nats. The draws are the nodes of the effect's grid,
+    each with its most probable constants.
     """
     grid = np.zeros(1) if quadrature is None else GRID
     held = [c for c in (quadrature, comparison.noise, comparison.discrepancy) if c is not None]
@@ -56,17 +57,29 @@ def screened_log_evidence(comparison: Comparison, quadrature: int | None, z: Arr
         columns = np.concatenate((columns, along[..., None]), axis=2)
         log_width = np.log(step) - 0.5 * grid**2 - 0.5 * np.log(2 * np.pi)
     if comparison.noise is None:
-        total = logsumexp(_log_density(r, columns, sigma) + log_width)
+        nodes = _log_density(r, columns, sigma) + log_width
     else:
         base = comparison.listed.variance * weight**2
         scale = comparison.listed.scale * weight
-        each = [
-            logsumexp(_log_density(r, columns, np.sqrt(base + (s * scale) ** 2)) + log_width)
-            for s in _AMPLITUDES
-        ]
-        total = logsumexp(each, b=_AMPLITUDE_WEIGHTS)
+        each = np.stack(
+            [_log_density(r, columns, np.sqrt(base + (s * scale) ** 2)) + log_width for s in _AMPLITUDES]
+        )
+        nodes = np.asarray(logsumexp(each, b=_AMPLITUDE_WEIGHTS[:, None], axis=0))
     # densities over log frequencies, carried to frequencies
-    return float(total + np.log(weight).sum() + comparison.listed.log_constant)
+    total = float(logsumexp(nodes))
+    n_rest = len(z) - (quadrature is not None)
+    return Marginal(
+        comparison=comparison,
+        quadrature=quadrature,
+        log_evidence=total + float(np.log(weight).sum()) + comparison.listed.log_constant,
+        error=np.nan,
+        z=at,
+        curvature=np.tile(np.eye(n_rest), (len(at), 1, 1)),
+        weight=np.exp(nodes - total),
+        draws=comparison.scores.to_x(at),
+        log_weight=nodes - total,
+        is_climbed=False,
+    )
 
 
 def _log_density(r: Array, columns: Array, sigma: Array) -> Array:

@@ -14,7 +14,7 @@ from cpam_bayes.diagnosis.comparison import Comparison
 from cpam_bayes.diagnosis.fitting import SCATTER, PlateCase, comparison_of, effect_columns
 from cpam_bayes.diagnosis.hypotheses import NONE, OTHER, PAIR, Hypothesis, ListChange, pairs_of
 from cpam_bayes.diagnosis.marginal import Marginal, laplace_marginal, sampled_marginal
-from cpam_bayes.diagnosis.screening import screened_log_evidence
+from cpam_bayes.diagnosis.screening import screened_marginal
 from cpam_bayes.diagnosis.tangent import tangents
 from cpam_bayes.modes import RigidBodyError
 from cpam_bayes.posterior import ForwardModel
@@ -23,11 +23,9 @@ Array = NDArray[Any]
 
 # Starts of the climbs of "none" besides the prior means.
 _STARTS = 6
-# Hypotheses so many nats below the most probable one are not refined, and those within the second number
-# are computed by importance sampling.
-_HOPELESS, _LEADING = 12.0, 7.0
-# Variants of a cause, but for its best one, that lie so far below at the first look are dropped.
-_SCREENED = 10.0
+# Hypotheses within so many nats of the most probable one are climbed and sampled, the others keep what the
+# first look says of them.
+_NEAR = 4.5
 # Pairs are made of so many leading causes and as many others.
 _FIRST, _SECOND = 3, 10
 
@@ -53,28 +51,11 @@ class Tested:
 
 
 @dataclass(frozen=True, slots=True)
-class Screened:
-    """A hypothesis that the first look found hopeless, with its approximate log evidence."""
-
-    hypothesis: Hypothesis
-    plates: tuple[int, ...]
-    log_evidence: float
-    probability: float = 0.0
-    log_bayes_factor: float = 0.0
-
-
-@dataclass(frozen=True, slots=True)
 class Weighed:
-    """All hypotheses, the most probable first; those dropped at the first look; what could not be tested."""
+    """All hypotheses, the most probable first, and what could not be tested."""
 
     tested: tuple[Tested, ...]
-    screened: tuple[Screened, ...]
     not_tested: tuple[str, ...]
-
-    @property
-    def every(self) -> tuple[Tested | Screened, ...]:
-        """All hypotheses that were tested or dropped."""
-        return (*self.tested, *self.screened)
 
     @property
     def none(self) -> Tested:
@@ -84,7 +65,7 @@ class Weighed:
     def by_cause(self) -> dict[str, float]:
         """Probability of every cause, its variants summed, the most probable first."""
         found: dict[str, float] = defaultdict(float)
-        for t in self.every:
+        for t in self.tested:
             found[t.hypothesis.cause] += t.probability
         return dict(sorted(found.items(), key=lambda item: -item[1]))
 
@@ -109,51 +90,29 @@ def weigh(
     found: list[Tested] = []
     not_tested: list[str] = []
     scan = _Scan(cases, scatter, found, not_tested)
-    scan.test(*hypotheses[0])
-    screened = []
+    scan.begin(*hypotheses[0])
+    total = len(hypotheses)
+    looked = []
     for i, (hypothesis, plates) in enumerate(hypotheses[1:]):
-        one = scan.screen(hypothesis, plates)
-        if one is not None:
-            screened.append(one)
-        progress(i + 1, 2 * len(hypotheses))
-    screened.sort(key=_log_weight, reverse=True)
-    seen: set[str] = set()
-    dropped = []
-    for i, one in enumerate(screened):
-        if one.hypothesis.cause in seen and scan.is_hopeless(one):
-            dropped.append(one)
-        else:
-            scan.test(one.hypothesis, one.plates)
-            seen.add(one.hypothesis.cause)
-        progress(len(hypotheses) + i + 2, 2 * len(hypotheses))
+        looked += scan.look(hypothesis, plates)
+        progress(i + 1, total)
+    scan.refine(looked)
     ranked = _ranked(found)
     if pairs and ranked[0].hypothesis.cause != NONE:
         further = _pairs(ranked, [h for h, _ in hypotheses])
-        for i, (hypothesis, plates) in enumerate(further):
-            scan.test(hypothesis, plates)
-            progress(2 * len(hypotheses) + i + 1, 2 * len(hypotheses) + len(further))
+        scan.refine([one for h, at in further for one in scan.look(h, at)])
         ranked = _ranked(found)
+    progress(total, total)
     best = _log_weight(ranked[0])
-    ranked = [
-        replace(t, marginal=sampled_marginal(scan.exact(t)))
-        if _log_weight(t) > best - _LEADING or t.hypothesis.cause == NONE
-        else t
-        for t in ranked
-    ]
-    ranked = _ranked(ranked)
+    ranked = _ranked([scan.sampled(t) if scan.is_near(t, best) else t for t in ranked])
     log_none = next(t for t in ranked if t.hypothesis.cause == NONE).marginal.log_evidence
-    every: list[Tested | Screened] = [*ranked, *dropped]
-    log_weight = np.array([_log_weight(t) for t in every])
+    log_weight = np.array([_log_weight(t) for t in ranked])
     share = np.exp(log_weight - log_weight.max())
     share /= share.sum()
     return Weighed(
         tuple(
             replace(t, probability=float(p), log_bayes_factor=t.marginal.log_evidence - log_none)
-            for t, p in zip(ranked, share, strict=False)
-        ),
-        tuple(
-            replace(t, probability=float(p), log_bayes_factor=t.log_evidence - log_none)
-            for t, p in zip(dropped, share[len(ranked) :], strict=True)
+            for t, p in zip(ranked, share, strict=True)
         ),
         tuple(dict.fromkeys(not_tested)),
     )
@@ -191,67 +150,77 @@ class _Scan:
     found: list[Tested]
     not_tested: list[str]
     stand_ins: Mapping[int, ForwardModel] | None = None
+    # what a first look misses of the plain model, taken to be the same for all
+    offset: float = 0.0
 
     @property
-    def none(self) -> Marginal | None:
-        """The plain model, once it is there."""
-        return self.found[0].marginal if self.found else None
+    def none(self) -> Marginal:
+        """The plain model."""
+        return self.found[0].marginal
 
-    @property
-    def best(self) -> float:
-        """Largest log of prior times evidence so far."""
-        return max((_log_weight(t) for t in self.found), default=-np.inf)
-
-    def is_hopeless(self, screened: Screened) -> bool:
-        """Whether the first look leaves a hypothesis no chance."""
-        return _log_weight(screened) < self.best - _SCREENED
-
-    def screen(self, hypothesis: Hypothesis, plates: tuple[int, ...]) -> Screened | None:
-        """A first look at a hypothesis; ``None`` where it cannot be tested, which is noted."""
-        none = self.none
-        assert none is not None
-        try:
-            comparison = comparison_of(
-                self.cases,
-                _about(self.cases, hypothesis, plates),
-                scatter=self.scatter,
-                stand_ins=self.stand_ins,
-            )
-            if comparison.discrepancy is not None:  # scatters all frequencies: nothing to be linear in
-                return Screened(hypothesis, plates, np.inf)
-            columns = effect_columns(comparison, hypothesis)
-            start = _starts(comparison, hypothesis, none)[0]
-            value = screened_log_evidence(comparison, columns[0] if columns else None, start)
-        except RigidBodyError:
-            self._note(hypothesis)
-            return None
-        return Screened(hypothesis, plates, value)
-
-    def test(self, hypothesis: Hypothesis, plates: tuple[int, ...]) -> None:
-        """Add a hypothesis, or say why it cannot be tested."""
-        none = self.none
-        floor = self.best - np.log(hypothesis.prior) - _HOPELESS
-        try:
-            marginal = marginal_of(
-                self.cases,
-                hypothesis,
-                plates,
-                scatter=self.scatter,
-                none=none,
-                floor=floor,
-                stand_ins=self.stand_ins,
-            )
-        except RigidBodyError:
-            self._note(hypothesis)
-            return
+    def begin(self, hypothesis: Hypothesis, plates: tuple[int, ...]) -> None:
+        """The plain model, which all others are looked at from."""
+        marginal = marginal_of(self.cases, hypothesis, plates, scatter=self.scatter)
         self.found.append(Tested(hypothesis, plates, marginal))
-        if none is None and len(self.cases) > 1:
+        start = marginal.z[int(np.argmax(marginal.weight))]
+        first_look = screened_marginal(marginal.comparison, None, start).log_evidence
+        self.offset = marginal.log_evidence - first_look
+        if len(self.cases) > 1:
             self.stand_ins = tangents(self.cases, marginal)
 
-    def _note(self, hypothesis: Hypothesis) -> None:
-        self.not_tested.append(
-            f"{hypothesis.cause} {hypothesis.variant}".rstrip()
-            + ": over its prior the plate cannot be told from a rigid body; left out"
+    def look(self, hypothesis: Hypothesis, plates: tuple[int, ...]) -> list[Tested]:
+        """A hypothesis at a first look; nothing where it cannot be tested, which is noted."""
+        try:
+            comparison = self._comparison(hypothesis, plates)
+            if comparison.discrepancy is not None:  # scatters all frequencies: nothing to be linear in
+                return [Tested(hypothesis, plates, self._climbed(hypothesis, plates))]
+            columns = effect_columns(comparison, hypothesis)
+            start = _starts(comparison, hypothesis, self.none)[0]
+            found = screened_marginal(comparison, columns[0] if columns else None, start)
+        except RigidBodyError:
+            self.not_tested.append(
+                f"{hypothesis.cause} {hypothesis.variant}".rstrip()
+                + ": over its prior the plate cannot be told from a rigid body; left out"
+            )
+            return []
+        return [Tested(hypothesis, plates, replace(found, log_evidence=found.log_evidence + self.offset))]
+
+    def refine(self, looked: Sequence[Tested]) -> None:
+        """Add hypotheses, those near the best one computed by Laplace's method."""
+        best = max(_log_weight(t) for t in (*self.found, *looked))
+        for t in _ranked(looked):
+            near = self.is_near(t, best)
+            if near and t.hypothesis.cause != OTHER:
+                t = replace(t, marginal=self._climbed(t.hypothesis, t.plates))
+            self.found.append(t)
+
+    def is_near(self, t: Tested, best: float) -> bool:
+        """Whether a hypothesis deserves exact numbers: near the best, or the plain model."""
+        return _log_weight(t) > best - _NEAR or t.hypothesis.cause == NONE
+
+    def sampled(self, t: Tested) -> Tested:
+        """A hypothesis by importance sampling."""
+        climbed = t.marginal.is_climbed
+        marginal = t.marginal if climbed else self._climbed(t.hypothesis, t.plates)
+        t = replace(t, marginal=marginal)
+        return replace(t, marginal=sampled_marginal(self.exact(t)))
+
+    def _climbed(self, hypothesis: Hypothesis, plates: tuple[int, ...]) -> Marginal:
+        return marginal_of(
+            self.cases,
+            hypothesis,
+            plates,
+            scatter=self.scatter,
+            none=self.none,
+            stand_ins=self.stand_ins,
+        )
+
+    def _comparison(self, hypothesis: Hypothesis, plates: tuple[int, ...]) -> Comparison:
+        return comparison_of(
+            self.cases,
+            _about(self.cases, hypothesis, plates),
+            scatter=self.scatter,
+            stand_ins=self.stand_ins,
         )
 
     def exact(self, tested: Tested) -> Marginal:
@@ -299,9 +268,8 @@ def _pairs(
     return list(found.values())
 
 
-def _log_weight(t: Tested | Screened) -> float:
-    log_evidence = t.log_evidence if isinstance(t, Screened) else t.marginal.log_evidence
-    return float(np.log(t.hypothesis.prior) + log_evidence)
+def _log_weight(t: Tested) -> float:
+    return float(np.log(t.hypothesis.prior) + t.marginal.log_evidence)
 
 
 def _ranked(found: Sequence[Tested]) -> list[Tested]:
