@@ -46,7 +46,7 @@ def _maps(cases: list[dict[str, Any]]) -> Figure:
     """Probability of every angle, one panel a case, on a scale of its own."""
     rows = -(-len(cases) // COLUMNS)
     columns = min(COLUMNS, len(cases))
-    figure = _figure(max(5.0, 3.6 * columns), 0.9 + 2.0 * rows)
+    figure = _figure(max(8.0, 3.6 * columns), 0.9 + 2.0 * rows)
     panels = np.atleast_1d(figure.subplots(rows, columns)).ravel()
     for empty in panels[len(cases) :]:
         empty.set_axis_off()

@@ -57,7 +57,7 @@ def _places(axes: Axes, case: dict[str, Any], allowed: float) -> None:
 
 def _sizes(axes: Axes, case: dict[str, Any]) -> None:
     size = np.array([t["set_size"] for t in case["trials"]])
-    edges = np.unique(np.round(np.geomspace(1, max(size.max(), 10) + 1, 22)))
+    edges = np.unique(np.round(np.geomspace(1, max(int(size.max()), 30) + 1, 16)))
     axes.hist(size, bins=edges - 0.5, color=BLUE)
     axes.set(xscale="log", xlabel="sequences in the 95 % set", ylabel="lists")
     axes.set_title(

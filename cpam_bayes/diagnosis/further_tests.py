@@ -235,8 +235,8 @@ def _sister(t: Tested, about: int, case: PlateCase, scatter: float) -> Predicted
     for effect, columns in drawn.effects:
         if effect.name in _COMMON:
             names = tuple(p.name for p in effect.parameters)
-            model = None if effect.change is None else case.with_effect(effect)
-            changes.append(Change(names, columns, model, effect.observe))
+            own_model = None if effect.change is None else case.with_effect(effect)
+            changes.append(Change(names, columns, own_model, effect.observe))
     modes = np.arange(case.measurement.size)
     model = _composed(drawn, case.models.parameters, case.models.bare, modes, changes)
     found = _response(model, replace(drawn, v=v), np.exp(t.marginal.log_weight))

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from cpam_bayes.diagnosis import diagnose as diagnosing
+from cpam_bayes.diagnosis import weighing
 from cpam_bayes.diagnosis.cases import plate_case
 from cpam_bayes.diagnosis.diagnose import Diagnosis, diagnose_cases
 from cpam_bayes.diagnosis.extension import resample
@@ -243,6 +244,31 @@ def test_what_is_wrong_with_one_of_two_lists_is_left_out_of_that_list(
     assert int(np.argmax(np.abs(held_out))) == 11
     assert held_out[11] > 5.0
     assert np.abs(np.delete(held_out, 11)).max() < 0.3 * held_out[11]
+
+
+def test_the_frequency_that_a_list_hypothesis_explains_is_told_by_its_own_list(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Of two lists of eight, the fourth frequency of the second is the twelfth."""
+    cases = [plate(np.zeros(8), name=name) for name in ("one", "two")]
+    for of, expected in (
+        (MISREAD[3], [*range(11), *range(12, 16)]),
+        # without the false one the list has fifteen
+        (FALSE[3], [*range(11), *range(11, 15)]),
+    ):
+        t = weighing.Tested(of, (1,), weighing.marginal_of(cases, of, (1,)))
+        asked: list[int] = []
+
+        def recorded(
+            *_: object, left_out: int, asked: list[int] = asked, t: object = t, **__: object
+        ) -> object:
+            asked.append(left_out)
+            return t.marginal  # type: ignore[attr-defined]
+
+        monkeypatch.setattr(diagnosing, "marginal_of", recorded)
+        found = diagnosing._left_out(cases, t, 16, None, 0.02)
+        assert asked == expected
+        assert found[11] == t.marginal.log_evidence
 
 
 def test_emcee_agrees_with_the_extended_fit(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -147,7 +147,10 @@ def test_a_one_sided_effect_may_pile_up_at_zero(size: float) -> None:
     weight = np.exp(log_p - log_p.max())
     total = np.trapezoid(weight, t)
     expected = np.log(total) + log_p.max()
-    found = sampled_marginal(weighed(comparison))
+    laplace = weighed(comparison)
+    # half the mass may lie beyond the grid, where the prior alone is carried on
+    assert laplace.log_evidence == pytest.approx(expected, abs=0.3)
+    found = sampled_marginal(laplace)
     assert found.log_evidence == pytest.approx(expected, abs=3.0 * found.error)
     mean = np.trapezoid(weight * t, t) / total
     sd = np.sqrt(np.trapezoid(weight * (t - mean) ** 2, t) / total)
