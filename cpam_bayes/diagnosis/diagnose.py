@@ -320,7 +320,10 @@ def _fit(members: Sequence[tuple[Tested, float]], whole: Array) -> Fit:
         rms=float(np.sqrt(np.mean((mean / whole - 1.0) ** 2))),
         p_value=float(np.mean(chi2.sf(chi, len(whole)))),
         log_evidence=float(
-            logsumexp([t.marginal.log_evidence for t, _ in members], b=[share for _, share in members])
+            logsumexp(
+                [t.marginal.log_evidence for t, _ in members],
+                b=[t.hypothesis.prior / sum(m.hypothesis.prior for m, _ in members) for t, _ in members],
+            )
         ),
         draws=x,
     )

@@ -175,8 +175,13 @@ class _Scan:
             if comparison.discrepancy is not None:  # scatters all frequencies: nothing to be linear in
                 return [Tested(hypothesis, plates, self._climbed(hypothesis, plates))]
             columns = effect_columns(comparison, hypothesis)
-            start = _starts(comparison, hypothesis, self.none)[0]
-            found = screened_marginal(comparison, columns[0] if columns else None, start)
+            quadrature = columns[0] if columns else None
+            # a list that is wrong may have bent the plain model too far to be linear in what comes from there
+            looks = [
+                screened_marginal(comparison, quadrature, z)
+                for z in _starts(comparison, hypothesis, self.none)
+            ]
+            found = max(looks, key=lambda look: look.log_evidence)
         except RigidBodyError:
             self.not_tested.append(
                 f"{hypothesis.cause} {hypothesis.variant}".rstrip()
@@ -187,11 +192,13 @@ class _Scan:
 
     def refine(self, looked: Sequence[Tested]) -> None:
         """Add hypotheses, those near the best one computed by Laplace's method."""
-        best = max(_log_weight(t) for t in (*self.found, *looked))
+        # first looks may promise too much: the best one is among those that were climbed
+        best = max(_log_weight(t) for t in (*self.found, *looked) if t.marginal.is_climbed)
         for t in _ranked(looked):
             near = self.is_near(t, best)
             if near and t.hypothesis.cause != OTHER:
                 t = replace(t, marginal=self._climbed(t.hypothesis, t.plates))
+                best = max(best, _log_weight(t))
             self.found.append(t)
 
     def is_near(self, t: Tested, best: float) -> bool:

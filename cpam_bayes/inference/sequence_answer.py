@@ -54,8 +54,8 @@ class SurfaceCheck:
     learned_from : sequences. rms, largest : error of the log evidence on draws from the posterior, nats.
     correction : log of the factor on the sum of what was learned that the draws found. effective : share
     of the draws that count. fitted : sequences fitted one by one; sampled : classes of these whose
-    evidence was sampled; learned_probability : of all sequences whose evidence is learned alone. basis_error :
-    largest relative error of a frequency, at constants drawn, by the basis that is made for the posterior.
+    evidence was sampled; learned_probability : of all sequences whose evidence is learned alone.
+    basis_error : largest relative error of a frequency, at constants drawn, by the basis for the posterior.
     """
 
     learned_from: int

@@ -30,6 +30,8 @@ _BOX_SETS, _BOX_ERROR = 400, 1e-3
 _NEAR, _NEAR_SETS, _NEAR_ERROR = 18.0, 800, 1e-4
 # Evenly drawn sequences are sampled with so many points: most are hopeless.
 _FIRST_POINTS = 4
+# Temperature of the sequences of which one angle is changed.
+_CHANGED = 3.0
 # Root mean square error, nats, from which on the region of the posterior is known.
 _FOUND = 4.0
 
@@ -142,10 +144,8 @@ def learn(
         fresh = evaluate(near, sums.grid_deg, drawn, both, settings.log2_points, executor)
         miss = surface.values(sums.features(drawn[cold])) - fresh.log_evidence[cold]
         before = rms
-        rms, worst = (
-            float(np.sqrt(np.mean(miss**2))) if len(miss) else 0.0,
-            float(np.abs(miss).max(initial=0.0)),
-        )
+        if len(miss):
+            rms, worst = float(np.sqrt(np.mean(miss**2))), float(np.abs(miss).max())
         data = merged(data, fresh)
         if rms < _FOUND:
             first = near is rough
@@ -222,7 +222,10 @@ def _fit(
     z = _scores(own, data)
     size = np.sum(z**2, axis=1)
     kept = size <= max(_FAR**2, float(np.median(size)))
-    y = np.column_stack((z, data.log_evidence + 0.5 * size))[kept]
+    # far down few points are sampled: Laplace's evidence is the better one there
+    near = data.log_evidence > top - _NEAR
+    log_z = np.where(near, data.log_evidence, data.fits.log_evidence)
+    y = np.column_stack((z, log_z + 0.5 * size))[kept]
     return Surface(fit_map(features[kept], y, rng, images, like), True, top, rms, worst)
 
 
@@ -236,29 +239,33 @@ def _scores(own: SequencePosterior, data: Evaluated) -> Array:
 
 
 def _draws(
-    surface: Surface, sums: PlySums, data: Evaluated, n: int, rng: np.random.Generator, sweeps: int = 8
+    surface: Surface, sums: PlySums, data: Evaluated, n: int, rng: np.random.Generator, sweeps: int = 6
 ) -> tuple[Array, Array]:
-    """New sequences drawn by Gibbs' sampler, n or fewer, and which of them at temperature 1, bool.
+    """New sequences, n or fewer, and which of them were drawn by Gibbs' sampler at temperature 1, bool.
 
-    Each chain starts from a sequence that was evaluated, drawn by its evidence at its temperature.
+    Each chain starts from a sequence that was evaluated, drawn by its evidence at its temperature. Some
+    sequences do not heed the surface, which may be wrong about them: good ones with one angle changed.
     """
-    temperature = np.repeat([1.0, 2.0, 4.0], -(-n // 3))[:n]
+    temperature = np.repeat([1.0, 2.0, 4.0, _CHANGED], -(-n // 4))[:n]
     g, k = len(sums.grid_deg), sums.n_unknown
     state = np.empty((n, k), dtype=np.int64)
     for i, t in enumerate(temperature):
         w = np.exp((data.log_evidence - data.log_evidence.max()) / max(t, 2.0))
         state[i] = data.sequences[rng.choice(len(w), p=w / w.sum())]
+    changed = np.flatnonzero(temperature == _CHANGED)
+    state[changed, rng.integers(k, size=len(changed))] = rng.integers(g, size=len(changed))
+    moving = np.flatnonzero(temperature != _CHANGED)
     both = np.concatenate((sums.first, sums.rest), axis=2)
-    total = sums.features(state)
+    total = sums.features(state[moving])
     for _ in range(sweeps):
         for j in range(k):
-            without = total - both[j][state[:, j]]
-            candidates = (without[:, None, :] + both[j][None, :, :]).reshape(n * g, -1)
-            value = surface.values(candidates).reshape(n, g) / temperature[:, None]
+            without = total - both[j][state[moving, j]]
+            candidates = (without[:, None, :] + both[j][None, :, :]).reshape(len(moving) * g, -1)
+            value = surface.values(candidates).reshape(-1, g) / temperature[moving, None]
             cumulative = np.cumsum(np.exp(value - value.max(axis=1, keepdims=True)), axis=1)
-            pick = rng.uniform(size=n) * cumulative[:, -1]
-            state[:, j] = np.minimum((cumulative < pick[:, None]).sum(axis=1), g - 1)
-            total = without + both[j][state[:, j]]
+            pick = rng.uniform(size=len(moving)) * cumulative[:, -1]
+            state[moving, j] = np.minimum((cumulative < pick[:, None]).sum(axis=1), g - 1)
+            total = without + both[j][state[moving, j]]
     _, first = np.unique(state, axis=0, return_index=True)
     known = {tuple(s) for s in data.sequences}
     new = np.array([i for i in np.sort(first) if tuple(state[i]) not in known], dtype=np.int64)

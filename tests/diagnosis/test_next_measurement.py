@@ -165,7 +165,7 @@ def test_leading_causes_are_six_at_most_with_all_their_probability() -> None:
     def weighed(*p: tuple[str, float]) -> Weighed:
         none: Any = None
         tested = tuple(weighing.Tested(Hypothesis(c, c), (0,), none, value) for c, value in p)
-        return Weighed(tested=tested, screened=(), not_tested=())
+        return Weighed(tested=tested, not_tested=())
 
     def found(*p: tuple[str, float]) -> list[tuple[str, float]]:
         return [(t.hypothesis.cause, t.probability) for t in leading_hypotheses(weighed(*p))]
@@ -288,7 +288,7 @@ def a_diagnosis(kind: str, monkeypatch: pytest.MonkeyPatch) -> Diagnosis:
 
     monkeypatch.setattr(next_measurement, "further_tests", tests)
     found: Any = SimpleNamespace(
-        claim=Claim(kind, (), 0.5), weighed=Weighed(tested=leading, screened=(), not_tested=()), cases=(own,)
+        claim=Claim(kind, (), 0.5), weighed=Weighed(tested=leading, not_tested=()), cases=(own,)
     )  # type: ignore[arg-type]
     return found  # type: ignore[no-any-return]
 

@@ -1,0 +1,73 @@
+"""What the diagnosis finds: probabilities of none, other and the leading causes of every plate.
+
+python figures/12_findings.py
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+HERE = Path(__file__).parent
+RESULTS = HERE.parent / "studies" / "results"
+
+DPI = 110
+# none, other, the three leading causes, all else
+COLOURS = {"none": "#7a9e7e", "other": "#8c8c8c"}
+LEADING, REST = ("#c1440e", "#e08e45", "#f2cc8f"), "#e8e8e8"
+_SPELT_FROM = 0.12
+
+
+def draw(results: Path = RESULTS, folder: Path = HERE) -> list[Path]:
+    """Draw one bar a group of plates from the study's results in one folder into another."""
+    groups = json.loads((results / "12_findings.json").read_text(encoding="utf-8"))["groups"]
+    figure = Figure(figsize=(10.5, 0.34 * len(groups) + 1.4), layout="constrained")
+    FigureCanvasAgg(figure)
+    bars, fits = figure.subplots(1, 2, width_ratios=(3.2, 1.0), sharey=True)
+    for row, group in enumerate(groups):
+        _bar(bars, row, group)
+        before = group["baseline"]["rms_percent"]
+        fits.plot(before, row, "o", color="#555555", markersize=4)
+        if group["extended"] is not None:
+            after = group["extended"]["rms_percent"]
+            fits.annotate(
+                "", (after, row), (before, row), arrowprops={"arrowstyle": "->", "color": LEADING[0]}
+            )
+    bars.set_yticks(range(len(groups)), [" + ".join(g["plates"]) for g in groups], fontsize=8)
+    bars.invert_yaxis()
+    bars.set_xlim(0.0, 1.0)
+    bars.set_xlabel("probability")
+    bars.set_title("none (green), other (grey), the leading causes, the rest (light)", fontsize=9)
+    fits.set_xscale("log")
+    fits.set_xlabel("rms residual in %, before and after")
+    fits.grid(axis="x", color="0.9")
+    for axes in (bars, fits):
+        axes.spines[["top", "right"]].set_visible(False)
+    path = folder / "12_findings.png"
+    figure.savefig(path, dpi=DPI)
+    return [path]
+
+
+def _bar(axes: Axes, row: int, group: dict[str, Any]) -> None:
+    by_cause = {h["cause"]: h for h in group["hypotheses"]}
+    causes = [c for c in by_cause if c not in COLOURS]
+    pieces = [(c, by_cause[c]["probability"], COLOURS[c]) for c in COLOURS if c in by_cause]
+    pieces += [(c, by_cause[c]["probability"], LEADING[i]) for i, c in enumerate(causes[:3])]
+    left = 0.0
+    for cause, probability, colour in pieces:
+        axes.barh(row, probability, left=left, color=colour, height=0.72)
+        if probability >= _SPELT_FROM and cause not in COLOURS:
+            text = f"{cause} {by_cause[cause]['variant']}".strip()
+            axes.text(left + 0.5 * probability, row, text, ha="center", va="center", fontsize=7)
+        left += probability
+    axes.barh(row, 1.0 - left, left=left, color=REST, height=0.72)
+
+
+if __name__ == "__main__":
+    for _path in draw():
+        print(_path.name)
