@@ -44,6 +44,9 @@ def draw(results: Path = RESULTS, folder: Path = HERE) -> list[Path]:
     bars.set_xlabel("probability")
     bars.set_title("none (green), other (grey), the leading causes, the rest (light)", fontsize=9)
     fits.set_xscale("log")
+    fits.set_xlim(0.08, 15.0)
+    fits.set_xticks((0.1, 0.3, 1.0, 3.0, 10.0), ("0.1", "0.3", "1", "3", "10"))
+    fits.minorticks_off()
     fits.set_xlabel("rms residual in %, before and after")
     fits.grid(axis="x", color="0.9")
     for axes in (bars, fits):

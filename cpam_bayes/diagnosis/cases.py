@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from cpam_bayes.diagnosis.fitting import PlateCase
 from cpam_bayes.diagnosis.hypotheses import Hypothesis, ListChange, single_hypotheses
-from cpam_bayes.diagnosis.models import PlateModels, plate_models
+from cpam_bayes.diagnosis.models import PlateModels, diagnosis_parameters, plate_models
 from cpam_bayes.inference.laplace import find_optima
 from cpam_bayes.labels import labelled_model, list_order
 from cpam_bayes.measurement import Measurement, Specimen
@@ -65,6 +65,7 @@ def hypotheses_of(cases: Sequence[PlateCase]) -> list[tuple[Hypothesis, tuple[in
             complete=case.models.specimen.measurement is not None
             and case.models.specimen.measurement.complete,
             air_is_known=case.models.specimen.air_density is not None,
+            references_have_sd=_references_have_sd(case.models),
         )
         for case in cases
     ]
@@ -101,11 +102,17 @@ def hypotheses_of(cases: Sequence[PlateCase]) -> list[tuple[Hypothesis, tuple[in
     return found
 
 
+def _references_have_sd(models: PlateModels) -> bool:
+    """Whether a reference narrows the prior of a constant beyond the search bounds."""
+    wide = diagnosis_parameters(models.specimen, other_material=True)
+    return [p.prior for p in wide.parameters] != [p.prior for p in models.parameters.parameters]
+
+
 def _shared(own: Sequence[tuple[Hypothesis, ...]], plates: tuple[int, ...]) -> list[Hypothesis]:
     """Causes that all of some plates may have in common."""
-    first = [h for h in own[plates[0]] if h.effects]
-    if len(plates) == 1:
-        return [h for h in own[plates[0]] if h.cause not in ("none", "other")]
+    if len(plates) == 1:  # a material is that of all plates
+        return [h for h in own[plates[0]] if h.cause not in ("none", "other") and not h.other_material]
+    first = [h for h in own[plates[0]] if h.effects or h.other_material]
     others = [{(h.cause, h.variant) for h in own[i]} for i in plates[1:]]
     return [h for h in first if not _is_of_test(h) and all((h.cause, h.variant) in names for names in others)]
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from cpam_bayes.diagnosis.comparison import Comparison, Listed
 from cpam_bayes.diagnosis.composed import Change, ComposedModel, Part
 from cpam_bayes.diagnosis.hypotheses import SLIP, Hypothesis
-from cpam_bayes.diagnosis.models import PlateModels, extended_model
+from cpam_bayes.diagnosis.models import PlateModels, extended_model, plate_models
 from cpam_bayes.diagnosis.scores import scores_of
 from cpam_bayes.effects import Effect
 from cpam_bayes.measurement import Measurement
@@ -40,11 +40,19 @@ class PlateCase:
     measurement: Measurement
     modes: Array
     extended: dict[tuple[str, str], ReducedModel] = field(default_factory=dict)
+    of_another_material: list[PlateModels] = field(default_factory=list)
 
     @property
     def name(self) -> str:
         """Name of the plate's file."""
         return self.models.specimen.name
+
+    def of_other_material(self) -> PlateModels:
+        """The plate over the search bounds of its constants, built when first asked for."""
+        if not self.of_another_material:
+            own = self.models
+            self.of_another_material.append(plate_models(own.specimen, own.n_modes, other_material=True))
+        return self.of_another_material[0]
 
     def with_effect(self, effect: Effect, notify: Callable[[str], None] = lambda text: None) -> ReducedModel:
         """The reduced model of the plate with an effect, built when first asked for."""
@@ -76,10 +84,13 @@ def comparison_of(
     parts, lists = [], []
     for i, case in enumerate(cases):
         hypothesis = of_plate.get(i)
-        bare: ForwardModel = case.models.bare
+        models = case.models
+        if hypothesis is not None and hypothesis.other_material:
+            models = case.of_other_material()
+        bare: ForwardModel = models.bare
         if hypothesis is None and stand_ins is not None:
             bare = stand_ins[i]
-        part, listed = _part(joint, i, case, bare, hypothesis, shared)
+        part, listed = _part(joint, case, models, bare, hypothesis, shared)
         parts.append(part)
         lists.append(listed)
     model = ComposedModel(ParameterSet(tuple(joint.parameters)), tuple(parts))
@@ -106,13 +117,12 @@ class _Joint:
 
 def _part(
     joint: _Joint,
-    i: int,
     case: PlateCase,
+    own: PlateModels,
     bare: ForwardModel,
     hypothesis: Hypothesis | None,
     shared: bool,
 ) -> tuple[Part, Listed]:
-    own = case.models
     several = len({c.models.specimen.specimen for c in joint.cases}) > 1
     materials = {c.models.specimen.material.name for c in joint.cases}
     material = f" of {own.specimen.material.name or own.specimen.name}" if len(materials) > 1 else ""

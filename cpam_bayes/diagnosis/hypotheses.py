@@ -11,7 +11,7 @@ from cpam_bayes.effects import GROSS, Effect, PlateFacts, applicable, variants
 from cpam_bayes.effects.effect import either_sign, one_sided
 from cpam_bayes.parameters import Parameter
 
-NONE, OTHER, PAIR = "none", "other", "pair"
+NONE, OTHER, PAIR, MATERIAL = "none", "other", "pair", "material"
 
 # Prior probabilities: that nothing is wrong, that something is which no cause describes, that two causes
 # act at once; the rest is shared out evenly over the families, and in a family over its causes.
@@ -40,7 +40,8 @@ class Hypothesis:
 
     cause : its name in answers; several variants may share it. family : causes of one family share a
     prior probability. effects : of the plate, with their parameters. listed : of the list. parameters :
-    of all of these. log_prior : of this variant.
+    of all of these. prior : probability of this variant. other_material : whether the reference constants
+    are those of something else, so that only the search bounds are left of what is known of them.
     """
 
     cause: str
@@ -50,6 +51,7 @@ class Hypothesis:
     listed: ListChange = ListChange()
     parameters: tuple[Parameter, ...] = ()
     prior: float = 0.0
+    other_material: bool = False
 
     @property
     def causes(self) -> tuple[str, ...]:
@@ -62,14 +64,19 @@ class Hypothesis:
     @property
     def is_gross(self) -> bool:
         """Whether it is a slip of the pen or of the print."""
-        return "gross" in self.variant
+        return "gross" in self.variant or self.other_material
 
 
 Kind = Literal["none", "other", "single", "pair"]
 
 
 def single_hypotheses(
-    facts: PlateFacts, n_listed: int, *, complete: bool, air_is_known: bool
+    facts: PlateFacts,
+    n_listed: int,
+    *,
+    complete: bool,
+    air_is_known: bool,
+    references_have_sd: bool = False,
 ) -> tuple[Hypothesis, ...]:
     """None, other and every single cause that a plate with a list of so many frequencies may have."""
     found = [Hypothesis(NONE, NONE, prior=P_NONE)]
@@ -88,6 +95,8 @@ def single_hypotheses(
         causes += [(_of_effect(e), share) for e in places]
         if wide:
             causes.append((_of_effect(wide), _GROSS_SHARE))
+    if references_have_sd:
+        by_family[MATERIAL][MATERIAL].append((Hypothesis(MATERIAL, MATERIAL, other_material=True), 1.0))
     families = {name: causes for name, causes in by_family.items() if any(causes.values())}
     whole = 1.0 - P_NONE - P_OTHER - P_PAIR
     for causes_of in families.values():
@@ -184,7 +193,12 @@ def _of_list(effect: Effect, n: int, complete: bool) -> list[tuple[Hypothesis, f
 
 
 def _compatible(a: Hypothesis, b: Hypothesis) -> bool:
-    """Whether two causes can be put together: not two of the clamp, not two of the list."""
+    """Whether two causes can be put together: not two of the clamp or of the list, nor another material.
+
+    Where the constants may be anything, what else may be wrong is for another diagnosis to say.
+    """
+    if a.other_material or b.other_material:
+        return False
     clamp = sum(h.family == "clamp" and h.cause != "clamp_length" for h in (a, b))
     of_list = sum(h.listed != ListChange() for h in (a, b))
     return clamp < 2 and of_list < 2

@@ -67,13 +67,16 @@ class PlateModels:
     key: str
 
 
-def diagnosis_parameters(specimen: Specimen) -> ParameterSet:
+def diagnosis_parameters(specimen: Specimen, *, other_material: bool = False) -> ParameterSet:
     """The unknown constants with the priors of [material.sd], and the sizes of [plate.sd].
 
     A constant whose reference has a standard deviation is normal about it, cut at the search bounds and
-    at four standard deviations; others keep the prior of [unknowns].
+    at four standard deviations; others, and all of them where the material is another one, keep the prior
+    of [unknowns].
     """
-    own = tuple(_with_sd(p, specimen) for p in specimen.unknowns.parameters)
+    own = specimen.unknowns.parameters
+    if not other_material:
+        own = tuple(_with_sd(p, specimen) for p in own)
     return ParameterSet(own, specimen.unknowns.fixed).union(size_parameters(specimen))
 
 
@@ -93,10 +96,14 @@ def _with_sd(parameter: Parameter, specimen: Specimen) -> Parameter:
 
 @single_blas_thread
 def plate_models(
-    specimen: Specimen, n_modes: int, notify: Callable[[str], None] = lambda text: None
+    specimen: Specimen,
+    n_modes: int,
+    notify: Callable[[str], None] = lambda text: None,
+    *,
+    other_material: bool = False,
 ) -> PlateModels:
     """Converge a plate over its priors and reduce it."""
-    parameters = diagnosis_parameters(specimen)
+    parameters = diagnosis_parameters(specimen, other_material=other_material)
     problem = replace(plate_problem(specimen, parameters), rigid_content=_CONTENT)
     key = model_key(specimen, parameters, n_modes, ENERGY_CONSISTENT, _REDUCTION, None)
     samples = convergence_samples(specimen, problem)

@@ -26,6 +26,8 @@ _STARTS = 6
 # Hypotheses within so many nats of the most probable one are climbed and sampled, the others keep what the
 # first look says of them.
 _NEAR = 4.5
+# What a first look misses of the plain model is taken for that of all others up to so many nats.
+_MOST_OFFSET = 3.0
 # Pairs are made of so many leading causes and as many others.
 _FIRST, _SECOND = 3, 10
 
@@ -164,7 +166,8 @@ class _Scan:
         self.found.append(Tested(hypothesis, plates, marginal))
         start = marginal.z[int(np.argmax(marginal.weight))]
         first_look = screened_marginal(marginal.comparison, None, start).log_evidence
-        self.offset = marginal.log_evidence - first_look
+        # a plain model that is far off is far off in its own way
+        self.offset = float(np.clip(marginal.log_evidence - first_look, -_MOST_OFFSET, _MOST_OFFSET))
         if len(self.cases) > 1:
             self.stand_ins = tangents(self.cases, marginal)
 
@@ -172,16 +175,12 @@ class _Scan:
         """A hypothesis at a first look; nothing where it cannot be tested, which is noted."""
         try:
             comparison = self._comparison(hypothesis, plates)
-            if comparison.discrepancy is not None:  # scatters all frequencies: nothing to be linear in
+            # one scatters all frequencies, the other's constants may lie anywhere: nothing to be linear in
+            if comparison.discrepancy is not None or hypothesis.other_material:
                 return [Tested(hypothesis, plates, self._climbed(hypothesis, plates))]
             columns = effect_columns(comparison, hypothesis)
-            quadrature = columns[0] if columns else None
-            # a list that is wrong may have bent the plain model too far to be linear in what comes from there
-            looks = [
-                screened_marginal(comparison, quadrature, z)
-                for z in _starts(comparison, hypothesis, self.none)
-            ]
-            found = max(looks, key=lambda look: look.log_evidence)
+            start = _starts(comparison, hypothesis, self.none)[0]
+            found = screened_marginal(comparison, columns[0] if columns else None, start)
         except RigidBodyError:
             self.not_tested.append(
                 f"{hypothesis.cause} {hypothesis.variant}".rstrip()
@@ -196,7 +195,7 @@ class _Scan:
         best = max(_log_weight(t) for t in (*self.found, *looked) if t.marginal.is_climbed)
         for t in _ranked(looked):
             near = self.is_near(t, best)
-            if near and t.hypothesis.cause != OTHER:
+            if near and not t.marginal.is_climbed:
                 t = replace(t, marginal=self._climbed(t.hypothesis, t.plates))
                 best = max(best, _log_weight(t))
             self.found.append(t)
@@ -247,7 +246,7 @@ def _about(
 def _starts(comparison: Comparison, hypothesis: Hypothesis, none: Marginal | None) -> Array:
     """Scores that climbs begin from: the optimum of none, and prior means where it may be far."""
     n = comparison.parameters.size
-    if none is None:
+    if none is None or hypothesis.other_material:
         rng = np.random.default_rng(0)
         return np.concatenate((np.zeros((1, n)), rng.standard_normal((_STARTS, n))))
     at = dict(zip(none.comparison.parameters.names, none.z[int(np.argmax(none.weight))], strict=True))

@@ -208,7 +208,7 @@ def _posterior(
 def _trial(shared: _Shared, number: int) -> Trial:
     rng = np.random.default_rng([shared.seed, 2, number])
     settings, grid, k = shared.settings, shared.grid_deg, shared.classes.shape[1]
-    sequence: Array = rng.integers(len(grid), size=k)
+    sequence = rng.integers(len(grid), size=(k,))
     empty = _posterior(shared.model, k, np.ones(settings.modes), settings)
     x = prior_draw(empty.template, rng)
     f = empty.at(grid[sequence][None]).predict(x[None])[0, : settings.modes]

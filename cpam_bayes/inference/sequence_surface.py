@@ -30,6 +30,9 @@ _BOX_SETS, _BOX_ERROR = 400, 1e-3
 _NEAR, _NEAR_SETS, _NEAR_ERROR = 18.0, 800, 1e-4
 # Evenly drawn sequences are sampled with so many points: most are hopeless.
 _FIRST_POINTS = 4
+# Least length scales of the lamination parameters and of the further sums, whose reach the cells of a table
+# span, in standard deviations.
+_LEAST_LENGTHS = (0.2, 5.0)
 # Temperature of the sequences of which one angle is changed.
 _CHANGED = 3.0
 # Root mean square error, nats, from which on the region of the posterior is known.
@@ -152,7 +155,8 @@ def learn(
             near = _about(own, sums, data, rng)
             if first:  # what the rough basis gave is not good enough next to the top
                 data = _again(near, sums, data, settings, executor)
-        notify(f"log evidence learned from {len(data.sequences)} sequences to {rms:.2f} nats")
+        known = f", to {rms:.2f} nats" if np.isfinite(rms) else ""
+        notify(f"log evidence learned from {len(data.sequences)} sequences{known}")
 
 
 def learn_more(
@@ -215,10 +219,11 @@ def _fit(
     like = None if before is None else before.smooth
     top = float(data.log_evidence.max())
     features = sums.features(data.sequences)
+    least = np.where(np.arange(features.shape[1]) < 4, *_LEAST_LENGTHS)
     scored = own.template.measurement.complete
     if not scored:  # frequencies have no mode of their own
         y = _compressed(data.log_evidence, top)[:, None]
-        return Surface(fit_map(features, y, rng, images, like), False, top, rms, worst)
+        return Surface(fit_map(features, y, rng, images, like, least), False, top, rms, worst)
     z = _scores(own, data)
     size = np.sum(z**2, axis=1)
     kept = size <= max(_FAR**2, float(np.median(size)))
@@ -226,7 +231,7 @@ def _fit(
     near = data.log_evidence > top - _NEAR
     log_z = np.where(near, data.log_evidence, data.fits.log_evidence)
     y = np.column_stack((z, log_z + 0.5 * size))[kept]
-    return Surface(fit_map(features[kept], y, rng, images, like), True, top, rms, worst)
+    return Surface(fit_map(features[kept], y, rng, images, like, least), True, top, rms, worst)
 
 
 def _scores(own: SequencePosterior, data: Evaluated) -> Array:

@@ -69,13 +69,15 @@ def fit_map(
     rng: np.random.Generator,
     images: Array | None = None,
     like: SmoothMap | None = None,
+    least: Array | float = _LENGTHS[0],
 ) -> SmoothMap:
     """The map through values (N, p) at points (N, d), length scales by the largest marginal likelihood.
 
     One set of length scales, one per dimension, and one nugget serve all outputs, each in units of its
     own spread (Rasmussen and Williams, Gaussian Processes for Machine Learning, 2006, chapters 2, 5).
     images : (n_images, d) changes of sign that leave the functions as they are, the identity first.
-    like : a map through fewer points, whose length scales are a start.
+    like : a map through fewer points, whose length scales are a start. least : (d,) lower bounds of the
+    length scales in standard deviations of the points.
     """
     n, d = points.shape
     signs = np.ones((1, d)) if images is None else images
@@ -83,8 +85,11 @@ def fit_map(
     mean, spread = values.mean(axis=0), np.maximum(values.std(axis=0), 1e-12)
     y = (values - mean) / spread
     some = rng.permutation(n)[:_LEARNED_FROM]
-    start = np.full(d, 2.0) if like is None else np.clip(like.lengths / unit, *_LENGTHS)
-    bounds = [(np.log(_LENGTHS[0]), np.log(_LENGTHS[1]))] * d + [(np.log(_NUGGETS[0]), np.log(_NUGGETS[1]))]
+    start = np.full(d, 2.0) if like is None else like.lengths / unit
+    shortest = np.broadcast_to(least, d)
+    start = np.clip(start, shortest, _LENGTHS[1])
+    bounds = [(np.log(a), np.log(_LENGTHS[1])) for a in shortest]
+    bounds.append((np.log(_NUGGETS[0]), np.log(_NUGGETS[1])))
     found = minimize(
         _cost,
         np.log(np.concatenate((start, [_NUGGET]))),

@@ -87,8 +87,8 @@ def test_the_posterior_file_opens_in_plain_arviz(tmp_path: Path) -> None:
     assert np.all(np.abs(posterior["angle_deg"].values[0][mixed.origin == 0]) == np.abs(listed[0]))
     np.testing.assert_allclose(data.constant_data["angle_marginal"].sum("angle"), 1.0)
     assert data.observed_data.sizes["mode"] == 6
-    assert data.posterior.attrs["seed"] == 3
-    assert len(data.posterior.attrs["problem_hash"]) == 32
+    assert data.attrs["seed"] == 3
+    assert len(data.attrs["problem_hash"]) == 32
 
 
 def test_the_same_answer_gives_the_same_pictures(tmp_path: Path) -> None:
