@@ -31,7 +31,7 @@ from cpam_bayes.diagnosis.trial_statistics import (
     unreached,
 )
 from cpam_bayes.diagnosis.trials import Trial, run_trial
-from cpam_bayes.diagnosis.truths import MESH, Bench, bench
+from cpam_bayes.diagnosis.truths import MESH, Bench, bench, of_cause
 from cpam_bayes.inference.draw_store import DrawStore
 from cpam_bayes.parallel import open_executor, read_spec
 from cpam_bayes.parallel import run as share_out
@@ -82,7 +82,8 @@ QUICK_TRIALS = (Trial("clean", seed=SEED), Trial("one", ("warp",), 8.0, seed=SEE
 
 def plan(own: Bench, per_cell: int, clean: int, kinds: Sequence[str]) -> list[Trial]:
     """All trials of a bench, in rounds: stopped anywhere, every cell has about as many."""
-    causes = tuple(dict.fromkeys(h.cause for h in own.singles if h.cause not in ("none", "other")))
+    named = dict.fromkeys(h.cause for h in own.singles if h.cause not in ("none", "other"))
+    causes = tuple(c for c in named if of_cause(own, c))
     pairs = [p for p in PAIRS if set(p) <= set(causes)]
     found: list[Trial] = []
     for i in range(per_cell):

@@ -202,7 +202,7 @@ def _from_priors(own: Bench, rng: np.random.Generator) -> tuple[tuple[Hypothesis
     singles = own.singles
     share = np.array([h.prior for h in singles])
     h = singles[int(rng.choice(len(singles), p=share / share.sum()))]
-    models = own.case.models
+    models = own.case.of_other_material() if h.other_material else own.case.models
     while True:
         x = models.parameters.sample(rng, 1)
         if models.bare.admissible(x)[0]:

@@ -86,6 +86,8 @@ def bench(plate: str, n_listed: int, *, noise: float, resolution: float) -> Benc
     any_list = Measurement(np.arange(1.0, n_listed + 1.0), resolution, noise, None, labels, complete=True)
     found = Bench(plate_case(replace(builtin(plate), measurement=any_list)))
     for h in found.singles:
+        if h.other_material:
+            found.case.of_other_material()
         for effect in h.effects:
             if effect.change is not None:
                 found.case.with_effect(effect)
@@ -315,5 +317,5 @@ def _scattered(at: Linear, h: Hypothesis, residual: Array, a: Array, log_weight:
 
 
 def of_cause(own: Bench, cause: str) -> tuple[Hypothesis, ...]:
-    """The variants of a cause that are no slips of the pen."""
+    """The variants of a cause that are no slips of the pen; none of another material, which has no size."""
     return tuple(h for h in own.singles if h.cause == cause and not h.is_gross)
