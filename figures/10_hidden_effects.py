@@ -98,7 +98,7 @@ def _reliability(ax: Axes, sets: list[dict[str, Any]]) -> None:
     ax.set_xlabel("probability of the leading class")
     ax.set_ylabel("share that was right")
     ax.set_title("Reliability, one standard error", fontsize=9)
-    ax.legend(fontsize=6.5, loc="upper left", frameon=False)
+    ax.legend(fontsize=6.5, loc="lower right", frameon=False)
 
 
 if __name__ == "__main__":
