@@ -22,6 +22,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from cpam_bayes.cache import cache_directory
 from cpam_bayes.diagnosis.trial_statistics import (
     confusion,
@@ -81,12 +83,13 @@ QUICK_TRIALS = (Trial("clean", seed=SEED), Trial("one", ("warp",), 8.0, seed=SEE
 
 
 def plan(own: Bench, per_cell: int, clean: int, kinds: Sequence[str]) -> list[Trial]:
-    """All trials of a bench, in rounds: stopped anywhere, every cell has about as many."""
+    """All trials of a bench, in rounds of random order: stopped anywhere, all cells have about as many."""
     named = dict.fromkeys(h.cause for h in own.singles if h.cause not in ("none", "other"))
     causes = tuple(c for c in named if of_cause(own, c))
     pairs = [p for p in PAIRS if set(p) <= set(causes)]
     found: list[Trial] = []
     for i in range(per_cell):
+        begun = len(found)
         if "one" in kinds:
             for ratio in RATIOS:
                 # what is no shift has no ratio
@@ -106,6 +109,8 @@ def plan(own: Bench, per_cell: int, clean: int, kinds: Sequence[str]) -> list[Tr
         if "clean" in kinds:
             own_share = range(clean * i // per_cell, clean * (i + 1) // per_cell)
             found += [Trial("clean", number=k, seed=SEED) for k in own_share]
+        order = np.random.default_rng([SEED, i]).permutation(len(found) - begun)
+        found[begun:] = [found[begun + k] for k in order]
     return list(dict.fromkeys(found))
 
 

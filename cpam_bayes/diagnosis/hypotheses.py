@@ -95,8 +95,6 @@ def single_hypotheses(
         causes += [(_of_effect(e), share) for e in places]
         if wide:
             causes.append((_of_effect(wide), _GROSS_SHARE))
-    if references_have_sd:
-        by_family[MATERIAL][MATERIAL].append((Hypothesis(MATERIAL, MATERIAL, other_material=True), 1.0))
     families = {name: causes for name, causes in by_family.items() if any(causes.values())}
     whole = 1.0 - P_NONE - P_OTHER - P_PAIR
     for causes_of in families.values():
@@ -105,6 +103,9 @@ def single_hypotheses(
             own = whole / len(families) / len(filled)
             total = sum(share for _, share in entries)
             found += [replace(h, prior=own * share / total) for h, share in entries]
+    if references_have_sd:  # a slip like those of the sizes, and as probable as the most probable of these
+        slip = max((h.prior for h in found if h.is_gross), default=_GROSS_SHARE * whole / len(families))
+        found.append(Hypothesis(MATERIAL, MATERIAL, prior=slip, other_material=True))
     return tuple(found)
 
 

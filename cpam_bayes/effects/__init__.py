@@ -49,12 +49,12 @@ CATALOGUE: tuple[Effect, ...] = (
 
 # Slips of the pen or of the print: what is stated may be wrong far beyond its tolerance.
 GROSS: tuple[Effect, ...] = (
-    widened(THICKNESS, 10.0, {"thickness_deviation": 0.6}),
-    widened(DENSITY, 10.0, {"density_deviation": 0.6}),
+    widened(THICKNESS, 20.0, {"thickness_deviation": (-0.6, 1.5)}),
+    widened(DENSITY, 20.0, {"density_deviation": (-0.8, 2.0)}),
     widened(LENGTH, 25.0),
     widened(WIDTH, 25.0),
     widened(CLAMP_LENGTH, 10.0),
-    widened(MISORIENTATION, 10.0, {"misorientation_deg": 90.0}),
+    widened(MISORIENTATION, 10.0, {"misorientation_deg": (-90.0, 90.0)}),
 )
 
 

@@ -150,10 +150,10 @@ def variants(effect: Effect, facts: PlateFacts) -> tuple[Effect, ...]:
     return tuple(found)
 
 
-def widened(effect: Effect, factor: float, upper: Mapping[str, float] | None = None) -> Effect:
+def widened(effect: Effect, factor: float, ends: Mapping[str, tuple[float, float]] | None = None) -> Effect:
     """The effect with priors wider by a factor: a slip of the pen instead of a tolerance.
 
-    upper : largest magnitude by parameter name where the description ends sooner than the prior.
+    ends : least and largest value by parameter name, where they are not the widened ones.
     """
     found = []
     for p in effect.parameters:
@@ -161,9 +161,8 @@ def widened(effect: Effect, factor: float, upper: Mapping[str, float] | None = N
         if not isinstance(prior, ScaledStudentT):
             found.append(p)
             continue
-        end = (upper or {}).get(p.name, factor * prior.upper)
-        low = 0.0 if prior.lower == 0.0 else -end
-        wide = ScaledStudentT(factor * prior.scale, prior.degrees_of_freedom, low, end)
+        low, high = (ends or {}).get(p.name, (factor * prior.lower, factor * prior.upper))
+        wide = ScaledStudentT(factor * prior.scale, prior.degrees_of_freedom, low, high)
         found.append(replace(p, prior=wide))
     return replace(effect, parameters=tuple(found), variant=" ".join(filter(None, (effect.variant, "gross"))))
 

@@ -28,7 +28,7 @@ SUPPORT = Effect(
     "support",
     "surroundings",
     "terms",
-    (one_sided("support_frequency", "Hz", 8.0, 24.0),),
+    (one_sided("support_frequency", "Hz", 8.0, 40.0),),
     "the plate bounces on its foam at f_r: the lowest modes rise most",
     _support,
     applies_to=lambda facts: facts.edges == "FFFF",
