@@ -141,7 +141,10 @@ class DenseBlock:
         if len(apart):
             shifted = k[place[apart]]
             shifted[:, i, i] -= (lam[apart] * (1.0 + _SHIFT))[:, None]
-            phi[apart] = np.linalg.solve(shifted, np.cos(1.0 + i * i)[:, None])[..., 0]
+            try:
+                phi[apart] = np.linalg.solve(shifted, np.cos(1.0 + i * i)[:, None])[..., 0]
+            except np.linalg.LinAlgError:  # a shifted value that is an eigenvalue to its last digit
+                close[:] = True
         for s in np.unique(place[close]):
             rows = np.flatnonzero(close & (place == s))
             every = scipy.linalg.eigh(k[s], subset_by_index=(0, int(column[rows].max())))[1]

@@ -55,6 +55,8 @@ _UNLISTED = 0.1
 # Rounds of learning, listing and checking; root mean square error on the draws, nats, that ends them; listed
 # sequences that a further round learns from.
 _ROUNDS, _SETTLED, _LESSON = 3, 0.2, 400
+# Of more sequences than this a shorter list is tried first, of so many.
+_MANY, _TRIAL = 10_000_000, 5_000
 
 
 def learned(
@@ -67,20 +69,27 @@ def learned(
     """The evidence learned, all sequences gone through, those that can matter computed."""
     images = _images(task, sums)
     known = learn(task.own, sums, images, task.starts, rng, task.settings.learning, task.executor, notify)
-    for left in reversed(range(_ROUNDS)):
-        enumerator = _enumerator(task, sums, known, rng, notify)
+    rounds = _ROUNDS
+    trial = replace(task, settings=replace(task.settings, fitted=min(_TRIAL, task.settings.fitted)))
+    current = trial if task.n_sequences > _MANY else task
+    while True:
+        enumerator = _enumerator(current, sums, known, rng, notify)
         notify(f"{task.n_sequences} sequences, {len(enumerator.table.centre)} cells")
         whole = _gone_through(enumerator, task.executor, progress)
         notify(f"{len(whole.log_evidence)} sequences are fitted one by one")
-        listed = compute_listed(task, sums, known, whole, images, notify)
-        drawn = draw_parts(task, sums, known, enumerator, whole, listed, rng)
-        answer = combined_answer(task, known, enumerator, whole, listed, drawn, rng)
+        listed = compute_listed(current, sums, known, whole, images, notify)
+        drawn = draw_parts(current, sums, known, enumerator, whole, listed, rng)
+        answer = combined_answer(current, known, enumerator, whole, listed, drawn, rng)
         assert answer.check is not None
-        if not left or answer.check.rms <= _SETTLED:
-            break
-        notify(f"off by {answer.check.rms:.2f} nats on draws: these are learned from as well")
-        known = learn_more(task.own, sums, images, known, _lesson(drawn, listed, rng), rng)
-    return answer
+        rounds -= 1
+        settled = answer.check.rms <= _SETTLED
+        if current is task and (settled or not rounds):
+            return answer
+        if not settled:
+            notify(f"off by {answer.check.rms:.2f} nats on draws: these are learned from as well")
+            known = learn_more(task.own, sums, images, known, _lesson(drawn, listed, rng), rng)
+        if settled or rounds == 1:
+            current = task
 
 
 def _lesson(drawn: tuple[Part | None, ...], listed: Listed, rng: np.random.Generator) -> Evaluated:
