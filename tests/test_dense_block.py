@@ -6,7 +6,7 @@ from cpam_bayes.affine import AffineMatrix, DenseBlock
 
 
 def test_a_shift_that_hits_an_eigenvalue_exactly_gives_its_vector_all_the_same() -> None:
-    """The iteration's shift lies 1e-11 beside the eigenvalue that it is given, which has an error of its own."""
+    """The shift lies 1e-11 beside the eigenvalue that it is given, which has an error of its own."""
     stiffness = np.diag([1.0, 2.0, 5.0])
     block = DenseBlock(
         AffineMatrix(stiffness[None], np.array([0])),
