@@ -179,8 +179,11 @@ class _Scan:
             if comparison.discrepancy is not None or hypothesis.other_material:
                 return [Tested(hypothesis, plates, self._climbed(hypothesis, plates))]
             columns = effect_columns(comparison, hypothesis)
-            start = _starts(comparison, hypothesis, self.none)[0]
-            found = screened_marginal(comparison, columns[0] if columns else None, start)
+            quadrature = columns[0] if columns else None
+            # the plain model may be bent too far for its optimum to be a good place to look from
+            starts = _starts(comparison, hypothesis, self.none)
+            looks = [screened_marginal(comparison, quadrature, z) for z in starts]
+            found = max(looks, key=lambda look: look.log_evidence)
         except RigidBodyError:
             self.not_tested.append(
                 f"{hypothesis.cause} {hypothesis.variant}".rstrip()
