@@ -8,7 +8,8 @@ import signal
 from collections.abc import Callable, Iterator
 from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor
 from contextlib import contextmanager, suppress
-from multiprocessing import get_context, resource_tracker
+from multiprocessing import active_children, get_context, resource_tracker
+from multiprocessing.process import BaseProcess
 from typing import Any, TypeVar, cast
 
 from cpam_bayes import __version__
@@ -97,6 +98,7 @@ class ProcessPool(Executor):
         # The workers hold the other end, and leave when this one is closed, by whatever death.
         self._reader, self._lifeline = get_context("spawn").Pipe(duplex=False)
         self._pool = self._new_pool()
+        self._started: set[BaseProcess] = set()
 
     def _new_pool(self) -> ProcessPoolExecutor:
         return ProcessPoolExecutor(
@@ -108,12 +110,15 @@ class ProcessPool(Executor):
         # A worker inherits the mask: Ctrl-C does not reach it before it has learnt to ignore it.
         resource_tracker.ensure_running()  # it would lift the mask
         with _interrupt_blocked():
+            before = set(active_children())
             try:
                 return self._pool.submit(fn, *args, **kwargs)
             except BrokenExecutor:
                 self._pool.shutdown()
                 self._pool = self._new_pool()
                 return self._pool.submit(fn, *args, **kwargs)
+            finally:
+                self._started |= set(active_children()) - before
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
         """Let the workers finish, then stop them."""
@@ -124,6 +129,9 @@ class ProcessPool(Executor):
 
     def abandon(self) -> None:
         """Stop the workers whatever they are doing."""
+        # one that is only starting would look for queues that are gone, and say so
+        for worker in self._started:
+            worker.kill()
         self._lifeline.close()
         self._pool.shutdown(cancel_futures=True)
         self._reader.close()
