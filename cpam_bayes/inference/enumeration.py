@@ -19,7 +19,7 @@ from cpam_bayes.inference.ply_sums import PlySums
 Array = NDArray[Any]
 
 # Unknown angles that are taken together.
-_TOGETHER = 3
+INNER = 3
 # Width of a bin of log evidence, nats, and number of bins below the best.
 BIN, BINS = 0.01, 4000
 
@@ -28,21 +28,29 @@ BIN, BINS = 0.01, 4000
 class Enumerator:
     """What it takes to go through all sequences.
 
+    table : log evidence on cells, or ``None`` where ``every`` (n_prefixes, g^n_inner) holds that of every
+    sequence.
     reference : log evidence that weights are relative to, about the largest. negation : (n_grid,) the grid
     index of minus each angle where sequences and their mirror images are equally probable, else ``None``.
     threshold : sequences with this log evidence or more are listed one by one, the others are summed.
     """
 
-    table: EvidenceTable
+    table: EvidenceTable | None
     sums: PlySums
     reference: float
     negation: Array | None
     threshold: float
+    every: Array | None = None
 
     @property
     def n_inner(self) -> int:
         """Unknown angles taken together."""
-        return min(_TOGETHER, self.sums.n_unknown)
+        return min(INNER, self.sums.n_unknown)
+
+    @property
+    def floor(self) -> float:
+        """Log evidence that sequences which were left out do not exceed."""
+        return -np.inf if self.table is None else self.table.floor
 
     @property
     def n_prefixes(self) -> int:
@@ -113,7 +121,7 @@ def enumerate_prefixes(own: Enumerator, prefixes: Array) -> Piece:
     values: list[Array] = [np.empty(0)]
     times_listed: list[Array] = [np.empty(0, dtype=np.int64)]
     for p, times in enumerate(twice):
-        rows, found = _one_prefix(own, inner_v, inner_q, outer_v[p], outer_q[p])
+        rows, found = _one_prefix(own, int(prefixes[p]), inner_v, inner_q, outer_v[p], outer_q[p])
         kept += int(times) * len(rows)
         high = found >= own.threshold
         if high.any():
@@ -174,16 +182,19 @@ def values_of_prefix(own: Enumerator, prefix: int) -> tuple[Array, Array]:
     inner_v, inner_q = _inner_sums(own)
     digits = prefix_digits(own, np.array([prefix]))
     outer_v, outer_q = _outer_sums(own, digits)
-    rows, found = _one_prefix(own, inner_v, inner_q, outer_v[0], outer_q[0])
+    rows, found = _one_prefix(own, prefix, inner_v, inner_q, outer_v[0], outer_q[0])
     low = found < own.threshold
     return _sequences(own, digits[0], rows[low]), found[low]
 
 
 def _one_prefix(
-    own: Enumerator, inner_v: Array, inner_q: Array, outer_v: Array, outer_q: Array
+    own: Enumerator, prefix: int, inner_v: Array, inner_q: Array, outer_v: Array, outer_q: Array
 ) -> tuple[Array, Array]:
-    """Inner choices that the table holds (m,), and their log evidence (m,)."""
+    """Inner choices that are kept (m,), and their log evidence (m,)."""
     table = own.table
+    if table is None:
+        assert own.every is not None
+        return np.arange(own.every.shape[1]), own.every[prefix]
     flat = np.zeros(inner_v.shape[1], dtype=np.int64)
     scale = np.float32(1.0 / table.width)
     for i in range(4):

@@ -25,7 +25,7 @@ Array = NDArray[Any]
 # Sequences that a worker takes at a time: where all is computed, and where only optima are located.
 _BATCH, _LOCATED = 32, 512
 # An evidence this far below the one expected, nats, may be that of a lesser optimum.
-_SUSPECT = 1.0
+_SUSPECT = 0.3
 # Neighbours among which the second start is looked for.
 _NEIGHBOURS = 8
 
@@ -117,7 +117,7 @@ def locate(
 ) -> Located:
     """Laplace's evidence of sequences (m, k), each climbed from one start next to its optimum.
 
-    near : (m, n) parameters, the optima of neighbours. Those that end a nat below the log evidence
+    near : (m, n) parameters, the optima of neighbours. Those that end well below the log evidence
     expected of them (m,) are climbed again from the common ``starts`` (s, n).
     """
     angles = grid_deg[sequences]

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from cpam_bayes.inference.enumeration import (
     BIN,
+    INNER,
     Enumerator,
     Piece,
     enumerate_prefixes,
@@ -31,12 +32,13 @@ from cpam_bayes.inference.sequence_answer import (
     SequenceAnswer,
     Task,
 )
+from cpam_bayes.inference.sequence_classes import canonical
 from cpam_bayes.inference.sequence_evaluation import (
     Evaluated,
     merged,
     with_optima,
 )
-from cpam_bayes.inference.sequence_listing import Listed, compute_listed
+from cpam_bayes.inference.sequence_listing import Listed, compute_listed, learned_values
 from cpam_bayes.inference.sequence_parts import Part, combined_answer, draw_parts
 from cpam_bayes.inference.sequence_surface import Learned, Surface, learn, learn_more
 from cpam_bayes.inference.symmetries import Symmetry
@@ -56,7 +58,9 @@ _UNLISTED = 0.1
 # sequences that a further round learns from.
 _ROUNDS, _SETTLED, _LESSON = 3, 0.2, 400
 # Of more sequences than this a shorter list is tried first, of so many.
-_MANY, _TRIAL = 10_000_000, 5_000
+_MANY, _TRIAL = 10_000_000, 2_000
+# Up to so many sequences the surface is evaluated for each.
+_EVERY = 3_000_000
 
 
 def learned(
@@ -74,7 +78,8 @@ def learned(
     current = trial if task.n_sequences > _MANY else task
     while True:
         enumerator = _enumerator(current, sums, known, rng, notify)
-        notify(f"{task.n_sequences} sequences, {len(enumerator.table.centre)} cells")
+        cells = "" if enumerator.table is None else f", {len(enumerator.table.centre)} cells"
+        notify(f"{task.n_sequences} sequences{cells}")
         whole = _gone_through(enumerator, task.executor, progress)
         notify(f"{len(whole.log_evidence)} sequences are fitted one by one")
         listed = compute_listed(current, sums, known, whole, images, notify)
@@ -126,8 +131,16 @@ def _negation(task: Task) -> Array | None:
 def _enumerator(
     task: Task, sums: PlySums, known: Learned, rng: np.random.Generator, notify: Callable[[str], None]
 ) -> Enumerator:
-    """A table whose floor is so low that what it leaves out does not count, and what is to be listed."""
+    """What gives each sequence its learned log evidence, and from where on they are listed.
+
+    Up to a few million sequences all are evaluated. More are looked up in a table, whose floor is so low
+    that what it leaves out does not count.
+    """
     settings, surface = task.settings, known.surface
+    if task.n_sequences <= _EVERY:
+        found = Enumerator(None, sums, surface.top, _negation(task), np.inf, _every_value(task, sums, known))
+        whole = _gone_through(found, task.executor, lambda done, total: None)
+        return replace(found, threshold=_threshold(task, found, whole, 1.0))
     slack = float(np.clip(surface.largest_error, 0.2, 3.0))
     depth = _FLOOR
     while True:
@@ -146,6 +159,19 @@ def _enumerator(
             return replace(found, threshold=_threshold(task, found, piece, share))
         depth += float(np.clip(np.log(left_out / max(allowed, 1e-300)), 1.0, _DEEPER))
         notify(f"the table reaches {depth:.0f} nats below the best")
+
+
+def _every_value(task: Task, sums: PlySums, known: Learned) -> Array:
+    """The learned log evidence of every sequence, (choices of the first plies, choices of the others)."""
+    g, k = len(task.grid_deg), task.n_unknown
+    every = np.stack(np.unravel_index(np.arange(g**k), (g,) * k), axis=1)
+    representative = canonical(every, task.symmetries).representative
+    code = representative @ (g ** np.arange(k - 1, -1, -1))
+    _, first, label = np.unique(code, return_index=True, return_inverse=True)
+    features = sums.features(representative[first])
+    return learned_values(known.surface, task.executor, features)[label.ravel()].reshape(
+        -1, g ** min(k, INNER)
+    )
 
 
 def _tangents(surface: Surface, executor: Executor | None, features: Array) -> tuple[Array, Array]:

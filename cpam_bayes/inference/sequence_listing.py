@@ -68,7 +68,7 @@ def compute_listed(
     count = np.bincount(of_row, whole.times)
     features = sums.features(sequences)
     lengths = known.surface.smooth.lengths
-    expected = _values(known.surface, task.executor, features)
+    expected = learned_values(known.surface, task.executor, features)
     found = _located(task, sums, known, sequences, features, expected, images)
     order = np.argsort(-found.log_evidence, kind="stable")
     mass = np.cumsum(count[order] * np.exp(found.log_evidence[order] - found.log_evidence.max()))
@@ -77,9 +77,7 @@ def compute_listed(
     notify(f"evidence of {len(some)} classes of sequences")
     around = neighbours(features, found.x, lengths, images)
     starts = around.starts(features[some], found.x[some])
-    exact = evaluate(
-        known.near, task.grid_deg, sequences[some], starts, settings.learning.log2_points, task.executor
-    )
+    exact = evaluate(known.near, task.grid_deg, sequences[some], starts, settings.log2_sampled, task.executor)
     log_evidence = found.log_evidence.copy()
     if len(some) < len(order):  # what sampling changes is much the same for neighbours
         change = exact.log_evidence - log_evidence[some]
@@ -150,7 +148,7 @@ def with_care(
     return evaluate(known.near, task.grid_deg, sequences, starts, task.settings.log2_points, task.executor)
 
 
-def _values(surface: Surface, executor: Executor | None, features: Array) -> Array:
+def learned_values(surface: Surface, executor: Executor | None, features: Array) -> Array:
     """The learned log evidence at features (m, d), shared out, (m,)."""
     pieces = run(Surface.values, surface, np.array_split(features, _PIECES), executor, batch_size=1)
     return np.concatenate(pieces)

@@ -113,7 +113,7 @@ def combined_answer(
     entropy = float((listed.count * weight) @ below) + np.exp(rest) * (
         whole.entropy + rest * whole.mass.sum()
     )
-    left_out = whole.left_out * np.exp(own.table.floor - own.reference)
+    left_out = whole.left_out * np.exp(own.floor - own.reference)
     some = [p for p in parts if p is not None]
     # sampled classes count as they were drawn: what a draw with care adds to them is noise of both
     share = [

@@ -30,6 +30,9 @@ _BOX_SETS, _BOX_ERROR = 400, 1e-3
 _NEAR, _NEAR_SETS, _NEAR_ERROR = 18.0, 800, 1e-4
 # Evenly drawn sequences are sampled with so many points: most are hopeless.
 _FIRST_POINTS = 4
+# Sequences among which those are looked for whose evidence may be high, and how many at a time; how far
+# below the best it may be, nats.
+_POOL, _POOL_ROWS, _HOPE = 12_000, 1000, 8.0
 # Least length scales of the lamination parameters and of the further sums, whose reach the cells of a table
 # span, in standard deviations.
 _LEAST_LENGTHS = (0.2, 5.0)
@@ -43,14 +46,16 @@ _FOUND = 4.0
 class LearningSettings:
     """How the surface is learned.
 
-    first : sequences drawn evenly. each_round : sequences that join a round. most : of all. error : root
+    first : sequences drawn evenly. explorations : rounds that look where the evidence may be high.
+    each_round : sequences that join a round. most : of all. error : root
     mean square error, nats, on fresh draws from the posterior that ends the learning. log2_points : of the
     importance sampling of each sequence.
     """
 
     first: int = 300
+    explorations: int = 6
     each_round: int = 180
-    most: int = 1500
+    most: int = 2000
     error: float = 0.1
     log2_points: int = 6
 
@@ -74,6 +79,14 @@ class Surface:
         """Log evidence at features (m, d), (m,)."""
         y = self.smooth.values(features)
         return log_evidence(y) if self.scored else _expanded(y[:, 0], self.top)
+
+    def optimistic(self, features: Array) -> Array:
+        """The most that the log evidence may well be at features (m, d), (m,): two standard deviations up."""
+        y, error = self.smooth.values(features), self.smooth.error(features)
+        if not self.scored:
+            return _expanded(y[:, 0] + 2.0 * error[:, 0], self.top)
+        z = np.maximum(np.abs(y[:, :-1]) - 2.0 * error[:, :-1], 0.0)
+        return log_evidence(np.column_stack((z, y[:, -1] + 2.0 * error[:, -1])))
 
     def tangent(self, features: Array) -> tuple[Array, Array]:
         """Scores and rest at features (m, d), (m, n_z + 1), and their gradients (m, n_z + 1, d)."""
@@ -120,9 +133,11 @@ def learn(
 ) -> Learned:
     """The surface, by rounds, on reduced bases that are made for where the rounds go.
 
-    Evenly drawn sequences come first. Then, round after round, sequences are drawn from the posterior as
-    the surface has it, a third each at temperatures 1, 2 and 4, and join. Those of temperature 1 tell its
-    error before they do. images : (n_images, d) changes of sign of the features that change no frequency.
+    Evenly drawn sequences come first, then such of which the surface does not know that they are far
+    below the best, so that no region is overlooked. Then, round after round, sequences are drawn from the
+    posterior as the surface has it, a quarter each at temperatures 1, 2 and 4, and join, with good ones of
+    which one angle is changed. Those of temperature 1 tell its error before they do. images : (n_images, d)
+    changes of sign of the features that change no frequency.
     """
     g, k = len(sums.grid_deg), sums.n_unknown
     box = training_sets(own.model.full.operator.problem, _BOX_SETS, rng)
@@ -132,6 +147,14 @@ def learn(
     data = evaluate(rough, sums.grid_deg, sequences, starts, _FIRST_POINTS, executor)
     near, rms, worst, before = rough, np.inf, np.inf, np.inf
     surface = None
+    for _ in range(settings.explorations):
+        surface = _fit(own, sums, data, rng, rms, worst, images, surface)
+        drawn = _hopeful(surface, sums, data, settings.each_round, rng)
+        if not len(drawn):
+            break
+        both = _starts(surface, sums, images, data, drawn, starts)
+        data = merged(data, evaluate(rough, sums.grid_deg, drawn, both, _FIRST_POINTS, executor))
+        notify(f"{len(data.sequences)} sequences looked at, where the evidence may be high")
     while True:
         surface = _fit(own, sums, data, rng, rms, worst, images, surface)
         # one round may by chance have met nothing new
@@ -140,10 +163,7 @@ def learn(
         drawn, cold = _draws(surface, sums, data, settings.each_round, rng)
         if not len(drawn):  # every sequence that counts is known
             return Learned(surface, data, near if near is not rough else _about(own, sums, data, rng))
-        around = neighbours(
-            sums.features(data.sequences), data.fits.x, surface.smooth.lengths, images
-        ).nearest(sums.features(drawn))
-        both = np.stack((around, np.broadcast_to(starts[0], around.shape)), axis=1)
+        both = _starts(surface, sums, images, data, drawn, starts)
         fresh = evaluate(near, sums.grid_deg, drawn, both, settings.log2_points, executor)
         miss = surface.values(sums.features(drawn[cold])) - fresh.log_evidence[cold]
         before = rms
@@ -157,6 +177,30 @@ def learn(
                 data = _again(near, sums, data, settings, executor)
         known = f", to {rms:.2f} nats" if np.isfinite(rms) else ""
         notify(f"log evidence learned from {len(data.sequences)} sequences{known}")
+
+
+def _starts(
+    surface: Surface, sums: PlySums, images: Array, data: Evaluated, sequences: Array, starts: Array
+) -> Array:
+    """Two starts of sequences (m, k), the nearest optimum and the first of the common ones, (m, 2, n)."""
+    around = neighbours(sums.features(data.sequences), data.fits.x, surface.smooth.lengths, images)
+    near = around.nearest(sums.features(sequences))
+    return np.stack((near, np.broadcast_to(starts[0], near.shape)), axis=1)
+
+
+def _hopeful(surface: Surface, sums: PlySums, data: Evaluated, n: int, rng: np.random.Generator) -> Array:
+    """New sequences (up to n) of which the surface does not know that they are far below the best."""
+    g, k = len(sums.grid_deg), sums.n_unknown
+    if g**k <= _POOL:
+        pool = np.stack(np.unravel_index(np.arange(g**k), (g,) * k), axis=1)
+    else:
+        pool = np.unique(rng.integers(g, size=(_POOL, k)), axis=0)
+    known = {tuple(s) for s in data.sequences}
+    pool = pool[[tuple(s) not in known for s in pool]]
+    pieces = np.array_split(pool, max(len(pool) // _POOL_ROWS, 1))
+    value = np.concatenate([surface.optimistic(sums.features(p)) for p in pieces])
+    hopeful = np.flatnonzero(value > surface.top - _HOPE)
+    return np.asarray(pool[np.sort(rng.permutation(hopeful)[:n])])
 
 
 def learn_more(

@@ -29,7 +29,8 @@ class SmoothMap:
     f(s x) = f(x), the identity among them.
 
     points : (N, d) in units of the length scales. coefficients : (N, p). mean : (p,). lengths : (d,).
-    images : (n_images, d) signs, the first row all ones.
+    images : (n_images, d) signs, the first row all ones. factor : lower Cholesky factor of the points'
+    covariance (N, N), amplitude : (p,) standard deviations of the functions beforehand.
     """
 
     points: Array
@@ -37,6 +38,8 @@ class SmoothMap:
     mean: Array
     lengths: Array
     images: Array
+    factor: Array
+    amplitude: Array
 
     def values(self, x: Array) -> Array:
         """The functions at points (m, d), (m, p)."""
@@ -45,6 +48,15 @@ class SmoothMap:
             at = x[i : i + _ROWS] / self.lengths
             found[i : i + _ROWS] = sum(_kernel(at * s, self.points) for s in self.images) @ self.coefficients
         return found + self.mean
+
+    def error(self, x: Array) -> Array:
+        """Standard deviations of the functions at points (m, d), given the values, (m, p)."""
+        at = x / self.lengths
+        prior = sum(np.exp(-0.5 * np.sum((at * s - at) ** 2, axis=1)) for s in self.images)
+        known = np.sum([_kernel(at * s, self.points) for s in self.images], axis=0)
+        explained = scipy.linalg.solve_triangular(self.factor, known.T, lower=True)
+        left = np.maximum(prior - np.sum(explained**2, axis=0), 0.0)
+        return np.asarray(np.sqrt(left)[:, None] * self.amplitude)
 
     def expansion(self, x: Array) -> tuple[Array, Array]:
         """The functions and their gradients at points (m, d), (m, p) and (m, p, d)."""
@@ -103,8 +115,10 @@ def fit_map(
     at = points / lengths
     matrix = np.sum([_kernel(at * s, at) for s in signs], axis=0)
     matrix[np.diag_indices(n)] += nugget
-    solved = scipy.linalg.cho_solve(scipy.linalg.cho_factor(matrix, lower=True, overwrite_a=True), y)
-    return SmoothMap(at, solved * spread, mean, lengths, signs)
+    factor = scipy.linalg.cholesky(matrix, lower=True, overwrite_a=True)
+    solved = scipy.linalg.cho_solve((factor, True), y)
+    amplitude = spread * np.sqrt(np.sum(y * solved, axis=0) / n)
+    return SmoothMap(at, solved * spread, mean, lengths, signs, factor, amplitude)
 
 
 def _kernel(a: Array, b: Array) -> Array:

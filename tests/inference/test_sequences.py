@@ -168,7 +168,9 @@ def test_of_1296_sequences_pruned_and_learned_the_distribution_is_that_of_brute_
     distance = sum(abs(p[s] - q[s]) for s in q) + abs(sum(q.values()) - sum(p[s] for s in q))
     assert 0.5 * distance <= 0.01
     assert 0.5 * np.abs(found.marginals - exact.marginals).sum(axis=1).max() <= 0.01
-    assert found.log_evidence_total == pytest.approx(exact.log_evidence_total, abs=0.02)
+    # the points of the sampling are the same for every sequence, and so is most of their error
+    error = float(np.median(exact.log_evidence_error[:20]))
+    assert found.log_evidence_total == pytest.approx(exact.log_evidence_total, abs=1.5 * error)
     assert found.credible_count == pytest.approx(exact.credible_count, abs=2 + 0.03 * exact.credible_count)
     assert found.effective_count == pytest.approx(exact.effective_count, rel=0.03)
 
@@ -209,12 +211,13 @@ def test_fits_from_neighbours_agree_with_fits_from_many_starts(
     features = features.transpose(1, 0, 2).reshape(len(sequences), 4)
     around = neighbours(features[known], exact.x[known], np.ones(4), np.ones((1, 4)))
     near = around.nearest(features)
-    found = locate(own, grid, sequences, near, exact.log_evidence, common, None)
-    # climbs end where a step promises 1e-4 nats; where Laplace sums two optima it has more than one of them
-    miss = found.log_evidence - exact.log_evidence
-    assert np.mean(np.abs(miss) <= 0.01) >= 0.9
-    assert miss.min() >= -1.0
-    assert miss.max() <= 0.01
+    best = exact.log_evidence + np.log(exact.weight.max(axis=1))
+    found = locate(own, grid, sequences, near, best, common, None)
+    # one start may end in a lesser optimum; beyond 0.3 nats of what is expected the climb is repeated
+    miss = found.log_evidence - best
+    assert np.mean(np.abs(miss) <= 0.01) >= 0.75
+    assert miss.min() >= -0.3
+    assert miss.max() <= np.log(2.0)  # a climb repeated from two starts may count both optima
 
 
 def test_a_focused_model_has_the_frequencies_of_the_whole_with_fewer_vectors(own: SequencePosterior) -> None:
