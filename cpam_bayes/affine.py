@@ -16,6 +16,7 @@ from scipy.sparse.csgraph import connected_components
 from cpam_bayes.problem import Atom, Form, MatrixKind, Problem, Values
 from cpam_bayes.spaces.protocol import Quadrature, Space
 from cpam_bayes.spaces.ritz import Family, RitzSpace, broken_quadrature, evaluate_sector
+from cpam_bayes.threads import matrix_by_matrix
 from cpam_bayes.weights import Product
 
 Array = NDArray[Any]
@@ -117,7 +118,7 @@ class DenseBlock:
 
     def eigenvalues(self, stiffness: Array, mass: Array, n: int) -> Array:
         """The n lowest eigenvalues of m coefficient sets, (m, n)."""
-        return np.linalg.eigvalsh(self._whitened(stiffness, mass)[0])[..., :n]
+        return matrix_by_matrix(np.linalg.eigvalsh, self._whitened(stiffness, mass)[0])[..., :n]
 
     def eigenvectors(
         self, stiffness: Array, mass: Array, sets: Array, column: Array, eigenvalues: Array

@@ -4,13 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from threading import Barrier, Event
+from threading import Barrier, Event, current_thread
+from typing import Any
 
-import numpy as np  # noqa: F401 - loads BLAS
+import numpy as np
 import pytest
+from numpy.typing import NDArray
 from threadpoolctl import threadpool_info, threadpool_limits
 
+from cpam_bayes import threads
 from cpam_bayes.threads import single_blas_thread
+
+Array = NDArray[Any]
 
 
 def blas_threads() -> int:
@@ -59,9 +64,59 @@ def test_the_last_thread_to_leave_lifts_the_limit_and_no_other() -> None:
         first_is_out.wait(60)
         return blas_threads()
 
-    with ThreadPoolExecutor(2) as threads:
-        last = threads.submit(second)
-        threads.submit(first).result(60)
+    with ThreadPoolExecutor(2) as pool:
+        last = pool.submit(second)
+        pool.submit(first).result(60)
         first_is_out.set()
         assert last.result(60) == 1
     assert blas_threads() == 2
+
+
+@pytest.fixture
+def matrices() -> Array:
+    given = np.random.default_rng(3).normal(size=(101, 30, 30))
+    return given + given.swapaxes(1, 2)
+
+
+def test_a_stack_is_shared_out_and_its_answer_is_that_of_one_thread_to_the_last_bit(
+    matrices: Array, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    expected = np.linalg.eigvalsh(matrices)
+    sizes = []
+
+    def counted(stack: Array) -> Array:
+        sizes.append(len(stack))
+        return np.linalg.eigvalsh(stack)
+
+    monkeypatch.setattr(threads, "_cores", lambda: 3)
+    found = threads.matrix_by_matrix(counted, matrices)
+    assert sorted(sizes) == [33, 34, 34]
+    np.testing.assert_array_equal(found, expected)
+
+
+def test_a_worker_shares_out_nothing(matrices: Array, monkeypatch: pytest.MonkeyPatch) -> None:
+    names = set()
+
+    def named(stack: Array) -> Array:
+        names.add(current_thread().name)
+        return np.linalg.eigvalsh(stack)
+
+    monkeypatch.setattr(threads, "_cores", lambda: 3)
+    with threads.keep_to_one_core():
+        threads.matrix_by_matrix(named, matrices)
+        assert names == {current_thread().name}
+    threads.matrix_by_matrix(named, matrices)
+    assert len(names) > 1
+
+
+def test_an_error_in_a_helping_thread_reaches_the_caller(
+    matrices: Array, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fails_at_the_end(stack: Array) -> Array:
+        if stack[-1, 0, 0] == matrices[-1, 0, 0]:
+            raise np.linalg.LinAlgError("no convergence")
+        return np.linalg.eigvalsh(stack)
+
+    monkeypatch.setattr(threads, "_cores", lambda: 2)
+    with pytest.raises(np.linalg.LinAlgError, match="no convergence"):
+        threads.matrix_by_matrix(fails_at_the_end, matrices)

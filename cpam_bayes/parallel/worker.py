@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from cpam_bayes import __version__
-from cpam_bayes.threads import single_blas_thread
+from cpam_bayes.threads import keep_to_one_core, single_blas_thread
 
 # Shared objects that a worker keeps: those of two calls of `run` that take turns on one cluster.
 _MOST_KEPT = 2
@@ -82,11 +82,12 @@ def work_through(work: Callable[[Any, Any], Any], ticket: Ticket, items: bytes) 
 def _through(work: Callable[[Any, Any], Any], shared: Any, items: list[Any]) -> Outcome:
     start = time.perf_counter()
     results: list[Any] = []
-    for item in items:
-        try:
-            results.append(work(shared, item))
-        except Exception as error:  # noqa: BLE001 - it is raised again where `run` was called
-            return Outcome(tuple(results), _portable(error))
+    with keep_to_one_core():
+        for item in items:
+            try:
+                results.append(work(shared, item))
+            except Exception as error:  # noqa: BLE001 - it is raised again where `run` was called
+                return Outcome(tuple(results), _portable(error))
     return Outcome(tuple(results), seconds=time.perf_counter() - start)
 
 
