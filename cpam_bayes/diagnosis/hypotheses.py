@@ -15,14 +15,14 @@ NONE, OTHER, PAIR, MATERIAL = "none", "other", "pair", "material"
 
 # Prior probabilities: that nothing is wrong, that something is which no cause describes, that two causes
 # act at once; the rest is shared out evenly over the families, and in a family over its causes.
-P_NONE, P_OTHER, P_PAIR = 0.50, 0.06, 0.01
+P_NONE, P_OTHER, P_PAIR = 0.50, 0.05, 0.03
 # Share of a cause's probability that its gross variant has: a slip of the pen, not a tolerance.
 _GROSS_SHARE = 0.1
 # Shares of what may be wrong with a list: one mode missed or one false peak, and two modes missed.
 _TWO_SHARE = 0.1
 # Relative error of a frequency that is misread, and scatter of all modes that nothing explains.
 SLIP = either_sign("misreading", "", 0.05, end=0.6)
-DISCREPANCY = one_sided("discrepancy", "", 0.01, end=0.3)
+DISCREPANCY = one_sided("discrepancy", "", 0.02, end=0.3)
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,31 +130,38 @@ def pairs_of(leading: Sequence[Hypothesis], singles: Sequence[Hypothesis]) -> tu
     The prior of pairs is shared over all pairs of causes of the plate in proportion to the product of
     theirs, so that what is not looked at keeps its own.
     """
+    scale = pair_scale(singles)
+    found = []
+    for i, a in enumerate(leading):
+        for b in leading[i + 1 :]:
+            if go_together(a, b):
+                found.append(paired(a, b, scale))
+    return tuple(found)
+
+
+def pair_scale(singles: Sequence[Hypothesis]) -> float:
+    """Prior of a pair over the product of the priors of its causes."""
     by_cause: dict[str, float] = defaultdict(float)
     for h in singles:
         if h.cause not in (NONE, OTHER):
             by_cause[h.cause] += h.prior
     none = next((h.prior for h in singles if h.cause == NONE), P_NONE)
-    of_pairs = P_PAIR * (1.0 - none) / (1.0 - P_NONE)
     total = sum(by_cause.values())
     every = 0.5 * (total**2 - sum(p**2 for p in by_cause.values()))
-    found = []
-    for i, a in enumerate(leading):
-        for b in leading[i + 1 :]:
-            if a.cause == b.cause or not _compatible(a, b):
-                continue
-            found.append(
-                Hypothesis(
-                    cause=f"{a.cause} + {b.cause}",
-                    family=PAIR,
-                    variant=" / ".join(v for v in (a.variant, b.variant) if v),
-                    effects=a.effects + b.effects,
-                    listed=_both(a.listed, b.listed),
-                    parameters=a.parameters + b.parameters,
-                    prior=of_pairs * a.prior * b.prior / every,
-                )
-            )
-    return tuple(found)
+    return P_PAIR * (1.0 - none) / (1.0 - P_NONE) / every if every > 0.0 else 0.0
+
+
+def paired(a: Hypothesis, b: Hypothesis, scale: float) -> Hypothesis:
+    """Two causes that act at once, with the prior of ``pair_scale``."""
+    return Hypothesis(
+        cause=f"{a.cause} + {b.cause}",
+        family=PAIR,
+        variant=" / ".join(v for v in (a.variant, b.variant) if v),
+        effects=a.effects + b.effects,
+        listed=_both(a.listed, b.listed),
+        parameters=a.parameters + b.parameters,
+        prior=scale * a.prior * b.prior,
+    )
 
 
 def _of_effect(effect: Effect) -> Hypothesis:
@@ -193,12 +200,12 @@ def _of_list(effect: Effect, n: int, complete: bool) -> list[tuple[Hypothesis, f
     ]
 
 
-def _compatible(a: Hypothesis, b: Hypothesis) -> bool:
-    """Whether two causes can be put together: not two of the clamp or of the list, nor another material.
+def go_together(a: Hypothesis, b: Hypothesis) -> bool:
+    """Whether two causes can act at once: not two of the clamp or of the list, nor another material.
 
     Where the constants may be anything, what else may be wrong is for another diagnosis to say.
     """
-    if a.other_material or b.other_material:
+    if a.cause == b.cause or a.other_material or b.other_material:
         return False
     clamp = sum(h.family == "clamp" and h.cause != "clamp_length" for h in (a, b))
     of_list = sum(h.listed != ListChange() for h in (a, b))

@@ -34,6 +34,10 @@ _STEEP, _DEEP, _FINEST, _MOST_HALVINGS = 1.0, 9.0, 0.01, 6
 _PROMISED, _MOST_STEPS = 3e-3, 12
 # Local maxima of the first grid that are climbed from.
 _MOST_PEAKS = 3
+# Nodes of a first look below this share of the best one are not climbed.
+_HOPELESS = 1e-5
+# Neighbouring optima further apart, standard deviations, may be those of two hills.
+_FAR = 2.0
 # Points of the fine quadrature between the nodes.
 _FINE = 1601
 # Proposals of importance sampling: degrees of freedom, widening, and log2 of the points.
@@ -85,17 +89,28 @@ class Marginal:
 
 @single_blas_thread
 def laplace_marginal(
-    comparison: Comparison, quadrature: int | None, starts: Array, *, floor: float = -np.inf
+    comparison: Comparison,
+    quadrature: int | None,
+    starts: Array,
+    *,
+    floor: float = -np.inf,
+    first_look: Marginal | None = None,
 ) -> Marginal:
     """The marginal likelihood by quadrature over the score of one parameter, or without.
 
     starts : (s, n) scores that climbs begin from. floor : a log evidence below which the grid is not
-    refined, as the hypothesis carries nothing. The draws are those of the Laplace picture.
+    refined, as the hypothesis carries nothing. first_look : the same over nodes of its own, which are climbed
+    from where it stands, instead of the whole grid from the starts. The draws are those of the Laplace
+    picture.
     """
     if quadrature is None:
-        return _at_one_node(comparison, starts)
-    rest = np.delete(starts, quadrature, axis=1)
-    nodes = _climbed(comparison, quadrature, GRID, np.tile(rest, (len(GRID), 1, 1)))
+        return _at_one_node(comparison, starts if first_look is None else first_look.z[:1])
+    if first_look is None:
+        rest = np.delete(starts, quadrature, axis=1)
+        nodes = _climbed(comparison, quadrature, GRID, np.tile(rest, (len(GRID), 1, 1)))
+    else:
+        score, begin = _promising(first_look, quadrature)
+        nodes = _climbed(comparison, quadrature, score, begin)
     nodes = _from_neighbours(comparison, quadrature, nodes)
     nodes = _with_peaks(comparison, quadrature, nodes)
     if nodes.log_density.max() > floor:
@@ -174,6 +189,15 @@ class _Nodes:
         return np.asarray(self.value + n * _HALF_LOG_2PI - 0.5 * np.linalg.slogdet(self.curvature)[1])
 
 
+def _promising(look: Marginal, quadrature: int) -> tuple[Array, Array]:
+    """Scores (k,) of nodes that may carry mass, without gaps, and a start (k, 1, n - 1) at each."""
+    order = np.argsort(look.z[:, quadrature])
+    z, weight = look.z[order], look.weight[order]
+    kept = np.flatnonzero(weight > _HOPELESS * weight.max())
+    z = z[max(kept[0] - 1, 0) : kept[-1] + 2]
+    return z[:, quadrature], np.delete(z, quadrature, axis=1)[:, None]
+
+
 def _climbed(comparison: Comparison, quadrature: int, score: Array, starts: Array) -> _Nodes:
     """The best optimum at every score (k,) from starts (k, s, n - 1)."""
     k, s, n = starts.shape
@@ -200,14 +224,21 @@ def _from_neighbours(comparison: Comparison, quadrature: int, nodes: _Nodes) -> 
     height = np.concatenate(([-np.inf], nodes.value, [-np.inf]))
     better_side = np.where(height[:-2] > height[2:], -1, 1)
     start = nodes.rest[np.clip(np.arange(k) + better_side, 0, k - 1)]
-    again = _climbed(comparison, quadrature, nodes.score, start[:, None])
-    better = again.value > nodes.value + 1e-3
-    return _Nodes(
-        nodes.score,
-        np.where(better, again.value, nodes.value),
-        np.where(better[:, None], again.rest, nodes.rest),
-        np.where(better[:, None, None], again.curvature, nodes.curvature),
+    away = start - nodes.rest
+    far = np.einsum("ki,kij,kj->k", away, nodes.curvature, away) > _FAR**2
+    rows = np.flatnonzero(far & (nodes.value > nodes.value.max() - 2 * _DEEP))
+    if not len(rows):
+        return nodes
+    again = _climbed(comparison, quadrature, nodes.score[rows], start[rows, None])
+    better = again.value > nodes.value[rows] + 1e-3
+    rows = rows[better]
+    value, rest, curvature = nodes.value.copy(), nodes.rest.copy(), nodes.curvature.copy()
+    value[rows], rest[rows], curvature[rows] = (
+        again.value[better],
+        again.rest[better],
+        again.curvature[better],
     )
+    return _Nodes(nodes.score, value, rest, curvature)
 
 
 def _with_peaks(comparison: Comparison, quadrature: int, nodes: _Nodes) -> _Nodes:

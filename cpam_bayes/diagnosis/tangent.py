@@ -1,4 +1,4 @@
-"""A plate's frequencies as powers of its constants about one point, while another plate is looked at."""
+"""A plate's frequencies as powers of its constants about one point: what a first look takes them to be."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cpam_bayes.diagnosis.comparison import Comparison
 from cpam_bayes.diagnosis.fitting import PlateCase
-from cpam_bayes.diagnosis.marginal import Marginal
 from cpam_bayes.model import Prediction
 from cpam_bayes.parameters import ParameterSet
 from cpam_bayes.posterior import ForwardModel
@@ -23,7 +23,7 @@ class TangentModel:
     """ln f = ln f_0 + S (ln x - ln x_0): exact to first order, and where one constant scales all of them.
 
     exact : the model that it stands for. x : (n,) where it touches it. log_f : (n_modes,). slope :
-    (n_modes, n), d ln f / d ln x.
+    (n_modes, n), d ln f / d ln x; all parameters are positive.
     """
 
     exact: ForwardModel
@@ -47,12 +47,11 @@ class TangentModel:
         return self.exact.admissible(x)
 
 
-def tangents(cases: Sequence[PlateCase], none: Marginal) -> dict[int, ForwardModel]:
-    """Tangent models of all plates at the optimum of the plain model."""
+def tangents(cases: Sequence[PlateCase], none: Comparison, x: Array) -> dict[int, ForwardModel]:
+    """Tangent models of all plates at parameters x (n,) of the plain model."""
     found: dict[int, ForwardModel] = {}
-    best = none.best[None]
-    for i, (case, part) in enumerate(zip(cases, none.comparison.model.parts, strict=True)):
-        own = part.own(best)
+    for i, (case, part) in enumerate(zip(cases, none.model.parts, strict=True)):
+        own = part.own(x[None])
         prediction = case.models.bare.predict(own, jacobian=True)
         assert prediction.jacobian is not None
         f = prediction.frequencies[0]

@@ -42,9 +42,7 @@ Array = NDArray[Any]
 # Draws that a true value is ranked among: its rank is one of a hundred.
 N_DRAWS = 99
 # Shorter than what an identification needs: a rank asks for a hundred draws, not for the tails.
-SETTINGS = EnsembleSettings(
-    walkers=40, round_steps=80, r_hat=1.05, effective=2.0 * N_DRAWS, most_steps=3000, lengths=10.0
-)
+SETTINGS = EnsembleSettings(walkers=40, round_steps=80, r_hat=1.05, effective=2.0 * N_DRAWS, most_steps=3000)
 
 
 @dataclass(frozen=True, slots=True)

@@ -34,7 +34,7 @@ class EnsembleSettings:
     ensembles, walkers : independent ensembles and walkers in each. round_steps : steps between two
     looks at the chains. r_hat, effective : what ends the sampling. most_steps : the budget.
     lengths : autocorrelation times that a chain has to be long. With a window of five times it, a time
-    is known to sqrt(20 / (lengths walkers)) (Sokal, 1996): 14 % from half of twenty, that the diagnostics
+    is known to sqrt(20 / (lengths walkers)) (Sokal, 1996): 20 % from half of ten, that the diagnostics
     use, of a hundred walkers. jumps : share of the steps that jump to draws of a proposal, where there is
     one; the others are local moves.
     """
@@ -45,7 +45,7 @@ class EnsembleSettings:
     r_hat: float = 1.01
     effective: float = 1000.0
     most_steps: int = 10_000
-    lengths: float = 20.0
+    lengths: float = 10.0
     jumps: float = 0.5
 
 

@@ -40,7 +40,7 @@ from cpam_bayes.inference.sequence_evaluation import (
 )
 from cpam_bayes.inference.sequence_listing import Listed, compute_listed, learned_values
 from cpam_bayes.inference.sequence_parts import Part, combined_answer, draw_parts
-from cpam_bayes.inference.sequence_surface import Learned, Surface, learn, learn_more
+from cpam_bayes.inference.sequence_surface import Learned, Learning, Surface, learn, learn_more, learn_on
 from cpam_bayes.inference.symmetries import Symmetry
 from cpam_bayes.parallel import run
 
@@ -54,6 +54,8 @@ _FLOOR, _DEEPER, _DEEPEST = 14.0, 5.0, 35.0
 _SCOUTS = 512
 # Share of what may be unaccounted that may be learned alone where the list can be long enough.
 _UNLISTED = 0.1
+# Share of the mass that is learned alone from which on the surface is learned more finely.
+_LEARNED_ALONE = 0.05
 # Rounds of learning, listing and checking; root mean square error on the draws, nats, that ends them; listed
 # sequences that a further round learns from.
 _ROUNDS, _SETTLED, _LESSON = 3, 0.2, 400
@@ -72,8 +74,9 @@ def learned(
 ) -> SequenceAnswer:
     """The evidence learned, all sequences gone through, those that can matter computed."""
     images = _images(task, sums)
-    known = learn(task.own, sums, images, task.starts, rng, task.settings.learning, task.executor, notify)
-    rounds = _ROUNDS
+    problem = Learning(task.own, sums, images, task.starts, task.settings.learning, task.executor)
+    known = learn(problem, rng, notify)
+    rounds, fine = _ROUNDS, False
     trial = replace(task, settings=replace(task.settings, fitted=min(_TRIAL, task.settings.fitted)))
     current = trial if task.n_sequences > _MANY else task
     while True:
@@ -81,6 +84,11 @@ def learned(
         cells = "" if enumerator.table is None else f", {len(enumerator.table.centre)} cells"
         notify(f"{task.n_sequences} sequences{cells}")
         whole = _gone_through(enumerator, task.executor, progress)
+        if current is task and not fine and _unlisted(enumerator, whole) > _LEARNED_ALONE:
+            notify("too many sequences count to be fitted one by one: learning on")
+            fine = True
+            known = learn_on(known, problem, task.settings.learning.fine, rng, notify)
+            continue
         notify(f"{len(whole.log_evidence)} sequences are fitted one by one")
         listed = compute_listed(current, sums, known, whole, images, notify)
         drawn = draw_parts(current, sums, known, enumerator, whole, listed, rng)
@@ -92,9 +100,16 @@ def learned(
             return answer
         if not settled:
             notify(f"off by {answer.check.rms:.2f} nats on draws: these are learned from as well")
-            known = learn_more(task.own, sums, images, known, _lesson(drawn, listed, rng), rng)
+            known = learn_more(known, problem, _lesson(drawn, listed, rng), rng)
         if settled or rounds == 1:
             current = task
+
+
+def _unlisted(own: Enumerator, whole: Piece) -> float:
+    """Share of the mass, as it was learned, of sequences that are not listed."""
+    listed = float(whole.times @ np.exp(whole.log_evidence - own.reference))
+    rest = float(whole.mass.sum())
+    return rest / (rest + listed)
 
 
 def _lesson(drawn: tuple[Part | None, ...], listed: Listed, rng: np.random.Generator) -> Evaluated:

@@ -17,6 +17,8 @@ _LEARNED_FROM = 400
 # Bounds of the length scales in standard deviations of the points, and of the nugget's variance.
 _LENGTHS, _NUGGETS = (0.2, 200.0), (1e-8, 0.3)
 _NUGGET = 1e-4
+# Growth of the points since from which on length scales are learned again.
+_GROWN = 1.25
 # Points that are looked up together: their kernel stays in the processor's cache.
 _ROWS = 128
 
@@ -30,7 +32,8 @@ class SmoothMap:
 
     points : (N, d) in units of the length scales. coefficients : (N, p). mean : (p,). lengths : (d,).
     images : (n_images, d) signs, the first row all ones. factor : lower Cholesky factor of the points'
-    covariance (N, N), amplitude : (p,) standard deviations of the functions beforehand.
+    covariance (N, N), amplitude : (p,) standard deviations of the functions beforehand. nugget : variance
+    of what is not smooth, relative to that. learned_from : points that the length scales are of.
     """
 
     points: Array
@@ -40,6 +43,8 @@ class SmoothMap:
     images: Array
     factor: Array
     amplitude: Array
+    nugget: float
+    learned_from: int
 
     def values(self, x: Array) -> Array:
         """The functions at points (m, d), (m, p)."""
@@ -97,6 +102,25 @@ def fit_map(
     mean, spread = values.mean(axis=0), np.maximum(values.std(axis=0), 1e-12)
     y = (values - mean) / spread
     some = rng.permutation(n)[:_LEARNED_FROM]
+    if like is not None and n < _GROWN * like.learned_from:
+        lengths, nugget, learned_from = like.lengths, like.nugget, like.learned_from
+    else:
+        lengths, nugget = _scales(points[some] / unit, y[some], signs, like, unit, least)
+        learned_from = n
+    at = points / lengths
+    matrix = np.sum([_kernel(at * s, at) for s in signs], axis=0)
+    matrix[np.diag_indices(n)] += nugget
+    factor = scipy.linalg.cholesky(matrix, lower=True, overwrite_a=True)
+    solved = scipy.linalg.cho_solve((factor, True), y)
+    amplitude = spread * np.sqrt(np.sum(y * solved, axis=0) / n)
+    return SmoothMap(at, solved * spread, mean, lengths, signs, factor, amplitude, nugget, learned_from)
+
+
+def _scales(
+    points: Array, y: Array, signs: Array, like: SmoothMap | None, unit: Array, least: Array | float
+) -> tuple[Array, float]:
+    """Length scales (d,) and nugget with the largest marginal likelihood, points (N, d) being in ``unit``."""
+    d = points.shape[1]
     start = np.full(d, 2.0) if like is None else like.lengths / unit
     shortest = np.broadcast_to(least, d)
     start = np.clip(start, shortest, _LENGTHS[1])
@@ -105,20 +129,13 @@ def fit_map(
     found = minimize(
         _cost,
         np.log(np.concatenate((start, [_NUGGET]))),
-        args=(points[some] / unit, y[some], signs),
+        args=(points, y, signs),
         jac=True,
         bounds=bounds,
         method="L-BFGS-B",
         options={"maxiter": 60 if like is None else 15},
     )
-    lengths, nugget = np.exp(found.x[:d]) * unit, np.exp(found.x[d])
-    at = points / lengths
-    matrix = np.sum([_kernel(at * s, at) for s in signs], axis=0)
-    matrix[np.diag_indices(n)] += nugget
-    factor = scipy.linalg.cholesky(matrix, lower=True, overwrite_a=True)
-    solved = scipy.linalg.cho_solve((factor, True), y)
-    amplitude = spread * np.sqrt(np.sum(y * solved, axis=0) / n)
-    return SmoothMap(at, solved * spread, mean, lengths, signs, factor, amplitude)
+    return np.exp(found.x[:d]) * unit, float(np.exp(found.x[d]))
 
 
 def _kernel(a: Array, b: Array) -> Array:
