@@ -35,10 +35,10 @@ def matrix_by_matrix(function: Callable[[Array], Array], stack: Array) -> Array:
     function : numpy's, of a stack, that treats each matrix for itself, such as ``np.linalg.eigvalsh``.
     Small stacks, and all stacks where ``keep_to_one_core`` is in force, stay in the calling thread.
     """
-    cores = 1 if getattr(_this_thread, "one_core", False) else _cores()
-    if cores == 1 or stack.size < _WORTH_SHARING or len(stack) < cores:
+    n = 1 if getattr(_this_thread, "one_core", False) else cores()
+    if n == 1 or stack.size < _WORTH_SHARING or len(stack) < n:
         return function(stack)
-    own, *others = np.array_split(stack, cores)
+    own, *others = np.array_split(stack, n)
     elsewhere = [_helpers(os.getpid()).submit(function, part) for part in others]
     return np.concatenate([function(own), *(part.result() for part in elsewhere)])
 
@@ -54,15 +54,15 @@ def keep_to_one_core() -> Iterator[None]:
         _this_thread.one_core = before
 
 
-def _cores() -> int:
-    """Cores that this process may use."""
+def cores() -> int:
+    """Number of cores that this process may use."""
     allowed = getattr(os, "sched_getaffinity", None)
     return len(allowed(0)) if allowed is not None else os.cpu_count() or 1
 
 
 @cache
 def _helpers(process: int) -> ThreadPoolExecutor:  # a fork inherits the pool but not its threads
-    return ThreadPoolExecutor(max(_cores() - 1, 1), thread_name_prefix=f"cpam_bayes-{process}")
+    return ThreadPoolExecutor(max(cores() - 1, 1), thread_name_prefix=f"cpam_bayes-{process}")
 
 
 def single_blas_thread(function: Callable[P, R]) -> Callable[P, R]:

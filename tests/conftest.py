@@ -12,8 +12,13 @@ for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
 
 @pytest.fixture(scope="session", autouse=True)
 def _own_cache(tmp_path_factory: pytest.TempPathFactory) -> None:
-    """Reduced models of the tests are built by the code under test, never read from a user's cache."""
-    os.environ["CPAM_BAYES_CACHE"] = str(tmp_path_factory.mktemp("cache"))
+    """Reduced models of the tests are built by the code under test, never read from a user's cache.
+
+    The processes of pytest-xdist share one cache: their directories lie in that of the whole run.
+    """
+    own = tmp_path_factory.getbasetemp()
+    whole = own.parent if "PYTEST_XDIST_WORKER" in os.environ else own
+    os.environ["CPAM_BAYES_CACHE"] = str(whole / "cache")
 
 
 @pytest.fixture

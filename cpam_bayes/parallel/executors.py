@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 import signal
 from collections.abc import Callable, Iterator
@@ -14,6 +13,7 @@ from typing import Any, TypeVar, cast
 
 from cpam_bayes import __version__
 from cpam_bayes.parallel.worker import deliver, forget, has, start_worker
+from cpam_bayes.threads import cores
 
 T = TypeVar("T")
 
@@ -75,11 +75,6 @@ def open_executor(spec: str | None = None, processes: int | None = None) -> Iter
             pool.abandon()
             raise
         pool.shutdown()
-
-
-def cores() -> int:
-    """Number of cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def workers_of(executor: Executor) -> int:

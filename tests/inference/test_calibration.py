@@ -204,14 +204,16 @@ def check(found: tuple[Repetition, ...]) -> None:
 
 @pytest.mark.slow
 def test_sampled_posteriors_of_a_linear_model_are_calibrated() -> None:
-    check(calibrate(linear(None), 120))
+    with open_executor(None, None) as pool:
+        check(calibrate(linear(None), 120, executor=pool))
 
 
 @pytest.mark.slow
 def test_sampled_posteriors_of_a_thin_plate_are_calibrated() -> None:
     own = Experiment(PlateSource("C1", 6), 1.0, None, 1, BRIEF)
     assert parameter_names(own) == ("E1", "E2", "nu12", "G12", "relative_std")
-    check(calibrate(own, 40))
+    with open_executor(None, None) as pool:
+        check(calibrate(own, 40, executor=pool))
 
 
 # Sharing out and the store
