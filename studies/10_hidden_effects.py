@@ -1,12 +1,13 @@
 """Effects hidden in simulated lists: are they found, and is nothing found where nothing is hidden?
 
-python studies/10_hidden_effects.py [--quick] [--workers N | --executor SPEC] [--per-cell N] [--clean N]
+python studies/10_hidden_effects.py [--quick] [--workers N | --executor SPEC] [--per-cell N]
     [--only KIND ...] [--plates NAME ...] [--minutes M] [--store DIR]
 
 Truths are finite elements on a mesh of their own with constants within 10 % of the reference, 0.2 % of noise
-and rounding to 0.1 Hz; the diagnosis has Ritz models (cpam_bayes/diagnosis/truths.py, trials.py). Trials are
-kept as they come: a run that was stopped, or was given some minutes, goes on where it was, and its results
-are those of the trials that there are.
+and rounding to 0.1 Hz; a few clean plates are solved on three-dimensional bricks by CalculiX instead, where
+it is installed. The diagnosis has Ritz models (cpam_bayes/diagnosis/truths.py, hiding.py, trials.py). Trials
+are kept as they come, in rounds over all benches: a run that was stopped, or was given some minutes, goes on
+where it was, and its results are those of the trials that there are.
 """
 
 from __future__ import annotations
@@ -14,9 +15,10 @@ from __future__ import annotations
 import argparse
 import hashlib
 import json
+import shutil
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from dataclasses import asdict
 from pathlib import Path
@@ -25,6 +27,7 @@ from typing import Any
 import numpy as np
 
 from cpam_bayes.cache import cache_directory
+from cpam_bayes.diagnosis.hypotheses import P_NONE, P_OTHER, P_PAIR
 from cpam_bayes.diagnosis.trial_statistics import (
     confusion,
     figures,
@@ -58,13 +61,16 @@ KEYS = {
 
 SEED = 0
 NOISE, RESOLUTION_HZ = 0.002, 0.1
-# Plate and frequencies in a list.
-BENCHES = (("C1", 10), ("A2", 10), ("C1", 6))
+# Plate, frequencies in a list, and clean plates: 320 in all.
+BENCHES = (("C1", 10, 90), ("A2", 10, 90), ("D3", 10, 70), ("C1", 6, 70))
 RATIOS = (8.0, 4.0)
-KINDS = ("clean", "one", "lacks", "two", "outside", "prior")
-PER_CELL, CLEAN = 10, 300
+KINDS = ("clean", "bricks", "one", "lacks", "two", "outside", "prior")
+# Trials of each cause and signal to noise.
+PER_CELL = 5
 # Trials of two causes, of causes that the dictionary lacks and from the priors, for one trial a cell.
-TWO, OUTSIDE, PRIOR = 4, 8, 12
+TWO, OUTSIDE, PRIOR = 4, 6, 12
+# Plates that bricks are solved of; a plate takes ten to fifty seconds.
+BRICKS = {("A2", 10): 6, ("D3", 10): 4, ("C1", 10): 2}
 # Signal to noise of each of two causes and of those outside the dictionary.
 STRONG = 8.0
 # Causes in turn that are two at once.
@@ -78,40 +84,47 @@ PAIRS = (
     ("misorientation", "sensor_mass"),
     ("viscoelastic", "taper_y"),
 )
-QUICK_BENCH = ("C1", 6)
+QUICK_BENCH = ("C1", 6, 1)
 QUICK_TRIALS = (Trial("clean", seed=SEED), Trial("one", ("warp",), 8.0, seed=SEED))
 
 
-def plan(own: Bench, per_cell: int, clean: int, kinds: Sequence[str]) -> list[Trial]:
-    """All trials of a bench, in rounds of random order: stopped anywhere, all cells have about as many."""
+def plan(own: Bench, per_cell: int, clean: int, bricks: int, kinds: Sequence[str]) -> list[list[Trial]]:
+    """All trials of a bench in rounds, of random order: after each, all cells have as many."""
     named = dict.fromkeys(h.cause for h in own.singles if h.cause not in ("none", "other"))
     causes = tuple(c for c in named if of_cause(own, c))
     pairs = [p for p in PAIRS if set(p) <= set(causes)]
-    found: list[Trial] = []
+    other_material = [h.cause for h in own.singles if h.other_material]
+    rounds: list[list[Trial]] = []
     for i in range(per_cell):
-        begun = len(found)
+        found: list[Trial] = []
         if "one" in kinds:
             for ratio in RATIOS:
                 # what is no shift has no ratio
                 own_causes = causes if ratio == RATIOS[0] else [c for c in causes if c != "mode_identity"]
                 found += [Trial("one", (c,), ratio, i, seed=SEED) for c in own_causes]
+            found += [Trial("one", (c,), 0.0, i, seed=SEED) for c in other_material]
         if "lacks" in kinds:
             found.append(Trial("one", (causes[i % len(causes)],), STRONG, i, lacks=True, seed=SEED))
-        if "two" in kinds:
-            found += [
-                Trial("two", pairs[(TWO * i + k) % len(pairs)], STRONG, i, seed=SEED) for k in range(TWO)
-            ]
+        if "two" in kinds and pairs:
+            at = range(TWO * i, TWO * (i + 1))
+            found += [Trial("two", pairs[k % len(pairs)], STRONG, k // len(pairs), seed=SEED) for k in at]
         if "outside" in kinds:
-            at = [causes[(OUTSIDE * i + k) % len(causes)] for k in range(OUTSIDE)]
-            found += [Trial("outside", (c,), STRONG, i, seed=SEED) for c in at]
+            of = [causes[(OUTSIDE * i + k) % len(causes)] for k in range(OUTSIDE)]
+            found += [Trial("outside", (c,), STRONG, i, seed=SEED) for c in of]
         if "prior" in kinds:
             found += [Trial("prior", number=PRIOR * i + k, seed=SEED) for k in range(PRIOR)]
         if "clean" in kinds:
-            own_share = range(clean * i // per_cell, clean * (i + 1) // per_cell)
-            found += [Trial("clean", number=k, seed=SEED) for k in own_share]
-        order = np.random.default_rng([SEED, i]).permutation(len(found) - begun)
-        found[begun:] = [found[begun + k] for k in order]
-    return list(dict.fromkeys(found))
+            found += [Trial("clean", number=k, seed=SEED) for k in _share(clean, i, per_cell)]
+        if "bricks" in kinds and shutil.which("ccx"):
+            found += [Trial("bricks", number=k, seed=SEED) for k in _share(bricks, i, per_cell)]
+        order = np.random.default_rng([SEED, i]).permutation(len(found))
+        rounds.append([found[k] for k in order])
+    return rounds
+
+
+def _share(total: int, i: int, rounds: int) -> range:
+    """Numbers that belong to one of so many rounds."""
+    return range(total * i // rounds, total * (i + 1) // rounds)
 
 
 def run(
@@ -120,39 +133,53 @@ def run(
     store: Path | None = None,
     *,
     per_cell: int = PER_CELL,
-    clean: int = CLEAN,
     kinds: Sequence[str] = KINDS,
     plates: Sequence[str] | None = None,
     minutes: float | None = None,
+    keep: Callable[[Results], None] = lambda results: None,
 ) -> Results:
     """Trials on all benches; quick: two on a thin plate with six modes.
 
-    minutes : after which no further trials are begun. What a store has is counted whatever is asked for.
+    minutes : after which no further trials are begun. keep : told the results after each bench of a round.
+    What a store has is counted whatever is asked for.
     """
     end = None if minutes is None else time.monotonic() + 60.0 * minutes
     records: dict[str, list[Results]] = {}
-    rows = []
-    for plate, modes in (QUICK_BENCH,) if quick else BENCHES:
-        if plates is not None and plate not in plates:
-            own = None
-        else:
-            own = bench(plate, modes, noise=NOISE, resolution=RESOLUTION_HZ)
-        trials = [] if own is None else list(QUICK_TRIALS) if quick else plan(own, per_cell, clean, kinds)
+    planned: dict[str, list[list[Trial]]] = {}
+    benches: dict[str, Bench] = {}
+    for plate, modes, clean in (QUICK_BENCH,) if quick else BENCHES:
         name = f"{plate}, {modes} modes"
-        records[name] = _trials(name, own, trials, executor, store, end)
-        rows.append(_progress(name, records[name], trials))
-    return {
-        "quick": quick,
-        "noise": NOISE,
-        "resolution_hz": RESOLUTION_HZ,
-        "mesh": list(MESH),
-        "benches": rows,
-        "figures": figures(records),
-        "table": table(records),
-        "confusion": confusion(records),
-        "reliability": reliability(records),
-        "not_reached": unreached(records),
-    }
+        planned[name] = []
+        if plates is None or plate in plates:
+            own = benches[name] = bench(plate, modes, noise=NOISE, resolution=RESOLUTION_HZ)
+            bricks = BRICKS.get((plate, modes), 0)
+            planned[name] = [list(QUICK_TRIALS)] if quick else plan(own, per_cell, clean, bricks, kinds)
+        records[name] = _trials(name, None, [], executor, store, end)
+
+    def results() -> Results:
+        rows = [
+            _progress(name, records[name], [t for trials in planned[name] for t in trials])
+            for name in records
+        ]
+        return {
+            "quick": quick,
+            "noise": NOISE,
+            "resolution_hz": RESOLUTION_HZ,
+            "mesh": list(MESH),
+            "benches": rows,
+            "figures": figures(records),
+            "table": table(records),
+            "confusion": confusion(records),
+            "reliability": reliability(records),
+            "not_reached": unreached(records),
+        }
+
+    for i in range(max(len(rounds) for rounds in planned.values())):
+        for name, rounds in planned.items():
+            if i < len(rounds):
+                records[name] = _trials(name, benches[name], rounds[i], executor, store, end, records[name])
+                keep(results())
+    return results()
 
 
 def _trials(
@@ -162,13 +189,18 @@ def _trials(
     executor: Executor | None,
     store: Path | None,
     end: float | None,
+    before: Sequence[Results] = (),
 ) -> list[Results]:
-    """Records of the trials that are done, those of the store among them."""
+    """Records of the trials that are done, those before and those of the store among them."""
     kept = None
     if store is not None:
-        key = hashlib.sha256(json.dumps([name, NOISE, RESOLUTION_HZ, MESH, SEED]).encode()).hexdigest()[:32]
+        key = hashlib.sha256(
+            json.dumps([name, NOISE, RESOLUTION_HZ, MESH, SEED, P_NONE, P_OTHER, P_PAIR]).encode()
+        ).hexdigest()[:32]
         kept = DrawStore.open(store / f"{name.replace(', ', '_').replace(' ', '_')}.jsonl", key)
-    done = {json.dumps(r["trial"]): r for r in kept.records} if kept is not None else {}
+    done = {json.dumps(r["trial"]): r for r in before}
+    if kept is not None:
+        done |= {json.dumps(r["trial"]): r for r in kept.records}
     missing = [t for t in trials if _name(t) not in done]
 
     def take(index: int, record: Results) -> None:
@@ -185,7 +217,7 @@ def _trials(
         if end is not None and time.monotonic() > end:
             break
         share_out(run_trial, own, missing[start : start + piece], executor, batch_size=1, on_result=take)
-    if store is not None:
+    if store is not None and missing:
         print(file=sys.stderr)
     return sorted(done.values(), key=lambda r: json.dumps(r["trial"]))
 
@@ -248,7 +280,6 @@ def main() -> None:
         "--executor", type=read_spec, metavar="SPEC", help="processes, serial, dask://HOST:PORT"
     )
     parser.add_argument("--per-cell", type=int, default=PER_CELL, metavar="N", help="trials of each cell")
-    parser.add_argument("--clean", type=int, default=CLEAN, metavar="N", help="clean plates of each bench")
     parser.add_argument(
         "--only", nargs="+", choices=KINDS, default=KINDS, metavar="KIND", help=", ".join(KINDS)
     )
@@ -262,21 +293,25 @@ def main() -> None:
         help="where trials are kept, a file a bench (default: in the package's cache)",
     )
     args = parser.parse_args()
+
+    def keep(results: Results) -> None:
+        if not args.quick:
+            RESULTS.parent.mkdir(exist_ok=True)
+            RESULTS.write_text(json.dumps(results, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+
     with open_executor(args.executor, args.workers) as executor:
         results = run(
             args.quick,
             executor,
             None if args.quick else args.store,
             per_cell=args.per_cell,
-            clean=args.clean,
             kinds=args.only,
             plates=args.plates,
             minutes=args.minutes,
+            keep=keep,
         )
     show(results)
-    if not args.quick:
-        RESULTS.parent.mkdir(exist_ok=True)
-        RESULTS.write_text(json.dumps(results, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    keep(results)
 
 
 if __name__ == "__main__":

@@ -15,7 +15,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from cpam_bayes.diagnosis.diagnose import Diagnosis, Fit, diagnose
+from cpam_bayes.diagnosis.diagnose import Diagnosis, diagnose
+from cpam_bayes.diagnosis.fit import Fit
 from cpam_bayes.measurement import Specimen, builtin, read_specimen, to_user, user_name
 from cpam_bayes.report.tables import Column, Table, screen_text
 

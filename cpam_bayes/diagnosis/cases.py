@@ -9,19 +9,24 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cpam_bayes.diagnosis.fitting import PlateCase
-from cpam_bayes.diagnosis.hypotheses import Hypothesis, ListChange, single_hypotheses
+from cpam_bayes.diagnosis.fitting import PlateCase, comparison_of
+from cpam_bayes.diagnosis.hypotheses import NONE, OTHER, Hypothesis, single_hypotheses
 from cpam_bayes.diagnosis.models import PlateModels, diagnosis_parameters, plate_models
-from cpam_bayes.inference.laplace import find_optima
+from cpam_bayes.diagnosis.scores import FARTHEST
+from cpam_bayes.inference.climb import climb
 from cpam_bayes.labels import labelled_model, list_order
 from cpam_bayes.measurement import Measurement, Specimen
 from cpam_bayes.model import reference_vector
+from cpam_bayes.parameters import Parameter
 from cpam_bayes.posterior import plate_posterior
 
 Array = NDArray[Any]
 
 # Modes computed beyond a complete list, which may lack two, and beyond one that says it is incomplete.
 _SPARE, _MORE_SPARE = 2, 6
+# Points of the prior at which the pairing of an incomplete list is sought, those of them climbed
+# from, and turns of pairing and climbing at most.
+_POINTS, _CLIMBED, _MOST_TURNS = 512, 6, 8
 
 
 def plate_case(specimen: Specimen, notify: Callable[[str], None] = lambda text: None) -> PlateCase:
@@ -75,31 +80,51 @@ def hypotheses_of(cases: Sequence[PlateCase]) -> list[tuple[Hypothesis, tuple[in
     groups: dict[str, list[int]] = {}
     for i, case in enumerate(cases):
         groups.setdefault(case.models.specimen.specimen, []).append(i)
-    found = [(h, every) for h in own[0] if h.cause in ("none", "other")]
+    found = _causes_of_several(own, [tuple(group) for group in groups.values()])
+    # what only some plates can have leaves a part of its probability, which all causes share
+    alone = sum(h.prior for h in own[0] if h.cause not in (NONE, OTHER))
+    factor = alone / sum(h.prior for h, _ in found)
+    first = [(h, every) for h in own[0] if h.cause in (NONE, OTHER)]
+    return first + [(replace(h, prior=factor * h.prior), plates) for h, plates in found]
+
+
+def _causes_of_several(
+    own: Sequence[tuple[Hypothesis, ...]], groups: Sequence[tuple[int, ...]]
+) -> list[tuple[Hypothesis, tuple[int, ...]]]:
+    """Causes with the plates that they are about, half of the probability each on common and own ones.
+
+    own : hypotheses of every plate. groups : plates by specimen.
+    """
+    every = tuple(range(len(own)))
     common = _shared(own, every)
     # one specimen under several tests: its flaws are in all of them, those of a test in one
-    of_groups = [(_shared(own, tuple(g)), tuple(g)) for g in groups.values()]
+    of_groups = [(_shared(own, group), group) for group in groups]
     if len(groups) == 1:
-        found += [(h, every) for h in common]
         of_tests = [(h, (i,)) for i in every for h in own[i] if _is_of_test(h)]
-        found += [(replace(h, prior=h.prior / len(cases)), at) for h, at in of_tests]
-        return found
-    found += [(replace(h, prior=0.5 * h.prior), every) for h in common]
+        return [(h, every) for h in common] + [
+            (replace(h, prior=h.prior / len(own)), at) for h, at in of_tests
+        ]
+    found = [(replace(h, prior=0.5 * h.prior), every) for h in common]
     for members, at in of_groups:
         found += [(replace(h, prior=0.5 * h.prior / len(groups)), at) for h in members]
         if len(at) > 1:
             of_tests = [(h, (i,)) for i in at for h in own[i] if _is_of_test(h)]
             found += [(replace(h, prior=0.5 * h.prior / len(groups) / len(at)), i) for h, i in of_tests]
-    lists = [
-        (h, (i,)) for i in every for h in own[i] if h.listed != ListChange() and len(groups) == len(cases)
-    ]
-    seen = {(h.cause, h.variant, at) for h, at in found}
-    found += [
-        (replace(h, prior=0.5 * h.prior / len(cases)), at)
-        for h, at in lists
-        if (h.cause, h.variant, at) not in seen
-    ]
     return found
+
+
+def differing_priors(cases: Sequence[PlateCase]) -> tuple[str, ...]:
+    """Constants whose prior is not the same in the files of plates of one material; the first one's holds."""
+    first: dict[tuple[str | None, str], Parameter] = {}
+    found = []
+    for case in cases:
+        specimen = case.models.specimen
+        for parameter in case.models.parameters.parameters:
+            if parameter.name in specimen.unknowns:
+                known = first.setdefault((specimen.material.name, parameter.name), parameter)
+                if known.prior != parameter.prior:
+                    found.append(parameter.name)
+    return tuple(dict.fromkeys(found))
 
 
 def _references_have_sd(models: PlateModels) -> bool:
@@ -111,7 +136,7 @@ def _references_have_sd(models: PlateModels) -> bool:
 def _shared(own: Sequence[tuple[Hypothesis, ...]], plates: tuple[int, ...]) -> list[Hypothesis]:
     """Causes that all of some plates may have in common."""
     if len(plates) == 1:  # a material is that of all plates
-        return [h for h in own[plates[0]] if h.cause not in ("none", "other") and not h.other_material]
+        return [h for h in own[plates[0]] if h.cause not in (NONE, OTHER) and not h.other_material]
     first = [h for h in own[plates[0]] if h.effects or h.other_material]
     others = [{(h.cause, h.variant) for h in own[i]} for i in plates[1:]]
     return [h for h in first if not _is_of_test(h) and all((h.cause, h.variant) in names for names in others)]
@@ -131,9 +156,46 @@ def _modes(models: PlateModels, measurement: Measurement) -> Array:
         return np.asarray(order[:n])
     if measurement.complete:
         return np.arange(n)
+    return _most_probable_pairing(models, measurement)
+
+
+def _most_probable_pairing(models: PlateModels, measurement: Measurement) -> Array:
+    """Model mode of every frequency of an incomplete list, -1 for a false peak, under the plain model.
+
+    Pairing and constants are sought in turn from the best of many points of the prior: the most probable
+    pairing at the constants, then the most probable constants of that pairing.
+    """
     posterior = plate_posterior(models.bare, measurement, models.error)
-    best = find_optima(posterior, np.empty((0, posterior.parameters.size)), np.random.default_rng(0))[0]
-    return posterior.most_probable_pairing(best.x).mode
+    points = posterior.parameters.sample(np.random.default_rng(0), _POINTS)
+    points = points[models.bare.admissible(points[:, : models.parameters.size])]
+    found: dict[bytes, tuple[float, Array]] = {}
+    for start in points[np.argsort(-posterior.log_prob(points), kind="stable")[:_CLIMBED]]:
+        x, seen = start, set[bytes]()
+        for _ in range(_MOST_TURNS):
+            mode = posterior.most_probable_pairing(x).mode
+            if mode.tobytes() in seen:
+                break
+            seen.add(mode.tobytes())
+            x = _best_constants(models, measurement, mode, x)
+            value = float(posterior.log_prob(x[None])[0])
+            found[mode.tobytes()] = max(found.get(mode.tobytes(), (-np.inf, mode)), (value, mode), key=_first)
+    return max(found.values(), key=_first)[1]
+
+
+def _first(entry: tuple[float, Array]) -> float:
+    return entry[0]
+
+
+def _best_constants(models: PlateModels, measurement: Measurement, mode: Array, x: Array) -> Array:
+    """The most probable parameters of a pairing, by a climb from x (n,)."""
+    kept = mode >= 0
+    case = PlateCase(models, _only(measurement, kept), mode[kept])
+    comparison = comparison_of([case], Hypothesis(NONE, NONE))
+    bound = np.full(len(x), FARTHEST)
+    summit = climb(
+        lambda z, rows: comparison.expand(z), comparison.scores.to_z(x[None]), -bound, bound, promised=1e-2
+    )
+    return np.asarray(comparison.scores.to_x(summit.u[0]))
 
 
 def _only(measurement: Measurement, kept: Array) -> Measurement:

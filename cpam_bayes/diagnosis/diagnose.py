@@ -10,16 +10,24 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
-from scipy.stats import chi2
 
 from cpam_bayes.diagnosis.cases import hypotheses_of, plate_case
 from cpam_bayes.diagnosis.claim import Claim, claim_of
-from cpam_bayes.diagnosis.comparison import kept_of
+from cpam_bayes.diagnosis.fit import Fit, fit_of
 from cpam_bayes.diagnosis.fitting import SCATTER, PlateCase
+from cpam_bayes.diagnosis.gain import Gain, gain_of
 from cpam_bayes.diagnosis.hypotheses import NONE, OTHER, PAIR, Hypothesis
-from cpam_bayes.diagnosis.marginal import Marginal, sampled_marginal
-from cpam_bayes.diagnosis.signatures import Signature, alike, projector_of, signature_of
-from cpam_bayes.diagnosis.weighing import Tested, Weighed, marginal_of, weigh
+from cpam_bayes.diagnosis.marginal import Marginal
+from cpam_bayes.diagnosis.signatures import (
+    Menu,
+    Projector,
+    Signature,
+    alike,
+    menu_of,
+    projector_of,
+    signature_of,
+)
+from cpam_bayes.diagnosis.weighing import Tested, Weighed, weigh
 from cpam_bayes.measurement import Specimen
 from cpam_bayes.threads import single_blas_thread
 
@@ -27,8 +35,6 @@ Array = NDArray[Any]
 
 # Variants of the claimed causes that carry less than this share of the claim are not averaged over.
 _LEAST_SHARE = 1e-3
-# Draws that fits are summarised from.
-_DRAWS = 1024
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,58 +60,6 @@ class Cause:
     absorbed: bool
     visible: float
     bias: Mapping[str, float]
-
-
-@dataclass(frozen=True, slots=True)
-class Fit:
-    """What a model makes of the lists.
-
-    constants : name -> mean, sd, 2.5 % and 97.5 % quantile, SI. predicted, predicted_sd, sigma : of all
-    frequencies, plate by plate. rms : relative. p_value : posterior predictive, of the sum of squared
-    standardised residuals. draws : (d, n_constants) behind it, equally probable.
-    """
-
-    constants: Mapping[str, tuple[float, float, float, float]]
-    measured: Array
-    predicted: Array
-    predicted_sd: Array
-    sigma: Array
-    rms: float
-    p_value: float
-    log_evidence: float
-    draws: Array
-
-    @property
-    def standardised(self) -> Array:
-        """Residuals over the standard deviations of noise and prediction together."""
-        return np.asarray((self.measured - self.predicted) / np.hypot(self.sigma, self.predicted_sd))
-
-
-@dataclass(frozen=True, slots=True)
-class Gain:
-    """What the claimed cause is worth.
-
-    held_out : (n_f,) log predictive density of each frequency from all others, extended less plain.
-    stable : share of the frequencies without which the claimed cause still is ahead of none and of the best
-    outsider.
-    """
-
-    rms_before: float
-    rms_after: float
-    log_bayes_factor: float
-    held_out: Array
-    stable: float
-
-    @property
-    def held_out_difference(self) -> float:
-        """Sum of the differences."""
-        return float(self.held_out.sum())
-
-    @property
-    def held_out_se(self) -> float:
-        """Standard error of the sum, from the scatter of the differences."""
-        n = len(self.held_out)
-        return float(np.sqrt(n) * self.held_out.std(ddof=1)) if n > 1 else float("nan")
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,16 +128,16 @@ def diagnose_cases(
         for name, t in best.items()
         if name not in (NONE, OTHER)
     }
-    causes = _causes(cases, weighed, best, signatures)
+    causes = _causes(cases, weighed, best, signatures, projector)
     claim = _claim(weighed, causes)
     members = _members(weighed, claim)
     whole = weighed.none.marginal.comparison.listed.frequencies
-    baseline = _fit([(weighed.none, 1.0)], whole)
-    extended = _fit(members, whole) if members else None
+    baseline = fit_of([(weighed.none, 1.0)], whole)
+    extended = fit_of(members, whole) if members else None
     found_gain = None
     if gain and extended is not None and members:
         notify("leaving one frequency out")
-        found_gain = _gain(cases, weighed, claim, members, baseline, extended, scatter)
+        found_gain = gain_of(cases, weighed, claim, members, baseline, extended, scatter)
     return Diagnosis(
         tuple(cases),
         weighed,
@@ -203,11 +157,18 @@ def _causes(
     weighed: Weighed,
     best: Mapping[str, Tested],
     signatures: Mapping[str, Signature],
+    projector: Projector,
 ) -> tuple[Cause, ...]:
     pairs = {t.hypothesis.cause for t in weighed.tested if t.hypothesis.family == PAIR}
     names = [name for name in signatures if name not in pairs]
     own = [signatures[name] for name in names]
-    like = {name: tuple(names[j] for j in alike(own, i)) for i, name in enumerate(names)}
+    menus: dict[str, list[Menu]] = {name: [] for name in names}
+    for t in weighed.tested:
+        menu = menu_of(t, weighed.none.marginal, projector)
+        if menu is not None:
+            menus[t.hypothesis.cause].append(menu)
+    of_all = [menus[name] for name in names]
+    like = {name: tuple(names[j] for j in alike(own, i, of_all)) for i, name in enumerate(names)}
     found = []
     for name, probability in weighed.by_cause().items():
         t = best[name]
@@ -280,103 +241,3 @@ def _members(weighed: Weighed, claim: Claim) -> tuple[tuple[Tested, float], ...]
     kept = [t for t in own if t.probability >= _LEAST_SHARE * total]
     total = sum(t.probability for t in kept)
     return tuple((t, t.probability / total) for t in kept)
-
-
-def _fit(members: Sequence[tuple[Tested, float]], whole: Array) -> Fit:
-    """The fit of a mixture of hypotheses with the same constants; whole : all listed frequencies."""
-    first = members[0][0].marginal.comparison
-    model_names = first.model.parameters.names
-    shared = [n for n in model_names if all(n in t.marginal.comparison.parameters.names for t, _ in members)]
-    own = [n for n in shared if n not in {p.name for t, _ in members for p in t.hypothesis.parameters}]
-    draws, predicted, variance, residual = [], [], [], []
-    for t, share in members:
-        marginal, comparison = t.marginal, t.marginal.comparison
-        x = marginal.resampled(max(round(share * _DRAWS), 2))
-        f, _ = comparison.predict(x)
-        v = comparison.variance(x)
-        if f.shape[1] < len(whole):  # a false peak is predicted as measured
-            kept = kept_of(whole, comparison.listed.frequencies)
-            f_all, v_all = np.tile(whole, (len(x), 1)), np.full((len(x), len(whole)), np.median(v))
-            f_all[:, kept], v_all[:, kept] = f, v
-            f, v = f_all, v_all
-        names = comparison.parameters.names
-        draws.append(x[:, [names.index(n) for n in own]])
-        predicted.append(f)
-        variance.append(v)
-        residual.append(np.sum((whole - f) ** 2 / v, axis=1))
-    x, f, v = np.concatenate(draws), np.concatenate(predicted), np.concatenate(variance)
-    chi = np.concatenate(residual)
-    low, high = np.quantile(x, (0.025, 0.975), axis=0)
-    mean = f.mean(axis=0)
-    return Fit(
-        constants={
-            n: (float(x[:, i].mean()), float(x[:, i].std()), float(low[i]), float(high[i]))
-            for i, n in enumerate(own)
-        },
-        measured=whole,
-        predicted=mean,
-        predicted_sd=f.std(axis=0),
-        sigma=np.sqrt(v.mean(axis=0)),
-        rms=float(np.sqrt(np.mean((mean / whole - 1.0) ** 2))),
-        p_value=float(np.mean(chi2.sf(chi, len(whole)))),
-        log_evidence=float(
-            logsumexp(
-                [t.marginal.log_evidence for t, _ in members],
-                b=[t.hypothesis.prior / sum(m.hypothesis.prior for m, _ in members) for t, _ in members],
-            )
-        ),
-        draws=x,
-    )
-
-
-def _gain(
-    cases: Sequence[PlateCase],
-    weighed: Weighed,
-    claim: Claim,
-    members: Sequence[tuple[Tested, float]],
-    baseline: Fit,
-    extended: Fit,
-    scatter: float,
-) -> Gain:
-    leader = members[0][0]
-    claimed = {t.hypothesis.cause for t, _ in members}
-    outsider = next(
-        (t for t in weighed.tested if t.hypothesis.cause not in (*claimed, NONE, *claim.causes)), None
-    )
-    n = len(baseline.measured)
-    own = _left_out(cases, leader, n, weighed.none.marginal, scatter)
-    none = _left_out(cases, weighed.none, n, None, scatter)
-    held_out = (leader.marginal.log_evidence - own) - (weighed.none.marginal.log_evidence - none)
-    ahead = own + np.log(leader.hypothesis.prior) > none + np.log(weighed.none.hypothesis.prior)
-    if outsider is not None:
-        other = _left_out(cases, outsider, n, weighed.none.marginal, scatter)
-        ahead &= own + np.log(leader.hypothesis.prior) > other + np.log(outsider.hypothesis.prior)
-    return Gain(
-        baseline.rms,
-        extended.rms,
-        extended.log_evidence - baseline.log_evidence,
-        held_out,
-        float(np.mean(ahead)),
-    )
-
-
-def _left_out(cases: Sequence[PlateCase], t: Tested, n: int, none: Marginal | None, scatter: float) -> Array:
-    """Log evidences of a hypothesis without each of the frequencies in turn, (n,).
-
-    One that is about the list itself has the evidence of the whole list where the frequency that it
-    explains is the one left out.
-    """
-    found = np.full(n, t.marginal.log_evidence)
-    listed = t.hypothesis.listed
-    before = sum(case.measurement.size for case in cases[: t.plates[0]])  # frequencies of other plates
-    for i in range(n):
-        if listed.misread is not None and i == before + listed.misread:
-            continue
-        at = i
-        if listed.spurious is not None:
-            if i == before + listed.spurious:
-                continue
-            at = i - (i > before + listed.spurious)
-        marginal = marginal_of(cases, t.hypothesis, t.plates, scatter=scatter, none=none, left_out=at)
-        found[i] = sampled_marginal(marginal).log_evidence
-    return found

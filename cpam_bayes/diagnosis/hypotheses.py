@@ -15,7 +15,7 @@ NONE, OTHER, PAIR, MATERIAL = "none", "other", "pair", "material"
 
 # Prior probabilities: that nothing is wrong, that something is which no cause describes, that two causes
 # act at once; the rest is shared out evenly over the families, and in a family over its causes.
-P_NONE, P_OTHER, P_PAIR = 0.50, 0.05, 0.03
+P_NONE, P_OTHER, P_PAIR = 0.50, 0.05, 0.02
 # Share of a cause's probability that its gross variant has: a slip of the pen, not a tolerance.
 _GROSS_SHARE = 0.1
 # Shares of what may be wrong with a list: one mode missed or one false peak, and two modes missed.

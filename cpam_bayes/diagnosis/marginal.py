@@ -14,12 +14,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
-from scipy.special import chdtri, logsumexp, ndtri
-from scipy.stats import qmc
+from scipy.special import logsumexp
 
 from cpam_bayes.diagnosis.comparison import Comparison
+from cpam_bayes.diagnosis.proposals import proposed
 from cpam_bayes.diagnosis.scores import FARTHEST
-from cpam_bayes.inference.box import log_student_t
 from cpam_bayes.inference.climb import climb
 from cpam_bayes.inference.expansion import Expansion
 from cpam_bayes.threads import single_blas_thread
@@ -40,10 +39,8 @@ _HOPELESS = 1e-5
 _FAR = 2.0
 # Points of the fine quadrature between the nodes.
 _FINE = 1601
-# Proposals of importance sampling: degrees of freedom, widening, and log2 of the points.
-_FREEDOM, _WIDER, _LOG2_POINTS = 6.0, 1.15, 9
-# Nodes that carry less than this share propose nothing.
-_LEAST_SHARE = 1e-4
+# Proposals of importance sampling: degrees of freedom and widening.
+_FREEDOM, _WIDER = 6.0, 1.15
 _HALF_LOG_2PI = 0.5 * np.log(2 * np.pi)
 
 
@@ -129,7 +126,7 @@ def _with_draws(
 ) -> Marginal:
     nothing = np.empty(0)
     found = Marginal(comparison, quadrature, log_z, np.nan, z, curvature, weight, nothing, nothing)
-    draws = comparison.scores.to_x(_proposed(found, 1.0, np.inf)[0])
+    draws = comparison.scores.to_x(proposed(z, curvature, weight, quadrature, 1.0, np.inf)[0])
     return replace(found, draws=draws, log_weight=np.full(len(draws), -np.log(len(draws))))
 
 
@@ -150,12 +147,8 @@ def _at_one_node(comparison: Comparison, starts: Array) -> Marginal:
 
 @single_blas_thread
 def sampled_marginal(found: Marginal) -> Marginal:
-    """The same by importance sampling about the Laplace picture, from a scrambled Sobol sequence.
-
-    The proposal is a mixture over the nodes: the effect's score Gaussian about the node, the others
-    Student-t about the optimum there, which is carried along between nodes.
-    """
-    z, log_q = _proposed(found, _WIDER, _FREEDOM)
+    """The same by importance sampling about the Laplace picture, from a scrambled Sobol sequence."""
+    z, log_q = proposed(found.z, found.curvature, found.weight, found.quadrature, _WIDER, _FREEDOM)
     log_p = found.comparison.log_density(z)
     log_ratio = log_p - log_q
     top = float(log_ratio.max())
@@ -295,63 +288,12 @@ def _integrated(nodes: _Nodes) -> tuple[float, Array]:
     fine = np.unique(np.concatenate((np.linspace(nodes.score[0], nodes.score[-1], _FINE), nodes.score)))
     density = np.exp(np.maximum(PchipInterpolator(nodes.score, g)(fine) - top, -700.0))
     panel = 0.5 * (density[1:] + density[:-1]) * np.diff(fine)
-    # beyond the grid the prior is left, and the likelihood of its ends
-    tail = np.exp(g[[0, -1]] - top) / np.abs(nodes.score[[0, -1]])
+    # beyond the whole grid the prior is left, and the likelihood of its ends; a shorter one lost nothing
+    end = np.abs(nodes.score[[0, -1]])
+    tail = np.where(end >= GRID[-1] - _FINEST, np.exp(g[[0, -1]] - top) / np.maximum(end, 1.0), 0.0)
     owner = np.abs(0.5 * (fine[1:] + fine[:-1])[:, None] - nodes.score).argmin(axis=1)
     share = np.asarray(np.bincount(owner, panel, minlength=len(g)), dtype=float)
     share[0] += tail[0]
     share[-1] += tail[1]
     total = share.sum()
     return top + float(np.log(total)), share / total
-
-
-def _proposed(found: Marginal, wider: float, freedom: float) -> tuple[Array, Array]:
-    """Scores (d, n) near the Laplace picture, and their log density, (d,)."""
-    n = found.z.shape[1]
-    used = np.flatnonzero(found.weight >= _LEAST_SHARE)
-    share = found.weight[used] / found.weight[used].sum()
-    uniform = qmc.Sobol(n + 2, rng=np.random.default_rng(0)).random_base2(_LOG2_POINTS)
-    uniform = np.clip(uniform, 1e-12, 1 - 1e-12)
-    which = np.searchsorted(np.cumsum(share)[:-1], uniform[:, n + 1])
-    normal = ndtri(uniform[:, :n])
-    stretch = np.ones(len(uniform))
-    if np.isfinite(freedom):  # a Student-t is a Gaussian over the root of a chi-squared variable
-        stretch = 1.0 / np.sqrt(chdtri(freedom, 1.0 - uniform[:, n]) / freedom)
-    factor = np.linalg.cholesky(np.linalg.inv(found.curvature[used])) * wider
-    if found.quadrature is None:
-        centre = found.z[used]
-        step = np.einsum("mij,mj->mi", factor[which], normal) * stretch[:, None]
-        z = centre[which] + step
-        log_q = log_student_t(z, centre[0], factor[0], freedom)
-        return z, np.asarray(log_q)
-    q = found.quadrature
-    columns = np.delete(np.arange(n), q)
-    score, rest = found.z[used, q], found.z[np.ix_(used, columns)]
-    width = _spacing(found.z[:, q])[used] * wider
-    along = _slopes(found.z[:, q], found.z[:, columns])[used]
-    t = score[which] + width[which] * normal[:, n - 1]
-    step = np.einsum("mij,mj->mi", factor[which], normal[:, : n - 1]) * stretch[:, None]
-    u = rest[which] + along[which] * (t - score[which])[:, None] + step
-    log_q = np.stack(
-        [
-            np.log(share[k])
-            - 0.5 * ((t - score[k]) / width[k]) ** 2
-            - np.log(width[k])
-            - _HALF_LOG_2PI
-            + log_student_t(u - along[k] * (t - score[k])[:, None], rest[k], factor[k], freedom)
-            for k in range(len(used))
-        ]
-    )
-    return np.insert(u, q, t, axis=1), np.asarray(logsumexp(log_q, axis=0))
-
-
-def _spacing(score: Array) -> Array:
-    """Half the distance between the neighbours of every node, (k,)."""
-    padded = np.concatenate((score[:1] - np.diff(score[:2]), score, score[-1:] + np.diff(score[-2:])))
-    return np.asarray(0.5 * (padded[2:] - padded[:-2]))
-
-
-def _slopes(score: Array, rest: Array) -> Array:
-    """How the optimum of the rest moves with the score, (k, n - 1); none where it jumps."""
-    found = np.gradient(rest, score, axis=0)
-    return np.where(np.abs(found) < 3.0, found, 0.0)

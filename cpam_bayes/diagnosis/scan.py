@@ -26,8 +26,8 @@ _STARTS = 6
 # Hypotheses within so many nats of the most probable one are climbed, those nearer are sampled too; the
 # others keep what the first look says of them, corrected by a second one if it is within the last number.
 _NEAR, _NEARER, _CORRECTED = 3.0, 2.0, 14.0
-# What a first look misses of the plain model is taken for that of all others up to so many nats.
-_MOST_OFFSET = 3.0
+# What a first look misses of the plain model is taken for that of all others if it is below this, nats.
+_MOST_OFFSET = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,8 +128,9 @@ class Scan:
             for z in (best, np.zeros_like(best))
         )
         look = first_look(marginal.comparison, None, self.anchors[0])[0].log_evidence
-        # a plain model that is far off is far off in its own way
-        self.offset = float(np.clip(marginal.log_evidence - look, -_MOST_OFFSET, _MOST_OFFSET))
+        # a plain model that is far off is far off in its own way, of which nothing follows for the others
+        missed = marginal.log_evidence - look
+        self.offset = missed if abs(missed) < _MOST_OFFSET else 0.0
 
     def look(self, hypothesis: Hypothesis, plates: tuple[int, ...]) -> list[Tested]:
         """A hypothesis at a first look; nothing where it cannot be tested, which is noted."""
@@ -188,13 +189,16 @@ class Scan:
 
     def refine(self, looked: Sequence[Tested], most: int | None = None) -> None:
         """Add hypotheses, those near the best one (``most`` of them) computed by Laplace's method."""
-        # first looks may promise too much: the best one is among those that were climbed
+        # first looks may promise too much, so the best one is among those that were climbed, or too little,
+        # and then all of them about alike
         best = max(t.log_weight for t in (*self.found, *looked) if t.marginal.is_climbed)
-        climbed = 0
+        climbed, lift = 0, 0.0
         for t in ranked(looked):
             few = most is None or climbed < most
-            if few and self.is_near(t, best) and not t.marginal.is_climbed:
+            if few and self.is_near(t, best - lift) and not t.marginal.is_climbed:
+                promised = t.log_weight
                 t = replace(t, marginal=self._climbed(t.hypothesis, t.plates, t.marginal))
+                lift = max(lift, t.log_weight - promised)
                 best = max(best, t.log_weight)
                 climbed += 1
             self.found.append(t)

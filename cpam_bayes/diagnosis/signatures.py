@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
 
 from cpam_bayes.diagnosis.comparison import Comparison, kept_of
-from cpam_bayes.diagnosis.marginal import Marginal
+from cpam_bayes.diagnosis.marginal import GRID, Marginal
 from cpam_bayes.diagnosis.weighing import Tested
 from cpam_bayes.effects import scale_of
 
@@ -20,6 +21,8 @@ Array = NDArray[Any]
 ALIKE = 0.95
 # A cause of which less than this share of the signature is visible is absorbed by the constants.
 ABSORBED = 0.1
+# Scores of an effect's size at which it is compared with the others.
+_SIZES = np.linspace(GRID[0], GRID[-1], 181)
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,9 +117,55 @@ def cosine(a: Signature, b: Signature) -> float:
     return float(a.visible @ b.visible) / size
 
 
-def alike(signatures: Sequence[Signature], i: int) -> tuple[int, ...]:
-    """Numbers of the signatures that frequencies cannot tell from the i-th."""
-    return tuple(j for j, s in enumerate(signatures) if j != i and abs(cosine(signatures[i], s)) > ALIKE)
+def alike(
+    signatures: Sequence[Signature], i: int, menus: Sequence[Sequence[Menu]] | None = None
+) -> tuple[int, ...]:
+    """Numbers of the signatures that frequencies cannot tell from the i-th.
+
+    menus : of every cause, what its variants can do at other sizes than the data suggest for themselves: a
+    cause that can do the same as the i-th is not told from it.
+    """
+    found = []
+    for j, other in enumerate(signatures):
+        best = abs(cosine(signatures[i], other))
+        if menus is not None and not signatures[i].is_absorbed:
+            best = max([best, *(menu.cosine(signatures[i].visible) for menu in menus[j])])
+        if j != i and best > ALIKE:
+            found.append(j)
+    return tuple(found)
+
+
+@dataclass(frozen=True, slots=True)
+class Menu:
+    """What one variant of a cause can do to the frequencies.
+
+    visible : (k, n_f) what is left of its shifts at k sizes, in units of the noise. share : (k,) of the
+    whole.
+    """
+
+    visible: Array
+    share: Array
+
+    def cosine(self, target: Array) -> float:
+        """Cosine, without sign, of a visible shift (n_f,) and the nearest of these; 0 if that is absorbed."""
+        i = int(np.argmin(np.sum((self.visible - target) ** 2, axis=1)))
+        size = float(np.linalg.norm(self.visible[i]) * np.linalg.norm(target))
+        if size == 0.0 or self.share[i] < ABSORBED:
+            return 0.0
+        return abs(float(self.visible[i] @ target)) / size
+
+
+def menu_of(tested: Tested, none: Marginal, projector: Projector) -> Menu | None:
+    """All that one tested hypothesis can do at the constants of the plain model, if its shifts are known."""
+    if tested.shift is None:
+        return None
+    sigma = np.sqrt(none.comparison.variance(none.best[None])[0])
+    fine = CubicSpline(GRID, tested.shift, axis=0)(_SIZES)
+    shift = fine * (none.comparison.listed.frequencies / sigma)
+    visible = shift @ projector.root
+    whole = np.linalg.norm(shift, axis=1)
+    share = np.linalg.norm(visible, axis=1) / np.where(whole > 0.0, whole, np.inf)
+    return Menu(visible, share)
 
 
 def _aligned(comparison: Comparison, x: Array, none: Marginal) -> Array:

@@ -29,8 +29,9 @@ def figures(records: Records) -> list[Record]:
     every = [r for own in records.values() for r in own if r["reached"]]
     many = [r for name, own in records.items() if _modes(name) >= _MANY for r in own if r["reached"]]
     one = [r for r in every if _kind(r) == "one"]
+    strengths = (8.0, 4.0)
     found = []
-    for ratio, asked in ((8.0, ">= 0.95"), (4.0, ">= 0.80")):
+    for ratio, asked in zip(strengths, (">= 0.95", ">= 0.80"), strict=True):
         at = [
             r for r in many if _kind(r) == "one" and _ratio(r) == ratio and r["causes"] != ["mode_identity"]
         ]
@@ -41,9 +42,13 @@ def figures(records: Records) -> list[Record]:
         found.append(
             _share(f"  the same, six modes and slips of the list, {ratio:g}", "-", map(is_right, few))
         )
+    other_material = [r for r in one if _ratio(r) not in strengths]
+    found.append(_share("  another material", "-", map(is_right, other_material)))
     found.append(_share("class of the truth among the top three", ">= 0.95", map(_among_three, one)))
-    clean = [r for r in every if _kind(r) == "clean"]
+    clean = [r for r in every if _kind(r) in ("clean", "bricks")]
     found.append(_share("false claim on clean data", "<= 0.02", map(_is_claim, clean)))
+    bricks = [r for r in clean if _kind(r) == "bricks"]
+    found.append(_share("  of plates solved on bricks", "-", map(_is_claim, bricks)))
     outside = [r for r in every if _kind(r) == "outside"]
     wrong = (_is_claim(r) and r["answer"]["claim"] != "other" for r in outside)
     found.append(_share("wrong cause claimed, truth outside", "<= 0.05", wrong))
@@ -112,7 +117,7 @@ def confusion(records: Records) -> list[Record]:
     cells: dict[tuple[str, float], dict[str, Counter[str]]] = defaultdict(lambda: defaultdict(Counter))
     for name, own in records.items():
         for r in own:
-            if not r["reached"] or _kind(r) not in ("one", "clean"):
+            if not r["reached"] or _kind(r) not in ("one", "clean", "bricks"):
                 continue
             ratio = _ratio(r)
             hidden = r["causes"][0] if r["causes"] else "none"

@@ -7,23 +7,23 @@ frequencies, less what the constants imitate within their priors, over the relat
 
 from __future__ import annotations
 
-from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import logsumexp
 
 from cpam_bayes.affine import AffineOperator
+from cpam_bayes.calculix.solve import solve_specimen
 from cpam_bayes.diagnosis.cases import hypotheses_of, plate_case
 from cpam_bayes.diagnosis.fitting import PlateCase
-from cpam_bayes.diagnosis.hypotheses import NONE, OTHER, Hypothesis
+from cpam_bayes.diagnosis.hypotheses import Hypothesis
 from cpam_bayes.diagnosis.scores import scores_of
-from cpam_bayes.diagnosis.signatures import ABSORBED, ALIKE
+from cpam_bayes.diagnosis.signatures import ABSORBED
 from cpam_bayes.effects import extend
+from cpam_bayes.elasticity import complete_constants
 from cpam_bayes.measurement import Measurement, builtin
 from cpam_bayes.model import reference_vector
 from cpam_bayes.modes import solve
@@ -35,9 +35,6 @@ Array = NDArray[Any]
 
 # Elements along x and y: not the default mesh. Its frequencies are within 1e-4 of converged ones.
 MESH = (20, 18)
-# Scores of an effect's size that its shifts are computed at, and points between them.
-_SCORES = np.linspace(-3.6, 3.6, 41)
-_FINE = np.linspace(-3.6, 3.6, 401)
 # Operators kept at a time.
 _KEPT = 3
 
@@ -137,6 +134,19 @@ def true_frequencies(own: Bench, hidden: Sequence[Hypothesis], x: Array, sizes: 
         if effect.observe is not None:
             f = effect.observe(f, dict.fromkeys(effect.null, np.asarray(size)))
     return np.asarray(f)
+
+
+def brick_frequencies(own: Bench, x: Array, n: int) -> Array:
+    """The n lowest frequencies of the plate as it should be, by CalculiX on bricks of 20 nodes, (n,) Hz.
+
+    x : constants. Raises ``CalculixError`` where CalculiX is not there or fails.
+    """
+    models = own.case.models
+    material = models.specimen.material
+    given = dict(material.constants) | dict(zip(models.parameters.names, x, strict=True))
+    every = complete_constants(given, material.isotropic)
+    constants = {name: float(value) for name, value in every.items()}
+    return np.asarray(solve_specimen(models.specimen, constants, n))
 
 
 @dataclass(frozen=True)
@@ -243,77 +253,6 @@ def size_for(at: Linear, h: Hypothesis, ratio: float, sign: float) -> Reached:
         size = float(sizes[i - 1] + part * (sizes[i] - sizes[i - 1]))
     whole = float(np.linalg.norm(shift[i]))
     return Reached(size, float(highest[-1]), float(norm[i]) / whole if whole > 0.0 else 0.0)
-
-
-@dataclass(frozen=True, slots=True)
-class Oracle:
-    """What somebody makes of a list who knows the truth's own model, linear in the constants.
-
-    probability : by cause, with the priors of the diagnosis. alike : causes whose visible signature, at the
-    size that fits best, has a cosine above 0.95 with the truth's; the cosine by cause in ``cosine``.
-    """
-
-    probability: Mapping[str, float]
-    cosine: Mapping[str, float]
-
-    @property
-    def alike(self) -> frozenset[str]:
-        """Causes that frequencies cannot tell from the truth."""
-        return frozenset(c for c, value in self.cosine.items() if value > ALIKE)
-
-
-def oracle(at: Linear, truth: Array, noise: Array) -> Oracle:
-    """Exact marginal likelihoods of the linear plate, by quadrature over each cause's size.
-
-    truth : (n_listed,) shift of the listed log frequencies in units of s, that of the dictionary's own
-    model; noise : (n_listed,) in the same units. Causes that reorder the list are left out: they are
-    tens of per cent away.
-    """
-    a = at.slope[at.own.case.modes]
-    residual = truth + noise + a @ at.z
-    visible, target = at.root @ truth, at.root @ residual
-    weight = np.exp(-0.5 * _FINE**2)
-    log_weight = np.log(weight / weight.sum())
-    log_p: dict[str, list[float]] = defaultdict(list)
-    cosines: dict[str, float] = {}
-    for h in at.own.singles:
-        prior = float(np.log(h.prior))
-        if h.cause == NONE:
-            log_p[NONE].append(prior - 0.5 * float(target @ target))
-        elif h.cause == OTHER:
-            log_p[OTHER].append(prior + _scattered(at, h, residual, a, log_weight))
-        elif h.parameters:
-            shifts = at.shift(h, sizes_of(h, _SCORES))
-            fine = np.stack([np.interp(_FINE, _SCORES, column) for column in shifts.T], axis=1)
-            seen = fine @ at.root
-            own = -0.5 * np.sum((target - seen) ** 2, axis=1) + log_weight
-            log_p[h.cause].append(prior + float(logsumexp(own)))
-            cosines[h.cause] = max(cosines.get(h.cause, 0.0), _best_cosine(visible, seen, fine))
-    total = {cause: float(logsumexp(values)) for cause, values in log_p.items()}
-    whole = float(logsumexp(list(total.values())))
-    ranked = sorted(total, key=lambda c: -total[c])
-    return Oracle({c: float(np.exp(total[c] - whole)) for c in ranked}, cosines)
-
-
-def _best_cosine(truth: Array, seen: Array, whole: Array) -> float:
-    """Cosine at the size whose visible signature is nearest to the truth's; 0 where it is absorbed."""
-    if not truth.any():
-        return 0.0
-    i = int(np.argmin(np.sum((truth - seen) ** 2, axis=1)))
-    size, full = float(np.linalg.norm(seen[i])), float(np.linalg.norm(whole[i]))
-    if size == 0.0 or size < ABSORBED * full:
-        return 0.0
-    return abs(float(truth @ seen[i])) / size / float(np.linalg.norm(truth))
-
-
-def _scattered(at: Linear, h: Hypothesis, residual: Array, a: Array, log_weight: Array) -> float:
-    """Log marginal likelihood of a scatter of all modes, over that of none with zero residuals."""
-    ratio = (sizes_of(h, _FINE) / at.own.noise) ** 2
-    values, vectors = np.linalg.eigh(a @ a.T)
-    along = (vectors.T @ residual) ** 2
-    variance = 1.0 + values + ratio[:, None]
-    own = -0.5 * np.sum(along / variance + np.log(variance / (1.0 + values)), axis=1)
-    return float(logsumexp(own + log_weight))
 
 
 def of_cause(own: Bench, cause: str) -> tuple[Hypothesis, ...]:

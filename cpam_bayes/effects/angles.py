@@ -57,16 +57,12 @@ def _turned(state: PlateState, values: Values) -> PlateState:
     return replace(state, layup=state.layup + turn[..., None])
 
 
-def _ply_pair(parameter: str, which: Callable[[int], int]) -> Callable[[Problem, PlateFacts], Problem]:
+def _ply_pair(parameter: str, which: Callable[[int], int], problem: Problem, facts: PlateFacts) -> Problem:
     """One ply and its mirror image about the midplane turned by one angle."""
-
-    def change(problem: Problem, facts: PlateFacts) -> Problem:
-        n = facts.layup.n_plies
-        turned = np.zeros(n)
-        turned[which(n)] = turned[n - 1 - which(n)] = 1.0
-        return with_state(problem, partial(_pair_turned, parameter, facts.layup.angles_deg, turned))
-
-    return change
+    n = facts.layup.n_plies
+    turned = np.zeros(n)
+    turned[which(n)] = turned[n - 1 - which(n)] = 1.0
+    return with_state(problem, partial(_pair_turned, parameter, facts.layup.angles_deg, turned))
 
 
 def _pair_turned(
@@ -83,6 +79,11 @@ def _has_plies(facts: PlateFacts) -> bool:
 
 def _has_inner_plies(facts: PlateFacts) -> bool:
     return not facts.isotropic and facts.layup.n_plies >= 4
+
+
+def _outermost(n_plies: int) -> int:
+    del n_plies
+    return 0
 
 
 def _inner(n_plies: int) -> int:
@@ -106,7 +107,7 @@ OUTER_PLY_ANGLE = Effect(
     "coefficients",
     (either_sign("outer_ply_deg", "deg", 5.0),),
     "the outermost plies of both faces are turned",
-    _ply_pair("outer_ply_deg", lambda n: 0),
+    partial(_ply_pair, "outer_ply_deg", _outermost),
     applies_to=_has_plies,
     even=True,
 )
@@ -116,7 +117,7 @@ INNER_PLY_ANGLE = Effect(
     "coefficients",
     (either_sign("inner_ply_deg", "deg", 20.0, 90.0),),
     "the second plies from the midplane are turned: bending hardly sees them",
-    _ply_pair("inner_ply_deg", _inner),
+    partial(_ply_pair, "inner_ply_deg", _inner),
     applies_to=_has_inner_plies,
     even=True,
 )

@@ -61,6 +61,11 @@ class PlateFacts:
         return cls(plate.length, plate.width, plate.thickness, plate.layup, plate.edges, isotropic, loaded)
 
 
+def _always(facts: PlateFacts) -> bool:
+    del facts
+    return True
+
+
 @dataclass(frozen=True, slots=True)
 class Effect:
     """Something that a plate model may lack.
@@ -83,7 +88,7 @@ class Effect:
     change: Callable[[Problem, PlateFacts], Problem] | None = None
     observe: Callable[[Array, Values], Array] | None = None
     stage: Stage = "problem"
-    applies_to: Callable[[PlateFacts], bool] = lambda facts: True
+    applies_to: Callable[[PlateFacts], bool] = _always
     even: bool = False
     absorbed: bool = False
     variant: str = ""

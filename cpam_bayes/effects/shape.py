@@ -174,6 +174,12 @@ TAPER_Y = Effect(
     _taper("taper_y", "y"),
     even=True,
 )
+
+
+def _no_edge_is_supported(facts: PlateFacts) -> bool:
+    return "S" not in facts.edges
+
+
 SKEW = Effect(
     "skew",
     "shape",
@@ -181,7 +187,7 @@ SKEW = Effect(
     (either_sign("skew_deg", "deg", 1.0),),
     "corners that are not square",
     _skew,
-    applies_to=lambda facts: "S" not in facts.edges,
+    applies_to=_no_edge_is_supported,
     even=True,
 )
 WARP = Effect(

@@ -56,6 +56,10 @@ def _longer(sizes: tuple[str, ...], state: PlateState, values: Values) -> PlateS
     return replace(state, **{size: getattr(state, size) + values["clamp_shift"] for size in sizes})
 
 
+def _is_clamped(facts: PlateFacts) -> bool:
+    return bool(_clamped_axes(facts))
+
+
 CLAMP_LENGTH = Effect(
     "clamp_length",
     "clamp",
@@ -63,5 +67,5 @@ CLAMP_LENGTH = Effect(
     (either_sign("clamp_shift", "m", 0.5e-3),),
     "the clamp grips further out or in than measured: a longer or shorter cantilever",
     _clamp_length,
-    applies_to=lambda facts: bool(_clamped_axes(facts)),
+    applies_to=_is_clamped,
 )

@@ -77,6 +77,16 @@ TRANSVERSE_SHEAR = Effect(
     "A_s times a factor: nothing on thin plates, the higher modes of thick ones",
     _transverse_shear,
 )
+
+
+def _is_composite(facts: PlateFacts) -> bool:
+    return not facts.isotropic
+
+
+def _has_room_for_skins(facts: PlateFacts) -> bool:
+    return not facts.isotropic and facts.thickness > 1e-3
+
+
 SHEAR_RATIO = Effect(
     "shear_ratio",
     "stiffness",
@@ -84,7 +94,7 @@ SHEAR_RATIO = Effect(
     (either_sign("shear_ratio_deviation", "", 0.25, 0.8),),
     "G13 differs from the value that the model takes, G12 unless given",
     _shear_ratio,
-    applies_to=lambda facts: not facts.isotropic,
+    applies_to=_is_composite,
 )
 RESIN_SKIN = Effect(
     "resin_skin",
@@ -93,6 +103,6 @@ RESIN_SKIN = Effect(
     (one_sided("skin_thickness", "m", 50e-6, 250e-6),),
     "soft layers on both faces lower all bending modes alike; the constants absorb it",
     _resin_skin,
-    applies_to=lambda facts: not facts.isotropic and facts.thickness > 1e-3,
+    applies_to=_has_room_for_skins,
     absorbed=True,
 )

@@ -24,6 +24,10 @@ def _foam(state: PlateState, values: Values) -> Array:
     return np.asarray(omega**2 * state.density * state.thickness * state.area)[..., None]
 
 
+def _is_free(facts: PlateFacts) -> bool:
+    return facts.edges == "FFFF"
+
+
 SUPPORT = Effect(
     "support",
     "surroundings",
@@ -31,6 +35,6 @@ SUPPORT = Effect(
     (one_sided("support_frequency", "Hz", 8.0, 40.0),),
     "the plate bounces on its foam at f_r: the lowest modes rise most",
     _support,
-    applies_to=lambda facts: facts.edges == "FFFF",
+    applies_to=_is_free,
     even=True,
 )

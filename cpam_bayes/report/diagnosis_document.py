@@ -7,8 +7,9 @@ from collections.abc import Sequence
 from typing import Any
 
 from cpam_bayes import __version__
-from cpam_bayes.diagnosis.diagnose import Cause, Diagnosis, Fit
+from cpam_bayes.diagnosis.diagnose import Cause, Diagnosis
 from cpam_bayes.diagnosis.extension import Resampled
+from cpam_bayes.diagnosis.fit import Fit
 from cpam_bayes.diagnosis.hypotheses import NONE, OTHER
 from cpam_bayes.diagnosis.next_measurement import Candidate
 from cpam_bayes.diagnosis.weighing import Tested

@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cpam_bayes.diagnosis.diagnose import Cause, Diagnosis, Fit
+from cpam_bayes.diagnosis.diagnose import Cause, Diagnosis
 from cpam_bayes.diagnosis.extension import Resampled
+from cpam_bayes.diagnosis.fit import Fit
 from cpam_bayes.diagnosis.fitting import PlateCase
 from cpam_bayes.diagnosis.hypotheses import NONE, OTHER
 from cpam_bayes.diagnosis.weighing import Tested

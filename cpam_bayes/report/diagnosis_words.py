@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from cpam_bayes.diagnosis.cases import differing_priors
 from cpam_bayes.diagnosis.diagnose import Cause, Diagnosis
 from cpam_bayes.diagnosis.extension import Resampled
 from cpam_bayes.diagnosis.hypotheses import NONE, OTHER
@@ -79,6 +80,12 @@ def diagnosis_warnings(d: Diagnosis, resampled: Resampled | None = None) -> tupl
         found.append(
             f"the claim holds without one frequency in {100 * d.gain.stable:.0f} % of the cases only: single "
             "frequencies decide it"
+        )
+    differing = differing_priors(d.cases)
+    if differing:
+        found.append(
+            f"the files give {listed(differing, 'and')} different priors ([material], [material.sd] or "
+            f"[unknowns]): those of {d.cases[0].name} were taken for all plates; give all files the same"
         )
     rough = max((t.marginal.error for t in d.weighed.tested if np.isfinite(t.marginal.error)), default=0.0)
     if rough > _ROUGH:

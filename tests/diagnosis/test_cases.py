@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cpam_bayes.diagnosis.cases import hypotheses_of, plate_case, with_list
+from cpam_bayes.diagnosis.cases import differing_priors, hypotheses_of, plate_case, with_list
 from cpam_bayes.diagnosis.fitting import PlateCase
 from cpam_bayes.diagnosis.hypotheses import (
     NONE,
@@ -141,12 +141,24 @@ def test_tests_of_one_specimen_share_its_flaws_and_not_their_lists() -> None:
     assert sum(h.prior for h, _ in found) == pytest.approx(1.0 - P_PAIR)
 
 
-def test_no_more_than_all_probability_is_given_away() -> None:
-    for plates in (
-        (("one", "one"), ("two", "two")),
-        (("one", "same"), ("two", "same"), ("three", "three")),
-    ):
-        assert sum(h.prior for h, _ in hypotheses_of(toys(*plates))) <= 1.0 - P_PAIR + 1e-12
+@pytest.mark.parametrize(
+    "plates",
+    [(("one", "one"), ("two", "two")), (("one", "same"), ("two", "same"), ("three", "three"))],
+)
+def test_several_plates_share_all_the_probability(plates: tuple[tuple[str, str], ...]) -> None:
+    assert sum(h.prior for h, _ in hypotheses_of(toys(*plates))) == pytest.approx(1.0 - P_PAIR)
+
+
+def test_constants_that_files_give_different_priors_are_named() -> None:
+    same = toys(("one", "one"), ("two", "two"))
+    assert differing_priors(same) == ()
+    own = same[1].models
+    wider = tuple(
+        replace(p, prior=replace(p.prior, scale=2.0 * p.prior.scale)) if p.name == "E1" else p  # type: ignore[type-var, union-attr]
+        for p in own.parameters.parameters
+    )
+    other = replace(same[1], models=replace(own, parameters=replace(own.parameters, parameters=wider)))
+    assert differing_priors([same[0], other]) == ("E1",)
 
 
 def test_another_list_shares_the_models() -> None:

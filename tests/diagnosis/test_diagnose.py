@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from cpam_bayes.diagnosis import diagnose as diagnosing
-from cpam_bayes.diagnosis import weighing
+from cpam_bayes.diagnosis import gain, weighing
 from cpam_bayes.diagnosis.cases import plate_case
 from cpam_bayes.diagnosis.diagnose import Diagnosis, diagnose_cases
 from cpam_bayes.diagnosis.extension import resample
@@ -265,8 +265,8 @@ def test_the_frequency_that_a_list_hypothesis_explains_is_told_by_its_own_list(
             asked.append(left_out)
             return t.marginal  # type: ignore[attr-defined]
 
-        monkeypatch.setattr(diagnosing, "marginal_of", recorded)
-        found = diagnosing._left_out(cases, t, 16, None, 0.02)
+        monkeypatch.setattr(gain, "marginal_of", recorded)
+        found = gain.left_out(cases, t, 16, None, 0.02)
         assert asked == expected
         assert found[11] == t.marginal.log_evidence
 

@@ -8,6 +8,7 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
+from cpam_bayes.diagnosis.oracle import oracle
 from cpam_bayes.diagnosis.trial_statistics import calibration_error, figures
 from cpam_bayes.diagnosis.trials import Record, Trial, is_right, run_trial
 from cpam_bayes.diagnosis.truths import (
@@ -15,7 +16,6 @@ from cpam_bayes.diagnosis.truths import (
     bench,
     linear,
     of_cause,
-    oracle,
     random_constants,
     size_for,
     true_frequencies,

@@ -180,7 +180,7 @@ def test_what_scales_all_frequencies_is_hidden_and_moves_the_stiffness_twice_as_
 
 def test_priors_of_families_causes_and_sizes_are_told(clean):
     priors = document(clean)["priors"]
-    assert (priors["none"], priors["other"]) == (0.5, 0.06)
+    assert (priors["none"], priors["other"]) == (0.5, 0.05)
     assert priors["families"]["size"]["frequency_scale"] > 0
     size = priors["effects"]["frequency_scale"]["frequency_deviation"]
     assert (size["kind"], size["scale"], size["unit"]) == ("Student-t", 0.2, "%")

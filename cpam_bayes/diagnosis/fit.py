@@ -1,0 +1,92 @@
+"""What a model, or a mixture of models, makes of the lists once it is fitted."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import logsumexp
+from scipy.stats import chi2
+
+from cpam_bayes.diagnosis.comparison import kept_of
+from cpam_bayes.diagnosis.scan import Tested
+
+Array = NDArray[Any]
+
+# Draws that fits are summarised from.
+_DRAWS = 1024
+
+
+@dataclass(frozen=True, slots=True)
+class Fit:
+    """What a model makes of the lists.
+
+    constants : name -> mean, sd, 2.5 % and 97.5 % quantile, SI. predicted, predicted_sd, sigma : of all
+    frequencies, plate by plate. rms : relative. p_value : posterior predictive, of the sum of squared
+    standardised residuals. draws : (d, n_constants) behind it, equally probable.
+    """
+
+    constants: Mapping[str, tuple[float, float, float, float]]
+    measured: Array
+    predicted: Array
+    predicted_sd: Array
+    sigma: Array
+    rms: float
+    p_value: float
+    log_evidence: float
+    draws: Array
+
+    @property
+    def standardised(self) -> Array:
+        """Residuals over the standard deviations of noise and prediction together."""
+        return np.asarray((self.measured - self.predicted) / np.hypot(self.sigma, self.predicted_sd))
+
+
+def fit_of(members: Sequence[tuple[Tested, float]], whole: Array) -> Fit:
+    """The fit of a mixture of hypotheses with the same constants; whole : all listed frequencies."""
+    first = members[0][0].marginal.comparison
+    model_names = first.model.parameters.names
+    shared = [n for n in model_names if all(n in t.marginal.comparison.parameters.names for t, _ in members)]
+    own = [n for n in shared if n not in {p.name for t, _ in members for p in t.hypothesis.parameters}]
+    draws, predicted, variance, residual = [], [], [], []
+    for t, share in members:
+        marginal, comparison = t.marginal, t.marginal.comparison
+        x = marginal.resampled(max(round(share * _DRAWS), 2))
+        f, _ = comparison.predict(x)
+        v = comparison.variance(x)
+        if f.shape[1] < len(whole):  # a false peak is predicted as measured
+            kept = kept_of(whole, comparison.listed.frequencies)
+            f_all, v_all = np.tile(whole, (len(x), 1)), np.full((len(x), len(whole)), np.median(v))
+            f_all[:, kept], v_all[:, kept] = f, v
+            f, v = f_all, v_all
+        names = comparison.parameters.names
+        draws.append(x[:, [names.index(n) for n in own]])
+        predicted.append(f)
+        variance.append(v)
+        residual.append(np.sum((whole - f) ** 2 / v, axis=1))
+    x, f, v = np.concatenate(draws), np.concatenate(predicted), np.concatenate(variance)
+    chi = np.concatenate(residual)
+    low, high = np.quantile(x, (0.025, 0.975), axis=0)
+    mean = f.mean(axis=0)
+    return Fit(
+        constants={
+            n: (float(x[:, i].mean()), float(x[:, i].std()), float(low[i]), float(high[i]))
+            for i, n in enumerate(own)
+        },
+        measured=whole,
+        predicted=mean,
+        predicted_sd=f.std(axis=0),
+        sigma=np.sqrt(v.mean(axis=0)),
+        rms=float(np.sqrt(np.mean((mean / whole - 1.0) ** 2))),
+        p_value=float(np.mean(chi2.sf(chi, len(whole)))),
+        log_evidence=float(
+            logsumexp(
+                [t.marginal.log_evidence for t, _ in members],
+                b=[t.hypothesis.prior / sum(m.hypothesis.prior for m, _ in members) for t, _ in members],
+            )
+        ),
+        draws=x,
+    )
