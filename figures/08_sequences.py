@@ -28,6 +28,7 @@ def draw(results: Path = RESULTS, folder: Path = HERE) -> list[Path]:
     return [
         _saved(_maps(found["cases"]), folder / "08_sequences.png"),
         _saved(_counts(found["cases"], found["noise"]), folder / "08_sequences_counted.png"),
+        _saved(_cost(found["cost"]), folder / "08_sequences_cost.png"),
     ]
 
 
@@ -114,6 +115,27 @@ def _noise(axes: Axes, noise: list[dict[str, Any]]) -> None:
     if noise:
         axes.legend(frameon=False, fontsize=8)
     axes.spines[["top", "right"]].set_visible(False)
+
+
+def _cost(cost: list[dict[str, Any]]) -> Figure:
+    """Wall-clock time and peak memory against the number of unknown angles, one line a noise."""
+    figure = _figure(8.5, 3.6)
+    left, right = figure.subplots(1, 2)
+    levels = sorted({c["relative_std"] for c in cost}, reverse=True)
+    for noise, color in zip(levels, (BLUE, RED), strict=False):
+        own = [c for c in cost if c["relative_std"] == noise]
+        angles = [c["unknown_angles"] for c in own]
+        label = f"noise {100 * noise:g} %"
+        left.plot(angles, [c["seconds"] for c in own], "o-", color=color, label=label)
+        right.plot(angles, [c["peak_gib"] for c in own], "o-", color=color, label=label)
+    left.set(yscale="log", ylabel="seconds")
+    right.set(ylim=(0.0, None), ylabel="peak memory, GiB")
+    for axes in (left, right):
+        axes.set(xlabel="unknown angles", xticks=sorted({c["unknown_angles"] for c in cost}))
+        axes.spines[["top", "right"]].set_visible(False)
+    if cost:
+        left.legend(frameon=False, fontsize=8)
+    return figure
 
 
 if __name__ == "__main__":

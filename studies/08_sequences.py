@@ -5,7 +5,9 @@ python studies/08_sequences.py [--quick] [--only NAME ...] [--workers N] [--exec
 Every case of Table 9(b): the posterior over all sequences on the grid of 5 degrees, the constants
 marginalised, from the printed list with its noise inferred. Two cases with two unknown angles besides, which
 need no learned evidence. Then the list of C1's own sequence and reference constants, noise-free, with smaller
-and smaller noise stated: the probability of its class. Cases that were saved before are kept.
+and smaller noise stated: the probability of its class. Then what two to six unknown angles cost, on the plate
+of F1 with the list of its own sequence. Every case is saved as soon as it is done, and those that were saved
+before are kept.
 """
 
 from __future__ import annotations
@@ -17,7 +19,7 @@ import sys
 import time
 from collections.abc import Callable
 from concurrent.futures import Executor
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -48,6 +50,7 @@ KEYS = {
     "quick": "whether this is the small version",
     "cases": "one a plate and layup: printed and own sequence, credible set, most probable sequence, cost",
     "noise": "C1's own list with smaller and smaller noise stated: probability of its class",
+    "cost": "seconds and memory of two to six unknown angles, the outermost of F1's plate, at two noises",
 }
 
 SEED = 0
@@ -56,7 +59,17 @@ PRINTED = tuple(identified_sequences())
 # Cases of the noise study: unknown angles of C1.
 NOISE_LAYUPS = {"C1 noise, two angles": "[(?/?)_8]_s", "C1 noise": "[(?/?/?/?)_4]_s"}
 NOISE = (0.02, 0.01, 0.005, 0.002, 0.001, 0.0005)
-NAMES = (*TWO_ANGLES, *PRINTED, *NOISE_LAYUPS)
+# Layouts of the cost study by their number of unknown angles, and its noises.
+COST_LAYUPS = {
+    2: "[?/?/(0/90)_7]_s",
+    3: "[?/?/?/90/(0/90)_6]_s",
+    4: "[?/?/?/?/(0/90)_6]_s",
+    5: "[?/?/?/?/?/90/(0/90)_5]_s",
+    6: "[?/?/?/?/?/?/(0/90)_5]_s",
+}
+COST_NOISE = (0.01, 0.002)
+COST = {f"F1's plate, {k} angles, {100 * noise:g} %": (k, noise) for noise in COST_NOISE for k in COST_LAYUPS}
+NAMES = (*TWO_ANGLES, *PRINTED, *NOISE_LAYUPS, *COST)
 # A class is determined if it has this probability.
 DETERMINED = 0.95
 # Classes whose probabilities are kept.
@@ -72,20 +85,22 @@ def run(
     notify: Notify = lambda text: None,
 ) -> Results:
     """All cases, or those named; quick: C1 with two angles on a coarse grid, and one noise."""
-    wanted = ("C1, two angles", "C1 noise, two angles") if quick else only or NAMES
+    small = ("C1, two angles", "C1 noise, two angles", next(iter(COST)))
+    wanted = small if quick else only or NAMES
     settings = SMALL if quick else DEFAULT_SETTINGS
     step = 45.0 if quick else None
     cases = []
     for name in wanted:
-        if name not in NOISE_LAYUPS:
+        if name not in NOISE_LAYUPS and name not in COST:
             notify(name)
-            cases.append(_case(name, step, settings, executor))
+            cases.append(_case(name, step, settings, executor, notify))
     noise = [
         _noise(name, NOISE[:1] if quick else NOISE, step, settings, executor, notify)
         for name in wanted
         if name in NOISE_LAYUPS
     ]
-    return {"quick": quick, "cases": cases, "noise": noise}
+    cost = [_cost(name, step, settings, executor, notify) for name in wanted if name in COST]
+    return {"quick": quick, "cases": cases, "noise": noise, "cost": cost}
 
 
 def case_specimen(name: str, step_deg: float | None = None) -> Specimen:
@@ -104,10 +119,12 @@ def own_sequence(specimen: Specimen) -> np.ndarray:
     return np.array([known[np.flatnonzero(index == i)[0]] for i in range(specimen.plate.layup.n_unknown)])
 
 
-def _case(name: str, step: float | None, settings: SequenceSettings, executor: Executor | None) -> Results:
+def _case(
+    name: str, step: float | None, settings: SequenceSettings, executor: Executor | None, notify: Notify
+) -> Results:
     specimen = case_specimen(name, step)
     start = time.process_time()
-    answer = sequence_probabilities(specimen, SEED, settings=settings, executor=executor)
+    answer = sequence_probabilities(specimen, SEED, settings=settings, executor=executor, notify=notify)
     processor = time.process_time() - start
     information = angle_information(specimen.plate.layup, answer.marginals)
     printed = identified_sequences()[name].angles_deg if name in PRINTED else None
@@ -146,6 +163,8 @@ def _posterior(answer: SequenceAnswer) -> Results:
         "effective_count": answer.effective_count,
         "unaccounted": answer.unaccounted,
         "learned_rms": None if check is None else check.rms,
+        "check": None if check is None else asdict(check),
+        "log_evidence_errors": np.quantile(answer.log_evidence_error, (0.5, 0.95, 1.0)).tolist(),
         "most_probable": {
             "angles_deg": answer.top[0].tolist(),
             "probability": float(answer.probability[0]),
@@ -171,22 +190,12 @@ def _noise(
     notify: Notify,
 ) -> Results:
     """C1's own list, as the reduced model has it, at several noises that are stated, none added."""
-    specimen = builtin("C1", sequence=True)
-    specimen = replace(specimen, plate=replace(specimen.plate, layup=parse_layup(NOISE_LAYUPS[name])))
-    specimen = specimen if step is None else replace(specimen, angle_grid_deg=step)
-    assert specimen.measurement is not None
-    n = specimen.measurement.size
-    model = reduced_model(specimen, angle_parameters(specimen).union(specimen.unknowns), n)
-    own = own_sequence(specimen)
-    x = np.concatenate((own, reference_vector(specimen, specimen.unknowns)))
-    frequencies = model.predict(x[None]).frequencies[0]
+    specimen, model_error = _with_layup("C1", NOISE_LAYUPS[name], step), np.nan
     rows = []
     for level in levels:
         notify(f"{name}, {100 * level:g} %")
-        listed = Measurement(frequencies, 0.0, level, None, ("",) * n, complete=True)
-        answer = sequence_probabilities(
-            replace(specimen, measurement=listed), SEED, settings=settings, executor=executor
-        )
+        listed, own, model_error = own_list(specimen, level)
+        answer = sequence_probabilities(listed, SEED, settings=settings, executor=executor, notify=notify)
         true = given_sequence(answer, own)
         images = 1 if true.index is None else int(answer.multiplicity[true.index])
         rows.append(
@@ -204,7 +213,7 @@ def _noise(
     return {
         "case": name,
         "layup": specimen.plate.layup.text,
-        "model_error": float(model.full.error.max()),
+        "model_error": model_error,
         "levels": rows,
         # the largest noise of those tried from which on down all determine the class
         "determined_at": max(
@@ -215,6 +224,52 @@ def _noise(
             ),
             default=None,
         ),
+    }
+
+
+def _with_layup(plate: str, layup: str, step: float | None) -> Specimen:
+    """A built-in plate with other unknown angles, if wanted on another grid of angles."""
+    specimen = builtin(plate, sequence=True)
+    specimen = replace(specimen, plate=replace(specimen.plate, layup=parse_layup(layup)))
+    return specimen if step is None else replace(specimen, angle_grid_deg=step)
+
+
+def own_list(specimen: Specimen, noise: float) -> tuple[Specimen, np.ndarray, float]:
+    """A specimen with the noise-free list of its own sequence, which comes too, and the model's error.
+
+    noise : relative standard deviation that the list states. The constants are the reference ones.
+    """
+    assert specimen.measurement is not None
+    n = specimen.measurement.size
+    model = reduced_model(specimen, angle_parameters(specimen).union(specimen.unknowns), n)
+    own = own_sequence(specimen)
+    x = np.concatenate((own, reference_vector(specimen, specimen.unknowns)))
+    frequencies = model.predict(x[None]).frequencies[0]
+    listed = Measurement(frequencies, 0.0, noise, None, ("",) * n, complete=True)
+    return replace(specimen, measurement=listed), own, float(model.full.error.max())
+
+
+def _cost(
+    name: str, step: float | None, settings: SequenceSettings, executor: Executor | None, notify: Notify
+) -> Results:
+    """What one list takes whose outermost angles are unknown."""
+    angles, noise = COST[name]
+    notify(name)
+    listed, _, _ = own_list(_with_layup("F1", COST_LAYUPS[angles], step), noise)
+    start = time.process_time()
+    answer = sequence_probabilities(listed, SEED, settings=settings, executor=executor, notify=notify)
+    return {
+        "case": name,
+        "layup": listed.plate.layup.text,
+        "unknown_angles": angles,
+        "relative_std": noise,
+        "enumerated": answer.enumerated,
+        "credible_95_count": answer.credible_count,
+        "unaccounted": answer.unaccounted,
+        "check": None if answer.check is None else asdict(answer.check),
+        "seconds": answer.seconds,
+        "processor_seconds_here": time.process_time() - start,
+        "peak_gib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20,
     }
 
 
@@ -252,6 +307,20 @@ def show(results: Results) -> None:
         for r in n["levels"]
     )
     tables.append(Table("C1's own list", tuple(Column(h, h != "case") for h in noise), levels))
+    cost = ("case", "layup", "sequences", "95 % set", "unaccounted", "s", "GiB")
+    costs = tuple(
+        (
+            c["case"],
+            c["layup"],
+            str(c["enumerated"]),
+            str(c["credible_95_count"]),
+            f"{c['unaccounted']:.1g}",
+            f"{c['seconds']:.0f}",
+            f"{c['peak_gib']:.2f}",
+        )
+        for c in results["cost"]
+    )
+    tables.append(Table("Cost", tuple(Column(h, h not in ("case", "layup")) for h in cost), costs))
     print(screen_text(tuple(tables), sys.stdout))
 
 
@@ -286,8 +355,8 @@ def kept_and(results: Results) -> Results:
         return results
     saved = json.loads(RESULTS.read_text(encoding="utf-8"))
     both = {
-        key: {**{c["case"]: c for c in saved[key]}, **{c["case"]: c for c in results[key]}}
-        for key in ("cases", "noise")
+        key: {**{c["case"]: c for c in saved.get(key, [])}, **{c["case"]: c for c in results[key]}}
+        for key in ("cases", "noise", "cost")
     }
     return {**results, **{key: [own[n] for n in NAMES if n in own] for key, own in both.items()}}
 
@@ -307,8 +376,10 @@ def main() -> None:
     parser.add_argument("--executor", type=read_spec, help="serial, processes or dask://HOST:PORT")
     args = parser.parse_args()
 
+    begun = time.perf_counter()
+
     def tell(text: str) -> None:
-        print(text, file=sys.stderr, flush=True)
+        print(f"{time.perf_counter() - begun:7.1f} s  {text}", file=sys.stderr, flush=True)
 
     with open_executor(args.executor, args.workers) as executor:
         if args.quick:

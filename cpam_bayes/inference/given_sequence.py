@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cpam_bayes.inference.sequence_classes import canonical
-from cpam_bayes.inference.sequence_evidence import SequenceFits, fit_sequences, importance_evidence
+from cpam_bayes.inference.sequence_evidence import SequenceFits, fit_sequences
+from cpam_bayes.inference.sequence_importance import importance_evidence
 from cpam_bayes.inference.sequences import SequenceAnswer
 from cpam_bayes.threads import single_blas_thread
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from cpam_bayes.inference.sequence_classes import members
 from cpam_bayes.inference.sequence_evaluation import Evaluated
 from cpam_bayes.inference.sequence_evidence import SequencePosterior
-from cpam_bayes.inference.sequence_surface import LearningSettings
+from cpam_bayes.inference.sequence_learning import LearningSettings
 from cpam_bayes.inference.symmetries import Symmetry
 from cpam_bayes.measurement import Specimen
 
@@ -110,13 +110,18 @@ class SequenceAnswer:
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """The sequences of one specimen: their posteriors, symmetries and grid; starts (2, n) of every climb."""
+    """The sequences of one specimen: their posteriors, symmetries and grid.
+
+    starts : (2, n) of every climb. library : (p, n_constants) constants whose best two for a sequence are
+    starts where climbs are to be thorough.
+    """
 
     specimen: Specimen
     own: SequencePosterior
     symmetries: tuple[Symmetry, ...]
     grid_deg: Array
     starts: Array
+    library: Array
     settings: SequenceSettings
     executor: Executor | None
 

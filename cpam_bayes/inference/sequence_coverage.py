@@ -22,9 +22,9 @@ from cpam_bayes.inference.sequence_classes import canonical
 from cpam_bayes.inference.sequence_evidence import (
     SequencePosterior,
     fit_sequences,
-    importance_evidence,
     sequence_posterior,
 )
+from cpam_bayes.inference.sequence_importance import importance_evidence
 from cpam_bayes.inference.symmetries import Symmetry, plate_symmetries
 from cpam_bayes.measurement import Measurement, Specimen
 from cpam_bayes.measurement.records import angle_grid

@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from cpam_bayes.inference.sequence_evidence import (
-    Conditionals,
     SequenceFits,
     SequencePosterior,
     fit_sequences,
-    importance_evidence,
     joined,
 )
+from cpam_bayes.inference.sequence_importance import Conditionals, importance_evidence
+from cpam_bayes.inference.sequence_scan import scanned_starts
 from cpam_bayes.parallel import run
 
 Array = NDArray[Any]
@@ -26,6 +26,8 @@ Array = NDArray[Any]
 _BATCH, _LOCATED = 32, 512
 # An evidence this far below the one expected, nats, may be that of a lesser optimum.
 _SUSPECT = 0.3
+# Members of a library that a climb starts from.
+_SCANNED = 2
 # Neighbours among which the second start is looked for.
 _NEIGHBOURS = 8
 
@@ -55,12 +57,16 @@ def evaluate(
     starts: Array,
     log2_points: int,
     executor: Executor | None,
+    library: Array | None = None,
 ) -> Evaluated:
-    """Log evidence of sequences (m, k) by importance sampling, climbed from starts (m, s, n) or (s, n)."""
+    """Log evidence of sequences (m, k) by importance sampling, climbed from starts (m, s, n) or (s, n).
+
+    library : (p, n_constants) constants, of which the two best ones of each sequence are starts as well.
+    """
     angles = grid_deg[sequences]
     starts = np.broadcast_to(starts, (len(sequences), *starts.shape[-2:]))
     items = [
-        (angles[i : i + _BATCH], starts[i : i + _BATCH], log2_points)
+        (angles[i : i + _BATCH], starts[i : i + _BATCH], library, log2_points)
         for i in range(0, len(sequences), _BATCH)
     ]
     pieces = run(_evaluate_batch, own, items, executor, batch_size=1)
@@ -68,9 +74,11 @@ def evaluate(
 
 
 def _evaluate_batch(
-    own: SequencePosterior, item: tuple[Array, Array, int]
+    own: SequencePosterior, item: tuple[Array, Array, Array | None, int]
 ) -> tuple[SequenceFits, Conditionals]:
-    angles, starts, log2_points = item
+    angles, starts, library, log2_points = item
+    if library is not None:
+        starts = np.concatenate((starts, scanned_starts(own, angles, library, _SCANNED)), axis=1)
     fits = fit_sequences(own, angles, starts)
     return fits, importance_evidence(own, angles, fits, log2_points)
 

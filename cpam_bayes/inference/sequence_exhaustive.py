@@ -1,14 +1,27 @@
-"""The posterior over few stacking sequences: the evidence of each one is computed."""
+"""The posterior over few stacking sequences: the evidence of each one is computed.
+
+All are looked at on a small basis first. Those near the best are computed again, on a basis that is made
+for them, from their own optimum and from those of their neighbours: of two optima a climb may have
+met the lesser one.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cpam_bayes.inference.sequence_answer import CREDIBLE, SequenceAnswer, Task, moved
+from cpam_bayes.inference.sequence_bases import NEAR, about, roughly
 from cpam_bayes.inference.sequence_classes import canonical
-from cpam_bayes.inference.sequence_evaluation import evaluate
+from cpam_bayes.inference.sequence_evaluation import Evaluated, evaluate, merged, neighbours, with_optima
+
+Array = NDArray[Any]
+
+# log2 of the points of the first look.
+_FIRST_POINTS = 5
 
 
 def exhaustive(task: Task, rng: np.random.Generator, notify: Callable[[str], None]) -> SequenceAnswer:
@@ -20,9 +33,7 @@ def exhaustive(task: Task, rng: np.random.Generator, notify: Callable[[str], Non
     _, first, label = np.unique(code, return_index=True, return_inverse=True)
     representative, size = orbits.representative[first], orbits.size[first]
     notify(f"evidence of {len(first)} sequences")
-    data = evaluate(
-        task.own, task.grid_deg, representative, task.starts, task.settings.log2_points, task.executor
-    )
+    data = _computed(task, representative, rng)
     total = float(np.log(np.sum(size * np.exp(data.log_evidence - data.log_evidence.max()))))
     total += float(data.log_evidence.max())
     single = np.exp(data.log_evidence - total)
@@ -56,3 +67,32 @@ def exhaustive(task: Task, rng: np.random.Generator, notify: Callable[[str], Non
         check=None,
         seconds=0.0,
     )
+
+
+def _computed(task: Task, sequences: Array, rng: np.random.Generator) -> Evaluated:
+    """The evidence of sequences (m, k), in their order."""
+    rough = roughly(task.own, rng)
+    first = evaluate(rough, task.grid_deg, sequences, task.starts, _FIRST_POINTS, task.executor, task.library)
+    some = first.log_evidence > first.log_evidence.max() - NEAR
+    features = _angle_functions(task.grid_deg[sequences])
+    own = first.fits.x[some]
+    around = neighbours(features[some], own, np.ones(features.shape[1]), np.ones((1, features.shape[1])))
+    starts = np.concatenate((own[:, None, :], around.starts(features[some], own)[:, 1:]), axis=1)
+    exact = evaluate(
+        about(task.own, task.grid_deg, first, rng),
+        task.grid_deg,
+        sequences[some],
+        starts,
+        task.settings.log2_points,
+        task.executor,
+        task.library,
+    )
+    both = merged(exact, with_optima(first[~some], exact.fits.weight.shape[1]))
+    place = np.argsort(np.concatenate((np.flatnonzero(some), np.flatnonzero(~some))), kind="stable")
+    return both[place]
+
+
+def _angle_functions(angles_deg: Array) -> Array:
+    """cos and sin of twice and four times every angle (m, k), (m, 4 k): near ones are of near sequences."""
+    t = np.deg2rad(angles_deg)
+    return np.concatenate([f(n * t) / n for n in (2, 4) for f in (np.cos, np.sin)], axis=1)

@@ -38,9 +38,10 @@ from cpam_bayes.inference.sequence_evaluation import (
     merged,
     with_optima,
 )
+from cpam_bayes.inference.sequence_learning import Learned, Learning, learn, learn_more, learn_on
 from cpam_bayes.inference.sequence_listing import Listed, compute_listed, learned_values
 from cpam_bayes.inference.sequence_parts import Part, combined_answer, draw_parts
-from cpam_bayes.inference.sequence_surface import Learned, Learning, Surface, learn, learn_more, learn_on
+from cpam_bayes.inference.sequence_surface import Surface
 from cpam_bayes.inference.symmetries import Symmetry
 from cpam_bayes.parallel import run
 
@@ -74,7 +75,9 @@ def learned(
 ) -> SequenceAnswer:
     """The evidence learned, all sequences gone through, those that can matter computed."""
     images = _images(task, sums)
-    problem = Learning(task.own, sums, images, task.starts, task.settings.learning, task.executor)
+    problem = Learning(
+        task.own, sums, images, task.starts, task.library, task.settings.learning, task.executor
+    )
     known = learn(problem, rng, notify)
     rounds, fine = _ROUNDS, False
     trial = replace(task, settings=replace(task.settings, fitted=min(_TRIAL, task.settings.fitted)))

@@ -22,7 +22,8 @@ from cpam_bayes.inference.sequence_evaluation import (
     locate,
     neighbours,
 )
-from cpam_bayes.inference.sequence_surface import Learned, Surface
+from cpam_bayes.inference.sequence_learning import Learned
+from cpam_bayes.inference.sequence_surface import Surface
 from cpam_bayes.parallel import run
 
 Array = NDArray[Any]
@@ -141,11 +142,13 @@ def _located(
 def with_care(
     task: Task, known: Learned, around: Neighbours, sequences: Array, features: Array, x: Array | None
 ) -> Evaluated:
-    """Sequences (m, k) climbed from two optima nearby and the common starts, and sampled with more points."""
+    """Sequences (m, k) climbed from optima nearby, the reference and the library, and sampled."""
     near = around.starts(features, x)
-    common = np.broadcast_to(task.starts, (len(sequences), *task.starts.shape))
+    common = np.broadcast_to(task.starts[0], (len(sequences), 1, near.shape[2]))
     starts = np.concatenate((near, common), axis=1)
-    return evaluate(known.near, task.grid_deg, sequences, starts, task.settings.log2_points, task.executor)
+    return evaluate(
+        known.near, task.grid_deg, sequences, starts, task.settings.log2_points, task.executor, task.library
+    )
 
 
 def learned_values(surface: Surface, executor: Executor | None, features: Array) -> Array:

@@ -19,8 +19,8 @@ from cpam_bayes.inference.sequence_answer import (
 )
 from cpam_bayes.inference.sequence_classes import canonical
 from cpam_bayes.inference.sequence_evaluation import Evaluated, merged
+from cpam_bayes.inference.sequence_learning import Learned
 from cpam_bayes.inference.sequence_listing import Listed, with_care
-from cpam_bayes.inference.sequence_surface import Learned
 
 Array = NDArray[Any]
 

@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from concurrent.futures import Executor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cpam_bayes.inference.evidence_table import log_evidence
-from cpam_bayes.inference.focus import focused
 from cpam_bayes.inference.ply_sums import PlySums
-from cpam_bayes.inference.sequence_evaluation import Evaluated, evaluate, merged, neighbours
+from cpam_bayes.inference.sequence_bases import NEAR
+from cpam_bayes.inference.sequence_evaluation import Evaluated
 from cpam_bayes.inference.sequence_evidence import SequencePosterior
 from cpam_bayes.inference.smooth_map import SmoothMap, fit_map
-from cpam_bayes.model import training_sets
-from cpam_bayes.parallel import run
 
 Array = NDArray[Any]
 
@@ -25,43 +21,9 @@ Array = NDArray[Any]
 _DEPTH = 45.0
 # Fits farther off than this, standard deviations of the noise, are left out: they say nothing of the top.
 _FAR = 60.0
-# A first basis for the whole box: parameter sets that it is made from, and its relative error.
-_BOX_SETS, _BOX_ERROR = 400, 1e-3
-# The basis about the posterior: how far below the best, nats, a sequence belongs to it; sets; error.
-_NEAR, _NEAR_SETS, _NEAR_ERROR = 18.0, 800, 1e-4
-# Evenly drawn sequences are sampled with so many points: most are hopeless.
-_FIRST_POINTS = 4
-# Sequences among which those are looked for whose evidence may be high, and how many at a time; how far
-# below the best it may be, nats.
-_POOL, _POOL_ROWS, _HOPE = 12_000, 1000, 8.0
 # Least length scales of the lamination parameters and of the further sums, whose reach the cells of a table
 # span, in standard deviations.
 _LEAST_LENGTHS = (0.2, 5.0)
-# Temperature of the sequences of which one angle is changed.
-_CHANGED = 3.0
-# Sweeps of Gibbs' sampler, and the pieces that its chains are shared out in.
-_SWEEPS, _CHAIN_PIECES = 3, 4
-# Root mean square error, nats, from which on the region of the posterior is known.
-_FOUND = 4.0
-
-
-@dataclass(frozen=True, slots=True)
-class LearningSettings:
-    """How the surface is learned.
-
-    first : sequences drawn evenly. explorations : rounds that look where the evidence may be high.
-    each_round : sequences that join a round. most : of all. error : root mean square error, nats, on fresh
-    draws from the posterior that ends the learning where the sequences that count are few enough to be
-    computed one by one; fine : where they are not. log2_points : of the importance sampling of each sequence.
-    """
-
-    first: int = 300
-    explorations: int = 6
-    each_round: int = 180
-    most: int = 2000
-    error: float = 0.2
-    fine: float = 0.1
-    log2_points: int = 6
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,167 +78,24 @@ def _expansion_slope(y: Array, top: float) -> Array:
     return np.asarray(1.0 / -np.expm1(-above))
 
 
-@dataclass(frozen=True, slots=True)
-class Learned:
-    """A surface, the sequences that it was learned from, and the posterior on a basis about the mass."""
-
-    surface: Surface
-    data: Evaluated
-    near: SequencePosterior
-
-
-@dataclass(frozen=True, slots=True)
-class Learning:
-    """What is learned: the posteriors of the constants, over the ply sums of the sequences.
-
-    images : (n_images, d) changes of sign of the features that change no frequency. starts : (2, n) of
-    every climb.
-    """
-
-    own: SequencePosterior
-    sums: PlySums
-    images: Array
-    starts: Array
-    settings: LearningSettings
-    executor: Executor | None
-
-
-def learn(problem: Learning, rng: np.random.Generator, notify: Callable[[str], None]) -> Learned:
-    """The surface, by rounds, on reduced bases that are made for where the rounds go.
-
-    Evenly drawn sequences come first, then such of which the surface does not know that they are far
-    below the best, so that no region is overlooked. Then, round after round, sequences are drawn from the
-    posterior as the surface has it, a quarter each at temperatures 1, 2 and 4, and join, with good ones of
-    which one angle is changed. Those of temperature 1 tell its error before they do.
-    """
-    own, sums, settings, executor = problem.own, problem.sums, problem.settings, problem.executor
-    g, k = len(sums.grid_deg), sums.n_unknown
-    box = training_sets(own.model.full.operator.problem, _BOX_SETS, rng)
-    rough = replace(own, model=focused(own.model, box, _BOX_ERROR))
-    sequences = np.unique(rng.integers(g, size=(settings.first, k)), axis=0)
-    notify(f"log evidence of {len(sequences)} sequences drawn evenly")
-    data = evaluate(rough, sums.grid_deg, sequences, problem.starts, _FIRST_POINTS, executor)
-    surface = None
-    for _ in range(settings.explorations):
-        surface = _fit(problem, data, rng, np.inf, np.inf, surface)
-        drawn = _hopeful(surface, sums, data, settings.each_round, rng)
-        if not len(drawn):
-            break
-        both = _starts(surface, problem, data, drawn)
-        data = merged(data, evaluate(rough, sums.grid_deg, drawn, both, _FIRST_POINTS, executor))
-        notify(f"{len(data.sequences)} sequences looked at, where the evidence may be high")
-    surface = _fit(problem, data, rng, np.inf, np.inf, surface)
-    return learn_on(Learned(surface, data, rough), problem, settings.error, rng, notify)
-
-
-def learn_on(
-    known: Learned, problem: Learning, error: float, rng: np.random.Generator, notify: Callable[[str], None]
-) -> Learned:
-    """A surface learned on from draws from the posterior until its error on them, nats, is small enough."""
-    own, sums, settings, executor = problem.own, problem.sums, problem.settings, problem.executor
-    surface, data, near = known.surface, known.data, known.near
-    found = np.isfinite(surface.rms_error)
-    rms, worst, before = surface.rms_error, surface.largest_error, np.inf
-    while True:
-        # one round may by chance have met nothing new
-        enough = max(rms, before) <= error or len(data.sequences) >= settings.most
-        drawn, cold = (data.sequences[:0], np.zeros(0, dtype=bool))
-        if not enough:
-            drawn, cold = _draws(surface, sums, data, settings.each_round, rng, executor)
-        if not len(drawn):  # or every sequence that counts is known
-            return Learned(surface, data, near if found else _about(own, sums, data, rng))
-        both = _starts(surface, problem, data, drawn)
-        fresh = evaluate(near, sums.grid_deg, drawn, both, settings.log2_points, executor)
-        miss = surface.values(sums.features(drawn[cold])) - fresh.log_evidence[cold]
-        before = rms
-        if len(miss):
-            rms, worst = float(np.sqrt(np.mean(miss**2))), float(np.abs(miss).max())
-        data = merged(data, fresh)
-        if rms < _FOUND:
-            near = _about(own, sums, data, rng)
-            if not found:  # what the rough basis gave is not good enough next to the top
-                data = _again(near, sums, data, settings, executor)
-            found = True
-        surface = _fit(problem, data, rng, rms, worst, surface)
-        so_far = f", to {rms:.2f} nats" if np.isfinite(rms) else ""
-        notify(f"log evidence learned from {len(data.sequences)} sequences{so_far}")
-
-
-def _starts(surface: Surface, problem: Learning, data: Evaluated, sequences: Array) -> Array:
-    """Two starts of sequences (m, k), the nearest optimum and the first of the common ones, (m, 2, n)."""
-    sums = problem.sums
-    around = neighbours(sums.features(data.sequences), data.fits.x, surface.smooth.lengths, problem.images)
-    near = around.nearest(sums.features(sequences))
-    return np.stack((near, np.broadcast_to(problem.starts[0], near.shape)), axis=1)
-
-
-def _hopeful(surface: Surface, sums: PlySums, data: Evaluated, n: int, rng: np.random.Generator) -> Array:
-    """New sequences (up to n) of which the surface does not know that they are far below the best."""
-    g, k = len(sums.grid_deg), sums.n_unknown
-    if g**k <= _POOL:
-        pool = np.stack(np.unravel_index(np.arange(g**k), (g,) * k), axis=1)
-    else:
-        pool = np.unique(rng.integers(g, size=(_POOL, k)), axis=0)
-    known = {tuple(s) for s in data.sequences}
-    pool = pool[[tuple(s) not in known for s in pool]]
-    pieces = np.array_split(pool, max(len(pool) // _POOL_ROWS, 1))
-    value = np.concatenate([surface.optimistic(sums.features(p)) for p in pieces])
-    hopeful = np.flatnonzero(value > surface.top - _HOPE)
-    return np.asarray(pool[np.sort(rng.permutation(hopeful)[:n])])
-
-
-def learn_more(known: Learned, problem: Learning, fresh: Evaluated, rng: np.random.Generator) -> Learned:
-    """The surface learned from further sequences as well, and a basis that is made for them too."""
-    data = merged(known.data, fresh)
-    old = known.surface
-    surface = _fit(problem, data, rng, old.rms_error, old.largest_error, old)
-    return Learned(surface, data, _about(problem.own, problem.sums, data, rng))
-
-
-def _about(
-    own: SequencePosterior, sums: PlySums, data: Evaluated, rng: np.random.Generator
-) -> SequencePosterior:
-    """The posterior on a basis that is made for the sequences near the top and their constants."""
-    some = np.flatnonzero(data.log_evidence > data.log_evidence.max() - _NEAR)
-    draws = data.conditionals.draws[some][..., : own.template.model.parameters.size]
-    angles = np.repeat(sums.grid_deg[data.sequences[some]], draws.shape[1], axis=0)
-    x = np.column_stack((angles, draws.reshape(len(angles), -1)))
-    x = x[rng.permutation(len(x))[:_NEAR_SETS]]
-    return replace(own, model=focused(own.model, x, _NEAR_ERROR))
-
-
-def _again(
-    near: SequencePosterior,
+def fit_surface(
+    own: SequencePosterior,
     sums: PlySums,
-    data: Evaluated,
-    settings: LearningSettings,
-    executor: Executor | None,
-) -> Evaluated:
-    """The data with those near the top evaluated anew."""
-    some = data.log_evidence > data.log_evidence.max() - _NEAR
-    fresh = evaluate(
-        near,
-        sums.grid_deg,
-        data.sequences[some],
-        near.axes.to_x(data.fits.optima[some]),
-        settings.log2_points,
-        executor,
-    )
-    return merged(data[~some], fresh)
-
-
-def _fit(
-    problem: Learning,
+    images: Array,
     data: Evaluated,
     rng: np.random.Generator,
     rms: float,
     worst: float,
     before: Surface | None,
 ) -> Surface:
-    own, images = problem.own, problem.images
+    """The surface through evaluated sequences.
+
+    images : (n_images, d) changes of sign of the features that change no frequency. rms, worst : error of
+    ``before``, a surface through fewer sequences, on fresh draws, nats.
+    """
     like = None if before is None else before.smooth
     top = float(data.log_evidence.max())
-    features = problem.sums.features(data.sequences)
+    features = sums.features(data.sequences)
     least = np.where(np.arange(features.shape[1]) < 4, *_LEAST_LENGTHS)
     scored = own.template.measurement.complete
     if not scored:  # frequencies have no mode of their own
@@ -286,7 +105,7 @@ def _fit(
     size = np.sum(z**2, axis=1)
     kept = size <= max(_FAR**2, float(np.median(size)))
     # far down few points are sampled: Laplace's evidence is the better one there
-    near = data.log_evidence > top - _NEAR
+    near = data.log_evidence > top - NEAR
     log_z = np.where(near, data.log_evidence, data.fits.log_evidence)
     y = np.column_stack((z, log_z + 0.5 * size))[kept]
     return Surface(fit_map(features[kept], y, rng, images, like, least), True, top, rms, worst)
@@ -299,60 +118,3 @@ def _scores(own: SequencePosterior, data: Evaluated) -> Array:
     i = np.arange(len(measured))
     sigma = own.template.noise(data.fits.x, predicted)[:, i, i]
     return np.asarray((measured - predicted) / sigma)
-
-
-def _draws(
-    surface: Surface,
-    sums: PlySums,
-    data: Evaluated,
-    n: int,
-    rng: np.random.Generator,
-    executor: Executor | None,
-) -> tuple[Array, Array]:
-    """New sequences, n or fewer, and which of them were drawn by Gibbs' sampler at temperature 1, bool.
-
-    Each chain starts from a sequence that was evaluated, drawn by its evidence at its temperature. Some
-    sequences do not heed the surface, which may be wrong about them: good ones with one angle changed.
-    """
-    temperature = np.repeat([1.0, 2.0, 4.0, _CHANGED], -(-n // 4))[:n]
-    g, k = len(sums.grid_deg), sums.n_unknown
-    state = np.empty((n, k), dtype=np.int64)
-    for t in np.unique(temperature):
-        w = np.exp((data.log_evidence - data.log_evidence.max()) / max(t, 2.0))
-        own = np.flatnonzero(temperature == t)
-        state[own] = data.sequences[rng.choice(len(w), size=len(own), p=w / w.sum())]
-    changed = np.flatnonzero(temperature == _CHANGED)
-    state[changed, rng.integers(k, size=len(changed))] = rng.integers(g, size=len(changed))
-    moving = np.flatnonzero(temperature != _CHANGED)
-    uniform = rng.uniform(size=(len(moving), _SWEEPS * k))
-    items = [
-        (state[rows], temperature[rows], uniform[part])
-        for part in np.array_split(np.arange(len(moving)), _CHAIN_PIECES)
-        for rows in [moving[part]]
-        if len(rows)
-    ]
-    state[moving] = np.concatenate(run(_gibbs, (surface, sums), items, executor, batch_size=1))
-    _, first = np.unique(state, axis=0, return_index=True)
-    known = {tuple(s) for s in data.sequences}
-    new = np.array([i for i in np.sort(first) if tuple(state[i]) not in known], dtype=np.int64)
-    return state[new], temperature[new] == 1.0
-
-
-def _gibbs(shared: tuple[Surface, PlySums], item: tuple[Array, Array, Array]) -> Array:
-    """Chains (m, k) after sweeps of Gibbs' sampler at temperatures (m,), by uniform numbers (m, steps)."""
-    surface, sums = shared
-    state, temperature, uniform = item
-    m, k = state.shape
-    g = len(sums.grid_deg)
-    both = np.concatenate((sums.first, sums.rest), axis=2)
-    total = sums.features(state)
-    for step in range(uniform.shape[1]):
-        j = step % k
-        without = total - both[j][state[:, j]]
-        candidates = (without[:, None, :] + both[j][None, :, :]).reshape(m * g, -1)
-        value = surface.values(candidates).reshape(m, g) / temperature[:, None]
-        cumulative = np.cumsum(np.exp(value - value.max(axis=1, keepdims=True)), axis=1)
-        pick = uniform[:, step] * cumulative[:, -1]
-        state[:, j] = np.minimum((cumulative < pick[:, None]).sum(axis=1), g - 1)
-        total = without + both[j][state[:, j]]
-    return state

@@ -29,6 +29,7 @@ from cpam_bayes.inference.sequence_answer import (
 from cpam_bayes.inference.sequence_evidence import SequencePosterior, sequence_posterior
 from cpam_bayes.inference.sequence_exhaustive import exhaustive
 from cpam_bayes.inference.sequence_learned import learned
+from cpam_bayes.inference.sequence_scan import scan_library
 from cpam_bayes.inference.symmetries import plate_symmetries
 from cpam_bayes.measurement import Specimen
 from cpam_bayes.measurement.records import angle_grid
@@ -50,6 +51,8 @@ Array = NDArray[Any]
 
 # Modes looked at beyond the list where it may lack some.
 _SPARE_MODES = 4
+# Constants that climbs may start from.
+_LIBRARY = 96
 
 
 @single_blas_thread
@@ -82,7 +85,8 @@ def sequence_probabilities(
     error = np.asarray(np.hypot(model.full.error, REDUCTION.tolerance))
     own = sequence_posterior(model, layup.n_unknown, measurement, error)
     starts = common_starts(specimen, own)
-    task = Task(specimen, own, plate_symmetries(specimen), grid, starts, settings, executor)
+    library = scan_library(own, _LIBRARY, np.random.default_rng([seed, 8]))
+    task = Task(specimen, own, plate_symmetries(specimen), grid, starts, library, settings, executor)
     rng = np.random.default_rng([seed, 4])
     answer = exhaustive(task, rng, notify) if sums is None else learned(task, sums, rng, notify, progress)
     return replace(answer, seconds=time.perf_counter() - start)

@@ -14,10 +14,10 @@ from cpam_bayes.inference.sequence_evaluation import locate, neighbours
 from cpam_bayes.inference.sequence_evidence import (
     SequencePosterior,
     fit_sequences,
-    importance_evidence,
     sequence_posterior,
 )
-from cpam_bayes.inference.sequence_surface import LearningSettings
+from cpam_bayes.inference.sequence_importance import importance_evidence
+from cpam_bayes.inference.sequence_learning import LearningSettings
 from cpam_bayes.inference.sequences import (
     DEFAULT_SETTINGS,
     SequenceAnswer,
