@@ -42,7 +42,8 @@ def claim_of(
     Nothing is wrong where none has half the probability. A single cause is named, or its class, where the
     class has 0.9 and its best member is 3 nats above the best outsider, none and other among these; a
     member alone where it has 0.9 itself. Pairs count in the probabilities, with their priors. Then a pair
-    or other is claimed at 0.9. The rest is undecided.
+    is claimed where it and those whose causes cannot be told from its own have 0.9, or other. The rest is
+    undecided.
     """
     if probability[NONE] >= PLAIN:
         return Claim("none", (), probability[NONE])
@@ -63,12 +64,24 @@ def claim_of(
             whole = sum(probability[c] for c in members)
             if whole >= SURE:
                 return Claim("class", tuple(members), whole)
-    for name, causes in pairs.items():
-        if probability[name] >= SURE:
-            return Claim("pair", causes, probability[name])
+    if pairs:
+        leading = max(pairs, key=lambda name: probability[name])
+        whole = sum(probability[name] for name in pairs if _stands_for(pairs[leading], pairs[name], alike))
+        if whole >= SURE:
+            return Claim("pair", pairs[leading], whole)
     if probability[OTHER] >= SURE:
         return Claim("other", (), probability[OTHER])
     # a pair stands for both of its causes
     named = sorted((c for c in probability if c not in (NONE, OTHER)), key=lambda c: -probability[c])
     causes = tuple(dict.fromkeys(c for name in named for c in pairs.get(name, (name,))))[:UNDECIDED]
     return Claim("undecided", causes, sum(probability[c] for c in causes if c in probability))
+
+
+def _stands_for(one: tuple[str, ...], other: tuple[str, ...], alike: Mapping[str, frozenset[str]]) -> bool:
+    """Whether each cause of a pair is one of the other pair, or cannot be told from it."""
+
+    def is_like(a: str, b: str) -> bool:
+        return a == b or b in alike.get(a, frozenset())
+
+    (a, b), (c, d) = one, other
+    return (is_like(a, c) and is_like(b, d)) or (is_like(a, d) and is_like(b, c))

@@ -14,6 +14,7 @@ from cpam_bayes.diagnosis.fitting import SCATTER, PlateCase
 from cpam_bayes.diagnosis.hypotheses import (
     NONE,
     OTHER,
+    PAIR,
     Hypothesis,
     ListChange,
     go_together,
@@ -29,6 +30,8 @@ Array = NDArray[Any]
 
 # Pairs that are looked at by themselves, of all that are ranked, and of these the most that are climbed.
 _PAIRS, _PAIRS_CLIMBED = 16, 6
+# Log Bayes factor of a pair over the better one of its causes, from which it is a hypothesis of its own.
+PAIR_GAIN = 3.0
 # Leading causes of the list that pair with as many other causes.
 _LISTS, _SECOND = 2, 8
 
@@ -89,13 +92,29 @@ def weigh(
     log_weight = np.array([t.log_weight for t in order])
     share = np.exp(log_weight - log_weight.max())
     share /= share.sum()
-    return Weighed(
-        tuple(
-            replace(t, probability=float(p), log_bayes_factor=t.marginal.log_evidence - log_none)
-            for t, p in zip(order, share, strict=True)
-        ),
-        tuple(dict.fromkeys(scan.not_tested)),
-    )
+    tested = [
+        replace(t, probability=float(p), log_bayes_factor=t.marginal.log_evidence - log_none)
+        for t, p in zip(order, share, strict=True)
+    ]
+    return Weighed(_credited(tested), tuple(dict.fromkeys(scan.not_tested)))
+
+
+def _credited(tested: Sequence[Tested]) -> tuple[Tested, ...]:
+    """Without the pairs that show one cause only; what they weigh counts for that cause.
+
+    Any cause may act unseen beside the one that a list shows. Such pairs are as good as that cause alone,
+    and together they hold a share of its probability that no data take away from them. A pair is one
+    hypothesis more where its evidence is e^3 times that of the better one of its causes.
+    """
+    kept = {i: t.probability for i, t in enumerate(tested)}
+    for i, t in enumerate(tested):
+        if t.hypothesis.family == PAIR:
+            alone = [j for j, s in enumerate(tested) if s.hypothesis.cause in t.hypothesis.causes]
+            best = max(alone, key=lambda j: tested[j].log_bayes_factor, default=i)
+            if t.log_bayes_factor - tested[best].log_bayes_factor < PAIR_GAIN:
+                kept[best] += kept.pop(i)
+    order = sorted(kept, key=lambda i: -kept[i])
+    return tuple(replace(tested[i], probability=kept[i]) for i in order)
 
 
 def _pairs(scan: Scan, looked: Sequence[Tested], singles: Sequence[Hypothesis]) -> list[Tested]:

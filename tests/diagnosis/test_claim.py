@@ -103,6 +103,15 @@ def test_two_causes_at_once_are_a_pair() -> None:
     assert found == Claim("pair", ("a", "b"), 0.93)
 
 
+def test_pairs_whose_causes_cannot_be_told_apart_are_claimed_together() -> None:
+    probability = {"a + b": 0.5, "c + a": 0.43, "c + d": 0.05, "a": 0.02, "b": 0.0, "c": 0.0, "d": 0.0}
+    pairs = {"a + b": ("a", "b"), "c + a": ("c", "a"), "c + d": ("c", "d")}
+    assert claimed(probability, pairs=pairs).kind == "undecided"
+    # b and c are alike: the second pair is the first with its causes named the other way round
+    found = claimed(probability, classes=("bc",), pairs=pairs)
+    assert (found.kind, found.causes, found.probability) == ("pair", ("a", "b"), pytest.approx(0.93))
+
+
 @pytest.mark.parametrize("pair", ["a + b", "c + d"])
 def test_pairs_count_in_the_probabilities_alone(pair: str) -> None:
     # their priors are so low that their evidence may well be the larger one

@@ -118,6 +118,14 @@ def test_two_causes_at_once_are_found_as_a_pair() -> None:
     assert found.tested[0].marginal.log_evidence == pytest.approx(expected, abs=2.0)
 
 
+def test_a_pair_that_shows_one_cause_only_counts_for_that_cause() -> None:
+    own = plate(0.015 * DENT)
+    found, alone = (weigh([own], of_one(NOTHING, ANYTHING, *SINGLES), pairs=p) for p in (True, False))
+    pairs = [t.hypothesis.causes for t in found.tested if t.hypothesis.family == "pair"]
+    assert pairs == [("bent", "turned")]  # better than either, and not than what acts
+    assert found.by_cause()["dented"] == pytest.approx(alone.by_cause()["dented"], abs=1e-3)
+
+
 def test_no_pair_is_looked_at_where_none_leads() -> None:
     found = weigh([plate(0.0 * DENT)], of_one(NOTHING, ANYTHING, *SINGLES))
     assert found.tested[0].hypothesis.cause == NONE

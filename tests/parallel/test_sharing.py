@@ -313,6 +313,8 @@ def _script(
         text=True,
         env=environment,
         start_new_session=True,
+        # a shell that puts the tests in the background has them ignore interrupts, and what they start
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
     try:
         # the workers hold its standard output open, so this ends once the last of them is gone
