@@ -196,14 +196,14 @@ class Linear:
 
 
 def linear(own: Bench, x: Array) -> Linear:
-    """The plate at constants (n,)."""
+    """The plate at constants (n,); of another material, with the scores nearest to them."""
     models = own.case.models
     scores = scores_of(models.parameters)
     z = scores.to_z(x[None])
     found = models.bare.predict(x[None], jacobian=True)
     assert found.jacobian is not None
     f = found.frequencies[0]
-    slope = found.jacobian[0] / f[:, None] * scores.slope(x[None], z)[0] / own.noise
+    slope = found.jacobian[0] / f[:, None] * scores.slope(scores.to_x(z), z)[0] / own.noise
     return Linear(own, x, np.log(f), slope, z[0])
 
 

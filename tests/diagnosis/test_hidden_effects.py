@@ -70,6 +70,12 @@ def test_a_size_has_the_signal_to_noise_ratio_that_was_asked_for() -> None:
             assert np.linalg.norm(at.visible(h, np.array([size]))) == pytest.approx(8.0, rel=0.02)
 
 
+def test_constants_far_from_the_reference_are_another_material_and_nothing_overflows() -> None:
+    found = record(Trial("one", ("material",)))
+    assert found["answer"]["claimed"] == ["material"]
+    assert linear(thin(), np.full(4, 0.9) * thin().case.models.parameters.upper).root.max() <= 1.0
+
+
 def test_what_the_constants_imitate_is_not_seen() -> None:
     at = linear(thin(), constants())
     (h,) = of_cause(thin(), "frequency_scale")
