@@ -51,6 +51,8 @@ def run_trial(own: Bench, trial: Trial) -> Record:
         measurement=hidden.own.list_of(hidden.listed * np.exp(hidden.own.noise * hidden.noise)),
     )
     hypotheses = hypotheses_of([case])
+    if trial.lacks:  # a list that says which mode it lacks lacks no other
+        hypotheses = [(h, plates) for h, plates in hypotheses if not h.listed.missed]
     if trial.kind == "outside":
         hypotheses = [(h, plates) for h, plates in hypotheses if h.cause not in alike]
     simulated = time.perf_counter()

@@ -76,6 +76,11 @@ def test_constants_far_from_the_reference_are_another_material_and_nothing_overf
     assert linear(thin(), np.full(4, 0.9) * thin().case.models.parameters.upper).root.max() <= 1.0
 
 
+def test_a_list_that_says_which_mode_it_lacks_is_diagnosed_like_any_other() -> None:
+    found = record(Trial("one", ("sensor_mass",), 8.0, lacks=True))
+    assert "sensor_mass" in found["answer"]["class"]
+
+
 def test_what_the_constants_imitate_is_not_seen() -> None:
     at = linear(thin(), constants())
     (h,) = of_cause(thin(), "frequency_scale")
