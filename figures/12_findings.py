@@ -26,7 +26,7 @@ _SPELT_FROM = 0.12
 def draw(results: Path = RESULTS, folder: Path = HERE) -> list[Path]:
     """Draw one bar a group of plates from the study's results in one folder into another."""
     groups = json.loads((results / "12_findings.json").read_text(encoding="utf-8"))["groups"]
-    figure = Figure(figsize=(10.5, 0.34 * len(groups) + 1.4), layout="constrained")
+    figure = Figure(figsize=(10.5, 0.3 * len(groups) + 1.4), layout="constrained")
     FigureCanvasAgg(figure)
     bars, fits = figure.subplots(1, 2, width_ratios=(3.2, 1.0), sharey=True)
     for row, group in enumerate(groups):
@@ -44,10 +44,10 @@ def draw(results: Path = RESULTS, folder: Path = HERE) -> list[Path]:
     bars.set_xlabel("probability")
     bars.set_title("none (green), other (grey), the leading causes, the rest (light)", fontsize=9)
     fits.set_xscale("log")
-    fits.set_xlim(0.08, 15.0)
-    fits.set_xticks((0.1, 0.3, 1.0, 3.0, 10.0), ("0.1", "0.3", "1", "3", "10"))
+    fits.set_xlim(0.1, 100.0)
+    fits.set_xticks((0.1, 1.0, 10.0, 100.0), ("0.1", "1", "10", "100"))
     fits.minorticks_off()
-    fits.set_xlabel("rms residual in %, before and after")
+    fits.set_xlabel("rms residual, %;\narrow: to the extended model")
     fits.grid(axis="x", color="0.9")
     for axes in (bars, fits):
         axes.spines[["top", "right"]].set_visible(False)
@@ -66,7 +66,7 @@ def _bar(axes: Axes, row: int, group: dict[str, Any]) -> None:
         axes.barh(row, probability, left=left, color=colour, height=0.72)
         if probability >= _SPELT_FROM and cause not in COLOURS:
             text = f"{cause} {by_cause[cause]['variant']}".strip()
-            axes.text(left + 0.5 * probability, row, text, ha="center", va="center", fontsize=7)
+            axes.text(left + 0.5 * probability, row, text, ha="center", va="center", fontsize=7, color="white")
         left += probability
     axes.barh(row, 1.0 - left, left=left, color=REST, height=0.72)
 
