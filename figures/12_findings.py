@@ -66,7 +66,9 @@ def _bar(axes: Axes, row: int, group: dict[str, Any]) -> None:
         axes.barh(row, probability, left=left, color=colour, height=0.72)
         if probability >= _SPELT_FROM and cause not in COLOURS:
             text = f"{cause} {by_cause[cause]['variant']}".strip()
-            axes.text(left + 0.5 * probability, row, text, ha="center", va="center", fontsize=7, color="white")
+            axes.text(
+                left + 0.5 * probability, row, text, ha="center", va="center", fontsize=7, color="white"
+            )
         left += probability
     axes.barh(row, 1.0 - left, left=left, color=REST, height=0.72)
 
