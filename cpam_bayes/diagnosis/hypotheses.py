@@ -124,21 +124,6 @@ def with_prior_of_none(
     ]
 
 
-def pairs_of(leading: Sequence[Hypothesis], singles: Sequence[Hypothesis]) -> tuple[Hypothesis, ...]:
-    """Two at a time of the leading single causes, each pair with its share of the probability of pairs.
-
-    The prior of pairs is shared over all pairs of causes of the plate in proportion to the product of
-    theirs, so that what is not looked at keeps its own.
-    """
-    scale = pair_scale(singles)
-    found = []
-    for i, a in enumerate(leading):
-        for b in leading[i + 1 :]:
-            if go_together(a, b):
-                found.append(paired(a, b, scale))
-    return tuple(found)
-
-
 def pair_scale(singles: Sequence[Hypothesis]) -> float:
     """Prior of a pair over the product of the priors of its causes."""
     by_cause: dict[str, float] = defaultdict(float)

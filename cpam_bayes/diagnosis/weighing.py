@@ -110,7 +110,7 @@ def _credited(tested: Sequence[Tested]) -> tuple[Tested, ...]:
     for i, t in enumerate(tested):
         if t.hypothesis.family == PAIR:
             alone = [j for j, s in enumerate(tested) if s.hypothesis.cause in t.hypothesis.causes]
-            best = max(alone, key=lambda j: tested[j].log_bayes_factor, default=i)
+            best = max(alone, key=lambda j: tested[j].log_bayes_factor)
             if t.log_bayes_factor - tested[best].log_bayes_factor < PAIR_GAIN:
                 kept[best] += kept.pop(i)
     order = sorted(kept, key=lambda i: -kept[i])

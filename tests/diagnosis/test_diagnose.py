@@ -23,6 +23,8 @@ from tests.diagnosis.toy_plates import (
     BUMP,
     DENT,
     F0,
+    NOISE,
+    SCATTER,
     SD,
     A,
     Array,
@@ -36,8 +38,6 @@ from tests.diagnosis.toy_plates import (
     whole_normal,
 )
 
-NOISE = 0.002
-SCATTER = np.array([1.0, -0.5, 0.3, 1.2, -1.0, 0.2, 0.9, -1.4])
 TWIN_SHIFT = BUMP + 0.02 * DENT
 BENT, TWIN = cause("bent", whole_normal(0.02)), cause("twin", whole_normal(0.02))
 DENTED = cause("dented", whole_normal(0.02))

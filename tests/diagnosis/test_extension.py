@@ -25,6 +25,8 @@ from tests.diagnosis.toy_plates import (
     BUMP,
     DENT,
     F0,
+    NOISE,
+    SCATTER,
     SD,
     A,
     Array,
@@ -38,8 +40,6 @@ from tests.diagnosis.toy_plates import (
     whole_normal,
 )
 
-NOISE = 0.002
-SCATTER = np.array([1.0, -0.5, 0.3, 1.2, -1.0, 0.2, 0.9, -1.4])
 BENT, DENTED = cause("bent", whole_normal(0.02)), cause("dented", whole_normal(0.02))
 WARP = cause("warp", whole_normal(0.1), is_even=True)
 ANYTHING = Hypothesis(OTHER, OTHER, parameters=(DISCREPANCY,), prior=0.06)

@@ -18,6 +18,8 @@ from cpam_bayes.priors import Prior
 from tests.diagnosis.toy_plates import (
     BUMP,
     F0,
+    NOISE,
+    SCATTER,
     SD,
     A,
     a_list,
@@ -32,8 +34,6 @@ from tests.diagnosis.toy_plates import (
 )
 
 TRUTH = np.array([0.03, -0.04])
-SCATTER = np.array([1.0, -0.5, 0.3, 1.2, -1.0, 0.2, 0.9, -1.4])
-NOISE = 0.002
 PLAIN = Hypothesis("none", "none")
 
 

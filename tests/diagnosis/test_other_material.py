@@ -7,10 +7,11 @@ import pytest
 
 from cpam_bayes.diagnosis.cases import plate_case, with_list
 from cpam_bayes.diagnosis.diagnose import diagnose_cases
-from cpam_bayes.diagnosis.hypotheses import MATERIAL, PAIR, pairs_of, single_hypotheses
+from cpam_bayes.diagnosis.hypotheses import MATERIAL, PAIR, single_hypotheses
 from cpam_bayes.diagnosis.models import diagnosis_parameters
 from cpam_bayes.effects import PlateFacts
 from cpam_bayes.measurement import Measurement, Specimen, builtin
+from tests.diagnosis.toy_plates import pairs_of
 
 NOISE = 0.003
 

@@ -19,6 +19,8 @@ from tests.diagnosis.toy_plates import (
     BUMP,
     DENT,
     F0,
+    NOISE,
+    SCATTER,
     A,
     Array,
     a_list,
@@ -32,10 +34,8 @@ from tests.diagnosis.toy_plates import (
     whole_normal,
 )
 
-NOISE = 0.002
 BENT, DENTED = cause("bent", whole_normal(0.02)), cause("dented", whole_normal(0.01))
 SHIFTS = {"bent": (BUMP, 0.02), "dented": (DENT, 0.01)}
-SCATTER = np.array([1.0, -0.5, 0.3, 1.2, -1.0, 0.2, 0.9, -1.4])
 
 
 def plate(shift: Array, *, false_peak: float | None = None) -> PlateCase:

@@ -18,7 +18,6 @@ from cpam_bayes.diagnosis.hypotheses import (
     SLIP,
     Hypothesis,
     ListChange,
-    pairs_of,
 )
 from cpam_bayes.diagnosis.weighing import Weighed, marginal_of, weigh
 from cpam_bayes.modes import RigidBodyError
@@ -26,6 +25,8 @@ from tests.diagnosis.toy_plates import (
     BUMP,
     DENT,
     F0,
+    NOISE,
+    SCATTER,
     SD,
     A,
     Array,
@@ -35,12 +36,11 @@ from tests.diagnosis.toy_plates import (
     exact_log_evidence,
     hypothesis,
     log_normal_density,
+    pairs_of,
     straight,
     whole_normal,
 )
 
-NOISE = 0.002
-SCATTER = np.array([1.0, -0.5, 0.3, 1.2, -1.0, 0.2, 0.9, -1.4])
 BENT = cause("bent", whole_normal(0.02))
 DENTED = cause("dented", whole_normal(0.01))
 TWIN = np.roll(BUMP, 3)

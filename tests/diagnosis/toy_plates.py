@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 
 from cpam_bayes.diagnosis.comparison import Comparison
 from cpam_bayes.diagnosis.fitting import PlateCase
-from cpam_bayes.diagnosis.hypotheses import Hypothesis
+from cpam_bayes.diagnosis.hypotheses import Hypothesis, go_together, pair_scale, paired
 from cpam_bayes.diagnosis.models import PlateModels
 from cpam_bayes.effects import Effect, PlateFacts
 from cpam_bayes.measurement import Measurement
@@ -31,6 +32,9 @@ A = np.array(
 _FAR = 8.0
 # Two constants near 1, known to 5 %.
 SD = 0.05
+# Relative noise of a list, and one draw of it in its units.
+NOISE = 0.002
+SCATTER = np.array([1.0, -0.5, 0.3, 1.2, -1.0, 0.2, 0.9, -1.4])
 CONSTANTS = ParameterSet(
     tuple(
         Parameter(name, "", TruncatedNormal(1.0, SD, 1.0 - _FAR * SD, 1.0 + _FAR * SD))
@@ -160,3 +164,9 @@ def differences(function: Callable[[Array], Array], x: Array, step: float = 1e-6
 
 def at_prior_means(comparison: Comparison) -> Array:
     return np.array([p.prior.mean for p in comparison.parameters.parameters])
+
+
+def pairs_of(causes: Sequence[Hypothesis], singles: Sequence[Hypothesis]) -> tuple[Hypothesis, ...]:
+    """Two at a time of some causes that can act together, with their priors among ``singles``."""
+    scale = pair_scale(singles)
+    return tuple(paired(a, b, scale) for a, b in combinations(causes, 2) if go_together(a, b))
