@@ -122,9 +122,7 @@ def learn_on(
             drawn, cold = _draws(surface, sums, data, settings.each_round, rng, executor)
         if not len(drawn):  # or every sequence that counts is known
             if not found:
-                near = about(own, sums.grid_deg, data, rng)
-                data = _again(near, sums, data, settings, executor)
-                near = about(own, sums.grid_deg, data, rng)  # now that better draws are known
+                near, data = _on_own_basis(problem, data, rng)
                 surface = _fitted(problem, data, rng, rms, worst, surface)
             return Learned(surface, data, near)
         idle = 0 if cold.any() else idle + 1
@@ -136,10 +134,10 @@ def learn_on(
             rms, worst = float(np.sqrt(np.mean(miss**2))), float(np.abs(miss).max())
         data = merged(data, fresh)
         if rms < _FOUND:
-            near = about(own, sums.grid_deg, data, rng)
-            if not found:  # what the rough basis gave is not good enough next to the top
-                data = _again(near, sums, data, settings, executor)
-                near = about(own, sums.grid_deg, data, rng)  # now that better draws are known
+            if found:
+                near = about(own, sums.grid_deg, data, rng)
+            else:  # what the rough basis gave is not good enough next to the top
+                near, data = _on_own_basis(problem, data, rng)
             found = True
         surface = _fitted(problem, data, rng, rms, worst, surface)
         so_far = f", to {rms:.2f} nats" if np.isfinite(rms) else ""
@@ -196,6 +194,16 @@ def _hopeful(surface: Surface, sums: PlySums, data: Evaluated, n: int, rng: np.r
     value = np.concatenate([surface.optimistic(sums.features(p)) for p in pieces])
     hopeful = np.flatnonzero(value > surface.top - _HOPE)
     return np.asarray(pool[np.sort(rng.permutation(hopeful)[:n])])
+
+
+def _on_own_basis(
+    problem: Learning, data: Evaluated, rng: np.random.Generator
+) -> tuple[SequencePosterior, Evaluated]:
+    """The basis about the posterior, and sequences next to the top computed again on it."""
+    own, sums = problem.own, problem.sums
+    near = about(own, sums.grid_deg, data, rng)
+    data = _again(near, sums, data, problem.settings, problem.executor)
+    return about(own, sums.grid_deg, data, rng), data  # now that better draws are known
 
 
 def _again(
