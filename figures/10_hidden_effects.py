@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -23,30 +23,56 @@ DPI = 110
 COLOURS = ("#0072B2", "#D55E00")
 GREY = "#777777"
 RATIO = 8.0
+COLUMNS = 2
 
 
 def draw(results: Path = RESULTS, folder: Path = HERE) -> list[Path]:
-    """Draw the picture from the study's results in one folder into another."""
+    """Draw the pictures from the study's results in one folder into another."""
     data = json.loads((results / f"{STUDY}.json").read_text(encoding="utf-8"))
-    matrices = _matrices(data["confusion"])
-    n = len(matrices) + 1
-    widths = [max(len(columns), 6) for _, _, columns, _ in matrices]
-    rows = max((len(r) for _, r, _, _ in matrices), default=6)
-    figure = Figure(
-        figsize=(1.5 + 0.22 * sum(widths) + 1.3 * len(widths) + 4.0, 2.6 + 0.2 * rows), layout="constrained"
-    )
-    FigureCanvasAgg(figure)
-    axes = figure.subplots(1, n, width_ratios=[*widths, max(widths, default=6) * 0.8], squeeze=False)[0]
-    for ax, (name, hidden, leading, counts) in zip(axes, matrices, strict=False):
-        _matrix(ax, name, hidden, leading, counts)
-    _reliability(axes[-1], data["reliability"])
-    path = folder / f"{STUDY}.png"
+    return [
+        _saved(_confusion(_matrices(data["confusion"])), folder / f"{STUDY}.png"),
+        _saved(_reliability(data["reliability"]), folder / f"{STUDY}_reliability.png"),
+    ]
+
+
+def _saved(figure: Figure, path: Path) -> Path:
     figure.savefig(path, dpi=DPI, metadata={"Software": None})
-    return [path]
+    return path
 
 
-def _matrices(cells: list[dict[str, Any]]) -> list[tuple[str, list[str], list[str], np.ndarray]]:
-    """Name, hidden and leading causes, and shares of each bench, clean plates with strong effects."""
+def _figure(width: float, height: float) -> Figure:
+    figure = Figure(figsize=(width, height), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def _confusion(matrices: list[Matrix]) -> Figure:
+    """Which cause led by what was hidden, one panel a bench."""
+    rows = -(-len(matrices) // COLUMNS)
+    most = max(max(len(m.hidden), len(m.leading)) for m in matrices)
+    figure = _figure(COLUMNS * (1.6 + 0.2 * max(most, 6)), rows * (1.6 + 0.18 * max(most, 6)))
+    panels = figure.subplots(rows, COLUMNS, squeeze=False).ravel()
+    for empty in panels[len(matrices) :]:
+        empty.set_axis_off()
+    for ax, matrix in zip(panels, matrices, strict=False):
+        _matrix(ax, matrix)
+    figure.suptitle(
+        f"Signal to noise {RATIO:g}: most probable cause, % of the trials of each row", fontsize=10
+    )
+    return figure
+
+
+class Matrix(NamedTuple):
+    """Shares (hidden, leading) of one bench's trials; its causes by name."""
+
+    bench: str
+    hidden: list[str]
+    leading: list[str]
+    share: np.ndarray
+
+
+def _matrices(cells: list[dict[str, Any]]) -> list[Matrix]:
+    """Clean plates with strong effects, bench by bench."""
     by_bench: dict[str, dict[str, dict[str, int]]] = {}
     for cell in cells:
         if cell["ratio"] in (0.0, RATIO):
@@ -64,25 +90,28 @@ def _matrices(cells: list[dict[str, Any]]) -> list[tuple[str, list[str], list[st
             for c, k in counts[h].items():
                 share[i, leading.index("two causes" if c in pairs else c)] += k
         share /= share.sum(axis=1, keepdims=True)
-        found.append((name, [f"{h} ({sum(counts[h].values())})" for h in hidden], leading, share))
+        found.append(Matrix(name, [f"{h} ({sum(counts[h].values())})" for h in hidden], leading, share))
     return found
 
 
-def _matrix(ax: Axes, name: str, hidden: list[str], leading: list[str], share: np.ndarray) -> None:
-    ax.imshow(np.ma.masked_equal(share, 0.0), cmap="Blues", vmin=0.0, vmax=1.0, aspect="auto")
-    ax.set_xticks(range(len(leading)), leading, rotation=90, fontsize=6.5)
-    ax.set_yticks(range(len(hidden)), hidden, fontsize=6.5)
-    ax.set_xlabel("most probable")
-    ax.set_ylabel("hidden (trials)")
-    ax.set_title(f"{name}, signal to noise {RATIO:g}", fontsize=9)
-    for i, row in enumerate(share):
+def _matrix(ax: Axes, own: Matrix) -> None:
+    ax.imshow(np.ma.masked_equal(own.share, 0.0), cmap="Blues", vmin=0.0, vmax=1.0, aspect="auto")
+    ax.set_xticks(range(len(own.leading)), own.leading, rotation=90, fontsize=7)
+    ax.set_yticks(range(len(own.hidden)), own.hidden, fontsize=7)
+    ax.set_xlabel("most probable", fontsize=8)
+    ax.set_ylabel("hidden (trials)", fontsize=8)
+    ax.set_title(own.bench, fontsize=9)
+    for i, row in enumerate(own.share):
         for j, value in enumerate(row):
             if value > 0.0:
                 shade = "white" if value > 0.6 else "black"
-                ax.text(j, i, f"{100 * value:.0f}", ha="center", va="center", fontsize=5, color=shade)
+                ax.text(j, i, f"{100 * value:.0f}", ha="center", va="center", fontsize=6, color=shade)
 
 
-def _reliability(ax: Axes, sets: list[dict[str, Any]]) -> None:
+def _reliability(sets: list[dict[str, Any]]) -> Figure:
+    """How often the leading class was right, by its probability."""
+    figure = _figure(5.2, 4.4)
+    ax = figure.subplots()
     ax.plot((0, 1), (0, 1), color=GREY, linewidth=0.8)
     for own, colour, marker in zip(sets, COLOURS, "os", strict=False):
         p = np.array([b["probability"] for b in own["bins"]])
@@ -91,14 +120,17 @@ def _reliability(ax: Axes, sets: list[dict[str, Any]]) -> None:
         # of a share, with one trial of each outcome added
         smooth = (right * n + 1) / (n + 2)
         bars = np.sqrt(smooth * (1 - smooth) / n)
-        label = f"{own['set']}: {own['n']}, error {own['error']:.3f}, by chance {own['standard_error']:.3f}"
+        label = f"{own['set']}: {own['n']}, {own['error']:.3f} ({own['standard_error']:.3f} by chance alone)"
         ax.errorbar(p, right, yerr=bars, fmt=marker, ms=4, color=colour, elinewidth=0.8, label=label)
     ax.set_xlim(0, 1.02)
-    ax.set_ylim(0, 1.05)
+    ax.set(ylim=(0, 1.3), yticks=np.linspace(0.0, 1.0, 6))
     ax.set_xlabel("probability of the leading class")
     ax.set_ylabel("share that was right")
-    ax.set_title("Reliability, one standard error", fontsize=9)
-    ax.legend(fontsize=6.5, loc="lower right", frameon=False)
+    ax.legend(
+        fontsize=7.5, loc="upper left", frameon=False, title="trials, calibration error", title_fontsize=7.5
+    )
+    ax.spines[["top", "right"]].set_visible(False)
+    return figure
 
 
 if __name__ == "__main__":

@@ -18,15 +18,21 @@ Array = NDArray[Any]
 # A first basis for the whole box: parameter sets that it is made from, and its relative error.
 _BOX_SETS, _BOX_ERROR = 400, 1e-3
 # The basis about the posterior: how far below the best, nats, a sequence belongs to it; sets; error.
-NEAR, _NEAR_SETS, _NEAR_ERROR = 18.0, 800, 1e-4
-# Both errors are at most these shares of the noise, where that is given.
+NEAR, _NEAR_SETS, _NEAR_ERROR = 18.0, 800, 5e-4
+# Both errors are at most these shares of the noise, as far as it is known.
 _BOX_SHARE, _NEAR_SHARE = 0.3, 0.05
+# Share of the draws whose noise may be less than the one that counts where it is inferred.
+_LEAST_NOISE = 0.01
 
 
 def roughly(own: SequencePosterior, rng: np.random.Generator) -> SequencePosterior:
     """The posterior on a small basis for the whole box, which says where the mass is."""
     box = training_sets(own.model.full.operator.problem, _BOX_SETS, rng)
-    return replace(own, model=focused(own.model, box, _tolerance(own, _BOX_ERROR, _BOX_SHARE)))
+    tolerance = _BOX_ERROR
+    if not own.template.noise_is_inferred:
+        middle = 0.5 * (own.parameters.lower + own.parameters.upper)
+        tolerance = min(tolerance, _BOX_SHARE * float(_relative_noise(own, middle[None]).min()))
+    return replace(own, model=focused(own.model, box, tolerance))
 
 
 def about(
@@ -34,18 +40,18 @@ def about(
 ) -> SequencePosterior:
     """The posterior on a basis that is made for the sequences near the top and their constants."""
     some = np.flatnonzero(data.log_evidence > data.log_evidence.max() - NEAR)
-    draws = data.conditionals.draws[some][..., : own.template.model.parameters.size]
+    draws = data.conditionals.draws[some]
     angles = np.repeat(grid_deg[data.sequences[some]], draws.shape[1], axis=0)
-    x = np.column_stack((angles, draws.reshape(len(angles), -1)))
-    x = x[rng.permutation(len(x))[:_NEAR_SETS]]
-    return replace(own, model=focused(own.model, x, _tolerance(own, _NEAR_ERROR, _NEAR_SHARE)))
+    draws = draws.reshape(len(angles), -1)
+    rows = rng.permutation(len(draws))[:_NEAR_SETS]
+    angles, draws = angles[rows], draws[rows]
+    noise = float(np.quantile(_relative_noise(own, draws).min(axis=1), _LEAST_NOISE))
+    x = np.column_stack((angles, draws[:, : own.template.model.parameters.size]))
+    return replace(own, model=focused(own.model, x, min(_NEAR_ERROR, _NEAR_SHARE * noise)))
 
 
-def _tolerance(own: SequencePosterior, error: float, share: float) -> float:
-    """Relative error that a basis may have: the given one, or a share of the noise where that is less."""
-    if own.template.noise_is_inferred:
-        return error
-    f, i = own.template.measurement.frequencies, np.arange(own.template.measurement.size)
-    x = 0.5 * (own.parameters.lower + own.parameters.upper)
-    sd = own.template.noise(x[None], f[None])[0, i, i]
-    return min(error, share * float(np.min(sd / f)))
+def _relative_noise(own: SequencePosterior, x: Array) -> Array:
+    """Standard deviations of noise and rounding over the listed frequencies at parameters x (m, n), (m, f)."""
+    noise = own.template.noise_model
+    variance = (own.template.amplitude(x)[:, None] * noise.scale) ** 2 + noise.rounding
+    return np.asarray(np.sqrt(variance) / own.template.measurement.frequencies)
