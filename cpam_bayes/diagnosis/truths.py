@@ -24,7 +24,7 @@ from cpam_bayes.diagnosis.scores import scores_of
 from cpam_bayes.diagnosis.signatures import ABSORBED
 from cpam_bayes.effects import extend
 from cpam_bayes.elasticity import complete_constants
-from cpam_bayes.measurement import Measurement, builtin
+from cpam_bayes.measurement import Measurement, Specimen, builtin
 from cpam_bayes.model import reference_vector
 from cpam_bayes.modes import solve
 from cpam_bayes.parameters import Parameter, ParameterSet
@@ -74,14 +74,15 @@ class Bench:
         return replace(own, frequencies=rounded)
 
 
-def bench(plate: str, n_listed: int, *, noise: float, resolution: float) -> Bench:
-    """A built-in plate with all its models.
+def bench(plate: str | Specimen, n_listed: int, *, noise: float, resolution: float) -> Bench:
+    """A plate, built-in by its name, with all its models.
 
     noise : relative standard deviation, given in the plate's file. resolution : Hz.
     """
     labels = ("",) * n_listed
     any_list = Measurement(np.arange(1.0, n_listed + 1.0), resolution, noise, None, labels, complete=True)
-    found = Bench(plate_case(replace(builtin(plate), measurement=any_list)))
+    specimen = builtin(plate) if isinstance(plate, str) else plate
+    found = Bench(plate_case(replace(specimen, measurement=any_list)))
     for h in found.singles:
         if h.other_material:
             found.case.of_other_material()

@@ -51,7 +51,7 @@ def about(
 
 
 def _relative_noise(own: SequencePosterior, x: Array) -> Array:
-    """Standard deviations of noise and rounding over the listed frequencies at parameters x (m, n), (m, f)."""
+    """Standard deviations of noise and rounding over the frequencies at parameters x (m, n), (m, n_f)."""
     noise = own.template.noise_model
     variance = (own.template.amplitude(x)[:, None] * noise.scale) ** 2 + noise.rounding
     return np.asarray(np.sqrt(variance) / own.template.measurement.frequencies)
