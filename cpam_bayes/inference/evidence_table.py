@@ -24,12 +24,12 @@ _COARSE_REACH, _COARSE_SLACK = 1.5, 3.0
 class EvidenceTable:
     """Log evidence on cells of the four sums v; cells where it is below a floor are left out.
 
-    log Z = r - |z|^2 / 2, the scores z and the rest r linear in the sums on each cell, so that no cell
-    has more than its rest.
+    The scores z and the rest r of ``log_evidence`` are linear in the sums on each cell, so that no cell has
+    more than its rest.
 
     width : of a cell. leaf : (side^4,) int32, which row of ``tangent`` a cell has, -1 where it was left
     out. centre : (L, 4). tangent : (L, n_z + 1, 1 + 4 + n_q): scores, and last the rest, at the centre, and
-    their gradients. floor : what left-out cells are below.
+    their gradients. floor : what left-out cells are below. freedom : of the log evidence.
     """
 
     width: float
@@ -38,6 +38,7 @@ class EvidenceTable:
     centre: Array
     tangent: Array
     floor: float
+    freedom: float
 
     def lookup(self, v: Array) -> Array:
         """Rows of ``tangent`` of points (m, 4), -1 where the cell was left out, (m,)."""
@@ -47,22 +48,31 @@ class EvidenceTable:
     def values(self, rows: Array, v: Array, q: Array) -> Array:
         """Log evidence of points in the cells ``rows`` (m,), v (m, 4), q (m, n_q)."""
         away = np.column_stack((np.ones(len(v), dtype=np.float32), v - self.centre[rows], q))
-        return log_evidence(np.einsum("mij,mj->mi", self.tangent[rows], away).astype(np.float64))
+        y = np.einsum("mij,mj->mi", self.tangent[rows], away)
+        return log_evidence(y.astype(np.float64), self.freedom)
 
 
-def log_evidence(y: Array) -> Array:
-    """r - |z|^2 / 2 of scores and rest (m, n_z + 1), (m,)."""
-    return np.asarray(y[:, -1] - 0.5 * np.sum(y[:, :-1] ** 2, axis=1))
+def log_evidence(y: Array, freedom: float) -> Array:
+    """Log evidence of scores z and rest r (m, n_z + 1), (m,).
+
+    freedom : inf: r - |z|^2 / 2, the noise being known; n_f: r - n_f / 2 log(1 + |z|^2 / n_f), as it is where
+    the noise of n_f frequencies is inferred.
+    """
+    size = np.sum(y[:, :-1] ** 2, axis=1)
+    fall = size if np.isinf(freedom) else freedom * np.log1p(size / freedom)
+    return np.asarray(y[:, -1] - 0.5 * fall)
 
 
-def build_table(surface: Tangent, q_reach: Array, floor: float, halvings: int, slack: float) -> EvidenceTable:
+def build_table(
+    surface: Tangent, q_reach: Array, floor: float, halvings: int, slack: float, freedom: float
+) -> EvidenceTable:
     """Tangents of a surface wherever it may exceed ``floor``, on cells halved ``halvings`` times.
 
     A cell is left out where no set of plies can lie (the Toeplitz matrix of 1, v1 + i v2, v3 + i v4 is
     not positive) or where the most that the tangents allow over the cell and over the reach of q, and
     ``slack``, stay below the floor.
 
-    q_reach : (n_q,) largest magnitude of each further sum.
+    q_reach : (n_q,) largest magnitude of each further sum. freedom : of the log evidence.
     """
     axis = (np.arange(_FIRST) + 0.5) * 2.0 / _FIRST - 1.0
     centre = np.stack(np.meshgrid(axis, axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 4)
@@ -74,7 +84,7 @@ def build_table(surface: Tangent, q_reach: Array, floor: float, halvings: int, s
         half = np.concatenate((np.full(4, 0.5 * width), q_reach)) * (1.0 if last else _COARSE_REACH)
         reach = np.abs(slope) @ half
         nearest = np.maximum(np.abs(y[:, :-1]) - reach[:, :-1], 0.0)
-        most = log_evidence(np.column_stack((nearest, y[:, -1] + reach[:, -1])))
+        most = log_evidence(np.column_stack((nearest, y[:, -1] + reach[:, -1])), freedom)
         kept = most + slack * (1.0 if last else _COARSE_SLACK) >= floor
         centre, y, slope = centre[kept], y[kept], slope[kept]
         if not last:
@@ -86,7 +96,7 @@ def build_table(surface: Tangent, q_reach: Array, floor: float, halvings: int, s
     cell = np.minimum(((centre + 1.0) / width).astype(np.int64), side - 1)
     leaf[_flat(cell, side)] = np.arange(len(centre))
     tangent = np.concatenate((y[:, :, None], slope), axis=2).astype(np.float32)
-    return EvidenceTable(width, side, leaf, centre.astype(np.float32), tangent, floor)
+    return EvidenceTable(width, side, leaf, centre.astype(np.float32), tangent, floor, freedom)
 
 
 def _flat(cell: Array, side: int) -> Array:

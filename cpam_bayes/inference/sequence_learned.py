@@ -57,9 +57,9 @@ _SCOUTS = 512
 _UNLISTED = 0.1
 # Share of the mass that is learned alone from which on the surface is learned more finely.
 _LEARNED_ALONE = 0.05
-# Rounds of learning, listing and checking; root mean square error on the draws, nats, that ends them; listed
-# sequences that a further round learns from.
-_ROUNDS, _SETTLED, _LESSON = 3, 0.2, 400
+# Rounds of learning, listing and checking; root mean square error on the draws, nats, that ends them, or so
+# many times the one that the learning ended with; listed sequences that a further round learns from.
+_ROUNDS, _SETTLED, _AS_SAID, _LESSON = 3, 0.2, 1.5, 400
 # Of more sequences than this a shorter list is tried first, of so many.
 _MANY, _TRIAL = 10_000_000, 2_000
 # Up to so many sequences the surface is evaluated for each.
@@ -98,7 +98,7 @@ def learned(
         answer = combined_answer(current, known, enumerator, whole, listed, drawn, rng)
         assert answer.check is not None
         rounds -= 1
-        settled = answer.check.rms <= _SETTLED
+        settled = answer.check.rms <= max(_SETTLED, _AS_SAID * known.surface.rms_error)
         if current is task and (settled or not rounds):
             return answer
         if not settled:
@@ -164,7 +164,7 @@ def _enumerator(
     while True:
         floor = surface.top - depth
         tangent = partial(_tangents, surface, task.executor)
-        table = build_table(tangent, sums.rest_reach, floor, settings.halvings, slack)
+        table = build_table(tangent, sums.rest_reach, floor, settings.halvings, slack, surface.freedom)
         found = Enumerator(table, sums, surface.top, _negation(task), np.inf)
         visited = prefixes_to_visit(found)
         scouts = np.sort(rng.choice(visited, size=min(_SCOUTS, len(visited)), replace=False))

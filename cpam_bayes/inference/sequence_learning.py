@@ -123,7 +123,7 @@ def learn_on(
         if not len(drawn):  # or every sequence that counts is known
             if not found:
                 near, data = _on_own_basis(problem, data, rng)
-                surface = _fitted(problem, data, rng, rms, worst, surface)
+                surface = _fitted(problem, data, rng, rms, worst, None)
             return Learned(surface, data, near)
         idle = 0 if cold.any() else idle + 1
         both = _starts(surface, problem, data, drawn)
@@ -133,13 +133,15 @@ def learn_on(
         if len(miss):
             rms, worst = float(np.sqrt(np.mean(miss**2))), float(np.abs(miss).max())
         data = merged(data, fresh)
+        like: Surface | None = surface
         if rms < _FOUND:
             if found:
                 near = about(own, sums.grid_deg, data, rng)
-            else:  # what the rough basis gave is not good enough next to the top
+            else:  # what the rough basis gave is not good enough next to the top, nor are its length scales
                 near, data = _on_own_basis(problem, data, rng)
+                like = None
             found = True
-        surface = _fitted(problem, data, rng, rms, worst, surface)
+        surface = _fitted(problem, data, rng, rms, worst, like)
         so_far = f", to {rms:.2f} nats" if np.isfinite(rms) else ""
         notify(f"log evidence learned from {len(data.sequences)} sequences{so_far}")
 

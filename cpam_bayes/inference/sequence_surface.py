@@ -21,6 +21,8 @@ Array = NDArray[Any]
 _DEPTH = 45.0
 # Fits farther off than this, standard deviations of the noise, are left out: they say nothing of the top.
 _FAR = 60.0
+# Share of the sequences near the top whose residuals are less than the unit where the noise is inferred.
+_BEST = 0.1
 # Least length scales of the lamination parameters and of the further sums, whose reach the cells of a table
 # span, in standard deviations.
 _LEAST_LENGTHS = (0.2, 5.0)
@@ -30,13 +32,15 @@ _LEAST_LENGTHS = (0.2, 5.0)
 class Surface:
     """A learned log evidence: the map, the top of its data, and its error on fresh posterior draws, nats.
 
-    scored : the map gives the residuals z of the frequencies at the best fit, in standard deviations of the
-    noise, and last what is left of the log evidence, which varies little: log Z = rest - |z|^2 / 2.
-    Otherwise it gives log Z, pressed together far below the top.
+    scored : the map gives the scores of the frequencies at the best fit, residuals in standard deviations of
+    the noise, or of a small noise where it is inferred, and last what is left of the log evidence, which
+    varies little (``evidence_table.log_evidence``, with ``freedom``). Otherwise it gives log Z, pressed
+    together far below the top.
     """
 
     smooth: SmoothMap
     scored: bool
+    freedom: float
     top: float
     rms_error: float
     largest_error: float
@@ -44,7 +48,7 @@ class Surface:
     def values(self, features: Array) -> Array:
         """Log evidence at features (m, d), (m,)."""
         y = self.smooth.values(features)
-        return log_evidence(y) if self.scored else _expanded(y[:, 0], self.top)
+        return log_evidence(y, self.freedom) if self.scored else _expanded(y[:, 0], self.top)
 
     def optimistic(self, features: Array) -> Array:
         """The most that the log evidence may well be at features (m, d), (m,): two standard deviations up."""
@@ -52,7 +56,7 @@ class Surface:
         if not self.scored:
             return _expanded(y[:, 0] + 2.0 * error[:, 0], self.top)
         z = np.maximum(np.abs(y[:, :-1]) - 2.0 * error[:, :-1], 0.0)
-        return log_evidence(np.column_stack((z, y[:, -1] + 2.0 * error[:, -1])))
+        return log_evidence(np.column_stack((z, y[:, -1] + 2.0 * error[:, -1])), self.freedom)
 
     def tangent(self, features: Array) -> tuple[Array, Array]:
         """Scores and rest at features (m, d), (m, n_z + 1), and their gradients (m, n_z + 1, d)."""
@@ -100,19 +104,28 @@ def fit_surface(
     scored = own.template.measurement.complete
     if not scored:  # frequencies have no mode of their own
         y = _compressed(data.log_evidence, top)[:, None]
-        return Surface(fit_map(features, y, rng, images, like, least), False, top, rms, worst)
-    z = _scores(own, data)
+        return Surface(fit_map(features, y, rng, images, like, least), False, np.inf, top, rms, worst)
+    near = data.log_evidence > top - NEAR
+    freedom = float(own.template.measurement.size) if own.template.noise_is_inferred else np.inf
+    z = _scores(own, data, near)
     size = np.sum(z**2, axis=1)
     kept = size <= max(_FAR**2, float(np.median(size)))
     # far down few points are sampled: Laplace's evidence is the better one there
-    near = data.log_evidence > top - NEAR
     log_z = np.where(near, data.log_evidence, data.fits.log_evidence)
-    y = np.column_stack((z, log_z + 0.5 * size))[kept]
-    return Surface(fit_map(features[kept], y, rng, images, like, least), True, top, rms, worst)
+    rest = log_z - log_evidence(np.column_stack((z, np.zeros(len(z)))), freedom)
+    y = np.column_stack((z, rest))[kept]
+    return Surface(fit_map(features[kept], y, rng, images, like, least), True, freedom, top, rms, worst)
 
 
-def _scores(own: SequencePosterior, data: Evaluated) -> Array:
-    """Residuals at the best fits in standard deviations of the noise there, (m, n_frequencies)."""
+def _scores(own: SequencePosterior, data: Evaluated, near: Array) -> Array:
+    """Residuals at the best fits in standard deviations of the noise, (m, n_frequencies).
+
+    Where the noise is inferred it differs from sequence to sequence, and what a sequence shows of it is no
+    smooth function: the residuals of the best ones of those near the top are the unit.
+    """
+    if own.template.noise_is_inferred:
+        rms = np.sqrt(np.mean(data.fits.residual**2, axis=1))
+        return np.asarray(data.fits.residual / np.quantile(rms[near], _BEST))
     measured = own.template.measurement.frequencies
     predicted = measured / (1.0 + data.fits.residual)
     i = np.arange(len(measured))

@@ -36,17 +36,23 @@ def tangent(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return y, slope
 
 
-def surface(x: np.ndarray) -> np.ndarray:
-    return log_evidence(tangent(x)[0])
+def surface(x: np.ndarray, freedom: float = np.inf) -> np.ndarray:
+    return log_evidence(tangent(x)[0], freedom)
 
 
-def everything(sums: PlySums) -> tuple[np.ndarray, np.ndarray]:
+def everything(sums: PlySums, freedom: float = np.inf) -> tuple[np.ndarray, np.ndarray]:
     sequences = np.array(list(product(range(len(GRID)), repeat=4)))
-    return sequences, surface(sums.features(sequences))
+    return sequences, surface(sums.features(sequences), freedom)
 
 
-def enumerator(sums: PlySums, floor: float, mirrored: bool = True, threshold: float = np.inf) -> Enumerator:
-    table = build_table(tangent, sums.rest_reach, floor, halvings=2, slack=0.6)
+def enumerator(
+    sums: PlySums,
+    floor: float,
+    mirrored: bool = True,
+    threshold: float = np.inf,
+    freedom: float = np.inf,
+) -> Enumerator:
+    table = build_table(tangent, sums.rest_reach, floor, halvings=2, slack=0.6, freedom=freedom)
     negation = np.array(
         [int(np.flatnonzero(np.isclose((a + b) % 180.0, 0.0))[0]) for a in GRID for b in [GRID]]
     )
@@ -56,6 +62,18 @@ def enumerator(sums: PlySums, floor: float, mirrored: bool = True, threshold: fl
 @pytest.fixture(scope="module")
 def sums() -> PlySums:
     return ply_sums(LAYUP, GRID)
+
+
+def test_noise_that_is_inferred_is_marginalised_over() -> None:
+    # residuals far above their unit: integrated over d sigma / sigma, n of them give |z|^-n up to a factor
+    z = np.array([[0.5, -1.0, 2.0, 0.1, 0.0], [5.0, -10.0, 20.0, 1.0, 0.0]])
+    n = 4
+    sigma = np.geomspace(1e-3, 1e4, 20001)
+    density = -0.5 * np.sum(z[:, :-1] ** 2, axis=1)[:, None] / sigma**2 - n * np.log(sigma)
+    marginal = np.log(np.trapezoid(np.exp(density), np.log(sigma)))
+    found = log_evidence(1e3 * z, 4.0)
+    assert found[1] - found[0] == pytest.approx(marginal[1] - marginal[0], abs=1e-4)
+    np.testing.assert_allclose(log_evidence(z[:1], 1e9), log_evidence(z[:1], np.inf), rtol=1e-8)
 
 
 def test_the_first_sums_are_the_bending_lamination_parameters(sums: PlySums) -> None:
@@ -115,12 +133,13 @@ def test_sums_over_all_sequences_are_those_of_a_loop(sums: PlySums, mirrored: bo
     assert not len(piece.listed)
 
 
-def test_what_is_left_out_lies_below_the_floor(sums: PlySums) -> None:
-    sequences, value = everything(sums)
-    table: EvidenceTable = enumerator(sums, -6.0).table
+@pytest.mark.parametrize(("freedom", "floor"), [(np.inf, -6.0), (6.0, -3.0)])
+def test_what_is_left_out_lies_below_the_floor(sums: PlySums, freedom: float, floor: float) -> None:
+    sequences, value = everything(sums, freedom)
+    table: EvidenceTable = enumerator(sums, floor, freedom=freedom).table
     outside = table.lookup(sums.features(sequences)[:, :4]) < 0
     assert outside.any()
-    assert value[outside].max() < -6.0
+    assert value[outside].max() < floor
 
 
 @pytest.mark.parametrize("mirrored", [True, False])
