@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import Executor
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -60,8 +60,8 @@ _LEARNED_ALONE = 0.05
 # Rounds of learning, listing and checking; root mean square error on the draws, nats, that ends them, or so
 # many times the one that the learning ended with; listed sequences that a further round learns from.
 _ROUNDS, _SETTLED, _AS_SAID, _LESSON = 3, 0.2, 1.5, 400
-# Of more sequences than this a shorter list is tried first, of so many.
-_MANY, _TRIAL = 10_000_000, 2_000
+# Of more sequences than this a short list is tried first: sequences fitted, most probable ones, and draws.
+_MANY, _TRIAL, _TRIAL_LISTED, _TRIAL_DRAWS = 10_000_000, 500, 50, 150
 # Up to so many sequences the surface is evaluated for each.
 _EVERY = 3_000_000
 
@@ -80,16 +80,23 @@ def learned(
     )
     known = learn(problem, rng, notify)
     rounds, fine = _ROUNDS, False
-    trial = replace(task, settings=replace(task.settings, fitted=min(_TRIAL, task.settings.fitted)))
+    few = {"fitted": _TRIAL, "listed": _TRIAL_LISTED, "draws": _TRIAL_DRAWS}
+    trial = replace(
+        task,
+        settings=replace(task.settings, **{k: min(n, getattr(task.settings, k)) for k, n in few.items()}),
+    )
     current = trial if task.n_sequences > _MANY else task
+    scouted: Scouted | None = None
     while True:
-        enumerator = _enumerator(current, sums, known, rng, notify)
+        if scouted is None:
+            scouted = _scouted(task, sums, known, rng, notify)
+        enumerator = scouted.listing(current)
         cells = "" if enumerator.table is None else f", {len(enumerator.table.centre)} cells"
         notify(f"{task.n_sequences} sequences{cells}")
         whole = _gone_through(enumerator, task.executor, progress)
         if current is task and not fine and _unlisted(enumerator, whole) > _LEARNED_ALONE:
             notify("too many sequences count to be fitted one by one: learning on")
-            fine = True
+            fine, scouted = True, None
             known = learn_on(known, problem, task.settings.learning.fine, rng, notify)
             continue
         notify(f"{len(whole.log_evidence)} sequences are fitted one by one")
@@ -103,9 +110,30 @@ def learned(
             return answer
         if not settled:
             notify(f"off by {answer.check.rms:.2f} nats on draws: these are learned from as well")
-            known = learn_more(known, problem, _lesson(drawn, listed, rng), rng)
+            known, scouted = learn_more(known, problem, _lesson(drawn, listed, rng), rng), None
         if settled or rounds == 1:
             current = task
+
+
+@dataclass(frozen=True, slots=True)
+class Scouted:
+    """All sequences with their learned log evidence, and what some of them say of a list's length.
+
+    piece : the sums over a ``share`` of the sequences.
+    """
+
+    enumerator: Enumerator
+    piece: Piece
+    share: float
+
+    def listing(self, task: Task) -> Enumerator:
+        """The same with what a task lists: nearly all the mass, but not too many."""
+        own, settings = self.enumerator, task.settings
+        rest = 1.0 - np.cumsum(self.piece.weight) / self.piece.weight.sum()
+        number = np.cumsum(self.piece.count) / self.share / (1 if own.negation is None else 2)
+        enough = int(np.argmax(rest <= _UNLISTED * settings.unaccounted))
+        most = int(np.searchsorted(number, settings.fitted, side="right"))
+        return replace(own, threshold=own.reference + 5.0 - BIN * min(enough + 1, most))
 
 
 def _unlisted(own: Enumerator, whole: Piece) -> float:
@@ -146,10 +174,10 @@ def _negation(task: Task) -> Array | None:
     return None
 
 
-def _enumerator(
+def _scouted(
     task: Task, sums: PlySums, known: Learned, rng: np.random.Generator, notify: Callable[[str], None]
-) -> Enumerator:
-    """What gives each sequence its learned log evidence, and from where on they are listed.
+) -> Scouted:
+    """What gives each sequence its learned log evidence.
 
     Up to a few million sequences all are evaluated. More are looked up in a table, whose floor is so low
     that what it leaves out does not count.
@@ -157,8 +185,7 @@ def _enumerator(
     settings, surface = task.settings, known.surface
     if task.n_sequences <= _EVERY:
         found = Enumerator(None, sums, surface.top, _negation(task), np.inf, _every_value(task, sums, known))
-        whole = _gone_through(found, task.executor, lambda done, total: None)
-        return replace(found, threshold=_threshold(task, found, whole, 1.0))
+        return Scouted(found, _gone_through(found, task.executor, lambda done, total: None), 1.0)
     slack = float(np.clip(surface.largest_error, 0.2, 3.0))
     depth = _FLOOR
     while True:
@@ -174,7 +201,7 @@ def _enumerator(
         left_out = piece.left_out * np.exp(floor - surface.top)
         allowed = 0.5 * settings.unaccounted * piece.mass.sum()
         if left_out <= allowed or depth > _DEEPEST:
-            return replace(found, threshold=_threshold(task, found, piece, share))
+            return Scouted(found, piece, share)
         depth += float(np.clip(np.log(left_out / max(allowed, 1e-300)), 1.0, _DEEPER))
         notify(f"the table reaches {depth:.0f} nats below the best")
 
@@ -196,16 +223,6 @@ def _tangents(surface: Surface, executor: Executor | None, features: Array) -> t
     """The surface's tangents at features (m, d), shared out."""
     pieces = run(Surface.tangent, surface, np.array_split(features, _PIECES), executor, batch_size=1)
     return np.concatenate([p[0] for p in pieces]), np.concatenate([p[1] for p in pieces])
-
-
-def _threshold(task: Task, own: Enumerator, scouted: Piece, share: float) -> float:
-    """Log evidence from which on sequences are listed: nearly all the mass, but not too many."""
-    settings = task.settings
-    rest = 1.0 - np.cumsum(scouted.weight) / scouted.weight.sum()
-    number = np.cumsum(scouted.count) / share / (1 if own.negation is None else 2)
-    enough = int(np.argmax(rest <= _UNLISTED * settings.unaccounted))
-    most = int(np.searchsorted(number, settings.fitted, side="right"))
-    return own.reference + 5.0 - BIN * min(enough + 1, most)
 
 
 def _gone_through(own: Enumerator, executor: Executor | None, progress: Callable[[int, int], None]) -> Piece:
