@@ -40,7 +40,7 @@ _MOST_MISSED = 2
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """One trial, which depends on nothing but this and the plate.
+    """One trial, which depends on nothing but this and the bench.
 
     kind : "clean"; "bricks": clean and simulated in three dimensions; "one" hidden cause; "two" at once;
     "outside": one whose class the dictionary lacks; "prior": truth, size and constants drawn from the
@@ -55,10 +55,10 @@ class Trial:
     lacks: bool = False
     seed: int = 0
 
-    @property
-    def rng(self) -> np.random.Generator:
-        """The generator of this trial."""
-        return np.random.default_rng([self.seed, zlib.crc32(repr(asdict(self)).encode())])
+    def rng(self, own: Bench) -> np.random.Generator:
+        """The generator of this trial on a bench."""
+        text = f"{asdict(self)!r} on {own.case.name}, {own.n_listed} modes"
+        return np.random.default_rng([self.seed, zlib.crc32(text.encode())])
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from cpam_bayes.diagnosis.hypotheses import NONE, OTHER, Hypothesis
-from cpam_bayes.diagnosis.signatures import ABSORBED, ALIKE
+from cpam_bayes.diagnosis.signatures import ABSORBED, ALIKE, nearest_of
 from cpam_bayes.diagnosis.truths import Linear, sizes_of
 
 Array = NDArray[Any]
@@ -76,7 +76,7 @@ def _best_cosine(truth: Array, seen: Array, whole: Array) -> float:
     """Cosine at the size whose visible signature is nearest to the truth's; 0 where it is absorbed."""
     if not truth.any():
         return 0.0
-    i = int(np.argmin(np.sum((truth - seen) ** 2, axis=1)))
+    i = nearest_of(seen, truth)
     size, full = float(np.linalg.norm(seen[i])), float(np.linalg.norm(whole[i]))
     if size == 0.0 or size < ABSORBED * full:
         return 0.0

@@ -21,6 +21,8 @@ Array = NDArray[Any]
 ALIKE = 0.95
 # A cause of which less than this share of the signature is visible is absorbed by the constants.
 ABSORBED = 0.1
+# A shift smaller than this share of the one that it is compared with is hardly there.
+_HARDLY = 0.1
 # Scores of an effect's size at which it is compared with the others.
 _SIZES = np.linspace(GRID[0], GRID[-1], 181)
 
@@ -148,11 +150,25 @@ class Menu:
 
     def cosine(self, target: Array) -> float:
         """Cosine, without sign, of a visible shift (n_f,) and the nearest of these; 0 if that is absorbed."""
-        i = int(np.argmin(np.sum((self.visible - target) ** 2, axis=1)))
+        i = nearest_of(self.visible, target)
         size = float(np.linalg.norm(self.visible[i]) * np.linalg.norm(target))
         if size == 0.0 or self.share[i] < ABSORBED:
             return 0.0
         return abs(float(self.visible[i] @ target)) / size
+
+
+def nearest_of(visible: Array, target: Array) -> int:
+    """Which of some visible shifts (k, n_f) is nearest to one (n_f,).
+
+    Those that are hardly there are passed over: they have no direction. A cause that can only do the
+    opposite is met where it begins to be seen.
+    """
+    norm = np.linalg.norm(visible, axis=1)
+    there = norm >= _HARDLY * np.linalg.norm(target)
+    if not there.any():
+        return int(np.argmax(norm))
+    away = np.where(there, np.sum((visible - target) ** 2, axis=1), np.inf)
+    return int(np.argmin(away))
 
 
 def menu_of(tested: Tested, none: Marginal, projector: Projector) -> Menu | None:

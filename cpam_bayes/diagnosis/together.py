@@ -86,7 +86,7 @@ def run_together(own: Laboratory, trial: Trial) -> Record:
     The constants are those of the plate itself, by the model with the hidden cause, claimed or not.
     "reached" is false where the cause cannot be hidden with the ratio.
     """
-    rng = trial.rng
+    rng = trial.rng(own.alone)
     hidden = hide(own.alone, trial, rng)
     head: Record = {"trial": asdict(trial)}
     if isinstance(hidden, Reached):

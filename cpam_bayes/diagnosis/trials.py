@@ -38,7 +38,7 @@ def run_trial(own: Bench, trial: Trial) -> Record:
     "reached" is false where the cause cannot be hidden with the ratio; then "most_ratio" and "share" say why.
     """
     start = time.perf_counter()
-    rng = trial.rng
+    rng = trial.rng(own)
     hidden = hide(own, trial, rng)
     head: Record = {"trial": asdict(trial)}
     if isinstance(hidden, Reached):

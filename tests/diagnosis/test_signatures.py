@@ -9,10 +9,12 @@ from cpam_bayes.diagnosis import weighing
 from cpam_bayes.diagnosis.hypotheses import NONE, SLIP, Hypothesis, ListChange
 from cpam_bayes.diagnosis.marginal import Marginal
 from cpam_bayes.diagnosis.signatures import (
+    Menu,
     Projector,
     Signature,
     alike,
     cosine,
+    nearest_of,
     projector_of,
     signature_of,
 )
@@ -155,6 +157,17 @@ def test_the_cosine_is_that_of_what_the_constants_leave() -> None:
     expected = left[0] @ left[1] / np.linalg.norm(left[0]) / np.linalg.norm(left[1])
     sign = np.sign(found["bump"].shift @ BUMP) * np.sign(found["dent"].shift @ DENT)
     assert cosine(found["bump"], found["dent"]) == pytest.approx(sign * expected, abs=0.02)
+
+
+def test_the_nearest_shift_is_one_that_is_there() -> None:
+    target = np.array([1.0, 0.0])
+    # of a cause that can do the opposite only, the nearest is next to nothing and has no direction
+    size = np.linspace(0.0, 1.0, 21)[:, None]
+    opposite = -size * target + 1e-6
+    assert nearest_of(opposite, target) == 3  # 0.15: the one before is a trifle too small
+    assert Menu(opposite, np.ones(21)).cosine(target) == pytest.approx(1.0, abs=1e-6)
+    assert nearest_of(size * [1.0, 0.5], target) == 16  # at 0.8
+    assert nearest_of(1e-3 * size * target, target) == 20
 
 
 def test_an_absorbed_cause_is_like_none() -> None:

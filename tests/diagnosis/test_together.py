@@ -17,7 +17,7 @@ def own() -> Laboratory:
 
 @pytest.fixture(scope="module")
 def hidden(own: Laboratory) -> Hidden:
-    found = hide(own.alone, TRIAL, TRIAL.rng)
+    found = hide(own.alone, TRIAL, TRIAL.rng(own.alone))
     assert isinstance(found, Hidden)
     return found
 
