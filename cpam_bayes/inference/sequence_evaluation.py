@@ -58,15 +58,18 @@ def evaluate(
     log2_points: int,
     executor: Executor | None,
     library: Array | None = None,
+    *,
+    scanned: int = _SCANNED,
 ) -> Evaluated:
     """Log evidence of sequences (m, k) by importance sampling, climbed from starts (m, s, n) or (s, n).
 
-    library : (p, n_constants) constants, of which the two best ones of each sequence are starts as well.
+    library : (p, n_constants) constants, of which the ``scanned`` best ones of each sequence are starts as
+    well.
     """
     angles = grid_deg[sequences]
     starts = np.broadcast_to(starts, (len(sequences), *starts.shape[-2:]))
     items = [
-        (angles[i : i + _BATCH], starts[i : i + _BATCH], library, log2_points)
+        (angles[i : i + _BATCH], starts[i : i + _BATCH], library, scanned, log2_points)
         for i in range(0, len(sequences), _BATCH)
     ]
     pieces = run(_evaluate_batch, own, items, executor, batch_size=1)
@@ -74,11 +77,11 @@ def evaluate(
 
 
 def _evaluate_batch(
-    own: SequencePosterior, item: tuple[Array, Array, Array | None, int]
+    own: SequencePosterior, item: tuple[Array, Array, Array | None, int, int]
 ) -> tuple[SequenceFits, Conditionals]:
-    angles, starts, library, log2_points = item
+    angles, starts, library, scanned, log2_points = item
     if library is not None:
-        starts = np.concatenate((starts, scanned_starts(own, angles, library, _SCANNED)), axis=1)
+        starts = np.concatenate((starts, scanned_starts(own, angles, library, scanned)), axis=1)
     fits = fit_sequences(own, angles, starts)
     return fits, importance_evidence(own, angles, fits, log2_points)
 

@@ -59,7 +59,7 @@ _UNLISTED = 0.1
 _LEARNED_ALONE = 0.05
 # Rounds of learning, listing and checking; root mean square error on the draws, nats, that ends them, or so
 # many times the one that the learning ended with; listed sequences that a further round learns from.
-_ROUNDS, _SETTLED, _AS_SAID, _LESSON = 3, 0.2, 1.5, 400
+_ROUNDS, _SETTLED, _AS_SAID, _LESSON = 2, 0.2, 1.5, 400
 # Of more sequences than this a short list is tried first: sequences fitted, most probable ones, and draws.
 _MANY, _TRIAL, _TRIAL_LISTED, _TRIAL_DRAWS = 10_000_000, 500, 50, 150
 # Up to so many sequences the surface is evaluated for each.
@@ -74,10 +74,8 @@ def learned(
     progress: Callable[[int, int], None],
 ) -> SequenceAnswer:
     """The evidence learned, all sequences gone through, those that can matter computed."""
-    images = _images(task, sums)
-    problem = Learning(
-        task.own, sums, images, task.starts, task.library, task.settings.learning, task.executor
-    )
+    problem = learning_of(task, sums)
+    images = problem.images
     known = learn(problem, rng, notify)
     rounds, fine = _ROUNDS, False
     few = {"fitted": _TRIAL, "listed": _TRIAL_LISTED, "draws": _TRIAL_DRAWS}
@@ -134,6 +132,12 @@ class Scouted:
         enough = int(np.argmax(rest <= _UNLISTED * settings.unaccounted))
         most = int(np.searchsorted(number, settings.fitted, side="right"))
         return replace(own, threshold=own.reference + 5.0 - BIN * min(enough + 1, most))
+
+
+def learning_of(task: Task, sums: PlySums) -> Learning:
+    """What is to be learned of a task."""
+    images = _images(task, sums)
+    return Learning(task.own, sums, images, task.starts, task.library, task.settings.learning, task.executor)
 
 
 def _unlisted(own: Enumerator, whole: Piece) -> float:

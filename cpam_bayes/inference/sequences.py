@@ -45,6 +45,7 @@ __all__ = [
     "SurfaceCheck",
     "common_starts",
     "sequence_probabilities",
+    "sequence_task",
 ]
 
 Array = NDArray[Any]
@@ -72,13 +73,32 @@ def sequence_probabilities(
     frequencies or no unknown constants, or an unsymmetric layup with too many unknown angles to try each.
     """
     start = time.perf_counter()
+    task = sequence_task(specimen, seed, settings=settings, executor=executor, notify=notify)
+    rng = np.random.default_rng([seed, 4])
+    if task.n_sequences <= 2 * settings.exhaustive:
+        answer = exhaustive(task, rng, notify)
+    else:
+        sums = ply_sums(specimen.plate.layup, task.grid_deg)
+        answer = learned(task, sums, rng, notify, progress)
+    return replace(answer, seconds=time.perf_counter() - start)
+
+
+def sequence_task(
+    specimen: Specimen,
+    seed: int,
+    *,
+    settings: SequenceSettings = DEFAULT_SETTINGS,
+    executor: Executor | None = None,
+    notify: Callable[[str], None] = lambda text: None,
+) -> Task:
+    """What ``sequence_probabilities`` is to work on, its reduced model built; raises as that does."""
     measurement, unknowns = required(specimen)
     layup = specimen.plate.layup
     if not layup.n_unknown:
         raise ValueError(f'{specimen.source}: layup {layup.text} has no unknown angle; write "?" for one')
     grid = angle_grid(specimen.angle_grid_deg)
-    few = len(grid) ** layup.n_unknown <= 2 * settings.exhaustive
-    sums = None if few else ply_sums(layup, grid)
+    if len(grid) ** layup.n_unknown > 2 * settings.exhaustive:
+        ply_sums(layup, grid)  # refuses what it cannot do before anything is built
     n_modes = measurement.size + (0 if measurement.complete else _SPARE_MODES)
     parameters = angle_parameters(specimen).union(unknowns)
     model = reduced_model(specimen, parameters, n_modes, notify=notify)
@@ -86,10 +106,7 @@ def sequence_probabilities(
     own = sequence_posterior(model, layup.n_unknown, measurement, error)
     starts = common_starts(specimen, own)
     library = scan_library(own, _LIBRARY, np.random.default_rng([seed, 8]))
-    task = Task(specimen, own, plate_symmetries(specimen), grid, starts, library, settings, executor)
-    rng = np.random.default_rng([seed, 4])
-    answer = exhaustive(task, rng, notify) if sums is None else learned(task, sums, rng, notify, progress)
-    return replace(answer, seconds=time.perf_counter() - start)
+    return Task(specimen, own, plate_symmetries(specimen), grid, starts, library, settings, executor)
 
 
 def common_starts(specimen: Specimen, own: SequencePosterior) -> Array:

@@ -1,0 +1,319 @@
+"""Are the probabilities of stacking sequences those that a slow and independent way gives?
+
+python studies/14_sequence_reference.py [--quick] [--only NAME ...] [--workers N] [--executor SPEC]
+
+Lists of a plate's own sequence and reference constants, noise-free, with 1 % or 0.2 % of noise stated. The
+reference climbs from other starts, eight of a library of its own beside the common ones, on the whole reduced
+model instead of the one about the posterior, and samples 4096 points. It is asked for the most probable
+sequences and for draws from the posterior. Then sequences are drawn from all of the grid, so many of each
+layer of the learned log evidence, those that it holds for hopeless among them: they estimate the sum over all
+sequences, and the most by which a hopeless one exceeds what was learned.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Callable
+from concurrent.futures import Executor
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cpam_bayes.cache import reduced_model
+from cpam_bayes.inference.ply_sums import ply_sums
+from cpam_bayes.inference.sequence_answer import DEFAULT_SETTINGS, SequenceSettings, Task
+from cpam_bayes.inference.sequence_classes import canonical
+from cpam_bayes.inference.sequence_evaluation import Evaluated, evaluate
+from cpam_bayes.inference.sequence_learned import learning_of
+from cpam_bayes.inference.sequence_learning import LearningSettings, learn
+from cpam_bayes.inference.sequence_listing import learned_values
+from cpam_bayes.inference.sequence_scan import scan_library
+from cpam_bayes.inference.sequences import sequence_probabilities, sequence_task
+from cpam_bayes.layup import parse_layup
+from cpam_bayes.measurement import Measurement, Specimen, builtin
+from cpam_bayes.model import angle_parameters, reference_vector
+from cpam_bayes.parallel import open_executor, read_spec
+from cpam_bayes.report.tables import Column, Table, screen_text
+
+Array = NDArray[Any]
+Results = dict[str, Any]
+Notify = Callable[[str], None]
+
+RESULTS = Path(__file__).parent / "results" / f"{Path(__file__).stem}.json"
+
+KEYS = {
+    "quick": "whether this is the small version",
+    "cases": "one each: errors of the log evidence on the top and on draws, sum over all, layer by layer",
+}
+
+SEED = 0
+
+
+class Case(NamedTuple):
+    """A built-in plate, what is unknown of its layup, and the noise that its list states."""
+
+    plate: str
+    layup: str
+    noise: float
+
+
+CASES = {
+    "C1, 4 angles, 1 %": Case("C1", "[(?/?/?/?)_4]_s", 0.01),
+    "C1, 4 angles, 0.2 %": Case("C1", "[(?/?/?/?)_4]_s", 0.002),
+    "F1, 6 angles, 1 %": Case("F1", "[?/?/?/?/?/?/(0/90)_5]_s", 0.01),
+    "F1, 6 angles, 0.2 %": Case("F1", "[?/?/?/?/?/?/(0/90)_5]_s", 0.002),
+}
+# Of the reference: log2 of its points, its library, and the members of it that a climb begins at.
+LOG2_POINTS, LIBRARY, STARTS = 12, 768, 8
+# Layers of the learned log evidence, nats below its top, sequences drawn of each, and log2 of their points.
+LAYERS = (-10.0, 3.0, 6.0, 9.0, 12.0, 16.0, 22.0, 30.0, 45.0, np.inf)
+EACH, LAYER_POINTS = 150, 9
+# Of so many sequences the sum over all is estimated; of more the learned table would have to be gone through.
+MOST_SUMMED = 3_000_000
+QUICK = Case("C1", "[(?/?/?)_5/0]_s", 0.01)
+SMALL = SequenceSettings(
+    exhaustive=100, learning=LearningSettings(first=60, explorations=2, most=150), listed=8, draws=20
+)
+
+
+def run(
+    quick: bool,
+    executor: Executor | None = None,
+    only: tuple[str, ...] | None = None,
+    notify: Notify = lambda text: None,
+) -> Results:
+    """All cases or those named; quick: three angles on a coarse grid."""
+    if quick:
+        return {"quick": True, "cases": [_case("C1, small", QUICK, 30.0, SMALL, 6, 10, executor, notify)]}
+    cases = [
+        _case(name, CASES[name], None, DEFAULT_SETTINGS, LOG2_POINTS, EACH, executor, notify)
+        for name in only or CASES
+    ]
+    return {"quick": False, "cases": cases}
+
+
+def _case(
+    name: str,
+    case: Case,
+    step: float | None,
+    settings: SequenceSettings,
+    log2_points: int,
+    each: int,
+    executor: Executor | None,
+    notify: Notify,
+) -> Results:
+    notify(name)
+    specimen = _own_list(case, step)
+    start = time.perf_counter()
+    answer = sequence_probabilities(specimen, SEED, settings=settings, executor=executor, notify=notify)
+    notify("the reference")
+    task = sequence_task(specimen, SEED, settings=settings, executor=executor)
+    top = _reference(task, answer.components.sequences, log2_points)
+    drawn = _reference(task, answer.drawn.sequences, log2_points)
+    miss = answer.drawn.log_evidence - drawn.log_evidence
+    row: Results = {
+        "case": name,
+        "enumerated": answer.enumerated,
+        "log_evidence": answer.log_evidence_total,
+        "unaccounted": answer.unaccounted,
+        "top": _errors(answer.log_evidence - top.log_evidence, top),
+        "drawn_with_care": _errors(miss, drawn),
+        "drawn_as_known": None if answer.check is None else answer.check.rms,
+        "laplace": _errors(drawn.fits.log_evidence - drawn.log_evidence, drawn),
+        "sum": None,
+        "layers": [],
+    }
+    if answer.enumerated <= MOST_SUMMED:
+        notify("all layers")
+        row |= _summed(task, each)
+    return row | {"seconds": time.perf_counter() - start}
+
+
+def _own_list(case: Case, step: float | None) -> Specimen:
+    """The plate with the noise-free list of its own layup, its angles as near as the grid has them."""
+    specimen = builtin(case.plate, sequence=True)
+    specimen = replace(specimen, plate=replace(specimen.plate, layup=parse_layup(case.layup)))
+    if step is not None:
+        specimen = replace(specimen, angle_grid_deg=step)
+    assert specimen.measurement is not None
+    n = specimen.measurement.size
+    model = reduced_model(specimen, angle_parameters(specimen).union(specimen.unknowns), n)
+    layup, known = specimen.plate.layup, builtin(case.plate).plate.layup.angles_deg
+    own = [known[np.flatnonzero(layup.unknown_index == i)[0]] for i in range(layup.n_unknown)]
+    x = np.concatenate((own, reference_vector(specimen, specimen.unknowns)))
+    frequencies = model.predict(x[None]).frequencies[0]
+    return replace(
+        specimen, measurement=Measurement(frequencies, 0.0, case.noise, None, ("",) * n, complete=True)
+    )
+
+
+def _reference(task: Task, sequences: Array, log2_points: int) -> Evaluated:
+    """Sequences (m, k) by the slow way."""
+    library = scan_library(task.own, LIBRARY, np.random.default_rng([SEED, 77]))
+    return evaluate(
+        task.own,
+        task.grid_deg,
+        sequences,
+        task.starts,
+        log2_points,
+        task.executor,
+        library,
+        scanned=STARTS,
+    )
+
+
+def _errors(miss: Array, reference: Evaluated) -> Results:
+    return {
+        "n": len(miss),
+        "rms": float(np.sqrt(np.mean(miss**2))),
+        "mean": float(miss.mean()),
+        "largest": float(np.abs(miss).max()),
+        "within": float(np.mean(np.abs(miss) <= 0.1)),
+        "reference_error": float(np.median(reference.conditionals.error)),
+    }
+
+
+def _summed(task: Task, each: int) -> Results:
+    """The sum over all sequences from layers of the learned log evidence, by ratio estimates."""
+    rng = np.random.default_rng([SEED, 4])  # what the answer learned is learned again
+    sums = ply_sums(task.specimen.plate.layup, task.grid_deg)
+    surface = learn(learning_of(task, sums), rng, lambda text: None).surface
+    g, k = len(task.grid_deg), task.n_unknown
+    every = np.stack(np.unravel_index(np.arange(g**k), (g,) * k), axis=1)
+    orbits = canonical(every, task.symmetries)
+    _, first = np.unique(orbits.representative @ (g ** np.arange(k - 1, -1, -1)), return_index=True)
+    sequences, size = orbits.representative[first], orbits.size[first]
+    known = learned_values(surface, task.executor, sums.features(sequences))
+    below = known.max() - known
+    pick_rng = np.random.default_rng([SEED, 5])
+    rows = []
+    for low, high in pairwise(LAYERS):
+        own = np.flatnonzero((below >= low) & (below < high))
+        if not len(own):
+            continue
+        pick = np.sort(pick_rng.choice(own, size=min(each, len(own)), replace=False))
+        found = _reference(task, sequences[pick], LAYER_POINTS)
+        value = size[pick] * np.exp(found.log_evidence - known.max())
+        expected = size[pick] * np.exp(known[pick] - known.max())
+        ratio = float(value.sum() / expected.sum())
+        mass = float(size[own] @ np.exp(-below[own]))
+        left = 1.0 - len(pick) / len(own)
+        spread = np.std(value - ratio * expected) / expected.mean() / np.sqrt(len(pick)) * np.sqrt(left)
+        miss = found.log_evidence - known[pick]
+        rows.append(
+            {
+                "from": float(max(low, 0.0)),
+                "to": float(min(high, below.max())),
+                "classes": len(own),
+                "drawn": len(pick),
+                "learned_mass": mass,
+                "mass": ratio * mass,
+                "mass_error": float(spread * mass),
+                "rms": float(np.sqrt(np.mean(miss**2))),
+                "most_above": float(miss.max()),
+                "highest": float(found.log_evidence.max() - known.max()),
+            }
+        )
+    total = sum(r["mass"] for r in rows)
+    error = float(np.sqrt(sum(r["mass_error"] ** 2 for r in rows)))
+    log_mean = float(np.log(total) + known.max() - np.log(task.n_sequences))
+    return {"sum": {"log_evidence": log_mean, "relative_error": error / total}, "layers": rows}
+
+
+def show(results: Results) -> None:
+    """Print the results as tables."""
+    heads = (
+        "case",
+        "top: rms",
+        "largest",
+        "draws: rms",
+        "largest",
+        "as known",
+        "Laplace",
+        "log Z",
+        "reference",
+    )
+    rows = tuple(
+        (
+            c["case"],
+            f"{c['top']['rms']:.3f}",
+            f"{c['top']['largest']:.2f}",
+            f"{c['drawn_with_care']['rms']:.3f}",
+            f"{c['drawn_with_care']['largest']:.2f}",
+            "-" if c["drawn_as_known"] is None else f"{c['drawn_as_known']:.3f}",
+            f"{c['laplace']['rms']:.2f}",
+            f"{c['log_evidence']:.4f}",
+            "-" if c["sum"] is None else f"{c['sum']['log_evidence']:.4f}({c['sum']['relative_error']:.4f})",
+        )
+        for c in results["cases"]
+    )
+    found = [Table("Log evidence, nats", tuple(Column(h, i > 0) for i, h in enumerate(heads)), rows)]
+    for c in results["cases"]:
+        if not c["layers"]:
+            continue
+        titles = (
+            "nats below",
+            "to",
+            "classes",
+            "drawn",
+            "learned mass",
+            "mass",
+            "rms",
+            "most above",
+            "highest",
+        )
+        lines = tuple(
+            (
+                f"{r['from']:.0f}",
+                f"{r['to']:.0f}",
+                str(r["classes"]),
+                str(r["drawn"]),
+                f"{r['learned_mass']:.4g}",
+                f"{r['mass']:.4g}({r['mass_error']:.1g})",
+                f"{r['rms']:.2f}",
+                f"{r['most_above']:.2f}",
+                f"{r['highest']:.1f}",
+            )
+            for r in c["layers"]
+        )
+        found.append(Table(f"Layers of {c['case']}", tuple(Column(t, True) for t in titles), lines))
+    print(screen_text(tuple(found), sys.stdout))
+
+
+def main() -> None:
+    """Run the study, print its tables and save the results, case by case."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="the small version; nothing is saved")
+    parser.add_argument("--only", nargs="+", choices=CASES, metavar="NAME", help=f"of: {'; '.join(CASES)}")
+    parser.add_argument("--workers", type=int, help="worker processes (default: as many as cores)")
+    parser.add_argument("--executor", type=read_spec, help="serial, processes or dask://HOST:PORT")
+    args = parser.parse_args()
+
+    begun = time.perf_counter()
+
+    def tell(text: str) -> None:
+        print(f"{time.perf_counter() - begun:7.1f} s  {text}", file=sys.stderr, flush=True)
+
+    with open_executor(args.executor, args.workers) as executor:
+        if args.quick:
+            show(run(True, executor, notify=tell))
+            return
+        done = json.loads(RESULTS.read_text(encoding="utf-8"))["cases"] if RESULTS.exists() else []
+        for name in args.only or CASES:
+            done = [c for c in done if c["case"] != name] + run(False, executor, (name,), tell)["cases"]
+            done.sort(key=lambda c: list(CASES).index(c["case"]))
+            RESULTS.parent.mkdir(exist_ok=True)
+            text = json.dumps({"quick": False, "cases": done}, indent=1, allow_nan=False)
+            RESULTS.write_text(text + "\n", encoding="utf-8")
+    show({"cases": done})
+
+
+if __name__ == "__main__":
+    main()
