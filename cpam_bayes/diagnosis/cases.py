@@ -96,20 +96,12 @@ def _causes_of_several(
     own : hypotheses of every plate. groups : plates by specimen.
     """
     every = tuple(range(len(own)))
-    common = _shared(own, every)
-    # one specimen under several tests: its flaws are in all of them, those of a test in one
-    of_groups = [(_shared(own, group), group) for group in groups]
     if len(groups) == 1:
-        of_tests = [(h, (i,)) for i in every for h in own[i] if _is_of_test(h)]
-        return [(h, every) for h in common] + [
-            (replace(h, prior=h.prior / len(own)), at) for h, at in of_tests
-        ]
-    found = [(replace(h, prior=0.5 * h.prior), every) for h in common]
-    for members, at in of_groups:
-        found += [(replace(h, prior=0.5 * h.prior / len(groups)), at) for h in members]
-        if len(at) > 1:
-            of_tests = [(h, (i,)) for i in at for h in own[i] if _is_of_test(h)]
-            found += [(replace(h, prior=0.5 * h.prior / len(groups) / len(at)), i) for h, i in of_tests]
+        return [(h, every) for h in _common(own, every) if h.other_material] + _of_specimen(own, every)
+    found = [(replace(h, prior=0.5 * h.prior), every) for h in _common(own, every)]
+    share = 0.5 / len(groups)
+    for group in groups:
+        found += [(replace(h, prior=share * h.prior), at) for h, at in _of_specimen(own, group)]
     return found
 
 
@@ -133,13 +125,44 @@ def _references_have_sd(models: PlateModels) -> bool:
     return [p.prior for p in wide.parameters] != [p.prior for p in models.parameters.parameters]
 
 
-def _shared(own: Sequence[tuple[Hypothesis, ...]], plates: tuple[int, ...]) -> list[Hypothesis]:
-    """Causes that all of some plates may have in common."""
-    if len(plates) == 1:  # a material is that of all plates
-        return [h for h in own[plates[0]] if h.cause not in (NONE, OTHER) and not h.other_material]
+def _common(own: Sequence[tuple[Hypothesis, ...]], plates: tuple[int, ...]) -> list[Hypothesis]:
+    """Causes that all of some plates may have in common; a material is that of all."""
     first = [h for h in own[plates[0]] if h.effects or h.other_material]
     others = [{(h.cause, h.variant) for h in own[i]} for i in plates[1:]]
     return [h for h in first if not _is_of_test(h) and all((h.cause, h.variant) in names for names in others)]
+
+
+def _of_specimen(
+    own: Sequence[tuple[Hypothesis, ...]], tests: tuple[int, ...]
+) -> list[tuple[Hypothesis, tuple[int, ...]]]:
+    """Causes of one specimen with its tests that they are about.
+
+    A flaw of the plate is about all tests in which it can act: threads do not hold a clamped plate. Clamps
+    and slips of a list are about one test each. A cause is as probable as it is with one test.
+    """
+    flaws: dict[tuple[str, str], tuple[Hypothesis, list[int]]] = {}
+    found: list[tuple[Hypothesis, tuple[int, ...]]] = []
+    alone: dict[str, float] = {}
+    for i in tests:
+        here = [h for h in own[i] if h.cause not in (NONE, OTHER) and not h.other_material]
+        for h in here:
+            if _is_of_test(h):
+                found.append((h, (i,)))
+            else:
+                flaws.setdefault((h.cause, h.variant), (h, []))[1].append(i)
+        for cause, prior in _by_cause(here).items():
+            alone[cause] = max(prior, alone.get(cause, 0.0))
+    found = [(h, tuple(at)) for h, at in flaws.values()] + found
+    whole = _by_cause([h for h, _ in found])
+    return [(replace(h, prior=h.prior * alone[h.cause] / whole[h.cause]), at) for h, at in found]
+
+
+def _by_cause(hypotheses: Sequence[Hypothesis]) -> dict[str, float]:
+    """Prior probability of each cause, its variants summed."""
+    found: dict[str, float] = {}
+    for h in hypotheses:
+        found[h.cause] = found.get(h.cause, 0.0) + h.prior
+    return found
 
 
 def _is_of_test(h: Hypothesis) -> bool:

@@ -141,6 +141,25 @@ def test_tests_of_one_specimen_share_its_flaws_and_not_their_lists() -> None:
     assert sum(h.prior for h, _ in found) == pytest.approx(1.0 - P_PAIR)
 
 
+def test_a_flaw_is_about_the_tests_in_which_it_can_act() -> None:
+    free, clamped = toys(("one", "same"), ("two", "same"))
+    specimen = clamped.models.specimen
+    held = replace(specimen, plate=replace(specimen.plate, edges="CFFF"))
+    facts = PlateFacts.of(held.plate, held.material.isotropic)
+    clamped = replace(clamped, models=replace(clamped.models, specimen=held, facts=facts))
+    found = hypotheses_of([free, clamped])
+    assert {plates for h, plates in found if h.cause == "support"} == {(0,)}
+    assert {plates for h, plates in found if h.cause == "clamp_rotation"} == {(1,)}
+    assert {plates for h, plates in found if h.cause == "length"} == {(0, 1)}
+    assert sum(h.prior for h, _ in found) == pytest.approx(1.0 - P_PAIR)
+    # places differ from test to test; a cause is no more probable for that
+    places = {h.variant: plates for h, plates in found if h.cause == "damage"}
+    assert set(places.values()) == {(0, 1), (1,)}
+    prior = {c: sum(h.prior for h, _ in found if h.cause == c) for c in ("damage", "sensor_mass")}
+    alone = {c: sum(h.prior for h, _ in hypotheses_of([clamped]) if h.cause == c) for c in prior}
+    assert prior["damage"] / prior["sensor_mass"] == pytest.approx(alone["damage"] / alone["sensor_mass"])
+
+
 @pytest.mark.parametrize(
     "plates",
     [(("one", "one"), ("two", "two")), (("one", "same"), ("two", "same"), ("three", "three"))],
