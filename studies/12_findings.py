@@ -11,7 +11,7 @@ import json
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -45,12 +45,9 @@ def run(
     only : names of groups, plates joined by ``+``. keep : told the results after each group.
     """
     wood = spruce()
-    groups: list[tuple[str, ...]] = [(name,) for name in ALONE] + [(name,) for name in wood]
-    groups += [*TOGETHER, ("1L", "2L"), ("3L", "4L")]
+    groups = [g for g in groups_of(wood) if not only or "+".join(g) in only]
     if quick:
-        groups = [("D&G",)]
-    if only:
-        groups = [g for g in groups if "+".join(g) in only]
+        groups = groups[:1]
     found = []
     for group in groups:
         specimens = [wood[name] if name in wood else builtin(name) for name in group]
@@ -63,6 +60,12 @@ def run(
             )
             keep({"quick": quick, "groups": found})
     return {"quick": quick, "groups": found}
+
+
+def groups_of(wood: Iterable[str]) -> list[tuple[str, ...]]:
+    """All groups of plates: each alone, then those of one material together."""
+    alone = [(name,) for name in (*ALONE, *wood)]
+    return [*alone, *TOGETHER, ("1L", "2L"), ("3L", "4L")]
 
 
 def told(diagnosis: Diagnosis) -> dict[str, Any]:
@@ -202,11 +205,12 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="the small version; nothing is saved")
     parser.add_argument("--only", nargs="+", default=(), help="groups, plates of one joined by +")
     args = parser.parse_args()
+    order = groups_of(spruce())
     old = json.loads(RESULTS.read_text(encoding="utf-8"))["groups"] if RESULTS.exists() else []
 
     def keep(results: dict[str, Any]) -> None:  # what was not asked for stays
         groups = {tuple(g["plates"]): g for g in (*old, *results["groups"])}
-        results = {"quick": False, "groups": list(groups.values())}
+        results = {"quick": False, "groups": [groups[g] for g in order if g in groups]}
         RESULTS.parent.mkdir(exist_ok=True)
         RESULTS.write_text(json.dumps(results, indent=1, allow_nan=False) + "\n", encoding="utf-8")
 
