@@ -51,6 +51,20 @@ def _require_one_material(specimens: Sequence[Specimen]) -> None:
                 f"{first.material.name or 'none named'}; plates that are diagnosed together share their "
                 "constants: give plates of one material, with the same material.name"
             )
+    for i, other in enumerate(specimens):
+        tested = next((s for s in specimens[:i] if s.specimen == other.specimen), None)
+        if tested is not None and _sizes(tested) != _sizes(other):
+            raise ValueError(
+                f"{other.source}: specimen {other.specimen} has other sizes, density or layup than in "
+                f"{tested.source}; files of one specimen are tests of one plate: give them the same [plate] "
+                "but for the edges, or names of their own to the specimens"
+            )
+
+
+def _sizes(specimen: Specimen) -> tuple[float | str, ...]:
+    """What does not change from test to test of a plate."""
+    plate = specimen.plate
+    return (plate.length, plate.width, plate.thickness, plate.density, plate.layup.text)
 
 
 def _answer(specimens: Sequence[Specimen], args: argparse.Namespace) -> Answer:
@@ -67,7 +81,7 @@ def _answer(specimens: Sequence[Specimen], args: argparse.Namespace) -> Answer:
         candidates = next_measurements(result, always=always, scatter=args.scatter, notify=tell)
     resampled = resample(result, args.seed, notify=tell) if args.emcee else None
     own = tuple(warning for specimen in specimens for warning in plate_warnings(specimen))
-    warnings = (*diagnosis_warnings(result, resampled), *own)
+    warnings = (*diagnosis_warnings(result, resampled, emcee=args.emcee), *own)
     screen = diagnosis_screen(result, args.seed, warnings, candidates, resampled)
     return Answer(
         "diagnose",

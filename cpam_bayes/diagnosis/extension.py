@@ -168,11 +168,15 @@ def start_positions(marginal: Marginal, posterior: Posterior, size: int, rng: np
 def note_of(tested: Tested) -> str:
     """What of a hypothesis is no parameter of the plate, in words."""
     listed, found = tested.hypothesis.listed, []
-    if listed.missed:
+    if listed.missed and listed.spurious is not None:
+        found.append(
+            f"frequency {listed.spurious + 1} is taken as misread for that of mode {listed.missed[0] + 1}"
+        )
+    elif listed.missed:
         found.append(
             f"taken as missing from the list: mode {' and '.join(str(k + 1) for k in listed.missed)}"
         )
-    if listed.spurious is not None:
+    elif listed.spurious is not None:
         found.append(f"frequency {listed.spurious + 1} is taken as false and left out")
     if listed.misread is not None:
         found.append(f"frequency {listed.misread + 1} is taken as misread and says little of the constants")

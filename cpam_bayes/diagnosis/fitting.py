@@ -149,12 +149,12 @@ def _part(
             model = None if effect.change is None else case.with_effect(effect)
             changes.append(Change(names, at, model, effect.observe))
         listed = hypothesis.listed
-        for missed in listed.missed:
-            modes = np.where(modes >= missed, modes + 1, modes)
         if listed.spurious is not None:
             kept = np.delete(kept, listed.spurious)
             modes = np.where(np.arange(n) > listed.spurious, modes - 1, modes)[kept]
             log_constant = -float(np.log(f[-1]))  # a false peak lies anywhere below the last one
+        for missed in listed.missed:
+            modes = np.where(modes >= missed, modes + 1, modes)
         if listed.misread is not None:
             slip = (listed.misread, joint.add(SLIP))
     error = own.error[np.minimum(modes, len(own.error) - 1)]

@@ -196,10 +196,11 @@ def _under_test(t: Tested, about: int, plate: PlateModels, bare: ForwardModel, m
 
 
 def _response(model: ComposedModel, drawn: _Drawn, weight: Array) -> Predicted:
-    """Frequencies at all draws from those at some; their relative scatter about the response is missing.
+    """Frequencies at all draws, from those at some where there are many.
 
-    Log frequencies are taken as quadratic in each of the logarithms of constants and sizes and of the
-    effects' parameters: they are linear in the logarithm of what scales all stiffnesses, even in a skew.
+    The relative scatter of the latter about the response is missing then. Log frequencies are taken as
+    quadratic in each of the logarithms of constants and sizes and of the effects' parameters: they are linear
+    in the logarithm of what scales all stiffnesses, even in a skew.
     """
     v, weight = drawn.v.copy(), weight / weight.sum()
     v[:, : drawn.own] = np.log(v[:, : drawn.own])
@@ -208,8 +209,13 @@ def _response(model: ComposedModel, drawn: _Drawn, weight: Array) -> Predicted:
     varied = np.flatnonzero(sd > 1e-12)
     n = 1 + 2 * len(varied)
     size = max(_SOLVED, round(_PER_TERM * n))
+    if len(v) <= size:
+        f = model.predict(drawn.v).frequencies
+        return Predicted(f, np.zeros((f.shape[1], f.shape[1])))
     share = np.cumsum(weight)
     rows = np.unique(np.searchsorted(share / share[-1], (np.arange(size) + 0.5) / size).clip(max=len(v) - 1))
+    if len(rows) < size:  # a few draws hold most of the weight, and a response needs more than these
+        rows = np.argsort(-weight, kind="stable")[:size]
     u = (v[:, varied] - mean[varied]) / sd[varied]
     u = np.clip(u, u[rows].min(axis=0) - _BEYOND, u[rows].max(axis=0) + _BEYOND)
     terms = np.column_stack((np.ones(len(v)), u, u**2))

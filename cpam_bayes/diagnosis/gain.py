@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import logsumexp
 
 from cpam_bayes.diagnosis.claim import Claim
 from cpam_bayes.diagnosis.fit import Fit
@@ -24,7 +25,8 @@ Array = NDArray[Any]
 class Gain:
     """What the claimed cause is worth.
 
-    held_out : (n_f,) log predictive density of each frequency from all others, extended less plain.
+    log_bayes_factor : of the claimed causes, their variants averaged over their priors. held_out : (n_f,)
+    log predictive density of each frequency from all others, extended less plain.
     stable : share of the frequencies without which the claimed cause still is ahead of none and of the best
     outsider.
     """
@@ -73,10 +75,17 @@ def gain_of(
     return Gain(
         baseline.rms,
         extended.rms,
-        extended.log_evidence - baseline.log_evidence,
+        _log_bayes_factor(weighed, claimed),
         held_out,
         float(np.mean(ahead)),
     )
+
+
+def _log_bayes_factor(weighed: Weighed, claimed: set[str]) -> float:
+    """Of causes against none, all their variants averaged over their priors."""
+    own = [t for t in weighed.tested if t.hypothesis.cause in claimed]
+    prior = np.array([t.hypothesis.prior for t in own])
+    return float(logsumexp([t.log_bayes_factor for t in own], b=prior / prior.sum()))
 
 
 def left_out(cases: Sequence[PlateCase], t: Tested, n: int, none: Marginal | None, scatter: float) -> Array:

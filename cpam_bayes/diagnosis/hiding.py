@@ -113,7 +113,7 @@ def hide(own: Bench, trial: Trial, rng: np.random.Generator) -> Hidden | Reached
             listed = np.delete(f, h.listed.missed)[:n]
         if h.listed.spurious is not None:
             extra = rng.uniform(0.7 * f[0], f[n - 1])
-            listed = np.sort(np.append(f[: n - 1], extra))
+            listed = np.sort(np.append(listed[: n - 1], extra))
         if h.listed.misread is not None:
             listed = listed.copy()
             listed[h.listed.misread] *= 1.0 + size

@@ -27,7 +27,11 @@ DISCREPANCY = one_sided("discrepancy", "", 0.02, end=0.3)
 
 @dataclass(frozen=True, slots=True)
 class ListChange:
-    """What is wrong with a list: model modes that it lacks, a frequency that is no mode or is misread."""
+    """What is wrong with a list: model modes that it lacks, a frequency that is no mode or is misread.
+
+    missed : numbers of model modes. spurious, misread : numbers of listed frequencies. A frequency that is
+    no mode and a mode that is lacking are one that is so far misread that it stands in another place.
+    """
 
     missed: tuple[int, ...] = ()
     spurious: int | None = None
@@ -156,19 +160,7 @@ def _of_effect(effect: Effect) -> Hypothesis:
 def _of_list(effect: Effect, n: int, complete: bool) -> list[tuple[Hypothesis, float]]:
     """Variants of a cause that concerns the list: which mode or frequency it is."""
     if effect.name == "outlier":
-        return [
-            (
-                Hypothesis(
-                    "outlier",
-                    effect.family,
-                    f"frequency {i + 1}",
-                    listed=ListChange(misread=i),
-                    parameters=(SLIP,),
-                ),
-                1.0 / n,
-            )
-            for i in range(n)
-        ]
+        return _misread(effect, n, complete)
     if not complete:  # skipped modes are part of the model of an incomplete list
         return []
     one = [(ListChange(missed=(k,)), f"mode {k + 1} missed") for k in range(n)]
@@ -183,6 +175,37 @@ def _of_list(effect: Effect, n: int, complete: bool) -> list[tuple[Hypothesis, f
         (Hypothesis(effect.name, effect.family, variant, listed=change), share)
         for (change, variant), share in zip(one + two, shares, strict=True)
     ]
+
+
+def _misread(effect: Effect, n: int, complete: bool) -> list[tuple[Hypothesis, float]]:
+    """One frequency that is misread and keeps its place, or that a slip of the pen has moved to another.
+
+    A list is sorted: a frequency that is typed far off stands where another mode would, and says nothing.
+    """
+    in_place = [
+        Hypothesis(
+            effect.name,
+            effect.family,
+            f"frequency {i + 1}",
+            listed=ListChange(misread=i),
+            parameters=(SLIP,),
+        )
+        for i in range(n)
+    ]
+    moved = [
+        Hypothesis(
+            effect.name,
+            effect.family,
+            f"gross, frequency {i + 1} is mode {k + 1}",
+            listed=ListChange(missed=(k,), spurious=i),
+        )
+        for k in range(n)
+        for i in range(n)
+        if i != k and complete
+    ]
+    gross = _GROSS_SHARE if moved else 0.0
+    found = [(h, (1.0 - gross) / n) for h in in_place]
+    return found + [(h, gross / len(moved)) for h in moved]
 
 
 def go_together(a: Hypothesis, b: Hypothesis) -> bool:

@@ -52,7 +52,7 @@ def diagnosis_screen(
     """Claim, residuals, causes, what is hidden, constants and gain, what to measure next."""
     return (
         *_heads(d),
-        remarks("Diagnosis", _claim(d)),
+        remarks("Diagnosis", _claim(d, candidates)),
         _residuals(d),
         _causes(d),
         _hidden(d),
@@ -82,7 +82,7 @@ def _heads(d: Diagnosis) -> tuple[Table, ...]:
     return Table(title, columns, rows), air, remarks("Notes", notes)
 
 
-def _claim(d: Diagnosis) -> tuple[str, ...]:
+def _claim(d: Diagnosis, candidates: Sequence[Candidate]) -> tuple[str, ...]:
     found = [claim_sentence(d)]
     claimed = {c.name: c for c in d.causes if c.name in d.claim.causes}
     if d.claim.kind == "named":
@@ -92,7 +92,7 @@ def _claim(d: Diagnosis) -> tuple[str, ...]:
             found.append(
                 f"By its signature alone it could be {alike}; the priors of their sizes speak for it."
             )
-    if d.claim.kind == "undecided":
+    if d.claim.kind == "undecided" and candidates:
         found.append("Another test would tell more than another fit: see what to measure next.")
     return tuple(found)
 
@@ -331,6 +331,9 @@ def _next(candidates: Sequence[Candidate]) -> Table:
         (c.description, fixed(c.information, 2), fixed(c.possible, 2), f"{100 * c.decided:.0f} %")
         for c in candidates[:_NEXT]
     )
+    further = len(candidates) - len(rows)
+    if further > 0:
+        rows += ((f"{further} more that tell less", "", "", ""),)
     return Table("What to measure next, by what it would tell about the cause", columns, rows)
 
 

@@ -35,7 +35,7 @@ def claim_sentence(d: Diagnosis) -> str:
     by_name = {cause.name: cause for cause in d.causes}
     match d.claim.kind:
         case "none":
-            return f"Nothing is wrong that these data show: the plain model has probability {p}."
+            return f"Nothing is wrong that these data show: the plain model has probability {p}{_false(d)}."
         case "named":
             cause = by_name[d.claim.causes[0]]
             return f"Named: {cause.name}{_where(d, cause)}, probability {p}{_of_size(cause)}."
@@ -52,16 +52,24 @@ def claim_sentence(d: Diagnosis) -> str:
                 f"{p}. The residuals by mode show where."
             )
     none = probability_text(by_name[NONE].probability)
+    other = probability_text(by_name[OTHER].probability)
     leaders = [f"{c.name} {probability_text(c.probability)}" for c in _most_probable(d)]
     return (
-        f"Undecided: nothing is probable enough to be claimed. The plain model has {none}, the most "
-        f"probable causes have {listed(leaders, 'and')}."
+        f"Undecided: nothing is probable enough to be claimed. The plain model has {none}, something that is "
+        f"not in the catalogue {other}, the most probable causes have {listed(leaders, 'and')}."
     )
 
 
-def diagnosis_warnings(d: Diagnosis, resampled: Resampled | None = None) -> tuple[str, ...]:
-    """Everything that is a reason not to trust a diagnosis, or its constants by emcee, as they stand."""
+def diagnosis_warnings(
+    d: Diagnosis, resampled: Resampled | None = None, *, emcee: bool = False
+) -> tuple[str, ...]:
+    """Everything that is a reason not to trust a diagnosis, or its constants by emcee, as they stand.
+
+    emcee : whether it was asked for.
+    """
     found = []
+    if emcee and resampled is None:
+        found.append("nothing is claimed, so there is no extended model for emcee to sample")
     n, unknowns = len(d.baseline.measured), len(constant_rows(d, d.baseline))
     if n <= unknowns:
         many = "frequency" if n == 1 else "frequencies"
@@ -98,6 +106,18 @@ def diagnosis_warnings(d: Diagnosis, resampled: Resampled | None = None) -> tupl
             "emcee are not reliable"
         )
     return tuple(found)
+
+
+def _false(d: Diagnosis) -> str:
+    """The frequencies that an incomplete list's pairing leaves out."""
+    found = []
+    for case in d.cases:
+        whole = case.models.specimen.measurement
+        if whole is not None and whole.size > case.measurement.size:
+            kept = set(case.measurement.frequencies.tolist())
+            left = [f"{f:g} Hz" for f in whole.frequencies if f not in kept]
+            found.append(listed(left, "and") + (f" of {case.name}" if len(d.cases) > 1 else ""))
+    return f", with {listed(found, 'and')} left out as no mode of the plate" if found else ""
 
 
 def size_text(cause: Cause) -> str:

@@ -59,7 +59,8 @@ def air_text(specimen: Specimen) -> str:
         return said
     least, most = (fixed(float(v), 2) for v in (lower.min(), lower.max()))
     span = f"{most} %" if least == most else f"{least} to {most} %"
-    return f"{said}; {ROOM_AIR:g} kg/m3 would lower the first {n} frequencies by {span}"
+    many = "frequency" if n == 1 else f"{n} frequencies"
+    return f"{said}; {ROOM_AIR:g} kg/m3 would lower the first {many} by {span}"
 
 
 def plates_screen(specimens: tuple[Specimen, ...]) -> tuple[Table, ...]:

@@ -83,13 +83,22 @@ def test_variants_of_a_cause_share_its_prior_evenly_and_a_slip_of_the_pen_has_a_
     assert len({h.prior for h in masses}) == 1
     lengths = {h.is_gross: h.prior for h in found if h.cause == "length"}
     assert lengths[True] / (lengths[True] + lengths[False]) == pytest.approx(0.1)
-    assert {h.cause for h in found if h.is_gross} == {e.name for e in applicable(facts_of("C1"), GROSS)}
+    assert {h.cause for h in found if h.is_gross} == {
+        "outlier",
+        *(e.name for e in applicable(facts_of("C1"), GROSS)),
+    }
+    misread = [h for h in found if h.cause == "outlier"]
+    whole = sum(h.prior for h in misread)
+    assert sum(h.prior for h in misread if h.is_gross) == pytest.approx(0.1 * whole)
 
 
 def test_any_frequency_may_be_misread_any_mode_missed_or_false() -> None:
     n = 7
     found = singles("C1", n)
-    assert [h.listed.misread for h in found if h.cause == "outlier"] == list(range(n))
+    misread = [h.listed for h in found if h.cause == "outlier"]
+    assert [change.misread for change in misread[:n]] == list(range(n))
+    moved = {(*change.missed, change.spurious) for change in misread[n:]}
+    assert moved == {(k, i) for k in range(n) for i in range(n) if i != k}
     of_list = [h for h in found if h.cause == "mode_identity"]
     one_missed = [h.listed.missed for h in of_list if len(h.listed.missed) == 1]
     assert one_missed == [(k,) for k in range(n)]
@@ -103,7 +112,8 @@ def test_any_frequency_may_be_misread_any_mode_missed_or_false() -> None:
 def test_an_incomplete_list_has_missed_modes_in_its_pairing() -> None:
     found = singles("C1", complete=False)
     assert all(h.cause != "mode_identity" for h in found)
-    assert any(h.cause == "outlier" for h in found)
+    # and a frequency in another place is a false one and a missed one
+    assert [h.listed.misread for h in found if h.cause == "outlier"] == list(range(8))
 
 
 def test_air_that_the_file_states_is_no_cause() -> None:
