@@ -31,8 +31,6 @@ __all__ = ["diagnosis_figures"]
 Array = NDArray[Any]
 
 _GREY, _BLUE, _ORANGE = "#8a8a8a", "#4878a8", "#c1440e"
-# Standardised residuals are drawn up to here; a bar that is cut is marked by its number.
-_WIDEST = 6.0
 _BARS = 14
 # Grid lines of an in-plane mode along each side, and how far it is moved, shares of the plate.
 _LINES, _MOVED = 6, 0.12
@@ -54,7 +52,7 @@ def diagnosis_figures(d: Diagnosis) -> dict[str, Figure]:
 
 
 def _residuals(d: Diagnosis) -> Figure:
-    """Standardised residuals of every frequency, a plate a row, its mode shape below it."""
+    """Relative residuals of every frequency, a plate a row, its mode shape below it."""
     before = frequency_rows(d, d.baseline, d.weighed.none)
     after = None if d.extended is None else frequency_rows(d, d.extended, d.members[0][0])
     names = list(dict.fromkeys(row.plate for row in before))
@@ -66,9 +64,11 @@ def _residuals(d: Diagnosis) -> Figure:
         extended = None if after is None else [row for row in after if row.plate == name]
         _draw_plate(panel, d, i, own, extended)
     p = probability_text(d.baseline.p_value)
-    panels[0].suptitle(
-        f"{_title(d)}: rms {100 * d.baseline.rms:.2f} %, posterior predictive p {p}", fontsize=10
-    )
+    title = f"{_title(d)}: plain model rms {100 * d.baseline.rms:.2f} %, posterior predictive p {p}"
+    if d.extended is not None:
+        p = probability_text(d.extended.p_value)
+        title += f"; extended model {100 * d.extended.rms:.2f} %, p {p}"
+    panels[0].suptitle(title, fontsize=10)
     return figure
 
 
@@ -79,14 +79,14 @@ def _draw_plate(
     grid = panel.add_gridspec(2, n, height_ratios=(3.2, 1.0))
     axes = panel.add_subplot(grid[0, :])
     x = np.arange(n)
-    axes.axhspan(-2, 2, color="0.93", label="2 sd of noise and prediction")
     axes.axhline(0.0, color="0.5", linewidth=0.8)
     width = 0.6 if after is None else 0.34
     _bars(axes, x - (0.0 if after is None else 0.18), width, before, _BLUE, "plain model")
     if after is not None:
         _bars(axes, x + 0.18, width, after, _ORANGE, "extended model")
+    axes.plot([], [], color="0.25", linewidth=1.0, label="2 sd of noise and prediction")
     axes.set_xticks(x, [f"{row.measured:.6g} Hz" for row in before], fontsize=8)
-    axes.set(xlim=(-0.5, n - 0.5), ylabel="(predicted - measured) / sd")
+    axes.set(xlim=(-0.5, n - 0.5), ylabel="predicted / measured - 1, %")
     axes.set_ylim(*_limits([*before, *(after or ())]))
     axes.spines[["top", "right"]].set_visible(False)
     axes.legend(loc="upper right", frameon=False, fontsize=8, ncols=3)
@@ -94,37 +94,38 @@ def _draw_plate(
         axes.set_title(d.cases[i].name, fontsize=9, loc="left")
     shapes, aspect = _shapes(d, i)
     edges = d.cases[i].models.specimen.plate.edges
-    for k, row in enumerate(before):
+    for k, (plain, row) in enumerate(zip(before, after or before, strict=True)):
         below = panel.add_subplot(grid[1, k])
         below.set_axis_off()
         if row.mode is None or row.number is None:
             below.set_title("no mode", fontsize=7)
             continue
         _draw_shape(below, shapes[row.number - 1], aspect, edges, row.mode.in_plane_share > 0.5)
-        below.set_title(row.mode.label, fontsize=7, pad=2)
+        label = row.mode.label
+        if plain.mode is not None and plain.number != row.number:
+            label = f"not {plain.mode.label}\n{label}"
+        below.set_title(label, fontsize=7, pad=2)
 
 
 def _bars(axes: Axes, x: Array, width: float, rows: Sequence[FrequencyRow], color: str, label: str) -> None:
-    z = np.array([0.0 if row.predicted is None else row.standardised for row in rows])
-    axes.bar(x, np.clip(z, -_WIDEST, _WIDEST), width, color=color, label=label)
-    for at, value in zip(x, z, strict=True):
-        if abs(value) > _WIDEST:
-            axes.annotate(
-                f"{value:+.0f}",
-                (at, np.sign(value) * _WIDEST),
-                (0, 2 if value > 0 else -2),
-                textcoords="offset points",
-                ha="center",
-                va="bottom" if value > 0 else "top",
-                fontsize=7,
-                color=color,
-            )
+    """Residuals, each with two standard deviations of noise and prediction."""
+    y = np.array([0.0 if row.residual_percent is None else row.residual_percent for row in rows])
+    sd = np.array([0.0 if row.predicted is None else _sd_percent(row) for row in rows])
+    axes.bar(x, y, width, color=color, label=label)
+    axes.errorbar(x, y, yerr=2.0 * sd, fmt="none", ecolor="0.25", elinewidth=1.0)
+
+
+def _sd_percent(row: FrequencyRow) -> float:
+    return 100.0 * float(np.hypot(row.sigma, row.predicted_sd)) / row.measured
 
 
 def _limits(rows: Sequence[FrequencyRow]) -> tuple[float, float]:
-    largest = max((abs(row.standardised) for row in rows if row.predicted is not None), default=0.0)
-    end = float(np.clip(1.15 * largest, 2.6, 1.15 * _WIDEST))
-    return -end, 1.25 * end  # room for the key
+    """Of the residuals, with room for the key; whiskers may be cut."""
+    shown = [row for row in rows if row.residual_percent is not None and row.predicted is not None]
+    largest = max((abs(row.residual_percent or 0.0) for row in shown), default=0.0)
+    whisker = float(np.median([2.0 * _sd_percent(row) for row in shown])) if shown else 1.0
+    end = 1.1 * max(largest + whisker, 0.1)
+    return -end, 1.3 * end
 
 
 def _shapes(d: Diagnosis, i: int) -> tuple[Array, float]:

@@ -49,7 +49,8 @@ def claim_sentence(d: Diagnosis) -> str:
         case "other":
             return (
                 "Something is wrong that no cause of the catalogue explains: probability "
-                f"{p}. The residuals by mode show where."
+                f"{p}. The residuals by mode show where. The extended model adds a scatter of all modes to "
+                "the noise, which widens the intervals and repairs no frequency."
             )
     none = probability_text(by_name[NONE].probability)
     other = probability_text(by_name[OTHER].probability)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from matplotlib.container import BarContainer, ErrorbarContainer
 
 from cpam_bayes.report.diagnosis import diagnosis_screen
 from cpam_bayes.report.diagnosis_figures import diagnosis_figures
@@ -24,12 +25,17 @@ def figures(misread):
     return diagnosis_figures(misread)
 
 
-def test_bars_are_the_standardised_residuals_before_and_after(misread, figures):
+def test_bars_are_the_relative_residuals_before_and_after_with_their_noise(misread, figures):
     axes = figures["residuals"].subfigs[0].axes[0]
-    before, after = (np.array([bar.get_height() for bar in bars]) for bars in axes.containers)
-    # cut at 6 standard deviations
-    assert before == pytest.approx(np.clip(-misread.baseline.standardised, -6, 6))
-    assert after == pytest.approx(np.clip(-misread.extended.standardised, -6, 6))
+    bars = [c for c in axes.containers if isinstance(c, BarContainer)]
+    for fit, own in zip((misread.baseline, misread.extended), bars, strict=True):
+        expected = 100.0 * (fit.predicted / fit.measured - 1.0)
+        assert [bar.get_height() for bar in own] == pytest.approx(expected)
+    (whiskers, _) = (c for c in axes.containers if isinstance(c, ErrorbarContainer))
+    fit = misread.baseline
+    ends = np.array(whiskers[2][0].get_segments())[:, :, 1]
+    two_sd = 200.0 * np.hypot(fit.sigma, fit.predicted_sd) / fit.measured
+    assert 0.5 * np.ptp(ends, axis=1) == pytest.approx(two_sd)
     assert len(figures["residuals"].subfigs[0].axes) == 7, "a shape for each of six modes"
 
 
