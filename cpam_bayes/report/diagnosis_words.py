@@ -25,6 +25,8 @@ __all__ = [
 _P_LOW = 0.02
 # Frequencies without which the claimed cause must stay ahead.
 _STABLE = 0.8
+# A standard deviation that is a smaller share of its mean is none: one node holds all the weight.
+_UNSURE = 1e-3
 # Importance sampling whose standard error of a log evidence is above this is warned of.
 _ROUGH = 0.3
 
@@ -126,6 +128,9 @@ def size_text(cause: Cause) -> str:
     sizes = []
     for name, (mean, sd, unit) in cause.parameters.items():
         shown, factor = effect_unit(name, unit)
+        if sd < _UNSURE * abs(mean):  # looked at in passing, at a few sizes
+            sizes.append(f"about {significant(factor * mean, 2)} {shown}".rstrip())
+            continue
         value, spread = with_spread(factor * mean, factor * sd)
         sizes.append(f"{value} +- {spread} {shown}".rstrip())
     return "; ".join(sizes)
