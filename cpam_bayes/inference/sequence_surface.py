@@ -23,6 +23,8 @@ _DEPTH = 45.0
 _FAR = 60.0
 # Share of the sequences near the top whose residuals are less than the unit where the noise is inferred.
 _BEST = 0.1
+# The least unit of residuals: below it a list without noise is as good as exact.
+_LEAST_UNIT = 1e-5
 # Least length scales of the lamination parameters and of the further sums, whose reach the cells of a table
 # span, in standard deviations.
 _LEAST_LENGTHS = (0.2, 5.0)
@@ -125,7 +127,7 @@ def _scores(own: SequencePosterior, data: Evaluated, near: Array) -> Array:
     """
     if own.template.noise_is_inferred:
         rms = np.sqrt(np.mean(data.fits.residual**2, axis=1))
-        return np.asarray(data.fits.residual / np.quantile(rms[near], _BEST))
+        return np.asarray(data.fits.residual / max(float(np.quantile(rms[near], _BEST)), _LEAST_UNIT))
     measured = own.template.measurement.frequencies
     predicted = measured / (1.0 + data.fits.residual)
     i = np.arange(len(measured))
