@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cpam_bayes.diagnosis.fitting import PlateCase, comparison_of
-from cpam_bayes.diagnosis.hypotheses import NONE, OTHER, Hypothesis, single_hypotheses
+from cpam_bayes.diagnosis.hypotheses import NONE, OTHER, Hypothesis, prior_by_cause, single_hypotheses
 from cpam_bayes.diagnosis.models import PlateModels, diagnosis_parameters, plate_models
 from cpam_bayes.diagnosis.scores import FARTHEST
 from cpam_bayes.inference.climb import climb
@@ -150,19 +150,11 @@ def _of_specimen(
                 found.append((h, (i,)))
             else:
                 flaws.setdefault((h.cause, h.variant), (h, []))[1].append(i)
-        for cause, prior in _by_cause(here).items():
+        for cause, prior in prior_by_cause(here).items():
             alone[cause] = max(prior, alone.get(cause, 0.0))
     found = [(h, tuple(at)) for h, at in flaws.values()] + found
-    whole = _by_cause([h for h, _ in found])
+    whole = prior_by_cause([h for h, _ in found])
     return [(replace(h, prior=h.prior * alone[h.cause] / whole[h.cause]), at) for h, at in found]
-
-
-def _by_cause(hypotheses: Sequence[Hypothesis]) -> dict[str, float]:
-    """Prior probability of each cause, its variants summed."""
-    found: dict[str, float] = {}
-    for h in hypotheses:
-        found[h.cause] = found.get(h.cause, 0.0) + h.prior
-    return found
 
 
 def _is_of_test(h: Hypothesis) -> bool:

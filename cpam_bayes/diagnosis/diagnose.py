@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import logsumexp
 
 from cpam_bayes.diagnosis.cases import hypotheses_of, plate_case
 from cpam_bayes.diagnosis.claim import Claim, claim_of
@@ -172,9 +171,6 @@ def _causes(
     found = []
     for name, probability in weighed.by_cause().items():
         t = best[name]
-        variants = [v for v in weighed.tested if v.hypothesis.cause == name]
-        priors = np.array([v.hypothesis.prior for v in variants])
-        evidence = np.array([v.log_bayes_factor for v in variants])
         signature = signatures.get(name)
         found.append(
             Cause(
@@ -182,7 +178,7 @@ def _causes(
                 variant=t.hypothesis.variant,
                 plates=tuple(cases[i].name for i in t.plates),
                 probability=probability,
-                log_bayes_factor=float(logsumexp(evidence, b=priors / priors.sum())),
+                log_bayes_factor=weighed.log_bayes_factor((name,)),
                 parameters=_parameters(t),
                 indistinguishable_from=like.get(name, ()),
                 max_shift=signature.largest if signature else 0.0,

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import logsumexp
 
 from cpam_bayes.diagnosis.claim import Claim
 from cpam_bayes.diagnosis.fit import Fit
@@ -75,17 +74,10 @@ def gain_of(
     return Gain(
         baseline.rms,
         extended.rms,
-        _log_bayes_factor(weighed, claimed),
+        weighed.log_bayes_factor(claimed),
         held_out,
         float(np.mean(ahead)),
     )
-
-
-def _log_bayes_factor(weighed: Weighed, claimed: set[str]) -> float:
-    """Of causes against none, all their variants averaged over their priors."""
-    own = [t for t in weighed.tested if t.hypothesis.cause in claimed]
-    prior = np.array([t.hypothesis.prior for t in own])
-    return float(logsumexp([t.log_bayes_factor for t in own], b=prior / prior.sum()))
 
 
 def left_out(cases: Sequence[PlateCase], t: Tested, n: int, none: Marginal | None, scatter: float) -> Array:

@@ -128,12 +128,17 @@ def with_prior_of_none(
     ]
 
 
+def prior_by_cause(hypotheses: Sequence[Hypothesis]) -> dict[str, float]:
+    """Prior probability of each cause, its variants summed."""
+    found: dict[str, float] = defaultdict(float)
+    for h in hypotheses:
+        found[h.cause] += h.prior
+    return dict(found)
+
+
 def pair_scale(singles: Sequence[Hypothesis]) -> float:
     """Prior of a pair over the product of the priors of its causes."""
-    by_cause: dict[str, float] = defaultdict(float)
-    for h in singles:
-        if h.cause not in (NONE, OTHER):
-            by_cause[h.cause] += h.prior
+    by_cause = prior_by_cause([h for h in singles if h.cause not in (NONE, OTHER)])
     none = next((h.prior for h in singles if h.cause == NONE), P_NONE)
     total = sum(by_cause.values())
     every = 0.5 * (total**2 - sum(p**2 for p in by_cause.values()))

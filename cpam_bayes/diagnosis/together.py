@@ -91,7 +91,7 @@ def run_together(own: Laboratory, trial: Trial) -> Record:
     head: Record = {"trial": asdict(trial)}
     if isinstance(hidden, Reached):
         return head | {"reached": False}
-    alone = _case(hidden.own, hidden.listed, hidden.noise)
+    alone = hidden.own.measured(hidden.listed, hidden.noise)
     # common constants from which this plate's are off as a sister's are
     common = hidden.at.x / _scattered(len(hidden.at.x), rng)
     sisters = [_simulated(b, hidden, False, common * _scattered(len(common), rng), rng) for b in own.sisters]
@@ -115,10 +115,6 @@ def _scattered(n: int, rng: np.random.Generator) -> Array:
     return np.asarray(1.0 + SCATTER * rng.standard_normal(n))
 
 
-def _case(own: Bench, frequencies: Array, noise: Array) -> PlateCase:
-    return replace(own.case, measurement=own.list_of(frequencies * np.exp(own.noise * noise)))
-
-
 def _simulated(own: Bench, hidden: Hidden, is_same: bool, x: Array, rng: np.random.Generator) -> PlateCase:
     """Another plate or test with its list; is_same : whether it is of the plate that has the cause."""
     singles = {(h.cause, h.variant): h for h in own.singles}
@@ -127,7 +123,7 @@ def _simulated(own: Bench, hidden: Hidden, is_same: bool, x: Array, rng: np.rand
     kept = [(h, size) for h, size in there if h is not None and h.family not in ("clamp", "list")]
     sizes = np.array([size for _, size in kept])
     f = true_frequencies(own, [h for h, _ in kept], x, sizes, own.n_listed)
-    return _case(own, f, rng.standard_normal(own.n_listed))
+    return own.measured(f, rng.standard_normal(own.n_listed))
 
 
 def _answer(cases: Sequence[PlateCase], names: set[str], alike: frozenset[str] | set[str]) -> Record:

@@ -46,10 +46,7 @@ def run_trial(own: Bench, trial: Trial) -> Record:
     known = oracle(hidden.at, hidden.shift, hidden.noise)
     names = tuple(h.cause for h in hidden.causes)
     alike = (known.alike | set(names)) if len(names) == 1 else frozenset(names)
-    case = replace(
-        hidden.own.case,
-        measurement=hidden.own.list_of(hidden.listed * np.exp(hidden.own.noise * hidden.noise)),
-    )
+    case = hidden.own.measured(hidden.listed, hidden.noise)
     hypotheses = hypotheses_of([case])
     if trial.lacks:  # a list that says which mode it lacks lacks no other
         hypotheses = [(h, plates) for h, plates in hypotheses if not h.listed.missed]

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from cpam_bayes.affine import AffineOperator
 from cpam_bayes.calculix.solve import solve_specimen
-from cpam_bayes.diagnosis.cases import hypotheses_of, plate_case
+from cpam_bayes.diagnosis.cases import hypotheses_of, plate_case, with_list
 from cpam_bayes.diagnosis.fitting import PlateCase
 from cpam_bayes.diagnosis.hypotheses import Hypothesis
 from cpam_bayes.diagnosis.scores import scores_of
@@ -72,6 +72,10 @@ class Bench:
         own = self.case.measurement
         rounded = np.sort(np.round(frequencies / own.resolution) * own.resolution)
         return replace(own, frequencies=rounded)
+
+    def measured(self, frequencies: Array, noise: Array) -> PlateCase:
+        """The plate with a list of these frequencies, measured with noise in units of s."""
+        return with_list(self.case, self.list_of(frequencies * np.exp(self.noise * noise)))
 
 
 def bench(plate: str | Specimen, n_listed: int, *, noise: float, resolution: float) -> Bench:

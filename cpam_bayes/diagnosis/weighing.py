@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import logsumexp
 
 from cpam_bayes.diagnosis.fitting import SCATTER, PlateCase
 from cpam_bayes.diagnosis.hypotheses import (
@@ -54,6 +55,12 @@ class Weighed:
         for t in self.tested:
             found[t.hypothesis.cause] += t.probability
         return dict(sorted(found.items(), key=lambda item: -item[1]))
+
+    def log_bayes_factor(self, causes: Collection[str]) -> float:
+        """Of causes against none, all their variants averaged over their priors."""
+        own = [t for t in self.tested if t.hypothesis.cause in causes]
+        prior = np.array([t.hypothesis.prior for t in own])
+        return float(logsumexp([t.log_bayes_factor for t in own], b=prior / prior.sum()))
 
     def best_of(self, cause: str) -> Tested:
         """The most probable variant of a cause."""

@@ -121,7 +121,7 @@ def _sd_percent(row: FrequencyRow) -> float:
 
 def _limits(rows: Sequence[FrequencyRow]) -> tuple[float, float]:
     """Of the residuals, with room for the key; whiskers may be cut."""
-    shown = [row for row in rows if row.residual_percent is not None and row.predicted is not None]
+    shown = [row for row in rows if row.predicted is not None]
     largest = max((abs(row.residual_percent or 0.0) for row in shown), default=0.0)
     whisker = float(np.median([2.0 * _sd_percent(row) for row in shown])) if shown else 1.0
     end = 1.1 * max(largest + whisker, 0.1)

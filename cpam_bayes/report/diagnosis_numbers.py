@@ -142,12 +142,12 @@ def frequency_rows(d: Diagnosis, fit: Fit, leader: Tested) -> tuple[FrequencyRow
             )
         start += n
         nan = float("nan")
-        own += [FrequencyRow(case.name, f, None, nan, nan, nan, None, None) for f in _left_aside(case)]
+        own += [FrequencyRow(case.name, f, None, nan, nan, nan, None, None) for f in left_aside(case)]
         rows += sorted(own, key=lambda row: row.measured)
     return tuple(rows)
 
 
-def _left_aside(case: PlateCase) -> list[float]:
+def left_aside(case: PlateCase) -> list[float]:
     """Frequencies of an incomplete list that its most probable pairing gives no mode."""
     measurement = case.models.specimen.measurement
     if measurement is None or measurement.complete:

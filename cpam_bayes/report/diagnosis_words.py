@@ -10,7 +10,7 @@ from cpam_bayes.diagnosis.cases import differing_priors
 from cpam_bayes.diagnosis.diagnose import Cause, Diagnosis
 from cpam_bayes.diagnosis.extension import Resampled
 from cpam_bayes.diagnosis.hypotheses import NONE, OTHER
-from cpam_bayes.report.diagnosis_numbers import constant_rows, effect_unit
+from cpam_bayes.report.diagnosis_numbers import constant_rows, effect_unit, left_aside
 from cpam_bayes.report.numbers import fixed, significant, with_spread
 
 __all__ = [
@@ -115,10 +115,8 @@ def _false(d: Diagnosis) -> str:
     """The frequencies that an incomplete list's pairing leaves out."""
     found = []
     for case in d.cases:
-        whole = case.models.specimen.measurement
-        if whole is not None and whole.size > case.measurement.size:
-            kept = set(case.measurement.frequencies.tolist())
-            left = [f"{f:g} Hz" for f in whole.frequencies if f not in kept]
+        left = [f"{f:g} Hz" for f in left_aside(case)]
+        if left:
             found.append(listed(left, "and") + (f" of {case.name}" if len(d.cases) > 1 else ""))
     return f", with {listed(found, 'and')} left out as no mode of the plate" if found else ""
 
