@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cpam_bayes.inference.ply_sums import PlySums
 from cpam_bayes.inference.sequence_classes import members
 from cpam_bayes.inference.sequence_evaluation import Evaluated
 from cpam_bayes.inference.sequence_evidence import SequencePosterior
@@ -112,7 +113,8 @@ class SequenceAnswer:
 class Task:
     """The sequences of one specimen: their posteriors, symmetries and grid.
 
-    starts : (2, n) of every climb. library : (p, n_constants) constants whose best two for a sequence are
+    sums : over the plies, ``None`` where the sequences are so few that none is learned. starts : (2, n) of
+    every climb. library : (p, n_constants) constants whose best two for a sequence are
     starts where climbs are to be thorough.
     """
 
@@ -120,6 +122,7 @@ class Task:
     own: SequencePosterior
     symmetries: tuple[Symmetry, ...]
     grid_deg: Array
+    sums: PlySums | None
     starts: Array
     library: Array
     settings: SequenceSettings

@@ -78,12 +78,7 @@ def learned(
     images = problem.images
     known = learn(problem, rng, notify)
     rounds, fine = _ROUNDS, False
-    few = {"fitted": _TRIAL, "listed": _TRIAL_LISTED, "draws": _TRIAL_DRAWS}
-    trial = replace(
-        task,
-        settings=replace(task.settings, **{k: min(n, getattr(task.settings, k)) for k, n in few.items()}),
-    )
-    current = trial if task.n_sequences > _MANY else task
+    current = _trial(task) if task.n_sequences > _MANY else task
     scouted: Scouted | None = None
     while True:
         if scouted is None:
@@ -111,6 +106,18 @@ def learned(
             known, scouted = learn_more(known, problem, _lesson(drawn, listed, rng), rng), None
         if settled or rounds == 1:
             current = task
+
+
+def _trial(task: Task) -> Task:
+    """The same with a short list and few draws."""
+    own = task.settings
+    few = replace(
+        own,
+        fitted=min(_TRIAL, own.fitted),
+        listed=min(_TRIAL_LISTED, own.listed),
+        draws=min(_TRIAL_DRAWS, own.draws),
+    )
+    return replace(task, settings=few)
 
 
 @dataclass(frozen=True, slots=True)

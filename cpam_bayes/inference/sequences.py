@@ -75,11 +75,10 @@ def sequence_probabilities(
     start = time.perf_counter()
     task = sequence_task(specimen, seed, settings=settings, executor=executor, notify=notify)
     rng = np.random.default_rng([seed, 4])
-    if task.n_sequences <= 2 * settings.exhaustive:
+    if task.sums is None:
         answer = exhaustive(task, rng, notify)
     else:
-        sums = ply_sums(specimen.plate.layup, task.grid_deg)
-        answer = learned(task, sums, rng, notify, progress)
+        answer = learned(task, task.sums, rng, notify, progress)
     return replace(answer, seconds=time.perf_counter() - start)
 
 
@@ -97,8 +96,8 @@ def sequence_task(
     if not layup.n_unknown:
         raise ValueError(f'{specimen.source}: layup {layup.text} has no unknown angle; write "?" for one')
     grid = angle_grid(specimen.angle_grid_deg)
-    if len(grid) ** layup.n_unknown > 2 * settings.exhaustive:
-        ply_sums(layup, grid)  # refuses what it cannot do before anything is built
+    few = len(grid) ** layup.n_unknown <= 2 * settings.exhaustive
+    sums = None if few else ply_sums(layup, grid)
     n_modes = measurement.size + (0 if measurement.complete else _SPARE_MODES)
     parameters = angle_parameters(specimen).union(unknowns)
     model = reduced_model(specimen, parameters, n_modes, notify=notify)
@@ -106,7 +105,7 @@ def sequence_task(
     own = sequence_posterior(model, layup.n_unknown, measurement, error)
     starts = common_starts(specimen, own)
     library = scan_library(own, _LIBRARY, np.random.default_rng([seed, 8]))
-    return Task(specimen, own, plate_symmetries(specimen), grid, starts, library, settings, executor)
+    return Task(specimen, own, plate_symmetries(specimen), grid, sums, starts, library, settings, executor)
 
 
 def common_starts(specimen: Specimen, own: SequencePosterior) -> Array:
