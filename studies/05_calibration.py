@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from cpam_bayes.cache import cache_directory
+from cpam_bayes.commands.options import add_executor_options
 from cpam_bayes.inference.calibration import (
     N_DRAWS,
     SETTINGS,
@@ -31,7 +32,7 @@ from cpam_bayes.inference.calibration import (
 )
 from cpam_bayes.inference.pso import SwarmSettings
 from cpam_bayes.inference.rank_statistics import Band, coverage, rank_statistics
-from cpam_bayes.parallel import open_executor, read_spec
+from cpam_bayes.parallel import open_executor
 from cpam_bayes.report.tables import Column, Table, screen_text
 
 Results = dict[str, Any]
@@ -161,10 +162,7 @@ def main() -> None:
     """Run the study, print its tables and save the results."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="the small version; nothing is saved")
-    parser.add_argument("--workers", type=int, metavar="N", help="number of processes (default: one a core)")
-    parser.add_argument(
-        "--executor", type=read_spec, metavar="SPEC", help="processes, serial, dask://HOST:PORT"
-    )
+    add_executor_options(parser)
     parser.add_argument(
         "--repetitions", type=int, metavar="N", help=f"of each plate (default: {REPETITIONS})"
     )

@@ -32,6 +32,7 @@ from scipy.stats import beta
 
 from cpam_bayes.cache import reduced_model
 from cpam_bayes.inference.fpso import FuzzyResult
+from cpam_bayes.inference.own_sequence import own_sequence, with_layup
 from cpam_bayes.inference.pso import SwarmSettings
 from cpam_bayes.inference.sequence_classes import canonical, is_canonical
 from cpam_bayes.inference.sequence_search import (
@@ -42,8 +43,7 @@ from cpam_bayes.inference.sequence_search import (
     sequence_starts,
 )
 from cpam_bayes.inference.symmetries import Symmetry, plate_symmetries
-from cpam_bayes.layup import parse_layup
-from cpam_bayes.measurement import Specimen, builtin, to_si
+from cpam_bayes.measurement import Specimen, to_si
 from cpam_bayes.measurement.records import angle_grid
 from cpam_bayes.model import reference_vector
 from cpam_bayes.paper.sequences import identified_sequences
@@ -133,19 +133,12 @@ def run(quick: bool, executor: Executor | None = None, notify: Notify = lambda t
 
 def case_specimen(name: str, step_deg: float | None = None) -> Specimen:
     """A case by its name, if wanted on another grid of angles."""
-    plate, layup = TWO_ANGLES.get(name, (name, None))
-    specimen = builtin(plate, sequence=True)
-    if layup is not None:
-        specimen = replace(specimen, plate=replace(specimen.plate, layup=parse_layup(layup)))
-    return specimen if step_deg is None else replace(specimen, angle_grid_deg=step_deg)
+    return with_layup(*TWO_ANGLES.get(name, (name, None)), step_deg)
 
 
 def true_sequence(specimen: Specimen) -> Array:
     """Grid indices of the plate's own layup, (n_plies,)."""
-    known = builtin(specimen.name).plate.layup.angles_deg
-    index = specimen.plate.layup.unknown_index
-    own = [known[np.flatnonzero(index == k)[0]] for k in range(specimen.plate.layup.n_unknown)]
-    return _on_grid(np.array(own), angle_grid(specimen.angle_grid_deg))
+    return _on_grid(own_sequence(specimen), angle_grid(specimen.angle_grid_deg))
 
 
 def _on_grid(angles_deg: Array, grid: Array) -> Array:

@@ -19,26 +19,25 @@ import sys
 import time
 from collections.abc import Callable
 from concurrent.futures import Executor
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from cpam_bayes.cache import reduced_model
+from cpam_bayes.commands.options import add_executor_options
 from cpam_bayes.inference.angle_information import angle_information
 from cpam_bayes.inference.given_sequence import given_sequence
+from cpam_bayes.inference.own_sequence import own_list, own_sequence, with_layup
 from cpam_bayes.inference.sequences import (
     DEFAULT_SETTINGS,
     SequenceAnswer,
     SequenceSettings,
     sequence_probabilities,
 )
-from cpam_bayes.layup import parse_layup
-from cpam_bayes.measurement import Measurement, Specimen, builtin
-from cpam_bayes.model import angle_parameters, reference_vector
+from cpam_bayes.measurement import Specimen
 from cpam_bayes.paper.sequences import identified_sequences
-from cpam_bayes.parallel import open_executor, read_spec
+from cpam_bayes.parallel import open_executor
 from cpam_bayes.report.tables import Column, Table, screen_text
 
 Results = dict[str, Any]
@@ -105,18 +104,7 @@ def run(
 
 def case_specimen(name: str, step_deg: float | None = None) -> Specimen:
     """A case by its name, if wanted on another grid of angles."""
-    plate, layup = TWO_ANGLES.get(name, (name, None))
-    specimen = builtin(plate, sequence=True)
-    if layup is not None:
-        specimen = replace(specimen, plate=replace(specimen.plate, layup=parse_layup(layup)))
-    return specimen if step_deg is None else replace(specimen, angle_grid_deg=step_deg)
-
-
-def own_sequence(specimen: Specimen) -> np.ndarray:
-    """The plate's own angles at the places of the unknown ones, (k,) degrees."""
-    known = builtin(specimen.name).plate.layup.angles_deg
-    index = specimen.plate.layup.unknown_index
-    return np.array([known[np.flatnonzero(index == i)[0]] for i in range(specimen.plate.layup.n_unknown)])
+    return with_layup(*TWO_ANGLES.get(name, (name, None)), step_deg)
 
 
 def _case(
@@ -190,7 +178,7 @@ def _noise(
     notify: Notify,
 ) -> Results:
     """C1's own list, as the reduced model has it, at several noises that are stated, none added."""
-    specimen, model_error = _with_layup("C1", NOISE_LAYUPS[name], step), np.nan
+    specimen, model_error = with_layup("C1", NOISE_LAYUPS[name], step), np.nan
     rows = []
     for level in levels:
         notify(f"{name}, {100 * level:g} %")
@@ -227,35 +215,13 @@ def _noise(
     }
 
 
-def _with_layup(plate: str, layup: str, step: float | None) -> Specimen:
-    """A built-in plate with other unknown angles, if wanted on another grid of angles."""
-    specimen = builtin(plate, sequence=True)
-    specimen = replace(specimen, plate=replace(specimen.plate, layup=parse_layup(layup)))
-    return specimen if step is None else replace(specimen, angle_grid_deg=step)
-
-
-def own_list(specimen: Specimen, noise: float) -> tuple[Specimen, np.ndarray, float]:
-    """A specimen with the noise-free list of its own sequence, which comes too, and the model's error.
-
-    noise : relative standard deviation that the list states. The constants are the reference ones.
-    """
-    assert specimen.measurement is not None
-    n = specimen.measurement.size
-    model = reduced_model(specimen, angle_parameters(specimen).union(specimen.unknowns), n)
-    own = own_sequence(specimen)
-    x = np.concatenate((own, reference_vector(specimen, specimen.unknowns)))
-    frequencies = model.predict(x[None]).frequencies[0]
-    listed = Measurement(frequencies, 0.0, noise, None, ("",) * n, complete=True)
-    return replace(specimen, measurement=listed), own, float(model.full.error.max())
-
-
 def _cost(
     name: str, step: float | None, settings: SequenceSettings, executor: Executor | None, notify: Notify
 ) -> Results:
     """What one list takes whose outermost angles are unknown."""
     angles, noise = COST[name]
     notify(name)
-    listed, _, _ = own_list(_with_layup("F1", COST_LAYUPS[angles], step), noise)
+    listed, _, _ = own_list(with_layup("F1", COST_LAYUPS[angles], step), noise)
     start = time.process_time()
     answer = sequence_probabilities(listed, SEED, settings=settings, executor=executor, notify=notify)
     return {
@@ -371,9 +337,10 @@ def save(results: Results) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="the small version; nothing is saved")
-    parser.add_argument("--only", nargs="+", choices=NAMES, metavar="NAME", help=f"of: {', '.join(NAMES)}")
-    parser.add_argument("--workers", type=int, help="worker processes (default: as many as cores)")
-    parser.add_argument("--executor", type=read_spec, help="serial, processes or dask://HOST:PORT")
+    parser.add_argument(
+        "--only", nargs="+", choices=NAMES, metavar="NAME", help="of: " + ", ".join(NAMES).replace("%", "%%")
+    )
+    add_executor_options(parser)
     args = parser.parse_args()
 
     begun = time.perf_counter()

@@ -20,6 +20,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from cpam_bayes.commands.options import add_executor_options
 from cpam_bayes.inference.sequence_coverage import (
     ALLOWED,
     CoverageSettings,
@@ -29,7 +30,7 @@ from cpam_bayes.inference.sequence_coverage import (
 )
 from cpam_bayes.layup import parse_layup
 from cpam_bayes.measurement import Specimen, builtin
-from cpam_bayes.parallel import open_executor, read_spec
+from cpam_bayes.parallel import open_executor
 from cpam_bayes.report.tables import Column, Table, screen_text
 
 Results = dict[str, Any]
@@ -188,8 +189,7 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="the small version; nothing is saved")
     parser.add_argument("--only", nargs="+", choices=tuple(CASES), help="cases to run (default: all)")
     parser.add_argument("--trials", type=int, help="lists of each case")
-    parser.add_argument("--workers", type=int, help="worker processes (default: as many as cores)")
-    parser.add_argument("--executor", type=read_spec, help="serial, processes or dask://HOST:PORT")
+    add_executor_options(parser)
     args = parser.parse_args()
     only = None if args.only is None else tuple(args.only)
     with open_executor(args.executor, args.workers) as executor:

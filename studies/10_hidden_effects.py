@@ -27,6 +27,7 @@ from typing import Any
 import numpy as np
 
 from cpam_bayes.cache import cache_directory
+from cpam_bayes.commands.options import add_executor_options
 from cpam_bayes.diagnosis.hypotheses import P_NONE, P_OTHER, P_PAIR
 from cpam_bayes.diagnosis.trial_statistics import (
     confusion,
@@ -38,7 +39,7 @@ from cpam_bayes.diagnosis.trial_statistics import (
 from cpam_bayes.diagnosis.trials import Trial, run_trial
 from cpam_bayes.diagnosis.truths import MESH, Bench, bench, of_cause
 from cpam_bayes.inference.draw_store import DrawStore
-from cpam_bayes.parallel import open_executor, read_spec
+from cpam_bayes.parallel import open_executor
 from cpam_bayes.parallel import run as share_out
 from cpam_bayes.report.tables import Column, Table, screen_text
 
@@ -275,10 +276,7 @@ def main() -> None:
     """Run the study, print its tables and save the results."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="the small version; nothing is saved")
-    parser.add_argument("--workers", type=int, metavar="N", help="number of processes (default: one a core)")
-    parser.add_argument(
-        "--executor", type=read_spec, metavar="SPEC", help="processes, serial, dask://HOST:PORT"
-    )
+    add_executor_options(parser)
     parser.add_argument("--per-cell", type=int, default=PER_CELL, metavar="N", help="trials of each cell")
     parser.add_argument(
         "--only", nargs="+", choices=KINDS, default=KINDS, metavar="KIND", help=", ".join(KINDS)

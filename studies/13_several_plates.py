@@ -21,10 +21,11 @@ from typing import Any
 
 import numpy as np
 
+from cpam_bayes.commands.options import add_executor_options
 from cpam_bayes.diagnosis.together import TESTS, laboratory, run_together
 from cpam_bayes.diagnosis.trials import Trial
 from cpam_bayes.diagnosis.truths import of_cause
-from cpam_bayes.parallel import open_executor, read_spec
+from cpam_bayes.parallel import open_executor
 from cpam_bayes.parallel import run as share_out
 from cpam_bayes.report.tables import Column, Table, screen_text
 
@@ -155,10 +156,7 @@ def main() -> None:
     """Run the study, print its tables and save the results."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="the small version; nothing is saved")
-    parser.add_argument("--workers", type=int, metavar="N", help="number of processes (default: one a core)")
-    parser.add_argument(
-        "--executor", type=read_spec, metavar="SPEC", help="processes, serial, dask://HOST:PORT"
-    )
+    add_executor_options(parser)
     parser.add_argument("--per-cause", type=int, default=PER_CAUSE, metavar="N", help="trials of each cause")
     args = parser.parse_args()
 

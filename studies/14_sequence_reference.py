@@ -18,7 +18,6 @@ import sys
 import time
 from collections.abc import Callable
 from concurrent.futures import Executor
-from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -26,8 +25,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cpam_bayes.cache import reduced_model
-from cpam_bayes.inference.ply_sums import ply_sums
+from cpam_bayes.commands.options import add_executor_options
+from cpam_bayes.inference.own_sequence import own_list, with_layup
 from cpam_bayes.inference.sequence_answer import DEFAULT_SETTINGS, SequenceSettings, Task
 from cpam_bayes.inference.sequence_classes import canonical
 from cpam_bayes.inference.sequence_evaluation import Evaluated, evaluate
@@ -36,10 +35,7 @@ from cpam_bayes.inference.sequence_learning import LearningSettings, learn
 from cpam_bayes.inference.sequence_listing import learned_values
 from cpam_bayes.inference.sequence_scan import scan_library
 from cpam_bayes.inference.sequences import sequence_probabilities, sequence_task
-from cpam_bayes.layup import parse_layup
-from cpam_bayes.measurement import Measurement, Specimen, builtin
-from cpam_bayes.model import angle_parameters, reference_vector
-from cpam_bayes.parallel import open_executor, read_spec
+from cpam_bayes.parallel import open_executor
 from cpam_bayes.report.tables import Column, Table, screen_text
 
 Array = NDArray[Any]
@@ -110,7 +106,7 @@ def _case(
     notify: Notify,
 ) -> Results:
     notify(name)
-    specimen = _own_list(case, step)
+    specimen, _, _ = own_list(with_layup(case.plate, case.layup, step), case.noise)
     start = time.perf_counter()
     answer = sequence_probabilities(specimen, SEED, settings=settings, executor=executor, notify=notify)
     notify("the reference")
@@ -134,24 +130,6 @@ def _case(
         notify("all layers")
         row |= _summed(task, each)
     return row | {"seconds": time.perf_counter() - start}
-
-
-def _own_list(case: Case, step: float | None) -> Specimen:
-    """The plate with the noise-free list of its own layup, its angles as near as the grid has them."""
-    specimen = builtin(case.plate, sequence=True)
-    specimen = replace(specimen, plate=replace(specimen.plate, layup=parse_layup(case.layup)))
-    if step is not None:
-        specimen = replace(specimen, angle_grid_deg=step)
-    assert specimen.measurement is not None
-    n = specimen.measurement.size
-    model = reduced_model(specimen, angle_parameters(specimen).union(specimen.unknowns), n)
-    layup, known = specimen.plate.layup, builtin(case.plate).plate.layup.angles_deg
-    own = [known[np.flatnonzero(layup.unknown_index == i)[0]] for i in range(layup.n_unknown)]
-    x = np.concatenate((own, reference_vector(specimen, specimen.unknowns)))
-    frequencies = model.predict(x[None]).frequencies[0]
-    return replace(
-        specimen, measurement=Measurement(frequencies, 0.0, case.noise, None, ("",) * n, complete=True)
-    )
 
 
 def _reference(task: Task, sequences: Array, log2_points: int) -> Evaluated:
@@ -183,7 +161,8 @@ def _errors(miss: Array, reference: Evaluated) -> Results:
 def _summed(task: Task, each: int) -> Results:
     """The sum over all sequences from layers of the learned log evidence, by ratio estimates."""
     rng = np.random.default_rng([SEED, 4])  # what the answer learned is learned again
-    sums = ply_sums(task.specimen.plate.layup, task.grid_deg)
+    sums = task.sums
+    assert sums is not None, "so few sequences need no learned evidence"
     surface = learn(learning_of(task, sums), rng, lambda text: None).surface
     g, k = len(task.grid_deg), task.n_unknown
     every = np.stack(np.unravel_index(np.arange(g**k), (g,) * k), axis=1)
@@ -291,9 +270,10 @@ def main() -> None:
     """Run the study, print its tables and save the results, case by case."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="the small version; nothing is saved")
-    parser.add_argument("--only", nargs="+", choices=CASES, metavar="NAME", help=f"of: {'; '.join(CASES)}")
-    parser.add_argument("--workers", type=int, help="worker processes (default: as many as cores)")
-    parser.add_argument("--executor", type=read_spec, help="serial, processes or dask://HOST:PORT")
+    parser.add_argument(
+        "--only", nargs="+", choices=CASES, metavar="NAME", help="of: " + "; ".join(CASES).replace("%", "%%")
+    )
+    add_executor_options(parser)
     args = parser.parse_args()
 
     begun = time.perf_counter()
