@@ -46,13 +46,4 @@ def mixture() -> SequenceMixture:
 
 def shortened(n: int) -> SequenceAnswer:
     """The answer with a list of its first n classes only."""
-    own = answer()
-    return replace(
-        own,
-        top=own.top[:n],
-        multiplicity=own.multiplicity[:n],
-        probability=own.probability[:n],
-        log_evidence=own.log_evidence[:n],
-        log_evidence_error=own.log_evidence_error[:n],
-        components=own.components[np.arange(n)],
-    )
+    return answer().listing(np.arange(n))

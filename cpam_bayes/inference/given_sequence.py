@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cpam_bayes.inference.sequence_classes import canonical
 from cpam_bayes.inference.sequence_evidence import SequenceFits, fit_sequences
 from cpam_bayes.inference.sequence_importance import importance_evidence
 from cpam_bayes.inference.sequences import SequenceAnswer
@@ -57,10 +56,8 @@ def given_sequence(answer: SequenceAnswer, angles_deg: Array, log2_points: int =
             f"grid of {answer.specimen.angle_grid_deg:g} degrees"
         )
     found = answer.components
-    same = canonical(np.vstack((sequence, found.sequences)), answer.symmetries).representative
-    rows = np.flatnonzero(np.all(same[1:] == same[0], axis=1))
-    if len(rows):
-        i = int(rows[0])
+    i = int(answer.classes_of(sequence[None])[0])
+    if i >= 0:
         return GivenSequence(
             on_grid,
             i,

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cpam_bayes.inference.ply_sums import PlySums
-from cpam_bayes.inference.sequence_classes import members
+from cpam_bayes.inference.sequence_classes import canonical, members
 from cpam_bayes.inference.sequence_evaluation import Evaluated
 from cpam_bayes.inference.sequence_evidence import SequencePosterior
 from cpam_bayes.inference.sequence_learning import LearningSettings
@@ -77,9 +77,11 @@ class SequenceAnswer:
     """The posterior over the sequences of one specimen.
 
     enumerated : sequences on the grid. classes : distinct ones, symmetric images merged, ``None`` where they
-    were not counted. log_evidence_total : log of their mean evidence. top : the most
-    probable classes, each by its first member, (t, k) degrees, in descending order; multiplicity : (t,)
-    sequences in each; probability : (t,) of each single sequence; log_evidence, log_evidence_error : (t,).
+    were not counted. log_evidence_total : log of their mean evidence. top : the most probable classes, each
+    by its first member, (t, k) degrees, in descending order; same_bending : of each, the first members of all
+    other classes with its bending stiffness, (a, k) grid indices; alike : those of them that the list does
+    not tell from it, and that belong to it with their images; multiplicity : (t,) sequences in each;
+    probability : (t,) of each single sequence; log_evidence, log_evidence_error : (t,).
     marginals : (k, n_grid) probability of every angle, ply by ply. credible_count : sequences in the smallest
     set that holds 95 %. effective_count : exp of the entropy. unaccounted : bound of what is left out.
     drawn : sequences drawn from the posterior with their conditional posteriors; draw_weight : (d,) what each
@@ -94,6 +96,8 @@ class SequenceAnswer:
     classes: int | None
     log_evidence_total: float
     top: Array
+    same_bending: tuple[Array, ...]
+    alike: tuple[Array, ...]
     multiplicity: Array
     probability: Array
     log_evidence: Array
@@ -108,12 +112,41 @@ class SequenceAnswer:
     check: SurfaceCheck | None
     seconds: float
 
+    def listing(self, rows: Array) -> SequenceAnswer:
+        """The same with a list of some of the classes."""
+        return replace(
+            self,
+            top=self.top[rows],
+            same_bending=tuple(self.same_bending[i] for i in rows),
+            alike=tuple(self.alike[i] for i in rows),
+            multiplicity=self.multiplicity[rows],
+            probability=self.probability[rows],
+            log_evidence=self.log_evidence[rows],
+            log_evidence_error=self.log_evidence_error[rows],
+            components=self.components[rows],
+        )
+
+    def class_members(self, i: int) -> Array:
+        """All sequences of the listed class ``i``, (multiplicity, k) grid indices."""
+        first = np.vstack((self.components.sequences[i], self.alike[i]))
+        return np.concatenate([members(s, self.symmetries) for s in first])
+
+    def classes_of(self, sequences: Array) -> Array:
+        """Index of the listed class of each sequence of grid indices (m, k), -1 beyond the list, (m,)."""
+        index = np.repeat(np.arange(len(self.top)), [1 + len(others) for others in self.alike])
+        first = [np.vstack(own) for own in zip(self.components.sequences, self.alike, strict=True)]
+        own = canonical(np.concatenate(first), self.symmetries).representative
+        place = {tuple(row): int(i) for i, row in zip(index, own.tolist(), strict=True)}
+        asked = canonical(sequences, self.symmetries).representative
+        return np.array([place.get(tuple(row), -1) for row in asked.tolist()], dtype=np.int64)
+
 
 @dataclass(frozen=True, slots=True)
 class Task:
     """The sequences of one specimen: their posteriors, symmetries and grid.
 
-    sums : over the plies, ``None`` where the sequences are so few that none is learned. starts : (2, n) of
+    sums : over the plies, ``None`` where the layup is not
+    symmetric. starts : (2, n) of
     every climb. library : (p, n_constants) constants whose best two for a sequence are
     starts where climbs are to be thorough.
     """
@@ -137,6 +170,11 @@ class Task:
     def n_sequences(self) -> int:
         """Number of sequences on the grid."""
         return int(len(self.grid_deg) ** self.n_unknown)
+
+    @property
+    def each_computed(self) -> bool:
+        """Whether they are so few that no evidence is learned."""
+        return self.n_sequences <= 2 * self.settings.exhaustive
 
 
 def moved(task: Task, data: Evaluated, rng: np.random.Generator) -> Evaluated:

@@ -53,6 +53,8 @@ def exhaustive(task: Task, rng: np.random.Generator, notify: Callable[[str], Non
         classes=len(first),
         log_evidence_total=total - float(np.log(g**k)),
         top=task.grid_deg[representative[top]],
+        same_bending=(representative[:0],) * len(top),
+        alike=(representative[:0],) * len(top),
         multiplicity=size[top],
         probability=single[top],
         log_evidence=data.log_evidence[top],

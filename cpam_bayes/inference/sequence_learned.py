@@ -83,15 +83,15 @@ def learned(
     while True:
         if scouted is None:
             scouted = _scouted(task, sums, known, rng, notify)
-        enumerator = scouted.listing(current)
-        cells = "" if enumerator.table is None else f", {len(enumerator.table.centre)} cells"
-        notify(f"{task.n_sequences} sequences{cells}")
-        whole = _gone_through(enumerator, task.executor, progress)
-        if current is task and not fine and _unlisted(enumerator, whole) > _LEARNED_ALONE:
+        if current is task and not fine and scouted.unlisted(task) > _LEARNED_ALONE:
             notify("too many sequences count to be fitted one by one: learning on")
             fine, scouted = True, None
             known = learn_on(known, problem, task.settings.learning.fine, rng, notify)
             continue
+        enumerator = scouted.listing(current)
+        cells = "" if enumerator.table is None else f", {len(enumerator.table.centre)} cells"
+        notify(f"{task.n_sequences} sequences{cells}")
+        whole = _gone_through(enumerator, task.executor, progress)
         notify(f"{len(whole.log_evidence)} sequences are fitted one by one")
         listed = compute_listed(current, sums, known, whole, images, notify)
         drawn = draw_parts(current, sums, known, enumerator, whole, listed, rng)
@@ -132,26 +132,28 @@ class Scouted:
     share: float
 
     def listing(self, task: Task) -> Enumerator:
-        """The same with what a task lists: nearly all the mass, but not too many."""
-        own, settings = self.enumerator, task.settings
+        """The same with what a task lists."""
+        own = self.enumerator
+        return replace(own, threshold=own.reference + 5.0 - BIN * self._listed_bins(task))
+
+    def unlisted(self, task: Task) -> float:
+        """Share of the mass, as it was learned, of sequences that a task does not list."""
+        n = self._listed_bins(task)
+        return float(self.piece.weight[n:].sum() / self.piece.weight.sum())
+
+    def _listed_bins(self, task: Task) -> int:
+        """How many bins of the log evidence are listed: nearly all the mass, but not too many sequences."""
+        settings = task.settings
         rest = 1.0 - np.cumsum(self.piece.weight) / self.piece.weight.sum()
-        number = np.cumsum(self.piece.count) / self.share / (1 if own.negation is None else 2)
+        number = np.cumsum(self.piece.count) / self.share / (1 if self.enumerator.negation is None else 2)
         enough = int(np.argmax(rest <= _UNLISTED * settings.unaccounted))
-        most = int(np.searchsorted(number, settings.fitted, side="right"))
-        return replace(own, threshold=own.reference + 5.0 - BIN * min(enough + 1, most))
+        return min(enough + 1, int(np.searchsorted(number, settings.fitted, side="right")))
 
 
 def learning_of(task: Task, sums: PlySums) -> Learning:
     """What is to be learned of a task."""
     images = _images(task, sums)
     return Learning(task.own, sums, images, task.starts, task.library, task.settings.learning, task.executor)
-
-
-def _unlisted(own: Enumerator, whole: Piece) -> float:
-    """Share of the mass, as it was learned, of sequences that are not listed."""
-    listed = float(whole.times @ np.exp(whole.log_evidence - own.reference))
-    rest = float(whole.mass.sum())
-    return rest / (rest + listed)
 
 
 def _lesson(drawn: tuple[Part | None, ...], listed: Listed, rng: np.random.Generator) -> Evaluated:

@@ -26,7 +26,7 @@ from cpam_bayes.inference.given_sequence import GivenSequence
 from cpam_bayes.inference.proposal import AdaptationSettings, Proposal, adapted
 from cpam_bayes.inference.pso import SwarmSettings
 from cpam_bayes.inference.sampling import swarm_on_posterior
-from cpam_bayes.inference.sequence_classes import canonical, members
+from cpam_bayes.inference.sequence_classes import members
 from cpam_bayes.inference.sequence_evidence import SequenceFits, SequencePosterior
 from cpam_bayes.inference.sequences import SequenceAnswer
 from cpam_bayes.parallel import run
@@ -273,7 +273,7 @@ def _combined(
 ) -> SequenceMixture:
     n, listed = len(components), len(answer.top)
     mass = answer.probability * answer.multiplicity
-    rest = _unlisted(answer)
+    rest = np.flatnonzero(answer.classes_of(answer.drawn.sequences) < 0)
     drawn_share = max(1.0 - float(mass.sum()), 0.0) if len(rest) else 0.0
     drawn = answer.draw_weight[rest]
     weight = np.concatenate((mass, drawn_share * drawn / max(float(drawn.sum()), 1e-300)))
@@ -292,8 +292,10 @@ def _combined(
         else:
             pool = conditionals[1].draws[rest[i - listed]]
         parameters.append(pool[_spread(len(pool), number, rng)])
-        one = answer.components.sequences[i] if i < listed else answer.drawn.sequences[rest[i - listed]]
-        same = members(one, answer.symmetries)
+        if i < listed:
+            same = answer.class_members(i)
+        else:
+            same = members(answer.drawn.sequences[rest[i - listed]], answer.symmetries)
         sequences.append(same[rng.integers(len(same), size=number)])
     # in no order, so that any part of the draws is a sample of the whole
     order = rng.permutation(size)
@@ -315,11 +317,3 @@ def _spread(pool: int, number: int, rng: np.random.Generator) -> Array:
     """Rows of a pool, each used once before any is used again, (number,)."""
     rounds = [rng.permutation(pool) for _ in range(-(-number // pool))]
     return np.concatenate(rounds)[:number]
-
-
-def _unlisted(answer: SequenceAnswer) -> Array:
-    """Which of the sequences drawn belong to no class that is listed."""
-    own = canonical(answer.drawn.sequences, answer.symmetries).representative
-    listed = canonical(answer.components.sequences, answer.symmetries).representative
-    known = {tuple(row) for row in listed.tolist()}
-    return np.array([i for i, row in enumerate(own.tolist()) if tuple(row) not in known], dtype=np.int64)

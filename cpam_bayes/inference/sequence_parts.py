@@ -137,6 +137,8 @@ def combined_answer(
         classes=None,
         log_evidence_total=log_total - float(np.log(task.n_sequences)),
         top=task.grid_deg[careful.sequences],
+        same_bending=(careful.sequences[:0],) * len(top),
+        alike=(careful.sequences[:0],) * len(top),
         multiplicity=canonical(careful.sequences, task.symmetries).size,
         probability=np.exp(careful.log_evidence - log_total),
         log_evidence=careful.log_evidence,

@@ -31,7 +31,7 @@ from cpam_bayes.reduced import ReducedModel
 from cpam_bayes.threads import single_blas_thread
 
 __all__ = [
-    "SequenceAnswer",
+    "FoundSequence",
     "SequenceFit",
     "best_constants",
     "fuzzy_problem",
@@ -85,7 +85,7 @@ class SequenceFit:
 
 
 @dataclass(frozen=True, slots=True)
-class SequenceAnswer:
+class FoundSequence:
     """Answer of the fuzzy swarm for one specimen.
 
     angles_deg : (n_plies,). constants : SI, by name. value : F, Hz^2, or without unit where residuals
@@ -175,7 +175,7 @@ def search_sequence(
     residual: Residual = "absolute",
     progress: Callable[[int, float], None] | None = None,
     notify: Callable[[str], None] = lambda text: None,
-) -> SequenceAnswer:
+) -> FoundSequence:
     """Ply angles and constants of a specimen by the fuzzy swarm of the paper.
 
     The swarm runs on the reduced model for any layup; what is reported of its best particle comes from
@@ -192,7 +192,7 @@ def search_sequence(
     swarm = run_swarm(fit, seed, settings, progress)
     best = np.concatenate((swarm.constants, grid[swarm.sequence]))
     predicted = model.full.predict(best).frequencies[0]
-    return SequenceAnswer(
+    return FoundSequence(
         specimen=specimen,
         angles_deg=grid[swarm.sequence],
         constants=dict(zip(unknowns.names, swarm.constants.tolist(), strict=True)),

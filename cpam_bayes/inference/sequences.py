@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cpam_bayes.cache import reduced_model
+from cpam_bayes.inference.equal_bending import alike_merged
 from cpam_bayes.inference.identify import required
 from cpam_bayes.inference.ply_sums import ply_sums
 from cpam_bayes.inference.sequence_answer import (
@@ -75,10 +76,12 @@ def sequence_probabilities(
     start = time.perf_counter()
     task = sequence_task(specimen, seed, settings=settings, executor=executor, notify=notify)
     rng = np.random.default_rng([seed, 4])
-    if task.sums is None:
+    if task.each_computed or task.sums is None:
         answer = exhaustive(task, rng, notify)
     else:
         answer = learned(task, task.sums, rng, notify, progress)
+    if task.sums is not None:
+        answer = alike_merged(answer, task, task.sums)
     return replace(answer, seconds=time.perf_counter() - start)
 
 
@@ -97,7 +100,7 @@ def sequence_task(
         raise ValueError(f'{specimen.source}: layup {layup.text} has no unknown angle; write "?" for one')
     grid = angle_grid(specimen.angle_grid_deg)
     few = len(grid) ** layup.n_unknown <= 2 * settings.exhaustive
-    sums = None if few else ply_sums(layup, grid)
+    sums = None if few and not layup.is_symmetric else ply_sums(layup, grid)
     n_modes = measurement.size + (0 if measurement.complete else _SPARE_MODES)
     parameters = angle_parameters(specimen).union(unknowns)
     model = reduced_model(specimen, parameters, n_modes, notify=notify)
@@ -105,7 +108,8 @@ def sequence_task(
     own = sequence_posterior(model, layup.n_unknown, measurement, error)
     starts = common_starts(specimen, own)
     library = scan_library(own, _LIBRARY, np.random.default_rng([seed, 8]))
-    return Task(specimen, own, plate_symmetries(specimen), grid, sums, starts, library, settings, executor)
+    symmetries = plate_symmetries(specimen)
+    return Task(specimen, own, symmetries, grid, sums, starts, library, settings, executor)
 
 
 def common_starts(specimen: Specimen, own: SequencePosterior) -> Array:

@@ -122,6 +122,7 @@ def _sequence(result: SequenceAnswer, mixture: SequenceMixture, i: int) -> dict[
         "angles_deg": result.top[i].tolist(),
         "probability": float(result.probability[i]),
         "equivalent": int(result.multiplicity[i]),
+        "same_bending_deg": result.grid_deg[result.same_bending[i]].tolist(),
         "log_evidence": float(result.log_evidence[i]),
         "log_evidence_error": float(result.log_evidence_error[i]),
         "constants": _by_name(result, mean),
@@ -208,7 +209,7 @@ def _sequences(result: SequenceAnswer) -> Table:
         )
         for i in range(min(_SHOWN, len(result.top)))
     ]
-    return Table("Most probable sequences, images that no frequency tells apart merged", columns, tuple(rows))
+    return Table("Most probable sequences, those that no frequency tells apart merged", columns, tuple(rows))
 
 
 def _plies(result: SequenceAnswer, information: AngleInformation) -> Table:
@@ -279,6 +280,7 @@ def _work(result: SequenceAnswer, mixture: SequenceMixture, given: GivenSequence
         ("sequences", f"{result.enumerated} on the grid of {result.specimen.angle_grid_deg:g} degrees"),
         ("layup", result.specimen.plate.layup.text),
         ("symmetries", images),
+        *_same_bending(result),
         ("95 % set", f"{result.credible_count} sequences"),
         ("effective number", f"{significant(result.effective_count, 3)} sequences, exp of the entropy"),
         ("left out", f"{result.unaccounted:.1g} of the probability at most"),
@@ -307,3 +309,15 @@ def _work(result: SequenceAnswer, mixture: SequenceMixture, given: GivenSequence
         ("work", f"{result.seconds:.0f} s and {mixture.seconds:.0f} s for the constants, seed {seed}")
     )
     return facts("All sequences", tuple(rows))
+
+
+def _same_bending(result: SequenceAnswer) -> tuple[tuple[str, str], ...]:
+    """Listed sequences that share their bending stiffness with others that are no images of them."""
+    several = [i for i, others in enumerate(result.same_bending) if len(others)]
+    if not several:
+        return ()
+    merged = sum(len(result.alike[i]) > 0 for i in several)
+    one, other = result.top[several[0]], result.grid_deg[result.same_bending[several[0]][0]]
+    names = " and ".join("/".join(f"{a:g}" for a in angles) for angles in (one, other))
+    said = f"{len(several)} of {len(result.top)} listed have it in common with others, as {names}"
+    return (("same bending", f"{said}; {merged} merged with them, as nothing else counts"),)
