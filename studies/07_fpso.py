@@ -1,6 +1,6 @@
 """How often the paper's fuzzy swarm finds a stacking sequence, and what it costs beside enumeration.
 
-python studies/07_fpso.py [--quick] [--processes N]
+python studies/07_fpso.py [--quick] [--only CASE ...] [--workers N] [--executor SPEC]
 
 A swarm succeeds when the sequence that it ends on, with the constants fitted to it, has F of eq. (7)
 within a margin of the smallest F known. Two margins are counted: n resolution^2 / 12, the F that
@@ -31,6 +31,7 @@ from numpy.typing import NDArray
 from scipy.stats import beta
 
 from cpam_bayes.cache import reduced_model
+from cpam_bayes.commands.options import add_executor_options
 from cpam_bayes.inference.fpso import FuzzyResult
 from cpam_bayes.inference.own_sequence import own_sequence, with_layup
 from cpam_bayes.inference.pso import SwarmSettings
@@ -69,6 +70,7 @@ SYNTHETIC, PRINTED = "synthetic", "printed"
 # Two unknown angles can be enumerated; the others are those of Table 9(b).
 TWO_ANGLES = {"C1, two angles": ("C1", "[(?/?)_8]_s"), "D2, two angles": ("D2", "[(?/?)_8]_s")}
 LADDER = ("C1", (10, 20, 40, 80, 160))
+PARTICLES = "numbers of particles"
 SETTINGS = SwarmSettings(iterations=200)
 SEEDS = 20
 STARTS = 3
@@ -105,16 +107,21 @@ QUICK = Plan(
 
 
 @single_blas_thread
-def run(quick: bool, executor: Executor | None = None, notify: Notify = lambda text: None) -> Results:
-    """All cases on both kinds of data, then the ladder of swarm sizes."""
+def run(
+    quick: bool,
+    executor: Executor | None = None,
+    only: tuple[str, ...] | None = None,
+    notify: Notify = lambda text: None,
+) -> Results:
+    """All cases, or those named, on both kinds of data, then numbers of particles."""
     plan = QUICK if quick else FULL
+    wanted = only or (*plan.cases, PARTICLES)
     cases = []
-    for name in plan.cases:
+    for name in (n for n in wanted if n != PARTICLES):
         specimen = case_specimen(name, plan.step_deg)
         for kind in (SYNTHETIC, PRINTED):
             notify(f"{name}, {kind} data")
             cases.append({"case": name, **_case(specimen, name, kind, plan, executor)})
-    notify("numbers of particles")
     return {
         "quick": quick,
         "settings": {
@@ -127,7 +134,7 @@ def run(quick: bool, executor: Executor | None = None, notify: Notify = lambda t
             "starts": STARTS,
         },
         "cases": cases,
-        "particles": _ladder(plan, executor),
+        "particles": _ladder(plan, executor, notify) if PARTICLES in wanted else [],
     }
 
 
@@ -374,13 +381,14 @@ def _seconds_of_a_solve(fit: SequenceFit, particles: int) -> float:
 # Number of particles
 
 
-def _ladder(plan: Plan, executor: Executor | None) -> list[Results]:
+def _ladder(plan: Plan, executor: Executor | None, notify: Notify) -> list[Results]:
     specimen = case_specimen(LADDER[0] if plan is FULL else plan.cases[0], plan.step_deg)
     fit = _fit(specimen, SYNTHETIC, plan.reduction)
     starts = sequence_starts(fit, STARTS)
     margins = _margins(specimen, fit)
     points = []
     for particles in plan.ladder:
+        notify(f"{particles} particles")
         swarms = run_swarms(fit, range(plan.seeds), replace(plan.settings, particles=particles), executor)
         fitted = _fitted_ends(fit, swarms, starts, executor)
         points.append(
@@ -452,18 +460,41 @@ def _columns(headings: tuple[str, ...], text: tuple[int, ...]) -> tuple[Column, 
     return tuple(Column(heading, i not in text) for i, heading in enumerate(headings))
 
 
+def with_saved(results: Results) -> Results:
+    """The results with what was saved before and not run again."""
+    if not RESULTS.exists():
+        return results
+    saved = json.loads(RESULTS.read_text(encoding="utf-8"))
+    new = {c["case"] for c in results["cases"]}
+    cases = [c for c in saved["cases"] if c["case"] not in new] + results["cases"]
+    cases.sort(key=lambda c: FULL.cases.index(c["case"]))
+    return {**results, "cases": cases, "particles": results["particles"] or saved["particles"]}
+
+
 def main() -> None:
-    """Run the study, print its tables and save the results."""
+    """Run the study, print its tables and save the results, case by case."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="the small version; nothing is saved")
-    parser.add_argument("--processes", type=int, help="worker processes, by default one a core")
-    options = parser.parse_args()
-    with open_executor("serial" if options.quick else None, options.processes) as executor:
-        results = run(options.quick, executor, lambda text: print(text, file=sys.stderr))
-    show(results)
-    if not options.quick:
+    names = (*FULL.cases, PARTICLES)
+    parser.add_argument("--only", nargs="+", choices=names, metavar="CASE", help="of: " + "; ".join(names))
+    add_executor_options(parser)
+    args = parser.parse_args()
+
+    begun = time.perf_counter()
+
+    def tell(text: str) -> None:
+        print(f"{time.perf_counter() - begun:7.1f} s  {text}", file=sys.stderr, flush=True)
+
+    with open_executor(args.executor, args.workers) as executor:
+        if args.quick:
+            show(run(True, executor, notify=tell))
+            return
         RESULTS.parent.mkdir(exist_ok=True)
-        RESULTS.write_text(json.dumps(results, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+        for name in args.only or names:
+            results = with_saved(run(False, executor, (name,), tell))
+            text = json.dumps(results, indent=1, allow_nan=False)
+            RESULTS.write_text(text + "\n", encoding="utf-8")
+    show(results)
 
 
 if __name__ == "__main__":

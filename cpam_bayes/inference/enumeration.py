@@ -195,14 +195,7 @@ def _one_prefix(
     if table is None:
         assert own.every is not None
         return np.arange(own.every.shape[1]), own.every[prefix]
-    flat = np.zeros(inner_v.shape[1], dtype=np.int64)
-    scale = np.float32(1.0 / table.width)
-    for i in range(4):
-        cell = ((inner_v[i] + np.float32(outer_v[i] + 1.0)) * scale).astype(np.int32)
-        np.minimum(cell, table.side - 1, out=cell)
-        flat *= table.side
-        flat += cell
-    leaf = table.leaf[flat]
+    leaf = table.rows(inner_v, outer_v)
     rows = np.flatnonzero(leaf >= 0)
     v = inner_v[:, rows].T + outer_v.astype(np.float32)
     q = inner_q[:, rows].T + outer_q.astype(np.float32)

@@ -27,13 +27,15 @@ class EvidenceTable:
     The scores z and the rest r of ``log_evidence`` are linear in the sums on each cell, so that no cell has
     more than its rest.
 
-    width : of a cell. leaf : (side^4,) int32, which row of ``tangent`` a cell has, -1 where it was left
-    out. centre : (L, 4). tangent : (L, n_z + 1, 1 + 4 + n_q): scores, and last the rest, at the centre, and
-    their gradients. floor : what left-out cells are below. freedom : of the log evidence.
+    width : of a cell. first : (4,) of the cells of a box about those that were kept, its number along each
+    axis; the outermost cells of the box are empty. leaf : (n_1, n_2, n_3, n_4) int32, which row of
+    ``tangent`` a cell of the box has, -1 where it was left out. centre : (L, 4). tangent : (L, n_z + 1,
+    1 + 4 + n_q): scores, and last the rest, at the centre, and their gradients. floor : what left-out cells
+    are below. freedom : of the log evidence.
     """
 
     width: float
-    side: int
+    first: Array
     leaf: Array
     centre: Array
     tangent: Array
@@ -42,8 +44,26 @@ class EvidenceTable:
 
     def lookup(self, v: Array) -> Array:
         """Rows of ``tangent`` of points (m, 4), -1 where the cell was left out, (m,)."""
-        cell = np.minimum(((v + 1.0) / self.width).astype(np.int64), self.side - 1)
-        return np.asarray(self.leaf[_flat(cell, self.side)])
+        # what lies beyond the box counts as in its outermost cells
+        cell = np.clip(np.floor((v + 1.0) / self.width).astype(np.int64) - self.first, 0, self._last)
+        return np.asarray(self.leaf[tuple(cell.T)])
+
+    @property
+    def _last(self) -> Array:
+        return np.array(self.leaf.shape) - 1
+
+    def rows(self, v: Array, shift: Array) -> Array:
+        """As ``lookup`` of points v + shift, v (4, m) and shift (4,), for very many of them."""
+        flat = np.zeros(v.shape[1], dtype=np.int64)
+        scale = np.float32(1.0 / self.width)
+        for i, n in enumerate(self.leaf.shape):
+            # truncated, not floored: that differs before the box only, whose first cells are empty
+            begin = np.float32(shift[i] + 1.0 - self.first[i] * self.width)
+            cell = ((v[i] + begin) * scale).astype(np.int32)
+            np.clip(cell, 0, n - 1, out=cell)
+            flat *= n
+            flat += cell
+        return np.asarray(self.leaf.ravel()[flat])
 
     def values(self, rows: Array, v: Array, q: Array) -> Array:
         """Log evidence of points in the cells ``rows`` (m,), v (m, 4), q (m, n_q)."""
@@ -91,17 +111,12 @@ def build_table(
             corners = np.stack(np.meshgrid(*[[-0.25, 0.25]] * 4, indexing="ij"), axis=-1).reshape(-1, 4)
             centre = (centre[:, None, :] + width * corners).reshape(-1, 4)
             width *= 0.5
-    side = _FIRST << halvings
-    leaf = np.full(side**4, -1, dtype=np.int32)
-    cell = np.minimum(((centre + 1.0) / width).astype(np.int64), side - 1)
-    leaf[_flat(cell, side)] = np.arange(len(centre))
+    cell = np.floor((centre + 1.0) / width).astype(np.int64)
+    first = cell.min(axis=0, initial=_FIRST << halvings) - 1
+    leaf = np.full(np.maximum(cell.max(axis=0, initial=0) - first + 2, 1), -1, dtype=np.int32)
+    leaf[tuple((cell - first).T)] = np.arange(len(centre))
     tangent = np.concatenate((y[:, :, None], slope), axis=2).astype(np.float32)
-    return EvidenceTable(width, side, leaf, centre.astype(np.float32), tangent, floor, freedom)
-
-
-def _flat(cell: Array, side: int) -> Array:
-    """Place of cells (m, 4) in a flat table."""
-    return np.asarray(((cell[:, 0] * side + cell[:, 1]) * side + cell[:, 2]) * side + cell[:, 3])
+    return EvidenceTable(width, first, leaf, centre.astype(np.float32), tangent, floor, freedom)
 
 
 def _realisable(v: Array, width: float) -> Array:

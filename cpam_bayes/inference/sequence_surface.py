@@ -19,8 +19,8 @@ Array = NDArray[Any]
 
 # Below the best by more than this, nats, a value counts as this far below.
 _DEPTH = 45.0
-# Fits farther off than this, standard deviations of the noise, are left out: they say nothing of the top.
-_FAR = 60.0
+# Root mean square of the relative residuals of fits that are left out: they say nothing of the top.
+_FAR = 0.2
 # Share of the sequences near the top whose residuals are less than the unit where the noise is inferred.
 _BEST = 0.1
 # The least unit of residuals: below it a list without noise is as good as exact.
@@ -110,8 +110,8 @@ def fit_surface(
     near = data.log_evidence > top - NEAR
     freedom = float(own.template.measurement.size) if own.template.noise_is_inferred else np.inf
     z = _scores(own, data, near)
-    size = np.sum(z**2, axis=1)
-    kept = size <= max(_FAR**2, float(np.median(size)))
+    away = np.sqrt(np.mean(data.fits.residual**2, axis=1))
+    kept = away <= max(_FAR, float(np.median(away)))
     # far down few points are sampled: Laplace's evidence is the better one there
     log_z = np.where(near, data.log_evidence, data.fits.log_evidence)
     rest = log_z - log_evidence(np.column_stack((z, np.zeros(len(z)))), freedom)
