@@ -14,12 +14,14 @@ from __future__ import annotations
 
 import argparse
 import json
-import resource
+import os
 import sys
+import tempfile
 import time
 from collections.abc import Callable
 from concurrent.futures import Executor
 from dataclasses import asdict
+from multiprocessing import active_children
 from pathlib import Path
 from typing import Any
 
@@ -111,9 +113,7 @@ def _case(
     name: str, step: float | None, settings: SequenceSettings, executor: Executor | None, notify: Notify
 ) -> Results:
     specimen = case_specimen(name, step)
-    start = time.process_time()
-    answer = sequence_probabilities(specimen, SEED, settings=settings, executor=executor, notify=notify)
-    processor = time.process_time() - start
+    answer, processor, memory = _measured(specimen, settings, executor, notify)
     information = angle_information(specimen.plate.layup, answer.marginals)
     printed = identified_sequences()[name].angles_deg if name in PRINTED else None
     return {
@@ -129,7 +129,7 @@ def _case(
         "outer_better": information.outer_better,
         "seconds": answer.seconds,
         "processor_seconds_here": processor,
-        "peak_gib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20,
+        "peak_gib": memory,
     }
 
 
@@ -222,8 +222,7 @@ def _cost(
     angles, noise = COST[name]
     notify(name)
     listed, _, _ = own_list(with_layup("F1", COST_LAYUPS[angles], step), noise)
-    start = time.process_time()
-    answer = sequence_probabilities(listed, SEED, settings=settings, executor=executor, notify=notify)
+    answer, processor, memory = _measured(listed, settings, executor, notify)
     return {
         "case": name,
         "layup": listed.plate.layup.text,
@@ -234,9 +233,52 @@ def _cost(
         "unaccounted": answer.unaccounted,
         "check": None if answer.check is None else asdict(answer.check),
         "seconds": answer.seconds,
-        "processor_seconds_here": time.process_time() - start,
-        "peak_gib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20,
+        "processor_seconds_here": processor,
+        "peak_gib": memory,
     }
+
+
+# Cost
+
+
+def _measured(
+    specimen: Specimen, settings: SequenceSettings, executor: Executor | None, notify: Notify
+) -> tuple[SequenceAnswer, float, float]:
+    """The answer with no model at hand, seconds of this processor, largest memory in GiB.
+
+    Memory is that of this process and its workers; pages that they share are counted once for each.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        kept = os.environ.get("CPAM_BAYES_CACHE")
+        os.environ["CPAM_BAYES_CACHE"] = folder
+        _forget_peak()
+        start = time.process_time()
+        try:
+            answer = sequence_probabilities(
+                specimen, SEED, settings=settings, executor=executor, notify=notify
+            )
+        finally:
+            if kept is None:
+                del os.environ["CPAM_BAYES_CACHE"]
+            else:
+                os.environ["CPAM_BAYES_CACHE"] = kept
+        return answer, time.process_time() - start, _peak_gib()
+
+
+def _processes() -> list[Path]:
+    return [Path(f"/proc/{pid}") for pid in (os.getpid(), *(c.pid for c in active_children()))]
+
+
+def _forget_peak() -> None:
+    """Begin anew with the largest memory of each process, see clear_refs in proc(5)."""
+    for process in _processes():
+        (process / "clear_refs").write_text("5", encoding="ascii")
+
+
+def _peak_gib() -> float:
+    """The sum of the processes' largest resident memories since then."""
+    lines = [line for p in _processes() for line in (p / "status").read_text().splitlines()]
+    return sum(int(line.split()[1]) for line in lines if line.startswith("VmHWM:")) / 2**20
 
 
 # Output
