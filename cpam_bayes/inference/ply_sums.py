@@ -69,8 +69,8 @@ def ply_sums(layup: Layup, grid_deg: Array) -> PlySums:
     """
     if not layup.is_symmetric:
         raise ValueError(
-            f"layup {layup.text}: {len(grid_deg)}^{layup.n_unknown} sequences need a symmetric layup; end it with "
-            "_s, know more angles, or take a coarser angle_grid_deg"
+            f"layup {layup.text}: {len(grid_deg)}^{layup.n_unknown} sequences need a symmetric layup; "
+            "end it with _s, give more of its angles, or take a coarser angle_grid_deg"
         )
     z = np.linspace(-0.5, 0.5, layup.n_plies + 1)
     k = layup.n_unknown
