@@ -29,8 +29,8 @@ class SequenceSettings:
 
     exhaustive : up to so many classes of sequences each evidence is computed. learning : of the surface.
     halvings : of the table's cells. unaccounted : probability that may be left out. fitted : most sequences
-    whose constants are fitted one by one; sampled : most of these whose evidence is then sampled,
-    log2_sampled : with so many points. listed : most probable sequences whose evidence is computed with
+    whose constants are fitted one by one; polished : share of the probability of these whose evidence is then
+    sampled, sampled : of so many at most, log2_sampled : with so many points. listed : most probable sequences whose evidence is computed with
     care. draws : sequences drawn to check and correct the rest. log2_points : of the importance sampling of
     these.
     """
@@ -40,6 +40,7 @@ class SequenceSettings:
     halvings: int = 2
     unaccounted: float = 1e-3
     fitted: int = 50_000
+    polished: float = 0.99
     sampled: int = 8_000
     log2_sampled: int = 7
     listed: int = 200

@@ -53,8 +53,8 @@ _PIECES = 64
 _FLOOR, _DEEPER, _DEEPEST = 14.0, 5.0, 35.0
 # Prefixes that tell beforehand how much a floor leaves out, and how long a list gets.
 _SCOUTS = 512
-# Share of what may be unaccounted that may be learned alone where the list can be long enough.
-_UNLISTED = 0.1
+# Share of the mass that may be learned alone where the list can be long enough.
+_UNLISTED = 3e-3
 # Share of the mass that is learned alone from which on the surface is learned more finely.
 _LEARNED_ALONE = 0.05
 # Rounds of learning, listing and checking; root mean square error on the draws, nats, that ends them, or so
@@ -146,7 +146,7 @@ class Scouted:
         settings = task.settings
         rest = 1.0 - np.cumsum(self.piece.weight) / self.piece.weight.sum()
         number = np.cumsum(self.piece.count) / self.share / (1 if self.enumerator.negation is None else 2)
-        enough = int(np.argmax(rest <= _UNLISTED * settings.unaccounted))
+        enough = int(np.argmax(rest <= _UNLISTED))
         return min(enough + 1, int(np.searchsorted(number, settings.fitted, side="right")))
 
 

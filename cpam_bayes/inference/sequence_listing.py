@@ -73,7 +73,7 @@ def compute_listed(
     found = _located(task, sums, known, sequences, features, expected, images)
     order = np.argsort(-found.log_evidence, kind="stable")
     mass = np.cumsum(count[order] * np.exp(found.log_evidence[order] - found.log_evidence.max()))
-    needed = int(np.searchsorted(mass, (1.0 - settings.unaccounted) * mass[-1])) + 1
+    needed = int(np.searchsorted(mass, settings.polished * mass[-1])) + 1
     some = order[: min(max(needed, settings.listed), settings.sampled)]
     notify(f"evidence of {len(some)} classes of sequences")
     around = neighbours(features, found.x, lengths, images)
