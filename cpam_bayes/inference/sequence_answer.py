@@ -29,10 +29,10 @@ class SequenceSettings:
 
     exhaustive : up to so many classes of sequences each evidence is computed. learning : of the surface.
     halvings : of the table's cells. unaccounted : probability that may be left out. fitted : most sequences
-    whose constants are fitted one by one; polished : share of the probability of these whose evidence is then
-    sampled, sampled : of so many at most, log2_sampled : with so many points. listed : most probable sequences whose evidence is computed with
-    care. draws : sequences drawn to check and correct the rest. log2_points : of the importance sampling of
-    these.
+    whose constants are fitted one by one. polished : share of the probability of these whose evidence is then
+    sampled; sampled : of so many at most; log2_sampled : with so many points. listed : most probable
+    sequences whose evidence is computed with care. draws : sequences drawn to check and correct the rest.
+    log2_points : of the importance sampling of these.
     """
 
     exhaustive: int = 1500
