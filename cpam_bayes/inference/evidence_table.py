@@ -16,6 +16,8 @@ Tangent = Callable[[Array], tuple[Array, Array]]
 
 # Cells are halved so often; the first ones are 2 / _FIRST wide.
 _FIRST = 12
+# Cells that stay farther below the top than this, nats, are halved once only.
+_REFINED = 9.0
 # How much farther a coarse cell reaches than its tangent says: it is not straight.
 _COARSE_REACH, _COARSE_SLACK = 1.5, 3.0
 
@@ -27,8 +29,8 @@ class EvidenceTable:
     The scores z and the rest r of ``log_evidence`` are linear in the sums on each cell, so that no cell has
     more than its rest.
 
-    width : of a cell. first : (4,) of the cells of a box about those that were kept, its number along each
-    axis; the outermost cells of the box are empty. leaf : (n_1, n_2, n_3, n_4) int32, which row of
+    width : of the finest cells. first : (4,) of the cells of a box about those that were kept, its number
+    along each axis; the outermost cells of the box are empty. leaf : (n_1, n_2, n_3, n_4) int32, which row of
     ``tangent`` a cell of the box has, -1 where it was left out. centre : (L, 4). tangent : (L, n_z + 1,
     1 + 4 + n_q): scores, and last the rest, at the centre, and their gradients. floor : what left-out cells
     are below. freedom : of the log evidence.
@@ -84,19 +86,24 @@ def log_evidence(y: Array, freedom: float) -> Array:
 
 
 def build_table(
-    surface: Tangent, q_reach: Array, floor: float, halvings: int, slack: float, freedom: float
+    surface: Tangent, q_reach: Array, top: float, depth: float, halvings: int, slack: float, freedom: float
 ) -> EvidenceTable:
-    """Tangents of a surface wherever it may exceed ``floor``, on cells halved ``halvings`` times.
+    """Tangents of a surface wherever it may exceed its floor, ``depth`` below ``top``.
 
     A cell is left out where no set of plies can lie (the Toeplitz matrix of 1, v1 + i v2, v3 + i v4 is
     not positive) or where the most that the tangents allow over the cell and over the reach of q, and
-    ``slack``, stay below the floor.
+    ``slack``, stay below the floor. The others are halved ``halvings`` times, but once where the tangents
+    keep them far below the top.
 
     q_reach : (n_q,) largest magnitude of each further sum. freedom : of the log evidence.
     """
     axis = (np.arange(_FIRST) + 0.5) * 2.0 / _FIRST - 1.0
-    centre = np.stack(np.meshgrid(axis, axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 4)
+    centre = _mesh(axis)
     width, n_q = 2.0 / _FIRST, len(q_reach)
+    finest = width / (1 << halvings)
+    leaves: list[tuple[Array, Array]] = []
+    cells: list[Array] = []
+    rows: list[Array] = []
     for level in range(halvings + 1):
         last = level == halvings
         centre = centre[_realisable(centre, width)]
@@ -105,18 +112,35 @@ def build_table(
         reach = np.abs(slope) @ half
         nearest = np.maximum(np.abs(y[:, :-1]) - reach[:, :-1], 0.0)
         most = log_evidence(np.column_stack((nearest, y[:, -1] + reach[:, -1])), freedom)
-        kept = most + slack * (1.0 if last else _COARSE_SLACK) >= floor
-        centre, y, slope = centre[kept], y[kept], slope[kept]
-        if not last:
-            corners = np.stack(np.meshgrid(*[[-0.25, 0.25]] * 4, indexing="ij"), axis=-1).reshape(-1, 4)
-            centre = (centre[:, None, :] + width * corners).reshape(-1, 4)
-            width *= 0.5
-    cell = np.floor((centre + 1.0) / width).astype(np.int64)
+        kept = most + slack * (1.0 if last else _COARSE_SLACK) >= top - depth
+        split = kept & (not last) & ((level == 0) | (most >= top - _REFINED))
+        leaf = kept & ~split
+        # a leaf is as many of the finest cells as it is wide
+        offsets = _mesh(np.arange(1 << (halvings - level)))
+        corner = np.rint((centre[leaf] - 0.5 * width + 1.0) / finest).astype(np.int64)
+        rows.append(np.repeat(sum(len(c) for c, _ in leaves) + np.arange(len(corner)), len(offsets)))
+        cells.append((corner[:, None, :] + offsets).reshape(-1, 4))
+        leaves.append((centre[leaf], np.concatenate((y[leaf, :, None], slope[leaf]), axis=2)))
+        centre = (centre[split][:, None, :] + width * _mesh(np.array([-0.25, 0.25]))).reshape(-1, 4)
+        width *= 0.5
+    cell = np.concatenate(cells)
     first = cell.min(axis=0, initial=_FIRST << halvings) - 1
-    leaf = np.full(np.maximum(cell.max(axis=0, initial=0) - first + 2, 1), -1, dtype=np.int32)
-    leaf[tuple((cell - first).T)] = np.arange(len(centre))
-    tangent = np.concatenate((y[:, :, None], slope), axis=2).astype(np.float32)
-    return EvidenceTable(width, first, leaf, centre.astype(np.float32), tangent, floor, freedom)
+    table = np.full(np.maximum(cell.max(axis=0, initial=0) - first + 2, 1), -1, dtype=np.int32)
+    table[tuple((cell - first).T)] = np.concatenate(rows)
+    return EvidenceTable(
+        width=finest,
+        first=first,
+        leaf=table,
+        centre=np.concatenate([c for c, _ in leaves]).astype(np.float32),
+        tangent=np.concatenate([t for _, t in leaves]).astype(np.float32),
+        floor=top - depth,
+        freedom=freedom,
+    )
+
+
+def _mesh(axis: Array) -> Array:
+    """All points with four coordinates from an axis (n,), (n^4, 4)."""
+    return np.stack(np.meshgrid(axis, axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 4)
 
 
 def _realisable(v: Array, width: float) -> Array:

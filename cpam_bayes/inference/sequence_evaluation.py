@@ -24,8 +24,6 @@ Array = NDArray[Any]
 
 # Sequences that a worker takes at a time: where all is computed, and where only optima are located.
 _BATCH, _LOCATED = 32, 512
-# An evidence this far below the one expected, nats, may be that of a lesser optimum.
-_SUSPECT = 0.3
 # Members of a library that a climb starts from.
 _SCANNED = 2
 # Neighbours among which the second start is looked for.
@@ -122,18 +120,18 @@ def locate(
     grid_deg: Array,
     sequences: Array,
     near: Array,
-    expected: Array,
+    least: Array,
     starts: Array,
     executor: Executor | None,
 ) -> Located:
     """Laplace's evidence of sequences (m, k), each climbed from one start next to its optimum.
 
-    near : (m, n) parameters, the optima of neighbours. Those that end well below the log evidence
-    expected of them (m,) are climbed again from the common ``starts`` (s, n).
+    near : (m, n) parameters, the optima of neighbours. Those that end below the ``least`` log evidence (m,)
+    are climbed again from the common ``starts`` (s, n).
     """
     angles = grid_deg[sequences]
     items = [
-        (angles[i : i + _LOCATED], near[i : i + _LOCATED], expected[i : i + _LOCATED], starts)
+        (angles[i : i + _LOCATED], near[i : i + _LOCATED], least[i : i + _LOCATED], starts)
         for i in range(0, len(sequences), _LOCATED)
     ]
     if not items:
@@ -143,10 +141,10 @@ def locate(
 
 
 def _locate_batch(own: SequencePosterior, item: tuple[Array, Array, Array, Array]) -> Located:
-    angles, near, expected, starts = item
+    angles, near, least, starts = item
     fits = fit_sequences(own, angles, near[:, None, :])
     log_evidence, x = fits.log_evidence.copy(), fits.x.copy()
-    low = np.flatnonzero(log_evidence < expected - _SUSPECT)
+    low = np.flatnonzero(log_evidence < least)
     if len(low):
         again = fit_sequences(own, angles[low], starts)
         better = again.log_evidence > log_evidence[low]

@@ -50,7 +50,7 @@ Array = NDArray[Any]
 # Pieces that the prefixes are shared out in.
 _PIECES = 64
 # A floor this far below the best to begin with, and deeper by this much while too much is left out.
-_FLOOR, _DEEPER, _DEEPEST = 14.0, 5.0, 35.0
+_FLOOR, _DEEPER, _DEEPEST = 17.0, 5.0, 35.0
 # Prefixes that tell beforehand how much a floor leaves out, and how long a list gets.
 _SCOUTS = 512
 # Share of the mass that may be learned alone where the list can be long enough.
@@ -202,16 +202,17 @@ def _scouted(
     slack = float(np.clip(surface.largest_error, 0.2, 3.0))
     depth = _FLOOR
     while True:
-        floor = surface.top - depth
         tangent = partial(_tangents, surface, task.executor)
-        table = build_table(tangent, sums.rest_reach, floor, settings.halvings, slack, surface.freedom)
+        table = build_table(
+            tangent, sums.rest_reach, surface.top, depth, settings.halvings, slack, surface.freedom
+        )
         found = Enumerator(table, sums, surface.top, _negation(task), np.inf)
         visited = prefixes_to_visit(found)
         scouts = np.sort(rng.choice(visited, size=min(_SCOUTS, len(visited)), replace=False))
         items = [s for s in np.array_split(scouts, _PIECES) if len(s)]
         piece = together(run(enumerate_prefixes, found, items, task.executor, batch_size=1))
         share = len(scouts) / len(visited)
-        left_out = piece.left_out * np.exp(floor - surface.top)
+        left_out = piece.left_out * np.exp(-depth)
         allowed = 0.5 * settings.unaccounted * piece.mass.sum()
         if left_out <= allowed or depth > _DEEPEST:
             return Scouted(found, piece, share)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from cpam_bayes.inference.enumeration import Piece
 from cpam_bayes.inference.ply_sums import PlySums
 from cpam_bayes.inference.sequence_answer import Task
+from cpam_bayes.inference.sequence_bases import NEAR
 from cpam_bayes.inference.sequence_classes import canonical
 from cpam_bayes.inference.sequence_evaluation import (
     Evaluated,
@@ -28,6 +29,9 @@ from cpam_bayes.parallel import run
 
 Array = NDArray[Any]
 
+# An evidence this far below the learned one, nats, may be that of a lesser optimum, and one that is below by
+# twice the root mean square error of what was learned.
+_SUSPECT = 0.3
 # Of every so many listed sequences one is fitted first, for the others to start from.
 _SPARSE = 16
 # Pieces that evaluations of the surface are shared out in.
@@ -124,13 +128,14 @@ def _located(
     lengths = known.surface.smooth.lengths
     learned_at = sums.features(known.data.sequences)
     around = neighbours(learned_at, known.data.fits.x, lengths, images)
+    least = _least(known, expected)
     m = len(sequences)
     log_evidence, x = np.empty(m), np.empty((m, known.data.fits.x.shape[1]))
     every = np.arange(m)
     for rows in (every[::_SPARSE], np.delete(every, np.s_[::_SPARSE])):
         near = around.nearest(features[rows])
         found = locate(
-            known.near, task.grid_deg, sequences[rows], near, expected[rows], task.starts, task.executor
+            known.near, task.grid_deg, sequences[rows], near, least[rows], task.starts, task.executor
         )
         log_evidence[rows], x[rows] = found.log_evidence, found.x
         around = neighbours(
@@ -140,6 +145,14 @@ def _located(
             images,
         )
     return Located(log_evidence, x)
+
+
+def _least(known: Learned, expected: Array) -> Array:
+    """Laplace's evidence (m,) below which a climb is suspected of a lesser optimum; expected : learned, (m,)."""
+    data = known.data
+    near = data.log_evidence > data.log_evidence.max() - NEAR
+    laplace = np.median((data.fits.log_evidence - data.log_evidence)[near])
+    return np.asarray(expected + laplace - max(_SUSPECT, 2.0 * known.surface.rms_error))
 
 
 def with_care(

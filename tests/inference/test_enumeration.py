@@ -52,7 +52,7 @@ def enumerator(
     threshold: float = np.inf,
     freedom: float = np.inf,
 ) -> Enumerator:
-    table = build_table(tangent, sums.rest_reach, floor, halvings=2, slack=0.6, freedom=freedom)
+    table = build_table(tangent, sums.rest_reach, 0.0, -floor, halvings=2, slack=0.6, freedom=freedom)
     negation = np.array(
         [int(np.flatnonzero(np.isclose((a + b) % 180.0, 0.0))[0]) for a in GRID for b in [GRID]]
     )
