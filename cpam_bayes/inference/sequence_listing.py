@@ -148,7 +148,7 @@ def _located(
 
 
 def _least(known: Learned, expected: Array) -> Array:
-    """Laplace's evidence (m,) below which a climb is suspected of a lesser optimum; expected : learned, (m,)."""
+    """Laplace's evidence below which a climb may have met a lesser optimum; expected : learned, (m,)."""
     data = known.data
     near = data.log_evidence > data.log_evidence.max() - NEAR
     laplace = np.median((data.fits.log_evidence - data.log_evidence)[near])

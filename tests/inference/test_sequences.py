@@ -212,7 +212,7 @@ def test_fits_from_neighbours_agree_with_fits_from_many_starts(
     around = neighbours(features[known], exact.x[known], np.ones(4), np.ones((1, 4)))
     near = around.nearest(features)
     best = exact.log_evidence + np.log(exact.weight.max(axis=1))
-    found = locate(own, grid, sequences, near, best, common, None)
+    found = locate(own, grid, sequences, near, best - 0.3, common, None)
     # one start may end in a lesser optimum; beyond 0.3 nats of what is expected the climb is repeated
     miss = found.log_evidence - best
     assert np.mean(np.abs(miss) <= 0.01) >= 0.75
