@@ -257,7 +257,7 @@ def _sequence(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
         type=whole(1, 2000),
         default=100,
         metavar="N",
-        help="most probable sequences to list, 1 to 2000 (default: 100)",
+        help="most probable sequences in the JSON document, 1 to 2000 (default: 100)",
     )
     add_executor_options(command)
 

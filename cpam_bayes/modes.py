@@ -75,8 +75,9 @@ def solve(
     stiffness, mass = np.atleast_2d(stiffness), np.atleast_2d(mass)
     n_rigid = rigid_body_count(operator.problem.edges)
     wanted = n_modes + n_rigid
-    if sum(b.size for b in operator.blocks) <= wanted:
-        raise ValueError(f"{n_modes} modes asked for, the space has {sum(b.size for b in operator.blocks)}")
+    available = sum(b.size for b in operator.blocks) - n_rigid
+    if available < n_modes:
+        raise ValueError(f"{n_modes} modes asked for, the space has {available}")
     values = [b.eigenvalues(stiffness, mass, min(wanted, b.size)) for b in operator.blocks]
     counts = [v.shape[-1] for v in values]
     owner = np.repeat(np.arange(len(counts)), counts)

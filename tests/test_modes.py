@@ -195,7 +195,7 @@ def test_too_few_rigid_body_motions_are_an_error() -> None:
 def test_more_modes_than_the_space_has_are_refused() -> None:
     problem = plate(0.3, 0.2, 0.02, 1600.0, CARBON)
     operator = discretise(problem, ritz_space("FFFF", problem.nominal, RitzSettings(3, 3, layers=0)), {})
-    with pytest.raises(ValueError, match="45 modes asked for, the space has 45"):
+    with pytest.raises(ValueError, match="45 modes asked for, the space has 39"):
         solve(operator, *operator.coefficients({}), 45)
 
 

@@ -96,7 +96,7 @@ def alike_merged(answer: SequenceAnswer, task: Task, sums: PlySums) -> SequenceA
         probability[i] = np.average(answer.probability[rows], weights=answer.multiplicity[rows])
         multiplicity[i] += size[near].sum()
     kept = np.flatnonzero(~merged)
-    kept = kept[np.argsort(-probability[kept], kind="stable")]
+    kept = kept[np.lexsort((-answer.log_evidence[kept], -probability[kept]))]
     whole = replace(
         answer,
         same_bending=tuple(same_bending),

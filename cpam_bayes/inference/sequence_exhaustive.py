@@ -39,7 +39,7 @@ def exhaustive(task: Task, rng: np.random.Generator, notify: Callable[[str], Non
     single = np.exp(data.log_evidence - total)
     p = single[label.ravel()]
     marginals = np.stack([np.bincount(every[:, j], p, minlength=g) for j in range(k)])
-    order = np.argsort(-single, kind="stable")
+    order = np.argsort(-data.log_evidence, kind="stable")
     held = np.cumsum(np.repeat(single[order], size[order]))
     drawn = rng.choice(len(first), size=task.settings.draws, p=single * size / np.sum(single * size))
     top = order[: task.settings.listed]

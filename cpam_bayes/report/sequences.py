@@ -9,20 +9,28 @@ from numpy.typing import NDArray
 
 from cpam_bayes.inference.angle_information import AngleInformation, angle_information
 from cpam_bayes.inference.given_sequence import GivenSequence
+from cpam_bayes.inference.sequence_fit import SequenceListFit, fit_of_the_first
 from cpam_bayes.inference.sequence_mixture import SampledComponent, SequenceMixture
 from cpam_bayes.inference.sequences import SequenceAnswer
 from cpam_bayes.measurement import to_user, user_name
 from cpam_bayes.posterior import NOISE
 from cpam_bayes.report.documents import plate_keys
-from cpam_bayes.report.numbers import fixed, significant
+from cpam_bayes.report.numbers import decimals_of, fixed, significant
 from cpam_bayes.report.plates import plate_head
 from cpam_bayes.report.tables import Column, Table, facts, remarks
 
 __all__ = ["outer_and_inner", "sequence_document", "sequence_screen", "sequence_warnings"]
 
 _SHOWN = 12
+# Probability of an angle that is worth a place on the screen, beside the most probable one.
+_SHOWN_SHARE = 0.005
 # Errors of the learned evidence and of an exact one that a reader should hear of, nats.
 _ROUGH, _DOUBTFUL = 0.3, 0.3
+# Share of the probability of the first from which on an uncertain evidence matters.
+_COUNTS = 1e-3
+# No sequence explains a list whose residuals have a smaller probability by noise alone, or whose noise, where
+# it is inferred, is larger, relative.
+_UNEXPLAINED, _NOISY = 1e-3, 0.05
 # Difference of emcee and importance sampling that a reader should hear of, in standard errors: the largest
 # of a hundred moments of each of twenty classes exceeds it once in hundreds of times.
 _DISAGREE = 5.0
@@ -30,7 +38,9 @@ _DISAGREE = 5.0
 
 def sequence_warnings(result: SequenceAnswer, mixture: SequenceMixture) -> tuple[str, ...]:
     """Everything that is a reason not to trust the probabilities as they stand."""
-    found = []
+    found = list(_misfits(result, fit_of_the_first(result)))
+    if result.specimen.plate.sd:
+        found.append("[plate.sd] is not counted with: sizes, density and mass are taken as exact")
     check = result.check
     if check is not None and check.rms > _ROUGH:
         found.append(
@@ -42,9 +52,13 @@ def sequence_warnings(result: SequenceAnswer, mixture: SequenceMixture) -> tuple
         found.append(
             f"sequences with up to {result.unaccounted:.2g} of the probability were left out of the sums"
         )
-    worst = float(result.log_evidence_error.max())
-    if worst > _DOUBTFUL:
-        found.append(f"the log evidence of a listed sequence is uncertain by {worst:.2f}")
+    counts = result.probability * result.multiplicity > _COUNTS * result.probability[0]
+    doubtful = np.flatnonzero(counts & (result.log_evidence_error > _DOUBTFUL))
+    if len(doubtful):
+        found.append(
+            f"the log evidence of {len(doubtful)} listed sequences is uncertain by up to "
+            f"{result.log_evidence_error[doubtful].max():.2f}, first number {doubtful[0] + 1}"
+        )
     for c in mixture.sampled:
         name = f"the chains of sequence {c.index + 1}" if c.index >= 0 else "the chains of the given sequence"
         if not c.diagnostics.converged:
@@ -59,6 +73,28 @@ def sequence_warnings(result: SequenceAnswer, mixture: SequenceMixture) -> tuple
     return tuple(found)
 
 
+def _misfits(result: SequenceAnswer, fit: SequenceListFit) -> tuple[str, ...]:
+    """What the fit of the most probable sequence says against all of them."""
+    found = []
+    measurement = result.own.template.measurement
+    advice = "check the list, the plate and the bounds, or ask `diagnose` with a layup that you believe in"
+    if measurement.complete:
+        advice = f"a mode may be missing (complete = false); {advice}"
+    if fit.p_value is not None and fit.p_value < _UNEXPLAINED:
+        found.append(
+            "no sequence explains the list: noise as stated leaves residuals like those of the most probable "
+            f"one with probability {fit.p_value:.1g}; {advice}"
+        )
+    if fit.noise is not None and fit.noise > _NOISY:
+        found.append(
+            f"no sequence explains the list well: the noise inferred is {100 * fit.noise:.2g} %; {advice}"
+        )
+    if fit.bounds:
+        ends = ", ".join(f"{user_name(name)} at its {which} bound" for name, which in fit.bounds)
+        found.append(f"given the most probable sequence, {ends}")
+    return tuple(found)
+
+
 def sequence_document(
     result: SequenceAnswer,
     mixture: SequenceMixture,
@@ -68,7 +104,7 @@ def sequence_document(
     warnings: tuple[str, ...],
 ) -> dict[str, Any]:
     """The JSON document of `sequence`; given : the sequence printed for a specimen of the paper."""
-    check = result.check
+    check, fit = result.check, fit_of_the_first(result)
     information = angle_information(result.specimen.plate.layup, result.marginals)
     return {
         **plate_keys("sequence", result.specimen, seed),
@@ -82,7 +118,7 @@ def sequence_document(
         "effective_count": result.effective_count,
         "unaccounted_probability": result.unaccounted,
         "angle_marginals": result.marginals.tolist(),
-        "angle_entropy_bits": information.entropy_bits.tolist(),
+        "angle_entropy_bits": np.abs(information.entropy_bits).tolist(),
         "angle_entropy_most_bits": information.most_bits,
         "outer_plies_better_determined": information.outer_better,
         "constants": _constants(result, mixture),
@@ -96,6 +132,9 @@ def sequence_document(
             "worst_difference_in_standard_errors": max((c.worst_z for c in mixture.sampled), default=None),
             "seconds": mixture.seconds,
         },
+        "frequencies": _frequencies_document(result, fit),
+        "p_value": fit.p_value,
+        "noise_percent": None if fit.noise is None else 100.0 * fit.noise,
         "printed_sequence": None if given is None else _given(result, mixture, given),
         "learned": None
         if check is None
@@ -183,6 +222,7 @@ def sequence_screen(
         _sequences(result),
         _plies(result, information),
         remarks("Outer and inner plies", (outer_and_inner(information),)),
+        *_fit(result, fit_of_the_first(result)),
         _mixture(result, mixture, given),
         _work(result, mixture, given, seed),
         remarks("Warnings", warnings, flagged=True),
@@ -194,7 +234,8 @@ def _sequences(result: SequenceAnswer) -> Table:
         Column("rank", number=True),
         Column("unknown angles"),
         Column("probability of each", number=True),
-        Column("equal to it", number=True),
+        Column("of", number=True),
+        Column("together", number=True),
         Column("log evidence", number=True),
         Column("+-", number=True),
     )
@@ -203,7 +244,8 @@ def _sequences(result: SequenceAnswer) -> Table:
             str(i + 1),
             "/".join(f"{a:g}" for a in result.top[i]),
             f"{result.probability[i]:.3g}",
-            str(int(result.multiplicity[i]) - 1),
+            str(int(result.multiplicity[i])),
+            f"{result.probability[i] * result.multiplicity[i]:.3g}",
             fixed(float(result.log_evidence[i]), 2),
             fixed(float(result.log_evidence_error[i]), 2),
         )
@@ -224,16 +266,16 @@ def _plies(result: SequenceAnswer, information: AngleInformation) -> Table:
     for j, p in enumerate(result.marginals):
         order = np.argsort(-p, kind="stable")
         needed = int(np.searchsorted(np.cumsum(p[order]), 0.95)) + 1
-        best = ", ".join(f"{result.grid_deg[a]:g} ({p[a]:.2f})" for a in order[:4])
+        best = ", ".join(f"{result.grid_deg[a]:g} ({p[a]:.2f})" for a in order[:4] if p[a] >= _SHOWN_SHARE)
         bits, share = information.entropy_bits[j], information.bending_share[j]
-        rows.append((str(j + 1), best, f"{needed} of {len(p)}", f"{bits:.2f}", f"{100 * share:.1f}"))
+        rows.append((str(j + 1), best, f"{needed} of {len(p)}", f"{abs(bits):.2f}", f"{100 * share:.1f}"))
     return Table("Angle by angle, from the bottom", columns, tuple(rows))
 
 
 def outer_and_inner(information: AngleInformation) -> str:
     """Whether the list tells more about the outer plies, in one sentence."""
     bits = information.entropy_bits[information.outer_first]
-    listed = ", ".join(f"{b:.2f}" for b in bits)
+    listed = ", ".join(f"{abs(b):.2f}" for b in bits)
     if len(bits) < 2:
         return f"one unknown angle: {listed} bits of {information.most_bits:.2f} are left open"
     verdict = "outer angles are not throughout better determined than inner ones"
@@ -243,6 +285,31 @@ def outer_and_inner(information: AngleInformation) -> str:
         f"{verdict}: entropy from the outermost in {listed} of {information.most_bits:.2f} bits; equally "
         "probable mirror images count 1 bit"
     )
+
+
+def _fit(result: SequenceAnswer, fit: SequenceListFit) -> tuple[Table, ...]:
+    """The list beside the most probable sequence, where each frequency has a mode of its own."""
+    if fit.predicted is None or fit.residual is None:
+        return ()
+    measured = result.own.template.measurement.frequencies
+    columns = tuple(Column(h, number=True) for h in ("mode", "measured Hz", "predicted Hz", "residual %"))
+    decimals = decimals_of(measured)
+    rows = tuple(
+        (str(i), fixed(float(f), decimals), fixed(float(p), decimals + 1), f"{100 * r:+.2f}")
+        for i, (f, p, r) in enumerate(zip(measured, fit.predicted, fit.residual, strict=True), 1)
+    )
+    return (Table("The list and the most probable sequence", columns, rows),)
+
+
+def _frequencies_document(result: SequenceAnswer, fit: SequenceListFit) -> list[dict[str, float | None]]:
+    measured = result.own.template.measurement.frequencies
+    none = np.full(len(measured), None)
+    predicted = none if fit.predicted is None else fit.predicted
+    residual = none if fit.residual is None else 100.0 * fit.residual
+    return [
+        {"measured_hz": float(f), "predicted_hz": p, "residual_percent": r}
+        for f, p, r in zip(measured, predicted.tolist(), residual.tolist(), strict=True)
+    ]
 
 
 def _mixture(result: SequenceAnswer, mixture: SequenceMixture, given: GivenSequence | None) -> Table:
@@ -281,7 +348,7 @@ def _work(result: SequenceAnswer, mixture: SequenceMixture, given: GivenSequence
         ("layup", result.specimen.plate.layup.text),
         ("symmetries", images),
         *_same_bending(result),
-        ("95 % set", f"{result.credible_count} sequences"),
+        ("95 % set", f"{result.credible_count} sequence" + ("s" if result.credible_count > 1 else "")),
         ("effective number", f"{significant(result.effective_count, 3)} sequences, exp of the entropy"),
         ("left out", f"{result.unaccounted:.1g} of the probability at most"),
     ]
