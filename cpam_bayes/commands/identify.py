@@ -25,7 +25,7 @@ _FOREIGN = {
 
 def prepare(args: argparse.Namespace) -> Callable[[], Answer]:
     """Read the plate and load the back end; return the work."""
-    specimen = require_supported(read_specimen(args.plate), _NO_MESH)
+    specimen = require_supported(read_specimen(args.plate), _NO_MESH, angles=args.backend == "pso")
     foreign = [name for name in _FOREIGN[args.backend] if getattr(args, name) is not None]
     if foreign:
         raise ValueError(f"--{foreign[0]}: not an option of the back end {args.backend}; leave it out")

@@ -19,13 +19,18 @@ __all__ = [
 _THIN = 300.0
 
 
-def require_supported(specimen: Specimen, no_mesh: str | None, no_air: str | None = None) -> Specimen:
+def require_supported(
+    specimen: Specimen, no_mesh: str | None, no_air: str | None = None, *, angles: bool = False
+) -> Specimen:
     """Return the specimen, or raise `PlateFileError` with all that cannot be computed yet.
 
     no_mesh : what to say to a plate with a mesh, None where meshes are computed. no_air : what to say to
-    air in the plate file, None where it is part of the model.
+    air in the plate file, None where it is part of the model. angles : whether some may be unknown, if the
+    list has no labels.
     """
-    _raise(specimen, [*_not_computed(specimen, no_mesh, no_air), *_unknown_angles(specimen)])
+    problems = _not_computed(specimen, no_mesh, no_air)
+    problems += _angles_asked(specimen) if angles else _unknown_angles(specimen)
+    _raise(specimen, problems)
     return specimen
 
 
@@ -51,11 +56,7 @@ def require_sequence(specimen: Specimen) -> Specimen:
         )
     if specimen.measurement is None:
         problems.append("[measurement] is missing, nothing to tell the sequences apart by")
-    elif any(specimen.measurement.labels):
-        problems.append(
-            "measurement.labels: received labels, sequence pairs frequencies with modes in ascending order; "
-            "leave them out"
-        )
+    problems += _angles_asked(specimen)
     if not specimen.unknowns.size:
         problems.append("[unknowns] is missing, the constants must be free within bounds")
     _raise(specimen, problems)
@@ -74,13 +75,30 @@ def _not_computed(specimen: Specimen, no_mesh: str | None, no_air: str | None = 
     return problems
 
 
+def _angles_asked(specimen: Specimen) -> list[str]:
+    """Why unknown angles cannot be asked for, if there are some."""
+    layup, measurement = specimen.plate.layup, specimen.measurement
+    problems: list[str] = []
+    if layup.n_unknown and specimen.material.isotropic:
+        problems.append(
+            f"plate.layup: received {layup.text}, the material is isotropic, which has no ply angles; leave "
+            "layup out"
+        )
+    if layup.n_unknown and measurement is not None and any(measurement.labels):
+        problems.append(
+            "measurement.labels: received labels beside unknown angles, which pair frequencies with modes in "
+            "ascending order; leave them out"
+        )
+    return problems
+
+
 def _unknown_angles(specimen: Specimen) -> list[str]:
     layup = specimen.plate.layup
     if not layup.n_unknown:
         return []
     return [
-        f"plate.layup: received {layup.text}, {layup.n_unknown} of its angles are "
-        'unknown; a known layup is needed, write the angles for "?", or let `sequence` find them'
+        f"plate.layup: received {layup.text}, unknown angles: {layup.n_unknown}; a known layup is needed, "
+        'write the angles for "?", or let `sequence` or `identify --backend pso` find them'
     ]
 
 

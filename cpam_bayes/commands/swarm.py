@@ -9,6 +9,7 @@ from functools import partial
 
 from cpam_bayes.commands.supported import plate_warnings, solver_failure
 from cpam_bayes.inference.identify import Identification, Residual, identify
+from cpam_bayes.inference.sequence_search import FoundSequence, search_sequence
 from cpam_bayes.inference.swarm import SwarmSettings
 from cpam_bayes.measurement import Specimen
 from cpam_bayes.modes import RigidBodyError
@@ -32,8 +33,20 @@ def identify_by_swarm(specimen: Specimen, args: argparse.Namespace) -> Answer:
     def described(value: float) -> str:
         return f"rms misfit {factor * math.sqrt(value / n):.4g} {unit}"
 
-    with progress(f"identify {specimen.name}", settings.iterations, args.quiet, described) as shown:
-        try:
+    found: FoundSequence | None = None
+    try:
+        if specimen.plate.layup.n_unknown:
+            with progress(f"angles of {specimen.name}", settings.iterations, args.quiet, described) as shown:
+                found = search_sequence(
+                    specimen,
+                    args.seed,
+                    settings=settings,
+                    residual=residual,
+                    progress=shown.tick,
+                    notify=shown.notify,
+                )
+            specimen = found.known
+        with progress(f"identify {specimen.name}", settings.iterations, args.quiet, described) as shown:
             result = identify(
                 specimen,
                 args.seed,
@@ -42,13 +55,13 @@ def identify_by_swarm(specimen: Specimen, args: argparse.Namespace) -> Answer:
                 progress=shown.tick,
                 notify=shown.notify,
             )
-        except RigidBodyError as error:
-            raise solver_failure(specimen, error) from error
+    except RigidBodyError as error:
+        raise solver_failure(specimen, error) from error
     warnings = (*warnings_of(result, residual), *plate_warnings(specimen))
     return Answer(
         "identify",
-        identification_document(result, args.seed, args.backend, residual, warnings),
-        identification_screen(result, residual, args.seed, warnings),
+        identification_document(result, args.seed, args.backend, residual, warnings, found),
+        identification_screen(result, residual, args.seed, warnings, found),
         warnings,
         partial(_figures, result),
     )

@@ -39,7 +39,7 @@ class SequenceSettings:
     learning: LearningSettings = field(default_factory=LearningSettings)
     halvings: int = 2
     unaccounted: float = 1e-3
-    fitted: int = 50_000
+    fitted: int = 20_000
     polished: float = 0.99
     sampled: int = 8_000
     log2_sampled: int = 7

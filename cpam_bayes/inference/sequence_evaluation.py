@@ -24,6 +24,8 @@ Array = NDArray[Any]
 
 # Sequences that a worker takes at a time: where all is computed, and where only optima are located.
 _BATCH, _LOCATED = 32, 512
+# Climbs that only locate an optimum end where a step promises less than this, nats.
+_NEARLY = 3e-3
 # Members of a library that a climb starts from.
 _SCANNED = 2
 # Neighbours among which the second start is looked for.
@@ -142,11 +144,11 @@ def locate(
 
 def _locate_batch(own: SequencePosterior, item: tuple[Array, Array, Array, Array]) -> Located:
     angles, near, least, starts = item
-    fits = fit_sequences(own, angles, near[:, None, :])
+    fits = fit_sequences(own, angles, near[:, None, :], _NEARLY)
     log_evidence, x = fits.log_evidence.copy(), fits.x.copy()
     low = np.flatnonzero(log_evidence < least)
     if len(low):
-        again = fit_sequences(own, angles[low], starts)
+        again = fit_sequences(own, angles[low], starts, _NEARLY)
         better = again.log_evidence > log_evidence[low]
         log_evidence[low[better]], x[low[better]] = again.log_evidence[better], again.x[better]
     return Located(log_evidence, x)

@@ -164,23 +164,29 @@ def joined(pieces: list[Stack]) -> Stack:
 
 
 @single_blas_thread
-def fit_sequences(own: SequencePosterior, angles_deg: Array, starts: Array) -> SequenceFits:
+def fit_sequences(
+    own: SequencePosterior, angles_deg: Array, starts: Array, promised: float = _PROMISED
+) -> SequenceFits:
     """Laplace's evidence of sequences (m, n_angles), each climbed from every one of its starts.
 
     Z = sum over optima of (2 pi)^(n/2) det(H)^(-1/2) p(z), z being normal scores: the prior has no
     bounds there, and a constant that the data leave open is integrated exactly.
 
-    starts : (s, n) for all sequences, or (m, s, n), parameters.
+    starts : (s, n) for all sequences, or (m, s, n), parameters. promised : gain in nats below which a climb
+    ends.
     """
     starts = np.broadcast_to(starts, (len(angles_deg), *starts.shape[-2:]))
     largest = max(block.size for block in own.model.fast.operator.blocks)
     each = int(np.clip(_CACHED // largest**2, 64, 512))
     return joined(
-        [_fit(own, angles_deg[i : i + each], starts[i : i + each]) for i in range(0, len(angles_deg), each)]
+        [
+            _fit(own, angles_deg[i : i + each], starts[i : i + each], promised)
+            for i in range(0, len(angles_deg), each)
+        ]
     )
 
 
-def _fit(own: SequencePosterior, angles_deg: Array, starts: Array) -> SequenceFits:
+def _fit(own: SequencePosterior, angles_deg: Array, starts: Array, promised: float) -> SequenceFits:
     m, s, n = starts.shape
     axes = own.axes
     geometry = _geometry(own, angles_deg)
@@ -195,7 +201,7 @@ def _fit(own: SequencePosterior, angles_deg: Array, starts: Array) -> SequenceFi
         axes.lower,
         axes.upper,
         most_steps=_MOST_STEPS,
-        promised=_PROMISED,
+        promised=promised,
     )
     e = summit.expansion
     value = np.where(np.isfinite(e.value), e.value, -1e300).reshape(m, s)

@@ -104,6 +104,12 @@ class FoundSequence:
     swarm: FuzzyResult
     seconds: float
 
+    @property
+    def known(self) -> Specimen:
+        """The specimen with these angles."""
+        plate = self.specimen.plate
+        return replace(self.specimen, plate=replace(plate, layup=plate.layup.with_angles(self.angles_deg)))
+
 
 def sequence_parameters(specimen: Specimen) -> ParameterSet:
     """The unknown constants of a specimen, then its unknown angles in degrees.

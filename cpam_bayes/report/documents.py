@@ -11,6 +11,7 @@ import numpy as np
 
 from cpam_bayes import __version__
 from cpam_bayes.inference.identify import Identification
+from cpam_bayes.inference.sequence_search import FoundSequence
 from cpam_bayes.measurement import Specimen, to_user, user_name
 
 __all__ = ["identification_document", "json_text", "laminate_unit", "plate_keys"]
@@ -41,8 +42,9 @@ def identification_document(
     backend: str,
     residual: str,
     warnings: tuple[str, ...],
+    found: FoundSequence | None = None,
 ) -> dict[str, Any]:
-    """The JSON document of `identify` by the swarm."""
+    """The JSON document of `identify` by the swarm; found : the angles, where some were unknown."""
     measurement = result.specimen.measurement
     assert measurement is not None
     return {
@@ -63,6 +65,7 @@ def identification_document(
             }
             for c in result.constants
         },
+        **({} if found is None else {"angles_deg": found.angles_deg.tolist()}),
         "frequencies": [
             {
                 "measured_hz": float(measured),
@@ -79,9 +82,9 @@ def identification_document(
         "relative_error_estimate": float(np.max(result.error)),
         "laminate": laminate_keys(result.laminate),
         "air_density_kg_m3": result.specimen.air_density,
-        "forward_solves": result.swarm.evaluations,
+        "forward_solves": result.swarm.evaluations + (0 if found is None else found.swarm.evaluations),
         "iterations": result.swarm.iterations,
-        "seconds": result.seconds,
+        "seconds": result.seconds + (0.0 if found is None else found.seconds),
         "warnings": list(warnings),
         "notes": list(result.specimen.notes),
     }

@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from cpam_bayes.inference.identify import Identification
+from cpam_bayes.inference.sequence_search import FoundSequence
 from cpam_bayes.measurement import to_user
 from cpam_bayes.report.numbers import decimals_of, fixed, significant, with_spread
 from cpam_bayes.report.plates import plate_head, unit_of
@@ -24,11 +25,19 @@ _ROUNDING = 1e-9
 
 
 def identification_screen(
-    result: Identification, residual: str, seed: int, warnings: tuple[str, ...]
+    result: Identification,
+    residual: str,
+    seed: int,
+    warnings: tuple[str, ...],
+    found: FoundSequence | None = None,
 ) -> tuple[Table, ...]:
-    """Plate, constants, what to believe of them, frequencies, and how they were found."""
+    """Plate, constants, what to believe of them, frequencies, and how they were found.
+
+    found : the angles, where some were unknown.
+    """
     return (
         plate_head(f"identify {result.specimen.name}", result.specimen),
+        *(() if found is None else (_angles(found),)),
         _constants(result),
         remarks("What the frequencies determine", verdict_sentences(result)),
         _frequencies(result),
@@ -37,6 +46,17 @@ def identification_screen(
         _search(result, residual, seed),
         remarks("Warnings", warnings, flagged=True),
     )
+
+
+def _angles(found: FoundSequence) -> Table:
+    rows = (
+        ("layup", f"{found.specimen.plate.layup.text} asked for"),
+        ("unknown", "/".join(f"{a:g}" for a in found.angles_deg) + ", found by the fuzzy swarm"),
+        ("status", found.swarm.message),
+        ("work", f"{found.swarm.evaluations} forward solves in {found.seconds:.1f} s"),
+        ("others", "may explain the list as well or better: `sequence` gives each its probability"),
+    )
+    return facts("Angles", rows)
 
 
 def _constants(result: Identification) -> Table:

@@ -50,7 +50,7 @@ def refused(answer, *fragments):
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        ('edges = "FFFF"', 'edges = "FFFF"\nlayup = "[?/0]_s"', "its angles are unknown"),
+        ('edges = "FFFF"', 'edges = "FFFF"\nlayup = "[?/0]_s"', "unknown angles: 1; a known layup is needed"),
         (MEASURED, "", "[measurement] is missing"),
         ("[unknowns]\nE1_GPa = [10.0, 200.0]\nnu12 = [0.15, 0.4]\n", "", "[unknowns] is missing"),
         (
