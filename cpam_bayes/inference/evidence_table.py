@@ -17,7 +17,7 @@ Tangent = Callable[[Array], tuple[Array, Array]]
 # Cells are halved so often; the first ones are 2 / _FIRST wide.
 _FIRST = 12
 # Cells that stay farther below the top than this, nats, are halved once only.
-_REFINED = 9.0
+_REFINED = 6.0
 # How much farther a coarse cell reaches than its tangent says: it is not straight.
 _COARSE_REACH, _COARSE_SLACK = 1.5, 3.0
 

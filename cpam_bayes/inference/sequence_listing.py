@@ -29,6 +29,9 @@ from cpam_bayes.parallel import run
 
 Array = NDArray[Any]
 
+# Share of the mass that the most sequences that may be sampled must hold; else a quarter of them shows what
+# sampling changes.
+_WORTH = 0.3
 # An evidence this far below the learned one, nats, may be that of a lesser optimum, and one that is below by
 # twice the root mean square error of what was learned.
 _SUSPECT = 0.3
@@ -76,9 +79,14 @@ def compute_listed(
     expected = learned_values(known.surface, task.executor, features)
     found = _located(task, sums, known, sequences, features, expected, images)
     order = np.argsort(-found.log_evidence, kind="stable")
-    mass = np.cumsum(count[order] * np.exp(found.log_evidence[order] - found.log_evidence.max()))
+    top = float(found.log_evidence.max())
+    mass = np.cumsum(count[order] * np.exp(found.log_evidence[order] - top))
+    rest = float(np.sum(whole.mass)) * np.exp(known.surface.top - top)
     needed = int(np.searchsorted(mass, settings.polished * mass[-1])) + 1
-    some = order[: min(max(needed, settings.listed), settings.sampled)]
+    most = settings.sampled
+    if needed > most and mass[most - 1] < _WORTH * (mass[-1] + rest):
+        most = most // 4
+    some = order[: min(max(needed, settings.listed), most)]
     notify(f"evidence of {len(some)} classes of sequences")
     around = neighbours(features, found.x, lengths, images)
     starts = around.starts(features[some], found.x[some])
@@ -93,11 +101,11 @@ def compute_listed(
     sampled = np.zeros(len(order), dtype=bool)
     sampled[some] = True
     first_rows = np.argsort(-exact.log_evidence, kind="stable")[: settings.listed]
-    top = some[first_rows]
-    careful = with_care(task, known, around, sequences[top], features[top], found.x[top])
+    leading = some[first_rows]
+    careful = with_care(task, known, around, sequences[leading], features[leading], found.x[leading])
     # few points miss the tails of a conditional posterior, of one as of the other
     log_evidence += np.median(careful.log_evidence - exact.log_evidence[first_rows])
-    log_evidence[top] = careful.log_evidence
+    log_evidence[leading] = careful.log_evidence
     careful = careful[np.argsort(-careful.log_evidence, kind="stable")]
     order = np.argsort(-log_evidence, kind="stable")
     place = np.empty(len(order), dtype=np.int64)
