@@ -32,6 +32,7 @@ from cpam_bayes.inference.sequence_answer import (
     SequenceAnswer,
     Task,
 )
+from cpam_bayes.inference.sequence_bases import relative_noise
 from cpam_bayes.inference.sequence_classes import canonical
 from cpam_bayes.inference.sequence_evaluation import (
     Evaluated,
@@ -60,6 +61,9 @@ _LEARNED_ALONE = 0.05
 # Rounds of learning, listing and checking; root mean square error on the draws, nats, that ends them, or so
 # many times the one that the learning ended with; listed sequences that a further round learns from.
 _ROUNDS, _SETTLED, _AS_SAID, _LESSON = 2, 0.2, 1.5, 400
+# Noise, relative, from which on a posterior is found at once; below it its seeds are the best sequences at so
+# many times the noise, so many of them, learned to a root mean square error, nats.
+_EASY, _NOISIER, _SEEDS, _ROUGHLY = 1.5e-3, 3.0, 600, 1.0
 # Of more sequences than this a short list is tried first: sequences fitted, most probable ones, and draws.
 _MANY, _TRIAL, _TRIAL_LISTED, _TRIAL_DRAWS = 10_000_000, 500, 50, 150
 # Up to so many sequences the surface is evaluated for each.
@@ -76,7 +80,7 @@ def learned(
     """The evidence learned, all sequences gone through, those that can matter computed."""
     problem = learning_of(task, sums)
     images = problem.images
-    known = learn(problem, rng, notify)
+    known = learn(problem, rng, notify, _seeds(task, sums, rng, notify))
     rounds, fine = _ROUNDS, False
     current = _trial(task) if task.n_sequences > _MANY else task
     scouted: Scouted | None = None
@@ -106,6 +110,39 @@ def learned(
             known, scouted = learn_more(known, problem, _lesson(drawn, listed, rng), rng), None
         if settled or rounds == 1:
             current = task
+
+
+def _seeds(
+    task: Task, sums: PlySums, rng: np.random.Generator, notify: Callable[[str], None]
+) -> Array | None:
+    """The sequences (m, k) that would be good if the list were noisier; ``None`` where it is noisy enough.
+
+    No sequence drawn evenly is next to the posterior of a list with very little noise.
+    """
+    wide = _noisier(task)
+    if wide is None:
+        return None
+    known = learn(learning_of(wide, sums), rng, notify, _seeds(wide, sums, rng, notify))
+    few = replace(wide, settings=replace(wide.settings, fitted=_SEEDS))
+    listing = _scouted(wide, sums, known, rng, notify).listing(few)
+    whole = _gone_through(listing, task.executor, lambda done, total: None)
+    best = np.argsort(-whole.log_evidence, kind="stable")[:_SEEDS]
+    return np.asarray(canonical(whole.listed[best].astype(np.int64), task.symmetries).representative)
+
+
+def _noisier(task: Task) -> Task | None:
+    """The same with more noise, where the list states so little that its posterior is not found at once."""
+    template = task.own.template
+    middle = 0.5 * (task.own.parameters.lower + task.own.parameters.upper)
+    if template.noise_is_inferred or relative_noise(task.own, middle[None]).min() >= _EASY:
+        return None
+    own = template.noise_model
+    assert isinstance(own.amplitude, float)
+    noise = replace(own, amplitude=_NOISIER * own.amplitude, rounding=_NOISIER**2 * own.rounding)
+    settings = replace(task.settings, learning=replace(task.settings.learning, error=_ROUGHLY))
+    return replace(
+        task, own=replace(task.own, template=replace(template, noise_model=noise)), settings=settings
+    )
 
 
 def _trial(task: Task) -> Task:

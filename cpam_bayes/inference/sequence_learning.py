@@ -79,19 +79,25 @@ class Learning:
     executor: Executor | None
 
 
-def learn(problem: Learning, rng: np.random.Generator, notify: Callable[[str], None]) -> Learned:
+def learn(
+    problem: Learning, rng: np.random.Generator, notify: Callable[[str], None], seeds: Array | None = None
+) -> Learned:
     """The surface, by rounds, on reduced bases that are made for where the rounds go.
 
     Evenly drawn sequences come first, then such of which the surface does not know that they are far
     below the best, so that no region is overlooked. Then, round after round, sequences are drawn from the
     posterior as the surface has it, a quarter each at temperatures 1, 2 and 4, and join, with good ones of
     which one angle is changed. Those of temperature 1 tell its error before they do.
+
+    seeds : (m, k) sequences that may be good, to be looked at before the others.
     """
     own, sums, settings = problem.own, problem.sums, problem.settings
     g, k = len(sums.grid_deg), sums.n_unknown
     rough = roughly(own, rng)
     sequences = np.unique(rng.integers(g, size=(settings.first, k)), axis=0)
     notify(f"log evidence of {len(sequences)} sequences drawn evenly")
+    if seeds is not None:
+        sequences = np.unique(np.concatenate((sequences, seeds)), axis=0)
     data = _evaluated(problem, rough, sequences, problem.starts, _FIRST_POINTS)
     surface = None
     for _ in range(settings.explorations):
