@@ -50,6 +50,7 @@ from cpam_bayes.model import reference_vector
 from cpam_bayes.paper.sequences import identified_sequences
 from cpam_bayes.parallel import open_executor
 from cpam_bayes.reduced import DEFAULT_SETTINGS, ReductionSettings
+from cpam_bayes.report.progress import timed_lines
 from cpam_bayes.report.tables import Column, Table, screen_text
 from cpam_bayes.threads import single_blas_thread
 
@@ -480,11 +481,7 @@ def main() -> None:
     add_executor_options(parser)
     args = parser.parse_args()
 
-    begun = time.perf_counter()
-
-    def tell(text: str) -> None:
-        print(f"{time.perf_counter() - begun:7.1f} s  {text}", file=sys.stderr, flush=True)
-
+    tell = timed_lines()
     with open_executor(args.executor, args.workers) as executor:
         if args.quick:
             show(run(True, executor, notify=tell))

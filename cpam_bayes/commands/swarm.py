@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import argparse
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
+from typing import TypeVar
 
 from cpam_bayes.commands.supported import plate_warnings, solver_failure
 from cpam_bayes.inference.identify import Identification, Residual, identify
@@ -18,6 +20,8 @@ from cpam_bayes.report.documents import identification_document
 from cpam_bayes.report.identification import identification_screen
 from cpam_bayes.report.progress import progress
 from cpam_bayes.report.remarks import warnings_of
+
+Found = TypeVar("Found")
 
 
 def identify_by_swarm(specimen: Specimen, args: argparse.Namespace) -> Answer:
@@ -33,28 +37,23 @@ def identify_by_swarm(specimen: Specimen, args: argparse.Namespace) -> Answer:
     def described(value: float) -> str:
         return f"rms misfit {factor * math.sqrt(value / n):.4g} {unit}"
 
-    found: FoundSequence | None = None
-    try:
-        if specimen.plate.layup.n_unknown:
-            with progress(f"angles of {specimen.name}", settings.iterations, args.quiet, described) as shown:
-                found = search_sequence(
-                    specimen,
-                    args.seed,
-                    settings=settings,
-                    residual=residual,
-                    progress=shown.tick,
-                    notify=shown.notify,
-                )
-            specimen = found.known
-        with progress(f"identify {specimen.name}", settings.iterations, args.quiet, described) as shown:
-            result = identify(
-                specimen,
+    def watched(search: Callable[..., Found], plate: Specimen, title: str) -> Found:
+        with progress(title, settings.iterations, args.quiet, described) as shown:
+            return search(
+                plate,
                 args.seed,
                 settings=settings,
                 residual=residual,
                 progress=shown.tick,
                 notify=shown.notify,
             )
+
+    found: FoundSequence | None = None
+    try:
+        if specimen.plate.layup.n_unknown:
+            found = watched(search_sequence, specimen, f"angles of {specimen.name}")
+            specimen = found.known
+        result = watched(identify, specimen, f"identify {specimen.name}")
     except RigidBodyError as error:
         raise solver_failure(specimen, error) from error
     warnings = (*warnings_of(result, residual), *plate_warnings(specimen))

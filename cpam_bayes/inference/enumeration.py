@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cpam_bayes.inference.evidence_table import EvidenceTable
-from cpam_bayes.inference.ply_sums import PlySums
+from cpam_bayes.inference.ply_sums import PlySums, all_choices
 
 Array = NDArray[Any]
 
@@ -206,9 +206,7 @@ def _inner_sums(own: Enumerator) -> tuple[Array, Array]:
     """Sums of all choices of the inner plies, (4, g^n_inner) and (n_q, g^n_inner)."""
     found = []
     for table in (own.sums.first, own.sums.rest):
-        total = np.zeros((1, table.shape[2]))
-        for ply in table[own.sums.n_unknown - own.n_inner :]:
-            total = (total[:, None, :] + ply[None, :, :]).reshape(-1, table.shape[2])
+        total = all_choices(table[own.sums.n_unknown - own.n_inner :])
         found.append(np.ascontiguousarray(total.T, dtype=np.float32))
     return found[0], found[1]
 

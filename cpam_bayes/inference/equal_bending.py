@@ -14,7 +14,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cpam_bayes.inference.ply_sums import PlySums
+from cpam_bayes.inference.ply_sums import PlySums, all_choices
 from cpam_bayes.inference.sequence_answer import SequenceAnswer, Task
 from cpam_bayes.inference.sequence_classes import canonical
 
@@ -36,37 +36,21 @@ def equal_bending(sums: PlySums, sequences: Array) -> tuple[Array, ...]:
     A sum over the outer plies and one over the inner plies make up each: the ones that fit are looked up.
     """
     k, g = sums.n_unknown, len(sums.grid_deg)
-    outer, inner = k // 2, k - k // 2
-    left, right = _half(sums.first[:outer]), _half(sums.first[outer:])
+    inner = k - k // 2
+    left, right = all_choices(sums.first[: k - inner]), all_choices(sums.first[k - inner :])
     order = np.argsort(right @ _DIRECTION, kind="stable")
     at = (right @ _DIRECTION)[order]
     found = []
-    for target in sums.first[np.arange(k), sequences].sum(axis=1):
+    for target in sums.features(sequences)[:, :4]:
         needed = (target - left) @ _DIRECTION
         begin, end = (np.searchsorted(at, needed + sign * len(_DIRECTION) * _EQUAL) for sign in (-1, 1))
         some = np.flatnonzero(end > begin)
         rows = np.repeat(some, (end - begin)[some])
         columns = order[np.concatenate([np.arange(begin[i], end[i]) for i in some])]
         same = np.all(np.abs(left[rows] + right[columns] - target) < _EQUAL, axis=1)
-        found.append(
-            np.column_stack(
-                [
-                    *np.unravel_index(rows[same], (g,) * outer),
-                    *np.unravel_index(columns[same], (g,) * inner),
-                ]
-                if outer
-                else np.unravel_index(columns[same], (g,) * inner)
-            )
-        )
+        whole = rows[same] * g**inner + columns[same]
+        found.append(np.column_stack(np.unravel_index(whole, (g,) * k)))
     return tuple(found)
-
-
-def _half(contributions: Array) -> Array:
-    """Sums over some plies (k, n_grid, 4) of all choices of their angles, the last one fastest."""
-    total = np.zeros((1, contributions.shape[2]))
-    for own in contributions:
-        total = (total[:, None, :] + own).reshape(-1, total.shape[1])
-    return total
 
 
 def alike_merged(answer: SequenceAnswer, task: Task, sums: PlySums) -> SequenceAnswer:

@@ -269,14 +269,17 @@ def linearised_sd(
     return np.asarray(np.sqrt(np.diag(inverse @ middle @ inverse)) * prior_sd)
 
 
+def bound_of(value: float, lower: float, upper: float) -> Literal["lower", "upper"] | None:
+    """The bound of its search interval that a constant sits on, if it does."""
+    width = upper - lower
+    if value - lower < _ON_BOUND * width:
+        return "lower"
+    return "upper" if upper - value < _ON_BOUND * width else None
+
+
 def _estimate(specimen: Specimen, name: str, value: float, sd: float) -> ConstantEstimate:
     prior = specimen.unknowns[name].prior
-    width = prior.upper - prior.lower
-    bound: Literal["lower", "upper"] | None = None
-    if value - prior.lower < _ON_BOUND * width:
-        bound = "lower"
-    elif prior.upper - value < _ON_BOUND * width:
-        bound = "upper"
+    bound = bound_of(value, prior.lower, prior.upper)
     ratio = sd / prior.sd
     verdict: Verdict
     if bound is not None:

@@ -61,6 +61,17 @@ class PlySums:
         return np.asarray(sum(both[j][sequences[:, j]] for j in range(self.n_unknown)))
 
 
+def all_choices(contributions: Array) -> Array:
+    """Sums of contributions (k, n_grid, d) of some plies for all choices of their angles, (n_grid^k, d).
+
+    The angle of the last ply changes fastest.
+    """
+    total = np.zeros((1, contributions.shape[2]))
+    for own in contributions:
+        total = (total[:, None, :] + own).reshape(-1, total.shape[1])
+    return total
+
+
 def ply_sums(layup: Layup, grid_deg: Array) -> PlySums:
     """The sums of a symmetric layup with unknown angles on a grid, (n_grid,) degrees.
 

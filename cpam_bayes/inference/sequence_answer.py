@@ -47,6 +47,10 @@ class SequenceSettings:
     draws: int = 500
     log2_points: int = 9
 
+    def computes_each(self, n_sequences: int) -> bool:
+        """Whether so many are few: no evidence is learned."""
+        return n_sequences <= 2 * self.exhaustive
+
 
 DEFAULT_SETTINGS = SequenceSettings()
 
@@ -146,10 +150,9 @@ class SequenceAnswer:
 class Task:
     """The sequences of one specimen: their posteriors, symmetries and grid.
 
-    sums : over the plies, ``None`` where the layup is not
-    symmetric. starts : (2, n) of
-    every climb. library : (p, n_constants) constants whose best two for a sequence are
-    starts where climbs are to be thorough.
+    sums : over the plies, ``None`` where the layup is not symmetric. starts : (2, n) of every climb.
+    library : (p, n_constants) constants whose best two for a sequence are starts where climbs are to be
+    thorough.
     """
 
     specimen: Specimen
@@ -175,7 +178,7 @@ class Task:
     @property
     def each_computed(self) -> bool:
         """Whether they are so few that no evidence is learned."""
-        return self.n_sequences <= 2 * self.settings.exhaustive
+        return self.settings.computes_each(self.n_sequences)
 
 
 def moved(task: Task, data: Evaluated, rng: np.random.Generator) -> Evaluated:

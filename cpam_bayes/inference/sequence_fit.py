@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
+from cpam_bayes.inference.identify import bound_of
 from cpam_bayes.inference.sequences import SequenceAnswer
 
 __all__ = ["SequenceListFit", "fit_of_the_first"]
 
 Array = NDArray[Any]
-
-# A constant this close to a bound, as a fraction of the search interval, sits on it.
-_ON_BOUND: Final = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,9 +40,8 @@ def fit_of_the_first(answer: SequenceAnswer) -> SequenceListFit:
     template, first = answer.own.template, answer.components[:1]
     x, n = first.fits.x, template.model.parameters.size
     p = template.parameters
-    share = (x[0, :n] - p.lower[:n]) / (p.upper[:n] - p.lower[:n])
-    bounds = [(name, "lower") for name, s in zip(p.names, share, strict=False) if s < _ON_BOUND]
-    bounds += [(name, "upper") for name, s in zip(p.names, share, strict=False) if s > 1.0 - _ON_BOUND]
+    ends = [bound_of(*row) for row in zip(x[0, :n], p.lower[:n], p.upper[:n], strict=True)]
+    bounds = [(name, end) for name, end in zip(p.names, ends, strict=False) if end is not None]
     noise = float(first.conditionals.mean[0, -1]) if template.noise_is_inferred else None
     if not template.measurement.complete:
         return SequenceListFit(None, None, None, noise, tuple(bounds))

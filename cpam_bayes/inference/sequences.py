@@ -99,7 +99,7 @@ def sequence_task(
     if not layup.n_unknown:
         raise ValueError(f'{specimen.source}: layup {layup.text} has no unknown angle; write "?" for one')
     grid = angle_grid(specimen.angle_grid_deg)
-    few = len(grid) ** layup.n_unknown <= 2 * settings.exhaustive
+    few = settings.computes_each(len(grid) ** layup.n_unknown)
     sums = None if few and not layup.is_symmetric else ply_sums(layup, grid)
     n_modes = measurement.size + (0 if measurement.complete else _SPARE_MODES)
     parameters = angle_parameters(specimen).union(unknowns)

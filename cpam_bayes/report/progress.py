@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import os
 import sys
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 
-__all__ = ["Progress", "announce", "progress"]
+__all__ = ["Progress", "announce", "progress", "timed_lines"]
 
 _LINES = 10
 
@@ -28,6 +29,16 @@ def announce(text: str, quiet: bool) -> None:
     """One line about what begins."""
     if not quiet and sys.stderr is not None:
         print(text, file=sys.stderr, flush=True)
+
+
+def timed_lines() -> Callable[[str], None]:
+    """A teller of lines on standard error, each with the seconds since it was made."""
+    begun = time.perf_counter()
+
+    def tell(text: str) -> None:
+        print(f"{time.perf_counter() - begun:7.1f} s  {text}", file=sys.stderr, flush=True)
+
+    return tell
 
 
 @contextmanager
