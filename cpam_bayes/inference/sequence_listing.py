@@ -31,7 +31,7 @@ Array = NDArray[Any]
 
 # Share of the mass that the most sequences that may be sampled must hold; else a quarter of them shows what
 # sampling changes.
-_WORTH = 0.3
+_WORTH = 0.5
 # An evidence this far below the learned one, nats, may be that of a lesser optimum, and one that is below by
 # twice the root mean square error of what was learned.
 _SUSPECT = 0.3

@@ -88,10 +88,10 @@ def credible_set(result: SequenceAnswer, given: GivenSequence | None = None) -> 
     bars.spines[["top", "right"]].set_visible(False)
     number, held = np.cumsum(result.multiplicity), np.cumsum(mass)
     curve.step(np.append(0.9, number), np.append(0.0, held), where="post", color=_BLUE)
-    curve.plot(result.credible_count, CREDIBLE, "o", color=_RED)
     if result.credible_count > number[-1]:
-        # what lies between is known as a sum only
-        curve.plot([number[-1], result.credible_count], [held[-1], CREDIBLE], ":", color=_BLUE)
+        between, at = "not listed, known as a sum", ([number[-1], result.credible_count], [held[-1], CREDIBLE])
+        curve.plot(*at, ":", color=_BLUE, label=between)
+    curve.plot(result.credible_count, CREDIBLE, "o", color=_RED, label="95 % set")
     curve.axhline(CREDIBLE, color="0.6", lw=0.8)
     curve.axvline(result.effective_count, color="0.6", ls="--", lw=0.8)
     left = result.effective_count > 0.05 * max(number[-1], result.credible_count)
@@ -104,6 +104,7 @@ def credible_set(result: SequenceAnswer, given: GivenSequence | None = None) -> 
     )
     curve.set(xscale="log", xlabel="number of sequences", ylabel="probability of the set", ylim=(0.0, 1.03))
     curve.spines[["top", "right"]].set_visible(False)
+    curve.legend(loc="upper left", bbox_to_anchor=(0.0, 0.93), frameon=False, fontsize=8)
     figure.suptitle(
         f"{result.specimen.name}: 95 % set of {_counted(result.credible_count)} of {result.enumerated}",
         fontsize=11,
@@ -120,6 +121,7 @@ def _draw_angles(axes: Axes, angles: NDArray[Any]) -> None:
         for j in range(k):
             axes.text(j + 1, i + 1, f"{angles[i, j]:g}", ha="center", va="center", fontsize=8)
     axes.set(ylim=(n + 0.5, 0.5), xticks=np.arange(k) + 1, xlabel="unknown angle", ylabel="rank of the class")
+    axes.set_title("angles, degrees (like colours: like angles)", fontsize=8)
     axes.set_yticks(np.arange(n) + 1 if n < 10 else [1, *range(5, n + 1, 5)])
     axes.tick_params(length=0)
     axes.spines[:].set_visible(False)
