@@ -6,7 +6,6 @@ python studies/01_first_light.py [--quick]
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import sys
 import tempfile
@@ -27,6 +26,7 @@ from cpam_bayes.layup import parse_layup
 from cpam_bayes.measurement import Specimen, builtin, to_user, user_name
 from cpam_bayes.model import NO_PARAMETERS, PlateModel, converged_model, plate_problem
 from cpam_bayes.report.remarks import warnings_of
+from cpam_bayes.report.study_results import save_results
 from cpam_bayes.report.tables import Column, Table, remarks, screen_text
 from cpam_bayes.threads import single_blas_thread
 
@@ -394,8 +394,7 @@ def main() -> None:
     results = run(quick)
     show(results)
     if not quick:
-        RESULTS.parent.mkdir(exist_ok=True)
-        RESULTS.write_text(json.dumps(results, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+        save_results(RESULTS, results)
 
 
 if __name__ == "__main__":

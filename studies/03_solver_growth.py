@@ -6,7 +6,6 @@ python studies/03_solver_growth.py [--quick]
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 import time
 from collections.abc import Callable, Iterable, Mapping
@@ -24,6 +23,7 @@ from cpam_bayes.measurement import Specimen, builtin
 from cpam_bayes.model import PlateModel, angle_parameters, converged_model, plate_problem, training_sets
 from cpam_bayes.parameters import ParameterSet
 from cpam_bayes.reduced import DEFAULT_SETTINGS, ReducedModel, ReductionSettings, reduce
+from cpam_bayes.report.study_results import save_results
 from cpam_bayes.report.tables import Column, Table, screen_text
 from cpam_bayes.spaces.ritz import RitzSettings, ritz_space
 from cpam_bayes.threads import single_blas_thread
@@ -275,8 +275,7 @@ def main() -> None:
     results = run(quick)
     show(results)
     if not quick:
-        RESULTS.parent.mkdir(exist_ok=True)
-        RESULTS.write_text(json.dumps(results, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+        save_results(RESULTS, results)
 
 
 if __name__ == "__main__":

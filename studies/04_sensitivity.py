@@ -22,6 +22,7 @@ from cpam_bayes.parallel import open_executor
 from cpam_bayes.report.documents import json_text
 from cpam_bayes.report.sensitivity import sensitivity_document
 from cpam_bayes.report.sensitivity_remarks import printed_table, sensitivity_warnings
+from cpam_bayes.report.study_results import save_results
 from cpam_bayes.report.tables import Column, Table, screen_text
 
 Results = dict[str, Any]
@@ -125,8 +126,7 @@ def main() -> None:
         results = run(args.quick, executor)
     show(results)
     if not args.quick:
-        RESULTS.parent.mkdir(exist_ok=True)
-        RESULTS.write_text(json.dumps(results, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+        save_results(RESULTS, results)
 
 
 if __name__ == "__main__":

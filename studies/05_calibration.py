@@ -10,7 +10,6 @@ Repetitions are kept as they come: a run that was stopped goes on where it was.
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from concurrent.futures import Executor
 from dataclasses import asdict, replace
@@ -33,6 +32,7 @@ from cpam_bayes.inference.calibration import (
 from cpam_bayes.inference.pso import SwarmSettings
 from cpam_bayes.inference.rank_statistics import Band, coverage, rank_statistics
 from cpam_bayes.parallel import open_executor
+from cpam_bayes.report.study_results import save_results
 from cpam_bayes.report.tables import Column, Table, screen_text
 
 Results = dict[str, Any]
@@ -178,8 +178,7 @@ def main() -> None:
         results = run(args.quick, executor, None if args.quick else args.store, args.repetitions)
     show(results)
     if not args.quick:
-        RESULTS.parent.mkdir(exist_ok=True)
-        RESULTS.write_text(json.dumps(results, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+        save_results(RESULTS, results)
 
 
 if __name__ == "__main__":

@@ -6,7 +6,6 @@ python studies/06_evidence.py [--quick]
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 import time
 from collections.abc import Sequence
@@ -26,6 +25,7 @@ from cpam_bayes.inference.sampling import sample_from
 from cpam_bayes.inference.starting import start_of
 from cpam_bayes.measurement import builtin, to_user, user_name
 from cpam_bayes.posterior import Posterior
+from cpam_bayes.report.study_results import save_results
 from cpam_bayes.report.tables import Column, Table, screen_text
 from cpam_bayes.threads import single_blas_thread
 
@@ -276,8 +276,7 @@ def main() -> None:
     results = run(quick)
     show(results)
     if not quick:
-        RESULTS.parent.mkdir(exist_ok=True)
-        RESULTS.write_text(json.dumps(results, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+        save_results(RESULTS, results)
 
 
 if __name__ == "__main__":

@@ -17,7 +17,6 @@ sequences closer than that are not told apart by such a list. The smallest F kno
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 import time
 from collections.abc import Callable, Iterable
@@ -51,6 +50,7 @@ from cpam_bayes.paper.sequences import identified_sequences
 from cpam_bayes.parallel import open_executor
 from cpam_bayes.reduced import DEFAULT_SETTINGS, ReductionSettings
 from cpam_bayes.report.progress import timed_lines
+from cpam_bayes.report.study_results import save_results, saved_results, with_saved
 from cpam_bayes.report.tables import Column, Table, screen_text
 from cpam_bayes.threads import single_blas_thread
 
@@ -461,17 +461,6 @@ def _columns(headings: tuple[str, ...], text: tuple[int, ...]) -> tuple[Column, 
     return tuple(Column(heading, i not in text) for i, heading in enumerate(headings))
 
 
-def with_saved(results: Results) -> Results:
-    """The results with what was saved before and not run again."""
-    if not RESULTS.exists():
-        return results
-    saved = json.loads(RESULTS.read_text(encoding="utf-8"))
-    new = {c["case"] for c in results["cases"]}
-    cases = [c for c in saved["cases"] if c["case"] not in new] + results["cases"]
-    cases.sort(key=lambda c: FULL.cases.index(c["case"]))
-    return {**results, "cases": cases, "particles": results["particles"] or saved["particles"]}
-
-
 def main() -> None:
     """Run the study, print its tables and save the results, case by case."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
@@ -486,12 +475,9 @@ def main() -> None:
         if args.quick:
             show(run(True, executor, notify=tell))
             return
-        RESULTS.parent.mkdir(exist_ok=True)
         for name in args.only or names:
-            results = with_saved(run(False, executor, (name,), tell))
-            text = json.dumps(results, indent=1, allow_nan=False)
-            RESULTS.write_text(text + "\n", encoding="utf-8")
-    show(results)
+            save_results(RESULTS, with_saved(run(False, executor, (name,), tell), RESULTS, FULL.cases))
+    show(saved_results(RESULTS))
 
 
 if __name__ == "__main__":

@@ -13,7 +13,6 @@ before are kept.
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import sys
 import tempfile
@@ -41,6 +40,7 @@ from cpam_bayes.measurement import Specimen
 from cpam_bayes.paper.sequences import identified_sequences
 from cpam_bayes.parallel import open_executor
 from cpam_bayes.report.progress import timed_lines
+from cpam_bayes.report.study_results import save_results, saved_results, with_saved
 from cpam_bayes.report.tables import Column, Table, screen_text
 
 Results = dict[str, Any]
@@ -358,25 +358,6 @@ def _row(c: Results) -> tuple[str, ...]:
     )
 
 
-def kept_and(results: Results) -> Results:
-    """The results with what was saved before and not run again."""
-    if not RESULTS.exists():
-        return results
-    saved = json.loads(RESULTS.read_text(encoding="utf-8"))
-    both = {
-        key: {**{c["case"]: c for c in saved.get(key, [])}, **{c["case"]: c for c in results[key]}}
-        for key in ("cases", "noise", "cost")
-    }
-    return {**results, **{key: [own[n] for n in NAMES if n in own] for key, own in both.items()}}
-
-
-def save(results: Results) -> None:
-    """Keep the results beside those of other cases."""
-    RESULTS.parent.mkdir(exist_ok=True)
-    text = json.dumps(kept_and(results), indent=1, allow_nan=False)
-    RESULTS.write_text(text + "\n", encoding="utf-8")
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="the small version; nothing is saved")
@@ -393,8 +374,8 @@ def main() -> None:
             return
         # one at a time, so that what is done stays when the rest is stopped
         for name in args.only or NAMES:
-            save(run(False, executor, (name,), tell))
-    show(json.loads(RESULTS.read_text(encoding="utf-8")))
+            save_results(RESULTS, with_saved(run(False, executor, (name,), tell), RESULTS, NAMES))
+    show(saved_results(RESULTS))
 
 
 if __name__ == "__main__":

@@ -10,7 +10,6 @@ the evidences have too, and the place of the true sequence among all is noted
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 import time
 from concurrent.futures import Executor
@@ -31,6 +30,7 @@ from cpam_bayes.inference.sequence_coverage import (
 from cpam_bayes.layup import parse_layup
 from cpam_bayes.measurement import Specimen, builtin
 from cpam_bayes.parallel import open_executor
+from cpam_bayes.report.study_results import save_results, saved_results, with_saved
 from cpam_bayes.report.tables import Column, Table, screen_text
 
 Results = dict[str, Any]
@@ -175,15 +175,6 @@ def show(results: Results) -> None:
     print(screen_text((Table("Randomised credible sets of sequences", columns, rows),), sys.stdout))
 
 
-def kept_and(results: Results) -> Results:
-    """The results with the cases saved before that were not run again."""
-    if not RESULTS.exists():
-        return results
-    saved = {c["case"]: c for c in json.loads(RESULTS.read_text(encoding="utf-8"))["cases"]}
-    both = {**saved, **{c["case"]: c for c in results["cases"]}}
-    return {**results, "cases": [both[name] for name in CASES if name in both]}
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="the small version; nothing is saved")
@@ -193,12 +184,13 @@ def main() -> None:
     args = parser.parse_args()
     only = None if args.only is None else tuple(args.only)
     with open_executor(args.executor, args.workers) as executor:
-        results = run(args.quick, executor, only, args.trials)
-    if not args.quick:
-        results = kept_and(results)
-        RESULTS.parent.mkdir(exist_ok=True)
-        RESULTS.write_text(json.dumps(results, indent=1, allow_nan=False) + "\n", encoding="utf-8")
-    show(results)
+        if args.quick:
+            show(run(True, executor, only, args.trials))
+            return
+        for name in only or CASES:
+            results = run(False, executor, (name,), args.trials)
+            save_results(RESULTS, with_saved(results, RESULTS, tuple(CASES)))
+    show(saved_results(RESULTS))
 
 
 if __name__ == "__main__":

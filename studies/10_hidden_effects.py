@@ -41,6 +41,7 @@ from cpam_bayes.diagnosis.truths import MESH, Bench, bench, of_cause
 from cpam_bayes.inference.draw_store import DrawStore
 from cpam_bayes.parallel import open_executor
 from cpam_bayes.parallel import run as share_out
+from cpam_bayes.report.study_results import save_results
 from cpam_bayes.report.tables import Column, Table, screen_text
 
 Results = dict[str, Any]
@@ -294,8 +295,7 @@ def main() -> None:
 
     def keep(results: Results) -> None:
         if not args.quick:
-            RESULTS.parent.mkdir(exist_ok=True)
-            RESULTS.write_text(json.dumps(results, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+            save_results(RESULTS, results)
 
     with open_executor(args.executor, args.workers) as executor:
         results = run(

@@ -6,7 +6,6 @@ python studies/11_effects.py [--quick]
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from pathlib import Path
 from typing import Any
@@ -20,6 +19,7 @@ from cpam_bayes.effects import CATALOGUE, Effect, applicable
 from cpam_bayes.measurement import builtin
 from cpam_bayes.model import reference_vector
 from cpam_bayes.report.diagnosis_numbers import effect_unit
+from cpam_bayes.report.study_results import save_results
 from cpam_bayes.report.tables import Column, Table, screen_text
 
 Array = NDArray[Any]
@@ -152,7 +152,7 @@ def main() -> None:
     show(results)
     if not quick:
         RESULTS.parent.mkdir(exist_ok=True)
-        RESULTS.write_text(json.dumps(results, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+        save_results(RESULTS, results)
 
 
 if __name__ == "__main__":

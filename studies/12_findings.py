@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import argparse
 import csv
-import json
 import sys
 import tempfile
 import time
@@ -18,6 +17,7 @@ from typing import Any
 from cpam_bayes.diagnosis.diagnose import Diagnosis, diagnose
 from cpam_bayes.diagnosis.fit import Fit
 from cpam_bayes.measurement import Specimen, builtin, read_specimen, to_user, user_name
+from cpam_bayes.report.study_results import save_results, with_saved
 from cpam_bayes.report.tables import Column, Table, screen_text
 
 HERE = Path(__file__).parent
@@ -206,13 +206,9 @@ def main() -> None:
     parser.add_argument("--only", nargs="+", default=(), help="groups, plates of one joined by +")
     args = parser.parse_args()
     order = groups_of(spruce())
-    old = json.loads(RESULTS.read_text(encoding="utf-8"))["groups"] if RESULTS.exists() else []
 
-    def keep(results: dict[str, Any]) -> None:  # what was not asked for stays
-        groups = {tuple(g["plates"]): g for g in (*old, *results["groups"])}
-        results = {"quick": False, "groups": [groups[g] for g in order if g in groups]}
-        RESULTS.parent.mkdir(exist_ok=True)
-        RESULTS.write_text(json.dumps(results, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    def keep(results: dict[str, Any]) -> None:
+        save_results(RESULTS, with_saved(results, RESULTS, order, lambda group: tuple(group["plates"])))
 
     show(run(args.quick, args.only, keep))
 

@@ -12,7 +12,6 @@ plate carrying a known mass near a corner. Truths are finite elements, the diagn
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from collections.abc import Callable
 from concurrent.futures import Executor
@@ -27,6 +26,7 @@ from cpam_bayes.diagnosis.trials import Trial
 from cpam_bayes.diagnosis.truths import of_cause
 from cpam_bayes.parallel import open_executor
 from cpam_bayes.parallel import run as share_out
+from cpam_bayes.report.study_results import save_results
 from cpam_bayes.report.tables import Column, Table, screen_text
 
 Results = dict[str, Any]
@@ -167,8 +167,7 @@ def main() -> None:
         results = run(args.quick, executor, args.per_cause, tell)
     show(results)
     if not args.quick:
-        RESULTS.parent.mkdir(exist_ok=True)
-        RESULTS.write_text(json.dumps(results, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+        save_results(RESULTS, results)
 
 
 if __name__ == "__main__":

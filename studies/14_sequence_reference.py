@@ -13,7 +13,6 @@ sequences, and the most by which a hopeless one exceeds what was learned.
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 import time
 from collections.abc import Callable
@@ -37,6 +36,7 @@ from cpam_bayes.inference.sequence_scan import scan_library
 from cpam_bayes.inference.sequences import sequence_probabilities, sequence_task
 from cpam_bayes.parallel import open_executor
 from cpam_bayes.report.progress import timed_lines
+from cpam_bayes.report.study_results import save_results, saved_results, with_saved
 from cpam_bayes.report.tables import Column, Table, screen_text
 
 Array = NDArray[Any]
@@ -282,14 +282,9 @@ def main() -> None:
         if args.quick:
             show(run(True, executor, notify=tell))
             return
-        done = json.loads(RESULTS.read_text(encoding="utf-8"))["cases"] if RESULTS.exists() else []
         for name in args.only or CASES:
-            done = [c for c in done if c["case"] != name] + run(False, executor, (name,), tell)["cases"]
-            done.sort(key=lambda c: list(CASES).index(c["case"]))
-            RESULTS.parent.mkdir(exist_ok=True)
-            text = json.dumps({"quick": False, "cases": done}, indent=1, allow_nan=False)
-            RESULTS.write_text(text + "\n", encoding="utf-8")
-    show({"cases": done})
+            save_results(RESULTS, with_saved(run(False, executor, (name,), tell), RESULTS, tuple(CASES)))
+    show(saved_results(RESULTS))
 
 
 if __name__ == "__main__":
