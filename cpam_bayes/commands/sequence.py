@@ -12,7 +12,7 @@ import numpy as np
 
 from cpam_bayes.commands.supported import require_sequence, solver_failure
 from cpam_bayes.inference.given_sequence import GivenSequence, given_sequence
-from cpam_bayes.inference.sequence_mixture import SequenceMixture, mixture_posterior
+from cpam_bayes.inference.sequence_mixture import SequenceMixture, mixture_posterior, sampled_classes
 from cpam_bayes.inference.sequences import DEFAULT_SETTINGS, SequenceAnswer, sequence_probabilities
 from cpam_bayes.measurement import Specimen, read_specimen
 from cpam_bayes.modes import RigidBodyError
@@ -47,7 +47,8 @@ def _answer(specimen: Specimen, args: argparse.Namespace) -> Answer:
             except RigidBodyError as error:
                 raise solver_failure(specimen, error) from error
         given = _printed(result, args.plate)
-        with progress("constants by emcee", 21, args.quiet, lambda done: "a class each") as shown:
+        classes = sampled_classes(result) + (given is not None)
+        with progress("constants by emcee", classes, args.quiet, lambda done: "a class each") as shown:
             mixture = mixture_posterior(
                 result,
                 args.seed,
