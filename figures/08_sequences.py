@@ -63,7 +63,7 @@ def _maps(cases: list[dict[str, Any]]) -> Figure:
         axes.plot(shown["angles_deg"], plies, "x", ms=5, color=BLUE, mew=1.6)
         axes.set(xticks=np.arange(-90, 91, 45), yticks=plies)
         axes.invert_yaxis()
-        axes.set_title(f"{case['case']}: {case['credible_95_count']} in the 95 % set", fontsize=9)
+        axes.set_title(f"{case['case']}: {_counted(case['credible_95_count'])} in the 95 % set", fontsize=9)
         axes.tick_params(labelsize=8)
     figure.supxlabel("angle, degrees", fontsize=9)
     figure.supylabel("unknown angle, from the bottom", fontsize=9)
@@ -72,6 +72,11 @@ def _maps(cases: list[dict[str, Any]]) -> Figure:
         fontsize=10,
     )
     return figure
+
+
+def _counted(n: int) -> str:
+    """A number with thin spaces between thousands."""
+    return f"{n:,}".replace(",", "\N{THIN SPACE}")
 
 
 def _counts(cases: list[dict[str, Any]], noise: list[dict[str, Any]]) -> Figure:
@@ -113,6 +118,9 @@ def _noise(axes: Axes, noise: list[dict[str, Any]]) -> None:
     axes.set(xscale="log", xlabel="noise, % of each frequency", ylabel="probability of C1's own class")
     axes.set(ylim=(-0.03, 1.05))
     if noise:
+        levels = sorted({100 * r["relative_std"] for own in noise for r in own["levels"]})
+        axes.set_xticks(levels, [f"{level:g}" for level in levels])
+        axes.set_xticks([], minor=True)
         axes.legend(frameon=False, fontsize=8)
     axes.spines[["top", "right"]].set_visible(False)
 
@@ -128,7 +136,7 @@ def _cost(cost: list[dict[str, Any]]) -> Figure:
         label = f"noise {100 * noise:g} %"
         left.plot(angles, [c["seconds"] for c in own], "o-", color=color, label=label)
         right.plot(angles, [c["peak_gib"] for c in own], "o-", color=color, label=label)
-    left.set(yscale="log", ylabel="seconds")
+    left.set(ylim=(0.0, None), ylabel="seconds")
     right.set(ylim=(0.0, None), ylabel="peak memory, GiB")
     for axes in (left, right):
         axes.set(xlabel="unknown angles", xticks=sorted({c["unknown_angles"] for c in cost}))
