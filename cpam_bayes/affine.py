@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Generic, Protocol, TypeVar
@@ -61,6 +61,11 @@ class AffineMatrix:
         return AffineMatrix(basis.T @ (self.stack @ basis), self.active)
 
 
+# M-normalised eigenvectors (k, size) of some modes: (k,) the coefficient set of each, (k,) which of its
+# eigenvalues it has.
+ModeVectors = Callable[[Array, Array], Array]
+
+
 class Block(Protocol):
     """Trial functions that couple only among themselves: what an eigensolver needs of them.
 
@@ -76,13 +81,8 @@ class Block(Protocol):
         """The n lowest eigenvalues of m coefficient sets, (m, n)."""
         ...
 
-    def eigenvectors(
-        self, stiffness: Array, mass: Array, sets: Array, column: Array, eigenvalues: Array
-    ) -> Array:
-        """M-normalised eigenvectors (k, size) of some modes of m coefficient sets.
-
-        sets, column : (k,) the coefficient set of each and which of its eigenvalues (m, n) it has.
-        """
+    def eigenpairs(self, stiffness: Array, mass: Array, n: int) -> tuple[Array, ModeVectors]:
+        """The n lowest eigenvalues of m coefficient sets, (m, n), and what gives their vectors."""
         ...
 
     def energies(self, vectors: Array) -> tuple[Array, Array]:
@@ -120,38 +120,19 @@ class DenseBlock:
         """The n lowest eigenvalues of m coefficient sets, (m, n)."""
         return matrix_by_matrix(np.linalg.eigvalsh, self._whitened(stiffness, mass)[0])[..., :n]
 
-    def eigenvectors(
-        self, stiffness: Array, mass: Array, sets: Array, column: Array, eigenvalues: Array
-    ) -> Array:
-        """M-normalised eigenvectors (k, size) of some modes of m coefficient sets.
+    def eigenpairs(self, stiffness: Array, mass: Array, n: int) -> tuple[Array, ModeVectors]:
+        """The n lowest eigenvalues of m coefficient sets, (m, n), and what gives their vectors.
 
-        sets, column : (k,) the coefficient set of each and which of its eigenvalues (m, n) it has.
-        One inverse iteration from a fixed vector; LAPACK's vectors where two eigenvalues are close.
+        Vectors of a small block take one inverse iteration each, those of a large one come with the values.
         """
-        own, place = np.unique(sets, return_inverse=True)
-        k, back = self._whitened(stiffness[own], mass[own])
-        lam = eigenvalues[sets, column]
-        distance = np.abs(eigenvalues[sets] - lam[:, None])
-        distance[np.arange(len(sets)), column] = np.inf
-        close = distance.min(axis=1, initial=np.inf) < _CLOSE * np.abs(lam)
-        if self.size > _LARGE:  # LAPACK finds a few vectors of one matrix sooner
-            close[:] = True
-        phi = np.empty((len(sets), self.size))
-        i = np.arange(self.size)
-        apart = np.flatnonzero(~close)
-        if len(apart):
-            shifted = k[place[apart]]
-            shifted[:, i, i] -= (lam[apart] * (1.0 + _SHIFT))[:, None]
-            try:
-                phi[apart] = np.linalg.solve(shifted, np.cos(1.0 + i * i)[:, None])[..., 0]
-            except np.linalg.LinAlgError:  # a shifted value that is an eigenvalue to its last digit
-                close[:] = True
-        for s in np.unique(place[close]):
-            rows = np.flatnonzero(close & (place == s))
-            every = scipy.linalg.eigh(k[s], subset_by_index=(0, int(column[rows].max())))[1]
-            phi[rows] = every[:, column[rows]].T
-        phi /= np.linalg.norm(phi, axis=1, keepdims=True)
-        return back[place] * phi if back.ndim == 2 else (back[place] @ phi[..., None])[..., 0]
+        k, back = self._whitened(stiffness, mass)
+        if self.size > _LARGE:
+            pairs = [scipy.linalg.eigh(one, subset_by_index=(0, n - 1)) for one in k]
+            values = np.stack([pair[0] for pair in pairs])
+            found = np.stack([pair[1].T for pair in pairs])
+            return values, lambda sets, column: _mapped(back, sets, found[sets, column])
+        values = matrix_by_matrix(np.linalg.eigvalsh, k)[..., :n]
+        return values, lambda sets, column: _mapped(back, sets, _iterated(k, values, sets, column))
 
     def energies(self, vectors: Array) -> tuple[Array, Array]:
         """phi^T K_q phi and phi^T M_q phi of vectors (k, size) for every term, (k, n_terms) each."""
@@ -165,8 +146,40 @@ class DenseBlock:
         return found[0], found[1]
 
 
-# Size beyond which the inverse iteration does not pay.
-_LARGE = 100
+def _mapped(back: Array, sets: Array, phi: Array) -> Array:
+    """Vectors (k, n) of whitened problems in the block's own coordinates."""
+    return np.asarray(back[sets] * phi if back.ndim == 2 else (back[sets] @ phi[..., None])[..., 0])
+
+
+def _iterated(k: Array, eigenvalues: Array, sets: Array, column: Array) -> Array:
+    """Unit eigenvectors (k, n) of some modes of matrices (m, n, n) with known eigenvalues.
+
+    One inverse iteration from a fixed vector; LAPACK's vectors where two eigenvalues are close.
+    """
+    lam = eigenvalues[sets, column]
+    distance = np.abs(eigenvalues[sets] - lam[:, None])
+    distance[np.arange(len(sets)), column] = np.inf
+    close = distance.min(axis=1, initial=np.inf) < _CLOSE * np.abs(lam)
+    size = k.shape[-1]
+    phi, i = np.empty((len(sets), size)), np.arange(size)
+    apart = np.flatnonzero(~close)
+    if len(apart):
+        shifted = k[sets[apart]]
+        shifted[:, i, i] -= (lam[apart] * (1.0 + _SHIFT))[:, None]
+        try:
+            phi[apart] = np.linalg.solve(shifted, np.cos(1.0 + i * i)[:, None])[..., 0]
+        except np.linalg.LinAlgError:  # a shifted value that is an eigenvalue to its last digit
+            close[:] = True
+    for s in np.unique(sets[close]):
+        rows = np.flatnonzero(close & (sets == s))
+        every = scipy.linalg.eigh(k[s], subset_by_index=(0, int(column[rows].max())))[1]
+        phi[rows] = every[:, column[rows]].T
+    phi /= np.linalg.norm(phi, axis=1, keepdims=True)
+    return phi
+
+
+# Size beyond which inverse iterations do not pay: with ten modes it is 40, with five 70.
+_LARGE = 60
 # Relative distance of eigenvalues under which an inverse iteration does not tell their vectors apart.
 _CLOSE = 1e-5
 # Relative distance from an eigenvalue at which the inverse iteration is taken.

@@ -9,7 +9,7 @@ import numpy as np
 import scipy.optimize
 from numpy.typing import NDArray
 
-from cpam_bayes.affine import AffineOperator, Block
+from cpam_bayes.affine import AffineOperator, ModeVectors
 from cpam_bayes.problem import rigid_body_count
 
 Array = NDArray[Any]
@@ -78,7 +78,12 @@ def solve(
     available = sum(b.size for b in operator.blocks) - n_rigid
     if available < n_modes:
         raise ValueError(f"{n_modes} modes asked for, the space has {available}")
-    values = [b.eigenvalues(stiffness, mass, min(wanted, b.size)) for b in operator.blocks]
+    pairs: list[tuple[Array, ModeVectors]] = []
+    if vectors:
+        pairs = [b.eigenpairs(stiffness, mass, min(wanted, b.size)) for b in operator.blocks]
+        values = [lam for lam, _ in pairs]
+    else:
+        values = [b.eigenvalues(stiffness, mass, min(wanted, b.size)) for b in operator.blocks]
     counts = [v.shape[-1] for v in values]
     owner = np.repeat(np.arange(len(counts)), counts)
     place = np.concatenate([np.arange(c) for c in counts])
@@ -91,26 +96,19 @@ def solve(
     shapes = None
     if vectors:
         shapes = tuple(
-            _vectors(b, lam, stiffness, mass, np.nonzero(block == i), column)
-            for i, (b, lam) in enumerate(zip(operator.blocks, values, strict=True))
+            _vectors(own, b.size, np.nonzero(block == i), column)
+            for i, (b, (_, own)) in enumerate(zip(operator.blocks, pairs, strict=True))
         )
     return Spectrum(ranked[..., n_rigid:], block, column, shapes, ranked[..., :n_rigid])
 
 
-def _vectors(
-    block: Block,
-    eigenvalues: Array,
-    stiffness: Array,
-    mass: Array,
-    where: tuple[Array, ...],
-    column: Array,
-) -> Array:
+def _vectors(own: ModeVectors, size: int, where: tuple[Array, ...], column: Array) -> Array:
     """Vectors of the modes ``where`` (parameter sets, modes) of one block; zero in other columns."""
     sets, modes = where
     columns = column[sets, modes]
-    found = np.zeros((len(eigenvalues), block.size, int(columns.max(initial=-1)) + 1))
+    found = np.zeros((len(column), size, int(columns.max(initial=-1)) + 1))
     if len(sets):
-        found[sets, :, columns] = block.eigenvectors(stiffness, mass, sets, columns, eigenvalues)
+        found[sets, :, columns] = own(sets, columns)
     return found
 
 

@@ -12,7 +12,7 @@ from scipy.sparse import coo_array, csc_array, csr_array, diags_array
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import LinearOperator, eigsh, splu
 
-from cpam_bayes.affine import MATRICES, AffineOperator, active_terms, projected_functions
+from cpam_bayes.affine import MATRICES, AffineOperator, ModeVectors, active_terms, projected_functions
 from cpam_bayes.problem import FIELDS, MEMBRANE_FIELDS, Field, Form, MatrixKind, PlateState, Problem, Values
 from cpam_bayes.spaces.fem import FemSpace
 
@@ -105,20 +105,14 @@ class SparseBlock:
         sets = range(max(len(stiffness), len(mass)))
         return np.stack([self._lowest(stiffness, mass, i, n)[0] for i in sets])
 
-    def eigenvectors(
-        self, stiffness: Array, mass: Array, sets: Array, column: Array, eigenvalues: Array
-    ) -> Array:
-        """M-normalised eigenvectors (k, size) of some modes of m coefficient sets.
+    def eigenpairs(self, stiffness: Array, mass: Array, n: int) -> tuple[Array, ModeVectors]:
+        """The n lowest eigenvalues of m coefficient sets, (m, n), and what gives their vectors.
 
-        sets, column : (k,) the coefficient set of each and which of its eigenvalues (m, n) it has.
-        The iteration of ``eigenvalues`` is repeated, once for each set that occurs.
+        The iteration of ``eigenvalues``, which finds both.
         """
-        found = np.empty((len(sets), self.size))
-        for i in np.unique(sets):
-            own = sets == i
-            _, phi = self._lowest(stiffness, mass, int(i), eigenvalues.shape[-1])
-            found[own] = phi[:, column[own]].T
-        return found
+        pairs = [self._lowest(stiffness, mass, i, n) for i in range(max(len(stiffness), len(mass)))]
+        found = np.stack([phi.T for _, phi in pairs])
+        return np.stack([lam for lam, _ in pairs]), lambda sets, column: found[sets, column]
 
     def _lowest(self, stiffness: Array, mass: Array, i: int, n: int) -> tuple[Array, Array]:
         """The n lowest eigenvalues (n,) and vectors (size, n) of coefficient set i."""

@@ -9,7 +9,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from cpam_bayes.affine import AffineOperator, discretise
+from cpam_bayes.affine import _LARGE, AffineOperator, discretise
 from cpam_bayes.elasticity import complete_constants
 from cpam_bayes.measurement import Specimen, parse_specimen, read_specimen
 from cpam_bayes.model import (
@@ -148,7 +148,10 @@ def test_vectors_leave_eigenvalues_as_they_are_and_sorted(name: str) -> None:
     m = model(name)
     x = points(m)
     without, with_vectors = m.spectrum(x), m.spectrum(x, vectors=True)
-    np.testing.assert_array_equal(without.eigenvalues, with_vectors.eigenvalues)
+    # large blocks have vectors by another algorithm, with errors of its own: 1e-16 of K's range, as above
+    largest = max(b.size for b in m.operator.blocks)
+    rounding = 0.0 if largest <= _LARGE else 1e-6
+    np.testing.assert_allclose(with_vectors.eigenvalues, without.eigenvalues, rtol=rounding, atol=0.0)
     assert np.all(np.diff(without.eigenvalues, axis=1) >= 0)
     assert without.vectors is None
     with pytest.raises(ValueError, match="vectors=True"):

@@ -16,9 +16,9 @@ from cpam_bayes.model import training_sets
 Array = NDArray[Any]
 
 # A first basis for the whole box: parameter sets that it is made from, and its relative error.
-_BOX_SETS, _BOX_ERROR = 400, 1e-3
+_BOX_SETS, _BOX_ERROR = 400, 5e-3
 # The basis about the posterior: how far below the best, nats, a sequence belongs to it; sets; error.
-NEAR, _NEAR_SETS, _NEAR_ERROR = 18.0, 800, 5e-4
+NEAR, _NEAR_SETS, _NEAR_ERROR = 18.0, 800, 2e-3
 # Both errors are at most these shares of the noise, as far as it is known.
 _BOX_SHARE, _NEAR_SHARE = 0.3, 0.05
 # Share of the draws whose noise may be less than the one that counts where it is inferred.

@@ -29,8 +29,9 @@ _KEPT = 8
 _POINTS = 2048
 # log2 of the points from which on a proposal is refitted, and the shares of the points that each one gets.
 _ADAPTED, _STAGES = 7, (0.25, 0.25, 0.5)
-# log2 of the points from which on unsure evidences get 2^_MORE times as many; standard error that is unsure.
-_CAREFUL, _MORE, _UNSURE = 9, 3, 0.08
+# log2 of the points from which on unsure evidences get 2^m times as many, for each m in turn while they stay
+# so; standard error that is unsure.
+_CAREFUL, _MORE, _UNSURE = 9, (2, 4), 0.08
 # Points a dimension that the first proposal counts as where it is refitted.
 _PRIOR_POINTS = 3.0
 # Shares of optima that count in a proposal, and the least that one then has.
@@ -67,16 +68,18 @@ def importance_evidence(
     once more after the next quarter. All points are weighed against the blend of the proposals (Cornuet
     et al., 2012). They are those of a Sobol sequence, scrambled in the same way for every sequence, so
     that differences between sequences are known better than each alone. Evidences of 512 points and
-    more that stay unsure are sampled again with eight times as many.
+    more that stay unsure are sampled again with four times as many, and with sixteen times.
     """
     found = _in_parts(own, angles_deg, fits, log2_points)
-    unsure = np.flatnonzero(found.error > _UNSURE)
-    if log2_points < _CAREFUL or not len(unsure):
-        return found
-    again = _in_parts(own, angles_deg[unsure], fits[unsure], log2_points + _MORE)
-    place = np.arange(len(angles_deg))
-    place[unsure] = len(angles_deg) + np.arange(len(unsure))
-    return joined([found, again])[place]
+    for more in _MORE if log2_points >= _CAREFUL else ():
+        unsure = np.flatnonzero(found.error > _UNSURE)
+        if not len(unsure):
+            break
+        again = _in_parts(own, angles_deg[unsure], fits[unsure], log2_points + more)
+        place = np.arange(len(angles_deg))
+        place[unsure] = len(angles_deg) + np.arange(len(unsure))
+        found = joined([found, again])[place]
+    return found
 
 
 def _in_parts(
