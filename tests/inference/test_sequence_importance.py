@@ -8,7 +8,7 @@ import pytest
 
 from cpam_bayes.inference import sequence_importance
 from cpam_bayes.inference.sequence_evidence import SequenceFits
-from cpam_bayes.inference.sequence_importance import importance_evidence
+from cpam_bayes.inference.sequence_importance import Conditionals, importance_evidence
 
 N = 3
 LOG_Z = np.array([0.0, -7.0, 3.0])
@@ -68,14 +68,17 @@ def test_a_proposal_that_lies_badly_is_refitted(calls: list[int], monkeypatch: p
     assert np.all(np.abs(refitted.log_evidence - LOG_Z) <= 4.0 * refitted.error)
 
 
-def test_what_stays_unsure_is_sampled_with_eight_times_as_many_points(
+def test_what_stays_unsure_is_sampled_with_more_and_more_points(
     calls: list[int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(sequence_importance, "_UNSURE", 0.0)
-    found = importance_evidence(OWN, ANGLES, fits(0.0, 1.0), 9)
-    assert sum(calls) == 3 * (2**9 + 2**12)
-    assert found.error.max() < 0.04
-    calls.clear()
-    monkeypatch.setattr(sequence_importance, "_UNSURE", 10.0)
-    importance_evidence(OWN, ANGLES, fits(0.0, 1.0), 9)
-    assert sum(calls) == 3 * 2**9
+    def sampled(unsure: float, points: int) -> Conditionals:
+        monkeypatch.setattr(sequence_importance, "_UNSURE", unsure)
+        calls.clear()
+        found = importance_evidence(OWN, ANGLES, fits(0.0, 1.0), 9)
+        assert sum(calls) == 3 * points
+        return found
+
+    first = sampled(10.0, 2**9)
+    sampled(0.75 * first.error.min(), 2**9 + 2**11)  # four times as many points halve the error
+    found = sampled(0.0, 2**9 + 2**11 + 2**13)
+    assert found.error.max() < 0.03
