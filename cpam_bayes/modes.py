@@ -78,12 +78,9 @@ def solve(
     available = sum(b.size for b in operator.blocks) - n_rigid
     if available < n_modes:
         raise ValueError(f"{n_modes} modes asked for, the space has {available}")
-    pairs: list[tuple[Array, ModeVectors]] = []
-    if vectors:
-        pairs = [b.eigenpairs(stiffness, mass, min(wanted, b.size)) for b in operator.blocks]
-        values = [lam for lam, _ in pairs]
-    else:
-        values = [b.eigenvalues(stiffness, mass, min(wanted, b.size)) for b in operator.blocks]
+    asked = [(b, min(wanted, b.size)) for b in operator.blocks]
+    pairs = [b.eigenpairs(stiffness, mass, n) for b, n in asked] if vectors else []
+    values = [lam for lam, _ in pairs] if vectors else [b.eigenvalues(stiffness, mass, n) for b, n in asked]
     counts = [v.shape[-1] for v in values]
     owner = np.repeat(np.arange(len(counts)), counts)
     place = np.concatenate([np.arange(c) for c in counts])

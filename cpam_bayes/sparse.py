@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -102,17 +103,21 @@ class SparseBlock:
 
         Lanczos iteration on (K - shift M)^-1 M, from a start vector that is always the same.
         """
-        sets = range(max(len(stiffness), len(mass)))
-        return np.stack([self._lowest(stiffness, mass, i, n)[0] for i in sets])
+        return np.stack([lam for lam, _ in self._each_lowest(stiffness, mass, n)])
 
     def eigenpairs(self, stiffness: Array, mass: Array, n: int) -> tuple[Array, ModeVectors]:
         """The n lowest eigenvalues of m coefficient sets, (m, n), and what gives their vectors.
 
         The iteration of ``eigenvalues``, which finds both.
         """
-        pairs = [self._lowest(stiffness, mass, i, n) for i in range(max(len(stiffness), len(mass)))]
-        found = np.stack([phi.T for _, phi in pairs])
-        return np.stack([lam for lam, _ in pairs]), lambda sets, column: found[sets, column]
+        values, vectors = zip(*self._each_lowest(stiffness, mass, n), strict=True)
+        found = np.stack(vectors)
+        return np.stack(values), lambda sets, column: found[sets, :, column]
+
+    def _each_lowest(self, stiffness: Array, mass: Array, n: int) -> Iterator[tuple[Array, Array]]:
+        """The n lowest eigenvalues (n,) and vectors (size, n) of each coefficient set."""
+        for i in range(max(len(stiffness), len(mass))):
+            yield self._lowest(stiffness, mass, i, n)
 
     def _lowest(self, stiffness: Array, mass: Array, i: int, n: int) -> tuple[Array, Array]:
         """The n lowest eigenvalues (n,) and vectors (size, n) of coefficient set i."""

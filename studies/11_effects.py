@@ -151,7 +151,6 @@ def main() -> None:
     results = run(quick)
     show(results)
     if not quick:
-        RESULTS.parent.mkdir(exist_ok=True)
         save_results(RESULTS, results)
 
 

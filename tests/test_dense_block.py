@@ -18,7 +18,7 @@ def test_a_shift_that_hits_an_eigenvalue_exactly_gives_its_vector_all_the_same()
 @pytest.mark.parametrize("diagonal", [True, False])
 @pytest.mark.parametrize("size", [30, 130])
 def test_pairs_solve_the_problem_whatever_the_size(size: int, diagonal: bool) -> None:
-    """Blocks of more than a hundred functions are solved in another way than small ones."""
+    """Large blocks are solved in another way than small ones."""
     rng = np.random.default_rng(size)
     roots = rng.standard_normal((4, size, size))
     stiffness, mass = (np.einsum("qij,qkj->qik", half, half) / size for half in (roots[:2], roots[2:]))

@@ -89,11 +89,8 @@ def credible_set(result: SequenceAnswer, given: GivenSequence | None = None) -> 
     number, held = np.cumsum(result.multiplicity), np.cumsum(mass)
     curve.step(np.append(0.9, number), np.append(0.0, held), where="post", color=_BLUE)
     if result.credible_count > number[-1]:
-        between, at = (
-            "not listed, known as a sum",
-            ([number[-1], result.credible_count], [held[-1], CREDIBLE]),
-        )
-        curve.plot(*at, ":", color=_BLUE, label=between)
+        between = [number[-1], result.credible_count], [held[-1], CREDIBLE]
+        curve.plot(*between, ":", color=_BLUE, label="not listed, known as a sum")
     curve.plot(result.credible_count, CREDIBLE, "o", color=_RED, label="95 % set")
     curve.axhline(CREDIBLE, color="0.6", lw=0.8)
     curve.axvline(result.effective_count, color="0.6", ls="--", lw=0.8)
