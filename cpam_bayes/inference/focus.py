@@ -23,18 +23,18 @@ _RIGID = 1e-3
 _RANK = 1e-9
 
 
-def focused(model: ReducedModel, x: Array, tolerance: float) -> ReducedModel:
+def focused(model: ReducedModel, x: Array, tolerance: float, share: float = 1.0) -> ReducedModel:
     """A reduced model projected once more, on the principal directions of its modes at points x (m, n).
 
     Each block keeps its rigid-body motions and the fewest principal directions (proper orthogonal
-    decomposition of the M-normalised mode vectors) with which every frequency at x is within
-    ``tolerance``, relative, of that of ``model``.
+    decomposition of the M-normalised mode vectors) with which this ``share`` of its frequencies at x is
+    within ``tolerance``, relative, of that of ``model``.
     """
     operator = model.fast.operator
     stiffness, mass = model.fast.coefficients(x)
     spectrum = solve(operator, stiffness, mass, model.n_modes, vectors=True)
     pairs = [
-        (_basis(b, block, stiffness, mass, spectrum, tolerance), form)
+        (_basis(b, block, stiffness, mass, spectrum, tolerance, share), form)
         for b, (block, form) in enumerate(zip(operator.blocks, model.residuals, strict=True))
     ]
     used = [b for b, (basis, _) in enumerate(pairs) if basis.shape[1]]
@@ -45,7 +45,13 @@ def focused(model: ReducedModel, x: Array, tolerance: float) -> ReducedModel:
 
 
 def _basis(
-    b: int, block: DenseBlock, stiffness: Array, mass: Array, spectrum: Spectrum, tolerance: float
+    b: int,
+    block: DenseBlock,
+    stiffness: Array,
+    mass: Array,
+    spectrum: Spectrum,
+    tolerance: float,
+    share: float,
 ) -> Array:
     """Vectors (n, r) of one block, orthonormal in the mass of the first parameter set."""
     assert spectrum.vectors is not None
@@ -63,11 +69,10 @@ def _basis(
     def error(size: int) -> float:
         small = _projected(block, np.linalg.solve(root, every[:, :size]))
         found = small.eigenvalues(stiffness[own], mass[own], size)[place, column]
-        return float(np.max(np.sqrt(np.abs(found) / lam) - 1.0))
+        return float(np.quantile(np.sqrt(np.abs(found) / lam) - 1.0, share, method="higher"))
 
-    # more vectors never raise the error: the least number is found by halving
-    low, high = rigid.shape[1] + int(column.max()) - rigid.shape[1], every.shape[1]
-    low = max(low, rigid.shape[1])
+    # more vectors never raise an error: the least number is found by halving
+    low, high = max(int(column.max()), rigid.shape[1]), every.shape[1]
     while high - low > 1:
         middle = (low + high) // 2
         low, high = (low, middle) if error(middle) <= tolerance else (middle, high)

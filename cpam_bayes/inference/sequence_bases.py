@@ -19,6 +19,9 @@ Array = NDArray[Any]
 _BOX_SETS, _BOX_ERROR = 400, 5e-3
 # The basis about the posterior: how far below the best, nats, a sequence belongs to it; sets; error.
 NEAR, _NEAR_SETS, _NEAR_ERROR = 18.0, 800, 2e-3
+# Share of the frequencies that the errors are those of: few sets at the rim of a wide posterior, which weigh
+# little, would take as many vectors as all others.
+_MOST = 0.98
 # Both errors are at most these shares of the noise, as far as it is known.
 _BOX_SHARE, _NEAR_SHARE = 0.3, 0.05
 # Share of the draws whose noise may be less than the one that counts where it is inferred.
@@ -32,7 +35,7 @@ def roughly(own: SequencePosterior, rng: np.random.Generator) -> SequencePosteri
     if not own.template.noise_is_inferred:
         middle = 0.5 * (own.parameters.lower + own.parameters.upper)
         tolerance = min(tolerance, _BOX_SHARE * float(relative_noise(own, middle[None]).min()))
-    return replace(own, model=focused(own.model, box, tolerance))
+    return replace(own, model=focused(own.model, box, tolerance, _MOST))
 
 
 def about(
@@ -47,7 +50,8 @@ def about(
     angles, draws = angles[rows], draws[rows]
     noise = float(np.quantile(relative_noise(own, draws).min(axis=1), _LEAST_NOISE))
     x = np.column_stack((angles, draws[:, : own.template.model.parameters.size]))
-    return replace(own, model=focused(own.model, x, min(_NEAR_ERROR, _NEAR_SHARE * noise)))
+    tolerance = min(_NEAR_ERROR, _NEAR_SHARE * noise)
+    return replace(own, model=focused(own.model, x, tolerance, _MOST))
 
 
 def relative_noise(own: SequencePosterior, x: Array) -> Array:

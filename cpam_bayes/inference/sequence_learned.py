@@ -80,7 +80,7 @@ def learned(
     """The evidence learned, all sequences gone through, those that can matter computed."""
     problem = learning_of(task, sums)
     images = problem.images
-    known = learn(problem, rng, notify, _seeds(task, sums, rng, notify))
+    known = learn(problem, rng, notify, noisier_seeds(task, sums, rng, notify))
     rounds, fine = _ROUNDS, False
     current = _trial(task) if task.n_sequences > _MANY else task
     scouted: Scouted | None = None
@@ -112,7 +112,7 @@ def learned(
             current = task
 
 
-def _seeds(
+def noisier_seeds(
     task: Task, sums: PlySums, rng: np.random.Generator, notify: Callable[[str], None]
 ) -> Array | None:
     """The sequences (m, k) that would be good if the list were noisier; ``None`` where it is noisy enough.
@@ -122,7 +122,7 @@ def _seeds(
     wide = _noisier(task)
     if wide is None:
         return None
-    known = learn(learning_of(wide, sums), rng, notify, _seeds(wide, sums, rng, notify))
+    known = learn(learning_of(wide, sums), rng, notify, noisier_seeds(wide, sums, rng, notify))
     few = replace(wide, settings=replace(wide.settings, fitted=_SEEDS))
     listing = _scouted(wide, sums, known, rng, notify).listing(few)
     whole = _gone_through(listing, task.executor, lambda done, total: None)

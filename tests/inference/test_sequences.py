@@ -10,6 +10,7 @@ from cpam_bayes.cache import reduced_model
 from cpam_bayes.inference.evidence import importance_evidence as known_evidence
 from cpam_bayes.inference.focus import focused
 from cpam_bayes.inference.normal_scores import normal_scores
+from cpam_bayes.inference.sequence_classes import members
 from cpam_bayes.inference.sequence_evaluation import locate, neighbours
 from cpam_bayes.inference.sequence_evidence import (
     SequencePosterior,
@@ -17,13 +18,15 @@ from cpam_bayes.inference.sequence_evidence import (
     sequence_posterior,
 )
 from cpam_bayes.inference.sequence_importance import importance_evidence
-from cpam_bayes.inference.sequence_learning import LearningSettings
+from cpam_bayes.inference.sequence_learned import learning_of, noisier_seeds
+from cpam_bayes.inference.sequence_learning import LearningSettings, learn
 from cpam_bayes.inference.sequences import (
     DEFAULT_SETTINGS,
     SequenceAnswer,
     SequenceSettings,
     common_starts,
     sequence_probabilities,
+    sequence_task,
 )
 from cpam_bayes.layup import parse_layup
 from cpam_bayes.measurement import Measurement, Specimen, builtin
@@ -186,6 +189,25 @@ def test_the_learned_way_does_not_depend_on_the_number_of_workers(
     np.testing.assert_array_equal(again.drawn.conditionals.draws, learned.drawn.conditionals.draws)
 
 
+@pytest.mark.slow
+def test_what_would_be_good_with_more_noise_leads_to_a_truth_that_few_sequences_do_not_show() -> None:
+    layup, truth, step = "[(?/?/?)_2]_s", (30.0, -60.0, 10.0), 10.0
+    few = LearningSettings(first=100, explorations=2, each_round=60, most=400, log2_points=4)
+    settings = replace(QUICK, exhaustive=0, learning=few)
+    task = sequence_task(listed(layup, truth, 0.001, step), 0, settings=settings)
+    assert task.sums is not None
+    seeds = noisier_seeds(task, task.sums, np.random.default_rng(0), lambda text: None)
+    assert seeds is not None
+    true = members(np.searchsorted(task.grid_deg, truth), task.symmetries)
+    problem = learning_of(task, task.sums)
+    for known, found in ((seeds, True), (None, False)):
+        best = learn(problem, np.random.default_rng(0), lambda text: None, known)
+        first = best.data.sequences[best.data.log_evidence.argmax()]
+        assert np.any(np.all(true == first, axis=1)) == found, "of 5832 sequences, 400 are looked at"
+    noisy = sequence_task(listed(layup, truth, 0.01, step), 0, settings=settings)
+    assert noisier_seeds(noisy, task.sums, np.random.default_rng(0), lambda text: None) is None
+
+
 @pytest.fixture(scope="module")
 def own(specimen: Specimen) -> SequencePosterior:
     assert specimen.measurement is not None
@@ -243,6 +265,18 @@ def test_a_focus_with_a_finer_tolerance_has_more_vectors(own: SequencePosterior)
         for tolerance in (1e-2, 1e-4)
     ]
     assert sizes[0] < sizes[1]
+
+
+def test_a_focus_within_a_tolerance_for_most_frequencies_has_fewer_vectors(own: SequencePosterior) -> None:
+    rng = np.random.default_rng(0)
+    x = training_sets(own.model.full.operator.problem, 100, rng)
+    every, most = (focused(own.model, x, 2e-3, share) for share in (1.0, 0.9))
+    assert max(b.size for b in most.fast.operator.blocks) < max(b.size for b in every.fast.operator.blocks)
+    exact = own.model.predict(x).frequencies
+    assert np.max(every.predict(x).frequencies / exact - 1.0) <= 2e-3
+    off = most.predict(x).frequencies / exact - 1.0
+    assert np.mean(off <= 2e-3) >= 0.85  # 0.9 of each block's; sorted among the blocks they may change places
+    assert np.max(off) > 2e-3
 
 
 def test_the_answer_is_the_same_bit_for_bit_again(specimen: Specimen, answer: SequenceAnswer) -> None:
