@@ -34,7 +34,7 @@ def roughly(own: SequencePosterior, rng: np.random.Generator) -> SequencePosteri
     tolerance = _BOX_ERROR
     if not own.template.noise_is_inferred:
         middle = 0.5 * (own.parameters.lower + own.parameters.upper)
-        tolerance = min(tolerance, _BOX_SHARE * float(relative_noise(own, middle[None]).min()))
+        tolerance = min(tolerance, _BOX_SHARE * float(own.relative_noise(middle[None]).min()))
     return replace(own, model=focused(own.model, box, tolerance, _MOST))
 
 
@@ -48,14 +48,7 @@ def about(
     draws = draws.reshape(len(angles), -1)
     rows = rng.permutation(len(draws))[:_NEAR_SETS]
     angles, draws = angles[rows], draws[rows]
-    noise = float(np.quantile(relative_noise(own, draws).min(axis=1), _LEAST_NOISE))
+    noise = float(np.quantile(own.relative_noise(draws).min(axis=1), _LEAST_NOISE))
     x = np.column_stack((angles, draws[:, : own.template.model.parameters.size]))
     tolerance = min(_NEAR_ERROR, _NEAR_SHARE * noise)
     return replace(own, model=focused(own.model, x, tolerance, _MOST))
-
-
-def relative_noise(own: SequencePosterior, x: Array) -> Array:
-    """Standard deviations of noise and rounding over the frequencies at parameters x (m, n), (m, n_f)."""
-    noise = own.template.noise_model
-    variance = (own.template.amplitude(x)[:, None] * noise.scale) ** 2 + noise.rounding
-    return np.asarray(np.sqrt(variance) / own.template.measurement.frequencies)

@@ -64,6 +64,12 @@ class SequencePosterior:
         geometry = geometry if rows is None else _rows(geometry, rows)
         return replace(self.template, model=_model_at(self.model, self.n_angles, geometry))
 
+    def relative_noise(self, x: Array) -> Array:
+        """Standard deviations of noise and rounding over the frequencies at parameters x (m, n), (m, n_f)."""
+        noise = self.template.noise_model
+        variance = (self.template.amplitude(x)[:, None] * noise.scale) ** 2 + noise.rounding
+        return np.asarray(np.sqrt(variance) / self.template.measurement.frequencies)
+
 
 def sequence_posterior(
     model: ReducedModel, n_angles: int, measurement: Any, solver_error: Array, **options: Any

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
 
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.special import gammaln, logsumexp, ndtri
 from scipy.stats import chi2, qmc
 
+from cpam_bayes.inference.focus import focused
 from cpam_bayes.inference.sequence_evidence import (
     CURVATURE_FLOOR,
     SequenceFits,
@@ -32,6 +33,9 @@ _ADAPTED, _STAGES = 7, (0.25, 0.25, 0.5)
 # log2 of the points from which on unsure evidences get 2^m times as many, for each m in turn while they stay
 # so; standard error that is unsure.
 _CAREFUL, _MORE, _UNSURE = 9, (2, 4), 0.08
+# Functions in a block from which on such a sequence gets a basis of its own; sets of constants that it is
+# made from, how much wider than the posterior they lie, its relative error, and the most of that in noises.
+_LARGE, _OWN_SETS, _OWN_WIDER, _OWN_ERROR, _OWN_SHARE = 60, 64, 1.5, 1e-3, 0.05
 # Points a dimension that the first proposal counts as where it is refitted.
 _PRIOR_POINTS = 3.0
 # Shares of optima that count in a proposal, and the least that one then has.
@@ -68,14 +72,21 @@ def importance_evidence(
     once more after the next quarter. All points are weighed against the blend of the proposals (Cornuet
     et al., 2012). They are those of a Sobol sequence, scrambled in the same way for every sequence, so
     that differences between sequences are known better than each alone. Evidences of 512 points and
-    more that stay unsure are sampled again with four times as many, and with sixteen times.
+    more that stay unsure are sampled again with four times as many, and with sixteen times, where solves
+    are slow on bases that are made for each.
     """
     found = _in_parts(own, angles_deg, fits, log2_points)
     for more in _MORE if log2_points >= _CAREFUL else ():
         unsure = np.flatnonzero(found.error > _UNSURE)
         if not len(unsure):
             break
-        again = _in_parts(own, angles_deg[unsure], fits[unsure], log2_points + more)
+        again = joined(
+            [
+                _importance(basis, angles_deg[[i]], fits[[i]], log2_points + more)
+                for i in unsure
+                for basis in [_on_own_basis(own, angles_deg[i], found[i])]
+            ]
+        )
         place = np.arange(len(angles_deg))
         place[unsure] = len(angles_deg) + np.arange(len(unsure))
         found = joined([found, again])[place]
@@ -92,6 +103,23 @@ def _in_parts(
             for i in range(0, len(angles_deg), each)
         ]
     )
+
+
+def _on_own_basis(own: SequencePosterior, angles_deg: Array, known: Conditionals) -> SequencePosterior:
+    """The posterior on a basis for one sequence (k,) and what is known of its constants.
+
+    These are spread independently, which covers the posterior whatever its correlations are.
+    """
+    if max(block.size for block in own.model.fast.operator.blocks) < _LARGE:
+        return own
+    p = own.parameters
+    spread = ndtri(qmc.Sobol(p.size, rng=np.random.default_rng(0)).random(_OWN_SETS))
+    some = np.clip(known.mean + _OWN_WIDER * known.sd * spread, p.lower, p.upper)
+    some = np.concatenate((known.draws, some[np.isfinite(own.template.log_prior(some))]))
+    noise = float(own.relative_noise(known.draws).min())
+    constants = some[:, : own.template.model.parameters.size]
+    x = np.column_stack((np.broadcast_to(angles_deg, (len(some), len(angles_deg))), constants))
+    return replace(own, model=focused(own.model, x, min(_OWN_ERROR, _OWN_SHARE * noise)))
 
 
 @dataclass(frozen=True, slots=True)

@@ -32,7 +32,6 @@ from cpam_bayes.inference.sequence_answer import (
     SequenceAnswer,
     Task,
 )
-from cpam_bayes.inference.sequence_bases import relative_noise
 from cpam_bayes.inference.sequence_classes import canonical
 from cpam_bayes.inference.sequence_evaluation import (
     Evaluated,
@@ -134,7 +133,7 @@ def _noisier(task: Task) -> Task | None:
     """The same with more noise, where the list states so little that its posterior is not found at once."""
     template = task.own.template
     middle = 0.5 * (task.own.parameters.lower + task.own.parameters.upper)
-    if template.noise_is_inferred or relative_noise(task.own, middle[None]).min() >= _EASY:
+    if template.noise_is_inferred or task.own.relative_noise(middle[None]).min() >= _EASY:
         return None
     own = template.noise_model
     assert isinstance(own.amplitude, float)

@@ -34,7 +34,9 @@ def calls(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     return asked
 
 
-OWN: Any = SimpleNamespace(axes=SimpleNamespace(to_x=lambda z: z))
+# a posterior whose model is so small that no sequence gets a basis of its own
+SMALL = SimpleNamespace(fast=SimpleNamespace(operator=SimpleNamespace(blocks=[SimpleNamespace(size=1)])))
+OWN: Any = SimpleNamespace(axes=SimpleNamespace(to_x=lambda z: z), model=SMALL)
 
 
 def fits(centre: float, sd: float) -> SequenceFits:

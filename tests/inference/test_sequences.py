@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from cpam_bayes.cache import reduced_model
+from cpam_bayes.inference import sequence_importance
 from cpam_bayes.inference.evidence import importance_evidence as known_evidence
 from cpam_bayes.inference.focus import focused
 from cpam_bayes.inference.normal_scores import normal_scores
@@ -34,6 +35,7 @@ from cpam_bayes.model import angle_parameters, reference_vector, training_sets
 from cpam_bayes.parallel import open_executor
 from cpam_bayes.parameters import Parameter, ParameterSet, ScaledStudentT, TruncatedNormal, Uniform
 from cpam_bayes.posterior import Posterior, plate_posterior
+from cpam_bayes.reduced import ReducedModel
 
 TRUE = (30.0, -60.0)
 QUICK = SequenceSettings(draws=50, listed=72, log2_points=7)
@@ -277,6 +279,31 @@ def test_a_focus_within_a_tolerance_for_most_frequencies_has_fewer_vectors(own: 
     off = most.predict(x).frequencies / exact - 1.0
     assert np.mean(off <= 2e-3) >= 0.85  # 0.9 of each block's; sorted among the blocks they may change places
     assert np.max(off) > 2e-3
+
+
+def test_unsure_evidences_are_those_of_the_whole_model_on_bases_of_their_own(
+    specimen: Specimen, own: SequencePosterior, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    angles = np.array([TRUE, (45.0, 15.0), (-75.0, 0.0)])
+    fits = fit_sequences(own, angles, common_starts(specimen, own))
+    sizes: list[int] = []
+
+    def counted(model: ReducedModel, x: np.ndarray, tolerance: float) -> ReducedModel:
+        found = focused(model, x, tolerance)
+        sizes.append(sum(b.size for b in found.fast.operator.blocks))
+        return found
+
+    monkeypatch.setattr(sequence_importance, "focused", counted)
+    monkeypatch.setattr(sequence_importance, "_UNSURE", 0.0)
+    monkeypatch.setattr(sequence_importance, "_LARGE", 1000)
+    whole = importance_evidence(own, angles, fits)
+    assert not sizes
+    monkeypatch.setattr(sequence_importance, "_LARGE", 1)
+    narrow = importance_evidence(own, angles, fits)
+    assert len(sizes) == 2 * len(angles), "each sequence, at either number of points"
+    assert max(sizes) < 0.7 * sum(b.size for b in own.model.fast.operator.blocks)
+    np.testing.assert_allclose(narrow.log_evidence, whole.log_evidence, atol=0.01)
+    np.testing.assert_allclose(narrow.mean, whole.mean, rtol=0.01)
 
 
 def test_the_answer_is_the_same_bit_for_bit_again(specimen: Specimen, answer: SequenceAnswer) -> None:
