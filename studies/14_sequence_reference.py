@@ -4,7 +4,7 @@ python studies/14_sequence_reference.py [--quick] [--only NAME ...] [--workers N
 
 Lists of a plate's own sequence and reference constants, noise-free, with 1 % or 0.2 % of noise stated. The
 reference climbs from other starts, eight of a library of its own beside the common ones, on the whole reduced
-model instead of the one about the posterior, and samples 4096 points. It is asked for the most probable
+model instead of the one about the posterior, and samples 2048 points. It is asked for the most probable
 sequences and for draws from the posterior. Then sequences are drawn from all of the grid, so many of each
 layer of the learned log evidence, those that it holds for hopeless among them: they estimate the sum over all
 sequences, and the most by which a hopeless one exceeds what was learned.
@@ -68,10 +68,12 @@ CASES = {
     "F1, 6 angles, 0.2 %": Case("F1", "[?/?/?/?/?/?/(0/90)_5]_s", 0.002),
 }
 # Of the reference: log2 of its points, its library, and the members of it that a climb begins at.
-LOG2_POINTS, LIBRARY, STARTS = 12, 768, 8
-# Layers of the learned log evidence, nats below its top, sequences drawn of each, and log2 of their points.
+LOG2_POINTS, LIBRARY, STARTS = 11, 768, 8
+# Layers of the learned log evidence, nats below its top, and log2 of the points of what is drawn of them.
 LAYERS = (-10.0, 3.0, 6.0, 9.0, 12.0, 16.0, 22.0, 30.0, 45.0, np.inf)
-EACH, LAYER_POINTS = 150, 9
+LAYER_POINTS = 9
+# Sequences drawn of a layer that weighs, and the share of that of one that begins so far below, nats.
+EACH, FAR_SHARE, FAR = 150, 1 / 3, 12.0
 # Of so many sequences the sum over all is estimated; of more the learned table would have to be gone through.
 MOST_SUMMED = 3_000_000
 QUICK = Case("C1", "[(?/?/?)_5/0]_s", 0.01)
@@ -178,7 +180,8 @@ def _summed(task: Task, each: int) -> Results:
         own = np.flatnonzero((below >= low) & (below < high))
         if not len(own):
             continue
-        pick = np.sort(pick_rng.choice(own, size=min(each, len(own)), replace=False))
+        drawn = each if low < FAR else round(FAR_SHARE * each)
+        pick = np.sort(pick_rng.choice(own, size=min(drawn, len(own)), replace=False))
         found = _reference(task, sequences[pick], LAYER_POINTS)
         value = size[pick] * np.exp(found.log_evidence - known.max())
         expected = size[pick] * np.exp(known[pick] - known.max())
