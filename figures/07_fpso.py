@@ -40,7 +40,7 @@ def draw(results: Path, folder: Path) -> list[Path]:
         )
         for ax in axes[:3]:
             ax.set_yticks(range(len(names)), names if ax is axes[0] else [""] * len(names))
-            ax.set_ylim(len(names) + 1.0, -0.5)  # room for a legend
+            ax.set_ylim(len(names) + 1.6, -0.5)  # room for a legend
             for row in range(1, len(names), 2):
                 ax.axhspan(row - 0.5, row + 0.5, color="0.96", zorder=0)
         _success(axes[0], data["cases"], names)
@@ -105,10 +105,7 @@ def _excess(ax: Axes, cases: list[dict[str, Any]], names: list[str]) -> None:
             ax.plot(own, y, "x", ms=6, color="black", mew=1.3)
     ax.plot([], [], "x", color="black", ls="", label="printed sequence, or the plate's own")
     ax.plot([], [], "|", ms=9, color=GREY, mew=1.2, ls="", label="1 % of the frequencies")
-    ax.axvline(1.0, color=GREY, linewidth=0.8)
-    ax.annotate(
-        *("rounding", (1.0, 1.0), (3, -2), ("data", "axes fraction"), "offset points"), va="top", color=GREY
-    )
+    ax.axvline(1.0, color=GREY, linewidth=0.8, label="rounding")
     ax.set_xscale("log")
     ax.set_xlabel("(F of a run's sequence - smallest F) /\nwhat rounding to the resolution makes")
     ax.set_title("How far off the seeds end")
