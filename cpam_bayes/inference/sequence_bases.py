@@ -19,9 +19,9 @@ Array = NDArray[Any]
 _BOX_SETS, _BOX_ERROR = 400, 5e-3
 # The basis about the posterior: how far below the best, nats, a sequence belongs to it; sets; error.
 NEAR, _NEAR_SETS, _NEAR_ERROR = 18.0, 800, 2e-3
-# Share of the frequencies that the errors are those of: few sets at the rim of a wide posterior, which weigh
-# little, would take as many vectors as all others.
-_MOST = 0.98
+# Share of the frequencies that the errors are those of, where the noise, relative, is so large: few sets at
+# the rim of a wide posterior, which weigh little, would take as many vectors as all others.
+_MOST, _NOISY = 0.98, 8e-3
 # Both errors are at most these shares of the noise, as far as it is known.
 _BOX_SHARE, _NEAR_SHARE = 0.3, 0.05
 # Share of the draws whose noise may be less than the one that counts where it is inferred.
@@ -31,11 +31,11 @@ _LEAST_NOISE = 0.01
 def roughly(own: SequencePosterior, rng: np.random.Generator) -> SequencePosterior:
     """The posterior on a small basis for the whole box, which says where the mass is."""
     box = training_sets(own.model.full.operator.problem, _BOX_SETS, rng)
-    tolerance = _BOX_ERROR
+    noise = np.inf
     if not own.template.noise_is_inferred:
         middle = 0.5 * (own.parameters.lower + own.parameters.upper)
-        tolerance = min(tolerance, _BOX_SHARE * float(own.relative_noise(middle[None]).min()))
-    return replace(own, model=focused(own.model, box, tolerance, _MOST))
+        noise = float(own.relative_noise(middle[None]).min())
+    return replace(own, model=focused(own.model, box, min(_BOX_ERROR, _BOX_SHARE * noise), _share(noise)))
 
 
 def about(
@@ -50,5 +50,8 @@ def about(
     angles, draws = angles[rows], draws[rows]
     noise = float(np.quantile(own.relative_noise(draws).min(axis=1), _LEAST_NOISE))
     x = np.column_stack((angles, draws[:, : own.template.model.parameters.size]))
-    tolerance = min(_NEAR_ERROR, _NEAR_SHARE * noise)
-    return replace(own, model=focused(own.model, x, tolerance, _MOST))
+    return replace(own, model=focused(own.model, x, min(_NEAR_ERROR, _NEAR_SHARE * noise), _share(noise)))
+
+
+def _share(noise: float) -> float:
+    return _MOST if noise >= _NOISY else 1.0
