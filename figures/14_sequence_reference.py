@@ -53,6 +53,10 @@ def _errors(ax: Axes, cases: list[dict[str, Any]]) -> None:
     ax.axvline(ASKED, color="0.6", lw=0.8, ls="--")
     ax.set_yticks(y, [c["case"] for c in cases], fontsize=8)
     ax.set(xscale="log", xlabel="error of the log evidence, rms, nats", ylim=(len(cases) - 0.5, -0.5))
+    low, high = ax.get_xlim()
+    ticks = [t for t in (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0) if low <= t <= high]
+    ax.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
+    ax.set_xticks([], minor=True)
     ax.grid(axis="x", color="0.92")
     ax.legend(frameon=False, fontsize=7.5, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
     ax.spines[["top", "right", "left"]].set_visible(False)

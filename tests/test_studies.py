@@ -18,10 +18,6 @@ SAVED = PROJECT / "studies" / "results"
 STUDIES = sorted(path.stem for path in (PROJECT / "studies").glob("[0-9]*.py"))
 FIGURES = sorted(path.stem for path in (PROJECT / "figures").glob("*.py"))
 AGREEMENT = "02_agreement"
-# Studies whose full run is still to be made; the README of the studies says so.
-TO_BE_RUN = {"07_fpso", "08_sequences", "14_sequence_reference"}
-RUN = [name for name in STUDIES if name not in TO_BE_RUN]
-DRAWN = [name for name in FIGURES if name not in TO_BE_RUN]
 
 
 @cache
@@ -67,19 +63,14 @@ def test_a_small_run_has_the_documented_keys(name: str) -> None:
     assert found["quick"] is True
 
 
-@pytest.mark.parametrize("name", RUN)
+@pytest.mark.parametrize("name", STUDIES)
 def test_saved_results_are_those_of_a_full_run(name: str) -> None:
     found = saved(name)
     assert list(found) == list(script("studies", name).KEYS)
     assert found["quick"] is False
 
 
-def test_a_study_that_was_run_is_not_called_to_be_run() -> None:
-    assert set(STUDIES) >= TO_BE_RUN
-    assert not any((SAVED / f"{name}.json").exists() for name in TO_BE_RUN)
-
-
-@pytest.mark.parametrize("name", DRAWN)
+@pytest.mark.parametrize("name", FIGURES)
 def test_a_figure_is_drawn_from_saved_results(name: str, tmp_path: Path) -> None:
     drawn = script("figures", name).draw(SAVED, tmp_path)
     assert drawn, "the files that were written are returned"
