@@ -21,6 +21,8 @@ Array = NDArray[Any]
 
 # Share of the probability that a credible set holds.
 CREDIBLE = 0.95
+# A draw this much better than every sequence listed, nats, was overlooked: less is noise of its evidence.
+OVERLOOKED = 0.3
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +61,8 @@ DEFAULT_SETTINGS = SequenceSettings()
 class SurfaceCheck:
     """How good the evidence is of sequences where it is not computed with care.
 
-    learned_from : sequences. rms, largest : error of the log evidence on draws from the posterior, nats.
+    learned_from : sequences. rms, largest : error of the log evidence on draws from the posterior, on those
+    that count, nats. overlooked : what the best of them is better by than every sequence listed, nats.
     correction : log of the factor on the sum of what was learned that the draws found. effective : share
     of the draws that count. fitted : sequences fitted one by one; sampled : classes of these whose
     evidence was sampled; learned_probability : of all sequences whose evidence is learned alone.
@@ -69,6 +72,7 @@ class SurfaceCheck:
     learned_from: int
     rms: float
     largest: float
+    overlooked: float
     correction: float
     effective: float
     fitted: int

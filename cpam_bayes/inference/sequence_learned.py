@@ -28,10 +28,7 @@ from cpam_bayes.inference.enumeration import (
 )
 from cpam_bayes.inference.evidence_table import build_table
 from cpam_bayes.inference.ply_sums import PlySums
-from cpam_bayes.inference.sequence_answer import (
-    SequenceAnswer,
-    Task,
-)
+from cpam_bayes.inference.sequence_answer import OVERLOOKED, SequenceAnswer, Task
 from cpam_bayes.inference.sequence_classes import canonical
 from cpam_bayes.inference.sequence_evaluation import (
     Evaluated,
@@ -60,6 +57,10 @@ _LEARNED_ALONE = 0.05
 # Rounds of learning, listing and checking; root mean square error on the draws, nats, that ends them, or so
 # many times the one that the learning ended with; listed sequences that a further round learns from.
 _ROUNDS, _SETTLED, _AS_SAID, _LESSON = 2, 0.2, 1.5, 400
+# Root mean square error on the draws, nats, from which on there are more rounds, and so many at most.
+_ASTRAY, _MOST_ROUNDS = 0.5, 4
+# Share of what may be left out that the floor is chosen for: what a few prefixes say of it is rough.
+_SPARE = 0.5
 # Noise, relative, from which on a posterior is found at once; below it its seeds are the best sequences at so
 # many times the noise, so many of them, learned to a root mean square error, nats.
 _EASY, _NOISIER, _SEEDS, _ROUGHLY = 1.5e-3, 3.0, 600, 1.0
@@ -80,12 +81,12 @@ def learned(
     problem = learning_of(task, sums)
     images = problem.images
     known = learn(problem, rng, notify, noisier_seeds(task, sums, rng, notify))
-    rounds, fine = _ROUNDS, False
+    rounds, fine, spare = 0, False, _SPARE
     current = _trial(task) if task.n_sequences > _MANY else task
     scouted: Scouted | None = None
     while True:
         if scouted is None:
-            scouted = _scouted(task, sums, known, rng, notify)
+            scouted = _scouted(task, sums, known, rng, notify, spare)
         if current is task and not fine and scouted.unlisted(task) > _LEARNED_ALONE:
             notify("too many sequences count to be fitted one by one: learning on")
             fine, scouted = True, None
@@ -100,14 +101,19 @@ def learned(
         drawn = draw_parts(current, sums, known, enumerator, whole, listed, rng)
         answer = combined_answer(current, known, enumerator, whole, listed, drawn, rng)
         assert answer.check is not None
-        rounds -= 1
-        settled = answer.check.rms <= max(_SETTLED, _AS_SAID * known.surface.rms_error)
-        if current is task and (settled or not rounds):
+        check, rounds = answer.check, rounds + 1
+        astray = check.rms > _ASTRAY or check.overlooked > OVERLOOKED
+        settled = not astray and check.rms <= max(_SETTLED, _AS_SAID * known.surface.rms_error)
+        excess = answer.unaccounted / task.settings.unaccounted
+        last = rounds >= (_MOST_ROUNDS if astray or excess > 1.0 else _ROUNDS)
+        if current is task and (last or (settled and excess <= 1.0)):
             return answer
+        if excess > 1.0:
+            spare, scouted = 0.5 * spare / excess, None
         if not settled:
-            notify(f"off by {answer.check.rms:.2f} nats on draws: these are learned from as well")
+            notify(f"off by {check.rms:.2f} nats on draws: these are learned from as well")
             known, scouted = learn_more(known, problem, _lesson(drawn, listed, rng), rng), None
-        if settled or rounds == 1:
+        if rounds >= _ROUNDS or not astray:
             current = task
 
 
@@ -224,12 +230,17 @@ def _negation(task: Task) -> Array | None:
 
 
 def _scouted(
-    task: Task, sums: PlySums, known: Learned, rng: np.random.Generator, notify: Callable[[str], None]
+    task: Task,
+    sums: PlySums,
+    known: Learned,
+    rng: np.random.Generator,
+    notify: Callable[[str], None],
+    spare: float = _SPARE,
 ) -> Scouted:
     """What gives each sequence its learned log evidence.
 
     Up to a few million sequences all are evaluated. More are looked up in a table, whose floor is so low
-    that what it leaves out does not count.
+    that what it leaves out does not count: at most the share ``spare`` of what may be left out.
     """
     settings, surface = task.settings, known.surface
     if task.n_sequences <= _EVERY:
@@ -249,7 +260,7 @@ def _scouted(
         piece = together(run(enumerate_prefixes, found, items, task.executor, batch_size=1))
         share = len(scouts) / len(visited)
         left_out = piece.left_out * np.exp(-depth)
-        allowed = 0.5 * settings.unaccounted * piece.mass.sum()
+        allowed = spare * settings.unaccounted * piece.mass.sum()
         if left_out <= allowed or depth > _DEEPEST:
             return Scouted(found, piece, share)
         depth += float(np.clip(np.log(left_out / max(allowed, 1e-300)), 1.0, _DEEPER))

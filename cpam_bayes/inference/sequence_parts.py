@@ -28,6 +28,8 @@ Array = NDArray[Any]
 _BASIS_SETS = 200
 # Fewest draws from a part that is not sampled.
 _FEWEST = 64
+# What a draw counts, in mean ones, from which on its error does: others were learned far too high.
+_COUNTS = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,7 +155,8 @@ def combined_answer(
         check=SurfaceCheck(
             learned_from=len(known.data.sequences),
             rms=float(np.sqrt(np.sum(draw_weight * miss**2))),
-            largest=float(np.abs(miss).max()),
+            largest=float(np.abs(miss[draw_weight > _COUNTS * draw_weight.mean()]).max()),
+            overlooked=max(0.0, float(drawn.log_evidence.max() - listed.careful.log_evidence[0])),
             correction=rest,
             effective=float(1.0 / np.sum(draw_weight**2) / len(draw_weight)),
             fitted=len(listed.size),

@@ -21,6 +21,8 @@ Array = NDArray[Any]
 _DEPTH = 45.0
 # Root mean square of the relative residuals of fits that are left out: they say nothing of the top.
 _FAR = 0.2
+# Root mean square of the scores from which on they need not be met well: what is so bad stays bad.
+_BAD = 3.0
 # Share of the sequences near the top whose residuals are less than the unit where the noise is inferred.
 _BEST = 0.1
 # The least unit of residuals: below it a list without noise is as good as exact.
@@ -116,7 +118,9 @@ def fit_surface(
     log_z = np.where(near, data.log_evidence, data.fits.log_evidence)
     rest = log_z - log_evidence(np.column_stack((z, np.zeros(len(z)))), freedom)
     y = np.column_stack((z, rest))[kept]
-    return Surface(fit_map(features[kept], y, rng, images, like, least), True, freedom, top, rms, worst)
+    doubt = np.maximum(np.mean(z[kept] ** 2, axis=1) / _BAD**2, 1.0)
+    smooth = fit_map(features[kept], y, rng, images, like, least, doubt)
+    return Surface(smooth, True, freedom, top, rms, worst)
 
 
 def _scores(own: SequencePosterior, data: Evaluated, near: Array) -> Array:

@@ -22,6 +22,7 @@ from cpam_bayes.inference.ply_sums import ply_sums
 from cpam_bayes.inference.sequence_answer import (
     CREDIBLE,
     DEFAULT_SETTINGS,
+    OVERLOOKED,
     SequenceAnswer,
     SequenceSettings,
     SurfaceCheck,
@@ -41,6 +42,7 @@ from cpam_bayes.threads import single_blas_thread
 __all__ = [
     "CREDIBLE",
     "DEFAULT_SETTINGS",
+    "OVERLOOKED",
     "SequenceAnswer",
     "SequenceSettings",
     "SurfaceCheck",

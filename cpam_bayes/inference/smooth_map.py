@@ -87,6 +87,7 @@ def fit_map(
     images: Array | None = None,
     like: SmoothMap | None = None,
     least: Array | float = _LENGTHS[0],
+    doubt: Array | None = None,
 ) -> SmoothMap:
     """The map through values (N, p) at points (N, d), length scales by the largest marginal likelihood.
 
@@ -94,30 +95,45 @@ def fit_map(
     own spread (Rasmussen and Williams, Gaussian Processes for Machine Learning, 2006, chapters 2, 5).
     images : (n_images, d) changes of sign that leave the functions as they are, the identity first.
     like : a map through fewer points, whose length scales are a start. least : (d,) lower bounds of the
-    length scales in standard deviations of the points.
+    length scales in standard deviations of the points. doubt : (N,) factors on the nugget, 1 where a value is
+    to be met.
     """
     n, d = points.shape
+    doubted = np.ones(n) if doubt is None else doubt
     signs = np.ones((1, d)) if images is None else images
     unit = np.maximum(points.std(axis=0), 1e-12)
     mean, spread = values.mean(axis=0), np.maximum(values.std(axis=0), 1e-12)
     y = (values - mean) / spread
-    some = rng.permutation(n)[:_LEARNED_FROM]
+    some = _learned_from(doubted, rng)
     if like is not None and n < _GROWN * like.learned_from:
         lengths, nugget, learned_from = like.lengths, like.nugget, like.learned_from
     else:
-        lengths, nugget = _scales(points[some] / unit, y[some], signs, like, unit, least)
+        lengths, nugget = _scales(points[some] / unit, y[some], doubted[some], signs, like, unit, least)
         learned_from = n
     at = points / lengths
     matrix = np.sum([_kernel(at * s, at) for s in signs], axis=0)
-    matrix[np.diag_indices(n)] += nugget
+    matrix[np.diag_indices(n)] += nugget * doubted
     factor = scipy.linalg.cholesky(matrix, lower=True, overwrite_a=True)
     solved = scipy.linalg.cho_solve((factor, True), y)
     amplitude = spread * np.sqrt(np.sum(y * solved, axis=0) / n)
     return SmoothMap(at, solved * spread, mean, lengths, signs, factor, amplitude, nugget, learned_from)
 
 
+def _learned_from(doubt: Array, rng: np.random.Generator) -> Array:
+    """Points that length scales are learned from: any, but half of them are those doubted least."""
+    some = rng.permutation(len(doubt))
+    surest = some[np.argsort(doubt[some], kind="stable")[: _LEARNED_FROM // 2]]
+    return np.concatenate((surest, some[~np.isin(some, surest)]))[:_LEARNED_FROM]
+
+
 def _scales(
-    points: Array, y: Array, signs: Array, like: SmoothMap | None, unit: Array, least: Array | float
+    points: Array,
+    y: Array,
+    doubt: Array,
+    signs: Array,
+    like: SmoothMap | None,
+    unit: Array,
+    least: Array | float,
 ) -> tuple[Array, float]:
     """Length scales (d,) and nugget with the largest marginal likelihood, points (N, d) being in ``unit``."""
     d = points.shape[1]
@@ -129,7 +145,7 @@ def _scales(
     found = minimize(
         _cost,
         np.log(np.concatenate((start, [_NUGGET]))),
-        args=(points, y, signs),
+        args=(points, y, doubt, signs),
         jac=True,
         bounds=bounds,
         method="L-BFGS-B",
@@ -147,7 +163,7 @@ def _kernel(a: Array, b: Array) -> Array:
     return np.asarray(np.exp(exponent, out=exponent))
 
 
-def _cost(log_scales: Array, points: Array, y: Array, signs: Array) -> tuple[float, Array]:
+def _cost(log_scales: Array, points: Array, y: Array, doubt: Array, signs: Array) -> tuple[float, Array]:
     """Negative log marginal likelihood, each output's amplitude at its best, and its gradient."""
     n, p = y.shape
     d = points.shape[1]
@@ -156,7 +172,7 @@ def _cost(log_scales: Array, points: Array, y: Array, signs: Array) -> tuple[flo
     images = [at * s for s in signs]
     kernels = [_kernel(image, at) for image in images]
     matrix = np.sum(kernels, axis=0)
-    matrix[np.diag_indices(n)] += nugget
+    matrix[np.diag_indices(n)] += nugget * doubt
     try:
         factor = scipy.linalg.cho_factor(matrix, lower=True)
     except np.linalg.LinAlgError:
@@ -173,5 +189,5 @@ def _cost(log_scales: Array, points: Array, y: Array, signs: Array) -> tuple[flo
             np.sum(weight * k * (image[:, None, j] - at[None, :, j]) ** 2)
             for image, k in zip(images, kernels, strict=True)
         )
-    gradient[d] = np.trace(weight) * nugget
+    gradient[d] = np.diagonal(weight) @ doubt * nugget
     return float(cost), gradient

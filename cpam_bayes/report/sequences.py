@@ -11,7 +11,7 @@ from cpam_bayes.inference.angle_information import AngleInformation, angle_infor
 from cpam_bayes.inference.given_sequence import GivenSequence
 from cpam_bayes.inference.sequence_fit import SequenceListFit, fit_of_the_first
 from cpam_bayes.inference.sequence_mixture import SampledComponent, SequenceMixture
-from cpam_bayes.inference.sequences import SequenceAnswer
+from cpam_bayes.inference.sequences import OVERLOOKED, SequenceAnswer
 from cpam_bayes.measurement import to_user, user_name
 from cpam_bayes.posterior import NOISE
 from cpam_bayes.report.documents import plate_keys
@@ -47,6 +47,11 @@ def sequence_warnings(result: SequenceAnswer, mixture: SequenceMixture) -> tuple
             f"the learned log evidence is {check.rms:.2f} off (root mean square over draws from the "
             "posterior): the number of sequences in the credible set and the marginals are rough; the "
             "evidences of the sequences listed are computed, not learned"
+        )
+    if check is not None and check.overlooked > OVERLOOKED:
+        found.append(
+            f"a sequence drawn from the posterior is better by {check.overlooked:.1f} in log evidence than "
+            "every one listed: the list of the most probable sequences is not complete"
         )
     if result.unaccounted > 1e-3:
         found.append(
@@ -142,6 +147,7 @@ def sequence_document(
             "from_sequences": check.learned_from,
             "rms_error_nats": check.rms,
             "largest_error_nats": check.largest,
+            "overlooked_nats": check.overlooked,
             "correction_nats": check.correction,
             "effective_share": check.effective,
         },

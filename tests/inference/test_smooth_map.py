@@ -35,3 +35,15 @@ def test_length_scales_are_learned_again_when_the_points_have_grown_by_a_quarter
     assert not np.array_equal(many.lengths, first.lengths)
     # the new points count all the same
     np.testing.assert_allclose(few.values(x[100:124]), known(x[100:124]), atol=2e-3)
+
+
+def test_values_that_are_doubted_do_not_spoil_those_that_are_to_be_met() -> None:
+    x, rng = points(150), np.random.default_rng(0)
+    rough = x[:, 0] > 0.0
+    y = known(x) + np.where(rough, 0.3, 0.0)[:, None] * np.random.default_rng(5).normal(size=(150, 2))
+    error = {}
+    for name, doubt in (("trusted", None), ("doubted", np.where(rough, 1e5, 1.0))):
+        found = fit_map(x, y, rng, doubt=doubt)
+        smooth = x[:, 0] < -0.1
+        error[name] = float(np.abs(found.values(x[smooth]) - known(x[smooth])).max())
+    assert error["doubted"] < 5e-3 < 0.05 < error["trusted"]

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from cpam_bayes.inference.given_sequence import given_sequence
+from cpam_bayes.inference.sequences import SurfaceCheck
 from cpam_bayes.report.figures import save_figures
 from cpam_bayes.report.sequence_data import EMCEE, write_sequence_posterior
 from cpam_bayes.report.sequence_figures import sequence_figures
@@ -66,6 +67,33 @@ def test_chains_that_failed_or_disagree_are_warned_of() -> None:
     said = sequence_warnings(own, replace(mixed, components=(failed, wrong)))
     assert "the chains of sequence 1 have not converged" in said[0]
     assert "the chains of sequence 2 and importance sampling differ by" in said[1]
+
+
+def test_what_was_learned_badly_or_overlooked_is_warned_of() -> None:
+    own = replace(answer(), log_evidence_error=np.zeros(len(answer().top)))
+    good = SurfaceCheck(
+        learned_from=700,
+        rms=0.1,
+        largest=0.4,
+        overlooked=0.1,
+        correction=0.01,
+        effective=0.98,
+        fitted=500,
+        sampled=300,
+        learned_probability=1e-3,
+        basis_error=1e-5,
+    )
+    assert sequence_warnings(replace(own, check=good), mixture()) == ()
+    bad = replace(own, check=replace(good, rms=2.5, overlooked=1.2), unaccounted=4e-3)
+    rough, overlooked, left_out = sequence_warnings(bad, mixture())
+    assert "the learned log evidence is 2.50 off" in rough
+    assert (
+        "a sequence drawn from the posterior is better by 1.2 in log evidence than every one listed"
+        in overlooked
+    )
+    assert "sequences with up to 0.004 of the probability were left out" in left_out
+    document = sequence_document(bad, mixture(), None, 0, 5, (rough, overlooked, left_out))
+    assert document["learned"]["overlooked_nats"] == 1.2
 
 
 def test_the_posterior_file_opens_in_plain_arviz(tmp_path: Path) -> None:
