@@ -22,7 +22,7 @@ _DEPTH = 45.0
 # Root mean square of the relative residuals of fits that are left out: they say nothing of the top.
 _FAR = 0.2
 # Root mean square of the scores from which on they need not be met well: what is so bad stays bad.
-_BAD = 3.0
+_BAD = 10.0
 # Share of the sequences near the top whose residuals are less than the unit where the noise is inferred.
 _BEST = 0.1
 # The least unit of residuals: below it a list without noise is as good as exact.
