@@ -22,8 +22,11 @@ _EDGES = ("x = 0", "y = 0", "x = length", "y = width")
 _CONDITIONS = {"F": "free", "S": "simply supported", "C": "clamped"}
 
 
-def plate_head(title: str, specimen: Specimen) -> Table:
-    """What was computed: the plate as the file gives it, and where the file says more."""
+def plate_head(title: str, specimen: Specimen, air: str | None = None) -> Table:
+    """What was computed: the plate as the file gives it, and where the file says more.
+
+    air : what to say of it, if the plate alone does not tell.
+    """
     plate = specimen.plate
     rows = [
         ("source", specimen.source),
@@ -39,7 +42,7 @@ def plate_head(title: str, specimen: Specimen) -> Table:
         ("mass", f"{s.mass * 1e3:g} g at x = {s.x * 1e3:g} mm, y = {s.y * 1e3:g} mm")
         for s in specimen.sensors
     ]
-    rows.append(("air", air_text(specimen)))
+    rows.append(("air", air_text(specimen) if air is None else air))
     rows += [("note", note) for note in specimen.notes]
     return facts(title, tuple(rows))
 

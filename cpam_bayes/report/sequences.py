@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,11 +13,11 @@ from cpam_bayes.inference.given_sequence import GivenSequence
 from cpam_bayes.inference.sequence_fit import SequenceListFit, fit_of_the_first
 from cpam_bayes.inference.sequence_mixture import SampledComponent, SequenceMixture
 from cpam_bayes.inference.sequences import OVERLOOKED, SequenceAnswer
-from cpam_bayes.measurement import to_user, user_name
+from cpam_bayes.measurement import Specimen, to_user, user_name
 from cpam_bayes.posterior import NOISE
 from cpam_bayes.report.documents import plate_keys
-from cpam_bayes.report.numbers import decimals_of, fixed, significant
-from cpam_bayes.report.plates import plate_head
+from cpam_bayes.report.numbers import NOT_KNOWN, decimals_of, fixed, significant, with_spread
+from cpam_bayes.report.plates import air_text, plate_head
 from cpam_bayes.report.tables import Column, Table, facts, remarks
 
 __all__ = ["outer_and_inner", "sequence_document", "sequence_screen", "sequence_warnings"]
@@ -90,7 +91,13 @@ def _misfits(result: SequenceAnswer, fit: SequenceListFit) -> tuple[str, ...]:
             "no sequence explains the list: noise as stated leaves residuals like those of the most probable "
             f"one with probability {fit.p_value:.1g}; {advice}"
         )
-    if fit.noise is not None and fit.noise > _NOISY:
+    alone = int(np.isnan(fit.predicted).sum())
+    if alone:
+        found.append(
+            f"{alone} of the {len(fit.predicted)} frequencies belong to no mode of the most probable "
+            f"sequence; {advice}"
+        )
+    if result.own.template.noise_is_inferred and fit.noise > _NOISY:
         found.append(
             f"no sequence explains the list well: the noise inferred is {100 * fit.noise:.2g} %; {advice}"
         )
@@ -138,8 +145,10 @@ def sequence_document(
             "seconds": mixture.seconds,
         },
         "frequencies": _frequencies_document(result, fit),
+        "missed_modes": [{"predicted_hz": float(f)} for f in fit.missed],
         "p_value": fit.p_value,
-        "noise_percent": None if fit.noise is None else 100.0 * fit.noise,
+        "noise_percent": 100.0 * fit.noise,
+        "noise_inferred": result.own.template.noise_is_inferred,
         "printed_sequence": None if given is None else _given(result, mixture, given),
         "learned": None
         if check is None
@@ -223,16 +232,23 @@ def sequence_screen(
 ) -> tuple[Table, ...]:
     """Plate, the most probable sequences, plies, constants, how it was done."""
     information = angle_information(result.specimen.plate.layup, result.marginals)
+    fit = fit_of_the_first(result)
     return (
-        plate_head(f"sequence {result.specimen.name}", result.specimen),
+        plate_head(f"sequence {result.specimen.name}", result.specimen, air_text(_most_probable(result))),
         _sequences(result),
         _plies(result, information),
         remarks("Outer and inner plies", (outer_and_inner(information),)),
-        *_fit(result, fit_of_the_first(result)),
+        *_fit(result, fit),
         _mixture(result, mixture, given),
-        _work(result, mixture, given, seed),
+        _work(result, mixture, given, seed, fit),
         remarks("Warnings", warnings, flagged=True),
     )
+
+
+def _most_probable(result: SequenceAnswer) -> Specimen:
+    """The specimen with the most probable angles."""
+    plate = result.specimen.plate
+    return replace(result.specimen, plate=replace(plate, layup=plate.layup.with_angles(result.top[0])))
 
 
 def _sequences(result: SequenceAnswer) -> Table:
@@ -294,27 +310,48 @@ def outer_and_inner(information: AngleInformation) -> str:
 
 
 def _fit(result: SequenceAnswer, fit: SequenceListFit) -> tuple[Table, ...]:
-    """The list beside the most probable sequence, where each frequency has a mode of its own."""
-    if fit.predicted is None or fit.residual is None:
-        return ()
+    """The list beside the most probable sequence, and what of its modes the list lacks."""
     measured = result.own.template.measurement.frequencies
-    columns = tuple(Column(h, number=True) for h in ("mode", "measured Hz", "predicted Hz", "residual %"))
+    columns = tuple(Column(h, number=True) for h in ("measured Hz", "predicted Hz", "residual %"))
     decimals = decimals_of(measured)
     rows = tuple(
-        (str(i), fixed(float(f), decimals), fixed(float(p), decimals + 1), f"{100 * r:+.2f}")
-        for i, (f, p, r) in enumerate(zip(measured, fit.predicted, fit.residual, strict=True), 1)
+        (fixed(float(f), decimals), NOT_KNOWN, NOT_KNOWN)
+        if np.isnan(p)
+        else (fixed(float(f), decimals), fixed(float(p), decimals + 1), _signed(100 * float(r)))
+        for f, p, r in zip(measured, fit.predicted, fit.residual, strict=True)
     )
-    return (Table("The list and the most probable sequence", columns, rows),)
+    lacks = ", ".join(fixed(float(f), decimals + 1) for f in fit.missed)
+    return (
+        Table("The list and the most probable sequence", columns, rows),
+        remarks("The list lacks", (f"modes of the most probable sequence at {lacks} Hz",) if lacks else ()),
+    )
+
+
+def _signed(percent: float) -> str:
+    text = fixed(percent, 2)
+    return text if float(text) <= 0.0 else f"+{text}"
+
+
+def _noise(result: SequenceAnswer, fit: SequenceListFit) -> str:
+    """What noise the probabilities stand on, and how well the first sequence fits with it."""
+    level = f"{significant(100 * fit.noise, 2)} % of a frequency"
+    if result.own.template.noise_is_inferred:
+        return f"{level}, inferred, given the most probable sequence"
+    said = f"{level}, from the plate file"
+    if fit.p_value is None:
+        return said
+    return f"{said}; alone it leaves residuals like these or larger with probability {fit.p_value:.2g}"
 
 
 def _frequencies_document(result: SequenceAnswer, fit: SequenceListFit) -> list[dict[str, float | None]]:
     measured = result.own.template.measurement.frequencies
-    none = np.full(len(measured), None)
-    predicted = none if fit.predicted is None else fit.predicted
-    residual = none if fit.residual is None else 100.0 * fit.residual
     return [
-        {"measured_hz": float(f), "predicted_hz": p, "residual_percent": r}
-        for f, p, r in zip(measured, predicted.tolist(), residual.tolist(), strict=True)
+        {
+            "measured_hz": float(f),
+            "predicted_hz": None if np.isnan(p) else float(p),
+            "residual_percent": None if np.isnan(p) else 100.0 * float(r),
+        }
+        for f, p, r in zip(measured, fit.predicted, fit.residual, strict=True)
     ]
 
 
@@ -341,17 +378,24 @@ def _mixture(result: SequenceAnswer, mixture: SequenceMixture, given: GivenSeque
         if given and mixture.given:
             moments.append((mixture.given.chains.mean[i], mixture.given.chains.sd[i]))
         for mean, sd in moments:
-            cells += [significant(unit * float(mean), 3), significant(unit * float(sd), 2)]
-        cells.append(significant(unit * float(reference[name]), 3) if name in reference else "")
+            cells += with_spread(unit * float(mean), unit * float(sd))
+        cells.append(significant(unit * float(reference[name])) if name in reference else "")
         rows.append(tuple(cells))
     return Table("Constants over all sequences", columns, tuple(rows))
 
 
-def _work(result: SequenceAnswer, mixture: SequenceMixture, given: GivenSequence | None, seed: int) -> Table:
+def _work(
+    result: SequenceAnswer,
+    mixture: SequenceMixture,
+    given: GivenSequence | None,
+    seed: int,
+    fit: SequenceListFit,
+) -> Table:
     images = ", ".join(s.name for s in result.symmetries) or "none"
     rows = [
         ("sequences", f"{result.enumerated} on the grid of {result.specimen.angle_grid_deg:g} degrees"),
         ("layup", result.specimen.plate.layup.text),
+        ("noise", _noise(result, fit)),
         ("symmetries", images),
         *_same_bending(result),
         ("95 % set", f"{result.credible_count} sequence" + ("s" if result.credible_count > 1 else "")),
@@ -361,7 +405,7 @@ def _work(result: SequenceAnswer, mixture: SequenceMixture, given: GivenSequence
     if given is not None:
         place = f"number {given.rank}" if given.rank else f"not among the first {len(result.top)}"
         angles = "/".join(f"{a:g}" for a in given.angles_deg)
-        rows.insert(3, ("printed", f"{angles}: probability {given.probability:.3g}, {place}"))
+        rows.insert(4, ("printed", f"{angles}: probability {given.probability:.3g}, {place}"))
     rows.append(
         (
             "constants",

@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 
 from cpam_bayes.inference.given_sequence import given_sequence
-from cpam_bayes.inference.sequences import SurfaceCheck
+from cpam_bayes.inference.sequence_fit import fit_of_the_first
+from cpam_bayes.inference.sequences import SequenceSettings, SurfaceCheck, sequence_probabilities
 from cpam_bayes.report.figures import save_figures
 from cpam_bayes.report.sequence_data import EMCEE, write_sequence_posterior
 from cpam_bayes.report.sequence_figures import sequence_figures
 from cpam_bayes.report.sequences import sequence_document, sequence_screen, sequence_warnings
 from cpam_bayes.report.tables import plain_text
-from tests.sequence_cases import TRUE, answer, mixture
+from tests.sequence_cases import TRUE, answer, mixture, specimen
 
 pytestmark = pytest.mark.slow
 
@@ -67,6 +68,48 @@ def test_chains_that_failed_or_disagree_are_warned_of() -> None:
     said = sequence_warnings(own, replace(mixed, components=(failed, wrong)))
     assert "the chains of sequence 1 have not converged" in said[0]
     assert "the chains of sequence 2 and importance sampling differ by" in said[1]
+
+
+def test_the_screen_says_noise_fit_and_air() -> None:
+    text = "\n".join(plain_text(t) for t in sequence_screen(answer(), mixture(), None, 0, ()) if t.rows)
+    assert "1.0 % of a frequency, from the plate file; alone it leaves residuals like these" in text
+    assert "would lower the first 6 frequencies by" in text
+    document = sequence_document(answer(), mixture(), None, 0, 5, ())
+    assert document["noise_percent"] == pytest.approx(1.0, rel=1e-3)
+    assert document["noise_inferred"] is False
+    assert document["p_value"] > 0.99, "the list is one of the plate's own, without noise"
+
+
+def test_a_list_that_lacks_a_mode_is_paired() -> None:
+    own = specimen()
+    assert own.measurement is not None
+    every = own.measurement.frequencies
+    few = replace(own.measurement, frequencies=np.delete(every, 2), labels=("",) * 5, complete=False)
+    found = sequence_probabilities(
+        replace(own, measurement=replace(few, relative_std=1e-3)),
+        0,
+        settings=SequenceSettings(draws=30, listed=12, log2_points=6),
+    )
+    fit = fit_of_the_first(found)
+    np.testing.assert_allclose(fit.predicted, np.delete(every, 2), rtol=1e-3)
+    np.testing.assert_allclose(fit.missed, every[2:3], rtol=5e-3)
+    assert fit.p_value is not None
+    assert fit.p_value > 0.9
+    document = sequence_document(found, mixture(), None, 0, 5, ())
+    assert document["missed_modes"] == [{"predicted_hz": pytest.approx(fit.missed[0])}]
+    text = "\n".join(plain_text(t) for t in sequence_screen(found, mixture(), None, 0, ()) if t.rows)
+    assert f"modes of the most probable sequence at {int(fit.missed[0])}." in text
+    wrong = replace(
+        few, frequencies=np.sort(np.append(np.delete(every, 2), every[3] * 1.1)), labels=("",) * 6
+    )
+    stray = sequence_probabilities(
+        replace(own, measurement=replace(wrong, relative_std=1e-3)),
+        0,
+        settings=SequenceSettings(draws=30, listed=12, log2_points=6),
+    )
+    beside = sequence_document(stray, mixture(), None, 0, 5, ())["frequencies"]
+    assert [f["predicted_hz"] is None for f in beside].count(True) == 1
+    assert "1 of the 6 frequencies belong to no mode" in sequence_warnings(stray, mixture())[0]
 
 
 def test_what_was_learned_badly_or_overlooked_is_warned_of() -> None:
