@@ -27,7 +27,7 @@ from cpam_bayes.report.diagnosis_words import (
     probability_text,
     size_text,
 )
-from cpam_bayes.report.numbers import decimals_of, fixed, significant, with_spread
+from cpam_bayes.report.numbers import decimals_of, fixed, signed, significant, with_spread
 from cpam_bayes.report.plates import air_text, plate_head
 from cpam_bayes.report.tables import Column, Table, facts, remarks
 
@@ -146,8 +146,8 @@ def _fit_cells(row: FrequencyRow, decimals: int) -> list[str]:
         return ["", "", ""]
     return [
         fixed(row.predicted, decimals + 1),
-        _signed(row.residual_percent, 2),
-        _signed(row.standardised, 1),
+        signed(row.residual_percent, 2),
+        signed(row.standardised, 1),
     ]
 
 
@@ -187,7 +187,7 @@ def _causes(d: Diagnosis) -> Table:
         cells += [_plates(d, cause)] if several else []
         cells += [
             probability_text(cause.probability),
-            "0" if cause.name == NONE else _signed(cause.log_bayes_factor, 1),
+            "0" if cause.name == NONE else signed(cause.log_bayes_factor, 1),
             _size(cause),
             _alike(cause),
         ]
@@ -312,7 +312,7 @@ def _gain(d: Diagnosis) -> Table:
     p = probability_text(d.extended.p_value)
     rows = (
         ("rms misfit", f"{before} % before, {after} % after"),
-        ("log Bayes factor", f"{_signed(gain.log_bayes_factor, 1)} against the plain model"),
+        ("log Bayes factor", f"{signed(gain.log_bayes_factor, 1)} against the plain model"),
         ("held-out modes", f"log score {score} +- {se}, each predicted from the others"),
         ("stable", f"ahead without one frequency in {100 * gain.stable:.0f} % of the cases"),
         ("p-value", f"{p}, posterior predictive, with the claimed cause"),
@@ -356,8 +356,3 @@ def _work(d: Diagnosis, seed: int) -> Table:
         ("work", f"{len(d.weighed.tested)} hypotheses in {d.seconds:.1f} s, seed {seed}"),
     ]
     return facts("Computation", tuple(rows))
-
-
-def _signed(value: float, decimals: int) -> str:
-    text = fixed(value, decimals)
-    return text if text.startswith("-") else f"+{text}"

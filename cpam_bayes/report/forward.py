@@ -12,7 +12,7 @@ from cpam_bayes.elasticity import complete_constants
 from cpam_bayes.inference.identify import SUSPICIOUS_RATIO
 from cpam_bayes.measurement import Specimen, to_user, user_name
 from cpam_bayes.report.documents import plate_keys
-from cpam_bayes.report.numbers import fixed, significant
+from cpam_bayes.report.numbers import signed, significant
 from cpam_bayes.report.plates import plate_head, unit_of
 from cpam_bayes.report.remarks import error_warning
 from cpam_bayes.report.tables import Column, Table, facts, remarks
@@ -173,5 +173,4 @@ def _measured(result: ForwardAnswer) -> list[float | None]:
 
 
 def _difference(predicted: float, measured: float) -> str:
-    text = fixed(100 * (predicted / measured - 1.0), 2)
-    return text if text.startswith("-") else f"+{text}"
+    return signed(100 * (predicted / measured - 1.0), 2)

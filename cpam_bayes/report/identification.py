@@ -9,7 +9,7 @@ import numpy as np
 from cpam_bayes.inference.identify import Identification
 from cpam_bayes.inference.sequence_search import FoundSequence
 from cpam_bayes.measurement import to_user
-from cpam_bayes.report.numbers import decimals_of, fixed, significant, with_spread
+from cpam_bayes.report.numbers import decimals_of, fixed, signed, significant, with_spread
 from cpam_bayes.report.plates import plate_head, unit_of
 from cpam_bayes.report.remarks import noise_sentence, verdict_sentences
 from cpam_bayes.report.tables import Column, Table, facts, remarks
@@ -96,10 +96,9 @@ def _frequencies(result: Identification) -> Table:
     decimals = decimals_of(measurement.frequencies)
     rows = []
     for i, (f, mode) in enumerate(zip(measurement.frequencies, result.predicted, strict=True), 1):
-        residual = fixed(100 * (mode.frequency / f - 1.0), 2)
-        signed = residual if residual.startswith("-") else f"+{residual}"
+        residual = signed(100 * (mode.frequency / f - 1.0), 2)
         predicted = fixed(mode.frequency, decimals + 1)
-        rows.append((str(i), mode.label, mode.kind, fixed(f, decimals), predicted, signed))
+        rows.append((str(i), mode.label, mode.kind, fixed(f, decimals), predicted, residual))
     title = "Frequencies, residual = predicted / measured - 1"
     return Table(title, columns, tuple(rows))
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 
-__all__ = ["NOT_KNOWN", "decimals_of", "fixed", "significant", "with_spread"]
+__all__ = ["NOT_KNOWN", "decimals_of", "fixed", "signed", "significant", "with_spread"]
 
 NOT_KNOWN = "-"
 
@@ -14,6 +14,12 @@ def fixed(value: float, decimals: int) -> str:
     """A number with so many decimals, without a minus before zero."""
     text = f"{value:.{decimals}f}"
     return text.removeprefix("-") if float(text) == 0.0 else text
+
+
+def signed(value: float, decimals: int) -> str:
+    """A number with so many decimals and its sign, that of zero being plus."""
+    text = fixed(value, decimals)
+    return text if text.startswith("-") else f"+{text}"
 
 
 def significant(value: float, digits: int = 4) -> str:

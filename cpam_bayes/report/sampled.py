@@ -12,7 +12,7 @@ from cpam_bayes.noise import NOISE_NAMES
 from cpam_bayes.priors import Prior, TruncatedNormal
 from cpam_bayes.report.assessment_tables import combinations_table, sensitivity_table
 from cpam_bayes.report.documents import laminate_unit
-from cpam_bayes.report.numbers import decimals_of, fixed, significant, with_spread
+from cpam_bayes.report.numbers import decimals_of, fixed, signed, significant, with_spread
 from cpam_bayes.report.plates import plate_head, unit_of
 from cpam_bayes.report.sampled_document import constants_of, nuisance_of
 from cpam_bayes.report.tables import Column, Table, facts, remarks
@@ -179,9 +179,9 @@ def _frequencies(result: SampledIdentification) -> Table:
                 fixed(float(f), decimals),
                 fixed(predicted, decimals + 1),
                 fixed(float(result.predicted_sd[j]), decimals + 1),
-                _signed(100 * (predicted / float(f) - 1.0)),
+                signed(100 * (predicted / float(f) - 1.0), 2),
                 fixed(float(left_out.leverage[k]), 2),
-                _signed(-100 * float(left_out.residual[k] / f)),
+                signed(-100 * float(left_out.residual[k] / f), 2),
                 fixed(100 * float(left_out.sd[k] / f), 2),
             )
         )
@@ -191,11 +191,6 @@ def _frequencies(result: SampledIdentification) -> Table:
         rows.append((str(j + 1), mode.label, mode.kind, "missed", fixed(predicted, decimals + 1), *5 * ("",)))
     title = "Frequencies, residual = predicted / measured - 1; left out: predicted from the other modes"
     return Table(title, columns, tuple(rows), frozenset(doubtful))
-
-
-def _signed(value: float) -> str:
-    text = fixed(value, 2)
-    return text if text.startswith("-") else f"+{text}"
 
 
 def _laminate(result: SampledIdentification) -> Table:

@@ -10,7 +10,7 @@ from cpam_bayes.inference.sensitivity import Cell, Sensitivity
 from cpam_bayes.measurement import to_user, user_name
 from cpam_bayes.paper import DisorderTable, contradictions
 from cpam_bayes.report.documents import plate_keys
-from cpam_bayes.report.numbers import fixed, significant, with_spread
+from cpam_bayes.report.numbers import fixed, signed, significant, with_spread
 from cpam_bayes.report.plates import plate_head, unit_of
 from cpam_bayes.report.sensitivity_remarks import (
     beside_paper,
@@ -201,9 +201,9 @@ def _cell_table(result: Sensitivity, cell: Cell, table: DisorderTable | None) ->
                 significant(unit * c.value),
                 mean,
                 sd,
-                _signed(100.0 * (float(cell.repetition.mean[i]) / c.value - 1.0)),
+                signed(100.0 * (float(cell.repetition.mean[i]) / c.value - 1.0), 2),
                 significant(100.0 * own.standard_error / abs(c.value), 2),
-                *((("" if value is None else _signed(value)),) if printed else ()),
+                *((("" if value is None else signed(value, 2)),) if printed else ()),
                 centre,
                 spread,
                 fixed(own.sd_ratio, 2) if math.isfinite(own.sd_ratio) else "-",
@@ -212,8 +212,3 @@ def _cell_table(result: Sensitivity, cell: Cell, table: DisorderTable | None) ->
         )
     flagged = frozenset(i for i, own in enumerate(cell.comparisons) if own.causes)
     return Table(f"Noise {where(cell)}", columns, tuple(rows), flagged)
-
-
-def _signed(value: float) -> str:
-    text = fixed(value, 2)
-    return text if text.startswith("-") else f"+{text}"

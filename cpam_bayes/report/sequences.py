@@ -16,7 +16,7 @@ from cpam_bayes.inference.sequences import OVERLOOKED, SequenceAnswer
 from cpam_bayes.measurement import Specimen, to_user, user_name
 from cpam_bayes.posterior import NOISE
 from cpam_bayes.report.documents import plate_keys
-from cpam_bayes.report.numbers import NOT_KNOWN, decimals_of, fixed, significant, with_spread
+from cpam_bayes.report.numbers import NOT_KNOWN, decimals_of, fixed, signed, significant, with_spread
 from cpam_bayes.report.plates import air_text, plate_head
 from cpam_bayes.report.tables import Column, Table, facts, remarks
 
@@ -317,7 +317,7 @@ def _fit(result: SequenceAnswer, fit: SequenceListFit) -> tuple[Table, ...]:
     rows = tuple(
         (fixed(float(f), decimals), NOT_KNOWN, NOT_KNOWN)
         if np.isnan(p)
-        else (fixed(float(f), decimals), fixed(float(p), decimals + 1), _signed(100 * float(r)))
+        else (fixed(float(f), decimals), fixed(float(p), decimals + 1), signed(100 * float(r), 2))
         for f, p, r in zip(measured, fit.predicted, fit.residual, strict=True)
     )
     lacks = ", ".join(fixed(float(f), decimals + 1) for f in fit.missed)
@@ -325,11 +325,6 @@ def _fit(result: SequenceAnswer, fit: SequenceListFit) -> tuple[Table, ...]:
         Table("The list and the most probable sequence", columns, rows),
         remarks("The list lacks", (f"modes of the most probable sequence at {lacks} Hz",) if lacks else ()),
     )
-
-
-def _signed(percent: float) -> str:
-    text = fixed(percent, 2)
-    return text if float(text) <= 0.0 else f"+{text}"
 
 
 def _noise(result: SequenceAnswer, fit: SequenceListFit) -> str:
@@ -398,21 +393,16 @@ def _work(
         ("noise", _noise(result, fit)),
         ("symmetries", images),
         *_same_bending(result),
+        *_printed(result, given),
         ("95 % set", f"{result.credible_count} sequence" + ("s" if result.credible_count > 1 else "")),
         ("effective number", f"{significant(result.effective_count, 3)} sequences, exp of the entropy"),
         ("left out", f"{result.unaccounted:.1g} of the probability at most"),
-    ]
-    if given is not None:
-        place = f"number {given.rank}" if given.rank else f"not among the first {len(result.top)}"
-        angles = "/".join(f"{a:g}" for a in given.angles_deg)
-        rows.insert(4, ("printed", f"{angles}: probability {given.probability:.3g}, {place}"))
-    rows.append(
         (
             "constants",
             f"emcee on the first {len(mixture.components)} of the list, {100 * mixture.emcee_share:.1f} % of "
             "the probability; importance sampling on the rest",
-        )
-    )
+        ),
+    ]
     if result.check is not None:
         c = result.check
         rows.append(
@@ -426,6 +416,15 @@ def _work(
         ("work", f"{result.seconds:.0f} s and {mixture.seconds:.0f} s for the constants, seed {seed}")
     )
     return facts("All sequences", tuple(rows))
+
+
+def _printed(result: SequenceAnswer, given: GivenSequence | None) -> tuple[tuple[str, str], ...]:
+    """The sequence printed for a specimen of the paper among all."""
+    if given is None:
+        return ()
+    place = f"number {given.rank}" if given.rank else f"not among the first {len(result.top)}"
+    angles = "/".join(f"{a:g}" for a in given.angles_deg)
+    return (("printed", f"{angles}: probability {given.probability:.3g}, {place}"),)
 
 
 def _same_bending(result: SequenceAnswer) -> tuple[tuple[str, str], ...]:

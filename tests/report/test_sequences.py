@@ -19,6 +19,8 @@ from tests.sequence_cases import TRUE, answer, mixture, specimen
 
 pytestmark = pytest.mark.slow
 
+SMALL = SequenceSettings(draws=30, listed=12, log2_points=6)
+
 
 def test_the_document_has_what_the_contract_names() -> None:
     own, mixed = answer(), mixture()
@@ -88,7 +90,7 @@ def test_a_list_that_lacks_a_mode_is_paired() -> None:
     found = sequence_probabilities(
         replace(own, measurement=replace(few, relative_std=1e-3)),
         0,
-        settings=SequenceSettings(draws=30, listed=12, log2_points=6),
+        settings=SMALL,
     )
     fit = fit_of_the_first(found)
     np.testing.assert_allclose(fit.predicted, np.delete(every, 2), rtol=1e-3)
@@ -105,7 +107,7 @@ def test_a_list_that_lacks_a_mode_is_paired() -> None:
     stray = sequence_probabilities(
         replace(own, measurement=replace(wrong, relative_std=1e-3)),
         0,
-        settings=SequenceSettings(draws=30, listed=12, log2_points=6),
+        settings=SMALL,
     )
     beside = sequence_document(stray, mixture(), None, 0, 5, ())["frequencies"]
     assert [f["predicted_hz"] is None for f in beside].count(True) == 1
