@@ -18,6 +18,8 @@ Tangent = Callable[[Array], tuple[Array, Array]]
 _FIRST = 12
 # Cells that stay farther below the top than this, nats, are halved once only.
 _REFINED = 6.0
+# Cells that are looked at together.
+_TOGETHER = 32768
 # How much farther a coarse cell reaches than its tangent says: it is not straight.
 _COARSE_REACH, _COARSE_SLACK = 1.5, 3.0
 
@@ -98,44 +100,85 @@ def build_table(
     q_reach : (n_q,) largest magnitude of each further sum. freedom : of the log evidence.
     """
     axis = (np.arange(_FIRST) + 0.5) * 2.0 / _FIRST - 1.0
-    centre = _mesh(axis)
-    width, n_q = 2.0 / _FIRST, len(q_reach)
+    centre, width = _mesh(axis), 2.0 / _FIRST
     finest = width / (1 << halvings)
-    leaves: list[tuple[Array, Array]] = []
-    cells: list[Array] = []
-    rows: list[Array] = []
+    leaves: list[_Leaves] = []
     for level in range(halvings + 1):
         last = level == halvings
-        centre = centre[_realisable(centre, width)]
-        y, slope = surface(np.column_stack((centre, np.zeros((len(centre), n_q)))))
         half = np.concatenate((np.full(4, 0.5 * width), q_reach)) * (1.0 if last else _COARSE_REACH)
-        reach = np.abs(slope) @ half
-        nearest = np.maximum(np.abs(y[:, :-1]) - reach[:, :-1], 0.0)
-        most = log_evidence(np.column_stack((nearest, y[:, -1] + reach[:, -1])), freedom)
-        kept = most + slack * (1.0 if last else _COARSE_SLACK) >= top - depth
-        split = kept & (not last) & ((level == 0) | (most >= top - _REFINED))
-        leaf = kept & ~split
-        # a leaf is as many of the finest cells as it is wide
-        offsets = _mesh(np.arange(1 << (halvings - level)))
-        corner = np.rint((centre[leaf] - 0.5 * width + 1.0) / finest).astype(np.int64)
-        rows.append(np.repeat(sum(len(c) for c, _ in leaves) + np.arange(len(corner)), len(offsets)))
-        cells.append((corner[:, None, :] + offsets).reshape(-1, 4))
-        leaves.append((centre[leaf], np.concatenate((y[leaf, :, None], slope[leaf]), axis=2)))
-        centre = (centre[split][:, None, :] + width * _mesh(np.array([-0.25, 0.25]))).reshape(-1, 4)
+        least = top - depth - slack * (1.0 if last else _COARSE_SLACK)
+        split = []
+        for some in np.split(centre, range(_TOGETHER, len(centre), _TOGETHER)):
+            cells = _cells(surface, some[_realisable(some, width)], half, freedom)
+            kept = cells.most >= least
+            finer = kept & (not last) & ((level == 0) | (cells.most >= top - _REFINED))
+            leaves.append(_leaves(cells, kept & ~finer, width, finest))
+            split.append(cells.centre[finer])
+        centre = (np.concatenate(split)[:, None, :] + width * _mesh(np.array([-0.25, 0.25]))).reshape(-1, 4)
         width *= 0.5
-    cell = np.concatenate(cells)
-    first = cell.min(axis=0, initial=_FIRST << halvings) - 1
-    table = np.full(np.maximum(cell.max(axis=0, initial=0) - first + 2, 1), -1, dtype=np.int32)
-    table[tuple((cell - first).T)] = np.concatenate(rows)
+    first, leaf = _box(leaves, _FIRST << halvings)
     return EvidenceTable(
         width=finest,
         first=first,
-        leaf=table,
-        centre=np.concatenate([c for c, _ in leaves]).astype(np.float32),
-        tangent=np.concatenate([t for _, t in leaves]).astype(np.float32),
+        leaf=leaf,
+        centre=np.concatenate([each.centre for each in leaves]),
+        tangent=np.concatenate([each.tangent for each in leaves]),
         floor=top - depth,
         freedom=freedom,
     )
+
+
+@dataclass(frozen=True, slots=True)
+class _Cells:
+    """Tangents at centres of cells (c, 4), and the most that they allow over the cells, (c,)."""
+
+    centre: Array
+    tangent: Array
+    most: Array
+
+
+@dataclass(frozen=True, slots=True)
+class _Leaves:
+    """Cells that are kept as they are: ``corner`` (l, 4) and ``side`` count the finest cells."""
+
+    side: int
+    corner: Array
+    centre: Array
+    tangent: Array
+
+
+def _cells(surface: Tangent, centre: Array, half: Array, freedom: float) -> _Cells:
+    """half : (4 + n_q,) how far sums of a cell are from its centre."""
+    y, slope = surface(np.column_stack((centre, np.zeros((len(centre), len(half) - 4)))))
+    reach = np.abs(slope) @ half
+    nearest = np.maximum(np.abs(y[:, :-1]) - reach[:, :-1], 0.0)
+    most = log_evidence(np.column_stack((nearest, y[:, -1] + reach[:, -1])), freedom)
+    return _Cells(centre, np.concatenate((y[:, :, None], slope), axis=2), most)
+
+
+def _leaves(cells: _Cells, which: Array, width: float, finest: float) -> _Leaves:
+    """Those of the cells, in single precision."""
+    centre = cells.centre[which]
+    corner = np.rint((centre - 0.5 * width + 1.0) / finest).astype(np.int64)
+    single = np.float32
+    return _Leaves(round(width / finest), corner, centre.astype(single), cells.tangent[which].astype(single))
+
+
+def _box(leaves: list[_Leaves], n: int) -> tuple[Array, Array]:
+    """The first cell of a box about all leaves and a rim, and which leaf each of its cells is in.
+
+    n : the finest cells along an axis.
+    """
+    first = np.min([each.corner.min(axis=0, initial=n) for each in leaves], axis=0) - 1
+    end = np.max([each.corner.max(axis=0, initial=0) + each.side for each in leaves], axis=0)
+    leaf = np.full(np.maximum(end - first + 1, 1), -1, dtype=np.int32)
+    begin = 0
+    for each in leaves:
+        rows = np.arange(begin, begin + len(each.corner), dtype=np.int32)
+        for offset in _mesh(np.arange(each.side)):
+            leaf[tuple((each.corner + offset - first).T)] = rows
+        begin += len(rows)
+    return first, leaf
 
 
 def _mesh(axis: Array) -> Array:

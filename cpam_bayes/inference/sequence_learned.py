@@ -92,14 +92,9 @@ def learned(
             fine, scouted = True, None
             known = learn_on(known, problem, task.settings.learning.fine, rng, notify)
             continue
-        enumerator = scouted.listing(current)
-        cells = "" if enumerator.table is None else f", {len(enumerator.table.centre)} cells"
-        notify(f"{task.n_sequences} sequences{cells}")
-        whole = _gone_through(enumerator, task.executor, progress)
-        notify(f"{len(whole.log_evidence)} sequences are fitted one by one")
-        listed = compute_listed(current, sums, known, whole, images, notify)
-        drawn = draw_parts(current, sums, known, enumerator, whole, listed, rng)
-        answer = combined_answer(current, known, enumerator, whole, listed, drawn, rng)
+        answer, listed, drawn = _answered(
+            current, sums, known, scouted.listing(current), images, rng, notify, progress
+        )
         assert answer.check is not None
         check, rounds = answer.check, rounds + 1
         astray = check.rms > _ASTRAY or check.overlooked > OVERLOOKED
@@ -115,6 +110,26 @@ def learned(
             known, scouted = learn_more(known, problem, _lesson(drawn, listed, rng), rng), None
         if rounds >= _ROUNDS or not astray:
             current = task
+
+
+def _answered(
+    task: Task,
+    sums: PlySums,
+    known: Learned,
+    enumerator: Enumerator,
+    images: Array,
+    rng: np.random.Generator,
+    notify: Callable[[str], None],
+    progress: Callable[[int, int], None],
+) -> tuple[SequenceAnswer, Listed, tuple[Part | None, ...]]:
+    """All sequences gone through, those that can matter computed, and draws that check the result."""
+    cells = "" if enumerator.table is None else f", {len(enumerator.table.centre)} cells"
+    notify(f"{task.n_sequences} sequences{cells}")
+    whole = _gone_through(enumerator, task.executor, progress)
+    notify(f"{len(whole.log_evidence)} sequences are fitted one by one")
+    listed = compute_listed(task, sums, known, whole, images, notify)
+    drawn = draw_parts(task, sums, known, enumerator, whole, listed, rng)
+    return combined_answer(task, known, enumerator, whole, listed, drawn, rng), listed, drawn
 
 
 def noisier_seeds(
@@ -263,6 +278,7 @@ def _scouted(
         allowed = spare * settings.unaccounted * piece.mass.sum()
         if left_out <= allowed or depth > _DEEPEST:
             return Scouted(found, piece, share)
+        del table, found  # the next one takes as much memory
         depth += float(np.clip(np.log(left_out / max(allowed, 1e-300)), 1.0, _DEEPER))
         notify(f"the table reaches {depth:.0f} nats below the best")
 

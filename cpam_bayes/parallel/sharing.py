@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Any, TypeVar, cast
 
 from cpam_bayes.parallel.executors import DaskCluster, WorkersLostError, open_executor, workers_of
-from cpam_bayes.parallel.worker import Outcome, Ticket, digest_of, forget, work_through
+from cpam_bayes.parallel.worker import Outcome, Ticket, digest_of, digest_of_file, forget, work_through
 from cpam_bayes.threads import single_blas_thread
 
 T = TypeVar("T")
@@ -124,13 +124,11 @@ def _run_there(
     tell: Callable[[int, Result], None],
 ) -> list[Result]:
     dumps: Callable[[Any], bytes] = executor.pickled if isinstance(executor, DaskCluster) else pickle.dumps
-    pickled = dumps(shared)
     queue = _Queue(len(items), batch_size)
     results: dict[int, Result] = {}
     pending: dict[Future[Outcome], _Batch] = {}
     with ExitStack() as stack:
-        ticket = stack.enter_context(_issued(pickled, executor))
-        laden = replace(ticket, pickled=pickled)
+        ticket = stack.enter_context(_issued(shared, executor))
         # A cluster is told anew who lacks the shared object; any other worker gets it with the batch.
         patience = 1 if isinstance(executor, DaskCluster) else 0
         stack.push(_cancel_on_exception(pending))
@@ -138,7 +136,7 @@ def _run_there(
             workers = workers_of(executor)
             while len(pending) < _AHEAD * workers and (batch := queue.take(workers, pending.values())):
                 packed = dumps([items[i] for i in range(batch.start, batch.stop)])
-                sent = laden if batch.misses > patience else ticket
+                sent = replace(ticket, pickled=dumps(shared)) if batch.misses > patience else ticket
                 try:
                     pending[executor.submit(work_through, work, sent, packed)] = batch
                 except BrokenExecutor as error:
@@ -162,7 +160,7 @@ def _run_there(
                 outcome = future.result()
                 if outcome.missing:
                     if isinstance(executor, DaskCluster):
-                        executor.deliver(ticket.digest, pickled)
+                        executor.deliver(ticket.digest, dumps(shared))
                     queue.missed(batch)
                     continue
                 for index, result in enumerate(outcome.results, batch.start):
@@ -246,20 +244,24 @@ def _cancel_on_exception(pending: dict[Future[Outcome], _Batch]) -> Callable[...
 
 
 @contextmanager
-def _issued(pickled: bytes, executor: Executor) -> Iterator[Ticket]:
+def _issued(shared: Any, executor: Executor) -> Iterator[Ticket]:
     """What leads workers to a shared object, as long as it is needed."""
-    digest = digest_of(pickled)
     if isinstance(executor, DaskCluster):
+        pickled = executor.pickled(shared)
+        digest = digest_of(pickled)
         executor.deliver(digest, pickled)
+        del pickled
         try:
             yield Ticket(digest)
         finally:
             executor.forget(digest)
         return
     handle, path = tempfile.mkstemp(prefix="cpam_bayes_", suffix=".pickle")
+    digest = ""
     try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(pickled)
+        with os.fdopen(handle, "w+b") as file:
+            pickle.dump(shared, file, pickle.HIGHEST_PROTOCOL)  # arrays are not copied on their way
+            digest = digest_of_file(file)
         yield Ticket(digest, path)
     finally:
         Path(path).unlink(missing_ok=True)

@@ -13,6 +13,7 @@ import traceback
 from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass
+from io import BufferedIOBase
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
@@ -23,8 +24,17 @@ from cpam_bayes.threads import keep_to_one_core, single_blas_thread
 # Shared objects that a worker keeps: those of two calls of `run` that take turns on one cluster.
 _MOST_KEPT = 2
 
+
+@dataclass(frozen=True, slots=True)
+class _Restored:
+    """A shared object, and the file that it came from, if from one."""
+
+    shared: Any
+    path: str = ""
+
+
 _lock = threading.Lock()
-_restored: OrderedDict[str, Any] = OrderedDict()
+_restored: OrderedDict[str, _Restored] = OrderedDict()
 _delivered: OrderedDict[str, bytes] = OrderedDict()
 
 
@@ -59,6 +69,14 @@ class Outcome:
 def digest_of(pickled: bytes) -> str:
     """The name of a pickle."""
     return hashlib.sha256(pickled).hexdigest()
+
+
+def digest_of_file(file: BufferedIOBase) -> str:
+    """The name of the pickle in an open file, which is left at its beginning."""
+    file.seek(0)
+    digest = hashlib.file_digest(file, "sha256").hexdigest()
+    file.seek(0)
+    return digest
 
 
 def work_through(work: Callable[[Any, Any], Any], ticket: Ticket, items: bytes) -> Outcome:
@@ -106,25 +124,36 @@ def _shared(ticket: Ticket) -> tuple[bool, Any]:
     """Whether the shared object could be had, and the object."""
     # Threads of one process wait for the one that restores it.
     with _lock:
-        if ticket.digest in _restored:
-            _restored.move_to_end(ticket.digest)
-            return True, _restored[ticket.digest]
-        pickled = _delivered.pop(ticket.digest, None) or ticket.pickled or _from_file(ticket)
-        if pickled is None:
-            return False, None
-        _restored[ticket.digest] = pickle.loads(pickled)
-        while len(_restored) > _MOST_KEPT:
-            _restored.popitem(last=False)
-        return True, _restored[ticket.digest]
+        if ticket.digest not in _restored:
+            _drop_withdrawn()
+            pickled = _delivered.pop(ticket.digest, None) or ticket.pickled
+            found = _from_file(ticket) if pickled is None else _Restored(pickle.loads(pickled))
+            if found is None:
+                return False, None
+            _restored[ticket.digest] = found
+            while len(_restored) > _MOST_KEPT:
+                _restored.popitem(last=False)
+        _restored.move_to_end(ticket.digest)
+        return True, _restored[ticket.digest].shared
 
 
-def _from_file(ticket: Ticket) -> bytes | None:
-    """The pickle of the ticket's file, unless this machine has no such file."""
+def _drop_withdrawn() -> None:
+    """Drop what came from files that are gone: nobody asks for it again."""
+    for digest, found in list(_restored.items()):
+        if found.path and not Path(found.path).exists():
+            del _restored[digest]
+
+
+def _from_file(ticket: Ticket) -> _Restored | None:
+    """What the ticket's file holds, unless this machine has no such file."""
+    if not ticket.path:
+        return None
     try:
-        pickled = Path(ticket.path).read_bytes() if ticket.path else b""
+        with Path(ticket.path).open("rb") as file:
+            known = digest_of_file(file) == ticket.digest
+            return _Restored(pickle.load(file), ticket.path) if known else None
     except OSError:
         return None
-    return pickled if digest_of(pickled) == ticket.digest else None
 
 
 def deliver(digest: str, pickled: bytes) -> None:

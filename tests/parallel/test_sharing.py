@@ -105,6 +105,12 @@ def test_the_shared_object_is_restored_once_in_each_process(tmp_path: Path, two:
     assert sorted(work.lines(log)) == sorted(processes)
 
 
+def test_a_worker_keeps_the_shared_object_of_the_current_call_only(one: Executor) -> None:
+    for factor in (1.0, 2.0, 3.0):
+        (kept,) = run(work.sums_of_kept, factor * MATRIX, [0], one)
+        assert kept == [float(np.sum(factor * MATRIX))]
+
+
 @pytest.mark.parametrize("executor", ["two", "threads"], indirect=True)
 def test_a_worker_that_lacks_the_file_gets_the_shared_object_with_a_batch(
     tmp_path: Path, executor: Executor

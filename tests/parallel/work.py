@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_info
 
+from cpam_bayes.parallel import worker
 from cpam_bayes.posterior import Posterior
 
 
@@ -102,6 +103,11 @@ def fail_oddly(shared: None, item: int) -> int:
 
 def blas_threads(shared: np.ndarray, item: int) -> int:
     return max(info["num_threads"] for info in threadpool_info() if info["user_api"] == "blas")
+
+
+def sums_of_kept(shared: np.ndarray, item: int) -> list[float]:
+    """The sums of all shared objects that this worker holds."""
+    return [float(np.sum(found.shared)) for found in worker._restored.values()]
 
 
 def draw(shared: None, item: np.random.Generator) -> float:
