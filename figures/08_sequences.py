@@ -119,7 +119,7 @@ def _noise(axes: Axes, noise: list[dict[str, Any]]) -> None:
     axes.set(ylim=(-0.03, 1.05))
     if noise:
         levels = sorted({100 * r["relative_std"] for own in noise for r in own["levels"]})
-        axes.set_xticks(levels, [f"{level:g}" for level in levels])
+        axes.set_xticks(levels, [f"{level:g}" for level in levels], rotation=45)
         axes.set_xticks([], minor=True)
         axes.legend(frameon=False, fontsize=8)
     axes.spines[["top", "right"]].set_visible(False)
