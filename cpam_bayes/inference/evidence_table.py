@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from concurrent.futures import Executor
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from cpam_bayes.parallel import run
 
 Array = NDArray[Any]
 
@@ -18,8 +21,8 @@ Tangent = Callable[[Array], tuple[Array, Array]]
 _FIRST = 12
 # Cells that stay farther below the top than this, nats, are halved once only.
 _REFINED = 6.0
-# Cells that are looked at together.
-_TOGETHER = 32768
+# Cells that are judged together.
+_TOGETHER = 8192
 # How much farther a coarse cell reaches than its tangent says: it is not straight.
 _COARSE_REACH, _COARSE_SLACK = 1.5, 3.0
 
@@ -88,7 +91,14 @@ def log_evidence(y: Array, freedom: float) -> Array:
 
 
 def build_table(
-    surface: Tangent, q_reach: Array, top: float, depth: float, halvings: int, slack: float, freedom: float
+    surface: Tangent,
+    q_reach: Array,
+    top: float,
+    depth: float,
+    halvings: int,
+    slack: float,
+    freedom: float,
+    executor: Executor | None = None,
 ) -> EvidenceTable:
     """Tangents of a surface wherever it may exceed its floor, ``depth`` below ``top``.
 
@@ -101,24 +111,28 @@ def build_table(
     """
     axis = (np.arange(_FIRST) + 0.5) * 2.0 / _FIRST - 1.0
     centre, width = _mesh(axis), 2.0 / _FIRST
-    finest = width / (1 << halvings)
     leaves: list[_Leaves] = []
-    for level in range(halvings + 1):
-        last = level == halvings
+    for side in (1 << np.arange(halvings + 1))[::-1]:
+        last = side == 1
         half = np.concatenate((np.full(4, 0.5 * width), q_reach)) * (1.0 if last else _COARSE_REACH)
-        least = top - depth - slack * (1.0 if last else _COARSE_SLACK)
-        split = []
-        for some in np.split(centre, range(_TOGETHER, len(centre), _TOGETHER)):
-            cells = _cells(surface, some[_realisable(some, width)], half, freedom)
-            kept = cells.most >= least
-            finer = kept & (not last) & ((level == 0) | (cells.most >= top - _REFINED))
-            leaves.append(_leaves(cells, kept & ~finer, width, finest))
-            split.append(cells.centre[finer])
-        centre = (np.concatenate(split)[:, None, :] + width * _mesh(np.array([-0.25, 0.25]))).reshape(-1, 4)
+        level = _Level(
+            surface,
+            int(side),
+            width,
+            half,
+            least=top - depth - slack * (1.0 if last else _COARSE_SLACK),
+            halved_from=np.inf if last else -np.inf if side == 1 << halvings else top - _REFINED,
+            freedom=freedom,
+        )
+        blocks = np.split(centre, range(_TOGETHER, len(centre), _TOGETHER))
+        found = run(_judged, level, blocks, executor, batch_size=1)
+        leaves += [kept for kept, _ in found]
+        split = np.concatenate([finer for _, finer in found])
+        centre = (split[:, None, :] + width * _mesh(np.array([-0.25, 0.25]))).reshape(-1, 4)
         width *= 0.5
     first, leaf = _box(leaves, _FIRST << halvings)
     return EvidenceTable(
-        width=finest,
+        width=2.0 / (_FIRST << halvings),
         first=first,
         leaf=leaf,
         centre=np.concatenate([each.centre for each in leaves]),
@@ -129,12 +143,21 @@ def build_table(
 
 
 @dataclass(frozen=True, slots=True)
-class _Cells:
-    """Tangents at centres of cells (c, 4), and the most that they allow over the cells, (c,)."""
+class _Level:
+    """Cells of one width, and what becomes of them.
 
-    centre: Array
-    tangent: Array
-    most: Array
+    side : of a cell, in finest ones. half : (4 + n_q,) how far sums of a cell may be from its centre. least :
+    log evidence that a cell which is kept may reach; halved_from : and one that is halved. freedom : of the
+    log evidence.
+    """
+
+    surface: Tangent
+    side: int
+    width: float
+    half: Array
+    least: float
+    halved_from: float
+    freedom: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,25 +170,23 @@ class _Leaves:
     tangent: Array
 
 
-def _cells(surface: Tangent, centre: Array, half: Array, freedom: float) -> _Cells:
-    """half : (4 + n_q,) how far sums of a cell are from its centre."""
-    y, slope = surface(np.column_stack((centre, np.zeros((len(centre), len(half) - 4)))))
-    reach = np.abs(slope) @ half
+def _judged(level: _Level, centre: Array) -> tuple[_Leaves, Array]:
+    """Of cells about centres (c, 4) those that are leaves, in single precision, and centres of the halved."""
+    centre = centre[_realisable(centre, level.width)]
+    y, slope = level.surface(np.column_stack((centre, np.zeros((len(centre), len(level.half) - 4)))))
+    reach = np.abs(slope) @ level.half
     nearest = np.maximum(np.abs(y[:, :-1]) - reach[:, :-1], 0.0)
-    most = log_evidence(np.column_stack((nearest, y[:, -1] + reach[:, -1])), freedom)
-    return _Cells(centre, np.concatenate((y[:, :, None], slope), axis=2), most)
-
-
-def _leaves(cells: _Cells, which: Array, width: float, finest: float) -> _Leaves:
-    """Those of the cells, in single precision."""
-    centre = cells.centre[which]
-    corner = np.rint((centre - 0.5 * width + 1.0) / finest).astype(np.int64)
-    single = np.float32
-    return _Leaves(round(width / finest), corner, centre.astype(single), cells.tangent[which].astype(single))
+    most = log_evidence(np.column_stack((nearest, y[:, -1] + reach[:, -1])), level.freedom)
+    finer = (most >= level.least) & (most >= level.halved_from)
+    leaf = (most >= level.least) & ~finer
+    corner = np.rint(level.side * ((centre[leaf] + 1.0) / level.width - 0.5)).astype(np.int64)
+    tangent = np.concatenate((y[leaf, :, None], slope[leaf]), axis=2)
+    kept = _Leaves(level.side, corner, centre[leaf].astype(np.float32), tangent.astype(np.float32))
+    return kept, centre[finer]
 
 
 def _box(leaves: list[_Leaves], n: int) -> tuple[Array, Array]:
-    """The first cell of a box about all leaves and a rim, and which leaf each of its cells is in.
+    """The first cell of a box about all leaves and a rim, and the leaf of each of its cells, -1 for none.
 
     n : the finest cells along an axis.
     """

@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -38,7 +37,6 @@ from cpam_bayes.inference.sequence_evaluation import (
 from cpam_bayes.inference.sequence_learning import Learned, Learning, learn, learn_more, learn_on
 from cpam_bayes.inference.sequence_listing import Listed, compute_listed, learned_values
 from cpam_bayes.inference.sequence_parts import Part, combined_answer, draw_parts
-from cpam_bayes.inference.sequence_surface import Surface
 from cpam_bayes.inference.symmetries import Symmetry
 from cpam_bayes.parallel import run
 
@@ -264,9 +262,15 @@ def _scouted(
     slack = float(np.clip(surface.largest_error, 0.2, 3.0))
     depth = _FLOOR
     while True:
-        tangent = partial(_tangents, surface, task.executor)
         table = build_table(
-            tangent, sums.rest_reach, surface.top, depth, settings.halvings, slack, surface.freedom
+            surface.tangent,
+            sums.rest_reach,
+            surface.top,
+            depth,
+            settings.halvings,
+            slack,
+            surface.freedom,
+            task.executor,
         )
         found = Enumerator(table, sums, surface.top, _negation(task), np.inf)
         visited = prefixes_to_visit(found)
@@ -294,12 +298,6 @@ def _every_value(task: Task, sums: PlySums, known: Learned) -> Array:
     return learned_values(known.surface, task.executor, features)[label.ravel()].reshape(
         -1, g ** min(k, INNER)
     )
-
-
-def _tangents(surface: Surface, executor: Executor | None, features: Array) -> tuple[Array, Array]:
-    """The surface's tangents at features (m, d), shared out."""
-    pieces = run(Surface.tangent, surface, np.array_split(features, _PIECES), executor, batch_size=1)
-    return np.concatenate([p[0] for p in pieces]), np.concatenate([p[1] for p in pieces])
 
 
 def _gone_through(own: Enumerator, executor: Executor | None, progress: Callable[[int, int], None]) -> Piece:

@@ -19,6 +19,7 @@ from concurrent.futures import (
 )
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
@@ -124,6 +125,7 @@ def _run_there(
     tell: Callable[[int, Result], None],
 ) -> list[Result]:
     dumps: Callable[[Any], bytes] = executor.pickled if isinstance(executor, DaskCluster) else pickle.dumps
+    pickled = cache(lambda: dumps(shared))
     queue = _Queue(len(items), batch_size)
     results: dict[int, Result] = {}
     pending: dict[Future[Outcome], _Batch] = {}
@@ -136,7 +138,7 @@ def _run_there(
             workers = workers_of(executor)
             while len(pending) < _AHEAD * workers and (batch := queue.take(workers, pending.values())):
                 packed = dumps([items[i] for i in range(batch.start, batch.stop)])
-                sent = replace(ticket, pickled=dumps(shared)) if batch.misses > patience else ticket
+                sent = replace(ticket, pickled=pickled()) if batch.misses > patience else ticket
                 try:
                     pending[executor.submit(work_through, work, sent, packed)] = batch
                 except BrokenExecutor as error:
@@ -160,7 +162,7 @@ def _run_there(
                 outcome = future.result()
                 if outcome.missing:
                     if isinstance(executor, DaskCluster):
-                        executor.deliver(ticket.digest, dumps(shared))
+                        executor.deliver(ticket.digest, pickled())
                     queue.missed(batch)
                     continue
                 for index, result in enumerate(outcome.results, batch.start):
@@ -260,7 +262,7 @@ def _issued(shared: Any, executor: Executor) -> Iterator[Ticket]:
     digest = ""
     try:
         with os.fdopen(handle, "w+b") as file:
-            pickle.dump(shared, file, pickle.HIGHEST_PROTOCOL)  # arrays are not copied on their way
+            pickle.dump(shared, file)
             digest = digest_of_file(file)
         yield Ticket(digest, path)
     finally:

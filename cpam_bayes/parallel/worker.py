@@ -12,7 +12,8 @@ import time
 import traceback
 from collections import OrderedDict
 from collections.abc import Callable
-from dataclasses import dataclass
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
 from io import BufferedIOBase
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -124,21 +125,23 @@ def _shared(ticket: Ticket) -> tuple[bool, Any]:
     """Whether the shared object could be had, and the object."""
     # Threads of one process wait for the one that restores it.
     with _lock:
-        if ticket.digest not in _restored:
+        found = _restored.get(ticket.digest)
+        if found is None:
             _drop_withdrawn()
             pickled = _delivered.pop(ticket.digest, None) or ticket.pickled
             found = _from_file(ticket) if pickled is None else _Restored(pickle.loads(pickled))
-            if found is None:
-                return False, None
-            _restored[ticket.digest] = found
-            while len(_restored) > _MOST_KEPT:
-                _restored.popitem(last=False)
+        if found is None:
+            return False, None
+        # of two calls that share the same the later one's file stays longer
+        _restored[ticket.digest] = replace(found, path=ticket.path if found.path else "")
         _restored.move_to_end(ticket.digest)
-        return True, _restored[ticket.digest].shared
+        while len(_restored) > _MOST_KEPT:
+            _restored.popitem(last=False)
+        return True, found.shared
 
 
 def _drop_withdrawn() -> None:
-    """Drop what came from files that are gone: nobody asks for it again."""
+    """Drop what came from files that are gone: the calls that shared it have ended."""
     for digest, found in list(_restored.items()):
         if found.path and not Path(found.path).exists():
             del _restored[digest]
@@ -148,12 +151,13 @@ def _from_file(ticket: Ticket) -> _Restored | None:
     """What the ticket's file holds, unless this machine has no such file."""
     if not ticket.path:
         return None
-    try:
-        with Path(ticket.path).open("rb") as file:
+    with ExitStack() as stack:
+        try:
+            file = stack.enter_context(Path(ticket.path).open("rb"))
             known = digest_of_file(file) == ticket.digest
-            return _Restored(pickle.load(file), ticket.path) if known else None
-    except OSError:
-        return None
+        except OSError:
+            return None
+        return _Restored(pickle.load(file), ticket.path) if known else None
 
 
 def deliver(digest: str, pickled: bytes) -> None:

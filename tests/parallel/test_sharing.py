@@ -73,13 +73,18 @@ def test_every_result_is_told_once_with_its_index(executor: Executor) -> None:
         assert sorted(told) == list(enumerate(found))
 
 
-def test_memory_layout_does_not_tell_the_serial_run_from_a_shared_one(two: Executor) -> None:
+CUBE = np.random.default_rng(2).normal(size=(20, 30, 40))
+
+
+@pytest.mark.parametrize("shared", [MATRIX[::2, ::3], CUBE.transpose(0, 2, 1)], ids=["strided", "permuted"])
+def test_memory_layout_does_not_tell_the_serial_run_from_a_shared_one(
+    two: Executor, shared: np.ndarray
+) -> None:
     # products of strided arrays take other paths in BLAS, with other rounding
-    matrix, vectors = MATRIX[::2, ::3], np.random.default_rng(1).normal(size=(28, 3))[::2]
-    assert matrix.shape[1] == len(vectors)
+    vectors = np.random.default_rng(1).normal(size=(2 * shared.shape[-1], 3))[::2]
     items = [vectors[:, i] for i in range(3)]
-    here = run(work.column_sum, matrix, items)
-    there = run(work.column_sum, matrix, items, two)
+    here = run(work.column_sum, shared, items)
+    there = run(work.column_sum, shared, items, two)
     assert np.array_equal(here, there)
 
 
