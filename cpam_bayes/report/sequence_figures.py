@@ -85,6 +85,7 @@ def credible_set(result: SequenceAnswer, given: GivenSequence | None = None) -> 
         bars.barh(given.index + 1, mass[given.index], 0.7, color=_RED)
         bars.text(mass[given.index], given.index + 1, " printed", va="center", fontsize=8, color=_RED)
     bars.set(ylim=(n + 0.5, 0.5), yticks=[], xlabel="probability with its images", xlim=(0.0, 1.2 * mass[0]))
+    bars.locator_params(axis="x", nbins=3)  # long numbers, little room
     bars.spines[["top", "right"]].set_visible(False)
     number, held = np.cumsum(result.multiplicity), np.cumsum(mass)
     curve.step(np.append(0.9, number), np.append(0.0, held), where="post", color=_BLUE)
