@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cpam_bayes.convergence import Tolerance, rich_frequencies
-from cpam_bayes.elasticity import complete_constants
-from cpam_bayes.laminate import ENERGY_CONSISTENT, FIVE_SIXTHS, ShearModel
-from cpam_bayes.measurement import Sensor, Specimen, read_specimen
-from cpam_bayes.model import angle_parameters, plate_problem
+from cpam_bayes.forward_model.model import angle_parameters, plate_problem
+from cpam_bayes.mechanics.convergence import Tolerance, rich_frequencies
 from cpam_bayes.parameters import ParameterSet
+from cpam_bayes.plate import Sensor, Specimen, read_specimen
+from cpam_bayes.plate.elasticity import complete_constants
+from cpam_bayes.plate.laminate import ENERGY_CONSISTENT, FIVE_SIXTHS, ShearModel
 
 Array = NDArray[np.float64]
 

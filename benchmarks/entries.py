@@ -12,9 +12,9 @@ from benchmarks import peers
 from benchmarks.building import STACK, Ours
 from benchmarks.cases import Array, Case, Converged, worst_error
 from benchmarks.timing import Call
-from cpam_bayes.laminate import FIVE_SIXTHS
-from cpam_bayes.measurement import Specimen
-from cpam_bayes.model import PlateModel, plate_problem
+from cpam_bayes.forward_model.model import PlateModel, plate_problem
+from cpam_bayes.plate import Specimen
+from cpam_bayes.plate.laminate import FIVE_SIXTHS
 
 SizeT = TypeVar("SizeT")
 

@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 from scipy.sparse.linalg import eigsh
 from skfem import Basis, BilinearForm, ElementQuadS2, ElementVector, MeshQuad
 
-from cpam_bayes.calculix import PROGRAM_VARIABLE, solve_specimen
-from cpam_bayes.calculix.deck import Element
-from cpam_bayes.elasticity import complete_constants
-from cpam_bayes.measurement import Specimen
-from cpam_bayes.problem import PlateState
+from cpam_bayes.forward_model.calculix import PROGRAM_VARIABLE, solve_specimen
+from cpam_bayes.forward_model.calculix.deck import Element
+from cpam_bayes.mechanics.problem import PlateState
+from cpam_bayes.plate import Specimen
+from cpam_bayes.plate.elasticity import complete_constants
 
 Array = NDArray[np.float64]
 # Five fields, or w and the rotations alone, which is all that bending of a symmetric laminate needs.

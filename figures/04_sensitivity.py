@@ -8,7 +8,7 @@ from typing import Any
 
 import matplotlib.pyplot as plt
 
-from cpam_bayes.report.sensitivity_figures import draw_constant, legend_entries
+from cpam_bayes.report.repetition.figures import draw_constant, legend_entries
 
 HERE = Path(__file__).parent
 STUDY = Path(__file__).stem

@@ -18,17 +18,17 @@ from typing import Any
 
 import numpy as np
 
-from cpam_bayes.convergence import Tolerance
-from cpam_bayes.inference.identify import ConstantEstimate, Identification, identify
-from cpam_bayes.inference.swarm import SwarmSettings
-from cpam_bayes.laminate import ENERGY_CONSISTENT, FIVE_SIXTHS, ShearModel
-from cpam_bayes.layup import parse_layup
-from cpam_bayes.measurement import Specimen, builtin, to_user, user_name
-from cpam_bayes.model import NO_PARAMETERS, PlateModel, converged_model, plate_problem
-from cpam_bayes.report.remarks import warnings_of
-from cpam_bayes.report.study_results import save_results
+from cpam_bayes.forward_model.model import NO_PARAMETERS, PlateModel, converged_model, plate_problem
+from cpam_bayes.identification.point import ConstantEstimate, Identification, identify
+from cpam_bayes.inference.swarm.settings import SwarmSettings
+from cpam_bayes.mechanics.convergence import Tolerance
+from cpam_bayes.plate import Specimen, builtin, to_user, user_name
+from cpam_bayes.plate.laminate import ENERGY_CONSISTENT, FIVE_SIXTHS, ShearModel
+from cpam_bayes.plate.layup import parse_layup
+from cpam_bayes.report.identification.words import warnings_of
 from cpam_bayes.report.tables import Column, Table, remarks, screen_text
 from cpam_bayes.threads import single_blas_thread
+from cpam_bayes.validation.study_results import save_results
 
 RESULTS = Path(__file__).parent / "results" / f"{Path(__file__).stem}.json"
 

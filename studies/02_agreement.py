@@ -20,14 +20,20 @@ from typing import Any
 
 import numpy as np
 
-from cpam_bayes.calculix import solve_modes
-from cpam_bayes.layup import parse_layup
-from cpam_bayes.measurement import Specimen, builtin, builtin_names
-from cpam_bayes.model import NO_PARAMETERS, PlateModel, converged_model, plate_problem, reference_constants
+from cpam_bayes.forward_model.calculix import solve_modes
+from cpam_bayes.forward_model.model import (
+    NO_PARAMETERS,
+    PlateModel,
+    converged_model,
+    plate_problem,
+    reference_constants,
+)
+from cpam_bayes.mechanics.shapes import in_plane_share, mode_kind, shapes_on_grid
+from cpam_bayes.mechanics.spaces.fem import default_counts, fem_space
+from cpam_bayes.mechanics.sparse import discretise_sparse
+from cpam_bayes.plate import Specimen, builtin, builtin_names
+from cpam_bayes.plate.layup import parse_layup
 from cpam_bayes.report.tables import Column, Table, facts, screen_text
-from cpam_bayes.shapes import in_plane_share, mode_kind, shapes_on_grid
-from cpam_bayes.spaces.fem import default_counts, fem_space
-from cpam_bayes.sparse import discretise_sparse
 from cpam_bayes.threads import single_blas_thread
 
 RESULTS = Path(__file__).parent / "results" / f"{Path(__file__).stem}.json"

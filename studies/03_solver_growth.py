@@ -16,17 +16,23 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cpam_bayes.affine import discretise
-from cpam_bayes.convergence import Tolerance, rich_frequencies
-from cpam_bayes.layup import parse_layup
-from cpam_bayes.measurement import Specimen, builtin
-from cpam_bayes.model import PlateModel, angle_parameters, converged_model, plate_problem, training_sets
+from cpam_bayes.forward_model.model import (
+    PlateModel,
+    angle_parameters,
+    converged_model,
+    plate_problem,
+    training_sets,
+)
+from cpam_bayes.forward_model.reduced import DEFAULT_SETTINGS, ReducedModel, ReductionSettings, reduce
+from cpam_bayes.mechanics.affine import discretise
+from cpam_bayes.mechanics.convergence import Tolerance, rich_frequencies
+from cpam_bayes.mechanics.spaces.ritz import RitzSettings, ritz_space
 from cpam_bayes.parameters import ParameterSet
-from cpam_bayes.reduced import DEFAULT_SETTINGS, ReducedModel, ReductionSettings, reduce
-from cpam_bayes.report.study_results import save_results
+from cpam_bayes.plate import Specimen, builtin
+from cpam_bayes.plate.layup import parse_layup
 from cpam_bayes.report.tables import Column, Table, screen_text
-from cpam_bayes.spaces.ritz import RitzSettings, ritz_space
 from cpam_bayes.threads import single_blas_thread
+from cpam_bayes.validation.study_results import save_results
 
 Array = NDArray[np.float64]
 Results = dict[str, Any]

@@ -12,18 +12,18 @@ from concurrent.futures import Executor
 from pathlib import Path
 from typing import Any
 
-from cpam_bayes.inference.disorder import READINGS, Reading
 from cpam_bayes.inference.ensemble import EnsembleSettings
-from cpam_bayes.inference.sensitivity import CHAINS, model_list, sensitivity
-from cpam_bayes.inference.swarm import SwarmSettings
-from cpam_bayes.measurement import builtin
+from cpam_bayes.inference.swarm.settings import SwarmSettings
 from cpam_bayes.paper import disorder_table
 from cpam_bayes.parallel import open_executor
+from cpam_bayes.plate import builtin
+from cpam_bayes.repetition.perturbation import READINGS, Reading
+from cpam_bayes.repetition.study import CHAINS, model_list, sensitivity
 from cpam_bayes.report.documents import json_text
-from cpam_bayes.report.sensitivity import sensitivity_document
-from cpam_bayes.report.sensitivity_remarks import printed_table, sensitivity_warnings
-from cpam_bayes.report.study_results import save_results
+from cpam_bayes.report.repetition.screen import sensitivity_document
+from cpam_bayes.report.repetition.words import printed_table, sensitivity_warnings
 from cpam_bayes.report.tables import Column, Table, screen_text
+from cpam_bayes.validation.study_results import save_results
 
 Results = dict[str, Any]
 

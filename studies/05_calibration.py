@@ -18,9 +18,12 @@ from typing import Any
 
 import numpy as np
 
-from cpam_bayes.cache import cache_directory
 from cpam_bayes.commands.options import add_executor_options
-from cpam_bayes.inference.calibration import (
+from cpam_bayes.forward_model.store import cache_directory
+from cpam_bayes.inference.swarm.pso import SwarmSettings
+from cpam_bayes.parallel import open_executor
+from cpam_bayes.report.tables import Column, Table, screen_text
+from cpam_bayes.validation.calibration import (
     N_DRAWS,
     SETTINGS,
     Experiment,
@@ -29,11 +32,8 @@ from cpam_bayes.inference.calibration import (
     calibrate,
     parameter_names,
 )
-from cpam_bayes.inference.pso import SwarmSettings
-from cpam_bayes.inference.rank_statistics import Band, coverage, rank_statistics
-from cpam_bayes.parallel import open_executor
-from cpam_bayes.report.study_results import save_results
-from cpam_bayes.report.tables import Column, Table, screen_text
+from cpam_bayes.validation.rank_statistics import Band, coverage, rank_statistics
+from cpam_bayes.validation.study_results import save_results
 
 Results = dict[str, Any]
 

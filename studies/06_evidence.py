@@ -15,19 +15,19 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from cpam_bayes.identification.starting import start_of
 from cpam_bayes.inference.ensemble import EnsembleResult, EnsembleSettings
-from cpam_bayes.inference.evidence import Evidence, EvidenceSettings, evidence_of, importance_evidence
+from cpam_bayes.inference.importance import Evidence, EvidenceSettings, evidence_of, importance_evidence
 from cpam_bayes.inference.laplace import approximate, find_optima
-from cpam_bayes.inference.nested import NestedEvidence, nested_evidence
+from cpam_bayes.inference.posterior import Posterior
 from cpam_bayes.inference.proposal import AdaptationSettings
-from cpam_bayes.inference.pso import SwarmSettings
 from cpam_bayes.inference.sampling import sample_from
-from cpam_bayes.inference.starting import start_of
-from cpam_bayes.measurement import builtin, to_user, user_name
-from cpam_bayes.posterior import Posterior
-from cpam_bayes.report.study_results import save_results
+from cpam_bayes.inference.swarm.pso import SwarmSettings
+from cpam_bayes.plate import builtin, to_user, user_name
 from cpam_bayes.report.tables import Column, Table, screen_text
 from cpam_bayes.threads import single_blas_thread
+from cpam_bayes.validation.nested import NestedEvidence, nested_evidence
+from cpam_bayes.validation.study_results import save_results
 
 RESULTS = Path(__file__).parent / "results" / f"{Path(__file__).stem}.json"
 

@@ -29,30 +29,30 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import beta
 
-from cpam_bayes.cache import reduced_model
 from cpam_bayes.commands.options import add_executor_options
-from cpam_bayes.inference.fpso import FuzzyResult
-from cpam_bayes.inference.own_sequence import own_sequence, with_layup
-from cpam_bayes.inference.pso import SwarmSettings
-from cpam_bayes.inference.sequence_classes import canonical, is_canonical
-from cpam_bayes.inference.sequence_search import (
+from cpam_bayes.forward_model.model import reference_vector
+from cpam_bayes.forward_model.reduced import DEFAULT_SETTINGS, ReductionSettings
+from cpam_bayes.forward_model.store import reduced_model
+from cpam_bayes.inference.swarm.fpso import FuzzyResult
+from cpam_bayes.inference.swarm.pso import SwarmSettings
+from cpam_bayes.paper.sequences import identified_sequences
+from cpam_bayes.parallel import open_executor
+from cpam_bayes.plate import Specimen, to_si
+from cpam_bayes.plate.records import angle_grid
+from cpam_bayes.report.progress import timed_lines
+from cpam_bayes.report.tables import Column, Table, screen_text
+from cpam_bayes.stacking.search import (
     SequenceFit,
     best_constants,
     run_swarms,
     sequence_parameters,
     sequence_starts,
 )
-from cpam_bayes.inference.symmetries import Symmetry, plate_symmetries
-from cpam_bayes.measurement import Specimen, to_si
-from cpam_bayes.measurement.records import angle_grid
-from cpam_bayes.model import reference_vector
-from cpam_bayes.paper.sequences import identified_sequences
-from cpam_bayes.parallel import open_executor
-from cpam_bayes.reduced import DEFAULT_SETTINGS, ReductionSettings
-from cpam_bayes.report.progress import timed_lines
-from cpam_bayes.report.study_results import save_results, saved_results, with_saved
-from cpam_bayes.report.tables import Column, Table, screen_text
+from cpam_bayes.stacking.symmetry.classes import canonical, is_canonical
+from cpam_bayes.stacking.symmetry.symmetries import Symmetry, plate_symmetries
+from cpam_bayes.stacking.unknown_layup import own_sequence, with_layup
 from cpam_bayes.threads import single_blas_thread
+from cpam_bayes.validation.study_results import save_results, saved_results, with_saved
 
 Array = NDArray[Any]
 Results = dict[str, Any]

@@ -27,21 +27,21 @@ from typing import Any
 import numpy as np
 
 from cpam_bayes.commands.options import add_executor_options
-from cpam_bayes.inference.angle_information import angle_information
-from cpam_bayes.inference.given_sequence import given_sequence
-from cpam_bayes.inference.own_sequence import own_list, own_sequence, with_layup
-from cpam_bayes.inference.sequences import (
+from cpam_bayes.paper.sequences import identified_sequences
+from cpam_bayes.parallel import open_executor
+from cpam_bayes.plate import Specimen
+from cpam_bayes.report.progress import timed_lines
+from cpam_bayes.report.tables import Column, Table, screen_text
+from cpam_bayes.stacking.posterior import (
     DEFAULT_SETTINGS,
     SequenceAnswer,
     SequenceSettings,
     sequence_probabilities,
 )
-from cpam_bayes.measurement import Specimen
-from cpam_bayes.paper.sequences import identified_sequences
-from cpam_bayes.parallel import open_executor
-from cpam_bayes.report.progress import timed_lines
-from cpam_bayes.report.study_results import save_results, saved_results, with_saved
-from cpam_bayes.report.tables import Column, Table, screen_text
+from cpam_bayes.stacking.queries.angle_information import angle_information
+from cpam_bayes.stacking.queries.given_layup import given_sequence
+from cpam_bayes.stacking.unknown_layup import own_list, own_sequence, with_layup
+from cpam_bayes.validation.study_results import save_results, saved_results, with_saved
 
 Results = dict[str, Any]
 Notify = Callable[[str], None]

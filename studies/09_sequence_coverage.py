@@ -20,18 +20,18 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from cpam_bayes.commands.options import add_executor_options
-from cpam_bayes.inference.sequence_coverage import (
+from cpam_bayes.parallel import open_executor
+from cpam_bayes.plate import Specimen, builtin
+from cpam_bayes.plate.layup import parse_layup
+from cpam_bayes.report.tables import Column, Table, screen_text
+from cpam_bayes.validation.stacking_coverage import (
     ALLOWED,
     CoverageSettings,
     Trial,
     sequence_coverage,
     summarised,
 )
-from cpam_bayes.layup import parse_layup
-from cpam_bayes.measurement import Specimen, builtin
-from cpam_bayes.parallel import open_executor
-from cpam_bayes.report.study_results import save_results, saved_results, with_saved
-from cpam_bayes.report.tables import Column, Table, screen_text
+from cpam_bayes.validation.study_results import save_results, saved_results, with_saved
 
 Results = dict[str, Any]
 

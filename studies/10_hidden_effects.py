@@ -26,23 +26,23 @@ from typing import Any
 
 import numpy as np
 
-from cpam_bayes.cache import cache_directory
 from cpam_bayes.commands.options import add_executor_options
 from cpam_bayes.diagnosis.hypotheses import P_NONE, P_OTHER, P_PAIR
-from cpam_bayes.diagnosis.trial_statistics import (
+from cpam_bayes.forward_model.store import cache_directory
+from cpam_bayes.parallel import open_executor
+from cpam_bayes.parallel import run as share_out
+from cpam_bayes.report.tables import Column, Table, screen_text
+from cpam_bayes.validation.diagnosis.trial_statistics import (
     confusion,
     figures,
     reliability,
     table,
     unreached,
 )
-from cpam_bayes.diagnosis.trials import Trial, run_trial
-from cpam_bayes.diagnosis.truths import MESH, Bench, bench, of_cause
-from cpam_bayes.inference.draw_store import DrawStore
-from cpam_bayes.parallel import open_executor
-from cpam_bayes.parallel import run as share_out
-from cpam_bayes.report.study_results import save_results
-from cpam_bayes.report.tables import Column, Table, screen_text
+from cpam_bayes.validation.diagnosis.trials import Trial, run_trial
+from cpam_bayes.validation.diagnosis.truths import MESH, Bench, bench, of_cause
+from cpam_bayes.validation.draw_store import DrawStore
+from cpam_bayes.validation.study_results import save_results
 
 Results = dict[str, Any]
 

@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 from cpam_bayes.diagnosis.cases import plate_case
 from cpam_bayes.diagnosis.fitting import PlateCase
 from cpam_bayes.effects import CATALOGUE, Effect, applicable
-from cpam_bayes.measurement import builtin
-from cpam_bayes.model import reference_vector
-from cpam_bayes.report.diagnosis_numbers import effect_unit
-from cpam_bayes.report.study_results import save_results
+from cpam_bayes.forward_model.model import reference_vector
+from cpam_bayes.plate import builtin
+from cpam_bayes.report.diagnosis.rows import effect_unit
 from cpam_bayes.report.tables import Column, Table, screen_text
+from cpam_bayes.validation.study_results import save_results
 
 Array = NDArray[Any]
 Results = dict[str, Any]

@@ -16,9 +16,9 @@ from typing import Any
 
 from cpam_bayes.diagnosis.diagnose import Diagnosis, diagnose
 from cpam_bayes.diagnosis.fit import Fit
-from cpam_bayes.measurement import Specimen, builtin, read_specimen, to_user, user_name
-from cpam_bayes.report.study_results import save_results, with_saved
+from cpam_bayes.plate import Specimen, builtin, read_specimen, to_user, user_name
 from cpam_bayes.report.tables import Column, Table, screen_text
+from cpam_bayes.validation.study_results import save_results, with_saved
 
 HERE = Path(__file__).parent
 RESULTS = HERE / "results" / f"{Path(__file__).stem}.json"

@@ -21,13 +21,13 @@ from typing import Any
 import numpy as np
 
 from cpam_bayes.commands.options import add_executor_options
-from cpam_bayes.diagnosis.together import TESTS, laboratory, run_together
-from cpam_bayes.diagnosis.trials import Trial
-from cpam_bayes.diagnosis.truths import of_cause
 from cpam_bayes.parallel import open_executor
 from cpam_bayes.parallel import run as share_out
-from cpam_bayes.report.study_results import save_results
 from cpam_bayes.report.tables import Column, Table, screen_text
+from cpam_bayes.validation.diagnosis.together import TESTS, laboratory, run_together
+from cpam_bayes.validation.diagnosis.trials import Trial
+from cpam_bayes.validation.diagnosis.truths import of_cause
+from cpam_bayes.validation.study_results import save_results
 
 Results = dict[str, Any]
 Notify = Callable[[str], None]

@@ -25,19 +25,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cpam_bayes.commands.options import add_executor_options
-from cpam_bayes.inference.own_sequence import own_list, with_layup
-from cpam_bayes.inference.sequence_answer import DEFAULT_SETTINGS, SequenceSettings, Task
-from cpam_bayes.inference.sequence_classes import canonical
-from cpam_bayes.inference.sequence_evaluation import Evaluated, evaluate
-from cpam_bayes.inference.sequence_learned import learning_of
-from cpam_bayes.inference.sequence_learning import LearningSettings, learn
-from cpam_bayes.inference.sequence_listing import learned_values
-from cpam_bayes.inference.sequence_scan import scan_library
-from cpam_bayes.inference.sequences import sequence_probabilities, sequence_task
 from cpam_bayes.parallel import open_executor
 from cpam_bayes.report.progress import timed_lines
-from cpam_bayes.report.study_results import save_results, saved_results, with_saved
 from cpam_bayes.report.tables import Column, Table, screen_text
+from cpam_bayes.stacking.answer import DEFAULT_SETTINGS, SequenceSettings, Task
+from cpam_bayes.stacking.conditional.evaluation import Evaluated, evaluate
+from cpam_bayes.stacking.conditional.starts import scan_library
+from cpam_bayes.stacking.enumeration.by_surrogate import learning_of
+from cpam_bayes.stacking.enumeration.listing import learned_values
+from cpam_bayes.stacking.posterior import sequence_probabilities, sequence_task
+from cpam_bayes.stacking.surrogate.training import LearningSettings, learn
+from cpam_bayes.stacking.symmetry.classes import canonical
+from cpam_bayes.stacking.unknown_layup import own_list, with_layup
+from cpam_bayes.validation.study_results import save_results, saved_results, with_saved
 
 Array = NDArray[Any]
 Results = dict[str, Any]

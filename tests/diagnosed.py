@@ -10,7 +10,7 @@ import numpy as np
 from cpam_bayes.diagnosis.cases import hypotheses_of, plate_case, with_list
 from cpam_bayes.diagnosis.diagnose import Diagnosis, diagnose_cases
 from cpam_bayes.diagnosis.fitting import PlateCase
-from cpam_bayes.measurement import parse_specimen
+from cpam_bayes.plate import parse_specimen
 from tests.plate_file import MEASURED, PLATE
 
 # Relative noise of the lists, and one draw of it in its own unit.

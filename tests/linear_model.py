@@ -6,9 +6,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from cpam_bayes.measurement import Measurement
-from cpam_bayes.model import Prediction
+from cpam_bayes.forward_model.model import Prediction
 from cpam_bayes.parameters import Parameter, ParameterSet, Uniform
+from cpam_bayes.plate import Measurement
 
 MEAN_HZ = np.array([100.0, 200.0, 300.0, 400.0])
 SLOPE_HZ = np.array([[10.0, 0.0], [0.0, 20.0], [15.0, 15.0], [20.0, -10.0]])

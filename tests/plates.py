@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from cpam_bayes.convergence import Tolerance, converge
-from cpam_bayes.elasticity import complete_constants
-from cpam_bayes.laminate import ENERGY_CONSISTENT, FIVE_SIXTHS, ShearModel, laminate_geometry
-from cpam_bayes.modes import solve
+from cpam_bayes.mechanics.convergence import Tolerance, converge
+from cpam_bayes.mechanics.modes import solve
+from cpam_bayes.mechanics.problem import PlateState, Problem, bare_plate
 from cpam_bayes.parameters import ParameterSet
-from cpam_bayes.problem import PlateState, Problem, bare_plate
+from cpam_bayes.plate.elasticity import complete_constants
+from cpam_bayes.plate.laminate import ENERGY_CONSISTENT, FIVE_SIXTHS, ShearModel, laminate_geometry
 
 CARBON = {"E1": 121.2e9, "E2": 9.34e9, "nu12": 0.23, "G12": 6.25e9}
 GLASS = {"E1": 40.1e9, "E2": 8.9e9, "nu12": 0.23, "G12": 4.23e9}

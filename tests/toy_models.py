@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cpam_bayes.measurement import Measurement
-from cpam_bayes.model import Prediction
+from cpam_bayes.forward_model.model import Prediction
+from cpam_bayes.inference.posterior import Posterior, plate_posterior
 from cpam_bayes.parameters import Parameter, ParameterSet, Uniform
-from cpam_bayes.posterior import Posterior, plate_posterior
+from cpam_bayes.plate import Measurement
 from cpam_bayes.priors import Prior
 
 

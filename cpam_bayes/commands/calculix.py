@@ -6,10 +6,10 @@ import time
 
 import numpy as np
 
-from cpam_bayes.calculix import Element, solve_modes
-from cpam_bayes.measurement import Specimen
-from cpam_bayes.model import reference_constants
-from cpam_bayes.report.forward import ForwardAnswer, ModeShape
+from cpam_bayes.forward_model.calculix import Element, solve_modes
+from cpam_bayes.forward_model.model import reference_constants
+from cpam_bayes.plate import Specimen
+from cpam_bayes.report.forward.screen import ForwardAnswer, ModeShape
 
 _WORDS: dict[Element, str] = {
     "brick": "20-node bricks, layers of C3D20R",

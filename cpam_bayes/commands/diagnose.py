@@ -13,13 +13,13 @@ from cpam_bayes.diagnosis.diagnose import Diagnosis, diagnose_cases
 from cpam_bayes.diagnosis.extension import resample
 from cpam_bayes.diagnosis.fitting import PlateCase
 from cpam_bayes.diagnosis.hypotheses import with_prior_of_none
-from cpam_bayes.diagnosis.next_measurement import Candidate, next_measurements
-from cpam_bayes.measurement import Specimen, read_specimen
-from cpam_bayes.modes import RigidBodyError
+from cpam_bayes.diagnosis.next_test.next_measurement import Candidate, next_measurements
+from cpam_bayes.mechanics.modes import RigidBodyError
+from cpam_bayes.plate import Specimen, read_specimen
 from cpam_bayes.report.answer import Answer, Figures
-from cpam_bayes.report.diagnosis import diagnosis_screen
-from cpam_bayes.report.diagnosis_document import diagnosis_document
-from cpam_bayes.report.diagnosis_words import diagnosis_warnings
+from cpam_bayes.report.diagnosis.document import diagnosis_document
+from cpam_bayes.report.diagnosis.screen import diagnosis_screen
+from cpam_bayes.report.diagnosis.words import diagnosis_warnings
 from cpam_bayes.report.page import write_page
 from cpam_bayes.report.progress import announce, progress
 from cpam_bayes.report.tables import Table
@@ -120,7 +120,7 @@ def _diagnosed(cases: Sequence[PlateCase], title: str, args: argparse.Namespace)
 
 
 def _figures(result: Diagnosis) -> Figures:
-    from cpam_bayes.report.diagnosis_figures import diagnosis_figures
+    from cpam_bayes.report.diagnosis.figures import diagnosis_figures
 
     return diagnosis_figures(result)
 

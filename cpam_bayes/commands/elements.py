@@ -7,10 +7,10 @@ import time
 import numpy as np
 
 from cpam_bayes.commands.solvers import described
-from cpam_bayes.elements import element_model
-from cpam_bayes.measurement import Specimen
-from cpam_bayes.report.forward import ForwardAnswer, ModeShape
-from cpam_bayes.shapes import Extent, grid_points
+from cpam_bayes.forward_model.elements import element_model
+from cpam_bayes.mechanics.shapes import Extent, grid_points
+from cpam_bayes.plate import Specimen
+from cpam_bayes.report.forward.screen import ForwardAnswer, ModeShape
 
 
 def fem(specimen: Specimen, n_modes: int) -> ForwardAnswer:

@@ -9,14 +9,14 @@ from pathlib import Path
 
 from cpam_bayes.commands import NOISE_SHAPES
 from cpam_bayes.commands.supported import plate_warnings, solver_failure
+from cpam_bayes.identification.sampled import SampledIdentification, identify_by_sampling
 from cpam_bayes.inference.ensemble import DEFAULT_SETTINGS, Diagnostics
-from cpam_bayes.inference.sampled import SampledIdentification, identify_by_sampling
-from cpam_bayes.measurement import Specimen
-from cpam_bayes.modes import RigidBodyError
+from cpam_bayes.mechanics.modes import RigidBodyError
+from cpam_bayes.plate import Specimen
 from cpam_bayes.report.answer import Answer, Figures
+from cpam_bayes.report.posterior.document import sampled_document
+from cpam_bayes.report.posterior.screen import sampled_screen, sampled_warnings
 from cpam_bayes.report.progress import progress
-from cpam_bayes.report.sampled import sampled_screen, sampled_warnings
-from cpam_bayes.report.sampled_document import sampled_document
 
 NOT_REACHED = 1
 
@@ -65,12 +65,12 @@ def identify_by_ensembles(specimen: Specimen, args: argparse.Namespace) -> Answe
 
 
 def _figures(result: SampledIdentification) -> Figures:
-    from cpam_bayes.report.posterior_figures import posterior_figures
+    from cpam_bayes.report.posterior.figures import posterior_figures
 
     return posterior_figures(result)
 
 
 def _files(result: SampledIdentification, seed: int, directory: Path) -> None:
-    from cpam_bayes.report.posterior_data import write_posterior
+    from cpam_bayes.report.posterior.data import write_posterior
 
     write_posterior(result, seed, directory)

@@ -7,14 +7,14 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
-from cpam_bayes.calculix import plate_deck
 from cpam_bayes.commands.forward import measured_modes
 from cpam_bayes.commands.supported import require_supported
-from cpam_bayes.measurement import Specimen, read_specimen
-from cpam_bayes.model import reference_constants
+from cpam_bayes.forward_model.calculix import plate_deck
+from cpam_bayes.forward_model.model import reference_constants
+from cpam_bayes.plate import Specimen, read_specimen
 from cpam_bayes.report.answer import Answer
-from cpam_bayes.report.deck import WrittenDeck, deck_document, deck_screen
 from cpam_bayes.report.files import check_writable, write_whole
+from cpam_bayes.report.forward.deck import WrittenDeck, deck_document, deck_screen
 
 _NO_MESH = "decks are written for rectangular plates only; leave mesh out"
 _NO_AIR = "decks hold a plate in vacuum; leave air_density_kg_m3 out"

@@ -8,10 +8,10 @@ from functools import partial
 
 from cpam_bayes.commands import SOLVERS, load
 from cpam_bayes.commands.supported import plate_warnings, require_supported, solver_failure
-from cpam_bayes.measurement import Specimen, read_specimen
-from cpam_bayes.modes import RigidBodyError
+from cpam_bayes.mechanics.modes import RigidBodyError
+from cpam_bayes.plate import Specimen, read_specimen
 from cpam_bayes.report.answer import Answer, Figures
-from cpam_bayes.report.forward import (
+from cpam_bayes.report.forward.screen import (
     ForwardAnswer,
     forward_document,
     forward_screen,

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from cpam_bayes.commands import BACKENDS, load
 from cpam_bayes.commands.supported import require_paired_list, require_supported
-from cpam_bayes.measurement import read_specimen
+from cpam_bayes.plate import read_specimen
 from cpam_bayes.report.answer import Answer
 
 _NO_MESH = (

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable
 
-from cpam_bayes.measurement import builtin, builtin_names
+from cpam_bayes.plate import builtin, builtin_names
 from cpam_bayes.report.answer import Answer
 from cpam_bayes.report.plates import plates_document, plates_screen
 

@@ -10,16 +10,16 @@ from typing import Any
 from cpam_bayes.commands.forward import measured_modes
 from cpam_bayes.commands.supported import require_supported, solver_failure
 from cpam_bayes.errors import PlateFileError
-from cpam_bayes.inference.disorder import READINGS
-from cpam_bayes.inference.sensitivity import model_list, sensitivity
-from cpam_bayes.measurement import Specimen, read_specimen
-from cpam_bayes.modes import RigidBodyError
+from cpam_bayes.mechanics.modes import RigidBodyError
 from cpam_bayes.paper import disorder_table
 from cpam_bayes.parallel import open_executor
+from cpam_bayes.plate import Specimen, read_specimen
+from cpam_bayes.repetition.perturbation import READINGS
+from cpam_bayes.repetition.study import model_list, sensitivity
 from cpam_bayes.report.answer import Answer, Figures
 from cpam_bayes.report.progress import progress
-from cpam_bayes.report.sensitivity import sensitivity_document, sensitivity_screen
-from cpam_bayes.report.sensitivity_remarks import printed_table, sensitivity_warnings
+from cpam_bayes.report.repetition.screen import sensitivity_document, sensitivity_screen
+from cpam_bayes.report.repetition.words import printed_table, sensitivity_warnings
 
 NOT_CONVERGED = 1
 
@@ -91,6 +91,6 @@ def _answer(specimen: Specimen, args: argparse.Namespace) -> Answer:
 
 
 def _figures(document: Mapping[str, Any]) -> Figures:
-    from cpam_bayes.report.sensitivity_figures import sensitivity_figures
+    from cpam_bayes.report.repetition.figures import sensitivity_figures
 
     return sensitivity_figures(document)

@@ -11,16 +11,16 @@ from pathlib import Path
 import numpy as np
 
 from cpam_bayes.commands.supported import require_sequence, solver_failure
-from cpam_bayes.inference.given_sequence import GivenSequence, given_sequence
-from cpam_bayes.inference.sequence_mixture import SequenceMixture, mixture_posterior, sampled_classes
-from cpam_bayes.inference.sequences import DEFAULT_SETTINGS, SequenceAnswer, sequence_probabilities
-from cpam_bayes.measurement import Specimen, read_specimen
-from cpam_bayes.modes import RigidBodyError
+from cpam_bayes.mechanics.modes import RigidBodyError
 from cpam_bayes.paper.sequences import identified_sequences
 from cpam_bayes.parallel import open_executor
+from cpam_bayes.plate import Specimen, read_specimen
 from cpam_bayes.report.answer import Answer, Figures
 from cpam_bayes.report.progress import progress
-from cpam_bayes.report.sequences import sequence_document, sequence_screen, sequence_warnings
+from cpam_bayes.report.stacking.screen import sequence_document, sequence_screen, sequence_warnings
+from cpam_bayes.stacking.mixture import SequenceMixture, mixture_posterior, sampled_classes
+from cpam_bayes.stacking.posterior import DEFAULT_SETTINGS, SequenceAnswer, sequence_probabilities
+from cpam_bayes.stacking.queries.given_layup import GivenSequence, given_sequence
 
 NOT_REACHED = 1
 
@@ -77,12 +77,12 @@ def _printed(result: SequenceAnswer, plate: str) -> GivenSequence | None:
 
 
 def _figures(result: SequenceAnswer, mixture: SequenceMixture, given: GivenSequence | None) -> Figures:
-    from cpam_bayes.report.sequence_figures import sequence_figures
+    from cpam_bayes.report.stacking.figures import sequence_figures
 
     return sequence_figures(result, mixture, given)
 
 
 def _files(result: SequenceAnswer, mixture: SequenceMixture, seed: int, directory: Path) -> None:
-    from cpam_bayes.report.sequence_data import write_sequence_posterior
+    from cpam_bayes.report.stacking.data import write_sequence_posterior
 
     write_sequence_posterior(result, mixture, seed, directory)

@@ -6,10 +6,10 @@ import time
 
 import numpy as np
 
-from cpam_bayes.measurement import Specimen
-from cpam_bayes.model import NO_PARAMETERS, PlateModel, converged_model
-from cpam_bayes.report.forward import ForwardAnswer, ModeShape
-from cpam_bayes.shapes import UNIT_SQUARE, Array, Extent, Mode, describe_modes, shapes_on_grid
+from cpam_bayes.forward_model.model import NO_PARAMETERS, PlateModel, converged_model
+from cpam_bayes.mechanics.shapes import UNIT_SQUARE, Array, Extent, Mode, describe_modes, shapes_on_grid
+from cpam_bayes.plate import Specimen
+from cpam_bayes.report.forward.screen import ForwardAnswer, ModeShape
 
 
 def ritz(specimen: Specimen, n_modes: int) -> ForwardAnswer:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from cpam_bayes.errors import PlateFileError
-from cpam_bayes.measurement import Specimen
-from cpam_bayes.modes import RigidBodyError
+from cpam_bayes.mechanics.modes import RigidBodyError
+from cpam_bayes.plate import Specimen
 
 __all__ = [
     "plate_warnings",

@@ -10,16 +10,16 @@ from functools import partial
 from typing import TypeVar
 
 from cpam_bayes.commands.supported import plate_warnings, solver_failure
-from cpam_bayes.inference.identify import Identification, Residual, identify
-from cpam_bayes.inference.sequence_search import FoundSequence, search_sequence
-from cpam_bayes.inference.swarm import SwarmSettings
-from cpam_bayes.measurement import Specimen
-from cpam_bayes.modes import RigidBodyError
+from cpam_bayes.identification.point import Identification, Residual, identify
+from cpam_bayes.inference.swarm.settings import SwarmSettings
+from cpam_bayes.mechanics.modes import RigidBodyError
+from cpam_bayes.plate import Specimen
 from cpam_bayes.report.answer import Answer, Figures
 from cpam_bayes.report.documents import identification_document
-from cpam_bayes.report.identification import identification_screen
+from cpam_bayes.report.identification.screen import identification_screen
+from cpam_bayes.report.identification.words import warnings_of
 from cpam_bayes.report.progress import progress
-from cpam_bayes.report.remarks import warnings_of
+from cpam_bayes.stacking.search import FoundSequence, search_sequence
 
 Found = TypeVar("Found")
 

@@ -9,16 +9,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cpam_bayes.diagnosis.evidence.scores import FARTHEST
 from cpam_bayes.diagnosis.fitting import PlateCase, comparison_of
 from cpam_bayes.diagnosis.hypotheses import NONE, OTHER, Hypothesis, prior_by_cause, single_hypotheses
 from cpam_bayes.diagnosis.models import PlateModels, diagnosis_parameters, plate_models
-from cpam_bayes.diagnosis.scores import FARTHEST
-from cpam_bayes.inference.climb import climb
-from cpam_bayes.labels import labelled_model, list_order
-from cpam_bayes.measurement import Measurement, Specimen
-from cpam_bayes.model import reference_vector
+from cpam_bayes.forward_model.labels import labelled_model, list_order
+from cpam_bayes.forward_model.model import reference_vector
+from cpam_bayes.inference.optimise import climb
+from cpam_bayes.inference.posterior import plate_posterior
 from cpam_bayes.parameters import Parameter
-from cpam_bayes.posterior import plate_posterior
+from cpam_bayes.plate import Measurement, Specimen
 
 Array = NDArray[Any]
 

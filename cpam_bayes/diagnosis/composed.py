@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cpam_bayes.model import Prediction
+from cpam_bayes.forward_model.model import Prediction
+from cpam_bayes.inference.posterior import ForwardModel
+from cpam_bayes.mechanics.problem import Values
 from cpam_bayes.parameters import ParameterSet
-from cpam_bayes.posterior import ForwardModel
-from cpam_bayes.problem import Values
 
 Array = NDArray[Any]
 

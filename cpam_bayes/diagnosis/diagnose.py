@@ -12,11 +12,12 @@ from numpy.typing import NDArray
 
 from cpam_bayes.diagnosis.cases import hypotheses_of, plate_case
 from cpam_bayes.diagnosis.claim import Claim, claim_of
+from cpam_bayes.diagnosis.evidence.marginal import Marginal
+from cpam_bayes.diagnosis.evidence.weighing import Tested, Weighed, weigh
 from cpam_bayes.diagnosis.fit import Fit, fit_of
 from cpam_bayes.diagnosis.fitting import SCATTER, PlateCase
 from cpam_bayes.diagnosis.gain import Gain, gain_of
 from cpam_bayes.diagnosis.hypotheses import NONE, OTHER, PAIR, Hypothesis
-from cpam_bayes.diagnosis.marginal import Marginal
 from cpam_bayes.diagnosis.signatures import (
     Menu,
     Projector,
@@ -26,8 +27,7 @@ from cpam_bayes.diagnosis.signatures import (
     projector_of,
     signature_of,
 )
-from cpam_bayes.diagnosis.weighing import Tested, Weighed, weigh
-from cpam_bayes.measurement import Specimen
+from cpam_bayes.plate import Specimen
 from cpam_bayes.threads import single_blas_thread
 
 Array = NDArray[Any]

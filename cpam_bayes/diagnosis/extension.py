@@ -9,15 +9,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cpam_bayes.diagnosis.comparison import Comparison
 from cpam_bayes.diagnosis.diagnose import Diagnosis
-from cpam_bayes.diagnosis.marginal import Marginal
-from cpam_bayes.diagnosis.weighing import Tested
+from cpam_bayes.diagnosis.evidence.comparison import Comparison
+from cpam_bayes.diagnosis.evidence.marginal import Marginal
+from cpam_bayes.diagnosis.evidence.weighing import Tested
 from cpam_bayes.inference.ensemble import DEFAULT_SETTINGS, Diagnostics, EnsembleSettings, sample
+from cpam_bayes.inference.noise import NoiseModel
+from cpam_bayes.inference.posterior import Posterior
 from cpam_bayes.inference.proposal import AdaptationSettings, adapted
-from cpam_bayes.measurement import Measurement
-from cpam_bayes.noise import NoiseModel
-from cpam_bayes.posterior import Posterior
+from cpam_bayes.plate import Measurement
 from cpam_bayes.threads import single_blas_thread
 
 Array = NDArray[Any]

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 from scipy.stats import chi2
 
-from cpam_bayes.diagnosis.comparison import kept_of
-from cpam_bayes.diagnosis.scan import Tested
+from cpam_bayes.diagnosis.evidence.comparison import kept_of
+from cpam_bayes.diagnosis.evidence.scan import Tested
 
 Array = NDArray[Any]
 

@@ -9,17 +9,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cpam_bayes.diagnosis.comparison import Comparison, Listed
 from cpam_bayes.diagnosis.composed import Change, ComposedModel, Part
+from cpam_bayes.diagnosis.evidence.comparison import Comparison, Listed
+from cpam_bayes.diagnosis.evidence.scores import scores_of
 from cpam_bayes.diagnosis.hypotheses import SLIP, Hypothesis
 from cpam_bayes.diagnosis.models import PlateModels, extended_model, plate_models
-from cpam_bayes.diagnosis.scores import scores_of
 from cpam_bayes.effects import Effect
-from cpam_bayes.measurement import Measurement
-from cpam_bayes.noise import NOISE_PRIOR
+from cpam_bayes.forward_model.reduced import ReducedModel
+from cpam_bayes.inference.noise import NOISE_PRIOR
+from cpam_bayes.inference.posterior import ForwardModel
 from cpam_bayes.parameters import Parameter, ParameterSet, TruncatedNormal
-from cpam_bayes.posterior import ForwardModel
-from cpam_bayes.reduced import ReducedModel
+from cpam_bayes.plate import Measurement
 
 Array = NDArray[Any]
 

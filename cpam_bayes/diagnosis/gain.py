@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cpam_bayes.diagnosis.claim import Claim
+from cpam_bayes.diagnosis.evidence.marginal import Marginal, sampled_marginal
+from cpam_bayes.diagnosis.evidence.scan import Tested, marginal_of
+from cpam_bayes.diagnosis.evidence.weighing import Weighed
 from cpam_bayes.diagnosis.fit import Fit
 from cpam_bayes.diagnosis.fitting import PlateCase
 from cpam_bayes.diagnosis.hypotheses import NONE
-from cpam_bayes.diagnosis.marginal import Marginal, sampled_marginal
-from cpam_bayes.diagnosis.scan import Tested, marginal_of
-from cpam_bayes.diagnosis.weighing import Weighed
 
 Array = NDArray[Any]
 

@@ -11,12 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cpam_bayes.cache import model_key, stored_model
-from cpam_bayes.convergence import converge
 from cpam_bayes.effects import Effect, PlateFacts, extend
-from cpam_bayes.laminate import ENERGY_CONSISTENT
-from cpam_bayes.measurement import Specimen
-from cpam_bayes.model import (
+from cpam_bayes.forward_model.model import (
     PlateModel,
     Samples,
     convergence_samples,
@@ -24,10 +20,14 @@ from cpam_bayes.model import (
     plate_problem,
     size_parameters,
 )
+from cpam_bayes.forward_model.reduced import ReducedModel, ReductionSettings, reduce
+from cpam_bayes.forward_model.store import model_key, stored_model
+from cpam_bayes.mechanics.convergence import converge
+from cpam_bayes.mechanics.problem import Field, Problem
+from cpam_bayes.mechanics.spaces.ritz import RitzSettings
 from cpam_bayes.parameters import Parameter, ParameterSet, TruncatedNormal
-from cpam_bayes.problem import Field, Problem
-from cpam_bayes.reduced import ReducedModel, ReductionSettings, reduce
-from cpam_bayes.spaces.ritz import RitzSettings
+from cpam_bayes.plate import Specimen
+from cpam_bayes.plate.laminate import ENERGY_CONSISTENT
 from cpam_bayes.threads import single_blas_thread
 
 Array = NDArray[Any]

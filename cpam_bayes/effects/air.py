@@ -9,8 +9,8 @@ import numpy as np
 from scipy.special import eval_chebyu, expn, jv
 
 from cpam_bayes.effects.effect import Effect, PlateFacts
+from cpam_bayes.mechanics.problem import Array, Atom, Form, PlateState, Problem, Region, Term, Values
 from cpam_bayes.parameters import Parameter, TruncatedNormal
-from cpam_bayes.problem import Array, Atom, Form, PlateState, Problem, Region, Term, Values
 
 # Functions along each side: added masses are converged to 1e-4 of themselves.
 _ORDER = 12

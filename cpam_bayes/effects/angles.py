@@ -9,8 +9,8 @@ from functools import partial
 import numpy as np
 
 from cpam_bayes.effects.effect import Effect, PlateFacts, either_sign, with_state
-from cpam_bayes.laminate import LaminateGeometry
-from cpam_bayes.problem import Array, PlateState, Problem, Values
+from cpam_bayes.mechanics.problem import Array, PlateState, Problem, Values
+from cpam_bayes.plate.laminate import LaminateGeometry
 
 
 def rotated(geometry: LaminateGeometry, angle_deg: Array) -> LaminateGeometry:

@@ -13,7 +13,7 @@ from functools import partial
 import numpy as np
 
 from cpam_bayes.effects.effect import Effect, PlateFacts, one_sided, stacked
-from cpam_bayes.problem import (
+from cpam_bayes.mechanics.problem import (
     EDGES,
     FIELDS,
     Array,

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from cpam_bayes.effects.effect import Effect, Place, PlateFacts, one_sided
-from cpam_bayes.problem import (
+from cpam_bayes.mechanics.problem import (
     LAMINATE_ENTRIES,
     LAMINATE_FORMS,
     Array,
@@ -17,7 +17,7 @@ from cpam_bayes.problem import (
     Values,
     laminate_coefficients,
 )
-from cpam_bayes.weights import Bell, Product
+from cpam_bayes.mechanics.weights import Bell, Product
 
 # Standard deviation of the bell in units of the shorter side.
 _RADIUS = 0.05

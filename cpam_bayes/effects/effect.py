@@ -9,9 +9,9 @@ from typing import Any, Literal, Protocol
 
 import numpy as np
 
-from cpam_bayes.layup import Layup
+from cpam_bayes.mechanics.problem import Array, PlateState, Problem, StateFunction, Values
 from cpam_bayes.parameters import Parameter, ParameterSet, ScaledStudentT
-from cpam_bayes.problem import Array, PlateState, Problem, StateFunction, Values
+from cpam_bayes.plate.layup import Layup
 
 Kind = Literal["terms", "coefficients", "observation"]
 Stage = Literal["problem", "frequencies", "pairing", "noise"]

@@ -6,7 +6,7 @@ from functools import partial
 
 import numpy as np
 
-from cpam_bayes.problem import Array, Atom, Form, PlateState, Problem, Region, Term, Values
+from cpam_bayes.mechanics.problem import Array, Atom, Form, PlateState, Problem, Region, Term, Values
 
 
 def add_known_mass(problem: Problem, mass: float, x: float, y: float) -> Problem:

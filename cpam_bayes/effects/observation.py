@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from cpam_bayes.effects.effect import Effect, either_sign, one_sided
-from cpam_bayes.problem import Array, Values
+from cpam_bayes.mechanics.problem import Array, Values
 
 
 def _scaled(frequencies: Array, values: Values) -> Array:

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from cpam_bayes.effects.effect import Effect, Place, PlateFacts, one_sided, stacked
-from cpam_bayes.problem import FIELDS, Array, Atom, Form, PlateState, Problem, Region, Term, Values
+from cpam_bayes.mechanics.problem import FIELDS, Array, Atom, Form, PlateState, Problem, Region, Term, Values
 
 # Its centre is never nearer to an edge than this, its foot having a size.
 _GRID = (0.05, 0.275, 0.5, 0.725, 0.95)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.polynomial import polynomial
 
 from cpam_bayes.effects.effect import Effect, PlateFacts, either_sign, with_state
-from cpam_bayes.problem import (
+from cpam_bayes.mechanics.problem import (
     LAMINATE_FORMS,
     MASS_FORMS,
     STRAIN_ATOMS,
@@ -28,7 +28,7 @@ from cpam_bayes.problem import (
     inertia_coefficients,
     laminate_coefficients,
 )
-from cpam_bayes.weights import LINE, ONE, Polynomial, Product, power
+from cpam_bayes.mechanics.weights import LINE, ONE, Polynomial, Product, power
 
 # Powers of h that the coefficients of MASS_FORMS carry.
 _MASS_POWERS = np.array([1, 1, 1, 3, 3])

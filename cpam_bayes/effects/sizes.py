@@ -7,7 +7,7 @@ from dataclasses import replace
 from functools import partial
 
 from cpam_bayes.effects.effect import Effect, PlateFacts, either_sign, with_state
-from cpam_bayes.problem import PlateState, Problem, Values
+from cpam_bayes.mechanics.problem import PlateState, Problem, Values
 
 
 def _scaled(size: str, parameter: str) -> Callable[[Problem, PlateFacts], Problem]:

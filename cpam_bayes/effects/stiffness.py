@@ -8,8 +8,8 @@ from functools import partial
 import numpy as np
 
 from cpam_bayes.effects.effect import Effect, PlateFacts, either_sign, one_sided, with_state
-from cpam_bayes.laminate import SHEAR, reduced_stiffness, thickness_powers
-from cpam_bayes.problem import Array, PlateState, Problem, Values
+from cpam_bayes.mechanics.problem import Array, PlateState, Problem, Values
+from cpam_bayes.plate.laminate import SHEAR, reduced_stiffness, thickness_powers
 
 # Cured epoxy: Daniel and Ishai, Engineering Mechanics of Composite Materials, table A.2.
 _RESIN = {"E1": 3.5e9, "E2": 3.5e9, "nu12": 0.35, "G12": 3.5e9 / 2.7}

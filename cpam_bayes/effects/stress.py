@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from cpam_bayes.effects.effect import Effect, PlateFacts, either_sign, stacked
-from cpam_bayes.problem import Array, Atom, Form, PlateState, Problem, Term, Values
-from cpam_bayes.weights import Polynomial, Product
+from cpam_bayes.mechanics.problem import Array, Atom, Form, PlateState, Problem, Term, Values
+from cpam_bayes.mechanics.weights import Polynomial, Product
 
 # g(s) = (1 - s^2)^2: it and its slope vanish at both ends, so that no edge carries load.
 _G = Polynomial((1.0, 0.0, -2.0, 0.0, 1.0))

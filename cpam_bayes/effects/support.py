@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from cpam_bayes.effects.effect import Effect, PlateFacts, one_sided
-from cpam_bayes.problem import Array, Atom, Form, PlateState, Problem, Term, Values
+from cpam_bayes.mechanics.problem import Array, Atom, Form, PlateState, Problem, Term, Values
 
 
 def _support(problem: Problem, facts: PlateFacts) -> Problem:

@@ -9,9 +9,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from cpam_bayes.inference.box import log_box_mass, log_student_t
-from cpam_bayes.inference.climb import climb, free_coordinates, polish
-from cpam_bayes.inference.expansion import (
+from cpam_bayes.inference.derivatives import (
     Coordinates,
     Expansion,
     coordinates,
@@ -21,7 +19,9 @@ from cpam_bayes.inference.expansion import (
     log_density,
     prior_sd,
 )
-from cpam_bayes.posterior import Posterior
+from cpam_bayes.inference.optimise import climb, free_coordinates, polish
+from cpam_bayes.inference.posterior import Posterior
+from cpam_bayes.inference.truncated import log_box_mass, log_student_t
 
 __all__ = [
     "Approximation",

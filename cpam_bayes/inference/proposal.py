@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cpam_bayes.inference.box import box_draws
-from cpam_bayes.inference.expansion import coordinates, log_density
+from cpam_bayes.inference.derivatives import coordinates, log_density
 from cpam_bayes.inference.laplace import Approximation, approximate, find_optima
-from cpam_bayes.inference.mixture import (
+from cpam_bayes.inference.posterior import Posterior
+from cpam_bayes.inference.student_mixture import (
     Mixture,
     draw,
     fit,
@@ -26,8 +26,8 @@ from cpam_bayes.inference.mixture import (
     split,
     widened,
 )
-from cpam_bayes.inference.whole_line import WholeLine, whole_line
-from cpam_bayes.posterior import Posterior
+from cpam_bayes.inference.truncated import box_draws
+from cpam_bayes.inference.unbounded import WholeLine, whole_line
 
 Array = NDArray[Any]
 

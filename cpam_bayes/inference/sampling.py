@@ -17,9 +17,9 @@ from cpam_bayes.inference.ensemble import (
     sample,
     start_positions,
 )
+from cpam_bayes.inference.posterior import Posterior
 from cpam_bayes.inference.proposal import AdaptationSettings, adapted
-from cpam_bayes.inference.pso import SwarmSettings, minimise
-from cpam_bayes.posterior import Posterior
+from cpam_bayes.inference.swarm.pso import SwarmSettings, minimise
 from cpam_bayes.threads import single_blas_thread
 
 Array = NDArray[Any]

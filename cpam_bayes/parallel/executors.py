@@ -215,9 +215,9 @@ def _require_workers(client: Any, spec: str) -> None:
 
     # Nested, so that it is sent by value: a worker may lack the package.
     def version() -> str:
-        import cpam_bayes.parallel
+        from cpam_bayes import __version__ as remote
 
-        return str(cpam_bayes.__version__)
+        return str(remote)
 
     try:
         client.wait_for_workers(1, timeout=_PATIENCE)

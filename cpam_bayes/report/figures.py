@@ -12,8 +12,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from scipy.ndimage import zoom
 
-from cpam_bayes.inference.identify import Identification
-from cpam_bayes.report.forward import Array, ForwardAnswer, ModeShape
+from cpam_bayes.identification.point import Identification
+from cpam_bayes.report.forward.screen import Array, ForwardAnswer, ModeShape
 
 __all__ = ["identification_figures", "mode_figures", "save_figures"]
 

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cpam_bayes.model import converged_model, reference_vector
-from tests.sequence_cases import specimen_with
+from cpam_bayes.forward_model.model import converged_model, reference_vector
+from tests.stacking.cases import specimen_with
 
 Run = Callable[..., tuple[object, str, str]]
 

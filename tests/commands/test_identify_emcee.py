@@ -12,7 +12,7 @@ import pytest
 from cpam_bayes.cli import prepare
 from cpam_bayes.commands.supported import plate_warnings
 from cpam_bayes.inference.ensemble import DEFAULT_SETTINGS
-from cpam_bayes.measurement import read_specimen
+from cpam_bayes.plate import read_specimen
 from cpam_bayes.report.answer import Answer
 from cpam_bayes.report.tables import plain_text
 from tests.plate_file import MEASURED

@@ -21,7 +21,7 @@ from cpam_bayes.diagnosis.hypotheses import (
     single_hypotheses,
 )
 from cpam_bayes.effects import GROSS, PlateFacts, applicable
-from cpam_bayes.measurement.specimens import builtin, builtin_names
+from cpam_bayes.plate.specimens import builtin, builtin_names
 from tests.diagnosis.toy_plates import F0, a_list, case
 
 

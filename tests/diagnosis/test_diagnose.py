@@ -8,17 +8,18 @@ import numpy as np
 import pytest
 
 from cpam_bayes.diagnosis import diagnose as diagnosing
-from cpam_bayes.diagnosis import gain, weighing
+from cpam_bayes.diagnosis import gain
 from cpam_bayes.diagnosis.cases import plate_case
 from cpam_bayes.diagnosis.diagnose import Diagnosis, diagnose_cases
+from cpam_bayes.diagnosis.evidence import weighing
 from cpam_bayes.diagnosis.extension import resample
 from cpam_bayes.diagnosis.fitting import PlateCase
 from cpam_bayes.diagnosis.hypotheses import DISCREPANCY, NONE, OTHER, SLIP, Hypothesis, ListChange
 from cpam_bayes.effects import CATALOGUE, Effect
 from cpam_bayes.inference.ensemble import EnsembleSettings
-from cpam_bayes.measurement import Measurement
-from cpam_bayes.measurement.specimens import builtin
 from cpam_bayes.parameters import ScaledStudentT
+from cpam_bayes.plate import Measurement
+from cpam_bayes.plate.specimens import builtin
 from tests.diagnosis.toy_plates import (
     BUMP,
     DENT,

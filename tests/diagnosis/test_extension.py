@@ -7,7 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cpam_bayes.diagnosis import weighing
+from cpam_bayes.diagnosis.evidence import weighing
+from cpam_bayes.diagnosis.evidence.marginal import sampled_marginal
+from cpam_bayes.diagnosis.evidence.weighing import marginal_of
 from cpam_bayes.diagnosis.extension import (
     Resampled,
     compared_posterior,
@@ -17,10 +19,8 @@ from cpam_bayes.diagnosis.extension import (
 )
 from cpam_bayes.diagnosis.fitting import PlateCase, comparison_of
 from cpam_bayes.diagnosis.hypotheses import DISCREPANCY, NONE, OTHER, SLIP, Hypothesis, ListChange
-from cpam_bayes.diagnosis.marginal import sampled_marginal
-from cpam_bayes.diagnosis.weighing import marginal_of
+from cpam_bayes.inference.derivatives import expand
 from cpam_bayes.inference.ensemble import EnsembleSettings
-from cpam_bayes.inference.expansion import expand
 from tests.diagnosis.toy_plates import (
     BUMP,
     DENT,

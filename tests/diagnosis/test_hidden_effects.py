@@ -8,10 +8,10 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from cpam_bayes.diagnosis.oracle import oracle
-from cpam_bayes.diagnosis.trial_statistics import calibration_error, figures
-from cpam_bayes.diagnosis.trials import Record, Trial, is_right, run_trial
-from cpam_bayes.diagnosis.truths import (
+from cpam_bayes.validation.diagnosis.oracle import oracle
+from cpam_bayes.validation.diagnosis.trial_statistics import calibration_error, figures
+from cpam_bayes.validation.diagnosis.trials import Record, Trial, is_right, run_trial
+from cpam_bayes.validation.diagnosis.truths import (
     Bench,
     bench,
     linear,

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cpam_bayes.diagnosis import weighing
+from cpam_bayes.diagnosis.evidence import weighing
+from cpam_bayes.diagnosis.evidence.marginal import Marginal
+from cpam_bayes.diagnosis.evidence.weighing import marginal_of
 from cpam_bayes.diagnosis.hypotheses import NONE, SLIP, Hypothesis, ListChange
-from cpam_bayes.diagnosis.marginal import Marginal
 from cpam_bayes.diagnosis.signatures import (
     Menu,
     Projector,
@@ -18,7 +19,6 @@ from cpam_bayes.diagnosis.signatures import (
     projector_of,
     signature_of,
 )
-from cpam_bayes.diagnosis.weighing import marginal_of
 from cpam_bayes.effects import Effect
 from tests.diagnosis.toy_plates import (
     BUMP,

@@ -7,15 +7,15 @@ from functools import lru_cache
 
 import numpy as np
 
-from cpam_bayes.affine import DenseOperator, discretise
 from cpam_bayes.effects import CATALOGUE, Effect, PlateFacts, extend
-from cpam_bayes.measurement.specimens import builtin
-from cpam_bayes.model import plate_problem
-from cpam_bayes.modes import solve
-from cpam_bayes.problem import Problem
-from cpam_bayes.spaces.fem import fem_space
-from cpam_bayes.spaces.ritz import RitzSettings, ritz_space
-from cpam_bayes.sparse import discretise_sparse
+from cpam_bayes.forward_model.model import plate_problem
+from cpam_bayes.mechanics.affine import DenseOperator, discretise
+from cpam_bayes.mechanics.modes import solve
+from cpam_bayes.mechanics.problem import Problem
+from cpam_bayes.mechanics.spaces.fem import fem_space
+from cpam_bayes.mechanics.spaces.ritz import RitzSettings, ritz_space
+from cpam_bayes.mechanics.sparse import discretise_sparse
+from cpam_bayes.plate.specimens import builtin
 
 MODES = {"C1": 6, "A2": 6, "D3": 10}
 BY_NAME = {effect.name: effect for effect in CATALOGUE}

@@ -8,11 +8,11 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from cpam_bayes.affine import MATRICES, AffineMatrix
 from cpam_bayes.effects import CATALOGUE, GROSS, Effect, applicable, extend, scale_of, variants
-from cpam_bayes.model import PlateModel
+from cpam_bayes.forward_model.model import PlateModel
+from cpam_bayes.mechanics.affine import MATRICES, AffineMatrix
+from cpam_bayes.mechanics.problem import YIELDING
 from cpam_bayes.parameters import ScaledStudentT
-from cpam_bayes.problem import YIELDING
 from tests.effects.cases import (
     BY_NAME,
     MODES,

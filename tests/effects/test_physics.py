@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from cpam_bayes.affine import discretise
 from cpam_bayes.effects import (
     CATALOGUE,
     PlateFacts,
@@ -18,14 +17,15 @@ from cpam_bayes.effects import (
 )
 from cpam_bayes.effects.air import PressureJumps, jump_energy
 from cpam_bayes.effects.stress import _G
-from cpam_bayes.layup import from_angles
-from cpam_bayes.measurement.specimens import builtin
-from cpam_bayes.model import angle_parameters, plate_problem
-from cpam_bayes.modes import solve
-from cpam_bayes.problem import AREA, FIELDS, Derivative, Field, Problem
-from cpam_bayes.spaces.fem import fem_space
-from cpam_bayes.spaces.ritz import RitzSettings, RitzSpace, ritz_space
-from cpam_bayes.sparse import discretise_sparse
+from cpam_bayes.forward_model.model import angle_parameters, plate_problem
+from cpam_bayes.mechanics.affine import discretise
+from cpam_bayes.mechanics.modes import solve
+from cpam_bayes.mechanics.problem import AREA, FIELDS, Derivative, Field, Problem
+from cpam_bayes.mechanics.spaces.fem import fem_space
+from cpam_bayes.mechanics.spaces.ritz import RitzSettings, RitzSpace, ritz_space
+from cpam_bayes.mechanics.sparse import discretise_sparse
+from cpam_bayes.plate.layup import from_angles
+from cpam_bayes.plate.specimens import builtin
 from tests.effects.cases import BY_NAME, bare, facts, ritz, ritz_operator, values_at, with_effect
 from tests.plates import CARBON, CROSS_PLY_16S, plate
 

@@ -6,14 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from cpam_bayes.affine import discretise_at
-from cpam_bayes.inference.sequence_search import sequence_parameters
-from cpam_bayes.layup import parse_layup
-from cpam_bayes.measurement import Specimen, builtin
-from cpam_bayes.measurement.records import Sensor
-from cpam_bayes.model import plate_problem, reference_vector
-from cpam_bayes.modes import solve
-from cpam_bayes.spaces.ritz import RitzSettings, ritz_space
+from cpam_bayes.forward_model.model import plate_problem, reference_vector
+from cpam_bayes.mechanics.affine import discretise_at
+from cpam_bayes.mechanics.modes import solve
+from cpam_bayes.mechanics.spaces.ritz import RitzSettings, ritz_space
+from cpam_bayes.plate import Specimen, builtin
+from cpam_bayes.plate.layup import parse_layup
+from cpam_bayes.plate.records import Sensor
+from cpam_bayes.stacking.search import sequence_parameters
 
 SIDE = 0.2
 N_MODES = 8

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
+from cpam_bayes.inference.derivatives import coordinates
 from cpam_bayes.inference.ensemble import (
     EnsembleResult,
     EnsembleSettings,
@@ -19,14 +20,13 @@ from cpam_bayes.inference.ensemble import (
     sample,
     start_positions,
 )
-from cpam_bayes.inference.expansion import coordinates
 from cpam_bayes.inference.laplace import optimise
-from cpam_bayes.inference.mixture import Mixture
+from cpam_bayes.inference.posterior import Posterior, plate_posterior
 from cpam_bayes.inference.proposal import AdaptationSettings, Proposal, adapted
-from cpam_bayes.inference.round_store import StoreError
-from cpam_bayes.inference.whole_line import whole_line
+from cpam_bayes.inference.store import StoreError
+from cpam_bayes.inference.student_mixture import Mixture
+from cpam_bayes.inference.unbounded import whole_line
 from cpam_bayes.parameters import TruncatedNormal, Uniform
-from cpam_bayes.posterior import Posterior, plate_posterior
 from tests.linear_model import LinearModel, exact_gaussian, measurement
 from tests.toy_models import ToyModel, independent, integral, linear, listed, parameters, two_peaks
 

@@ -9,7 +9,7 @@ import pytest
 from scipy.special import gammaln, log_ndtr
 from scipy.stats import norm
 
-from cpam_bayes.inference.expansion import coordinates, expand_u, hessian_u, log_density
+from cpam_bayes.inference.derivatives import coordinates, expand_u, hessian_u, log_density
 from cpam_bayes.inference.laplace import (
     approximate,
     find_optima,
@@ -17,9 +17,9 @@ from cpam_bayes.inference.laplace import (
     laplace_log_evidence,
     optimise,
 )
-from cpam_bayes.measurement import Measurement
+from cpam_bayes.inference.posterior import Posterior, plate_posterior
 from cpam_bayes.parameters import TruncatedNormal, Uniform
-from cpam_bayes.posterior import Posterior, plate_posterior
+from cpam_bayes.plate import Measurement
 from tests.linear_model import MEAN_HZ, SLOPE_HZ, LinearModel, exact_gaussian, measurement
 from tests.toy_models import (
     ToyModel,

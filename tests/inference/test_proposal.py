@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cpam_bayes.inference.expansion import coordinates
-from cpam_bayes.inference.mixture import Mixture, log_mixture
+from cpam_bayes.inference.derivatives import coordinates
+from cpam_bayes.inference.posterior import Posterior, plate_posterior
 from cpam_bayes.inference.proposal import AdaptationSettings, Proposal, adapted, effective_size
-from cpam_bayes.inference.whole_line import whole_line
+from cpam_bayes.inference.student_mixture import Mixture, log_mixture
+from cpam_bayes.inference.unbounded import whole_line
 from cpam_bayes.parameters import TruncatedNormal, Uniform
-from cpam_bayes.posterior import Posterior, plate_posterior
 from cpam_bayes.priors import Prior
 from tests.linear_model import LinearModel, measurement
 from tests.toy_models import ToyModel, independent, listed, parameters, two_peaks

@@ -8,14 +8,14 @@ from functools import cache
 import numpy as np
 import pytest
 
-from cpam_bayes.cache import reduced_model
+from cpam_bayes.forward_model.model import PlateModel, reference_vector
+from cpam_bayes.forward_model.reduced import DEFAULT_SETTINGS, ReducedModel, ReductionSettings, reduce
+from cpam_bayes.forward_model.store import reduced_model
 from cpam_bayes.inference.ensemble import EnsembleSettings
-from cpam_bayes.inference.pso import SwarmSettings
+from cpam_bayes.inference.posterior import plate_posterior
 from cpam_bayes.inference.sampling import sample_posterior
-from cpam_bayes.measurement import Measurement, Specimen, read_specimen
-from cpam_bayes.model import PlateModel, reference_vector
-from cpam_bayes.posterior import plate_posterior
-from cpam_bayes.reduced import DEFAULT_SETTINGS, ReducedModel, ReductionSettings, reduce
+from cpam_bayes.inference.swarm.pso import SwarmSettings
+from cpam_bayes.plate import Measurement, Specimen, read_specimen
 
 # Both models are compared on the same draws, so these need not be many.
 BRIEF = EnsembleSettings(

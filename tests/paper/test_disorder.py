@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import pytest
 
-from cpam_bayes.measurement import builtin, user_name
 from cpam_bayes.paper import PrintedConstant, contradictions, disorder_table
+from cpam_bayes.plate import builtin, user_name
 
 SPECIMENS = ("A2", "C1", "C3", "D1", "D3")
 

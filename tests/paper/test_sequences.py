@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from cpam_bayes.measurement import builtin, user_name
 from cpam_bayes.paper.sequences import identified_sequences
+from cpam_bayes.plate import builtin, user_name
 
 CASES = ("B1", "B2", "C1", "C2", "C3", "C4", "D1", "D2", "D3", "D4", "F1", "F2", "G1", "G2")
 

@@ -17,10 +17,10 @@ import pytest
 from distributed import Client
 
 from cpam_bayes import __version__
-from cpam_bayes.cache import reduced_model
-from cpam_bayes.measurement import read_specimen
+from cpam_bayes.forward_model.store import reduced_model
+from cpam_bayes.inference.posterior import Posterior, plate_posterior
 from cpam_bayes.parallel import WorkersLostError, executors, open_executor, run
-from cpam_bayes.posterior import Posterior, plate_posterior
+from cpam_bayes.plate import read_specimen
 from tests.parallel import work
 
 pytestmark = pytest.mark.slow

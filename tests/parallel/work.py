@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_info
 
+from cpam_bayes.inference.posterior import Posterior
 from cpam_bayes.parallel import worker
-from cpam_bayes.posterior import Posterior
 
 
 def append(path: str, text: str) -> None:

@@ -3,8 +3,8 @@
 import pytest
 
 from cpam_bayes.commands.solvers import ritz
-from cpam_bayes.inference.identify import identify
-from cpam_bayes.measurement import builtin
+from cpam_bayes.identification.point import identify
+from cpam_bayes.plate import builtin
 
 
 @pytest.fixture(scope="package")

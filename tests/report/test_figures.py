@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from cpam_bayes.report.figures import identification_figures, mode_figures, save_figures
-from cpam_bayes.report.forward import ModeShape
+from cpam_bayes.report.forward.screen import ModeShape
 
 
 def written(figures, directory):

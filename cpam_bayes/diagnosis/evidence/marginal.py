@@ -1,0 +1,299 @@
+"""Marginal likelihood of a hypothesis: quadrature over one effect's size, Laplace over what is left.
+
+Skew, taper, warp and turned plies have zero slope at zero by symmetry: the posterior of their size may
+have a peak on either side, or a flat top about zero, which no Gaussian describes. Its score is therefore
+gone through on a grid, refined where the mass is; the constants and the noise are integrated at each node
+by Laplace's method in normal scores, where nothing is cut at a bound.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import PchipInterpolator
+from scipy.special import logsumexp
+
+from cpam_bayes.diagnosis.evidence.comparison import Comparison
+from cpam_bayes.diagnosis.evidence.proposals import proposed
+from cpam_bayes.diagnosis.evidence.scores import FARTHEST
+from cpam_bayes.inference.derivatives import Expansion
+from cpam_bayes.inference.optimise import climb
+from cpam_bayes.threads import single_blas_thread
+
+Array = NDArray[Any]
+
+# Scores of the first grid; intervals are halved where the log density changes by more than _STEEP within
+# _DEEP of the best, but never below _FINEST.
+GRID = np.linspace(-3.6, 3.6, 19)
+_STEEP, _DEEP, _FINEST, _MOST_HALVINGS = 1.0, 9.0, 0.01, 6
+# Climbs end where a step promises less than this, nats, or after so many steps.
+_PROMISED, _MOST_STEPS = 3e-3, 12
+# Local maxima of the first grid that are climbed from.
+_MOST_PEAKS = 3
+# Nodes of a first look below this share of the best one are not climbed.
+_HOPELESS = 1e-5
+# Neighbouring optima further apart, standard deviations, may be those of two hills.
+_FAR = 2.0
+# Points of the fine quadrature between the nodes.
+_FINE = 1601
+# Proposals of importance sampling: degrees of freedom and widening.
+_FREEDOM, _WIDER = 6.0, 1.15
+_HALF_LOG_2PI = 0.5 * np.log(2 * np.pi)
+
+
+@dataclass(frozen=True, slots=True)
+class Marginal:
+    """What one hypothesis says of the data, and what the data say of its parameters.
+
+    log_evidence : log marginal likelihood; error : its standard error where importance sampling gave it,
+    ``nan`` for Laplace's. z : (k, n) optima at the nodes; curvature : (k, n - 1, n - 1) or (1, n, n) without
+    quadrature; weight : (k,) shares of the nodes. draws, log_weight : (d, n) parameters and their normalised
+    log weights, made by importance sampling. is_climbed : whether the optima are, or only a first look.
+    """
+
+    comparison: Comparison
+    quadrature: int | None
+    log_evidence: float
+    error: float
+    z: Array
+    curvature: Array
+    weight: Array
+    draws: Array
+    log_weight: Array
+
+    is_climbed: bool = True
+
+    @property
+    def best(self) -> Array:
+        """Most probable parameters of the node with most mass, (n,)."""
+        return np.asarray(self.comparison.scores.to_x(self.z[int(np.argmax(self.weight))]))
+
+    def moments(self) -> tuple[Array, Array]:
+        """Posterior mean and standard deviation of the parameters, (n,) each."""
+        w = np.exp(self.log_weight)
+        mean = w @ self.draws
+        return mean, np.sqrt(np.maximum(w @ (self.draws - mean) ** 2, 0.0))
+
+    def resampled(self, size: int) -> Array:
+        """Equally probable draws (size, n), by systematic resampling."""
+        share = np.cumsum(np.exp(self.log_weight))
+        at = np.searchsorted(share / share[-1], (np.arange(size) + 0.5) / size)
+        return np.asarray(self.draws[np.minimum(at, len(self.draws) - 1)])
+
+
+@single_blas_thread
+def laplace_marginal(
+    comparison: Comparison,
+    quadrature: int | None,
+    starts: Array,
+    *,
+    floor: float = -np.inf,
+    first_look: Marginal | None = None,
+) -> Marginal:
+    """The marginal likelihood by quadrature over the score of one parameter, or without.
+
+    starts : (s, n) scores that climbs begin from. floor : a log evidence below which the grid is not
+    refined, as the hypothesis carries nothing. first_look : the same over nodes of its own, which are climbed
+    from where it stands, instead of the whole grid from the starts. The draws are those of the Laplace
+    picture.
+    """
+    if quadrature is None:
+        return _at_one_node(comparison, starts if first_look is None else first_look.z[:1])
+    if first_look is None:
+        rest = np.delete(starts, quadrature, axis=1)
+        nodes = _climbed(comparison, quadrature, GRID, np.tile(rest, (len(GRID), 1, 1)))
+    else:
+        score, begin = _promising(first_look, quadrature)
+        nodes = _climbed(comparison, quadrature, score, begin)
+    nodes = _from_neighbours(comparison, quadrature, nodes)
+    nodes = _with_peaks(comparison, quadrature, nodes)
+    if nodes.log_density.max() > floor:
+        for _ in range(_MOST_HALVINGS):
+            new, begin = _halved(nodes)
+            if not len(new):
+                break
+            nodes = _merged(nodes, _climbed(comparison, quadrature, new, begin))
+    log_z, weight = _integrated(nodes)
+    z = np.insert(nodes.rest, quadrature, nodes.score, axis=1)
+    return _with_draws(comparison, quadrature, log_z, z, nodes.curvature, weight)
+
+
+def _with_draws(
+    comparison: Comparison, quadrature: int | None, log_z: float, z: Array, curvature: Array, weight: Array
+) -> Marginal:
+    nothing = np.empty(0)
+    found = Marginal(comparison, quadrature, log_z, np.nan, z, curvature, weight, nothing, nothing)
+    draws = comparison.scores.to_x(proposed(z, curvature, weight, quadrature, 1.0, np.inf)[0])
+    return replace(found, draws=draws, log_weight=np.full(len(draws), -np.log(len(draws))))
+
+
+def _at_one_node(comparison: Comparison, starts: Array) -> Marginal:
+    summit = climb(
+        lambda z, rows: comparison.expand(z),
+        starts,
+        *(np.full(starts.shape[1], v) for v in (-FARTHEST, FARTHEST)),
+        most_steps=2 * _MOST_STEPS,
+        promised=_PROMISED,
+    )
+    best = int(np.argmax(np.where(np.isfinite(summit.expansion.value), summit.expansion.value, -np.inf)))
+    n = starts.shape[1]
+    curvature = summit.expansion.curvature[best]
+    log_z = float(summit.expansion.value[best] + n * _HALF_LOG_2PI - 0.5 * np.linalg.slogdet(curvature)[1])
+    return _with_draws(comparison, None, log_z, summit.u[best][None], curvature[None], np.ones(1))
+
+
+@single_blas_thread
+def sampled_marginal(found: Marginal) -> Marginal:
+    """The same by importance sampling about the Laplace picture, from a scrambled Sobol sequence."""
+    z, log_q = proposed(found.z, found.curvature, found.weight, found.quadrature, _WIDER, _FREEDOM)
+    log_p = found.comparison.log_density(z)
+    log_ratio = log_p - log_q
+    top = float(log_ratio.max())
+    if not np.isfinite(top):
+        return found
+    ratio = np.exp(log_ratio - top)
+    log_evidence = top + float(np.log(ratio.mean()))
+    error = float(ratio.std() / ratio.mean() / np.sqrt(len(ratio)))
+    return replace(
+        found,
+        log_evidence=log_evidence,
+        error=error,
+        draws=found.comparison.scores.to_x(z),
+        log_weight=log_ratio - float(logsumexp(log_ratio)),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Nodes:
+    """Conditional optima at scores (k,): value (k,), rest (k, n - 1), curvature (k, n - 1, n - 1)."""
+
+    score: Array
+    value: Array
+    rest: Array
+    curvature: Array
+
+    @property
+    def log_density(self) -> Array:
+        """Log density of the score and the data, the rest integrated, (k,)."""
+        n = self.rest.shape[1]
+        return np.asarray(self.value + n * _HALF_LOG_2PI - 0.5 * np.linalg.slogdet(self.curvature)[1])
+
+
+def _promising(look: Marginal, quadrature: int) -> tuple[Array, Array]:
+    """Scores (k,) of nodes that may carry mass, without gaps, and a start (k, 1, n - 1) at each."""
+    order = np.argsort(look.z[:, quadrature])
+    z, weight = look.z[order], look.weight[order]
+    kept = np.flatnonzero(weight > _HOPELESS * weight.max())
+    z = z[max(kept[0] - 1, 0) : kept[-1] + 2]
+    return z[:, quadrature], np.delete(z, quadrature, axis=1)[:, None]
+
+
+def _climbed(comparison: Comparison, quadrature: int, score: Array, starts: Array) -> _Nodes:
+    """The best optimum at every score (k,) from starts (k, s, n - 1)."""
+    k, s, n = starts.shape
+    of_node = np.repeat(score, s)
+    rest_columns = np.delete(np.arange(n + 1), quadrature)
+
+    def target(u: Array, rows: Array) -> Expansion:
+        e = comparison.expand(np.insert(u, quadrature, of_node[rows], axis=1))
+        own = np.ix_(np.arange(len(u)), rest_columns, rest_columns)
+        return Expansion(e.value, e.gradient[:, rest_columns], e.curvature[own])
+
+    bound = np.full(n, FARTHEST)
+    summit = climb(
+        target, starts.reshape(k * s, n), -bound, bound, most_steps=_MOST_STEPS, promised=_PROMISED
+    )
+    value = np.where(np.isfinite(summit.expansion.value), summit.expansion.value, -1e300).reshape(k, s)
+    best = np.arange(k) * s + value.argmax(axis=1)
+    return _Nodes(score, value.max(axis=1), summit.u[best], summit.expansion.curvature[best])
+
+
+def _from_neighbours(comparison: Comparison, quadrature: int, nodes: _Nodes) -> _Nodes:
+    """The nodes climbed again from what the better of their neighbours found: crossing modes part climbs."""
+    k = len(nodes.score)
+    height = np.concatenate(([-np.inf], nodes.value, [-np.inf]))
+    better_side = np.where(height[:-2] > height[2:], -1, 1)
+    start = nodes.rest[np.clip(np.arange(k) + better_side, 0, k - 1)]
+    away = start - nodes.rest
+    far = np.einsum("ki,kij,kj->k", away, nodes.curvature, away) > _FAR**2
+    rows = np.flatnonzero(far & (nodes.value > nodes.value.max() - 2 * _DEEP))
+    if not len(rows):
+        return nodes
+    again = _climbed(comparison, quadrature, nodes.score[rows], start[rows, None])
+    better = again.value > nodes.value[rows] + 1e-3
+    rows = rows[better]
+    value, rest, curvature = nodes.value.copy(), nodes.rest.copy(), nodes.curvature.copy()
+    value[rows], rest[rows], curvature[rows] = (
+        again.value[better],
+        again.rest[better],
+        again.curvature[better],
+    )
+    return _Nodes(nodes.score, value, rest, curvature)
+
+
+def _with_peaks(comparison: Comparison, quadrature: int, nodes: _Nodes) -> _Nodes:
+    """The nodes, and where climbs over all scores end that begin at their local maxima."""
+    padded = np.concatenate(([-np.inf], nodes.value, [-np.inf]))
+    peaks = np.flatnonzero((padded[1:-1] >= padded[:-2]) & (padded[1:-1] >= padded[2:]))
+    peaks = peaks[np.argsort(-nodes.value[peaks], kind="stable")][:_MOST_PEAKS]
+    start = np.insert(nodes.rest[peaks], quadrature, nodes.score[peaks], axis=1)
+    bound = np.full(start.shape[1], FARTHEST)
+    summit = climb(
+        lambda z, rows: comparison.expand(z),
+        start,
+        -bound,
+        bound,
+        most_steps=2 * _MOST_STEPS,
+        promised=_PROMISED,
+    )
+    score = summit.u[:, quadrature]
+    new = (np.abs(score[:, None] - nodes.score).min(axis=1) > _FINEST) & np.isfinite(summit.expansion.value)
+    new &= np.abs(score) < -GRID[0]
+    if not new.any():
+        return nodes
+    score, first = np.unique(np.round(score[new], 6), return_index=True)
+    begin = np.delete(summit.u[new][first], quadrature, axis=1)
+    return _merged(nodes, _climbed(comparison, quadrature, score, begin[:, None]))
+
+
+def _halved(nodes: _Nodes) -> tuple[Array, Array]:
+    """Midpoints of intervals that are too coarse, and starts for them from both ends."""
+    g = nodes.log_density
+    height = np.maximum(g[1:], g[:-1])
+    steep = np.abs(np.diff(g)) > _STEEP
+    which = np.flatnonzero(steep & (height > g.max() - _DEEP) & (np.diff(nodes.score) > _FINEST))
+    middle = 0.5 * (nodes.score[which] + nodes.score[which + 1])
+    return middle, np.stack((nodes.rest[which], nodes.rest[which + 1]), axis=1)
+
+
+def _merged(a: _Nodes, b: _Nodes) -> _Nodes:
+    score = np.concatenate((a.score, b.score))
+    order = np.argsort(score)
+    return _Nodes(
+        score[order],
+        *(
+            np.concatenate((getattr(a, name), getattr(b, name)))[order]
+            for name in ("value", "rest", "curvature")
+        ),
+    )
+
+
+def _integrated(nodes: _Nodes) -> tuple[float, Array]:
+    """Log of the integral over the score, and the share of each node's surroundings, (k,)."""
+    g = nodes.log_density
+    top = float(g.max())
+    fine = np.unique(np.concatenate((np.linspace(nodes.score[0], nodes.score[-1], _FINE), nodes.score)))
+    density = np.exp(np.maximum(PchipInterpolator(nodes.score, g)(fine) - top, -700.0))
+    panel = 0.5 * (density[1:] + density[:-1]) * np.diff(fine)
+    # beyond the whole grid the prior is left, and the likelihood of its ends; a shorter one lost nothing
+    end = np.abs(nodes.score[[0, -1]])
+    tail = np.where(end >= GRID[-1] - _FINEST, np.exp(g[[0, -1]] - top) / np.maximum(end, 1.0), 0.0)
+    owner = np.abs(0.5 * (fine[1:] + fine[:-1])[:, None] - nodes.score).argmin(axis=1)
+    share = np.asarray(np.bincount(owner, panel, minlength=len(g)), dtype=float)
+    share[0] += tail[0]
+    share[-1] += tail[1]
+    total = share.sum()
+    return top + float(np.log(total)), share / total

@@ -1,0 +1,1 @@
+"""Which further test would tell the causes apart best."""

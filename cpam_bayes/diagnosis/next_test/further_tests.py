@@ -1,0 +1,270 @@
+"""Tests that a laboratory could add, and their data under a hypothesis."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cpam_bayes.diagnosis.composed import Change, ComposedModel, Part
+from cpam_bayes.diagnosis.evidence.weighing import Tested
+from cpam_bayes.diagnosis.fitting import PlateCase
+from cpam_bayes.diagnosis.models import PlateModels, couples, plate_models
+from cpam_bayes.effects import Effect, add_known_mass, extend
+from cpam_bayes.forward_model.model import PlateModel, model_on_basis
+from cpam_bayes.inference.posterior import ForwardModel
+from cpam_bayes.mechanics.convergence import Tolerance, converge
+from cpam_bayes.mechanics.problem import Problem
+from cpam_bayes.parameters import ParameterSet
+from cpam_bayes.plate.records import Sensor
+
+Array = NDArray[Any]
+
+# Further modes; a known mass over the plate's, and its distance from a corner over the sides.
+MORE_MODES = 4
+_MASS_SHARE, _CORNER = 0.02, 0.05
+# Relative standard deviations of weighing and of measuring the thickness at many points.
+WEIGHED, GAUGED = 1e-3, 3e-3
+# Causes that a sister plate has too: they are of the material, the air or the analyser.
+_COMMON = ("air", "frequency_scale", "shear_ratio", "transverse_shear", "viscoelastic")
+# Draws that the model of a test is solved at, at least, and for each term of the response that carries it to
+# the other draws, as far as so many standard deviations beyond these.
+_SOLVED, _PER_TERM, _BEYOND = 20, 2.5, 1.0
+# Of spaces that are converged for a test alone: a tenth of a measurement's noise will do.
+_TOLERANCE = Tolerance(kept=3e-4, rich=2e-4)
+
+
+@dataclass(frozen=True, slots=True)
+class Predicted:
+    """Data of a test under one hypothesis.
+
+    y : (d, n) at its draws, frequencies in Hz. missing : (n, n) relative covariance that y lacks. noise :
+    (n,) relative standard deviations of data that are no frequencies, or ``None``. as_now : whether what
+    nothing explains in the present list is in these data too.
+    """
+
+    y: Array
+    missing: Array
+    noise: Array | None = None
+    as_now: bool = True
+
+
+Predict = Callable[[Tested], Predicted]
+
+
+@dataclass(frozen=True, slots=True)
+class FurtherTest:
+    """A test; ``prepare`` makes its models and gives what predicts its data."""
+
+    name: str
+    description: str
+    prepare: Callable[[], Predict]
+
+
+def further_tests(
+    cases: Sequence[PlateCase],
+    about: int,
+    last_mode: int,
+    scatter: float,
+    notify: Callable[[str], None] = lambda text: None,
+) -> list[FurtherTest]:
+    """The tests of one of the plates; last_mode : number of the last mode that any hypothesis has listed."""
+    case = cases[about]
+    own = case.models.specimen
+    plate, n = own.plate, case.measurement.size
+    found: list[FurtherTest] = []
+    edges, held = ("CFFF", "clamped on the edge x = 0") if plate.edges == "FFFF" else ("FFFF", "hung free")
+    tried = {c.models.specimen.plate.edges for c in cases if c.models.specimen.specimen == own.specimen}
+    if edges not in tried:
+
+        def other_edges() -> Predict:
+            specimen = replace(own, plate=replace(plate, edges=edges))
+            models = plate_models(specimen, n, notify)
+            return lambda t: _under_test(t, about, models, models.bare, np.arange(n))
+
+        found.append(FurtherTest("edge_condition", f"the same plate {held}, {n} modes", other_edges))
+
+    def more_modes() -> Predict:
+        models = plate_models(own, last_mode + 1 + MORE_MODES, notify)
+        return lambda t: _under_test(t, about, models, models.bare, _next_modes(t, about))
+
+    found.append(FurtherTest("more_modes", f"the next {MORE_MODES} modes of the same plate", more_modes))
+    mass = _MASS_SHARE * plate.density * plate.thickness * plate.area
+    for name, where, (x, y) in places(plate.edges):
+        sensor = Sensor(mass, x * plate.length, y * plate.width)
+
+        def loaded(sensor: Sensor = sensor) -> Predict:
+            models, bare = _loaded(case.models, sensor)
+            return lambda t: _under_test(t, about, models, bare, np.arange(n))
+
+        text = f"the same plate with a known mass of {1e3 * mass:.3g} g {where}, {n} modes"
+        found.append(FurtherTest(name, text, loaded))
+    text = f"a sister plate of the same material, {n} modes"
+    found.append(FurtherTest("sister_plate", text, lambda: lambda t: _sister(t, about, case, scatter)))
+    text = f"weighing the plate to {100 * WEIGHED:g} % and gauging its thickness to {100 * GAUGED:g} %"
+    found.append(FurtherTest("weighing", text, lambda: lambda t: _weighing(t, about, case)))
+    return found
+
+
+def places(edges: str) -> list[tuple[str, str, tuple[float, float]]]:
+    """Where a known mass can be put: a corner between two free edges, and the centre."""
+    corners = [
+        (x, y)
+        for x, of_x in ((1.0 - _CORNER, 2), (_CORNER, 0))
+        for y, of_y in ((1.0 - _CORNER, 3), (_CORNER, 1))
+        if edges[of_x] == edges[of_y] == "F"
+    ]
+    found = [("mass_at_corner", "at a free corner", at) for at in corners[:1]]
+    return [*found, ("mass_at_centre", "at the centre", (0.5, 0.5))]
+
+
+def _next_modes(t: Tested, about: int) -> Array:
+    """The modes after the last one that a hypothesis has listed."""
+    return int(t.marginal.comparison.model.parts[about].modes[-1]) + 1 + np.arange(MORE_MODES)
+
+
+def _loaded(plate: PlateModels, sensor: Sensor) -> tuple[PlateModels, PlateModel]:
+    """A plate with a known mass, in its own space."""
+    problem = add_known_mass(plate.problem, sensor.mass, sensor.x, sensor.y)
+    loaded = replace(plate, problem=problem, facts=replace(plate.facts, loaded=True))
+    return loaded, _on_basis(loaded, problem, plate.samples.x)
+
+
+def _on_basis(plate: PlateModels, problem: Problem, samples: Array) -> PlateModel:
+    return model_on_basis(problem, samples, plate.n_modes, plate.error, (plate.settings, plate.keep))
+
+
+def _with_effect(plate: PlateModels, effect: Effect) -> PlateModel:
+    """The full model of a plate with an effect: a reduced one would take more solves than it saves."""
+    problem = extend(plate.problem, effect, plate.facts)
+    added = np.array([[v[p.name] for p in effect.parameters] for v in (effect.null, effect.scaled(1.0))])
+    samples = np.column_stack((np.repeat(plate.samples.x[:1], 2, axis=0), added))
+    if problem.edges == plate.problem.edges and not couples(problem, plate.problem):
+        return _on_basis(plate, problem, samples)
+    found = converge(problem, problem.parameters.mapping(samples), plate.n_modes, _TOLERANCE)
+    return PlateModel(found.operator, plate.n_modes, found.error, (found.settings, found.keep))
+
+
+@dataclass(frozen=True, slots=True)
+class _Drawn:
+    """What a hypothesis says of one plate: vectors (d, n) of its constants and sizes, then of its effects.
+
+    own : number of the former. effects : of this plate, with the columns of their parameters.
+    """
+
+    v: Array
+    own: int
+    effects: tuple[tuple[Effect, tuple[int, ...]], ...]
+
+
+def _drawn(t: Tested, about: int) -> _Drawn:
+    part, x = t.marginal.comparison.model.parts[about], t.marginal.draws
+    columns, effects = [part.own(x)], []
+    n = at = columns[0].shape[1]
+    if part.changes:
+        for effect, change in zip(t.hypothesis.effects, part.changes, strict=True):
+            columns.append(x[:, list(change.columns)])
+            effects.append((effect, tuple(range(at, at + len(change.columns)))))
+            at += len(change.columns)
+    return _Drawn(np.concatenate(columns, axis=1), n, tuple(effects))
+
+
+def _composed(
+    drawn: _Drawn, parameters: ParameterSet, bare: ForwardModel, modes: Array, changes: Sequence[Change]
+) -> ComposedModel:
+    further = tuple(p for effect, _ in drawn.effects for p in effect.parameters)
+    every = ParameterSet((*parameters.parameters, *further))
+    part = Part(bare, np.arange(drawn.own), np.full(drawn.own, -1), tuple(changes), modes)
+    return ComposedModel(every, (part,))
+
+
+def _under_test(t: Tested, about: int, plate: PlateModels, bare: ForwardModel, modes: Array) -> Predicted:
+    """Frequencies of the plate with its effect under a test; an effect that it cannot have then is gone."""
+    drawn = _drawn(t, about)
+    changes = []
+    for effect, columns in drawn.effects:
+        names = tuple(p.name for p in effect.parameters)
+        if effect.change is None:
+            changes.append(Change(names, columns, None, effect.observe))
+        elif effect.applies_to(plate.facts):
+            changes.append(Change(names, columns, _with_effect(plate, effect)))
+    model = _composed(drawn, plate.parameters, bare, modes, changes)
+    return _response(model, drawn, np.exp(t.marginal.log_weight))
+
+
+def _response(model: ComposedModel, drawn: _Drawn, weight: Array) -> Predicted:
+    """Frequencies at all draws, from those at some where there are many.
+
+    The relative scatter of the latter about the response is missing then. Log frequencies are taken as
+    quadratic in each of the logarithms of constants and sizes and of the effects' parameters: they are linear
+    in the logarithm of what scales all stiffnesses, even in a skew.
+    """
+    v, weight = drawn.v.copy(), weight / weight.sum()
+    v[:, : drawn.own] = np.log(v[:, : drawn.own])
+    mean = weight @ v
+    sd = np.sqrt(weight @ (v - mean) ** 2)
+    varied = np.flatnonzero(sd > 1e-12)
+    n = 1 + 2 * len(varied)
+    size = max(_SOLVED, round(_PER_TERM * n))
+    if len(v) <= size:
+        f = model.predict(drawn.v).frequencies
+        return Predicted(f, np.zeros((f.shape[1], f.shape[1])))
+    share = np.cumsum(weight)
+    rows = np.unique(np.searchsorted(share / share[-1], (np.arange(size) + 0.5) / size).clip(max=len(v) - 1))
+    if len(rows) < size:  # a few draws hold most of the weight, and a response needs more than these
+        rows = np.argsort(-weight, kind="stable")[:size]
+    u = (v[:, varied] - mean[varied]) / sd[varied]
+    u = np.clip(u, u[rows].min(axis=0) - _BEYOND, u[rows].max(axis=0) + _BEYOND)
+    terms = np.column_stack((np.ones(len(v)), u, u**2))
+    log_f = np.log(model.predict(drawn.v[rows]).frequencies)
+    slopes, *_ = np.linalg.lstsq(terms[rows], log_f, rcond=None)
+    left = log_f - terms[rows] @ slopes
+    missing = np.sum(left**2, axis=0) / max(len(rows) - n, 1)
+    return Predicted(np.exp(terms @ slopes), np.diag(missing))
+
+
+def _sister(t: Tested, about: int, case: PlateCase, scatter: float) -> Predicted:
+    """Frequencies of another plate: its constants scatter about these, and its sizes are its own.
+
+    What that adds to the covariance is carried to the frequencies by their derivatives at the mean.
+    """
+    drawn = _drawn(t, about)
+    own, unknowns = case.models.parameters.parameters, case.models.specimen.unknowns
+    v = drawn.v.copy()
+    for j, parameter in enumerate(own):
+        if parameter.name not in unknowns:
+            v[:, j] = parameter.prior.mean
+    changes = []
+    for effect, columns in drawn.effects:
+        if effect.name in _COMMON:
+            names = tuple(p.name for p in effect.parameters)
+            own_model = None if effect.change is None else case.with_effect(effect)
+            changes.append(Change(names, columns, own_model, effect.observe))
+    modes = np.arange(case.measurement.size)
+    model = _composed(drawn, case.models.parameters, case.models.bare, modes, changes)
+    found = _response(model, replace(drawn, v=v), np.exp(t.marginal.log_weight))
+    mean = np.average(v, axis=0, weights=np.exp(t.marginal.log_weight))
+    at = model.predict(mean[None], jacobian=True)
+    assert at.jacobian is not None
+    spread = [scatter if p.name in unknowns else p.prior.sd / p.prior.mean for p in own]
+    slope = at.jacobian[0, :, : drawn.own] * mean[: drawn.own] / at.frequencies[0, :, None] * spread
+    return replace(found, missing=found.missing + slope @ slope.T, as_now=False)
+
+
+def _weighing(t: Tested, about: int, case: PlateCase) -> Predicted:
+    """Mass, kg, and thickness, m, of the plate; what a clamp holds is not weighed."""
+    drawn = _drawn(t, about)
+    problem, facts = case.models.problem, case.models.facts
+    names = list(case.models.parameters.names)
+    for effect, _ in drawn.effects:
+        names += [p.name for p in effect.parameters]
+        if effect.kind == "coefficients" and effect.family != "clamp":
+            problem = extend(problem, effect, facts)
+    values = dict(zip(names, drawn.v.T, strict=True))
+    state = problem.state({name: values[name] for name in problem.parameters.names})
+    one = np.ones(len(drawn.v))
+    y = np.stack((state.density * state.thickness * state.area * one, state.thickness * one), axis=1)
+    return Predicted(y, np.zeros((2, 2)), np.array([WEIGHED, GAUGED]), as_now=False)

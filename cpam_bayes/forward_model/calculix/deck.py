@@ -1,0 +1,295 @@
+"""The input deck of a plate in ABAQUS format, which ABAQUS and CalculiX both read.
+
+Units are N, m, kg and s. The plate lies in x and y with its midplane at z = 0.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cpam_bayes.forward_model.calculix.mesh import (
+    PlateMesh,
+    brick_mesh,
+    element_counts,
+    grid_lines,
+    layer_boundaries,
+    shell_mesh,
+)
+from cpam_bayes.mechanics.problem import EDGES, HELD, rigid_body_count
+from cpam_bayes.plate.elasticity import CONSTANTS, through_thickness_poisson
+from cpam_bayes.plate.records import Plate, Specimen
+
+__all__ = ["Deck", "Element", "plate_deck", "write_deck"]
+
+Element = Literal["shell", "brick"]
+
+# Degree of freedom that holds a field: a rotation phi_x of the normal turns about y.
+_DEGREE_OF_FREEDOM = {"u": 1, "v": 2, "w": 3, "phi_y": 4, "phi_x": 5}
+_TYPE: dict[Element, str] = {"shell": "S8R", "brick": "C3D20R"}
+
+_SHELLS_IN_PLANE = 256
+# Elements in the plane are as many as a budget of bricks allows: with 31 layers, 128 leave
+# 0.1 % in the tenth mode of the thick plates; with 4, more than 320 gain 0.03 %.
+_BRICKS = 4000
+_BRICKS_IN_PLANE = (128, 320)
+_MOST_BRICKS = 60_000
+
+# CalculiX reads 20 characters of a number and drops the rest, an exponent included.
+_NUMBER = ".12g"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Deck:
+    """A deck and its mesh; n_rigid : rigid-body motions that the edges leave."""
+
+    text: str
+    mesh: PlateMesh
+    n_rigid: int
+
+
+def write_deck(
+    specimen: Specimen,
+    constants: Mapping[str, float],
+    element: Element,
+    n_modes: int,
+    path: Path,
+    *,
+    in_plane: int | None = None,
+) -> None:
+    """Write the deck of a specimen to a file; arguments and errors as for `plate_deck`."""
+    deck = plate_deck(specimen, constants, element, n_modes, in_plane=in_plane)
+    path.write_text(deck.text, encoding="ascii", newline="\n")
+
+
+def plate_deck(
+    specimen: Specimen,
+    constants: Mapping[str, float],
+    element: Element,
+    n_modes: int,
+    *,
+    in_plane: int | None = None,
+) -> Deck:
+    """The deck of a specimen: mesh, plies, edges, known masses, a step for its modes.
+
+    Shells are S8R with a composite section. Bricks are C3D20R in layers: each run of equal plies
+    has its own layers of elements, no ply is averaged with another. Plies are orthotropic with
+    E3 = E2, nu13 = nu12 and nu23 by eq. (6). Edges hold the fields that `problem.HELD` names,
+    bricks on the whole face.
+
+    constants : E1, E2, nu12, G12, G13, G23, all six, Pa or dimensionless. n_modes : deformation
+    modes; the step asks for the rigid-body motions beside them. in_plane : elements in the
+    plane; left out, enough for the first ten modes.
+
+    Raises ValueError for unknown angles, a mesh file, constants that are incomplete or that no
+    material can have, and for more bricks than can be solved.
+    """
+    plate = specimen.plate
+    _check(specimen, element, n_modes, in_plane)
+    card = _material_card(constants, plate.density)
+    angles, heights = _runs(plate)
+    if element == "shell":
+        lines = _lines(specimen, in_plane or _SHELLS_IN_PLANE)
+        mesh, owner = shell_mesh(*lines), np.zeros(1, dtype=np.int64)
+    else:
+        z, owner = layer_boundaries(heights)
+        lines = _lines(specimen, in_plane or _bricks_in_plane(len(owner)))
+        _check_size(lines, len(owner))
+        mesh = brick_mesh(*lines, z)
+    unique, which = np.unique(angles, return_inverse=True)
+    n_rigid = rigid_body_count(plate.edges)
+    parts = [
+        _heading(specimen, element),
+        _nodes(mesh),
+        *_elements(mesh, owner, _TYPE[element]),
+        *(_orientation(k, angle) for k, angle in enumerate(unique)),
+        card,
+        *(
+            [_shell_section(heights, which)]
+            if element == "shell"
+            else [_solid_section(k, int(o)) for k, o in enumerate(which)]
+        ),
+        *_masses(specimen, mesh),
+        *_boundaries(plate.edges, mesh, element),
+        "*NSET, NSET=SURFACES\n" + _list_of(mesh.surfaces.ravel().tolist()),
+        f"*STEP\n*FREQUENCY\n{n_modes + n_rigid}",
+        "*NODE PRINT, NSET=SURFACES\nU\n*END STEP",
+    ]
+    return Deck("\n".join(parts) + "\n", mesh, n_rigid)
+
+
+def _check(specimen: Specimen, element: str, n_modes: int, in_plane: int | None) -> None:
+    plate = specimen.plate
+    if element not in get_args(Element):
+        raise ValueError(f"element: received {element!r}, accepted: shell, brick")
+    if n_modes < 1:
+        raise ValueError(f"number of modes: received {n_modes}, accepted: 1 or more")
+    if in_plane is not None and in_plane < 1:
+        raise ValueError(f"elements in the plane: received {in_plane}, accepted: 1 or more")
+    if plate.layup.n_unknown:
+        raise ValueError(
+            f"layup {plate.layup.text} has {plate.layup.n_unknown} unknown angles; a deck needs a known layup"
+        )
+    if plate.mesh is not None:
+        raise ValueError(
+            f"plate {specimen.name} takes its outline from {plate.mesh.name}; "
+            "decks are written for rectangular plates"
+        )
+
+
+def _runs(plate: Plate) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Angles (m,) degrees and thicknesses (m,) m of the runs of equal neighbouring plies."""
+    angles = plate.layup.angles_deg
+    starts = np.concatenate(([0], np.flatnonzero(np.diff(angles)) + 1, [len(angles)]))
+    return angles[starts[:-1]], np.diff(starts) * (plate.thickness / len(angles))
+
+
+def _bricks_in_plane(n_layers: int) -> int:
+    fewest, most = _BRICKS_IN_PLANE
+    return int(np.clip(_BRICKS // n_layers, fewest, most))
+
+
+def _lines(specimen: Specimen, in_plane: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    plate, sensors = specimen.plate, specimen.sensors
+    along_x, along_y = element_counts(plate.length, plate.width, in_plane)
+    ends_x, ends_y = (plate.edges[0], plate.edges[2]), (plate.edges[1], plate.edges[3])
+    return (
+        grid_lines(plate.length, along_x, plate.thickness, ends_x, [s.x for s in sensors]),
+        grid_lines(plate.width, along_y, plate.thickness, ends_y, [s.y for s in sensors]),
+    )
+
+
+def _check_size(lines: tuple[NDArray[np.float64], ...], n_layers: int) -> None:
+    count = n_layers * (len(lines[0]) - 1) * (len(lines[1]) - 1)
+    if count > _MOST_BRICKS:
+        raise ValueError(
+            f"bricks: {n_layers} layers, one or more for each run of equal plies, make {count} "
+            f"elements, accepted: up to {_MOST_BRICKS}; take shells or fewer elements in the plane"
+        )
+
+
+def _material_card(constants: Mapping[str, float], density: float) -> str:
+    missing = [name for name in CONSTANTS if name not in constants]
+    if missing:
+        raise ValueError(
+            f"elastic constants of a deck: {', '.join(missing)} missing, required: all of "
+            f"{', '.join(CONSTANTS)}; elasticity.complete_constants fills in what follows"
+        )
+    E1, E2, nu12, G12, G13, G23 = (float(constants[name]) for name in CONSTANTS)
+    moduli = (E1, E2, G12, G13, G23)
+    if not (all(0.0 < v < np.inf for v in moduli) and _is_positive_definite(E1, E2, nu12)):
+        given = ", ".join(f"{name} = {float(constants[name]):.4g}" for name in CONSTANTS)
+        raise ValueError(
+            f"elastic constants: received {given}, accepted: positive moduli and Poisson's ratios "
+            "that with eq. (6) make a positive definite compliance"
+        )
+    nu23 = float(through_thickness_poisson(E1, E2, nu12))
+    engineering = (E1, E2, E2, nu12, nu12, nu23, G12, G13, G23)
+    return "\n".join(
+        [
+            "*MATERIAL, NAME=PLY",
+            "*ELASTIC, TYPE=ENGINEERING CONSTANTS",
+            _numbers(engineering[:8]),
+            _numbers(engineering[8:]),
+            "*DENSITY",
+            _numbers([density]),
+        ]
+    )
+
+
+def _is_positive_definite(E1: float, E2: float, nu12: float) -> bool:
+    """Whether the compliance of the three normal stresses is, times E1; nu23 by eq. (6)."""
+    if not abs(nu12) < 1.0:
+        return False
+    ratio = E1 / E2
+    nu23 = float(through_thickness_poisson(E1, E2, nu12))
+    compliance = np.array([[1.0, -nu12, -nu12], [-nu12, ratio, -nu23 * ratio], [-nu12, -nu23 * ratio, ratio]])
+    return bool(np.linalg.eigvalsh(compliance)[0] > 0.0)
+
+
+def _heading(specimen: Specimen, element: Element) -> str:
+    plate = specimen.plate
+    about = f"Plate {specimen.name}, layup {plate.layup.text}, edges {plate.edges}"
+    shown = "".join(c if c.isascii() and c.isprintable() else "?" for c in about)
+    return "\n".join(
+        [
+            "*HEADING",
+            shown[:78],
+            f"** {_TYPE[element]}; units N, m, kg, s; midplane at z = 0",
+        ]
+    )
+
+
+def _nodes(mesh: PlateMesh) -> str:
+    rows = enumerate(mesh.nodes.tolist(), start=1)
+    return "\n".join(["*NODE, NSET=ALL", *(f"{n}, {_numbers(xyz)}" for n, xyz in rows)])
+
+
+def _elements(mesh: PlateMesh, owner: NDArray[np.int64], kind: str) -> Iterable[str]:
+    """One block for each layer; layers of one run of plies share an element set."""
+    first = 1
+    for layer, run in zip(mesh.elements, owner.tolist(), strict=True):
+        yield f"*ELEMENT, TYPE={kind}, ELSET=PLIES_{run + 1}"
+        for number, nodes in enumerate(layer.tolist(), start=first):
+            yield f"{number}, " + _list_of(nodes, first_line=15)
+        first += len(layer)
+
+
+def _orientation(index: int, angle_deg: float) -> str:
+    c, s = np.cos(np.deg2rad(angle_deg)), np.sin(np.deg2rad(angle_deg))
+    axes = np.round([c, s, 0.0, -s, c, 0.0], 12) + 0.0
+    return "\n".join(
+        [
+            f"** {angle_deg:g} degrees from x",
+            f"*ORIENTATION, NAME=ANGLE_{index + 1}, SYSTEM=RECTANGULAR",
+            _numbers(axes.tolist()),
+        ]
+    )
+
+
+def _shell_section(heights: NDArray[np.float64], which: NDArray[np.int64]) -> str:
+    """Runs from the bottom up: thickness, points of Simpson's rule (ABAQUS), material, axes."""
+    rows = (f"{t:{_NUMBER}}, 3, PLY, ANGLE_{o + 1}" for t, o in zip(heights, which, strict=True))
+    return "\n".join(["*SHELL SECTION, COMPOSITE, ELSET=PLIES_1", *rows])
+
+
+def _solid_section(run: int, orientation: int) -> str:
+    name = f"ANGLE_{orientation + 1}"
+    return f"*SOLID SECTION, ELSET=PLIES_{run + 1}, MATERIAL=PLY, ORIENTATION={name}"
+
+
+def _masses(specimen: Specimen, mesh: PlateMesh) -> Iterable[str]:
+    number = mesh.elements.shape[0] * mesh.elements.shape[1]
+    for k, sensor in enumerate(specimen.sensors, start=1):
+        node = mesh.node_at(sensor.x, sensor.y)
+        yield f"*ELEMENT, TYPE=MASS, ELSET=SENSOR_{k}\n{number + k}, {node}"
+        yield f"*MASS, ELSET=SENSOR_{k}\n{_numbers([sensor.mass])}"
+
+
+def _boundaries(edges: str, mesh: PlateMesh, element: Element) -> Iterable[str]:
+    for name, condition in zip(EDGES, edges, strict=True):
+        fields = HELD[condition][name[0]]
+        held = sorted(_DEGREE_OF_FREEDOM[f] for f in fields)
+        if element == "brick":  # a face that does not move does not turn
+            held = [d for d in held if d <= 3]
+        if not held:
+            continue
+        yield f"*NSET, NSET=EDGE_{name.upper()}\n" + _list_of(mesh.edges[name].tolist())
+        yield "*BOUNDARY\n" + "\n".join(f"EDGE_{name.upper()}, {d}" for d in held)
+
+
+def _numbers(values: Iterable[float]) -> str:
+    return ", ".join(f"{v:{_NUMBER}}" for v in values)
+
+
+def _list_of(numbers: list[int], first_line: int = 16) -> str:
+    """Numbers, at most 16 a line as ABAQUS reads them; a line that goes on ends in a comma."""
+    cuts = [0, *range(first_line, len(numbers), 16), len(numbers)]
+    rows = (numbers[a:b] for a, b in pairwise(cuts))
+    return ",\n".join(", ".join(map(str, row)) for row in rows)

@@ -1,0 +1,217 @@
+"""Modes that are known by their labels, followed through the parameters by their shapes.
+
+A label is that of a mode at one place, the reference constants. Elsewhere the mode is the one whose
+shape is most like it, by modal assurance, so that modes which change their order keep their labels.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cpam_bayes.forward_model.model import PlateModel, Prediction, reference_vector
+from cpam_bayes.forward_model.reduced import ReducedModel
+from cpam_bayes.mechanics.modes import Spectrum
+from cpam_bayes.mechanics.shapes import Mode
+from cpam_bayes.parameters import ParameterSet
+from cpam_bayes.plate import Measurement, Specimen
+
+__all__ = [
+    "LabelError",
+    "LabelledModel",
+    "labelled_model",
+    "list_order",
+    "same_label",
+    "spare_modes",
+]
+
+Array = NDArray[Any]
+
+# Modes computed beyond the list, so that a labelled one which moves up is still among them.
+SPARE_MODES = 4
+# Modal assurance below which none of the computed modes is the labelled one.
+_LEAST_ASSURANCE = 0.1
+
+
+class LabelError(ValueError):
+    """A label of the plate file that names no mode of the model, or names one too often."""
+
+
+@dataclass(frozen=True, slots=True)
+class LabelledModel:
+    """A reduced model whose modes stand where the list of frequencies has them.
+
+    The mode of a labelled frequency stands at that frequency's own number, whatever its rank; the
+    others fill the other places in ascending order.
+
+    rows : (n_labels,) numbers of the labelled frequencies. block : (n_labels,) block of the operator
+    that holds each labelled mode. images : M psi of each reference shape psi in its block, with
+    psi^T M psi = 1. weights : M of every block, at the reference.
+    """
+
+    reduced: ReducedModel
+    rows: Array
+    block: Array
+    images: tuple[Array, ...]
+    weights: tuple[Array, ...]
+
+    @property
+    def full(self) -> PlateModel:
+        """The model on its full space, modes in ascending order."""
+        return self.reduced.full
+
+    @property
+    def fast(self) -> PlateModel:
+        """The projected model, modes in ascending order."""
+        return self.reduced.fast
+
+    @property
+    def n_modes(self) -> int:
+        """Number of modes predicted."""
+        return self.reduced.n_modes
+
+    @property
+    def parameters(self) -> ParameterSet:
+        """The parameters that vary, in the order of the vectors."""
+        return self.reduced.parameters
+
+    def admissible(self, x: Array) -> Array:
+        """Whether parameter vectors (m, n) satisfy the constraints (9), (m,) bool."""
+        return self.reduced.admissible(x)
+
+    def predict(self, x: Array, *, jacobian: bool = False) -> Prediction:
+        """Frequencies at parameter vectors (m, n), in the places of the list, and derivatives."""
+        spectrum = self.fast.spectrum(x, vectors=True)
+        order = self._order(spectrum)
+        frequencies = np.take_along_axis(spectrum.frequencies, order, axis=1)
+        if not jacobian:
+            return Prediction(frequencies, None)
+        derivative = self.reduced.predict(x, jacobian=True).jacobian
+        assert derivative is not None
+        return Prediction(frequencies, np.take_along_axis(derivative, order[..., None], axis=1))
+
+    def order(self, x: Array) -> Array:
+        """Rank from 0 of the mode at each place, at parameter vectors (m, n), (m, n_modes)."""
+        return self._order(self.fast.spectrum(x, vectors=True))
+
+    def modes(self, x: Array) -> tuple[Mode, ...]:
+        """Frequencies, kinds and labels at one parameter vector (n,), in the places of the list."""
+        found = self.full.modes(x)
+        return tuple(found[k] for k in self.order(x)[0])
+
+    def _order(self, spectrum: Spectrum) -> Array:
+        m, k = spectrum.eigenvalues.shape
+        owner = self._owners(spectrum)
+        claimed = np.zeros((m, k), dtype=bool)
+        sets, which = np.nonzero(owner >= 0)
+        claimed[sets, owner[sets, which]] = True
+        order = np.empty((m, k), dtype=int)
+        others = np.setdiff1d(np.arange(k), self.rows)
+        order[:, others] = np.argsort(claimed, axis=1, kind="stable")[:, : len(others)]
+        # a labelled mode above all that are computed is no lower than the last of them
+        order[:, self.rows] = np.where(owner >= 0, owner, k - 1)
+        return order
+
+    def _owners(self, spectrum: Spectrum) -> Array:
+        """The mode of each label, -1 where none is like it, (m, n_labels)."""
+        assurance = self._assurance(spectrum)
+        m, _, n_labels = assurance.shape
+        owner = np.full((m, n_labels), -1)
+        sets = np.arange(m)
+        for _ in range(n_labels):  # the most certain label first, then those that are left
+            flat = assurance.reshape(m, -1)
+            best = flat.argmax(axis=1)
+            sure = flat[sets, best] > _LEAST_ASSURANCE
+            mode, label = np.divmod(best, n_labels)
+            owner[sets[sure], label[sure]] = mode[sure]
+            assurance[sets, mode] = 0.0
+            assurance[sets, :, label] = 0.0
+        return owner
+
+    def _assurance(self, spectrum: Spectrum) -> Array:
+        """Modal assurance of every mode with every reference shape, (m, n_modes, n_labels)."""
+        assert spectrum.vectors is not None
+        found = np.zeros((*spectrum.eigenvalues.shape, len(self.rows)))
+        for b in np.unique(self.block):
+            sets, modes = np.nonzero(spectrum.block == b)
+            phi = spectrum.vectors[b][sets, :, spectrum.column[sets, modes]]
+            labels = np.flatnonzero(self.block == b)
+            cross = phi @ np.stack([self.images[i] for i in labels], axis=1)
+            size = np.sum(phi * (phi @ self.weights[b]), axis=1)
+            found[sets[:, None], modes[:, None], labels] = cross**2 / size[:, None]
+        return found
+
+
+def labelled_model(
+    model: ReducedModel, measurement: Measurement, specimen: Specimen
+) -> ReducedModel | LabelledModel:
+    """The model with its modes in the places that the labels of a list give them.
+
+    The model itself where no frequency is labelled. Raises ``LabelError`` for a label that no mode of
+    the model has at the reference constants, or that other numbers of frequencies and of modes bear.
+    """
+    rows = np.flatnonzero([bool(label) for label in measurement.labels])
+    if not len(rows):
+        return model
+    x = reference_vector(specimen, model.parameters)
+    modes = model.full.modes(x)
+    columns = _columns(measurement, modes, specimen.source)
+    spectrum = model.fast.spectrum(x, vectors=True)
+    _, mass = model.fast.coefficients(x[None])
+    weights = tuple(block.mass.assemble(mass[0]) for block in model.fast.operator.blocks)
+    blocks, images = [], []
+    for j in columns:
+        b, psi = spectrum.vector(0, j)
+        blocks.append(b)
+        images.append(weights[b] @ psi / np.sqrt(psi @ weights[b] @ psi))
+    return LabelledModel(model, rows, np.array(blocks), tuple(images), weights)
+
+
+def list_order(model: ReducedModel | LabelledModel, x: Array) -> Array:
+    """Ranks of the modes in the places of the list at one parameter vector (n,), (n_modes,)."""
+    return model.order(x)[0] if isinstance(model, LabelledModel) else np.arange(model.n_modes)
+
+
+def spare_modes(measurement: Measurement) -> int:
+    """Modes to compute beyond the list: some where labelled ones may move up, none otherwise."""
+    return SPARE_MODES if any(measurement.labels) else 0
+
+
+def same_label(label: str) -> str:
+    """A label without spaces, the parts of a combination in the order of the model's own."""
+    return "+".join(sorted("".join(label.split()).split("+"), reverse=True))
+
+
+def _columns(measurement: Measurement, modes: tuple[Mode, ...], source: str) -> list[int]:
+    """The mode of each labelled frequency; those of equal labels are taken in ascending order."""
+    bearers: dict[str, list[int]] = {}
+    for j, mode in enumerate(modes):
+        bearers.setdefault(same_label(mode.label), []).append(j)
+    labels = [label for label in measurement.labels if label]
+    given = Counter(same_label(label) for label in labels)
+    left = {label: iter(own) for label, own in bearers.items()}
+    found = []
+    for label in labels:
+        own = bearers.get(same_label(label), [])
+        in_list = sum(j < measurement.size for j in own)
+        frequencies = given[same_label(label)]
+        if not max(in_list, 1) <= frequencies <= len(own):
+            there = ", ".join(f"{m.label} at {m.frequency:.4g} Hz" for m in modes)
+            verb = "have" if len(own) > 1 else "has"
+            raise LabelError(
+                f"{source}: measurement.labels: received {label!r} for {_count(frequencies, 'frequency')}, "
+                f"{_count(len(own), 'mode')} of the model {verb} it; label as many frequencies as modes, or "
+                f'write "" where the mode is not known; the first {len(modes)} modes at the reference '
+                f"constants: {there}"
+            )
+        found.append(next(left[same_label(label)]))
+    return found
+
+
+def _count(n: int, what: str) -> str:
+    plural = f"{what[:-1]}ies" if what.endswith("y") else f"{what}s"
+    return {0: f"no {what}", 1: f"one {what}"}.get(n, f"{n} {plural}")

@@ -1,0 +1,355 @@
+"""From parameters to predicted frequencies: the forward model that every back end asks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cpam_bayes.effects import add_air, add_known_mass
+from cpam_bayes.mechanics.affine import AffineOperator, discretise
+from cpam_bayes.mechanics.convergence import Tolerance, converge, rich_frequencies
+from cpam_bayes.mechanics.modes import Spectrum, eigenvalue_derivatives, solve
+from cpam_bayes.mechanics.problem import PlateState, Problem, Values, bare_plate
+from cpam_bayes.mechanics.shapes import Mode, describe_modes
+from cpam_bayes.mechanics.spaces.ritz import RitzSettings, ritz_space
+from cpam_bayes.parameters import Parameter, ParameterSet, TruncatedNormal, Uniform
+from cpam_bayes.plate.elasticity import CONSTANTS, complete_constants, is_admissible
+from cpam_bayes.plate.laminate import ENERGY_CONSISTENT, ShearModel, laminate_geometry
+from cpam_bayes.plate.records import Material, Plate, Specimen
+from cpam_bayes.threads import single_blas_thread
+
+Array = NDArray[Any]
+
+NO_PARAMETERS = ParameterSet(())
+SIZES = {"length": "m", "width": "m", "thickness": "m", "density": "kg/m3", "mass": "kg"}
+"""What is measured of a plate beside its frequencies, with its unit."""
+# A size varies within this many standard deviations and within these factors of its value.
+_SIZE_RANGE, _SIZE_FACTOR = 5.0, 4.0
+# Step of the complex-step derivative, relative to a parameter: any small number does, no digits go.
+_STEP = 1e-25
+# A space is converged at constants this far from the centre, as a fraction.
+_NEIGHBOURHOOD = 0.3
+# Angles that unknown plies take in turn, beside those drawn from the prior.
+_SPECIAL_DEG = ((0.0,), (90.0,), (0.0, 90.0), (45.0, -45.0))
+# Elsewhere in the prior box its error may be this many times larger.
+_FAR_ALLOWANCE = 20.0
+
+
+def angle_parameters(specimen: Specimen) -> ParameterSet:
+    """The unknown ply angles of a specimen as continuous parameters, in degrees."""
+    names = specimen.plate.layup.unknown_names
+    return ParameterSet(tuple(Parameter(name, "deg", Uniform(-90.0, 90.0)) for name in names))
+
+
+def size_parameters(specimen: Specimen) -> ParameterSet:
+    """Sizes, density and mass of a specimen that are known to a standard deviation, SI.
+
+    Each has a normal prior about the value of the plate file, cut at five standard deviations and at
+    a quarter and four times the value.
+    """
+    plate = specimen.plate
+    found = []
+    for name, unit in SIZES.items():
+        if name in plate.sd:
+            value, sd = float(getattr(plate, name)), plate.sd[name]
+            lower = max(value - _SIZE_RANGE * sd, value / _SIZE_FACTOR)
+            upper = min(value + _SIZE_RANGE * sd, value * _SIZE_FACTOR)
+            found.append(Parameter(name, unit, TruncatedNormal(value, sd, lower, upper)))
+    return ParameterSet(tuple(found))
+
+
+def reference_vector(specimen: Specimen, parameters: ParameterSet) -> Array:
+    """Reference constants and sizes of the plate file as a vector (n,), moved into their bounds.
+
+    Parameters that are neither, unknown angles for instance, take the mean of their prior.
+    """
+    known = {**reference_constants(specimen), **_given_sizes(specimen)}
+    x = np.array([known.get(p.name, p.prior.mean) for p in parameters.parameters])
+    return np.asarray(np.clip(x, parameters.lower, parameters.upper))
+
+
+def _given_sizes(specimen: Specimen) -> dict[str, float]:
+    sizes = {name: getattr(specimen.plate, name) for name in SIZES}
+    return {name: float(value) for name, value in sizes.items() if value is not None}
+
+
+def varied_sizes(plate: Plate, values: Values) -> dict[str, Any]:
+    """Length, width, thickness and density that differ from the plate file's, by name.
+
+    Where the file gives the mass, the density follows from it and the sizes.
+    """
+    found = {name: values[name] for name in SIZES if name in values}
+    mass = found.pop("mass", plate.mass)
+    if mass is not None and any(name in values for name in SIZES):
+        length, width, thickness = (
+            found.get(name, getattr(plate, name)) for name in ("length", "width", "thickness")
+        )
+        found["density"] = np.asarray(mass / (length * width * thickness))
+    return found
+
+
+def reference_constants(specimen: Specimen) -> dict[str, float]:
+    """All six reference constants of a specimen, Pa or dimensionless."""
+    material = specimen.material
+    complete = complete_constants(material.constants, material.isotropic)
+    return {name: float(value) for name, value in complete.items()}
+
+
+def plate_problem(
+    specimen: Specimen,
+    parameters: ParameterSet = NO_PARAMETERS,
+    shear: ShearModel = ENERGY_CONSISTENT,
+) -> Problem:
+    """The plate of a specimen as an eigenvalue problem in some of its constants, angles and sizes.
+
+    parameters : what varies; other constants keep their reference value, G13, G23 and the constants
+    of an isotropic plate following eq. (6) and (11) where they are not given. Known masses keep
+    their place in proportion where a size varies. Raises ``ValueError``
+    if an unknown angle of the layup is not among the parameters.
+    """
+    plate, material = specimen.plate, specimen.material
+    layup = plate.layup
+    missing = [name for name in layup.unknown_names if name not in parameters]
+    if missing:
+        raise ValueError(f"layup {layup.text} has {len(missing)} unknown angles; a known layup is needed")
+    # unknown angles are spread evenly, so that the nominal plate favours no direction
+    spread = np.linspace(-90.0, 90.0, layup.n_unknown + 1)[1:] if layup.n_unknown else np.empty(0)
+    nominal = PlateState(
+        length=np.asarray(plate.length),
+        width=np.asarray(plate.width),
+        thickness=np.asarray(plate.thickness),
+        density=np.asarray(plate.density),
+        constants=complete_constants(material.constants, material.isotropic),
+        layup=laminate_geometry(layup.angles(spread), symmetric=layup.is_symmetric),
+        shear=shear,
+        symmetric=layup.is_symmetric,
+    )
+
+    # partial objects, not closures: a model must be picklable to be sent to another process
+    state = partial(_plate_state, plate, material, nominal)
+    problem = bare_plate(parameters, plate.edges, nominal, state, partial(_is_physical, material))
+    for sensor in specimen.sensors:
+        problem = add_known_mass(problem, sensor.mass, sensor.x, sensor.y)
+    if specimen.air_density:
+        problem = add_air(problem, specimen.air_density)
+    return problem
+
+
+def _plate_state(plate: Plate, material: Material, nominal: PlateState, values: Values) -> PlateState:
+    """The nominal state with the constants, sizes and angles that vary."""
+    constants = complete_constants(_given_constants(material, values), material.isotropic)
+    found = replace(nominal, constants=constants, **varied_sizes(plate, values))
+    if not plate.layup.n_unknown:
+        return found
+    angles = np.stack([values[name] for name in plate.layup.unknown_names], axis=-1)
+    return replace(found, layup=plate.layup.angles(angles))
+
+
+def _is_physical(material: Material, values: Values) -> NDArray[np.bool_]:
+    shape = np.broadcast_shapes(*(np.shape(v) for v in values.values()))
+    return np.broadcast_to(is_admissible(_given_constants(material, values), material.isotropic), shape)
+
+
+def _given_constants(material: Material, values: Values) -> dict[str, Any]:
+    return {**material.constants, **{k: v for k, v in values.items() if k in CONSTANTS}}
+
+
+@dataclass(frozen=True, slots=True)
+class Prediction:
+    """Predicted frequencies of m parameter sets.
+
+    frequencies : (m, n_modes) Hz. jacobian : (m, n_modes, n_parameters), Hz per unit of the
+    parameter, or ``None``.
+    """
+
+    frequencies: Array
+    jacobian: Array | None
+
+
+@dataclass(frozen=True, slots=True)
+class PlateModel:
+    """A converged plate: parameter vectors in, frequencies out.
+
+    error : (n_modes,) estimated relative error of each frequency. basis : the trial functions as
+    ``converge`` chose them, for those who store a model; ``None`` for other operators.
+    """
+
+    operator: AffineOperator[Any, Any]
+    n_modes: int
+    error: Array
+    basis: tuple[RitzSettings, Array] | None = None
+
+    @property
+    def parameters(self) -> ParameterSet:
+        """The parameters that vary, in the order of the vectors."""
+        return self.operator.problem.parameters
+
+    def admissible(self, x: Array) -> Array:
+        """Whether parameter vectors (m, n) satisfy the constraints (9), (m,) bool."""
+        return self.operator.problem.admissible(self.parameters.mapping(x))
+
+    def spectrum(self, x: Array, *, vectors: bool = False) -> Spectrum:
+        """Modes at parameter vectors (m, n)."""
+        stiffness, mass = self.coefficients(np.atleast_2d(x))
+        return solve(self.operator, stiffness, mass, self.n_modes, vectors=vectors)
+
+    def predict(self, x: Array, *, jacobian: bool = False) -> Prediction:
+        """Frequencies at parameter vectors (m, n) and, if asked, their derivatives.
+
+        d f / d p = phi^T (dK/dp - lambda dM/dp) phi / (8 pi^2 f), phi M-normalised.
+        """
+        x = np.atleast_2d(x)
+        spectrum = self.spectrum(x, vectors=jacobian)
+        f = spectrum.frequencies
+        if not jacobian:
+            return Prediction(f, None)
+        derivative = eigenvalue_derivatives(self.operator, spectrum, *self._coefficient_derivatives(x))
+        return Prediction(f, derivative / (8 * np.pi**2 * f[..., None]))
+
+    def modes(self, x: Array) -> tuple[Mode, ...]:
+        """Frequencies, kinds and labels at one parameter vector (n,)."""
+        spectrum = self.spectrum(x, vectors=True)
+        _, mass = self.coefficients(np.atleast_2d(x))
+        return describe_modes(self.operator, spectrum, mass)
+
+    def coefficients(self, x: Array) -> tuple[Array, Array]:
+        """Coefficients of K and M at parameter vectors (m, n), (m, n_terms) each."""
+        found = self.operator.coefficients(self.parameters.mapping(x))
+        k, m = (np.broadcast_to(c, (len(x), c.shape[-1])) for c in found)
+        return k, m
+
+    def _coefficient_derivatives(self, x: Array) -> tuple[Array, Array]:
+        """d theta_q / d p_j by complex step, (m, n_terms, n_parameters) each."""
+        m, n = x.shape
+        step = _STEP * np.maximum(np.abs(x), np.finfo(float).tiny ** 0.25)
+        shifted = x[:, None, :] + 1j * step[:, None, :] * np.eye(n)
+        found = self.coefficients(shifted.reshape(m * n, n))
+        k, mass = (np.swapaxes(c.imag.reshape(m, n, -1) / step[:, :, None], 1, 2) for c in found)
+        return k, mass
+
+
+def training_sets(problem: Problem, n: int, rng: np.random.Generator) -> Array:
+    """Admissible parameter vectors that fill the prior box and its faces, (n, n_parameters).
+
+    Half are drawn from the prior, half with more weight on the bounds (a beta distribution with
+    both parameters 1/2), because an optimum often sits on one.
+    """
+    parameters = problem.parameters
+    found = np.empty((0, parameters.size))
+    lower, upper = parameters.lower, parameters.upper
+    while len(found) < n:
+        inside = parameters.sample(rng, n)
+        faces = lower + (upper - lower) * rng.beta(0.5, 0.5, size=(n, parameters.size))
+        both = np.stack((inside, faces), axis=1).reshape(-1, parameters.size)
+        found = np.concatenate((found, both[problem.admissible(parameters.mapping(both))]))
+    return found[:n]
+
+
+@dataclass(frozen=True, slots=True)
+class Samples:
+    """Parameter vectors (m, n_parameters) that tell a discretisation what it will be asked.
+
+    allowance : (m,) factors by which the error may exceed the tolerance there.
+    """
+
+    x: Array
+    allowance: Array
+
+
+def convergence_samples(
+    specimen: Specimen, problem: Problem, centre: Array | None = None, near: int = 2, far: int = 3
+) -> Samples:
+    """A centre, neighbours within 30 % of its constants, and sets all over the prior box.
+
+    centre : (n_parameters,), by default the reference constants. Far from it the space need only be
+    good enough to tell that the data lie elsewhere. The seed is fixed, so that a model does not
+    depend on the run that first needs it. Angles are drawn from their prior; where there are unknown
+    ones the centre is also taken with all of them at 0, at 90, at both and at 45 and -45 deg, which the
+    prior almost never gives and where free edges are hardest.
+    """
+    parameters = problem.parameters
+    if not parameters.size:
+        return Samples(np.empty((1, 0)), np.ones(1))
+    rng = np.random.default_rng(0)
+    middle = reference_vector(specimen, parameters) if centre is None else centre
+    found: list[Array] = []
+    while len(found) <= near:
+        x = parameters.sample(rng, 1)[0]
+        for i, name in enumerate(parameters.names):
+            if name in CONSTANTS:
+                away = _NEIGHBOURHOOD * rng.uniform(-1.0, 1.0) if found else 0.0
+                x[i] = middle[i] * (1.0 + away)
+            elif name in SIZES and not found:
+                x[i] = middle[i]
+        x = np.clip(x, parameters.lower, parameters.upper)
+        if problem.admissible(parameters.mapping(x)):
+            found.append(x)
+    found += _special_layups(specimen, parameters, found[0])
+    everywhere = training_sets(problem, far, rng)
+    allowance = np.concatenate((np.ones(len(found)), np.full(far, _FAR_ALLOWANCE)))
+    return Samples(np.concatenate((found, everywhere)), allowance)
+
+
+def _special_layups(specimen: Specimen, parameters: ParameterSet, centre: Array) -> list[Array]:
+    """A vector (n,) with its unknown angles in the patterns of the usual layups, none without angles."""
+    names = specimen.plate.layup.unknown_names
+    at = [i for i, name in enumerate(parameters.names) if name in names]
+    found = []
+    for pattern in _SPECIAL_DEG if at else ():
+        x = centre.copy()
+        x[at] = np.resize(pattern, len(at))
+        found.append(np.clip(x, parameters.lower, parameters.upper))
+    return found
+
+
+@single_blas_thread
+def converged_model(
+    specimen: Specimen,
+    parameters: ParameterSet,
+    n_modes: int,
+    shear: ShearModel = ENERGY_CONSISTENT,
+    tolerance: Tolerance | None = None,
+    centre: Array | None = None,
+) -> PlateModel:
+    """The plate of a specimen on a Ritz space that is converged about given constants.
+
+    parameters : what varies (``NO_PARAMETERS`` for the reference constants alone). centre : as in
+    ``convergence_samples``. Raises ``ValueError`` for a plate with a mesh.
+    """
+    if specimen.plate.mesh is not None:
+        raise ValueError(f"{specimen.source}: the Ritz space is of a rectangle, not of {specimen.plate.mesh}")
+    problem = plate_problem(specimen, parameters, shear)
+    samples = convergence_samples(specimen, problem, centre)
+    converged = converge(problem, parameters.mapping(samples.x), n_modes, tolerance, samples.allowance)
+    basis = (converged.settings, converged.keep)
+    return PlateModel(converged.operator, n_modes, converged.error, basis)
+
+
+def model_on_basis(
+    problem: Problem, samples: Array, n_modes: int, error: Array, basis: tuple[RitzSettings, Array]
+) -> PlateModel:
+    """The model that ``converged_model`` found before, from its basis and error.
+
+    samples : (m, n_parameters), where the symmetries of the problem are read off.
+    """
+    settings, keep = basis
+    space = ritz_space(problem.edges, problem.nominal, settings).restricted(keep)
+    operator = discretise(problem, space, problem.parameters.mapping(samples))
+    return PlateModel(operator, n_modes, error, basis)
+
+
+def discretisation_error(model: PlateModel, x: Array) -> Array:
+    """Estimated relative error of the frequencies of a model at one parameter vector, (n_modes,).
+
+    The model's frequencies against those of a space converged at this very place, plus the error of
+    that space. It holds where the model was not converged for, at the end of a search for instance.
+    """
+    x = np.atleast_2d(x)
+    problem = model.operator.problem
+    finer = rich_frequencies(problem, model.parameters.mapping(x), model.n_modes)
+    difference = np.abs(model.predict(x).frequencies / finer.frequencies - 1.0)
+    return np.asarray((difference + finer.error).max(axis=0))

@@ -1,0 +1,1 @@
+"""One plate, one frequency list: the constants as a point estimate or as a posterior."""

@@ -1,0 +1,91 @@
+"""From a plate file to a posterior and the swarm that its ensembles start from."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cpam_bayes.forward_model.labels import LabelledModel, labelled_model
+from cpam_bayes.forward_model.model import discretisation_error, reference_vector, size_parameters
+from cpam_bayes.forward_model.reduced import DEFAULT_SETTINGS as REDUCTION
+from cpam_bayes.forward_model.reduced import ReducedModel
+from cpam_bayes.forward_model.store import reduced_model
+from cpam_bayes.identification.point import required, search
+from cpam_bayes.inference.noise import Likelihood
+from cpam_bayes.inference.posterior import Posterior, plate_posterior
+from cpam_bayes.inference.sampling import swarm_on_posterior
+from cpam_bayes.inference.swarm.pso import SwarmSettings
+from cpam_bayes.plate import Specimen
+from cpam_bayes.threads import single_blas_thread
+
+Array = NDArray[Any]
+
+# Modes looked at beyond a list that may lack some, and beyond one that says it does not.
+_SPARE_MODES, _ONE_MORE = 4, 1
+
+
+@dataclass(frozen=True, slots=True)
+class Start:
+    """A posterior and the personal bests of a swarm on it or on its misfit.
+
+    bests : (m, n_plate) the plate's parameters, without the noise; values : (m,) what the swarm
+    minimised; solves : its forward solves.
+    """
+
+    posterior: Posterior
+    model: ReducedModel | LabelledModel
+    bests: Array
+    values: Array
+    solves: int
+
+
+@single_blas_thread
+def start_of(
+    specimen: Specimen,
+    seed: int,
+    *,
+    likelihood: Likelihood = "relative",
+    degrees_of_freedom: float = np.inf,
+    swarm_settings: SwarmSettings | None = None,
+    notify: Callable[[str], None] = lambda text: None,
+) -> Start:
+    """The posterior of a specimen's unknowns and of its sizes that have a standard deviation.
+
+    A complete list is first fitted by the paper's swarm with the sizes of the plate file, an
+    incomplete one by a swarm on the posterior itself. likelihood, degrees_of_freedom : of the noise,
+    as of ``noise_model``. Raises ``ValueError`` as ``identify`` and ``noise_model`` do.
+    """
+    measurement, unknowns = required(specimen)
+    sizes = size_parameters(specimen)
+    parameters = unknowns.union(sizes)
+
+    def posterior_of(model: ReducedModel | LabelledModel, error: Array) -> Posterior:
+        return plate_posterior(
+            model,
+            measurement,
+            np.hypot(error, REDUCTION.tolerance),
+            likelihood=likelihood,
+            degrees_of_freedom=degrees_of_freedom,
+        )
+
+    if not measurement.complete:
+        reduced = reduced_model(specimen, parameters, measurement.size + _SPARE_MODES, notify=notify)
+        model = labelled_model(reduced, measurement, specimen)
+        posterior = posterior_of(model, reduced.full.error)
+        bests, values, solves = swarm_on_posterior(posterior, seed, swarm_settings or SwarmSettings())
+        return Start(posterior, model, bests, values, solves)
+    found = search(specimen, seed, spare=_ONE_MORE, settings=swarm_settings, notify=notify)
+    swarm, model, error = found.swarm, found.model, found.error
+    bests = swarm.personal_bests
+    if sizes.size:
+        nominal = reference_vector(specimen, sizes)
+        bests = np.column_stack((bests, np.tile(nominal, (len(bests), 1))))
+        centre = None if found.centre is None else np.append(found.centre, nominal)
+        reduced = reduced_model(specimen, parameters, model.n_modes, centre=centre, notify=notify)
+        model = labelled_model(reduced, measurement, specimen)
+        error = discretisation_error(reduced.full, np.append(swarm.best, nominal))
+    return Start(posterior_of(model, error), model, bests, swarm.personal_values, swarm.evaluations)

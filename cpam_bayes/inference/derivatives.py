@@ -1,0 +1,294 @@
+"""A posterior about points: scaled coordinates, log density, gradient and curvature of stacks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cpam_bayes.forward_model.model import Prediction
+from cpam_bayes.inference.posterior import Posterior
+from cpam_bayes.parameters import ParameterSet
+
+Array = NDArray[Any]
+
+# Step of the complex-step derivative: any small number does, no digits go.
+_COMPLEX_STEP = 1e-30
+# Steps of central differences of priors and of likelihoods along the model's tangent, in scaled
+# coordinates: of first derivatives and of second ones.
+_STEP, _SECOND_STEP = 1e-5, 1e-4
+# Share of a standard deviation by which the exact Hessian steps.
+_HESSIAN_STEP = 1e-3
+
+
+@dataclass(frozen=True, slots=True)
+class Coordinates:
+    """Coordinates u in which a posterior is near a Gaussian.
+
+    u = x / (standard deviation of the prior), but log x for the noise's amplitude, a scale parameter.
+
+    scale : (n,) in the parameters' units. logged : (n,) bool. lower, upper : (n,) bounds of u.
+    inner, outer : (n,) bounds of x.
+    """
+
+    scale: Array
+    logged: Array
+    lower: Array
+    upper: Array
+    inner: Array
+    outer: Array
+
+    def to_u(self, x: Array) -> Array:
+        """Parameter vectors (..., n) in these coordinates."""
+        safe = np.where(self.logged, x, 1.0)
+        return np.asarray(np.where(self.logged, np.log(safe), x / self.scale))
+
+    def to_x(self, u: Array) -> Array:
+        """Parameter vectors of coordinates (..., n), within their bounds."""
+        x = np.where(self.logged, np.exp(np.where(self.logged, u, 0.0)), u * self.scale)
+        return np.asarray(np.clip(x, self.inner, self.outer))
+
+    def slope(self, x: Array) -> Array:
+        """d x / d u at x (..., n)."""
+        return np.asarray(np.where(self.logged, x, self.scale))
+
+    def log_jacobian(self, x: Array) -> Array:
+        """log |dx / du| at x (..., n), (...)."""
+        return np.asarray(np.log(self.slope(x)).sum(axis=-1))
+
+
+@dataclass(frozen=True, slots=True)
+class Expansion:
+    """Log density of m points with its derivatives.
+
+    value : (m,), -inf outside the support, where the derivatives are zero. gradient : (m, n).
+    curvature : (m, n, n), positive semidefinite: the negative Hessian less the second derivatives of the
+    frequencies, in the mean over the data.
+    """
+
+    value: Array
+    gradient: Array
+    curvature: Array
+
+
+def prior_sd(posterior: Posterior) -> Array:
+    """Standard deviations of the priors, (n,)."""
+    return np.array([p.prior.sd for p in posterior.parameters.parameters])
+
+
+def coordinates(posterior: Posterior) -> Coordinates:
+    """The scaled coordinates of a posterior."""
+    own = posterior.parameters
+    scale = prior_sd(posterior)
+    logged = np.array([name == posterior.noise_name for name in own.names])
+    with np.errstate(divide="ignore"):
+        lower, upper = (np.where(logged, np.log(np.where(logged, b, 1.0)), b / scale) for b in _bounds(own))
+    return Coordinates(scale, logged, lower, upper, own.lower, own.upper)
+
+
+def _bounds(own: ParameterSet) -> tuple[Array, Array]:
+    return own.lower, own.upper
+
+
+def log_density(posterior: Posterior, axes: Coordinates, u: Array) -> Array:
+    """Log posterior density over u but for the evidence, (m, n) -> (m,)."""
+    x = axes.to_x(u)
+    return np.asarray(posterior.log_prob(x) + axes.log_jacobian(x))
+
+
+def log_prob_gradient(posterior: Posterior, x: Array) -> tuple[Array, Array]:
+    """Log probability of parameter vectors (m, n) and its gradient, (m,) and (m, n).
+
+    d log p / dx = sum_i (d l_i / d f_i) (d f_i / dx) + d l / dx + d log prior / dx, with the model's
+    analytic d f / dx. The gradient is zero where the log probability is -inf, one-sided at a bound.
+    """
+    found = expand(posterior, x)
+    return found.value, found.gradient
+
+
+def expand(posterior: Posterior, x: Array) -> Expansion:
+    """Log probability, gradient and curvature over the parameters themselves, x (m, n).
+
+    The curvature is the Fisher information of the data and the curvature of the priors. Where
+    pairings are summed it is the negative Hessian for a model that is linear in its parameters,
+    its negative eigenvalues set to zero.
+    """
+    x = np.atleast_2d(x)
+    m, n = x.shape
+    value = posterior.log_prior(x)
+    gradient, curvature = np.zeros((m, n)), np.zeros((m, n, n))
+    inside = np.isfinite(value)
+    if inside.any():
+        own = x[inside]
+        added, slope, bend = _likelihood(posterior, own)
+        prior_slope, prior_bend = _prior(posterior, own)
+        value[inside] += added
+        gradient[inside] = slope + prior_slope
+        diagonal = np.maximum(prior_bend, 0.0)[..., None] * np.eye(n)
+        curvature[inside] = bend + diagonal
+    return Expansion(value, gradient, curvature)
+
+
+def information(posterior: Posterior, x: Array) -> Array:
+    """Fisher information of the data about the parameters at x (m, n), (m, n, n), as in ``expand``."""
+    return _likelihood(posterior, x)[2]
+
+
+def expand_u(posterior: Posterior, axes: Coordinates, u: Array) -> Expansion:
+    """The expansion of the log density over u at points u (m, n)."""
+    x = axes.to_x(np.atleast_2d(u))
+    found = expand(posterior, x)
+    inside = np.isfinite(found.value)[:, None]
+    slope = axes.slope(x)
+    gradient = found.gradient * slope + np.where(axes.logged & inside, 1.0, 0.0)
+    curvature = found.curvature * slope[:, :, None] * slope[:, None, :]
+    return Expansion(found.value + axes.log_jacobian(x), gradient, curvature)
+
+
+def hessian_u(posterior: Posterior, axes: Coordinates, u: Array, sd: Array) -> Array:
+    """The exact negative Hessian of the log density over u at one point (n,), (n, n).
+
+    Central differences of the analytic gradient with a step of a thousandth of ``sd`` (n,); at a bound
+    the one-sided formula of second order, (-3 g_0 + 4 g_1 - g_2) / 2 h. ``nan`` where a step leaves
+    the support.
+    """
+    n = len(u)
+    h = _HESSIAN_STEP * sd
+    sign = np.where(u + h > axes.upper, -1.0, 1.0)
+    central = (u + h <= axes.upper) & (u - h >= axes.lower)
+    h = h * sign
+    first, second = u + np.diag(h), u + np.where(central, -1.0, 2.0) * np.diag(h)
+    points = np.concatenate((u[None], first, second))
+    found = expand_u(posterior, axes, points)
+    g = np.where(np.isfinite(found.value)[:, None], found.gradient, np.nan)
+    g0, g1, g2 = g[0], g[1 : n + 1], g[n + 1 :]
+    difference = np.where(central[:, None], g1 - g2, -3.0 * g0 + 4.0 * g1 - g2) / (2.0 * h[:, None])
+    return np.asarray(-0.5 * (difference + difference.T))
+
+
+# The likelihood: value (m,), gradient (m, n), curvature (m, n, n)
+
+
+def _likelihood(posterior: Posterior, x: Array) -> tuple[Array, Array, Array]:
+    return (_one_to_one if posterior.measurement.complete else _summed)(posterior, x)
+
+
+def _one_to_one(posterior: Posterior, x: Array) -> tuple[Array, Array, Array]:
+    """Of a complete list: every frequency depends on its own mode alone.
+
+    The Fisher information of location and log scale of a Student-t density of nu degrees of freedom is
+    (nu + 1) / (nu + 3) / sigma^2 and 2 nu / (nu + 3) (Lange, Little and Taylor, 1989).
+    """
+    n_plate, n_f = posterior.model.parameters.size, posterior.measurement.size
+    prediction = posterior.model.predict(x[:, :n_plate], jacobian=True)
+    assert prediction.jacobian is not None
+    f = prediction.frequencies
+    slope = np.zeros((len(x), n_f, x.shape[1]))  # d f_i / dx
+    slope[:, :, :n_plate] = prediction.jacobian[:, :n_f]
+    i = np.arange(n_f)
+
+    def own(x: Array, f: Array) -> tuple[Array, Array]:
+        sigma = posterior.noise(x, f)
+        return posterior.log_density(f, sigma)[:, i, i], sigma[:, i, i]
+
+    step = 1j * _COMPLEX_STEP
+    density, sigma = own(x, f + step)
+    value, sigma_0 = density.real.sum(axis=1), sigma.real
+    by_f = density.imag / _COMPLEX_STEP
+    gradient = np.einsum("mi,mij->mj", by_f, slope)
+    log_sigma = (sigma.imag / _COMPLEX_STEP / sigma_0)[..., None] * slope  # d log sigma_i / dx
+    for j in range(n_plate, x.shape[1]):
+        density, sigma = own(x + step * (np.arange(x.shape[1]) == j), f)
+        gradient[:, j] += density.imag.sum(axis=1) / _COMPLEX_STEP
+        log_sigma[:, :, j] += sigma.imag / _COMPLEX_STEP / sigma_0
+    nu = posterior.degrees_of_freedom
+    location, scale = (1.0, 2.0) if np.isinf(nu) else ((nu + 1.0) / (nu + 3.0), 2.0 * nu / (nu + 3.0))
+    weighted = slope / sigma_0[..., None]
+    curvature = location * _gram(weighted) + scale * _gram(log_sigma)
+    return value, gradient, curvature
+
+
+def _gram(a: Array) -> Array:
+    return np.asarray(np.swapaxes(a, 1, 2) @ a)
+
+
+@dataclass(frozen=True, slots=True)
+class _Tangent:
+    """A model that is linear in its parameters: the tangent of another at m points."""
+
+    parameters: ParameterSet
+    at: Array
+    frequencies: Array
+    jacobian: Array
+
+    def predict(self, x: Array, *, jacobian: bool = False) -> Prediction:
+        away = np.einsum("mij,mj->mi", self.jacobian, x - self.at)
+        return Prediction(self.frequencies + away, self.jacobian if jacobian else None)
+
+    def admissible(self, x: Array) -> Array:
+        return np.ones(len(x), dtype=bool)
+
+
+@dataclass(frozen=True, slots=True)
+class _TangentPosterior(Posterior):
+    """A posterior over a tangent, with the modes in range held as they are at its points.
+
+    A mode comes into range at the highest frequency listed, next to which every optimum lies: a
+    difference across that small jump would say nothing about the slope.
+    """
+
+    seen: Array = field(default_factory=lambda: np.empty((0, 0), dtype=bool))
+
+    def in_range(self, predicted: Array) -> Array:
+        return self.seen
+
+
+def _summed(posterior: Posterior, x: Array) -> tuple[Array, Array, Array]:
+    """Of an incomplete list: differences of its likelihood along the tangent of the model, no solves."""
+    n_plate, n = posterior.model.parameters.size, x.shape[1]
+    prediction = posterior.model.predict(x[:, :n_plate], jacobian=True)
+    assert prediction.jacobian is not None
+    tangent = _Tangent(
+        posterior.model.parameters, x[:, :n_plate], prediction.frequencies, prediction.jacobian
+    )
+    own = {f.name: getattr(posterior, f.name) for f in fields(Posterior)} | {"model": tangent}
+    likelihood = _TangentPosterior(**own, seen=posterior.in_range(prediction.frequencies)).log_likelihood
+    axes = coordinates(posterior)
+    unit = axes.slope(x)[:, None, :] * np.eye(n)  # (m, n, n), row j is a unit step of u_j
+
+    def difference(j: int, at: Array, step: float) -> Array:
+        return np.asarray(likelihood(at + step * unit[:, j]) - likelihood(at - step * unit[:, j]))
+
+    value = np.asarray(likelihood(x))
+    gradient = np.stack([difference(j, x, _STEP) for j in range(n)], axis=1) / (2.0 * _STEP)
+    bend = np.empty((len(x), n, n))
+    for j in range(n):
+        for k in range(j + 1):
+            up, down = (x + s * _SECOND_STEP * unit[:, k] for s in (1, -1))
+            second = difference(j, up, _SECOND_STEP) - difference(j, down, _SECOND_STEP)
+            bend[:, j, k] = bend[:, k, j] = -second / (4.0 * _SECOND_STEP**2)
+    values, vectors = np.linalg.eigh(bend)
+    bend = (vectors * np.maximum(values, 0.0)[:, None, :]) @ np.swapaxes(vectors, 1, 2)
+    inverse = 1.0 / axes.slope(x)
+    return value, gradient * inverse, bend * inverse[:, :, None] * inverse[:, None, :]
+
+
+def _prior(posterior: Posterior, x: Array) -> tuple[Array, Array]:
+    """Gradient and negative second derivative of the log prior in every parameter, (m, n) each.
+
+    Central differences. Next to a bound they are taken a step inside and carried to it by the second
+    derivative. The second derivative of the noise is that of its density over log x.
+    """
+    axes = coordinates(posterior)
+    gradient, bend = np.zeros_like(x), np.zeros_like(x)
+    for j, parameter in enumerate(posterior.parameters.parameters):
+        prior = parameter.prior
+        h = _SECOND_STEP * axes.slope(x)[:, j]
+        at = np.clip(x[:, j], prior.lower + h, prior.upper - h)
+        down, here, up = (np.asarray(prior.log_density(at + s * h)) for s in (-1, 0, 1))
+        second = (up - 2.0 * here + down) / h**2
+        gradient[:, j] = (up - down) / (2.0 * h) + second * (x[:, j] - at)
+        bend[:, j] = -second - (gradient[:, j] / x[:, j] if axes.logged[j] else 0.0)
+    return gradient, bend

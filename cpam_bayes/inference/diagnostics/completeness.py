@@ -1,0 +1,216 @@
+"""Whether a list that is said to be complete looks as if it lacked a mode or held a false peak."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cpam_bayes.forward_model.labels import LabelledModel, list_order
+from cpam_bayes.forward_model.model import Prediction, reference_vector
+from cpam_bayes.forward_model.reduced import ReducedModel
+from cpam_bayes.inference.derivatives import Expansion, coordinates, expand_u
+from cpam_bayes.inference.laplace import laplace_log_evidence
+from cpam_bayes.inference.optimise import climb
+from cpam_bayes.inference.posterior import ForwardModel, Posterior
+from cpam_bayes.mechanics.shapes import Mode
+from cpam_bayes.parameters import ParameterSet
+from cpam_bayes.plate import Specimen
+
+__all__ = ["Doubt", "PairingDoubt", "doubt_of", "pairing_doubt"]
+
+Array = NDArray[Any]
+
+# Log odds from which another pairing is far more probable.
+_FAR = float(np.log(100.0))
+# Draws from the prior, and those of them from which an optimum is sought for each pairing.
+_DRAWS, _STARTS = 300, 3
+_MOST_STEPS = 25
+
+
+@dataclass(frozen=True, slots=True)
+class PairingDoubt:
+    """A pairing with one slip that is far more probable than the one to one of a complete list.
+
+    missed : number, from 0, of the model's mode that the list seems to lack, or ``None``. spurious :
+    number of the frequency that seems to be no mode, or ``None``. log_odds : against one to one. x :
+    (n,) parameters where it fits best.
+    """
+
+    missed: int | None
+    spurious: int | None
+    log_odds: float
+    x: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Doubt:
+    """A ``PairingDoubt`` in terms of the plate.
+
+    missed : the mode that a list seems to lack, where the other modes fit best. spurious : the
+    frequency that seems to be no mode, Hz. log_odds : against one to one.
+    """
+
+    missed: Mode | None
+    spurious: float | None
+    log_odds: float
+
+
+def doubt_of(
+    specimen: Specimen, posterior: Posterior, model: ReducedModel | LabelledModel, best: Array
+) -> Doubt | None:
+    """What makes one to one a doubtful pairing of a specimen's list, ``None`` where nothing does.
+
+    best : (n,) optimum of the posterior. Lists that may lack modes are never in doubt.
+    """
+    if not posterior.measurement.complete:
+        return None
+    found = pairing_doubt(posterior, best, reference_vector(specimen, model.parameters)[None])
+    if found is None:
+        return None
+    if found.spurious is not None:
+        return Doubt(None, float(posterior.measurement.frequencies[found.spurious]), found.log_odds)
+    assert found.missed is not None
+    x = found.x[: model.parameters.size]
+    modes = model.full.modes(x)
+    return Doubt(modes[list_order(model, x)[found.missed]], None, found.log_odds)
+
+
+@dataclass(frozen=True, slots=True)
+class _Slip:
+    """A one to one pairing of some frequencies with some modes, and the log of its price."""
+
+    rows: Array
+    columns: Array
+    price: float
+    missed: int | None = None
+    spurious: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class _Places:
+    """Parameters of the plate (m, n_plate) to start from; the first ``always`` are for every pairing."""
+
+    x: Array
+    always: int
+
+
+@dataclass(frozen=True, slots=True)
+class _Selected:
+    """Some modes of a model."""
+
+    model: ForwardModel
+    columns: Array
+
+    @property
+    def parameters(self) -> ParameterSet:
+        return self.model.parameters
+
+    def predict(self, x: Array, *, jacobian: bool = False) -> Prediction:
+        found = self.model.predict(x, jacobian=jacobian)
+        slope = None if found.jacobian is None else found.jacobian[:, self.columns]
+        return Prediction(found.frequencies[:, self.columns], slope)
+
+    def admissible(self, x: Array) -> Array:
+        return self.model.admissible(x)
+
+
+def pairing_doubt(posterior: Posterior, best: Array, others: Array) -> PairingDoubt | None:
+    """The most probable single slip in a complete list, if it is far more probable than none.
+
+    Evidences by Laplace's method of the list paired one to one, with one mode of the model left out,
+    or with one frequency left out, at the prices of ``posterior.pairing``. More than 100 times as
+    probable counts as far. Labelled frequencies keep their modes. A list that ends too early cannot
+    be told from a complete one.
+
+    best : (n,) optimum of the posterior; others : (m, n_plate) further parameters to start from. The
+    model must predict a mode more than there are frequencies.
+    """
+    n_plate = posterior.model.parameters.size
+    draws = posterior.model.parameters.sample(np.random.default_rng(0), _DRAWS)
+    draws = draws[posterior.model.admissible(draws)]
+    places = _Places(np.concatenate((best[None, :n_plate], others, draws)), 1 + len(others))
+    predicted = posterior.predict(places.x)
+    none, *slips = _slips(posterior, predicted.shape[1])
+    reference = _evidence(posterior, none, places, predicted)[0]
+    found = [(*_evidence(posterior, slip, places, predicted), slip) for slip in slips]
+    if not found:
+        return None
+    log_evidence, x, slip = max(found, key=lambda f: f[0])
+    log_odds = log_evidence - reference
+    return PairingDoubt(slip.missed, slip.spurious, log_odds, x) if log_odds > _FAR else None
+
+
+def _slips(posterior: Posterior, n_modes: int) -> Iterator[_Slip]:
+    """The pairing without a slip, then every pairing with one."""
+    n, prior = posterior.measurement.size, posterior.pairing
+    rows = np.arange(n)
+    paired = float(np.log1p(-prior.missed))
+    yield _Slip(rows, rows, n * paired)
+    free = np.flatnonzero(~posterior.labelled)
+    places = np.setdiff1d(np.arange(n_modes), np.flatnonzero(posterior.labelled))
+    if len(places) > len(free):
+        for k in range(len(free)):
+            columns = rows.copy()
+            columns[free] = np.delete(places, k)[: len(free)]
+            price = n * paired + float(np.log(prior.missed))
+            yield _Slip(rows, columns, price, missed=int(places[k]))
+    if n == 1 or prior.spurious == 0.0:
+        return
+    for k in range(len(free)):
+        columns = rows.copy()
+        columns[np.delete(free, k)] = places[: len(free) - 1]
+        kept = np.delete(rows, free[k])
+        price = (n - 1) * paired + float(np.log(prior.spurious / posterior.span))
+        yield _Slip(kept, columns[kept], price, spurious=int(free[k]))
+
+
+def _evidence(posterior: Posterior, slip: _Slip, places: _Places, predicted: Array) -> tuple[float, Array]:
+    """Log evidence of a pairing with its price, and its optimum (n,)."""
+    own = _paired(posterior, slip)
+    residuals = predicted[:, slip.columns] - own.measurement.frequencies
+    misfit = np.sum((residuals / own.measurement.frequencies) ** 2, axis=1)
+    nearest = np.argsort(misfit, kind="stable")[:_STARTS]
+    chosen = np.union1d(np.arange(places.always), nearest)
+    starts = places.x[chosen]
+    if own.noise_is_inferred:
+        noise = [own.noise_model.suggested(residuals[i]) for i in chosen]
+        starts = np.column_stack((starts, noise))
+    axes = coordinates(own)
+
+    def target(u: Array, rows: Array) -> Expansion:
+        return expand_u(own, axes, u)
+
+    u = axes.to_u(np.clip(starts, axes.inner, axes.outer))
+    summit = climb(target, u, axes.lower, axes.upper, most_steps=_MOST_STEPS)
+    inside = np.isfinite(summit.expansion.value)
+    if not inside.any():
+        return -np.inf, starts[0]
+    e, u = summit.expansion, summit.u[inside]
+    log_evidence = laplace_log_evidence(e.value[inside], e.gradient[inside], e.curvature[inside], u, axes)
+    top = int(np.argmax(log_evidence))
+    return float(log_evidence[top]) + slip.price, axes.to_x(u[top])
+
+
+def _paired(posterior: Posterior, slip: _Slip) -> Posterior:
+    """The posterior given that the rows of the list are these columns of the model, in order."""
+    own, noise = posterior.measurement, posterior.noise_model
+    sd = None if own.frequency_sd is None else own.frequency_sd[slip.rows]
+    measurement = replace(
+        own,
+        frequencies=own.frequencies[slip.rows],
+        frequency_sd=sd,
+        labels=("",) * len(slip.rows),
+    )
+    return replace(
+        posterior,
+        model=_Selected(posterior.model, slip.columns),
+        measurement=measurement,
+        noise_model=replace(
+            noise, scale=noise.scale[slip.rows], solver_error=noise.solver_error[slip.columns]
+        ),
+        labelled=np.zeros(len(slip.rows), dtype=bool),
+    )

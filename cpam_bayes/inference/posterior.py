@@ -1,0 +1,200 @@
+"""The posterior of a plate's parameters: noise, priors and pairing over a forward model."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cpam_bayes.forward_model.labels import LabelledModel
+from cpam_bayes.forward_model.model import Prediction
+from cpam_bayes.inference.noise import NOISE_PRIOR, Likelihood, NoiseModel, noise_model
+from cpam_bayes.inference.pairing import (
+    DEFAULT_PAIRING,
+    Pairing,
+    PairingPrior,
+    labelled_log_likelihood,
+    most_probable_labelled_pairing,
+)
+from cpam_bayes.parameters import ParameterSet
+from cpam_bayes.plate import Measurement
+
+__all__ = ["NOISE", "NOISE_PRIOR", "ForwardModel", "Posterior", "SolverError", "plate_posterior"]
+
+Array = NDArray[Any]
+
+NOISE = "relative_std"
+
+
+class SolverError(ValueError):
+    """A forward model returned something that is no frequency."""
+
+
+class ForwardModel(Protocol):
+    """What a posterior asks of a plate."""
+
+    @property
+    def parameters(self) -> ParameterSet:
+        """Parameters of the plate, in the order of the vectors."""
+        ...
+
+    def predict(self, x: Array, *, jacobian: bool = False) -> Prediction:
+        """Frequencies at parameter vectors (m, n)."""
+        ...
+
+    def admissible(self, x: Array) -> Array:
+        """Whether parameter vectors (m, n) are physical, (m,) bool."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Posterior:
+    """Log probability of parameter vectors, given measured frequencies.
+
+    parameters : those of the model, then the amplitude of the noise where it is inferred. labelled :
+    (n_frequencies,) bool, frequencies whose mode is known by its label: the model gives it at the
+    frequency's own place among its modes.
+    """
+
+    model: ForwardModel
+    measurement: Measurement
+    parameters: ParameterSet
+    noise_model: NoiseModel
+    labelled: Array
+    pairing: PairingPrior = DEFAULT_PAIRING
+
+    @property
+    def noise_is_inferred(self) -> bool:
+        """Whether the amplitude of the noise is a parameter, the last one."""
+        return self.noise_model.parameter is not None
+
+    @property
+    def noise_name(self) -> str | None:
+        """Name of the noise's amplitude where it is inferred."""
+        parameter = self.noise_model.parameter
+        return None if parameter is None else parameter.name
+
+    @property
+    def degrees_of_freedom(self) -> float:
+        """Of Student-t noise, infinite for Gaussian noise."""
+        return self.noise_model.degrees_of_freedom
+
+    def amplitude(self, x: Array) -> Array:
+        """Amplitude of the noise at parameter vectors (m, n_parameters), (m,)."""
+        given = self.noise_model.amplitude
+        return np.full(len(x), given) if isinstance(given, float) else x[:, -1]
+
+    def noise(self, x: Array, predicted: Array) -> Array:
+        """Standard deviations of the measured frequencies, if they belong to predicted ones, Hz.
+
+        x (m, n_parameters), predicted (m, n_modes) -> (m, n_frequencies, n_modes).
+        """
+        return self.noise_model.sd(self.amplitude(x), predicted)
+
+    def predict(self, x: Array) -> Array:
+        """Frequencies of the model at parameter vectors (m, n_parameters), (m, n_modes) Hz.
+
+        Raises ``SolverError`` if one of them is not a number.
+        """
+        own = x[:, : self.model.parameters.size]
+        predicted = self.model.predict(own).frequencies
+        wrong = ~np.isfinite(predicted)
+        if wrong.any():
+            row, mode = np.argwhere(wrong)[0]
+            raise SolverError(
+                f"the plate solver returned {predicted[row, mode]} Hz for mode {mode + 1} at "
+                f"{self._told(own[row])}; check the sizes and the bounds of the unknowns in the plate file"
+            )
+        return predicted
+
+    def log_likelihood(self, x: Array) -> Array:
+        """Log likelihood of parameter vectors (m, n_parameters), (m,)."""
+        predicted = self.predict(x)
+        density = self.log_density(predicted, self.noise(x, predicted))
+        if self.measurement.complete:
+            i = np.arange(self.measurement.size)
+            return np.asarray(density[:, i, i].sum(axis=1))
+        return labelled_log_likelihood(
+            density, self.in_range(predicted), self.span, self.labelled, self.pairing
+        )
+
+    def log_density(self, predicted: Array, sigma: Array) -> Array:
+        """Log density of every measured frequency about every predicted one, (m, n_f, n_modes)."""
+        z = (self.measurement.frequencies[None, :, None] - predicted[:, None, :]) / sigma
+        return self.noise_model.log_density(z) - np.log(sigma)
+
+    def most_probable_pairing(self, x: Array) -> Pairing:
+        """Which frequency is which of the model's modes at one parameter vector (n_parameters,)."""
+        own = self.measurement
+        if own.complete:
+            return Pairing(np.arange(own.size), np.empty(0, dtype=int), 0.0)
+        predicted = self.predict(x[None])
+        density = self.log_density(predicted, self.noise(x[None], predicted))[0]
+        return most_probable_labelled_pairing(
+            density, self.in_range(predicted)[0], self.span, self.labelled, self.pairing
+        )
+
+    def in_range(self, predicted: Array) -> Array:
+        """Modes that a complete list would contain: none lies above the highest frequency listed."""
+        return np.asarray(predicted <= self.measurement.frequencies[-1])
+
+    @property
+    def span(self) -> float:
+        """Width of the measured range, Hz."""
+        return float(self.measurement.frequencies[-1])
+
+    def log_prior(self, x: Array) -> Array:
+        """Log prior of parameter vectors (m, n_parameters), -inf outside the support, (m,)."""
+        log_prior = self.parameters.log_prior(x)
+        inside = np.isfinite(log_prior)
+        allowed = inside.copy()
+        allowed[inside] = self.model.admissible(x[inside][:, : self.model.parameters.size])
+        return np.where(allowed, log_prior, -np.inf)
+
+    def log_prob(self, x: Array) -> Array:
+        """Log posterior but for a constant, -inf outside the support, (m, n_parameters) -> (m,).
+
+        Raises ``SolverError`` where it would not be a number.
+        """
+        x = np.atleast_2d(x)
+        found = self.log_prior(x)
+        inside = np.isfinite(found)
+        if inside.any():
+            found[inside] += self.log_likelihood(x[inside])
+            if np.isnan(found).any():
+                where = x[int(np.argmax(np.isnan(found)))]
+                raise SolverError(f"the log probability is not a number at {self._told(where)}")
+        return found
+
+    def _told(self, x: Array) -> str:
+        """Parameters and their values, SI, in words; ``x`` may be those of the model alone."""
+        named = zip(self.parameters.parameters, x, strict=False)
+        return ", ".join(f"{p.name} = {value:.6g} {p.unit}".rstrip() for p, value in named)
+
+
+def plate_posterior(
+    model: ForwardModel,
+    measurement: Measurement,
+    solver_error: Array,
+    *,
+    likelihood: Likelihood = "relative",
+    degrees_of_freedom: float = np.inf,
+    pairing: PairingPrior = DEFAULT_PAIRING,
+) -> Posterior:
+    """The posterior of a model's parameters, with the noise among them if the file leaves it out.
+
+    likelihood, degrees_of_freedom : as of ``noise_model``. solver_error : (n_modes,) relative. Raises
+    ``ValueError`` for a list with labels unless the model is a ``LabelledModel``.
+    """
+    noise = noise_model(measurement, solver_error, likelihood, degrees_of_freedom)
+    parameters = model.parameters
+    if noise.parameter is not None:
+        parameters = parameters.union(ParameterSet((noise.parameter,)))
+    labelled = np.array([bool(label) for label in measurement.labels])
+    if labelled.any() and not isinstance(model, LabelledModel):
+        raise ValueError(
+            "the list of frequencies has labels and the model does not know them; make it with labelled_model"
+        )
+    return Posterior(model, measurement, parameters, noise, labelled, pairing)

@@ -1,0 +1,1 @@
+"""Particle swarms: the paper's PSO for constants and FPSO for ply angles."""

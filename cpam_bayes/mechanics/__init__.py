@@ -1,0 +1,1 @@
+"""Plate mechanics: the forms, the spaces that discretise them, operators, eigenpairs, convergence."""

@@ -1,0 +1,396 @@
+"""Discretised problems: K(p) = sum_q theta_q(p) K_q and M(p) = sum_q mu_q(p) M_q, dense or sparse."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Generic, Protocol, TypeVar
+
+import numpy as np
+import scipy.linalg
+from numpy.typing import NDArray
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+
+from cpam_bayes.mechanics.problem import Atom, Form, MatrixKind, Problem, Values
+from cpam_bayes.mechanics.spaces.protocol import Quadrature, Space
+from cpam_bayes.mechanics.spaces.ritz import Family, RitzSpace, broken_quadrature, evaluate_sector
+from cpam_bayes.mechanics.weights import Product
+from cpam_bayes.threads import matrix_by_matrix
+
+Array = NDArray[Any]
+SpaceT = TypeVar("SpaceT", bound=Space, covariant=True)
+BlockT = TypeVar("BlockT", bound="Block", covariant=True)
+
+
+# Off-diagonal share of a mass matrix that is left by the quadrature of orthonormal functions.
+_ROUNDING = 1e-13
+
+
+@dataclass(frozen=True)
+class AffineMatrix:
+    """A symmetric matrix that is a sum of fixed matrices times coefficients, on one block.
+
+    ``stack`` (n_active, n, n) holds the matrices, ``active`` (n_active,) the coefficients they
+    belong to.
+    """
+
+    stack: Array
+    active: Array
+
+    @cached_property
+    def is_diagonal(self) -> bool:
+        """Whether every matrix of the sum is diagonal, but for the rounding of its integrals."""
+        size = np.abs(self.stack).max(axis=0, initial=0.0)
+        off = size - np.diag(np.diagonal(size))
+        return bool(off.max(initial=0.0) <= _ROUNDING * size.max(initial=0.0))
+
+    def assemble(self, coefficients: Array) -> Array:
+        """The matrix at coefficients (..., n_terms), (..., n, n)."""
+        n = self.stack.shape[-1]
+        flat = coefficients[..., self.active] @ self.stack.reshape(len(self.active), n * n)
+        return flat.reshape(*coefficients.shape[:-1], n, n)
+
+    def restricted(self, keep: Array) -> AffineMatrix:
+        """The same sum on some of the trial functions, ``keep`` (n,) bool."""
+        return AffineMatrix(self.stack[:, keep][:, :, keep], self.active)
+
+    def project(self, basis: Array) -> AffineMatrix:
+        """The same sum on the span of ``basis`` (n, r)."""
+        return AffineMatrix(basis.T @ (self.stack @ basis), self.active)
+
+
+# M-normalised eigenvectors (k, size) of some modes: (k,) the coefficient set of each, (k,) which of its
+# eigenvalues it has.
+ModeVectors = Callable[[Array, Array], Array]
+
+
+class Block(Protocol):
+    """Trial functions that couple only among themselves: what an eigensolver needs of them.
+
+    Coefficients are (m, n_stiffness) and (m, n_mass), as from ``AffineOperator.coefficients``.
+    """
+
+    @property
+    def size(self) -> int:
+        """Number of trial functions."""
+        ...
+
+    def eigenvalues(self, stiffness: Array, mass: Array, n: int) -> Array:
+        """The n lowest eigenvalues of m coefficient sets, (m, n)."""
+        ...
+
+    def eigenpairs(self, stiffness: Array, mass: Array, n: int) -> tuple[Array, ModeVectors]:
+        """The n lowest eigenvalues of m coefficient sets, (m, n), and what gives their vectors."""
+        ...
+
+    def energies(self, vectors: Array) -> tuple[Array, Array]:
+        """phi^T K_q phi and phi^T M_q phi of vectors (k, size) for every term, (k, n_terms) each."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class DenseBlock:
+    """A block of a dense space. index : (n,) positions of its trial functions in the whole space."""
+
+    stiffness: AffineMatrix
+    mass: AffineMatrix
+    index: Array
+    n_terms: tuple[int, int]
+
+    @property
+    def size(self) -> int:
+        """Number of trial functions."""
+        return len(self.index)
+
+    def _whitened(self, stiffness: Array, mass: Array) -> tuple[Array, Array]:
+        """K where M is the identity, and the map back: (m, n) where M is diagonal, else (m, n, n)."""
+        k = self.stiffness.assemble(stiffness)
+        if self.mass.is_diagonal:
+            diagonal = np.diagonal(self.mass.stack, axis1=1, axis2=2)
+            scale = 1.0 / np.sqrt(mass[..., self.mass.active] @ diagonal)
+            k *= scale[..., :, None]
+            k *= scale[..., None, :]
+            return k, scale
+        back = np.swapaxes(np.linalg.inv(np.linalg.cholesky(self.mass.assemble(mass))), -1, -2)
+        return np.swapaxes(back, -1, -2) @ k @ back, back
+
+    def eigenvalues(self, stiffness: Array, mass: Array, n: int) -> Array:
+        """The n lowest eigenvalues of m coefficient sets, (m, n)."""
+        return matrix_by_matrix(np.linalg.eigvalsh, self._whitened(stiffness, mass)[0])[..., :n]
+
+    def eigenpairs(self, stiffness: Array, mass: Array, n: int) -> tuple[Array, ModeVectors]:
+        """The n lowest eigenvalues of m coefficient sets, (m, n), and what gives their vectors.
+
+        Vectors of a small block take one inverse iteration each, those of a large one come with the values.
+        """
+        k, back = self._whitened(stiffness, mass)
+        if self.size > _LARGE:
+            pairs = [scipy.linalg.eigh(one, subset_by_index=(0, n - 1)) for one in k]
+            values = np.stack([pair[0] for pair in pairs])
+            found = np.stack([pair[1].T for pair in pairs])
+            return values, lambda sets, column: _mapped(back, sets, found[sets, column])
+        values = matrix_by_matrix(np.linalg.eigvalsh, k)[..., :n]
+        return values, lambda sets, column: _mapped(back, sets, _iterated(k, values, sets, column))
+
+    def energies(self, vectors: Array) -> tuple[Array, Array]:
+        """phi^T K_q phi and phi^T M_q phi of vectors (k, size) for every term, (k, n_terms) each."""
+        found = []
+        for matrix, n_terms in zip((self.stiffness, self.mass), self.n_terms, strict=True):
+            energy = np.zeros((len(vectors), n_terms))
+            n = matrix.stack.shape[-1]
+            images = (matrix.stack.reshape(-1, n) @ vectors.T).reshape(-1, n, len(vectors))
+            energy[:, matrix.active] = np.sum(images * vectors.T, axis=1).T
+            found.append(energy)
+        return found[0], found[1]
+
+
+def _mapped(back: Array, sets: Array, phi: Array) -> Array:
+    """Vectors (k, n) of whitened problems in the block's own coordinates."""
+    return np.asarray(back[sets] * phi if back.ndim == 2 else (back[sets] @ phi[..., None])[..., 0])
+
+
+def _iterated(k: Array, eigenvalues: Array, sets: Array, column: Array) -> Array:
+    """Unit eigenvectors (k, n) of some modes of matrices (m, n, n) with known eigenvalues.
+
+    One inverse iteration from a fixed vector; LAPACK's vectors where two eigenvalues are close.
+    """
+    lam = eigenvalues[sets, column]
+    distance = np.abs(eigenvalues[sets] - lam[:, None])
+    distance[np.arange(len(sets)), column] = np.inf
+    close = distance.min(axis=1, initial=np.inf) < _CLOSE * np.abs(lam)
+    size = k.shape[-1]
+    phi, i = np.empty((len(sets), size)), np.arange(size)
+    apart = np.flatnonzero(~close)
+    if len(apart):
+        shifted = k[sets[apart]]
+        shifted[:, i, i] -= (lam[apart] * (1.0 + _SHIFT))[:, None]
+        try:
+            phi[apart] = np.linalg.solve(shifted, np.cos(1.0 + i * i)[:, None])[..., 0]
+        except np.linalg.LinAlgError:  # a shifted value that is an eigenvalue to its last digit
+            close[:] = True
+    for s in np.unique(sets[close]):
+        rows = np.flatnonzero(close & (sets == s))
+        every = scipy.linalg.eigh(k[s], subset_by_index=(0, int(column[rows].max())))[1]
+        phi[rows] = every[:, column[rows]].T
+    phi /= np.linalg.norm(phi, axis=1, keepdims=True)
+    return phi
+
+
+# Size beyond which inverse iterations do not pay: with ten modes it is 40, with five 70.
+_LARGE = 60
+# Relative distance of eigenvalues under which an inverse iteration does not tell their vectors apart.
+_CLOSE = 1e-5
+# Relative distance from an eigenvalue at which the inverse iteration is taken.
+_SHIFT = 1e-11
+
+
+@dataclass(frozen=True, slots=True)
+class AffineOperator(Generic[SpaceT, BlockT]):
+    """A problem on a space, split into blocks that do not couple."""
+
+    problem: Problem
+    space: SpaceT
+    blocks: tuple[BlockT, ...]
+
+    def coefficients(self, values: Values) -> tuple[Array, Array]:
+        """Coefficients of K and of M at parameter values, (..., n_stiffness) and (..., n_mass)."""
+        return (
+            self.problem.coefficients(values, "stiffness"),
+            self.problem.coefficients(values, "mass"),
+        )
+
+
+def restricted(operator: DenseOperator, keep: Array) -> DenseOperator:
+    """The operator on the trial functions marked in ``keep`` (n_functions,) bool."""
+    number = np.cumsum(keep) - 1
+    blocks = [
+        DenseBlock(b.stiffness.restricted(k), b.mass.restricted(k), number[b.index[k]], b.n_terms)
+        for b, k in ((b, keep[b.index]) for b in operator.blocks)
+        if k.any()
+    ]
+    return AffineOperator(operator.problem, operator.space.restricted(keep), tuple(blocks))
+
+
+DenseOperator = AffineOperator[RitzSpace, DenseBlock]
+Piece = tuple[int, int, Array]
+MATRICES: tuple[MatrixKind, MatrixKind] = ("stiffness", "mass")
+
+
+def _area_pieces(form: Form, space: RitzSpace) -> list[Piece]:
+    """Sector-by-sector matrices of an area form, by products of one-dimensional integrals.
+
+    Its weight is one or a product of functions of xi and of eta.
+    """
+    (x, wx), (y, wy) = space.x_grid, space.y_grid
+    if isinstance(form.weight, Product):
+        x, wx = broken_quadrature(form.weight.x.breaks) if form.weight.x.breaks else (x, wx)
+        y, wy = broken_quadrature(form.weight.y.breaks) if form.weight.y.breaks else (y, wy)
+    pieces = []
+    for i, left in enumerate(space.sectors):
+        for j, right in enumerate(space.sectors):
+            if left.field != form.left.field or right.field != form.right.field:
+                continue
+            in_x = _overlap(left.x, right.x, form, "x", x, wx)
+            in_y = _overlap(left.y, right.y, form, "y", y, wy) if in_x is not None else None
+            if in_x is not None and in_y is not None:
+                p, q = left.pairs, right.pairs
+                pieces.append((i, j, in_x[np.ix_(p[:, 0], q[:, 0])] * in_y[np.ix_(p[:, 1], q[:, 1])]))
+    return pieces
+
+
+def _overlap(left: Family, right: Family, form: Form, axis: str, t: Array, w: Array) -> Array | None:
+    """One-dimensional integrals of products of two families; ``None`` where they vanish by parity."""
+    in_left, in_right = form.left.derivative == axis, form.right.derivative == axis
+    parity = left.parity * right.parity * (-1) ** (in_left + in_right)
+    if isinstance(form.weight, Product):
+        profile = form.weight.x if axis == "x" else form.weight.y
+        parity *= profile.parity
+        w = w * profile(t)
+    if parity < 0:
+        return None
+    return np.asarray(left.evaluate(t, in_left).T @ (w[:, None] * right.evaluate(t, in_right)))
+
+
+def _general_pieces(form: Form, space: RitzSpace) -> list[Piece]:
+    """Sector-by-sector matrices of any form, by quadrature over its region."""
+    rule = space.quadrature(form.region)
+    if form.region.kind == "projection":
+        return _projection_pieces(form, space, rule)
+    weights = rule.weights * (1.0 if form.weight is None else form.weight(rule.points))
+    pieces = []
+    for i, left in enumerate(space.sectors):
+        if left.field != form.left.field or not left.size:
+            continue
+        b_left = evaluate_sector(left, rule.points, form.left.derivative)
+        for j, right in enumerate(space.sectors):
+            if right.field != form.right.field or not right.size:
+                continue
+            b_right = evaluate_sector(right, rule.points, form.right.derivative)
+            matrix = b_left.T @ (weights[:, None] * b_right)
+            scale = (
+                np.sqrt(len(weights)) * np.abs(weights).max() * np.abs(b_left).max() * np.abs(b_right).max()
+            )
+            if np.abs(matrix).max(initial=0.0) > 1e-12 * scale:
+                pieces.append((i, j, matrix))
+    return pieces
+
+
+def _projection_pieces(form: Form, space: RitzSpace, rule: Quadrature) -> list[Piece]:
+    """Sector-by-sector matrices of a form that is a sum of products of integrals."""
+    functions = projected_functions(form, rule)
+
+    def moments(atom: Atom) -> list[tuple[int, Array]]:
+        own = [(i, s) for i, s in enumerate(space.sectors) if s.field == atom.field and s.size]
+        found = [(i, evaluate_sector(s, rule.points, atom.derivative).T @ functions) for i, s in own]
+        size = max((np.abs(g).max() for _, g in found), default=0.0)
+        # what is left of integrals that vanish by parity
+        return [(i, np.where(np.abs(g) > 1e-12 * size, g, 0.0)) for i, g in found]
+
+    pairs = [(i, j, a @ b.T) for i, a in moments(form.left) for j, b in moments(form.right)]
+    return [(i, j, matrix) for i, j, matrix in pairs if matrix.any()]
+
+
+def projected_functions(form: Form, rule: Quadrature) -> Array:
+    """Weighted values (n_points, r) of the functions on which a form projects."""
+    values = np.ones((len(rule.points), 1)) if form.weight is None else form.weight(rule.points)
+    return np.asarray(rule.weights[:, None] * values)
+
+
+def form_pieces(form: Form, space: RitzSpace) -> list[Piece]:
+    """Non-zero sector-by-sector matrices of a form, both triangles: (row sector, column sector, matrix)."""
+    plain = form.region.kind == "area" and (form.weight is None or isinstance(form.weight, Product))
+    pieces = _area_pieces(form, space) if plain else _general_pieces(form, space)
+    if form.left != form.right:
+        pieces = pieces + [(j, i, m.T) for i, j, m in pieces]
+    return pieces
+
+
+def active_terms(problem: Problem, samples: Values, matrix: MatrixKind) -> Array:
+    """Which forms have a coefficient that is not zero at all samples, (n_forms,) bool."""
+    c = np.abs(np.atleast_2d(problem.coefficients(samples, matrix)))
+    c = c.reshape(-1, c.shape[-1])
+    return np.asarray(c.max(axis=0) > 1e-12 * _comparable(problem.forms(matrix), c))
+
+
+def _comparable(forms: Sequence[Form], coefficients: Array) -> Array:
+    """Magnitude that a coefficient is compared with to be called zero: its largest diagonal relatives.
+
+    Relatives are forms over the same region with the same weight.
+    """
+    own: dict[tuple[Any, ...], float] = {}
+    for f, c in zip(forms, coefficients.max(axis=0), strict=True):
+        if f.left == f.right:
+            key = (f.left, f.region, f.weight)
+            own[key] = max(own.get(key, 0.0), float(c))
+    sizes = [[own.get((atom, f.region, f.weight), 0.0) for atom in (f.left, f.right)] for f in forms]
+    return np.array([np.sqrt(a * b) for a, b in sizes])
+
+
+def discretise(problem: Problem, space: RitzSpace, samples: Values) -> DenseOperator:
+    """The problem on a dense space, split by the symmetries that hold at all ``samples``.
+
+    samples : parameter values, each (n_samples,), that cover what will be asked: forms whose
+    coefficient is zero at all of them are left out, and sectors that no form couples are separated.
+    """
+    n_k, n_m = len(problem.forms("stiffness")), len(problem.forms("mass"))
+    return _discretise(problem, space, samples, (np.eye(n_k), np.eye(n_m)))
+
+
+def discretise_at(problem: Problem, space: RitzSpace, samples: Values) -> DenseOperator:
+    """The problem at fixed parameter samples only, to be used with ``np.eye(n_samples)`` as coefficients.
+
+    It needs the memory of n_samples matrices instead of one a form.
+    """
+    stiffness, mass = (np.atleast_2d(problem.coefficients(samples, kind)) for kind in MATRICES)
+    n = max(len(stiffness), len(mass))
+    stiffness = np.broadcast_to(stiffness, (n, stiffness.shape[-1]))
+    mass = np.broadcast_to(mass, (n, mass.shape[-1]))
+    return _discretise(problem, space, samples, (stiffness, mass))
+
+
+def _discretise(
+    problem: Problem, space: RitzSpace, samples: Values, combine: tuple[Array, Array]
+) -> DenseOperator:
+    """Blocks of sum_q combine[r, q] K_q for every row r of ``combine`` (n_rows, n_forms)."""
+    pieces: list[dict[int, list[Piece]]] = []
+    links = {(i, i) for i in range(len(space.sectors))}
+    for kind in MATRICES:
+        active = active_terms(problem, samples, kind)
+        forms = problem.forms(kind)
+        pieces.append({q: form_pieces(f, space) for q, f in enumerate(forms) if active[q]})
+        links |= {(i, j) for parts in pieces[-1].values() for i, j, _ in parts}
+    n_terms = (combine[0].shape[0], combine[1].shape[0])
+    starts = np.cumsum([0, *(s.size for s in space.sectors)])
+    blocks = []
+    for members in _components(len(space.sectors), links):
+        if not any(space.sectors[i].size for i in members):
+            continue
+        local = np.cumsum([0, *(space.sectors[i].size for i in members)])
+        place = {i: slice(a, b) for i, a, b in zip(members, local[:-1], local[1:], strict=True)}
+        matrices = [_stack(p, c, place, int(local[-1])) for p, c in zip(pieces, combine, strict=True)]
+        index = np.concatenate([np.arange(starts[i], starts[i + 1]) for i in members])
+        blocks.append(DenseBlock(matrices[0], matrices[1], index, n_terms))
+    return AffineOperator(problem, space, tuple(blocks))
+
+
+def _stack(pieces: dict[int, list[Piece]], combine: Array, place: dict[int, slice], n: int) -> AffineMatrix:
+    inside = {q: [p for p in parts if p[0] in place] for q, parts in pieces.items()}
+    present = [q for q, parts in inside.items() if parts]
+    active = np.flatnonzero(np.any(combine[:, present] != 0.0, axis=1))
+    stack = np.zeros((len(active), n, n))
+    for q in present:
+        for i, j, matrix in inside[q]:
+            for row, r in enumerate(active):
+                if combine[r, q] != 0.0:
+                    stack[row, place[i], place[j]] += combine[r, q] * matrix
+    return AffineMatrix(stack, active)
+
+
+def _components(n: int, links: set[tuple[int, int]]) -> list[list[int]]:
+    """Connected components of a graph on n nodes, each sorted, in the order of their first node."""
+    rows, columns = np.array(sorted(links)).T
+    graph = coo_matrix((np.ones(len(links)), (rows, columns)), shape=(n, n))
+    count, label = connected_components(graph, directed=False)
+    return [np.flatnonzero(label == c).tolist() for c in range(count)]

@@ -1,0 +1,218 @@
+"""Eigenpairs of a dense affine operator: frequencies, mode vectors, derivatives, rigid-body count."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy.optimize
+from numpy.typing import NDArray
+
+from cpam_bayes.mechanics.affine import AffineOperator, ModeVectors
+from cpam_bayes.mechanics.problem import rigid_body_count
+
+Array = NDArray[Any]
+
+# A rigid-body motion has eigenvalue zero but for rounding, which grows with the range of K (up to
+# 2e11 on thin plates); a deformation mode has not.
+RIGID_TOLERANCE = 1e-4
+# The same on a soft support, where the rigid-body motions have frequencies of their own.
+SUPPORTED_TOLERANCE = 0.5
+# A first deformation mode this far below the last one asked for is a rigid-body motion in disguise.
+LEAST_SHARE = 1e-9
+# Relative distance of eigenvalues under which their eigenvectors are arbitrary in their common plane.
+COINCIDENT = 1e-9
+
+
+class RigidBodyError(ValueError):
+    """The number of zero-frequency modes is not the one that the edges leave."""
+
+
+@dataclass(frozen=True, slots=True)
+class Spectrum:
+    """Lowest deformation modes of a stack of m parameter sets.
+
+    eigenvalues : (m, n_modes), (rad/s)^2, ascending. block, column : (m, n_modes), where the
+    mode's vector stands in ``vectors``: one array (m, n_block, n_columns) a block, M-normalised, with
+    the vectors of these modes only, or ``None``. rigid : (m, n_rigid) eigenvalues of the rigid-body motions.
+    """
+
+    eigenvalues: Array
+    block: Array
+    column: Array
+    vectors: tuple[Array, ...] | None
+    rigid: Array
+
+    @property
+    def frequencies(self) -> Array:
+        """Natural frequencies, (m, n_modes), Hz."""
+        return np.sqrt(np.maximum(self.eigenvalues, 0.0)) / (2 * np.pi)
+
+    def vector(self, index: int, mode: int) -> tuple[int, Array]:
+        """Block of one mode and its vector in that block."""
+        if self.vectors is None:
+            raise ValueError("the spectrum was solved without vectors; solve with vectors=True")
+        b = int(self.block[index, mode])
+        return b, self.vectors[b][index, :, int(self.column[index, mode])]
+
+
+def solve(
+    operator: AffineOperator[Any, Any],
+    stiffness: Array,
+    mass: Array,
+    n_modes: int,
+    *,
+    vectors: bool = False,
+) -> Spectrum:
+    """Lowest deformation modes, K phi = lambda M phi, of a stack of coefficient sets.
+
+    stiffness (m, n_stiffness), mass (m, n_mass): coefficients as from ``operator.coefficients``.
+    The number of rigid-body motions is known from the edges and taken off. Raises
+    ``RigidBodyError`` if the lowest eigenvalues show another number, ``ValueError`` if the space
+    is smaller than what is asked for.
+    """
+    stiffness, mass = np.atleast_2d(stiffness), np.atleast_2d(mass)
+    n_rigid = rigid_body_count(operator.problem.edges)
+    wanted = n_modes + n_rigid
+    available = sum(b.size for b in operator.blocks) - n_rigid
+    if available < n_modes:
+        raise ValueError(f"{n_modes} modes asked for, the space has {available}")
+    asked = [(b, min(wanted, b.size)) for b in operator.blocks]
+    pairs = [b.eigenpairs(stiffness, mass, n) for b, n in asked] if vectors else []
+    values = [lam for lam, _ in pairs] if vectors else [b.eigenvalues(stiffness, mass, n) for b, n in asked]
+    counts = [v.shape[-1] for v in values]
+    owner = np.repeat(np.arange(len(counts)), counts)
+    place = np.concatenate([np.arange(c) for c in counts])
+    pooled = np.concatenate(values, axis=-1)
+    order = np.argsort(pooled, axis=-1, kind="stable")[..., : n_rigid + n_modes]
+    ranked = np.take_along_axis(pooled, order, axis=-1)
+    _check_rigid(ranked, n_rigid, SUPPORTED_TOLERANCE if operator.problem.supported else RIGID_TOLERANCE)
+    order = order[..., n_rigid:]
+    block, column = owner[order], place[order]
+    shapes = None
+    if vectors:
+        shapes = tuple(
+            _vectors(own, b.size, np.nonzero(block == i), column)
+            for i, (b, (_, own)) in enumerate(zip(operator.blocks, pairs, strict=True))
+        )
+    return Spectrum(ranked[..., n_rigid:], block, column, shapes, ranked[..., :n_rigid])
+
+
+def _vectors(own: ModeVectors, size: int, where: tuple[Array, ...], column: Array) -> Array:
+    """Vectors of the modes ``where`` (parameter sets, modes) of one block; zero in other columns."""
+    sets, modes = where
+    columns = column[sets, modes]
+    found = np.zeros((len(column), size, int(columns.max(initial=-1)) + 1))
+    if len(sets):
+        found[sets, :, columns] = own(sets, columns)
+    return found
+
+
+def _check_rigid(ranked: Array, n_rigid: int, tolerance: float) -> None:
+    first = ranked[..., n_rigid]
+    largest = np.abs(ranked[..., :n_rigid]).max(axis=-1, initial=0.0)
+    least = LEAST_SHARE * ranked[..., -1]
+    if np.any(first <= least) or np.any(largest > tolerance * first):
+        seen = ", ".join(f"{v:.3g}" for v in ranked.reshape(-1, ranked.shape[-1])[0][: n_rigid + 2])
+        raise RigidBodyError(
+            f"the edges leave {n_rigid} rigid-body motions, the lowest eigenvalues are {seen} (rad/s)^2"
+        )
+
+
+def energy_terms(operator: AffineOperator[Any, Any], spectrum: Spectrum) -> tuple[Array, Array]:
+    """phi^T K_q phi and phi^T M_q phi of every mode and term, (m, n_modes, n_terms) each.
+
+    With them d lambda / d p = sum_q (d theta_q / d p) phi^T K_q phi - lambda (d mu_q / d p) phi^T M_q phi
+    (Fox and Kapoor, AIAA J. 6, 1968, eq. 8).
+    """
+    if spectrum.vectors is None:
+        raise ValueError("the spectrum was solved without vectors; solve with vectors=True")
+    found: tuple[list[Array], list[Array]] = ([], [])
+    where = []
+    for b, block in enumerate(operator.blocks):
+        sets, modes = np.nonzero(spectrum.block == b)
+        if len(sets):
+            phi = spectrum.vectors[b][sets, :, spectrum.column[sets, modes]]
+            for energies, energy in zip(found, block.energies(phi), strict=True):
+                energies.append(energy)
+            where.append(np.ravel_multi_index((sets, modes), spectrum.eigenvalues.shape))
+    order = np.argsort(np.concatenate(where))
+    stiffness, mass = (np.concatenate(e)[order].reshape(*spectrum.eigenvalues.shape, -1) for e in found)
+    return stiffness, mass
+
+
+def modal_assurance(operator: AffineOperator[Any, Any], mass: Array, a: Spectrum, b: Spectrum) -> Array:
+    """Modal assurance of the modes of two spectra of one operator, (n_modes of a, n_modes of b).
+
+    MAC_ij = (phi_i^T M phi_j)^2 for M-normalised modes: 1 for equal shapes, 0 for orthogonal ones
+    (Allemang, Sound and Vibration 37, 2003, with the mass as weight).
+
+    mass : (n_mass,) coefficients of the M that weighs. The first parameter set of each spectrum counts.
+    """
+    found = np.zeros((a.eigenvalues.shape[1], b.eigenvalues.shape[1]))
+    for i in range(found.shape[0]):
+        block_a, phi = a.vector(0, i)
+        for j in range(found.shape[1]):
+            block_b, psi = b.vector(0, j)
+            if block_a == block_b:
+                cross = _bilinear(operator, block_a, phi, psi)[1] @ mass
+                sizes = [operator.blocks[block_a].energies(v[None])[1][0] @ mass for v in (phi, psi)]
+                found[i, j] = cross**2 / (sizes[0] * sizes[1])
+    return found
+
+
+def track_modes(operator: AffineOperator[Any, Any], mass: Array, a: Spectrum, b: Spectrum) -> Array:
+    """For each mode of ``a`` the mode of ``b`` that has its shape, (n_modes,): best total assurance."""
+    _, order = scipy.optimize.linear_sum_assignment(modal_assurance(operator, mass, a, b), maximize=True)
+    return np.asarray(order)
+
+
+def _bilinear(operator: AffineOperator[Any, Any], block: int, phi: Array, psi: Array) -> tuple[Array, Array]:
+    """phi^T K_q psi and phi^T M_q psi of every term, by polarisation of the energies."""
+    k, m = operator.blocks[block].energies(np.stack((phi + psi, phi - psi)))
+    return (k[0] - k[1]) / 4, (m[0] - m[1]) / 4
+
+
+def eigenvalue_derivatives(
+    operator: AffineOperator[Any, Any], spectrum: Spectrum, d_stiffness: Array, d_mass: Array
+) -> Array:
+    """Derivatives of the eigenvalues with respect to parameters, (m, n_modes, n_parameters).
+
+    d lambda = phi^T (dK - lambda dM) phi. Where modes of one block coincide, their derivatives along
+    a parameter are the eigenvalues of Phi^T (dK - lambda dM) Phi over the coinciding shapes Phi,
+    ascending: what the sorted eigenvalues do when that parameter grows (Lancaster, Numer. Math. 6,
+    1964).
+
+    d_stiffness, d_mass : derivatives of the coefficients, (m, n_terms, n_parameters).
+    """
+    k_energy, m_energy = energy_terms(operator, spectrum)
+    lam = spectrum.eigenvalues[..., None]
+    derivative = k_energy @ d_stiffness - lam * (m_energy @ d_mass)
+    for s, members in _coincident(spectrum):
+        size = len(members)
+        matrix = np.zeros((derivative.shape[2], size, size))
+        for p in range(size):
+            matrix[:, p, p] = derivative[s, members[p]]
+            for q in range(p):
+                block, phi = spectrum.vector(s, members[p])
+                k, m = _bilinear(operator, block, phi, spectrum.vector(s, members[q])[1])
+                value = k @ d_stiffness[s] - spectrum.eigenvalues[s, members[p]] * (m @ d_mass[s])
+                matrix[:, p, q] = matrix[:, q, p] = value
+        derivative[s, members] = np.linalg.eigvalsh(matrix).T
+    return np.asarray(derivative)
+
+
+def _coincident(spectrum: Spectrum) -> list[tuple[int, list[int]]]:
+    """Groups of modes of one block whose eigenvalues coincide: (parameter set, modes)."""
+    lam = spectrum.eigenvalues
+    close = np.diff(lam, axis=1) < COINCIDENT * lam[:, 1:]
+    groups = []
+    for s in np.flatnonzero(close.any(axis=1)):
+        starts = np.flatnonzero(np.concatenate(([True], ~close[s])))
+        for run in np.split(np.arange(lam.shape[1]), starts[1:]):
+            for block in np.unique(spectrum.block[s, run]):
+                members = run[spectrum.block[s, run] == block].tolist()
+                if len(members) > 1:
+                    groups.append((int(s), members))
+    return groups

@@ -1,0 +1,308 @@
+"""The plate as an eigenvalue problem: bilinear forms, each with a coefficient that depends on the parameters.
+
+A plate occupies the reference square: xi = x / length, eta = y / width, both in [0, 1]. Forms
+live on the reference square and never change; sizes, thickness, density, constants and angles
+enter through coefficients alone. An effect is a function ``Problem -> Problem``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from itertools import combinations_with_replacement
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cpam_bayes.parameters import ParameterSet
+from cpam_bayes.plate.laminate import (
+    ENERGY_CONSISTENT,
+    LaminateGeometry,
+    ShearModel,
+    laminate_geometry,
+    laminate_stiffness,
+)
+
+Array = NDArray[Any]
+Field = Literal["u", "v", "w", "phi_x", "phi_y"]
+Derivative = Literal["", "x", "y"]
+MatrixKind = Literal["stiffness", "mass"]
+
+FIELDS: tuple[Field, ...] = ("u", "v", "w", "phi_x", "phi_y")
+MEMBRANE_FIELDS: tuple[Field, ...] = ("u", "v")
+EDGES = ("x0", "y0", "x1", "y1")
+# Fields that an edge holds at zero, by its condition. S is the hard simple support of Navier's
+# solution: the tangential displacement and the tangential rotation are held, the normal ones free.
+HELD: dict[str, dict[str, tuple[Field, ...]]] = {
+    "F": {"x": (), "y": ()},
+    "S": {"x": ("v", "w", "phi_y"), "y": ("u", "w", "phi_x")},
+    "C": {"x": FIELDS, "y": FIELDS},
+    # clamps that give way: the fields that are not held stand on springs, which a term brings
+    "R": {"x": ("u", "v", "w"), "y": ("u", "v", "w")},
+    "T": {"x": ("phi_x", "phi_y"), "y": ("phi_x", "phi_y")},
+    "E": {"x": (), "y": ()},
+}
+CONDITIONS = ("F", "S", "C")
+YIELDING = ("R", "T", "E")
+CLAMPED = ("C", *YIELDING)
+
+
+@dataclass(frozen=True, slots=True)
+class Region:
+    """Where a form is integrated: the area, an edge of it, or a point, in reference coordinates.
+
+    span : the part of an edge. "projection" is the area too, but of products of integrals instead
+    of an integral of products.
+    """
+
+    kind: Literal["area", "edge", "point", "projection"] = "area"
+    edge: str = ""
+    point: tuple[float, float] = (0.0, 0.0)
+    span: tuple[float, float] = (0.0, 1.0)
+
+
+AREA = Region()
+
+
+@dataclass(frozen=True, slots=True)
+class Atom:
+    """A field or its first derivative with respect to a reference coordinate."""
+
+    field: Field
+    derivative: Derivative = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Form:
+    """Symmetric bilinear form: the integral of left(a) right(b), and of right(a) left(b) if they differ.
+
+    ``weight`` maps reference points (n, 2) to values (n,); ``None`` is one. On a "projection" it
+    maps them to (n, r), functions g_k, and the form is the sum over k of the integral of g_k left(a)
+    times that of g_k right(b).
+    """
+
+    left: Atom
+    right: Atom
+    region: Region = AREA
+    weight: Callable[[Array], Array] | None = None
+
+
+# Generalised strains as sums of atoms; the pair is (atom, which size divides it).
+STRAIN_ATOMS: tuple[tuple[tuple[Atom, str], ...], ...] = (
+    ((Atom("u", "x"), "length"),),
+    ((Atom("v", "y"), "width"),),
+    ((Atom("u", "y"), "width"), (Atom("v", "x"), "length")),
+    ((Atom("phi_x", "x"), "length"),),
+    ((Atom("phi_y", "y"), "width"),),
+    ((Atom("phi_x", "y"), "width"), (Atom("phi_y", "x"), "length")),
+    ((Atom("w", "y"), "width"), (Atom("phi_y"), "")),
+    ((Atom("w", "x"), "length"), (Atom("phi_x"), "")),
+)
+
+
+def _strain_energy() -> tuple[tuple[Form, ...], NDArray[np.intp], NDArray[np.intp]]:
+    """Forms of the strain energy with, for each, its stiffness entry and the powers of 1/length, 1/width."""
+    atoms = [(i, atom, size) for i, row in enumerate(STRAIN_ATOMS) for atom, size in row]
+    forms, entries, powers = [], [], []
+    for (i, a, size_a), (j, b, size_b) in combinations_with_replacement(atoms, 2):
+        if (i < 6) != (j < 6):  # transverse shear does not couple with the other strains
+            continue
+        forms.append(Form(a, b))
+        entries.append((i, j))
+        powers.append([(size_a, size_b).count(size) for size in ("length", "width")])
+    return tuple(forms), np.array(entries).T, np.array(powers).T
+
+
+# Which entry of the laminate's stiffness each form has, (2, n_forms), and its powers of 1/length, 1/width.
+LAMINATE_FORMS, LAMINATE_ENTRIES, _POWER = _strain_energy()
+MASS_FORMS = tuple(Form(Atom(f), Atom(f)) for f in FIELDS)
+_ATOMS = tuple(dict.fromkeys(atom for row in STRAIN_ATOMS for atom, _ in row))
+_LEFT = np.array([_ATOMS.index(f.left) for f in LAMINATE_FORMS])
+_RIGHT = np.array([_ATOMS.index(f.right) for f in LAMINATE_FORMS])
+# Powers of h that the coefficients of LAMINATE_FORMS carry: 1 (A, A_s), 2 (B), 3 (D).
+THICKNESS_POWERS = 1 + np.sum((LAMINATE_ENTRIES >= 3) & (LAMINATE_ENTRIES < 6), axis=0)
+
+
+@dataclass(frozen=True, slots=True)
+class PlateState:
+    """Numbers of a plate, SI, each broadcastable over parameter sets (...).
+
+    ``layup`` is (n_plies,) or (..., n_plies) degrees, or a precomputed ``LaminateGeometry``.
+    ``changes`` are applied to the laminate's stiffness (..., 8, 8), first to last. ``skew`` is the
+    angle in radians by which the edges x = 0 and x = length lean towards x; sides keep their lengths.
+    """
+
+    length: Array
+    width: Array
+    thickness: Array
+    density: Array
+    constants: Mapping[str, Array]
+    layup: Array | LaminateGeometry
+    shear: ShearModel = ENERGY_CONSISTENT
+    symmetric: bool | None = None
+    changes: tuple[Callable[[Array], Array], ...] = ()
+    skew: Array | None = None
+
+    def stiffness(self) -> Array:
+        """The 8 x 8 laminate stiffness, (..., 8, 8)."""
+        layup = self.layup
+        if not isinstance(layup, LaminateGeometry):
+            layup = laminate_geometry(layup, symmetric=self.symmetric)
+        found = laminate_stiffness(self.constants, layup, self.thickness, self.shear)
+        for change in self.changes:
+            found = change(found)
+        return found
+
+    @property
+    def area(self) -> Array:
+        """Area of the plate, m2."""
+        area = self.length * self.width
+        return np.asarray(area if self.skew is None else area * np.cos(self.skew))
+
+
+Values = Mapping[str, Array]
+StateFunction = Callable[[Values], PlateState]
+Admissible = Callable[[Values], NDArray[np.bool_]]
+CoefficientFunction = Callable[[PlateState, Values], Array]
+
+
+@dataclass(frozen=True, slots=True)
+class Term:
+    """Forms that enter K or M with coefficients (..., n_forms) computed from the plate's state."""
+
+    name: str
+    matrix: MatrixKind
+    forms: tuple[Form, ...]
+    coefficients: CoefficientFunction
+
+
+@dataclass(frozen=True, slots=True)
+class Problem:
+    """A plate with its unknown parameters: what is to be discretised.
+
+    ``edges`` are four of F, S, C for x = 0, y = 0, x = length, y = width. ``state`` maps parameter
+    values to the plate's numbers, ``nominal`` is the state that discretisations are tuned to.
+    ``admissible`` says which parameter values are physical, (...) bool. ``supported`` plates stand on
+    something soft, so that their rigid-body motions have low frequencies instead of none.
+    ``rigid_content`` : fields and powers of (xi, eta) that rigid-body motions have besides those of
+    the plane rectangle.
+    """
+
+    parameters: ParameterSet
+    edges: str
+    nominal: PlateState
+    state: StateFunction
+    terms: tuple[Term, ...]
+    admissible: Admissible
+    supported: bool = False
+    rigid_content: tuple[tuple[Field, tuple[int, int]], ...] = ()
+
+    def coefficients(self, values: Values, matrix: MatrixKind) -> Array:
+        """Coefficients of every form of K or M at the given values, (..., n_forms)."""
+        state = self.state(values)
+        parts = [t.coefficients(state, values) for t in self.terms if t.matrix == matrix]
+        if len(parts) == 1:
+            return parts[0]
+        shape = np.broadcast_shapes(*(p.shape[:-1] for p in parts))
+        return np.concatenate([np.broadcast_to(p, (*shape, p.shape[-1])) for p in parts], axis=-1)
+
+    def forms(self, matrix: MatrixKind) -> tuple[Form, ...]:
+        """Forms of K or M, in the order of ``coefficients``."""
+        return tuple(f for t in self.terms if t.matrix == matrix for f in t.forms)
+
+    def with_terms(self, *terms: Term) -> Problem:
+        """The problem with further terms."""
+        return replace(self, terms=(*self.terms, *terms))
+
+
+def laminate_coefficients(state: PlateState, values: Values) -> Array:
+    """Coefficients of the strain energy: stiffness entries times powers of the sizes, (..., n_forms)."""
+    del values
+    if state.skew is not None:
+        return _skewed_coefficients(state)
+    length, width = np.asarray(state.length)[..., None], np.asarray(state.width)[..., None]
+    sizes = length ** (1 - _POWER[0]) * width ** (1 - _POWER[1])
+    return np.asarray(state.stiffness()[..., LAMINATE_ENTRIES[0], LAMINATE_ENTRIES[1]] * sizes)
+
+
+def _skewed_coefficients(state: PlateState) -> Array:
+    """Coefficients of the strain energy of a parallelogram, (..., n_forms).
+
+    Strains are G g with g the atoms on the reference square, so the coefficient of a pair of atoms
+    is that entry of G^T C G times the area. With x = a xi + b eta sin s, y = b eta cos s:
+    d/dx = 1/a d/dxi, d/dy = 1/(b cos s) d/deta - tan s / a d/dxi.
+    """
+    skew = np.asarray(state.skew)
+    along = {"x": 1.0 / state.length, "y": -np.tan(skew) / state.length}
+    across = {"x": 0.0 * along["x"], "y": 1.0 / (state.width * np.cos(skew))}
+    shape = np.broadcast_shapes(*(np.shape(v) for v in (*along.values(), *across.values())))
+    kind = np.result_type(*along.values(), *across.values())
+    g = np.zeros((*shape, len(STRAIN_ATOMS), len(_ATOMS)), dtype=kind)
+    for i, row in enumerate(STRAIN_ATOMS):
+        for atom, size in row:
+            if not size:
+                g[..., i, _ATOMS.index(atom)] = 1.0
+                continue
+            axis: Literal["x", "y"] = "x" if size == "length" else "y"
+            g[..., i, _ATOMS.index(Atom(atom.field, "x"))] += along[axis]
+            g[..., i, _ATOMS.index(Atom(atom.field, "y"))] += across[axis]
+    both = np.swapaxes(g, -1, -2) @ state.stiffness() @ g
+    return np.asarray(both[..., _LEFT, _RIGHT] * state.area[..., None])
+
+
+def inertia_coefficients(state: PlateState, values: Values) -> Array:
+    """Coefficients of the kinetic energy: rho h for u, v, w and rho h^3 / 12 for the rotations, (..., 5)."""
+    del values
+    translation = state.density * state.thickness * state.length * state.width
+    if state.skew is not None:
+        translation = translation * np.cos(state.skew)
+    rotation = translation * state.thickness**2 / 12
+    return np.stack(np.broadcast_arrays(*[translation] * 3, *[rotation] * 2), axis=-1)
+
+
+LAMINATE_TERM = Term("laminate", "stiffness", LAMINATE_FORMS, laminate_coefficients)
+INERTIA_TERM = Term("inertia", "mass", MASS_FORMS, inertia_coefficients)
+
+
+def everything(values: Values) -> NDArray[np.bool_]:
+    """All parameter values are admissible."""
+    return np.ones(np.broadcast_shapes(*(np.shape(v) for v in values.values())), dtype=bool)
+
+
+def bare_plate(
+    parameters: ParameterSet,
+    edges: str,
+    nominal: PlateState,
+    state: StateFunction,
+    admissible: Admissible = everything,
+) -> Problem:
+    """The plate without any effect: first-order shear deformation with rotary inertia, in vacuum.
+
+    Raises ``ValueError`` if ``edges`` is not four of F, S, C.
+    """
+    if len(edges) != 4 or any(e not in CONDITIONS for e in edges):
+        raise ValueError(f"edges: got {edges!r}, expected four of F, S, C (x=0, y=0, x=length, y=width)")
+    return Problem(parameters, edges, nominal, state, (LAMINATE_TERM, INERTIA_TERM), admissible)
+
+
+def rigid_body_count(edges: str) -> int:
+    """Number of rigid-body motions that the edges leave, by the rank of what they hold or spring.
+
+    The motions are u = c1 - c3 y, v = c2 + c3 x, w = c4 - c5 x - c6 y, phi_x = c5, phi_y = c6.
+    """
+    rows = []
+    for name, condition in zip(EDGES, edges, strict=True):
+        axis, level = name[0], float(name[1])
+        for t in (0.0, 1.0):
+            x, y = (level, t) if axis == "x" else (t, level)
+            motion = {
+                "u": (1, 0, -y, 0, 0, 0),
+                "v": (0, 1, x, 0, 0, 0),
+                "w": (0, 0, 0, 1, -x, -y),
+                "phi_x": (0, 0, 0, 0, 1, 0),
+                "phi_y": (0, 0, 0, 0, 0, 1),
+            }
+            kept = FIELDS if condition in YIELDING else HELD[condition][axis]
+            rows += [motion[field] for field in kept]
+    return 6 - (int(np.linalg.matrix_rank(np.array(rows, dtype=float))) if rows else 0)

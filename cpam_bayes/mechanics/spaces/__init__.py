@@ -1,0 +1,5 @@
+"""Discretisations of a plate: Rayleigh-Ritz and finite elements behind one protocol."""
+
+from cpam_bayes.mechanics.spaces.protocol import Quadrature, Space
+
+__all__ = ["Quadrature", "Space"]

@@ -1,0 +1,32 @@
+"""Plate files, their units, and the built-in specimens."""
+
+from cpam_bayes.plate.parse import parse_specimen
+from cpam_bayes.plate.reader import MAX_BYTES, read_specimen
+from cpam_bayes.plate.records import (
+    Material,
+    Measurement,
+    Plate,
+    Sensor,
+    Specimen,
+    angle_grid,
+)
+from cpam_bayes.plate.specimens import builtin, builtin_names
+from cpam_bayes.plate.units import USER_UNITS, to_si, to_user, user_name
+
+__all__ = [
+    "MAX_BYTES",
+    "USER_UNITS",
+    "Material",
+    "Measurement",
+    "Plate",
+    "Sensor",
+    "Specimen",
+    "angle_grid",
+    "builtin",
+    "builtin_names",
+    "parse_specimen",
+    "read_specimen",
+    "to_si",
+    "to_user",
+    "user_name",
+]

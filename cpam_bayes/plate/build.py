@@ -1,0 +1,121 @@
+"""From a valid plate file to records in SI."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from cpam_bayes.parameters import Parameter, ParameterSet, Prior, TruncatedNormal, Uniform
+from cpam_bayes.plate.layup import parse_layup
+from cpam_bayes.plate.records import Material, Measurement, Plate, Sensor, Specimen
+from cpam_bayes.plate.schema import (
+    MaterialModel,
+    MeasurementModel,
+    NormalModel,
+    PlateFile,
+    PlateModel,
+    SensorModel,
+    UnknownsModel,
+)
+from cpam_bayes.plate.units import USER_UNITS, to_si
+
+__all__ = ["build_specimen"]
+
+# The angles of an isotropic plate's plies change nothing.
+_ISOTROPIC_LAYUP = "[0]"
+
+
+def build_specimen(file: PlateFile, source: str, directory: Path | None, sequence: bool) -> Specimen:
+    """The records of a file that passed every check.
+
+    sequence : take `sequence_layup`, where the file has one, for the layup
+    """
+    return Specimen(
+        name=file.name,
+        specimen=file.specimen or file.name,
+        source=source,
+        plate=_plate(file.plate, directory, sequence),
+        material=_material(file.material),
+        unknowns=_unknowns(file.unknowns),
+        angle_grid_deg=float(file.unknowns.angle_grid_deg),
+        air_density=file.environment.air_density_kg_m3,
+        sensors=tuple(_sensor(sensor) for sensor in file.sensor),
+        measurement=None if file.measurement is None else _measurement(file.measurement),
+        notes=tuple(file.notes),
+    )
+
+
+def _plate(model: PlateModel, directory: Path | None, sequence: bool) -> Plate:
+    length = to_si("length_mm", model.length_mm)
+    width = to_si("width_mm", model.width_mm)
+    thickness = to_si("thickness_mm", model.thickness_mm)
+    mass = None if model.mass_g is None else to_si("mass_g", model.mass_g)
+    if mass is not None:
+        density = mass / (length * width * thickness)
+    else:
+        assert model.density_kg_m3 is not None
+        density = float(model.density_kg_m3)
+    layup = model.layup or _ISOTROPIC_LAYUP
+    if sequence and model.sequence_layup is not None:
+        layup = model.sequence_layup
+    return Plate(
+        length=length,
+        width=width,
+        thickness=thickness,
+        density=density,
+        mass=mass,
+        layup=parse_layup(layup),
+        edges=model.edges,
+        sd={} if model.sd is None else _in_si(model.sd.model_dump(exclude_none=True)),
+        mesh=None if model.mesh is None else (directory or Path()) / model.mesh,
+    )
+
+
+def _material(model: MaterialModel) -> Material:
+    constants = model.model_dump(exclude_none=True, exclude={"isotropic", "name", "sd"})
+    return Material(
+        isotropic=model.isotropic,
+        constants=_in_si(constants),
+        sd={} if model.sd is None else _in_si(model.sd.model_dump(exclude_none=True)),
+        name=model.name,
+    )
+
+
+def _unknowns(model: UnknownsModel) -> ParameterSet:
+    parameters = []
+    for user in type(model).model_fields:
+        prior = getattr(model, user)
+        if user in USER_UNITS and prior is not None:
+            name, factor = USER_UNITS[user]
+            unit = "Pa" if factor != 1.0 else ""
+            parameters.append(Parameter(name, unit, _prior(user, prior)))
+    return ParameterSet(tuple(parameters))
+
+
+def _prior(user: str, model: list[float] | NormalModel) -> Prior:
+    if isinstance(model, NormalModel):
+        lower, upper = (to_si(user, bound) for bound in model.bounds)
+        return TruncatedNormal(to_si(user, model.mean), to_si(user, model.sd), lower, upper)
+    lower, upper = (to_si(user, bound) for bound in model)
+    return Uniform(lower, upper)
+
+
+def _sensor(model: SensorModel) -> Sensor:
+    return Sensor(to_si("mass_g", model.mass_g), to_si("x_mm", model.x_mm), to_si("y_mm", model.y_mm))
+
+
+def _measurement(model: MeasurementModel) -> Measurement:
+    sd = model.frequency_sd_hz
+    return Measurement(
+        frequencies=np.array(model.frequencies_hz, dtype=float),
+        resolution=float(model.resolution_hz),
+        relative_std=model.relative_std,
+        frequency_sd=None if sd is None else np.array(sd, dtype=float),
+        labels=tuple(model.labels or ("",) * len(model.frequencies_hz)),
+        complete=model.complete,
+    )
+
+
+def _in_si(values: dict[str, float]) -> dict[str, float]:
+    return {USER_UNITS[user][0]: to_si(user, value) for user, value in values.items()}

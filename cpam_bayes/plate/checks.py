@@ -1,0 +1,185 @@
+"""What relates several values of a plate file, checked on the raw tables.
+
+Each check leaves aside what is missing or of the wrong type, which the schema reports, so that one
+reading finds every error.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Final
+
+from cpam_bayes.errors import LayupError
+from cpam_bayes.plate.constants import constants_of_kind, physical_material, search_bounds
+from cpam_bayes.plate.layup import Layup, parse_layup
+from cpam_bayes.plate.problems import Problem, received
+from cpam_bayes.plate.raw import Data, Problems, number, real, table
+from cpam_bayes.plate.records import angle_grid
+from cpam_bayes.plate.units import USER_UNITS
+
+__all__ = ["relation_problems"]
+
+_Check = Callable[[Data], Problems]
+
+
+def relation_problems(data: Data, directory: Path | None) -> list[Problem]:
+    """Every relation that a file breaks; `directory` is where its relative paths begin."""
+    problems = [problem for check in _CHECKS for problem in check(data)]
+    return problems + list(_mesh(data, directory))
+
+
+def _mass_or_density(data: Data) -> Problems:
+    plate = table(data, "plate")
+    if not plate:
+        return
+    given = [key for key in ("density_kg_m3", "mass_g") if key in plate]
+    if len(given) != 1:
+        yield Problem(
+            ("plate", *given[1:]),
+            f"density, received {' and '.join(given) or 'neither'}, "
+            "accepted: one of density_kg_m3 and mass_g",
+        )
+
+
+def _thin(data: Data) -> Problems:
+    plate = table(data, "plate")
+    thickness = number(plate, "thickness_mm")
+    sides = [number(plate, key) for key in ("length_mm", "width_mm")]
+    shortest = min((side for side in sides if side is not None), default=None)
+    if thickness is not None and shortest is not None and thickness >= shortest > 0.0:
+        yield Problem(
+            ("plate", "thickness_mm"),
+            f"not a plate, received {thickness:g}, accepted: below length_mm and width_mm",
+        )
+
+
+def _spreads(data: Data) -> Problems:
+    for name in ("plate", "material"):
+        given = table(data, name)
+        for key in table(data, name, "sd"):
+            if key in USER_UNITS and key not in given:
+                yield Problem(
+                    (name, "sd", key),
+                    f"standard deviation of a number that [{name}] does not give, "
+                    f"accepted: {_listed(k for k in given if k in USER_UNITS)}",
+                )
+
+
+def _layups(data: Data) -> Problems:
+    plate = table(data, "plate")
+    if not plate:
+        return
+    known, problems = _layup(plate, "layup")
+    yield from problems
+    sequence, problems = _layup(plate, "sequence_layup")
+    yield from problems
+    if "layup" not in plate and table(data, "material").get("isotropic") is not True:
+        yield Problem(("plate", "layup"), 'missing, accepted: a layup such as "[(0/90)_8]_s"')
+    if sequence is not None and sequence.n_unknown == 0:
+        yield Problem(
+            ("plate", "sequence_layup"),
+            f'no unknown angle, received {received(sequence.text)}, accepted: a layup with "?"',
+        )
+    if known is not None and sequence is not None and known.n_plies != sequence.n_plies:
+        yield Problem(
+            ("plate", "sequence_layup"),
+            f"other number of plies, received {sequence.n_plies}, accepted: {known.n_plies} as in layup",
+        )
+
+
+def _layup(plate: Data, key: str) -> tuple[Layup | None, list[Problem]]:
+    text = plate.get(key)
+    if not isinstance(text, str):
+        return None, []
+    try:
+        return parse_layup(text), []
+    except LayupError as error:
+        shown = str(error).replace("\n", "\n    ")
+        return None, [Problem(("plate", key), f"malformed layup: {shown}")]
+
+
+def _grid_step(data: Data) -> Problems:
+    step = number(table(data, "unknowns"), "angle_grid_deg")
+    if step is None or not 0.0 < step <= 180.0:
+        return
+    try:
+        angle_grid(step)
+    except ValueError:
+        yield Problem(
+            ("unknowns", "angle_grid_deg"),
+            f"not a grid, received {step:g}, accepted: a step that divides 180, 0.1 or more",
+        )
+
+
+def _sensors(data: Data) -> Problems:
+    plate, sensors = table(data, "plate"), data.get("sensor")
+    if not isinstance(sensors, list):
+        return
+    for i, sensor in enumerate(sensors):
+        if not isinstance(sensor, dict):
+            continue
+        for key, side in (("x_mm", "length_mm"), ("y_mm", "width_mm")):
+            place, extent = number(sensor, key), number(plate, side)
+            if place is not None and extent is not None and place > extent > 0.0:
+                yield Problem(
+                    ("sensor", i, key),
+                    f"outside the plate, received {place:g}, accepted: 0 to {extent:g}, the {side}",
+                )
+
+
+def _frequencies(data: Data) -> Problems:
+    measurement = table(data, "measurement")
+    listed = measurement.get("frequencies_hz")
+    if not isinstance(listed, list):
+        return
+    frequencies = [real(value) for value in listed]
+    for i, (before, after) in enumerate(itertools.pairwise(frequencies), start=1):
+        if before is not None and after is not None and after < before:
+            yield Problem(
+                ("measurement", "frequencies_hz", i),
+                f"descending frequencies, received {after:g} after {before:g}, "
+                "accepted: ascending, equal ones for a degenerate pair",
+            )
+    for key in ("frequency_sd_hz", "labels"):
+        values = measurement.get(key)
+        if isinstance(values, list) and len(values) != len(listed):
+            yield Problem(
+                ("measurement", key),
+                f"wrong length, received {len(values)}, accepted: {len(listed)}, one for each frequency",
+            )
+
+
+def _mesh(data: Data, directory: Path | None) -> Problems:
+    mesh = table(data, "plate").get("mesh")
+    if not isinstance(mesh, str) or not mesh:
+        return
+    path = Path(mesh) if directory is None else directory / mesh
+    try:
+        exists = path.is_file()
+    except (OSError, ValueError):
+        exists = False
+    if not exists:
+        yield Problem(
+            ("plate", "mesh"),
+            f"no such file, received {received(mesh)}, accepted: a path from the plate file",
+        )
+
+
+def _listed(keys: Iterable[str]) -> str:
+    return " ".join(keys) or "none"
+
+
+_CHECKS: Final[tuple[_Check, ...]] = (
+    _mass_or_density,
+    _thin,
+    _spreads,
+    _layups,
+    constants_of_kind,
+    physical_material,
+    search_bounds,
+    _grid_step,
+    _sensors,
+    _frequencies,
+)

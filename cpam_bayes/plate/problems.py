@@ -1,0 +1,187 @@
+"""What is wrong with a plate file, and how it is said."""
+
+from __future__ import annotations
+
+import difflib
+import json
+import re
+import reprlib
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from types import UnionType
+from typing import Annotated, Any, Final, Union, get_args, get_origin, get_type_hints
+
+from pydantic import BaseModel, ValidationError
+from pydantic.fields import FieldInfo
+
+from cpam_bayes.errors import PlateFileError
+from cpam_bayes.plate.schema import TAGS, PlateFile
+from cpam_bayes.plate.toml_lines import Path
+
+__all__ = ["Problem", "plate_file_error", "received", "schema_problems"]
+
+_MAX_PROBLEMS: Final = 100
+_BARE = re.compile(r"[A-Za-z0-9_-]+")
+
+_WRONG: Final = {
+    "finite_number": "not a finite number",
+    "union_tag_not_found": "not a prior",
+    "greater_than": "out of range",
+    "greater_than_equal": "out of range",
+    "less_than": "out of range",
+    "less_than_equal": "out of range",
+    "too_short": "wrong length",
+    "too_long": "wrong length",
+    "string_too_short": "empty text",
+    "string_too_long": "text too long",
+    "string_pattern_mismatch": "malformed",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Problem:
+    """One thing that is wrong: where in the file, and a phrase that says it all."""
+
+    path: Path
+    what: str
+
+
+def plate_file_error(source: str, problems: Iterable[Problem], lines: Mapping[Path, int]) -> PlateFileError:
+    """All problems of a file as one error, in the order of their lines."""
+    located = sorted(
+        ((_line(problem.path, lines), problem) for problem in problems), key=lambda item: item[0]
+    )
+    said = [f"{source}:{line}: {_key(problem.path)}: {problem.what}" for line, problem in located]
+    said = list(dict.fromkeys(said))
+    if len(said) > _MAX_PROBLEMS:
+        said = [*said[:_MAX_PROBLEMS], f"{source}: and {len(said) - _MAX_PROBLEMS} more problems"]
+    return PlateFileError(*said)
+
+
+def received(value: object) -> str:
+    """A value as it may stand in a message: short, one line, printable."""
+    short = reprlib.Repr()
+    short.maxstring = short.maxother = short.maxlong = 60
+    short.maxlevel = 2
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    return json.dumps(value) if isinstance(value, str) and len(value) <= 60 else short.repr(value)
+
+
+def schema_problems(data: Mapping[str, Any]) -> list[Problem]:
+    """Unknown keys, missing keys, wrong types and single values out of range."""
+    try:
+        PlateFile.model_validate(data)
+    except ValidationError as error:
+        return [
+            Problem(_path(item["loc"]), _what(item["type"], _path(item["loc"]), item["input"]))
+            for item in error.errors(include_url=False, include_context=False)
+        ]
+    return []
+
+
+def _what(kind: str, path: Path, value: object) -> str:
+    if kind == "extra_forbidden":
+        return _unknown_key(path)
+    accepted = _accepted(PlateFile, path) or "see the plate file's documentation"
+    if kind == "missing":
+        return f"missing, accepted: {accepted}"
+    wrong = _WRONG.get(kind, "wrong type")
+    return f"{wrong}, received {received(value)}, accepted: {accepted}"
+
+
+def _unknown_key(path: Path) -> str:
+    key = str(path[-1])
+    siblings = _keys_of(PlateFile, path[:-1])
+    nearest = difflib.get_close_matches(key, siblings, n=1, cutoff=0.5)
+    if key in _TABLE_OF:
+        return f"unknown key here, it belongs in {_TABLE_OF[key]}"
+    if nearest:
+        return f"unknown key, the nearest known key is {nearest[0]}"
+    return f"unknown key, accepted: {' '.join(siblings)}"
+
+
+def _path(location: tuple[int | str, ...]) -> Path:
+    """Pydantic's location without the names of a prior's two forms."""
+    inside = 2 if location[:1] == ("unknowns",) else len(location)
+    return location[:inside] + tuple(
+        part for i, part in enumerate(location[inside:]) if not (i == 0 and part in TAGS)
+    )
+
+
+def _line(path: Path, lines: Mapping[Path, int]) -> int:
+    while path and path not in lines:
+        path = path[:-1]
+    return lines.get(path, 1)
+
+
+def _key(path: Path) -> str:
+    said = ""
+    for part in path:
+        if isinstance(part, int):
+            said += f" item {part + 1}"
+        else:
+            name = part if _BARE.fullmatch(part) else received(part)
+            said += f".{name}" if said else name
+    return said or "file"
+
+
+def _accepted(annotation: Any, path: Path) -> str | None:
+    """The description of the field at a path of the schema."""
+    if get_origin(annotation) is Annotated:
+        described = [
+            item.description
+            for item in annotation.__metadata__
+            if isinstance(item, FieldInfo) and item.description
+        ]
+        if not path and described:
+            return described[-1]
+        return _accepted(annotation.__origin__, path)
+    for inner, rest in _inside(annotation, path):
+        found = _accepted(inner, rest)
+        if found:
+            return found
+    return None
+
+
+def _keys_of(annotation: Any, path: Path) -> list[str]:
+    """The keys of the table at a path of the schema."""
+    if get_origin(annotation) is Annotated:
+        return _keys_of(annotation.__origin__, path)
+    if not path and _is_table(annotation):
+        return list(annotation.model_fields)
+    for inner, rest in _inside(annotation, path):
+        found = _keys_of(inner, rest)
+        if found:
+            return found
+    return []
+
+
+def _inside(annotation: Any, path: Path) -> list[tuple[Any, Path]]:
+    """One step along a path into an annotation that is not Annotated."""
+    origin = get_origin(annotation)
+    if origin in (Union, UnionType):
+        return [(option, path) for option in get_args(annotation)]
+    if origin is list and path and isinstance(path[0], int):
+        return [(get_args(annotation)[0], path[1:])]
+    if _is_table(annotation) and path:
+        hint = get_type_hints(annotation, include_extras=True).get(str(path[0]))
+        return [] if hint is None else [(hint, path[1:])]
+    return []
+
+
+def _is_table(annotation: Any) -> bool:
+    return isinstance(annotation, type) and issubclass(annotation, BaseModel)
+
+
+def _tables() -> dict[str, str]:
+    """Which single table a key belongs in, for keys that only one table has."""
+    homes: dict[str, list[str]] = {}
+    for table in PlateFile.model_fields:
+        for key in _keys_of(PlateFile, (table,)) + _keys_of(PlateFile, (table, 0)):
+            homes.setdefault(key, []).append("[[sensor]]" if table == "sensor" else f"[{table}]")
+    homes |= {key: ["the top of the file"] for key in PlateFile.model_fields if key not in homes}
+    return {key: places[0] for key, places in homes.items() if len(places) == 1}
+
+
+_TABLE_OF: Final = _tables()

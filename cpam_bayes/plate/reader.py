@@ -1,0 +1,89 @@
+"""Opening plate files, whatever the path turns out to be."""
+
+from __future__ import annotations
+
+import difflib
+import os
+import stat
+from pathlib import Path
+from typing import Final
+
+from cpam_bayes.errors import PlateFileError
+from cpam_bayes.plate.parse import parse_specimen
+from cpam_bayes.plate.problems import received
+from cpam_bayes.plate.records import Specimen
+from cpam_bayes.plate.specimens import builtin, builtin_names
+
+__all__ = ["MAX_BYTES", "read_specimen"]
+
+MAX_BYTES: Final = 1_000_000
+
+
+def read_specimen(path_or_name: str, sequence: bool = False) -> Specimen:
+    """Read a plate file, or take a built-in specimen by its name.
+
+    sequence : take the layup with unknown angles, `sequence_layup`, where there is one. A file that
+        has the name of a built-in specimen is reached as "./NAME".
+    raises PlateFileError with all problems of the file at once
+    """
+    if path_or_name in builtin_names():
+        return builtin(path_or_name, sequence)
+    source = path_or_name if path_or_name.isprintable() and path_or_name else received(path_or_name)
+    text = _read_text(path_or_name, source)
+    return parse_specimen(text, source, Path(path_or_name).parent, sequence)
+
+
+def _read_text(path: str, source: str) -> str:
+    content = _read_bytes(path, source)
+    if b"\0" in content:
+        raise PlateFileError(f"{source}: a binary file, accepted: a TOML text")
+    try:
+        return content.decode("utf-8-sig").replace("\r\n", "\n")
+    except UnicodeDecodeError as error:
+        line = content.count(b"\n", 0, error.start) + 1
+        raise PlateFileError(
+            f"{source}:{line}: file: not UTF-8 text, received byte 0x{content[error.start]:02x}, "
+            "accepted: a TOML text in UTF-8"
+        ) from None
+
+
+def _read_bytes(path: str, source: str) -> bytes:
+    try:
+        _require_small_file(os.stat(path), source)
+        # Not blocking, and looked at again: the path may have become a pipe in between.
+        handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0))
+        with os.fdopen(handle, "rb") as file:
+            _require_small_file(os.fstat(file.fileno()), source)
+            content = file.read(MAX_BYTES + 1)
+    except FileNotFoundError:
+        raise PlateFileError(_unknown_name(path, source)) from None
+    except (OSError, ValueError) as error:
+        if isinstance(error, PlateFileError):
+            raise
+        reason = error.strerror if isinstance(error, OSError) else str(error)
+        raise PlateFileError(f"{source}: cannot be read: {reason}") from None
+    if len(content) > MAX_BYTES:
+        raise PlateFileError(_too_large(source, "more"))
+    return content
+
+
+def _require_small_file(status: os.stat_result, source: str) -> None:
+    if stat.S_ISDIR(status.st_mode):
+        raise PlateFileError(f"{source}: a directory, accepted: a plate file or a built-in specimen")
+    if not stat.S_ISREG(status.st_mode):
+        raise PlateFileError(f"{source}: a pipe or device, accepted: a regular file")
+    if status.st_size > MAX_BYTES:
+        raise PlateFileError(_too_large(source, f"{status.st_size} bytes"))
+
+
+def _too_large(source: str, size: str) -> str:
+    return f"{source}: too large, received {size}, accepted: up to {MAX_BYTES} bytes"
+
+
+def _unknown_name(name: str, source: str) -> str:
+    names = builtin_names()
+    folded = {known.casefold(): known for known in names}
+    close = difflib.get_close_matches(name.casefold(), folded, n=3, cutoff=0.5)
+    nearest = [folded[match] for match in close]
+    hint = f"the nearest built-in: {' '.join(nearest)}" if nearest else f"built in: {' '.join(names)}"
+    return f"{source}: neither a file nor a built-in specimen, {hint}"

@@ -1,0 +1,140 @@
+"""What a plate file says, in SI: plate, material, sensors, measured frequencies."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cpam_bayes.parameters import ParameterSet
+from cpam_bayes.plate.layup import Layup
+
+__all__ = ["Material", "Measurement", "Plate", "Sensor", "Specimen", "angle_grid"]
+
+
+@dataclass(frozen=True, slots=True)
+class Plate:
+    """A rectangular plate, x along its length and y along its width.
+
+    length, width, thickness : m
+    density : kg/m3, from the mass when that was given
+    mass : kg, None when the density was given
+    edges : four of F (free), S (simply supported), C (clamped): x = 0, y = 0, x = length, y = width
+    sd : standard deviations of what was measured, SI, by length, width, thickness, density, mass
+    mesh : a mesh file to be used instead of the rectangle
+    """
+
+    length: float
+    width: float
+    thickness: float
+    density: float
+    mass: float | None
+    layup: Layup
+    edges: str
+    sd: Mapping[str, float]
+    mesh: Path | None
+
+    @property
+    def area(self) -> float:
+        """Length times width, m2."""
+        return self.length * self.width
+
+
+@dataclass(frozen=True, slots=True)
+class Material:
+    """Reference constants of a ply.
+
+    constants : Pa or dimensionless; E1, E2, nu12, G12 and, where given, G13, G23;
+        isotropic: E1, nu12
+    sd : how well each is known, in the same unit, where given
+    name : plates of the same name share their constants
+    """
+
+    isotropic: bool
+    constants: Mapping[str, float]
+    sd: Mapping[str, float]
+    name: str | None
+
+
+@dataclass(frozen=True, slots=True)
+class Sensor:
+    """A known mass on the plate: mass kg; x, y m from the corner x = y = 0."""
+
+    mass: float
+    x: float
+    y: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Measurement:
+    """Natural frequencies as the laboratory listed them, rigid-body motions left out.
+
+    frequencies : (n,) Hz, never descending
+    resolution : Hz, rounding of the list or line spacing of the analyser, 0 when not known
+    relative_std : repeatability as a fraction of each frequency, None when it is to be inferred
+    frequency_sd : (n,) Hz, one for each; it overrules relative_std
+    labels : n mode labels, "" where the mode is not known
+    complete : no mode is missing from the list
+    """
+
+    frequencies: NDArray[np.float64]
+    resolution: float
+    relative_std: float | None
+    frequency_sd: NDArray[np.float64] | None
+    labels: tuple[str, ...]
+    complete: bool
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "frequencies", _read_only(self.frequencies))
+        if self.frequency_sd is not None:
+            object.__setattr__(self, "frequency_sd", _read_only(self.frequency_sd))
+
+    @property
+    def size(self) -> int:
+        """Number of measured frequencies."""
+        return int(self.frequencies.size)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Specimen:
+    """One plate under one test, with what is to be identified.
+
+    name : of this file; specimen : of the plate itself, shared by its tests
+    source : the file it was read from, or "built-in NAME"
+    unknowns : elastic constants to identify, Pa or dimensionless
+    angle_grid_deg : step of the grid of unknown ply angles
+    air_density : kg/m3, None for vacuum
+    notes : remarks to show beside results
+    """
+
+    name: str
+    specimen: str
+    source: str
+    plate: Plate
+    material: Material
+    unknowns: ParameterSet
+    angle_grid_deg: float
+    air_density: float | None
+    sensors: tuple[Sensor, ...]
+    measurement: Measurement | None
+    notes: tuple[str, ...]
+
+
+def angle_grid(step_deg: float) -> NDArray[np.float64]:
+    """Ply angles on (-90, 90] that end at 90, eq. (10) for a step of 5; (180 / step,) degrees.
+
+    raises ValueError when the step does not divide 180 or is below 0.1
+    """
+    count = round(180.0 / step_deg) if 0.1 <= step_deg <= 180.0 else 0
+    if count < 1 or abs(count * step_deg - 180.0) > 1e-9:
+        raise ValueError(f"angle grid: received a step of {step_deg}, accepted: 0.1 or more, dividing 180")
+    return _read_only(np.round(90.0 - step_deg * np.arange(count - 1, -1, -1), 9) + 0.0)
+
+
+def _read_only(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    array = np.array(values, dtype=np.float64)
+    array.flags.writeable = False
+    return array

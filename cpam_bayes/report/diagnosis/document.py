@@ -1,0 +1,279 @@
+"""The JSON document of `diagnose`."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Sequence
+from typing import Any
+
+from cpam_bayes import __version__
+from cpam_bayes.diagnosis.diagnose import Cause, Diagnosis
+from cpam_bayes.diagnosis.evidence.weighing import Tested
+from cpam_bayes.diagnosis.extension import Resampled
+from cpam_bayes.diagnosis.fit import Fit
+from cpam_bayes.diagnosis.hypotheses import NONE, OTHER
+from cpam_bayes.diagnosis.next_test.next_measurement import Candidate
+from cpam_bayes.parameters import Parameter
+from cpam_bayes.priors import ScaledStudentT
+from cpam_bayes.report.diagnosis.rows import (
+    ConstantRow,
+    FrequencyRow,
+    absorbed_biases,
+    constant_rows,
+    effect_unit,
+    frequency_rows,
+    hidden_causes,
+    missed_modes,
+    noise_of,
+    nuisance_of,
+    plate_constants,
+    sampled_rows,
+)
+from cpam_bayes.report.diagnosis.words import claim_sentence
+from cpam_bayes.report.documents import plate_keys
+
+__all__ = ["diagnosis_document"]
+
+
+def diagnosis_document(
+    d: Diagnosis,
+    seed: int,
+    scatter: float,
+    warnings: tuple[str, ...],
+    candidates: Sequence[Candidate] = (),
+    resampled: Resampled | None = None,
+) -> dict[str, Any]:
+    """The JSON document.
+
+    candidates : measurements that would tell the causes apart, the best first. resampled : the constants of
+    the extended model by emcee.
+    """
+    specimens = [case.models.specimen for case in d.cases]
+    plates = [{"plate": s.name, "specimen": s.specimen, "source": s.source} for s in specimens]
+    head = (
+        plate_keys("diagnose", specimens[0], seed)
+        if len(specimens) == 1
+        else {"command": "diagnose", "version": __version__, "seed": seed}
+    )
+    none = d.weighed.none
+    return {
+        **head,
+        "plates": plates,
+        "claim": d.claim.kind,
+        "causes": list(d.claim.causes),
+        "probability": d.claim.probability,
+        "sentence": claim_sentence(d),
+        "hypotheses": [_hypothesis(d, cause) for cause in d.causes],
+        "baseline": _fit(d, d.baseline, ((none, 1.0),)),
+        "extended": None if d.extended is None else _extended(d, d.extended, resampled),
+        "gain": _gain(d),
+        "next_measurement": [_candidate(c) for c in candidates],
+        "absorbed": [_absorbed(d, cause) for cause in hidden_causes(d)],
+        "not_tested": list(d.weighed.not_tested),
+        "priors": _priors(d),
+        "material_scatter": scatter if len({s.specimen for s in specimens}) > 1 else None,
+        "air_density_kg_m3": {s.name: s.air_density for s in specimens},
+        "seconds": d.seconds,
+        "warnings": list(warnings),
+        "notes": [note for s in specimens for note in s.notes],
+    }
+
+
+def _hypothesis(d: Diagnosis, cause: Cause) -> dict[str, Any]:
+    return {
+        "cause": cause.name,
+        "probability": cause.probability,
+        "log_bayes_factor": cause.log_bayes_factor,
+        "parameters": {name: _size(name, *v) for name, v in cause.parameters.items()},
+        "indistinguishable_from": list(cause.indistinguishable_from),
+        "max_shift_percent": 100.0 * cause.max_shift,
+        "variant": cause.variant or None,
+        "plates": list(cause.plates),
+        "absorbed": cause.absorbed,
+        "visible_share": cause.visible,
+        "prior": sum(t.hypothesis.prior for t in d.weighed.tested if t.hypothesis.cause == cause.name),
+    }
+
+
+def _size(name: str, mean: float, sd: float, unit: str) -> dict[str, Any]:
+    shown, factor = effect_unit(name, unit)
+    return {"mean": factor * mean, "sd": factor * sd, "unit": shown}
+
+
+def _candidate(c: Candidate) -> dict[str, Any]:
+    return {
+        "name": c.name,
+        "description": c.description,
+        "information_nats": c.information,
+        "possible_nats": c.possible,
+        "probability_decided": c.decided,
+    }
+
+
+def _extended(d: Diagnosis, fit: Fit, resampled: Resampled | None) -> dict[str, Any]:
+    return {
+        **_fit(d, fit, d.members),
+        "emcee": None if resampled is None else _emcee(d, resampled),
+        "members": [
+            {
+                "cause": t.hypothesis.cause,
+                "variant": t.hypothesis.variant or None,
+                "plates": [d.cases[i].name for i in t.plates],
+                "share": share,
+            }
+            for t, share in d.members
+        ],
+    }
+
+
+def _emcee(d: Diagnosis, found: Resampled) -> dict[str, Any]:
+    return {
+        "constants": _constants(sampled_rows(d, found)),
+        "diagnostics": {
+            "r_hat": max(m.diagnostics.r_hat for m in found.members),
+            "ess_bulk": min(m.diagnostics.ess_bulk for m in found.members),
+            "autocorrelation_time": max(m.diagnostics.autocorrelation_time for m in found.members),
+            "converged": found.converged,
+        },
+        "share_not_sampled": found.not_sampled,
+        "forward_solves": found.solves,
+    }
+
+
+def _fit(d: Diagnosis, fit: Fit, members: Sequence[tuple[Tested, float]]) -> dict[str, Any]:
+    """One fit; the plates one by one too where there are several."""
+    leader = members[0][0]
+    rows = frequency_rows(d, fit, leader)
+    noise = noise_of(members)
+    found: dict[str, Any] = {
+        "constants": _constants(constant_rows(d, fit)),
+        "frequencies": [_frequency(row) for row in rows],
+        "rms_percent": 100.0 * fit.rms,
+        "log_evidence": fit.log_evidence,
+        "posterior_predictive_p_value": fit.p_value,
+        "noise_percent": None if noise is None else {"mean": 100.0 * noise[0], "sd": 100.0 * noise[1]},
+        "nuisance": {name: {"mean": mean, "sd": sd} for name, (mean, sd) in nuisance_of(d, fit).items()},
+        "missed_modes": [
+            {
+                "plate": m.plate,
+                "predicted_hz": m.mode.frequency,
+                "kind": m.mode.kind,
+                "label": m.mode.label,
+            }
+            for m in missed_modes(d, leader)
+        ],
+    }
+    if len(d.cases) > 1:
+        found["plates"] = [_plate(d, fit, i, rows) for i in range(len(d.cases))]
+    return found
+
+
+def _plate(d: Diagnosis, fit: Fit, i: int, rows: Sequence[FrequencyRow]) -> dict[str, Any]:
+    """One plate of several; the evidence is that of all lists, which share the constants."""
+    name = d.cases[i].name
+    own = [row for row in rows if row.plate == name]
+    squares = [row.residual_percent**2 for row in own if row.residual_percent is not None]
+    return {
+        "plate": name,
+        "constants": _constants(plate_constants(d, fit, i)),
+        "frequencies": [_frequency(row) for row in own],
+        "rms_percent": (sum(squares) / len(squares)) ** 0.5 if squares else 0.0,
+        "log_evidence": fit.log_evidence,
+        "log_evidence_of": "all plates together",
+    }
+
+
+def _constants(rows: Sequence[ConstantRow]) -> dict[str, Any]:
+    return {
+        row.name: {
+            "mean": row.mean,
+            "sd": row.sd,
+            "q025": row.q025,
+            "q975": row.q975,
+            "prior_contraction": row.contraction,
+            "reference": row.reference,
+        }
+        for row in rows
+    }
+
+
+def _frequency(row: FrequencyRow) -> dict[str, Any]:
+    paired = row.predicted is not None
+    return {
+        "plate": row.plate,
+        "measured_hz": row.measured,
+        "predicted_hz": row.predicted,
+        "predicted_sd_hz": row.predicted_sd if paired else None,
+        "noise_sd_hz": row.sigma if paired else None,
+        "residual_percent": row.residual_percent,
+        "standardised": row.standardised if paired else None,
+        "kind": None if row.mode is None else row.mode.kind,
+        "label": None if row.mode is None else row.mode.label,
+    }
+
+
+def _gain(d: Diagnosis) -> dict[str, Any] | None:
+    gain = d.gain
+    if gain is None:
+        return None
+    return {
+        "rms_percent_before": 100.0 * gain.rms_before,
+        "rms_percent_after": 100.0 * gain.rms_after,
+        "log_bayes_factor": gain.log_bayes_factor,
+        "held_out_log_score_difference": gain.held_out_difference,
+        "held_out_log_score_se": gain.held_out_se,
+        "held_out_log_score_by_frequency": gain.held_out.tolist(),
+        "stable_share": gain.stable,
+    }
+
+
+def _absorbed(d: Diagnosis, cause: Cause) -> dict[str, Any]:
+    size, unit, per_unit = absorbed_biases(d, cause)
+    return {
+        "cause": cause.name,
+        "visible_share": cause.visible,
+        "absorbed": cause.absorbed,
+        "unit": unit,
+        "bias_percent_per_unit": per_unit,
+        "bias_percent": {name: size * value for name, value in per_unit.items()},
+        "at": size,
+    }
+
+
+def _priors(d: Diagnosis) -> dict[str, Any]:
+    """Prior probabilities of families and causes, and the priors of the effects' sizes."""
+    families: dict[str, dict[str, float]] = defaultdict(lambda: defaultdict(float))
+    effects: dict[str, dict[str, Any]] = {}
+    pairs = 0.0
+    for t in d.weighed.tested:
+        h = t.hypothesis
+        if h.family == "pair":
+            pairs += h.prior
+            continue
+        if h.cause not in (NONE, OTHER):
+            families[h.family][h.cause] += h.prior
+        for p in h.parameters:
+            wide = f"{h.cause} gross" if h.is_gross else h.cause
+            effects.setdefault(wide, {})[p.name] = _effect_prior(p)
+    return {
+        "none": d.weighed.none.hypothesis.prior,
+        "other": d.weighed.best_of(OTHER).hypothesis.prior,
+        "pairs_tested": pairs,
+        "families": {name: dict(causes) for name, causes in families.items()},
+        "effects": effects,
+    }
+
+
+def _effect_prior(p: Parameter) -> dict[str, Any]:
+    unit, factor = effect_unit(p.name, p.unit)
+    prior = p.prior
+    shape = "Student-t" if isinstance(prior, ScaledStudentT) else "truncated normal"
+    scale = prior.scale if isinstance(prior, ScaledStudentT) else prior.sd
+    return {
+        "kind": shape,
+        "mean": factor * prior.mean,
+        "scale": factor * scale,
+        "lower": factor * prior.lower,
+        "upper": factor * prior.upper,
+        "unit": unit,
+    }

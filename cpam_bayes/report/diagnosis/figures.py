@@ -1,0 +1,285 @@
+"""Figures of `diagnose`: residuals with mode shapes, causes, which of them look alike, constants."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+from scipy.ndimage import zoom
+
+from cpam_bayes.diagnosis.diagnose import Diagnosis
+from cpam_bayes.diagnosis.hypotheses import NONE, OTHER
+from cpam_bayes.diagnosis.signatures import ALIKE, cosine
+from cpam_bayes.mechanics.shapes import shapes_on_grid
+from cpam_bayes.report.diagnosis.rows import (
+    ConstantRow,
+    FrequencyRow,
+    constant_rows,
+    frequency_rows,
+    is_pair,
+    leading,
+    plate_vector,
+)
+from cpam_bayes.report.diagnosis.words import probability_text
+
+__all__ = ["diagnosis_figures"]
+
+Array = NDArray[Any]
+
+_GREY, _BLUE, _ORANGE = "#8a8a8a", "#4878a8", "#c1440e"
+_BARS = 14
+# Grid lines of an in-plane mode along each side, and how far it is moved, shares of the plate.
+_LINES, _MOVED = 6, 0.12
+_SHAPE_POINTS = 31
+# Nodal lines that cross are drawn on a grid so many times finer.
+_FINER = 4
+# Share of the plate next to a held edge in which they are not drawn.
+_BLANK = 0.08
+
+
+def diagnosis_figures(d: Diagnosis) -> dict[str, Figure]:
+    """All figures of a diagnosis by name."""
+    found = {"residuals": _residuals(d), "causes": _causes(d)}
+    if len(_singles(d)) > 1:
+        found["signatures"] = _signatures(d)
+    if constant_rows(d, d.baseline):
+        found["constants"] = _constants(d)
+    return found
+
+
+def _residuals(d: Diagnosis) -> Figure:
+    """Relative residuals of every frequency, a plate a row, its mode shape below it."""
+    before = frequency_rows(d, d.baseline, d.weighed.none)
+    after = None if d.extended is None else frequency_rows(d, d.extended, d.members[0][0])
+    names = list(dict.fromkeys(row.plate for row in before))
+    most = max(sum(row.plate == name for row in before) for name in names)
+    figure = Figure(figsize=(max(6.0, 0.85 * most + 1.2), 3.6 * len(names) + 0.5), layout="constrained")
+    panels = figure.subfigures(len(names), 1, squeeze=False).ravel()
+    for i, (panel, name) in enumerate(zip(panels, names, strict=True)):
+        own = [row for row in before if row.plate == name]
+        extended = None if after is None else [row for row in after if row.plate == name]
+        _draw_plate(panel, d, i, own, extended)
+    p = probability_text(d.baseline.p_value)
+    title = f"{_title(d)}: plain model rms {100 * d.baseline.rms:.2f} %, posterior predictive p {p}"
+    if d.extended is not None:
+        p = probability_text(d.extended.p_value)
+        title += f"; extended model {100 * d.extended.rms:.2f} %, p {p}"
+    panels[0].suptitle(title, fontsize=10)
+    return figure
+
+
+def _draw_plate(
+    panel: Any, d: Diagnosis, i: int, before: Sequence[FrequencyRow], after: Sequence[FrequencyRow] | None
+) -> None:
+    n = len(before)
+    grid = panel.add_gridspec(2, n, height_ratios=(3.2, 1.0))
+    axes = panel.add_subplot(grid[0, :])
+    x = np.arange(n)
+    axes.axhline(0.0, color="0.5", linewidth=0.8)
+    width = 0.6 if after is None else 0.34
+    _bars(axes, x - (0.0 if after is None else 0.18), width, before, _BLUE, "plain model")
+    if after is not None:
+        _bars(axes, x + 0.18, width, after, _ORANGE, "extended model")
+    axes.plot([], [], color="0.25", linewidth=1.0, label="2 sd of noise and prediction")
+    axes.set_xticks(x, [f"{row.measured:.6g} Hz" for row in before], fontsize=8)
+    axes.set(xlim=(-0.5, n - 0.5), ylabel="predicted / measured - 1, %")
+    axes.set_ylim(*_limits([*before, *(after or ())]))
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.legend(loc="upper right", frameon=False, fontsize=8, ncols=3)
+    if len(d.cases) > 1:
+        axes.set_title(d.cases[i].name, fontsize=9, loc="left")
+    shapes, aspect = _shapes(d, i)
+    edges = d.cases[i].models.specimen.plate.edges
+    for k, (plain, row) in enumerate(zip(before, after or before, strict=True)):
+        below = panel.add_subplot(grid[1, k])
+        below.set_axis_off()
+        if row.mode is None or row.number is None:
+            below.set_title("no mode", fontsize=7)
+            continue
+        _draw_shape(below, shapes[row.number - 1], aspect, edges, row.mode.in_plane_share > 0.5)
+        label = row.mode.label
+        if plain.mode is not None and plain.number != row.number:
+            label = f"not {plain.mode.label}\n{label}"
+        below.set_title(label, fontsize=7, pad=2)
+
+
+def _bars(axes: Axes, x: Array, width: float, rows: Sequence[FrequencyRow], color: str, label: str) -> None:
+    """Residuals, each with two standard deviations of noise and prediction."""
+    y = np.array([0.0 if row.residual_percent is None else row.residual_percent for row in rows])
+    sd = np.array([0.0 if row.predicted is None else _sd_percent(row) for row in rows])
+    axes.bar(x, y, width, color=color, label=label)
+    axes.errorbar(x, y, yerr=2.0 * sd, fmt="none", ecolor="0.25", elinewidth=1.0)
+
+
+def _sd_percent(row: FrequencyRow) -> float:
+    return 100.0 * float(np.hypot(row.sigma, row.predicted_sd)) / row.measured
+
+
+def _limits(rows: Sequence[FrequencyRow]) -> tuple[float, float]:
+    """Of the residuals, with room for the key; whiskers may be cut."""
+    shown = [row for row in rows if row.predicted is not None]
+    largest = max((abs(row.residual_percent or 0.0) for row in shown), default=0.0)
+    whisker = float(np.median([2.0 * _sd_percent(row) for row in shown])) if shown else 1.0
+    end = 1.1 * max(largest + whisker, 0.1)
+    return -end, 1.3 * end
+
+
+def _shapes(d: Diagnosis, i: int) -> tuple[Array, float]:
+    """u, v, w of the plain plate's modes at its most probable constants, and length over width."""
+    model, plate = d.cases[i].models.bare.full, d.cases[i].models.specimen.plate
+    spectrum = model.spectrum(plate_vector(d.weighed.none, i), vectors=True)
+    return shapes_on_grid(model.operator, spectrum, n=_SHAPE_POINTS), plate.length / plate.width
+
+
+def _draw_shape(axes: Axes, shape: Array, aspect: float, edges: str, in_plane: bool) -> None:
+    u, v, w = shape
+    if in_plane:
+        s = np.linspace(0.0, 1.0, len(u))
+        x, y = np.meshgrid(aspect * s, s, indexing="ij")
+        scale = _MOVED * min(aspect, 1.0) / float(np.hypot(u, v).max())
+        px, py = x + scale * u, y + scale * v
+        for k in np.linspace(0, len(u) - 1, _LINES).round().astype(int):
+            axes.plot(px[k], py[k], px[:, k], py[:, k], color=_GREY, linewidth=0.6)
+    else:
+        w = w / np.abs(w).max()
+        axes.imshow(
+            w.T,
+            cmap="RdBu_r",
+            vmin=-1,
+            vmax=1,
+            origin="lower",
+            extent=(0, aspect, 0, 1),
+            interpolation="bilinear",
+        )
+        if w.min() < -0.01 and w.max() > 0.01:
+            fine, ends = zoom(w, _FINER), (0.0, aspect, 0.0, 1.0)
+            _blank_held(fine, edges)
+            axes.contour(
+                fine.T, [0.0], colors="black", linewidths=0.6, extent=ends, negative_linestyles="solid"
+            )
+    axes.set_aspect("equal")
+
+
+def _blank_held(w: Array, edges: str) -> None:
+    """Blank what lies next to a held edge: there the deflection is zero to rounding."""
+    n = max(1, round(_BLANK * len(w)))
+    sides = (w[:n], w[:, :n], w[-n:], w[:, -n:])
+    for edge, side in zip(edges, sides, strict=True):
+        if edge != "F":
+            side[...] = np.nan
+
+
+def _causes(d: Diagnosis) -> Figure:
+    """Probabilities of the leading causes, none and other among them."""
+    shown = leading(d, 0.0, _BARS)
+    names = [cause.name for cause in shown]
+    figure = Figure(figsize=(7.6, 0.9 + 0.3 * len(names)), layout="constrained")
+    axes = figure.add_subplot()
+    y = np.arange(len(names))
+    claimed = d.claim.causes if d.claim.kind != "undecided" else ()
+    colors = [
+        _ORANGE
+        if c.name in claimed or c.name == d.claim.kind
+        else _GREY
+        if c.name in (NONE, OTHER)
+        else _BLUE
+        for c in shown
+    ]
+    axes.barh(y, [c.probability for c in shown], 0.65, color=colors)
+    for at, cause in zip(y, shown, strict=True):
+        said = probability_text(cause.probability)
+        if cause.name != NONE:
+            said += f"   ln B {round(cause.log_bayes_factor, 1) + 0.0:+.1f}"
+        axes.annotate(
+            said, (cause.probability, at), (4, 0), textcoords="offset points", va="center", fontsize=8
+        )
+    axes.set_yticks(y, [_with_place(d, c) for c in shown], fontsize=8)
+    axes.invert_yaxis()
+    axes.set(
+        xlim=(0, 1.45),
+        xticks=np.linspace(0, 1, 6),
+        xlabel="probability; dotted: what a claim needs",
+    )
+    axes.axvline(0.9, color="0.6", linewidth=0.8, linestyle=":")
+    axes.spines[["top", "right", "left"]].set_visible(False)
+    axes.tick_params(axis="y", length=0)
+    what = f"{d.claim.kind}: {', '.join(d.claim.causes)}" if d.claim.causes else d.claim.kind
+    axes.set_title(f"{_title(d)}: claim {what}", fontsize=10)
+    return figure
+
+
+def _with_place(d: Diagnosis, cause: Any) -> str:
+    parts = [cause.name]
+    if cause.variant:
+        parts[0] += f", {cause.variant}"
+    if len(d.cases) > 1 and len(cause.plates) < len(d.cases):
+        parts.append(f"of {', '.join(cause.plates)}")
+    return " ".join(parts)
+
+
+def _singles(d: Diagnosis) -> list[str]:
+    """Single causes that leave something to be seen, ordered so that those alike stand together."""
+    names = [c.name for c in d.causes if c.name in d.signatures and not is_pair(c) and not c.absorbed]
+    ordered: list[str] = []
+    while names:
+        last = d.signatures[ordered[-1]] if ordered else None
+        nearest = max(names, key=lambda n: 0.0 if last is None else abs(cosine(last, d.signatures[n])))
+        ordered.append(nearest)
+        names.remove(nearest)
+    return ordered
+
+
+def _signatures(d: Diagnosis) -> Figure:
+    """Cosines between the causes' signatures, the constants projected out."""
+    names = _singles(d)
+    own = [d.signatures[name] for name in names]
+    matrix = np.array([[cosine(a, b) for b in own] for a in own])
+    size = 1.9 + 0.27 * len(names)
+    figure = Figure(figsize=(size + 0.8, size), layout="constrained")
+    axes = figure.add_subplot()
+    drawn = axes.imshow(np.abs(matrix), cmap="Greys", vmin=0.0, vmax=1.0)
+    for i, j in np.argwhere(np.abs(matrix) > ALIKE):
+        if i != j:
+            axes.plot(j, i, "s", mfc="none", mec=_ORANGE, markersize=9, markeredgewidth=1.4)
+    axes.set_xticks(range(len(names)), names, rotation=90, fontsize=8)
+    axes.set_yticks(range(len(names)), names, fontsize=8)
+    axes.set_title(f"{_title(d)}: which causes look alike", fontsize=10)
+    bar = figure.colorbar(drawn, ax=axes, shrink=0.8)
+    bar.set_label(
+        f"|cosine| of signatures, constants projected out\nframed: above {ALIKE:g}, not to be told apart",
+        fontsize=8,
+    )
+    return figure
+
+
+def _constants(d: Diagnosis) -> Figure:
+    """Means and 95 % intervals with and without the claimed cause, a panel a constant."""
+    before = constant_rows(d, d.baseline)
+    after = {} if d.extended is None else {row.name: row for row in constant_rows(d, d.extended)}
+    figure = Figure(figsize=(max(4.5, 1.5 * len(before) + 0.6), 3.4), layout="constrained")
+    for axes, row in zip(figure.subplots(1, len(before), squeeze=False)[0], before, strict=True):
+        _interval(axes, 0.0, row, _BLUE, "plain model")
+        if row.name in after:
+            _interval(axes, 1.0, after[row.name], _ORANGE, "extended model")
+        axes.axhline(row.reference, color="0.4", linewidth=1.0, linestyle=":", label="reference")
+        axes.set(xlim=(-0.7, 1.7 if after else 0.7), xticks=[])
+        axes.set_title(row.name.replace("_", ", "), fontsize=9)
+        axes.tick_params(labelsize=8)
+        axes.spines[["top", "right", "bottom"]].set_visible(False)
+    handles, labels = figure.axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", frameon=False, fontsize=8, ncols=3)
+    figure.suptitle(f"{_title(d)}: constants, mean and 95 % interval", fontsize=10)
+    return figure
+
+
+def _interval(axes: Axes, x: float, row: ConstantRow, color: str, label: str) -> None:
+    reach = [[row.mean - row.q025], [row.q975 - row.mean]]
+    axes.errorbar([x], [row.mean], yerr=reach, fmt="o", color=color, markersize=5, capsize=3, label=label)
+
+
+def _title(d: Diagnosis) -> str:
+    return " ".join(case.name for case in d.cases)

@@ -1,0 +1,291 @@
+"""What documents, screens and figures of a diagnosis take from it, in the units of the plate file."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cpam_bayes.diagnosis.diagnose import Cause, Diagnosis
+from cpam_bayes.diagnosis.evidence.weighing import Tested
+from cpam_bayes.diagnosis.extension import Resampled
+from cpam_bayes.diagnosis.fit import Fit
+from cpam_bayes.diagnosis.fitting import PlateCase
+from cpam_bayes.diagnosis.hypotheses import NONE, OTHER
+from cpam_bayes.effects import scale_of
+from cpam_bayes.forward_model.model import reference_constants
+from cpam_bayes.mechanics.shapes import Mode
+from cpam_bayes.plate import to_user, user_name
+
+__all__ = [
+    "ConstantRow",
+    "FrequencyRow",
+    "MissedMode",
+    "absorbed_biases",
+    "catalogue_sd",
+    "constant_rows",
+    "effect_unit",
+    "frequency_rows",
+    "hidden_causes",
+    "is_pair",
+    "leading",
+    "member_names",
+    "missed_modes",
+    "noise_of",
+    "nuisance_of",
+    "plate_constants",
+    "plate_vector",
+    "sampled_rows",
+]
+
+Array = NDArray[Any]
+
+# A cause of which less than this share of the signature is left by the constants is called hidden.
+_HIDDEN = 0.3
+# Effects' units inside, and what they are shown in.
+_SHOWN = {"m": ("mm", 1e3), "kg": ("g", 1e3), "Pa": ("MPa", 1e-6)}
+# Parameters without a unit that are no shares.
+_BARE = ("rotation_compliance", "translation_compliance", "log_shear_factor", "loss_tangent")
+
+
+@dataclass(frozen=True, slots=True)
+class FrequencyRow:
+    """One measured frequency, what a fit predicts for it, and the mode it belongs to.
+
+    predicted, predicted_sd, sigma : Hz; predicted is ``None`` for a frequency that is no mode. number :
+    of the mode in ascending order, from 1. standardised : predicted - measured over the standard
+    deviations of noise and prediction together.
+    """
+
+    plate: str
+    measured: float
+    predicted: float | None
+    predicted_sd: float
+    sigma: float
+    standardised: float
+    number: int | None
+    mode: Mode | None
+
+    @property
+    def residual_percent(self) -> float | None:
+        """predicted / measured - 1, in percent."""
+        return None if self.predicted is None else 100.0 * (self.predicted / self.measured - 1.0)
+
+
+@dataclass(frozen=True, slots=True)
+class ConstantRow:
+    """An elastic constant in a fit, in the unit of the plate file; contraction : 1 - (sd / prior sd)^2."""
+
+    name: str
+    mean: float
+    sd: float
+    q025: float
+    q975: float
+    contraction: float
+    reference: float
+
+
+@dataclass(frozen=True, slots=True)
+class MissedMode:
+    """A mode of the model that a list lacks under a hypothesis."""
+
+    plate: str
+    number: int
+    mode: Mode
+
+
+def effect_unit(name: str, unit: str) -> tuple[str, float]:
+    """Unit that an effect's parameter is shown in, and the factor from the one inside; shares in %."""
+    if name == "skin_thickness":
+        return "um", 1e6
+    if unit in _SHOWN:
+        return _SHOWN[unit]
+    if not unit and name not in _BARE:
+        return "%", 100.0
+    return unit, 1.0
+
+
+def is_pair(cause: Cause | str) -> bool:
+    """Whether a cause is two at once."""
+    return " + " in (cause if isinstance(cause, str) else cause.name)
+
+
+def frequency_rows(d: Diagnosis, fit: Fit, leader: Tested) -> tuple[FrequencyRow, ...]:
+    """All frequencies plate by plate; leader : the hypothesis that says which mode each is."""
+    rows: list[FrequencyRow] = []
+    start = 0
+    standardised = fit.standardised
+    for i, (case, part) in enumerate(zip(d.cases, leader.marginal.comparison.model.parts, strict=True)):
+        modes = case.models.bare.full.modes(plate_vector(leader, i))
+        n = case.measurement.size
+        spurious = leader.hypothesis.listed.spurious if len(part.modes) < n else None
+        paired = iter(part.modes)
+        own = []
+        for k in range(n):
+            j = start + k
+            false_peak = k == spurious
+            number = None if false_peak else int(next(paired))
+            own.append(
+                FrequencyRow(
+                    plate=case.name,
+                    measured=float(fit.measured[j]),
+                    predicted=None if false_peak else float(fit.predicted[j]),
+                    predicted_sd=float(fit.predicted_sd[j]),
+                    sigma=float(fit.sigma[j]),
+                    standardised=float("nan") if false_peak else -float(standardised[j]),
+                    number=None if number is None else number + 1,
+                    mode=None if number is None or number >= len(modes) else modes[number],
+                )
+            )
+        start += n
+        nan = float("nan")
+        own += [FrequencyRow(case.name, f, None, nan, nan, nan, None, None) for f in left_aside(case)]
+        rows += sorted(own, key=lambda row: row.measured)
+    return tuple(rows)
+
+
+def left_aside(case: PlateCase) -> list[float]:
+    """Frequencies of an incomplete list that its most probable pairing gives no mode."""
+    measurement = case.models.specimen.measurement
+    if measurement is None or measurement.complete:
+        return []
+    kept = set(case.measurement.frequencies.tolist())
+    return [f for f in measurement.frequencies.tolist() if f not in kept]
+
+
+def missed_modes(d: Diagnosis, leader: Tested) -> tuple[MissedMode, ...]:
+    """Modes in the range of the lists that these lack under a hypothesis."""
+    found = []
+    for i, (case, part) in enumerate(zip(d.cases, leader.marginal.comparison.model.parts, strict=True)):
+        gaps = sorted(set(range(int(part.modes.max()) + 1)) - {int(k) for k in part.modes})
+        if gaps:
+            modes = case.models.bare.full.modes(plate_vector(leader, i))
+            found += [MissedMode(case.name, k + 1, modes[k]) for k in gaps if k < len(modes)]
+    return tuple(found)
+
+
+def plate_vector(t: Tested, i: int) -> Array:
+    """Parameters of the bare model of one plate where a hypothesis is most probable."""
+    part, x = t.marginal.comparison.model.parts[i], t.marginal.best
+    own = np.array(x[part.columns])
+    varied = part.scatter >= 0
+    own[varied] *= 1.0 + x[part.scatter[varied]]
+    return own
+
+
+def constant_rows(d: Diagnosis, fit: Fit) -> tuple[ConstantRow, ...]:
+    """The constants that all plates share."""
+    own = {name: v for name, v in fit.constants.items() if name in _unknowns(d)}
+    return tuple(_row(d, name, *values) for name, values in own.items())
+
+
+def sampled_rows(d: Diagnosis, found: Resampled) -> tuple[ConstantRow, ...]:
+    """The constants that all plates share, of the extended model by emcee."""
+    return tuple(_row(d, name, *values) for name, values in found.constants.items() if name in _unknowns(d))
+
+
+def plate_constants(d: Diagnosis, fit: Fit, i: int) -> tuple[ConstantRow, ...]:
+    """The constants of one plate, with its own deviations from the shared ones."""
+    case, names = d.cases[i], list(fit.constants)
+    found = []
+    for name in case.models.specimen.unknowns.names:
+        if name not in names:
+            continue
+        draws = fit.draws[:, names.index(name)]
+        scatter = f"scatter of {name}, {case.models.specimen.specimen}"
+        if scatter in names:
+            draws = draws * (1.0 + fit.draws[:, names.index(scatter)])
+        low, high = np.quantile(draws, (0.025, 0.975))
+        found.append(_row(d, name, float(draws.mean()), float(draws.std()), float(low), float(high)))
+    return tuple(found)
+
+
+def nuisance_of(d: Diagnosis, fit: Fit) -> dict[str, tuple[float, float]]:
+    """Sizes and deviations from plate to plate, mean and sd: sizes in the plate file's unit and name."""
+    found = {}
+    for name, (mean, sd, _, _) in fit.constants.items():
+        if name in _unknowns(d):
+            continue
+        if name.startswith("scatter of "):
+            found[name] = (mean, sd)
+            continue
+        base, _, of = name.partition(" of ")
+        shown = user_name(base) + (f" of {of}" if of else "")
+        found[shown] = (to_user(base, mean), to_user(base, sd))
+    return found
+
+
+def noise_of(members: Sequence[tuple[Tested, float]]) -> tuple[float, float] | None:
+    """Mean and sd of the inferred noise over a mixture of hypotheses, relative; ``None`` where given."""
+    mean = square = 0.0
+    for t, share in members:
+        column = t.marginal.comparison.noise
+        if column is None:
+            return None
+        own, sd = (float(v[column]) for v in t.marginal.moments())
+        mean += share * own
+        square += share * (own**2 + sd**2)
+    return mean, float(np.sqrt(max(square - mean**2, 0.0)))
+
+
+def hidden_causes(d: Diagnosis) -> tuple[Cause, ...]:
+    """Single causes of which the constants leave little to be seen, the best hidden first."""
+    found = [c for c in d.causes if c.visible < _HIDDEN and c.parameters and not is_pair(c)]
+    return tuple(sorted(found, key=lambda cause: cause.visible))
+
+
+def catalogue_sd(d: Diagnosis, cause: Cause) -> float:
+    """One standard deviation of the catalogue of a cause's first parameter, in the unit it is shown in."""
+    parameter = d.weighed.best_of(cause.name).hypothesis.parameters[0]
+    return float(f"{scale_of(parameter) * effect_unit(parameter.name, parameter.unit)[1]:.6g}")
+
+
+def absorbed_biases(d: Diagnosis, cause: Cause) -> tuple[float, str, dict[str, float]]:
+    """What a cause that is not modelled does to the constants, to first order.
+
+    Size of the effect and its unit as shown, and by constant its change in % per one of that unit.
+    """
+    (name, (mean, sd, unit)), *_ = cause.parameters.items()
+    shown, factor = effect_unit(name, unit)
+    # the size that the signature was taken at
+    size = float(np.hypot(mean, sd)) * (-1.0 if mean < 0.0 else 1.0) * factor
+    names = [n for n in cause.bias if n in _unknowns(d)]
+    if size == 0.0:
+        return 0.0, shown, {}
+    return size, shown, {user_name(n): 100.0 * cause.bias[n] / size for n in names}
+
+
+def member_names(d: Diagnosis) -> tuple[str, ...]:
+    """Causes whose variants the extended model is averaged over, the most probable first."""
+    return tuple(dict.fromkeys(t.hypothesis.cause for t, _ in d.members))
+
+
+def leading(d: Diagnosis, least: float, most: int) -> tuple[Cause, ...]:
+    """The causes to show: the most probable, and none and other wherever they stand."""
+    found = []
+    for rank, cause in enumerate(d.causes):
+        if cause.name in (NONE, OTHER) or (rank < most and (cause.probability >= least or rank < 6)):
+            found.append(cause)
+    return tuple(found)
+
+
+def _unknowns(d: Diagnosis) -> Mapping[str, None]:
+    return dict.fromkeys(name for case in d.cases for name in case.models.specimen.unknowns.names)
+
+
+def _row(d: Diagnosis, name: str, mean: float, sd: float, low: float, high: float) -> ConstantRow:
+    case = next(c for c in d.cases if name in c.models.specimen.unknowns.names)
+    prior = case.models.parameters[name].prior
+    reference = reference_constants(case.models.specimen).get(name, float("nan"))
+    return ConstantRow(
+        name=user_name(name),
+        mean=to_user(name, mean),
+        sd=to_user(name, sd),
+        q025=to_user(name, low),
+        q975=to_user(name, high),
+        contraction=1.0 - (sd / prior.sd) ** 2,
+        reference=to_user(name, float(reference)),
+    )

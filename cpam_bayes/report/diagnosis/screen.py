@@ -1,0 +1,358 @@
+"""Screen of `diagnose`: what the model gets wrong, what explains it, and what that is worth."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from cpam_bayes.diagnosis.diagnose import Cause, Diagnosis
+from cpam_bayes.diagnosis.extension import Resampled
+from cpam_bayes.diagnosis.hypotheses import NONE, OTHER, P_NONE, P_PAIR
+from cpam_bayes.diagnosis.next_test.next_measurement import Candidate
+from cpam_bayes.report.diagnosis.rows import (
+    ConstantRow,
+    FrequencyRow,
+    absorbed_biases,
+    catalogue_sd,
+    constant_rows,
+    frequency_rows,
+    hidden_causes,
+    leading,
+    missed_modes,
+    noise_of,
+    sampled_rows,
+)
+from cpam_bayes.report.diagnosis.words import (
+    claim_sentence,
+    listed,
+    probability_text,
+    size_text,
+)
+from cpam_bayes.report.numbers import decimals_of, fixed, signed, significant, with_spread
+from cpam_bayes.report.plates import air_text, plate_head
+from cpam_bayes.report.tables import Column, Table, facts, remarks
+
+__all__ = ["diagnosis_screen"]
+
+# A residual of so many standard deviations is marked.
+_FAR = 2.5
+# Causes shown: those with this probability, so many at most; and names listed as alike at most.
+_LEAST, _MOST, _ALIKE = 0.005, 10, 3
+_NEXT = 5
+# Posterior contraction of a constant from which the data decide, and below which the prior does.
+_BY_DATA, _BY_PRIOR = 0.75, 0.25
+
+
+def diagnosis_screen(
+    d: Diagnosis,
+    seed: int,
+    warnings: tuple[str, ...],
+    candidates: Sequence[Candidate] = (),
+    resampled: Resampled | None = None,
+) -> tuple[Table, ...]:
+    """Claim, residuals, causes, what is hidden, constants and gain, what to measure next."""
+    return (
+        *_heads(d),
+        remarks("Diagnosis", _claim(d, candidates)),
+        _residuals(d),
+        _causes(d),
+        _hidden(d),
+        remarks("Not tested", d.weighed.not_tested),
+        _constants(d),
+        _sampled(d, resampled),
+        _gain(d),
+        _next(candidates),
+        _work(d, seed),
+        remarks("Warnings", warnings, flagged=True),
+    )
+
+
+def _heads(d: Diagnosis) -> tuple[Table, ...]:
+    specimens = [case.models.specimen for case in d.cases]
+    if len(specimens) == 1:
+        return (plate_head(f"diagnose {specimens[0].name}", specimens[0]),)
+    columns = (Column("plate"), Column("specimen"), Column("edges"), Column("frequencies", number=True))
+    rows = tuple(
+        (s.name, s.specimen, s.plate.edges, str(case.measurement.size))
+        for s, case in zip(specimens, d.cases, strict=True)
+    )
+    air = facts("Air", tuple((s.name, air_text(s)) for s in specimens))
+    notes = tuple(f"{s.name}: {note}" for s in specimens for note in s.notes)
+    names, material = " ".join(s.name for s in specimens), specimens[0].material.name
+    title = f"diagnose {names}, material {material or 'not named'}"
+    return Table(title, columns, rows), air, remarks("Notes", notes)
+
+
+def _claim(d: Diagnosis, candidates: Sequence[Candidate]) -> tuple[str, ...]:
+    found = [claim_sentence(d)]
+    claimed = {c.name: c for c in d.causes if c.name in d.claim.causes}
+    if d.claim.kind == "named":
+        (cause,) = claimed.values()
+        if cause.indistinguishable_from:
+            alike = listed(cause.indistinguishable_from[:_ALIKE], "or")
+            found.append(
+                f"By its signature alone it could be {alike}; the priors of their sizes speak for it."
+            )
+    if d.claim.kind == "undecided" and candidates:
+        found.append("Another test would tell more than another fit: see what to measure next.")
+    return tuple(found)
+
+
+def _residuals(d: Diagnosis) -> Table:
+    """Each frequency against the plain model and, where there is one, the extended one."""
+    before = frequency_rows(d, d.baseline, d.weighed.none)
+    after = None if d.extended is None else frequency_rows(d, d.extended, d.members[0][0])
+    several = len(d.cases) > 1
+    columns = [Column("plate")] if several else []
+    columns += [
+        Column("mode", number=True),
+        Column("label"),
+        Column("kind"),
+        Column("measured Hz", number=True),
+        Column("predicted Hz", number=True),
+        Column("residual %", number=True),
+        Column("in sd", number=True),
+    ]
+    if after is not None:
+        columns += [Column("extended Hz", number=True), Column("residual %", number=True)]
+        columns += [Column("in sd", number=True), Column("")]
+    rows, far = [], []
+    decimals = decimals_of(d.baseline.measured)
+    for i, row in enumerate(before):
+        cells = [row.plate] if several else []
+        cells += _mode_cells(row)
+        cells += [fixed(row.measured, decimals), *_fit_cells(row, decimals)]
+        if after is not None:
+            cells += [*_fit_cells(after[i], decimals), _moved(row, after[i])]
+        if row.predicted is not None and abs(row.standardised) > _FAR:
+            far.append(i)
+        rows.append(tuple(cells))
+    rows += _missed_rows(d, len(columns), several, decimals)
+    p = probability_text(d.baseline.p_value)
+    title = (
+        f"What the plain model gets wrong: rms {significant(100 * d.baseline.rms, 3)} %, posterior "
+        f"predictive p {p}; residual = predicted / measured - 1"
+    )
+    return Table(title, tuple(columns), tuple(rows), frozenset(far))
+
+
+def _mode_cells(row: FrequencyRow) -> list[str]:
+    if row.number is None or row.mode is None:
+        return ["-", "", "no mode"]
+    return [str(row.number), row.mode.label, row.mode.kind]
+
+
+def _fit_cells(row: FrequencyRow, decimals: int) -> list[str]:
+    if row.predicted is None or row.residual_percent is None:
+        return ["", "", ""]
+    return [
+        fixed(row.predicted, decimals + 1),
+        signed(row.residual_percent, 2),
+        signed(row.standardised, 1),
+    ]
+
+
+def _moved(before: FrequencyRow, after: FrequencyRow) -> str:
+    """What the extended model says of a frequency's mode where that is another one."""
+    if after.number == before.number:
+        return ""
+    if after.mode is None:
+        return "no mode"
+    return f"is mode {after.number}, {after.mode.label}"
+
+
+def _missed_rows(d: Diagnosis, width: int, several: bool, decimals: int) -> list[tuple[str, ...]]:
+    leader = d.members[0][0] if d.members else d.weighed.none
+    found = []
+    for m in missed_modes(d, leader):
+        cells = [m.plate] if several else []
+        cells += [str(m.number), m.mode.label, m.mode.kind, "missed", fixed(m.mode.frequency, decimals + 1)]
+        found.append((*cells, *(width - len(cells)) * ("",)))
+    return found
+
+
+def _causes(d: Diagnosis) -> Table:
+    several = len(d.cases) > 1
+    columns = [Column("cause"), Column("variant")]
+    columns += [Column("of")] if several else []
+    columns += [
+        Column("probability", number=True),
+        Column("log Bayes factor", number=True),
+        Column("size, mean and sd"),
+        Column("cannot be told from"),
+    ]
+    rows, claimed = [], []
+    shown = leading(d, _LEAST, _MOST)
+    for i, cause in enumerate(shown):
+        cells = [cause.name, cause.variant]
+        cells += [_plates(d, cause)] if several else []
+        cells += [
+            probability_text(cause.probability),
+            "0" if cause.name == NONE else signed(cause.log_bayes_factor, 1),
+            _size(cause),
+            _alike(cause),
+        ]
+        if cause.name in d.claim.causes and d.claim.kind != "undecided":
+            claimed.append(i)
+        rows.append(tuple(cells))
+    further = len(d.causes) - len(shown)
+    rest = sum(c.probability for c in d.causes) - sum(c.probability for c in shown)
+    if further > 0:
+        width = len(columns) - 1
+        rows.append(
+            (
+                f"{further} more",
+                *((width - 4) * ("",)),
+                probability_text(rest),
+                *(3 * ("",)),
+            )
+        )
+    return Table("Causes, probability after the data", tuple(columns), tuple(rows), frozenset(claimed))
+
+
+def _plates(d: Diagnosis, cause: Cause) -> str:
+    if cause.name in (NONE, OTHER) or len(cause.plates) == len(d.cases):
+        return "all"
+    return ", ".join(cause.plates)
+
+
+def _size(cause: Cause) -> str:
+    text = size_text(cause)
+    return f"{text} (hidden)" if cause.absorbed and text else text
+
+
+def _alike(cause: Cause) -> str:
+    names = cause.indistinguishable_from
+    more = f" and {len(names) - _ALIKE} more" if len(names) > _ALIKE else ""
+    return ", ".join(names[:_ALIKE]) + more
+
+
+def _hidden(d: Diagnosis) -> Table:
+    """Causes that the constants imitate, and by how much each constant moves."""
+    names = [row.name for row in constant_rows(d, d.baseline)]
+    columns = (
+        Column("cause"),
+        Column("shows", number=True),
+        Column("this much"),
+        *(Column(f"{name.removesuffix('_GPa')} %", number=True) for name in names),
+    )
+    rows = []
+    for cause in hidden_causes(d):
+        _, unit, per_unit = absorbed_biases(d, cause)
+        one = catalogue_sd(d, cause)
+        moved = [f"{one * per_unit.get(name, 0.0):+.2g}" for name in names]
+        rows.append((cause.name, f"{100 * cause.visible:.0f} %", f"{one:g} {unit}".strip(), *moved))
+    title = (
+        "Hidden by the constants: how much of a cause would show, and how it moves constants if it is there"
+    )
+    return Table(title, columns, tuple(rows))
+
+
+def _constants(d: Diagnosis) -> Table:
+    """Mean and 95 % interval, before and with the claimed cause."""
+    before = constant_rows(d, d.baseline)
+    after = {} if d.extended is None else {row.name: row for row in constant_rows(d, d.extended)}
+    columns = [
+        Column("constant"),
+        Column("reference", number=True),
+        Column("mean", number=True),
+        Column("2.5 %", number=True),
+        Column("97.5 %", number=True),
+    ]
+    if after:
+        columns += [Column("extended", number=True), Column("2.5 %", number=True)]
+        columns += [Column("97.5 %", number=True)]
+    columns.append(Column("by"))
+    rows = []
+    for row in before:
+        cells = [row.name, f"{row.reference:.5g}", *_interval(row.mean, row.q025, row.q975, row.sd)]
+        last = row
+        if after:
+            last = after.get(row.name, row)
+            cells += _interval(last.mean, last.q025, last.q975, last.sd) if row.name in after else 3 * [""]
+        cells.append(
+            "data" if last.contraction >= 0.75 else "data and prior" if last.contraction > 0.25 else "prior"
+        )
+        rows.append(tuple(cells))
+    title = "Constants, plain model" + (" and extended model" if after else "")
+    return Table(title, tuple(columns), tuple(rows))
+
+
+def _decided_by(row: ConstantRow) -> str:
+    if row.contraction >= _BY_DATA:
+        return "data"
+    return "data and prior" if row.contraction > _BY_PRIOR else "prior"
+
+
+def _interval(mean: float, low: float, high: float, sd: float) -> list[str]:
+    return [with_spread(value, sd)[0] for value in (mean, low, high)]
+
+
+def _sampled(d: Diagnosis, found: Resampled | None) -> Table:
+    """The extended model's constants by emcee, and how its chains did."""
+    if found is None:
+        return facts("Extended model by emcee", ())
+    rows = []
+    for row in sampled_rows(d, found):
+        mean, low, high = _interval(row.mean, row.q025, row.q975, row.sd)
+        rows.append((row.name, f"{mean}, 95 % interval {low} to {high}"))
+    worst = max(m.diagnostics.r_hat for m in found.members)
+    size = min(m.diagnostics.ess_bulk for m in found.members)
+    said = "converged" if found.converged else "NOT converged"
+    rows.append(("chains", f"R-hat {worst:.4f}, {size:.0f} effective samples: {said}"))
+    return facts("Extended model by emcee", tuple(rows))
+
+
+def _gain(d: Diagnosis) -> Table:
+    if d.gain is None or d.extended is None:
+        return facts("Gain", ())
+    gain = d.gain
+    before, after = (significant(100 * rms, 3) for rms in (gain.rms_before, gain.rms_after))
+    score, se = with_spread(gain.held_out_difference, gain.held_out_se)
+    score = score if score.startswith("-") else f"+{score}"
+    p = probability_text(d.extended.p_value)
+    rows = (
+        ("rms misfit", f"{before} % before, {after} % after"),
+        ("log Bayes factor", f"{signed(gain.log_bayes_factor, 1)} against the plain model"),
+        ("held-out modes", f"log score {score} +- {se}, each predicted from the others"),
+        ("stable", f"ahead without one frequency in {100 * gain.stable:.0f} % of the cases"),
+        ("p-value", f"{p}, posterior predictive, with the claimed cause"),
+    )
+    return facts("Gain of the extended model", rows)
+
+
+def _next(candidates: Sequence[Candidate]) -> Table:
+    columns = (
+        Column("test"),
+        Column("information, nats", number=True),
+        Column("of", number=True),
+        Column("chance that it decides", number=True),
+    )
+    rows = tuple(
+        (c.description, fixed(c.information, 2), fixed(c.possible, 2), f"{100 * c.decided:.0f} %")
+        for c in candidates[:_NEXT]
+    )
+    further = len(candidates) - len(rows)
+    if further > 0:
+        rows += ((f"{further} more that tell less", "", "", ""),)
+    return Table("What to measure next, by what it would tell about the cause", columns, rows)
+
+
+def _work(d: Diagnosis, seed: int) -> Table:
+    noise = noise_of(((d.weighed.none, 1.0),))
+    families = {t.hypothesis.family for t in d.weighed.tested} - {NONE, OTHER, "pair"}
+    prior = d.weighed.none.hypothesis.prior
+    other = d.weighed.best_of(OTHER).hypothesis.prior
+    pairs = P_PAIR * (1.0 - prior) / (1.0 - P_NONE)
+    rows = []
+    if noise is not None:
+        level, spread = with_spread(100 * noise[0], 100 * noise[1])
+        rows.append(("noise", f"{level} +- {spread} % of a frequency, inferred with the plain model"))
+    rows += [
+        (
+            "priors",
+            f"none {prior:g}, other {other:.3g}, two at once {pairs:.3g}, the rest evenly over "
+            f"{len(families)} families of causes",
+        ),
+        ("work", f"{len(d.weighed.tested)} hypotheses in {d.seconds:.1f} s, seed {seed}"),
+    ]
+    return facts("Computation", tuple(rows))

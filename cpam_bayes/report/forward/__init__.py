@@ -1,0 +1,1 @@
+"""What `forward` and `export` show."""

@@ -1,0 +1,1 @@
+"""What `identify` by the swarm shows."""

@@ -1,0 +1,151 @@
+"""The screen of `identify`: an engineer who reads nothing else must not be misled."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from cpam_bayes.identification.point import Identification
+from cpam_bayes.plate import to_user
+from cpam_bayes.report.identification.words import noise_sentence, verdict_sentences
+from cpam_bayes.report.numbers import decimals_of, fixed, signed, significant, with_spread
+from cpam_bayes.report.plates import plate_head, unit_of
+from cpam_bayes.report.tables import Column, Table, facts, remarks
+from cpam_bayes.stacking.search import FoundSequence
+
+__all__ = ["identification_screen"]
+
+_MISFIT = {
+    "absolute": "sum of squared differences in Hz, eq. (7)",
+    "relative": "sum of squared relative differences",
+}
+# Below this share of D11 a bending-twisting stiffness is rounding.
+_ROUNDING = 1e-9
+
+
+def identification_screen(
+    result: Identification,
+    residual: str,
+    seed: int,
+    warnings: tuple[str, ...],
+    found: FoundSequence | None = None,
+) -> tuple[Table, ...]:
+    """Plate, constants, what to believe of them, frequencies, and how they were found.
+
+    found : the angles, where some were unknown.
+    """
+    return (
+        plate_head(f"identify {result.specimen.name}", result.specimen),
+        *(() if found is None else (_angles(found),)),
+        _constants(result),
+        remarks("What the frequencies determine", verdict_sentences(result)),
+        _frequencies(result),
+        _fit(result),
+        _laminate(result),
+        _search(result, residual, seed),
+        remarks("Warnings", warnings, flagged=True),
+    )
+
+
+def _angles(found: FoundSequence) -> Table:
+    rows = (
+        ("layup", f"{found.specimen.plate.layup.text} asked for"),
+        ("unknown", "/".join(f"{a:g}" for a in found.angles_deg) + ", found by the fuzzy swarm"),
+        ("status", found.swarm.message),
+        ("work", f"{found.swarm.evaluations} forward solves in {found.seconds:.1f} s"),
+        ("others", "may explain the list as well or better: `sequence` gives each its probability"),
+    )
+    return facts("Angles", rows)
+
+
+def _constants(result: Identification) -> Table:
+    columns = (
+        Column("name"),
+        Column("value", number=True),
+        Column("sd", number=True),
+        Column("unit"),
+        Column("reference", number=True),
+        Column("bounds"),
+        Column("verdict"),
+    )
+    rows = []
+    for c in result.constants:
+        value, sd = with_spread(to_user(c.name, c.value), to_user(c.name, c.sd))
+        lower, upper = (f"{to_user(c.name, bound):.6g}" for bound in (c.lower, c.upper))
+        verdict = c.verdict if c.bound is None else f"at its {c.bound} bound"
+        if not math.isfinite(c.sd) and c.bound is None:
+            verdict = "sd not known"
+        reference = f"{to_user(c.name, c.reference):.6g}"
+        rows.append((c.name, value, sd, unit_of(c.name), reference, f"{lower} to {upper}", verdict))
+    doubtful = frozenset(i for i, c in enumerate(result.constants) if c.verdict != "determined")
+    return Table("Constants, point estimates", columns, tuple(rows), doubtful)
+
+
+def _frequencies(result: Identification) -> Table:
+    measurement = result.specimen.measurement
+    assert measurement is not None
+    columns = (
+        Column("mode", number=True),
+        Column("label"),
+        Column("kind"),
+        Column("measured Hz", number=True),
+        Column("predicted Hz", number=True),
+        Column("residual %", number=True),
+    )
+    decimals = decimals_of(measurement.frequencies)
+    rows = []
+    for i, (f, mode) in enumerate(zip(measurement.frequencies, result.predicted, strict=True), 1):
+        residual = signed(100 * (mode.frequency / f - 1.0), 2)
+        predicted = fixed(mode.frequency, decimals + 1)
+        rows.append((str(i), mode.label, mode.kind, fixed(f, decimals), predicted, residual))
+    title = "Frequencies, residual = predicted / measured - 1"
+    return Table(title, columns, tuple(rows))
+
+
+def _fit(result: Identification) -> Table:
+    measurement = result.specimen.measurement
+    assert measurement is not None
+    predicted = np.array([mode.frequency for mode in result.predicted])
+    rms = float(np.sqrt(np.mean((predicted - measurement.frequencies) ** 2)))
+    rows = (
+        ("rms residual", f"{significant(100 * result.rms, 3)} %, {significant(rms, 3)} Hz"),
+        ("noise", noise_sentence(result)),
+        ("sd", "linearised, from this noise; a systematic error of the plate model is not in it"),
+        (
+            "solver",
+            f"error about {significant(100 * float(np.max(result.error)), 2)} % in the worst mode, "
+            "estimated at these constants",
+        ),
+    )
+    return facts("Fit", rows)
+
+
+def _laminate(result: Identification) -> Table:
+    stiffness = result.laminate
+    d = [name for name in stiffness if name.startswith("D")]
+    moduli = [name for name in stiffness if name not in (*d, "nuxy")]
+    small = _ROUNDING * abs(stiffness["D11"])
+    rows = [
+        (" ".join(d), ", ".join(_stiffness(stiffness[name], small) for name in d) + " N m"),
+        (
+            " ".join(moduli),
+            ", ".join(significant(stiffness[name] / 1e9) for name in moduli) + " GPa",
+        ),
+        ("nuxy", significant(stiffness["nuxy"], 3)),
+    ]
+    return facts("Laminate in bending", tuple(rows))
+
+
+def _stiffness(value: float, small: float) -> str:
+    return "0" if abs(value) < small else significant(value)
+
+
+def _search(result: Identification, residual: str, seed: int) -> Table:
+    swarm = result.swarm
+    rows = (
+        ("minimised", _MISFIT[residual]),
+        ("status", swarm.message),
+        ("work", f"{swarm.evaluations} forward solves in {result.seconds:.1f} s, seed {seed}"),
+    )
+    return facts("Search", rows)

@@ -1,0 +1,1 @@
+"""What `identify --backend emcee` shows."""

@@ -1,0 +1,215 @@
+"""The JSON document of `identify --backend emcee`."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from cpam_bayes.forward_model.model import SIZES
+from cpam_bayes.identification.sampled import ConstantPosterior, SampledIdentification
+from cpam_bayes.inference.noise import NOISE_NAMES
+from cpam_bayes.plate import to_user, user_name
+from cpam_bayes.priors import Prior, TruncatedNormal, Uniform
+from cpam_bayes.report.documents import laminate_unit, plate_keys
+
+__all__ = ["constants_of", "nuisance_of", "sampled_document"]
+
+
+def sampled_document(result: SampledIdentification, seed: int, warnings: tuple[str, ...]) -> dict[str, Any]:
+    """The JSON document of `identify` by sampling."""
+    noise = [c for c in result.constants if c.name in NOISE_NAMES]
+    return {
+        **plate_keys("identify", result.specimen, seed),
+        "backend": "emcee",
+        "status": result.result.status,
+        "constants": {user_name(c.name): _marginal(result, c) for c in constants_of(result)},
+        "nuisance": {user_name(c.name): _marginal(result, c) for c in nuisance_of(result)},
+        "noise": {"name": user_name(noise[0].name), **_quantiles(noise[0], 1.0)} if noise else None,
+        "degrees_of_freedom": result.posterior.degrees_of_freedom,
+        "frequencies": _frequency_rows(result),
+        "missed_modes": [
+            {
+                "predicted_hz": float(result.predicted[j]),
+                "kind": result.modes[j].kind,
+                "label": result.modes[j].label,
+            }
+            for j in result.pairing.missed
+        ],
+        "posterior_predictive_p_value": result.p_value,
+        "leave_one_out": _leave_one_out(result),
+        "log_evidence": result.evidence.log_evidence,
+        "evidence": {
+            "standard_error": result.evidence.standard_error,
+            "effective_size": result.evidence.effective_size,
+            "k_hat": result.evidence.k_hat,
+            "status": result.evidence.status,
+        },
+        "identifiability": {"combinations": _combinations(result), "profiles": _profiles(result)},
+        "power_scaling": {
+            user_name(s.name): {
+                "prior": s.prior,
+                "noise_prior": s.noise_prior,
+                "likelihood": s.likelihood,
+                "diagnosis": s.diagnosis,
+            }
+            for s in result.assessment.power_scaling
+        },
+        "bounds_moved": _bounds_moved(result),
+        "relative_error_estimate": float(np.max(result.error)),
+        "laminate": {
+            laminate_unit(name)[0]: {
+                "value": mean * laminate_unit(name)[1],
+                "sd": sd * laminate_unit(name)[1],
+            }
+            for name, (mean, sd) in result.laminate.items()
+        },
+        "diagnostics": _diagnostics(result),
+        "air_density_kg_m3": result.specimen.air_density,
+        "forward_solves": result.forward_solves,
+        "seconds": result.seconds,
+        "warnings": list(warnings),
+        "notes": list(result.specimen.notes),
+    }
+
+
+def constants_of(result: SampledIdentification) -> tuple[ConstantPosterior, ...]:
+    """The elastic constants, without noise and sizes."""
+    return tuple(c for c in result.constants if c.name not in (*NOISE_NAMES, *SIZES))
+
+
+def nuisance_of(result: SampledIdentification) -> tuple[ConstantPosterior, ...]:
+    """The sizes of the plate that have a standard deviation."""
+    return tuple(c for c in result.constants if c.name in SIZES)
+
+
+def _quantiles(c: ConstantPosterior, factor: float) -> dict[str, float]:
+    return {key: factor * float(getattr(c, key)) for key in ("mean", "sd", "q025", "median", "q975")}
+
+
+def _marginal(result: SampledIdentification, c: ConstantPosterior) -> dict[str, Any]:
+    prior = result.posterior.parameters[c.name].prior
+    return {
+        **_quantiles(c, to_user(c.name, 1.0)),
+        "prior": {
+            "kind": _kind(prior),
+            "mean": to_user(c.name, prior.mean),
+            "sd": to_user(c.name, prior.sd),
+        },
+        "prior_contraction": c.contraction,
+        "share_at_lower_bound": c.at_lower,
+        "share_at_upper_bound": c.at_upper,
+        "bound": c.bound,
+        "lower": to_user(c.name, c.lower),
+        "upper": to_user(c.name, c.upper),
+        "verdict": c.verdict,
+        "reference": to_user(c.name, c.reference),
+    }
+
+
+def _kind(prior: Prior) -> str:
+    if isinstance(prior, Uniform):
+        return "uniform"
+    return "truncated normal" if isinstance(prior, TruncatedNormal) else "truncated Student-t"
+
+
+def _frequency_rows(result: SampledIdentification) -> list[dict[str, Any]]:
+    left_out = result.assessment.left_out
+    place = np.cumsum(result.pairing.mode >= 0) - 1
+    rows = []
+    for i, (f, j) in enumerate(
+        zip(result.posterior.measurement.frequencies, result.pairing.mode, strict=True)
+    ):
+        paired = j >= 0
+        predicted = float(result.predicted[j]) if paired else None
+        k = place[i]
+        rows.append(
+            {
+                "measured_hz": float(f),
+                "predicted_hz": predicted,
+                "predicted_sd_hz": float(result.predicted_sd[j]) if paired else None,
+                "residual_percent": None if predicted is None else 100.0 * (predicted / float(f) - 1.0),
+                "kind": result.modes[j].kind if paired else None,
+                "label": result.modes[j].label if paired else None,
+                "left_out": {
+                    "residual_percent": -100.0 * float(left_out.residual[k] / f),
+                    "sd_percent": 100.0 * float(left_out.sd[k] / f),
+                    "leverage": float(left_out.leverage[k]),
+                }
+                if paired
+                else None,
+            }
+        )
+    return rows
+
+
+def _leave_one_out(result: SampledIdentification) -> dict[str, Any]:
+    importance = result.assessment.importance
+    psis = None
+    if importance is not None:
+        psis = {
+            "reliable": importance.reliable,
+            "k_hat": importance.k_hat.tolist(),
+            "log_score": importance.log_score if importance.reliable else None,
+            "standard_error": importance.standard_error if importance.reliable else None,
+        }
+    left_out = result.assessment.left_out
+    return {"log_score": left_out.log_score, "basis": left_out.basis, "psis": psis}
+
+
+def _combinations(result: SampledIdentification) -> list[dict[str, Any]]:
+    names = [user_name(name) for name in result.posterior.model.parameters.names]
+    return [
+        {
+            "exponents": dict(zip(names, c.exponents.tolist(), strict=True)),
+            "singular_value": c.singular_value,
+            "sd_percent_by_data": 100.0 * c.noise_sd,
+            "sd_percent_by_prior": 100.0 * c.prior_sd,
+            "contraction": c.contraction,
+        }
+        for c in result.assessment.combinations
+    ]
+
+
+def _profiles(result: SampledIdentification) -> dict[str, Any]:
+    found = {}
+    for p in result.assessment.profiles:
+        found[user_name(p.name)] = {
+            "values": [to_user(p.name, float(v)) for v in p.values],
+            "drop": p.drop.tolist(),
+            "best": to_user(p.name, p.best),
+            "lower_95": to_user(p.name, p.lower),
+            "upper_95": to_user(p.name, p.upper),
+            "lower_open": p.lower_open,
+            "upper_open": p.upper_open,
+            "parts": p.parts,
+        }
+    return found
+
+
+def _bounds_moved(result: SampledIdentification) -> list[dict[str, Any]]:
+    names = [user_name(name) for name in result.posterior.parameters.names]
+    return [
+        {
+            "constant": user_name(m.name),
+            "bound": m.bound,
+            "share_cut": m.cut,
+            "shift_in_sd": dict(zip(names, m.shift.tolist(), strict=True)),
+        }
+        for m in result.assessment.moved_bounds
+    ]
+
+
+def _diagnostics(result: SampledIdentification) -> dict[str, Any]:
+    d = result.result.diagnostics
+    return {
+        "r_hat": d.r_hat,
+        "ess_bulk": d.ess_bulk,
+        "autocorrelation_time": d.autocorrelation_time,
+        "converged": d.converged,
+        "steps": d.steps,
+        "burn_in": d.burn_in,
+        "ess_per_second": result.ess_per_second,
+        "ess_per_second_in_all": d.ess_bulk / result.seconds,
+        "seconds_sampling": result.seconds_sampling,
+    }

@@ -1,0 +1,268 @@
+"""Screen of `identify --backend emcee`: a posterior, what determines it, and how far to trust it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cpam_bayes.forward_model.model import SIZES
+from cpam_bayes.identification.sampled import ConstantPosterior, SampledIdentification
+from cpam_bayes.inference.diagnostics.completeness import Doubt
+from cpam_bayes.inference.noise import NOISE_NAMES
+from cpam_bayes.plate import to_user
+from cpam_bayes.priors import Prior, TruncatedNormal
+from cpam_bayes.report.documents import laminate_unit
+from cpam_bayes.report.numbers import decimals_of, fixed, signed, significant, with_spread
+from cpam_bayes.report.plates import plate_head, unit_of
+from cpam_bayes.report.posterior.assessment import combinations_table, sensitivity_table
+from cpam_bayes.report.posterior.document import constants_of, nuisance_of
+from cpam_bayes.report.tables import Column, Table, facts, remarks
+
+__all__ = ["sampled_screen", "sampled_warnings"]
+
+# A posterior predictive p-value this far out says that noise alone does not explain the residuals.
+_P_LOW = 0.02
+# A mode this many standard deviations from what the others predict is marked.
+_FAR = 3.0
+
+
+def sampled_warnings(result: SampledIdentification) -> tuple[str, ...]:
+    """Everything that is a reason not to trust the numbers as they stand."""
+    found = []
+    measurement = result.posterior.measurement
+    unknowns = len(constants_of(result))
+    if measurement.size <= unknowns:
+        many = "frequency" if measurement.size == 1 else "frequencies"
+        found.append(f"{measurement.size} {many} for {unknowns} unknowns: the prior decides")
+    if result.result.status == "budget":
+        d = result.result.diagnostics
+        found.append(
+            f"the chains used their budget of {d.steps} steps before they converged (R-hat "
+            f"{d.r_hat:.3f}, {d.ess_bulk:.0f} effective samples): means and intervals are not reliable; "
+            "allow more steps"
+        )
+    if result.result.not_stored is not None:
+        found.append(result.result.not_stored)
+    if result.doubt is not None:
+        found.append(doubt_sentence(result.doubt))
+    if result.p_value < _P_LOW:
+        found.append(
+            f"posterior predictive p-value {result.p_value:.3f}: the residuals are larger than the noise "
+            "of the plate file explains, the plate model lacks something or the noise is larger"
+        )
+    return tuple(found)
+
+
+def doubt_sentence(doubt: Doubt) -> str:
+    """What of a complete list looks as if it were not, and what to do about it."""
+    times = f"{np.exp(doubt.log_odds):.0f}" if doubt.log_odds < np.log(1e4) else "more than 10000"
+    if doubt.missed is not None:
+        what = f"lacks the mode {doubt.missed.label}, near {doubt.missed.frequency:.4g} Hz"
+    else:
+        what = f"holds a frequency that belongs to no mode, {doubt.spurious:.6g} Hz"
+    return (
+        f"the list looks as if it {what}: that is {times} times as probable as one frequency for every "
+        "mode; if so, set complete = false in [measurement]"
+    )
+
+
+def sampled_screen(result: SampledIdentification, seed: int, warnings: tuple[str, ...]) -> tuple[Table, ...]:
+    """Plate, marginal posteriors, what to believe of them, frequencies, chains."""
+    return (
+        plate_head(f"identify {result.specimen.name}", result.specimen),
+        _marginals("Constants, posterior", result, constants_of(result)),
+        _marginals("Sizes, posterior", result, nuisance_of(result)),
+        remarks("What the frequencies determine", _verdicts(result)),
+        combinations_table(result),
+        sensitivity_table(result),
+        _frequencies(result),
+        _laminate(result),
+        _chains(result, seed),
+        remarks("Warnings", warnings, flagged=True),
+    )
+
+
+def _marginals(title: str, result: SampledIdentification, shown: tuple[ConstantPosterior, ...]) -> Table:
+    columns = (
+        Column("name"),
+        Column("mean", number=True),
+        Column("sd", number=True),
+        Column("2.5 %", number=True),
+        Column("97.5 %", number=True),
+        Column("unit"),
+        Column("reference", number=True),
+        Column("prior"),
+        Column("contraction", number=True),
+        Column("verdict"),
+    )
+    rows = []
+    for c in shown:
+        mean, sd = with_spread(to_user(c.name, c.mean), to_user(c.name, c.sd))
+        low, high = (with_spread(to_user(c.name, q), to_user(c.name, c.sd))[0] for q in (c.q025, c.q975))
+        reference = f"{to_user(c.name, c.reference):.6g}"
+        rows.append(
+            (
+                c.name,
+                mean,
+                sd,
+                low,
+                high,
+                unit_of(c.name),
+                reference,
+                _prior(c.name, result.posterior.parameters[c.name].prior),
+                fixed(c.contraction, 2),
+                c.verdict,
+            )
+        )
+    by_data = "determined by the data"
+    doubtful = frozenset(i for i, c in enumerate(shown) if c.verdict != by_data and c.name not in SIZES)
+    return Table(title, columns, tuple(rows), doubtful)
+
+
+def _prior(name: str, prior: Prior) -> str:
+    """A prior in the unit of the plate file."""
+    bounds = f"{to_user(name, prior.lower):.6g} to {to_user(name, prior.upper):.6g}"
+    if not isinstance(prior, TruncatedNormal):
+        return bounds
+    return f"{to_user(name, prior.loc):.6g} +- {to_user(name, prior.scale):.4g} in {bounds}"
+
+
+def _verdicts(result: SampledIdentification) -> tuple[str, ...]:
+    found = []
+    constants = constants_of(result)
+    by_prior = [c.name for c in constants if c.verdict == "determined by the prior"]
+    if by_prior:
+        found.append(
+            f"Determined by the prior, not by the frequencies: {', '.join(by_prior)}. Do not use "
+            f"{'these values' if len(by_prior) > 1 else 'this value'}."
+        )
+    for c in constants:
+        if c.bound is not None:
+            share = max(c.at_lower, c.at_upper)
+            found.append(
+                f"{c.name}: {100 * share:.0f} % of the draws lie at its {c.bound} bound; the bound has a "
+                "say in it, and the other constants depend on it."
+            )
+    sure = [c.name for c in constants if c.verdict == "determined by the data"]
+    return (*found, f"Determined by the frequencies: {', '.join(sure) or 'none of the constants'}.")
+
+
+def _frequencies(result: SampledIdentification) -> Table:
+    columns = (
+        Column("mode", number=True),
+        Column("label"),
+        Column("kind"),
+        Column("measured Hz", number=True),
+        Column("predicted Hz", number=True),
+        Column("sd", number=True),
+        Column("residual %", number=True),
+        Column("leverage", number=True),
+        Column("left out %", number=True),
+        Column("sd %", number=True),
+    )
+    measured = result.posterior.measurement.frequencies
+    decimals = decimals_of(measured)
+    rows, doubtful = [], []
+    left_out = result.assessment.left_out
+    place = np.cumsum(result.pairing.mode >= 0) - 1
+    for i, (f, j) in enumerate(zip(measured, result.pairing.mode, strict=True)):
+        if j < 0:
+            rows.append(("-", "", "no mode", fixed(float(f), decimals), *6 * ("",)))
+            continue
+        mode, predicted, k = result.modes[j], float(result.predicted[j]), int(place[i])
+        if abs(left_out.standardised[k]) > _FAR:
+            doubtful.append(i)
+        rows.append(
+            (
+                str(j + 1),
+                mode.label,
+                mode.kind,
+                fixed(float(f), decimals),
+                fixed(predicted, decimals + 1),
+                fixed(float(result.predicted_sd[j]), decimals + 1),
+                signed(100 * (predicted / float(f) - 1.0), 2),
+                fixed(float(left_out.leverage[k]), 2),
+                signed(-100 * float(left_out.residual[k] / f), 2),
+                fixed(100 * float(left_out.sd[k] / f), 2),
+            )
+        )
+    for j in result.pairing.missed:
+        mode = result.modes[j]
+        predicted = float(result.predicted[j])
+        rows.append((str(j + 1), mode.label, mode.kind, "missed", fixed(predicted, decimals + 1), *5 * ("",)))
+    title = "Frequencies, residual = predicted / measured - 1; left out: predicted from the other modes"
+    return Table(title, columns, tuple(rows), frozenset(doubtful))
+
+
+def _laminate(result: SampledIdentification) -> Table:
+    """D11 to D26, the engineering constants and nuxy, a line each."""
+    small = 1e-9 * abs(result.laminate["D11"][0])
+    lines: dict[str, list[str]] = {"N m": [], "GPa": [], "": []}
+    for name, (mean, sd) in result.laminate.items():
+        key, factor = laminate_unit(name)
+        if name.startswith("D") and abs(mean) < small:
+            continue
+        value, spread = with_spread(mean * factor, sd * factor)
+        unit = "N m" if name.startswith("D") else "GPa" if key.endswith("_GPa") else ""
+        lines[unit].append(f"{name} {value} +- {spread}")
+    rows = tuple((f"{', '.join(parts)} {unit}".strip(),) for unit, parts in lines.items() if parts)
+    return Table("Laminate in bending, mean and sd", (Column(),), rows)
+
+
+def _chains(result: SampledIdentification, seed: int) -> Table:
+    d = result.result.diagnostics
+    ensembles, _, walkers, _ = result.result.chain.shape
+    noise = [c for c in result.constants if c.name in NOISE_NAMES]
+    rows = []
+    shape = "" if np.isinf(nu := result.posterior.degrees_of_freedom) else f", Student-t with {nu:g}"
+    if noise:
+        factor, unit = (1.0, "Hz") if noise[0].name == "absolute_sd" else (100.0, "% of a frequency")
+        level, spread = factor * noise[0].mean, factor * noise[0].sd
+        rows.append(("noise", f"{level:.2g} +- {spread:.2g} {unit}, inferred{shape}"))
+    elif shape:
+        rows.append(("noise", f"of the plate file{shape}"))
+    rows += [
+        ("p-value", f"{result.p_value:.2f}, posterior predictive, of the sum of squared residuals"),
+        *_left_out(result),
+        ("evidence", _evidence(result)),
+        ("chains", f"{ensembles} ensembles of {walkers} walkers, {d.steps} steps, burn-in {d.burn_in}"),
+        (
+            "convergence",
+            f"R-hat {d.r_hat:.4f} over ensembles, autocorrelation time {d.autocorrelation_time:.0f} steps, "
+            f"{d.ess_bulk:.0f} effective samples: {'converged' if d.converged else 'NOT converged'}",
+        ),
+        (
+            "solver",
+            f"error about {significant(100 * float(np.max(result.error)), 2)} % in the worst mode, "
+            "part of the noise",
+        ),
+        (
+            "work",
+            f"{result.forward_solves} forward solves in {result.seconds:.1f} s, seed {seed}; "
+            f"{result.ess_per_second:.0f} effective samples a second of sampling, "
+            f"{d.ess_bulk / result.seconds:.0f} in all",
+        ),
+    ]
+    return facts("Fit and sampling", tuple(rows))
+
+
+def _left_out(result: SampledIdentification) -> list[tuple[str, str]]:
+    """The log score of modes left out, by importance sampling where that can be relied on."""
+    left_out, psis = result.assessment.left_out, result.assessment.importance
+    closed = f"log score {left_out.log_score:.1f} in closed form"
+    if left_out.basis == "optimum":
+        closed += ", linearised at the optimum (the posterior is far from a Gaussian)"
+    if psis is None:
+        return [("left out", closed)]
+    if psis.reliable:
+        told = f"log score {psis.log_score:.1f} +- {psis.standard_error:.1f} by importance sampling"
+    else:
+        worst = int(np.argmax(psis.k_hat))
+        told = f"not reliable: k-hat {psis.k_hat[worst]:.2f} at frequency {worst + 1}, above 0.7"
+    return [("left out", closed), ("PSIS-LOO", told)]
+
+
+def _evidence(result: SampledIdentification) -> str:
+    e = result.evidence
+    told = f"log evidence {e.log_evidence:.3f} +- {e.standard_error:.3f}"
+    sizes = f"{e.effective_size:.0f} effective of {e.n_draws} draws, k-hat {e.k_hat:.2f}"
+    return f"{told}, importance sampling ({sizes}){'' if e.status == 'reliable' else ': NOT reliable'}"

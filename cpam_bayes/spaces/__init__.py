@@ -1,5 +1,0 @@
-"""Discretisations of a plate: Rayleigh-Ritz and finite elements behind one protocol."""
-
-from cpam_bayes.spaces.protocol import Quadrature, Space
-
-__all__ = ["Quadrature", "Space"]

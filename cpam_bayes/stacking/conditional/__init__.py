@@ -1,0 +1,1 @@
+"""The posterior of the constants given a stacking sequence, for stacks of sequences at once."""

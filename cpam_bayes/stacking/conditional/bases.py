@@ -1,0 +1,57 @@
+"""Small reduced bases for the posteriors of sequences: of the whole box, and of where the mass is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cpam_bayes.forward_model.focused import focused
+from cpam_bayes.forward_model.model import training_sets
+from cpam_bayes.stacking.conditional.evaluation import Evaluated
+from cpam_bayes.stacking.conditional.posterior import SequencePosterior
+
+Array = NDArray[Any]
+
+# A first basis for the whole box: parameter sets that it is made from, and its relative error.
+_BOX_SETS, _BOX_ERROR = 400, 5e-3
+# The basis about the posterior: how far below the best, nats, a sequence belongs to it; sets; error.
+NEAR, _NEAR_SETS, _NEAR_ERROR = 18.0, 800, 2e-3
+# Share of the frequencies that the errors are those of, where the noise, relative, is so large: few sets at
+# the rim of a wide posterior, which weigh little, would take as many vectors as all others.
+_MOST, _NOISY = 0.98, 8e-3
+# Both errors are at most these shares of the noise, as far as it is known.
+_BOX_SHARE, _NEAR_SHARE = 0.3, 0.05
+# Share of the draws whose noise may be less than the one that counts where it is inferred.
+_LEAST_NOISE = 0.01
+
+
+def roughly(own: SequencePosterior, rng: np.random.Generator) -> SequencePosterior:
+    """The posterior on a small basis for the whole box, which says where the mass is."""
+    box = training_sets(own.model.full.operator.problem, _BOX_SETS, rng)
+    noise = np.inf
+    if not own.template.noise_is_inferred:
+        middle = 0.5 * (own.parameters.lower + own.parameters.upper)
+        noise = float(own.relative_noise(middle[None]).min())
+    return replace(own, model=focused(own.model, box, min(_BOX_ERROR, _BOX_SHARE * noise), _share(noise)))
+
+
+def about(
+    own: SequencePosterior, grid_deg: Array, data: Evaluated, rng: np.random.Generator
+) -> SequencePosterior:
+    """The posterior on a basis that is made for the sequences near the top and their constants."""
+    some = np.flatnonzero(data.log_evidence > data.log_evidence.max() - NEAR)
+    draws = data.conditionals.draws[some]
+    angles = np.repeat(grid_deg[data.sequences[some]], draws.shape[1], axis=0)
+    draws = draws.reshape(len(angles), -1)
+    rows = rng.permutation(len(draws))[:_NEAR_SETS]
+    angles, draws = angles[rows], draws[rows]
+    noise = float(np.quantile(own.relative_noise(draws).min(axis=1), _LEAST_NOISE))
+    x = np.column_stack((angles, draws[:, : own.template.model.parameters.size]))
+    return replace(own, model=focused(own.model, x, min(_NEAR_ERROR, _NEAR_SHARE * noise), _share(noise)))
+
+
+def _share(noise: float) -> float:
+    return _MOST if noise >= _NOISY else 1.0

@@ -1,0 +1,319 @@
+"""The posterior of the constants over all stacking sequences: one mixture of conditional posteriors.
+
+The most probable classes are sampled by emcee, started from a swarm each; the rest stands with the draws
+that its importance sampling left. Each counts as its probability says.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from concurrent.futures import Executor
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cpam_bayes.inference.ensemble import (
+    Diagnostics,
+    EnsembleResult,
+    EnsembleSettings,
+    sample,
+    start_positions,
+)
+from cpam_bayes.inference.posterior import Posterior
+from cpam_bayes.inference.proposal import AdaptationSettings, Proposal, adapted
+from cpam_bayes.inference.sampling import swarm_on_posterior
+from cpam_bayes.inference.swarm.pso import SwarmSettings
+from cpam_bayes.parallel import run
+from cpam_bayes.stacking.conditional.posterior import SequenceFits, SequencePosterior
+from cpam_bayes.stacking.posterior import SequenceAnswer
+from cpam_bayes.stacking.queries.given_layup import GivenSequence
+from cpam_bayes.stacking.symmetry.classes import members
+from cpam_bayes.threads import single_blas_thread
+
+__all__ = [
+    "DEFAULT_SETTINGS",
+    "MixtureSettings",
+    "SampledComponent",
+    "SequenceMixture",
+    "mixture_posterior",
+    "sampled_classes",
+]
+
+Array = NDArray[Any]
+
+# Optima with less of a conditional evidence are no starts.
+_LEAST = 1e-3
+
+
+@dataclass(frozen=True, slots=True)
+class MixtureSettings:
+    """How the mixture is drawn from.
+
+    share, most : classes that together have this share of the probability are sampled by emcee, so many at
+    most. ensembles, swarm, proposal : of each. points : of the importance sampling that they are compared
+    with. draws : of the whole mixture.
+    """
+
+    share: float = 0.99
+    most: int = 20
+    ensembles: EnsembleSettings = field(
+        default_factory=lambda: EnsembleSettings(
+            walkers=32, round_steps=60, r_hat=1.02, effective=400.0, most_steps=3000, lengths=8.0, jumps=0.8
+        )
+    )
+    swarm: SwarmSettings = field(default_factory=lambda: SwarmSettings(particles=16, iterations=20))
+    proposal: AdaptationSettings = field(
+        default_factory=lambda: AdaptationSettings(rounds=3, draws=700, components=4)
+    )
+    points: int = 2000
+    draws: int = 4000
+
+
+DEFAULT_SETTINGS = MixtureSettings()
+
+
+@dataclass(frozen=True, slots=True)
+class Moments:
+    """Means and standard deviations of n parameters, and their standard errors, (n,) each."""
+
+    mean: Array
+    sd: Array
+    mean_error: Array
+    sd_error: Array
+
+
+@dataclass(frozen=True, slots=True)
+class SampledComponent:
+    """The conditional posterior of one class of sequences, by emcee and by importance sampling.
+
+    index : of the class in ``SequenceAnswer.top``. draws : (d, n) of the chains, about one an
+    autocorrelation time. chains, importance : moments by either. log_evidence, log_evidence_error,
+    effective : by importance sampling, the last the number of draws that it counts as.
+    """
+
+    index: int
+    draws: Array
+    diagnostics: Diagnostics
+    chains: Moments
+    importance: Moments
+    log_evidence: float
+    log_evidence_error: float
+    effective: float
+
+    @property
+    def worst_z(self) -> float:
+        """Largest difference of a mean or an sd between emcee and importance sampling, in standard errors."""
+        a, b = self.chains, self.importance
+        z_mean = (a.mean - b.mean) / np.hypot(a.mean_error, b.mean_error)
+        z_sd = (a.sd - b.sd) / np.hypot(a.sd_error, b.sd_error)
+        return float(np.max(np.abs(np.concatenate((z_mean, z_sd)))))
+
+
+@dataclass(frozen=True, slots=True)
+class SequenceMixture:
+    """Equally probable draws of sequence and constants.
+
+    components : those sampled by emcee. given : a sequence that was asked for, sampled too; its index is -1
+    where it is not listed. parameters : (m, n) SI. angles_deg : (m, k). origin : (m,) index of
+    the draw's class in ``SequenceAnswer.top``, -1 for one that is not listed. by_emcee : (m,) bool.
+    emcee_share, listed_share, drawn_share : probability of the classes sampled by emcee, of the others
+    listed, and of all the rest, which sequences drawn from it stand for.
+    """
+
+    components: tuple[SampledComponent, ...]
+    given: SampledComponent | None
+    parameters: Array
+    angles_deg: Array
+    origin: Array
+    by_emcee: Array
+    emcee_share: float
+    listed_share: float
+    drawn_share: float
+    seconds: float
+
+    @property
+    def converged(self) -> bool:
+        """Whether all chains are."""
+        return all(c.diagnostics.converged for c in self.sampled)
+
+    @property
+    def sampled(self) -> tuple[SampledComponent, ...]:
+        """All components sampled by emcee, the sequence asked for included."""
+        extra = self.given is not None and all(c.index != self.given.index for c in self.components)
+        return (*self.components, self.given) if extra and self.given is not None else self.components
+
+
+def sampled_classes(answer: SequenceAnswer, settings: MixtureSettings = DEFAULT_SETTINGS) -> int:
+    """How many of the most probable classes emcee is for."""
+    held = np.cumsum(answer.probability * answer.multiplicity)
+    return min(int(np.searchsorted(held, settings.share)) + 1, settings.most, len(held))
+
+
+@single_blas_thread
+def mixture_posterior(
+    answer: SequenceAnswer,
+    seed: int,
+    *,
+    given: GivenSequence | None = None,
+    settings: MixtureSettings = DEFAULT_SETTINGS,
+    executor: Executor | None = None,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> SequenceMixture:
+    """Draws from the posterior of sequence and constants together.
+
+    p(x, s | f) = p(s | f) p(x | s, f).
+
+    given : a sequence to be sampled whatever its probability. ``progress`` is told how many of how many
+    classes are sampled. The same seed gives the same draws whatever the executor.
+    """
+    start = time.perf_counter()
+    n = sampled_classes(answer, settings)
+    shared = (answer.own, settings)
+    items = [
+        (i, answer.top[i], answer.components.fits[i : i + 1], [seed, 6, i])  # numpy takes lists as seeds
+        for i in range(n)
+    ]
+    extra = given is not None and (given.index is None or given.index >= n)
+    if given is not None and extra:
+        at = len(answer.top) if given.index is None else given.index
+        items.append((at, given.angles_deg, given.fits, [seed, 6, at]))
+    done = [0]
+
+    def count(index: int, component: SampledComponent) -> None:
+        del index, component
+        done[0] += 1
+        progress(done[0], len(items))
+
+    found = tuple(run(_sampled, shared, items, executor, batch_size=1, on_result=count))
+    components, asked = found[:n], None
+    if given is not None:
+        asked = found[n] if extra else found[given.index or 0]
+        asked = replace(asked, index=-1) if given.index is None else asked
+    return _combined(answer, components, asked, settings.draws, np.random.default_rng([seed, 7]), start)
+
+
+Item = tuple[int, Array, SequenceFits, list[int]]
+
+
+def _sampled(shared: tuple[SequencePosterior, MixtureSettings], item: Item) -> SampledComponent:
+    own, settings = shared
+    index, angles, fits, key = item
+    posterior = own.at(angles[None])
+    seed = int(np.random.SeedSequence(key).generate_state(1)[0])
+    rng = np.random.default_rng([seed, 1])
+    bests, _, _ = swarm_on_posterior(posterior, seed, settings.swarm)
+    # the swarm looks where nobody has; the optima of the evidence are not to be missed either
+    optima = own.axes.to_x(fits.optima[0][fits.weight[0] > _LEAST])[:, : bests.shape[1]]
+    bests = np.concatenate((optima, bests))
+    n_walkers = settings.ensembles.ensembles * settings.ensembles.walkers
+    # the optima first, then the particles from the best on: their misfits only order them
+    walkers = start_positions(posterior, bests, np.arange(len(bests), dtype=float), n_walkers, rng)
+    start = walkers.reshape(settings.ensembles.ensembles, settings.ensembles.walkers, -1)
+    proposal = adapted(posterior, own.axes.to_x(fits.optima[0]), seed, settings.proposal)
+    chains = sample(posterior, start, seed, settings.ensembles, proposal=proposal)
+    importance, log_evidence, error, effective = _importance(posterior, proposal, settings.points, rng)
+    return SampledComponent(
+        index=index,
+        draws=_thinned(chains),
+        diagnostics=chains.diagnostics,
+        chains=_moments_of_chains(chains),
+        importance=importance,
+        log_evidence=log_evidence,
+        log_evidence_error=error,
+        effective=effective,
+    )
+
+
+def _thinned(chains: EnsembleResult) -> Array:
+    """Draws one autocorrelation time apart, (d, n)."""
+    step = max(1, int(np.ceil(chains.diagnostics.autocorrelation_time)))
+    kept = chains.chain[:, ::step]
+    return np.asarray(kept.reshape(-1, kept.shape[-1]))
+
+
+def _moments_of_chains(chains: EnsembleResult) -> Moments:
+    draws, effective = chains.draws, chains.diagnostics.ess_bulk
+    mean, sd = draws.mean(axis=0), draws.std(axis=0)
+    kurtosis = np.mean(((draws - mean) / sd) ** 4, axis=0)
+    return Moments(mean, sd, sd / np.sqrt(effective), sd * np.sqrt((kurtosis - 1.0) / (4.0 * effective)))
+
+
+def _importance(
+    posterior: Posterior, proposal: Proposal, points: int, rng: np.random.Generator
+) -> tuple[Moments, float, float, float]:
+    """Moments, log evidence, its standard error and the effective number of draws of a proposal."""
+    x = proposal.draw(points, rng)
+    log_weight = posterior.log_prob(x) - proposal.log_density(x)
+    top = float(log_weight.max())
+    weight = np.exp(log_weight - top)
+    share = (weight / weight.sum())[:, None]
+    away = x - np.sum(share * x, axis=0)
+    mean, sd = np.sum(share * x, axis=0), np.sqrt(np.sum(share * away**2, axis=0))
+    mean_error = np.sqrt(np.sum((share * away) ** 2, axis=0))
+    sd_error = np.sqrt(np.sum((share * (away**2 - sd**2)) ** 2, axis=0)) / (2.0 * sd)
+    relative = float(weight.std() / weight.mean())
+    return (
+        Moments(mean, sd, mean_error, sd_error),
+        top + float(np.log(weight.mean())),
+        relative / np.sqrt(points),
+        points / (1.0 + relative**2),
+    )
+
+
+def _combined(
+    answer: SequenceAnswer,
+    components: tuple[SampledComponent, ...],
+    given: SampledComponent | None,
+    size: int,
+    rng: np.random.Generator,
+    start: float,
+) -> SequenceMixture:
+    n, listed = len(components), len(answer.top)
+    mass = answer.probability * answer.multiplicity
+    rest = np.flatnonzero(answer.classes_of(answer.drawn.sequences) < 0)
+    drawn_share = max(1.0 - float(mass.sum()), 0.0) if len(rest) else 0.0
+    drawn = answer.draw_weight[rest]
+    weight = np.concatenate((mass, drawn_share * drawn / max(float(drawn.sum()), 1e-300)))
+    weight = weight / weight.sum()
+    # systematic resampling: each component as often as its weight says, up to one
+    at = (np.arange(size) + rng.uniform()) / size
+    chosen = np.minimum(np.searchsorted(np.cumsum(weight), at), len(weight) - 1)
+    conditionals = answer.components.conditionals, answer.drawn.conditionals
+    parameters, sequences = [], []
+    for i in np.unique(chosen):
+        number = int(np.sum(chosen == i))
+        if i < n:
+            pool = components[i].draws
+        elif i < listed:
+            pool = conditionals[0].draws[i]
+        else:
+            pool = conditionals[1].draws[rest[i - listed]]
+        parameters.append(pool[_spread(len(pool), number, rng)])
+        if i < listed:
+            same = answer.class_members(i)
+        else:
+            same = members(answer.drawn.sequences[rest[i - listed]], answer.symmetries)
+        sequences.append(same[rng.integers(len(same), size=number)])
+    # in no order, so that any part of the draws is a sample of the whole
+    order = rng.permutation(size)
+    return SequenceMixture(
+        components=components,
+        given=given,
+        parameters=np.concatenate(parameters)[order],
+        angles_deg=answer.grid_deg[np.concatenate(sequences)[order]],
+        origin=np.where(chosen < listed, chosen, -1)[order],
+        by_emcee=(chosen < n)[order],
+        emcee_share=float(weight[:n].sum()),
+        listed_share=float(weight[n:listed].sum()),
+        drawn_share=float(weight[listed:].sum()),
+        seconds=time.perf_counter() - start,
+    )
+
+
+def _spread(pool: int, number: int, rng: np.random.Generator) -> Array:
+    """Rows of a pool, each used once before any is used again, (number,)."""
+    rounds = [rng.permutation(pool) for _ in range(-(-number // pool))]
+    return np.concatenate(rounds)[:number]

@@ -1,0 +1,138 @@
+"""The posterior over every stacking sequence on the grid, the elastic constants marginalised.
+
+A sequence is a component of a mixture with its own evidence. Where there are few, each one's evidence is
+computed; where there are many, it is learned first, and computed where the mass is.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from concurrent.futures import Executor
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cpam_bayes.forward_model.model import angle_parameters, reference_vector
+from cpam_bayes.forward_model.reduced import DEFAULT_SETTINGS as REDUCTION
+from cpam_bayes.forward_model.store import reduced_model
+from cpam_bayes.identification.point import required
+from cpam_bayes.plate import Specimen
+from cpam_bayes.plate.records import angle_grid
+from cpam_bayes.stacking.answer import (
+    CREDIBLE,
+    DEFAULT_SETTINGS,
+    OVERLOOKED,
+    SequenceAnswer,
+    SequenceSettings,
+    SurfaceCheck,
+    Task,
+)
+from cpam_bayes.stacking.conditional.posterior import SequencePosterior, sequence_posterior
+from cpam_bayes.stacking.conditional.starts import scan_library
+from cpam_bayes.stacking.enumeration.by_surrogate import learned
+from cpam_bayes.stacking.enumeration.exhaustive import exhaustive
+from cpam_bayes.stacking.features import ply_sums
+from cpam_bayes.stacking.symmetry.equal_bending import alike_merged
+from cpam_bayes.stacking.symmetry.symmetries import plate_symmetries
+from cpam_bayes.threads import single_blas_thread
+
+__all__ = [
+    "CREDIBLE",
+    "DEFAULT_SETTINGS",
+    "OVERLOOKED",
+    "SequenceAnswer",
+    "SequenceSettings",
+    "SurfaceCheck",
+    "common_starts",
+    "sequence_probabilities",
+    "sequence_task",
+]
+
+Array = NDArray[Any]
+
+# Modes looked at beyond the list where it may lack some.
+_SPARE_MODES = 4
+# Constants that climbs may start from.
+_LIBRARY = 96
+
+
+@single_blas_thread
+def sequence_probabilities(
+    specimen: Specimen,
+    seed: int,
+    *,
+    settings: SequenceSettings = DEFAULT_SETTINGS,
+    executor: Executor | None = None,
+    notify: Callable[[str], None] = lambda text: None,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> SequenceAnswer:
+    """The probability of every sequence on the grid of a specimen's unknown angles, all equal beforehand.
+
+    ``progress`` is told how many of how many pieces of the enumeration are done. The answer does not
+    depend on the executor. Raises ``ValueError`` if the specimen has no unknown angle, no measured
+    frequencies or no unknown constants, or an unsymmetric layup with too many unknown angles to try each.
+    """
+    start = time.perf_counter()
+    task = sequence_task(specimen, seed, settings=settings, executor=executor, notify=notify)
+    rng = np.random.default_rng([seed, 4])
+    if task.each_computed or task.sums is None:
+        answer = exhaustive(task, rng, notify)
+    else:
+        answer = learned(task, task.sums, rng, notify, progress)
+    if task.sums is not None:
+        answer = alike_merged(answer, task, task.sums)
+    return replace(answer, seconds=time.perf_counter() - start)
+
+
+def sequence_task(
+    specimen: Specimen,
+    seed: int,
+    *,
+    settings: SequenceSettings = DEFAULT_SETTINGS,
+    executor: Executor | None = None,
+    notify: Callable[[str], None] = lambda text: None,
+) -> Task:
+    """What ``sequence_probabilities`` is to work on, its reduced model built; raises as that does."""
+    measurement, unknowns = required(specimen)
+    layup = specimen.plate.layup
+    if not layup.n_unknown:
+        raise ValueError(f'{specimen.source}: layup {layup.text} has no unknown angle; write "?" for one')
+    grid = angle_grid(specimen.angle_grid_deg)
+    few = settings.computes_each(len(grid) ** layup.n_unknown)
+    sums = None if few and not layup.is_symmetric else ply_sums(layup, grid)
+    n_modes = measurement.size + (0 if measurement.complete else _SPARE_MODES)
+    parameters = angle_parameters(specimen).union(unknowns)
+    model = reduced_model(specimen, parameters, n_modes, notify=notify)
+    error = np.asarray(np.hypot(model.full.error, REDUCTION.tolerance))
+    own = sequence_posterior(model, layup.n_unknown, measurement, error)
+    starts = common_starts(specimen, own)
+    library = scan_library(own, _LIBRARY, np.random.default_rng([seed, 8]))
+    symmetries = plate_symmetries(specimen)
+    return Task(specimen, own, symmetries, grid, sums, starts, library, settings, executor)
+
+
+def common_starts(specimen: Specimen, own: SequencePosterior) -> Array:
+    """Two starts of every climb, (2, n): the reference constants with little noise, the middle with much.
+
+    Raises ``ValueError`` if neither meets the constraints (9).
+    """
+    p = own.parameters
+    n = own.template.model.parameters.size
+    starts = np.empty((2, p.size))
+    starts[0, :n] = reference_vector(specimen, own.template.model.parameters)
+    starts[1, :n] = 0.5 * (p.lower[:n] + p.upper[:n])
+    if own.template.noise_is_inferred:
+        prior = p.parameters[-1].prior
+        starts[0, -1], starts[1, -1] = (
+            np.clip(share * prior.upper, prior.lower, prior.upper) for share in (0.05, 0.3)
+        )
+    inside = np.isfinite(own.template.log_prior(starts))
+    if not inside.any():
+        raise ValueError(
+            f"{specimen.source}: neither the reference constants nor the middle of [unknowns] meet the "
+            "constraints (9); move the bounds"
+        )
+    return starts[inside][[0, -1]]

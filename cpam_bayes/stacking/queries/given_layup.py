@@ -1,0 +1,77 @@
+"""The probability of one sequence that somebody names, listed or not."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cpam_bayes.stacking.conditional.importance import importance_evidence
+from cpam_bayes.stacking.conditional.posterior import SequenceFits, fit_sequences
+from cpam_bayes.stacking.posterior import SequenceAnswer
+from cpam_bayes.threads import single_blas_thread
+
+__all__ = ["GivenSequence", "given_sequence"]
+
+Array = NDArray[Any]
+
+
+@dataclass(frozen=True, slots=True)
+class GivenSequence:
+    """A sequence beside the posterior over all of them.
+
+    angles_deg : (k,). index : of its class in ``SequenceAnswer.top``, ``None`` where it is not listed.
+    probability : of the single sequence. fits : its own, one row.
+    """
+
+    angles_deg: Array
+    index: int | None
+    probability: float
+    log_evidence: float
+    log_evidence_error: float
+    fits: SequenceFits
+
+    @property
+    def rank(self) -> int | None:
+        """Its place among the classes, 1 for the most probable; ``None`` beyond the list."""
+        return None if self.index is None else self.index + 1
+
+
+@single_blas_thread
+def given_sequence(answer: SequenceAnswer, angles_deg: Array, log2_points: int = 11) -> GivenSequence:
+    """The evidence and probability of a sequence (k,) on the grid.
+
+    p = Z / (sum of all evidences). One that is not listed is climbed for from the optima of those that are.
+    Raises ``ValueError`` for an angle that is not on the grid.
+    """
+    angles = np.asarray(angles_deg, dtype=float)
+    away = np.abs(angles[:, None] - answer.grid_deg)
+    sequence = np.argmin(np.minimum(away, 180.0 - away), axis=1)
+    on_grid = answer.grid_deg[sequence]
+    if len(angles) != answer.own.n_angles or np.any(np.abs((on_grid - angles + 90.0) % 180.0 - 90.0) > 1e-6):
+        raise ValueError(
+            f"sequence {'/'.join(f'{a:g}' for a in angles)}: accepted: {answer.own.n_angles} angles on the "
+            f"grid of {answer.specimen.angle_grid_deg:g} degrees"
+        )
+    found = answer.components
+    i = int(answer.classes_of(sequence[None])[0])
+    if i >= 0:
+        return GivenSequence(
+            on_grid,
+            i,
+            float(answer.probability[i]),
+            float(answer.log_evidence[i]),
+            float(answer.log_evidence_error[i]),
+            found.fits[i : i + 1],
+        )
+    most = np.argsort(-found.fits.log_evidence, kind="stable")[:4]
+    starts = np.concatenate((found.fits.x[most], answer.drawn.fits.x[:4]))
+    fits = fit_sequences(answer.own, on_grid[None], starts)
+    own = importance_evidence(answer.own, on_grid[None], fits, log2_points)
+    log_evidence = float(own.log_evidence[0])
+    total = answer.log_evidence_total + float(np.log(answer.enumerated))
+    return GivenSequence(
+        on_grid, None, float(np.exp(log_evidence - total)), log_evidence, float(own.error[0]), fits
+    )

@@ -1,0 +1,264 @@
+"""Ply angles and constants of a specimen together: the paper's fuzzy swarm, and plain enumeration.
+
+A parameter vector holds the unknown constants in their order and then the unknown angles, which are
+on the grid of eq. (10). F is that of eq. (7), measured and predicted frequencies paired in ascending
+order; the labels of a list are not used.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cpam_bayes.forward_model.model import angle_parameters, discretisation_error, reference_vector
+from cpam_bayes.forward_model.reduced import ReducedModel
+from cpam_bayes.forward_model.store import reduced_model
+from cpam_bayes.identification.point import Residual, misfit, required
+from cpam_bayes.inference.posterior import ForwardModel
+from cpam_bayes.inference.swarm.fpso import FuzzyProblem, FuzzyResult, minimise_fuzzy
+from cpam_bayes.inference.swarm.pso import SwarmSettings, initial_swarm
+from cpam_bayes.parallel import run
+from cpam_bayes.parameters import ParameterSet
+from cpam_bayes.plate import Specimen
+from cpam_bayes.plate.records import angle_grid
+from cpam_bayes.stacking.conditional.misfit import ConditionalFit, fit_constants
+from cpam_bayes.threads import single_blas_thread
+
+__all__ = [
+    "FoundSequence",
+    "SequenceFit",
+    "best_constants",
+    "fuzzy_problem",
+    "run_swarm",
+    "run_swarms",
+    "search_sequence",
+    "sequence_parameters",
+    "sequence_starts",
+]
+
+Array = NDArray[Any]
+
+# Sequences fitted together: also what a worker takes at a time.
+_TOGETHER = 128
+
+
+@dataclass(frozen=True, slots=True)
+class SequenceFit:
+    """What is minimised: frequencies of a plate against a list.
+
+    model : of the constants, then the angles of ``specimen``. measured : (n,) Hz, paired with the
+    first n modes. grid_deg : (n_angles,).
+    """
+
+    specimen: Specimen
+    model: ForwardModel
+    measured: Array
+    grid_deg: Array
+    residual: Residual = "absolute"
+
+    @property
+    def unknowns(self) -> ParameterSet:
+        """The unknown constants."""
+        return self.specimen.unknowns
+
+    @property
+    def n_plies(self) -> int:
+        """Number of unknown angles."""
+        return self.specimen.plate.layup.n_unknown
+
+    def admissible(self, constants: Array) -> NDArray[np.bool_]:
+        """Whether constants (m, n_constants) meet the constraints (9), (m,)."""
+        angles = np.zeros((len(constants), self.n_plies))
+        return np.asarray(self.model.admissible(np.hstack((constants, angles))))
+
+    def values(self, constants: Array, sequences: Array) -> Array:
+        """F at constants (m, n_constants) and grid indices (m, n_plies), (m,)."""
+        x = np.hstack((constants, self.grid_deg[sequences]))
+        predicted = self.model.predict(x).frequencies[:, : len(self.measured)]
+        return misfit(predicted, self.measured, self.residual)
+
+
+@dataclass(frozen=True, slots=True)
+class FoundSequence:
+    """Answer of the fuzzy swarm for one specimen.
+
+    angles_deg : (n_plies,). constants : SI, by name. value : F, Hz^2, or without unit where residuals
+    are relative. predicted : (n,) Hz on the full model. rms : root mean square of its relative
+    residuals. error : (n,) estimated relative error of the solver there.
+    """
+
+    specimen: Specimen
+    angles_deg: Array
+    constants: Mapping[str, float]
+    value: float
+    predicted: Array = field(repr=False)
+    rms: float
+    error: Array = field(repr=False)
+    model: ReducedModel = field(repr=False)
+    swarm: FuzzyResult
+    seconds: float
+
+    @property
+    def known(self) -> Specimen:
+        """The specimen with these angles."""
+        plate = self.specimen.plate
+        return replace(self.specimen, plate=replace(plate, layup=plate.layup.with_angles(self.angles_deg)))
+
+
+def sequence_parameters(specimen: Specimen) -> ParameterSet:
+    """The unknown constants of a specimen, then its unknown angles in degrees.
+
+    Raises ``ValueError`` if no angle of the layup is unknown.
+    """
+    layup = specimen.plate.layup
+    if not layup.n_unknown:
+        raise ValueError(
+            f'{specimen.source}: received the known layup {layup.text}, accepted: one with "?" plies; '
+            'write "?" for each unknown angle'
+        )
+    return specimen.unknowns.union(angle_parameters(specimen))
+
+
+def fuzzy_problem(fit: SequenceFit) -> FuzzyProblem:
+    """The search of constants and a sequence as the fuzzy swarm takes it."""
+    return FuzzyProblem(
+        objective=fit.values,
+        feasible=fit.admissible,
+        lower=fit.unknowns.lower,
+        upper=fit.unknowns.upper,
+        n_plies=fit.n_plies,
+        n_angles=len(fit.grid_deg),
+    )
+
+
+def run_swarm(
+    fit: SequenceFit,
+    seed: int,
+    settings: SwarmSettings | None = None,
+    progress: Callable[[int, float], None] | None = None,
+) -> FuzzyResult:
+    """One run of the fuzzy swarm from the initial population of section 5.1.
+
+    Raises ``ValueError`` if no particle is feasible.
+    """
+    settings = settings or SwarmSettings()
+    material, unknowns = fit.specimen.material, fit.unknowns
+    known = tuple((k, v) for k, v in material.constants.items() if k not in unknowns)
+    rng = np.random.default_rng(seed)
+    start = initial_swarm(replace(unknowns, fixed=known), material.isotropic, settings.particles, rng)
+    return minimise_fuzzy(fuzzy_problem(fit), start, settings, rng, progress=progress)
+
+
+def run_swarms(
+    fit: SequenceFit,
+    seeds: Sequence[int],
+    settings: SwarmSettings | None = None,
+    executor: Executor | None = None,
+) -> list[FuzzyResult]:
+    """Runs of the fuzzy swarm from several seeds, shared out over an executor's workers.
+
+    Raises as ``run_swarm``.
+    """
+    return run(_swarm_of_seed, fit, [(seed, settings) for seed in seeds], executor)
+
+
+def _swarm_of_seed(fit: SequenceFit, item: tuple[int, SwarmSettings | None]) -> FuzzyResult:
+    return run_swarm(fit, *item)
+
+
+@single_blas_thread
+def search_sequence(
+    specimen: Specimen,
+    seed: int,
+    *,
+    settings: SwarmSettings | None = None,
+    residual: Residual = "absolute",
+    progress: Callable[[int, float], None] | None = None,
+    notify: Callable[[str], None] = lambda text: None,
+) -> FoundSequence:
+    """Ply angles and constants of a specimen by the fuzzy swarm of the paper.
+
+    The swarm runs on the reduced model for any layup; what is reported of its best particle comes from
+    the full one. ``notify`` is told what takes long before the swarm starts. Raises ``ValueError`` if
+    the specimen has no measured frequencies, no unknown constants or no unknown angles, or if no
+    particle is feasible.
+    """
+    start = time.perf_counter()
+    measurement, unknowns = required(specimen)
+    parameters = sequence_parameters(specimen)
+    model = reduced_model(specimen, parameters, measurement.size, notify=notify)
+    grid = angle_grid(specimen.angle_grid_deg)
+    fit = SequenceFit(specimen, model, measurement.frequencies, grid, residual)
+    swarm = run_swarm(fit, seed, settings, progress)
+    best = np.concatenate((swarm.constants, grid[swarm.sequence]))
+    predicted = model.full.predict(best).frequencies[0]
+    return FoundSequence(
+        specimen=specimen,
+        angles_deg=grid[swarm.sequence],
+        constants=dict(zip(unknowns.names, swarm.constants.tolist(), strict=True)),
+        value=swarm.value,
+        predicted=predicted,
+        rms=float(np.sqrt(np.mean((predicted / measurement.frequencies - 1.0) ** 2))),
+        error=discretisation_error(model.full, best),
+        model=model,
+        swarm=swarm,
+        seconds=time.perf_counter() - start,
+    )
+
+
+def sequence_starts(fit: SequenceFit, n: int, seed: int = 0) -> Array:
+    """Constants to start fits from: the reference ones, then n - 1 of section 5.1, (n, n_constants).
+
+    The reference is left out where it does not meet the constraints (9) within the bounds.
+    """
+    material, unknowns = fit.specimen.material, fit.unknowns
+    known = tuple((k, v) for k, v in material.constants.items() if k not in unknowns)
+    drawn = initial_swarm(
+        replace(unknowns, fixed=known), material.isotropic, 8 * n, np.random.default_rng(seed)
+    )
+    both = np.vstack((reference_vector(fit.specimen, unknowns), drawn))
+    return np.asarray(both[fit.admissible(both)][:n])
+
+
+def best_constants(
+    fit: SequenceFit, sequences: Array, starts: Array, executor: Executor | None = None
+) -> ConditionalFit:
+    """The constants that minimise F for each of m sequences (m, n_plies): plain enumeration's step.
+
+    starts : (s, n_constants), for instance of ``sequence_starts``. Raises as ``fit_constants``.
+    """
+    parts = [sequences[first : first + _TOGETHER] for first in range(0, len(sequences), _TOGETHER)]
+    found = run(_fitted, (fit, starts), parts, executor)
+    return ConditionalFit(
+        np.concatenate([p.constants for p in found]),
+        np.concatenate([p.values for p in found]),
+        sum(p.evaluations for p in found),
+        np.concatenate([p.settled for p in found]),
+    )
+
+
+def _fitted(shared: tuple[SequenceFit, Array], sequences: Array) -> ConditionalFit:
+    fit, starts = shared
+    n, n_modes = fit.unknowns.size, len(fit.measured)
+
+    def model(constants: Array, angles: Array) -> tuple[Array, Array]:
+        found = fit.model.predict(np.hstack((constants, angles)), jacobian=True)
+        assert found.jacobian is not None
+        return found.frequencies[:, :n_modes], found.jacobian[:, :n_modes, :n]
+
+    return fit_constants(
+        model,
+        fit.admissible,
+        fit.grid_deg[sequences],
+        starts,
+        fit.measured,
+        fit.unknowns.lower,
+        fit.unknowns.upper,
+        weight=None if fit.residual == "absolute" else fit.measured**-2.0,
+    )

@@ -1,0 +1,1 @@
+"""Stacking sequences that no frequency can tell apart."""

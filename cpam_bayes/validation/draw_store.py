@@ -1,0 +1,71 @@
+"""Results of many independent repetitions on disk, a line each, as they come."""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from cpam_bayes.inference.store import StoreError
+
+
+@dataclass(frozen=True, slots=True)
+class DrawStore:
+    """A file of JSON lines: the hash of the problem first, then one record a line.
+
+    A line counts once its end is written, so a run that is killed at any moment loses at most the
+    record that it was writing. records : those that were there when the store was opened.
+    """
+
+    path: Path
+    records: tuple[dict[str, Any], ...]
+
+    @classmethod
+    def open(cls, path: Path, key: str) -> DrawStore:
+        """The store of the problem with this hash, begun if the file is not there or empty.
+
+        Raises ``StoreError`` for a file of another problem, one that is damaged before its last line
+        or one that cannot be read or written.
+        """
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            content = path.read_bytes() if path.exists() else b""
+            if not content:
+                _append(path, {"problem": key})
+                return cls(path, ())
+        except OSError as error:
+            raise StoreError(f"store {path}: cannot be used: {error.strerror}") from error
+        whole = content[: content.rfind(b"\n") + 1]
+        try:
+            head, *records = [json.loads(line) for line in whole.splitlines()]
+            found = head["problem"]
+        except (ValueError, KeyError, TypeError) as error:
+            raise StoreError(
+                f"store {path}: is damaged or no store of this package; remove it to begin anew"
+            ) from error
+        if found != key:
+            raise StoreError(
+                f"store {path}: holds another problem (plate, priors, noise, settings or seed differ); "
+                "choose another file or remove it"
+            )
+        if len(whole) < len(content):
+            os.truncate(path, len(whole))
+        return cls(path, tuple(records))
+
+    def append(self, record: dict[str, Any]) -> None:
+        """Add a record; floats are read back bit for bit. Raises ``StoreError`` if it cannot be written."""
+        try:
+            _append(self.path, record)
+        except OSError as error:
+            raise StoreError(
+                f"store {self.path}: cannot be written ({error.strerror}); what it holds is kept"
+            ) from error
+
+
+def _append(path: Path, record: dict[str, Any]) -> None:
+    with path.open("a", encoding="utf-8") as file:
+        file.write(json.dumps(record) + "\n")
+        file.flush()
+        os.fsync(file.fileno())

@@ -1,0 +1,268 @@
+"""Whether the probabilities of sequences are right when nature is as the model says.
+
+Sequence and constants are drawn from the prior, a list is simulated, and every sequence on the grid gets
+its probability. Randomised credible sets of a level then hold the true sequence as often as the level
+says (Cook, Gelman and Rubin, 2006, for continuous parameters).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import Executor
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import kstest
+
+from cpam_bayes.forward_model.model import angle_parameters
+from cpam_bayes.forward_model.reduced import DEFAULT_SETTINGS as REDUCTION
+from cpam_bayes.forward_model.reduced import ReducedModel
+from cpam_bayes.forward_model.store import reduced_model
+from cpam_bayes.parallel import run
+from cpam_bayes.plate import Measurement, Specimen
+from cpam_bayes.plate.records import angle_grid
+from cpam_bayes.stacking.conditional.importance import importance_evidence
+from cpam_bayes.stacking.conditional.posterior import (
+    SequencePosterior,
+    fit_sequences,
+    sequence_posterior,
+)
+from cpam_bayes.stacking.symmetry.classes import canonical
+from cpam_bayes.stacking.symmetry.symmetries import Symmetry, plate_symmetries
+from cpam_bayes.threads import single_blas_thread
+from cpam_bayes.validation.calibration import prior_draw
+
+__all__ = [
+    "CoverageSettings",
+    "CoverageSummary",
+    "Trial",
+    "randomised_place",
+    "sequence_coverage",
+    "summarised",
+]
+
+Array = NDArray[Any]
+
+# Allowed difference of a coverage from its level, in binomial standard deviations.
+ALLOWED = 2.6
+
+
+@dataclass(frozen=True, slots=True)
+class CoverageSettings:
+    """Noise of the lists, and how each list is evaluated.
+
+    relative_std : of the noise. modes : in a list. library : draws of the constants whose frequencies are
+    known of every class beforehand; starts : of them a climb begins at. hopeless : root mean square misfit of
+    the nearest of them beyond which a class is left out: at noise of 1 % a misfit half as large costs a
+    hundred nats. near : nats below the best within
+    which an evidence is computed by importance sampling, not by Laplace's method. log2_points : of that.
+    """
+
+    relative_std: float = 0.01
+    modes: int = 6
+    library: int = 1200
+    starts: int = 2
+    hopeless: float = 0.12
+    near: float = 7.0
+    log2_points: int = 8
+
+
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """One simulated list.
+
+    truth_deg : (k,) sequence. place : probability of the sequences before the true one, itself in part:
+    uniform if the probabilities are right. probability : of the true class. rank : of it. set_size :
+    sequences in the 95 % set. error : largest standard error of a log evidence that counts.
+    """
+
+    number: int
+    truth_deg: tuple[float, ...]
+    place: float
+    probability: float
+    rank: int
+    set_size: int
+    error: float
+
+
+@dataclass(frozen=True, slots=True)
+class CoverageSummary:
+    """How often randomised sets hold the truth.
+
+    covered : share at the level; sd : binomial. z : their difference in it. p_uniform : of the places, by
+    Kolmogorov and Smirnov.
+    """
+
+    level: float
+    trials: int
+    covered: float
+    sd: float
+    z: float
+    p_uniform: float
+
+    @property
+    def passes(self) -> bool:
+        """Whether the coverage is what the level says, within 2.6 binomial standard deviations."""
+        return abs(self.z) <= ALLOWED
+
+
+@dataclass(frozen=True, slots=True)
+class _Shared:
+    """What all trials share: the model, the classes (c, k) with sizes, and the library of their lists.
+
+    library : (p, n) constants. lists : (c, p, modes) Hz.
+    """
+
+    model: ReducedModel
+    symmetries: tuple[Symmetry, ...]
+    grid_deg: Array
+    classes: Array
+    size: Array
+    library: Array
+    lists: Array
+    settings: CoverageSettings
+    seed: int
+
+
+@single_blas_thread
+def sequence_coverage(
+    specimen: Specimen,
+    trials: int,
+    seed: int,
+    *,
+    settings: CoverageSettings | None = None,
+    executor: Executor | None = None,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> tuple[Trial, ...]:
+    """Trials 0 to n - 1 on a plate with unknown angles and constants, the same whoever computes them.
+
+    All of them share one reduced model. A list is not sorted: its frequencies are paired by position, as
+    the likelihood does. Raises ``ValueError`` as ``plate_symmetries`` does.
+    """
+    shared = _shared(specimen, settings or CoverageSettings(), seed)
+    done = [0]
+
+    def count(index: int, trial: Trial) -> None:
+        del index, trial
+        done[0] += 1
+        progress(done[0], trials)
+
+    return tuple(run(_trial, shared, range(trials), executor, on_result=count))
+
+
+def summarised(trials: tuple[Trial, ...], level: float = 0.95) -> CoverageSummary:
+    """Coverage of the randomised sets of one level."""
+    place = np.array([t.place for t in trials])
+    covered = float(np.mean(place <= level))
+    sd = float(np.sqrt(level * (1.0 - level) / len(place)))
+    return CoverageSummary(
+        level, len(place), covered, sd, (covered - level) / sd, float(kstest(place, "uniform").pvalue)
+    )
+
+
+def randomised_place(single: Array, size: Array, true: int, share: float) -> float:
+    """Where the true class stands when classes are put in descending order of probability, from 0 to 1.
+
+    The set of a level holds all sequences that come before the level is reached, and the one there in part:
+    sum of the more probable sequences + share * (sum of the equally probable ones) <= level.
+
+    single : (c,) probability of one sequence of each class; size : (c,) sequences in it. share : uniform
+    random number.
+    """
+    mass = single * size
+    return float(mass[single > single[true]].sum() + share * mass[single == single[true]].sum())
+
+
+def _shared(specimen: Specimen, settings: CoverageSettings, seed: int) -> _Shared:
+    grid = angle_grid(specimen.angle_grid_deg)
+    g, k = len(grid), specimen.plate.layup.n_unknown
+    symmetries = plate_symmetries(specimen)
+    every = np.stack(np.unravel_index(np.arange(g**k), (g,) * k), axis=1)
+    orbits = canonical(every, symmetries)
+    classes, first = np.unique(orbits.representative, axis=0, return_index=True)
+    model = reduced_model(specimen, angle_parameters(specimen).union(specimen.unknowns), settings.modes)
+    own = _posterior(model, k, np.ones(settings.modes), settings)
+    rng = np.random.default_rng([seed, 1])
+    library = np.stack([prior_draw(own.template, rng) for _ in range(settings.library)])
+    lists = [
+        own.at(np.repeat(grid[c][None], len(library), axis=0)).predict(library)[:, : settings.modes]
+        for c in classes
+    ]
+    return _Shared(
+        model, symmetries, grid, classes, orbits.size[first], library, np.stack(lists), settings, seed
+    )
+
+
+def _posterior(
+    model: ReducedModel, n_angles: int, frequencies: Array, settings: CoverageSettings
+) -> SequencePosterior:
+    measurement = Measurement(
+        frequencies, 0.0, settings.relative_std, None, ("",) * len(frequencies), complete=True
+    )
+    error = np.asarray(np.hypot(model.full.error, REDUCTION.tolerance))
+    return sequence_posterior(model, n_angles, measurement, error)
+
+
+def _trial(shared: _Shared, number: int) -> Trial:
+    rng = np.random.default_rng([shared.seed, 2, number])
+    settings, grid, k = shared.settings, shared.grid_deg, shared.classes.shape[1]
+    sequence = rng.integers(len(grid), size=(k,))
+    empty = _posterior(shared.model, k, np.ones(settings.modes), settings)
+    x = prior_draw(empty.template, rng)
+    f = empty.at(grid[sequence][None]).predict(x[None])[0, : settings.modes]
+    sd = np.diagonal(_posterior(shared.model, k, f, settings).template.noise(x[None], f[None])[0])
+    own = _posterior(shared.model, k, f + sd * rng.standard_normal(len(f)), settings)
+    log_evidence, error = _evidences(shared, own)
+    mass = shared.size * np.exp(log_evidence - log_evidence.max())
+    mass = mass / mass.sum()
+    single = mass / shared.size
+    true_class = canonical(sequence[None], shared.symmetries).representative[0]
+    true = int(np.flatnonzero(np.all(shared.classes == true_class, axis=1))[0])
+    order = np.argsort(-single, kind="stable")
+    held = np.cumsum(np.repeat(single[order], shared.size[order]))
+    return Trial(
+        number=number,
+        truth_deg=tuple(float(a) for a in grid[sequence]),
+        place=randomised_place(single, shared.size, true, rng.uniform()),
+        probability=float(mass[true]),
+        rank=int(np.flatnonzero(order == true)[0]) + 1,
+        set_size=int(np.searchsorted(held, 0.95)) + 1,
+        error=float(np.max(error[mass > 0.01])),
+    )
+
+
+def _evidences(shared: _Shared, own: SequencePosterior) -> tuple[Array, Array]:
+    """Log evidence of every class and its standard error where it counts, (c,)."""
+    settings, angles = shared.settings, shared.grid_deg[shared.classes]
+    starts, misfit = _starts(shared, own)
+    log_evidence, error = np.full(len(angles), -np.inf), np.zeros(len(angles))
+    hopeful = np.flatnonzero(misfit <= max(settings.hopeless, 2.0 * float(misfit.min())))
+    fits = fit_sequences(own, angles[hopeful], starts[hopeful])
+    log_evidence[hopeful] = fits.log_evidence
+    near = np.flatnonzero(fits.log_evidence > fits.log_evidence.max() - settings.near)
+    exact = importance_evidence(own, angles[hopeful[near]], fits[near], settings.log2_points)
+    log_evidence[hopeful[near]], error[hopeful[near]] = exact.log_evidence, exact.error
+    return log_evidence, error
+
+
+def _starts(shared: _Shared, own: SequencePosterior) -> tuple[Array, Array]:
+    """Constants whose lists are most like the measured one, of every class (c, starts, n), and the misfit.
+
+    Stiffnesses that are all multiplied by a^2 multiply all frequencies by a: each draw of the library
+    counts with the factor that suits the list best too, where that leaves the bounds alone. Where modes
+    cross, optima are many, and the nearest draw is in the right one more often than a fixed start.
+    """
+    parameters = own.template.model.parameters
+    ratio = np.log(own.template.measurement.frequencies / shared.lists)
+    factor = np.exp(2.0 * ratio.mean(axis=2))
+    moduli = np.array([name[0] in "EG" for name in parameters.names])
+    scaled = np.where(moduli, factor[..., None] * shared.library, shared.library)
+    inside = np.all((scaled >= parameters.lower) & (scaled <= parameters.upper), axis=2)
+    plain = np.broadcast_to(shared.library, scaled.shape)
+    misfit = np.concatenate((np.where(inside, ratio.var(axis=2), np.inf), np.mean(ratio**2, axis=2)), axis=1)
+    best = np.argsort(misfit, axis=1, kind="stable")[:, : shared.settings.starts]
+    both = np.concatenate((scaled, plain), axis=1)
+    nearest = np.sqrt(misfit.min(axis=1))
+    return np.asarray(np.take_along_axis(both, best[..., None], axis=1)), nearest

@@ -1,0 +1,301 @@
+"""The solvers of `forward` and the decks of `export`, as a user and a script see them."""
+
+import json
+import re
+
+import numpy as np
+import pytest
+
+from cpam_bayes.forward_model.calculix import PROGRAM_VARIABLE
+from tests.meshes import Quads, grid, rectangle
+
+PLATE = """\
+name = "plate 7"
+
+[plate]
+length_mm = 200.0
+width_mm = 100.0
+thickness_mm = 3.0
+{weight}
+edges = "{edges}"
+mesh = "plate.msh"
+
+[material]
+isotropic = true
+E1_GPa = 69.0
+nu12 = 0.33
+
+[unknowns]
+E1_GPa = [10.0, 200.0]
+"""
+
+
+@pytest.fixture
+def with_mesh(tmp_path):
+    """Write a mesh and a plate file that names it, and return the plate file's path."""
+
+    def write(quads, edges="FFFF", weight="density_kg_m3 = 2700.0"):
+        quads.write(tmp_path / "plate.msh")
+        path = tmp_path / "plate.toml"
+        path.write_text(PLATE.format(edges=edges, weight=weight), encoding="utf-8")
+        return path
+
+    return write
+
+
+def answer(run, *argv):
+    """The document of a command that has nothing to complain about."""
+    status, out, err = run(*argv, "--json", "--quiet")
+    assert (status, err) == (0, "")
+    return json.loads(out)
+
+
+def frequencies(document):
+    return np.array([mode["frequency_hz"] for mode in document["modes"]])
+
+
+def described(document):
+    return [(mode["kind"], mode["label"]) for mode in document["modes"]]
+
+
+def refused(found, *fragments):
+    status, out, err = found
+    assert (status, out) == (2, "")
+    assert err.count("error: ") == 1
+    for fragment in fragments:
+        assert fragment in err
+
+
+def holed():
+    """200 x 100 mm with an elliptic hole in the middle."""
+
+    def f(r, a):
+        angle = 2 * np.pi * a
+        square = np.maximum(np.abs(np.cos(angle)), np.abs(np.sin(angle)))
+        radius = (1 - r) * 0.4 + r / square
+        return 100 + 100 * radius * np.cos(angle), 50 + 50 * radius * np.sin(angle)
+
+    return grid(np.linspace(0, 1, 7), np.linspace(0, 1, 33), f, closed=True).without("x0", "y0", "x1", "y1")
+
+
+# Finite elements
+
+
+@pytest.mark.parametrize("plate", ["A1", "D3"])
+def test_elements_and_ritz_agree_with_kinds_and_labels(run, plate):
+    elements = answer(run, "forward", plate, "--solver", "fem")
+    ritz = answer(run, "forward", plate, "--solver", "ritz")
+    np.testing.assert_allclose(frequencies(elements), frequencies(ritz), rtol=5e-4)
+    assert described(elements) == described(ritz)
+    # each says how far it may be off, and they are not further apart
+    apart = np.abs(frequencies(elements) / frequencies(ritz) - 1.0)
+    assert np.all(apart < elements["relative_error_estimate"] + ritz["relative_error_estimate"])
+    assert elements["solver"].startswith("finite elements")
+    assert elements["no_error_estimate"] is None
+
+
+def test_a_known_mass_is_felt_by_elements_as_by_ritz(run, tmp_path):
+    text = re.sub("mesh = .*\n", "", PLATE).format(edges="CFFF", weight="density_kg_m3 = 2700.0")
+    path = tmp_path / "plate.toml"
+    path.write_text(text, encoding="utf-8")
+    bare = frequencies(answer(run, "forward", path, "--modes", "3"))
+    path.write_text(text + "[[sensor]]\nmass_g = 5.0\nx_mm = 190.0\ny_mm = 80.0\n", encoding="utf-8")
+    ritz, elements = (
+        frequencies(answer(run, "forward", path, "--solver", solver, "--modes", "3"))
+        for solver in ("ritz", "fem")
+    )
+    np.testing.assert_allclose(elements, ritz, rtol=5e-4)
+    assert np.all(ritz < 0.98 * bare)
+
+
+def test_a_plate_with_a_mesh_is_computed_with_elements(run, with_mesh, tmp_path):
+    path = with_mesh(rectangle(200.0, 100.0, 24, 16))
+    document = answer(run, "forward", path)
+    (tmp_path / "rectangle.toml").write_text(path.read_text().replace('mesh = "plate.msh"', ""))
+    ritz = answer(run, "forward", tmp_path / "rectangle.toml")
+    assert described(document) == described(ritz)
+    # uniform elements leave 0.02 % of the layers along the free edges
+    np.testing.assert_allclose(frequencies(document), frequencies(ritz), rtol=5e-4)
+    assert document == answer(run, "forward", path, "--solver", "fem") | {"seconds": document["seconds"]}
+
+
+def test_the_error_on_a_mesh_of_a_file_is_said_to_be_unknown(run, with_mesh):
+    path = with_mesh(rectangle(200.0, 100.0, 8, 4))
+    document = answer(run, "forward", path, "--modes", "2")
+    assert document["relative_error_estimate"] is None
+    assert [mode["relative_error_estimate"] for mode in document["modes"]] == [None, None]
+    assert document["no_error_estimate"].startswith("not known")
+    _, out, _ = run("forward", path)
+    assert re.search(r"error +not known: the mesh of a file is the only one", out)
+    assert re.search(r"outline +the mesh .*plate.msh", out)
+    assert "32 8-node elements of plate.msh, 20000 mm2" in out
+
+
+def test_a_holed_plate_that_was_weighed_is_denser_than_its_rectangle(run, with_mesh, tmp_path):
+    path = with_mesh(holed(), weight="mass_g = 100.0")
+    status, out, _ = run("forward", path, "--modes", "4", "--out", tmp_path / "out", "--quiet")
+    assert status == 0
+    # 20000 mm2 less an ellipse of 40 x 20 mm, 32 chords round
+    area = 20000.0 - 16 * np.sin(np.pi / 16) * 40 * 20
+    density = 0.1 / (area * 1e-6 * 3e-3)
+    assert f"{density:.6g} kg/m3 from mass_g, 100 g" in out
+    assert (tmp_path / "out" / "figures" / "modes.png").stat().st_size > 10_000
+
+
+def test_an_oblique_clamped_plate_is_stiffer_than_the_rectangle_of_its_sides(run, with_mesh):
+    straight = rectangle(200.0, 100.0, 16, 8)
+    moved = straight.points * [1.0, 0.8, 1.0] + 0.6 * straight.points[:, [1, 2, 2]]
+    path = with_mesh(Quads(moved, straight.cells, straight.lines), edges="CCCC")
+    oblique = frequencies(answer(run, "forward", path))
+    rectangular = frequencies(answer(run, "forward", with_mesh(straight, edges="CCCC")))
+    assert np.all(oblique > 1.1 * rectangular)
+
+
+@pytest.mark.parametrize("solver", ["ritz", "ccx"])
+def test_a_mesh_needs_elements(run, with_mesh, solver):
+    path = with_mesh(rectangle(200.0, 100.0, 4, 2))
+    refused(
+        run("forward", path, "--solver", solver),
+        "plate.mesh: received",
+        f"--solver {solver} computes rectangular plates only; use --solver fem",
+    )
+
+
+@pytest.mark.parametrize("backend", ["pso", "emcee"])
+def test_a_mesh_is_not_identified_yet(run, with_mesh, backend):
+    path = with_mesh(rectangle(200.0, 100.0, 4, 2))
+    refused(run("identify", path, "--backend", backend), "plate.mesh: received", "forward --solver fem")
+
+
+def test_a_mesh_that_is_no_plate_is_refused(run, with_mesh):
+    path = with_mesh(rectangle(0.2, 0.1, 4, 2))
+    refused(run("forward", path, "--quiet"), "mesh ", "plate.msh: it extends over 0.2 x 0.1, the plate over")
+    path = with_mesh(rectangle(200.0, 100.0, 4, 2).without("x1"), edges="CFCF")
+    refused(run("forward", path, "--quiet"), "edges ['x1'] are held but no group of lines is named so")
+    path = with_mesh(rectangle(200.0, 100.0, 4, 2))
+    (path.parent / "plate.msh").write_text("no mesh")
+    refused(run("forward", path, "--quiet"), "plate.msh: not a Gmsh file")
+
+
+def test_a_sensor_over_a_hole_is_refused(run, with_mesh):
+    path = with_mesh(holed())
+    path.write_text(path.read_text() + "[[sensor]]\nmass_g = 1.0\nx_mm = 100.0\ny_mm = 50.0\n")
+    refused(run("forward", path, "--quiet"), "point (x, y) = (0.1, 0.05) m is not on the plate's mesh")
+
+
+# CalculiX
+
+
+def test_a_missing_calculix_is_said(run, monkeypatch, tmp_path):
+    monkeypatch.setenv(PROGRAM_VARIABLE, str(tmp_path / "none"))
+    refused(run("forward", "A1", "--solver", "ccx", "--quiet"), PROGRAM_VARIABLE, "accepted: the path of")
+    monkeypatch.delenv(PROGRAM_VARIABLE)
+    monkeypatch.setenv("PATH", str(tmp_path))
+    refused(run("forward", "A1", "--solver", "ccx", "--quiet"), "not installed", "calculix-ccx")
+
+
+def test_an_element_is_for_calculix_alone(run):
+    refused(run("forward", "A1", "--element", "brick"), "--element: received brick", "--solver ccx only")
+
+
+@pytest.mark.needs_ccx
+def test_shells_of_calculix_agree_with_ritz(run):
+    found = answer(run, "forward", "A1", "--solver", "ccx", "--element", "shell")
+    ritz = answer(run, "forward", "A1")
+    np.testing.assert_allclose(frequencies(found), frequencies(ritz), rtol=3e-3)
+    assert described(found) == described(ritz)
+    assert found["relative_error_estimate"] is None
+    assert found["no_error_estimate"] == "not estimated"
+
+
+@pytest.mark.needs_ccx
+def test_bricks_are_what_calculix_computes_with_by_default(run, tmp_path):
+    argv = ("forward", "A1", "--modes", "3", "--solver", "ccx", "--out", tmp_path, "--quiet")
+    status, out, _ = run(*argv)
+    assert status == 0
+    assert re.search(r"solver +CalculiX, 20-node bricks", out)
+    assert re.search(r"error +not estimated", out)
+    assert (tmp_path / "figures" / "modes.png").stat().st_size > 10_000
+
+
+# Decks
+
+
+@pytest.mark.parametrize(
+    ("element", "cards"),
+    [
+        ("shell", ("*ELEMENT, TYPE=S8R", "*SHELL SECTION, COMPOSITE")),
+        ("brick", ("*ELEMENT, TYPE=C3D20R", "*SOLID SECTION")),
+    ],
+)
+def test_export_writes_a_deck_of_each_element(run, tmp_path, element, cards):
+    path = tmp_path / "c2.inp"
+    argv = ("export", "C2", "--to", "ccx", "--element", element, "--modes", "3", "--out", path)
+    document = answer(run, *argv, "--seed", "4")
+    text = path.read_text(encoding="ascii")
+    for card in ("*HEADING", "*NODE, ", "*ORIENTATION", "ENGINEERING CONSTANTS", "*FREQUENCY\n9\n", *cards):
+        assert card in text
+    nodes = text.partition("*NODE, NSET=ALL\n")[2].partition("\n*")[0].splitlines()
+    blocks = re.findall(r"^\*ELEMENT, TYPE=.*\n((?:[^*].*\n)+)", text, re.M)
+    # an element is a line, or two where it has more than 15 nodes
+    lines = sum(block.count("\n") for block in blocks)
+    assert document["nodes"] == len(nodes)
+    assert document["elements"] == lines // (1 if element == "shell" else 2)
+    assert document["path"] == str(path)
+    assert (document["element"], document["element_type"]) == (
+        element,
+        "S8R" if element == "shell" else "C3D20R",
+    )
+    assert (document["modes"], document["rigid_body_motions"]) == (3, 6)
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_export_writes_shells_to_a_file_of_the_plates_name(run, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    status, out, err = run("export", "D&G", "--to", "ccx")
+    assert (status, err) == (0, "")
+    assert re.search(r"file +D&G.inp\n", out)
+    assert re.search(r"elements +\d+ of S8R, shells", out)
+    assert "TYPE=S8R" in (tmp_path / "D&G.inp").read_text()
+
+
+def test_export_writes_over_a_file_with_force_alone(run, tmp_path):
+    path = tmp_path / "mine.inp"
+    path.write_text("mine")
+    argv = ("export", "A1", "--to", "ccx", "--out", path)
+    refused(run(*argv), f"--out {path}: exists", "--force")
+    assert path.read_text() == "mine"
+    assert run(*argv, "--force")[0] == 0
+    assert path.read_text().startswith("*HEADING")
+
+
+def test_export_to_an_impossible_place_is_refused(run, tmp_path):
+    argv = ("export", "A1", "--to", "ccx", "--force", "--out")
+    refused(run(*argv, tmp_path), "a directory, accepted: the file to write")
+    refused(run(*argv, tmp_path / "none" / "a.inp"), "none is no directory")
+    refused(run(*argv, ""), "--out: received an empty name")
+    refused(run(*argv, tmp_path / ("a" * 300)), "cannot be written to")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_export_never_writes_over_the_plate_file(run, with_mesh):
+    path = with_mesh(rectangle(200.0, 100.0, 4, 2))
+    before = path.read_text().replace('mesh = "plate.msh"', "")
+    path.write_text(before)
+    refused(run("export", path, "--to", "ccx", "--force", "--out", path), "the plate file itself")
+    assert path.read_text() == before
+
+
+def test_export_says_what_it_cannot_write(run, with_mesh, tmp_path):
+    path = with_mesh(rectangle(200.0, 100.0, 4, 2))
+    out = tmp_path / "a.inp"
+    refused(run("export", path, "--to", "ccx", "--out", out), "plate.mesh", "rectangular plates only")
+    refused(run("export", "A1", "--out", out), "--to")
+    assert not out.exists()
+
+
+def test_export_help_says_that_out_is_a_file(run):
+    status, out, _ = run("export", "--help")
+    assert status == 0
+    assert re.search(r"--out FILE +the file to write, not a directory", out)
+    assert all(option in out for option in ("--json", "--seed", "--quiet", "exit status"))

@@ -1,0 +1,227 @@
+"""Marginal likelihoods against closed forms and fine quadrature."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from scipy.special import logsumexp
+
+from cpam_bayes.diagnosis.evidence.comparison import Comparison
+from cpam_bayes.diagnosis.evidence.marginal import Marginal, laplace_marginal, sampled_marginal
+from cpam_bayes.diagnosis.fitting import comparison_of
+from cpam_bayes.diagnosis.hypotheses import Hypothesis
+from cpam_bayes.parameters import ScaledStudentT
+from cpam_bayes.priors import Prior
+from tests.diagnosis.toy_plates import (
+    BUMP,
+    F0,
+    NOISE,
+    SCATTER,
+    SD,
+    A,
+    a_list,
+    case,
+    cause,
+    even,
+    exact_log_evidence,
+    hypothesis,
+    log_normal_density,
+    straight,
+    whole_normal,
+)
+
+TRUTH = np.array([0.03, -0.04])
+PLAIN = Hypothesis("none", "none")
+
+
+def measured(shift: np.ndarray, noise: float = NOISE) -> np.ndarray:
+    return F0 * (1.0 + A @ TRUTH + shift) * (1.0 + noise * SCATTER)
+
+
+def weighed(comparison: Comparison, quadrature: int | None = 2, floor: float = -np.inf) -> Marginal:
+    rng = np.random.default_rng(0)
+    n = comparison.parameters.size
+    starts = np.concatenate((np.zeros((1, n)), rng.standard_normal((2, n))))
+    return laplace_marginal(comparison, quadrature, starts, floor=floor)
+
+
+def by_quadrature(f: np.ndarray, noise: float, prior: Prior, shape: np.ndarray) -> float:
+    """Log evidence of f = F0 (1 + A c + shape t^2): the constants in closed form, t by 20001 points."""
+    t = np.linspace(prior.lower, prior.upper, 20001)
+    slope = SD * A * F0[:, None]
+    covariance = slope @ slope.T + np.diag((noise * f) ** 2)
+    means = F0 * (1.0 + t[:, None] ** 2 * shape)
+    factor = np.linalg.cholesky(np.linalg.inv(covariance))
+    z = (f - means) @ factor
+    log_p = -0.5 * np.sum(z**2, axis=1) - 0.5 * np.linalg.slogdet(2 * np.pi * covariance)[1]
+    log_p = log_p + prior.log_density(t)
+    weight = np.full(len(t), t[1] - t[0])
+    weight[[0, -1]] *= 0.5
+    return float(logsumexp(log_p, b=weight))
+
+
+def test_without_an_effect_a_linear_model_has_its_exact_evidence() -> None:
+    f = measured(np.zeros(8))
+    comparison = comparison_of([case(a_list(f, NOISE))], PLAIN)
+    found = weighed(comparison, None)
+    # a Gaussian in scores: only rounding is left
+    assert found.log_evidence == pytest.approx(exact_log_evidence(f, NOISE * f), abs=1e-6)
+
+
+def test_moments_of_a_linear_model_are_those_of_the_gaussian() -> None:
+    f = measured(np.zeros(8))
+    comparison = comparison_of([case(a_list(f, NOISE))], PLAIN)
+    slope = A * F0[:, None] / (NOISE * f)[:, None]
+    covariance = np.linalg.inv(slope.T @ slope + np.eye(2) / SD**2)
+    expected = 1.0 + covariance @ slope.T @ ((f - F0) / (NOISE * f))
+    sd = np.sqrt(np.diag(covariance))
+    laplace = weighed(comparison, None)
+    for found, near in ((laplace, 0.01), (sampled_marginal(laplace), 0.03)):
+        mean, spread = found.moments()
+        np.testing.assert_allclose(mean, expected, atol=near * sd.max())
+        np.testing.assert_allclose(spread, sd, rtol=3 * near)
+        np.testing.assert_allclose(found.resampled(2048).mean(axis=0), expected, atol=2 * near * sd.max())
+
+
+@pytest.mark.parametrize("size", [0.0, 0.004, 0.02, -0.05])
+def test_with_a_linear_effect_the_evidence_is_exact(size: float) -> None:
+    sd = 0.02
+    f = measured(size * BUMP)
+    bent = cause("bent", whole_normal(sd))
+    comparison = comparison_of([case(a_list(f, NOISE), [(bent, straight(BUMP))])], hypothesis(bent, 0.1))
+    expected = exact_log_evidence(f, NOISE * f, (BUMP, sd))
+    # the interpolation between the nodes of a Gaussian of any width
+    assert weighed(comparison).log_evidence == pytest.approx(expected, abs=0.02)
+
+
+@pytest.mark.parametrize("noise", [0.01, 1e-3, 1e-4, 2e-5])
+def test_the_grid_is_refined_where_the_posterior_is_narrow(noise: float) -> None:
+    sd = 0.02
+    f = measured(0.017 * BUMP, noise)
+    bent = cause("bent", whole_normal(sd))
+    comparison = comparison_of([case(a_list(f, noise), [(bent, straight(BUMP))])], hypothesis(bent, 0.1))
+    expected = exact_log_evidence(f, noise * f, (BUMP, sd))
+    found = weighed(comparison)
+    # at the last noise the posterior is 6e-4 scores wide, a tenth of the finest interval
+    assert found.log_evidence == pytest.approx(expected, abs=0.03 if noise > 5e-5 else 0.7)
+    sampled = sampled_marginal(found)
+    assert sampled.log_evidence == pytest.approx(expected, abs=3.0 * sampled.error)
+
+
+@pytest.mark.parametrize("size", [0.0, 0.05, 0.12, 0.3])
+@pytest.mark.parametrize(
+    "prior", [ScaledStudentT(0.1, 4.0, -0.8, 0.8), whole_normal(0.1)], ids=["t", "normal"]
+)
+def test_an_even_effect_has_both_its_peaks_in_the_evidence(size: float, prior: Prior) -> None:
+    f = measured(size**2 * BUMP)
+    warp = cause("warp", prior, is_even=True)
+    comparison = comparison_of([case(a_list(f, NOISE), [(warp, even(BUMP))])], hypothesis(warp, 0.1))
+    expected = by_quadrature(f, NOISE, prior, BUMP)
+    found = weighed(comparison)
+    # the interpolation over two peaks that stand a nat above the trough between the nodes
+    assert found.log_evidence == pytest.approx(expected, abs=0.15)
+    sampled = sampled_marginal(found)
+    assert sampled.log_evidence == pytest.approx(expected, abs=3.0 * sampled.error)
+    assert sampled.error < 0.05
+    # neither sign is preferred
+    above = np.exp(sampled.log_weight) @ (sampled.draws[:, 2] > 0.0)
+    assert above == pytest.approx(0.5, abs=0.06)
+
+
+@pytest.mark.parametrize("size", [-0.02, 0.0, 0.05])
+def test_a_one_sided_effect_may_pile_up_at_zero(size: float) -> None:
+    """f = F0 (1 + A c + bump t), t >= 0, where the data may ask for a negative t."""
+    prior = ScaledStudentT(0.02, 4.0, 0.0, 0.16)
+    f = measured(size * BUMP)
+    dust = cause("dust", prior)
+    comparison = comparison_of([case(a_list(f, NOISE), [(dust, straight(BUMP))])], hypothesis(dust, 0.1))
+    # a likelihood that falls from zero on may do so within 1e-4
+    t = np.concatenate(([0.0], np.geomspace(1e-7, 0.16, 4000)))
+    slope = SD * A * F0[:, None]
+    covariance = slope @ slope.T + np.diag((NOISE * f) ** 2)
+    log_p = np.array([log_normal_density(f, F0 * (1.0 + v * BUMP), covariance) for v in t])
+    log_p = log_p + prior.log_density(t)
+    weight = np.exp(log_p - log_p.max())
+    total = np.trapezoid(weight, t)
+    expected = np.log(total) + log_p.max()
+    laplace = weighed(comparison)
+    # half the mass may lie beyond the grid, where the prior alone is carried on
+    assert laplace.log_evidence == pytest.approx(expected, abs=0.3)
+    found = sampled_marginal(laplace)
+    assert found.log_evidence == pytest.approx(expected, abs=3.0 * found.error)
+    mean = np.trapezoid(weight * t, t) / total
+    sd = np.sqrt(np.trapezoid(weight * (t - mean) ** 2, t) / total)
+    # 512 weighted points
+    assert found.moments()[0][2] == pytest.approx(mean, abs=0.15 * sd)
+    assert found.moments()[1][2] == pytest.approx(sd, rel=0.15)
+
+
+def test_importance_sampling_says_its_own_error() -> None:
+    warp = cause("warp", ScaledStudentT(0.1, 4.0, -0.8, 0.8))
+    z = []
+    for k in range(12):
+        f = measured(0.012 * np.roll(BUMP, k))
+        comparison = comparison_of([case(a_list(f, NOISE), [(warp, even(BUMP))])], hypothesis(warp, 0.1))
+        found = sampled_marginal(weighed(comparison))
+        assert 0.0 < found.error < 0.1
+        z.append((found.log_evidence - by_quadrature(f, NOISE, warp.parameters[0].prior, BUMP)) / found.error)
+    # a Sobol sequence is at least as good as chance
+    assert np.sqrt(np.mean(np.square(z))) < 1.5
+
+
+def test_inferred_noise_is_integrated_by_importance_sampling() -> None:
+    f = measured(np.zeros(8), 0.006)
+    comparison = comparison_of([case(a_list(f, None))], PLAIN)
+    prior = comparison.parameters["relative_std"].prior
+    # even in the logarithm: the density is smooth there
+    s = np.exp(np.linspace(np.log(prior.lower), np.log(prior.upper), 4001))
+    log_p = np.array([exact_log_evidence(f, v * f) for v in s]) + prior.log_density(s) + np.log(s)
+    expected = logsumexp(log_p, b=np.log(s[1] / s[0]))
+    laplace = weighed(comparison, None)
+    found = sampled_marginal(laplace)
+    assert found.log_evidence == pytest.approx(expected, abs=3.0 * found.error)
+    # Laplace's method alone misses the skewness of the noise's score
+    assert laplace.log_evidence == pytest.approx(expected, abs=0.4)
+
+
+def test_a_hopeless_hypothesis_is_not_refined() -> None:
+    f = measured(0.017 * BUMP, 1e-4)
+    bent = cause("bent", whole_normal(0.02))
+    comparison = comparison_of([case(a_list(f, 1e-4), [(bent, straight(BUMP))])], hypothesis(bent, 0.1))
+    assert len(weighed(comparison, floor=1e6).z) < len(weighed(comparison).z)
+
+
+def test_nodes_ascend_and_their_shares_sum_to_one() -> None:
+    f = measured(0.012 * BUMP)
+    warp = cause("warp", ScaledStudentT(0.1, 4.0, -0.8, 0.8))
+    comparison = comparison_of([case(a_list(f, NOISE), [(warp, even(BUMP))])], hypothesis(warp, 0.1))
+    found = weighed(comparison)
+    assert all(a < b for a, b in pairwise(found.z[:, 2]))
+    assert found.weight.sum() == pytest.approx(1.0, abs=1e-12)
+    assert np.exp(found.log_weight).sum() == pytest.approx(1.0, abs=1e-12)
+
+
+def test_the_same_comparison_gives_the_same_numbers() -> None:
+    f = measured(0.012 * BUMP)
+    warp = cause("warp", ScaledStudentT(0.1, 4.0, -0.8, 0.8))
+    comparison = comparison_of([case(a_list(f, None), [(warp, even(BUMP))])], hypothesis(warp, 0.1))
+    first, second = (sampled_marginal(weighed(comparison)) for _ in range(2))
+    assert first.log_evidence == second.log_evidence
+    np.testing.assert_array_equal(first.draws, second.draws)
+
+
+def test_what_lies_outside_the_constraints_carries_nothing() -> None:
+    f = measured(np.zeros(8), 0.05)
+    comparison = comparison_of([case(a_list(f, 0.05))], PLAIN)
+    middle = 1.0 + TRUTH[0]
+    part = comparison.model.parts[0]
+    cut = replace(part, bare=replace(part.bare, allowed=lambda x: x[:, 0] < middle))  # type: ignore[type-var]
+    half = replace(comparison, model=replace(comparison.model, parts=(cut,)))
+    whole, found = (sampled_marginal(weighed(c, None)) for c in (comparison, half))
+    share = np.exp(whole.log_weight) @ (whole.draws[:, 0] < middle)
+    # of 512 points
+    assert found.log_evidence - whole.log_evidence == pytest.approx(np.log(share), abs=0.1)
+    assert np.all(found.draws[np.isfinite(found.log_weight), 0] < middle)

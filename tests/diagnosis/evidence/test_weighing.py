@@ -1,0 +1,260 @@
+"""Hypotheses weighed on plates whose evidences are known in closed form."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cpam_bayes.diagnosis.evidence.weighing import Weighed, marginal_of, weigh
+from cpam_bayes.diagnosis.fitting import PlateCase, comparison_of, effect_columns
+from cpam_bayes.diagnosis.hypotheses import (
+    DISCREPANCY,
+    NONE,
+    OTHER,
+    P_NONE,
+    P_OTHER,
+    P_PAIR,
+    SLIP,
+    Hypothesis,
+    ListChange,
+)
+from cpam_bayes.mechanics.modes import RigidBodyError
+from tests.diagnosis.toy_plates import (
+    BUMP,
+    DENT,
+    F0,
+    NOISE,
+    SCATTER,
+    SD,
+    A,
+    Array,
+    a_list,
+    case,
+    cause,
+    exact_log_evidence,
+    hypothesis,
+    log_normal_density,
+    pairs_of,
+    straight,
+    whole_normal,
+)
+
+BENT = cause("bent", whole_normal(0.02))
+DENTED = cause("dented", whole_normal(0.01))
+TWIN = np.roll(BUMP, 3)
+TURNED = cause("turned", whole_normal(0.015))
+NOTHING = Hypothesis(NONE, NONE, prior=P_NONE)
+ANYTHING = Hypothesis(OTHER, OTHER, parameters=(DISCREPANCY,), prior=P_OTHER)
+SINGLES = tuple(hypothesis(effect, 0.1) for effect in (BENT, DENTED, TURNED))
+SHIFTS = {"bent": (BUMP, 0.02), "dented": (DENT, 0.01), "turned": (TWIN, 0.015)}
+
+
+def plate(
+    shift: Array, *, n: int = 8, noise: float = NOISE, name: str = "toy", specimen: str = ""
+) -> PlateCase:
+    f = F0[:n] * (1.0 + A[:n] @ [0.03, -0.04] + shift[:n]) * (1.0 + noise * SCATTER[:n])
+    effects = [(e, straight(SHIFTS[e.name][0])) for e in (BENT, DENTED, TURNED)]
+    return case(a_list(f, noise), effects, name=name, specimen=specimen)
+
+
+def of_one(*hypotheses: Hypothesis) -> list[tuple[Hypothesis, tuple[int, ...]]]:
+    return [(h, (0,)) for h in hypotheses]
+
+
+def exact(case: PlateCase, name: str) -> float:
+    f = case.measurement.frequencies
+    return exact_log_evidence(f, NOISE * f, *([SHIFTS[name]] if name in SHIFTS else []))
+
+
+@pytest.mark.parametrize("size", [0.0, 0.004, 0.01])
+def test_probabilities_are_priors_times_exact_evidences(size: float) -> None:
+    own = plate(size * BUMP)
+    found = weigh([own], of_one(NOTHING, *SINGLES), pairs=False)
+    log_weight = {h.cause: np.log(h.prior) + exact(own, h.cause) for h in (NOTHING, *SINGLES)}
+    top = max(log_weight.values())
+    total = sum(np.exp(v - top) for v in log_weight.values())
+    by_cause = found.by_cause()
+    for name, value in log_weight.items():
+        # importance sampling's error of a log evidence is 0.03, so that of a probability p (1 - p) times it
+        expected = np.exp(value - top) / total
+        assert by_cause[name] == pytest.approx(expected, abs=0.06 * expected * (1 - expected) + 1e-9)
+    for t in found.tested:
+        expected_factor = exact(own, t.hypothesis.cause) - exact(own, NONE)
+        assert t.log_bayes_factor == pytest.approx(expected_factor, abs=0.1)
+
+
+def test_probabilities_sum_to_one_and_fall() -> None:
+    found = weigh([plate(0.01 * BUMP)], of_one(NOTHING, ANYTHING, *SINGLES))
+    p = [t.probability for t in found.tested]
+    assert sum(p) == pytest.approx(1.0, abs=1e-12)
+    assert p == sorted(p, reverse=True)
+    assert sum(found.by_cause().values()) == pytest.approx(1.0, abs=1e-12)
+    assert found.none.log_bayes_factor == 0.0
+
+
+def test_the_cause_that_acts_is_found_with_its_size() -> None:
+    found = weigh([plate(0.03 * DENT)], of_one(NOTHING, ANYTHING, *SINGLES))
+    best = found.tested[0]
+    assert best.hypothesis.cause == "dented"
+    mean, sd = best.marginal.moments()
+    assert mean[best.columns[0]] == pytest.approx(0.03, abs=3 * sd[best.columns[0]])
+    assert sd[best.columns[0]] < 0.005
+
+
+def test_two_causes_at_once_are_found_as_a_pair() -> None:
+    found = weigh([plate(0.03 * DENT + 0.03 * BUMP)], of_one(NOTHING, ANYTHING, *SINGLES))
+    best = found.tested[0].hypothesis
+    assert best.family == "pair"
+    assert set(best.causes) == {"bent", "dented"}
+    expected = exact_log_evidence(
+        plate(0.03 * DENT + 0.03 * BUMP).measurement.frequencies,
+        NOISE * plate(0.03 * DENT + 0.03 * BUMP).measurement.frequencies,
+        SHIFTS["bent"],
+        SHIFTS["dented"],
+    )
+    # relative shifts of two effects multiply: 0.03^2 of a frequency beside a noise of 0.002
+    assert found.tested[0].marginal.log_evidence == pytest.approx(expected, abs=2.0)
+
+
+def test_a_pair_that_shows_one_cause_only_counts_for_that_cause() -> None:
+    own = plate(0.015 * DENT)
+    found, alone = (weigh([own], of_one(NOTHING, ANYTHING, *SINGLES), pairs=p) for p in (True, False))
+    pairs = [t.hypothesis.causes for t in found.tested if t.hypothesis.family == "pair"]
+    assert pairs == [("bent", "turned")]  # better than either, and not than what acts
+    assert found.by_cause()["dented"] == pytest.approx(alone.by_cause()["dented"], abs=1e-3)
+
+
+def test_no_pair_is_looked_at_where_none_leads() -> None:
+    found = weigh([plate(0.0 * DENT)], of_one(NOTHING, ANYTHING, *SINGLES))
+    assert found.tested[0].hypothesis.cause == NONE
+    assert all(t.hypothesis.family != "pair" for t in found.tested)
+
+
+def test_scatter_that_nothing_explains_is_other() -> None:
+    wild = 0.04 * np.array([1.0, 1.0, -1.0, 1.0, -1.0, -1.0, 1.0, 1.0])
+    found = weigh([plate(wild)], of_one(NOTHING, ANYTHING, *SINGLES), pairs=False)
+    assert found.tested[0].hypothesis.cause == OTHER
+    t = found.tested[0]
+    size = t.marginal.moments()[0][t.columns[0]]
+    # the constants take two of the eight deviations of 0.04
+    assert 0.01 < size < 0.06
+
+
+def misread(i: int, prior: float = 0.05) -> Hypothesis:
+    return Hypothesis(
+        "outlier", "list", f"frequency {i + 1}", listed=ListChange(misread=i), parameters=(SLIP,), prior=prior
+    )
+
+
+def test_a_frequency_that_was_misread_is_found() -> None:
+    slip = np.zeros(8)
+    slip[3] = 0.1
+    found = weigh([plate(slip)], of_one(NOTHING, *SINGLES, *(misread(i) for i in range(8))), pairs=False)
+    best = found.tested[0]
+    assert best.hypothesis.variant == "frequency 4"
+    true = 1.0 + A[3] @ [0.03, -0.04]
+    assert best.marginal.moments()[0][best.columns[0]] == pytest.approx(0.1 / true, abs=0.01)
+
+
+def test_an_outlier_and_a_cause_of_the_plate_go_together_in_either_order() -> None:
+    slip = np.zeros(8)
+    slip[3] = 0.2
+    own = plate(slip + 0.02 * DENT)
+    slipped, dented = misread(3), SINGLES[1]
+    found = []
+    for pair in (
+        pairs_of((slipped, dented), (slipped, dented)),
+        pairs_of((dented, slipped), (slipped, dented)),
+    ):
+        comparison = comparison_of([own], pair[0])
+        columns = effect_columns(comparison, pair[0])
+        assert {comparison.parameters.names[c] for c in columns} == {"misreading", "size of dented"}
+        part = comparison.model.parts[0]
+        assert part.slip == (3, comparison.parameters.names.index("misreading"))
+        found.append(marginal_of([own], pair[0], (0,)).log_evidence)
+    # once the quadrature is over the slip, once over the dent: one evidence
+    assert found[0] == pytest.approx(found[1], abs=0.1)
+
+
+def test_pairs_share_their_prior_in_proportion_to_the_product_of_the_causes() -> None:
+    pairs = pairs_of(SINGLES, SINGLES)
+    assert sum(p.prior for p in pairs) == pytest.approx(P_PAIR)
+    heavy = (replace(SINGLES[0], prior=0.3), *SINGLES[1:])
+    found = {p.causes: p.prior for p in pairs_of(heavy, heavy)}
+    assert found["bent", "dented"] == pytest.approx(3.0 * found["dented", "turned"])
+    assert sum(found.values()) == pytest.approx(P_PAIR)
+
+
+def test_what_cannot_act_together_is_no_pair() -> None:
+    of_clamp = [
+        Hypothesis(name, "clamp", effects=(cause(name, whole_normal(0.1), family="clamp"),), prior=0.1)
+        for name in ("clamp_rotation", "clamp_slip", "clamp_length")
+    ]
+    found = {p.causes for p in pairs_of(of_clamp, of_clamp)}
+    assert found == {("clamp_rotation", "clamp_length"), ("clamp_slip", "clamp_length")}
+    lists = [misread(0), Hypothesis("mode_identity", "list", listed=ListChange(missed=(1,)), prior=0.1)]
+    assert pairs_of(lists, lists) == ()
+    # two variants of one cause
+    assert pairs_of((misread(0), misread(1)), (misread(0), misread(1))) == ()
+
+
+def test_a_plate_that_cannot_be_told_from_a_rigid_body_is_named_and_left_out() -> None:
+    own = plate(np.zeros(8))
+
+    def soft(x: Array) -> tuple[Array, Array]:
+        raise RigidBodyError("a frequency of nothing")
+
+    model = own.extended["bent", ""]
+    own.extended["bent", ""] = replace(model, function=soft)  # type: ignore[call-arg]
+    found = weigh([own], of_one(NOTHING, *SINGLES), pairs=False)
+    assert len(found.not_tested) == 1
+    assert found.not_tested[0].startswith("bent: ")
+    assert {t.hypothesis.cause for t in found.tested} == {NONE, "dented", "turned"}
+    assert sum(t.probability for t in found.tested) == pytest.approx(1.0)
+
+
+def test_two_plates_of_one_material_share_constants_with_a_scatter() -> None:
+    cases = [plate(0.0 * DENT, name="one"), plate(0.02 * DENT, n=6, name="two")]
+    scatter = 0.02
+    found = weigh(cases, [(NOTHING, (0, 1))], scatter=scatter)
+    f = np.concatenate([c.measurement.frequencies for c in cases])
+    rows = [np.arange(8), np.arange(6)]
+    slopes = [SD * A[r] * F0[r, None] for r in rows]
+    shared = np.concatenate(slopes)
+    covariance = shared @ shared.T + np.diag((NOISE * f) ** 2)
+    for at, slope in zip((slice(0, 8), slice(8, 14)), slopes, strict=True):
+        own = slope * scatter / SD
+        covariance[at, at] += own @ own.T
+    expected = log_normal_density(f, np.concatenate([F0, F0[:6]]), covariance)
+    # a product of a constant and a deviation is not quite linear, and the scatter is cut at four sd
+    assert found.none.marginal.log_evidence == pytest.approx(expected, abs=0.1)
+
+
+def test_a_cause_of_one_plate_is_not_that_of_the_other() -> None:
+    cases = [plate(0.0 * DENT, name="one"), plate(0.03 * DENT, name="two")]
+    hypotheses = [(NOTHING, (0, 1)), *((SINGLES[1], at) for at in ((0, 1), (0,), (1,)))]
+    found = weigh(cases, hypotheses, pairs=False)
+    assert found.tested[0].plates == (1,)
+    assert found.tested[0].probability > 0.9
+
+
+def test_two_tests_of_one_specimen_share_its_flaw_and_have_no_scatter() -> None:
+    cases = [plate(0.03 * DENT, name=name, specimen="same") for name in ("one", "two")]
+    found = weigh(cases, [(NOTHING, (0, 1)), (SINGLES[1], (0, 1))], pairs=False)
+    best = found.tested[0]
+    assert best.hypothesis.cause == "dented"
+    assert best.marginal.comparison.parameters.names == ("E1", "G12", "size of dented")
+    alone = weigh(cases[:1], of_one(NOTHING, SINGLES[1]), pairs=False).tested[0]
+    ratio = best.marginal.moments()[1][2] / alone.marginal.moments()[1][2]
+    # the same list twice: half the variance
+    assert ratio == pytest.approx(np.sqrt(0.5), rel=0.1)
+
+
+def test_the_answer_is_the_same_each_time() -> None:
+    def once() -> Weighed:
+        return weigh([plate(0.008 * BUMP)], of_one(NOTHING, ANYTHING, *SINGLES))
+
+    first, second = once(), once()
+    assert [t.probability for t in first.tested] == [t.probability for t in second.tested]

@@ -1,0 +1,421 @@
+"""Which test tells causes apart: mutual information against quadrature, and predicted data."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import lru_cache
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cpam_bayes.diagnosis import diagnose as diagnosing
+from cpam_bayes.diagnosis.cases import plate_case
+from cpam_bayes.diagnosis.claim import Claim
+from cpam_bayes.diagnosis.diagnose import Diagnosis, diagnose_cases
+from cpam_bayes.diagnosis.evidence import weighing
+from cpam_bayes.diagnosis.evidence.marginal import sampled_marginal
+from cpam_bayes.diagnosis.evidence.weighing import Weighed, marginal_of
+from cpam_bayes.diagnosis.fitting import PlateCase
+from cpam_bayes.diagnosis.hypotheses import DISCREPANCY, NONE, OTHER, Hypothesis
+from cpam_bayes.diagnosis.models import plate_models
+from cpam_bayes.diagnosis.next_test import further_tests, next_measurement
+from cpam_bayes.diagnosis.next_test.further_tests import (
+    GAUGED,
+    MORE_MODES,
+    WEIGHED,
+    FurtherTest,
+    Predicted,
+    places,
+)
+from cpam_bayes.diagnosis.next_test.next_measurement import (
+    Outlook,
+    information,
+    leading_hypotheses,
+    next_measurements,
+    outlook_of,
+)
+from cpam_bayes.effects import CATALOGUE, Effect
+from cpam_bayes.effects.sizes import DENSITY, THICKNESS
+from cpam_bayes.forward_model.model import plate_problem
+from cpam_bayes.plate import Measurement
+from cpam_bayes.plate.records import Sensor
+from cpam_bayes.plate.specimens import builtin
+from tests.diagnosis.toy_plates import (
+    BUMP,
+    CONSTANTS,
+    DENT,
+    F0,
+    SD,
+    A,
+    Array,
+    a_list,
+    case,
+    cause,
+    hypothesis,
+    plate_model,
+    straight,
+    whole_normal,
+)
+
+NOISE = 0.002
+BY_NAME = {effect.name: effect for effect in CATALOGUE}
+BENT, DENTED = cause("bent", whole_normal(0.02)), cause("dented", whole_normal(0.02))
+NOTHING = Hypothesis(NONE, NONE, prior=0.5)
+
+
+def outlook(means: Any, sd: Any, p: Any = None, cause_of: Any = None) -> Outlook:
+    """Gaussians of means (k, n) with independent standard deviations."""
+    means = np.atleast_2d(np.array(means, float))
+    k, n = means.shape
+    sds = np.broadcast_to(np.asarray(sd, float), (k, n))
+    return Outlook(
+        np.full(k, 1.0 / k) if p is None else np.array(p),
+        np.arange(k) if cause_of is None else np.array(cause_of),
+        means,
+        sds[:, :, None] ** 2 * np.eye(n),
+    )
+
+
+def by_quadrature(means: Array, sds: Array, p: Array, cause_of: Array) -> float:
+    """Mutual information of a cause and one datum."""
+    y = np.linspace((means - 12 * sds).min(), (means + 12 * sds).max(), 200_001)
+    density = p * np.exp(-0.5 * ((y[:, None] - means) / sds) ** 2) / sds / np.sqrt(2 * np.pi)
+    of_cause = np.stack([density[:, cause_of == c].sum(axis=1) for c in np.unique(cause_of)], axis=1)
+    prior = np.array([p[cause_of == c].sum() for c in np.unique(cause_of)])
+    total = of_cause.sum(axis=1, keepdims=True)
+    ratio = np.log(np.maximum(of_cause, 1e-300) / np.maximum(total * prior, 1e-300))
+    return float(np.trapezoid(np.sum(of_cause * ratio, axis=1), y))
+
+
+@pytest.mark.parametrize("distance", [0.5, 1.0, 2.0, 4.0])
+@pytest.mark.parametrize("p", [0.5, 0.2])
+def test_the_information_of_two_gaussians_is_that_of_quadrature(distance: float, p: float) -> None:
+    means, sds, probability = np.array([0.0, distance]), np.ones(2), np.array([p, 1.0 - p])
+    found, possible, _ = information(outlook(means[:, None], 1.0, probability))
+    # 1024 points of a Sobol sequence
+    assert found == pytest.approx(by_quadrature(means, sds, probability, np.arange(2)), abs=2e-3)
+    assert possible == pytest.approx(-p * np.log(p) - (1 - p) * np.log(1 - p), rel=1e-12)
+
+
+def test_widths_tell_hypotheses_apart_too() -> None:
+    means, sds, p = np.zeros(2), np.array([1.0, 5.0]), np.array([0.5, 0.5])
+    found, _, _ = information(outlook(means[:, None], sds[:, None]))
+    assert found == pytest.approx(by_quadrature(means, sds, p, np.arange(2)), abs=2e-3)
+
+
+def test_variants_of_one_cause_are_not_to_be_told_apart() -> None:
+    means, sds = np.array([-3.0, 0.0, 3.0]), np.ones(3)
+    p, cause_of = np.array([0.3, 0.4, 0.3]), np.array([0, 1, 0])
+    found, possible, _ = information(outlook(means[:, None], 1.0, p, cause_of))
+    assert found == pytest.approx(by_quadrature(means, sds, p, cause_of), abs=2e-3)
+    assert possible == pytest.approx(-0.6 * np.log(0.6) - 0.4 * np.log(0.4), rel=1e-12)
+
+
+def test_equal_predictions_tell_nothing() -> None:
+    found, possible, decided = information(outlook([[1.0, 2.0]] * 3, 0.1, [0.5, 0.3, 0.2]))
+    assert found == pytest.approx(0.0, abs=1e-12)
+    assert possible > 1.0
+    assert decided == 0.0
+
+
+def test_predictions_that_do_not_overlap_tell_all() -> None:
+    found, possible, decided = information(outlook(10.0 * np.eye(3), 0.1, [0.5, 0.3, 0.2]))
+    assert found == pytest.approx(possible, abs=1e-9)
+    assert decided == 1.0
+
+
+def test_independent_data_add_up_where_they_tell_little() -> None:
+    one, _, _ = information(outlook([[0.0], [0.1]], 1.0))
+    four, _, _ = information(outlook([[0.0] * 4, [0.1] * 4], 1.0))
+    # d^2 / 8 for a small distance d between two equally probable causes
+    assert one == pytest.approx(0.1**2 / 8, rel=0.03)
+    assert four == pytest.approx(4 * one, rel=0.03)
+
+
+def test_correlated_data_are_taken_as_such() -> None:
+    rotation = np.linalg.qr(np.random.default_rng(0).standard_normal((3, 3)))[0]
+    plain = outlook([[0.0, 0.0, 0.0], [2.0, 0.5, 0.0]], [1.0, 0.2, 3.0])
+    turned = Outlook(
+        plain.probability,
+        plain.cause,
+        plain.mean @ rotation.T,
+        np.einsum("ab,kbc,dc->kad", rotation, plain.covariance, rotation),
+    )
+    # two Sobol sequences of the same integral
+    assert information(turned)[0] == pytest.approx(information(plain)[0], abs=3e-3)
+
+
+def test_the_probability_of_a_decision_is_that_of_a_likelihood_ratio() -> None:
+    from scipy.stats import norm
+
+    d = 3.0
+    _, _, decided = information(outlook([[0.0], [d]], 1.0), 12)
+    # log ratio d (y - d / 2) under the right cause is normal, mean d^2 / 2, sd d
+    assert decided == pytest.approx(norm.cdf((d**2 / 2 - np.log(9.0)) / d), abs=2e-3)
+
+
+# On toy plates
+
+
+def plate(shift: Array, noise: float | None = NOISE) -> PlateCase:
+    f = F0 * (1.0 + A @ [0.03, -0.04] + shift)
+    return case(a_list(f, noise), [(BENT, straight(BUMP)), (DENTED, straight(DENT))])
+
+
+def made(of: Hypothesis, own: PlateCase, probability: float = 0.5) -> weighing.Tested:
+    marginal = sampled_marginal(marginal_of([own], of, (0,)))
+    return weighing.Tested(of, (0,), marginal, probability)
+
+
+def test_leading_causes_are_six_at_most_with_all_their_probability() -> None:
+    def weighed(*p: tuple[str, float]) -> Weighed:
+        none: Any = None
+        tested = tuple(weighing.Tested(Hypothesis(c, c), (0,), none, value) for c, value in p)
+        return Weighed(tested=tested, not_tested=())
+
+    def found(*p: tuple[str, float]) -> list[tuple[str, float]]:
+        return [(t.hypothesis.cause, t.probability) for t in leading_hypotheses(weighed(*p))]
+
+    assert found(("a", 0.6), ("b", 0.395), ("c", 0.005)) == [("a", 0.6), ("b", 0.395)]
+    assert [c for c, _ in found(*((c, 0.12) for c in "abcdefgh"))] == list("abcdef")
+    # ten of the places where a mass may be stand for all of them, beside none
+    many = found(("none", 0.2), *(("a", 0.032) for _ in range(25)))
+    assert len(many) == 10
+    assert sum(p for c, p in many if c == "a") == pytest.approx(0.8)
+    assert dict(many)["none"] == pytest.approx(0.2)
+
+
+def test_the_outlook_has_the_moments_of_the_draws_and_the_noise_of_the_list() -> None:
+    own = plate(0.01 * BUMP)
+    t = made(hypothesis(BENT, 0.1), own)
+    direction = np.array([1.0, 2.0])
+
+    def predict(t: weighing.Tested) -> Predicted:
+        size = t.marginal.draws[:, t.columns[0]]
+        return Predicted(100.0 * (1.0 + size[:, None] * direction), np.diag([0.0, 1e-6]))
+
+    found = outlook_of([t], own, predict, None)
+    mean, sd = t.marginal.moments()
+    expected = (
+        sd[2] ** 2
+        * np.outer(direction, direction)
+        / np.outer(1 + mean[2] * direction, 1 + mean[2] * direction)
+    )
+    np.testing.assert_allclose(found.mean, 1.0)
+    np.testing.assert_allclose(
+        found.covariance[0], expected + np.diag([NOISE**2, NOISE**2 + 1e-6]), rtol=1e-9
+    )
+    other = outlook_of([t], own, predict, 0.01).covariance[0]
+    np.testing.assert_allclose(np.diag(other - found.covariance[0]), 0.01**2 - NOISE**2, rtol=1e-9)
+
+
+def test_what_nothing_explains_widens_the_data_of_the_same_plate_alone() -> None:
+    own = plate(0.02 * BUMP, None)
+    t = made(Hypothesis(OTHER, OTHER, parameters=(DISCREPANCY,), prior=0.06), own)
+    weight = np.exp(t.marginal.log_weight)
+    comparison = t.marginal.comparison
+    square = {c: weight @ t.marginal.draws[:, c] ** 2 for c in (comparison.noise, comparison.discrepancy)}
+    for as_now in (True, False):
+        found = outlook_of(
+            [t],
+            own,
+            lambda t, a=as_now: Predicted(np.full((512, 1), 200.0), np.zeros((1, 1)), as_now=a),
+            None,
+        )
+        expected = square[comparison.noise] + as_now * square[comparison.discrepancy]
+        assert found.covariance[0, 0, 0] == pytest.approx(expected, rel=1e-9)
+
+
+def test_a_sister_plate_has_other_constants_and_not_the_flaw() -> None:
+    own = plate(0.03 * BUMP)
+    t = made(hypothesis(BENT, 0.1), own)
+    scatter = 0.03
+    found = outlook_of([t], own, lambda t: further_tests._sister(t, 0, own, scatter), 0.001)
+    f = own.measurement.frequencies
+    slope = np.column_stack((A, BUMP)) * F0[:, None] / (NOISE * f)[:, None]
+    posterior = np.linalg.inv(slope.T @ slope + np.diag(1.0 / np.array([SD, SD, 0.02]) ** 2))
+    centre = np.array([1.0, 1.0, 0.0]) + posterior @ slope.T @ ((f - F0) / (NOISE * f))
+    predicted = F0 * (1.0 + A @ (centre[:2] - 1.0))
+    relative = A * F0[:, None] / predicted[:, None]
+    spread = posterior[:2, :2] + np.diag((scatter * centre[:2]) ** 2)
+    expected = relative @ spread @ relative.T + 0.001**2 * np.eye(8)
+    # 512 weighted points of a posterior much narrower than the scatter
+    np.testing.assert_allclose(found.covariance[0], expected, rtol=0.05, atol=0.01 * expected.max())
+    t_none = made(NOTHING, plate(0.0 * BUMP))
+    y = further_tests._sister(t, 0, own, scatter).y.mean(axis=0)
+    # less the flaw, a plate of the same constants
+    np.testing.assert_allclose(y, further_tests._sister(t_none, 0, own, scatter).y.mean(axis=0), rtol=0.005)
+
+
+def gauged(effect_shift: float) -> tuple[PlateCase, weighing.Tested]:
+    """A toy whose sizes are those of a real plate."""
+    own = plate(effect_shift * BUMP)
+    own.extended[THICKNESS.name, THICKNESS.variant] = plate_model(
+        shift=straight(BUMP), parameter=THICKNESS.parameters[0]
+    )  # type: ignore[assignment]
+    specimen = builtin("C1")
+    models = replace(own.models, problem=plate_problem(specimen, CONSTANTS))
+    own = replace(own, models=models)
+    return own, made(hypothesis(THICKNESS, 0.1), own)
+
+
+def test_weighing_and_gauging_see_a_thicker_plate() -> None:
+    own, t = gauged(0.02)
+    predicted = further_tests._weighing(t, 0, own)
+    deviation = t.marginal.draws[:, t.columns[0]]
+    plate_of = builtin("C1").plate
+    np.testing.assert_allclose(predicted.y[:, 1], plate_of.thickness * (1.0 + deviation), rtol=1e-12)
+    mass = plate_of.density * plate_of.thickness * plate_of.area
+    np.testing.assert_allclose(predicted.y[:, 0], mass * (1.0 + deviation), rtol=1e-12)
+    plain = made(NOTHING, own)
+    found = outlook_of([plain, t], own, lambda t: further_tests._weighing(t, 0, own), None)
+    np.testing.assert_allclose(found.covariance[0], np.diag([WEIGHED**2, GAUGED**2]), atol=1e-15)
+    # 2 % beside 0.1 and 0.3 %
+    assert information(found)[0] == pytest.approx(np.log(2.0), abs=0.01)
+
+
+def a_diagnosis(kind: str, monkeypatch: pytest.MonkeyPatch) -> Diagnosis:
+    own = plate(0.008 * BUMP)
+    leading = tuple(
+        made(h, own, p)
+        for h, p in ((hypothesis(BENT, 0.1), 0.5), (hypothesis(DENTED, 0.1), 0.3), (NOTHING, 0.2))
+    )
+
+    def direct(t: weighing.Tested, by: float) -> Predicted:
+        """Data that tell the causes apart by so much."""
+        at = [h.hypothesis.cause for h in leading].index(t.hypothesis.cause)
+        return Predicted(np.full((512, 1), 100.0 * (1.0 + by * at)), np.zeros((1, 1)))
+
+    def tests(*_: object) -> list[FurtherTest]:
+        return [
+            FurtherTest(name, name, lambda by=by: lambda t: direct(t, by))  # type: ignore[misc]
+            for name, by in (("useless", 0.0), ("sharp", 0.05), ("vague", 0.002))
+        ]
+
+    monkeypatch.setattr(next_measurement, "further_tests", tests)
+    found: Any = SimpleNamespace(
+        claim=Claim(kind, (), 0.5), weighed=Weighed(tested=leading, not_tested=()), cases=(own,)
+    )  # type: ignore[arg-type]
+    return found  # type: ignore[no-any-return]
+
+
+@pytest.mark.parametrize("kind", ["class", "pair", "other", "undecided"])
+def test_tests_are_ranked_by_what_they_tell(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    found = next_measurements(a_diagnosis(kind, monkeypatch))
+    assert [c.name for c in found] == ["sharp", "vague", "useless"]
+    possible = -sum(p * np.log(p) for p in (0.5, 0.3, 0.2))
+    assert found[0].possible == pytest.approx(possible)
+    assert found[0].information == pytest.approx(possible, abs=1e-6)
+    assert found[0].decided == 1.0
+    assert 0.0 < found[1].information < 0.5 * possible
+    assert found[2].information == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.parametrize("kind", ["none", "named"])
+def test_nothing_is_asked_where_all_is_settled(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    diagnosis = a_diagnosis(kind, monkeypatch)
+    assert next_measurements(diagnosis) == ()
+    assert len(next_measurements(diagnosis, always=True)) == 3
+
+
+def test_known_masses_go_where_the_plate_is_free() -> None:
+    assert [(name, at) for name, _, at in places("FFFF")] == [
+        ("mass_at_corner", (0.95, 0.95)),
+        ("mass_at_centre", (0.5, 0.5)),
+    ]
+    assert places("CFFF")[0][2] == (0.95, 0.95)
+    assert places("FFCF")[0][2] == (0.05, 0.95)
+    assert [name for name, _, _ in places("SSSS")] == ["mass_at_centre"]
+
+
+# On real plates
+
+
+@lru_cache
+def cantilever(compliance: float) -> PlateCase:
+    """The clamped aluminium plate with a list of its own model, its clamp turning a little."""
+    return with_own_list("A2", BY_NAME["clamp_rotation"], compliance)
+
+
+def with_own_list(name: str, effect: Effect, size: float, n: int = 4) -> PlateCase:
+    def a_list_of(f: Array) -> Measurement:
+        return Measurement(f[:n], 0.0, 0.002, None, ("",) * n, complete=True)
+
+    own = builtin(name)
+    assert own.measurement is not None
+    found = plate_case(replace(own, measurement=a_list_of(own.measurement.frequencies)))
+    x = np.array([*(p.prior.mean for p in found.models.parameters.parameters), size])
+    f = found.with_effect(effect).predict(x[None]).frequencies[0]
+    return replace(found, measurement=a_list_of(f))
+
+
+def assert_predicts(found: Predicted, model: Any, t: weighing.Tested, modes: slice = slice(0, 4)) -> None:
+    """The data of a test are those of a model at all draws."""
+    weight = np.exp(t.marginal.log_weight)
+    mean = weight @ found.y
+    sd = np.sqrt(weight @ (found.y - mean) ** 2 + np.diag(found.missing) * mean**2)
+    f = model.predict(t.marginal.draws[:, : model.parameters.size]).frequencies[:, modes]
+    expected = weight @ f
+    # a tenth of a measurement's noise, and of the spread
+    np.testing.assert_allclose(mean, expected, rtol=3e-4)
+    np.testing.assert_allclose(
+        sd, np.sqrt(weight @ (f - expected) ** 2), rtol=0.1, atol=3e-4 * expected.min()
+    )
+
+
+@pytest.mark.slow
+def test_a_clamp_acts_on_the_clamped_plate_and_not_on_the_one_that_hangs() -> None:
+    own = cantilever(0.03)
+    effect = BY_NAME["clamp_rotation"]
+    t = made(hypothesis(effect, 0.1), own)
+    as_it_is = further_tests._under_test(t, 0, own.models, own.models.bare, np.arange(4))
+    assert_predicts(as_it_is, own.with_effect(effect), t)
+    tests = {test.name: test for test in further_tests.further_tests([own], 0, 3, 0.02)}
+    plate = own.models.specimen.plate
+    hung = plate_models(replace(own.models.specimen, plate=replace(plate, edges="FFFF")), 4)
+    assert_predicts(tests["edge_condition"].prepare()(t), hung.bare, t)
+
+
+@pytest.mark.slow
+def test_a_loaded_plate_and_its_further_modes_are_predicted_as_by_models_of_their_own() -> None:
+    own = with_own_list("A1", THICKNESS, 0.02)
+    t = made(NOTHING, own)
+    tests = {test.name: test for test in further_tests.further_tests([own], 0, 3, 0.02)}
+    assert list(tests) == [
+        "edge_condition",
+        "more_modes",
+        "mass_at_corner",
+        "mass_at_centre",
+        "sister_plate",
+        "weighing",
+    ]
+    specimen = own.models.specimen
+    plate = specimen.plate
+    mass = 0.02 * plate.density * plate.thickness * plate.area
+    sensor = Sensor(mass, 0.95 * plate.length, 0.95 * plate.width)
+    loaded = plate_models(replace(specimen, sensors=(sensor,)), 4)
+    assert_predicts(tests["mass_at_corner"].prepare()(t), loaded.bare, t)
+    bigger = plate_models(specimen, 4 + MORE_MODES)
+    assert_predicts(tests["more_modes"].prepare()(t), bigger.bare, t, slice(4, 8))
+
+
+@pytest.mark.slow
+def test_thickness_and_density_that_the_constants_absorb_are_told_apart_by_weighing(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    own = with_own_list("A1", THICKNESS, 0.02)
+    causes = [hypothesis(e, 0.25) for e in (THICKNESS, DENSITY)]
+    monkeypatch.setattr(diagnosing, "hypotheses_of", lambda cases: [(h, (0,)) for h in (NOTHING, *causes)])
+    diagnosis = diagnose_cases([own], pairs=False, gain=False)
+    said: list[str] = []
+    found = next_measurements(diagnosis, always=True, notify=said.append)
+    assert len(found) == 6
+    assert found[0].name == "weighing"
+    # frequencies of any plate of the same size scale alike with both
+    assert found[0].information > 5.0 * max(c.information for c in found[1:])
+    assert all(0.0 <= c.information <= c.possible + 1e-9 and 0.0 <= c.decided <= 1.0 for c in found)
+    assert [c.information for c in found] == sorted((c.information for c in found), reverse=True)
+    assert found == next_measurements(diagnosis, always=True)
+    assert sum(text.startswith("looking ahead") for text in said) == 6

@@ -1,0 +1,410 @@
+"""Decks of plates in ABAQUS format: mesh, plies, edges, and what is read back, without CalculiX."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from cpam_bayes.forward_model.calculix import (
+    PROGRAM_VARIABLE,
+    CalculixError,
+    Element,
+    plate_deck,
+    read_eigenvalues,
+    run_calculix,
+    solve_modes,
+    write_deck,
+)
+from cpam_bayes.forward_model.calculix.mesh import grid_lines
+from cpam_bayes.forward_model.calculix.results import deformation_modes, read_displacements
+from cpam_bayes.plate import Sensor, Specimen, builtin
+from cpam_bayes.plate.elasticity import complete_constants
+from cpam_bayes.plate.layup import parse_layup
+
+N_MODES = 6
+ELEMENTS: tuple[Element, ...] = ("shell", "brick")
+
+
+@dataclass(frozen=True)
+class Card:
+    """One keyword of a deck with its parameters and its data lines."""
+
+    keyword: str
+    parameters: dict[str, str]
+    data: list[str]
+
+    def numbers(self) -> list[float]:
+        return [float(v) for v in ",".join(self.data).split(",") if v.strip()]
+
+
+def constants(specimen: Specimen) -> dict[str, float]:
+    material = specimen.material
+    complete = complete_constants(material.constants, material.isotropic)
+    return {name: float(value) for name, value in complete.items()}
+
+
+def cards(specimen: Specimen, element: Element, **options: int) -> list[Card]:
+    text = plate_deck(specimen, constants(specimen), element, N_MODES, **options).text
+    found: list[Card] = []
+    for line in text.splitlines():
+        if line.startswith("**"):
+            continue
+        if line.startswith("*"):
+            keyword, *parameters = (part.strip() for part in line[1:].split(","))
+            found.append(Card(keyword, dict((*p.split("="), "")[:2] for p in parameters), []))
+        else:
+            found[-1].data.append(line)
+    return found
+
+
+def only(deck: list[Card], keyword: str, **parameters: str) -> Card:
+    (card,) = (c for c in deck if c.keyword == keyword and parameters.items() <= c.parameters.items())
+    return card
+
+
+def nodes_of(deck: list[Card]) -> np.ndarray:
+    """Coordinates by node number, (n, 3)."""
+    rows = np.array(only(deck, "NODE").numbers()).reshape(-1, 4)
+    assert_array_equal(rows[:, 0], np.arange(1, len(rows) + 1))
+    return rows[:, 1:]
+
+
+def elements_of(deck: list[Card], n_nodes: int) -> dict[str, np.ndarray]:
+    """Node numbers of the elements of each set of plies, (n, n_nodes)."""
+    found: dict[str, list[np.ndarray]] = {}
+    for card in deck:
+        if card.keyword == "ELEMENT" and card.parameters["TYPE"] != "MASS":
+            rows = np.array(card.numbers(), dtype=int).reshape(-1, n_nodes + 1)
+            found.setdefault(card.parameters["ELSET"], []).append(rows[:, 1:])
+    return {name: np.concatenate(rows) for name, rows in found.items()}
+
+
+def with_plate(name: str, **changes: object) -> Specimen:
+    specimen = builtin(name)
+    return replace(specimen, plate=replace(specimen.plate, **changes))
+
+
+def test_each_run_of_plies_has_bricks_of_its_thickness_and_its_axes() -> None:
+    # [(0/90)_8]_s: 32 plies, the two 90s at the midplane are one run.
+    deck = cards(builtin("D2"), "brick")
+    nodes, elements = nodes_of(deck), elements_of(deck, 20)
+    ply = 3.2e-3 / 32
+    heights, angles = [], []
+    for k in range(1, 32):
+        z = nodes[elements[f"PLIES_{k}"] - 1, 2]
+        heights.append(np.ptp(z))
+        section = only(deck, "SOLID SECTION", ELSET=f"PLIES_{k}")
+        axes = only(deck, "ORIENTATION", NAME=section.parameters["ORIENTATION"]).numbers()
+        angles.append(np.rad2deg(np.arctan2(axes[1], axes[0])))
+        assert_allclose(axes[3:5], [-axes[1], axes[0]], atol=1e-12)
+    assert len(elements) == 31
+    assert_allclose(heights, [ply] * 15 + [2 * ply] + [ply] * 15, rtol=1e-9)
+    assert_allclose(angles, [0, 90] * 7 + [0, 90, 0] + [90, 0] * 7, atol=1e-9)
+
+
+@pytest.mark.parametrize("layup", ["[0]", "[0_20]", "[0/90]", "[30_3/-45]"])
+def test_few_runs_of_plies_still_have_four_layers_of_bricks(layup: str) -> None:
+    deck = cards(with_plate("D2", layup=parse_layup(layup)), "brick", in_plane=16)
+    z = np.unique(np.round(nodes_of(deck)[:, 2], 12))
+    # A layer has nodes on its two faces and on its middle.
+    assert len(z) == 2 * 4 + 1
+    assert_allclose([z[0], z[-1]], [-1.6e-3, 1.6e-3])
+
+
+def test_bricks_fill_the_plate_with_middle_nodes_on_their_own_edges() -> None:
+    deck = cards(builtin("D3"), "brick", in_plane=16)
+    nodes = nodes_of(deck)
+    elements = np.concatenate(list(elements_of(deck, 20).values()))
+    xyz = nodes[elements - 1]
+    # Vertices in the order of both programs: bottom face counterclockwise, then the top face.
+    sizes = np.stack([xyz[:, 1] - xyz[:, 0], xyz[:, 3] - xyz[:, 0], xyz[:, 4] - xyz[:, 0]], axis=1)
+    volume = np.linalg.det(sizes)
+    assert np.all(volume > 0.0)
+    assert_allclose(volume.sum(), 0.12 * 0.06 * 0.0035, rtol=1e-9)
+    pairs = [(0, 1), (1, 2), (2, 3), (3, 0), (4, 5), (5, 6), (6, 7), (7, 4)]
+    pairs += [(0, 4), (1, 5), (2, 6), (3, 7)]
+    for node, (a, b) in enumerate(pairs, start=8):
+        assert_allclose(xyz[:, node], (xyz[:, a] + xyz[:, b]) / 2, atol=1e-12)
+    assert set(elements.ravel()) == set(range(1, len(nodes) + 1))
+
+
+def test_shells_lie_in_the_midplane_and_hold_every_run_of_plies() -> None:
+    deck = cards(builtin("D3"), "shell", in_plane=32)
+    nodes = nodes_of(deck)
+    elements = elements_of(deck, 8)["PLIES_1"]
+    xyz = nodes[elements - 1]
+    assert_array_equal(nodes[:, 2], 0.0)
+    assert_allclose(np.cross(xyz[:, 1] - xyz[:, 0], xyz[:, 3] - xyz[:, 0])[:, 2].sum(), 0.12 * 0.06)
+    for node, (a, b) in enumerate([(0, 1), (1, 2), (2, 3), (3, 0)], start=4):
+        assert_allclose(xyz[:, node], (xyz[:, a] + xyz[:, b]) / 2, atol=1e-12)
+    section = only(deck, "SHELL SECTION", ELSET="PLIES_1")
+    assert "COMPOSITE" in section.parameters
+    thicknesses = [float(row.split(",")[0]) for row in section.data]
+    assert len(thicknesses) == 31
+    assert_allclose(sum(thicknesses), 0.0035, rtol=1e-9)
+
+
+def test_plies_are_transversely_isotropic() -> None:
+    deck = cards(builtin("C1"), "brick", in_plane=16)
+    given = only(deck, "ELASTIC", TYPE="ENGINEERING CONSTANTS")
+    E1, E2, E3, nu12, nu13, nu23, G12, G13, G23 = given.numbers()
+    assert (E1, E2, nu12, G12) == (121.2e9, 9.34e9, 0.23, 6.25e9)
+    assert (E3, nu13, G13) == (E2, nu12, G12)
+    # Isotropy across the fibres: E = 2 G (1 + nu).
+    assert_allclose(E2, 2 * G23 * (1 + nu23), rtol=1e-11)
+    assert len(given.data[0].split(",")) == 8
+    assert only(deck, "DENSITY").numbers() == [1590.0]
+
+
+@pytest.mark.parametrize(
+    ("edges", "element", "held"),
+    [
+        ("CFFF", "brick", {"EDGE_X0": {1, 2, 3}}),
+        ("CFFF", "shell", {"EDGE_X0": {1, 2, 3, 4, 5}}),
+        # Simply supported: the displacement along the edge and the turning of a normal along it.
+        ("SFFS", "brick", {"EDGE_X0": {2, 3}, "EDGE_Y1": {1, 3}}),
+        ("SFFS", "shell", {"EDGE_X0": {2, 3, 4}, "EDGE_Y1": {1, 3, 5}}),
+        ("FFFF", "brick", {}),
+    ],
+)
+def test_edges_hold_what_their_condition_says(
+    edges: str, element: Element, held: dict[str, set[int]]
+) -> None:
+    deck = cards(with_plate("D2", edges=edges), element, in_plane=16)
+    found: dict[str, set[int]] = {}
+    for card in deck:
+        if card.keyword == "BOUNDARY":
+            for row in card.data:
+                name, degree = row.split(",")
+                found.setdefault(name, set()).add(int(degree))
+    assert found == held
+    nodes = nodes_of(deck)
+    places = {"EDGE_X0": (0, 0.0), "EDGE_Y1": (1, 0.052)}
+    for name in held:
+        axis, place = places[name]
+        numbers = np.array(only(deck, "NSET", NSET=name).numbers(), dtype=int)
+        assert_array_equal(np.sort(numbers), np.flatnonzero(nodes[:, axis] == place) + 1)
+
+
+@pytest.mark.parametrize(("edges", "rigid"), [("FFFF", 6), ("CFFF", 0), ("SFFF", 3)])
+def test_rigid_body_motions_are_asked_for_beside_the_modes(edges: str, rigid: int) -> None:
+    deck = cards(with_plate("D2", edges=edges), "shell")
+    assert only(deck, "FREQUENCY").numbers() == [N_MODES + rigid]
+
+
+@pytest.mark.parametrize("element", ELEMENTS)
+def test_lines_and_numbers_fit_what_both_programs_read(element: Element) -> None:
+    specimen = with_plate("D2", layup=parse_layup("[12.345/-77.77/30]"), length=1 / 7)
+    for card in cards(specimen, element, in_plane=16):
+        for line in card.data if card.keyword != "HEADING" else []:
+            fields = line.rstrip(",").split(",")
+            assert len(fields) <= 16
+            # CalculiX drops what stands after the 20th character of a number.
+            assert all(len(field.strip()) <= 20 for field in fields)
+            assert len(line) <= 132
+
+
+def test_a_name_of_any_characters_gives_a_heading_of_one_line() -> None:
+    specimen = replace(builtin("C1"), name="*STEP\n*plaque \N{GREEK SMALL LETTER ALPHA}")
+    text = plate_deck(specimen, constants(specimen), "shell", N_MODES).text
+    assert text.splitlines()[1].startswith("Plate *STEP?*plaque ?, layup")
+
+
+@pytest.mark.parametrize("element", ELEMENTS)
+def test_known_masses_sit_on_vertices_at_their_places(element: Element) -> None:
+    places = [(0.0991, 0.0007), (0.1, 0.052), (0.0333, 0.0444)]
+    sensors = tuple(Sensor(1e-3 * (k + 1), *place) for k, place in enumerate(places))
+    deck = cards(replace(builtin("D2"), sensors=sensors), element, in_plane=32)
+    nodes = nodes_of(deck)
+    for k, place in enumerate(places, start=1):
+        number, node = only(deck, "ELEMENT", ELSET=f"SENSOR_{k}").numbers()
+        assert_allclose(nodes[int(node) - 1, :2], place, atol=1e-12)
+        assert nodes[int(node) - 1, 2] == pytest.approx(0.0 if element == "shell" else 1.6e-3)
+        assert only(deck, "MASS", ELSET=f"SENSOR_{k}").numbers() == [1e-3 * k]
+        assert number > sum(len(e) for e in elements_of(deck, 8 if element == "shell" else 20))
+
+
+def test_grid_lines_narrow_towards_edges_and_meet_every_point() -> None:
+    lines = grid_lines(1.0, 10, 0.01, ("C", "F"), [0.001, 0.5, 0.97, 0.5])
+    assert np.all(np.diff(lines) > 0.0)
+    assert (lines[0], lines[-1]) == (0.0, 1.0)
+    assert_allclose(lines[:4], [0.0, 0.001, 0.005, 0.015])
+    assert {0.5, 0.97} <= set(lines)
+
+
+def test_a_thick_plate_has_equal_elements() -> None:
+    assert_allclose(np.diff(grid_lines(1.0, 8, 0.3, ("C", "F"))), 1 / 8)
+
+
+def test_a_written_deck_is_the_text(tmp_path: Path) -> None:
+    specimen = builtin("A2")
+    write_deck(specimen, constants(specimen), "shell", N_MODES, tmp_path / "a.inp")
+    expected = plate_deck(specimen, constants(specimen), "shell", N_MODES).text
+    assert (tmp_path / "a.inp").read_text("ascii") == expected
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"G23": None}, "G23 missing"),
+        ({"E2": 0.0}, "received E1 = 1.212e"),
+        ({"G13": float("nan")}, "positive moduli"),
+        ({"nu12": 1.0}, "positive definite"),
+        ({"nu12": 0.9, "E1": 10e9}, "positive definite"),
+    ],
+)
+def test_constants_of_no_material_are_refused(change: dict[str, float | None], message: str) -> None:
+    specimen = builtin("C1")
+    given = {k: v for k, v in {**constants(specimen), **change}.items() if v is not None}
+    with pytest.raises(ValueError, match=message):
+        plate_deck(specimen, given, "brick", N_MODES)
+
+
+def test_what_has_no_deck_is_refused() -> None:
+    known = constants(builtin("C1"))
+    unknown = with_plate("C1", layup=parse_layup("[(?/?)_2]_s"))
+    with pytest.raises(ValueError, match="2 unknown angles"):
+        plate_deck(unknown, known, "brick", N_MODES)
+    outline = with_plate("C1", mesh=Path("plate.msh"))
+    with pytest.raises(ValueError, match=r"outline from plate\.msh"):
+        plate_deck(outline, known, "brick", N_MODES)
+    with pytest.raises(ValueError, match="element: received 'tube', accepted: shell, brick"):
+        plate_deck(builtin("C1"), known, "tube", N_MODES)  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="number of modes: received 0"):
+        plate_deck(builtin("C1"), known, "brick", 0)
+    many = with_plate("C1", layup=parse_layup("[(0/90)_400]"))
+    with pytest.raises(ValueError, match="800 layers"):
+        plate_deck(many, known, "brick", N_MODES)
+
+
+# Typed by hand after the layout of CalculiX 2.20: a free plate with two deformation modes.
+RESULTS = """
+     E I G E N V A L U E   O U T P U T
+
+ MODE NO    EIGENVALUE                       FREQUENCY
+                                     REAL PART            IMAGINARY PART
+                           (RAD/TIME)      (CYCLES/TIME     (RAD/TIME)
+
+      1  -0.1500000E+00   0.0000000E+00   0.0000000E+00   0.3872983E+00
+      2   0.2000000E-01   0.1414214E+00   0.2250791E-01   0.0000000E+00
+      3   0.3947842E+06   0.6283185E+03   0.1000000E+03   0.0000000E+00
+      4   0.1579137E+07   0.1256637E+04   0.2000000E+03   0.0000000E+00
+
+     P A R T I C I P A T I O N   F A C T O R S
+
+MODE NO.   X-COMPONENT     Y-COMPONENT     Z-COMPONENT     X-ROTATION      Y-ROTATION
+
+      1   0.1000000E+01   0.0000000E+00   0.0000000E+00   0.0000000E+00   0.0000000E+00
+
+                    E I G E N V A L U E    N U M B E R     1
+
+ displacements (vx,vy,vz) for set SURFACES and time  0.1000000E+01
+
+         3  1.000000E+00  2.000000E+00 -3.000000E+00
+         7  4.000000E+00  5.000000E-01  6.000000E+00
+
+                    E I G E N V A L U E    N U M B E R     2
+
+ displacements (vx,vy,vz) for set SURFACES and time  0.1000000E+01
+
+         3  0.000000E+00  0.000000E+00  1.000000E+00
+         7  0.000000E+00  0.000000E+00 -1.000000E+00
+"""
+
+
+def test_eigenvalues_are_read_with_their_signs() -> None:
+    assert_allclose(read_eigenvalues(RESULTS), [-0.15, 0.02, 394784.2, 1579137.0])
+    assert read_eigenvalues("nothing of the kind\n").size == 0
+
+
+def test_displacements_are_read_in_the_order_of_the_nodes() -> None:
+    found = read_displacements(RESULTS, np.array([7, 3]))
+    assert_allclose(found[0], [[4.0, 0.5, 6.0], [1.0, 2.0, -3.0]])
+    assert_allclose(found[1, :, 2], [-1.0, 1.0])
+    with pytest.raises(CalculixError, match="no displacement of node 9"):
+        read_displacements(RESULTS, np.array([9]))
+
+
+@pytest.mark.parametrize("number", ["NaN", "**************"])
+def test_an_eigenvalue_that_is_no_number_is_named(number: str) -> None:
+    with pytest.raises(CalculixError, match="no number for mode 3"):
+        read_eigenvalues(RESULTS.replace("0.3947842E+06", number))
+
+
+def test_rigid_body_motions_are_taken_off_by_their_number() -> None:
+    assert_array_equal(deformation_modes(np.array([5e5, -0.3, 4e5, 0.1]), 2), [2, 0])
+
+
+@pytest.mark.parametrize(
+    ("eigenvalues", "n_rigid"),
+    [
+        ([-0.15, 0.02, 4e5, 1e6], 1),  # a motion too many
+        ([-0.15, 0.02, 4e5, 1e6], 3),  # one too few
+        ([0.02, 4e5, 1e6], 0),
+        ([0.1, -4e5, 1e6], 1),
+        ([0.1], 1),
+    ],
+)
+def test_a_wrong_number_of_rigid_body_motions_is_an_error(eigenvalues: list[float], n_rigid: int) -> None:
+    with pytest.raises(CalculixError, match=f"the edges leave {n_rigid} rigid-body motions"):
+        deformation_modes(np.array(eigenvalues), n_rigid)
+
+
+def program(folder: Path, monkeypatch: pytest.MonkeyPatch, script: str) -> Path:
+    """A program in CalculiX's place, and a deck for it."""
+    path = folder / "my ccx"
+    path.write_text(f"#!/bin/sh\n{script}\n")
+    path.chmod(0o755)
+    monkeypatch.setenv(PROGRAM_VARIABLE, str(path))
+    deck = folder / "deck.inp"
+    deck.write_text("*HEADING\n")
+    return deck
+
+
+def test_a_missing_program_is_a_message_that_says_where_to_get_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.delenv(PROGRAM_VARIABLE, raising=False)
+    specimen = builtin("A2")
+    with pytest.raises(CalculixError, match=r"calculix-ccx; .* CPAM_BAYES_CCX"):
+        solve_modes(specimen, constants(specimen), N_MODES)
+
+
+def test_a_wrong_path_of_the_program_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(PROGRAM_VARIABLE, str(tmp_path / "nowhere"))
+    (tmp_path / "deck.inp").write_text("*HEADING\n")
+    with pytest.raises(CalculixError, match=r"CPAM_BAYES_CCX: received .*nowhere"):
+        run_calculix(tmp_path / "deck.inp", 0)
+
+
+def test_frequencies_come_back_through_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "results").write_text(RESULTS)
+    script = f'test -f plate.inp && cp "{tmp_path / "results"}" plate.dat'
+    deck = program(tmp_path, monkeypatch, script)
+    assert_allclose(run_calculix(deck, 2), [100.0, 200.0], rtol=1e-6)
+
+
+def test_a_failure_shows_the_last_lines_of_the_program(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    deck = program(tmp_path, monkeypatch, "echo '*ERROR reading *NODE'; exit 201")
+    with pytest.raises(CalculixError, match=r"status 201; (?s:.*)\*ERROR reading \*NODE"):
+        run_calculix(deck, 0)
+    deck = program(tmp_path, monkeypatch, "kill -9 $$")
+    with pytest.raises(CalculixError, match="signal 9"):
+        run_calculix(deck, 0)
+
+
+def test_a_run_without_eigenvalues_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    deck = program(tmp_path, monkeypatch, "echo 'no step in this deck'")
+    with pytest.raises(CalculixError, match=r"no eigenvalues; (?s:.*)no step in this deck"):
+        run_calculix(deck, 0)
+
+
+def test_a_run_that_takes_too_long_is_ended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    deck = program(tmp_path, monkeypatch, "exec sleep 60")
+    with pytest.raises(CalculixError, match=r"within 0\.2 s"):
+        run_calculix(deck, 0, timeout=0.2)

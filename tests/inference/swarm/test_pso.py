@@ -1,0 +1,338 @@
+"""The particle swarm: eq. (1), (2), its start, its constraints and the ways it ends."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from numpy.typing import NDArray
+
+from cpam_bayes.inference.swarm.pso import (
+    SwarmProblem,
+    SwarmSettings,
+    SwarmState,
+    confine,
+    initial_swarm,
+    minimise,
+    step_swarm,
+)
+from cpam_bayes.parameters import Parameter, ParameterSet, Uniform
+from cpam_bayes.plate.elasticity import is_admissible
+
+Array = NDArray[np.float64]
+
+# Search box of eq. (8), Pa.
+BOX = {
+    "E1": (10e9, 200e9),
+    "E2": (5e9, 40e9),
+    "nu12": (0.15, 0.4),
+    "G12": (5e9, 30e9),
+    "G23": (2e9, 30e9),
+}
+
+
+def unknowns(names: str, **fixed: float) -> ParameterSet:
+    return ParameterSet(
+        tuple(Parameter(name, "", Uniform(*BOX[name])) for name in names.split()),
+        tuple(fixed.items()),
+    )
+
+
+def everywhere(x: Array) -> NDArray[np.bool_]:
+    return np.ones(len(x), dtype=bool)
+
+
+def sphere(x: Array) -> Array:
+    return np.sum((x - 0.3) ** 2, axis=1)
+
+
+def rosenbrock(x: Array) -> Array:
+    return 100.0 * (x[:, 1] - x[:, 0] ** 2) ** 2 + (1.0 - x[:, 0]) ** 2
+
+
+class Draws:
+    """Stands in for a generator: gives prepared draws in their order."""
+
+    def __init__(self, *draws: Array) -> None:
+        self.draws = list(draws)
+
+    def random(self, shape: tuple[int, ...]) -> Array:
+        draw = self.draws.pop(0)
+        assert draw.shape == shape
+        return draw
+
+
+def search(objective, lower, upper, *, seed=1, feasible=everywhere, progress=None, **settings):
+    rng = np.random.default_rng(seed)
+    chosen = SwarmSettings(**settings)
+    lower, upper = np.asarray(lower, float), np.asarray(upper, float)
+    start = rng.uniform(lower, upper, (chosen.particles, lower.size))
+    return minimise(objective, lower, upper, start, chosen, rng, feasible=feasible, progress=progress)
+
+
+# Known minima. A converged swarm agrees to spread_tolerance = 1e-3 of the box.
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_swarm_finds_the_centre_of_a_sphere(seed: int) -> None:
+    result = search(sphere, [-1.0] * 4, [1.0] * 4, seed=seed)
+    assert result.status == "converged"
+    assert_allclose(result.best, 0.3, atol=2e-3)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_swarm_finds_the_end_of_rosenbrocks_valley(seed: int) -> None:
+    result = search(rosenbrock, [-2.0, -2.0], [2.0, 2.0], seed=seed)
+    assert result.status == "converged"
+    assert_allclose(result.best, 1.0, atol=4e-3)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_swarm_reaches_an_optimum_on_a_bound_exactly(seed: int) -> None:
+    result = search(lambda x: np.sum((x - [1.5, 0.4, -0.5]) ** 2, axis=1), [0.0] * 3, [1.0] * 3, seed=seed)
+    assert result.status == "converged"
+    assert result.best[0] == 1.0
+    assert result.best[2] == 0.0
+    assert_allclose(result.best[1], 0.4, atol=1e-3)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_swarm_does_not_settle_on_a_bound_beside_the_optimum(seed: int) -> None:
+    # Stopping particles on the bound, without a bounce, fails here for some seeds.
+    optimum = np.array([0.999, 0.4, 0.001, 0.4, 0.4])
+    result = search(lambda x: np.sum((x - optimum) ** 2, axis=1), [0.0] * 5, [1.0] * 5, seed=seed)
+    assert_allclose(result.best, optimum, atol=1e-4)
+
+
+def test_scale_of_a_component_does_not_matter() -> None:
+    # Powers of two, so that the scaled run rounds alike.
+    scale = np.array([2.0**40, 2.0**-10])
+    plain = search(rosenbrock, [-2.0, -2.0], [2.0, 2.0])
+    scaled = search(lambda x: rosenbrock(x / scale), -2.0 * scale, 2.0 * scale)
+    assert_array_equal(scaled.best, plain.best * scale)
+
+
+# One step, by hand.
+
+
+def test_one_step_is_eq_1_and_2() -> None:
+    problem = SwarmProblem(sphere, everywhere, np.array([-10.0, -10.0]), np.array([10.0, 10.0]))
+    state = SwarmState(
+        positions=np.array([[1.0, 2.0], [3.0, -1.0]]),
+        velocities=np.array([[0.5, -0.5], [1.0, 0.0]]),
+        personal_bests=np.array([[0.0, 1.0], [2.0, 0.0]]),
+        personal_values=np.array([0.7, 0.2]),
+        history=(0.2,),
+        evaluations=2,
+    )
+    settings = SwarmSettings(particles=2, inertia=0.5, c1=2.0, c2=1.0)
+    r1 = np.array([[0.1, 0.2], [0.3, 0.4]])
+    r2 = np.array([[0.5, 0.6], [0.7, 0.8]])
+
+    after = step_swarm(problem, state, settings, Draws(r1, r2))  # type: ignore[arg-type]
+
+    # v = w v + c1 r1 (p_i - x) + c2 r2 (p_g - x), the second particle leads: p_g = (2, 0)
+    velocities = [
+        [0.25 + 0.2 * (0 - 1) + 0.5 * (2 - 1), -0.25 + 0.4 * (1 - 2) + 0.6 * (0 - 2)],
+        [0.50 + 0.6 * (2 - 3) + 0.7 * (2 - 3), 0.00 + 0.8 * (0 + 1) + 0.8 * (0 + 1)],
+    ]
+    assert_allclose(after.velocities, velocities, rtol=1e-14)
+    assert_allclose(after.positions, [[1.55, 0.15], [2.2, 0.6]], rtol=1e-14)
+    # F = 1.585 and 3.7: neither is better than 0.7 and 0.2
+    assert_array_equal(after.personal_bests, state.personal_bests)
+    assert after.history == (0.2, 0.2)
+    assert after.evaluations == 4
+
+
+def test_a_particle_that_leaves_the_box_is_put_on_its_bound_and_turns() -> None:
+    positions, velocities = confine(
+        np.array([[1.2, 0.5], [-0.1, 1.0]]),
+        np.array([[0.4, 0.1], [-0.2, 0.3]]),
+        np.zeros(2),
+        np.ones(2),
+    )
+    assert_array_equal(positions, [[1.0, 0.5], [0.0, 1.0]])
+    assert_array_equal(velocities, [[-0.2, 0.1], [0.1, 0.3]])
+
+
+# Properties of a run.
+
+
+def test_same_seed_gives_the_same_answer_bit_for_bit() -> None:
+    first, again, other = (search(rosenbrock, [-2.0, -2.0], [2.0, 2.0], seed=seed) for seed in (7, 7, 8))
+    assert_array_equal(first.personal_bests, again.personal_bests)
+    assert_array_equal(first.history, again.history)
+    assert first.value == again.value
+    assert first.value != other.value
+
+
+def test_a_result_is_consistent_with_itself() -> None:
+    seen: list[tuple[int, float]] = []
+    result = search(sphere, [-1.0] * 3, [1.0] * 3, progress=lambda i, value: seen.append((i, value)))
+    assert result.history.shape == (result.iterations + 1,)
+    assert np.all(np.diff(result.history) <= 0.0)
+    assert seen == list(enumerate(result.history))
+    assert result.value == result.history[-1] == result.personal_values.min()
+    assert_array_equal(result.personal_values, sphere(result.personal_bests))
+    assert result.evaluations == 40 * (result.iterations + 1)
+    assert not result.best.flags.writeable
+
+
+def test_the_start_is_not_written_to() -> None:
+    start = np.random.default_rng(0).random((10, 2))
+    before = start.copy()
+    settings = SwarmSettings(iterations=5)
+    rng = np.random.default_rng(0)
+    minimise(sphere, np.zeros(2), np.ones(2), start, settings, rng, feasible=everywhere)
+    assert_array_equal(start, before)
+
+
+def test_a_settled_swarm_converges_and_a_short_budget_is_said() -> None:
+    converged = search(sphere, [-1.0] * 2, [1.0] * 2, iterations=200)
+    assert converged.status == "converged"
+    assert converged.iterations < 200
+    assert "converged" in converged.message
+
+    budget = search(sphere, [-1.0] * 2, [1.0] * 2, iterations=10)
+    assert budget.status == "budget"
+    assert budget.iterations == 10
+    assert "budget of 10 iterations" in budget.message
+
+
+def test_a_plateau_far_from_agreement_is_not_convergence() -> None:
+    result = search(lambda x: np.ones(len(x)), [0.0], [1.0], iterations=60)
+    assert result.status == "budget"
+
+
+def test_interruption_is_passed_on() -> None:
+    def interrupted(iteration: int, value: float) -> None:
+        if iteration == 3:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        search(sphere, [-1.0] * 2, [1.0] * 2, progress=interrupted)
+
+
+# Constraints.
+
+
+def test_infeasible_particles_are_never_evaluated() -> None:
+    calls: list[int] = []
+
+    def half(x: Array) -> NDArray[np.bool_]:
+        return np.asarray(x[:, 0] + x[:, 1] > 1.0)
+
+    def guarded(x: Array) -> Array:
+        assert half(x).all()
+        calls.append(len(x))
+        return np.sum(x**2, axis=1)
+
+    result = search(guarded, [0.0, 0.0], [1.0, 1.0], feasible=half, iterations=300)
+    assert result.evaluations == sum(calls)
+    assert len(calls) <= result.iterations + 1
+    assert result.evaluations < 40 * (result.iterations + 1)
+    # The constrained minimum of x^2 + y^2 is 1/2, in the middle of the line x + y = 1.
+    assert_allclose(result.value, 0.5, atol=1e-3)
+
+
+def test_values_that_are_not_finite_are_penalised() -> None:
+    def failing(x: Array) -> Array:
+        return np.where(x[:, 0] > 0.5, [np.nan], np.where(x[:, 0] < 0.2, -np.inf, x[:, 0]))
+
+    result = search(failing, [0.0], [1.0])
+    assert 0.2 <= result.value < 0.2001
+    assert result.evaluations == 40 * (result.iterations + 1)
+
+
+@pytest.mark.parametrize("isotropic", [False, True])
+@pytest.mark.parametrize("seed", range(10))
+def test_initial_swarm_meets_its_constraints(isotropic: bool, seed: int) -> None:
+    parameters = unknowns("nu12 E1" if isotropic else "E1 E2 nu12 G12 G23")
+    swarm = initial_swarm(parameters, isotropic, 500, np.random.default_rng(seed))
+    assert swarm.shape == (500, parameters.size)
+    assert np.all((swarm >= parameters.lower) & (swarm <= parameters.upper))
+    constants = parameters.mapping(swarm)
+    if not isotropic:
+        assert np.all(constants["E1"] >= constants["E2"])
+        assert np.all(np.abs(constants["nu12"]) <= np.sqrt(constants["E1"] / constants["E2"]))
+        constants |= {"G13": constants["G12"]}
+    assert is_admissible(constants, isotropic).all()
+
+
+def test_initial_swarm_spreads_as_section_5_1_says() -> None:
+    n = 20_000
+    swarm = initial_swarm(unknowns("E1 E2 nu12 G12"), False, n, np.random.default_rng(3))
+    E1, E2, nu12, G12 = swarm.T
+    lower = np.maximum(E2, 10e9)
+    # Each of these is uniform in [0, 1]: mean 1/2 within five standard errors.
+    for u in (
+        (E2 - 5e9) / 35e9,
+        (E1 - lower) / (200e9 - lower),
+        (nu12 - 0.15) / 0.25,
+        (G12 - 5e9) / 25e9,
+    ):
+        assert abs(u.mean() - 0.5) < 5.0 / np.sqrt(12.0 * n)
+
+
+def test_initial_swarm_keeps_to_a_known_modulus() -> None:
+    rng = np.random.default_rng(0)
+    E1 = initial_swarm(unknowns("E1 nu12", E2=38e9), False, 300, rng)[:, 0]
+    assert E1.min() >= 38e9
+    E2 = initial_swarm(unknowns("nu12 E2", E1=12e9), False, 300, rng)[:, 1]
+    assert E2.max() <= 12e9
+
+
+# Errors.
+
+
+def test_no_feasible_particle_is_said() -> None:
+    with pytest.raises(ValueError, match="no feasible particle among the 40"):
+        search(sphere, [0.0], [1.0], feasible=lambda x: np.zeros(len(x), dtype=bool))
+
+
+def test_a_model_that_always_fails_is_said() -> None:
+    with pytest.raises(ValueError, match="none of the 40 feasible particles"):
+        search(lambda x: np.full(len(x), np.nan), [0.0], [1.0])
+
+
+def test_bounds_that_leave_no_room_are_said() -> None:
+    with pytest.raises(ValueError, match="no start value for E1"):
+        initial_swarm(unknowns("E1", E2=300e9), False, 10, np.random.default_rng(0))
+
+
+@pytest.mark.parametrize(
+    ("lower", "upper", "start", "message"),
+    [
+        ([0.0, 2.0], [1.0, 1.0], [[0.5, 0.5]], r"component 1: .*below"),
+        ([0.0, 0.0], [1.0, np.inf], [[0.5, 0.5]], r"component 1: .*finite"),
+        ([0.0, 0.0], [1.0, 1.0], [0.5, 0.5], r"shape \(2,\)"),
+        ([0.0, 0.0], [1.0, 1.0], [[0.5]], r"shape \(1, 1\)"),
+        ([0.0, 0.0], [1.0, 1.0], np.empty((0, 2)), r"shape \(0, 2\)"),
+        ([0.0, 0.0], [1.0, 1.0], [[0.5, 0.5], [0.5, 1.5]], "particle 1 of the start"),
+        ([0.0, 0.0], [1.0, 1.0], [[np.nan, 0.5]], "particle 0 of the start"),
+    ],
+)
+def test_bad_bounds_and_starts_are_refused(lower, upper, start, message: str) -> None:
+    rng = np.random.default_rng(0)
+    with pytest.raises(ValueError, match=message):
+        minimise(
+            sphere,
+            np.array(lower),
+            np.array(upper),
+            np.asarray(start),
+            SwarmSettings(),
+            rng,
+            feasible=everywhere,
+        )
+
+
+def test_an_objective_of_the_wrong_shape_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"objective returned shape \(40, 1\)"):
+        search(lambda x: x[:, :1], [0.0, 0.0], [1.0, 1.0])
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("particles", 0), ("iterations", 0), ("patience", 0), ("inertia", -0.1), ("c1", np.nan)],
+)
+def test_bad_settings_are_refused(name: str, value: float) -> None:
+    with pytest.raises(ValueError, match=f"{name} = .* is not accepted"):
+        SwarmSettings(**{name: value})  # type: ignore[arg-type]

@@ -1,0 +1,108 @@
+"""Pairing of incomplete lists, against enumeration of every pairing."""
+
+from __future__ import annotations
+
+from itertools import combinations
+
+import numpy as np
+import pytest
+
+from cpam_bayes.inference.pairing import (
+    PairingPrior,
+    labelled_log_likelihood,
+    monotone_log_likelihood,
+    most_probable_labelled_pairing,
+    most_probable_pairing,
+)
+
+
+def every_pairing(
+    log_density: np.ndarray, in_range: np.ndarray, span: float, prior: PairingPrior
+) -> list[tuple[float, np.ndarray]]:
+    """Log likelihood and mode numbers of every pairing that keeps the order, one by one."""
+    n, k = log_density.shape
+    found = []
+    for size in range(min(n, k) + 1):
+        for rows in combinations(range(n), size):
+            for columns in combinations(range(k), size):
+                value = sum(
+                    np.log1p(-prior.missed) + log_density[i, j] for i, j in zip(rows, columns, strict=True)
+                )
+                value += np.log(prior.missed) * sum(in_range[j] and j not in columns for j in range(k))
+                value += (n - size) * np.log(prior.spurious / span)
+                mode = np.full(n, -1)
+                mode[list(rows)] = columns
+                found.append((value, mode))
+    return found
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_sum_and_maximum_over_pairings_equal_those_of_an_enumeration(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    n, k = rng.integers(1, 5), rng.integers(1, 6)
+    log_density = 4.0 * rng.normal(size=(n, k)) - 3.0
+    in_range = np.arange(k) < rng.integers(1, k + 1)
+    prior = PairingPrior(rng.uniform(0.01, 0.5), rng.uniform(0.01, 1.0))
+    expected = every_pairing(log_density, in_range, 7.0, prior)
+    values = np.array([v for v, _ in expected])
+    total = np.logaddexp.reduce(values)
+    found = monotone_log_likelihood(log_density[None], in_range[None], 7.0, prior)[0]
+    best = most_probable_pairing(log_density, in_range, 7.0, prior)
+    assert found == pytest.approx(total, abs=1e-10)
+    np.testing.assert_array_equal(best.mode, expected[int(values.argmax())][1])
+    assert best.log_probability == pytest.approx(values.max() - total, abs=1e-10)
+
+
+def test_a_stack_of_parameter_sets_gives_what_each_gives_alone() -> None:
+    rng = np.random.default_rng(0)
+    log_density = rng.normal(size=(5, 4, 6))
+    in_range = rng.uniform(size=(5, 6)) < 0.7
+    together = monotone_log_likelihood(log_density, in_range, 3.0)
+    alone = [
+        monotone_log_likelihood(d[None], r[None], 3.0)[0] for d, r in zip(log_density, in_range, strict=True)
+    ]
+    np.testing.assert_allclose(together, alone, rtol=1e-14)
+
+
+def test_a_missing_mode_is_found_and_named() -> None:
+    modes = np.array([100.0, 300.0, 320.0, 360.0, 400.0])
+    listed = modes[[0, 1, 3]]
+    density = -0.5 * ((listed[:, None] - modes) / 1.0) ** 2
+    best = most_probable_pairing(density, modes <= listed[-1], 360.0)
+    np.testing.assert_array_equal(best.mode, [0, 1, 3])
+    np.testing.assert_array_equal(best.missed, [2])
+
+
+def test_a_spurious_peak_is_left_without_a_mode() -> None:
+    modes = np.array([100.0, 300.0, 400.0])
+    listed = np.array([100.0, 222.0, 300.0, 400.0])
+    density = -0.5 * ((listed[:, None] - modes) / 1.0) ** 2
+    best = most_probable_pairing(density, modes <= listed[-1], 400.0)
+    np.testing.assert_array_equal(best.mode, [0, -1, 1, 2])
+    assert len(best.missed) == 0
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_labelled_frequencies_keep_their_modes_and_the_others_are_summed_over(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    n, k = rng.integers(1, 5), rng.integers(4, 7)
+    labelled = rng.uniform(size=n) < 0.5
+    log_density = 4.0 * rng.normal(size=(n, k)) - 3.0
+    in_range = rng.uniform(size=k) < 0.7
+    prior = PairingPrior(rng.uniform(0.01, 0.5), rng.uniform(0.01, 1.0))
+    own = np.flatnonzero(labelled)
+    rows, columns = np.setdiff1d(np.arange(n), own), np.setdiff1d(np.arange(k), own)
+    fixed = sum(np.log1p(-prior.missed) + log_density[i, i] for i in own)
+    expected = []
+    for value, mode in every_pairing(log_density[np.ix_(rows, columns)], in_range[columns], 7.0, prior):
+        whole = np.arange(n)
+        whole[rows] = np.where(mode >= 0, columns[mode], -1)
+        expected.append((value + fixed, whole))
+    values = np.array([v for v, _ in expected])
+    total = np.logaddexp.reduce(values)
+    found = labelled_log_likelihood(log_density[None], in_range[None], 7.0, labelled, prior)[0]
+    best = most_probable_labelled_pairing(log_density, in_range, 7.0, labelled, prior)
+    assert found == pytest.approx(total, abs=1e-10)
+    np.testing.assert_array_equal(best.mode, expected[int(values.argmax())][1])
+    assert best.log_probability == pytest.approx(values.max() - total, abs=1e-10)
+    assert set(best.missed) == set(columns[in_range[columns]]) - set(best.mode)

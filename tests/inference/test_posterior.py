@@ -1,0 +1,178 @@
+"""Log probability against densities written down by hand, on a model that is linear."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from scipy.stats import norm, t
+
+from cpam_bayes.forward_model.model import Prediction, plate_problem, reference_constants
+from cpam_bayes.inference.posterior import NOISE, NOISE_PRIOR, SolverError, plate_posterior
+from cpam_bayes.mechanics.problem import Problem
+from cpam_bayes.parameters import Parameter, ParameterSet, Uniform
+from cpam_bayes.plate import Measurement, Specimen, read_specimen
+from cpam_bayes.plate.elasticity import CONSTANTS, complete_constants, through_thickness_poisson
+from tests.linear_model import LinearModel, measurement
+
+
+def test_gaussian_log_probability_is_the_sum_of_its_parts() -> None:
+    model = LinearModel()
+    data = measurement(relative_std=0.01, resolution=1.0)
+    error = np.array([1e-3, 2e-3, 1e-3, 3e-3])
+    posterior = plate_posterior(model, data, error)
+    x = np.array([0.3, -0.2])
+    f = model.predict(x[None]).frequencies[0]
+    sigma = np.sqrt((0.01 * data.frequencies) ** 2 + 1 / 12 + (error * f) ** 2)
+    expected = norm.logpdf(data.frequencies, f, sigma).sum() - 2 * np.log(4.0)
+    assert posterior.log_prob(x)[0] == pytest.approx(expected, abs=1e-12)
+
+
+def test_student_t_noise_has_its_density() -> None:
+    model, data = LinearModel(), measurement(relative_std=0.01)
+    posterior = plate_posterior(model, data, np.zeros(4), degrees_of_freedom=4.0)
+    x = np.array([[0.5, 0.5]])
+    f = model.predict(x).frequencies[0]
+    expected = t.logpdf(data.frequencies, 4.0, f, 0.01 * data.frequencies).sum()
+    assert posterior.log_likelihood(x)[0] == pytest.approx(expected, abs=1e-12)
+
+
+def test_noise_that_the_file_leaves_out_is_a_parameter_with_a_prior() -> None:
+    posterior = plate_posterior(LinearModel(), measurement(relative_std=None), np.zeros(4))
+    assert posterior.parameters.names == ("a", "b", NOISE)
+    x = np.array([[0.1, 0.2, 0.02]])
+    f = LinearModel().predict(x[:, :2]).frequencies[0]
+    listed = posterior.measurement.frequencies
+    expected = norm.logpdf(listed, f, 0.02 * listed).sum()
+    expected += NOISE_PRIOR.log_density(0.02) - 2 * np.log(4.0)
+    assert posterior.log_prob(x)[0] == pytest.approx(float(expected), abs=1e-12)
+
+
+def test_outside_the_support_the_model_is_not_asked_and_the_density_is_zero() -> None:
+    @dataclass(frozen=True)
+    class Watched(LinearModel):
+        def predict(self, x: np.ndarray, *, jacobian: bool = False) -> Prediction:
+            assert np.all(np.abs(x) <= 2.0)
+            assert np.all(self.admissible(x))
+            return super().predict(x, jacobian=jacobian)
+
+        def admissible(self, x: np.ndarray) -> np.ndarray:
+            return np.asarray(x.sum(axis=-1) < 2.5)
+
+    posterior = plate_posterior(Watched(), measurement(relative_std=0.01), np.zeros(4))
+    found = posterior.log_prob(np.array([[0.0, 0.0], [9.0, 0.0], [1.9, 1.9], [np.nan, 0.0]]))
+    assert np.isfinite(found[0])
+    np.testing.assert_array_equal(found[1:], -np.inf)
+
+
+def test_a_complete_list_without_its_third_mode_is_far_less_probable_than_an_incomplete_one() -> None:
+    model = LinearModel()
+    truth = model.predict(np.zeros((1, 2))).frequencies[0]
+    kept = np.delete(truth, 2)
+    gaps = Measurement(kept, 0.0, 0.005, None, ("",) * 3, complete=False)
+    full = Measurement(kept, 0.0, 0.005, None, ("",) * 3, complete=True)
+    error = np.zeros(4)
+    x = np.zeros((1, 2))
+    assert plate_posterior(model, gaps, error).log_likelihood(x) > -20.0
+    assert plate_posterior(model, full, error).log_likelihood(x) < -1000.0
+
+
+def test_parameters_of_the_model_keep_their_order() -> None:
+    assert LinearModel().parameters == ParameterSet(
+        (Parameter("a", "", Uniform(-2.0, 2.0)), Parameter("b", "", Uniform(-2.0, 2.0)))
+    )
+
+
+@dataclass(frozen=True)
+class Broken(LinearModel):
+    """A model that gives no number for its second mode where b is above 1."""
+
+    value: float = np.nan
+
+    def predict(self, x: np.ndarray, *, jacobian: bool = False) -> Prediction:
+        f = super().predict(x).frequencies.copy()
+        f[x[:, 1] > 1.0, 1] = self.value
+        return Prediction(f, None)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("complete", [True, False])
+def test_a_frequency_that_is_no_number_is_an_error_with_its_parameters(value: float, complete: bool) -> None:
+    data = measurement(relative_std=None)
+    data = Measurement(data.frequencies, 0.0, None, None, data.labels, complete)
+    posterior = plate_posterior(Broken(value=value), data, np.zeros(4))
+    assert np.isfinite(posterior.log_prob(np.array([0.5, 0.5, 0.01]))[0])
+    with pytest.raises(
+        SolverError, match=rf"returned {value} Hz for mode 2 at a = 0.5, b = 1.5; check"
+    ) as caught:
+        posterior.log_prob(np.array([[0.5, 0.5, 0.01], [0.5, 1.5, 0.01]]))
+    assert isinstance(caught.value, ValueError)
+
+
+def test_a_log_probability_that_is_no_number_is_an_error_with_its_parameters() -> None:
+    posterior = plate_posterior(LinearModel(), measurement(relative_std=0.01), np.full(4, np.nan))
+    with pytest.raises(SolverError, match=r"log probability is not a number at a = 0\.5, b = 0\.25"):
+        posterior.log_prob(np.array([0.5, 0.25]))
+
+
+@dataclass(frozen=True)
+class Unasked:
+    """A plate whose priors and constraints are looked at and whose frequencies are not."""
+
+    problem: Problem
+
+    @property
+    def parameters(self) -> ParameterSet:
+        return self.problem.parameters
+
+    def predict(self, x: np.ndarray, *, jacobian: bool = False) -> Prediction:
+        raise AssertionError("its frequencies are not to be looked at")
+
+    def admissible(self, x: np.ndarray) -> np.ndarray:
+        return self.problem.admissible(self.parameters.mapping(x))
+
+
+def wide(name: str) -> Unasked:
+    """The plate of a built-in specimen with unknowns between bounds that are far too wide."""
+    specimen = read_specimen(name)
+    bounds = {"nu12": Uniform(-1.5, 1.5)}
+    unknowns = specimen.unknowns.parameters
+    parameters = tuple(replace(p, prior=bounds.get(p.name, Uniform(1e8, 2e11))) for p in unknowns)
+    return Unasked(plate_problem(specimen, ParameterSet(parameters)))
+
+
+@pytest.mark.parametrize("name", ["A1", "C1", "D1", "D3"])
+def test_every_set_in_the_support_has_a_positive_definite_stiffness_and_the_others_no_probability(
+    name: str,
+) -> None:
+    specimen, plate = read_specimen(name), wide(name)
+    data = measurement(relative_std=0.01)
+    posterior = plate_posterior(plate, data, np.zeros(4))
+    x = plate.parameters.sample(np.random.default_rng(0), 4000)
+    inside = np.isfinite(posterior.log_prior(x))
+    assert 0.02 < inside.mean() < 0.98
+    stiffness = plate.problem.state(plate.parameters.mapping(x[inside])).stiffness()
+    # to a diagonal of ones: the entries in SI differ by 1e9
+    scale = np.sqrt(np.einsum("...ii->...i", stiffness))
+    scaled = stiffness / scale[..., :, None] / scale[..., None, :]
+    assert np.linalg.eigvalsh(scaled).min() > 0.0
+    least = least_eigenvalue_of_the_ply(specimen, plate, x)
+    assert least[inside].min() > 0.0
+    assert np.all(np.isneginf(posterior.log_prob(x[least <= 0.0])))
+    assert (least <= 0.0).sum() > 100
+
+
+def least_eigenvalue_of_the_ply(specimen: Specimen, plate: Unasked, x: np.ndarray) -> np.ndarray:
+    """Of the scaled compliance of a transversely isotropic ply in three dimensions, (m,)."""
+    values = plate.parameters.mapping(x)
+    given = {k: v for k, v in reference_constants(specimen).items() if k in specimen.material.constants}
+    constants = complete_constants(given | values, specimen.material.isotropic)
+    e1, e2, nu12 = (np.broadcast_to(constants[k], len(x)) for k in CONSTANTS[:3])
+    nu23 = nu12 if specimen.material.isotropic else through_thickness_poisson(e1, e2, nu12)
+    off = -nu12 * np.sqrt(e2 / e1)
+    matrix = np.empty((len(x), 3, 3))
+    matrix[:, [0, 1, 2], [0, 1, 2]] = 1.0
+    matrix[:, 0, 1] = matrix[:, 1, 0] = matrix[:, 0, 2] = matrix[:, 2, 0] = off
+    matrix[:, 1, 2] = matrix[:, 2, 1] = -nu23
+    return np.linalg.eigvalsh(matrix)[:, 0]

@@ -1,0 +1,343 @@
+"""The error that is printed beside a frequency: true, and not uselessly large."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+import pytest
+
+from cpam_bayes.forward_model.model import (
+    PlateModel,
+    converged_model,
+    convergence_samples,
+    discretisation_error,
+    plate_problem,
+)
+from cpam_bayes.mechanics.affine import discretise_at
+from cpam_bayes.mechanics.convergence import (
+    THICK,
+    THIN,
+    ConvergedOperator,
+    Tolerance,
+    converge,
+    default_tolerance,
+    rich_frequencies,
+)
+from cpam_bayes.mechanics.modes import solve
+from cpam_bayes.mechanics.problem import AREA, Field, Problem, Values
+from cpam_bayes.mechanics.spaces.ritz import RitzSettings, RitzSpace, ritz_space
+from cpam_bayes.plate import read_specimen
+from tests.mechanics.test_closed_forms import CONVERGED_HZ
+from tests.plates import ANGLE_PLY_16S, CARBON, CROSS_PLY_16S, GLASS, plate
+
+ALUMINIUM = {"E1": 69e9, "nu12": 0.33}
+# The least that an estimate is asked to tell: frequencies are printed with five or six digits.
+DIGITS = 1e-6
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """A plate, its number of modes and the error that is promised for it."""
+
+    problem: Callable[[], Problem]
+    n_modes: int
+    promised: float
+
+
+CASES = {
+    "C1": Case(lambda: plate(0.26, 0.26, 0.0032, 1590.0, CARBON, CROSS_PLY_16S), 6, 2e-4),
+    "D1": Case(lambda: plate(0.101, 0.053, 0.0035, 1550.0, CARBON | {"G23": 3.0e9}, (0.0,) * 20), 10, 5e-4),
+    "A2": Case(lambda: plate(0.25, 0.28, 0.003, 2700.0, ALUMINIUM, (0.0,), "CFFF"), 6, 2e-4),
+    "angle-ply": Case(lambda: plate(0.2, 0.16, 0.002, 1590.0, GLASS, ANGLE_PLY_16S), 6, 2e-4),
+    "off-axis": Case(lambda: plate(0.3, 0.2, 0.003, 1590.0, CARBON, (20.0,)), 6, 2e-4),
+    "clamped": Case(lambda: plate(0.3, 0.2, 0.003, 1590.0, CARBON, CROSS_PLY_16S, "CCCC"), 6, 2e-4),
+}
+cases = pytest.mark.parametrize("name", CASES)
+
+
+@cache
+def converged(name: str) -> ConvergedOperator:
+    case = CASES[name]
+    return converge(case.problem(), {}, case.n_modes)
+
+
+def frequencies(found: ConvergedOperator, n_modes: int) -> np.ndarray:
+    operator = found.operator
+    return np.asarray(solve(operator, *operator.coefficients({}), n_modes).frequencies[0])
+
+
+def richer(problem: Problem, n_modes: int, samples: Values | None = None, degree: int = 18) -> np.ndarray:
+    """Frequencies of a space far beyond any that is chosen, with three exponentials at each edge."""
+    settings = RitzSettings(degree, degree, 3, True, 3 if "C" in problem.edges else 0)
+    operator = discretise_at(problem, ritz_space(problem.edges, problem.nominal, settings), samples or {})
+    eye = np.eye(len(operator.blocks[0].stiffness.active))
+    return np.asarray(solve(operator, eye, eye, n_modes).frequencies)
+
+
+@cache
+def true_error(name: str) -> np.ndarray:
+    case = CASES[name]
+    exact = richer(case.problem(), case.n_modes)[0]
+    return np.asarray(frequencies(converged(name), case.n_modes) / exact - 1.0)
+
+
+# The estimate
+
+
+@cases
+def test_true_error_is_below_the_estimate(name: str) -> None:
+    assert np.all(true_error(name) <= converged(name).error + DIGITS)
+
+
+@cases
+def test_estimate_is_not_uselessly_large(name: str) -> None:
+    assert np.all(converged(name).error <= np.maximum(20.0 * true_error(name), 2e-4))
+
+
+@cases
+def test_error_is_within_what_is_promised(name: str) -> None:
+    case = CASES[name]
+    assert np.max(true_error(name)) < case.promised
+    assert np.max(converged(name).error) < case.promised
+
+
+@cases
+def test_frequencies_come_from_above(name: str) -> None:
+    # a Ritz space inside a larger one; rounding is 1e-16 of the range of K, up to 1e-7 of a frequency
+    assert np.all(true_error(name) > -1e-7)
+
+
+@pytest.mark.parametrize("name", CONVERGED_HZ)
+def test_estimate_holds_against_an_independent_program(name: str) -> None:
+    # the references are printed with six digits, of which the last is worth up to 5e-6
+    found = frequencies(converged(name), CASES[name].n_modes)
+    assert np.all(np.abs(found / CONVERGED_HZ[name] - 1.0) <= converged(name).error + 5e-6)
+
+
+# [30/-45/90] from two bases that carry exponentials in u and v also: they agree to 1e-7
+UNSYMMETRIC_HZ = [105.867349, 135.576120, 262.894270, 333.431377, 356.497744, 438.422519]
+
+
+@cache
+def unsymmetric() -> ConvergedOperator:
+    return converge(plate(0.3, 0.2, 0.003, 1590.0, CARBON, (30.0, -45.0, 90.0)), {}, 6)
+
+
+@pytest.mark.slow
+def test_thin_unsymmetric_plate_is_within_what_is_promised() -> None:
+    np.testing.assert_allclose(frequencies(unsymmetric(), 6), UNSYMMETRIC_HZ, rtol=2e-4)
+
+
+def test_estimate_holds_for_a_thin_unsymmetric_plate() -> None:
+    error = frequencies(unsymmetric(), 6) / UNSYMMETRIC_HZ - 1.0
+    assert np.all(error <= unsymmetric().error + DIGITS)
+
+
+# The tolerance
+
+
+@cache
+def c1_within(kept: float) -> ConvergedOperator:
+    return converge(CASES["C1"].problem(), {}, 6, Tolerance(kept=kept, rich=kept / 4))
+
+
+@pytest.mark.parametrize("kept", [1e-3, 1e-5])
+def test_tolerance_is_kept_and_no_better_than_needed(kept: float) -> None:
+    error = frequencies(c1_within(kept), 6) / richer(CASES["C1"].problem(), 6)[0] - 1.0
+    # the rich space itself may lack a quarter in x, in y and in the exponentials
+    assert np.max(error) < 1.75 * kept
+    assert np.max(error) > kept / 50, "a far smaller space would have done"
+    assert np.all(error <= c1_within(kept).error + DIGITS)
+
+
+def test_a_looser_tolerance_takes_fewer_trial_functions() -> None:
+    loose, usual, tight = (c.keep.sum() for c in (c1_within(1e-3), converged("C1"), c1_within(1e-5)))
+    assert loose < usual < tight
+
+
+def test_space_that_may_not_grow_says_how_far_off_it_is() -> None:
+    problem = CASES["D1"].problem()
+    found = converge(problem, {}, 10, Tolerance(kept=1e-8, rich=1e-8, largest_degree=10))
+    error = frequencies(found, 10) / richer(problem, 10)[0] - 1.0
+    assert np.max(error) > 1e-7
+    assert np.max(found.error) > 1e-7
+    assert np.all(error <= found.error + DIGITS)
+
+
+def test_thickness_decides_the_tolerance() -> None:
+    assert default_tolerance(CASES["C1"].problem()) is THIN
+    assert default_tolerance(CASES["D1"].problem()) is THICK
+    assert THIN.kept + THIN.rich < 2e-4
+    assert THICK.kept + THICK.rich < 5e-4
+
+
+def test_rich_frequencies_are_those_that_the_estimate_refers_to() -> None:
+    case = CASES["C1"]
+    rich = rich_frequencies(case.problem(), {}, case.n_modes)
+    error = rich.frequencies / richer(case.problem(), case.n_modes) - 1.0
+    assert rich.frequencies.shape == rich.error.shape == (1, 6)
+    assert np.all(error <= rich.error + DIGITS)
+    assert np.max(error) < THIN.rich
+
+
+# Rigid-body motions and many modes
+
+
+def residual_of_motion(space: RitzSpace, field: Field, motion: Callable[[np.ndarray], np.ndarray]) -> float:
+    """How far a field is from a motion (n, 2) -> (n,), at the quadrature points."""
+    rule = space.quadrature(AREA)
+    values = space.evaluate(field, rule, "")
+    wanted = motion(rule.points)
+    found = values @ np.linalg.lstsq(values, wanted, rcond=None)[0]
+    return float(np.abs(found - wanted).max())
+
+
+def one(points: np.ndarray) -> np.ndarray:
+    return np.ones(len(points))
+
+
+def along_x(points: np.ndarray) -> np.ndarray:
+    return np.asarray(points[:, 0])
+
+
+def along_y(points: np.ndarray) -> np.ndarray:
+    return np.asarray(points[:, 1])
+
+
+@pytest.mark.parametrize("name", ["C1", "D1", "angle-ply"])
+def test_trimmed_space_of_a_free_plate_moves_as_a_rigid_body(name: str) -> None:
+    space = converged(name).operator.space
+    motions: list[tuple[Field, Callable[[np.ndarray], np.ndarray]]] = [
+        ("u", one),
+        ("u", along_y),
+        ("v", one),
+        ("v", along_x),
+        ("w", one),
+        ("w", along_x),
+        ("w", along_y),
+        ("phi_x", one),
+        ("phi_y", one),
+    ]
+    for field, motion in motions:
+        assert residual_of_motion(space, field, motion) < 1e-10
+
+
+def test_trimmed_space_of_a_hinged_plate_turns_about_its_hinge() -> None:
+    found = converge(plate(0.26, 0.26, 0.0032, 1590.0, CARBON, CROSS_PLY_16S, "SFFF"), {}, 6)
+    motions: list[tuple[Field, Callable[[np.ndarray], np.ndarray]]] = [
+        ("u", one),
+        ("u", along_y),
+        ("v", along_x),
+        ("w", along_x),
+        ("phi_x", one),
+    ]
+    for field, motion in motions:
+        assert residual_of_motion(found.operator.space, field, motion) < 1e-10
+    spectrum = solve(found.operator, *found.operator.coefficients({}), 6)
+    assert spectrum.rigid.shape == (1, 3)
+    assert np.abs(spectrum.rigid).max() < 1e-6 * spectrum.eigenvalues[0, 0]
+
+
+def test_trimming_leaves_functions_out_and_never_raises_the_error_above_tolerance() -> None:
+    found = converged("C1")
+    assert 0.3 < found.keep.mean() < 1.0
+    assert sum(b.size for b in found.operator.blocks) == found.keep.sum()
+    assert sum(s.size for s in found.operator.space.sectors) == found.keep.sum()
+
+
+@pytest.mark.slow
+def test_thirty_modes_of_a_thin_plate_are_converged_together() -> None:
+    problem = CASES["C1"].problem()
+    found = converge(problem, {}, 30)
+    error = frequencies(found, 30) / richer(problem, 30)[0] - 1.0
+    assert np.max(error) < 2e-4
+    assert np.all(error <= found.error + DIGITS)
+    np.testing.assert_allclose(frequencies(found, 30)[:6], frequencies(converged("C1"), 6), rtol=1e-4)
+
+
+# Models of specimens
+
+
+@cache
+def c1() -> PlateModel:
+    specimen = read_specimen("C1")
+    return converged_model(specimen, specimen.unknowns, 6)
+
+
+def test_model_keeps_its_estimate_about_the_reference_constants() -> None:
+    specimen, model = read_specimen("C1"), c1()
+    problem = plate_problem(specimen, specimen.unknowns)
+    names = model.parameters.names
+    reference = np.array([specimen.material.constants[n] for n in names])
+    rng = np.random.default_rng(4)
+    x = reference * (1 + 0.3 * rng.uniform(-1, 1, (6, len(names))))
+    x = x[model.admissible(x)]
+    exact = richer(problem, 6, model.parameters.mapping(x), degree=15)
+    error = model.predict(x).frequencies / exact - 1.0
+    assert np.max(error) < 2e-4
+    # the estimate is the largest over three neighbours, not over all
+    assert np.all(error < 1.5 * model.error + DIGITS)
+    at_reference = model.predict(reference).frequencies
+    exact = richer(problem, 6, model.parameters.mapping(reference[None]))
+    assert np.all(at_reference / exact - 1.0 <= model.error + DIGITS)
+
+
+def test_far_from_the_centre_the_error_stays_within_its_allowance() -> None:
+    specimen, model = read_specimen("C1"), c1()
+    problem = plate_problem(specimen, specimen.unknowns)
+    samples = convergence_samples(specimen, problem)
+    exact = richer(problem, 6, model.parameters.mapping(samples.x), degree=15)
+    error = (model.predict(samples.x).frequencies / exact - 1.0).max(axis=1)
+    assert set(samples.allowance) == {1.0, 20.0}
+    assert np.all(error <= samples.allowance * (THIN.kept + THIN.rich))
+    assert np.all(model.admissible(samples.x))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "n_modes"), [("C3", 6), ("D1", 10)])
+def test_no_sample_is_left_behind_when_the_hardest_one_is_converged(name: str, n_modes: int) -> None:
+    specimen = read_specimen(name)
+    problem = plate_problem(specimen, specimen.unknowns)
+    samples = convergence_samples(specimen, problem)
+    values, tolerance = specimen.unknowns.mapping(samples.x), default_tolerance(problem)
+    found = converge(problem, values, n_modes, tolerance, samples.allowance)
+    exact = rich_frequencies(problem, values, n_modes, tolerance)
+    own = solve(found.operator, *found.operator.coefficients(values), n_modes).frequencies
+    error = (own / exact.frequencies - 1.0).max(axis=1)
+    # what it is compared with here is a little richer than what it was converged against
+    assert np.all(error <= 1.1 * samples.allowance * tolerance.kept)
+
+
+def at_corner_of_the_box(model: PlateModel) -> np.ndarray:
+    """All moduli but E1 at their lower bounds: far from the centre and slow to converge."""
+    names, parameters = model.parameters.names, model.parameters
+    high = np.array([name in ("E1", "nu12") for name in names])
+    return np.where(high, parameters.upper, parameters.lower)
+
+
+def test_discretisation_error_far_from_the_centre_is_near_the_true_one() -> None:
+    model = c1()
+    x = at_corner_of_the_box(model)
+    estimate = discretisation_error(model, x)
+    exact = richer(model.operator.problem, 6, model.parameters.mapping(x[None]))
+    error = (model.predict(x).frequencies / exact - 1.0)[0]
+    np.testing.assert_allclose(estimate, error, rtol=0.1, atol=THIN.rich)
+
+
+def test_discretisation_error_far_from_the_centre_bounds_the_true_one() -> None:
+    model = c1()
+    x = at_corner_of_the_box(model)
+    exact = richer(model.operator.problem, 6, model.parameters.mapping(x[None]))
+    error = (model.predict(x).frequencies / exact - 1.0)[0]
+    assert np.all(error <= discretisation_error(model, x) + DIGITS)
+
+
+def test_convergence_is_the_same_on_every_run() -> None:
+    specimen = read_specimen("C1")
+    again = converged_model(specimen, specimen.unknowns, 6)
+    np.testing.assert_array_equal(again.error, c1().error)
+    x = 0.5 * (c1().parameters.lower + c1().parameters.upper)
+    np.testing.assert_array_equal(again.predict(x).frequencies, c1().predict(x).frequencies)

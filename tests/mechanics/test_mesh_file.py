@@ -1,0 +1,272 @@
+"""Meshes from files: what is read, and what is said of those that cannot be used."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cpam_bayes.mechanics.spaces.mesh_file import read_mesh
+from tests.meshes import Quads, grid, rectangle
+
+MM = (1 / 40.0, 1 / 20.0)  # a plate of 40 x 20
+EDGES = ("x0", "y0", "x1", "y1")
+
+# As Gmsh 4.15 writes a 40 x 20 rectangle of two cells with named sides.
+GMSH_41 = """$MeshFormat
+4.1 0 8
+$EndMeshFormat
+$PhysicalNames
+5
+1 1 "y0"
+1 2 "x1"
+1 3 "y1"
+1 4 "x0"
+2 5 "plate"
+$EndPhysicalNames
+$Entities
+4 4 1 0
+1 0 0 0 0
+2 40 0 0 0
+3 40 20 0 0
+4 0 20 0 0
+1 0 0 0 40 0 0 1 1 2 1 -2
+2 40 0 0 40 20 0 1 2 2 2 -3
+3 0 20 0 40 20 0 1 3 2 3 -4
+4 0 0 0 0 20 0 1 4 2 4 -1
+1 0 0 0 40 20 0 1 5 4 1 2 3 4
+$EndEntities
+$Nodes
+9 6 1 6
+0 1 0 1
+1
+0 0 0
+0 2 0 1
+2
+40 0 0
+0 3 0 1
+3
+40 20 0
+0 4 0 1
+4
+0 20 0
+1 1 0 1
+5
+20 0 0
+1 2 0 0
+1 3 0 1
+6
+20 20 0
+1 4 0 0
+2 1 0 0
+$EndNodes
+$Elements
+5 8 1 8
+1 1 1 2
+1 1 5
+2 5 2
+1 2 1 1
+3 2 3
+1 3 1 2
+4 3 6
+5 6 4
+1 4 1 1
+6 4 1
+2 1 3 2
+7 1 5 6 4
+8 5 2 3 6
+$EndElements
+"""
+
+
+def test_format_41_with_its_named_sides_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "plate.msh"
+    path.write_text(GMSH_41)
+    mesh, named = read_mesh(path, MM, EDGES)
+    assert mesh.nelements == 2
+    np.testing.assert_allclose(mesh.p.max(axis=1), 1.0)
+    for name, facets in named.items():
+        ends = mesh.p[:, mesh.facets[:, facets]]["xy".index(name[0])]
+        np.testing.assert_allclose(ends, float(name[1]), err_msg=name)
+
+
+@pytest.mark.parametrize("binary", [False, True], ids=["text", "binary"])
+@pytest.mark.parametrize("nodes", [4, 8, 9])
+def test_cells_of_4_8_and_9_nodes_are_read(tmp_path: Path, nodes: int, binary: bool) -> None:
+    quads = rectangle(40.0, 20.0, 3, 2, order=1 if nodes == 4 else 2)
+    quads = replace(quads, cells=quads.cells[:, :nodes])
+    mesh, named = read_mesh(quads.write(tmp_path / "plate.msh", binary=binary), MM, EDGES)
+    assert (mesh.nelements, mesh.nfacets) == (6, 17)
+    assert {k: len(v) for k, v in named.items()} == {"x0": 2, "x1": 2, "y0": 3, "y1": 3}
+    # the middle node of an 8-node cell is left over: nothing may hang on it
+    assert mesh.doflocs.shape[1] == (12 if nodes == 4 else 35)
+
+
+def test_clockwise_cells_are_turned(tmp_path: Path) -> None:
+    quads = rectangle(40.0, 20.0, 2, 2)
+    cells = quads.cells.copy()
+    cells[1] = cells[1, ::-1]
+    path = replace(quads, cells=cells).write(tmp_path / "plate.msh")
+    mesh, _ = read_mesh(path, MM, EDGES)
+    straight, _ = read_mesh(quads.write(path), MM, EDGES)
+    area = [np.linalg.det(np.moveaxis(m.mapping().DF(np.full((2, 1), 0.5)), (0, 1), (-2, -1)))
+            for m in (mesh, straight)]  # fmt: skip
+    np.testing.assert_allclose(*area)
+
+
+def _pieces(gap: float) -> Quads:
+    one = rectangle(20.0, 20.0, 2, 2)
+    n = len(one.points)
+    other = one.points + np.array([20.0 + gap, 0.0, 0.0])
+    return Quads(np.concatenate((one.points, other)), np.concatenate((one.cells, one.cells + n)), {})
+
+
+def _folded() -> Quads:
+    quads = rectangle(40.0, 20.0, 2, 2)
+    points = quads.points.copy()
+    points[4] = [39.0, 19.0, 0.0]  # the middle node, beyond the diagonal of a cell
+    return replace(quads, points=points)
+
+
+def _bow_tie() -> Quads:
+    quads = rectangle(40.0, 20.0, 2, 2)
+    return replace(quads, cells=quads.cells[:, [0, 2, 1, 3]])
+
+
+def _overlapping() -> Quads:
+    quads = rectangle(40.0, 20.0, 2, 1)
+    points = np.concatenate((quads.points, [[35.0, 0.0, 0.0], [35.0, 18.0, 0.0]]))
+    more = [[quads.cells[0, 3], quads.cells[0, 0], 6, 7]]
+    return replace(quads, points=points, cells=np.concatenate((quads.cells, more)))
+
+
+def _unshared_middles() -> Quads:
+    quads = rectangle(40.0, 20.0, 2, 1, order=2)
+    cells = quads.cells[:, :8].copy()
+    shared = np.intersect1d(cells[0, 4:], cells[1, 4:])
+    points = np.concatenate((quads.points, quads.points[shared]))
+    cells[1][cells[1] == shared[0]] = len(quads.points)
+    return replace(quads, points=points, cells=cells)
+
+
+def _inner_line() -> Quads:
+    quads = rectangle(40.0, 20.0, 2, 2)
+    return replace(quads, lines={"x0": np.array([[1, 4]])})
+
+
+def _moved(**points: float) -> Quads:
+    quads = rectangle(40.0, 20.0, 2, 2)
+    moved = quads.points.copy()
+    moved[4, 2] = points.get("z", 0.0)
+    moved[4, 0] = points.get("x", moved[4, 0])
+    return replace(quads, points=moved * points.get("scale", 1.0))
+
+
+@pytest.mark.parametrize(
+    ("quads", "says"),
+    [
+        (_pieces(1.0), "2 pieces that share no side; merge coincident nodes"),
+        (_pieces(0.0), "2 pieces that share no side"),
+        (_folded(), r"cells are folded or without area, the first around"),
+        (_bow_tie(), "4 cells are folded"),
+        (_overlapping(), "cells overlap"),
+        (_unshared_middles(), "neighbours must share the nodes in the middle"),
+        (_inner_line(), r"1 of 1 lines of 'x0' are no sides of the plate's boundary"),
+        (rectangle(40.0, 20.0, 2, 2).without("y0"), r"\['y0'\] are held.*\['x0', 'x1', 'y1'\]"),
+        (_moved(z=3.0), "z varies by 3; accepted: a flat plate"),
+        (_moved(x=np.nan), "not finite"),
+        (_moved(scale=1e-3), r"extends over 0.04 x 0.02, the plate over 40 x 20 in the same unit"),
+        (_moved(scale=25.4), "check the mesh's unit"),
+    ],
+    ids=[
+        "pieces", "unmerged", "folded", "bow-tie", "overlapping", "middles", "inner-line",
+        "missing-edge", "not-flat", "nan", "metres", "inches",
+    ],
+)  # fmt: skip
+def test_a_mesh_that_is_no_plate_is_refused(tmp_path: Path, quads: Quads, says: str) -> None:
+    path = quads.write(tmp_path / "plate.msh")
+    with pytest.raises(ValueError, match=says) as caught:
+        read_mesh(path, MM, ("y0",))
+    assert str(caught.value).startswith(f"mesh {path}: ")
+
+
+CELLS = """$MeshFormat
+2.2 0 8
+$EndMeshFormat
+$Nodes
+5
+1 0 0 0
+2 20 0 0
+3 20 20 0
+4 0 20 0
+5 40 10 0
+$EndNodes
+$Elements
+{}
+$EndElements
+"""
+
+
+@pytest.mark.parametrize(
+    ("elements", "says"),
+    [
+        ("2\n1 2 2 1 1 1 2 3\n2 2 2 1 1 1 3 4", "it has 2 triangle; .*recombine"),
+        ("2\n1 3 2 1 1 1 2 3 4\n2 2 2 1 1 2 5 3", "it has 1 quad, 1 triangle; "),
+        ("1\n1 1 2 1 1 1 2", "it has no cells of a surface; "),
+    ],
+    ids=["triangles", "mixed", "lines"],
+)
+def test_other_cells_are_refused(tmp_path: Path, elements: str, says: str) -> None:
+    path = tmp_path / "plate.msh"
+    path.write_text(CELLS.format(elements))
+    with pytest.raises(ValueError, match=says):
+        read_mesh(path, MM, ())
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"",
+        b"\x00\xff\xfe" * 100,
+        b"solid cube\nfacet normal",
+        b"$MeshFormat\n9.9 0 8\n$EndMeshFormat\n",
+        b"$MeshFormat\n2.2 0 8\n$EndMeshFormat\n$Nodes\nthree\n",
+        GMSH_41[: len(GMSH_41) // 2].encode(),
+        GMSH_41.replace("7 1 5 6 4", "7 1 5 6").encode(),
+        GMSH_41.replace("2 1 3 2\n7", "2 1 777 2\n7").encode(),
+    ],
+    ids=["empty", "binary", "other", "version", "number", "cut", "short", "kind"],
+)
+def test_a_damaged_file_is_refused(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "plate.msh"
+    path.write_bytes(content)
+    with pytest.raises(ValueError, match=r"plate.msh: .*accepted: Gmsh format 2.2 or 4.1"):
+        read_mesh(path, MM, ())
+
+
+def test_a_missing_file_and_a_directory_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"plate.msh: No such file"):
+        read_mesh(tmp_path / "plate.msh", MM, ())
+    with pytest.raises(ValueError, match="directory"):
+        read_mesh(tmp_path, MM, ())
+
+
+def test_a_missing_meshio_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = rectangle(40.0, 20.0, 2, 2).write(tmp_path / "plate.msh")
+    monkeypatch.setitem(sys.modules, "meshio", None)
+    with pytest.raises(ValueError, match="needs meshio; install it with the extra 'mesh'"):
+        read_mesh(path, MM, ())
+
+
+def test_a_hole_is_boundary_too(tmp_path: Path) -> None:
+    def ring(r: np.ndarray, a: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        radius = 3.0 + 7.0 * r
+        return 20 + 2 * radius * np.cos(2 * np.pi * a), 10 + radius * np.sin(2 * np.pi * a)
+
+    quads = grid(np.linspace(0, 1, 3), np.linspace(0, 1, 13), ring, closed=True).without("y0", "y1")
+    mesh, named = read_mesh(quads.write(tmp_path / "plate.msh"), MM, ("x0",))
+    assert len(mesh.boundary_facets()) == 24
+    assert len(named["x0"]) == 12

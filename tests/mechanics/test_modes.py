@@ -1,0 +1,433 @@
+"""Eigenpairs: derivatives, energies, normalisation, rigid-body count, tracking, kinds and labels."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from cpam_bayes.forward_model.model import (
+    NO_PARAMETERS,
+    PlateModel,
+    angle_parameters,
+    converged_model,
+    plate_problem,
+    training_sets,
+)
+from cpam_bayes.mechanics.affine import _LARGE, AffineOperator, discretise
+from cpam_bayes.mechanics.modes import (
+    RigidBodyError,
+    eigenvalue_derivatives,
+    energy_terms,
+    modal_assurance,
+    solve,
+    track_modes,
+)
+from cpam_bayes.mechanics.problem import PlateState, Problem, Values, bare_plate
+from cpam_bayes.mechanics.shapes import Mode, describe_modes
+from cpam_bayes.mechanics.spaces.ritz import RitzSettings, ritz_space
+from cpam_bayes.parameters import Parameter, ParameterSet, Uniform
+from cpam_bayes.plate import Specimen, parse_specimen, read_specimen
+from cpam_bayes.plate.elasticity import complete_constants
+from tests.mechanics.test_closed_forms import navier
+from tests.plates import CARBON, plate
+
+ISOTROPIC = {"E1": 70e9, "nu12": 0.3}
+
+
+def custom(layup: str, edges: str, thickness_mm: float, g23: bool = False) -> Specimen:
+    """A carbon plate of 300 by 200 mm; four constants unknown, five with G23."""
+    text = f"""
+        name = "custom"
+        [plate]
+        length_mm = 300.0
+        width_mm = 200.0
+        thickness_mm = {thickness_mm}
+        density_kg_m3 = 1600.0
+        layup = "{layup}"
+        edges = "{edges}"
+        [material]
+        isotropic = false
+        E1_GPa = 121.2
+        E2_GPa = 9.34
+        nu12 = 0.23
+        G12_GPa = 6.25
+        G23_GPa = 3.0
+        [unknowns]
+        E1_GPa = [10.0, 200.0]
+        E2_GPa = [5.0, 40.0]
+        nu12 = [0.15, 0.4]
+        G12_GPa = [5.0, 30.0]
+    """
+    return parse_specimen(text + ("        G23_GPa = [2.0, 30.0]\n" if g23 else ""), "custom")
+
+
+def on_fixed_basis(specimen: Specimen, n_modes: int) -> PlateModel:
+    """A model in all unknowns on a small basis: what is tested here holds on any."""
+    parameters = specimen.unknowns.union(angle_parameters(specimen))
+    problem = plate_problem(specimen, parameters)
+    x = training_sets(problem, 8, np.random.default_rng(0))
+    space = ritz_space(problem.edges, problem.nominal, RitzSettings(6, 6))
+    return PlateModel(discretise(problem, space, parameters.mapping(x)), n_modes, np.zeros(n_modes))
+
+
+def converged(name: str, n_modes: int) -> PlateModel:
+    specimen = read_specimen(name)
+    return converged_model(specimen, specimen.unknowns, n_modes)
+
+
+MODELS: dict[str, Callable[[], PlateModel]] = {
+    "C1": lambda: converged("C1", 6),
+    "D1": lambda: converged("D1", 10),
+    "D&G": lambda: converged("D&G", 6),
+    "unsymmetric": lambda: on_fixed_basis(custom("[0/90]_T", "FFFF", 10.0), 8),
+    "unsymmetric-oblique": lambda: on_fixed_basis(custom("[30/?/0]_T", "CFFF", 10.0), 6),
+    "thick-clamped": lambda: on_fixed_basis(custom("[(0/90)_2]_s", "CCCC", 30.0, g23=True), 6),
+}
+specimens = pytest.mark.parametrize("name", MODELS)
+
+
+@cache
+def model(name: str) -> PlateModel:
+    return MODELS[name]()
+
+
+def points(plate_model: PlateModel, n: int = 3) -> np.ndarray:
+    """Admissible parameter vectors inside the prior box, (n, n_parameters)."""
+    rng = np.random.default_rng(11)
+    parameters = plate_model.parameters
+    x = parameters.lower + (parameters.upper - parameters.lower) * rng.uniform(
+        0.1, 0.9, (40, parameters.size)
+    )
+    return np.asarray(x[plate_model.admissible(x)][:n])
+
+
+# Eigenpairs
+
+
+@specimens
+def test_modes_solve_the_eigenproblem_and_are_m_normalised(name: str) -> None:
+    m = model(name)
+    x = points(m)
+    spectrum = m.spectrum(x, vectors=True)
+    stiffness, mass = m.coefficients(x)
+    for s in range(len(x)):
+        for n in range(m.n_modes):
+            b, phi = spectrum.vector(s, n)
+            block = m.operator.blocks[b]
+            k, big_m = block.stiffness.assemble(stiffness[s]), block.mass.assemble(mass[s])
+            lam = spectrum.eigenvalues[s, n]
+            assert phi @ big_m @ phi == pytest.approx(1.0, abs=1e-12)
+            # an inverse iteration leaves 1e-16 of the largest eigenvalue and its shift, 1e-11 of its own,
+            # over the share of the mode in the starting vector, one in a hundred at worst here
+            root = np.sqrt(np.diagonal(big_m))
+            residual = np.linalg.norm((k @ phi - lam * (big_m @ phi)) / root)
+            largest = np.linalg.norm(k / np.outer(root, root), 2)
+            assert residual < 2e-13 * largest + 2e-9 * lam
+
+
+@specimens
+def test_energies_of_the_terms_add_up_to_the_eigenvalue(name: str) -> None:
+    m = model(name)
+    x = points(m)
+    spectrum = m.spectrum(x, vectors=True)
+    stiffness, mass = m.coefficients(x)
+    k_energy, m_energy = energy_terms(m.operator, spectrum)
+    total = np.einsum("snq,sq->sn", m_energy, mass)
+    np.testing.assert_allclose(total, 1.0, rtol=0, atol=1e-12)
+    total = np.einsum("snq,sq->sn", k_energy, stiffness)
+    # large energies of opposite sign cancel on thin plates: 1e-16 of K's range of up to 1e10
+    np.testing.assert_allclose(total, spectrum.eigenvalues, rtol=1e-6)
+
+
+@specimens
+def test_vectors_leave_eigenvalues_as_they_are_and_sorted(name: str) -> None:
+    m = model(name)
+    x = points(m)
+    without, with_vectors = m.spectrum(x), m.spectrum(x, vectors=True)
+    # large blocks have vectors by another algorithm, which rounds otherwise: K's range is up to 1e10
+    largest = max(b.size for b in m.operator.blocks)
+    rounding = 0.0 if largest <= _LARGE else 1e-8
+    np.testing.assert_allclose(with_vectors.eigenvalues, without.eigenvalues, rtol=rounding, atol=0.0)
+    assert np.all(np.diff(without.eigenvalues, axis=1) >= 0)
+    assert without.vectors is None
+    with pytest.raises(ValueError, match="vectors=True"):
+        without.vector(0, 0)
+    with pytest.raises(ValueError, match="vectors=True"):
+        energy_terms(m.operator, without)
+
+
+@specimens
+def test_a_stack_of_parameter_sets_equals_one_by_one(name: str) -> None:
+    m = model(name)
+    x = points(m)
+    together = m.predict(x, jacobian=True)
+    assert together.jacobian is not None
+    for i, own in enumerate(x):
+        alone = m.predict(own, jacobian=True)
+        assert alone.jacobian is not None
+        # only sums of coefficients are taken in another order
+        np.testing.assert_allclose(together.frequencies[i], alone.frequencies[0], rtol=1e-8)
+        scale = np.abs(alone.jacobian[0] * own).max()
+        np.testing.assert_allclose(together.jacobian[i] * own, alone.jacobian[0] * own, atol=1e-6 * scale)
+
+
+# Rigid-body count
+
+
+@pytest.mark.parametrize("edges", ["CFFF", "SFFF", "SFSF"])
+def test_too_many_rigid_body_motions_are_an_error(edges: str) -> None:
+    operator = model("C1").operator
+    pretended = AffineOperator(replace(operator.problem, edges=edges), operator.space, operator.blocks)
+    x = points(model("C1"), 1)
+    with pytest.raises(RigidBodyError, match="rigid-body motions"):
+        solve(pretended, *model("C1").coefficients(x), 6)
+
+
+def test_too_few_rigid_body_motions_are_an_error() -> None:
+    clamped = model("thick-clamped")
+    operator = clamped.operator
+    pretended = AffineOperator(replace(operator.problem, edges="FFFF"), operator.space, operator.blocks)
+    with pytest.raises(RigidBodyError, match="leave 6 rigid-body motions"):
+        solve(pretended, *clamped.coefficients(points(clamped, 1)), 6)
+
+
+def test_more_modes_than_the_space_has_are_refused() -> None:
+    problem = plate(0.3, 0.2, 0.02, 1600.0, CARBON)
+    operator = discretise(problem, ritz_space("FFFF", problem.nominal, RitzSettings(3, 3, layers=0)), {})
+    with pytest.raises(ValueError, match="45 modes asked for, the space has 39"):
+        solve(operator, *operator.coefficients({}), 45)
+
+
+# Derivatives
+
+
+@specimens
+def test_derivatives_are_those_of_a_complex_step_on_the_operator(name: str) -> None:
+    # lambda(p + ih) = phi^T K(p + ih) phi / phi^T M(p + ih) phi to first order, with the real phi kept
+    m = model(name)
+    x = points(m)
+    spectrum = m.spectrum(x, vectors=True)
+    jacobian = m.predict(x, jacobian=True).jacobian
+    assert jacobian is not None
+    for s, own in enumerate(x):
+        for j, p in enumerate(own):
+            step = 1e-25 * abs(p)
+            shifted = own.astype(complex)
+            shifted[j] += 1j * step
+            stiffness, mass = m.coefficients(shifted[None])
+            for n in range(m.n_modes):
+                b, phi = spectrum.vector(s, n)
+                block = m.operator.blocks[b]
+                k, big_m = block.stiffness.assemble(stiffness[0]), block.mass.assemble(mass[0])
+                quotient = (phi @ k @ phi) / (phi @ big_m @ phi)
+                f = spectrum.frequencies[s, n]
+                expected = quotient.imag / step / (8 * np.pi**2 * f)
+                # the same cancellation as in the energies
+                assert jacobian[s, n, j] * p == pytest.approx(expected * p, abs=1e-6 * f)
+
+
+@specimens
+def test_derivatives_are_the_differences_of_modes_tracked_by_shape(name: str) -> None:
+    m = model(name)
+    x = points(m, 2)
+    prediction = m.predict(x, jacobian=True)
+    assert prediction.jacobian is not None
+    # one set at a time: modes of one shape are compared, whatever their rank has become
+    for s, own in enumerate(x):
+        at = m.spectrum(own, vectors=True)
+        mass = m.coefficients(own[None])[1][0]
+        for j, p in enumerate(own):
+            slopes = []
+            for step in (2e-3 * abs(p), 1e-3 * abs(p)):
+                moved = []
+                for sign in (1.0, -1.0):
+                    there = m.spectrum(own + sign * step * np.eye(len(own))[j], vectors=True)
+                    moved.append(there.frequencies[0, track_modes(m.operator, mass, at, there)])
+                slopes.append((moved[0] - moved[1]) / (2 * step))
+            found = prediction.jacobian[s, :, j]
+            expected = (4 * slopes[1] - slopes[0]) / 3
+            # the error of the differences is of the order of their own change, /15 after extrapolation,
+            # and 3e-9 / 1e-3 of rounding
+            error = np.abs(slopes[1] - slopes[0]) * abs(p) / 3 + 1e-5 * prediction.frequencies[s]
+            assert np.all(np.abs(found - expected) * abs(p) < error)
+
+
+def test_isotropic_frequencies_grow_with_half_the_power_of_the_modulus() -> None:
+    # E alone scales K: d f / d E = f / (2 E), for the nearly coinciding pair of the square plate as well
+    m = model("D&G")
+    x = points(m)
+    prediction = m.predict(x, jacobian=True)
+    assert prediction.jacobian is not None
+    expected = prediction.frequencies / (2 * x[:, [0]])
+    np.testing.assert_allclose(prediction.jacobian[:, :, 0], expected, rtol=1e-6)
+
+
+def test_derivatives_of_coinciding_modes_are_those_of_the_branches_they_split_into() -> None:
+    # A square isotropic plate: (1,3) and (3,1) coincide and have the same parity. With E1 they part;
+    # Navier's solution follows each branch.
+    nominal = plate(0.2, 0.2, 0.01, 1600.0, ISOTROPIC, (0.0,), "SSSS").nominal
+    base = complete_constants(ISOTROPIC, True)
+    names = ("E1", "E2", "G12")
+    parameters = ParameterSet(tuple(Parameter(n, "Pa", Uniform(1e9, 200e9)) for n in names))
+
+    def state(values: Values) -> PlateState:
+        return replace(nominal, constants=base | {n: values[n] for n in names})
+
+    problem = bare_plate(parameters, "SSSS", nominal, state)
+    x = np.array([[float(base[n]) for n in names]])
+    spread = x * np.array([[1.0, 1.0, 1.0], [1.1, 0.9, 1.1]])
+    space = ritz_space("SSSS", nominal, RitzSettings(14, 14))
+    m = PlateModel(discretise(problem, space, parameters.mapping(spread)), 8, np.zeros(8))
+    spectrum = m.spectrum(x)
+    pair = (4, 5)  # (1,1), (1,2), (2,1), (2,2), then (1,3) and (3,1)
+    assert spectrum.eigenvalues[0, pair[1]] / spectrum.eigenvalues[0, pair[0]] - 1 < 1e-9
+    assert spectrum.block[0, pair[0]] == spectrum.block[0, pair[1]]
+    jacobian = m.predict(x, jacobian=True).jacobian
+    assert jacobian is not None
+
+    def exact(name: str, value: float) -> np.ndarray:
+        moved = replace(problem, nominal=replace(nominal, constants=base | {name: np.asarray(value)}))
+        return navier(moved, 8)
+
+    for j, name in enumerate(names):
+        value = float(base[name])
+        step = 1e-4 * value  # one-sided: sorted frequencies have a corner here
+        slopes = [(exact(name, value + k * step) - exact(name, value)) / (k * step) for k in (1, 2)]
+        expected = 2 * slopes[0] - slopes[1]
+        found = jacobian[0][list(pair), j]
+        # extrapolated one-sided differences: some 1e-8 of the frequency, and the basis 1e-7
+        np.testing.assert_allclose(
+            found * value, expected[list(pair)] * value, rtol=0, atol=1e-6 * exact(name, value)[4]
+        )
+    parted = np.ptp(jacobian[0][list(pair), 0])
+    assert parted * x[0, 0] > 0.1 * spectrum.frequencies[0, 4]
+
+
+def test_eigenvalue_derivatives_are_linear_in_those_of_the_coefficients() -> None:
+    m = model("unsymmetric")
+    x = points(m, 2)
+    spectrum = m.spectrum(x, vectors=True)
+    stiffness, mass = m.coefficients(x)
+    # along the coefficients themselves: K grows as a whole, lambda with it; M grows, lambda falls
+    found = eigenvalue_derivatives(
+        m.operator,
+        spectrum,
+        np.stack((stiffness, 0 * stiffness), axis=-1),
+        np.stack((0 * mass, mass), axis=-1),
+    )
+    expected = spectrum.eigenvalues[..., None] * np.array([1.0, -1.0])
+    np.testing.assert_allclose(found, expected, rtol=1e-6)
+
+
+# Modal assurance
+
+
+@specimens
+def test_modes_are_orthogonal_to_each_other_and_like_themselves(name: str) -> None:
+    m = model(name)
+    x = points(m, 1)
+    spectrum = m.spectrum(x, vectors=True)
+    mass = m.coefficients(x)[1][0]
+    assurance = modal_assurance(m.operator, mass, spectrum, spectrum)
+    np.testing.assert_allclose(assurance, np.eye(m.n_modes), rtol=0, atol=1e-8)
+    np.testing.assert_array_equal(track_modes(m.operator, mass, spectrum, spectrum), np.arange(m.n_modes))
+
+
+def test_modes_that_cross_are_followed_by_their_shape() -> None:
+    # C1 with E1 from 2 to 3 times the reference: (2,0), third at first, overtakes (1,2)
+    m = model("C1")
+    constants = read_specimen("C1").material.constants
+    reference = np.array([constants[n] for n in m.parameters.names])
+    before, after = (reference * np.where(np.array(m.parameters.names) == "E1", e, 1.0) for e in (2.0, 3.0))
+    at, there = m.spectrum(before, vectors=True), m.spectrum(after, vectors=True)
+    labels = [[mode.label for mode in m.modes(x)] for x in (before, after)]
+    assert labels[0][2:4] == ["(2,0)", "(1,2)"]
+    assert labels[1][2:4] == ["(1,2)", "(2,0)"]
+    mass = m.coefficients(before[None])[1][0]
+    np.testing.assert_array_equal(track_modes(m.operator, mass, at, there), [0, 1, 3, 2, 4, 5])
+
+
+# Kinds and labels
+
+
+def described(problem: Problem, n_modes: int, degree: int = 12) -> tuple[Mode, ...]:
+    space = ritz_space(problem.edges, problem.nominal, RitzSettings(degree, degree))
+    operator = discretise(problem, space, {})
+    stiffness, mass = operator.coefficients({})
+    spectrum = solve(operator, stiffness, mass, n_modes, vectors=True)
+    return describe_modes(operator, spectrum, mass)
+
+
+def test_labels_of_a_simply_supported_rectangle_count_naviers_half_waves() -> None:
+    length, width = 0.3, 0.2
+    problem = plate(length, width, 0.001, 2700.0, ISOTROPIC, (0.0,), "SSSS")
+    waves = sorted(((m / length) ** 2 + (n / width) ** 2, m, n) for m in range(1, 7) for n in range(1, 7))
+    expected = [f"({m},{n})" for _, m, n in waves[:9]]
+    found = described(problem, 9)
+    assert [mode.label for mode in found] == expected
+    assert {mode.kind for mode in found} == {"bending"}
+
+
+def test_in_plane_modes_of_a_thick_simply_supported_plate_are_named_so() -> None:
+    # v = sin(pi x / a), one half-wave between the edges that hold v, none across: at c / 2a
+    constants = complete_constants(ISOTROPIC, True)
+    speed = float(np.sqrt(constants["G12"] / 2700.0))
+    found = described(plate(0.3, 0.2, 0.06, 2700.0, ISOTROPIC, (0.0,), "SSSS"), 12)
+    in_plane = {mode.label: mode for mode in found if mode.kind == "in-plane"}
+    assert in_plane["v(1,0)"].frequency == pytest.approx(speed / 0.6, rel=1e-6)
+    assert in_plane["u(0,1)"].frequency == pytest.approx(speed / 0.4, rel=1e-6)
+    for mode in found:  # a symmetric layup does not mix the two
+        assert mode.in_plane_share == pytest.approx(round(mode.in_plane_share), abs=1e-12)
+        assert mode.kind == ("in-plane" if mode.in_plane_share > 0.5 else "bending")
+
+
+def test_thick_unsymmetric_laminate_has_coupled_modes() -> None:
+    found = described(plate(0.1, 0.1, 0.04, 1600.0, CARBON, (0.0, 90.0), "FFFF"), 14)
+    coupled = [mode for mode in found if mode.kind == "coupled"]
+    assert coupled
+    assert all(0.1 <= mode.in_plane_share <= 0.9 for mode in coupled)
+
+
+def test_free_square_has_its_saddle_and_its_pair() -> None:
+    # Leissa's free square: twist, saddle, ring, then a pair of which each has one nodal line more
+    found = described(plate(0.3, 0.3, 0.003, 2700.0, ISOTROPIC), 5)
+    labels = [mode.label for mode in found]
+    assert labels[:2] == ["(1,1)", "(2,0)+(0,2)"]
+    assert sorted(labels[3:]) == ["(1,2)", "(2,1)"]
+
+
+def test_ring_of_a_free_square_is_the_sum_of_two_bendings() -> None:
+    # w = f(x) + f(y): its nodal line is closed, and (2,2) is the name of a mode twice as high
+    found = described(plate(0.3, 0.3, 0.003, 2700.0, ISOTROPIC), 3)
+    assert found[2].label == "(2,0)+(0,2)"
+
+
+def test_free_carbon_beamlike_plate_has_its_nodal_lines_counted_across_their_axis() -> None:
+    # fibres along x, a much longer x: bending with 2, 3 nodal lines across x and twisting
+    found = described(plate(0.6, 0.1, 0.003, 1600.0, CARBON, (0.0,)), 4)
+    assert {mode.label for mode in found} >= {"(1,1)", "(2,0)"}
+
+
+def test_labels_of_a_cantilever_count_nodal_lines_beside_the_clamped_edge() -> None:
+    # held at one end only: the clamped edge itself is not counted
+    problem = plate(0.3, 0.15, 0.002, 2700.0, ISOTROPIC, (0.0,), "CFFF")
+    assert [mode.label for mode in described(problem, 4)][:2] == ["(0,0)", "(0,1)"]
+
+
+def test_labels_turn_with_the_plate() -> None:
+    upright = described(plate(0.3, 0.2, 0.002, 1600.0, CARBON, (0.0,), "CFFF"), 6)
+    turned = described(plate(0.2, 0.3, 0.002, 1600.0, CARBON, (90.0,), "FCFF"), 6)
+    assert [f"({m.label[3]},{m.label[1]})" for m in upright] == [m.label for m in turned]
+
+
+def test_model_describes_the_modes_that_it_predicts() -> None:
+    m = converged_model(read_specimen("C1"), NO_PARAMETERS, 6)
+    described_modes = m.modes(np.empty(0))
+    frequencies = m.predict(np.empty((1, 0))).frequencies[0]
+    # with vectors and without: two of LAPACK's algorithms, see above
+    np.testing.assert_allclose([mode.frequency for mode in described_modes], frequencies, rtol=1e-8)
+    assert described_modes[0].label == "(1,1)"

@@ -1,0 +1,249 @@
+"""The plate as an eigenvalue problem: rigid-body counts, symmetric forms, coefficients."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+import pytest
+
+from cpam_bayes.effects import add_known_mass
+from cpam_bayes.mechanics.affine import MATRICES, DenseOperator, discretise
+from cpam_bayes.mechanics.problem import (
+    AREA,
+    FIELDS,
+    LAMINATE_FORMS,
+    MASS_FORMS,
+    Derivative,
+    Field,
+    PlateState,
+    Problem,
+    Region,
+    bare_plate,
+    rigid_body_count,
+)
+from cpam_bayes.mechanics.spaces.ritz import RitzSettings, RitzSpace, ritz_space
+from tests.plates import CARBON, plate
+
+GENERAL = (30.0, -60.0, 10.0)  # every entry of A, B, D and A_s is there
+PLY = CARBON | {"G13": 5.1e9, "G23": 3.0e9}
+ALL_EDGES = ["".join(e) for e in product("FSC", repeat=4)]
+
+
+def thick(edges: str = "FFFF", layup: tuple[float, ...] = GENERAL) -> Problem:
+    return plate(0.3, 0.2, 0.03, 1600.0, PLY, layup, edges)
+
+
+def whole(operator: DenseOperator) -> tuple[np.ndarray, np.ndarray]:
+    """K and M of an operator over all its trial functions."""
+    coefficients = operator.coefficients({})
+    n = sum(block.size for block in operator.blocks)
+    matrices = np.zeros((2, n, n))
+    for block in operator.blocks:
+        place = np.ix_(block.index, block.index)
+        matrices[0][place] = block.stiffness.assemble(coefficients[0])
+        matrices[1][place] = block.mass.assemble(coefficients[1])
+    return matrices[0], matrices[1]
+
+
+def strains(space: RitzSpace, state: PlateState) -> tuple[np.ndarray, np.ndarray]:
+    """The eight generalised strains at quadrature points, (n_points, 8, n), and the points' areas."""
+    rule = space.quadrature(AREA)
+    sizes = [space.dimension(f) for f in FIELDS]
+    starts = dict(zip(FIELDS, np.cumsum([0, *sizes[:-1]]), strict=True))
+    b = np.zeros((len(rule.points), 8, sum(sizes)))
+
+    def add(row: int, field: Field, derivative: Derivative) -> None:
+        size = {"": 1.0, "x": float(state.length), "y": float(state.width)}[derivative]
+        values = space.evaluate(field, rule, derivative) / size
+        b[:, row, starts[field] : starts[field] + values.shape[1]] += values
+
+    pairs: tuple[tuple[int, Field, Field], ...] = ((0, "u", "v"), (3, "phi_x", "phi_y"))
+    for row, along_x, along_y in pairs:
+        add(row, along_x, "x")
+        add(row + 1, along_y, "y")
+        add(row + 2, along_x, "y")
+        add(row + 2, along_y, "x")
+    add(6, "w", "y")
+    add(6, "phi_y", "")
+    add(7, "w", "x")
+    add(7, "phi_x", "")
+    return b, rule.weights * float(state.length) * float(state.width)
+
+
+def by_quadrature(problem: Problem, space: RitzSpace) -> tuple[np.ndarray, np.ndarray]:
+    """K = int B^T C B and M = int N^T R N, straight from the definitions of strain and inertia."""
+    state = problem.nominal
+    b, area = strains(space, state)
+    k = np.einsum("p,pin,ij,pjm->nm", area, b, state.stiffness(), b, optimize=True)
+    rule = space.quadrature(AREA)
+    h = float(state.thickness)
+    blocks = []
+    for field in FIELDS:
+        values = space.evaluate(field, rule, "")
+        inertia = float(state.density) * h * (h * h / 12 if field in ("phi_x", "phi_y") else 1.0)
+        blocks.append(inertia * values.T @ (area[:, None] * values))
+    n = len(k)
+    m, start = np.zeros((n, n)), 0
+    for block in blocks:
+        end = start + len(block)
+        m[start:end, start:end] = block
+        start = end
+    return k, m
+
+
+# Rigid-body motions
+
+
+@pytest.mark.parametrize("edges", ALL_EDGES)
+def test_rigid_body_count_is_the_null_space_of_the_stiffness(edges: str) -> None:
+    problem = thick(edges)
+    space = ritz_space(edges, problem.nominal, RitzSettings(4, 4, layers=0))
+    k, m = whole(discretise(problem, space, {}))
+    scale = 1.0 / np.sqrt(np.diagonal(m))
+    lam = np.linalg.eigvalsh(k * scale[:, None] * scale)
+    n = rigid_body_count(edges)
+    # rounding is 1e-16 of the largest eigenvalue, the least deformation 1e-5 of it
+    assert np.all(np.abs(lam[:n]) < 1e-12 * lam[-1])
+    assert lam[n] > 1e-7 * lam[-1]
+
+
+@pytest.mark.parametrize(
+    ("edges", "count"),
+    [
+        ("FFFF", 6),
+        ("SFFF", 3),  # a hinge along x = 0: the turn about it, the shift across it, the turn in the plane
+        ("FSFF", 3),
+        ("SFSF", 1),  # opposite hinges: the shift across both
+        ("SSFF", 1),  # hinges that meet: the turn in the plane about their corner
+        ("SSSF", 0),
+        ("CFFF", 0),
+    ],
+)
+def test_rigid_body_counts_are_those_of_statics(edges: str, count: int) -> None:
+    assert rigid_body_count(edges) == count
+
+
+def test_wrong_edges_are_refused_with_what_is_accepted() -> None:
+    for edges in ("FFF", "FFFFF", "FFFX", "", "ffff"):
+        with pytest.raises(ValueError, match="expected four of F, S, C") as caught:
+            bare_plate(thick().parameters, edges, thick().nominal, thick().state)
+        assert repr(edges) in str(caught.value)
+
+
+@pytest.mark.parametrize("edges", ["CFSF", "FSFC", "SCFS"])
+def test_trial_functions_vanish_where_an_edge_holds_them_and_only_there(edges: str) -> None:
+    # S is Navier's support: what turns or moves along the edge is held, what does so across it is not
+    held: dict[str, dict[str, set[str]]] = {
+        "F": {"x": set(), "y": set()},
+        "S": {"x": {"v", "w", "phi_y"}, "y": {"u", "w", "phi_x"}},
+        "C": {"x": set(FIELDS), "y": set(FIELDS)},
+    }
+    space = ritz_space(edges, thick(edges).nominal, RitzSettings(5, 5, 1, True, 1))
+    for name, condition in zip(("x0", "y0", "x1", "y1"), edges, strict=True):
+        rule = space.quadrature(Region("edge", name))
+        assert np.all(rule.points[:, "xy".index(name[0])] == float(name[1]))
+        for field in FIELDS:
+            largest = np.abs(space.evaluate(field, rule, "")).max()
+            assert (largest < 1e-10) == (field in held[condition][name[0]]), (name, field)
+
+
+# Forms
+
+
+@pytest.mark.parametrize(
+    ("edges", "settings"),
+    [
+        ("FFFF", RitzSettings(5, 6)),
+        ("CFSF", RitzSettings(5, 4, 2, True, 1)),
+        ("SSSS", RitzSettings(5, 4, 1, True)),
+    ],
+)
+def test_affine_sum_is_the_quadrature_of_strain_and_kinetic_energy(
+    edges: str, settings: RitzSettings
+) -> None:
+    problem = thick(edges)
+    space = ritz_space(edges, problem.nominal, settings)
+    k, m = whole(discretise(problem, space, {}))
+    expected_k, expected_m = by_quadrature(problem, space)
+    # both integrate exactly; sums of some hundred points leave 1e-13 of the largest entry
+    np.testing.assert_allclose(k, expected_k, rtol=0, atol=1e-12 * np.abs(expected_k).max())
+    np.testing.assert_allclose(m, expected_m, rtol=0, atol=1e-12 * np.abs(expected_m).max())
+
+
+@pytest.mark.parametrize("edges", ["FFFF", "CSFS"])
+def test_every_form_is_symmetric_and_the_mass_is_definite(edges: str) -> None:
+    problem = add_known_mass(thick(edges), 0.01, 0.27, 0.16)
+    space = ritz_space(edges, problem.nominal, RitzSettings(6, 5, 1, True))
+    for block in discretise(problem, space, {}).blocks:
+        for matrix in (*block.stiffness.stack, *block.mass.stack):
+            np.testing.assert_allclose(matrix, matrix.T, rtol=0, atol=1e-13 * np.abs(matrix).max())
+        for matrix in block.mass.stack:
+            assert np.linalg.eigvalsh(matrix)[0] > -1e-13 * np.abs(matrix).max()
+        mass = block.mass.assemble(problem.coefficients({}, "mass"))
+        assert np.linalg.eigvalsh(mass)[0] > 0
+
+
+def test_strain_energy_has_every_pair_of_strains_once() -> None:
+    pairs = [frozenset((f.left, f.right)) for f in LAMINATE_FORMS]
+    assert len(set(pairs)) == len(pairs)
+    # 8 atoms of extension and bending, 4 of transverse shear, which couple among themselves only
+    assert len(pairs) == 8 * 9 // 2 + 4 * 5 // 2
+    assert [f.left.field for f in MASS_FORMS] == list(FIELDS)
+
+
+# Coefficients
+
+
+def test_coefficients_are_linear_in_the_moduli_and_in_the_density() -> None:
+    soft = thick()
+    hard = plate(0.3, 0.2, 0.03, 4800.0, {k: v * (1 if k == "nu12" else 2) for k, v in PLY.items()}, GENERAL)
+    stiffness = soft.coefficients({}, "stiffness")
+    np.testing.assert_allclose(hard.coefficients({}, "stiffness"), 2 * stiffness, rtol=1e-12)
+    np.testing.assert_allclose(hard.coefficients({}, "mass"), 3 * soft.coefficients({}, "mass"), rtol=1e-14)
+
+
+def test_coefficients_of_a_plate_twice_as_large_follow_its_dimensions() -> None:
+    # with lengths doubled K grows as E L for displacements, E L^2 between them and rotations, E L^3
+    # for rotations; M as rho L^3 and rho L^5
+    small, large = thick(), plate(0.6, 0.4, 0.06, 1600.0, PLY, GENERAL)
+    turning = [sum(a.field.startswith("phi") for a in (f.left, f.right)) for f in LAMINATE_FORMS]
+    expected = small.coefficients({}, "stiffness") * 2.0 ** (1 + np.array(turning))
+    np.testing.assert_allclose(
+        large.coefficients({}, "stiffness"), expected, rtol=1e-12, atol=1e-12 * expected.max()
+    )
+    ratio = large.coefficients({}, "mass") / small.coefficients({}, "mass")
+    np.testing.assert_allclose(ratio, [8, 8, 8, 32, 32], rtol=1e-13)
+
+
+def test_mass_coefficients_are_mass_and_rotary_inertia_of_the_plate() -> None:
+    total = 0.3 * 0.2 * 0.03 * 1600.0
+    rotary = total * 0.03**2 / 12
+    np.testing.assert_allclose(thick().coefficients({}, "mass"), [total] * 3 + [rotary] * 2, rtol=1e-14)
+
+
+def test_coefficients_of_a_stack_of_states_are_those_of_each() -> None:
+    problem = thick()
+    thickness, density = np.array([0.001, 0.01, 0.05]), np.array([1000.0, 1500.0, 2000.0])
+
+    def state(values: object) -> PlateState:
+        del values
+        return replace(problem.nominal, thickness=thickness, density=density)
+
+    stack = add_known_mass(replace(problem, state=state), 0.01, 0.1, 0.1)
+    for i, (h, rho) in enumerate(zip(thickness, density, strict=True)):
+        one = add_known_mass(plate(0.3, 0.2, h, rho, PLY, GENERAL), 0.01, 0.1, 0.1)
+        for kind in MATRICES:
+            found = stack.coefficients({}, kind)
+            expected = one.coefficients({}, kind)
+            assert found.shape == (3, len(one.forms(kind)))
+            np.testing.assert_allclose(found[i], expected, rtol=1e-13)
+
+
+def test_every_term_of_a_problem_brings_as_many_coefficients_as_forms() -> None:
+    problem = add_known_mass(thick(), 0.01, 0.1, 0.1)
+    assert [t.name for t in problem.terms] == ["laminate", "inertia", "known_mass"]
+    for kind in MATRICES:
+        forms = problem.forms(kind)
+        assert problem.coefficients({}, kind).shape == (len(forms),)

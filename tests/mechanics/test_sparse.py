@@ -1,0 +1,251 @@
+"""Sparse affine operators against their dense twins, and the eigensolver on hard cases."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import scipy.linalg
+from scipy.sparse.linalg import splu
+
+from cpam_bayes.effects import add_known_mass
+from cpam_bayes.mechanics.affine import MATRICES, discretise
+from cpam_bayes.mechanics.modes import RigidBodyError, energy_terms, solve
+from cpam_bayes.mechanics.problem import FIELDS, PlateState, Problem, Values, bare_plate
+from cpam_bayes.mechanics.shapes import describe_modes
+from cpam_bayes.mechanics.spaces.fem import FemSpace, fem_space
+from cpam_bayes.mechanics.spaces.ritz import RitzSettings, ritz_space
+from cpam_bayes.mechanics.sparse import SparseBlock, SparseOperator, discretise_sparse
+from cpam_bayes.parameters import Parameter, ParameterSet, Uniform
+from cpam_bayes.plate.elasticity import complete_constants
+from tests.plates import CARBON, CROSS_PLY_16S, GLASS, plate
+
+ALUMINIUM = {"E1": 70e9, "nu12": 0.3}
+
+
+def small(problem: Problem, n: int = 3) -> FemSpace:
+    return fem_space(problem.edges, problem.nominal, n, n, graded=False)
+
+
+def free_parameters(layup: tuple[float, ...], edges: str = "FFFF") -> Problem:
+    """A carbon plate whose E1, G12 and thickness vary."""
+    names = {"E1": (50e9, 200e9), "G12": (3e9, 20e9), "thickness": (0.002, 0.02)}
+    parameters = ParameterSet(tuple(Parameter(k, "", Uniform(*v)) for k, v in names.items()))
+    nominal = plate(0.2, 0.15, 0.004, 1600.0, CARBON, layup, edges).nominal
+
+    def state(values: Values) -> PlateState:
+        own = {k: values[k] for k in ("E1", "G12")}
+        constants = complete_constants({**CARBON, **own}, isotropic=False)
+        return replace(nominal, constants=constants, thickness=values["thickness"])
+
+    return bare_plate(parameters, edges, nominal, state)
+
+
+def dense_matrix(problem: Problem, space: FemSpace, values: Values, kind: str) -> np.ndarray:
+    """The matrix of all forms by B_left^T W B_right, with nothing left out."""
+    starts = np.cumsum([0, *(space.dimension(f) for f in FIELDS)])
+    place = {f: slice(a, b) for f, a, b in zip(FIELDS, starts[:-1], starts[1:], strict=True)}
+    matrix = np.zeros((starts[-1], starts[-1]))
+    coefficients = problem.coefficients(values, kind)
+    for form, c in zip(problem.forms(kind), coefficients, strict=True):
+        rule = space.quadrature(form.region, kind)
+        left = space.evaluate(form.left.field, rule, form.left.derivative).toarray()
+        right = space.evaluate(form.right.field, rule, form.right.derivative).toarray()
+        own = np.zeros_like(matrix)
+        own[place[form.left.field], place[form.right.field]] = left.T @ (rule.weights[:, None] * right)
+        matrix += c * (own if form.left == form.right else own + own.T)
+    return matrix
+
+
+@pytest.mark.parametrize("layup", [(0.0, 90.0, 90.0, 0.0), (30.0, -75.0)], ids=["sym", "unsym"])
+def test_blocks_assemble_what_dense_matrices_give(layup: tuple[float, ...]) -> None:
+    problem = add_known_mass(plate(0.2, 0.15, 0.006, 1600.0, CARBON, layup, "CSFF"), 0.01, 0.1, 0.1)
+    space = small(problem)
+    operator = discretise_sparse(problem, space, {})
+    covered = np.concatenate([b.index for b in operator.blocks])
+    assert sorted(covered) == list(range(sum(space.dimension(f) for f in FIELDS)))
+    for kind in MATRICES:
+        dense = dense_matrix(problem, space, {}, kind)
+        scale = np.abs(dense).max()
+        for block in operator.blocks:
+            matrix = getattr(block, kind).assemble(problem.coefficients({}, kind)).toarray()
+            np.testing.assert_allclose(matrix, dense[np.ix_(block.index, block.index)], atol=1e-13 * scale)
+            dense[np.ix_(block.index, block.index)] = 0.0
+        assert np.abs(dense).max() <= 1e-13 * scale, "blocks do not couple"
+
+
+def test_symmetric_laminates_split_and_others_do_not() -> None:
+    sizes = {}
+    for layup in ((0.0, 90.0, 90.0, 0.0), (0.0, 90.0)):
+        problem = plate(0.2, 0.15, 0.006, 1600.0, CARBON, layup)
+        sizes[layup] = [b.size for b in discretise_sparse(problem, small(problem), {}).blocks]
+    n = 40  # nodes of 3 x 3 elements of 8 nodes
+    assert list(sizes.values()) == [[2 * n, 3 * n], [5 * n]]
+
+
+def test_forms_that_only_some_samples_need_are_kept() -> None:
+    problem = free_parameters((0.0, 90.0, 90.0, 0.0))
+    angles = np.array([[0.0, 0.0], [0.0, 90.0]])  # symmetric, and not
+
+    def state(values: Values) -> PlateState:
+        layup = angles[np.asarray(values["which"], dtype=int)]
+        return replace(problem.nominal, layup=layup, symmetric=False)
+
+    choosing = replace(problem, state=state)
+    space = small(problem)
+    assert len(discretise_sparse(choosing, space, {"which": np.array([0, 0])}).blocks) == 2
+    assert len(discretise_sparse(choosing, space, {"which": np.array([0, 1])}).blocks) == 1
+
+
+def spectrum_of(operator: SparseOperator, values: Values, n_modes: int) -> np.ndarray:
+    return solve(operator, *operator.coefficients(values), n_modes).eigenvalues
+
+
+def test_eigenvalues_and_vectors_are_those_of_the_dense_problem() -> None:
+    problem = plate(0.2, 0.15, 0.006, 1600.0, CARBON, (30.0, -75.0))
+    operator = discretise_sparse(problem, small(problem), {})
+    (block,) = operator.blocks
+    k, m = operator.coefficients({})
+    dense_k, dense_m = (matrix.assemble(c).toarray() for matrix, c in ((block.stiffness, k), (block.mass, m)))
+    expected = scipy.linalg.eigh(dense_k, dense_m, eigvals_only=True)
+    values, vectors = block.eigenpairs(k[None], m[None], 16)
+    np.testing.assert_allclose(values[0, 6:], expected[6:16], rtol=1e-9)
+    np.testing.assert_array_equal(values, block.eigenvalues(k[None], m[None], 16))
+    modes = np.array([15, 6, 7, 0])
+    phi = vectors(np.zeros(4, dtype=int), modes).T
+    np.testing.assert_allclose(phi.T @ dense_m @ phi, np.eye(4), atol=1e-9)
+    residual = dense_k @ phi - dense_m @ phi * values[0, modes]
+    assert np.abs(residual).max() < 1e-8 * np.abs(dense_k @ phi).max()
+
+
+def test_a_block_as_small_as_what_is_asked_of_it_is_solved() -> None:
+    problem = plate(0.2, 0.15, 0.006, 1600.0, CARBON, (0.0,), "CCCC")
+    space = small(problem, 2)
+    operator = discretise_sparse(problem, space, {})
+    assert [b.size for b in operator.blocks] == [10, 15]
+    k, m = operator.coefficients({})
+    dense = [scipy.linalg.eigh(
+        b.stiffness.assemble(k).toarray(), b.mass.assemble(m).toarray(), eigvals_only=True
+    ) for b in operator.blocks]  # fmt: skip
+    expected = np.sort(np.concatenate(dense))
+    np.testing.assert_allclose(spectrum_of(operator, {}, 20)[0], expected[:20], rtol=1e-9)
+    np.testing.assert_allclose(spectrum_of(operator, {}, 25)[0], expected, rtol=1e-9)
+    with pytest.raises(ValueError, match="26 modes asked for, the space has 25"):
+        spectrum_of(operator, {}, 26)
+
+
+def count_below(block: SparseBlock, stiffness: np.ndarray, mass: np.ndarray, value: float) -> int:
+    """Eigenvalues below a value, as many as K - value M has negative pivots (Sylvester)."""
+    matrix = block.stiffness.assemble(stiffness) - value * block.mass.assemble(mass)
+    factor = splu(
+        matrix.tocsc(),
+        permc_spec="MMD_AT_PLUS_A",
+        diag_pivot_thresh=0.0,
+        options={"SymmetricMode": True},
+    )
+    assert np.array_equal(factor.perm_r, factor.perm_c)
+    return int(np.sum(factor.U.diagonal() < 0))
+
+
+@pytest.mark.parametrize("edges", ["FFFF", "SSSS", "CCCC"])
+@pytest.mark.parametrize("thickness", [0.002, 0.05])
+def test_no_mode_of_a_square_plate_is_missed(edges: str, thickness: float) -> None:
+    # isotropic squares have equal pairs, of which Lanczos may find one; (1,7), (7,1) and (5,5) of
+    # the simply supported one are three
+    problem = plate(0.2, 0.2, thickness, 1000.0, ALUMINIUM, (0.0,), edges)
+    operator = discretise_sparse(problem, small(problem, 10), {})
+    k, m = operator.coefficients({})
+    for block in operator.blocks:
+        lam = block.eigenvalues(k[None], m[None], 60)[0]
+        gaps = np.flatnonzero(lam[1:] > lam[:-1] * (1 + 1e-4))
+        gaps = gaps[lam[gaps] > 1e-3 * lam[10]]
+        for i in gaps[::6]:
+            middle = (lam[i] + lam[i + 1]) / 2
+            assert count_below(block, k, m, middle) == i + 1
+        for n in (4, 5, 8, 13, 21):
+            fewer = block.eigenvalues(k[None], m[None], n)[0]
+            np.testing.assert_allclose(fewer, lam[:n], rtol=1e-8, atol=1e-9 * lam[10])
+
+
+def test_a_stack_of_parameter_sets_is_solved_set_by_set() -> None:
+    problem = free_parameters((0.0, 90.0))
+    rng = np.random.default_rng(0)
+    x = problem.parameters.sample(rng, 4)
+    values = problem.parameters.mapping(x)
+    operator = discretise_sparse(problem, small(problem), values)
+    stack = spectrum_of(operator, values, 5)
+    for i in range(4):
+        one = {name: v[i] for name, v in values.items()}
+        np.testing.assert_array_equal(spectrum_of(operator, one, 5)[0], stack[i])
+    k, m = operator.coefficients(values)
+    same_mass = solve(operator, k, m[:1], 5).eigenvalues
+    np.testing.assert_array_equal(same_mass[0], stack[0])
+    assert same_mass.shape == stack.shape
+
+
+def test_solving_twice_gives_the_same_bits_and_leaves_the_operator_alone() -> None:
+    problem = plate(0.2, 0.2, 0.004, 1600.0, ALUMINIUM)
+    operator = discretise_sparse(problem, small(problem, 6), {})
+    first = spectrum_of(operator, {}, 6)
+    np.testing.assert_array_equal(spectrum_of(operator, {}, 6), first)
+    pattern = operator.blocks[0].stiffness.pattern
+    assert pattern is operator.blocks[0].mass.pattern
+    for array in (pattern.rows, pattern.columns, pattern.starts):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 1
+
+
+@pytest.mark.parametrize("scale", [0.1, 1.0, 10.0])
+def test_the_shift_serves_stiffnesses_far_from_the_nominal_one(scale: float) -> None:
+    # frequencies of a plate whose stiffness is scaled as a whole are scaled by the root
+    problem = plate(0.26, 0.26, 0.0032, 1590.0, CARBON, CROSS_PLY_16S)
+    operator = discretise_sparse(problem, small(problem, 8), {})
+    k, m = operator.coefficients({})
+    found = solve(operator, scale**2 * k, m, 6).frequencies
+    np.testing.assert_allclose(found, scale * solve(operator, k, m, 6).frequencies, rtol=1e-8)
+
+
+def test_energies_add_up_to_the_eigenvalue_and_give_its_derivative() -> None:
+    problem = free_parameters((30.0, -75.0), "CFFF")
+    x = np.array([120e9, 6e9, 0.006])
+    values = problem.parameters.mapping(x)
+    samples = problem.parameters.mapping(problem.parameters.sample(np.random.default_rng(1), 3))
+    operator = discretise_sparse(problem, small(problem, 5), samples)
+    k, m = operator.coefficients(values)
+    found = solve(operator, k, m, 6, vectors=True)
+    stiffness, mass = (e[0] for e in energy_terms(operator, found))
+    lam = found.eigenvalues[0]
+    np.testing.assert_allclose(stiffness @ k, lam, rtol=1e-9)
+    np.testing.assert_allclose(mass @ m, 1.0, rtol=1e-9)
+    h = 1e-4
+
+    def along(i: int, step: complex) -> dict[str, np.ndarray]:
+        return problem.parameters.mapping(x * (1 + step * np.eye(3)[i]))
+
+    for i in range(3):
+        dk, dm = (c.imag / 1e-30 for c in operator.coefficients(along(i, 1e-30j)))
+        analytic = stiffness @ dk - lam * (mass @ dm)
+        ends = [spectrum_of(operator, along(i, sign * h), 6)[0] for sign in (-1, 1)]
+        # differences err by h^2 and by the digits of lambda over h
+        np.testing.assert_allclose(analytic / lam, (ends[1] - ends[0]) / (2 * h * lam), atol=5e-6)
+
+
+def test_modes_have_the_kinds_and_labels_that_they_have_with_ritz() -> None:
+    problem = plate(0.12, 0.06, 0.0035, 1590.0, GLASS, CROSS_PLY_16S, "CFFF")
+    ritz = discretise(problem, ritz_space("CFFF", problem.nominal, RitzSettings(12, 12)), {})
+    fem = discretise_sparse(problem, fem_space("CFFF", problem.nominal, 16, 12), {})
+    k, m = fem.coefficients({})
+    first, second = (
+        describe_modes(operator, solve(operator, k, m, 8, vectors=True), m) for operator in (ritz, fem)
+    )
+    assert [(a.kind, a.label) for a in first] == [(b.kind, b.label) for b in second]
+    assert {a.kind for a in second} == {"bending", "in-plane"}
+
+
+def test_a_wrong_number_of_rigid_motions_is_found() -> None:
+    problem = plate(0.2, 0.2, 0.004, 1600.0, GLASS)
+    operator = discretise_sparse(problem, small(problem), {})
+    held = replace(operator, problem=replace(problem, edges="CFFF"))
+    with pytest.raises(RigidBodyError, match="leave 0 rigid-body motions"):
+        spectrum_of(held, {}, 3)

@@ -1,0 +1,287 @@
+"""Whatever is wrong with a plate file is said at once, clearly, with file, line and key."""
+
+import pickle
+import re
+import time
+
+import pytest
+
+from cpam_bayes.errors import PlateFileError
+from cpam_bayes.plate import parse_specimen
+
+
+def problems_of(text):
+    with pytest.raises(PlateFileError) as caught:
+        parse_specimen(text, "plate.toml")
+    return caught.value.problems
+
+
+def one_problem(text):
+    problems = problems_of(text)
+    assert len(problems) == 1, problems
+    return problems[0]
+
+
+def line_of(text, fragment):
+    return text[: text.index(fragment)].count("\n") + 1
+
+
+# (what stands in the good file, what replaces it, the key, what the message must hold)
+SPOILT = [
+    # unknown keys
+    (
+        "length_mm = 260.0",
+        "length_mm = 260.0\nthickness_m = 3",
+        "plate.thickness_m",
+        "thickness_mm",
+    ),
+    ("E2_GPa = 9.34", "E2_GPa = 9.34\nE3_GPa = 9.34", "material.E3_GPa", "nearest known key is E"),
+    ('name = "plate 7"', 'name = "plate 7"\nnmae = 1', "nmae", "nearest known key is name"),
+    ("[plate.sd]", "[plates]", "plates", "nearest known key is plate"),
+    ("mass_g = 1.2", "mass_g = 1.2\nz_mm = 1", "sensor item 1.z_mm", "nearest known key is"),
+    ("[unknowns]", "[unknowns]\nrho = 1", "unknowns.rho", "accepted: E1_GPa E2_GPa"),
+    ("width_mm = 250", "width_mm = 250\nresolution_hz = 1", "plate.resolution_hz", "[measurement]"),
+    ("sd = 0.03, ", "sd = 0.03, men = 1, ", "unknowns.nu12.men", "nearest known key is mean"),
+    # types
+    ("length_mm = 260.0", 'length_mm = "260"', "plate.length_mm", 'received "260"'),
+    ("length_mm = 260.0", "length_mm = true", "plate.length_mm", "received true"),
+    ("length_mm = 260.0", "length_mm = [260.0]", "plate.length_mm", "received [260.0]"),
+    ("length_mm = 260.0", "length_mm = 1979-05-27", "plate.length_mm", "received datetime.date"),
+    ("length_mm = 260.0", f"length_mm = 1{'0' * 400}", "plate.length_mm", "wrong type"),
+    ("isotropic = false", 'isotropic = "no"', "material.isotropic", "true or false"),
+    ('name = "plate 7"', "name = 7", "name", "a text"),
+    ('name = "plate 7"', 'name = ""', "name", "empty text"),
+    ("[environment]\nair_density_kg_m3 = 1.2", "[[environment]]", "environment", "a table"),
+    (
+        "frequencies_hz = [102,",
+        'frequencies_hz = ["102",',
+        "measurement.frequencies_hz item 1",
+        "Hz",
+    ),
+    ("E2_GPa = [5, 40]", "E2_GPa = 5", "unknowns.E2_GPa", "[lower, upper]"),
+    ("E2_GPa = [5, 40]", "E2_GPa = [5, 40, 50]", "unknowns.E2_GPa", "wrong length"),
+    ("E2_GPa = [5, 40]", "E2_GPa = {}", None, "missing"),
+    # numbers that are none, and sizes that are none
+    ("length_mm = 260.0", "length_mm = nan", "plate.length_mm", "not a finite number"),
+    ("width_mm = 250", "width_mm = inf", "plate.width_mm", "not a finite number"),
+    ("thickness_mm = 3.2", "thickness_mm = 0.0", "plate.thickness_mm", "received 0.0"),
+    ("thickness_mm = 3.2", "thickness_mm = -3.2", "plate.thickness_mm", "above 0, in mm"),
+    ("thickness_mm = 3.2", "thickness_mm = 1e-300", "plate.thickness_mm", "out of range"),
+    ("length_mm = 260.0", "length_mm = 1e300", "plate.length_mm", "out of range"),
+    ("density_kg_m3 = 1590.0", "density_kg_m3 = -1", "plate.density_kg_m3", "above 0"),
+    ("thickness_mm = 0.02", "thickness_mm = 0.0", "plate.sd.thickness_mm", "above 0"),
+    ("E1_GPa = 12.0", "E1_GPa = -12.0", "material.sd.E1_GPa", "above 0"),
+    ("E2_GPa = 9.34", "E2_GPa = -9.34", "material.E2_GPa", "above 0"),
+    ("nu12 = 0.23", "nu12 = nan", "material.nu12", "not a finite number"),
+    ("air_density_kg_m3 = 1.2", "air_density_kg_m3 = -1", "environment.air_density_kg_m3", "0 or"),
+    ("mass_g = 1.2", "mass_g = 0", "sensor item 1.mass_g", "above 0"),
+    ("resolution_hz = 0.5", "resolution_hz = -0.5", "measurement.resolution_hz", "0 or above"),
+    ("relative_std = 0.005", "relative_std = 0.0", "measurement.relative_std", "fraction"),
+    ("relative_std = 0.005", "relative_std = 1.5", "measurement.relative_std", "below 1"),
+    ("[0.2, 0.5,", "[0.2, 0.0,", "measurement.frequency_sd_hz item 2", "above 0"),
+    ("[102, 311", "[nan, 311", "measurement.frequencies_hz item 1", "not a finite number"),
+    ("[102, 311", "[0, 311", "measurement.frequencies_hz item 1", "above 0"),
+    ("[0.15, 0.4]", "[0.15, inf]", "unknowns.nu12.bounds item 2", "not a finite number"),
+    ("sd = 0.03", "sd = 0", "unknowns.nu12.sd", "above 0"),
+    # missing
+    ('edges = "CFSF"\n', "", "plate.edges", "missing, accepted: four letters"),
+    ("E2_GPa = 9.34\n", "", "material.E2_GPa", "missing"),
+    ("isotropic = false\n", "", "material.isotropic", "missing"),
+    ('layup = "[(0/90)_8]_s"\nsequence_', "sequence_", "plate.layup", "missing"),
+    # relations
+    ("density_kg_m3 = 1590.0", "density_kg_m3 = 1590.0\nmass_g = 3", "plate.mass_g", "one of"),
+    ("thickness_mm = 3.2", "thickness_mm = 250", "plate.thickness_mm", "not a plate"),
+    ("density_kg_m3 = 15\n", "mass_g = 15\n", "plate.sd.mass_g", "does not give"),
+    ("nu12 = 0.02", "G13_GPa = 0.02", "material.sd.G13_GPa", "does not give"),
+    ('edges = "CFSF"', 'edges = "CFS"', "plate.edges", "four letters of F S C"),
+    ('edges = "CFSF"', 'edges = "cfsf"', "plate.edges", 'received "cfsf"'),
+    ('edges = "CFSF"', 'edges = "CFSX"', "plate.edges", "four letters of F S C"),
+    ('edges = "CFSF"', 'edges = "CFSF\\n"', "plate.edges", "four letters of F S C"),
+    ('"[(0/90)_8]_s"', '"[(0/9x)_8]_s"', "plate.layup", "character 6"),
+    ('"[(0/90)_8]_s"', '"[0_1000000]"', "plate.layup", "1000000 plies"),
+    ('"[(?/?/?/?)_4]_s"', '"[(0/90)_8]_s"', "plate.sequence_layup", "no unknown angle"),
+    ('"[(?/?/?/?)_4]_s"', '"[?/?]_s"', "plate.sequence_layup", "received 4, accepted: 32"),
+    ("E1_GPa = 121.2", "E1_GPa = 9.0", "material.E1_GPa", "E1 > E2"),
+    ("nu12 = 0.23", "nu12 = 0.6", "material.nu12", "second of eq. (9)"),
+    ("nu12 = 0.23", "nu12 = 5", "material.nu12", "third of eq. (9)"),
+    ("nu12 = 0.23", "nu12 = 1.0", "material.nu12", "eq. (9)"),
+    ("[10.0, 200.0]", "[200.0, 10.0]", "unknowns.E1_GPa", "ascending"),
+    ("[10.0, 200.0]", "[10.0, 10.0]", "unknowns.E1_GPa", "ascending"),
+    ("[10.0, 200.0]", "[0.0, 200.0]", "unknowns.E1_GPa", "bounds above 0"),
+    ("[0.15, 0.4]", "[0.15, 1.4]", "unknowns.nu12.bounds", "within -1 and 1"),
+    ("[0.15, 0.4]", "[0.3, 0.4]", "unknowns.nu12.mean", "0.3 to 0.4"),
+    ("[10.0, 200.0]", "[1.0, 4.0]", "unknowns.nu12", "no physical constants"),
+    ("angle_grid_deg = 15.0", "angle_grid_deg = 7.0", "unknowns.angle_grid_deg", "divides 180"),
+    ("angle_grid_deg = 15.0", "angle_grid_deg = 0", "unknowns.angle_grid_deg", "divides 180"),
+    ("x_mm = 250.0", "x_mm = 260.5", "sensor item 1.x_mm", "0 to 260"),
+    ("y_mm = 240.0", "y_mm = 251", "sensor item 1.y_mm", "width_mm"),
+    ("x_mm = 250.0", "x_mm = -1.0", "sensor item 1.x_mm", "from the corner"),
+    ("[102, 311, 342,", "[102, 342, 311,", "measurement.frequencies_hz item 3", "311 after 342"),
+    ("[102, 311, 342, 342, 390, 612.5]", "[]", None, "at least one"),
+    ("[0.2, 0.5,", "[0.2,", "measurement.frequency_sd_hz", "received 5, accepted: 6"),
+    ('["(1,1)", ', "[", "measurement.labels", "received 5, accepted: 6"),
+    ("[plate]\n", '[plate]\nmesh = "none.msh"\n', "plate.mesh", "no such file"),
+    ("[plate]\n", '[plate]\nmesh = "a\\u0000b"\n', "plate.mesh", "no such file"),
+    ("[plate]\n", '[plate]\nmesh = "."\n', "plate.mesh", "no such file"),
+]
+
+
+@pytest.mark.parametrize(("good", "bad", "key", "said"), SPOILT, ids=[s[1][:40] for s in SPOILT])
+def test_each_error_names_file_line_key_and_what_is_accepted(full_text, good, bad, key, said):
+    assert full_text.count(good) >= 1
+    text = full_text.replace(good, bad, 1)
+    problems = problems_of(text)
+    matching = [problem for problem in problems if said in problem]
+    assert matching, problems
+    if key is None:
+        return
+    place = re.match(r"plate\.toml:(\d+): ([^:]+): ", matching[0])
+    assert place is not None
+    assert place.group(2) == key
+    assert len(problems) == 1, problems
+    # the line holds the key, or heads the table that lacks it
+    line = text.split("\n")[int(place.group(1)) - 1]
+    last = re.sub(r" item \d+$", "", key).split(".")[-1]
+    table = re.sub(r" item \d+$", "", key).split(".")[-2] if "." in key else ""
+    assert last in line or ("missing" in said and table in line)
+
+
+def test_a_material_without_an_isotropic_flag_lacks_only_the_flag(full_text):
+    assert "material.isotropic: missing" in one_problem(full_text.replace("isotropic = false\n", ""))
+
+
+def test_all_errors_of_a_file_come_at_once_in_the_order_of_their_lines(full_text):
+    text = (
+        full_text.replace("width_mm = 250", "width_mm = -250")
+        .replace('"[(0/90)_8]_s"', '"[(0/90]_s"')
+        .replace("[plate.sd]\nthickness_mm", "[plate.sd]\nthicknes_mm")
+        .replace("E1_GPa = 121.2", "E1_GPa = 9.0")
+        .replace("[10.0, 200.0]", "[200.0, 10.0]")
+        .replace("[102, 311, 342", "[102, 342, 311")
+        .replace('["(1,1)", ', "[")
+    )
+    problems = problems_of(text)
+    assert not any("no physical constants" in problem for problem in problems)
+    keys = [re.match(r"plate\.toml:\d+: ([^:]+):", problem).group(1) for problem in problems]
+    assert keys == [
+        "plate.width_mm",
+        "plate.layup",
+        "plate.sd.thicknes_mm",
+        "material.E1_GPa",
+        "unknowns.E1_GPa",
+        "measurement.frequencies_hz item 3",
+        "measurement.labels",
+    ]
+    lines = [int(problem.split(":")[1]) for problem in problems]
+    assert lines == sorted(lines)
+
+
+def test_the_message_holds_every_problem_one_a_line(full_text):
+    text = full_text.replace("width_mm = 250", "width_mm = -250").replace("mean", "men")
+    with pytest.raises(PlateFileError) as caught:
+        parse_specimen(text, "plate.toml")
+    assert str(caught.value).split("\n") == list(caught.value.problems)
+    assert isinstance(caught.value, ValueError)
+    assert str(pickle.loads(pickle.dumps(caught.value))) == str(caught.value)
+
+
+def test_a_malformed_layup_is_shown_with_a_caret(full_text):
+    problem = one_problem(full_text.replace('"[(0/90)_8]_s"', '"[(0/9x)_8]_s"'))
+    _, shown, caret = problem.split("\n")
+    assert shown[caret.index("^")] == "x"
+
+
+@pytest.mark.parametrize("key", ["E2_GPa", "G12_GPa", "G13_GPa", "G23_GPa"])
+def test_an_isotropic_plate_has_two_constants(full_text, key):
+    start = full_text.index("[material]")
+    stop = full_text.index("[environment]")
+    tables = (
+        "[material]\nisotropic = true\nE1_GPa = 69\nnu12 = 0.33\n{0}"
+        "[material.sd]\nnu12 = 0.03\n{1}[unknowns]\nE1_GPa = [10, 200]\n{2}"
+    )
+    good = full_text[:start] + tables.format("", "", "") + full_text[stop:]
+    assert parse_specimen(good, "x").material.isotropic
+    bad = full_text[:start] + tables.format(f"{key} = 25\n", f"{key} = 2\n", f"{key} = [5, 30]\n")
+    problems = problems_of(bad + full_text[stop:])
+    assert [problem.split(": ")[1] for problem in problems] == [
+        f"material.{key}",
+        f"material.sd.{key}",
+        f"unknowns.{key}",
+    ]
+    assert all("E1_GPa and nu12 only" in problem for problem in problems)
+
+
+def test_an_isotropic_poissons_ratio_stays_below_one_half():
+    text = """
+    name = "x"
+    [plate]
+    length_mm = 100
+    width_mm = 50
+    thickness_mm = 2
+    density_kg_m3 = 2700
+    edges = "FFFF"
+    [material]
+    isotropic = true
+    E1_GPa = 69
+    nu12 = 0.5
+    """
+    assert "-1 < nu12 < 0.5" in one_problem(text)
+    text = text.replace("0.5", "0.3") + "[unknowns]\nnu12 = [0.6, 0.7]\n"
+    assert "no physical constants" in one_problem(text)
+
+
+@pytest.mark.parametrize("missing", ["plate", "material"])
+def test_a_missing_table_is_one_problem(full_text, missing):
+    body = re.sub(rf"\[{missing}\]\n(.+\n)+|\[{missing}\.sd\]\n(.+\n)+", "", full_text)
+    assert f"{missing}: missing, accepted: a table [{missing}]" in one_problem(body)
+
+
+@pytest.mark.parametrize("neither", ["density_kg_m3 = 1590.0\n"])
+def test_a_plate_without_density_and_mass_is_refused(full_text, neither):
+    text = full_text.replace(neither, "").replace("density_kg_m3 = 15\n", "")
+    problem = one_problem(text)
+    assert problem.startswith(f"plate.toml:{line_of(text, '[plate]')}: plate: density")
+    assert "neither" in problem
+
+
+def test_equal_frequencies_are_a_degenerate_pair(full_text):
+    assert parse_specimen(full_text, "x").measurement.frequencies[2:4].tolist() == [342, 342]
+
+
+def test_very_many_errors_are_cut_off():
+    problems = problems_of("x = 1\n" + "\n".join(f"key{i} = 1" for i in range(5000)))
+    assert len(problems) == 101
+    assert "more problems" in problems[-1]
+
+
+def test_received_values_are_shown_short_and_printable(full_text):
+    long = problems_of(full_text.replace("CFSF", "F" * 100_000))
+    assert all(len(problem) < 400 for problem in long)
+    escaped = problems_of(full_text.replace("CFSF", "\\u001b[31m"))
+    assert "\x1b" not in "".join(escaped)
+    key = problems_of(full_text.replace("[unknowns]", '[unknowns]\n"\\u001b[31m" = 1'))
+    assert "\x1b" not in "".join(key)
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        ("a = 1\nb = = 2\n", 2),
+        ("a = 1\n[plate\nb = 2\n", 2),
+        ("a = 1\na = 2\n", 2),
+        ('a = "\x1b"\n', 1),
+        ("a = 1\n\nb = [1, 2\n", 3),
+        ("x = 1" + "0" * 5000, 1),
+        ("a = " + "[" * 100_000, 1),
+        (".".join("a" * 50_000) + " = 1", 1),
+        ("b = 1\nx = {" + ".".join("a" * 50_000) + " = 1}", 2),
+    ],
+)
+def test_invalid_toml_is_one_message_with_its_line(text, line):
+    start = time.perf_counter()
+    problem = one_problem(text)
+    assert time.perf_counter() - start < 1.0
+    assert problem.startswith(f"plate.toml:{line}: file: ")
+    assert "\n" not in problem
+    assert "\x1b" not in problem
+    assert len(problem) < 300

@@ -1,0 +1,241 @@
+"""The notation of layups."""
+
+import pickle
+import time
+
+import numpy as np
+import pytest
+
+from cpam_bayes.errors import LayupError
+from cpam_bayes.plate.layup import MAX_PLIES, format_angles, from_angles, parse_layup
+
+
+@pytest.mark.parametrize(
+    ("text", "angles"),
+    [
+        ("[0_20]", [0] * 20),
+        ("[(0/90)_8]_s", [0, 90] * 8 + [90, 0] * 8),
+        ("[45/-45/0_2]_2s", [45, -45, 0, 0] * 2 + [0, 0, -45, 45] * 2),
+        ("[0/90]_T", [0, 90]),
+        ("[0/90]_2T", [0, 90, 0, 90]),
+        ("[0/90]_4", [0, 90] * 4),
+        ("[0/90]_S", [0, 90, 90, 0]),
+        ("[0/90]s", [0, 90, 90, 0]),
+        ("[0/90]2s", [0, 90, 0, 90, 90, 0, 90, 0]),
+        ("[(0/(45/-45)_2)_2/90]", [0, 45, -45, 45, -45] * 2 + [90]),
+        ("[\u00b145/0]", [45, -45, 0]),
+        ("[+-45/0]", [45, -45, 0]),
+        ("[\u221245]_s", [-45, -45]),
+        ("[\u00b130_2]_s", [30, -30, 30, -30, -30, 30, -30, 30]),
+        ("[22.5/-7.25/.5]", [22.5, -7.25, 0.5]),
+        (" [ 0 / 90 _ 2 ] _ 2 s ", [0, 90, 90] * 2 + [90, 90, 0] * 2),
+        ("[-90/-0]", [90, 0]),
+        ("[+45]", [45]),
+        ("[(0)_002]", [0, 0]),
+    ],
+)
+def test_known_layups_expand_bottom_to_top(text, angles):
+    layup = parse_layup(text)
+    assert layup.angles_deg.tolist() == angles
+    assert layup.n_plies == len(angles)
+    assert layup.n_unknown == 0
+    assert np.all(layup.unknown_index == -1)
+
+
+@pytest.mark.parametrize("text", ["[\u221330]", "[-+30]"])
+def test_minus_or_plus_begins_with_the_negative_angle(text):
+    assert parse_layup(text).angles_deg.tolist() == [-30, 30]
+
+
+@pytest.mark.parametrize(
+    ("text", "index"),
+    [
+        ("[(?/?/?/?)_4]_s", [0, 1, 2, 3] * 4 + [3, 2, 1, 0] * 4),
+        ("[(0/?/90/?)_4]_s", [-1, 0, -1, 1] * 4 + [1, -1, 0, -1] * 4),
+        ("[(?/?/?/?/?)_2]_s", [0, 1, 2, 3, 4] * 2 + [4, 3, 2, 1, 0] * 2),
+        ("[?_4/0/?]", [0, 0, 0, 0, -1, 1]),
+        ("[?/(?/(?)_2)_2]", [0, 1, 2, 2, 1, 2, 2]),
+    ],
+)
+def test_each_written_question_mark_is_one_unknown_however_often_repeated(text, index):
+    layup = parse_layup(text)
+    assert layup.unknown_index.tolist() == index
+    assert np.array_equal(np.isnan(layup.angles_deg), layup.unknown_index >= 0)
+    assert layup.n_unknown == max(index) + 1
+    assert layup.unknown_names == tuple(f"angle_{i + 1}" for i in range(max(index) + 1))
+
+
+@pytest.mark.parametrize(
+    ("text", "symmetric"),
+    [
+        ("[(?/?)_2]_s", True),
+        ("[?/?]", False),
+        ("[?/0/?]", False),
+        ("[?_3]", True),
+        ("[0/90/0]", True),
+        ("[0/90]", False),
+        ("[90/0/-90]", True),
+    ],
+)
+def test_symmetry_holds_whatever_the_unknown_angles(text, symmetric):
+    assert parse_layup(text).is_symmetric is symmetric
+
+
+def test_unknown_angles_fill_every_ply_they_stand_for():
+    layup = parse_layup("[(?/0/?)_2]_s")
+    full = layup.angles(np.array([[10.0, 20.0], [30.0, 40.0]]))
+    assert full.shape == (2, 12)
+    assert full[1].tolist() == [30, 0, 40, 30, 0, 40, 40, 0, 30, 40, 0, 30]
+    known = layup.with_angles([-90.0, 45.0])
+    assert known.n_unknown == 0
+    assert known.text == "[(90/0/45)_2]_s"
+
+
+def test_a_known_layup_takes_no_angles():
+    layup = parse_layup("[0/90]")
+    assert layup.angles(np.empty((3, 0))).tolist() == [[0, 90]] * 3
+    assert layup.unknown_names == ()
+
+
+@pytest.mark.parametrize("received", [np.zeros(3), np.zeros((2, 1)), 5.0])
+def test_a_wrong_number_of_unknown_angles_is_refused(received):
+    with pytest.raises(ValueError, match="accepted"):
+        parse_layup("[?/?]").angles(received)
+
+
+def test_with_angles_takes_one_choice_within_the_range():
+    layup = parse_layup("[?/?]")
+    with pytest.raises(ValueError, match="accepted"):
+        layup.with_angles(np.zeros((2, 2)))
+    with pytest.raises(ValueError, match="-90 to 90"):
+        layup.with_angles([0.0, 95.0])
+
+
+@pytest.mark.parametrize(
+    ("text", "position"),
+    [
+        ("", 0),
+        ("0/90", 0),
+        ("[]", 1),
+        ("[0/90", 0),
+        ("[(0/90]", 6),
+        ("[(0/90", 1),
+        ("[0//90]", 3),
+        ("[0/x]", 3),
+        ("[0/95]", 3),
+        ("[0/-90.5]", 3),
+        ("[0/1e1]", 4),
+        ("[0/nan]", 3),
+        ("[0_0]", 3),
+        ("[0_-1]", 3),
+        ("[0_]", 3),
+        ("[0]_", 4),
+        ("[0]_x", 4),
+        ("[0]_s2", 5),
+        ("[0]_s/90", 5),
+        ("[0]]", 3),
+        ("[0 90]", 3),
+        ("[\u00b1?]", 1),
+        ("[0.1.2]", 4),
+        ("[0,90]", 2),
+    ],
+)
+def test_malformed_layups_are_refused_at_their_position(text, position):
+    with pytest.raises(LayupError) as caught:
+        parse_layup(text)
+    assert (caught.value.text, caught.value.position) == (text, position)
+    first, shown, caret = str(caught.value).split("\n")
+    assert f"character {position + 1}" in first
+    assert shown == f"  {text}"
+    assert caret == f"  {' ' * position}^"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "[0_1000000]",
+        "[(0/90)_500000]",
+        "[0_1001]_s",
+        f"[0_{'9' * 4000}]",
+        "[((((((0_1000)_1000)_1000)_1000)_1000)_1000)_1000]_1000s",
+        "[0_1000/0_1000/0]",
+        "[(0_2000)_1000000000]",
+        "[?]_2001",
+        "[" + "/".join(["0_999"] * 1500) + "]",
+    ],
+)
+def test_layups_of_too_many_plies_are_refused_before_they_are_built(text):
+    start = time.perf_counter()
+    with pytest.raises(LayupError, match=f"up to {MAX_PLIES}"):
+        parse_layup(text)
+    # microseconds in fact; a million plies would take far longer than this
+    assert time.perf_counter() - start < 0.1
+
+
+def test_the_largest_layup_is_read():
+    assert parse_layup("[0_1000]_s").n_plies == MAX_PLIES
+
+
+def test_long_and_deep_texts_are_refused():
+    with pytest.raises(LayupError, match="characters") as caught:
+        parse_layup("[" + "0/" * 10_000_000 + "0]")
+    assert len(str(caught.value)) < 400
+    with pytest.raises(LayupError, match="nested too deeply"):
+        parse_layup("[" + "(" * 3000 + "0" + ")" * 3000 + "]")
+
+
+def test_unprintable_characters_do_not_reach_the_message():
+    with pytest.raises(LayupError) as caught:
+        parse_layup("[0/\x1b[31m]")
+    assert "\x1b" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("angles", "text"),
+    [
+        ([0] * 20, "[0_20]"),
+        ([0, 90] * 8 + [90, 0] * 8, "[(0/90)_8]_s"),
+        ([45, -45, 0, 0] * 2 + [0, 0, -45, 45] * 2, "[(45/-45/0_2)_2]_s"),
+        ([0, 90, 0, 90], "[(0/90)_2]"),
+        ([0, 90, 0], "[0/90/0]"),
+        ([22.5], "[22.5]"),
+        ([-90, -0.0], "[90/0]"),
+        ([1e-7, 0.1 + 0.2], "[0.0000001/0.30000000000000004]"),
+    ],
+)
+def test_known_angles_are_written_compactly_and_read_back_exactly(angles, text):
+    assert format_angles(angles) == text
+    layup = from_angles(angles)
+    assert layup.text == text
+    assert layup.angles_deg.tolist() == parse_layup(text).angles_deg.tolist()
+
+
+def test_random_layups_survive_writing_and_reading():
+    rng = np.random.default_rng(3)
+    for _ in range(200):
+        angles = rng.choice([0.0, 90.0, 45.0, -45.0, 12.5], size=rng.integers(1, 13)).tolist()
+        if rng.random() < 0.5:
+            angles = angles * int(rng.integers(1, 4))
+        if rng.random() < 0.5:
+            angles = angles + angles[::-1]
+        assert parse_layup(format_angles(angles)).angles_deg.tolist() == angles
+
+
+@pytest.mark.parametrize("angles", [[], [91.0], [float("nan")], [0.0] * (MAX_PLIES + 1)])
+def test_impossible_angle_lists_are_refused(angles):
+    with pytest.raises(ValueError, match="accepted"):
+        from_angles(angles)
+
+
+def test_layup_arrays_are_read_only_and_travel_between_processes():
+    layup = parse_layup("[?/0]_s")
+    with pytest.raises(ValueError, match="read-only"):
+        layup.angles_deg[0] = 1.0
+    again = pickle.loads(pickle.dumps(layup))
+    assert again.text == layup.text
+    assert again.unknown_index.tolist() == [0, -1, -1, 0]
+
+
+def test_layup_errors_travel_between_processes():
+    error = LayupError("[x]", 1, "what")
+    assert str(pickle.loads(pickle.dumps(error))) == str(error)

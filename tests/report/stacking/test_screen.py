@@ -1,0 +1,179 @@
+"""What `sequence` says: screen, document, pictures and the posterior file."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cpam_bayes.report.figures import save_figures
+from cpam_bayes.report.stacking.data import EMCEE, write_sequence_posterior
+from cpam_bayes.report.stacking.figures import sequence_figures
+from cpam_bayes.report.stacking.screen import sequence_document, sequence_screen, sequence_warnings
+from cpam_bayes.report.tables import plain_text
+from cpam_bayes.stacking.posterior import SequenceSettings, SurfaceCheck, sequence_probabilities
+from cpam_bayes.stacking.queries.best_fit import fit_of_the_first
+from cpam_bayes.stacking.queries.given_layup import given_sequence
+from tests.stacking.cases import TRUE, answer, mixture, specimen
+
+pytestmark = pytest.mark.slow
+
+SMALL = SequenceSettings(draws=30, listed=12, log2_points=6)
+
+
+def test_the_document_has_what_the_contract_names() -> None:
+    own, mixed = answer(), mixture()
+    document = json.loads(json.dumps(sequence_document(own, mixed, None, 0, 5, ()), allow_nan=False))
+    assert document["enumerated"] == 36
+    assert len(document["sequences"]) == 5
+    first = document["sequences"][0]
+    assert set(first) >= {"angles_deg", "probability", "log_evidence", "constants"}
+    assert first["sampled_by"] == "emcee"
+    assert document["sequences"][4]["sampled_by"] == "importance sampling"
+    assert set(first["constants"]) == {"E1_GPa", "E2_GPa", "nu12", "G12_GPa"}
+    assert document["credible_95_count"] == own.credible_count
+    assert document["unaccounted_probability"] == 0.0
+    np.testing.assert_allclose(np.sum(document["angle_marginals"], axis=1), 1.0)
+    assert document["outer_plies_better_determined"] is True
+    mean = document["constants"]["E1_GPa"]["mean"]
+    assert document["constants"]["E1_GPa"]["q025"] < mean < document["constants"]["E1_GPa"]["q975"]
+    assert mean == pytest.approx(mixed.parameters[:, 0].mean() / 1e9)
+
+
+def test_the_printed_sequence_stands_in_document_and_screen() -> None:
+    own, mixed = answer(), mixture()
+    given = given_sequence(own, np.array(TRUE))
+    with_given = replace(mixed, given=mixed.components[0])
+    document = sequence_document(own, with_given, given, 0, 5, ())
+    assert document["printed_sequence"]["rank"] == 1
+    assert document["printed_sequence"]["constants"] == document["sequences"][0]["constants"]
+    text = "\n".join(plain_text(t) for t in sequence_screen(own, with_given, given, 0, ()) if t.rows)
+    assert "30/-60: probability" in text
+    assert "given the printed one" in text
+
+
+def test_the_screen_says_set_number_and_plies() -> None:
+    text = "\n".join(plain_text(t) for t in sequence_screen(answer(), mixture(), None, 0, ()) if t.rows)
+    assert f"{answer().credible_count} sequences" in text
+    assert "outer angles are better determined than inner ones" in text
+    assert "emcee on the first 3 of the list" in text
+
+
+def test_chains_that_failed_or_disagree_are_warned_of() -> None:
+    mixed = mixture()
+    own = replace(answer(), log_evidence_error=np.zeros(len(answer().top)))
+    assert sequence_warnings(own, mixed) == ()
+    first, second = mixed.components[:2]
+    failed = replace(first, diagnostics=replace(first.diagnostics, converged=False))
+    wrong = replace(second, importance=first.importance)
+    said = sequence_warnings(own, replace(mixed, components=(failed, wrong)))
+    assert "the chains of sequence 1 have not converged" in said[0]
+    assert "the chains of sequence 2 and importance sampling differ by" in said[1]
+
+
+def test_the_screen_says_noise_fit_and_air() -> None:
+    text = "\n".join(plain_text(t) for t in sequence_screen(answer(), mixture(), None, 0, ()) if t.rows)
+    assert "1.0 % of a frequency, from the plate file; alone it leaves residuals like these" in text
+    assert "would lower the first 6 frequencies by" in text
+    document = sequence_document(answer(), mixture(), None, 0, 5, ())
+    assert document["noise_percent"] == pytest.approx(1.0, rel=1e-3)
+    assert document["noise_inferred"] is False
+    assert document["p_value"] > 0.99, "the list is one of the plate's own, without noise"
+
+
+def test_a_list_that_lacks_a_mode_is_paired() -> None:
+    own = specimen()
+    assert own.measurement is not None
+    every = own.measurement.frequencies
+    few = replace(own.measurement, frequencies=np.delete(every, 2), labels=("",) * 5, complete=False)
+    found = sequence_probabilities(
+        replace(own, measurement=replace(few, relative_std=1e-3)),
+        0,
+        settings=SMALL,
+    )
+    fit = fit_of_the_first(found)
+    np.testing.assert_allclose(fit.predicted, np.delete(every, 2), rtol=1e-3)
+    np.testing.assert_allclose(fit.missed, every[2:3], rtol=5e-3)
+    assert fit.p_value is not None
+    assert fit.p_value > 0.9
+    document = sequence_document(found, mixture(), None, 0, 5, ())
+    assert document["missed_modes"] == [{"predicted_hz": pytest.approx(fit.missed[0])}]
+    text = "\n".join(plain_text(t) for t in sequence_screen(found, mixture(), None, 0, ()) if t.rows)
+    assert f"modes of the most probable sequence at {int(fit.missed[0])}." in text
+    wrong = replace(
+        few, frequencies=np.sort(np.append(np.delete(every, 2), every[3] * 1.1)), labels=("",) * 6
+    )
+    stray = sequence_probabilities(
+        replace(own, measurement=replace(wrong, relative_std=1e-3)),
+        0,
+        settings=SMALL,
+    )
+    beside = sequence_document(stray, mixture(), None, 0, 5, ())["frequencies"]
+    assert [f["predicted_hz"] is None for f in beside].count(True) == 1
+    assert "1 of the 6 frequencies belong to no mode" in sequence_warnings(stray, mixture())[0]
+
+
+def test_what_was_learned_badly_or_overlooked_is_warned_of() -> None:
+    own = replace(answer(), log_evidence_error=np.zeros(len(answer().top)))
+    good = SurfaceCheck(
+        learned_from=700,
+        rms=0.1,
+        largest=0.4,
+        overlooked=0.1,
+        correction=0.01,
+        effective=0.98,
+        fitted=500,
+        sampled=300,
+        learned_probability=1e-3,
+        basis_error=1e-5,
+    )
+    assert sequence_warnings(replace(own, check=good), mixture()) == ()
+    bad = replace(own, check=replace(good, rms=2.5, overlooked=1.2), unaccounted=4e-3)
+    rough, overlooked, left_out = sequence_warnings(bad, mixture())
+    assert "the learned log evidence is 2.50 off" in rough
+    assert (
+        "a sequence drawn from the posterior is better by 1.2 in log evidence than every one listed"
+        in overlooked
+    )
+    assert "sequences with up to 0.004 of the probability were left out" in left_out
+    document = sequence_document(bad, mixture(), None, 0, 5, (rough, overlooked, left_out))
+    assert document["learned"]["overlooked_nats"] == 1.2
+
+
+def test_the_posterior_file_opens_in_plain_arviz(tmp_path: Path) -> None:
+    import arviz
+
+    own, mixed = answer(), mixture()
+    write_sequence_posterior(own, mixed, 3, tmp_path)
+    data = arviz.from_netcdf(str(tmp_path / "posterior.nc"))
+    posterior = data.posterior
+    assert posterior["angle_deg"].dims == ("chain", "draw", "ply")
+    assert posterior.sizes["draw"] == len(mixed.parameters)
+    np.testing.assert_allclose(posterior["E1_GPa"].values[0], mixed.parameters[:, 0] / 1e9)
+    assert posterior["E1_GPa"].attrs["unit"] == "GPa"
+    by = data.sample_stats["sampled_by"].values[0]
+    assert np.mean(by == EMCEE) == pytest.approx(mixed.emcee_share, abs=1e-3)
+    np.testing.assert_array_equal(posterior["component"].values[0], mixed.origin)
+    # a draw's angles are an image of its component's
+    listed = data.constant_data["sequence_angle_deg"].values
+    assert np.all(np.abs(posterior["angle_deg"].values[0][mixed.origin == 0]) == np.abs(listed[0]))
+    np.testing.assert_allclose(data.constant_data["angle_marginal"].sum("angle"), 1.0)
+    assert data.observed_data.sizes["mode"] == 6
+    assert data.attrs["seed"] == 3
+    assert len(data.attrs["problem_hash"]) == 32
+
+
+def test_the_same_answer_gives_the_same_pictures(tmp_path: Path) -> None:
+    for name in ("first", "again"):
+        (tmp_path / name).mkdir()
+        figures = sequence_figures(answer(), mixture(), given_sequence(answer(), np.array(TRUE)))
+        save_figures(figures, tmp_path / name)
+    files = sorted(p.name for p in (tmp_path / "first").iterdir())
+    assert {p.removesuffix(".png") for p in files if p.endswith(".png")} == {
+        "angles_C1",
+        "constants_C1",
+        "credible_set_C1",
+    }
+    for file in files:
+        assert (tmp_path / "first" / file).read_bytes() == (tmp_path / "again" / file).read_bytes()

@@ -1,0 +1,201 @@
+"""Every sequence on a grid, gone through by tables, against a loop over all of them."""
+
+from itertools import product
+
+import numpy as np
+import pytest
+
+from cpam_bayes.plate.laminate import laminate_geometry
+from cpam_bayes.plate.layup import parse_layup
+from cpam_bayes.plate.records import angle_grid
+from cpam_bayes.stacking.enumeration.best_first import (
+    Enumerator,
+    enumerate_prefixes,
+    prefixes_to_visit,
+    together,
+    values_of_prefix,
+)
+from cpam_bayes.stacking.features import PlySums, ply_sums
+from cpam_bayes.stacking.surrogate.gaussian_process import fit_map
+from cpam_bayes.stacking.surrogate.piecewise_linear import EvidenceTable, build_table, log_evidence
+
+GRID = angle_grid(20.0)
+# of this grid a right angle is a multiple
+GRID18 = angle_grid(18.0)
+LAYUP = parse_layup("[?/?/?/?]_s")
+CENTRE = np.array([0.3, 0.0, -0.1, 0.0])
+SCALE = np.array([0.15, 0.2, 0.25, 0.3])
+
+
+def tangent(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """A Gaussian valley over v, even in the sines, with a slope in the first further sum."""
+    y = np.column_stack(((x[:, :4] - CENTRE) / SCALE, 2.0 * x[:, 4]))
+    slope = np.zeros((*y.shape, x.shape[1]))
+    slope[:, np.arange(4), np.arange(4)] = 1.0 / SCALE
+    slope[:, 4, 4] = 2.0
+    return y, slope
+
+
+def surface(x: np.ndarray, freedom: float = np.inf) -> np.ndarray:
+    return log_evidence(tangent(x)[0], freedom)
+
+
+def everything(sums: PlySums, freedom: float = np.inf) -> tuple[np.ndarray, np.ndarray]:
+    sequences = np.array(list(product(range(len(GRID)), repeat=4)))
+    return sequences, surface(sums.features(sequences), freedom)
+
+
+def enumerator(
+    sums: PlySums,
+    floor: float,
+    mirrored: bool = True,
+    threshold: float = np.inf,
+    freedom: float = np.inf,
+) -> Enumerator:
+    table = build_table(tangent, sums.rest_reach, 0.0, -floor, halvings=2, slack=0.6, freedom=freedom)
+    negation = np.array(
+        [int(np.flatnonzero(np.isclose((a + b) % 180.0, 0.0))[0]) for a in GRID for b in [GRID]]
+    )
+    return Enumerator(table, sums, 0.0, negation if mirrored else None, threshold)
+
+
+@pytest.fixture(scope="module")
+def sums() -> PlySums:
+    return ply_sums(LAYUP, GRID)
+
+
+def test_noise_that_is_inferred_is_marginalised_over() -> None:
+    # residuals far above their unit: integrated over d sigma / sigma, n of them give |z|^-n up to a factor
+    z = np.array([[0.5, -1.0, 2.0, 0.1, 0.0], [5.0, -10.0, 20.0, 1.0, 0.0]])
+    n = 4
+    sigma = np.geomspace(1e-3, 1e4, 20001)
+    density = -0.5 * np.sum(z[:, :-1] ** 2, axis=1)[:, None] / sigma**2 - n * np.log(sigma)
+    marginal = np.log(np.trapezoid(np.exp(density), np.log(sigma)))
+    found = log_evidence(1e3 * z, 4.0)
+    assert found[1] - found[0] == pytest.approx(marginal[1] - marginal[0], abs=1e-4)
+    np.testing.assert_allclose(log_evidence(z[:1], 1e9), log_evidence(z[:1], np.inf), rtol=1e-8)
+
+
+def test_the_first_sums_are_the_bending_lamination_parameters(sums: PlySums) -> None:
+    sequences = np.random.default_rng(0).integers(len(GRID), size=(30, 4))
+    geometry = laminate_geometry(LAYUP.angles(GRID[sequences]), symmetric=True)
+    w0, cos2, cos4, sin2, sin4 = geometry.flexural.T
+    expected = np.stack((cos2, sin2, cos4, sin4), axis=1) / w0[:, None]
+    np.testing.assert_allclose(sums.features(sequences)[:, :4], expected, atol=1e-12)
+
+
+def test_a_mirror_image_has_the_sums_with_the_mirrors_signs(sums: PlySums) -> None:
+    sequences = np.random.default_rng(1).integers(len(GRID), size=(30, 4))
+    negation = enumerator(sums, -3.0).negation
+    assert negation is not None
+    np.testing.assert_allclose(
+        sums.features(negation[sequences]), sums.features(sequences) * sums.signs("mirror image"), atol=1e-12
+    )
+
+
+@pytest.mark.parametrize(
+    ("motion", "turned"), [("quarter turn", GRID18 + 90.0), ("diagonal mirror image", 90.0 - GRID18)]
+)
+def test_images_on_a_square_have_the_sums_with_their_signs(motion: str, turned: np.ndarray) -> None:
+    own = ply_sums(LAYUP, GRID18)
+    place = np.array([int(np.argmin(np.abs((GRID18 - a + 90.0) % 180.0 - 90.0))) for a in turned])
+    sequences = np.random.default_rng(2).integers(len(GRID18), size=(30, 4))
+    np.testing.assert_allclose(
+        own.features(place[sequences]), own.features(sequences) * own.signs(motion), atol=1e-12
+    )
+
+
+def test_unsymmetric_layups_are_refused() -> None:
+    with pytest.raises(ValueError, match="symmetric layup"):
+        ply_sums(parse_layup("[?/?/?/?]"), GRID)
+
+
+@pytest.mark.parametrize("mirrored", [True, False])
+def test_sums_over_all_sequences_are_those_of_a_loop(sums: PlySums, mirrored: bool) -> None:
+    sequences, value = everything(sums)
+    own = enumerator(sums, -12.0, mirrored)
+    piece = enumerate_prefixes(own, prefixes_to_visit(own))
+    inside = own.table.lookup(sums.features(sequences)[:, :4]) >= 0
+    assert piece.kept == inside.sum()
+    assert piece.kept + piece.left_out == len(sequences) == 9**4
+    weight = np.exp(value) * inside
+    # scores are linear for this surface; its values are kept in single precision
+    assert piece.mass.sum() == pytest.approx(weight.sum(), rel=1e-5)
+    assert piece.weight.sum() == pytest.approx(weight.sum(), rel=1e-5)
+    kept = weight[inside]
+    assert piece.entropy == pytest.approx(np.sum(kept * value[inside]), rel=1e-5)
+    marginal = np.stack([np.bincount(sequences[:, j], weight, minlength=9) for j in (1, 2, 3)])
+    found = piece.inner
+    if mirrored:
+        assert own.negation is not None
+        found = 0.5 * (found + found[:, own.negation])
+    np.testing.assert_allclose(found, marginal, rtol=1e-5, atol=1e-5 * weight.sum())
+    assert not len(piece.listed)
+
+
+@pytest.mark.parametrize(("freedom", "floor"), [(np.inf, -6.0), (6.0, -3.0)])
+def test_what_is_left_out_lies_below_the_floor(sums: PlySums, freedom: float, floor: float) -> None:
+    sequences, value = everything(sums, freedom)
+    table: EvidenceTable = enumerator(sums, floor, freedom=freedom).table
+    outside = table.lookup(sums.features(sequences)[:, :4]) < 0
+    assert outside.any()
+    assert value[outside].max() < floor
+
+
+@pytest.mark.parametrize("mirrored", [True, False])
+def test_the_list_holds_all_above_the_threshold_and_the_sums_all_below(sums: PlySums, mirrored: bool) -> None:
+    sequences, value = everything(sums)
+    own = enumerator(sums, -12.0, mirrored, threshold=-2.0)
+    piece = together([enumerate_prefixes(own, p) for p in np.array_split(prefixes_to_visit(own), 3)])
+    high = value >= -2.0
+    assert piece.times.sum() == high.sum()
+    np.testing.assert_allclose(piece.log_evidence, surface(sums.features(piece.listed)), atol=1e-4)
+    inside = own.table.lookup(sums.features(sequences)[:, :4]) >= 0
+    assert piece.mass.sum() == pytest.approx(np.exp(value[inside & ~high]).sum(), rel=1e-5)
+    assert piece.kept == inside.sum()
+
+
+def test_one_prefix_alone_gives_its_share(sums: PlySums) -> None:
+    own = enumerator(sums, -12.0)
+    piece = enumerate_prefixes(own, np.array([4]))
+    sequences, value = values_of_prefix(own, 4)
+    assert np.all(sequences[:, 0] == 4)
+    twice = 1 if own.negation is not None and own.negation[4] == 4 else 2
+    assert piece.mass[0] == pytest.approx(twice * np.exp(value).sum(), rel=1e-6)
+
+
+def test_listed_sequences_are_not_among_those_that_a_prefix_sums(sums: PlySums) -> None:
+    every, value = values_of_prefix(enumerator(sums, -12.0), 4)
+    low, below = values_of_prefix(enumerator(sums, -12.0, threshold=-2.0), 4)
+    assert 0 < len(low) < len(every)
+    np.testing.assert_array_equal(low, every[value < -2.0])
+    assert below.max() < -2.0
+
+
+def wave(x: np.ndarray) -> np.ndarray:
+    return np.column_stack((np.sin(x[:, 0]) * np.cos(2 * x[:, 1]), x[:, 0] + x[:, 1] ** 2))
+
+
+def test_the_smooth_map_learns_a_smooth_function_and_its_slope() -> None:
+    rng = np.random.default_rng(0)
+    x, new = rng.uniform(-1, 1, (200, 2)), rng.uniform(-0.9, 0.9, (40, 2))
+    found = fit_map(x, wave(x), rng)
+    np.testing.assert_allclose(found.values(new), wave(new), atol=2e-3)
+    value, slope = found.expansion(new)
+    np.testing.assert_allclose(value, found.values(new), atol=1e-12)
+    h = 1e-5
+    for j in range(2):
+        step = h * (np.arange(2) == j)
+        difference = (found.values(new + step) - found.values(new - step)) / (2 * h)
+        np.testing.assert_allclose(slope[:, :, j], difference, atol=1e-6)
+
+
+def test_a_mirrored_map_is_even_and_learns_from_half_the_plane() -> None:
+    rng = np.random.default_rng(0)
+    x, new = rng.uniform(0, 1, (120, 2)), rng.uniform(0.05, 0.95, (40, 2))
+    signs = np.array([1.0, -1.0])
+    found = fit_map(x, wave(x), rng, np.array([np.ones(2), signs]))
+    np.testing.assert_allclose(found.values(new * signs), found.values(new), atol=1e-12)
+    np.testing.assert_allclose(found.values(new * signs), wave(new), atol=5e-3)
+    slope = found.expansion(new)[1]
+    np.testing.assert_allclose(found.expansion(new * signs)[1], slope * signs, atol=1e-9)

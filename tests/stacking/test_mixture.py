@@ -1,0 +1,133 @@
+"""The mixture over sequences: each counts as its probability says, and its conditional is the right one."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cpam_bayes.parallel import open_executor
+from cpam_bayes.stacking.mixture import (
+    DEFAULT_SETTINGS,
+    MixtureSettings,
+    mixture_posterior,
+    sampled_classes,
+)
+from cpam_bayes.stacking.mixture import _combined as combined
+from cpam_bayes.stacking.queries.given_layup import given_sequence
+from cpam_bayes.stacking.symmetry.classes import members
+from tests.stacking.cases import answer, mixture, shortened
+
+pytestmark = pytest.mark.slow
+
+ONE = MixtureSettings(most=1)
+
+
+def test_classes_are_sampled_until_they_hold_the_share_or_are_too_many() -> None:
+    own = answer()
+    mass = own.probability * own.multiplicity
+    n = sampled_classes(own)
+    assert mass[:n].sum() >= 0.99 > mass[: n - 1].sum()
+    assert sampled_classes(own, ONE) == 1
+    assert sampled_classes(own, replace(DEFAULT_SETTINGS, share=1.0 + 1e-9, most=100)) == len(own.top)
+
+
+def test_emcee_and_importance_sampling_agree_on_every_component() -> None:
+    found = mixture()
+    assert found.converged
+    assert len(found.components) == sampled_classes(answer())
+    # the largest of 8 normal scores of a component, of three components: 4 is exceeded once in 600 times
+    assert max(c.worst_z for c in found.components) < 4.0
+    for c in found.components:
+        assert c.diagnostics.ess_bulk >= 400.0
+        assert c.effective > 300.0
+
+
+def test_a_wrong_component_would_be_seen() -> None:
+    one, other = mixture().components[:2]
+    assert replace(one, importance=other.importance).worst_z > 10.0
+
+
+def test_each_class_has_as_many_draws_as_its_probability_says() -> None:
+    own, found = answer(), mixture()
+    size = len(found.parameters)
+    for i, share in enumerate(own.probability * own.multiplicity):
+        # systematic resampling: the number that is due, rounded up or down
+        assert abs(np.sum(found.origin == i) - size * share) <= 1.0 + 1e-6 * size
+    assert found.emcee_share + found.listed_share + found.drawn_share == pytest.approx(1.0)
+    assert found.by_emcee.mean() == pytest.approx(found.emcee_share, abs=1.0 / size)
+
+
+def test_all_images_of_a_class_are_drawn_alike() -> None:
+    own, found = answer(), mixture()
+    angles = found.angles_deg[found.origin == 0]
+    images = own.grid_deg[members(own.components.sequences[0], own.symmetries)]
+    share = [np.mean(np.all(angles == image, axis=1)) for image in images]
+    assert sum(share) == pytest.approx(1.0)
+    # four standard deviations of a share of one half
+    np.testing.assert_allclose(share, 1.0 / len(images), atol=2.0 / np.sqrt(len(angles)))
+
+
+def test_moments_are_those_of_the_weighted_components() -> None:
+    own, found = answer(), mixture()
+    n = len(found.components)
+    weight = (own.probability * own.multiplicity)[:n]
+    weight = weight / weight.sum()
+    mean = weight @ np.stack([c.importance.mean for c in found.components])
+    spread = weight @ np.stack(
+        [c.importance.sd**2 + (c.importance.mean - mean) ** 2 for c in found.components]
+    )
+    sd = np.sqrt(spread)
+    # some 900 effective draws of the first class, and as many of importance sampling
+    np.testing.assert_allclose(found.parameters.mean(axis=0), mean, atol=4.0 * sd.max() / 20.0, rtol=0.0)
+    np.testing.assert_array_less(np.abs(found.parameters.mean(axis=0) - mean) / sd, 0.2)
+    np.testing.assert_allclose(found.parameters.std(axis=0), sd, rtol=0.2)
+
+
+def test_what_is_neither_sampled_nor_listed_is_drawn() -> None:
+    own = shortened(1)
+    found = combined(own, mixture().components[:1], None, 4000, np.random.default_rng(0), 0.0)
+    rest = 1.0 - float((own.probability * own.multiplicity)[0])
+    assert found.drawn_share == pytest.approx(rest, rel=1e-9)
+    assert found.listed_share == 0.0
+    unlisted = found.angles_deg[found.origin == -1]
+    assert len(unlisted) == pytest.approx(4000 * rest, abs=1.0)
+    first = own.grid_deg[members(own.components.sequences[0], own.symmetries)]
+    assert not any(np.all(unlisted == image, axis=1).any() for image in first)
+
+
+def test_what_is_listed_and_not_sampled_has_its_importance_draws() -> None:
+    own = answer()
+    found = combined(own, mixture().components[:1], None, 4000, np.random.default_rng(0), 0.0)
+    assert found.listed_share == pytest.approx(1.0 - found.emcee_share)
+    kept = own.components.conditionals.draws[1]
+    for x in found.parameters[found.origin == 1]:
+        assert np.any(np.all(kept == x, axis=1))
+
+
+def test_a_sequence_that_is_asked_for_is_sampled_too() -> None:
+    own = answer()
+    third = given_sequence(own, own.top[2])
+    found = mixture_posterior(own, 0, given=third, settings=ONE)
+    assert found.given is not None
+    assert found.given.index == 2
+    assert len(found.components) == 1
+    assert len(found.sampled) == 2
+    # the same work as where it is one of the most probable
+    np.testing.assert_array_equal(found.given.draws, mixture().components[2].draws)
+
+
+def test_the_same_seed_gives_the_same_draws_whoever_computes_them() -> None:
+    own = answer()
+    short = replace(
+        ONE,
+        ensembles=replace(ONE.ensembles, walkers=12, round_steps=10, most_steps=10),
+        proposal=replace(ONE.proposal, rounds=1, draws=200),
+        points=200,
+    )
+    alone = mixture_posterior(own, 0, settings=short)
+    with open_executor("processes", 2) as executor:
+        shared = mixture_posterior(own, 0, settings=short, executor=executor)
+    np.testing.assert_array_equal(shared.parameters, alone.parameters)
+    np.testing.assert_array_equal(shared.angles_deg, alone.angles_deg)
+    other = mixture_posterior(own, 1, settings=short)
+    assert not np.array_equal(other.parameters, alone.parameters)

@@ -1,0 +1,344 @@
+"""The posterior over stacking sequences, against brute force, and against an evidence known otherwise."""
+
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+import pytest
+
+from cpam_bayes.forward_model.focused import focused
+from cpam_bayes.forward_model.model import angle_parameters, reference_vector, training_sets
+from cpam_bayes.forward_model.reduced import ReducedModel
+from cpam_bayes.forward_model.store import reduced_model
+from cpam_bayes.inference.importance import importance_evidence as known_evidence
+from cpam_bayes.inference.posterior import Posterior, plate_posterior
+from cpam_bayes.inference.standard_normal import normal_scores
+from cpam_bayes.parallel import open_executor
+from cpam_bayes.parameters import Parameter, ParameterSet, ScaledStudentT, TruncatedNormal, Uniform
+from cpam_bayes.plate import Measurement, Specimen, builtin
+from cpam_bayes.plate.layup import parse_layup
+from cpam_bayes.stacking.conditional import importance as sequence_importance
+from cpam_bayes.stacking.conditional.evaluation import locate, neighbours
+from cpam_bayes.stacking.conditional.importance import importance_evidence
+from cpam_bayes.stacking.conditional.posterior import (
+    SequencePosterior,
+    fit_sequences,
+    sequence_posterior,
+)
+from cpam_bayes.stacking.enumeration.by_surrogate import learning_of, noisier_seeds
+from cpam_bayes.stacking.posterior import (
+    DEFAULT_SETTINGS,
+    SequenceAnswer,
+    SequenceSettings,
+    common_starts,
+    sequence_probabilities,
+    sequence_task,
+)
+from cpam_bayes.stacking.surrogate.training import LearningSettings, learn
+from cpam_bayes.stacking.symmetry.classes import members
+
+TRUE = (30.0, -60.0)
+QUICK = SequenceSettings(draws=50, listed=72, log2_points=7)
+
+
+def specimen_with(layup: str, frequencies: np.ndarray, relative_std: float | None, step: float) -> Specimen:
+    own = builtin("C1")
+    plate = replace(own.plate, layup=parse_layup(layup), width=0.19)
+    measurement = Measurement(frequencies, 0.0, relative_std, None, ("",) * len(frequencies), True)
+    return replace(own, plate=plate, measurement=measurement, angle_grid_deg=step)
+
+
+def listed(layup: str, angles: tuple[float, ...], relative_std: float | None, step: float = 15.0) -> Specimen:
+    """A plate with unknown angles and the noise-free list that some angles give."""
+    own = specimen_with(layup, np.arange(1.0, 7.0), relative_std, step)
+    parameters = angle_parameters(own).union(own.unknowns)
+    model = reduced_model(own, parameters, 6)
+    x = np.concatenate((angles, reference_vector(own, own.unknowns)))
+    return specimen_with(layup, model.full.predict(x).frequencies[0], relative_std, step)
+
+
+@pytest.fixture(scope="module")
+def specimen() -> Specimen:
+    return listed("[(?/?)_2]_s", TRUE, 0.01)
+
+
+@pytest.fixture(scope="module")
+def answer(specimen: Specimen) -> SequenceAnswer:
+    return sequence_probabilities(specimen, 0, settings=QUICK)
+
+
+def distribution(answer: SequenceAnswer) -> dict[tuple[float, ...], float]:
+    """Probability of every sequence that is listed, images included: mirror images alone here."""
+    found = {}
+    for angles, p in zip(answer.top, answer.probability, strict=True):
+        found[tuple(angles)] = float(p)
+        found[tuple(np.where(angles == 90.0, 90.0, -angles) + 0.0)] = float(p)
+    return found
+
+
+def test_probabilities_and_marginals_add_up(answer: SequenceAnswer) -> None:
+    assert answer.enumerated == 12**2
+    assert answer.classes is not None
+    assert answer.unaccounted == 0.0
+    np.testing.assert_allclose(answer.marginals.sum(axis=1), 1.0, rtol=1e-12)
+    assert np.all(np.diff(answer.probability) <= 0.0)
+    assert float(np.sum(answer.probability * answer.multiplicity)) <= 1.0 + 1e-12
+
+
+def test_the_true_sequence_is_in_the_credible_set_of_a_clean_list(answer: SequenceAnswer) -> None:
+    p = distribution(answer)
+    more = sum(q for q in p.values() if q > p[TRUE] * (1 + 1e-9))
+    assert more < 0.95
+    assert p[TRUE] == p[(-30.0, 60.0)]
+
+
+def test_marginals_are_those_of_the_sequences(answer: SequenceAnswer) -> None:
+    whole = distribution(answer)
+    left = 1.0 - sum(whole.values())
+    for j in range(2):
+        for i, angle in enumerate(answer.grid_deg):
+            own = sum(p for s, p in whole.items() if s[j] == angle)
+            assert own - 1e-9 <= answer.marginals[j, i] <= own + left + 1e-9
+
+
+def known_layup(specimen: Specimen, angles: tuple[float, ...]) -> Posterior:
+    plate = replace(specimen.plate, layup=specimen.plate.layup.with_angles(np.array(angles)))
+    own = replace(specimen, plate=plate)
+    assert own.measurement is not None
+    model = reduced_model(own, own.unknowns, 6)
+    return plate_posterior(model, own.measurement, np.full(6, 1e-4))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("relative_std", [0.01, None])
+def test_the_evidence_of_a_sequence_is_that_of_the_known_layup(relative_std: float | None) -> None:
+    specimen = listed("[(?/?)_2]_s", TRUE, relative_std)
+    assert specimen.measurement is not None
+    model = reduced_model(specimen, angle_parameters(specimen).union(specimen.unknowns), 6)
+    own = sequence_posterior(model, 2, specimen.measurement, np.full(6, 1e-4))
+    start = np.concatenate((reference_vector(specimen, specimen.unknowns), [0.01] * (relative_std is None)))
+    angles = np.array([TRUE, (45.0, 0.0)])
+    fits = fit_sequences(own, angles, start[None])
+    found = importance_evidence(own, angles, fits, 12)
+    for i, row in enumerate(angles):
+        posterior = known_layup(specimen, tuple(row))
+        exact = known_evidence(posterior, start[None], 0)
+        # two estimates with their own errors, and two reduced models that differ by 1e-4 of a frequency
+        tolerance = 4 * np.hypot(exact.standard_error, found.error[i]) + 0.02
+        assert found.log_evidence[i] == pytest.approx(exact.log_evidence, abs=tolerance)
+
+
+# Few sequences, treated as if they were many.
+FORCED = replace(
+    QUICK,
+    exhaustive=0,
+    learning=LearningSettings(first=60, each_round=40, most=160, log2_points=5),
+)
+
+
+@pytest.fixture(scope="module")
+def learned(specimen: Specimen) -> SequenceAnswer:
+    return sequence_probabilities(specimen, 0, settings=FORCED)
+
+
+@pytest.mark.slow
+def test_the_learned_way_gives_the_distribution_of_brute_force(
+    answer: SequenceAnswer, learned: SequenceAnswer
+) -> None:
+    assert learned.check is not None
+    assert answer.check is None
+    p, q = distribution(answer), distribution(learned)
+    # two lists of 72 classes, which are all of the 12^2 sequences here
+    distance = 0.5 * sum(abs(p.get(s, 0.0) - q.get(s, 0.0)) for s in set(p) | set(q))
+    assert distance <= 0.01
+    np.testing.assert_allclose(learned.marginals, answer.marginals, atol=0.01)
+    assert learned.log_evidence_total == pytest.approx(answer.log_evidence_total, abs=0.02)
+    assert learned.unaccounted <= DEFAULT_SETTINGS.unaccounted
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("relative_std", [0.01, None])
+def test_of_1296_sequences_pruned_and_learned_the_distribution_is_that_of_brute_force(
+    relative_std: float | None,
+) -> None:
+    specimen = listed("[(?/?)_2]_s", TRUE, relative_std, step=5.0)
+    every = replace(QUICK, listed=700, log2_points=6)
+    learning = LearningSettings(first=100, each_round=60, most=340, log2_points=6)
+    pruned = replace(every, exhaustive=0, learning=learning, listed=20)
+    exact = sequence_probabilities(specimen, 0, settings=every)
+    found = sequence_probabilities(specimen, 0, settings=pruned)
+    p, q = distribution(exact), distribution(found)
+    assert sum(p.values()) == pytest.approx(1.0, abs=1e-9)
+    # of those that are listed with their probability, and of the rest as a whole
+    distance = sum(abs(p[s] - q[s]) for s in q) + abs(sum(q.values()) - sum(p[s] for s in q))
+    assert 0.5 * distance <= 0.01
+    assert 0.5 * np.abs(found.marginals - exact.marginals).sum(axis=1).max() <= 0.01
+    # the points of the sampling are the same for every sequence, and so is most of their error
+    error = float(np.median(exact.log_evidence_error[:20]))
+    assert found.log_evidence_total == pytest.approx(exact.log_evidence_total, abs=1.5 * error)
+    assert found.credible_count == pytest.approx(exact.credible_count, abs=2 + 0.03 * exact.credible_count)
+    assert found.effective_count == pytest.approx(exact.effective_count, rel=0.03)
+
+
+@pytest.mark.slow
+def test_the_learned_way_does_not_depend_on_the_number_of_workers(
+    specimen: Specimen, learned: SequenceAnswer
+) -> None:
+    with open_executor(None, 2) as executor:
+        again = sequence_probabilities(specimen, 0, settings=FORCED, executor=executor)
+    np.testing.assert_array_equal(again.probability, learned.probability)
+    np.testing.assert_array_equal(again.marginals, learned.marginals)
+    np.testing.assert_array_equal(again.drawn.conditionals.draws, learned.drawn.conditionals.draws)
+
+
+@pytest.mark.slow
+def test_what_would_be_good_with_more_noise_leads_to_a_truth_that_few_sequences_do_not_show() -> None:
+    layup, truth, step = "[(?/?/?)_2]_s", (30.0, -60.0, 10.0), 10.0
+    few = LearningSettings(first=100, explorations=2, each_round=60, most=400, log2_points=4)
+    settings = replace(QUICK, exhaustive=0, learning=few)
+    task = sequence_task(listed(layup, truth, 0.001, step), 0, settings=settings)
+    assert task.sums is not None
+    seeds = noisier_seeds(task, task.sums, np.random.default_rng(0), lambda text: None)
+    assert seeds is not None
+    true = members(np.searchsorted(task.grid_deg, truth), task.symmetries)
+    problem = learning_of(task, task.sums)
+    for known, found in ((seeds, True), (None, False)):
+        best = learn(problem, np.random.default_rng(0), lambda text: None, known)
+        first = best.data.sequences[best.data.log_evidence.argmax()]
+        assert np.any(np.all(true == first, axis=1)) == found, "of 5832 sequences, 400 are looked at"
+    noisy = sequence_task(listed(layup, truth, 0.01, step), 0, settings=settings)
+    assert noisier_seeds(noisy, task.sums, np.random.default_rng(0), lambda text: None) is None
+
+
+@pytest.fixture(scope="module")
+def own(specimen: Specimen) -> SequencePosterior:
+    assert specimen.measurement is not None
+    model = reduced_model(specimen, angle_parameters(specimen).union(specimen.unknowns), 6)
+    return sequence_posterior(model, 2, specimen.measurement, np.full(6, 1e-4))
+
+
+@pytest.mark.slow
+def test_fits_from_neighbours_agree_with_fits_from_many_starts(
+    specimen: Specimen, own: SequencePosterior
+) -> None:
+    grid = np.arange(-85.0, 95.0, 5.0)
+    sequences = np.array([(i, j) for i in range(21, 27) for j in range(3, 9)])
+    rng = np.random.default_rng(0)
+    common = common_starts(specimen, own)
+    many = own.parameters.sample(rng, 40)
+    many = np.concatenate((common, many[np.isfinite(own.template.log_prior(many))][:8]))
+    exact = fit_sequences(own, grid[sequences], many)
+    known = np.arange(0, len(sequences), 3)
+    features = np.stack(
+        [np.cos(np.deg2rad(2.0 * grid[sequences])), np.sin(np.deg2rad(2.0 * grid[sequences]))]
+    )
+    features = features.transpose(1, 0, 2).reshape(len(sequences), 4)
+    around = neighbours(features[known], exact.x[known], np.ones(4), np.ones((1, 4)))
+    near = around.nearest(features)
+    best = exact.log_evidence + np.log(exact.weight.max(axis=1))
+    found = locate(own, grid, sequences, near, best - 0.3, common, None)
+    # one start may end in a lesser optimum; beyond 0.3 nats of what is expected the climb is repeated
+    miss = found.log_evidence - best
+    assert np.mean(np.abs(miss) <= 0.01) >= 0.75
+    assert miss.min() >= -0.3
+    assert miss.max() <= np.log(2.0)  # a climb repeated from two starts may count both optima
+
+
+def test_a_focused_model_has_the_frequencies_of_the_whole_with_fewer_vectors(own: SequencePosterior) -> None:
+    rng = np.random.default_rng(0)
+    centre = np.concatenate((TRUE, common_starts(builtin("C1"), own)[0][:4]))
+    x = centre * (1.0 + 0.05 * rng.uniform(-1.0, 1.0, (300, 6)))
+    near = focused(own.model, x[:250], 5e-5)
+    assert max(b.size for b in near.fast.operator.blocks) < max(
+        b.size for b in own.model.fast.operator.blocks
+    )
+    ratio = near.predict(x[250:]).frequencies / own.model.predict(x[250:]).frequencies
+    # a projection lies above, but for rounding; the sets between the others are off by a little more
+    assert ratio.min() >= 1.0 - 1e-8
+    assert ratio.max() <= 1.0 + 2 * 5e-5
+    assert np.all(near.error(x[250:]) >= ratio - 1.0)
+
+
+def test_a_focus_with_a_finer_tolerance_has_more_vectors(own: SequencePosterior) -> None:
+    rng = np.random.default_rng(0)
+    x = training_sets(own.model.full.operator.problem, 100, rng)
+    sizes = [
+        max(b.size for b in focused(own.model, x, tolerance).fast.operator.blocks)
+        for tolerance in (1e-2, 1e-4)
+    ]
+    assert sizes[0] < sizes[1]
+
+
+def test_a_focus_within_a_tolerance_for_most_frequencies_has_fewer_vectors(own: SequencePosterior) -> None:
+    rng = np.random.default_rng(0)
+    x = training_sets(own.model.full.operator.problem, 100, rng)
+    every, most = (focused(own.model, x, 2e-3, share) for share in (1.0, 0.9))
+    assert max(b.size for b in most.fast.operator.blocks) < max(b.size for b in every.fast.operator.blocks)
+    exact = own.model.predict(x).frequencies
+    assert np.max(every.predict(x).frequencies / exact - 1.0) <= 2e-3
+    off = most.predict(x).frequencies / exact - 1.0
+    assert np.mean(off <= 2e-3) >= 0.85  # 0.9 of each block's; sorted among the blocks they may change places
+    assert np.max(off) > 2e-3
+
+
+def test_unsure_evidences_are_those_of_the_whole_model_on_bases_of_their_own(
+    specimen: Specimen, own: SequencePosterior, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    angles = np.array([TRUE, (45.0, 15.0), (-75.0, 0.0)])
+    fits = fit_sequences(own, angles, common_starts(specimen, own))
+    sizes: list[int] = []
+
+    def counted(model: ReducedModel, x: np.ndarray, tolerance: float) -> ReducedModel:
+        found = focused(model, x, tolerance)
+        sizes.append(sum(b.size for b in found.fast.operator.blocks))
+        return found
+
+    monkeypatch.setattr(sequence_importance, "focused", counted)
+    monkeypatch.setattr(sequence_importance, "_UNSURE", 0.0)
+    monkeypatch.setattr(sequence_importance, "_LARGE", 1000)
+    whole = importance_evidence(own, angles, fits)
+    assert not sizes
+    monkeypatch.setattr(sequence_importance, "_LARGE", 1)
+    narrow = importance_evidence(own, angles, fits)
+    assert len(sizes) == 2 * len(angles), "each sequence, at either number of points"
+    assert max(sizes) < 0.7 * sum(b.size for b in own.model.fast.operator.blocks)
+    # an error of a frequency, in standard deviations of the noise, counts as often as the misfit has of them
+    misfit = np.sqrt(2.0 * (whole.log_evidence.max() - whole.log_evidence))
+    assert np.all(np.abs(narrow.log_evidence - whole.log_evidence) < 0.01 * np.maximum(misfit, 1.0))
+    np.testing.assert_allclose(narrow.mean, whole.mean, rtol=0.01)
+
+
+def test_the_answer_is_the_same_bit_for_bit_again(specimen: Specimen, answer: SequenceAnswer) -> None:
+    again = sequence_probabilities(specimen, 0, settings=QUICK)
+    np.testing.assert_array_equal(again.probability, answer.probability)
+    np.testing.assert_array_equal(again.drawn.conditionals.draws, answer.drawn.conditionals.draws)
+
+
+def test_a_known_layup_is_refused() -> None:
+    with pytest.raises(ValueError, match="no unknown angle"):
+        sequence_probabilities(builtin("C1"), 0)
+
+
+def scores_of(*priors: Uniform | TruncatedNormal | ScaledStudentT) -> Posterior:
+    parameters = ParameterSet(tuple(Parameter(f"p{i}", "", prior) for i, prior in enumerate(priors)))
+
+    class Own:
+        pass
+
+    own = Own()
+    own.parameters = parameters  # type: ignore[attr-defined]
+    return own  # type: ignore[return-value]
+
+
+def test_normal_scores_make_priors_standard_normal() -> None:
+    priors = (Uniform(2.0, 5.0), TruncatedNormal(1.0, 0.5, 0.2, 1.4))
+    posterior = scores_of(*priors)
+    axes = normal_scores(posterior)
+    z = np.array(list(product((-2.0, 0.0, 0.7, 2.5), repeat=2)))
+    x = axes.to_x(z)
+    np.testing.assert_allclose(axes.to_z(x), z, atol=1e-9)
+    log_prior = posterior.parameters.log_prior(x) + np.log(axes.slope(x, z)).sum(axis=1)
+    expected = -0.5 * np.sum(z**2, axis=1) - np.log(2 * np.pi)
+    np.testing.assert_allclose(log_prior, expected, atol=1e-9)
+    h = 1e-6
+    np.testing.assert_allclose((axes.to_x(z + h) - axes.to_x(z - h)) / (2 * h), axes.slope(x, z), rtol=1e-6)

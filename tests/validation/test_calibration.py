@@ -1,0 +1,301 @@
+"""Simulation-based calibration: its statistics, its store, and posteriors that must pass it."""
+
+from __future__ import annotations
+
+import json
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict, dataclass, replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.stats import binom, kstest
+
+from cpam_bayes.inference.ensemble import EnsembleSettings
+from cpam_bayes.inference.noise import NOISE_PRIOR
+from cpam_bayes.inference.store import StoreError
+from cpam_bayes.inference.swarm.pso import SwarmSettings
+from cpam_bayes.parallel import open_executor
+from cpam_bayes.validation import calibration
+from cpam_bayes.validation.calibration import (
+    N_DRAWS,
+    Experiment,
+    Nature,
+    PlateSource,
+    Repetition,
+    calibrate,
+    parameter_names,
+    repeat,
+    simulate,
+    spread_draws,
+)
+from cpam_bayes.validation.rank_statistics import coverage, holm, rank_statistics
+from tests.linear_model import LinearModel, exact_gaussian
+
+N_RANKS = N_DRAWS + 1
+# A short chain for a short test; the full study has longer ones.
+BRIEF = EnsembleSettings(
+    walkers=16, round_steps=160, r_hat=1.1, effective=float(N_DRAWS), most_steps=1600, lengths=5.0
+)
+FEW_PARTICLES = SwarmSettings(particles=12, iterations=40)
+
+
+@dataclass(frozen=True)
+class LinearSource:
+    """Frequencies of the linear model, known to a relative error."""
+
+    solver_error: float = 1e-4
+
+    def __call__(self) -> Nature:
+        return Nature(LinearModel(), np.full(4, self.solver_error))
+
+
+def linear(relative_std: float | None, seed: int = 5, solver_error: float = 1e-4) -> Experiment:
+    return Experiment(LinearSource(solver_error), 0.5, relative_std, seed, BRIEF, FEW_PARTICLES)
+
+
+# Statistics of ranks
+
+
+def gaussian_ranks(n: int, rng: np.random.Generator, sd: float = 1.0, shift: float = 0.0) -> np.ndarray:
+    """Ranks of truths among draws of a Gaussian posterior whose sd and mean are wrong, (n, 1)."""
+    centre = rng.standard_normal((n, 1))
+    truth = centre + rng.standard_normal((n, 1))
+    draws = centre + shift + sd * rng.standard_normal((n, N_DRAWS))
+    return np.sum(draws < truth, axis=1, keepdims=True)
+
+
+def statistics(ranks: np.ndarray, simulations: int = 1000) -> tuple[float, float, float]:
+    found = rank_statistics(ranks, N_RANKS, np.random.default_rng(0), simulations=simulations).parameters[0]
+    return found.chi_square_p, found.ecdf_p, found.corrected_p
+
+
+def test_uniform_ranks_are_refused_as_often_as_the_level_says() -> None:
+    rng = np.random.default_rng(1)
+    p = np.array([statistics(gaussian_ranks(200, rng), simulations=300)[:2] for _ in range(200)])
+    # 200 tables at the level of 5 %: 10 refused, sd 3.1
+    refused = np.sum(p < 0.05, axis=0)
+    assert np.all(refused <= binom.ppf(0.999, 200, 0.05))
+    assert np.all(refused >= binom.ppf(0.001, 200, 0.05))
+
+
+@pytest.mark.parametrize(("sd", "shift"), [(0.8, 0.0), (1.2, 0.0), (1.0, 0.25), (1.0, -0.25)])
+def test_a_posterior_that_is_wrong_by_a_fifth_is_refused(sd: float, shift: float) -> None:
+    ranks = gaussian_ranks(500, np.random.default_rng(2), sd, shift)
+    assert statistics(ranks)[2] < 0.01
+    own = rank_statistics(ranks, N_RANKS, np.random.default_rng(0))
+    cumulative = own.parameters[0].cumulative[:-1]
+    assert np.any((cumulative < own.ecdf_band.lower) | (cumulative > own.ecdf_band.upper))
+
+
+def test_bands_hold_uniform_counts_simultaneously() -> None:
+    rng = np.random.default_rng(3)
+    band = rank_statistics(rng.integers(0, N_RANKS, (300, 1)), N_RANKS, rng)
+    counts = rng.multinomial(300, np.full(N_RANKS, 1 / N_RANKS), size=2000)
+    for rows, own in (
+        (np.cumsum(counts, axis=1)[:, :-1], band.ecdf_band),
+        (counts.reshape(2000, 20, 5).sum(axis=2), band.histogram_band),
+    ):
+        held = np.mean(np.all((rows >= own.lower) & (rows <= own.upper), axis=1))
+        # 4000 simulated and 2000 tried rows give it to 0.006; counts are whole numbers, so it may hold more
+        assert 0.93 < held < 0.985
+
+
+def test_holm_multiplies_the_smallest_by_the_number_and_never_falls() -> None:
+    np.testing.assert_allclose(holm(np.array([0.04, 0.01, 0.03])), [0.06, 0.03, 0.06])
+    np.testing.assert_allclose(holm(np.array([0.9, 0.5])), [1.0, 1.0])
+
+
+def test_coverage_counts_intervals_that_hold_the_truth() -> None:
+    below = (np.arange(1000) + 0.5) / 1000
+    assert [c.share for c in coverage(below)] == pytest.approx([0.5, 0.8, 0.95])
+    assert coverage(below)[2].standard_error == pytest.approx(np.sqrt(0.95 * 0.05 / 1000))
+    narrow = coverage(np.clip(0.5 + 1.5 * (below - 0.5), 0.0, 1.0))
+    assert narrow[0].share == pytest.approx(1 / 3, abs=1e-3)
+
+
+@pytest.mark.parametrize(("ranks", "bins"), [([[100]], 20), ([[-1]], 20), ([[5]], 30)])
+def test_ranks_out_of_range_and_uneven_bins_are_refused(ranks: list[list[int]], bins: int) -> None:
+    with pytest.raises(ValueError, match="accepted"):
+        rank_statistics(np.array(ranks), N_RANKS, np.random.default_rng(0), n_bins=bins)
+
+
+def test_spread_draws_come_from_all_walkers_and_all_steps() -> None:
+    chain = np.arange(2 * 300 * 10.0).reshape(2, 300, 10, 1)
+    found = spread_draws(chain, N_DRAWS, np.random.default_rng(0))[:, 0]
+    ensemble, rest = np.divmod(found, 3000)
+    step, walker = np.divmod(rest, 10)
+    assert len(set(zip(ensemble, walker, strict=True))) == 20
+    np.testing.assert_array_equal(step, ((np.arange(N_DRAWS) + 0.5) * 300 / N_DRAWS).astype(int))
+
+
+# What is simulated
+
+
+def test_truths_follow_the_prior_and_lists_the_noise_model() -> None:
+    own = linear(None, solver_error=0.002)
+    nature, rng = own.source(), np.random.default_rng(7)
+    drawn = [simulate(own, nature, rng) for _ in range(1500)]
+    truth = np.array([t for t, _ in drawn])
+    assert kstest(truth[:, 0], "uniform", args=(-2, 4)).pvalue > 0.01
+    cdf = np.searchsorted(np.sort(NOISE_PRIOR.sample(np.random.default_rng(8), 200_000)), truth[:, 2]) / 2e5
+    assert kstest(cdf, "uniform").pvalue > 0.01
+    f = LinearModel().predict(truth[:, :2]).frequencies
+    sd = np.sqrt((truth[:, 2:] * f) ** 2 + 0.5**2 / 12 + (0.002 * f) ** 2)
+    z = (np.array([m.frequencies for _, m in drawn]) - f) / sd
+    assert kstest(z.ravel(), "norm").pvalue > 0.01
+
+
+@cache
+def closed_form_ranks(n: int, sd: float = 1.0, solver_error: float = 0.0) -> np.ndarray:
+    """Ranks among draws of the closed-form posterior, (n, 2).
+
+    sd : factor by which its spread is wrong. solver_error : of the lists, unknown to the posterior.
+    """
+    own = replace(linear(0.002, seed=9, solver_error=solver_error), resolution=0.0)
+    nature, rng = own.source(), np.random.default_rng(9)
+    ranks = []
+    while len(ranks) < n:
+        truth, data = simulate(own, nature, rng)
+        mean, covariance = exact_gaussian(data)
+        draws = rng.multivariate_normal(mean, sd**2 * covariance, size=4000)
+        draws = draws[np.all(np.abs(draws) <= 2.0, axis=1)][:N_DRAWS]
+        # so near to a bound, ten to fifteen sd wide, that the cut Gaussian takes more draws
+        if len(draws) == N_DRAWS:
+            ranks.append(np.sum(draws < truth, axis=0))
+    return np.array(ranks)
+
+
+def smallest_and_largest_p(ranks: np.ndarray) -> tuple[float, float]:
+    found = rank_statistics(ranks, N_RANKS, np.random.default_rng(0), n_bins=10)
+    corrected = [p.corrected_p for p in found.parameters]
+    return min(corrected), max(corrected)
+
+
+def test_the_closed_form_posterior_of_a_linear_model_is_calibrated() -> None:
+    assert smallest_and_largest_p(closed_form_ranks(800))[0] > 0.01
+
+
+@pytest.mark.parametrize("sd", [0.8, 1.2])
+def test_a_closed_form_posterior_with_a_wrong_spread_is_not(sd: float) -> None:
+    assert smallest_and_largest_p(closed_form_ranks(500, sd))[1] < 0.01
+
+
+def test_an_error_of_the_solver_that_the_posterior_does_not_know_is_found() -> None:
+    assert smallest_and_largest_p(closed_form_ranks(300, 1.0, solver_error=0.003))[1] < 0.01
+
+
+# Sampled posteriors
+
+
+def check(found: tuple[Repetition, ...]) -> None:
+    ranks = np.array([r.ranks for r in found])
+    below = np.array([r.below for r in found])
+    own = rank_statistics(ranks, N_RANKS, np.random.default_rng(0), n_bins=10)
+    assert min(p.corrected_p for p in own.parameters) > 0.01
+    for column in below.T:
+        for c in coverage(column):
+            # each of some fifteen shares within 3.3 binomial standard errors: all are in 98.6 of 100
+            assert abs(c.share - c.level) <= 3.3 * c.standard_error + 1e-9
+    # ranks and shares tell the same: a rank among 99 of many draws errs by 5 at most in one sd
+    assert np.sqrt(np.mean((ranks / N_DRAWS - below) ** 2)) < 0.07
+
+
+@pytest.mark.slow
+def test_sampled_posteriors_of_a_linear_model_are_calibrated() -> None:
+    with open_executor(None, None) as pool:
+        check(calibrate(linear(None), 120, executor=pool))
+
+
+@pytest.mark.slow
+def test_sampled_posteriors_of_a_thin_plate_are_calibrated() -> None:
+    own = Experiment(PlateSource("C1", 6), 1.0, None, 1, BRIEF)
+    assert parameter_names(own) == ("E1", "E2", "nu12", "G12", "relative_std")
+    with open_executor(None, None) as pool:
+        check(calibrate(own, 40, executor=pool))
+
+
+# Sharing out and the store
+
+FASTEST = EnsembleSettings(walkers=8, round_steps=40, r_hat=9.0, effective=1.0, most_steps=40, lengths=0.1)
+
+
+def fast(seed: int = 3) -> Experiment:
+    return replace(linear(None, seed), settings=FASTEST, swarm=SwarmSettings(particles=6, iterations=5))
+
+
+def test_repetitions_are_the_same_bit_for_bit_whoever_computes_them(tmp_path: Path) -> None:
+    alone = calibrate(fast(), 7)
+    assert [r.number for r in alone] == list(range(7))
+    with ThreadPoolExecutor(1) as pool:
+        assert calibrate(fast(), 7, executor=pool, batch_size=3) == alone
+    assert calibrate(fast(), 7, store=tmp_path / "store.jsonl") == alone
+    assert calibrate(fast(4), 2)[0] != alone[0], "another seed, other lists"
+    # a repetition depends on its number alone
+    assert repeat(fast(), 5) == alone[5]
+
+
+@pytest.mark.slow
+def test_processes_give_the_same_repetitions_bit_for_bit() -> None:
+    with open_executor(None, 2) as pool:
+        assert calibrate(fast(), 6, executor=pool, batch_size=2) == calibrate(fast(), 6)
+
+
+@pytest.mark.parametrize("cut", [1, 60, 400])
+def test_a_killed_run_goes_on_from_its_last_whole_line(
+    tmp_path: Path, cut: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "store.jsonl"
+    whole = calibrate(fast(), 5, store=path)
+    content = path.read_bytes()
+    path.write_bytes(content[:-cut])  # the last record and perhaps one before it are torn
+    computed = []
+    monkeypatch.setattr(calibration, "repeat", lambda own, i: computed.append(i) or repeat(own, i))
+    assert calibrate(fast(), 5, store=path) == whole
+    assert 0 < len(computed) < 5
+    assert sorted(path.read_bytes().splitlines()) == sorted(content.splitlines())
+    computed.clear()
+    assert calibrate(fast(), 6, store=path)[:5] == whole
+    assert computed == [5], "more repetitions of the same experiment join the store"
+
+
+def test_a_store_holds_a_line_for_each_repetition_as_soon_as_it_is_there(tmp_path: Path) -> None:
+    path, lines = tmp_path / "store.jsonl", []
+    calibrate(fast(), 3, store=path, progress=lambda done: lines.append(len(path.read_bytes().splitlines())))
+    assert lines == [2, 3, 4]
+    record = json.loads(path.read_text("utf-8").splitlines()[1])
+    assert set(record) == set(asdict(repeat(fast(), 0)))
+
+
+def test_a_store_of_another_experiment_is_refused_and_left_alone(tmp_path: Path) -> None:
+    path = tmp_path / "store.jsonl"
+    calibrate(fast(), 2, store=path)
+    before = path.read_bytes()
+    own = fast()
+    others = [
+        fast(4),
+        replace(own, relative_std=0.01),
+        replace(own, resolution=1.0),
+        replace(own, settings=replace(FASTEST, walkers=10)),
+        replace(own, source=LinearSource(0.01)),
+    ]
+    for other in others:
+        with pytest.raises(StoreError, match="holds another problem"):
+            calibrate(other, 2, store=path)
+    assert path.read_bytes() == before
+
+
+@pytest.mark.parametrize("content", [b"not JSON\nat all\n", b"no line", b"[1, 2]\n", b'{"other": 1}\n'])
+def test_a_file_that_is_no_store_is_refused_and_left_alone(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "store.jsonl"
+    path.write_bytes(content)
+    with pytest.raises(StoreError, match=r"store\.jsonl: is damaged or no store"):
+        calibrate(fast(), 1, store=path)
+    assert path.read_bytes() == content
+
+
+def test_a_store_that_cannot_be_made_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("in the way")
+    with pytest.raises(StoreError, match="cannot be used"):
+        calibrate(fast(), 1, store=tmp_path / "file" / "store.jsonl")

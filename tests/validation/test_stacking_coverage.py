@@ -1,0 +1,61 @@
+"""Randomised credible sets of sequences hold the true one as often as their level says."""
+
+import numpy as np
+import pytest
+
+from cpam_bayes.validation.stacking_coverage import (
+    CoverageSettings,
+    Trial,
+    randomised_place,
+    sequence_coverage,
+    summarised,
+)
+from tests.stacking.cases import specimen
+
+SINGLE, SIZE = np.array([0.3, 0.1, 0.1, 0.05]), np.array([2, 1, 2, 2])
+
+
+def test_the_place_is_the_probability_of_what_comes_before() -> None:
+    assert randomised_place(SINGLE, SIZE, 0, 0.0) == 0.0
+    assert randomised_place(SINGLE, SIZE, 0, 1.0) == pytest.approx(0.6)
+    # classes 1 and 2 are equally probable, so they share a place
+    assert randomised_place(SINGLE, SIZE, 1, 0.5) == pytest.approx(0.75)
+    assert randomised_place(SINGLE, SIZE, 2, 0.5) == pytest.approx(0.75)
+    assert randomised_place(SINGLE, SIZE, 3, 1.0) == pytest.approx(1.0)
+
+
+def test_places_of_draws_from_the_probabilities_are_uniform() -> None:
+    rng = np.random.default_rng(0)
+    true = rng.choice(4, size=4000, p=SINGLE * SIZE)
+    places = [randomised_place(SINGLE, SIZE, int(i), rng.uniform()) for i in true]
+    found = summarised(tuple(trial(i, p) for i, p in enumerate(places)))
+    assert found.passes
+    assert found.p_uniform > 0.01
+
+
+def trial(number: int, place: float) -> Trial:
+    return Trial(number, (0.0,), place, 0.5, 1, 1, 0.0)
+
+
+def test_probabilities_that_are_too_sure_do_not_pass() -> None:
+    rng = np.random.default_rng(1)
+    sharp = (SINGLE * SIZE) ** 3 / np.sum((SINGLE * SIZE) ** 3)
+    true = rng.choice(4, size=300, p=SINGLE * SIZE)
+    places = [randomised_place(sharp / SIZE, SIZE, int(i), rng.uniform()) for i in true]
+    found = summarised(tuple(trial(i, p) for i, p in enumerate(places)))
+    assert not found.passes
+    assert found.z < 0.0
+
+
+@pytest.mark.slow
+def test_sets_of_simulated_plates_hold_the_true_sequence() -> None:
+    settings = CoverageSettings(library=400, log2_points=7)
+    found = sequence_coverage(specimen(), 24, 0, settings=settings)
+    assert [t.number for t in found] == list(range(24))
+    assert summarised(found).passes
+    # and not because they hold everything: uniform places, half of them in the smaller half
+    assert summarised(found, 0.5).passes
+    assert summarised(found).p_uniform > 0.01
+    np.testing.assert_array_less([t.set_size for t in found], 36)
+    again = sequence_coverage(specimen(), 2, 0, settings=settings)
+    assert again == found[:2]
