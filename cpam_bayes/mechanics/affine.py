@@ -218,7 +218,22 @@ Piece = tuple[int, int, Array]
 MATRICES: tuple[MatrixKind, MatrixKind] = ("stiffness", "mass")
 
 
-def _area_pieces(form: Form, space: RitzSpace) -> list[Piece]:
+class FamilyValues:
+    """Values of one-dimensional families at quadrature points, computed once for all forms of a problem."""
+
+    def __init__(self) -> None:
+        # The key holds identities, so the arrays and families are kept as long as the values are.
+        self._values: dict[tuple[int, int, bool], tuple[Family, Array, Array]] = {}
+
+    def at(self, family: Family, t: Array, derivative: bool) -> Array:
+        """Functions or first derivatives of a family at points (n,), (n, size)."""
+        key = (id(family), id(t), derivative)
+        if key not in self._values:
+            self._values[key] = (family, t, family.evaluate(t, derivative))
+        return self._values[key][2]
+
+
+def _area_pieces(form: Form, space: RitzSpace, values: FamilyValues) -> list[Piece]:
     """Sector-by-sector matrices of an area form, by products of one-dimensional integrals.
 
     Its weight is one or a product of functions of xi and of eta.
@@ -232,15 +247,17 @@ def _area_pieces(form: Form, space: RitzSpace) -> list[Piece]:
         for j, right in enumerate(space.sectors):
             if left.field != form.left.field or right.field != form.right.field:
                 continue
-            in_x = _overlap(left.x, right.x, form, "x", x, wx)
-            in_y = _overlap(left.y, right.y, form, "y", y, wy) if in_x is not None else None
+            in_x = _overlap(left.x, right.x, form, "x", x, wx, values)
+            in_y = _overlap(left.y, right.y, form, "y", y, wy, values) if in_x is not None else None
             if in_x is not None and in_y is not None:
                 p, q = left.pairs, right.pairs
                 pieces.append((i, j, in_x[np.ix_(p[:, 0], q[:, 0])] * in_y[np.ix_(p[:, 1], q[:, 1])]))
     return pieces
 
 
-def _overlap(left: Family, right: Family, form: Form, axis: str, t: Array, w: Array) -> Array | None:
+def _overlap(
+    left: Family, right: Family, form: Form, axis: str, t: Array, w: Array, values: FamilyValues
+) -> Array | None:
     """One-dimensional integrals of products of two families; ``None`` where they vanish by parity."""
     in_left, in_right = form.left.derivative == axis, form.right.derivative == axis
     parity = left.parity * right.parity * (-1) ** (in_left + in_right)
@@ -250,7 +267,7 @@ def _overlap(left: Family, right: Family, form: Form, axis: str, t: Array, w: Ar
         w = w * profile(t)
     if parity < 0:
         return None
-    return np.asarray(left.evaluate(t, in_left).T @ (w[:, None] * right.evaluate(t, in_right)))
+    return np.asarray(values.at(left, t, in_left).T @ (w[:, None] * values.at(right, t, in_right)))
 
 
 def _general_pieces(form: Form, space: RitzSpace) -> list[Piece]:
@@ -298,10 +315,13 @@ def projected_functions(form: Form, rule: Quadrature) -> Array:
     return np.asarray(rule.weights[:, None] * values)
 
 
-def form_pieces(form: Form, space: RitzSpace) -> list[Piece]:
-    """Non-zero sector-by-sector matrices of a form, both triangles: (row sector, column sector, matrix)."""
+def form_pieces(form: Form, space: RitzSpace, values: FamilyValues | None = None) -> list[Piece]:
+    """Non-zero sector-by-sector matrices of a form, both triangles: (row sector, column sector, matrix).
+
+    values : of the space's families, where several forms are integrated
+    """
     plain = form.region.kind == "area" and (form.weight is None or isinstance(form.weight, Product))
-    pieces = _area_pieces(form, space) if plain else _general_pieces(form, space)
+    pieces = _area_pieces(form, space, values or FamilyValues()) if plain else _general_pieces(form, space)
     if form.left != form.right:
         pieces = pieces + [(j, i, m.T) for i, j, m in pieces]
     return pieces
@@ -355,11 +375,12 @@ def _discretise(
 ) -> DenseOperator:
     """Blocks of sum_q combine[r, q] K_q for every row r of ``combine`` (n_rows, n_forms)."""
     pieces: list[dict[int, list[Piece]]] = []
+    values = FamilyValues()
     links = {(i, i) for i in range(len(space.sectors))}
     for kind in MATRICES:
         active = active_terms(problem, samples, kind)
         forms = problem.forms(kind)
-        pieces.append({q: form_pieces(f, space) for q, f in enumerate(forms) if active[q]})
+        pieces.append({q: form_pieces(f, space, values) for q, f in enumerate(forms) if active[q]})
         links |= {(i, j) for parts in pieces[-1].values() for i, j, _ in parts}
     n_terms = (combine[0].shape[0], combine[1].shape[0])
     starts = np.cumsum([0, *(s.size for s in space.sectors)])
