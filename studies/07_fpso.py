@@ -33,6 +33,13 @@ from cpam_bayes.commands.options import add_executor_options
 from cpam_bayes.forward_model.model import reference_vector
 from cpam_bayes.forward_model.reduced import DEFAULT_SETTINGS, ReductionSettings
 from cpam_bayes.forward_model.store import reduced_model
+from cpam_bayes.identification.angle_search import (
+    SequenceFit,
+    best_constants,
+    run_swarms,
+    sequence_parameters,
+    sequence_starts,
+)
 from cpam_bayes.inference.swarm.fpso import FuzzyResult
 from cpam_bayes.inference.swarm.pso import SwarmSettings
 from cpam_bayes.paper.sequences import identified_sequences
@@ -41,13 +48,6 @@ from cpam_bayes.plate import Specimen, to_si
 from cpam_bayes.plate.records import angle_grid
 from cpam_bayes.report.progress import timed_lines
 from cpam_bayes.report.tables import Column, Table, screen_text
-from cpam_bayes.stacking.search import (
-    SequenceFit,
-    best_constants,
-    run_swarms,
-    sequence_parameters,
-    sequence_starts,
-)
 from cpam_bayes.stacking.symmetry.classes import canonical, is_canonical
 from cpam_bayes.stacking.symmetry.symmetries import Symmetry, plate_symmetries
 from cpam_bayes.stacking.unknown_layup import own_sequence, with_layup

@@ -7,13 +7,13 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 
-from cpam_bayes.commands.supported import plate_warnings, require_diagnosable, solver_failure
 from cpam_bayes.diagnosis.cases import hypotheses_of, plate_case
 from cpam_bayes.diagnosis.diagnose import Diagnosis, diagnose_cases
 from cpam_bayes.diagnosis.extension import resample
 from cpam_bayes.diagnosis.fitting import PlateCase
 from cpam_bayes.diagnosis.hypotheses import with_prior_of_none
 from cpam_bayes.diagnosis.next_test.next_measurement import Candidate, next_measurements
+from cpam_bayes.forward_model.preconditions import plate_warnings, require_diagnosable, solver_failure
 from cpam_bayes.mechanics.modes import RigidBodyError
 from cpam_bayes.plate import Specimen, read_specimen
 from cpam_bayes.report.answer import Answer, Figures

@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 
 from cpam_bayes.commands import NOISE_SHAPES
-from cpam_bayes.commands.supported import plate_warnings, solver_failure
+from cpam_bayes.forward_model.preconditions import plate_warnings, solver_failure
 from cpam_bayes.identification.sampled import SampledIdentification, identify_by_sampling
 from cpam_bayes.inference.ensemble import DEFAULT_SETTINGS, Diagnostics
 from cpam_bayes.mechanics.modes import RigidBodyError

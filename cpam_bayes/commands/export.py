@@ -8,9 +8,9 @@ from functools import partial
 from pathlib import Path
 
 from cpam_bayes.commands.forward import measured_modes
-from cpam_bayes.commands.supported import require_supported
 from cpam_bayes.forward_model.calculix import plate_deck
 from cpam_bayes.forward_model.model import reference_constants
+from cpam_bayes.forward_model.preconditions import require_supported
 from cpam_bayes.plate import Specimen, read_specimen
 from cpam_bayes.report.answer import Answer
 from cpam_bayes.report.files import check_writable, write_whole

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from functools import partial
 
 from cpam_bayes.commands import SOLVERS, load
-from cpam_bayes.commands.supported import plate_warnings, require_supported, solver_failure
+from cpam_bayes.forward_model.preconditions import plate_warnings, require_supported, solver_failure
 from cpam_bayes.mechanics.modes import RigidBodyError
 from cpam_bayes.plate import Specimen, read_specimen
 from cpam_bayes.report.answer import Answer, Figures

@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 
 from cpam_bayes.commands import BACKENDS, load
-from cpam_bayes.commands.supported import require_paired_list, require_supported
+from cpam_bayes.forward_model.preconditions import require_paired_list, require_supported
 from cpam_bayes.plate import read_specimen
 from cpam_bayes.report.answer import Answer
 

@@ -8,8 +8,8 @@ from functools import partial
 from typing import Any
 
 from cpam_bayes.commands.forward import measured_modes
-from cpam_bayes.commands.supported import require_supported, solver_failure
 from cpam_bayes.errors import PlateFileError
+from cpam_bayes.forward_model.preconditions import require_supported, solver_failure
 from cpam_bayes.mechanics.modes import RigidBodyError
 from cpam_bayes.paper import disorder_table
 from cpam_bayes.parallel import open_executor

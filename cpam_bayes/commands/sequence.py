@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cpam_bayes.commands.supported import require_sequence, solver_failure
+from cpam_bayes.forward_model.preconditions import require_sequence, solver_failure
 from cpam_bayes.mechanics.modes import RigidBodyError
 from cpam_bayes.paper.sequences import identified_sequences
 from cpam_bayes.parallel import open_executor

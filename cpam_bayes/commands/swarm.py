@@ -9,7 +9,8 @@ from dataclasses import replace
 from functools import partial
 from typing import TypeVar
 
-from cpam_bayes.commands.supported import plate_warnings, solver_failure
+from cpam_bayes.forward_model.preconditions import plate_warnings, solver_failure
+from cpam_bayes.identification.angle_search import FoundSequence, search_sequence
 from cpam_bayes.identification.point import Identification, Residual, identify
 from cpam_bayes.inference.swarm.settings import SwarmSettings
 from cpam_bayes.mechanics.modes import RigidBodyError
@@ -19,7 +20,6 @@ from cpam_bayes.report.documents import identification_document
 from cpam_bayes.report.identification.screen import identification_screen
 from cpam_bayes.report.identification.words import warnings_of
 from cpam_bayes.report.progress import progress
-from cpam_bayes.stacking.search import FoundSequence, search_sequence
 
 Found = TypeVar("Found")
 

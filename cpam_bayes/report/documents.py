@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from cpam_bayes import __version__
+from cpam_bayes.identification.angle_search import FoundSequence
 from cpam_bayes.identification.point import Identification
 from cpam_bayes.plate import Specimen, to_user, user_name
-from cpam_bayes.stacking.search import FoundSequence
 
 __all__ = ["identification_document", "json_text", "laminate_unit", "plate_keys"]
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 from cpam_bayes import __version__
+from cpam_bayes.formatting import fixed
 from cpam_bayes.forward_model.air_shift import ROOM_AIR, air_shifts
 from cpam_bayes.mechanics.modes import RigidBodyError
 from cpam_bayes.plate import Plate, Specimen, to_user, user_name
-from cpam_bayes.report.numbers import fixed
 from cpam_bayes.report.tables import Column, Table, facts, remarks
 
 __all__ = ["NO_AIR", "air_text", "plate_head", "plates_document", "plates_screen", "unit_of"]

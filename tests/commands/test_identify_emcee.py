@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from cpam_bayes.cli import prepare
-from cpam_bayes.commands.supported import plate_warnings
+from cpam_bayes.forward_model.preconditions import plate_warnings
 from cpam_bayes.inference.ensemble import DEFAULT_SETTINGS
 from cpam_bayes.plate import read_specimen
 from cpam_bayes.report.answer import Answer

@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 
 from cpam_bayes.forward_model.model import plate_problem, reference_vector
+from cpam_bayes.identification.angle_search import sequence_parameters
 from cpam_bayes.mechanics.affine import discretise_at
 from cpam_bayes.mechanics.modes import solve
 from cpam_bayes.mechanics.spaces.ritz import RitzSettings, ritz_space
 from cpam_bayes.plate import Specimen, builtin
 from cpam_bayes.plate.layup import parse_layup
 from cpam_bayes.plate.records import Sensor
-from cpam_bayes.stacking.search import sequence_parameters
 
 SIDE = 0.2
 N_MODES = 8

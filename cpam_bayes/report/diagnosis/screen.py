@@ -8,6 +8,7 @@ from cpam_bayes.diagnosis.diagnose import Cause, Diagnosis
 from cpam_bayes.diagnosis.extension import Resampled
 from cpam_bayes.diagnosis.hypotheses import NONE, OTHER, P_NONE, P_PAIR
 from cpam_bayes.diagnosis.next_test.next_measurement import Candidate
+from cpam_bayes.formatting import decimals_of, fixed, signed, significant, with_spread
 from cpam_bayes.report.diagnosis.rows import (
     ConstantRow,
     FrequencyRow,
@@ -27,7 +28,6 @@ from cpam_bayes.report.diagnosis.words import (
     probability_text,
     size_text,
 )
-from cpam_bayes.report.numbers import decimals_of, fixed, signed, significant, with_spread
 from cpam_bayes.report.plates import air_text, plate_head
 from cpam_bayes.report.tables import Column, Table, facts, remarks
 

@@ -10,8 +10,8 @@ from cpam_bayes.diagnosis.cases import differing_priors
 from cpam_bayes.diagnosis.diagnose import Cause, Diagnosis
 from cpam_bayes.diagnosis.extension import Resampled
 from cpam_bayes.diagnosis.hypotheses import NONE, OTHER
+from cpam_bayes.formatting import fixed, significant, with_spread
 from cpam_bayes.report.diagnosis.rows import constant_rows, effect_unit, left_aside
-from cpam_bayes.report.numbers import fixed, significant, with_spread
 
 __all__ = [
     "claim_sentence",

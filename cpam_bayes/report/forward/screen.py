@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cpam_bayes.formatting import signed, significant
 from cpam_bayes.identification.point import SUSPICIOUS_RATIO
 from cpam_bayes.mechanics.shapes import Mode
 from cpam_bayes.plate import Specimen, to_user, user_name
 from cpam_bayes.plate.elasticity import complete_constants
 from cpam_bayes.report.documents import plate_keys
 from cpam_bayes.report.identification.words import error_warning
-from cpam_bayes.report.numbers import signed, significant
 from cpam_bayes.report.plates import plate_head, unit_of
 from cpam_bayes.report.tables import Column, Table, facts, remarks
 

@@ -6,13 +6,13 @@ import math
 
 import numpy as np
 
+from cpam_bayes.formatting import decimals_of, fixed, signed, significant, with_spread
+from cpam_bayes.identification.angle_search import FoundSequence
 from cpam_bayes.identification.point import Identification
 from cpam_bayes.plate import to_user
 from cpam_bayes.report.identification.words import noise_sentence, verdict_sentences
-from cpam_bayes.report.numbers import decimals_of, fixed, signed, significant, with_spread
 from cpam_bayes.report.plates import plate_head, unit_of
 from cpam_bayes.report.tables import Column, Table, facts, remarks
-from cpam_bayes.stacking.search import FoundSequence
 
 __all__ = ["identification_screen"]
 

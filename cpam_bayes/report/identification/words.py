@@ -6,10 +6,10 @@ import math
 
 import numpy as np
 
+from cpam_bayes.formatting import significant
 from cpam_bayes.identification.point import SUSPICIOUS_RATIO, ConstantEstimate, Identification, Residual
 from cpam_bayes.plate import Specimen, to_user, user_name
 from cpam_bayes.priors import TruncatedNormal
-from cpam_bayes.report.numbers import significant
 
 __all__ = ["error_warning", "noise_sentence", "verdict_sentences", "warnings_of"]
 

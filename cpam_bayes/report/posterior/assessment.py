@@ -6,12 +6,12 @@ import math
 
 import numpy as np
 
+from cpam_bayes.formatting import NOT_KNOWN, fixed, significant
 from cpam_bayes.identification.sampled import SampledIdentification
 from cpam_bayes.inference.diagnostics.identifiability import Combination
 from cpam_bayes.inference.diagnostics.power_scaling import MOVED, MovedBound
 from cpam_bayes.inference.diagnostics.profiles import Profile
 from cpam_bayes.plate import to_user
-from cpam_bayes.report.numbers import NOT_KNOWN, fixed, significant
 from cpam_bayes.report.tables import Column, Table
 
 __all__ = ["combinations_table", "product_text", "sensitivity_table"]

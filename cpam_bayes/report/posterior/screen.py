@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from cpam_bayes.formatting import decimals_of, fixed, signed, significant, with_spread
 from cpam_bayes.forward_model.model import SIZES
 from cpam_bayes.identification.sampled import ConstantPosterior, SampledIdentification
 from cpam_bayes.inference.diagnostics.completeness import Doubt
@@ -11,7 +12,6 @@ from cpam_bayes.inference.noise import NOISE_NAMES
 from cpam_bayes.plate import to_user
 from cpam_bayes.priors import Prior, TruncatedNormal
 from cpam_bayes.report.documents import laminate_unit
-from cpam_bayes.report.numbers import decimals_of, fixed, signed, significant, with_spread
 from cpam_bayes.report.plates import plate_head, unit_of
 from cpam_bayes.report.posterior.assessment import combinations_table, sensitivity_table
 from cpam_bayes.report.posterior.document import constants_of, nuisance_of

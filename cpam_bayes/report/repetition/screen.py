@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from typing import Any, Final
 
+from cpam_bayes.formatting import fixed, signed, significant, with_spread
 from cpam_bayes.paper import DisorderTable, contradictions
 from cpam_bayes.plate import to_user, user_name
 from cpam_bayes.repetition.perturbation import Reading
 from cpam_bayes.repetition.study import Cell, Sensitivity
 from cpam_bayes.report.documents import plate_keys
-from cpam_bayes.report.numbers import fixed, signed, significant, with_spread
 from cpam_bayes.report.plates import plate_head, unit_of
 from cpam_bayes.report.repetition.words import (
     beside_paper,

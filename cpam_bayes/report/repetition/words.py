@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from cpam_bayes.formatting import fixed, significant
 from cpam_bayes.forward_model.model import reference_constants
 from cpam_bayes.paper import DisorderTable, contradictions
 from cpam_bayes.plate import user_name
 from cpam_bayes.priors import TruncatedNormal
 from cpam_bayes.repetition.agreement import Cause
 from cpam_bayes.repetition.study import Cell, Sensitivity
-from cpam_bayes.report.numbers import fixed, significant
 
 __all__ = [
     "beside_paper",

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cpam_bayes.formatting import NOT_KNOWN, decimals_of, fixed, signed, significant, with_spread
 from cpam_bayes.inference.posterior import NOISE
 from cpam_bayes.plate import Specimen, to_user, user_name
 from cpam_bayes.report.documents import plate_keys
-from cpam_bayes.report.numbers import NOT_KNOWN, decimals_of, fixed, signed, significant, with_spread
 from cpam_bayes.report.plates import air_text, plate_head
 from cpam_bayes.report.tables import Column, Table, facts, remarks
 from cpam_bayes.stacking.mixture import SampledComponent, SequenceMixture

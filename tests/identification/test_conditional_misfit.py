@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.optimize import least_squares, lsq_linear
 
-from cpam_bayes.stacking.conditional.misfit import fit_constants
+from cpam_bayes.identification.conditional_misfit import fit_constants
 
 RNG = np.random.default_rng(5)
 SLOPES = RNG.normal(size=(7, 6, 3))  # one linear model a sequence

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from cpam_bayes.report.numbers import decimals_of, fixed, significant, with_spread
+from cpam_bayes.formatting import decimals_of, fixed, significant, with_spread
 
 
 @pytest.mark.parametrize(

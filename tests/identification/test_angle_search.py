@@ -11,11 +11,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from cpam_bayes.forward_model.model import reference_vector
 from cpam_bayes.forward_model.reduced import ReductionSettings
 from cpam_bayes.forward_model.store import reduced_model
-from cpam_bayes.inference.swarm.pso import SwarmSettings
-from cpam_bayes.plate import Specimen, builtin
-from cpam_bayes.plate.layup import parse_layup
-from cpam_bayes.plate.records import angle_grid
-from cpam_bayes.stacking.search import (
+from cpam_bayes.identification.angle_search import (
     SequenceFit,
     best_constants,
     fuzzy_problem,
@@ -25,6 +21,10 @@ from cpam_bayes.stacking.search import (
     sequence_parameters,
     sequence_starts,
 )
+from cpam_bayes.inference.swarm.pso import SwarmSettings
+from cpam_bayes.plate import Specimen, builtin
+from cpam_bayes.plate.layup import parse_layup
+from cpam_bayes.plate.records import angle_grid
 from cpam_bayes.stacking.symmetry.classes import canonical, is_canonical
 from cpam_bayes.stacking.symmetry.symmetries import plate_symmetries
 

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from cpam_bayes.forward_model.model import angle_parameters, discretisation_error, reference_vector
 from cpam_bayes.forward_model.reduced import ReducedModel
 from cpam_bayes.forward_model.store import reduced_model
+from cpam_bayes.identification.conditional_misfit import ConditionalFit, fit_constants
 from cpam_bayes.identification.point import Residual, misfit, required
 from cpam_bayes.inference.posterior import ForwardModel
 from cpam_bayes.inference.swarm.fpso import FuzzyProblem, FuzzyResult, minimise_fuzzy
@@ -27,7 +28,6 @@ from cpam_bayes.parallel import run
 from cpam_bayes.parameters import ParameterSet
 from cpam_bayes.plate import Specimen
 from cpam_bayes.plate.records import angle_grid
-from cpam_bayes.stacking.conditional.misfit import ConditionalFit, fit_constants
 from cpam_bayes.threads import single_blas_thread
 
 __all__ = [
