@@ -11,7 +11,13 @@ from numpy.typing import NDArray
 from cpam_bayes.forward_model.model import PlateModel, plate_problem
 from cpam_bayes.mechanics.modes import solve
 from cpam_bayes.mechanics.problem import Problem
-from cpam_bayes.mechanics.spaces.fem import FemSpace, default_counts, fem_space, fem_space_from_mesh
+from cpam_bayes.mechanics.spaces.fem import (
+    DEFAULT_GRADING,
+    FemSpace,
+    default_counts,
+    fem_space,
+    fem_space_from_mesh,
+)
 from cpam_bayes.mechanics.sparse import SparseOperator, discretise_sparse
 from cpam_bayes.plate.records import Specimen
 from cpam_bayes.threads import single_blas_thread
@@ -78,8 +84,8 @@ def _error(problem: Problem, operator: SparseOperator, n_modes: int) -> Array:
     counts = [n // _COARSER for n in default_counts(problem.nominal)]
     coarse = [
         _frequencies(discretise_sparse(problem, space, {}), n_modes)
-        for graded in (True, False)
-        for space in [fem_space(problem.edges, problem.nominal, *counts, graded=graded)]
+        for grading in (DEFAULT_GRADING, None)
+        for space in [fem_space(problem.edges, problem.nominal, *counts, grading=grading)]
     ]
     return np.asarray(sum(np.abs(f / fine - 1.0) for f in coarse) / (_COARSER**_RATE - 1))
 

@@ -21,7 +21,7 @@ PROCESSES, SERIAL = "processes", "serial"
 ACCEPTED = f"{PROCESSES}, {SERIAL} or dask://HOST:PORT, the address of a Dask scheduler"
 _DASK = re.compile(r"dask://(?P<host>[^\s:/\[\]]+|\[[0-9A-Fa-f:.]+\]):(?P<port>[0-9]{1,5})/?")
 # Seconds that a scheduler may take to answer and to show its first worker.
-_PATIENCE = 10
+PATIENCE = 10.0
 
 
 class WorkersLostError(RuntimeError):
@@ -46,13 +46,16 @@ def _dask_address(text: str) -> str | None:
 
 
 @contextmanager
-def open_executor(spec: str | None = None, processes: int | None = None) -> Iterator[Executor | None]:
+def open_executor(
+    spec: str | None = None, processes: int | None = None, *, patience: float = PATIENCE
+) -> Iterator[Executor | None]:
     """What ``run`` shares work out over, closed at the end; its workers are stopped after an exception.
 
     spec : ``None`` or "processes": worker processes of this machine, ``processes`` of them or as many
     as there are cores. "serial": ``None``, for work in this process. "dask://host:port": the workers
-    of that cluster. Raises ``ValueError`` for anything else, a scheduler that does not answer or has
-    no workers, and workers that have another version of this package or none.
+    of that cluster, whose scheduler may take ``patience`` seconds to answer and as many to show a
+    worker. Raises ``ValueError`` for anything else, a scheduler that does not answer or has no
+    workers, and workers that have another version of this package or none.
     """
     spec = PROCESSES if spec is None else read_spec(spec)
     if processes is not None and spec != PROCESSES:
@@ -63,7 +66,7 @@ def open_executor(spec: str | None = None, processes: int | None = None) -> Iter
         raise ValueError(f"number of workers: received {processes}, accepted: 1 or more")
     address = _dask_address(spec)
     if address is not None:
-        with _connected(spec, address) as executor:
+        with _connected(spec, address, patience) as executor:
             yield executor
     elif spec == SERIAL:
         yield None
@@ -188,7 +191,7 @@ class DaskCluster(Executor):
 
 
 @contextmanager
-def _connected(spec: str, address: str) -> Iterator[DaskCluster]:
+def _connected(spec: str, address: str, patience: float) -> Iterator[DaskCluster]:
     try:
         import distributed
     except ImportError as error:
@@ -197,20 +200,20 @@ def _connected(spec: str, address: str) -> Iterator[DaskCluster]:
         ) from error
     connect: Any = distributed.Client
     try:
-        client = connect(address, timeout=_PATIENCE, set_as_default=False)
+        client = connect(address, timeout=patience, set_as_default=False)
     except OSError as error:
         raise ValueError(
             f"executor: received {spec}, but no Dask scheduler answers there ({error}); "
             "start one with `dask scheduler`, or check host and port"
         ) from error
     try:
-        _require_workers(client, spec)
+        _require_workers(client, spec, patience)
         yield DaskCluster(client, address)
     finally:
         client.close()
 
 
-def _require_workers(client: Any, spec: str) -> None:
+def _require_workers(client: Any, spec: str, patience: float) -> None:
     """Raise ``ValueError`` unless there are workers, all with this version of the package."""
 
     # Nested, so that it is sent by value: a worker may lack the package.
@@ -220,7 +223,7 @@ def _require_workers(client: Any, spec: str) -> None:
         return str(remote)
 
     try:
-        client.wait_for_workers(1, timeout=_PATIENCE)
+        client.wait_for_workers(1, timeout=patience)
     except TimeoutError as error:
         raise ValueError(
             f"executor: the Dask scheduler {spec} has no workers; start some with `dask worker`"

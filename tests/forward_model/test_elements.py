@@ -26,14 +26,12 @@ def with_plate(name: str, **changes: object) -> Specimen:
     return replace(specimen, plate=replace(specimen.plate, **changes))
 
 
-def finer(specimen: Specimen, monkeypatch: pytest.MonkeyPatch) -> np.ndarray:
+def finer(specimen: Specimen) -> np.ndarray:
     """Frequencies on 1.6 times as many elements a side, the outermost a quarter as wide."""
     problem = plate_problem(specimen)
     counts = [round(1.6 * n) for n in fem.default_counts(problem.nominal)]
-    with monkeypatch.context() as patch:
-        patch.setattr(fem, "_FIRST", fem._FIRST / 4)
-        patch.setattr(fem, "_GROWTH", 2.0)
-        space = fem.fem_space(problem.edges, problem.nominal, *counts)
+    grading = fem.Grading(first=fem.DEFAULT_GRADING.first / 4, growth=2.0)
+    space = fem.fem_space(problem.edges, problem.nominal, *counts, grading=grading)
     operator = discretise_sparse(problem, space, {})
     return solve(operator, *operator.coefficients({}), N_MODES).frequencies[0]
 
@@ -52,12 +50,12 @@ def finer(specimen: Specimen, monkeypatch: pytest.MonkeyPatch) -> np.ndarray:
     ids=["A1", "D4", "clamped", "unsymmetric", "mixed", "locking"],
 )
 def test_the_error_estimate_covers_the_error_and_is_not_far_above(
-    name: str, changes: dict[str, object], monkeypatch: pytest.MonkeyPatch
+    name: str, changes: dict[str, object]
 ) -> None:
     specimen = with_plate(name, **changes)
     model = element_model(specimen, N_MODES).model
     found = model.spectrum(np.empty((1, 0))).frequencies[0]
-    true = np.abs(found / finer(specimen, monkeypatch) - 1.0)
+    true = np.abs(found / finer(specimen) - 1.0)
     # the finer mesh errs by a tenth to a fifth of the default one
     assert np.all(true <= model.error)
     assert model.error.max() < 10 * true.max()

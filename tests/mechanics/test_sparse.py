@@ -25,7 +25,7 @@ ALUMINIUM = {"E1": 70e9, "nu12": 0.3}
 
 
 def small(problem: Problem, n: int = 3) -> FemSpace:
-    return fem_space(problem.edges, problem.nominal, n, n, graded=False)
+    return fem_space(problem.edges, problem.nominal, n, n, grading=None)
 
 
 def free_parameters(layup: tuple[float, ...], edges: str = "FFFF") -> Problem:

@@ -19,7 +19,7 @@ from distributed import Client
 from cpam_bayes import __version__
 from cpam_bayes.forward_model.store import reduced_model
 from cpam_bayes.inference.posterior import Posterior, plate_posterior
-from cpam_bayes.parallel import WorkersLostError, executors, open_executor, run
+from cpam_bayes.parallel import WorkersLostError, open_executor, run
 from cpam_bayes.plate import read_specimen
 from tests.parallel import work
 
@@ -200,22 +200,22 @@ def test_a_worker_without_this_version_is_refused(
             pass
 
 
-def test_a_scheduler_without_workers_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(executors, "_PATIENCE", 0.5)
+def test_a_scheduler_without_workers_is_an_error(tmp_path: Path) -> None:
     with _scheduler(tmp_path):
         spec = _spec(tmp_path)
         with (
             pytest.raises(ValueError, match=f"the Dask scheduler {spec} has no workers"),
-            open_executor(spec),
+            open_executor(spec, patience=0.5),
         ):
             pass
 
 
-def test_a_scheduler_that_goes_away_ends_the_work_with_an_error(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(executors, "_PATIENCE", 120)
-    with _scheduler(tmp_path) as scheduler, _workers(tmp_path, 1), open_executor(_spec(tmp_path)) as executor:
+def test_a_scheduler_that_goes_away_ends_the_work_with_an_error(tmp_path: Path) -> None:
+    with (
+        _scheduler(tmp_path) as scheduler,
+        _workers(tmp_path, 1),
+        open_executor(_spec(tmp_path), patience=120) as executor,
+    ):
 
         def stop(index: int, result: int) -> None:
             with suppress(ProcessLookupError):  # results that were on their way come after the first

@@ -53,11 +53,10 @@ def test_no_workers_are_refused() -> None:
         pass
 
 
-def test_a_scheduler_that_does_not_answer_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(executors, "_PATIENCE", 0.2)
+def test_a_scheduler_that_does_not_answer_is_an_error() -> None:
     with (
         pytest.raises(ValueError, match=r"received dask://127\.0\.0\.1:1, but no Dask scheduler answers"),
-        open_executor("dask://127.0.0.1:1"),
+        open_executor("dask://127.0.0.1:1", patience=0.2),
     ):
         pass
 

@@ -28,17 +28,30 @@ from cpam_bayes.mechanics.spaces.ritz import layer_rates
 Array = NDArray[Any]
 
 # Polynomial degree that the rules integrate: 2 x 2 and 3 x 3 points.
-_REDUCED, _FULL = 3, 5
+REDUCED, FULL = 3, 5
 # Uniform elements along the longer side, and the least along the shorter.
 _LONGER, _SHORTER = 24, 16
-# Width of the outermost graded element in decay lengths of the edge layer, and growth of the next.
-_FIRST, _GROWTH = 0.25, 3.0
 # Least width of an element, of the plate's side: thinner ones cost digits and gain nothing.
 _THINNEST = 2e-4
 # Points an element for a part of an edge: its ends are met within a thousandth of the edge.
 _MIDPOINTS = 64
 # Distance from the mesh, in units of the plate, at which a point still counts as on it.
 _ON_MESH = 1e-6
+
+
+@dataclass(frozen=True, slots=True)
+class Grading:
+    """Widths of the elements along the edges.
+
+    first : of the outermost one, in decay lengths of the edge layer.
+    growth : ratio of each further one to that before it.
+    """
+
+    first: float = 0.25
+    growth: float = 3.0
+
+
+DEFAULT_GRADING = Grading()
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,12 +68,14 @@ class FemSpace:
 
     basis : the scalar basis with the reduced rule. free : unknowns of it that each field keeps.
     facets : boundary facets of the named edges. size : nominal length and width, m.
+    stiffness_degree : of the polynomials that the rule of the stiffness integrates.
     """
 
     basis: Any
     free: Mapping[Field, Array]
     facets: Mapping[str, Array]
     size: tuple[float, float]
+    stiffness_degree: int = REDUCED
 
     @property
     def n_elements(self) -> int:
@@ -78,7 +93,7 @@ class FemSpace:
     @property
     def area(self) -> float:
         """Area of the mesh, m2."""
-        return float(self._area(AREA, _FULL).weights.sum()) * self.size[0] * self.size[1]
+        return float(self._area(AREA, FULL).weights.sum()) * self.size[0] * self.size[1]
 
     def covers(self, points: Array) -> Array:
         """Whether points (n, 2) in reference coordinates are on the mesh, (n,) bool."""
@@ -99,7 +114,7 @@ class FemSpace:
         the mesh does not name and for a point that is not on the mesh.
         """
         if region.kind in ("area", "projection"):
-            return self._area(region, _REDUCED if matrix == "stiffness" else _FULL)
+            return self._area(region, self.stiffness_degree if matrix == "stiffness" else FULL)
         return self._edge(region) if region.kind == "edge" else self._point(region)
 
     def evaluate(self, field: Field, quadrature: Quadrature, derivative: Derivative) -> csr_array[Any]:
@@ -144,7 +159,7 @@ class FemSpace:
             )
         mapping, find = self.basis.mapping, self.facets[region.edge]
         cells = self.basis.mesh.f2t[0, find]
-        x, w = get_quadrature(self.basis.mesh.brefdom, _FULL)
+        x, w = get_quadrature(self.basis.mesh.brefdom, FULL)
         part = region.span != (0.0, 1.0)
         if part:  # its ends lie anywhere in an element
             x, w = (np.arange(_MIDPOINTS) + 0.5)[None] / _MIDPOINTS, np.full(_MIDPOINTS, 1.0 / _MIDPOINTS)
@@ -198,14 +213,14 @@ def fem_space(
     nx: int | None = None,
     ny: int | None = None,
     *,
-    graded: bool = True,
+    grading: Grading | None = DEFAULT_GRADING,
 ) -> FemSpace:
     """Elements for a rectangular plate with the given edges.
 
     edges : four of F, S, C for x = 0, y = 0, x = length, y = width. nx, ny : elements along x and y
-    before grading; left out, about square ones. ``graded`` cuts the outermost ones further, down
+    before grading; left out, about square ones. ``grading`` cuts the outermost ones further, down
     to a quarter of the decay length of a free edge's twisting layer; it also resolves the
-    singular corner of a clamped and a free edge.
+    singular corner of a clamped and a free edge. ``None`` leaves them whole.
 
     With the default counts frequencies of six to ten modes are within 0.05 % of converged ones
     for h / a from 1/10 to 1/1000; the locking that reduced integration leaves grows like (a / h)^2
@@ -217,8 +232,7 @@ def fem_space(
         raise ValueError(f"elements along x and y: received {counts}, accepted: 1 or more")
     h = float(np.real(nominal.thickness))
     cuts = [
-        _cuts(n, h / rate / s if graded else np.inf)
-        for n, s, rate in zip(counts, size, layer_rates(nominal), strict=True)
+        _cuts(n, h / rate / s, grading) for n, s, rate in zip(counts, size, layer_rates(nominal), strict=True)
     ]
     mesh = MeshQuad1.init_tensor(*cuts)
     boundary = mesh.boundary_facets()
@@ -264,19 +278,21 @@ def _size(nominal: PlateState) -> tuple[float, float]:
     return float(np.real(nominal.length)), float(np.real(nominal.width))
 
 
-def _cuts(n: int, layer: float) -> Array:
+def _cuts(n: int, layer: float, grading: Grading | None) -> Array:
     """n equal elements of [0, 1], the first and last cut into ones that grow from ``layer`` on."""
+    if grading is None:
+        return np.linspace(0.0, 1.0, n + 1)
     inside: list[float] = []
-    step = max(_FIRST * layer, _THINNEST)
-    while sum(inside) + _GROWTH * step / 2 < 1.0 / max(n, 2) and len(inside) < 6:
+    step = max(grading.first * layer, _THINNEST)
+    while sum(inside) + grading.growth * step / 2 < 1.0 / max(n, 2) and len(inside) < 6:
         inside.append(step)
-        step *= _GROWTH
+        step *= grading.growth
     strips = np.cumsum(inside)
     return np.unique(np.concatenate((np.linspace(0.0, 1.0, n + 1), strips, 1.0 - strips)))
 
 
 def _space(mesh: Any, facets: Mapping[str, Array], edges: str, size: tuple[float, float]) -> FemSpace:
-    basis = CellBasis(mesh, ElementQuadS2(), intorder=_REDUCED)
+    basis = CellBasis(mesh, ElementQuadS2(), intorder=REDUCED)
     held: dict[Field, list[Array]] = {field: [] for field in FIELDS}
     for name, condition in zip(EDGES, edges, strict=True):
         for field in HELD[condition][name[0]]:
