@@ -4,10 +4,12 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-import pytest
 
-from cpam_bayes.stacking.conditional import importance as sequence_importance
-from cpam_bayes.stacking.conditional.importance import Conditionals, importance_evidence
+from cpam_bayes.stacking.conditional.importance import (
+    Conditionals,
+    RefinementSettings,
+    importance_evidence,
+)
 from cpam_bayes.stacking.conditional.posterior import SequenceFits
 
 N = 3
@@ -21,22 +23,30 @@ def skewed(z: np.ndarray) -> np.ndarray:
     return np.asarray(-0.5 * squared - 1.5 * np.log(2.0 * np.pi) - np.log(2.0))
 
 
-@pytest.fixture
-def calls(monkeypatch: pytest.MonkeyPatch) -> list[int]:
-    """Sequences whose density is known; how many points each call asked for in all."""
-    asked: list[int] = []
+class Known:
+    """A posterior of three sequences whose density is known; how many points were asked for in all."""
 
-    def log_density(own: Any, angles_deg: np.ndarray, z: np.ndarray) -> np.ndarray:
-        asked.append(len(angles_deg) * z.shape[1])
-        return skewed(z) + LOG_Z[angles_deg[:, 0].astype(int)][:, None]
+    axes: Any = SimpleNamespace(
+        to_x=lambda z: z,
+        lower=np.full(N, -np.inf),
+        upper=np.full(N, np.inf),
+        slope=lambda x, z: np.ones_like(z),
+    )
+    template: Any = SimpleNamespace(log_prior=lambda x: np.zeros(len(x)))
+    # so small that no sequence gets a basis of its own
+    model: Any = SimpleNamespace(
+        fast=SimpleNamespace(operator=SimpleNamespace(blocks=[SimpleNamespace(size=1)]))
+    )
 
-    monkeypatch.setattr(sequence_importance, "_log_density", log_density)
-    return asked
+    def __init__(self) -> None:
+        self.points = 0
 
+    def at(self, angles_deg: np.ndarray, rows: np.ndarray) -> Any:
+        def log_prob(x: np.ndarray) -> np.ndarray:
+            self.points += len(x)
+            return skewed(x) + LOG_Z[angles_deg[rows, 0].astype(int)]
 
-# a posterior whose model is so small that no sequence gets a basis of its own
-SMALL = SimpleNamespace(fast=SimpleNamespace(operator=SimpleNamespace(blocks=[SimpleNamespace(size=1)])))
-OWN: Any = SimpleNamespace(axes=SimpleNamespace(to_x=lambda z: z), model=SMALL)
+        return SimpleNamespace(log_prob=log_prob)
 
 
 def fits(centre: float, sd: float) -> SequenceFits:
@@ -51,33 +61,32 @@ def fits(centre: float, sd: float) -> SequenceFits:
 ANGLES = np.arange(3.0)[:, None]
 
 
-def test_the_evidence_of_a_known_density_is_found_within_its_error(calls: list[int]) -> None:
-    found = importance_evidence(OWN, ANGLES, fits(0.0, 1.0), 13)
+def test_the_evidence_of_a_known_density_is_found_within_its_error() -> None:
+    own: Any = Known()
+    found = importance_evidence(own, ANGLES, fits(0.0, 1.0), 13)
     assert np.all(np.abs(found.log_evidence - LOG_Z) <= 4.0 * found.error)
     assert found.error.max() < 0.03
     # mean and sd of the third coordinate, a normal about 2 with sd 2
     np.testing.assert_allclose(found.mean[:, 2], 2.0, atol=0.1)
     np.testing.assert_allclose(found.sd[:, 2], 2.0, rtol=0.05)
-    assert sum(calls) == 3 * 2**13
+    assert own.points == 3 * 2**13
 
 
-def test_a_proposal_that_lies_badly_is_refitted(calls: list[int], monkeypatch: pytest.MonkeyPatch) -> None:
-    refitted = importance_evidence(OWN, ANGLES, fits(0.5, 0.6), 12)
-    monkeypatch.setattr(sequence_importance, "_ADAPTED", 99)
-    monkeypatch.setattr(sequence_importance, "_CAREFUL", 99)
-    left = importance_evidence(OWN, ANGLES, fits(0.5, 0.6), 12)
+def test_a_proposal_that_lies_badly_is_refitted() -> None:
+    own: Any = Known()
+    refitted = importance_evidence(own, ANGLES, fits(0.5, 0.6), 12)
+    as_it_was = RefinementSettings(refitted_from=99, resampled_from=99)
+    left = importance_evidence(own, ANGLES, fits(0.5, 0.6), 12, settings=as_it_was)
     assert np.all(refitted.error < 0.7 * left.error)
     assert np.all(np.abs(refitted.log_evidence - LOG_Z) <= 4.0 * refitted.error)
 
 
-def test_what_stays_unsure_is_sampled_with_more_and_more_points(
-    calls: list[int], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_stays_unsure_is_sampled_with_more_and_more_points() -> None:
     def sampled(unsure: float, points: int) -> Conditionals:
-        monkeypatch.setattr(sequence_importance, "_UNSURE", unsure)
-        calls.clear()
-        found = importance_evidence(OWN, ANGLES, fits(0.0, 1.0), 9)
-        assert sum(calls) == 3 * points
+        own: Any = Known()
+        settings = RefinementSettings(unsure=unsure)
+        found = importance_evidence(own, ANGLES, fits(0.0, 1.0), 9, settings=settings)
+        assert own.points == 3 * points
         return found
 
     first = sampled(10.0, 2**9)

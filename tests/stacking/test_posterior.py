@@ -19,7 +19,7 @@ from cpam_bayes.plate import Measurement, Specimen, builtin
 from cpam_bayes.plate.layup import parse_layup
 from cpam_bayes.stacking.conditional import importance as sequence_importance
 from cpam_bayes.stacking.conditional.evaluation import locate, neighbours
-from cpam_bayes.stacking.conditional.importance import importance_evidence
+from cpam_bayes.stacking.conditional.importance import RefinementSettings, importance_evidence
 from cpam_bayes.stacking.conditional.posterior import (
     SequencePosterior,
     fit_sequences,
@@ -294,12 +294,9 @@ def test_unsure_evidences_are_those_of_the_whole_model_on_bases_of_their_own(
         return found
 
     monkeypatch.setattr(sequence_importance, "focused", counted)
-    monkeypatch.setattr(sequence_importance, "_UNSURE", 0.0)
-    monkeypatch.setattr(sequence_importance, "_LARGE", 1000)
-    whole = importance_evidence(own, angles, fits)
+    whole = importance_evidence(own, angles, fits, settings=RefinementSettings(unsure=0.0, large=1000))
     assert not sizes
-    monkeypatch.setattr(sequence_importance, "_LARGE", 1)
-    narrow = importance_evidence(own, angles, fits)
+    narrow = importance_evidence(own, angles, fits, settings=RefinementSettings(unsure=0.0, large=1))
     assert len(sizes) == 2 * len(angles), "each sequence, at either number of points"
     assert max(sizes) < 0.7 * sum(b.size for b in own.model.fast.operator.blocks)
     # an error of a frequency, in standard deviations of the noise, counts as often as the misfit has of them

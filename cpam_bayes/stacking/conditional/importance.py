@@ -28,18 +28,36 @@ _NU, _WIDER = 6.0, 1.1
 _KEPT = 8
 # Points of importance sampling that are solved for together.
 _POINTS = 2048
-# log2 of the points from which on a proposal is refitted, and the shares of the points that each one gets.
-_ADAPTED, _STAGES = 7, (0.25, 0.25, 0.5)
-# log2 of the points from which on unsure evidences get 2^m times as many, for each m in turn while they stay
-# so; standard error that is unsure.
-_CAREFUL, _MORE, _UNSURE = 9, (2, 4), 0.08
-# Functions in a block from which on such a sequence gets a basis of its own; sets of constants that it is
-# made from, how much wider than the posterior they lie, its relative error, and the most of that in noises.
-_LARGE, _OWN_SETS, _OWN_WIDER, _OWN_ERROR, _OWN_SHARE = 60, 64, 1.5, 1e-3, 0.05
+# Fractions of the points that each proposal gets where it is refitted.
+_STAGES = (0.25, 0.25, 0.5)
+# Unsure evidences get 2^m times as many points, for each m in turn while they stay so.
+_MORE = (2, 4)
+# Basis for one sequence: sets of constants that it is made from, how much wider than the posterior they
+# lie, its relative error, and the most of that in noises.
+_OWN_SETS, _OWN_WIDER, _OWN_ERROR, _OWN_SHARE = 64, 1.5, 1e-3, 0.05
 # Points a dimension that the first proposal counts as where it is refitted.
 _PRIOR_POINTS = 3.0
 # Shares of optima that count in a proposal, and the least that one then has.
 _USED, _LEAST_SHARE = 1e-4, 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class RefinementSettings:
+    """When importance sampling of a stacking sequence takes more trouble.
+
+    refitted_from : log2 of the points from which on the proposal is refitted.
+    resampled_from : log2 of the points from which on an unsure evidence is sampled again.
+    unsure : standard error of a log evidence that is.
+    large : functions in a block from which on an unsure sequence gets a basis for itself.
+    """
+
+    refitted_from: int = 7
+    resampled_from: int = 9
+    unsure: float = 0.08
+    large: int = 60
+
+
+DEFAULT_REFINEMENT = RefinementSettings()
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +81,12 @@ class Conditionals:
 
 @single_blas_thread
 def importance_evidence(
-    own: SequencePosterior, angles_deg: Array, fits: SequenceFits, log2_points: int = 9
+    own: SequencePosterior,
+    angles_deg: Array,
+    fits: SequenceFits,
+    log2_points: int = 9,
+    *,
+    settings: RefinementSettings = DEFAULT_REFINEMENT,
 ) -> Conditionals:
     """Conditional posteriors of sequences by importance sampling about their optima.
 
@@ -75,16 +98,16 @@ def importance_evidence(
     more that stay unsure are sampled again with four times as many, and with sixteen times, where solves
     are slow on bases that are made for each.
     """
-    found = _in_parts(own, angles_deg, fits, log2_points)
-    for more in _MORE if log2_points >= _CAREFUL else ():
-        unsure = np.flatnonzero(found.error > _UNSURE)
+    found = _in_parts(own, angles_deg, fits, log2_points, settings)
+    for more in _MORE if log2_points >= settings.resampled_from else ():
+        unsure = np.flatnonzero(found.error > settings.unsure)
         if not len(unsure):
             break
         again = joined(
             [
-                _importance(basis, angles_deg[[i]], fits[[i]], log2_points + more)
+                _importance(basis, angles_deg[[i]], fits[[i]], log2_points + more, settings)
                 for i in unsure
-                for basis in [_on_own_basis(own, angles_deg[i], found[i])]
+                for basis in [_on_own_basis(own, angles_deg[i], found[i], settings.large)]
             ]
         )
         place = np.arange(len(angles_deg))
@@ -94,23 +117,29 @@ def importance_evidence(
 
 
 def _in_parts(
-    own: SequencePosterior, angles_deg: Array, fits: SequenceFits, log2_points: int
+    own: SequencePosterior,
+    angles_deg: Array,
+    fits: SequenceFits,
+    log2_points: int,
+    settings: RefinementSettings,
 ) -> Conditionals:
     each = max(_POINTS >> log2_points, 1)
     return joined(
         [
-            _importance(own, angles_deg[i : i + each], fits[i : i + each], log2_points)
+            _importance(own, angles_deg[i : i + each], fits[i : i + each], log2_points, settings)
             for i in range(0, len(angles_deg), each)
         ]
     )
 
 
-def _on_own_basis(own: SequencePosterior, angles_deg: Array, known: Conditionals) -> SequencePosterior:
+def _on_own_basis(
+    own: SequencePosterior, angles_deg: Array, known: Conditionals, large: int
+) -> SequencePosterior:
     """The posterior on a basis for one sequence (k,) and what is known of its constants.
 
     These are spread independently, which covers the posterior whatever its correlations are.
     """
-    if max(block.size for block in own.model.fast.operator.blocks) < _LARGE:
+    if max(block.size for block in own.model.fast.operator.blocks) < large:
         return own
     p = own.parameters
     spread = ndtri(qmc.Sobol(p.size, rng=np.random.default_rng(0)).random(_OWN_SETS))
@@ -199,13 +228,17 @@ def _refitted(before: _Proposals, z: Array, log_weight: Array) -> _Proposals:
 
 
 def _importance(
-    own: SequencePosterior, angles_deg: Array, fits: SequenceFits, log2_points: int
+    own: SequencePosterior,
+    angles_deg: Array,
+    fits: SequenceFits,
+    log2_points: int,
+    settings: RefinementSettings,
 ) -> Conditionals:
     axes, n = own.axes, fits.optima.shape[2]
     size = 1 << log2_points
     row = np.arange(len(angles_deg))[:, None]
     step, uniform = _proposal_points(n, log2_points)
-    used = _STAGES if log2_points >= _ADAPTED else (1.0,)
+    used = _STAGES if log2_points >= settings.refitted_from else (1.0,)
     stops = np.cumsum([0, *(round(stage * size) for stage in used)])
     proposals, z, log_target = [_about_optima(fits)], np.empty((len(row), 0, n)), np.empty((len(row), 0))
     for i in range(len(used)):
