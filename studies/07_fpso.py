@@ -40,8 +40,8 @@ from cpam_bayes.identification.angle_search import (
     sequence_parameters,
     sequence_starts,
 )
-from cpam_bayes.inference.swarm.fpso import FuzzyResult
 from cpam_bayes.inference.swarm.pso import SwarmSettings
+from cpam_bayes.inference.swarm.swarm import SwarmResult
 from cpam_bayes.paper.sequences import identified_sequences
 from cpam_bayes.parallel import open_executor
 from cpam_bayes.plate import Specimen, to_si
@@ -281,7 +281,7 @@ def _printed_misfit(fit: SequenceFit, name: str) -> float | None:
 
 
 def _fitted_ends(
-    fit: SequenceFit, swarms: list[FuzzyResult], starts: Array, executor: Executor | None
+    fit: SequenceFit, swarms: list[SwarmResult], starts: Array, executor: Executor | None
 ) -> Array:
     """F of the swarms' sequences with their constants fitted, each from the swarm's own too, (m,)."""
     ends = np.array([s.sequence for s in swarms])
@@ -290,7 +290,7 @@ def _fitted_ends(
     return np.minimum(
         fitted,
         [
-            best_constants(fit, s.sequence[None], s.constants[None]).values[0] if s.value < f else f
+            best_constants(fit, s.sequence[None], s.best[None]).values[0] if s.value < f else f
             for s, f in zip(swarms, fitted, strict=True)
         ],
     )

@@ -22,8 +22,8 @@ from cpam_bayes.forward_model.store import reduced_model
 from cpam_bayes.identification.conditional_misfit import ConditionalFit, fit_constants
 from cpam_bayes.identification.point import Residual, misfit, required
 from cpam_bayes.inference.posterior import ForwardModel
-from cpam_bayes.inference.swarm.fpso import FuzzyProblem, FuzzyResult, minimise_fuzzy
 from cpam_bayes.inference.swarm.pso import SwarmSettings, initial_swarm
+from cpam_bayes.inference.swarm.swarm import SwarmProblem, SwarmResult, minimise_problem
 from cpam_bayes.parallel import run
 from cpam_bayes.parameters import ParameterSet
 from cpam_bayes.plate import Specimen
@@ -101,7 +101,7 @@ class FoundSequence:
     rms: float
     error: Array = field(repr=False)
     model: ReducedModel = field(repr=False)
-    swarm: FuzzyResult
+    swarm: SwarmResult
     seconds: float
 
     @property
@@ -125,9 +125,9 @@ def sequence_parameters(specimen: Specimen) -> ParameterSet:
     return specimen.unknowns.union(angle_parameters(specimen))
 
 
-def fuzzy_problem(fit: SequenceFit) -> FuzzyProblem:
+def fuzzy_problem(fit: SequenceFit) -> SwarmProblem:
     """The search of constants and a sequence as the fuzzy swarm takes it."""
-    return FuzzyProblem(
+    return SwarmProblem(
         objective=fit.values,
         feasible=fit.admissible,
         lower=fit.unknowns.lower,
@@ -142,7 +142,7 @@ def run_swarm(
     seed: int,
     settings: SwarmSettings | None = None,
     progress: Callable[[int, float], None] | None = None,
-) -> FuzzyResult:
+) -> SwarmResult:
     """One run of the fuzzy swarm from the initial population of section 5.1.
 
     Raises ``ValueError`` if no particle is feasible.
@@ -152,7 +152,7 @@ def run_swarm(
     known = tuple((k, v) for k, v in material.constants.items() if k not in unknowns)
     rng = np.random.default_rng(seed)
     start = initial_swarm(replace(unknowns, fixed=known), material.isotropic, settings.particles, rng)
-    return minimise_fuzzy(fuzzy_problem(fit), start, settings, rng, progress=progress)
+    return minimise_problem(fuzzy_problem(fit), start, settings, rng, progress=progress)
 
 
 def run_swarms(
@@ -160,7 +160,7 @@ def run_swarms(
     seeds: Sequence[int],
     settings: SwarmSettings | None = None,
     executor: Executor | None = None,
-) -> list[FuzzyResult]:
+) -> list[SwarmResult]:
     """Runs of the fuzzy swarm from several seeds, shared out over an executor's workers.
 
     Raises as ``run_swarm``.
@@ -168,7 +168,7 @@ def run_swarms(
     return run(_swarm_of_seed, fit, [(seed, settings) for seed in seeds], executor)
 
 
-def _swarm_of_seed(fit: SequenceFit, item: tuple[int, SwarmSettings | None]) -> FuzzyResult:
+def _swarm_of_seed(fit: SequenceFit, item: tuple[int, SwarmSettings | None]) -> SwarmResult:
     return run_swarm(fit, *item)
 
 
@@ -196,12 +196,12 @@ def search_sequence(
     grid = angle_grid(specimen.angle_grid_deg)
     fit = SequenceFit(specimen, model, measurement.frequencies, grid, residual)
     swarm = run_swarm(fit, seed, settings, progress)
-    best = np.concatenate((swarm.constants, grid[swarm.sequence]))
+    best = np.concatenate((swarm.best, grid[swarm.sequence]))
     predicted = model.full.predict(best).frequencies[0]
     return FoundSequence(
         specimen=specimen,
         angles_deg=grid[swarm.sequence],
-        constants=dict(zip(unknowns.names, swarm.constants.tolist(), strict=True)),
+        constants=dict(zip(unknowns.names, swarm.best.tolist(), strict=True)),
         value=swarm.value,
         predicted=predicted,
         rms=float(np.sqrt(np.mean((predicted / measurement.frequencies - 1.0) ** 2))),

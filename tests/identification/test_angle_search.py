@@ -104,10 +104,10 @@ def test_swarms_reach_the_minimum_that_enumeration_finds(fit: SequenceFit, enume
         # fits stop short by 3e-5 of F
         assert result.value >= enumerated[index] * (1.0 - 1e-3)
         # alone and in a stack every f is the same to 5e-10: dF = 2 |f - measured| 5e-10 f
-        own = fit.values(result.constants[None], result.sequence[None])[0]
+        own = fit.values(result.best[None], result.sequence[None])[0]
         rounding = 1e-9 * np.sqrt(result.value) * np.linalg.norm(fit.measured)
         assert own == pytest.approx(result.value, rel=0.0, abs=rounding + 1e-7)
-        assert fit.admissible(result.constants[None])[0]
+        assert fit.admissible(result.best[None])[0]
 
 
 def test_swarms_of_several_seeds_are_the_swarms_of_each(fit: SequenceFit) -> None:

@@ -11,7 +11,8 @@ import pytest
 
 from cpam_bayes.inference.ensemble import EnsembleSettings
 from cpam_bayes.inference.swarm.pso import minimise
-from cpam_bayes.inference.swarm.settings import SwarmResult, SwarmSettings
+from cpam_bayes.inference.swarm.settings import SwarmSettings
+from cpam_bayes.inference.swarm.swarm import SwarmResult
 from cpam_bayes.parallel import open_executor
 from cpam_bayes.plate import Specimen, read_specimen
 from cpam_bayes.repetition import study as study_module

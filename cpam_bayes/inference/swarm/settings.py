@@ -1,7 +1,7 @@
-"""Settings, state and result of a particle swarm, and the texts of all that can happen to it."""
+"""Settings of a particle swarm, and the texts of all that can happen to it."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Final, Literal, TypeAlias
 
 import numpy as np
@@ -9,7 +9,9 @@ from numpy.typing import NDArray
 
 FloatArray: TypeAlias = NDArray[np.float64]
 BoolArray: TypeAlias = NDArray[np.bool_]
+IndexArray: TypeAlias = NDArray[np.int64]
 Objective: TypeAlias = Callable[[FloatArray], FloatArray]
+SequenceObjective: TypeAlias = Callable[[FloatArray, IndexArray], FloatArray]
 Feasible: TypeAlias = Callable[[FloatArray], BoolArray]
 Status: TypeAlias = Literal["converged", "budget"]
 
@@ -22,6 +24,19 @@ TEXTS: Final[Mapping[str, str]] = {
         "the swarm used its budget of {iterations} iterations before it converged: nine in ten "
         "of its particles agree to no more than {spread:.1g} of the distance of the search "
         "bounds; allow more iterations or narrow the bounds"
+    ),
+    "fuzzy converged": (
+        "the fuzzy swarm converged after {iterations} iterations: {agreeing} of its {particles} particles "
+        "agree on the sequence and on the constants"
+    ),
+    "fuzzy budget": (
+        "the fuzzy swarm used its budget of {iterations} iterations before it converged: {agreeing} of its "
+        "{particles} particles agree on the sequence and on the constants; allow more iterations, or "
+        "more particles"
+    ),
+    "no grid": (
+        "fuzzy swarm: received {n_plies} unknown plies and a grid of {n_angles} angles, "
+        "accepted: 1 or more of each"
     ),
     "nothing feasible": (
         "no feasible particle among the {particles} of the initial swarm: each violates a "
@@ -52,8 +67,6 @@ TEXTS: Final[Mapping[str, str]] = {
 class SwarmSettings:
     """Numerical settings of the swarm; the sources are named in `cpam_bayes.inference.swarm.pso`.
 
-    Attributes
-    ----------
     particles : m of the paper, number of particles
     iterations : N of the paper, the budget
     inertia : w of eq. (1)
@@ -65,10 +78,7 @@ class SwarmSettings:
         that counts as converged
     patience : iterations over which the improvement is measured
 
-    Raises
-    ------
-    ValueError
-        If a setting is out of its range.
+    Raises ``ValueError`` if a setting is out of its range.
     """
 
     particles: int = 40
@@ -86,87 +96,6 @@ class SwarmSettings:
         for name in ("inertia", "c1", "c2", "spread_tolerance", "value_tolerance"):
             value = getattr(self, name)
             _require(name, value, 0.0 <= value < np.inf, "finite and not negative")
-
-
-@dataclass(frozen=True, slots=True)
-class SwarmState:
-    """The swarm between two iterations.
-
-    Attributes
-    ----------
-    positions, velocities, personal_bests : (particles, components)
-    personal_values : (particles,), infinite for a particle that never was feasible
-    history : best value after the start and after each iteration
-    evaluations : particles sent to the objective until now
-    """
-
-    positions: FloatArray
-    velocities: FloatArray
-    personal_bests: FloatArray
-    personal_values: FloatArray
-    history: tuple[float, ...]
-    evaluations: int
-
-    @property
-    def leader(self) -> int:
-        """Index of the particle that holds the best position of the swarm."""
-        return int(np.argmin(self.personal_values))
-
-
-@dataclass(frozen=True, slots=True)
-class SwarmResult:
-    """What the swarm found, and how it ended.
-
-    Attributes
-    ----------
-    best : (components,) position of the smallest value
-    value : the smallest value
-    personal_bests : (particles, components), every particle's best position
-    personal_values : (particles,), infinite for a particle that never was feasible
-    iterations : iterations done after the start
-    evaluations : forward solves; infeasible particles cost none
-    status : "converged" or "budget"
-    history : (iterations + 1,) best value so far, the start first
-    message : the status in words
-    """
-
-    best: FloatArray = field(repr=False)
-    value: float
-    personal_bests: FloatArray = field(repr=False)
-    personal_values: FloatArray = field(repr=False)
-    iterations: int
-    evaluations: int
-    status: Status
-    history: FloatArray = field(repr=False)
-    message: str
-
-
-@dataclass(frozen=True, slots=True)
-class SwarmProblem:
-    """What is minimised, and where.
-
-    Attributes
-    ----------
-    objective : (m, components) -> (m,), called with feasible particles only
-    feasible : (m, components) -> (m,) booleans
-    lower, upper : (components,) bounds of the box
-
-    Raises
-    ------
-    ValueError
-        If the bounds are not finite or not in order.
-    """
-
-    objective: Objective
-    feasible: Feasible
-    lower: FloatArray
-    upper: FloatArray
-
-    def __post_init__(self) -> None:
-        for index, (low, high) in enumerate(zip(self.lower, self.upper, strict=True)):
-            if not (np.isfinite(low) and np.isfinite(high) and low < high):
-                text = TEXTS["bounds"].format(index=index, low=float(low), high=float(high))
-                raise ValueError(text)
 
 
 def _require(name: str, value: float, accepted: bool, rule: str) -> None:

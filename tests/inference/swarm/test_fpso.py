@@ -6,18 +6,17 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from cpam_bayes.inference.swarm.fpso import (
-    FuzzyProblem,
-    FuzzyResult,
-    FuzzyState,
-    decode,
-    fuzzy_stop_reason,
-    minimise_fuzzy,
-    normalised,
-    start_fuzzy,
-    step_fuzzy,
-)
+from cpam_bayes.inference.swarm.fpso import decode, normalised
 from cpam_bayes.inference.swarm.settings import SwarmSettings
+from cpam_bayes.inference.swarm.swarm import (
+    SwarmProblem,
+    SwarmResult,
+    SwarmState,
+    minimise_problem,
+    start_swarm,
+    step_swarm,
+    stop_reason,
+)
 
 TRUTH = np.array([4, 17, 30])
 CENTRE = np.array([0.3, -0.2])
@@ -35,7 +34,7 @@ def valley(constants: np.ndarray, sequences: np.ndarray) -> np.ndarray:
     return np.sum((constants - CENTRE) ** 2, axis=1) + away @ np.array([3.0, 2.0, 1.0])
 
 
-def problem(**changes: object) -> FuzzyProblem:
+def problem(**changes: object) -> SwarmProblem:
     given = {
         "objective": valley,
         "feasible": everywhere,
@@ -44,14 +43,14 @@ def problem(**changes: object) -> FuzzyProblem:
         "n_plies": 3,
         "n_angles": N_ANGLES,
     }
-    return FuzzyProblem(**(given | changes))  # type: ignore[arg-type]
+    return SwarmProblem(**(given | changes))  # type: ignore[arg-type]
 
 
-def search(seed: int = 0, own: FuzzyProblem | None = None, **settings: float) -> FuzzyResult:
+def search(seed: int = 0, own: SwarmProblem | None = None, **settings: float) -> SwarmResult:
     rng = np.random.default_rng(seed)
     chosen = SwarmSettings(**settings)  # type: ignore[arg-type]
     start = rng.uniform(LOWER, UPPER, (chosen.particles, 2))
-    return minimise_fuzzy(own or problem(), start, chosen, rng)
+    return minimise_problem(own or problem(), start, chosen, rng)
 
 
 class Draws:
@@ -89,12 +88,12 @@ def test_a_ply_without_members_is_drawn_anew_and_others_are_left() -> None:
 def test_memberships_stay_lawful_through_a_search() -> None:
     rng = np.random.default_rng(2)
     own, settings = problem(), SwarmSettings(particles=8)
-    state = start_fuzzy(own, rng.uniform(LOWER, UPPER, (8, 2)), rng)
+    state = start_swarm(own, rng.uniform(LOWER, UPPER, (8, 2)), rng)
     for _ in range(60):
-        state = step_fuzzy(own, state, settings, rng)
+        state = step_swarm(own, state, settings, rng)
         assert state.memberships.min() >= 0.0
         assert_allclose(state.memberships.sum(axis=-1), 1.0, rtol=1e-12)
-        assert np.all((state.constants >= LOWER) & (state.constants <= UPPER))
+        assert np.all((state.positions >= LOWER) & (state.positions <= UPPER))
 
 
 # One step, by hand
@@ -103,31 +102,31 @@ def test_memberships_stay_lawful_through_a_search() -> None:
 def test_one_step_is_eq_5_for_angles_and_eq_1_and_2_for_constants() -> None:
     own = problem(n_plies=1, n_angles=2, objective=lambda c, s: c[:, 0] ** 2 + s[:, 0])
     settings = SwarmSettings(inertia=0.5, c1=2.0, c2=1.0)
-    state = FuzzyState(
-        constants=np.array([[0.2, 0.0], [0.6, 0.1]]),
+    state = SwarmState(
+        positions=np.array([[0.2, 0.0], [0.6, 0.1]]),
         velocities=np.array([[0.1, 0.0], [-0.2, 0.0]]),
         memberships=np.array([[[0.6, 0.4]], [[0.2, 0.8]]]),
         drifts=np.array([[[0.2, -0.2]], [[0.0, 0.4]]]),
-        best_constants=np.array([[0.1, 0.0], [0.5, 0.1]]),
+        personal_bests=np.array([[0.1, 0.0], [0.5, 0.1]]),
         best_memberships=np.array([[[0.9, 0.1]], [[0.3, 0.7]]]),
-        best_values=np.array([0.01, 1.25]),
+        personal_values=np.array([0.01, 1.25]),
         history=(0.01,),
         evaluations=2,
     )
     r1, r2 = np.full((2, 2), 0.5), np.full((2, 2), 0.25)
     big1, big2 = np.full((2, 1, 2), 0.1), np.array([[[0.5, 0.5]], [[0.5, 0.1]]])
-    after = step_fuzzy(own, state, settings, Draws(r1, r2, big1, big2))  # type: ignore[arg-type]
+    after = step_swarm(own, state, settings, Draws(r1, r2, big1, big2))  # type: ignore[arg-type]
     # v = 0.5 v + 2 * 0.5 (own - x) + 0.25 (leader - x)
     assert_allclose(after.velocities[:, 0], [0.05 - 0.1 - 0.025, -0.1 - 0.1 - 0.125])
-    assert_allclose(after.constants[:, 0], [0.125, 0.275])
+    assert_allclose(after.positions[:, 0], [0.125, 0.275])
     # V = 0.5 V + 2 * 0.1 (P - X) + R2 (P_g - X), element by element
     expected = [[[0.1 + 0.06 + 0.15, -0.1 - 0.06 - 0.15]], [[0.02 + 0.35, 0.2 - 0.02 - 0.07]]]
     assert_allclose(after.drifts, expected)
     raw = state.memberships + np.array(expected)
     assert_allclose(after.memberships, raw / raw.sum(axis=-1, keepdims=True))
     # the second particle now decodes to angle 1 as before, with a constant nearer to 0: a better best
-    assert_allclose(after.best_values, [0.01, 1.0 + 0.275**2])
-    assert_allclose(after.best_constants[0], state.best_constants[0])
+    assert_allclose(after.personal_values, [0.01, 1.0 + 0.275**2])
+    assert_allclose(after.personal_bests[0], state.personal_bests[0])
     assert_allclose(after.best_memberships[1], after.memberships[1])
     assert after.evaluations == 4
     assert after.history == (0.01, 0.01)
@@ -150,7 +149,7 @@ def test_most_swarms_find_a_sequence_on_a_coarse_grid_and_its_constants() -> Non
     for result in found:
         assert result.status == "converged"
         # nine in ten particles agree to spread_tolerance = 1e-3 of the bounds
-        assert_allclose(result.constants, CENTRE, atol=2e-3)
+        assert_allclose(result.best, CENTRE, atol=2e-3)
 
 
 def test_swarms_are_better_than_as_many_random_guesses() -> None:
@@ -169,7 +168,7 @@ def test_swarms_are_better_than_as_many_random_guesses() -> None:
 
 def test_an_optimum_on_a_bound_is_reached_exactly() -> None:
     own = problem(objective=lambda c, s: valley(c - np.array([2.0, 0.0]), s))
-    assert search(1, own).constants[0] == 1.0
+    assert search(1, own).best[0] == 1.0
 
 
 def test_best_value_never_rises_and_is_that_of_the_best_position() -> None:
@@ -177,14 +176,14 @@ def test_best_value_never_rises_and_is_that_of_the_best_position() -> None:
     assert np.all(np.diff(result.history) <= 0.0)
     assert len(result.history) == result.iterations + 1
     assert result.value == result.history[-1] == result.personal_values.min()
-    assert valley(result.constants[None], result.sequence[None])[0] == result.value
-    assert_allclose(valley(result.personal_constants, result.personal_sequences), result.personal_values)
+    assert valley(result.best[None], result.sequence[None])[0] == result.value
+    assert_allclose(valley(result.personal_bests, result.personal_sequences), result.personal_values)
 
 
 def test_the_same_seed_gives_the_same_answer_bit_for_bit() -> None:
     first, again, other = search(4), search(4), search(5)
     assert_array_equal(first.history, again.history)
-    assert_array_equal(first.personal_constants, again.personal_constants)
+    assert_array_equal(first.personal_bests, again.personal_bests)
     assert not np.array_equal(first.history, other.history)
 
 
@@ -224,17 +223,17 @@ def test_agreement_on_constants_alone_is_not_convergence() -> None:
     apart = normalised(rng.random((10, 3, N_ANGLES)), rng)
     alike = np.broadcast_to(apart[:1], apart.shape)
     for memberships, expected in ((apart, None), (alike, "converged")):
-        state = FuzzyState(
+        state = SwarmState(
             *(np.tile(CENTRE, (10, 1)), np.zeros((10, 2)), memberships, np.zeros_like(apart)),
             *(np.tile(CENTRE, (10, 1)), memberships, np.ones(10), (1.0, 1.0), 20),
         )
-        assert fuzzy_stop_reason(own, state, settings) == expected
+        assert stop_reason(own, state, settings) == expected
 
 
 def test_values_that_are_not_finite_are_penalised() -> None:
     own = problem(objective=lambda c, s: np.where(c[:, 0] > 0.0, np.nan, valley(c, s)))
     result = search(2, own)
-    assert result.constants[0] <= 0.0
+    assert result.best[0] <= 0.0
     assert np.isfinite(result.value)
 
 
@@ -252,6 +251,6 @@ def test_values_that_are_not_finite_are_penalised() -> None:
 )
 def test_bad_problems_and_starts_are_refused(changes: dict, start: np.ndarray | None, message: str) -> None:
     with pytest.raises(ValueError, match=message):
-        start_fuzzy(
+        start_swarm(
             problem(**changes), np.zeros((4, 2)) if start is None else start, np.random.default_rng(0)
         )

@@ -5,15 +5,8 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from numpy.typing import NDArray
 
-from cpam_bayes.inference.swarm.pso import (
-    SwarmProblem,
-    SwarmSettings,
-    SwarmState,
-    confine,
-    initial_swarm,
-    minimise,
-    step_swarm,
-)
+from cpam_bayes.inference.swarm.pso import SwarmSettings, initial_swarm, minimise
+from cpam_bayes.inference.swarm.swarm import SwarmProblem, SwarmState, confine, step_swarm
 from cpam_bayes.parameters import Parameter, ParameterSet, Uniform
 from cpam_bayes.plate.elasticity import is_admissible
 
@@ -114,10 +107,16 @@ def test_scale_of_a_component_does_not_matter() -> None:
 
 
 def test_one_step_is_eq_1_and_2() -> None:
-    problem = SwarmProblem(sphere, everywhere, np.array([-10.0, -10.0]), np.array([10.0, 10.0]))
+    problem = SwarmProblem(
+        lambda x, sequences: sphere(x), everywhere, np.array([-10.0, -10.0]), np.array([10.0, 10.0])
+    )
+    no_plies = np.empty((2, 0, 1))
     state = SwarmState(
         positions=np.array([[1.0, 2.0], [3.0, -1.0]]),
         velocities=np.array([[0.5, -0.5], [1.0, 0.0]]),
+        memberships=no_plies,
+        drifts=no_plies,
+        best_memberships=no_plies,
         personal_bests=np.array([[0.0, 1.0], [2.0, 0.0]]),
         personal_values=np.array([0.7, 0.2]),
         history=(0.2,),
@@ -127,7 +126,7 @@ def test_one_step_is_eq_1_and_2() -> None:
     r1 = np.array([[0.1, 0.2], [0.3, 0.4]])
     r2 = np.array([[0.5, 0.6], [0.7, 0.8]])
 
-    after = step_swarm(problem, state, settings, Draws(r1, r2))  # type: ignore[arg-type]
+    after = step_swarm(problem, state, settings, Draws(r1, r2, no_plies, no_plies))  # type: ignore[arg-type]
 
     # v = w v + c1 r1 (p_i - x) + c2 r2 (p_g - x), the second particle leads: p_g = (2, 0)
     velocities = [

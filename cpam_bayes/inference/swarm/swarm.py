@@ -1,0 +1,329 @@
+"""One particle swarm for constants in a box and, beside them, ply angles on a grid: eq. (1) to (5).
+
+Constants move by eq. (1) and (2), memberships of the ply angles by eq. (5) (``fpso``). Both have one
+personal best, the position of the smallest value, and one leader. A swarm without unknown plies has
+empty memberships and is the plain one. The objective is called once an iteration, on the stack of the
+feasible particles. Starting, stepping and stopping take a frozen state and return a new value.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cpam_bayes.inference.swarm.fpso import decode, normalised
+from cpam_bayes.inference.swarm.settings import (
+    TEXTS,
+    Feasible,
+    FloatArray,
+    IndexArray,
+    SequenceObjective,
+    Status,
+    SwarmSettings,
+)
+
+_BOUNCE: Final = -0.5
+"""Fraction of the velocity kept by a component that was stopped at a bound (Clerc 2012)."""
+
+_MAJORITY: Final = 0.9
+"""Fraction of the particles that have to agree."""
+
+_FLOOR: Final = 1e-6
+"""Fraction of the start's best value that an improvement is measured against, beside the best value.
+
+Without it a misfit that goes to zero would improve by the same factor for ever.
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class SwarmProblem:
+    """What is minimised over constants in a box and, if there are unknown plies, sequences on a grid.
+
+    objective : constants (m, n_constants), grid indices (m, n_plies) -> (m,), called with feasible
+    particles only. feasible : (m, n_constants) -> (m,) bool. lower, upper : (n_constants,) bounds.
+    n_plies, n_angles : unknown plies and angles of the grid, 0 of both for constants alone.
+
+    Raises ``ValueError`` if bounds are not finite or not in order, or for plies without a grid.
+    """
+
+    objective: SequenceObjective
+    feasible: Feasible
+    lower: FloatArray
+    upper: FloatArray
+    n_plies: int = 0
+    n_angles: int = 0
+
+    def __post_init__(self) -> None:
+        for index, (low, high) in enumerate(zip(self.lower, self.upper, strict=True)):
+            if not (np.isfinite(low) and np.isfinite(high) and low < high):
+                raise ValueError(TEXTS["bounds"].format(index=index, low=float(low), high=float(high)))
+        if (self.n_plies, self.n_angles) != (0, 0) and min(self.n_plies, self.n_angles) < 1:
+            raise ValueError(TEXTS["no grid"].format(n_plies=self.n_plies, n_angles=self.n_angles))
+
+
+@dataclass(frozen=True, slots=True)
+class SwarmState:
+    """The swarm between two iterations; arrays begin with (particles, ...).
+
+    positions, velocities : (..., n_constants), x and v of eq. (1) and (2). memberships, drifts :
+    (..., n_plies, n_angles), X and V of eq. (5). personal_bests, best_memberships : personal bests.
+    personal_values : (particles,), infinite for a particle that never was feasible. history : best
+    value after the start and after each iteration. evaluations : particles sent to the objective until
+    now.
+    """
+
+    positions: FloatArray
+    velocities: FloatArray
+    memberships: FloatArray
+    drifts: FloatArray
+    personal_bests: FloatArray
+    best_memberships: FloatArray
+    personal_values: FloatArray
+    history: tuple[float, ...]
+    evaluations: int
+
+    @property
+    def leader(self) -> int:
+        """Index of the particle that holds the best position of the swarm."""
+        return int(np.argmin(self.personal_values))
+
+
+@dataclass(frozen=True, slots=True)
+class SwarmResult:
+    """Where a swarm ended, and how.
+
+    best : (n_constants,) and sequence : (n_plies,) grid indices of the smallest value. personal_bests,
+    personal_sequences, personal_values : each particle's best, the values infinite for a particle that
+    never was feasible. iterations : done after the start. evaluations : forward solves; infeasible
+    particles cost none. agreeing : particles whose best is the leader's, to the tolerance. history :
+    (iterations + 1,) best value so far. message : the status in words.
+    """
+
+    best: FloatArray = field(repr=False)
+    sequence: IndexArray
+    value: float
+    personal_bests: FloatArray = field(repr=False)
+    personal_sequences: IndexArray = field(repr=False)
+    personal_values: FloatArray = field(repr=False)
+    iterations: int
+    evaluations: int
+    agreeing: int
+    status: Status
+    history: FloatArray = field(repr=False)
+    message: str
+
+
+def confine(
+    positions: FloatArray, velocities: FloatArray, lower: FloatArray, upper: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Put particles that left the box back on its bounds and turn them round.
+
+    The position goes to the bound that was crossed, the velocity of that component changes sign
+    and halves (Clerc 2012, see ``pso``). An optimum on a bound is hit exactly, and a swarm that was
+    pressed onto a bound can still leave it.
+
+    positions, velocities : (particles, n_constants). lower, upper : (n_constants,).
+    """
+    inside = np.clip(positions, lower, upper)
+    return inside, np.where(inside != positions, _BOUNCE * velocities, velocities)
+
+
+def start_swarm(problem: SwarmProblem, start: FloatArray, rng: np.random.Generator) -> SwarmState:
+    """Evaluate start constants beside uniformly drawn memberships, all at rest.
+
+    start : (particles, n_constants), inside the bounds, for instance of ``initial_swarm``.
+
+    Raises ``ValueError`` if the start does not fit the bounds, or if no particle is feasible with a
+    finite value.
+    """
+    positions = np.array(start, dtype=np.float64)
+    size = problem.lower.size
+    if positions.ndim != 2 or positions.shape[0] < 1 or positions.shape[1] != size:
+        raise ValueError(TEXTS["start shape"].format(shape=positions.shape, size=size))
+    outside = ~np.all((positions >= problem.lower) & (positions <= problem.upper), axis=1)
+    if outside.any():
+        raise ValueError(TEXTS["start bounds"].format(index=int(np.argmax(outside))))
+    # no plies draw nothing, whatever the number of angles
+    shape = (len(positions), problem.n_plies, max(problem.n_angles, 1))
+    memberships = normalised(1.0 - rng.random(shape), rng)
+    values, solves = _evaluate(problem, positions, memberships)
+    if not np.isfinite(values).any():
+        reason = "nothing finite" if solves else "nothing feasible"
+        raise ValueError(TEXTS[reason].format(particles=solves or len(positions)))
+    return SwarmState(
+        positions=positions,
+        velocities=np.zeros_like(positions),
+        memberships=memberships,
+        drifts=np.zeros_like(memberships),
+        personal_bests=positions,
+        best_memberships=memberships,
+        personal_values=values,
+        history=(float(values.min()),),
+        evaluations=solves,
+    )
+
+
+def step_swarm(
+    problem: SwarmProblem, state: SwarmState, settings: SwarmSettings, rng: np.random.Generator
+) -> SwarmState:
+    """Move every particle once, eq. (1), (2) and (5), and evaluate the feasible ones.
+
+    v <- w v + c1 r1 (p_i - x) + c2 r2 (p_g - x) and x <- x + v, then ``confine``; memberships likewise,
+    then ``normalised``. Drawn for every particle and component, in the order r1, r2 of the constants, R1,
+    R2 of the memberships.
+    """
+
+    def moved(x: FloatArray, v: FloatArray, best: FloatArray) -> tuple[FloatArray, FloatArray]:
+        r1, r2 = rng.random(x.shape), rng.random(x.shape)
+        v = settings.inertia * v + settings.c1 * r1 * (best - x) + settings.c2 * r2 * (best[state.leader] - x)
+        return x + v, v
+
+    positions, velocities = moved(state.positions, state.velocities, state.personal_bests)
+    positions, velocities = confine(positions, velocities, problem.lower, problem.upper)
+    memberships, drifts = moved(state.memberships, state.drifts, state.best_memberships)
+    memberships = normalised(memberships, rng)
+    values, solves = _evaluate(problem, positions, memberships)
+    better = values < state.personal_values
+    personal_values = np.where(better, values, state.personal_values)
+    return SwarmState(
+        positions=positions,
+        velocities=velocities,
+        memberships=memberships,
+        drifts=drifts,
+        personal_bests=np.where(better[:, None], positions, state.personal_bests),
+        best_memberships=np.where(better[:, None, None], memberships, state.best_memberships),
+        personal_values=personal_values,
+        history=(*state.history, float(personal_values.min())),
+        evaluations=state.evaluations + solves,
+    )
+
+
+def swarm_spread(problem: SwarmProblem, state: SwarmState) -> float:
+    """Distance from the swarm's best within which nine in ten of the best positions lie.
+
+    The distance is that of the component that differs most, as a fraction of its bounds' distance.
+    The last tenth is left out because a few particles stay behind for hundreds of iterations
+    without changing the answer. Particles that never were feasible count with their start.
+    """
+    away = np.abs(state.personal_bests - state.personal_bests[state.leader])
+    farthest = np.max(away / (problem.upper - problem.lower), axis=1)
+    return float(np.quantile(farthest, _MAJORITY))
+
+
+def stop_reason(problem: SwarmProblem, state: SwarmState, settings: SwarmSettings) -> Status | None:
+    """Say why the swarm stops here, or None if it goes on.
+
+    Converged: the particles agree and the best value improved by no more than ``value_tolerance`` over
+    the last ``patience`` iterations, relative to the value itself plus a millionth of the start's. They
+    agree if `swarm_spread` is at most ``spread_tolerance``; with unknown plies, if nine in ten personal
+    bests have the leader's sequence and its constants to ``spread_tolerance`` of the bounds.
+    """
+    done = len(state.history) - 1
+    if done >= settings.patience:
+        best = state.history[-1]
+        improvement = state.history[-1 - settings.patience] - best
+        settled = improvement <= settings.value_tolerance * (abs(best) + _FLOOR * abs(state.history[0]))
+        if settled and _agrees(problem, state, settings):
+            return "converged"
+    return "budget" if done >= settings.iterations else None
+
+
+def minimise_problem(
+    problem: SwarmProblem,
+    start: FloatArray,
+    settings: SwarmSettings,
+    rng: np.random.Generator,
+    *,
+    progress: Callable[[int, float], None] | None = None,
+) -> SwarmResult:
+    """Minimise a function of constants and a sequence by a particle swarm, eq. (1), (2) and (5).
+
+    Particles that are not feasible, or whose objective is not finite, get an infinite value, the
+    penalty of section 5.2; the former are not sent to the objective. The swarm stops when it converged
+    or when its budget is used, and says which. An interruption is not caught.
+
+    start : (particles, n_constants), sets the swarm's size; ``settings.particles`` is not read here.
+    progress : called with the iteration and the best value, the start first.
+
+    Raises ``ValueError`` if start or a returned array do not fit, or if no particle of the start is
+    feasible with a finite value.
+    """
+    state = start_swarm(problem, start, rng)
+    while True:
+        if progress is not None:
+            progress(len(state.history) - 1, state.history[-1])
+        status = stop_reason(problem, state, settings)
+        if status is not None:
+            return _result(problem, state, settings, status)
+        state = step_swarm(problem, state, settings, rng)
+
+
+def _agrees(problem: SwarmProblem, state: SwarmState, settings: SwarmSettings) -> bool:
+    if problem.n_plies:
+        return _agreeing(problem, state, settings) >= _MAJORITY * len(state.personal_values)
+    return swarm_spread(problem, state) <= settings.spread_tolerance
+
+
+def _agreeing(problem: SwarmProblem, state: SwarmState, settings: SwarmSettings) -> int:
+    sequences = decode(state.best_memberships)
+    away = np.abs(state.personal_bests - state.personal_bests[state.leader])
+    near = np.all(away <= settings.spread_tolerance * (problem.upper - problem.lower), axis=1)
+    return int(np.sum(near & np.all(sequences == sequences[state.leader], axis=1)))
+
+
+def _result(problem: SwarmProblem, state: SwarmState, settings: SwarmSettings, status: Status) -> SwarmResult:
+    iterations = len(state.history) - 1
+    sequences = decode(state.best_memberships)
+    agreeing = _agreeing(problem, state, settings)
+    text = TEXTS[f"fuzzy {status}" if problem.n_plies else status]
+    return SwarmResult(
+        best=_read_only(state.personal_bests[state.leader]),
+        sequence=_read_only(sequences[state.leader]),
+        value=state.history[-1],
+        personal_bests=_read_only(state.personal_bests),
+        personal_sequences=_read_only(sequences),
+        personal_values=_read_only(state.personal_values),
+        iterations=iterations,
+        evaluations=state.evaluations,
+        agreeing=agreeing,
+        status=status,
+        history=_read_only(np.array(state.history)),
+        message=text.format(
+            iterations=iterations,
+            agreeing=agreeing,
+            particles=len(state.personal_values),
+            spread=swarm_spread(problem, state),
+        ),
+    )
+
+
+def _evaluate(
+    problem: SwarmProblem, positions: FloatArray, memberships: FloatArray
+) -> tuple[FloatArray, int]:
+    """The values, infinite where infeasible or not finite, and the number of solves."""
+    n = len(positions)
+    allowed = np.asarray(problem.feasible(positions), dtype=np.bool_)
+    _require_shape("feasible", allowed.shape, n)
+    values = np.full(n, np.inf)
+    solves = int(allowed.sum())
+    if solves:
+        reply = problem.objective(positions[allowed], decode(memberships[allowed]))
+        reply = np.asarray(reply, dtype=np.float64)
+        _require_shape("objective", reply.shape, solves)
+        values[allowed] = np.where(np.isfinite(reply), reply, np.inf)
+    return values, solves
+
+
+def _read_only(array: NDArray[Any]) -> NDArray[Any]:
+    copy = array.copy()
+    copy.flags.writeable = False
+    return copy
+
+
+def _require_shape(source: str, shape: tuple[int, ...], n: int) -> None:
+    if shape != (n,):
+        raise ValueError(TEXTS["reply shape"].format(source=source, shape=shape, particles=n, expected=(n,)))
