@@ -28,7 +28,7 @@ from cpam_bayes.forward_model.model import (
     plate_problem,
     reference_constants,
 )
-from cpam_bayes.mechanics.shapes import in_plane_share, mode_kind, shapes_on_grid
+from cpam_bayes.mechanics.shapes import in_plane_fraction, mode_kind, shapes_on_grid
 from cpam_bayes.mechanics.spaces.fem import default_counts, fem_space
 from cpam_bayes.mechanics.sparse import discretise_sparse
 from cpam_bayes.plate import Specimen, builtin, builtin_names
@@ -148,7 +148,7 @@ def _deviation(specimen: Specimen, ritz: PlateModel, finer: float) -> dict[str, 
 def _kinds(model: PlateModel) -> dict[str, int]:
     """How many modes of each kind there are."""
     spectrum = model.spectrum(REFERENCE, vectors=True)
-    shares = in_plane_share(model.operator, spectrum, model.coefficients(REFERENCE[None])[1])[0]
+    shares = in_plane_fraction(model.operator, spectrum, model.coefficients(REFERENCE[None])[1])[0]
     kinds = [mode_kind(float(share)) for share in shares]
     return {kind: kinds.count(kind) for kind in sorted(set(kinds))}
 
@@ -259,7 +259,7 @@ def _shapes(specimen: Specimen, n: int) -> dict[str, Any]:
     values = shapes_on_grid(model.operator, model.spectrum(REFERENCE, vectors=True), n=n)
     found = []
     for mode, (u, v, w) in zip(model.modes(REFERENCE), values, strict=True):
-        drawn = {"u": u, "v": v} if mode.in_plane_share > 0.5 else {"w": w}
+        drawn = {"u": u, "v": v} if mode.in_plane_fraction > 0.5 else {"w": w}
         largest = np.sqrt(np.max(np.sum(np.square(list(drawn.values())), axis=0)))
         fields = {name: np.rint(SHAPE_UNITS * a / largest).astype(int).tolist() for name, a in drawn.items()}
         found.append({"frequency_hz": mode.frequency, "kind": mode.kind, "label": mode.label, **fields})

@@ -14,10 +14,10 @@ from typing import Any
 
 from cpam_bayes.inference.ensemble import EnsembleSettings
 from cpam_bayes.inference.swarm.settings import SwarmSettings
-from cpam_bayes.paper import disorder_table
+from cpam_bayes.paper import perturbation_table
 from cpam_bayes.parallel import open_executor
 from cpam_bayes.plate import builtin
-from cpam_bayes.repetition.perturbation import READINGS, Reading
+from cpam_bayes.repetition.perturbation import INTERPRETATIONS, Interpretation
 from cpam_bayes.repetition.study import CHAINS, model_list, sensitivity
 from cpam_bayes.report.documents import json_text
 from cpam_bayes.report.repetition.screen import sensitivity_document
@@ -46,13 +46,13 @@ def run(quick: bool, executor: Executor | None = None) -> Results:
     plates = PLATES[:1] if quick else PLATES
     return {
         "quick": quick,
-        "model": [_study(name, "model", READINGS, quick, executor) for name in plates],
+        "model": [_study(name, "model", INTERPRETATIONS, quick, executor) for name in plates],
         "measured": [_study(name, "measured", ("rms",), quick, executor) for name in plates],
     }
 
 
 def _study(
-    name: str, source: str, readings: tuple[Reading, ...], quick: bool, executor: Executor | None
+    name: str, source: str, readings: tuple[Interpretation, ...], quick: bool, executor: Executor | None
 ) -> Results:
     specimen = builtin(name)
     if source == "model":
@@ -69,7 +69,7 @@ def _study(
         chains=EnsembleSettings(walkers=16, round_steps=150, most_steps=150) if quick else CHAINS,
         executor=executor,
     )
-    table = printed_table(result, disorder_table(name))
+    table = printed_table(result, perturbation_table(name))
     document = sensitivity_document(result, SEED, table, sensitivity_warnings(result))
     plain: Results = json.loads(json_text(document))
     return plain

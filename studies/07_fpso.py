@@ -34,15 +34,15 @@ from cpam_bayes.forward_model.model import reference_vector
 from cpam_bayes.forward_model.reduced import DEFAULT_SETTINGS, ReductionSettings
 from cpam_bayes.forward_model.store import reduced_model
 from cpam_bayes.identification.angle_search import (
-    SequenceFit,
+    AngleSearchProblem,
     best_constants,
     run_swarms,
-    sequence_parameters,
-    sequence_starts,
+    search_parameters,
+    search_starts,
 )
 from cpam_bayes.inference.swarm.pso import SwarmSettings
 from cpam_bayes.inference.swarm.swarm import SwarmResult
-from cpam_bayes.paper.sequences import identified_sequences
+from cpam_bayes.paper.layups import identified_layups
 from cpam_bayes.parallel import open_executor
 from cpam_bayes.plate import Specimen, to_si
 from cpam_bayes.plate.records import angle_grid
@@ -50,9 +50,9 @@ from cpam_bayes.report.progress import timed_lines
 from cpam_bayes.report.tables import Column, Table, screen_text
 from cpam_bayes.stacking.symmetry.classes import canonical, is_canonical
 from cpam_bayes.stacking.symmetry.symmetries import Symmetry, plate_symmetries
-from cpam_bayes.stacking.unknown_layup import own_sequence, with_layup
 from cpam_bayes.threads import single_blas_thread
 from cpam_bayes.validation.study_results import save_results, saved_results, with_saved
+from cpam_bayes.validation.unknown_layups import known_angles, with_unknown_layup
 
 Array = NDArray[Any]
 Results = dict[str, Any]
@@ -93,9 +93,7 @@ class Plan(NamedTuple):
     descents: int
 
 
-FULL = Plan(
-    (*TWO_ANGLES, *identified_sequences()), SEEDS, SETTINGS, LADDER[1], DEFAULT_SETTINGS, None, DESCENTS
-)
+FULL = Plan((*TWO_ANGLES, *identified_layups()), SEEDS, SETTINGS, LADDER[1], DEFAULT_SETTINGS, None, DESCENTS)
 QUICK = Plan(
     ("C1, two angles",),
     3,
@@ -141,28 +139,28 @@ def run(
 
 def case_specimen(name: str, step_deg: float | None = None) -> Specimen:
     """A case by its name, if wanted on another grid of angles."""
-    return with_layup(*TWO_ANGLES.get(name, (name, None)), step_deg)
+    return with_unknown_layup(*TWO_ANGLES.get(name, (name, None)), step_deg)
 
 
 def true_sequence(specimen: Specimen) -> Array:
     """Grid indices of the plate's own layup, (n_plies,)."""
-    return _on_grid(own_sequence(specimen), angle_grid(specimen.angle_grid_deg))
+    return _on_grid(known_angles(specimen), angle_grid(specimen.angle_grid_deg))
 
 
 def _on_grid(angles_deg: Array, grid: Array) -> Array:
     return np.abs(angles_deg[:, None] - grid).argmin(axis=1)
 
 
-def _fit(specimen: Specimen, kind: str, reduction: ReductionSettings) -> SequenceFit:
+def _fit(specimen: Specimen, kind: str, reduction: ReductionSettings) -> AngleSearchProblem:
     assert specimen.measurement is not None
     n_modes = specimen.measurement.size
-    model = reduced_model(specimen, sequence_parameters(specimen), n_modes, settings=reduction)
+    model = reduced_model(specimen, search_parameters(specimen), n_modes, settings=reduction)
     grid = angle_grid(specimen.angle_grid_deg)
     measured = specimen.measurement.frequencies
     if kind == SYNTHETIC:
         constants = reference_vector(specimen, specimen.unknowns)
         measured = model.predict(np.concatenate((constants, grid[true_sequence(specimen)]))).frequencies[0]
-    return SequenceFit(specimen, model, measured, grid)
+    return AngleSearchProblem(specimen, model, measured, grid)
 
 
 # One case
@@ -171,7 +169,7 @@ def _fit(specimen: Specimen, kind: str, reduction: ReductionSettings) -> Sequenc
 def _case(specimen: Specimen, name: str, kind: str, plan: Plan, executor: Executor | None) -> Results:
     fit = _fit(specimen, kind, plan.reduction)
     symmetries = plate_symmetries(specimen)
-    starts = sequence_starts(fit, STARTS)
+    starts = search_starts(fit, STARTS)
     swarms = run_swarms(fit, range(plan.seeds), plan.settings, executor)
     ends = np.array([s.sequence for s in swarms])
     fitted = _fitted_ends(fit, swarms, starts, executor)
@@ -246,7 +244,7 @@ def _case(specimen: Specimen, name: str, kind: str, plan: Plan, executor: Execut
     }
 
 
-def _margins(specimen: Specimen, fit: SequenceFit) -> dict[str, float]:
+def _margins(specimen: Specimen, fit: AngleSearchProblem) -> dict[str, float]:
     measurement = specimen.measurement
     assert measurement is not None
     return {
@@ -256,7 +254,7 @@ def _margins(specimen: Specimen, fit: SequenceFit) -> dict[str, float]:
 
 
 def _printed(name: str) -> bool:
-    return name in identified_sequences()
+    return name in identified_layups()
 
 
 def _known_sequences(specimen: Specimen, name: str, kind: str) -> Array:
@@ -264,13 +262,13 @@ def _known_sequences(specimen: Specimen, name: str, kind: str) -> Array:
     own = true_sequence(specimen)
     if kind == SYNTHETIC or not _printed(name):
         return own[None]
-    printed = np.array(identified_sequences()[name].angles_deg, dtype=float)
+    printed = np.array(identified_layups()[name].angles_deg, dtype=float)
     return np.array([_on_grid(printed, angle_grid(specimen.angle_grid_deg)), own])
 
 
-def _printed_misfit(fit: SequenceFit, name: str) -> float | None:
+def _printed_misfit(fit: AngleSearchProblem, name: str) -> float | None:
     """F of the printed sequence with the constants printed beside it; None where there are none."""
-    row = identified_sequences().get(name)
+    row = identified_layups().get(name)
     if row is None or not row.constants:
         return None
     si = dict(
@@ -281,7 +279,7 @@ def _printed_misfit(fit: SequenceFit, name: str) -> float | None:
 
 
 def _fitted_ends(
-    fit: SequenceFit, swarms: list[SwarmResult], starts: Array, executor: Executor | None
+    fit: AngleSearchProblem, swarms: list[SwarmResult], starts: Array, executor: Executor | None
 ) -> Array:
     """F of the swarms' sequences with their constants fitted, each from the swarm's own too, (m,)."""
     ends = np.array([s.sequence for s in swarms])
@@ -311,13 +309,13 @@ def _rate(successes: Array) -> Results:
 # Enumeration
 
 
-def _every_class(fit: SequenceFit, symmetries: tuple[Symmetry, ...]) -> Array:
+def _every_class(fit: AngleSearchProblem, symmetries: tuple[Symmetry, ...]) -> Array:
     axes = [np.arange(len(fit.grid_deg))] * fit.n_plies
     every = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, fit.n_plies)
     return every[is_canonical(every, symmetries)]
 
 
-def _count_classes(fit: SequenceFit, symmetries: tuple[Symmetry, ...]) -> int:
+def _count_classes(fit: AngleSearchProblem, symmetries: tuple[Symmetry, ...]) -> int:
     """Number of classes by Burnside's lemma: the mean number of sequences that a motion leaves alone."""
     assert all(s.everywhere for s in symmetries)
     index = np.arange(len(fit.grid_deg))
@@ -326,14 +324,14 @@ def _count_classes(fit: SequenceFit, symmetries: tuple[Symmetry, ...]) -> int:
     return sum(fixed) // len(fixed)
 
 
-def _solves_of_a_fit(fit: SequenceFit, starts: Array, executor: Executor | None) -> float:
+def _solves_of_a_fit(fit: AngleSearchProblem, starts: Array, executor: Executor | None) -> float:
     """Solves with derivatives that the constants of one random sequence take."""
     rows = np.random.default_rng(0).integers(0, len(fit.grid_deg), (64, fit.n_plies))
     return best_constants(fit, rows, starts, executor).evaluations / len(rows)
 
 
 def _descended(
-    fit: SequenceFit, pool: Array, values: Array, starts: Array, n: int, executor: Executor | None
+    fit: AngleSearchProblem, pool: Array, values: Array, starts: Array, n: int, executor: Executor | None
 ) -> tuple[Array, float]:
     """The smallest F that is reached from the best n sequences by changing one angle at a time.
 
@@ -366,11 +364,11 @@ def _neighbours(sequence: Array, n_angles: int) -> Array:
     return rows[angle != sequence[ply]]
 
 
-def _seconds_of_a_solve(fit: SequenceFit, particles: int) -> float:
+def _seconds_of_a_solve(fit: AngleSearchProblem, particles: int) -> float:
     """Processor's seconds of one solve in a stack of a swarm's size."""
     rng = np.random.default_rng(0)
     rows = rng.integers(0, len(fit.grid_deg), (particles, fit.n_plies))
-    constants = np.repeat(sequence_starts(fit, 1), particles, axis=0)
+    constants = np.repeat(search_starts(fit, 1), particles, axis=0)
     taken = []
     for _ in range(3):
         start = time.process_time()
@@ -385,7 +383,7 @@ def _seconds_of_a_solve(fit: SequenceFit, particles: int) -> float:
 def _ladder(plan: Plan, executor: Executor | None, notify: Notify) -> list[Results]:
     specimen = case_specimen(LADDER[0] if plan is FULL else plan.cases[0], plan.step_deg)
     fit = _fit(specimen, SYNTHETIC, plan.reduction)
-    starts = sequence_starts(fit, STARTS)
+    starts = search_starts(fit, STARTS)
     margins = _margins(specimen, fit)
     points = []
     for particles in plan.ladder:

@@ -27,21 +27,21 @@ from typing import Any
 import numpy as np
 
 from cpam_bayes.commands.options import add_executor_options
-from cpam_bayes.paper.sequences import identified_sequences
+from cpam_bayes.paper.layups import identified_layups
 from cpam_bayes.parallel import open_executor
 from cpam_bayes.plate import Specimen
 from cpam_bayes.report.progress import timed_lines
 from cpam_bayes.report.tables import Column, Table, screen_text
 from cpam_bayes.stacking.posterior import (
     DEFAULT_SETTINGS,
-    SequenceAnswer,
-    SequenceSettings,
-    sequence_probabilities,
+    StackingPosterior,
+    StackingSettings,
+    stacking_posterior,
 )
 from cpam_bayes.stacking.queries.angle_information import angle_information
-from cpam_bayes.stacking.queries.given_layup import given_sequence
-from cpam_bayes.stacking.unknown_layup import own_list, own_sequence, with_layup
+from cpam_bayes.stacking.queries.given_layup import given_layup
 from cpam_bayes.validation.study_results import save_results, saved_results, with_saved
+from cpam_bayes.validation.unknown_layups import known_angles, with_noise_free_list, with_unknown_layup
 
 Results = dict[str, Any]
 Notify = Callable[[str], None]
@@ -57,7 +57,7 @@ KEYS = {
 
 SEED = 0
 TWO_ANGLES = {"C1, two angles": ("C1", "[(?/?)_8]_s"), "D2, two angles": ("D2", "[(?/?)_8]_s")}
-PRINTED = tuple(identified_sequences())
+PRINTED = tuple(identified_layups())
 # Cases of the noise study: unknown angles of C1.
 NOISE_LAYUPS = {"C1 noise, two angles": "[(?/?)_8]_s", "C1 noise": "[(?/?/?/?)_4]_s"}
 NOISE = (0.02, 0.01, 0.005, 0.002, 0.001, 5e-4, 2e-4, 1e-4, 7e-5)
@@ -77,7 +77,7 @@ DETERMINED = 0.95
 # Classes whose probabilities are kept.
 KEPT = 20
 
-SMALL = SequenceSettings(draws=30, listed=12, log2_points=6)
+SMALL = StackingSettings(draws=30, listed=12, log2_points=6)
 
 
 def run(
@@ -107,23 +107,23 @@ def run(
 
 def case_specimen(name: str, step_deg: float | None = None) -> Specimen:
     """A case by its name, if wanted on another grid of angles."""
-    return with_layup(*TWO_ANGLES.get(name, (name, None)), step_deg)
+    return with_unknown_layup(*TWO_ANGLES.get(name, (name, None)), step_deg)
 
 
 def _case(
-    name: str, step: float | None, settings: SequenceSettings, executor: Executor | None, notify: Notify
+    name: str, step: float | None, settings: StackingSettings, executor: Executor | None, notify: Notify
 ) -> Results:
     specimen = case_specimen(name, step)
     answer, processor, memory = _measured(specimen, settings, executor, notify)
     information = angle_information(specimen.plate.layup, answer.marginals)
-    printed = identified_sequences()[name].angles_deg if name in PRINTED else None
+    printed = identified_layups()[name].angles_deg if name in PRINTED else None
     return {
         "case": name,
         "layup": specimen.plate.layup.text,
-        "unknown_angles": answer.own.n_angles,
-        "frequencies": answer.own.template.measurement.size,
+        "unknown_angles": answer.conditional.n_angles,
+        "frequencies": answer.conditional.template.measurement.size,
         "printed": None if printed is None else _sequence(answer, np.array(printed, dtype=float)),
-        "own": _sequence(answer, own_sequence(specimen)),
+        "own": _sequence(answer, known_angles(specimen)),
         **_posterior(answer),
         "entropy_bits": information.entropy_bits.tolist(),
         "most_bits": information.most_bits,
@@ -134,8 +134,8 @@ def _case(
     }
 
 
-def _sequence(answer: SequenceAnswer, angles_deg: np.ndarray) -> Results:
-    found = given_sequence(answer, angles_deg)
+def _sequence(answer: StackingPosterior, angles_deg: np.ndarray) -> Results:
+    found = given_layup(answer, angles_deg)
     return {
         "angles_deg": found.angles_deg.tolist(),
         "probability": found.probability,
@@ -144,7 +144,7 @@ def _sequence(answer: SequenceAnswer, angles_deg: np.ndarray) -> Results:
     }
 
 
-def _posterior(answer: SequenceAnswer) -> Results:
+def _posterior(answer: StackingPosterior) -> Results:
     check = answer.check
     return {
         "enumerated": answer.enumerated,
@@ -174,18 +174,18 @@ def _noise(
     name: str,
     levels: tuple[float, ...],
     step: float | None,
-    settings: SequenceSettings,
+    settings: StackingSettings,
     executor: Executor | None,
     notify: Notify,
 ) -> Results:
     """C1's own list, as the reduced model has it, at several noises that are stated, none added."""
-    specimen, model_error = with_layup("C1", NOISE_LAYUPS[name], step), np.nan
+    specimen, model_error = with_unknown_layup("C1", NOISE_LAYUPS[name], step), np.nan
     rows = []
     for level in levels:
         notify(f"{name}, {100 * level:g} %")
-        listed, own, model_error = own_list(specimen, level)
-        answer = sequence_probabilities(listed, SEED, settings=settings, executor=executor, notify=notify)
-        true = given_sequence(answer, own)
+        listed, own, model_error = with_noise_free_list(specimen, level)
+        answer = stacking_posterior(listed, SEED, settings=settings, executor=executor, notify=notify)
+        true = given_layup(answer, own)
         images = 1 if true.index is None else int(answer.multiplicity[true.index])
         rows.append(
             {
@@ -217,12 +217,12 @@ def _noise(
 
 
 def _cost(
-    name: str, step: float | None, settings: SequenceSettings, executor: Executor | None, notify: Notify
+    name: str, step: float | None, settings: StackingSettings, executor: Executor | None, notify: Notify
 ) -> Results:
     """What one list takes whose outermost angles are unknown."""
     angles, noise = COST[name]
     notify(name)
-    listed, _, _ = own_list(with_layup("F1", COST_LAYUPS[angles], step), noise)
+    listed, _, _ = with_noise_free_list(with_unknown_layup("F1", COST_LAYUPS[angles], step), noise)
     answer, processor, memory = _measured(listed, settings, executor, notify)
     return {
         "case": name,
@@ -243,8 +243,8 @@ def _cost(
 
 
 def _measured(
-    specimen: Specimen, settings: SequenceSettings, executor: Executor | None, notify: Notify
-) -> tuple[SequenceAnswer, float, float]:
+    specimen: Specimen, settings: StackingSettings, executor: Executor | None, notify: Notify
+) -> tuple[StackingPosterior, float, float]:
     """The answer with no model at hand, seconds of this processor, largest memory in GiB.
 
     Memory is that of this process and its workers; pages that they share are counted once for each.
@@ -255,9 +255,7 @@ def _measured(
         _forget_peak()
         start = time.process_time()
         try:
-            answer = sequence_probabilities(
-                specimen, SEED, settings=settings, executor=executor, notify=notify
-            )
+            answer = stacking_posterior(specimen, SEED, settings=settings, executor=executor, notify=notify)
         finally:
             if kept is None:
                 del os.environ["CPAM_BAYES_CACHE"]

@@ -4,7 +4,7 @@ python studies/09_sequence_coverage.py [--quick] [--only NAME ...] [--trials N] 
 
 Sequence and constants are drawn from the prior, a list with 1 % noise is simulated by the reduced model that
 the evidences have too, and the place of the true sequence among all is noted
-(cpam_bayes/inference/sequence_coverage.py). One case a plate; cases that were saved before are kept.
+(cpam_bayes/inference/stacking_coverage.py). One case a plate; cases that were saved before are kept.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from cpam_bayes.validation.stacking_coverage import (
     ALLOWED,
     CoverageSettings,
     Trial,
-    sequence_coverage,
+    stacking_coverage,
     summarised,
 )
 from cpam_bayes.validation.study_results import save_results, saved_results, with_saved
@@ -107,7 +107,7 @@ def _case(
             end = "" if done < total else "\n"
             print(f"\r{name}: {done} of {total}", end=end, file=sys.stderr, flush=True)
 
-    found = sequence_coverage(
+    found = stacking_coverage(
         specimen_of(case),
         n,
         SEED,

@@ -28,16 +28,16 @@ from cpam_bayes.commands.options import add_executor_options
 from cpam_bayes.parallel import open_executor
 from cpam_bayes.report.progress import timed_lines
 from cpam_bayes.report.tables import Column, Table, screen_text
-from cpam_bayes.stacking.answer import DEFAULT_SETTINGS, SequenceSettings, Task
 from cpam_bayes.stacking.conditional.evaluation import Evaluated, evaluate
 from cpam_bayes.stacking.conditional.starts import scan_library
-from cpam_bayes.stacking.enumeration.by_surrogate import learning_of
-from cpam_bayes.stacking.enumeration.listing import learned_values
-from cpam_bayes.stacking.posterior import sequence_probabilities, sequence_task
-from cpam_bayes.stacking.surrogate.training import LearningSettings, learn
+from cpam_bayes.stacking.enumeration.by_surrogate import training_problem
+from cpam_bayes.stacking.enumeration.listing import surrogate_values
+from cpam_bayes.stacking.posterior import stacking_posterior, stacking_problem
+from cpam_bayes.stacking.records import DEFAULT_SETTINGS, StackingProblem, StackingSettings
+from cpam_bayes.stacking.surrogate.training import TrainingSettings, train
 from cpam_bayes.stacking.symmetry.classes import canonical
-from cpam_bayes.stacking.unknown_layup import own_list, with_layup
 from cpam_bayes.validation.study_results import save_results, saved_results, with_saved
+from cpam_bayes.validation.unknown_layups import with_noise_free_list, with_unknown_layup
 
 Array = NDArray[Any]
 Results = dict[str, Any]
@@ -77,8 +77,8 @@ EACH, FAR_SHARE, FAR = 150, 1 / 3, 12.0
 # Of so many sequences the sum over all is estimated; of more the learned table would have to be gone through.
 MOST_SUMMED = 3_000_000
 QUICK = Case("C1", "[(?/?/?)_5/0]_s", 0.01)
-SMALL = SequenceSettings(
-    exhaustive=100, learning=LearningSettings(first=60, explorations=2, most=150), listed=8, draws=20
+SMALL = StackingSettings(
+    exhaustive=100, learning=TrainingSettings(first=60, explorations=2, most=150), listed=8, draws=20
 )
 
 
@@ -102,20 +102,20 @@ def _case(
     name: str,
     case: Case,
     step: float | None,
-    settings: SequenceSettings,
+    settings: StackingSettings,
     log2_points: int,
     each: int,
     executor: Executor | None,
     notify: Notify,
 ) -> Results:
     notify(name)
-    specimen, _, _ = own_list(with_layup(case.plate, case.layup, step), case.noise)
+    specimen, _, _ = with_noise_free_list(with_unknown_layup(case.plate, case.layup, step), case.noise)
     start = time.perf_counter()
-    answer = sequence_probabilities(specimen, SEED, settings=settings, executor=executor, notify=notify)
+    answer = stacking_posterior(specimen, SEED, settings=settings, executor=executor, notify=notify)
     notify("the reference")
-    task = sequence_task(specimen, SEED, settings=settings, executor=executor)
-    top = _reference(task, answer.components.sequences, log2_points)
-    drawn = _reference(task, answer.drawn.sequences, log2_points)
+    problem = stacking_problem(specimen, SEED, settings=settings, executor=executor)
+    top = _reference(problem, answer.components.sequences, log2_points)
+    drawn = _reference(problem, answer.drawn.sequences, log2_points)
     miss = answer.drawn.log_evidence - drawn.log_evidence
     row: Results = {
         "case": name,
@@ -131,20 +131,20 @@ def _case(
     }
     if answer.enumerated <= MOST_SUMMED:
         notify("all layers")
-        row |= _summed(task, each)
+        row |= _summed(problem, each)
     return row | {"seconds": time.perf_counter() - start}
 
 
-def _reference(task: Task, sequences: Array, log2_points: int) -> Evaluated:
+def _reference(problem: StackingProblem, sequences: Array, log2_points: int) -> Evaluated:
     """Sequences (m, k) by the slow way."""
-    library = scan_library(task.own, LIBRARY, np.random.default_rng([SEED, 77]))
+    library = scan_library(problem.conditional, LIBRARY, np.random.default_rng([SEED, 77]))
     return evaluate(
-        task.own,
-        task.grid_deg,
+        problem.conditional,
+        problem.grid_deg,
         sequences,
-        task.starts,
+        problem.starts,
         log2_points,
-        task.executor,
+        problem.executor,
         library,
         scanned=STARTS,
     )
@@ -161,18 +161,18 @@ def _errors(miss: Array, reference: Evaluated) -> Results:
     }
 
 
-def _summed(task: Task, each: int) -> Results:
+def _summed(problem: StackingProblem, each: int) -> Results:
     """The sum over all sequences from layers of the learned log evidence, by ratio estimates."""
     rng = np.random.default_rng([SEED, 4])  # what the answer learned is learned again
-    sums = task.sums
+    sums = problem.sums
     assert sums is not None, "so few sequences need no learned evidence"
-    surface = learn(learning_of(task, sums), rng, lambda text: None).surface
-    g, k = len(task.grid_deg), task.n_unknown
+    surrogate = train(training_problem(problem, sums), rng, lambda text: None).surrogate
+    g, k = len(problem.grid_deg), problem.n_unknown
     every = np.stack(np.unravel_index(np.arange(g**k), (g,) * k), axis=1)
-    orbits = canonical(every, task.symmetries)
+    orbits = canonical(every, problem.symmetries)
     _, first = np.unique(orbits.representative @ (g ** np.arange(k - 1, -1, -1)), return_index=True)
     sequences, size = orbits.representative[first], orbits.size[first]
-    known = learned_values(surface, task.executor, sums.features(sequences))
+    known = surrogate_values(surrogate, problem.executor, sums.features(sequences))
     below = known.max() - known
     pick_rng = np.random.default_rng([SEED, 5])
     rows = []
@@ -182,7 +182,7 @@ def _summed(task: Task, each: int) -> Results:
             continue
         drawn = each if low < FAR else round(FAR_SHARE * each)
         pick = np.sort(pick_rng.choice(own, size=min(drawn, len(own)), replace=False))
-        found = _reference(task, sequences[pick], LAYER_POINTS)
+        found = _reference(problem, sequences[pick], LAYER_POINTS)
         value = size[pick] * np.exp(found.log_evidence - known.max())
         expected = size[pick] * np.exp(known[pick] - known.max())
         ratio = float(value.sum() / expected.sum())
@@ -206,7 +206,7 @@ def _summed(task: Task, each: int) -> Results:
         )
     total = sum(r["mass"] for r in rows)
     error = float(np.sqrt(sum(r["mass_error"] ** 2 for r in rows)))
-    log_mean = float(np.log(total) + known.max() - np.log(task.n_sequences))
+    log_mean = float(np.log(total) + known.max() - np.log(problem.n_sequences))
     return {"sum": {"log_evidence": log_mean, "relative_error": error / total}, "layers": rows}
 
 

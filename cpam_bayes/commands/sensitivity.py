@@ -11,10 +11,10 @@ from cpam_bayes.commands.forward import measured_modes
 from cpam_bayes.errors import PlateFileError
 from cpam_bayes.forward_model.preconditions import require_supported, solver_failure
 from cpam_bayes.mechanics.modes import RigidBodyError
-from cpam_bayes.paper import disorder_table
+from cpam_bayes.paper import perturbation_table
 from cpam_bayes.parallel import open_executor
 from cpam_bayes.plate import Specimen, read_specimen
-from cpam_bayes.repetition.perturbation import READINGS
+from cpam_bayes.repetition.perturbation import INTERPRETATIONS
 from cpam_bayes.repetition.study import model_list, sensitivity
 from cpam_bayes.report.answer import Answer, Figures
 from cpam_bayes.report.progress import progress
@@ -50,7 +50,7 @@ def _require_list(specimen: Specimen) -> None:
 
 
 def _answer(specimen: Specimen, args: argparse.Namespace) -> Answer:
-    readings = READINGS if args.reading == "both" else (args.reading,)
+    readings = INTERPRETATIONS if args.reading == "both" else (args.reading,)
     levels = tuple(dict.fromkeys(percent / 100.0 for percent in args.levels))
     total = len(levels) * len(readings) * (args.groups + 1)
 
@@ -77,7 +77,7 @@ def _answer(specimen: Specimen, args: argparse.Namespace) -> Answer:
             )
         except RigidBodyError as error:
             raise solver_failure(specimen, error) from error
-    table = printed_table(result, disorder_table(specimen.name))
+    table = printed_table(result, perturbation_table(specimen.name))
     warnings = sensitivity_warnings(result)
     document = sensitivity_document(result, args.seed, table, warnings)
     return Answer(

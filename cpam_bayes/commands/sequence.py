@@ -12,15 +12,15 @@ import numpy as np
 
 from cpam_bayes.forward_model.preconditions import require_sequence, solver_failure
 from cpam_bayes.mechanics.modes import RigidBodyError
-from cpam_bayes.paper.sequences import identified_sequences
+from cpam_bayes.paper.layups import identified_layups
 from cpam_bayes.parallel import open_executor
 from cpam_bayes.plate import Specimen, read_specimen
 from cpam_bayes.report.answer import Answer, Figures
 from cpam_bayes.report.progress import progress
 from cpam_bayes.report.stacking.screen import sequence_document, sequence_screen, sequence_warnings
-from cpam_bayes.stacking.mixture import SequenceMixture, mixture_posterior, sampled_classes
-from cpam_bayes.stacking.posterior import DEFAULT_SETTINGS, SequenceAnswer, sequence_probabilities
-from cpam_bayes.stacking.queries.given_layup import GivenSequence, given_sequence
+from cpam_bayes.stacking.mixture import StackingMixture, n_sampled_classes, sample_mixture
+from cpam_bayes.stacking.posterior import DEFAULT_SETTINGS, StackingPosterior, stacking_posterior
+from cpam_bayes.stacking.queries.given_layup import GivenLayup, given_layup
 
 NOT_REACHED = 1
 
@@ -36,7 +36,7 @@ def _answer(specimen: Specimen, args: argparse.Namespace) -> Answer:
     with open_executor(args.executor, args.workers) as executor:
         with progress(f"sequence {specimen.name}", 64, args.quiet, lambda done: "of the pieces") as shown:
             try:
-                result = sequence_probabilities(
+                result = stacking_posterior(
                     specimen,
                     args.seed,
                     settings=settings,
@@ -47,9 +47,9 @@ def _answer(specimen: Specimen, args: argparse.Namespace) -> Answer:
             except RigidBodyError as error:
                 raise solver_failure(specimen, error) from error
         given = _printed(result, args.plate)
-        classes = sampled_classes(result) + (given is not None)
+        classes = n_sampled_classes(result) + (given is not None)
         with progress("constants by emcee", classes, args.quiet, lambda done: "a class each") as shown:
-            mixture = mixture_posterior(
+            mixture = sample_mixture(
                 result,
                 args.seed,
                 given=given,
@@ -68,21 +68,21 @@ def _answer(specimen: Specimen, args: argparse.Namespace) -> Answer:
     )
 
 
-def _printed(result: SequenceAnswer, plate: str) -> GivenSequence | None:
+def _printed(result: StackingPosterior, plate: str) -> GivenLayup | None:
     """What Table 9(b) prints for a built-in specimen."""
-    printed = identified_sequences().get(plate)
+    printed = identified_layups().get(plate)
     if printed is None:
         return None
-    return given_sequence(result, np.array(printed.angles_deg, dtype=float))
+    return given_layup(result, np.array(printed.angles_deg, dtype=float))
 
 
-def _figures(result: SequenceAnswer, mixture: SequenceMixture, given: GivenSequence | None) -> Figures:
+def _figures(result: StackingPosterior, mixture: StackingMixture, given: GivenLayup | None) -> Figures:
     from cpam_bayes.report.stacking.figures import sequence_figures
 
     return sequence_figures(result, mixture, given)
 
 
-def _files(result: SequenceAnswer, mixture: SequenceMixture, seed: int, directory: Path) -> None:
+def _files(result: StackingPosterior, mixture: StackingMixture, seed: int, directory: Path) -> None:
     from cpam_bayes.report.stacking.data import write_sequence_posterior
 
     write_sequence_posterior(result, mixture, seed, directory)

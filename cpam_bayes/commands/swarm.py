@@ -10,7 +10,7 @@ from functools import partial
 from typing import TypeVar
 
 from cpam_bayes.forward_model.preconditions import plate_warnings, solver_failure
-from cpam_bayes.identification.angle_search import FoundSequence, search_sequence
+from cpam_bayes.identification.angle_search import AngleSearchResult, search_angles
 from cpam_bayes.identification.point import Identification, Residual, identify
 from cpam_bayes.inference.swarm.settings import SwarmSettings
 from cpam_bayes.mechanics.modes import RigidBodyError
@@ -48,10 +48,10 @@ def identify_by_swarm(specimen: Specimen, args: argparse.Namespace) -> Answer:
                 notify=shown.notify,
             )
 
-    found: FoundSequence | None = None
+    found: AngleSearchResult | None = None
     try:
         if specimen.plate.layup.n_unknown:
-            found = watched(search_sequence, specimen, f"angles of {specimen.name}")
+            found = watched(search_angles, specimen, f"angles of {specimen.name}")
             specimen = found.known
         result = watched(identify, specimen, f"identify {specimen.name}")
     except RigidBodyError as error:

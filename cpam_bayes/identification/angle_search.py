@@ -31,15 +31,15 @@ from cpam_bayes.plate.records import angle_grid
 from cpam_bayes.threads import single_blas_thread
 
 __all__ = [
-    "FoundSequence",
-    "SequenceFit",
+    "AngleSearchProblem",
+    "AngleSearchResult",
     "best_constants",
     "fuzzy_problem",
     "run_swarm",
     "run_swarms",
-    "search_sequence",
-    "sequence_parameters",
-    "sequence_starts",
+    "search_angles",
+    "search_parameters",
+    "search_starts",
 ]
 
 Array = NDArray[Any]
@@ -49,7 +49,7 @@ _TOGETHER = 128
 
 
 @dataclass(frozen=True, slots=True)
-class SequenceFit:
+class AngleSearchProblem:
     """What is minimised: frequencies of a plate against a list.
 
     model : of the constants, then the angles of ``specimen``. measured : (n,) Hz, paired with the
@@ -85,7 +85,7 @@ class SequenceFit:
 
 
 @dataclass(frozen=True, slots=True)
-class FoundSequence:
+class AngleSearchResult:
     """Answer of the fuzzy swarm for one specimen.
 
     angles_deg : (n_plies,). constants : SI, by name. value : F, Hz^2, or without unit where residuals
@@ -111,7 +111,7 @@ class FoundSequence:
         return replace(self.specimen, plate=replace(plate, layup=plate.layup.with_angles(self.angles_deg)))
 
 
-def sequence_parameters(specimen: Specimen) -> ParameterSet:
+def search_parameters(specimen: Specimen) -> ParameterSet:
     """The unknown constants of a specimen, then its unknown angles in degrees.
 
     Raises ``ValueError`` if no angle of the layup is unknown.
@@ -125,7 +125,7 @@ def sequence_parameters(specimen: Specimen) -> ParameterSet:
     return specimen.unknowns.union(angle_parameters(specimen))
 
 
-def fuzzy_problem(fit: SequenceFit) -> SwarmProblem:
+def fuzzy_problem(fit: AngleSearchProblem) -> SwarmProblem:
     """The search of constants and a sequence as the fuzzy swarm takes it."""
     return SwarmProblem(
         objective=fit.values,
@@ -138,7 +138,7 @@ def fuzzy_problem(fit: SequenceFit) -> SwarmProblem:
 
 
 def run_swarm(
-    fit: SequenceFit,
+    fit: AngleSearchProblem,
     seed: int,
     settings: SwarmSettings | None = None,
     progress: Callable[[int, float], None] | None = None,
@@ -156,7 +156,7 @@ def run_swarm(
 
 
 def run_swarms(
-    fit: SequenceFit,
+    fit: AngleSearchProblem,
     seeds: Sequence[int],
     settings: SwarmSettings | None = None,
     executor: Executor | None = None,
@@ -168,12 +168,12 @@ def run_swarms(
     return run(_swarm_of_seed, fit, [(seed, settings) for seed in seeds], executor)
 
 
-def _swarm_of_seed(fit: SequenceFit, item: tuple[int, SwarmSettings | None]) -> SwarmResult:
+def _swarm_of_seed(fit: AngleSearchProblem, item: tuple[int, SwarmSettings | None]) -> SwarmResult:
     return run_swarm(fit, *item)
 
 
 @single_blas_thread
-def search_sequence(
+def search_angles(
     specimen: Specimen,
     seed: int,
     *,
@@ -181,7 +181,7 @@ def search_sequence(
     residual: Residual = "absolute",
     progress: Callable[[int, float], None] | None = None,
     notify: Callable[[str], None] = lambda text: None,
-) -> FoundSequence:
+) -> AngleSearchResult:
     """Ply angles and constants of a specimen by the fuzzy swarm of the paper.
 
     The swarm runs on the reduced model for any layup; what is reported of its best particle comes from
@@ -191,14 +191,14 @@ def search_sequence(
     """
     start = time.perf_counter()
     measurement, unknowns = required(specimen)
-    parameters = sequence_parameters(specimen)
+    parameters = search_parameters(specimen)
     model = reduced_model(specimen, parameters, measurement.size, notify=notify)
     grid = angle_grid(specimen.angle_grid_deg)
-    fit = SequenceFit(specimen, model, measurement.frequencies, grid, residual)
+    fit = AngleSearchProblem(specimen, model, measurement.frequencies, grid, residual)
     swarm = run_swarm(fit, seed, settings, progress)
     best = np.concatenate((swarm.best, grid[swarm.sequence]))
     predicted = model.full.predict(best).frequencies[0]
-    return FoundSequence(
+    return AngleSearchResult(
         specimen=specimen,
         angles_deg=grid[swarm.sequence],
         constants=dict(zip(unknowns.names, swarm.best.tolist(), strict=True)),
@@ -212,7 +212,7 @@ def search_sequence(
     )
 
 
-def sequence_starts(fit: SequenceFit, n: int, seed: int = 0) -> Array:
+def search_starts(fit: AngleSearchProblem, n: int, seed: int = 0) -> Array:
     """Constants to start fits from: the reference ones, then n - 1 of section 5.1, (n, n_constants).
 
     The reference is left out where it does not meet the constraints (9) within the bounds.
@@ -227,11 +227,11 @@ def sequence_starts(fit: SequenceFit, n: int, seed: int = 0) -> Array:
 
 
 def best_constants(
-    fit: SequenceFit, sequences: Array, starts: Array, executor: Executor | None = None
+    fit: AngleSearchProblem, sequences: Array, starts: Array, executor: Executor | None = None
 ) -> ConditionalFit:
     """The constants that minimise F for each of m sequences (m, n_plies): plain enumeration's step.
 
-    starts : (s, n_constants), for instance of ``sequence_starts``. Raises as ``fit_constants``.
+    starts : (s, n_constants), for instance of ``search_starts``. Raises as ``fit_constants``.
     """
     parts = [sequences[first : first + _TOGETHER] for first in range(0, len(sequences), _TOGETHER)]
     found = run(_fitted, (fit, starts), parts, executor)
@@ -243,7 +243,7 @@ def best_constants(
     )
 
 
-def _fitted(shared: tuple[SequenceFit, Array], sequences: Array) -> ConditionalFit:
+def _fitted(shared: tuple[AngleSearchProblem, Array], sequences: Array) -> ConditionalFit:
     fit, starts = shared
     n, n_modes = fit.unknowns.size, len(fit.measured)
 

@@ -35,16 +35,16 @@ class Mode:
 
     label : "(m,n)", m and n counting nodal lines across x and across y, or half-waves in a direction
     whose two edges are both held; "(2,0)+(0,2)" for a combination of two such shapes.
-    in_plane_share : share of the kinetic energy that is in-plane.
+    in_plane_fraction : share of the kinetic energy that is in-plane.
     """
 
     frequency: float
     kind: Kind
     label: str
-    in_plane_share: float
+    in_plane_fraction: float
 
 
-def in_plane_share(operator: AffineOperator[Any, Any], spectrum: Spectrum, mass: Array) -> Array:
+def in_plane_fraction(operator: AffineOperator[Any, Any], spectrum: Spectrum, mass: Array) -> Array:
     """Share of the kinetic energy of every mode that is in u and v, (m, n_modes)."""
     _, energy = energy_terms(operator, spectrum)
     energy = energy * np.atleast_2d(mass)[:, None, :]
@@ -144,7 +144,7 @@ def describe_modes(
     The label of an in-plane mode is that of its larger displacement, named before it: "u(1,0)".
     extent : as of ``shapes_on_grid``, where the plate is no rectangle.
     """
-    shares = in_plane_share(operator, spectrum, mass)[0]
+    shares = in_plane_fraction(operator, spectrum, mass)[0]
     modes = []
     for i, (share, shape) in enumerate(zip(shares, shapes_on_grid(operator, spectrum, extent), strict=True)):
         own = dict(zip(_DISPLACEMENTS, shape, strict=True))
@@ -156,7 +156,7 @@ def describe_modes(
                 frequency=float(spectrum.frequencies[0, i]),
                 kind=mode_kind(float(share)),
                 label=label if field == "w" else field + label,
-                in_plane_share=float(share),
+                in_plane_fraction=float(share),
             )
         )
     return tuple(modes)

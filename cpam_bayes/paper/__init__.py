@@ -1,11 +1,11 @@
 """The paper's tables as data, with what can be checked of them from their own digits."""
 
-from cpam_bayes.paper.disorder import (
+from cpam_bayes.paper.perturbation import (
     Contradiction,
-    DisorderTable,
+    PerturbationTable,
     PrintedConstant,
     contradictions,
-    disorder_table,
+    perturbation_table,
 )
 
-__all__ = ["Contradiction", "DisorderTable", "PrintedConstant", "contradictions", "disorder_table"]
+__all__ = ["Contradiction", "PerturbationTable", "PrintedConstant", "contradictions", "perturbation_table"]

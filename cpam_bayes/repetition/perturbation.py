@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[Any]
-Reading = Literal["relative", "rms"]
+Interpretation = Literal["relative", "rms"]
 
-READINGS: Final[tuple[Reading, ...]] = get_args(Reading)
+INTERPRETATIONS: Final[tuple[Interpretation, ...]] = get_args(Interpretation)
 
 # Draws for one frequency before a list is given up: at the largest level that is accepted more than
 # half of all draws are positive.
@@ -19,7 +19,7 @@ _MOST_DRAWS = 1000
 
 
 @dataclass(frozen=True, slots=True)
-class NoisyList:
+class PerturbedList:
     """A list with noise, in rising order as a laboratory writes it down.
 
     frequencies : (n,) Hz. reordered : whether the noise let two modes change places, so that the
@@ -32,7 +32,7 @@ class NoisyList:
     redrawn: int
 
 
-def disorder_sd(frequencies: Array, level: float, reading: Reading) -> Array:
+def perturbation_sd(frequencies: Array, level: float, reading: Interpretation) -> Array:
     """Standard deviations of the noise added to frequencies (n,), Hz.
 
     Eq. (12) as printed, b = p_e / sqrt(n_s (sum omega_i)^2), has the unit of 1/frequency and cannot
@@ -49,7 +49,7 @@ def disorder_sd(frequencies: Array, level: float, reading: Reading) -> Array:
     return np.full(len(frequencies), level * np.sqrt(np.mean(np.square(frequencies))))
 
 
-def noisy_list(frequencies: Array, sd: Array, rng: np.random.Generator) -> NoisyList:
+def perturbed_list(frequencies: Array, sd: Array, rng: np.random.Generator) -> PerturbedList:
     """A list (n,) with independent Gaussian noise of standard deviations sd (n,), Hz.
 
     A frequency that would not be positive is drawn again. Raises ``ValueError`` where that does not
@@ -60,7 +60,7 @@ def noisy_list(frequencies: Array, sd: Array, rng: np.random.Generator) -> Noisy
     for _ in range(_MOST_DRAWS):
         wrong = ~(found > 0.0)
         if not wrong.any():
-            return NoisyList(np.sort(found), bool(np.any(np.diff(found) < 0.0)), redrawn)
+            return PerturbedList(np.sort(found), bool(np.any(np.diff(found) < 0.0)), redrawn)
         redrawn += int(wrong.sum())
         found[wrong] = frequencies[wrong] + sd[wrong] * rng.standard_normal(int(wrong.sum()))
     raise ValueError(f"noise on frequencies: received {frequencies.min():g} Hz, accepted: above zero")

@@ -34,7 +34,7 @@ from cpam_bayes.inference.swarm.settings import SwarmSettings
 from cpam_bayes.parallel import run
 from cpam_bayes.plate import Measurement, Specimen, to_user, user_name
 from cpam_bayes.repetition.agreement import Comparison, Evidence, clusters, compare
-from cpam_bayes.repetition.perturbation import READINGS, Reading, disorder_sd
+from cpam_bayes.repetition.perturbation import INTERPRETATIONS, Interpretation, perturbation_sd
 from cpam_bayes.repetition.tasks import (
     POSTERIOR,
     InverseProblem,
@@ -94,7 +94,7 @@ class Cell:
     """One level and reading: noise_sd (n_modes,) Hz, and one comparison for each constant."""
 
     level: float
-    reading: Reading
+    reading: Interpretation
     noise_sd: Array
     repetition: Repetition
     posterior: PosteriorSummary
@@ -157,7 +157,7 @@ def sensitivity(
     source: ListSource,
     levels: Sequence[float] = (0.01, 0.05, 0.1),
     groups: int = 10,
-    readings: Sequence[Reading] = READINGS,
+    readings: Sequence[Interpretation] = INTERPRETATIONS,
     swarm_settings: SwarmSettings | None = None,
     chains: EnsembleSettings = CHAINS,
     executor: Executor | None = None,
@@ -220,7 +220,7 @@ def sensitivity(
         first = len(pairs) + i * groups
         repetition = _collect(found[first : first + groups])
         posterior: PosteriorSummary = found[i]
-        sd = disorder_sd(measurement.frequencies, level, reading)
+        sd = perturbation_sd(measurement.frequencies, level, reading)
         at_reference = np.array([mode.frequency for mode in without_noise.predicted])
         residual = float(np.sqrt(np.mean(((at_reference - measurement.frequencies) / sd) ** 2)))
         comparisons = _comparisons(repetition, posterior, without_noise.swarm.best, residual)

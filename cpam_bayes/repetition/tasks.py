@@ -17,7 +17,12 @@ from cpam_bayes.inference.swarm.pso import SwarmResult, SwarmSettings, initial_s
 from cpam_bayes.parameters import ParameterSet
 from cpam_bayes.plate import Measurement
 from cpam_bayes.repetition.agreement import density_peaks, skewness
-from cpam_bayes.repetition.perturbation import READINGS, Reading, disorder_sd, noisy_list
+from cpam_bayes.repetition.perturbation import (
+    INTERPRETATIONS,
+    Interpretation,
+    perturbation_sd,
+    perturbed_list,
+)
 from cpam_bayes.threads import single_blas_thread
 
 Array = NDArray[Any]
@@ -82,12 +87,12 @@ class Task:
     """One noisy list to invert, or, with the group ``POSTERIOR``, one posterior to sample."""
 
     level: float
-    reading: Reading
+    reading: Interpretation
     group: int
 
     def seeds(self, seed: int) -> list[int]:
         """Numbers that no other task has; the level counts in millionths."""
-        return [seed, round(1e6 * self.level), READINGS.index(self.reading), self.group]
+        return [seed, round(1e6 * self.level), INTERPRETATIONS.index(self.reading), self.group]
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,8 +157,8 @@ def _invert(shared: Shared, task: Task) -> Inversion:
     """
     problem, f = shared.problem, shared.measurement.frequencies
     seeds = task.seeds(shared.seed)
-    sd = disorder_sd(f, task.level, task.reading)
-    noisy = noisy_list(f, sd, np.random.default_rng([*seeds, _NOISE]))
+    sd = perturbation_sd(f, task.level, task.reading)
+    noisy = perturbed_list(f, sd, np.random.default_rng([*seeds, _NOISE]))
     at_reference = problem.model.predict(shared.reference[None]).frequencies[:, : len(f)]
     limit = float(misfit(at_reference, noisy.frequencies, "absolute")[0])
     found: list[SwarmResult] = []
@@ -182,7 +187,7 @@ def _invert(shared: Shared, task: Task) -> Inversion:
 def _sample(shared: Shared, task: Task) -> PosteriorSummary:
     """Sample the posterior of the list without added noise, the noise being known."""
     f = shared.measurement.frequencies
-    sd = disorder_sd(f, task.level, task.reading)
+    sd = perturbation_sd(f, task.level, task.reading)
     # neither rounding nor the solver's error: the noisy lists have none but the noise added
     known = replace(shared.measurement, frequency_sd=sd, relative_std=None, resolution=0.0)
     posterior = plate_posterior(shared.problem.model, known, np.zeros(len(f)))

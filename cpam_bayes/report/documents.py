@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from cpam_bayes import __version__
-from cpam_bayes.identification.angle_search import FoundSequence
+from cpam_bayes.identification.angle_search import AngleSearchResult
 from cpam_bayes.identification.point import Identification
 from cpam_bayes.plate import Specimen, to_user, user_name
 
@@ -42,7 +42,7 @@ def identification_document(
     backend: str,
     residual: str,
     warnings: tuple[str, ...],
-    found: FoundSequence | None = None,
+    found: AngleSearchResult | None = None,
 ) -> dict[str, Any]:
     """The JSON document of `identify` by the swarm; found : the angles, where some were unknown."""
     measurement = result.specimen.measurement

@@ -89,7 +89,7 @@ def mode_figures(result: ForwardAnswer) -> dict[str, Figure]:
         if i >= len(result.modes):
             continue
         mode, shape = result.modes[i], result.shapes[i]
-        if mode.in_plane_share > 0.5:
+        if mode.in_plane_fraction > 0.5:
             _draw_grid(axes, shape, x, y)
         else:
             _draw_deflection(axes, shape.w, (*x, *y))

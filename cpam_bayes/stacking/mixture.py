@@ -27,9 +27,9 @@ from cpam_bayes.inference.proposal import AdaptationSettings, Proposal, adapted
 from cpam_bayes.inference.sampling import swarm_on_posterior
 from cpam_bayes.inference.swarm.pso import SwarmSettings
 from cpam_bayes.parallel import run
-from cpam_bayes.stacking.conditional.posterior import SequenceFits, SequencePosterior
-from cpam_bayes.stacking.posterior import SequenceAnswer
-from cpam_bayes.stacking.queries.given_layup import GivenSequence
+from cpam_bayes.stacking.conditional.posterior import ConditionalFits, ConditionalPosterior
+from cpam_bayes.stacking.posterior import StackingPosterior
+from cpam_bayes.stacking.queries.given_layup import GivenLayup
 from cpam_bayes.stacking.symmetry.classes import members
 from cpam_bayes.threads import single_blas_thread
 
@@ -37,9 +37,9 @@ __all__ = [
     "DEFAULT_SETTINGS",
     "MixtureSettings",
     "SampledComponent",
-    "SequenceMixture",
-    "mixture_posterior",
-    "sampled_classes",
+    "StackingMixture",
+    "n_sampled_classes",
+    "sample_mixture",
 ]
 
 Array = NDArray[Any]
@@ -89,7 +89,7 @@ class Moments:
 class SampledComponent:
     """The conditional posterior of one class of sequences, by emcee and by importance sampling.
 
-    index : of the class in ``SequenceAnswer.top``. draws : (d, n) of the chains, about one an
+    index : of the class in ``StackingPosterior.top``. draws : (d, n) of the chains, about one an
     autocorrelation time. chains, importance : moments by either. log_evidence, log_evidence_error,
     effective : by importance sampling, the last the number of draws that it counts as.
     """
@@ -113,14 +113,15 @@ class SampledComponent:
 
 
 @dataclass(frozen=True, slots=True)
-class SequenceMixture:
+class StackingMixture:
     """Equally probable draws of sequence and constants.
 
     components : those sampled by emcee. given : a sequence that was asked for, sampled too; its index is -1
     where it is not listed. parameters : (m, n) SI. angles_deg : (m, k). origin : (m,) index of
-    the draw's class in ``SequenceAnswer.top``, -1 for one that is not listed. by_emcee : (m,) bool.
-    emcee_share, listed_share, drawn_share : probability of the classes sampled by emcee, of the others
-    listed, and of all the rest, which sequences drawn from it stand for.
+    the draw's class in ``StackingPosterior.top``, -1 for one that is not listed. by_emcee : (m,) bool.
+    emcee_fraction : probability of the classes sampled by emcee.
+    listed_fraction : probability of the other classes that are listed.
+    drawn_fraction : probability of all the rest, which sequences drawn from it represent.
     """
 
     components: tuple[SampledComponent, ...]
@@ -129,9 +130,9 @@ class SequenceMixture:
     angles_deg: Array
     origin: Array
     by_emcee: Array
-    emcee_share: float
-    listed_share: float
-    drawn_share: float
+    emcee_fraction: float
+    listed_fraction: float
+    drawn_fraction: float
     seconds: float
 
     @property
@@ -146,22 +147,22 @@ class SequenceMixture:
         return (*self.components, self.given) if extra and self.given is not None else self.components
 
 
-def sampled_classes(answer: SequenceAnswer, settings: MixtureSettings = DEFAULT_SETTINGS) -> int:
+def n_sampled_classes(answer: StackingPosterior, settings: MixtureSettings = DEFAULT_SETTINGS) -> int:
     """How many of the most probable classes emcee is for."""
     held = np.cumsum(answer.probability * answer.multiplicity)
     return min(int(np.searchsorted(held, settings.share)) + 1, settings.most, len(held))
 
 
 @single_blas_thread
-def mixture_posterior(
-    answer: SequenceAnswer,
+def sample_mixture(
+    answer: StackingPosterior,
     seed: int,
     *,
-    given: GivenSequence | None = None,
+    given: GivenLayup | None = None,
     settings: MixtureSettings = DEFAULT_SETTINGS,
     executor: Executor | None = None,
     progress: Callable[[int, int], None] = lambda done, total: None,
-) -> SequenceMixture:
+) -> StackingMixture:
     """Draws from the posterior of sequence and constants together.
 
     p(x, s | f) = p(s | f) p(x | s, f).
@@ -170,8 +171,8 @@ def mixture_posterior(
     classes are sampled. The same seed gives the same draws whatever the executor.
     """
     start = time.perf_counter()
-    n = sampled_classes(answer, settings)
-    shared = (answer.own, settings)
+    n = n_sampled_classes(answer, settings)
+    shared = (answer.conditional, settings)
     items = [
         (i, answer.top[i], answer.components.fits[i : i + 1], [seed, 6, i])  # numpy takes lists as seeds
         for i in range(n)
@@ -195,10 +196,10 @@ def mixture_posterior(
     return _combined(answer, components, asked, settings.draws, np.random.default_rng([seed, 7]), start)
 
 
-Item = tuple[int, Array, SequenceFits, list[int]]
+Item = tuple[int, Array, ConditionalFits, list[int]]
 
 
-def _sampled(shared: tuple[SequencePosterior, MixtureSettings], item: Item) -> SampledComponent:
+def _sampled(shared: tuple[ConditionalPosterior, MixtureSettings], item: Item) -> SampledComponent:
     own, settings = shared
     index, angles, fits, key = item
     posterior = own.at(angles[None])
@@ -264,19 +265,19 @@ def _importance(
 
 
 def _combined(
-    answer: SequenceAnswer,
+    answer: StackingPosterior,
     components: tuple[SampledComponent, ...],
     given: SampledComponent | None,
     size: int,
     rng: np.random.Generator,
     start: float,
-) -> SequenceMixture:
+) -> StackingMixture:
     n, listed = len(components), len(answer.top)
     mass = answer.probability * answer.multiplicity
     rest = np.flatnonzero(answer.classes_of(answer.drawn.sequences) < 0)
-    drawn_share = max(1.0 - float(mass.sum()), 0.0) if len(rest) else 0.0
+    drawn_fraction = max(1.0 - float(mass.sum()), 0.0) if len(rest) else 0.0
     drawn = answer.draw_weight[rest]
-    weight = np.concatenate((mass, drawn_share * drawn / max(float(drawn.sum()), 1e-300)))
+    weight = np.concatenate((mass, drawn_fraction * drawn / max(float(drawn.sum()), 1e-300)))
     weight = weight / weight.sum()
     # systematic resampling: each component as often as its weight says, up to one
     at = (np.arange(size) + rng.uniform()) / size
@@ -299,16 +300,16 @@ def _combined(
         sequences.append(same[rng.integers(len(same), size=number)])
     # in no order, so that any part of the draws is a sample of the whole
     order = rng.permutation(size)
-    return SequenceMixture(
+    return StackingMixture(
         components=components,
         given=given,
         parameters=np.concatenate(parameters)[order],
         angles_deg=answer.grid_deg[np.concatenate(sequences)[order]],
         origin=np.where(chosen < listed, chosen, -1)[order],
         by_emcee=(chosen < n)[order],
-        emcee_share=float(weight[:n].sum()),
-        listed_share=float(weight[n:listed].sum()),
-        drawn_share=float(weight[listed:].sum()),
+        emcee_fraction=float(weight[:n].sum()),
+        listed_fraction=float(weight[n:listed].sum()),
+        drawn_fraction=float(weight[listed:].sum()),
         seconds=time.perf_counter() - start,
     )
 

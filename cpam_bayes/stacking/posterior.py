@@ -1,7 +1,8 @@
 """The posterior over every stacking sequence on the grid, the elastic constants marginalised.
 
-A sequence is a component of a mixture with its own evidence. Where there are few, each one's evidence is
-computed; where there are many, it is learned first, and computed where the mass is.
+Each stacking sequence is a component of a mixture and has its evidence. Where there are few, every evidence
+is computed; where there are many, a surrogate of it is trained first, and it is computed where the
+probability is.
 """
 
 from __future__ import annotations
@@ -21,21 +22,21 @@ from cpam_bayes.forward_model.store import reduced_model
 from cpam_bayes.identification.point import required
 from cpam_bayes.plate import Specimen
 from cpam_bayes.plate.records import angle_grid
-from cpam_bayes.stacking.answer import (
+from cpam_bayes.stacking.conditional.posterior import ConditionalPosterior, conditional_posterior
+from cpam_bayes.stacking.conditional.starts import scan_library
+from cpam_bayes.stacking.enumeration.by_surrogate import by_surrogate
+from cpam_bayes.stacking.enumeration.exhaustive import exhaustive
+from cpam_bayes.stacking.features import ply_sums
+from cpam_bayes.stacking.records import (
     CREDIBLE,
     DEFAULT_SETTINGS,
     OVERLOOKED,
-    SequenceAnswer,
-    SequenceSettings,
-    SurfaceCheck,
-    Task,
+    StackingPosterior,
+    StackingProblem,
+    StackingSettings,
+    SurrogateCheck,
 )
-from cpam_bayes.stacking.conditional.posterior import SequencePosterior, sequence_posterior
-from cpam_bayes.stacking.conditional.starts import scan_library
-from cpam_bayes.stacking.enumeration.by_surrogate import learned
-from cpam_bayes.stacking.enumeration.exhaustive import exhaustive
-from cpam_bayes.stacking.features import ply_sums
-from cpam_bayes.stacking.symmetry.equal_bending import alike_merged
+from cpam_bayes.stacking.symmetry.equal_bending import merge_indistinguishable
 from cpam_bayes.stacking.symmetry.symmetries import plate_symmetries
 from cpam_bayes.threads import single_blas_thread
 
@@ -43,12 +44,12 @@ __all__ = [
     "CREDIBLE",
     "DEFAULT_SETTINGS",
     "OVERLOOKED",
-    "SequenceAnswer",
-    "SequenceSettings",
-    "SurfaceCheck",
+    "StackingPosterior",
+    "StackingSettings",
+    "SurrogateCheck",
     "common_starts",
-    "sequence_probabilities",
-    "sequence_task",
+    "stacking_posterior",
+    "stacking_problem",
 ]
 
 Array = NDArray[Any]
@@ -60,15 +61,15 @@ _LIBRARY = 96
 
 
 @single_blas_thread
-def sequence_probabilities(
+def stacking_posterior(
     specimen: Specimen,
     seed: int,
     *,
-    settings: SequenceSettings = DEFAULT_SETTINGS,
+    settings: StackingSettings = DEFAULT_SETTINGS,
     executor: Executor | None = None,
     notify: Callable[[str], None] = lambda text: None,
     progress: Callable[[int, int], None] = lambda done, total: None,
-) -> SequenceAnswer:
+) -> StackingPosterior:
     """The probability of every sequence on the grid of a specimen's unknown angles, all equal beforehand.
 
     ``progress`` is told how many of how many pieces of the enumeration are done. The answer does not
@@ -76,26 +77,26 @@ def sequence_probabilities(
     frequencies or no unknown constants, or an unsymmetric layup with too many unknown angles to try each.
     """
     start = time.perf_counter()
-    task = sequence_task(specimen, seed, settings=settings, executor=executor, notify=notify)
+    problem = stacking_problem(specimen, seed, settings=settings, executor=executor, notify=notify)
     rng = np.random.default_rng([seed, 4])
-    if task.each_computed or task.sums is None:
-        answer = exhaustive(task, rng, notify)
+    if problem.each_computed or problem.sums is None:
+        answer = exhaustive(problem, rng, notify)
     else:
-        answer = learned(task, task.sums, rng, notify, progress)
-    if task.sums is not None:
-        answer = alike_merged(answer, task, task.sums)
+        answer = by_surrogate(problem, problem.sums, rng, notify, progress)
+    if problem.sums is not None:
+        answer = merge_indistinguishable(answer, problem, problem.sums)
     return replace(answer, seconds=time.perf_counter() - start)
 
 
-def sequence_task(
+def stacking_problem(
     specimen: Specimen,
     seed: int,
     *,
-    settings: SequenceSettings = DEFAULT_SETTINGS,
+    settings: StackingSettings = DEFAULT_SETTINGS,
     executor: Executor | None = None,
     notify: Callable[[str], None] = lambda text: None,
-) -> Task:
-    """What ``sequence_probabilities`` is to work on, its reduced model built; raises as that does."""
+) -> StackingProblem:
+    """What ``stacking_posterior`` is to work on, its reduced model built; raises as that does."""
     measurement, unknowns = required(specimen)
     layup = specimen.plate.layup
     if not layup.n_unknown:
@@ -107,29 +108,29 @@ def sequence_task(
     parameters = angle_parameters(specimen).union(unknowns)
     model = reduced_model(specimen, parameters, n_modes, notify=notify)
     error = np.asarray(np.hypot(model.full.error, REDUCTION.tolerance))
-    own = sequence_posterior(model, layup.n_unknown, measurement, error)
-    starts = common_starts(specimen, own)
-    library = scan_library(own, _LIBRARY, np.random.default_rng([seed, 8]))
+    conditional = conditional_posterior(model, layup.n_unknown, measurement, error)
+    starts = common_starts(specimen, conditional)
+    library = scan_library(conditional, _LIBRARY, np.random.default_rng([seed, 8]))
     symmetries = plate_symmetries(specimen)
-    return Task(specimen, own, symmetries, grid, sums, starts, library, settings, executor)
+    return StackingProblem(specimen, conditional, symmetries, grid, sums, starts, library, settings, executor)
 
 
-def common_starts(specimen: Specimen, own: SequencePosterior) -> Array:
+def common_starts(specimen: Specimen, conditional: ConditionalPosterior) -> Array:
     """Two starts of every climb, (2, n): the reference constants with little noise, the middle with much.
 
     Raises ``ValueError`` if neither meets the constraints (9).
     """
-    p = own.parameters
-    n = own.template.model.parameters.size
+    p = conditional.parameters
+    n = conditional.template.model.parameters.size
     starts = np.empty((2, p.size))
-    starts[0, :n] = reference_vector(specimen, own.template.model.parameters)
+    starts[0, :n] = reference_vector(specimen, conditional.template.model.parameters)
     starts[1, :n] = 0.5 * (p.lower[:n] + p.upper[:n])
-    if own.template.noise_is_inferred:
+    if conditional.template.noise_is_inferred:
         prior = p.parameters[-1].prior
         starts[0, -1], starts[1, -1] = (
             np.clip(share * prior.upper, prior.lower, prior.upper) for share in (0.05, 0.3)
         )
-    inside = np.isfinite(own.template.log_prior(starts))
+    inside = np.isfinite(conditional.template.log_prior(starts))
     if not inside.any():
         raise ValueError(
             f"{specimen.source}: neither the reference constants nor the middle of [unknowns] meet the "

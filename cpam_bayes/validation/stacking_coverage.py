@@ -25,9 +25,9 @@ from cpam_bayes.plate import Measurement, Specimen
 from cpam_bayes.plate.records import angle_grid
 from cpam_bayes.stacking.conditional.importance import importance_evidence
 from cpam_bayes.stacking.conditional.posterior import (
-    SequencePosterior,
-    fit_sequences,
-    sequence_posterior,
+    ConditionalPosterior,
+    conditional_posterior,
+    fit_conditionals,
 )
 from cpam_bayes.stacking.symmetry.classes import canonical
 from cpam_bayes.stacking.symmetry.symmetries import Symmetry, plate_symmetries
@@ -39,7 +39,7 @@ __all__ = [
     "CoverageSummary",
     "Trial",
     "randomised_place",
-    "sequence_coverage",
+    "stacking_coverage",
     "summarised",
 ]
 
@@ -127,7 +127,7 @@ class _Shared:
 
 
 @single_blas_thread
-def sequence_coverage(
+def stacking_coverage(
     specimen: Specimen,
     trials: int,
     seed: int,
@@ -197,12 +197,12 @@ def _shared(specimen: Specimen, settings: CoverageSettings, seed: int) -> _Share
 
 def _posterior(
     model: ReducedModel, n_angles: int, frequencies: Array, settings: CoverageSettings
-) -> SequencePosterior:
+) -> ConditionalPosterior:
     measurement = Measurement(
         frequencies, 0.0, settings.relative_std, None, ("",) * len(frequencies), complete=True
     )
     error = np.asarray(np.hypot(model.full.error, REDUCTION.tolerance))
-    return sequence_posterior(model, n_angles, measurement, error)
+    return conditional_posterior(model, n_angles, measurement, error)
 
 
 def _trial(shared: _Shared, number: int) -> Trial:
@@ -233,13 +233,13 @@ def _trial(shared: _Shared, number: int) -> Trial:
     )
 
 
-def _evidences(shared: _Shared, own: SequencePosterior) -> tuple[Array, Array]:
+def _evidences(shared: _Shared, own: ConditionalPosterior) -> tuple[Array, Array]:
     """Log evidence of every class and its standard error where it counts, (c,)."""
     settings, angles = shared.settings, shared.grid_deg[shared.classes]
     starts, misfit = _starts(shared, own)
     log_evidence, error = np.full(len(angles), -np.inf), np.zeros(len(angles))
     hopeful = np.flatnonzero(misfit <= max(settings.hopeless, 2.0 * float(misfit.min())))
-    fits = fit_sequences(own, angles[hopeful], starts[hopeful])
+    fits = fit_conditionals(own, angles[hopeful], starts[hopeful])
     log_evidence[hopeful] = fits.log_evidence
     near = np.flatnonzero(fits.log_evidence > fits.log_evidence.max() - settings.near)
     exact = importance_evidence(own, angles[hopeful[near]], fits[near], settings.log2_points)
@@ -247,7 +247,7 @@ def _evidences(shared: _Shared, own: SequencePosterior) -> tuple[Array, Array]:
     return log_evidence, error
 
 
-def _starts(shared: _Shared, own: SequencePosterior) -> tuple[Array, Array]:
+def _starts(shared: _Shared, own: ConditionalPosterior) -> tuple[Array, Array]:
     """Constants whose lists are most like the measured one, of every class (c, starts, n), and the misfit.
 
     Stiffnesses that are all multiplied by a^2 multiply all frequencies by a: each draw of the library

@@ -12,14 +12,14 @@ from cpam_bayes.forward_model.model import reference_vector
 from cpam_bayes.forward_model.reduced import ReductionSettings
 from cpam_bayes.forward_model.store import reduced_model
 from cpam_bayes.identification.angle_search import (
-    SequenceFit,
+    AngleSearchProblem,
     best_constants,
     fuzzy_problem,
     run_swarm,
     run_swarms,
-    search_sequence,
-    sequence_parameters,
-    sequence_starts,
+    search_angles,
+    search_parameters,
+    search_starts,
 )
 from cpam_bayes.inference.swarm.pso import SwarmSettings
 from cpam_bayes.plate import Specimen, builtin
@@ -44,13 +44,13 @@ def specimen() -> Specimen:
 
 
 @pytest.fixture(scope="module")
-def fit(specimen: Specimen) -> SequenceFit:
+def fit(specimen: Specimen) -> AngleSearchProblem:
     """C1 with two unknown angles, and the frequencies of its own layup and reference constants."""
     settings = ReductionSettings(training=24, checks=24, rounds=1)
-    model = reduced_model(specimen, sequence_parameters(specimen), 6, settings=settings)
+    model = reduced_model(specimen, search_parameters(specimen), 6, settings=settings)
     constants = reference_vector(specimen, specimen.unknowns)
     measured = model.predict(np.concatenate((constants, GRID[TRUTH]))).frequencies[0]
-    return SequenceFit(specimen, model, measured, GRID)
+    return AngleSearchProblem(specimen, model, measured, GRID)
 
 
 @pytest.fixture(scope="module")
@@ -59,9 +59,9 @@ def every() -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def enumerated(fit: SequenceFit, every: np.ndarray) -> np.ndarray:
+def enumerated(fit: AngleSearchProblem, every: np.ndarray) -> np.ndarray:
     """F of every sequence, its constants fitted."""
-    return best_constants(fit, every, sequence_starts(fit, 3)).values
+    return best_constants(fit, every, search_starts(fit, 3)).values
 
 
 def test_enumeration_finds_the_plates_own_sequence_and_its_images(
@@ -88,13 +88,15 @@ def test_classes_alone_need_to_be_enumerated(
         assert enumerated[place[row]] == pytest.approx(value, rel=0.05, abs=COARSE)
 
 
-def test_fitted_constants_are_the_true_ones(fit: SequenceFit, specimen: Specimen) -> None:
-    found = best_constants(fit, TRUTH[None], sequence_starts(fit, 3))
+def test_fitted_constants_are_the_true_ones(fit: AngleSearchProblem, specimen: Specimen) -> None:
+    found = best_constants(fit, TRUTH[None], search_starts(fit, 3))
     # F is settled to 1e-9 of itself
     assert_allclose(found.constants[0], reference_vector(specimen, specimen.unknowns), rtol=1e-4)
 
 
-def test_swarms_reach_the_minimum_that_enumeration_finds(fit: SequenceFit, enumerated: np.ndarray) -> None:
+def test_swarms_reach_the_minimum_that_enumeration_finds(
+    fit: AngleSearchProblem, enumerated: np.ndarray
+) -> None:
     results = run_swarms(fit, range(4), SwarmSettings(particles=30, iterations=80))
     reached = [r for r in results if r.value < COARSE]
     assert len(reached) >= 2, "of four seeds on sixteen sequences"
@@ -110,7 +112,7 @@ def test_swarms_reach_the_minimum_that_enumeration_finds(fit: SequenceFit, enume
         assert fit.admissible(result.best[None])[0]
 
 
-def test_swarms_of_several_seeds_are_the_swarms_of_each(fit: SequenceFit) -> None:
+def test_swarms_of_several_seeds_are_the_swarms_of_each(fit: AngleSearchProblem) -> None:
     settings = SwarmSettings(particles=6, iterations=4)
     for seed, result in zip((3, 1), run_swarms(fit, (3, 1), settings), strict=True):
         alone = run_swarm(fit, seed, settings)
@@ -118,9 +120,9 @@ def test_swarms_of_several_seeds_are_the_swarms_of_each(fit: SequenceFit) -> Non
         assert_array_equal(result.personal_sequences, alone.personal_sequences)
 
 
-def test_relative_residuals_weigh_modes_by_their_frequency(fit: SequenceFit) -> None:
+def test_relative_residuals_weigh_modes_by_their_frequency(fit: AngleSearchProblem) -> None:
     relative = replace(fit, residual="relative")
-    rows, constants = np.array([[0, 2]]), sequence_starts(fit, 1)
+    rows, constants = np.array([[0, 2]]), search_starts(fit, 1)
     f = fit.model.predict(np.hstack((constants, GRID[rows]))).frequencies[0]
     assert relative.values(constants, rows)[0] == pytest.approx(np.sum((f / fit.measured - 1.0) ** 2))
     found = best_constants(relative, rows, constants)
@@ -128,18 +130,18 @@ def test_relative_residuals_weigh_modes_by_their_frequency(fit: SequenceFit) -> 
     assert found.values[0] <= relative.values(constants, rows)[0]
 
 
-def test_the_start_of_a_fit_meets_the_constraints(fit: SequenceFit, specimen: Specimen) -> None:
-    starts = sequence_starts(fit, 5)
+def test_the_start_of_a_fit_meets_the_constraints(fit: AngleSearchProblem, specimen: Specimen) -> None:
+    starts = search_starts(fit, 5)
     assert starts.shape == (5, 4)
     assert fit.admissible(starts).all()
     assert_array_equal(starts[0], reference_vector(specimen, specimen.unknowns))
-    assert_array_equal(starts, sequence_starts(fit, 5))
+    assert_array_equal(starts, search_starts(fit, 5))
 
 
 @pytest.mark.parametrize("name", CASES)
 def test_a_case_of_table_9_is_a_problem_of_its_constants_and_angles(name: str) -> None:
     specimen = builtin(name, sequence=True)
-    parameters = sequence_parameters(specimen)
+    parameters = search_parameters(specimen)
     n = specimen.unknowns.size
     assert parameters.names[:n] == specimen.unknowns.names
     assert parameters.names[n:] == specimen.plate.layup.unknown_names
@@ -153,8 +155,8 @@ def test_a_built_in_case_is_searched_from_end_to_end(name: str) -> None:
     specimen = builtin(name, sequence=True)
     told: list[str] = []
     settings = SwarmSettings(particles=10, iterations=5)
-    found = search_sequence(specimen, 2, settings=settings, notify=told.append)
-    again = search_sequence(specimen, 2, settings=settings)
+    found = search_angles(specimen, 2, settings=settings, notify=told.append)
+    again = search_angles(specimen, 2, settings=settings)
     assert told
     assert (found.value, found.swarm.status) == (again.value, "budget")
     assert_array_equal(found.angles_deg, again.angles_deg)
@@ -168,7 +170,7 @@ def test_a_built_in_case_is_searched_from_end_to_end(name: str) -> None:
 
 
 def test_a_fuzzy_problem_has_the_bounds_and_grid_of_the_specimen(
-    fit: SequenceFit, specimen: Specimen
+    fit: AngleSearchProblem, specimen: Specimen
 ) -> None:
     own = fuzzy_problem(fit)
     assert_array_equal(own.lower, specimen.unknowns.lower)
@@ -178,7 +180,7 @@ def test_a_fuzzy_problem_has_the_bounds_and_grid_of_the_specimen(
 
 def test_what_cannot_be_searched_is_refused() -> None:
     with pytest.raises(ValueError, match=r'known layup \[\(0/90\)_8\]_s, accepted: one with "\?" plies'):
-        search_sequence(builtin("C1"), 0)
+        search_angles(builtin("C1"), 0)
     specimen = builtin("C1", sequence=True)
     with pytest.raises(ValueError, match=r"\[measurement\] is missing"):
-        search_sequence(replace(specimen, measurement=None), 0)
+        search_angles(replace(specimen, measurement=None), 0)

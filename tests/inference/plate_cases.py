@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from cpam_bayes.forward_model.model import plate_problem, reference_vector
-from cpam_bayes.identification.angle_search import sequence_parameters
+from cpam_bayes.identification.angle_search import search_parameters
 from cpam_bayes.mechanics.affine import discretise_at
 from cpam_bayes.mechanics.modes import solve
 from cpam_bayes.mechanics.spaces.ritz import RitzSettings, ritz_space
@@ -34,7 +34,7 @@ def unknown_plate(
 
 def frequencies(specimen: Specimen, angles_deg: np.ndarray) -> np.ndarray:
     """Frequencies of the full model for each row of angles (m, n_unknown), (m, N_MODES) Hz."""
-    parameters = sequence_parameters(specimen)
+    parameters = search_parameters(specimen)
     constants = reference_vector(specimen, specimen.unknowns)
     x = np.hstack((np.tile(constants, (len(angles_deg), 1)), angles_deg))
     problem = plate_problem(specimen, parameters)

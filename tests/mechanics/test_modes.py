@@ -381,15 +381,15 @@ def test_in_plane_modes_of_a_thick_simply_supported_plate_are_named_so() -> None
     assert in_plane["v(1,0)"].frequency == pytest.approx(speed / 0.6, rel=1e-6)
     assert in_plane["u(0,1)"].frequency == pytest.approx(speed / 0.4, rel=1e-6)
     for mode in found:  # a symmetric layup does not mix the two
-        assert mode.in_plane_share == pytest.approx(round(mode.in_plane_share), abs=1e-12)
-        assert mode.kind == ("in-plane" if mode.in_plane_share > 0.5 else "bending")
+        assert mode.in_plane_fraction == pytest.approx(round(mode.in_plane_fraction), abs=1e-12)
+        assert mode.kind == ("in-plane" if mode.in_plane_fraction > 0.5 else "bending")
 
 
 def test_thick_unsymmetric_laminate_has_coupled_modes() -> None:
     found = described(plate(0.1, 0.1, 0.04, 1600.0, CARBON, (0.0, 90.0), "FFFF"), 14)
     coupled = [mode for mode in found if mode.kind == "coupled"]
     assert coupled
-    assert all(0.1 <= mode.in_plane_share <= 0.9 for mode in coupled)
+    assert all(0.1 <= mode.in_plane_fraction <= 0.9 for mode in coupled)
 
 
 def test_free_square_has_its_saddle_and_its_pair() -> None:

@@ -17,7 +17,7 @@ from cpam_bayes.parallel import open_executor
 from cpam_bayes.plate import Specimen, read_specimen
 from cpam_bayes.repetition import study as study_module
 from cpam_bayes.repetition import tasks as noise_tasks
-from cpam_bayes.repetition.perturbation import READINGS, Reading, disorder_sd
+from cpam_bayes.repetition.perturbation import INTERPRETATIONS, Interpretation, perturbation_sd
 from cpam_bayes.repetition.study import Sensitivity, model_list, sensitivity
 from cpam_bayes.repetition.tasks import (
     POSTERIOR,
@@ -46,21 +46,21 @@ def shared() -> Shared:
     )
 
 
-def inversion(shared: Shared, level: float, reading: Reading, group: int) -> Inversion:
+def inversion(shared: Shared, level: float, reading: Interpretation, group: int) -> Inversion:
     found = work(shared, Task(level, reading, group))
     assert isinstance(found, Inversion)
     return found
 
 
-def posterior(shared: Shared, level: float, reading: Reading) -> PosteriorSummary:
+def posterior(shared: Shared, level: float, reading: Interpretation) -> PosteriorSummary:
     found = work(shared, Task(level, reading, POSTERIOR))
     assert isinstance(found, PosteriorSummary)
     return found
 
 
-@pytest.mark.parametrize("reading", READINGS)
+@pytest.mark.parametrize("reading", INTERPRETATIONS)
 def test_an_inversion_finds_the_least_squares_solution_of_its_noisy_list(
-    shared: Shared, reading: Reading
+    shared: Shared, reading: Interpretation
 ) -> None:
     for group in range(3):
         found = inversion(shared, 0.01, reading, group)
@@ -138,7 +138,7 @@ def test_groups_levels_and_readings_have_noise_of_their_own(shared: Shared) -> N
     tasks = [(0.01, "relative", 0), (0.01, "relative", 1), (0.01, "rms", 0), (0.02, "relative", 0)]
     lists = [inversion(shared, *task) for task in tasks]  # type: ignore[arg-type]
     scaled = [
-        (one.frequencies - EXACT) / disorder_sd(EXACT, level, reading)  # type: ignore[arg-type]
+        (one.frequencies - EXACT) / perturbation_sd(EXACT, level, reading)  # type: ignore[arg-type]
         for one, (level, reading, _) in zip(lists, tasks, strict=True)
     ]
     for i, one in enumerate(scaled):
@@ -146,10 +146,10 @@ def test_groups_levels_and_readings_have_noise_of_their_own(shared: Shared) -> N
             assert np.all(np.abs(one - other) > 1e-3)
 
 
-@pytest.mark.parametrize("reading", READINGS)
-def test_the_posterior_is_that_of_the_list_without_noise(shared: Shared, reading: Reading) -> None:
+@pytest.mark.parametrize("reading", INTERPRETATIONS)
+def test_the_posterior_is_that_of_the_list_without_noise(shared: Shared, reading: Interpretation) -> None:
     found = posterior(shared, 0.01, reading)
-    weighted = SLOPE_HZ / disorder_sd(EXACT, 0.01, reading)[:, None]
+    weighted = SLOPE_HZ / perturbation_sd(EXACT, 0.01, reading)[:, None]
     exact = np.sqrt(np.diag(np.linalg.inv(weighted.T @ weighted)))
     assert found.converged
     # 1000 effective draws: a mean to 0.032 sd, an sd to 2.2 %; four of these
@@ -163,7 +163,7 @@ def test_the_posterior_is_that_of_the_list_without_noise(shared: Shared, reading
 
 def test_spreads_to_first_order_are_those_of_both_estimators(shared: Shared) -> None:
     found = posterior(shared, 0.001, "relative")
-    sd = disorder_sd(EXACT, 0.001, "relative")
+    sd = perturbation_sd(EXACT, 0.001, "relative")
     weighted = SLOPE_HZ / sd[:, None]
     likelihood = np.sqrt(np.diag(np.linalg.inv(weighted.T @ weighted)))
     inverse = np.linalg.inv(SLOPE_HZ.T @ SLOPE_HZ)

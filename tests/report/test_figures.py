@@ -55,7 +55,7 @@ def test_every_mode_is_drawn_with_kind_label_and_frequency(forward_answer):
 @pytest.mark.parametrize("share", [0.0, 1.0])
 def test_in_plane_modes_and_modes_of_one_sign_are_drawn_too(forward_answer, share, tmp_path):
     ramp = np.add.outer(np.linspace(0, 1, 41), np.linspace(0, 1, 41))
-    mode = replace(forward_answer.modes[0], in_plane_share=share)
+    mode = replace(forward_answer.modes[0], in_plane_fraction=share)
     shape = ModeShape(ramp, -ramp, ramp)
     answer = replace(forward_answer, modes=(mode,), shapes=(shape,), error=np.array([1e-5]))
     assert len(written(mode_figures(answer), tmp_path / "figures")["modes.png"]) > 1000

@@ -9,8 +9,8 @@ from cpam_bayes.forward_model.model import angle_parameters, reference_vector
 from cpam_bayes.forward_model.store import reduced_model
 from cpam_bayes.plate import Measurement, Specimen, builtin
 from cpam_bayes.plate.layup import parse_layup
-from cpam_bayes.stacking.mixture import SequenceMixture, mixture_posterior
-from cpam_bayes.stacking.posterior import SequenceAnswer, SequenceSettings, sequence_probabilities
+from cpam_bayes.stacking.mixture import StackingMixture, sample_mixture
+from cpam_bayes.stacking.posterior import StackingPosterior, StackingSettings, stacking_posterior
 
 TRUE = (30.0, -60.0)
 STEP = 30.0
@@ -34,16 +34,16 @@ def specimen(layup: str = "[?/?]_s", step: float = STEP) -> Specimen:
 
 
 @cache
-def answer() -> SequenceAnswer:
-    settings = SequenceSettings(draws=60, listed=36, log2_points=9)
-    return sequence_probabilities(specimen(), 0, settings=settings)
+def answer() -> StackingPosterior:
+    settings = StackingSettings(draws=60, listed=36, log2_points=9)
+    return stacking_posterior(specimen(), 0, settings=settings)
 
 
 @cache
-def mixture() -> SequenceMixture:
-    return mixture_posterior(answer(), 0)
+def mixture() -> StackingMixture:
+    return sample_mixture(answer(), 0)
 
 
-def shortened(n: int) -> SequenceAnswer:
+def shortened(n: int) -> StackingPosterior:
     """The answer with a list of its first n classes only."""
     return answer().listing(np.arange(n))

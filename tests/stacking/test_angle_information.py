@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cpam_bayes.plate.layup import parse_layup
-from cpam_bayes.stacking.queries.angle_information import angle_information, bending_shares, entropies
+from cpam_bayes.stacking.queries.angle_information import angle_information, bending_fractions, entropies
 from tests.stacking.cases import answer
 
 
@@ -15,9 +15,9 @@ def test_entropy_is_zero_for_a_known_angle_and_the_log_of_the_grid_for_an_open_o
 
 def test_plies_weigh_in_bending_as_their_second_moments() -> None:
     # two plies on either side of the middle: 1 - (1/2)^3 outside, (1/2)^3 inside
-    np.testing.assert_allclose(bending_shares(parse_layup("[?/?]_s")), [7 / 8, 1 / 8], rtol=1e-12)
+    np.testing.assert_allclose(bending_fractions(parse_layup("[?/?]_s")), [7 / 8, 1 / 8], rtol=1e-12)
     # a known ply in the middle of three: 1 - (2/3)^3 and (1/3)^3
-    np.testing.assert_allclose(bending_shares(parse_layup("[?/0/?]_s")), [19 / 27, 1 / 27], rtol=1e-12)
+    np.testing.assert_allclose(bending_fractions(parse_layup("[?/0/?]_s")), [19 / 27, 1 / 27], rtol=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -9,15 +9,19 @@ from cpam_bayes.plate.laminate import laminate_geometry
 from cpam_bayes.plate.layup import parse_layup
 from cpam_bayes.plate.records import angle_grid
 from cpam_bayes.stacking.enumeration.best_first import (
-    Enumerator,
+    Enumeration,
+    combined,
     enumerate_prefixes,
     prefixes_to_visit,
-    together,
     values_of_prefix,
 )
 from cpam_bayes.stacking.features import PlySums, ply_sums
-from cpam_bayes.stacking.surrogate.gaussian_process import fit_map
-from cpam_bayes.stacking.surrogate.piecewise_linear import EvidenceTable, build_table, log_evidence
+from cpam_bayes.stacking.surrogate.gaussian_process import fit_gaussian_process
+from cpam_bayes.stacking.surrogate.piecewise_linear import (
+    PiecewiseLinearSurrogate,
+    log_evidence,
+    piecewise_linear_surrogate,
+)
 
 GRID = angle_grid(20.0)
 # of this grid a right angle is a multiple
@@ -51,12 +55,14 @@ def enumerator(
     mirrored: bool = True,
     threshold: float = np.inf,
     freedom: float = np.inf,
-) -> Enumerator:
-    table = build_table(tangent, sums.rest_reach, 0.0, -floor, halvings=2, slack=0.6, freedom=freedom)
+) -> Enumeration:
+    table = piecewise_linear_surrogate(
+        tangent, sums.rest_reach, 0.0, -floor, halvings=2, slack=0.6, freedom=freedom
+    )
     negation = np.array(
         [int(np.flatnonzero(np.isclose((a + b) % 180.0, 0.0))[0]) for a in GRID for b in [GRID]]
     )
-    return Enumerator(table, sums, 0.0, negation if mirrored else None, threshold)
+    return Enumeration(table, sums, 0.0, negation if mirrored else None, threshold)
 
 
 @pytest.fixture(scope="module")
@@ -136,7 +142,7 @@ def test_sums_over_all_sequences_are_those_of_a_loop(sums: PlySums, mirrored: bo
 @pytest.mark.parametrize(("freedom", "floor"), [(np.inf, -6.0), (6.0, -3.0)])
 def test_what_is_left_out_lies_below_the_floor(sums: PlySums, freedom: float, floor: float) -> None:
     sequences, value = everything(sums, freedom)
-    table: EvidenceTable = enumerator(sums, floor, freedom=freedom).table
+    table: PiecewiseLinearSurrogate = enumerator(sums, floor, freedom=freedom).table
     outside = table.lookup(sums.features(sequences)[:, :4]) < 0
     assert outside.any()
     assert value[outside].max() < floor
@@ -146,7 +152,7 @@ def test_what_is_left_out_lies_below_the_floor(sums: PlySums, freedom: float, fl
 def test_the_list_holds_all_above_the_threshold_and_the_sums_all_below(sums: PlySums, mirrored: bool) -> None:
     sequences, value = everything(sums)
     own = enumerator(sums, -12.0, mirrored, threshold=-2.0)
-    piece = together([enumerate_prefixes(own, p) for p in np.array_split(prefixes_to_visit(own), 3)])
+    piece = combined([enumerate_prefixes(own, p) for p in np.array_split(prefixes_to_visit(own), 3)])
     high = value >= -2.0
     assert piece.times.sum() == high.sum()
     np.testing.assert_allclose(piece.log_evidence, surface(sums.features(piece.listed)), atol=1e-4)
@@ -179,7 +185,7 @@ def wave(x: np.ndarray) -> np.ndarray:
 def test_the_smooth_map_learns_a_smooth_function_and_its_slope() -> None:
     rng = np.random.default_rng(0)
     x, new = rng.uniform(-1, 1, (200, 2)), rng.uniform(-0.9, 0.9, (40, 2))
-    found = fit_map(x, wave(x), rng)
+    found = fit_gaussian_process(x, wave(x), rng)
     np.testing.assert_allclose(found.values(new), wave(new), atol=2e-3)
     value, slope = found.expansion(new)
     np.testing.assert_allclose(value, found.values(new), atol=1e-12)
@@ -194,7 +200,7 @@ def test_a_mirrored_map_is_even_and_learns_from_half_the_plane() -> None:
     rng = np.random.default_rng(0)
     x, new = rng.uniform(0, 1, (120, 2)), rng.uniform(0.05, 0.95, (40, 2))
     signs = np.array([1.0, -1.0])
-    found = fit_map(x, wave(x), rng, np.array([np.ones(2), signs]))
+    found = fit_gaussian_process(x, wave(x), rng, np.array([np.ones(2), signs]))
     np.testing.assert_allclose(found.values(new * signs), found.values(new), atol=1e-12)
     np.testing.assert_allclose(found.values(new * signs), wave(new), atol=5e-3)
     slope = found.expansion(new)[1]

@@ -11,7 +11,7 @@ from cpam_bayes.plate import Specimen, builtin
 from cpam_bayes.plate.layup import parse_layup
 from cpam_bayes.plate.records import angle_grid
 from cpam_bayes.stacking.features import ply_sums
-from cpam_bayes.stacking.posterior import SequenceAnswer, SequenceSettings, sequence_probabilities
+from cpam_bayes.stacking.posterior import StackingPosterior, StackingSettings, stacking_posterior
 from cpam_bayes.stacking.symmetry.equal_bending import equal_bending
 
 # 6^3 - 5^3 + 2^3 - 1^3 = 5^3 - 3^3: the first and the fifth ply weigh as much as the second and the third.
@@ -38,9 +38,9 @@ def specimen(layup: str = LAYUP, thickness: float = 1.0) -> Specimen:
 
 
 @cache
-def answer(thickness: float) -> SequenceAnswer:
-    settings = SequenceSettings(draws=40, listed=40, log2_points=7)
-    return sequence_probabilities(specimen(thickness=thickness), 0, settings=settings)
+def answer(thickness: float) -> StackingPosterior:
+    settings = StackingSettings(draws=40, listed=40, log2_points=7)
+    return stacking_posterior(specimen(thickness=thickness), 0, settings=settings)
 
 
 @pytest.mark.parametrize(("layup", "step"), [("[?/?/?/?/?/?]_s", 30.0), (LAYUP, 15.0), ("[?/?]_s", 15.0)])
@@ -62,7 +62,7 @@ def test_what_is_found_is_what_a_look_at_all_finds(layup: str, step: float) -> N
         assert len(equal_bending(sums, asked[:1])[0]) > 1
 
 
-def row_of(found: SequenceAnswer, angles: list[float]) -> int:
+def row_of(found: StackingPosterior, angles: list[float]) -> int:
     grid = found.grid_deg.tolist()
     return int(found.classes_of(np.array([[grid.index(a) for a in angles]]))[0])
 

@@ -10,7 +10,7 @@ from cpam_bayes.stacking.conditional.importance import (
     RefinementSettings,
     importance_evidence,
 )
-from cpam_bayes.stacking.conditional.posterior import SequenceFits
+from cpam_bayes.stacking.conditional.posterior import ConditionalFits
 
 N = 3
 LOG_Z = np.array([0.0, -7.0, 3.0])
@@ -49,13 +49,13 @@ class Known:
         return SimpleNamespace(log_prob=log_prob)
 
 
-def fits(centre: float, sd: float) -> SequenceFits:
+def fits(centre: float, sd: float) -> ConditionalFits:
     """Optima of three sequences at ``centre``, with a standard deviation; one of two counts."""
     m = len(LOG_Z)
     optima = np.full((m, 2, N), centre)
     weight = np.tile([1.0, 0.0], (m, 1))
     curvature = np.broadcast_to(np.eye(N) / sd**2, (m, 2, N, N))
-    return SequenceFits(LOG_Z, optima[:, 0], np.zeros((m, 1)), optima, weight, curvature)
+    return ConditionalFits(LOG_Z, optima[:, 0], np.zeros((m, 1)), optima, weight, curvature)
 
 
 ANGLES = np.arange(3.0)[:, None]

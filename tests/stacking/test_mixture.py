@@ -9,11 +9,11 @@ from cpam_bayes.parallel import open_executor
 from cpam_bayes.stacking.mixture import (
     DEFAULT_SETTINGS,
     MixtureSettings,
-    mixture_posterior,
-    sampled_classes,
+    n_sampled_classes,
+    sample_mixture,
 )
 from cpam_bayes.stacking.mixture import _combined as combined
-from cpam_bayes.stacking.queries.given_layup import given_sequence
+from cpam_bayes.stacking.queries.given_layup import given_layup
 from cpam_bayes.stacking.symmetry.classes import members
 from tests.stacking.cases import answer, mixture, shortened
 
@@ -25,16 +25,16 @@ ONE = MixtureSettings(most=1)
 def test_classes_are_sampled_until_they_hold_the_share_or_are_too_many() -> None:
     own = answer()
     mass = own.probability * own.multiplicity
-    n = sampled_classes(own)
+    n = n_sampled_classes(own)
     assert mass[:n].sum() >= 0.99 > mass[: n - 1].sum()
-    assert sampled_classes(own, ONE) == 1
-    assert sampled_classes(own, replace(DEFAULT_SETTINGS, share=1.0 + 1e-9, most=100)) == len(own.top)
+    assert n_sampled_classes(own, ONE) == 1
+    assert n_sampled_classes(own, replace(DEFAULT_SETTINGS, share=1.0 + 1e-9, most=100)) == len(own.top)
 
 
 def test_emcee_and_importance_sampling_agree_on_every_component() -> None:
     found = mixture()
     assert found.converged
-    assert len(found.components) == sampled_classes(answer())
+    assert len(found.components) == n_sampled_classes(answer())
     # the largest of 8 normal scores of a component, of three components: 4 is exceeded once in 600 times
     assert max(c.worst_z for c in found.components) < 4.0
     for c in found.components:
@@ -53,8 +53,8 @@ def test_each_class_has_as_many_draws_as_its_probability_says() -> None:
     for i, share in enumerate(own.probability * own.multiplicity):
         # systematic resampling: the number that is due, rounded up or down
         assert abs(np.sum(found.origin == i) - size * share) <= 1.0 + 1e-6 * size
-    assert found.emcee_share + found.listed_share + found.drawn_share == pytest.approx(1.0)
-    assert found.by_emcee.mean() == pytest.approx(found.emcee_share, abs=1.0 / size)
+    assert found.emcee_fraction + found.listed_fraction + found.drawn_fraction == pytest.approx(1.0)
+    assert found.by_emcee.mean() == pytest.approx(found.emcee_fraction, abs=1.0 / size)
 
 
 def test_all_images_of_a_class_are_drawn_alike() -> None:
@@ -87,8 +87,8 @@ def test_what_is_neither_sampled_nor_listed_is_drawn() -> None:
     own = shortened(1)
     found = combined(own, mixture().components[:1], None, 4000, np.random.default_rng(0), 0.0)
     rest = 1.0 - float((own.probability * own.multiplicity)[0])
-    assert found.drawn_share == pytest.approx(rest, rel=1e-9)
-    assert found.listed_share == 0.0
+    assert found.drawn_fraction == pytest.approx(rest, rel=1e-9)
+    assert found.listed_fraction == 0.0
     unlisted = found.angles_deg[found.origin == -1]
     assert len(unlisted) == pytest.approx(4000 * rest, abs=1.0)
     first = own.grid_deg[members(own.components.sequences[0], own.symmetries)]
@@ -98,7 +98,7 @@ def test_what_is_neither_sampled_nor_listed_is_drawn() -> None:
 def test_what_is_listed_and_not_sampled_has_its_importance_draws() -> None:
     own = answer()
     found = combined(own, mixture().components[:1], None, 4000, np.random.default_rng(0), 0.0)
-    assert found.listed_share == pytest.approx(1.0 - found.emcee_share)
+    assert found.listed_fraction == pytest.approx(1.0 - found.emcee_fraction)
     kept = own.components.conditionals.draws[1]
     for x in found.parameters[found.origin == 1]:
         assert np.any(np.all(kept == x, axis=1))
@@ -106,8 +106,8 @@ def test_what_is_listed_and_not_sampled_has_its_importance_draws() -> None:
 
 def test_a_sequence_that_is_asked_for_is_sampled_too() -> None:
     own = answer()
-    third = given_sequence(own, own.top[2])
-    found = mixture_posterior(own, 0, given=third, settings=ONE)
+    third = given_layup(own, own.top[2])
+    found = sample_mixture(own, 0, given=third, settings=ONE)
     assert found.given is not None
     assert found.given.index == 2
     assert len(found.components) == 1
@@ -124,10 +124,10 @@ def test_the_same_seed_gives_the_same_draws_whoever_computes_them() -> None:
         proposal=replace(ONE.proposal, rounds=1, draws=200),
         points=200,
     )
-    alone = mixture_posterior(own, 0, settings=short)
+    alone = sample_mixture(own, 0, settings=short)
     with open_executor("processes", 2) as executor:
-        shared = mixture_posterior(own, 0, settings=short, executor=executor)
+        shared = sample_mixture(own, 0, settings=short, executor=executor)
     np.testing.assert_array_equal(shared.parameters, alone.parameters)
     np.testing.assert_array_equal(shared.angles_deg, alone.angles_deg)
-    other = mixture_posterior(own, 1, settings=short)
+    other = sample_mixture(own, 1, settings=short)
     assert not np.array_equal(other.parameters, alone.parameters)

@@ -21,24 +21,24 @@ from cpam_bayes.stacking.conditional import importance as sequence_importance
 from cpam_bayes.stacking.conditional.evaluation import locate, neighbours
 from cpam_bayes.stacking.conditional.importance import RefinementSettings, importance_evidence
 from cpam_bayes.stacking.conditional.posterior import (
-    SequencePosterior,
-    fit_sequences,
-    sequence_posterior,
+    ConditionalPosterior,
+    conditional_posterior,
+    fit_conditionals,
 )
-from cpam_bayes.stacking.enumeration.by_surrogate import learning_of, noisier_seeds
+from cpam_bayes.stacking.enumeration.by_surrogate import noisier_seeds, training_problem
 from cpam_bayes.stacking.posterior import (
     DEFAULT_SETTINGS,
-    SequenceAnswer,
-    SequenceSettings,
+    StackingPosterior,
+    StackingSettings,
     common_starts,
-    sequence_probabilities,
-    sequence_task,
+    stacking_posterior,
+    stacking_problem,
 )
-from cpam_bayes.stacking.surrogate.training import LearningSettings, learn
+from cpam_bayes.stacking.surrogate.training import TrainingSettings, train
 from cpam_bayes.stacking.symmetry.classes import members
 
 TRUE = (30.0, -60.0)
-QUICK = SequenceSettings(draws=50, listed=72, log2_points=7)
+QUICK = StackingSettings(draws=50, listed=72, log2_points=7)
 
 
 def specimen_with(layup: str, frequencies: np.ndarray, relative_std: float | None, step: float) -> Specimen:
@@ -63,11 +63,11 @@ def specimen() -> Specimen:
 
 
 @pytest.fixture(scope="module")
-def answer(specimen: Specimen) -> SequenceAnswer:
-    return sequence_probabilities(specimen, 0, settings=QUICK)
+def answer(specimen: Specimen) -> StackingPosterior:
+    return stacking_posterior(specimen, 0, settings=QUICK)
 
 
-def distribution(answer: SequenceAnswer) -> dict[tuple[float, ...], float]:
+def distribution(answer: StackingPosterior) -> dict[tuple[float, ...], float]:
     """Probability of every sequence that is listed, images included: mirror images alone here."""
     found = {}
     for angles, p in zip(answer.top, answer.probability, strict=True):
@@ -76,7 +76,7 @@ def distribution(answer: SequenceAnswer) -> dict[tuple[float, ...], float]:
     return found
 
 
-def test_probabilities_and_marginals_add_up(answer: SequenceAnswer) -> None:
+def test_probabilities_and_marginals_add_up(answer: StackingPosterior) -> None:
     assert answer.enumerated == 12**2
     assert answer.classes is not None
     assert answer.unaccounted == 0.0
@@ -85,14 +85,14 @@ def test_probabilities_and_marginals_add_up(answer: SequenceAnswer) -> None:
     assert float(np.sum(answer.probability * answer.multiplicity)) <= 1.0 + 1e-12
 
 
-def test_the_true_sequence_is_in_the_credible_set_of_a_clean_list(answer: SequenceAnswer) -> None:
+def test_the_true_sequence_is_in_the_credible_set_of_a_clean_list(answer: StackingPosterior) -> None:
     p = distribution(answer)
     more = sum(q for q in p.values() if q > p[TRUE] * (1 + 1e-9))
     assert more < 0.95
     assert p[TRUE] == p[(-30.0, 60.0)]
 
 
-def test_marginals_are_those_of_the_sequences(answer: SequenceAnswer) -> None:
+def test_marginals_are_those_of_the_sequences(answer: StackingPosterior) -> None:
     whole = distribution(answer)
     left = 1.0 - sum(whole.values())
     for j in range(2):
@@ -115,10 +115,10 @@ def test_the_evidence_of_a_sequence_is_that_of_the_known_layup(relative_std: flo
     specimen = listed("[(?/?)_2]_s", TRUE, relative_std)
     assert specimen.measurement is not None
     model = reduced_model(specimen, angle_parameters(specimen).union(specimen.unknowns), 6)
-    own = sequence_posterior(model, 2, specimen.measurement, np.full(6, 1e-4))
+    own = conditional_posterior(model, 2, specimen.measurement, np.full(6, 1e-4))
     start = np.concatenate((reference_vector(specimen, specimen.unknowns), [0.01] * (relative_std is None)))
     angles = np.array([TRUE, (45.0, 0.0)])
-    fits = fit_sequences(own, angles, start[None])
+    fits = fit_conditionals(own, angles, start[None])
     found = importance_evidence(own, angles, fits, 12)
     for i, row in enumerate(angles):
         posterior = known_layup(specimen, tuple(row))
@@ -132,28 +132,28 @@ def test_the_evidence_of_a_sequence_is_that_of_the_known_layup(relative_std: flo
 FORCED = replace(
     QUICK,
     exhaustive=0,
-    learning=LearningSettings(first=60, each_round=40, most=160, log2_points=5),
+    learning=TrainingSettings(first=60, each_round=40, most=160, log2_points=5),
 )
 
 
 @pytest.fixture(scope="module")
-def learned(specimen: Specimen) -> SequenceAnswer:
-    return sequence_probabilities(specimen, 0, settings=FORCED)
+def surrogate(specimen: Specimen) -> StackingPosterior:
+    return stacking_posterior(specimen, 0, settings=FORCED)
 
 
 @pytest.mark.slow
 def test_the_learned_way_gives_the_distribution_of_brute_force(
-    answer: SequenceAnswer, learned: SequenceAnswer
+    answer: StackingPosterior, surrogate: StackingPosterior
 ) -> None:
-    assert learned.check is not None
+    assert surrogate.check is not None
     assert answer.check is None
-    p, q = distribution(answer), distribution(learned)
+    p, q = distribution(answer), distribution(surrogate)
     # two lists of 72 classes, which are all of the 12^2 sequences here
     distance = 0.5 * sum(abs(p.get(s, 0.0) - q.get(s, 0.0)) for s in set(p) | set(q))
     assert distance <= 0.01
-    np.testing.assert_allclose(learned.marginals, answer.marginals, atol=0.01)
-    assert learned.log_evidence_total == pytest.approx(answer.log_evidence_total, abs=0.02)
-    assert learned.unaccounted <= DEFAULT_SETTINGS.unaccounted
+    np.testing.assert_allclose(surrogate.marginals, answer.marginals, atol=0.01)
+    assert surrogate.log_evidence_total == pytest.approx(answer.log_evidence_total, abs=0.02)
+    assert surrogate.unaccounted <= DEFAULT_SETTINGS.unaccounted
 
 
 @pytest.mark.slow
@@ -163,10 +163,10 @@ def test_of_1296_sequences_pruned_and_learned_the_distribution_is_that_of_brute_
 ) -> None:
     specimen = listed("[(?/?)_2]_s", TRUE, relative_std, step=5.0)
     every = replace(QUICK, listed=700, log2_points=6)
-    learning = LearningSettings(first=100, each_round=60, most=340, log2_points=6)
+    learning = TrainingSettings(first=100, each_round=60, most=340, log2_points=6)
     pruned = replace(every, exhaustive=0, learning=learning, listed=20)
-    exact = sequence_probabilities(specimen, 0, settings=every)
-    found = sequence_probabilities(specimen, 0, settings=pruned)
+    exact = stacking_posterior(specimen, 0, settings=every)
+    found = stacking_posterior(specimen, 0, settings=pruned)
     p, q = distribution(exact), distribution(found)
     assert sum(p.values()) == pytest.approx(1.0, abs=1e-9)
     # of those that are listed with their probability, and of the rest as a whole
@@ -182,44 +182,44 @@ def test_of_1296_sequences_pruned_and_learned_the_distribution_is_that_of_brute_
 
 @pytest.mark.slow
 def test_the_learned_way_does_not_depend_on_the_number_of_workers(
-    specimen: Specimen, learned: SequenceAnswer
+    specimen: Specimen, surrogate: StackingPosterior
 ) -> None:
     with open_executor(None, 2) as executor:
-        again = sequence_probabilities(specimen, 0, settings=FORCED, executor=executor)
-    np.testing.assert_array_equal(again.probability, learned.probability)
-    np.testing.assert_array_equal(again.marginals, learned.marginals)
-    np.testing.assert_array_equal(again.drawn.conditionals.draws, learned.drawn.conditionals.draws)
+        again = stacking_posterior(specimen, 0, settings=FORCED, executor=executor)
+    np.testing.assert_array_equal(again.probability, surrogate.probability)
+    np.testing.assert_array_equal(again.marginals, surrogate.marginals)
+    np.testing.assert_array_equal(again.drawn.conditionals.draws, surrogate.drawn.conditionals.draws)
 
 
 @pytest.mark.slow
 def test_what_would_be_good_with_more_noise_leads_to_a_truth_that_few_sequences_do_not_show() -> None:
     layup, truth, step = "[(?/?/?)_2]_s", (30.0, -60.0, 10.0), 10.0
-    few = LearningSettings(first=100, explorations=2, each_round=60, most=400, log2_points=4)
+    few = TrainingSettings(first=100, explorations=2, each_round=60, most=400, log2_points=4)
     settings = replace(QUICK, exhaustive=0, learning=few)
-    task = sequence_task(listed(layup, truth, 0.001, step), 0, settings=settings)
-    assert task.sums is not None
-    seeds = noisier_seeds(task, task.sums, np.random.default_rng(0), lambda text: None)
+    problem = stacking_problem(listed(layup, truth, 0.001, step), 0, settings=settings)
+    assert problem.sums is not None
+    seeds = noisier_seeds(problem, problem.sums, np.random.default_rng(0), lambda text: None)
     assert seeds is not None
-    true = members(np.searchsorted(task.grid_deg, truth), task.symmetries)
-    problem = learning_of(task, task.sums)
-    for known, found in ((seeds, True), (None, False)):
-        best = learn(problem, np.random.default_rng(0), lambda text: None, known)
+    true = members(np.searchsorted(problem.grid_deg, truth), problem.symmetries)
+    training = training_problem(problem, problem.sums)
+    for start, found in ((seeds, True), (None, False)):
+        best = train(training, np.random.default_rng(0), lambda text: None, start)
         first = best.data.sequences[best.data.log_evidence.argmax()]
         assert np.any(np.all(true == first, axis=1)) == found, "of 5832 sequences, 400 are looked at"
-    noisy = sequence_task(listed(layup, truth, 0.01, step), 0, settings=settings)
-    assert noisier_seeds(noisy, task.sums, np.random.default_rng(0), lambda text: None) is None
+    noisy = stacking_problem(listed(layup, truth, 0.01, step), 0, settings=settings)
+    assert noisier_seeds(noisy, problem.sums, np.random.default_rng(0), lambda text: None) is None
 
 
 @pytest.fixture(scope="module")
-def own(specimen: Specimen) -> SequencePosterior:
+def own(specimen: Specimen) -> ConditionalPosterior:
     assert specimen.measurement is not None
     model = reduced_model(specimen, angle_parameters(specimen).union(specimen.unknowns), 6)
-    return sequence_posterior(model, 2, specimen.measurement, np.full(6, 1e-4))
+    return conditional_posterior(model, 2, specimen.measurement, np.full(6, 1e-4))
 
 
 @pytest.mark.slow
 def test_fits_from_neighbours_agree_with_fits_from_many_starts(
-    specimen: Specimen, own: SequencePosterior
+    specimen: Specimen, own: ConditionalPosterior
 ) -> None:
     grid = np.arange(-85.0, 95.0, 5.0)
     sequences = np.array([(i, j) for i in range(21, 27) for j in range(3, 9)])
@@ -227,7 +227,7 @@ def test_fits_from_neighbours_agree_with_fits_from_many_starts(
     common = common_starts(specimen, own)
     many = own.parameters.sample(rng, 40)
     many = np.concatenate((common, many[np.isfinite(own.template.log_prior(many))][:8]))
-    exact = fit_sequences(own, grid[sequences], many)
+    exact = fit_conditionals(own, grid[sequences], many)
     known = np.arange(0, len(sequences), 3)
     features = np.stack(
         [np.cos(np.deg2rad(2.0 * grid[sequences])), np.sin(np.deg2rad(2.0 * grid[sequences]))]
@@ -244,7 +244,9 @@ def test_fits_from_neighbours_agree_with_fits_from_many_starts(
     assert miss.max() <= np.log(2.0)  # a climb repeated from two starts may count both optima
 
 
-def test_a_focused_model_has_the_frequencies_of_the_whole_with_fewer_vectors(own: SequencePosterior) -> None:
+def test_a_focused_model_has_the_frequencies_of_the_whole_with_fewer_vectors(
+    own: ConditionalPosterior,
+) -> None:
     rng = np.random.default_rng(0)
     centre = np.concatenate((TRUE, common_starts(builtin("C1"), own)[0][:4]))
     x = centre * (1.0 + 0.05 * rng.uniform(-1.0, 1.0, (300, 6)))
@@ -259,7 +261,7 @@ def test_a_focused_model_has_the_frequencies_of_the_whole_with_fewer_vectors(own
     assert np.all(near.error(x[250:]) >= ratio - 1.0)
 
 
-def test_a_focus_with_a_finer_tolerance_has_more_vectors(own: SequencePosterior) -> None:
+def test_a_focus_with_a_finer_tolerance_has_more_vectors(own: ConditionalPosterior) -> None:
     rng = np.random.default_rng(0)
     x = training_sets(own.model.full.operator.problem, 100, rng)
     sizes = [
@@ -269,7 +271,7 @@ def test_a_focus_with_a_finer_tolerance_has_more_vectors(own: SequencePosterior)
     assert sizes[0] < sizes[1]
 
 
-def test_a_focus_within_a_tolerance_for_most_frequencies_has_fewer_vectors(own: SequencePosterior) -> None:
+def test_a_focus_within_a_tolerance_for_most_frequencies_has_fewer_vectors(own: ConditionalPosterior) -> None:
     rng = np.random.default_rng(0)
     x = training_sets(own.model.full.operator.problem, 100, rng)
     every, most = (focused(own.model, x, 2e-3, share) for share in (1.0, 0.9))
@@ -282,10 +284,10 @@ def test_a_focus_within_a_tolerance_for_most_frequencies_has_fewer_vectors(own: 
 
 
 def test_unsure_evidences_are_those_of_the_whole_model_on_bases_of_their_own(
-    specimen: Specimen, own: SequencePosterior, monkeypatch: pytest.MonkeyPatch
+    specimen: Specimen, own: ConditionalPosterior, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     angles = np.array([TRUE, (45.0, 15.0), (-75.0, 0.0)])
-    fits = fit_sequences(own, angles, common_starts(specimen, own))
+    fits = fit_conditionals(own, angles, common_starts(specimen, own))
     sizes: list[int] = []
 
     def counted(model: ReducedModel, x: np.ndarray, tolerance: float) -> ReducedModel:
@@ -305,15 +307,15 @@ def test_unsure_evidences_are_those_of_the_whole_model_on_bases_of_their_own(
     np.testing.assert_allclose(narrow.mean, whole.mean, rtol=0.01)
 
 
-def test_the_answer_is_the_same_bit_for_bit_again(specimen: Specimen, answer: SequenceAnswer) -> None:
-    again = sequence_probabilities(specimen, 0, settings=QUICK)
+def test_the_answer_is_the_same_bit_for_bit_again(specimen: Specimen, answer: StackingPosterior) -> None:
+    again = stacking_posterior(specimen, 0, settings=QUICK)
     np.testing.assert_array_equal(again.probability, answer.probability)
     np.testing.assert_array_equal(again.drawn.conditionals.draws, answer.drawn.conditionals.draws)
 
 
 def test_a_known_layup_is_refused() -> None:
     with pytest.raises(ValueError, match="no unknown angle"):
-        sequence_probabilities(builtin("C1"), 0)
+        stacking_posterior(builtin("C1"), 0)
 
 
 def scores_of(*priors: Uniform | TruncatedNormal | ScaledStudentT) -> Posterior:

@@ -12,17 +12,17 @@ ANGLES = np.array([TRUE, (60.0, 0.0)])
 
 @cache
 def library() -> np.ndarray:
-    return scan_library(answer().own, 40, np.random.default_rng(0))
+    return scan_library(answer().conditional, 40, np.random.default_rng(0))
 
 
 def test_a_library_is_within_the_prior() -> None:
-    own = answer().own
+    own = answer().conditional
     assert library().shape == (40, own.template.model.parameters.size)
     assert np.all(np.isfinite(own.template.log_prior(library())))
 
 
 def test_starts_are_within_the_bounds_and_ordered_by_misfit() -> None:
-    own = answer().own
+    own = answer().conditional
     starts = scanned_starts(own, ANGLES, library(), 5)
     assert starts.shape == (2, 5, own.parameters.size)
     assert np.all((starts >= own.parameters.lower) & (starts <= own.parameters.upper))
@@ -34,7 +34,7 @@ def test_starts_are_within_the_bounds_and_ordered_by_misfit() -> None:
 
 
 def test_a_member_counts_with_the_factor_on_its_stiffnesses_that_suits_the_list() -> None:
-    own = answer().own
+    own = answer().conditional
     n = own.template.model.parameters.size
     truth = answer().components.fits.x[0, :n]
     angles = answer().top[:1]

@@ -7,7 +7,7 @@ from cpam_bayes.validation.stacking_coverage import (
     CoverageSettings,
     Trial,
     randomised_place,
-    sequence_coverage,
+    stacking_coverage,
     summarised,
 )
 from tests.stacking.cases import specimen
@@ -50,12 +50,12 @@ def test_probabilities_that_are_too_sure_do_not_pass() -> None:
 @pytest.mark.slow
 def test_sets_of_simulated_plates_hold_the_true_sequence() -> None:
     settings = CoverageSettings(library=400, log2_points=7)
-    found = sequence_coverage(specimen(), 24, 0, settings=settings)
+    found = stacking_coverage(specimen(), 24, 0, settings=settings)
     assert [t.number for t in found] == list(range(24))
     assert summarised(found).passes
     # and not because they hold everything: uniform places, half of them in the smaller half
     assert summarised(found, 0.5).passes
     assert summarised(found).p_uniform > 0.01
     np.testing.assert_array_less([t.set_size for t in found], 36)
-    again = sequence_coverage(specimen(), 2, 0, settings=settings)
+    again = stacking_coverage(specimen(), 2, 0, settings=settings)
     assert again == found[:2]

@@ -100,7 +100,7 @@ def _draw_plate(
         if row.mode is None or row.number is None:
             below.set_title("no mode", fontsize=7)
             continue
-        _draw_shape(below, shapes[row.number - 1], aspect, edges, row.mode.in_plane_share > 0.5)
+        _draw_shape(below, shapes[row.number - 1], aspect, edges, row.mode.in_plane_fraction > 0.5)
         label = row.mode.label
         if plain.mode is not None and plain.number != row.number:
             label = f"not {plain.mode.label}\n{label}"

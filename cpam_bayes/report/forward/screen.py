@@ -122,7 +122,7 @@ def forward_document(result: ForwardAnswer, seed: int, warnings: tuple[str, ...]
                 "frequency_hz": mode.frequency,
                 "kind": mode.kind,
                 "label": mode.label,
-                "in_plane_share": mode.in_plane_share,
+                "in_plane_share": mode.in_plane_fraction,
                 "relative_error_estimate": float(error),
                 "measured_hz": measured,
             }

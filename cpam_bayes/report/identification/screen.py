@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from cpam_bayes.formatting import decimals_of, fixed, signed, significant, with_spread
-from cpam_bayes.identification.angle_search import FoundSequence
+from cpam_bayes.identification.angle_search import AngleSearchResult
 from cpam_bayes.identification.point import Identification
 from cpam_bayes.plate import to_user
 from cpam_bayes.report.identification.words import noise_sentence, verdict_sentences
@@ -29,7 +29,7 @@ def identification_screen(
     residual: str,
     seed: int,
     warnings: tuple[str, ...],
-    found: FoundSequence | None = None,
+    found: AngleSearchResult | None = None,
 ) -> tuple[Table, ...]:
     """Plate, constants, what to believe of them, frequencies, and how they were found.
 
@@ -48,7 +48,7 @@ def identification_screen(
     )
 
 
-def _angles(found: FoundSequence) -> Table:
+def _angles(found: AngleSearchResult) -> Table:
     rows = (
         ("layup", f"{found.specimen.plate.layup.text} asked for"),
         ("unknown", "/".join(f"{a:g}" for a in found.angles_deg) + ", found by the fuzzy swarm"),

@@ -6,9 +6,9 @@ import math
 from typing import Any, Final
 
 from cpam_bayes.formatting import fixed, signed, significant, with_spread
-from cpam_bayes.paper import DisorderTable, contradictions
+from cpam_bayes.paper import PerturbationTable, contradictions
 from cpam_bayes.plate import to_user, user_name
-from cpam_bayes.repetition.perturbation import Reading
+from cpam_bayes.repetition.perturbation import Interpretation
 from cpam_bayes.repetition.study import Cell, Sensitivity
 from cpam_bayes.report.documents import plate_keys
 from cpam_bayes.report.plates import plate_head, unit_of
@@ -24,14 +24,14 @@ from cpam_bayes.report.tables import Column, Table, facts, remarks
 
 __all__ = ["sensitivity_document", "sensitivity_screen"]
 
-READING_WORDS: Final[dict[Reading, str]] = {
+READING_WORDS: Final[dict[Interpretation, str]] = {
     "relative": "each mode has its own standard deviation, the level times its frequency",
     "rms": "all modes have one standard deviation, the level times the root mean square frequency",
 }
 
 
 def sensitivity_document(
-    result: Sensitivity, seed: int, table: DisorderTable | None, warnings: tuple[str, ...]
+    result: Sensitivity, seed: int, table: PerturbationTable | None, warnings: tuple[str, ...]
 ) -> dict[str, Any]:
     """The JSON document of `sensitivity`; `constants` of a level are those of its first reading."""
     measurement = result.without_noise.specimen.measurement
@@ -73,7 +73,7 @@ def sensitivity_document(
     }
 
 
-def _cell_keys(result: Sensitivity, cell: Cell, table: DisorderTable | None) -> dict[str, Any]:
+def _cell_keys(result: Sensitivity, cell: Cell, table: PerturbationTable | None) -> dict[str, Any]:
     rep, post = cell.repetition, cell.posterior
     constants = {}
     for i, c in enumerate(result.without_noise.constants):
@@ -116,7 +116,7 @@ def _cell_keys(result: Sensitivity, cell: Cell, table: DisorderTable | None) -> 
     }
 
 
-def _paper_keys(table: DisorderTable) -> dict[str, Any]:
+def _paper_keys(table: PerturbationTable) -> dict[str, Any]:
     return {
         "table": table.number,
         "angles_deg": [list(angles) for angles in table.angles_deg],
@@ -133,7 +133,7 @@ def _paper_keys(table: DisorderTable) -> dict[str, Any]:
 
 
 def sensitivity_screen(
-    result: Sensitivity, seed: int, table: DisorderTable | None, warnings: tuple[str, ...]
+    result: Sensitivity, seed: int, table: PerturbationTable | None, warnings: tuple[str, ...]
 ) -> tuple[Table, ...]:
     """Plate, what was done, one table for each level and reading, why both differ, the paper."""
     return (
@@ -176,7 +176,7 @@ def _study(result: Sensitivity, seed: int) -> Table:
     return facts("Study", tuple(rows))
 
 
-def _cell_table(result: Sensitivity, cell: Cell, table: DisorderTable | None) -> Table:
+def _cell_table(result: Sensitivity, cell: Cell, table: PerturbationTable | None) -> Table:
     headings = ("no noise", "repetition", "sd", "error %", "se %")
     after = ("posterior", "sd", "sd ratio")
     printed = table is not None and level_percent(cell.level) in table.levels_percent

@@ -6,7 +6,7 @@ import numpy as np
 
 from cpam_bayes.formatting import fixed, significant
 from cpam_bayes.forward_model.model import reference_constants
-from cpam_bayes.paper import DisorderTable, contradictions
+from cpam_bayes.paper import PerturbationTable, contradictions
 from cpam_bayes.plate import user_name
 from cpam_bayes.priors import TruncatedNormal
 from cpam_bayes.repetition.agreement import Cause
@@ -29,7 +29,7 @@ _FOUND_AGAIN = 1e-2
 _PAPER_GROUPS = 10
 
 
-def printed_table(result: Sensitivity, table: DisorderTable | None) -> DisorderTable | None:
+def printed_table(result: Sensitivity, table: PerturbationTable | None) -> PerturbationTable | None:
     """The paper's table if it is of this built-in specimen: a file of the same name is another plate."""
     if table is None or result.specimen.source != f"built-in {table.specimen}":
         return None
@@ -119,7 +119,7 @@ def level_percent(level: float) -> float:
     return round(100.0 * level, 10)
 
 
-def printed_percent(name: str, cell: Cell, table: DisorderTable | None) -> float | None:
+def printed_percent(name: str, cell: Cell, table: PerturbationTable | None) -> float | None:
     """The paper's percentage for a constant at this level, where it has one."""
     return None if table is None else table.percent_error(user_name(name), level_percent(cell.level))
 
@@ -182,7 +182,7 @@ def _reason(result: Sensitivity, cell: Cell, i: int, cause: Cause) -> str:
     return values[cause]
 
 
-def beside_paper(result: Sensitivity, table: DisorderTable | None) -> tuple[str, ...]:
+def beside_paper(result: Sensitivity, table: PerturbationTable | None) -> tuple[str, ...]:
     """What the printed percentages mean beside the scatter of a mean of ten, and what is odd about them."""
     if table is None:
         return ()

@@ -12,8 +12,8 @@ from cpam_bayes import __version__
 from cpam_bayes.inference.ensemble import problem_hash
 from cpam_bayes.plate import to_user, user_name
 from cpam_bayes.report.plates import unit_of
-from cpam_bayes.stacking.mixture import SequenceMixture
-from cpam_bayes.stacking.posterior import SequenceAnswer
+from cpam_bayes.stacking.mixture import StackingMixture
+from cpam_bayes.stacking.posterior import StackingPosterior
 
 __all__ = ["sequence_inference_data", "write_sequence_posterior"]
 
@@ -22,7 +22,7 @@ _LIBRARIES = ("numpy", "scipy", "emcee")
 EMCEE, IMPORTANCE = "emcee", "importance sampling"
 
 
-def sequence_inference_data(result: SequenceAnswer, mixture: SequenceMixture, seed: int) -> Any:
+def sequence_inference_data(result: StackingPosterior, mixture: StackingMixture, seed: int) -> Any:
     """The mixture as ``arviz.InferenceData``.
 
     Groups: posterior, one chain of equally probable draws in no order: the constants by the names and
@@ -41,14 +41,14 @@ def sequence_inference_data(result: SequenceAnswer, mixture: SequenceMixture, se
         return _inference_data(result, mixture, seed)
 
 
-def _inference_data(result: SequenceAnswer, mixture: SequenceMixture, seed: int) -> Any:
+def _inference_data(result: StackingPosterior, mixture: StackingMixture, seed: int) -> Any:
     import arviz
 
-    names = result.own.parameters.names
+    names = result.conditional.parameters.names
     posterior = {
         user_name(name): mixture.parameters[None, :, i] * to_user(name, 1.0) for i, name in enumerate(names)
     }
-    frequencies = result.own.template.measurement.frequencies
+    frequencies = result.conditional.template.measurement.frequencies
     data = arviz.from_dict(
         posterior={
             **posterior,
@@ -76,7 +76,7 @@ def _inference_data(result: SequenceAnswer, mixture: SequenceMixture, seed: int)
             },
         },
         coords={
-            "ply": np.arange(1, result.own.n_angles + 1),
+            "ply": np.arange(1, result.conditional.n_angles + 1),
             "mode": np.arange(1, len(frequencies) + 1),
             "sequence": np.arange(1, len(result.top) + 1),
             "angle": result.grid_deg,
@@ -91,8 +91,8 @@ def _inference_data(result: SequenceAnswer, mixture: SequenceMixture, seed: int)
     return data
 
 
-def _attributes(result: SequenceAnswer, mixture: SequenceMixture, seed: int) -> dict[str, Any]:
-    own = result.own.at(result.top[:1])
+def _attributes(result: StackingPosterior, mixture: StackingMixture, seed: int) -> dict[str, Any]:
+    own = result.conditional.at(result.top[:1])
     centre = np.array([[p.prior.mean for p in own.parameters.parameters]])
     return {
         "cpam_bayes_version": __version__,
@@ -107,14 +107,14 @@ def _attributes(result: SequenceAnswer, mixture: SequenceMixture, seed: int) -> 
         "effective_count": result.effective_count,
         "unaccounted_probability": result.unaccounted,
         "log_evidence": result.log_evidence_total,
-        "probability_by_emcee": mixture.emcee_share,
-        "probability_by_importance_sampling": mixture.listed_share,
-        "probability_by_drawn_sequences": mixture.drawn_share,
+        "probability_by_emcee": mixture.emcee_fraction,
+        "probability_by_importance_sampling": mixture.listed_fraction,
+        "probability_by_drawn_sequences": mixture.drawn_fraction,
     }
 
 
 def write_sequence_posterior(
-    result: SequenceAnswer, mixture: SequenceMixture, seed: int, directory: Path
+    result: StackingPosterior, mixture: StackingMixture, seed: int, directory: Path
 ) -> None:
     """Write posterior.nc, which plain arviz opens with ``arviz.from_netcdf``."""
     sequence_inference_data(result, mixture, seed).to_netcdf(str(directory / "posterior.nc"))

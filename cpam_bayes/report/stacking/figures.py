@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from cpam_bayes.inference.posterior import NOISE
 from cpam_bayes.plate import to_user
 from cpam_bayes.report.plates import unit_of
-from cpam_bayes.stacking.mixture import SequenceMixture
-from cpam_bayes.stacking.posterior import CREDIBLE, SequenceAnswer
+from cpam_bayes.stacking.mixture import StackingMixture
+from cpam_bayes.stacking.posterior import CREDIBLE, StackingPosterior
 from cpam_bayes.stacking.queries.angle_information import angle_information
-from cpam_bayes.stacking.queries.given_layup import GivenSequence
+from cpam_bayes.stacking.queries.given_layup import GivenLayup
 
 if TYPE_CHECKING:
     from cpam_bayes.report.answer import Figures
@@ -30,7 +30,7 @@ _POINTS, _TAIL = 300, 0.001
 
 
 def sequence_figures(
-    result: SequenceAnswer, mixture: SequenceMixture, given: GivenSequence | None
+    result: StackingPosterior, mixture: StackingMixture, given: GivenLayup | None
 ) -> Figures:
     """The heat map of the angles, the credible set, the constants; given : the printed sequence."""
     name = result.specimen.name
@@ -41,7 +41,7 @@ def sequence_figures(
     }
 
 
-def angle_map(result: SequenceAnswer, given: GivenSequence | None = None) -> Figure:
+def angle_map(result: StackingPosterior, given: GivenLayup | None = None) -> Figure:
     """Probability of each angle for each unknown, from the bottom; entropies at the right."""
     k = len(result.marginals)
     information = angle_information(result.specimen.plate.layup, result.marginals)
@@ -71,7 +71,7 @@ def _counted(n: int) -> str:
     return f"{n} sequence" + ("s" if n != 1 else "")
 
 
-def credible_set(result: SequenceAnswer, given: GivenSequence | None = None) -> Figure:
+def credible_set(result: StackingPosterior, given: GivenLayup | None = None) -> Figure:
     """Angles and probabilities of the most probable sequences, and what sets of them hold."""
     mass, k = result.probability * result.multiplicity, result.top.shape[1]
     n = int(np.clip(np.searchsorted(np.cumsum(mass), _MATTERS) + 1, _FEWEST, _SHOWN))
@@ -129,10 +129,10 @@ def _draw_angles(axes: Axes, angles: NDArray[Any]) -> None:
 
 
 def constants_over_sequences(
-    result: SequenceAnswer, mixture: SequenceMixture, given: GivenSequence | None = None
+    result: StackingPosterior, mixture: StackingMixture, given: GivenLayup | None = None
 ) -> Figure:
     """Each constant's density over all sequences beside those given single sequences."""
-    own = result.own.parameters
+    own = result.conditional.parameters
     chosen = [i for i, name in enumerate(own.names) if name != NOISE]
     columns = min(len(chosen), 4)
     rows = -(-len(chosen) // columns)

@@ -14,11 +14,11 @@ from cpam_bayes.plate import Specimen, to_user, user_name
 from cpam_bayes.report.documents import plate_keys
 from cpam_bayes.report.plates import air_text, plate_head
 from cpam_bayes.report.tables import Column, Table, facts, remarks
-from cpam_bayes.stacking.mixture import SampledComponent, SequenceMixture
-from cpam_bayes.stacking.posterior import OVERLOOKED, SequenceAnswer
+from cpam_bayes.stacking.mixture import SampledComponent, StackingMixture
+from cpam_bayes.stacking.posterior import OVERLOOKED, StackingPosterior
 from cpam_bayes.stacking.queries.angle_information import AngleInformation, angle_information
-from cpam_bayes.stacking.queries.best_fit import SequenceListFit, fit_of_the_first
-from cpam_bayes.stacking.queries.given_layup import GivenSequence
+from cpam_bayes.stacking.queries.best_fit import BestFit, best_fit
+from cpam_bayes.stacking.queries.given_layup import GivenLayup
 
 __all__ = ["outer_and_inner", "sequence_document", "sequence_screen", "sequence_warnings"]
 
@@ -37,9 +37,9 @@ _UNEXPLAINED, _NOISY = 1e-3, 0.05
 _DISAGREE = 5.0
 
 
-def sequence_warnings(result: SequenceAnswer, mixture: SequenceMixture) -> tuple[str, ...]:
+def sequence_warnings(result: StackingPosterior, mixture: StackingMixture) -> tuple[str, ...]:
     """Everything that is a reason not to trust the probabilities as they stand."""
-    found = list(_misfits(result, fit_of_the_first(result)))
+    found = list(_misfits(result, best_fit(result)))
     if result.specimen.plate.sd:
         found.append("[plate.sd] is not counted with: sizes, density and mass are taken as exact")
     check = result.check
@@ -79,10 +79,10 @@ def sequence_warnings(result: SequenceAnswer, mixture: SequenceMixture) -> tuple
     return tuple(found)
 
 
-def _misfits(result: SequenceAnswer, fit: SequenceListFit) -> tuple[str, ...]:
+def _misfits(result: StackingPosterior, fit: BestFit) -> tuple[str, ...]:
     """What the fit of the most probable sequence says against all of them."""
     found = []
-    measurement = result.own.template.measurement
+    measurement = result.conditional.template.measurement
     advice = "check the list, the plate and the bounds, or ask `diagnose` with a layup that you believe in"
     if measurement.complete:
         advice = f"a mode may be missing (complete = false); {advice}"
@@ -97,7 +97,7 @@ def _misfits(result: SequenceAnswer, fit: SequenceListFit) -> tuple[str, ...]:
             f"{alone} of the {len(fit.predicted)} frequencies belong to no mode of the most probable "
             f"sequence; {advice}"
         )
-    if result.own.template.noise_is_inferred and fit.noise > _NOISY:
+    if result.conditional.template.noise_is_inferred and fit.noise > _NOISY:
         found.append(
             f"no sequence explains the list well: the noise inferred is {100 * fit.noise:.2g} %; {advice}"
         )
@@ -108,15 +108,15 @@ def _misfits(result: SequenceAnswer, fit: SequenceListFit) -> tuple[str, ...]:
 
 
 def sequence_document(
-    result: SequenceAnswer,
-    mixture: SequenceMixture,
-    given: GivenSequence | None,
+    result: StackingPosterior,
+    mixture: StackingMixture,
+    given: GivenLayup | None,
     seed: int,
     top: int,
     warnings: tuple[str, ...],
 ) -> dict[str, Any]:
     """The JSON document of `sequence`; given : the sequence printed for a specimen of the paper."""
-    check, fit = result.check, fit_of_the_first(result)
+    check, fit = result.check, best_fit(result)
     information = angle_information(result.specimen.plate.layup, result.marginals)
     return {
         **plate_keys("sequence", result.specimen, seed),
@@ -137,9 +137,9 @@ def sequence_document(
         "mixture": {
             "draws": len(mixture.parameters),
             "sampled_by_emcee": len(mixture.components),
-            "probability_by_emcee": mixture.emcee_share,
-            "probability_by_importance_sampling": mixture.listed_share,
-            "probability_by_drawn_sequences": mixture.drawn_share,
+            "probability_by_emcee": mixture.emcee_fraction,
+            "probability_by_importance_sampling": mixture.listed_fraction,
+            "probability_by_drawn_sequences": mixture.drawn_fraction,
             "converged": mixture.converged,
             "worst_difference_in_standard_errors": max((c.worst_z for c in mixture.sampled), default=None),
             "seconds": mixture.seconds,
@@ -148,12 +148,12 @@ def sequence_document(
         "missed_modes": [{"predicted_hz": float(f)} for f in fit.missed],
         "p_value": fit.p_value,
         "noise_percent": 100.0 * fit.noise,
-        "noise_inferred": result.own.template.noise_is_inferred,
+        "noise_inferred": result.conditional.template.noise_is_inferred,
         "printed_sequence": None if given is None else _given(result, mixture, given),
         "learned": None
         if check is None
         else {
-            "from_sequences": check.learned_from,
+            "from_sequences": check.training_size,
             "rms_error_nats": check.rms,
             "largest_error_nats": check.largest,
             "overlooked_nats": check.overlooked,
@@ -166,7 +166,7 @@ def sequence_document(
     }
 
 
-def _sequence(result: SequenceAnswer, mixture: SequenceMixture, i: int) -> dict[str, Any]:
+def _sequence(result: StackingPosterior, mixture: StackingMixture, i: int) -> dict[str, Any]:
     if i < len(mixture.components):
         mean, sd, by = mixture.components[i].chains.mean, mixture.components[i].chains.sd, "emcee"
     else:
@@ -185,15 +185,15 @@ def _sequence(result: SequenceAnswer, mixture: SequenceMixture, i: int) -> dict[
     }
 
 
-def _by_name(result: SequenceAnswer, values: NDArray[Any]) -> dict[str, float]:
+def _by_name(result: StackingPosterior, values: NDArray[Any]) -> dict[str, float]:
     return {
         user_name(name): to_user(name, float(v))
-        for name, v in zip(result.own.parameters.names, values, strict=True)
+        for name, v in zip(result.conditional.parameters.names, values, strict=True)
         if name != NOISE
     }
 
 
-def _given(result: SequenceAnswer, mixture: SequenceMixture, given: GivenSequence) -> dict[str, Any]:
+def _given(result: StackingPosterior, mixture: StackingMixture, given: GivenLayup) -> dict[str, Any]:
     own = mixture.given
     return {
         "angles_deg": given.angles_deg.tolist(),
@@ -206,10 +206,10 @@ def _given(result: SequenceAnswer, mixture: SequenceMixture, given: GivenSequenc
     }
 
 
-def _constants(result: SequenceAnswer, mixture: SequenceMixture) -> dict[str, dict[str, float]]:
+def _constants(result: StackingPosterior, mixture: StackingMixture) -> dict[str, dict[str, float]]:
     """Mean, sd and quantiles of the constants over the mixture's draws."""
     found = {}
-    for i, name in enumerate(result.own.parameters.names):
+    for i, name in enumerate(result.conditional.parameters.names):
         if name == NOISE:
             continue
         x = mixture.parameters[:, i] * to_user(name, 1.0)
@@ -224,15 +224,15 @@ def _constants(result: SequenceAnswer, mixture: SequenceMixture) -> dict[str, di
 
 
 def sequence_screen(
-    result: SequenceAnswer,
-    mixture: SequenceMixture,
-    given: GivenSequence | None,
+    result: StackingPosterior,
+    mixture: StackingMixture,
+    given: GivenLayup | None,
     seed: int,
     warnings: tuple[str, ...],
 ) -> tuple[Table, ...]:
     """Plate, the most probable sequences, plies, constants, how it was done."""
     information = angle_information(result.specimen.plate.layup, result.marginals)
-    fit = fit_of_the_first(result)
+    fit = best_fit(result)
     return (
         plate_head(f"sequence {result.specimen.name}", result.specimen, air_text(_most_probable(result))),
         _sequences(result),
@@ -245,13 +245,13 @@ def sequence_screen(
     )
 
 
-def _most_probable(result: SequenceAnswer) -> Specimen:
+def _most_probable(result: StackingPosterior) -> Specimen:
     """The specimen with the most probable angles."""
     plate = result.specimen.plate
     return replace(result.specimen, plate=replace(plate, layup=plate.layup.with_angles(result.top[0])))
 
 
-def _sequences(result: SequenceAnswer) -> Table:
+def _sequences(result: StackingPosterior) -> Table:
     columns = (
         Column("rank", number=True),
         Column("unknown angles"),
@@ -276,7 +276,7 @@ def _sequences(result: SequenceAnswer) -> Table:
     return Table("Most probable sequences, those that no frequency tells apart merged", columns, tuple(rows))
 
 
-def _plies(result: SequenceAnswer, information: AngleInformation) -> Table:
+def _plies(result: StackingPosterior, information: AngleInformation) -> Table:
     columns = (
         Column("unknown", number=True),
         Column("most probable angles and their probability"),
@@ -289,7 +289,7 @@ def _plies(result: SequenceAnswer, information: AngleInformation) -> Table:
         order = np.argsort(-p, kind="stable")
         needed = int(np.searchsorted(np.cumsum(p[order]), 0.95)) + 1
         best = ", ".join(f"{result.grid_deg[a]:g} ({p[a]:.2f})" for a in order[:4] if p[a] >= _SHOWN_SHARE)
-        bits, share = information.entropy_bits[j], information.bending_share[j]
+        bits, share = information.entropy_bits[j], information.bending_fraction[j]
         rows.append((str(j + 1), best, f"{needed} of {len(p)}", f"{abs(bits):.2f}", f"{100 * share:.1f}"))
     return Table("Angle by angle, from the bottom", columns, tuple(rows))
 
@@ -309,9 +309,9 @@ def outer_and_inner(information: AngleInformation) -> str:
     )
 
 
-def _fit(result: SequenceAnswer, fit: SequenceListFit) -> tuple[Table, ...]:
+def _fit(result: StackingPosterior, fit: BestFit) -> tuple[Table, ...]:
     """The list beside the most probable sequence, and what of its modes the list lacks."""
-    measured = result.own.template.measurement.frequencies
+    measured = result.conditional.template.measurement.frequencies
     columns = tuple(Column(h, number=True) for h in ("measured Hz", "predicted Hz", "residual %"))
     decimals = decimals_of(measured)
     rows = tuple(
@@ -327,10 +327,10 @@ def _fit(result: SequenceAnswer, fit: SequenceListFit) -> tuple[Table, ...]:
     )
 
 
-def _noise(result: SequenceAnswer, fit: SequenceListFit) -> str:
+def _noise(result: StackingPosterior, fit: BestFit) -> str:
     """What noise the probabilities stand on, and how well the first sequence fits with it."""
     level = f"{significant(100 * fit.noise, 2)} % of a frequency"
-    if result.own.template.noise_is_inferred:
+    if result.conditional.template.noise_is_inferred:
         return f"{level}, inferred, given the most probable sequence"
     said = f"{level}, from the plate file"
     if fit.p_value is None:
@@ -338,8 +338,8 @@ def _noise(result: SequenceAnswer, fit: SequenceListFit) -> str:
     return f"{said}; alone it leaves residuals like these or larger with probability {fit.p_value:.2g}"
 
 
-def _frequencies_document(result: SequenceAnswer, fit: SequenceListFit) -> list[dict[str, float | None]]:
-    measured = result.own.template.measurement.frequencies
+def _frequencies_document(result: StackingPosterior, fit: BestFit) -> list[dict[str, float | None]]:
+    measured = result.conditional.template.measurement.frequencies
     return [
         {
             "measured_hz": float(f),
@@ -350,7 +350,7 @@ def _frequencies_document(result: SequenceAnswer, fit: SequenceListFit) -> list[
     ]
 
 
-def _mixture(result: SequenceAnswer, mixture: SequenceMixture, given: GivenSequence | None) -> Table:
+def _mixture(result: StackingPosterior, mixture: StackingMixture, given: GivenLayup | None) -> Table:
     first: SampledComponent | None = mixture.components[0] if mixture.components else None
     columns = (
         Column("name"),
@@ -363,7 +363,7 @@ def _mixture(result: SequenceAnswer, mixture: SequenceMixture, given: GivenSeque
     )
     rows = []
     reference = result.specimen.material.constants
-    for i, name in enumerate(result.own.parameters.names):
+    for i, name in enumerate(result.conditional.parameters.names):
         if name == NOISE:
             continue
         unit = to_user(name, 1.0)
@@ -380,11 +380,11 @@ def _mixture(result: SequenceAnswer, mixture: SequenceMixture, given: GivenSeque
 
 
 def _work(
-    result: SequenceAnswer,
-    mixture: SequenceMixture,
-    given: GivenSequence | None,
+    result: StackingPosterior,
+    mixture: StackingMixture,
+    given: GivenLayup | None,
     seed: int,
-    fit: SequenceListFit,
+    fit: BestFit,
 ) -> Table:
     images = ", ".join(s.name for s in result.symmetries) or "none"
     rows = [
@@ -399,8 +399,8 @@ def _work(
         ("left out", f"{result.unaccounted:.1g} of the probability at most"),
         (
             "constants",
-            f"emcee on the first {len(mixture.components)} of the list, {100 * mixture.emcee_share:.1f} % of "
-            "the probability; importance sampling on the rest",
+            f"emcee on the first {len(mixture.components)} of the list, "
+            f"{100 * mixture.emcee_fraction:.1f} % of the probability; importance sampling on the rest",
         ),
     ]
     if result.check is not None:
@@ -408,7 +408,7 @@ def _work(
         rows.append(
             (
                 "learned",
-                f"from {c.learned_from} sequences; off by {c.rms:.2f} (rms) and {c.largest:.2f} (most) in "
+                f"from {c.training_size} sequences; off by {c.rms:.2f} (rms) and {c.largest:.2f} (most) in "
                 "log evidence on draws from the result, which correct its sum",
             )
         )
@@ -418,7 +418,7 @@ def _work(
     return facts("All sequences", tuple(rows))
 
 
-def _printed(result: SequenceAnswer, given: GivenSequence | None) -> tuple[tuple[str, str], ...]:
+def _printed(result: StackingPosterior, given: GivenLayup | None) -> tuple[tuple[str, str], ...]:
     """The sequence printed for a specimen of the paper among all."""
     if given is None:
         return ()
@@ -427,7 +427,7 @@ def _printed(result: SequenceAnswer, given: GivenSequence | None) -> tuple[tuple
     return (("printed", f"{angles}: probability {given.probability:.3g}, {place}"),)
 
 
-def _same_bending(result: SequenceAnswer) -> tuple[tuple[str, str], ...]:
+def _same_bending(result: StackingPosterior) -> tuple[tuple[str, str], ...]:
     """Listed sequences that share their bending stiffness with others that are no images of them."""
     several = [i for i, others in enumerate(result.same_bending) if len(others)]
     if not several:

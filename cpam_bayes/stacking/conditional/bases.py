@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from cpam_bayes.forward_model.focused import focused
 from cpam_bayes.forward_model.model import training_sets
 from cpam_bayes.stacking.conditional.evaluation import Evaluated
-from cpam_bayes.stacking.conditional.posterior import SequencePosterior
+from cpam_bayes.stacking.conditional.posterior import ConditionalPosterior
 
 Array = NDArray[Any]
 
@@ -28,7 +28,7 @@ _BOX_SHARE, _NEAR_SHARE = 0.3, 0.05
 _LEAST_NOISE = 0.01
 
 
-def roughly(own: SequencePosterior, rng: np.random.Generator) -> SequencePosterior:
+def roughly(own: ConditionalPosterior, rng: np.random.Generator) -> ConditionalPosterior:
     """The posterior on a small basis for the whole box, which says where the mass is."""
     box = training_sets(own.model.full.operator.problem, _BOX_SETS, rng)
     noise = np.inf
@@ -39,8 +39,8 @@ def roughly(own: SequencePosterior, rng: np.random.Generator) -> SequencePosteri
 
 
 def about(
-    own: SequencePosterior, grid_deg: Array, data: Evaluated, rng: np.random.Generator
-) -> SequencePosterior:
+    own: ConditionalPosterior, grid_deg: Array, data: Evaluated, rng: np.random.Generator
+) -> ConditionalPosterior:
     """The posterior on a basis that is made for the sequences near the top and their constants."""
     some = np.flatnonzero(data.log_evidence > data.log_evidence.max() - NEAR)
     draws = data.conditionals.draws[some]

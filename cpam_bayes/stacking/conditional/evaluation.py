@@ -13,9 +13,9 @@ from scipy.spatial import cKDTree
 from cpam_bayes.parallel import run
 from cpam_bayes.stacking.conditional.importance import Conditionals, importance_evidence
 from cpam_bayes.stacking.conditional.posterior import (
-    SequenceFits,
-    SequencePosterior,
-    fit_sequences,
+    ConditionalFits,
+    ConditionalPosterior,
+    fit_conditionals,
     joined,
 )
 from cpam_bayes.stacking.conditional.starts import scanned_starts
@@ -37,7 +37,7 @@ class Evaluated:
     """Sequences of grid indices (m, k) with their fits and conditional posteriors."""
 
     sequences: Array
-    fits: SequenceFits
+    fits: ConditionalFits
     conditionals: Conditionals
 
     @property
@@ -51,7 +51,7 @@ class Evaluated:
 
 
 def evaluate(
-    own: SequencePosterior,
+    own: ConditionalPosterior,
     grid_deg: Array,
     sequences: Array,
     starts: Array,
@@ -77,12 +77,12 @@ def evaluate(
 
 
 def _evaluate_batch(
-    own: SequencePosterior, item: tuple[Array, Array, Array | None, int, int]
-) -> tuple[SequenceFits, Conditionals]:
+    own: ConditionalPosterior, item: tuple[Array, Array, Array | None, int, int]
+) -> tuple[ConditionalFits, Conditionals]:
     angles, starts, library, scanned, log2_points = item
     if library is not None:
         starts = np.concatenate((starts, scanned_starts(own, angles, library, scanned)), axis=1)
-    fits = fit_sequences(own, angles, starts)
+    fits = fit_conditionals(own, angles, starts)
     return fits, importance_evidence(own, angles, fits, log2_points)
 
 
@@ -118,7 +118,7 @@ class Located:
 
 
 def locate(
-    own: SequencePosterior,
+    own: ConditionalPosterior,
     grid_deg: Array,
     sequences: Array,
     near: Array,
@@ -142,13 +142,13 @@ def locate(
     return Located(np.concatenate([p.log_evidence for p in pieces]), np.concatenate([p.x for p in pieces]))
 
 
-def _locate_batch(own: SequencePosterior, item: tuple[Array, Array, Array, Array]) -> Located:
+def _locate_batch(own: ConditionalPosterior, item: tuple[Array, Array, Array, Array]) -> Located:
     angles, near, least, starts = item
-    fits = fit_sequences(own, angles, near[:, None, :], _NEARLY)
+    fits = fit_conditionals(own, angles, near[:, None, :], _NEARLY)
     log_evidence, x = fits.log_evidence.copy(), fits.x.copy()
     low = np.flatnonzero(log_evidence < least)
     if len(low):
-        again = fit_sequences(own, angles[low], starts, _NEARLY)
+        again = fit_conditionals(own, angles[low], starts, _NEARLY)
         better = again.log_evidence > log_evidence[low]
         log_evidence[low[better]], x[low[better]] = again.log_evidence[better], again.x[better]
     return Located(log_evidence, x)

@@ -14,8 +14,8 @@ from scipy.stats import chi2, qmc
 from cpam_bayes.forward_model.focused import focused
 from cpam_bayes.stacking.conditional.posterior import (
     CURVATURE_FLOOR,
-    SequenceFits,
-    SequencePosterior,
+    ConditionalFits,
+    ConditionalPosterior,
     joined,
 )
 from cpam_bayes.threads import single_blas_thread
@@ -81,9 +81,9 @@ class Conditionals:
 
 @single_blas_thread
 def importance_evidence(
-    own: SequencePosterior,
+    own: ConditionalPosterior,
     angles_deg: Array,
-    fits: SequenceFits,
+    fits: ConditionalFits,
     log2_points: int = 9,
     *,
     settings: RefinementSettings = DEFAULT_REFINEMENT,
@@ -117,9 +117,9 @@ def importance_evidence(
 
 
 def _in_parts(
-    own: SequencePosterior,
+    own: ConditionalPosterior,
     angles_deg: Array,
-    fits: SequenceFits,
+    fits: ConditionalFits,
     log2_points: int,
     settings: RefinementSettings,
 ) -> Conditionals:
@@ -133,8 +133,8 @@ def _in_parts(
 
 
 def _on_own_basis(
-    own: SequencePosterior, angles_deg: Array, known: Conditionals, large: int
-) -> SequencePosterior:
+    own: ConditionalPosterior, angles_deg: Array, known: Conditionals, large: int
+) -> ConditionalPosterior:
     """The posterior on a basis for one sequence (k,) and what is known of its constants.
 
     These are spread independently, which covers the posterior whatever its correlations are.
@@ -181,7 +181,7 @@ class _Proposals:
         return found
 
 
-def _about_optima(fits: SequenceFits) -> _Proposals:
+def _about_optima(fits: ConditionalFits) -> _Proposals:
     used = fits.weight > _USED
     share = np.where(used, np.maximum(fits.weight, _LEAST_SHARE), 0.0)
     n = fits.optima.shape[2]
@@ -228,9 +228,9 @@ def _refitted(before: _Proposals, z: Array, log_weight: Array) -> _Proposals:
 
 
 def _importance(
-    own: SequencePosterior,
+    own: ConditionalPosterior,
     angles_deg: Array,
-    fits: SequenceFits,
+    fits: ConditionalFits,
     log2_points: int,
     settings: RefinementSettings,
 ) -> Conditionals:
@@ -263,7 +263,7 @@ def _importance(
     return Conditionals(top + np.log(mean_weight), error, mean, sd, draws)
 
 
-def _log_density(own: SequencePosterior, angles_deg: Array, z: Array) -> Array:
+def _log_density(own: ConditionalPosterior, angles_deg: Array, z: Array) -> Array:
     """Log density over normal scores z (m, p, n), row i having the sequence i, (m, p)."""
     axes, (m, p, n) = own.axes, z.shape
     z = z.reshape(m * p, n)

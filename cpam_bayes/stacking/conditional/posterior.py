@@ -40,7 +40,7 @@ _CACHED = 1 << 19
 
 
 @dataclass(frozen=True, slots=True)
-class SequencePosterior:
+class ConditionalPosterior:
     """The posterior of constants (and noise) that any sequence of one layup has.
 
     model : reduced, of the unknown angles and then the constants. template : a posterior of the
@@ -71,19 +71,19 @@ class SequencePosterior:
         return np.asarray(np.sqrt(variance) / self.template.measurement.frequencies)
 
 
-def sequence_posterior(
+def conditional_posterior(
     model: ReducedModel, n_angles: int, measurement: Any, solver_error: Array, **options: Any
-) -> SequencePosterior:
+) -> ConditionalPosterior:
     """The posterior of the constants of a model whose first ``n_angles`` parameters are ply angles.
 
     options : as of ``plate_posterior``.
     """
     some = _model_at(model, n_angles, None)
     template = plate_posterior(some, measurement, solver_error, **options)
-    return SequencePosterior(model, template, normal_scores(template), n_angles)
+    return ConditionalPosterior(model, template, normal_scores(template), n_angles)
 
 
-def _geometry(own: SequencePosterior, angles_deg: Array) -> LaminateGeometry:
+def _geometry(own: ConditionalPosterior, angles_deg: Array) -> LaminateGeometry:
     problem = own.model.fast.operator.problem
     names = problem.parameters.names[: own.n_angles]
     others = {p.name: np.asarray(p.prior.mean) for p in problem.parameters.parameters[own.n_angles :]}
@@ -138,7 +138,7 @@ def _rows(geometry: LaminateGeometry, rows: Array) -> LaminateGeometry:
 
 
 @dataclass(frozen=True, slots=True)
-class SequenceFits:
+class ConditionalFits:
     """The conditional posteriors of m sequences about their optima.
 
     log_evidence : (m,) Laplace's, summed over the distinct optima. x : (m, n) parameters at the best
@@ -154,9 +154,9 @@ class SequenceFits:
     weight: Array
     curvature: Array
 
-    def __getitem__(self, rows: Any) -> SequenceFits:
+    def __getitem__(self, rows: Any) -> ConditionalFits:
         """The fits of some of the sequences."""
-        return SequenceFits(*(getattr(self, name)[rows] for name in self.__slots__))
+        return ConditionalFits(*(getattr(self, name)[rows] for name in self.__slots__))
 
 
 Stack = TypeVar("Stack")
@@ -170,9 +170,9 @@ def joined(pieces: list[Stack]) -> Stack:
 
 
 @single_blas_thread
-def fit_sequences(
-    own: SequencePosterior, angles_deg: Array, starts: Array, promised: float = _PROMISED
-) -> SequenceFits:
+def fit_conditionals(
+    own: ConditionalPosterior, angles_deg: Array, starts: Array, promised: float = _PROMISED
+) -> ConditionalFits:
     """Laplace's evidence of sequences (m, n_angles), each climbed from every one of its starts.
 
     Z = sum over optima of (2 pi)^(n/2) det(H)^(-1/2) p(z), z being normal scores: the prior has no
@@ -192,7 +192,7 @@ def fit_sequences(
     )
 
 
-def _fit(own: SequencePosterior, angles_deg: Array, starts: Array, promised: float) -> SequenceFits:
+def _fit(own: ConditionalPosterior, angles_deg: Array, starts: Array, promised: float) -> ConditionalFits:
     m, s, n = starts.shape
     axes = own.axes
     geometry = _geometry(own, angles_deg)
@@ -221,10 +221,10 @@ def _fit(own: SequencePosterior, angles_deg: Array, starts: Array, promised: flo
     at = replace(own.template, model=_model_at(own.model, own.n_angles, geometry))
     measured = own.template.measurement.frequencies
     residual = measured / at.predict(x)[:, : len(measured)] - 1.0
-    return SequenceFits(total, x, residual, z, np.exp(log_z - total[:, None]), curvature)
+    return ConditionalFits(total, x, residual, z, np.exp(log_z - total[:, None]), curvature)
 
 
-def _expand(own: SequencePosterior, geometry: LaminateGeometry, z: Array, rows: Array) -> Expansion:
+def _expand(own: ConditionalPosterior, geometry: LaminateGeometry, z: Array, rows: Array) -> Expansion:
     """Log density over normal scores of stacks whose rows have the sequences ``rows`` of a geometry."""
     axes = own.axes
     x = axes.to_x(z)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cpam_bayes.stacking.conditional.posterior import SequencePosterior
+from cpam_bayes.stacking.conditional.posterior import ConditionalPosterior
 
 Array = NDArray[Any]
 
@@ -15,14 +15,14 @@ Array = NDArray[Any]
 _TOGETHER = 2048
 
 
-def scan_library(own: SequencePosterior, size: int, rng: np.random.Generator) -> Array:
+def scan_library(own: ConditionalPosterior, size: int, rng: np.random.Generator) -> Array:
     """Constants drawn from their prior that meet the constraints (9), (size or fewer, n_constants)."""
     n = own.template.model.parameters.size
     drawn = own.parameters.sample(rng, 8 * size)
     return np.asarray(drawn[np.isfinite(own.template.log_prior(drawn))][:size, :n])
 
 
-def scanned_starts(own: SequencePosterior, angles_deg: Array, library: Array, n: int) -> Array:
+def scanned_starts(own: ConditionalPosterior, angles_deg: Array, library: Array, n: int) -> Array:
     """The n members of a library that suit the list best with each sequence (m, k), (m, n, n_parameters).
 
     Stiffnesses that are all multiplied by a^2 multiply all frequencies by a: each member counts with the
@@ -37,7 +37,7 @@ def scanned_starts(own: SequencePosterior, angles_deg: Array, library: Array, n:
     return np.concatenate(parts)
 
 
-def _scanned(own: SequencePosterior, angles_deg: Array, library: Array, n: int) -> Array:
+def _scanned(own: ConditionalPosterior, angles_deg: Array, library: Array, n: int) -> Array:
     m, p = len(angles_deg), len(library)
     parameters = own.template.model.parameters
     measured = own.template.measurement.frequencies

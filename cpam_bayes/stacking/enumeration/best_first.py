@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cpam_bayes.stacking.features import PlySums, all_choices
-from cpam_bayes.stacking.surrogate.piecewise_linear import EvidenceTable
+from cpam_bayes.stacking.surrogate.piecewise_linear import PiecewiseLinearSurrogate
 
 Array = NDArray[Any]
 
@@ -25,7 +25,7 @@ BIN, BINS = 0.01, 4000
 
 
 @dataclass(frozen=True, slots=True)
-class Enumerator:
+class Enumeration:
     """What it takes to go through all sequences.
 
     table : log evidence on cells, or ``None`` where ``every`` (n_prefixes, g^n_inner) holds that of every
@@ -35,7 +35,7 @@ class Enumerator:
     threshold : sequences with this log evidence or more are listed one by one, the others are summed.
     """
 
-    table: EvidenceTable | None
+    table: PiecewiseLinearSurrogate | None
     sums: PlySums
     reference: float
     negation: Array | None
@@ -59,7 +59,7 @@ class Enumerator:
 
 
 @dataclass(frozen=True, slots=True)
-class Piece:
+class PartialSums:
     """Sums over the sequences of some prefixes, listed ones left out; weights exp(log evidence - reference).
 
     prefixes : (p,) their numbers; mass : (p,) weight of each, mirror images included; inner : (n_inner,
@@ -82,54 +82,56 @@ class Piece:
     left_out: int
 
 
-def prefix_digits(own: Enumerator, prefixes: Array) -> Array:
+def prefix_digits(enumeration: Enumeration, prefixes: Array) -> Array:
     """Grid indices (p, k - n_inner) of prefixes by number."""
-    g, n = len(own.sums.grid_deg), own.sums.n_unknown - own.n_inner
+    g, n = len(enumeration.sums.grid_deg), enumeration.sums.n_unknown - enumeration.n_inner
     place = g ** np.arange(n - 1, -1, -1, dtype=np.int64)
     return np.asarray(prefixes[:, None] // place % g)
 
 
-def prefixes_to_visit(own: Enumerator) -> Array:
+def prefixes_to_visit(enumeration: Enumeration) -> Array:
     """Numbers of the prefixes that stand for all: of two mirror images the first."""
-    every = np.arange(own.n_prefixes)
-    if own.negation is None or own.n_prefixes == 1:
+    every = np.arange(enumeration.n_prefixes)
+    if enumeration.negation is None or enumeration.n_prefixes == 1:
         return every
-    return every[every <= _mirrored(own, every)]
+    return every[every <= _mirrored(enumeration, every)]
 
 
-def _mirrored(own: Enumerator, prefixes: Array) -> Array:
-    assert own.negation is not None
-    g, n = len(own.sums.grid_deg), own.sums.n_unknown - own.n_inner
+def _mirrored(enumeration: Enumeration, prefixes: Array) -> Array:
+    assert enumeration.negation is not None
+    g, n = len(enumeration.sums.grid_deg), enumeration.sums.n_unknown - enumeration.n_inner
     place = g ** np.arange(n - 1, -1, -1, dtype=np.int64)
-    return np.asarray(own.negation[prefix_digits(own, prefixes)] @ place)
+    return np.asarray(enumeration.negation[prefix_digits(enumeration, prefixes)] @ place)
 
 
-def enumerate_prefixes(own: Enumerator, prefixes: Array) -> Piece:
+def enumerate_prefixes(enumeration: Enumeration, prefixes: Array) -> PartialSums:
     """All sequences that begin with some prefixes (p,)."""
-    g, n_inner = len(own.sums.grid_deg), own.n_inner
-    inner_v, inner_q = _inner_sums(own)
-    digits = prefix_digits(own, prefixes)
-    outer_v, outer_q = _outer_sums(own, digits)
+    g, n_inner = len(enumeration.sums.grid_deg), enumeration.n_inner
+    inner_v, inner_q = _inner_sums(enumeration)
+    digits = prefix_digits(enumeration, prefixes)
+    outer_v, outer_q = _outer_sums(enumeration, digits)
     twice = np.ones(len(prefixes), dtype=np.int64)
-    if own.negation is not None and own.n_prefixes > 1:
-        twice = np.where(_mirrored(own, prefixes) == prefixes, 1, 2)
+    if enumeration.negation is not None and enumeration.n_prefixes > 1:
+        twice = np.where(_mirrored(enumeration, prefixes) == prefixes, 1, 2)
     mass = np.zeros(len(prefixes))
     inner = np.zeros(g**n_inner)
     count, weight = np.zeros(BINS, dtype=np.int64), np.zeros(BINS)
     kept, entropy = 0, 0.0
-    listed: list[Array] = [np.empty((0, own.sums.n_unknown), dtype=np.int16)]
+    listed: list[Array] = [np.empty((0, enumeration.sums.n_unknown), dtype=np.int16)]
     values: list[Array] = [np.empty(0)]
     times_listed: list[Array] = [np.empty(0, dtype=np.int64)]
     for p, times in enumerate(twice):
-        rows, found = _one_prefix(own, int(prefixes[p]), inner_v, inner_q, outer_v[p], outer_q[p])
+        rows, log_evidence = _one_prefix(
+            enumeration, int(prefixes[p]), inner_v, inner_q, outer_v[p], outer_q[p]
+        )
         kept += int(times) * len(rows)
-        high = found >= own.threshold
+        high = log_evidence >= enumeration.threshold
         if high.any():
-            listed.append(_sequences(own, digits[p], rows[high]).astype(np.int16))
-            values.append(found[high])
+            listed.append(_sequences(enumeration, digits[p], rows[high]).astype(np.int16))
+            values.append(log_evidence[high])
             times_listed.append(np.full(len(values[-1]), times))
-            rows, found = rows[~high], found[~high]
-        below = found - own.reference
+            rows, log_evidence = rows[~high], log_evidence[~high]
+        below = log_evidence - enumeration.reference
         w = np.exp(below)
         mass[p] = times * w.sum()
         inner[rows] += times * w
@@ -140,7 +142,7 @@ def enumerate_prefixes(own: Enumerator, prefixes: Array) -> Piece:
     total = int(twice.sum()) * g**n_inner
     marginal = inner.reshape((g,) * n_inner)
     by_ply = np.stack([marginal.sum(axis=tuple(i for i in range(n_inner) if i != j)) for j in range(n_inner)])
-    return Piece(
+    return PartialSums(
         prefixes=prefixes,
         mass=mass,
         inner=by_ply,
@@ -155,9 +157,9 @@ def enumerate_prefixes(own: Enumerator, prefixes: Array) -> Piece:
     )
 
 
-def together(pieces: Sequence[Piece]) -> Piece:
+def combined(pieces: Sequence[PartialSums]) -> PartialSums:
     """The sums and lists of several pieces as one."""
-    return Piece(
+    return PartialSums(
         prefixes=np.concatenate([p.prefixes for p in pieces]),
         mass=np.concatenate([p.mass for p in pieces]),
         inner=np.sum([p.inner for p in pieces], axis=0),
@@ -177,24 +179,24 @@ def bin_of(below: Array) -> Array:
     return np.asarray(np.clip(((5.0 - below) / BIN).astype(np.int64), 0, BINS - 1))
 
 
-def values_of_prefix(own: Enumerator, prefix: int) -> tuple[Array, Array]:
+def values_of_prefix(enumeration: Enumeration, prefix: int) -> tuple[Array, Array]:
     """Sequences (m, k) of one prefix that are summed, not listed, and their log evidence (m,)."""
-    inner_v, inner_q = _inner_sums(own)
-    digits = prefix_digits(own, np.array([prefix]))
-    outer_v, outer_q = _outer_sums(own, digits)
-    rows, found = _one_prefix(own, prefix, inner_v, inner_q, outer_v[0], outer_q[0])
-    low = found < own.threshold
-    return _sequences(own, digits[0], rows[low]), found[low]
+    inner_v, inner_q = _inner_sums(enumeration)
+    digits = prefix_digits(enumeration, np.array([prefix]))
+    outer_v, outer_q = _outer_sums(enumeration, digits)
+    rows, log_evidence = _one_prefix(enumeration, prefix, inner_v, inner_q, outer_v[0], outer_q[0])
+    low = log_evidence < enumeration.threshold
+    return _sequences(enumeration, digits[0], rows[low]), log_evidence[low]
 
 
 def _one_prefix(
-    own: Enumerator, prefix: int, inner_v: Array, inner_q: Array, outer_v: Array, outer_q: Array
+    enumeration: Enumeration, prefix: int, inner_v: Array, inner_q: Array, outer_v: Array, outer_q: Array
 ) -> tuple[Array, Array]:
     """Inner choices that are kept (m,), and their log evidence (m,)."""
-    table = own.table
+    table = enumeration.table
     if table is None:
-        assert own.every is not None
-        return np.arange(own.every.shape[1]), own.every[prefix]
+        assert enumeration.every is not None
+        return np.arange(enumeration.every.shape[1]), enumeration.every[prefix]
     leaf = table.rows(inner_v, outer_v)
     rows = np.flatnonzero(leaf >= 0)
     v = inner_v[:, rows].T + outer_v.astype(np.float32)
@@ -202,26 +204,28 @@ def _one_prefix(
     return rows, table.values(leaf[rows], v, q)
 
 
-def _inner_sums(own: Enumerator) -> tuple[Array, Array]:
+def _inner_sums(enumeration: Enumeration) -> tuple[Array, Array]:
     """Sums of all choices of the inner plies, (4, g^n_inner) and (n_q, g^n_inner)."""
-    found = []
-    for table in (own.sums.first, own.sums.rest):
-        total = all_choices(table[own.sums.n_unknown - own.n_inner :])
-        found.append(np.ascontiguousarray(total.T, dtype=np.float32))
-    return found[0], found[1]
+    log_evidence = []
+    for table in (enumeration.sums.first, enumeration.sums.rest):
+        total = all_choices(table[enumeration.sums.n_unknown - enumeration.n_inner :])
+        log_evidence.append(np.ascontiguousarray(total.T, dtype=np.float32))
+    return log_evidence[0], log_evidence[1]
 
 
-def _outer_sums(own: Enumerator, digits: Array) -> tuple[Array, Array]:
-    found = []
-    for table in (own.sums.first, own.sums.rest):
+def _outer_sums(enumeration: Enumeration, digits: Array) -> tuple[Array, Array]:
+    log_evidence = []
+    for table in (enumeration.sums.first, enumeration.sums.rest):
         total = np.zeros((len(digits), table.shape[2]))
         for j in range(digits.shape[1]):
             total += table[j][digits[:, j]]
-        found.append(total)
-    return found[0], found[1]
+        log_evidence.append(total)
+    return log_evidence[0], log_evidence[1]
 
 
-def _sequences(own: Enumerator, outer: Array, rows: Array) -> Array:
+def _sequences(enumeration: Enumeration, outer: Array, rows: Array) -> Array:
     """Grid indices (m, k) of the inner choices ``rows`` (m,) of one prefix."""
-    place = len(own.sums.grid_deg) ** np.arange(own.n_inner - 1, -1, -1)
-    return np.column_stack((np.tile(outer, (len(rows), 1)), rows[:, None] // place % len(own.sums.grid_deg)))
+    place = len(enumeration.sums.grid_deg) ** np.arange(enumeration.n_inner - 1, -1, -1)
+    return np.column_stack(
+        (np.tile(outer, (len(rows), 1)), rows[:, None] // place % len(enumeration.sums.grid_deg))
+    )

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cpam_bayes.stacking.answer import CREDIBLE, SequenceAnswer, Task, moved
 from cpam_bayes.stacking.conditional.bases import NEAR, about, roughly
 from cpam_bayes.stacking.conditional.evaluation import Evaluated, evaluate, merged, neighbours, with_optima
+from cpam_bayes.stacking.records import CREDIBLE, StackingPosterior, StackingProblem, random_members
 from cpam_bayes.stacking.symmetry.classes import canonical
 
 Array = NDArray[Any]
@@ -24,16 +24,18 @@ Array = NDArray[Any]
 _FIRST_POINTS = 5
 
 
-def exhaustive(task: Task, rng: np.random.Generator, notify: Callable[[str], None]) -> SequenceAnswer:
+def exhaustive(
+    problem: StackingProblem, rng: np.random.Generator, notify: Callable[[str], None]
+) -> StackingPosterior:
     """Every evidence computed."""
-    g, k = len(task.grid_deg), task.n_unknown
+    g, k = len(problem.grid_deg), problem.n_unknown
     every = np.stack(np.unravel_index(np.arange(g**k), (g,) * k), axis=1)
-    orbits = canonical(every, task.symmetries)
+    orbits = canonical(every, problem.symmetries)
     code = orbits.representative @ (g ** np.arange(k - 1, -1, -1))
     _, first, label = np.unique(code, return_index=True, return_inverse=True)
     representative, size = orbits.representative[first], orbits.size[first]
     notify(f"evidence of {len(first)} sequences")
-    data = _computed(task, representative, rng)
+    data = _computed(problem, representative, rng)
     total = float(np.log(np.sum(size * np.exp(data.log_evidence - data.log_evidence.max()))))
     total += float(data.log_evidence.max())
     single = np.exp(data.log_evidence - total)
@@ -41,18 +43,18 @@ def exhaustive(task: Task, rng: np.random.Generator, notify: Callable[[str], Non
     marginals = np.stack([np.bincount(every[:, j], p, minlength=g) for j in range(k)])
     order = np.argsort(-data.log_evidence, kind="stable")
     held = np.cumsum(np.repeat(single[order], size[order]))
-    drawn = rng.choice(len(first), size=task.settings.draws, p=single * size / np.sum(single * size))
-    top = order[: task.settings.listed]
+    drawn = rng.choice(len(first), size=problem.settings.draws, p=single * size / np.sum(single * size))
+    top = order[: problem.settings.listed]
     positive = single > 0
-    return SequenceAnswer(
-        specimen=task.specimen,
-        own=task.own,
-        symmetries=task.symmetries,
-        grid_deg=task.grid_deg,
+    return StackingPosterior(
+        specimen=problem.specimen,
+        conditional=problem.conditional,
+        symmetries=problem.symmetries,
+        grid_deg=problem.grid_deg,
         enumerated=g**k,
         classes=len(first),
         log_evidence_total=total - float(np.log(g**k)),
-        top=task.grid_deg[representative[top]],
+        top=problem.grid_deg[representative[top]],
         same_bending=(representative[:0],) * len(top),
         alike=(representative[:0],) * len(top),
         multiplicity=size[top],
@@ -64,30 +66,32 @@ def exhaustive(task: Task, rng: np.random.Generator, notify: Callable[[str], Non
         credible_count=int(np.searchsorted(held, CREDIBLE) + 1),
         effective_count=float(np.exp(-np.sum(size * single * np.log(np.where(positive, single, 1.0))))),
         unaccounted=0.0,
-        drawn=moved(task, data[drawn], rng),
+        drawn=random_members(problem, data[drawn], rng),
         draw_weight=np.full(len(drawn), 1.0 / len(drawn)),
         check=None,
         seconds=0.0,
     )
 
 
-def _computed(task: Task, sequences: Array, rng: np.random.Generator) -> Evaluated:
+def _computed(problem: StackingProblem, sequences: Array, rng: np.random.Generator) -> Evaluated:
     """The evidence of sequences (m, k), in their order."""
-    rough = roughly(task.own, rng)
-    first = evaluate(rough, task.grid_deg, sequences, task.starts, _FIRST_POINTS, task.executor, task.library)
+    rough = roughly(problem.conditional, rng)
+    first = evaluate(
+        rough, problem.grid_deg, sequences, problem.starts, _FIRST_POINTS, problem.executor, problem.library
+    )
     some = first.log_evidence > first.log_evidence.max() - NEAR
-    features = _angle_functions(task.grid_deg[sequences])
+    features = _angle_functions(problem.grid_deg[sequences])
     own = first.fits.x[some]
     around = neighbours(features[some], own, np.ones(features.shape[1]), np.ones((1, features.shape[1])))
     starts = np.concatenate((own[:, None, :], around.starts(features[some], own)[:, 1:]), axis=1)
     exact = evaluate(
-        about(task.own, task.grid_deg, first, rng),
-        task.grid_deg,
+        about(problem.conditional, problem.grid_deg, first, rng),
+        problem.grid_deg,
         sequences[some],
         starts,
-        task.settings.log2_points,
-        task.executor,
-        task.library,
+        problem.settings.log2_points,
+        problem.executor,
+        problem.library,
     )
     both = merged(exact, with_optima(first[~some], exact.fits.weight.shape[1]))
     place = np.argsort(np.concatenate((np.flatnonzero(some), np.flatnonzero(~some))), kind="stable")

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cpam_bayes.parallel import run
-from cpam_bayes.stacking.answer import Task
 from cpam_bayes.stacking.conditional.bases import NEAR
 from cpam_bayes.stacking.conditional.evaluation import (
     Evaluated,
@@ -21,10 +20,11 @@ from cpam_bayes.stacking.conditional.evaluation import (
     locate,
     neighbours,
 )
-from cpam_bayes.stacking.enumeration.best_first import Piece
+from cpam_bayes.stacking.enumeration.best_first import PartialSums
 from cpam_bayes.stacking.features import PlySums
-from cpam_bayes.stacking.surrogate.surrogate import Surface
-from cpam_bayes.stacking.surrogate.training import Learned
+from cpam_bayes.stacking.records import StackingProblem
+from cpam_bayes.stacking.surrogate.surrogate import Surrogate
+from cpam_bayes.stacking.surrogate.training import TrainedSurrogate
 from cpam_bayes.stacking.symmetry.classes import canonical
 
 Array = NDArray[Any]
@@ -37,17 +37,17 @@ _WORTH = 0.5
 _SUSPECT = 0.3
 # Of every so many listed sequences one is fitted first, for the others to start from.
 _SPARSE = 16
-# Pieces that evaluations of the surface are shared out in.
+# Pieces that evaluations of the surrogate are shared out in.
 _PIECES = 64
 
 
 @dataclass(frozen=True, slots=True)
-class Listed:
+class ListedClasses:
     """The m classes that were fitted, in descending order of their log evidence as it is known.
 
     sequences : (m, k) their first members. size : (m,) sequences in each class, count : (m,) of them
     on the list. log_evidence : (m,). sampled : (m,) whether by sampling. around : where they lie. exact :
-    those sampled. careful : the first of them, computed with care. of_row : (b,) which class each
+    those sampled. careful : the first of them, computed with care. class_of_row : (b,) which class each
     row of the enumerator's list is of.
     """
 
@@ -59,29 +59,34 @@ class Listed:
     around: Neighbours
     exact: Evaluated
     careful: Evaluated
-    of_row: Array
+    class_of_row: Array
 
 
-def compute_listed(
-    task: Task, sums: PlySums, known: Learned, whole: Piece, images: Array, notify: Callable[[str], None]
-) -> Listed:
+def evaluate_listed(
+    problem: StackingProblem,
+    sums: PlySums,
+    trained: TrainedSurrogate,
+    totals: PartialSums,
+    images: Array,
+    notify: Callable[[str], None],
+) -> ListedClasses:
     """Every listed class fitted, those that carry the mass sampled, the first ones with care."""
-    settings = task.settings
-    orbits = canonical(whole.listed.astype(np.int64), task.symmetries)
-    g, k = len(task.grid_deg), task.n_unknown
+    settings = problem.settings
+    orbits = canonical(totals.listed.astype(np.int64), problem.symmetries)
+    g, k = len(problem.grid_deg), problem.n_unknown
     code = orbits.representative @ (g ** np.arange(k - 1, -1, -1, dtype=np.int64))
-    _, first, of_row = np.unique(code, return_index=True, return_inverse=True)
-    of_row = of_row.ravel()
+    _, first, class_of_row = np.unique(code, return_index=True, return_inverse=True)
+    class_of_row = class_of_row.ravel()
     sequences, size = orbits.representative[first], orbits.size[first]
-    count = np.bincount(of_row, whole.times)
+    count = np.bincount(class_of_row, totals.times)
     features = sums.features(sequences)
-    lengths = known.surface.smooth.lengths
-    expected = learned_values(known.surface, task.executor, features)
-    found = _located(task, sums, known, sequences, features, expected, images)
+    lengths = trained.surrogate.smooth.lengths
+    expected = surrogate_values(trained.surrogate, problem.executor, features)
+    found = _located(problem, sums, trained, sequences, features, expected, images)
     order = np.argsort(-found.log_evidence, kind="stable")
     top = float(found.log_evidence.max())
     mass = np.cumsum(count[order] * np.exp(found.log_evidence[order] - top))
-    rest = float(np.sum(whole.mass)) * np.exp(known.surface.top - top)
+    rest = float(np.sum(totals.mass)) * np.exp(trained.surrogate.top - top)
     needed = int(np.searchsorted(mass, settings.polished * mass[-1])) + 1
     most = settings.sampled
     if needed > most and mass[most - 1] < _WORTH * (mass[-1] + rest):
@@ -90,7 +95,9 @@ def compute_listed(
     notify(f"evidence of {len(some)} classes of sequences")
     around = neighbours(features, found.x, lengths, images)
     starts = around.starts(features[some], found.x[some])
-    exact = evaluate(known.near, task.grid_deg, sequences[some], starts, settings.log2_sampled, task.executor)
+    exact = evaluate(
+        trained.focused, problem.grid_deg, sequences[some], starts, settings.log2_sampled, problem.executor
+    )
     log_evidence = found.log_evidence.copy()
     if len(some) < len(order):  # what sampling changes is much the same for neighbours
         change = exact.log_evidence - log_evidence[some]
@@ -102,7 +109,7 @@ def compute_listed(
     sampled[some] = True
     first_rows = np.argsort(-exact.log_evidence, kind="stable")[: settings.listed]
     leading = some[first_rows]
-    careful = with_care(task, known, around, sequences[leading], features[leading], found.x[leading])
+    careful = refined(problem, trained, around, sequences[leading], features[leading], found.x[leading])
     # few points miss the tails of a conditional posterior, of one as of the other
     log_evidence += np.median(careful.log_evidence - exact.log_evidence[first_rows])
     log_evidence[leading] = careful.log_evidence
@@ -110,7 +117,7 @@ def compute_listed(
     order = np.argsort(-log_evidence, kind="stable")
     place = np.empty(len(order), dtype=np.int64)
     place[order] = np.arange(len(order))
-    return Listed(
+    return ListedClasses(
         sequences=sequences[order],
         size=size[order],
         count=count[order],
@@ -119,63 +126,80 @@ def compute_listed(
         around=around,
         exact=exact,
         careful=careful,
-        of_row=place[of_row],
+        class_of_row=place[class_of_row],
     )
 
 
 def _located(
-    task: Task,
+    problem: StackingProblem,
     sums: PlySums,
-    known: Learned,
+    trained: TrainedSurrogate,
     sequences: Array,
     features: Array,
     expected: Array,
     images: Array,
 ) -> Located:
     """Laplace's evidence of sequences (m, k): of a few from those learned from, of the others from these."""
-    lengths = known.surface.smooth.lengths
-    learned_at = sums.features(known.data.sequences)
-    around = neighbours(learned_at, known.data.fits.x, lengths, images)
-    least = _least(known, expected)
+    lengths = trained.surrogate.smooth.lengths
+    learned_at = sums.features(trained.data.sequences)
+    around = neighbours(learned_at, trained.data.fits.x, lengths, images)
+    least = _least(trained, expected)
     m = len(sequences)
-    log_evidence, x = np.empty(m), np.empty((m, known.data.fits.x.shape[1]))
+    log_evidence, x = np.empty(m), np.empty((m, trained.data.fits.x.shape[1]))
     every = np.arange(m)
     for rows in (every[::_SPARSE], np.delete(every, np.s_[::_SPARSE])):
         near = around.nearest(features[rows])
         found = locate(
-            known.near, task.grid_deg, sequences[rows], near, least[rows], task.starts, task.executor
+            trained.focused,
+            problem.grid_deg,
+            sequences[rows],
+            near,
+            least[rows],
+            problem.starts,
+            problem.executor,
         )
         log_evidence[rows], x[rows] = found.log_evidence, found.x
         around = neighbours(
             np.concatenate((learned_at, features[rows])),
-            np.concatenate((known.data.fits.x, found.x)),
+            np.concatenate((trained.data.fits.x, found.x)),
             lengths,
             images,
         )
     return Located(log_evidence, x)
 
 
-def _least(known: Learned, expected: Array) -> Array:
+def _least(trained: TrainedSurrogate, expected: Array) -> Array:
     """Laplace's evidence below which a climb may have met a lesser optimum; expected : learned, (m,)."""
-    data = known.data
+    data = trained.data
     near = data.log_evidence > data.log_evidence.max() - NEAR
     laplace = np.median((data.fits.log_evidence - data.log_evidence)[near])
-    return np.asarray(expected + laplace - max(_SUSPECT, 2.0 * known.surface.rms_error))
+    return np.asarray(expected + laplace - max(_SUSPECT, 2.0 * trained.surrogate.rms_error))
 
 
-def with_care(
-    task: Task, known: Learned, around: Neighbours, sequences: Array, features: Array, x: Array | None
+def refined(
+    problem: StackingProblem,
+    trained: TrainedSurrogate,
+    around: Neighbours,
+    sequences: Array,
+    features: Array,
+    x: Array | None,
 ) -> Evaluated:
     """Sequences (m, k) climbed from optima nearby, the reference and the library, and sampled."""
     near = around.starts(features, x)
-    common = np.broadcast_to(task.starts[0], (len(sequences), 1, near.shape[2]))
+    common = np.broadcast_to(problem.starts[0], (len(sequences), 1, near.shape[2]))
     starts = np.concatenate((near, common), axis=1)
     return evaluate(
-        known.near, task.grid_deg, sequences, starts, task.settings.log2_points, task.executor, task.library
+        trained.focused,
+        problem.grid_deg,
+        sequences,
+        starts,
+        problem.settings.log2_points,
+        problem.executor,
+        problem.library,
     )
 
 
-def learned_values(surface: Surface, executor: Executor | None, features: Array) -> Array:
+def surrogate_values(surrogate: Surrogate, executor: Executor | None, features: Array) -> Array:
     """The learned log evidence at features (m, d), shared out, (m,)."""
-    pieces = run(Surface.values, surface, np.array_split(features, _PIECES), executor, batch_size=1)
+    pieces = run(Surrogate.values, surrogate, np.array_split(features, _PIECES), executor, batch_size=1)
     return np.concatenate(pieces)

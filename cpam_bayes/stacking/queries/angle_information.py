@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from cpam_bayes.plate.layup import Layup
 
-__all__ = ["AngleInformation", "angle_information", "bending_shares", "entropies"]
+__all__ = ["AngleInformation", "angle_information", "bending_fractions", "entropies"]
 
 Array = NDArray[Any]
 
@@ -22,7 +22,7 @@ _SAME = 0.05
 class AngleInformation:
     """How well each unknown angle is known, and how much it bends.
 
-    entropy_bits : (k,) of the angles' marginals. most_bits : of an even marginal. bending_share : (k,) of
+    entropy_bits : (k,) of the angles' marginals. most_bits : of an even marginal. bending_fraction : (k,) of
     the laminate's second moment. outer_first : (k,) the unknowns in descending order of that.
     outer_better : whether each angle is known as well as the next one further in, or better, and the first
     better than the last; differences below 0.05 bits count as none.
@@ -30,7 +30,7 @@ class AngleInformation:
 
     entropy_bits: Array
     most_bits: float
-    bending_share: Array
+    bending_fraction: Array
     outer_first: Array
     outer_better: bool
 
@@ -40,7 +40,7 @@ def entropies(marginals: Array) -> Array:
     return np.asarray(-np.sum(marginals * np.log(np.where(marginals > 0, marginals, 1.0)), axis=1))
 
 
-def bending_shares(layup: Layup) -> Array:
+def bending_fractions(layup: Layup) -> Array:
     """Share of each unknown angle's plies in the second moment of the thickness, plies being equal, (k,).
 
     A ply from z_i to z_(i+1) has (z_(i+1)^3 - z_i^3) / 3 of h^3 / 12: what it weighs in D.
@@ -53,13 +53,13 @@ def bending_shares(layup: Layup) -> Array:
 def angle_information(layup: Layup, marginals: Array) -> AngleInformation:
     """Entropies of the angles' marginals (k, n_grid) beside the angles' weight in bending."""
     bits = entropies(marginals) / np.log(2.0)
-    share = bending_shares(layup)
+    share = bending_fractions(layup)
     order = np.argsort(-share, kind="stable")
     inwards = bits[order]
     return AngleInformation(
         entropy_bits=bits,
         most_bits=float(np.log2(marginals.shape[1])),
-        bending_share=share,
+        bending_fraction=share,
         outer_first=order,
         outer_better=bool(np.all(np.diff(inwards) >= -_SAME) and inwards[-1] - inwards[0] > _SAME),
     )

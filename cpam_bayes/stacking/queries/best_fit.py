@@ -10,15 +10,15 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from cpam_bayes.identification.point import bound_of
-from cpam_bayes.stacking.posterior import SequenceAnswer
+from cpam_bayes.stacking.posterior import StackingPosterior
 
-__all__ = ["SequenceListFit", "fit_of_the_first"]
+__all__ = ["BestFit", "best_fit"]
 
 Array = NDArray[Any]
 
 
 @dataclass(frozen=True, slots=True)
-class SequenceListFit:
+class BestFit:
     """The most probable sequence at its best constants beside the list.
 
     predicted, residual : (n,) Hz, and predicted / measured - 1; nan where a frequency of a list that may lack
@@ -38,14 +38,14 @@ class SequenceListFit:
     bounds: tuple[tuple[str, str], ...]
 
 
-def fit_of_the_first(answer: SequenceAnswer) -> SequenceListFit:
+def best_fit(answer: StackingPosterior) -> BestFit:
     """The fit of the first sequence listed."""
-    template, first = answer.own.template, answer.components[:1]
+    template, first = answer.conditional.template, answer.components[:1]
     x, n = first.fits.x, template.model.parameters.size
     p = template.parameters
     ends = [bound_of(*row) for row in zip(x[0, :n], p.lower[:n], p.upper[:n], strict=True)]
     bounds = [(name, end) for name, end in zip(p.names, ends, strict=False) if end is not None]
-    at = answer.own.at(answer.top[:1])
+    at = answer.conditional.at(answer.top[:1])
     measured, found = template.measurement.frequencies, at.predict(x)[0]
     pairing = at.most_probable_pairing(x[0])
     paired = pairing.mode >= 0
@@ -54,11 +54,11 @@ def fit_of_the_first(answer: SequenceAnswer) -> SequenceListFit:
     if template.noise_is_inferred:
         noise = float(first.conditionals.mean[0, -1])
     else:
-        noise = float(np.sqrt(np.mean(answer.own.relative_noise(x) ** 2)))
+        noise = float(np.sqrt(np.mean(answer.conditional.relative_noise(x) ** 2)))
         i = np.flatnonzero(paired)
         sigma = template.noise(x, found[None])[0, i, pairing.mode[i]]
         if len(i):
             p_value = float(chi2.sf(np.sum(((measured - predicted)[i] / sigma) ** 2), len(i)))
-    return SequenceListFit(
+    return BestFit(
         predicted, predicted / measured - 1.0, found[pairing.missed], p_value, noise, tuple(bounds)
     )

@@ -9,20 +9,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cpam_bayes.stacking.conditional.importance import importance_evidence
-from cpam_bayes.stacking.conditional.posterior import SequenceFits, fit_sequences
-from cpam_bayes.stacking.posterior import SequenceAnswer
+from cpam_bayes.stacking.conditional.posterior import ConditionalFits, fit_conditionals
+from cpam_bayes.stacking.posterior import StackingPosterior
 from cpam_bayes.threads import single_blas_thread
 
-__all__ = ["GivenSequence", "given_sequence"]
+__all__ = ["GivenLayup", "given_layup"]
 
 Array = NDArray[Any]
 
 
 @dataclass(frozen=True, slots=True)
-class GivenSequence:
+class GivenLayup:
     """A sequence beside the posterior over all of them.
 
-    angles_deg : (k,). index : of its class in ``SequenceAnswer.top``, ``None`` where it is not listed.
+    angles_deg : (k,). index : of its class in ``StackingPosterior.top``, ``None`` where it is not listed.
     probability : of the single sequence. fits : its own, one row.
     """
 
@@ -31,7 +31,7 @@ class GivenSequence:
     probability: float
     log_evidence: float
     log_evidence_error: float
-    fits: SequenceFits
+    fits: ConditionalFits
 
     @property
     def rank(self) -> int | None:
@@ -40,7 +40,7 @@ class GivenSequence:
 
 
 @single_blas_thread
-def given_sequence(answer: SequenceAnswer, angles_deg: Array, log2_points: int = 11) -> GivenSequence:
+def given_layup(answer: StackingPosterior, angles_deg: Array, log2_points: int = 11) -> GivenLayup:
     """The evidence and probability of a sequence (k,) on the grid.
 
     p = Z / (sum of all evidences). One that is not listed is climbed for from the optima of those that are.
@@ -50,15 +50,16 @@ def given_sequence(answer: SequenceAnswer, angles_deg: Array, log2_points: int =
     away = np.abs(angles[:, None] - answer.grid_deg)
     sequence = np.argmin(np.minimum(away, 180.0 - away), axis=1)
     on_grid = answer.grid_deg[sequence]
-    if len(angles) != answer.own.n_angles or np.any(np.abs((on_grid - angles + 90.0) % 180.0 - 90.0) > 1e-6):
+    n_angles = answer.conditional.n_angles
+    if len(angles) != n_angles or np.any(np.abs((on_grid - angles + 90.0) % 180.0 - 90.0) > 1e-6):
         raise ValueError(
-            f"sequence {'/'.join(f'{a:g}' for a in angles)}: accepted: {answer.own.n_angles} angles on the "
+            f"sequence {'/'.join(f'{a:g}' for a in angles)}: accepted: {n_angles} angles on the "
             f"grid of {answer.specimen.angle_grid_deg:g} degrees"
         )
     found = answer.components
     i = int(answer.classes_of(sequence[None])[0])
     if i >= 0:
-        return GivenSequence(
+        return GivenLayup(
             on_grid,
             i,
             float(answer.probability[i]),
@@ -68,10 +69,10 @@ def given_sequence(answer: SequenceAnswer, angles_deg: Array, log2_points: int =
         )
     most = np.argsort(-found.fits.log_evidence, kind="stable")[:4]
     starts = np.concatenate((found.fits.x[most], answer.drawn.fits.x[:4]))
-    fits = fit_sequences(answer.own, on_grid[None], starts)
-    own = importance_evidence(answer.own, on_grid[None], fits, log2_points)
+    fits = fit_conditionals(answer.conditional, on_grid[None], starts)
+    own = importance_evidence(answer.conditional, on_grid[None], fits, log2_points)
     log_evidence = float(own.log_evidence[0])
     total = answer.log_evidence_total + float(np.log(answer.enumerated))
-    return GivenSequence(
+    return GivenLayup(
         on_grid, None, float(np.exp(log_evidence - total)), log_evidence, float(own.error[0]), fits
     )

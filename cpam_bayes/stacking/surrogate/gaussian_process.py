@@ -24,7 +24,7 @@ _ROWS = 128
 
 
 @dataclass(frozen=True, slots=True)
-class SmoothMap:
+class GaussianProcess:
     """f(x) = mean + sum_i k(x, x_i) a_i, outputs in columns.
 
     k(x, y) = sum_s exp(-|(s x - y) / l|^2 / 2), the sum over the changes of sign under which
@@ -33,7 +33,7 @@ class SmoothMap:
     points : (N, d) in units of the length scales. coefficients : (N, p). mean : (p,). lengths : (d,).
     images : (n_images, d) signs, the first row all ones. factor : lower Cholesky factor of the points'
     covariance (N, N), amplitude : (p,) standard deviations of the functions beforehand. nugget : variance
-    of what is not smooth, relative to that. learned_from : points that the length scales are of.
+    of what is not smooth, relative to that. training_size : points that the length scales are of.
     """
 
     points: Array
@@ -44,7 +44,7 @@ class SmoothMap:
     factor: Array
     amplitude: Array
     nugget: float
-    learned_from: int
+    training_size: int
 
     def values(self, x: Array) -> Array:
         """The functions at points (m, d), (m, p)."""
@@ -80,19 +80,19 @@ class SmoothMap:
         return value + self.mean, slope
 
 
-def fit_map(
+def fit_gaussian_process(
     points: Array,
     values: Array,
     rng: np.random.Generator,
     images: Array | None = None,
-    like: SmoothMap | None = None,
+    like: GaussianProcess | None = None,
     least: Array | float = _LENGTHS[0],
     doubt: Array | None = None,
-) -> SmoothMap:
+) -> GaussianProcess:
     """The map through values (N, p) at points (N, d), length scales by the largest marginal likelihood.
 
     One set of length scales, one per dimension, and one nugget serve all outputs, each in units of its
-    own spread (Rasmussen and Williams, Gaussian Processes for Machine Learning, 2006, chapters 2, 5).
+    own spread (Rasmussen and Williams, Gaussian Processes for Machine TrainingProblem, 2006, chapters 2, 5).
     images : (n_images, d) changes of sign that leave the functions as they are, the identity first.
     like : a map through fewer points, whose length scales are a start. least : (d,) lower bounds of the
     length scales in standard deviations of the points. doubt : (N,) factors on the nugget, 1 where a value is
@@ -105,18 +105,20 @@ def fit_map(
     mean, spread = values.mean(axis=0), np.maximum(values.std(axis=0), 1e-12)
     y = (values - mean) / spread
     some = _learned_from(doubted, rng)
-    if like is not None and n < _GROWN * like.learned_from:
-        lengths, nugget, learned_from = like.lengths, like.nugget, like.learned_from
+    if like is not None and n < _GROWN * like.training_size:
+        lengths, nugget, training_size = like.lengths, like.nugget, like.training_size
     else:
         lengths, nugget = _scales(points[some] / unit, y[some], doubted[some], signs, like, unit, least)
-        learned_from = n
+        training_size = n
     at = points / lengths
     matrix = np.sum([_kernel(at * s, at) for s in signs], axis=0)
     matrix[np.diag_indices(n)] += nugget * doubted
     factor = scipy.linalg.cholesky(matrix, lower=True, overwrite_a=True)
     solved = scipy.linalg.cho_solve((factor, True), y)
     amplitude = spread * np.sqrt(np.sum(y * solved, axis=0) / n)
-    return SmoothMap(at, solved * spread, mean, lengths, signs, factor, amplitude, nugget, learned_from)
+    return GaussianProcess(
+        at, solved * spread, mean, lengths, signs, factor, amplitude, nugget, training_size
+    )
 
 
 def _learned_from(doubt: Array, rng: np.random.Generator) -> Array:
@@ -131,7 +133,7 @@ def _scales(
     y: Array,
     doubt: Array,
     signs: Array,
-    like: SmoothMap | None,
+    like: GaussianProcess | None,
     unit: Array,
     least: Array | float,
 ) -> tuple[Array, float]:

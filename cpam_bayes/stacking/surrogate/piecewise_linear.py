@@ -28,7 +28,7 @@ _COARSE_REACH, _COARSE_SLACK = 1.5, 3.0
 
 
 @dataclass(frozen=True, slots=True)
-class EvidenceTable:
+class PiecewiseLinearSurrogate:
     """Log evidence on cells of the four sums v; cells where it is below a floor are left out.
 
     The scores z and the rest r of ``log_evidence`` are linear in the sums on each cell, so that no cell has
@@ -90,8 +90,8 @@ def log_evidence(y: Array, freedom: float) -> Array:
     return np.asarray(y[:, -1] - 0.5 * fall)
 
 
-def build_table(
-    surface: Tangent,
+def piecewise_linear_surrogate(
+    surrogate: Tangent,
     q_reach: Array,
     top: float,
     depth: float,
@@ -99,8 +99,8 @@ def build_table(
     slack: float,
     freedom: float,
     executor: Executor | None = None,
-) -> EvidenceTable:
-    """Tangents of a surface wherever it may exceed its floor, ``depth`` below ``top``.
+) -> PiecewiseLinearSurrogate:
+    """Tangents of a surrogate wherever it may exceed its floor, ``depth`` below ``top``.
 
     A cell is left out where no set of plies can lie (the Toeplitz matrix of 1, v1 + i v2, v3 + i v4 is
     not positive) or where the most that the tangents allow over the cell and over the reach of q, and
@@ -116,7 +116,7 @@ def build_table(
         last = side == 1
         half = np.concatenate((np.full(4, 0.5 * width), q_reach)) * (1.0 if last else _COARSE_REACH)
         level = _Level(
-            surface,
+            surrogate,
             int(side),
             width,
             half,
@@ -131,7 +131,7 @@ def build_table(
         centre = (split[:, None, :] + width * _mesh(np.array([-0.25, 0.25]))).reshape(-1, 4)
         width *= 0.5
     first, leaf = _box(leaves, _FIRST << halvings)
-    return EvidenceTable(
+    return PiecewiseLinearSurrogate(
         width=2.0 / (_FIRST << halvings),
         first=first,
         leaf=leaf,
@@ -151,7 +151,7 @@ class _Level:
     log evidence.
     """
 
-    surface: Tangent
+    surrogate: Tangent
     side: int
     width: float
     half: Array
@@ -173,7 +173,7 @@ class _Leaves:
 def _judged(level: _Level, centre: Array) -> tuple[_Leaves, Array]:
     """Of cells about centres (c, 4) those that are leaves, in single precision, and centres of the halved."""
     centre = centre[_realisable(centre, level.width)]
-    y, slope = level.surface(np.column_stack((centre, np.zeros((len(centre), len(level.half) - 4)))))
+    y, slope = level.surrogate(np.column_stack((centre, np.zeros((len(centre), len(level.half) - 4)))))
     reach = np.abs(slope) @ level.half
     nearest = np.maximum(np.abs(y[:, :-1]) - reach[:, :-1], 0.0)
     most = log_evidence(np.column_stack((nearest, y[:, -1] + reach[:, -1])), level.freedom)

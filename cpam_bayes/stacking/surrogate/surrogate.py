@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from cpam_bayes.stacking.conditional.bases import NEAR
 from cpam_bayes.stacking.conditional.evaluation import Evaluated
-from cpam_bayes.stacking.conditional.posterior import SequencePosterior
+from cpam_bayes.stacking.conditional.posterior import ConditionalPosterior
 from cpam_bayes.stacking.features import PlySums
-from cpam_bayes.stacking.surrogate.gaussian_process import SmoothMap, fit_map
+from cpam_bayes.stacking.surrogate.gaussian_process import GaussianProcess, fit_gaussian_process
 from cpam_bayes.stacking.surrogate.piecewise_linear import log_evidence
 
 Array = NDArray[Any]
@@ -33,7 +33,7 @@ _LEAST_LENGTHS = (0.2, 5.0)
 
 
 @dataclass(frozen=True, slots=True)
-class Surface:
+class Surrogate:
     """A learned log evidence: the map, the top of its data, and its error on fresh posterior draws, nats.
 
     scored : the map gives the scores of the frequencies at the best fit, residuals in standard deviations of
@@ -42,7 +42,7 @@ class Surface:
     together far below the top.
     """
 
-    smooth: SmoothMap
+    smooth: GaussianProcess
     scored: bool
     freedom: float
     top: float
@@ -86,20 +86,20 @@ def _expansion_slope(y: Array, top: float) -> Array:
     return np.asarray(1.0 / -np.expm1(-above))
 
 
-def fit_surface(
-    own: SequencePosterior,
+def fit_surrogate(
+    own: ConditionalPosterior,
     sums: PlySums,
     images: Array,
     data: Evaluated,
     rng: np.random.Generator,
     rms: float,
     worst: float,
-    before: Surface | None,
-) -> Surface:
-    """The surface through evaluated sequences.
+    before: Surrogate | None,
+) -> Surrogate:
+    """The surrogate through evaluated sequences.
 
     images : (n_images, d) changes of sign of the features that change no frequency. rms, worst : error of
-    ``before``, a surface through fewer sequences, on fresh draws, nats.
+    ``before``, a surrogate through fewer sequences, on fresh draws, nats.
     """
     like = None if before is None else before.smooth
     top = float(data.log_evidence.max())
@@ -108,7 +108,9 @@ def fit_surface(
     scored = own.template.measurement.complete
     if not scored:  # frequencies have no mode of their own
         y = _compressed(data.log_evidence, top)[:, None]
-        return Surface(fit_map(features, y, rng, images, like, least), False, np.inf, top, rms, worst)
+        return Surrogate(
+            fit_gaussian_process(features, y, rng, images, like, least), False, np.inf, top, rms, worst
+        )
     near = data.log_evidence > top - NEAR
     freedom = float(own.template.measurement.size) if own.template.noise_is_inferred else np.inf
     z = _scores(own, data, near)
@@ -119,11 +121,11 @@ def fit_surface(
     rest = log_z - log_evidence(np.column_stack((z, np.zeros(len(z)))), freedom)
     y = np.column_stack((z, rest))[kept]
     doubt = np.maximum(np.mean(z[kept] ** 2, axis=1) / _BAD**2, 1.0)
-    smooth = fit_map(features[kept], y, rng, images, like, least, doubt)
-    return Surface(smooth, True, freedom, top, rms, worst)
+    smooth = fit_gaussian_process(features[kept], y, rng, images, like, least, doubt)
+    return Surrogate(smooth, True, freedom, top, rms, worst)
 
 
-def _scores(own: SequencePosterior, data: Evaluated, near: Array) -> Array:
+def _scores(own: ConditionalPosterior, data: Evaluated, near: Array) -> Array:
     """Residuals at the best fits in standard deviations of the noise, (m, n_frequencies).
 
     Where the noise is inferred it differs from sequence to sequence, and what a sequence shows of it is no

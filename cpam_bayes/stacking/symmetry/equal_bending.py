@@ -14,11 +14,11 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cpam_bayes.stacking.answer import SequenceAnswer, Task
 from cpam_bayes.stacking.features import PlySums, all_choices
+from cpam_bayes.stacking.records import StackingPosterior, StackingProblem
 from cpam_bayes.stacking.symmetry.classes import canonical
 
-__all__ = ["alike_merged", "equal_bending"]
+__all__ = ["equal_bending", "merge_indistinguishable"]
 
 Array = NDArray[Any]
 
@@ -53,20 +53,22 @@ def equal_bending(sums: PlySums, sequences: Array) -> tuple[Array, ...]:
     return tuple(found)
 
 
-def alike_merged(answer: SequenceAnswer, task: Task, sums: PlySums) -> SequenceAnswer:
+def merge_indistinguishable(
+    answer: StackingPosterior, problem: StackingProblem, sums: PlySums
+) -> StackingPosterior:
     """The same with classes that share their bending stiffness found, and merged where nothing else counts.
 
     They are merged if their Bayes factor is within ``_ALIKE`` of one, E[p(f | x, s') / p(f | x, s)] over the
     posterior of the constants x of the first.
     """
     first = answer.components.sequences
-    classes = canonical(first, task.symmetries).representative
+    classes = canonical(first, problem.symmetries).representative
     place = {tuple(row): i for i, row in enumerate(classes.tolist())}
     same_bending, alike = list(answer.same_bending), list(answer.alike)
     probability, multiplicity = answer.probability.copy(), answer.multiplicity.copy()
     merged = np.zeros(len(first), dtype=bool)
     for i, same in enumerate(equal_bending(sums, first)):
-        orbits = canonical(same, task.symmetries)
+        orbits = canonical(same, problem.symmetries)
         others, at = np.unique(orbits.representative, axis=0, return_index=True)
         new = np.any(others != classes[i], axis=1)
         if merged[i] or not new.any():
@@ -91,10 +93,14 @@ def alike_merged(answer: SequenceAnswer, task: Task, sums: PlySums) -> SequenceA
     return whole.listing(kept)
 
 
-def _log_bayes_factors(answer: SequenceAnswer, i: int, others: Array) -> Array:
+def _log_bayes_factors(answer: StackingPosterior, i: int, others: Array) -> Array:
     """Log Bayes factors of others (m, k) against the listed class ``i`` from draws of its constants, (m,)."""
     x = answer.components.conditionals.draws[i]
     angles = answer.grid_deg[np.vstack((answer.components.sequences[i], others))]
     rows = np.repeat(np.arange(len(angles)), len(x))
-    log_p = answer.own.at(angles, rows).log_prob(np.tile(x, (len(angles), 1))).reshape(len(angles), len(x))
+    log_p = (
+        answer.conditional.at(angles, rows)
+        .log_prob(np.tile(x, (len(angles), 1)))
+        .reshape(len(angles), len(x))
+    )
     return np.asarray(np.log(np.mean(np.exp(log_p[1:] - log_p[0]), axis=1)))

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cpam_bayes.paper import disorder_table
+from cpam_bayes.paper import perturbation_table
 from cpam_bayes.parameters import ParameterSet, TruncatedNormal
 from cpam_bayes.repetition.agreement import Comparison
 from cpam_bayes.repetition.study import Cell, Repetition, Sensitivity
@@ -106,7 +106,7 @@ def test_the_document_has_the_keys_of_the_contract_in_the_units_of_the_names(stu
 
 
 def test_the_paper_stands_beside_its_own_specimen_only(study, aluminium):
-    table = disorder_table("A2")
+    table = perturbation_table("A2")
     assert printed_table(aluminium, table) is table
     assert printed_table(study, table) is None
     other = replace(aluminium, specimen=replace(aluminium.specimen, source="A2.toml"))
@@ -115,7 +115,7 @@ def test_the_paper_stands_beside_its_own_specimen_only(study, aluminium):
 
 
 def test_printed_percentages_are_measured_in_standard_errors_of_a_mean_of_ten(aluminium):
-    document = sensitivity_document(aluminium, 0, disorder_table("A2"), ())
+    document = sensitivity_document(aluminium, 0, perturbation_table("A2"), ())
     own = document["levels"][1]["constants"]["E1_GPa"]
     assert own["paper_percent_error"] == -3.1
     error = 100 * (2**0.5 / 10**0.5) / 69  # of ten, though there are two groups here
@@ -123,7 +123,7 @@ def test_printed_percentages_are_measured_in_standard_errors_of_a_mean_of_ten(al
     assert document["paper"] == {"table": 10, "angles_deg": [], "contradictions": []}
     # E1: -1.7 and -3.1 over 0.648 %; nu12: 2.3 and 7.2 over 100 * 0.0283 / sqrt(10) / 0.33 = 2.71 %
     rms = ((1.7**2 + 3.1**2) / 0.6481**2 / 4 + (2.3**2 + 7.2**2) / 2.7104**2 / 4) ** 0.5
-    said = " ".join(beside_paper(aluminium, disorder_table("A2")))
+    said = " ".join(beside_paper(aluminium, perturbation_table("A2")))
     assert (
         "relative: 1 of 4 printed percentages are smaller than the standard error that a mean of ten" in said
     )
@@ -131,7 +131,7 @@ def test_printed_percentages_are_measured_in_standard_errors_of_a_mean_of_ten(al
 
 
 def test_a_level_that_the_paper_lacks_has_no_column_of_it(aluminium):
-    table = disorder_table("A2")
+    table = perturbation_table("A2")
     screen = sensitivity_screen(with_cell(aluminium, cell(0.02, "rms")), 0, table, ())
     assert not any(column.heading == "paper %" for t in screen for column in t.columns)
     screen = sensitivity_screen(with_cell(aluminium, cell(0.05, "rms")), 0, table, ())
@@ -142,7 +142,7 @@ def test_a_level_that_the_paper_lacks_has_no_column_of_it(aluminium):
 
 
 def test_a_contradiction_in_print_is_said(study):
-    table = disorder_table("D1")
+    table = perturbation_table("D1")
     d1 = replace(study, specimen=replace(study.specimen, name="D1", source="built-in D1"))
     found = beside_paper(d1, table)
     assert found[-1] == (
@@ -242,7 +242,7 @@ def test_what_the_file_gives_and_the_study_leaves_aside_is_a_warning(study):
 
 
 def test_pictures_are_the_same_every_time(aluminium, tmp_path):
-    document = sensitivity_document(aluminium, 0, disorder_table("A2"), ())
+    document = sensitivity_document(aluminium, 0, perturbation_table("A2"), ())
     written = []
     for name in ("first", "again"):
         (tmp_path / name).mkdir()

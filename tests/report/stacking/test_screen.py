@@ -12,14 +12,14 @@ from cpam_bayes.report.stacking.data import EMCEE, write_sequence_posterior
 from cpam_bayes.report.stacking.figures import sequence_figures
 from cpam_bayes.report.stacking.screen import sequence_document, sequence_screen, sequence_warnings
 from cpam_bayes.report.tables import plain_text
-from cpam_bayes.stacking.posterior import SequenceSettings, SurfaceCheck, sequence_probabilities
-from cpam_bayes.stacking.queries.best_fit import fit_of_the_first
-from cpam_bayes.stacking.queries.given_layup import given_sequence
+from cpam_bayes.stacking.posterior import StackingSettings, SurrogateCheck, stacking_posterior
+from cpam_bayes.stacking.queries.best_fit import best_fit
+from cpam_bayes.stacking.queries.given_layup import given_layup
 from tests.stacking.cases import TRUE, answer, mixture, specimen
 
 pytestmark = pytest.mark.slow
 
-SMALL = SequenceSettings(draws=30, listed=12, log2_points=6)
+SMALL = StackingSettings(draws=30, listed=12, log2_points=6)
 
 
 def test_the_document_has_what_the_contract_names() -> None:
@@ -43,7 +43,7 @@ def test_the_document_has_what_the_contract_names() -> None:
 
 def test_the_printed_sequence_stands_in_document_and_screen() -> None:
     own, mixed = answer(), mixture()
-    given = given_sequence(own, np.array(TRUE))
+    given = given_layup(own, np.array(TRUE))
     with_given = replace(mixed, given=mixed.components[0])
     document = sequence_document(own, with_given, given, 0, 5, ())
     assert document["printed_sequence"]["rank"] == 1
@@ -87,12 +87,12 @@ def test_a_list_that_lacks_a_mode_is_paired() -> None:
     assert own.measurement is not None
     every = own.measurement.frequencies
     few = replace(own.measurement, frequencies=np.delete(every, 2), labels=("",) * 5, complete=False)
-    found = sequence_probabilities(
+    found = stacking_posterior(
         replace(own, measurement=replace(few, relative_std=1e-3)),
         0,
         settings=SMALL,
     )
-    fit = fit_of_the_first(found)
+    fit = best_fit(found)
     np.testing.assert_allclose(fit.predicted, np.delete(every, 2), rtol=1e-3)
     np.testing.assert_allclose(fit.missed, every[2:3], rtol=5e-3)
     assert fit.p_value is not None
@@ -104,7 +104,7 @@ def test_a_list_that_lacks_a_mode_is_paired() -> None:
     wrong = replace(
         few, frequencies=np.sort(np.append(np.delete(every, 2), every[3] * 1.1)), labels=("",) * 6
     )
-    stray = sequence_probabilities(
+    stray = stacking_posterior(
         replace(own, measurement=replace(wrong, relative_std=1e-3)),
         0,
         settings=SMALL,
@@ -116,8 +116,8 @@ def test_a_list_that_lacks_a_mode_is_paired() -> None:
 
 def test_what_was_learned_badly_or_overlooked_is_warned_of() -> None:
     own = replace(answer(), log_evidence_error=np.zeros(len(answer().top)))
-    good = SurfaceCheck(
-        learned_from=700,
+    good = SurrogateCheck(
+        training_size=700,
         rms=0.1,
         largest=0.4,
         overlooked=0.1,
@@ -125,7 +125,7 @@ def test_what_was_learned_badly_or_overlooked_is_warned_of() -> None:
         effective=0.98,
         fitted=500,
         sampled=300,
-        learned_probability=1e-3,
+        surrogate_probability=1e-3,
         basis_error=1e-5,
     )
     assert sequence_warnings(replace(own, check=good), mixture()) == ()
@@ -153,7 +153,7 @@ def test_the_posterior_file_opens_in_plain_arviz(tmp_path: Path) -> None:
     np.testing.assert_allclose(posterior["E1_GPa"].values[0], mixed.parameters[:, 0] / 1e9)
     assert posterior["E1_GPa"].attrs["unit"] == "GPa"
     by = data.sample_stats["sampled_by"].values[0]
-    assert np.mean(by == EMCEE) == pytest.approx(mixed.emcee_share, abs=1e-3)
+    assert np.mean(by == EMCEE) == pytest.approx(mixed.emcee_fraction, abs=1e-3)
     np.testing.assert_array_equal(posterior["component"].values[0], mixed.origin)
     # a draw's angles are an image of its component's
     listed = data.constant_data["sequence_angle_deg"].values
@@ -167,7 +167,7 @@ def test_the_posterior_file_opens_in_plain_arviz(tmp_path: Path) -> None:
 def test_the_same_answer_gives_the_same_pictures(tmp_path: Path) -> None:
     for name in ("first", "again"):
         (tmp_path / name).mkdir()
-        figures = sequence_figures(answer(), mixture(), given_sequence(answer(), np.array(TRUE)))
+        figures = sequence_figures(answer(), mixture(), given_layup(answer(), np.array(TRUE)))
         save_figures(figures, tmp_path / name)
     files = sorted(p.name for p in (tmp_path / "first").iterdir())
     assert {p.removesuffix(".png") for p in files if p.endswith(".png")} == {

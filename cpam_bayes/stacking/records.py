@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from cpam_bayes.plate import Specimen
 from cpam_bayes.stacking.conditional.evaluation import Evaluated
-from cpam_bayes.stacking.conditional.posterior import SequencePosterior
+from cpam_bayes.stacking.conditional.posterior import ConditionalPosterior
 from cpam_bayes.stacking.features import PlySums
-from cpam_bayes.stacking.surrogate.training import LearningSettings
+from cpam_bayes.stacking.surrogate.training import TrainingSettings
 from cpam_bayes.stacking.symmetry.classes import canonical, members
 from cpam_bayes.stacking.symmetry.symmetries import Symmetry
 
@@ -26,7 +26,7 @@ OVERLOOKED = 0.3
 
 
 @dataclass(frozen=True, slots=True)
-class SequenceSettings:
+class StackingSettings:
     """How the sequences are gone through.
 
     exhaustive : up to so many classes of sequences each evidence is computed. learning : of the surface.
@@ -38,7 +38,7 @@ class SequenceSettings:
     """
 
     exhaustive: int = 1500
-    learning: LearningSettings = field(default_factory=LearningSettings)
+    learning: TrainingSettings = field(default_factory=TrainingSettings)
     halvings: int = 2
     unaccounted: float = 1e-3
     fitted: int = 20_000
@@ -54,22 +54,22 @@ class SequenceSettings:
         return n_sequences <= 2 * self.exhaustive
 
 
-DEFAULT_SETTINGS = SequenceSettings()
+DEFAULT_SETTINGS = StackingSettings()
 
 
 @dataclass(frozen=True, slots=True)
-class SurfaceCheck:
+class SurrogateCheck:
     """How good the evidence is of sequences where it is not computed with care.
 
-    learned_from : sequences. rms, largest : error of the log evidence on draws from the posterior, on those
+    training_size : sequences. rms, largest : error of the log evidence on draws from the posterior, on those
     that count, nats. overlooked : what the best of them is better by than every sequence listed, nats.
     correction : log of the factor on the sum of what was learned that the draws found. effective : share
     of the draws that count. fitted : sequences fitted one by one; sampled : classes of these whose
-    evidence was sampled; learned_probability : of all sequences whose evidence is learned alone.
+    evidence was sampled; surrogate_probability : of all sequences whose evidence is learned alone.
     basis_error : largest relative error of a frequency, at constants drawn, by the basis for the posterior.
     """
 
-    learned_from: int
+    training_size: int
     rms: float
     largest: float
     overlooked: float
@@ -77,12 +77,12 @@ class SurfaceCheck:
     effective: float
     fitted: int
     sampled: int
-    learned_probability: float
+    surrogate_probability: float
     basis_error: float
 
 
 @dataclass(frozen=True, slots=True)
-class SequenceAnswer:
+class StackingPosterior:
     """The posterior over the sequences of one specimen.
 
     enumerated : sequences on the grid. classes : distinct ones, symmetric images merged, ``None`` where they
@@ -98,7 +98,7 @@ class SequenceAnswer:
     """
 
     specimen: Specimen
-    own: SequencePosterior
+    conditional: ConditionalPosterior
     symmetries: tuple[Symmetry, ...]
     grid_deg: Array
     enumerated: int
@@ -118,10 +118,10 @@ class SequenceAnswer:
     unaccounted: float
     drawn: Evaluated
     draw_weight: Array
-    check: SurfaceCheck | None
+    check: SurrogateCheck | None
     seconds: float
 
-    def listing(self, rows: Array) -> SequenceAnswer:
+    def listing(self, rows: Array) -> StackingPosterior:
         """The same with a list of some of the classes."""
         return replace(
             self,
@@ -151,7 +151,7 @@ class SequenceAnswer:
 
 
 @dataclass(frozen=True, slots=True)
-class Task:
+class StackingProblem:
     """The sequences of one specimen: their posteriors, symmetries and grid.
 
     sums : over the plies, ``None`` where the layup is not symmetric. starts : (2, n) of every climb.
@@ -160,19 +160,19 @@ class Task:
     """
 
     specimen: Specimen
-    own: SequencePosterior
+    conditional: ConditionalPosterior
     symmetries: tuple[Symmetry, ...]
     grid_deg: Array
     sums: PlySums | None
     starts: Array
     library: Array
-    settings: SequenceSettings
+    settings: StackingSettings
     executor: Executor | None
 
     @property
     def n_unknown(self) -> int:
         """Number of unknown angles."""
-        return self.own.n_angles
+        return self.conditional.n_angles
 
     @property
     def n_sequences(self) -> int:
@@ -185,10 +185,10 @@ class Task:
         return self.settings.computes_each(self.n_sequences)
 
 
-def moved(task: Task, data: Evaluated, rng: np.random.Generator) -> Evaluated:
+def random_members(problem: StackingProblem, data: Evaluated, rng: np.random.Generator) -> Evaluated:
     """Sequences replaced by members of their classes at random: all are equally probable."""
     found = data.sequences.copy()
     for i, sequence in enumerate(data.sequences):
-        every = members(sequence, task.symmetries)
+        every = members(sequence, problem.symmetries)
         found[i] = every[rng.integers(len(every))]
     return replace(data, sequences=found)

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
 
-__all__ = ["IdentifiedSequence", "identified_sequences"]
+__all__ = ["IdentifiedLayup", "identified_layups"]
 
 
 @dataclass(frozen=True, slots=True)
-class IdentifiedSequence:
+class IdentifiedLayup:
     """One specimen of Table 9.
 
     constants : by name with unit, as in plate files, in the digits of the print; empty where part (a)
@@ -25,12 +25,12 @@ class IdentifiedSequence:
 
 
 @cache
-def identified_sequences() -> Mapping[str, IdentifiedSequence]:
+def identified_layups() -> Mapping[str, IdentifiedLayup]:
     """Table 9 by specimen, in the order of part (b)."""
     resource = files("cpam_bayes") / "data" / "paper" / "table_9.toml"
     content = tomllib.loads(resource.read_text(encoding="utf-8"))
     return {
-        name: IdentifiedSequence(
+        name: IdentifiedLayup(
             specimen=name,
             constants=dict(zip(content["constants"], content["identified"].get(name, ()), strict=False)),
             angles_deg=tuple(angles),

@@ -9,7 +9,7 @@ from importlib.resources import files
 from itertools import product
 from typing import Final
 
-__all__ = ["Contradiction", "DisorderTable", "PrintedConstant", "contradictions", "disorder_table"]
+__all__ = ["Contradiction", "PerturbationTable", "PrintedConstant", "contradictions", "perturbation_table"]
 
 _TABLES: Final = {"A2": 10, "C1": 11, "C3": 12, "D1": 13, "D3": 14}
 
@@ -29,7 +29,7 @@ class PrintedConstant:
 
 
 @dataclass(frozen=True, slots=True)
-class DisorderTable:
+class PerturbationTable:
     """One of Tables 10 to 14.
 
     angles_deg : the unknown plies without noise, then one sequence a level; empty where none was
@@ -66,7 +66,7 @@ class Contradiction:
 
 
 @cache
-def disorder_table(specimen: str) -> DisorderTable | None:
+def perturbation_table(specimen: str) -> PerturbationTable | None:
     """The table of a built-in specimen, or None where the paper has none for it."""
     number = _TABLES.get(specimen)
     if number is None:
@@ -74,7 +74,7 @@ def disorder_table(specimen: str) -> DisorderTable | None:
     resource = files("cpam_bayes") / "data" / "paper" / f"table_{number}.toml"
     content = tomllib.loads(resource.read_text(encoding="utf-8"))
     angles = content.get("angles_deg")
-    return DisorderTable(
+    return PerturbationTable(
         number=content["table"],
         specimen=content["specimen"],
         levels_percent=tuple(content["levels_percent"]),
@@ -86,7 +86,7 @@ def disorder_table(specimen: str) -> DisorderTable | None:
     )
 
 
-def contradictions(table: DisorderTable) -> tuple[Contradiction, ...]:
+def contradictions(table: PerturbationTable) -> tuple[Contradiction, ...]:
     """Printed percentages outside of what 100 (amount / free - 1) can be before rounding.
 
     Amount and free value may each be half a unit of their last digit off, the percentage a whole one,

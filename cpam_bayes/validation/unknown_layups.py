@@ -16,7 +16,7 @@ from cpam_bayes.plate.layup import parse_layup
 Array = NDArray[Any]
 
 
-def with_layup(plate: str, layup: str | None, step_deg: float | None = None) -> Specimen:
+def with_unknown_layup(plate: str, layup: str | None, step_deg: float | None = None) -> Specimen:
     """A built-in plate with unknown angles, its own or those of ``layup``, if wanted on another grid."""
     specimen = builtin(plate, sequence=True)
     if layup is not None:
@@ -24,14 +24,14 @@ def with_layup(plate: str, layup: str | None, step_deg: float | None = None) -> 
     return specimen if step_deg is None else replace(specimen, angle_grid_deg=step_deg)
 
 
-def own_sequence(specimen: Specimen) -> Array:
+def known_angles(specimen: Specimen) -> Array:
     """The built-in plate's own angles at the places of the unknown ones, (k,) degrees."""
     known = builtin(specimen.name).plate.layup.angles_deg
     layup = specimen.plate.layup
     return np.array([known[np.flatnonzero(layup.unknown_index == i)[0]] for i in range(layup.n_unknown)])
 
 
-def own_list(specimen: Specimen, noise: float) -> tuple[Specimen, Array, float]:
+def with_noise_free_list(specimen: Specimen, noise: float) -> tuple[Specimen, Array, float]:
     """A specimen with the noise-free list of its own sequence, which comes too, and the model's error.
 
     noise : relative standard deviation that the list states. The constants are the reference ones.
@@ -39,7 +39,7 @@ def own_list(specimen: Specimen, noise: float) -> tuple[Specimen, Array, float]:
     assert specimen.measurement is not None
     n = specimen.measurement.size
     model = reduced_model(specimen, angle_parameters(specimen).union(specimen.unknowns), n)
-    own = own_sequence(specimen)
+    own = known_angles(specimen)
     x = np.concatenate((own, reference_vector(specimen, specimen.unknowns)))
     frequencies = model.predict(x[None]).frequencies[0]
     listed = Measurement(frequencies, 0.0, noise, None, ("",) * n, complete=True)
