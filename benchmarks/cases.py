@@ -50,7 +50,9 @@ class Case:
 
     def specimen(self) -> Specimen:
         """The specimen, with unknown angles if any layup is to be solved."""
-        found = read_specimen(self.plate, sequence=self.any_layup)
+        found = read_specimen(self.plate)
+        if self.any_layup:
+            found = found.with_unknown_angles()
         if not self.mass:
             return found
         corner = Sensor(self.mass, found.plate.length, found.plate.width)

@@ -1,3 +1,82 @@
-"""Elastic constants of composite plates from their natural frequencies."""
+"""Elastic constants of composite plates from their natural frequencies.
+
+    import cpam_bayes as cb
+
+    plate = cb.read_plate("C1")     # a built-in specimen, the path of a plate file, or its content
+    cb.forward(plate)               # natural frequencies from the reference constants
+    cb.identify(plate, seed=0)      # constants by the particle swarm
+    cb.sample(plate, seed=0)        # their posterior by emcee
+    cb.sequence(plate)              # the probability of every stacking sequence
+    cb.diagnose(plate)              # what the simulation gets wrong, and why
+    cb.sensitivity(plate)           # the paper's noise study beside the posterior
+
+Every result has `summary()`, `to_dict()`, `plot()`, `save()`, `warnings` and `status`. Names are loaded
+when they are first used.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
 __version__ = "0.1.0"
+
+if TYPE_CHECKING:
+    from cpam_bayes import effects as effects
+    from cpam_bayes import paper as paper
+    from cpam_bayes.diagnosis.plates import diagnose as diagnose
+    from cpam_bayes.forward_model.builtin import plates as plates
+    from cpam_bayes.forward_model.calculix.export import export as export
+    from cpam_bayes.forward_model.solve import forward as forward
+    from cpam_bayes.identification.identify import identify as identify
+    from cpam_bayes.identification.sampled import sample as sample
+    from cpam_bayes.identification.starting import posterior as posterior
+    from cpam_bayes.plate.reader import builtin_plates as builtin_plates
+    from cpam_bayes.plate.reader import read_plate as read_plate
+    from cpam_bayes.repetition.sensitivity import sensitivity as sensitivity
+    from cpam_bayes.result import Result as Result
+    from cpam_bayes.stacking.sequence import sequence as sequence
+
+# Public name -> the module that holds it.
+_PUBLIC = {
+    "Result": "cpam_bayes.result",
+    "builtin_plates": "cpam_bayes.plate.reader",
+    "diagnose": "cpam_bayes.diagnosis.plates",
+    "export": "cpam_bayes.forward_model.calculix.export",
+    "forward": "cpam_bayes.forward_model.solve",
+    "identify": "cpam_bayes.identification.identify",
+    "plates": "cpam_bayes.forward_model.builtin",
+    "posterior": "cpam_bayes.identification.starting",
+    "read_plate": "cpam_bayes.plate.reader",
+    "sample": "cpam_bayes.identification.sampled",
+    "sensitivity": "cpam_bayes.repetition.sensitivity",
+    "sequence": "cpam_bayes.stacking.sequence",
+}
+_PACKAGES = ("effects", "paper")
+
+__all__ = [
+    "Result",
+    "builtin_plates",
+    "diagnose",
+    "effects",
+    "export",
+    "forward",
+    "identify",
+    "paper",
+    "plates",
+    "posterior",
+    "read_plate",
+    "sample",
+    "sensitivity",
+    "sequence",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name in _PUBLIC:
+        return getattr(import_module(_PUBLIC[name]), name)
+    if name in _PACKAGES:
+        return import_module(f"cpam_bayes.{name}")
+    raise AttributeError(f"module 'cpam_bayes' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return [*__all__, "__version__"]

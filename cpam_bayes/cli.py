@@ -14,11 +14,11 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Final
 
 from cpam_bayes import __version__
-from cpam_bayes.commands import BACKENDS, DEFAULT_SEED, ELEMENTS, MOST_MODES, NOISE_SHAPES, SOLVERS
+from cpam_bayes.commands import BACKENDS, DEFAULT_SEED, ELEMENTS, MAX_MODES, NOISE_SHAPES, SOLVERS
 from cpam_bayes.commands.options import add_executor_options, whole
 
 if TYPE_CHECKING:
-    from cpam_bayes.report.answer import Answer
+    from cpam_bayes.result import Result
 
 BAD_INPUT: Final = 2
 NOT_WRITTEN: Final = 1
@@ -45,7 +45,7 @@ def prepare(argv: Sequence[str]) -> Callable[[], int]:
         if args.out is not None:
             import_module("cpam_bayes.report.figures")
         module = import_module(f"cpam_bayes.commands.{args.command}")
-        work: Callable[[], Answer] = module.prepare(args)
+        work: Callable[[], Result] = module.prepare(args)
     except ValueError as error:
         return partial(_refuse, error)
     return partial(_finish, work, args)
@@ -57,7 +57,7 @@ def _refuse(error: ValueError) -> int:
     return BAD_INPUT
 
 
-def _finish(work: Callable[[], Answer], args: argparse.Namespace) -> int:
+def _finish(work: Callable[[], Result], args: argparse.Namespace) -> int:
     """Do the work, save its files, and show its answer even if they could not be saved."""
     from cpam_bayes.parallel import WorkersLostError
     from cpam_bayes.report.files import save, staging
@@ -86,17 +86,17 @@ def _finish(work: Callable[[], Answer], args: argparse.Namespace) -> int:
     if not_saved is not None:
         print(f"error: --out {args.out}: {not_saved}; not all files are there", file=sys.stderr)
         return NOT_WRITTEN
-    return answer.status
+    return 0 if answer.reached_goal else NOT_DONE
 
 
-def _show(answer: Answer, as_json: bool) -> None:
+def _show(answer: Result, as_json: bool) -> None:
     from cpam_bayes.report.documents import json_text
     from cpam_bayes.report.tables import screen_text
 
     stream = sys.stdout
     if stream is None:  # closed by the caller
         return
-    text = json_text(answer.document) if as_json else screen_text(answer.screen, stream)
+    text = json_text(answer.to_dict()) if as_json else screen_text(answer.tables(), stream)
     encoding = stream.encoding or "utf-8"
     stream.write(text.encode(encoding, "backslashreplace").decode(encoding))
     stream.flush()
@@ -118,7 +118,7 @@ def _parser() -> argparse.ArgumentParser:
     forward.add_argument("plate", metavar="PLATE", help="built-in specimen or path of a plate file")
     forward.add_argument(
         "--solver",
-        choices=tuple(SOLVERS),
+        choices=SOLVERS,
         help="ritz; fem: finite elements, which also take [plate] mesh; ccx: the program CalculiX "
         "(default: fem for a plate with a mesh, ritz for the others)",
     )
@@ -154,7 +154,7 @@ def _parser() -> argparse.ArgumentParser:
     identify.add_argument("plate", metavar="PLATE", help="built-in specimen or path of a plate file")
     identify.add_argument(
         "--backend",
-        choices=tuple(BACKENDS),
+        choices=BACKENDS,
         default="pso",
         help="pso: the paper's particle swarm; emcee: the posterior, sampled from that swarm on",
     )
@@ -302,9 +302,9 @@ def _sensitivity(commands: argparse._SubParsersAction[argparse.ArgumentParser]) 
 def _modes(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--modes",
-        type=whole(1, MOST_MODES),
+        type=whole(1, MAX_MODES),
         metavar="N",
-        help=f"number of modes, 1 to {MOST_MODES} (default: as many as were measured, or 10)",
+        help=f"number of modes, 1 to {MAX_MODES} (default: as many as were measured, or 10)",
     )
 
 

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
-__all__ = ["NOT_KNOWN", "decimals_of", "fixed", "signed", "significant", "with_spread"]
+__all__ = ["NOT_KNOWN", "decimals_of", "fixed", "listed", "signed", "significant", "with_spread"]
 
 NOT_KNOWN = "-"
 
@@ -49,3 +49,10 @@ def decimals_of(values: Iterable[float]) -> int:
     """The decimals that a list of numbers was written with, six at most."""
     parts = (f"{value:.6f}".rstrip("0").partition(".")[2] for value in values)
     return max((len(part) for part in parts), default=0)
+
+
+def listed(names: Sequence[str], word: str) -> str:
+    """Names with commas, and a word before the last."""
+    if len(names) < 2:
+        return "".join(names)
+    return f"{', '.join(names[:-1])} {word} {names[-1]}"

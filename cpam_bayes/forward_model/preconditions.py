@@ -2,18 +2,29 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import numpy as np
+from numpy.typing import NDArray
+
 from cpam_bayes.errors import PlateFileError
 from cpam_bayes.mechanics.modes import RigidBodyError
 from cpam_bayes.plate import Specimen
 
 __all__ = [
+    "SUSPICIOUS_RATIO",
+    "explained_failures",
     "plate_warnings",
     "require_diagnosable",
     "require_paired_list",
     "require_sequence",
     "require_supported",
-    "solver_failure",
+    "units_warning",
 ]
+
+SUSPICIOUS_RATIO = 3.0
+"""Prediction over measurement beyond which a unit in the plate file is suspected."""
 
 # Longer side over thickness from which a failure is blamed on the thickness.
 _THIN = 300.0
@@ -131,8 +142,30 @@ def plate_warnings(specimen: Specimen) -> tuple[str, ...]:
     )
 
 
-def solver_failure(specimen: Specimen, error: RigidBodyError) -> ValueError:
-    """Say what a user can do where the solver cannot tell bending from rounding."""
+@contextmanager
+def explained_failures(specimen: Specimen) -> Iterator[None]:
+    """Say what a user can do where the solver cannot tell bending from rounding.
+
+    Raises ``PlateFileError`` instead of the solver's ``RigidBodyError``.
+    """
+    try:
+        yield
+    except RigidBodyError as error:
+        raise _solver_failure(specimen, error) from error
+
+
+def units_warning(ratio: NDArray[np.float64], advice: str, where: str = "") -> list[str]:
+    """A warning where a predicted frequency is not even of the size of the measured one.
+
+    ratio : predicted over measured frequencies. where : at which constants, with a space before.
+    """
+    worst = float(ratio[np.argmax(np.abs(np.log(ratio)))])
+    if 1 / SUSPICIOUS_RATIO <= worst <= SUSPICIOUS_RATIO:
+        return []
+    return [f"a predicted frequency is {worst:.3g} times the measured one{where}: {advice}"]
+
+
+def _solver_failure(specimen: Specimen, error: RigidBodyError) -> ValueError:
     plate = specimen.plate
     ratio = max(plate.length, plate.width) / plate.thickness
     if ratio < _THIN:

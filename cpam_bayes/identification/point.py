@@ -12,8 +12,10 @@ from numpy.typing import NDArray
 
 from cpam_bayes.forward_model.labels import LabelledModel, labelled_model, list_order, spare_modes
 from cpam_bayes.forward_model.model import discretisation_error, plate_problem
+from cpam_bayes.forward_model.preconditions import units_warning
 from cpam_bayes.forward_model.reduced import ReducedModel
 from cpam_bayes.forward_model.store import reduced_model
+from cpam_bayes.identification.verdicts import Verdict, verdict_of
 from cpam_bayes.inference.swarm.pso import SwarmResult, SwarmSettings, initial_swarm, minimise
 from cpam_bayes.mechanics.shapes import Mode
 from cpam_bayes.parameters import ParameterSet
@@ -24,18 +26,12 @@ from cpam_bayes.threads import single_blas_thread
 
 Array = NDArray[Any]
 Residual = Literal["absolute", "relative"]
-Verdict = Literal["determined", "weakly determined", "not determined", "at a bound"]
 
 # A constant this close to a bound, as a fraction of the search interval, sits on it.
 _ON_BOUND = 1e-3
-# Ratio of the linearised standard deviation to that of the search interval: below the first value
-# the data decide, above the second the interval does.
-_DETERMINED, _UNDETERMINED = 0.15, 0.5
 # Relative error of the plate model at the answer above which the model is converged anew there.
 _ACCEPTED_ERROR = 5e-4
 _MOST_MODELS = 3
-# Prediction over measurement beyond which a unit in the plate file is suspected.
-SUSPICIOUS_RATIO = 3.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +54,7 @@ class ConstantEstimate:
 
 
 @dataclass(frozen=True, slots=True)
-class Identification:
+class PointEstimate:
     """Answer of the particle swarm for one specimen.
 
     predicted : one mode for each measured frequency. rms : root mean square of the relative
@@ -93,7 +89,7 @@ def misfit(predicted: Array, measured: Array, residual: Residual) -> Array:
 
 
 @single_blas_thread
-def identify(
+def estimate_constants(
     specimen: Specimen,
     seed: int,
     *,
@@ -101,7 +97,7 @@ def identify(
     residual: Residual = "absolute",
     progress: Callable[[int, float], None] | None = None,
     notify: Callable[[str], None] = lambda text: None,
-) -> Identification:
+) -> PointEstimate:
     """Elastic constants of a specimen by the particle swarm of the paper.
 
     Minimises ``misfit`` over the unknowns of the plate file within their bounds under the
@@ -140,10 +136,10 @@ def search(
     progress: Callable[[int, float], None] | None = None,
     notify: Callable[[str], None] = lambda text: None,
 ) -> Search:
-    """The swarm of ``identify``, on a model of ``spare`` modes more than the list has.
+    """The swarm of ``estimate_constants``, on a model of ``spare`` modes more than the list has.
 
     Frequencies with a label are compared with the mode that has it, the others in ascending order.
-    Raises as ``identify`` does, and ``LabelError`` for labels that the model does not have.
+    Raises as ``estimate_constants`` does, and ``LabelError`` for labels that the model does not have.
     """
     measurement, unknowns = required(specimen)
     isotropic = specimen.material.isotropic
@@ -197,7 +193,7 @@ def summarise(
     error: Array,
     residual: Residual,
     start: float,
-) -> Identification:
+) -> PointEstimate:
     """What an engineer needs to know about the swarm's best particle."""
     measurement, unknowns = required(specimen)
     best = swarm.best
@@ -216,7 +212,7 @@ def summarise(
         for name, value, its_sd in zip(unknowns.names, best, sd, strict=True)
     )
     state = plate_problem(specimen, unknowns).state(unknowns.mapping(best))
-    return Identification(
+    return PointEstimate(
         specimen=specimen,
         constants=estimates,
         predicted=tuple(modes[j] for j in order),
@@ -280,14 +276,7 @@ def bound_of(value: float, lower: float, upper: float) -> Literal["lower", "uppe
 def _estimate(specimen: Specimen, name: str, value: float, sd: float) -> ConstantEstimate:
     prior = specimen.unknowns[name].prior
     bound = bound_of(value, prior.lower, prior.upper)
-    ratio = sd / prior.sd
-    verdict: Verdict
-    if bound is not None:
-        verdict = "at a bound"
-    elif not ratio < _UNDETERMINED:
-        verdict = "not determined"
-    else:
-        verdict = "determined" if ratio < _DETERMINED else "weakly determined"
+    verdict = verdict_of(sd, prior.sd, at_bound=bound is not None)
     complete = complete_constants(specimen.material.constants, specimen.material.isotropic)
     return ConstantEstimate(name, value, sd, prior.lower, prior.upper, bound, verdict, float(complete[name]))
 
@@ -299,11 +288,9 @@ def _warnings(measurement: Measurement, predicted: Array, n_unknowns: int) -> tu
             f"{measurement.size} frequencies for {n_unknowns} unknowns: the bounds decide, "
             "the fit says nothing about its own error"
         )
-    ratio = predicted / measurement.frequencies
-    if np.any(ratio > SUSPICIOUS_RATIO) or np.any(ratio < 1 / SUSPICIOUS_RATIO):
-        worst = float(ratio[np.argmax(np.abs(np.log(ratio)))])
-        found.append(
-            f"a predicted frequency is {worst:.3g} times the measured one even for the best "
-            "constants: check the units of the sizes, the density and the frequencies"
-        )
+    found += units_warning(
+        predicted / measurement.frequencies,
+        "check the units of the sizes, the density and the frequencies",
+        " even for the best constants",
+    )
     return tuple(found)

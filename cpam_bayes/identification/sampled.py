@@ -1,20 +1,24 @@
-"""Identification by sampling: the swarm, the ensembles started from it, and what they say."""
+"""The posterior of the constants of a plate, sampled by emcee from the swarm on: the question `sample`."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cpam_bayes.forward_model.air_shift import air_shifts
 from cpam_bayes.forward_model.labels import LabelledModel, list_order
 from cpam_bayes.forward_model.model import SIZES, discretisation_error
+from cpam_bayes.forward_model.preconditions import explained_failures, plate_warnings, require_supported
 from cpam_bayes.forward_model.reduced import ReducedModel
+from cpam_bayes.identification.identify import NO_MESH
 from cpam_bayes.identification.starting import start_of
+from cpam_bayes.identification.verdicts import Verdict, verdict_of
 from cpam_bayes.inference.diagnostics.assessment import Assessment, assess
 from cpam_bayes.inference.diagnostics.completeness import Doubt, doubt_of
 from cpam_bayes.inference.diagnostics.predictive import predictive_p_value
@@ -25,25 +29,25 @@ from cpam_bayes.inference.ensemble import (
     EnsembleSettings,
 )
 from cpam_bayes.inference.importance import Evidence, evidence_of
-from cpam_bayes.inference.noise import Likelihood
+from cpam_bayes.inference.noise import NOISE_NAMES, Likelihood
 from cpam_bayes.inference.pairing import Pairing
 from cpam_bayes.inference.posterior import Posterior
 from cpam_bayes.inference.sampling import sample_from
 from cpam_bayes.inference.swarm.pso import SwarmSettings
 from cpam_bayes.mechanics.shapes import Mode
-from cpam_bayes.plate import Specimen
+from cpam_bayes.plate import PlateLike, Specimen, read_plate
 from cpam_bayes.plate.elasticity import complete_constants
 from cpam_bayes.plate.laminate import flexural_constants
+from cpam_bayes.result import SILENT, PlateResult, Watch
 from cpam_bayes.threads import single_blas_thread
 
 Array = NDArray[Any]
-Verdict = Literal["determined by the data", "determined by data and prior", "determined by the prior"]
 
-# Posterior contraction from which the data decide, and below which the prior does.
-_BY_DATA, _BY_PRIOR = 0.9, 0.5
-# Share of the search interval that counts as touching a bound.
+# A posterior predictive p-value this far out says that noise alone does not explain the residuals.
+_P_LOW = 0.02
+# Fraction of the search interval that counts as touching a bound.
 _TOUCH = 0.01
-# Share of draws next to a bound that an even density over the interval would not put there.
+# Fraction of draws next to a bound that an even density over the interval would not put there.
 _AT_BOUND = 0.05
 # Draws that predictions and laminate constants are averaged over.
 _PREDICTIVE_DRAWS = 1000
@@ -74,20 +78,31 @@ class ConstantPosterior:
     reference: float
 
 
-@dataclass(frozen=True, slots=True)
-class SampledIdentification:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SampledResult(PlateResult):
     """The posterior of one specimen's constants.
 
-    predicted : (n_modes,) posterior mean and sd of the model's frequencies, Hz. modes : the model's
-    modes at the most probable draw. pairing : of the list with them. p_value : posterior predictive
-    p-value of the sum of squared standardised residuals. laminate : name -> (mean, sd). error :
-    relative error of the solver at the most probable draw in the modes that have a frequency. doubt : a
-    pairing of a complete list that is far more probable than one to one. evidence : by importance
-    sampling. assessment : what determines the posterior and how it fits. seconds_sampling : of the
-    ensembles, without the plate model, the swarm and what follows.
+    Attributes
+    ----------
+    posterior : what was sampled; ``posterior.log_prob`` takes parameter vectors
+    constants : marginal posteriors of all parameters
+    predicted, predicted_sd : (n_modes,) posterior mean and sd of the model's frequencies, Hz
+    modes : the model's modes at the most probable draw
+    pairing : of the measured frequencies with them
+    p_value : posterior predictive p-value of the sum of squared standardised residuals
+    laminate : name -> (mean, sd)
+    error : relative error of the solver at the most probable draw in the modes that have a frequency
+    doubt : a pairing of a complete list that is far more probable than one to one
+    evidence : by importance sampling
+    assessment : what determines the posterior and how it fits
+    result : chains and diagnostics of the ensembles
+    seconds_sampling : of the ensembles, without the plate model, the swarm and what follows
     """
 
-    specimen: Specimen
+    question: ClassVar[str] = "posterior"
+    command: ClassVar[str] = "identify"
+    has_posterior: ClassVar[bool] = True
+
     posterior: Posterior
     constants: tuple[ConstantPosterior, ...]
     predicted: Array
@@ -106,30 +121,98 @@ class SampledIdentification:
     seconds: float
 
     @property
+    def status(self) -> str:
+        """Either "converged", or "budget" where the chains used all their steps."""
+        return self.result.status
+
+    @property
+    def elastic_constants(self) -> tuple[ConstantPosterior, ...]:
+        """The elastic constants, without noise and sizes."""
+        return tuple(c for c in self.constants if c.name not in (*NOISE_NAMES, *SIZES))
+
+    @property
+    def sizes(self) -> tuple[ConstantPosterior, ...]:
+        """The sizes of the plate that have a standard deviation."""
+        return tuple(c for c in self.constants if c.name in SIZES)
+
+    @property
     def ess_per_second(self) -> float:
         """Effective samples of the worst parameter for each second of sampling."""
         return self.result.diagnostics.ess_bulk / self.seconds_sampling
 
 
-@single_blas_thread
-def identify_by_sampling(
-    specimen: Specimen,
-    seed: int,
+def sample(
+    plate: PlateLike,
     *,
+    seed: int = 0,
     likelihood: Likelihood = "relative",
     degrees_of_freedom: float = np.inf,
     settings: EnsembleSettings = DEFAULT_SETTINGS,
     swarm_settings: SwarmSettings | None = None,
-    store: Path | None = None,
-    notify: Callable[[str], None] = lambda text: None,
-    progress: Callable[[Diagnostics], None] = lambda diagnostics: None,
-) -> SampledIdentification:
-    """The posterior of a specimen's constants by emcee, started from the particle swarm.
+    store: str | Path | None = None,
+    watch: Watch = SILENT,
+) -> SampledResult:
+    """The posterior of the constants of a plate by emcee, started from the particle swarm.
 
-    likelihood, degrees_of_freedom : of the noise, as of ``noise_model``. Raises ``ValueError`` if the
-    specimen has no measured frequencies or no unknowns, or if no particle is feasible; ``StoreError``
-    if the store cannot be used.
+    Parameters
+    ----------
+    plate : what `read_plate` takes, or what it returns
+    likelihood : "relative" noise, in proportion to a frequency, or "absolute", one standard deviation in Hz
+        for all modes, which is inferred: eq. (7)
+    degrees_of_freedom : of Student-t noise; infinite for Gaussian noise
+    settings : of the ensembles
+    store : a directory that keeps finished rounds; the same call goes on from there
+    watch : is shown the progress
+
+    Raises
+    ------
+    ValueError
+        If the plate cannot be read, has no measured frequencies or no unknowns, or if no particle of the
+        initial swarm is feasible.
+    StoreError
+        If the store cannot be used.
     """
+    specimen = require_supported(read_plate(plate), NO_MESH)
+    latest: list[Diagnostics] = []
+
+    def described(r_hat: float) -> str:
+        return f"R-hat {r_hat:.4f}, {latest[-1].ess_bulk:.0f} effective samples"
+
+    with (
+        explained_failures(specimen),
+        watch.stage(f"identify {specimen.name}", settings.most_steps, described) as shown,
+    ):
+
+        def progress(diagnostics: Diagnostics) -> None:
+            latest.append(diagnostics)
+            shown.tick(diagnostics.steps, diagnostics.r_hat)
+
+        return _sampled(
+            specimen,
+            seed,
+            likelihood=likelihood,
+            degrees_of_freedom=degrees_of_freedom,
+            settings=settings,
+            swarm_settings=swarm_settings,
+            store=None if store is None else Path(store),
+            notify=shown.notify,
+            progress=progress,
+        )
+
+
+@single_blas_thread
+def _sampled(
+    specimen: Specimen,
+    seed: int,
+    *,
+    likelihood: Likelihood,
+    degrees_of_freedom: float,
+    settings: EnsembleSettings,
+    swarm_settings: SwarmSettings | None,
+    store: Path | None,
+    notify: Callable[[str], None],
+    progress: Callable[[Diagnostics], None],
+) -> SampledResult:
     start = time.perf_counter()
     begun = start_of(
         specimen,
@@ -149,8 +232,7 @@ def identify_by_sampling(
     notify("assessing the posterior")
     evidence = evidence_of(posterior, result, seed)
     solves = begun.solves + result.solves + evidence.solves
-    rng = np.random.default_rng([seed, 3])
-    return _summarise(specimen, posterior, model, result, evidence, solves, (start, sampling), rng)
+    return _summarise(specimen, posterior, model, result, evidence, solves, (start, sampling), seed)
 
 
 def _summarise(
@@ -161,8 +243,9 @@ def _summarise(
     evidence: Evidence,
     solves: int,
     clock: tuple[float, float],
-    rng: np.random.Generator,
-) -> SampledIdentification:
+    seed: int,
+) -> SampledResult:
+    rng = np.random.default_rng([seed, 3])
     draws = result.draws
     n = model.parameters.size
     best = draws[int(np.argmax(result.log_prob))]
@@ -172,8 +255,11 @@ def _summarise(
     modes, order = model.full.modes(best[:n]), list_order(model, best[:n])
     paired = order[pairing.mode[pairing.mode >= 0]]
     start, sampling = clock
-    return SampledIdentification(
+    summary = SampledResult(
+        seed=seed,
         specimen=specimen,
+        air_shifts=air_shifts(specimen),
+        reached_goal=result.status == "converged" and result.not_stored is None,
         posterior=posterior,
         constants=tuple(_marginal(specimen, posterior, i, draws[:, i]) for i in range(draws.shape[1])),
         predicted=frequencies.mean(axis=0),
@@ -191,6 +277,7 @@ def _summarise(
         seconds_sampling=sampling,
         seconds=time.perf_counter() - start,
     )
+    return replace(summary, warnings=(*sampled_warnings(summary), *plate_warnings(specimen)))
 
 
 def _marginal(specimen: Specimen, posterior: Posterior, i: int, draws: Array) -> ConstantPosterior:
@@ -206,11 +293,7 @@ def _marginal(specimen: Specimen, posterior: Posterior, i: int, draws: Array) ->
     bound: Literal["lower", "upper"] | None = None
     if max(at_lower, at_upper) > _AT_BOUND:
         bound = "lower" if at_lower > at_upper else "upper"
-    verdict: Verdict = "determined by data and prior"
-    if contraction < _BY_PRIOR:
-        verdict = "determined by the prior"
-    elif contraction >= _BY_DATA and bound is None:
-        verdict = "determined by the data"
+    verdict = verdict_of(sd, prior.sd, at_bound=bound is not None)
     q025, median, q975 = (float(q) for q in np.quantile(draws, (0.025, 0.5, 0.975)))
     return ConstantPosterior(
         name=parameter.name,
@@ -245,3 +328,43 @@ def _laminate(model: ReducedModel | LabelledModel, x: Array) -> dict[str, tuple[
     found = [flexural_constants(k, float(h)) for k, h in zip(stiffness, thickness, strict=True)]
     columns = {name: np.array([f[name] for f in found]) for name in found[0]}
     return {name: (float(v.mean()), float(v.std())) for name, v in columns.items()}
+
+
+def sampled_warnings(result: SampledResult) -> tuple[str, ...]:
+    """Everything that is a reason not to trust the numbers as they stand."""
+    problems = []
+    measurement = result.posterior.measurement
+    unknowns = len(result.elastic_constants)
+    if measurement.size <= unknowns:
+        many = "frequency" if measurement.size == 1 else "frequencies"
+        problems.append(f"{measurement.size} {many} for {unknowns} unknowns: the prior decides")
+    if result.result.status == "budget":
+        d = result.result.diagnostics
+        problems.append(
+            f"the chains used their budget of {d.steps} steps before they converged (R-hat "
+            f"{d.r_hat:.3f}, {d.ess_bulk:.0f} effective samples): means and intervals are not reliable; "
+            "allow more steps"
+        )
+    if result.result.not_stored is not None:
+        problems.append(result.result.not_stored)
+    if result.doubt is not None:
+        problems.append(doubt_sentence(result.doubt))
+    if result.p_value < _P_LOW:
+        problems.append(
+            f"posterior predictive p-value {result.p_value:.3f}: the residuals are larger than the noise "
+            "of the plate file explains, the plate model lacks something or the noise is larger"
+        )
+    return tuple(problems)
+
+
+def doubt_sentence(doubt: Doubt) -> str:
+    """What of a complete list looks as if it were not, and what to do about it."""
+    times = f"{np.exp(doubt.log_odds):.0f}" if doubt.log_odds < np.log(1e4) else "more than 10000"
+    if doubt.missed is not None:
+        what = f"lacks the mode {doubt.missed.label}, near {doubt.missed.frequency:.4g} Hz"
+    else:
+        what = f"holds a frequency that belongs to no mode, {doubt.spurious:.6g} Hz"
+    return (
+        f"the list looks as if it {what}: that is {times} times as probable as one frequency for every "
+        "mode; if so, set complete = false in [measurement]"
+    )

@@ -11,15 +11,17 @@ from numpy.typing import NDArray
 
 from cpam_bayes.forward_model.labels import LabelledModel, labelled_model
 from cpam_bayes.forward_model.model import discretisation_error, reference_vector, size_parameters
+from cpam_bayes.forward_model.preconditions import explained_failures, require_supported
 from cpam_bayes.forward_model.reduced import DEFAULT_SETTINGS as REDUCTION
 from cpam_bayes.forward_model.reduced import ReducedModel
 from cpam_bayes.forward_model.store import reduced_model
+from cpam_bayes.identification.identify import NO_MESH
 from cpam_bayes.identification.point import required, search
 from cpam_bayes.inference.noise import Likelihood
 from cpam_bayes.inference.posterior import Posterior, plate_posterior
 from cpam_bayes.inference.sampling import swarm_on_posterior
 from cpam_bayes.inference.swarm.pso import SwarmSettings
-from cpam_bayes.plate import Specimen
+from cpam_bayes.plate import PlateLike, Specimen, read_plate
 from cpam_bayes.threads import single_blas_thread
 
 Array = NDArray[Any]
@@ -44,6 +46,50 @@ class Start:
 
 
 @single_blas_thread
+def posterior(
+    plate: PlateLike, *, likelihood: Likelihood = "relative", degrees_of_freedom: float = np.inf
+) -> Posterior:
+    """The posterior of the unknowns of a plate, and of its sizes that have a standard deviation.
+
+    The building block for one's own sampler or optimiser: ``log_prob`` takes parameter vectors (m, n) in SI
+    units, in the order of ``parameters.names``, and returns (m,). The plate model is converged about the
+    reference constants.
+
+    Parameters
+    ----------
+    plate : what `read_plate` takes, or what it returns
+    likelihood, degrees_of_freedom : of the noise, see `sample`
+
+    Raises
+    ------
+    ValueError
+        If the plate cannot be read, has no measured frequencies or no unknowns.
+
+    Examples
+    --------
+    >>> import cpam_bayes as cb
+    >>> posterior = cb.posterior("A1")
+    >>> posterior.parameters.names
+    ('E1', 'nu12', 'relative_std')
+    >>> posterior.log_prob([[67e9, 0.33, 0.01], [300e9, 0.33, 0.01]])[1]
+    -inf
+    """
+    specimen = require_supported(read_plate(plate), NO_MESH)
+    measurement, unknowns = required(specimen)
+    spare = _ONE_MORE if measurement.complete else _SPARE_MODES
+    parameters = unknowns.union(size_parameters(specimen))
+    with explained_failures(specimen):
+        reduced = reduced_model(specimen, parameters, measurement.size + spare)
+    return plate_posterior(
+        labelled_model(reduced, measurement, specimen),
+        measurement,
+        np.hypot(reduced.full.error, REDUCTION.tolerance),
+        likelihood=likelihood,
+        degrees_of_freedom=degrees_of_freedom,
+    )
+
+
+@single_blas_thread
 def start_of(
     specimen: Specimen,
     seed: int,
@@ -63,7 +109,7 @@ def start_of(
     sizes = size_parameters(specimen)
     parameters = unknowns.union(sizes)
 
-    def posterior_of(model: ReducedModel | LabelledModel, error: Array) -> Posterior:
+    def posterior_on(model: ReducedModel | LabelledModel, error: Array) -> Posterior:
         return plate_posterior(
             model,
             measurement,
@@ -75,9 +121,9 @@ def start_of(
     if not measurement.complete:
         reduced = reduced_model(specimen, parameters, measurement.size + _SPARE_MODES, notify=notify)
         model = labelled_model(reduced, measurement, specimen)
-        posterior = posterior_of(model, reduced.full.error)
-        bests, values, solves = swarm_on_posterior(posterior, seed, swarm_settings or SwarmSettings())
-        return Start(posterior, model, bests, values, solves)
+        target = posterior_on(model, reduced.full.error)
+        bests, values, solves = swarm_on_posterior(target, seed, swarm_settings or SwarmSettings())
+        return Start(target, model, bests, values, solves)
     found = search(specimen, seed, spare=_ONE_MORE, settings=swarm_settings, notify=notify)
     swarm, model, error = found.swarm, found.model, found.error
     bests = swarm.personal_bests
@@ -88,4 +134,4 @@ def start_of(
         reduced = reduced_model(specimen, parameters, model.n_modes, centre=centre, notify=notify)
         model = labelled_model(reduced, measurement, specimen)
         error = discretisation_error(reduced.full, np.append(swarm.best, nominal))
-    return Start(posterior_of(model, error), model, bests, swarm.personal_values, swarm.evaluations)
+    return Start(posterior_on(model, error), model, bests, swarm.personal_values, swarm.evaluations)

@@ -1,7 +1,7 @@
 """Plate files, their units, and the built-in specimens."""
 
 from cpam_bayes.plate.parse import parse_specimen
-from cpam_bayes.plate.reader import MAX_BYTES, read_specimen
+from cpam_bayes.plate.reader import MAX_BYTES, PlateLike, builtin_plates, read_plate, read_specimen
 from cpam_bayes.plate.records import (
     Material,
     Measurement,
@@ -19,12 +19,15 @@ __all__ = [
     "Material",
     "Measurement",
     "Plate",
+    "PlateLike",
     "Sensor",
     "Specimen",
     "angle_grid",
     "builtin",
     "builtin_names",
+    "builtin_plates",
     "parse_specimen",
+    "read_plate",
     "read_specimen",
     "to_si",
     "to_user",

@@ -26,16 +26,14 @@ __all__ = ["build_specimen"]
 _ISOTROPIC_LAYUP = "[0]"
 
 
-def build_specimen(file: PlateFile, source: str, directory: Path | None, sequence: bool) -> Specimen:
-    """The records of a file that passed every check.
-
-    sequence : take `sequence_layup`, where the file has one, for the layup
-    """
+def build_specimen(file: PlateFile, source: str, directory: Path | None) -> Specimen:
+    """The records of a file that passed every check."""
+    sequence_layup = file.plate.sequence_layup
     return Specimen(
         name=file.name,
         specimen=file.specimen or file.name,
         source=source,
-        plate=_plate(file.plate, directory, sequence),
+        plate=_plate(file.plate, directory),
         material=_material(file.material),
         unknowns=_unknowns(file.unknowns),
         angle_grid_deg=float(file.unknowns.angle_grid_deg),
@@ -43,10 +41,11 @@ def build_specimen(file: PlateFile, source: str, directory: Path | None, sequenc
         sensors=tuple(_sensor(sensor) for sensor in file.sensor),
         measurement=None if file.measurement is None else _measurement(file.measurement),
         notes=tuple(file.notes),
+        sequence_layup=None if sequence_layup is None else parse_layup(sequence_layup),
     )
 
 
-def _plate(model: PlateModel, directory: Path | None, sequence: bool) -> Plate:
+def _plate(model: PlateModel, directory: Path | None) -> Plate:
     length = to_si("length_mm", model.length_mm)
     width = to_si("width_mm", model.width_mm)
     thickness = to_si("thickness_mm", model.thickness_mm)
@@ -56,16 +55,13 @@ def _plate(model: PlateModel, directory: Path | None, sequence: bool) -> Plate:
     else:
         assert model.density_kg_m3 is not None
         density = float(model.density_kg_m3)
-    layup = model.layup or _ISOTROPIC_LAYUP
-    if sequence and model.sequence_layup is not None:
-        layup = model.sequence_layup
     return Plate(
         length=length,
         width=width,
         thickness=thickness,
         density=density,
         mass=mass,
-        layup=parse_layup(layup),
+        layup=parse_layup(model.layup or _ISOTROPIC_LAYUP),
         edges=model.edges,
         sd={} if model.sd is None else _in_si(model.sd.model_dump(exclude_none=True)),
         mesh=None if model.mesh is None else (directory or Path()) / model.mesh,

@@ -14,9 +14,10 @@ from cpam_bayes.plate.checks import relation_problems
 from cpam_bayes.plate.problems import plate_file_error, schema_problems
 from cpam_bayes.plate.records import Specimen
 from cpam_bayes.plate.schema import PlateFile
+from cpam_bayes.plate.toml_lines import Path as KeyPath
 from cpam_bayes.plate.toml_lines import line_numbers
 
-__all__ = ["parse_specimen"]
+__all__ = ["parse_specimen", "specimen_of"]
 
 # The parser of the standard library takes time quadratic in the parts of one dotted key.
 _MAX_KEY_PARTS: Final = 100
@@ -24,18 +25,26 @@ _KEY_END = re.compile(r"[=,{}\[\]#\n]")
 _PLACE = re.compile(r"\s*\(at (?:line (\d+), column (\d+)|end of document)\)$")
 
 
-def parse_specimen(text: str, source: str, directory: Path | None = None, sequence: bool = False) -> Specimen:
+def parse_specimen(text: str, source: str, directory: Path | None = None) -> Specimen:
     """Read the text of a plate file.
 
     source : how messages name the file; directory : where its relative paths begin
-    sequence : take `sequence_layup`, where there is one, for the layup
     raises PlateFileError with all problems, each with file, line and key
     """
-    data = _load(text, source)
+    return specimen_of(_load(text, source), source, directory, line_numbers(text))
+
+
+def specimen_of(
+    data: Mapping[str, Any], source: str, directory: Path | None, lines: Mapping[KeyPath, int]
+) -> Specimen:
+    """Check the content of a plate file; arguments and errors as `parse_specimen`.
+
+    lines : where each key stands, empty for what was not read from a text
+    """
     problems = schema_problems(data) + relation_problems(data, directory)
     if problems:
-        raise plate_file_error(source, problems, line_numbers(text))
-    return build_specimen(PlateFile.model_validate(data), source, directory, sequence)
+        raise plate_file_error(source, problems, lines)
+    return build_specimen(PlateFile.model_validate(data), source, directory)
 
 
 def _load(text: str, source: str) -> Mapping[str, Any]:

@@ -51,7 +51,11 @@ def plate_file_error(source: str, problems: Iterable[Problem], lines: Mapping[Pa
     located = sorted(
         ((_line(problem.path, lines), problem) for problem in problems), key=lambda item: item[0]
     )
-    said = [f"{source}:{line}: {_key(problem.path)}: {problem.what}" for line, problem in located]
+    # A mapping given instead of a file has no lines.
+    said = [
+        f"{source}{f':{line}' if lines else ''}: {_key(problem.path)}: {problem.what}"
+        for line, problem in located
+    ]
     said = list(dict.fromkeys(said))
     if len(said) > _MAX_PROBLEMS:
         said = [*said[:_MAX_PROBLEMS], f"{source}: and {len(said) - _MAX_PROBLEMS} more problems"]

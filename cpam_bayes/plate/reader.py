@@ -5,32 +5,67 @@ from __future__ import annotations
 import difflib
 import os
 import stat
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Final
+from typing import Any, Final, TypeAlias
 
 from cpam_bayes.errors import PlateFileError
-from cpam_bayes.plate.parse import parse_specimen
+from cpam_bayes.plate.parse import parse_specimen, specimen_of
 from cpam_bayes.plate.problems import received
 from cpam_bayes.plate.records import Specimen
 from cpam_bayes.plate.specimens import builtin, builtin_names
 
-__all__ = ["MAX_BYTES", "read_specimen"]
+__all__ = ["MAX_BYTES", "PlateLike", "builtin_plates", "read_plate", "read_specimen"]
+
+PlateLike: TypeAlias = str | os.PathLike[str] | Mapping[str, Any] | Specimen
+"""What a plate can be given as, see `read_plate`."""
 
 MAX_BYTES: Final = 1_000_000
 
 
-def read_specimen(path_or_name: str, sequence: bool = False) -> Specimen:
+def read_plate(plate: PlateLike) -> Specimen:
+    """Read a plate file, its content, or a built-in specimen.
+
+    Parameters
+    ----------
+    plate : the name of a built-in specimen, the path of a plate file, or a mapping with the sections of
+        one (the keys and units of the file); a `Specimen` is returned as it is
+
+    Raises
+    ------
+    PlateFileError
+        With all problems of the plate at once.
+
+    Examples
+    --------
+    >>> import cpam_bayes as cb
+    >>> plate = cb.read_plate("C1")
+    >>> plate.plate.layup.text, plate.unknowns.names
+    ('[(0/90)_8]_s', ('E1', 'E2', 'nu12', 'G12'))
+    """
+    if isinstance(plate, Specimen):
+        return plate
+    if isinstance(plate, Mapping):
+        return specimen_of(plate, str(plate.get("name", "plate")), None, {})
+    return read_specimen(os.fspath(plate))
+
+
+def builtin_plates() -> tuple[Specimen, ...]:
+    """The specimens of the paper, as `read_plate` gives each by its name."""
+    return tuple(builtin(name) for name in builtin_names())
+
+
+def read_specimen(path_or_name: str) -> Specimen:
     """Read a plate file, or take a built-in specimen by its name.
 
-    sequence : take the layup with unknown angles, `sequence_layup`, where there is one. A file that
-        has the name of a built-in specimen is reached as "./NAME".
-    raises PlateFileError with all problems of the file at once
+    A file that has the name of a built-in specimen is reached as "./NAME". Raises ``PlateFileError`` with
+    all problems of the file at once.
     """
     if path_or_name in builtin_names():
-        return builtin(path_or_name, sequence)
+        return builtin(path_or_name)
     source = path_or_name if path_or_name.isprintable() and path_or_name else received(path_or_name)
     text = _read_text(path_or_name, source)
-    return parse_specimen(text, source, Path(path_or_name).parent, sequence)
+    return parse_specimen(text, source, Path(path_or_name).parent)
 
 
 def _read_text(path: str, source: str) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -108,6 +108,7 @@ class Specimen:
     angle_grid_deg : step of the grid of unknown ply angles
     air_density : kg/m3, None for vacuum
     notes : remarks to show beside results
+    sequence_layup : the layup with unknown angles that the question `sequence` takes, where there is one
     """
 
     name: str
@@ -121,6 +122,13 @@ class Specimen:
     sensors: tuple[Sensor, ...]
     measurement: Measurement | None
     notes: tuple[str, ...]
+    sequence_layup: Layup | None = None
+
+    def with_unknown_angles(self) -> Specimen:
+        """The specimen with its `sequence_layup`, where it has one."""
+        if self.sequence_layup is None:
+            return self
+        return replace(self, plate=replace(self.plate, layup=self.sequence_layup))
 
 
 def angle_grid(step_deg: float) -> NDArray[np.float64]:

@@ -32,4 +32,5 @@ def builtin(name: str, sequence: bool = False) -> Specimen:
         raise ValueError(f"built-in specimen: received {name!r}, accepted: {' '.join(_NAMES)}")
     resource = files("cpam_bayes") / "data" / "specimens" / f"{name.replace('&', '_and_')}.toml"
     text = resource.read_text(encoding="utf-8")
-    return parse_specimen(text, f"built-in {name}", sequence=sequence)
+    specimen = parse_specimen(text, f"built-in {name}")
+    return specimen.with_unknown_angles() if sequence else specimen

@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from cpam_bayes.forward_model.model import reference_constants
 from cpam_bayes.forward_model.store import reduced_model
-from cpam_bayes.identification.point import Identification, identify, required
+from cpam_bayes.identification.point import PointEstimate, estimate_constants, required
 from cpam_bayes.inference.ensemble import EnsembleSettings
 from cpam_bayes.inference.swarm.settings import SwarmSettings
 from cpam_bayes.parallel import run
@@ -112,7 +112,7 @@ class Sensitivity:
 
     specimen: Specimen
     source: ListSource
-    without_noise: Identification
+    without_noise: PointEstimate
     starts: int
     found_again: int
     cells: tuple[Cell, ...]
@@ -150,7 +150,7 @@ def model_list(
 
 
 @single_blas_thread
-def sensitivity(
+def noise_study(
     specimen: Specimen,
     seed: int,
     *,
@@ -172,8 +172,8 @@ def sensitivity(
     source : where the list comes from, for the record (`model_list` makes the other one). levels : of
     noise, as fractions. The random numbers of a noisy list depend on the seed, the level, the
     reading and the number of its group alone: neither other levels nor workers change it. Raises
-    ``ValueError`` as ``identify`` does, for a list that may lack modes, and for levels or groups out
-    of range.
+    ``ValueError`` as ``estimate_constants`` does, for a list that may lack modes, and for levels or
+    groups out of range.
     """
     start = time.perf_counter()
     if not levels or not all(0.0 < level <= 0.5 for level in levels):
@@ -194,7 +194,7 @@ def sensitivity(
     )
     notify("inverting the list without noise")
     best_seed, found_again = _best_start(problem, measurement.frequencies, seed, executor)
-    without_noise = identify(plain, best_seed, settings=settings, notify=notify)
+    without_noise = estimate_constants(plain, best_seed, settings=settings, notify=notify)
     shared = Shared(
         problem=replace(problem, model=without_noise.model),
         measurement=required(plain)[0],

@@ -9,10 +9,11 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from cpam_bayes.report.answer import Answer
 from cpam_bayes.report.documents import json_text
+from cpam_bayes.report.page import write_page
+from cpam_bayes.result import Result
 
-__all__ = ["Stage", "check_writable", "save", "staging", "write_whole"]
+__all__ = ["Stage", "save", "staging"]
 
 _FIGURES = "figures"
 
@@ -41,49 +42,26 @@ def staging(out: str | None) -> Iterator[Stage | None]:
         _remove_empty(made)
 
 
-def save(answer: Answer, stage: Stage | None) -> None:
+def save(result: Result, stage: Stage | None) -> None:
     """Write NAME.json, the figures as PNG and SVG, other files; raise ``OSError`` where that fails."""
     if stage is None:
         return
     directory, draft = stage
-    figures = answer.figures()
+    figures = result.figures()
     if figures:
         from cpam_bayes.report.figures import save_figures
 
         (draft / _FIGURES).mkdir()
         save_figures(figures, draft / _FIGURES)
-    answer.files(draft)
-    (draft / f"{answer.name}.json").write_text(json_text(answer.document), encoding="utf-8")
+    if result.has_posterior:
+        result.to_arviz().to_netcdf(draft / "posterior.nc")
+    write_page(f"{result.command} {result.title}".strip(), result.tables(), draft)
+    (draft / f"{result.command}.json").write_text(json_text(result.to_dict()), encoding="utf-8")
     written = sorted(path for path in draft.rglob("*") if path.is_file())
     for path in written:
         target = directory / path.relative_to(draft)
         target.parent.mkdir(exist_ok=True)
         os.replace(path, target)
-
-
-def check_writable(path: Path, force: bool) -> None:
-    """Raise ``ValueError`` where a file cannot be written, or is there and ``force`` is not given."""
-    shown = f"--out {path}"
-    try:
-        if path.is_dir():
-            raise ValueError(f"{shown}: a directory, accepted: the file to write")
-        if os.path.lexists(path) and not force:
-            raise ValueError(f"{shown}: exists; give another name, or --force to write over it")
-        if not path.parent.is_dir():
-            raise ValueError(f"{shown}: {path.parent} is no directory")
-    except OSError as error:
-        raise ValueError(f"{shown}: cannot be written to: {error.strerror}") from None
-
-
-def write_whole(path: Path, text: str) -> None:
-    """Write a file that is there whole or not at all; raise ``ValueError`` where that fails."""
-    try:
-        with tempfile.TemporaryDirectory(prefix=".cpam-bayes-", dir=path.parent) as draft:
-            written = Path(draft, "file")
-            written.write_text(text, encoding="utf-8", newline="\n")
-            os.replace(written, path)
-    except OSError as error:
-        raise ValueError(f"--out {path}: cannot be written to: {error.strerror}") from None
 
 
 def _made(directory: Path) -> list[Path]:

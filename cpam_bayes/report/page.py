@@ -9,7 +9,7 @@ from pathlib import Path
 
 from cpam_bayes.report.tables import Table
 
-__all__ = ["page_text", "write_page"]
+__all__ = ["fragment", "page_text", "write_page"]
 
 _STYLE = """\
 body { font: 15px/1.45 system-ui, sans-serif; color: #222; max-width: 70rem; margin: 2rem auto }
@@ -33,12 +33,17 @@ def page_text(title: str, tables: Sequence[Table], figures: Sequence[tuple[str, 
         f"<style>\n{_STYLE}</style></head><body>",
         f"<h1>{escape(title)}</h1>",
     ]
-    parts += [_table(table) for table in tables if table.rows]
+    parts.append(fragment(tables))
     for name, png in figures:
         source = base64.b64encode(png).decode("ascii")
         shown = escape(name.replace("_", " "))
         parts.append(f'<figure><img alt="{shown}" src="data:image/png;base64,{source}"></figure>')
     return "\n".join([*parts, "</body></html>\n"])
+
+
+def fragment(tables: Sequence[Table]) -> str:
+    """The tables, for a page or a notebook."""
+    return "\n".join(_table(table) for table in tables if table.rows)
 
 
 def write_page(title: str, tables: Sequence[Table], directory: Path) -> None:

@@ -6,23 +6,31 @@ import os
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 
-__all__ = ["Progress", "announce", "progress", "timed_lines"]
+from cpam_bayes.result import Progress
+
+__all__ = ["Terminal", "announce", "progress", "timed_lines"]
 
 _LINES = 10
 
 
 @dataclass(frozen=True, slots=True)
-class Progress:
-    """What a work tells while it runs.
+class Terminal:
+    """Shows progress on standard error unless told to be quiet; a `cpam_bayes.result.Watch`."""
 
-    tick : (iteration, best misfit). notify : what begins that takes long.
-    """
+    quiet: bool = False
 
-    tick: Callable[[int, float], None]
-    notify: Callable[[str], None]
+    def announce(self, text: str) -> None:
+        """Show one line about what begins."""
+        announce(text, self.quiet)
+
+    def stage(
+        self, title: str, total: int, described: Callable[[float], str]
+    ) -> AbstractContextManager[Progress]:
+        """Show one stage of the work until it ends."""
+        return progress(title, total, self.quiet, described)
 
 
 def announce(text: str, quiet: bool) -> None:

@@ -167,7 +167,7 @@ def test_identify_takes_known_layups(name):
 @pytest.mark.parametrize("name", TABULATED[2:])
 def test_sequence_takes_the_unknown_angles_of_table_9b(name):
     known = builtin(name).plate.layup
-    layup = read_specimen(name, sequence=True).plate.layup
+    layup = read_specimen(name).with_unknown_angles().plate.layup
     assert layup.n_plies == known.n_plies
     assert layup.is_symmetric
     expected = 6 if name in SIX_ANGLES else 5 if name in ("B1", "B2", "D1") else 4

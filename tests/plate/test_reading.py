@@ -55,9 +55,9 @@ def test_a_truncated_normal_modulus_is_scaled_in_every_number(full_text):
 
 def test_sequence_takes_the_layup_with_unknown_angles(plate_file, full_text):
     path = plate_file(full_text)
-    assert read_specimen(path, sequence=True).plate.layup.text == "[(?/?/?/?)_4]_s"
+    assert read_specimen(path).with_unknown_angles().plate.layup.text == "[(?/?/?/?)_4]_s"
     path = plate_file(full_text.replace('sequence_layup = "[(?/?/?/?)_4]_s"\n', ""))
-    assert read_specimen(path, sequence=True).plate.layup.text == "[(0/90)_8]_s"
+    assert read_specimen(path).with_unknown_angles().plate.layup.text == "[(0/90)_8]_s"
 
 
 def test_what_may_be_left_out_may_be_left_out():

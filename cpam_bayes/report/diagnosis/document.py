@@ -13,49 +13,31 @@ from cpam_bayes.diagnosis.extension import Resampled
 from cpam_bayes.diagnosis.fit import Fit
 from cpam_bayes.diagnosis.hypotheses import NONE, OTHER
 from cpam_bayes.diagnosis.next_test.next_measurement import Candidate
+from cpam_bayes.diagnosis.paired_modes import FrequencyRow, PairedFit
+from cpam_bayes.diagnosis.plates import DiagnosisResult
 from cpam_bayes.parameters import Parameter
 from cpam_bayes.priors import ScaledStudentT
 from cpam_bayes.report.diagnosis.rows import (
     ConstantRow,
-    FrequencyRow,
     absorbed_biases,
     constant_rows,
     effect_unit,
-    frequency_rows,
     hidden_causes,
-    missed_modes,
     noise_of,
     nuisance_of,
     plate_constants,
     sampled_rows,
 )
 from cpam_bayes.report.diagnosis.words import claim_sentence
-from cpam_bayes.report.documents import plate_keys
-
-__all__ = ["diagnosis_document"]
 
 
-def diagnosis_document(
-    d: Diagnosis,
-    seed: int,
-    scatter: float,
-    warnings: tuple[str, ...],
-    candidates: Sequence[Candidate] = (),
-    resampled: Resampled | None = None,
-) -> dict[str, Any]:
-    """The JSON document.
-
-    candidates : measurements that would tell the causes apart, the best first. resampled : the constants of
-    the extended model by emcee.
-    """
-    specimens = [case.models.specimen for case in d.cases]
+def document(result: DiagnosisResult) -> dict[str, Any]:
+    """The JSON document of `diagnose`."""
+    d, specimens = result.diagnosis, result.plates
     plates = [{"plate": s.name, "specimen": s.specimen, "source": s.source} for s in specimens]
-    head = (
-        plate_keys("diagnose", specimens[0], seed)
-        if len(specimens) == 1
-        else {"command": "diagnose", "version": __version__, "seed": seed}
-    )
-    none = d.weighed.none
+    head = {"command": result.command, "version": __version__, "seed": result.seed}
+    if len(plates) == 1:
+        head |= plates[0]
     return {
         **head,
         "plates": plates,
@@ -64,17 +46,17 @@ def diagnosis_document(
         "probability": d.claim.probability,
         "sentence": claim_sentence(d),
         "hypotheses": [_hypothesis(d, cause) for cause in d.causes],
-        "baseline": _fit(d, d.baseline, ((none, 1.0),)),
-        "extended": None if d.extended is None else _extended(d, d.extended, resampled),
+        "baseline": _fit(d, d.baseline, ((d.weighed.none, 1.0),), result.plain),
+        "extended": _extended(result),
         "gain": _gain(d),
-        "next_measurement": [_candidate(c) for c in candidates],
+        "next_measurement": [_candidate(c) for c in result.candidates],
         "absorbed": [_absorbed(d, cause) for cause in hidden_causes(d)],
         "not_tested": list(d.weighed.not_tested),
         "priors": _priors(d),
-        "material_scatter": scatter if len({s.specimen for s in specimens}) > 1 else None,
+        "material_scatter": result.scatter if len({s.specimen for s in specimens}) > 1 else None,
         "air_density_kg_m3": {s.name: s.air_density for s in specimens},
         "seconds": d.seconds,
-        "warnings": list(warnings),
+        "warnings": list(result.warnings),
         "notes": [note for s in specimens for note in s.notes],
     }
 
@@ -110,9 +92,12 @@ def _candidate(c: Candidate) -> dict[str, Any]:
     }
 
 
-def _extended(d: Diagnosis, fit: Fit, resampled: Resampled | None) -> dict[str, Any]:
+def _extended(result: DiagnosisResult) -> dict[str, Any] | None:
+    d, resampled = result.diagnosis, result.resampled
+    if d.extended is None or result.extended is None:
+        return None
     return {
-        **_fit(d, fit, d.members),
+        **_fit(d, d.extended, d.members, result.extended),
         "emcee": None if resampled is None else _emcee(d, resampled),
         "members": [
             {
@@ -140,10 +125,11 @@ def _emcee(d: Diagnosis, found: Resampled) -> dict[str, Any]:
     }
 
 
-def _fit(d: Diagnosis, fit: Fit, members: Sequence[tuple[Tested, float]]) -> dict[str, Any]:
+def _fit(
+    d: Diagnosis, fit: Fit, members: Sequence[tuple[Tested, float]], paired: PairedFit
+) -> dict[str, Any]:
     """One fit; the plates one by one too where there are several."""
-    leader = members[0][0]
-    rows = frequency_rows(d, fit, leader)
+    rows = paired.frequencies
     noise = noise_of(members)
     found: dict[str, Any] = {
         "constants": _constants(constant_rows(d, fit)),
@@ -160,7 +146,7 @@ def _fit(d: Diagnosis, fit: Fit, members: Sequence[tuple[Tested, float]]) -> dic
                 "kind": m.mode.kind,
                 "label": m.mode.label,
             }
-            for m in missed_modes(d, leader)
+            for m in paired.missed
         ],
     }
     if len(d.cases) > 1:

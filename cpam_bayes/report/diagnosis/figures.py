@@ -13,20 +13,16 @@ from scipy.ndimage import zoom
 
 from cpam_bayes.diagnosis.diagnose import Diagnosis
 from cpam_bayes.diagnosis.hypotheses import NONE, OTHER
+from cpam_bayes.diagnosis.paired_modes import FrequencyRow
+from cpam_bayes.diagnosis.plates import DiagnosisResult
 from cpam_bayes.diagnosis.signatures import ALIKE, cosine
-from cpam_bayes.mechanics.shapes import shapes_on_grid
 from cpam_bayes.report.diagnosis.rows import (
     ConstantRow,
-    FrequencyRow,
     constant_rows,
-    frequency_rows,
     is_pair,
     leading,
-    plate_vector,
 )
 from cpam_bayes.report.diagnosis.words import probability_text
-
-__all__ = ["diagnosis_figures"]
 
 Array = NDArray[Any]
 
@@ -34,27 +30,27 @@ _GREY, _BLUE, _ORANGE = "#8a8a8a", "#4878a8", "#c1440e"
 _BARS = 14
 # Grid lines of an in-plane mode along each side, and how far it is moved, shares of the plate.
 _LINES, _MOVED = 6, 0.12
-_SHAPE_POINTS = 31
 # Nodal lines that cross are drawn on a grid so many times finer.
 _FINER = 4
 # Share of the plate next to a held edge in which they are not drawn.
 _BLANK = 0.08
 
 
-def diagnosis_figures(d: Diagnosis) -> dict[str, Figure]:
+def figures(result: DiagnosisResult) -> dict[str, Figure]:
     """All figures of a diagnosis by name."""
-    found = {"residuals": _residuals(d), "causes": _causes(d)}
+    d = result.diagnosis
+    drawn = {"residuals": _residuals(result), "causes": _causes(d)}
     if len(_singles(d)) > 1:
-        found["signatures"] = _signatures(d)
+        drawn["signatures"] = _signatures(d)
     if constant_rows(d, d.baseline):
-        found["constants"] = _constants(d)
-    return found
+        drawn["constants"] = _constants(d)
+    return drawn
 
 
-def _residuals(d: Diagnosis) -> Figure:
+def _residuals(result: DiagnosisResult) -> Figure:
     """Relative residuals of every frequency, a plate a row, its mode shape below it."""
-    before = frequency_rows(d, d.baseline, d.weighed.none)
-    after = None if d.extended is None else frequency_rows(d, d.extended, d.members[0][0])
+    d, before = result.diagnosis, result.plain.frequencies
+    after = None if result.extended is None else result.extended.frequencies
     names = list(dict.fromkeys(row.plate for row in before))
     most = max(sum(row.plate == name for row in before) for name in names)
     figure = Figure(figsize=(max(6.0, 0.85 * most + 1.2), 3.6 * len(names) + 0.5), layout="constrained")
@@ -62,7 +58,7 @@ def _residuals(d: Diagnosis) -> Figure:
     for i, (panel, name) in enumerate(zip(panels, names, strict=True)):
         own = [row for row in before if row.plate == name]
         extended = None if after is None else [row for row in after if row.plate == name]
-        _draw_plate(panel, d, i, own, extended)
+        _draw_plate(panel, result, i, own, extended)
     p = probability_text(d.baseline.p_value)
     title = f"{_title(d)}: plain model rms {100 * d.baseline.rms:.2f} %, posterior predictive p {p}"
     if d.extended is not None:
@@ -73,7 +69,11 @@ def _residuals(d: Diagnosis) -> Figure:
 
 
 def _draw_plate(
-    panel: Any, d: Diagnosis, i: int, before: Sequence[FrequencyRow], after: Sequence[FrequencyRow] | None
+    panel: Any,
+    result: DiagnosisResult,
+    i: int,
+    before: Sequence[FrequencyRow],
+    after: Sequence[FrequencyRow] | None,
 ) -> None:
     n = len(before)
     grid = panel.add_gridspec(2, n, height_ratios=(3.2, 1.0))
@@ -90,10 +90,10 @@ def _draw_plate(
     axes.set_ylim(*_limits([*before, *(after or ())]))
     axes.spines[["top", "right"]].set_visible(False)
     axes.legend(loc="upper right", frameon=False, fontsize=8, ncols=3)
-    if len(d.cases) > 1:
-        axes.set_title(d.cases[i].name, fontsize=9, loc="left")
-    shapes, aspect = _shapes(d, i)
-    edges = d.cases[i].models.specimen.plate.edges
+    if len(result.plates) > 1:
+        axes.set_title(result.plates[i].name, fontsize=9, loc="left")
+    plate, shapes = result.plates[i].plate, result.modes[i].shapes
+    aspect, edges = plate.length / plate.width, plate.edges
     for k, (plain, row) in enumerate(zip(before, after or before, strict=True)):
         below = panel.add_subplot(grid[1, k])
         below.set_axis_off()
@@ -126,13 +126,6 @@ def _limits(rows: Sequence[FrequencyRow]) -> tuple[float, float]:
     whisker = float(np.median([2.0 * _sd_percent(row) for row in shown])) if shown else 1.0
     end = 1.1 * max(largest + whisker, 0.1)
     return -end, 1.3 * end
-
-
-def _shapes(d: Diagnosis, i: int) -> tuple[Array, float]:
-    """u, v, w of the plain plate's modes at its most probable constants, and length over width."""
-    model, plate = d.cases[i].models.bare.full, d.cases[i].models.specimen.plate
-    spectrum = model.spectrum(plate_vector(d.weighed.none, i), vectors=True)
-    return shapes_on_grid(model.operator, spectrum, n=_SHAPE_POINTS), plate.length / plate.width
 
 
 def _draw_shape(axes: Axes, shape: Array, aspect: float, edges: str, in_plane: bool) -> None:

@@ -13,31 +13,25 @@ from cpam_bayes.diagnosis.diagnose import Cause, Diagnosis
 from cpam_bayes.diagnosis.evidence.weighing import Tested
 from cpam_bayes.diagnosis.extension import Resampled
 from cpam_bayes.diagnosis.fit import Fit
-from cpam_bayes.diagnosis.fitting import PlateCase
 from cpam_bayes.diagnosis.hypotheses import NONE, OTHER
 from cpam_bayes.effects import scale_of
 from cpam_bayes.forward_model.model import reference_constants
-from cpam_bayes.mechanics.shapes import Mode
+from cpam_bayes.identification.verdicts import Verdict, verdict_of
 from cpam_bayes.plate import to_user, user_name
 
 __all__ = [
     "ConstantRow",
-    "FrequencyRow",
-    "MissedMode",
     "absorbed_biases",
     "catalogue_sd",
     "constant_rows",
     "effect_unit",
-    "frequency_rows",
     "hidden_causes",
     "is_pair",
     "leading",
     "member_names",
-    "missed_modes",
     "noise_of",
     "nuisance_of",
     "plate_constants",
-    "plate_vector",
     "sampled_rows",
 ]
 
@@ -52,30 +46,6 @@ _BARE = ("rotation_compliance", "translation_compliance", "log_shear_factor", "l
 
 
 @dataclass(frozen=True, slots=True)
-class FrequencyRow:
-    """One measured frequency, what a fit predicts for it, and the mode it belongs to.
-
-    predicted, predicted_sd, sigma : Hz; predicted is ``None`` for a frequency that is no mode. number :
-    of the mode in ascending order, from 1. standardised : predicted - measured over the standard
-    deviations of noise and prediction together.
-    """
-
-    plate: str
-    measured: float
-    predicted: float | None
-    predicted_sd: float
-    sigma: float
-    standardised: float
-    number: int | None
-    mode: Mode | None
-
-    @property
-    def residual_percent(self) -> float | None:
-        """predicted / measured - 1, in percent."""
-        return None if self.predicted is None else 100.0 * (self.predicted / self.measured - 1.0)
-
-
-@dataclass(frozen=True, slots=True)
 class ConstantRow:
     """An elastic constant in a fit, in the unit of the plate file; contraction : 1 - (sd / prior sd)^2."""
 
@@ -85,16 +55,8 @@ class ConstantRow:
     q025: float
     q975: float
     contraction: float
+    verdict: Verdict
     reference: float
-
-
-@dataclass(frozen=True, slots=True)
-class MissedMode:
-    """A mode of the model that a list lacks under a hypothesis."""
-
-    plate: str
-    number: int
-    mode: Mode
 
 
 def effect_unit(name: str, unit: str) -> tuple[str, float]:
@@ -111,69 +73,6 @@ def effect_unit(name: str, unit: str) -> tuple[str, float]:
 def is_pair(cause: Cause | str) -> bool:
     """Whether a cause is two at once."""
     return " + " in (cause if isinstance(cause, str) else cause.name)
-
-
-def frequency_rows(d: Diagnosis, fit: Fit, leader: Tested) -> tuple[FrequencyRow, ...]:
-    """All frequencies plate by plate; leader : the hypothesis that says which mode each is."""
-    rows: list[FrequencyRow] = []
-    start = 0
-    standardised = fit.standardised
-    for i, (case, part) in enumerate(zip(d.cases, leader.marginal.comparison.model.parts, strict=True)):
-        modes = case.models.bare.full.modes(plate_vector(leader, i))
-        n = case.measurement.size
-        spurious = leader.hypothesis.listed.spurious if len(part.modes) < n else None
-        paired = iter(part.modes)
-        own = []
-        for k in range(n):
-            j = start + k
-            false_peak = k == spurious
-            number = None if false_peak else int(next(paired))
-            own.append(
-                FrequencyRow(
-                    plate=case.name,
-                    measured=float(fit.measured[j]),
-                    predicted=None if false_peak else float(fit.predicted[j]),
-                    predicted_sd=float(fit.predicted_sd[j]),
-                    sigma=float(fit.sigma[j]),
-                    standardised=float("nan") if false_peak else -float(standardised[j]),
-                    number=None if number is None else number + 1,
-                    mode=None if number is None or number >= len(modes) else modes[number],
-                )
-            )
-        start += n
-        nan = float("nan")
-        own += [FrequencyRow(case.name, f, None, nan, nan, nan, None, None) for f in left_aside(case)]
-        rows += sorted(own, key=lambda row: row.measured)
-    return tuple(rows)
-
-
-def left_aside(case: PlateCase) -> list[float]:
-    """Frequencies of an incomplete list that its most probable pairing gives no mode."""
-    measurement = case.models.specimen.measurement
-    if measurement is None or measurement.complete:
-        return []
-    kept = set(case.measurement.frequencies.tolist())
-    return [f for f in measurement.frequencies.tolist() if f not in kept]
-
-
-def missed_modes(d: Diagnosis, leader: Tested) -> tuple[MissedMode, ...]:
-    """Modes in the range of the lists that these lack under a hypothesis."""
-    found = []
-    for i, (case, part) in enumerate(zip(d.cases, leader.marginal.comparison.model.parts, strict=True)):
-        gaps = sorted(set(range(int(part.modes.max()) + 1)) - {int(k) for k in part.modes})
-        if gaps:
-            modes = case.models.bare.full.modes(plate_vector(leader, i))
-            found += [MissedMode(case.name, k + 1, modes[k]) for k in gaps if k < len(modes)]
-    return tuple(found)
-
-
-def plate_vector(t: Tested, i: int) -> Array:
-    """Parameters of the bare model of one plate where a hypothesis is most probable."""
-    part, x = t.marginal.comparison.model.parts[i], t.marginal.best
-    own = np.array(x[part.columns])
-    varied = part.scatter >= 0
-    own[varied] *= 1.0 + x[part.scatter[varied]]
-    return own
 
 
 def constant_rows(d: Diagnosis, fit: Fit) -> tuple[ConstantRow, ...]:
@@ -287,5 +186,6 @@ def _row(d: Diagnosis, name: str, mean: float, sd: float, low: float, high: floa
         q025=to_user(name, low),
         q975=to_user(name, high),
         contraction=1.0 - (sd / prior.sd) ** 2,
+        verdict=verdict_of(sd, prior.sd),
         reference=to_user(name, float(reference)),
     )

@@ -8,77 +8,66 @@ from cpam_bayes.diagnosis.diagnose import Cause, Diagnosis
 from cpam_bayes.diagnosis.extension import Resampled
 from cpam_bayes.diagnosis.hypotheses import NONE, OTHER, P_NONE, P_PAIR
 from cpam_bayes.diagnosis.next_test.next_measurement import Candidate
-from cpam_bayes.formatting import decimals_of, fixed, signed, significant, with_spread
+from cpam_bayes.diagnosis.paired_modes import FrequencyRow
+from cpam_bayes.diagnosis.plates import DiagnosisResult
+from cpam_bayes.formatting import decimals_of, fixed, listed, signed, significant, with_spread
 from cpam_bayes.report.diagnosis.rows import (
-    ConstantRow,
-    FrequencyRow,
     absorbed_biases,
     catalogue_sd,
     constant_rows,
-    frequency_rows,
     hidden_causes,
     leading,
-    missed_modes,
     noise_of,
     sampled_rows,
 )
 from cpam_bayes.report.diagnosis.words import (
     claim_sentence,
-    listed,
     probability_text,
     size_text,
 )
-from cpam_bayes.report.plates import air_text, plate_head
+from cpam_bayes.report.plates.head import air_text, plate_head
 from cpam_bayes.report.tables import Column, Table, facts, remarks
 
-__all__ = ["diagnosis_screen"]
-
 # A residual of so many standard deviations is marked.
-_FAR = 2.5
+_MAX_DISTANCE_SD = 2.5
 # Causes shown: those with this probability, so many at most; and names listed as alike at most.
 _LEAST, _MOST, _ALIKE = 0.005, 10, 3
 _NEXT = 5
-# Posterior contraction of a constant from which the data decide, and below which the prior does.
-_BY_DATA, _BY_PRIOR = 0.75, 0.25
 
 
-def diagnosis_screen(
-    d: Diagnosis,
-    seed: int,
-    warnings: tuple[str, ...],
-    candidates: Sequence[Candidate] = (),
-    resampled: Resampled | None = None,
-) -> tuple[Table, ...]:
+def screen(result: DiagnosisResult) -> tuple[Table, ...]:
     """Claim, residuals, causes, what is hidden, constants and gain, what to measure next."""
+    d = result.diagnosis
     return (
-        *_heads(d),
-        remarks("Diagnosis", _claim(d, candidates)),
-        _residuals(d),
+        *_heads(result),
+        remarks("Diagnosis", _claim(d, result.candidates)),
+        _residuals(result),
         _causes(d),
         _hidden(d),
         remarks("Not tested", d.weighed.not_tested),
         _constants(d),
-        _sampled(d, resampled),
+        _sampled(d, result.resampled),
         _gain(d),
-        _next(candidates),
-        _work(d, seed),
-        remarks("Warnings", warnings, flagged=True),
+        _next(result.candidates),
+        _work(d, result.seed),
+        remarks("Warnings", result.warnings, flagged=True),
     )
 
 
-def _heads(d: Diagnosis) -> tuple[Table, ...]:
-    specimens = [case.models.specimen for case in d.cases]
+def _heads(result: DiagnosisResult) -> tuple[Table, ...]:
+    specimens = result.plates
     if len(specimens) == 1:
-        return (plate_head(f"diagnose {specimens[0].name}", specimens[0]),)
+        return (plate_head(result.command, specimens[0], result.air_shifts[0]),)
     columns = (Column("plate"), Column("specimen"), Column("edges"), Column("frequencies", number=True))
     rows = tuple(
         (s.name, s.specimen, s.plate.edges, str(case.measurement.size))
-        for s, case in zip(specimens, d.cases, strict=True)
+        for s, case in zip(specimens, result.diagnosis.cases, strict=True)
     )
-    air = facts("Air", tuple((s.name, air_text(s)) for s in specimens))
+    shifts = zip(specimens, result.air_shifts, strict=True)
+    air = facts("Air", tuple((s.name, air_text(s, shift)) for s, shift in shifts))
     notes = tuple(f"{s.name}: {note}" for s in specimens for note in s.notes)
-    names, material = " ".join(s.name for s in specimens), specimens[0].material.name
-    title = f"diagnose {names}, material {material or 'not named'}"
+    material = specimens[0].material.name
+    title = f"diagnose {result.title}, material {material or 'not named'}"
     return Table(title, columns, rows), air, remarks("Notes", notes)
 
 
@@ -97,10 +86,10 @@ def _claim(d: Diagnosis, candidates: Sequence[Candidate]) -> tuple[str, ...]:
     return tuple(found)
 
 
-def _residuals(d: Diagnosis) -> Table:
+def _residuals(result: DiagnosisResult) -> Table:
     """Each frequency against the plain model and, where there is one, the extended one."""
-    before = frequency_rows(d, d.baseline, d.weighed.none)
-    after = None if d.extended is None else frequency_rows(d, d.extended, d.members[0][0])
+    d, before = result.diagnosis, result.plain.frequencies
+    after = None if result.extended is None else result.extended.frequencies
     several = len(d.cases) > 1
     columns = [Column("plate")] if several else []
     columns += [
@@ -123,10 +112,10 @@ def _residuals(d: Diagnosis) -> Table:
         cells += [fixed(row.measured, decimals), *_fit_cells(row, decimals)]
         if after is not None:
             cells += [*_fit_cells(after[i], decimals), _moved(row, after[i])]
-        if row.predicted is not None and abs(row.standardised) > _FAR:
+        if row.predicted is not None and abs(row.standardised) > _MAX_DISTANCE_SD:
             far.append(i)
         rows.append(tuple(cells))
-    rows += _missed_rows(d, len(columns), several, decimals)
+    rows += _missed_rows(result, len(columns), several, decimals)
     p = probability_text(d.baseline.p_value)
     title = (
         f"What the plain model gets wrong: rms {significant(100 * d.baseline.rms, 3)} %, posterior "
@@ -160,14 +149,13 @@ def _moved(before: FrequencyRow, after: FrequencyRow) -> str:
     return f"is mode {after.number}, {after.mode.label}"
 
 
-def _missed_rows(d: Diagnosis, width: int, several: bool, decimals: int) -> list[tuple[str, ...]]:
-    leader = d.members[0][0] if d.members else d.weighed.none
-    found = []
-    for m in missed_modes(d, leader):
+def _missed_rows(result: DiagnosisResult, width: int, several: bool, decimals: int) -> list[tuple[str, ...]]:
+    rows = []
+    for m in (result.extended or result.plain).missed:
         cells = [m.plate] if several else []
         cells += [str(m.number), m.mode.label, m.mode.kind, "missed", fixed(m.mode.frequency, decimals + 1)]
-        found.append((*cells, *(width - len(cells)) * ("",)))
-    return found
+        rows.append((*cells, *(width - len(cells)) * ("",)))
+    return rows
 
 
 def _causes(d: Diagnosis) -> Table:
@@ -261,7 +249,7 @@ def _constants(d: Diagnosis) -> Table:
     if after:
         columns += [Column("extended", number=True), Column("2.5 %", number=True)]
         columns += [Column("97.5 %", number=True)]
-    columns.append(Column("by"))
+    columns.append(Column("determined by"))
     rows = []
     for row in before:
         cells = [row.name, f"{row.reference:.5g}", *_interval(row.mean, row.q025, row.q975, row.sd)]
@@ -269,18 +257,10 @@ def _constants(d: Diagnosis) -> Table:
         if after:
             last = after.get(row.name, row)
             cells += _interval(last.mean, last.q025, last.q975, last.sd) if row.name in after else 3 * [""]
-        cells.append(
-            "data" if last.contraction >= 0.75 else "data and prior" if last.contraction > 0.25 else "prior"
-        )
+        cells.append(last.verdict.removeprefix("determined by "))
         rows.append(tuple(cells))
     title = "Constants, plain model" + (" and extended model" if after else "")
     return Table(title, tuple(columns), tuple(rows))
-
-
-def _decided_by(row: ConstantRow) -> str:
-    if row.contraction >= _BY_DATA:
-        return "data"
-    return "data and prior" if row.contraction > _BY_PRIOR else "prior"
 
 
 def _interval(mean: float, low: float, high: float, sd: float) -> list[str]:

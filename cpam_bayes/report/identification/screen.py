@@ -8,13 +8,12 @@ import numpy as np
 
 from cpam_bayes.formatting import decimals_of, fixed, signed, significant, with_spread
 from cpam_bayes.identification.angle_search import AngleSearchResult
-from cpam_bayes.identification.point import Identification
+from cpam_bayes.identification.identify import PointResult
+from cpam_bayes.identification.point import PointEstimate
 from cpam_bayes.plate import to_user
 from cpam_bayes.report.identification.words import noise_sentence, verdict_sentences
-from cpam_bayes.report.plates import plate_head, unit_of
+from cpam_bayes.report.plates.head import plate_head, unit_of
 from cpam_bayes.report.tables import Column, Table, facts, remarks
-
-__all__ = ["identification_screen"]
 
 _MISFIT = {
     "absolute": "sum of squared differences in Hz, eq. (7)",
@@ -24,42 +23,34 @@ _MISFIT = {
 _ROUNDING = 1e-9
 
 
-def identification_screen(
-    result: Identification,
-    residual: str,
-    seed: int,
-    warnings: tuple[str, ...],
-    found: AngleSearchResult | None = None,
-) -> tuple[Table, ...]:
-    """Plate, constants, what to believe of them, frequencies, and how they were found.
-
-    found : the angles, where some were unknown.
-    """
+def screen(result: PointResult) -> tuple[Table, ...]:
+    """Plate, constants, what to believe of them, frequencies, and how they were angles."""
+    estimate = result.estimate
     return (
-        plate_head(f"identify {result.specimen.name}", result.specimen),
-        *(() if found is None else (_angles(found),)),
-        _constants(result),
-        remarks("What the frequencies determine", verdict_sentences(result)),
+        plate_head(result.command, result.specimen, result.air_shifts),
+        *(() if result.angles is None else (_angles(result.angles),)),
+        _constants(estimate),
+        remarks("What the frequencies determine", verdict_sentences(estimate)),
         _frequencies(result),
-        _fit(result),
-        _laminate(result),
-        _search(result, residual, seed),
-        remarks("Warnings", warnings, flagged=True),
+        _fit(estimate),
+        _laminate(estimate),
+        _search(result),
+        remarks("Warnings", result.warnings, flagged=True),
     )
 
 
-def _angles(found: AngleSearchResult) -> Table:
+def _angles(angles: AngleSearchResult) -> Table:
     rows = (
-        ("layup", f"{found.specimen.plate.layup.text} asked for"),
-        ("unknown", "/".join(f"{a:g}" for a in found.angles_deg) + ", found by the fuzzy swarm"),
-        ("status", found.swarm.message),
-        ("work", f"{found.swarm.evaluations} forward solves in {found.seconds:.1f} s"),
+        ("layup", f"{angles.specimen.plate.layup.text} asked for"),
+        ("unknown", "/".join(f"{a:g}" for a in angles.angles_deg) + ", found by the fuzzy swarm"),
+        ("status", angles.swarm.message),
+        ("work", f"{angles.swarm.evaluations} forward solves in {angles.seconds:.1f} s"),
         ("others", "may explain the list as well or better: `sequence` gives each its probability"),
     )
     return facts("Angles", rows)
 
 
-def _constants(result: Identification) -> Table:
+def _constants(result: PointEstimate) -> Table:
     columns = (
         Column("name"),
         Column("value", number=True),
@@ -78,13 +69,11 @@ def _constants(result: Identification) -> Table:
             verdict = "sd not known"
         reference = f"{to_user(c.name, c.reference):.6g}"
         rows.append((c.name, value, sd, unit_of(c.name), reference, f"{lower} to {upper}", verdict))
-    doubtful = frozenset(i for i, c in enumerate(result.constants) if c.verdict != "determined")
+    doubtful = frozenset(i for i, c in enumerate(result.constants) if c.verdict != "determined by the data")
     return Table("Constants, point estimates", columns, tuple(rows), doubtful)
 
 
-def _frequencies(result: Identification) -> Table:
-    measurement = result.specimen.measurement
-    assert measurement is not None
+def _frequencies(result: PointResult) -> Table:
     columns = (
         Column("mode", number=True),
         Column("label"),
@@ -93,17 +82,22 @@ def _frequencies(result: Identification) -> Table:
         Column("predicted Hz", number=True),
         Column("residual %", number=True),
     )
-    decimals = decimals_of(measurement.frequencies)
-    rows = []
-    for i, (f, mode) in enumerate(zip(measurement.frequencies, result.predicted, strict=True), 1):
-        residual = signed(100 * (mode.frequency / f - 1.0), 2)
-        predicted = fixed(mode.frequency, decimals + 1)
-        rows.append((str(i), mode.label, mode.kind, fixed(f, decimals), predicted, residual))
-    title = "Frequencies, residual = predicted / measured - 1"
-    return Table(title, columns, tuple(rows))
+    decimals = decimals_of(row.measured for row in result.frequencies)
+    rows = tuple(
+        (
+            str(i),
+            row.label,
+            row.kind,
+            fixed(row.measured, decimals),
+            fixed(row.predicted, decimals + 1),
+            signed(100 * row.residual, 2),
+        )
+        for i, row in enumerate(result.frequencies, 1)
+    )
+    return Table("Frequencies, residual = predicted / measured - 1", columns, rows)
 
 
-def _fit(result: Identification) -> Table:
+def _fit(result: PointEstimate) -> Table:
     measurement = result.specimen.measurement
     assert measurement is not None
     predicted = np.array([mode.frequency for mode in result.predicted])
@@ -121,7 +115,7 @@ def _fit(result: Identification) -> Table:
     return facts("Fit", rows)
 
 
-def _laminate(result: Identification) -> Table:
+def _laminate(result: PointEstimate) -> Table:
     stiffness = result.laminate
     d = [name for name in stiffness if name.startswith("D")]
     moduli = [name for name in stiffness if name not in (*d, "nuxy")]
@@ -141,11 +135,12 @@ def _stiffness(value: float, small: float) -> str:
     return "0" if abs(value) < small else significant(value)
 
 
-def _search(result: Identification, residual: str, seed: int) -> Table:
-    swarm = result.swarm
+def _search(result: PointResult) -> Table:
+    swarm = result.estimate.swarm
+    seconds = result.estimate.seconds
     rows = (
-        ("minimised", _MISFIT[residual]),
+        ("minimised", _MISFIT[result.residual]),
         ("status", swarm.message),
-        ("work", f"{swarm.evaluations} forward solves in {result.seconds:.1f} s, seed {seed}"),
+        ("work", f"{swarm.evaluations} forward solves in {seconds:.1f} s, seed {result.seed}"),
     )
     return facts("Search", rows)

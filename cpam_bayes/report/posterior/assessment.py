@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from cpam_bayes.formatting import NOT_KNOWN, fixed, significant
-from cpam_bayes.identification.sampled import SampledIdentification
+from cpam_bayes.identification.sampled import SampledResult
 from cpam_bayes.inference.diagnostics.identifiability import Combination
 from cpam_bayes.inference.diagnostics.power_scaling import MOVED, MovedBound
 from cpam_bayes.inference.diagnostics.profiles import Profile
@@ -26,7 +26,7 @@ _DOUBTFUL = ("prior and data disagree", "prior is strong, likelihood weak", "lik
 _TOLD = 0.1
 
 
-def combinations_table(result: SampledIdentification) -> Table:
+def combinations_table(result: SampledResult) -> Table:
     """Products of constants, the best determined first, with their spread by data and by prior."""
     columns = (
         Column("combination"),
@@ -73,7 +73,7 @@ def _percent(sd: float) -> str:
     return f"{significant(100.0 * sd, 2)} %" if sd < 1.0 else "> 100 %"
 
 
-def sensitivity_table(result: SampledIdentification) -> Table:
+def sensitivity_table(result: SampledResult) -> Table:
     """What the likelihood says of each constant alone, and what prior and bounds add."""
     own = result.assessment
     by_name = {s.name: s for s in own.power_scaling}

@@ -3,30 +3,29 @@
 from __future__ import annotations
 
 from importlib.metadata import version
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from cpam_bayes import __version__
-from cpam_bayes.identification.sampled import SampledIdentification
+from cpam_bayes.identification.sampled import SampledResult
 from cpam_bayes.inference.diagnostics.assessment import log_likelihoods, thinned
 from cpam_bayes.inference.diagnostics.identifiability import paired
 from cpam_bayes.inference.ensemble import problem_hash
 from cpam_bayes.plate import to_user, user_name
-from cpam_bayes.report.plates import unit_of
+from cpam_bayes.report.plates.head import unit_of
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["inference_data", "write_posterior"]
+__all__ = ["inference_data"]
 
 # arviz writes its own version, into every group.
 _LIBRARIES = ("numpy", "scipy", "emcee")
 _PRIOR_DRAWS = 1000
 
 
-def inference_data(result: SampledIdentification, seed: int) -> Any:
+def inference_data(result: SampledResult) -> Any:
     """The posterior as ``arviz.InferenceData``, thinned by the autocorrelation time.
 
     Chains are the walkers of all ensembles. Constants carry the names and units of the plate file; the
@@ -41,10 +40,10 @@ def inference_data(result: SampledIdentification, seed: int) -> Any:
         # arviz announces its next version, and takes many walkers with few thinned draws for a slip
         warnings.simplefilter("ignore", FutureWarning)
         warnings.simplefilter("ignore", UserWarning)
-        return _inference_data(result, seed)
+        return _inference_data(result)
 
 
-def _inference_data(result: SampledIdentification, seed: int) -> Any:
+def _inference_data(result: SampledResult) -> Any:
     import arviz
 
     posterior, chains = result.posterior, thinned(result.result)
@@ -53,7 +52,7 @@ def _inference_data(result: SampledIdentification, seed: int) -> Any:
     predicted = posterior.predict(flat)
     total, pointwise = log_likelihoods(posterior, flat, predicted, result.pairing)
     rows, columns = paired(result.pairing)
-    rng = np.random.default_rng([seed, 2])
+    rng = np.random.default_rng([result.seed, 2])
     noise = posterior.noise_model.sample(rng, (len(flat), len(rows)))
     replicate = predicted[:, columns] + posterior.noise(flat, predicted)[:, rows, columns] * noise
     by_frequency = {"frequencies_hz": ["mode"]}
@@ -70,7 +69,7 @@ def _inference_data(result: SampledIdentification, seed: int) -> Any:
         observed_data={"frequencies_hz": posterior.measurement.frequencies[rows]},
         dims=by_frequency,
         coords={"mode": [f"{j + 1} {result.modes[j].label}".strip() for j in columns]},
-        attrs=_attributes(result, seed, chains.step),
+        attrs=_attributes(result, chains.step),
     )
     # from_dict drops this group without a word
     parameters = posterior.parameters.parameters
@@ -86,17 +85,12 @@ def _inference_data(result: SampledIdentification, seed: int) -> Any:
     return data
 
 
-def write_posterior(result: SampledIdentification, seed: int, directory: Path) -> None:
-    """Write posterior.nc, which plain arviz opens with ``arviz.from_netcdf``."""
-    inference_data(result, seed).to_netcdf(str(directory / "posterior.nc"))
-
-
 def _by_name(names: tuple[str, ...], draws: NDArray[Any]) -> dict[str, NDArray[Any]]:
     """Draws (chains, draws, n) by their names in the plate file, in its units."""
     return {user_name(name): draws[..., i] * to_user(name, 1.0) for i, name in enumerate(names)}
 
 
-def _attributes(result: SampledIdentification, seed: int, step: int) -> dict[str, Any]:
+def _attributes(result: SampledResult, step: int) -> dict[str, Any]:
     posterior, own = result.posterior, result.posterior.measurement
     centre = np.array([[p.prior.mean for p in posterior.parameters.parameters]])
     given = "frequency_sd_hz" if own.frequency_sd is not None else "relative_std"
@@ -105,7 +99,7 @@ def _attributes(result: SampledIdentification, seed: int, step: int) -> dict[str
         **{f"{library}_version": version(library) for library in _LIBRARIES},
         "plate": result.specimen.name,
         "source": result.specimen.source,
-        "seed": seed,
+        "seed": result.seed,
         "problem_hash": problem_hash(posterior, centre),
         "noise": f"{posterior.noise_name}, inferred" if posterior.noise_is_inferred else f"{given}, given",
         "noise_degrees_of_freedom": posterior.degrees_of_freedom,

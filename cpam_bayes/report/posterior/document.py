@@ -6,25 +6,22 @@ from typing import Any
 
 import numpy as np
 
-from cpam_bayes.forward_model.model import SIZES
-from cpam_bayes.identification.sampled import ConstantPosterior, SampledIdentification
+from cpam_bayes.identification.sampled import ConstantPosterior, SampledResult
 from cpam_bayes.inference.noise import NOISE_NAMES
 from cpam_bayes.plate import to_user, user_name
 from cpam_bayes.priors import Prior, TruncatedNormal, Uniform
 from cpam_bayes.report.documents import laminate_unit, plate_keys
 
-__all__ = ["constants_of", "nuisance_of", "sampled_document"]
 
-
-def sampled_document(result: SampledIdentification, seed: int, warnings: tuple[str, ...]) -> dict[str, Any]:
+def document(result: SampledResult) -> dict[str, Any]:
     """The JSON document of `identify` by sampling."""
     noise = [c for c in result.constants if c.name in NOISE_NAMES]
     return {
-        **plate_keys("identify", result.specimen, seed),
+        **plate_keys(result),
         "backend": "emcee",
         "status": result.result.status,
-        "constants": {user_name(c.name): _marginal(result, c) for c in constants_of(result)},
-        "nuisance": {user_name(c.name): _marginal(result, c) for c in nuisance_of(result)},
+        "constants": {user_name(c.name): _marginal(result, c) for c in result.elastic_constants},
+        "nuisance": {user_name(c.name): _marginal(result, c) for c in result.sizes},
         "noise": {"name": user_name(noise[0].name), **_quantiles(noise[0], 1.0)} if noise else None,
         "degrees_of_freedom": result.posterior.degrees_of_freedom,
         "frequencies": _frequency_rows(result),
@@ -68,26 +65,16 @@ def sampled_document(result: SampledIdentification, seed: int, warnings: tuple[s
         "air_density_kg_m3": result.specimen.air_density,
         "forward_solves": result.forward_solves,
         "seconds": result.seconds,
-        "warnings": list(warnings),
+        "warnings": list(result.warnings),
         "notes": list(result.specimen.notes),
     }
-
-
-def constants_of(result: SampledIdentification) -> tuple[ConstantPosterior, ...]:
-    """The elastic constants, without noise and sizes."""
-    return tuple(c for c in result.constants if c.name not in (*NOISE_NAMES, *SIZES))
-
-
-def nuisance_of(result: SampledIdentification) -> tuple[ConstantPosterior, ...]:
-    """The sizes of the plate that have a standard deviation."""
-    return tuple(c for c in result.constants if c.name in SIZES)
 
 
 def _quantiles(c: ConstantPosterior, factor: float) -> dict[str, float]:
     return {key: factor * float(getattr(c, key)) for key in ("mean", "sd", "q025", "median", "q975")}
 
 
-def _marginal(result: SampledIdentification, c: ConstantPosterior) -> dict[str, Any]:
+def _marginal(result: SampledResult, c: ConstantPosterior) -> dict[str, Any]:
     prior = result.posterior.parameters[c.name].prior
     return {
         **_quantiles(c, to_user(c.name, 1.0)),
@@ -113,7 +100,7 @@ def _kind(prior: Prior) -> str:
     return "truncated normal" if isinstance(prior, TruncatedNormal) else "truncated Student-t"
 
 
-def _frequency_rows(result: SampledIdentification) -> list[dict[str, Any]]:
+def _frequency_rows(result: SampledResult) -> list[dict[str, Any]]:
     left_out = result.assessment.left_out
     place = np.cumsum(result.pairing.mode >= 0) - 1
     rows = []
@@ -143,7 +130,7 @@ def _frequency_rows(result: SampledIdentification) -> list[dict[str, Any]]:
     return rows
 
 
-def _leave_one_out(result: SampledIdentification) -> dict[str, Any]:
+def _leave_one_out(result: SampledResult) -> dict[str, Any]:
     importance = result.assessment.importance
     psis = None
     if importance is not None:
@@ -157,7 +144,7 @@ def _leave_one_out(result: SampledIdentification) -> dict[str, Any]:
     return {"log_score": left_out.log_score, "basis": left_out.basis, "psis": psis}
 
 
-def _combinations(result: SampledIdentification) -> list[dict[str, Any]]:
+def _combinations(result: SampledResult) -> list[dict[str, Any]]:
     names = [user_name(name) for name in result.posterior.model.parameters.names]
     return [
         {
@@ -171,7 +158,7 @@ def _combinations(result: SampledIdentification) -> list[dict[str, Any]]:
     ]
 
 
-def _profiles(result: SampledIdentification) -> dict[str, Any]:
+def _profiles(result: SampledResult) -> dict[str, Any]:
     found = {}
     for p in result.assessment.profiles:
         found[user_name(p.name)] = {
@@ -187,7 +174,7 @@ def _profiles(result: SampledIdentification) -> dict[str, Any]:
     return found
 
 
-def _bounds_moved(result: SampledIdentification) -> list[dict[str, Any]]:
+def _bounds_moved(result: SampledResult) -> list[dict[str, Any]]:
     names = [user_name(name) for name in result.posterior.parameters.names]
     return [
         {
@@ -200,7 +187,7 @@ def _bounds_moved(result: SampledIdentification) -> list[dict[str, Any]]:
     ]
 
 
-def _diagnostics(result: SampledIdentification) -> dict[str, Any]:
+def _diagnostics(result: SampledResult) -> dict[str, Any]:
     d = result.result.diagnostics
     return {
         "r_hat": d.r_hat,

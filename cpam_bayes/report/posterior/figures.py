@@ -12,13 +12,11 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
-from cpam_bayes.identification.sampled import ConstantPosterior, SampledIdentification
+from cpam_bayes.identification.sampled import ConstantPosterior, SampledResult
 from cpam_bayes.inference.diagnostics.profiles import DROP_95, Profile
 from cpam_bayes.inference.noise import NOISE_NAMES
 from cpam_bayes.plate import to_user, user_name
-from cpam_bayes.report.plates import unit_of
-
-__all__ = ["posterior_figures"]
+from cpam_bayes.report.plates.head import unit_of
 
 _BINS = 40
 # Bins of a pair are wider, for its draws are spread over their square.
@@ -32,7 +30,7 @@ _BLUE, _GREY, _RED, _ORANGE = "#4878a8", "#808080", "#c0392b", "#c1440e"
 _DEEPEST = 6.0
 
 
-def posterior_figures(result: SampledIdentification) -> dict[str, Figure]:
+def figures(result: SampledResult) -> dict[str, Figure]:
     """Pairs of all parameters, marginals beside profiles of the constants, modes left out."""
     return {
         "posterior": _pairs(result),
@@ -41,7 +39,7 @@ def posterior_figures(result: SampledIdentification) -> dict[str, Figure]:
     }
 
 
-def _pairs(result: SampledIdentification) -> Figure:
+def _pairs(result: SampledResult) -> Figure:
     names = result.posterior.parameters.names
     draws = result.result.draws * np.array([to_user(name, 1.0) for name in names])
     n = len(names)
@@ -94,7 +92,7 @@ def _key() -> list[Any]:
 
 def _draw_marginal(
     axes: Axes,
-    result: SampledIdentification,
+    result: SampledResult,
     c: ConstantPosterior,
     draws: NDArray[Any],
     span: tuple[float, float],
@@ -110,7 +108,7 @@ def _draw_marginal(
     axes.set_yticks([])
 
 
-def _marginals_and_profiles(result: SampledIdentification) -> Figure:
+def _marginals_and_profiles(result: SampledResult) -> Figure:
     """One column a constant: its marginal posterior and prior, and below its profile likelihood."""
     profiles = result.assessment.profiles
     names = result.posterior.parameters.names
@@ -156,7 +154,7 @@ def _draw_profile(axes: Axes, profile: Profile, factor: float) -> None:
     axes.set_ylim(-_DEEPEST, 0.03 * _DEEPEST)
 
 
-def _left_out(result: SampledIdentification) -> Figure:
+def _left_out(result: SampledResult) -> Figure:
     """Each frequency against the posterior and against what the other modes predict; its leverage."""
     left_out = result.assessment.left_out
     rows = np.flatnonzero(result.pairing.mode >= 0)

@@ -6,82 +6,36 @@ import numpy as np
 
 from cpam_bayes.formatting import decimals_of, fixed, signed, significant, with_spread
 from cpam_bayes.forward_model.model import SIZES
-from cpam_bayes.identification.sampled import ConstantPosterior, SampledIdentification
-from cpam_bayes.inference.diagnostics.completeness import Doubt
+from cpam_bayes.identification.sampled import ConstantPosterior, SampledResult
 from cpam_bayes.inference.noise import NOISE_NAMES
 from cpam_bayes.plate import to_user
 from cpam_bayes.priors import Prior, TruncatedNormal
 from cpam_bayes.report.documents import laminate_unit
-from cpam_bayes.report.plates import plate_head, unit_of
+from cpam_bayes.report.plates.head import plate_head, unit_of
 from cpam_bayes.report.posterior.assessment import combinations_table, sensitivity_table
-from cpam_bayes.report.posterior.document import constants_of, nuisance_of
 from cpam_bayes.report.tables import Column, Table, facts, remarks
 
-__all__ = ["sampled_screen", "sampled_warnings"]
-
-# A posterior predictive p-value this far out says that noise alone does not explain the residuals.
-_P_LOW = 0.02
 # A mode this many standard deviations from what the others predict is marked.
-_FAR = 3.0
+_MAX_DISTANCE_SD = 3.0
 
 
-def sampled_warnings(result: SampledIdentification) -> tuple[str, ...]:
-    """Everything that is a reason not to trust the numbers as they stand."""
-    found = []
-    measurement = result.posterior.measurement
-    unknowns = len(constants_of(result))
-    if measurement.size <= unknowns:
-        many = "frequency" if measurement.size == 1 else "frequencies"
-        found.append(f"{measurement.size} {many} for {unknowns} unknowns: the prior decides")
-    if result.result.status == "budget":
-        d = result.result.diagnostics
-        found.append(
-            f"the chains used their budget of {d.steps} steps before they converged (R-hat "
-            f"{d.r_hat:.3f}, {d.ess_bulk:.0f} effective samples): means and intervals are not reliable; "
-            "allow more steps"
-        )
-    if result.result.not_stored is not None:
-        found.append(result.result.not_stored)
-    if result.doubt is not None:
-        found.append(doubt_sentence(result.doubt))
-    if result.p_value < _P_LOW:
-        found.append(
-            f"posterior predictive p-value {result.p_value:.3f}: the residuals are larger than the noise "
-            "of the plate file explains, the plate model lacks something or the noise is larger"
-        )
-    return tuple(found)
-
-
-def doubt_sentence(doubt: Doubt) -> str:
-    """What of a complete list looks as if it were not, and what to do about it."""
-    times = f"{np.exp(doubt.log_odds):.0f}" if doubt.log_odds < np.log(1e4) else "more than 10000"
-    if doubt.missed is not None:
-        what = f"lacks the mode {doubt.missed.label}, near {doubt.missed.frequency:.4g} Hz"
-    else:
-        what = f"holds a frequency that belongs to no mode, {doubt.spurious:.6g} Hz"
-    return (
-        f"the list looks as if it {what}: that is {times} times as probable as one frequency for every "
-        "mode; if so, set complete = false in [measurement]"
-    )
-
-
-def sampled_screen(result: SampledIdentification, seed: int, warnings: tuple[str, ...]) -> tuple[Table, ...]:
+def screen(result: SampledResult) -> tuple[Table, ...]:
     """Plate, marginal posteriors, what to believe of them, frequencies, chains."""
     return (
-        plate_head(f"identify {result.specimen.name}", result.specimen),
-        _marginals("Constants, posterior", result, constants_of(result)),
-        _marginals("Sizes, posterior", result, nuisance_of(result)),
+        plate_head(result.command, result.specimen, result.air_shifts),
+        _marginals("Constants, posterior", result, result.elastic_constants),
+        _marginals("Sizes, posterior", result, result.sizes),
         remarks("What the frequencies determine", _verdicts(result)),
         combinations_table(result),
         sensitivity_table(result),
         _frequencies(result),
         _laminate(result),
-        _chains(result, seed),
-        remarks("Warnings", warnings, flagged=True),
+        _chains(result),
+        remarks("Warnings", result.warnings, flagged=True),
     )
 
 
-def _marginals(title: str, result: SampledIdentification, shown: tuple[ConstantPosterior, ...]) -> Table:
+def _marginals(title: str, result: SampledResult, shown: tuple[ConstantPosterior, ...]) -> Table:
     columns = (
         Column("name"),
         Column("mean", number=True),
@@ -126,9 +80,9 @@ def _prior(name: str, prior: Prior) -> str:
     return f"{to_user(name, prior.loc):.6g} +- {to_user(name, prior.scale):.4g} in {bounds}"
 
 
-def _verdicts(result: SampledIdentification) -> tuple[str, ...]:
+def _verdicts(result: SampledResult) -> tuple[str, ...]:
     found = []
-    constants = constants_of(result)
+    constants = result.elastic_constants
     by_prior = [c.name for c in constants if c.verdict == "determined by the prior"]
     if by_prior:
         found.append(
@@ -146,7 +100,7 @@ def _verdicts(result: SampledIdentification) -> tuple[str, ...]:
     return (*found, f"Determined by the frequencies: {', '.join(sure) or 'none of the constants'}.")
 
 
-def _frequencies(result: SampledIdentification) -> Table:
+def _frequencies(result: SampledResult) -> Table:
     columns = (
         Column("mode", number=True),
         Column("label"),
@@ -169,7 +123,7 @@ def _frequencies(result: SampledIdentification) -> Table:
             rows.append(("-", "", "no mode", fixed(float(f), decimals), *6 * ("",)))
             continue
         mode, predicted, k = result.modes[j], float(result.predicted[j]), int(place[i])
-        if abs(left_out.standardised[k]) > _FAR:
+        if abs(left_out.standardised[k]) > _MAX_DISTANCE_SD:
             doubtful.append(i)
         rows.append(
             (
@@ -193,7 +147,7 @@ def _frequencies(result: SampledIdentification) -> Table:
     return Table(title, columns, tuple(rows), frozenset(doubtful))
 
 
-def _laminate(result: SampledIdentification) -> Table:
+def _laminate(result: SampledResult) -> Table:
     """D11 to D26, the engineering constants and nuxy, a line each."""
     small = 1e-9 * abs(result.laminate["D11"][0])
     lines: dict[str, list[str]] = {"N m": [], "GPa": [], "": []}
@@ -208,7 +162,7 @@ def _laminate(result: SampledIdentification) -> Table:
     return Table("Laminate in bending, mean and sd", (Column(),), rows)
 
 
-def _chains(result: SampledIdentification, seed: int) -> Table:
+def _chains(result: SampledResult) -> Table:
     d = result.result.diagnostics
     ensembles, _, walkers, _ = result.result.chain.shape
     noise = [c for c in result.constants if c.name in NOISE_NAMES]
@@ -237,7 +191,7 @@ def _chains(result: SampledIdentification, seed: int) -> Table:
         ),
         (
             "work",
-            f"{result.forward_solves} forward solves in {result.seconds:.1f} s, seed {seed}; "
+            f"{result.forward_solves} forward solves in {result.seconds:.1f} s, seed {result.seed}; "
             f"{result.ess_per_second:.0f} effective samples a second of sampling, "
             f"{d.ess_bulk / result.seconds:.0f} in all",
         ),
@@ -245,7 +199,7 @@ def _chains(result: SampledIdentification, seed: int) -> Table:
     return facts("Fit and sampling", tuple(rows))
 
 
-def _left_out(result: SampledIdentification) -> list[tuple[str, str]]:
+def _left_out(result: SampledResult) -> list[tuple[str, str]]:
     """The log score of modes left out, by importance sampling where that can be relied on."""
     left_out, psis = result.assessment.left_out, result.assessment.importance
     closed = f"log score {left_out.log_score:.1f} in closed form"
@@ -261,7 +215,7 @@ def _left_out(result: SampledIdentification) -> list[tuple[str, str]]:
     return [("left out", closed), ("PSIS-LOO", told)]
 
 
-def _evidence(result: SampledIdentification) -> str:
+def _evidence(result: SampledResult) -> str:
     e = result.evidence
     told = f"log evidence {e.log_evidence:.3f} +- {e.standard_error:.3f}"
     sizes = f"{e.effective_size:.0f} effective of {e.n_draws} draws, k-hat {e.k_hat:.2f}"

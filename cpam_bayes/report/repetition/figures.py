@@ -9,6 +9,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from cpam_bayes.repetition.sensitivity import SensitivityResult
+
 __all__ = ["draw_constant", "legend_entries", "sensitivity_figures"]
 
 _READING_COLOURS: Final = {"relative": "#1f5f8b", "rms": "#c1440e"}
@@ -88,3 +90,8 @@ def sensitivity_figures(document: Mapping[str, Any]) -> dict[str, Figure]:
     handles = legend_entries(list(document["levels"][0]["readings"]))
     figure.legend(handles=handles, loc="outside lower center", ncols=2, fontsize="small", frameon=False)
     return {"sensitivity": figure}
+
+
+def figures(result: SensitivityResult) -> dict[str, Figure]:
+    """The figures of one noise study."""
+    return dict(sensitivity_figures(result.to_dict()))

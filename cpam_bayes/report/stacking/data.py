@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from importlib.metadata import version
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,18 +10,19 @@ import numpy as np
 from cpam_bayes import __version__
 from cpam_bayes.inference.ensemble import problem_hash
 from cpam_bayes.plate import to_user, user_name
-from cpam_bayes.report.plates import unit_of
+from cpam_bayes.report.plates.head import unit_of
 from cpam_bayes.stacking.mixture import StackingMixture
 from cpam_bayes.stacking.posterior import StackingPosterior
+from cpam_bayes.stacking.sequence import StackingResult
 
-__all__ = ["sequence_inference_data", "write_sequence_posterior"]
+__all__ = ["inference_data"]
 
 # arviz writes its own version, into every group.
 _LIBRARIES = ("numpy", "scipy", "emcee")
 EMCEE, IMPORTANCE = "emcee", "importance sampling"
 
 
-def sequence_inference_data(result: StackingPosterior, mixture: StackingMixture, seed: int) -> Any:
+def inference_data(result: StackingResult) -> Any:
     """The mixture as ``arviz.InferenceData``.
 
     Groups: posterior, one chain of equally probable draws in no order: the constants by the names and
@@ -38,7 +38,7 @@ def sequence_inference_data(result: StackingPosterior, mixture: StackingMixture,
         # arviz announces its next version
         warnings.simplefilter("ignore", FutureWarning)
         warnings.simplefilter("ignore", UserWarning)
-        return _inference_data(result, mixture, seed)
+        return _inference_data(result.answer, result.mixture, result.seed)
 
 
 def _inference_data(result: StackingPosterior, mixture: StackingMixture, seed: int) -> Any:
@@ -111,10 +111,3 @@ def _attributes(result: StackingPosterior, mixture: StackingMixture, seed: int) 
         "probability_by_importance_sampling": mixture.listed_fraction,
         "probability_by_drawn_sequences": mixture.drawn_fraction,
     }
-
-
-def write_sequence_posterior(
-    result: StackingPosterior, mixture: StackingMixture, seed: int, directory: Path
-) -> None:
-    """Write posterior.nc, which plain arviz opens with ``arviz.from_netcdf``."""
-    sequence_inference_data(result, mixture, seed).to_netcdf(str(directory / "posterior.nc"))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -11,16 +11,12 @@ from numpy.typing import NDArray
 
 from cpam_bayes.inference.posterior import NOISE
 from cpam_bayes.plate import to_user
-from cpam_bayes.report.plates import unit_of
+from cpam_bayes.report.plates.head import unit_of
 from cpam_bayes.stacking.mixture import StackingMixture
 from cpam_bayes.stacking.posterior import CREDIBLE, StackingPosterior
 from cpam_bayes.stacking.queries.angle_information import angle_information
 from cpam_bayes.stacking.queries.given_layup import GivenLayup
-
-if TYPE_CHECKING:
-    from cpam_bayes.report.answer import Figures
-
-__all__ = ["sequence_figures"]
+from cpam_bayes.stacking.sequence import StackingResult
 
 _RED, _BLUE = "#c0392b", "#4878a8"
 # Classes whose angles are shown: so many, and those that matter.
@@ -29,15 +25,13 @@ _SHOWN, _FEWEST, _MATTERS = 24, 4, 0.999
 _POINTS, _TAIL = 300, 0.001
 
 
-def sequence_figures(
-    result: StackingPosterior, mixture: StackingMixture, given: GivenLayup | None
-) -> Figures:
-    """The heat map of the angles, the credible set, the constants; given : the printed sequence."""
-    name = result.specimen.name
+def figures(result: StackingResult) -> dict[str, Figure]:
+    """The heat map of the angles, the credible set, the constants."""
+    answer, name = result.answer, result.specimen.name
     return {
-        f"angles_{name}": angle_map(result, given),
-        f"credible_set_{name}": credible_set(result, given),
-        f"constants_{name}": constants_over_sequences(result, mixture, given),
+        f"angles_{name}": angle_map(answer, result.given),
+        f"credible_set_{name}": credible_set(answer, result.given),
+        f"constants_{name}": constants_over_sequences(answer, result.mixture, result.given),
     }
 
 

@@ -1,0 +1,207 @@
+"""What the simulation of one or several plates gets wrong: the question `diagnose`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import ClassVar, Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cpam_bayes.diagnosis.cases import hypotheses_of, plate_case
+from cpam_bayes.diagnosis.diagnose import Diagnosis, diagnose_cases
+from cpam_bayes.diagnosis.extension import Resampled, resample
+from cpam_bayes.diagnosis.fitting import PlateCase
+from cpam_bayes.diagnosis.hypotheses import with_prior_of_none
+from cpam_bayes.diagnosis.next_test.next_measurement import Candidate, next_measurements
+from cpam_bayes.diagnosis.paired_modes import PairedFit, PlateModes, paired_fit, plain_modes
+from cpam_bayes.diagnosis.warnings import diagnosis_warnings
+from cpam_bayes.forward_model.air_shift import air_shifts
+from cpam_bayes.forward_model.preconditions import explained_failures, plate_warnings, require_diagnosable
+from cpam_bayes.plate import PlateLike, Specimen, read_plate
+from cpam_bayes.result import SILENT, Result, Watch
+
+__all__ = ["DiagnosisResult", "diagnose", "diagnosis_result"]
+
+DEFAULT_SCATTER: Final = 0.02
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DiagnosisResult(Result):
+    """Causes weighed against each other, the claim, the extended model and its gain.
+
+    Attributes
+    ----------
+    diagnosis : claim, causes with their probabilities, both fits, gain
+    plates : the specimens
+    air_shifts : for each plate, see `PlateResult.air_shifts`
+    plain, extended : each measured frequency with its mode; extended is None where nothing is claimed
+    modes : of each plate, with their shapes, by the plain model where it is most probable
+    scatter : relative standard deviation of a constant from plate to plate
+    candidates : further tests, the most informative first
+    resampled : the constants of the extended model by emcee, where asked for
+    """
+
+    question: ClassVar[str] = "diagnosis"
+    command: ClassVar[str] = "diagnose"
+
+    diagnosis: Diagnosis
+    plates: tuple[Specimen, ...]
+    air_shifts: tuple[NDArray[np.float64] | None, ...]
+    plain: PairedFit
+    extended: PairedFit | None
+    modes: tuple[PlateModes, ...]
+    scatter: float
+    candidates: tuple[Candidate, ...] = ()
+    resampled: Resampled | None = None
+
+    @property
+    def title(self) -> str:
+        """The names of the plates."""
+        return " ".join(plate.name for plate in self.plates)
+
+    @property
+    def claim(self) -> str:
+        """One of "none", "named", "class", "pair", "other" and "undecided"."""
+        return self.diagnosis.claim.kind
+
+    @property
+    def causes(self) -> tuple[str, ...]:
+        """The names claimed."""
+        return self.diagnosis.claim.causes
+
+    @property
+    def probability(self) -> float:
+        """Of the claim."""
+        return self.diagnosis.claim.probability
+
+
+def diagnose(
+    *plates: PlateLike,
+    seed: int = 0,
+    scatter: float = DEFAULT_SCATTER,
+    prior_none: float | None = None,
+    next_test: Literal["open", "always", "never"] = "open",
+    emcee: bool = False,
+    watch: Watch = SILENT,
+) -> DiagnosisResult:
+    """What the simulation gets wrong, its cause by probability, the extended model and what it gains.
+
+    Parameters
+    ----------
+    plates : what `read_plate` takes, or what it returns; several plates are of one material and share
+        their constants, those with equal ``specimen`` are one plate under several tests
+    scatter : relative standard deviation of a constant from plate to plate of one material
+    prior_none : prior probability that nothing is wrong, 0.5 where left out
+    next_test : when to rank further tests: while the cause is "open", "always", or "never"
+    emcee : whether to sample the constants of the extended model by emcee too
+    watch : is shown the progress
+
+    Raises
+    ------
+    ValueError
+        If a plate cannot be read or diagnosed, or if the plates cannot share their constants.
+    """
+    specimens = tuple(require_diagnosable(read_plate(plate)) for plate in plates)
+    _require_one_material(specimens)
+    title = f"diagnose {' '.join(s.name for s in specimens)}"
+
+    def announce(text: str) -> None:
+        watch.announce(f"{title}: {text}")
+
+    cases = []
+    for specimen in specimens:
+        with explained_failures(specimen):
+            cases.append(plate_case(specimen, announce))
+    diagnosis = _diagnosed(cases, title, scatter, prior_none, watch)
+    candidates: tuple[Candidate, ...] = ()
+    if next_test != "never":
+        always = next_test == "always"
+        candidates = next_measurements(diagnosis, always=always, scatter=scatter, notify=announce)
+    resampled = resample(diagnosis, seed, notify=announce) if emcee else None
+    warnings = diagnosis_warnings(diagnosis, resampled, emcee=emcee)
+    return replace(
+        diagnosis_result(diagnosis, seed, scatter, candidates, resampled),
+        warnings=(*warnings, *(w for s in specimens for w in plate_warnings(s))),
+        reached_goal=resampled is None or resampled.converged,
+    )
+
+
+def diagnosis_result(
+    diagnosis: Diagnosis,
+    seed: int,
+    scatter: float = DEFAULT_SCATTER,
+    candidates: tuple[Candidate, ...] = (),
+    resampled: Resampled | None = None,
+) -> DiagnosisResult:
+    """A diagnosis with what is shown of it: the mode of each frequency, mode shapes, what air would do."""
+    specimens = tuple(case.models.specimen for case in diagnosis.cases)
+    extended = diagnosis.extended
+    return DiagnosisResult(
+        seed=seed,
+        diagnosis=diagnosis,
+        plates=specimens,
+        air_shifts=tuple(air_shifts(specimen) for specimen in specimens),
+        plain=paired_fit(diagnosis, diagnosis.baseline, diagnosis.weighed.none),
+        extended=None if extended is None else paired_fit(diagnosis, extended, diagnosis.members[0][0]),
+        modes=plain_modes(diagnosis),
+        scatter=scatter,
+        candidates=candidates,
+        resampled=resampled,
+    )
+
+
+def _diagnosed(
+    cases: Sequence[PlateCase], title: str, scatter: float, prior_none: float | None, watch: Watch
+) -> Diagnosis:
+    hypotheses = hypotheses_of(cases)
+    if prior_none is not None:
+        hypotheses = with_prior_of_none(hypotheses, prior_none)
+    n = len(hypotheses)
+    with watch.stage(title, n, lambda done: "of the hypotheses") as shown:
+
+        def progress(done: int, total: int) -> None:
+            if done <= n:
+                shown.tick(done, float(done))
+            elif done == n + 1:
+                shown.notify(f"{total - n} pairs of causes")
+
+        return diagnose_cases(
+            cases, hypotheses=hypotheses, scatter=scatter, notify=shown.notify, progress=progress
+        )
+
+
+def _require_one_material(specimens: Sequence[Specimen]) -> None:
+    """Refuse plates that cannot share their constants, or of which two are the same."""
+    if not specimens:
+        raise ValueError("plates: received none, accepted: one plate or more")
+    names = [s.name for s in specimens]
+    twice = next((name for i, name in enumerate(names) if name in names[:i]), None)
+    if twice is not None:
+        raise ValueError(
+            f"PLATE: received {twice} twice, accepted: plates of different names; one list counts once"
+        )
+    first = specimens[0]
+    for other in specimens[1:]:
+        same = other.material.name == first.material.name
+        if not (same and other.material.isotropic == first.material.isotropic):
+            raise ValueError(
+                f"{other.source}: material {other.material.name or 'not named'}, while {first.name} has "
+                f"{first.material.name or 'none named'}; plates that are diagnosed together share their "
+                "constants: give plates of one material, with the same material.name"
+            )
+    for i, other in enumerate(specimens):
+        tested = next((s for s in specimens[:i] if s.specimen == other.specimen), None)
+        if tested is not None and _sizes(tested) != _sizes(other):
+            raise ValueError(
+                f"{other.source}: specimen {other.specimen} has other sizes, density or layup than in "
+                f"{tested.source}; files of one specimen are tests of one plate: give them the same [plate] "
+                "but for the edges, or names of their own to the specimens"
+            )
+
+
+def _sizes(specimen: Specimen) -> tuple[float | str, ...]:
+    """What does not change from test to test of a plate."""
+    plate = specimen.plate
+    return (plate.length, plate.width, plate.thickness, plate.density, plate.layup.text)

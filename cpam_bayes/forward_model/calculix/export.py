@@ -1,0 +1,119 @@
+"""The input deck of a plate for CalculiX and ABAQUS: the question `export`."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar, Final
+
+from cpam_bayes.forward_model.air_shift import air_shifts
+from cpam_bayes.forward_model.calculix.deck import Deck, Element, plate_deck
+from cpam_bayes.forward_model.model import reference_constants
+from cpam_bayes.forward_model.preconditions import require_supported
+from cpam_bayes.forward_model.solve import measured_modes
+from cpam_bayes.plate import PlateLike, read_plate
+from cpam_bayes.result import PlateResult
+
+__all__ = ["ExportResult", "export"]
+
+_NO_MESH: Final = "decks are written for rectangular plates only; leave mesh out"
+_NO_AIR: Final = "decks hold a plate in vacuum; leave air_density_kg_m3 out"
+_TYPE: Final[dict[Element, str]] = {"shell": "S8R", "brick": "C3D20R"}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ExportResult(PlateResult):
+    """A deck in its file; n_modes : deformation modes that its step asks for."""
+
+    question: ClassVar[str] = "export"
+    command: ClassVar[str] = "export"
+    has_figures: ClassVar[bool] = False
+
+    path: Path
+    element: Element
+    n_modes: int
+    deck: Deck
+
+    @property
+    def n_elements(self) -> int:
+        """Elements of the plate, known masses not counted."""
+        layers, in_plane, _ = self.deck.mesh.elements.shape
+        return int(layers * in_plane)
+
+    @property
+    def element_type(self) -> str:
+        """The name of the elements in ABAQUS."""
+        return _TYPE[self.element]
+
+
+def export(
+    plate: PlateLike,
+    path: str | Path | None = None,
+    *,
+    element: Element = "shell",
+    n_modes: int | None = None,
+    force: bool = False,
+    seed: int = 0,
+) -> ExportResult:
+    """Write a plate with its reference constants as an input deck for CalculiX and ABAQUS.
+
+    Parameters
+    ----------
+    plate : what `read_plate` takes, or what it returns
+    path : the file to write, by default the name of the plate with the ending ".inp"
+    element : "shell" (S8R) or "brick" (C3D20R)
+    n_modes : modes that the deck asks for; as many as were measured, or 10, where left out
+    force : whether to write over a file that is there
+
+    Raises
+    ------
+    ValueError
+        If the plate cannot be read or exported, or the file cannot be written.
+    """
+    specimen = require_supported(read_plate(plate), _NO_MESH, _NO_AIR)
+    given = plate if isinstance(plate, str | os.PathLike) else specimen.name
+    if path == "":
+        raise ValueError("--out: received an empty name, accepted: the file to write")
+    target = Path(path or f"{Path(given).stem}.inp")
+    if target.resolve() == Path(given).resolve():
+        raise ValueError(f"--out {target}: the plate file itself; give another name")
+    _require_writable(target, force)
+    n = n_modes or measured_modes(specimen)
+    deck = plate_deck(specimen, reference_constants(specimen), element, n)
+    _write_whole(target, deck.text)
+    return ExportResult(
+        seed=seed,
+        specimen=specimen,
+        air_shifts=air_shifts(specimen),
+        path=target,
+        element=element,
+        n_modes=n,
+        deck=deck,
+    )
+
+
+def _require_writable(path: Path, force: bool) -> None:
+    """Raise ``ValueError`` where a file cannot be written, or is there and ``force`` is not given."""
+    shown = f"--out {path}"
+    try:
+        if path.is_dir():
+            raise ValueError(f"{shown}: a directory, accepted: the file to write")
+        if os.path.lexists(path) and not force:
+            raise ValueError(f"{shown}: exists; give another name, or --force to write over it")
+        if not path.parent.is_dir():
+            raise ValueError(f"{shown}: {path.parent} is no directory")
+    except OSError as error:
+        raise ValueError(f"{shown}: cannot be written to: {error.strerror}") from None
+
+
+def _write_whole(path: Path, text: str) -> None:
+    """Write a file that is there whole or not at all; raise ``ValueError`` where that fails."""
+    try:
+        with tempfile.TemporaryDirectory(prefix=".cpam-bayes-", dir=path.parent) as draft:
+            written = Path(draft, "file")
+            written.write_text(text, encoding="utf-8", newline="\n")
+            os.replace(written, path)
+    except OSError as error:
+        raise ValueError(f"--out {path}: cannot be written to: {error.strerror}") from None

@@ -1,0 +1,246 @@
+"""Natural frequencies and mode shapes of a plate from its reference constants: the question `forward`."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from functools import partial
+from typing import ClassVar, Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cpam_bayes.formatting import significant
+from cpam_bayes.forward_model.air_shift import air_shifts
+from cpam_bayes.forward_model.model import NO_PARAMETERS, PlateModel, converged_model, reference_constants
+from cpam_bayes.forward_model.preconditions import (
+    explained_failures,
+    plate_warnings,
+    require_supported,
+    units_warning,
+)
+from cpam_bayes.mechanics.shapes import (
+    UNIT_SQUARE,
+    Extent,
+    Mode,
+    describe_modes,
+    grid_points,
+    shapes_on_grid,
+)
+from cpam_bayes.plate import PlateLike, Specimen, read_plate
+from cpam_bayes.result import SILENT, PlateResult, Watch
+
+Array = NDArray[np.float64]
+Solver = Literal["ritz", "fem", "ccx"]
+Element = Literal["brick", "shell"]
+
+__all__ = ["ForwardResult", "ModeShape", "error_warning", "forward", "measured_modes"]
+
+DEFAULT_MODES: Final = 10
+LARGE_ERROR: Final = 1e-3
+"""Relative error of the solver from which it is no longer small, where the noise is not known."""
+
+
+@dataclass(frozen=True, slots=True)
+class ModeShape:
+    """Displacements of one mode on a regular grid of the plate, (nx, ny) each, of any scale.
+
+    They are NaN off the plate: in a hole, or beyond an oblique edge.
+    """
+
+    u: Array
+    v: Array
+    w: Array
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ForwardResult(PlateResult):
+    """Modes of a plate with its reference constants.
+
+    Attributes
+    ----------
+    solver : in words
+    modes : frequency (Hz), kind and label of each mode, ascending
+    error : (n_modes,) estimated relative error of the frequencies, NaN where there is no estimate
+    shapes : one for each mode
+    seconds : wall clock
+    no_estimate : why there is no estimate of the error
+    extent : m, least and greatest x, and y, of the shapes' grid; None for the rectangle
+    """
+
+    question: ClassVar[str] = "forward"
+    command: ClassVar[str] = "forward"
+
+    solver: str
+    modes: tuple[Mode, ...]
+    error: Array
+    shapes: tuple[ModeShape, ...]
+    seconds: float
+    no_estimate: str = ""
+    extent: tuple[tuple[float, float], tuple[float, float]] | None = None
+
+    @property
+    def frequencies(self) -> Array:
+        """Natural frequencies, (n_modes,) Hz."""
+        return np.array([mode.frequency for mode in self.modes])
+
+
+@dataclass(frozen=True, slots=True)
+class _Solution:
+    """What a solver finds; the fields of `ForwardResult`."""
+
+    solver: str
+    modes: tuple[Mode, ...]
+    error: Array
+    shapes: Array
+    no_estimate: str = ""
+    extent: tuple[tuple[float, float], tuple[float, float]] | None = None
+
+
+def forward(
+    plate: PlateLike,
+    n_modes: int | None = None,
+    *,
+    solver: Solver | None = None,
+    element: Element | None = None,
+    seed: int = 0,
+    watch: Watch = SILENT,
+) -> ForwardResult:
+    """Natural frequencies and mode shapes of a plate from its reference constants.
+
+    First-order shear deformation theory, or three-dimensional bricks with ``solver="ccx"``.
+
+    Parameters
+    ----------
+    plate : what `read_plate` takes, or what it returns
+    n_modes : number of modes; as many as were measured, or 10, where left out
+    solver : "ritz", "fem" (finite elements, which also take a mesh) or "ccx" (the program CalculiX);
+        "fem" for a plate with a mesh and "ritz" for the others where left out
+    element : "brick" or "shell", with ``solver="ccx"`` only
+
+    Raises
+    ------
+    ValueError
+        If the plate cannot be read or computed by that solver.
+
+    Examples
+    --------
+    >>> import cpam_bayes as cb
+    >>> result = cb.forward("C1", n_modes=3)
+    >>> [round(float(f), 1) for f in result.frequencies]
+    [100.3, 298.6, 324.5]
+    """
+    specimen = read_plate(plate)
+    name = solver or ("ritz" if specimen.plate.mesh is None else "fem")
+    if name not in _SOLVERS:
+        raise ValueError(f"solver: received {name!r}, accepted: {' '.join(_SOLVERS)}")
+    advice = f"--solver {name} computes rectangular plates only; use --solver fem"
+    no_air = "CalculiX computes plates in vacuum; leave air_density_kg_m3 out, or use --solver ritz or fem"
+    require_supported(specimen, None if name == "fem" else advice, no_air if name == "ccx" else None)
+    solve = _SOLVERS[name]
+    if element is not None:
+        if name != "ccx":
+            raise ValueError(f"--element: received {element}, accepted: with --solver ccx only")
+        solve = partial(_ccx, element=element)
+    n = n_modes or measured_modes(specimen)
+    watch.announce(f"forward {specimen.name}: {n} modes, solver {name}")
+    start = time.perf_counter()
+    with explained_failures(specimen):
+        solution = solve(specimen, n)
+    seconds = time.perf_counter() - start
+    warnings = (*_warnings(specimen, solution), *plate_warnings(specimen))
+    return ForwardResult(
+        seed=seed,
+        warnings=warnings,
+        specimen=specimen,
+        air_shifts=air_shifts(specimen),
+        solver=solution.solver,
+        modes=solution.modes,
+        error=solution.error,
+        shapes=tuple(ModeShape(*shape) for shape in solution.shapes),
+        seconds=seconds,
+        no_estimate=solution.no_estimate,
+        extent=solution.extent,
+    )
+
+
+def measured_modes(specimen: Specimen) -> int:
+    """As many modes as were measured, or 10."""
+    return DEFAULT_MODES if specimen.measurement is None else specimen.measurement.size
+
+
+def error_warning(error: Array, limit: float = LARGE_ERROR) -> list[str]:
+    """A warning if the solver's estimated relative error (n_modes,) is above a limit."""
+    worst = float(np.max(error))
+    if not worst > limit:
+        return []
+    return [
+        f"the solver's error is up to {significant(100 * worst, 2)} % of a frequency "
+        f"(mode {int(np.argmax(error)) + 1}), which is not small here"
+    ]
+
+
+def _warnings(specimen: Specimen, solution: _Solution) -> list[str]:
+    """A solver's error that is not small, and a plate that looks like one in other units."""
+    warnings = error_warning(solution.error)
+    measurement = specimen.measurement
+    if measurement is not None and measurement.complete:
+        n = min(measurement.size, len(solution.modes))
+        predicted = np.array([mode.frequency for mode in solution.modes[:n]])
+        warnings += units_warning(
+            predicted / measurement.frequencies[:n],
+            "check the units of the sizes, the density, the constants and the frequencies",
+        )
+    return warnings
+
+
+def _ritz(specimen: Specimen, n_modes: int) -> _Solution:
+    """First-order shear deformation theory on a converged Ritz space."""
+    model = converged_model(specimen, NO_PARAMETERS, n_modes)
+    modes, shapes = _described(model)
+    return _Solution("Ritz, first-order shear deformation", modes, model.error, shapes)
+
+
+def _fem(specimen: Specimen, n_modes: int) -> _Solution:
+    """First-order shear deformation theory on 8-node elements, on a rectangle or on the mesh of a file."""
+    from cpam_bayes.forward_model.elements import element_model
+
+    solved = element_model(specimen, n_modes)
+    plate, space = solved.specimen.plate, solved.space
+    (x0, x1), (y0, y1) = space.extent
+    extent: Extent = (x0 / plate.length, x1 / plate.length), (y0 / plate.width, y1 / plate.width)
+    modes, shapes = _described(solved.model, extent)
+    n = shapes.shape[-1]
+    shapes[:, :, ~space.covers(grid_points(extent, n)).reshape(n, n)] = np.nan
+    on = "" if plate.mesh is None else f" of {plate.mesh.name}, {space.area * 1e6:.6g} mm2"
+    return _Solution(
+        f"finite elements, first-order shear deformation, {space.n_elements} 8-node elements{on}",
+        modes,
+        solved.model.error,
+        shapes,
+        "" if plate.mesh is None else "not known: the mesh of a file is the only one",
+        space.extent,
+    )
+
+
+def _ccx(specimen: Specimen, n_modes: int, element: Element = "brick") -> _Solution:
+    """Three-dimensional bricks, or shells, solved by the program CalculiX."""
+    from cpam_bayes.forward_model.calculix import solve_modes
+
+    solved = solve_modes(specimen, reference_constants(specimen), n_modes, element=element)
+    name = {"brick": "20-node bricks, layers of C3D20R", "shell": "8-node composite shells, S8R"}[element]
+    return _Solution(
+        f"CalculiX, {name}", solved.modes, np.full(n_modes, np.nan), solved.shapes, "not estimated"
+    )
+
+
+_SOLVERS: Final = {"ritz": _ritz, "fem": _fem, "ccx": _ccx}
+
+
+def _described(model: PlateModel, extent: Extent = UNIT_SQUARE) -> tuple[tuple[Mode, ...], Array]:
+    """Modes of a model without parameters, and their u, v, w on a grid, (n_modes, 3, n, n)."""
+    none = np.empty((1, 0))
+    spectrum = model.spectrum(none, vectors=True)
+    _, mass = model.coefficients(none)
+    modes = describe_modes(model.operator, spectrum, mass, extent)
+    return modes, shapes_on_grid(model.operator, spectrum, extent)

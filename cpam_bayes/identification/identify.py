@@ -1,0 +1,147 @@
+"""Constants of a plate, and unknown ply angles, as a point estimate: the question `identify`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import ClassVar, Final, TypeVar
+
+from cpam_bayes.forward_model.air_shift import air_shifts
+from cpam_bayes.forward_model.preconditions import (
+    explained_failures,
+    plate_warnings,
+    require_paired_list,
+    require_supported,
+)
+from cpam_bayes.identification.angle_search import AngleSearchResult, search_angles
+from cpam_bayes.identification.point import PointEstimate, Residual, estimate_constants, required
+from cpam_bayes.identification.warnings import point_warnings
+from cpam_bayes.inference.swarm.settings import SwarmSettings
+from cpam_bayes.plate import PlateLike, Specimen, read_plate
+from cpam_bayes.result import SILENT, PlateResult, Watch
+
+__all__ = ["NO_MESH", "FrequencyRow", "PointResult", "identify"]
+
+Estimate = TypeVar("Estimate")
+
+NO_MESH: Final = (
+    "identify computes rectangular plates only; leave mesh out, or compute this plate's frequencies "
+    "from its reference constants: forward --solver fem"
+)
+_RESIDUALS: Final = ("absolute", "relative")
+
+
+@dataclass(frozen=True, slots=True)
+class FrequencyRow:
+    """A measured frequency beside the predicted one, Hz; residual : predicted / measured - 1."""
+
+    measured: float
+    predicted: float
+    residual: float
+    kind: str
+    label: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PointResult(PlateResult):
+    """Point estimates of the constants by the particle swarm.
+
+    Attributes
+    ----------
+    specimen : with the angles that were found, where some were unknown
+    estimate : the constants with their linearised standard deviations, the fit, the swarm
+    residual : what was minimised, "absolute" or "relative" differences of frequencies
+    angles : the search of the unknown angles, None where all were known
+    """
+
+    question: ClassVar[str] = "identification"
+    command: ClassVar[str] = "identify"
+
+    estimate: PointEstimate
+    residual: Residual
+    angles: AngleSearchResult | None = None
+
+    @property
+    def status(self) -> str:
+        """Either "converged", or "budget" where the swarm used all its iterations."""
+        return self.estimate.swarm.status
+
+    @property
+    def constants(self) -> dict[str, float]:
+        """Name -> point estimate, Pa or dimensionless."""
+        return {c.name: c.value for c in self.estimate.constants}
+
+    @property
+    def frequencies(self) -> tuple[FrequencyRow, ...]:
+        """Measured and predicted frequencies, one row each."""
+        measurement, _ = required(self.specimen)
+        return tuple(
+            FrequencyRow(float(f), mode.frequency, mode.frequency / float(f) - 1.0, mode.kind, mode.label)
+            for f, mode in zip(measurement.frequencies, self.estimate.predicted, strict=True)
+        )
+
+
+def identify(
+    plate: PlateLike,
+    *,
+    seed: int = 0,
+    residual: Residual = "absolute",
+    settings: SwarmSettings | None = None,
+    watch: Watch = SILENT,
+) -> PointResult:
+    """Elastic constants of a plate by the particle swarm of the paper, eq. (1), (2) and (7).
+
+    Unknown ply angles are searched with the constants by the fuzzy swarm, eq. (3) to (5), and then kept.
+
+    Parameters
+    ----------
+    plate : what `read_plate` takes, or what it returns
+    residual : what is minimised: squared "absolute" differences of frequencies in Hz, or "relative" ones
+    settings : particles, iterations and weights of the swarm
+    watch : is shown the progress
+
+    Raises
+    ------
+    ValueError
+        If the plate cannot be read, has no measured frequencies or no unknowns, may lack modes
+        (``complete = false``), or if no particle of the initial swarm is feasible.
+
+    Examples
+    --------
+    >>> import cpam_bayes as cb
+    >>> point = cb.identify("A1", seed=0)
+    >>> point.status, round(point.constants["E1"] / 1e9)
+    ('converged', 67)
+    """
+    if residual not in _RESIDUALS:
+        raise ValueError(f"residual: received {residual!r}, accepted: {' '.join(_RESIDUALS)}")
+    specimen = require_paired_list(require_supported(read_plate(plate), NO_MESH, angles=True))
+    measurement, _ = required(specimen)
+    settings = settings or SwarmSettings()
+    unit, factor = ("%", 100.0) if residual == "relative" else ("Hz", 1.0)
+
+    def described(value: float) -> str:
+        return f"rms misfit {factor * math.sqrt(value / measurement.size):.4g} {unit}"
+
+    def watched(search: Callable[..., Estimate], of: Specimen, title: str) -> Estimate:
+        with watch.stage(f"{title} {of.name}", settings.iterations, described) as shown:
+            return search(
+                of, seed, settings=settings, residual=residual, progress=shown.tick, notify=shown.notify
+            )
+
+    angles: AngleSearchResult | None = None
+    with explained_failures(specimen):
+        if specimen.plate.layup.n_unknown:
+            angles = watched(search_angles, specimen, "angles of")
+            specimen = angles.known
+        estimate = watched(estimate_constants, specimen, "identify")
+    return PointResult(
+        seed=seed,
+        warnings=(*point_warnings(estimate, residual), *plate_warnings(specimen)),
+        specimen=specimen,
+        air_shifts=air_shifts(specimen),
+        estimate=estimate,
+        residual=residual,
+        angles=angles,
+    )

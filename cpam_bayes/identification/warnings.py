@@ -1,0 +1,107 @@
+"""Every reason not to trust an identification as it stands, in sentences."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from cpam_bayes.formatting import significant
+from cpam_bayes.forward_model.preconditions import SUSPICIOUS_RATIO
+from cpam_bayes.forward_model.solve import LARGE_ERROR, error_warning
+from cpam_bayes.identification.point import PointEstimate, Residual
+from cpam_bayes.plate import Specimen, user_name
+from cpam_bayes.priors import TruncatedNormal
+
+__all__ = ["point_warnings"]
+
+# The solver's error matters where it is more than this fraction of the noise.
+_FRACTION_OF_NOISE = 0.2
+# A search model is good to some 5e-5 of a frequency; beyond this it lacks something.
+_SEARCH_ERROR = 3e-4
+# A relative residual beyond this is no scatter of a measurement any more.
+_POOR_FIT = 0.05
+
+
+def point_warnings(result: PointEstimate, residual: Residual) -> tuple[str, ...]:
+    """Everything that is a reason not to trust the numbers as they stand.
+
+    residual : what the swarm minimised.
+    """
+    problems = list(result.warnings)
+    problems += _other_misfit(result, residual)
+    problems += _poor_fit(result)
+    if result.swarm.status == "budget":
+        problems.append(result.swarm.message)
+    limit = _FRACTION_OF_NOISE * result.noise if math.isfinite(result.noise) else LARGE_ERROR
+    problems += error_warning(result.error, limit)
+    problems += _other_labels(result)
+    problems += _unused(result.specimen)
+    return tuple(problems)
+
+
+def _other_misfit(result: PointEstimate, residual: Residual) -> list[str]:
+    """A warning if the swarm saw another misfit at its best than the full plate model has there."""
+    measurement = result.specimen.measurement
+    assert measurement is not None
+    predicted = np.array([mode.frequency for mode in result.predicted])
+    difference = predicted - measurement.frequencies
+    scale = float(np.max(measurement.frequencies))
+    if residual == "relative":
+        difference, scale = difference / measurement.frequencies, 1.0
+    seen = math.sqrt(result.swarm.value / measurement.size)
+    own = float(np.sqrt(np.mean(difference**2)))
+    if abs(own - seen) <= _SEARCH_ERROR * scale:
+        return []
+    unit, factor = ("%", 100.0) if residual == "relative" else ("Hz", 1.0)
+    return [
+        f"the fast model of the search had an rms misfit of {significant(factor * seen, 3)} {unit} at these "
+        f"constants, the plate solver has {significant(factor * own, 3)} {unit}: they are not the best ones"
+    ]
+
+
+def _poor_fit(result: PointEstimate) -> list[str]:
+    measurement = result.specimen.measurement
+    assert measurement is not None
+    predicted = np.array([mode.frequency for mode in result.predicted])
+    relative = predicted / measurement.frequencies - 1.0
+    worst = int(np.argmax(np.abs(relative)))
+    # Beyond this ratio the units are suspected, which `identify` says itself.
+    off_by_units = abs(np.log1p(relative[worst])) > np.log(SUSPICIOUS_RATIO)
+    if off_by_units or abs(relative[worst]) <= _POOR_FIT:
+        return []
+    return [
+        f"the prediction of mode {worst + 1} is {100 * relative[worst]:+.1f} % off: even with its best "
+        "constants the model does not describe this list; do not trust them before the plate, the "
+        "edges and the order and completeness of the frequencies are checked"
+    ]
+
+
+def _other_labels(result: PointEstimate) -> list[str]:
+    measurement = result.specimen.measurement
+    assert measurement is not None
+    problems = []
+    for i, (given, mode) in enumerate(zip(measurement.labels, result.predicted, strict=True), 1):
+        if given and given.replace(" ", "") != mode.label.replace(" ", ""):
+            problems.append(
+                f"frequency {i} is labelled {given} in the plate file and compared with the mode that "
+                f"follows from it; at these constants its shape is rather {mode.label}"
+            )
+    return problems
+
+
+def _unused(specimen: Specimen) -> list[str]:
+    """What the plate file gives and the swarm has no use for."""
+    problems = []
+    if specimen.plate.sd:
+        names = ", ".join(user_name(name) for name in specimen.plate.sd)
+        problems.append(f"[plate.sd] is not used by the swarm: the sd leave out that of {names}")
+    priors = [
+        name for name in specimen.unknowns.names if isinstance(specimen.unknowns[name].prior, TruncatedNormal)
+    ]
+    if priors:
+        problems.append(
+            f"mean and sd of {', '.join(priors)} in [unknowns] do not enter the swarm's fit, only "
+            "the bounds do"
+        )
+    return problems

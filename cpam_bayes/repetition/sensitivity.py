@@ -1,0 +1,130 @@
+"""The paper's repetition on perturbed frequencies beside the posterior: the question `sensitivity`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+from cpam_bayes.errors import PlateFileError
+from cpam_bayes.forward_model.air_shift import air_shifts
+from cpam_bayes.forward_model.preconditions import explained_failures, plate_warnings, require_supported
+from cpam_bayes.forward_model.solve import measured_modes
+from cpam_bayes.paper import PerturbationTable, perturbation_table
+from cpam_bayes.parallel import open_executor
+from cpam_bayes.plate import PlateLike, Specimen, read_plate
+from cpam_bayes.repetition.perturbation import INTERPRETATIONS, Interpretation
+from cpam_bayes.repetition.study import ListSource, Sensitivity, model_list, noise_study
+from cpam_bayes.repetition.warnings import printed_table, sensitivity_warnings
+from cpam_bayes.result import SILENT, PlateResult, Watch
+
+__all__ = ["SensitivityResult", "sensitivity"]
+
+_NO_MESH = "sensitivity computes rectangular plates only; leave mesh out"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SensitivityResult(PlateResult):
+    """Inversions of perturbed frequencies beside one posterior, by level of noise.
+
+    Attributes
+    ----------
+    study : all levels and interpretations of eq. (12)
+    table : the paper's table for a built-in specimen, None for other plates
+    """
+
+    question: ClassVar[str] = "repetition"
+    command: ClassVar[str] = "sensitivity"
+
+    study: Sensitivity
+    table: PerturbationTable | None
+
+    @property
+    def status(self) -> str:
+        """Either "converged", as the chains of all posteriors have, or "budget"."""
+        return "converged" if self.reached_goal else "budget"
+
+
+def sensitivity(
+    plate: PlateLike,
+    *,
+    seed: int = 0,
+    levels: Sequence[float] = (0.01, 0.05, 0.1),
+    groups: int = 10,
+    readings: Sequence[Interpretation] = INTERPRETATIONS,
+    source: ListSource = "model",
+    n_modes: int | None = None,
+    executor: str | None = None,
+    workers: int | None = None,
+    watch: Watch = SILENT,
+) -> SensitivityResult:
+    """The paper's noise study, section 7.4: constants from perturbed frequencies, beside a posterior.
+
+    Parameters
+    ----------
+    plate : what `read_plate` takes, or what it returns
+    levels : of noise, as fractions, above 0 and at most 0.5
+    groups : perturbed frequency lists at each level
+    readings : interpretations of eq. (12): noise as a fraction of each frequency ("relative"), or of the
+        root mean square frequency ("rms")
+    source : what is perturbed: the frequencies of the "model" at the reference constants, or the "measured"
+    n_modes : number of modes with ``source="model"``; as many as were measured, or 10, where left out
+    executor, workers : where the work is done, see `cpam_bayes.parallel.open_executor`; the answer is the
+        same
+    watch : is shown the progress
+
+    Raises
+    ------
+    ValueError
+        If the plate cannot be read, has no unknowns, or measured frequencies are asked for that are missing
+        or may lack modes.
+    """
+    specimen = require_supported(read_plate(plate), _NO_MESH)
+    if not specimen.unknowns.size:
+        raise PlateFileError(f"{specimen.source}: [unknowns] is missing, nothing to identify")
+    if source == "measured":
+        _require_complete(specimen)
+        if n_modes is not None:
+            raise ValueError(f"--modes: received {n_modes}, accepted: with --list model only")
+    total = len(levels) * len(readings) * (groups + 1)
+
+    def described(done: float) -> str:
+        return "posteriors first, then inversions" if done < total else "done"
+
+    with (
+        watch.stage(f"sensitivity {specimen.name}", total, described) as shown,
+        open_executor(executor, workers) as pool,
+        explained_failures(specimen),
+    ):
+        if source == "model":
+            specimen = model_list(specimen, n_modes or measured_modes(specimen), shown.notify)
+        study = noise_study(
+            specimen,
+            seed,
+            source=source,
+            levels=levels,
+            groups=groups,
+            readings=readings,
+            executor=pool,
+            notify=shown.notify,
+            progress=lambda done, _: shown.tick(done, float(done)),
+        )
+    return SensitivityResult(
+        seed=seed,
+        warnings=(*sensitivity_warnings(study), *plate_warnings(specimen)),
+        reached_goal=all(cell.posterior.converged for cell in study.cells),
+        specimen=specimen,
+        air_shifts=air_shifts(specimen),
+        study=study,
+        table=printed_table(study, perturbation_table(specimen.name)),
+    )
+
+
+def _require_complete(specimen: Specimen) -> None:
+    if specimen.measurement is None:
+        raise PlateFileError(f"{specimen.source}: [measurement] is missing, which --list measured needs")
+    if not specimen.measurement.complete:
+        raise PlateFileError(
+            f"{specimen.source}: measurement.complete: received false, --list measured adds noise to a list "
+            "without gaps only; use --list model"
+        )

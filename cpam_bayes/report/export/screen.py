@@ -1,0 +1,23 @@
+"""The screen of `export`."""
+
+from __future__ import annotations
+
+from cpam_bayes.forward_model.calculix.export import ExportResult
+from cpam_bayes.report.plates.head import plate_head
+from cpam_bayes.report.tables import Table, facts
+
+
+def screen(result: ExportResult) -> tuple[Table, ...]:
+    """Plate, and what its file holds."""
+    n_rigid = result.deck.n_rigid
+    rows = (
+        ("file", str(result.path)),
+        ("format", "ABAQUS input, read by ABAQUS and CalculiX; N, m, kg, s"),
+        ("elements", f"{result.n_elements} of {result.element_type}, {result.element}s"),
+        ("nodes", str(len(result.deck.mesh.nodes))),
+        ("step", f"{result.n_modes + n_rigid} modes: {result.n_modes} and {n_rigid} rigid-body motions"),
+    )
+    return (
+        plate_head(result.command, result.specimen, result.air_shifts),
+        facts("Written", rows),
+    )

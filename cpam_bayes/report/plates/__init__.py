@@ -1,0 +1,1 @@
+"""What `plates` shows, and the head of every screen."""

@@ -1,0 +1,119 @@
+"""A plate in words and numbers: the head of every screen."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cpam_bayes.formatting import fixed
+from cpam_bayes.forward_model.air_shift import ROOM_AIR
+from cpam_bayes.plate import Plate, Specimen, user_name
+from cpam_bayes.report.tables import Table, facts
+
+__all__ = [
+    "NO_AIR",
+    "THIN",
+    "air_text",
+    "edges_text",
+    "layup_text",
+    "plate_head",
+    "size_text",
+    "thickness_class",
+    "thickness_ratio",
+    "unit_of",
+]
+
+NO_AIR = "none given: vacuum, no air in the model"
+# Shorter side over thickness from which transverse shear hardly shows in the lowest modes.
+THIN = 20.0
+_EDGES = ("x = 0", "y = 0", "x = length", "y = width")
+_CONDITIONS = {"F": "free", "S": "simply supported", "C": "clamped"}
+
+
+def plate_head(command: str, specimen: Specimen, air_shifts: NDArray[np.float64] | None) -> Table:
+    """What was computed: the plate as the file gives it, and where the file says more.
+
+    air_shifts : see `PlateResult.air_shifts`
+    """
+    plate = specimen.plate
+    rows = [
+        ("source", specimen.source),
+        ("size", f"{size_text(plate)} mm, {thickness_class(plate)} ({thickness_ratio(plate)})"),
+        ("density", _density(plate)),
+        ("material", specimen.material.name or "not named"),
+        ("layup", layup_text(specimen)),
+        ("edges", f"{plate.edges}: {edges_text(plate.edges)}"),
+    ]
+    if plate.mesh is not None:
+        rows.append(("outline", f"the mesh {plate.mesh}"))
+    rows += [
+        ("mass", f"{s.mass * 1e3:g} g at x = {s.x * 1e3:g} mm, y = {s.y * 1e3:g} mm")
+        for s in specimen.sensors
+    ]
+    rows.append(("air", air_text(specimen, air_shifts)))
+    rows += [("note", note) for note in specimen.notes]
+    return facts(f"{command} {specimen.name}", tuple(rows))
+
+
+def air_text(specimen: Specimen, air_shifts: NDArray[np.float64] | None) -> str:
+    """The air in the model, or what it would change by ``air_shifts``, relative, None where not computed."""
+    if specimen.air_density:
+        return f"{specimen.air_density:.6g} kg/m3, in the model"
+    stated = NO_AIR if specimen.air_density is None else "none: vacuum"
+    if air_shifts is None:
+        return stated
+    lower = -100.0 * air_shifts
+    least, most = (fixed(float(v), 2) for v in (lower.min(), lower.max()))
+    span = f"{most} %" if least == most else f"{least} to {most} %"
+    many = "frequency" if len(lower) == 1 else f"{len(lower)} frequencies"
+    return f"{stated}; {ROOM_AIR:g} kg/m3 would lower the first {many} by {span}"
+
+
+def thickness_class(plate: Plate) -> str:
+    """Thin or thick, by the shorter side over the thickness."""
+    return "thin" if min(plate.length, plate.width) > THIN * plate.thickness else "thick"
+
+
+def layup_text(specimen: Specimen) -> str:
+    """The layup as written and its number of plies."""
+    if specimen.material.isotropic:
+        return "isotropic"
+    layup = specimen.plate.layup
+    return f"{layup.text}, {layup.n_plies} plies"
+
+
+def edges_text(edges: str) -> str:
+    """The edge conditions in words."""
+    if len(set(edges)) == 1:
+        return f"{_CONDITIONS[edges[0]]} on all four edges"
+    said = []
+    for letter in dict.fromkeys(edges):
+        own = [place for place, e in zip(_EDGES, edges, strict=True) if e == letter]
+        listed = " and ".join([", ".join(own[:-1]), own[-1]] if len(own) > 1 else own)
+        said.append(f"{_CONDITIONS[letter]} at {listed}")
+    return "; ".join(said)
+
+
+def unit_of(name: str) -> str:
+    """The unit of a constant's name in the plate file, "" where it has none."""
+    return user_name(name).removeprefix(name).removeprefix("_")
+
+
+def size_text(plate: Plate) -> str:
+    """Length, width and thickness, mm."""
+    return " x ".join(f"{v * 1e3:.10g}" for v in (plate.length, plate.width, plate.thickness))
+
+
+def thickness_ratio(plate: Plate) -> str:
+    """Thickness over the shorter side."""
+    return f"1/{min(plate.length, plate.width) / plate.thickness:.3g}"
+
+
+def _density(plate: Plate) -> str:
+    """Density and, unless only the mesh would tell it, mass."""
+    density = f"{plate.density:.6g} kg/m3"
+    if plate.mass is not None:
+        return f"{density} from mass_g, {plate.mass * 1e3:.5g} g"
+    if plate.mesh is not None:
+        return f"{density} as given"
+    return f"{density} as given, {plate.density * plate.area * plate.thickness * 1e3:.5g} g"

@@ -1,0 +1,179 @@
+"""What the answer to every question has in common, and how long work shows its progress.
+
+A question (`forward`, `identify`, `diagnose`, ...) is answered by a function that returns a subclass of
+`Result`: all numbers, the warnings and the status, computed and complete. How an answer looks is the
+concern of `cpam_bayes.report.QUESTION`, which is loaded when it is asked for and computes nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar, Final, Protocol, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cpam_bayes.plate.records import Specimen
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["SILENT", "PlateResult", "Progress", "Result", "Watch"]
+
+R = TypeVar("R", bound="Result")
+
+
+@dataclass(frozen=True, slots=True)
+class Progress:
+    """How a computation reports while it runs.
+
+    tick : called with (iterations done, value to show). notify : called with what begins that takes long.
+    """
+
+    tick: Callable[[int, float], None]
+    notify: Callable[[str], None]
+
+
+class Watch(Protocol):
+    """Somebody who is shown the progress of long work: a terminal, a notebook, nobody."""
+
+    def announce(self, text: str) -> None:
+        """Show one line about what begins."""
+
+    def stage(
+        self, title: str, total: int, described: Callable[[float], str]
+    ) -> AbstractContextManager[Progress]:
+        """Show one stage of the work until it ends.
+
+        total : the budget of iterations, which need not be used up. described : the ticked value in words.
+        """
+
+
+class _Silent:
+    def announce(self, text: str) -> None:
+        del text
+
+    @contextmanager
+    def stage(self, title: str, total: int, described: Callable[[float], str]) -> Iterator[Progress]:
+        del title, total, described
+        yield Progress(lambda done, value: None, lambda text: None)
+
+
+SILENT: Final[Watch] = _Silent()
+"""Shows nothing: the default of the library."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Result:
+    """The answer to one question.
+
+    seed : repeats the answer bit for bit. warnings : every reason not to trust the numbers as they
+    stand. reached_goal : False where a sampler has not converged; the warnings then say so.
+    """
+
+    question: ClassVar[str]
+    """Folder of `cpam_bayes.report` that renders the answer."""
+    command: ClassVar[str]
+    """The command that prints it, and the name of its JSON file."""
+    has_posterior: ClassVar[bool] = False
+    """Whether draws from a posterior are part of the answer."""
+    has_figures: ClassVar[bool] = True
+    """Whether there is something to draw."""
+
+    seed: int
+    warnings: tuple[str, ...] = ()
+    reached_goal: bool = True
+
+    @property
+    def status(self) -> str:
+        """How the computation ended; "done" where nothing has to converge."""
+        return "done"
+
+    @property
+    def title(self) -> str:
+        """What was asked about, for headings."""
+        return ""
+
+    def summary(self) -> str:
+        """The screen of the command, as plain text."""
+        from_tables = import_module("cpam_bayes.report.tables").plain_text
+        return "\n".join(from_tables(table) for table in self.tables() if table.rows)
+
+    def tables(self) -> tuple[Any, ...]:
+        """The tables of the screen, see `cpam_bayes.report.tables.Table`."""
+        return tuple(self._rendered("screen", "screen"))
+
+    def to_dict(self) -> dict[str, Any]:
+        """The JSON document of the command: what is not a finite number is None."""
+        plain = import_module("cpam_bayes.report.documents").plain
+        return dict(plain(self._rendered("document", "document")))
+
+    def figures(self) -> Mapping[str, Figure]:
+        """All figures by name, drawn anew."""
+        return dict(self._rendered("figures", "figures")) if self.has_figures else {}
+
+    def plot(self, name: str | None = None) -> Figure:
+        """One figure, the first one unless named.
+
+        Raises
+        ------
+        ValueError
+            If there is no figure of that name.
+        """
+        drawn = self.figures()
+        if name is None and drawn:
+            return next(iter(drawn.values()))
+        if name is None or name not in drawn:
+            raise ValueError(f"plot: received {name!r}, accepted: {' '.join(drawn) or 'nothing to be drawn'}")
+        return drawn[name]
+
+    def save(self, directory: str | Path) -> None:
+        """Write the JSON document, the figures and the other files of `--out` into a directory.
+
+        Raises
+        ------
+        ValueError
+            If the directory cannot be made or written to.
+        """
+        files = import_module("cpam_bayes.report.files")
+        with files.staging(str(directory)) as stage:
+            files.save(self, stage)
+
+    def to_arviz(self) -> Any:
+        """The draws with their log densities as arviz ``InferenceData``, as in ``posterior.nc``.
+
+        Raises
+        ------
+        ValueError
+            If no posterior was sampled.
+        """
+        if not self.has_posterior:
+            raise ValueError(f"to_arviz: {self.command} samples no posterior; `sample` and `sequence` do")
+        return self._rendered("data", "inference_data")
+
+    def _repr_html_(self) -> str:
+        return str(import_module("cpam_bayes.report.page").fragment(self.tables()))
+
+    def _rendered(self, part: str, function: str) -> Any:
+        return getattr(import_module(f"cpam_bayes.report.{self.question}.{part}"), function)(self)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlateResult(Result):
+    """The answer to a question about one plate.
+
+    air_shifts : (n,) relative changes of the lowest frequencies that the air of a room would cause, None
+    where air is in the model or its effect is not computed.
+    """
+
+    specimen: Specimen
+    air_shifts: NDArray[np.float64] | None = None
+
+    @property
+    def title(self) -> str:
+        """The name of the plate."""
+        return self.specimen.name

@@ -1,0 +1,137 @@
+"""The probability of every stacking sequence on the grid: the question `sequence`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+
+from cpam_bayes.forward_model.air_shift import air_shifts
+from cpam_bayes.forward_model.preconditions import explained_failures, plate_warnings, require_sequence
+from cpam_bayes.paper.layups import identified_layups
+from cpam_bayes.parallel import open_executor
+from cpam_bayes.plate import PlateLike, Specimen, read_plate
+from cpam_bayes.result import SILENT, PlateResult, Watch
+from cpam_bayes.stacking.mixture import StackingMixture, n_sampled_classes, sample_mixture
+from cpam_bayes.stacking.posterior import DEFAULT_SETTINGS, StackingPosterior, stacking_posterior
+from cpam_bayes.stacking.queries.angle_information import AngleInformation, angle_information
+from cpam_bayes.stacking.queries.best_fit import BestFit, best_fit
+from cpam_bayes.stacking.queries.given_layup import GivenLayup, given_layup
+from cpam_bayes.stacking.warnings import stacking_warnings
+
+__all__ = ["StackingResult", "sequence"]
+
+# Pieces of the enumeration that progress is shown in.
+_PIECES = 64
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StackingResult(PlateResult):
+    """The posterior over stacking sequences, the constants integrated over.
+
+    Attributes
+    ----------
+    answer : the most probable sequences with their probabilities, marginals of the angles, sums
+    mixture : draws of the constants over all sequences
+    given : the sequence that the paper prints for a built-in specimen, None for other plates
+    fit : the most probable sequence beside the measured frequencies
+    information : what the frequencies tell about each ply
+    top : sequences in the JSON document
+    """
+
+    question: ClassVar[str] = "stacking"
+    command: ClassVar[str] = "sequence"
+    has_posterior: ClassVar[bool] = True
+
+    answer: StackingPosterior
+    mixture: StackingMixture
+    given: GivenLayup | None
+    fit: BestFit
+    information: AngleInformation
+    top: int
+
+    @property
+    def status(self) -> str:
+        """Either "converged", as all chains of the constants have, or "not converged"."""
+        return "converged" if self.mixture.converged else "not converged"
+
+
+def sequence(
+    plate: PlateLike,
+    *,
+    seed: int = 0,
+    top: int = 100,
+    executor: str | None = None,
+    workers: int | None = None,
+    watch: Watch = SILENT,
+) -> StackingResult:
+    """The posterior over every stacking sequence on the grid of the unknown angles, all equal a priori.
+
+    Parameters
+    ----------
+    plate : what `read_plate` takes, or what it returns, with "?" in its layup; built-in specimens take the
+        unknown angles of Table 9(b)
+    top : most probable sequences to list
+    executor, workers : where the work is done, see `cpam_bayes.parallel.open_executor`; the answer is the
+        same
+    watch : is shown the progress
+
+    Raises
+    ------
+    ValueError
+        If the plate cannot be read, has no unknown angle, no measured frequencies or no unknowns.
+    """
+    specimen = require_sequence(read_plate(plate).with_unknown_angles())
+    settings = replace(DEFAULT_SETTINGS, listed=max(DEFAULT_SETTINGS.listed, top))
+    with open_executor(executor, workers) as pool:
+        with (
+            explained_failures(specimen),
+            watch.stage(f"sequence {specimen.name}", _PIECES, lambda done: "of the pieces") as shown,
+        ):
+            answer = stacking_posterior(
+                specimen,
+                seed,
+                settings=settings,
+                executor=pool,
+                notify=shown.notify,
+                progress=lambda done, _: shown.tick(done, float(done)),
+            )
+        given = _printed(answer)
+        classes = n_sampled_classes(answer) + (given is not None)
+        with watch.stage("constants by emcee", classes, lambda done: "a class each") as shown:
+            mixture = sample_mixture(
+                answer,
+                seed,
+                given=given,
+                executor=pool,
+                progress=lambda done, _: shown.tick(done, float(done)),
+            )
+    fit = best_fit(answer)
+    return StackingResult(
+        seed=seed,
+        warnings=(*stacking_warnings(answer, mixture, fit), *plate_warnings(specimen)),
+        reached_goal=mixture.converged,
+        specimen=specimen,
+        air_shifts=air_shifts(_most_probable(answer)),
+        answer=answer,
+        mixture=mixture,
+        given=given,
+        fit=fit,
+        information=angle_information(specimen.plate.layup, answer.marginals),
+        top=top,
+    )
+
+
+def _printed(answer: StackingPosterior) -> GivenLayup | None:
+    """What Table 9(b) prints for a built-in specimen."""
+    printed = identified_layups().get(answer.specimen.source.removeprefix("built-in "))
+    if printed is None:
+        return None
+    return given_layup(answer, np.array(printed.angles_deg, dtype=float))
+
+
+def _most_probable(answer: StackingPosterior) -> Specimen:
+    """The specimen with the most probable angles."""
+    plate = answer.specimen.plate
+    return replace(answer.specimen, plate=replace(plate, layup=plate.layup.with_angles(answer.top[0])))
