@@ -79,8 +79,8 @@ class Result:
     """Folder of `cpam_bayes.report` that renders the answer."""
     command: ClassVar[str]
     """The command that prints it, and the name of its JSON file."""
-    has_posterior: ClassVar[bool] = False
-    """Whether draws from a posterior are part of the answer."""
+    draws: ClassVar[str] = ""
+    """Module whose `inference_data(result)` gives the draws of a posterior, where there is one."""
     has_figures: ClassVar[bool] = True
     """Whether there is something to draw."""
 
@@ -151,9 +151,9 @@ class Result:
         ValueError
             If no posterior was sampled.
         """
-        if not self.has_posterior:
+        if not self.draws:
             raise ValueError(f"to_arviz: {self.command} samples no posterior; `sample` and `sequence` do")
-        return self._rendered("data", "inference_data")
+        return import_module(self.draws).inference_data(self)
 
     def _repr_html_(self) -> str:
         return str(import_module("cpam_bayes.report.page").fragment(self.tables()))

@@ -183,3 +183,14 @@ print(json.dumps([name for name in {HEAVY!r} if name in sys.modules]))
         [sys.executable, "-c", code], check=True, capture_output=True, text=True, timeout=60
     )
     assert json.loads(done.stdout) == []
+
+
+# What computes frequencies or densities, by the name it is called by.
+SOLVES = {"predict", "spectrum", "modes", "log_prob", "log_likelihood", "solve", "air_shifts", "best_fit"}
+
+
+@pytest.mark.parametrize("path", sorted((PACKAGE / "report").rglob("*.py")), ids=module_name)
+def test_reports_render_and_solve_nothing(path: Path) -> None:
+    calls = (node.func for node in ast.walk(ast.parse(path.read_text("utf-8"))) if isinstance(node, ast.Call))
+    names = {f.attr if isinstance(f, ast.Attribute) else getattr(f, "id", "") for f in calls}
+    assert names & SOLVES == set()

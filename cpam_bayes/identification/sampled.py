@@ -101,7 +101,7 @@ class SampledResult(PlateResult):
 
     question: ClassVar[str] = "posterior"
     command: ClassVar[str] = "identify"
-    has_posterior: ClassVar[bool] = True
+    draws: ClassVar[str] = "cpam_bayes.identification.draws"
 
     posterior: Posterior
     constants: tuple[ConstantPosterior, ...]

@@ -11,7 +11,7 @@ from cpam_bayes.plate.records import (
     angle_grid,
 )
 from cpam_bayes.plate.specimens import builtin, builtin_names
-from cpam_bayes.plate.units import USER_UNITS, to_si, to_user, user_name
+from cpam_bayes.plate.units import USER_UNITS, to_si, to_user, unit_of, user_name
 
 __all__ = [
     "MAX_BYTES",
@@ -31,5 +31,6 @@ __all__ = [
     "read_specimen",
     "to_si",
     "to_user",
+    "unit_of",
     "user_name",
 ]

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Final
 
-__all__ = ["USER_UNITS", "to_si", "to_user", "user_name"]
+__all__ = ["USER_UNITS", "to_si", "to_user", "unit_of", "user_name"]
 
 USER_UNITS: Final[Mapping[str, tuple[str, float]]] = MappingProxyType(
     {
@@ -57,6 +57,11 @@ def user_name(name: str) -> str:
     raises ValueError for a name that is not in USER_UNITS
     """
     return _lookup(name)[0]
+
+
+def unit_of(name: str) -> str:
+    """The unit of a constant's name in the plate file, "" where it has none."""
+    return user_name(name).removeprefix(name).removeprefix("_")
 
 
 def _lookup(name: str) -> tuple[str, float]:

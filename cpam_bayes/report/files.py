@@ -53,8 +53,8 @@ def save(result: Result, stage: Stage | None) -> None:
 
         (draft / _FIGURES).mkdir()
         save_figures(figures, draft / _FIGURES)
-    if result.has_posterior:
-        result.to_arviz().to_netcdf(draft / "posterior.nc")
+    if result.draws:
+        result.to_arviz().to_netcdf(str(draft / "posterior.nc"))
     write_page(f"{result.command} {result.title}".strip(), result.tables(), draft)
     (draft / f"{result.command}.json").write_text(json_text(result.to_dict()), encoding="utf-8")
     written = sorted(path for path in draft.rglob("*") if path.is_file())

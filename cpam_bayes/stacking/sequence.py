@@ -42,7 +42,7 @@ class StackingResult(PlateResult):
 
     question: ClassVar[str] = "stacking"
     command: ClassVar[str] = "sequence"
-    has_posterior: ClassVar[bool] = True
+    draws: ClassVar[str] = "cpam_bayes.stacking.draws"
 
     answer: StackingPosterior
     mixture: StackingMixture

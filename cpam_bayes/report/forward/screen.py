@@ -6,9 +6,9 @@ import numpy as np
 
 from cpam_bayes.formatting import signed, significant
 from cpam_bayes.forward_model.solve import ForwardResult
-from cpam_bayes.plate import Specimen, to_user
+from cpam_bayes.plate import Specimen, to_user, unit_of
 from cpam_bayes.report.forward.rows import constants_with_origin, measured_of_modes
-from cpam_bayes.report.plates.head import plate_head, unit_of
+from cpam_bayes.report.plates.head import plate_head
 from cpam_bayes.report.tables import Column, Table, facts, remarks
 
 

@@ -10,9 +10,9 @@ from cpam_bayes.formatting import decimals_of, fixed, signed, significant, with_
 from cpam_bayes.identification.angle_search import AngleSearchResult
 from cpam_bayes.identification.identify import PointResult
 from cpam_bayes.identification.point import PointEstimate
-from cpam_bayes.plate import to_user
+from cpam_bayes.plate import to_user, unit_of
 from cpam_bayes.report.identification.words import noise_sentence, verdict_sentences
-from cpam_bayes.report.plates.head import plate_head, unit_of
+from cpam_bayes.report.plates.head import plate_head
 from cpam_bayes.report.tables import Column, Table, facts, remarks
 
 _MISFIT = {

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from cpam_bayes.formatting import fixed
 from cpam_bayes.forward_model.air_shift import ROOM_AIR
-from cpam_bayes.plate import Plate, Specimen, user_name
+from cpam_bayes.plate import Plate, Specimen
 from cpam_bayes.report.tables import Table, facts
 
 __all__ = [
@@ -20,7 +20,6 @@ __all__ = [
     "size_text",
     "thickness_class",
     "thickness_ratio",
-    "unit_of",
 ]
 
 NO_AIR = "none given: vacuum, no air in the model"
@@ -92,11 +91,6 @@ def edges_text(edges: str) -> str:
         listed = " and ".join([", ".join(own[:-1]), own[-1]] if len(own) > 1 else own)
         said.append(f"{_CONDITIONS[letter]} at {listed}")
     return "; ".join(said)
-
-
-def unit_of(name: str) -> str:
-    """The unit of a constant's name in the plate file, "" where it has none."""
-    return user_name(name).removeprefix(name).removeprefix("_")
 
 
 def size_text(plate: Plate) -> str:

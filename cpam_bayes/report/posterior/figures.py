@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from cpam_bayes.identification.sampled import ConstantPosterior, SampledResult
 from cpam_bayes.inference.diagnostics.profiles import DROP_95, Profile
 from cpam_bayes.inference.noise import NOISE_NAMES
-from cpam_bayes.plate import to_user, user_name
-from cpam_bayes.report.plates.head import unit_of
+from cpam_bayes.plate import to_user, unit_of, user_name
 
 _BINS = 40
 # Bins of a pair are wider, for its draws are spread over their square.

@@ -8,10 +8,10 @@ from cpam_bayes.formatting import decimals_of, fixed, signed, significant, with_
 from cpam_bayes.forward_model.model import SIZES
 from cpam_bayes.identification.sampled import ConstantPosterior, SampledResult
 from cpam_bayes.inference.noise import NOISE_NAMES
-from cpam_bayes.plate import to_user
+from cpam_bayes.plate import to_user, unit_of
 from cpam_bayes.priors import Prior, TruncatedNormal
 from cpam_bayes.report.documents import laminate_unit
-from cpam_bayes.report.plates.head import plate_head, unit_of
+from cpam_bayes.report.plates.head import plate_head
 from cpam_bayes.report.posterior.assessment import combinations_table, sensitivity_table
 from cpam_bayes.report.tables import Column, Table, facts, remarks
 

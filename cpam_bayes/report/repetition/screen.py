@@ -7,12 +7,12 @@ from typing import Final
 
 from cpam_bayes.formatting import fixed, signed, significant, with_spread
 from cpam_bayes.paper import PerturbationTable
-from cpam_bayes.plate import to_user
+from cpam_bayes.plate import to_user, unit_of
 from cpam_bayes.repetition.perturbation import Interpretation
 from cpam_bayes.repetition.sensitivity import SensitivityResult
 from cpam_bayes.repetition.study import Cell, Sensitivity
 from cpam_bayes.repetition.warnings import level_percent, where
-from cpam_bayes.report.plates.head import plate_head, unit_of
+from cpam_bayes.report.plates.head import plate_head
 from cpam_bayes.report.repetition.words import (
     beside_paper,
     difference_sentences,

@@ -10,8 +10,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from cpam_bayes.inference.posterior import NOISE
-from cpam_bayes.plate import to_user
-from cpam_bayes.report.plates.head import unit_of
+from cpam_bayes.plate import to_user, unit_of
 from cpam_bayes.stacking.mixture import StackingMixture
 from cpam_bayes.stacking.posterior import CREDIBLE, StackingPosterior
 from cpam_bayes.stacking.queries.angle_information import angle_information

@@ -1,0 +1,71 @@
+"""The draws of a sampled posterior, for arviz."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from cpam_bayes.identification.sampled import SampledResult
+from cpam_bayes.inference.arviz_data import arviz_data, by_user_name
+from cpam_bayes.inference.diagnostics.assessment import log_likelihoods, thinned
+from cpam_bayes.inference.diagnostics.identifiability import paired
+from cpam_bayes.plate import user_name
+
+__all__ = ["inference_data"]
+
+_PRIOR_DRAWS = 1000
+
+
+def inference_data(result: SampledResult) -> Any:
+    """The posterior as ``arviz.InferenceData``, thinned by the autocorrelation time.
+
+    Chains are the walkers of all ensembles. Constants carry the names and units of the plate file; the
+    densities lp and log_prior are those over SI units. Groups: posterior; prior, draws of it;
+    sample_stats (lp); log_likelihood, by frequency over `mode`, as one number for a list that may lack
+    modes; log_prior, by parameter; posterior_predictive and observed_data over `mode`, of the
+    frequencies that have one. Attributes: versions, plate, seed, hash of the problem, the likelihood.
+    """
+    posterior, chains = result.posterior, thinned(result.result)
+    names = posterior.parameters.names
+    flat, shape = chains.flat, chains.draws.shape[:2]
+    predicted = posterior.predict(flat)
+    total, pointwise = log_likelihoods(posterior, flat, predicted, result.pairing)
+    rows, columns = paired(result.pairing)
+    rng = np.random.default_rng([result.seed, 2])
+    noise = posterior.noise_model.sample(rng, (len(flat), len(rows)))
+    replicate = predicted[:, columns] + posterior.noise(flat, predicted)[:, rows, columns] * noise
+    prior = posterior.parameters.sample(rng, _PRIOR_DRAWS)
+    prior = prior[np.isfinite(posterior.log_prior(prior))]
+    measurement = posterior.measurement
+    given = "frequency_sd_hz" if measurement.frequency_sd is not None else "relative_std"
+    return arviz_data(
+        result.specimen,
+        result.seed,
+        posterior,
+        {
+            "noise": f"{posterior.noise_name}, inferred"
+            if posterior.noise_is_inferred
+            else f"{given}, given",
+            "noise_degrees_of_freedom": posterior.degrees_of_freedom,
+            "resolution_hz": measurement.resolution,
+            "list_is_complete": int(measurement.complete),
+            "thinned_by": chains.step,
+            "r_hat": result.result.diagnostics.r_hat,
+            "log_evidence": result.evidence.log_evidence,
+        },
+        {
+            user_name(p.name): p.prior.log_density(chains.draws[..., i])
+            for i, p in enumerate(posterior.parameters.parameters)
+        },
+        posterior=by_user_name(names, chains.draws),
+        prior=by_user_name(names, prior[None]),
+        sample_stats={"lp": chains.log_prob},
+        log_likelihood={"list": total.reshape(shape)}
+        if pointwise is None
+        else {"frequencies_hz": pointwise.reshape(*shape, -1)},
+        posterior_predictive={"frequencies_hz": replicate.reshape(*shape, -1)},
+        observed_data={"frequencies_hz": measurement.frequencies[rows]},
+        dims={"frequencies_hz": ["mode"]},
+        coords={"mode": [f"{j + 1} {result.modes[j].label}".strip() for j in columns]},
+    )
