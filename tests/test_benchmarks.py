@@ -55,6 +55,7 @@ BUILDING_KEYS = {
 }
 
 
+@pytest.mark.slow
 def test_the_forward_benchmark_runs_without_the_optional_peers(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(peers, "has_panels", lambda: False)
     monkeypatch.setattr(peers, "has_calculix", lambda: False)

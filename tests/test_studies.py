@@ -56,6 +56,7 @@ def quick_results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", STUDIES)
 def test_a_small_run_has_the_documented_keys(name: str) -> None:
     found = quick(name)
@@ -81,11 +82,13 @@ def test_a_figure_is_drawn_from_saved_results(name: str, tmp_path: Path) -> None
         assert path.stat().st_size < 300e3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", FIGURES)
 def test_a_figure_is_drawn_from_a_small_run(name: str, quick_results: Path, tmp_path: Path) -> None:
     script("figures", name).draw(quick_results, tmp_path)
 
 
+@pytest.mark.slow
 def test_the_same_results_give_the_same_picture(quick_results: Path, tmp_path: Path) -> None:
     first, again = (
         [path.read_bytes() for path in script("figures", "mode_shapes").draw(quick_results, tmp_path)]
@@ -114,6 +117,7 @@ def test_each_figure_and_picture_is_listed() -> None:
 # What the studies say
 
 
+@pytest.mark.slow
 def test_the_forward_solver_meets_its_references() -> None:
     for found in (quick("01_first_light"), saved("01_first_light")):
         for error in found["forward_errors"]:
@@ -127,6 +131,7 @@ def test_swarms_of_the_full_study_converge() -> None:
     assert all(f["solver_error_percent"] <= 0.05 for f in found)
 
 
+@pytest.mark.slow
 def test_solvers_agree_within_the_limit() -> None:
     for found in (quick(AGREEMENT), saved(AGREEMENT)):
         rows = [*found["specimens"], *found["unsymmetric"]]

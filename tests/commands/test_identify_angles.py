@@ -64,6 +64,7 @@ def path(tmp_path: Path, frequencies: np.ndarray) -> Path:
     return file
 
 
+@pytest.mark.slow
 def test_the_angles_come_with_the_constants(run: Run, path: Path) -> None:
     status, out, _ = run("identify", path, *SHORT, "--json")
     found = json.loads(out)
@@ -80,6 +81,7 @@ def test_the_angles_come_with_the_constants(run: Run, path: Path) -> None:
     assert "angles_deg" not in again
 
 
+@pytest.mark.slow
 def test_the_screen_says_who_found_the_angles(run: Run, path: Path) -> None:
     status, out, _ = run("identify", path, *SHORT)
     assert status == 0

@@ -12,7 +12,7 @@ from cpam_bayes.plate import builtin
 from cpam_bayes.report.plates import air_text
 
 
-@pytest.mark.parametrize("name", ["C1", "A2"])
+@pytest.mark.parametrize("name", ["C1", pytest.param("A2", marks=pytest.mark.slow)])
 def test_the_shift_is_that_of_converged_frequencies_in_air(name):
     specimen = builtin(name)
     in_vacuum, in_air = (

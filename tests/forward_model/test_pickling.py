@@ -45,7 +45,11 @@ def _with_sizes(specimen: Specimen) -> Specimen:
     return replace(specimen, plate=replace(specimen.plate, sd={"thickness": 2e-5, "length": 1e-4}))
 
 
-@pytest.mark.parametrize("change", [lambda s: s, _with_sensor, _with_sizes], ids=["bare", "sensor", "sizes"])
+@pytest.mark.parametrize(
+    "change",
+    [lambda s: s, pytest.param(_with_sensor, marks=pytest.mark.slow), _with_sizes],
+    ids=["bare", "sensor", "sizes"],
+)
 def test_a_plate_model_is_the_same_after_pickling(change: Any) -> None:
     specimen = change(read_specimen("C1"))
     parameters = specimen.unknowns.union(size_parameters(specimen)).union(angle_parameters(specimen))

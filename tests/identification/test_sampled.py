@@ -65,6 +65,7 @@ def test_predictive_p_value_of_noise_free_data_is_that_of_two_chi_squares(
     assert sampled.p_value == pytest.approx(0.875, abs=0.05)
 
 
+@pytest.mark.slow
 def test_a_wrong_model_has_a_low_predictive_p_value(known_plate: Specimen) -> None:
     assert known_plate.measurement is not None
     f = known_plate.measurement.frequencies * np.array([1.0, 1.02, 0.98, 1.02, 0.98, 1.02])
@@ -73,6 +74,7 @@ def test_a_wrong_model_has_a_low_predictive_p_value(known_plate: Specimen) -> No
     assert found.p_value < 0.01
 
 
+@pytest.mark.slow
 def test_a_list_without_its_third_mode_is_paired_around_the_gap(known_plate: Specimen) -> None:
     assert known_plate.measurement is not None
     own = known_plate.measurement

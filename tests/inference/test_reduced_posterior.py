@@ -77,12 +77,14 @@ def test_reduced_model_changes_no_mean_on_the_printed_list() -> None:
     check_means("C1", specimen.measurement)
 
 
-@pytest.mark.parametrize("name", ["C1", pytest.param("D1", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["C1", "D1"])
 def test_reduced_model_changes_no_mean_on_a_repeatable_list(name: str) -> None:
     specimen, model = plate(name)
     check_means(name, repeatable_list(specimen, model.full))
 
 
+@pytest.mark.slow
 def test_a_coarse_reduction_is_seen_in_the_means() -> None:
     specimen, model = plate("C1")
     settings = ReductionSettings(tolerance=1e-2, training=20, checks=20, rounds=1)

@@ -252,6 +252,7 @@ def test_workers_do_not_change_a_bit(plate: Specimen, study: Sensitivity) -> Non
     assert equal(shared_out, study)
 
 
+@pytest.mark.slow
 def test_another_seed_gives_other_lists(plate: Specimen, study: Sensitivity) -> None:
     other = sensitivity(plate, 8, source="model", levels=(0.01, 0.05), **SHORT)  # type: ignore[arg-type]
     assert not equal(other, study)

@@ -67,6 +67,7 @@ def row_of(found: StackingPosterior, angles: list[float]) -> int:
     return int(found.classes_of(np.array([[grid.index(a) for a in angles]]))[0])
 
 
+@pytest.mark.slow
 def test_classes_of_equal_bending_are_merged_where_the_plate_is_thin() -> None:
     found = answer(THIN)
     row = row_of(found, [0, 90, 90, 0])
@@ -78,6 +79,7 @@ def test_classes_of_equal_bending_are_merged_where_the_plate_is_thin() -> None:
     assert len(found.same_bending[row]) == len(found.alike[row]) == 1
 
 
+@pytest.mark.slow
 def test_what_is_merged_stands_in_one_class_only() -> None:
     found = answer(THIN)
     everyone = np.concatenate([found.class_members(i) for i in range(len(found.top))])
@@ -88,6 +90,7 @@ def test_what_is_merged_stands_in_one_class_only() -> None:
     assert found.classes_of(everyone).tolist() == rows.tolist()
 
 
+@pytest.mark.slow
 def test_a_thick_plate_tells_them_apart_by_its_shear() -> None:
     found = answer(THICK)
     row = row_of(found, [0, 90, 90, 0])

@@ -141,7 +141,6 @@ def surrogate(specimen: Specimen) -> StackingPosterior:
     return stacking_posterior(specimen, 0, settings=FORCED)
 
 
-@pytest.mark.slow
 def test_the_learned_way_gives_the_distribution_of_brute_force(
     answer: StackingPosterior, surrogate: StackingPosterior
 ) -> None:
@@ -283,6 +282,7 @@ def test_a_focus_within_a_tolerance_for_most_frequencies_has_fewer_vectors(own: 
     assert np.max(off) > 2e-3
 
 
+@pytest.mark.slow
 def test_unsure_evidences_are_those_of_the_whole_model_on_bases_of_their_own(
     specimen: Specimen, own: ConditionalPosterior, monkeypatch: pytest.MonkeyPatch
 ) -> None:

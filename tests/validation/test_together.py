@@ -46,6 +46,7 @@ def test_a_sister_lacks_the_flaw_and_another_test_of_the_plate_has_it(
     assert np.linalg.norm(lists[1] / flawed - 1.0) < np.linalg.norm(lists[1] / clean - 1.0)
 
 
+@pytest.mark.slow
 def test_two_sisters_make_a_hidden_cause_more_probable(own: Laboratory) -> None:
     record = run_together(own, TRIAL)
     alone, with_two = (record["setups"][name] for name in ("alone", "two sisters"))

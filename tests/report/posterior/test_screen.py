@@ -178,6 +178,7 @@ def test_the_file_opens_in_arviz_without_this_package(sampled: SampledIdentifica
     assert psens["likelihood"]["E1_GPa"] == pytest.approx(told["E1"].likelihood, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_densities_in_the_file_add_up(sampled: SampledIdentification, gappy: SampledIdentification) -> None:
     for result in (sampled, gappy):
         data = inference_data(result, 0)
@@ -221,6 +222,7 @@ def test_the_hash_in_the_file_is_of_the_problem_and_not_of_the_chain(sampled: Sa
     assert inference_data(replace(sampled, posterior=wider), 0).attrs["problem_hash"] != first
 
 
+@pytest.mark.slow
 def test_a_list_that_may_lack_modes_has_one_likelihood_and_no_pareto_diagnostics(
     gappy: SampledIdentification, tmp_path: Path
 ) -> None:
@@ -234,6 +236,7 @@ def test_a_list_that_may_lack_modes_has_one_likelihood_and_no_pareto_diagnostics
     assert len(gappy.assessment.left_out.residual) == 5
 
 
+@pytest.mark.slow
 def test_fewer_frequencies_than_unknowns_are_allowed_and_the_prior_is_said_to_decide() -> None:
     specimen = builtin("A1")
     assert specimen.measurement is not None
