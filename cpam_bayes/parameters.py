@@ -22,12 +22,19 @@ class Parameter:
     unit : SI, "" when dimensionless
     prior : in that unit
     null : the value that gives back the plain model, for the parameters of an effect
+    shown : unit for people and the factor from `unit`, None for `unit` itself
     """
 
     name: str
     unit: str
     prior: Prior
     null: float | None = None
+    shown: tuple[str, float] | None = None
+
+    @property
+    def display(self) -> tuple[str, float]:
+        """The unit that it is shown in, and the factor from SI."""
+        return self.shown or (self.unit, 1.0)
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,7 +18,6 @@ from cpam_bayes.diagnosis.fitting import PlateCase
 from cpam_bayes.effects import CATALOGUE, Effect, applicable
 from cpam_bayes.forward_model.model import reference_vector
 from cpam_bayes.plate import builtin
-from cpam_bayes.report.diagnosis.rows import effect_unit
 from cpam_bayes.report.tables import Column, Table, screen_text
 from cpam_bayes.validation.study_results import save_results
 
@@ -47,7 +46,7 @@ QUICK = ("frequency_scale", "viscoelastic", "mode_identity", "outlier")
 def run(quick: bool) -> Results:
     """Shifts at one standard deviation of the catalogue at the reference constants."""
     plates = {name: plate_case(builtin(name)) for name in ((FREE,) if quick else (FREE, CLAMPED))}
-    effects = [e for e in CATALOGUE if not quick or e.name in QUICK]
+    effects = [e for e in CATALOGUE if not e.drops_references and (not quick or e.name in QUICK)]
     return {
         "quick": quick,
         "plates": {name: _plate(case) for name, case in plates.items()},
@@ -66,7 +65,7 @@ def _plate(case: PlateCase) -> dict[str, Any]:
 
 def _shifts(plates: dict[str, PlateCase], effect: Effect) -> dict[str, Any]:
     case = next(c for c in plates.values() if effect in applicable(c.models.facts))
-    shift, size, unit = _of_list(case, effect) if effect.stage in ("pairing", "noise") else _own(case, effect)
+    shift, size, unit = _of_list(case, effect) if effect.pairings else _own(case, effect)
     return {
         "cause": effect.name,
         "family": effect.family,
@@ -87,7 +86,7 @@ def _own(case: PlateCase, effect: Effect) -> tuple[Array, float, str]:
         effect = effect.at(PLACES[effect.name])
     (parameter,) = effect.parameters
     null, one = (values[parameter.name] for values in (effect.null, effect.scaled(1.0)))
-    unit, factor = effect_unit(parameter.name, parameter.unit)
+    unit, factor = parameter.display
     if effect.observe is not None:
         bare = case.models.bare.predict(x[None]).frequencies[0]
         found = effect.observe(bare, {parameter.name: np.asarray(one)})

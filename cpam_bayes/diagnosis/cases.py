@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from cpam_bayes.diagnosis.evidence.scores import FARTHEST
 from cpam_bayes.diagnosis.fitting import PlateCase, comparison_of
 from cpam_bayes.diagnosis.hypotheses import NONE, OTHER, Hypothesis, prior_by_cause, single_hypotheses
-from cpam_bayes.diagnosis.models import PlateModels, diagnosis_parameters, plate_models
+from cpam_bayes.diagnosis.models import PlateModels, plate_models
+from cpam_bayes.effects import CATALOGUE, Effect
 from cpam_bayes.forward_model.labels import labelled_model, list_order
 from cpam_bayes.forward_model.model import reference_vector
 from cpam_bayes.inference.optimise import climb
@@ -57,7 +58,9 @@ def with_list(case: PlateCase, measurement: Measurement) -> PlateCase:
     return replace(case, measurement=measurement)
 
 
-def hypotheses_of(cases: Sequence[PlateCase]) -> list[tuple[Hypothesis, tuple[int, ...]]]:
+def hypotheses_of(
+    cases: Sequence[PlateCase], catalogue: tuple[Effect, ...] = CATALOGUE
+) -> list[tuple[Hypothesis, tuple[int, ...]]]:
     """All single hypotheses with the plates that they are about, none first.
 
     With several specimens a cause may be that of one of them or common to all, with one size; both have
@@ -69,8 +72,7 @@ def hypotheses_of(cases: Sequence[PlateCase]) -> list[tuple[Hypothesis, tuple[in
             case.measurement.size,
             complete=case.models.specimen.measurement is not None
             and case.models.specimen.measurement.complete,
-            air_is_known=case.models.specimen.air_density is not None,
-            references_have_sd=_references_have_sd(case.models),
+            catalogue=catalogue,
         )
         for case in cases
     ]
@@ -119,17 +121,11 @@ def differing_priors(cases: Sequence[PlateCase]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(found))
 
 
-def _references_have_sd(models: PlateModels) -> bool:
-    """Whether a reference narrows the prior of a constant beyond the search bounds."""
-    wide = diagnosis_parameters(models.specimen, other_material=True)
-    return [p.prior for p in wide.parameters] != [p.prior for p in models.parameters.parameters]
-
-
 def _common(own: Sequence[tuple[Hypothesis, ...]], plates: tuple[int, ...]) -> list[Hypothesis]:
     """Causes that all of some plates may have in common; a material is that of all."""
-    first = [h for h in own[plates[0]] if h.effects or h.other_material]
+    first = [h for h in own[plates[0]] if h.records]
     others = [{(h.cause, h.variant) for h in own[i]} for i in plates[1:]]
-    return [h for h in first if not _is_of_test(h) and all((h.cause, h.variant) in names for names in others)]
+    return [h for h in first if not h.is_of_one_test and all((h.cause, h.variant) in o for o in others)]
 
 
 def _of_specimen(
@@ -146,7 +142,7 @@ def _of_specimen(
     for i in tests:
         here = [h for h in own[i] if h.cause not in (NONE, OTHER) and not h.other_material]
         for h in here:
-            if _is_of_test(h):
+            if h.is_of_one_test:
                 found.append((h, (i,)))
             else:
                 flaws.setdefault((h.cause, h.variant), (h, []))[1].append(i)
@@ -155,11 +151,6 @@ def _of_specimen(
     found = [(h, tuple(at)) for h, at in flaws.values()] + found
     whole = prior_by_cause([h for h, _ in found])
     return [(replace(h, prior=h.prior * alone[h.cause] / whole[h.cause]), at) for h, at in found]
-
-
-def _is_of_test(h: Hypothesis) -> bool:
-    """Whether a cause belongs to one test of a specimen: its clamp or its list."""
-    return h.family in ("clamp", "list")
 
 
 def _modes(models: PlateModels, measurement: Measurement) -> Array:

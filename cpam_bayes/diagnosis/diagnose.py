@@ -27,6 +27,7 @@ from cpam_bayes.diagnosis.signatures import (
     projector_of,
     signature_of,
 )
+from cpam_bayes.effects import CATALOGUE, Effect
 from cpam_bayes.plate import Specimen
 from cpam_bayes.threads import single_blas_thread
 
@@ -59,6 +60,7 @@ class Cause:
     absorbed: bool
     visible: float
     bias: Mapping[str, float]
+    hypothesis: Hypothesis
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,18 +88,21 @@ class Diagnosis:
 def diagnose(
     specimens: Sequence[Specimen],
     *,
+    catalogue: tuple[Effect, ...] = CATALOGUE,
     scatter: float = SCATTER,
     notify: Callable[[str], None] = lambda text: None,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Diagnosis:
-    """Diagnose plates of one material, or one, from their lists.
+    """Diagnose plates of one material, or one, from their frequency lists.
 
-    scatter : relative standard deviation of a constant from plate to plate. Raises ``ValueError`` for a
-    specimen without a list or unknowns.
+    catalogue : the effects that they may have
+    scatter : relative standard deviation of a constant from plate to plate
+
+    Raises ``ValueError`` for a specimen without a list or unknowns.
     """
-    return diagnose_cases(
-        [plate_case(s, notify) for s in specimens], scatter=scatter, notify=notify, progress=progress
-    )
+    cases = [plate_case(s, notify) for s in specimens]
+    hypotheses = hypotheses_of(cases, catalogue)
+    return diagnose_cases(cases, hypotheses=hypotheses, scatter=scatter, notify=notify, progress=progress)
 
 
 @single_blas_thread
@@ -185,6 +190,7 @@ def _causes(
                 absorbed=signature.is_absorbed if signature else False,
                 visible=signature.share if signature else 1.0,
                 bias=_bias(weighed.none.marginal, signature) if signature else {},
+                hypothesis=t.hypothesis,
             )
         )
     return tuple(found)

@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 from cpam_bayes.diagnosis.composed import Change, ComposedModel, Part
 from cpam_bayes.diagnosis.evidence.comparison import Comparison, Listed
 from cpam_bayes.diagnosis.evidence.scores import scores_of
-from cpam_bayes.diagnosis.hypotheses import SLIP, Hypothesis
+from cpam_bayes.diagnosis.hypotheses import OTHER, Hypothesis
 from cpam_bayes.diagnosis.models import PlateModels, extended_model, plate_models
 from cpam_bayes.effects import Effect
+from cpam_bayes.effects.frequency_list import MISREADING
 from cpam_bayes.forward_model.reduced import ReducedModel
 from cpam_bayes.inference.noise import NOISE_PRIOR
 from cpam_bayes.inference.posterior import ForwardModel
@@ -156,7 +157,7 @@ def _part(
         for missed in listed.missed:
             modes = np.where(modes >= missed, modes + 1, modes)
         if listed.misread is not None:
-            slip = (listed.misread, joint.add(SLIP))
+            slip = (listed.misread, joint.add(MISREADING))
     error = own.error[np.minimum(modes, len(own.error) - 1)]
     part = Part(bare, np.array(columns), np.array(scatter), tuple(changes), modes, slip)
     return part, _listed(case.measurement, kept, error, log_constant)
@@ -189,7 +190,7 @@ def _compared(
     if listed.scale.any():
         noise = len(parameters)
         parameters.append(NOISE)
-    if hypothesis is not None and hypothesis.cause == "other":
+    if hypothesis is not None and hypothesis.cause == OTHER:
         discrepancy = len(parameters)
         parameters.append(hypothesis.parameters[0])
     every = ParameterSet(tuple(parameters))

@@ -115,7 +115,13 @@ def plate_models(
     bare = stored_model(_hash(key, "bare"), problem, samples.x, n_modes, build)
     assert bare.full.basis is not None
     settings, keep = bare.full.basis
-    facts = PlateFacts.of(specimen.plate, specimen.material.isotropic, loaded=bool(specimen.sensors))
+    facts = PlateFacts.of(
+        specimen.plate,
+        specimen.material.isotropic,
+        loaded=bool(specimen.sensors),
+        air_is_known=specimen.air_density is not None,
+        has_references=parameters != diagnosis_parameters(specimen, other_material=True),
+    )
     return PlateModels(
         specimen,
         facts,
@@ -146,7 +152,7 @@ def extended_model(
 
     def build() -> ReducedModel:
         notify(f"{plate.specimen.name}: building {effect.name} {effect.variant}".rstrip())
-        if problem.edges != plate.problem.edges or couples(problem, plate.problem):
+        if needs_another_space(problem, effect, plate):
             return _reduced(_converged(problem, Samples(samples, np.ones(2)), plate.n_modes))
         basis = (plate.settings, plate.keep)
         return _reduced(model_on_basis(problem, samples, plate.n_modes, plate.error, basis))
@@ -166,9 +172,9 @@ def _reduced(full: PlateModel) -> ReducedModel:
     return reduce(full, np.random.default_rng(0), _REDUCTION)
 
 
-def couples(problem: Problem, bare: Problem) -> bool:
-    """Whether an effect stretches the plate as it bends: the bare plate's space lacks functions for that."""
-    return len(problem.rigid_content) > len(bare.rigid_content) + 1
+def needs_another_space(problem: Problem, effect: Effect, plate: PlateModels) -> bool:
+    """Whether the bare plate's space lacks functions for the problem with an effect."""
+    return problem.edges != plate.problem.edges or effect.couples_stretching
 
 
 def _hash(*parts: str) -> str:

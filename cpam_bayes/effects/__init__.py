@@ -1,4 +1,4 @@
-"""What a plate model may lack: functions from a problem to a problem, one file a family.
+"""What a plate model or a frequency list may lack: one record an effect, one file a family.
 
 A new effect is one file and one line in ``CATALOGUE``; ``docs/effects.md`` shows how.
 """
@@ -7,9 +7,20 @@ from cpam_bayes.effects.air import AIR, add_air
 from cpam_bayes.effects.angles import INNER_PLY_ANGLE, MISORIENTATION, OUTER_PLY_ANGLE
 from cpam_bayes.effects.clamps import CLAMP_ROTATION, CLAMP_SLIP, CLAMP_TRANSLATION
 from cpam_bayes.effects.damage import DAMAGE
-from cpam_bayes.effects.effect import Effect, PlateFacts, extend, scale_of, variants, widened
+from cpam_bayes.effects.effect import (
+    Effect,
+    ListChange,
+    ListVariant,
+    PlateFacts,
+    extend,
+    gross_variant,
+    scale_of,
+    variants,
+)
+from cpam_bayes.effects.frequency_list import MODE_IDENTITY, OUTLIER
 from cpam_bayes.effects.known_mass import add_known_mass
-from cpam_bayes.effects.observation import FREQUENCY_SCALE, MODE_IDENTITY, OUTLIER, VISCOELASTIC
+from cpam_bayes.effects.material import MATERIAL
+from cpam_bayes.effects.observation import FREQUENCY_SCALE, VISCOELASTIC
 from cpam_bayes.effects.sensor import SENSOR_MASS
 from cpam_bayes.effects.shape import SKEW, TAPER_X, TAPER_Y, WARP
 from cpam_bayes.effects.sizes import CLAMP_LENGTH, DENSITY, LENGTH, THICKNESS, WIDTH
@@ -45,16 +56,7 @@ CATALOGUE: tuple[Effect, ...] = (
     VISCOELASTIC,
     MODE_IDENTITY,
     OUTLIER,
-)
-
-# Slips of the pen or of the print: what is stated may be wrong far beyond its tolerance.
-GROSS: tuple[Effect, ...] = (
-    widened(THICKNESS, 20.0, {"thickness_deviation": (-0.6, 1.5)}),
-    widened(DENSITY, 20.0, {"density_deviation": (-0.8, 2.0)}),
-    widened(LENGTH, 25.0),
-    widened(WIDTH, 25.0),
-    widened(CLAMP_LENGTH, 10.0),
-    widened(MISORIENTATION, 10.0, {"misorientation_deg": (-90.0, 90.0)}),
+    MATERIAL,
 )
 
 
@@ -65,14 +67,15 @@ def applicable(facts: PlateFacts, effects: tuple[Effect, ...] = CATALOGUE) -> tu
 
 __all__ = [
     "CATALOGUE",
-    "GROSS",
     "Effect",
+    "ListChange",
+    "ListVariant",
     "PlateFacts",
     "add_air",
     "add_known_mass",
     "applicable",
     "extend",
+    "gross_variant",
     "scale_of",
     "variants",
-    "widened",
 ]

@@ -122,12 +122,20 @@ def _air(problem: Problem, facts: PlateFacts) -> Problem:
     return _in_air(problem, None)
 
 
+def _is_left_out(facts: PlateFacts) -> bool:
+    return not facts.air_is_known
+
+
 AIR = Effect(
-    "air",
-    "surroundings",
-    "terms",
-    # what a room has, whatever its height above the sea and its weather
-    (Parameter("air_density", "kg/m3", TruncatedNormal(1.2, 0.06, 0.0, 1.5), null=0.0),),
-    "the plate moves air along: always there, never detectable alone",
-    _air,
+    name="air",
+    title="the air that the plate moves",
+    family="surroundings",
+    belongs_to="laboratory",
+    # the densities that rooms have, at any height above the sea and in any weather
+    parameters=(Parameter("air_density", "kg/m3", TruncatedNormal(1.2, 0.06, 0.0, 1.5), null=0.0),),
+    note="added mass of an unbaffled plate: always there, never detectable alone",
+    check="State the air's density in the plate file; temperature, pressure and humidity give it to 1 %.",
+    change=_air,
+    applies_to=_is_left_out,
+    sign=-1,
 )

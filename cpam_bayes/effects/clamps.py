@@ -12,7 +12,7 @@ from functools import partial
 
 import numpy as np
 
-from cpam_bayes.effects.effect import Effect, PlateFacts, one_sided, stacked
+from cpam_bayes.effects.effect import PERCENT, Effect, PlateFacts, one_sided, stacked
 from cpam_bayes.mechanics.problem import (
     EDGES,
     FIELDS,
@@ -149,30 +149,45 @@ def _has_clamp(facts: PlateFacts) -> bool:
     return bool(_clamped(facts))
 
 
+# The springs of one clamp replace its held fields: two of these effects cannot do so together.
+_WAYS = ("clamp_rotation", "clamp_translation", "clamp_slip")
+
 CLAMP_ROTATION = Effect(
-    "clamp_rotation",
-    "clamp",
-    "terms",
-    (one_sided("rotation_compliance", "", 0.02),),
-    "the clamp turns with the plate: a spring D11 / (c a) on both rotations",
-    _compliant("rotation_compliance", "rotation"),
+    name="clamp_rotation",
+    title="clamp that turns with the plate",
+    family="clamp",
+    belongs_to="test",
+    parameters=(one_sided("rotation_compliance", "", 0.02),),
+    note="edge springs D11 / (c a) on both rotations",
+    check="Tighten the clamp and measure again; rising frequencies confirm it.",
+    change=_compliant("rotation_compliance", "rotation"),
     applies_to=_has_clamp,
+    sign=-1,
+    excludes=_WAYS,
 )
 CLAMP_TRANSLATION = Effect(
-    "clamp_translation",
-    "clamp",
-    "terms",
-    (one_sided("translation_compliance", "", 0.002),),
-    "the clamp moves with the plate: springs D11 / (c a^3) on w, A11 / (c a) on u and v",
-    _compliant("translation_compliance", "translation"),
+    name="clamp_translation",
+    title="clamp that moves with the plate",
+    family="clamp",
+    belongs_to="test",
+    parameters=(one_sided("translation_compliance", "", 0.002),),
+    note="edge springs D11 / (c a^3) on w, A11 / (c a) on u and v",
+    check="Measure the motion of the clamp itself with a second accelerometer.",
+    change=_compliant("translation_compliance", "translation"),
     applies_to=_has_clamp,
+    sign=-1,
+    excludes=_WAYS,
 )
 CLAMP_SLIP = Effect(
-    "clamp_slip",
-    "clamp",
-    "terms",
-    (one_sided("slip_fraction", "", 0.05, _PIECES[-1]),),
-    "the grip fades towards the first end of the edge",
-    _slip,
+    name="clamp_slip",
+    title="clamp that grips only a part of the edge",
+    family="clamp",
+    belongs_to="test",
+    parameters=(one_sided("slip_fraction", "", 0.05, _PIECES[-1], shown=PERCENT),),
+    note="the grip fades over this fraction of the edge, from its first end",
+    check="Check the contact along the clamped edge with a feeler gauge or pressure-sensitive film.",
+    change=_slip,
     applies_to=_has_clamp,
+    sign=-1,
+    excludes=_WAYS,
 )

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from cpam_bayes.effects.effect import Effect, Place, PlateFacts, one_sided
+from cpam_bayes.effects.effect import PERCENT, Effect, Place, PlateFacts, one_sided
 from cpam_bayes.mechanics.problem import (
     LAMINATE_ENTRIES,
     LAMINATE_FORMS,
@@ -47,11 +47,14 @@ def _lost(state: PlateState, values: Values) -> Array:
 
 
 DAMAGE = Effect(
-    "damage",
-    "damage",
-    "terms",
-    (one_sided("damage", "", 0.2, 0.9),),
-    "bending and transverse shear stiffness are lost around a place",
+    name="damage",
+    title="local damage: delamination, impact, dry fibres",
+    family="damage",
+    belongs_to="plate",
+    parameters=(one_sided("damage", "", 0.2, 0.9, shown=PERCENT),),
+    note="D and A_s less by a bell, sd a twentieth of the shorter side",
+    check="Tap or C-scan the plate there.",
+    sign=-1,
     places=tuple((x, y) for x in _GRID for y in _GRID),
     at=_damage_at,
 )

@@ -1,8 +1,8 @@
-"""What an effect is: a record with a pure function from a problem to a problem."""
+"""What an effect is: one record that holds all that the package asks of a cause."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Literal, Protocol
@@ -13,8 +13,7 @@ from cpam_bayes.mechanics.problem import Array, PlateState, Problem, StateFuncti
 from cpam_bayes.parameters import Parameter, ParameterSet, ScaledStudentT
 from cpam_bayes.plate.layup import Layup
 
-Kind = Literal["terms", "coefficients", "observation"]
-Stage = Literal["problem", "frequencies", "pairing", "noise"]
+Owner = Literal["plate", "test", "material", "laboratory"]
 # Reference coordinates of a mass or a flaw.
 Place = tuple[float, float]
 
@@ -23,9 +22,13 @@ Place = tuple[float, float]
 DEGREES_OF_FREEDOM = 4.0
 _CUT = 8.0
 
+# How parameters are shown to people: the unit, and the factor from SI.
+PERCENT, GRAM, MILLIMETRE = ("%", 100.0), ("g", 1e3), ("mm", 1e3)
+MICROMETRE, MEGAPASCAL = ("um", 1e6), ("MPa", 1e-6)
+
 
 class PlateLike(Protocol):
-    """What of a measured plate an effect asks for; ``measurement.records.Plate`` is one."""
+    """The data of a measured plate that effects ask for; ``plate.records.Plate`` has them."""
 
     @property
     def length(self) -> float: ...  # noqa: D102
@@ -41,10 +44,13 @@ class PlateLike(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class PlateFacts:
-    """What of a plate decides which effects it may have, and where.
+    """The facts of a plate that decide which effects it may have, and where.
 
-    length, width, thickness : m. edges : four of F, S, C. loaded : whether known masses break its
-    symmetries.
+    length, width, thickness : m
+    edges : four of F, S, C
+    loaded : whether known masses break its symmetries
+    air_is_known : whether the model contains the air already
+    has_references : whether reference values narrow the priors of the constants
     """
 
     length: float
@@ -54,11 +60,51 @@ class PlateFacts:
     edges: str
     isotropic: bool
     loaded: bool = False
+    air_is_known: bool = False
+    has_references: bool = False
 
     @classmethod
-    def of(cls, plate: PlateLike, isotropic: bool, loaded: bool = False) -> PlateFacts:
+    def of(
+        cls,
+        plate: PlateLike,
+        isotropic: bool,
+        loaded: bool = False,
+        air_is_known: bool = False,
+        has_references: bool = False,
+    ) -> PlateFacts:
         """The facts of a measured plate."""
-        return cls(plate.length, plate.width, plate.thickness, plate.layup, plate.edges, isotropic, loaded)
+        sides = (plate.length, plate.width, plate.thickness)
+        return cls(*sides, plate.layup, plate.edges, isotropic, loaded, air_is_known, has_references)
+
+
+@dataclass(frozen=True, slots=True)
+class ListChange:
+    """An error in a frequency list.
+
+    A frequency that is no mode together with a missed mode is a frequency so far misread that it stands
+    in the place of another one.
+
+    missed : numbers of the model modes that the list lacks
+    spurious : number of the listed frequency that is no mode
+    misread : number of the listed frequency that is 1 + ``misreading`` times the mode's
+    """
+
+    missed: tuple[int, ...] = ()
+    spurious: int | None = None
+    misread: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class ListVariant:
+    """One way in which a list can have an error.
+
+    text : name of the variant
+    fraction : of the effect's prior probability
+    """
+
+    change: ListChange
+    text: str
+    fraction: float
 
 
 def _always(facts: PlateFacts) -> bool:
@@ -66,31 +112,55 @@ def _always(facts: PlateFacts) -> bool:
     return True
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Effect:
-    """Something that a plate model may lack.
+    """An effect that a plate model or a frequency list may lack.
 
-    name : the cause, as in answers. variant : tells effects of one cause apart, by place for instance.
-    family : causes of one family share a prior probability. kind : what of the description changes.
-    parameters : with unit, prior and null. change : Problem -> Problem with the parameters' values in
-    its state or terms. observe : frequencies (..., n_modes) and values (...) -> frequencies, for what
-    is not of the plate. stage : who acts on it; "pairing" and "noise" belong to the comparison with
-    the measured list and have neither function. even : the frequencies' slope at the null is zero
-    on plates that have the symmetries of a free orthotropic rectangle. places, at : where it may be,
-    and the effect there. note : one sentence on what it is like.
+    Exactly one of ``change``, ``observe``, ``pairings`` and ``drops_references`` says what it does.
+
+    name : the cause, as in answers
+    title : the cause in words for people
+    family : causes of one family divide its prior probability
+    belongs_to : "plate": tests of one specimen have it in common, a sister plate need not have it; "test":
+        of one list; "material", "laboratory": sister plates have it too
+    parameters : with unit, prior, null and the unit that they are shown in
+    note : how it enters the model
+    check : what to check in the laboratory, one sentence
+    change : Problem -> Problem with the values of the parameters in its state or terms
+    observe : frequencies (..., n_modes), values (...) -> frequencies
+    pairings : size of a frequency list, whether it is complete -> the possible errors
+    drops_references : whether the constants are those of something else than the reference
+    applies_to : whether a plate may have it
+    size_factor : expected size on a plate over that of the priors in ``parameters``
+    gross : parameters of the gross variant, a transcription error instead of a tolerance
+    sign : of the change of every frequency when the parameter grows, 0 if modes differ
+    even : whether the slope of the frequencies at the null is zero on plates that have the symmetries of a
+        free orthotropic rectangle
+    couples_stretching : whether it couples stretching with bending, for which a symmetric layup's space has
+        no functions
+    excludes : names of the effects that cannot act together with it
+    variant : distinguishes effects of one cause, by place for instance
+    places, at : where it may be, and the effect there
     """
 
     name: str
+    title: str
     family: str
-    kind: Kind
+    belongs_to: Owner
     parameters: tuple[Parameter, ...]
     note: str
+    check: str
     change: Callable[[Problem, PlateFacts], Problem] | None = None
     observe: Callable[[Array, Values], Array] | None = None
-    stage: Stage = "problem"
+    pairings: Callable[[int, bool], tuple[ListVariant, ...]] | None = None
+    drops_references: bool = False
     applies_to: Callable[[PlateFacts], bool] = _always
+    size_factor: Callable[[PlateFacts], float] | None = None
+    gross: tuple[Parameter, ...] = ()
+    sign: Literal[-1, 0, 1] = 0
     even: bool = False
-    absorbed: bool = False
+    couples_stretching: bool = False
+    excludes: tuple[str, ...] = ()
     variant: str = ""
     place: Place | None = None
     places: tuple[Place, ...] = ()
@@ -111,6 +181,15 @@ class Effect:
         null = self.null
         return {p.name: null[p.name] + sds * scale_of(p) for p in self.parameters}
 
+    @property
+    def is_common_to_sisters(self) -> bool:
+        """Whether a sister plate of the same material in the same laboratory has it too."""
+        return self.belongs_to in ("material", "laboratory")
+
+    def goes_with(self, other: Effect) -> bool:
+        """Whether the two can act together."""
+        return other.name not in self.excludes and self.name not in other.excludes
+
 
 def scale_of(parameter: Parameter) -> float:
     """One standard deviation of the catalogue in the parameter's unit; what is known: its prior mean."""
@@ -129,8 +208,9 @@ def extend(problem: Problem, effect: Effect, facts: PlateFacts) -> Problem:
             f"{facts.layup.text}; applicable(facts) lists those that are"
         )
     if effect.change is None:
+        acts_on = "frequencies" if effect.observe else "pairing" if effect.pairings else "priors"
         raise ValueError(
-            f"effect {effect.name} acts on the {effect.stage}, not on the plate; use its `observe` "
+            f"effect {effect.name} acts on the {acts_on}, not on the plate; use its `observe` "
             "or the comparison with the measured list"
         )
     changed = effect.change(problem, facts)
@@ -138,11 +218,13 @@ def extend(problem: Problem, effect: Effect, facts: PlateFacts) -> Problem:
 
 
 def variants(effect: Effect, facts: PlateFacts) -> tuple[Effect, ...]:
-    """The effect at every place where this plate would tell it from the others, or itself.
+    """The effect with the priors for this plate, at every place that this plate distinguishes.
 
-    A place that the plate's own symmetries map on an earlier one is left out, and one that an edge
-    holds.
+    A place that the plate's symmetries map on an earlier one is left out, and one that an edge holds.
     """
+    if effect.size_factor is not None:
+        factor = effect.size_factor(facts)
+        effect = replace(effect, parameters=tuple(_rescaled(p, factor) for p in effect.parameters))
     if effect.at is None:
         return (effect,)
     seen: set[Place] = set()
@@ -151,37 +233,43 @@ def variants(effect: Effect, facts: PlateFacts) -> tuple[Effect, ...]:
         if place in seen or _is_held(place, facts):
             continue
         seen.update(_images(place, facts))
-        found.append(effect.at(place))
+        found.append(replace(effect.at(place), parameters=effect.parameters))
     return tuple(found)
 
 
-def widened(effect: Effect, factor: float, ends: Mapping[str, tuple[float, float]] | None = None) -> Effect:
-    """The effect with priors wider by a factor: a slip of the pen instead of a tolerance.
-
-    ends : least and largest value by parameter name, where they are not the widened ones.
-    """
-    found = []
-    for p in effect.parameters:
-        prior = p.prior
-        if not isinstance(prior, ScaledStudentT):
-            found.append(p)
-            continue
-        low, high = (ends or {}).get(p.name, (factor * prior.lower, factor * prior.upper))
-        wide = ScaledStudentT(factor * prior.scale, prior.degrees_of_freedom, low, high)
-        found.append(replace(p, prior=wide))
-    return replace(effect, parameters=tuple(found), variant=" ".join(filter(None, (effect.variant, "gross"))))
+def gross_variant(effect: Effect) -> Effect | None:
+    """The effect as a transcription error, if it can be one."""
+    return replace(effect, parameters=effect.gross, variant="gross") if effect.gross else None
 
 
-def either_sign(name: str, unit: str, scale: float, end: float | None = None) -> Parameter:
-    """A parameter of either sign with the catalogue's prior."""
+def _rescaled(parameter: Parameter, factor: float) -> Parameter:
+    prior = parameter.prior
+    if not isinstance(prior, ScaledStudentT):
+        raise TypeError(f"parameter {parameter.name}: received {prior}, accepted: a Student-t to be rescaled")
+    scale, ends = factor * prior.scale, (factor * prior.lower, factor * prior.upper)
+    return replace(parameter, prior=ScaledStudentT(scale, prior.degrees_of_freedom, *ends))
+
+
+def either_sign(
+    name: str,
+    unit: str,
+    scale: float,
+    end: float | tuple[float, float] | None = None,
+    *,
+    shown: tuple[str, float] | None = None,
+) -> Parameter:
+    """A parameter of either sign with the catalogue's prior; end : of the prior, both if not symmetric."""
     end = _CUT * scale if end is None else end
-    return Parameter(name, unit, ScaledStudentT(scale, DEGREES_OF_FREEDOM, -end, end), null=0.0)
+    low, high = end if isinstance(end, tuple) else (-end, end)
+    return Parameter(name, unit, ScaledStudentT(scale, DEGREES_OF_FREEDOM, low, high), 0.0, shown)
 
 
-def one_sided(name: str, unit: str, scale: float, end: float | None = None) -> Parameter:
+def one_sided(
+    name: str, unit: str, scale: float, end: float | None = None, *, shown: tuple[str, float] | None = None
+) -> Parameter:
     """A parameter that can only add, with the catalogue's prior."""
     end = _CUT * scale if end is None else end
-    return Parameter(name, unit, ScaledStudentT(scale, DEGREES_OF_FREEDOM, 0.0, end), null=0.0)
+    return Parameter(name, unit, ScaledStudentT(scale, DEGREES_OF_FREEDOM, 0.0, end), 0.0, shown)
 
 
 def with_state(problem: Problem, change: Callable[[PlateState, Values], PlateState]) -> Problem:

@@ -1,10 +1,10 @@
-"""What is wrong with the list of frequencies, not with the plate."""
+"""Effects on the frequencies, not on the plate: the analyser's scale, a loss tangent."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from cpam_bayes.effects.effect import Effect, either_sign, one_sided
+from cpam_bayes.effects.effect import PERCENT, Effect, either_sign, one_sided
 from cpam_bayes.mechanics.problem import Array, Values
 
 
@@ -24,37 +24,24 @@ def _stiffened(frequencies: Array, values: Values) -> Array:
 
 
 FREQUENCY_SCALE = Effect(
-    "frequency_scale",
-    "size",
-    "observation",
-    (either_sign("frequency_deviation", "", 0.002),),
-    "an analyser whose clock is off: all frequencies by one factor; stiffer moduli would do the same",
+    name="frequency_scale",
+    title="frequency scale of the analyser",
+    family="size",
+    belongs_to="laboratory",
+    parameters=(either_sign("frequency_deviation", "", 0.002, shown=PERCENT),),
+    note="all frequencies by one factor, after the plate; stiffer moduli would do the same",
+    check="Measure the signal of a calibrated generator.",
     observe=_scaled,
-    stage="frequencies",
-    absorbed=True,
+    sign=1,
 )
 VISCOELASTIC = Effect(
-    "viscoelastic",
-    "damping",
-    "observation",
-    (one_sided("loss_tangent", "", 0.01),),
-    "a damped material is stiffer at higher frequencies",
+    name="viscoelastic",
+    title="stiffness that grows with frequency",
+    family="damping",
+    belongs_to="material",
+    parameters=(one_sided("loss_tangent", "", 0.01),),
+    note="d ln f = (tan delta / pi) ln(f / f_1), after the plate",
+    check="Measure the modal damping: the loss tangent is twice the damping ratio.",
     observe=_stiffened,
-    stage="frequencies",
-)
-MODE_IDENTITY = Effect(
-    "mode_identity",
-    "list",
-    "observation",
-    (),
-    "a mode is missed, counted twice or swapped: the pairing with the model's modes changes",
-    stage="pairing",
-)
-OUTLIER = Effect(
-    "outlier",
-    "list",
-    "observation",
-    (),
-    "one frequency is misread or mistyped: its noise has a heavy tail",
-    stage="noise",
+    sign=1,
 )

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from cpam_bayes.effects.effect import Effect, Place, PlateFacts, one_sided, stacked
+from cpam_bayes.effects.effect import GRAM, Effect, Place, PlateFacts, one_sided, stacked
 from cpam_bayes.mechanics.problem import FIELDS, Array, Atom, Form, PlateState, Problem, Region, Term, Values
 
 # Its centre is never nearer to an edge than this, its foot having a size.
@@ -32,11 +32,14 @@ def _mass_coefficients(state: PlateState, values: Values) -> Array:
 
 
 SENSOR_MASS = Effect(
-    "sensor_mass",
-    "mass",
-    "terms",
-    (one_sided("sensor_mass", "kg", 1e-3),),
-    "a mass on the plate lowers the modes that move there",
+    name="sensor_mass",
+    title="accelerometer or other added mass",
+    family="mass",
+    belongs_to="plate",
+    parameters=(one_sided("sensor_mass", "kg", 1e-3, shown=GRAM),),
+    note="point mass m and its rotary inertia (h / 2)^2 m",
+    check="Weigh what is fixed to the plate and state it under [[sensor]], or measure without contact.",
+    sign=-1,
     places=tuple((x, y) for x in _GRID for y in _GRID),
     at=_sensor_at,
 )

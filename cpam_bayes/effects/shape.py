@@ -10,7 +10,7 @@ from math import comb
 import numpy as np
 from numpy.polynomial import polynomial
 
-from cpam_bayes.effects.effect import Effect, PlateFacts, either_sign, with_state
+from cpam_bayes.effects.effect import MILLIMETRE, PERCENT, Effect, PlateFacts, either_sign, with_state
 from cpam_bayes.mechanics.problem import (
     LAMINATE_FORMS,
     MASS_FORMS,
@@ -156,46 +156,46 @@ def _warp_coefficients(
     return np.asarray(state.stiffness()[..., rows, columns] * scale)
 
 
-TAPER_X = Effect(
-    "taper_x",
-    "shape",
-    "terms",
-    (either_sign("taper_x", "", 0.03),),
-    "thickness grows along x; of first order where the edges x = 0 and x = length differ",
-    _taper("taper_x", "x"),
-    even=True,
-)
-TAPER_Y = Effect(
-    "taper_y",
-    "shape",
-    "terms",
-    (either_sign("taper_y", "", 0.03),),
-    "thickness grows along y; of first order where the edges y = 0 and y = width differ",
-    _taper("taper_y", "y"),
-    even=True,
-)
+def _tapered(name: str, axis: str, side: str) -> Effect:
+    return Effect(
+        name=name,
+        title=f"thickness that grows along {axis}",
+        family="shape",
+        belongs_to="plate",
+        parameters=(either_sign(name, "", 0.03, shown=PERCENT),),
+        note=f"h (1 + t s), s from -1 to 1; of first order where edges {axis} = 0 and {axis} = {side} differ",
+        check=f"Gauge the thickness at both ends in {axis}.",
+        change=_taper(name, axis),
+        even=True,
+    )
 
 
 def _no_edge_is_supported(facts: PlateFacts) -> bool:
     return "S" not in facts.edges
 
 
+TAPER_X, TAPER_Y = _tapered("taper_x", "x", "length"), _tapered("taper_y", "y", "width")
 SKEW = Effect(
-    "skew",
-    "shape",
-    "coefficients",
-    (either_sign("skew_deg", "deg", 1.0),),
-    "corners that are not square",
-    _skew,
+    name="skew",
+    title="corners that are not square",
+    family="shape",
+    belongs_to="plate",
+    parameters=(either_sign("skew_deg", "deg", 1.0),),
+    note="gradients of a parallelogram; the plies stay along x",
+    check="Measure both diagonals.",
+    change=_skew,
     applies_to=_no_edge_is_supported,
     even=True,
 )
 WARP = Effect(
-    "warp",
-    "shape",
-    "terms",
-    (either_sign("sag", "m", 0.5e-3),),
-    "a plate that is not flat stretches when it bends",
-    _warp,
+    name="warp",
+    title="plate that is not flat",
+    family="shape",
+    belongs_to="plate",
+    parameters=(either_sign("sag", "m", 0.5e-3, shown=MILLIMETRE),),
+    note="shallow cap, kappa = 8 s / a^2 and 8 s / b^2: it stretches when it bends",
+    check="Lay the plate on a surface plate and gauge its sag.",
+    change=_warp,
     even=True,
+    couples_stretching=True,
 )

@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
+from typing import Literal
 
-from cpam_bayes.effects.effect import Effect, PlateFacts, either_sign, with_state
+from cpam_bayes.effects.effect import MILLIMETRE, PERCENT, Effect, PlateFacts, either_sign, with_state
 from cpam_bayes.mechanics.problem import PlateState, Problem, Values
+from cpam_bayes.parameters import Parameter
 
 
 def _scaled(size: str, parameter: str) -> Callable[[Problem, PlateFacts], Problem]:
@@ -24,23 +26,64 @@ def _scaled_size(size: str, parameter: str, state: PlateState, values: Values) -
     return replace(state, **{size: getattr(state, size) * (1.0 + values[parameter])})
 
 
-def _relative(name: str, sd: float, note: str) -> Effect:
-    parameter = f"{name}_deviation"
+def _relative(
+    name: str,
+    sd: float,
+    *,
+    gross: Parameter,
+    title: str,
+    note: str,
+    check: str,
+    sign: Literal[-1, 0, 1] = 0,
+) -> Effect:
     return Effect(
-        name,
-        "size",
-        "coefficients",
-        (either_sign(parameter, "", sd),),
-        note,
-        _scaled(name, parameter),
-        absorbed=name in ("thickness", "density"),
+        name=name,
+        title=title,
+        family="size",
+        belongs_to="plate",
+        parameters=(either_sign(gross.name, "", sd, shown=PERCENT),),
+        gross=(gross,),
+        note=note,
+        check=check,
+        change=_scaled(name, gross.name),
+        sign=sign,
     )
 
 
-THICKNESS = _relative("thickness", 0.01, "every thin-plate frequency grows with h; as stiffer moduli would")
-DENSITY = _relative("density", 0.01, "every frequency falls with rho^-1/2; as softer moduli would")
-LENGTH = _relative("length", 0.002, "a (1 + deviation)")
-WIDTH = _relative("width", 0.002, "b (1 + deviation)")
+THICKNESS = _relative(
+    "thickness",
+    0.01,
+    gross=either_sign("thickness_deviation", "", 0.2, (-0.6, 1.5), shown=PERCENT),
+    title="thickness other than stated",
+    note="h (1 + deviation): thin-plate frequencies grow with h, as with stiffer moduli",
+    check="Gauge the thickness at ten points or more.",
+    sign=1,
+)
+DENSITY = _relative(
+    "density",
+    0.01,
+    gross=either_sign("density_deviation", "", 0.2, (-0.8, 2.0), shown=PERCENT),
+    title="density other than stated",
+    note="rho (1 + deviation): frequencies fall with rho^-1/2, as with softer moduli",
+    check="Weigh the plate and state its mass.",
+    sign=-1,
+)
+LENGTH = _relative(
+    "length",
+    0.002,
+    gross=either_sign("length_deviation", "", 0.05, shown=PERCENT),
+    title="length other than stated",
+    note="a (1 + deviation)",
+    check="Measure the length along both edges.",
+)
+WIDTH = _relative(
+    "width",
+    0.002,
+    gross=either_sign("width_deviation", "", 0.05, shown=PERCENT),
+    title="width other than stated",
+    note="b (1 + deviation)",
+    check="Measure the width along both edges.",
+)
 
 
 def _clamped_axes(facts: PlateFacts) -> tuple[str, ...]:
@@ -61,11 +104,15 @@ def _is_clamped(facts: PlateFacts) -> bool:
 
 
 CLAMP_LENGTH = Effect(
-    "clamp_length",
-    "clamp",
-    "coefficients",
-    (either_sign("clamp_shift", "m", 0.5e-3),),
-    "the clamp grips further out or in than measured: a longer or shorter cantilever",
-    _clamp_length,
+    name="clamp_length",
+    title="free length other than stated",
+    family="clamp",
+    belongs_to="test",
+    parameters=(either_sign("clamp_shift", "m", 0.5e-3, shown=MILLIMETRE),),
+    gross=(either_sign("clamp_shift", "m", 5e-3, shown=MILLIMETRE),),
+    note="a + delta, of the side across the clamp",
+    check="Measure the free length from the jaws of the clamp.",
+    change=_clamp_length,
     applies_to=_is_clamped,
+    sign=-1,
 )

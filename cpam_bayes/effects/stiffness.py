@@ -7,7 +7,15 @@ from functools import partial
 
 import numpy as np
 
-from cpam_bayes.effects.effect import Effect, PlateFacts, either_sign, one_sided, with_state
+from cpam_bayes.effects.effect import (
+    MICROMETRE,
+    PERCENT,
+    Effect,
+    PlateFacts,
+    either_sign,
+    one_sided,
+    with_state,
+)
 from cpam_bayes.mechanics.problem import Array, PlateState, Problem, Values
 from cpam_bayes.plate.laminate import SHEAR, reduced_stiffness, thickness_powers
 
@@ -69,16 +77,6 @@ def _between_skins(h: Array, core: Array, stiffness: Array) -> Array:
     return np.asarray(found)
 
 
-TRANSVERSE_SHEAR = Effect(
-    "transverse_shear",
-    "stiffness",
-    "coefficients",
-    (either_sign("log_shear_factor", "", 0.3),),
-    "A_s times a factor: nothing on thin plates, the higher modes of thick ones",
-    _transverse_shear,
-)
-
-
 def _is_composite(facts: PlateFacts) -> bool:
     return not facts.isotropic
 
@@ -87,22 +85,38 @@ def _has_room_for_skins(facts: PlateFacts) -> bool:
     return not facts.isotropic and facts.thickness > 1e-3
 
 
+TRANSVERSE_SHEAR = Effect(
+    name="transverse_shear",
+    title="transverse shear stiffness other than computed",
+    family="stiffness",
+    belongs_to="material",
+    parameters=(either_sign("log_shear_factor", "", 0.3),),
+    note="A_s exp(t): nothing on thin plates, the higher modes of thick ones",
+    check="Measure further, higher modes; they depend on it most.",
+    change=_transverse_shear,
+    sign=1,
+)
 SHEAR_RATIO = Effect(
-    "shear_ratio",
-    "stiffness",
-    "coefficients",
-    (either_sign("shear_ratio_deviation", "", 0.25, 0.8),),
-    "G13 differs from the value that the model takes, G12 unless given",
-    _shear_ratio,
+    name="shear_ratio",
+    title="G13 other than assumed",
+    family="stiffness",
+    belongs_to="material",
+    parameters=(either_sign("shear_ratio_deviation", "", 0.25, 0.8, shown=PERCENT),),
+    note="G13 (1 + r), which is G12 unless given",
+    check="Look up G13 of the material, or test a short beam.",
+    change=_shear_ratio,
     applies_to=_is_composite,
+    sign=1,
 )
 RESIN_SKIN = Effect(
-    "resin_skin",
-    "stiffness",
-    "coefficients",
-    (one_sided("skin_thickness", "m", 50e-6, 250e-6),),
-    "soft layers on both faces lower all bending modes alike; the constants absorb it",
-    _resin_skin,
+    name="resin_skin",
+    title="layers of resin on the faces",
+    family="stiffness",
+    belongs_to="plate",
+    parameters=(one_sided("skin_thickness", "m", 50e-6, 250e-6, shown=MICROMETRE),),
+    note="plies fill h - 2 t, cured epoxy the rest: all bending modes fall alike, the constants absorb it",
+    check="Examine a micrograph of the cross-section.",
+    change=_resin_skin,
     applies_to=_has_room_for_skins,
-    absorbed=True,
+    sign=-1,
 )

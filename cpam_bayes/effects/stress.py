@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cpam_bayes.effects.effect import Effect, PlateFacts, either_sign, stacked
+from cpam_bayes.effects.effect import MEGAPASCAL, Effect, PlateFacts, either_sign, stacked
 from cpam_bayes.mechanics.problem import Array, Atom, Form, PlateState, Problem, Term, Values
 from cpam_bayes.mechanics.weights import Polynomial, Product
 
@@ -43,10 +43,13 @@ def _stress_coefficients(state: PlateState, values: Values) -> Array:
 
 
 MEMBRANE_STRESS = Effect(
-    "membrane_stress",
-    "stress",
-    "terms",
-    (either_sign("residual_stress", "Pa", 0.3e6),),
-    "residual stress in equilibrium with itself: raises some modes and lowers others",
-    _membrane_stress,
+    name="membrane_stress",
+    title="residual stress",
+    family="stress",
+    belongs_to="plate",
+    parameters=(either_sign("residual_stress", "Pa", 0.3e6, shown=MEGAPASCAL),),
+    note="integral of grad w . N grad w, N from (1 - x^2)^2 (1 - y^2)^2 with max abs N / h given: "
+    "raises some modes and lowers others",
+    check="Measure again after annealing, or cut the plate and gauge the strain that this releases.",
+    change=_membrane_stress,
 )

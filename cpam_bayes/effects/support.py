@@ -29,12 +29,15 @@ def _is_free(facts: PlateFacts) -> bool:
 
 
 SUPPORT = Effect(
-    "support",
-    "surroundings",
-    "terms",
-    (one_sided("support_frequency", "Hz", 8.0, 40.0),),
-    "the plate bounces on its foam at f_r: the lowest modes rise most",
-    _support,
+    name="support",
+    title="suspension or foam under a free plate",
+    family="surroundings",
+    belongs_to="plate",
+    parameters=(one_sided("support_frequency", "Hz", 8.0, 40.0),),
+    note="f^2 + f_r^2, free plates only: the lowest modes rise most",
+    check="Measure the frequency at which the plate bounces on its support, or support it more softly.",
+    change=_support,
     applies_to=_is_free,
+    sign=1,
     even=True,
 )

@@ -17,21 +17,20 @@ from cpam_bayes.diagnosis.hypotheses import (
     P_OTHER,
     P_PAIR,
     Hypothesis,
-    ListChange,
     single_hypotheses,
 )
-from cpam_bayes.effects import GROSS, PlateFacts, applicable
+from cpam_bayes.effects import ListChange, PlateFacts, applicable
 from cpam_bayes.plate.specimens import builtin, builtin_names
 from tests.diagnosis.toy_plates import F0, a_list, case
 
 
-def facts_of(name: str) -> PlateFacts:
+def facts_of(name: str, *, air: bool = False) -> PlateFacts:
     specimen = builtin(name)
-    return PlateFacts.of(specimen.plate, specimen.material.isotropic)
+    return PlateFacts.of(specimen.plate, specimen.material.isotropic, air_is_known=air)
 
 
 def singles(name: str, n: int = 8, *, complete: bool = True, air: bool = False) -> tuple[Hypothesis, ...]:
-    return single_hypotheses(facts_of(name), n, complete=complete, air_is_known=air)
+    return single_hypotheses(facts_of(name, air=air), n, complete=complete)
 
 
 def of_families(hypotheses: tuple[Hypothesis, ...]) -> dict[str, float]:
@@ -85,7 +84,7 @@ def test_variants_of_a_cause_share_its_prior_evenly_and_a_slip_of_the_pen_has_a_
     assert lengths[True] / (lengths[True] + lengths[False]) == pytest.approx(0.1)
     assert {h.cause for h in found if h.is_gross} == {
         "outlier",
-        *(e.name for e in applicable(facts_of("C1"), GROSS)),
+        *(e.name for e in applicable(facts_of("C1")) if e.gross),
     }
     misread = [h for h in found if h.cause == "outlier"]
     whole = sum(h.prior for h in misread)

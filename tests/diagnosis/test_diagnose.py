@@ -14,8 +14,9 @@ from cpam_bayes.diagnosis.diagnose import Diagnosis, diagnose_cases
 from cpam_bayes.diagnosis.evidence import weighing
 from cpam_bayes.diagnosis.extension import resample
 from cpam_bayes.diagnosis.fitting import PlateCase
-from cpam_bayes.diagnosis.hypotheses import DISCREPANCY, NONE, OTHER, SLIP, Hypothesis, ListChange
-from cpam_bayes.effects import CATALOGUE, Effect
+from cpam_bayes.diagnosis.hypotheses import DISCREPANCY, NONE, OTHER, Hypothesis
+from cpam_bayes.effects import CATALOGUE, Effect, ListChange
+from cpam_bayes.effects.frequency_list import MISREADING
 from cpam_bayes.inference.ensemble import EnsembleSettings
 from cpam_bayes.parameters import ScaledStudentT
 from cpam_bayes.plate import Measurement
@@ -59,7 +60,12 @@ FALSE = tuple(
 )
 MISREAD = tuple(
     Hypothesis(
-        "outlier", "list", f"frequency {i + 1}", listed=ListChange(misread=i), parameters=(SLIP,), prior=0.01
+        "outlier",
+        "list",
+        f"frequency {i + 1}",
+        listed=ListChange(misread=i),
+        parameters=(MISREADING,),
+        prior=0.01,
     )
     for i in range(8)
 )

@@ -18,7 +18,9 @@ from cpam_bayes.diagnosis.extension import (
     start_positions,
 )
 from cpam_bayes.diagnosis.fitting import PlateCase, comparison_of
-from cpam_bayes.diagnosis.hypotheses import DISCREPANCY, NONE, OTHER, SLIP, Hypothesis, ListChange
+from cpam_bayes.diagnosis.hypotheses import DISCREPANCY, NONE, OTHER, Hypothesis
+from cpam_bayes.effects import ListChange
+from cpam_bayes.effects.frequency_list import MISREADING
 from cpam_bayes.inference.derivatives import expand
 from cpam_bayes.inference.ensemble import EnsembleSettings
 from tests.diagnosis.toy_plates import (
@@ -182,7 +184,7 @@ def test_what_is_no_parameter_of_the_plate_is_said() -> None:
     own = plate(np.zeros(8))
     false = Hypothesis("mode_identity", "list", listed=ListChange(spurious=2))
     missed = Hypothesis("mode_identity", "list", listed=ListChange(missed=(1, 4)))
-    slipped = Hypothesis("outlier", "list", listed=ListChange(misread=5), parameters=(SLIP,))
+    slipped = Hypothesis("outlier", "list", listed=ListChange(misread=5), parameters=(MISREADING,))
     short = case(a_list(own.measurement.frequencies[:6], NOISE))
     assert note_of(made(false, own)) == "frequency 3 is taken as false and left out"
     assert "mode 2 and 5" in note_of(made(missed, short))

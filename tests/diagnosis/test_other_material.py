@@ -7,17 +7,18 @@ import pytest
 
 from cpam_bayes.diagnosis.cases import plate_case, with_list
 from cpam_bayes.diagnosis.diagnose import diagnose_cases
-from cpam_bayes.diagnosis.hypotheses import MATERIAL, PAIR, single_hypotheses
+from cpam_bayes.diagnosis.hypotheses import PAIR, single_hypotheses
 from cpam_bayes.diagnosis.models import diagnosis_parameters
 from cpam_bayes.effects import PlateFacts
+from cpam_bayes.effects.material import MATERIAL
 from cpam_bayes.plate import Measurement, Specimen, builtin
 from tests.diagnosis.toy_plates import pairs_of
 
 NOISE = 0.003
 
 
-def facts(specimen: Specimen) -> PlateFacts:
-    return PlateFacts.of(specimen.plate, specimen.material.isotropic)
+def facts(specimen: Specimen, *, has_references: bool = True) -> PlateFacts:
+    return PlateFacts.of(specimen.plate, specimen.material.isotropic, has_references=has_references)
 
 
 def test_only_the_search_bounds_are_left_of_the_constants() -> None:
@@ -29,15 +30,15 @@ def test_only_the_search_bounds_are_left_of_the_constants() -> None:
 
 
 def test_it_is_as_probable_as_another_slip_of_the_pen_and_pairs_with_nothing() -> None:
-    own = facts(builtin("C2"))
-    found = single_hypotheses(own, 6, complete=True, air_is_known=False, references_have_sd=True)
-    material = next(h for h in found if h.cause == MATERIAL)
-    slips = [h.prior for h in found if h.is_gross and h.cause != MATERIAL]
+    found = single_hypotheses(facts(builtin("C2")), 6, complete=True)
+    material = next(h for h in found if h.cause == MATERIAL.name)
+    assert material.other_material
+    slips = [h.prior for h in found if h.is_gross and h.cause != MATERIAL.name]
     assert material.prior == max(slips)
-    assert all(MATERIAL not in p.causes for p in pairs_of((*found[2:6], material), found))
+    assert all(MATERIAL.name not in p.causes for p in pairs_of((*found[2:6], material), found))
     assert all(h.family != PAIR for h in found)
-    without = single_hypotheses(own, 6, complete=True, air_is_known=False)
-    assert MATERIAL not in {h.cause for h in without}
+    without = single_hypotheses(facts(builtin("C2"), has_references=False), 6, complete=True)
+    assert MATERIAL.name not in {h.cause for h in without}
 
 
 @pytest.mark.slow
@@ -56,11 +57,11 @@ def test_constants_far_from_their_reference_are_another_material() -> None:
     far = reference * np.array([0.5, 2.0, 1.0, 1.6])
     found = diagnose_cases([with_list(case, listed(far))], gain=False)
     assert found.claim.kind == "named"
-    assert found.claim.causes == (MATERIAL,)
+    assert found.claim.causes == (MATERIAL.name,)
     assert found.extended is not None
     mean, sd, _, _ = found.extended.constants["E1"]
     assert mean == pytest.approx(far[0], abs=3.0 * sd)
     assert sd < 0.1 * far[0]
     near = diagnose_cases([with_list(case, listed(reference))], gain=False)
     assert near.claim.kind == "none"
-    assert {c.name: c.probability for c in near.causes}[MATERIAL] < 0.01
+    assert {c.name: c.probability for c in near.causes}[MATERIAL.name] < 0.01

@@ -8,7 +8,7 @@ import pytest
 from cpam_bayes.diagnosis.evidence import weighing
 from cpam_bayes.diagnosis.evidence.marginal import Marginal
 from cpam_bayes.diagnosis.evidence.weighing import marginal_of
-from cpam_bayes.diagnosis.hypotheses import NONE, SLIP, Hypothesis, ListChange
+from cpam_bayes.diagnosis.hypotheses import NONE, Hypothesis
 from cpam_bayes.diagnosis.signatures import (
     Menu,
     Projector,
@@ -19,7 +19,8 @@ from cpam_bayes.diagnosis.signatures import (
     projector_of,
     signature_of,
 )
-from cpam_bayes.effects import Effect
+from cpam_bayes.effects import Effect, ListChange
+from cpam_bayes.effects.frequency_list import MISREADING
 from tests.diagnosis.toy_plates import (
     BUMP,
     DENT,
@@ -48,7 +49,7 @@ SHIFTS = {
 EFFECTS = {name: cause(name, PRIOR) for name in SHIFTS}
 FALSE = Hypothesis("mode_identity", "list", listed=ListChange(spurious=3))
 MISSED = Hypothesis("mode_identity", "list", listed=ListChange(missed=(5,)))
-MISREAD = Hypothesis("outlier", "list", listed=ListChange(misread=3), parameters=(SLIP,))
+MISREAD = Hypothesis("outlier", "list", listed=ListChange(misread=3), parameters=(MISREADING,))
 
 
 def plate(f: Array, noise: float = NOISE, *, n_modes: int = 8) -> tuple[Marginal, Projector, object]:
@@ -116,7 +117,7 @@ def test_the_largest_shift_is_that_of_one_catalogue_standard_deviation() -> None
     found = signature(EFFECTS["bump"], F0)
     # the catalogue's size of a parameter that is normal is its mean, zero here: nothing is shifted
     assert found.largest == pytest.approx(0.0, abs=1e-12)
-    assert signature(MISREAD, F0).largest == pytest.approx(SLIP.prior.scale, rel=0.01)  # type: ignore[attr-defined]
+    assert signature(MISREAD, F0).largest == pytest.approx(MISREADING.prior.scale, rel=0.01)  # type: ignore[attr-defined]
 
 
 def test_the_size_of_an_even_cause_is_no_mean_of_both_its_peaks() -> None:

@@ -15,6 +15,7 @@ from cpam_bayes.diagnosis.fitting import PlateCase
 from cpam_bayes.diagnosis.hypotheses import Hypothesis, go_together, pair_scale, paired
 from cpam_bayes.diagnosis.models import PlateModels
 from cpam_bayes.effects import Effect, PlateFacts
+from cpam_bayes.effects.effect import PERCENT
 from cpam_bayes.parameters import Parameter, ParameterSet, TruncatedNormal
 from cpam_bayes.plate import Measurement
 from cpam_bayes.plate.specimens import builtin
@@ -82,16 +83,19 @@ def even(direction: Array) -> Callable[[Array], tuple[Array, Array]]:
     return lambda t: (t[:, None] ** 2 * direction, 2.0 * t[:, None] * direction)
 
 
-def cause(name: str, prior: Prior, *, family: str = "", is_even: bool = False) -> Effect:
+def cause(name: str, prior: Prior, *, is_even: bool = False, excludes: tuple[str, ...] = ()) -> Effect:
     """An effect of one parameter."""
     return Effect(
-        name,
-        family or name,
-        "coefficients",
-        (Parameter(f"size of {name}", "", prior, null=0.0),),
-        "a toy",
+        name=name,
+        title=f"a plate that is {name}",
+        family=name,
+        belongs_to="plate",
+        parameters=(Parameter(f"size of {name}", "", prior, null=0.0, shown=PERCENT),),
+        note="a toy",
+        check="Look at it.",
         change=lambda problem, facts: problem,
         even=is_even,
+        excludes=excludes,
     )
 
 

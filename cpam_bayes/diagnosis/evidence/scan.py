@@ -15,7 +15,8 @@ from cpam_bayes.diagnosis.evidence.pair_screening import pair_look
 from cpam_bayes.diagnosis.evidence.screening import Anchor, Linear, first_look, free_of, linear, log_f
 from cpam_bayes.diagnosis.evidence.tangent import tangents
 from cpam_bayes.diagnosis.fitting import SCATTER, PlateCase, comparison_of, effect_columns
-from cpam_bayes.diagnosis.hypotheses import NONE, OTHER, PAIR, Hypothesis, ListChange
+from cpam_bayes.diagnosis.hypotheses import NONE, OTHER, PAIR, Hypothesis
+from cpam_bayes.effects import ListChange
 from cpam_bayes.inference.posterior import ForwardModel
 from cpam_bayes.mechanics.modes import RigidBodyError
 

@@ -19,11 +19,11 @@ from cpam_bayes.diagnosis.hypotheses import (
     OTHER,
     PAIR,
     Hypothesis,
-    ListChange,
     go_together,
     pair_scale,
     paired,
 )
+from cpam_bayes.effects import ListChange
 
 __all__ = ["Tested", "Weighed", "marginal_of", "weigh"]
 

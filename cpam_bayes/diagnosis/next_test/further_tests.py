@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from cpam_bayes.diagnosis.composed import Change, ComposedModel, Part
 from cpam_bayes.diagnosis.evidence.weighing import Tested
 from cpam_bayes.diagnosis.fitting import PlateCase
-from cpam_bayes.diagnosis.models import PlateModels, couples, plate_models
+from cpam_bayes.diagnosis.models import PlateModels, needs_another_space, plate_models
 from cpam_bayes.effects import Effect, add_known_mass, extend
 from cpam_bayes.forward_model.model import PlateModel, model_on_basis
 from cpam_bayes.inference.posterior import ForwardModel
@@ -28,8 +28,6 @@ MORE_MODES = 4
 _MASS_SHARE, _CORNER = 0.02, 0.05
 # Relative standard deviations of weighing and of measuring the thickness at many points.
 WEIGHED, GAUGED = 1e-3, 3e-3
-# Causes that a sister plate has too: they are of the material, the air or the analyser.
-_COMMON = ("air", "frequency_scale", "shear_ratio", "transverse_shear", "viscoelastic")
 # Draws that the model of a test is solved at, at least, and for each term of the response that carries it to
 # the other draws, as far as so many standard deviations beyond these.
 _SOLVED, _PER_TERM, _BEYOND = 20, 2.5, 1.0
@@ -142,7 +140,7 @@ def _with_effect(plate: PlateModels, effect: Effect) -> PlateModel:
     problem = extend(plate.problem, effect, plate.facts)
     added = np.array([[v[p.name] for p in effect.parameters] for v in (effect.null, effect.scaled(1.0))])
     samples = np.column_stack((np.repeat(plate.samples.x[:1], 2, axis=0), added))
-    if problem.edges == plate.problem.edges and not couples(problem, plate.problem):
+    if not needs_another_space(problem, effect, plate):
         return _on_basis(plate, problem, samples)
     found = converge(problem, problem.parameters.mapping(samples), plate.n_modes, _TOLERANCE)
     return PlateModel(found.operator, plate.n_modes, found.error, (found.settings, found.keep))
@@ -239,7 +237,7 @@ def _sister(t: Tested, about: int, case: PlateCase, scatter: float) -> Predicted
             v[:, j] = parameter.prior.mean
     changes = []
     for effect, columns in drawn.effects:
-        if effect.name in _COMMON:
+        if effect.is_common_to_sisters:
             names = tuple(p.name for p in effect.parameters)
             own_model = None if effect.change is None else case.with_effect(effect)
             changes.append(Change(names, columns, own_model, effect.observe))
@@ -261,7 +259,7 @@ def _weighing(t: Tested, about: int, case: PlateCase) -> Predicted:
     names = list(case.models.parameters.names)
     for effect, _ in drawn.effects:
         names += [p.name for p in effect.parameters]
-        if effect.kind == "coefficients" and effect.family != "clamp":
+        if effect.change is not None and effect.belongs_to != "test":
             problem = extend(problem, effect, facts)
     values = dict(zip(names, drawn.v.T, strict=True))
     state = problem.state({name: values[name] for name in problem.parameters.names})

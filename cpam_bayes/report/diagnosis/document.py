@@ -21,7 +21,6 @@ from cpam_bayes.report.diagnosis.rows import (
     ConstantRow,
     absorbed_biases,
     constant_rows,
-    effect_unit,
     hidden_causes,
     noise_of,
     nuisance_of,
@@ -66,7 +65,7 @@ def _hypothesis(d: Diagnosis, cause: Cause) -> dict[str, Any]:
         "cause": cause.name,
         "probability": cause.probability,
         "log_bayes_factor": cause.log_bayes_factor,
-        "parameters": {name: _size(name, *v) for name, v in cause.parameters.items()},
+        "parameters": {p.name: _size(p, cause) for p in cause.hypothesis.parameters},
         "indistinguishable_from": list(cause.indistinguishable_from),
         "max_shift_percent": 100.0 * cause.max_shift,
         "variant": cause.variant or None,
@@ -77,8 +76,9 @@ def _hypothesis(d: Diagnosis, cause: Cause) -> dict[str, Any]:
     }
 
 
-def _size(name: str, mean: float, sd: float, unit: str) -> dict[str, Any]:
-    shown, factor = effect_unit(name, unit)
+def _size(parameter: Parameter, cause: Cause) -> dict[str, Any]:
+    mean, sd, _ = cause.parameters[parameter.name]
+    shown, factor = parameter.display
     return {"mean": factor * mean, "sd": factor * sd, "unit": shown}
 
 
@@ -251,7 +251,7 @@ def _priors(d: Diagnosis) -> dict[str, Any]:
 
 
 def _effect_prior(p: Parameter) -> dict[str, Any]:
-    unit, factor = effect_unit(p.name, p.unit)
+    unit, factor = p.display
     prior = p.prior
     shape = "Student-t" if isinstance(prior, ScaledStudentT) else "truncated normal"
     scale = prior.scale if isinstance(prior, ScaledStudentT) else prior.sd

@@ -24,7 +24,6 @@ __all__ = [
     "absorbed_biases",
     "catalogue_sd",
     "constant_rows",
-    "effect_unit",
     "hidden_causes",
     "is_pair",
     "leading",
@@ -39,10 +38,6 @@ Array = NDArray[Any]
 
 # A cause of which less than this share of the signature is left by the constants is called hidden.
 _HIDDEN = 0.3
-# Effects' units inside, and what they are shown in.
-_SHOWN = {"m": ("mm", 1e3), "kg": ("g", 1e3), "Pa": ("MPa", 1e-6)}
-# Parameters without a unit that are no shares.
-_BARE = ("rotation_compliance", "translation_compliance", "log_shear_factor", "loss_tangent")
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,17 +52,6 @@ class ConstantRow:
     contraction: float
     verdict: Verdict
     reference: float
-
-
-def effect_unit(name: str, unit: str) -> tuple[str, float]:
-    """Unit that an effect's parameter is shown in, and the factor from the one inside; shares in %."""
-    if name == "skin_thickness":
-        return "um", 1e6
-    if unit in _SHOWN:
-        return _SHOWN[unit]
-    if not unit and name not in _BARE:
-        return "%", 100.0
-    return unit, 1.0
 
 
 def is_pair(cause: Cause | str) -> bool:
@@ -136,10 +120,10 @@ def hidden_causes(d: Diagnosis) -> tuple[Cause, ...]:
     return tuple(sorted(found, key=lambda cause: cause.visible))
 
 
-def catalogue_sd(d: Diagnosis, cause: Cause) -> float:
+def catalogue_sd(cause: Cause) -> float:
     """One standard deviation of the catalogue of a cause's first parameter, in the unit it is shown in."""
-    parameter = d.weighed.best_of(cause.name).hypothesis.parameters[0]
-    return float(f"{scale_of(parameter) * effect_unit(parameter.name, parameter.unit)[1]:.6g}")
+    parameter = cause.hypothesis.parameters[0]
+    return float(f"{scale_of(parameter) * parameter.display[1]:.6g}")
 
 
 def absorbed_biases(d: Diagnosis, cause: Cause) -> tuple[float, str, dict[str, float]]:
@@ -147,8 +131,9 @@ def absorbed_biases(d: Diagnosis, cause: Cause) -> tuple[float, str, dict[str, f
 
     Size of the effect and its unit as shown, and by constant its change in % per one of that unit.
     """
-    (name, (mean, sd, unit)), *_ = cause.parameters.items()
-    shown, factor = effect_unit(name, unit)
+    parameter, *_ = cause.hypothesis.parameters
+    mean, sd, _ = cause.parameters[parameter.name]
+    shown, factor = parameter.display
     # the size that the signature was taken at
     size = float(np.hypot(mean, sd)) * (-1.0 if mean < 0.0 else 1.0) * factor
     names = [n for n in cause.bias if n in _unknowns(d)]

@@ -226,7 +226,7 @@ def _hidden(d: Diagnosis) -> Table:
     rows = []
     for cause in hidden_causes(d):
         _, unit, per_unit = absorbed_biases(d, cause)
-        one = catalogue_sd(d, cause)
+        one = catalogue_sd(cause)
         moved = [f"{one * per_unit.get(name, 0.0):+.2g}" for name in names]
         rows.append((cause.name, f"{100 * cause.visible:.0f} %", f"{one:g} {unit}".strip(), *moved))
     title = (

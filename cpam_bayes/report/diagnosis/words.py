@@ -6,7 +6,6 @@ from cpam_bayes.diagnosis.diagnose import Cause, Diagnosis
 from cpam_bayes.diagnosis.hypotheses import NONE, OTHER
 from cpam_bayes.diagnosis.paired_modes import left_aside
 from cpam_bayes.formatting import fixed, listed, significant, with_spread
-from cpam_bayes.report.diagnosis.rows import effect_unit
 
 __all__ = [
     "claim_sentence",
@@ -63,8 +62,9 @@ def _false(d: Diagnosis) -> str:
 def size_text(cause: Cause) -> str:
     """Sizes of an effect, mean and sd with their unit."""
     sizes = []
-    for name, (mean, sd, unit) in cause.parameters.items():
-        shown, factor = effect_unit(name, unit)
+    for parameter in cause.hypothesis.parameters:
+        mean, sd, _ = cause.parameters[parameter.name]
+        shown, factor = parameter.display
         if sd < _UNSURE * abs(mean):  # looked at in passing, at a few sizes
             sizes.append(f"about {significant(factor * mean, 2)} {shown}".rstrip())
             continue

@@ -10,7 +10,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from cpam_bayes.diagnosis.hypotheses import MATERIAL, NONE, OTHER, Hypothesis
+from cpam_bayes.diagnosis.hypotheses import NONE, OTHER, Hypothesis
+from cpam_bayes.effects.material import MATERIAL
 from cpam_bayes.validation.diagnosis.truths import (
     Bench,
     Linear,
@@ -89,7 +90,7 @@ def hide(own: Bench, trial: Trial, rng: np.random.Generator) -> Hidden | Reached
     if trial.kind == "prior":
         causes, x, sizes = _from_priors(own, own.singles, rng)
         at = linear(own, x)
-    elif trial.cause == (MATERIAL,):
+    elif trial.cause == (MATERIAL.name,):
         other = [h for h in own.singles if h.other_material]
         causes, x, sizes = _from_priors(own, other, rng)
         at = linear(own, x)

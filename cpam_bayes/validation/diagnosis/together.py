@@ -120,7 +120,7 @@ def _simulated(own: Bench, hidden: Hidden, is_same: bool, x: Array, rng: np.rand
     singles = {(h.cause, h.variant): h for h in own.singles}
     pairs = zip(hidden.causes, hidden.sizes, strict=True)
     there = [(singles.get((h.cause, h.variant)), size) for h, size in pairs if is_same]
-    kept = [(h, size) for h, size in there if h is not None and h.family not in ("clamp", "list")]
+    kept = [(h, size) for h, size in there if h is not None and not h.is_of_one_test]
     sizes = np.array([size for _, size in kept])
     f = true_frequencies(own, [h for h, _ in kept], x, sizes, own.n_listed)
     return own.measured(f, rng.standard_normal(own.n_listed))

@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from cpam_bayes.effects import CATALOGUE
+from cpam_bayes.effects.frequency_list import MODE_IDENTITY
 from cpam_bayes.validation.diagnosis.trials import is_right
 
 Record = dict[str, Any]
@@ -20,7 +22,7 @@ _MANY = 10
 # A constant whose spread is below this share of its prior's is determined by the data.
 _DETERMINED = 0.5
 # List slips: no further mode can tell of them.
-_OF_LIST = ("outlier", "mode_identity")
+_OF_LIST = tuple(effect.name for effect in CATALOGUE if effect.pairings)
 _CLAIMS = ("named", "class", "pair", "other")
 
 
@@ -33,7 +35,9 @@ def figures(records: Records) -> list[Record]:
     found = []
     for ratio, asked in zip(strengths, (">= 0.95", ">= 0.80"), strict=True):
         at = [
-            r for r in many if _kind(r) == "one" and _ratio(r) == ratio and r["causes"] != ["mode_identity"]
+            r
+            for r in many
+            if _kind(r) == "one" and _ratio(r) == ratio and r["causes"] != [MODE_IDENTITY.name]
         ]
         found.append(_share(f"class right, signal to noise {ratio:g}, ten modes", asked, map(is_right, at)))
         known = [r["oracle"]["right"] for r in at]

@@ -10,7 +10,8 @@ from scipy.stats import norm
 
 from cpam_bayes.diagnosis.evidence.comparison import Comparison
 from cpam_bayes.diagnosis.fitting import comparison_of
-from cpam_bayes.diagnosis.hypotheses import DISCREPANCY, OTHER, Hypothesis, ListChange
+from cpam_bayes.diagnosis.hypotheses import DISCREPANCY, OTHER, Hypothesis
+from cpam_bayes.effects import ListChange
 from tests.diagnosis.toy_plates import (
     BUMP,
     F0,

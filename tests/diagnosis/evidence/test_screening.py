@@ -13,8 +13,9 @@ from cpam_bayes.diagnosis.evidence.pair_screening import ranked_pairs
 from cpam_bayes.diagnosis.evidence.scan import Scan
 from cpam_bayes.diagnosis.evidence.screening import Linear
 from cpam_bayes.diagnosis.fitting import PlateCase
-from cpam_bayes.diagnosis.hypotheses import NONE, SLIP, Hypothesis, ListChange, paired
-from cpam_bayes.effects import Effect
+from cpam_bayes.diagnosis.hypotheses import NONE, Hypothesis, paired
+from cpam_bayes.effects import Effect, ListChange
+from cpam_bayes.effects.frequency_list import MISREADING
 from tests.diagnosis.toy_plates import (
     BUMP,
     DENT,
@@ -80,7 +81,7 @@ def test_the_shifts_of_a_look_are_those_at_the_plain_models_constants() -> None:
 def test_what_pairs_frequencies_otherwise_has_no_shifts_to_add() -> None:
     own = plate(np.zeros(8), false_peak=350.0)
     false = Hypothesis("mode_identity", "list", listed=ListChange(spurious=4), prior=0.1)
-    misread = Hypothesis("outlier", "list", listed=ListChange(misread=4), parameters=(SLIP,), prior=0.1)
+    misread = Hypothesis("outlier", "list", listed=ListChange(misread=4), parameters=(MISREADING,), prior=0.1)
     scan = begun(own)
     assert looked(scan, false).shift is None
     assert looked(scan, misread).shift is not None

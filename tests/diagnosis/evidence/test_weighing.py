@@ -9,17 +9,9 @@ import pytest
 
 from cpam_bayes.diagnosis.evidence.weighing import Weighed, marginal_of, weigh
 from cpam_bayes.diagnosis.fitting import PlateCase, comparison_of, effect_columns
-from cpam_bayes.diagnosis.hypotheses import (
-    DISCREPANCY,
-    NONE,
-    OTHER,
-    P_NONE,
-    P_OTHER,
-    P_PAIR,
-    SLIP,
-    Hypothesis,
-    ListChange,
-)
+from cpam_bayes.diagnosis.hypotheses import DISCREPANCY, NONE, OTHER, P_NONE, P_OTHER, P_PAIR, Hypothesis
+from cpam_bayes.effects import ListChange
+from cpam_bayes.effects.frequency_list import MISREADING
 from cpam_bayes.mechanics.modes import RigidBodyError
 from tests.diagnosis.toy_plates import (
     BUMP,
@@ -144,7 +136,12 @@ def test_scatter_that_nothing_explains_is_other() -> None:
 
 def misread(i: int, prior: float = 0.05) -> Hypothesis:
     return Hypothesis(
-        "outlier", "list", f"frequency {i + 1}", listed=ListChange(misread=i), parameters=(SLIP,), prior=prior
+        "outlier",
+        "list",
+        f"frequency {i + 1}",
+        listed=ListChange(misread=i),
+        parameters=(MISREADING,),
+        prior=prior,
     )
 
 
@@ -188,9 +185,10 @@ def test_pairs_share_their_prior_in_proportion_to_the_product_of_the_causes() ->
 
 
 def test_what_cannot_act_together_is_no_pair() -> None:
+    excluded = {"clamp_rotation": ("clamp_slip",), "clamp_slip": (), "clamp_length": ()}
     of_clamp = [
-        Hypothesis(name, "clamp", effects=(cause(name, whole_normal(0.1), family="clamp"),), prior=0.1)
-        for name in ("clamp_rotation", "clamp_slip", "clamp_length")
+        Hypothesis(name, "clamp", effects=(cause(name, whole_normal(0.1), excludes=names),), prior=0.1)
+        for name, names in excluded.items()
     ]
     found = {p.causes for p in pairs_of(of_clamp, of_clamp)}
     assert found == {("clamp_rotation", "clamp_length"), ("clamp_slip", "clamp_length")}

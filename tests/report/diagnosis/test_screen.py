@@ -11,11 +11,11 @@ import pytest
 
 from cpam_bayes.diagnosis.claim import Claim
 from cpam_bayes.diagnosis.next_test.next_measurement import Candidate
+from cpam_bayes.effects import CATALOGUE
 from cpam_bayes.report.diagnosis.document import diagnosis_document
 from cpam_bayes.report.diagnosis.rows import (
     absorbed_biases,
     catalogue_sd,
-    effect_unit,
     hidden_causes,
 )
 from cpam_bayes.report.diagnosis.screen import diagnosis_screen
@@ -172,7 +172,7 @@ def test_what_scales_all_frequencies_is_hidden_and_moves_the_stiffness_twice_as_
     assert unit == "%"
     assert per_unit["E1_GPa"] == pytest.approx(2.0, rel=0.02)
     assert per_unit["nu12"] == pytest.approx(0.0, abs=0.02)
-    assert catalogue_sd(clean, hidden) == 0.2
+    assert catalogue_sd(hidden) == 0.2
     (entry,) = document(clean)["absorbed"]
     assert entry["bias_percent"]["E1_GPa"] == pytest.approx(entry["at"] * per_unit["E1_GPa"])
     assert "Hidden by the constants" in screen(clean)
@@ -223,18 +223,20 @@ def test_what_to_measure_next_is_shown_with_its_information(clean):
 
 
 @pytest.mark.parametrize(
-    ("name", "unit", "shown"),
+    ("name", "shown"),
     [
-        ("sag", "m", ("mm", 1e3)),
-        ("sensor_mass", "kg", ("g", 1e3)),
-        ("residual_stress", "Pa", ("MPa", 1e-6)),
-        ("thickness_deviation", "", ("%", 100.0)),
-        ("loss_tangent", "", ("", 1.0)),
-        ("skew_deg", "deg", ("deg", 1.0)),
+        ("sag", ("mm", 1e3)),
+        ("skin_thickness", ("um", 1e6)),
+        ("sensor_mass", ("g", 1e3)),
+        ("residual_stress", ("MPa", 1e-6)),
+        ("thickness_deviation", ("%", 100.0)),
+        ("loss_tangent", ("", 1.0)),
+        ("skew_deg", ("deg", 1.0)),
     ],
 )
-def test_sizes_are_shown_in_the_units_of_a_workshop(name, unit, shown):
-    assert effect_unit(name, unit) == shown
+def test_sizes_are_shown_in_the_units_of_a_workshop(name, shown):
+    (parameter,) = (p for effect in CATALOGUE for p in effect.parameters if p.name == name)
+    assert parameter.display == shown
 
 
 def test_probabilities_that_round_to_nought_or_one_are_told_as_bounds():
