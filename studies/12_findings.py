@@ -14,7 +14,8 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-from cpam_bayes.diagnosis.diagnose import Diagnosis, diagnose
+from cpam_bayes.diagnosis.cases import plate_case
+from cpam_bayes.diagnosis.diagnose import Diagnosis, diagnose_cases
 from cpam_bayes.diagnosis.fit import Fit
 from cpam_bayes.plate import Specimen, builtin, read_specimen, to_user, user_name
 from cpam_bayes.report.tables import Column, Table, screen_text
@@ -52,7 +53,7 @@ def run(
     for group in groups:
         specimens = [wood[name] if name in wood else builtin(name) for name in group]
         start = time.process_time()
-        diagnosis = diagnose(specimens)
+        diagnosis = diagnose_cases([plate_case(s) for s in specimens])
         found.append({**told(diagnosis), "seconds": time.process_time() - start})
         if not quick:
             print(

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cpam_bayes.diagnosis.cases import hypotheses_of, plate_case
+from cpam_bayes.diagnosis.cases import hypotheses_of
 from cpam_bayes.diagnosis.claim import Claim, claim_of
 from cpam_bayes.diagnosis.evidence.marginal import Marginal
 from cpam_bayes.diagnosis.evidence.weighing import Tested, Weighed, weigh
@@ -27,8 +27,6 @@ from cpam_bayes.diagnosis.signatures import (
     projector_of,
     signature_of,
 )
-from cpam_bayes.effects import CATALOGUE, Effect
-from cpam_bayes.plate import Specimen
 from cpam_bayes.threads import single_blas_thread
 
 Array = NDArray[Any]
@@ -85,27 +83,6 @@ class Diagnosis:
 
 
 @single_blas_thread
-def diagnose(
-    specimens: Sequence[Specimen],
-    *,
-    catalogue: tuple[Effect, ...] = CATALOGUE,
-    scatter: float = SCATTER,
-    notify: Callable[[str], None] = lambda text: None,
-    progress: Callable[[int, int], None] = lambda done, total: None,
-) -> Diagnosis:
-    """Diagnose plates of one material, or one, from their frequency lists.
-
-    catalogue : the effects that they may have
-    scatter : relative standard deviation of a constant from plate to plate
-
-    Raises ``ValueError`` for a specimen without a list or unknowns.
-    """
-    cases = [plate_case(s, notify) for s in specimens]
-    hypotheses = hypotheses_of(cases, catalogue)
-    return diagnose_cases(cases, hypotheses=hypotheses, scatter=scatter, notify=notify, progress=progress)
-
-
-@single_blas_thread
 def diagnose_cases(
     cases: Sequence[PlateCase],
     *,
@@ -116,9 +93,11 @@ def diagnose_cases(
     notify: Callable[[str], None] = lambda text: None,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Diagnosis:
-    """The same from plates whose models are there; without ``gain`` no frequency is left out.
+    """Diagnose plates of one material, or one, from their frequency lists.
 
-    hypotheses : with the plates that each is about, none first, by default all that the plates may have.
+    hypotheses : with the plates that each is about, none first; all that the plates may have if ``None``
+    scatter : relative standard deviation of a constant from plate to plate
+    gain : whether to leave out each frequency in turn
     """
     start = time.perf_counter()
     if hypotheses is None:

@@ -17,6 +17,7 @@ from cpam_bayes.diagnosis.hypotheses import with_prior_of_none
 from cpam_bayes.diagnosis.next_test.next_measurement import Candidate, next_measurements
 from cpam_bayes.diagnosis.paired_modes import PairedFit, PlateModes, paired_fit, plain_modes
 from cpam_bayes.diagnosis.warnings import diagnosis_warnings
+from cpam_bayes.effects import CATALOGUE, Effect
 from cpam_bayes.forward_model.air_shift import air_shifts
 from cpam_bayes.forward_model.preconditions import explained_failures, plate_warnings, require_diagnosable
 from cpam_bayes.plate import PlateLike, Specimen, read_plate
@@ -84,6 +85,7 @@ def diagnose(
     prior_none: float | None = None,
     next_test: Literal["open", "always", "never"] = "open",
     emcee: bool = False,
+    catalogue: tuple[Effect, ...] = CATALOGUE,
     watch: Watch = SILENT,
 ) -> DiagnosisResult:
     """What the simulation gets wrong, its cause by probability, the extended model and what it gains.
@@ -96,6 +98,7 @@ def diagnose(
     prior_none : prior probability that nothing is wrong, 0.5 where left out
     next_test : when to rank further tests: while the cause is "open", "always", or "never"
     emcee : whether to sample the constants of the extended model by emcee too
+    catalogue : the effects that the plates may have
     watch : is shown the progress
 
     Raises
@@ -114,7 +117,7 @@ def diagnose(
     for specimen in specimens:
         with explained_failures(specimen):
             cases.append(plate_case(specimen, announce))
-    diagnosis = _diagnosed(cases, title, scatter, prior_none, watch)
+    diagnosis = _diagnosed(cases, title, scatter, prior_none, catalogue, watch)
     candidates: tuple[Candidate, ...] = ()
     if next_test != "never":
         always = next_test == "always"
@@ -153,9 +156,14 @@ def diagnosis_result(
 
 
 def _diagnosed(
-    cases: Sequence[PlateCase], title: str, scatter: float, prior_none: float | None, watch: Watch
+    cases: Sequence[PlateCase],
+    title: str,
+    scatter: float,
+    prior_none: float | None,
+    catalogue: tuple[Effect, ...],
+    watch: Watch,
 ) -> Diagnosis:
-    hypotheses = hypotheses_of(cases)
+    hypotheses = hypotheses_of(cases, catalogue)
     if prior_none is not None:
         hypotheses = with_prior_of_none(hypotheses, prior_none)
     n = len(hypotheses)
