@@ -15,13 +15,14 @@ from cpam_bayes.forward_model.preconditions import (
     require_supported,
 )
 from cpam_bayes.identification.angle_search import AngleSearchResult, search_angles
+from cpam_bayes.identification.frequency_rows import FrequencyRow
 from cpam_bayes.identification.point import PointEstimate, Residual, estimate_constants, required
 from cpam_bayes.identification.warnings import point_warnings
 from cpam_bayes.inference.swarm.settings import SwarmSettings
 from cpam_bayes.plate import PlateLike, Specimen, read_plate
 from cpam_bayes.result import SILENT, PlateResult, Watch
 
-__all__ = ["NO_MESH", "FrequencyRow", "PointResult", "identify"]
+__all__ = ["NO_MESH", "PointResult", "identify"]
 
 Estimate = TypeVar("Estimate")
 
@@ -30,17 +31,6 @@ NO_MESH: Final = (
     "from its reference constants: forward --solver fem"
 )
 _RESIDUALS: Final = ("absolute", "relative")
-
-
-@dataclass(frozen=True, slots=True)
-class FrequencyRow:
-    """A measured frequency beside the predicted one, Hz; residual : predicted / measured - 1."""
-
-    measured: float
-    predicted: float
-    residual: float
-    kind: str
-    label: str
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,10 +17,12 @@ from cpam_bayes.forward_model.model import SIZES, discretisation_error
 from cpam_bayes.forward_model.preconditions import explained_failures, plate_warnings, require_supported
 from cpam_bayes.forward_model.reduced import ReducedModel
 from cpam_bayes.identification.identify import NO_MESH
+from cpam_bayes.identification.sampled_result import ConstantPosterior, SampledResult
 from cpam_bayes.identification.starting import start_of
-from cpam_bayes.identification.verdicts import Verdict, verdict_of
-from cpam_bayes.inference.diagnostics.assessment import Assessment, assess
-from cpam_bayes.inference.diagnostics.completeness import Doubt, doubt_of
+from cpam_bayes.identification.verdicts import verdict_of
+from cpam_bayes.identification.warnings import sampled_warnings
+from cpam_bayes.inference.diagnostics.assessment import assess
+from cpam_bayes.inference.diagnostics.completeness import doubt_of
 from cpam_bayes.inference.diagnostics.predictive import predictive_p_value
 from cpam_bayes.inference.ensemble import (
     DEFAULT_SETTINGS,
@@ -29,116 +31,26 @@ from cpam_bayes.inference.ensemble import (
     EnsembleSettings,
 )
 from cpam_bayes.inference.importance import Evidence, evidence_of
-from cpam_bayes.inference.noise import NOISE_NAMES, Likelihood
-from cpam_bayes.inference.pairing import Pairing
+from cpam_bayes.inference.noise import Likelihood
 from cpam_bayes.inference.posterior import Posterior
 from cpam_bayes.inference.sampling import sample_from
 from cpam_bayes.inference.swarm.pso import SwarmSettings
-from cpam_bayes.mechanics.shapes import Mode
 from cpam_bayes.plate import PlateLike, Specimen, read_plate
 from cpam_bayes.plate.elasticity import complete_constants
 from cpam_bayes.plate.laminate import flexural_constants
-from cpam_bayes.result import SILENT, PlateResult, Watch
+from cpam_bayes.result import SILENT, Watch
 from cpam_bayes.threads import single_blas_thread
 
 Array = NDArray[Any]
 
-# A posterior predictive p-value this far out says that noise alone does not explain the residuals.
-_P_LOW = 0.02
+__all__ = ["ConstantPosterior", "SampledResult", "sample"]
+
 # Fraction of the search interval that counts as touching a bound.
 _TOUCH = 0.01
 # Fraction of draws next to a bound that an even density over the interval would not put there.
 _AT_BOUND = 0.05
 # Draws that predictions and laminate constants are averaged over.
 _PREDICTIVE_DRAWS = 1000
-
-
-@dataclass(frozen=True, slots=True)
-class ConstantPosterior:
-    """Marginal posterior of one parameter, SI.
-
-    contraction : 1 - (sd / prior sd)^2. at_lower, at_upper : shares of the draws within 1 % of the
-    search interval of a bound. bound : the one that the posterior is in contact with, which then has
-    a say whatever the contraction. reference : of the plate file, ``nan`` for the noise.
-    """
-
-    name: str
-    mean: float
-    sd: float
-    q025: float
-    median: float
-    q975: float
-    lower: float
-    upper: float
-    contraction: float
-    at_lower: float
-    at_upper: float
-    bound: Literal["lower", "upper"] | None
-    verdict: Verdict
-    reference: float
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SampledResult(PlateResult):
-    """The posterior of one specimen's constants.
-
-    Attributes
-    ----------
-    posterior : what was sampled; ``posterior.log_prob`` takes parameter vectors
-    constants : marginal posteriors of all parameters
-    predicted, predicted_sd : (n_modes,) posterior mean and sd of the model's frequencies, Hz
-    modes : the model's modes at the most probable draw
-    pairing : of the measured frequencies with them
-    p_value : posterior predictive p-value of the sum of squared standardised residuals
-    laminate : name -> (mean, sd)
-    error : relative error of the solver at the most probable draw in the modes that have a frequency
-    doubt : a pairing of a complete list that is far more probable than one to one
-    evidence : by importance sampling
-    assessment : what determines the posterior and how it fits
-    result : chains and diagnostics of the ensembles
-    seconds_sampling : of the ensembles, without the plate model, the swarm and what follows
-    """
-
-    question: ClassVar[str] = "posterior"
-    command: ClassVar[str] = "identify"
-    draws: ClassVar[str] = "cpam_bayes.identification.draws"
-
-    posterior: Posterior
-    constants: tuple[ConstantPosterior, ...]
-    predicted: Array
-    predicted_sd: Array
-    modes: tuple[Mode, ...]
-    pairing: Pairing
-    p_value: float
-    laminate: Mapping[str, tuple[float, float]]
-    error: Array
-    doubt: Doubt | None
-    evidence: Evidence
-    assessment: Assessment
-    result: EnsembleResult
-    forward_solves: int
-    seconds_sampling: float
-    seconds: float
-
-    @property
-    def status(self) -> str:
-        """Either "converged", or "budget" where the chains used all their steps."""
-        return self.result.status
-
-    @property
-    def elastic_constants(self) -> tuple[ConstantPosterior, ...]:
-        """The elastic constants, without noise and sizes."""
-        return tuple(c for c in self.constants if c.name not in (*NOISE_NAMES, *SIZES))
-
-    @property
-    def sizes(self) -> tuple[ConstantPosterior, ...]:
-        """The sizes of the plate that have a standard deviation."""
-        return tuple(c for c in self.constants if c.name in SIZES)
-
-    @property
-    def ess_per_second(self) -> float:
-        """Effective samples of the worst parameter for each second of sampling."""
-        return self.result.diagnostics.ess_bulk / self.seconds_sampling
 
 
 def sample(
@@ -328,43 +240,3 @@ def _laminate(model: ReducedModel | LabelledModel, x: Array) -> dict[str, tuple[
     found = [flexural_constants(k, float(h)) for k, h in zip(stiffness, thickness, strict=True)]
     columns = {name: np.array([f[name] for f in found]) for name in found[0]}
     return {name: (float(v.mean()), float(v.std())) for name, v in columns.items()}
-
-
-def sampled_warnings(result: SampledResult) -> tuple[str, ...]:
-    """Everything that is a reason not to trust the numbers as they stand."""
-    problems = []
-    measurement = result.posterior.measurement
-    unknowns = len(result.elastic_constants)
-    if measurement.size <= unknowns:
-        many = "frequency" if measurement.size == 1 else "frequencies"
-        problems.append(f"{measurement.size} {many} for {unknowns} unknowns: the prior decides")
-    if result.result.status == "budget":
-        d = result.result.diagnostics
-        problems.append(
-            f"the chains used their budget of {d.steps} steps before they converged (R-hat "
-            f"{d.r_hat:.3f}, {d.ess_bulk:.0f} effective samples): means and intervals are not reliable; "
-            "allow more steps"
-        )
-    if result.result.not_stored is not None:
-        problems.append(result.result.not_stored)
-    if result.doubt is not None:
-        problems.append(doubt_sentence(result.doubt))
-    if result.p_value < _P_LOW:
-        problems.append(
-            f"posterior predictive p-value {result.p_value:.3f}: the residuals are larger than the noise "
-            "of the plate file explains, the plate model lacks something or the noise is larger"
-        )
-    return tuple(problems)
-
-
-def doubt_sentence(doubt: Doubt) -> str:
-    """What of a complete list looks as if it were not, and what to do about it."""
-    times = f"{np.exp(doubt.log_odds):.0f}" if doubt.log_odds < np.log(1e4) else "more than 10000"
-    if doubt.missed is not None:
-        what = f"lacks the mode {doubt.missed.label}, near {doubt.missed.frequency:.4g} Hz"
-    else:
-        what = f"holds a frequency that belongs to no mode, {doubt.spurious:.6g} Hz"
-    return (
-        f"the list looks as if it {what}: that is {times} times as probable as one frequency for every "
-        "mode; if so, set complete = false in [measurement]"
-    )

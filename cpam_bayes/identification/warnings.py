@@ -10,10 +10,12 @@ from cpam_bayes.formatting import significant
 from cpam_bayes.forward_model.preconditions import SUSPICIOUS_RATIO
 from cpam_bayes.forward_model.solve import LARGE_ERROR, error_warning
 from cpam_bayes.identification.point import PointEstimate, Residual
+from cpam_bayes.identification.sampled_result import SampledResult
+from cpam_bayes.inference.diagnostics.completeness import Doubt
 from cpam_bayes.plate import Specimen, user_name
 from cpam_bayes.priors import TruncatedNormal
 
-__all__ = ["point_warnings"]
+__all__ = ["point_warnings", "sampled_warnings"]
 
 # The solver's error matters where it is more than this fraction of the noise.
 _FRACTION_OF_NOISE = 0.2
@@ -21,6 +23,8 @@ _FRACTION_OF_NOISE = 0.2
 _SEARCH_ERROR = 3e-4
 # A relative residual beyond this is no scatter of a measurement any more.
 _POOR_FIT = 0.05
+# A posterior predictive p-value this far out says that noise alone does not explain the residuals.
+_P_LOW = 0.02
 
 
 def point_warnings(result: PointEstimate, residual: Residual) -> tuple[str, ...]:
@@ -105,3 +109,43 @@ def _unused(specimen: Specimen) -> list[str]:
             "the bounds do"
         )
     return problems
+
+
+def sampled_warnings(result: SampledResult) -> tuple[str, ...]:
+    """Everything that is a reason not to trust the numbers as they stand."""
+    problems = []
+    measurement = result.posterior.measurement
+    unknowns = len(result.elastic_constants)
+    if measurement.size <= unknowns:
+        many = "frequency" if measurement.size == 1 else "frequencies"
+        problems.append(f"{measurement.size} {many} for {unknowns} unknowns: the prior decides")
+    if result.result.status == "budget":
+        d = result.result.diagnostics
+        problems.append(
+            f"the chains used their budget of {d.steps} steps before they converged (R-hat "
+            f"{d.r_hat:.3f}, {d.ess_bulk:.0f} effective samples): means and intervals are not reliable; "
+            "allow more steps"
+        )
+    if result.result.not_stored is not None:
+        problems.append(result.result.not_stored)
+    if result.doubt is not None:
+        problems.append(doubt_sentence(result.doubt))
+    if result.p_value < _P_LOW:
+        problems.append(
+            f"posterior predictive p-value {result.p_value:.3f}: the residuals are larger than the noise "
+            "of the plate file explains, the plate model lacks something or the noise is larger"
+        )
+    return tuple(problems)
+
+
+def doubt_sentence(doubt: Doubt) -> str:
+    """What of a complete list looks as if it were not, and what to do about it."""
+    times = f"{np.exp(doubt.log_odds):.0f}" if doubt.log_odds < np.log(1e4) else "more than 10000"
+    if doubt.missed is not None:
+        what = f"lacks the mode {doubt.missed.label}, near {doubt.missed.frequency:.4g} Hz"
+    else:
+        what = f"holds a frequency that belongs to no mode, {doubt.spurious:.6g} Hz"
+    return (
+        f"the list looks as if it {what}: that is {times} times as probable as one frequency for every "
+        "mode; if so, set complete = false in [measurement]"
+    )

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from cpam_bayes.identification.frequency_rows import SampledFrequency
 from cpam_bayes.identification.sampled import ConstantPosterior, SampledResult
 from cpam_bayes.inference.noise import NOISE_NAMES
 from cpam_bayes.plate import to_user, user_name
@@ -24,14 +25,12 @@ def document(result: SampledResult) -> dict[str, Any]:
         "nuisance": {user_name(c.name): _marginal(result, c) for c in result.sizes},
         "noise": {"name": user_name(noise[0].name), **_quantiles(noise[0], 1.0)} if noise else None,
         "degrees_of_freedom": result.posterior.degrees_of_freedom,
-        "frequencies": _frequency_rows(result),
+        "frequencies": [
+            _frequency(float(f), row)
+            for f, row in zip(result.posterior.measurement.frequencies, result.frequencies, strict=True)
+        ],
         "missed_modes": [
-            {
-                "predicted_hz": float(result.predicted[j]),
-                "kind": result.modes[j].kind,
-                "label": result.modes[j].label,
-            }
-            for j in result.pairing.missed
+            {"predicted_hz": m.predicted, "kind": m.mode.kind, "label": m.mode.label} for m in result.missed
         ],
         "posterior_predictive_p_value": result.p_value,
         "leave_one_out": _leave_one_out(result),
@@ -100,34 +99,23 @@ def _kind(prior: Prior) -> str:
     return "truncated normal" if isinstance(prior, TruncatedNormal) else "truncated Student-t"
 
 
-def _frequency_rows(result: SampledResult) -> list[dict[str, Any]]:
-    left_out = result.assessment.left_out
-    place = np.cumsum(result.pairing.mode >= 0) - 1
-    rows = []
-    for i, (f, j) in enumerate(
-        zip(result.posterior.measurement.frequencies, result.pairing.mode, strict=True)
-    ):
-        paired = j >= 0
-        predicted = float(result.predicted[j]) if paired else None
-        k = place[i]
-        rows.append(
-            {
-                "measured_hz": float(f),
-                "predicted_hz": predicted,
-                "predicted_sd_hz": float(result.predicted_sd[j]) if paired else None,
-                "residual_percent": None if predicted is None else 100.0 * (predicted / float(f) - 1.0),
-                "kind": result.modes[j].kind if paired else None,
-                "label": result.modes[j].label if paired else None,
-                "left_out": {
-                    "residual_percent": -100.0 * float(left_out.residual[k] / f),
-                    "sd_percent": 100.0 * float(left_out.sd[k] / f),
-                    "leverage": float(left_out.leverage[k]),
-                }
-                if paired
-                else None,
-            }
-        )
-    return rows
+def _frequency(measured: float, row: SampledFrequency | None) -> dict[str, Any]:
+    if row is None:
+        keys = ("predicted_hz", "predicted_sd_hz", "residual_percent", "kind", "label", "left_out")
+        return {"measured_hz": measured, **dict.fromkeys(keys)}
+    return {
+        "measured_hz": measured,
+        "predicted_hz": row.predicted,
+        "predicted_sd_hz": row.predicted_sd,
+        "residual_percent": 100.0 * row.residual,
+        "kind": row.mode.kind,
+        "label": row.mode.label,
+        "left_out": {
+            "residual_percent": 100.0 * row.left_out.residual,
+            "sd_percent": 100.0 * row.left_out.sd,
+            "leverage": row.left_out.leverage,
+        },
+    }
 
 
 def _leave_one_out(result: SampledResult) -> dict[str, Any]:

@@ -155,36 +155,32 @@ def _draw_profile(axes: Axes, profile: Profile, factor: float) -> None:
 
 def _left_out(result: SampledResult) -> Figure:
     """Each frequency against the posterior and against what the other modes predict; its leverage."""
-    left_out = result.assessment.left_out
-    rows = np.flatnonzero(result.pairing.mode >= 0)
-    columns = result.pairing.mode[rows]
-    f = result.posterior.measurement.frequencies[rows]
-    names = [f"{j + 1}\n{result.modes[j].label}" for j in columns]
+    rows = [row for row in result.frequencies if row is not None]
+    names = [f"{row.number}\n{row.mode.label}" for row in rows]
     x = np.arange(len(rows))
     figure = Figure(figsize=(max(5.8, 0.8 * len(rows)), 4.8), layout="constrained")
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1))
     upper.axhline(0.0, color="0.5", linewidth=1)
-    predicted, spread = result.predicted[columns], result.predicted_sd[columns]
     style = {"fmt": "o", "markersize": 5, "capsize": 0, "elinewidth": 1.6}
     upper.errorbar(
         x - 0.12,
-        100 * (predicted / f - 1.0),
-        200 * spread / f,
+        [100 * row.residual for row in rows],
+        [200 * row.predicted_sd / row.measured for row in rows],
         color=_BLUE,
         label="predicted by all modes, 2 sd",
         **style,
     )
     upper.errorbar(
         x + 0.12,
-        -100 * left_out.residual / f,
-        200 * left_out.sd / f,
+        [100 * row.left_out.residual for row in rows],
+        [200 * row.left_out.sd for row in rows],
         color=_ORANGE,
         label="by the other modes, 2 sd with noise",
         **style,
     )
     upper.set_ylabel("predicted / measured - 1, %")
     figure.legend(loc="outside lower center", ncols=2, frameon=False, fontsize="small")
-    lower.bar(x, left_out.leverage, 0.5, color=_GREY)
+    lower.bar(x, [row.left_out.leverage for row in rows], 0.5, color=_GREY)
     lower.set(ylim=(0, 1), ylabel="leverage", xlabel="mode")
     lower.set_xticks(x, names)
     upper.set_title(f"{result.specimen.name}: modes left out, posterior predictive p = {result.p_value:.2f}")

@@ -116,33 +116,39 @@ def _frequencies(result: SampledResult) -> Table:
     measured = result.posterior.measurement.frequencies
     decimals = decimals_of(measured)
     rows, doubtful = [], []
-    left_out = result.assessment.left_out
-    place = np.cumsum(result.pairing.mode >= 0) - 1
-    for i, (f, j) in enumerate(zip(measured, result.pairing.mode, strict=True)):
-        if j < 0:
-            rows.append(("-", "", "no mode", fixed(float(f), decimals), *6 * ("",)))
+    for i, (f, row) in enumerate(zip(measured, result.frequencies, strict=True)):
+        shown = fixed(float(f), decimals)
+        if row is None:
+            rows.append(("-", "", "no mode", shown, *6 * ("",)))
             continue
-        mode, predicted, k = result.modes[j], float(result.predicted[j]), int(place[i])
-        if abs(left_out.standardised[k]) > _MAX_DISTANCE_SD:
+        left_out = row.left_out
+        if abs(left_out.standardised) > _MAX_DISTANCE_SD:
             doubtful.append(i)
         rows.append(
             (
-                str(j + 1),
-                mode.label,
-                mode.kind,
-                fixed(float(f), decimals),
-                fixed(predicted, decimals + 1),
-                fixed(float(result.predicted_sd[j]), decimals + 1),
-                signed(100 * (predicted / float(f) - 1.0), 2),
-                fixed(float(left_out.leverage[k]), 2),
-                signed(-100 * float(left_out.residual[k] / f), 2),
-                fixed(100 * float(left_out.sd[k] / f), 2),
+                str(row.number),
+                row.mode.label,
+                row.mode.kind,
+                shown,
+                fixed(row.predicted, decimals + 1),
+                fixed(row.predicted_sd, decimals + 1),
+                signed(100 * row.residual, 2),
+                fixed(left_out.leverage, 2),
+                signed(100 * left_out.residual, 2),
+                fixed(100 * left_out.sd, 2),
             )
         )
-    for j in result.pairing.missed:
-        mode = result.modes[j]
-        predicted = float(result.predicted[j])
-        rows.append((str(j + 1), mode.label, mode.kind, "missed", fixed(predicted, decimals + 1), *5 * ("",)))
+    rows += [
+        (
+            str(m.number),
+            m.mode.label,
+            m.mode.kind,
+            "missed",
+            fixed(m.predicted, decimals + 1),
+            *5 * ("",),
+        )
+        for m in result.missed
+    ]
     title = "Frequencies, residual = predicted / measured - 1; left out: predicted from the other modes"
     return Table(title, columns, tuple(rows), frozenset(doubtful))
 
