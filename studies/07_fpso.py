@@ -48,7 +48,7 @@ from cpam_bayes.plate import Specimen, to_si
 from cpam_bayes.plate.records import angle_grid
 from cpam_bayes.report.progress import timed_lines
 from cpam_bayes.report.tables import Column, Table, screen_text
-from cpam_bayes.stacking.symmetry.classes import canonical, is_canonical
+from cpam_bayes.stacking.symmetry.classes import canonical, classes
 from cpam_bayes.stacking.symmetry.symmetries import Symmetry, plate_symmetries
 from cpam_bayes.threads import single_blas_thread
 from cpam_bayes.validation.study_results import save_results, saved_results, with_saved
@@ -312,7 +312,7 @@ def _rate(successes: Array) -> Results:
 def _every_class(fit: AngleSearchProblem, symmetries: tuple[Symmetry, ...]) -> Array:
     axes = [np.arange(len(fit.grid_deg))] * fit.n_plies
     every = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, fit.n_plies)
-    return every[is_canonical(every, symmetries)]
+    return classes(every, symmetries).representative
 
 
 def _count_classes(fit: AngleSearchProblem, symmetries: tuple[Symmetry, ...]) -> int:

@@ -32,14 +32,10 @@ from cpam_bayes.parallel import open_executor
 from cpam_bayes.plate import Specimen
 from cpam_bayes.report.progress import timed_lines
 from cpam_bayes.report.tables import Column, Table, screen_text
-from cpam_bayes.stacking.posterior import (
-    DEFAULT_SETTINGS,
-    StackingPosterior,
-    StackingSettings,
-    stacking_posterior,
-)
+from cpam_bayes.stacking.posterior import stacking_posterior
 from cpam_bayes.stacking.queries.angle_information import angle_information
 from cpam_bayes.stacking.queries.given_layup import given_layup
+from cpam_bayes.stacking.records import DEFAULT_SETTINGS, StackingPosterior, StackingSettings
 from cpam_bayes.validation.study_results import save_results, saved_results, with_saved
 from cpam_bayes.validation.unknown_layups import known_angles, with_noise_free_list, with_unknown_layup
 

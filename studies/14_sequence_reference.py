@@ -78,7 +78,10 @@ EACH, FAR_SHARE, FAR = 150, 1 / 3, 12.0
 MOST_SUMMED = 3_000_000
 QUICK = Case("C1", "[(?/?/?)_5/0]_s", 0.01)
 SMALL = StackingSettings(
-    exhaustive=100, learning=TrainingSettings(first=60, explorations=2, most=150), listed=8, draws=20
+    exhaustive=100,
+    training=TrainingSettings(initial=60, exploration_rounds=2, max_size=150),
+    listed=8,
+    draws=20,
 )
 
 

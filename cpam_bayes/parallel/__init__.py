@@ -1,6 +1,6 @@
-"""Work shared out over any ``concurrent.futures.Executor``: processes, threads, a Dask cluster."""
+"""Work in parallel over any ``concurrent.futures.Executor``: processes, threads, a Dask cluster."""
 
 from cpam_bayes.parallel.executors import WorkersLostError, open_executor, read_spec
-from cpam_bayes.parallel.sharing import run
+from cpam_bayes.parallel.sharing import counted, run
 
-__all__ = ["WorkersLostError", "open_executor", "read_spec", "run"]
+__all__ = ["WorkersLostError", "counted", "open_executor", "read_spec", "run"]

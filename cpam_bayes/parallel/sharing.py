@@ -20,6 +20,7 @@ from concurrent.futures import (
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from functools import cache
+from itertools import count
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
@@ -68,9 +69,10 @@ def run(
     the number of its workers and the batches are: the work sees copies of ``shared`` and of the items
     that were restored from pickles, in this process too if they can be pickled.
 
-    executor : ``None`` for this process. ``shared`` is sent once to each worker. batch_size : items
-    sent at a time, by default what takes half a second. on_result : called in this process with index
-    and result as results arrive, in any order.
+    shared : sent once to each worker.
+    executor : ``None`` for this process.
+    batch_size : items sent at a time, by default what takes half a second.
+    on_result : called in this process with index and result as results arrive, in any order.
 
     Batches lost with a worker are done again by others. Raises what ``work`` or ``on_result`` raised,
     with the item's index as a note, ``WorkersLostError`` if a batch was lost four times, and
@@ -83,6 +85,12 @@ def run(
     if executor is None:
         return _run_here(work, shared, items, tell)
     return _run_there(work, shared, items, executor, batch_size, tell) if len(items) else []
+
+
+def counted(progress: Callable[[int, int], None], total: int) -> Callable[[int, Any], None]:
+    """An ``on_result`` that calls ``progress`` with the number of items done and ``total``."""
+    numbers = count(1)
+    return lambda index, result: progress(next(numbers), total)
 
 
 def _run_here(

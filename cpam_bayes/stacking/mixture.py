@@ -1,7 +1,7 @@
-"""The posterior of the constants over all stacking sequences: one mixture of conditional posteriors.
+"""The posterior of the constants over all stacking sequences: a mixture of conditional posteriors.
 
-The most probable classes are sampled by emcee, started from a swarm each; the rest stands with the draws
-that its importance sampling left. Each counts as its probability says.
+The most probable classes are sampled by emcee, each started from a swarm; the others keep the draws of their
+importance sampling. Each class has the weight of its probability.
 """
 
 from __future__ import annotations
@@ -26,39 +26,32 @@ from cpam_bayes.inference.posterior import Posterior
 from cpam_bayes.inference.proposal import AdaptationSettings, Proposal, adapted
 from cpam_bayes.inference.sampling import swarm_on_posterior
 from cpam_bayes.inference.swarm.pso import SwarmSettings
-from cpam_bayes.parallel import run
+from cpam_bayes.parallel import counted, run
 from cpam_bayes.stacking.conditional.posterior import ConditionalFits, ConditionalPosterior
-from cpam_bayes.stacking.posterior import StackingPosterior
 from cpam_bayes.stacking.queries.given_layup import GivenLayup
+from cpam_bayes.stacking.records import StackingPosterior
 from cpam_bayes.stacking.symmetry.classes import members
 from cpam_bayes.threads import single_blas_thread
 
-__all__ = [
-    "DEFAULT_SETTINGS",
-    "MixtureSettings",
-    "SampledComponent",
-    "StackingMixture",
-    "n_sampled_classes",
-    "sample_mixture",
-]
-
 Array = NDArray[Any]
 
-# Optima with less of a conditional evidence are no starts.
-_LEAST = 1e-3
+# Optima with a smaller fraction of a conditional evidence are no starts.
+_MIN_START_FRACTION = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
 class MixtureSettings:
-    """How the mixture is drawn from.
+    """How the mixture is sampled.
 
-    share, most : classes that together have this share of the probability are sampled by emcee, so many at
-    most. ensembles, swarm, proposal : of each. points : of the importance sampling that they are compared
-    with. draws : of the whole mixture.
+    fraction : of the probability, whose classes are sampled by emcee.
+    max_classes : sampled by emcee.
+    ensembles, swarm, proposal : of each class.
+    points : of the importance sampling that each is compared with.
+    draws : of the whole mixture.
     """
 
-    share: float = 0.99
-    most: int = 20
+    fraction: float = 0.99
+    max_classes: int = 20
     ensembles: EnsembleSettings = field(
         default_factory=lambda: EnsembleSettings(
             walkers=32, round_steps=60, r_hat=1.02, effective=400.0, most_steps=3000, lengths=8.0, jumps=0.8
@@ -89,9 +82,11 @@ class Moments:
 class SampledComponent:
     """The conditional posterior of one class of sequences, by emcee and by importance sampling.
 
-    index : of the class in ``StackingPosterior.top``. draws : (d, n) of the chains, about one an
-    autocorrelation time. chains, importance : moments by either. log_evidence, log_evidence_error,
-    effective : by importance sampling, the last the number of draws that it counts as.
+    index : of the class in ``StackingPosterior.top``.
+    draws : (d, n) of the chains, about one an autocorrelation time.
+    chains, importance : moments by either.
+    log_evidence, log_evidence_error : by importance sampling, nats.
+    effective : effective number of its draws.
     """
 
     index: int
@@ -114,11 +109,14 @@ class SampledComponent:
 
 @dataclass(frozen=True, slots=True)
 class StackingMixture:
-    """Equally probable draws of sequence and constants.
+    """Equally probable draws of stacking sequence and constants.
 
-    components : those sampled by emcee. given : a sequence that was asked for, sampled too; its index is -1
-    where it is not listed. parameters : (m, n) SI. angles_deg : (m, k). origin : (m,) index of
-    the draw's class in ``StackingPosterior.top``, -1 for one that is not listed. by_emcee : (m,) bool.
+    components : the classes sampled by emcee.
+    given : a sequence that was asked for, sampled too; its index is -1 where it is not listed.
+    parameters : (m, n) SI.
+    angles_deg : (m, k).
+    origin : (m,) index of the draw's class in ``StackingPosterior.top``, -1 for one that is not listed.
+    by_emcee : (m,) bool.
     emcee_fraction : probability of the classes sampled by emcee.
     listed_fraction : probability of the other classes that are listed.
     drawn_fraction : probability of all the rest, which sequences drawn from it represent.
@@ -143,14 +141,15 @@ class StackingMixture:
     @property
     def sampled(self) -> tuple[SampledComponent, ...]:
         """All components sampled by emcee, the sequence asked for included."""
-        extra = self.given is not None and all(c.index != self.given.index for c in self.components)
-        return (*self.components, self.given) if extra and self.given is not None else self.components
+        if self.given is None or any(c.index == self.given.index for c in self.components):
+            return self.components
+        return (*self.components, self.given)
 
 
 def n_sampled_classes(answer: StackingPosterior, settings: MixtureSettings = DEFAULT_SETTINGS) -> int:
-    """How many of the most probable classes emcee is for."""
-    held = np.cumsum(answer.probability * answer.multiplicity)
-    return min(int(np.searchsorted(held, settings.share)) + 1, settings.most, len(held))
+    """Number of the most probable classes that emcee samples."""
+    cumulative = np.cumsum(answer.probability * answer.multiplicity)
+    return min(int(np.searchsorted(cumulative, settings.fraction)) + 1, settings.max_classes, len(cumulative))
 
 
 @single_blas_thread
@@ -163,57 +162,55 @@ def sample_mixture(
     executor: Executor | None = None,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> StackingMixture:
-    """Draws from the posterior of sequence and constants together.
+    """Draws from the posterior of stacking sequence and constants together.
 
     p(x, s | f) = p(s | f) p(x | s, f).
 
-    given : a sequence to be sampled whatever its probability. ``progress`` is told how many of how many
-    classes are sampled. The same seed gives the same draws whatever the executor.
+    given : a sequence to be sampled whatever its probability.
+    progress : is called with the classes that are sampled, and with all.
+
+    The same seed gives the same draws whatever the executor.
     """
     start = time.perf_counter()
     n = n_sampled_classes(answer, settings)
-    shared = (answer.conditional, settings)
     items = [
         (i, answer.top[i], answer.components.fits[i : i + 1], [seed, 6, i])  # numpy takes lists as seeds
         for i in range(n)
     ]
     extra = given is not None and (given.index is None or given.index >= n)
     if given is not None and extra:
-        at = len(answer.top) if given.index is None else given.index
-        items.append((at, given.angles_deg, given.fits, [seed, 6, at]))
-    done = [0]
-
-    def count(index: int, component: SampledComponent) -> None:
-        del index, component
-        done[0] += 1
-        progress(done[0], len(items))
-
-    found = tuple(run(_sampled, shared, items, executor, batch_size=1, on_result=count))
-    components, asked = found[:n], None
+        index = len(answer.top) if given.index is None else given.index
+        items.append((index, given.angles_deg, given.fits, [seed, 6, index]))
+    shared, count = (answer.conditional, settings), counted(progress, len(items))
+    results = tuple(run(_sampled, shared, items, executor, batch_size=1, on_result=count))
+    components, given_component = results[:n], None
     if given is not None:
-        asked = found[n] if extra else found[given.index or 0]
-        asked = replace(asked, index=-1) if given.index is None else asked
-    return _combined(answer, components, asked, settings.draws, np.random.default_rng([seed, 7]), start)
+        given_component = results[n] if extra else results[given.index or 0]
+        if given.index is None:
+            given_component = replace(given_component, index=-1)
+    rng = np.random.default_rng([seed, 7])
+    return _combined(answer, components, given_component, settings.draws, rng, start)
 
 
 Item = tuple[int, Array, ConditionalFits, list[int]]
 
 
 def _sampled(shared: tuple[ConditionalPosterior, MixtureSettings], item: Item) -> SampledComponent:
-    own, settings = shared
+    """The conditional posterior of one class; item : its index, angles, fits and key of the seed."""
+    conditional, settings = shared
     index, angles, fits, key = item
-    posterior = own.at(angles[None])
+    posterior = conditional.at(angles[None])
     seed = int(np.random.SeedSequence(key).generate_state(1)[0])
     rng = np.random.default_rng([seed, 1])
     bests, _, _ = swarm_on_posterior(posterior, seed, settings.swarm)
-    # the swarm looks where nobody has; the optima of the evidence are not to be missed either
-    optima = own.axes.to_x(fits.optima[0][fits.weight[0] > _LEAST])[:, : bests.shape[1]]
-    bests = np.concatenate((optima, bests))
+    # the swarm searches everywhere; the optima of the evidence are not to be missed either
+    optima = conditional.axes.to_x(fits.optima[0])
+    starts = np.concatenate((optima[fits.weight[0] > _MIN_START_FRACTION][:, : bests.shape[1]], bests))
     n_walkers = settings.ensembles.ensembles * settings.ensembles.walkers
     # the optima first, then the particles from the best on: their misfits only order them
-    walkers = start_positions(posterior, bests, np.arange(len(bests), dtype=float), n_walkers, rng)
+    walkers = start_positions(posterior, starts, np.arange(len(starts), dtype=float), n_walkers, rng)
     start = walkers.reshape(settings.ensembles.ensembles, settings.ensembles.walkers, -1)
-    proposal = adapted(posterior, own.axes.to_x(fits.optima[0]), seed, settings.proposal)
+    proposal = adapted(posterior, optima, seed, settings.proposal)
     chains = sample(posterior, start, seed, settings.ensembles, proposal=proposal)
     importance, log_evidence, error, effective = _importance(posterior, proposal, settings.points, rng)
     return SampledComponent(
@@ -250,11 +247,12 @@ def _importance(
     log_weight = posterior.log_prob(x) - proposal.log_density(x)
     top = float(log_weight.max())
     weight = np.exp(log_weight - top)
-    share = (weight / weight.sum())[:, None]
-    away = x - np.sum(share * x, axis=0)
-    mean, sd = np.sum(share * x, axis=0), np.sqrt(np.sum(share * away**2, axis=0))
-    mean_error = np.sqrt(np.sum((share * away) ** 2, axis=0))
-    sd_error = np.sqrt(np.sum((share * (away**2 - sd**2)) ** 2, axis=0)) / (2.0 * sd)
+    normalised = (weight / weight.sum())[:, None]
+    mean = np.sum(normalised * x, axis=0)
+    deviation = x - mean
+    sd = np.sqrt(np.sum(normalised * deviation**2, axis=0))
+    mean_error = np.sqrt(np.sum((normalised * deviation) ** 2, axis=0))
+    sd_error = np.sqrt(np.sum((normalised * (deviation**2 - sd**2)) ** 2, axis=0)) / (2.0 * sd)
     relative = float(weight.std() / weight.mean())
     return (
         Moments(mean, sd, mean_error, sd_error),
@@ -282,22 +280,17 @@ def _combined(
     # systematic resampling: each component as often as its weight says, up to one
     at = (np.arange(size) + rng.uniform()) / size
     chosen = np.minimum(np.searchsorted(np.cumsum(weight), at), len(weight) - 1)
-    conditionals = answer.components.conditionals, answer.drawn.conditionals
     parameters, sequences = [], []
     for i in np.unique(chosen):
         number = int(np.sum(chosen == i))
-        if i < n:
-            pool = components[i].draws
-        elif i < listed:
-            pool = conditionals[0].draws[i]
-        else:
-            pool = conditionals[1].draws[rest[i - listed]]
-        parameters.append(pool[_spread(len(pool), number, rng)])
         if i < listed:
-            same = answer.class_members(i)
+            draws = components[i].draws if i < n else answer.components.conditionals.draws[i]
+            same_class = answer.class_members(i)
         else:
-            same = members(answer.drawn.sequences[rest[i - listed]], answer.symmetries)
-        sequences.append(same[rng.integers(len(same), size=number)])
+            draws = answer.drawn.conditionals.draws[rest[i - listed]]
+            same_class = members(answer.drawn.sequences[rest[i - listed]], answer.symmetries)
+        parameters.append(draws[_spread(len(draws), number, rng)])
+        sequences.append(same_class[rng.integers(len(same_class), size=number)])
     # in no order, so that any part of the draws is a sample of the whole
     order = rng.permutation(size)
     return StackingMixture(
@@ -315,6 +308,6 @@ def _combined(
 
 
 def _spread(pool: int, number: int, rng: np.random.Generator) -> Array:
-    """Rows of a pool, each used once before any is used again, (number,)."""
+    """Rows of a pool of draws, each used once before any is used again, (number,)."""
     rounds = [rng.permutation(pool) for _ in range(-(-number // pool))]
     return np.concatenate(rounds)[:number]

@@ -28,36 +28,23 @@ from cpam_bayes.stacking.enumeration.by_surrogate import by_surrogate
 from cpam_bayes.stacking.enumeration.exhaustive import exhaustive
 from cpam_bayes.stacking.features import ply_sums
 from cpam_bayes.stacking.records import (
-    CREDIBLE,
     DEFAULT_SETTINGS,
-    OVERLOOKED,
     StackingPosterior,
     StackingProblem,
     StackingSettings,
-    SurrogateCheck,
 )
 from cpam_bayes.stacking.symmetry.equal_bending import merge_indistinguishable
 from cpam_bayes.stacking.symmetry.symmetries import plate_symmetries
 from cpam_bayes.threads import single_blas_thread
 
-__all__ = [
-    "CREDIBLE",
-    "DEFAULT_SETTINGS",
-    "OVERLOOKED",
-    "StackingPosterior",
-    "StackingSettings",
-    "SurrogateCheck",
-    "common_starts",
-    "stacking_posterior",
-    "stacking_problem",
-]
-
 Array = NDArray[Any]
 
-# Modes looked at beyond the list where it may lack some.
+# Modes computed beyond those measured where the frequency list may lack some.
 _SPARE_MODES = 4
-# Constants that climbs may start from.
-_LIBRARY = 96
+# Constants that optimisations may start from.
+_LIBRARY_SIZE = 96
+# Fractions of the largest noise at which the two common starts begin.
+_START_NOISE = (0.05, 0.3)
 
 
 @single_blas_thread
@@ -70,22 +57,26 @@ def stacking_posterior(
     notify: Callable[[str], None] = lambda text: None,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> StackingPosterior:
-    """The probability of every sequence on the grid of a specimen's unknown angles, all equal beforehand.
+    """The probability of every stacking sequence on the grid of a specimen's unknown angles.
 
-    ``progress`` is told how many of how many pieces of the enumeration are done. The answer does not
-    depend on the executor. Raises ``ValueError`` if the specimen has no unknown angle, no measured
-    frequencies or no unknown constants, or an unsymmetric layup with too many unknown angles to try each.
+    p(s | f) is proportional to Z_s, the evidence of sequence s: all have the same prior probability.
+
+    progress : is called with the pieces of the enumeration that are done, and with all.
+
+    The result does not depend on the executor. Raises ``ValueError`` if the specimen has no unknown angle,
+    no measured frequencies or no unknown constants, or an unsymmetric layup with too many unknown angles
+    for every sequence to be computed.
     """
     start = time.perf_counter()
     problem = stacking_problem(specimen, seed, settings=settings, executor=executor, notify=notify)
     rng = np.random.default_rng([seed, 4])
-    if problem.each_computed or problem.sums is None:
-        answer = exhaustive(problem, rng, notify)
+    if problem.sums is None or settings.enumerates(problem.n_sequences):
+        result = exhaustive(problem, rng, notify)
     else:
-        answer = by_surrogate(problem, problem.sums, rng, notify, progress)
+        result = by_surrogate(problem, problem.sums, rng, notify, progress)
     if problem.sums is not None:
-        answer = merge_indistinguishable(answer, problem, problem.sums)
-    return replace(answer, seconds=time.perf_counter() - start)
+        result = merge_indistinguishable(result, problem, problem.sums)
+    return replace(result, seconds=time.perf_counter() - start)
 
 
 def stacking_problem(
@@ -96,41 +87,46 @@ def stacking_problem(
     executor: Executor | None = None,
     notify: Callable[[str], None] = lambda text: None,
 ) -> StackingProblem:
-    """What ``stacking_posterior`` is to work on, its reduced model built; raises as that does."""
+    """The problem that ``stacking_posterior`` solves, its reduced model built; raises as that does."""
     measurement, unknowns = required(specimen)
     layup = specimen.plate.layup
     if not layup.n_unknown:
         raise ValueError(f'{specimen.source}: layup {layup.text} has no unknown angle; write "?" for one')
     grid = angle_grid(specimen.angle_grid_deg)
-    few = settings.computes_each(len(grid) ** layup.n_unknown)
+    few = settings.enumerates(len(grid) ** layup.n_unknown)
     sums = None if few and not layup.is_symmetric else ply_sums(layup, grid)
     n_modes = measurement.size + (0 if measurement.complete else _SPARE_MODES)
     parameters = angle_parameters(specimen).union(unknowns)
     model = reduced_model(specimen, parameters, n_modes, notify=notify)
     error = np.asarray(np.hypot(model.full.error, REDUCTION.tolerance))
     conditional = conditional_posterior(model, layup.n_unknown, measurement, error)
-    starts = common_starts(specimen, conditional)
-    library = scan_library(conditional, _LIBRARY, np.random.default_rng([seed, 8]))
-    symmetries = plate_symmetries(specimen)
-    return StackingProblem(specimen, conditional, symmetries, grid, sums, starts, library, settings, executor)
+    return StackingProblem(
+        specimen=specimen,
+        conditional=conditional,
+        symmetries=plate_symmetries(specimen),
+        grid_deg=grid,
+        sums=sums,
+        starts=common_starts(specimen, conditional),
+        library=scan_library(conditional, _LIBRARY_SIZE, np.random.default_rng([seed, 8])),
+        settings=settings,
+        executor=executor,
+    )
 
 
 def common_starts(specimen: Specimen, conditional: ConditionalPosterior) -> Array:
-    """Two starts of every climb, (2, n): the reference constants with little noise, the middle with much.
+    """Starts of every optimisation, (2, n): the reference constants with little noise, the middle with much.
 
     Raises ``ValueError`` if neither meets the constraints (9).
     """
-    p = conditional.parameters
-    n = conditional.template.model.parameters.size
+    p, template = conditional.parameters, conditional.template
+    n = template.model.parameters.size
     starts = np.empty((2, p.size))
-    starts[0, :n] = reference_vector(specimen, conditional.template.model.parameters)
+    starts[0, :n] = reference_vector(specimen, template.model.parameters)
     starts[1, :n] = 0.5 * (p.lower[:n] + p.upper[:n])
-    if conditional.template.noise_is_inferred:
+    if template.noise_is_inferred:
         prior = p.parameters[-1].prior
-        starts[0, -1], starts[1, -1] = (
-            np.clip(share * prior.upper, prior.lower, prior.upper) for share in (0.05, 0.3)
-        )
-    inside = np.isfinite(conditional.template.log_prior(starts))
+        starts[:, -1] = np.clip(np.multiply(_START_NOISE, prior.upper), prior.lower, prior.upper)
+    inside = np.isfinite(template.log_prior(starts))
     if not inside.any():
         raise ValueError(
             f"{specimen.source}: neither the reference constants nor the middle of [unknowns] meet the "

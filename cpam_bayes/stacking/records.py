@@ -1,4 +1,4 @@
-"""What is asked of the posterior over stacking sequences, and what is answered."""
+"""The problem of unknown ply angles and the posterior over stacking sequences that solves it."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from cpam_bayes.stacking.symmetry.symmetries import Symmetry
 
 Array = NDArray[Any]
 
-# Share of the probability that a credible set holds.
+# Probability that a credible set holds.
 CREDIBLE = 0.95
 # A draw this much better than every sequence listed, nats, was overlooked: less is noise of its evidence.
 OVERLOOKED = 0.3
@@ -27,30 +27,35 @@ OVERLOOKED = 0.3
 
 @dataclass(frozen=True, slots=True)
 class StackingSettings:
-    """How the sequences are gone through.
+    """How the posterior over stacking sequences is computed.
 
-    exhaustive : up to so many classes of sequences each evidence is computed. learning : of the surface.
-    halvings : of the table's cells. unaccounted : probability that may be left out. fitted : most sequences
-    whose constants are fitted one by one. polished : share of the probability of these whose evidence is then
-    sampled; sampled : of so many at most; log2_sampled : with so many points. listed : most probable
-    sequences whose evidence is computed with care. draws : sequences drawn to check and correct the rest.
-    log2_points : of the importance sampling of these.
+    exhaustive : up to so many classes of sequences every evidence is computed.
+    training : of the surrogate where there are more.
+    halvings : of the cells of the piecewise-linear surrogate.
+    unaccounted : probability that may be left out.
+    max_fitted : sequences whose constants are fitted one by one, at most.
+    sampled_fraction : fraction of the probability of these whose evidence is then sampled.
+    max_sampled : classes sampled, at most.
+    log2_sampled : log2 of the points of that importance sampling.
+    listed : most probable classes, whose evidence is refined.
+    draws : sequences drawn to check and to correct the rest.
+    log2_points : log2 of the points of the importance sampling of refined and drawn sequences.
     """
 
     exhaustive: int = 1500
-    learning: TrainingSettings = field(default_factory=TrainingSettings)
+    training: TrainingSettings = field(default_factory=TrainingSettings)
     halvings: int = 2
     unaccounted: float = 1e-3
-    fitted: int = 20_000
-    polished: float = 0.99
-    sampled: int = 8_000
+    max_fitted: int = 20_000
+    sampled_fraction: float = 0.99
+    max_sampled: int = 8_000
     log2_sampled: int = 7
     listed: int = 200
     draws: int = 500
     log2_points: int = 9
 
-    def computes_each(self, n_sequences: int) -> bool:
-        """Whether so many are few: no evidence is learned."""
+    def enumerates(self, n_sequences: int) -> bool:
+        """Whether so many sequences are few enough for every evidence to be computed."""
         return n_sequences <= 2 * self.exhaustive
 
 
@@ -59,13 +64,17 @@ DEFAULT_SETTINGS = StackingSettings()
 
 @dataclass(frozen=True, slots=True)
 class SurrogateCheck:
-    """How good the evidence is of sequences where it is not computed with care.
+    """Accuracy of the evidence of sequences for which it was not refined, on draws from the posterior.
 
-    training_size : sequences. rms, largest : error of the log evidence on draws from the posterior, on those
-    that count, nats. overlooked : what the best of them is better by than every sequence listed, nats.
-    correction : log of the factor on the sum of what was learned that the draws found. effective : share
-    of the draws that count. fitted : sequences fitted one by one; sampled : classes of these whose
-    evidence was sampled; surrogate_probability : of all sequences whose evidence is learned alone.
+    training_size : sequences that the surrogate was trained on.
+    rms : root mean square error of the log evidence on the draws, nats.
+    largest : largest error on those draws that count, nats.
+    overlooked : by how much the best draw is better than every sequence listed, nats.
+    correction : log of the factor on the sum of the surrogate that the draws gave.
+    effective : fraction of the draws that count.
+    fitted : classes fitted one by one.
+    sampled : classes of these whose evidence was sampled.
+    surrogate_probability : of all sequences known from the surrogate alone.
     basis_error : largest relative error of a frequency, at constants drawn, by the basis for the posterior.
     """
 
@@ -83,18 +92,28 @@ class SurrogateCheck:
 
 @dataclass(frozen=True, slots=True)
 class StackingPosterior:
-    """The posterior over the sequences of one specimen.
+    """The posterior over the stacking sequences of one specimen.
 
-    enumerated : sequences on the grid. classes : distinct ones, symmetric images merged, ``None`` where they
-    were not counted. log_evidence_total : log of their mean evidence. top : the most probable classes, each
-    by its first member, (t, k) degrees, in descending order; same_bending : of each, the first members of all
-    other classes with its bending stiffness, (a, k) grid indices; alike : those of them that the list does
-    not tell from it, and that belong to it with their images; multiplicity : (t,) sequences in each;
-    probability : (t,) of each single sequence; log_evidence, log_evidence_error : (t,).
-    marginals : (k, n_grid) probability of every angle, ply by ply. credible_count : sequences in the smallest
-    set that holds 95 %. effective_count : exp of the entropy. unaccounted : bound of what is left out.
-    drawn : sequences drawn from the posterior with their conditional posteriors; draw_weight : (d,) what each
-    counts. components : those of ``top``. check : ``None`` where every evidence was computed.
+    A class holds sequences that no frequency tells apart; it is known by its first member.
+
+    conditional : posterior of the constants that any sequence has.
+    enumerated : sequences on the grid.
+    classes : distinct ones, symmetric images merged; ``None`` where they were not counted.
+    log_evidence_total : log of the mean evidence of all sequences.
+    top : (t, k) degrees, the most probable classes in descending order.
+    same_bending : of each, (a, k) grid indices of all other classes with its bending stiffness.
+    alike : those of them that the frequencies do not tell from it, and that belong to it with their images.
+    multiplicity : (t,) sequences in each class.
+    probability : (t,) of each single sequence.
+    log_evidence, log_evidence_error : (t,) nats.
+    components : conditional posteriors of ``top``.
+    marginals : (k, n_grid) probability of every angle, ply by ply.
+    credible_count : sequences in the smallest set that holds 95 %.
+    effective_count : exp of the entropy.
+    unaccounted : bound of the probability left out.
+    drawn : sequences drawn from the posterior, with their conditional posteriors.
+    draw_weight : (d,) weight of each draw.
+    check : ``None`` where every evidence was computed.
     """
 
     specimen: Specimen
@@ -122,7 +141,7 @@ class StackingPosterior:
     seconds: float
 
     def listing(self, rows: Array) -> StackingPosterior:
-        """The same with a list of some of the classes."""
+        """The posterior with a list of the classes ``rows`` of this one's only."""
         return replace(
             self,
             top=self.top[rows],
@@ -143,20 +162,20 @@ class StackingPosterior:
     def classes_of(self, sequences: Array) -> Array:
         """Index of the listed class of each sequence of grid indices (m, k), -1 beyond the list, (m,)."""
         index = np.repeat(np.arange(len(self.top)), [1 + len(others) for others in self.alike])
-        first = [np.vstack(own) for own in zip(self.components.sequences, self.alike, strict=True)]
-        own = canonical(np.concatenate(first), self.symmetries).representative
-        place = {tuple(row): int(i) for i, row in zip(index, own.tolist(), strict=True)}
-        asked = canonical(sequences, self.symmetries).representative
-        return np.array([place.get(tuple(row), -1) for row in asked.tolist()], dtype=np.int64)
+        first = [np.vstack(pair) for pair in zip(self.components.sequences, self.alike, strict=True)]
+        listed = canonical(np.concatenate(first), self.symmetries).representative
+        position = {tuple(row): int(i) for i, row in zip(index, listed.tolist(), strict=True)}
+        wanted = canonical(sequences, self.symmetries).representative
+        return np.array([position.get(tuple(row), -1) for row in wanted.tolist()], dtype=np.int64)
 
 
 @dataclass(frozen=True, slots=True)
 class StackingProblem:
-    """The sequences of one specimen: their posteriors, symmetries and grid.
+    """The stacking sequences of one specimen: their posteriors, symmetries and grid.
 
-    sums : over the plies, ``None`` where the layup is not symmetric. starts : (2, n) of every climb.
-    library : (p, n_constants) constants whose best two for a sequence are starts where climbs are to be
-    thorough.
+    sums : over the plies; ``None`` where the layup is not symmetric.
+    starts : (2, n) parameters that every optimisation starts from.
+    library : (p, n_constants) constants whose best two for a sequence are further starts.
     """
 
     specimen: Specimen
@@ -179,16 +198,8 @@ class StackingProblem:
         """Number of sequences on the grid."""
         return int(len(self.grid_deg) ** self.n_unknown)
 
-    @property
-    def each_computed(self) -> bool:
-        """Whether they are so few that no evidence is learned."""
-        return self.settings.computes_each(self.n_sequences)
-
-
-def random_members(problem: StackingProblem, data: Evaluated, rng: np.random.Generator) -> Evaluated:
-    """Sequences replaced by members of their classes at random: all are equally probable."""
-    found = data.sequences.copy()
-    for i, sequence in enumerate(data.sequences):
-        every = members(sequence, problem.symmetries)
-        found[i] = every[rng.integers(len(every))]
-    return replace(data, sequences=found)
+    def random_members(self, data: Evaluated, rng: np.random.Generator) -> Evaluated:
+        """Sequences replaced by random members of their classes: all are equally probable."""
+        classes = [members(sequence, self.symmetries) for sequence in data.sequences]
+        drawn = [every[rng.integers(len(every))] for every in classes]
+        return replace(data, sequences=np.array(drawn, dtype=data.sequences.dtype))

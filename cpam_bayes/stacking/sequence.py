@@ -14,10 +14,11 @@ from cpam_bayes.parallel import open_executor
 from cpam_bayes.plate import PlateLike, Specimen, read_plate
 from cpam_bayes.result import SILENT, PlateResult, Watch
 from cpam_bayes.stacking.mixture import StackingMixture, n_sampled_classes, sample_mixture
-from cpam_bayes.stacking.posterior import DEFAULT_SETTINGS, StackingPosterior, stacking_posterior
+from cpam_bayes.stacking.posterior import stacking_posterior
 from cpam_bayes.stacking.queries.angle_information import AngleInformation, angle_information
 from cpam_bayes.stacking.queries.best_fit import BestFit, best_fit
 from cpam_bayes.stacking.queries.given_layup import GivenLayup, given_layup
+from cpam_bayes.stacking.records import DEFAULT_SETTINGS, StackingPosterior
 from cpam_bayes.stacking.warnings import stacking_warnings
 
 __all__ = ["StackingResult", "sequence"]

@@ -6,8 +6,8 @@ import numpy as np
 
 from cpam_bayes.plate import user_name
 from cpam_bayes.stacking.mixture import StackingMixture
-from cpam_bayes.stacking.posterior import OVERLOOKED, StackingPosterior
 from cpam_bayes.stacking.queries.best_fit import BestFit
+from cpam_bayes.stacking.records import OVERLOOKED, StackingPosterior
 
 __all__ = ["stacking_warnings"]
 

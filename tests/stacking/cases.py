@@ -10,7 +10,8 @@ from cpam_bayes.forward_model.store import reduced_model
 from cpam_bayes.plate import Measurement, Specimen, builtin
 from cpam_bayes.plate.layup import parse_layup
 from cpam_bayes.stacking.mixture import StackingMixture, sample_mixture
-from cpam_bayes.stacking.posterior import StackingPosterior, StackingSettings, stacking_posterior
+from cpam_bayes.stacking.posterior import stacking_posterior
+from cpam_bayes.stacking.records import StackingPosterior, StackingSettings
 
 TRUE = (30.0, -60.0)
 STEP = 30.0

@@ -57,7 +57,7 @@ def enumerator(
     freedom: float = np.inf,
 ) -> Enumeration:
     table = piecewise_linear_surrogate(
-        tangent, sums.rest_reach, 0.0, -floor, halvings=2, slack=0.6, freedom=freedom
+        tangent, sums.rest_bound, 0.0, -floor, halvings=2, slack=0.6, freedom=freedom
     )
     negation = np.array(
         [int(np.flatnonzero(np.isclose((a + b) % 180.0, 0.0))[0]) for a in GRID for b in [GRID]]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cpam_bayes.stacking.symmetry.classes import canonical, classes, is_canonical, members
+from cpam_bayes.stacking.symmetry.classes import canonical, classes, members
 from cpam_bayes.stacking.symmetry.symmetries import image, plate_symmetries
 from tests.inference.plate_cases import SIDE, unknown_plate
 
@@ -48,9 +48,9 @@ def test_sizes_of_all_classes_add_up_to_the_grid(layup: str) -> None:
     found = classes(rows, symmetries)
     assert found.size.sum() == len(rows)
     assert np.array_equal(found.size, found.present)
-    assert is_canonical(rows, symmetries).sum() == len(found.size)
-    assert np.array_equal(rows[is_canonical(rows, symmetries)], found.representative)
-    assert np.array_equal(found.representative[found.label], canonical(rows, symmetries).representative)
+    representative = canonical(rows, symmetries).representative
+    assert np.array_equal(rows[np.all(rows == representative, axis=1)], found.representative)
+    assert np.array_equal(found.representative[found.label], representative)
 
 
 def test_number_of_classes_is_burnsides() -> None:
@@ -78,7 +78,6 @@ def test_a_stack_longer_than_a_block_is_handled_alike() -> None:
     assert orbits.representative.dtype == np.uint8
     assert np.array_equal(orbits.representative[140_000:140_100], part.representative)
     assert np.array_equal(orbits.size[140_000:140_100], part.size)
-    assert is_canonical(rows, symmetries).tolist() == np.all(orbits.representative == rows, axis=1).tolist()
 
 
 def test_a_plate_without_symmetries_keeps_every_sequence_apart() -> None:
@@ -87,7 +86,7 @@ def test_a_plate_without_symmetries_keeps_every_sequence_apart() -> None:
     assert plate_symmetries(specimen) == ()
     found = classes(rows, ())
     assert len(found.size) == len(rows)
-    assert is_canonical(rows, ()).all()
+    assert np.array_equal(canonical(rows, ()).representative, rows)
     assert members(rows[7], ()).tolist() == [rows[7].tolist()]
 
 

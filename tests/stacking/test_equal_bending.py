@@ -11,7 +11,8 @@ from cpam_bayes.plate import Specimen, builtin
 from cpam_bayes.plate.layup import parse_layup
 from cpam_bayes.plate.records import angle_grid
 from cpam_bayes.stacking.features import ply_sums
-from cpam_bayes.stacking.posterior import StackingPosterior, StackingSettings, stacking_posterior
+from cpam_bayes.stacking.posterior import stacking_posterior
+from cpam_bayes.stacking.records import StackingPosterior, StackingSettings
 from cpam_bayes.stacking.symmetry.equal_bending import equal_bending
 
 # 6^3 - 5^3 + 2^3 - 1^3 = 5^3 - 3^3: the first and the fifth ply weigh as much as the second and the third.

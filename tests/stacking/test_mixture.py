@@ -19,7 +19,7 @@ from tests.stacking.cases import answer, mixture, shortened
 
 pytestmark = pytest.mark.slow
 
-ONE = MixtureSettings(most=1)
+ONE = MixtureSettings(max_classes=1)
 
 
 def test_classes_are_sampled_until_they_hold_the_share_or_are_too_many() -> None:
@@ -28,7 +28,9 @@ def test_classes_are_sampled_until_they_hold_the_share_or_are_too_many() -> None
     n = n_sampled_classes(own)
     assert mass[:n].sum() >= 0.99 > mass[: n - 1].sum()
     assert n_sampled_classes(own, ONE) == 1
-    assert n_sampled_classes(own, replace(DEFAULT_SETTINGS, share=1.0 + 1e-9, most=100)) == len(own.top)
+    assert n_sampled_classes(own, replace(DEFAULT_SETTINGS, fraction=1.0 + 1e-9, max_classes=100)) == len(
+        own.top
+    )
 
 
 def test_emcee_and_importance_sampling_agree_on_every_component() -> None:

@@ -26,14 +26,8 @@ from cpam_bayes.stacking.conditional.posterior import (
     fit_conditionals,
 )
 from cpam_bayes.stacking.enumeration.by_surrogate import noisier_seeds, training_problem
-from cpam_bayes.stacking.posterior import (
-    DEFAULT_SETTINGS,
-    StackingPosterior,
-    StackingSettings,
-    common_starts,
-    stacking_posterior,
-    stacking_problem,
-)
+from cpam_bayes.stacking.posterior import common_starts, stacking_posterior, stacking_problem
+from cpam_bayes.stacking.records import DEFAULT_SETTINGS, StackingPosterior, StackingSettings
 from cpam_bayes.stacking.surrogate.training import TrainingSettings, train
 from cpam_bayes.stacking.symmetry.classes import members
 
@@ -132,7 +126,7 @@ def test_the_evidence_of_a_sequence_is_that_of_the_known_layup(relative_std: flo
 FORCED = replace(
     QUICK,
     exhaustive=0,
-    learning=TrainingSettings(first=60, each_round=40, most=160, log2_points=5),
+    training=TrainingSettings(initial=60, each_round=40, max_size=160, log2_points=5),
 )
 
 
@@ -162,8 +156,8 @@ def test_of_1296_sequences_pruned_and_learned_the_distribution_is_that_of_brute_
 ) -> None:
     specimen = listed("[(?/?)_2]_s", TRUE, relative_std, step=5.0)
     every = replace(QUICK, listed=700, log2_points=6)
-    learning = TrainingSettings(first=100, each_round=60, most=340, log2_points=6)
-    pruned = replace(every, exhaustive=0, learning=learning, listed=20)
+    training = TrainingSettings(initial=100, each_round=60, max_size=340, log2_points=6)
+    pruned = replace(every, exhaustive=0, training=training, listed=20)
     exact = stacking_posterior(specimen, 0, settings=every)
     found = stacking_posterior(specimen, 0, settings=pruned)
     p, q = distribution(exact), distribution(found)
@@ -193,8 +187,8 @@ def test_the_learned_way_does_not_depend_on_the_number_of_workers(
 @pytest.mark.slow
 def test_what_would_be_good_with_more_noise_leads_to_a_truth_that_few_sequences_do_not_show() -> None:
     layup, truth, step = "[(?/?/?)_2]_s", (30.0, -60.0, 10.0), 10.0
-    few = TrainingSettings(first=100, explorations=2, each_round=60, most=400, log2_points=4)
-    settings = replace(QUICK, exhaustive=0, learning=few)
+    few = TrainingSettings(initial=100, exploration_rounds=2, each_round=60, max_size=400, log2_points=4)
+    settings = replace(QUICK, exhaustive=0, training=few)
     problem = stacking_problem(listed(layup, truth, 0.001, step), 0, settings=settings)
     assert problem.sums is not None
     seeds = noisier_seeds(problem, problem.sums, np.random.default_rng(0), lambda text: None)

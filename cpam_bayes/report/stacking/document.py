@@ -11,9 +11,9 @@ from cpam_bayes.inference.posterior import NOISE
 from cpam_bayes.plate import to_user, user_name
 from cpam_bayes.report.documents import plate_keys
 from cpam_bayes.stacking.mixture import StackingMixture
-from cpam_bayes.stacking.posterior import StackingPosterior
 from cpam_bayes.stacking.queries.best_fit import BestFit
 from cpam_bayes.stacking.queries.given_layup import GivenLayup
+from cpam_bayes.stacking.records import StackingPosterior
 from cpam_bayes.stacking.sequence import StackingResult
 
 

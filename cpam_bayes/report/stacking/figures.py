@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from cpam_bayes.inference.posterior import NOISE
 from cpam_bayes.plate import to_user, unit_of
 from cpam_bayes.stacking.mixture import StackingMixture
-from cpam_bayes.stacking.posterior import CREDIBLE, StackingPosterior
 from cpam_bayes.stacking.queries.angle_information import angle_information
 from cpam_bayes.stacking.queries.given_layup import GivenLayup
+from cpam_bayes.stacking.records import CREDIBLE, StackingPosterior
 from cpam_bayes.stacking.sequence import StackingResult
 
 _RED, _BLUE = "#c0392b", "#4878a8"

@@ -10,10 +10,10 @@ from cpam_bayes.plate import to_user, user_name
 from cpam_bayes.report.plates.head import plate_head
 from cpam_bayes.report.tables import Column, Table, facts, remarks
 from cpam_bayes.stacking.mixture import SampledComponent, StackingMixture
-from cpam_bayes.stacking.posterior import StackingPosterior
 from cpam_bayes.stacking.queries.angle_information import AngleInformation
 from cpam_bayes.stacking.queries.best_fit import BestFit
 from cpam_bayes.stacking.queries.given_layup import GivenLayup
+from cpam_bayes.stacking.records import StackingPosterior
 from cpam_bayes.stacking.sequence import StackingResult
 
 _SHOWN = 12

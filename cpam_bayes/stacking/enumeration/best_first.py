@@ -1,12 +1,12 @@
-"""Every stacking sequence on the grid, by its tabulated log evidence: a list of the best, sums over the rest.
+"""All stacking sequences on the grid by the surrogate of their evidence: the best listed, the rest summed.
 
-Sequences are taken by their first plies: for each choice of these, all choices of the others at once.
-Nothing is sampled. What the table leaves out is counted, and bounded by the table's floor.
+Sequences are taken by their first plies, the prefix: for each prefix all choices of the other plies at once.
+Nothing is sampled. Sequences outside the surrogate's cells are counted, and bounded by its lower bound.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,20 +18,24 @@ from cpam_bayes.stacking.surrogate.piecewise_linear import PiecewiseLinearSurrog
 
 Array = NDArray[Any]
 
-# Unknown angles that are taken together.
+# Unknown angles behind a prefix, whose choices are taken together.
 INNER = 3
-# Width of a bin of log evidence, nats, and number of bins below the best.
+# Width of a bin of log evidence, nats, and number of bins.
 BIN, BINS = 0.01, 4000
+# Log evidence above the reference at which the bins begin, nats.
+BINS_BEGIN = 5.0
 
 
 @dataclass(frozen=True, slots=True)
 class Enumeration:
-    """What it takes to go through all sequences.
+    """The log evidence of all sequences, and which of them are to be listed.
 
-    table : log evidence on cells, or ``None`` where ``every`` (n_prefixes, g^n_inner) holds that of every
+    table : log evidence on cells; ``None`` where ``every`` (n_prefixes, g^n_inner) holds that of every
     sequence.
-    reference : log evidence that weights are relative to, about the largest. negation : (n_grid,) the grid
-    index of minus each angle where sequences and their mirror images are equally probable, else ``None``.
+    sums : over the plies.
+    reference : log evidence that weights are relative to, about the largest.
+    negation : (n_grid,) grid index of minus each angle where sequences and their mirror images are equally
+    probable, else ``None``.
     threshold : sequences with this log evidence or more are listed one by one, the others are summed.
     """
 
@@ -44,29 +48,33 @@ class Enumeration:
 
     @property
     def n_inner(self) -> int:
-        """Unknown angles taken together."""
+        """Unknown angles behind a prefix."""
         return min(INNER, self.sums.n_unknown)
 
     @property
-    def floor(self) -> float:
-        """Log evidence that sequences which were left out do not exceed."""
-        return -np.inf if self.table is None else self.table.floor
+    def n_prefixes(self) -> int:
+        """Number of prefixes."""
+        return int(len(self.sums.grid_deg) ** (self.sums.n_unknown - self.n_inner))
 
     @property
-    def n_prefixes(self) -> int:
-        """Choices of the plies before them."""
-        return int(len(self.sums.grid_deg) ** (self.sums.n_unknown - self.n_inner))
+    def lower_bound(self) -> float:
+        """Log evidence that sequences outside the cells do not exceed."""
+        return -np.inf if self.table is None else self.table.lower_bound
 
 
 @dataclass(frozen=True, slots=True)
 class PartialSums:
-    """Sums over the sequences of some prefixes, listed ones left out; weights exp(log evidence - reference).
+    """Sums over the sequences of some prefixes without those listed; weights exp(log evidence - reference).
 
-    prefixes : (p,) their numbers; mass : (p,) weight of each, mirror images included; inner : (n_inner,
-    n_grid) marginal weights of the last plies. count, weight : (BINS,) sequences and their weight by log
-    evidence below ``reference + 5``. entropy : sum of weight * (log evidence - reference). listed : (b, k)
-    grid indices, log_evidence : (b,), times : (b,) 2 for those that stand for their mirror images as well.
-    kept, left_out : all sequences in cells of the table and outside.
+    prefixes : (p,) their numbers.
+    mass : (p,) weight of each, mirror images included.
+    inner : (n_inner, n_grid) marginal weights of the last plies.
+    count, weight : (BINS,) sequences and their weight by log evidence below ``reference + BINS_BEGIN``.
+    entropy : sum of weight * (log evidence - reference).
+    listed : (b, k) grid indices.
+    log_evidence : (b,) of those listed.
+    times : (b,) 2 for those that stand for their mirror images as well, else 1.
+    kept, left_out : all sequences inside and outside the cells.
     """
 
     prefixes: Array
@@ -82,64 +90,45 @@ class PartialSums:
     left_out: int
 
 
-def prefix_digits(enumeration: Enumeration, prefixes: Array) -> Array:
-    """Grid indices (p, k - n_inner) of prefixes by number."""
-    g, n = len(enumeration.sums.grid_deg), enumeration.sums.n_unknown - enumeration.n_inner
-    place = g ** np.arange(n - 1, -1, -1, dtype=np.int64)
-    return np.asarray(prefixes[:, None] // place % g)
+def place_values(base: int, digits: int) -> Array:
+    """What each digit of a number counts, the first most, (digits,)."""
+    return np.asarray(base ** np.arange(digits - 1, -1, -1, dtype=np.int64))
 
 
 def prefixes_to_visit(enumeration: Enumeration) -> Array:
-    """Numbers of the prefixes that stand for all: of two mirror images the first."""
+    """Numbers of the prefixes that stand for all: the first of two mirror images."""
     every = np.arange(enumeration.n_prefixes)
-    if enumeration.negation is None or enumeration.n_prefixes == 1:
-        return every
-    return every[every <= _mirrored(enumeration, every)]
-
-
-def _mirrored(enumeration: Enumeration, prefixes: Array) -> Array:
-    assert enumeration.negation is not None
-    g, n = len(enumeration.sums.grid_deg), enumeration.sums.n_unknown - enumeration.n_inner
-    place = g ** np.arange(n - 1, -1, -1, dtype=np.int64)
-    return np.asarray(enumeration.negation[prefix_digits(enumeration, prefixes)] @ place)
+    return every[every <= _mirror_images(enumeration, every)]
 
 
 def enumerate_prefixes(enumeration: Enumeration, prefixes: Array) -> PartialSums:
     """All sequences that begin with some prefixes (p,)."""
-    g, n_inner = len(enumeration.sums.grid_deg), enumeration.n_inner
-    inner_v, inner_q = _inner_sums(enumeration)
-    digits = prefix_digits(enumeration, prefixes)
-    outer_v, outer_q = _outer_sums(enumeration, digits)
-    twice = np.ones(len(prefixes), dtype=np.int64)
+    g, n_inner, k = len(enumeration.sums.grid_deg), enumeration.n_inner, enumeration.sums.n_unknown
+    times = np.ones(len(prefixes), dtype=np.int64)
     if enumeration.negation is not None and enumeration.n_prefixes > 1:
-        twice = np.where(_mirrored(enumeration, prefixes) == prefixes, 1, 2)
-    mass = np.zeros(len(prefixes))
-    inner = np.zeros(g**n_inner)
+        times = np.where(_mirror_images(enumeration, prefixes) == prefixes, 1, 2)
+    mass, inner = np.zeros(len(prefixes)), np.zeros(g**n_inner)
     count, weight = np.zeros(BINS, dtype=np.int64), np.zeros(BINS)
     kept, entropy = 0, 0.0
-    listed: list[Array] = [np.empty((0, enumeration.sums.n_unknown), dtype=np.int16)]
+    listed: list[Array] = [np.empty((0, k), dtype=np.int16)]
     values: list[Array] = [np.empty(0)]
     times_listed: list[Array] = [np.empty(0, dtype=np.int64)]
-    for p, times in enumerate(twice):
-        rows, log_evidence = _one_prefix(
-            enumeration, int(prefixes[p]), inner_v, inner_q, outer_v[p], outer_q[p]
-        )
-        kept += int(times) * len(rows)
+    for p, (digits, rows, log_evidence) in enumerate(_values(enumeration, prefixes)):
+        kept += int(times[p]) * len(rows)
         high = log_evidence >= enumeration.threshold
         if high.any():
-            listed.append(_sequences(enumeration, digits[p], rows[high]).astype(np.int16))
+            listed.append(_sequences(g, n_inner, digits, rows[high]).astype(np.int16))
             values.append(log_evidence[high])
-            times_listed.append(np.full(len(values[-1]), times))
+            times_listed.append(np.full(len(values[-1]), times[p]))
             rows, log_evidence = rows[~high], log_evidence[~high]
-        below = log_evidence - enumeration.reference
-        w = np.exp(below)
-        mass[p] = times * w.sum()
-        inner[rows] += times * w
-        entropy += float(times * (w @ below))
-        bins = bin_of(below)
-        count += times * np.bincount(bins, minlength=BINS)
-        weight += times * np.bincount(bins, w, minlength=BINS)
-    total = int(twice.sum()) * g**n_inner
+        relative = log_evidence - enumeration.reference
+        w = np.exp(relative)
+        mass[p] = times[p] * w.sum()
+        inner[rows] += times[p] * w
+        entropy += float(times[p] * (w @ relative))
+        bins = np.clip(((BINS_BEGIN - relative) / BIN).astype(np.int64), 0, BINS - 1)
+        count += times[p] * np.bincount(bins, minlength=BINS)
+        weight += times[p] * np.bincount(bins, w, minlength=BINS)
     marginal = inner.reshape((g,) * n_inner)
     by_ply = np.stack([marginal.sum(axis=tuple(i for i in range(n_inner) if i != j)) for j in range(n_inner)])
     return PartialSums(
@@ -153,79 +142,71 @@ def enumerate_prefixes(enumeration: Enumeration, prefixes: Array) -> PartialSums
         log_evidence=np.concatenate(values),
         times=np.concatenate(times_listed),
         kept=kept,
-        left_out=total - kept,
+        left_out=int(times.sum()) * g**n_inner - kept,
     )
 
 
-def combined(pieces: Sequence[PartialSums]) -> PartialSums:
-    """The sums and lists of several pieces as one."""
-    return PartialSums(
-        prefixes=np.concatenate([p.prefixes for p in pieces]),
-        mass=np.concatenate([p.mass for p in pieces]),
-        inner=np.sum([p.inner for p in pieces], axis=0),
-        count=np.sum([p.count for p in pieces], axis=0),
-        weight=np.sum([p.weight for p in pieces], axis=0),
-        entropy=sum(p.entropy for p in pieces),
-        listed=np.concatenate([p.listed for p in pieces]),
-        log_evidence=np.concatenate([p.log_evidence for p in pieces]),
-        times=np.concatenate([p.times for p in pieces]),
-        kept=sum(p.kept for p in pieces),
-        left_out=sum(p.left_out for p in pieces),
-    )
-
-
-def bin_of(below: Array) -> Array:
-    """The bin of log evidences relative to the reference (m,)."""
-    return np.asarray(np.clip(((5.0 - below) / BIN).astype(np.int64), 0, BINS - 1))
+def combined(parts: Sequence[PartialSums]) -> PartialSums:
+    """The sums and lists of several parts as one."""
+    joined: dict[str, Any] = {
+        name: np.concatenate([getattr(part, name) for part in parts])
+        for name in ("prefixes", "mass", "listed", "log_evidence", "times")
+    }
+    added: dict[str, Any] = {
+        name: sum(getattr(part, name) for part in parts)
+        for name in ("inner", "count", "weight", "entropy", "kept", "left_out")
+    }
+    return PartialSums(**joined, **added)
 
 
 def values_of_prefix(enumeration: Enumeration, prefix: int) -> tuple[Array, Array]:
     """Sequences (m, k) of one prefix that are summed, not listed, and their log evidence (m,)."""
-    inner_v, inner_q = _inner_sums(enumeration)
-    digits = prefix_digits(enumeration, np.array([prefix]))
-    outer_v, outer_q = _outer_sums(enumeration, digits)
-    rows, log_evidence = _one_prefix(enumeration, prefix, inner_v, inner_q, outer_v[0], outer_q[0])
+    digits, rows, log_evidence = next(_values(enumeration, np.array([prefix])))
     low = log_evidence < enumeration.threshold
-    return _sequences(enumeration, digits[0], rows[low]), log_evidence[low]
+    sequences = _sequences(len(enumeration.sums.grid_deg), enumeration.n_inner, digits, rows[low])
+    return sequences, log_evidence[low]
 
 
-def _one_prefix(
-    enumeration: Enumeration, prefix: int, inner_v: Array, inner_q: Array, outer_v: Array, outer_q: Array
-) -> tuple[Array, Array]:
-    """Inner choices that are kept (m,), and their log evidence (m,)."""
-    table = enumeration.table
+def _values(enumeration: Enumeration, prefixes: Array) -> Iterator[tuple[Array, Array, Array]]:
+    """Of each prefix its grid indices, the inner choices inside cells (m,) and their log evidence (m,)."""
+    table, n_outer = enumeration.table, enumeration.sums.n_unknown - enumeration.n_inner
+    digits = _prefix_digits(enumeration, prefixes)
     if table is None:
         assert enumeration.every is not None
-        return np.arange(enumeration.every.shape[1]), enumeration.every[prefix]
-    leaf = table.rows(inner_v, outer_v)
-    rows = np.flatnonzero(leaf >= 0)
-    v = inner_v[:, rows].T + outer_v.astype(np.float32)
-    q = inner_q[:, rows].T + outer_q.astype(np.float32)
-    return rows, table.values(leaf[rows], v, q)
+        inner = np.arange(enumeration.every.shape[1])
+        yield from ((digits[p], inner, enumeration.every[prefix]) for p, prefix in enumerate(prefixes))
+        return
+    both = enumeration.sums.both
+    total = all_choices(both[n_outer:]).T.astype(np.float32)
+    v, q = np.ascontiguousarray(total[:4]), np.ascontiguousarray(total[4:])
+    outer = np.zeros((len(digits), both.shape[2]))
+    for j in range(n_outer):
+        outer += both[j][digits[:, j]]
+    for p in range(len(prefixes)):
+        leaf = table.rows(v, outer[p, :4])
+        rows = np.flatnonzero(leaf >= 0)
+        shift = outer[p].astype(np.float32)
+        yield digits[p], rows, table.values(leaf[rows], v[:, rows].T + shift[:4], q[:, rows].T + shift[4:])
 
 
-def _inner_sums(enumeration: Enumeration) -> tuple[Array, Array]:
-    """Sums of all choices of the inner plies, (4, g^n_inner) and (n_q, g^n_inner)."""
-    log_evidence = []
-    for table in (enumeration.sums.first, enumeration.sums.rest):
-        total = all_choices(table[enumeration.sums.n_unknown - enumeration.n_inner :])
-        log_evidence.append(np.ascontiguousarray(total.T, dtype=np.float32))
-    return log_evidence[0], log_evidence[1]
-
-
-def _outer_sums(enumeration: Enumeration, digits: Array) -> tuple[Array, Array]:
-    log_evidence = []
-    for table in (enumeration.sums.first, enumeration.sums.rest):
-        total = np.zeros((len(digits), table.shape[2]))
-        for j in range(digits.shape[1]):
-            total += table[j][digits[:, j]]
-        log_evidence.append(total)
-    return log_evidence[0], log_evidence[1]
-
-
-def _sequences(enumeration: Enumeration, outer: Array, rows: Array) -> Array:
-    """Grid indices (m, k) of the inner choices ``rows`` (m,) of one prefix."""
-    place = len(enumeration.sums.grid_deg) ** np.arange(enumeration.n_inner - 1, -1, -1)
-    return np.column_stack(
-        (np.tile(outer, (len(rows), 1)), rows[:, None] // place % len(enumeration.sums.grid_deg))
+def _prefix_digits(enumeration: Enumeration, prefixes: Array) -> Array:
+    """Grid indices (p, k - n_inner) of prefixes by number."""
+    g = len(enumeration.sums.grid_deg)
+    return np.asarray(
+        prefixes[:, None] // place_values(g, enumeration.sums.n_unknown - enumeration.n_inner) % g
     )
+
+
+def _mirror_images(enumeration: Enumeration, prefixes: Array) -> Array:
+    """Numbers of the mirror images of prefixes (p,), themselves where mirror images are not equal, (p,)."""
+    if enumeration.negation is None:
+        return prefixes
+    digits = _prefix_digits(enumeration, prefixes)
+    place = place_values(len(enumeration.sums.grid_deg), digits.shape[1])
+    return np.asarray(enumeration.negation[digits] @ place)
+
+
+def _sequences(n_grid: int, n_inner: int, outer: Array, rows: Array) -> Array:
+    """Grid indices (m, k) of the inner choices ``rows`` (m,) of one prefix."""
+    inner = rows[:, None] // place_values(n_grid, n_inner) % n_grid
+    return np.column_stack((np.tile(outer, (len(rows), 1)), inner))

@@ -1,7 +1,7 @@
 """The posterior over few stacking sequences: the evidence of each one is computed.
 
-All are looked at on a small basis first. Those near the best are computed again, on a basis that is made
-for them, from their own optimum and from those of their neighbours: of two optima a climb may have
+All are screened on a small basis first. Those near the best are computed again, on a basis that is made for
+them, from their optimum and from those of their neighbours: of two optima the first optimisation may have
 met the lesser one.
 """
 
@@ -15,87 +15,78 @@ from numpy.typing import NDArray
 
 from cpam_bayes.stacking.conditional.bases import NEAR, about, roughly
 from cpam_bayes.stacking.conditional.evaluation import Evaluated, evaluate, merged, neighbours, with_optima
-from cpam_bayes.stacking.records import CREDIBLE, StackingPosterior, StackingProblem, random_members
-from cpam_bayes.stacking.symmetry.classes import canonical
+from cpam_bayes.stacking.features import all_sequences
+from cpam_bayes.stacking.records import CREDIBLE, StackingPosterior, StackingProblem
+from cpam_bayes.stacking.symmetry.classes import classes
 
 Array = NDArray[Any]
 
-# log2 of the points of the first look.
-_FIRST_POINTS = 5
+# log2 of the points of importance sampling in the screening.
+_SCREENING_POINTS = 5
 
 
 def exhaustive(
     problem: StackingProblem, rng: np.random.Generator, notify: Callable[[str], None]
 ) -> StackingPosterior:
-    """Every evidence computed."""
+    """The posterior with every evidence computed."""
     g, k = len(problem.grid_deg), problem.n_unknown
-    every = np.stack(np.unravel_index(np.arange(g**k), (g,) * k), axis=1)
-    orbits = canonical(every, problem.symmetries)
-    code = orbits.representative @ (g ** np.arange(k - 1, -1, -1))
-    _, first, label = np.unique(code, return_index=True, return_inverse=True)
-    representative, size = orbits.representative[first], orbits.size[first]
-    notify(f"evidence of {len(first)} sequences")
-    data = _computed(problem, representative, rng)
-    total = float(np.log(np.sum(size * np.exp(data.log_evidence - data.log_evidence.max()))))
-    total += float(data.log_evidence.max())
+    every = all_sequences(g, k)
+    distinct = classes(every, problem.symmetries)
+    n, size = len(distinct.size), distinct.size
+    notify(f"evidence of {n} sequences")
+    data = _evaluated(problem, distinct.representative, rng)
+    best = float(data.log_evidence.max())
+    total = float(np.log(np.sum(size * np.exp(data.log_evidence - best)))) + best
     single = np.exp(data.log_evidence - total)
-    p = single[label.ravel()]
-    marginals = np.stack([np.bincount(every[:, j], p, minlength=g) for j in range(k)])
+    p = single[distinct.label]
     order = np.argsort(-data.log_evidence, kind="stable")
-    held = np.cumsum(np.repeat(single[order], size[order]))
-    drawn = rng.choice(len(first), size=problem.settings.draws, p=single * size / np.sum(single * size))
+    cumulative = np.cumsum(np.repeat(single[order], size[order]))
+    drawn = rng.choice(n, size=problem.settings.draws, p=single * size / np.sum(single * size))
     top = order[: problem.settings.listed]
-    positive = single > 0
+    none = distinct.representative[:0]
+    log_single = np.log(np.where(single > 0, single, 1.0))
     return StackingPosterior(
         specimen=problem.specimen,
         conditional=problem.conditional,
         symmetries=problem.symmetries,
         grid_deg=problem.grid_deg,
         enumerated=g**k,
-        classes=len(first),
+        classes=n,
         log_evidence_total=total - float(np.log(g**k)),
-        top=problem.grid_deg[representative[top]],
-        same_bending=(representative[:0],) * len(top),
-        alike=(representative[:0],) * len(top),
+        top=problem.grid_deg[distinct.representative[top]],
+        same_bending=(none,) * len(top),
+        alike=(none,) * len(top),
         multiplicity=size[top],
         probability=single[top],
         log_evidence=data.log_evidence[top],
         log_evidence_error=data.conditionals.error[top],
         components=data[top],
-        marginals=marginals,
-        credible_count=int(np.searchsorted(held, CREDIBLE) + 1),
-        effective_count=float(np.exp(-np.sum(size * single * np.log(np.where(positive, single, 1.0))))),
+        marginals=np.stack([np.bincount(every[:, j], p, minlength=g) for j in range(k)]),
+        credible_count=int(np.searchsorted(cumulative, CREDIBLE) + 1),
+        effective_count=float(np.exp(-np.sum(size * single * log_single))),
         unaccounted=0.0,
-        drawn=random_members(problem, data[drawn], rng),
+        drawn=problem.random_members(data[drawn], rng),
         draw_weight=np.full(len(drawn), 1.0 / len(drawn)),
         check=None,
         seconds=0.0,
     )
 
 
-def _computed(problem: StackingProblem, sequences: Array, rng: np.random.Generator) -> Evaluated:
+def _evaluated(problem: StackingProblem, sequences: Array, rng: np.random.Generator) -> Evaluated:
     """The evidence of sequences (m, k), in their order."""
+    settings, grid, executor, library = problem.settings, problem.grid_deg, problem.executor, problem.library
     rough = roughly(problem.conditional, rng)
-    first = evaluate(
-        rough, problem.grid_deg, sequences, problem.starts, _FIRST_POINTS, problem.executor, problem.library
-    )
-    some = first.log_evidence > first.log_evidence.max() - NEAR
-    features = _angle_functions(problem.grid_deg[sequences])
-    own = first.fits.x[some]
-    around = neighbours(features[some], own, np.ones(features.shape[1]), np.ones((1, features.shape[1])))
-    starts = np.concatenate((own[:, None, :], around.starts(features[some], own)[:, 1:]), axis=1)
-    exact = evaluate(
-        about(problem.conditional, problem.grid_deg, first, rng),
-        problem.grid_deg,
-        sequences[some],
-        starts,
-        problem.settings.log2_points,
-        problem.executor,
-        problem.library,
-    )
-    both = merged(exact, with_optima(first[~some], exact.fits.weight.shape[1]))
-    place = np.argsort(np.concatenate((np.flatnonzero(some), np.flatnonzero(~some))), kind="stable")
-    return both[place]
+    screened = evaluate(rough, grid, sequences, problem.starts, _SCREENING_POINTS, executor, library)
+    high = screened.log_evidence > screened.log_evidence.max() - NEAR
+    features = _angle_functions(grid[sequences])[high]
+    optima = screened.fits.x[high]
+    n_features = features.shape[1]
+    around = neighbours(features, optima, np.ones(n_features), np.ones((1, n_features)))
+    starts = np.concatenate((optima[:, None, :], around.starts(features, optima)[:, 1:]), axis=1)
+    focused = about(problem.conditional, grid, screened, rng)
+    refined = evaluate(focused, grid, sequences[high], starts, settings.log2_points, executor, library)
+    both = merged(refined, with_optima(screened[~high], refined.fits.weight.shape[1]))
+    return both[np.argsort(np.concatenate((np.flatnonzero(high), np.flatnonzero(~high))), kind="stable")]
 
 
 def _angle_functions(angles_deg: Array) -> Array:

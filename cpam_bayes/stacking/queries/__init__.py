@@ -1,1 +1,1 @@
-"""What is asked of a posterior over stacking sequences once it is there."""
+"""Questions to the posterior over stacking sequences."""

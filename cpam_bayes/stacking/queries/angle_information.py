@@ -1,4 +1,4 @@
-"""What a list says about each unknown angle, and whether it says more about the outer plies."""
+"""How well the frequencies determine each unknown angle, and whether the outer plies better."""
 
 from __future__ import annotations
 
@@ -10,22 +10,22 @@ from numpy.typing import NDArray
 
 from cpam_bayes.plate.layup import Layup
 
-__all__ = ["AngleInformation", "angle_information", "bending_fractions", "entropies"]
-
 Array = NDArray[Any]
 
-# Entropies this near are equal, bits.
-_SAME = 0.05
+# Entropies that differ by less are equal, bits.
+_EQUAL_BITS = 0.05
 
 
 @dataclass(frozen=True, slots=True)
 class AngleInformation:
-    """How well each unknown angle is known, and how much it bends.
+    """How well each unknown angle is determined, and how much it counts in bending.
 
-    entropy_bits : (k,) of the angles' marginals. most_bits : of an even marginal. bending_fraction : (k,) of
-    the laminate's second moment. outer_first : (k,) the unknowns in descending order of that.
-    outer_better : whether each angle is known as well as the next one further in, or better, and the first
-    better than the last; differences below 0.05 bits count as none.
+    entropy_bits : (k,) of the angles' marginals.
+    most_bits : of an even marginal.
+    bending_fraction : (k,) fraction of the laminate's second moment.
+    outer_first : (k,) the unknowns in descending order of that.
+    outer_better : whether each angle is determined as well as the next one further in, or better, and the
+    first better than the last; differences below 0.05 bits count as none.
     """
 
     entropy_bits: Array
@@ -41,25 +41,27 @@ def entropies(marginals: Array) -> Array:
 
 
 def bending_fractions(layup: Layup) -> Array:
-    """Share of each unknown angle's plies in the second moment of the thickness, plies being equal, (k,).
+    """Fraction of each unknown angle's plies in the second moment of the thickness, plies being equal, (k,).
 
-    A ply from z_i to z_(i+1) has (z_(i+1)^3 - z_i^3) / 3 of h^3 / 12: what it weighs in D.
+    A ply from z_i to z_(i+1) has (z_(i+1)^3 - z_i^3) / 3 of h^3 / 12, its weight in D.
     """
     z = np.linspace(-1.0, 1.0, layup.n_plies + 1)
-    share = np.diff(z**3) / 2.0
-    return np.array([share[layup.unknown_index == k].sum() for k in range(layup.n_unknown)])
+    fraction = np.diff(z**3) / 2.0
+    return np.array([fraction[layup.unknown_index == k].sum() for k in range(layup.n_unknown)])
 
 
 def angle_information(layup: Layup, marginals: Array) -> AngleInformation:
     """Entropies of the angles' marginals (k, n_grid) beside the angles' weight in bending."""
     bits = entropies(marginals) / np.log(2.0)
-    share = bending_fractions(layup)
-    order = np.argsort(-share, kind="stable")
+    fraction = bending_fractions(layup)
+    order = np.argsort(-fraction, kind="stable")
     inwards = bits[order]
     return AngleInformation(
         entropy_bits=bits,
         most_bits=float(np.log2(marginals.shape[1])),
-        bending_fraction=share,
+        bending_fraction=fraction,
         outer_first=order,
-        outer_better=bool(np.all(np.diff(inwards) >= -_SAME) and inwards[-1] - inwards[0] > _SAME),
+        outer_better=bool(
+            np.all(np.diff(inwards) >= -_EQUAL_BITS) and inwards[-1] - inwards[0] > _EQUAL_BITS
+        ),
     )

@@ -1,4 +1,4 @@
-"""The probability of one sequence that somebody names, listed or not."""
+"""The probability of a given stacking sequence, listed or not."""
 
 from __future__ import annotations
 
@@ -10,20 +10,21 @@ from numpy.typing import NDArray
 
 from cpam_bayes.stacking.conditional.importance import importance_evidence
 from cpam_bayes.stacking.conditional.posterior import ConditionalFits, fit_conditionals
-from cpam_bayes.stacking.posterior import StackingPosterior
+from cpam_bayes.stacking.records import StackingPosterior
 from cpam_bayes.threads import single_blas_thread
-
-__all__ = ["GivenLayup", "given_layup"]
 
 Array = NDArray[Any]
 
 
 @dataclass(frozen=True, slots=True)
 class GivenLayup:
-    """A sequence beside the posterior over all of them.
+    """A stacking sequence beside the posterior over all of them.
 
-    angles_deg : (k,). index : of its class in ``StackingPosterior.top``, ``None`` where it is not listed.
-    probability : of the single sequence. fits : its own, one row.
+    angles_deg : (k,).
+    index : of its class in ``StackingPosterior.top``, ``None`` where it is not listed.
+    probability : of the single sequence.
+    log_evidence, log_evidence_error : nats.
+    fits : of this sequence, one row.
     """
 
     angles_deg: Array
@@ -35,15 +36,16 @@ class GivenLayup:
 
     @property
     def rank(self) -> int | None:
-        """Its place among the classes, 1 for the most probable; ``None`` beyond the list."""
+        """Rank of its class, 1 for the most probable; ``None`` beyond the list."""
         return None if self.index is None else self.index + 1
 
 
 @single_blas_thread
 def given_layup(answer: StackingPosterior, angles_deg: Array, log2_points: int = 11) -> GivenLayup:
-    """The evidence and probability of a sequence (k,) on the grid.
+    """The evidence and probability of a stacking sequence (k,) on the grid.
 
-    p = Z / (sum of all evidences). One that is not listed is climbed for from the optima of those that are.
+    p = Z / (sum of all evidences). One that is not listed is optimised from the optima of those that are.
+
     Raises ``ValueError`` for an angle that is not on the grid.
     """
     angles = np.asarray(angles_deg, dtype=float)
@@ -56,7 +58,7 @@ def given_layup(answer: StackingPosterior, angles_deg: Array, log2_points: int =
             f"sequence {'/'.join(f'{a:g}' for a in angles)}: accepted: {n_angles} angles on the "
             f"grid of {answer.specimen.angle_grid_deg:g} degrees"
         )
-    found = answer.components
+    listed = answer.components
     i = int(answer.classes_of(sequence[None])[0])
     if i >= 0:
         return GivenLayup(
@@ -65,14 +67,13 @@ def given_layup(answer: StackingPosterior, angles_deg: Array, log2_points: int =
             float(answer.probability[i]),
             float(answer.log_evidence[i]),
             float(answer.log_evidence_error[i]),
-            found.fits[i : i + 1],
+            listed.fits[i : i + 1],
         )
-    most = np.argsort(-found.fits.log_evidence, kind="stable")[:4]
-    starts = np.concatenate((found.fits.x[most], answer.drawn.fits.x[:4]))
+    best = np.argsort(-listed.fits.log_evidence, kind="stable")[:4]
+    starts = np.concatenate((listed.fits.x[best], answer.drawn.fits.x[:4]))
     fits = fit_conditionals(answer.conditional, on_grid[None], starts)
-    own = importance_evidence(answer.conditional, on_grid[None], fits, log2_points)
-    log_evidence = float(own.log_evidence[0])
+    conditional = importance_evidence(answer.conditional, on_grid[None], fits, log2_points)
+    log_evidence = float(conditional.log_evidence[0])
     total = answer.log_evidence_total + float(np.log(answer.enumerated))
-    return GivenLayup(
-        on_grid, None, float(np.exp(log_evidence - total)), log_evidence, float(own.error[0]), fits
-    )
+    probability = float(np.exp(log_evidence - total))
+    return GivenLayup(on_grid, None, probability, log_evidence, float(conditional.error[0]), fits)

@@ -12,14 +12,13 @@ from scipy.optimize import minimize
 
 Array = NDArray[Any]
 
-# Points from which length scales are learned: more change them little.
-_LEARNED_FROM = 400
-# Bounds of the length scales in standard deviations of the points, and of the nugget's variance.
-_LENGTHS, _NUGGETS = (0.2, 200.0), (1e-8, 0.3)
-_NUGGET = 1e-4
-# Growth of the points since from which on length scales are learned again.
-_GROWN = 1.25
-# Points that are looked up together: their kernel stays in the processor's cache.
+# Points that length scales are estimated from: more change them little.
+_SCALES_FROM = 400
+# Bounds of the length scales in standard deviations of the points, and of the nugget's variance; its start.
+_LENGTHS, _NUGGETS, _NUGGET = (0.2, 200.0), (1e-8, 0.3), 1e-4
+# Growth of the number of points from which on length scales are estimated again.
+_GROWTH = 1.25
+# Points predicted at a time: their kernel stays in the processor's cache.
 _ROWS = 128
 
 
@@ -30,10 +29,15 @@ class GaussianProcess:
     k(x, y) = sum_s exp(-|(s x - y) / l|^2 / 2), the sum over the changes of sign under which
     f(s x) = f(x), the identity among them.
 
-    points : (N, d) in units of the length scales. coefficients : (N, p). mean : (p,). lengths : (d,).
-    images : (n_images, d) signs, the first row all ones. factor : lower Cholesky factor of the points'
-    covariance (N, N), amplitude : (p,) standard deviations of the functions beforehand. nugget : variance
-    of what is not smooth, relative to that. training_size : points that the length scales are of.
+    points : (N, d) in units of the length scales.
+    coefficients : (N, p).
+    mean : (p,).
+    lengths : (d,) length scales.
+    images : (n_images, d) signs, the first row all ones.
+    factor : (N, N) lower Cholesky factor of the points' covariance.
+    amplitude : (p,) prior standard deviations of the functions.
+    nugget : variance of what is not smooth, relative to that.
+    training_size : points that the length scales were estimated from.
     """
 
     points: Array
@@ -48,20 +52,20 @@ class GaussianProcess:
 
     def values(self, x: Array) -> Array:
         """The functions at points (m, d), (m, p)."""
-        found = np.empty((len(x), len(self.mean)))
+        value = np.empty((len(x), len(self.mean)))
         for i in range(0, len(x), _ROWS):
             at = x[i : i + _ROWS] / self.lengths
-            found[i : i + _ROWS] = sum(_kernel(at * s, self.points) for s in self.images) @ self.coefficients
-        return found + self.mean
+            value[i : i + _ROWS] = sum(_kernel(at * s, self.points) for s in self.images) @ self.coefficients
+        return value + self.mean
 
     def error(self, x: Array) -> Array:
         """Standard deviations of the functions at points (m, d), given the values, (m, p)."""
         at = x / self.lengths
         prior = sum(np.exp(-0.5 * np.sum((at * s - at) ** 2, axis=1)) for s in self.images)
-        known = np.sum([_kernel(at * s, self.points) for s in self.images], axis=0)
-        explained = scipy.linalg.solve_triangular(self.factor, known.T, lower=True)
-        left = np.maximum(prior - np.sum(explained**2, axis=0), 0.0)
-        return np.asarray(np.sqrt(left)[:, None] * self.amplitude)
+        covariance = np.sum([_kernel(at * s, self.points) for s in self.images], axis=0)
+        explained = scipy.linalg.solve_triangular(self.factor, covariance.T, lower=True)
+        variance = np.maximum(prior - np.sum(explained**2, axis=0), 0.0)
+        return np.asarray(np.sqrt(variance)[:, None] * self.amplitude)
 
     def expansion(self, x: Array) -> tuple[Array, Array]:
         """The functions and their gradients at points (m, d), (m, p) and (m, p, d)."""
@@ -86,33 +90,34 @@ def fit_gaussian_process(
     rng: np.random.Generator,
     images: Array | None = None,
     like: GaussianProcess | None = None,
-    least: Array | float = _LENGTHS[0],
-    doubt: Array | None = None,
+    min_lengths: Array | float = _LENGTHS[0],
+    nugget_factor: Array | None = None,
 ) -> GaussianProcess:
-    """The map through values (N, p) at points (N, d), length scales by the largest marginal likelihood.
+    """The process through values (N, p) at points (N, d), length scales by the largest marginal likelihood.
 
     One set of length scales, one per dimension, and one nugget serve all outputs, each in units of its
-    own spread (Rasmussen and Williams, Gaussian Processes for Machine TrainingProblem, 2006, chapters 2, 5).
+    standard deviation (Rasmussen and Williams, Gaussian Processes for Machine Learning, 2006, chapters 2, 5).
+
     images : (n_images, d) changes of sign that leave the functions as they are, the identity first.
-    like : a map through fewer points, whose length scales are a start. least : (d,) lower bounds of the
-    length scales in standard deviations of the points. doubt : (N,) factors on the nugget, 1 where a value is
-    to be met.
+    like : a process through fewer points, whose length scales are a start.
+    min_lengths : (d,) lower bounds of the length scales in standard deviations of the points.
+    nugget_factor : (N,) factors on the nugget, 1 where a value is to be met.
     """
     n, d = points.shape
-    doubted = np.ones(n) if doubt is None else doubt
+    factors = np.ones(n) if nugget_factor is None else nugget_factor
     signs = np.ones((1, d)) if images is None else images
     unit = np.maximum(points.std(axis=0), 1e-12)
     mean, spread = values.mean(axis=0), np.maximum(values.std(axis=0), 1e-12)
     y = (values - mean) / spread
-    some = _learned_from(doubted, rng)
-    if like is not None and n < _GROWN * like.training_size:
+    some = _scale_points(factors, rng)
+    if like is not None and n < _GROWTH * like.training_size:
         lengths, nugget, training_size = like.lengths, like.nugget, like.training_size
     else:
-        lengths, nugget = _scales(points[some] / unit, y[some], doubted[some], signs, like, unit, least)
+        lengths, nugget = _scales(points[some] / unit, y[some], factors[some], signs, like, unit, min_lengths)
         training_size = n
     at = points / lengths
     matrix = np.sum([_kernel(at * s, at) for s in signs], axis=0)
-    matrix[np.diag_indices(n)] += nugget * doubted
+    matrix[np.diag_indices(n)] += nugget * factors
     factor = scipy.linalg.cholesky(matrix, lower=True, overwrite_a=True)
     solved = scipy.linalg.cho_solve((factor, True), y)
     amplitude = spread * np.sqrt(np.sum(y * solved, axis=0) / n)
@@ -121,39 +126,39 @@ def fit_gaussian_process(
     )
 
 
-def _learned_from(doubt: Array, rng: np.random.Generator) -> Array:
-    """Points that length scales are learned from: any, but half of them are those doubted least."""
-    some = rng.permutation(len(doubt))
-    surest = some[np.argsort(doubt[some], kind="stable")[: _LEARNED_FROM // 2]]
-    return np.concatenate((surest, some[~np.isin(some, surest)]))[:_LEARNED_FROM]
+def _scale_points(nugget_factor: Array, rng: np.random.Generator) -> Array:
+    """Points that length scales are estimated from: any, but half of them with the least nuggets."""
+    some = rng.permutation(len(nugget_factor))
+    surest = some[np.argsort(nugget_factor[some], kind="stable")[: _SCALES_FROM // 2]]
+    return np.concatenate((surest, some[~np.isin(some, surest)]))[:_SCALES_FROM]
 
 
 def _scales(
     points: Array,
     y: Array,
-    doubt: Array,
+    nugget_factor: Array,
     signs: Array,
     like: GaussianProcess | None,
     unit: Array,
-    least: Array | float,
+    min_lengths: Array | float,
 ) -> tuple[Array, float]:
     """Length scales (d,) and nugget with the largest marginal likelihood, points (N, d) being in ``unit``."""
     d = points.shape[1]
     start = np.full(d, 2.0) if like is None else like.lengths / unit
-    shortest = np.broadcast_to(least, d)
+    shortest = np.broadcast_to(min_lengths, d)
     start = np.clip(start, shortest, _LENGTHS[1])
     bounds = [(np.log(a), np.log(_LENGTHS[1])) for a in shortest]
     bounds.append((np.log(_NUGGETS[0]), np.log(_NUGGETS[1])))
-    found = minimize(
+    optimum = minimize(
         _cost,
         np.log(np.concatenate((start, [_NUGGET]))),
-        args=(points, y, doubt, signs),
+        args=(points, y, nugget_factor, signs),
         jac=True,
         bounds=bounds,
         method="L-BFGS-B",
         options={"maxiter": 60 if like is None else 15},
     )
-    return np.exp(found.x[:d]) * unit, float(np.exp(found.x[d]))
+    return np.exp(optimum.x[:d]) * unit, float(np.exp(optimum.x[d]))
 
 
 def _kernel(a: Array, b: Array) -> Array:
@@ -165,7 +170,9 @@ def _kernel(a: Array, b: Array) -> Array:
     return np.asarray(np.exp(exponent, out=exponent))
 
 
-def _cost(log_scales: Array, points: Array, y: Array, doubt: Array, signs: Array) -> tuple[float, Array]:
+def _cost(
+    log_scales: Array, points: Array, y: Array, nugget_factor: Array, signs: Array
+) -> tuple[float, Array]:
     """Negative log marginal likelihood, each output's amplitude at its best, and its gradient."""
     n, p = y.shape
     d = points.shape[1]
@@ -174,7 +181,7 @@ def _cost(log_scales: Array, points: Array, y: Array, doubt: Array, signs: Array
     images = [at * s for s in signs]
     kernels = [_kernel(image, at) for image in images]
     matrix = np.sum(kernels, axis=0)
-    matrix[np.diag_indices(n)] += nugget * doubt
+    matrix[np.diag_indices(n)] += nugget * nugget_factor
     try:
         factor = scipy.linalg.cho_factor(matrix, lower=True)
     except np.linalg.LinAlgError:
@@ -191,5 +198,5 @@ def _cost(log_scales: Array, points: Array, y: Array, doubt: Array, signs: Array
             np.sum(weight * k * (image[:, None, j] - at[None, :, j]) ** 2)
             for image, k in zip(images, kernels, strict=True)
         )
-    gradient[d] = np.diagonal(weight) @ doubt * nugget
+    gradient[d] = np.diagonal(weight) @ nugget_factor * nugget
     return float(cost), gradient

@@ -1,4 +1,4 @@
-"""A smooth log evidence as a table on small cells of the lamination parameters, each with its tangent."""
+"""The piecewise-linear surrogate: tangents of a smooth log evidence on cells of the lamination parameters."""
 
 from __future__ import annotations
 
@@ -17,28 +17,30 @@ Array = NDArray[Any]
 # (m, 4 + n_q) sums -> scores and rest (m, n_z + 1) with their gradients (m, n_z + 1, 4 + n_q).
 Tangent = Callable[[Array], tuple[Array, Array]]
 
-# Cells are halved so often; the first ones are 2 / _FIRST wide.
+# Cells along an axis, from -1 to 1, before any is halved.
 _FIRST = 12
 # Cells that stay farther below the top than this, nats, are halved once only.
-_REFINED = 6.0
-# Cells that are judged together.
-_TOGETHER = 8192
-# How much farther a coarse cell reaches than its tangent says: it is not straight.
-_COARSE_REACH, _COARSE_SLACK = 1.5, 3.0
+_REFINED_DEPTH_NATS = 6.0
+# Cells that a worker takes at a time.
+_BATCH = 8192
+# Factors on the half-width and on the slack of a cell that may be halved: its tangent says less of it.
+_COARSE_WIDTH, _COARSE_SLACK = 1.5, 3.0
 
 
 @dataclass(frozen=True, slots=True)
 class PiecewiseLinearSurrogate:
-    """Log evidence on cells of the four sums v; cells where it is below a floor are left out.
+    """Log evidence on cells of the four sums v; cells where it is below a lower bound are left out.
 
-    The scores z and the rest r of ``log_evidence`` are linear in the sums on each cell, so that no cell has
-    more than its rest.
+    The scores z and the rest r of ``log_evidence`` are linear in the sums on each cell.
 
-    width : of the finest cells. first : (4,) of the cells of a box about those that were kept, its number
-    along each axis; the outermost cells of the box are empty. leaf : (n_1, n_2, n_3, n_4) int32, which row of
-    ``tangent`` a cell of the box has, -1 where it was left out. centre : (L, 4). tangent : (L, n_z + 1,
-    1 + 4 + n_q): scores, and last the rest, at the centre, and their gradients. floor : what left-out cells
-    are below. freedom : of the log evidence.
+    width : of the finest cells.
+    first : (4,) number along each axis of the first cell of a box about those that were kept; the outermost
+    cells of the box are empty.
+    leaf : (n_1, n_2, n_3, n_4) int32, row of ``tangent`` of each cell of the box, -1 where it was left out.
+    centre : (L, 4).
+    tangent : (L, n_z + 1, 1 + 4 + n_q), scores, and last the rest, at the centre, and their gradients.
+    lower_bound : log evidence that cells left out do not exceed.
+    freedom : of ``log_evidence``.
     """
 
     width: float
@@ -46,7 +48,7 @@ class PiecewiseLinearSurrogate:
     leaf: Array
     centre: Array
     tangent: Array
-    floor: float
+    lower_bound: float
     freedom: float
 
     def lookup(self, v: Array) -> Array:
@@ -60,7 +62,7 @@ class PiecewiseLinearSurrogate:
         return np.array(self.leaf.shape) - 1
 
     def rows(self, v: Array, shift: Array) -> Array:
-        """As ``lookup`` of points v + shift, v (4, m) and shift (4,), for very many of them."""
+        """Rows of ``tangent`` of points v + shift, v (4, m) and shift (4,), in single precision, (m,)."""
         flat = np.zeros(v.shape[1], dtype=np.int64)
         scale = np.float32(1.0 / self.width)
         for i, n in enumerate(self.leaf.shape):
@@ -82,17 +84,19 @@ class PiecewiseLinearSurrogate:
 def log_evidence(y: Array, freedom: float) -> Array:
     """Log evidence of scores z and rest r (m, n_z + 1), (m,).
 
-    freedom : inf: r - |z|^2 / 2, the noise being known; n_f: r - n_f / 2 log(1 + |z|^2 / n_f), as it is where
-    the noise of n_f frequencies is inferred.
+    r - |z|^2 / 2 where the noise is known; r - n_f / 2 log(1 + |z|^2 / n_f) where the noise of n_f
+    frequencies is inferred.
+
+    freedom : infinite where the noise is known, else n_f.
     """
-    size = np.sum(y[:, :-1] ** 2, axis=1)
-    fall = size if np.isinf(freedom) else freedom * np.log1p(size / freedom)
-    return np.asarray(y[:, -1] - 0.5 * fall)
+    square = np.sum(y[:, :-1] ** 2, axis=1)
+    deviance = square if np.isinf(freedom) else freedom * np.log1p(square / freedom)
+    return np.asarray(y[:, -1] - 0.5 * deviance)
 
 
 def piecewise_linear_surrogate(
-    surrogate: Tangent,
-    q_reach: Array,
+    tangent: Tangent,
+    q_bound: Array,
     top: float,
     depth: float,
     halvings: int,
@@ -100,35 +104,38 @@ def piecewise_linear_surrogate(
     freedom: float,
     executor: Executor | None = None,
 ) -> PiecewiseLinearSurrogate:
-    """Tangents of a surrogate wherever it may exceed its floor, ``depth`` below ``top``.
+    """Tangents of a surrogate wherever it may exceed the lower bound, ``depth`` below ``top``.
 
     A cell is left out where no set of plies can lie (the Toeplitz matrix of 1, v1 + i v2, v3 + i v4 is
-    not positive) or where the most that the tangents allow over the cell and over the reach of q, and
-    ``slack``, stay below the floor. The others are halved ``halvings`` times, but once where the tangents
-    keep them far below the top.
+    not positive) or where the most that the tangents allow over the cell and over the range of q, and
+    ``slack``, stay below the lower bound. The others are halved ``halvings`` times, but once where the
+    tangents keep them far below the top.
 
-    q_reach : (n_q,) largest magnitude of each further sum. freedom : of the log evidence.
+    tangent : of the surrogate.
+    q_bound : (n_q,) largest magnitude of each further sum.
+    top, depth, slack : nats.
+    freedom : of ``log_evidence``.
     """
     axis = (np.arange(_FIRST) + 0.5) * 2.0 / _FIRST - 1.0
     centre, width = _mesh(axis), 2.0 / _FIRST
     leaves: list[_Leaves] = []
     for side in (1 << np.arange(halvings + 1))[::-1]:
         last = side == 1
-        half = np.concatenate((np.full(4, 0.5 * width), q_reach)) * (1.0 if last else _COARSE_REACH)
+        half = np.concatenate((np.full(4, 0.5 * width), q_bound)) * (1.0 if last else _COARSE_WIDTH)
         level = _Level(
-            surrogate,
+            tangent,
             int(side),
             width,
             half,
-            least=top - depth - slack * (1.0 if last else _COARSE_SLACK),
-            halved_from=np.inf if last else -np.inf if side == 1 << halvings else top - _REFINED,
+            keep_from=top - depth - slack * (1.0 if last else _COARSE_SLACK),
+            halve_from=np.inf if last else -np.inf if side == 1 << halvings else top - _REFINED_DEPTH_NATS,
             freedom=freedom,
         )
-        blocks = np.split(centre, range(_TOGETHER, len(centre), _TOGETHER))
-        found = run(_judged, level, blocks, executor, batch_size=1)
-        leaves += [kept for kept, _ in found]
-        split = np.concatenate([finer for _, finer in found])
-        centre = (split[:, None, :] + width * _mesh(np.array([-0.25, 0.25]))).reshape(-1, 4)
+        batches = np.split(centre, range(_BATCH, len(centre), _BATCH))
+        sorted_cells = run(_leaves_and_halved, level, batches, executor, batch_size=1)
+        leaves += [kept for kept, _ in sorted_cells]
+        halved = np.concatenate([centres for _, centres in sorted_cells])
+        centre = (halved[:, None, :] + width * _mesh(np.array([-0.25, 0.25]))).reshape(-1, 4)
         width *= 0.5
     first, leaf = _box(leaves, _FIRST << halvings)
     return PiecewiseLinearSurrogate(
@@ -137,26 +144,28 @@ def piecewise_linear_surrogate(
         leaf=leaf,
         centre=np.concatenate([each.centre for each in leaves]),
         tangent=np.concatenate([each.tangent for each in leaves]),
-        floor=top - depth,
+        lower_bound=top - depth,
         freedom=freedom,
     )
 
 
 @dataclass(frozen=True, slots=True)
 class _Level:
-    """Cells of one width, and what becomes of them.
+    """Cells of one width, and the log evidence from which they are kept and halved.
 
-    side : of a cell, in finest ones. half : (4 + n_q,) how far sums of a cell may be from its centre. least :
-    log evidence that a cell which is kept may reach; halved_from : and one that is halved. freedom : of the
-    log evidence.
+    side : of a cell, in finest ones.
+    half : (4 + n_q,) largest distance of the sums of a cell from its centre.
+    keep_from : least upper bound of the log evidence of a cell that is kept.
+    halve_from : least upper bound of one that is halved.
+    freedom : of ``log_evidence``.
     """
 
-    surrogate: Tangent
+    tangent: Tangent
     side: int
     width: float
     half: Array
-    least: float
-    halved_from: float
+    keep_from: float
+    halve_from: float
     freedom: float
 
 
@@ -170,15 +179,15 @@ class _Leaves:
     tangent: Array
 
 
-def _judged(level: _Level, centre: Array) -> tuple[_Leaves, Array]:
-    """Of cells about centres (c, 4) those that are leaves, in single precision, and centres of the halved."""
+def _leaves_and_halved(level: _Level, centre: Array) -> tuple[_Leaves, Array]:
+    """Cells about centres (c, 4) that are kept, in single precision, and centres of those to be halved."""
     centre = centre[_realisable(centre, level.width)]
-    y, slope = level.surrogate(np.column_stack((centre, np.zeros((len(centre), len(level.half) - 4)))))
+    y, slope = level.tangent(np.column_stack((centre, np.zeros((len(centre), len(level.half) - 4)))))
     reach = np.abs(slope) @ level.half
     nearest = np.maximum(np.abs(y[:, :-1]) - reach[:, :-1], 0.0)
-    most = log_evidence(np.column_stack((nearest, y[:, -1] + reach[:, -1])), level.freedom)
-    finer = (most >= level.least) & (most >= level.halved_from)
-    leaf = (most >= level.least) & ~finer
+    upper = log_evidence(np.column_stack((nearest, y[:, -1] + reach[:, -1])), level.freedom)
+    finer = (upper >= level.keep_from) & (upper >= level.halve_from)
+    leaf = (upper >= level.keep_from) & ~finer
     corner = np.rint(level.side * ((centre[leaf] + 1.0) / level.width - 0.5)).astype(np.int64)
     tangent = np.concatenate((y[leaf, :, None], slope[leaf]), axis=2)
     kept = _Leaves(level.side, corner, centre[leaf].astype(np.float32), tangent.astype(np.float32))
@@ -210,14 +219,8 @@ def _mesh(axis: Array) -> Array:
 def _realisable(v: Array, width: float) -> Array:
     """Whether a cell about v may hold sums of unit vectors: its Toeplitz matrix is nearly positive."""
     a, b = v[:, 0] + 1j * v[:, 1], v[:, 2] + 1j * v[:, 3]
-    one = np.ones(len(v))
-    matrix = np.stack(
-        (
-            np.stack((one + 0j, a, b), -1),
-            np.stack((a.conj(), one + 0j, a), -1),
-            np.stack((b.conj(), a.conj(), one + 0j), -1),
-        ),
-        -2,
-    )
-    # an entry moves by sqrt(2) width / 2 at most, half a diagonal, and a row has two beside its one
+    unit = np.ones(len(v), dtype=complex)
+    rows = ((unit, a, b), (a.conj(), unit, a), (b.conj(), a.conj(), unit))
+    matrix = np.stack([np.stack(row, -1) for row in rows], -2)
+    # an entry moves by sqrt(2) width / 2 at most, half a diagonal, and a row has two beside its unit
     return np.asarray(np.linalg.eigvalsh(matrix)[:, 0] >= -np.sqrt(2.0) * width)

@@ -1,4 +1,4 @@
-"""The log evidence of every sequence as a smooth function of its ply sums, learned where the mass is."""
+"""The surrogate: the log evidence of every stacking sequence as a smooth function of its ply sums."""
 
 from __future__ import annotations
 
@@ -17,32 +17,35 @@ from cpam_bayes.stacking.surrogate.piecewise_linear import log_evidence
 
 Array = NDArray[Any]
 
-# Below the best by more than this, nats, a value counts as this far below.
-_DEPTH = 45.0
+# Below the best by more than this, nats, a log evidence counts as this far below.
+_MAX_DEPTH_NATS = 45.0
 # Root mean square of the relative residuals of fits that are left out: they say nothing of the top.
-_FAR = 0.2
-# Root mean square of the scores from which on they need not be met well: what is so bad stays bad.
-_BAD = 10.0
-# Share of the sequences near the top whose residuals are less than the unit where the noise is inferred.
-_BEST = 0.1
-# The least unit of residuals: below it a list without noise is as good as exact.
-_LEAST_UNIT = 1e-5
-# Least length scales of the lamination parameters and of the further sums, whose reach the cells of a table
-# span, in standard deviations.
-_LEAST_LENGTHS = (0.2, 5.0)
+_MAX_RMS_RESIDUAL = 0.2
+# Root mean square of the scores from which on the nugget grows: such sequences need not be met well.
+_POOR_RMS_SCORE = 10.0
+# Fraction of the sequences near the top whose residuals are less than the unit where the noise is inferred.
+_UNIT_QUANTILE = 0.1
+# Least unit of relative residuals: below it a list without noise is as good as exact.
+_MIN_UNIT = 1e-5
+# Least length scales, in standard deviations, of the lamination parameters and of the further sums, whose
+# whole range the cells of a piecewise-linear surrogate span.
+_MIN_LENGTHS = (0.2, 5.0)
 
 
 @dataclass(frozen=True, slots=True)
 class Surrogate:
-    """A learned log evidence: the map, the top of its data, and its error on fresh posterior draws, nats.
+    """An approximate log evidence over features.
 
-    scored : the map gives the scores of the frequencies at the best fit, residuals in standard deviations of
-    the noise, or of a small noise where it is inferred, and last what is left of the log evidence, which
-    varies little (``evidence_table.log_evidence``, with ``freedom``). Otherwise it gives log Z, pressed
-    together far below the top.
+    process : gives the scores of the frequencies, residuals at the best fit in standard deviations of the
+    noise, or of a small noise where it is inferred, and last the rest of the log evidence, which varies
+    little (``piecewise_linear.log_evidence``); where not ``scored`` log Z, compressed far below the top.
+    scored : whether frequencies are paired with modes, so that they have scores.
+    freedom : of ``log_evidence``.
+    top : largest log evidence of the training set.
+    rms_error, largest_error : on fresh draws from the posterior, nats.
     """
 
-    smooth: GaussianProcess
+    process: GaussianProcess
     scored: bool
     freedom: float
     top: float
@@ -51,91 +54,92 @@ class Surrogate:
 
     def values(self, features: Array) -> Array:
         """Log evidence at features (m, d), (m,)."""
-        y = self.smooth.values(features)
+        y = self.process.values(features)
         return log_evidence(y, self.freedom) if self.scored else _expanded(y[:, 0], self.top)
 
-    def optimistic(self, features: Array) -> Array:
-        """The most that the log evidence may well be at features (m, d), (m,): two standard deviations up."""
-        y, error = self.smooth.values(features), self.smooth.error(features)
+    def upper_bound(self, features: Array) -> Array:
+        """Log evidence at features (m, d) two standard deviations up, (m,)."""
+        y, sd = self.process.values(features), self.process.error(features)
         if not self.scored:
-            return _expanded(y[:, 0] + 2.0 * error[:, 0], self.top)
-        z = np.maximum(np.abs(y[:, :-1]) - 2.0 * error[:, :-1], 0.0)
-        return log_evidence(np.column_stack((z, y[:, -1] + 2.0 * error[:, -1])), self.freedom)
+            return _expanded(y[:, 0] + 2.0 * sd[:, 0], self.top)
+        z = np.maximum(np.abs(y[:, :-1]) - 2.0 * sd[:, :-1], 0.0)
+        return log_evidence(np.column_stack((z, y[:, -1] + 2.0 * sd[:, -1])), self.freedom)
 
     def tangent(self, features: Array) -> tuple[Array, Array]:
         """Scores and rest at features (m, d), (m, n_z + 1), and their gradients (m, n_z + 1, d)."""
-        y, slope = self.smooth.expansion(features)
+        y, slope = self.process.expansion(features)
         if self.scored:
             return y, slope
         return _expanded(y, self.top), slope * _expansion_slope(y, self.top)[:, :, None]
 
 
 def _compressed(log_evidence: Array, top: float) -> Array:
-    """Values near the top as they are, those far below pressed together, smoothly."""
-    return np.asarray(np.logaddexp(log_evidence, top - _DEPTH))
+    """Values near the top as they are, those far below compressed, smoothly."""
+    return np.asarray(np.logaddexp(log_evidence, top - _MAX_DEPTH_NATS))
 
 
 def _expanded(y: Array, top: float) -> Array:
-    floor = top - _DEPTH
-    above = np.maximum(y - floor, 1e-3)
-    return np.asarray(floor + above + np.log1p(-np.exp(-above)))
+    """The inverse of ``_compressed``."""
+    least = top - _MAX_DEPTH_NATS
+    above = np.maximum(y - least, 1e-3)
+    return np.asarray(least + above + np.log1p(-np.exp(-above)))
 
 
 def _expansion_slope(y: Array, top: float) -> Array:
-    above = np.maximum(y - (top - _DEPTH), 1e-3)
+    above = np.maximum(y - (top - _MAX_DEPTH_NATS), 1e-3)
     return np.asarray(1.0 / -np.expm1(-above))
 
 
 def fit_surrogate(
-    own: ConditionalPosterior,
+    conditional: ConditionalPosterior,
     sums: PlySums,
     images: Array,
     data: Evaluated,
     rng: np.random.Generator,
     rms: float,
-    worst: float,
+    largest: float,
     before: Surrogate | None,
 ) -> Surrogate:
     """The surrogate through evaluated sequences.
 
-    images : (n_images, d) changes of sign of the features that change no frequency. rms, worst : error of
-    ``before``, a surrogate through fewer sequences, on fresh draws, nats.
+    images : (n_images, d) changes of sign of the features that change no frequency.
+    before : a surrogate through fewer sequences.
+    rms, largest : its error on fresh draws, nats.
     """
-    like = None if before is None else before.smooth
-    top = float(data.log_evidence.max())
+    like = None if before is None else before.process
+    template, top = conditional.template, float(data.log_evidence.max())
     features = sums.features(data.sequences)
-    least = np.where(np.arange(features.shape[1]) < 4, *_LEAST_LENGTHS)
-    scored = own.template.measurement.complete
-    if not scored:  # frequencies have no mode of their own
+    min_lengths = np.where(np.arange(features.shape[1]) < 4, *_MIN_LENGTHS)
+    if not template.measurement.complete:  # frequencies are not paired with modes
         y = _compressed(data.log_evidence, top)[:, None]
-        return Surrogate(
-            fit_gaussian_process(features, y, rng, images, like, least), False, np.inf, top, rms, worst
-        )
-    near = data.log_evidence > top - NEAR
-    freedom = float(own.template.measurement.size) if own.template.noise_is_inferred else np.inf
-    z = _scores(own, data, near)
-    away = np.sqrt(np.mean(data.fits.residual**2, axis=1))
-    kept = away <= max(_FAR, float(np.median(away)))
+        process = fit_gaussian_process(features, y, rng, images, like, min_lengths)
+        return Surrogate(process, False, np.inf, top, rms, largest)
+    high = data.log_evidence > top - NEAR
+    freedom = float(template.measurement.size) if template.noise_is_inferred else np.inf
+    z = _scores(conditional, data, high)
+    rms_residual = np.sqrt(np.mean(data.fits.residual**2, axis=1))
+    kept = rms_residual <= max(_MAX_RMS_RESIDUAL, float(np.median(rms_residual)))
     # far down few points are sampled: Laplace's evidence is the better one there
-    log_z = np.where(near, data.log_evidence, data.fits.log_evidence)
+    log_z = np.where(high, data.log_evidence, data.fits.log_evidence)
     rest = log_z - log_evidence(np.column_stack((z, np.zeros(len(z)))), freedom)
     y = np.column_stack((z, rest))[kept]
-    doubt = np.maximum(np.mean(z[kept] ** 2, axis=1) / _BAD**2, 1.0)
-    smooth = fit_gaussian_process(features[kept], y, rng, images, like, least, doubt)
-    return Surrogate(smooth, True, freedom, top, rms, worst)
+    nugget_factor = np.maximum(np.mean(z[kept] ** 2, axis=1) / _POOR_RMS_SCORE**2, 1.0)
+    process = fit_gaussian_process(features[kept], y, rng, images, like, min_lengths, nugget_factor)
+    return Surrogate(process, True, freedom, top, rms, largest)
 
 
-def _scores(own: ConditionalPosterior, data: Evaluated, near: Array) -> Array:
+def _scores(conditional: ConditionalPosterior, data: Evaluated, high: Array) -> Array:
     """Residuals at the best fits in standard deviations of the noise, (m, n_frequencies).
 
-    Where the noise is inferred it differs from sequence to sequence, and what a sequence shows of it is no
-    smooth function: the residuals of the best ones of those near the top are the unit.
+    Where the noise is inferred it differs from sequence to sequence, and is no smooth function of their
+    features: the residuals of the best of the sequences with a ``high`` evidence are the unit.
     """
-    if own.template.noise_is_inferred:
-        rms = np.sqrt(np.mean(data.fits.residual**2, axis=1))
-        return np.asarray(data.fits.residual / max(float(np.quantile(rms[near], _BEST)), _LEAST_UNIT))
-    measured = own.template.measurement.frequencies
-    predicted = measured / (1.0 + data.fits.residual)
+    template, residual = conditional.template, data.fits.residual
+    if template.noise_is_inferred:
+        rms = np.sqrt(np.mean(residual**2, axis=1))
+        return np.asarray(residual / max(float(np.quantile(rms[high], _UNIT_QUANTILE)), _MIN_UNIT))
+    measured = template.measurement.frequencies
+    predicted = measured / (1.0 + residual)
     i = np.arange(len(measured))
-    sigma = own.template.noise(data.fits.x, predicted)[:, i, i]
+    sigma = template.noise(data.fits.x, predicted)[:, i, i]
     return np.asarray((measured - predicted) / sigma)

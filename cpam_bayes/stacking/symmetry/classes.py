@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 
 from cpam_bayes.stacking.symmetry.symmetries import Symmetry, grid_indices, has_image, image
 
-__all__ = ["Classes", "Orbits", "canonical", "classes", "is_canonical", "members"]
-
 Array = NDArray[Any]
 
 _ROWS: Final = 1 << 17  # rows handled together, so that their images stay in the processor's cache
@@ -26,8 +24,9 @@ _ROWS: Final = 1 << 17  # rows handled together, so that their images stay in th
 class Orbits:
     """The class of every sequence of a stack.
 
-    representative : (m, n_unknown), of its class the first in lexicographic order of grid indices;
-    dtype of the sequences. size : (m,), sequences of the whole grid in that class, itself included.
+    representative : (m, n_unknown) first member of the class in lexicographic order of grid indices; of the
+    dtype of the sequences.
+    size : (m,) sequences of the whole grid in the class.
     """
 
     representative: Array
@@ -38,8 +37,10 @@ class Orbits:
 class Classes:
     """The different classes of a stack of sequences, in lexicographic order.
 
-    representative : (k, n_unknown). label : (m,), the class of each row. present : (k,), rows in it.
-    size : (k,), sequences of the whole grid in it.
+    representative : (k, n_unknown) first members.
+    label : (m,) the class of each row.
+    present : (k,) rows in each class.
+    size : (k,) sequences of the whole grid in each class.
     """
 
     representative: Array
@@ -68,20 +69,8 @@ def canonical(sequences: Array, symmetries: Sequence[Symmetry]) -> Orbits:
     return Orbits(_decoded(first, sequences, symmetries), size)
 
 
-def is_canonical(sequences: Array, symmetries: Sequence[Symmetry]) -> NDArray[np.bool_]:
-    """Whether sequences (m, n_unknown) are the representatives of their classes, (m,).
-
-    Raises as ``canonical``.
-    """
-    sequences = np.asarray(sequences)
-    found = np.ones(len(sequences), dtype=bool)
-    for rows, codes in _image_codes(sequences, symmetries):
-        found[rows] = np.all(codes[0] <= codes[1:], axis=0)
-    return found
-
-
 def classes(sequences: Array, symmetries: Sequence[Symmetry]) -> Classes:
-    """Sort sequences (m, n_unknown) into classes that no frequency tells apart.
+    """The classes of sequences (m, n_unknown) that no frequency tells apart.
 
     Raises as ``canonical``.
     """
@@ -93,7 +82,7 @@ def classes(sequences: Array, symmetries: Sequence[Symmetry]) -> Classes:
 
 
 def members(sequence: Array, symmetries: Sequence[Symmetry]) -> Array:
-    """All sequences of the class of one, (n_unknown,) -> (size, n_unknown), in lexicographic order."""
+    """All sequences of the class of a sequence (n_unknown,), in lexicographic order, (size, n_unknown)."""
     row = np.asarray(sequence)[None, :]
     images = [row]
     for symmetry in symmetries:
@@ -111,8 +100,6 @@ def _image_codes(
     A number is read in the base of the grid's size, so that numbers are in lexicographic order. A
     missing image counts as the sequence itself.
     """
-    if not symmetries:
-        return
     sequences = grid_indices(sequences, symmetries[0])
     place = _places(symmetries[0].permutation.size, sequences.shape[1])
     index = np.arange(symmetries[0].permutation.size)
@@ -149,10 +136,10 @@ def _places(n_grid: int, n_unknown: int) -> NDArray[np.int64]:
 
 def _decoded(codes: NDArray[np.int64], like: Array, symmetries: Sequence[Symmetry]) -> Array:
     n_grid = symmetries[0].permutation.size
-    found = np.empty(like.shape, dtype=like.dtype)
+    sequences = np.empty(like.shape, dtype=like.dtype)
     for j in range(like.shape[1] - 1, -1, -1):
-        codes, found[:, j] = np.divmod(codes, n_grid)
-    return found
+        codes, sequences[:, j] = np.divmod(codes, n_grid)
+    return sequences
 
 
 def _lexicographic(sequences: Array) -> NDArray[np.int64]:

@@ -18,14 +18,12 @@ from cpam_bayes.stacking.features import PlySums, all_choices
 from cpam_bayes.stacking.records import StackingPosterior, StackingProblem
 from cpam_bayes.stacking.symmetry.classes import canonical
 
-__all__ = ["equal_bending", "merge_indistinguishable"]
-
 Array = NDArray[Any]
 
 # Sums of cosines that differ by less are equal.
 _EQUAL: Final = 1e-11
-# Log Bayes factors that are smaller tell nothing: evidences are known to about as much.
-_ALIKE: Final = 0.1
+# Log Bayes factors, nats, that are smaller say nothing: evidences are known to about as much.
+_INDISTINGUISHABLE_NATS: Final = 0.1
 # A direction in which sums over the outer and the inner plies are sorted; any that is no special one.
 _DIRECTION: Final = np.array([1.0, np.sqrt(2.0), np.sqrt(3.0), np.sqrt(5.0)])
 
@@ -33,14 +31,14 @@ _DIRECTION: Final = np.array([1.0, np.sqrt(2.0), np.sqrt(3.0), np.sqrt(5.0)])
 def equal_bending(sums: PlySums, sequences: Array) -> tuple[Array, ...]:
     """All sequences of the grid with the bending lamination parameters of each of (m, k), itself included.
 
-    A sum over the outer plies and one over the inner plies make up each: the ones that fit are looked up.
+    These are sums over the outer plies and over the inner plies, tabulated for all choices of either.
     """
     k, g = sums.n_unknown, len(sums.grid_deg)
     inner = k - k // 2
     left, right = all_choices(sums.first[: k - inner]), all_choices(sums.first[k - inner :])
     order = np.argsort(right @ _DIRECTION, kind="stable")
     at = (right @ _DIRECTION)[order]
-    found = []
+    equal = []
     for target in sums.features(sequences)[:, :4]:
         needed = (target - left) @ _DIRECTION
         begin, end = (np.searchsorted(at, needed + sign * len(_DIRECTION) * _EQUAL) for sign in (-1, 1))
@@ -49,34 +47,34 @@ def equal_bending(sums: PlySums, sequences: Array) -> tuple[Array, ...]:
         columns = order[np.concatenate([np.arange(begin[i], end[i]) for i in some])]
         same = np.all(np.abs(left[rows] + right[columns] - target) < _EQUAL, axis=1)
         whole = rows[same] * g**inner + columns[same]
-        found.append(np.column_stack(np.unravel_index(whole, (g,) * k)))
-    return tuple(found)
+        equal.append(np.column_stack(np.unravel_index(whole, (g,) * k)))
+    return tuple(equal)
 
 
 def merge_indistinguishable(
     answer: StackingPosterior, problem: StackingProblem, sums: PlySums
 ) -> StackingPosterior:
-    """The same with classes that share their bending stiffness found, and merged where nothing else counts.
+    """The posterior with classes of equal bending stiffness noted, and merged where nothing else counts.
 
-    They are merged if their Bayes factor is within ``_ALIKE`` of one, E[p(f | x, s') / p(f | x, s)] over the
-    posterior of the constants x of the first.
+    They are merged if the log of their Bayes factor E[p(f | x, s') / p(f | x, s)], over the posterior of the
+    constants x of the first, is within ``_INDISTINGUISHABLE_NATS`` of zero.
     """
-    first = answer.components.sequences
-    classes = canonical(first, problem.symmetries).representative
-    place = {tuple(row): i for i, row in enumerate(classes.tolist())}
+    sequences = answer.components.sequences
+    classes = canonical(sequences, problem.symmetries).representative
+    listed_row = {tuple(row): i for i, row in enumerate(classes.tolist())}
     same_bending, alike = list(answer.same_bending), list(answer.alike)
     probability, multiplicity = answer.probability.copy(), answer.multiplicity.copy()
-    merged = np.zeros(len(first), dtype=bool)
-    for i, same in enumerate(equal_bending(sums, first)):
+    merged = np.zeros(len(sequences), dtype=bool)
+    for i, same in enumerate(equal_bending(sums, sequences)):
         orbits = canonical(same, problem.symmetries)
         others, at = np.unique(orbits.representative, axis=0, return_index=True)
         new = np.any(others != classes[i], axis=1)
         if merged[i] or not new.any():
             continue
         same_bending[i], size = others[new], orbits.size[at][new]
-        near = np.abs(_log_bayes_factors(answer, i, same_bending[i])) < _ALIKE
+        near = np.abs(_log_bayes_factors(answer, i, same_bending[i])) < _INDISTINGUISHABLE_NATS
         alike[i] = same_bending[i][near]
-        rows = [place[key] for key in map(tuple, alike[i].tolist()) if key in place]
+        rows = [listed_row[key] for key in map(tuple, alike[i].tolist()) if key in listed_row]
         rows = [i, *(row for row in rows if row > i and not merged[row])]
         merged[rows[1:]] = True
         probability[i] = np.average(answer.probability[rows], weights=answer.multiplicity[rows])

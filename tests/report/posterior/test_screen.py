@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cpam_bayes.report.posterior.data import inference_data, write_posterior
 
 from cpam_bayes.identification.sampled import SampledIdentification, identify_by_sampling
 from cpam_bayes.inference.ensemble import EnsembleSettings
@@ -18,7 +19,6 @@ from cpam_bayes.plate import builtin
 from cpam_bayes.report.documents import json_text
 from cpam_bayes.report.figures import save_figures
 from cpam_bayes.report.posterior.assessment import product_text
-from cpam_bayes.report.posterior.data import inference_data, write_posterior
 from cpam_bayes.report.posterior.document import sampled_document
 from cpam_bayes.report.posterior.figures import posterior_figures
 from cpam_bayes.report.posterior.screen import sampled_screen, sampled_warnings

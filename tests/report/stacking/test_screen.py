@@ -6,15 +6,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cpam_bayes.report.stacking.data import EMCEE, write_sequence_posterior
 
 from cpam_bayes.report.figures import save_figures
-from cpam_bayes.report.stacking.data import EMCEE, write_sequence_posterior
 from cpam_bayes.report.stacking.figures import sequence_figures
 from cpam_bayes.report.stacking.screen import sequence_document, sequence_screen, sequence_warnings
 from cpam_bayes.report.tables import plain_text
-from cpam_bayes.stacking.posterior import StackingSettings, SurrogateCheck, stacking_posterior
+from cpam_bayes.stacking.posterior import stacking_posterior
 from cpam_bayes.stacking.queries.best_fit import best_fit
 from cpam_bayes.stacking.queries.given_layup import given_layup
+from cpam_bayes.stacking.records import StackingSettings, SurrogateCheck
 from tests.stacking.cases import TRUE, answer, mixture, specimen
 
 pytestmark = pytest.mark.slow
