@@ -15,8 +15,6 @@ from cpam_bayes.mechanics.spaces.ritz import RitzSettings, ritz_space
 from cpam_bayes.plate import Specimen
 from cpam_bayes.threads import single_blas_thread
 
-__all__ = ["ROOM_AIR", "air_shifts"]
-
 ROOM_AIR = 1.2
 """Density of the air of a room, kg/m3."""
 

@@ -20,15 +20,6 @@ from cpam_bayes.mechanics.shapes import Mode
 from cpam_bayes.parameters import ParameterSet
 from cpam_bayes.plate import Measurement, Specimen
 
-__all__ = [
-    "LabelError",
-    "LabelledModel",
-    "labelled_model",
-    "list_order",
-    "same_label",
-    "spare_modes",
-]
-
 Array = NDArray[Any]
 
 # Modes computed beyond the list, so that a labelled one which moves up is still among them.

@@ -12,17 +12,6 @@ from cpam_bayes.errors import PlateFileError
 from cpam_bayes.mechanics.modes import RigidBodyError
 from cpam_bayes.plate import Specimen
 
-__all__ = [
-    "SUSPICIOUS_RATIO",
-    "explained_failures",
-    "plate_warnings",
-    "require_diagnosable",
-    "require_paired_list",
-    "require_sequence",
-    "require_supported",
-    "units_warning",
-]
-
 SUSPICIOUS_RATIO = 3.0
 """Prediction over measurement beyond which a unit in the plate file is suspected."""
 

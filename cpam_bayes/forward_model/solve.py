@@ -34,7 +34,6 @@ Array = NDArray[np.float64]
 Solver = Literal["ritz", "fem", "ccx"]
 Element = Literal["brick", "shell"]
 
-__all__ = ["ForwardResult", "ModeShape", "error_warning", "forward", "measured_modes"]
 
 DEFAULT_MODES: Final = 10
 LARGE_ERROR: Final = 1e-3

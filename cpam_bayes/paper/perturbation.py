@@ -9,8 +9,6 @@ from importlib.resources import files
 from itertools import product
 from typing import Final
 
-__all__ = ["Contradiction", "PerturbationTable", "PrintedConstant", "contradictions", "perturbation_table"]
-
 _TABLES: Final = {"A2": 10, "C1": 11, "C3": 12, "D1": 13, "D3": 14}
 
 

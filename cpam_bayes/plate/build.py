@@ -20,8 +20,6 @@ from cpam_bayes.plate.schema import (
 )
 from cpam_bayes.plate.units import USER_UNITS, to_si
 
-__all__ = ["build_specimen"]
-
 # The angles of an isotropic plate's plies change nothing.
 _ISOTROPIC_LAYUP = "[0]"
 

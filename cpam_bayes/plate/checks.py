@@ -19,8 +19,6 @@ from cpam_bayes.plate.raw import Data, Problems, number, real, table
 from cpam_bayes.plate.records import angle_grid
 from cpam_bayes.plate.units import USER_UNITS
 
-__all__ = ["relation_problems"]
-
 _Check = Callable[[Data], Problems]
 
 

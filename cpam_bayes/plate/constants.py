@@ -12,8 +12,6 @@ from cpam_bayes.plate.problems import Problem, received
 from cpam_bayes.plate.raw import Data, Problems, number, numbers, table
 from cpam_bayes.plate.units import USER_UNITS, user_name
 
-__all__ = ["constants_of_kind", "physical_material", "search_bounds"]
-
 _CONSTANTS: Final = ("E1_GPa", "E2_GPa", "nu12", "G12_GPa", "G13_GPa", "G23_GPa")
 _REQUIRED: Final = _CONSTANTS[:4]
 _ISOTROPIC: Final = ("E1_GPa", "nu12")

@@ -8,15 +8,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = [
-    "CONSTANTS",
-    "ISOTROPIC_CONSTANTS",
-    "complete_constants",
-    "constraint_violations",
-    "is_admissible",
-    "through_thickness_poisson",
-]
-
 Array = NDArray[np.inexact[Any]]
 
 CONSTANTS = ("E1", "E2", "nu12", "G12", "G13", "G23")

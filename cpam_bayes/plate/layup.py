@@ -12,8 +12,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from cpam_bayes.errors import LayupError
 
-__all__ = ["MAX_PLIES", "Layup", "format_angles", "from_angles", "parse_layup"]
-
 MAX_PLIES: Final = 2000
 _MAX_CHARACTERS: Final = 10_000
 _MAX_DEPTH: Final = 20

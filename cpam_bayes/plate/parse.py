@@ -17,8 +17,6 @@ from cpam_bayes.plate.schema import PlateFile
 from cpam_bayes.plate.toml_lines import Path as KeyPath
 from cpam_bayes.plate.toml_lines import line_numbers
 
-__all__ = ["parse_specimen", "specimen_of"]
-
 # The parser of the standard library takes time quadratic in the parts of one dotted key.
 _MAX_KEY_PARTS: Final = 100
 _KEY_END = re.compile(r"[=,{}\[\]#\n]")

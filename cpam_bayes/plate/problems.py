@@ -18,8 +18,6 @@ from cpam_bayes.errors import PlateFileError
 from cpam_bayes.plate.schema import TAGS, PlateFile
 from cpam_bayes.plate.toml_lines import Path
 
-__all__ = ["Problem", "plate_file_error", "received", "schema_problems"]
-
 _MAX_PROBLEMS: Final = 100
 _BARE = re.compile(r"[A-Za-z0-9_-]+")
 

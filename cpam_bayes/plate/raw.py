@@ -8,8 +8,6 @@ from typing import Any
 
 from cpam_bayes.plate.problems import Problem
 
-__all__ = ["Data", "Problems", "number", "numbers", "real", "table"]
-
 Data = Mapping[str, Any]
 Problems = Iterator[Problem]
 

@@ -15,8 +15,6 @@ from cpam_bayes.plate.problems import received
 from cpam_bayes.plate.records import Specimen
 from cpam_bayes.plate.specimens import builtin, builtin_names
 
-__all__ = ["MAX_BYTES", "PlateLike", "builtin_plates", "read_plate", "read_specimen"]
-
 PlateLike: TypeAlias = str | os.PathLike[str] | Mapping[str, Any] | Specimen
 """What a plate can be given as, see `read_plate`."""
 

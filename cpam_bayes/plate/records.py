@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 from cpam_bayes.parameters import ParameterSet
 from cpam_bayes.plate.layup import Layup
 
-__all__ = ["Material", "Measurement", "Plate", "Sensor", "Specimen", "angle_grid"]
-
 
 @dataclass(frozen=True, slots=True)
 class Plate:

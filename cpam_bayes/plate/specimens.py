@@ -8,8 +8,6 @@ from typing import Final
 from cpam_bayes.plate.parse import parse_specimen
 from cpam_bayes.plate.records import Specimen
 
-__all__ = ["builtin", "builtin_names"]
-
 _NAMES: Final = (
     "D&G",
     *("A1", "A2", "B1", "B2", "C1", "C2", "C3", "C4"),

@@ -6,8 +6,6 @@ import contextlib
 import re
 from typing import Final
 
-__all__ = ["Path", "line_numbers"]
-
 Path = tuple[str | int, ...]
 
 _BLANK = re.compile(r"(?:[ \t\r\n]|#[^\n]*)*")

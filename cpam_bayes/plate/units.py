@@ -6,8 +6,6 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Final
 
-__all__ = ["USER_UNITS", "to_si", "to_user", "unit_of", "user_name"]
-
 USER_UNITS: Final[Mapping[str, tuple[str, float]]] = MappingProxyType(
     {
         "E1_GPa": ("E1", 1e9),

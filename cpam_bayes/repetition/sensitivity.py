@@ -18,8 +18,6 @@ from cpam_bayes.repetition.study import ListSource, Sensitivity, model_list, noi
 from cpam_bayes.repetition.warnings import printed_table, sensitivity_warnings
 from cpam_bayes.result import SILENT, PlateResult, Watch
 
-__all__ = ["SensitivityResult", "sensitivity"]
-
 _NO_MESH = "sensitivity computes rectangular plates only; leave mesh out"
 
 

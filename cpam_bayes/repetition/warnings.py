@@ -9,8 +9,6 @@ from cpam_bayes.plate import user_name
 from cpam_bayes.priors import TruncatedNormal
 from cpam_bayes.repetition.study import Cell, Sensitivity
 
-__all__ = ["level_percent", "printed_table", "sensitivity_warnings", "where"]
-
 # A constant is found again where it is this close, as a fraction of its search interval.
 _FOUND_AGAIN = 1e-2
 

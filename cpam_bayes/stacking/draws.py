@@ -9,8 +9,6 @@ import numpy as np
 from cpam_bayes.inference.arviz_data import arviz_data, by_user_name
 from cpam_bayes.stacking.sequence import StackingResult
 
-__all__ = ["inference_data"]
-
 EMCEE, IMPORTANCE = "emcee", "importance sampling"
 
 

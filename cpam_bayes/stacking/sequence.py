@@ -21,8 +21,6 @@ from cpam_bayes.stacking.queries.given_layup import GivenLayup, given_layup
 from cpam_bayes.stacking.records import DEFAULT_SETTINGS, StackingPosterior
 from cpam_bayes.stacking.warnings import stacking_warnings
 
-__all__ = ["StackingResult", "sequence"]
-
 # Pieces of the enumeration that progress is shown in.
 _PIECES = 64
 

@@ -9,8 +9,6 @@ from cpam_bayes.stacking.mixture import StackingMixture
 from cpam_bayes.stacking.queries.best_fit import BestFit
 from cpam_bayes.stacking.records import OVERLOOKED, StackingPosterior
 
-__all__ = ["stacking_warnings"]
-
 # Errors of the learned evidence and of an exact one that a reader should hear of, nats.
 _ROUGH, _DOUBTFUL = 0.3, 0.3
 # Share of the probability of the first from which on an uncertain evidence matters.

@@ -34,15 +34,6 @@ from cpam_bayes.stacking.symmetry.symmetries import Symmetry, plate_symmetries
 from cpam_bayes.threads import single_blas_thread
 from cpam_bayes.validation.calibration import prior_draw
 
-__all__ = [
-    "CoverageSettings",
-    "CoverageSummary",
-    "Trial",
-    "randomised_place",
-    "stacking_coverage",
-    "summarised",
-]
-
 Array = NDArray[Any]
 
 # Allowed difference of a coverage from its level, in binomial standard deviations.

@@ -8,8 +8,6 @@ from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
-__all__ = ["save_results", "saved_results", "with_saved"]
-
 Results = dict[str, Any]
 
 

@@ -43,7 +43,7 @@ def test_values_that_are_doubted_do_not_spoil_those_that_are_to_be_met() -> None
     y = known(x) + np.where(rough, 0.3, 0.0)[:, None] * np.random.default_rng(5).normal(size=(150, 2))
     error = {}
     for name, doubt in (("trusted", None), ("doubted", np.where(rough, 1e5, 1.0))):
-        found = fit_gaussian_process(x, y, rng, doubt=doubt)
+        found = fit_gaussian_process(x, y, rng, nugget_factor=doubt)
         smooth = x[:, 0] < -0.1
         error[name] = float(np.abs(found.values(x[smooth]) - known(x[smooth])).max())
     assert error["doubted"] < 5e-3 < 0.05 < error["trusted"]

@@ -26,8 +26,6 @@ from cpam_bayes.mechanics.problem import EDGES, HELD, rigid_body_count
 from cpam_bayes.plate.elasticity import CONSTANTS, through_thickness_poisson
 from cpam_bayes.plate.records import Plate, Specimen
 
-__all__ = ["Deck", "Element", "plate_deck", "write_deck"]
-
 Element = Literal["shell", "brick"]
 
 # Degree of freedom that holds a field: a rotation phi_x of the normal turns about y.

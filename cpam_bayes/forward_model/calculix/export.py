@@ -16,8 +16,6 @@ from cpam_bayes.forward_model.solve import measured_modes
 from cpam_bayes.plate import PlateLike, read_plate
 from cpam_bayes.result import PlateResult
 
-__all__ = ["ExportResult", "export"]
-
 _NO_MESH: Final = "decks are written for rectangular plates only; leave mesh out"
 _NO_AIR: Final = "decks hold a plate in vacuum; leave air_density_kg_m3 out"
 _TYPE: Final[dict[Element, str]] = {"shell": "S8R", "brick": "C3D20R"}

@@ -15,15 +15,6 @@ from numpy.typing import NDArray
 
 from cpam_bayes.mechanics.problem import EDGES
 
-__all__ = [
-    "PlateMesh",
-    "brick_mesh",
-    "element_counts",
-    "grid_lines",
-    "layer_boundaries",
-    "shell_mesh",
-]
-
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 

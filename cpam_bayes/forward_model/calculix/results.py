@@ -8,8 +8,6 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["CalculixError", "deformation_modes", "read_displacements", "read_eigenvalues"]
-
 # A rigid-body motion has eigenvalue zero but for rounding, which grows as plies get thinner: at
 # most this share of the first deformation mode's.
 _RIGID_TOLERANCE: Final = 1e-2

@@ -14,8 +14,6 @@ from numpy.typing import NDArray
 
 from cpam_bayes.forward_model.calculix.results import CalculixError, deformation_modes, read_eigenvalues
 
-__all__ = ["PROGRAM_VARIABLE", "run_calculix", "run_deck"]
-
 PROGRAM_VARIABLE: Final = "CPAM_BAYES_CCX"
 _PROGRAM: Final = "ccx"
 _JOB: Final = "plate"

@@ -21,8 +21,6 @@ from cpam_bayes.mechanics.problem import Field
 from cpam_bayes.mechanics.shapes import Mode, label_of_shape, mode_kind
 from cpam_bayes.plate.records import Specimen
 
-__all__ = ["CalculixModes", "solve_modes", "solve_specimen"]
-
 _FIELDS: tuple[Field, ...] = ("u", "v", "w")
 _GRID = 41
 

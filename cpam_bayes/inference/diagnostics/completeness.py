@@ -20,8 +20,6 @@ from cpam_bayes.mechanics.shapes import Mode
 from cpam_bayes.parameters import ParameterSet
 from cpam_bayes.plate import Specimen
 
-__all__ = ["Doubt", "PairingDoubt", "doubt_of", "pairing_doubt"]
-
 Array = NDArray[Any]
 
 # Log odds from which another pairing is far more probable.

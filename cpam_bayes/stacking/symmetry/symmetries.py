@@ -9,7 +9,7 @@ ply angles in one of three ways,
     a mirror along a diagonal   theta -> 90 - theta      squares
 
 and a half turn does not change them. Turning the plate upside down reverses the order of the plies:
-the plate model does not know on which face a mass sits. All products of these are looked at.
+the plate model does not know on which face a mass sits. All products of these are tried.
 
 Sequences are rows of grid indices, (m, n_unknown) integers into ``angle_grid``. Plies of known angle
 take part: [45/?]_s has no mirror image of its own form, [45/?/?/-45] has one, upside down. Where a
@@ -28,22 +28,12 @@ from numpy.typing import NDArray
 from cpam_bayes.plate.layup import Layup
 from cpam_bayes.plate.records import Plate, Specimen, angle_grid
 
-__all__ = [
-    "ANGLE_MOTIONS",
-    "Symmetry",
-    "grid_indices",
-    "has_image",
-    "image",
-    "plane_motions",
-    "plate_symmetries",
-]
-
 Array = NDArray[Any]
 Point = tuple[float, float]
 
-_NEAR: Final = 1e-9
+_EQUAL: Final = 1e-9
 
-# What the motions of each kind do to the angles, in degrees. Each is its own inverse, modulo 180.
+# Change of the ply angles by the motions of each kind, in degrees. Each is its own inverse, modulo 180.
 ANGLE_MOTIONS: Final[dict[str, Callable[[Array], Array]]] = {
     "": lambda t: t,
     "mirror image": lambda t: -t,
@@ -66,14 +56,15 @@ _MOTIONS: Final[tuple[tuple[str, tuple[int, int, int, int], Callable[[float, flo
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Symmetry:
-    """A map between sequences of one layup with equal frequencies.
+    """A map between stacking sequences of one layup with equal frequencies.
 
     The image of a sequence s has the grid index ``permutation[s[source[j]]]`` for unknown j, or
     ``constant[j]`` where ``source[j]`` is -1, a known ply then having come to its place. It is a
     sequence of the same layup if s[k] == i for every (k, i) of ``conditions`` and s[k] == s[l] for
     every (k, l) of ``ties``; without any, the map holds everywhere.
 
-    permutation : (n_grid,). source, constant : (n_unknown,).
+    permutation : (n_grid,) grid indices.
+    source, constant : (n_unknown,).
     """
 
     name: str
@@ -93,23 +84,23 @@ def plane_motions(specimen: Specimen) -> tuple[str, ...]:
     """The kinds of motions in the plane that map the plate onto itself, "" (none) always among them.
 
     Kinds that exchange x and y need a square whose sizes are known equally well, and frequencies
-    without labels: a label counts half-waves along x and along y. A plate with a mesh of its own is
-    not looked into.
+    without labels: a label counts half-waves along x and along y. For a plate with a mesh from a file no
+    motion is sought.
     """
     plate = specimen.plate
     labelled = specimen.measurement is not None and any(specimen.measurement.labels)
     if plate.mesh is not None:
         return ("",)
-    places = [(s.x / plate.length, s.y / plate.width, s.mass) for s in specimen.sensors]
-    found = []
+    masses = [(s.x / plate.length, s.y / plate.width, s.mass) for s in specimen.sensors]
+    kinds: list[str] = []
     for kind, edges, moved in _MOTIONS:
         if kind in _EXCHANGES and (labelled or not _is_square(plate)):
             continue
         if any(plate.edges[old] != new for old, new in zip(edges, plate.edges, strict=True)):
             continue
-        if kind not in found and _same_places(places, [(*moved(x, y), mass) for x, y, mass in places]):
-            found.append(kind)
-    return tuple(found)
+        if kind not in kinds and _same_masses(masses, [(*moved(x, y), mass) for x, y, mass in masses]):
+            kinds.append(kind)
+    return tuple(kinds)
 
 
 def plate_symmetries(specimen: Specimen) -> tuple[Symmetry, ...]:
@@ -120,14 +111,16 @@ def plate_symmetries(specimen: Specimen) -> tuple[Symmetry, ...]:
     """
     layup = specimen.plate.layup
     grid = angle_grid(specimen.angle_grid_deg)
-    found: dict[Any, Symmetry] = {_content(_identity(layup, grid)): _identity(layup, grid)}
+    identity = _compiled("", layup, grid, ANGLE_MOTIONS[""], upside_down=False)
+    assert identity is not None
+    distinct: dict[Any, Symmetry] = {_content(identity): identity}
     for upside_down in (False, True):
         for kind in plane_motions(specimen):
             name = " ".join(filter(None, (kind, "upside down" if upside_down else "")))
             symmetry = _compiled(name, layup, grid, ANGLE_MOTIONS[kind], upside_down)
             if symmetry is not None:
-                found.setdefault(_content(symmetry), symmetry)
-    return tuple(found.values())[1:]
+                distinct.setdefault(_content(symmetry), symmetry)
+    return tuple(distinct.values())[1:]
 
 
 def image(sequences: Array, symmetry: Symmetry) -> tuple[Array, NDArray[np.bool_]]:
@@ -146,21 +139,16 @@ def image(sequences: Array, symmetry: Symmetry) -> tuple[Array, NDArray[np.bool_
 
 
 def _is_square(plate: Plate) -> bool:
-    equal = abs(plate.length - plate.width) <= _NEAR * plate.length
+    equal = abs(plate.length - plate.width) <= _EQUAL * plate.length
     return equal and plate.sd.get("length") == plate.sd.get("width")
 
 
-def _same_places(before: list[tuple[float, float, float]], after: list[tuple[float, float, float]]) -> bool:
+def _same_masses(before: list[tuple[float, float, float]], after: list[tuple[float, float, float]]) -> bool:
+    """Whether masses (x, y, mass) are the same in some order."""
     rest = list(before)
-    for x, y, mass in after:
-        match = next(
-            (
-                p
-                for p in rest
-                if abs(p[0] - x) <= _NEAR and abs(p[1] - y) <= _NEAR and abs(p[2] - mass) <= _NEAR * mass
-            ),
-            None,
-        )
+    for point in after:
+        tolerance = _EQUAL * np.array([1.0, 1.0, point[2]])
+        match = next((p for p in rest if np.all(np.abs(np.subtract(p, point)) <= tolerance)), None)
         if match is None:
             return False
         rest.remove(match)
@@ -168,12 +156,6 @@ def _same_places(before: list[tuple[float, float, float]], after: list[tuple[flo
 
 
 # From a motion to a map of sequences
-
-
-def _identity(layup: Layup, grid: Array) -> Symmetry:
-    symmetry = _compiled("", layup, grid, ANGLE_MOTIONS[""], upside_down=False)
-    assert symmetry is not None
-    return symmetry
 
 
 def _compiled(
@@ -197,17 +179,17 @@ def _compiled(
         elif j < 0:
             conditions.add((k, _on_grid(float(turned(known[ply])), grid)))
         else:
-            own = (k, -1) if k >= 0 else (-1, _on_grid(moved, grid))
-            first = takes.setdefault(j, own)
-            if own == (-1, -1):  # a known angle off the grid cannot be a "?"
+            origin_of_ply = (k, -1) if k >= 0 else (-1, _on_grid(moved, grid))
+            first = takes.setdefault(j, origin_of_ply)
+            if origin_of_ply == (-1, -1):  # a known angle off the grid cannot be a "?"
                 return None
             if first[0] >= 0 and k >= 0 and first[0] != k:
                 ties.add((min(first[0], k), max(first[0], k)))
             elif first[0] >= 0 > k:
-                conditions.add((first[0], int(permutation[own[1]])))
+                conditions.add((first[0], int(permutation[origin_of_ply[1]])))
             elif first[0] < 0 <= k:
                 conditions.add((k, int(permutation[first[1]])))
-            elif k < 0 and first != own:
+            elif k < 0 and first != origin_of_ply:
                 return None
     asked = [k for k, _ in conditions]
     if any(index < 0 for _, index in conditions) or len(asked) != len(set(asked)):
@@ -225,12 +207,12 @@ def _compiled(
 
 def _on_grid(angle_deg: float, grid: Array) -> int:
     """Grid index of a direction, -1 where there is none."""
-    near = np.flatnonzero(np.abs((grid - angle_deg + 90.0) % 180.0 - 90.0) <= _NEAR)
+    near = np.flatnonzero(np.abs((grid - angle_deg + 90.0) % 180.0 - 90.0) <= _EQUAL)
     return int(near[0]) if near.size else -1
 
 
 def _same_direction(first_deg: float, second_deg: float) -> bool:
-    return abs((first_deg - second_deg + 90.0) % 180.0 - 90.0) <= _NEAR
+    return abs((first_deg - second_deg + 90.0) % 180.0 - 90.0) <= _EQUAL
 
 
 def _content(symmetry: Symmetry) -> Any:

@@ -23,8 +23,6 @@ from cpam_bayes.validation.diagnosis.hiding import Hidden, Trial, hide
 from cpam_bayes.validation.diagnosis.oracle import oracle
 from cpam_bayes.validation.diagnosis.truths import Bench, Reached, bench, true_frequencies
 
-__all__ = ["TESTS", "Laboratory", "laboratory", "run_together"]
-
 Array = NDArray[Any]
 Record = dict[str, Any]
 
