@@ -5,20 +5,25 @@ from collections.abc import Callable, Generator
 
 import pytest
 
+from tests import shared
+
 # Before a test module loads numpy: two threads slow stacked eigenproblems down.
 for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ[_name] = "1"
 
 
 @pytest.fixture(scope="session", autouse=True)
-def _own_cache(tmp_path_factory: pytest.TempPathFactory) -> None:
+def _run_directory(tmp_path_factory: pytest.TempPathFactory) -> None:
     """Reduced models of the tests are built by the code under test, never read from a user's cache.
 
-    The processes of pytest-xdist share one cache: their directories lie in that of the whole run.
+    The processes of pytest-xdist share one cache, and the results of ``tests.shared``: their
+    directories lie in that of the whole run.
     """
-    own = tmp_path_factory.getbasetemp()
-    whole = own.parent if "PYTEST_XDIST_WORKER" in os.environ else own
-    os.environ["CPAM_BAYES_CACHE"] = str(whole / "cache")
+    process = tmp_path_factory.getbasetemp()
+    run = process.parent if "PYTEST_XDIST_WORKER" in os.environ else process
+    os.environ["CPAM_BAYES_CACHE"] = str(run / "cache")
+    os.environ[shared.DIRECTORY] = str(run / "shared")
+    (run / "shared").mkdir(exist_ok=True)
 
 
 @pytest.fixture

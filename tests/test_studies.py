@@ -13,6 +13,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.shared import once_a_run
+
 PROJECT = Path(__file__).parent.parent
 SAVED = PROJECT / "studies" / "results"
 STUDIES = sorted(path.stem for path in (PROJECT / "studies").glob("[0-9]*.py"))
@@ -31,7 +33,7 @@ def script(folder: str, name: str) -> ModuleType:
     return module
 
 
-@cache
+@once_a_run
 def quick_text(name: str) -> str:
     """Results of the small version of a study as JSON, which has no NaN."""
     return json.dumps(script("studies", name).run(True), allow_nan=False)

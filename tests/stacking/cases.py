@@ -1,7 +1,6 @@
 """A small plate with two unknown angles, all its sequences and the mixture over them, computed once."""
 
 from dataclasses import replace
-from functools import cache
 
 import numpy as np
 
@@ -12,6 +11,7 @@ from cpam_bayes.plate.layup import parse_layup
 from cpam_bayes.stacking.mixture import StackingMixture, sample_mixture
 from cpam_bayes.stacking.posterior import stacking_posterior
 from cpam_bayes.stacking.records import StackingPosterior, StackingSettings
+from tests.shared import once_a_run
 
 TRUE = (30.0, -60.0)
 STEP = 30.0
@@ -25,7 +25,7 @@ def specimen_with(frequencies: np.ndarray, layup: str, step: float) -> Specimen:
     return replace(own, plate=plate, measurement=measurement, angle_grid_deg=step)
 
 
-@cache
+@once_a_run
 def specimen(layup: str = "[?/?]_s", step: float = STEP) -> Specimen:
     """A thin rectangular plate with the noise-free list of one sequence, 1 % noise being stated."""
     own = specimen_with(np.arange(1.0, FREQUENCIES + 1.0), layup, step)
@@ -34,13 +34,13 @@ def specimen(layup: str = "[?/?]_s", step: float = STEP) -> Specimen:
     return specimen_with(model.predict(x[None]).frequencies[0], layup, step)
 
 
-@cache
+@once_a_run
 def answer() -> StackingPosterior:
     settings = StackingSettings(draws=60, listed=36, log2_points=9)
     return stacking_posterior(specimen(), 0, settings=settings)
 
 
-@cache
+@once_a_run
 def mixture() -> StackingMixture:
     return sample_mixture(answer(), 0)
 
