@@ -17,7 +17,7 @@ import numpy as np
 
 from cpam_bayes.identification.starting import start_of
 from cpam_bayes.inference.ensemble import EnsembleResult, EnsembleSettings
-from cpam_bayes.inference.importance import Evidence, EvidenceSettings, evidence_of, importance_evidence
+from cpam_bayes.inference.evidence import Evidence, EvidenceSettings, evidence_of, importance_evidence
 from cpam_bayes.inference.laplace import approximate, find_optima
 from cpam_bayes.inference.posterior import Posterior
 from cpam_bayes.inference.proposal import AdaptationSettings

@@ -30,7 +30,7 @@ from cpam_bayes.inference.ensemble import (
     EnsembleResult,
     EnsembleSettings,
 )
-from cpam_bayes.inference.importance import Evidence, evidence_of
+from cpam_bayes.inference.evidence import Evidence, evidence_of
 from cpam_bayes.inference.noise import Likelihood
 from cpam_bayes.inference.posterior import Posterior
 from cpam_bayes.inference.sampling import sample_from

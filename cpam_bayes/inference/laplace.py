@@ -21,7 +21,8 @@ from cpam_bayes.inference.derivatives import (
 )
 from cpam_bayes.inference.optimise import climb, free_coordinates, polish
 from cpam_bayes.inference.posterior import Posterior
-from cpam_bayes.inference.truncated import log_box_mass, log_student_t
+from cpam_bayes.inference.student_mixture import log_student_t
+from cpam_bayes.inference.truncated import log_box_mass
 
 __all__ = [
     "Approximation",
@@ -278,5 +279,5 @@ def _floored(matrix: Array, least: float) -> Array:
 
 
 def _integral(value: Array, centre: Array, scale: Array, u: Array, axes: Coordinates, nu: float) -> Array:
-    at = log_student_t(u, centre, np.linalg.cholesky(scale), nu)
+    at = log_student_t((u - centre)[:, None], np.linalg.cholesky(scale), nu)[:, 0]
     return np.asarray(value - at + log_box_mass(centre, scale, axes.lower, axes.upper, nu))

@@ -14,14 +14,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cpam_bayes.inference.derivatives import coordinates, log_density
+from cpam_bayes.inference.importance import effective_size
 from cpam_bayes.inference.laplace import Approximation, approximate, find_optima
 from cpam_bayes.inference.posterior import Posterior
 from cpam_bayes.inference.student_mixture import (
     Mixture,
     draw,
     fit,
+    log_blend,
     log_mixture,
-    log_sum_exp,
     single,
     split,
     widened,
@@ -206,9 +207,8 @@ def refine(state: Adaptation) -> None:
     """
     history = state.history
     points = np.concatenate(history.points)
-    sizes = np.log([len(v) for v in history.points])
-    blend = np.stack([log_mixture(p, points) for p in history.proposals], axis=1) + sizes
-    log_weight = np.concatenate(history.targets) - log_sum_exp(blend, axis=1)
+    sizes = [len(v) for v in history.points]
+    log_weight = np.concatenate(history.targets) - log_blend(history.proposals, sizes, points)
     weights = _tempered(log_weight, 20.0 * points.shape[1])
     main = history.proposals[-1]
     if len(history.proposals) > 1:  # less the wide component, which is added anew
@@ -216,15 +216,6 @@ def refine(state: Adaptation) -> None:
         main = Mixture(share / share.sum(), main.centre[:-1], main.factor[:-1], main.degrees_of_freedom)
     fitted = fit(split(main, points, weights, state.components), points, weights)
     state.proposal = widened(fitted, _SAFE_SHARE, _SAFE_WIDTH, points, weights)
-
-
-def effective_size(log_weight: Array) -> float:
-    """(sum w)^2 / sum w^2 of weights that are given by their logarithms."""
-    top = float(log_weight.max())
-    if not np.isfinite(top):
-        return 0.0
-    w = np.exp(log_weight - top)
-    return float(w.sum() ** 2 / np.sum(w**2))
 
 
 def _tempered(log_weight: Array, least: float) -> Array:

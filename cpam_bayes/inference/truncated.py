@@ -6,28 +6,12 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import gammaln, log_ndtr, ndtri_exp, stdtr, stdtrit
+from scipy.special import log_ndtr, ndtri_exp, stdtr, stdtrit
 from scipy.stats import qmc
 
+from cpam_bayes.inference.student_mixture import log_student_t
+
 Array = NDArray[Any]
-
-
-def log_student_t(x: Array, centre: Array, factor: Array, nu: float) -> Array:
-    """Log density of a multivariate Student-t, or of a Gaussian where nu is infinite, (m,).
-
-    x : (m, n) or (n,), centre (m, n) or (n,), factor the lower Cholesky factor of the scale matrix,
-    (m, n, n) or (n, n).
-    """
-    away = np.atleast_2d(x - centre)
-    n = away.shape[1]
-    back = np.linalg.inv(factor)
-    z = away @ back.T if factor.ndim == 2 else np.einsum("mij,mj->mi", back, away)
-    squared = np.sum(z**2, axis=1)
-    log_det = np.log(np.diagonal(factor, axis1=-2, axis2=-1)).sum(axis=-1)
-    if np.isinf(nu):
-        return np.asarray(-0.5 * squared - log_det - 0.5 * n * np.log(2.0 * np.pi))
-    constant = gammaln(0.5 * (nu + n)) - gammaln(0.5 * nu) - 0.5 * n * np.log(nu * np.pi)
-    return np.asarray(constant - log_det - 0.5 * (nu + n) * np.log1p(squared / nu))
 
 
 def log_box_mass(
@@ -73,7 +57,7 @@ def box_draws(
     factor = np.linalg.cholesky(scale)
     uniform = rng.uniform(size=(size, len(centre)))
     x, log_mass = _sequential(centre[None], factor[None], lower[None], upper[None], nu, uniform)
-    return x[0], log_student_t(x[0], centre, factor, nu) - log_mass[0]
+    return x[0], log_student_t(x[0] - centre, factor, nu) - log_mass[0]
 
 
 def _sequential(

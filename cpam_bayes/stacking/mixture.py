@@ -22,6 +22,7 @@ from cpam_bayes.inference.ensemble import (
     sample,
     start_positions,
 )
+from cpam_bayes.inference.importance import Weighted, weighted
 from cpam_bayes.inference.posterior import Posterior
 from cpam_bayes.inference.proposal import AdaptationSettings, Proposal, adapted
 from cpam_bayes.inference.sampling import swarm_on_posterior
@@ -86,7 +87,7 @@ class SampledComponent:
     draws : (d, n) of the chains, about one an autocorrelation time.
     chains, importance : moments by either.
     log_evidence, log_evidence_error : by importance sampling, nats.
-    effective : effective number of its draws.
+    effective, k_hat : effective number of its draws, and shape of its largest weights.
     """
 
     index: int
@@ -97,6 +98,7 @@ class SampledComponent:
     log_evidence: float
     log_evidence_error: float
     effective: float
+    k_hat: float
 
     @property
     def worst_z(self) -> float:
@@ -212,16 +214,17 @@ def _sampled(shared: tuple[ConditionalPosterior, MixtureSettings], item: Item) -
     start = walkers.reshape(settings.ensembles.ensembles, settings.ensembles.walkers, -1)
     proposal = adapted(posterior, optima, seed, settings.proposal)
     chains = sample(posterior, start, seed, settings.ensembles, proposal=proposal)
-    importance, log_evidence, error, effective = _importance(posterior, proposal, settings.points, rng)
+    importance, found = _importance(posterior, proposal, settings.points, rng)
     return SampledComponent(
         index=index,
         draws=_thinned(chains),
         diagnostics=chains.diagnostics,
         chains=_moments_of_chains(chains),
         importance=importance,
-        log_evidence=log_evidence,
-        log_evidence_error=error,
-        effective=effective,
+        log_evidence=float(found.log_evidence[0]),
+        log_evidence_error=float(found.standard_error[0]),
+        effective=float(found.effective_size[0]),
+        k_hat=float(found.k_hat[0]),
     )
 
 
@@ -241,25 +244,17 @@ def _moments_of_chains(chains: EnsembleResult) -> Moments:
 
 def _importance(
     posterior: Posterior, proposal: Proposal, points: int, rng: np.random.Generator
-) -> tuple[Moments, float, float, float]:
-    """Moments, log evidence, its standard error and the effective number of draws of a proposal."""
+) -> tuple[Moments, Weighted]:
+    """Moments by importance sampling from a proposal, and its weighted draws."""
     x = proposal.draw(points, rng)
-    log_weight = posterior.log_prob(x) - proposal.log_density(x)
-    top = float(log_weight.max())
-    weight = np.exp(log_weight - top)
-    normalised = (weight / weight.sum())[:, None]
+    found = weighted(x[None], (posterior.log_prob(x) - proposal.log_density(x))[None])
+    normalised = found.weight[0][:, None]
     mean = np.sum(normalised * x, axis=0)
     deviation = x - mean
     sd = np.sqrt(np.sum(normalised * deviation**2, axis=0))
     mean_error = np.sqrt(np.sum((normalised * deviation) ** 2, axis=0))
     sd_error = np.sqrt(np.sum((normalised * (deviation**2 - sd**2)) ** 2, axis=0)) / (2.0 * sd)
-    relative = float(weight.std() / weight.mean())
-    return (
-        Moments(mean, sd, mean_error, sd_error),
-        top + float(np.log(weight.mean())),
-        relative / np.sqrt(points),
-        points / (1.0 + relative**2),
-    )
+    return Moments(mean, sd, mean_error, sd_error), found
 
 
 def _combined(

@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from cpam_bayes.inference.derivatives import coordinates
+from cpam_bayes.inference.importance import effective_size
 from cpam_bayes.inference.posterior import Posterior, plate_posterior
-from cpam_bayes.inference.proposal import AdaptationSettings, Proposal, adapted, effective_size
+from cpam_bayes.inference.proposal import AdaptationSettings, Proposal, adapted
 from cpam_bayes.inference.student_mixture import Mixture, log_mixture
 from cpam_bayes.inference.unbounded import whole_line
 from cpam_bayes.parameters import TruncatedNormal, Uniform

@@ -10,7 +10,7 @@ from cpam_bayes.forward_model.focused import focused
 from cpam_bayes.forward_model.model import angle_parameters, reference_vector, training_sets
 from cpam_bayes.forward_model.reduced import ReducedModel
 from cpam_bayes.forward_model.store import reduced_model
-from cpam_bayes.inference.importance import importance_evidence as known_evidence
+from cpam_bayes.inference.evidence import importance_evidence as known_evidence
 from cpam_bayes.inference.posterior import Posterior, plate_posterior
 from cpam_bayes.inference.standard_normal import normal_scores
 from cpam_bayes.parallel import open_executor

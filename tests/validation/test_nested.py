@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from cpam_bayes.inference.importance import EvidenceSettings, importance_evidence
+from cpam_bayes.inference.evidence import EvidenceSettings, importance_evidence
 from cpam_bayes.inference.proposal import AdaptationSettings
 from cpam_bayes.validation.nested import Lockstep, nested_evidence
 from tests.toy_models import independent, two_peaks

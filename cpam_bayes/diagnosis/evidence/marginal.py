@@ -14,13 +14,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
-from scipy.special import logsumexp
 
 from cpam_bayes.diagnosis.evidence.comparison import Comparison
-from cpam_bayes.diagnosis.evidence.proposals import proposed
+from cpam_bayes.diagnosis.evidence.proposals import about_nodes
 from cpam_bayes.diagnosis.evidence.scores import FARTHEST
 from cpam_bayes.inference.derivatives import Expansion
+from cpam_bayes.inference.importance import staged_importance
 from cpam_bayes.inference.optimise import climb
+from cpam_bayes.inference.student_mixture import sobol_points
 from cpam_bayes.threads import single_blas_thread
 
 Array = NDArray[Any]
@@ -39,8 +40,8 @@ _HOPELESS = 1e-5
 _FAR = 2.0
 # Points of the fine quadrature between the nodes.
 _FINE = 1601
-# Proposals of importance sampling: degrees of freedom and widening.
-_FREEDOM, _WIDER = 6.0, 1.15
+# Importance sampling: degrees of freedom and widening of the proposal, log2 of its points.
+_FREEDOM, _WIDER, _LOG2_POINTS = 6.0, 1.15, 9
 _HALF_LOG_2PI = 0.5 * np.log(2 * np.pi)
 
 
@@ -48,10 +49,13 @@ _HALF_LOG_2PI = 0.5 * np.log(2 * np.pi)
 class Marginal:
     """What one hypothesis says of the data, and what the data say of its parameters.
 
-    log_evidence : log marginal likelihood; error : its standard error where importance sampling gave it,
-    ``nan`` for Laplace's. z : (k, n) optima at the nodes; curvature : (k, n - 1, n - 1) or (1, n, n) without
-    quadrature; weight : (k,) shares of the nodes. draws, log_weight : (d, n) parameters and their normalised
-    log weights, made by importance sampling. is_climbed : whether the optima are, or only a first look.
+    log_evidence : log marginal likelihood.
+    error, effective_size, k_hat : of importance sampling, as in ``Weighted``; ``nan`` for Laplace's.
+    z : (k, n) optima at the nodes.
+    curvature : (k, n - 1, n - 1), or (1, n, n) without quadrature.
+    weight : (k,) fractions of the evidence.
+    draws, log_weight : (d, n) parameters and (d,) their normalised log weights.
+    is_climbed : whether the optima are, or only screened.
     """
 
     comparison: Comparison
@@ -65,6 +69,8 @@ class Marginal:
     log_weight: Array
 
     is_climbed: bool = True
+    effective_size: float = np.nan
+    k_hat: float = np.nan
 
     @property
     def best(self) -> Array:
@@ -126,7 +132,8 @@ def _with_draws(
 ) -> Marginal:
     nothing = np.empty(0)
     found = Marginal(comparison, quadrature, log_z, np.nan, z, curvature, weight, nothing, nothing)
-    draws = comparison.scores.to_x(proposed(z, curvature, weight, quadrature, 1.0, np.inf)[0])
+    approximation = about_nodes(z, curvature, weight, quadrature, 1.0, np.inf)
+    draws = comparison.scores.to_x(sobol_points(approximation, _LOG2_POINTS)[0])
     return replace(found, draws=draws, log_weight=np.full(len(draws), -np.log(len(draws))))
 
 
@@ -147,22 +154,22 @@ def _at_one_node(comparison: Comparison, starts: Array) -> Marginal:
 
 @single_blas_thread
 def sampled_marginal(found: Marginal) -> Marginal:
-    """The same by importance sampling about the Laplace picture, from a scrambled Sobol sequence."""
-    z, log_q = proposed(found.z, found.curvature, found.weight, found.quadrature, _WIDER, _FREEDOM)
-    log_p = found.comparison.log_density(z)
-    log_ratio = log_p - log_q
-    top = float(log_ratio.max())
-    if not np.isfinite(top):
+    """A marginal likelihood by importance sampling about its Laplace approximation."""
+    proposal = about_nodes(found.z, found.curvature, found.weight, found.quadrature, _WIDER, _FREEDOM)
+    comparison = found.comparison
+    sample = staged_importance(lambda z: comparison.log_density(z[0])[None], proposal, _LOG2_POINTS)
+    if not np.isfinite(sample.log_evidence[0]):
         return found
-    ratio = np.exp(log_ratio - top)
-    log_evidence = top + float(np.log(ratio.mean()))
-    error = float(ratio.std() / ratio.mean() / np.sqrt(len(ratio)))
+    with np.errstate(divide="ignore"):
+        log_weight = np.log(sample.weight[0])
     return replace(
         found,
-        log_evidence=log_evidence,
-        error=error,
-        draws=found.comparison.scores.to_x(z),
-        log_weight=log_ratio - float(logsumexp(log_ratio)),
+        log_evidence=float(sample.log_evidence[0]),
+        error=float(sample.standard_error[0]),
+        effective_size=float(sample.effective_size[0]),
+        k_hat=float(sample.k_hat[0]),
+        draws=comparison.scores.to_x(sample.points[0]),
+        log_weight=log_weight,
     )
 
 

@@ -1,4 +1,4 @@
-"""Proposals of importance sampling about a Laplace picture: a mixture over the nodes of a quadrature."""
+"""The Laplace approximation over the nodes of a quadrature as one mixture of Student-t densities."""
 
 from __future__ import annotations
 
@@ -6,64 +6,39 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtri, logsumexp, ndtri
-from scipy.stats import qmc
 
-from cpam_bayes.inference.truncated import log_student_t
+from cpam_bayes.inference.student_mixture import Mixture
 
 Array = NDArray[Any]
 
-# Log2 of the points, and the share of the mass below which a node proposes nothing.
-_LOG2_POINTS, _LEAST_SHARE = 9, 1e-4
-_HALF_LOG_2PI = 0.5 * np.log(2 * np.pi)
+# Fraction of the mass below which a node proposes nothing.
+_LEAST_FRACTION = 1e-4
 
 
-def proposed(
+def about_nodes(
     z: Array, curvature: Array, weight: Array, quadrature: int | None, wider: float, freedom: float
-) -> tuple[Array, Array]:
-    """Scores (d, n) near a Laplace picture from a scrambled Sobol sequence, and their log density, (d,).
+) -> Mixture:
+    """A stack of one mixture with a component at every node that carries mass.
 
-    The score gone through by the quadrature is Gaussian about a node, the others are Student-t about the
-    optimum there, which is carried along between nodes. z : (k, n) optima at the nodes; curvature : (k, n -
-    1, n - 1), or (1, n, n) without quadrature; weight : (k,). wider : factor on all widths. freedom : of the
-    Student-t.
+    Along the score of the quadrature a component is as wide as its node is far from the next ones, and
+    the optimum of the other scores is carried along.
+
+    z : (k, n) optima at the nodes; curvature : (k, n - 1, n - 1), or (1, n, n) without quadrature;
+    weight : (k,). wider : factor on all widths. freedom : degrees of freedom of the Student-t.
     """
-    nodes, n = z, z.shape[1]
-    used = np.flatnonzero(weight >= _LEAST_SHARE)
+    used = np.flatnonzero(weight >= _LEAST_FRACTION)
     share = weight[used] / weight[used].sum()
-    uniform = qmc.Sobol(n + 2, rng=np.random.default_rng(0)).random_base2(_LOG2_POINTS)
-    uniform = np.clip(uniform, 1e-12, 1 - 1e-12)
-    which = np.searchsorted(np.cumsum(share)[:-1], uniform[:, n + 1])
-    normal = ndtri(uniform[:, :n])
-    stretch = np.ones(len(uniform))
-    if np.isfinite(freedom):  # a Student-t is a Gaussian over the root of a chi-squared variable
-        stretch = 1.0 / np.sqrt(chdtri(freedom, 1.0 - uniform[:, n]) / freedom)
-    factor = np.linalg.cholesky(np.linalg.inv(curvature[used])) * wider
-    if quadrature is None:
-        centre = nodes[used]
-        step = np.einsum("mij,mj->mi", factor[which], normal) * stretch[:, None]
-        z = centre[which] + step
-        log_q = log_student_t(z, centre[0], factor[0], freedom)
-        return z, np.asarray(log_q)
-    q = quadrature
-    columns = np.delete(np.arange(n), q)
-    score, rest = nodes[used, q], nodes[np.ix_(used, columns)]
-    width = _spacing(nodes[:, q])[used] * wider
-    along = _slopes(nodes[:, q], nodes[:, columns])[used]
-    t = score[which] + width[which] * normal[:, n - 1]
-    step = np.einsum("mij,mj->mi", factor[which], normal[:, : n - 1]) * stretch[:, None]
-    u = rest[which] + along[which] * (t - score[which])[:, None] + step
-    log_q = np.stack(
-        [
-            np.log(share[k])
-            - 0.5 * ((t - score[k]) / width[k]) ** 2
-            - np.log(width[k])
-            - _HALF_LOG_2PI
-            + log_student_t(u - along[k] * (t - score[k])[:, None], rest[k], factor[k], freedom)
-            for k in range(len(used))
-        ]
-    )
-    return np.insert(u, q, t, axis=1), np.asarray(logsumexp(log_q, axis=0))
+    factor = np.linalg.cholesky(np.linalg.inv(curvature[used]))
+    if quadrature is not None:
+        n, score = z.shape[1], z[:, quadrature]
+        rest = np.delete(np.arange(n), quadrature)
+        width = _spacing(score)[used]
+        whole = np.zeros((len(used), n, n))
+        whole[:, rest, : n - 1] = factor
+        whole[:, rest, n - 1] = width[:, None] * _slopes(score, z[:, rest])[used]
+        whole[:, quadrature, n - 1] = width
+        factor = whole
+    return Mixture(share[None], z[None, used], wider * factor[None], freedom)
 
 
 def _spacing(score: Array) -> Array:

@@ -1,0 +1,212 @@
+"""Evidence by importance sampling against closed forms and quadrature."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import norm
+
+from cpam_bayes.inference.ensemble import EnsembleSettings
+from cpam_bayes.inference.evidence import (
+    Evidence,
+    EvidenceSettings,
+    evidence_of,
+    importance_evidence,
+)
+from cpam_bayes.inference.importance import pareto_shape
+from cpam_bayes.inference.posterior import Posterior, plate_posterior
+from cpam_bayes.inference.proposal import AdaptationSettings
+from cpam_bayes.inference.sampling import sample_posterior
+from cpam_bayes.inference.swarm.pso import SwarmSettings
+from cpam_bayes.parameters import TruncatedNormal, Uniform
+from cpam_bayes.plate import Measurement
+from tests.linear_model import LinearModel, exact_gaussian, measurement
+from tests.toy_models import (
+    ToyModel,
+    crossing,
+    independent,
+    integral,
+    integral_over_noise,
+    parameters,
+    two_peaks,
+)
+
+SETTINGS = EvidenceSettings(draws=6000, adaptation=AdaptationSettings(draws=1000))
+
+
+def sampled(own: Posterior, seed: int = 0, starts: np.ndarray | None = None) -> Evidence:
+    n = own.parameters.size
+    return importance_evidence(own, np.empty((0, n)) if starts is None else starts, seed, settings=SETTINGS)
+
+
+def agrees(found: Evidence, expected: float, near: float = 0.0) -> None:
+    """Within four standard errors, and these are small."""
+    assert found.status == "reliable"
+    assert found.k_hat < 0.7
+    assert found.standard_error < 0.05
+    assert found.log_evidence == pytest.approx(expected, abs=4.0 * found.standard_error + near)
+
+
+def test_evidence_of_independent_parameters_is_the_closed_form() -> None:
+    found = sampled(independent((3.0, 6.0)))
+    agrees(found, 2 * np.log(0.1) + np.log(norm.cdf(7) - norm.cdf(-3)) + np.log(norm.cdf(4) - norm.cdf(-6)))
+    assert found.n_draws == SETTINGS.draws
+    assert found.effective_size > 0.5 * SETTINGS.draws
+
+
+@pytest.mark.parametrize("off", [-1.0, -5.0, -20.0])
+def test_evidence_of_a_gaussian_cut_at_a_bound_is_the_closed_form(off: float) -> None:
+    """The optimum sits on a bound, up to 20 standard deviations from where it would lie without."""
+    found = sampled(independent((off, 5.0)))
+    exact = norm.logsf(-off) + np.log(norm.cdf(5) - norm.cdf(-5)) + 2 * np.log(0.1)
+    agrees(found, exact)
+    assert found.effective_size > 0.3 * SETTINGS.draws
+
+
+def test_mean_and_sd_are_those_of_the_cut_gaussian() -> None:
+    found = sampled(independent((-1.0, 5.0)))
+    ratio = norm.pdf(1.0) / norm.sf(1.0)
+    mean, sd = 0.1 * (ratio - 1.0), 0.1 * np.sqrt(1.0 + ratio - ratio**2)
+    near = 4.0 / np.sqrt(found.effective_size)
+    assert found.mean[0] == pytest.approx(mean, abs=near * sd)
+    # the sd of an sd is below one over the root of the number of draws
+    assert found.sd[0] == pytest.approx(sd, abs=near * sd)
+    weights = np.exp(found.log_weights)
+    assert weights.sum() == pytest.approx(1.0)
+    assert found.draws[:, 0] @ weights == pytest.approx(found.mean[0])
+    assert np.all((found.draws >= 0.0) & (found.draws <= 1.0))
+
+
+def test_both_peaks_count_also_where_only_one_was_given() -> None:
+    own = two_peaks()
+    edges = (np.linspace(-2.0, 2.0, 801), np.linspace(-2.0, 2.0, 801))
+    found = sampled(own, starts=np.array([[1.0, -0.7]]))
+    agrees(found, integral(own, edges), near=1e-3)
+    left = np.exp(found.log_weights)[found.draws[:, 0] < 0].sum()
+    assert left == pytest.approx(0.5, abs=4.0 * 0.5 / np.sqrt(found.effective_size))
+
+
+def test_inferred_noise_is_integrated() -> None:
+    own = plate_posterior(LinearModel(), measurement(None), np.zeros(4))
+    # noise below 1e-4, left out by the quadrature, has a chance below 1e-6; its steps leave 1e-3
+    agrees(sampled(own), integral_over_noise(own), near=2e-3)
+
+
+def test_student_t_noise_and_a_normal_prior_without_bounds_are_integrated() -> None:
+    own_parameters = parameters(a=Uniform(-2.0, 2.0), b=TruncatedNormal(-0.2, 0.1, -np.inf, np.inf))
+    own = plate_posterior(LinearModel(own_parameters), measurement(0.02), np.zeros(4), degrees_of_freedom=4.0)
+    edges = (np.linspace(-2.0, 2.0, 801), np.linspace(-0.9, 0.5, 281))
+    agrees(sampled(own), integral(own, edges), near=1e-3)
+
+
+@pytest.mark.parametrize(("lower", "upper"), [(0.0, np.inf), (-np.inf, 0.1)])
+def test_a_single_bound_is_kept_to(lower: float, upper: float) -> None:
+    own_parameters = parameters(a=Uniform(-2.0, 2.0), b=TruncatedNormal(0.0, 0.5, lower, upper))
+    own = plate_posterior(LinearModel(own_parameters), measurement(0.05), np.zeros(4))
+    found = sampled(own)
+    assert np.all((found.draws[:, 1] >= lower) & (found.draws[:, 1] <= upper))
+    edges = (np.linspace(-2.0, 2.0, 801), np.linspace(max(lower, -2.0), min(upper, 2.0), 801))
+    agrees(found, integral(own, edges), near=1e-3)
+
+
+def test_missing_modes_are_summed_and_integrated() -> None:
+    data = measurement(None)
+    gaps = Measurement(data.frequencies[[0, 1, 3]], 0.0, 0.01, None, ("",) * 3, complete=False)
+    own = plate_posterior(LinearModel(), gaps, np.zeros(4))
+    edges = (np.linspace(-2.0, 2.0, 801), np.linspace(-2.0, 2.0, 801))
+    # the density jumps where a mode leaves the range of the list: the grid's step over the peaks' width
+    agrees(sampled(own), integral(own, edges), near=0.01)
+
+
+def test_constraints_cut_without_being_normalised_again() -> None:
+    own = independent((5.0, 5.0))
+    assert isinstance(own.model, ToyModel)
+    half = replace(own, model=replace(own.model, allowed=lambda x: x[:, 0] > x[:, 1]))
+    agrees(sampled(half), 2 * np.log(0.1 * (norm.cdf(5) - norm.cdf(-5))) + np.log(0.5))
+
+
+def test_kinks_of_crossing_modes_are_integrated() -> None:
+    own = crossing()
+    edges = (np.linspace(-1.0, 1.0, 1001), np.linspace(-1.0, 1.0, 1001))
+    agrees(sampled(own), integral(own, edges), near=5e-3)
+
+
+def test_errors_are_those_of_repeated_estimates() -> None:
+    own = independent((-1.0, 5.0))
+    found = [sampled(own, seed) for seed in range(12)]
+    spread = np.std([f.log_evidence for f in found], ddof=1)
+    claimed = np.mean([f.standard_error for f in found])
+    # chi of 11 degrees of freedom: 0.45 to 1.7 hold it but for 1 in 1000
+    assert 0.45 < spread / claimed < 1.7
+
+
+def test_the_same_seed_gives_the_same_answer_and_another_another() -> None:
+    own = two_peaks()
+    one, again, other = sampled(own, 3), sampled(own, 3), sampled(own, 4)
+    assert one.log_evidence == again.log_evidence
+    np.testing.assert_array_equal(one.draws, again.draws)
+    assert one.log_evidence != other.log_evidence
+
+
+def test_evidence_of_chains_is_the_closed_form_also_where_they_miss_an_optimum() -> None:
+    own = two_peaks()
+    ensembles = EnsembleSettings(walkers=16, round_steps=100, most_steps=100)
+    result = sample_posterior(
+        own, 0, settings=ensembles, swarm_settings=SwarmSettings(particles=10, iterations=20)
+    )
+    right = np.abs(result.chain[..., :1]) * np.array([1.0, 0.0]) + result.chain * np.array([0.0, 1.0])
+    edges = (np.linspace(-2.0, 2.0, 801), np.linspace(-2.0, 2.0, 801))
+    expected = integral(own, edges)
+    for chain in (result.chain, right):
+        found = evidence_of(own, replace(result, chain=chain), 0, settings=SETTINGS)
+        agrees(found, expected, near=1e-3)
+
+
+def test_heavy_weights_are_told_by_their_shape() -> None:
+    rng = np.random.default_rng(0)
+    for shape in (0.3, 1.0):
+        weights = rng.uniform(size=20_000) ** -shape  # Pareto: P(w > t) = t^(-1 / shape)
+        # 3 sqrt(20000) largest weights say it to about (1 + shape) / 20
+        assert pareto_shape(np.log(weights)) == pytest.approx(shape, abs=0.2)
+
+
+def test_a_proposal_that_cannot_follow_is_not_called_reliable() -> None:
+    """A comb of spikes: forty narrow optima, of which a few components find some."""
+    own_parameters = parameters(a=Uniform(-2.0, 2.0), b=Uniform(-2.0, 2.0))
+
+    def comb(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        a, b = x.T
+        f = np.stack((100.0 + 30.0 * np.sin(40.0 * a), 200.0 + 30.0 * np.sin(40.0 * b)), axis=1)
+        slope = np.zeros((len(x), 2, 2))
+        slope[:, 0, 0], slope[:, 1, 1] = 1200.0 * np.cos(40.0 * a), 1200.0 * np.cos(40.0 * b)
+        return f, slope
+
+    data = Measurement(np.array([100.0, 200.0]), 0.0, None, np.full(2, 0.05), ("", ""), complete=True)
+    own = plate_posterior(ToyModel(own_parameters, comb), data, np.zeros(2))
+    found = importance_evidence(
+        own,
+        np.empty((0, 2)),
+        0,
+        settings=EvidenceSettings(2000, AdaptationSettings(rounds=2, draws=500), attempts=1),
+    )
+    assert found.status == "unreliable"
+
+
+def test_a_posterior_without_support_is_refused() -> None:
+    own = independent((3.0,))
+    assert isinstance(own.model, ToyModel)
+    none = replace(own, model=replace(own.model, allowed=lambda x: np.zeros(len(x), dtype=bool)))
+    with pytest.raises(ValueError, match="outside the support of the prior"):
+        sampled(none)
+
+
+def test_linear_model_has_the_closed_forms_moments() -> None:
+    own = plate_posterior(LinearModel(), measurement(0.01), np.zeros(4))
+    found = sampled(own)
+    mean, covariance = exact_gaussian(measurement(0.01))
+    sd = np.sqrt(np.diag(covariance))
+    near = 4.0 / np.sqrt(found.effective_size)
+    np.testing.assert_array_less(np.abs(found.mean - mean) / sd, near)
+    np.testing.assert_allclose(found.sd, sd, rtol=near)
