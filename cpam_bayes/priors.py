@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+from abc import abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -51,9 +52,114 @@ class Prior(Protocol):
         """Independent draws, (size,)."""
         ...
 
+    def cdf(self, x: ArrayLike) -> Floats:
+        """Distribution function F at x, (...) -> (...)."""
+        ...
+
+    def ppf(self, p: ArrayLike) -> Floats:
+        """Quantiles, the inverse of F, at p in [0, 1], (...) -> (...)."""
+        ...
+
+    def from_normal(self, z: ArrayLike) -> Floats:
+        """x with F(x) = Phi(z), accurate in both tails, (...) -> (...)."""
+        ...
+
+    def to_normal(self, x: ArrayLike) -> Floats:
+        """z with Phi(z) = F(x), accurate in both tails, infinite on the bounds, (...) -> (...)."""
+        ...
+
+
+class _Distribution:
+    """Distribution function and quantiles through the standard normal, where both tails are accurate."""
+
+    __slots__ = ()
+
+    def cdf(self, x: ArrayLike) -> Floats:
+        """Distribution function F at x, (...) -> (...)."""
+        return np.asarray(ndtr(self.to_normal(x)))
+
+    def ppf(self, p: ArrayLike) -> Floats:
+        """Quantiles, the inverse of F, at p in [0, 1], (...) -> (...)."""
+        return self.from_normal(ndtri(np.asarray(p, dtype=float)))
+
+    @abstractmethod
+    def from_normal(self, z: ArrayLike) -> Floats:
+        """x with F(x) = Phi(z), accurate in both tails, (...) -> (...)."""
+
+    @abstractmethod
+    def to_normal(self, x: ArrayLike) -> Floats:
+        """z with Phi(z) = F(x), accurate in both tails, infinite on the bounds, (...) -> (...)."""
+
+
+class _Truncated(_Distribution):
+    """A density of location and scale, cut at bounds."""
+
+    __slots__ = ()
+    lower: float
+    upper: float
+    scale: float
+
+    @property
+    @abstractmethod
+    def _centre(self) -> float: ...
+
+    @property
+    @abstractmethod
+    def _moments(self) -> tuple[float, float]:
+        """Mean and variance in scales about the centre, mirrored as the cut is."""
+
+    @abstractmethod
+    def _distribution(self, t: Any) -> Any:
+        """Distribution function of the standard density."""
+
+    @abstractmethod
+    def _quantile(self, p: Any) -> Any:
+        """Inverse of ``_distribution``."""
+
+    @property
+    def _cut(self) -> _Cut:
+        a, b = (self.lower - self._centre) / self.scale, (self.upper - self._centre) / self.scale
+        sign = 1.0
+        if a > 0.0:
+            a, b, sign = -b, -a, -1.0
+        below = float(self._distribution(a))
+        return _Cut(a, b, sign, below, float(self._distribution(b)) - below)
+
+    @property
+    def mean(self) -> float:
+        """Mean within the bounds."""
+        return self._centre + self.scale * self._cut.sign * self._moments[0]
+
+    @property
+    def sd(self) -> float:
+        """Standard deviation within the bounds."""
+        return self.scale * math.sqrt(self._moments[1])
+
+    def sample(self, rng: np.random.Generator, size: int) -> Floats:
+        """Independent draws, (size,)."""
+        return self._from_lower_tail(rng.uniform(size=size))
+
+    def from_normal(self, z: ArrayLike) -> Floats:
+        """x with F(x) = Phi(z), accurate in both tails, (...) -> (...)."""
+        return self._from_lower_tail(ndtr(self._cut.sign * np.asarray(z, dtype=float)))
+
+    def to_normal(self, x: ArrayLike) -> Floats:
+        """z with Phi(z) = F(x), accurate in both tails, infinite on the bounds, (...) -> (...)."""
+        cut = self._cut
+        inside = np.clip(np.asarray(x, dtype=float), self.lower, self.upper)
+        t = cut.sign * (inside - self._centre) / self.scale
+        p = np.clip((self._distribution(t) - cut.below) / cut.mass, 0.0, 1.0)
+        return np.asarray(cut.sign * ndtri(p))
+
+    def _from_lower_tail(self, p: Floats) -> Floats:
+        """x with probability p between it and the bound in the tail that is the lower one after mirroring."""
+        cut = self._cut
+        t = self._quantile(cut.below + cut.mass * p)
+        return np.asarray(np.clip(self._centre + self.scale * cut.sign * t, self.lower, self.upper))
+
 
 @dataclass(frozen=True, slots=True)
-class Uniform:
+class Uniform(_Distribution):
     """Equal density between two bounds, in the parameter's unit.
 
     raises ValueError when the bounds are not finite or not ascending
@@ -86,9 +192,19 @@ class Uniform:
         """Independent draws, (size,)."""
         return rng.uniform(self.lower, self.upper, size)
 
+    def from_normal(self, z: ArrayLike) -> Floats:
+        """x with F(x) = Phi(z), accurate in both tails, (...) -> (...)."""
+        x = self.lower + (self.upper - self.lower) * ndtr(np.asarray(z, dtype=float))
+        return np.clip(x, self.lower, self.upper)
+
+    def to_normal(self, x: ArrayLike) -> Floats:
+        """z with Phi(z) = F(x), infinite on the bounds, (...) -> (...)."""
+        inside = np.clip(np.asarray(x, dtype=float), self.lower, self.upper)
+        return np.asarray(ndtri((inside - self.lower) / (self.upper - self.lower)))
+
 
 @dataclass(frozen=True, slots=True)
-class TruncatedNormal:
+class TruncatedNormal(_Truncated):
     """A normal density cut at bounds, which may be infinite.
 
     loc, scale : mean and standard deviation before the cut; `mean` and `sd` are those after it
@@ -109,9 +225,14 @@ class TruncatedNormal:
         _require_mass(self._cut.mass, self)
 
     @property
-    def _cut(self) -> _Cut:
-        a, b = (self.lower - self.loc) / self.scale, (self.upper - self.loc) / self.scale
-        return _cut(a, b, lambda t: float(ndtr(t)))
+    def _centre(self) -> float:
+        return self.loc
+
+    def _distribution(self, t: Any) -> Any:
+        return ndtr(t)
+
+    def _quantile(self, p: Any) -> Any:
+        return ndtri(p)
 
     @property
     def _moments(self) -> tuple[float, float]:
@@ -124,16 +245,6 @@ class TruncatedNormal:
         b_pdf_b = cut.b * pdf_b if math.isfinite(cut.b) else 0.0
         return mean, 1.0 + (a_pdf_a - b_pdf_b) / cut.mass - mean * mean
 
-    @property
-    def mean(self) -> float:
-        """Mean within the bounds."""
-        return self.loc + self.scale * self._cut.sign * self._moments[0]
-
-    @property
-    def sd(self) -> float:
-        """Standard deviation within the bounds."""
-        return self.scale * math.sqrt(self._moments[1])
-
     def log_density(self, x: ArrayLike) -> Floats:
         """Log density of x, (...) -> (...), -inf outside the bounds and at NaN."""
         x = np.asarray(x, dtype=float)
@@ -142,15 +253,9 @@ class TruncatedNormal:
             value = -0.5 * ((x - self.loc) / self.scale) ** 2 - constant
         return _inside(x, self.lower, self.upper, value)
 
-    def sample(self, rng: np.random.Generator, size: int) -> Floats:
-        """Independent draws, (size,)."""
-        cut = self._cut
-        t = ndtri(cut.below + cut.mass * rng.uniform(size=size))
-        return np.clip(self.loc + self.scale * cut.sign * t, self.lower, self.upper)
-
 
 @dataclass(frozen=True, slots=True)
-class ScaledStudentT:
+class ScaledStudentT(_Truncated):
     """A Student-t density about zero cut at bounds, which may be infinite: the prior of an effect.
 
     scale : one standard deviation in the sense of the effects' catalogue, before the cut
@@ -176,9 +281,14 @@ class ScaledStudentT:
         _require_mass(self._cut.mass, self)
 
     @property
-    def _cut(self) -> _Cut:
-        nu = self.degrees_of_freedom
-        return _cut(self.lower / self.scale, self.upper / self.scale, lambda t: float(stdtr(nu, t)))
+    def _centre(self) -> float:
+        return 0.0
+
+    def _distribution(self, t: Any) -> Any:
+        return stdtr(self.degrees_of_freedom, t)
+
+    def _quantile(self, p: Any) -> Any:
+        return stdtrit(self.degrees_of_freedom, p)
 
     @property
     def _moments(self) -> tuple[float, float]:
@@ -194,16 +304,6 @@ class ScaledStudentT:
         second = nu * ((nu - 1.0) / (nu - 2.0) * lighter / cut.mass - 1.0)
         return mean, second - mean * mean
 
-    @property
-    def mean(self) -> float:
-        """Mean within the bounds."""
-        return self.scale * self._cut.sign * self._moments[0]
-
-    @property
-    def sd(self) -> float:
-        """Standard deviation within the bounds."""
-        return self.scale * math.sqrt(self._moments[1])
-
     def log_density(self, x: ArrayLike) -> Floats:
         """Log density of x, (...) -> (...), -inf outside the bounds and at NaN."""
         x = np.asarray(x, dtype=float)
@@ -212,12 +312,6 @@ class ScaledStudentT:
         with np.errstate(over="ignore"):
             value = constant - 0.5 * (nu + 1.0) * np.log1p((x / self.scale) ** 2 / nu)
         return _inside(x, self.lower, self.upper, value)
-
-    def sample(self, rng: np.random.Generator, size: int) -> Floats:
-        """Independent draws, (size,)."""
-        cut = self._cut
-        t = stdtrit(self.degrees_of_freedom, cut.below + cut.mass * rng.uniform(size=size))
-        return np.clip(self.scale * cut.sign * t, self.lower, self.upper)
 
 
 @dataclass(frozen=True, slots=True)
@@ -229,14 +323,6 @@ class _Cut:
     sign: float
     below: float
     mass: float
-
-
-def _cut(a: float, b: float, distribution: Callable[[float], float]) -> _Cut:
-    sign = 1.0
-    if a > 0.0:
-        a, b, sign = -b, -a, -1.0
-    below = distribution(a)
-    return _Cut(a, b, sign, below, distribution(b) - below)
 
 
 def _quadrature_moments(a: float, b: float, shape: Callable[[Floats], Floats]) -> tuple[float, float]:

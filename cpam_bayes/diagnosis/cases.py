@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cpam_bayes.diagnosis.evidence.scores import FARTHEST
 from cpam_bayes.diagnosis.fitting import PlateCase, comparison_of
 from cpam_bayes.diagnosis.hypotheses import NONE, OTHER, Hypothesis, prior_by_cause, single_hypotheses
 from cpam_bayes.diagnosis.models import PlateModels, plate_models
@@ -18,6 +17,7 @@ from cpam_bayes.forward_model.labels import labelled_model, list_order
 from cpam_bayes.forward_model.model import reference_vector
 from cpam_bayes.inference.optimise import climb
 from cpam_bayes.inference.posterior import plate_posterior
+from cpam_bayes.inference.standard_normal import MAX_SCORE
 from cpam_bayes.parameters import Parameter
 from cpam_bayes.plate import Measurement, Specimen
 
@@ -197,7 +197,7 @@ def _best_constants(models: PlateModels, measurement: Measurement, mode: Array, 
     kept = mode >= 0
     case = PlateCase(models, _only(measurement, kept), mode[kept])
     comparison = comparison_of([case], Hypothesis(NONE, NONE))
-    bound = np.full(len(x), FARTHEST)
+    bound = np.full(len(x), MAX_SCORE)
     summit = climb(
         lambda z, rows: comparison.expand(z), comparison.scores.to_z(x[None]), -bound, bound, promised=1e-2
     )

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from cpam_bayes.diagnosis.composed import Change, ComposedModel, Part
 from cpam_bayes.diagnosis.evidence.comparison import Comparison, Listed
-from cpam_bayes.diagnosis.evidence.scores import scores_of
 from cpam_bayes.diagnosis.hypotheses import OTHER, Hypothesis
 from cpam_bayes.diagnosis.models import PlateModels, extended_model, plate_models
 from cpam_bayes.effects import Effect
@@ -19,6 +18,7 @@ from cpam_bayes.effects.frequency_list import MISREADING
 from cpam_bayes.forward_model.reduced import ReducedModel
 from cpam_bayes.inference.noise import NOISE_PRIOR
 from cpam_bayes.inference.posterior import ForwardModel
+from cpam_bayes.inference.standard_normal import NormalScores
 from cpam_bayes.parameters import Parameter, ParameterSet, TruncatedNormal
 from cpam_bayes.plate import Measurement
 
@@ -194,7 +194,7 @@ def _compared(
         discrepancy = len(parameters)
         parameters.append(hypothesis.parameters[0])
     every = ParameterSet(tuple(parameters))
-    return Comparison(model, listed, every, scores_of(every), noise, discrepancy)
+    return Comparison(model, listed, every, NormalScores(every), noise, discrepancy)
 
 
 def effect_columns(comparison: Comparison, hypothesis: Hypothesis) -> tuple[int, ...]:

@@ -122,18 +122,18 @@ def expand(posterior: Posterior, x: Array) -> Expansion:
     inside = np.isfinite(value)
     if inside.any():
         own = x[inside]
-        added, slope, bend = _likelihood(posterior, own)
+        likelihood = expand_likelihood(posterior, own)
         prior_slope, prior_bend = _prior(posterior, own)
-        value[inside] += added
-        gradient[inside] = slope + prior_slope
+        value[inside] += likelihood.value
+        gradient[inside] = likelihood.gradient + prior_slope
         diagonal = np.maximum(prior_bend, 0.0)[..., None] * np.eye(n)
-        curvature[inside] = bend + diagonal
+        curvature[inside] = likelihood.curvature + diagonal
     return Expansion(value, gradient, curvature)
 
 
 def information(posterior: Posterior, x: Array) -> Array:
     """Fisher information of the data about the parameters at x (m, n), (m, n, n), as in ``expand``."""
-    return _likelihood(posterior, x)[2]
+    return expand_likelihood(posterior, x).curvature
 
 
 def expand_u(posterior: Posterior, axes: Coordinates, u: Array) -> Expansion:
@@ -168,14 +168,12 @@ def hessian_u(posterior: Posterior, axes: Coordinates, u: Array, sd: Array) -> A
     return np.asarray(-0.5 * (difference + difference.T))
 
 
-# The likelihood: value (m,), gradient (m, n), curvature (m, n, n)
-
-
-def _likelihood(posterior: Posterior, x: Array) -> tuple[Array, Array, Array]:
+def expand_likelihood(posterior: Posterior, x: Array) -> Expansion:
+    """Log likelihood, gradient and Fisher information over the parameters x (m, n) within the support."""
     return (_one_to_one if posterior.measurement.complete else _summed)(posterior, x)
 
 
-def _one_to_one(posterior: Posterior, x: Array) -> tuple[Array, Array, Array]:
+def _one_to_one(posterior: Posterior, x: Array) -> Expansion:
     """Of a complete list: every frequency depends on its own mode alone.
 
     The Fisher information of location and log scale of a Student-t density of nu degrees of freedom is
@@ -207,7 +205,7 @@ def _one_to_one(posterior: Posterior, x: Array) -> tuple[Array, Array, Array]:
     location, scale = (1.0, 2.0) if np.isinf(nu) else ((nu + 1.0) / (nu + 3.0), 2.0 * nu / (nu + 3.0))
     weighted = slope / sigma_0[..., None]
     curvature = location * _gram(weighted) + scale * _gram(log_sigma)
-    return value, gradient, curvature
+    return Expansion(value, gradient, curvature)
 
 
 def _gram(a: Array) -> Array:
@@ -245,7 +243,7 @@ class _TangentPosterior(Posterior):
         return self.seen
 
 
-def _summed(posterior: Posterior, x: Array) -> tuple[Array, Array, Array]:
+def _summed(posterior: Posterior, x: Array) -> Expansion:
     """Of an incomplete list: differences of its likelihood along the tangent of the model, no solves."""
     n_plate, n = posterior.model.parameters.size, x.shape[1]
     prediction = posterior.model.predict(x[:, :n_plate], jacobian=True)
@@ -272,7 +270,7 @@ def _summed(posterior: Posterior, x: Array) -> tuple[Array, Array, Array]:
     values, vectors = np.linalg.eigh(bend)
     bend = (vectors * np.maximum(values, 0.0)[:, None, :]) @ np.swapaxes(vectors, 1, 2)
     inverse = 1.0 / axes.slope(x)
-    return value, gradient * inverse, bend * inverse[:, :, None] * inverse[:, None, :]
+    return Expansion(value, gradient * inverse, bend * inverse[:, :, None] * inverse[:, None, :])
 
 
 def _prior(posterior: Posterior, x: Array) -> tuple[Array, Array]:

@@ -30,7 +30,7 @@ class Known:
         to_x=lambda z: z,
         lower=np.full(N, -np.inf),
         upper=np.full(N, np.inf),
-        slope=lambda x, z: np.ones_like(z),
+        log_prior=lambda z: np.zeros(len(z)),
     )
     template: Any = SimpleNamespace(log_prior=lambda x: np.zeros(len(x)))
     # so small that no sequence gets a basis of its own
@@ -42,11 +42,11 @@ class Known:
         self.points = 0
 
     def at(self, angles_deg: np.ndarray, rows: np.ndarray) -> Any:
-        def log_prob(x: np.ndarray) -> np.ndarray:
+        def log_likelihood(x: np.ndarray) -> np.ndarray:
             self.points += len(x)
             return skewed(x) + LOG_Z[angles_deg[rows, 0].astype(int)]
 
-        return SimpleNamespace(log_prob=log_prob)
+        return SimpleNamespace(log_likelihood=log_likelihood)
 
 
 def fits(centre: float, sd: float) -> ConditionalFits:

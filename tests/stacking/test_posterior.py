@@ -1,7 +1,6 @@
 """The posterior over stacking sequences, against brute force, and against an evidence known otherwise."""
 
 from dataclasses import replace
-from itertools import product
 
 import numpy as np
 import pytest
@@ -12,9 +11,7 @@ from cpam_bayes.forward_model.reduced import ReducedModel
 from cpam_bayes.forward_model.store import reduced_model
 from cpam_bayes.inference.evidence import importance_evidence as known_evidence
 from cpam_bayes.inference.posterior import Posterior, plate_posterior
-from cpam_bayes.inference.standard_normal import normal_scores
 from cpam_bayes.parallel import open_executor
-from cpam_bayes.parameters import Parameter, ParameterSet, ScaledStudentT, TruncatedNormal, Uniform
 from cpam_bayes.plate import Measurement, Specimen, builtin
 from cpam_bayes.plate.layup import parse_layup
 from cpam_bayes.stacking.conditional import importance as sequence_importance
@@ -310,28 +307,3 @@ def test_the_answer_is_the_same_bit_for_bit_again(specimen: Specimen, answer: St
 def test_a_known_layup_is_refused() -> None:
     with pytest.raises(ValueError, match="no unknown angle"):
         stacking_posterior(builtin("C1"), 0)
-
-
-def scores_of(*priors: Uniform | TruncatedNormal | ScaledStudentT) -> Posterior:
-    parameters = ParameterSet(tuple(Parameter(f"p{i}", "", prior) for i, prior in enumerate(priors)))
-
-    class Own:
-        pass
-
-    own = Own()
-    own.parameters = parameters  # type: ignore[attr-defined]
-    return own  # type: ignore[return-value]
-
-
-def test_normal_scores_make_priors_standard_normal() -> None:
-    priors = (Uniform(2.0, 5.0), TruncatedNormal(1.0, 0.5, 0.2, 1.4))
-    posterior = scores_of(*priors)
-    axes = normal_scores(posterior)
-    z = np.array(list(product((-2.0, 0.0, 0.7, 2.5), repeat=2)))
-    x = axes.to_x(z)
-    np.testing.assert_allclose(axes.to_z(x), z, atol=1e-9)
-    log_prior = posterior.parameters.log_prior(x) + np.log(axes.slope(x, z)).sum(axis=1)
-    expected = -0.5 * np.sum(z**2, axis=1) - np.log(2 * np.pi)
-    np.testing.assert_allclose(log_prior, expected, atol=1e-9)
-    h = 1e-6
-    np.testing.assert_allclose((axes.to_x(z + h) - axes.to_x(z - h)) / (2 * h), axes.slope(x, z), rtol=1e-6)

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cpam_bayes.diagnosis.composed import ComposedModel
-from cpam_bayes.diagnosis.evidence.scores import Scores
 from cpam_bayes.inference.derivatives import Expansion
+from cpam_bayes.inference.standard_normal import NormalScores
 from cpam_bayes.parameters import ParameterSet
 
 Array = NDArray[Any]
@@ -61,7 +61,7 @@ class Comparison:
     model: ComposedModel
     listed: Listed
     parameters: ParameterSet
-    scores: Scores
+    scores: NormalScores
     noise: int | None
     discrepancy: int | None
     left_out: int | None = None
@@ -99,33 +99,27 @@ class Comparison:
 
     def log_density(self, z: Array) -> Array:
         """Log of likelihood times prior density over scores (m, n), (m,)."""
-        prior = -0.5 * np.sum(z**2, axis=1) - 0.5 * z.shape[1] * np.log(2 * np.pi)
-        return np.asarray(prior + self.log_likelihood(self.scores.to_x(z)))
+        return self.scores.log_prior(z) + self.log_likelihood(self.scores.to_x(z))
 
     def expand(self, z: Array) -> Expansion:
         """Log density over scores (m, n), its gradient, and its curvature with the Fisher information."""
         m, n = z.shape
         x = self.scores.to_x(z)
-        value = np.full(m, -np.inf)
-        gradient, curvature = -z.copy(), np.tile(np.eye(n), (m, 1, 1))
+        value, gradient, curvature = np.full(m, -np.inf), np.zeros((m, n)), np.zeros((m, n, n))
         inside = np.flatnonzero(self.model.admissible(x))
         if len(inside):
-            own = x[inside]
-            f, slope = self.predict(own, jacobian=True)
+            f, slope = self.predict(x[inside], jacobian=True)
             assert slope is not None
-            dx = self.scores.slope(own, z[inside])
-            slope = slope * dx[:, None, :]
-            variance = self.variance(own)
+            variance = self.variance(x[inside])
             r = self.listed.frequencies - f
+            log_sigma = self._log_sigma_slope(x[inside], variance)
             value[inside] = self._gaussian(r, variance)
-            gradient[inside] += np.einsum("mi,mij->mj", r / variance, slope)
-            weighted = slope / np.sqrt(variance)[..., None]
-            curvature[inside] += np.swapaxes(weighted, 1, 2) @ weighted
-            log_sigma = self._log_sigma_slope(own, variance) * dx[:, None, :]
+            gradient[inside] = np.einsum("mi,mij->mj", r / variance, slope)
             gradient[inside] += np.einsum("mi,mij->mj", r**2 / variance - 1.0, log_sigma)
+            weighted = slope / np.sqrt(variance)[..., None]
+            curvature[inside] = np.swapaxes(weighted, 1, 2) @ weighted
             curvature[inside] += 2.0 * np.swapaxes(log_sigma, 1, 2) @ log_sigma
-        value += -0.5 * np.sum(z**2, axis=1) - 0.5 * n * np.log(2 * np.pi)
-        return Expansion(value, gradient, curvature)
+        return self.scores.with_prior(Expansion(value, gradient, curvature), x, z)
 
     def _gaussian(self, r: Array, variance: Array) -> Array:
         own = -0.5 * np.sum(r**2 / variance + np.log(2 * np.pi * variance), axis=1)

@@ -17,10 +17,10 @@ from scipy.interpolate import PchipInterpolator
 
 from cpam_bayes.diagnosis.evidence.comparison import Comparison
 from cpam_bayes.diagnosis.evidence.proposals import about_nodes
-from cpam_bayes.diagnosis.evidence.scores import FARTHEST
 from cpam_bayes.inference.derivatives import Expansion
 from cpam_bayes.inference.importance import staged_importance
 from cpam_bayes.inference.optimise import climb
+from cpam_bayes.inference.standard_normal import MAX_SCORE
 from cpam_bayes.inference.student_mixture import sobol_points
 from cpam_bayes.threads import single_blas_thread
 
@@ -141,7 +141,7 @@ def _at_one_node(comparison: Comparison, starts: Array) -> Marginal:
     summit = climb(
         lambda z, rows: comparison.expand(z),
         starts,
-        *(np.full(starts.shape[1], v) for v in (-FARTHEST, FARTHEST)),
+        *(np.full(starts.shape[1], v) for v in (-MAX_SCORE, MAX_SCORE)),
         most_steps=2 * _MOST_STEPS,
         promised=_PROMISED,
     )
@@ -209,7 +209,7 @@ def _climbed(comparison: Comparison, quadrature: int, score: Array, starts: Arra
         own = np.ix_(np.arange(len(u)), rest_columns, rest_columns)
         return Expansion(e.value, e.gradient[:, rest_columns], e.curvature[own])
 
-    bound = np.full(n, FARTHEST)
+    bound = np.full(n, MAX_SCORE)
     summit = climb(
         target, starts.reshape(k * s, n), -bound, bound, most_steps=_MOST_STEPS, promised=_PROMISED
     )
@@ -247,7 +247,7 @@ def _with_peaks(comparison: Comparison, quadrature: int, nodes: _Nodes) -> _Node
     peaks = np.flatnonzero((padded[1:-1] >= padded[:-2]) & (padded[1:-1] >= padded[2:]))
     peaks = peaks[np.argsort(-nodes.value[peaks], kind="stable")][:_MOST_PEAKS]
     start = np.insert(nodes.rest[peaks], quadrature, nodes.score[peaks], axis=1)
-    bound = np.full(start.shape[1], FARTHEST)
+    bound = np.full(start.shape[1], MAX_SCORE)
     summit = climb(
         lambda z, rows: comparison.expand(z),
         start,

@@ -202,5 +202,5 @@ def _log_density(own: ConditionalPosterior, angles_deg: Array, z: Array) -> Arra
     rows = np.flatnonzero(inside)
     if len(rows):
         at = own.at(angles_deg, rows // p)
-        found[rows] = at.log_prob(x[rows]) + np.log(axes.slope(x[rows], z[rows])).sum(axis=1)
+        found[rows] = at.log_likelihood(x[rows]) + axes.log_prior(z[rows])
     return found.reshape(m, p)

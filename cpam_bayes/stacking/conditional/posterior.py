@@ -16,10 +16,10 @@ from scipy.special import logsumexp
 
 from cpam_bayes.forward_model.model import PlateModel
 from cpam_bayes.forward_model.reduced import ReducedModel
-from cpam_bayes.inference.derivatives import Expansion, expand
+from cpam_bayes.inference.derivatives import Expansion, expand_likelihood
 from cpam_bayes.inference.optimise import climb
 from cpam_bayes.inference.posterior import ForwardModel, Posterior, plate_posterior
-from cpam_bayes.inference.standard_normal import NormalScores, normal_scores
+from cpam_bayes.inference.standard_normal import NormalScores
 from cpam_bayes.mechanics.problem import PlateState, StateFunction, Values
 from cpam_bayes.parameters import ParameterSet
 from cpam_bayes.plate.laminate import LaminateGeometry, laminate_geometry
@@ -80,7 +80,7 @@ def conditional_posterior(
     """
     some = _model_at(model, n_angles, None)
     template = plate_posterior(some, measurement, solver_error, **options)
-    return ConditionalPosterior(model, template, normal_scores(template), n_angles)
+    return ConditionalPosterior(model, template, NormalScores(template.parameters), n_angles)
 
 
 def _geometry(own: ConditionalPosterior, angles_deg: Array) -> LaminateGeometry:
@@ -235,9 +235,9 @@ def _expand(own: ConditionalPosterior, geometry: LaminateGeometry, z: Array, row
     if not len(inside):
         return found
     model = _model_at(own.model, own.n_angles, _rows(geometry, rows[inside]))
-    e = expand(replace(own.template, model=model), x[inside])
-    value, gradient, curvature = axes.carried(e, x[inside], z[inside])
-    found.value[inside], found.gradient[inside], found.curvature[inside] = value, gradient, curvature
+    likelihood = expand_likelihood(replace(own.template, model=model), x[inside])
+    e = axes.with_prior(likelihood, x[inside], z[inside])
+    found.value[inside], found.gradient[inside], found.curvature[inside] = e.value, e.gradient, e.curvature
     return found
 
 

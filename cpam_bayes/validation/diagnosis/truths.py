@@ -16,13 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cpam_bayes.diagnosis.cases import hypotheses_of, plate_case, with_list
-from cpam_bayes.diagnosis.evidence.scores import scores_of
 from cpam_bayes.diagnosis.fitting import PlateCase
 from cpam_bayes.diagnosis.hypotheses import Hypothesis
 from cpam_bayes.diagnosis.signatures import ABSORBED
 from cpam_bayes.effects import extend
 from cpam_bayes.forward_model.calculix.solve import solve_specimen
 from cpam_bayes.forward_model.model import reference_vector
+from cpam_bayes.inference.standard_normal import NormalScores
 from cpam_bayes.mechanics.affine import AffineOperator
 from cpam_bayes.mechanics.modes import solve
 from cpam_bayes.mechanics.spaces.fem import fem_space
@@ -203,7 +203,7 @@ class Linear:
 def linear(own: Bench, x: Array) -> Linear:
     """The plate at constants (n,); of another material, with the scores nearest to them."""
     models = own.case.models
-    scores = scores_of(models.parameters)
+    scores = NormalScores(models.parameters)
     z = scores.to_z(x[None])
     found = models.bare.predict(x[None], jacobian=True)
     assert found.jacobian is not None
@@ -220,7 +220,7 @@ def parameter_of(h: Hypothesis) -> Parameter:
 
 def sizes_of(h: Hypothesis, scores: Array) -> Array:
     """Sizes of a cause at scores (m,) of its prior, (m,)."""
-    return scores_of(ParameterSet((parameter_of(h),))).to_x(scores[:, None])[:, 0]
+    return NormalScores(ParameterSet((parameter_of(h),))).to_x(scores[:, None])[:, 0]
 
 
 @dataclass(frozen=True, slots=True)

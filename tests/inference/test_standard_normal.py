@@ -7,8 +7,9 @@ import pytest
 from scipy.integrate import quad
 from scipy.stats import norm
 
-from cpam_bayes.diagnosis.evidence.scores import FARTHEST, Scores, scores_of
+from cpam_bayes.inference.derivatives import Expansion
 from cpam_bayes.inference.noise import NOISE_PRIOR
+from cpam_bayes.inference.standard_normal import MAX_SCORE, NormalScores
 from cpam_bayes.parameters import Parameter, ParameterSet, ScaledStudentT, TruncatedNormal, Uniform
 from cpam_bayes.priors import Prior
 
@@ -25,8 +26,8 @@ PRIORS: dict[str, Prior] = {
 EVERY = pytest.mark.parametrize("prior", PRIORS.values(), ids=PRIORS.keys())
 
 
-def of(*priors: Prior) -> Scores:
-    return scores_of(ParameterSet(tuple(Parameter(f"p{i}", "", p) for i, p in enumerate(priors))))
+def of(*priors: Prior) -> NormalScores:
+    return NormalScores(ParameterSet(tuple(Parameter(f"p{i}", "", p) for i, p in enumerate(priors))))
 
 
 @EVERY
@@ -87,12 +88,13 @@ def test_mirrored_priors_have_mirrored_scores() -> None:
 
 def test_parameters_on_their_bounds_have_finite_scores() -> None:
     scores = of(*PRIORS.values())
-    for bound, end in ((scores.lower, -FARTHEST), (scores.upper, FARTHEST)):
+    lower, upper = scores.parameters.lower, scores.parameters.upper
+    for bound, end in ((lower, -MAX_SCORE), (upper, MAX_SCORE)):
         finite = np.where(np.isfinite(bound), bound, np.sign(bound) * 50.0)
         np.testing.assert_array_equal(scores.to_z(finite[None]), np.full((1, len(bound)), end))
     for z in (-9.0, 9.0):
         x = scores.to_x(np.full((1, len(PRIORS)), z))
-        assert np.all((x >= scores.lower) & (x <= scores.upper))
+        assert np.all((x >= lower) & (x <= upper))
 
 
 def test_a_set_of_priors_is_one_column_each() -> None:
@@ -100,3 +102,40 @@ def test_a_set_of_priors_is_one_column_each() -> None:
     together = of(*PRIORS.values()).to_x(z)
     alone = np.concatenate([of(p).to_x(z[:, [i]]) for i, p in enumerate(PRIORS.values())], axis=1)
     np.testing.assert_array_equal(together, alone)
+
+
+def test_priors_are_standard_normal_over_scores() -> None:
+    scores, z = of(*PRIORS.values()), np.random.default_rng(1).standard_normal((20, len(PRIORS)))
+    x = scores.to_x(z)
+    log_prior = scores.parameters.log_prior(x) + np.log(scores.slope(x, z)).sum(axis=1)
+    np.testing.assert_allclose(log_prior, scores.log_prior(z), atol=1e-9)
+    np.testing.assert_allclose(scores.log_prior(z), norm.logpdf(z).sum(axis=1), rtol=1e-12)
+
+
+@EVERY
+def test_quantiles_and_distribution_function_are_inverse(prior: Prior) -> None:
+    p = np.linspace(0.01, 0.99, 15)
+    np.testing.assert_allclose(prior.cdf(prior.ppf(p)), p, atol=3e-8)
+    np.testing.assert_array_equal(prior.cdf(np.array([prior.lower, prior.upper])), [0.0, 1.0])
+    np.testing.assert_allclose(prior.ppf([0.0, 1.0]), [prior.lower, prior.upper], rtol=1e-7)
+
+
+def test_a_likelihood_over_parameters_becomes_a_posterior_over_scores() -> None:
+    """Gradient by differences, curvature of a linear model and its prior."""
+    scores, rng = of(*PRIORS.values()), np.random.default_rng(2)
+    n = len(PRIORS)
+    a = rng.standard_normal((n, n)) / scores.parameters.upper.clip(0.01, 5.0)
+
+    def expand(z: np.ndarray) -> Expansion:
+        x = scores.to_x(z)
+        r = x @ a.T
+        fisher = np.tile(a.T @ a, (len(z), 1, 1))
+        return scores.with_prior(Expansion(-0.5 * np.sum(r**2, axis=1), -r @ a, fisher), x, z)
+
+    z, h = rng.standard_normal((1, n)), 1e-5
+    e = expand(z)
+    steps = h * np.eye(n)
+    difference = (expand(z + steps).value - expand(z - steps).value) / (2.0 * h)
+    np.testing.assert_allclose(e.gradient[0], difference, rtol=1e-5, atol=1e-6)
+    slope = scores.slope(scores.to_x(z), z)[0]
+    np.testing.assert_allclose(e.curvature[0], slope[:, None] * (a.T @ a) * slope + np.eye(n), rtol=1e-12)
