@@ -18,14 +18,14 @@ from cpam_bayes.inference.proposal import (
     draw_round,
     refine,
 )
+from cpam_bayes.inference.standard_normal import NormalScores
 from cpam_bayes.inference.student_mixture import log_mixture
-from cpam_bayes.inference.unbounded import WholeLine
 from cpam_bayes.threads import single_blas_thread
 
 Array = NDArray[Any]
 
 # Weight of one draw above which the proposal has missed something.
-_MOST_WEIGHT = 0.005
+_OUTSTANDING_WEIGHT = 0.005
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,8 +98,8 @@ def importance_evidence(
 ) -> Evidence:
     """The evidence of a posterior by adaptive importance sampling.
 
-    Z = E_q[p / q], q a mixture of Student-t densities of 5 degrees of freedom in coordinates without
-    bounds. It begins as the Laplace approximations about the optima, and with the draws of a chain where
+    Z = E_q[p / q], q a mixture of Student-t densities of 5 degrees of freedom over normal
+    scores. It begins as the Laplace approximations about the optima, and with the draws of a chain where
     there are some; weighted draws refine it in rounds (population Monte Carlo: Cappe et al., 2008). The
     estimate is made of fresh draws, for which q is fixed: its expectation is Z. If one draw carries more
     than 0.5 % of the weight, or the tail of the weights is heavy, q has missed something that these
@@ -111,22 +111,22 @@ def importance_evidence(
     """
     rng = np.random.default_rng([seed, 4])
     state = adapt(posterior, starts, rng, settings.adaptation, chain)
-    line, history = state.line, state.history
+    scores, history = state.scores, state.history
     for attempt in range(settings.attempts):
         draw_round(state, settings.draws, rng)
         log_weight = history.targets[-1] - log_mixture(state.proposal, history.points[-1])
-        found = _summarised(line, history.points[-1], log_weight, sum(map(len, history.points)))
-        missed = np.exp(found.log_weights.max()) > _MOST_WEIGHT
+        found = _summarised(scores, history.points[-1], log_weight, sum(map(len, history.points)))
+        missed = np.exp(found.log_weights.max()) > _OUTSTANDING_WEIGHT
         if (found.status == "reliable" and not missed) or attempt == settings.attempts - 1:
             break
         refine(state)
     return found
 
 
-def _summarised(line: WholeLine, v: Array, log_ratio: Array, solves: int) -> Evidence:
+def _summarised(scores: NormalScores, z: Array, log_ratio: Array, solves: int) -> Evidence:
     if not np.isfinite(log_ratio).any():
         raise ValueError(NOWHERE)
-    x = line.axes.to_x(line.to_u(v))
+    x = scores.to_x(z)
     found = weighted(x[None], log_ratio[None])
     weight, k_hat, effective = found.weight[0], float(found.k_hat[0]), float(found.effective_size[0])
     mean = weight @ x
@@ -138,7 +138,7 @@ def _summarised(line: WholeLine, v: Array, log_ratio: Array, solves: int) -> Evi
         effective_size=effective,
         k_hat=k_hat,
         status="reliable" if k_hat < RELIABLE_K and effective > 100.0 else "unreliable",
-        n_draws=len(v),
+        n_draws=len(z),
         solves=solves,
         mean=mean,
         sd=np.sqrt(weight @ (x - mean) ** 2),

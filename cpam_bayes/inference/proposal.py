@@ -1,7 +1,7 @@
 """A mixture of Student-t densities that covers a posterior: about its optima, refined by its own draws.
 
-Bounded parameters are carried to the whole line by a logistic map, so that nothing is cut: a posterior that
-piles up on a bound becomes a peak with an exponential tail, which a Student-t covers.
+The mixture is one over normal scores, so that nothing is cut: a posterior that piles up on a bound becomes a
+peak with a light tail, which a Student-t covers.
 """
 
 from __future__ import annotations
@@ -13,10 +13,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cpam_bayes.inference.derivatives import coordinates, log_density
+from cpam_bayes.inference.derivatives import coordinates
 from cpam_bayes.inference.importance import effective_size
 from cpam_bayes.inference.laplace import Approximation, approximate, find_optima
 from cpam_bayes.inference.posterior import Posterior
+from cpam_bayes.inference.standard_normal import NormalScores
 from cpam_bayes.inference.student_mixture import (
     Mixture,
     draw,
@@ -28,23 +29,22 @@ from cpam_bayes.inference.student_mixture import (
     widened,
 )
 from cpam_bayes.inference.truncated import box_draws
-from cpam_bayes.inference.unbounded import WholeLine, whole_line
 
 Array = NDArray[Any]
 
 # Said where importance sampling meets nothing but zeros.
 NOWHERE = "no draw of the proposal lies in the support of the prior; check bounds and constraints"
 _FREEDOM = 5.0
-# Effective share of a round's draws from which adapting more is not worth it.
-_GOOD_SHARE = 0.6
-# Share and width of the component that catches what the others leave out.
-_SAFE_SHARE, _SAFE_WIDTH = 0.1, 2.0
-# Adapting ends too when, after so many rounds, the share no longer grows by such a factor.
-_LEVEL, _GAIN = 4, 1.05
+# Effective fraction of a round's draws from which adapting more is not worth it.
+_GOOD_FRACTION = 0.6
+# Fraction and width of the component that catches what the others leave out.
+_SAFE_FRACTION, _SAFE_WIDTH = 0.1, 2.0
+# Adapting ends too when, after so many rounds, that fraction no longer grows by such a factor.
+_STALLED_AFTER, _LEAST_GAIN = 4, 1.05
 # Rounds at least.
 _FEWEST_ROUNDS = 2
 # Draws of a chain that a mixture is fitted to, and of each approximation.
-_MOST_CHAIN, _PICTURE_DRAWS = 4000, 1000
+_CHAIN_DRAWS, _APPROXIMATION_DRAWS = 4000, 1000
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,28 +64,25 @@ class AdaptationSettings:
 class Proposal:
     """A density over the parameters that is drawn from and evaluated at once.
 
-    line : coordinates without bounds. mixture : over these. solves : forward solves that fitting it took,
-    those of the search for optima apart.
+    scores : normal scores of the parameters. mixture : over these. solves : forward solves that fitting it
+    took, those of the search for optima apart.
     """
 
-    line: WholeLine
+    scores: NormalScores
     mixture: Mixture
     solves: int = 0
 
     def draw(self, size: int, rng: np.random.Generator | np.random.RandomState) -> Array:
         """Independent parameters (size, n); some may break the constraints (9)."""
-        return self.line.axes.to_x(self.line.to_u(draw(self.mixture, size, rng)))
+        return self.scores.to_x(draw(self.mixture, size, rng))
 
     def log_density(self, x: Array) -> Array:
         """Log density over the parameters x (m, n), (m,).
 
-        log q(x) = log q(v) - log |du / dv| - log |dx / du|, for the map from v to u to x.
+        log q(x) = log q(z) - log |dx / dz|.
         """
-        u = self.line.axes.to_u(x)
-        v = self.line.to_v(u)
-        return np.asarray(
-            log_mixture(self.mixture, v) - self.line.log_jacobian(v) - self.line.axes.log_jacobian(x)
-        )
+        z = self.scores.to_z(x)
+        return log_mixture(self.mixture, z) - self.scores.log_prior(z) + self.scores.parameters.log_prior(x)
 
 
 @dataclass(slots=True)
@@ -93,7 +90,7 @@ class Adaptation:
     """A proposal on its way, and all draws that it was fitted to."""
 
     posterior: Posterior
-    line: WholeLine
+    scores: NormalScores
     history: History
     proposal: Mixture
     components: int
@@ -102,7 +99,7 @@ class Adaptation:
 def adapted(posterior: Posterior, starts: Array, seed: int, settings: AdaptationSettings) -> Proposal:
     """The proposal of a posterior whose optima lie near the starts (m, n), or are found from the prior."""
     found = adapt(posterior, starts, np.random.default_rng([seed, 5]), settings)
-    return Proposal(found.line, found.proposal, sum(map(len, found.history.points)))
+    return Proposal(found.scores, found.proposal, sum(map(len, found.history.points)))
 
 
 def adapt(
@@ -117,21 +114,21 @@ def adapt(
     It begins as the Laplace approximations about the optima, and with the draws of a chain (n_draws, n)
     where there are some. Raises ``ValueError`` where nothing lies in the support of the prior.
     """
-    line = whole_line(coordinates(posterior))
+    scores = NormalScores(posterior.parameters)
     optima = find_optima(posterior, starts.reshape(-1, posterior.parameters.size), rng)
-    pictures = [approximate(posterior, optimum, degrees_of_freedom=_FREEDOM) for optimum in optima]
-    proposal = _from_pictures(line, pictures, rng)
+    approximations = [approximate(posterior, optimum, degrees_of_freedom=_FREEDOM) for optimum in optima]
+    proposal = _from_approximations(posterior, scores, approximations, rng)
     if chain is not None:
-        proposal = _joined(proposal, _from_chain(line, chain, settings.components, rng))
+        proposal = _joined(proposal, _from_chain(scores, chain, settings.components, rng))
     components = len(optima) + settings.components - 1
-    state = Adaptation(posterior, line, History([], [], []), proposal, components)
-    shares: list[float] = []
-    while len(shares) < settings.rounds:
-        shares.append(draw_round(state, settings.draws, rng))
+    state = Adaptation(posterior, scores, History([], [], []), proposal, components)
+    fractions: list[float] = []
+    while len(fractions) < settings.rounds:
+        fractions.append(draw_round(state, settings.draws, rng))
         refine(state)
-        if len(shares) >= _FEWEST_ROUNDS and shares[-1] >= _GOOD_SHARE:
+        if len(fractions) >= _FEWEST_ROUNDS and fractions[-1] >= _GOOD_FRACTION:
             break
-        if len(shares) >= _LEVEL and shares[-1] < _GAIN * max(shares[:-1]):
+        if len(fractions) >= _STALLED_AFTER and fractions[-1] < _LEAST_GAIN * max(fractions[:-1]):
             break
     return state
 
@@ -145,41 +142,41 @@ class History:
     targets: list[Array]
 
 
-def _log_target(posterior: Posterior, line: WholeLine, v: Array) -> Array:
-    """Log density over v but for the evidence, (m, n) -> (m,)."""
-    return log_density(posterior, line.axes, line.to_u(v)) + line.log_jacobian(v)
+def _log_target(posterior: Posterior, scores: NormalScores, z: Array) -> Array:
+    """Log density over scores but for the evidence, -inf where constraints (9) are broken, (m, n) -> (m,)."""
+    x = scores.to_x(z)
+    return np.asarray(posterior.log_prob(x) - posterior.parameters.log_prior(x) + scores.log_prior(z))
 
 
-def _from_pictures(line: WholeLine, pictures: Sequence[Approximation], rng: np.random.Generator) -> Mixture:
+def _from_approximations(
+    posterior: Posterior,
+    scores: NormalScores,
+    approximations: Sequence[Approximation],
+    rng: np.random.Generator,
+) -> Mixture:
     """One component about each optimum: mean and covariance of draws of the cut approximation."""
-    found = []
-    for picture in pictures:
-        u, _ = box_draws(
-            picture.centre,
-            picture.scale,
-            line.axes.lower,
-            line.axes.upper,
-            picture.degrees_of_freedom,
-            _PICTURE_DRAWS,
-            rng,
-        )
-        even = np.full(_PICTURE_DRAWS, 1.0 / _PICTURE_DRAWS)
-        found.append(single(line.to_v(u), even, _FREEDOM))
-    height = np.array([picture.log_evidence for picture in pictures])
+    axes = coordinates(posterior)
+    even = np.full(_APPROXIMATION_DRAWS, 1.0 / _APPROXIMATION_DRAWS)
+    components = []
+    for a in approximations:
+        nu = a.degrees_of_freedom
+        u, _ = box_draws(a.centre, a.scale, axes.lower, axes.upper, nu, _APPROXIMATION_DRAWS, rng)
+        components.append(single(scores.to_z(axes.to_x(u)), even, _FREEDOM))
+    height = np.array([a.log_evidence for a in approximations])
     share = np.maximum(np.exp(height - height.max()), 0.02)
     return Mixture(
         share / share.sum(),
-        np.concatenate([f.centre for f in found]),
-        np.concatenate([f.factor for f in found]),
+        np.concatenate([c.centre for c in components]),
+        np.concatenate([c.factor for c in components]),
         _FREEDOM,
     )
 
 
-def _from_chain(line: WholeLine, chain: Array, components: int, rng: np.random.Generator) -> Mixture:
-    few = chain[rng.choice(len(chain), size=min(_MOST_CHAIN, len(chain)), replace=False)]
-    v = line.to_v(line.axes.to_u(few))
-    even = np.full(len(v), 1.0 / len(v))
-    return fit(split(single(v, even, _FREEDOM), v, even, components), v, even, 20)
+def _from_chain(scores: NormalScores, chain: Array, components: int, rng: np.random.Generator) -> Mixture:
+    few = chain[rng.choice(len(chain), size=min(_CHAIN_DRAWS, len(chain)), replace=False)]
+    z = scores.to_z(few)
+    even = np.full(len(z), 1.0 / len(z))
+    return fit(split(single(z, even, _FREEDOM), z, even, components), z, even, 20)
 
 
 def _joined(one: Mixture, other: Mixture) -> Mixture:
@@ -190,13 +187,13 @@ def _joined(one: Mixture, other: Mixture) -> Mixture:
 
 
 def draw_round(state: Adaptation, size: int, rng: np.random.Generator) -> float:
-    """Draws of a proposal, added to its history, and their effective share."""
-    v = draw(state.proposal, size, rng)
+    """Draws of a proposal, added to its history, and their effective fraction."""
+    z = draw(state.proposal, size, rng)
     history = state.history
     history.proposals.append(state.proposal)
-    history.points.append(v)
-    history.targets.append(_log_target(state.posterior, state.line, v))
-    return effective_size(history.targets[-1] - log_mixture(state.proposal, v)) / size
+    history.points.append(z)
+    history.targets.append(_log_target(state.posterior, state.scores, z))
+    return effective_size(history.targets[-1] - log_mixture(state.proposal, z)) / size
 
 
 def refine(state: Adaptation) -> None:
@@ -215,7 +212,7 @@ def refine(state: Adaptation) -> None:
         share = main.share[:-1]
         main = Mixture(share / share.sum(), main.centre[:-1], main.factor[:-1], main.degrees_of_freedom)
     fitted = fit(split(main, points, weights, state.components), points, weights)
-    state.proposal = widened(fitted, _SAFE_SHARE, _SAFE_WIDTH, points, weights)
+    state.proposal = widened(fitted, _SAFE_FRACTION, _SAFE_WIDTH, points, weights)
 
 
 def _tempered(log_weight: Array, least: float) -> Array:

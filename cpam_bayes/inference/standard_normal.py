@@ -40,6 +40,8 @@ class NormalScores:
     def to_x(self, z: Array) -> Array:
         """Parameters of scores (..., n), within their bounds."""
         x = np.empty(z.shape)
+        # cut, for half-bounded parameters have no finite value at the end
+        z = np.clip(z, -MAX_SCORE, MAX_SCORE)
         for i, parameter in enumerate(self.parameters.parameters):
             x[..., i] = parameter.prior.from_normal(z[..., i])
         return x

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from cpam_bayes.inference.derivatives import coordinates
 from cpam_bayes.inference.ensemble import (
     EnsembleResult,
     EnsembleSettings,
@@ -23,9 +22,9 @@ from cpam_bayes.inference.ensemble import (
 from cpam_bayes.inference.laplace import optimise
 from cpam_bayes.inference.posterior import Posterior, plate_posterior
 from cpam_bayes.inference.proposal import AdaptationSettings, Proposal, adapted
+from cpam_bayes.inference.standard_normal import NormalScores
 from cpam_bayes.inference.store import StoreError
 from cpam_bayes.inference.student_mixture import Mixture
-from cpam_bayes.inference.unbounded import whole_line
 from cpam_bayes.parameters import TruncatedNormal, Uniform
 from tests.linear_model import LinearModel, exact_gaussian, measurement
 from tests.toy_models import ToyModel, independent, integral, linear, listed, parameters, two_peaks
@@ -61,10 +60,9 @@ def good_proposal() -> Proposal:
 
 
 def around(own: Posterior, x: np.ndarray, sd: np.ndarray) -> Proposal:
-    """A proposal of one component about a point (n,), sd (n,) wide on the whole line."""
-    line = whole_line(coordinates(own))
-    v = line.to_v(line.axes.to_u(x))
-    return Proposal(line, Mixture(np.ones(1), v[None], np.diag(sd)[None], 5.0))
+    """A proposal of one component about a point (n,), sd (n,) wide over normal scores."""
+    scores = NormalScores(own.parameters)
+    return Proposal(scores, Mixture(np.ones(1), scores.to_z(x)[None], np.diag(sd)[None], 5.0))
 
 
 def test_means_and_covariance_are_those_of_the_closed_form() -> None:

@@ -8,20 +8,21 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.stats import norm
+from scipy.stats import t as t_density
 
-from cpam_bayes.inference.derivatives import coordinates
 from cpam_bayes.inference.importance import effective_size
 from cpam_bayes.inference.posterior import Posterior, plate_posterior
 from cpam_bayes.inference.proposal import AdaptationSettings, Proposal, adapted
+from cpam_bayes.inference.standard_normal import MAX_SCORE, NormalScores
 from cpam_bayes.inference.student_mixture import Mixture, log_mixture
-from cpam_bayes.inference.unbounded import whole_line
 from cpam_bayes.parameters import TruncatedNormal, Uniform
 from cpam_bayes.priors import Prior
 from tests.linear_model import LinearModel, measurement
 from tests.toy_models import ToyModel, independent, listed, parameters, two_peaks
 
 BRIEF = AdaptationSettings(draws=600)
-# Two components, correlated, on the whole line.
+# Two components, correlated, over normal scores.
 MIXTURE = Mixture(
     np.array([0.7, 0.3]),
     np.array([[-0.5, 0.3], [1.0, -0.8]]),
@@ -51,13 +52,13 @@ def posterior(prior: Prior | None) -> Posterior:
 
 def by_hand(prior: Prior | None) -> tuple[Posterior, Proposal]:
     own = posterior(prior)
-    return own, Proposal(whole_line(coordinates(own)), MIXTURE)
+    return own, Proposal(NormalScores(own.parameters), MIXTURE)
 
 
 def nodes(proposal: Proposal) -> list[np.ndarray]:
-    """Values of each parameter, dense where the density is, up to 4e-8 of the bounds."""
-    v = np.linspace(-17.0, 17.0, 1201)
-    x = proposal.line.axes.to_x(proposal.line.to_u(np.stack((v, v), axis=1)))
+    """Values of each parameter, dense where the density is, up to 1e-12 of the bounds."""
+    z = np.linspace(-MAX_SCORE, MAX_SCORE, 1201)
+    x = proposal.scores.to_x(np.stack((z, z), axis=1))
     return [x[:, 0], x[:, 1]]
 
 
@@ -75,18 +76,18 @@ def test_the_density_over_the_parameters_integrates_to_one(prior: Prior | None) 
     assert total == pytest.approx(1.0, abs=1e-3)
 
 
-def test_the_density_is_that_of_the_whole_line_times_the_change_of_variables() -> None:
-    """Both parameters by formulas of their own: a logistic map of a, and one of log s for the noise."""
+def test_the_density_is_that_of_the_scores_times_the_change_of_variables() -> None:
+    """Both parameters by formulas of their own: a uniform prior, and half a Student-t for the noise."""
     own, proposal = by_hand(None)
     rng = np.random.default_rng(0)
     lower, upper = own.parameters.lower, own.parameters.upper
-    x = np.stack((rng.uniform(-1.0, 3.0, 50), rng.uniform(lower[1], upper[1], 50)), axis=1)
-    t = (x[:, 0] + 1.0) / 4.0
-    log_range = np.log(upper[1] / lower[1])
-    r = np.log(x[:, 1] / lower[1]) / log_range
-    v = np.stack((np.log(t / (1.0 - t)), np.log(r / (1.0 - r))), axis=1)
-    expected = log_mixture(MIXTURE, v) - np.log(4.0 * t * (1 - t)) - np.log(log_range * x[:, 1] * r * (1 - r))
-    np.testing.assert_allclose(proposal.log_density(x), expected, rtol=1e-10)
+    x = np.stack((rng.uniform(-1.0, 3.0, 50), rng.uniform(lower[1], 0.05, 50)), axis=1)
+    student = t_density(4.0, scale=0.01)
+    below, mass = student.cdf(lower[1]), student.cdf(upper[1]) - student.cdf(lower[1])
+    z = norm.ppf(np.stack(((x[:, 0] + 1.0) / 4.0, (student.cdf(x[:, 1]) - below) / mass), axis=1))
+    log_prior = np.log(0.25) + student.logpdf(x[:, 1]) - np.log(mass)
+    expected = log_mixture(MIXTURE, z) - norm.logpdf(z).sum(axis=1) + log_prior
+    np.testing.assert_allclose(proposal.log_density(x), expected, rtol=1e-6)
 
 
 @pytest.mark.parametrize("prior", [*PRIORS.values(), None], ids=[*PRIORS, "the noise"])
