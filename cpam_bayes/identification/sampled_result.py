@@ -16,7 +16,7 @@ from cpam_bayes.inference.diagnostics.completeness import Doubt
 from cpam_bayes.inference.ensemble import (
     EnsembleResult,
 )
-from cpam_bayes.inference.importance import Evidence
+from cpam_bayes.inference.evidence import Evidence
 from cpam_bayes.inference.noise import NOISE_NAMES
 from cpam_bayes.inference.pairing import Pairing
 from cpam_bayes.inference.posterior import Posterior
