@@ -2,6 +2,7 @@
 
 import ast
 import json
+import re
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -152,6 +153,30 @@ def test_no_module_imports_itself_through_others() -> None:
         # A package may name its own modules, which is what it is for.
         edges[module] = (owners & names) - {module, "cpam_bayes"}
     assert cycle(edges) == []
+
+
+def test_what_only_studies_and_tests_use_is_imported_by_nothing_else() -> None:
+    users = {
+        module_name(path)
+        for path in MODULES
+        for name in imports(path.read_text("utf-8"), module_name(path), path.name == "__init__.py")
+        if layer(name) == "validation" and layer(module_name(path)) != "validation"
+    }
+    assert users == set()
+
+
+def test_the_documentation_names_every_layer_and_every_folder() -> None:
+    text = (PROJECT / "docs" / "architecture.md").read_text("utf-8")
+    chain = re.search(r"^    (errors(?:\s+->\s+\w+)+)", text, re.M)
+    assert chain is not None
+    assert tuple(re.split(r"\s+->\s+", chain[1])) == LAYERS
+    table = re.search(r"^\| folder or module .*?\n\n", text, re.M | re.S)
+    assert table is not None
+    named = set(re.findall(r"`([\w/]+?)/?`", "\n".join(row.split("|")[1] for row in table[0].splitlines())))
+    packages = {str(p.parent.relative_to(PACKAGE)) for p in MODULES if p.name == "__init__.py"} - {"."}
+    one_a_question = {p for p in packages if p.startswith("report/")}
+    modules = {name for name in LAYERS if (PACKAGE / f"{name}.py").exists()} - {"__main__"}
+    assert named == (packages - one_a_question) | modules
 
 
 def test_a_circle_of_imports_is_found() -> None:
