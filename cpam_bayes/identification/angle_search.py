@@ -234,12 +234,12 @@ def best_constants(
     starts : (s, n_constants), for instance of ``search_starts``. Raises as ``fit_constants``.
     """
     parts = [sequences[first : first + _TOGETHER] for first in range(0, len(sequences), _TOGETHER)]
-    found = run(_fitted, (fit, starts), parts, executor)
+    fitted = run(_fitted, (fit, starts), parts, executor)
     return ConditionalFit(
-        np.concatenate([p.constants for p in found]),
-        np.concatenate([p.values for p in found]),
-        sum(p.evaluations for p in found),
-        np.concatenate([p.settled for p in found]),
+        np.concatenate([p.constants for p in fitted]),
+        np.concatenate([p.values for p in fitted]),
+        sum(p.evaluations for p in fitted),
+        np.concatenate([p.settled for p in fitted]),
     )
 
 

@@ -107,8 +107,8 @@ def estimate_constants(
     feasible.
     """
     start = time.perf_counter()
-    found = search(specimen, seed, settings=settings, residual=residual, progress=progress, notify=notify)
-    return summarise(specimen, found.model, found.swarm, found.error, residual, start)
+    searched = search(specimen, seed, settings=settings, residual=residual, progress=progress, notify=notify)
+    return summarise(specimen, searched.model, searched.swarm, searched.error, residual, start)
 
 
 @dataclass(frozen=True, slots=True)
@@ -255,8 +255,8 @@ def linearised_sd(
     if not np.isfinite(noise):
         return np.full(len(prior_sd), np.nan)
     f = measurement.frequencies
-    own = noise * f if measurement.frequency_sd is None else measurement.frequency_sd
-    variance = np.maximum(own**2 + measurement.resolution**2 / 12, (1e-9 * f) ** 2)
+    noise_sd = noise * f if measurement.frequency_sd is None else measurement.frequency_sd
+    variance = np.maximum(noise_sd**2 + measurement.resolution**2 / 12, (1e-9 * f) ** 2)
     weight = 1.0 / f**2 if residual == "relative" else np.ones_like(f)
     scale = float(np.mean(weight * variance))
     j = jacobian * prior_sd
@@ -282,15 +282,15 @@ def _estimate(specimen: Specimen, name: str, value: float, sd: float) -> Constan
 
 
 def _warnings(measurement: Measurement, predicted: Array, n_unknowns: int) -> tuple[str, ...]:
-    found = []
+    problems = []
     if measurement.size <= n_unknowns:
-        found.append(
+        problems.append(
             f"{measurement.size} frequencies for {n_unknowns} unknowns: the bounds decide, "
             "the fit says nothing about its own error"
         )
-    found += units_warning(
+    problems += units_warning(
         predicted / measurement.frequencies,
         "check the units of the sizes, the density and the frequencies",
         " even for the best constants",
     )
-    return tuple(found)
+    return tuple(problems)

@@ -237,6 +237,6 @@ def _laminate(model: ReducedModel | LabelledModel, x: Array) -> dict[str, tuple[
     state = model.full.operator.problem.state(model.parameters.mapping(x))
     stiffness = np.broadcast_to(state.stiffness(), (len(x), 8, 8))
     thickness = np.broadcast_to(state.thickness, len(x))
-    found = [flexural_constants(k, float(h)) for k, h in zip(stiffness, thickness, strict=True)]
-    columns = {name: np.array([f[name] for f in found]) for name in found[0]}
+    laminates = [flexural_constants(k, float(h)) for k, h in zip(stiffness, thickness, strict=True)]
+    columns = {name: np.array([f[name] for f in laminates]) for name in laminates[0]}
     return {name: (float(v.mean()), float(v.std())) for name, v in columns.items()}

@@ -124,13 +124,13 @@ def start_of(
         target = posterior_on(model, reduced.full.error)
         bests, values, solves = swarm_on_posterior(target, seed, swarm_settings or SwarmSettings())
         return Start(target, model, bests, values, solves)
-    found = search(specimen, seed, spare=_ONE_MORE, settings=swarm_settings, notify=notify)
-    swarm, model, error = found.swarm, found.model, found.error
+    searched = search(specimen, seed, spare=_ONE_MORE, settings=swarm_settings, notify=notify)
+    swarm, model, error = searched.swarm, searched.model, searched.error
     bests = swarm.personal_bests
     if sizes.size:
         nominal = reference_vector(specimen, sizes)
         bests = np.column_stack((bests, np.tile(nominal, (len(bests), 1))))
-        centre = None if found.centre is None else np.append(found.centre, nominal)
+        centre = None if searched.centre is None else np.append(searched.centre, nominal)
         reduced = reduced_model(specimen, parameters, model.n_modes, centre=centre, notify=notify)
         model = labelled_model(reduced, measurement, specimen)
         error = discretisation_error(reduced.full, np.append(swarm.best, nominal))

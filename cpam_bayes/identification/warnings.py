@@ -53,14 +53,14 @@ def _other_misfit(result: PointEstimate, residual: Residual) -> list[str]:
     scale = float(np.max(measurement.frequencies))
     if residual == "relative":
         difference, scale = difference / measurement.frequencies, 1.0
-    seen = math.sqrt(result.swarm.value / measurement.size)
-    own = float(np.sqrt(np.mean(difference**2)))
-    if abs(own - seen) <= _SEARCH_ERROR * scale:
+    reduced = math.sqrt(result.swarm.value / measurement.size)
+    full = float(np.sqrt(np.mean(difference**2)))
+    if abs(full - reduced) <= _SEARCH_ERROR * scale:
         return []
     unit, factor = ("%", 100.0) if residual == "relative" else ("Hz", 1.0)
     return [
-        f"the fast model of the search had an rms misfit of {significant(factor * seen, 3)} {unit} at these "
-        f"constants, the plate solver has {significant(factor * own, 3)} {unit}: they are not the best ones"
+        f"the reduced model of the search had an rms misfit of {significant(factor * reduced, 3)} {unit} at "
+        f"these constants, the full model has {significant(factor * full, 3)} {unit}: others fit better"
     ]
 
 

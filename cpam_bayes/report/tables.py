@@ -33,8 +33,8 @@ class Table:
     @property
     def headings(self) -> tuple[str, ...] | None:
         """The headings, or None where no column has one."""
-        own = tuple(column.heading for column in self.columns)
-        return own if any(own) else None
+        texts = tuple(column.heading for column in self.columns)
+        return texts if any(texts) else None
 
 
 def facts(title: str, rows: tuple[tuple[str, str], ...]) -> Table:

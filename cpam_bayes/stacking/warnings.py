@@ -9,7 +9,7 @@ from cpam_bayes.stacking.mixture import StackingMixture
 from cpam_bayes.stacking.queries.best_fit import BestFit
 from cpam_bayes.stacking.records import OVERLOOKED, StackingPosterior
 
-# Errors of the learned evidence and of an exact one that a reader should hear of, nats.
+# Errors of the surrogate's log evidence and of an exact one that a reader should hear of, nats.
 _ROUGH, _DOUBTFUL = 0.3, 0.3
 # Share of the probability of the first from which on an uncertain evidence matters.
 _COUNTS = 1e-3
@@ -29,9 +29,9 @@ def stacking_warnings(result: StackingPosterior, mixture: StackingMixture, fit: 
     check = result.check
     if check is not None and check.rms > _ROUGH:
         problems.append(
-            f"the learned log evidence is {check.rms:.2f} off (root mean square over draws from the "
+            f"the log evidence of the surrogate is {check.rms:.2f} off (root mean square over draws from the "
             "posterior): the number of sequences in the credible set and the marginals are rough; the "
-            "evidences of the sequences listed are computed, not learned"
+            "evidences of the sequences listed are computed without it"
         )
     if check is not None and check.overlooked > OVERLOOKED:
         problems.append(

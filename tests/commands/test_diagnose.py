@@ -128,7 +128,7 @@ def test_progress_goes_to_standard_error_and_files_to_the_directory(run, plate_f
     status, out, err = run("diagnose", plate_file(), "--out", out_dir)
     assert status == 0
     assert "of the hypotheses" in err
-    assert "Causes, probability after the data" in out
+    assert "Causes, posterior probability" in out
     written = {str(p.relative_to(out_dir)) for p in out_dir.rglob("*") if p.is_file()}
     assert {"diagnose.json", "report.html", "figures/residuals.png", "figures/causes.svg"} <= written
     assert json.loads((out_dir / "diagnose.json").read_text(encoding="utf-8"))["command"] == "diagnose"

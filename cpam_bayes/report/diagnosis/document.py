@@ -104,24 +104,24 @@ def _extended(result: DiagnosisResult) -> dict[str, Any] | None:
                 "cause": t.hypothesis.cause,
                 "variant": t.hypothesis.variant or None,
                 "plates": [d.cases[i].name for i in t.plates],
-                "share": share,
+                "share": weight,
             }
-            for t, share in d.members
+            for t, weight in d.members
         ],
     }
 
 
-def _emcee(d: Diagnosis, found: Resampled) -> dict[str, Any]:
+def _emcee(d: Diagnosis, resampled: Resampled) -> dict[str, Any]:
     return {
-        "constants": _constants(sampled_rows(d, found)),
+        "constants": _constants(sampled_rows(d, resampled)),
         "diagnostics": {
-            "r_hat": max(m.diagnostics.r_hat for m in found.members),
-            "ess_bulk": min(m.diagnostics.ess_bulk for m in found.members),
-            "autocorrelation_time": max(m.diagnostics.autocorrelation_time for m in found.members),
-            "converged": found.converged,
+            "r_hat": max(m.diagnostics.r_hat for m in resampled.members),
+            "ess_bulk": min(m.diagnostics.ess_bulk for m in resampled.members),
+            "autocorrelation_time": max(m.diagnostics.autocorrelation_time for m in resampled.members),
+            "converged": resampled.converged,
         },
-        "share_not_sampled": found.not_sampled,
-        "forward_solves": found.solves,
+        "share_not_sampled": resampled.not_sampled,
+        "forward_solves": resampled.solves,
     }
 
 
@@ -131,7 +131,7 @@ def _fit(
     """One fit; the plates one by one too where there are several."""
     rows = paired.frequencies
     noise = noise_of(members)
-    found: dict[str, Any] = {
+    keys: dict[str, Any] = {
         "constants": _constants(constant_rows(d, fit)),
         "frequencies": [_frequency(row) for row in rows],
         "rms_percent": 100.0 * fit.rms,
@@ -150,19 +150,19 @@ def _fit(
         ],
     }
     if len(d.cases) > 1:
-        found["plates"] = [_plate(d, fit, i, rows) for i in range(len(d.cases))]
-    return found
+        keys["plates"] = [_plate(d, fit, i, rows) for i in range(len(d.cases))]
+    return keys
 
 
 def _plate(d: Diagnosis, fit: Fit, i: int, rows: Sequence[FrequencyRow]) -> dict[str, Any]:
     """One plate of several; the evidence is that of all lists, which share the constants."""
     name = d.cases[i].name
-    own = [row for row in rows if row.plate == name]
-    squares = [row.residual_percent**2 for row in own if row.residual_percent is not None]
+    plate_rows = [row for row in rows if row.plate == name]
+    squares = [row.residual_percent**2 for row in plate_rows if row.residual_percent is not None]
     return {
         "plate": name,
         "constants": _constants(plate_constants(d, fit, i)),
-        "frequencies": [_frequency(row) for row in own],
+        "frequencies": [_frequency(row) for row in plate_rows],
         "rms_percent": (sum(squares) / len(squares)) ** 0.5 if squares else 0.0,
         "log_evidence": fit.log_evidence,
         "log_evidence_of": "all plates together",

@@ -56,9 +56,9 @@ def _residuals(result: DiagnosisResult) -> Figure:
     figure = Figure(figsize=(max(6.0, 0.85 * most + 1.2), 3.6 * len(names) + 0.5), layout="constrained")
     panels = figure.subfigures(len(names), 1, squeeze=False).ravel()
     for i, (panel, name) in enumerate(zip(panels, names, strict=True)):
-        own = [row for row in before if row.plate == name]
+        plain = [row for row in before if row.plate == name]
         extended = None if after is None else [row for row in after if row.plate == name]
-        _draw_plate(panel, result, i, own, extended)
+        _draw_plate(panel, result, i, plain, extended)
     p = probability_text(d.baseline.p_value)
     title = f"{_title(d)}: plain model rms {100 * d.baseline.rms:.2f} %, posterior predictive p {p}"
     if d.extended is not None:
@@ -229,8 +229,8 @@ def _singles(d: Diagnosis) -> list[str]:
 def _signatures(d: Diagnosis) -> Figure:
     """Cosines between the causes' signatures, the constants projected out."""
     names = _singles(d)
-    own = [d.signatures[name] for name in names]
-    matrix = np.array([[cosine(a, b) for b in own] for a in own])
+    signatures = [d.signatures[name] for name in names]
+    matrix = np.array([[cosine(a, b) for b in signatures] for a in signatures])
     size = 1.9 + 0.27 * len(names)
     figure = Figure(figsize=(size + 0.8, size), layout="constrained")
     axes = figure.add_subplot()

@@ -61,19 +61,21 @@ def is_pair(cause: Cause | str) -> bool:
 
 def constant_rows(d: Diagnosis, fit: Fit) -> tuple[ConstantRow, ...]:
     """The constants that all plates share."""
-    own = {name: v for name, v in fit.constants.items() if name in _unknowns(d)}
-    return tuple(_row(d, name, *values) for name, values in own.items())
+    constants = {name: v for name, v in fit.constants.items() if name in _unknowns(d)}
+    return tuple(_row(d, name, *values) for name, values in constants.items())
 
 
-def sampled_rows(d: Diagnosis, found: Resampled) -> tuple[ConstantRow, ...]:
+def sampled_rows(d: Diagnosis, resampled: Resampled) -> tuple[ConstantRow, ...]:
     """The constants that all plates share, of the extended model by emcee."""
-    return tuple(_row(d, name, *values) for name, values in found.constants.items() if name in _unknowns(d))
+    return tuple(
+        _row(d, name, *values) for name, values in resampled.constants.items() if name in _unknowns(d)
+    )
 
 
 def plate_constants(d: Diagnosis, fit: Fit, i: int) -> tuple[ConstantRow, ...]:
     """The constants of one plate, with its own deviations from the shared ones."""
     case, names = d.cases[i], list(fit.constants)
-    found = []
+    rows = []
     for name in case.models.specimen.unknowns.names:
         if name not in names:
             continue
@@ -82,42 +84,42 @@ def plate_constants(d: Diagnosis, fit: Fit, i: int) -> tuple[ConstantRow, ...]:
         if scatter in names:
             draws = draws * (1.0 + fit.draws[:, names.index(scatter)])
         low, high = np.quantile(draws, (0.025, 0.975))
-        found.append(_row(d, name, float(draws.mean()), float(draws.std()), float(low), float(high)))
-    return tuple(found)
+        rows.append(_row(d, name, float(draws.mean()), float(draws.std()), float(low), float(high)))
+    return tuple(rows)
 
 
 def nuisance_of(d: Diagnosis, fit: Fit) -> dict[str, tuple[float, float]]:
     """Sizes and deviations from plate to plate, mean and sd: sizes in the plate file's unit and name."""
-    found = {}
+    nuisance = {}
     for name, (mean, sd, _, _) in fit.constants.items():
         if name in _unknowns(d):
             continue
         if name.startswith("scatter of "):
-            found[name] = (mean, sd)
+            nuisance[name] = (mean, sd)
             continue
         base, _, of = name.partition(" of ")
         shown = user_name(base) + (f" of {of}" if of else "")
-        found[shown] = (to_user(base, mean), to_user(base, sd))
-    return found
+        nuisance[shown] = (to_user(base, mean), to_user(base, sd))
+    return nuisance
 
 
 def noise_of(members: Sequence[tuple[Tested, float]]) -> tuple[float, float] | None:
     """Mean and sd of the inferred noise over a mixture of hypotheses, relative; ``None`` where given."""
     mean = square = 0.0
-    for t, share in members:
+    for t, weight in members:
         column = t.marginal.comparison.noise
         if column is None:
             return None
-        own, sd = (float(v[column]) for v in t.marginal.moments())
-        mean += share * own
-        square += share * (own**2 + sd**2)
+        level, sd = (float(v[column]) for v in t.marginal.moments())
+        mean += weight * level
+        square += weight * (level**2 + sd**2)
     return mean, float(np.sqrt(max(square - mean**2, 0.0)))
 
 
 def hidden_causes(d: Diagnosis) -> tuple[Cause, ...]:
     """Single causes of which the constants leave little to be seen, the best hidden first."""
-    found = [c for c in d.causes if c.visible < _HIDDEN and c.parameters and not is_pair(c)]
-    return tuple(sorted(found, key=lambda cause: cause.visible))
+    hidden = [c for c in d.causes if c.visible < _HIDDEN and c.parameters and not is_pair(c)]
+    return tuple(sorted(hidden, key=lambda cause: cause.visible))
 
 
 def catalogue_sd(cause: Cause) -> float:
@@ -149,11 +151,11 @@ def member_names(d: Diagnosis) -> tuple[str, ...]:
 
 def leading(d: Diagnosis, least: float, most: int) -> tuple[Cause, ...]:
     """The causes to show: the most probable, and none and other wherever they stand."""
-    found = []
+    shown = []
     for rank, cause in enumerate(d.causes):
         if cause.name in (NONE, OTHER) or (rank < most and (cause.probability >= least or rank < 6)):
-            found.append(cause)
-    return tuple(found)
+            shown.append(cause)
+    return tuple(shown)
 
 
 def _unknowns(d: Diagnosis) -> Mapping[str, None]:

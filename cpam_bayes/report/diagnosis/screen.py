@@ -72,18 +72,16 @@ def _heads(result: DiagnosisResult) -> tuple[Table, ...]:
 
 
 def _claim(d: Diagnosis, candidates: Sequence[Candidate]) -> tuple[str, ...]:
-    found = [claim_sentence(d)]
+    sentences = [claim_sentence(d)]
     claimed = {c.name: c for c in d.causes if c.name in d.claim.causes}
     if d.claim.kind == "named":
         (cause,) = claimed.values()
         if cause.indistinguishable_from:
             alike = listed(cause.indistinguishable_from[:_ALIKE], "or")
-            found.append(
-                f"By its signature alone it could be {alike}; the priors of their sizes speak for it."
-            )
+            sentences.append(f"Its signature is that of {alike} too; the priors of their sizes favour it.")
     if d.claim.kind == "undecided" and candidates:
-        found.append("Another test would tell more than another fit: see what to measure next.")
-    return tuple(found)
+        sentences.append("A further test would tell more than another fit: see what to measure next.")
+    return tuple(sentences)
 
 
 def _residuals(result: DiagnosisResult) -> Table:
@@ -166,7 +164,7 @@ def _causes(d: Diagnosis) -> Table:
         Column("probability", number=True),
         Column("log Bayes factor", number=True),
         Column("size, mean and sd"),
-        Column("cannot be told from"),
+        Column("indistinguishable from"),
     ]
     rows, claimed = [], []
     shown = leading(d, _LEAST, _MOST)
@@ -194,7 +192,7 @@ def _causes(d: Diagnosis) -> Table:
                 *(3 * ("",)),
             )
         )
-    return Table("Causes, probability after the data", tuple(columns), tuple(rows), frozenset(claimed))
+    return Table("Causes, posterior probability", tuple(columns), tuple(rows), frozenset(claimed))
 
 
 def _plates(d: Diagnosis, cause: Cause) -> str:
@@ -219,8 +217,8 @@ def _hidden(d: Diagnosis) -> Table:
     names = [row.name for row in constant_rows(d, d.baseline)]
     columns = (
         Column("cause"),
-        Column("shows", number=True),
-        Column("this much"),
+        Column("visible", number=True),
+        Column("of"),
         *(Column(f"{name.removesuffix('_GPa')} %", number=True) for name in names),
     )
     rows = []
@@ -229,9 +227,7 @@ def _hidden(d: Diagnosis) -> Table:
         one = catalogue_sd(cause)
         moved = [f"{one * per_unit.get(name, 0.0):+.2g}" for name in names]
         rows.append((cause.name, f"{100 * cause.visible:.0f} %", f"{one:g} {unit}".strip(), *moved))
-    title = (
-        "Hidden by the constants: how much of a cause would show, and how it moves constants if it is there"
-    )
+    title = "Absorbed by the constants: visible fraction of a cause of this size, and the bias that it causes"
     return Table(title, columns, tuple(rows))
 
 
@@ -267,18 +263,18 @@ def _interval(mean: float, low: float, high: float, sd: float) -> list[str]:
     return [with_spread(value, sd)[0] for value in (mean, low, high)]
 
 
-def _sampled(d: Diagnosis, found: Resampled | None) -> Table:
+def _sampled(d: Diagnosis, resampled: Resampled | None) -> Table:
     """The extended model's constants by emcee, and how its chains did."""
-    if found is None:
+    if resampled is None:
         return facts("Extended model by emcee", ())
     rows = []
-    for row in sampled_rows(d, found):
+    for row in sampled_rows(d, resampled):
         mean, low, high = _interval(row.mean, row.q025, row.q975, row.sd)
         rows.append((row.name, f"{mean}, 95 % interval {low} to {high}"))
-    worst = max(m.diagnostics.r_hat for m in found.members)
-    size = min(m.diagnostics.ess_bulk for m in found.members)
-    said = "converged" if found.converged else "NOT converged"
-    rows.append(("chains", f"R-hat {worst:.4f}, {size:.0f} effective samples: {said}"))
+    worst = max(m.diagnostics.r_hat for m in resampled.members)
+    size = min(m.diagnostics.ess_bulk for m in resampled.members)
+    state = "converged" if resampled.converged else "NOT converged"
+    rows.append(("chains", f"R-hat {worst:.4f}, {size:.0f} effective samples: {state}"))
     return facts("Extended model by emcee", tuple(rows))
 
 

@@ -23,20 +23,20 @@ def claim_sentence(d: Diagnosis) -> str:
     by_name = {cause.name: cause for cause in d.causes}
     match d.claim.kind:
         case "none":
-            return f"Nothing is wrong that these data show: the plain model has probability {p}{_false(d)}."
+            return f"No evidence of a model error: the plain model has probability {p}{_false(d)}."
         case "named":
             cause = by_name[d.claim.causes[0]]
             return f"Named: {cause.name}{_where(d, cause)}, probability {p}{_of_size(cause)}."
         case "class":
             return (
-                f"Something is wrong, and these data cannot tell which of {listed(d.claim.causes, 'or')}: "
+                f"The model lacks one of {listed(d.claim.causes, 'or')}, and these frequencies cannot tell which: "
                 f"together they have probability {p}."
             )
         case "pair":
             return f"Two causes at once, {listed(d.claim.causes, 'and')}: probability {p}."
         case "other":
             return (
-                "Something is wrong that no cause of the catalogue explains: probability "
+                "The model lacks something that no cause of the catalogue explains: probability "
                 f"{p}. The residuals by mode show where. The extended model adds a scatter of all modes to "
                 "the noise, which widens the intervals and repairs no frequency."
             )
@@ -44,19 +44,19 @@ def claim_sentence(d: Diagnosis) -> str:
     other = probability_text(by_name[OTHER].probability)
     leaders = [f"{c.name} {probability_text(c.probability)}" for c in _most_probable(d)]
     return (
-        f"Undecided: nothing is probable enough to be claimed. The plain model has {none}, something that is "
-        f"not in the catalogue {other}, the most probable causes have {listed(leaders, 'and')}."
+        f"Undecided: no hypothesis is probable enough to be claimed. The plain model has {none}, an error "
+        f"outside the catalogue {other}, the most probable causes have {listed(leaders, 'and')}."
     )
 
 
 def _false(d: Diagnosis) -> str:
     """The frequencies that an incomplete list's pairing leaves out."""
-    found = []
+    plates = []
     for case in d.cases:
         left = [f"{f:g} Hz" for f in left_aside(case)]
         if left:
-            found.append(listed(left, "and") + (f" of {case.name}" if len(d.cases) > 1 else ""))
-    return f", with {listed(found, 'and')} left out as no mode of the plate" if found else ""
+            plates.append(listed(left, "and") + (f" of {case.name}" if len(d.cases) > 1 else ""))
+    return f", with {listed(plates, 'and')} left out as no mode of the plate" if plates else ""
 
 
 def size_text(cause: Cause) -> str:

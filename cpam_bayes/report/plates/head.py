@@ -85,12 +85,12 @@ def edges_text(edges: str) -> str:
     """The edge conditions in words."""
     if len(set(edges)) == 1:
         return f"{_CONDITIONS[edges[0]]} on all four edges"
-    said = []
+    conditions = []
     for letter in dict.fromkeys(edges):
-        own = [place for place, e in zip(_EDGES, edges, strict=True) if e == letter]
-        listed = " and ".join([", ".join(own[:-1]), own[-1]] if len(own) > 1 else own)
-        said.append(f"{_CONDITIONS[letter]} at {listed}")
-    return "; ".join(said)
+        places = [place for place, e in zip(_EDGES, edges, strict=True) if e == letter]
+        listed = " and ".join([", ".join(places[:-1]), places[-1]] if len(places) > 1 else places)
+        conditions.append(f"{_CONDITIONS[letter]} at {listed}")
+    return "; ".join(conditions)
 
 
 def size_text(plate: Plate) -> str:

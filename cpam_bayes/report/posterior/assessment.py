@@ -36,7 +36,7 @@ def combinations_table(result: SampledResult) -> Table:
         Column("decided by"),
     )
     names = result.posterior.model.parameters.names
-    found = result.assessment.combinations
+    combinations = result.assessment.combinations
     rows = tuple(
         (
             product_text(names, c),
@@ -45,9 +45,9 @@ def combinations_table(result: SampledResult) -> Table:
             significant(c.singular_value, 2),
             _decider(c),
         )
-        for c in found
+        for c in combinations
     )
-    doubtful = frozenset(i for i, c in enumerate(found) if c.contraction < _BY_PRIOR)
+    doubtful = frozenset(i for i, c in enumerate(combinations) if c.contraction < _BY_PRIOR)
     return Table("Combinations of constants, best determined first", columns, rows, doubtful)
 
 
@@ -75,8 +75,8 @@ def _percent(sd: float) -> str:
 
 def sensitivity_table(result: SampledResult) -> Table:
     """What the likelihood says of each constant alone, and what prior and bounds add."""
-    own = result.assessment
-    by_name = {s.name: s for s in own.power_scaling}
+    assessment = result.assessment
+    by_name = {s.name: s for s in assessment.power_scaling}
     columns = (
         Column("name"),
         Column("95 % by likelihood"),
@@ -88,10 +88,10 @@ def sensitivity_table(result: SampledResult) -> Table:
     )
     names = result.posterior.parameters.names
     rows, doubtful = [], []
-    for i, profile in enumerate(own.profiles):
+    for i, profile in enumerate(assessment.profiles):
         s = by_name[profile.name]
         sensitivities = (fixed(value, 2) for value in (s.likelihood, s.prior, s.noise_prior))
-        shift = _largest_shift(own.moved_bounds, names.index(profile.name))
+        shift = _largest_shift(assessment.moved_bounds, names.index(profile.name))
         rows.append((profile.name, _interval(profile), *sensitivities, s.diagnosis, shift))
         if s.diagnosis in _DOUBTFUL:
             doubtful.append(i)

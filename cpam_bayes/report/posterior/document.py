@@ -147,9 +147,9 @@ def _combinations(result: SampledResult) -> list[dict[str, Any]]:
 
 
 def _profiles(result: SampledResult) -> dict[str, Any]:
-    found = {}
+    profiles = {}
     for p in result.assessment.profiles:
-        found[user_name(p.name)] = {
+        profiles[user_name(p.name)] = {
             "values": [to_user(p.name, float(v)) for v in p.values],
             "drop": p.drop.tolist(),
             "best": to_user(p.name, p.best),
@@ -159,7 +159,7 @@ def _profiles(result: SampledResult) -> dict[str, Any]:
             "upper_open": p.upper_open,
             "parts": p.parts,
         }
-    return found
+    return profiles
 
 
 def _bounds_moved(result: SampledResult) -> list[dict[str, Any]]:

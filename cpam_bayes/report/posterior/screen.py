@@ -81,23 +81,23 @@ def _prior(name: str, prior: Prior) -> str:
 
 
 def _verdicts(result: SampledResult) -> tuple[str, ...]:
-    found = []
+    sentences = []
     constants = result.elastic_constants
     by_prior = [c.name for c in constants if c.verdict == "determined by the prior"]
     if by_prior:
-        found.append(
+        sentences.append(
             f"Determined by the prior, not by the frequencies: {', '.join(by_prior)}. Do not use "
             f"{'these values' if len(by_prior) > 1 else 'this value'}."
         )
     for c in constants:
         if c.bound is not None:
-            share = max(c.at_lower, c.at_upper)
-            found.append(
-                f"{c.name}: {100 * share:.0f} % of the draws lie at its {c.bound} bound; the bound has a "
+            fraction = max(c.at_lower, c.at_upper)
+            sentences.append(
+                f"{c.name}: {100 * fraction:.0f} % of the draws lie at its {c.bound} bound; the bound has a "
                 "say in it, and the other constants depend on it."
             )
     sure = [c.name for c in constants if c.verdict == "determined by the data"]
-    return (*found, f"Determined by the frequencies: {', '.join(sure) or 'none of the constants'}.")
+    return (*sentences, f"Determined by the frequencies: {', '.join(sure) or 'none of the constants'}.")
 
 
 def _frequencies(result: SampledResult) -> Table:
@@ -214,15 +214,15 @@ def _left_out(result: SampledResult) -> list[tuple[str, str]]:
     if psis is None:
         return [("left out", closed)]
     if psis.reliable:
-        told = f"log score {psis.log_score:.1f} +- {psis.standard_error:.1f} by importance sampling"
+        score = f"log score {psis.log_score:.1f} +- {psis.standard_error:.1f} by importance sampling"
     else:
         worst = int(np.argmax(psis.k_hat))
-        told = f"not reliable: k-hat {psis.k_hat[worst]:.2f} at frequency {worst + 1}, above 0.7"
-    return [("left out", closed), ("PSIS-LOO", told)]
+        score = f"not reliable: k-hat {psis.k_hat[worst]:.2f} at frequency {worst + 1}, above 0.7"
+    return [("left out", closed), ("PSIS-LOO", score)]
 
 
 def _evidence(result: SampledResult) -> str:
     e = result.evidence
-    told = f"log evidence {e.log_evidence:.3f} +- {e.standard_error:.3f}"
+    value = f"log evidence {e.log_evidence:.3f} +- {e.standard_error:.3f}"
     sizes = f"{e.effective_size:.0f} effective of {e.n_draws} draws, k-hat {e.k_hat:.2f}"
-    return f"{told}, importance sampling ({sizes}){'' if e.status == 'reliable' else ': NOT reliable'}"
+    return f"{value}, importance sampling ({sizes}){'' if e.status == 'reliable' else ': NOT reliable'}"

@@ -20,9 +20,9 @@ def document(answer: SensitivityResult) -> dict[str, Any]:
     assert measurement is not None
     levels = []
     for level in dict.fromkeys(cell.level for cell in result.cells):
-        own = [cell for cell in result.cells if cell.level == level]
-        readings = {cell.reading: _cell_keys(result, cell, table) for cell in own}
-        first = own[0].reading
+        cells = [cell for cell in result.cells if cell.level == level]
+        readings = {cell.reading: _cell_keys(result, cell, table) for cell in cells}
+        first = cells[0].reading
         levels.append(
             {
                 "level_percent": level_percent(level),
@@ -59,10 +59,10 @@ def _cell_keys(result: Sensitivity, cell: Cell, table: PerturbationTable | None)
     rep, post = cell.repetition, cell.posterior
     constants = {}
     for i, c in enumerate(result.without_noise.constants):
-        unit, own = to_user(c.name, 1.0), cell.comparisons[i]
+        unit, comparison = to_user(c.name, 1.0), cell.comparisons[i]
         percent = 100.0 / c.value
         printed = printed_percent(c.name, cell, table)
-        error = percent * own.standard_error
+        error = percent * comparison.standard_error
         constants[user_name(c.name)] = {
             "repetition_mean": unit * float(rep.mean[i]),
             "repetition_sd": unit * float(rep.sd[i]),
@@ -72,11 +72,11 @@ def _cell_keys(result: Sensitivity, cell: Cell, table: PerturbationTable | None)
             "percent_error": percent * (float(rep.mean[i]) - c.value),
             "percent_standard_error": error,
             "paper_in_standard_errors": in_standard_errors(result, cell, i, printed),
-            "means_agree": own.means_agree,
-            "sds_agree": own.sds_agree,
-            "shift_in_standard_errors": own.shift,
-            "sd_ratio": own.sd_ratio,
-            "causes": list(own.causes),
+            "means_agree": comparison.means_agree,
+            "sds_agree": comparison.sds_agree,
+            "shift_in_standard_errors": comparison.shift,
+            "sd_ratio": comparison.sd_ratio,
+            "causes": list(comparison.causes),
             "share_on_bound": float(rep.on_bound[:, i].mean()),
             "posterior_share_next_to_bound": float(post.next_to_bound[i]),
             "posterior_skewness": float(post.skewness[i]),

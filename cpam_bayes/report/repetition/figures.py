@@ -28,12 +28,12 @@ def draw_constant(axes: Axes, document: Mapping[str, Any], name: str) -> None:
     readings = list(document["levels"][0]["readings"])
     for i, level in enumerate(document["levels"]):
         for j, reading in enumerate(readings):
-            own = level["readings"][reading]["constants"][name]
+            values = level["readings"][reading]["constants"][name]
             colour = _READING_COLOURS[reading]
             place = i + (j - (len(readings) - 1) / 2) * 0.44
             for kind, shift in (("repetition", -0.09), ("posterior", 0.09)):
-                centre = 100.0 * (own[f"{kind}_mean"] / reference - 1.0)
-                spread = 100.0 * own[f"{kind}_sd"] / reference
+                centre = 100.0 * (values[f"{kind}_mean"] / reference - 1.0)
+                spread = 100.0 * values[f"{kind}_sd"] / reference
                 open_mark = kind == "posterior"
                 axes.errorbar(
                     place + shift,
@@ -48,8 +48,8 @@ def draw_constant(axes: Axes, document: Mapping[str, Any], name: str) -> None:
                 )
             axes.errorbar(
                 place - 0.09,
-                own["percent_error"],
-                own["percent_standard_error"],
+                values["percent_error"],
+                values["percent_standard_error"],
                 fmt="none",
                 ecolor=colour,
                 elinewidth=2.6,
@@ -72,7 +72,7 @@ def legend_entries(readings: Sequence[str]) -> list[Any]:
         for mark, words in _MARKS
     ]
     marks[1].set_markerfacecolor("white")
-    colours = {"relative": "relative: sd a share of each frequency", "rms": "rms: one sd for all modes"}
+    colours = {"relative": "relative: sd a fraction of each frequency", "rms": "rms: one sd for all modes"}
     return marks + [
         Line2D([], [], color=_READING_COLOURS[r], linewidth=3, label=colours[r]) for r in readings
     ]

@@ -83,7 +83,7 @@ def _cell_table(result: Sensitivity, cell: Cell, table: PerturbationTable | None
     )
     rows = []
     for i, c in enumerate(result.without_noise.constants):
-        unit, own = to_user(c.name, 1.0), cell.comparisons[i]
+        unit, comparison = to_user(c.name, 1.0), cell.comparisons[i]
         mean, sd = with_spread(unit * float(cell.repetition.mean[i]), unit * float(cell.repetition.sd[i]))
         centre, spread = with_spread(unit * float(cell.posterior.mean[i]), unit * float(cell.posterior.sd[i]))
         value = printed_percent(c.name, cell, table)
@@ -95,13 +95,13 @@ def _cell_table(result: Sensitivity, cell: Cell, table: PerturbationTable | None
                 mean,
                 sd,
                 signed(100.0 * (float(cell.repetition.mean[i]) / c.value - 1.0), 2),
-                significant(100.0 * own.standard_error / abs(c.value), 2),
+                significant(100.0 * comparison.standard_error / abs(c.value), 2),
                 *((("" if value is None else signed(value, 2)),) if printed else ()),
                 centre,
                 spread,
-                fixed(own.sd_ratio, 2) if math.isfinite(own.sd_ratio) else "-",
-                "differ: " + ", ".join(own.causes) if own.causes else "agree",
+                fixed(comparison.sd_ratio, 2) if math.isfinite(comparison.sd_ratio) else "-",
+                "differ: " + ", ".join(comparison.causes) if comparison.causes else "agree",
             )
         )
-    flagged = frozenset(i for i, own in enumerate(cell.comparisons) if own.causes)
+    flagged = frozenset(i for i, comparison in enumerate(cell.comparisons) if comparison.causes)
     return Table(f"Noise {where(cell)}", columns, tuple(rows), flagged)

@@ -35,21 +35,23 @@ def in_standard_errors(result: Sensitivity, cell: Cell, i: int, printed: float |
 
 def difference_sentences(result: Sensitivity) -> tuple[str, ...]:
     """One sentence for each constant, level and reading that differs, with the numbers that say why."""
-    found = []
+    sentences = []
     for cell in result.cells:
         for i, c in enumerate(result.without_noise.constants):
-            own = cell.comparisons[i]
-            if not own.causes:
+            comparison = cell.comparisons[i]
+            if not comparison.causes:
                 continue
             what = []
-            if not own.means_agree:
-                what.append(f"means {significant(abs(own.shift), 2)} standard errors apart")
-            if not own.sds_agree:
-                what.append(f"sd {significant(own.sd_ratio, 2)} times the posterior's")
-            why = "; ".join(_reason(result, cell, i, cause) for cause in own.causes)
+            if not comparison.means_agree:
+                what.append(f"means {significant(abs(comparison.shift), 2)} standard errors apart")
+            if not comparison.sds_agree:
+                what.append(f"sd {significant(comparison.sd_ratio, 2)} times the posterior's")
+            why = "; ".join(_reason(result, cell, i, cause) for cause in comparison.causes)
             level = f"{level_percent(cell.level):g} % {cell.reading}"
-            found.append(f"{level}, {c.name}: {' and '.join(what)}: {why}.")
-    return tuple(found) or ("Nowhere: all means and standard deviations agree within chance (1 % tests).",)
+            sentences.append(f"{level}, {c.name}: {' and '.join(what)}: {why}.")
+    return tuple(sentences) or (
+        "Nowhere: all means and standard deviations agree within chance (1 % tests).",
+    )
 
 
 def _reason(result: Sensitivity, cell: Cell, i: int, cause: Cause) -> str:
@@ -90,30 +92,30 @@ def beside_paper(result: Sensitivity, table: PerturbationTable | None) -> tuple[
     if table is None:
         return ()
     names = [c.name for c in result.without_noise.constants]
-    found = [
+    sentences = [
         f"Table {table.number}: noise on the measured list, errors against the paper's own noise-free answer."
     ]
     if table.angles_deg:
-        found.append("The paper sought the ply angles too; here the layup is known.")
+        sentences.append("The paper sought the ply angles too; here the layup is known.")
     for reading in dict.fromkeys(cell.reading for cell in result.cells):
-        own = [cell for cell in result.cells if cell.reading == reading]
+        cells = [cell for cell in result.cells if cell.reading == reading]
         ratios = [
             ratio
-            for cell in own
+            for cell in cells
             for i, name in enumerate(names)
             if (ratio := in_standard_errors(result, cell, i, printed_percent(name, cell, table))) is not None
         ]
         if ratios:
             rms = significant(float(np.sqrt(np.mean(np.square(ratios)))), 2)
             below = int(np.sum(np.abs(ratios) < 1.0))
-            found.append(
+            sentences.append(
                 f"{reading}: {below} of {len(ratios)} printed percentages are smaller than the standard "
                 f"error that a mean of ten inversions has here; in these units their rms is {rms}, where "
                 "chance alone gives about 1."
             )
-    found += [
+    sentences += [
         f"{c.key} at {c.level_percent:g} %: the printed {c.printed} % does not follow from its row, whose "
         f"amounts allow {c.lowest:.1f} to {c.highest:.1f} %."
         for c in contradictions(table)
     ]
-    return tuple(found)
+    return tuple(sentences)

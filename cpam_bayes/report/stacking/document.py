@@ -73,8 +73,8 @@ def _sequence(result: StackingPosterior, mixture: StackingMixture, i: int) -> di
     if i < len(mixture.components):
         mean, sd, by = mixture.components[i].chains.mean, mixture.components[i].chains.sd, "emcee"
     else:
-        own = result.components.conditionals
-        mean, sd, by = own.mean[i], own.sd[i], "importance sampling"
+        conditionals = result.components.conditionals
+        mean, sd, by = conditionals.mean[i], conditionals.sd[i], "importance sampling"
     return {
         "angles_deg": result.top[i].tolist(),
         "probability": float(result.probability[i]),
@@ -97,33 +97,33 @@ def _by_name(result: StackingPosterior, values: NDArray[Any]) -> dict[str, float
 
 
 def _given(result: StackingPosterior, mixture: StackingMixture, given: GivenLayup) -> dict[str, Any]:
-    own = mixture.given
+    component = mixture.given
     return {
         "angles_deg": given.angles_deg.tolist(),
         "probability": given.probability,
         "rank": given.rank,
         "log_evidence": given.log_evidence,
         "log_evidence_error": given.log_evidence_error,
-        "constants": None if own is None else _by_name(result, own.chains.mean),
-        "constants_sd": None if own is None else _by_name(result, own.chains.sd),
+        "constants": None if component is None else _by_name(result, component.chains.mean),
+        "constants_sd": None if component is None else _by_name(result, component.chains.sd),
     }
 
 
 def _constants(result: StackingPosterior, mixture: StackingMixture) -> dict[str, dict[str, float]]:
     """Mean, sd and quantiles of the constants over the mixture's draws."""
-    found = {}
+    constants = {}
     for i, name in enumerate(result.conditional.parameters.names):
         if name == NOISE:
             continue
         x = mixture.parameters[:, i] * to_user(name, 1.0)
         q025, q975 = np.quantile(x, (0.025, 0.975))
-        found[user_name(name)] = {
+        constants[user_name(name)] = {
             "mean": float(x.mean()),
             "sd": float(x.std()),
             "q025": float(q025),
             "q975": float(q975),
         }
-    return found
+    return constants
 
 
 def _frequencies(result: StackingPosterior, fit: BestFit) -> list[dict[str, float | None]]:

@@ -125,8 +125,8 @@ def constants_over_sequences(
     result: StackingPosterior, mixture: StackingMixture, given: GivenLayup | None = None
 ) -> Figure:
     """Each constant's density over all sequences beside those given single sequences."""
-    own = result.conditional.parameters
-    chosen = [i for i, name in enumerate(own.names) if name != NOISE]
+    parameters = result.conditional.parameters
+    chosen = [i for i, name in enumerate(parameters.names) if name != NOISE]
     columns = min(len(chosen), 4)
     rows = -(-len(chosen) // columns)
     figure = Figure(figsize=(max(6.0, 2.6 * columns), 0.8 + 2.1 * rows), layout="constrained")
@@ -134,7 +134,7 @@ def constants_over_sequences(
     for empty in panels[len(chosen) :]:
         empty.set_axis_off()
     for panel, i in zip(panels, chosen, strict=False):
-        p = own.parameters[i]
+        p = parameters.parameters[i]
         unit = to_user(p.name, 1.0)
         curves: list[tuple[NDArray[Any], str | None, str]] = [
             (mixture.parameters[:, i], None, "all sequences")

@@ -41,7 +41,7 @@ def _sequences(result: StackingPosterior) -> Table:
         Column("rank", number=True),
         Column("unknown angles"),
         Column("probability of each", number=True),
-        Column("of", number=True),
+        Column("equivalent", number=True),
         Column("together", number=True),
         Column("log evidence", number=True),
         Column("+-", number=True),
@@ -58,7 +58,11 @@ def _sequences(result: StackingPosterior) -> Table:
         )
         for i in range(min(_SHOWN, len(result.top)))
     ]
-    return Table("Most probable sequences, those that no frequency tells apart merged", columns, tuple(rows))
+    return Table(
+        "Most probable stacking sequences; those that no frequency distinguishes are merged",
+        columns,
+        tuple(rows),
+    )
 
 
 def _plies(result: StackingPosterior, information: AngleInformation) -> Table:
@@ -67,7 +71,7 @@ def _plies(result: StackingPosterior, information: AngleInformation) -> Table:
         Column("most probable angles and their probability"),
         Column("angles that hold 95 %", number=True),
         Column("entropy, bits", number=True),
-        Column("share of D, %", number=True),
+        Column("fraction of D, %", number=True),
     )
     rows = []
     for j, p in enumerate(result.marginals):
@@ -76,8 +80,8 @@ def _plies(result: StackingPosterior, information: AngleInformation) -> Table:
         best = ", ".join(
             f"{result.grid_deg[a]:g} ({p[a]:.2f})" for a in order[:4] if p[a] >= _SHOWN_PROBABILITY
         )
-        bits, share = information.entropy_bits[j], information.bending_fraction[j]
-        rows.append((str(j + 1), best, f"{needed} of {len(p)}", f"{abs(bits):.2f}", f"{100 * share:.1f}"))
+        bits, fraction = information.entropy_bits[j], information.bending_fraction[j]
+        rows.append((str(j + 1), best, f"{needed} of {len(p)}", f"{abs(bits):.2f}", f"{100 * fraction:.1f}"))
     return Table("Angle by angle, from the bottom", columns, tuple(rows))
 
 
@@ -109,8 +113,11 @@ def _fit(result: StackingPosterior, fit: BestFit) -> tuple[Table, ...]:
     )
     lacks = ", ".join(fixed(float(f), decimals + 1) for f in fit.missed)
     return (
-        Table("The list and the most probable sequence", columns, rows),
-        remarks("The list lacks", (f"modes of the most probable sequence at {lacks} Hz",) if lacks else ()),
+        Table("Measured frequencies and the most probable sequence", columns, rows),
+        remarks(
+            "Missing from the measured frequencies",
+            (f"modes of the most probable sequence at {lacks} Hz",) if lacks else (),
+        ),
     )
 
 
@@ -177,8 +184,8 @@ def _work(screened: StackingResult) -> Table:
         c = result.check
         rows.append(
             (
-                "learned",
-                f"from {c.training_size} sequences; off by {c.rms:.2f} (rms) and {c.largest:.2f} (most) in "
+                "surrogate",
+                f"trained on {c.training_size} sequences; off by {c.rms:.2f} (rms), {c.largest:.2f} (most) in "
                 "log evidence on draws from the result, which correct its sum",
             )
         )
@@ -188,7 +195,7 @@ def _work(screened: StackingResult) -> Table:
             f"{result.seconds:.0f} s and {mixture.seconds:.0f} s for the constants, seed {screened.seed}",
         )
     )
-    return facts("All sequences", tuple(rows))
+    return facts("All stacking sequences", tuple(rows))
 
 
 def _printed(result: StackingPosterior, given: GivenLayup | None) -> tuple[tuple[str, str], ...]:

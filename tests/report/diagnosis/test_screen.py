@@ -127,7 +127,7 @@ def test_nothing_is_extended_where_nothing_is_claimed(clean):
     assert found["extended"] is None
     assert found["gain"] is None
     text = screen(clean)
-    assert "Nothing is wrong that these data show" in text
+    assert "No evidence of a model error" in text
     assert "extended" not in text
     assert diagnosis_warnings(clean) == ()
 
@@ -175,7 +175,7 @@ def test_what_scales_all_frequencies_is_hidden_and_moves_the_stiffness_twice_as_
     assert catalogue_sd(hidden) == 0.2
     (entry,) = document(clean)["absorbed"]
     assert entry["bias_percent"]["E1_GPa"] == pytest.approx(entry["at"] * per_unit["E1_GPa"])
-    assert "Hidden by the constants" in screen(clean)
+    assert "Absorbed by the constants" in screen(clean)
 
 
 def test_priors_of_families_causes_and_sizes_are_told(clean):

@@ -132,7 +132,7 @@ def test_what_was_learned_badly_or_overlooked_is_warned_of() -> None:
     assert sequence_warnings(replace(own, check=good), mixture()) == ()
     bad = replace(own, check=replace(good, rms=2.5, overlooked=1.2), unaccounted=4e-3)
     rough, overlooked, left_out = sequence_warnings(bad, mixture())
-    assert "the learned log evidence is 2.50 off" in rough
+    assert "the log evidence of the surrogate is 2.50 off" in rough
     assert (
         "a sequence drawn from the posterior is better by 1.2 in log evidence than every one listed"
         in overlooked
