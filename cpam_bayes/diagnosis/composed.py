@@ -23,9 +23,10 @@ _STEP = 1e-30
 class Change:
     """An effect in the model of one plate.
 
+    names, columns : of the effect's parameters, in the joint vector
     model : of the plate with the effect, its parameters the plate's and then the effect's; ``None`` where
-    the effect acts on the frequencies. columns : of the effect's parameters in the joint vector. observe :
-    frequencies (..., n_modes) and values (...) -> frequencies.
+        the effect acts on the frequencies
+    observe : frequencies (..., n_modes) and values (...) -> frequencies
     """
 
     names: tuple[str, ...]
@@ -38,9 +39,12 @@ class Change:
 class Part:
     """One plate under one test.
 
-    bare : its model. columns : (n,) of its parameters in the joint vector. scatter : (n,) columns of their
-    relative deviations from these, -1 for none. changes : what it has. modes : (n_f,) the model mode of
-    each frequency of its list. slip : frequency whose value is misread, and the column of by how much.
+    bare : its model
+    columns : (n,) of its parameters in the joint vector
+    scatter : (n,) columns of their relative deviations from these, -1 for none
+    changes : the effects that it has
+    modes : (n_f,) the model mode of each frequency of its list
+    misread : a misread frequency, and the column of its relative error
     """
 
     bare: ForwardModel
@@ -48,16 +52,16 @@ class Part:
     scatter: Array
     changes: tuple[Change, ...]
     modes: Array
-    slip: tuple[int, int] | None = None
+    misread: tuple[int, int] | None = None
 
-    def own(self, x: Array) -> Array:
+    def plate_vector(self, x: Array) -> Array:
         """Parameters of the plate at joint vectors (m, n), (m, n_plate)."""
-        own = x[:, self.columns]
+        vector = x[:, self.columns]
         varied = self.scatter >= 0
         if varied.any():
-            own = own.copy()
-            own[:, varied] *= 1.0 + x[:, self.scatter[varied]]
-        return np.asarray(own)
+            vector = vector.copy()
+            vector[:, varied] *= 1.0 + x[:, self.scatter[varied]]
+        return np.asarray(vector)
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,32 +79,32 @@ class ComposedModel:
         """Frequencies at parameter vectors (m, n) and, if asked, their derivatives."""
         x = np.atleast_2d(x)
         x = x[:, : self.parameters.size]
-        found = [_predict(part, x, jacobian) for part in self.parts]
-        slopes = [f.jacobian for f in found if f.jacobian is not None]
+        predictions = [_predict(part, x, jacobian) for part in self.parts]
+        slopes = [f.jacobian for f in predictions if f.jacobian is not None]
         return Prediction(
-            np.concatenate([f.frequencies for f in found], axis=1),
+            np.concatenate([f.frequencies for f in predictions], axis=1),
             np.concatenate(slopes, axis=1) if jacobian else None,
         )
 
     def admissible(self, x: Array) -> Array:
         """Whether parameter vectors (m, n) satisfy the constraints (9) for every plate, (m,) bool."""
         x = np.atleast_2d(x)
-        found = np.ones(len(x), dtype=bool)
+        admissible = np.ones(len(x), dtype=bool)
         for part in self.parts:
-            found &= part.bare.admissible(part.own(x))
-        return found
+            admissible &= part.bare.admissible(part.plate_vector(x))
+        return admissible
 
 
 def _predict(part: Part, x: Array, jacobian: bool) -> Prediction:
-    own = part.own(x)
+    vector = part.plate_vector(x)
     of_plate = [change for change in part.changes if change.model is not None]
     if len(of_plate) == 1:
-        log_f, slope = _log_prediction(part, own, x, of_plate[0], jacobian)
+        log_f, slope = _log_prediction(part, vector, x, of_plate[0], jacobian)
     else:
-        log_f, slope = _log_prediction(part, own, x, None, jacobian)
+        log_f, slope = _log_prediction(part, vector, x, None, jacobian)
         bare_f, bare_slope = log_f, slope
         for change in of_plate:
-            with_f, with_slope = _log_prediction(part, own, x, change, jacobian)
+            with_f, with_slope = _log_prediction(part, vector, x, change, jacobian)
             log_f = log_f + with_f - bare_f
             slope = slope + with_slope - bare_slope
     f = np.exp(log_f)
@@ -109,8 +113,8 @@ def _predict(part: Part, x: Array, jacobian: bool) -> Prediction:
         if change.observe is not None:
             f, slope = _observed(change, f, slope, x, jacobian)
     f, slope = f[:, part.modes], slope[:, part.modes]
-    if part.slip is not None:
-        i, column = part.slip
+    if part.misread is not None:
+        i, column = part.misread
         factor = 1.0 + x[:, column]
         f, slope = f.copy(), slope.copy()
         if jacobian:
@@ -121,30 +125,30 @@ def _predict(part: Part, x: Array, jacobian: bool) -> Prediction:
 
 
 def _log_prediction(
-    part: Part, own: Array, x: Array, change: Change | None, jacobian: bool
+    part: Part, vector: Array, x: Array, change: Change | None, jacobian: bool
 ) -> tuple[Array, Array]:
     """Log frequencies (m, n_modes) and their derivatives over the joint vector, (m, n_modes, n) or a zero."""
     if change is None:
-        found = part.bare.predict(own, jacobian=jacobian)
+        prediction = part.bare.predict(vector, jacobian=jacobian)
     else:
         assert change.model is not None
-        vector = np.column_stack((own, x[:, list(change.columns)]))
-        found = change.model.predict(vector, jacobian=jacobian)
-    f = found.frequencies
-    if found.jacobian is None:
+        extended = np.column_stack((vector, x[:, list(change.columns)]))
+        prediction = change.model.predict(extended, jacobian=jacobian)
+    f = prediction.frequencies
+    if prediction.jacobian is None:
         return np.log(f), np.zeros((1, 1, 1))
-    own_slope = found.jacobian / f[..., None]
+    plate_slope = prediction.jacobian / f[..., None]
     n = len(part.columns)
     slope = np.zeros((*f.shape, x.shape[1]))
     varied = np.flatnonzero(part.scatter >= 0)
-    factor = np.ones_like(own)
+    factor = np.ones_like(vector)
     if len(varied):
         scatter = part.scatter[varied]
         factor[:, varied] = 1.0 + x[:, scatter]
-        slope[:, :, scatter] = own_slope[:, :, varied] * x[:, None, part.columns[varied]]
-    slope[:, :, part.columns] += own_slope[:, :, :n] * factor[:, None, :]
+        slope[:, :, scatter] = plate_slope[:, :, varied] * x[:, None, part.columns[varied]]
+    slope[:, :, part.columns] += plate_slope[:, :, :n] * factor[:, None, :]
     if change is not None:
-        slope[:, :, list(change.columns)] += own_slope[:, :, n:]
+        slope[:, :, list(change.columns)] += plate_slope[:, :, n:]
     return np.log(f), slope
 
 
@@ -155,11 +159,11 @@ def _observed(change: Change, f: Array, slope: Array, x: Array, jacobian: bool) 
     new = change.observe(f, values)
     if not jacobian:
         return new, slope
-    found = np.empty_like(slope)
+    new_slope = np.empty_like(slope)
     for j in range(slope.shape[2]):
         stepped = {
             name: value + 1j * _STEP * (j == column)
             for (name, value), column in zip(values.items(), change.columns, strict=True)
         }
-        found[:, :, j] = np.imag(change.observe(f + 1j * _STEP * slope[:, :, j], stepped)) / _STEP
-    return new, found
+        new_slope[:, :, j] = np.imag(change.observe(f + 1j * _STEP * slope[:, :, j], stepped)) / _STEP
+    return new, new_slope

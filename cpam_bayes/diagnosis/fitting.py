@@ -31,10 +31,11 @@ SCATTER = 0.02
 
 @dataclass(frozen=True, slots=True)
 class PlateCase:
-    """One plate with its list.
+    """One plate with its frequency list.
 
-    modes : (n,) model mode of each frequency where nothing is wrong with the list. kept : (n,) frequencies
-    that belong to a mode. extended : reduced models of its effects so far, by name and variant.
+    modes : (n,) model mode of each frequency where the list has no error
+    extended : reduced models with its effects so far, by name and variant
+    of_another_material : the models over the search bounds of the constants, once they are needed
     """
 
     models: PlateModels
@@ -51,8 +52,8 @@ class PlateCase:
     def of_other_material(self) -> PlateModels:
         """The plate over the search bounds of its constants, built when first asked for."""
         if not self.of_another_material:
-            own = self.models
-            self.of_another_material.append(plate_models(own.specimen, own.n_modes, other_material=True))
+            models = plate_models(self.models.specimen, self.models.n_modes, other_material=True)
+            self.of_another_material.append(models)
         return self.of_another_material[0]
 
     def with_effect(self, effect: Effect, notify: Callable[[str], None] = lambda text: None) -> ReducedModel:
@@ -70,12 +71,13 @@ def comparison_of(
     scatter: float = SCATTER,
     stand_ins: Mapping[int, ForwardModel] | None = None,
 ) -> Comparison:
-    """The plates' lists against their models under a hypothesis for each plate.
+    """The plates' frequency lists against their models under a hypothesis for each plate.
 
-    hypotheses : by plate, or one that all plates share, with one size of the effect; plates of one specimen
-    share it in either case. stand_ins : cheaper models of plates, used where a plate has no hypothesis.
-    Constants of one material are shared; where there are several specimens each has its own relative
-    deviations from them.
+    Plates of one material have the same constants; of several specimens each deviates from them.
+
+    hypotheses : by plate, or one for all plates, with one size of the effect; plates of one specimen have
+        one size in either case
+    stand_ins : cheaper models of plates, used where a plate has no hypothesis
     """
     of_plate = (
         dict.fromkeys(range(len(cases)), hypotheses) if isinstance(hypotheses, Hypothesis) else hypotheses
@@ -119,32 +121,32 @@ class _Joint:
 def _part(
     joint: _Joint,
     case: PlateCase,
-    own: PlateModels,
+    models: PlateModels,
     bare: ForwardModel,
     hypothesis: Hypothesis | None,
     shared: bool,
 ) -> tuple[Part, Listed]:
     several = len({c.models.specimen.specimen for c in joint.cases}) > 1
     materials = {c.models.specimen.material.name for c in joint.cases}
-    material = f" of {own.specimen.material.name or own.specimen.name}" if len(materials) > 1 else ""
+    material = f" of {models.specimen.material.name or models.specimen.name}" if len(materials) > 1 else ""
     columns, scatter = [], []
-    for parameter in own.parameters.parameters:
-        of_material = parameter.name in own.specimen.unknowns
-        suffix = material if of_material else f" of {own.specimen.specimen}" if several else ""
+    for parameter in models.parameters.parameters:
+        of_material = parameter.name in models.specimen.unknowns
+        suffix = material if of_material else f" of {models.specimen.specimen}" if several else ""
         columns.append(joint.add(parameter, parameter.name + suffix))
-    for parameter in own.parameters.parameters:
-        if not (several and parameter.name in own.specimen.unknowns):
+    for parameter in models.parameters.parameters:
+        if not (several and parameter.name in models.specimen.unknowns):
             scatter.append(-1)
             continue
         prior = TruncatedNormal(0.0, joint.scatter, -4 * joint.scatter, 4 * joint.scatter)
-        name = f"scatter of {parameter.name}, {own.specimen.specimen}"
+        name = f"scatter of {parameter.name}, {models.specimen.specimen}"
         scatter.append(joint.add(Parameter(name, "", prior)))
     f, n = case.measurement.frequencies, case.measurement.size
-    modes, kept, log_constant, slip = case.modes, np.arange(n), 0.0, None
+    modes, kept, log_constant, misread = case.modes, np.arange(n), 0.0, None
     changes: list[Change] = []
     if hypothesis is not None:
         for effect in hypothesis.effects:
-            suffix = "" if shared or not several else f" of {own.specimen.specimen}"
+            suffix = "" if shared or not several else f" of {models.specimen.specimen}"
             at = tuple(joint.add(p, p.name + suffix) for p in effect.parameters)
             names = tuple(p.name for p in effect.parameters)
             model = None if effect.change is None else case.with_effect(effect)
@@ -157,9 +159,9 @@ def _part(
         for missed in listed.missed:
             modes = np.where(modes >= missed, modes + 1, modes)
         if listed.misread is not None:
-            slip = (listed.misread, joint.add(MISREADING))
-    error = own.error[np.minimum(modes, len(own.error) - 1)]
-    part = Part(bare, np.array(columns), np.array(scatter), tuple(changes), modes, slip)
+            misread = (listed.misread, joint.add(MISREADING))
+    error = models.error[np.minimum(modes, len(models.error) - 1)]
+    part = Part(bare, np.array(columns), np.array(scatter), tuple(changes), modes, misread)
     return part, _listed(case.measurement, kept, error, log_constant)
 
 
@@ -198,7 +200,7 @@ def _compared(
 
 
 def effect_columns(comparison: Comparison, hypothesis: Hypothesis) -> tuple[int, ...]:
-    """Columns of a hypothesis's own parameters in the joint vector, one for each."""
+    """Columns of a hypothesis's parameters in the joint vector, one for each."""
     names = comparison.parameters.names
     return tuple(
         next(i for i, name in enumerate(names) if name == p.name or name.startswith(f"{p.name} of "))

@@ -34,7 +34,7 @@ DISCREPANCY = one_sided("discrepancy", "", 0.02, end=0.3, shown=PERCENT)
 class Hypothesis:
     """One way in which the model may be wrong.
 
-    cause : its name in answers; several variants may share it
+    cause : its name in answers; several variants may have the same one
     family : causes of one family divide a prior probability
     effects : on the plate or on its frequencies, with their parameters
     listed : error in the frequency list
@@ -82,8 +82,8 @@ def single_hypotheses(
     facts: PlateFacts, n_listed: int, *, complete: bool, catalogue: tuple[Effect, ...] = CATALOGUE
 ) -> tuple[Hypothesis, ...]:
     """None, other and every single cause that a plate with a list of so many frequencies may have."""
-    found = [Hypothesis(NONE, NONE, prior=P_NONE)]
-    found.append(Hypothesis(OTHER, OTHER, parameters=(DISCREPANCY,), prior=P_OTHER))
+    hypotheses = [Hypothesis(NONE, NONE, prior=P_NONE)]
+    hypotheses.append(Hypothesis(OTHER, OTHER, parameters=(DISCREPANCY,), prior=P_OTHER))
     possible = applicable(facts, catalogue)
     families: dict[str, list[list[tuple[Hypothesis, float]]]] = defaultdict(list)
     for effect in (e for e in possible if not e.drops_references):
@@ -94,15 +94,15 @@ def single_hypotheses(
     for causes in families.values():
         for entries in causes:
             prior, total = whole / len(causes), sum(fraction for _, fraction in entries)
-            found += [replace(h, prior=prior * fraction / total) for h, fraction in entries]
+            hypotheses += [replace(h, prior=prior * fraction / total) for h, fraction in entries]
     # as probable as the most probable other transcription error
-    gross = max((h.prior for h in found if h.is_gross), default=_GROSS_FRACTION * whole)
-    found += [
+    gross = max((h.prior for h in hypotheses if h.is_gross), default=_GROSS_FRACTION * whole)
+    hypotheses += [
         Hypothesis(effect.name, effect.family, prior=gross, others=(effect,))
         for effect in possible
         if effect.drops_references
     ]
-    return tuple(found)
+    return tuple(hypotheses)
 
 
 def with_prior_of_none(
@@ -122,10 +122,10 @@ def with_prior_of_none(
 
 def prior_by_cause(hypotheses: Sequence[Hypothesis]) -> dict[str, float]:
     """Prior probability of each cause, its variants summed."""
-    found: dict[str, float] = defaultdict(float)
+    prior: dict[str, float] = defaultdict(float)
     for h in hypotheses:
-        found[h.cause] += h.prior
-    return dict(found)
+        prior[h.cause] += h.prior
+    return dict(prior)
 
 
 def pair_scale(singles: Sequence[Hypothesis]) -> float:
@@ -155,12 +155,12 @@ def _of_plate(effect: Effect, facts: PlateFacts) -> list[tuple[Hypothesis, float
     """Variants of an effect on a plate with their fractions: its places, and as a transcription error."""
     places, gross = variants(effect, facts), gross_variant(effect)
     fraction = (1.0 - (_GROSS_FRACTION if gross else 0.0)) / len(places)
-    found = [(e, fraction) for e in places]
+    entries = [(e, fraction) for e in places]
     if gross:
-        found.append((gross, _GROSS_FRACTION))
+        entries.append((gross, _GROSS_FRACTION))
     return [
         (Hypothesis(e.name, e.family, e.variant, (e,), parameters=e.parameters), fraction)
-        for e, fraction in found
+        for e, fraction in entries
     ]
 
 

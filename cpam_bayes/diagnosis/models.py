@@ -50,8 +50,12 @@ _REDUCTION = ReductionSettings(tolerance=1e-4, training=48, checks=60, rounds=2)
 class PlateModels:
     """A plate with its constants' priors, converged, and ready to be extended.
 
-    parameters : constants, and sizes with a standard deviation. problem : the bare plate. settings, keep :
-    its converged space; error : (n_modes,) of it. bare : its reduced model. key : hash of all of that.
+    parameters : constants, and sizes with a standard deviation
+    problem : the bare plate
+    settings, keep : its converged space
+    error : (n_modes,) of that space, relative
+    bare : its reduced model
+    key : hash of all of that
     """
 
     specimen: Specimen
@@ -74,10 +78,10 @@ def diagnosis_parameters(specimen: Specimen, *, other_material: bool = False) ->
     at four standard deviations; others, and all of them where the material is another one, keep the prior
     of [unknowns].
     """
-    own = specimen.unknowns.parameters
+    unknowns = specimen.unknowns.parameters
     if not other_material:
-        own = tuple(_with_sd(p, specimen) for p in own)
-    return ParameterSet(own, specimen.unknowns.fixed).union(size_parameters(specimen))
+        unknowns = tuple(_with_sd(p, specimen) for p in unknowns)
+    return ParameterSet(unknowns, specimen.unknowns.fixed).union(size_parameters(specimen))
 
 
 def _with_sd(parameter: Parameter, specimen: Specimen) -> Parameter:
@@ -163,8 +167,8 @@ def extended_model(
 
 
 def _converged(problem: Problem, samples: Samples, n_modes: int) -> PlateModel:
-    found = converge(problem, problem.parameters.mapping(samples.x), n_modes, None, samples.allowance)
-    return PlateModel(found.operator, n_modes, found.error, (found.settings, found.keep))
+    converged = converge(problem, problem.parameters.mapping(samples.x), n_modes, None, samples.allowance)
+    return PlateModel(converged.operator, n_modes, converged.error, (converged.settings, converged.keep))
 
 
 def _reduced(full: PlateModel) -> ReducedModel:

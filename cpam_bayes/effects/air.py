@@ -49,9 +49,9 @@ def _inverse_root(length: float, width: float) -> Array:
     parity = [(m % 2, n % 2) for m in range(_ORDER) for n in range(_ORDER)]
     root = np.zeros_like(energy)
     for kind in set(parity):
-        own = np.flatnonzero([p == kind for p in parity])
-        inverse = np.linalg.inv(np.linalg.cholesky(energy[np.ix_(own, own)]))
-        root[np.ix_(own, own)] = inverse.T
+        alike = np.flatnonzero([p == kind for p in parity])
+        inverse = np.linalg.inv(np.linalg.cholesky(energy[np.ix_(alike, alike)]))
+        root[np.ix_(alike, alike)] = inverse.T
     root.flags.writeable = False
     return root
 
@@ -70,10 +70,10 @@ def jump_energy(length: float, width: float) -> Array:
     whole = np.einsum("mp,nq->mnpq", at_zero, at_zero)
     weight = t**-0.5 * (tau[1] - tau[0]) / (2.0 * np.sqrt(np.pi))
     weight[[0, -1]] /= 2.0
-    found = whole * (weight.sum() + t[-1] ** -0.5 / np.sqrt(np.pi))
-    found -= np.einsum("t,tmp,tnq->mnpq", weight, in_x, in_y, optimize=True)
+    energy = whole * (weight.sum() + t[-1] ** -0.5 / np.sqrt(np.pi))
+    energy -= np.einsum("t,tmp,tnq->mnpq", weight, in_x, in_y, optimize=True)
     r = _ORDER**2
-    return np.asarray(0.5 * half[0] * half[1] / (4.0 * np.pi**2) * found.reshape(r, r))
+    return np.asarray(0.5 * half[0] * half[1] / (4.0 * np.pi**2) * energy.reshape(r, r))
 
 
 def _side_integrals(t: Array) -> Array:

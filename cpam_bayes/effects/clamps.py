@@ -32,7 +32,7 @@ from cpam_bayes.mechanics.problem import (
 _RIGID_TURN, _RIGID_SHIFT = 3e-5, 1e-7
 # Pieces of the edge with a compliance each, as fractions of it from its first end.
 _PIECES = (0.0, 0.01, 0.02, 0.035, 0.05, 0.07, 0.10, 0.14, 0.19, 0.24, 0.30)
-# Compliance of the loose part at a distance d side from where the grip begins: this share of that of a
+# Compliance of the loose part at a distance d side from where the grip begins: this fraction of that of a
 # strip as long, which is d side / D for rotations, d^3 side^3 / D for w and d side / A for u and v.
 _LOOSE: dict[Field, tuple[float, int]] = {
     "u": (0.02, 1),
@@ -57,15 +57,15 @@ _SPRUNG: dict[str, tuple[Field, ...]] = {
 
 
 def _yielding(edges: str, clamped: Sequence[int], way: str) -> str:
-    found = list(edges)
+    yielding = list(edges)
     for i in clamped:
         if (edges[i], way) not in _YIELD:
             raise ValueError(
                 f"clamp_{way}: the edges are {edges} already; a clamp's slip does not go with another "
                 "clamp effect, and each effect goes once"
             )
-        found[i] = _YIELD[edges[i], way]
-    return "".join(found)
+        yielding[i] = _YIELD[edges[i], way]
+    return "".join(yielding)
 
 
 def _spring(state: PlateState, axis: int, field: Field, compliance: Array) -> Array:
@@ -138,11 +138,13 @@ def _fading_springs(
         return np.asarray((above - below) / ((k + 1) * (ends - starts)))
 
     distance = {k: mean_power(k) for k in (1, 3)}
-    found = []
+    stiffnesses = []
     for i, field in springs:
-        share, k = _LOOSE[field]
-        found += [_spring(state, i % 2, field, share * distance[k][..., j]) for j in range(len(starts))]
-    return stacked(*found)
+        fraction, k = _LOOSE[field]
+        stiffnesses += [
+            _spring(state, i % 2, field, fraction * distance[k][..., j]) for j in range(len(starts))
+        ]
+    return stacked(*stiffnesses)
 
 
 def _has_clamp(facts: PlateFacts) -> bool:

@@ -228,13 +228,13 @@ def variants(effect: Effect, facts: PlateFacts) -> tuple[Effect, ...]:
     if effect.at is None:
         return (effect,)
     seen: set[Place] = set()
-    found = []
+    placed = []
     for place in effect.places:
         if place in seen or _is_held(place, facts):
             continue
         seen.update(_images(place, facts))
-        found.append(replace(effect.at(place), parameters=effect.parameters))
-    return tuple(found)
+        placed.append(replace(effect.at(place), parameters=effect.parameters))
+    return tuple(placed)
 
 
 def gross_variant(effect: Effect) -> Effect | None:
@@ -307,11 +307,11 @@ def _images(place: Place, facts: PlateFacts) -> set[Place]:
     in_x, in_y = facts.edges[0] == facts.edges[2], facts.edges[1] == facts.edges[3]
     angles = facts.layup.angles_deg
     straight = facts.isotropic or bool(np.all(np.isin(np.abs(angles), (0.0, 90.0))))
-    found = {place}
+    images = {place}
     if in_x and in_y:
-        found.add(turned)
+        images.add(turned)
     if straight and in_x:
-        found.add(mirrored)
+        images.add(mirrored)
     if straight and in_y:
-        found.add(flipped)
-    return found
+        images.add(flipped)
+    return images

@@ -21,8 +21,8 @@ def _pairings(n: int, complete: bool) -> tuple[ListVariant, ...]:
         for j in range(n + 1)
         for k in range(j + 1, n + 1)
     ]
-    found = [ListVariant(*entry, (1.0 - _TWO_MISSED) / len(once)) for entry in once]
-    return (*found, *(ListVariant(*entry, _TWO_MISSED / len(twice)) for entry in twice))
+    single = (ListVariant(*entry, (1.0 - _TWO_MISSED) / len(once)) for entry in once)
+    return (*single, *(ListVariant(*entry, _TWO_MISSED / len(twice)) for entry in twice))
 
 
 def _misreadings(n: int, complete: bool) -> tuple[ListVariant, ...]:
@@ -37,8 +37,8 @@ def _misreadings(n: int, complete: bool) -> tuple[ListVariant, ...]:
         if i != k and complete
     ]
     gross = _MOVED if moved else 0.0
-    found = [ListVariant(ListChange(misread=i), f"frequency {i + 1}", (1.0 - gross) / n) for i in range(n)]
-    return (*found, *(ListVariant(*entry, gross / len(moved)) for entry in moved))
+    in_place = [ListVariant(ListChange(misread=i), f"frequency {i + 1}", (1.0 - gross) / n) for i in range(n)]
+    return (*in_place, *(ListVariant(*entry, gross / len(moved)) for entry in moved))
 
 
 MODE_IDENTITY = Effect(

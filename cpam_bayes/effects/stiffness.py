@@ -36,9 +36,9 @@ def _of_other_shear(state: PlateState, values: Values) -> PlateState:
 
 def _scaled_shear(factor: Array, stiffness: Array) -> Array:
     shape = np.broadcast_shapes(stiffness.shape, factor.shape)
-    found = np.array(np.broadcast_to(stiffness, shape), dtype=np.result_type(stiffness, factor))
-    found[..., SHEAR, SHEAR] *= factor
-    return found
+    scaled = np.array(np.broadcast_to(stiffness, shape), dtype=np.result_type(stiffness, factor))
+    scaled[..., SHEAR, SHEAR] *= factor
+    return scaled
 
 
 def _shear_ratio(problem: Problem, facts: PlateFacts) -> Problem:
@@ -71,10 +71,10 @@ def _of_a_thinner_core(state: PlateState, values: Values) -> PlateState:
 def _between_skins(h: Array, core: Array, stiffness: Array) -> Array:
     q11, q12, q22, q66 = reduced_stiffness(_RESIN)
     q = np.array([[q11, q12, 0.0], [q12, q22, 0.0], [0.0, 0.0, q66]])
-    found = stiffness * thickness_powers(core / h)
-    found[..., :3, :3] += (h - core)[..., None, None] * q
-    found[..., 3:6, 3:6] += ((h**3 - core**3) / 12)[..., None, None] * q
-    return np.asarray(found)
+    sandwich = stiffness * thickness_powers(core / h)
+    sandwich[..., :3, :3] += (h - core)[..., None, None] * q
+    sandwich[..., 3:6, 3:6] += ((h**3 - core**3) / 12)[..., None, None] * q
+    return np.asarray(sandwich)
 
 
 def _is_composite(facts: PlateFacts) -> bool:

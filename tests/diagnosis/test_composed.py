@@ -138,7 +138,7 @@ def test_derivatives_with_effects_of_the_plate_and_of_the_frequencies() -> None:
 
 
 def test_a_frequency_that_is_misread_is_multiplied() -> None:
-    model = one_part(joint(BENT, plain("slip", 0.05)), bend(), slip=(3, 3))
+    model = one_part(joint(BENT, plain("slip", 0.05)), bend(), misread=(3, 3))
     x = np.array([1.03, 0.95, 0.012, 0.2])
     factor = np.ones(len(F0))
     factor[3] = 1.2
@@ -159,7 +159,7 @@ def two_plates() -> ComposedModel:
     own = joint(*(plain(f"scatter {i}") for i in range(4)), BENT)
     parts = (
         Part(BARE, np.array([0, 1]), np.array([2, 3]), (), EVERY_MODE[:5]),
-        Part(BARE, np.array([0, 1]), np.array([4, 5]), (bend(6),), EVERY_MODE[2:], slip=None),
+        Part(BARE, np.array([0, 1]), np.array([4, 5]), (bend(6),), EVERY_MODE[2:], misread=None),
     )
     return ComposedModel(own, parts)
 

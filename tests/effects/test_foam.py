@@ -142,3 +142,4 @@ def test_it_is_in_the_document_with_its_unit_and_on_the_screen() -> None:
     screen = found().summary()
     assert "foam" in screen
     assert "kN/m2/mm" in screen
+    assert f"{FOAM.title}. {FOAM.check}" in screen

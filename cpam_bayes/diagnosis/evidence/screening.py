@@ -57,7 +57,7 @@ class Anchor:
     def plain(self, comparison: Comparison) -> Comparison:
         """The same lists, paired alike, with tangents of the bare plates."""
         parts = tuple(
-            replace(part, bare=self.tangents[i], changes=(), slip=None)
+            replace(part, bare=self.tangents[i], changes=(), misread=None)
             for i, part in enumerate(comparison.model.parts)
         )
         return replace(comparison, model=replace(comparison.model, parts=parts))

@@ -51,7 +51,7 @@ def tangents(cases: Sequence[PlateCase], none: Comparison, x: Array) -> dict[int
     """Tangent models of all plates at parameters x (n,) of the plain model."""
     found: dict[int, ForwardModel] = {}
     for i, (case, part) in enumerate(zip(cases, none.model.parts, strict=True)):
-        own = part.own(x[None])
+        own = part.plate_vector(x[None])
         prediction = case.models.bare.predict(own, jacobian=True)
         assert prediction.jacobian is not None
         f = prediction.frequencies[0]

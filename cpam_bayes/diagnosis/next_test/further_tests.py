@@ -160,7 +160,7 @@ class _Drawn:
 
 def _drawn(t: Tested, about: int) -> _Drawn:
     part, x = t.marginal.comparison.model.parts[about], t.marginal.draws
-    columns, effects = [part.own(x)], []
+    columns, effects = [part.plate_vector(x)], []
     n = at = columns[0].shape[1]
     if part.changes:
         for effect, change in zip(t.hypothesis.effects, part.changes, strict=True):

@@ -41,6 +41,7 @@ def screen(result: DiagnosisResult) -> tuple[Table, ...]:
     return (
         *_heads(result),
         remarks("Diagnosis", _claim(d, result.candidates)),
+        _checks(d),
         _residuals(result),
         _causes(d),
         _hidden(d),
@@ -82,6 +83,13 @@ def _claim(d: Diagnosis, candidates: Sequence[Candidate]) -> tuple[str, ...]:
     if d.claim.kind == "undecided" and candidates:
         sentences.append("A further test would tell more than another fit: see what to measure next.")
     return tuple(sentences)
+
+
+def _checks(d: Diagnosis) -> Table:
+    """What the claimed causes are, and how the laboratory can check each."""
+    claimed = [c for c in d.causes if c.name in d.claim.causes and d.claim.kind != "undecided"]
+    records = (effect for cause in claimed for effect in cause.hypothesis.records)
+    return facts("To check in the laboratory", tuple((e.name, f"{e.title}. {e.check}") for e in records))
 
 
 def _residuals(result: DiagnosisResult) -> Table:

@@ -131,7 +131,7 @@ def _answer(cases: Sequence[PlateCase], names: set[str], alike: frozenset[str] |
     leading = next((c.name for c in found.causes if c.name not in (NONE, OTHER)), NONE)
     with_cause = next(t for t in found.weighed.tested if t.hypothesis.cause in names)
     model = with_cause.marginal.comparison.model
-    own = model.parts[0].own(with_cause.marginal.resampled(_DRAWS))
+    own = model.parts[0].plate_vector(with_cause.marginal.resampled(_DRAWS))
     return {
         "cause_probability": sum(probability.get(name, 0.0) for name in names),
         "class_probability": sum(probability.get(name, 0.0) for name in alike),

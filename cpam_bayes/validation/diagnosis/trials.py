@@ -164,7 +164,7 @@ def _log_score(own: Bench, members: Sequence[tuple[Tested, float]], measured: Ar
     terms = []
     for t, share in members:
         comparison = t.marginal.comparison
-        parts = tuple(replace(part, modes=beyond, slip=None) for part in comparison.model.parts)
+        parts = tuple(replace(part, modes=beyond, misread=None) for part in comparison.model.parts)
         x = t.marginal.resampled(_DRAWS)
         f = ComposedModel(comparison.model.parameters, parts).predict(x).frequencies
         error = own.case.models.error[np.minimum(beyond, len(own.case.models.error) - 1)]

@@ -169,7 +169,7 @@ def test_an_outlier_and_a_cause_of_the_plate_go_together_in_either_order() -> No
         columns = effect_columns(comparison, pair[0])
         assert {comparison.parameters.names[c] for c in columns} == {"misreading", "size of dented"}
         part = comparison.model.parts[0]
-        assert part.slip == (3, comparison.parameters.names.index("misreading"))
+        assert part.misread == (3, comparison.parameters.names.index("misreading"))
         found.append(marginal_of([own], pair[0], (0,)).log_evidence)
     # once the quadrature is over the slip, once over the dent: one evidence
     assert found[0] == pytest.approx(found[1], abs=0.1)
