@@ -33,8 +33,9 @@ _COARSER = 2
 class ElementModel:
     """A plate on finite elements at its reference constants.
 
-    specimen : as computed; where a plate with a mesh was weighed, its density follows from the
-    area of the mesh. model : its error is NaN where it is not known, as on a mesh from a file.
+    specimen : as computed; where a plate with a mesh was weighed, its density follows from the area of the
+    mesh.
+    model : its error is NaN where it is not known, as on a mesh from a file.
     """
 
     specimen: Specimen

@@ -39,9 +39,10 @@ class LabelledModel:
     The mode of a labelled frequency stands at that frequency's own number, whatever its rank; the
     others fill the other places in ascending order.
 
-    rows : (n_labels,) numbers of the labelled frequencies. block : (n_labels,) block of the operator
-    that holds each labelled mode. images : M psi of each reference shape psi in its block, with
-    psi^T M psi = 1. weights : M of every block, at the reference.
+    rows : (n_labels,) numbers of the labelled frequencies.
+    block : (n_labels,) block of the operator that holds each labelled mode.
+    images : M psi of each reference shape psi in its block, with psi^T M psi = 1.
+    weights : M of every block, at the reference.
     """
 
     reduced: ReducedModel

@@ -106,10 +106,11 @@ def plate_problem(
 ) -> Problem:
     """The plate of a specimen as an eigenvalue problem in some of its constants, angles and sizes.
 
-    parameters : what varies; other constants keep their reference value, G13, G23 and the constants
-    of an isotropic plate following eq. (6) and (11) where they are not given. Known masses keep
-    their place in proportion where a size varies. Raises ``ValueError``
-    if an unknown angle of the layup is not among the parameters.
+    parameters : what varies; other constants keep their reference value, G13, G23 and the constants of an
+    isotropic plate following eq. (6) and (11) where they are not given. Known masses keep their place in
+    proportion where a size varies.
+
+    Raises ``ValueError`` if an unknown angle of the layup is not among the parameters.
     """
     plate, material = specimen.plate, specimen.material
     layup = plate.layup
@@ -162,8 +163,8 @@ def _given_constants(material: Material, values: Values) -> dict[str, Any]:
 class Prediction:
     """Predicted frequencies of m parameter sets.
 
-    frequencies : (m, n_modes) Hz. jacobian : (m, n_modes, n_parameters), Hz per unit of the
-    parameter, or ``None``.
+    frequencies : (m, n_modes) Hz.
+    jacobian : (m, n_modes, n_parameters), Hz per unit of the parameter, or ``None``.
     """
 
     frequencies: Array
@@ -174,8 +175,9 @@ class Prediction:
 class PlateModel:
     """A converged plate: parameter vectors in, frequencies out.
 
-    error : (n_modes,) estimated relative error of each frequency. basis : the trial functions as
-    ``converge`` chose them, for those who store a model; ``None`` for other operators.
+    error : (n_modes,) estimated relative error of each frequency.
+    basis : the trial functions as ``converge`` chose them, for those who store a model; ``None`` for other
+    operators.
     """
 
     operator: AffineOperator[Any, Any]
@@ -317,8 +319,10 @@ def converged_model(
 ) -> PlateModel:
     """The plate of a specimen on a Ritz space that is converged about given constants.
 
-    parameters : what varies (``NO_PARAMETERS`` for the reference constants alone). centre : as in
-    ``convergence_samples``. Raises ``ValueError`` for a plate with a mesh.
+    parameters : what varies (``NO_PARAMETERS`` for the reference constants alone).
+    centre : as in ``convergence_samples``.
+
+    Raises ``ValueError`` for a plate with a mesh.
     """
     if specimen.plate.mesh is not None:
         raise ValueError(f"{specimen.source}: the Ritz space is of a rectangle, not of {specimen.plate.mesh}")

@@ -24,9 +24,9 @@ def require_supported(
 ) -> Specimen:
     """Return the specimen, or raise `PlateFileError` with all that cannot be computed yet.
 
-    no_mesh : what to say to a plate with a mesh, None where meshes are computed. no_air : what to say to
-    air in the plate file, None where it is part of the model. angles : whether some may be unknown, if the
-    list has no labels.
+    no_mesh : what to say to a plate with a mesh, None where meshes are computed.
+    no_air : what to say to air in the plate file, None where it is part of the model.
+    angles : whether some may be unknown, if the list has no labels.
     """
     problems = _not_computed(specimen, no_mesh, no_air)
     problems += _angles_asked(specimen) if angles else _unknown_angles(specimen)
@@ -146,7 +146,8 @@ def explained_failures(specimen: Specimen) -> Iterator[None]:
 def units_warning(ratio: NDArray[np.float64], advice: str, where: str = "") -> list[str]:
     """A warning where a predicted frequency is not even of the size of the measured one.
 
-    ratio : predicted over measured frequencies. where : at which constants, with a space before.
+    ratio : predicted over measured frequencies.
+    where : at which constants, with a space before.
     """
     worst = float(ratio[np.argmax(np.abs(np.log(ratio)))])
     if 1 / SUSPICIOUS_RATIO <= worst <= SUSPICIOUS_RATIO:

@@ -36,9 +36,9 @@ _MODES_PER_ROUND = 3
 class ReductionSettings:
     """How a reduced model is built.
 
-    tolerance : relative error of a frequency allowed at the training sets. training, checks :
-    numbers of parameter sets that the basis is made from and examined at. rounds : how often the
-    doubtful ones join the training.
+    tolerance : relative error of a frequency allowed at the training sets.
+    training, checks : numbers of parameter sets that the basis is made from and examined at.
+    rounds : how often the doubtful ones join the training.
     """
 
     tolerance: float = 5e-5
@@ -65,9 +65,11 @@ class ResidualForm:
 class ReducedModel:
     """A plate on a small basis: parameter vectors in, frequencies and their errors out.
 
-    fast : the projected operator. residuals : one ``ResidualForm`` a block. reference : (8, 8)
-    laminate stiffness of the residuals' norm. rounding : () what rounding in the full space may add
-    to an eigenvalue, (rad/s)^2, for the reference stiffness.
+    fast : the projected operator.
+    residuals : one ``ResidualForm`` a block.
+    reference : (8, 8) laminate stiffness of the residuals' norm.
+    rounding : () what rounding in the full space may add to an eigenvalue, (rad/s)^2, for the reference
+    stiffness.
     """
 
     full: PlateModel

@@ -131,8 +131,9 @@ def stored_model(
 ) -> ReducedModel:
     """The reduced model of a problem from disk, or built and stored under a key.
 
-    samples : (m, n_parameters), where the symmetries of the problem are read off. light : without the
-    matrices of the full space, which take most of the time and memory; only predictions are asked of it.
+    samples : (m, n_parameters), where the symmetries of the problem are read off.
+    light : without the matrices of the full space, which take most of the time and memory; only predictions
+    are asked of it.
     """
     path = (directory or cache_directory()) / f"{key}.npz"
     stored = _read(path)

@@ -26,8 +26,9 @@ Array = NDArray[Any]
 class Tolerance:
     """Relative error of every frequency that is allowed at the sampled parameter sets.
 
-    kept : of the small space against the rich one; rich : of the rich one against itself, as long as
-    ``largest_degree`` polynomials in a direction are enough for it.
+    kept : of the small space against the rich one.
+    rich : of the rich one against itself, as long as ``largest_degree`` polynomials in a direction are
+    enough for it.
     """
 
     kept: float
@@ -60,7 +61,8 @@ class ConvergedOperator:
     """An operator on a converged space and the relative error of its frequencies.
 
     error : (n_modes,) estimated relative error, the largest over the sampled parameter sets.
-    settings : the basis before trimming. keep : its trial functions that were kept, bool.
+    settings : the basis before trimming.
+    keep : its trial functions that were kept, bool.
     """
 
     operator: DenseOperator
@@ -78,11 +80,12 @@ def converge(
 ) -> ConvergedOperator:
     """The problem on the smallest Ritz space found whose frequencies are converged at all samples.
 
-    samples : parameter values, each (n_samples,), that cover what will be asked. tolerance :
-    ``default_tolerance`` if left out. allowance : (n_samples,) factors by which the error may exceed
-    the tolerance at each sample, ones if left out; the error returned is that of the samples with
-    the smallest factor. Where even the largest space does not meet it, the error says
-    so; ``ValueError`` is raised where there are too few trial functions for the modes.
+    samples : parameter values, each (n_samples,), that cover what will be asked.
+    tolerance : ``default_tolerance`` if left out.
+    allowance : (n_samples,) factors by which the error may exceed the tolerance at each sample, ones if
+    left out; the error returned is that of the samples with the smallest factor. Where even the largest
+    space does not meet it, the error says so; ``ValueError`` is raised where there are too few trial
+    functions for the modes.
     """
     tolerance = tolerance or default_tolerance(problem)
     n_samples = _count(samples)

@@ -33,9 +33,10 @@ class RigidBodyError(ValueError):
 class Spectrum:
     """Lowest deformation modes of a stack of m parameter sets.
 
-    eigenvalues : (m, n_modes), (rad/s)^2, ascending. block, column : (m, n_modes), where the
-    mode's vector stands in ``vectors``: one array (m, n_block, n_columns) a block, M-normalised, with
-    the vectors of these modes only, or ``None``. rigid : (m, n_rigid) eigenvalues of the rigid-body motions.
+    eigenvalues : (m, n_modes), (rad/s)^2, ascending.
+    block, column : (m, n_modes), where the mode's vector stands in ``vectors``: one array (m, n_block,
+    n_columns) a block, M-normalised, with the vectors of these modes only, or ``None``.
+    rigid : (m, n_rigid) eigenvalues of the rigid-body motions.
     """
 
     eigenvalues: Array

@@ -181,12 +181,13 @@ class Term:
 class Problem:
     """A plate with its unknown parameters: what is to be discretised.
 
-    ``edges`` are four of F, S, C for x = 0, y = 0, x = length, y = width. ``state`` maps parameter
-    values to the plate's numbers, ``nominal`` is the state that discretisations are tuned to.
-    ``admissible`` says which parameter values are physical, (...) bool. ``supported`` plates stand on
-    something soft, so that their rigid-body motions have low frequencies instead of none.
-    ``rigid_content`` : fields and powers of (xi, eta) that rigid-body motions have besides those of
-    the plane rectangle.
+    ``edges`` are four of F, S, C for x = 0, y = 0, x = length, y = width. ``state`` maps parameter values
+    to the plate's numbers, ``nominal`` is the state that discretisations are tuned to. ``admissible`` says
+    which parameter values are physical, (...) bool. ``supported`` plates stand on something soft, so that
+    their rigid-body motions have low frequencies instead of none.
+
+    ``rigid_content`` : fields and powers of (xi, eta) that rigid-body motions have besides those of the
+    plane rectangle.
     """
 
     parameters: ParameterSet

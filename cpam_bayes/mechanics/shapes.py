@@ -33,8 +33,8 @@ UNIT_SQUARE: Extent = ((0.0, 1.0), (0.0, 1.0))
 class Mode:
     """One natural mode.
 
-    label : "(m,n)", m and n counting nodal lines across x and across y, or half-waves in a direction
-    whose two edges are both held; "(2,0)+(0,2)" for a combination of two such shapes.
+    label : "(m,n)", m and n counting nodal lines across x and across y, or half-waves in a direction whose
+    two edges are both held; "(2,0)+(0,2)" for a combination of two such shapes.
     in_plane_fraction : share of the kinetic energy that is in-plane.
     """
 
@@ -142,6 +142,7 @@ def describe_modes(
     """Frequency, kind and label of every mode of the first parameter set.
 
     The label of an in-plane mode is that of its larger displacement, named before it: "u(1,0)".
+
     extent : as of ``shapes_on_grid``, where the plate is no rectangle.
     """
     shares = in_plane_fraction(operator, spectrum, mass)[0]

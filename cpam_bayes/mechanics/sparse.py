@@ -42,8 +42,8 @@ _SPARE = 2
 class Pattern:
     """Positions of entries of square matrices (n, n), by columns.
 
-    rows, columns : (n_entries,), columns ascending and rows ascending in each. starts : (n + 1,),
-    where each column begins.
+    rows, columns : (n_entries,), columns ascending and rows ascending in each.
+    starts : (n + 1,), where each column begins.
     """
 
     rows: Array
@@ -73,8 +73,8 @@ def _pattern(keys: Array, n: int) -> Pattern:
 class SparseAffineMatrix:
     """A symmetric matrix that is a sum of fixed matrices times coefficients, on one pattern.
 
-    data : (n_active, n_entries) entries of the matrices, sparse since a form couples two fields
-    only. active : (n_active,) the coefficients that they belong to.
+    data : (n_active, n_entries) entries of the matrices, sparse since a form couples two fields only.
+    active : (n_active,) the coefficients that they belong to.
     """
 
     pattern: Pattern
@@ -98,8 +98,9 @@ class SparseAffineMatrix:
 class SparseBlock:
     """A block of a sparse space.
 
-    index : (n,) positions of its trial functions in the whole space. shift : (rad/s)^2, negative,
-    the point next to which eigenvalues are sought; it makes the stiffness of a free plate regular.
+    index : (n,) positions of its trial functions in the whole space.
+    shift : (rad/s)^2, negative, the point next to which eigenvalues are sought; it makes the stiffness of a
+    free plate regular.
     """
 
     stiffness: SparseAffineMatrix

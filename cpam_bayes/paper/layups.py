@@ -13,8 +13,9 @@ from importlib.resources import files
 class IdentifiedLayup:
     """One specimen of Table 9.
 
-    constants : by name with unit, as in plate files, in the digits of the print; empty where part (a)
-    has no row of its own (F1, F2, G1, G2). angles_deg : the unknown plies of part (b), outermost first.
+    constants : by name with unit, as in plate files, in the digits of the print; empty where part (a) has
+    no row of its own (F1, F2, G1, G2).
+    angles_deg : the unknown plies of part (b), outermost first.
     """
 
     specimen: str

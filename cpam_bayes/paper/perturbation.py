@@ -16,7 +16,8 @@ _TABLES: Final = {"A2": 10, "C1": 11, "C3": 12, "D1": 13, "D3": 14}
 class PrintedConstant:
     """One row, in the digits of the print.
 
-    key : name with its unit, as in plate files. free : identified from the list without noise.
+    key : name with its unit, as in plate files.
+    free : identified from the list without noise.
     amount, percent_error : mean over ten noisy lists and its difference from ``free``, one a level.
     """
 

@@ -51,11 +51,12 @@ def open_executor(
 ) -> Iterator[Executor | None]:
     """What ``run`` shares work out over, closed at the end; its workers are stopped after an exception.
 
-    spec : ``None`` or "processes": worker processes of this machine, ``processes`` of them or as many
-    as there are cores. "serial": ``None``, for work in this process. "dask://host:port": the workers
-    of that cluster, whose scheduler may take ``patience`` seconds to answer and as many to show a
-    worker. Raises ``ValueError`` for anything else, a scheduler that does not answer or has no
-    workers, and workers that have another version of this package or none.
+    spec : ``None`` or "processes": worker processes of this machine, ``processes`` of them or as many as
+    there are cores. "serial": ``None``, for work in this process. "dask://host:port": the workers of that
+    cluster, whose scheduler may take ``patience`` seconds to answer and as many to show a worker.
+
+    Raises ``ValueError`` for anything else, a scheduler that does not answer or has no workers, and workers
+    that have another version of this package or none.
     """
     spec = PROCESSES if spec is None else read_spec(spec)
     if processes is not None and spec != PROCESSES:

@@ -43,8 +43,10 @@ _delivered: OrderedDict[str, bytes] = OrderedDict()
 class Ticket:
     """What names the shared object to a worker.
 
-    digest : SHA-256 of its pickle. path : a file that holds the pickle, for workers of this machine.
-    pickled : the pickle itself, for a worker that has no other way to it. version : of the sender.
+    digest : SHA-256 of its pickle.
+    path : a file that holds the pickle, for workers of this machine.
+    pickled : the pickle itself, for a worker that has no other way to it.
+    version : of the sender.
     """
 
     digest: str
@@ -57,8 +59,10 @@ class Ticket:
 class Outcome:
     """What became of a batch.
 
-    results : of the items before the first that failed. error : what that one raised. missing : the
-    worker has no way to the shared object, nothing was done. seconds : spent on the items.
+    results : of the items before the first that failed.
+    error : what that one raised.
+    missing : the worker has no way to the shared object, nothing was done.
+    seconds : spent on the items.
     """
 
     results: tuple[Any, ...] = ()

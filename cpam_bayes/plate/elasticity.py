@@ -22,7 +22,8 @@ def through_thickness_poisson(
 ) -> Array:
     """Poisson's ratio nu23 of a transversely isotropic ply, the second part of eq. (6).
 
-    E1, E2 : (...) Pa; nu12 : (...); returns (...). Complex arrays pass through.
+    E1, E2 : (...) Pa.
+    nu12 : (...); returns (...). Complex arrays pass through.
     """
     return np.asarray(nu12 * (1.0 - nu12 * E2 / E1) / (1.0 - nu12))
 

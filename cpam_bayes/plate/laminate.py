@@ -48,7 +48,9 @@ def reduced_stiffness(constants: Mapping[str, ArrayLike]) -> Array:
     Q11 = E1 / (1 - nu12 nu21), Q12 = nu12 Q22, Q22 = E2 / (1 - nu12 nu21), Q66 = G12 with
     nu21 = nu12 E2 / E1 (Jones, Mechanics of Composite Materials, eq. 2.61).
 
-    constants : E1, E2, nu12, G12, each (...), Pa. Returns (..., 4), Pa.
+    constants : E1, E2, nu12, G12, each (...), Pa.
+
+    Returns (..., 4), Pa.
     """
     e1, e2 = np.asarray(constants["E1"]), np.asarray(constants["E2"])
     nu12, g12 = np.asarray(constants["nu12"]), np.asarray(constants["G12"])
@@ -117,10 +119,11 @@ def _merge_equal_plies(angles_deg: Array) -> tuple[Array, Array]:
 class LaminateGeometry:
     """What of a layup does not depend on the elastic constants, for unit thickness.
 
-    in_plane, coupling, flexural : (..., 5), lamination parameters: integrals of the angle
-    functions times 1, z and z^2. gauss : (..., n_points, 5) their running integrals from the
-    bottom times z (``first``) and times 1 (``zeroth``, ``None`` where the laminate is symmetric);
-    ``ply`` (..., n_points, 5) the angle functions at the points and ``weight`` (n_points,).
+    in_plane, coupling, flexural : (..., 5), lamination parameters: integrals of the angle functions times
+    1, z and z^2.
+    gauss : (..., n_points, 5) their running integrals from the bottom times z (``first``) and times 1
+    (``zeroth``, ``None`` where the laminate is symmetric); ``ply`` (..., n_points, 5) the angle functions
+    at the points and ``weight`` (n_points,).
     """
 
     in_plane: Array
@@ -303,8 +306,10 @@ def laminate_stiffness(
     (A, B, D)_ij = sum_k Qbar_ij,k (z_k - z_{k-1}, (z_k^2 - z_{k-1}^2) / 2, (z_k^3 - z_{k-1}^3) / 3)
     (Jones, eq. 4.22 to 4.24); A_s as ``shear`` says.
 
-    constants : E1, E2, G12, G13, G23 in Pa and nu12, each (...). layup : angles in degrees
-    (n_plies,) or (..., n_plies) bottom to top, or a ``LaminateGeometry``. thickness : (...), m.
+    constants : E1, E2, G12, G13, G23 in Pa and nu12, each (...).
+    layup : angles in degrees (n_plies,) or (..., n_plies) bottom to top, or a ``LaminateGeometry``.
+    thickness : (...), m.
+
     Returns (..., 8, 8) in N/m, N, N m and N/m.
     """
     geometry = layup if isinstance(layup, LaminateGeometry) else laminate_geometry(layup)
@@ -347,7 +352,9 @@ def flexural_constants(stiffness: Array, thickness: float) -> dict[str, float]:
     Ex = 12 / (h^3 d11), Ey = 12 / (h^3 d22), Gxy = 12 / (h^3 d66), nuxy = -d12 / d11 with d the
     bending block of the inverse of [A B; B D] (Jones, section 4.4; Daniel and Ishai, eq. 7.91).
 
-    stiffness : (8, 8), thickness : m. Returns D11 D12 D22 D66 D16 D26 in N m, Ex Ey Gxy in Pa, nuxy.
+    stiffness : (8, 8), thickness : m.
+
+    Returns D11 D12 D22 D66 D16 D26 in N m, Ex Ey Gxy in Pa, nuxy.
     """
     d = np.linalg.inv(stiffness[:6, :6])[3:, 3:]
     factor = 12 / thickness**3

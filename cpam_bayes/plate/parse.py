@@ -26,8 +26,9 @@ _PLACE = re.compile(r"\s*\(at (?:line (\d+), column (\d+)|end of document)\)$")
 def parse_specimen(text: str, source: str, directory: Path | None = None) -> Specimen:
     """Read the text of a plate file.
 
-    source : how messages name the file; directory : where its relative paths begin
-    raises PlateFileError with all problems, each with file, line and key
+    source : how messages name the file.
+    directory : where its relative paths begin raises PlateFileError with all problems, each with file, line
+    and key
     """
     return specimen_of(_load(text, source), source, directory, line_numbers(text))
 

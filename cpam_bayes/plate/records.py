@@ -100,7 +100,8 @@ class Measurement:
 class Specimen:
     """One plate under one test, with what is to be identified.
 
-    name : of this file; specimen : of the plate itself, shared by its tests
+    name : of this file.
+    specimen : of the plate itself, shared by its tests
     source : the file it was read from, or "built-in NAME"
     unknowns : elastic constants to identify, Pa or dimensionless
     angle_grid_deg : step of the grid of unknown ply angles

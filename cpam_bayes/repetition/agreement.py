@@ -49,15 +49,20 @@ _GAP: Final = 3.0
 class Evidence:
     """What was measured of one constant at one level of noise.
 
-    groups : number of inversions; repetition_mean, repetition_sd : over these (sd with groups - 1).
+    groups : number of inversions.
+    repetition_mean, repetition_sd : over these (sd with groups - 1).
     posterior_mean, posterior_sd, effective : of the posterior and its effective number of draws.
-    share_at_bound : inversions that ended on a bound; posterior_at_bound : draws next to one.
-    clusters : of the inversions; peaks : of the posterior's density; skewness : of the posterior.
-    contraction : posterior sd over prior sd. reordered : share of noisy lists in which modes changed
-    places. missed : share of inversions whose swarms did not find the minimum. weighting : linearised
-    sd of the minimum of eq. (7) over that of the posterior. offset : the inversion of the list without
-    noise less the posterior's best, in posterior sd. residual : rms residual of that inversion over the
-    noise's standard deviations.
+    share_at_bound : inversions that ended on a bound.
+    posterior_at_bound : draws next to one.
+    clusters : of the inversions.
+    peaks : of the posterior's density.
+    skewness : of the posterior.
+    contraction : posterior sd over prior sd.
+    reordered : share of noisy lists in which modes changed places.
+    missed : share of inversions whose swarms did not find the minimum.
+    weighting : linearised sd of the minimum of eq. (7) over that of the posterior.
+    offset : the inversion of the list without noise less the posterior's best, in posterior sd.
+    residual : rms residual of that inversion over the noise's standard deviations.
     """
 
     groups: int
@@ -83,9 +88,10 @@ class Evidence:
 class Comparison:
     """Whether repetition and posterior agree.
 
-    standard_error : of the mean over the groups, sd / sqrt(groups). shift : mean of the inversions less the
-    posterior's, in combined standard errors. sd_ratio : their sd over the posterior's. causes :
-    empty where both agree within chance, "unexplained" where no number shows a cause.
+    standard_error : of the mean over the groups, sd / sqrt(groups).
+    shift : mean of the inversions less the posterior's, in combined standard errors.
+    sd_ratio : their sd over the posterior's.
+    causes : empty where both agree within chance, "unexplained" where no number shows a cause.
     """
 
     standard_error: float

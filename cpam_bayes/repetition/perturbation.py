@@ -22,9 +22,10 @@ _MOST_DRAWS = 1000
 class PerturbedList:
     """A list with noise, in rising order as a laboratory writes it down.
 
-    frequencies : (n,) Hz. reordered : whether the noise let two modes change places, so that the
-    i-th frequency is not the i-th mode's any more. redrawn : frequencies that were drawn again
-    because they were not positive.
+    frequencies : (n,) Hz.
+    reordered : whether the noise let two modes change places, so that the i-th frequency is not the i-th
+    mode's any more.
+    redrawn : frequencies that were drawn again because they were not positive.
     """
 
     frequencies: Array

@@ -61,11 +61,15 @@ _STARTS: Final = 10
 class Repetition:
     """Inversions of noisy lists.
 
-    constants : (groups, n) SI. on_bound : (groups, n) bool. lists : (groups, n_modes) Hz. reordered :
-    share of the lists in which modes changed places. redrawn : frequencies drawn again because they
-    were not positive. converged : swarms that did not end by their budget. restarted : swarms that
-    were started anew because one missed the minimum. missed : lists on which none found it. solves :
-    forward solves.
+    constants : (groups, n) SI.
+    on_bound : (groups, n) bool.
+    lists : (groups, n_modes) Hz.
+    reordered : share of the lists in which modes changed places.
+    redrawn : frequencies drawn again because they were not positive.
+    converged : swarms that did not end by their budget.
+    restarted : swarms that were started anew because one missed the minimum.
+    missed : lists on which none found it.
+    solves : forward solves.
     """
 
     constants: Array
@@ -106,8 +110,8 @@ class Sensitivity:
     """The noise study of one plate.
 
     without_noise : the inversion of the list as it is, the reference of all percentages. starts,
-    found_again : swarms that were tried for it, and those that ended as well. cells : for each level
-    in turn, one a reading.
+    found_again : swarms that were tried for it, and those that ended as well.
+    cells : for each level in turn, one a reading.
     """
 
     specimen: Specimen
@@ -169,10 +173,11 @@ def noise_study(
     The reference is the best of several swarms: one alone can end in a wrong optimum, and all
     percentages with it.
 
-    source : where the list comes from, for the record (`model_list` makes the other one). levels : of
-    noise, as fractions. The random numbers of a noisy list depend on the seed, the level, the
-    reading and the number of its group alone: neither other levels nor workers change it. Raises
-    ``ValueError`` as ``estimate_constants`` does, for a list that may lack modes, and for levels or
+    source : where the list comes from, for the record (`model_list` makes the other one).
+    levels : of noise, as fractions. The random numbers of a noisy list depend on the seed, the level, the
+    reading and the number of its group alone: neither other levels nor workers change it.
+
+    Raises ``ValueError`` as ``estimate_constants`` does, for a list that may lack modes, and for levels or
     groups out of range.
     """
     start = time.perf_counter()

@@ -43,7 +43,9 @@ class PosteriorSummary:
     """A posterior at a known noise, SI.
 
     mean, sd, skewness, contraction (sd over the prior's), next_to_bound (share of draws): (n,).
-    peaks : (n,) of each marginal density. best : (n,) optimum next to the inversion without noise.
+
+    peaks : (n,) of each marginal density.
+    best : (n,) optimum next to the inversion without noise.
     linearised_sd, swarm_sd : (n,) to first order at that optimum, of the posterior and of the minimum of
     eq. (7).
     """
@@ -99,7 +101,8 @@ class Task:
 class Inversion:
     """One noisy list and what the swarm found from it.
 
-    swarms : that were needed. missed : whether even the last of them ended worse than the reference.
+    swarms : that were needed.
+    missed : whether even the last of them ended worse than the reference.
     """
 
     constants: Array

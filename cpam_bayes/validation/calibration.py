@@ -69,7 +69,8 @@ class Source(Protocol):
 class PlateSource:
     """The reduced model of a plate, from the cache on disk where it is there.
 
-    plate : name of a built-in specimen or path of a plate file. n_modes : frequencies in a list.
+    plate : name of a built-in specimen or path of a plate file.
+    n_modes : frequencies in a list.
     """
 
     plate: str
@@ -86,8 +87,10 @@ class PlateSource:
 class Experiment:
     """What every repetition does.
 
-    source : of the frequencies. resolution : Hz. relative_std : of the noise, ``None`` to draw it from
-    its prior and infer it. seed : of all repetitions; each depends on it and on its own number alone.
+    source : of the frequencies.
+    resolution : Hz.
+    relative_std : of the noise, ``None`` to draw it from its prior and infer it.
+    seed : of all repetitions; each depends on it and on its own number alone.
     """
 
     source: Source
@@ -102,8 +105,9 @@ class Experiment:
 class Repetition:
     """One repetition: the truth and where it lies in its posterior.
 
-    truth : parameters, SI, the noise last where it is inferred. ranks : of the true values among
-    ``N_DRAWS`` nearly independent draws. below : shares of all draws kept that lie below them.
+    truth : parameters, SI, the noise last where it is inferred.
+    ranks : of the true values among ``N_DRAWS`` nearly independent draws.
+    below : shares of all draws kept that lie below them.
     ordered : whether the noise left the list in ascending order.
     """
 

@@ -15,8 +15,10 @@ from cpam_bayes.inference.store import StoreError
 class DrawStore:
     """A file of JSON lines: the hash of the problem first, then one record a line.
 
-    A line counts once its end is written, so a run that is killed at any moment loses at most the
-    record that it was writing. records : those that were there when the store was opened.
+    A line counts once its end is written, so a run that is killed at any moment loses at most the record
+    that it was writing.
+
+    records : those that were there when the store was opened.
     """
 
     path: Path

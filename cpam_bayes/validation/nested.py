@@ -28,8 +28,9 @@ _RESAMPLINGS = 40
 class NestedEvidence:
     """What independent runs of nested sampling say of a posterior.
 
-    standard_error : of log_evidence. mean, sd : (n,) of the parameters, mean_error, sd_error : (n,) their
-    standard errors. An error is the larger of what the runs say of themselves and of their scatter.
+    standard_error : of log_evidence.
+    mean, sd : (n,) of the parameters, mean_error, sd_error : (n,) their standard errors. An error is the
+    larger of what the runs say of themselves and of their scatter.
     calls : of the log probability.
     """
 

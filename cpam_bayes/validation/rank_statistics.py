@@ -47,10 +47,12 @@ class Coverage:
 class Uniformity:
     """How uniform the ranks of one parameter are.
 
-    counts : (n_bins,) of the rank histogram. cumulative : (n_ranks,) ranks up to each one.
+    counts : (n_bins,) of the rank histogram.
+    cumulative : (n_ranks,) ranks up to each one.
     chi_square_p, ecdf_p : p-values of the histogram and of the largest departure of the empirical
-    distribution from its band. corrected_p : the smaller of the two after Holm's correction for all
-    p-values of the same table of ranks.
+    distribution from its band.
+    corrected_p : the smaller of the two after Holm's correction for all p-values of the same table of
+    ranks.
     """
 
     counts: Array
@@ -64,7 +66,8 @@ class Uniformity:
 class RankStatistics:
     """Uniformity of every parameter's ranks, with the bands that they share.
 
-    histogram_band : of the counts in bins. ecdf_band : of the cumulative counts.
+    histogram_band : of the counts in bins.
+    ecdf_band : of the cumulative counts.
     """
 
     parameters: tuple[Uniformity, ...]
@@ -83,7 +86,9 @@ def rank_statistics(
 ) -> RankStatistics:
     """Bands of uniform ranks and p-values against uniformity.
 
-    ranks : (n, n_parameters) integers from 0 to n_ranks - 1. rng : of the simulated uniform ranks.
+    ranks : (n, n_parameters) integers from 0 to n_ranks - 1.
+    rng : of the simulated uniform ranks.
+
     Raises ``ValueError`` for ranks out of range or bins that do not divide them evenly.
     """
     ranks = np.asarray(ranks)

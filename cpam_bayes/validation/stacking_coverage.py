@@ -44,11 +44,15 @@ ALLOWED = 2.6
 class CoverageSettings:
     """Noise of the lists, and how each list is evaluated.
 
-    relative_std : of the noise. modes : in a list. library : draws of the constants whose frequencies are
-    known of every class beforehand; starts : of them a climb begins at. hopeless : root mean square misfit of
-    the nearest of them beyond which a class is left out: at noise of 1 % a misfit half as large costs a
-    hundred nats. near : nats below the best within
-    which an evidence is computed by importance sampling, not by Laplace's method. log2_points : of that.
+    relative_std : of the noise.
+    modes : in a list.
+    library : draws of the constants whose frequencies are known of every class beforehand.
+    starts : of them a climb begins at.
+    hopeless : root mean square misfit of the nearest of them beyond which a class is left out: at noise of
+    1 % a misfit half as large costs a hundred nats.
+    near : nats below the best within which an evidence is computed by importance sampling, not by Laplace's
+    method.
+    log2_points : of that.
     """
 
     relative_std: float = 0.01
@@ -64,9 +68,13 @@ class CoverageSettings:
 class Trial:
     """One simulated list.
 
-    truth_deg : (k,) sequence. place : probability of the sequences before the true one, itself in part:
-    uniform if the probabilities are right. probability : of the true class. rank : of it. set_size :
-    sequences in the 95 % set. error : largest standard error of a log evidence that counts.
+    truth_deg : (k,) sequence.
+    place : probability of the sequences before the true one, itself in part: uniform if the probabilities
+    are right.
+    probability : of the true class.
+    rank : of it.
+    set_size : sequences in the 95 % set.
+    error : largest standard error of a log evidence that counts.
     """
 
     number: int
@@ -82,8 +90,10 @@ class Trial:
 class CoverageSummary:
     """How often randomised sets hold the truth.
 
-    covered : share at the level; sd : binomial. z : their difference in it. p_uniform : of the places, by
-    Kolmogorov and Smirnov.
+    covered : share at the level.
+    sd : binomial.
+    z : their difference in it.
+    p_uniform : of the places, by Kolmogorov and Smirnov.
     """
 
     level: float
@@ -103,7 +113,8 @@ class CoverageSummary:
 class _Shared:
     """What all trials share: the model, the classes (c, k) with sizes, and the library of their lists.
 
-    library : (p, n) constants. lists : (c, p, modes) Hz.
+    library : (p, n) constants.
+    lists : (c, p, modes) Hz.
     """
 
     model: ReducedModel
@@ -159,8 +170,9 @@ def randomised_place(single: Array, size: Array, true: int, share: float) -> flo
     The set of a level holds all sequences that come before the level is reached, and the one there in part:
     sum of the more probable sequences + share * (sum of the equally probable ones) <= level.
 
-    single : (c,) probability of one sequence of each class; size : (c,) sequences in it. share : uniform
-    random number.
+    single : (c,) probability of one sequence of each class.
+    size : (c,) sequences in it.
+    share : uniform random number.
     """
     mass = single * size
     return float(mass[single > single[true]].sum() + share * mass[single == single[true]].sum())

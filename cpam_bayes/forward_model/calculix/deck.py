@@ -81,9 +81,9 @@ def plate_deck(
     E3 = E2, nu13 = nu12 and nu23 by eq. (6). Edges hold the fields that `problem.HELD` names,
     bricks on the whole face.
 
-    constants : E1, E2, nu12, G12, G13, G23, all six, Pa or dimensionless. n_modes : deformation
-    modes; the step asks for the rigid-body motions beside them. in_plane : elements in the
-    plane; left out, enough for the first ten modes.
+    constants : E1, E2, nu12, G12, G13, G23, all six, Pa or dimensionless.
+    n_modes : deformation modes; the step asks for the rigid-body motions beside them.
+    in_plane : elements in the plane; left out, enough for the first ten modes.
 
     Raises ValueError for unknown angles, a mesh file, constants that are incomplete or that no
     material can have, and for more bricks than can be solved.

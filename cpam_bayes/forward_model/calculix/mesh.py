@@ -46,8 +46,9 @@ _BRICK = np.array(
 class PlateMesh:
     """Nodes and elements, numbered from 1.
 
-    nodes : (n, 3) m, z = 0 at the midplane. elements : (n_layers, n_elements, 8 or 20) node
-    numbers, layers from the bottom up, shells one layer. edges : nodes of x0, y0, x1, y1.
+    nodes : (n, 3) m, z = 0 at the midplane.
+    elements : (n_layers, n_elements, 8 or 20) node numbers, layers from the bottom up, shells one layer.
+    edges : nodes of x0, y0, x1, y1.
     surfaces : (2, nx, ny) vertices on the bottom and on top of bricks, (1, nx, ny) of shells.
     x, y : (nx,), (ny,) m, where they stand.
     """

@@ -68,8 +68,9 @@ def read_displacements(text: str, nodes: NDArray[np.int64]) -> NDArray[np.float6
 def deformation_modes(eigenvalues: NDArray[np.float64], n_rigid: int) -> NDArray[np.int64]:
     """Places of the deformation modes in a list of eigenvalues, by ascending frequency.
 
-    n_rigid : rigid-body motions that the edges leave. Raises CalculixError when the eigenvalues
-    show another number of them.
+    n_rigid : rigid-body motions that the edges leave.
+
+    Raises CalculixError when the eigenvalues show another number of them.
     """
     ranked = np.argsort(np.abs(eigenvalues))
     rigid, elastic = eigenvalues[ranked[:n_rigid]], eigenvalues[ranked[n_rigid:]]

@@ -23,8 +23,10 @@ _SHOWN_LINES: Final = 12
 def run_calculix(deck: Path, n_rigid: int, *, timeout: float | None = None) -> NDArray[np.float64]:
     """Natural frequencies that CalculiX finds for a deck file, ascending, Hz.
 
-    n_rigid : rigid-body motions that the edges leave (`problem.rigid_body_count`); they are taken
-    off. timeout : s. Raises CalculixError as `run_deck` does, and for another number of them.
+    n_rigid : rigid-body motions that the edges leave (`problem.rigid_body_count`); they are taken off.
+    timeout : s.
+
+    Raises CalculixError as `run_deck` does, and for another number of them.
     """
     results = run_deck(deck.read_text(encoding="utf-8", errors="replace"), timeout=timeout)
     eigenvalues = read_eigenvalues(results)
@@ -35,8 +37,10 @@ def run_calculix(deck: Path, n_rigid: int, *, timeout: float | None = None) -> N
 def run_deck(text: str, *, timeout: float | None = None) -> str:
     """The results (.dat) of CalculiX for the text of a deck, run in a temporary directory.
 
-    The program is ``ccx``, or what the environment variable CPAM_BAYES_CCX names. It runs on one
-    thread unless OMP_NUM_THREADS says otherwise. timeout : s.
+    The program is ``ccx``, or what the environment variable CPAM_BAYES_CCX names. It runs on one thread
+    unless OMP_NUM_THREADS says otherwise.
+
+    timeout : s.
 
     Raises CalculixError when the program is missing, fails, runs out of time or solves nothing.
     """

@@ -29,8 +29,9 @@ _GRID = 41
 class CalculixModes:
     """Deformation modes of a specimen.
 
-    frequencies : (n_modes,) Hz, ascending. modes : kinds and labels. shapes : (n_modes, 3, n, n)
-    u, v, w of the midplane, of any scale, on a regular grid of the plate.
+    frequencies : (n_modes,) Hz, ascending.
+    modes : kinds and labels.
+    shapes : (n_modes, 3, n, n) u, v, w of the midplane, of any scale, on a regular grid of the plate.
     """
 
     frequencies: NDArray[np.float64]
@@ -64,8 +65,11 @@ def solve_modes(
 ) -> CalculixModes:
     """The lowest modes of a specimen by CalculiX, rigid-body motions left out.
 
-    constants and in_plane : as for `plate_deck`. timeout : s. Raises ValueError as `plate_deck`
-    does, and CalculixError as `run_deck` does or when the number of modes is wrong.
+    constants, in_plane : as for `plate_deck`.
+    timeout : s.
+
+    Raises ValueError as `plate_deck` does, and CalculixError as `run_deck` does or when the number of modes
+    is wrong.
     """
     deck = plate_deck(specimen, constants, element, n_modes, in_plane=in_plane)
     results = run_deck(deck.text, timeout=timeout)

@@ -33,9 +33,11 @@ Array = NDArray[Any]
 class Assessment:
     """What determines a posterior and how it fits, from the draws and from the optimum.
 
-    combinations : best determined first. profiles : of the constants. power_scaling : of all
-    parameters. left_out : in closed form. importance : ``None`` where a list may lack modes, whose
-    frequencies do not stand each for itself.
+    combinations : best determined first.
+    profiles : of the constants.
+    power_scaling : of all parameters.
+    left_out : in closed form.
+    importance : ``None`` where a list may lack modes, whose frequencies do not stand each for itself.
     """
 
     combinations: tuple[Combination, ...]
@@ -50,7 +52,9 @@ class Assessment:
 class ThinnedDraws:
     """Draws one autocorrelation time apart, walkers as chains.
 
-    step : steps of the chains between two. draws : (chains, draws, n). log_prob : (chains, draws).
+    step : steps of the chains between two.
+    draws : (chains, draws, n).
+    log_prob : (chains, draws).
     """
 
     step: int

@@ -33,9 +33,10 @@ _MOST_STEPS = 25
 class PairingDoubt:
     """A pairing with one slip that is far more probable than the one to one of a complete list.
 
-    missed : number, from 0, of the model's mode that the list seems to lack, or ``None``. spurious :
-    number of the frequency that seems to be no mode, or ``None``. log_odds : against one to one. x :
-    (n,) parameters where it fits best.
+    missed : number, from 0, of the model's mode that the list seems to lack, or ``None``.
+    spurious : number of the frequency that seems to be no mode, or ``None``.
+    log_odds : against one to one.
+    x : (n,) parameters where it fits best.
     """
 
     missed: int | None
@@ -48,8 +49,9 @@ class PairingDoubt:
 class Doubt:
     """A ``PairingDoubt`` in terms of the plate.
 
-    missed : the mode that a list seems to lack, where the other modes fit best. spurious : the
-    frequency that seems to be no mode, Hz. log_odds : against one to one.
+    missed : the mode that a list seems to lack, where the other modes fit best.
+    spurious : the frequency that seems to be no mode, Hz.
+    log_odds : against one to one.
     """
 
     missed: Mode | None
@@ -124,8 +126,9 @@ def pairing_doubt(posterior: Posterior, best: Array, others: Array) -> PairingDo
     probable counts as far. Labelled frequencies keep their modes. A list that ends too early cannot
     be told from a complete one.
 
-    best : (n,) optimum of the posterior; others : (m, n_plate) further parameters to start from. The
-    model must predict a mode more than there are frequencies.
+    best : (n,) optimum of the posterior.
+    others : (m, n_plate) further parameters to start from. The model must predict a mode more than there
+    are frequencies.
     """
     n_plate = posterior.model.parameters.size
     draws = posterior.model.parameters.sample(np.random.default_rng(0), _DRAWS)

@@ -19,9 +19,10 @@ Array = NDArray[Any]
 class Combination:
     """A product of powers of the plate's parameters that the frequencies see as one number.
 
-    exponents : (n_plate,) the largest in size is 1. singular_value : of the weighted Jacobian, the
-    prior's sd over the noise's along the combination. noise_sd, prior_sd : standard deviations of the
-    product's logarithm, by the frequencies alone (infinite where they say nothing) and by the prior.
+    exponents : (n_plate,) the largest in size is 1.
+    singular_value : of the weighted Jacobian, the prior's sd over the noise's along the combination.
+    noise_sd, prior_sd : standard deviations of the product's logarithm, by the frequencies alone (infinite
+    where they say nothing) and by the prior.
     """
 
     exponents: Array

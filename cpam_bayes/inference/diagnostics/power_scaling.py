@@ -33,7 +33,8 @@ _FEWEST = 100
 class PowerScaling:
     """Sensitivity of one parameter's posterior to the powers of priors and likelihood.
 
-    prior : of all but the noise. noise_prior : of the noise, 0 where its amplitude is given.
+    prior : of all but the noise.
+    noise_prior : of the noise, 0 where its amplitude is given.
     """
 
     name: str
@@ -57,8 +58,9 @@ class PowerScaling:
 class MovedBound:
     """What moving one bound of a uniform prior inwards by a tenth of its interval does.
 
-    cut : share of the draws that lies beyond. shift : (n,) of every parameter's mean, in its posterior
-    standard deviation, ``nan`` where too few draws are left.
+    cut : share of the draws that lies beyond.
+    shift : (n,) of every parameter's mean, in its posterior standard deviation, ``nan`` where too few draws
+    are left.
     """
 
     name: str

@@ -27,9 +27,11 @@ MOST_LEVERAGE = 0.95
 class LeftOut:
     """Each paired frequency predicted from all the others, (n_pairs,) each.
 
-    residual : measured less predicted, Hz. sd : of the prediction and the noise together, Hz.
-    leverage : share of a mode's own frequency in its prediction, 0 to 1. basis : whether predictions
-    and their spread are those of the draws or of a linearisation at the optimum.
+    residual : measured less predicted, Hz.
+    sd : of the prediction and the noise together, Hz.
+    leverage : share of a mode's own frequency in its prediction, 0 to 1.
+    basis : whether predictions and their spread are those of the draws or of a linearisation at the
+    optimum.
     """
 
     residual: Array
@@ -53,7 +55,8 @@ class LeftOut:
 class ImportanceLeftOut:
     """Leave-one-out log score by Pareto-smoothed importance sampling.
 
-    log_score, standard_error : sum over the frequencies. k_hat : (n,) of each.
+    log_score, standard_error : sum over the frequencies.
+    k_hat : (n,) of each.
     """
 
     log_score: float
@@ -99,7 +102,9 @@ def leave_one_out(
     standardised residual is that much too small. Student-t noise counts with the variance that gives
     the same information for v and with its own variance in the prediction.
 
-    draws (m, n), frequencies (m, n_modes) predicted there. optimum : (n,).
+    draws : (m, n).
+    frequencies : (m, n_modes) predicted there, Hz.
+    optimum : (n,).
     """
     rows, columns = paired(pairing)
     nu = posterior.degrees_of_freedom
@@ -138,8 +143,9 @@ def cavity(
 def importance_leave_one_out(log_density: Array) -> ImportanceLeftOut:
     """Leave-one-out log score from the log density of every frequency at every draw.
 
-    Pareto-smoothed importance sampling (Vehtari, Gelman and Gabry, 2017). log_density : (m, n), draws
-    independent of each other.
+    Pareto-smoothed importance sampling (Vehtari, Gelman and Gabry, 2017).
+
+    log_density : (m, n), draws independent of each other.
     """
     import arviz
 

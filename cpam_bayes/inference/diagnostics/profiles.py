@@ -31,10 +31,14 @@ _STEPS = 40
 class Profile:
     """Profile likelihood of one parameter, SI.
 
-    values : (g,). drop : (g,) largest log likelihood of all less that with the parameter held there,
-    infinite where none was found. best : the value with the largest likelihood. lower, upper : outer
-    ends of the 95 % region, drop <= 1.92, or of the grid where the likelihood does not drop so far.
-    lower_open, upper_open : whether that is so. parts : separate intervals of the region.
+    values : (g,).
+    drop : (g,) largest log likelihood of all less that with the parameter held there, infinite where none
+    was found.
+    best : the value with the largest likelihood.
+    lower, upper : outer ends of the 95 % region, drop <= 1.92, or of the grid where the likelihood does not
+    drop so far.
+    lower_open, upper_open : whether that is so.
+    parts : separate intervals of the region.
     """
 
     name: str

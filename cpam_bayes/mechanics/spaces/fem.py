@@ -66,8 +66,10 @@ class ElementQuadrature(Quadrature):
 class FemSpace:
     """Serendipity trial functions of the five fields on a mesh in reference coordinates.
 
-    basis : the scalar basis with the reduced rule. free : unknowns of it that each field keeps.
-    facets : boundary facets of the named edges. size : nominal length and width, m.
+    basis : the scalar basis with the reduced rule.
+    free : unknowns of it that each field keeps.
+    facets : boundary facets of the named edges.
+    size : nominal length and width, m.
     stiffness_degree : of the polynomials that the rule of the stiffness integrates.
     """
 
@@ -217,10 +219,10 @@ def fem_space(
 ) -> FemSpace:
     """Elements for a rectangular plate with the given edges.
 
-    edges : four of F, S, C for x = 0, y = 0, x = length, y = width. nx, ny : elements along x and y
-    before grading; left out, about square ones. ``grading`` cuts the outermost ones further, down
-    to a quarter of the decay length of a free edge's twisting layer; it also resolves the
-    singular corner of a clamped and a free edge. ``None`` leaves them whole.
+    edges : four of F, S, C for x = 0, y = 0, x = length, y = width.
+    nx, ny : elements along x and y before grading; left out, about square ones. ``grading`` cuts the
+    outermost ones further, down to a quarter of the decay length of a free edge's twisting layer; it also
+    resolves the singular corner of a clamped and a free edge. ``None`` leaves them whole.
 
     With the default counts frequencies of six to ten modes are within 0.05 % of converged ones
     for h / a from 1/10 to 1/1000; the locking that reduced integration leaves grows like (a / h)^2

@@ -38,11 +38,11 @@ _NEW_SHARE = 1e-5
 class RitzSettings:
     """Size of a basis.
 
-    degree_x, degree_y : number of Legendre polynomials in each direction. layers : exponentials at
-    each edge, with rates s times ``spread`` to half-integer powers. coupled : whether w and the
-    normal rotation carry them too (clamped edges, layups with D16, D26 or A45). corner_layers :
-    exponentials of u and v with decay lengths of 1/8, 1/32, 1/128 ... of the plate, which add up
-    to the power of the distance that the stress has at a corner between a clamped and a free edge.
+    degree_x, degree_y : number of Legendre polynomials in each direction.
+    layers : exponentials at each edge, with rates s times ``spread`` to half-integer powers.
+    coupled : whether w and the normal rotation carry them too (clamped edges, layups with D16, D26 or A45).
+    corner_layers : exponentials of u and v with decay lengths of 1/8, 1/32, 1/128 ... of the plate, which
+    add up to the power of the distance that the stress has at a corner between a clamped and a free edge.
     """
 
     degree_x: int

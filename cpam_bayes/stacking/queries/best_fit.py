@@ -19,8 +19,8 @@ Array = NDArray[Any]
 class BestFit:
     """The most probable stacking sequence at its best constants beside the measured frequencies.
 
-    predicted : (n,) Hz; nan where a frequency of a list that may lack modes is paired with none, by the most
-    probable pairing.
+    predicted : (n,) Hz; nan where a frequency of a list that may lack modes is paired with none, by the
+    most probable pairing.
     residual : (n,) predicted / measured - 1.
     missed : (k,) Hz, modes in the range of the list that it lacks.
     p_value : probability that the noise stated alone leaves squared residuals with such a sum or a larger

@@ -45,8 +45,10 @@ class Trial:
 
     kind : "clean"; "bricks": clean and simulated in three dimensions; "one" hidden cause; "two" at once;
     "outside": one whose class the dictionary lacks; "prior": truth, size and constants drawn from the
-    diagnosis's own priors. cause : names of what is hidden. ratio : signal to noise of each. lacks : whether
-    the list lacks a mode and says which.
+    diagnosis's own priors.
+    cause : names of what is hidden.
+    ratio : signal to noise of each.
+    lacks : whether the list lacks a mode and says which.
     """
 
     kind: Kind
@@ -66,9 +68,12 @@ class Trial:
 class Hidden:
     """A simulated plate.
 
-    causes : what is hidden, with sizes; x : constants. listed : the list without noise, of ``own``, and
-    further : the modes beyond it. noise : of the list in units of s. shift : (n_listed,) that the
-    dictionary's own model has in the list, in units of s.
+    causes : what is hidden, with sizes.
+    x : constants.
+    listed : the list without noise, of ``own``, and
+    further : the modes beyond it.
+    noise : of the list in units of s.
+    shift : (n_listed,) that the dictionary's own model has in the list, in units of s.
     """
 
     own: Bench

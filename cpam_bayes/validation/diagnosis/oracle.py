@@ -26,8 +26,9 @@ _FINE = np.linspace(-3.6, 3.6, 401)
 class Oracle:
     """What somebody makes of a list who knows the truth's own model, linear in the constants.
 
-    probability : by cause, with the priors of the diagnosis. alike : causes whose visible signature, at the
-    size that fits best, has a cosine above 0.95 with the truth's; the cosine by cause in ``cosine``.
+    probability : by cause, with the priors of the diagnosis.
+    alike : causes whose visible signature, at the size that fits best, has a cosine above 0.95 with the
+    truth's; the cosine by cause in ``cosine``.
     """
 
     probability: Mapping[str, float]
@@ -43,8 +44,9 @@ def oracle(at: Linear, truth: Array, noise: Array) -> Oracle:
     """Exact marginal likelihoods of the linear plate, by quadrature over each cause's size.
 
     truth : (n_listed,) shift of the listed log frequencies in units of s, that of the dictionary's own
-    model; noise : (n_listed,) in the same units. Causes that reorder the list are left out: they are
-    tens of per cent away.
+    model.
+    noise : (n_listed,) in the same units. Causes that reorder the list are left out: they are tens of per
+    cent away.
     """
     a = at.slope[at.own.case.modes]
     residual = truth + noise + a @ at.z

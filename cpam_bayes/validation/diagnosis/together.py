@@ -55,7 +55,9 @@ def laboratory(
 ) -> Laboratory:
     """A built-in plate with free edges, what is measured besides, and all models.
 
-    noise : relative standard deviation, given in every file. resolution : Hz. tests : of ``TESTS``.
+    noise : relative standard deviation, given in every file.
+    resolution : Hz.
+    tests : of ``TESTS``.
     """
     own = builtin(plate)
     mass = _MASS_SHARE * own.plate.density * own.plate.thickness * own.plate.area

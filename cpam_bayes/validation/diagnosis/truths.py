@@ -43,7 +43,8 @@ _KEPT = 3
 class Bench:
     """A plate ready for trials.
 
-    case : with the models of all that it may have. operators : finite elements by what they have.
+    case : with the models of all that it may have.
+    operators : finite elements by what they have.
     """
 
     case: PlateCase
@@ -81,7 +82,8 @@ class Bench:
 def bench(plate: str | Specimen, n_listed: int, *, noise: float, resolution: float) -> Bench:
     """A plate, built-in by its name, with all its models.
 
-    noise : relative standard deviation, given in the plate's file. resolution : Hz.
+    noise : relative standard deviation, given in the plate's file.
+    resolution : Hz.
     """
     labels = ("",) * n_listed
     any_list = Measurement(np.arange(1.0, n_listed + 1.0), resolution, noise, None, labels, complete=True)
@@ -110,7 +112,8 @@ def random_constants(own: Bench, spread: float, rng: np.random.Generator) -> Arr
 def true_frequencies(own: Bench, hidden: Sequence[Hypothesis], x: Array, sizes: Array, n: int) -> Array:
     """The n lowest frequencies of the plate with effects of these sizes by finite elements, (n,) Hz.
 
-    x : constants. sizes : of the hidden causes, one each; what is wrong with a list is not applied.
+    x : constants.
+    sizes : of the hidden causes, one each; what is wrong with a list is not applied.
     """
     models = own.case.models
     effects = [(h.effects[0], float(size)) for h, size in zip(hidden, sizes, strict=True) if h.effects]
@@ -144,7 +147,9 @@ def true_frequencies(own: Bench, hidden: Sequence[Hypothesis], x: Array, sizes: 
 def brick_frequencies(own: Bench, x: Array, n: int) -> Array:
     """The n lowest frequencies of the plate as it should be, by CalculiX on bricks of 20 nodes, (n,) Hz.
 
-    x : constants. Raises ``CalculixError`` where CalculiX is not there or fails.
+    x : constants.
+
+    Raises ``CalculixError`` where CalculiX is not there or fails.
     """
     models = own.case.models
     material = models.specimen.material
@@ -158,8 +163,9 @@ def brick_frequencies(own: Bench, x: Array, n: int) -> Array:
 class Linear:
     """A plate at its true constants, whose log frequencies are linear in the constants' scores.
 
-    log_f : (n_modes,) of the bare model. slope : (n_modes, n_constants) derivatives over the scores in
-    units of s. z : (n_constants,) scores of the truth.
+    log_f : (n_modes,) of the bare model.
+    slope : (n_modes, n_constants) derivatives over the scores in units of s.
+    z : (n_constants,) scores of the truth.
     """
 
     own: Bench
@@ -227,8 +233,9 @@ def sizes_of(h: Hypothesis, scores: Array) -> Array:
 class Reached:
     """The size at which a cause has a signal-to-noise ratio, or why there is none.
 
-    size : nan where it is not reached within the prior. most : ratio at the end of the prior. share : of the
-    shift that the constants do not imitate, there or at the size.
+    size : nan where it is not reached within the prior.
+    most : ratio at the end of the prior.
+    share : of the shift that the constants do not imitate, there or at the size.
     """
 
     size: float
