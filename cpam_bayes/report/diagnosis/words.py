@@ -29,8 +29,8 @@ def claim_sentence(d: Diagnosis) -> str:
             return f"Named: {cause.name}{_where(d, cause)}, probability {p}{_of_size(cause)}."
         case "class":
             return (
-                f"The model lacks one of {listed(d.claim.causes, 'or')}, and these frequencies cannot tell which: "
-                f"together they have probability {p}."
+                f"The model lacks one of {listed(d.claim.causes, 'or')}, and these frequencies cannot "
+                f"tell which: together they have probability {p}."
             )
         case "pair":
             return f"Two causes at once, {listed(d.claim.causes, 'and')}: probability {p}."

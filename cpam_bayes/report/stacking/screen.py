@@ -185,8 +185,8 @@ def _work(screened: StackingResult) -> Table:
         rows.append(
             (
                 "surrogate",
-                f"trained on {c.training_size} sequences; off by {c.rms:.2f} (rms), {c.largest:.2f} (most) in "
-                "log evidence on draws from the result, which correct its sum",
+                f"trained on {c.training_size} sequences; off by {c.rms:.2f} (rms), {c.largest:.2f} (most) "
+                "in log evidence on draws from the result, which correct its sum",
             )
         )
     rows.append(
