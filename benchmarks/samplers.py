@@ -25,12 +25,12 @@ from benchmarks.timing import interleaved, ratio
 from cpam_bayes.forward_model.reduced import DEFAULT_SETTINGS as REDUCTION
 from cpam_bayes.forward_model.store import reduced_model
 from cpam_bayes.identification.sampled import identify_by_sampling
-from cpam_bayes.inference.autocorrelation import integrated_times
-from cpam_bayes.inference.ensemble import DEFAULT_SETTINGS, moves_of
+from cpam_bayes.inference.chains.autocorrelation import integrated_times
+from cpam_bayes.inference.chains.ensemble import DEFAULT_SETTINGS, moves_of
+from cpam_bayes.inference.chains.sampling import JUMPS as FIT
+from cpam_bayes.inference.chains.sampling import sample_posterior
 from cpam_bayes.inference.posterior import Posterior, plate_posterior
 from cpam_bayes.inference.proposal import adapted
-from cpam_bayes.inference.sampling import JUMPS as FIT
-from cpam_bayes.inference.sampling import sample_posterior
 from cpam_bayes.plate import Specimen, read_specimen
 from cpam_bayes.report.tables import Column, Table, remarks, screen_text
 from cpam_bayes.threads import single_blas_thread

@@ -12,7 +12,7 @@ from concurrent.futures import Executor
 from pathlib import Path
 from typing import Any
 
-from cpam_bayes.inference.ensemble import EnsembleSettings
+from cpam_bayes.inference.chains.ensemble import EnsembleSettings
 from cpam_bayes.inference.swarm.settings import SwarmSettings
 from cpam_bayes.paper import perturbation_table
 from cpam_bayes.parallel import open_executor

@@ -16,12 +16,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from cpam_bayes.identification.starting import start_of
-from cpam_bayes.inference.ensemble import EnsembleResult, EnsembleSettings
+from cpam_bayes.inference.chains.ensemble import EnsembleResult, EnsembleSettings
+from cpam_bayes.inference.chains.sampling import sample_from
 from cpam_bayes.inference.evidence import Evidence, EvidenceSettings, evidence_of, importance_evidence
 from cpam_bayes.inference.laplace import approximate, find_optima
 from cpam_bayes.inference.posterior import Posterior
 from cpam_bayes.inference.proposal import AdaptationSettings
-from cpam_bayes.inference.sampling import sample_from
 from cpam_bayes.inference.swarm.pso import SwarmSettings
 from cpam_bayes.plate import builtin, to_user, user_name
 from cpam_bayes.report.tables import Column, Table, screen_text

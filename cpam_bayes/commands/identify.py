@@ -11,7 +11,7 @@ from pathlib import Path
 from cpam_bayes.commands import NOISE_SHAPES
 from cpam_bayes.identification.identify import PointResult, identify
 from cpam_bayes.identification.sampled import SampledResult, sample
-from cpam_bayes.inference.ensemble import DEFAULT_SETTINGS, EnsembleSettings
+from cpam_bayes.inference.chains.ensemble import DEFAULT_SETTINGS, EnsembleSettings
 from cpam_bayes.inference.swarm.settings import SwarmSettings
 from cpam_bayes.report.progress import Terminal
 

@@ -13,7 +13,7 @@ from cpam_bayes.diagnosis.diagnose import Diagnosis
 from cpam_bayes.diagnosis.evidence.comparison import Comparison
 from cpam_bayes.diagnosis.evidence.marginal import Marginal
 from cpam_bayes.diagnosis.evidence.weighing import Tested
-from cpam_bayes.inference.ensemble import DEFAULT_SETTINGS, Diagnostics, EnsembleSettings, sample
+from cpam_bayes.inference.chains.ensemble import DEFAULT_SETTINGS, Diagnostics, EnsembleSettings, sample
 from cpam_bayes.inference.noise import NoiseModel
 from cpam_bayes.inference.posterior import Posterior
 from cpam_bayes.inference.proposal import AdaptationSettings, adapted

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from cpam_bayes.identification.sampled import SampledResult
-from cpam_bayes.inference.arviz_data import arviz_data, by_user_name
+from cpam_bayes.inference.chains.arviz_data import arviz_data, by_user_name
 from cpam_bayes.inference.diagnostics.assessment import log_likelihoods, thinned
 from cpam_bayes.inference.diagnostics.identifiability import paired
 from cpam_bayes.plate import user_name

@@ -21,19 +21,19 @@ from cpam_bayes.identification.sampled_result import ConstantPosterior, SampledR
 from cpam_bayes.identification.starting import start_of
 from cpam_bayes.identification.verdicts import verdict_of
 from cpam_bayes.identification.warnings import sampled_warnings
-from cpam_bayes.inference.diagnostics.assessment import assess
-from cpam_bayes.inference.diagnostics.completeness import doubt_of
-from cpam_bayes.inference.diagnostics.predictive import predictive_p_value
-from cpam_bayes.inference.ensemble import (
+from cpam_bayes.inference.chains.ensemble import (
     DEFAULT_SETTINGS,
     Diagnostics,
     EnsembleResult,
     EnsembleSettings,
 )
+from cpam_bayes.inference.chains.sampling import sample_from
+from cpam_bayes.inference.diagnostics.assessment import assess
+from cpam_bayes.inference.diagnostics.completeness import doubt_of
+from cpam_bayes.inference.diagnostics.predictive import predictive_p_value
 from cpam_bayes.inference.evidence import Evidence, evidence_of
 from cpam_bayes.inference.noise import Likelihood
 from cpam_bayes.inference.posterior import Posterior
-from cpam_bayes.inference.sampling import sample_from
 from cpam_bayes.inference.swarm.pso import SwarmSettings
 from cpam_bayes.plate import PlateLike, Specimen, read_plate
 from cpam_bayes.plate.elasticity import complete_constants

@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from cpam_bayes.forward_model.model import SIZES
 from cpam_bayes.identification.frequency_rows import LeftOutPrediction, MissedMode, SampledFrequency
 from cpam_bayes.identification.verdicts import Verdict
-from cpam_bayes.inference.diagnostics.assessment import Assessment
-from cpam_bayes.inference.diagnostics.completeness import Doubt
-from cpam_bayes.inference.ensemble import (
+from cpam_bayes.inference.chains.ensemble import (
     EnsembleResult,
 )
+from cpam_bayes.inference.diagnostics.assessment import Assessment
+from cpam_bayes.inference.diagnostics.completeness import Doubt
 from cpam_bayes.inference.evidence import Evidence
 from cpam_bayes.inference.noise import NOISE_NAMES
 from cpam_bayes.inference.pairing import Pairing

@@ -17,9 +17,9 @@ from cpam_bayes.forward_model.reduced import ReducedModel
 from cpam_bayes.forward_model.store import reduced_model
 from cpam_bayes.identification.identify import NO_MESH
 from cpam_bayes.identification.point import required, search
+from cpam_bayes.inference.chains.sampling import swarm_on_posterior
 from cpam_bayes.inference.noise import Likelihood
 from cpam_bayes.inference.posterior import Posterior, plate_posterior
-from cpam_bayes.inference.sampling import swarm_on_posterior
 from cpam_bayes.inference.swarm.pso import SwarmSettings
 from cpam_bayes.plate import PlateLike, Specimen, read_plate
 from cpam_bayes.threads import single_blas_thread

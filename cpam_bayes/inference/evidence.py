@@ -8,7 +8,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from cpam_bayes.inference.ensemble import EnsembleResult
+from cpam_bayes.inference.chains.ensemble import EnsembleResult
 from cpam_bayes.inference.importance import RELIABLE_K, weighted
 from cpam_bayes.inference.posterior import Posterior
 from cpam_bayes.inference.proposal import (

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cpam_bayes.identification.point import linearised_sd, misfit
-from cpam_bayes.inference.ensemble import EnsembleSettings
+from cpam_bayes.inference.chains.ensemble import EnsembleSettings
+from cpam_bayes.inference.chains.sampling import sample_posterior
 from cpam_bayes.inference.laplace import gauss_newton_covariance, optimise, prior_sd
 from cpam_bayes.inference.posterior import ForwardModel, Posterior, plate_posterior
-from cpam_bayes.inference.sampling import sample_posterior
 from cpam_bayes.inference.swarm.pso import SwarmResult, SwarmSettings, initial_swarm, minimise
 from cpam_bayes.parameters import ParameterSet
 from cpam_bayes.plate import Measurement

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from cpam_bayes.inference.arviz_data import arviz_data, by_user_name
+from cpam_bayes.inference.chains.arviz_data import arviz_data, by_user_name
 from cpam_bayes.stacking.sequence import StackingResult
 
 EMCEE, IMPORTANCE = "emcee", "importance sampling"

@@ -15,17 +15,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cpam_bayes.inference.ensemble import (
+from cpam_bayes.inference.chains.ensemble import (
     Diagnostics,
     EnsembleResult,
     EnsembleSettings,
     sample,
     start_positions,
 )
+from cpam_bayes.inference.chains.sampling import swarm_on_posterior
 from cpam_bayes.inference.importance import Weighted, weighted
 from cpam_bayes.inference.posterior import Posterior
 from cpam_bayes.inference.proposal import AdaptationSettings, Proposal, adapted
-from cpam_bayes.inference.sampling import swarm_on_posterior
 from cpam_bayes.inference.swarm.pso import SwarmSettings
 from cpam_bayes.parallel import counted, run
 from cpam_bayes.stacking.conditional.posterior import ConditionalFits, ConditionalPosterior

@@ -29,9 +29,9 @@ from numpy.typing import NDArray
 
 from cpam_bayes.forward_model.reduced import DEFAULT_SETTINGS as REDUCTION
 from cpam_bayes.forward_model.store import reduced_model
-from cpam_bayes.inference.ensemble import EnsembleResult, EnsembleSettings
+from cpam_bayes.inference.chains.ensemble import EnsembleResult, EnsembleSettings
+from cpam_bayes.inference.chains.sampling import sample_posterior
 from cpam_bayes.inference.posterior import ForwardModel, Posterior, plate_posterior
-from cpam_bayes.inference.sampling import sample_posterior
 from cpam_bayes.inference.swarm.pso import SwarmSettings
 from cpam_bayes.parallel import run
 from cpam_bayes.plate import Measurement, read_specimen

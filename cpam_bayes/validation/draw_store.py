@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from cpam_bayes.inference.store import StoreError
+from cpam_bayes.inference.chains.store import StoreError
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,12 +8,12 @@ from functools import partial
 from pathlib import Path
 
 import pytest
+from cpam_bayes.report.answer import Answer
 
 from cpam_bayes.cli import prepare
 from cpam_bayes.forward_model.preconditions import plate_warnings
-from cpam_bayes.inference.ensemble import DEFAULT_SETTINGS
+from cpam_bayes.inference.chains.ensemble import DEFAULT_SETTINGS
 from cpam_bayes.plate import read_specimen
-from cpam_bayes.report.answer import Answer
 from cpam_bayes.report.tables import plain_text
 from tests.plate_file import MEASURED
 from tests.plate_file import PLATE as WITHOUT_LIST

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from cpam_bayes.commands import sensitivity as command
-from cpam_bayes.inference.ensemble import EnsembleSettings
+from cpam_bayes.inference.chains.ensemble import EnsembleSettings
 from cpam_bayes.inference.swarm.settings import SwarmSettings
 from tests.plate_file import MEASURED, PLATE
 

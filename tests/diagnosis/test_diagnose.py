@@ -17,7 +17,7 @@ from cpam_bayes.diagnosis.fitting import PlateCase
 from cpam_bayes.diagnosis.hypotheses import DISCREPANCY, NONE, OTHER, Hypothesis
 from cpam_bayes.effects import CATALOGUE, Effect, ListChange
 from cpam_bayes.effects.frequency_list import MISREADING
-from cpam_bayes.inference.ensemble import EnsembleSettings
+from cpam_bayes.inference.chains.ensemble import EnsembleSettings
 from cpam_bayes.parameters import ScaledStudentT
 from cpam_bayes.plate import Measurement
 from cpam_bayes.plate.specimens import builtin

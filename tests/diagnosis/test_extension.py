@@ -21,8 +21,8 @@ from cpam_bayes.diagnosis.fitting import PlateCase, comparison_of
 from cpam_bayes.diagnosis.hypotheses import DISCREPANCY, NONE, OTHER, Hypothesis
 from cpam_bayes.effects import ListChange
 from cpam_bayes.effects.frequency_list import MISREADING
+from cpam_bayes.inference.chains.ensemble import EnsembleSettings
 from cpam_bayes.inference.derivatives import expand
-from cpam_bayes.inference.ensemble import EnsembleSettings
 from tests.diagnosis.toy_plates import (
     BUMP,
     DENT,

@@ -12,8 +12,8 @@ from cpam_bayes.forward_model.reduced import ReducedModel
 from cpam_bayes.forward_model.store import reduced_model
 from cpam_bayes.identification.point import identify, search
 from cpam_bayes.identification.starting import start_of
+from cpam_bayes.inference.chains.sampling import swarm_on_posterior
 from cpam_bayes.inference.posterior import plate_posterior
-from cpam_bayes.inference.sampling import swarm_on_posterior
 from cpam_bayes.inference.swarm.settings import SwarmSettings
 from cpam_bayes.parameters import ParameterSet
 from cpam_bayes.plate import Measurement, Specimen, read_specimen

@@ -12,7 +12,7 @@ from cpam_bayes.report.posterior.data import write_posterior
 
 from cpam_bayes.forward_model.model import NO_PARAMETERS, converged_model
 from cpam_bayes.identification.sampled import SampledIdentification, identify_by_sampling
-from cpam_bayes.inference.ensemble import EnsembleSettings
+from cpam_bayes.inference.chains.ensemble import EnsembleSettings
 from cpam_bayes.plate import Specimen, read_specimen
 
 SETTINGS = EnsembleSettings(walkers=24, round_steps=500, effective=500.0)

@@ -13,7 +13,7 @@ from cpam_bayes.forward_model.reduced import DEFAULT_SETTINGS
 from cpam_bayes.forward_model.store import model_key, reduced_model
 from cpam_bayes.identification.sampled import SampledIdentification, identify_by_sampling
 from cpam_bayes.identification.starting import start_of
-from cpam_bayes.inference.ensemble import EnsembleSettings
+from cpam_bayes.inference.chains.ensemble import EnsembleSettings
 from cpam_bayes.inference.laplace import gauss_newton_covariance
 from cpam_bayes.inference.posterior import plate_posterior
 from cpam_bayes.inference.swarm.settings import SwarmSettings

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from cpam_bayes.inference.ensemble import EnsembleSettings
+from cpam_bayes.inference.chains.ensemble import EnsembleSettings
+from cpam_bayes.inference.chains.sampling import sample_posterior
 from cpam_bayes.inference.evidence import (
     Evidence,
     EvidenceSettings,
@@ -18,7 +19,6 @@ from cpam_bayes.inference.evidence import (
 from cpam_bayes.inference.importance import pareto_shape
 from cpam_bayes.inference.posterior import Posterior, plate_posterior
 from cpam_bayes.inference.proposal import AdaptationSettings
-from cpam_bayes.inference.sampling import sample_posterior
 from cpam_bayes.inference.swarm.pso import SwarmSettings
 from cpam_bayes.parameters import TruncatedNormal, Uniform
 from cpam_bayes.plate import Measurement

@@ -11,9 +11,9 @@ import pytest
 from cpam_bayes.forward_model.model import PlateModel, reference_vector
 from cpam_bayes.forward_model.reduced import DEFAULT_SETTINGS, ReducedModel, ReductionSettings, reduce
 from cpam_bayes.forward_model.store import reduced_model
-from cpam_bayes.inference.ensemble import EnsembleSettings
+from cpam_bayes.inference.chains.ensemble import EnsembleSettings
+from cpam_bayes.inference.chains.sampling import sample_posterior
 from cpam_bayes.inference.posterior import plate_posterior
-from cpam_bayes.inference.sampling import sample_posterior
 from cpam_bayes.inference.swarm.pso import SwarmSettings
 from cpam_bayes.plate import Measurement, Specimen, read_specimen
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cpam_bayes.inference.ensemble import EnsembleSettings
+from cpam_bayes.inference.chains.ensemble import EnsembleSettings
 from cpam_bayes.inference.swarm.pso import minimise
 from cpam_bayes.inference.swarm.settings import SwarmSettings
 from cpam_bayes.inference.swarm.swarm import SwarmResult

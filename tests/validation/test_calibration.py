@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 from scipy.stats import binom, kstest
 
-from cpam_bayes.inference.ensemble import EnsembleSettings
+from cpam_bayes.inference.chains.ensemble import EnsembleSettings
+from cpam_bayes.inference.chains.store import StoreError
 from cpam_bayes.inference.noise import NOISE_PRIOR
-from cpam_bayes.inference.store import StoreError
 from cpam_bayes.inference.swarm.pso import SwarmSettings
 from cpam_bayes.parallel import open_executor
 from cpam_bayes.validation import calibration

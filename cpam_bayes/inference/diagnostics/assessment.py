@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cpam_bayes.inference.chains.ensemble import EnsembleResult
 from cpam_bayes.inference.diagnostics.identifiability import Combination, combinations, paired
 from cpam_bayes.inference.diagnostics.power_scaling import (
     MovedBound,
@@ -22,7 +23,6 @@ from cpam_bayes.inference.diagnostics.predictive import (
     leave_one_out,
 )
 from cpam_bayes.inference.diagnostics.profiles import Profile, profile_likelihoods
-from cpam_bayes.inference.ensemble import EnsembleResult
 from cpam_bayes.inference.pairing import Pairing
 from cpam_bayes.inference.posterior import Posterior
 

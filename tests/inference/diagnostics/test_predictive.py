@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from cpam_bayes.identification.sampled import identify_by_sampling
+from cpam_bayes.inference.chains.ensemble import EnsembleSettings
+from cpam_bayes.inference.chains.sampling import sample_posterior
 from cpam_bayes.inference.diagnostics.predictive import cavity, importance_leave_one_out, leave_one_out
-from cpam_bayes.inference.ensemble import EnsembleSettings
 from cpam_bayes.inference.pairing import Pairing
 from cpam_bayes.inference.posterior import Posterior, plate_posterior
-from cpam_bayes.inference.sampling import sample_posterior
 from cpam_bayes.plate import builtin
 from tests.linear_model import MEAN_HZ, SLOPE_HZ, LinearModel, exact_gaussian, measurement
 

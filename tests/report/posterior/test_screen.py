@@ -13,7 +13,7 @@ import pytest
 from cpam_bayes.report.posterior.data import inference_data, write_posterior
 
 from cpam_bayes.identification.sampled import SampledIdentification, identify_by_sampling
-from cpam_bayes.inference.ensemble import EnsembleSettings
+from cpam_bayes.inference.chains.ensemble import EnsembleSettings
 from cpam_bayes.parameters import Parameter, ParameterSet, TruncatedNormal, Uniform
 from cpam_bayes.plate import builtin
 from cpam_bayes.report.documents import json_text

@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 
 from cpam_bayes import __version__
-from cpam_bayes.inference.ensemble import problem_hash
+from cpam_bayes.inference.chains.ensemble import problem_hash
 from cpam_bayes.plate import Specimen, to_user, unit_of, user_name
 
 __all__ = ["arviz_data", "by_user_name"]

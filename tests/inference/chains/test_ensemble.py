@@ -12,18 +12,18 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from cpam_bayes.inference.ensemble import (
+from cpam_bayes.inference.chains.ensemble import (
     EnsembleResult,
     EnsembleSettings,
     diagnose_chains,
     sample,
     start_positions,
 )
+from cpam_bayes.inference.chains.store import StoreError
 from cpam_bayes.inference.laplace import optimise
 from cpam_bayes.inference.posterior import Posterior, plate_posterior
 from cpam_bayes.inference.proposal import AdaptationSettings, Proposal, adapted
 from cpam_bayes.inference.standard_normal import NormalScores
-from cpam_bayes.inference.store import StoreError
 from cpam_bayes.inference.student_mixture import Mixture
 from cpam_bayes.parameters import TruncatedNormal, Uniform
 from tests.linear_model import LinearModel, exact_gaussian, measurement
@@ -32,7 +32,7 @@ from tests.toy_models import ToyModel, independent, integral, linear, listed, pa
 SETTINGS = EnsembleSettings(walkers=16, round_steps=200, effective=6000.0, most_steps=6000)
 # Of a chain that forgets in a few steps.
 JUMPING = replace(SETTINGS, round_steps=100, effective=4000.0)
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 
 
 def posterior(relative_std: float | None = 0.01) -> Posterior:
@@ -286,7 +286,7 @@ KILLED = """
 import os, sys
 from pathlib import Path
 import tests.inference.test_ensemble as t
-from cpam_bayes.inference.ensemble import sample
+from cpam_bayes.inference.chains.ensemble import sample
 own, rounds = t.posterior(), []
 def die(diagnostics):
     rounds.append(diagnostics)
@@ -352,7 +352,7 @@ FULL_DISK = """
 import resource, sys
 from pathlib import Path
 import tests.inference.test_ensemble as t
-from cpam_bayes.inference.ensemble import sample
+from cpam_bayes.inference.chains.ensemble import sample
 own, rounds = t.posterior(), []
 def fill(diagnostics):
     rounds.append(diagnostics)

@@ -18,11 +18,11 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from cpam_bayes.inference.autocorrelation import integrated_times
+from cpam_bayes.inference.chains.autocorrelation import integrated_times
+from cpam_bayes.inference.chains.store import Rounds
 from cpam_bayes.inference.laplace import GaussianPicture, optimise, prior_sd
 from cpam_bayes.inference.posterior import Posterior
 from cpam_bayes.inference.proposal import Proposal
-from cpam_bayes.inference.store import Rounds
 
 Array = NDArray[Any]
 

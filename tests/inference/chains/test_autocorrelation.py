@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from emcee.autocorr import integrated_time
 
-from cpam_bayes.inference.autocorrelation import integrated_times
+from cpam_bayes.inference.chains.autocorrelation import integrated_times
 
 
 def autoregressive(factor: float, steps: int, walkers: int, seed: int) -> np.ndarray:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cpam_bayes.inference.ensemble import (
+from cpam_bayes.inference.chains.ensemble import (
     DEFAULT_SETTINGS,
     Diagnostics,
     EnsembleResult,
