@@ -23,9 +23,10 @@ from cpam_bayes.forward_model.model import (
     plate_problem,
     training_sets,
 )
-from cpam_bayes.forward_model.reduced import DEFAULT_SETTINGS, ReducedModel, ReductionSettings, reduce
-from cpam_bayes.mechanics.affine import discretise
+from cpam_bayes.forward_model.reduced import DEFAULT_SETTINGS, ReducedModel, ReductionSettings
+from cpam_bayes.forward_model.reduction import reduce
 from cpam_bayes.mechanics.convergence import Tolerance, rich_frequencies
+from cpam_bayes.mechanics.dense import discretise
 from cpam_bayes.mechanics.spaces.ritz import RitzSettings, ritz_space
 from cpam_bayes.parameters import ParameterSet
 from cpam_bayes.plate import Specimen, builtin

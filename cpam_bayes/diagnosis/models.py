@@ -20,7 +20,8 @@ from cpam_bayes.forward_model.model import (
     plate_problem,
     size_parameters,
 )
-from cpam_bayes.forward_model.reduced import ReducedModel, ReductionSettings, reduce
+from cpam_bayes.forward_model.reduced import ReducedModel, ReductionSettings
+from cpam_bayes.forward_model.reduction import reduce
 from cpam_bayes.forward_model.store import model_key, stored_model
 from cpam_bayes.mechanics.convergence import converge
 from cpam_bayes.mechanics.problem import Field, Problem

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from cpam_bayes.effects import add_air
 from cpam_bayes.forward_model.model import NO_PARAMETERS, plate_problem
-from cpam_bayes.mechanics.affine import discretise
+from cpam_bayes.mechanics.dense import discretise
 from cpam_bayes.mechanics.modes import RigidBodyError, solve
 from cpam_bayes.mechanics.spaces.ritz import RitzSettings, ritz_space
 from cpam_bayes.plate import Specimen

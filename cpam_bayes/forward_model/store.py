@@ -23,13 +23,8 @@ from cpam_bayes.forward_model.model import (
     model_on_basis,
     plate_problem,
 )
-from cpam_bayes.forward_model.reduced import (
-    DEFAULT_SETTINGS,
-    ReducedModel,
-    ReductionSettings,
-    ResidualForm,
-    reduce,
-)
+from cpam_bayes.forward_model.reduced import DEFAULT_SETTINGS, ReducedModel, ReductionSettings, ResidualForm
+from cpam_bayes.forward_model.reduction import reduce
 from cpam_bayes.mechanics.affine import AffineMatrix, AffineOperator, DenseBlock
 from cpam_bayes.mechanics.problem import Problem
 from cpam_bayes.mechanics.spaces.ritz import RitzSettings, ritz_space

@@ -13,13 +13,8 @@ from scipy.sparse import coo_array, csc_array, csr_array, diags_array
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import LinearOperator, eigsh, splu
 
-from cpam_bayes.mechanics.affine import (
-    MATRICES,
-    AffineOperator,
-    ModeVectors,
-    active_terms,
-    projected_functions,
-)
+from cpam_bayes.mechanics.affine import AffineOperator, ModeVectors
+from cpam_bayes.mechanics.dense import MATRICES, active_terms, projected_functions
 from cpam_bayes.mechanics.problem import (
     FIELDS,
     MEMBRANE_FIELDS,

@@ -15,7 +15,8 @@ import pytest
 
 from cpam_bayes.effects import CATALOGUE, Effect, applicable, extend, gross_variant, scale_of, variants
 from cpam_bayes.forward_model.model import PlateModel
-from cpam_bayes.mechanics.affine import MATRICES, AffineMatrix
+from cpam_bayes.mechanics.affine import AffineMatrix
+from cpam_bayes.mechanics.dense import MATRICES
 from cpam_bayes.mechanics.problem import YIELDING
 from cpam_bayes.parameters import ScaledStudentT
 from tests.effects.cases import (

@@ -18,7 +18,7 @@ from cpam_bayes.effects import (
 from cpam_bayes.effects.air import PressureJumps, jump_energy
 from cpam_bayes.effects.stress import _G
 from cpam_bayes.forward_model.model import angle_parameters, plate_problem
-from cpam_bayes.mechanics.affine import discretise
+from cpam_bayes.mechanics.dense import discretise
 from cpam_bayes.mechanics.modes import solve
 from cpam_bayes.mechanics.problem import AREA, FIELDS, Derivative, Field, Problem
 from cpam_bayes.mechanics.spaces.fem import fem_space

@@ -20,14 +20,8 @@ from cpam_bayes.forward_model.model import (
     reference_vector,
     training_sets,
 )
-from cpam_bayes.forward_model.reduced import (
-    DEFAULT_SETTINGS,
-    ReducedModel,
-    ReductionSettings,
-    coercivity,
-    compressed,
-    reduce,
-)
+from cpam_bayes.forward_model.reduced import DEFAULT_SETTINGS, ReducedModel, ReductionSettings, coercivity
+from cpam_bayes.forward_model.reduction import compressed, reduce
 from cpam_bayes.forward_model.store import cache_directory, model_key, reduced_model
 from cpam_bayes.mechanics.convergence import Tolerance, rich_frequencies
 from cpam_bayes.mechanics.modes import solve

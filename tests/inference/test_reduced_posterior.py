@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from cpam_bayes.forward_model.model import PlateModel, reference_vector
-from cpam_bayes.forward_model.reduced import DEFAULT_SETTINGS, ReducedModel, ReductionSettings, reduce
+from cpam_bayes.forward_model.reduced import DEFAULT_SETTINGS, ReducedModel, ReductionSettings
+from cpam_bayes.forward_model.reduction import reduce
 from cpam_bayes.forward_model.store import reduced_model
 from cpam_bayes.inference.chains.ensemble import EnsembleSettings
 from cpam_bayes.inference.chains.sampling import sample_posterior

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from cpam_bayes.effects import add_known_mass
-from cpam_bayes.mechanics.affine import discretise
+from cpam_bayes.mechanics.dense import discretise
 from cpam_bayes.mechanics.modes import RigidBodyError, Spectrum, solve
 from cpam_bayes.mechanics.problem import AREA, EDGES, FIELDS, Atom, Form, Problem, Region, Term
 from cpam_bayes.mechanics.spaces.fem import FULL, FemSpace, fem_space, fem_space_from_mesh

@@ -17,7 +17,8 @@ from cpam_bayes.forward_model.model import (
     plate_problem,
     training_sets,
 )
-from cpam_bayes.mechanics.affine import _LARGE, AffineOperator, discretise
+from cpam_bayes.mechanics.affine import _LARGE, AffineOperator
+from cpam_bayes.mechanics.dense import discretise
 from cpam_bayes.mechanics.modes import (
     RigidBodyError,
     eigenvalue_derivatives,

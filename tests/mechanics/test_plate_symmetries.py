@@ -12,7 +12,8 @@ import scipy.optimize
 
 from cpam_bayes.effects import add_known_mass
 from cpam_bayes.forward_model.model import NO_PARAMETERS, converged_model
-from cpam_bayes.mechanics.affine import DenseOperator, discretise, discretise_at
+from cpam_bayes.mechanics.affine import DenseOperator
+from cpam_bayes.mechanics.dense import discretise, discretise_at
 from cpam_bayes.mechanics.modes import Spectrum, solve
 from cpam_bayes.mechanics.problem import FIELDS, Field, Problem, Region, rigid_body_count
 from cpam_bayes.mechanics.spaces.protocol import Quadrature

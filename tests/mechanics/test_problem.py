@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from cpam_bayes.effects import add_known_mass
-from cpam_bayes.mechanics.affine import MATRICES, DenseOperator, discretise
+from cpam_bayes.mechanics.affine import DenseOperator
+from cpam_bayes.mechanics.dense import MATRICES, discretise
 from cpam_bayes.mechanics.problem import (
     AREA,
     FIELDS,

@@ -10,7 +10,7 @@ import scipy.linalg
 from scipy.sparse.linalg import splu
 
 from cpam_bayes.effects import add_known_mass
-from cpam_bayes.mechanics.affine import MATRICES, discretise
+from cpam_bayes.mechanics.dense import MATRICES, discretise
 from cpam_bayes.mechanics.modes import RigidBodyError, energy_terms, solve
 from cpam_bayes.mechanics.problem import FIELDS, PlateState, Problem, Values, bare_plate
 from cpam_bayes.mechanics.shapes import describe_modes
