@@ -40,11 +40,14 @@ class Cause:
     """One cause as the data see it, its variants summed.
 
     plates : names of those that have it in its most probable variant, all where they share it.
-    log_bayes_factor : against none, the variants averaged over their priors. parameters : name -> mean, sd
-    and unit in that variant; of the magnitude where either sign is as probable. indistinguishable_from : by
-    their signatures. max_shift : largest relative shift of a frequency at one standard deviation. absorbed :
-    whether the constants hide it; visible : share of its signature that they do not imitate. bias : name ->
-    relative change of a constant that imitates it.
+    log_bayes_factor : against none, the variants averaged over their priors.
+    log_evidence_error, k_hat : of the most probable variant, ``nan`` where it was not sampled.
+    parameters : name -> mean, sd and unit in that variant; of the magnitude where either sign is as probable.
+    indistinguishable_from : causes with the same signature.
+    max_shift : largest relative shift of a frequency at one standard deviation.
+    absorbed : whether the constants hide it.
+    visible : fraction of its signature that they do not imitate.
+    bias : name -> relative change of a constant that imitates it.
     """
 
     name: str
@@ -52,6 +55,8 @@ class Cause:
     plates: tuple[str, ...]
     probability: float
     log_bayes_factor: float
+    log_evidence_error: float
+    k_hat: float
     parameters: Mapping[str, tuple[float, float, str]]
     indistinguishable_from: tuple[str, ...]
     max_shift: float
@@ -163,6 +168,8 @@ def _causes(
                 plates=tuple(cases[i].name for i in t.plates),
                 probability=probability,
                 log_bayes_factor=weighed.log_bayes_factor((name,)),
+                log_evidence_error=t.marginal.error,
+                k_hat=t.marginal.k_hat,
                 parameters=_parameters(t),
                 indistinguishable_from=like.get(name, ()),
                 max_shift=signature.largest if signature else 0.0,

@@ -24,9 +24,13 @@ _DRAWS = 1024
 class Fit:
     """What a model makes of the lists.
 
-    constants : name -> mean, sd, 2.5 % and 97.5 % quantile, SI. predicted, predicted_sd, sigma : of all
-    frequencies, plate by plate. rms : relative. p_value : posterior predictive, of the sum of squared
-    standardised residuals. draws : (d, n_constants) behind it, equally probable.
+    constants : name -> mean, sd, 2.5 % and 97.5 % quantile, SI.
+    predicted, predicted_sd, sigma : of all frequencies, plate by plate.
+    rms : relative.
+    p_value : posterior predictive, of the sum of squared standardised residuals.
+    log_evidence : prior-weighted over the members.
+    log_evidence_error, k_hat : largest of the members that were sampled, ``nan`` where none was.
+    draws : (d, n_constants) behind it, equally probable.
     """
 
     constants: Mapping[str, tuple[float, float, float, float]]
@@ -37,6 +41,8 @@ class Fit:
     rms: float
     p_value: float
     log_evidence: float
+    log_evidence_error: float
+    k_hat: float
     draws: Array
 
     @property
@@ -48,6 +54,7 @@ class Fit:
 def fit_of(members: Sequence[tuple[Tested, float]], whole: Array) -> Fit:
     """The fit of a mixture of hypotheses with the same constants; whole : all listed frequencies."""
     first = members[0][0].marginal.comparison
+    sampled = [t for t, _ in members if np.isfinite(t.marginal.error)]
     model_names = first.model.parameters.names
     shared = [n for n in model_names if all(n in t.marginal.comparison.parameters.names for t, _ in members)]
     own = [n for n in shared if n not in {p.name for t, _ in members for p in t.hypothesis.parameters}]
@@ -88,5 +95,7 @@ def fit_of(members: Sequence[tuple[Tested, float]], whole: Array) -> Fit:
                 b=[t.hypothesis.prior / sum(m.hypothesis.prior for m, _ in members) for t, _ in members],
             )
         ),
+        log_evidence_error=max((t.marginal.error for t in sampled), default=np.nan),
+        k_hat=max((t.marginal.k_hat for t in sampled), default=np.nan),
         draws=x,
     )

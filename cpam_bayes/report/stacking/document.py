@@ -82,6 +82,7 @@ def _sequence(result: StackingPosterior, mixture: StackingMixture, i: int) -> di
         "same_bending_deg": result.grid_deg[result.same_bending[i]].tolist(),
         "log_evidence": float(result.log_evidence[i]),
         "log_evidence_error": float(result.log_evidence_error[i]),
+        "k_hat": float(result.components.conditionals.k_hat[i]),
         "constants": _by_name(result, mean),
         "constants_sd": _by_name(result, sd),
         "sampled_by": by,
@@ -104,6 +105,7 @@ def _given(result: StackingPosterior, mixture: StackingMixture, given: GivenLayu
         "rank": given.rank,
         "log_evidence": given.log_evidence,
         "log_evidence_error": given.log_evidence_error,
+        "k_hat": given.k_hat,
         "constants": None if component is None else _by_name(result, component.chains.mean),
         "constants_sd": None if component is None else _by_name(result, component.chains.sd),
     }

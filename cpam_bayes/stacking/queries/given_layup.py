@@ -24,6 +24,7 @@ class GivenLayup:
     index : of its class in ``StackingPosterior.top``, ``None`` where it is not listed.
     probability : of the single sequence.
     log_evidence, log_evidence_error : nats.
+    k_hat : Pareto shape of the largest weights of its importance sampling.
     fits : of this sequence, one row.
     """
 
@@ -32,6 +33,7 @@ class GivenLayup:
     probability: float
     log_evidence: float
     log_evidence_error: float
+    k_hat: float
     fits: ConditionalFits
 
     @property
@@ -67,6 +69,7 @@ def given_layup(answer: StackingPosterior, angles_deg: Array, log2_points: int =
             float(answer.probability[i]),
             float(answer.log_evidence[i]),
             float(answer.log_evidence_error[i]),
+            float(listed.conditionals.k_hat[i]),
             listed.fits[i : i + 1],
         )
     best = np.argsort(-listed.fits.log_evidence, kind="stable")[:4]
@@ -76,4 +79,5 @@ def given_layup(answer: StackingPosterior, angles_deg: Array, log2_points: int =
     log_evidence = float(conditional.log_evidence[0])
     total = answer.log_evidence_total + float(np.log(answer.enumerated))
     probability = float(np.exp(log_evidence - total))
-    return GivenLayup(on_grid, None, probability, log_evidence, float(conditional.error[0]), fits)
+    error, k_hat = float(conditional.error[0]), float(conditional.k_hat[0])
+    return GivenLayup(on_grid, None, probability, log_evidence, error, k_hat, fits)
