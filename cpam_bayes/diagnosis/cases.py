@@ -15,7 +15,7 @@ from cpam_bayes.diagnosis.models import PlateModels, plate_models
 from cpam_bayes.effects import CATALOGUE, Effect
 from cpam_bayes.forward_model.labels import labelled_model, list_order
 from cpam_bayes.forward_model.model import reference_vector
-from cpam_bayes.inference.optimise import climb
+from cpam_bayes.inference.optimise import maximise
 from cpam_bayes.inference.posterior import plate_posterior
 from cpam_bayes.inference.standard_normal import MAX_SCORE
 from cpam_bayes.parameters import Parameter
@@ -25,9 +25,9 @@ Array = NDArray[Any]
 
 # Modes computed beyond a complete list, which may lack two, and beyond one that says it is incomplete.
 _SPARE, _MORE_SPARE = 2, 6
-# Points of the prior at which the pairing of an incomplete list is sought, those of them climbed
-# from, and turns of pairing and climbing at most.
-_POINTS, _CLIMBED, _MOST_TURNS = 512, 6, 8
+# Points of the prior at which the pairing of an incomplete list is sought, those of them optimised
+# from, and turns of pairing and optimising at most.
+_POINTS, _OPTIMISED, _MOST_TURNS = 512, 6, 8
 
 
 def plate_case(specimen: Specimen, notify: Callable[[str], None] = lambda text: None) -> PlateCase:
@@ -175,7 +175,7 @@ def _most_probable_pairing(models: PlateModels, measurement: Measurement) -> Arr
     points = posterior.parameters.sample(np.random.default_rng(0), _POINTS)
     points = points[models.bare.admissible(points[:, : models.parameters.size])]
     found: dict[bytes, tuple[float, Array]] = {}
-    for start in points[np.argsort(-posterior.log_prob(points), kind="stable")[:_CLIMBED]]:
+    for start in points[np.argsort(-posterior.log_prob(points), kind="stable")[:_OPTIMISED]]:
         x, seen = start, set[bytes]()
         for _ in range(_MOST_TURNS):
             mode = posterior.most_probable_pairing(x).mode
@@ -193,15 +193,15 @@ def _first(entry: tuple[float, Array]) -> float:
 
 
 def _best_constants(models: PlateModels, measurement: Measurement, mode: Array, x: Array) -> Array:
-    """The most probable parameters of a pairing, by a climb from x (n,)."""
+    """The most probable parameters of a pairing, by an optimisation from x (n,)."""
     kept = mode >= 0
     case = PlateCase(models, _only(measurement, kept), mode[kept])
     comparison = comparison_of([case], Hypothesis(NONE, NONE))
     bound = np.full(len(x), MAX_SCORE)
-    summit = climb(
+    maxima = maximise(
         lambda z, rows: comparison.expand(z), comparison.scores.to_z(x[None]), -bound, bound, promised=1e-2
     )
-    return np.asarray(comparison.scores.to_x(summit.u[0]))
+    return np.asarray(comparison.scores.to_x(maxima.u[0]))
 
 
 def _only(measurement: Measurement, kept: Array) -> Measurement:

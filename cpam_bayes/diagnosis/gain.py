@@ -87,7 +87,7 @@ def left_out(cases: Sequence[PlateCase], t: Tested, n: int, none: Marginal | Non
     explains is the one left out.
     """
     found = np.full(n, t.marginal.log_evidence)
-    look = t.marginal if t.marginal.is_climbed and t.marginal.quadrature is not None else None
+    first = t.marginal if t.marginal.is_refined and t.marginal.quadrature is not None else None
     listed = t.hypothesis.listed
     before = sum(case.measurement.size for case in cases[: t.plates[0]])  # frequencies of other plates
     for i in range(n):
@@ -99,7 +99,7 @@ def left_out(cases: Sequence[PlateCase], t: Tested, n: int, none: Marginal | Non
                 continue
             at = i - (i > before + listed.spurious)
         marginal = marginal_of(
-            cases, t.hypothesis, t.plates, scatter=scatter, none=none, left_out=at, first_look=look
+            cases, t.hypothesis, t.plates, scatter=scatter, none=none, left_out=at, screened=first
         )
         found[i] = sampled_marginal(marginal).log_evidence
     return found

@@ -1,4 +1,4 @@
-"""Optima of a posterior, and its Gaussian and Student-t pictures about them (Laplace's method)."""
+"""Optima of a posterior, and its Gaussian and Student-t approximations about them (Laplace's method)."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from cpam_bayes.inference.derivatives import (
     log_density,
     prior_sd,
 )
-from cpam_bayes.inference.optimise import climb, free_coordinates, polish
+from cpam_bayes.inference.optimise import free_coordinates, maximise, polish
 from cpam_bayes.inference.posterior import Posterior
 from cpam_bayes.inference.student_mixture import log_student_t
 from cpam_bayes.inference.truncated import log_box_mass
 
 __all__ = [
     "Approximation",
-    "GaussianPicture",
+    "GaussianApproximation",
     "Optimum",
     "approximate",
     "find_optima",
@@ -50,11 +50,11 @@ _WIDEST = 5.0
 _DIP = 0.1
 _BETWEEN = np.linspace(0.0, 1.0, 12)[1:-1]
 # Optima this far below the best one carry nothing.
-_HOPELESS = 30.0
+_NEGLIGIBLE_NATS = 30.0
 
 
 @dataclass(frozen=True, slots=True)
-class GaussianPicture:
+class GaussianApproximation:
     """A posterior as a Gaussian about one optimum.
 
     optimum : (n,). covariance : (n, n), the inverse of the Gauss-Newton Hessian with the variances
@@ -108,8 +108,8 @@ def find_optima(
 ) -> tuple[Optimum, ...]:
     """The distinct local maxima next to given starts and to draws from the prior, the best first.
 
-    All starts climb at once by damped Gauss-Newton steps (``climb``); what they reach is parted into
-    optima with a dip between them, and each is polled from 0.01 to 3 standard deviations around
+    All starts are optimised at once by damped Gauss-Newton steps (``maximise``); what they reach is parted
+    into optima with a dip between them, and each is polled from 0.01 to 3 standard deviations around
     (``polish``), which catches false convergence where modes cross. Optima more than 30 nats below the
     best are dropped, and all after the best ``most``. Raises ``ValueError`` where no start lies in the
     support of the prior.
@@ -134,9 +134,9 @@ def find_optima(
     def value(u: Array) -> Array:
         return log_density(posterior, axes, u)
 
-    summit = climb(target, axes.to_u(starts), axes.lower, axes.upper)
-    rough = _distinct(value, summit.u, summit.expansion.value, 3 * most)
-    polished = [polish(value, target, summit, i, axes.lower, axes.upper) for i in rough]
+    maxima = maximise(target, axes.to_u(starts), axes.lower, axes.upper)
+    rough = _distinct(value, maxima.u, maxima.expansion.value, 3 * most)
+    polished = [polish(value, target, maxima, i, axes.lower, axes.upper) for i in rough]
     points, heights = np.stack([p[0] for p in polished]), np.array([p[1].value[0] for p in polished])
     kept = _distinct(value, points, heights, most)
     return tuple(_optimum(posterior, axes, *polished[i]) for i in kept)
@@ -151,7 +151,8 @@ def _optimum(
 
 def _distinct(value: Callable[[Array], Array], u: Array, height: Array, most: int) -> list[int]:
     """Indices of points (m, n) that are parted by a dip from every better one, the best first."""
-    order = [int(i) for i in np.argsort(-height, kind="stable") if height[i] > height.max() - _HOPELESS]
+    least = height.max() - _NEGLIGIBLE_NATS
+    order = [int(i) for i in np.argsort(-height, kind="stable") if height[i] > least]
     kept: list[int] = []
     for i in order:
         if len(kept) == most:
@@ -165,13 +166,13 @@ def _distinct(value: Callable[[Array], Array], u: Array, height: Array, most: in
     return kept
 
 
-def optimise(posterior: Posterior, start: Array) -> GaussianPicture:
+def optimise(posterior: Posterior, start: Array) -> GaussianApproximation:
     """The optimum of the posterior next to ``start`` (n,), bounded by the priors' support.
 
     Raises ``ValueError`` if the start lies outside the support of the prior.
     """
     best = find_optima(posterior, start[None])[0]
-    return GaussianPicture(best.x, best.log_prob, gauss_newton_covariance(posterior, best.x))
+    return GaussianApproximation(best.x, best.log_prob, gauss_newton_covariance(posterior, best.x))
 
 
 def gauss_newton_covariance(posterior: Posterior, x: Array) -> Array:

@@ -22,7 +22,7 @@ Array = NDArray[Any]
 
 # Gain in nats that further steps must promise.
 _PROMISE = 1e-9
-# Damping relative to the diagonal of the curvature: at first, and where a climb is given up.
+# Damping relative to the diagonal of the curvature: at first, and where an optimisation is given up.
 _DAMPING, _MOST_DAMPING = 1e-2, 1e9
 # Longest step in a coordinate: one standard deviation of a prior.
 _LONGEST = 1.0
@@ -35,11 +35,11 @@ _MOST_POLLS = 25
 
 
 @dataclass(frozen=True, slots=True)
-class Summit:
-    """Where m climbs ended.
+class Maxima:
+    """Where m optimisations ended.
 
     u : (m, n). expansion : there. converged : (m,) bool, no step promised a gain; a kink can make that
-    look so. steps : evaluations of the longest climb.
+    look so. steps : evaluations of the longest optimisation.
     """
 
     u: Array
@@ -53,7 +53,7 @@ def free_coordinates(u: Array, gradient: Array, lower: Array, upper: Array) -> A
     return np.asarray(~(((u <= lower) & (gradient < 0)) | ((u >= upper) & (gradient > 0))))
 
 
-def climb(
+def maximise(
     target: Callable[[Array, Array], Expansion],
     start: Array,
     lower: Array,
@@ -61,15 +61,15 @@ def climb(
     *,
     most_steps: int = 60,
     promised: float = _PROMISE,
-) -> Summit:
-    """Local maxima next to a stack of starts (m, n), all climbed at once (Levenberg-Marquardt).
+) -> Maxima:
+    """Local maxima next to a stack of starts (m, n), all optimised at once (Levenberg-Marquardt).
 
     Steps solve (C + d diag C) s = g in the coordinates that no bound holds, are cut at the bounds, and
     raise or lower the damping d as they fail or succeed (More, 1978; bounds as in Bertsekas, 1982).
 
-    target : (u (k, n), rows (k,)) -> expansion, ``rows`` being the climbs that the points belong to, so
+    target : (u (k, n), rows (k,)) -> expansion, ``rows`` being the starts that the points belong to, so
     that each may have a density of its own. lower, upper : (n,). promised : gain in nats below which a
-    climb ends.
+    optimisation ends.
     """
     u = np.clip(np.array(start, dtype=float), lower, upper)
     m = len(u)
@@ -100,7 +100,7 @@ def climb(
         value[taken] = trial.value[better]
         gradient[taken], curvature[taken] = trial.gradient[better], trial.curvature[better]
         live[rows[damping[rows] > _MOST_DAMPING]] = False
-    return Summit(u, Expansion(value, gradient, curvature), converged, steps)
+    return Maxima(u, Expansion(value, gradient, curvature), converged, steps)
 
 
 def _step(
@@ -137,18 +137,18 @@ def _directions(n: int) -> Array:
 def polish(
     value: Callable[[Array], Array],
     target: Callable[[Array, Array], Expansion],
-    summit: Summit,
+    maxima: Maxima,
     row: int,
     lower: Array,
     upper: Array,
 ) -> tuple[Array, Expansion, bool]:
     """One optimum made sure of: polled from 0.01 to 3 standard deviations around, left while that pays.
 
-    After each gain the climb starts again, from the better point. value : (k, n) -> (k,) log density.
+    After each gain the optimisation starts again, from the better point. value : (k, n) -> (k,) log density.
     Returns the optimum (n,), the expansion there (m = 1) and whether the last poll found nothing better.
     """
-    u = summit.u[row]
-    found = Expansion(*(a[row : row + 1] for a in _parts(summit.expansion)))
+    u = maxima.u[row]
+    found = Expansion(*(a[row : row + 1] for a in _parts(maxima.expansion)))
     n = len(u)
     for _ in range(_MOST_POLLS):
         covariance = np.linalg.inv(found.curvature[0] + np.eye(n))
@@ -158,7 +158,7 @@ def polish(
         best = int(np.argmax(np.where(np.isnan(values), -np.inf, values)))
         if not values[best] > found.value[0] + _BETTER:
             return u, found, True
-        again = climb(target, points[best : best + 1], lower, upper)
+        again = maximise(target, points[best : best + 1], lower, upper)
         u, found = again.u[0], again.expansion
     return u, found, False
 

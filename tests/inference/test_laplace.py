@@ -224,13 +224,13 @@ def test_covariance_adds_the_variance_of_the_priors() -> None:
 @pytest.mark.parametrize("nu", [np.inf, 5.0])
 def test_a_stack_of_evidences_is_what_each_gives_alone(nu: float) -> None:
     """Optima inside, on an edge and in a corner, of one posterior with moved data each."""
-    pictures, parts = [], []
+    evidences, parts = [], []
     for off in ((4.0, 6.0), (-2.0, 6.0), (-1.0, 13.0)):
         own = independent(off)
         (optimum,) = find_optima(own, NOWHERE, np.random.default_rng(0))
         axes = coordinates(own)
         e = expand_u(own, axes, optimum.u[None])
         parts.append((e.value, e.gradient, e.curvature, optimum.u[None]))
-        pictures.append(approximate(own, optimum, "gauss-newton", nu).log_evidence)
+        evidences.append(approximate(own, optimum, "gauss-newton", nu).log_evidence)
     stacked = [np.concatenate(p) for p in zip(*parts, strict=True)]
-    np.testing.assert_allclose(laplace_log_evidence(*stacked, axes, nu), pictures, rtol=1e-9)
+    np.testing.assert_allclose(laplace_log_evidence(*stacked, axes, nu), evidences, rtol=1e-9)

@@ -1,4 +1,4 @@
-"""Damped Gauss-Newton climbs within bounds, and the polls that leave false optima."""
+"""Damped Gauss-Newton optimisations within bounds, and the polls that leave false optima."""
 
 from __future__ import annotations
 
@@ -7,17 +7,17 @@ import pytest
 from scipy.optimize import lsq_linear
 
 from cpam_bayes.inference.derivatives import Expansion
-from cpam_bayes.inference.optimise import climb, polish
+from cpam_bayes.inference.optimise import maximise, polish
 
 A = np.array([[2.0, 1.0], [0.5, 1.5], [1.0, -1.0]])
 B = np.array([[1.0, -0.4, 0.3], [-9.0, 4.0, 1.0], [0.0, 9.0, -9.0]])
 LOWER, UPPER = np.array([-1.0, -1.0]), np.array([1.0, 1.0])
-# What is left to gain when a climb ends, 1e-9, over the least curvature, 2.9: sqrt(2 * 1e-9 / 2.9).
+# What is left to gain when an optimisation ends, 1e-9, over the least curvature, 2.9: sqrt(2 * 1e-9 / 2.9).
 NEAR = 2.7e-5
 
 
 def least_squares(u: np.ndarray, rows: np.ndarray) -> Expansion:
-    """-|A u - b|^2 / 2 with a b of its own for every climb."""
+    """-|A u - b|^2 / 2 with a b of its own for every optimisation."""
     r = u @ A.T - B[rows]
     bend = np.broadcast_to(A.T @ A, (len(u), 2, 2))
     return Expansion(-0.5 * np.sum(r**2, axis=1), -r @ A, bend)
@@ -35,7 +35,7 @@ def kink(u: np.ndarray, rows: np.ndarray) -> Expansion:
 
 def test_bounded_least_squares_ends_where_an_independent_program_does() -> None:
     start = np.random.default_rng(0).uniform(-1.0, 1.0, size=(3, 2))
-    found = climb(least_squares, start, LOWER, UPPER)
+    found = maximise(least_squares, start, LOWER, UPPER)
     assert found.converged.all()
     for i in range(3):
         expected = lsq_linear(A, B[i], bounds=(LOWER, UPPER), tol=1e-14).x
@@ -49,7 +49,7 @@ def test_no_point_outside_the_bounds_is_asked_for() -> None:
         assert np.all((u >= LOWER) & (u <= UPPER))
         return least_squares(u, rows)
 
-    climb(watched, np.full((3, 2), 5.0), LOWER, UPPER)
+    maximise(watched, np.full((3, 2), 5.0), LOWER, UPPER)
 
 
 def test_a_start_outside_the_support_stays_and_is_not_converged() -> None:
@@ -57,7 +57,7 @@ def test_a_start_outside_the_support_stays_and_is_not_converged() -> None:
         found = least_squares(u, rows)
         return Expansion(np.where(u[:, 0] > 0.5, -np.inf, found.value), found.gradient, found.curvature)
 
-    found = climb(holed, np.array([[0.9, 0.0], [0.0, 0.0]]), LOWER, UPPER)
+    found = maximise(holed, np.array([[0.9, 0.0], [0.0, 0.0]]), LOWER, UPPER)
     assert not found.converged[0]
     np.testing.assert_array_equal(found.u[0], [0.9, 0.0])
     assert np.isfinite(found.expansion.value[1])
@@ -65,8 +65,8 @@ def test_a_start_outside_the_support_stays_and_is_not_converged() -> None:
 
 def test_steps_that_shrink_at_a_kink_are_seen_through_by_polls() -> None:
     start = np.array([[-0.9, -0.5]])
-    stuck = climb(kink, start, LOWER, UPPER)
-    # on the ridge every step loses: the climb ends far from the top, which is 0 at (0.8, 0.8)
+    stuck = maximise(kink, start, LOWER, UPPER)
+    # on the ridge every step loses: the optimisation ends far from the top, which is 0 at (0.8, 0.8)
     assert stuck.expansion.value[0] < -0.5
 
     def value(u: np.ndarray) -> np.ndarray:
@@ -79,12 +79,12 @@ def test_steps_that_shrink_at_a_kink_are_seen_through_by_polls() -> None:
 
 
 def test_polls_leave_a_true_optimum_where_it_is() -> None:
-    summit = climb(least_squares, np.zeros((1, 2)), LOWER, UPPER)
+    maxima = maximise(least_squares, np.zeros((1, 2)), LOWER, UPPER)
 
     def value(u: np.ndarray) -> np.ndarray:
         return least_squares(u, np.zeros(len(u), dtype=int)).value
 
-    u, _, verified = polish(value, least_squares, summit, 0, LOWER, UPPER)
+    u, _, verified = polish(value, least_squares, maxima, 0, LOWER, UPPER)
     assert verified
-    np.testing.assert_array_equal(u, summit.u[0])
+    np.testing.assert_array_equal(u, maxima.u[0])
     assert pytest.approx(lsq_linear(A, B[0], bounds=(LOWER, UPPER)).x, abs=NEAR) == u

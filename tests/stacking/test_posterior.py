@@ -227,11 +227,11 @@ def test_fits_from_neighbours_agree_with_fits_from_many_starts(
     near = around.nearest(features)
     best = exact.log_evidence + np.log(exact.weight.max(axis=1))
     found = locate(own, grid, sequences, near, best - 0.3, common, None)
-    # one start may end in a lesser optimum; beyond 0.3 nats of what is expected the climb is repeated
+    # one start may end in a lesser optimum; beyond 0.3 nats of what is expected the optimisation is repeated
     miss = found.log_evidence - best
     assert np.mean(np.abs(miss) <= 0.01) >= 0.75
     assert miss.min() >= -0.3
-    assert miss.max() <= np.log(2.0)  # a climb repeated from two starts may count both optima
+    assert miss.max() <= np.log(2.0)  # an optimisation repeated from two starts may count both optima
 
 
 def test_a_focused_model_has_the_frequencies_of_the_whole_with_fewer_vectors(

@@ -1,4 +1,4 @@
-"""Starts of climbs: the members of a library that suit a list best."""
+"""Starts of optimisations: the members of a library that suit a list best."""
 
 from functools import cache
 

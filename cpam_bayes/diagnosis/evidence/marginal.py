@@ -19,25 +19,25 @@ from cpam_bayes.diagnosis.evidence.comparison import Comparison
 from cpam_bayes.diagnosis.evidence.proposals import about_nodes
 from cpam_bayes.inference.derivatives import Expansion
 from cpam_bayes.inference.importance import staged_importance
-from cpam_bayes.inference.optimise import climb
+from cpam_bayes.inference.optimise import maximise
 from cpam_bayes.inference.standard_normal import MAX_SCORE
 from cpam_bayes.inference.student_mixture import sobol_points
 from cpam_bayes.threads import single_blas_thread
 
 Array = NDArray[Any]
 
-# Scores of the first grid; intervals are halved where the log density changes by more than _STEEP within
-# _DEEP of the best, but never below _FINEST.
+# Scores of the first grid; intervals are halved where the log density changes by more than _STEEP_NATS
+# within _DEPTH_NATS of the best, but never below _FINEST.
 GRID = np.linspace(-3.6, 3.6, 19)
-_STEEP, _DEEP, _FINEST, _MOST_HALVINGS = 1.0, 9.0, 0.01, 6
-# Climbs end where a step promises less than this, nats, or after so many steps.
+_STEEP_NATS, _DEPTH_NATS, _FINEST, _MOST_HALVINGS = 1.0, 9.0, 0.01, 6
+# Optimisations end where a step promises less than this, nats, or after so many steps.
 _PROMISED, _MOST_STEPS = 3e-3, 12
-# Local maxima of the first grid that are climbed from.
+# Local maxima of the first grid that are optimised from.
 _MOST_PEAKS = 3
-# Nodes of a first look below this share of the best one are not climbed.
-_HOPELESS = 1e-5
-# Neighbouring optima further apart, standard deviations, may be those of two hills.
-_FAR = 2.0
+# Screened nodes below this fraction of the best one are not refined.
+_NEGLIGIBLE_FRACTION = 1e-5
+# Neighbouring optima further apart, standard deviations, may be those of two modes.
+_MAX_DISTANCE_SD = 2.0
 # Points of the fine quadrature between the nodes.
 _FINE = 1601
 # Importance sampling: degrees of freedom and widening of the proposal, log2 of its points.
@@ -55,7 +55,7 @@ class Marginal:
     curvature : (k, n - 1, n - 1), or (1, n, n) without quadrature.
     weight : (k,) fractions of the evidence.
     draws, log_weight : (d, n) parameters and (d,) their normalised log weights.
-    is_climbed : whether the optima are, or only screened.
+    is_refined : whether the optima are, or only screened.
     """
 
     comparison: Comparison
@@ -68,7 +68,7 @@ class Marginal:
     draws: Array
     log_weight: Array
 
-    is_climbed: bool = True
+    is_refined: bool = True
     effective_size: float = np.nan
     k_hat: float = np.nan
 
@@ -97,23 +97,23 @@ def laplace_marginal(
     starts: Array,
     *,
     floor: float = -np.inf,
-    first_look: Marginal | None = None,
+    screened: Marginal | None = None,
 ) -> Marginal:
     """The marginal likelihood by quadrature over the score of one parameter, or without.
 
-    starts : (s, n) scores that climbs begin from. floor : a log evidence below which the grid is not
-    refined, as the hypothesis carries nothing. first_look : the same over nodes of its own, which are climbed
+    starts : (s, n) scores that optimisations begin from. floor : a log evidence below which the grid is not
+    refined, as the hypothesis carries nothing. screened : the same over nodes of its own, which are optimised
     from where it stands, instead of the whole grid from the starts. The draws are those of the Laplace
-    picture.
+    approximation.
     """
     if quadrature is None:
-        return _at_one_node(comparison, starts if first_look is None else first_look.z[:1])
-    if first_look is None:
+        return _at_one_node(comparison, starts if screened is None else screened.z[:1])
+    if screened is None:
         rest = np.delete(starts, quadrature, axis=1)
-        nodes = _climbed(comparison, quadrature, GRID, np.tile(rest, (len(GRID), 1, 1)))
+        nodes = _optimised(comparison, quadrature, GRID, np.tile(rest, (len(GRID), 1, 1)))
     else:
-        score, begin = _promising(first_look, quadrature)
-        nodes = _climbed(comparison, quadrature, score, begin)
+        score, begin = _promising(screened, quadrature)
+        nodes = _optimised(comparison, quadrature, score, begin)
     nodes = _from_neighbours(comparison, quadrature, nodes)
     nodes = _with_peaks(comparison, quadrature, nodes)
     if nodes.log_density.max() > floor:
@@ -121,7 +121,7 @@ def laplace_marginal(
             new, begin = _halved(nodes)
             if not len(new):
                 break
-            nodes = _merged(nodes, _climbed(comparison, quadrature, new, begin))
+            nodes = _merged(nodes, _optimised(comparison, quadrature, new, begin))
     log_z, weight = _integrated(nodes)
     z = np.insert(nodes.rest, quadrature, nodes.score, axis=1)
     return _with_draws(comparison, quadrature, log_z, z, nodes.curvature, weight)
@@ -138,18 +138,18 @@ def _with_draws(
 
 
 def _at_one_node(comparison: Comparison, starts: Array) -> Marginal:
-    summit = climb(
+    maxima = maximise(
         lambda z, rows: comparison.expand(z),
         starts,
         *(np.full(starts.shape[1], v) for v in (-MAX_SCORE, MAX_SCORE)),
         most_steps=2 * _MOST_STEPS,
         promised=_PROMISED,
     )
-    best = int(np.argmax(np.where(np.isfinite(summit.expansion.value), summit.expansion.value, -np.inf)))
+    best = int(np.argmax(np.where(np.isfinite(maxima.expansion.value), maxima.expansion.value, -np.inf)))
     n = starts.shape[1]
-    curvature = summit.expansion.curvature[best]
-    log_z = float(summit.expansion.value[best] + n * _HALF_LOG_2PI - 0.5 * np.linalg.slogdet(curvature)[1])
-    return _with_draws(comparison, None, log_z, summit.u[best][None], curvature[None], np.ones(1))
+    curvature = maxima.expansion.curvature[best]
+    log_z = float(maxima.expansion.value[best] + n * _HALF_LOG_2PI - 0.5 * np.linalg.slogdet(curvature)[1])
+    return _with_draws(comparison, None, log_z, maxima.u[best][None], curvature[None], np.ones(1))
 
 
 @single_blas_thread
@@ -189,16 +189,16 @@ class _Nodes:
         return np.asarray(self.value + n * _HALF_LOG_2PI - 0.5 * np.linalg.slogdet(self.curvature)[1])
 
 
-def _promising(look: Marginal, quadrature: int) -> tuple[Array, Array]:
+def _promising(screened: Marginal, quadrature: int) -> tuple[Array, Array]:
     """Scores (k,) of nodes that may carry mass, without gaps, and a start (k, 1, n - 1) at each."""
-    order = np.argsort(look.z[:, quadrature])
-    z, weight = look.z[order], look.weight[order]
-    kept = np.flatnonzero(weight > _HOPELESS * weight.max())
+    order = np.argsort(screened.z[:, quadrature])
+    z, weight = screened.z[order], screened.weight[order]
+    kept = np.flatnonzero(weight > _NEGLIGIBLE_FRACTION * weight.max())
     z = z[max(kept[0] - 1, 0) : kept[-1] + 2]
     return z[:, quadrature], np.delete(z, quadrature, axis=1)[:, None]
 
 
-def _climbed(comparison: Comparison, quadrature: int, score: Array, starts: Array) -> _Nodes:
+def _optimised(comparison: Comparison, quadrature: int, score: Array, starts: Array) -> _Nodes:
     """The best optimum at every score (k,) from starts (k, s, n - 1)."""
     k, s, n = starts.shape
     of_node = np.repeat(score, s)
@@ -210,26 +210,26 @@ def _climbed(comparison: Comparison, quadrature: int, score: Array, starts: Arra
         return Expansion(e.value, e.gradient[:, rest_columns], e.curvature[own])
 
     bound = np.full(n, MAX_SCORE)
-    summit = climb(
+    maxima = maximise(
         target, starts.reshape(k * s, n), -bound, bound, most_steps=_MOST_STEPS, promised=_PROMISED
     )
-    value = np.where(np.isfinite(summit.expansion.value), summit.expansion.value, -1e300).reshape(k, s)
+    value = np.where(np.isfinite(maxima.expansion.value), maxima.expansion.value, -1e300).reshape(k, s)
     best = np.arange(k) * s + value.argmax(axis=1)
-    return _Nodes(score, value.max(axis=1), summit.u[best], summit.expansion.curvature[best])
+    return _Nodes(score, value.max(axis=1), maxima.u[best], maxima.expansion.curvature[best])
 
 
 def _from_neighbours(comparison: Comparison, quadrature: int, nodes: _Nodes) -> _Nodes:
-    """The nodes climbed again from what the better of their neighbours found: crossing modes part climbs."""
+    """The nodes optimised again from the better of their neighbours' optima: crossing modes part them."""
     k = len(nodes.score)
     height = np.concatenate(([-np.inf], nodes.value, [-np.inf]))
     better_side = np.where(height[:-2] > height[2:], -1, 1)
     start = nodes.rest[np.clip(np.arange(k) + better_side, 0, k - 1)]
     away = start - nodes.rest
-    far = np.einsum("ki,kij,kj->k", away, nodes.curvature, away) > _FAR**2
-    rows = np.flatnonzero(far & (nodes.value > nodes.value.max() - 2 * _DEEP))
+    far = np.einsum("ki,kij,kj->k", away, nodes.curvature, away) > _MAX_DISTANCE_SD**2
+    rows = np.flatnonzero(far & (nodes.value > nodes.value.max() - 2 * _DEPTH_NATS))
     if not len(rows):
         return nodes
-    again = _climbed(comparison, quadrature, nodes.score[rows], start[rows, None])
+    again = _optimised(comparison, quadrature, nodes.score[rows], start[rows, None])
     better = again.value > nodes.value[rows] + 1e-3
     rows = rows[better]
     value, rest, curvature = nodes.value.copy(), nodes.rest.copy(), nodes.curvature.copy()
@@ -242,13 +242,13 @@ def _from_neighbours(comparison: Comparison, quadrature: int, nodes: _Nodes) -> 
 
 
 def _with_peaks(comparison: Comparison, quadrature: int, nodes: _Nodes) -> _Nodes:
-    """The nodes, and where climbs over all scores end that begin at their local maxima."""
+    """The nodes, and where optimisations over all scores end that begin at their local maxima."""
     padded = np.concatenate(([-np.inf], nodes.value, [-np.inf]))
     peaks = np.flatnonzero((padded[1:-1] >= padded[:-2]) & (padded[1:-1] >= padded[2:]))
     peaks = peaks[np.argsort(-nodes.value[peaks], kind="stable")][:_MOST_PEAKS]
     start = np.insert(nodes.rest[peaks], quadrature, nodes.score[peaks], axis=1)
     bound = np.full(start.shape[1], MAX_SCORE)
-    summit = climb(
+    maxima = maximise(
         lambda z, rows: comparison.expand(z),
         start,
         -bound,
@@ -256,22 +256,22 @@ def _with_peaks(comparison: Comparison, quadrature: int, nodes: _Nodes) -> _Node
         most_steps=2 * _MOST_STEPS,
         promised=_PROMISED,
     )
-    score = summit.u[:, quadrature]
-    new = (np.abs(score[:, None] - nodes.score).min(axis=1) > _FINEST) & np.isfinite(summit.expansion.value)
+    score = maxima.u[:, quadrature]
+    new = (np.abs(score[:, None] - nodes.score).min(axis=1) > _FINEST) & np.isfinite(maxima.expansion.value)
     new &= np.abs(score) < -GRID[0]
     if not new.any():
         return nodes
     score, first = np.unique(np.round(score[new], 6), return_index=True)
-    begin = np.delete(summit.u[new][first], quadrature, axis=1)
-    return _merged(nodes, _climbed(comparison, quadrature, score, begin[:, None]))
+    begin = np.delete(maxima.u[new][first], quadrature, axis=1)
+    return _merged(nodes, _optimised(comparison, quadrature, score, begin[:, None]))
 
 
 def _halved(nodes: _Nodes) -> tuple[Array, Array]:
     """Midpoints of intervals that are too coarse, and starts for them from both ends."""
     g = nodes.log_density
     height = np.maximum(g[1:], g[:-1])
-    steep = np.abs(np.diff(g)) > _STEEP
-    which = np.flatnonzero(steep & (height > g.max() - _DEEP) & (np.diff(nodes.score) > _FINEST))
+    steep = np.abs(np.diff(g)) > _STEEP_NATS
+    which = np.flatnonzero(steep & (height > g.max() - _DEPTH_NATS) & (np.diff(nodes.score) > _FINEST))
     middle = 0.5 * (nodes.score[which] + nodes.score[which + 1])
     return middle, np.stack((nodes.rest[which], nodes.rest[which + 1]), axis=1)
 

@@ -1,6 +1,6 @@
-"""A first look at all pairs of causes at once: their shifts add, the constants answer them linearly.
+"""Screening of all pairs of causes at once: their shifts add, the constants answer them linearly.
 
-Every cause has been looked at alone, so that its shifts of the frequencies are known at all nodes of its
+Every cause has been screened alone, so that its shifts of the frequencies are known at all nodes of its
 grid. Where the constants are integrated in closed form, a pair is a sum of two vectors: all pairs of all
 variants are ranked by matrix products, and only the best are integrated over both sizes.
 """
@@ -28,7 +28,7 @@ _TIMES = 10
 FINE = np.linspace(GRID[0], GRID[-1], _TIMES * (len(GRID) - 1) + 1)
 # Of the inferred amplitudes of the noise every third ranks pairs.
 _EVERY = 3
-# Where the linear picture leads, the model is solved so many times to correct it.
+# Where the linear approximation leads, the model is solved so many times to correct it.
 _CORRECTIONS = 2
 
 
@@ -64,22 +64,22 @@ def ranked_pairs(
         return []
     stack = np.stack(tables)
     every = _EVERY if len(lists.sigmas) > 1 else 1
-    pictures = [
+    whitened = [
         _Whitened.of(lists, sigma, float(weight))
         for sigma, weight in zip(lists.sigmas[::every], lists.log_weight[::every], strict=True)
     ]
-    each = np.stack([_ranks(picture, stack) + picture.log_constant for picture in pictures])
+    each = np.stack([_ranks(w, stack) + w.log_constant for w in whitened])
     score = np.where(np.triu(np.ones((m, m), dtype=bool), 1), logsumexp(each, axis=0) + log_prior, -np.inf)
     best = np.argsort(-score, axis=None, kind="stable")[:most]
     found = [(int(i), int(j)) for i, j in zip(*np.unravel_index(best, (m, m)), strict=True)]
     return [(i, j) for i, j in found if np.isfinite(score[i, j])]
 
 
-def _ranks(picture: _Whitened, stack: Array) -> Array:
+def _ranks(w: _Whitened, stack: Array) -> Array:
     """Log evidence of all pairs over that of no shift, (m, m)."""
     m, k, n = stack.shape
-    shift = stack @ picture.root.T
-    own = shift @ picture.residual - 0.5 * np.sum(shift**2, axis=2) - 0.5 * GRID**2
+    shift = stack @ w.root.T
+    own = shift @ w.residual - 0.5 * np.sum(shift**2, axis=2) - 0.5 * GRID**2
     slope = np.gradient(shift, GRID, axis=1)
     flat = shift.reshape(m * k, n)
     found = np.empty((m, m))
@@ -89,7 +89,7 @@ def _ranks(picture: _Whitened, stack: Array) -> Array:
         node = value.argmax(axis=1)
         a, b = node // k, node % k
         rows = np.arange(m)
-        left = picture.residual - shift[i, a] - shift[rows, b]
+        left = w.residual - shift[i, a] - shift[rows, b]
         along = np.stack((slope[i, a], slope[rows, b]), axis=2)
         gradient = np.einsum("mn,mnp->mp", left, along) - np.stack((GRID[a], GRID[b]), axis=1)
         curvature = np.swapaxes(along, 1, 2) @ along + np.eye(2)
@@ -101,7 +101,7 @@ def _ranks(picture: _Whitened, stack: Array) -> Array:
     return found
 
 
-def pair_look(
+def screened_pair(
     lists: Linear,
     tables: tuple[Array, Array],
     comparison: Comparison,
@@ -118,10 +118,10 @@ def pair_look(
     listed = np.log(comparison.listed.frequencies)
     prior = -0.5 * FINE[:, None] ** 2 - 0.5 * FINE**2 + 2.0 * np.log(FINE[1] - FINE[0]) - _LOG_2PI
     for correction in range(_CORRECTIONS + 1):
-        pictures = [
+        whitened = [
             _Whitened.of(lists, s, float(w)) for s, w in zip(lists.sigmas, lists.log_weight, strict=True)
         ]
-        log_p = np.stack([_over_both(picture, fine) for picture in pictures])
+        log_p = np.stack([_over_both(w, fine) for w in whitened])
         total = np.asarray(logsumexp(log_p, axis=0)) + prior
         along = np.asarray(logsumexp(total, axis=1))
         second = total.argmax(axis=1)
@@ -153,12 +153,12 @@ def pair_look(
         weight=np.bincount(owner, share, len(GRID)),
         draws=comparison.scores.to_x(at),
         log_weight=along - log_evidence,
-        is_climbed=False,
+        is_refined=False,
     )
 
 
-def _over_both(picture: _Whitened, fine: tuple[Array, ...]) -> Array:
+def _over_both(w: _Whitened, fine: tuple[Array, ...]) -> Array:
     """Log density of the lists at every pair of sizes, (k, k)."""
-    a, b = (table @ picture.root.T for table in fine)
-    first, second = (t @ picture.residual - 0.5 * np.sum(t**2, axis=1) for t in (a, b))
-    return np.asarray(first[:, None] + second - a @ b.T + picture.log_constant)
+    a, b = (table @ w.root.T for table in fine)
+    first, second = (t @ w.residual - 0.5 * np.sum(t**2, axis=1) for t in (a, b))
+    return np.asarray(first[:, None] + second - a @ b.T + w.log_constant)

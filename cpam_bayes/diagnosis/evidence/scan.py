@@ -1,4 +1,4 @@
-"""Hypotheses tested one by one: a first look at each, exact numbers where they matter."""
+"""Hypotheses tested one by one: screening of each, exact numbers where they matter."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from cpam_bayes.diagnosis.evidence.comparison import Comparison
 from cpam_bayes.diagnosis.evidence.marginal import Marginal, laplace_marginal, sampled_marginal
-from cpam_bayes.diagnosis.evidence.pair_screening import pair_look
-from cpam_bayes.diagnosis.evidence.screening import Anchor, Linear, first_look, free_of, linear, log_f
+from cpam_bayes.diagnosis.evidence.pair_screening import screened_pair
+from cpam_bayes.diagnosis.evidence.screening import Anchor, Linear, free_of, linear, log_f, screened_marginal
 from cpam_bayes.diagnosis.evidence.tangent import tangents
 from cpam_bayes.diagnosis.fitting import SCATTER, PlateCase, comparison_of, effect_columns
 from cpam_bayes.diagnosis.hypotheses import NONE, OTHER, PAIR, Hypothesis
@@ -22,12 +22,12 @@ from cpam_bayes.mechanics.modes import RigidBodyError
 
 Array = NDArray[Any]
 
-# Starts of the climbs of "none" besides the prior means.
+# Starts of the optimisations of "none" besides the prior means.
 _STARTS = 6
-# Hypotheses within so many nats of the most probable one are climbed, those nearer are sampled too; the
-# others keep what the first look says of them, corrected by a second one if it is within the last number.
+# Hypotheses within so many nats of the most probable one are optimised, those nearer are sampled too; the
+# others keep what screening says of them, corrected by a second one if it is within the last number.
 _NEAR, _NEARER, _CORRECTED = 3.0, 2.0, 14.0
-# What a first look misses of the plain model is taken for that of all others if it is below this, nats.
+# What screening misses of the plain model is taken for that of all others if it is below this, nats.
 _MOST_OFFSET = 1.0
 
 
@@ -73,12 +73,12 @@ def marginal_of(
     floor: float = -np.inf,
     left_out: int | None = None,
     stand_ins: Mapping[int, ForwardModel] | None = None,
-    first_look: Marginal | None = None,
+    screened: Marginal | None = None,
 ) -> Marginal:
     """Marginal likelihood of one hypothesis about some plates.
 
     left_out : a frequency to leave out. stand_ins : models of the plates that the hypothesis is not about.
-    first_look : where climbs begin.
+    screened : where optimisations begin.
     """
     comparison = comparison_of(cases, _about(cases, hypothesis, plates), scatter=scatter, stand_ins=stand_ins)
     if left_out is not None:
@@ -86,7 +86,7 @@ def marginal_of(
     columns = effect_columns(comparison, hypothesis)
     quadrature = columns[0] if columns else None
     return laplace_marginal(
-        comparison, quadrature, _starts(comparison, hypothesis, none), floor=floor, first_look=first_look
+        comparison, quadrature, _starts(comparison, hypothesis, none), floor=floor, screened=screened
     )
 
 
@@ -94,7 +94,7 @@ def marginal_of(
 class Scan:
     """Hypotheses as they are tested, none first.
 
-    anchors : the optimum of none, and the prior means. offset : what a first look misses of the plain model,
+    anchors : the optimum of none, and the prior means. offset : what screening misses of the plain model,
     taken to be the same for all.
     """
 
@@ -116,7 +116,7 @@ class Scan:
         return self.anchors[0].tangents if len(self.cases) > 1 and self.anchors else None
 
     def begin(self, hypothesis: Hypothesis, plates: tuple[int, ...]) -> None:
-        """The plain model, which all others are looked at from."""
+        """The plain model, which all others are screened from."""
         marginal = marginal_of(self.cases, hypothesis, plates, scatter=self.scatter)
         self.found.append(Tested(hypothesis, plates, marginal))
         best = marginal.z[int(np.argmax(marginal.weight))]
@@ -128,18 +128,18 @@ class Scan:
             )
             for z in (best, np.zeros_like(best))
         )
-        look = first_look(marginal.comparison, None, self.anchors[0])[0].log_evidence
+        approximate = screened_marginal(marginal.comparison, None, self.anchors[0])[0].log_evidence
         # a plain model that is far off is far off in its own way, of which nothing follows for the others
-        missed = marginal.log_evidence - look
+        missed = marginal.log_evidence - approximate
         self.offset = missed if abs(missed) < _MOST_OFFSET else 0.0
 
-    def look(self, hypothesis: Hypothesis, plates: tuple[int, ...]) -> list[Tested]:
-        """A hypothesis at a first look; nothing where it cannot be tested, which is noted."""
+    def screen(self, hypothesis: Hypothesis, plates: tuple[int, ...]) -> list[Tested]:
+        """Screening of a hypothesis; nothing where it cannot be tested, which is noted."""
         try:
             # one scatters all frequencies, the other's constants may lie anywhere: nothing to be linear in
             if hypothesis.cause == OTHER or hypothesis.other_material:
-                return [Tested(hypothesis, plates, self._climbed(hypothesis, plates))]
-            return [self._looked(hypothesis, plates, self._comparison(hypothesis, plates), False)]
+                return [Tested(hypothesis, plates, self._optimised(hypothesis, plates))]
+            return [self._screened(hypothesis, plates, self._comparison(hypothesis, plates), False)]
         except RigidBodyError:
             self.not_tested.append(
                 f"{hypothesis.cause} {hypothesis.variant}".rstrip()
@@ -147,27 +147,27 @@ class Scan:
             )
             return []
 
-    def _looked(
+    def _screened(
         self, hypothesis: Hypothesis, plates: tuple[int, ...], comparison: Comparison, corrected: bool
     ) -> Tested:
         columns = effect_columns(comparison, hypothesis)
         quadrature = columns[0] if columns else None
-        # the plain model may be bent too far for its optimum to be a good place to look from
+        # the plain model may be bent too far for its optimum to be a good place to expand about
         anchors = self.anchors if _is_far(hypothesis) else self.anchors[:1]
-        looks = [first_look(comparison, quadrature, anchor, corrected=corrected) for anchor in anchors]
-        best = max((look for look, _ in looks), key=lambda look: look.log_evidence)
-        shift = None if quadrature is None or _repairs(hypothesis) else looks[0][1]
+        screenings = [screened_marginal(comparison, quadrature, a, corrected=corrected) for a in anchors]
+        best = max((m for m, _ in screenings), key=lambda m: m.log_evidence)
+        shift = None if quadrature is None or _repairs(hypothesis) else screenings[0][1]
         found = replace(best, log_evidence=best.log_evidence + self.offset)
         return Tested(hypothesis, plates, found, shift=shift)
 
-    def corrected(self, looked: Sequence[Tested]) -> list[Tested]:
-        """First looks with the promising ones corrected."""
-        best = max((t.log_weight for t in (*self.found, *looked)), default=0.0)
+    def corrected(self, screened: Sequence[Tested]) -> list[Tested]:
+        """Screened hypotheses, the promising ones corrected."""
+        best = max((t.log_weight for t in (*self.found, *screened)), default=0.0)
         return [
-            self._looked(t.hypothesis, t.plates, t.marginal.comparison, True)
-            if not t.marginal.is_climbed and t.hypothesis.effects and t.log_weight > best - _CORRECTED
+            self._screened(t.hypothesis, t.plates, t.marginal.comparison, True)
+            if not t.marginal.is_refined and t.hypothesis.effects and t.log_weight > best - _CORRECTED
             else t
-            for t in looked
+            for t in screened
         ]
 
     def linear_none(self) -> tuple[Linear, Array]:
@@ -178,30 +178,30 @@ class Scan:
         residual = np.log(comparison.listed.frequencies) - log_f(plain, z[None])[0]
         return linear(comparison, plain, z, free_of(comparison, ()), residual), z
 
-    def look_at_pair(self, pair: Hypothesis, a: Tested, b: Tested, lists: Linear) -> Tested:
-        """A pair of causes that were looked at alone."""
+    def screen_pair(self, pair: Hypothesis, a: Tested, b: Tested, lists: Linear) -> Tested:
+        """A pair of causes that were screened alone."""
         assert a.shift is not None
         assert b.shift is not None
         comparison = self._comparison(pair, a.plates)
         columns = effect_columns(comparison, pair)
         start = self.anchors[0].start(comparison)
-        found = pair_look(lists, (a.shift, b.shift), comparison, (columns[0], columns[1]), start)
+        found = screened_pair(lists, (a.shift, b.shift), comparison, (columns[0], columns[1]), start)
         return Tested(pair, a.plates, replace(found, log_evidence=found.log_evidence + self.offset))
 
-    def refine(self, looked: Sequence[Tested], most: int | None = None) -> None:
+    def refine(self, screened: Sequence[Tested], most: int | None = None) -> None:
         """Add hypotheses, those near the best one (``most`` of them) computed by Laplace's method."""
-        # first looks may promise too much, so the best one is among those that were climbed, or too little,
+        # screening may promise too much, so the best one is among those that were optimised, or too little,
         # and then all of them about alike
-        best = max(t.log_weight for t in (*self.found, *looked) if t.marginal.is_climbed)
-        climbed, lift = 0, 0.0
-        for t in ranked(looked):
-            few = most is None or climbed < most
-            if few and self.is_near(t, best - lift) and not t.marginal.is_climbed:
+        best = max(t.log_weight for t in (*self.found, *screened) if t.marginal.is_refined)
+        n_refined, lift = 0, 0.0
+        for t in ranked(screened):
+            few = most is None or n_refined < most
+            if few and self.is_near(t, best - lift) and not t.marginal.is_refined:
                 promised = t.log_weight
-                t = replace(t, marginal=self._climbed(t.hypothesis, t.plates, t.marginal))
+                t = replace(t, marginal=self._optimised(t.hypothesis, t.plates, t.marginal))
                 lift = max(lift, t.log_weight - promised)
                 best = max(best, t.log_weight)
-                climbed += 1
+                n_refined += 1
             self.found.append(t)
 
     def is_near(self, t: Tested, best: float, within: float = _NEAR) -> bool:
@@ -209,13 +209,13 @@ class Scan:
         return t.log_weight > best - within or t.hypothesis.cause == NONE
 
     def sampled(self, t: Tested, best: float) -> Tested:
-        """A hypothesis by importance sampling, if it is near enough and was climbed."""
-        if not self.is_near(t, best, _NEARER) or not t.marginal.is_climbed:
+        """A hypothesis by importance sampling, if it is near enough and was optimised."""
+        if not self.is_near(t, best, _NEARER) or not t.marginal.is_refined:
             return t
         return replace(t, marginal=sampled_marginal(self.exact(t)))
 
-    def _climbed(
-        self, hypothesis: Hypothesis, plates: tuple[int, ...], look: Marginal | None = None
+    def _optimised(
+        self, hypothesis: Hypothesis, plates: tuple[int, ...], first: Marginal | None = None
     ) -> Marginal:
         return marginal_of(
             self.cases,
@@ -224,7 +224,7 @@ class Scan:
             scatter=self.scatter,
             none=self.none,
             stand_ins=self.stand_ins,
-            first_look=look,
+            screened=first,
         )
 
     def _comparison(self, hypothesis: Hypothesis, plates: tuple[int, ...]) -> Comparison:
@@ -236,7 +236,7 @@ class Scan:
         )
 
     def exact(self, tested: Tested) -> Marginal:
-        """The picture of a hypothesis over the models of all plates, without stand-ins."""
+        """The marginal likelihood of a hypothesis over the models of all plates, without stand-ins."""
         if self.stand_ins is None or len(tested.plates) == len(self.cases):
             return tested.marginal
         about = _about(self.cases, tested.hypothesis, tested.plates)
@@ -260,7 +260,7 @@ def _about(
 
 
 def _starts(comparison: Comparison, hypothesis: Hypothesis, none: Marginal | None) -> Array:
-    """Scores that climbs begin from: the optimum of none, and prior means where it may be far."""
+    """Scores that optimisations begin from: the optimum of none, and prior means where it may be far."""
     n = comparison.parameters.size
     if none is None or hypothesis.other_material:
         rng = np.random.default_rng(0)

@@ -1,4 +1,4 @@
-"""A first look at a hypothesis: its marginal likelihood with the model linear in all but the effect.
+"""Screening of a hypothesis: its marginal likelihood with the model linear in all but the effect.
 
 About a point near the optimum of the plain model the log frequencies are linear in the scores of the
 constants, so that at every node of the effect's grid the constants are integrated in closed form. Between
@@ -27,14 +27,14 @@ Array = NDArray[Any]
 AMPLITUDES = np.geomspace(5e-4, 0.15, 12)
 _AMPLITUDE_WEIGHTS = np.exp(NOISE_PRIOR.log_density(AMPLITUDES)) * np.gradient(AMPLITUDES)
 # Nodes within so many nats of the best are corrected by a second stack.
-_DEEP = 10.0
+_DEPTH_NATS = 10.0
 # Constants answer a shift by scores up to this.
 _FARTHEST = 4.0
 
 
 @dataclass(frozen=True, slots=True)
 class Anchor:
-    """A place from which hypotheses are looked at.
+    """A place from which hypotheses are screened.
 
     scores : of the plain model's parameters, by name. tangents : models of the plates about it.
     """
@@ -106,12 +106,12 @@ def free_of(comparison: Comparison, effect: tuple[int, ...]) -> Array:
     return np.delete(np.arange(comparison.parameters.size), held)
 
 
-def first_look(
+def screened_marginal(
     comparison: Comparison, quadrature: int | None, anchor: Anchor, *, corrected: bool = False
 ) -> tuple[Marginal, Array]:
     """Approximate marginal likelihood from an anchor, and the shifts (k, n_f) at the nodes there.
 
-    Nothing is climbed. The constants answer the effect's shift in a linear step; with ``corrected`` the model
+    Nothing is refined. The constants answer the effect's shift in a linear step; with ``corrected`` the model
     is solved again where that leads, which what has no model of its own always is. The draws are the
     nodes of the effect's grid, each with its most probable constants.
     """
@@ -130,7 +130,7 @@ def first_look(
     _answered(comparison, lists, at, free, of_noise)
     has_model = any(c.model is not None for part in comparison.model.parts for c in part.changes)
     if corrected or not has_model:
-        near = np.flatnonzero(nodes > nodes.max() - _DEEP)
+        near = np.flatnonzero(nodes > nodes.max() - _DEPTH_NATS)
         residual = lists.residual.copy()
         residual[near] = listed - log_f(own, at[near]) + at[np.ix_(near, free)] @ lists.slope.T
         lists = replace(lists, residual=residual)
@@ -148,7 +148,7 @@ def first_look(
         weight=np.exp(nodes - total),
         draws=comparison.scores.to_x(at),
         log_weight=nodes - total,
-        is_climbed=False,
+        is_refined=False,
     )
     return marginal, shift
 

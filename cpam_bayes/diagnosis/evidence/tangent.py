@@ -1,4 +1,4 @@
-"""A plate's frequencies as powers of its constants about one point: what a first look takes them to be."""
+"""A plate's frequencies as powers of its constants about one point: what screening takes them to be."""
 
 from __future__ import annotations
 

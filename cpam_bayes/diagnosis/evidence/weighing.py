@@ -29,8 +29,8 @@ __all__ = ["Tested", "Weighed", "marginal_of", "weigh"]
 
 Array = NDArray[Any]
 
-# Pairs that are looked at by themselves, of all that are ranked, and of these the most that are climbed.
-_PAIRS, _PAIRS_CLIMBED = 16, 6
+# Pairs that are screened by themselves, of all that are ranked, and of these the most that are optimised.
+_PAIRS, _PAIRS_REFINED = 16, 6
 # Log Bayes factor of a pair over the better one of its causes, from which it is a hypothesis of its own.
 PAIR_GAIN = 3.0
 # Leading causes of the list that pair with as many other causes.
@@ -77,20 +77,20 @@ def weigh(
 ) -> Weighed:
     """Marginal likelihoods of hypotheses, each about some of the plates, none first, and of pairs.
 
-    Where none is not the most probable of all, pairs of causes are ranked at a first look and the best of
+    Where none is not the most probable of all, pairs of causes are ranked by screening and the best of
     them tested too.
     """
     scan = Scan(cases, scatter)
     scan.begin(*hypotheses[0])
     total = len(hypotheses)
-    looked: list[Tested] = []
+    screened: list[Tested] = []
     for i, (hypothesis, plates) in enumerate(hypotheses[1:]):
-        looked += scan.look(hypothesis, plates)
+        screened += scan.screen(hypothesis, plates)
         progress(i + 1, total)
-    looked = scan.corrected(looked)
-    scan.refine(looked)
+    screened = scan.corrected(screened)
+    scan.refine(screened)
     if pairs and ranked(scan.found)[0].hypothesis.cause != NONE:
-        scan.refine(_pairs(scan, looked, [h for h, _ in hypotheses]), _PAIRS_CLIMBED)
+        scan.refine(_pairs(scan, screened, [h for h, _ in hypotheses]), _PAIRS_REFINED)
     progress(total, total)
     order = ranked(scan.found)
     best = order[0].log_weight
@@ -124,12 +124,12 @@ def _credited(tested: Sequence[Tested]) -> tuple[Tested, ...]:
     return tuple(replace(tested[i], probability=kept[i]) for i in order)
 
 
-def _pairs(scan: Scan, looked: Sequence[Tested], singles: Sequence[Hypothesis]) -> list[Tested]:
-    """The best pairs of causes of the same plates, at a first look."""
+def _pairs(scan: Scan, screened: Sequence[Tested], singles: Sequence[Hypothesis]) -> list[Tested]:
+    """The best pairs of causes of the same plates, by screening."""
     scale = pair_scale(singles)
     lists, _ = scan.linear_none()
     found: list[Tested] = []
-    usable = [t for t in looked if t.shift is not None]
+    usable = [t for t in screened if t.shift is not None]
     # the size of the first is gone through node by node: one that may have two signs comes first
     usable.sort(key=lambda t: not any(e.even for e in t.hypothesis.effects))
     for plates in dict.fromkeys(t.plates for t in usable):
@@ -140,7 +140,7 @@ def _pairs(scan: Scan, looked: Sequence[Tested], singles: Sequence[Hypothesis]) 
         tables = [t.shift for t in own if t.shift is not None]
         for i, j in ranked_pairs(lists, tables, log_prior, _PAIRS):
             pair = paired(own[i].hypothesis, own[j].hypothesis, scale)
-            found.append(scan.look_at_pair(pair, own[i], own[j], lists))
+            found.append(scan.screen_pair(pair, own[i], own[j], lists))
     return found + _with_list(scan, scale)
 
 
@@ -157,5 +157,5 @@ def _with_list(scan: Scan, scale: float) -> list[Tested]:
         with_it = [t for t in order if t.plates == first.plates]
         others = [t for t in with_it if go_together(first.hypothesis, t.hypothesis)]
         for second in others[:_SECOND]:
-            found += scan.look(paired(first.hypothesis, second.hypothesis, scale), first.plates)
+            found += scan.screen(paired(first.hypothesis, second.hypothesis, scale), first.plates)
     return scan.corrected(found)

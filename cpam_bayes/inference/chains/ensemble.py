@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from cpam_bayes.inference.chains.autocorrelation import integrated_times
 from cpam_bayes.inference.chains.store import Rounds
-from cpam_bayes.inference.laplace import GaussianPicture, optimise, prior_sd
+from cpam_bayes.inference.laplace import GaussianApproximation, optimise, prior_sd
 from cpam_bayes.inference.posterior import Posterior
 from cpam_bayes.inference.proposal import Proposal
 
@@ -118,7 +118,7 @@ def start_positions(
     return found
 
 
-def _optima(posterior: Posterior, swarm: Array, values: Array, most: int = 4) -> list[GaussianPicture]:
+def _optima(posterior: Posterior, swarm: Array, values: Array, most: int = 4) -> list[GaussianApproximation]:
     """Distinct optima next to the best and most different personal bests of a swarm."""
     parameters = posterior.parameters
     order = np.argsort(values, kind="stable")

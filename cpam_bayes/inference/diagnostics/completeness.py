@@ -14,7 +14,7 @@ from cpam_bayes.forward_model.model import Prediction, reference_vector
 from cpam_bayes.forward_model.reduced import ReducedModel
 from cpam_bayes.inference.derivatives import Expansion, coordinates, expand_u
 from cpam_bayes.inference.laplace import laplace_log_evidence
-from cpam_bayes.inference.optimise import climb
+from cpam_bayes.inference.optimise import maximise
 from cpam_bayes.inference.posterior import ForwardModel, Posterior
 from cpam_bayes.mechanics.shapes import Mode
 from cpam_bayes.parameters import ParameterSet
@@ -23,7 +23,7 @@ from cpam_bayes.plate import Specimen
 Array = NDArray[Any]
 
 # Log odds from which another pairing is far more probable.
-_FAR = float(np.log(100.0))
+_DOUBTFUL_LOG_ODDS = float(np.log(100.0))
 # Draws from the prior, and those of them from which an optimum is sought for each pairing.
 _DRAWS, _STARTS = 300, 3
 _MOST_STEPS = 25
@@ -142,7 +142,7 @@ def pairing_doubt(posterior: Posterior, best: Array, others: Array) -> PairingDo
         return None
     log_evidence, x, slip = max(found, key=lambda f: f[0])
     log_odds = log_evidence - reference
-    return PairingDoubt(slip.missed, slip.spurious, log_odds, x) if log_odds > _FAR else None
+    return PairingDoubt(slip.missed, slip.spurious, log_odds, x) if log_odds > _DOUBTFUL_LOG_ODDS else None
 
 
 def _slips(posterior: Posterior, n_modes: int) -> Iterator[_Slip]:
@@ -186,11 +186,11 @@ def _evidence(posterior: Posterior, slip: _Slip, places: _Places, predicted: Arr
         return expand_u(own, axes, u)
 
     u = axes.to_u(np.clip(starts, axes.inner, axes.outer))
-    summit = climb(target, u, axes.lower, axes.upper, most_steps=_MOST_STEPS)
-    inside = np.isfinite(summit.expansion.value)
+    maxima = maximise(target, u, axes.lower, axes.upper, most_steps=_MOST_STEPS)
+    inside = np.isfinite(maxima.expansion.value)
     if not inside.any():
         return -np.inf, starts[0]
-    e, u = summit.expansion, summit.u[inside]
+    e, u = maxima.expansion, maxima.u[inside]
     log_evidence = laplace_log_evidence(e.value[inside], e.gradient[inside], e.curvature[inside], u, axes)
     top = int(np.argmax(log_evidence))
     return float(log_evidence[top]) + slip.price, axes.to_x(u[top])

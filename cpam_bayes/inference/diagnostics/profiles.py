@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cpam_bayes.inference.derivatives import Coordinates, Expansion, coordinates, expand_u
-from cpam_bayes.inference.optimise import climb
+from cpam_bayes.inference.optimise import maximise
 from cpam_bayes.inference.posterior import Posterior
 from cpam_bayes.parameters import ParameterSet, Uniform
 
@@ -59,8 +59,8 @@ def profile_likelihoods(
 
     pl(v) = max over the other parameters of log p(data | p) with p_k = v, within bounds and
     constraints. Priors of ``names`` do not enter; those of the noise and of plate sizes do, being what
-    is known of them, the noise's over its logarithm. All grid points of all parameters climb together
-    (``climb``), from the best draws near them and then from the ends of their neighbours on the grid.
+    is known of them, the noise's over its logarithm. All grid points of all parameters are optimised together
+    (``maximise``), from the best draws near them and then from the ends of their neighbours on the grid.
     What is found is a lower bound of the profile, as of any maximum.
 
     draws (m, n), log_prob (m,) : of the chains. The grid spans the draws, and the whole search
@@ -78,7 +78,7 @@ def profile_likelihoods(
     held = np.append(np.repeat(index, n_grid), -1)
     u = axes.to_u(np.vstack((*starts, draws[height.argmax()])))
     value = np.full(len(u), -np.inf)
-    _climb_again(own, axes, held, np.arange(len(u)), u.copy(), u, value)
+    _maximise_again(own, axes, held, np.arange(len(u)), u.copy(), u, value)
     changed = np.ones(len(u), dtype=bool)
     for _ in range(_SWEEPS):
         moved = np.zeros(len(u), dtype=bool)
@@ -89,7 +89,7 @@ def profile_likelihoods(
             break
     top = int(value.argmax())
     if top != len(u) - 1:
-        _climb_again(own, axes, held, np.array([len(u) - 1]), u[top : top + 1].copy(), u, value)
+        _maximise_again(own, axes, held, np.array([len(u) - 1]), u[top : top + 1].copy(), u, value)
     best = axes.to_x(u[-1])
     drops = value.max() - value[:-1].reshape(len(names), n_grid)
     return tuple(
@@ -132,10 +132,10 @@ def _starts(draws: Array, height: Array, k: int, grid: Array) -> Array:
     return found
 
 
-def _climb_again(
+def _maximise_again(
     own: Posterior, axes: Coordinates, held: Array, which: Array, start: Array, u: Array, value: Array
 ) -> Array:
-    """Climb from ``start`` with a parameter of each held; keep in ``u`` and ``value`` what got higher.
+    """Optimise from ``start`` with a parameter of each held; keep in ``u`` and ``value`` what got higher.
 
     Returns which points did, as numbers.
     """
@@ -147,7 +147,7 @@ def _climb_again(
         curvature = np.where(crossed, np.eye(at.shape[1]), found.curvature)
         return Expansion(found.value, np.where(fixed, 0.0, found.gradient), curvature)
 
-    found = climb(target, start, axes.lower, axes.upper, most_steps=_STEPS)
+    found = maximise(target, start, axes.lower, axes.upper, most_steps=_STEPS)
     higher = found.expansion.value > value[which] + _BETTER
     u[which[higher]], value[which[higher]] = found.u[higher], found.expansion.value[higher]
     return which[higher]
@@ -174,7 +174,7 @@ def _from_neighbours(
     if len(to):
         start = u[to + side].copy()
         start[np.arange(len(to)), held[to]] = u[to, held[to]]
-        moved[_climb_again(own, axes, held, to, start, u, value)] = True
+        moved[_maximise_again(own, axes, held, to, start, u, value)] = True
     return moved
 
 

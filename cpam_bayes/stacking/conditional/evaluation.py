@@ -24,9 +24,9 @@ Array = NDArray[Any]
 
 # Sequences that a worker takes at a time: where all is computed, and where only optima are located.
 _BATCH, _LOCATED = 32, 512
-# Climbs that only locate an optimum end where a step promises less than this, nats.
+# Optimisations that only locate an optimum end where a step promises less than this, nats.
 _NEARLY = 3e-3
-# Members of a library that a climb starts from.
+# Members of a library that an optimisation starts from.
 _SCANNED = 2
 # Neighbours among which the second start is looked for.
 _NEIGHBOURS = 8
@@ -61,7 +61,7 @@ def evaluate(
     *,
     scanned: int = _SCANNED,
 ) -> Evaluated:
-    """Log evidence of sequences (m, k) by importance sampling, climbed from starts (m, s, n) or (s, n).
+    """Log evidence of sequences (m, k) by importance sampling, optimised from starts (m, s, n) or (s, n).
 
     library : (p, n_constants) constants, of which the ``scanned`` best ones of each sequence are starts as
     well.
@@ -126,10 +126,10 @@ def locate(
     starts: Array,
     executor: Executor | None,
 ) -> Located:
-    """Laplace's evidence of sequences (m, k), each climbed from one start next to its optimum.
+    """Laplace's evidence of sequences (m, k), each optimised from one start next to its optimum.
 
     near : (m, n) parameters, the optima of neighbours. Those that end below the ``least`` log evidence (m,)
-    are climbed again from the common ``starts`` (s, n).
+    are optimised again from the common ``starts`` (s, n).
     """
     angles = grid_deg[sequences]
     items = [

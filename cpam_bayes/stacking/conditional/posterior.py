@@ -17,7 +17,7 @@ from scipy.special import logsumexp
 from cpam_bayes.forward_model.model import PlateModel
 from cpam_bayes.forward_model.reduced import ReducedModel
 from cpam_bayes.inference.derivatives import Expansion, expand_likelihood
-from cpam_bayes.inference.optimise import climb
+from cpam_bayes.inference.optimise import maximise
 from cpam_bayes.inference.posterior import ForwardModel, Posterior, plate_posterior
 from cpam_bayes.inference.standard_normal import NormalScores
 from cpam_bayes.mechanics.problem import PlateState, StateFunction, Values
@@ -27,13 +27,13 @@ from cpam_bayes.threads import single_blas_thread
 
 Array = NDArray[Any]
 
-# Two climbs of a sequence ended at one optimum if they are this near, in standard deviations.
+# Two optimisations of a sequence ended at one optimum if they are this near, in standard deviations.
 _SAME = 0.5
 # Optima this far below the best one of a sequence carry nothing.
-_HOPELESS = 12.0
+_NEGLIGIBLE_NATS = 12.0
 # Least curvature, against a flat direction that prior and data leave.
 CURVATURE_FLOOR = 1e-3
-# Climbs end where a step promises less than this, nats, or after so many steps.
+# Optimisations end where a step promises less than this, nats, or after so many steps.
 _PROMISED, _MOST_STEPS = 1e-4, 30
 # Numbers in the matrices of sequences that are solved for together: they stay in the processor's cache.
 _CACHED = 1 << 19
@@ -173,12 +173,12 @@ def joined(pieces: list[Stack]) -> Stack:
 def fit_conditionals(
     own: ConditionalPosterior, angles_deg: Array, starts: Array, promised: float = _PROMISED
 ) -> ConditionalFits:
-    """Laplace's evidence of sequences (m, n_angles), each climbed from every one of its starts.
+    """Laplace's evidence of sequences (m, n_angles), each optimised from every one of its starts.
 
     Z = sum over optima of (2 pi)^(n/2) det(H)^(-1/2) p(z), z being normal scores: the prior has no
     bounds there, and a constant that the data leave open is integrated exactly.
 
-    starts : (s, n) for all sequences, or (m, s, n), parameters. promised : gain in nats below which a climb
+    starts : (s, n) for all sequences, or (m, s, n), parameters. promised : gain in nats below which one
     ends.
     """
     starts = np.broadcast_to(starts, (len(angles_deg), *starts.shape[-2:]))
@@ -201,7 +201,7 @@ def _fit(own: ConditionalPosterior, angles_deg: Array, starts: Array, promised: 
     def target(z: Array, rows: Array) -> Expansion:
         return _expand(own, geometry, z, of_start[rows])
 
-    summit = climb(
+    maxima = maximise(
         target,
         axes.to_z(starts.reshape(m * s, n)),
         axes.lower,
@@ -209,9 +209,9 @@ def _fit(own: ConditionalPosterior, angles_deg: Array, starts: Array, promised: 
         most_steps=_MOST_STEPS,
         promised=promised,
     )
-    e = summit.expansion
+    e = maxima.expansion
     value = np.where(np.isfinite(e.value), e.value, -1e300).reshape(m, s)
-    z = summit.u.reshape(m, s, n)
+    z = maxima.u.reshape(m, s, n)
     curvature = e.curvature.reshape(m, s, n, n)
     log_det = np.linalg.slogdet(curvature + CURVATURE_FLOOR * np.eye(n))[1]
     log_z = value + 0.5 * n * np.log(2 * np.pi) - 0.5 * log_det
@@ -242,10 +242,10 @@ def _expand(own: ConditionalPosterior, geometry: LaminateGeometry, z: Array, row
 
 
 def _distinct(z: Array, value: Array, curvature: Array) -> Array:
-    """Which of the optima (m, s) count: no copies of better ones and not hopeless, bool."""
+    """Which of the optima (m, s) count: no copies of better ones and not negligible, bool."""
     m, s = value.shape
     order = np.argsort(-value, axis=1, kind="stable")
-    keep = np.asarray(value > value.max(axis=1, keepdims=True) - _HOPELESS)
+    keep = np.asarray(value > value.max(axis=1, keepdims=True) - _NEGLIGIBLE_NATS)
     row = np.arange(m)
     for a in range(s):
         first = order[:, a]

@@ -1,4 +1,4 @@
-"""Where climbs of a sequence begin: the constants of a library whose frequencies are most like the list."""
+"""Starts of a sequence: the constants of a library whose frequencies are most like the measured ones."""
 
 from __future__ import annotations
 

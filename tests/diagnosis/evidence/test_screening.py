@@ -1,4 +1,4 @@
-"""First looks at hypotheses and at pairs of them, on plates whose evidences are known in closed form."""
+"""Screening of hypotheses and of pairs of them, on plates whose evidences are known in closed form."""
 
 from __future__ import annotations
 
@@ -52,18 +52,18 @@ def begun(own: PlateCase) -> Scan:
     return scan
 
 
-def looked(scan: Scan, h: Hypothesis) -> scanning.Tested:
-    (found,) = scan.corrected(scan.look(h, (0,)))
-    assert not found.marginal.is_climbed
+def screened(scan: Scan, h: Hypothesis) -> scanning.Tested:
+    (found,) = scan.corrected(scan.screen(h, (0,)))
+    assert not found.marginal.is_refined
     return found
 
 
 @pytest.mark.parametrize(
     ("effect", "size"), [(BENT, 0.0), (BENT, 0.01), (BENT, 0.03), (DENTED, 0.0), (DENTED, 0.01)]
 )
-def test_a_first_look_is_the_evidence_of_a_linear_plate(effect: Effect, size: float) -> None:
+def test_screening_gives_the_evidence_of_a_linear_plate(effect: Effect, size: float) -> None:
     own = plate(size * BUMP)
-    found = looked(begun(own), hypothesis(effect, 0.1))
+    found = screened(begun(own), hypothesis(effect, 0.1))
     f = own.measurement.frequencies
     expected = exact_log_evidence(f, NOISE * f, SHIFTS[found.hypothesis.cause])
     # logarithms of shifts of 3 % are linear to 5e-4, a quarter of the noise, in each of eight frequencies
@@ -72,7 +72,7 @@ def test_a_first_look_is_the_evidence_of_a_linear_plate(effect: Effect, size: fl
 
 def test_the_shifts_of_a_look_are_those_at_the_plain_models_constants() -> None:
     own = plate(0.01 * BUMP)
-    found = looked(begun(own), hypothesis(BENT, 0.1))
+    found = screened(begun(own), hypothesis(BENT, 0.1))
     assert found.shift is not None
     # one standard deviation of 0.02 a score; the constants are a few per cent from 1
     np.testing.assert_allclose(found.shift, np.log1p(0.02 * GRID[:, None] * BUMP), atol=0.06 * 0.08)
@@ -83,15 +83,15 @@ def test_what_pairs_frequencies_otherwise_has_no_shifts_to_add() -> None:
     false = Hypothesis("mode_identity", "list", listed=ListChange(spurious=4), prior=0.1)
     misread = Hypothesis("outlier", "list", listed=ListChange(misread=4), parameters=(MISREADING,), prior=0.1)
     scan = begun(own)
-    assert looked(scan, false).shift is None
-    assert looked(scan, misread).shift is not None
+    assert screened(scan, false).shift is None
+    assert screened(scan, misread).shift is not None
 
 
 def test_a_look_far_from_the_plain_models_optimum_finds_the_false_peak() -> None:
     own = plate(np.zeros(8), false_peak=350.0)
     scan = begun(own)
     found = {
-        i: looked(scan, Hypothesis("mode_identity", "list", listed=ListChange(spurious=i), prior=0.1))
+        i: screened(scan, Hypothesis("mode_identity", "list", listed=ListChange(spurious=i), prior=0.1))
         for i in range(8)
     }
     assert max(found, key=lambda i: found[i].marginal.log_evidence) == 4
@@ -101,9 +101,9 @@ def test_a_look_far_from_the_plain_models_optimum_finds_the_false_peak() -> None
 def test_a_pair_looked_at_has_the_evidence_of_the_linear_plate(sizes: tuple[float, float]) -> None:
     own = plate(sizes[0] * BUMP + sizes[1] * DENT)
     scan = begun(own)
-    bent, dented = (looked(scan, hypothesis(effect, 0.1)) for effect in (BENT, DENTED))
+    bent, dented = (screened(scan, hypothesis(effect, 0.1)) for effect in (BENT, DENTED))
     pair = paired(bent.hypothesis, dented.hypothesis, 0.1)
-    found = scan.look_at_pair(pair, bent, dented, scan.linear_none()[0])
+    found = scan.screen_pair(pair, bent, dented, scan.linear_none()[0])
     f = own.measurement.frequencies
     expected = exact_log_evidence(f, NOISE * f, SHIFTS["bent"], SHIFTS["dented"])
     # two shifts of 3 % multiply: 1e-3 of a frequency, half the noise
@@ -118,9 +118,9 @@ def test_a_pair_with_a_cause_of_either_sign_has_both_its_peaks() -> None:
     f = F0 * (1.0 + A @ [0.03, -0.04] + 0.15**2 * DENT + 0.02 * BUMP)
     own = case(a_list(f, NOISE), [(warp, even(DENT)), (BENT, straight(BUMP))])
     scan = begun(own)
-    first, second = (looked(scan, hypothesis(effect, 0.1)) for effect in (warp, BENT))
+    first, second = (screened(scan, hypothesis(effect, 0.1)) for effect in (warp, BENT))
     pair = paired(first.hypothesis, second.hypothesis, 0.1)
-    found = scan.look_at_pair(pair, first, second, scan.linear_none()[0]).marginal
+    found = scan.screen_pair(pair, first, second, scan.linear_none()[0]).marginal
     above = float(np.exp(found.log_weight) @ (found.draws[:, found.quadrature] > 0.0))
     assert above == pytest.approx(0.5, abs=0.02)
     size = float(np.exp(found.log_weight) @ np.abs(found.draws[:, found.quadrature]))

@@ -27,7 +27,7 @@ def test_profiles_of_a_linear_model_are_parabolas() -> None:
     mean, covariance = exact_gaussian(data)
     for k, found in enumerate(profiles(plate_posterior(LinearModel(), data, np.zeros(4)))):
         expected = 0.5 * (found.values - mean[k]) ** 2 / covariance[k, k]
-        # a climb ends when steps promise less than 1e-7 nats
+        # an optimisation ends when steps promise less than 1e-7 nats
         np.testing.assert_allclose(found.drop, expected, atol=2e-6)
         sd = float(np.sqrt(covariance[k, k]))
         assert found.best == pytest.approx(mean[k], abs=1e-3 * sd)
@@ -61,7 +61,7 @@ def test_inferred_noise_is_maximised_over_with_its_prior() -> None:
         s = np.geomspace(1e-4, 0.1, 20_001)
         x = np.column_stack((np.full_like(s, a), np.full_like(s, b), s))
         height.append(float((posterior.log_prob(x) + np.log(s)).max()))
-    # a climb ends when steps promise less than 1e-7 nats
+    # an optimisation ends when steps promise less than 1e-7 nats
     np.testing.assert_allclose(found.drop, height[-1] - np.array(height[:-1]), atol=2e-6)
 
 
