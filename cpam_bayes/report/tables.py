@@ -7,7 +7,7 @@ import os
 from dataclasses import dataclass
 from typing import TextIO
 
-__all__ = ["Column", "Table", "facts", "remarks", "screen_text"]
+__all__ = ["Column", "Table", "facts", "headed", "remarks", "screen_text"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,6 +35,11 @@ class Table:
         """The headings, or None where no column has one."""
         texts = tuple(column.heading for column in self.columns)
         return texts if any(texts) else None
+
+
+def headed(*headings: str) -> tuple[Column, ...]:
+    """Columns by their headings; a heading after "#" is of numbers, which stand to the right."""
+    return tuple(Column(heading.removeprefix("#"), heading.startswith("#")) for heading in headings)
 
 
 def facts(title: str, rows: tuple[tuple[str, str], ...]) -> Table:

@@ -26,7 +26,7 @@ from cpam_bayes.report.diagnosis.words import (
     size_text,
 )
 from cpam_bayes.report.plates.head import air_text, plate_head
-from cpam_bayes.report.tables import Column, Table, facts, remarks
+from cpam_bayes.report.tables import Column, Table, facts, headed, remarks
 
 # A residual of so many standard deviations is marked.
 _MAX_DISTANCE_SD = 2.5
@@ -59,7 +59,7 @@ def _heads(result: DiagnosisResult) -> tuple[Table, ...]:
     specimens = result.plates
     if len(specimens) == 1:
         return (plate_head(result.command, specimens[0], result.air_shifts[0]),)
-    columns = (Column("plate"), Column("specimen"), Column("edges"), Column("frequencies", number=True))
+    columns = headed("plate", "specimen", "edges", "#frequencies")
     rows = tuple(
         (s.name, s.specimen, s.plate.edges, str(case.measurement.size))
         for s, case in zip(specimens, result.diagnosis.cases, strict=True)
@@ -97,19 +97,10 @@ def _residuals(result: DiagnosisResult) -> Table:
     d, before = result.diagnosis, result.plain.frequencies
     after = None if result.extended is None else result.extended.frequencies
     several = len(d.cases) > 1
-    columns = [Column("plate")] if several else []
-    columns += [
-        Column("mode", number=True),
-        Column("label"),
-        Column("kind"),
-        Column("measured Hz", number=True),
-        Column("predicted Hz", number=True),
-        Column("residual %", number=True),
-        Column("in sd", number=True),
-    ]
+    columns = list(headed("plate")) if several else []
+    columns += headed("#mode", "label", "kind", "#measured Hz", "#predicted Hz", "#residual %", "#in sd")
     if after is not None:
-        columns += [Column("extended Hz", number=True), Column("residual %", number=True)]
-        columns += [Column("in sd", number=True), Column("")]
+        columns += headed("#extended Hz", "#residual %", "#in sd", "")
     rows, far = [], []
     decimals = decimals_of(d.baseline.measured)
     for i, row in enumerate(before):
@@ -166,14 +157,9 @@ def _missed_rows(result: DiagnosisResult, width: int, several: bool, decimals: i
 
 def _causes(d: Diagnosis) -> Table:
     several = len(d.cases) > 1
-    columns = [Column("cause"), Column("variant")]
-    columns += [Column("of")] if several else []
-    columns += [
-        Column("probability", number=True),
-        Column("log Bayes factor", number=True),
-        Column("size, mean and sd"),
-        Column("indistinguishable from"),
-    ]
+    columns = list(headed("cause", "variant"))
+    columns += headed("of") if several else []
+    columns += headed("#probability", "#log Bayes factor", "size, mean and sd", "indistinguishable from")
     rows, claimed = [], []
     shown = leading(d, _LEAST, _MOST)
     for i, cause in enumerate(shown):
@@ -243,16 +229,9 @@ def _constants(d: Diagnosis) -> Table:
     """Mean and 95 % interval, before and with the claimed cause."""
     before = constant_rows(d, d.baseline)
     after = {} if d.extended is None else {row.name: row for row in constant_rows(d, d.extended)}
-    columns = [
-        Column("constant"),
-        Column("reference", number=True),
-        Column("mean", number=True),
-        Column("2.5 %", number=True),
-        Column("97.5 %", number=True),
-    ]
+    columns = list(headed("constant", "#reference", "#mean", "#2.5 %", "#97.5 %"))
     if after:
-        columns += [Column("extended", number=True), Column("2.5 %", number=True)]
-        columns += [Column("97.5 %", number=True)]
+        columns += headed("#extended", "#2.5 %", "#97.5 %")
     columns.append(Column("determined by"))
     rows = []
     for row in before:
@@ -305,12 +284,7 @@ def _gain(d: Diagnosis) -> Table:
 
 
 def _next(candidates: Sequence[Candidate]) -> Table:
-    columns = (
-        Column("test"),
-        Column("information, nats", number=True),
-        Column("of", number=True),
-        Column("chance that it decides", number=True),
-    )
+    columns = headed("test", "#information, nats", "#of", "#chance that it decides")
     rows = tuple(
         (c.description, fixed(c.information, 2), fixed(c.possible, 2), f"{100 * c.decided:.0f} %")
         for c in candidates[:_NEXT]

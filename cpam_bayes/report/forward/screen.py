@@ -9,20 +9,15 @@ from cpam_bayes.forward_model.solve import ForwardResult
 from cpam_bayes.plate import Specimen, to_user, unit_of
 from cpam_bayes.report.forward.rows import constants_with_origin, measured_of_modes
 from cpam_bayes.report.plates.head import plate_head
-from cpam_bayes.report.tables import Column, Table, facts, remarks
+from cpam_bayes.report.tables import Table, facts, headed, remarks
 
 
 def screen(result: ForwardResult) -> tuple[Table, ...]:
     """Plate, constants, modes, and how exact they are."""
     measured = measured_of_modes(result)
-    columns = [
-        Column("mode", number=True),
-        Column("Hz", number=True),
-        Column("kind"),
-        Column("label"),
-    ]
+    columns = list(headed("#mode", "#Hz", "kind", "label"))
     if any(measured):
-        columns += [Column("measured Hz", number=True), Column("difference %", number=True)]
+        columns += headed("#measured Hz", "#difference %")
     rows = []
     for i, (mode, hz) in enumerate(zip(result.modes, measured, strict=True), 1):
         row = [str(i), significant(mode.frequency, 6), mode.kind, mode.label]
@@ -49,7 +44,7 @@ def screen(result: ForwardResult) -> tuple[Table, ...]:
 
 
 def _constants(specimen: Specimen) -> Table:
-    columns = (Column("name"), Column("value", number=True), Column("unit"), Column("from"))
+    columns = headed("name", "#value", "unit", "from")
     rows = tuple(
         (name, f"{to_user(name, value):.6g}", unit_of(name), source)
         for name, value, source in constants_with_origin(specimen)

@@ -13,7 +13,7 @@ from cpam_bayes.identification.point import PointEstimate
 from cpam_bayes.plate import to_user, unit_of
 from cpam_bayes.report.identification.words import noise_sentence, verdict_sentences
 from cpam_bayes.report.plates.head import plate_head
-from cpam_bayes.report.tables import Column, Table, facts, remarks
+from cpam_bayes.report.tables import Table, facts, headed, remarks
 
 _MISFIT = {
     "absolute": "sum of squared differences in Hz, eq. (7)",
@@ -51,15 +51,7 @@ def _angles(angles: AngleSearchResult) -> Table:
 
 
 def _constants(result: PointEstimate) -> Table:
-    columns = (
-        Column("name"),
-        Column("value", number=True),
-        Column("sd", number=True),
-        Column("unit"),
-        Column("reference", number=True),
-        Column("bounds"),
-        Column("verdict"),
-    )
+    columns = headed("name", "#value", "#sd", "unit", "#reference", "bounds", "verdict")
     rows = []
     for c in result.constants:
         value, sd = with_spread(to_user(c.name, c.value), to_user(c.name, c.sd))
@@ -74,14 +66,7 @@ def _constants(result: PointEstimate) -> Table:
 
 
 def _frequencies(result: PointResult) -> Table:
-    columns = (
-        Column("mode", number=True),
-        Column("label"),
-        Column("kind"),
-        Column("measured Hz", number=True),
-        Column("predicted Hz", number=True),
-        Column("residual %", number=True),
-    )
+    columns = headed("#mode", "label", "kind", "#measured Hz", "#predicted Hz", "#residual %")
     decimals = decimals_of(row.measured for row in result.frequencies)
     rows = tuple(
         (

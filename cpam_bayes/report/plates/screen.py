@@ -4,20 +4,12 @@ from __future__ import annotations
 
 from cpam_bayes.forward_model.builtin import BuiltinPlates
 from cpam_bayes.report.plates.head import THIN, layup_text, size_text, thickness_class, thickness_ratio
-from cpam_bayes.report.tables import Column, Table, remarks
+from cpam_bayes.report.tables import Table, headed, remarks
 
 
 def screen(result: BuiltinPlates) -> tuple[Table, ...]:
     """One row for each specimen."""
-    columns = (
-        Column("name"),
-        Column("size mm"),
-        Column("layup"),
-        Column("edges"),
-        Column("material"),
-        Column("frequencies", number=True),
-        Column("class"),
-    )
+    columns = headed("name", "size mm", "layup", "edges", "material", "#frequencies", "class")
     rows = tuple(
         (
             s.name,

@@ -12,7 +12,7 @@ from cpam_bayes.inference.diagnostics.identifiability import Combination
 from cpam_bayes.inference.diagnostics.power_scaling import MOVED, MovedBound
 from cpam_bayes.inference.diagnostics.profiles import Profile
 from cpam_bayes.plate import to_user
-from cpam_bayes.report.tables import Column, Table
+from cpam_bayes.report.tables import Column, Table, headed
 
 __all__ = ["combinations_table", "product_text", "sensitivity_table"]
 
@@ -28,13 +28,7 @@ _TOLD = 0.1
 
 def combinations_table(result: SampledResult) -> Table:
     """Products of constants, the best determined first, with their spread by data and by prior."""
-    columns = (
-        Column("combination"),
-        Column("sd by data", number=True),
-        Column("sd by prior", number=True),
-        Column("prior / data", number=True),
-        Column("decided by"),
-    )
+    columns = headed("combination", "#sd by data", "#sd by prior", "#prior / data", "decided by")
     names = result.posterior.model.parameters.names
     combinations = result.assessment.combinations
     rows = tuple(

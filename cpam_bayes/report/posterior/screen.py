@@ -13,7 +13,7 @@ from cpam_bayes.priors import Prior, TruncatedNormal
 from cpam_bayes.report.documents import laminate_unit
 from cpam_bayes.report.plates.head import plate_head
 from cpam_bayes.report.posterior.assessment import combinations_table, sensitivity_table
-from cpam_bayes.report.tables import Column, Table, facts, remarks
+from cpam_bayes.report.tables import Column, Table, facts, headed, remarks
 
 # A mode this many standard deviations from what the others predict is marked.
 _MAX_DISTANCE_SD = 3.0
@@ -36,17 +36,8 @@ def screen(result: SampledResult) -> tuple[Table, ...]:
 
 
 def _marginals(title: str, result: SampledResult, shown: tuple[ConstantPosterior, ...]) -> Table:
-    columns = (
-        Column("name"),
-        Column("mean", number=True),
-        Column("sd", number=True),
-        Column("2.5 %", number=True),
-        Column("97.5 %", number=True),
-        Column("unit"),
-        Column("reference", number=True),
-        Column("prior"),
-        Column("contraction", number=True),
-        Column("verdict"),
+    columns = headed(
+        "name", "#mean", "#sd", "#2.5 %", "#97.5 %", "unit", "#reference", "prior", "#contraction", "verdict"
     )
     rows = []
     for c in shown:
@@ -101,17 +92,17 @@ def _verdicts(result: SampledResult) -> tuple[str, ...]:
 
 
 def _frequencies(result: SampledResult) -> Table:
-    columns = (
-        Column("mode", number=True),
-        Column("label"),
-        Column("kind"),
-        Column("measured Hz", number=True),
-        Column("predicted Hz", number=True),
-        Column("sd", number=True),
-        Column("residual %", number=True),
-        Column("leverage", number=True),
-        Column("left out %", number=True),
-        Column("sd %", number=True),
+    columns = headed(
+        "#mode",
+        "label",
+        "kind",
+        "#measured Hz",
+        "#predicted Hz",
+        "#sd",
+        "#residual %",
+        "#leverage",
+        "#left out %",
+        "#sd %",
     )
     measured = result.posterior.measurement.frequencies
     decimals = decimals_of(measured)

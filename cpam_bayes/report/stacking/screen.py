@@ -8,7 +8,7 @@ from cpam_bayes.formatting import NOT_KNOWN, decimals_of, fixed, signed, signifi
 from cpam_bayes.inference.posterior import NOISE
 from cpam_bayes.plate import to_user, user_name
 from cpam_bayes.report.plates.head import plate_head
-from cpam_bayes.report.tables import Column, Table, facts, remarks
+from cpam_bayes.report.tables import Column, Table, facts, headed, remarks
 from cpam_bayes.stacking.mixture import SampledComponent, StackingMixture
 from cpam_bayes.stacking.queries.angle_information import AngleInformation
 from cpam_bayes.stacking.queries.best_fit import BestFit
@@ -37,14 +37,8 @@ def screen(result: StackingResult) -> tuple[Table, ...]:
 
 
 def _sequences(result: StackingPosterior) -> Table:
-    columns = (
-        Column("rank", number=True),
-        Column("unknown angles"),
-        Column("probability of each", number=True),
-        Column("equivalent", number=True),
-        Column("together", number=True),
-        Column("log evidence", number=True),
-        Column("+-", number=True),
+    columns = headed(
+        "#rank", "unknown angles", "#probability of each", "#equivalent", "#together", "#log evidence", "#+-"
     )
     rows = [
         (
@@ -66,12 +60,12 @@ def _sequences(result: StackingPosterior) -> Table:
 
 
 def _plies(result: StackingPosterior, information: AngleInformation) -> Table:
-    columns = (
-        Column("unknown", number=True),
-        Column("most probable angles and their probability"),
-        Column("angles that hold 95 %", number=True),
-        Column("entropy, bits", number=True),
-        Column("fraction of D, %", number=True),
+    columns = headed(
+        "#unknown",
+        "most probable angles and their probability",
+        "#angles that hold 95 %",
+        "#entropy, bits",
+        "#fraction of D, %",
     )
     rows = []
     for j, p in enumerate(result.marginals):
