@@ -66,7 +66,7 @@ def hypotheses_of(
     With several specimens a cause may be that of one of them or common to all, with one size; both have
     the same probability, and so have the specimens.
     """
-    own = [
+    singles = [
         single_hypotheses(
             case.models.facts,
             case.measurement.size,
@@ -78,79 +78,81 @@ def hypotheses_of(
     ]
     every = tuple(range(len(cases)))
     if len(cases) == 1:
-        return [(h, every) for h in own[0]]
+        return [(h, every) for h in singles[0]]
     groups: dict[str, list[int]] = {}
     for i, case in enumerate(cases):
         groups.setdefault(case.models.specimen.specimen, []).append(i)
-    found = _causes_of_several(own, [tuple(group) for group in groups.values()])
-    # what only some plates can have leaves a part of its probability, which all causes share
-    alone = sum(h.prior for h in own[0] if h.cause not in (NONE, OTHER))
-    factor = alone / sum(h.prior for h, _ in found)
-    first = [(h, every) for h in own[0] if h.cause in (NONE, OTHER)]
-    return first + [(replace(h, prior=factor * h.prior), plates) for h, plates in found]
+    hypotheses = _causes_of_several(singles, [tuple(group) for group in groups.values()])
+    # what only some plates can have leaves a part of its probability, which goes to all causes
+    alone = sum(h.prior for h in singles[0] if h.cause not in (NONE, OTHER))
+    factor = alone / sum(h.prior for h, _ in hypotheses)
+    first = [(h, every) for h in singles[0] if h.cause in (NONE, OTHER)]
+    return first + [(replace(h, prior=factor * h.prior), plates) for h, plates in hypotheses]
 
 
 def _causes_of_several(
-    own: Sequence[tuple[Hypothesis, ...]], groups: Sequence[tuple[int, ...]]
+    singles: Sequence[tuple[Hypothesis, ...]], groups: Sequence[tuple[int, ...]]
 ) -> list[tuple[Hypothesis, tuple[int, ...]]]:
-    """Causes with the plates that they are about, half of the probability each on common and own ones.
+    """Causes with the plates that they are about, half of the probability on those common to all.
 
-    own : hypotheses of every plate. groups : plates by specimen.
+    singles : hypotheses of every plate
+    groups : plates by specimen
     """
-    every = tuple(range(len(own)))
+    every = tuple(range(len(singles)))
     if len(groups) == 1:
-        return [(h, every) for h in _common(own, every) if h.other_material] + _of_specimen(own, every)
-    found = [(replace(h, prior=0.5 * h.prior), every) for h in _common(own, every)]
-    share = 0.5 / len(groups)
+        of_all = [(h, every) for h in _common(singles, every) if h.other_material]
+        return of_all + _of_specimen(singles, every)
+    causes = [(replace(h, prior=0.5 * h.prior), every) for h in _common(singles, every)]
+    half = 0.5 / len(groups)
     for group in groups:
-        found += [(replace(h, prior=share * h.prior), at) for h, at in _of_specimen(own, group)]
-    return found
+        causes += [(replace(h, prior=half * h.prior), at) for h, at in _of_specimen(singles, group)]
+    return causes
 
 
 def differing_priors(cases: Sequence[PlateCase]) -> tuple[str, ...]:
     """Constants whose prior is not the same in the files of plates of one material; the first one's holds."""
     first: dict[tuple[str | None, str], Parameter] = {}
-    found = []
+    names = []
     for case in cases:
         specimen = case.models.specimen
         for parameter in case.models.parameters.parameters:
             if parameter.name in specimen.unknowns:
                 known = first.setdefault((specimen.material.name, parameter.name), parameter)
                 if known.prior != parameter.prior:
-                    found.append(parameter.name)
-    return tuple(dict.fromkeys(found))
+                    names.append(parameter.name)
+    return tuple(dict.fromkeys(names))
 
 
-def _common(own: Sequence[tuple[Hypothesis, ...]], plates: tuple[int, ...]) -> list[Hypothesis]:
+def _common(singles: Sequence[tuple[Hypothesis, ...]], plates: tuple[int, ...]) -> list[Hypothesis]:
     """Causes that all of some plates may have in common; a material is that of all."""
-    first = [h for h in own[plates[0]] if h.records]
-    others = [{(h.cause, h.variant) for h in own[i]} for i in plates[1:]]
+    first = [h for h in singles[plates[0]] if h.records]
+    others = [{(h.cause, h.variant) for h in singles[i]} for i in plates[1:]]
     return [h for h in first if not h.is_of_one_test and all((h.cause, h.variant) in o for o in others)]
 
 
 def _of_specimen(
-    own: Sequence[tuple[Hypothesis, ...]], tests: tuple[int, ...]
+    singles: Sequence[tuple[Hypothesis, ...]], tests: tuple[int, ...]
 ) -> list[tuple[Hypothesis, tuple[int, ...]]]:
     """Causes of one specimen with its tests that they are about.
 
     A flaw of the plate is about all tests in which it can act: threads do not hold a clamped plate. Clamps
-    and slips of a list are about one test each. A cause is as probable as it is with one test.
+    and errors of a frequency list are about one test each. A cause is as probable as it is with one test.
     """
     flaws: dict[tuple[str, str], tuple[Hypothesis, list[int]]] = {}
-    found: list[tuple[Hypothesis, tuple[int, ...]]] = []
+    causes: list[tuple[Hypothesis, tuple[int, ...]]] = []
     alone: dict[str, float] = {}
     for i in tests:
-        here = [h for h in own[i] if h.cause not in (NONE, OTHER) and not h.other_material]
+        here = [h for h in singles[i] if h.cause not in (NONE, OTHER) and not h.other_material]
         for h in here:
             if h.is_of_one_test:
-                found.append((h, (i,)))
+                causes.append((h, (i,)))
             else:
                 flaws.setdefault((h.cause, h.variant), (h, []))[1].append(i)
         for cause, prior in prior_by_cause(here).items():
             alone[cause] = max(prior, alone.get(cause, 0.0))
-    found = [(h, tuple(at)) for h, at in flaws.values()] + found
-    whole = prior_by_cause([h for h, _ in found])
-    return [(replace(h, prior=h.prior * alone[h.cause] / whole[h.cause]), at) for h, at in found]
+    causes = [(h, tuple(at)) for h, at in flaws.values()] + causes
+    whole = prior_by_cause([h for h, _ in causes])
+    return [(replace(h, prior=h.prior * alone[h.cause] / whole[h.cause]), at) for h, at in causes]
 
 
 def _modes(models: PlateModels, measurement: Measurement) -> Array:
@@ -174,7 +176,7 @@ def _most_probable_pairing(models: PlateModels, measurement: Measurement) -> Arr
     posterior = plate_posterior(models.bare, measurement, models.error)
     points = posterior.parameters.sample(np.random.default_rng(0), _POINTS)
     points = points[models.bare.admissible(points[:, : models.parameters.size])]
-    found: dict[bytes, tuple[float, Array]] = {}
+    best: dict[bytes, tuple[float, Array]] = {}
     for start in points[np.argsort(-posterior.log_prob(points), kind="stable")[:_OPTIMISED]]:
         x, seen = start, set[bytes]()
         for _ in range(_MOST_TURNS):
@@ -184,8 +186,8 @@ def _most_probable_pairing(models: PlateModels, measurement: Measurement) -> Arr
             seen.add(mode.tobytes())
             x = _best_constants(models, measurement, mode, x)
             value = float(posterior.log_prob(x[None])[0])
-            found[mode.tobytes()] = max(found.get(mode.tobytes(), (-np.inf, mode)), (value, mode), key=_first)
-    return max(found.values(), key=_first)[1]
+            best[mode.tobytes()] = max(best.get(mode.tobytes(), (-np.inf, mode)), (value, mode), key=_first)
+    return max(best.values(), key=_first)[1]
 
 
 def _first(entry: tuple[float, Array]) -> float:
@@ -213,6 +215,6 @@ def _only(measurement: Measurement, kept: Array) -> Measurement:
         measurement.resolution,
         measurement.relative_std,
         None if sd is None else sd[kept],
-        tuple(label for label, own in zip(measurement.labels, kept, strict=True) if own),
+        tuple(label for label, is_kept in zip(measurement.labels, kept, strict=True) if is_kept),
         measurement.complete,
     )

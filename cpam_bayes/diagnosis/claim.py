@@ -42,8 +42,8 @@ def claim_of(
     Nothing is wrong where none has half the probability. A single cause is named, or its class, where the
     class has 0.9 and its best member is 3 nats above the best outsider, none and other among these; a
     member alone where it has 0.9 itself. Pairs count in the probabilities, with their priors. Then a pair
-    is claimed where it and those whose causes cannot be told from its own have 0.9, or other. The rest is
-    undecided.
+    is claimed where it and those whose causes cannot be distinguished from its causes have 0.9, or other.
+    The rest is undecided.
     """
     if probability[NONE] >= PLAIN:
         return Claim("none", (), probability[NONE])
@@ -78,7 +78,7 @@ def claim_of(
 
 
 def _stands_for(one: tuple[str, ...], other: tuple[str, ...], alike: Mapping[str, frozenset[str]]) -> bool:
-    """Whether each cause of a pair is one of the other pair, or cannot be told from it."""
+    """Whether each cause of a pair is one of the other pair, or cannot be distinguished from it."""
 
     def is_like(a: str, b: str) -> bool:
         return a == b or b in alike.get(a, frozenset())

@@ -31,23 +31,25 @@ from cpam_bayes.threads import single_blas_thread
 
 Array = NDArray[Any]
 
-# Variants of the claimed causes that carry less than this share of the claim are not averaged over.
-_LEAST_SHARE = 1e-3
+# Variants of the claimed causes that carry less than this fraction of the claim are not averaged over.
+_LEAST_FRACTION = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
 class Cause:
     """One cause as the data see it, its variants summed.
 
-    plates : names of those that have it in its most probable variant, all where they share it.
-    log_bayes_factor : against none, the variants averaged over their priors.
-    log_evidence_error, k_hat : of the most probable variant, ``nan`` where it was not sampled.
-    parameters : name -> mean, sd and unit in that variant; of the magnitude where either sign is as probable.
-    indistinguishable_from : causes with the same signature.
-    max_shift : largest relative shift of a frequency at one standard deviation.
-    absorbed : whether the constants hide it.
-    visible : fraction of its signature that they do not imitate.
-    bias : name -> relative change of a constant that imitates it.
+    plates : names of those that have it in its most probable variant, all where it is common to them
+    log_bayes_factor : against none, the variants averaged over their priors
+    log_evidence_error, k_hat : of the most probable variant, ``nan`` where it was not sampled
+    parameters : name -> mean, sd and SI unit in that variant; of the magnitude where either sign is as
+        probable
+    indistinguishable_from : by their signatures
+    max_shift : largest relative shift of a frequency at one standard deviation
+    absorbed : by the constants
+    visible : fraction of its signature that the constants do not imitate
+    bias : name -> relative change of a constant that imitates it
+    hypothesis : the most probable variant, with its effects and how their parameters are shown
     """
 
     name: str
@@ -70,9 +72,10 @@ class Cause:
 class Diagnosis:
     """The answer about one or several plates.
 
-    causes : all, none and other among them, the most probable first. members : tested variants of the
-    claimed causes with their shares, which the extended model is averaged over. extended, gain : ``None``
-    where nothing is claimed. signatures : by cause, of its best variant.
+    causes : all, none and other among them, the most probable first
+    members : tested variants of the claimed causes with the fractions at which they are averaged
+    extended, gain : ``None`` where nothing is claimed
+    signatures : by cause, of its best variant
     """
 
     cases: tuple[PlateCase, ...]
@@ -149,19 +152,19 @@ def _causes(
 ) -> tuple[Cause, ...]:
     pairs = {t.hypothesis.cause for t in weighed.tested if t.hypothesis.family == PAIR}
     names = [name for name in signatures if name not in pairs]
-    own = [signatures[name] for name in names]
+    of_singles = [signatures[name] for name in names]
     menus: dict[str, list[Menu]] = {name: [] for name in names}
     for t in weighed.tested:
         menu = menu_of(t, weighed.none.marginal, projector)
         if menu is not None:
             menus[t.hypothesis.cause].append(menu)
     of_all = [menus[name] for name in names]
-    like = {name: tuple(names[j] for j in alike(own, i, of_all)) for i, name in enumerate(names)}
-    found = []
+    like = {name: tuple(names[j] for j in alike(of_singles, i, of_all)) for i, name in enumerate(names)}
+    causes = []
     for name, probability in weighed.by_cause().items():
         t = best[name]
         signature = signatures.get(name)
-        found.append(
+        causes.append(
             Cause(
                 name=name,
                 variant=t.hypothesis.variant,
@@ -174,16 +177,16 @@ def _causes(
                 indistinguishable_from=like.get(name, ()),
                 max_shift=signature.largest if signature else 0.0,
                 absorbed=signature.is_absorbed if signature else False,
-                visible=signature.share if signature else 1.0,
+                visible=signature.visible_fraction if signature else 1.0,
                 bias=_bias(weighed.none.marginal, signature) if signature else {},
                 hypothesis=t.hypothesis,
             )
         )
-    return tuple(found)
+    return tuple(causes)
 
 
 def _parameters(t: Tested) -> dict[str, tuple[float, float, str]]:
-    found = {}
+    sizes = {}
     weights = np.exp(t.marginal.log_weight)
     for parameter, column in zip(t.hypothesis.parameters, t.columns, strict=True):
         x = t.marginal.draws[:, column]
@@ -192,8 +195,8 @@ def _parameters(t: Tested) -> dict[str, tuple[float, float, str]]:
             x = np.abs(x)
         mean = float(weights @ x)
         sd = float(np.sqrt(weights @ (x - mean) ** 2))
-        found[parameter.name] = (mean, sd, parameter.unit)
-    return found
+        sizes[parameter.name] = (mean, sd, parameter.unit)
+    return sizes
 
 
 def _bias(none: Marginal, signature: Signature) -> dict[str, float]:
@@ -215,17 +218,17 @@ def _claim(weighed: Weighed, causes: Sequence[Cause]) -> Claim:
 
 
 def _members(weighed: Weighed, claim: Claim) -> tuple[tuple[Tested, float], ...]:
-    """The tested variants of what is claimed, with their shares."""
+    """The tested variants of what is claimed, with their fractions."""
     if claim.kind in ("none", "undecided"):
         return ()
     if claim.kind == "pair":
-        own = [
+        claimed = [
             t for t in weighed.tested if t.hypothesis.family == PAIR and t.hypothesis.causes == claim.causes
         ]
     else:
         names = claim.causes or (OTHER,)
-        own = [t for t in weighed.tested if t.hypothesis.cause in names]
-    total = sum(t.probability for t in own)
-    kept = [t for t in own if t.probability >= _LEAST_SHARE * total]
+        claimed = [t for t in weighed.tested if t.hypothesis.cause in names]
+    total = sum(t.probability for t in claimed)
+    kept = [t for t in claimed if t.probability >= _LEAST_FRACTION * total]
     total = sum(t.probability for t in kept)
     return tuple((t, t.probability / total) for t in kept)

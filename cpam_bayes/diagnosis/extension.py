@@ -23,11 +23,11 @@ from cpam_bayes.threads import single_blas_thread
 Array = NDArray[Any]
 
 # Members of a claim that are sampled: those with so much of it, and so many.
-_LEAST_SHARE, _MOST_MEMBERS = 0.05, 3
+_LEAST_FRACTION, _MOST_MEMBERS = 0.05, 3
 # Draws that are handed on, and by how much starts are spread, in standard deviations of their scores.
 _DRAWS, _SPREAD = 4000, 0.1
-# Nodes of the quadrature that optima are looked for from, and the mass that makes one worth it.
-_MOST_STARTS, _NODE_SHARE = 8, 0.01
+# Nodes of the quadrature that optima are sought from, and the mass that makes one worth it.
+_MOST_STARTS, _NODE_FRACTION = 8, 0.01
 # Trials to find a start inside the constraints (9) before the draw itself is taken.
 _TRIALS = 20
 
@@ -51,12 +51,14 @@ class ComparedPosterior(Posterior):
 class SampledMember:
     """One hypothesis of the claim, sampled.
 
-    share : of what is averaged. draws : (d, n) of all its parameters, equally probable. mean, sd : (n,).
-    note : what of the hypothesis is no parameter of the plate, "" if nothing is.
+    fraction : of what is averaged
+    draws : (d, n) of all its parameters, equally probable
+    mean, sd : (n,)
+    note : what of the hypothesis is no parameter of the plate, "" if nothing is
     """
 
     tested: Tested
-    share: float
+    fraction: float
     draws: Array
     mean: Array
     sd: Array
@@ -68,8 +70,8 @@ class SampledMember:
 class Resampled:
     """The constants of the extended model.
 
-    constants : name -> mean, sd, 2.5 % and 97.5 % quantile, SI, averaged over the members by their shares.
-    draws : (d, n_constants), equally probable. not_sampled : share of the claim that the members lack.
+    constants : name -> mean, sd, 2.5 % and 97.5 % quantile, SI, averaged over the members by their fractions.
+    draws : (d, n_constants), equally probable. not_sampled : fraction of the claim that the members lack.
     solves : forward solves of all chains.
     """
 
@@ -108,25 +110,25 @@ def resample_members(
     *,
     notify: Callable[[str], None] = lambda text: None,
 ) -> Resampled:
-    """The same of hypotheses (at least one) with their shares."""
+    """The same of hypotheses (at least one) with their fractions."""
     ranked = sorted(members, key=lambda m: -m[1])[:_MOST_MEMBERS]
-    kept = [m for i, m in enumerate(ranked) if not i or m[1] >= _LEAST_SHARE]
-    whole = sum(share for _, share in kept)
-    found, solves = [], 0
-    for k, (tested, share) in enumerate(kept):
+    kept = [m for i, m in enumerate(ranked) if not i or m[1] >= _LEAST_FRACTION]
+    whole = sum(fraction for _, fraction in kept)
+    sampled, solves = [], 0
+    for k, (tested, fraction) in enumerate(kept):
         notify(f"sampling {tested.hypothesis.cause} {tested.hypothesis.variant}".rstrip())
-        member, cost = _sampled(tested, share / whole, seed, k, settings)
-        found.append(member)
+        member, cost = _sampled(tested, fraction / whole, seed, k, settings)
+        sampled.append(member)
         solves += cost
-    names = _shared_constants(found)
-    draws = np.concatenate([_even(m, names, max(round(m.share * _DRAWS), 2)) for m in found])
-    mean, sd = _mixed(found, names)
+    names = _shared_constants(sampled)
+    draws = np.concatenate([_even(m, names, max(round(m.fraction * _DRAWS), 2)) for m in sampled])
+    mean, sd = _mixed(sampled, names)
     low, high = np.quantile(draws, (0.025, 0.975), axis=0)
     constants = {
         name: (float(mean[i]), float(sd[i]), float(low[i]), float(high[i])) for i, name in enumerate(names)
     }
-    total = sum(share for _, share in members)
-    return Resampled(constants, draws, tuple(found), 1.0 - whole / total, solves)
+    total = sum(fraction for _, fraction in members)
+    return Resampled(constants, draws, tuple(sampled), 1.0 - whole / total, solves)
 
 
 def compared_posterior(comparison: Comparison) -> ComparedPosterior:
@@ -153,52 +155,52 @@ def start_positions(marginal: Marginal, posterior: Posterior, size: int, rng: np
     scores = marginal.comparison.scores
     z = scores.to_z(rng.permutation(marginal.resampled(size)))
     width = _SPREAD * np.maximum(z.std(axis=0), 1e-3)
-    found = scores.to_x(z)
+    start = scores.to_x(z)
     open_ = np.arange(size)
     for _ in range(_TRIALS):
         trial = scores.to_x(z[open_] + width * rng.standard_normal((len(open_), z.shape[1])))
         good = np.isfinite(posterior.log_prob(trial))
-        found[open_[good]] = trial[good]
+        start[open_[good]] = trial[good]
         open_ = open_[~good]
         if not len(open_):
             break
-    return found
+    return start
 
 
 def note_of(tested: Tested) -> str:
     """What of a hypothesis is no parameter of the plate, in words."""
-    listed, found = tested.hypothesis.listed, []
+    listed, notes = tested.hypothesis.listed, []
     if listed.missed and listed.spurious is not None:
-        found.append(
+        notes.append(
             f"frequency {listed.spurious + 1} is taken as misread for that of mode {listed.missed[0] + 1}"
         )
     elif listed.missed:
-        found.append(
+        notes.append(
             f"taken as missing from the list: mode {' and '.join(str(k + 1) for k in listed.missed)}"
         )
     elif listed.spurious is not None:
-        found.append(f"frequency {listed.spurious + 1} is taken as false and left out")
+        notes.append(f"frequency {listed.spurious + 1} is taken as false and left out")
     if listed.misread is not None:
-        found.append(f"frequency {listed.misread + 1} is taken as misread and says little of the constants")
+        notes.append(f"frequency {listed.misread + 1} is taken as misread and says little of the constants")
     if tested.marginal.comparison.discrepancy is not None:
-        found.append("a scatter of all modes that nothing explains is added to the noise")
-    return "; ".join(found)
+        notes.append("a scatter of all modes that nothing explains is added to the noise")
+    return "; ".join(notes)
 
 
 def _sampled(
-    tested: Tested, share: float, seed: int, number: int, settings: EnsembleSettings
+    tested: Tested, fraction: float, seed: int, number: int, settings: EnsembleSettings
 ) -> tuple[SampledMember, int]:
     marginal = tested.marginal
     posterior = compared_posterior(marginal.comparison)
-    own = int(np.random.SeedSequence([seed, number]).generate_state(1)[0])
-    rng = np.random.default_rng([own, 7])
-    proposal = adapted(posterior, _optima(marginal), own, AdaptationSettings())
+    member_seed = int(np.random.SeedSequence([seed, number]).generate_state(1)[0])
+    rng = np.random.default_rng([member_seed, 7])
+    proposal = adapted(posterior, _optima(marginal), member_seed, AdaptationSettings())
     n = settings.ensembles * settings.walkers
     start = start_positions(marginal, posterior, n, rng).reshape(settings.ensembles, settings.walkers, -1)
-    result = sample(posterior, start, own, settings, proposal=proposal)
+    result = sample(posterior, start, member_seed, settings, proposal=proposal)
     draws = result.draws
     member = SampledMember(
-        tested, share, draws, draws.mean(axis=0), draws.std(axis=0), result.diagnostics, note_of(tested)
+        tested, fraction, draws, draws.mean(axis=0), draws.std(axis=0), result.diagnostics, note_of(tested)
     )
     return member, result.solves
 
@@ -206,7 +208,7 @@ def _sampled(
 def _optima(marginal: Marginal) -> Array:
     """Parameters (m, n) of the quadrature's nodes that carry mass, the best first."""
     order = np.argsort(-marginal.weight, kind="stable")[:_MOST_STARTS]
-    kept = [i for k, i in enumerate(order) if not k or marginal.weight[i] >= _NODE_SHARE]
+    kept = [i for k, i in enumerate(order) if not k or marginal.weight[i] >= _NODE_FRACTION]
     return np.asarray(marginal.comparison.scores.to_x(marginal.z[kept]))
 
 
@@ -219,8 +221,8 @@ def _shared_constants(members: Sequence[SampledMember]) -> list[str]:
 
 
 def _columns(member: SampledMember, names: Sequence[str]) -> list[int]:
-    own = member.tested.marginal.comparison.parameters.names
-    return [own.index(name) for name in names]
+    every = member.tested.marginal.comparison.parameters.names
+    return [every.index(name) for name in names]
 
 
 def _even(member: SampledMember, names: Sequence[str], size: int) -> Array:
@@ -231,8 +233,8 @@ def _even(member: SampledMember, names: Sequence[str], size: int) -> Array:
 
 def _mixed(members: Sequence[SampledMember], names: Sequence[str]) -> tuple[Array, Array]:
     """Mean and standard deviation over the mixture of the members, (n_names,) each."""
-    share = np.array([m.share for m in members])
+    fraction = np.array([m.fraction for m in members])
     means = np.stack([m.mean[_columns(m, names)] for m in members])
     sds = np.stack([m.sd[_columns(m, names)] for m in members])
-    mean = share @ means
-    return mean, np.sqrt(share @ (sds**2 + (means - mean) ** 2))
+    mean = fraction @ means
+    return mean, np.sqrt(fraction @ (sds**2 + (means - mean) ** 2))

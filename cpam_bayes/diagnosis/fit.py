@@ -57,11 +57,11 @@ def fit_of(members: Sequence[tuple[Tested, float]], whole: Array) -> Fit:
     sampled = [t for t, _ in members if np.isfinite(t.marginal.error)]
     model_names = first.model.parameters.names
     shared = [n for n in model_names if all(n in t.marginal.comparison.parameters.names for t, _ in members)]
-    own = [n for n in shared if n not in {p.name for t, _ in members for p in t.hypothesis.parameters}]
+    kept_names = [n for n in shared if n not in {p.name for t, _ in members for p in t.hypothesis.parameters}]
     draws, predicted, variance, residual = [], [], [], []
-    for t, share in members:
+    for t, fraction in members:
         marginal, comparison = t.marginal, t.marginal.comparison
-        x = marginal.resampled(max(round(share * _DRAWS), 2))
+        x = marginal.resampled(max(round(fraction * _DRAWS), 2))
         f, _ = comparison.predict(x)
         v = comparison.variance(x)
         if f.shape[1] < len(whole):  # a false peak is predicted as measured
@@ -70,7 +70,7 @@ def fit_of(members: Sequence[tuple[Tested, float]], whole: Array) -> Fit:
             f_all[:, kept], v_all[:, kept] = f, v
             f, v = f_all, v_all
         names = comparison.parameters.names
-        draws.append(x[:, [names.index(n) for n in own]])
+        draws.append(x[:, [names.index(n) for n in kept_names]])
         predicted.append(f)
         variance.append(v)
         residual.append(np.sum((whole - f) ** 2 / v, axis=1))
@@ -81,7 +81,7 @@ def fit_of(members: Sequence[tuple[Tested, float]], whole: Array) -> Fit:
     return Fit(
         constants={
             n: (float(x[:, i].mean()), float(x[:, i].std()), float(low[i]), float(high[i]))
-            for i, n in enumerate(own)
+            for i, n in enumerate(kept_names)
         },
         measured=whole,
         predicted=mean,

@@ -24,10 +24,10 @@ Array = NDArray[Any]
 class Gain:
     """What the claimed cause is worth.
 
-    log_bayes_factor : of the claimed causes, their variants averaged over their priors. held_out : (n_f,)
-    log predictive density of each frequency from all others, extended less plain.
-    stable : share of the frequencies without which the claimed cause still is ahead of none and of the best
-    outsider.
+    log_bayes_factor : of the claimed causes, their variants averaged over their priors
+    held_out : (n_f,) log predictive density of each frequency from all others, extended less plain
+    stable : fraction of the frequencies without which the claimed cause still is ahead of none and of the
+        best outsider
     """
 
     rms_before: float
@@ -57,20 +57,20 @@ def gain_of(
     extended: Fit,
     scatter: float,
 ) -> Gain:
-    """The gain of the claimed causes, ``members`` with their shares, over the plain model."""
+    """The gain of the claimed causes, ``members`` with their fractions, over the plain model."""
     leader = members[0][0]
     claimed = {t.hypothesis.cause for t, _ in members}
     outsider = next(
         (t for t in weighed.tested if t.hypothesis.cause not in (*claimed, NONE, *claim.causes)), None
     )
     n = len(baseline.measured)
-    own = left_out(cases, leader, n, weighed.none.marginal, scatter)
+    with_cause = left_out(cases, leader, n, weighed.none.marginal, scatter)
     none = left_out(cases, weighed.none, n, None, scatter)
-    held_out = (leader.marginal.log_evidence - own) - (weighed.none.marginal.log_evidence - none)
-    ahead = own + np.log(leader.hypothesis.prior) > none + np.log(weighed.none.hypothesis.prior)
+    held_out = (leader.marginal.log_evidence - with_cause) - (weighed.none.marginal.log_evidence - none)
+    ahead = with_cause + np.log(leader.hypothesis.prior) > none + np.log(weighed.none.hypothesis.prior)
     if outsider is not None:
         other = left_out(cases, outsider, n, weighed.none.marginal, scatter)
-        ahead &= own + np.log(leader.hypothesis.prior) > other + np.log(outsider.hypothesis.prior)
+        ahead &= with_cause + np.log(leader.hypothesis.prior) > other + np.log(outsider.hypothesis.prior)
     return Gain(
         baseline.rms,
         extended.rms,
@@ -86,7 +86,7 @@ def left_out(cases: Sequence[PlateCase], t: Tested, n: int, none: Marginal | Non
     One that is about the list itself has the evidence of the whole list where the frequency that it
     explains is the one left out.
     """
-    found = np.full(n, t.marginal.log_evidence)
+    evidences = np.full(n, t.marginal.log_evidence)
     first = t.marginal if t.marginal.is_refined and t.marginal.quadrature is not None else None
     listed = t.hypothesis.listed
     before = sum(case.measurement.size for case in cases[: t.plates[0]])  # frequencies of other plates
@@ -101,5 +101,5 @@ def left_out(cases: Sequence[PlateCase], t: Tested, n: int, none: Marginal | Non
         marginal = marginal_of(
             cases, t.hypothesis, t.plates, scatter=scatter, none=none, left_out=at, screened=first
         )
-        found[i] = sampled_marginal(marginal).log_evidence
-    return found
+        evidences[i] = sampled_marginal(marginal).log_evidence
+    return evidences

@@ -40,7 +40,7 @@ class Hypothesis:
     listed : error in the frequency list
     parameters : of all of these
     prior : probability of this variant
-    others : effects that have no model: on the list, or on what is known of the constants
+    unmodelled : effects that have no model: on the list, or on what is known of the constants
     """
 
     cause: str
@@ -50,12 +50,12 @@ class Hypothesis:
     listed: ListChange = _NO_ERROR
     parameters: tuple[Parameter, ...] = ()
     prior: float = 0.0
-    others: tuple[Effect, ...] = ()
+    unmodelled: tuple[Effect, ...] = ()
 
     @property
     def records(self) -> tuple[Effect, ...]:
         """The effects that act: one, two of a pair, none."""
-        return self.effects + self.others
+        return self.effects + self.unmodelled
 
     @property
     def causes(self) -> tuple[str, ...]:
@@ -65,7 +65,7 @@ class Hypothesis:
     @property
     def other_material(self) -> bool:
         """Whether only the search bounds are known of the constants."""
-        return any(e.drops_references for e in self.others)
+        return any(e.drops_references for e in self.unmodelled)
 
     @property
     def is_gross(self) -> bool:
@@ -98,7 +98,7 @@ def single_hypotheses(
     # as probable as the most probable other transcription error
     gross = max((h.prior for h in hypotheses if h.is_gross), default=_GROSS_FRACTION * whole)
     hypotheses += [
-        Hypothesis(effect.name, effect.family, prior=gross, others=(effect,))
+        Hypothesis(effect.name, effect.family, prior=gross, unmodelled=(effect,))
         for effect in possible
         if effect.drops_references
     ]
@@ -147,7 +147,7 @@ def paired(a: Hypothesis, b: Hypothesis, scale: float) -> Hypothesis:
         listed=_both(a.listed, b.listed),
         parameters=a.parameters + b.parameters,
         prior=scale * a.prior * b.prior,
-        others=a.others + b.others,
+        unmodelled=a.unmodelled + b.unmodelled,
     )
 
 
@@ -175,7 +175,7 @@ def _of_list(effect: Effect, n: int, complete: bool) -> list[tuple[Hypothesis, f
                 variant.text,
                 listed=variant.change,
                 parameters=() if variant.change.misread is None else effect.parameters,
-                others=(effect,),
+                unmodelled=(effect,),
             ),
             variant.fraction,
         )

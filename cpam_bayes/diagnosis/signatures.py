@@ -17,11 +17,11 @@ from cpam_bayes.effects import scale_of
 
 Array = NDArray[Any]
 
-# Two causes are told apart below this cosine of their visible signatures.
+# Two causes are distinguished below this cosine of their visible signatures.
 ALIKE = 0.95
-# A cause of which less than this share of the signature is visible is absorbed by the constants.
+# A cause of which less than this fraction of the signature is visible is absorbed by the constants.
 ABSORBED = 0.1
-# A shift smaller than this share of the one that it is compared with is hardly there.
+# A shift smaller than this fraction of the one that it is compared with is hardly there.
 _HARDLY = 0.1
 # Scores of an effect's size at which it is compared with the others.
 _SIZES = np.linspace(GRID[0], GRID[-1], 181)
@@ -31,22 +31,23 @@ _SIZES = np.linspace(GRID[0], GRID[-1], 181)
 class Signature:
     """Relative shifts of the frequencies by one hypothesis at fixed constants.
 
-    shift : (n_f,), in units of the noise, at the size that the data suggest. visible : the same with what
-    the constants imitate taken out. share : norm of the visible over the whole. bias : (n,) scores by which
-    the constants move to imitate it. largest : largest relative shift of a frequency at one standard
-    deviation of the catalogue.
+    shift : (n_f,), in units of the noise, at the size that the data suggest
+    visible : the same with what the constants imitate taken out
+    visible_fraction : norm of the visible shift over that of the whole
+    bias : (n,) scores by which the constants move to imitate it
+    largest : largest relative shift of a frequency at one standard deviation of the catalogue
     """
 
     shift: Array
     visible: Array
-    share: float
+    visible_fraction: float
     bias: Array
     largest: float
 
     @property
     def is_absorbed(self) -> bool:
         """Whether the constants hide it."""
-        return self.share < ABSORBED
+        return self.visible_fraction < ABSORBED
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,9 +106,9 @@ def signature_of(tested: Tested, none: Marginal, projector: Projector) -> Signat
     shift = (f[1] - f[0]) / sigma
     visible = projector.visible(shift)
     whole = float(np.linalg.norm(shift))
-    share = float(np.linalg.norm(visible)) / whole if whole > 0.0 else 0.0
+    fraction = float(np.linalg.norm(visible)) / whole if whole > 0.0 else 0.0
     return Signature(
-        shift, visible, share, projector.absorb @ shift, float(np.abs((f[2] - f[0]) / listed).max())
+        shift, visible, fraction, projector.absorb @ shift, float(np.abs((f[2] - f[0]) / listed).max())
     )
 
 
@@ -125,34 +126,34 @@ def alike(
     """Numbers of the signatures that frequencies cannot tell from the i-th.
 
     menus : of every cause, what its variants can do at other sizes than the data suggest for themselves: a
-    cause that can do the same as the i-th is not told from it.
+    cause that can do the same as the i-th is not distinguished from it.
     """
-    found = []
+    indistinguishable = []
     for j, other in enumerate(signatures):
         best = abs(cosine(signatures[i], other))
         if menus is not None and not signatures[i].is_absorbed:
             best = max([best, *(menu.cosine(signatures[i].visible) for menu in menus[j])])
         if j != i and best > ALIKE:
-            found.append(j)
-    return tuple(found)
+            indistinguishable.append(j)
+    return tuple(indistinguishable)
 
 
 @dataclass(frozen=True, slots=True)
 class Menu:
     """What one variant of a cause can do to the frequencies.
 
-    visible : (k, n_f) what is left of its shifts at k sizes, in units of the noise. share : (k,) of the
-    whole.
+    visible : (k, n_f) what is left of its shifts at k sizes, in units of the noise
+    visible_fraction : (k,) their norms over those of the whole shifts
     """
 
     visible: Array
-    share: Array
+    visible_fraction: Array
 
     def cosine(self, target: Array) -> float:
         """Cosine, without sign, of a visible shift (n_f,) and the nearest of these; 0 if that is absorbed."""
         i = nearest_of(self.visible, target)
         size = float(np.linalg.norm(self.visible[i]) * np.linalg.norm(target))
-        if size == 0.0 or self.share[i] < ABSORBED:
+        if size == 0.0 or self.visible_fraction[i] < ABSORBED:
             return 0.0
         return abs(float(self.visible[i] @ target)) / size
 
@@ -180,8 +181,8 @@ def menu_of(tested: Tested, none: Marginal, projector: Projector) -> Menu | None
     shift = fine * (none.comparison.listed.frequencies / sigma)
     visible = shift @ projector.root
     whole = np.linalg.norm(shift, axis=1)
-    share = np.linalg.norm(visible, axis=1) / np.where(whole > 0.0, whole, np.inf)
-    return Menu(visible, share)
+    fraction = np.linalg.norm(visible, axis=1) / np.where(whole > 0.0, whole, np.inf)
+    return Menu(visible, fraction)
 
 
 def _aligned(comparison: Comparison, x: Array, none: Marginal) -> Array:

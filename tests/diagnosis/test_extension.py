@@ -151,7 +151,7 @@ def test_members_are_averaged_by_their_shares() -> None:
     own = plate(0.02 * BUMP)
     first, second = (made(hypothesis(e, 0.1), own) for e in (BENT, DENTED))
     both = resample_members([(first, 0.75), (second, 0.25)], 0, FAST)
-    assert [m.share for m in both.members] == [0.75, 0.25]
+    assert [m.fraction for m in both.members] == [0.75, 0.25]
     means = np.array([m.mean[:2] for m in both.members])
     variances = np.array([m.sd[:2] ** 2 for m in both.members])
     mean = np.array([0.75, 0.25]) @ means
@@ -169,7 +169,7 @@ def test_members_with_little_of_the_claim_are_left_out() -> None:
     shares = [0.6, 0.36, 0.04]
     found = resample_members(list(zip(of, shares, strict=True)), 0, replace(FAST, effective=200.0))
     assert [m.tested.hypothesis.cause for m in found.members] == ["bent", "dented"]
-    assert sum(m.share for m in found.members) == pytest.approx(1.0)
+    assert sum(m.fraction for m in found.members) == pytest.approx(1.0)
     assert found.not_sampled == pytest.approx(0.04)
 
 

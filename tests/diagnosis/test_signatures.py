@@ -92,7 +92,7 @@ def test_a_shift_that_the_constants_can_make_is_absorbed() -> None:
     found = signature(EFFECTS["stiffer"], F0 * (1.0 + A @ [0.02, 0.01]))
     assert found.is_absorbed
     # a standard deviation of the constants is 25 to 50 of the noise
-    assert found.share < 0.05
+    assert found.visible_fraction < 0.05
     size = found.bias / SD  # scores per relative change of a constant
     assert size[0] / size[1] == pytest.approx(2.0, rel=0.02)
 
@@ -104,7 +104,7 @@ def test_a_shift_that_the_constants_cannot_make_is_visible() -> None:
     direction = DENT * F0 / (NOISE * F0)
     left = direction - a @ np.linalg.lstsq(a, direction, rcond=None)[0]
     # the constants' priors are wide against the noise: nearly a plain projection
-    assert found.share == pytest.approx(np.linalg.norm(left) / np.linalg.norm(direction), abs=0.01)
+    assert found.visible_fraction == pytest.approx(np.linalg.norm(left) / np.linalg.norm(direction), abs=0.01)
 
 
 def test_the_shift_has_the_size_and_sign_that_the_data_suggest() -> None:
@@ -185,7 +185,7 @@ def test_a_missed_mode_shifts_all_that_follow() -> None:
     assert found.shift.shape == (7,)
     # the plain model is bent by the wrong pairing: by the noise's measure both ends are far off
     assert np.abs(found.shift[5:]).min() > 10.0 * NOISE
-    assert found.share > 0.3
+    assert found.visible_fraction > 0.3
 
 
 def test_a_false_peak_shifts_what_lies_above_it() -> None:

@@ -71,25 +71,25 @@ def further_tests(
 ) -> list[FurtherTest]:
     """The tests of one of the plates; last_mode : number of the last mode that any hypothesis has listed."""
     case = cases[about]
-    own = case.models.specimen
-    plate, n = own.plate, case.measurement.size
-    found: list[FurtherTest] = []
+    present = case.models.specimen
+    plate, n = present.plate, case.measurement.size
+    tests: list[FurtherTest] = []
     edges, held = ("CFFF", "clamped on the edge x = 0") if plate.edges == "FFFF" else ("FFFF", "hung free")
-    tried = {c.models.specimen.plate.edges for c in cases if c.models.specimen.specimen == own.specimen}
+    tried = {c.models.specimen.plate.edges for c in cases if c.models.specimen.specimen == present.specimen}
     if edges not in tried:
 
         def other_edges() -> Predict:
-            specimen = replace(own, plate=replace(plate, edges=edges))
+            specimen = replace(present, plate=replace(plate, edges=edges))
             models = plate_models(specimen, n, notify)
             return lambda t: _under_test(t, about, models, models.bare, np.arange(n))
 
-        found.append(FurtherTest("edge_condition", f"the same plate {held}, {n} modes", other_edges))
+        tests.append(FurtherTest("edge_condition", f"the same plate {held}, {n} modes", other_edges))
 
     def more_modes() -> Predict:
-        models = plate_models(own, last_mode + 1 + MORE_MODES, notify)
+        models = plate_models(present, last_mode + 1 + MORE_MODES, notify)
         return lambda t: _under_test(t, about, models, models.bare, _next_modes(t, about))
 
-    found.append(FurtherTest("more_modes", f"the next {MORE_MODES} modes of the same plate", more_modes))
+    tests.append(FurtherTest("more_modes", f"the next {MORE_MODES} modes of the same plate", more_modes))
     mass = _MASS_SHARE * plate.density * plate.thickness * plate.area
     for name, where, (x, y) in places(plate.edges):
         sensor = Sensor(mass, x * plate.length, y * plate.width)
@@ -99,12 +99,12 @@ def further_tests(
             return lambda t: _under_test(t, about, models, bare, np.arange(n))
 
         text = f"the same plate with a known mass of {1e3 * mass:.3g} g {where}, {n} modes"
-        found.append(FurtherTest(name, text, loaded))
+        tests.append(FurtherTest(name, text, loaded))
     text = f"a sister plate of the same material, {n} modes"
-    found.append(FurtherTest("sister_plate", text, lambda: lambda t: _sister(t, about, case, scatter)))
+    tests.append(FurtherTest("sister_plate", text, lambda: lambda t: _sister(t, about, case, scatter)))
     text = f"weighing the plate to {100 * WEIGHED:g} % and gauging its thickness to {100 * GAUGED:g} %"
-    found.append(FurtherTest("weighing", text, lambda: lambda t: _weighing(t, about, case)))
-    return found
+    tests.append(FurtherTest("weighing", text, lambda: lambda t: _weighing(t, about, case)))
+    return tests
 
 
 def places(edges: str) -> list[tuple[str, str, tuple[float, float]]]:
@@ -115,8 +115,8 @@ def places(edges: str) -> list[tuple[str, str, tuple[float, float]]]:
         for y, of_y in ((1.0 - _CORNER, 3), (_CORNER, 1))
         if edges[of_x] == edges[of_y] == "F"
     ]
-    found = [("mass_at_corner", "at a free corner", at) for at in corners[:1]]
-    return [*found, ("mass_at_centre", "at the centre", (0.5, 0.5))]
+    corner = [("mass_at_corner", "at a free corner", at) for at in corners[:1]]
+    return [*corner, ("mass_at_centre", "at the centre", (0.5, 0.5))]
 
 
 def _next_modes(t: Tested, about: int) -> Array:
@@ -125,7 +125,7 @@ def _next_modes(t: Tested, about: int) -> Array:
 
 
 def _loaded(plate: PlateModels, sensor: Sensor) -> tuple[PlateModels, PlateModel]:
-    """A plate with a known mass, in its own space."""
+    """A plate with a known mass, in the space of the plate without it."""
     problem = add_known_mass(plate.problem, sensor.mass, sensor.x, sensor.y)
     loaded = replace(plate, problem=problem, facts=replace(plate.facts, loaded=True))
     return loaded, _on_basis(loaded, problem, plate.samples.x)
@@ -142,19 +142,20 @@ def _with_effect(plate: PlateModels, effect: Effect) -> PlateModel:
     samples = np.column_stack((np.repeat(plate.samples.x[:1], 2, axis=0), added))
     if not needs_another_space(problem, effect, plate):
         return _on_basis(plate, problem, samples)
-    found = converge(problem, problem.parameters.mapping(samples), plate.n_modes, _TOLERANCE)
-    return PlateModel(found.operator, plate.n_modes, found.error, (found.settings, found.keep))
+    space = converge(problem, problem.parameters.mapping(samples), plate.n_modes, _TOLERANCE)
+    return PlateModel(space.operator, plate.n_modes, space.error, (space.settings, space.keep))
 
 
 @dataclass(frozen=True, slots=True)
 class _Drawn:
     """What a hypothesis says of one plate: vectors (d, n) of its constants and sizes, then of its effects.
 
-    own : number of the former. effects : of this plate, with the columns of their parameters.
+    n_plate : number of the former
+    effects : of this plate, with the columns of their parameters
     """
 
     v: Array
-    own: int
+    n_plate: int
     effects: tuple[tuple[Effect, tuple[int, ...]], ...]
 
 
@@ -175,7 +176,7 @@ def _composed(
 ) -> ComposedModel:
     further = tuple(p for effect, _ in drawn.effects for p in effect.parameters)
     every = ParameterSet((*parameters.parameters, *further))
-    part = Part(bare, np.arange(drawn.own), np.full(drawn.own, -1), tuple(changes), modes)
+    part = Part(bare, np.arange(drawn.n_plate), np.full(drawn.n_plate, -1), tuple(changes), modes)
     return ComposedModel(every, (part,))
 
 
@@ -201,7 +202,7 @@ def _response(model: ComposedModel, drawn: _Drawn, weight: Array) -> Predicted:
     in the logarithm of what scales all stiffnesses, even in a skew.
     """
     v, weight = drawn.v.copy(), weight / weight.sum()
-    v[:, : drawn.own] = np.log(v[:, : drawn.own])
+    v[:, : drawn.n_plate] = np.log(v[:, : drawn.n_plate])
     mean = weight @ v
     sd = np.sqrt(weight @ (v - mean) ** 2)
     varied = np.flatnonzero(sd > 1e-12)
@@ -210,8 +211,9 @@ def _response(model: ComposedModel, drawn: _Drawn, weight: Array) -> Predicted:
     if len(v) <= size:
         f = model.predict(drawn.v).frequencies
         return Predicted(f, np.zeros((f.shape[1], f.shape[1])))
-    share = np.cumsum(weight)
-    rows = np.unique(np.searchsorted(share / share[-1], (np.arange(size) + 0.5) / size).clip(max=len(v) - 1))
+    cumulative = np.cumsum(weight)
+    levels = (np.arange(size) + 0.5) / size
+    rows = np.unique(np.searchsorted(cumulative / cumulative[-1], levels).clip(max=len(v) - 1))
     if len(rows) < size:  # a few draws hold most of the weight, and a response needs more than these
         rows = np.argsort(-weight, kind="stable")[:size]
     u = (v[:, varied] - mean[varied]) / sd[varied]
@@ -225,14 +227,14 @@ def _response(model: ComposedModel, drawn: _Drawn, weight: Array) -> Predicted:
 
 
 def _sister(t: Tested, about: int, case: PlateCase, scatter: float) -> Predicted:
-    """Frequencies of another plate: its constants scatter about these, and its sizes are its own.
+    """Frequencies of another plate: its constants scatter about these, and its sizes vary within theirs.
 
     What that adds to the covariance is carried to the frequencies by their derivatives at the mean.
     """
     drawn = _drawn(t, about)
-    own, unknowns = case.models.parameters.parameters, case.models.specimen.unknowns
+    parameters, unknowns = case.models.parameters.parameters, case.models.specimen.unknowns
     v = drawn.v.copy()
-    for j, parameter in enumerate(own):
+    for j, parameter in enumerate(parameters):
         if parameter.name not in unknowns:
             v[:, j] = parameter.prior.mean
     changes = []
@@ -243,13 +245,13 @@ def _sister(t: Tested, about: int, case: PlateCase, scatter: float) -> Predicted
             changes.append(Change(names, columns, own_model, effect.observe))
     modes = np.arange(case.measurement.size)
     model = _composed(drawn, case.models.parameters, case.models.bare, modes, changes)
-    found = _response(model, replace(drawn, v=v), np.exp(t.marginal.log_weight))
+    predicted = _response(model, replace(drawn, v=v), np.exp(t.marginal.log_weight))
     mean = np.average(v, axis=0, weights=np.exp(t.marginal.log_weight))
     at = model.predict(mean[None], jacobian=True)
     assert at.jacobian is not None
-    spread = [scatter if p.name in unknowns else p.prior.sd / p.prior.mean for p in own]
-    slope = at.jacobian[0, :, : drawn.own] * mean[: drawn.own] / at.frequencies[0, :, None] * spread
-    return replace(found, missing=found.missing + slope @ slope.T, as_now=False)
+    spread = [scatter if p.name in unknowns else p.prior.sd / p.prior.mean for p in parameters]
+    slope = at.jacobian[0, :, : drawn.n_plate] * mean[: drawn.n_plate] / at.frequencies[0, :, None] * spread
+    return replace(predicted, missing=predicted.missing + slope @ slope.T, as_now=False)
 
 
 def _weighing(t: Tested, about: int, case: PlateCase) -> Predicted:

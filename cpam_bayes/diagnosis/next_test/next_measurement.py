@@ -24,19 +24,19 @@ Array = NDArray[Any]
 # Causes that tests are to tell apart: until they have so much probability, so many at most, in so many
 # variants at most.
 _ENOUGH, _MOST_CAUSES, _MOST_VARIANTS = 0.99, 6, 10
-# Claims after which nothing is left to be told apart.
+# Claims after which no causes are left to distinguish.
 _SETTLED = ("none", "named")
-# Simulated data, log2, of each hypothesis; probability from which a cause counts as found.
-_LOG2_DATA, _FOUND = 10, 0.9
+# Simulated data, log2, of each hypothesis; probability from which a cause counts as identified.
+_LOG2_DATA, _IDENTIFIED = 10, 0.9
 
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
     """A further test.
 
-    information : expected of its data about the cause, nats (mutual information). possible : all that there
-    is to learn, the entropy of the cause, nats. decided : probability that the right cause is above 0.9
-    afterwards.
+    information : expected of its data about the cause, nats (mutual information)
+    possible : the most that data can say, the entropy of the cause, nats
+    decided : probability that the right cause is above 0.9 afterwards
     """
 
     name: str
@@ -50,8 +50,10 @@ class Candidate:
 class Outlook:
     """Data of a test as k hypotheses predict them, each a Gaussian.
 
-    probability : (k,). cause : (k,) number of the cause that a hypothesis is a variant of. mean : (k, n).
-    covariance : (k, n, n), noise included.
+    probability : (k,)
+    cause : (k,) number of the cause that a hypothesis is a variant of
+    mean : (k, n)
+    covariance : (k, n, n), noise included
     """
 
     probability: Array
@@ -83,10 +85,10 @@ def next_measurements(
         return ()
     about = next((t.plates[0] for t in leading if t.hypothesis.cause not in (NONE, OTHER)), 0)
     case = diagnosis.cases[about]
-    found = []
+    candidates = []
     last = max(int(t.marginal.comparison.model.parts[about].modes[-1]) for t in leading)
     for test in further_tests(diagnosis.cases, about, last, scatter, notify):
-        notify(f"looking ahead: {test.description}")
+        notify(f"predicting {test.description}")
         try:
             outlook = outlook_of(leading, case, test.prepare(), noise)
         except RigidBodyError:
@@ -94,12 +96,12 @@ def next_measurements(
                 f"{test.description}: a cause leaves a plate that cannot be told from a rigid body; left out"
             )
             continue
-        found.append(Candidate(test.name, test.description, *information(outlook)))
-    return tuple(sorted(found, key=lambda c: -c.information))
+        candidates.append(Candidate(test.name, test.description, *information(outlook)))
+    return tuple(sorted(candidates, key=lambda c: -c.information))
 
 
 def leading_hypotheses(weighed: Weighed) -> tuple[Tested, ...]:
-    """The best variants of the most probable causes, in falling probability, each cause with all of its own.
+    """The best variants of the most probable causes, which carry the whole probability of these.
 
     Causes are taken until they hold 99 %, six at most, with ten variants in all at most.
     """
@@ -124,10 +126,10 @@ def leading_hypotheses(weighed: Weighed) -> tuple[Tested, ...]:
 
 
 def information(outlook: Outlook, log2_data: int = _LOG2_DATA) -> tuple[float, float, float]:
-    """Mutual information of cause and data, the entropy of the cause, and how probably it is found.
+    """Mutual information of cause and data, the entropy of the cause, and how probably it is identified.
 
     I = H(C) - E H(C | y), by data y drawn from every hypothesis, from one scrambled Sobol sequence. The cause
-    is found where the one that is true has a probability above 0.9.
+    is identified where the one that is true has a probability above 0.9.
     """
     n_data = outlook.mean.shape[1]
     p = outlook.probability / outlook.probability.sum()
@@ -144,7 +146,7 @@ def information(outlook: Outlook, log2_data: int = _LOG2_DATA) -> tuple[float, f
     possible = _entropy(p @ of_cause)
     left = float(p @ _entropies(after).mean(axis=1))
     right = np.take_along_axis(after, of_cause.argmax(axis=1)[:, None, None], axis=-1)[..., 0]
-    decided = float(p @ (right > _FOUND).mean(axis=1))
+    decided = float(p @ (right > _IDENTIFIED).mean(axis=1))
     return max(possible - left, 0.0), possible, decided
 
 
@@ -161,15 +163,19 @@ def outlook_of(leading: Sequence[Tested], case: PlateCase, predict: Predict, noi
     means, covariances = [], []
     unit: Array | None = None
     for t in leading:
-        found = predict(t)
+        prediction = predict(t)
         weight = np.exp(t.marginal.log_weight)
         weight /= weight.sum()
         if unit is None:
-            unit = np.asarray(weight @ found.y)
-        y = found.y / unit
+            unit = np.asarray(weight @ prediction.y)
+        y = prediction.y / unit
         mean = weight @ y
-        own = found.noise**2 if found.noise is not None else _noise(t, case, unit, noise, found.as_now)
-        covariances.append((y - mean).T @ ((y - mean) * weight[:, None]) + np.diag(own) + found.missing)
+        if prediction.noise is not None:
+            noise_variance = prediction.noise**2
+        else:
+            noise_variance = _noise(t, case, unit, noise, prediction.as_now)
+        spread = (y - mean).T @ ((y - mean) * weight[:, None])
+        covariances.append(spread + np.diag(noise_variance) + prediction.missing)
         means.append(mean)
     causes = list(dict.fromkeys(t.hypothesis.cause for t in leading))
     return Outlook(
@@ -186,14 +192,14 @@ def _noise(t: Tested, case: PlateCase, f: Array, noise: float | None, as_now: bo
     weight = np.exp(t.marginal.log_weight)
     weight /= weight.sum()
     if noise is not None:
-        own = noise**2
+        variance = noise**2
     elif measurement.frequency_sd is not None:
-        own = float(np.mean((measurement.frequency_sd / measurement.frequencies) ** 2))
+        variance = float(np.mean((measurement.frequency_sd / measurement.frequencies) ** 2))
     elif measurement.relative_std is not None:
-        own = measurement.relative_std**2
+        variance = measurement.relative_std**2
     else:
-        own = float(weight @ t.marginal.draws[:, comparison.noise] ** 2)
+        variance = float(weight @ t.marginal.draws[:, comparison.noise] ** 2)
     if comparison.discrepancy is not None and as_now:
-        own += float(weight @ t.marginal.draws[:, comparison.discrepancy] ** 2)
-    own += float(np.mean(case.models.error**2))
-    return np.asarray(own + measurement.resolution**2 / 12 / f**2)
+        variance += float(weight @ t.marginal.draws[:, comparison.discrepancy] ** 2)
+    variance += float(np.mean(case.models.error**2))
+    return np.asarray(variance + measurement.resolution**2 / 12 / f**2)
