@@ -1,4 +1,4 @@
-"""Threads: BLAS keeps to one, stacks of matrices are shared out over the cores.
+"""Threads: BLAS keeps to one, stacks of matrices are distributed over the cores.
 
 BLAS splits one small matrix over its threads and loses more by that than it gains. A stack is split
 into matrices instead: numpy lets go of the interpreter while LAPACK works on them, and what comes out
@@ -45,7 +45,7 @@ def matrix_by_matrix(function: Callable[[Array], Array], stack: Array) -> Array:
 
 @contextmanager
 def keep_to_one_core() -> Iterator[None]:
-    """Let this thread share out nothing: it is one of several that work side by side."""
+    """Let this thread distribute nothing: it is one of several that work side by side."""
     before = getattr(_this_thread, "one_core", False)
     _this_thread.one_core = True
     try:

@@ -30,7 +30,7 @@ def air_shifts(specimen: Specimen, n_modes: int | None = None) -> NDArray[np.flo
 
     At the reference constants, in air of 1.2 kg/m3, by default for as many modes as were measured. None
     where air is in the model already, for a mesh from a file, for unknown angles, and where bending cannot
-    be told from rounding.
+    be distinguished from rounding.
     """
     if specimen.air_density or specimen.plate.mesh is not None or specimen.plate.layup.n_unknown:
         return None

@@ -52,7 +52,7 @@ def element_model(specimen: Specimen, n_modes: int) -> ElementModel:
 
     Raises ``ValueError`` for a layup with unknown angles, for a mesh that cannot be used, for a
     known mass that is not on the mesh and for more modes than the mesh has; ``RigidBodyError``
-    where modes cannot be told from rounding.
+    where modes cannot be distinguished from rounding.
     """
     problem = plate_problem(specimen)
     mesh = specimen.plate.mesh

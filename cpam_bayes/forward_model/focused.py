@@ -15,26 +15,26 @@ from cpam_bayes.mechanics.modes import Spectrum, solve
 
 Array = NDArray[Any]
 
-# Parameter sets at which rigid-body motions are looked at: they depend on sizes alone.
+# Parameter sets at which rigid-body motions are computed: they depend on sizes alone.
 _RIGID_SETS = 4
-# Eigenvalues below this share of the first mode's are those of rigid-body motions.
+# Eigenvalues below this fraction of the first mode's are those of rigid-body motions.
 _RIGID = 1e-3
-# Vectors with less than this share of the largest singular value are rounding.
+# Vectors with less than this fraction of the largest singular value are rounding.
 _RANK = 1e-9
 
 
-def focused(model: ReducedModel, x: Array, tolerance: float, share: float = 1.0) -> ReducedModel:
+def focused(model: ReducedModel, x: Array, tolerance: float, fraction: float = 1.0) -> ReducedModel:
     """A reduced model projected once more, on the principal directions of its modes at points x (m, n).
 
     Each block keeps its rigid-body motions and the fewest principal directions (proper orthogonal
-    decomposition of the M-normalised mode vectors) with which this ``share`` of its frequencies at x is
+    decomposition of the M-normalised mode vectors) with which this ``fraction`` of its frequencies at x is
     within ``tolerance``, relative, of that of ``model``.
     """
     operator = model.fast.operator
     stiffness, mass = model.fast.coefficients(x)
     spectrum = solve(operator, stiffness, mass, model.n_modes, vectors=True)
     pairs = [
-        (_basis(b, block, stiffness, mass, spectrum, tolerance, share), form)
+        (_basis(b, block, stiffness, mass, spectrum, tolerance, fraction), form)
         for b, (block, form) in enumerate(zip(operator.blocks, model.residuals, strict=True))
     ]
     used = [b for b, (basis, _) in enumerate(pairs) if basis.shape[1]]
@@ -51,7 +51,7 @@ def _basis(
     mass: Array,
     spectrum: Spectrum,
     tolerance: float,
-    share: float,
+    fraction: float,
 ) -> Array:
     """Vectors (n, r) of one block, orthonormal in the mass of the first parameter set."""
     assert spectrum.vectors is not None
@@ -64,12 +64,12 @@ def _basis(
     shapes = root @ spectrum.vectors[b][sets, :, column].T
     directions = _principal(shapes - rigid @ (rigid.T @ shapes))
     every = np.linalg.qr(np.column_stack((rigid, directions)))[0]
-    own, place = np.unique(sets, return_inverse=True)
+    distinct, place = np.unique(sets, return_inverse=True)
 
     def error(size: int) -> float:
         small = _projected(block, np.linalg.solve(root, every[:, :size]))
-        found = small.eigenvalues(stiffness[own], mass[own], size)[place, column]
-        return float(np.quantile(np.sqrt(np.abs(found) / lam) - 1.0, share, method="higher"))
+        eigenvalues = small.eigenvalues(stiffness[distinct], mass[distinct], size)[place, column]
+        return float(np.quantile(np.sqrt(np.abs(eigenvalues) / lam) - 1.0, fraction, method="higher"))
 
     # more vectors never raise an error: the least number is found by halving
     low, high = max(int(column.max()), rigid.shape[1]), every.shape[1]
@@ -81,11 +81,11 @@ def _basis(
 
 def _rigid(block: DenseBlock, stiffness: Array, mass: Array, first: float) -> Array:
     """Rigid-body motions of a block at a few parameter sets, (n, k)."""
-    found = []
+    vectors = []
     for i in np.unique(np.linspace(0, len(stiffness) - 1, _RIGID_SETS).astype(int)):
         lam, phi = scipy.linalg.eigh(block.stiffness.assemble(stiffness[i]), block.mass.assemble(mass[i]))
-        found.append(phi[:, np.abs(lam) < _RIGID * first])
-    return np.concatenate(found, axis=1)
+        vectors.append(phi[:, np.abs(lam) < _RIGID * first])
+    return np.concatenate(vectors, axis=1)
 
 
 def _principal(columns: Array) -> Array:

@@ -92,8 +92,8 @@ class LabelledModel:
 
     def modes(self, x: Array) -> tuple[Mode, ...]:
         """Frequencies, kinds and labels at one parameter vector (n,), in the places of the list."""
-        found = self.full.modes(x)
-        return tuple(found[k] for k in self.order(x)[0])
+        modes = self.full.modes(x)
+        return tuple(modes[k] for k in self.order(x)[0])
 
     def _order(self, spectrum: Spectrum) -> Array:
         m, k = spectrum.eigenvalues.shape
@@ -127,15 +127,15 @@ class LabelledModel:
     def _assurance(self, spectrum: Spectrum) -> Array:
         """Modal assurance of every mode with every reference shape, (m, n_modes, n_labels)."""
         assert spectrum.vectors is not None
-        found = np.zeros((*spectrum.eigenvalues.shape, len(self.rows)))
+        assurance = np.zeros((*spectrum.eigenvalues.shape, len(self.rows)))
         for b in np.unique(self.block):
             sets, modes = np.nonzero(spectrum.block == b)
             phi = spectrum.vectors[b][sets, :, spectrum.column[sets, modes]]
             labels = np.flatnonzero(self.block == b)
             cross = phi @ np.stack([self.images[i] for i in labels], axis=1)
             size = np.sum(phi * (phi @ self.weights[b]), axis=1)
-            found[sets[:, None], modes[:, None], labels] = cross**2 / size[:, None]
-        return found
+            assurance[sets[:, None], modes[:, None], labels] = cross**2 / size[:, None]
+        return assurance
 
 
 def labelled_model(
@@ -185,23 +185,23 @@ def _columns(measurement: Measurement, modes: tuple[Mode, ...], source: str) -> 
         bearers.setdefault(same_label(mode.label), []).append(j)
     labels = [label for label in measurement.labels if label]
     given = Counter(same_label(label) for label in labels)
-    left = {label: iter(own) for label, own in bearers.items()}
-    found = []
+    left = {label: iter(candidates) for label, candidates in bearers.items()}
+    columns = []
     for label in labels:
-        own = bearers.get(same_label(label), [])
-        in_list = sum(j < measurement.size for j in own)
+        candidates = bearers.get(same_label(label), [])
+        in_list = sum(j < measurement.size for j in candidates)
         frequencies = given[same_label(label)]
-        if not max(in_list, 1) <= frequencies <= len(own):
+        if not max(in_list, 1) <= frequencies <= len(candidates):
             there = ", ".join(f"{m.label} at {m.frequency:.4g} Hz" for m in modes)
-            verb = "have" if len(own) > 1 else "has"
+            verb = "have" if len(candidates) > 1 else "has"
             raise LabelError(
                 f"{source}: measurement.labels: received {label!r} for {_count(frequencies, 'frequency')}, "
-                f"{_count(len(own), 'mode')} of the model {verb} it; label as many frequencies as modes, or "
-                f'write "" where the mode is not known; the first {len(modes)} modes at the reference '
+                f"{_count(len(candidates), 'mode')} of the model {verb} it; label as many frequencies "
+                f'as modes, or write "" where the mode is not known; the first {len(modes)} modes at the reference '
                 f"constants: {there}"
             )
-        found.append(next(left[same_label(label)]))
-    return found
+        columns.append(next(left[same_label(label)]))
+    return columns
 
 
 def _count(n: int, what: str) -> str:

@@ -53,14 +53,14 @@ def size_parameters(specimen: Specimen) -> ParameterSet:
     a quarter and four times the value.
     """
     plate = specimen.plate
-    found = []
+    parameters = []
     for name, unit in SIZES.items():
         if name in plate.sd:
             value, sd = float(getattr(plate, name)), plate.sd[name]
             lower = max(value - _SIZE_RANGE * sd, value / _SIZE_FACTOR)
             upper = min(value + _SIZE_RANGE * sd, value * _SIZE_FACTOR)
-            found.append(Parameter(name, unit, TruncatedNormal(value, sd, lower, upper)))
-    return ParameterSet(tuple(found))
+            parameters.append(Parameter(name, unit, TruncatedNormal(value, sd, lower, upper)))
+    return ParameterSet(tuple(parameters))
 
 
 def reference_vector(specimen: Specimen, parameters: ParameterSet) -> Array:
@@ -83,14 +83,14 @@ def varied_sizes(plate: Plate, values: Values) -> dict[str, Any]:
 
     Where the file gives the mass, the density follows from it and the sizes.
     """
-    found = {name: values[name] for name in SIZES if name in values}
-    mass = found.pop("mass", plate.mass)
+    sizes = {name: values[name] for name in SIZES if name in values}
+    mass = sizes.pop("mass", plate.mass)
     if mass is not None and any(name in values for name in SIZES):
         length, width, thickness = (
-            found.get(name, getattr(plate, name)) for name in ("length", "width", "thickness")
+            sizes.get(name, getattr(plate, name)) for name in ("length", "width", "thickness")
         )
-        found["density"] = np.asarray(mass / (length * width * thickness))
-    return found
+        sizes["density"] = np.asarray(mass / (length * width * thickness))
+    return sizes
 
 
 def reference_constants(specimen: Specimen) -> dict[str, float]:
@@ -144,11 +144,11 @@ def plate_problem(
 def _plate_state(plate: Plate, material: Material, nominal: PlateState, values: Values) -> PlateState:
     """The nominal state with the constants, sizes and angles that vary."""
     constants = complete_constants(_given_constants(material, values), material.isotropic)
-    found = replace(nominal, constants=constants, **varied_sizes(plate, values))
+    state = replace(nominal, constants=constants, **varied_sizes(plate, values))
     if not plate.layup.n_unknown:
-        return found
+        return state
     angles = np.stack([values[name] for name in plate.layup.unknown_names], axis=-1)
-    return replace(found, layup=plate.layup.angles(angles))
+    return replace(state, layup=plate.layup.angles(angles))
 
 
 def _is_physical(material: Material, values: Values) -> NDArray[np.bool_]:
@@ -221,8 +221,8 @@ class PlateModel:
 
     def coefficients(self, x: Array) -> tuple[Array, Array]:
         """Coefficients of K and M at parameter vectors (m, n), (m, n_terms) each."""
-        found = self.operator.coefficients(self.parameters.mapping(x))
-        k, m = (np.broadcast_to(c, (len(x), c.shape[-1])) for c in found)
+        coefficients = self.operator.coefficients(self.parameters.mapping(x))
+        k, m = (np.broadcast_to(c, (len(x), c.shape[-1])) for c in coefficients)
         return k, m
 
     def _coefficient_derivatives(self, x: Array) -> tuple[Array, Array]:
@@ -230,8 +230,10 @@ class PlateModel:
         m, n = x.shape
         step = _STEP * np.maximum(np.abs(x), np.finfo(float).tiny ** 0.25)
         shifted = x[:, None, :] + 1j * step[:, None, :] * np.eye(n)
-        found = self.coefficients(shifted.reshape(m * n, n))
-        k, mass = (np.swapaxes(c.imag.reshape(m, n, -1) / step[:, :, None], 1, 2) for c in found)
+        shifted_coefficients = self.coefficients(shifted.reshape(m * n, n))
+        k, mass = (
+            np.swapaxes(c.imag.reshape(m, n, -1) / step[:, :, None], 1, 2) for c in shifted_coefficients
+        )
         return k, mass
 
 
@@ -242,14 +244,14 @@ def training_sets(problem: Problem, n: int, rng: np.random.Generator) -> Array:
     both parameters 1/2), because an optimum often sits on one.
     """
     parameters = problem.parameters
-    found = np.empty((0, parameters.size))
+    sets = np.empty((0, parameters.size))
     lower, upper = parameters.lower, parameters.upper
-    while len(found) < n:
+    while len(sets) < n:
         inside = parameters.sample(rng, n)
         faces = lower + (upper - lower) * rng.beta(0.5, 0.5, size=(n, parameters.size))
         both = np.stack((inside, faces), axis=1).reshape(-1, parameters.size)
-        found = np.concatenate((found, both[problem.admissible(parameters.mapping(both))]))
-    return found[:n]
+        sets = np.concatenate((sets, both[problem.admissible(parameters.mapping(both))]))
+    return sets[:n]
 
 
 @dataclass(frozen=True, slots=True)
@@ -279,34 +281,34 @@ def convergence_samples(
         return Samples(np.empty((1, 0)), np.ones(1))
     rng = np.random.default_rng(0)
     middle = reference_vector(specimen, parameters) if centre is None else centre
-    found: list[Array] = []
-    while len(found) <= near:
+    samples: list[Array] = []
+    while len(samples) <= near:
         x = parameters.sample(rng, 1)[0]
         for i, name in enumerate(parameters.names):
             if name in CONSTANTS:
-                away = _NEIGHBOURHOOD * rng.uniform(-1.0, 1.0) if found else 0.0
+                away = _NEIGHBOURHOOD * rng.uniform(-1.0, 1.0) if samples else 0.0
                 x[i] = middle[i] * (1.0 + away)
-            elif name in SIZES and not found:
+            elif name in SIZES and not samples:
                 x[i] = middle[i]
         x = np.clip(x, parameters.lower, parameters.upper)
         if problem.admissible(parameters.mapping(x)):
-            found.append(x)
-    found += _special_layups(specimen, parameters, found[0])
+            samples.append(x)
+    samples += _special_layups(specimen, parameters, samples[0])
     everywhere = training_sets(problem, far, rng)
-    allowance = np.concatenate((np.ones(len(found)), np.full(far, _FAR_ALLOWANCE)))
-    return Samples(np.concatenate((found, everywhere)), allowance)
+    allowance = np.concatenate((np.ones(len(samples)), np.full(far, _FAR_ALLOWANCE)))
+    return Samples(np.concatenate((samples, everywhere)), allowance)
 
 
 def _special_layups(specimen: Specimen, parameters: ParameterSet, centre: Array) -> list[Array]:
     """A vector (n,) with its unknown angles in the patterns of the usual layups, none without angles."""
     names = specimen.plate.layup.unknown_names
     at = [i for i, name in enumerate(parameters.names) if name in names]
-    found = []
+    layups = []
     for pattern in _SPECIAL_DEG if at else ():
         x = centre.copy()
         x[at] = np.resize(pattern, len(at))
-        found.append(np.clip(x, parameters.lower, parameters.upper))
-    return found
+        layups.append(np.clip(x, parameters.lower, parameters.upper))
+    return layups
 
 
 @single_blas_thread

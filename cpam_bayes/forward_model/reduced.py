@@ -128,13 +128,13 @@ def _residual_norms(
         sets, modes = np.nonzero(spectrum.block == b)
         if not len(sets):
             continue
-        own = np.unique(sets)
+        distinct = np.unique(sets)
         n_k = len(block.stiffness.active)
         n_terms, n, r = form.images.shape
         flat = form.images.reshape(n_terms, n * r)
-        k_image = (stiffness[np.ix_(own, block.stiffness.active)] @ flat[:n_k]).reshape(-1, n, r)
-        m_image = (mass[np.ix_(own, block.mass.active)] @ flat[n_k:]).reshape(-1, n, r)
-        place = np.searchsorted(own, sets)
+        k_image = (stiffness[np.ix_(distinct, block.stiffness.active)] @ flat[:n_k]).reshape(-1, n, r)
+        m_image = (mass[np.ix_(distinct, block.mass.active)] @ flat[n_k:]).reshape(-1, n, r)
+        place = np.searchsorted(distinct, sets)
         v = spectrum.vectors[b][sets, :, spectrum.column[sets, modes], None]
         lam = spectrum.eigenvalues[sets, modes]
         residual = (k_image[place] @ v - lam[:, None, None] * (m_image[place] @ v))[..., 0]

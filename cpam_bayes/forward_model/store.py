@@ -42,9 +42,9 @@ _NEEDED = {"basis", "keep", "error", "reference", "rounding"}
 
 def cache_directory() -> Path:
     """Where reduced models are kept: $CPAM_BAYES_CACHE, or the user's cache directory."""
-    own = os.environ.get("CPAM_BAYES_CACHE")
-    if own:
-        return Path(own)
+    chosen = os.environ.get("CPAM_BAYES_CACHE")
+    if chosen:
+        return Path(chosen)
     base = os.environ.get("XDG_CACHE_HOME")
     return (Path(base) if base else Path.home() / ".cache") / "cpam_bayes"
 

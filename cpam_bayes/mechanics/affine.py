@@ -21,7 +21,7 @@ SpaceT = TypeVar("SpaceT", bound=Space, covariant=True)
 BlockT = TypeVar("BlockT", bound="Block", covariant=True)
 
 
-# Off-diagonal share of a mass matrix that is left by the quadrature of orthonormal functions.
+# Off-diagonal fraction of a mass matrix that is left by the quadrature of orthonormal functions.
 _ROUNDING = 1e-13
 
 
@@ -124,23 +124,23 @@ class DenseBlock:
         """
         k, back = self._whitened(stiffness, mass)
         if self.size > _LARGE:
-            pairs = [scipy.linalg.eigh(one, subset_by_index=(0, n - 1)) for one in k]
+            pairs = [scipy.linalg.eigh(matrix, subset_by_index=(0, n - 1)) for matrix in k]
             values = np.stack([pair[0] for pair in pairs])
-            found = np.stack([pair[1].T for pair in pairs])
-            return values, lambda sets, column: _mapped(back, sets, found[sets, column])
+            vectors = np.stack([pair[1].T for pair in pairs])
+            return values, lambda sets, column: _mapped(back, sets, vectors[sets, column])
         values = matrix_by_matrix(np.linalg.eigvalsh, k)[..., :n]
         return values, lambda sets, column: _mapped(back, sets, _iterated(k, values, sets, column))
 
     def energies(self, vectors: Array) -> tuple[Array, Array]:
         """phi^T K_q phi and phi^T M_q phi of vectors (k, size) for every term, (k, n_terms) each."""
-        found = []
+        terms = []
         for matrix, n_terms in zip((self.stiffness, self.mass), self.n_terms, strict=True):
             energy = np.zeros((len(vectors), n_terms))
             n = matrix.stack.shape[-1]
             images = (matrix.stack.reshape(-1, n) @ vectors.T).reshape(-1, n, len(vectors))
             energy[:, matrix.active] = np.sum(images * vectors.T, axis=1).T
-            found.append(energy)
-        return found[0], found[1]
+            terms.append(energy)
+        return terms[0], terms[1]
 
 
 def _mapped(back: Array, sets: Array, phi: Array) -> Array:

@@ -96,11 +96,11 @@ def converge(
     space = ritz_space(problem.edges, problem.nominal, settings)
     sampled = discretise_at(problem, space, samples)
     eye = np.eye(len(rich.eigenvalues))
-    own = solve(sampled, eye, eye, _more_modes(n_modes), vectors=True)
-    importance, rigid = _importance(sampled, own, n_modes), _rigid_functions(space, problem)
+    sampled_modes = solve(sampled, eye, eye, _more_modes(n_modes), vectors=True)
+    importance, rigid = _importance(sampled, sampled_modes, n_modes), _rigid_functions(space, problem)
     keep, error = (
         np.ones(len(importance), dtype=bool),
-        own.frequencies[:, :n_modes] / rich.frequencies - 1.0,
+        sampled_modes.frequencies[:, :n_modes] / rich.frequencies - 1.0,
     )
     for threshold in 10.0 ** np.arange(-7.0, -4.0, 0.25):
         candidate = (importance > threshold) | rigid
@@ -168,9 +168,9 @@ def _grow(
     current, level = RitzSettings(start, start, *ladder[0]), 0
 
     def error(settings: RitzSettings, which: Array) -> Array:
-        own = {name: np.atleast_1d(values)[which] for name, values in samples.items()}
-        found = _sampled_frequencies(problem, own, settings, n_modes)
-        return np.asarray(np.max(found / reference[which] - 1.0, axis=1) / allowed[which, 0])
+        chosen = {name: np.atleast_1d(values)[which] for name, values in samples.items()}
+        frequencies = _sampled_frequencies(problem, chosen, settings, n_modes)
+        return np.asarray(np.max(frequencies / reference[which] - 1.0, axis=1) / allowed[which, 0])
 
     everywhere = np.arange(len(reference))
     errors = error(current, everywhere)
@@ -294,13 +294,13 @@ def _more_modes(n_modes: int) -> int:
 
 
 def _importance(operator: DenseOperator, spectrum: Spectrum, n_modes: int) -> Array:
-    """Largest share of a mode's energy that a trial function carries, (n_functions,).
+    """Largest fraction of a mode's energy that a trial function carries, (n_functions,).
 
     c_i^2 (K_ii - lambda M_ii) / lambda: to first order what lambda gains if function i is left out.
     Modes beyond the first n_modes count where they are purely in-plane: these move past the bending
     modes when the constants change.
     """
-    share = np.zeros(sum(b.size for b in operator.blocks))
+    fraction = np.zeros(sum(b.size for b in operator.blocks))
     n_in_plane = operator.space.dimension("u") + operator.space.dimension("v")
     assert spectrum.vectors is not None
     for b, block in enumerate(operator.blocks):
@@ -313,8 +313,8 @@ def _importance(operator: DenseOperator, spectrum: Spectrum, n_modes: int) -> Ar
             c = spectrum.vectors[b][i, :, spectrum.column[i, n]]
             lam = spectrum.eigenvalues[i, n]
             energy = c * c * np.abs(k[i] - lam * m[i]) / lam
-            share[block.index] = np.maximum(share[block.index], energy)
-    return share
+            fraction[block.index] = np.maximum(fraction[block.index], energy)
+    return fraction
 
 
 def _rigid_functions(space: RitzSpace, problem: Problem) -> Array:

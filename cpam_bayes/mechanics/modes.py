@@ -94,20 +94,20 @@ def solve(
     shapes = None
     if vectors:
         shapes = tuple(
-            _vectors(own, b.size, np.nonzero(block == i), column)
-            for i, (b, (_, own)) in enumerate(zip(operator.blocks, pairs, strict=True))
+            _vectors(block_vectors, b.size, np.nonzero(block == i), column)
+            for i, (b, (_, block_vectors)) in enumerate(zip(operator.blocks, pairs, strict=True))
         )
     return Spectrum(ranked[..., n_rigid:], block, column, shapes, ranked[..., :n_rigid])
 
 
-def _vectors(own: ModeVectors, size: int, where: tuple[Array, ...], column: Array) -> Array:
+def _vectors(mode_vectors: ModeVectors, size: int, where: tuple[Array, ...], column: Array) -> Array:
     """Vectors of the modes ``where`` (parameter sets, modes) of one block; zero in other columns."""
     sets, modes = where
     columns = column[sets, modes]
-    found = np.zeros((len(column), size, int(columns.max(initial=-1)) + 1))
+    vectors = np.zeros((len(column), size, int(columns.max(initial=-1)) + 1))
     if len(sets):
-        found[sets, :, columns] = own(sets, columns)
-    return found
+        vectors[sets, :, columns] = mode_vectors(sets, columns)
+    return vectors
 
 
 def _check_rigid(ranked: Array, n_rigid: int, tolerance: float) -> None:
@@ -129,17 +129,17 @@ def energy_terms(operator: AffineOperator[Any, Any], spectrum: Spectrum) -> tupl
     """
     if spectrum.vectors is None:
         raise ValueError("the spectrum was solved without vectors; solve with vectors=True")
-    found: tuple[list[Array], list[Array]] = ([], [])
+    terms: tuple[list[Array], list[Array]] = ([], [])
     where = []
     for b, block in enumerate(operator.blocks):
         sets, modes = np.nonzero(spectrum.block == b)
         if len(sets):
             phi = spectrum.vectors[b][sets, :, spectrum.column[sets, modes]]
-            for energies, energy in zip(found, block.energies(phi), strict=True):
+            for energies, energy in zip(terms, block.energies(phi), strict=True):
                 energies.append(energy)
             where.append(np.ravel_multi_index((sets, modes), spectrum.eigenvalues.shape))
     order = np.argsort(np.concatenate(where))
-    stiffness, mass = (np.concatenate(e)[order].reshape(*spectrum.eigenvalues.shape, -1) for e in found)
+    stiffness, mass = (np.concatenate(e)[order].reshape(*spectrum.eigenvalues.shape, -1) for e in terms)
     return stiffness, mass
 
 
@@ -151,16 +151,16 @@ def modal_assurance(operator: AffineOperator[Any, Any], mass: Array, a: Spectrum
 
     mass : (n_mass,) coefficients of the M that weighs. The first parameter set of each spectrum counts.
     """
-    found = np.zeros((a.eigenvalues.shape[1], b.eigenvalues.shape[1]))
-    for i in range(found.shape[0]):
+    assurance = np.zeros((a.eigenvalues.shape[1], b.eigenvalues.shape[1]))
+    for i in range(assurance.shape[0]):
         block_a, phi = a.vector(0, i)
-        for j in range(found.shape[1]):
+        for j in range(assurance.shape[1]):
             block_b, psi = b.vector(0, j)
             if block_a == block_b:
                 cross = _bilinear(operator, block_a, phi, psi)[1] @ mass
                 sizes = [operator.blocks[block_a].energies(v[None])[1][0] @ mass for v in (phi, psi)]
-                found[i, j] = cross**2 / (sizes[0] * sizes[1])
-    return found
+                assurance[i, j] = cross**2 / (sizes[0] * sizes[1])
+    return assurance
 
 
 def track_modes(operator: AffineOperator[Any, Any], mass: Array, a: Spectrum, b: Spectrum) -> Array:

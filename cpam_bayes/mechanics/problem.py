@@ -149,10 +149,10 @@ class PlateState:
         layup = self.layup
         if not isinstance(layup, LaminateGeometry):
             layup = laminate_geometry(layup, symmetric=self.symmetric)
-        found = laminate_stiffness(self.constants, layup, self.thickness, self.shear)
+        stiffness = laminate_stiffness(self.constants, layup, self.thickness, self.shear)
         for change in self.changes:
-            found = change(found)
-        return found
+            stiffness = change(stiffness)
+        return stiffness
 
     @property
     def area(self) -> Array:

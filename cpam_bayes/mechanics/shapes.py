@@ -17,7 +17,7 @@ from cpam_bayes.mechanics.spaces.protocol import Quadrature
 Array = NDArray[Any]
 Kind = Literal["bending", "in-plane", "coupled"]
 
-# Share of in-plane kinetic energy under which a mode is called bending, and over 1 minus which in-plane.
+# Fraction of in-plane kinetic energy under which a mode is called bending, and over 1 minus which in-plane.
 PURE = 0.1
 # A second separable part this large beside the first makes a mode a combination, as on square plates.
 COMBINED = 0.5
@@ -35,7 +35,7 @@ class Mode:
 
     label : "(m,n)", m and n counting nodal lines across x and across y, or half-waves in a direction whose
     two edges are both held; "(2,0)+(0,2)" for a combination of two such shapes.
-    in_plane_fraction : share of the kinetic energy that is in-plane.
+    in_plane_fraction : fraction of the kinetic energy that is in-plane.
     """
 
     frequency: float
@@ -45,18 +45,18 @@ class Mode:
 
 
 def in_plane_fraction(operator: AffineOperator[Any, Any], spectrum: Spectrum, mass: Array) -> Array:
-    """Share of the kinetic energy of every mode that is in u and v, (m, n_modes)."""
+    """Fraction of the kinetic energy of every mode that is in u and v, (m, n_modes)."""
     _, energy = energy_terms(operator, spectrum)
     energy = energy * np.atleast_2d(mass)[:, None, :]
-    own = [f.left.field in MEMBRANE_FIELDS for f in operator.problem.forms("mass")]
-    return np.asarray(energy[..., own].sum(axis=-1) / energy.sum(axis=-1))
+    is_membrane = [f.left.field in MEMBRANE_FIELDS for f in operator.problem.forms("mass")]
+    return np.asarray(energy[..., is_membrane].sum(axis=-1) / energy.sum(axis=-1))
 
 
-def mode_kind(share: float) -> Kind:
-    """Bending, in-plane or coupled, by the in-plane share of the kinetic energy."""
-    if share < PURE:
+def mode_kind(fraction: float) -> Kind:
+    """Bending, in-plane or coupled, by the in-plane fraction of the kinetic energy."""
+    if fraction < PURE:
         return "bending"
-    return "in-plane" if share > 1.0 - PURE else "coupled"
+    return "in-plane" if fraction > 1.0 - PURE else "coupled"
 
 
 def grid_points(extent: Extent = UNIT_SQUARE, n: int = _GRID) -> Array:
@@ -82,12 +82,12 @@ def shapes_on_grid(
         whole[operator.blocks[b].index] = vector
     points = grid_points(extent, n)
     rule = Quadrature(Region("point"), points, np.ones(len(points)))
-    found = np.empty((len(vectors), len(_DISPLACEMENTS), n, n))
+    shapes = np.empty((len(vectors), len(_DISPLACEMENTS), n, n))
     for k, field in enumerate(_DISPLACEMENTS):
         start = int(np.sum(sizes[: FIELDS.index(field)]))
-        own = vectors[:, start : start + operator.space.dimension(field)]
-        found[:, k] = (operator.space.evaluate(field, rule, "") @ own.T).T.reshape(-1, n, n)
-    return found
+        coefficients = vectors[:, start : start + operator.space.dimension(field)]
+        shapes[:, k] = (operator.space.evaluate(field, rule, "") @ coefficients.T).T.reshape(-1, n, n)
+    return shapes
 
 
 def label_of_shape(values: Array, edges: str, field: Field) -> str:
@@ -118,7 +118,7 @@ def _legendre_parts(values: Array) -> list[tuple[float, tuple[int, int]]]:
 def _separable_parts(values: Array, edges: str, field: Field) -> list[tuple[float, tuple[int, int]]]:
     """The two leading singular parts of a shape, with their nodal lines or half-waves."""
     left, sigma, right = np.linalg.svd(values)
-    found = []
+    parts = []
     for i in range(2):
         counts = []
         for profile, ends, axis in (
@@ -127,8 +127,8 @@ def _separable_parts(values: Array, edges: str, field: Field) -> list[tuple[floa
         ):
             held = all(field in HELD[e][axis] for e in ends)
             counts.append(_sign_changes(profile) + int(held))
-        found.append((float(sigma[i]), (counts[0], counts[1])))
-    return found
+        parts.append((float(sigma[i]), (counts[0], counts[1])))
+    return parts
 
 
 def _sign_changes(profile: Array) -> int:
@@ -147,17 +147,19 @@ def describe_modes(
     """
     shares = in_plane_fraction(operator, spectrum, mass)[0]
     modes = []
-    for i, (share, shape) in enumerate(zip(shares, shapes_on_grid(operator, spectrum, extent), strict=True)):
-        own = dict(zip(_DISPLACEMENTS, shape, strict=True))
-        fields: tuple[Field, ...] = MEMBRANE_FIELDS if share > 0.5 else ("w",)
-        field = max(fields, key=lambda f: float(np.sum(own[f] ** 2)))
-        label = label_of_shape(own[field], operator.problem.edges, field)
+    for i, (fraction, shape) in enumerate(
+        zip(shares, shapes_on_grid(operator, spectrum, extent), strict=True)
+    ):
+        by_field = dict(zip(_DISPLACEMENTS, shape, strict=True))
+        fields: tuple[Field, ...] = MEMBRANE_FIELDS if fraction > 0.5 else ("w",)
+        field = max(fields, key=lambda f: float(np.sum(by_field[f] ** 2)))
+        label = label_of_shape(by_field[field], operator.problem.edges, field)
         modes.append(
             Mode(
                 frequency=float(spectrum.frequencies[0, i]),
-                kind=mode_kind(float(share)),
+                kind=mode_kind(float(fraction)),
                 label=label if field == "w" else field + label,
-                in_plane_fraction=float(share),
+                in_plane_fraction=float(fraction),
             )
         )
     return tuple(modes)

@@ -122,8 +122,8 @@ class SparseBlock:
         The iteration of ``eigenvalues``, which finds both.
         """
         values, vectors = zip(*self._each_lowest(stiffness, mass, n), strict=True)
-        found = np.stack(vectors)
-        return np.stack(values), lambda sets, column: found[sets, :, column]
+        stacked = np.stack(vectors)
+        return np.stack(values), lambda sets, column: stacked[sets, :, column]
 
     def _each_lowest(self, stiffness: Array, mass: Array, n: int) -> Iterator[tuple[Array, Array]]:
         """The n lowest eigenvalues (n,) and vectors (size, n) of each coefficient set."""
@@ -162,13 +162,13 @@ class SparseBlock:
 
     def energies(self, vectors: Array) -> tuple[Array, Array]:
         """phi^T K_q phi and phi^T M_q phi of vectors (k, size) for each term, (k, n_terms) both."""
-        found = []
+        terms = []
         for matrix, n_terms in zip((self.stiffness, self.mass), self.n_terms, strict=True):
             energy = np.zeros((len(vectors), n_terms))
             for row, vector in zip(energy, vectors, strict=True):
                 row[matrix.active] = matrix.energies(vector)
-            found.append(energy)
-        return found[0], found[1]
+            terms.append(energy)
+        return terms[0], terms[1]
 
 
 SparseOperator = AffineOperator[FemSpace, SparseBlock]

@@ -91,15 +91,15 @@ def contradictions(table: PerturbationTable) -> tuple[Contradiction, ...]:
     Amount and free value may each be half a unit of their last digit off, the percentage a whole one,
     since some were cut off and not rounded.
     """
-    found = []
+    impossible = []
     for row in table.constants:
         for level, amount, printed in zip(table.levels_percent, row.amount, row.percent_error, strict=True):
             ends = product(*((float(t) - _unit(t) / 2, float(t) + _unit(t) / 2) for t in (amount, row.free)))
             possible = [100.0 * (a / f - 1.0) for a, f in ends]
             lowest, highest = min(possible), max(possible)
             if not lowest - _unit(printed) <= float(printed) <= highest + _unit(printed):
-                found.append(Contradiction(table.number, row.key, level, printed, lowest, highest))
-    return tuple(found)
+                impossible.append(Contradiction(table.number, row.key, level, printed, lowest, highest))
+    return tuple(impossible)
 
 
 def _unit(text: str) -> float:

@@ -39,10 +39,10 @@ def read_spec(text: str) -> str:
 
 
 def _dask_address(text: str) -> str | None:
-    found = _DASK.fullmatch(text)
-    if found is None or not 0 < int(found["port"]) < 2**16:
+    match = _DASK.fullmatch(text)
+    if match is None or not 0 < int(match["port"]) < 2**16:
         return None
-    return f"tcp://{found['host']}:{found['port']}"
+    return f"tcp://{match['host']}:{match['port']}"
 
 
 @contextmanager
@@ -229,9 +229,11 @@ def _require_workers(client: Any, spec: str, patience: float) -> None:
         raise ValueError(
             f"executor: the Dask scheduler {spec} has no workers; start some with `dask worker`"
         ) from error
-    for worker, found in client.run(version, on_error="return").items():
-        if found != __version__:
-            what = f"cannot import it ({found})" if isinstance(found, Exception) else f"has {found}"
+    for worker, installed in client.run(version, on_error="return").items():
+        if installed != __version__:
+            what = (
+                f"cannot import it ({installed})" if isinstance(installed, Exception) else f"has {installed}"
+            )
             raise ValueError(
                 f"executor: this process has cpam_bayes {__version__}, but the Dask worker {worker} {what}; "
                 "install the same version there"

@@ -139,7 +139,7 @@ def _run_there(
     pending: dict[Future[Outcome], _Batch] = {}
     with ExitStack() as stack:
         ticket = stack.enter_context(_issued(shared, executor))
-        # A cluster is told anew who lacks the shared object; any other worker gets it with the batch.
+        # A cluster is informed anew who lacks the shared object; any other worker gets it with the batch.
         patience = 1 if isinstance(executor, DaskCluster) else 0
         stack.push(_cancel_on_exception(pending))
         while True:
@@ -197,9 +197,9 @@ class _Queue:
         Those lost before come last, and after a second loss alone, so that none is blamed for another.
         """
         if self._next < self._n:
-            share = math.ceil((self._n - self._next) / (_AHEAD * workers))
+            per_worker = math.ceil((self._n - self._next) / (_AHEAD * workers))
             start = self._next
-            self._next = min(self._n, start + (self._fixed or min(self._size, share)))
+            self._next = min(self._n, start + (self._fixed or min(self._size, per_worker)))
             return _Batch(start, self._next)
         if self._again:
             return self._again.popleft()
@@ -230,7 +230,7 @@ class _Queue:
 def _is_loss(error: BaseException) -> bool:
     """Whether an error says that a worker died, not that the work failed.
 
-    Dask's is told by its name: Dask need not be installed.
+    Dask's is recognised by its name: Dask need not be installed.
     """
     names = {kind.__name__ for kind in type(error).__mro__}
     return isinstance(error, (BrokenExecutor, CancelledError)) or "KilledWorker" in names
@@ -240,8 +240,8 @@ def _usable(executor: Executor, stack: ExitStack) -> Executor:
     """The executor, or new processes in place of a caller's pool, which is of no use once broken."""
     if not isinstance(executor, ProcessPoolExecutor):
         return executor
-    found = stack.enter_context(open_executor(None, workers_of(executor)))
-    return executor if found is None else found
+    opened = stack.enter_context(open_executor(None, workers_of(executor)))
+    return executor if opened is None else opened
 
 
 def _cancel_on_exception(pending: dict[Future[Outcome], _Batch]) -> Callable[..., None]:

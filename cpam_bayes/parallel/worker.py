@@ -94,8 +94,8 @@ def work_through(work: Callable[[Any, Any], Any], ticket: Ticket, items: bytes) 
             f"the worker on {socket.gethostname()} (process {os.getpid()}) has cpam_bayes {__version__}, "
             f"this process {ticket.version}; install the same version in both places"
         )
-    found, shared = _shared(ticket)
-    if not found:
+    available, shared = _shared(ticket)
+    if not available:
         return Outcome(missing=True)
     return _through(work, shared, pickle.loads(items))
 
@@ -129,25 +129,25 @@ def _shared(ticket: Ticket) -> tuple[bool, Any]:
     """Whether the shared object could be had, and the object."""
     # Threads of one process wait for the one that restores it.
     with _lock:
-        found = _restored.get(ticket.digest)
-        if found is None:
+        restored = _restored.get(ticket.digest)
+        if restored is None:
             _drop_withdrawn()
             pickled = _delivered.pop(ticket.digest, None) or ticket.pickled
-            found = _from_file(ticket) if pickled is None else _Restored(pickle.loads(pickled))
-        if found is None:
+            restored = _from_file(ticket) if pickled is None else _Restored(pickle.loads(pickled))
+        if restored is None:
             return False, None
         # of two calls that share the same the later one's file stays longer
-        _restored[ticket.digest] = replace(found, path=ticket.path if found.path else "")
+        _restored[ticket.digest] = replace(restored, path=ticket.path if restored.path else "")
         _restored.move_to_end(ticket.digest)
         while len(_restored) > _MOST_KEPT:
             _restored.popitem(last=False)
-        return True, found.shared
+        return True, restored.shared
 
 
 def _drop_withdrawn() -> None:
     """Drop what came from files that are gone: the calls that shared it have ended."""
-    for digest, found in list(_restored.items()):
-        if found.path and not Path(found.path).exists():
+    for digest, restored in list(_restored.items()):
+        if restored.path and not Path(restored.path).exists():
             del _restored[digest]
 
 

@@ -250,11 +250,11 @@ def _energy_of_one_layup(
         return np.concatenate([y.reshape(*y.shape[:-2], 15) for y in x], axis=-1)
 
     of_x, of_y = products(0), products(1)
-    found = []
+    terms = []
     for k, (left, right) in enumerate(((of_y, of_y), (of_x, of_x), (of_y, of_x))):
         at_mean, at_half = (np.sum((left @ form[k]) * right, axis=-1) for form in geometry.shear_energy)
-        found.append(mean * at_mean + half * at_half)
-    return np.stack(np.broadcast_arrays(*found))
+        terms.append(mean * at_mean + half * at_half)
+    return np.stack(np.broadcast_arrays(*terms))
 
 
 def _energy_of_layups(
@@ -358,8 +358,8 @@ def flexural_constants(stiffness: Array, thickness: float) -> dict[str, float]:
     """
     d = np.linalg.inv(stiffness[:6, :6])[3:, 3:]
     factor = 12 / thickness**3
-    own = {"D11": (3, 3), "D12": (3, 4), "D22": (4, 4), "D66": (5, 5), "D16": (3, 5), "D26": (4, 5)}
-    constants = {name: float(stiffness[entry]) for name, entry in own.items()}
+    entries = {"D11": (3, 3), "D12": (3, 4), "D22": (4, 4), "D66": (5, 5), "D16": (3, 5), "D26": (4, 5)}
+    constants = {name: float(stiffness[entry]) for name, entry in entries.items()}
     constants["Ex"], constants["Ey"] = float(factor / d[0, 0]), float(factor / d[1, 1])
     constants["Gxy"], constants["nuxy"] = float(factor / d[2, 2]), float(-d[0, 1] / d[0, 0])
     return constants

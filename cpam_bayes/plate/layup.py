@@ -276,11 +276,11 @@ class _Reader:
         self.fail(f"a layup of {number} plies, accepted: up to {MAX_PLIES}", position)
 
     def match(self, pattern: re.Pattern[str]) -> str:
-        found = pattern.match(self.text, self.at)
-        if found is None:
+        match = pattern.match(self.text, self.at)
+        if match is None:
             return ""
-        self.at = found.end()
-        return found.group()
+        self.at = match.end()
+        return match.group()
 
     def peek(self) -> str:
         self.match(_SPACE)

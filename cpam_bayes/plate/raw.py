@@ -41,5 +41,5 @@ def numbers(source: Data, key: str) -> list[float] | None:
     values = source.get(key)
     if not isinstance(values, list):
         return None
-    found = [real(value) for value in values]
-    return None if None in found else [value for value in found if value is not None]
+    numbers_read = [real(value) for value in values]
+    return None if None in numbers_read else [value for value in numbers_read if value is not None]

@@ -139,23 +139,23 @@ class _Scan:
 
     def string(self) -> str:
         for pattern in _STRINGS:
-            found = pattern.match(self.text, self.at)
-            if found:
-                self.at = found.end()
-                return found.group()
+            match = pattern.match(self.text, self.at)
+            if match:
+                self.at = match.end()
+                return match.group()
         raise ValueError("string")
 
     def token(self, pattern: re.Pattern[str]) -> str:
-        found = pattern.match(self.text, self.at)
-        if not found:
+        match = pattern.match(self.text, self.at)
+        if not match:
             raise ValueError("token")
-        self.at = found.end()
-        return found.group()
+        self.at = match.end()
+        return match.group()
 
     def skip(self, pattern: re.Pattern[str]) -> None:
-        found = pattern.match(self.text, self.at)
-        if found:
-            self.at = found.end()
+        match = pattern.match(self.text, self.at)
+        if match:
+            self.at = match.end()
 
     def expect(self, characters: str) -> None:
         if not self.text.startswith(characters, self.at):

@@ -1,4 +1,4 @@
-"""Repeated inversions beside a posterior: whether they agree, and if not, which measured causes there are.
+"""Repeated inversions beside a posterior: whether they agree, and if not, what measurably explains it.
 
 In a linear model with Gaussian noise and distant bounds, inversions that weigh the frequencies by
 their noise scatter about the truth exactly as wide as the posterior is. Each cause below breaks one of these
@@ -23,16 +23,16 @@ Cause = Literal[
 
 # Both comparisons are made at this probability of a false alarm.
 _FALSE_ALARM: Final = 0.01
-# Share of the inversions, or of the posterior's draws, that sit on a bound.
+# Fraction of the inversions, or of the posterior's draws, that sit on a bound.
 _AT_BOUND: Final = 0.1
 # Posterior sd over prior sd from which the interval rather than the data gives the width.
 _OPEN: Final = 0.5
 # Skewness of a posterior beyond which its mean is not where its best value is: a Gaussian's is 0, an
 # exponential's 2.
 _SKEWED: Final = 0.5
-# Share of the inversions that are worse than the constants found without noise.
+# Fraction of the inversions that are worse than the constants found without noise.
 _MISSED: Final = 0.1
-# Share of the noisy lists in which modes changed places.
+# Fraction of the perturbed lists in which modes changed places.
 _REORDERED: Final = 0.2
 # Linearised sd of the minimum of eq. (7) over that of the posterior.
 _WEIGHTS: Final = 1.25
@@ -52,14 +52,14 @@ class Evidence:
     groups : number of inversions.
     repetition_mean, repetition_sd : over these (sd with groups - 1).
     posterior_mean, posterior_sd, effective : of the posterior and its effective number of draws.
-    share_at_bound : inversions that ended on a bound.
+    repetition_at_bound : inversions that ended on a bound.
     posterior_at_bound : draws next to one.
     clusters : of the inversions.
     peaks : of the posterior's density.
     skewness : of the posterior.
     contraction : posterior sd over prior sd.
-    reordered : share of noisy lists in which modes changed places.
-    missed : share of inversions whose swarms did not find the minimum.
+    reordered : fraction of perturbed lists in which modes changed places.
+    missed : fraction of inversions whose swarms did not find the minimum.
     weighting : linearised sd of the minimum of eq. (7) over that of the posterior.
     offset : the inversion of the list without noise less the posterior's best, in posterior sd.
     residual : rms residual of that inversion over the noise's standard deviations.
@@ -71,7 +71,7 @@ class Evidence:
     posterior_mean: float
     posterior_sd: float
     effective: float
-    share_at_bound: float
+    repetition_at_bound: float
     posterior_at_bound: float
     clusters: int
     peaks: int
@@ -102,44 +102,44 @@ class Comparison:
     causes: tuple[Cause, ...]
 
 
-def compare(found: Evidence) -> Comparison:
+def compare(evidence: Evidence) -> Comparison:
     """Test means and standard deviations against each other and list what can explain a difference.
 
     Means: a t-test of the difference with groups - 1 degrees of freedom; standard deviations: an
     F-test of their squared ratio with groups - 1 and effective - 1; each with a false alarm in 1 %.
     A cause is listed where its own number is beyond its threshold and it can act in that direction.
     """
-    n = found.groups
-    error = found.repetition_sd / np.sqrt(n)
-    combined = float(np.hypot(error, found.posterior_sd / np.sqrt(max(found.effective, 1.0))))
-    difference = found.repetition_mean - found.posterior_mean
+    n = evidence.groups
+    error = evidence.repetition_sd / np.sqrt(n)
+    combined = float(np.hypot(error, evidence.posterior_sd / np.sqrt(max(evidence.effective, 1.0))))
+    difference = evidence.repetition_mean - evidence.posterior_mean
     shift = difference / combined if combined > 0.0 else float(np.copysign(np.inf, difference))
-    ratio = found.repetition_sd / found.posterior_sd if found.posterior_sd > 0.0 else np.inf
+    ratio = evidence.repetition_sd / evidence.posterior_sd if evidence.posterior_sd > 0.0 else np.inf
     half = _FALSE_ALARM / 2
     means = bool(abs(shift) <= t_distribution.ppf(1 - half, n - 1)) or difference == 0.0
-    freedom = (n - 1, max(found.effective - 1.0, 1.0))
+    freedom = (n - 1, max(evidence.effective - 1.0, 1.0))
     low, high = (float(f_distribution.ppf(p, *freedom)) for p in (half, 1 - half))
     sds = bool(low <= ratio**2 <= high)
     return Comparison(
-        float(error), float(shift), float(ratio), means, sds, _causes(found, float(ratio), means, sds)
+        float(error), float(shift), float(ratio), means, sds, _causes(evidence, float(ratio), means, sds)
     )
 
 
-def _causes(found: Evidence, ratio: float, means: bool, sds: bool) -> tuple[Cause, ...]:
+def _causes(evidence: Evidence, ratio: float, means: bool, sds: bool) -> tuple[Cause, ...]:
     if means and sds:
         return ()
-    at_bound = max(found.share_at_bound, found.posterior_at_bound) >= _AT_BOUND
+    at_bound = max(evidence.repetition_at_bound, evidence.posterior_at_bound) >= _AT_BOUND
     signs: dict[Cause, bool] = {
-        "missed": found.missed >= _MISSED,
+        "missed": evidence.missed >= _MISSED,
         "bounds": at_bound,
-        "open": found.contraction >= _OPEN,
-        "optima": max(found.clusters, found.peaks) > 1,
-        "skewed": abs(found.skewness) >= _SKEWED,
-        "reordered": found.reordered >= _REORDERED,
-        # weights that are not the noise's own can only widen the scatter
-        "weights": not sds and ratio > 1.0 and found.weighting >= _WEIGHTS,
-        "misfit": abs(found.offset) >= _OFFSET and found.residual >= _RESIDUAL,
-        "stopped": abs(found.offset) >= _OFFSET and found.residual < _RESIDUAL,
+        "open": evidence.contraction >= _OPEN,
+        "optima": max(evidence.clusters, evidence.peaks) > 1,
+        "skewed": abs(evidence.skewness) >= _SKEWED,
+        "reordered": evidence.reordered >= _REORDERED,
+        # weights that are not the noise's can only widen the scatter
+        "weights": not sds and ratio > 1.0 and evidence.weighting >= _WEIGHTS,
+        "misfit": abs(evidence.offset) >= _OFFSET and evidence.residual >= _RESIDUAL,
+        "stopped": abs(evidence.offset) >= _OFFSET and evidence.residual < _RESIDUAL,
     }
     return tuple(cause for cause, shown in signs.items() if shown) or ("unexplained",)
 
@@ -177,8 +177,8 @@ def density_peaks(draws: Array, bins: int = 60) -> int:
     mirrored = np.concatenate((count[7::-1], count, count[:-9:-1])).astype(float)
     density = np.convolve(mirrored, kernel / kernel.sum(), mode="valid")
     # between zeros, the height of the highest peak counts in full
-    _, found = find_peaks(np.pad(density, 1), height=0.1 * density.max(), prominence=0.0)
-    return int(np.count_nonzero(found["prominences"] > 0.5 * found["peak_heights"]))
+    _, properties = find_peaks(np.pad(density, 1), height=0.1 * density.max(), prominence=0.0)
+    return int(np.count_nonzero(properties["prominences"] > 0.5 * properties["peak_heights"]))
 
 
 def skewness(draws: Array) -> float:

@@ -1,9 +1,9 @@
-"""The paper's noise study, section 7.4: inversions of noisy lists, beside one posterior at that noise.
+"""The paper's noise study, section 7.4: inversions of perturbed lists, and one posterior at that noise.
 
-A list of frequencies is inverted by the particle swarm as it is; its answer is the reference. Then
-noise of a level and a reading of eq. (12) is added to it, once for each group, every noisy list is
-inverted, and the mean over the groups is compared with the reference. A swarm that demonstrably missed
-the minimum of eq. (7) is started anew: what is studied is the noise, not the luck of a search.
+A list of frequencies is inverted by the particle swarm as it is, which gives the reference. Then
+noise of a level and an interpretation of eq. (12) is added to it, once for each group, every perturbed
+list is inverted, and the mean over the groups is compared with the reference. A swarm that demonstrably
+missed the minimum of eq. (7) is started anew: what is studied is the noise, not the luck of a search.
 
 The paper takes the measured list. Where the plate model cannot repeat that list, every inversion ends
 on bounds and says nothing about noise: the list that the model itself gives at the reference constants
@@ -59,12 +59,12 @@ _STARTS: Final = 10
 
 @dataclass(frozen=True, slots=True)
 class Repetition:
-    """Inversions of noisy lists.
+    """Inversions of perturbed lists.
 
     constants : (groups, n) SI.
     on_bound : (groups, n) bool.
     lists : (groups, n_modes) Hz.
-    reordered : share of the lists in which modes changed places.
+    reordered : fraction of the lists in which modes changed places.
     redrawn : frequencies drawn again because they were not positive.
     converged : swarms that did not end by their budget.
     restarted : swarms that were started anew because one missed the minimum.
@@ -95,7 +95,7 @@ class Repetition:
 
 @dataclass(frozen=True, slots=True)
 class Cell:
-    """One level and reading: noise_sd (n_modes,) Hz, and one comparison for each constant."""
+    """One level and interpretation: noise_sd (n_modes,) Hz, and one comparison for each constant."""
 
     level: float
     reading: Interpretation
@@ -142,14 +142,14 @@ def model_list(
     x = unknowns.vector(reference_constants(specimen))
     for name, value, low, high in zip(unknowns.names, x, unknowns.lower, unknowns.upper, strict=True):
         if not low <= value <= high:
-            own, lowest, highest = (to_user(name, v) for v in (value, low, high))
+            shown, lowest, highest = (to_user(name, v) for v in (value, low, high))
             raise ValueError(
-                f"{specimen.source}: material.{user_name(name)}: {own:g} lies outside its search bounds "
+                f"{specimen.source}: material.{user_name(name)}: {shown:g} lies outside its search bounds "
                 f"{lowest:g} to {highest:g}, where no inversion can find it again; widen these in [unknowns]"
             )
     model = reduced_model(specimen, unknowns, n_modes, notify=notify)
-    found = model.full.predict(x[None]).frequencies[0]
-    exact = Measurement(found, 0.0, None, None, ("",) * n_modes, complete=True)
+    predicted = model.full.predict(x[None]).frequencies[0]
+    exact = Measurement(predicted, 0.0, None, None, ("",) * n_modes, complete=True)
     return replace(specimen, measurement=exact)
 
 
@@ -219,12 +219,12 @@ def noise_study(
         done += 1
         progress(done, len(items))
 
-    found: list[Any] = run(work, shared, items, executor, on_result=count)
+    results: list[Any] = run(work, shared, items, executor, on_result=count)
     cells = []
     for i, (level, reading) in enumerate(pairs):
         first = len(pairs) + i * groups
-        repetition = _collect(found[first : first + groups])
-        posterior: PosteriorSummary = found[i]
+        repetition = _collect(results[first : first + groups])
+        posterior: PosteriorSummary = results[i]
         sd = perturbation_sd(measurement.frequencies, level, reading)
         at_reference = np.array([mode.frequency for mode in without_noise.predicted])
         residual = float(np.sqrt(np.mean(((at_reference - measurement.frequencies) / sd) ** 2)))
@@ -287,7 +287,7 @@ def _comparisons(
                 posterior_mean=float(posterior.mean[i]),
                 posterior_sd=float(posterior.sd[i]),
                 effective=posterior.effective,
-                share_at_bound=float(repetition.on_bound[:, i].mean()),
+                repetition_at_bound=float(repetition.on_bound[:, i].mean()),
                 posterior_at_bound=float(posterior.next_to_bound[i]),
                 clusters=clusters(repetition.constants[:, i]),
                 peaks=int(posterior.peaks[i]),

@@ -42,7 +42,7 @@ POSTERIOR = 2**32 - 1
 class PosteriorSummary:
     """A posterior at a known noise, SI.
 
-    mean, sd, skewness, contraction (sd over the prior's), next_to_bound (share of draws): (n,).
+    mean, sd, skewness, contraction (sd over the prior's), next_to_bound (fraction of draws): (n,).
 
     peaks : (n,) of each marginal density.
     best : (n,) optimum next to the inversion without noise.
@@ -164,13 +164,13 @@ def _invert(shared: Shared, task: Task) -> Inversion:
     noisy = perturbed_list(f, sd, np.random.default_rng([*seeds, _NOISE]))
     at_reference = problem.model.predict(shared.reference[None]).frequencies[:, : len(f)]
     limit = float(misfit(at_reference, noisy.frequencies, "absolute")[0])
-    found: list[SwarmResult] = []
+    runs: list[SwarmResult] = []
     missed = True
-    while missed and len(found) < _MOST_SWARMS:
-        rng = np.random.default_rng([*seeds, _SWARM, len(found)])
-        found.append(_minimum(problem, noisy.frequencies, rng))
-        missed = not as_good(found[-1].value, limit, f)
-    best = min(found, key=lambda swarm: swarm.value)
+    while missed and len(runs) < _MOST_SWARMS:
+        rng = np.random.default_rng([*seeds, _SWARM, len(runs)])
+        runs.append(_minimum(problem, noisy.frequencies, rng))
+        missed = not as_good(runs[-1].value, limit, f)
+    best = min(runs, key=lambda swarm: swarm.value)
     lower, upper = problem.unknowns.lower, problem.unknowns.upper
     near = _ON_BOUND * (upper - lower)
     return Inversion(
@@ -180,9 +180,9 @@ def _invert(shared: Shared, task: Task) -> Inversion:
         reordered=noisy.reordered,
         redrawn=noisy.redrawn,
         converged=best.status == "converged",
-        swarms=len(found),
+        swarms=len(runs),
         missed=missed,
-        solves=sum(swarm.evaluations for swarm in found),
+        solves=sum(swarm.evaluations for swarm in runs),
     )
 
 
@@ -194,8 +194,8 @@ def _sample(shared: Shared, task: Task) -> PosteriorSummary:
     # neither rounding nor the solver's error: the noisy lists have none but the noise added
     known = replace(shared.measurement, frequency_sd=sd, relative_std=None, resolution=0.0)
     posterior = plate_posterior(shared.problem.model, known, np.zeros(len(f)))
-    own = int(np.random.SeedSequence(task.seeds(shared.seed)).generate_state(1)[0])
-    result = sample_posterior(posterior, own, settings=shared.chains, swarm_settings=shared.problem.swarm)
+    seed = int(np.random.SeedSequence(task.seeds(shared.seed)).generate_state(1)[0])
+    result = sample_posterior(posterior, seed, settings=shared.chains, swarm_settings=shared.problem.swarm)
     draws, parameters = result.draws, posterior.parameters
     best = optimise(posterior, shared.reference).optimum
     near = _NEXT_TO_BOUND * (parameters.upper - parameters.lower)
@@ -218,9 +218,9 @@ def _sample(shared: Shared, task: Task) -> PosteriorSummary:
 
 def _swarm_sd(posterior: Posterior, x: Array, scale: Array) -> Array:
     """Standard deviations of the minimum of eq. (7) to first order in the noise, (n,)."""
-    own = posterior.measurement
+    measurement = posterior.measurement
     jacobian = posterior.model.predict(x[None], jacobian=True).jacobian
     assert jacobian is not None
-    assert own.frequency_sd is not None
-    noise = float(np.mean(own.frequency_sd / own.frequencies))
-    return linearised_sd(jacobian[0], scale, own, noise, "absolute")
+    assert measurement.frequency_sd is not None
+    noise = float(np.mean(measurement.frequency_sd / measurement.frequencies))
+    return linearised_sd(jacobian[0], scale, measurement, noise, "absolute")

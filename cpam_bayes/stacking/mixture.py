@@ -214,17 +214,17 @@ def _sampled(shared: tuple[ConditionalPosterior, MixtureSettings], item: Item) -
     start = walkers.reshape(settings.ensembles.ensembles, settings.ensembles.walkers, -1)
     proposal = adapted(posterior, optima, seed, settings.proposal)
     chains = sample(posterior, start, seed, settings.ensembles, proposal=proposal)
-    importance, found = _importance(posterior, proposal, settings.points, rng)
+    importance, sampled_moments = _importance(posterior, proposal, settings.points, rng)
     return SampledComponent(
         index=index,
         draws=_thinned(chains),
         diagnostics=chains.diagnostics,
         chains=_moments_of_chains(chains),
         importance=importance,
-        log_evidence=float(found.log_evidence[0]),
-        log_evidence_error=float(found.standard_error[0]),
-        effective=float(found.effective_size[0]),
-        k_hat=float(found.k_hat[0]),
+        log_evidence=float(sampled_moments.log_evidence[0]),
+        log_evidence_error=float(sampled_moments.standard_error[0]),
+        effective=float(sampled_moments.effective_size[0]),
+        k_hat=float(sampled_moments.k_hat[0]),
     )
 
 
@@ -247,14 +247,14 @@ def _importance(
 ) -> tuple[Moments, Weighted]:
     """Moments by importance sampling from a proposal, and its weighted draws."""
     x = proposal.draw(points, rng)
-    found = weighted(x[None], (posterior.log_prob(x) - proposal.log_density(x))[None])
-    normalised = found.weight[0][:, None]
+    moments = weighted(x[None], (posterior.log_prob(x) - proposal.log_density(x))[None])
+    normalised = moments.weight[0][:, None]
     mean = np.sum(normalised * x, axis=0)
     deviation = x - mean
     sd = np.sqrt(np.sum(normalised * deviation**2, axis=0))
     mean_error = np.sqrt(np.sum((normalised * deviation) ** 2, axis=0))
     sd_error = np.sqrt(np.sum((normalised * (deviation**2 - sd**2)) ** 2, axis=0)) / (2.0 * sd)
-    return Moments(mean, sd, mean_error, sd_error), found
+    return Moments(mean, sd, mean_error, sd_error), moments
 
 
 def _combined(

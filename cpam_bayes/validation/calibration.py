@@ -135,7 +135,7 @@ def calibrate(
     """Repetitions 0 to n - 1 of an experiment, in order, the same bit for bit whoever computes them.
 
     store : a file of JSON lines that takes every repetition as it ends; one of the same experiment is
-    gone on with, one of another raises ``StoreError``. ``progress`` is told how many are done.
+    gone on with, one of another raises ``StoreError``. ``progress`` is called with the number done.
     """
     _nature(experiment.source)  # builds what workers then find in the cache on disk
     kept = DrawStore.open(store, experiment_hash(experiment)) if store is not None else None
@@ -177,18 +177,18 @@ def repeat(experiment: Experiment, number: int) -> Repetition:
     )
     chain = second_half(result)
     few = spread_draws(chain, N_DRAWS, rng)
-    found = result.diagnostics
+    diagnostics = result.diagnostics
     return Repetition(
         number=number,
         truth=tuple(float(x) for x in truth),
         ranks=tuple(int(r) for r in np.sum(few < truth, axis=0)),
         below=tuple(float(b) for b in np.mean(chain.reshape(-1, len(truth)) < truth, axis=0)),
         ordered=bool(np.all(np.diff(measurement.frequencies) >= 0)),
-        converged=found.converged,
-        r_hat=found.r_hat,
-        autocorrelation_time=found.autocorrelation_time,
-        effective=found.ess_bulk,
-        steps=found.steps,
+        converged=diagnostics.converged,
+        r_hat=diagnostics.r_hat,
+        autocorrelation_time=diagnostics.autocorrelation_time,
+        effective=diagnostics.ess_bulk,
+        steps=diagnostics.steps,
     )
 
 

@@ -42,12 +42,12 @@ class DrawStore:
         whole = content[: content.rfind(b"\n") + 1]
         try:
             head, *records = [json.loads(line) for line in whole.splitlines()]
-            found = head["problem"]
+            problem_stored = head["problem"]
         except (ValueError, KeyError, TypeError) as error:
             raise StoreError(
                 f"store {path}: is damaged or no store of this package; remove it to begin anew"
             ) from error
-        if found != key:
+        if problem_stored != key:
             raise StoreError(
                 f"store {path}: holds another problem (plate, priors, noise, settings or seed differ); "
                 "choose another file or remove it"

@@ -65,26 +65,26 @@ def nested_evidence(
     side, so that the log probability is asked for stacks. Several small runs rather than a large one: on
     B1 evidences scatter up to twice as widely as a run says. Needs the extra ``audit``.
     """
-    found = [_run(posterior, np.random.default_rng([seed, 5, r]), live_points, batch) for r in range(runs)]
-    moments = np.stack([run.moments for run in found])
-    values = np.array([run.log_evidence for run in found])
-    moments_error = _error(moments, np.stack([run.moments_error for run in found]))
+    results = [_run(posterior, np.random.default_rng([seed, 5, r]), live_points, batch) for r in range(runs)]
+    moments = np.stack([run.moments for run in results])
+    values = np.array([run.log_evidence for run in results])
+    moments_error = _error(moments, np.stack([run.moments_error for run in results]))
     return NestedEvidence(
         log_evidence=float(values.mean()),
-        standard_error=float(_error(values, np.array([run.error for run in found]))),
+        standard_error=float(_error(values, np.array([run.error for run in results]))),
         mean=moments[:, 0].mean(axis=0),
         sd=moments[:, 1].mean(axis=0),
         mean_error=moments_error[0],
         sd_error=moments_error[1],
-        calls=sum(run.calls for run in found),
+        calls=sum(run.calls for run in results),
     )
 
 
 def _error(values: Array, errors: Array) -> Array:
     """Standard error of the mean over runs, (runs, ...) -> (...)."""
-    own = np.sqrt(np.mean(errors**2, axis=0))
-    scatter = values.std(axis=0, ddof=1) if len(values) > 1 else own
-    return np.asarray(np.maximum(own, scatter) / np.sqrt(len(values)))
+    within = np.sqrt(np.mean(errors**2, axis=0))
+    scatter = values.std(axis=0, ddof=1) if len(values) > 1 else within
+    return np.asarray(np.maximum(within, scatter) / np.sqrt(len(values)))
 
 
 def _run(posterior: Posterior, rng: np.random.Generator, live_points: int, batch: int) -> _Run:
@@ -99,8 +99,8 @@ def _run(posterior: Posterior, rng: np.random.Generator, live_points: int, batch
     width = upper - lower
 
     def batched(u: Array) -> Array:
-        found = log_density(posterior, axes, u) + np.log(width).sum()
-        return np.where(np.isfinite(found), found, _NOTHING)
+        values = log_density(posterior, axes, u) + np.log(width).sum()
+        return np.where(np.isfinite(values), values, _NOTHING)
 
     lockstep = Lockstep(batched, batch)
     sampler = dynesty.NestedSampler(

@@ -33,7 +33,7 @@ class Band:
 
 @dataclass(frozen=True, slots=True)
 class Coverage:
-    """Share of central intervals of probability ``level`` that hold the truth.
+    """Fraction of central intervals of probability ``level`` that hold the truth.
 
     standard_error : binomial, sqrt(level (1 - level) / n).
     """
@@ -137,8 +137,8 @@ def holm(p_values: Array) -> Array:
 def coverage(below: Array, levels: tuple[float, ...] = LEVELS) -> tuple[Coverage, ...]:
     """Coverage of central intervals of one parameter.
 
-    below : (n,) the share of each posterior below the truth; a central interval of probability p
-    holds the truth if that share is within p / 2 of one half.
+    below : (n,) the fraction of each posterior below the truth; a central interval of probability p
+    holds the truth if that fraction is within p / 2 of one half.
     """
     distance = np.abs(np.asarray(below) - 0.5)
     return tuple(
@@ -170,7 +170,7 @@ class _Counts:
         return np.asarray(both.min(axis=1))
 
     def band(self, simulated: Array, probability: float) -> Band:
-        """Counts whose tails are as large as all of a share of simulated rows have them."""
+        """Counts whose tails are as large as all of a fraction of simulated rows have them."""
         least = np.sort(simulated)[int((1.0 - probability) * len(simulated))]
         allowed = (self.up_to >= least) & (self.from_on >= least)
         return Band(allowed.argmax(axis=0), len(allowed) - 1 - allowed[::-1].argmax(axis=0))

@@ -1,4 +1,4 @@
-"""Whether the probabilities of sequences are right when nature is as the model says.
+"""Whether probabilities of stacking sequences are calibrated when nature is as the model says.
 
 Sequence and constants are drawn from the prior, a list is simulated, and every sequence on the grid gets
 its probability. Randomised credible sets of a level then hold the true sequence as often as the level
@@ -90,7 +90,7 @@ class Trial:
 class CoverageSummary:
     """How often randomised sets hold the truth.
 
-    covered : share at the level.
+    covered : fraction at the level.
     sd : binomial.
     z : their difference in it.
     p_uniform : of the places, by Kolmogorov and Smirnov.
@@ -164,18 +164,18 @@ def summarised(trials: tuple[Trial, ...], level: float = 0.95) -> CoverageSummar
     )
 
 
-def randomised_place(single: Array, size: Array, true: int, share: float) -> float:
+def randomised_place(single: Array, size: Array, true: int, fraction: float) -> float:
     """Where the true class stands when classes are put in descending order of probability, from 0 to 1.
 
     The set of a level holds all sequences that come before the level is reached, and the one there in part:
-    sum of the more probable sequences + share * (sum of the equally probable ones) <= level.
+    sum of the more probable sequences + fraction * (sum of the equally probable ones) <= level.
 
     single : (c,) probability of one sequence of each class.
     size : (c,) sequences in it.
-    share : uniform random number.
+    fraction : uniform random number.
     """
     mass = single * size
-    return float(mass[single > single[true]].sum() + share * mass[single == single[true]].sum())
+    return float(mass[single > single[true]].sum() + fraction * mass[single == single[true]].sum())
 
 
 def _shared(specimen: Specimen, settings: CoverageSettings, seed: int) -> _Shared:
@@ -186,11 +186,11 @@ def _shared(specimen: Specimen, settings: CoverageSettings, seed: int) -> _Share
     orbits = canonical(every, symmetries)
     classes, first = np.unique(orbits.representative, axis=0, return_index=True)
     model = reduced_model(specimen, angle_parameters(specimen).union(specimen.unknowns), settings.modes)
-    own = _posterior(model, k, np.ones(settings.modes), settings)
+    conditional = _posterior(model, k, np.ones(settings.modes), settings)
     rng = np.random.default_rng([seed, 1])
-    library = np.stack([prior_draw(own.template, rng) for _ in range(settings.library)])
+    library = np.stack([prior_draw(conditional.template, rng) for _ in range(settings.library)])
     lists = [
-        own.at(np.repeat(grid[c][None], len(library), axis=0)).predict(library)[:, : settings.modes]
+        conditional.at(np.repeat(grid[c][None], len(library), axis=0)).predict(library)[:, : settings.modes]
         for c in classes
     ]
     return _Shared(
@@ -216,8 +216,8 @@ def _trial(shared: _Shared, number: int) -> Trial:
     x = prior_draw(empty.template, rng)
     f = empty.at(grid[sequence][None]).predict(x[None])[0, : settings.modes]
     sd = np.diagonal(_posterior(shared.model, k, f, settings).template.noise(x[None], f[None])[0])
-    own = _posterior(shared.model, k, f + sd * rng.standard_normal(len(f)), settings)
-    log_evidence, error = _evidences(shared, own)
+    conditional = _posterior(shared.model, k, f + sd * rng.standard_normal(len(f)), settings)
+    log_evidence, error = _evidences(shared, conditional)
     mass = shared.size * np.exp(log_evidence - log_evidence.max())
     mass = mass / mass.sum()
     single = mass / shared.size
@@ -236,29 +236,29 @@ def _trial(shared: _Shared, number: int) -> Trial:
     )
 
 
-def _evidences(shared: _Shared, own: ConditionalPosterior) -> tuple[Array, Array]:
+def _evidences(shared: _Shared, conditional: ConditionalPosterior) -> tuple[Array, Array]:
     """Log evidence of every class and its standard error where it counts, (c,)."""
     settings, angles = shared.settings, shared.grid_deg[shared.classes]
-    starts, misfit = _starts(shared, own)
+    starts, misfit = _starts(shared, conditional)
     log_evidence, error = np.full(len(angles), -np.inf), np.zeros(len(angles))
     hopeful = np.flatnonzero(misfit <= max(settings.hopeless, 2.0 * float(misfit.min())))
-    fits = fit_conditionals(own, angles[hopeful], starts[hopeful])
+    fits = fit_conditionals(conditional, angles[hopeful], starts[hopeful])
     log_evidence[hopeful] = fits.log_evidence
     near = np.flatnonzero(fits.log_evidence > fits.log_evidence.max() - settings.near)
-    exact = importance_evidence(own, angles[hopeful[near]], fits[near], settings.log2_points)
+    exact = importance_evidence(conditional, angles[hopeful[near]], fits[near], settings.log2_points)
     log_evidence[hopeful[near]], error[hopeful[near]] = exact.log_evidence, exact.error
     return log_evidence, error
 
 
-def _starts(shared: _Shared, own: ConditionalPosterior) -> tuple[Array, Array]:
+def _starts(shared: _Shared, conditional: ConditionalPosterior) -> tuple[Array, Array]:
     """Constants whose lists are most like the measured one, of every class (c, starts, n), and the misfit.
 
     Stiffnesses that are all multiplied by a^2 multiply all frequencies by a: each draw of the library
     counts with the factor that suits the list best too, where that leaves the bounds alone. Where modes
     cross, optima are many, and the nearest draw is in the right one more often than a fixed start.
     """
-    parameters = own.template.model.parameters
-    ratio = np.log(own.template.measurement.frequencies / shared.lists)
+    parameters = conditional.template.model.parameters
+    ratio = np.log(conditional.template.measurement.frequencies / shared.lists)
     factor = np.exp(2.0 * ratio.mean(axis=2))
     moduli = np.array([name[0] in "EG" for name in parameters.names])
     scaled = np.where(moduli, factor[..., None] * shared.library, shared.library)

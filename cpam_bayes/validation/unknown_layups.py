@@ -39,8 +39,8 @@ def with_noise_free_list(specimen: Specimen, noise: float) -> tuple[Specimen, Ar
     assert specimen.measurement is not None
     n = specimen.measurement.size
     model = reduced_model(specimen, angle_parameters(specimen).union(specimen.unknowns), n)
-    own = known_angles(specimen)
-    x = np.concatenate((own, reference_vector(specimen, specimen.unknowns)))
+    angles = known_angles(specimen)
+    x = np.concatenate((angles, reference_vector(specimen, specimen.unknowns)))
     frequencies = model.predict(x[None]).frequencies[0]
     listed = Measurement(frequencies, 0.0, noise, None, ("",) * n, complete=True)
-    return replace(specimen, measurement=listed), own, float(model.full.error.max())
+    return replace(specimen, measurement=listed), angles, float(model.full.error.max())

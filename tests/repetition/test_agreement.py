@@ -17,7 +17,7 @@ PLAIN = Evidence(
     posterior_mean=1.0,
     posterior_sd=0.1,
     effective=1000.0,
-    share_at_bound=0.0,
+    repetition_at_bound=0.0,
     posterior_at_bound=0.0,
     clusters=1,
     peaks=1,
@@ -35,7 +35,7 @@ SHIFTED = replace(PLAIN, repetition_mean=1.2)
 
 
 def test_agreement_within_chance_has_no_cause_whatever_else_is_seen() -> None:
-    found = compare(replace(PLAIN, clusters=2, skewness=2.0, reordered=1.0, share_at_bound=0.5))
+    found = compare(replace(PLAIN, clusters=2, skewness=2.0, reordered=1.0, repetition_at_bound=0.5))
     assert (found.means_agree, found.sds_agree, found.causes) == (True, True, ())
     assert found.standard_error == pytest.approx(0.09 / np.sqrt(10))
     assert found.sd_ratio == pytest.approx(0.9)
@@ -49,7 +49,7 @@ def test_a_difference_without_a_sign_is_unexplained(differing: Evidence) -> None
 @pytest.mark.parametrize(
     ("sign", "cause"),
     [
-        ({"share_at_bound": 0.1}, "bounds"),
+        ({"repetition_at_bound": 0.1}, "bounds"),
         ({"posterior_at_bound": 0.1}, "bounds"),
         ({"contraction": 0.5}, "open"),
         ({"clusters": 2}, "optima"),
@@ -85,7 +85,7 @@ def test_other_weights_than_the_noise_explain_a_wider_scatter_only() -> None:
 
 
 def test_all_causes_that_show_are_listed() -> None:
-    found = compare(replace(WIDE, share_at_bound=0.3, clusters=2, skewness=1.0, weighting=2.0))
+    found = compare(replace(WIDE, repetition_at_bound=0.3, clusters=2, skewness=1.0, weighting=2.0))
     assert found.causes == ("bounds", "optima", "skewed", "weights")
 
 
@@ -102,7 +102,7 @@ def test_both_tests_raise_a_false_alarm_in_one_per_cent() -> None:
 
 
 def test_inversions_that_all_end_on_one_bound_differ_from_a_posterior_with_a_width() -> None:
-    found = compare(replace(PLAIN, repetition_mean=1.3, repetition_sd=0.0, share_at_bound=1.0))
+    found = compare(replace(PLAIN, repetition_mean=1.3, repetition_sd=0.0, repetition_at_bound=1.0))
     assert (found.means_agree, found.sds_agree) == (False, False)
     assert found.causes == ("bounds",)
 

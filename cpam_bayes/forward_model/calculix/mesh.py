@@ -25,7 +25,7 @@ _EDGE_WIDTHS: dict[str, tuple[float, ...]] = {"F": (3.0,), "S": (), "C": (0.5, 1
 _FEWEST_INSIDE = 2
 # Fewest layers of bricks: the shear stress of a homogeneous plate is a parabola in z.
 _LAYERS = 4
-# Below this share of the spacing a sensor is taken to sit on a grid line.
+# Below this fraction of the spacing a sensor is taken to sit on a grid line.
 _ON_LINE = 1e-9
 
 # Nodes of an element by their offset from its first vertex on the grid of half steps: vertices,
@@ -111,8 +111,8 @@ def layer_boundaries(heights: Floats) -> tuple[Floats, Integers]:
     heights : (n_runs,) m, thicknesses of the runs of equal plies, bottom to top. A run has one
     layer, more where it is thicker than a quarter of the plate.
     """
-    share = heights / heights.sum()
-    counts = np.maximum(np.ceil(share * _LAYERS - 1e-9), 1).astype(np.int64)
+    fraction = heights / heights.sum()
+    counts = np.maximum(np.ceil(fraction * _LAYERS - 1e-9), 1).astype(np.int64)
     owner = np.repeat(np.arange(len(heights)), counts)
     z = np.concatenate(([0.0], np.cumsum((heights / counts)[owner])))
     return z - z[-1] / 2, owner

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 # A rigid-body motion has eigenvalue zero but for rounding, which grows as plies get thinner: at
-# most this share of the first deformation mode's.
+# most this fraction of the first deformation mode's.
 _RIGID_TOLERANCE: Final = 1e-2
 # Neighbouring deformation modes are never this far apart; a motion that a lost edge condition or
 # an hourglass made free is far from all of them.
@@ -28,7 +28,7 @@ def read_eigenvalues(text: str) -> NDArray[np.float64]:
 
     Raises CalculixError for a row that holds no number.
     """
-    found: list[float] = []
+    eigenvalues: list[float] = []
     in_table = False
     for line in text.splitlines():
         title = line.replace(" ", "")
@@ -37,8 +37,8 @@ def read_eigenvalues(text: str) -> NDArray[np.float64]:
         elif title.startswith("PARTICIPATIONFACTORS"):
             break
         elif in_table and (row := _EIGENVALUE.fullmatch(line)) is not None:
-            found.append(_finite(row[1], row[2]))
-    return np.array(found, dtype=np.float64)
+            eigenvalues.append(_finite(row[1], row[2]))
+    return np.array(eigenvalues, dtype=np.float64)
 
 
 def read_displacements(text: str, nodes: NDArray[np.int64]) -> NDArray[np.float64]:
@@ -59,10 +59,10 @@ def read_displacements(text: str, nodes: NDArray[np.int64]) -> NDArray[np.float6
         elif line.strip():
             in_block = False
     try:
-        found = [[mode[n] for n in nodes.tolist()] for mode in modes]
+        displacements = [[mode[n] for n in nodes.tolist()] for mode in modes]
     except KeyError as error:
         raise CalculixError(f"CalculiX printed no displacement of node {error}") from error
-    return np.array(found, dtype=np.float64).reshape(len(modes), nodes.size, 3)
+    return np.array(displacements, dtype=np.float64).reshape(len(modes), nodes.size, 3)
 
 
 def deformation_modes(eigenvalues: NDArray[np.float64], n_rigid: int) -> NDArray[np.int64]:

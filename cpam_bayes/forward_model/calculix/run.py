@@ -57,17 +57,17 @@ def run_deck(text: str, *, timeout: float | None = None) -> str:
 
 def _program() -> str:
     named = os.environ.get(PROGRAM_VARIABLE)
-    found = shutil.which(named or _PROGRAM)
-    if found is None and named:
+    program = shutil.which(named or _PROGRAM)
+    if program is None and named:
         raise CalculixError(
             f"{PROGRAM_VARIABLE}: received {named!r}, accepted: the path of CalculiX's program ccx"
         )
-    if found is None:
+    if program is None:
         raise CalculixError(
             "the program ccx (CalculiX) is not installed: Debian's package is calculix-ccx; "
             f"a program in another place is named by the environment variable {PROGRAM_VARIABLE}"
         )
-    return found
+    return program
 
 
 def _execute(program: str, folder: Path, timeout: float | None) -> str:

@@ -93,8 +93,8 @@ def solve_modes(
 def _midplane(deck: Deck, results: str) -> NDArray[np.float64]:
     """Mean of the two surfaces, (n_modes, 3, nx, ny)."""
     surfaces = deck.mesh.surfaces
-    found = read_displacements(results, surfaces.ravel())
-    mean = found.reshape(len(found), *surfaces.shape, 3).mean(axis=1)
+    displacements = read_displacements(results, surfaces.ravel())
+    mean = displacements.reshape(len(displacements), *surfaces.shape, 3).mean(axis=1)
     return np.moveaxis(mean, -1, 1)
 
 
@@ -115,9 +115,9 @@ def _mode(frequency: float, shape: NDArray[np.float64], edges: str) -> Mode:
     weight = np.ones(_GRID)
     weight[[0, -1]] = 0.5
     energy = np.einsum("fij,i,j->f", shape**2, weight, weight)
-    share = float(energy[:2].sum() / energy.sum())
-    candidates = (0, 1) if share > 0.5 else (2,)
+    fraction = float(energy[:2].sum() / energy.sum())
+    candidates = (0, 1) if fraction > 0.5 else (2,)
     largest = max(candidates, key=lambda k: float(energy[k]))
     field = _FIELDS[largest]
     label = label_of_shape(shape[largest], edges, field)
-    return Mode(frequency, mode_kind(share), label if field == "w" else field + label, share)
+    return Mode(frequency, mode_kind(fraction), label if field == "w" else field + label, fraction)

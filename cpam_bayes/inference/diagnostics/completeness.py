@@ -68,15 +68,15 @@ def doubt_of(
     """
     if not posterior.measurement.complete:
         return None
-    found = pairing_doubt(posterior, best, reference_vector(specimen, model.parameters)[None])
-    if found is None:
+    doubt = pairing_doubt(posterior, best, reference_vector(specimen, model.parameters)[None])
+    if doubt is None:
         return None
-    if found.spurious is not None:
-        return Doubt(None, float(posterior.measurement.frequencies[found.spurious]), found.log_odds)
-    assert found.missed is not None
-    x = found.x[: model.parameters.size]
+    if doubt.spurious is not None:
+        return Doubt(None, float(posterior.measurement.frequencies[doubt.spurious]), doubt.log_odds)
+    assert doubt.missed is not None
+    x = doubt.x[: model.parameters.size]
     modes = model.full.modes(x)
-    return Doubt(modes[list_order(model, x)[found.missed]], None, found.log_odds)
+    return Doubt(modes[list_order(model, x)[doubt.missed]], None, doubt.log_odds)
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,9 +110,9 @@ class _Selected:
         return self.model.parameters
 
     def predict(self, x: Array, *, jacobian: bool = False) -> Prediction:
-        found = self.model.predict(x, jacobian=jacobian)
-        slope = None if found.jacobian is None else found.jacobian[:, self.columns]
-        return Prediction(found.frequencies[:, self.columns], slope)
+        prediction = self.model.predict(x, jacobian=jacobian)
+        slope = None if prediction.jacobian is None else prediction.jacobian[:, self.columns]
+        return Prediction(prediction.frequencies[:, self.columns], slope)
 
     def admissible(self, x: Array) -> Array:
         return self.model.admissible(x)
@@ -124,7 +124,7 @@ def pairing_doubt(posterior: Posterior, best: Array, others: Array) -> PairingDo
     Evidences by Laplace's method of the list paired one to one, with one mode of the model left out,
     or with one frequency left out, at the prices of ``posterior.pairing``. More than 100 times as
     probable counts as far. Labelled frequencies keep their modes. A list that ends too early cannot
-    be told from a complete one.
+    be distinguished from a complete one.
 
     best : (n,) optimum of the posterior.
     others : (m, n_plate) further parameters to start from. The model must predict a mode more than there
@@ -137,10 +137,10 @@ def pairing_doubt(posterior: Posterior, best: Array, others: Array) -> PairingDo
     predicted = posterior.predict(places.x)
     none, *slips = _slips(posterior, predicted.shape[1])
     reference = _evidence(posterior, none, places, predicted)[0]
-    found = [(*_evidence(posterior, slip, places, predicted), slip) for slip in slips]
-    if not found:
+    candidates = [(*_evidence(posterior, slip, places, predicted), slip) for slip in slips]
+    if not candidates:
         return None
-    log_evidence, x, slip = max(found, key=lambda f: f[0])
+    log_evidence, x, slip = max(candidates, key=lambda f: f[0])
     log_odds = log_evidence - reference
     return PairingDoubt(slip.missed, slip.spurious, log_odds, x) if log_odds > _DOUBTFUL_LOG_ODDS else None
 
@@ -171,19 +171,19 @@ def _slips(posterior: Posterior, n_modes: int) -> Iterator[_Slip]:
 
 def _evidence(posterior: Posterior, slip: _Slip, places: _Places, predicted: Array) -> tuple[float, Array]:
     """Log evidence of a pairing with its price, and its optimum (n,)."""
-    own = _paired(posterior, slip)
-    residuals = predicted[:, slip.columns] - own.measurement.frequencies
-    misfit = np.sum((residuals / own.measurement.frequencies) ** 2, axis=1)
+    paired = _paired(posterior, slip)
+    residuals = predicted[:, slip.columns] - paired.measurement.frequencies
+    misfit = np.sum((residuals / paired.measurement.frequencies) ** 2, axis=1)
     nearest = np.argsort(misfit, kind="stable")[:_STARTS]
     chosen = np.union1d(np.arange(places.always), nearest)
     starts = places.x[chosen]
-    if own.noise_is_inferred:
-        noise = [own.noise_model.suggested(residuals[i]) for i in chosen]
+    if paired.noise_is_inferred:
+        noise = [paired.noise_model.suggested(residuals[i]) for i in chosen]
         starts = np.column_stack((starts, noise))
-    axes = coordinates(own)
+    axes = coordinates(paired)
 
     def target(u: Array, rows: Array) -> Expansion:
-        return expand_u(own, axes, u)
+        return expand_u(paired, axes, u)
 
     u = axes.to_u(np.clip(starts, axes.inner, axes.outer))
     maxima = maximise(target, u, axes.lower, axes.upper, most_steps=_MOST_STEPS)
@@ -198,11 +198,11 @@ def _evidence(posterior: Posterior, slip: _Slip, places: _Places, predicted: Arr
 
 def _paired(posterior: Posterior, slip: _Slip) -> Posterior:
     """The posterior given that the rows of the list are these columns of the model, in order."""
-    own, noise = posterior.measurement, posterior.noise_model
-    sd = None if own.frequency_sd is None else own.frequency_sd[slip.rows]
+    full_list, noise = posterior.measurement, posterior.noise_model
+    sd = None if full_list.frequency_sd is None else full_list.frequency_sd[slip.rows]
     measurement = replace(
-        own,
-        frequencies=own.frequencies[slip.rows],
+        full_list,
+        frequencies=full_list.frequencies[slip.rows],
         frequency_sd=sd,
         labels=("",) * len(slip.rows),
     )

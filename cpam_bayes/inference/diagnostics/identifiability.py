@@ -75,9 +75,9 @@ def combinations(posterior: Posterior, x: Array, pairing: Pairing) -> tuple[Comb
     """
     n = posterior.model.parameters.size
     jacobian = weighted_jacobian(posterior, x, pairing)
-    _, found, directions = np.linalg.svd(jacobian, full_matrices=True)
+    _, singular_values, directions = np.linalg.svd(jacobian, full_matrices=True)
     singular = np.zeros(n)
-    singular[: len(found)] = found[:n]
+    singular[: len(singular_values)] = singular_values[:n]
     relative = x[:n] / prior_sd(posterior)[:n]
     return tuple(_combination(v * relative, float(d)) for v, d in zip(directions, singular, strict=True))
 

@@ -23,7 +23,7 @@ Diagnosis = Literal[
 
 # Sensitivity from which a posterior counts as sensitive (Kallioinen et al., 2023).
 THRESHOLD = 0.05
-# Share of the search interval by which a bound is moved inwards.
+# Fraction of the search interval by which a bound is moved inwards.
 MOVED = 0.1
 # Fewer effective draws than this left inside say nothing about a mean.
 _FEWEST = 100
@@ -58,7 +58,7 @@ class PowerScaling:
 class MovedBound:
     """What moving one bound of a uniform prior inwards by a tenth of its interval does.
 
-    cut : share of the draws that lies beyond.
+    cut : fraction of the draws that lies beyond.
     shift : (n,) of every parameter's mean, in its posterior standard deviation, ``nan`` where too few draws
     are left.
     """
@@ -87,22 +87,22 @@ def power_scaling(
 
     psens: Callable[..., Any] = arviz.psens
     components = {"prior": log_prior, "noise": log_noise_prior, "likelihood": log_likelihood}
-    found = {}
+    scaled = {}
     with warnings.catch_warnings():
         # arviz announces its next version, and warns of tails that are too short to smooth
         warnings.simplefilter("ignore")
         posterior = {name: draws[None, :, i] for i, name in enumerate(names)}
         for component, values in components.items():
             if np.ptp(values) == 0.0:
-                found[component] = dict.fromkeys(names, 0.0)
+                scaled[component] = dict.fromkeys(names, 0.0)
                 continue
             data = arviz.from_dict(posterior=posterior)
             group = "log_likelihood" if component == "likelihood" else "log_prior"
             data.add_groups({group: {"all": values[None]}})
             sensitivity = psens(data, component=group.removeprefix("log_"))
-            found[component] = {name: float(sensitivity[name]) for name in names}
+            scaled[component] = {name: float(sensitivity[name]) for name in names}
     return tuple(
-        PowerScaling(name, found["prior"][name], found["noise"][name], found["likelihood"][name])
+        PowerScaling(name, scaled["prior"][name], scaled["noise"][name], scaled["likelihood"][name])
         for name in names
     )
 
@@ -113,7 +113,7 @@ def moved_bounds(parameters: ParameterSet, draws: Array) -> tuple[MovedBound, ..
     draws : (m, n).
     """
     mean, sd = draws.mean(axis=0), draws.std(axis=0)
-    found = []
+    bounds = []
     for k, parameter in enumerate(parameters.parameters):
         prior = parameter.prior
         if not isinstance(prior, Uniform):
@@ -126,5 +126,5 @@ def moved_bounds(parameters: ParameterSet, draws: Array) -> tuple[MovedBound, ..
         for bound, kept in inside.items():
             enough = kept.sum() >= _FEWEST
             shift = (draws[kept].mean(axis=0) - mean) / sd if enough else np.full(len(mean), np.nan)
-            found.append(MovedBound(parameter.name, bound, float(np.mean(~kept)), shift))
-    return tuple(found)
+            bounds.append(MovedBound(parameter.name, bound, float(np.mean(~kept)), shift))
+    return tuple(bounds)

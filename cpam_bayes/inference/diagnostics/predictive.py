@@ -29,7 +29,7 @@ class LeftOut:
 
     residual : measured less predicted, Hz.
     sd : of the prediction and the noise together, Hz.
-    leverage : share of a mode's own frequency in its prediction, 0 to 1.
+    leverage : weight of a mode's frequency in its own prediction, 0 to 1.
     basis : whether predictions and their spread are those of the draws or of a linearisation at the
     optimum.
     """
@@ -47,8 +47,8 @@ class LeftOut:
     @property
     def log_score(self) -> float:
         """Sum of the Gaussian log densities of the frequencies left out, per Hz each."""
-        own = -0.5 * self.standardised**2 - np.log(self.sd) - 0.5 * np.log(2.0 * np.pi)
-        return float(own.sum())
+        log_densities = -0.5 * self.standardised**2 - np.log(self.sd) - 0.5 * np.log(2.0 * np.pi)
+        return float(log_densities.sum())
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,9 +135,9 @@ def cavity(
 
     wider : the noise variance of a prediction over that which the leverage counts.
     """
-    share = 1.0 - leverage
-    sd = np.sqrt(noise_variance * (leverage / share + wider))
-    return LeftOut(residual / share, sd, leverage, basis)
+    remaining = 1.0 - leverage
+    sd = np.sqrt(noise_variance * (leverage / remaining + wider))
+    return LeftOut(residual / remaining, sd, leverage, basis)
 
 
 def importance_leave_one_out(log_density: Array) -> ImportanceLeftOut:
@@ -156,5 +156,5 @@ def importance_leave_one_out(log_density: Array) -> ImportanceLeftOut:
         data = arviz.from_dict(
             log_likelihood={"f": log_density[None]}, posterior={"any": np.zeros((1, len(log_density)))}
         )
-        found = loo(data, pointwise=True, reff=1.0)
-    return ImportanceLeftOut(float(found.elpd_loo), float(found.se), np.asarray(found.pareto_k))
+        result = loo(data, pointwise=True, reff=1.0)
+    return ImportanceLeftOut(float(result.elpd_loo), float(result.se), np.asarray(result.pareto_k))

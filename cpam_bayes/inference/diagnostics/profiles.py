@@ -18,7 +18,7 @@ Array = NDArray[Any]
 # Half the 95 % quantile of chi-square with one degree of freedom.
 DROP_95 = 1.920729
 _GRID = 21
-# The grid goes so far beyond the draws, as a share of their range, and on to a bound that is near.
+# The grid goes so far beyond the draws, as a fraction of their range, and on to a bound that is near.
 _BEYOND, _NEAR = 0.15, 0.05
 # Draws that starts are chosen from.
 _CANDIDATES = 4000
@@ -66,11 +66,11 @@ def profile_likelihoods(
     draws (m, n), log_prob (m,) : of the chains. The grid spans the draws, and the whole search
     interval where the prior is not uniform.
     """
-    own = _without_priors(posterior, names)
-    axes = coordinates(own)
+    flat = _without_priors(posterior, names)
+    axes = coordinates(flat)
     few = np.unique(np.append(np.linspace(0, len(draws) - 1, _CANDIDATES).astype(int), log_prob.argmax()))
     draws = draws[few]
-    height = log_prob[few] + own.parameters.log_prior(draws) - posterior.parameters.log_prior(draws)
+    height = log_prob[few] + flat.parameters.log_prior(draws) - posterior.parameters.log_prior(draws)
     index = [posterior.parameters.names.index(name) for name in names]
     grids = [_grid(posterior, k, draws[:, k], n_grid) for k in index]
     starts = [_starts(draws, height, k, grid) for k, grid in zip(index, grids, strict=True)]
@@ -78,18 +78,18 @@ def profile_likelihoods(
     held = np.append(np.repeat(index, n_grid), -1)
     u = axes.to_u(np.vstack((*starts, draws[height.argmax()])))
     value = np.full(len(u), -np.inf)
-    _maximise_again(own, axes, held, np.arange(len(u)), u.copy(), u, value)
+    _maximise_again(flat, axes, held, np.arange(len(u)), u.copy(), u, value)
     changed = np.ones(len(u), dtype=bool)
     for _ in range(_SWEEPS):
         moved = np.zeros(len(u), dtype=bool)
         for side in (-1, 1):
-            moved |= _from_neighbours(own, axes, held, u, value, n_grid, side, changed | moved)
+            moved |= _from_neighbours(flat, axes, held, u, value, n_grid, side, changed | moved)
         changed = moved
         if not changed.any():
             break
     top = int(value.argmax())
     if top != len(u) - 1:
-        _maximise_again(own, axes, held, np.array([len(u) - 1]), u[top : top + 1].copy(), u, value)
+        _maximise_again(flat, axes, held, np.array([len(u) - 1]), u[top : top + 1].copy(), u, value)
     best = axes.to_x(u[-1])
     drops = value.max() - value[:-1].reshape(len(names), n_grid)
     return tuple(
@@ -127,9 +127,9 @@ def _starts(draws: Array, height: Array, k: int, grid: Array) -> Array:
     best[place[order]] = order  # the last one written, the best, stays
     filled = np.flatnonzero(best >= 0)
     best = best[filled[np.abs(np.arange(len(grid))[:, None] - filled).argmin(axis=1)]]
-    found: Array = draws[best]
-    found[:, k] = grid
-    return found
+    starts: Array = draws[best]
+    starts[:, k] = grid
+    return starts
 
 
 def _maximise_again(
@@ -141,11 +141,11 @@ def _maximise_again(
     """
 
     def target(at: Array, rows: Array) -> Expansion:
-        found = expand_u(own, axes, at)
+        expansion = expand_u(own, axes, at)
         fixed = np.arange(at.shape[1]) == held[which[rows], None]
         crossed = fixed[:, :, None] | fixed[:, None, :]
-        curvature = np.where(crossed, np.eye(at.shape[1]), found.curvature)
-        return Expansion(found.value, np.where(fixed, 0.0, found.gradient), curvature)
+        curvature = np.where(crossed, np.eye(at.shape[1]), expansion.curvature)
+        return Expansion(expansion.value, np.where(fixed, 0.0, expansion.gradient), curvature)
 
     found = maximise(target, start, axes.lower, axes.upper, most_steps=_STEPS)
     higher = found.expansion.value > value[which] + _BETTER
@@ -154,7 +154,7 @@ def _maximise_again(
 
 
 def _from_neighbours(
-    own: Posterior,
+    posterior: Posterior,
     axes: Coordinates,
     held: Array,
     u: Array,
@@ -174,7 +174,7 @@ def _from_neighbours(
     if len(to):
         start = u[to + side].copy()
         start[np.arange(len(to)), held[to]] = u[to, held[to]]
-        moved[_maximise_again(own, axes, held, to, start, u, value)] = True
+        moved[_maximise_again(posterior, axes, held, to, start, u, value)] = True
     return moved
 
 
@@ -190,8 +190,8 @@ def _profile(name: str, values: Array, drop: Array, best: float) -> Profile:
         if j == len(places) - 1:
             ends.append((float(places[-1]), True))
             continue
-        share = (level - heights[j]) / (heights[j + 1] - heights[j])
-        ends.append((float(places[j] + share * (places[j + 1] - places[j])), False))
+        fraction = (level - heights[j]) / (heights[j + 1] - heights[j])
+        ends.append((float(places[j] + fraction * (places[j + 1] - places[j])), False))
     (lower, lower_open), (upper, upper_open) = ends
     at = int(np.searchsorted(values, best))
     inside = np.insert(root < level, at, True)

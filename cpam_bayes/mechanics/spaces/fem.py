@@ -124,11 +124,11 @@ class FemSpace:
         if isinstance(quadrature, ElementQuadrature):
             values = self._values(quadrature.cells, quadrature.local, derivative)
         else:
-            found, cells, local = self._locate(quadrature.points)
+            inside, cells, local = self._locate(quadrature.points)
             values = self._values(cells, local, derivative)
             at = coo_array(
-                (np.ones(len(found)), (found, np.arange(len(found)))),
-                shape=(len(quadrature.points), len(found)),
+                (np.ones(len(inside)), (inside, np.arange(len(inside)))),
+                shape=(len(quadrature.points), len(inside)),
             )
             values = at.tocsr() @ values
         return values[:, self.free[field]]
@@ -177,8 +177,8 @@ class FemSpace:
 
     def _point(self, region: Region) -> Quadrature:
         points = np.array([region.point])
-        found, cells, local = self._locate(points)
-        if not len(found):
+        inside, cells, local = self._locate(points)
+        if not len(inside):
             place = tuple(float(c * s) for c, s in zip(region.point, self.size, strict=True))
             raise ValueError(
                 f"point (x, y) = ({place[0]:g}, {place[1]:g}) m is not on the plate's mesh; "

@@ -93,9 +93,9 @@ def _cells(file: Any) -> tuple[str, Array]:
         if len(block.data) and block.dim == 2:
             counts[block.type] = counts.get(block.type, 0) + len(block.data)
     if list(counts) not in [[kind] for kind in _QUADS]:
-        found = ", ".join(f"{n} {kind}" for kind, n in counts.items()) or "no cells of a surface"
+        cells = ", ".join(f"{n} {kind}" for kind, n in counts.items()) or "no cells of a surface"
         raise ValueError(
-            f"it has {found}; accepted: 4-, 8- or 9-node quadrilaterals of one kind "
+            f"it has {cells}; accepted: 4-, 8- or 9-node quadrilaterals of one kind "
             "(in Gmsh: recombine all surfaces)"
         )
     (kind,) = counts
@@ -117,9 +117,9 @@ def _plane(points: Array, cells: Array) -> Array:
 def _check_extent(points: Array, scale: tuple[float, float]) -> None:
     extent = np.ptp(points, axis=0)
     if extent.max() > _LARGEST or extent.min() < _SMALLEST:
-        own, plate = extent / scale, 1.0 / np.array(scale)
+        mesh, plate = extent / scale, 1.0 / np.array(scale)
         raise ValueError(
-            f"it extends over {own[0]:.4g} x {own[1]:.4g}, the plate over {plate[0]:.4g} x "
+            f"it extends over {mesh[0]:.4g} x {mesh[1]:.4g}, the plate over {plate[0]:.4g} x "
             f"{plate[1]:.4g} in the same unit (mm in a plate file); check the mesh's unit and "
             "the plate's length and width"
         )
@@ -213,7 +213,7 @@ def _named_edges(file: Any, mesh: Any, corners: Array) -> dict[str, Array]:
 
 def _lines(file: Any, name: str) -> Array:
     """End points of the lines of a physical group, (n, 2)."""
-    found = [np.empty((0, 2), dtype=int)]
+    lines = [np.empty((0, 2), dtype=int)]
     for k, block in enumerate(file.cells):
         if block.type not in _LINES:
             continue
@@ -224,8 +224,8 @@ def _lines(file: Any, name: str) -> Array:
             members = (file.cell_data["gmsh:physical"][k] == tag) & (dimension == 1)
         else:
             continue
-        found.append(block.data[members][:, :2])
-    return np.concatenate(found)
+        lines.append(block.data[members][:, :2])
+    return np.concatenate(lines)
 
 
 def _line_groups(file: Any) -> list[str]:

@@ -30,7 +30,7 @@ from cpam_bayes.mechanics.spaces.protocol import Quadrature
 Array = NDArray[Any]
 
 
-# Share of an exponential that polynomials must lack for it to join a family.
+# Fraction of an exponential that polynomials must lack for it to join a family.
 _NEW_SHARE = 1e-5
 
 

@@ -236,14 +236,16 @@ def has_image(sequences: Array, symmetry: Symmetry) -> NDArray[np.bool_]:
 
 def grid_indices(sequences: Array, symmetry: Symmetry) -> Array:
     """Sequences that fit the symmetry's grid and layup; ``ValueError`` otherwise."""
-    found = np.asarray(sequences)
+    indices = np.asarray(sequences)
     n_grid, n_unknown = symmetry.permutation.size, symmetry.source.size
-    if found.ndim != 2 or found.shape[1] != n_unknown or not np.issubdtype(found.dtype, np.integer):
+    if indices.ndim != 2 or indices.shape[1] != n_unknown or not np.issubdtype(indices.dtype, np.integer):
         raise ValueError(
-            f"sequences: received shape {found.shape} of {found.dtype}, accepted: (m, {n_unknown}) integers"
+            f"sequences: received shape {indices.shape} of {indices.dtype}, "
+            f"accepted: (m, {n_unknown}) integers"
         )
-    if found.size and not (found.min() >= 0 and found.max() < n_grid):
+    if indices.size and not (indices.min() >= 0 and indices.max() < n_grid):
         raise ValueError(
-            f"sequences: received grid indices {found.min()} to {found.max()}, accepted: 0 to {n_grid - 1}"
+            f"sequences: received grid indices {indices.min()} to {indices.max()}, "
+            f"accepted: 0 to {n_grid - 1}"
         )
-    return found
+    return indices

@@ -29,7 +29,7 @@ Array = NDArray[Any]
 
 Kind = Literal["clean", "bricks", "one", "two", "outside", "prior"]
 
-# The constants of a truth lie within this share of the reference.
+# The constants of a truth lie within this fraction of the reference.
 SPREAD = 0.1
 # Modes beyond the list that are simulated too.
 FURTHER = 2
@@ -44,8 +44,8 @@ class Trial:
     """One trial, which depends on nothing but this and the bench.
 
     kind : "clean"; "bricks": clean and simulated in three dimensions; "one" hidden cause; "two" at once;
-    "outside": one whose class the dictionary lacks; "prior": truth, size and constants drawn from the
-    diagnosis's own priors.
+    "outside": one whose class the dictionary lacks; "prior": truth, size and constants drawn from the priors
+    of the diagnosis.
     cause : names of what is hidden.
     ratio : signal to noise of each.
     lacks : whether the list lacks a mode and says which.
@@ -58,9 +58,9 @@ class Trial:
     lacks: bool = False
     seed: int = 0
 
-    def rng(self, own: Bench) -> np.random.Generator:
+    def rng(self, bench: Bench) -> np.random.Generator:
         """The generator of this trial on a bench."""
-        text = f"{asdict(self)!r} on {own.case.name}, {own.n_listed} modes"
+        text = f"{asdict(self)!r} on {bench.case.name}, {bench.n_listed} modes"
         return np.random.default_rng([self.seed, zlib.crc32(text.encode())])
 
 
@@ -86,22 +86,22 @@ class Hidden:
     shift: Array
 
 
-def hide(own: Bench, trial: Trial, rng: np.random.Generator) -> Hidden | Reached:
+def hide(bench: Bench, trial: Trial, rng: np.random.Generator) -> Hidden | Reached:
     """A simulated plate with what the trial hides, or why that cannot be."""
-    n = own.n_listed
+    n = bench.n_listed
     if trial.lacks:
         gone = int(rng.integers(n))
-        own = replace(own, case=replace(own.case, modes=np.delete(np.arange(n + 1), gone)))
+        bench = replace(bench, case=replace(bench.case, modes=np.delete(np.arange(n + 1), gone)))
     if trial.kind == "prior":
-        causes, x, sizes = _from_priors(own, own.singles, rng)
-        at = linear(own, x)
+        causes, x, sizes = _from_priors(bench, bench.singles, rng)
+        at = linear(bench, x)
     elif trial.cause == (MATERIAL.name,):
-        other = [h for h in own.singles if h.other_material]
-        causes, x, sizes = _from_priors(own, other, rng)
-        at = linear(own, x)
+        other = [h for h in bench.singles if h.other_material]
+        causes, x, sizes = _from_priors(bench, other, rng)
+        at = linear(bench, x)
     else:
-        x = random_constants(own, SPREAD, rng)
-        at = linear(own, x)
+        x = random_constants(bench, SPREAD, rng)
+        at = linear(bench, x)
         chosen = [_chosen(at, cause, trial.ratio, rng) for cause in trial.cause]
         missing = next((c for c in chosen if isinstance(c, Reached)), None)
         if missing is not None:
@@ -110,10 +110,10 @@ def hide(own: Bench, trial: Trial, rng: np.random.Generator) -> Hidden | Reached
         sizes = np.array([c[1] for c in chosen if not isinstance(c, Reached)])
     n_modes = n + FURTHER + _MOST_MISSED
     if trial.kind == "bricks":
-        f = brick_frequencies(own, x, n_modes)
+        f = brick_frequencies(bench, x, n_modes)
     else:
-        f = true_frequencies(own, causes, x, sizes, n_modes)
-    listed = f[own.case.modes]
+        f = true_frequencies(bench, causes, x, sizes, n_modes)
+    listed = f[bench.case.modes]
     for h, size in zip(causes, sizes, strict=True):
         if h.listed.missed:
             listed = np.delete(f, h.listed.missed)[:n]
@@ -125,12 +125,12 @@ def hide(own: Bench, trial: Trial, rng: np.random.Generator) -> Hidden | Reached
             listed[h.listed.misread] *= 1.0 + size
     noise = rng.standard_normal(n)
     if any(h.cause == OTHER for h in causes):
-        noise = noise + float(sizes[0]) / own.noise * rng.standard_normal(n)
+        noise = noise + float(sizes[0]) / bench.noise * rng.standard_normal(n)
     shift = np.zeros(n)
     for h, size in zip(causes, sizes, strict=True):
         if h.parameters and h.cause != OTHER:
             shift = shift + at.shift(h, np.array([size]))[0]
-    return Hidden(own, at, causes, sizes, listed, f[n : n + FURTHER], noise, shift)
+    return Hidden(bench, at, causes, sizes, listed, f[n : n + FURTHER], noise, shift)
 
 
 def _chosen(
@@ -138,8 +138,8 @@ def _chosen(
 ) -> tuple[Hypothesis, float] | Reached:
     """A variant of a cause with its size, at a place and of a sign drawn at random."""
     variants = of_cause(at.own, cause)
-    share = np.array([h.prior for h in variants])
-    order = rng.choice(len(variants), size=len(variants), replace=False, p=share / share.sum())
+    weights = np.array([h.prior for h in variants])
+    order = rng.choice(len(variants), size=len(variants), replace=False, p=weights / weights.sum())
     best = Reached(np.nan, 0.0, 0.0)
     for i in order[:_PLACES]:
         h = variants[i]
@@ -148,20 +148,20 @@ def _chosen(
         prior = parameter_of(h).prior
         sign = 1.0 if prior.lower >= 0.0 else float(rng.choice((-1.0, 1.0)))
         for side in (sign, -sign) if prior.lower < 0.0 else (sign,):
-            found = size_for(at, h, ratio, side)
-            if found.usable:
-                return h, found.size
-            best = max(best, found, key=lambda r: r.most)
+            reached = size_for(at, h, ratio, side)
+            if reached.usable:
+                return h, reached.size
+            best = max(best, reached, key=lambda r: r.most)
     return best
 
 
 def _from_priors(
-    own: Bench, singles: Sequence[Hypothesis], rng: np.random.Generator
+    bench: Bench, singles: Sequence[Hypothesis], rng: np.random.Generator
 ) -> tuple[tuple[Hypothesis, ...], Array, Array]:
     """One of these hypotheses, constants and a size drawn from the priors."""
-    share = np.array([h.prior for h in singles])
-    h = singles[int(rng.choice(len(singles), p=share / share.sum()))]
-    models = own.case.of_other_material() if h.other_material else own.case.models
+    weights = np.array([h.prior for h in singles])
+    h = singles[int(rng.choice(len(singles), p=weights / weights.sum()))]
+    models = bench.case.of_other_material() if h.other_material else bench.case.models
     while True:
         x = models.parameters.sample(rng, 1)
         if models.bare.admissible(x)[0]:

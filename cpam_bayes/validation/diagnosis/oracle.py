@@ -65,8 +65,8 @@ def oracle(at: Linear, truth: Array, noise: Array) -> Oracle:
             shifts = at.shift(h, sizes_of(h, _SCORES))
             fine = np.stack([np.interp(_FINE, _SCORES, column) for column in shifts.T], axis=1)
             seen = fine @ at.root
-            own = -0.5 * np.sum((target - seen) ** 2, axis=1) + log_weight
-            log_p[h.cause].append(prior + float(logsumexp(own)))
+            log_likelihood = -0.5 * np.sum((target - seen) ** 2, axis=1) + log_weight
+            log_p[h.cause].append(prior + float(logsumexp(log_likelihood)))
             cosines[h.cause] = max(cosines.get(h.cause, 0.0), _best_cosine(visible, seen, fine))
     total = {cause: float(logsumexp(values)) for cause, values in log_p.items()}
     whole = float(logsumexp(list(total.values())))
@@ -91,5 +91,5 @@ def _scattered(at: Linear, h: Hypothesis, residual: Array, a: Array, log_weight:
     values, vectors = np.linalg.eigh(a @ a.T)
     along = (vectors.T @ residual) ** 2
     variance = 1.0 + values + ratio[:, None]
-    own = -0.5 * np.sum(along / variance + np.log(variance / (1.0 + values)), axis=1)
-    return float(logsumexp(own + log_weight))
+    log_likelihood = -0.5 * np.sum(along / variance + np.log(variance / (1.0 + values)), axis=1)
+    return float(logsumexp(log_likelihood + log_weight))

@@ -59,55 +59,67 @@ def laboratory(
     resolution : Hz.
     tests : of ``TESTS``.
     """
-    own = builtin(plate)
-    mass = _MASS_SHARE * own.plate.density * own.plate.thickness * own.plate.area
-    at = (_PLACE[0] * own.plate.length, _PLACE[1] * own.plate.width)
+    plate_alone = builtin(plate)
+    mass = _MASS_SHARE * plate_alone.plate.density * plate_alone.plate.thickness * plate_alone.plate.area
+    at = (_PLACE[0] * plate_alone.plate.length, _PLACE[1] * plate_alone.plate.width)
     further = {
-        CLAMPED: replace(own, name=f"{own.name} clamped", plate=replace(own.plate, edges="CFFF")),
-        LOADED: replace(own, name=f"{own.name} with a mass", sensors=(*own.sensors, Sensor(mass, *at))),
+        CLAMPED: replace(
+            plate_alone, name=f"{plate_alone.name} clamped", plate=replace(plate_alone.plate, edges="CFFF")
+        ),
+        LOADED: replace(
+            plate_alone,
+            name=f"{plate_alone.name} with a mass",
+            sensors=(*plate_alone.sensors, Sensor(mass, *at)),
+        ),
     }
     alone, *others = (
         bench(specimen, n_listed, noise=noise, resolution=resolution)
-        for specimen in (own, *(further[name] for name in tests))
+        for specimen in (plate_alone, *(further[name] for name in tests))
     )
     # a sister's models are the plate's own
-    first, second = (_renamed(alone, f"{own.name}, sister {i}") for i in (1, 2))
+    first, second = (_renamed(alone, f"{plate_alone.name}, sister {i}") for i in (1, 2))
     return Laboratory(alone, (first, second), dict(zip(tests, others, strict=True)))
 
 
-def _renamed(own: Bench, name: str) -> Bench:
-    models = replace(own.case.models, specimen=replace(own.case.models.specimen, name=name, specimen=name))
-    return replace(own, case=replace(own.case, models=models))
+def _renamed(bench_alone: Bench, name: str) -> Bench:
+    models = replace(
+        bench_alone.case.models, specimen=replace(bench_alone.case.models.specimen, name=name, specimen=name)
+    )
+    return replace(bench_alone, case=replace(bench_alone.case, models=models))
 
 
-def run_together(own: Laboratory, trial: Trial) -> Record:
+def run_together(laboratory: Laboratory, trial: Trial) -> Record:
     """One hidden cause, diagnosed in every setup: its probability, what is claimed, and the constants.
 
     The constants are those of the plate itself, by the model with the hidden cause, claimed or not.
     "reached" is false where the cause cannot be hidden with the ratio.
     """
-    rng = trial.rng(own.alone)
-    hidden = hide(own.alone, trial, rng)
+    rng = trial.rng(laboratory.alone)
+    hidden = hide(laboratory.alone, trial, rng)
     head: Record = {"trial": asdict(trial)}
     if isinstance(hidden, Reached):
         return head | {"reached": False}
     alone = hidden.own.measured(hidden.listed, hidden.noise)
     # common constants from which this plate's are off as a sister's are
     common = hidden.at.x / _scattered(len(hidden.at.x), rng)
-    sisters = [_simulated(b, hidden, False, common * _scattered(len(common), rng), rng) for b in own.sisters]
+    sisters = [
+        _simulated(b, hidden, False, common * _scattered(len(common), rng), rng) for b in laboratory.sisters
+    ]
     cases: dict[str, Sequence[PlateCase]] = {
         ALONE: [alone],
         ONE_SISTER: [alone, sisters[0]],
         TWO_SISTERS: [alone, *sisters],
     }
-    cases |= {name: [alone, _simulated(b, hidden, True, hidden.at.x, rng)] for name, b in own.tests.items()}
+    cases |= {
+        name: [alone, _simulated(b, hidden, True, hidden.at.x, rng)] for name, b in laboratory.tests.items()
+    }
     names = {h.cause for h in hidden.causes}
     alike = oracle(hidden.at, hidden.shift, hidden.noise).alike | names
     return head | {
         "reached": True,
         "causes": sorted(names),
         "alike": sorted(alike),
-        "setups": {setup: _answer(of, names, alike) for setup, of in cases.items()},
+        "setups": {setup: _answer(plates, names, alike) for setup, plates in cases.items()},
     }
 
 
@@ -115,34 +127,34 @@ def _scattered(n: int, rng: np.random.Generator) -> Array:
     return np.asarray(1.0 + SCATTER * rng.standard_normal(n))
 
 
-def _simulated(own: Bench, hidden: Hidden, is_same: bool, x: Array, rng: np.random.Generator) -> PlateCase:
+def _simulated(other: Bench, hidden: Hidden, is_same: bool, x: Array, rng: np.random.Generator) -> PlateCase:
     """Another plate or test with its list; is_same : whether it is of the plate that has the cause."""
-    singles = {(h.cause, h.variant): h for h in own.singles}
+    singles = {(h.cause, h.variant): h for h in other.singles}
     pairs = zip(hidden.causes, hidden.sizes, strict=True)
     there = [(singles.get((h.cause, h.variant)), size) for h, size in pairs if is_same]
     kept = [(h, size) for h, size in there if h is not None and not h.is_of_one_test]
     sizes = np.array([size for _, size in kept])
-    f = true_frequencies(own, [h for h, _ in kept], x, sizes, own.n_listed)
-    return own.measured(f, rng.standard_normal(own.n_listed))
+    f = true_frequencies(other, [h for h, _ in kept], x, sizes, other.n_listed)
+    return other.measured(f, rng.standard_normal(other.n_listed))
 
 
 def _answer(cases: Sequence[PlateCase], names: set[str], alike: frozenset[str] | set[str]) -> Record:
     start = time.process_time()
-    found = diagnose_cases(cases, gain=False)
-    probability = {c.name: c.probability for c in found.causes}
-    leading = next((c.name for c in found.causes if c.name not in (NONE, OTHER)), NONE)
-    with_cause = next(t for t in found.weighed.tested if t.hypothesis.cause in names)
+    diagnosis = diagnose_cases(cases, gain=False)
+    probability = {c.name: c.probability for c in diagnosis.causes}
+    leading = next((c.name for c in diagnosis.causes if c.name not in (NONE, OTHER)), NONE)
+    with_cause = next(t for t in diagnosis.weighed.tested if t.hypothesis.cause in names)
     model = with_cause.marginal.comparison.model
-    own = model.parts[0].plate_vector(with_cause.marginal.resampled(_DRAWS))
+    constants = model.parts[0].plate_vector(with_cause.marginal.resampled(_DRAWS))
     return {
         "cause_probability": sum(probability.get(name, 0.0) for name in names),
         "class_probability": sum(probability.get(name, 0.0) for name in alike),
         "none": probability[NONE],
         "leads": leading in names,
         "leads_class": leading in alike,
-        "claim": found.claim.kind,
-        "claimed": list(found.claim.causes),
-        "claim_is_right": bool(names & set(found.claim.causes)),
-        "relative_sd": (own.std(axis=0) / np.abs(own.mean(axis=0))).tolist(),
+        "claim": diagnosis.claim.kind,
+        "claimed": list(diagnosis.claim.causes),
+        "claim_is_right": bool(names & set(diagnosis.claim.causes)),
+        "relative_sd": (constants.std(axis=0) / np.abs(constants.mean(axis=0))).tolist(),
         "processor_seconds": time.process_time() - start,
     }

@@ -28,72 +28,70 @@ _CLAIMS = ("named", "class", "pair", "other")
 
 def figures(records: Records) -> list[Record]:
     """The figures that were asked for: name, asked, value, its standard error and the number of trials."""
-    every = [r for own in records.values() for r in own if r["reached"]]
-    many = [r for name, own in records.items() if _modes(name) >= _MANY for r in own if r["reached"]]
-    one = [r for r in every if _kind(r) == "one"]
+    every = [r for group in records.values() for r in group if r["reached"]]
+    many = [r for name, group in records.items() if _modes(name) >= _MANY for r in group if r["reached"]]
+    single_cause = [r for r in every if _kind(r) == "one"]
     strengths = (8.0, 4.0)
-    found = []
+    rows = []
     for ratio, asked in zip(strengths, (">= 0.95", ">= 0.80"), strict=True):
         at = [
             r
             for r in many
             if _kind(r) == "one" and _ratio(r) == ratio and r["causes"] != [MODE_IDENTITY.name]
         ]
-        found.append(_share(f"class right, signal to noise {ratio:g}, ten modes", asked, map(is_right, at)))
+        rows.append(_share(f"class right, signal to noise {ratio:g}, ten modes", asked, map(is_right, at)))
         known = [r["oracle"]["right"] for r in at]
-        found.append(_share("  the oracle on the same lists", "within 0.03", known))
-        few = [r for r in one if _ratio(r) == ratio and r not in at]
-        found.append(
+        rows.append(_share("  the oracle on the same lists", "within 0.03", known))
+        few = [r for r in single_cause if _ratio(r) == ratio and r not in at]
+        rows.append(
             _share(f"  the same, six modes and slips of the list, {ratio:g}", "-", map(is_right, few))
         )
-    other_material = [r for r in one if _ratio(r) not in strengths]
-    found.append(_share("  another material", "-", map(is_right, other_material)))
-    found.append(_share("class of the truth among the top three", ">= 0.95", map(_among_three, one)))
+    other_material = [r for r in single_cause if _ratio(r) not in strengths]
+    rows.append(_share("  another material", "-", map(is_right, other_material)))
+    rows.append(_share("class of the truth among the top three", ">= 0.95", map(_among_three, single_cause)))
     clean = [r for r in every if _kind(r) in ("clean", "bricks")]
-    found.append(_share("false claim on clean data", "<= 0.02", map(_is_claim, clean)))
+    rows.append(_share("false claim on clean data", "<= 0.02", map(_is_claim, clean)))
     bricks = [r for r in clean if _kind(r) == "bricks"]
-    found.append(_share("  of plates solved on bricks", "-", map(_is_claim, bricks)))
+    rows.append(_share("  of plates solved on bricks", "-", map(_is_claim, bricks)))
     outside = [r for r in every if _kind(r) == "outside"]
-    wrong = (_is_claim(r) and r["answer"]["claim"] != "other" for r in outside)
-    found.append(_share("wrong cause claimed, truth outside", "<= 0.05", wrong))
-    sure = (_is_claim(r) and r["answer"]["claim"] != "other" and not _names_truth(r) for r in one)
-    found.append(_share("wrong cause claimed, truth inside", "-", sure))
-    for name, own in _sets(records).items():
-        value, error, n = calibration_error(own)
-        found.append(_row(f"expected calibration error, {name}", "<= 0.05", value, error, n))
+    wrong_claims = (_is_claim(r) and r["answer"]["claim"] != "other" for r in outside)
+    rows.append(_share("wrong cause claimed, truth outside", "<= 0.05", wrong_claims))
+    sure = (_is_claim(r) and r["answer"]["claim"] != "other" and not _names_truth(r) for r in single_cause)
+    rows.append(_share("wrong cause claimed, truth inside", "-", sure))
+    for name, group in _sets(records).items():
+        value, error, n = calibration_error(group)
+        rows.append(_row(f"expected calibration error, {name}", "<= 0.05", value, error, n))
     extended = [r for r in every if _kind(r) == "one" and _is_claim(r)]
-    found.append(_coverage("coverage of 95 % intervals after extension", "0.92 to 0.97", extended, False))
-    found.append(_coverage("  of constants that the data determine", "-", extended, True))
+    rows.append(_coverage("coverage of 95 % intervals after extension", "0.92 to 0.97", extended, False))
+    rows.append(_coverage("  of constants that the data determine", "-", extended, True))
     drawn = [r for r in every if _kind(r) == "prior"]
-    found.append(_coverage("  all trials from the priors", "-", drawn, False))
-    said = [yes for r in one for _, yes in r["said_alike"] or ()]
-    found.append(_share("said where signatures agree above 0.95", ">= 0.95", said))
+    rows.append(_coverage("  all trials from the priors", "-", drawn, False))
+    said = [yes for r in single_cause for _, yes in r["said_alike"] or ()]
+    rows.append(_share("said where signatures agree above 0.95", ">= 0.95", said))
     ahead = [
         r
         for r in many
         if _kind(r) == "one" and _ratio(r) >= 8.0 and r["causes"][0] not in _OF_LIST and r["further"]
     ]
     gained = (r["further"]["extended"] > r["further"]["plain"] for r in ahead)
-    found.append(_share("further modes better predicted, signal to noise 8", ">= 0.95", gained))
+    rows.append(_share("further modes better predicted, signal to noise 8", ">= 0.95", gained))
     claimed = (r["further"]["extended"] > r["further"]["plain"] for r in ahead if r["further"]["claimed"])
-    found.append(_share("  where something is claimed", "-", claimed))
+    rows.append(_share("  where something is claimed", "-", claimed))
     two = [r for r in every if _kind(r) == "two"]
-    found.append(_share("two causes: both found", "-", (_both(r) for r in two)))
-    found.append(_share("two causes: one of them leads", "-", (_one_of(r) for r in two)))
+    rows.append(_share("two causes: both found", "-", (_both(r) for r in two)))
+    rows.append(_share("two causes: one of them leads", "-", (_one_of(r) for r in two)))
     seconds = [r["processor_seconds"] for r in every]
     if seconds:
         error = float(np.std(seconds) / np.sqrt(len(seconds)))
-        found.append(
-            _row("processor seconds a plate", "<= 3", float(np.median(seconds)), error, len(seconds))
-        )
-    return found
+        rows.append(_row("processor seconds a plate", "<= 3", float(np.median(seconds)), error, len(seconds)))
+    return rows
 
 
 def table(records: Records) -> list[Record]:
     """By bench, cause and signal to noise: trials, shares that were right, mean probabilities."""
     cells: dict[tuple[str, str, float], list[Record]] = defaultdict(list)
-    for name, own in records.items():
-        for r in own:
+    for name, group in records.items():
+        for r in group:
             if r["reached"] and _kind(r) == "one":
                 cells[name, r["causes"][0], _ratio(r)].append(r)
     return [
@@ -101,26 +99,26 @@ def table(records: Records) -> list[Record]:
             "bench": name,
             "cause": cause,
             "ratio": ratio,
-            "n": len(own),
-            "right": _mean(map(is_right, own)),
-            "exact": _mean(r["answer"]["class"][:1] == [cause] for r in own),
-            "among_three": _mean(map(_among_three, own)),
-            "oracle": _mean(r["oracle"]["right"] for r in own if r["oracle"]["right"] is not None),
-            "class_probability": _mean(_truth_probability(r) for r in own),
-            "oracle_probability": _mean(r["oracle"]["class"] for r in own),
-            "none": _mean(r["answer"]["none"] for r in own),
-            "claims": dict(Counter(r["answer"]["claim"] for r in own)),
-            "alike": sorted({c for r in own for c in r["alike"]} - {cause}),
+            "n": len(group),
+            "right": _mean(map(is_right, group)),
+            "exact": _mean(r["answer"]["class"][:1] == [cause] for r in group),
+            "among_three": _mean(map(_among_three, group)),
+            "oracle": _mean(r["oracle"]["right"] for r in group if r["oracle"]["right"] is not None),
+            "class_probability": _mean(_truth_probability(r) for r in group),
+            "oracle_probability": _mean(r["oracle"]["class"] for r in group),
+            "none": _mean(r["answer"]["none"] for r in group),
+            "claims": dict(Counter(r["answer"]["claim"] for r in group)),
+            "alike": sorted({c for r in group for c in r["alike"]} - {cause}),
         }
-        for (name, cause, ratio), own in sorted(cells.items())
+        for (name, cause, ratio), group in sorted(cells.items())
     ]
 
 
 def confusion(records: Records) -> list[Record]:
     """By bench and signal to noise: how often each cause leads, by what was hidden."""
     cells: dict[tuple[str, float], dict[str, Counter[str]]] = defaultdict(lambda: defaultdict(Counter))
-    for name, own in records.items():
-        for r in own:
+    for name, group in records.items():
+        for r in group:
             if not r["reached"] or _kind(r) not in ("one", "clean", "bricks"):
                 continue
             ratio = _ratio(r)
@@ -134,41 +132,41 @@ def confusion(records: Records) -> list[Record]:
 
 def reliability(records: Records) -> list[Record]:
     """Bins of the probability of the leading class, and how often it was right, by set of trials."""
-    found = []
-    for name, own in _sets(records).items():
-        p, right = _predictions(own)
+    rows = []
+    for name, group in _sets(records).items():
+        p, right = _predictions(group)
         index = np.minimum((p * _BINS).astype(int), _BINS - 1)
         bins = [
             {"n": int(at.sum()), "probability": float(p[at].mean()), "right": float(right[at].mean())}
             for at in (index == i for i in range(_BINS))
             if at.any()
         ]
-        value, error, n = calibration_error(own)
-        found.append({"set": name, "n": n, "bins": bins, "error": value, "standard_error": error})
-    return found
+        value, error, n = calibration_error(group)
+        rows.append({"set": name, "n": n, "bins": bins, "error": value, "standard_error": error})
+    return rows
 
 
 def unreached(records: Records) -> list[Record]:
     """Causes that could not be hidden, and why."""
-    found: dict[tuple[str, str, float], Record] = {}
-    for name, own in records.items():
-        for r in own:
+    unreached_trials: dict[tuple[str, str, float], Record] = {}
+    for name, group in records.items():
+        for r in group:
             if not r["reached"] and _kind(r) == "one":
                 key = (name, " + ".join(r["trial"]["cause"]), _ratio(r))
-                most, share = r["most_ratio"], r["share"]
-                why = f"at most {most:.1f} within its prior"
-                if most >= _ratio(r):
-                    why = f"the constants absorb it: {100 * share:.0f} % of it is visible"
-                if key not in found or most > found[key]["most"]:
-                    found[key] = {
+                largest, visible = r["most_ratio"], r["share"]
+                why = f"at most {largest:.1f} within its prior"
+                if largest >= _ratio(r):
+                    why = f"the constants absorb it: {100 * visible:.0f} % of it is visible"
+                if key not in unreached_trials or largest > unreached_trials[key]["most"]:
+                    unreached_trials[key] = {
                         "bench": name,
                         "cause": key[1],
                         "ratio": key[2],
-                        "most": most,
-                        "visible": share,
+                        "most": largest,
+                        "visible": visible,
                         "why": why,
                     }
-    return [found[key] for key in sorted(found)]
+    return [unreached_trials[key] for key in sorted(unreached_trials)]
 
 
 def calibration_error(records: Sequence[Record]) -> tuple[float, float, int]:
@@ -192,10 +190,10 @@ def calibration_error(records: Sequence[Record]) -> tuple[float, float, int]:
 
 
 def _sets(records: Records) -> dict[str, list[Record]]:
-    every = [r for own in records.values() for r in own if r["reached"]]
-    found = {"truths from the priors": [r for r in every if _kind(r) == "prior"]}
-    found["hidden causes"] = [r for r in every if _kind(r) == "one"]
-    return {name: own for name, own in found.items() if own}
+    every = [r for group in records.values() for r in group if r["reached"]]
+    sets = {"truths from the priors": [r for r in every if _kind(r) == "prior"]}
+    sets["hidden causes"] = [r for r in every if _kind(r) == "one"]
+    return {name: group for name, group in sets.items() if group}
 
 
 def _predictions(records: Sequence[Record]) -> tuple[Any, Any]:
@@ -274,13 +272,13 @@ def _coverage(name: str, asked: str, records: Sequence[Record], determined: bool
 
 
 def _share(name: str, asked: str, outcomes: Iterable[bool]) -> Record:
-    own = [bool(o) for o in outcomes]
-    n = len(own)
+    values = [bool(o) for o in outcomes]
+    n = len(values)
     if n == 0:
         return _row(name, asked, None, 0.0, 0)
-    p = sum(own) / n
+    p = sum(values) / n
     # of a share, with one trial of each outcome added
-    smooth = (sum(own) + 1) / (n + 2)
+    smooth = (sum(values) + 1) / (n + 2)
     return _row(name, asked, p, float(np.sqrt(smooth * (1 - smooth) / n)), n)
 
 
@@ -289,5 +287,5 @@ def _row(name: str, asked: str, value: float | None, error: float, n: int) -> Re
 
 
 def _mean(values: Iterable[float | bool]) -> float | None:
-    own = [float(v) for v in values]
-    return sum(own) / len(own) if own else None
+    numbers = [float(v) for v in values]
+    return sum(numbers) / len(numbers) if numbers else None

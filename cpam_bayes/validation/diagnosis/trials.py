@@ -32,14 +32,14 @@ _DRAWS, _REPEATED = 256, 64
 _LISTED = 8
 
 
-def run_trial(own: Bench, trial: Trial) -> Record:
+def run_trial(bench: Bench, trial: Trial) -> Record:
     """A trial's record: truth, answer and what it is measured by.
 
     "reached" is false where the cause cannot be hidden with the ratio; then "most_ratio" and "share" say why.
     """
     start = time.perf_counter()
-    rng = trial.rng(own)
-    hidden = hide(own, trial, rng)
+    rng = trial.rng(bench)
+    hidden = hide(bench, trial, rng)
     head: Record = {"trial": asdict(trial)}
     if isinstance(hidden, Reached):
         return head | {"reached": False, "most_ratio": hidden.most, "share": hidden.share}
@@ -54,7 +54,7 @@ def run_trial(own: Bench, trial: Trial) -> Record:
         hypotheses = [(h, plates) for h, plates in hypotheses if h.cause not in alike]
     simulated = time.perf_counter()
     processor = time.process_time()
-    found = diagnose_cases([case], hypotheses=hypotheses, gain=False)
+    diagnosis = diagnose_cases([case], hypotheses=hypotheses, gain=False)
     best = next((c for c in known.probability if c not in (NONE, OTHER)), NONE)
     return head | {
         "reached": True,
@@ -69,20 +69,20 @@ def run_trial(own: Bench, trial: Trial) -> Record:
             "none": known.probability.get(NONE, 0.0),
             "class": sum(p for c, p in known.probability.items() if c in alike),
         },
-        "answer": _answer(found),
-        "said_alike": _said(found, names, alike) if len(names) == 1 else None,
-        "constants": _constants(hidden, found),
-        "further": _further(hidden, found),
+        "answer": _answer(diagnosis),
+        "said_alike": _said(diagnosis, names, alike) if len(names) == 1 else None,
+        "constants": _constants(hidden, diagnosis),
+        "further": _further(hidden, diagnosis),
         "seconds": time.perf_counter() - simulated,
         "processor_seconds": time.process_time() - processor,
         "simulation_seconds": simulated - start,
     }
 
 
-def _answer(found: Diagnosis) -> Record:
-    ranked = [c for c in found.causes if c.name not in (NONE, OTHER)]
+def _answer(diagnosis: Diagnosis) -> Record:
+    ranked = [c for c in diagnosis.causes if c.name not in (NONE, OTHER)]
     singles = [c for c in ranked if " + " not in c.name]
-    by_name = {c.name: c.probability for c in found.causes}
+    by_name = {c.name: c.probability for c in diagnosis.causes}
     # the class of each cause that leads its own class, with the class's probability
     classes = []
     for c in singles:
@@ -92,9 +92,9 @@ def _answer(found: Diagnosis) -> Record:
     probability, members = max(classes, key=lambda k: k[0]) if classes else (0.0, [])
     pair = next((c for c in ranked if " + " in c.name), None)
     return {
-        "claim": found.claim.kind,
-        "claimed": list(found.claim.causes),
-        "claim_probability": found.claim.probability,
+        "claim": diagnosis.claim.kind,
+        "claimed": list(diagnosis.claim.causes),
+        "claim_probability": diagnosis.claim.probability,
         "none": by_name[NONE],
         "other": by_name[OTHER],
         "class": members,
@@ -102,34 +102,34 @@ def _answer(found: Diagnosis) -> Record:
         "pair": pair.name.split(" + ") if pair else [],
         "pair_probability": pair.probability if pair else 0.0,
         "causes": [[c.name, c.variant, c.probability, c.log_bayes_factor] for c in ranked[:_LISTED]],
-        "tested": len(found.weighed.tested),
+        "tested": len(diagnosis.weighed.tested),
     }
 
 
-def _said(found: Diagnosis, names: Sequence[str], alike: frozenset[str]) -> list[list[Any]]:
+def _said(diagnosis: Diagnosis, names: Sequence[str], alike: frozenset[str]) -> list[list[Any]]:
     """For every cause like the truth whether the answer says that they cannot be told apart."""
-    said = {c.name: set(c.indistinguishable_from) for c in found.causes}
+    said = {c.name: set(c.indistinguishable_from) for c in diagnosis.causes}
     truth = names[0]
     if truth not in said:
         return []
     return [[c, c in said[truth]] for c in sorted(alike - {truth}) if c in said]
 
 
-def _extension(found: Diagnosis) -> tuple[tuple[Tested, float], ...]:
+def _extension(diagnosis: Diagnosis) -> tuple[tuple[Tested, float], ...]:
     """What the leading class of causes, claimed or not, would extend the model by."""
-    if found.members:
-        return found.members
-    leading = next((t for t in found.weighed.tested if t.hypothesis.cause not in (NONE, OTHER)), None)
+    if diagnosis.members:
+        return diagnosis.members
+    leading = next((t for t in diagnosis.weighed.tested if t.hypothesis.cause not in (NONE, OTHER)), None)
     return ((leading, 1.0),) if leading is not None else ()
 
 
-def _constants(hidden: Hidden, found: Diagnosis) -> list[list[Any]]:
+def _constants(hidden: Hidden, diagnosis: Diagnosis) -> list[list[Any]]:
     """By constant: name, truth, mean, sd, 2.5 and 97.5 % quantile, and the sd of its prior.
 
     The model is the extended one, or the plain one where nothing is claimed.
     """
     parameters = hidden.at.own.case.models.parameters
-    fit = found.extended or found.baseline
+    fit = diagnosis.extended or diagnosis.baseline
     rows = []
     for p, truth in zip(parameters.parameters, hidden.at.x, strict=True):
         if p.name in fit.constants:
@@ -137,7 +137,7 @@ def _constants(hidden: Hidden, found: Diagnosis) -> list[list[Any]]:
     return rows
 
 
-def _further(hidden: Hidden, found: Diagnosis) -> Record | None:
+def _further(hidden: Hidden, diagnosis: Diagnosis) -> Record | None:
     """Log predictive densities of modes beyond the list, by the plain and by the extended model.
 
     They are means over repeated measurements of these modes.
@@ -149,31 +149,31 @@ def _further(hidden: Hidden, found: Diagnosis) -> Record | None:
     rng = np.random.default_rng(zlib.crc32(hidden.listed.tobytes()))
     noise = rng.standard_normal((_REPEATED, len(hidden.further)))
     measured = hidden.further * np.exp(hidden.own.noise * noise)
-    plain = _log_score(hidden.own, [(found.weighed.none, 1.0)], measured)
-    members = _extension(found)
+    plain = _log_score(hidden.own, [(diagnosis.weighed.none, 1.0)], measured)
+    members = _extension(diagnosis)
     return {
         "plain": plain,
         "extended": _log_score(hidden.own, members, measured) if members else plain,
-        "claimed": bool(found.members),
+        "claimed": bool(diagnosis.members),
     }
 
 
-def _log_score(own: Bench, members: Sequence[tuple[Tested, float]], measured: Array) -> float:
+def _log_score(bench: Bench, members: Sequence[tuple[Tested, float]], measured: Array) -> float:
     """Mean log density of further frequencies (m, k) under a mixture of fitted hypotheses, per Hz each."""
-    beyond = own.n_listed + np.arange(measured.shape[1])
+    beyond = bench.n_listed + np.arange(measured.shape[1])
     terms = []
-    for t, share in members:
+    for t, weight in members:
         comparison = t.marginal.comparison
         parts = tuple(replace(part, modes=beyond, misread=None) for part in comparison.model.parts)
         x = t.marginal.resampled(_DRAWS)
         f = ComposedModel(comparison.model.parameters, parts).predict(x).frequencies
-        error = own.case.models.error[np.minimum(beyond, len(own.case.models.error) - 1)]
-        variance = (own.noise**2 + error**2) * f**2 + own.case.measurement.resolution**2 / 12
+        error = bench.case.models.error[np.minimum(beyond, len(bench.case.models.error) - 1)]
+        variance = (bench.noise**2 + error**2) * f**2 + bench.case.measurement.resolution**2 / 12
         if comparison.discrepancy is not None:
             variance = variance + (x[:, comparison.discrepancy, None] * f) ** 2
         squared = (measured[:, None] - f) ** 2 / variance
         density = -0.5 * np.sum(squared + np.log(2 * np.pi * variance), axis=2)
-        terms.append(np.log(share) + logsumexp(density, axis=1) - np.log(len(x)))
+        terms.append(np.log(weight) + logsumexp(density, axis=1) - np.log(len(x)))
     return float(np.mean(logsumexp(terms, axis=0)))
 
 

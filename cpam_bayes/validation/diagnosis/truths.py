@@ -70,9 +70,9 @@ class Bench:
 
     def list_of(self, frequencies: Array) -> Measurement:
         """A list of these frequencies, rounded to the resolution, ascending."""
-        own = self.case.measurement
-        rounded = np.sort(np.round(frequencies / own.resolution) * own.resolution)
-        return replace(own, frequencies=rounded)
+        measurement = self.case.measurement
+        rounded = np.sort(np.round(frequencies / measurement.resolution) * measurement.resolution)
+        return replace(measurement, frequencies=rounded)
 
     def measured(self, frequencies: Array, noise: Array) -> PlateCase:
         """The plate with a list of these frequencies, measured with noise in units of s."""
@@ -88,19 +88,19 @@ def bench(plate: str | Specimen, n_listed: int, *, noise: float, resolution: flo
     labels = ("",) * n_listed
     any_list = Measurement(np.arange(1.0, n_listed + 1.0), resolution, noise, None, labels, complete=True)
     specimen = builtin(plate) if isinstance(plate, str) else plate
-    found = Bench(plate_case(replace(specimen, measurement=any_list)))
-    for h in found.singles:
+    plate_bench = Bench(plate_case(replace(specimen, measurement=any_list)))
+    for h in plate_bench.singles:
         if h.other_material:
-            found.case.of_other_material()
+            plate_bench.case.of_other_material()
         for effect in h.effects:
             if effect.change is not None:
-                found.case.with_effect(effect)
-    return found
+                plate_bench.case.with_effect(effect)
+    return plate_bench
 
 
-def random_constants(own: Bench, spread: float, rng: np.random.Generator) -> Array:
+def random_constants(bench: Bench, spread: float, rng: np.random.Generator) -> Array:
     """Constants within a relative ``spread`` of the reference that satisfy the constraints (9), (n,)."""
-    models = own.case.models
+    models = bench.case.models
     centre = reference_vector(models.specimen, models.parameters)
     while True:
         x = centre * (1.0 + rng.uniform(-spread, spread, len(centre)))
@@ -109,13 +109,13 @@ def random_constants(own: Bench, spread: float, rng: np.random.Generator) -> Arr
             return x
 
 
-def true_frequencies(own: Bench, hidden: Sequence[Hypothesis], x: Array, sizes: Array, n: int) -> Array:
+def true_frequencies(bench: Bench, hidden: Sequence[Hypothesis], x: Array, sizes: Array, n: int) -> Array:
     """The n lowest frequencies of the plate with effects of these sizes by finite elements, (n,) Hz.
 
     x : constants.
     sizes : of the hidden causes, one each; what is wrong with a list is not applied.
     """
-    models = own.case.models
+    models = bench.case.models
     effects = [(h.effects[0], float(size)) for h, size in zip(hidden, sizes, strict=True) if h.effects]
     of_plate = [(e, size) for e, size in effects if e.change is not None]
     problem = models.problem
@@ -123,20 +123,20 @@ def true_frequencies(own: Bench, hidden: Sequence[Hypothesis], x: Array, sizes: 
         problem = extend(problem, effect, models.facts)
     key = tuple((e.name, e.variant) for e, _ in of_plate)
     names = models.parameters.names
-    if key not in own.operators:
-        while len(own.operators) >= _KEPT:
-            own.operators.pop(next(iter(own.operators)))
+    if key not in bench.operators:
+        while len(bench.operators) >= _KEPT:
+            bench.operators.pop(next(iter(bench.operators)))
         # what any size needs: that of none and that of one standard deviation
         samples = {name: np.array([v, v]) for name, v in zip(names, x, strict=True)}
         for effect, _ in of_plate:
             samples |= {k: np.array([v, effect.scaled(1.0)[k]]) for k, v in effect.null.items()}
-        space = fem_space(problem.edges, problem.nominal, *own.mesh)
-        own.operators[key] = discretise_sparse(problem, space, samples)
+        space = fem_space(problem.edges, problem.nominal, *bench.mesh)
+        bench.operators[key] = discretise_sparse(problem, space, samples)
     values: dict[str, Any] = dict(zip(names, x, strict=True))
     for effect, size in of_plate:
         values |= dict.fromkeys(effect.null, size)
     # the samples' problem has the same terms; sizes enter through the coefficients alone
-    operator = own.operators[key]
+    operator = bench.operators[key]
     f = solve(operator, *operator.coefficients(values), n).frequencies[0]
     for effect, size in effects:
         if effect.observe is not None:
@@ -144,14 +144,14 @@ def true_frequencies(own: Bench, hidden: Sequence[Hypothesis], x: Array, sizes: 
     return np.asarray(f)
 
 
-def brick_frequencies(own: Bench, x: Array, n: int) -> Array:
+def brick_frequencies(bench: Bench, x: Array, n: int) -> Array:
     """The n lowest frequencies of the plate as it should be, by CalculiX on bricks of 20 nodes, (n,) Hz.
 
     x : constants.
 
     Raises ``CalculixError`` where CalculiX is not there or fails.
     """
-    models = own.case.models
+    models = bench.case.models
     material = models.specimen.material
     given = dict(material.constants) | dict(zip(models.parameters.names, x, strict=True))
     every = complete_constants(given, material.isotropic)
@@ -188,9 +188,9 @@ class Linear:
         """Shifts of the listed log frequencies by sizes (m,) of a cause, (m, n_listed), in units of s."""
         modes = self.own.case.modes
         if h.listed.misread is not None:
-            found = np.zeros((len(sizes), len(modes)))
-            found[:, h.listed.misread] = np.log1p(sizes)
-            return found / self.own.noise
+            shifts = np.zeros((len(sizes), len(modes)))
+            shifts[:, h.listed.misread] = np.log1p(sizes)
+            return shifts / self.own.noise
         effect = h.effects[0]
         if effect.change is not None:
             vectors = np.column_stack((np.tile(self.x, (len(sizes), 1)), sizes))
@@ -206,22 +206,22 @@ class Linear:
         return np.asarray(self.shift(h, sizes) @ self.root)
 
 
-def linear(own: Bench, x: Array) -> Linear:
+def linear(bench: Bench, x: Array) -> Linear:
     """The plate at constants (n,); of another material, with the scores nearest to them."""
-    models = own.case.models
+    models = bench.case.models
     scores = NormalScores(models.parameters)
     z = scores.to_z(x[None])
-    found = models.bare.predict(x[None], jacobian=True)
-    assert found.jacobian is not None
-    f = found.frequencies[0]
-    slope = found.jacobian[0] / f[:, None] * scores.slope(scores.to_x(z), z)[0] / own.noise
-    return Linear(own, x, np.log(f), slope, z[0])
+    prediction = models.bare.predict(x[None], jacobian=True)
+    assert prediction.jacobian is not None
+    f = prediction.frequencies[0]
+    slope = prediction.jacobian[0] / f[:, None] * scores.slope(scores.to_x(z), z)[0] / bench.noise
+    return Linear(bench, x, np.log(f), slope, z[0])
 
 
 def parameter_of(h: Hypothesis) -> Parameter:
     """The one parameter of a cause."""
-    (found,) = h.parameters
-    return found
+    (parameter,) = h.parameters
+    return parameter
 
 
 def sizes_of(h: Hypothesis, scores: Array) -> Array:
@@ -267,6 +267,6 @@ def size_for(at: Linear, h: Hypothesis, ratio: float, sign: float) -> Reached:
     return Reached(size, float(highest[-1]), float(norm[i]) / whole if whole > 0.0 else 0.0)
 
 
-def of_cause(own: Bench, cause: str) -> tuple[Hypothesis, ...]:
+def of_cause(bench: Bench, cause: str) -> tuple[Hypothesis, ...]:
     """The variants of a cause that are no slips of the pen; none of another material, which has no size."""
-    return tuple(h for h in own.singles if h.cause == cause and not h.is_gross)
+    return tuple(h for h in bench.singles if h.cause == cause and not h.is_gross)
