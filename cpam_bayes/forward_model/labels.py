@@ -197,8 +197,8 @@ def _columns(measurement: Measurement, modes: tuple[Mode, ...], source: str) -> 
             raise LabelError(
                 f"{source}: measurement.labels: received {label!r} for {_count(frequencies, 'frequency')}, "
                 f"{_count(len(candidates), 'mode')} of the model {verb} it; label as many frequencies "
-                f'as modes, or write "" where the mode is not known; the first {len(modes)} modes at the reference '
-                f"constants: {there}"
+                f'as modes, or write "" where the mode is not known; the first {len(modes)} modes at the '
+                f"reference constants: {there}"
             )
         columns.append(next(left[same_label(label)]))
     return columns
