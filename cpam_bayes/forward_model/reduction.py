@@ -20,7 +20,7 @@ Array = NDArray[Any]
 
 # LAPACK's bound: machine precision times the largest eigenvalue. Up to 0.6 of it was seen.
 _ROUNDING_FACTOR = 1.0
-# Modes that join a basis before its errors are looked at again.
+# Modes that join a basis before its errors are estimated again.
 _MODES_PER_ROUND = 3
 
 
@@ -151,12 +151,12 @@ def _rigid_vectors(operator: DenseOperator, stiffness: Array, mass: Array, first
     """Rigid-body motions of every block, (n, n_rigid); they depend on the sides alone."""
     # on a soft support they have frequencies of their own, well below those of the modes
     highest = (SUPPORTED_TOLERANCE if operator.problem.supported else 1e-3) * first
-    found = []
+    vectors = []
     for block in operator.blocks:
         m = block.mass.assemble(mass)
         lam, phi = scipy.linalg.eigh(block.stiffness.assemble(stiffness), m)
-        found.append(phi[:, np.abs(lam) < highest])
-    return found
+        vectors.append(phi[:, np.abs(lam) < highest])
+    return vectors
 
 
 def _sides_vary(model: PlateModel, x: Array) -> bool:
@@ -201,13 +201,13 @@ def _greedy_basis(
         return start
     column, lam = spectrum.column[sets, modes], spectrum.eigenvalues[sets, modes]
     vectors = spectrum.vectors[b][sets, :, column]
-    own, place = np.unique(sets, return_inverse=True)
+    distinct, place = np.unique(sets, return_inverse=True)
     basis = start if start.size else _orthonormal(vectors[:1].T, block, mass[0])
     while True:
         small = _projected_block(block, basis)
-        found = small.eigenvalues(stiffness[own], mass[own], small.size)
+        eigenvalues = small.eigenvalues(stiffness[distinct], mass[distinct], small.size)
         missing = column >= small.size
-        ratio = np.abs(found[place, np.where(missing, 0, column)]) / lam
+        ratio = np.abs(eigenvalues[place, np.where(missing, 0, column)]) / lam
         error = np.where(missing, np.inf, np.sqrt(ratio) - 1.0)
         if error.max() <= tolerance:
             return basis

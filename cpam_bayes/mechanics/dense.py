@@ -102,11 +102,11 @@ def _projection_pieces(form: Form, space: RitzSpace, rule: Quadrature) -> list[P
     functions = projected_functions(form, rule)
 
     def moments(atom: Atom) -> list[tuple[int, Array]]:
-        own = [(i, s) for i, s in enumerate(space.sectors) if s.field == atom.field and s.size]
-        found = [(i, evaluate_sector(s, rule.points, atom.derivative).T @ functions) for i, s in own]
-        size = max((np.abs(g).max() for _, g in found), default=0.0)
+        sectors = [(i, s) for i, s in enumerate(space.sectors) if s.field == atom.field and s.size]
+        values = [(i, evaluate_sector(s, rule.points, atom.derivative).T @ functions) for i, s in sectors]
+        size = max((np.abs(g).max() for _, g in values), default=0.0)
         # what is left of integrals that vanish by parity
-        return [(i, np.where(np.abs(g) > 1e-12 * size, g, 0.0)) for i, g in found]
+        return [(i, np.where(np.abs(g) > 1e-12 * size, g, 0.0)) for i, g in values]
 
     pairs = [(i, j, a @ b.T) for i, a in moments(form.left) for j, b in moments(form.right)]
     return [(i, j, matrix) for i, j, matrix in pairs if matrix.any()]
@@ -142,12 +142,12 @@ def _comparable(forms: Sequence[Form], coefficients: Array) -> Array:
 
     Relatives are forms over the same region with the same weight.
     """
-    own: dict[tuple[Any, ...], float] = {}
+    largest: dict[tuple[Any, ...], float] = {}
     for f, c in zip(forms, coefficients.max(axis=0), strict=True):
         if f.left == f.right:
             key = (f.left, f.region, f.weight)
-            own[key] = max(own.get(key, 0.0), float(c))
-    sizes = [[own.get((atom, f.region, f.weight), 0.0) for atom in (f.left, f.right)] for f in forms]
+            largest[key] = max(largest.get(key, 0.0), float(c))
+    sizes = [[largest.get((atom, f.region, f.weight), 0.0) for atom in (f.left, f.right)] for f in forms]
     return np.array([np.sqrt(a * b) for a, b in sizes])
 
 

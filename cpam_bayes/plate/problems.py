@@ -140,9 +140,9 @@ def _accepted(annotation: Any, path: Path) -> str | None:
             return described[-1]
         return _accepted(annotation.__origin__, path)
     for inner, rest in _inside(annotation, path):
-        found = _accepted(inner, rest)
-        if found:
-            return found
+        accepted = _accepted(inner, rest)
+        if accepted:
+            return accepted
     return None
 
 
@@ -153,9 +153,9 @@ def _keys_of(annotation: Any, path: Path) -> list[str]:
     if not path and _is_table(annotation):
         return list(annotation.model_fields)
     for inner, rest in _inside(annotation, path):
-        found = _keys_of(inner, rest)
-        if found:
-            return found
+        keys = _keys_of(inner, rest)
+        if keys:
+            return keys
     return []
 
 

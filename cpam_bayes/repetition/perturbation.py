@@ -23,8 +23,8 @@ class PerturbedList:
     """A perturbed list, in rising order as a laboratory writes it down.
 
     frequencies : (n,) Hz.
-    reordered : whether two modes changed places, so that the i-th frequency is not the i-th
-    mode's any more.
+    reordered : whether two modes changed places, so that the i-th frequency is not the i-th mode's any
+    more.
     redrawn : frequencies that were drawn again because they were not positive.
     """
 

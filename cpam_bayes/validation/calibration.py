@@ -141,10 +141,10 @@ def calibrate(
     kept = DrawStore.open(store, experiment_hash(experiment)) if store is not None else None
     done = {r["number"]: _repetition(r) for r in kept.records} if kept is not None else {}
 
-    def take(found: Repetition) -> None:
+    def take(repetition: Repetition) -> None:
         if kept is not None:
-            kept.append(asdict(found))
-        done[found.number] = found
+            kept.append(asdict(repetition))
+        done[repetition.number] = repetition
         progress(len(done))
 
     missing = [i for i in range(repetitions) if i not in done]

@@ -19,8 +19,8 @@ def save_results(path: Path, results: Results) -> None:
 
 def saved_results(path: Path) -> Results:
     """What was saved before, empty if nothing was."""
-    found: Results = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
-    return found
+    results: Results = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
+    return results
 
 
 def with_saved(

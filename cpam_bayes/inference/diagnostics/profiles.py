@@ -133,7 +133,7 @@ def _starts(draws: Array, height: Array, k: int, grid: Array) -> Array:
 
 
 def _maximise_again(
-    own: Posterior, axes: Coordinates, held: Array, which: Array, start: Array, u: Array, value: Array
+    flat: Posterior, axes: Coordinates, held: Array, which: Array, start: Array, u: Array, value: Array
 ) -> Array:
     """Optimise from ``start`` with a parameter of each held; keep in ``u`` and ``value`` what got higher.
 
@@ -141,15 +141,15 @@ def _maximise_again(
     """
 
     def target(at: Array, rows: Array) -> Expansion:
-        expansion = expand_u(own, axes, at)
+        expansion = expand_u(flat, axes, at)
         fixed = np.arange(at.shape[1]) == held[which[rows], None]
         crossed = fixed[:, :, None] | fixed[:, None, :]
         curvature = np.where(crossed, np.eye(at.shape[1]), expansion.curvature)
         return Expansion(expansion.value, np.where(fixed, 0.0, expansion.gradient), curvature)
 
-    found = maximise(target, start, axes.lower, axes.upper, most_steps=_STEPS)
-    higher = found.expansion.value > value[which] + _BETTER
-    u[which[higher]], value[which[higher]] = found.u[higher], found.expansion.value[higher]
+    optimum = maximise(target, start, axes.lower, axes.upper, most_steps=_STEPS)
+    higher = optimum.expansion.value > value[which] + _BETTER
+    u[which[higher]], value[which[higher]] = optimum.u[higher], optimum.expansion.value[higher]
     return which[higher]
 
 

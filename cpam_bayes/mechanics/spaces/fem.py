@@ -139,8 +139,8 @@ class FemSpace:
         shape = (len(cells), local.shape[2], basis.Nbfun)
         values = np.empty(shape)
         for k in range(basis.Nbfun):
-            one = basis.elem.gbasis(basis.mapping, local, k, tind=cells)[0]
-            values[..., k] = one.grad["xy".index(derivative)] if derivative else np.asarray(one)
+            field = basis.elem.gbasis(basis.mapping, local, k, tind=cells)[0]
+            values[..., k] = field.grad["xy".index(derivative)] if derivative else np.asarray(field)
         columns = np.broadcast_to(basis.dofs.element_dofs[:, cells].T[:, None, :], shape)
         starts = np.arange(0, values.size + 1, basis.Nbfun)
         return csr_array((values.ravel(), columns.ravel(), starts), shape=(len(starts) - 1, basis.N))
@@ -204,9 +204,9 @@ class FemSpace:
             local = np.clip(local + step, 0.0, 1.0)
         miss = target - mapping.F(local, tind=cells)
         inside = np.flatnonzero(np.abs(miss).max(axis=(0, 2)) < _ON_MESH)
-        found, first = np.unique(which[inside], return_index=True)
+        located, first = np.unique(which[inside], return_index=True)
         keep = inside[first]
-        return found, cells[keep], local[:, keep]
+        return located, cells[keep], local[:, keep]
 
 
 def fem_space(

@@ -44,8 +44,8 @@ class Trial:
     """One trial, which depends on nothing but this and the bench.
 
     kind : "clean"; "bricks": clean and simulated in three dimensions; "one" hidden cause; "two" at once;
-    "outside": one whose class the dictionary lacks; "prior": truth, size and constants drawn from the priors
-    of the diagnosis.
+    "outside": one whose class the dictionary lacks; "prior": truth, size and constants drawn from the
+    priors of the diagnosis.
     cause : names of what is hidden.
     ratio : signal to noise of each.
     lacks : whether the list lacks a mode and says which.
