@@ -1,16 +1,14 @@
-"""The commands, one module each: `prepare(args)` takes options and returns the work, a call of the library.
+"""The commands, one module each: `add` says its options, `prepare` makes of them a call of the library.
 
 This module is imported for `--help`: it loads nothing beyond the standard library.
 """
 
 from typing import Final
 
+COMMANDS: Final = ("plates", "forward", "export", "identify", "sensitivity", "sequence", "diagnose")
 SOLVERS: Final = ("ritz", "fem", "ccx")
 ELEMENTS: Final = ("brick", "shell")
 """What CalculiX computes with."""
 BACKENDS: Final = ("pso", "emcee")
 NOISE_SHAPES: Final = {"gaussian": float("inf"), "student-t": 4.0}
 """Name of a shape of noise -> its degrees of freedom."""
-
-DEFAULT_SEED: Final = 0
-MAX_MODES: Final = 100

@@ -7,13 +7,14 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from cpam_bayes.commands import NOISE_SHAPES
-from cpam_bayes.identification.identify import PointResult, identify
-from cpam_bayes.identification.sampled import SampledResult, sample
-from cpam_bayes.inference.chains.ensemble import DEFAULT_SETTINGS, EnsembleSettings
-from cpam_bayes.inference.swarm.settings import SwarmSettings
-from cpam_bayes.report.progress import Terminal
+from cpam_bayes.commands import BACKENDS, NOISE_SHAPES
+from cpam_bayes.commands.options import Commands, add_command, add_plate, whole
+
+if TYPE_CHECKING:
+    from cpam_bayes.inference.chains.ensemble import EnsembleSettings
+    from cpam_bayes.result import Result
 
 # Options that a back end has no use for.
 _FOREIGN = {
@@ -22,8 +23,66 @@ _FOREIGN = {
 }
 
 
-def prepare(args: argparse.Namespace) -> Callable[[], PointResult | SampledResult]:
+def add(commands: Commands) -> None:
+    """Add the command and its options."""
+    command = add_command(commands, "identify", "constants from the measured frequencies")
+    add_plate(command)
+    command.add_argument(
+        "--backend",
+        choices=BACKENDS,
+        default="pso",
+        help="pso: the paper's particle swarm; emcee: the posterior, sampled from that swarm on",
+    )
+    command.add_argument(
+        "--residuals",
+        choices=("absolute", "relative"),
+        help="pso: what the swarm minimises, squares of differences in Hz, eq. (7), or of relative ones "
+        "(default: absolute)",
+    )
+    command.add_argument(
+        "--particles",
+        type=whole(5, 10_000),
+        metavar="N",
+        help="pso: particles of the swarm, 5 to 10000 (default: 40)",
+    )
+    command.add_argument(
+        "--iterations",
+        type=whole(1, 100_000),
+        metavar="N",
+        help="pso: budget of the swarm, 1 to 100000 iterations (default: 400)",
+    )
+    command.add_argument(
+        "--steps",
+        type=whole(1, 10_000_000),
+        metavar="N",
+        help="emcee: budget of the chains in steps, used in rounds of 100 (default: 10000)",
+    )
+    command.add_argument(
+        "--store",
+        metavar="DIR",
+        help="emcee: keep finished rounds in DIR; the same command goes on from there",
+    )
+    command.add_argument(
+        "--likelihood",
+        choices=("relative", "absolute"),
+        help="emcee: noise in proportion to a frequency, or one standard deviation in Hz for all modes, "
+        "which is inferred: eq. (7) (default: relative)",
+    )
+    command.add_argument(
+        "--noise",
+        choices=tuple(NOISE_SHAPES),
+        help="emcee: gaussian, or student-t with 4 degrees of freedom, which a few bad frequencies do "
+        "not sway (default: gaussian)",
+    )
+
+
+def prepare(args: argparse.Namespace) -> Callable[[], Result]:
     """Check the options of the back end; return the work."""
+    from cpam_bayes.identification.identify import identify
+    from cpam_bayes.identification.sampled import sample
+    from cpam_bayes.inference.swarm.settings import SwarmSettings
+    from cpam_bayes.report.progress import Terminal
+
     foreign = [name for name in _FOREIGN[args.backend] if getattr(args, name) is not None]
     if foreign:
         raise ValueError(f"--{foreign[0]}: not an option of the back end {args.backend}; leave it out")
@@ -55,6 +114,8 @@ def prepare(args: argparse.Namespace) -> Callable[[], PointResult | SampledResul
 
 def _budget(steps: int | None) -> EnsembleSettings:
     """Settings for so many steps at most; a round is no longer than that."""
+    from cpam_bayes.inference.chains.ensemble import DEFAULT_SETTINGS
+
     if steps is None:
         return DEFAULT_SETTINGS
     return replace(DEFAULT_SETTINGS, most_steps=steps, round_steps=min(steps, DEFAULT_SETTINGS.round_steps))
