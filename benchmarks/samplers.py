@@ -24,7 +24,7 @@ from benchmarks.targets import Target
 from benchmarks.timing import interleaved, ratio
 from cpam_bayes.forward_model.reduced import DEFAULT_SETTINGS as REDUCTION
 from cpam_bayes.forward_model.store import reduced_model
-from cpam_bayes.identification.sampled import identify_by_sampling
+from cpam_bayes.identification.sampled import sample
 from cpam_bayes.inference.chains.autocorrelation import integrated_times
 from cpam_bayes.inference.chains.ensemble import DEFAULT_SETTINGS, moves_of
 from cpam_bayes.inference.chains.sampling import JUMPS as FIT
@@ -240,7 +240,7 @@ def _converged(name: str) -> Results:
         os.environ["CPAM_BAYES_CACHE"] = directory
         try:
             start, used = time.perf_counter(), time.process_time()
-            found = identify_by_sampling(read_specimen(name), 0).result
+            found = sample(read_specimen(name), seed=0).result
             seconds, processor = time.perf_counter() - start, time.process_time() - used
         finally:
             if before is None:

@@ -9,7 +9,7 @@ import pytest
 from cpam_bayes.forward_model.air_shift import ROOM_AIR, air_shifts
 from cpam_bayes.forward_model.model import NO_PARAMETERS, converged_model
 from cpam_bayes.plate import builtin
-from cpam_bayes.report.plates import air_text
+from cpam_bayes.report.plates.head import air_text
 
 
 @pytest.mark.parametrize("name", ["C1", pytest.param("A2", marks=pytest.mark.slow)])
@@ -32,10 +32,11 @@ def test_air_lowers_bending_and_leaves_in_plane_modes_alone():
 
 def test_the_head_of_a_screen_says_what_air_is_in_the_model_or_would_change():
     specimen = builtin("C1")
-    assert air_text(specimen) == (
+    assert air_text(specimen, air_shifts(specimen)) == (
         "none given: vacuum, no air in the model; 1.2 kg/m3 would lower the first 6 frequencies by "
         "0.40 to 0.63 %"
     )
-    assert air_text(replace(specimen, air_density=1.15)) == "1.15 kg/m3, in the model"
-    unknown = builtin("F1")
-    assert air_text(replace(unknown, measurement=None)).startswith("none given: vacuum")
+    in_air = replace(specimen, air_density=1.15)
+    assert air_text(in_air, air_shifts(in_air)) == "1.15 kg/m3, in the model"
+    unknown = replace(builtin("F1"), measurement=None)
+    assert air_text(unknown, air_shifts(unknown)).startswith("none given: vacuum")

@@ -10,7 +10,7 @@ import pytest
 from cpam_bayes.forward_model.labels import LabelError, LabelledModel, labelled_model, same_label
 from cpam_bayes.forward_model.reduced import ReducedModel
 from cpam_bayes.forward_model.store import reduced_model
-from cpam_bayes.identification.point import identify, search
+from cpam_bayes.identification.point import estimate_constants, search
 from cpam_bayes.identification.starting import start_of
 from cpam_bayes.inference.chains.sampling import swarm_on_posterior
 from cpam_bayes.inference.posterior import plate_posterior
@@ -135,7 +135,7 @@ def test_the_swarm_reports_modes_beside_the_frequencies_that_they_belong_to(
     # too far apart for the bounds of G12: the labelled modes stay crossed in the answer
     data = listed(np.array([80.0, 84.0]), BENT_FIRST)
     narrow = replace(plate, unknowns=plate.unknowns.fix(G12=16e9), measurement=data)
-    found = identify(narrow, 0, settings=SwarmSettings(particles=10, iterations=30))
+    found = estimate_constants(narrow, 0, settings=SwarmSettings(particles=10, iterations=30))
     assert [mode.label for mode in found.predicted] == list(BENT_FIRST)
     assert len(found.error) == 2
 

@@ -18,7 +18,7 @@ from cpam_bayes.plate import Specimen, read_specimen
 from cpam_bayes.repetition import study as study_module
 from cpam_bayes.repetition import tasks as noise_tasks
 from cpam_bayes.repetition.perturbation import INTERPRETATIONS, Interpretation, perturbation_sd
-from cpam_bayes.repetition.study import Sensitivity, model_list, sensitivity
+from cpam_bayes.repetition.study import Sensitivity, model_list, noise_study
 from cpam_bayes.repetition.tasks import (
     POSTERIOR,
     InverseProblem,
@@ -200,7 +200,7 @@ def plate() -> Specimen:
 
 @pytest.fixture(scope="module")
 def study(plate: Specimen) -> Sensitivity:
-    return sensitivity(plate, 7, source="model", levels=(0.01, 0.05), **SHORT)  # type: ignore[arg-type]
+    return noise_study(plate, 7, source="model", levels=(0.01, 0.05), **SHORT)  # type: ignore[arg-type]
 
 
 def equal(one: Sensitivity, other: Sensitivity) -> bool:
@@ -215,7 +215,7 @@ def equal(one: Sensitivity, other: Sensitivity) -> bool:
 
 
 def test_the_model_s_own_list_gives_its_constants_back(plate: Specimen) -> None:
-    found = sensitivity(
+    found = noise_study(
         plate, 0, source="model", levels=(1e-6,), readings=("rms",), groups=2, chains=SHORT["chains"]
     )  # type: ignore[arg-type]
     # nine in ten particles agree to 1e-3 of the intervals (190 GPa, 0.25), the best is much closer
@@ -238,7 +238,7 @@ def test_cells_come_level_by_level_and_reading_by_reading(study: Sensitivity) ->
 
 
 def test_other_levels_and_more_groups_do_not_change_a_level(plate: Specimen, study: Sensitivity) -> None:
-    alone = sensitivity(plate, 7, source="model", levels=(0.05,), readings=("rms",), **{**SHORT, "groups": 4})  # type: ignore[arg-type]
+    alone = noise_study(plate, 7, source="model", levels=(0.05,), readings=("rms",), **{**SHORT, "groups": 4})  # type: ignore[arg-type]
     np.testing.assert_array_equal(
         alone.cells[0].repetition.constants[:3], study.cells[3].repetition.constants
     )
@@ -248,38 +248,38 @@ def test_other_levels_and_more_groups_do_not_change_a_level(plate: Specimen, stu
 @pytest.mark.slow
 def test_workers_do_not_change_a_bit(plate: Specimen, study: Sensitivity) -> None:
     with open_executor("processes", 2) as executor:
-        shared_out = sensitivity(plate, 7, source="model", levels=(0.01, 0.05), executor=executor, **SHORT)  # type: ignore[arg-type]
+        shared_out = noise_study(plate, 7, source="model", levels=(0.01, 0.05), executor=executor, **SHORT)  # type: ignore[arg-type]
     assert equal(shared_out, study)
 
 
 @pytest.mark.slow
 def test_another_seed_gives_other_lists(plate: Specimen, study: Sensitivity) -> None:
-    other = sensitivity(plate, 8, source="model", levels=(0.01, 0.05), **SHORT)  # type: ignore[arg-type]
+    other = noise_study(plate, 8, source="model", levels=(0.01, 0.05), **SHORT)  # type: ignore[arg-type]
     assert not equal(other, study)
 
 
 def test_progress_counts_all_tasks(plate: Specimen) -> None:
     told: list[tuple[int, int]] = []
-    sensitivity(plate, 0, source="model", levels=(0.01,), progress=lambda *done: told.append(done), **SHORT)  # type: ignore[arg-type]
+    noise_study(plate, 0, source="model", levels=(0.01,), progress=lambda *done: told.append(done), **SHORT)  # type: ignore[arg-type]
     assert told == [(i, 8) for i in range(1, 9)]
 
 
 @pytest.mark.parametrize("levels", [(), (0.0,), (-0.01,), (0.51,), (float("nan"),)])
 def test_levels_out_of_range_are_refused(plate: Specimen, levels: tuple[float, ...]) -> None:
     with pytest.raises(ValueError, match=r"levels of noise: received .* accepted: above 0, at most 0.5"):
-        sensitivity(plate, 0, source="model", levels=levels)
+        noise_study(plate, 0, source="model", levels=levels)
 
 
 def test_one_group_is_refused(plate: Specimen) -> None:
     with pytest.raises(ValueError, match="groups: received 1, accepted: 2 or more"):
-        sensitivity(plate, 0, source="model", groups=1)
+        noise_study(plate, 0, source="model", groups=1)
 
 
 def test_a_list_with_gaps_is_refused(plate: Specimen) -> None:
     assert plate.measurement is not None
     gaps = replace(plate, measurement=replace(plate.measurement, complete=False))
     with pytest.raises(ValueError, match="a list without gaps is needed"):
-        sensitivity(gaps, 0, source="measured")
+        noise_study(gaps, 0, source="measured")
 
 
 def test_reference_constants_outside_the_search_bounds_are_refused() -> None:

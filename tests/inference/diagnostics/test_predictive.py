@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from cpam_bayes.identification.sampled import identify_by_sampling
+from cpam_bayes.identification.sampled import sample
 from cpam_bayes.inference.chains.ensemble import EnsembleSettings
 from cpam_bayes.inference.chains.sampling import sample_posterior
 from cpam_bayes.inference.diagnostics.predictive import cavity, importance_leave_one_out, leave_one_out
@@ -150,7 +150,7 @@ class WithoutOne(Posterior):
 @pytest.mark.slow
 def test_closed_form_on_c1_is_near_sampling_without_a_mode() -> None:
     settings = EnsembleSettings(walkers=24, round_steps=1000, effective=300.0, most_steps=3000)
-    found = identify_by_sampling(builtin("C1"), 0, settings=settings)
+    found = sample(builtin("C1"), seed=0, settings=settings)
     own = found.posterior
     left_out = found.assessment.left_out
     parts = (own.model, own.measurement, own.parameters, own.noise_model, own.labelled, own.pairing)
