@@ -86,8 +86,9 @@ class ForwardResult(PlateResult):
 
 @dataclass(frozen=True, slots=True)
 class _Solution:
-    """What a solver finds; the fields of `ForwardResult`."""
+    """The fields of `ForwardResult`; specimen : as computed, see `ElementModel.specimen`."""
 
+    specimen: Specimen
     solver: str
     modes: tuple[Mode, ...]
     error: Array
@@ -151,7 +152,7 @@ def forward(
     return ForwardResult(
         seed=seed,
         warnings=warnings,
-        specimen=specimen,
+        specimen=solution.specimen,
         air_shifts=air_shifts(specimen),
         solver=solution.solver,
         modes=solution.modes,
@@ -197,7 +198,7 @@ def _ritz(specimen: Specimen, n_modes: int) -> _Solution:
     """First-order shear deformation theory on a converged Ritz space."""
     model = converged_model(specimen, NO_PARAMETERS, n_modes)
     modes, shapes = _described(model)
-    return _Solution("Ritz, first-order shear deformation", modes, model.error, shapes)
+    return _Solution(specimen, "Ritz, first-order shear deformation", modes, model.error, shapes)
 
 
 def _fem(specimen: Specimen, n_modes: int) -> _Solution:
@@ -213,6 +214,7 @@ def _fem(specimen: Specimen, n_modes: int) -> _Solution:
     shapes[:, :, ~space.covers(grid_points(extent, n)).reshape(n, n)] = np.nan
     on = "" if plate.mesh is None else f" of {plate.mesh.name}, {space.area * 1e6:.6g} mm2"
     return _Solution(
+        solved.specimen,
         f"finite elements, first-order shear deformation, {space.n_elements} 8-node elements{on}",
         modes,
         solved.model.error,
@@ -229,7 +231,7 @@ def _ccx(specimen: Specimen, n_modes: int, element: Element = "brick") -> _Solut
     solved = solve_modes(specimen, reference_constants(specimen), n_modes, element=element)
     name = {"brick": "20-node bricks, layers of C3D20R", "shell": "8-node composite shells, S8R"}[element]
     return _Solution(
-        f"CalculiX, {name}", solved.modes, np.full(n_modes, np.nan), solved.shapes, "not estimated"
+        specimen, f"CalculiX, {name}", solved.modes, np.full(n_modes, np.nan), solved.shapes, "not estimated"
     )
 
 
