@@ -106,7 +106,14 @@ def sequence(
                 executor=pool,
                 progress=lambda done, _: shown.tick(done, float(done)),
             )
-    fit = best_fit(answer)
+    return stacking_result(answer, mixture, given, seed, top)
+
+
+def stacking_result(
+    answer: StackingPosterior, mixture: StackingMixture, given: GivenLayup | None, seed: int, top: int
+) -> StackingResult:
+    """The posterior over stacking sequences with what is shown beside it, and its warnings."""
+    specimen, fit = answer.specimen, best_fit(answer)
     return StackingResult(
         seed=seed,
         warnings=(*stacking_warnings(answer, mixture, fit), *plate_warnings(specimen)),
