@@ -38,8 +38,9 @@ LAYERS = (
     "__main__",
 )
 HEAVY = ("arviz", "dynesty", "distributed", "emcee", "matplotlib", "skfem")
-# The package itself may be asked for these by any layer; it imports nothing.
+# The package itself may be asked for these by any layer.
 ROOT_NAMES = {"__version__"}
+TYPE_CHECKING = ("TYPE_CHECKING", "typing.TYPE_CHECKING")
 
 PACKAGE = Path(cpam_bayes.__file__).parent
 PROJECT = Path(__file__).parent.parent
@@ -51,9 +52,18 @@ def module_name(path: Path) -> str:
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 
-def imports(source: str, module: str, is_package: bool) -> Iterator[str]:
-    """The full names a module imports, lazy and type-checking imports included."""
-    for node in ast.walk(ast.parse(source)):
+class RunTime(ast.NodeTransformer):
+    """Leaves out what stands under ``if TYPE_CHECKING:``, which never runs."""
+
+    def visit_If(self, node: ast.If) -> ast.AST | list[ast.stmt]:
+        self.generic_visit(node)
+        return node.orelse if ast.unparse(node.test) in TYPE_CHECKING else node
+
+
+def imports(source: str, module: str, is_package: bool, *, run_time: bool = False) -> Iterator[str]:
+    """The full names a module imports, lazy imports included; run_time : without those for annotations."""
+    tree = ast.parse(source)
+    for node in ast.walk(RunTime().visit(tree) if run_time else tree):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
@@ -75,10 +85,11 @@ def violations(source: str, module: str, is_package: bool) -> list[str]:
     own = layer(module)
     if own is not None and own not in LAYERS:
         return [f"{module} is in no layer: add it to LAYERS at its place"]
-    # The package itself stands before the first layer.
+    # The package itself stands before the first layer: at run time it imports nothing. Its public names
+    # are of any layer; type checkers read where they come from, and a program loads them at first use.
     height = -1 if own is None else LAYERS.index(own)
     found = []
-    for name in imports(source, module, is_package):
+    for name in imports(source, module, is_package, run_time=module == "cpam_bayes"):
         used = layer(name)
         if name == "cpam_bayes" or used is None or used in ROOT_NAMES:
             continue
@@ -95,6 +106,9 @@ def test_a_module_imports_only_from_layers_before_it(path: Path) -> None:
     assert found == []
 
 
+ANNOTATIONS = "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n"
+
+
 @pytest.mark.parametrize(
     ("module", "is_package", "source"),
     [
@@ -105,6 +119,9 @@ def test_a_module_imports_only_from_layers_before_it(path: Path) -> None:
         ("cpam_bayes.mechanics.spaces.ritz", False, "from ...effects import CATALOGUE"),
         ("cpam_bayes.mechanics.spaces", True, "from ...effects import CATALOGUE"),
         ("cpam_bayes", True, "from cpam_bayes.errors import LayupError"),
+        ("cpam_bayes", True, "def late():\n    from cpam_bayes.errors import LayupError"),
+        ("cpam_bayes", True, f"{ANNOTATIONS}    import numpy\nelse:\n    from cpam_bayes.plate import Plate"),
+        ("cpam_bayes.plate.laminate", False, f"{ANNOTATIONS}    from cpam_bayes.cli import main"),
         ("cpam_bayes.newcomer", False, ""),
         ("cpam_bayes.cli", False, "from cpam_bayes.newcomer import thing"),
     ],
@@ -120,6 +137,7 @@ def test_a_wrong_import_is_found(module: str, is_package: bool, source: str) -> 
         ("cpam_bayes.mechanics.spaces", True, "from .protocol import Space\nfrom . import ritz"),
         ("cpam_bayes.mechanics.problem", False, "import numpy\nfrom ..plate.laminate import Laminate"),
         ("cpam_bayes.errors", False, "from cpam_bayes import __version__"),
+        ("cpam_bayes", True, f"{ANNOTATIONS}    from cpam_bayes.cli import main as main"),
     ],
 )
 def test_a_right_import_is_accepted(module: str, is_package: bool, source: str) -> None:
@@ -183,6 +201,16 @@ def test_a_circle_of_imports_is_found() -> None:
     assert cycle({"a": {"b", "c"}, "b": {"c"}}) == []
 
 
+def uses_matplotlib(source: str) -> bool:
+    """Whether a module loads matplotlib, at once or when a function is called; its types do not count."""
+    return any(name.split(".")[0] == "matplotlib" for name in imports(source, "", False, run_time=True))
+
+
+def test_an_annotation_is_no_use_of_matplotlib_and_a_lazy_import_is() -> None:
+    assert not uses_matplotlib(f"{ANNOTATIONS}    from matplotlib.figure import Figure")
+    assert uses_matplotlib("def late():\n    from matplotlib.figure import Figure")
+
+
 def test_matplotlib_is_imported_in_report_and_figures_alone() -> None:
     elsewhere = [*MODULES, *PROJECT.glob("studies/*.py"), *PROJECT.glob("benchmarks/*.py")]
     users = {
@@ -191,8 +219,7 @@ def test_matplotlib_is_imported_in_report_and_figures_alone() -> None:
         if path.is_relative_to(PROJECT / "studies")
         or path.is_relative_to(PROJECT / "benchmarks")
         or layer(module_name(path)) != "report"
-        for name in imports(path.read_text("utf-8"), "", path.name == "__init__.py")
-        if name.split(".")[0] == "matplotlib"
+        if uses_matplotlib(path.read_text("utf-8"))
     }
     assert users == set()
 
