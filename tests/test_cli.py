@@ -341,10 +341,10 @@ def test_a_bad_option_is_refused_with_what_is_accepted(run, argv, fragment):
 
 
 def test_an_unexpected_error_is_not_taken_for_bad_input(monkeypatch):
-    def fail(name):
-        raise KeyError(name)
+    def fail():
+        raise KeyError("A1")
 
-    monkeypatch.setattr("cpam_bayes.commands.plates.builtin", fail)
+    monkeypatch.setattr("cpam_bayes.forward_model.builtin.builtin_plates", fail)
     with pytest.raises(KeyError):
         main(["plates"])
 
@@ -357,7 +357,9 @@ def test_identify_writes_its_document_and_figures(run, tmp_path):
     status, text, _ = run("identify", "A1", "--json", "--out", str(out), *SHORT)
     assert status == 0
     names = ("predicted_against_measured", "residuals")
-    expected = {"identify.json"} | {f"figures/{n}.{end}" for n in names for end in ("png", "svg")}
+    expected = {"identify.json", "report.html"} | {
+        f"figures/{n}.{end}" for n in names for end in ("png", "svg")
+    }
     assert {str(p.relative_to(out)) for p in out.rglob("*") if p.is_file()} == expected
     assert list(out.glob(".*")) == []
     assert (out / "identify.json").read_text(encoding="utf-8") == text
@@ -375,7 +377,7 @@ def test_a_file_in_the_place_of_the_directory_is_refused_before_the_work(run, tm
     def never(*args, **kwargs):
         raise AssertionError("the work has begun")
 
-    monkeypatch.setattr("cpam_bayes.commands.solvers.converged_model", never)
+    monkeypatch.setattr("cpam_bayes.forward_model.solve.converged_model", never)
     taken = tmp_path / "taken"
     taken.write_text("mine")
     refused(run("forward", "A1", "--out", str(taken / below)), "--out", "taken")

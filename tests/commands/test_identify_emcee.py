@@ -8,10 +8,10 @@ from functools import partial
 from pathlib import Path
 
 import pytest
-from cpam_bayes.report.answer import Answer
 
 from cpam_bayes.cli import prepare
 from cpam_bayes.forward_model.preconditions import plate_warnings
+from cpam_bayes.identification.sampled_result import SampledResult
 from cpam_bayes.inference.chains.ensemble import DEFAULT_SETTINGS
 from cpam_bayes.plate import read_specimen
 from cpam_bayes.report.tables import plain_text
@@ -45,7 +45,7 @@ def plate_file(tmp_path: Path) -> Write:
 
 
 @pytest.fixture(scope="module")
-def answer(tmp_path_factory: pytest.TempPathFactory) -> Answer:
+def answer(tmp_path_factory: pytest.TempPathFactory) -> SampledResult:
     """The answer for a plate with sizes that have sd, one noise in Hz, and Student-t residuals."""
     path = tmp_path_factory.mktemp("plate") / "plate.toml"
     path.write_text(PLATE.replace(*SIZES), encoding="utf-8")
@@ -54,13 +54,13 @@ def answer(tmp_path_factory: pytest.TempPathFactory) -> Answer:
     finish = prepare(argv)
     assert isinstance(finish, partial)
     found = finish.args[0]()
-    assert isinstance(found, Answer)
+    assert isinstance(found, SampledResult)
     return found
 
 
 @pytest.mark.slow
-def test_sizes_stand_apart_from_the_constants_in_the_document(answer: Answer) -> None:
-    document = answer.document
+def test_sizes_stand_apart_from_the_constants_in_the_document(answer: SampledResult) -> None:
+    document = answer.to_dict()
     assert list(document["constants"]) == ["E1_GPa", "nu12"]
     assert list(document["nuisance"]) == ["width_mm", "thickness_mm"]
     thickness = document["nuisance"]["thickness_mm"]
@@ -70,8 +70,8 @@ def test_sizes_stand_apart_from_the_constants_in_the_document(answer: Answer) ->
 
 
 @pytest.mark.slow
-def test_priors_stand_beside_the_posterior(answer: Answer) -> None:
-    tables = {table.title: plain_text(table) for table in answer.screen if table.rows}
+def test_priors_stand_beside_the_posterior(answer: SampledResult) -> None:
+    tables = {table.title: plain_text(table) for table in answer.tables() if table.rows}
     constants, sizes = tables["Constants, posterior"], tables["Sizes, posterior"]
     assert "10 to 200" in constants
     assert "0.3 +- 0.05 in 0.15 to 0.4" in constants
@@ -80,11 +80,12 @@ def test_priors_stand_beside_the_posterior(answer: Answer) -> None:
 
 
 @pytest.mark.slow
-def test_noise_has_a_scale_and_a_shape(answer: Answer) -> None:
-    assert answer.document["noise"]["name"] == "absolute_sd_hz"
-    assert 0.5 < answer.document["noise"]["mean"] < 20.0
-    assert answer.document["degrees_of_freedom"] == 4.0
-    assert any("Hz, inferred, Student-t with 4" in plain_text(table) for table in answer.screen)
+def test_noise_has_a_scale_and_a_shape(answer: SampledResult) -> None:
+    document = answer.to_dict()
+    assert document["noise"]["name"] == "absolute_sd_hz"
+    assert 0.5 < document["noise"]["mean"] < 20.0
+    assert document["degrees_of_freedom"] == 4.0
+    assert any("Hz, inferred, Student-t with 4" in plain_text(table) for table in answer.tables())
 
 
 REFUSED = {

@@ -6,9 +6,9 @@ import re
 import numpy as np
 import pytest
 
-from cpam_bayes.commands import sensitivity as command
 from cpam_bayes.inference.chains.ensemble import EnsembleSettings
 from cpam_bayes.inference.swarm.settings import SwarmSettings
+from cpam_bayes.repetition import sensitivity
 from tests.plate_file import MEASURED, PLATE
 
 FEW = ("--groups", "3", "--executor", "serial", "--quiet")
@@ -37,14 +37,14 @@ def plate_file(tmp_path):
 @pytest.fixture
 def short(monkeypatch):
     """Swarms and chains that end long before they converge."""
-    full = command.sensitivity
+    full = sensitivity.noise_study
 
     def hurried(*args, **kwargs):
         chains = EnsembleSettings(walkers=12, round_steps=40, most_steps=40)
         swarm = SwarmSettings(particles=10, iterations=30)
         return full(*args, **kwargs, chains=chains, swarm_settings=swarm)
 
-    monkeypatch.setattr(command, "sensitivity", hurried)
+    monkeypatch.setattr(sensitivity, "noise_study", hurried)
 
 
 @pytest.mark.slow

@@ -8,10 +8,9 @@ from pathlib import Path
 import arviz
 import numpy as np
 import pytest
-from cpam_bayes.report.posterior.data import write_posterior
 
 from cpam_bayes.forward_model.model import NO_PARAMETERS, converged_model
-from cpam_bayes.identification.sampled import SampledIdentification, identify_by_sampling
+from cpam_bayes.identification.sampled import SampledResult, sample
 from cpam_bayes.inference.chains.ensemble import EnsembleSettings
 from cpam_bayes.plate import Specimen, read_specimen
 
@@ -30,11 +29,11 @@ def known_plate() -> Specimen:
 
 
 @pytest.fixture(scope="module")
-def sampled(known_plate: Specimen) -> SampledIdentification:
-    return identify_by_sampling(known_plate, 0, settings=SETTINGS)
+def sampled(known_plate: Specimen) -> SampledResult:
+    return sample(known_plate, seed=0, settings=SETTINGS)
 
 
-def test_true_constants_lie_well_inside_their_intervals(sampled: SampledIdentification) -> None:
+def test_true_constants_lie_well_inside_their_intervals(sampled: SampledResult) -> None:
     assert sampled.result.status == "converged"
     for constant in sampled.constants:
         # data without noise: the posterior is centred on the truth but for its skewness
@@ -44,7 +43,7 @@ def test_true_constants_lie_well_inside_their_intervals(sampled: SampledIdentifi
 
 
 def test_spread_is_what_the_jacobian_and_the_noise_give(
-    known_plate: Specimen, sampled: SampledIdentification
+    known_plate: Specimen, sampled: SampledResult
 ) -> None:
     model = converged_model(known_plate, known_plate.unknowns, 6)
     x = np.array([[c.reference for c in sampled.constants]])
@@ -57,7 +56,7 @@ def test_spread_is_what_the_jacobian_and_the_noise_give(
 
 
 def test_predictive_p_value_of_noise_free_data_is_that_of_two_chi_squares(
-    sampled: SampledIdentification,
+    sampled: SampledResult,
 ) -> None:
     # at a draw the data are chi2_2 away (two constants), a replicate list chi2_6 (six frequencies):
     # P(chi2_6 > chi2_2) = 1 - E[exp(-G)] = 1 - (1/2)^3 with G = chi2_6 / 2 a Gamma(3) variable;
@@ -70,7 +69,7 @@ def test_a_wrong_model_has_a_low_predictive_p_value(known_plate: Specimen) -> No
     assert known_plate.measurement is not None
     f = known_plate.measurement.frequencies * np.array([1.0, 1.02, 0.98, 1.02, 0.98, 1.02])
     wrong = replace(known_plate, measurement=replace(known_plate.measurement, frequencies=np.sort(f)))
-    found = identify_by_sampling(wrong, 0, settings=SETTINGS)
+    found = sample(wrong, seed=0, settings=SETTINGS)
     assert found.p_value < 0.01
 
 
@@ -79,15 +78,15 @@ def test_a_list_without_its_third_mode_is_paired_around_the_gap(known_plate: Spe
     assert known_plate.measurement is not None
     own = known_plate.measurement
     gap = replace(own, frequencies=np.delete(own.frequencies, 2), labels=("",) * 5, complete=False)
-    found = identify_by_sampling(replace(known_plate, measurement=gap), 0, settings=SETTINGS)
+    found = sample(replace(known_plate, measurement=gap), seed=0, settings=SETTINGS)
     np.testing.assert_array_equal(found.pairing.mode, [0, 1, 3, 4, 5])
     np.testing.assert_array_equal(found.pairing.missed, [2])
     for constant in found.constants:
         assert constant.q025 < constant.reference < constant.q975
 
 
-def test_the_posterior_file_opens_in_plain_arviz(tmp_path: Path, sampled: SampledIdentification) -> None:
-    write_posterior(sampled, 0, tmp_path)
+def test_the_posterior_file_opens_in_plain_arviz(tmp_path: Path, sampled: SampledResult) -> None:
+    sampled.save(tmp_path)
     data = arviz.from_netcdf(str(tmp_path / "posterior.nc"))
     groups = {"posterior", "log_likelihood", "log_prior", "posterior_predictive", "observed_data"}
     assert groups <= set(data.groups())

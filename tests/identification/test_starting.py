@@ -11,7 +11,7 @@ import pytest
 from cpam_bayes.forward_model.model import NO_PARAMETERS, converged_model, reference_vector, size_parameters
 from cpam_bayes.forward_model.reduced import DEFAULT_SETTINGS
 from cpam_bayes.forward_model.store import model_key, reduced_model
-from cpam_bayes.identification.sampled import SampledIdentification, identify_by_sampling
+from cpam_bayes.identification.sampled import SampledResult, sample
 from cpam_bayes.identification.starting import start_of
 from cpam_bayes.inference.chains.ensemble import EnsembleSettings
 from cpam_bayes.inference.laplace import gauss_newton_covariance
@@ -135,14 +135,14 @@ def test_the_start_has_the_sizes_after_the_constants_and_every_start_is_possible
 
 
 @pytest.fixture(scope="module")
-def thin() -> dict[str, SampledIdentification]:
+def thin() -> dict[str, SampledResult]:
     settings = EnsembleSettings(effective=3000.0)
     shares = {"without": {}, "one percent": {"thickness": 0.01}, "exact": {"thickness": 1e-6}}
-    return {case: identify_by_sampling(known("C1", sd), 0, settings=settings) for case, sd in shares.items()}
+    return {case: sample(known("C1", sd), seed=0, settings=settings) for case, sd in shares.items()}
 
 
 @pytest.mark.slow
-def test_sampled_moduli_of_c1_widen_by_the_closed_form(thin: dict[str, SampledIdentification]) -> None:
+def test_sampled_moduli_of_c1_widen_by_the_closed_form(thin: dict[str, SampledResult]) -> None:
     without, found = ({c.name: c.sd / c.mean for c in thin[k].constants} for k in ("without", "one percent"))
     # 3000 effective draws give each of two sd to 1.3 %, four standard errors of their ratio
     for name in ("E1", "E2", "G12"):
@@ -152,7 +152,7 @@ def test_sampled_moduli_of_c1_widen_by_the_closed_form(thin: dict[str, SampledId
 
 @pytest.mark.slow
 def test_sampled_constants_of_c1_do_not_change_for_a_thickness_that_is_known(
-    thin: dict[str, SampledIdentification],
+    thin: dict[str, SampledResult],
 ) -> None:
     for a, b in zip(thin["without"].constants, thin["exact"].constants[:4], strict=True):
         assert (a.name, b.sd) == (b.name, pytest.approx(a.sd, rel=0.075))

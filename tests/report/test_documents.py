@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cpam_bayes.report.documents import identification_document, json_text, laminate_keys
+from cpam_bayes.report.documents import json_text, laminate_keys
 
 
 def test_what_is_not_a_finite_number_becomes_null():
@@ -26,9 +26,9 @@ def test_the_bending_stiffness_is_in_newton_metres_and_moduli_in_gigapascals():
     assert keys == {"D11": {"value": 172.6}, "Ex_GPa": {"value": 67.3}, "nuxy": {"value": 0.35}}
 
 
-def test_a_document_is_in_the_units_of_the_plate_file(identification):
-    document = identification_document(identification, 1, "pso", "absolute", ())
-    constant = identification.constants[0]
+def test_a_document_is_in_the_units_of_the_plate_file(point):
+    document = point.to_dict()
+    constant = point.estimate.constants[0]
     shown = document["constants"]["E1_GPa"]
     assert shown["value"] == pytest.approx(constant.value / 1e9)
     assert shown["sd"] == pytest.approx(constant.sd / 1e9)
@@ -36,7 +36,7 @@ def test_a_document_is_in_the_units_of_the_plate_file(identification):
     assert document["rms_percent"] == pytest.approx(rms)
 
 
-def test_a_noise_that_is_not_known_is_null(identification):
-    unknown = replace(identification, noise=math.nan)
-    document = json.loads(json_text(identification_document(unknown, 1, "pso", "absolute", ())))
+def test_a_noise_that_is_not_known_is_null(identification, result_of):
+    document = result_of(replace(identification, noise=math.nan)).to_dict()
+    assert json.loads(json_text(document)) == document
     assert document["noise_percent"] is None

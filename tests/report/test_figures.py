@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cpam_bayes.report.figures import identification_figures, mode_figures, save_figures
-from cpam_bayes.report.forward.screen import ModeShape
+from cpam_bayes.forward_model.solve import ModeShape
+from cpam_bayes.report.figures import save_figures
 
 
 def written(figures, directory):
@@ -16,10 +16,8 @@ def written(figures, directory):
     return {path.name: path.read_bytes() for path in directory.iterdir()}
 
 
-def test_the_same_answer_gives_the_same_bytes(identification, tmp_path):
-    first, again = (
-        written(identification_figures(identification), tmp_path / name) for name in ("first", "again")
-    )
+def test_the_same_answer_gives_the_same_bytes(point, tmp_path):
+    first, again = (written(point.figures(), tmp_path / name) for name in ("first", "again"))
     assert set(first) == {
         f"{name}.{ending}"
         for name in ("predicted_against_measured", "residuals")
@@ -29,8 +27,8 @@ def test_the_same_answer_gives_the_same_bytes(identification, tmp_path):
     assert not any(b"<dc:date>" in content for content in first.values())
 
 
-def test_two_figures_on_one_page_share_no_element_name(identification, tmp_path):
-    files = written(identification_figures(identification), tmp_path / "figures")
+def test_two_figures_on_one_page_share_no_element_name(point, tmp_path):
+    files = written(point.figures(), tmp_path / "figures")
     ids = [
         set(re.findall(rb'id="(m[0-9a-f]{10}|p[0-9a-f]{10})"', content))
         for name, content in files.items()
@@ -40,31 +38,31 @@ def test_two_figures_on_one_page_share_no_element_name(identification, tmp_path)
     assert not ids[0] & ids[1]
 
 
-def test_a_noise_that_is_not_known_is_not_drawn(identification):
-    figure = identification_figures(replace(identification, noise=float("nan")))["residuals"]
+def test_a_noise_that_is_not_known_is_not_drawn(identification, result_of):
+    figure = result_of(replace(identification, noise=float("nan"))).plot("residuals")
     assert figure.axes[0].get_legend() is None
 
 
-def test_every_mode_is_drawn_with_kind_label_and_frequency(forward_answer):
-    (figure,) = mode_figures(forward_answer).values()
+def test_every_mode_is_drawn_with_kind_label_and_frequency(forward_result):
+    (figure,) = forward_result.figures().values()
     titles = [axes.get_title() for axes in figure.axes if axes.get_title()]
     assert re.fullmatch(r"1: 1351\.\d+ Hz\nbending \(1,1\)", titles[0])
     assert len(titles) == 3
 
 
 @pytest.mark.parametrize("share", [0.0, 1.0])
-def test_in_plane_modes_and_modes_of_one_sign_are_drawn_too(forward_answer, share, tmp_path):
+def test_in_plane_modes_and_modes_of_one_sign_are_drawn_too(forward_result, share, tmp_path):
     ramp = np.add.outer(np.linspace(0, 1, 41), np.linspace(0, 1, 41))
-    mode = replace(forward_answer.modes[0], in_plane_fraction=share)
+    mode = replace(forward_result.modes[0], in_plane_fraction=share)
     shape = ModeShape(ramp, -ramp, ramp)
-    answer = replace(forward_answer, modes=(mode,), shapes=(shape,), error=np.array([1e-5]))
-    assert len(written(mode_figures(answer), tmp_path / "figures")["modes.png"]) > 1000
+    result = replace(forward_result, modes=(mode,), shapes=(shape,), error=np.array([1e-5]))
+    assert len(written(result.figures(), tmp_path / "figures")["modes.png"]) > 1000
 
 
-def test_a_shape_and_its_negative_are_the_same_picture(forward_answer, tmp_path):
-    turned = tuple(ModeShape(-s.u, -s.v, -s.w) for s in forward_answer.shapes)
+def test_a_shape_and_its_negative_are_the_same_picture(forward_result, tmp_path):
+    turned = tuple(ModeShape(-s.u, -s.v, -s.w) for s in forward_result.shapes)
     first, second = (
-        written(mode_figures(replace(forward_answer, shapes=shapes)), tmp_path / name)["modes.png"]
-        for name, shapes in (("as found", forward_answer.shapes), ("turned", turned))
+        written(replace(forward_result, shapes=shapes).figures(), tmp_path / name)["modes.png"]
+        for name, shapes in (("as found", forward_result.shapes), ("turned", turned))
     )
     assert first == second

@@ -1,11 +1,13 @@
 """Result files appear when all of them are whole, or not at all."""
 
+import json
+
 import pytest
 
-from cpam_bayes.report.answer import Answer
+from cpam_bayes.forward_model.builtin import plates
 from cpam_bayes.report.files import save, staging
 
-ANSWER = Answer("forward", {"seconds": 1.0}, ())
+RESULT = plates()
 
 
 def listed(directory):
@@ -15,28 +17,28 @@ def listed(directory):
 def test_without_a_directory_nothing_is_written(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     with staging(None) as stage:
-        save(ANSWER, stage)
+        save(RESULT, stage)
     assert listed(tmp_path) == []
 
 
 def test_an_older_result_is_replaced_and_other_files_stay(tmp_path):
-    (tmp_path / "forward.json").write_text("old")
+    (tmp_path / "plates.json").write_text("old")
     (tmp_path / "notes.txt").write_text("mine")
     with staging(str(tmp_path)) as stage:
-        assert (tmp_path / "forward.json").read_text() == "old"
-        save(ANSWER, stage)
-    assert listed(tmp_path) == ["forward.json", "notes.txt"]
-    assert "seconds" in (tmp_path / "forward.json").read_text()
+        assert (tmp_path / "plates.json").read_text() == "old"
+        save(RESULT, stage)
+    assert listed(tmp_path) == ["notes.txt", "plates.json", "report.html"]
+    assert json.loads((tmp_path / "plates.json").read_text()) == RESULT.to_dict()
 
 
 @pytest.mark.parametrize("end", [KeyboardInterrupt, RuntimeError])
 def test_work_that_ends_early_leaves_everything_as_it_was(tmp_path, end):
     (tmp_path / "old").mkdir()
-    (tmp_path / "old" / "forward.json").write_text("old")
+    (tmp_path / "old" / "plates.json").write_text("old")
     for name in ("old", "new/deep"):
         with pytest.raises(end), staging(str(tmp_path / name)):
             raise end
-    assert listed(tmp_path) == ["old", "old/forward.json"]
+    assert listed(tmp_path) == ["old", "old/plates.json"]
 
 
 def test_a_file_where_the_figures_go_is_refused_before_the_work(tmp_path):

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from matplotlib.container import BarContainer, ErrorbarContainer
 
-from cpam_bayes.report.diagnosis.figures import diagnosis_figures
-from cpam_bayes.report.diagnosis.screen import diagnosis_screen
+from cpam_bayes.diagnosis.plates import diagnosis_result
 from cpam_bayes.report.figures import save_figures
 from cpam_bayes.report.page import page_text, write_page
 from cpam_bayes.report.tables import Column, Table
@@ -21,8 +20,13 @@ def misread():
 
 
 @pytest.fixture(scope="module")
-def figures(misread):
-    return diagnosis_figures(misread)
+def result(misread):
+    return diagnosis_result(misread, 0)
+
+
+@pytest.fixture(scope="module")
+def figures(result):
+    return result.figures()
 
 
 def test_bars_are_the_relative_residuals_before_and_after_with_their_noise(misread, figures):
@@ -61,10 +65,10 @@ def test_a_hidden_cause_has_no_place_among_signatures(figures):
     assert set(labels) == {"outlier", "viscoelastic"}
 
 
-def test_the_page_holds_tables_and_figures_and_asks_for_nothing_else(misread, figures, tmp_path):
+def test_the_page_holds_tables_and_figures_and_asks_for_nothing_else(result, figures, tmp_path):
     (tmp_path / "figures").mkdir()
     save_figures(figures, tmp_path / "figures")
-    write_page("diagnose plate 7", diagnosis_screen(misread, 0, ()), tmp_path)
+    write_page("diagnose plate 7", result.tables(), tmp_path)
     text = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert text.count("<img ") == len(figures)
     assert text.count("data:image/png;base64,") == len(figures)

@@ -11,17 +11,16 @@ import pytest
 
 from cpam_bayes.diagnosis.claim import Claim
 from cpam_bayes.diagnosis.next_test.next_measurement import Candidate
+from cpam_bayes.diagnosis.plates import diagnosis_result
+from cpam_bayes.diagnosis.warnings import diagnosis_warnings
 from cpam_bayes.effects import CATALOGUE
-from cpam_bayes.report.diagnosis.document import diagnosis_document
 from cpam_bayes.report.diagnosis.rows import (
     absorbed_biases,
     catalogue_sd,
     hidden_causes,
 )
-from cpam_bayes.report.diagnosis.screen import diagnosis_screen
-from cpam_bayes.report.diagnosis.words import claim_sentence, diagnosis_warnings, probability_text
+from cpam_bayes.report.diagnosis.words import claim_sentence, probability_text
 from cpam_bayes.report.documents import json_text
-from cpam_bayes.report.tables import plain_text
 from tests.diagnosed import DRAWN, aluminium_case, diagnosed, listed
 
 MISREAD = np.array([1.0, 1.0, 1.05, 1.0, 1.0, 1.0])
@@ -57,11 +56,12 @@ def two_plates(case):
 
 
 def document(d, **more):
-    return json.loads(json_text(diagnosis_document(d, 3, 0.02, ("mind this",), **more)))
+    result = replace(diagnosis_result(d, 3, **more), warnings=("mind this",))
+    return json.loads(json_text(result.to_dict()))
 
 
 def screen(d, **more):
-    return "\n".join(plain_text(t) for t in diagnosis_screen(d, 3, (), **more) if t.rows)
+    return diagnosis_result(d, 3, **more).summary()
 
 
 def test_the_document_has_the_keys_of_the_contract(misread):
@@ -215,9 +215,9 @@ def test_doubts_about_a_diagnosis_are_warned_of(misread):
 
 def test_what_to_measure_next_is_shown_with_its_information(clean):
     next_one = Candidate("weigh", "weigh the plate to 0.1 g", 0.42, 1.1, 0.25)
-    (told,) = document(clean, candidates=[next_one])["next_measurement"]
+    (told,) = document(clean, candidates=(next_one,))["next_measurement"]
     assert (told["name"], told["information_nats"], told["possible_nats"]) == ("weigh", 0.42, 1.1)
-    text = screen(clean, candidates=[next_one])
+    text = screen(clean, candidates=(next_one,))
     assert "What to measure next" in text
     assert re.search(r"weigh the plate to 0.1 g +0.42 +1.10 +25 %", text)
 

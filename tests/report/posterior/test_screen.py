@@ -10,49 +10,45 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cpam_bayes.report.posterior.data import inference_data, write_posterior
 
-from cpam_bayes.identification.sampled import SampledIdentification, identify_by_sampling
+from cpam_bayes.identification.sampled import SampledResult, sample
 from cpam_bayes.inference.chains.ensemble import EnsembleSettings
 from cpam_bayes.parameters import Parameter, ParameterSet, TruncatedNormal, Uniform
 from cpam_bayes.plate import builtin
 from cpam_bayes.report.documents import json_text
 from cpam_bayes.report.figures import save_figures
 from cpam_bayes.report.posterior.assessment import product_text
-from cpam_bayes.report.posterior.document import sampled_document
-from cpam_bayes.report.posterior.figures import posterior_figures
-from cpam_bayes.report.posterior.screen import sampled_screen, sampled_warnings
 from cpam_bayes.report.tables import plain_text
 
 SETTINGS = EnsembleSettings(walkers=16, round_steps=300, effective=100.0, most_steps=600)
 
 
 @pytest.fixture(scope="module")
-def sampled() -> SampledIdentification:
+def sampled() -> SampledResult:
     """A1 with a normal prior of Poisson's ratio; its noise is inferred."""
     specimen = builtin("A1")
     own = specimen.unknowns.parameters
     informed = Parameter("nu12", "", TruncatedNormal(0.33, 0.01, 0.15, 0.4))
     unknowns = ParameterSet(tuple(informed if p.name == "nu12" else p for p in own))
-    return identify_by_sampling(replace(specimen, unknowns=unknowns), 0, settings=SETTINGS)
+    return sample(replace(specimen, unknowns=unknowns), seed=0, settings=SETTINGS)
 
 
 @pytest.fixture(scope="module")
-def gappy() -> SampledIdentification:
+def gappy() -> SampledResult:
     """A1 without its third frequency."""
     specimen = builtin("A1")
     assert specimen.measurement is not None
     f = np.delete(specimen.measurement.frequencies, 2)
     own = replace(specimen.measurement, frequencies=f, labels=("",) * 5, complete=False, relative_std=0.01)
-    return identify_by_sampling(replace(specimen, measurement=own), 0, settings=SETTINGS)
+    return sample(replace(specimen, measurement=own), seed=0, settings=SETTINGS)
 
 
-def screen(result: SampledIdentification) -> str:
-    return "\n".join(plain_text(t) for t in sampled_screen(result, 0, sampled_warnings(result)) if t.rows)
+def screen(result: SampledResult) -> str:
+    return result.summary()
 
 
-def test_the_document_is_json_with_what_is_promised(sampled: SampledIdentification) -> None:
-    document = json.loads(json_text(sampled_document(sampled, 0, sampled_warnings(sampled))))
+def test_the_document_is_json_with_what_is_promised(sampled: SampledResult) -> None:
+    document = json.loads(json_text(sampled.to_dict()))
     promised = {
         "constants",
         "frequencies",
@@ -86,18 +82,18 @@ def test_the_document_is_json_with_what_is_promised(sampled: SampledIdentificati
         assert row["left_out"]["residual_percent"] / row["residual_percent"] > 1.0
 
 
-def test_the_screen_is_one_page(sampled: SampledIdentification) -> None:
+def test_the_screen_is_one_page(sampled: SampledResult) -> None:
     assert len(screen(sampled).splitlines()) <= 70
-    tables = [t for t in sampled_screen(sampled, 0, ()) if t.headings and t.rows]
+    tables = [t for t in sampled.tables() if t.headings and t.rows]
     assert max(len(line) for t in tables for line in plain_text(t).splitlines()) <= 125
 
 
-def test_the_screen_shows_a_prior_beside_its_posterior(sampled: SampledIdentification) -> None:
+def test_the_screen_shows_a_prior_beside_its_posterior(sampled: SampledResult) -> None:
     (row,) = (line for line in screen(sampled).splitlines() if line.startswith("  nu12") and "+-" in line)
     assert "0.33 +- 0.01 in 0.15 to 0.4" in row
 
 
-def test_importance_sampling_is_quoted_where_it_is_reliable_alone(sampled: SampledIdentification) -> None:
+def test_importance_sampling_is_quoted_where_it_is_reliable_alone(sampled: SampledResult) -> None:
     own = sampled.assessment
     assert own.importance is not None
     for k_hat, expected in ((0.5, "by importance sampling"), (0.9, "not reliable: k-hat 0.90")):
@@ -105,20 +101,20 @@ def test_importance_sampling_is_quoted_where_it_is_reliable_alone(sampled: Sampl
         result = replace(sampled, assessment=replace(own, importance=importance))
         (line,) = (line for line in screen(result).splitlines() if "PSIS-LOO" in line)
         assert expected in line
-        psis = sampled_document(result, 0, ())["leave_one_out"]["psis"]
+        psis = result.to_dict()["leave_one_out"]["psis"]
         assert (psis["log_score"] is None) == (k_hat > 0.7)
 
 
-def test_products_of_constants_leave_small_exponents_out(sampled: SampledIdentification) -> None:
+def test_products_of_constants_leave_small_exponents_out(sampled: SampledResult) -> None:
     c = replace(sampled.assessment.combinations[0], exponents=np.array([0.03, 1.0, -0.5]))
     assert product_text(("E1", "E2", "G12"), c) == "E2 G12^-0.5"
 
 
-def test_the_same_posterior_gives_the_same_figures(sampled: SampledIdentification, tmp_path: Path) -> None:
+def test_the_same_posterior_gives_the_same_figures(sampled: SampledResult, tmp_path: Path) -> None:
     written = []
     for name in ("first", "again"):
         (tmp_path / name).mkdir()
-        save_figures(posterior_figures(sampled), tmp_path / name)
+        save_figures(sampled.figures(), tmp_path / name)
         written.append({p.name: p.read_bytes() for p in (tmp_path / name).iterdir()})
     names = {f"{n}.{e}" for n in ("posterior", "marginals_and_profiles", "left_out") for e in ("png", "svg")}
     assert set(written[0]) == names
@@ -142,9 +138,9 @@ print(json.dumps([ours, mean, psens, dims, modes, attrs, unit]))
 """
 
 
-def opened_plainly(result: SampledIdentification, directory: Path) -> list:
+def opened_plainly(result: SampledResult, directory: Path) -> list:
     """What arviz alone, in a process of its own, reads from the file."""
-    write_posterior(result, 7, directory)
+    replace(result, seed=7).to_arviz().to_netcdf(directory / "posterior.nc")
     done = subprocess.run(
         [sys.executable, "-c", _PLAIN, str(directory / "posterior.nc")],
         check=True,
@@ -155,7 +151,7 @@ def opened_plainly(result: SampledIdentification, directory: Path) -> list:
     return json.loads(done.stdout)
 
 
-def test_the_file_opens_in_arviz_without_this_package(sampled: SampledIdentification, tmp_path: Path) -> None:
+def test_the_file_opens_in_arviz_without_this_package(sampled: SampledResult, tmp_path: Path) -> None:
     ours, mean, psens, dims, modes, attrs, unit = opened_plainly(sampled, tmp_path)
     assert ours == []
     for c in sampled.constants[:2]:
@@ -179,59 +175,61 @@ def test_the_file_opens_in_arviz_without_this_package(sampled: SampledIdentifica
 
 
 @pytest.mark.slow
-def test_densities_in_the_file_add_up(sampled: SampledIdentification, gappy: SampledIdentification) -> None:
+def test_densities_in_the_file_add_up(sampled: SampledResult, gappy: SampledResult) -> None:
     for result in (sampled, gappy):
-        data = inference_data(result, 0)
+        data = result.to_arviz()
         likelihood = data.log_likelihood.to_array()
         likelihood = likelihood.sum([d for d in likelihood.dims if d not in ("chain", "draw")])
         prior = data.log_prior.to_array().sum("variable")
         np.testing.assert_allclose(data.sample_stats["lp"] - likelihood - prior, 0.0, atol=1e-8)
 
 
-def test_the_same_posterior_gives_the_same_file(sampled: SampledIdentification, tmp_path: Path) -> None:
+def test_the_same_posterior_gives_the_same_file(sampled: SampledResult, tmp_path: Path) -> None:
     written = []
     for name in ("first", "again"):
         (tmp_path / name).mkdir()
-        write_posterior(sampled, 0, tmp_path / name)
+        sampled.to_arviz().to_netcdf(tmp_path / name / "posterior.nc")
         written.append((tmp_path / name / "posterior.nc").read_bytes())
     assert written[0] == written[1]
 
 
-def test_prior_draws_in_the_file_are_within_the_support(sampled: SampledIdentification) -> None:
-    prior = inference_data(sampled, 0).prior
+def test_prior_draws_in_the_file_are_within_the_support(sampled: SampledResult) -> None:
+    prior = sampled.to_arviz().prior
     assert prior.sizes["draw"] > 900  # the constraints (9) leave out few
     nu = prior["nu12"].values
     assert nu.mean() == pytest.approx(0.33, abs=4 * 0.01 / np.sqrt(900))
     assert np.all((prior["E1_GPa"] >= 10.0) & (prior["E1_GPa"] <= 200.0))
 
 
-def test_the_hash_in_the_file_is_of_the_problem_and_not_of_the_chain(sampled: SampledIdentification) -> None:
+def test_the_hash_in_the_file_is_of_the_problem_and_not_of_the_chain(sampled: SampledResult) -> None:
     other = replace(
         sampled,
         result=replace(
             sampled.result, chain=sampled.result.chain[:, 3:], log_prob=sampled.result.log_prob[:, 3:]
         ),
     )
-    first, second = (inference_data(r, s).attrs["problem_hash"] for r, s in ((sampled, 0), (other, 1)))
+    first, second = (
+        replace(r, seed=s).to_arviz().attrs["problem_hash"] for r, s in ((sampled, 0), (other, 1))
+    )
     assert first == second
     wider = replace(sampled.posterior, parameters=sampled.posterior.parameters)
     parameters = tuple(
         replace(p, prior=Uniform(5e9, 300e9)) if p.name == "E1" else p for p in wider.parameters.parameters
     )
     wider = replace(wider, parameters=ParameterSet(parameters))
-    assert inference_data(replace(sampled, posterior=wider), 0).attrs["problem_hash"] != first
+    assert replace(sampled, posterior=wider).to_arviz().attrs["problem_hash"] != first
 
 
 @pytest.mark.slow
 def test_a_list_that_may_lack_modes_has_one_likelihood_and_no_pareto_diagnostics(
-    gappy: SampledIdentification, tmp_path: Path
+    gappy: SampledResult, tmp_path: Path
 ) -> None:
     assert gappy.assessment.importance is None
     *_, dims, modes, attrs, _ = opened_plainly(gappy, tmp_path)
     assert dims["log_likelihood"] == {"list": ["chain", "draw"]}
     assert [m.split()[0] for m in modes] == ["1", "2", "4", "5", "6"]
     assert attrs["list_is_complete"] == "0"
-    document = sampled_document(gappy, 0, ())
+    document = gappy.to_dict()
     assert document["leave_one_out"]["psis"] is None
     assert len(gappy.assessment.left_out.residual) == 5
 
@@ -246,9 +244,9 @@ def test_fewer_frequencies_than_unknowns_are_allowed_and_the_prior_is_said_to_de
         labels=("",),
         relative_std=0.01,
     )
-    found = identify_by_sampling(replace(specimen, measurement=one), 0, settings=SETTINGS)
-    assert "1 frequency for 2 unknowns: the prior decides" in " ".join(sampled_warnings(found))
+    found = sample(replace(specimen, measurement=one), seed=0, settings=SETTINGS)
+    assert "1 frequency for 2 unknowns: the prior decides" in " ".join(found.warnings)
     assert found.assessment.combinations[1].contraction < 1e-6
     assert "the prior" in screen(found)
-    posterior_figures(found)
-    json_text(sampled_document(found, 0, ()))
+    found.figures()
+    json_text(found.to_dict())

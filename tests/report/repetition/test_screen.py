@@ -9,19 +9,14 @@ import pytest
 from cpam_bayes.paper import perturbation_table
 from cpam_bayes.parameters import ParameterSet, TruncatedNormal
 from cpam_bayes.repetition.agreement import Comparison
+from cpam_bayes.repetition.sensitivity import SensitivityResult
 from cpam_bayes.repetition.study import Cell, Repetition, Sensitivity
 from cpam_bayes.repetition.tasks import PosteriorSummary
+from cpam_bayes.repetition.warnings import printed_table, sensitivity_warnings
 from cpam_bayes.report.documents import json_text
 from cpam_bayes.report.figures import save_figures
 from cpam_bayes.report.repetition.figures import sensitivity_figures
-from cpam_bayes.report.repetition.screen import sensitivity_document, sensitivity_screen
-from cpam_bayes.report.repetition.words import (
-    beside_paper,
-    difference_sentences,
-    printed_table,
-    sensitivity_warnings,
-)
-from cpam_bayes.report.tables import plain_text
+from cpam_bayes.report.repetition.words import beside_paper, difference_sentences
 
 # Means of two inversions, E1 in Pa and nu12: 71 GPa with an sd of 1.4142, 0.30 with 0.02828.
 CONSTANTS = np.array([[70e9, 0.28], [72e9, 0.32]])
@@ -81,12 +76,16 @@ def aluminium(study):
     return replace(study, specimen=replace(study.specimen, name="A2", source="built-in A2"))
 
 
+def result(study, table=None, seed=0):
+    return SensitivityResult(seed=seed, specimen=study.specimen, study=study, table=table)
+
+
 def with_cell(study, one):
     return replace(study, cells=(one,))
 
 
 def test_the_document_has_the_keys_of_the_contract_in_the_units_of_the_names(study):
-    document = json.loads(json_text(sensitivity_document(study, 3, None, ())))
+    document = json.loads(json_text(result(study, seed=3).to_dict()))
     assert [level["level_percent"] for level in document["levels"]] == [1.0, 5.0]
     for level in document["levels"]:
         assert set(level["readings"]) == {"relative", "rms"}
@@ -115,7 +114,7 @@ def test_the_paper_stands_beside_its_own_specimen_only(study, aluminium):
 
 
 def test_printed_percentages_are_measured_in_standard_errors_of_a_mean_of_ten(aluminium):
-    document = sensitivity_document(aluminium, 0, perturbation_table("A2"), ())
+    document = result(aluminium, perturbation_table("A2")).to_dict()
     own = document["levels"][1]["constants"]["E1_GPa"]
     assert own["paper_percent_error"] == -3.1
     error = 100 * (2**0.5 / 10**0.5) / 69  # of ten, though there are two groups here
@@ -132,10 +131,9 @@ def test_printed_percentages_are_measured_in_standard_errors_of_a_mean_of_ten(al
 
 def test_a_level_that_the_paper_lacks_has_no_column_of_it(aluminium):
     table = perturbation_table("A2")
-    screen = sensitivity_screen(with_cell(aluminium, cell(0.02, "rms")), 0, table, ())
+    screen = result(with_cell(aluminium, cell(0.02, "rms")), table).tables()
     assert not any(column.heading == "paper %" for t in screen for column in t.columns)
-    screen = sensitivity_screen(with_cell(aluminium, cell(0.05, "rms")), 0, table, ())
-    text = "\n".join(plain_text(t) for t in screen if t.rows)
+    text = result(with_cell(aluminium, cell(0.05, "rms")), table).summary()
     assert "paper %" in text
     assert "-3.10" in text
     assert "+7.20" in text
@@ -149,7 +147,7 @@ def test_a_contradiction_in_print_is_said(study):
         "E2_GPa at 10 %: the printed 7.41 % does not follow from its row, whose amounts allow 4.9 to 6.0 %."
     )
     assert any("sought the ply angles too" in sentence for sentence in found)
-    (own,) = sensitivity_document(d1, 0, table, ())["paper"]["contradictions"]
+    (own,) = result(d1, table).to_dict()["paper"]["contradictions"]
     assert (own["constant"], own["printed_percent"]) == ("E2_GPa", 7.41)
 
 
@@ -186,7 +184,7 @@ def test_every_cause_is_told_with_its_number(study, cause, said):
 
 def test_rows_that_differ_are_flagged_and_say_so(study):
     differs = Comparison(0.02, -4.0, 2.5, False, True, ("bounds", "skewed"))
-    screen = sensitivity_screen(with_cell(study, cell(0.05, "relative", (AGREE, differs))), 0, None, ())
+    screen = result(with_cell(study, cell(0.05, "relative", (AGREE, differs)))).tables()
     (table,) = (t for t in screen if t.title.startswith("Noise 5 %"))
     assert table.flagged == {1}
     assert table.rows[0][-1] == "agree"
@@ -242,7 +240,7 @@ def test_what_the_file_gives_and_the_study_leaves_aside_is_a_warning(study):
 
 
 def test_pictures_are_the_same_every_time(aluminium, tmp_path):
-    document = sensitivity_document(aluminium, 0, perturbation_table("A2"), ())
+    document = result(aluminium, perturbation_table("A2")).to_dict()
     written = []
     for name in ("first", "again"):
         (tmp_path / name).mkdir()

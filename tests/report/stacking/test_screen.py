@@ -6,26 +6,31 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cpam_bayes.report.stacking.data import EMCEE, write_sequence_posterior
 
 from cpam_bayes.report.figures import save_figures
-from cpam_bayes.report.stacking.figures import sequence_figures
-from cpam_bayes.report.stacking.screen import sequence_document, sequence_screen, sequence_warnings
-from cpam_bayes.report.tables import plain_text
+from cpam_bayes.stacking.draws import EMCEE
+from cpam_bayes.stacking.mixture import StackingMixture
 from cpam_bayes.stacking.posterior import stacking_posterior
 from cpam_bayes.stacking.queries.best_fit import best_fit
 from cpam_bayes.stacking.queries.given_layup import given_layup
-from cpam_bayes.stacking.records import StackingSettings, SurrogateCheck
+from cpam_bayes.stacking.records import StackingPosterior, StackingSettings, SurrogateCheck
+from cpam_bayes.stacking.sequence import stacking_result
+from cpam_bayes.stacking.warnings import stacking_warnings
 from tests.stacking.cases import TRUE, answer, mixture, specimen
 
 pytestmark = pytest.mark.slow
+
+
+def warnings(answer: StackingPosterior, mixture: StackingMixture) -> tuple[str, ...]:
+    return stacking_warnings(answer, mixture, best_fit(answer))
+
 
 SMALL = StackingSettings(draws=30, listed=12, log2_points=6)
 
 
 def test_the_document_has_what_the_contract_names() -> None:
     own, mixed = answer(), mixture()
-    document = json.loads(json.dumps(sequence_document(own, mixed, None, 0, 5, ()), allow_nan=False))
+    document = json.loads(json.dumps(stacking_result(own, mixed, None, 0, 5).to_dict(), allow_nan=False))
     assert document["enumerated"] == 36
     assert len(document["sequences"]) == 5
     first = document["sequences"][0]
@@ -46,16 +51,17 @@ def test_the_printed_sequence_stands_in_document_and_screen() -> None:
     own, mixed = answer(), mixture()
     given = given_layup(own, np.array(TRUE))
     with_given = replace(mixed, given=mixed.components[0])
-    document = sequence_document(own, with_given, given, 0, 5, ())
+    result = stacking_result(own, with_given, given, 0, 5)
+    document = result.to_dict()
     assert document["printed_sequence"]["rank"] == 1
     assert document["printed_sequence"]["constants"] == document["sequences"][0]["constants"]
-    text = "\n".join(plain_text(t) for t in sequence_screen(own, with_given, given, 0, ()) if t.rows)
+    text = result.summary()
     assert "30/-60: probability" in text
     assert "given the printed one" in text
 
 
 def test_the_screen_says_set_number_and_plies() -> None:
-    text = "\n".join(plain_text(t) for t in sequence_screen(answer(), mixture(), None, 0, ()) if t.rows)
+    text = stacking_result(answer(), mixture(), None, 0, 5).summary()
     assert f"{answer().credible_count} sequences" in text
     assert "outer angles are better determined than inner ones" in text
     assert "emcee on the first 3 of the list" in text
@@ -64,20 +70,20 @@ def test_the_screen_says_set_number_and_plies() -> None:
 def test_chains_that_failed_or_disagree_are_warned_of() -> None:
     mixed = mixture()
     own = replace(answer(), log_evidence_error=np.zeros(len(answer().top)))
-    assert sequence_warnings(own, mixed) == ()
+    assert warnings(own, mixed) == ()
     first, second = mixed.components[:2]
     failed = replace(first, diagnostics=replace(first.diagnostics, converged=False))
     wrong = replace(second, importance=first.importance)
-    said = sequence_warnings(own, replace(mixed, components=(failed, wrong)))
+    said = warnings(own, replace(mixed, components=(failed, wrong)))
     assert "the chains of sequence 1 have not converged" in said[0]
     assert "the chains of sequence 2 and importance sampling differ by" in said[1]
 
 
 def test_the_screen_says_noise_fit_and_air() -> None:
-    text = "\n".join(plain_text(t) for t in sequence_screen(answer(), mixture(), None, 0, ()) if t.rows)
+    text = stacking_result(answer(), mixture(), None, 0, 5).summary()
     assert "1.0 % of a frequency, from the plate file; alone it leaves residuals like these" in text
     assert "would lower the first 6 frequencies by" in text
-    document = sequence_document(answer(), mixture(), None, 0, 5, ())
+    document = stacking_result(answer(), mixture(), None, 0, 5).to_dict()
     assert document["noise_percent"] == pytest.approx(1.0, rel=1e-3)
     assert document["noise_inferred"] is False
     assert document["p_value"] > 0.99, "the list is one of the plate's own, without noise"
@@ -98,9 +104,9 @@ def test_a_list_that_lacks_a_mode_is_paired() -> None:
     np.testing.assert_allclose(fit.missed, every[2:3], rtol=5e-3)
     assert fit.p_value is not None
     assert fit.p_value > 0.9
-    document = sequence_document(found, mixture(), None, 0, 5, ())
+    document = stacking_result(found, mixture(), None, 0, 5).to_dict()
     assert document["missed_modes"] == [{"predicted_hz": pytest.approx(fit.missed[0])}]
-    text = "\n".join(plain_text(t) for t in sequence_screen(found, mixture(), None, 0, ()) if t.rows)
+    text = stacking_result(found, mixture(), None, 0, 5).summary()
     assert f"modes of the most probable sequence at {int(fit.missed[0])}." in text
     wrong = replace(
         few, frequencies=np.sort(np.append(np.delete(every, 2), every[3] * 1.1)), labels=("",) * 6
@@ -110,9 +116,9 @@ def test_a_list_that_lacks_a_mode_is_paired() -> None:
         0,
         settings=SMALL,
     )
-    beside = sequence_document(stray, mixture(), None, 0, 5, ())["frequencies"]
+    beside = stacking_result(stray, mixture(), None, 0, 5).to_dict()["frequencies"]
     assert [f["predicted_hz"] is None for f in beside].count(True) == 1
-    assert "1 of the 6 frequencies belong to no mode" in sequence_warnings(stray, mixture())[0]
+    assert "1 of the 6 frequencies belong to no mode" in warnings(stray, mixture())[0]
 
 
 def test_what_was_learned_badly_or_overlooked_is_warned_of() -> None:
@@ -129,16 +135,16 @@ def test_what_was_learned_badly_or_overlooked_is_warned_of() -> None:
         surrogate_probability=1e-3,
         basis_error=1e-5,
     )
-    assert sequence_warnings(replace(own, check=good), mixture()) == ()
+    assert warnings(replace(own, check=good), mixture()) == ()
     bad = replace(own, check=replace(good, rms=2.5, overlooked=1.2), unaccounted=4e-3)
-    rough, overlooked, left_out = sequence_warnings(bad, mixture())
+    rough, overlooked, left_out = warnings(bad, mixture())
     assert "the log evidence of the surrogate is 2.50 off" in rough
     assert (
         "a sequence drawn from the posterior is better by 1.2 in log evidence than every one listed"
         in overlooked
     )
     assert "sequences with up to 0.004 of the probability were left out" in left_out
-    document = sequence_document(bad, mixture(), None, 0, 5, (rough, overlooked, left_out))
+    document = stacking_result(bad, mixture(), None, 0, 5).to_dict()
     assert document["learned"]["overlooked_nats"] == 1.2
 
 
@@ -146,7 +152,7 @@ def test_the_posterior_file_opens_in_plain_arviz(tmp_path: Path) -> None:
     import arviz
 
     own, mixed = answer(), mixture()
-    write_sequence_posterior(own, mixed, 3, tmp_path)
+    stacking_result(own, mixed, None, 3, 5).to_arviz().to_netcdf(tmp_path / "posterior.nc")
     data = arviz.from_netcdf(str(tmp_path / "posterior.nc"))
     posterior = data.posterior
     assert posterior["angle_deg"].dims == ("chain", "draw", "ply")
@@ -166,10 +172,10 @@ def test_the_posterior_file_opens_in_plain_arviz(tmp_path: Path) -> None:
 
 
 def test_the_same_answer_gives_the_same_pictures(tmp_path: Path) -> None:
+    result = stacking_result(answer(), mixture(), given_layup(answer(), np.array(TRUE)), 0, 5)
     for name in ("first", "again"):
         (tmp_path / name).mkdir()
-        figures = sequence_figures(answer(), mixture(), given_layup(answer(), np.array(TRUE)))
-        save_figures(figures, tmp_path / name)
+        save_figures(result.figures(), tmp_path / name)
     files = sorted(p.name for p in (tmp_path / "first").iterdir())
     assert {p.removesuffix(".png") for p in files if p.endswith(".png")} == {
         "angles_C1",
