@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, Literal, Protocol
+from typing import Any, Literal
 
 import numpy as np
 
 from cpam_bayes.mechanics.problem import Array, PlateState, Problem, StateFunction, Values
 from cpam_bayes.parameters import Parameter, ParameterSet, ScaledStudentT
 from cpam_bayes.plate.layup import Layup
+from cpam_bayes.plate.records import Plate
 
 Owner = Literal["plate", "test", "material", "laboratory"]
 # Reference coordinates of a mass or a flaw.
@@ -25,21 +26,6 @@ _CUT = 8.0
 # How parameters are shown to people: the unit, and the factor from SI.
 PERCENT, GRAM, MILLIMETRE = ("%", 100.0), ("g", 1e3), ("mm", 1e3)
 MICROMETRE, MEGAPASCAL = ("um", 1e6), ("MPa", 1e-6)
-
-
-class PlateLike(Protocol):
-    """The data of a measured plate that effects ask for; ``plate.records.Plate`` has them."""
-
-    @property
-    def length(self) -> float: ...  # noqa: D102
-    @property
-    def width(self) -> float: ...  # noqa: D102
-    @property
-    def thickness(self) -> float: ...  # noqa: D102
-    @property
-    def layup(self) -> Layup: ...  # noqa: D102
-    @property
-    def edges(self) -> str: ...  # noqa: D102
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +52,7 @@ class PlateFacts:
     @classmethod
     def of(
         cls,
-        plate: PlateLike,
+        plate: Plate,
         isotropic: bool,
         loaded: bool = False,
         air_is_known: bool = False,
