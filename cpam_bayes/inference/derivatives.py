@@ -80,16 +80,15 @@ def prior_sd(posterior: Posterior) -> Array:
 
 def coordinates(posterior: Posterior) -> Coordinates:
     """The scaled coordinates of a posterior."""
-    own = posterior.parameters
+    parameters = posterior.parameters
     scale = prior_sd(posterior)
-    logged = np.array([name == posterior.noise_name for name in own.names])
+    logged = np.array([name == posterior.noise_name for name in parameters.names])
     with np.errstate(divide="ignore"):
-        lower, upper = (np.where(logged, np.log(np.where(logged, b, 1.0)), b / scale) for b in _bounds(own))
-    return Coordinates(scale, logged, lower, upper, own.lower, own.upper)
-
-
-def _bounds(own: ParameterSet) -> tuple[Array, Array]:
-    return own.lower, own.upper
+        lower, upper = (
+            np.where(logged, np.log(np.where(logged, b, 1.0)), b / scale)
+            for b in (parameters.lower, parameters.upper)
+        )
+    return Coordinates(scale, logged, lower, upper, parameters.lower, parameters.upper)
 
 
 def log_density(posterior: Posterior, axes: Coordinates, u: Array) -> Array:
@@ -104,8 +103,8 @@ def log_prob_gradient(posterior: Posterior, x: Array) -> tuple[Array, Array]:
     d log p / dx = sum_i (d l_i / d f_i) (d f_i / dx) + d l / dx + d log prior / dx, with the model's
     analytic d f / dx. The gradient is zero where the log probability is -inf, one-sided at a bound.
     """
-    found = expand(posterior, x)
-    return found.value, found.gradient
+    expansion = expand(posterior, x)
+    return expansion.value, expansion.gradient
 
 
 def expand(posterior: Posterior, x: Array) -> Expansion:
@@ -121,9 +120,9 @@ def expand(posterior: Posterior, x: Array) -> Expansion:
     gradient, curvature = np.zeros((m, n)), np.zeros((m, n, n))
     inside = np.isfinite(value)
     if inside.any():
-        own = x[inside]
-        likelihood = expand_likelihood(posterior, own)
-        prior_slope, prior_bend = _prior(posterior, own)
+        x_inside = x[inside]
+        likelihood = expand_likelihood(posterior, x_inside)
+        prior_slope, prior_bend = _prior(posterior, x_inside)
         value[inside] += likelihood.value
         gradient[inside] = likelihood.gradient + prior_slope
         diagonal = np.maximum(prior_bend, 0.0)[..., None] * np.eye(n)
@@ -139,12 +138,12 @@ def information(posterior: Posterior, x: Array) -> Array:
 def expand_u(posterior: Posterior, axes: Coordinates, u: Array) -> Expansion:
     """The expansion of the log density over u at points u (m, n)."""
     x = axes.to_x(np.atleast_2d(u))
-    found = expand(posterior, x)
-    inside = np.isfinite(found.value)[:, None]
+    expansion = expand(posterior, x)
+    inside = np.isfinite(expansion.value)[:, None]
     slope = axes.slope(x)
-    gradient = found.gradient * slope + np.where(axes.logged & inside, 1.0, 0.0)
-    curvature = found.curvature * slope[:, :, None] * slope[:, None, :]
-    return Expansion(found.value + axes.log_jacobian(x), gradient, curvature)
+    gradient = expansion.gradient * slope + np.where(axes.logged & inside, 1.0, 0.0)
+    curvature = expansion.curvature * slope[:, :, None] * slope[:, None, :]
+    return Expansion(expansion.value + axes.log_jacobian(x), gradient, curvature)
 
 
 def hessian_u(posterior: Posterior, axes: Coordinates, u: Array, sd: Array) -> Array:
@@ -161,8 +160,8 @@ def hessian_u(posterior: Posterior, axes: Coordinates, u: Array, sd: Array) -> A
     h = h * sign
     first, second = u + np.diag(h), u + np.where(central, -1.0, 2.0) * np.diag(h)
     points = np.concatenate((u[None], first, second))
-    found = expand_u(posterior, axes, points)
-    g = np.where(np.isfinite(found.value)[:, None], found.gradient, np.nan)
+    expansion = expand_u(posterior, axes, points)
+    g = np.where(np.isfinite(expansion.value)[:, None], expansion.gradient, np.nan)
     g0, g1, g2 = g[0], g[1 : n + 1], g[n + 1 :]
     difference = np.where(central[:, None], g1 - g2, -3.0 * g0 + 4.0 * g1 - g2) / (2.0 * h[:, None])
     return np.asarray(-0.5 * (difference + difference.T))
@@ -187,18 +186,18 @@ def _one_to_one(posterior: Posterior, x: Array) -> Expansion:
     slope[:, :, :n_plate] = prediction.jacobian[:, :n_f]
     i = np.arange(n_f)
 
-    def own(x: Array, f: Array) -> tuple[Array, Array]:
+    def paired(x: Array, f: Array) -> tuple[Array, Array]:
         sigma = posterior.noise(x, f)
         return posterior.log_density(f, sigma)[:, i, i], sigma[:, i, i]
 
     step = 1j * _COMPLEX_STEP
-    density, sigma = own(x, f + step)
+    density, sigma = paired(x, f + step)
     value, sigma_0 = density.real.sum(axis=1), sigma.real
     by_f = density.imag / _COMPLEX_STEP
     gradient = np.einsum("mi,mij->mj", by_f, slope)
     log_sigma = (sigma.imag / _COMPLEX_STEP / sigma_0)[..., None] * slope  # d log sigma_i / dx
     for j in range(n_plate, x.shape[1]):
-        density, sigma = own(x + step * (np.arange(x.shape[1]) == j), f)
+        density, sigma = paired(x + step * (np.arange(x.shape[1]) == j), f)
         gradient[:, j] += density.imag.sum(axis=1) / _COMPLEX_STEP
         log_sigma[:, :, j] += sigma.imag / _COMPLEX_STEP / sigma_0
     nu = posterior.degrees_of_freedom
@@ -251,8 +250,8 @@ def _summed(posterior: Posterior, x: Array) -> Expansion:
     tangent = _Tangent(
         posterior.model.parameters, x[:, :n_plate], prediction.frequencies, prediction.jacobian
     )
-    own = {f.name: getattr(posterior, f.name) for f in fields(Posterior)} | {"model": tangent}
-    likelihood = _TangentPosterior(**own, seen=posterior.in_range(prediction.frequencies)).log_likelihood
+    changed = {f.name: getattr(posterior, f.name) for f in fields(Posterior)} | {"model": tangent}
+    likelihood = _TangentPosterior(**changed, seen=posterior.in_range(prediction.frequencies)).log_likelihood
     axes = coordinates(posterior)
     unit = axes.slope(x)[:, None, :] * np.eye(n)  # (m, n, n), row j is a unit step of u_j
 

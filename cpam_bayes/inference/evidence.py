@@ -115,26 +115,26 @@ def importance_evidence(
     for attempt in range(settings.attempts):
         draw_round(state, settings.draws, rng)
         log_weight = history.targets[-1] - log_mixture(state.proposal, history.points[-1])
-        found = _summarised(scores, history.points[-1], log_weight, sum(map(len, history.points)))
-        missed = np.exp(found.log_weights.max()) > _OUTSTANDING_WEIGHT
-        if (found.status == "reliable" and not missed) or attempt == settings.attempts - 1:
+        evidence = _summarised(scores, history.points[-1], log_weight, sum(map(len, history.points)))
+        missed = np.exp(evidence.log_weights.max()) > _OUTSTANDING_WEIGHT
+        if (evidence.status == "reliable" and not missed) or attempt == settings.attempts - 1:
             break
         refine(state)
-    return found
+    return evidence
 
 
 def _summarised(scores: NormalScores, z: Array, log_ratio: Array, solves: int) -> Evidence:
     if not np.isfinite(log_ratio).any():
         raise ValueError(NOWHERE)
     x = scores.to_x(z)
-    found = weighted(x[None], log_ratio[None])
-    weight, k_hat, effective = found.weight[0], float(found.k_hat[0]), float(found.effective_size[0])
+    sample = weighted(x[None], log_ratio[None])
+    weight, k_hat, effective = sample.weight[0], float(sample.k_hat[0]), float(sample.effective_size[0])
     mean = weight @ x
     with np.errstate(divide="ignore"):
         log_weights = np.log(weight)
     return Evidence(
-        log_evidence=float(found.log_evidence[0]),
-        standard_error=float(found.standard_error[0]),
+        log_evidence=float(sample.log_evidence[0]),
+        standard_error=float(sample.standard_error[0]),
         effective_size=effective,
         k_hat=k_hat,
         status="reliable" if k_hat < RELIABLE_K and effective > 100.0 else "unreliable",

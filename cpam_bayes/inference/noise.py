@@ -67,8 +67,8 @@ class NoiseModel:
 
     def sd(self, amplitude: Array, predicted: Array) -> Array:
         """sigma for amplitudes (m,) and predicted frequencies (m, n_modes), (m, n, n_modes) Hz."""
-        own = (amplitude[:, None] * self.scale) ** 2 + self.rounding
-        return np.asarray(np.sqrt(own[:, :, None] + (self.solver_error * predicted)[:, None, :] ** 2))
+        variance = (amplitude[:, None] * self.scale) ** 2 + self.rounding
+        return np.asarray(np.sqrt(variance[:, :, None] + (self.solver_error * predicted)[:, None, :] ** 2))
 
     def log_density(self, z: Array) -> Array:
         """Log density of standardised residuals, (...)."""

@@ -68,7 +68,7 @@ def maximise(
     raise or lower the damping d as they fail or succeed (More, 1978; bounds as in Bertsekas, 1982).
 
     target : (u (k, n), rows (k,)) -> expansion, ``rows`` being the starts that the points belong to, so
-    that each may have a density of its own. lower, upper : (n,). promised : gain in nats below which a
+    that each may have a density of its own. lower, upper : (n,). promised : gain in nats below which an
     optimisation ends.
     """
     u = np.clip(np.array(start, dtype=float), lower, upper)
@@ -148,19 +148,19 @@ def polish(
     Returns the optimum (n,), the expansion there (m = 1) and whether the last poll found nothing better.
     """
     u = maxima.u[row]
-    found = Expansion(*(a[row : row + 1] for a in _parts(maxima.expansion)))
+    expansion = Expansion(*(a[row : row + 1] for a in _parts(maxima.expansion)))
     n = len(u)
     for _ in range(_MOST_POLLS):
-        covariance = np.linalg.inv(found.curvature[0] + np.eye(n))
+        covariance = np.linalg.inv(expansion.curvature[0] + np.eye(n))
         spread = _directions(n) @ np.linalg.cholesky(covariance).T
         points = np.clip(u + np.concatenate([s * spread for s in _POLL_SIZES]), lower, upper)
         values = value(points)
         best = int(np.argmax(np.where(np.isnan(values), -np.inf, values)))
-        if not values[best] > found.value[0] + _BETTER:
-            return u, found, True
+        if not values[best] > expansion.value[0] + _BETTER:
+            return u, expansion, True
         again = maximise(target, points[best : best + 1], lower, upper)
-        u, found = again.u[0], again.expansion
-    return u, found, False
+        u, expansion = again.u[0], again.expansion
+    return u, expansion, False
 
 
 def _parts(e: Expansion) -> tuple[Array, Array, Array]:

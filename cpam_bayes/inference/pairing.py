@@ -92,7 +92,7 @@ def labelled_log_likelihood(
     labelled: Array,
     prior: PairingPrior = DEFAULT_PAIRING,
 ) -> Array:
-    """Log of the sum over all pairings that give frequencies with a known mode their own, (m,).
+    """Log of the sum over all pairings that give frequencies with a known mode that mode, (m,).
 
     A frequency marked in ``labelled`` (n,) bool is the mode of its own number and is neither spurious
     nor another; the other frequencies are paired with the other modes as in
@@ -100,12 +100,12 @@ def labelled_log_likelihood(
     """
     if not labelled.any():
         return monotone_log_likelihood(log_density, in_range, measured_range, prior)
-    own = np.flatnonzero(labelled)
+    known = np.flatnonzero(labelled)
     rows, columns = _others(log_density, labelled)
     others = monotone_log_likelihood(
         log_density[:, rows][:, :, columns], in_range[:, columns], measured_range, prior
     )
-    return np.asarray(others + np.sum(np.log1p(-prior.missed) + log_density[:, own, own], axis=1))
+    return np.asarray(others + np.sum(np.log1p(-prior.missed) + log_density[:, known, known], axis=1))
 
 
 def most_probable_labelled_pairing(
@@ -125,9 +125,9 @@ def most_probable_labelled_pairing(
 
 def _others(log_density: Array, labelled: Array) -> tuple[Array, Array]:
     """Frequencies without a known mode, and modes that no labelled frequency has."""
-    own = np.flatnonzero(labelled)
+    known = np.flatnonzero(labelled)
     n, k = log_density.shape[-2:]
-    return np.setdiff1d(np.arange(n), own), np.setdiff1d(np.arange(k), own)
+    return np.setdiff1d(np.arange(n), known), np.setdiff1d(np.arange(k), known)
 
 
 class _Prices:

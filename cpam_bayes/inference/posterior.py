@@ -98,14 +98,15 @@ class Posterior:
 
         Raises ``SolverError`` if one of them is not a number.
         """
-        own = x[:, : self.model.parameters.size]
-        predicted = self.model.predict(own).frequencies
+        x_plate = x[:, : self.model.parameters.size]
+        predicted = self.model.predict(x_plate).frequencies
         wrong = ~np.isfinite(predicted)
         if wrong.any():
             row, mode = np.argwhere(wrong)[0]
             raise SolverError(
                 f"the plate solver returned {predicted[row, mode]} Hz for mode {mode + 1} at "
-                f"{self._told(own[row])}; check the sizes and the bounds of the unknowns in the plate file"
+                f"{self._described(x_plate[row])}; check the sizes and the bounds of the unknowns in the "
+                "plate file"
             )
         return predicted
 
@@ -127,9 +128,9 @@ class Posterior:
 
     def most_probable_pairing(self, x: Array) -> Pairing:
         """Which frequency is which of the model's modes at one parameter vector (n_parameters,)."""
-        own = self.measurement
-        if own.complete:
-            return Pairing(np.arange(own.size), np.empty(0, dtype=int), 0.0)
+        measurement = self.measurement
+        if measurement.complete:
+            return Pairing(np.arange(measurement.size), np.empty(0, dtype=int), 0.0)
         predicted = self.predict(x[None])
         density = self.log_density(predicted, self.noise(x[None], predicted))[0]
         return most_probable_labelled_pairing(
@@ -159,16 +160,16 @@ class Posterior:
         Raises ``SolverError`` where it would not be a number.
         """
         x = np.atleast_2d(x)
-        found = self.log_prior(x)
-        inside = np.isfinite(found)
+        value = self.log_prior(x)
+        inside = np.isfinite(value)
         if inside.any():
-            found[inside] += self.log_likelihood(x[inside])
-            if np.isnan(found).any():
-                where = x[int(np.argmax(np.isnan(found)))]
-                raise SolverError(f"the log probability is not a number at {self._told(where)}")
-        return found
+            value[inside] += self.log_likelihood(x[inside])
+            if np.isnan(value).any():
+                where = x[int(np.argmax(np.isnan(value)))]
+                raise SolverError(f"the log probability is not a number at {self._described(where)}")
+        return value
 
-    def _told(self, x: Array) -> str:
+    def _described(self, x: Array) -> str:
         """Parameters and their values, SI, in words; ``x`` may be those of the model alone."""
         named = zip(self.parameters.parameters, x, strict=False)
         return ", ".join(f"{p.name} = {value:.6g} {p.unit}".rstrip() for p, value in named)

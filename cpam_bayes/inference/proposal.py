@@ -98,8 +98,8 @@ class Adaptation:
 
 def adapted(posterior: Posterior, starts: Array, seed: int, settings: AdaptationSettings) -> Proposal:
     """The proposal of a posterior whose optima lie near the starts (m, n), or are found from the prior."""
-    found = adapt(posterior, starts, np.random.default_rng([seed, 5]), settings)
-    return Proposal(found.scores, found.proposal, sum(map(len, found.history.points)))
+    state = adapt(posterior, starts, np.random.default_rng([seed, 5]), settings)
+    return Proposal(state.scores, state.proposal, sum(map(len, state.history.points)))
 
 
 def adapt(

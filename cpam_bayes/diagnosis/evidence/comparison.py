@@ -43,11 +43,11 @@ def kept_of(whole: Array, listed: Array) -> Array:
 
     Equal frequencies are told apart by their order.
     """
-    found, at = np.zeros(len(whole), dtype=bool), 0
+    kept, at = np.zeros(len(whole), dtype=bool), 0
     for i, f in enumerate(whole):
         if at < len(listed) and f == listed[at]:
-            found[i], at = True, at + 1
-    return found
+            kept[i], at = True, at + 1
+    return kept
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,8 +68,8 @@ class Comparison:
 
     def predict(self, x: Array, *, jacobian: bool = False) -> tuple[Array, Array | None]:
         """Frequencies (m, n_f) of the list at parameters (m, n), derivatives over these."""
-        found = self.model.predict(x, jacobian=jacobian)
-        f, slope = found.frequencies, found.jacobian
+        prediction = self.model.predict(x, jacobian=jacobian)
+        f, slope = prediction.frequencies, prediction.jacobian
         if self.left_out is not None:
             kept = np.arange(f.shape[1]) != self.left_out
             f, slope = f[:, kept], None if slope is None else slope[:, kept]
@@ -80,22 +80,22 @@ class Comparison:
 
     def variance(self, x: Array) -> Array:
         """sigma^2 of every frequency at parameters (m, n), (m, n_f) Hz^2."""
-        own = np.broadcast_to(self.listed.variance, (len(x), len(self.listed.variance)))
+        variance = np.broadcast_to(self.listed.variance, (len(x), len(self.listed.variance)))
         if self.noise is not None:
-            own = own + (x[:, self.noise, None] * self.listed.scale) ** 2
+            variance = variance + (x[:, self.noise, None] * self.listed.scale) ** 2
         if self.discrepancy is not None:
-            own = own + (x[:, self.discrepancy, None] * self.listed.frequencies) ** 2
-        return own
+            variance = variance + (x[:, self.discrepancy, None] * self.listed.frequencies) ** 2
+        return variance
 
     def log_likelihood(self, x: Array) -> Array:
         """Log likelihood at parameters (m, n), -inf where the constraints (9) are broken, (m,)."""
-        found = np.full(len(x), -np.inf)
+        value = np.full(len(x), -np.inf)
         inside = np.flatnonzero(self.model.admissible(x))
         if len(inside):
             f, _ = self.predict(x[inside])
             variance = self.variance(x[inside])
-            found[inside] = self._gaussian(self.listed.frequencies - f, variance)
-        return found
+            value[inside] = self._gaussian(self.listed.frequencies - f, variance)
+        return value
 
     def log_density(self, z: Array) -> Array:
         """Log of likelihood times prior density over scores (m, n), (m,)."""
@@ -122,13 +122,13 @@ class Comparison:
         return self.scores.with_prior(Expansion(value, gradient, curvature), x, z)
 
     def _gaussian(self, r: Array, variance: Array) -> Array:
-        own = -0.5 * np.sum(r**2 / variance + np.log(2 * np.pi * variance), axis=1)
-        return np.asarray(own + self.listed.log_constant)
+        log_density = -0.5 * np.sum(r**2 / variance + np.log(2 * np.pi * variance), axis=1)
+        return np.asarray(log_density + self.listed.log_constant)
 
     def _log_sigma_slope(self, x: Array, variance: Array) -> Array:
         """d ln sigma_i / d x_j, (m, n_f, n)."""
-        found = np.zeros((*variance.shape, x.shape[1]))
+        slope = np.zeros((*variance.shape, x.shape[1]))
         for column, scale in ((self.noise, self.listed.scale), (self.discrepancy, self.listed.frequencies)):
             if column is not None:
-                found[:, :, column] = x[:, column, None] * scale**2 / variance
-        return found
+                slope[:, :, column] = x[:, column, None] * scale**2 / variance
+        return slope

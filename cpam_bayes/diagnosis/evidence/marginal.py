@@ -131,10 +131,10 @@ def _with_draws(
     comparison: Comparison, quadrature: int | None, log_z: float, z: Array, curvature: Array, weight: Array
 ) -> Marginal:
     nothing = np.empty(0)
-    found = Marginal(comparison, quadrature, log_z, np.nan, z, curvature, weight, nothing, nothing)
+    marginal = Marginal(comparison, quadrature, log_z, np.nan, z, curvature, weight, nothing, nothing)
     approximation = about_nodes(z, curvature, weight, quadrature, 1.0, np.inf)
     draws = comparison.scores.to_x(sobol_points(approximation, _LOG2_POINTS)[0])
-    return replace(found, draws=draws, log_weight=np.full(len(draws), -np.log(len(draws))))
+    return replace(marginal, draws=draws, log_weight=np.full(len(draws), -np.log(len(draws))))
 
 
 def _at_one_node(comparison: Comparison, starts: Array) -> Marginal:
@@ -153,17 +153,19 @@ def _at_one_node(comparison: Comparison, starts: Array) -> Marginal:
 
 
 @single_blas_thread
-def sampled_marginal(found: Marginal) -> Marginal:
+def sampled_marginal(marginal: Marginal) -> Marginal:
     """A marginal likelihood by importance sampling about its Laplace approximation."""
-    proposal = about_nodes(found.z, found.curvature, found.weight, found.quadrature, _WIDER, _FREEDOM)
-    comparison = found.comparison
+    proposal = about_nodes(
+        marginal.z, marginal.curvature, marginal.weight, marginal.quadrature, _WIDER, _FREEDOM
+    )
+    comparison = marginal.comparison
     sample = staged_importance(lambda z: comparison.log_density(z[0])[None], proposal, _LOG2_POINTS)
     if not np.isfinite(sample.log_evidence[0]):
-        return found
+        return marginal
     with np.errstate(divide="ignore"):
         log_weight = np.log(sample.weight[0])
     return replace(
-        found,
+        marginal,
         log_evidence=float(sample.log_evidence[0]),
         error=float(sample.standard_error[0]),
         effective_size=float(sample.effective_size[0]),
@@ -206,8 +208,8 @@ def _optimised(comparison: Comparison, quadrature: int, score: Array, starts: Ar
 
     def target(u: Array, rows: Array) -> Expansion:
         e = comparison.expand(np.insert(u, quadrature, of_node[rows], axis=1))
-        own = np.ix_(np.arange(len(u)), rest_columns, rest_columns)
-        return Expansion(e.value, e.gradient[:, rest_columns], e.curvature[own])
+        block = np.ix_(np.arange(len(u)), rest_columns, rest_columns)
+        return Expansion(e.value, e.gradient[:, rest_columns], e.curvature[block])
 
     bound = np.full(n, MAX_SCORE)
     maxima = maximise(

@@ -47,8 +47,8 @@ class _Whitened:
         root = np.linalg.inv(factor)
         residual = root @ lists.residual
         log_det = float(np.log(np.diagonal(factor)).sum())
-        own = -0.5 * float(residual @ residual) - log_det - 0.5 * n * _LOG_2PI + log_weight
-        return _Whitened(root, residual, own)
+        log_constant = -0.5 * float(residual @ residual) - log_det - 0.5 * n * _LOG_2PI + log_weight
+        return _Whitened(root, residual, log_constant)
 
 
 def ranked_pairs(
@@ -71,20 +71,20 @@ def ranked_pairs(
     each = np.stack([_ranks(w, stack) + w.log_constant for w in whitened])
     score = np.where(np.triu(np.ones((m, m), dtype=bool), 1), logsumexp(each, axis=0) + log_prior, -np.inf)
     best = np.argsort(-score, axis=None, kind="stable")[:most]
-    found = [(int(i), int(j)) for i, j in zip(*np.unravel_index(best, (m, m)), strict=True)]
-    return [(i, j) for i, j in found if np.isfinite(score[i, j])]
+    pairs = [(int(i), int(j)) for i, j in zip(*np.unravel_index(best, (m, m)), strict=True)]
+    return [(i, j) for i, j in pairs if np.isfinite(score[i, j])]
 
 
 def _ranks(w: _Whitened, stack: Array) -> Array:
     """Log evidence of all pairs over that of no shift, (m, m)."""
     m, k, n = stack.shape
     shift = stack @ w.root.T
-    own = shift @ w.residual - 0.5 * np.sum(shift**2, axis=2) - 0.5 * GRID**2
+    alone = shift @ w.residual - 0.5 * np.sum(shift**2, axis=2) - 0.5 * GRID**2
     slope = np.gradient(shift, GRID, axis=1)
     flat = shift.reshape(m * k, n)
-    found = np.empty((m, m))
+    log_evidence = np.empty((m, m))
     for i in range(m):
-        value = own[i][:, None] + own.reshape(m * k) - shift[i] @ flat.T
+        value = alone[i][:, None] + alone.reshape(m * k) - shift[i] @ flat.T
         value = value.reshape(k, m, k).swapaxes(0, 1).reshape(m, k * k)
         node = value.argmax(axis=1)
         a, b = node // k, node % k
@@ -97,8 +97,8 @@ def _ranks(w: _Whitened, stack: Array) -> Array:
         step = np.clip(np.linalg.solve(curvature, gradient[..., None])[..., 0], -half, half)
         bent = np.einsum("mi,mij,mj->m", step, curvature, step)
         gain = np.sum(gradient * step, axis=1) - 0.5 * bent
-        found[i] = value[rows, node] + gain - 0.5 * np.log(np.linalg.det(curvature))
-    return found
+        log_evidence[i] = value[rows, node] + gain - 0.5 * np.log(np.linalg.det(curvature))
+    return log_evidence
 
 
 def screened_pair(

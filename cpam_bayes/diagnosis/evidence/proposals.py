@@ -49,5 +49,5 @@ def _spacing(score: Array) -> Array:
 
 def _slopes(score: Array, rest: Array) -> Array:
     """How the optimum of the rest moves with the score, (k, n - 1); none where it jumps."""
-    found = np.gradient(rest, score, axis=0)
-    return np.where(np.abs(found) < 3.0, found, 0.0)
+    slope = np.gradient(rest, score, axis=0)
+    return np.where(np.abs(slope) < 3.0, slope, 0.0)

@@ -58,9 +58,9 @@ class Tested:
         return float(np.log(self.hypothesis.prior) + self.marginal.log_evidence)
 
 
-def ranked(found: Sequence[Tested]) -> list[Tested]:
+def ranked(tested: Sequence[Tested]) -> list[Tested]:
     """Hypotheses, those with most prior times evidence first."""
-    return sorted(found, key=lambda t: t.log_weight, reverse=True)
+    return sorted(tested, key=lambda t: t.log_weight, reverse=True)
 
 
 def marginal_of(
@@ -100,7 +100,7 @@ class Scan:
 
     cases: Sequence[PlateCase]
     scatter: float
-    found: list[Tested] = field(default_factory=list)
+    tested: list[Tested] = field(default_factory=list)
     not_tested: list[str] = field(default_factory=list)
     anchors: tuple[Anchor, ...] = ()
     offset: float = 0.0
@@ -108,7 +108,7 @@ class Scan:
     @property
     def none(self) -> Marginal:
         """The plain model."""
-        return self.found[0].marginal
+        return self.tested[0].marginal
 
     @property
     def stand_ins(self) -> Mapping[int, ForwardModel] | None:
@@ -118,7 +118,7 @@ class Scan:
     def begin(self, hypothesis: Hypothesis, plates: tuple[int, ...]) -> None:
         """The plain model, which all others are screened from."""
         marginal = marginal_of(self.cases, hypothesis, plates, scatter=self.scatter)
-        self.found.append(Tested(hypothesis, plates, marginal))
+        self.tested.append(Tested(hypothesis, plates, marginal))
         best = marginal.z[int(np.argmax(marginal.weight))]
         names = marginal.comparison.parameters.names
         self.anchors = tuple(
@@ -157,12 +157,12 @@ class Scan:
         screenings = [screened_marginal(comparison, quadrature, a, corrected=corrected) for a in anchors]
         best = max((m for m, _ in screenings), key=lambda m: m.log_evidence)
         shift = None if quadrature is None or _repairs(hypothesis) else screenings[0][1]
-        found = replace(best, log_evidence=best.log_evidence + self.offset)
-        return Tested(hypothesis, plates, found, shift=shift)
+        marginal = replace(best, log_evidence=best.log_evidence + self.offset)
+        return Tested(hypothesis, plates, marginal, shift=shift)
 
     def corrected(self, screened: Sequence[Tested]) -> list[Tested]:
         """Screened hypotheses, the promising ones corrected."""
-        best = max((t.log_weight for t in (*self.found, *screened)), default=0.0)
+        best = max((t.log_weight for t in (*self.tested, *screened)), default=0.0)
         return [
             self._screened(t.hypothesis, t.plates, t.marginal.comparison, True)
             if not t.marginal.is_refined and t.hypothesis.effects and t.log_weight > best - _CORRECTED
@@ -185,14 +185,14 @@ class Scan:
         comparison = self._comparison(pair, a.plates)
         columns = effect_columns(comparison, pair)
         start = self.anchors[0].start(comparison)
-        found = screened_pair(lists, (a.shift, b.shift), comparison, (columns[0], columns[1]), start)
-        return Tested(pair, a.plates, replace(found, log_evidence=found.log_evidence + self.offset))
+        marginal = screened_pair(lists, (a.shift, b.shift), comparison, (columns[0], columns[1]), start)
+        return Tested(pair, a.plates, replace(marginal, log_evidence=marginal.log_evidence + self.offset))
 
     def refine(self, screened: Sequence[Tested], most: int | None = None) -> None:
         """Add hypotheses, those near the best one (``most`` of them) computed by Laplace's method."""
         # screening may promise too much, so the best one is among those that were optimised, or too little,
         # and then all of them about alike
-        best = max(t.log_weight for t in (*self.found, *screened) if t.marginal.is_refined)
+        best = max(t.log_weight for t in (*self.tested, *screened) if t.marginal.is_refined)
         n_refined, lift = 0, 0.0
         for t in ranked(screened):
             few = most is None or n_refined < most
@@ -202,7 +202,7 @@ class Scan:
                 lift = max(lift, t.log_weight - promised)
                 best = max(best, t.log_weight)
                 n_refined += 1
-            self.found.append(t)
+            self.tested.append(t)
 
     def is_near(self, t: Tested, best: float, within: float = _NEAR) -> bool:
         """Whether a hypothesis deserves exact numbers: near the best, or the plain model."""

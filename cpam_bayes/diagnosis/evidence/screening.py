@@ -47,7 +47,7 @@ class Anchor:
         return np.array([self.scores.get(name, 0.0) for name in comparison.parameters.names])
 
     def cheapened(self, comparison: Comparison) -> Comparison:
-        """The same with tangents of all plates that need no model of their own."""
+        """The comparison with tangents of all plates that need no model of their own."""
         parts = tuple(
             replace(part, bare=self.tangents[i]) if all(c.model is None for c in part.changes) else part
             for i, part in enumerate(comparison.model.parts)
@@ -121,9 +121,9 @@ def screened_marginal(
     at = np.tile(z, (len(grid), 1))
     if quadrature is not None:
         at[:, quadrature] = grid
-    own, plain = anchor.cheapened(comparison), anchor.plain(comparison)
+    cheap, plain = anchor.cheapened(comparison), anchor.plain(comparison)
     listed = np.log(comparison.listed.frequencies)
-    predicted = log_f(own, at)
+    predicted = log_f(cheap, at)
     shift = predicted - log_f(plain, z[None])
     lists = linear(comparison, plain, z, free, listed - predicted)
     nodes, of_noise = _nodes(lists, grid, quadrature)
@@ -132,7 +132,7 @@ def screened_marginal(
     if corrected or not has_model:
         near = np.flatnonzero(nodes > nodes.max() - _DEPTH_NATS)
         residual = lists.residual.copy()
-        residual[near] = listed - log_f(own, at[near]) + at[np.ix_(near, free)] @ lists.slope.T
+        residual[near] = listed - log_f(cheap, at[near]) + at[np.ix_(near, free)] @ lists.slope.T
         lists = replace(lists, residual=residual)
         nodes, of_noise = _nodes(lists, grid, quadrature)
         _answered(comparison, lists, at, free, of_noise)
@@ -220,5 +220,5 @@ def _slope(comparison: Comparison, z: Array, free: Array) -> Array:
     x = comparison.scores.to_x(z)[None]
     f, slope = comparison.predict(x, jacobian=True)
     assert slope is not None
-    found = slope[0] * comparison.scores.slope(x, z[None])[0] / f[0][:, None]
-    return np.asarray(found[:, free])
+    by_score = slope[0] * comparison.scores.slope(x, z[None])[0] / f[0][:, None]
+    return np.asarray(by_score[:, free])

@@ -49,12 +49,12 @@ class TangentModel:
 
 def tangents(cases: Sequence[PlateCase], none: Comparison, x: Array) -> dict[int, ForwardModel]:
     """Tangent models of all plates at parameters x (n,) of the plain model."""
-    found: dict[int, ForwardModel] = {}
+    models: dict[int, ForwardModel] = {}
     for i, (case, part) in enumerate(zip(cases, none.model.parts, strict=True)):
-        own = part.plate_vector(x[None])
-        prediction = case.models.bare.predict(own, jacobian=True)
+        x_plate = part.plate_vector(x[None])
+        prediction = case.models.bare.predict(x_plate, jacobian=True)
         assert prediction.jacobian is not None
         f = prediction.frequencies[0]
-        slope = prediction.jacobian[0] * own[0] / f[:, None]
-        found[i] = TangentModel(case.models.bare, own[0], np.log(f), slope)
-    return found
+        slope = prediction.jacobian[0] * x_plate[0] / f[:, None]
+        models[i] = TangentModel(case.models.bare, x_plate[0], np.log(f), slope)
+    return models

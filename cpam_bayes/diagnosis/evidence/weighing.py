@@ -51,16 +51,16 @@ class Weighed:
 
     def by_cause(self) -> dict[str, float]:
         """Probability of every cause, its variants summed, the most probable first."""
-        found: dict[str, float] = defaultdict(float)
+        probability: dict[str, float] = defaultdict(float)
         for t in self.tested:
-            found[t.hypothesis.cause] += t.probability
-        return dict(sorted(found.items(), key=lambda item: -item[1]))
+            probability[t.hypothesis.cause] += t.probability
+        return dict(sorted(probability.items(), key=lambda item: -item[1]))
 
     def log_bayes_factor(self, causes: Collection[str]) -> float:
         """Of causes against none, all their variants averaged over their priors."""
-        own = [t for t in self.tested if t.hypothesis.cause in causes]
-        prior = np.array([t.hypothesis.prior for t in own])
-        return float(logsumexp([t.log_bayes_factor for t in own], b=prior / prior.sum()))
+        variants = [t for t in self.tested if t.hypothesis.cause in causes]
+        prior = np.array([t.hypothesis.prior for t in variants])
+        return float(logsumexp([t.log_bayes_factor for t in variants], b=prior / prior.sum()))
 
     def best_of(self, cause: str) -> Tested:
         """The most probable variant of a cause."""
@@ -89,10 +89,10 @@ def weigh(
         progress(i + 1, total)
     screened = scan.corrected(screened)
     scan.refine(screened)
-    if pairs and ranked(scan.found)[0].hypothesis.cause != NONE:
+    if pairs and ranked(scan.tested)[0].hypothesis.cause != NONE:
         scan.refine(_pairs(scan, screened, [h for h, _ in hypotheses]), _PAIRS_REFINED)
     progress(total, total)
-    order = ranked(scan.found)
+    order = ranked(scan.tested)
     best = order[0].log_weight
     order = ranked([scan.sampled(t, best) for t in order])
     log_none = next(t for t in order if t.hypothesis.cause == NONE).marginal.log_evidence
@@ -128,34 +128,34 @@ def _pairs(scan: Scan, screened: Sequence[Tested], singles: Sequence[Hypothesis]
     """The best pairs of causes of the same plates, by screening."""
     scale = pair_scale(singles)
     lists, _ = scan.linear_none()
-    found: list[Tested] = []
+    pairs: list[Tested] = []
     usable = [t for t in screened if t.shift is not None]
     # the size of the first is gone through node by node: one that may have two signs comes first
     usable.sort(key=lambda t: not any(e.even for e in t.hypothesis.effects))
     for plates in dict.fromkeys(t.plates for t in usable):
-        own = [t for t in usable if t.plates == plates]
-        prior = np.log([t.hypothesis.prior for t in own])
-        fit = np.array([[go_together(a.hypothesis, b.hypothesis) for b in own] for a in own], dtype=bool)
+        alike = [t for t in usable if t.plates == plates]
+        prior = np.log([t.hypothesis.prior for t in alike])
+        fit = np.array([[go_together(a.hypothesis, b.hypothesis) for b in alike] for a in alike], dtype=bool)
         log_prior = np.where(fit, prior[:, None] + prior, -np.inf)
-        tables = [t.shift for t in own if t.shift is not None]
+        tables = [t.shift for t in alike if t.shift is not None]
         for i, j in ranked_pairs(lists, tables, log_prior, _PAIRS):
-            pair = paired(own[i].hypothesis, own[j].hypothesis, scale)
-            found.append(scan.screen_pair(pair, own[i], own[j], lists))
-    return found + _with_list(scan, scale)
+            pair = paired(alike[i].hypothesis, alike[j].hypothesis, scale)
+            pairs.append(scan.screen_pair(pair, alike[i], alike[j], lists))
+    return pairs + _with_list(scan, scale)
 
 
 def _with_list(scan: Scan, scale: float) -> list[Tested]:
     """Leading causes that give frequencies to other modes, with the best variants of other causes."""
     best: dict[str, Tested] = {}
-    for t in ranked(scan.found):
+    for t in ranked(scan.tested):
         if t.hypothesis.cause not in (NONE, OTHER):
             best.setdefault(t.hypothesis.cause, t)
     order = list(best.values())
     leading = [t for t in order[:_LISTS] if t.hypothesis.listed != ListChange() and t.shift is None]
-    found: list[Tested] = []
+    pairs: list[Tested] = []
     for first in leading:
         with_it = [t for t in order if t.plates == first.plates]
         others = [t for t in with_it if go_together(first.hypothesis, t.hypothesis)]
         for second in others[:_SECOND]:
-            found += scan.screen(paired(first.hypothesis, second.hypothesis, scale), first.plates)
-    return scan.corrected(found)
+            pairs += scan.screen(paired(first.hypothesis, second.hypothesis, scale), first.plates)
+    return scan.corrected(pairs)

@@ -28,18 +28,20 @@ _BOX_SHARE, _NEAR_SHARE = 0.3, 0.05
 _LEAST_NOISE = 0.01
 
 
-def roughly(own: ConditionalPosterior, rng: np.random.Generator) -> ConditionalPosterior:
+def roughly(conditional: ConditionalPosterior, rng: np.random.Generator) -> ConditionalPosterior:
     """The posterior on a small basis for the whole box, which says where the mass is."""
-    box = training_sets(own.model.full.operator.problem, _BOX_SETS, rng)
+    box = training_sets(conditional.model.full.operator.problem, _BOX_SETS, rng)
     noise = np.inf
-    if not own.template.noise_is_inferred:
-        middle = 0.5 * (own.parameters.lower + own.parameters.upper)
-        noise = float(own.relative_noise(middle[None]).min())
-    return replace(own, model=focused(own.model, box, min(_BOX_ERROR, _BOX_SHARE * noise), _share(noise)))
+    if not conditional.template.noise_is_inferred:
+        middle = 0.5 * (conditional.parameters.lower + conditional.parameters.upper)
+        noise = float(conditional.relative_noise(middle[None]).min())
+    return replace(
+        conditional, model=focused(conditional.model, box, min(_BOX_ERROR, _BOX_SHARE * noise), _share(noise))
+    )
 
 
 def about(
-    own: ConditionalPosterior, grid_deg: Array, data: Evaluated, rng: np.random.Generator
+    conditional: ConditionalPosterior, grid_deg: Array, data: Evaluated, rng: np.random.Generator
 ) -> ConditionalPosterior:
     """The posterior on a basis that is made for the sequences near the top and their constants."""
     some = np.flatnonzero(data.log_evidence > data.log_evidence.max() - NEAR)
@@ -48,9 +50,11 @@ def about(
     draws = draws.reshape(len(angles), -1)
     rows = rng.permutation(len(draws))[:_NEAR_SETS]
     angles, draws = angles[rows], draws[rows]
-    noise = float(np.quantile(own.relative_noise(draws).min(axis=1), _LEAST_NOISE))
-    x = np.column_stack((angles, draws[:, : own.template.model.parameters.size]))
-    return replace(own, model=focused(own.model, x, min(_NEAR_ERROR, _NEAR_SHARE * noise), _share(noise)))
+    noise = float(np.quantile(conditional.relative_noise(draws).min(axis=1), _LEAST_NOISE))
+    x = np.column_stack((angles, draws[:, : conditional.template.model.parameters.size]))
+    return replace(
+        conditional, model=focused(conditional.model, x, min(_NEAR_ERROR, _NEAR_SHARE * noise), _share(noise))
+    )
 
 
 def _share(noise: float) -> float:

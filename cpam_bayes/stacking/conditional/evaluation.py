@@ -51,7 +51,7 @@ class Evaluated:
 
 
 def evaluate(
-    own: ConditionalPosterior,
+    conditional: ConditionalPosterior,
     grid_deg: Array,
     sequences: Array,
     starts: Array,
@@ -72,18 +72,18 @@ def evaluate(
         (angles[i : i + _BATCH], starts[i : i + _BATCH], library, scanned, log2_points)
         for i in range(0, len(sequences), _BATCH)
     ]
-    pieces = run(_evaluate_batch, own, items, executor, batch_size=1)
+    pieces = run(_evaluate_batch, conditional, items, executor, batch_size=1)
     return Evaluated(sequences, joined([p[0] for p in pieces]), joined([p[1] for p in pieces]))
 
 
 def _evaluate_batch(
-    own: ConditionalPosterior, item: tuple[Array, Array, Array | None, int, int]
+    conditional: ConditionalPosterior, item: tuple[Array, Array, Array | None, int, int]
 ) -> tuple[ConditionalFits, Conditionals]:
     angles, starts, library, scanned, log2_points = item
     if library is not None:
-        starts = np.concatenate((starts, scanned_starts(own, angles, library, scanned)), axis=1)
-    fits = fit_conditionals(own, angles, starts)
-    return fits, importance_evidence(own, angles, fits, log2_points)
+        starts = np.concatenate((starts, scanned_starts(conditional, angles, library, scanned)), axis=1)
+    fits = fit_conditionals(conditional, angles, starts)
+    return fits, importance_evidence(conditional, angles, fits, log2_points)
 
 
 def merged(a: Evaluated, b: Evaluated) -> Evaluated:
@@ -118,7 +118,7 @@ class Located:
 
 
 def locate(
-    own: ConditionalPosterior,
+    conditional: ConditionalPosterior,
     grid_deg: Array,
     sequences: Array,
     near: Array,
@@ -138,17 +138,17 @@ def locate(
     ]
     if not items:
         return Located(np.empty(0), np.empty((0, near.shape[1])))
-    pieces = run(_locate_batch, own, items, executor, batch_size=1)
+    pieces = run(_locate_batch, conditional, items, executor, batch_size=1)
     return Located(np.concatenate([p.log_evidence for p in pieces]), np.concatenate([p.x for p in pieces]))
 
 
-def _locate_batch(own: ConditionalPosterior, item: tuple[Array, Array, Array, Array]) -> Located:
+def _locate_batch(conditional: ConditionalPosterior, item: tuple[Array, Array, Array, Array]) -> Located:
     angles, near, least, starts = item
-    fits = fit_conditionals(own, angles, near[:, None, :], _NEARLY)
+    fits = fit_conditionals(conditional, angles, near[:, None, :], _NEARLY)
     log_evidence, x = fits.log_evidence.copy(), fits.x.copy()
     low = np.flatnonzero(log_evidence < least)
     if len(low):
-        again = fit_conditionals(own, angles[low], starts, _NEARLY)
+        again = fit_conditionals(conditional, angles[low], starts, _NEARLY)
         better = again.log_evidence > log_evidence[low]
         log_evidence[low[better]], x[low[better]] = again.log_evidence[better], again.x[better]
     return Located(log_evidence, x)
@@ -171,12 +171,12 @@ class Neighbours:
         """Optima of the nearest sequences, (m, n)."""
         return self.x[self.owner[self.tree.query(features / self.lengths)[1]]]
 
-    def starts(self, features: Array, own: Array | None = None) -> Array:
-        """Two starts of each, (m, 2, n): the nearest optimum or ``own`` (m, n), and an unlike one nearby."""
+    def starts(self, features: Array, nearest: Array | None = None) -> Array:
+        """Two starts of each, (m, 2, n): the nearest optimum or a given one (m, n), and an unlike one."""
         n = min(_NEIGHBOURS, self.tree.n)
         around = self.tree.query(features / self.lengths, k=np.arange(1, n + 1))[1]
         some = self.x[self.owner[around]]
-        first = some[:, 0] if own is None else own
+        first = some[:, 0] if nearest is None else nearest
         away = np.sum(((some - first[:, None, :]) / self.x.std(axis=0).clip(1e-300)) ** 2, axis=2)
         return np.stack((first, some[np.arange(len(some)), away.argmax(axis=1)]), axis=1)
 

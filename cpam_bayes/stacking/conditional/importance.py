@@ -85,7 +85,7 @@ class Conditionals:
 
 @single_blas_thread
 def importance_evidence(
-    own: ConditionalPosterior,
+    conditional: ConditionalPosterior,
     angles_deg: Array,
     fits: ConditionalFits,
     log2_points: int = 9,
@@ -102,7 +102,7 @@ def importance_evidence(
     more that stay unsure are sampled again with four times as many, and with sixteen times, where solves
     are slow on bases that are made for each.
     """
-    found = _in_parts(own, angles_deg, fits, log2_points, settings)
+    found = _in_parts(conditional, angles_deg, fits, log2_points, settings)
     for more in _MORE if log2_points >= settings.resampled_from else ():
         unsure = np.flatnonzero(found.error > settings.unsure)
         if not len(unsure):
@@ -111,7 +111,7 @@ def importance_evidence(
             [
                 _importance(basis, angles_deg[[i]], fits[[i]], log2_points + more, settings)
                 for i in unsure
-                for basis in [_on_own_basis(own, angles_deg[i], found[i], settings.large)]
+                for basis in [_on_own_basis(conditional, angles_deg[i], found[i], settings.large)]
             ]
         )
         place = np.arange(len(angles_deg))
@@ -121,7 +121,7 @@ def importance_evidence(
 
 
 def _in_parts(
-    own: ConditionalPosterior,
+    conditional: ConditionalPosterior,
     angles_deg: Array,
     fits: ConditionalFits,
     log2_points: int,
@@ -130,29 +130,29 @@ def _in_parts(
     each = max(_POINTS >> log2_points, 1)
     return joined(
         [
-            _importance(own, angles_deg[i : i + each], fits[i : i + each], log2_points, settings)
+            _importance(conditional, angles_deg[i : i + each], fits[i : i + each], log2_points, settings)
             for i in range(0, len(angles_deg), each)
         ]
     )
 
 
 def _on_own_basis(
-    own: ConditionalPosterior, angles_deg: Array, known: Conditionals, large: int
+    conditional: ConditionalPosterior, angles_deg: Array, known: Conditionals, large: int
 ) -> ConditionalPosterior:
     """The posterior on a basis for one sequence (k,) and what is known of its constants.
 
     These are spread independently, which covers the posterior whatever its correlations are.
     """
-    if max(block.size for block in own.model.fast.operator.blocks) < large:
-        return own
-    p = own.parameters
+    if max(block.size for block in conditional.model.fast.operator.blocks) < large:
+        return conditional
+    p = conditional.parameters
     spread = ndtri(qmc.Sobol(p.size, rng=np.random.default_rng(0)).random(_OWN_SETS))
     some = np.clip(known.mean + _OWN_WIDER * known.sd * spread, p.lower, p.upper)
-    some = np.concatenate((known.draws, some[np.isfinite(own.template.log_prior(some))]))
-    noise = float(own.relative_noise(known.draws).min())
-    constants = some[:, : own.template.model.parameters.size]
+    some = np.concatenate((known.draws, some[np.isfinite(conditional.template.log_prior(some))]))
+    noise = float(conditional.relative_noise(known.draws).min())
+    constants = some[:, : conditional.template.model.parameters.size]
     x = np.column_stack((np.broadcast_to(angles_deg, (len(some), len(angles_deg))), constants))
-    return replace(own, model=focused(own.model, x, min(_OWN_ERROR, _OWN_SHARE * noise)))
+    return replace(conditional, model=focused(conditional.model, x, min(_OWN_ERROR, _OWN_SHARE * noise)))
 
 
 def _about_optima(fits: ConditionalFits) -> Mixture:
@@ -170,16 +170,16 @@ def _refitted(mixture: Mixture, z: Array, log_weight: Array) -> Mixture:
 
 
 def _importance(
-    own: ConditionalPosterior,
+    conditional: ConditionalPosterior,
     angles_deg: Array,
     fits: ConditionalFits,
     log2_points: int,
     settings: RefinementSettings,
 ) -> Conditionals:
     stages = _STAGES if log2_points >= settings.refitted_from else (1.0,)
-    target = partial(_log_density, own, angles_deg)
+    target = partial(_log_density, conditional, angles_deg)
     found = staged_importance(target, _about_optima(fits), log2_points, stages, _refitted)
-    x = own.axes.to_x(found.points)
+    x = conditional.axes.to_x(found.points)
     mean = np.einsum("mp,mpj->mj", found.weight, x)
     sd = np.sqrt(np.einsum("mp,mpj->mj", found.weight, (x - mean[:, None, :]) ** 2))
     # systematic resampling over the points as the Sobol sequence has them, which is as good as at random
@@ -191,16 +191,18 @@ def _importance(
     )
 
 
-def _log_density(own: ConditionalPosterior, angles_deg: Array, z: Array) -> Array:
+def _log_density(conditional: ConditionalPosterior, angles_deg: Array, z: Array) -> Array:
     """Log density over normal scores z (m, p, n), row i having the sequence i, (m, p)."""
-    axes, (m, p, n) = own.axes, z.shape
+    axes, (m, p, n) = conditional.axes, z.shape
     z = z.reshape(m * p, n)
     x = axes.to_x(z)
-    inside = np.all((z >= axes.lower) & (z <= axes.upper), axis=1) & np.isfinite(own.template.log_prior(x))
+    inside = np.all((z >= axes.lower) & (z <= axes.upper), axis=1) & np.isfinite(
+        conditional.template.log_prior(x)
+    )
     found = np.full(m * p, -np.inf)
     # every row of a stack must have its parameter set: those outside the support go first
     rows = np.flatnonzero(inside)
     if len(rows):
-        at = own.at(angles_deg, rows // p)
+        at = conditional.at(angles_deg, rows // p)
         found[rows] = at.log_likelihood(x[rows]) + axes.log_prior(z[rows])
     return found.reshape(m, p)

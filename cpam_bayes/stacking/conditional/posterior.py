@@ -83,10 +83,10 @@ def conditional_posterior(
     return ConditionalPosterior(model, template, NormalScores(template.parameters), n_angles)
 
 
-def _geometry(own: ConditionalPosterior, angles_deg: Array) -> LaminateGeometry:
-    problem = own.model.fast.operator.problem
-    names = problem.parameters.names[: own.n_angles]
-    others = {p.name: np.asarray(p.prior.mean) for p in problem.parameters.parameters[own.n_angles :]}
+def _geometry(conditional: ConditionalPosterior, angles_deg: Array) -> LaminateGeometry:
+    problem = conditional.model.fast.operator.problem
+    names = problem.parameters.names[: conditional.n_angles]
+    others = {p.name: np.asarray(p.prior.mean) for p in problem.parameters.parameters[conditional.n_angles :]}
     values = {**others, **{name: angles_deg[:, i] for i, name in enumerate(names)}}
     state = problem.state(values)
     assert not isinstance(state.layup, LaminateGeometry)
@@ -171,7 +171,7 @@ def joined(pieces: list[Stack]) -> Stack:
 
 @single_blas_thread
 def fit_conditionals(
-    own: ConditionalPosterior, angles_deg: Array, starts: Array, promised: float = _PROMISED
+    conditional: ConditionalPosterior, angles_deg: Array, starts: Array, promised: float = _PROMISED
 ) -> ConditionalFits:
     """Laplace's evidence of sequences (m, n_angles), each optimised from every one of its starts.
 
@@ -182,24 +182,26 @@ def fit_conditionals(
     ends.
     """
     starts = np.broadcast_to(starts, (len(angles_deg), *starts.shape[-2:]))
-    largest = max(block.size for block in own.model.fast.operator.blocks)
+    largest = max(block.size for block in conditional.model.fast.operator.blocks)
     each = int(np.clip(_CACHED // largest**2, 64, 512))
     return joined(
         [
-            _fit(own, angles_deg[i : i + each], starts[i : i + each], promised)
+            _fit(conditional, angles_deg[i : i + each], starts[i : i + each], promised)
             for i in range(0, len(angles_deg), each)
         ]
     )
 
 
-def _fit(own: ConditionalPosterior, angles_deg: Array, starts: Array, promised: float) -> ConditionalFits:
+def _fit(
+    conditional: ConditionalPosterior, angles_deg: Array, starts: Array, promised: float
+) -> ConditionalFits:
     m, s, n = starts.shape
-    axes = own.axes
-    geometry = _geometry(own, angles_deg)
+    axes = conditional.axes
+    geometry = _geometry(conditional, angles_deg)
     of_start = np.repeat(np.arange(m), s)
 
     def target(z: Array, rows: Array) -> Expansion:
-        return _expand(own, geometry, z, of_start[rows])
+        return _expand(conditional, geometry, z, of_start[rows])
 
     maxima = maximise(
         target,
@@ -218,24 +220,26 @@ def _fit(own: ConditionalPosterior, angles_deg: Array, starts: Array, promised: 
     log_z[~_distinct(z, value, curvature)] = -np.inf
     total = logsumexp(log_z, axis=1)
     x = axes.to_x(z[np.arange(m), value.argmax(axis=1)])
-    at = replace(own.template, model=_model_at(own.model, own.n_angles, geometry))
-    measured = own.template.measurement.frequencies
+    at = replace(conditional.template, model=_model_at(conditional.model, conditional.n_angles, geometry))
+    measured = conditional.template.measurement.frequencies
     residual = measured / at.predict(x)[:, : len(measured)] - 1.0
     return ConditionalFits(total, x, residual, z, np.exp(log_z - total[:, None]), curvature)
 
 
-def _expand(own: ConditionalPosterior, geometry: LaminateGeometry, z: Array, rows: Array) -> Expansion:
+def _expand(
+    conditional: ConditionalPosterior, geometry: LaminateGeometry, z: Array, rows: Array
+) -> Expansion:
     """Log density over normal scores of stacks whose rows have the sequences ``rows`` of a geometry."""
-    axes = own.axes
+    axes = conditional.axes
     x = axes.to_x(z)
     # rows outside the support go first: every row of a stack must have its parameter set
-    inside = np.flatnonzero(np.isfinite(own.template.log_prior(x)))
+    inside = np.flatnonzero(np.isfinite(conditional.template.log_prior(x)))
     m, n = z.shape
     found = Expansion(np.full(m, -np.inf), np.zeros((m, n)), np.zeros((m, n, n)))
     if not len(inside):
         return found
-    model = _model_at(own.model, own.n_angles, _rows(geometry, rows[inside]))
-    likelihood = expand_likelihood(replace(own.template, model=model), x[inside])
+    model = _model_at(conditional.model, conditional.n_angles, _rows(geometry, rows[inside]))
+    likelihood = expand_likelihood(replace(conditional.template, model=model), x[inside])
     e = axes.with_prior(likelihood, x[inside], z[inside])
     found.value[inside], found.gradient[inside], found.curvature[inside] = e.value, e.gradient, e.curvature
     return found

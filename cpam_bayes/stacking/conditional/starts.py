@@ -15,14 +15,14 @@ Array = NDArray[Any]
 _TOGETHER = 2048
 
 
-def scan_library(own: ConditionalPosterior, size: int, rng: np.random.Generator) -> Array:
+def scan_library(conditional: ConditionalPosterior, size: int, rng: np.random.Generator) -> Array:
     """Constants drawn from their prior that meet the constraints (9), (size or fewer, n_constants)."""
-    n = own.template.model.parameters.size
-    drawn = own.parameters.sample(rng, 8 * size)
-    return np.asarray(drawn[np.isfinite(own.template.log_prior(drawn))][:size, :n])
+    n = conditional.template.model.parameters.size
+    drawn = conditional.parameters.sample(rng, 8 * size)
+    return np.asarray(drawn[np.isfinite(conditional.template.log_prior(drawn))][:size, :n])
 
 
-def scanned_starts(own: ConditionalPosterior, angles_deg: Array, library: Array, n: int) -> Array:
+def scanned_starts(conditional: ConditionalPosterior, angles_deg: Array, library: Array, n: int) -> Array:
     """The n members of a library that suit the list best with each sequence (m, k), (m, n, n_parameters).
 
     Stiffnesses that are all multiplied by a^2 multiply all frequencies by a: each member counts with the
@@ -33,15 +33,17 @@ def scanned_starts(own: ConditionalPosterior, angles_deg: Array, library: Array,
     library : (p, n_constants).
     """
     each = max(_TOGETHER // len(library), 1)
-    parts = [_scanned(own, angles_deg[i : i + each], library, n) for i in range(0, len(angles_deg), each)]
+    parts = [
+        _scanned(conditional, angles_deg[i : i + each], library, n) for i in range(0, len(angles_deg), each)
+    ]
     return np.concatenate(parts)
 
 
-def _scanned(own: ConditionalPosterior, angles_deg: Array, library: Array, n: int) -> Array:
+def _scanned(conditional: ConditionalPosterior, angles_deg: Array, library: Array, n: int) -> Array:
     m, p = len(angles_deg), len(library)
-    parameters = own.template.model.parameters
-    measured = own.template.measurement.frequencies
-    at = own.at(np.repeat(angles_deg, p, axis=0))
+    parameters = conditional.template.model.parameters
+    measured = conditional.template.measurement.frequencies
+    at = conditional.at(np.repeat(angles_deg, p, axis=0))
     found = at.predict(np.tile(library, (m, 1)))[:, : len(measured)].reshape(m, p, -1)
     ratio = np.log(measured / found)
     moduli = np.array([name[0] in "EG" for name in parameters.names])
@@ -53,8 +55,8 @@ def _scanned(own: ConditionalPosterior, angles_deg: Array, library: Array, n: in
     best = np.argsort(misfit, axis=1, kind="stable")[:, :n]
     scale = np.take_along_axis(factor, best, axis=1)[..., None]
     starts = np.where(moduli, scale * library[best], library[best])
-    if own.template.noise_is_inferred:
-        prior = own.parameters.parameters[-1].prior
+    if conditional.template.noise_is_inferred:
+        prior = conditional.parameters.parameters[-1].prior
         amplitude = np.clip(np.take_along_axis(misfit, best, axis=1), 2.0 * prior.lower, 0.5 * prior.upper)
         starts = np.concatenate((starts, amplitude[..., None]), axis=2)
     return np.asarray(starts)
