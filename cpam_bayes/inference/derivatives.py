@@ -29,7 +29,9 @@ class Coordinates:
 
     u = x / (standard deviation of the prior), but log x for the noise's amplitude, a scale parameter.
 
-    scale : (n,) in the parameters' units. logged : (n,) bool. lower, upper : (n,) bounds of u.
+    scale : (n,) in the parameters' units.
+    logged : (n,) bool.
+    lower, upper : (n,) bounds of u.
     inner, outer : (n,) bounds of x.
     """
 
@@ -63,7 +65,8 @@ class Coordinates:
 class Expansion:
     """Log density of m points with its derivatives.
 
-    value : (m,), -inf outside the support, where the derivatives are zero. gradient : (m, n).
+    value : (m,), -inf outside the support, where the derivatives are zero.
+    gradient : (m, n).
     curvature : (m, n, n), positive semidefinite: the negative Hessian less the second derivatives of the
     frequencies, in the mean over the data.
     """

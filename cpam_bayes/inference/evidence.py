@@ -32,8 +32,10 @@ _OUTSTANDING_WEIGHT = 0.005
 class EvidenceSettings:
     """How an evidence is sampled.
 
-    draws : of the estimate. adaptation : of the proposal before. attempts : how often the estimate is made,
-    each time from a proposal fitted to all draws before, until no weight stands out.
+    draws : of the estimate.
+    adaptation : of the proposal before.
+    attempts : how often the estimate is made, each time from a proposal fitted to all draws before, until no
+    weight stands out.
     """
 
     draws: int = 20_000
@@ -48,10 +50,15 @@ DEFAULT_SETTINGS = EvidenceSettings()
 class Evidence:
     """The integral of likelihood times prior density, and the draws it was estimated from.
 
-    standard_error : of log_evidence, from the spread of the weights. effective_size : (sum w)^2 / sum w^2.
-    k_hat : Pareto shape of the largest weights. status : reliable where k_hat is below 0.7 and the
-    effective size above 100; elsewhere neither value nor error are to be relied on. n_draws : of the
-    estimate; solves : of the adaptation too. mean, sd : (n,) of the parameters. draws : (n_draws, n);
+    standard_error : of log_evidence, from the spread of the weights.
+    effective_size : (sum w)^2 / sum w^2.
+    k_hat : Pareto shape of the largest weights.
+    status : reliable where k_hat is below 0.7 and the effective size above 100; elsewhere neither value nor
+    error are to be relied on.
+    n_draws : of the estimate.
+    solves : of the adaptation too.
+    mean, sd : (n,) of the parameters.
+    draws : (n_draws, n).
     log_weights : (n_draws,), their normalised weights.
 
     The prior is the product of the parameters' densities, zero where the constraints (9) are broken; it
@@ -106,8 +113,8 @@ def importance_evidence(
     draws have found, and the estimate is made again from a q fitted to them. Raises ``ValueError`` where
     nothing lies in the support of the prior.
 
-    starts : (m, n) where optima are looked for, besides draws from the prior; may be empty. chain :
-    (n_draws, n) draws of the posterior.
+    starts : (m, n) where optima are looked for, besides draws from the prior; may be empty.
+    chain : (n_draws, n) draws of the posterior.
     """
     rng = np.random.default_rng([seed, 4])
     state = adapt(posterior, starts, rng, settings.adaptation, chain)

@@ -23,9 +23,12 @@ _FEWEST_IN_TAIL = 5
 class Weighted:
     """Weighted points of m densities and the integrals of these.
 
-    points : (m, p, n). weight : (m, p), each row adds up to one. log_evidence : (m,) log of the mean
-    weight. standard_error : (m,) of it, that of independent points, an upper bound for a Sobol sequence;
-    effective_size : (m,) (sum w)^2 / sum w^2; k_hat : (m,) Pareto shape of the largest weights.
+    points : (m, p, n).
+    weight : (m, p), each row adds up to one.
+    log_evidence : (m,) log of the mean weight.
+    standard_error : (m,) of it, that of independent points, an upper bound for a Sobol sequence.
+    effective_size : (m,) (sum w)^2 / sum w^2.
+    k_hat : (m,) Pareto shape of the largest weights.
     """
 
     points: Array
@@ -70,8 +73,9 @@ def staged_importance(
     these are known better than each alone. After each stage the mixtures are refitted to all points before;
     all of them are weighed against the blend of the mixtures (Cornuet et al., 2012).
 
-    log_density : (m, p, n) -> (m, p). stages : fractions of the points. refit : mixture, points and their
-    log weights -> the mixture of the next stage.
+    log_density : (m, p, n) -> (m, p).
+    stages : fractions of the points.
+    refit : mixture, points and their log weights -> the mixture of the next stage.
     """
     m, n = mixture.centre.shape[0], mixture.centre.shape[2]
     stops = np.cumsum([0, *(round(stage * (1 << log2_points)) for stage in stages)])

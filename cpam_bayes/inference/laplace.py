@@ -57,8 +57,9 @@ _NEGLIGIBLE_NATS = 30.0
 class GaussianApproximation:
     """A posterior as a Gaussian about one optimum.
 
-    optimum : (n,). covariance : (n, n), the inverse of the Gauss-Newton Hessian with the variances
-    of the priors added, so that a direction which the data leave open keeps its prior's width.
+    optimum : (n,).
+    covariance : (n, n), the inverse of the Gauss-Newton Hessian with the variances of the priors added, so
+    that a direction which the data leave open keeps its prior's width.
     """
 
     optimum: Array
@@ -70,8 +71,11 @@ class GaussianApproximation:
 class Optimum:
     """A local maximum of a posterior's density over the scaled coordinates u.
 
-    x : (n,) parameters. u : (n,). log_prob : of the parameters. expansion : of the density over u
-    there, one point. verified : whether no better point was found around it.
+    x : (n,) parameters.
+    u : (n,).
+    log_prob : of the parameters.
+    expansion : of the density over u there, one point.
+    verified : whether no better point was found around it.
     """
 
     x: Array
@@ -85,10 +89,12 @@ class Optimum:
 class Approximation:
     """A Gaussian or a Student-t over u, cut at the bounds, that touches the posterior at an optimum.
 
-    centre : (n,), a Gaussian's outside the bounds where the density rises towards one. scale : (n, n),
-    inverse of the negative Hessian, for a Student-t times (nu + n) / nu, which gives it the same
-    curvature at its centre. degrees_of_freedom : nu, infinite for a Gaussian. log_evidence : integral
-    of the approximation (``laplace_log_evidence``). hessian : which one was used.
+    centre : (n,), a Gaussian's outside the bounds where the density rises towards one.
+    scale : (n, n), inverse of the negative Hessian, for a Student-t times (nu + n) / nu, which gives it the
+    same curvature at its centre.
+    degrees_of_freedom : nu, infinite for a Gaussian.
+    log_evidence : integral of the approximation (``laplace_log_evidence``).
+    hessian : which one was used.
     """
 
     centre: Array
@@ -114,8 +120,8 @@ def find_optima(
     best are dropped, and all after the best ``most``. Raises ``ValueError`` where no start lies in the
     support of the prior.
 
-    starts : (m, n). rng : draws further starts, the best ``draws`` of ten times as many; without it
-    there are none.
+    starts : (m, n).
+    rng : draws further starts, the best ``draws`` of ten times as many; without it there are none.
     """
     axes = coordinates(posterior)
     starts = np.clip(np.atleast_2d(starts), axes.inner, axes.outer)

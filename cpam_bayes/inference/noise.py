@@ -48,9 +48,11 @@ class NoiseModel:
 
     sigma_ij^2 = (a b_i)^2 + resolution^2 / 12 + (e_j f_j)^2. With Student-t noise sigma is its scale.
 
-    scale : (n,) b, Hz: the listed frequencies for relative noise, ones for noise that is the same in
-    all modes, as in eq. (7), the file's own where it gives one for each. amplitude : a, or the
-    parameter that it is. rounding : resolution^2 / 12, Hz^2. solver_error : (n_modes,) e, relative.
+    scale : (n,) b, Hz: the listed frequencies for relative noise, ones for noise that is the same in all
+    modes, as in eq. (7), the file's own where it gives one for each.
+    amplitude : a, or the parameter that it is.
+    rounding : resolution^2 / 12, Hz^2.
+    solver_error : (n_modes,) e, relative.
     degrees_of_freedom : of the Student-t shape, infinite for the Gaussian one.
     """
 

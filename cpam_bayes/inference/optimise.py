@@ -38,8 +38,10 @@ _MOST_POLLS = 25
 class Maxima:
     """Where m optimisations ended.
 
-    u : (m, n). expansion : there. converged : (m,) bool, no step promised a gain; a kink can make that
-    look so. steps : evaluations of the longest optimisation.
+    u : (m, n).
+    expansion : there.
+    converged : (m,) bool, no step promised a gain; a kink can make that look so.
+    steps : evaluations of the longest optimisation.
     """
 
     u: Array
@@ -67,9 +69,10 @@ def maximise(
     Steps solve (C + d diag C) s = g in the coordinates that no bound holds, are cut at the bounds, and
     raise or lower the damping d as they fail or succeed (More, 1978; bounds as in Bertsekas, 1982).
 
-    target : (u (k, n), rows (k,)) -> expansion, ``rows`` being the starts that the points belong to, so
-    that each may have a density of its own. lower, upper : (n,). promised : gain in nats below which an
-    optimisation ends.
+    target : (u (k, n), rows (k,)) -> expansion, ``rows`` being the starts that the points belong to, so that
+    each may have a density of its own.
+    lower, upper : (n,).
+    promised : gain in nats below which an optimisation ends.
     """
     u = np.clip(np.array(start, dtype=float), lower, upper)
     m = len(u)

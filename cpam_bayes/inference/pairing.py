@@ -20,8 +20,8 @@ Array = NDArray[Any]
 class PairingPrior:
     """Prices of an incomplete list.
 
-    missed : probability that a mode in the measured range is not in the list. spurious : expected
-    number of listed frequencies that belong to no mode, evenly spread over the range.
+    missed : probability that a mode in the measured range is not in the list.
+    spurious : expected number of listed frequencies that belong to no mode, evenly spread over the range.
     """
 
     missed: float = 0.1
@@ -35,8 +35,9 @@ DEFAULT_PAIRING = PairingPrior()
 class Pairing:
     """The most probable pairing of one parameter set.
 
-    mode : (n,) the model mode of each measured frequency, -1 for a spurious one. missed : model modes
-    in the measured range that the list lacks. log_probability : of this pairing among all.
+    mode : (n,) the model mode of each measured frequency, -1 for a spurious one.
+    missed : model modes in the measured range that the list lacks.
+    log_probability : of this pairing among all.
     """
 
     mode: Array
@@ -53,8 +54,9 @@ def monotone_log_likelihood(
     mode in range without a partner, times lambda / range for every frequency without one. Skipped
     rows and columns between two pairs are counted once, by two nested recursions.
 
-    log_density : (m, n, k), log density of frequency i if it is mode j. in_range : (m, k) bool, modes
-    that a complete list would contain; those beyond it cost nothing when missed.
+    log_density : (m, n, k), log density of frequency i if it is mode j.
+    in_range : (m, k) bool, modes that a complete list would contain; those beyond it cost nothing when
+    missed.
     """
     table = _Prices(log_density, in_range, measured_range, prior)
     if not table.n:

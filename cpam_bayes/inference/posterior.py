@@ -53,8 +53,8 @@ class ForwardModel(Protocol):
 class Posterior:
     """Log probability of parameter vectors, given measured frequencies.
 
-    parameters : those of the model, then the amplitude of the noise where it is inferred. labelled :
-    (n_frequencies,) bool, frequencies whose mode is known by its label: the model gives it at the
+    parameters : those of the model, then the amplitude of the noise where it is inferred.
+    labelled : (n_frequencies,) bool, frequencies whose mode is known by its label: the model gives it at the
     frequency's own place among its modes.
     """
 
@@ -186,8 +186,10 @@ def plate_posterior(
 ) -> Posterior:
     """The posterior of a model's parameters, with the noise among them if the file leaves it out.
 
-    likelihood, degrees_of_freedom : as of ``noise_model``. solver_error : (n_modes,) relative. Raises
-    ``ValueError`` for a list with labels unless the model is a ``LabelledModel``.
+    likelihood, degrees_of_freedom : as of ``noise_model``.
+    solver_error : (n_modes,) relative.
+
+    Raises ``ValueError`` for a list with labels unless the model is a ``LabelledModel``.
     """
     noise = noise_model(measurement, solver_error, likelihood, degrees_of_freedom)
     parameters = model.parameters

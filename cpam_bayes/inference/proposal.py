@@ -51,8 +51,8 @@ _CHAIN_DRAWS, _APPROXIMATION_DRAWS = 4000, 1000
 class AdaptationSettings:
     """How a proposal is fitted.
 
-    rounds, draws : adaptive steps at most, and draws of each. components : Student-t densities beyond those
-    of separate optima.
+    rounds, draws : adaptive steps at most, and draws of each.
+    components : Student-t densities beyond those of separate optima.
     """
 
     rounds: int = 8
@@ -64,8 +64,9 @@ class AdaptationSettings:
 class Proposal:
     """A density over the parameters that is drawn from and evaluated at once.
 
-    scores : normal scores of the parameters. mixture : over these. solves : forward solves that fitting it
-    took, those of the search for optima apart.
+    scores : normal scores of the parameters.
+    mixture : over these.
+    solves : forward solves that fitting it took, those of the search for optima apart.
     """
 
     scores: NormalScores

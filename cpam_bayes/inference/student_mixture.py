@@ -21,9 +21,10 @@ _LEAST_FRACTION, _RIDGE = 0.01, 1e-6
 class Mixture:
     """A mixture of k Student-t densities of n variables, or a stack of such mixtures.
 
-    share : (..., k) fractions of the whole, zero for components that are not used. centre : (..., k, n).
-    factor : (..., k, n, n), square roots of the scale matrices: factor factor^T. degrees_of_freedom : of
-    all of them, infinite for Gaussians.
+    share : (..., k) fractions of the whole, zero for components that are not used.
+    centre : (..., k, n).
+    factor : (..., k, n, n), square roots of the scale matrices: factor factor^T.
+    degrees_of_freedom : of all of them, infinite for Gaussians.
     """
 
     share: Array
@@ -35,7 +36,8 @@ class Mixture:
 def log_student_t(away: Array, factor: Array, nu: float) -> Array:
     """Log density of a multivariate Student-t, or of a Gaussian where nu is infinite, (..., p).
 
-    away : (..., p, n) from the centre. factor : (..., n, n) square root of the scale matrix.
+    away : (..., p, n) from the centre.
+    factor : (..., n, n) square root of the scale matrix.
     """
     n = away.shape[-1]
     squared = np.sum((away @ np.swapaxes(np.linalg.inv(factor), -1, -2)) ** 2, axis=-1)
@@ -82,7 +84,8 @@ def draw(mixture: Mixture, size: int, rng: np.random.Generator | np.random.Rando
 def sobol_points(mixture: Mixture, log2_points: int, part: slice = slice(None)) -> Array:
     """Points of a stack of mixtures from one scrambled Sobol sequence for all of them, (..., p, n).
 
-    log2_points : of the sequence. part : which of its points.
+    log2_points : of the sequence.
+    part : which of its points.
     """
     step, uniform = _standard_points(mixture.centre.shape[-1], log2_points, mixture.degrees_of_freedom)
     below = np.cumsum(mixture.share, axis=-1)[..., None, :-1] < uniform[part, None]
@@ -176,8 +179,9 @@ def shrunk_moments(
     A component stays near where it was if few points speak of it: its moments are weighed as
     N / (N + prior_points n) against the old ones, N being the effective number of its points.
 
-    log_weight : (..., p). least : fraction of the whole that a used component keeps. wider : factor on the
-    points' standard deviations.
+    log_weight : (..., p).
+    least : fraction of the whole that a used component keeps.
+    wider : factor on the points' standard deviations.
     """
     n = points.shape[-1]
     parts = log_components(mixture, points)

@@ -29,8 +29,9 @@ def log_box_mass(
     logarithms: a centre many standard deviations outside keeps its digits. The error is about 1e-3
     with 2^10 points in five dimensions. No chance is involved.
 
-    centre : (m, n). scale : (m, n, n) covariance, or scale matrix of a Student-t of nu degrees of
-    freedom. lower, upper : (n,), may be infinite.
+    centre : (m, n).
+    scale : (m, n, n) covariance, or scale matrix of a Student-t of nu degrees of freedom.
+    lower, upper : (n,), may be infinite.
     """
     m, n = centre.shape
     sd = np.sqrt(np.diagonal(scale, axis1=1, axis2=2))
@@ -65,7 +66,9 @@ def _sequential(
 ) -> tuple[Array, Array]:
     """Points between the bounds, (m, k, n), and the log product of the conditional masses, (m, k).
 
-    centre, lower, upper : (m, n). factor : (m, n, n). uniform : (k, n) in (0, 1).
+    centre, lower, upper : (m, n).
+    factor : (m, n, n).
+    uniform : (k, n) in (0, 1).
     """
     m, n = centre.shape
     z = np.zeros((m, len(uniform), n))

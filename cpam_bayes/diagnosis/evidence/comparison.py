@@ -54,8 +54,9 @@ def kept_of(whole: Array, listed: Array) -> Array:
 class Comparison:
     """A model against lists.
 
-    parameters : those of the model, then those of the noise. noise, discrepancy : columns of a and tau, or
-    ``None``. left_out : a frequency of the model that the list lacks on purpose, or ``None``.
+    parameters : those of the model, then those of the noise.
+    noise, discrepancy : columns of a and tau, or ``None``.
+    left_out : a frequency of the model that the list lacks on purpose, or ``None``.
     """
 
     model: ComposedModel

@@ -101,10 +101,10 @@ def laplace_marginal(
 ) -> Marginal:
     """The marginal likelihood by quadrature over the score of one parameter, or without.
 
-    starts : (s, n) scores that optimisations begin from. floor : a log evidence below which the grid is not
-    refined, as the hypothesis carries nothing. screened : the same over nodes of its own, which are optimised
-    from where it stands, instead of the whole grid from the starts. The draws are those of the Laplace
-    approximation.
+    starts : (s, n) scores that optimisations begin from.
+    floor : a log evidence below which the grid is not refined, as the hypothesis carries nothing.
+    screened : the same over nodes of its own, which are optimised from where it stands, instead of the whole
+    grid from the starts. The draws are those of the Laplace approximation.
     """
     if quadrature is None:
         return _at_one_node(comparison, starts if screened is None else screened.z[:1])

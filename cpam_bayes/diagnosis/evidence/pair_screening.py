@@ -56,7 +56,8 @@ def ranked_pairs(
 ) -> list[tuple[int, int]]:
     """The pairs i < j of causes with most prior times evidence, by Laplace's method at the best node.
 
-    lists : of the plain model, residual (n_f,). tables : (k, n_f) shifts at the grid's nodes by cause.
+    lists : of the plain model, residual (n_f,).
+    tables : (k, n_f) shifts at the grid's nodes by cause.
     log_prior : (m, m) of the pairs, -inf where two do not go together.
     """
     m = len(tables)
@@ -110,8 +111,9 @@ def screened_pair(
 ) -> Marginal:
     """The marginal likelihood of a pair by quadrature over both sizes, corrected where it leads.
 
-    lists, tables : as in ``ranked_pairs``. columns : of the two sizes in the pair's comparison. start : (n,)
-    scores of the constants that the lists are linear about. The grid is that of the first size.
+    lists, tables : as in ``ranked_pairs``.
+    columns : of the two sizes in the pair's comparison.
+    start : (n,) scores of the constants that the lists are linear about. The grid is that of the first size.
     """
     fine = tuple(CubicSpline(GRID, table, axis=0)(FINE) for table in tables)
     free = free_of(comparison, columns)

@@ -23,8 +23,11 @@ def about_nodes(
     Along the score of the quadrature a component is as wide as its node is far from the next ones, and
     the optimum of the other scores is carried along.
 
-    z : (k, n) optima at the nodes; curvature : (k, n - 1, n - 1), or (1, n, n) without quadrature;
-    weight : (k,). wider : factor on all widths. freedom : degrees of freedom of the Student-t.
+    z : (k, n) optima at the nodes.
+    curvature : (k, n - 1, n - 1), or (1, n, n) without quadrature.
+    weight : (k,).
+    wider : factor on all widths.
+    freedom : degrees of freedom of the Student-t.
     """
     used = np.flatnonzero(weight >= _LEAST_FRACTION)
     share = weight[used] / weight[used].sum()

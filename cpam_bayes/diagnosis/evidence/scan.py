@@ -35,9 +35,11 @@ _MOST_OFFSET = 1.0
 class Tested:
     """One hypothesis with its marginal likelihood.
 
-    plates : numbers of the plates that have it; all of them where they share it. probability : among all
-    that were tested. log_bayes_factor : against none. shift : (k, n_f) of the log frequencies at the scores
-    of the first grid, with the constants of the plain model; ``None`` where the list is paired otherwise.
+    plates : numbers of the plates that have it; all of them where they share it.
+    probability : among all that were tested.
+    log_bayes_factor : against none.
+    shift : (k, n_f) of the log frequencies at the scores of the first grid, with the constants of the plain
+    model; ``None`` where the list is paired otherwise.
     """
 
     hypothesis: Hypothesis
@@ -77,7 +79,8 @@ def marginal_of(
 ) -> Marginal:
     """Marginal likelihood of one hypothesis about some plates.
 
-    left_out : a frequency to leave out. stand_ins : models of the plates that the hypothesis is not about.
+    left_out : a frequency to leave out.
+    stand_ins : models of the plates that the hypothesis is not about.
     screened : where optimisations begin.
     """
     comparison = comparison_of(cases, _about(cases, hypothesis, plates), scatter=scatter, stand_ins=stand_ins)
@@ -94,8 +97,8 @@ def marginal_of(
 class Scan:
     """Hypotheses as they are tested, none first.
 
-    anchors : the optimum of none, and the prior means. offset : what screening misses of the plain model,
-    taken to be the same for all.
+    anchors : the optimum of none, and the prior means.
+    offset : what screening misses of the plain model, taken to be the same for all.
     """
 
     cases: Sequence[PlateCase]

@@ -36,7 +36,8 @@ _FARTHEST = 4.0
 class Anchor:
     """A place from which hypotheses are screened.
 
-    scores : of the plain model's parameters, by name. tangents : models of the plates about it.
+    scores : of the plain model's parameters, by name.
+    tangents : models of the plates about it.
     """
 
     scores: Mapping[str, float]
@@ -67,8 +68,10 @@ class Anchor:
 class Linear:
     """Lists against a model that is linear in the scores of the constants.
 
-    residual : (n_f,) or (k, n_f) ln measured - ln predicted with the constants at score zero. slope : (n_f,
-    n) d ln f / d z. sigmas : (s, n_f) noise of the log frequencies; log_weight : (s,) of each.
+    residual : (n_f,) or (k, n_f) ln measured - ln predicted with the constants at score zero.
+    slope : (n_f, n) d ln f / d z.
+    sigmas : (s, n_f) noise of the log frequencies.
+    log_weight : (s,) of each.
     """
 
     residual: Array

@@ -22,8 +22,10 @@ Array = NDArray[Any]
 class TangentModel:
     """ln f = ln f_0 + S (ln x - ln x_0): exact to first order, and where one constant scales all of them.
 
-    exact : the model that it stands for. x : (n,) where it touches it. log_f : (n_modes,). slope :
-    (n_modes, n), d ln f / d ln x; all parameters are positive.
+    exact : the model that it stands for.
+    x : (n,) where it touches it.
+    log_f : (n_modes,).
+    slope : (n_modes, n), d ln f / d ln x; all parameters are positive.
     """
 
     exact: ForwardModel

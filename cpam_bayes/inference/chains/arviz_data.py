@@ -34,8 +34,10 @@ def arviz_data(
 ) -> Any:
     """The groups as ``arviz.InferenceData``.
 
-    sampled : the posterior that the hash of the problem is of. attributes : beside versions, plate, seed and
-    hash. log_prior : by parameter. groups : as of ``arviz.from_dict``.
+    sampled : the posterior that the hash of the problem is of.
+    attributes : beside versions, plate, seed and hash.
+    log_prior : by parameter.
+    groups : as of ``arviz.from_dict``.
     """
     with warnings.catch_warnings():
         # arviz announces its next version, and takes many walkers with few thinned draws for a slip

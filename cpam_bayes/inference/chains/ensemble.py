@@ -31,12 +31,15 @@ Array = NDArray[Any]
 class EnsembleSettings:
     """How long to sample.
 
-    ensembles, walkers : independent ensembles and walkers in each. round_steps : steps between two
-    looks at the chains. r_hat, effective : what ends the sampling. most_steps : the budget.
-    lengths : autocorrelation times that a chain has to be long. With a window of five times it, a time
-    is known to sqrt(20 / (lengths walkers)) (Sokal, 1996): 20 % from half of ten, that the diagnostics
-    use, of a hundred walkers. jumps : share of the steps that jump to draws of a proposal, where there is
-    one; the others are local moves.
+    ensembles, walkers : independent ensembles and walkers in each.
+    round_steps : steps between two looks at the chains.
+    r_hat, effective : what ends the sampling.
+    most_steps : the budget.
+    lengths : autocorrelation times that a chain has to be long. With a window of five times it, a time is
+    known to sqrt(20 / (lengths walkers)) (Sokal, 1996): 20 % from half of ten, that the diagnostics use, of a
+    hundred walkers.
+    jumps : share of the steps that jump to draws of a proposal, where there is one; the others are local
+    moves.
     """
 
     ensembles: int = 2
@@ -71,9 +74,10 @@ class Diagnostics:
 class EnsembleResult:
     """Chains of all ensembles after burn-in.
 
-    chain : (ensembles, steps, walkers, n). log_prob : (ensembles, steps, walkers). solves : forward
-    solves of all steps and of the fit of the proposal. not_stored : why rounds are missing in the store,
-    ``None`` if none is.
+    chain : (ensembles, steps, walkers, n).
+    log_prob : (ensembles, steps, walkers).
+    solves : forward solves of all steps and of the fit of the proposal.
+    not_stored : why rounds are missing in the store, ``None`` if none is.
     """
 
     chain: Array
@@ -99,7 +103,8 @@ def start_positions(
     its height and volume deserve: a collapsed swarm gives no degenerate ensemble. Raises
     ``ValueError`` where no particle is in the support of the prior.
 
-    swarm : (m, n_plate) personal bests; values : (m,) their misfits.
+    swarm : (m, n_plate) personal bests.
+    values : (m,) their misfits.
     """
     optima = _optima(posterior, swarm, values)
     height = np.array([o.log_prob + 0.5 * np.linalg.slogdet(o.covariance)[1] for o in optima])
@@ -199,11 +204,12 @@ def sample(
 ) -> EnsembleResult:
     """Sample a posterior until the ensembles agree or the budget ends.
 
-    start : (ensembles, walkers, n). proposal : covers the posterior; without one there are local moves
-    only. store : a directory for the rounds; one that holds rounds of the same problem, proposal
-    included, is gone on with, one of another problem raises ``StoreError``. A round that cannot be
-    written, on a full disk for instance, ends the storing and not the sampling: the result says so.
-    ``progress`` is told the diagnostics after each round.
+    start : (ensembles, walkers, n).
+    proposal : covers the posterior; without one there are local moves only.
+    store : a directory for the rounds; one that holds rounds of the same problem, proposal included, is gone
+    on with, one of another problem raises ``StoreError``. A round that cannot be written, on a full disk for
+    instance, ends the storing and not the sampling: the result says so. ``progress`` is told the diagnostics
+    after each round.
 
     Moves: differential evolution (ter Braak, 2006), nine in ten with the usual factor, one in ten
     with factor 1, which jumps between separate optima. They mixed two to three times as well as the

@@ -59,7 +59,9 @@ def sample_from(
 ) -> EnsembleResult:
     """Chains of a posterior by emcee, started from the personal bests of a swarm.
 
-    bests : (m, n_plate) parameters of the plate, without the noise. values : (m,) their misfits.
+    bests : (m, n_plate) parameters of the plate, without the noise.
+    values : (m,) their misfits.
+
     Raises as ``sample_posterior`` does.
     """
     rng = np.random.default_rng([seed, 1])

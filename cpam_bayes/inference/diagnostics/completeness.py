@@ -127,8 +127,8 @@ def pairing_doubt(posterior: Posterior, best: Array, others: Array) -> PairingDo
     be distinguished from a complete one.
 
     best : (n,) optimum of the posterior.
-    others : (m, n_plate) further parameters to start from. The model must predict a mode more than there
-    are frequencies.
+    others : (m, n_plate) further parameters to start from. The model must predict a mode more than there are
+    frequencies.
     """
     n_plate = posterior.model.parameters.size
     draws = posterior.model.parameters.sample(np.random.default_rng(0), _DRAWS)

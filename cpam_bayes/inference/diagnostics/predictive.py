@@ -30,8 +30,7 @@ class LeftOut:
     residual : measured less predicted, Hz.
     sd : of the prediction and the noise together, Hz.
     leverage : weight of a mode's frequency in its own prediction, 0 to 1.
-    basis : whether predictions and their spread are those of the draws or of a linearisation at the
-    optimum.
+    basis : whether predictions and their spread are those of the draws or of a linearisation at the optimum.
     """
 
     residual: Array

@@ -32,8 +32,8 @@ class Profile:
     """Profile likelihood of one parameter, SI.
 
     values : (g,).
-    drop : (g,) largest log likelihood of all less that with the parameter held there, infinite where none
-    was found.
+    drop : (g,) largest log likelihood of all less that with the parameter held there, infinite where none was
+    found.
     best : the value with the largest likelihood.
     lower, upper : outer ends of the 95 % region, drop <= 1.92, or of the grid where the likelihood does not
     drop so far.

@@ -48,9 +48,11 @@ def initial_swarm(
     the upper bound of E1, and E1 not below its own lower bound, so that every particle lies in
     the box. For an isotropic plate E1 = E2 by eq. (11): the order of the two is not asked for.
 
-    parameters : the unknowns, SI units; a fixed E1 or E2 among them limits the other one. isotropic :
-    whether eq. (11) holds. n : number of particles. Returns (n, parameters.size), columns as in
-    ``parameters.names``.
+    parameters : the unknowns, SI units; a fixed E1 or E2 among them limits the other one.
+    isotropic : whether eq. (11) holds.
+    n : number of particles.
+
+    Returns (n, parameters.size), columns as in ``parameters.names``.
 
     Raises ``ValueError`` if the bounds leave no room for the constraints.
     """
@@ -89,7 +91,8 @@ def minimise(
 ) -> SwarmResult:
     """Minimise a function over a box by a particle swarm, eq. (1) and (2), see ``minimise_problem``.
 
-    objective : (m, n_constants) -> (m,). feasible : (m, n_constants) -> (m,) bool, the constraints (9).
+    objective : (m, n_constants) -> (m,).
+    feasible : (m, n_constants) -> (m,) bool, the constraints (9).
     lower, upper : (n_constants,).
     """
 

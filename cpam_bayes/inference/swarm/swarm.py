@@ -43,8 +43,10 @@ Without it a misfit that goes to zero would improve by the same factor for ever.
 class SwarmProblem:
     """What is minimised over constants in a box and, if there are unknown plies, sequences on a grid.
 
-    objective : constants (m, n_constants), grid indices (m, n_plies) -> (m,), called with feasible
-    particles only. feasible : (m, n_constants) -> (m,) bool. lower, upper : (n_constants,) bounds.
+    objective : constants (m, n_constants), grid indices (m, n_plies) -> (m,), called with feasible particles
+    only.
+    feasible : (m, n_constants) -> (m,) bool.
+    lower, upper : (n_constants,) bounds.
     n_plies, n_angles : unknown plies and angles of the grid, 0 of both for constants alone.
 
     Raises ``ValueError`` if bounds are not finite or not in order, or for plies without a grid.
@@ -69,11 +71,12 @@ class SwarmProblem:
 class SwarmState:
     """The swarm between two iterations; arrays begin with (particles, ...).
 
-    positions, velocities : (..., n_constants), x and v of eq. (1) and (2). memberships, drifts :
-    (..., n_plies, n_angles), X and V of eq. (5). personal_bests, best_memberships : personal bests.
-    personal_values : (particles,), infinite for a particle that never was feasible. history : best
-    value after the start and after each iteration. evaluations : particles sent to the objective until
-    now.
+    positions, velocities : (..., n_constants), x and v of eq. (1) and (2).
+    memberships, drifts : (..., n_plies, n_angles), X and V of eq. (5).
+    personal_bests, best_memberships : personal bests.
+    personal_values : (particles,), infinite for a particle that never was feasible.
+    history : best value after the start and after each iteration.
+    evaluations : particles sent to the objective until now.
     """
 
     positions: FloatArray
@@ -96,11 +99,14 @@ class SwarmState:
 class SwarmResult:
     """Where a swarm ended, and how.
 
-    best : (n_constants,) and sequence : (n_plies,) grid indices of the smallest value. personal_bests,
-    personal_sequences, personal_values : each particle's best, the values infinite for a particle that
-    never was feasible. iterations : done after the start. evaluations : forward solves; infeasible
-    particles cost none. agreeing : particles whose best is the leader's, to the tolerance. history :
-    (iterations + 1,) best value so far. message : the status in words.
+    best : (n_constants,) and sequence : (n_plies,) grid indices of the smallest value.
+    personal_bests, personal_sequences, personal_values : each particle's best, the values infinite for a
+    particle that never was feasible.
+    iterations : done after the start.
+    evaluations : forward solves; infeasible particles cost none.
+    agreeing : particles whose best is the leader's, to the tolerance.
+    history : (iterations + 1,) best value so far.
+    message : the status in words.
     """
 
     best: FloatArray = field(repr=False)
@@ -126,7 +132,8 @@ def confine(
     and halves (Clerc 2012, see ``pso``). An optimum on a bound is hit exactly, and a swarm that was
     pressed onto a bound can still leave it.
 
-    positions, velocities : (particles, n_constants). lower, upper : (n_constants,).
+    positions, velocities : (particles, n_constants).
+    lower, upper : (n_constants,).
     """
     inside = np.clip(positions, lower, upper)
     return inside, np.where(inside != positions, _BOUNCE * velocities, velocities)

@@ -158,8 +158,9 @@ def _locate_batch(conditional: ConditionalPosterior, item: tuple[Array, Array, A
 class Neighbours:
     """Where evaluated sequences lie among all: a tree over their features and all images of these.
 
-    tree : over points in units of ``lengths`` (d,). owner : which sequence a point belongs to. x : (m, n)
-    optima of the sequences.
+    tree : over points in units of ``lengths`` (d,).
+    owner : which sequence a point belongs to.
+    x : (m, n) optima of the sequences.
     """
 
     tree: cKDTree

@@ -66,8 +66,10 @@ DEFAULT_REFINEMENT = RefinementSettings()
 class Conditionals:
     """The conditional posteriors of m sequences by importance sampling.
 
-    log_evidence : (m,). error, effective_size, k_hat : (m,) as in ``Weighted``. mean, sd : (m, n) of the
-    parameters. draws : (m, 8, n), equally probable.
+    log_evidence : (m,).
+    error, effective_size, k_hat : (m,) as in ``Weighted``.
+    mean, sd : (m, n) of the parameters.
+    draws : (m, 8, n), equally probable.
     """
 
     log_evidence: Array

@@ -43,9 +43,9 @@ _CACHED = 1 << 19
 class ConditionalPosterior:
     """The posterior of constants (and noise) that any sequence of one layup has.
 
-    model : reduced, of the unknown angles and then the constants. template : a posterior of the
-    constants alone, whose model is that of some sequence. axes : coordinates in which
-    the prior is a standard normal.
+    model : reduced, of the unknown angles and then the constants.
+    template : a posterior of the constants alone, whose model is that of some sequence.
+    axes : coordinates in which the prior is a standard normal.
     """
 
     model: ReducedModel
@@ -141,10 +141,12 @@ def _rows(geometry: LaminateGeometry, rows: Array) -> LaminateGeometry:
 class ConditionalFits:
     """The conditional posteriors of m sequences about their optima.
 
-    log_evidence : (m,) Laplace's, summed over the distinct optima. x : (m, n) parameters at the best
-    optimum. residual : (m, n_frequencies) measured / predicted - 1 there, modes in ascending order.
-    optima : (m, s, n) all optima, normal scores; weight : (m, s) their shares of the evidence, zero for
-    copies. curvature : (m, s, n, n) negative Hessians (Gauss-Newton) there.
+    log_evidence : (m,) Laplace's, summed over the distinct optima.
+    x : (m, n) parameters at the best optimum.
+    residual : (m, n_frequencies) measured / predicted - 1 there, modes in ascending order.
+    optima : (m, s, n) all optima, normal scores.
+    weight : (m, s) their shares of the evidence, zero for copies.
+    curvature : (m, s, n, n) negative Hessians (Gauss-Newton) there.
     """
 
     log_evidence: Array
@@ -178,8 +180,8 @@ def fit_conditionals(
     Z = sum over optima of (2 pi)^(n/2) det(H)^(-1/2) p(z), z being normal scores: the prior has no
     bounds there, and a constant that the data leave open is integrated exactly.
 
-    starts : (s, n) for all sequences, or (m, s, n), parameters. promised : gain in nats below which one
-    ends.
+    starts : (s, n) for all sequences, or (m, s, n), parameters.
+    promised : gain in nats below which one ends.
     """
     starts = np.broadcast_to(starts, (len(angles_deg), *starts.shape[-2:]))
     largest = max(block.size for block in conditional.model.fast.operator.blocks)
