@@ -18,7 +18,7 @@ from cpam_bayes.paper import perturbation_table
 from cpam_bayes.parallel import open_executor
 from cpam_bayes.plate import builtin
 from cpam_bayes.repetition.perturbation import INTERPRETATIONS, Interpretation
-from cpam_bayes.repetition.study import CHAINS, model_list, sensitivity
+from cpam_bayes.repetition.study import ENSEMBLE_SETTINGS, model_list, sensitivity
 from cpam_bayes.report.documents import json_text
 from cpam_bayes.report.repetition.screen import sensitivity_document
 from cpam_bayes.report.repetition.words import printed_table, sensitivity_warnings
@@ -66,7 +66,7 @@ def _study(
         groups=3 if quick else GROUPS,
         readings=readings,
         swarm_settings=SwarmSettings(particles=20, iterations=60) if quick else None,
-        chains=EnsembleSettings(walkers=16, round_steps=150, most_steps=150) if quick else CHAINS,
+        chains=EnsembleSettings(walkers=16, round_steps=150, most_steps=150) if quick else ENSEMBLE_SETTINGS,
         executor=executor,
     )
     table = printed_table(result, perturbation_table(name))

@@ -40,7 +40,7 @@ from cpam_bayes.validation.diagnosis.trial_statistics import (
     unreached,
 )
 from cpam_bayes.validation.diagnosis.trials import Trial, run_trial
-from cpam_bayes.validation.diagnosis.truths import MESH, Bench, bench, of_cause
+from cpam_bayes.validation.diagnosis.truths import MESH, Bench, bench, variants_of_cause
 from cpam_bayes.validation.draw_store import DrawStore
 from cpam_bayes.validation.study_results import save_results
 
@@ -93,7 +93,7 @@ QUICK_TRIALS = (Trial("clean", seed=SEED), Trial("one", ("warp",), 8.0, seed=SEE
 def plan(own: Bench, per_cell: int, clean: int, bricks: int, kinds: Sequence[str]) -> list[list[Trial]]:
     """All trials of a bench in rounds, of random order: after each, all cells have as many."""
     named = dict.fromkeys(h.cause for h in own.singles if h.cause not in ("none", "other"))
-    causes = tuple(c for c in named if of_cause(own, c))
+    causes = tuple(c for c in named if variants_of_cause(own, c))
     pairs = [p for p in PAIRS if set(p) <= set(causes)]
     other_material = [h.cause for h in own.singles if h.other_material]
     rounds: list[list[Trial]] = []

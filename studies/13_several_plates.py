@@ -6,7 +6,7 @@ A cause is hidden in C1, as large as a signal-to-noise ratio of 8 asks of its li
 frequencies with 0.2 % of noise. The list is diagnosed alone, with one and with two sister plates that nothing
 is wrong with and whose constants scatter by 2 %, with the same plate clamped on one edge, and with the same
 plate carrying a known mass near a corner. Truths are finite elements, the diagnosis has Ritz models
-(cpam_bayes/diagnosis/together.py).
+(cpam_bayes/validation/diagnosis/joint_trials.py).
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from cpam_bayes.commands.options import add_executor_options
 from cpam_bayes.parallel import open_executor
 from cpam_bayes.parallel import run as share_out
 from cpam_bayes.report.tables import Column, Table, screen_text
-from cpam_bayes.validation.diagnosis.together import TESTS, laboratory, run_together
+from cpam_bayes.validation.diagnosis.joint_trials import TESTS, laboratory, run_joint_trial
 from cpam_bayes.validation.diagnosis.trials import Trial
-from cpam_bayes.validation.diagnosis.truths import of_cause
+from cpam_bayes.validation.diagnosis.truths import variants_of_cause
 from cpam_bayes.validation.study_results import save_results
 
 Results = dict[str, Any]
@@ -59,7 +59,7 @@ def run(
     """All causes that reach the ratio; quick: one trial of one cause, with sisters only."""
     own = laboratory(PLATE, LISTED, noise=NOISE, resolution=RESOLUTION_HZ, tests=() if quick else TESTS)
     names = dict.fromkeys(h.cause for h in own.alone.singles if h.cause not in LEFT_OUT)
-    causes = [QUICK_CAUSE] if quick else [c for c in names if of_cause(own.alone, c)]
+    causes = [QUICK_CAUSE] if quick else [c for c in names if variants_of_cause(own.alone, c)]
     trials = [
         Trial("one", (c,), RATIO, i, seed=SEED) for i in range(1 if quick else per_cause) for c in causes
     ]
@@ -70,7 +70,7 @@ def run(
         done[0] += 1
         progress(done[0], len(trials))
 
-    found = share_out(run_together, own, trials, executor, batch_size=1, on_result=count)
+    found = share_out(run_joint_trial, own, trials, executor, batch_size=1, on_result=count)
     records = [r for r in found if r["reached"]]
     return {
         "quick": quick,

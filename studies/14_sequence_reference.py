@@ -32,10 +32,11 @@ from cpam_bayes.stacking.conditional.evaluation import Evaluated, evaluate
 from cpam_bayes.stacking.conditional.starts import scan_library
 from cpam_bayes.stacking.enumeration.by_surrogate import training_problem
 from cpam_bayes.stacking.enumeration.listing import surrogate_values
+from cpam_bayes.stacking.features import all_sequences
 from cpam_bayes.stacking.posterior import stacking_posterior, stacking_problem
 from cpam_bayes.stacking.records import DEFAULT_SETTINGS, StackingProblem, StackingSettings
 from cpam_bayes.stacking.surrogate.training import TrainingSettings, train
-from cpam_bayes.stacking.symmetry.classes import canonical
+from cpam_bayes.stacking.symmetry.classes import classes
 from cpam_bayes.validation.study_results import save_results, saved_results, with_saved
 from cpam_bayes.validation.unknown_layups import with_noise_free_list, with_unknown_layup
 
@@ -171,10 +172,8 @@ def _summed(problem: StackingProblem, each: int) -> Results:
     assert sums is not None, "so few sequences need no learned evidence"
     surrogate = train(training_problem(problem, sums), rng, lambda text: None).surrogate
     g, k = len(problem.grid_deg), problem.n_unknown
-    every = np.stack(np.unravel_index(np.arange(g**k), (g,) * k), axis=1)
-    orbits = canonical(every, problem.symmetries)
-    _, first = np.unique(orbits.representative @ (g ** np.arange(k - 1, -1, -1)), return_index=True)
-    sequences, size = orbits.representative[first], orbits.size[first]
+    distinct = classes(all_sequences(g, k), problem.symmetries)
+    sequences, size = distinct.representative, distinct.size
     known = surrogate_values(surrogate, problem.executor, sums.features(sequences))
     below = known.max() - known
     pick_rng = np.random.default_rng([SEED, 5])

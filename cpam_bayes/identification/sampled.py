@@ -29,7 +29,7 @@ from cpam_bayes.inference.chains.ensemble import (
 )
 from cpam_bayes.inference.chains.sampling import sample_from
 from cpam_bayes.inference.diagnostics.assessment import assess
-from cpam_bayes.inference.diagnostics.completeness import doubt_of
+from cpam_bayes.inference.diagnostics.completeness import transcription_error
 from cpam_bayes.inference.diagnostics.predictive import predictive_p_value
 from cpam_bayes.inference.evidence import Evidence, evidence_of
 from cpam_bayes.inference.noise import Likelihood
@@ -181,7 +181,7 @@ def _summarise(
         p_value=predictive_p_value(posterior, few, frequencies, pairing, rng),
         laminate=_laminate(model, few[:, :n]),
         error=discretisation_error(model.full, best[:n])[paired],
-        doubt=doubt_of(specimen, posterior, model, best),
+        doubt=transcription_error(specimen, posterior, model, best),
         evidence=evidence,
         assessment=assess(posterior, result, pairing, specimen.unknowns.names),
         result=result,

@@ -15,7 +15,7 @@ from cpam_bayes.inference.chains.ensemble import (
     EnsembleResult,
 )
 from cpam_bayes.inference.diagnostics.assessment import Assessment
-from cpam_bayes.inference.diagnostics.completeness import Doubt
+from cpam_bayes.inference.diagnostics.completeness import TranscriptionError
 from cpam_bayes.inference.evidence import Evidence
 from cpam_bayes.inference.noise import NOISE_NAMES
 from cpam_bayes.inference.pairing import Pairing
@@ -87,7 +87,7 @@ class SampledResult(PlateResult):
     p_value: float
     laminate: Mapping[str, tuple[float, float]]
     error: Array
-    doubt: Doubt | None
+    doubt: TranscriptionError | None
     evidence: Evidence
     assessment: Assessment
     result: EnsembleResult

@@ -11,7 +11,7 @@ from cpam_bayes.forward_model.preconditions import SUSPICIOUS_RATIO
 from cpam_bayes.forward_model.solve import LARGE_ERROR, error_warning
 from cpam_bayes.identification.point import PointEstimate, Residual
 from cpam_bayes.identification.sampled_result import SampledResult
-from cpam_bayes.inference.diagnostics.completeness import Doubt
+from cpam_bayes.inference.diagnostics.completeness import TranscriptionError
 from cpam_bayes.plate import Specimen, user_name
 from cpam_bayes.priors import TruncatedNormal
 
@@ -129,7 +129,7 @@ def sampled_warnings(result: SampledResult) -> tuple[str, ...]:
     if result.result.not_stored is not None:
         problems.append(result.result.not_stored)
     if result.doubt is not None:
-        problems.append(doubt_sentence(result.doubt))
+        problems.append(transcription_error_sentence(result.doubt))
     if result.p_value < _P_LOW:
         problems.append(
             f"posterior predictive p-value {result.p_value:.3f}: the residuals are larger than the noise "
@@ -138,7 +138,7 @@ def sampled_warnings(result: SampledResult) -> tuple[str, ...]:
     return tuple(problems)
 
 
-def doubt_sentence(doubt: Doubt) -> str:
+def transcription_error_sentence(doubt: TranscriptionError) -> str:
     """What of a complete list looks as if it were not, and what to do about it."""
     times = f"{np.exp(doubt.log_odds):.0f}" if doubt.log_odds < np.log(1e4) else "more than 10000"
     if doubt.missed is not None:

@@ -46,8 +46,8 @@ _THINNEST = 700.0
 # Edge exponentials, from few to many: (exponentials at each edge, carried by all bending fields).
 _UNCOUPLED_LAYERS = ((1, False), (2, False), (3, False))
 _COUPLED_LAYERS = ((1, False), (1, True), (2, True), (3, True))
-_MOST_LAYERS = 3
-_MOST_CORNER_LAYERS = 3
+_MAX_LAYERS = 3
+_MAX_CORNER_LAYERS = 3
 
 
 def default_tolerance(problem: Problem) -> Tolerance:
@@ -272,8 +272,8 @@ def _grown(settings: RitzSettings, wanting: list[bool], tolerance: Tolerance) ->
     )
     layers, corner_layers = settings.layers, settings.corner_layers
     if wanting[2]:
-        layers = min(layers + 1, _MOST_LAYERS)
-        corner_layers = min(corner_layers + 1, _MOST_CORNER_LAYERS) if corner_layers else 0
+        layers = min(layers + 1, _MAX_LAYERS)
+        corner_layers = min(corner_layers + 1, _MAX_CORNER_LAYERS) if corner_layers else 0
     return replace(
         settings,
         degree_x=degree_x,

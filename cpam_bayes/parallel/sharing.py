@@ -34,7 +34,7 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 # How often a batch may be lost with its worker.
-_MOST_LOSSES = 3
+_MAX_LOSSES = 3
 # Seconds that a batch should last: long beside the cost of sending it, short beside a user's patience.
 _BATCH_SECONDS = 0.5
 # A batch is at most this many times larger than one before it.
@@ -217,7 +217,7 @@ class _Queue:
 
     def lost(self, batch: _Batch, error: BaseException) -> None:
         """Take back a batch whose worker died, or raise ``WorkersLostError``."""
-        if batch.losses == _MOST_LOSSES:
+        if batch.losses == _MAX_LOSSES:
             raise WorkersLostError(
                 f"items {batch.start} to {batch.stop - 1} of {self._n} (counted from 0) were lost "
                 f"{batch.losses + 1} times because their worker died ({type(error).__name__}: {error}); "

@@ -23,7 +23,7 @@ from cpam_bayes import __version__
 from cpam_bayes.threads import keep_to_one_core, single_blas_thread
 
 # Shared objects that a worker keeps: those of two calls of `run` that take turns on one cluster.
-_MOST_KEPT = 2
+_MAX_KEPT = 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,7 +139,7 @@ def _shared(ticket: Ticket) -> tuple[bool, Any]:
         # of two calls that share the same the later one's file stays longer
         _restored[ticket.digest] = replace(restored, path=ticket.path if restored.path else "")
         _restored.move_to_end(ticket.digest)
-        while len(_restored) > _MOST_KEPT:
+        while len(_restored) > _MAX_KEPT:
             _restored.popitem(last=False)
         return True, restored.shared
 
@@ -169,7 +169,7 @@ def deliver(digest: str, pickled: bytes) -> None:
     with _lock:
         if digest not in _restored:
             _delivered[digest] = pickled
-        while len(_delivered) > _MOST_KEPT:
+        while len(_delivered) > _MAX_KEPT:
             _delivered.popitem(last=False)
 
 

@@ -39,12 +39,12 @@ from cpam_bayes.repetition.tasks import (
     POSTERIOR,
     InverseProblem,
     Inversion,
+    InversionTask,
     PosteriorSummary,
     Shared,
-    Task,
-    as_good,
+    equally_good,
+    run_task,
     swarm_value,
-    work,
 )
 from cpam_bayes.threads import single_blas_thread
 
@@ -52,7 +52,7 @@ Array = NDArray[Any]
 ListSource = Literal["measured", "model"]
 
 # Enough draws for a mean and a standard deviation to 3 %, in few steps.
-CHAINS: Final = EnsembleSettings(walkers=24, round_steps=500, effective=1000.0, most_steps=10_000)
+ENSEMBLE_SETTINGS: Final = EnsembleSettings(walkers=24, round_steps=500, effective=1000.0, most_steps=10_000)
 # Swarms that look for the reference.
 _STARTS: Final = 10
 
@@ -163,7 +163,7 @@ def noise_study(
     groups: int = 10,
     readings: Sequence[Interpretation] = INTERPRETATIONS,
     swarm_settings: SwarmSettings | None = None,
-    chains: EnsembleSettings = CHAINS,
+    chains: EnsembleSettings = ENSEMBLE_SETTINGS,
     executor: Executor | None = None,
     notify: Callable[[str], None] = lambda text: None,
     progress: Callable[[int, int], None] = lambda done, total: None,
@@ -209,8 +209,8 @@ def noise_study(
     )
     pairs = [(level, reading) for level in dict.fromkeys(levels) for reading in dict.fromkeys(readings)]
     # the longest first, so that no worker begins one at the end
-    items = [Task(*pair, POSTERIOR) for pair in pairs]
-    items += [Task(*pair, group) for pair in pairs for group in range(groups)]
+    items = [InversionTask(*pair, POSTERIOR) for pair in pairs]
+    items += [InversionTask(*pair, group) for pair in pairs for group in range(groups)]
     notify("inverting noisy lists and sampling posteriors")
     done = 0
 
@@ -219,7 +219,7 @@ def noise_study(
         done += 1
         progress(done, len(items))
 
-    results: list[Any] = run(work, shared, items, executor, on_result=count)
+    results: list[Any] = run(run_task, shared, items, executor, on_result=count)
     cells = []
     for i, (level, reading) in enumerate(pairs):
         first = len(pairs) + i * groups
@@ -250,7 +250,7 @@ def _best_start(
     seeds = [seed, *(int(other) for other in others)]
     values = run(swarm_value, (problem, frequencies), seeds, executor)
     best = int(np.argmin(values))
-    return seeds[best], sum(as_good(value, values[best], frequencies) for value in values)
+    return seeds[best], sum(equally_good(value, values[best], frequencies) for value in values)
 
 
 def _plain(specimen: Specimen, measurement: Measurement) -> Specimen:

@@ -33,7 +33,7 @@ _ON_BOUND, _NEXT_TO_BOUND = 1e-3, 1e-2
 # Streams of random numbers of one group.
 _NOISE, _SWARM = 0, 1
 # Swarms on one list before it is given up, and what two that found the same leave between them.
-_MOST_SWARMS, _LEFT_BY_SWARM = 5, 5e-4
+_MAX_SWARMS, _LEFT_BY_SWARM = 5, 5e-4
 # In place of the number of a group, for the posterior.
 POSTERIOR = 2**32 - 1
 
@@ -85,7 +85,7 @@ class Shared:
 
 
 @dataclass(frozen=True, slots=True)
-class Task:
+class InversionTask:
     """One noisy list to invert, or, with the group ``POSTERIOR``, one posterior to sample."""
 
     level: float
@@ -116,7 +116,7 @@ class Inversion:
     solves: int
 
 
-def work(shared: Shared, task: Task) -> Inversion | PosteriorSummary:
+def run_task(shared: Shared, task: InversionTask) -> Inversion | PosteriorSummary:
     """Invert a noisy list or sample the posterior, as the task says; it depends on nothing else."""
     return _sample(shared, task) if task.group == POSTERIOR else _invert(shared, task)
 
@@ -128,7 +128,7 @@ def swarm_value(shared: tuple[InverseProblem, Array], seed: int) -> float:
     return _minimum(problem, frequencies, np.random.default_rng(seed)).value
 
 
-def as_good(value: float, other: float, frequencies: Array) -> bool:
+def equally_good(value: float, other: float, frequencies: Array) -> bool:
     """Whether a swarm that ended at F = value is no worse than F = other, within what a swarm leaves.
 
     The two may differ by 5e-4 of the root mean square frequency in the rms misfit.
@@ -152,7 +152,7 @@ def _minimum(problem: InverseProblem, frequencies: Array, rng: np.random.Generat
 
 
 @single_blas_thread
-def _invert(shared: Shared, task: Task) -> Inversion:
+def _invert(shared: Shared, task: InversionTask) -> Inversion:
     """Add the noise of one group to the list and invert it.
 
     A swarm that ends where F is larger than at the reference has missed the minimum; another one is
@@ -166,10 +166,10 @@ def _invert(shared: Shared, task: Task) -> Inversion:
     limit = float(misfit(at_reference, noisy.frequencies, "absolute")[0])
     runs: list[SwarmResult] = []
     missed = True
-    while missed and len(runs) < _MOST_SWARMS:
+    while missed and len(runs) < _MAX_SWARMS:
         rng = np.random.default_rng([*seeds, _SWARM, len(runs)])
         runs.append(_minimum(problem, noisy.frequencies, rng))
-        missed = not as_good(runs[-1].value, limit, f)
+        missed = not equally_good(runs[-1].value, limit, f)
     best = min(runs, key=lambda swarm: swarm.value)
     lower, upper = problem.unknowns.lower, problem.unknowns.upper
     near = _ON_BOUND * (upper - lower)
@@ -187,7 +187,7 @@ def _invert(shared: Shared, task: Task) -> Inversion:
 
 
 @single_blas_thread
-def _sample(shared: Shared, task: Task) -> PosteriorSummary:
+def _sample(shared: Shared, task: InversionTask) -> PosteriorSummary:
     """Sample the posterior of the list without added noise, the noise being known."""
     f = shared.measurement.frequencies
     sd = perturbation_sd(f, task.level, task.reading)

@@ -20,7 +20,7 @@ from cpam_bayes.forward_model.model import angle_parameters
 from cpam_bayes.forward_model.reduced import DEFAULT_SETTINGS as REDUCTION
 from cpam_bayes.forward_model.reduced import ReducedModel
 from cpam_bayes.forward_model.store import reduced_model
-from cpam_bayes.parallel import run
+from cpam_bayes.parallel import counted, run
 from cpam_bayes.plate import Measurement, Specimen
 from cpam_bayes.plate.records import angle_grid
 from cpam_bayes.stacking.conditional.importance import importance_evidence
@@ -29,7 +29,8 @@ from cpam_bayes.stacking.conditional.posterior import (
     conditional_posterior,
     fit_conditionals,
 )
-from cpam_bayes.stacking.symmetry.classes import canonical
+from cpam_bayes.stacking.features import all_sequences
+from cpam_bayes.stacking.symmetry.classes import canonical, classes
 from cpam_bayes.stacking.symmetry.symmetries import Symmetry, plate_symmetries
 from cpam_bayes.threads import single_blas_thread
 from cpam_bayes.validation.calibration import prior_draw
@@ -46,9 +47,9 @@ class CoverageSettings:
 
     relative_std : of the noise.
     modes : in a list.
-    library : draws of the constants whose frequencies are known of every class beforehand.
-    starts : of them a climb begins at.
-    hopeless : root mean square misfit of the nearest of them beyond which a class is left out: at noise of
+    library : draws of the constants whose frequencies are tabulated for every class.
+    starts : of them an optimisation begins at.
+    max_misfit : root mean square misfit of the nearest of them beyond which a class is left out: at noise of
     1 % a misfit half as large costs a hundred nats.
     near : nats below the best within which an evidence is computed by importance sampling, not by Laplace's
     method.
@@ -59,7 +60,7 @@ class CoverageSettings:
     modes: int = 6
     library: int = 1200
     starts: int = 2
-    hopeless: float = 0.12
+    max_misfit: float = 0.12
     near: float = 7.0
     log2_points: int = 8
 
@@ -144,14 +145,7 @@ def stacking_coverage(
     the likelihood does. Raises ``ValueError`` as ``plate_symmetries`` does.
     """
     shared = _shared(specimen, settings or CoverageSettings(), seed)
-    done = [0]
-
-    def count(index: int, trial: Trial) -> None:
-        del index, trial
-        done[0] += 1
-        progress(done[0], trials)
-
-    return tuple(run(_trial, shared, range(trials), executor, on_result=count))
+    return tuple(run(_trial, shared, range(trials), executor, on_result=counted(progress, trials)))
 
 
 def summarised(trials: tuple[Trial, ...], level: float = 0.95) -> CoverageSummary:
@@ -182,19 +176,25 @@ def _shared(specimen: Specimen, settings: CoverageSettings, seed: int) -> _Share
     grid = angle_grid(specimen.angle_grid_deg)
     g, k = len(grid), specimen.plate.layup.n_unknown
     symmetries = plate_symmetries(specimen)
-    every = np.stack(np.unravel_index(np.arange(g**k), (g,) * k), axis=1)
-    orbits = canonical(every, symmetries)
-    classes, first = np.unique(orbits.representative, axis=0, return_index=True)
+    distinct = classes(all_sequences(g, k), symmetries)
     model = reduced_model(specimen, angle_parameters(specimen).union(specimen.unknowns), settings.modes)
     conditional = _posterior(model, k, np.ones(settings.modes), settings)
     rng = np.random.default_rng([seed, 1])
     library = np.stack([prior_draw(conditional.template, rng) for _ in range(settings.library)])
     lists = [
         conditional.at(np.repeat(grid[c][None], len(library), axis=0)).predict(library)[:, : settings.modes]
-        for c in classes
+        for c in distinct.representative
     ]
     return _Shared(
-        model, symmetries, grid, classes, orbits.size[first], library, np.stack(lists), settings, seed
+        model,
+        symmetries,
+        grid,
+        distinct.representative,
+        distinct.size,
+        library,
+        np.stack(lists),
+        settings,
+        seed,
     )
 
 
@@ -224,14 +224,14 @@ def _trial(shared: _Shared, number: int) -> Trial:
     true_class = canonical(sequence[None], shared.symmetries).representative[0]
     true = int(np.flatnonzero(np.all(shared.classes == true_class, axis=1))[0])
     order = np.argsort(-single, kind="stable")
-    held = np.cumsum(np.repeat(single[order], shared.size[order]))
+    cumulative = np.cumsum(np.repeat(single[order], shared.size[order]))
     return Trial(
         number=number,
         truth_deg=tuple(float(a) for a in grid[sequence]),
         place=randomised_place(single, shared.size, true, rng.uniform()),
         probability=float(mass[true]),
         rank=int(np.flatnonzero(order == true)[0]) + 1,
-        set_size=int(np.searchsorted(held, 0.95)) + 1,
+        set_size=int(np.searchsorted(cumulative, 0.95)) + 1,
         error=float(np.max(error[mass > 0.01])),
     )
 
@@ -241,12 +241,12 @@ def _evidences(shared: _Shared, conditional: ConditionalPosterior) -> tuple[Arra
     settings, angles = shared.settings, shared.grid_deg[shared.classes]
     starts, misfit = _starts(shared, conditional)
     log_evidence, error = np.full(len(angles), -np.inf), np.zeros(len(angles))
-    hopeful = np.flatnonzero(misfit <= max(settings.hopeless, 2.0 * float(misfit.min())))
-    fits = fit_conditionals(conditional, angles[hopeful], starts[hopeful])
-    log_evidence[hopeful] = fits.log_evidence
+    kept = np.flatnonzero(misfit <= max(settings.max_misfit, 2.0 * float(misfit.min())))
+    fits = fit_conditionals(conditional, angles[kept], starts[kept])
+    log_evidence[kept] = fits.log_evidence
     near = np.flatnonzero(fits.log_evidence > fits.log_evidence.max() - settings.near)
-    exact = importance_evidence(conditional, angles[hopeful[near]], fits[near], settings.log2_points)
-    log_evidence[hopeful[near]], error[hopeful[near]] = exact.log_evidence, exact.error
+    sampled = importance_evidence(conditional, angles[kept[near]], fits[near], settings.log2_points)
+    log_evidence[kept[near]], error[kept[near]] = sampled.log_evidence, sampled.error
     return log_evidence, error
 
 

@@ -15,10 +15,10 @@ from cpam_bayes.validation.diagnosis.truths import (
     Bench,
     bench,
     linear,
-    of_cause,
     random_constants,
     size_for,
     true_frequencies,
+    variants_of_cause,
 )
 
 NOISE, RESOLUTION = 0.002, 0.1
@@ -54,7 +54,7 @@ def test_elements_of_another_mesh_agree_with_the_model_where_nothing_is_hidden()
 @pytest.mark.parametrize("cause", ["sensor_mass", "warp", "misorientation", "membrane_stress"])
 def test_elements_and_model_agree_about_an_effect_of_eight_times_the_noise(cause: str) -> None:
     at = linear(thin(), constants())
-    h = of_cause(thin(), cause)[0]
+    h = variants_of_cause(thin(), cause)[0]
     sizes = np.array([size_for(at, h, 8.0, 1.0).size])
     found = np.log(true_frequencies(thin(), (h,), at.x, sizes, 10))
     # a quarter of the noise in any mode is 5e-4; what is hidden is sixteen times as much
@@ -64,7 +64,7 @@ def test_elements_and_model_agree_about_an_effect_of_eight_times_the_noise(cause
 def test_a_size_has_the_signal_to_noise_ratio_that_was_asked_for() -> None:
     at = linear(thin(), constants())
     for cause in ("sensor_mass", "warp", "taper_y", "outlier"):
-        for h in of_cause(thin(), cause)[:2]:
+        for h in variants_of_cause(thin(), cause)[:2]:
             size = size_for(at, h, 8.0, 1.0).size
             # 97 sizes between which the ratio is taken as linear
             assert np.linalg.norm(at.visible(h, np.array([size]))) == pytest.approx(8.0, rel=0.02)
@@ -83,7 +83,7 @@ def test_a_list_that_says_which_mode_it_lacks_is_diagnosed_like_any_other() -> N
 
 def test_what_the_constants_imitate_is_not_seen() -> None:
     at = linear(thin(), constants())
-    (h,) = of_cause(thin(), "frequency_scale")
+    (h,) = variants_of_cause(thin(), "frequency_scale")
     found = size_for(at, h, 4.0, 1.0)
     assert not found.usable
     assert found.share < 0.1  # every modulus up by twice as much does the same
@@ -91,7 +91,7 @@ def test_what_the_constants_imitate_is_not_seen() -> None:
 
 def test_the_oracle_is_sure_of_the_truth_without_noise_and_of_none_without_a_shift() -> None:
     at = linear(thin(), constants())
-    h = of_cause(thin(), "warp")[0]
+    h = variants_of_cause(thin(), "warp")[0]
     shift = at.shift(h, np.array([size_for(at, h, 8.0, 1.0).size]))[0]
     found = oracle(at, shift, np.zeros(10))
     assert next(iter(found.probability)) == "warp"

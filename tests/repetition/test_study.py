@@ -23,14 +23,14 @@ from cpam_bayes.repetition.tasks import (
     POSTERIOR,
     InverseProblem,
     Inversion,
+    InversionTask,
     PosteriorSummary,
     Shared,
-    Task,
-    work,
+    run_task,
 )
 from tests.linear_model import MEAN_HZ, SLOPE_HZ, LinearModel, measurement
 
-CHAINS = EnsembleSettings(walkers=16, round_steps=500, effective=1000.0)
+ENSEMBLE_SETTINGS = EnsembleSettings(walkers=16, round_steps=500, effective=1000.0)
 EXACT = MEAN_HZ + SLOPE_HZ @ np.array([0.4, -0.3])
 
 
@@ -41,19 +41,19 @@ def shared() -> Shared:
         problem=InverseProblem(LinearModel(), LinearModel().parameters, False, SwarmSettings()),
         measurement=replace(measurement(None), frequencies=EXACT),
         reference=np.array([0.4, -0.3]),
-        chains=CHAINS,
+        chains=ENSEMBLE_SETTINGS,
         seed=5,
     )
 
 
 def inversion(shared: Shared, level: float, reading: Interpretation, group: int) -> Inversion:
-    found = work(shared, Task(level, reading, group))
+    found = run_task(shared, InversionTask(level, reading, group))
     assert isinstance(found, Inversion)
     return found
 
 
 def posterior(shared: Shared, level: float, reading: Interpretation) -> PosteriorSummary:
-    found = work(shared, Task(level, reading, POSTERIOR))
+    found = run_task(shared, InversionTask(level, reading, POSTERIOR))
     assert isinstance(found, PosteriorSummary)
     return found
 
@@ -114,11 +114,11 @@ def test_a_minimum_that_no_swarm_finds_is_said(shared: Shared, monkeypatch: pyte
 
 def test_values_that_a_swarm_cannot_tell_apart_are_as_good_as_each_other() -> None:
     f = np.array([300.0, 400.0])  # 500 Hz long, so sqrt(F) may differ by 0.25 Hz
-    assert noise_tasks.as_good(0.06, 0.0, f)
-    assert not noise_tasks.as_good(0.07, 0.0, f)
-    assert noise_tasks.as_good(100.0, 100.0, f)
-    assert noise_tasks.as_good(1.0, 100.0, f)
-    assert not noise_tasks.as_good(105.1, 100.0, f)
+    assert noise_tasks.equally_good(0.06, 0.0, f)
+    assert not noise_tasks.equally_good(0.07, 0.0, f)
+    assert noise_tasks.equally_good(100.0, 100.0, f)
+    assert noise_tasks.equally_good(1.0, 100.0, f)
+    assert not noise_tasks.equally_good(105.1, 100.0, f)
 
 
 def test_the_reference_is_the_best_of_ten_swarms(shared: Shared, monkeypatch: pytest.MonkeyPatch) -> None:

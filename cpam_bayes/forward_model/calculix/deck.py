@@ -37,7 +37,7 @@ _SHELLS_IN_PLANE = 256
 # 0.1 % in the tenth mode of the thick plates; with 4, more than 320 gain 0.03 %.
 _BRICKS = 4000
 _BRICKS_IN_PLANE = (128, 320)
-_MOST_BRICKS = 60_000
+_MAX_BRICKS = 60_000
 
 # CalculiX reads 20 characters of a number and drops the rest, an exponent included.
 _NUMBER = ".12g"
@@ -165,10 +165,10 @@ def _lines(specimen: Specimen, in_plane: int) -> tuple[NDArray[np.float64], NDAr
 
 def _check_size(lines: tuple[NDArray[np.float64], ...], n_layers: int) -> None:
     count = n_layers * (len(lines[0]) - 1) * (len(lines[1]) - 1)
-    if count > _MOST_BRICKS:
+    if count > _MAX_BRICKS:
         raise ValueError(
             f"bricks: {n_layers} layers, one or more for each run of equal plies, make {count} "
-            f"elements, accepted: up to {_MOST_BRICKS}; take shells or fewer elements in the plane"
+            f"elements, accepted: up to {_MAX_BRICKS}; take shells or fewer elements in the plane"
         )
 
 

@@ -1,4 +1,4 @@
-"""Whether a list that is said to be complete looks as if it lacked a mode or held a false peak."""
+"""Whether a list that is given as complete seems to lack a mode or to hold a false peak."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ Array = NDArray[Any]
 _DOUBTFUL_LOG_ODDS = float(np.log(100.0))
 # Draws from the prior, and those of them from which an optimum is sought for each pairing.
 _DRAWS, _STARTS = 300, 3
-_MOST_STEPS = 25
+_MAX_STEPS = 25
 
 
 @dataclass(frozen=True, slots=True)
-class PairingDoubt:
-    """A pairing with one slip that is far more probable than the one to one of a complete list.
+class AlternativePairing:
+    """A pairing with one transcription error, far more probable than one to one in a complete list.
 
     missed : number, from 0, of the model's mode that the list seems to lack, or ``None``.
     spurious : number of the frequency that seems to be no mode, or ``None``.
@@ -46,8 +46,8 @@ class PairingDoubt:
 
 
 @dataclass(frozen=True, slots=True)
-class Doubt:
-    """A ``PairingDoubt`` in terms of the plate.
+class TranscriptionError:
+    """The transcription error that a complete list seems to have, in terms of the plate.
 
     missed : the mode that a list seems to lack, where the other modes fit best.
     spurious : the frequency that seems to be no mode, Hz.
@@ -59,28 +59,30 @@ class Doubt:
     log_odds: float
 
 
-def doubt_of(
+def transcription_error(
     specimen: Specimen, posterior: Posterior, model: ReducedModel | LabelledModel, best: Array
-) -> Doubt | None:
-    """What makes one to one a doubtful pairing of a specimen's list, ``None`` where nothing does.
+) -> TranscriptionError | None:
+    """The transcription error that a specimen's list seems to have, ``None`` where it seems to have none.
 
-    best : (n,) optimum of the posterior. Lists that may lack modes are never in doubt.
+    best : (n,) optimum of the posterior. Lists that may lack modes are not checked.
     """
     if not posterior.measurement.complete:
         return None
-    doubt = pairing_doubt(posterior, best, reference_vector(specimen, model.parameters)[None])
-    if doubt is None:
+    alternative = alternative_pairing(posterior, best, reference_vector(specimen, model.parameters)[None])
+    if alternative is None:
         return None
-    if doubt.spurious is not None:
-        return Doubt(None, float(posterior.measurement.frequencies[doubt.spurious]), doubt.log_odds)
-    assert doubt.missed is not None
-    x = doubt.x[: model.parameters.size]
+    if alternative.spurious is not None:
+        return TranscriptionError(
+            None, float(posterior.measurement.frequencies[alternative.spurious]), alternative.log_odds
+        )
+    assert alternative.missed is not None
+    x = alternative.x[: model.parameters.size]
     modes = model.full.modes(x)
-    return Doubt(modes[list_order(model, x)[doubt.missed]], None, doubt.log_odds)
+    return TranscriptionError(modes[list_order(model, x)[alternative.missed]], None, alternative.log_odds)
 
 
 @dataclass(frozen=True, slots=True)
-class _Slip:
+class _Pairing:
     """A one to one pairing of some frequencies with some modes, and the log of its price."""
 
     rows: Array
@@ -118,8 +120,8 @@ class _Selected:
         return self.model.admissible(x)
 
 
-def pairing_doubt(posterior: Posterior, best: Array, others: Array) -> PairingDoubt | None:
-    """The most probable single slip in a complete list, if it is far more probable than none.
+def alternative_pairing(posterior: Posterior, best: Array, others: Array) -> AlternativePairing | None:
+    """The most probable single transcription error in a complete list, if it is far more probable than none.
 
     Evidences by Laplace's method of the list paired one to one, with one mode of the model left out,
     or with one frequency left out, at the prices of ``posterior.pairing``. More than 100 times as
@@ -135,22 +137,26 @@ def pairing_doubt(posterior: Posterior, best: Array, others: Array) -> PairingDo
     draws = draws[posterior.model.admissible(draws)]
     places = _Places(np.concatenate((best[None, :n_plate], others, draws)), 1 + len(others))
     predicted = posterior.predict(places.x)
-    none, *slips = _slips(posterior, predicted.shape[1])
+    none, *alternatives = _pairings(posterior, predicted.shape[1])
     reference = _evidence(posterior, none, places, predicted)[0]
-    candidates = [(*_evidence(posterior, slip, places, predicted), slip) for slip in slips]
+    candidates = [(*_evidence(posterior, pairing, places, predicted), pairing) for pairing in alternatives]
     if not candidates:
         return None
-    log_evidence, x, slip = max(candidates, key=lambda f: f[0])
+    log_evidence, x, pairing = max(candidates, key=lambda f: f[0])
     log_odds = log_evidence - reference
-    return PairingDoubt(slip.missed, slip.spurious, log_odds, x) if log_odds > _DOUBTFUL_LOG_ODDS else None
+    return (
+        AlternativePairing(pairing.missed, pairing.spurious, log_odds, x)
+        if log_odds > _DOUBTFUL_LOG_ODDS
+        else None
+    )
 
 
-def _slips(posterior: Posterior, n_modes: int) -> Iterator[_Slip]:
-    """The pairing without a slip, then every pairing with one."""
+def _pairings(posterior: Posterior, n_modes: int) -> Iterator[_Pairing]:
+    """The pairing without an error, then every pairing with one."""
     n, prior = posterior.measurement.size, posterior.pairing
     rows = np.arange(n)
     paired = float(np.log1p(-prior.missed))
-    yield _Slip(rows, rows, n * paired)
+    yield _Pairing(rows, rows, n * paired)
     free = np.flatnonzero(~posterior.labelled)
     places = np.setdiff1d(np.arange(n_modes), np.flatnonzero(posterior.labelled))
     if len(places) > len(free):
@@ -158,7 +164,7 @@ def _slips(posterior: Posterior, n_modes: int) -> Iterator[_Slip]:
             columns = rows.copy()
             columns[free] = np.delete(places, k)[: len(free)]
             price = n * paired + float(np.log(prior.missed))
-            yield _Slip(rows, columns, price, missed=int(places[k]))
+            yield _Pairing(rows, columns, price, missed=int(places[k]))
     if n == 1 or prior.spurious == 0.0:
         return
     for k in range(len(free)):
@@ -166,13 +172,15 @@ def _slips(posterior: Posterior, n_modes: int) -> Iterator[_Slip]:
         columns[np.delete(free, k)] = places[: len(free) - 1]
         kept = np.delete(rows, free[k])
         price = (n - 1) * paired + float(np.log(prior.spurious / posterior.span))
-        yield _Slip(kept, columns[kept], price, spurious=int(free[k]))
+        yield _Pairing(kept, columns[kept], price, spurious=int(free[k]))
 
 
-def _evidence(posterior: Posterior, slip: _Slip, places: _Places, predicted: Array) -> tuple[float, Array]:
+def _evidence(
+    posterior: Posterior, pairing: _Pairing, places: _Places, predicted: Array
+) -> tuple[float, Array]:
     """Log evidence of a pairing with its price, and its optimum (n,)."""
-    paired = _paired(posterior, slip)
-    residuals = predicted[:, slip.columns] - paired.measurement.frequencies
+    paired = _paired(posterior, pairing)
+    residuals = predicted[:, pairing.columns] - paired.measurement.frequencies
     misfit = np.sum((residuals / paired.measurement.frequencies) ** 2, axis=1)
     nearest = np.argsort(misfit, kind="stable")[:_STARTS]
     chosen = np.union1d(np.arange(places.always), nearest)
@@ -186,32 +194,32 @@ def _evidence(posterior: Posterior, slip: _Slip, places: _Places, predicted: Arr
         return expand_u(paired, axes, u)
 
     u = axes.to_u(np.clip(starts, axes.inner, axes.outer))
-    maxima = maximise(target, u, axes.lower, axes.upper, most_steps=_MOST_STEPS)
+    maxima = maximise(target, u, axes.lower, axes.upper, most_steps=_MAX_STEPS)
     inside = np.isfinite(maxima.expansion.value)
     if not inside.any():
         return -np.inf, starts[0]
     e, u = maxima.expansion, maxima.u[inside]
     log_evidence = laplace_log_evidence(e.value[inside], e.gradient[inside], e.curvature[inside], u, axes)
     top = int(np.argmax(log_evidence))
-    return float(log_evidence[top]) + slip.price, axes.to_x(u[top])
+    return float(log_evidence[top]) + pairing.price, axes.to_x(u[top])
 
 
-def _paired(posterior: Posterior, slip: _Slip) -> Posterior:
+def _paired(posterior: Posterior, pairing: _Pairing) -> Posterior:
     """The posterior given that the rows of the list are these columns of the model, in order."""
     full_list, noise = posterior.measurement, posterior.noise_model
-    sd = None if full_list.frequency_sd is None else full_list.frequency_sd[slip.rows]
+    sd = None if full_list.frequency_sd is None else full_list.frequency_sd[pairing.rows]
     measurement = replace(
         full_list,
-        frequencies=full_list.frequencies[slip.rows],
+        frequencies=full_list.frequencies[pairing.rows],
         frequency_sd=sd,
-        labels=("",) * len(slip.rows),
+        labels=("",) * len(pairing.rows),
     )
     return replace(
         posterior,
-        model=_Selected(posterior.model, slip.columns),
+        model=_Selected(posterior.model, pairing.columns),
         measurement=measurement,
         noise_model=replace(
-            noise, scale=noise.scale[slip.rows], solver_error=noise.solver_error[slip.columns]
+            noise, scale=noise.scale[pairing.rows], solver_error=noise.solver_error[pairing.columns]
         ),
-        labelled=np.zeros(len(slip.rows), dtype=bool),
+        labelled=np.zeros(len(pairing.rows), dtype=bool),
     )

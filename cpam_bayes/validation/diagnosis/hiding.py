@@ -18,11 +18,11 @@ from cpam_bayes.validation.diagnosis.truths import (
     Reached,
     brick_frequencies,
     linear,
-    of_cause,
     parameter_of,
     random_constants,
     size_for,
     true_frequencies,
+    variants_of_cause,
 )
 
 Array = NDArray[Any]
@@ -36,7 +36,7 @@ FURTHER = 2
 # Places tried for a cause before it is given up.
 _PLACES = 6
 # Modes that a list may lack are simulated as well.
-_MOST_MISSED = 2
+_MAX_MISSED = 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,7 +108,7 @@ def hide(bench: Bench, trial: Trial, rng: np.random.Generator) -> Hidden | Reach
             return missing
         causes = tuple(c[0] for c in chosen if not isinstance(c, Reached))
         sizes = np.array([c[1] for c in chosen if not isinstance(c, Reached)])
-    n_modes = n + FURTHER + _MOST_MISSED
+    n_modes = n + FURTHER + _MAX_MISSED
     if trial.kind == "bricks":
         f = brick_frequencies(bench, x, n_modes)
     else:
@@ -137,7 +137,7 @@ def _chosen(
     at: Linear, cause: str, ratio: float, rng: np.random.Generator
 ) -> tuple[Hypothesis, float] | Reached:
     """A variant of a cause with its size, at a place and of a sign drawn at random."""
-    variants = of_cause(at.own, cause)
+    variants = variants_of_cause(at.own, cause)
     weights = np.array([h.prior for h in variants])
     order = rng.choice(len(variants), size=len(variants), replace=False, p=weights / weights.sum())
     best = Reached(np.nan, 0.0, 0.0)

@@ -267,6 +267,6 @@ def size_for(at: Linear, h: Hypothesis, ratio: float, sign: float) -> Reached:
     return Reached(size, float(highest[-1]), float(norm[i]) / whole if whole > 0.0 else 0.0)
 
 
-def of_cause(bench: Bench, cause: str) -> tuple[Hypothesis, ...]:
+def variants_of_cause(bench: Bench, cause: str) -> tuple[Hypothesis, ...]:
     """The variants of a cause that are no slips of the pen; none of another material, which has no size."""
     return tuple(h for h in bench.singles if h.cause == cause and not h.is_gross)

@@ -10,7 +10,12 @@ import pytest
 from cpam_bayes.forward_model.model import reference_vector
 from cpam_bayes.forward_model.reduced import ReducedModel
 from cpam_bayes.forward_model.store import reduced_model
-from cpam_bayes.inference.diagnostics.completeness import Doubt, PairingDoubt, doubt_of, pairing_doubt
+from cpam_bayes.inference.diagnostics.completeness import (
+    AlternativePairing,
+    TranscriptionError,
+    alternative_pairing,
+    transcription_error,
+)
 from cpam_bayes.inference.laplace import find_optima
 from cpam_bayes.inference.posterior import plate_posterior
 from cpam_bayes.plate import Measurement, Specimen, read_specimen
@@ -19,12 +24,12 @@ from tests.linear_model import LinearModel
 LINEAR = LinearModel().predict(np.array([[0.4, -0.3]])).frequencies[0]
 
 
-def doubt_of_linear(listed: np.ndarray, labels: tuple[str, ...] | None = None) -> PairingDoubt | None:
+def doubt_of_linear(listed: np.ndarray, labels: tuple[str, ...] | None = None) -> AlternativePairing | None:
     data = Measurement(listed, 0.0, 0.005, None, labels or ("",) * len(listed), complete=True)
     posterior = plate_posterior(LinearModel(), replace(data, labels=("",) * len(listed)), np.zeros(4))
     marked = np.array([bool(label) for label in data.labels])
     best = find_optima(posterior, np.zeros((1, 2)))[0]
-    return pairing_doubt(replace(posterior, labelled=marked), best.x, np.zeros((1, 2)))
+    return alternative_pairing(replace(posterior, labelled=marked), best.x, np.zeros((1, 2)))
 
 
 @pytest.mark.parametrize("missing", [0, 1, 2])
@@ -77,7 +82,7 @@ def aluminium() -> Case:
     return case("A1")
 
 
-def examined(own: Case, frequencies: np.ndarray, relative_std: float | None) -> Doubt | None:
+def examined(own: Case, frequencies: np.ndarray, relative_std: float | None) -> TranscriptionError | None:
     data = Measurement(
         np.sort(np.round(frequencies)), 1.0, relative_std, None, ("",) * len(frequencies), True
     )
@@ -85,7 +90,7 @@ def examined(own: Case, frequencies: np.ndarray, relative_std: float | None) -> 
     start = reference_vector(own.specimen, own.model.parameters)
     start = start if relative_std is not None else np.append(start, 0.01)
     best = find_optima(posterior, start[None])[0]
-    return doubt_of(own.specimen, posterior, own.model, best.x)
+    return transcription_error(own.specimen, posterior, own.model, best.x)
 
 
 def noisy(own: Case, rng: np.random.Generator) -> np.ndarray:

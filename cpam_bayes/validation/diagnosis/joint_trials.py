@@ -88,7 +88,7 @@ def _renamed(bench_alone: Bench, name: str) -> Bench:
     return replace(bench_alone, case=replace(bench_alone.case, models=models))
 
 
-def run_together(laboratory: Laboratory, trial: Trial) -> Record:
+def run_joint_trial(laboratory: Laboratory, trial: Trial) -> Record:
     """One hidden cause, diagnosed in every setup: its probability, what is claimed, and the constants.
 
     The constants are those of the plate itself, by the model with the hidden cause, claimed or not.

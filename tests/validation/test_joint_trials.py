@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cpam_bayes.validation.diagnosis.hiding import Hidden, Trial, hide
-from cpam_bayes.validation.diagnosis.together import Laboratory, _simulated, laboratory, run_together
+from cpam_bayes.validation.diagnosis.joint_trials import Laboratory, _simulated, laboratory, run_joint_trial
 from cpam_bayes.validation.diagnosis.truths import true_frequencies
 
 TRIAL = Trial("one", ("warp",), 8.0)
@@ -48,7 +48,7 @@ def test_a_sister_lacks_the_flaw_and_another_test_of_the_plate_has_it(
 
 @pytest.mark.slow
 def test_two_sisters_make_a_hidden_cause_more_probable(own: Laboratory) -> None:
-    record = run_together(own, TRIAL)
+    record = run_joint_trial(own, TRIAL)
     alone, with_two = (record["setups"][name] for name in ("alone", "two sisters"))
     assert record["causes"] == ["warp"]
     assert with_two["cause_probability"] > alone["cause_probability"]
