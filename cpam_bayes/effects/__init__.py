@@ -18,10 +18,9 @@ from cpam_bayes.effects.effect import (
     variants,
 )
 from cpam_bayes.effects.frequency_list import MODE_IDENTITY, OUTLIER
-from cpam_bayes.effects.known_mass import add_known_mass
 from cpam_bayes.effects.material import MATERIAL
 from cpam_bayes.effects.observation import FREQUENCY_SCALE, VISCOELASTIC
-from cpam_bayes.effects.sensor import SENSOR_MASS
+from cpam_bayes.effects.point_masses import SENSOR_MASS, add_known_mass
 from cpam_bayes.effects.shape import SKEW, TAPER_X, TAPER_Y, WARP
 from cpam_bayes.effects.sizes import CLAMP_LENGTH, DENSITY, LENGTH, THICKNESS, WIDTH
 from cpam_bayes.effects.stiffness import RESIN_SKIN, SHEAR_RATIO, TRANSVERSE_SHEAR
