@@ -169,7 +169,7 @@ def _by_field(operator: DenseOperator, block: DenseBlock, vectors: Array) -> Arr
     """Each column (n, k) cut into the parts of its fields, without those that are zero.
 
     On the reference square a rotation is w = length xi with phi_x = -1. Where the sides vary, so does
-    the share of each field, and each is needed by itself.
+    the part of each field, and each is needed by itself.
     """
     if not vectors.size:
         return vectors

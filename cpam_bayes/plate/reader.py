@@ -83,7 +83,7 @@ def _read_text(path: str, source: str) -> str:
 def _read_bytes(path: str, source: str) -> bytes:
     try:
         _require_small_file(os.stat(path), source)
-        # Not blocking, and looked at again: the path may have become a pipe in between.
+        # Not blocking, and checked again: the path may have become a pipe in between.
         handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0))
         with os.fdopen(handle, "rb") as file:
             _require_small_file(os.fstat(file.fileno()), source)

@@ -19,7 +19,7 @@ Records = Mapping[str, Sequence[Record]]
 _BINS = 10
 # Frequencies in a list from which further modes are asked for.
 _MANY = 10
-# A constant whose spread is below this share of its prior's is determined by the data.
+# A constant whose spread is below this fraction of its prior's is determined by the data.
 _DETERMINED = 0.5
 # List slips: no further mode can tell of them.
 _OF_LIST = tuple(effect.name for effect in CATALOGUE if effect.pairings)

@@ -107,7 +107,7 @@ def _answer(diagnosis: Diagnosis) -> Record:
 
 
 def _said(diagnosis: Diagnosis, names: Sequence[str], alike: frozenset[str]) -> list[list[Any]]:
-    """For every cause like the truth whether the answer says that they cannot be told apart."""
+    """For every cause like the truth whether the diagnosis says that they cannot be distinguished."""
     said = {c.name: set(c.indistinguishable_from) for c in diagnosis.causes}
     truth = names[0]
     if truth not in said:
