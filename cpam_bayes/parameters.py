@@ -107,7 +107,7 @@ class ParameterSet:
         )
 
     def fix(self, **values: float) -> ParameterSet:
-        """This set with some parameters held at values, in their units.
+        """The set with some parameters held at values, in their units.
 
         raises ValueError for a name that does not vary or a value that is not finite
         """
@@ -122,7 +122,7 @@ class ParameterSet:
         )
 
     def without(self, *names: str) -> ParameterSet:
-        """This set without some of its varying parameters.
+        """The set without some of its varying parameters.
 
         raises ValueError for a name that does not vary
         """

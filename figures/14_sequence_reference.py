@@ -63,7 +63,7 @@ def _errors(ax: Axes, cases: list[dict[str, Any]]) -> None:
 
 
 def _layers(ax: Axes, case: dict[str, Any]) -> None:
-    """Sum of each layer over that of all, as learned and by the reference."""
+    """Sum of each layer over that of all, by the surrogate and by the reference."""
     rows = [r for r in case["layers"] if r["mass"] > 0.0]
     total = sum(r["mass"] for r in rows)
     middle = [0.5 * (r["from"] + min(r["to"], 60.0)) for r in rows]
@@ -75,8 +75,8 @@ def _layers(ax: Axes, case: dict[str, Any]) -> None:
         color=BLUE,
         label="reference",
     )
-    ax.plot(middle, [r["learned_mass"] / total for r in rows], "x", color=RED, ms=8, label="learned")
-    ax.set(yscale="log", ylim=(1e-12, 3.0), xlabel="learned log evidence below its top, nats")
+    ax.plot(middle, [r["learned_mass"] / total for r in rows], "x", color=RED, ms=8, label="surrogate")
+    ax.set(yscale="log", ylim=(1e-12, 3.0), xlabel="surrogate below its top, nats")
     ax.set_ylabel("share of the sum over all sequences", fontsize=9)
     ax.set_title(case["case"], fontsize=9)
     ax.legend(frameon=False, fontsize=8)

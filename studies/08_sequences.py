@@ -4,7 +4,7 @@ python studies/08_sequences.py [--quick] [--only NAME ...] [--workers N] [--exec
 
 Every case of Table 9(b): the posterior over all sequences on the grid of 5 degrees, the constants
 marginalised, from the printed list with its noise inferred. Two cases with two unknown angles besides, which
-need no learned evidence. Then the list of C1's own sequence and reference constants, noise-free, with smaller
+need no surrogate. Then the list of C1's true sequence and reference constants, noise-free, with smaller
 and smaller noise stated: the probability of its class. Then what two to six unknown angles cost, on the plate
 of F1 with the list of its own sequence. Every case is saved as soon as it is done, and those that were saved
 before are kept.

@@ -6,8 +6,8 @@ Lists of a plate's own sequence and reference constants, noise-free, with 1 % or
 reference climbs from other starts, eight of a library of its own beside the common ones, on the whole reduced
 model instead of the one about the posterior, and samples 2048 points. It is asked for the most probable
 sequences and for draws from the posterior. Then sequences are drawn from all of the grid, so many of each
-layer of the learned log evidence, those that it holds for hopeless among them: they estimate the sum over all
-sequences, and the most by which a hopeless one exceeds what was learned.
+layer of the surrogate, those that it has far below the best among them: they estimate the sum over all
+sequences, and the most by which such a one exceeds the surrogate.
 """
 
 from __future__ import annotations
@@ -68,14 +68,14 @@ CASES = {
     "F1, 6 angles, 1 %": Case("F1", "[?/?/?/?/?/?/(0/90)_5]_s", 0.01),
     "F1, 6 angles, 0.2 %": Case("F1", "[?/?/?/?/?/?/(0/90)_5]_s", 0.002),
 }
-# Of the reference: log2 of its points, its library, and the members of it that a climb begins at.
+# Of the reference: log2 of its points, its library, and the members of it that an optimisation begins at.
 LOG2_POINTS, LIBRARY, STARTS = 11, 768, 8
-# Layers of the learned log evidence, nats below its top, and log2 of the points of what is drawn of them.
+# Layers of the surrogate, nats below its top, and log2 of the points of what is drawn of them.
 LAYERS = (-10.0, 3.0, 6.0, 9.0, 12.0, 16.0, 22.0, 30.0, 45.0, np.inf)
 LAYER_POINTS = 9
 # Sequences drawn of a layer that weighs, and the share of that of one that begins so far below, nats.
 EACH, FAR_SHARE, FAR = 150, 1 / 3, 12.0
-# Of so many sequences the sum over all is estimated; of more the learned table would have to be gone through.
+# Of so many sequences the sum over all is estimated; of more the surrogate would have to be enumerated.
 MOST_SUMMED = 3_000_000
 QUICK = Case("C1", "[(?/?/?)_5/0]_s", 0.01)
 SMALL = StackingSettings(
@@ -166,10 +166,10 @@ def _errors(miss: Array, reference: Evaluated) -> Results:
 
 
 def _summed(problem: StackingProblem, each: int) -> Results:
-    """The sum over all sequences from layers of the learned log evidence, by ratio estimates."""
-    rng = np.random.default_rng([SEED, 4])  # what the answer learned is learned again
+    """The sum over all sequences from layers of the surrogate, by ratio estimates."""
+    rng = np.random.default_rng([SEED, 4])  # the surrogate is trained as for the answer
     sums = problem.sums
-    assert sums is not None, "so few sequences need no learned evidence"
+    assert sums is not None, "so few sequences need no surrogate"
     surrogate = train(training_problem(problem, sums), rng, lambda text: None).surrogate
     g, k = len(problem.grid_deg), problem.n_unknown
     distinct = classes(all_sequences(g, k), problem.symmetries)
@@ -248,7 +248,7 @@ def show(results: Results) -> None:
             "to",
             "classes",
             "drawn",
-            "learned mass",
+            "surrogate mass",
             "mass",
             "rms",
             "most above",

@@ -98,7 +98,8 @@ def reduced_model(
 
     centre : the parameter vector about which the plate model is converged most tightly, by default
     the reference constants. A file that cannot be read or written is passed over: the model is built
-    again. ``notify`` is called with what takes long. The model is the same bit for bit whether it was read or built.
+    again. ``notify`` is called with what takes long. The model is the same bit for bit whether it was
+    read or built.
     """
     key = model_key(specimen, parameters, n_modes, shear, settings, centre)
     problem = plate_problem(specimen, parameters, shear)

@@ -50,11 +50,11 @@ class AffineMatrix:
         return flat.reshape(*coefficients.shape[:-1], n, n)
 
     def restricted(self, keep: Array) -> AffineMatrix:
-        """This sum on some of the trial functions, ``keep`` (n,) bool."""
+        """The sum on some of the trial functions, ``keep`` (n,) bool."""
         return AffineMatrix(self.stack[:, keep][:, :, keep], self.active)
 
     def project(self, basis: Array) -> AffineMatrix:
-        """This sum on the span of ``basis`` (n, r)."""
+        """The sum on the span of ``basis`` (n, r)."""
         return AffineMatrix(basis.T @ (self.stack @ basis), self.active)
 
 

@@ -1,4 +1,4 @@
-"""Every sequence on a grid, gone through by tables, against a loop over all of them."""
+"""Every sequence on a grid, enumerated by the piecewise-linear surrogate, against a loop over all."""
 
 from itertools import product
 
@@ -182,7 +182,7 @@ def wave(x: np.ndarray) -> np.ndarray:
     return np.column_stack((np.sin(x[:, 0]) * np.cos(2 * x[:, 1]), x[:, 0] + x[:, 1] ** 2))
 
 
-def test_the_smooth_map_learns_a_smooth_function_and_its_slope() -> None:
+def test_the_process_approximates_a_smooth_function_and_its_slope() -> None:
     rng = np.random.default_rng(0)
     x, new = rng.uniform(-1, 1, (200, 2)), rng.uniform(-0.9, 0.9, (40, 2))
     found = fit_gaussian_process(x, wave(x), rng)
@@ -196,7 +196,7 @@ def test_the_smooth_map_learns_a_smooth_function_and_its_slope() -> None:
         np.testing.assert_allclose(slope[:, :, j], difference, atol=1e-6)
 
 
-def test_a_mirrored_map_is_even_and_learns_from_half_the_plane() -> None:
+def test_a_mirrored_process_is_even_and_needs_half_the_plane() -> None:
     rng = np.random.default_rng(0)
     x, new = rng.uniform(0, 1, (120, 2)), rng.uniform(0.05, 0.95, (40, 2))
     signs = np.array([1.0, -1.0])

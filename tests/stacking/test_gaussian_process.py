@@ -13,7 +13,7 @@ def points(n: int) -> np.ndarray:
     return np.asarray(np.random.default_rng(3).uniform(-1.0, 1.0, (n, 2)))
 
 
-def test_a_smooth_function_is_learned_with_its_gradient() -> None:
+def test_a_smooth_function_is_approximated_with_its_gradient() -> None:
     x, new = points(150), np.random.default_rng(4).uniform(-0.9, 0.9, (50, 2))
     found = fit_gaussian_process(x, known(x), np.random.default_rng(0))
     # the spread of the functions is about one, and 150 points lie a twentieth apart
@@ -23,7 +23,7 @@ def test_a_smooth_function_is_learned_with_its_gradient() -> None:
     np.testing.assert_allclose(slope[:, 1, 1], np.cos(new[:, 0]), atol=0.03)
 
 
-def test_length_scales_are_learned_again_when_the_points_have_grown_by_a_quarter() -> None:
+def test_length_scales_are_estimated_again_when_the_points_have_grown_by_a_quarter() -> None:
     x = points(150)
     rng = np.random.default_rng(0)
     first = fit_gaussian_process(x[:100], known(x[:100]), rng)

@@ -132,7 +132,7 @@ def surrogate(specimen: Specimen) -> StackingPosterior:
     return stacking_posterior(specimen, 0, settings=FORCED)
 
 
-def test_the_learned_way_gives_the_distribution_of_brute_force(
+def test_the_surrogate_gives_the_distribution_of_brute_force(
     answer: StackingPosterior, surrogate: StackingPosterior
 ) -> None:
     assert surrogate.check is not None
@@ -148,7 +148,7 @@ def test_the_learned_way_gives_the_distribution_of_brute_force(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("relative_std", [0.01, None])
-def test_of_1296_sequences_pruned_and_learned_the_distribution_is_that_of_brute_force(
+def test_of_1296_sequences_pruned_and_by_surrogate_the_distribution_is_that_of_brute_force(
     relative_std: float | None,
 ) -> None:
     specimen = listed("[(?/?)_2]_s", TRUE, relative_std, step=5.0)
@@ -171,7 +171,7 @@ def test_of_1296_sequences_pruned_and_learned_the_distribution_is_that_of_brute_
 
 
 @pytest.mark.slow
-def test_the_learned_way_does_not_depend_on_the_number_of_workers(
+def test_the_surrogate_does_not_depend_on_the_number_of_workers(
     specimen: Specimen, surrogate: StackingPosterior
 ) -> None:
     with open_executor(None, 2) as executor:
