@@ -43,8 +43,8 @@ def _errors(ax: Axes, cases: list[dict[str, Any]]) -> None:
     y = np.arange(len(cases))
     kinds = (
         ("top", "o", BLUE, "most probable"),
-        ("drawn_with_care", "s", RED, "drawn, with care"),
-        ("drawn_as_known", "d", "#e69f00", "drawn, as known before"),
+        ("drawn_with_care", "s", RED, "drawn, refined"),
+        ("drawn_as_known", "d", "#e69f00", "drawn, before refinement"),
         ("laplace", "|", GREY, "drawn, Laplace"),
     )
     for key, marker, color, label in kinds:
@@ -77,7 +77,7 @@ def _layers(ax: Axes, case: dict[str, Any]) -> None:
     )
     ax.plot(middle, [r["learned_mass"] / total for r in rows], "x", color=RED, ms=8, label="surrogate")
     ax.set(yscale="log", ylim=(1e-12, 3.0), xlabel="surrogate below its top, nats")
-    ax.set_ylabel("share of the sum over all sequences", fontsize=9)
+    ax.set_ylabel("fraction of the sum over all sequences", fontsize=9)
     ax.set_title(case["case"], fontsize=9)
     ax.legend(frameon=False, fontsize=8)
     ax.spines[["top", "right"]].set_visible(False)
