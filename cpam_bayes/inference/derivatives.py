@@ -100,18 +100,11 @@ def log_density(posterior: Posterior, axes: Coordinates, u: Array) -> Array:
     return np.asarray(posterior.log_prob(x) + axes.log_jacobian(x))
 
 
-def log_prob_gradient(posterior: Posterior, x: Array) -> tuple[Array, Array]:
-    """Log probability of parameter vectors (m, n) and its gradient, (m,) and (m, n).
+def expand(posterior: Posterior, x: Array) -> Expansion:
+    """Log probability, gradient and curvature over the parameters themselves, x (m, n).
 
     d log p / dx = sum_i (d l_i / d f_i) (d f_i / dx) + d l / dx + d log prior / dx, with the model's
     analytic d f / dx. The gradient is zero where the log probability is -inf, one-sided at a bound.
-    """
-    expansion = expand(posterior, x)
-    return expansion.value, expansion.gradient
-
-
-def expand(posterior: Posterior, x: Array) -> Expansion:
-    """Log probability, gradient and curvature over the parameters themselves, x (m, n).
 
     The curvature is the Fisher information of the data and the curvature of the priors. Where
     pairings are summed it is the negative Hessian for a model that is linear in its parameters,

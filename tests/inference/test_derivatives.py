@@ -17,7 +17,6 @@ from cpam_bayes.inference.derivatives import (
     hessian_u,
     information,
     log_density,
-    log_prob_gradient,
 )
 from cpam_bayes.inference.posterior import Posterior, plate_posterior
 from cpam_bayes.parameters import ScaledStudentT, TruncatedNormal, Uniform
@@ -82,7 +81,8 @@ def differences(posterior: Posterior, x: np.ndarray, step: float) -> np.ndarray:
 def test_gradient_is_the_limit_of_differences(case: str) -> None:
     own = some_posterior(case)
     x = vectors(own)
-    value, gradient = log_prob_gradient(own, x)
+    e = expand(own, x)
+    value, gradient = e.value, e.gradient
     np.testing.assert_allclose(value, own.log_prob(x), rtol=1e-12)
     gradient = gradient * coordinates(own).slope(x)
     coarse, fine = (differences(own, x, h) for h in (2e-4, 1e-4))
@@ -109,7 +109,8 @@ def test_a_stack_gives_what_each_vector_gives(case: str) -> None:
 def test_outside_the_support_the_gradient_is_zero_and_the_model_is_not_asked() -> None:
     own = some_posterior("uniform")
     x = np.array([[9.0, 0.0, 0.01], [0.1, 0.0, 0.01]])
-    value, gradient = log_prob_gradient(own, x)
+    e = expand(own, x)
+    value, gradient = e.value, e.gradient
     assert value[0] == -np.inf
     np.testing.assert_array_equal(gradient[0], 0.0)
     assert np.isfinite(value[1])
@@ -215,7 +216,7 @@ def test_gradient_of_a_real_plate_is_the_limit_of_differences(plate: Plate) -> N
     own = plate_posterior(plate.model, plate.specimen.measurement, plate.model.error)
     x = own.parameters.sample(np.random.default_rng(1), 40)
     x = x[np.isfinite(own.log_prob(x)) & (x[:, -1] > 1e-3)][:6]
-    _, gradient = log_prob_gradient(own, x)
+    gradient = expand(own, x).gradient
     gradient = gradient * coordinates(own).slope(x)
     size = np.abs(gradient).max(axis=1, keepdims=True)
     # eigenvalues are known to some 1e-9, differences of them to 1e-9 over the step of 1e-4
