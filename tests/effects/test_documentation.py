@@ -7,7 +7,6 @@ from textwrap import dedent
 from typing import Any
 
 import numpy as np
-import pytest
 
 from cpam_bayes.effects.table import BEGIN, END, catalogue_tables
 from tests.effects.cases import elements, ritz
@@ -15,7 +14,6 @@ from tests.effects.cases import elements, ritz
 PAGE = (Path(__file__).parents[2] / "docs" / "effects.md").read_text(encoding="utf-8")
 
 
-@pytest.mark.slow
 def test_the_example_of_an_effect_raises_frequencies_alike_on_both_discretisations() -> None:
     code = PAGE[PAGE.index('        """A stiffener') : PAGE.index("2. One line in")]
     names: dict[str, Any] = {}

@@ -43,11 +43,11 @@ def navier(problem: Problem, n_modes: int, highest: int = 12) -> np.ndarray:
 @pytest.mark.parametrize(
     ("layup", "thickness"),
     [
-        pytest.param((0.0,), 0.001, marks=pytest.mark.slow),
+        ((0.0,), 0.001),
         ((0.0,), 0.02),
         (CROSS_PLY_16S, 0.0032),
         (CROSS_PLY_16S, 0.03),
-        pytest.param((0.0, 90.0), 0.004, marks=pytest.mark.slow),
+        ((0.0, 90.0), 0.004),
         ((0.0, 90.0), 0.03),
     ],
     ids=["orthotropic-thin", "orthotropic-thick", "cross-thin", "cross-thick", "B-thin", "B-thick"],
@@ -103,7 +103,7 @@ LEISSA = {
 }
 
 
-@pytest.mark.parametrize("edges", ["FFFF", pytest.param("CFFF", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("edges", LEISSA)
 def test_isotropic_square_tends_linearly_in_h_to_leissa(edges: str) -> None:
     # The twisting layer of a free edge makes the Mindlin frequencies approach Kirchhoff's linearly
     # in h / a. Leissa (1973) prints upper bounds of 5 digits from a Ritz basis of 36 terms, which

@@ -6,8 +6,6 @@ import pytest
 from cpam_bayes.stacking.queries.given_layup import given_layup
 from tests.stacking.cases import TRUE, answer, shortened
 
-pytestmark = pytest.mark.slow
-
 
 def test_a_listed_sequence_has_the_place_and_probability_of_its_class() -> None:
     own = answer()
