@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+import cpam_bayes as cb
 from cpam_bayes.forward_model.model import angle_parameters, plate_problem
 from cpam_bayes.mechanics.convergence import Tolerance, rich_frequencies
 from cpam_bayes.parameters import ParameterSet
-from cpam_bayes.plate import Sensor, Specimen, read_specimen
+from cpam_bayes.plate import Sensor, Specimen
 from cpam_bayes.plate.elasticity import complete_constants
 from cpam_bayes.plate.laminate import ENERGY_CONSISTENT, FIVE_SIXTHS, ShearModel
 
@@ -50,7 +51,7 @@ class Case:
 
     def specimen(self) -> Specimen:
         """The specimen, with unknown angles if any layup is to be solved."""
-        found = read_specimen(self.plate)
+        found = cb.read_plate(self.plate)
         if self.any_layup:
             found = found.with_unknown_angles()
         if not self.mass:

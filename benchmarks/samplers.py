@@ -19,19 +19,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+import cpam_bayes as cb
 from benchmarks.plain_likelihood import Frequencies, plain_frequencies
 from benchmarks.targets import Target
 from benchmarks.timing import interleaved, ratio
-from cpam_bayes.forward_model.reduced import DEFAULT_SETTINGS as REDUCTION
-from cpam_bayes.forward_model.store import reduced_model
-from cpam_bayes.identification.sampled import sample
 from cpam_bayes.inference.chains.autocorrelation import integrated_times
 from cpam_bayes.inference.chains.ensemble import DEFAULT_SETTINGS, moves_of
 from cpam_bayes.inference.chains.sampling import JUMPS as FIT
 from cpam_bayes.inference.chains.sampling import sample_posterior
-from cpam_bayes.inference.posterior import Posterior, plate_posterior
+from cpam_bayes.inference.posterior import Posterior
 from cpam_bayes.inference.proposal import adapted
-from cpam_bayes.plate import Specimen, read_specimen
 from cpam_bayes.report.tables import Column, Table, remarks, screen_text
 from cpam_bayes.threads import single_blas_thread
 
@@ -87,8 +84,7 @@ def run(quick: bool = False, rounds: int | None = None) -> Results:
     mesh = QUICK_MESH if quick else MESH
     walkers, many = (12, _QUICK_MANY) if quick else (DEFAULT_SETTINGS.walkers, _MANY)
     load = [_load()]
-    specimen = read_specimen(PLATE)
-    posterior = _posterior(specimen)
+    posterior = cb.posterior(PLATE)
     settings = replace(DEFAULT_SETTINGS, walkers=walkers, most_steps=400 if quick else 2000)
     found = sample_posterior(posterior, 0, settings=settings)
     draws = found.draws
@@ -131,8 +127,7 @@ def run(quick: bool = False, rounds: int | None = None) -> Results:
 
 
 def _entries(posterior: Posterior, mesh: int, walkers: int, many: int) -> list[Entry]:
-    specimen = read_specimen(PLATE)
-    plain = plain_frequencies(specimen, posterior.measurement.size, mesh)
+    plain = plain_frequencies(cb.read_plate(PLATE), posterior.measurement.size, mesh)
     theirs = {n: _plain_log_prob(posterior, f) for n, f in zip((ASSEMBLING, SUMMING), plain, strict=True)}
     return [
         *(
@@ -151,13 +146,6 @@ def _spread(draws: Array, n: int) -> Array:
 
 def _load() -> float | None:
     return os.getloadavg()[0] if hasattr(os, "getloadavg") else None
-
-
-def _posterior(specimen: Specimen) -> Posterior:
-    assert specimen.measurement is not None
-    model = reduced_model(specimen, specimen.unknowns, specimen.measurement.size)
-    error = np.hypot(model.full.error, REDUCTION.tolerance)
-    return plate_posterior(model, specimen.measurement, error)
 
 
 def _plain_log_prob(posterior: Posterior, frequencies: Frequencies) -> LogProb:
@@ -240,7 +228,7 @@ def _converged(name: str) -> Results:
         os.environ["CPAM_BAYES_CACHE"] = directory
         try:
             start, used = time.perf_counter(), time.process_time()
-            found = sample(read_specimen(name), seed=0).result
+            found = cb.sample(name).result
             seconds, processor = time.perf_counter() - start, time.process_time() - used
         finally:
             if before is None:

@@ -22,11 +22,13 @@ RESULTS = HERE.parent / "studies" / "results"
 DPI = 150
 MEASURED, PREDICTED = "#333333", "#c1440e"
 VERDICTS = {
-    "determined": "#2c7a51",
-    "weakly determined": "#c98a1b",
-    "not determined": "#8a8a8a",
-    "at a bound": "#8a8a8a",
+    "determined by the data": "#2c7a51",
+    "determined by data and prior": "#c98a1b",
+    "determined by the prior": "#8a8a8a",
 }
+# The same in results of earlier versions.
+EARLIER = dict(zip(("determined", "weakly determined", "not determined"), VERDICTS.values(), strict=True))
+OPEN = VERDICTS["determined by the prior"]
 SYMBOLS = {"E1_GPa": "$E_1$", "E2_GPa": "$E_2$", "nu12": r"$\nu_{12}$", "G12_GPa": "$G_{12}$"}
 # Residuals beyond are drawn at the edge with their number.
 WIDEST = 6.0
@@ -120,8 +122,7 @@ def _residuals(axes: Axes, found: Mapping[str, Any]) -> None:
 def _constants(axes: Axes, constants: Mapping[str, Mapping[str, Any]]) -> None:
     widest = 110.0
     for row, (name, c) in enumerate(constants.items()):
-        color = VERDICTS[c["verdict"]]
-        sure = c["verdict"] in ("determined", "weakly determined")
+        color, sure = _colour(c), c["agrees"] is not None
         own = 100.0 * c["reference_sd"] / c["reference"]
         axes.barh(row, 2 * own, 0.42, left=-own, color="0.9")
         if c["bound"] is None and c["sd"] is not None:
@@ -137,6 +138,12 @@ def _constants(axes: Axes, constants: Mapping[str, Mapping[str, Any]]) -> None:
     axes.set_xlabel("identified / reference - 1, %\ngrey: sd of the reference")
     axes.set_title("Constants, with sd")
     _clean(axes)
+
+
+def _colour(constant: Mapping[str, Any]) -> str:
+    if constant["bound"] is not None:
+        return OPEN
+    return {**VERDICTS, **EARLIER}[constant["verdict"]]
 
 
 def _estimate(name: str, constant: Mapping[str, Any]) -> str:
@@ -165,8 +172,7 @@ def _overview(found: Mapping[str, Any]) -> Figure:
 def _all_constants(axes: Axes, plates: list[dict[str, Any]]) -> None:
     rows = [(f["plate"], name, c) for f in plates for name, c in f["constants"].items()]
     for row, (_, _, c) in enumerate(rows):
-        color = VERDICTS[c["verdict"]]
-        sure = c["verdict"] in ("determined", "weakly determined")
+        color, sure = _colour(c), c["agrees"] is not None
         ratio = c["value"] / c["reference"]
         if c["bound"] is None and c["sd"] is not None:
             low, high = ((c["value"] + s * c["sd"]) / c["reference"] for s in (-1, 1))
@@ -180,8 +186,6 @@ def _all_constants(axes: Axes, plates: list[dict[str, Any]]) -> None:
     axes.set_xticks([0.2, 0.5, 1, 2, 5, 10], ["0.2", "0.5", "1", "2", "5", "10"])
     axes.set_xticks([], minor=True)
     axes.set_title("Constants, with sd")
-    hollow = {"at a bound", "not determined"}
-    shown = {"determined": "", "weakly determined": "", "not determined": " or at a bound"}
     axes.legend(
         handles=[
             Line2D(
@@ -189,11 +193,11 @@ def _all_constants(axes: Axes, plates: list[dict[str, Any]]) -> None:
                 [],
                 marker="o",
                 ls="",
-                color=VERDICTS[v],
-                mfc="white" if v in hollow else VERDICTS[v],
-                label=v + more,
+                color=colour,
+                mfc="white" if colour == OPEN else colour,
+                label=verdict + (" or at a bound" if colour == OPEN else ""),
             )
-            for v, more in shown.items()
+            for verdict, colour in VERDICTS.items()
         ],
         loc="lower left",
         fontsize=8,

@@ -6,6 +6,7 @@ python studies/01_first_light.py [--quick]
 from __future__ import annotations
 
 import argparse
+import math
 import os
 import sys
 import tempfile
@@ -18,14 +19,13 @@ from typing import Any
 
 import numpy as np
 
+import cpam_bayes as cb
 from cpam_bayes.forward_model.model import NO_PARAMETERS, PlateModel, converged_model, plate_problem
-from cpam_bayes.identification.point import ConstantEstimate, Identification, identify
 from cpam_bayes.inference.swarm.settings import SwarmSettings
 from cpam_bayes.mechanics.convergence import Tolerance
-from cpam_bayes.plate import Specimen, builtin, to_user, user_name
+from cpam_bayes.plate import Specimen, to_user
 from cpam_bayes.plate.laminate import ENERGY_CONSISTENT, FIVE_SIXTHS, ShearModel
 from cpam_bayes.plate.layup import parse_layup
-from cpam_bayes.report.identification.words import warnings_of
 from cpam_bayes.report.tables import Column, Table, remarks, screen_text
 from cpam_bayes.threads import single_blas_thread
 from cpam_bayes.validation.study_results import save_results
@@ -80,10 +80,11 @@ def run(quick: bool) -> dict[str, Any]:
     errors += [] if quick else [_against_leissa(edges) for edges in LEISSA]
     return {
         "quick": quick,
-        "identifications": [_identified(builtin(name), settings) for name in plates],
+        "identifications": [_identified(cb.read_plate(name), settings) for name in plates],
         "forward_errors": errors,
         "solves": [
-            _solve_time(builtin(name), 3 if quick else 200) for name in (("C1",) if quick else ("C1", "D1"))
+            _solve_time(cb.read_plate(name), 3 if quick else 200)
+            for name in (("C1",) if quick else ("C1", "D1"))
         ],
     }
 
@@ -94,58 +95,34 @@ def run(quick: bool) -> dict[str, Any]:
 def _identified(specimen: Specimen, settings: SwarmSettings) -> dict[str, Any]:
     """One plate, first with the reduced model still to be built, then with it on disk."""
     with _empty_cache():
-        first = identify(specimen, SEED, settings=settings)
-        again = identify(specimen, SEED, settings=settings)
-    measurement = specimen.measurement
-    assert measurement is not None
+        first, again = (cb.identify(specimen, seed=SEED, settings=settings).to_dict() for _ in range(2))
+    keys = ("frequencies", "rms_percent", "noise_percent", "forward_solves", "seconds", "warnings")
+    material_sd = {name: to_user(name, sd) for name, sd in specimen.material.sd.items()}
     return {
         "plate": specimen.name,
         "layup": specimen.plate.layup.text,
         "edges": specimen.plate.edges,
-        "constants": _constants(first),
-        "frequencies": [
-            {
-                "label": mode.label,
-                "kind": mode.kind,
-                "measured_hz": float(measured),
-                "predicted_hz": mode.frequency,
-                "residual_percent": 100.0 * (mode.frequency / float(measured) - 1.0),
-            }
-            for measured, mode in zip(measurement.frequencies, first.predicted, strict=True)
-        ],
-        "rms_percent": 100.0 * first.rms,
-        "noise_percent": 100.0 * first.noise,
-        "solver_error_percent": 100.0 * float(np.max(first.error)),
-        "swarm": first.swarm.status,
-        "forward_solves": first.swarm.evaluations,
-        "seconds": first.seconds,
-        "seconds_model_on_disk": again.seconds,
-        "warnings": list(warnings_of(first, "absolute")),
+        "constants": {
+            name: _constant(c, material_sd.get(name.removesuffix("_GPa"), 0.0))
+            for name, c in first["constants"].items()
+        },
+        **{key: first[key] for key in keys},
+        "solver_error_percent": 100.0 * first["relative_error_estimate"],
+        "swarm": first["status"],
+        "seconds_model_on_disk": again["seconds"],
     }
 
 
-def _constants(found: Identification) -> dict[str, dict[str, Any]]:
+def _constant(found: dict[str, Any], reference_sd: float) -> dict[str, Any]:
+    """One constant; agrees : within two joint sd of the reference, ``None`` where the data do not decide."""
+    value, reference = found["value"], found["reference"]
+    decided = found["bound"] is None and found["verdict"] != "determined by the prior"
     return {
-        user_name(c.name): {
-            "value": to_user(c.name, c.value),
-            "sd": to_user(c.name, c.sd),
-            "reference": to_user(c.name, c.reference),
-            "reference_sd": to_user(c.name, found.specimen.material.sd.get(c.name, 0.0)),
-            "percent": 100.0 * (c.value / c.reference - 1.0),
-            "verdict": c.verdict,
-            "bound": c.bound,
-            "agrees": _agrees(found.specimen, c),
-        }
-        for c in found.constants
+        **{key: found[key] for key in ("value", "sd", "reference", "verdict", "bound")},
+        "reference_sd": reference_sd,
+        "percent": 100.0 * (value / reference - 1.0),
+        "agrees": abs(value - reference) <= 2.0 * math.hypot(found["sd"], reference_sd) if decided else None,
     }
-
-
-def _agrees(specimen: Specimen, constant: ConstantEstimate) -> bool | None:
-    """Whether estimate and reference are within two joint sd; ``None`` where the data do not decide."""
-    if constant.verdict not in ("determined", "weakly determined"):
-        return None
-    both = np.hypot(constant.sd, specimen.material.sd.get(constant.name, 0.0))
-    return bool(abs(constant.value - constant.reference) <= 2.0 * both)
 
 
 @contextmanager
@@ -168,7 +145,7 @@ def _empty_cache() -> Iterator[None]:
 
 def _against_navier(name: str) -> dict[str, Any]:
     layup, thickness = NAVIER[name]
-    specimen = _plate(builtin("C1"), 0.3, 0.2, thickness, "SSSS", layup)
+    specimen = _plate(cb.read_plate("C1"), 0.3, 0.2, thickness, "SSSS", layup)
     model = converged_model(specimen, NO_PARAMETERS, 10)
     exact = navier(specimen, 10)
     allowed = THIN_PERCENT if thickness < 0.2 / 40 else THICK_PERCENT
@@ -202,7 +179,7 @@ def navier(specimen: Specimen, n_modes: int, highest: int = 12) -> np.ndarray:
 
 def _against_converged(name: str) -> dict[str, Any]:
     reference = np.array(CONVERGED[name])
-    model = converged_model(builtin(name), NO_PARAMETERS, len(reference), FIVE_SIXTHS)
+    model = converged_model(cb.read_plate(name), NO_PARAMETERS, len(reference), FIVE_SIXTHS)
     allowed = THICK_PERCENT if name.startswith("D") else THIN_PERCENT
     source = "converged by two bases of an independent program"
     return _error(f"{name}, shear factor 5/6", source, "Hz", reference, _solved(model), allowed, model.error)
@@ -217,7 +194,7 @@ def _against_leissa(edges: str) -> dict[str, Any]:
     reference, allowed = LEISSA[edges]
     parameters, errors = [], []
     for h in (0.01, 0.005):
-        specimen = _isotropic(_plate(builtin("D&G"), 1.0, 1.0, h, edges, None), 70e9, 0.3)
+        specimen = _isotropic(_plate(cb.read_plate("D&G"), 1.0, 1.0, h, edges, None), 70e9, 0.3)
         model = converged_model(specimen, NO_PARAMETERS, len(reference), FIVE_SIXTHS, Tolerance(2e-5, 1e-5))
         rigidity = np.real(plate_problem(specimen).nominal.stiffness())[3, 3]
         scale = np.sqrt(specimen.plate.density * h / rigidity)
@@ -337,7 +314,8 @@ def _constant_rows(found: list[dict[str, Any]]) -> Rows:
         (
             f["plate"],
             name,
-            *(f"{c['value']:.4g}", f"{c['sd']:.2g}", f"{c['reference']:.4g}", f"{c['percent']:+.1f}"),
+            *(f"{c['value']:.4g}", "-" if c["sd"] is None else f"{c['sd']:.2g}"),
+            *(f"{c['reference']:.4g}", f"{c['percent']:+.1f}"),
             *(c["verdict"], agrees[c["agrees"]]),
         )
         for f in found

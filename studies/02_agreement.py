@@ -10,6 +10,7 @@ import json
 import shutil
 import sys
 import time
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
@@ -20,18 +21,13 @@ from typing import Any
 
 import numpy as np
 
-from cpam_bayes.forward_model.calculix import solve_modes
-from cpam_bayes.forward_model.model import (
-    NO_PARAMETERS,
-    PlateModel,
-    converged_model,
-    plate_problem,
-    reference_constants,
-)
-from cpam_bayes.mechanics.shapes import in_plane_fraction, mode_kind, shapes_on_grid
+import cpam_bayes as cb
+from cpam_bayes.forward_model.model import NO_PARAMETERS, PlateModel, converged_model, plate_problem
+from cpam_bayes.forward_model.solve import ForwardResult
+from cpam_bayes.mechanics.shapes import shapes_on_grid
 from cpam_bayes.mechanics.spaces.fem import default_counts, fem_space
 from cpam_bayes.mechanics.sparse import discretise_sparse
-from cpam_bayes.plate import Specimen, builtin, builtin_names
+from cpam_bayes.plate import Specimen
 from cpam_bayes.plate.layup import parse_layup
 from cpam_bayes.report.tables import Column, Table, facts, screen_text
 from cpam_bayes.threads import single_blas_thread
@@ -72,10 +68,12 @@ def run(quick: bool) -> dict[str, Any]:
     unsymmetric = UNSYMMETRIC[:1] if quick else UNSYMMETRIC
     finer = 0.7 if quick else FINER
     with _bricks([] if quick else _brick_plates()) as bricks:
-        specimens = [_specimen_row(builtin(name), finer, bricks) for name in names]
+        specimens = [_specimen_row(cb.read_plate(name), finer, bricks) for name in names]
         coupled = [_specimen_row(_changed(name, layup), finer, bricks) for name, layup in unsymmetric]
         edges = [_edges(*plate, finer, quick) for plate in (EDGE_PLATES[:1] if quick else EDGE_PLATES)]
-        shapes = {name: _shapes(builtin(name), 9 if quick else GRID) for name in names if name in SHAPES}
+        shapes = {
+            name: _shapes(cb.read_plate(name), 9 if quick else GRID) for name in names if name in SHAPES
+        }
         for row in (*specimens, *coupled):
             row["bricks"] = row["bricks"] and row["bricks"]()
     return {
@@ -91,19 +89,14 @@ def run(quick: bool) -> dict[str, Any]:
 
 def _distinct_plates() -> tuple[str, ...]:
     """Built-in plates, without the names under which the layup of a plate is unknown."""
-    return tuple(name for name in builtin_names() if builtin(name).specimen == name)
+    return tuple(plate.name for plate in cb.builtin_plates() if plate.specimen == plate.name)
 
 
 def _changed(name: str, layup: str | None = None, edges: str | None = None) -> Specimen:
-    specimen = builtin(name)
+    specimen = cb.read_plate(name)
     plate = specimen.plate
     own = plate.layup if layup is None else parse_layup(layup)
     return replace(specimen, plate=replace(plate, layup=own, edges=edges or plate.edges))
-
-
-def _n_modes(specimen: Specimen) -> int:
-    assert specimen.measurement is not None
-    return specimen.measurement.size
 
 
 # Ritz and finite elements
@@ -121,21 +114,21 @@ def _frequencies(model: PlateModel) -> np.ndarray:
     return model.predict(REFERENCE).frequencies[0]
 
 
-def _deviation(specimen: Specimen, ritz: PlateModel, finer: float) -> dict[str, Any]:
+def _deviation(specimen: Specimen, ritz: ForwardResult, finer: float) -> dict[str, Any]:
     """Finite elements against Ritz, and what each is estimated to err by at the worst mode.
 
     The elements' error is taken as the change from the default mesh to the finer one, an upper
     bound where they converge.
     """
-    expected = _frequencies(ritz)
-    found = _frequencies(_elements(specimen, ritz.n_modes, finer))
-    coarser = _frequencies(_elements(specimen, ritz.n_modes, finer / FINER))
-    deviation = 100.0 * (found / expected - 1.0)
+    n_modes = len(ritz.modes)
+    found = _frequencies(_elements(specimen, n_modes, finer))
+    coarser = _frequencies(_elements(specimen, n_modes, finer / FINER))
+    deviation = 100.0 * (found / ritz.frequencies - 1.0)
     change = 100.0 * np.abs(coarser / found - 1.0)
     worst = int(np.argmax(np.abs(deviation)))
     error = 100.0 * ritz.error[worst] + change[worst]
     return {
-        "modes": ritz.n_modes,
+        "modes": n_modes,
         "worst_percent": float(deviation[worst]),
         "worst_mode": worst + 1,
         "ritz_error_percent": 100.0 * float(ritz.error[worst]),
@@ -145,18 +138,15 @@ def _deviation(specimen: Specimen, ritz: PlateModel, finer: float) -> dict[str, 
     }
 
 
-def _kinds(model: PlateModel) -> dict[str, int]:
+def _kinds(ritz: ForwardResult) -> dict[str, int]:
     """How many modes of each kind there are."""
-    spectrum = model.spectrum(REFERENCE, vectors=True)
-    shares = in_plane_fraction(model.operator, spectrum, model.coefficients(REFERENCE[None])[1])[0]
-    kinds = [mode_kind(float(share)) for share in shares]
-    return {kind: kinds.count(kind) for kind in sorted(set(kinds))}
+    return dict(sorted(Counter(mode.kind for mode in ritz.modes).items()))
 
 
 def _specimen_row(specimen: Specimen, finer: float, bricks: Mapping[str, Any]) -> dict[str, Any]:
-    ritz = converged_model(specimen, NO_PARAMETERS, _n_modes(specimen))
-    modes = ritz.modes(REFERENCE)
-    elements = _elements(specimen, ritz.n_modes, 0.5).modes(REFERENCE)
+    ritz = cb.forward(specimen)
+    modes = ritz.modes
+    elements = _elements(specimen, len(modes), 0.5).modes(REFERENCE)
     key = _title(specimen)
     return {
         "plate": specimen.name,
@@ -166,7 +156,7 @@ def _specimen_row(specimen: Specimen, finer: float, bricks: Mapping[str, Any]) -
         "kinds": _kinds(ritz),
         "same_kinds": [m.kind for m in modes] == [m.kind for m in elements],
         **_deviation(specimen, ritz, finer),
-        "bricks": (lambda: _against(modes, bricks[key].result())) if key in bricks else None,
+        "bricks": (lambda: _against(ritz, bricks[key].result())) if key in bricks else None,
     }
 
 
@@ -178,7 +168,7 @@ def _edges(name: str, layup: str | None, mirrored: bool, finer: float, quick: bo
     rows = []
     for edges in combinations:
         specimen = _changed(name, layup, edges)
-        ritz = converged_model(specimen, NO_PARAMETERS, _n_modes(specimen))
+        ritz = cb.forward(specimen)
         rows.append({"edges": edges, "kinds": _kinds(ritz), **_deviation(specimen, ritz, finer)})
     text = _changed(name, layup).plate.layup.text
     return {"plate": name, "layup": text, "mirrored": mirrored, "rows": rows}
@@ -213,7 +203,7 @@ def _brick_plates() -> list[Specimen]:
     if shutil.which("ccx") is None:
         print("ccx is not installed: no bricks")
         return []
-    return [builtin(name) for name in BRICKS] + [_changed(name, layup) for name, layup in UNSYMMETRIC]
+    return [cb.read_plate(name) for name in BRICKS] + [_changed(name, layup) for name, layup in UNSYMMETRIC]
 
 
 @contextmanager
@@ -231,22 +221,19 @@ def _title(specimen: Specimen) -> str:
     return f"{specimen.name} {specimen.plate.layup.text}"
 
 
-def _solve_bricks(specimen: Specimen) -> tuple[Any, float]:
-    start = time.perf_counter()
-    found = solve_modes(specimen, reference_constants(specimen), _n_modes(specimen))
-    return found.modes, time.perf_counter() - start
+def _solve_bricks(specimen: Specimen) -> ForwardResult:
+    return cb.forward(specimen, solver="ccx")
 
 
-def _against(ritz: Sequence[Any], bricks: tuple[Sequence[Any], float]) -> dict[str, Any]:
-    modes, seconds = bricks
-    deviation = [100.0 * (b.frequency / r.frequency - 1.0) for b, r in zip(modes, ritz, strict=True)]
+def _against(ritz: ForwardResult, bricks: ForwardResult) -> dict[str, Any]:
+    deviation = (100.0 * (bricks.frequencies / ritz.frequencies - 1.0)).tolist()
     worst = int(np.argmax(np.abs(deviation)))
     return {
         "worst_percent": deviation[worst],
         "worst_mode": worst + 1,
         "deviations_percent": deviation,
-        "same_kinds": [m.kind for m in ritz] == [m.kind for m in modes],
-        "seconds": seconds,
+        "same_kinds": [m.kind for m in ritz.modes] == [m.kind for m in bricks.modes],
+        "seconds": bricks.seconds,
     }
 
 
@@ -255,7 +242,8 @@ def _against(ritz: Sequence[Any], bricks: tuple[Sequence[Any], float]) -> dict[s
 
 def _shapes(specimen: Specimen, n: int) -> dict[str, Any]:
     """Shapes (n, n), x by rows, in whole numbers: exact enough for nodal lines, and small."""
-    model = converged_model(specimen, NO_PARAMETERS, _n_modes(specimen))
+    assert specimen.measurement is not None
+    model = converged_model(specimen, NO_PARAMETERS, specimen.measurement.size)
     values = shapes_on_grid(model.operator, model.spectrum(REFERENCE, vectors=True), n=n)
     found = []
     for mode, (u, v, w) in zip(model.modes(REFERENCE), values, strict=True):

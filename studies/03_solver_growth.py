@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+import cpam_bayes as cb
 from cpam_bayes.forward_model.model import (
     PlateModel,
     angle_parameters,
@@ -29,7 +30,7 @@ from cpam_bayes.mechanics.convergence import Tolerance, rich_frequencies
 from cpam_bayes.mechanics.dense import discretise
 from cpam_bayes.mechanics.spaces.ritz import RitzSettings, ritz_space
 from cpam_bayes.parameters import ParameterSet
-from cpam_bayes.plate import Specimen, builtin
+from cpam_bayes.plate import Specimen
 from cpam_bayes.plate.layup import parse_layup
 from cpam_bayes.report.tables import Column, Table, screen_text
 from cpam_bayes.threads import single_blas_thread
@@ -83,7 +84,7 @@ def _against_accuracy(plates: Iterable[str], quick: bool, rounds: int) -> list[R
     points: list[Results] = []
     calls: dict[int, Call] = {}
     for plate in plates:
-        problem = plate_problem(builtin(plate))
+        problem = plate_problem(cb.read_plate(plate))
         rich = rich_frequencies(problem, {}, MODES[plate], _REFERENCE)
         exact, exact_error = rich.frequencies[0], float(rich.error.max())
         for basis, degrees in DEGREES.items():
@@ -122,7 +123,7 @@ def _sizes(model: PlateModel) -> list[int]:
 
 
 def _against_modes(numbers: Iterable[int], settings: ReductionSettings, rounds: int) -> list[Results]:
-    specimen = builtin("C1")
+    specimen = cb.read_plate("C1")
     models = [(_built(specimen, specimen.unknowns, n, settings), {"modes": n}) for n in numbers]
     return _measured(models, rounds)
 
@@ -140,10 +141,10 @@ def _with_parameters(n: int) -> tuple[Specimen, ParameterSet]:
     """C1 with n of its constants and angles unknown."""
     n_angles = max(n - len(CONSTANTS), 0)
     plies = "/".join("?" if i < n_angles else f"{angle:g}" for i, angle in enumerate(GROUP))
-    specimen = builtin("C1")
+    specimen = cb.read_plate("C1")
     specimen = replace(specimen, plate=replace(specimen.plate, layup=parse_layup(f"[({plies})_4]_s")))
     # D1 has the bounds of G23 as well
-    known = builtin("D1").unknowns
+    known = cb.read_plate("D1").unknowns
     constants = ParameterSet(tuple(known[name] for name in CONSTANTS[:n]))
     return specimen, constants.union(angle_parameters(specimen))
 

@@ -1,27 +1,19 @@
 """The paper's noise study, Tables 10 to 14, beside posteriors at the same noise.
 
-python studies/04_sensitivity.py [--quick] [--workers N]
+python studies/04_sensitivity.py [--quick] [--workers N] [--executor SPEC]
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import sys
-from concurrent.futures import Executor
 from pathlib import Path
 from typing import Any
 
+import cpam_bayes as cb
+from cpam_bayes.commands.options import add_executor_options
 from cpam_bayes.inference.chains.ensemble import EnsembleSettings
 from cpam_bayes.inference.swarm.settings import SwarmSettings
-from cpam_bayes.paper import perturbation_table
-from cpam_bayes.parallel import open_executor
-from cpam_bayes.plate import builtin
-from cpam_bayes.repetition.perturbation import INTERPRETATIONS, Interpretation
-from cpam_bayes.repetition.study import ENSEMBLE_SETTINGS, model_list, sensitivity
-from cpam_bayes.report.documents import json_text
-from cpam_bayes.report.repetition.screen import sensitivity_document
-from cpam_bayes.report.repetition.words import printed_table, sensitivity_warnings
 from cpam_bayes.report.tables import Column, Table, screen_text
 from cpam_bayes.validation.study_results import save_results
 
@@ -39,40 +31,26 @@ SEED = 0
 PLATES = ("A2", "C1", "C3", "D1", "D3")
 LEVELS = (0.01, 0.05, 0.1)
 GROUPS = 10
+SMALL_SWARM = SwarmSettings(particles=20, iterations=60)
+SHORT_CHAINS = EnsembleSettings(walkers=16, round_steps=150, most_steps=150)
 
 
-def run(quick: bool, executor: Executor | None = None) -> Results:
+def run(quick: bool, executor: str | None = "serial", workers: int | None = None) -> Results:
     """All five plates; quick: A2 with three groups at one level, far from converged."""
-    plates = PLATES[:1] if quick else PLATES
+    effort = {"levels": LEVELS, "groups": GROUPS, "executor": executor, "workers": workers}
+    if quick:
+        effort |= {"levels": LEVELS[:1], "groups": 3, "settings": SMALL_SWARM, "chains": SHORT_CHAINS}
+    asked = {"model": {}, "measured": {"readings": ("rms",)}}
     return {
         "quick": quick,
-        "model": [_study(name, "model", INTERPRETATIONS, quick, executor) for name in plates],
-        "measured": [_study(name, "measured", ("rms",), quick, executor) for name in plates],
+        **{
+            source: [
+                cb.sensitivity(name, seed=SEED, source=source, **readings, **effort).to_dict()
+                for name in (PLATES[:1] if quick else PLATES)
+            ]
+            for source, readings in asked.items()
+        },
     }
-
-
-def _study(
-    name: str, source: str, readings: tuple[Interpretation, ...], quick: bool, executor: Executor | None
-) -> Results:
-    specimen = builtin(name)
-    if source == "model":
-        assert specimen.measurement is not None
-        specimen = model_list(specimen, specimen.measurement.size)
-    result = sensitivity(
-        specimen,
-        SEED,
-        source="model" if source == "model" else "measured",
-        levels=LEVELS[:1] if quick else LEVELS,
-        groups=3 if quick else GROUPS,
-        readings=readings,
-        swarm_settings=SwarmSettings(particles=20, iterations=60) if quick else None,
-        chains=EnsembleSettings(walkers=16, round_steps=150, most_steps=150) if quick else ENSEMBLE_SETTINGS,
-        executor=executor,
-    )
-    table = printed_table(result, perturbation_table(name))
-    document = sensitivity_document(result, SEED, table, sensitivity_warnings(result))
-    plain: Results = json.loads(json_text(document))
-    return plain
 
 
 def show(results: Results) -> None:
@@ -120,10 +98,9 @@ def main() -> None:
     """Run the study, print its tables and save the results."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="the small version; nothing is saved")
-    parser.add_argument("--workers", type=int, metavar="N", help="number of processes (default: one a core)")
+    add_executor_options(parser)
     args = parser.parse_args()
-    with open_executor(None, args.workers) as executor:
-        results = run(args.quick, executor)
+    results = run(args.quick, args.executor, args.workers)
     show(results)
     if not args.quick:
         save_results(RESULTS, results)

@@ -3,7 +3,7 @@
 python studies/05_calibration.py [--quick] [--workers N | --executor SPEC] [--repetitions N] [--store DIR]
 
 Constants and noise are drawn from their priors, a list is simulated by the reduced model that the
-posterior has too, sampled, and the truth is ranked among 99 draws (cpam_bayes/inference/calibration.py).
+posterior has too, sampled, and the truth is ranked among 99 draws (cpam_bayes/validation/calibration.py).
 Repetitions are kept as they come: a run that was stopped goes on where it was.
 """
 

@@ -15,15 +15,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from cpam_bayes.identification.starting import start_of
+import cpam_bayes as cb
 from cpam_bayes.inference.chains.ensemble import EnsembleResult, EnsembleSettings
-from cpam_bayes.inference.chains.sampling import sample_from
 from cpam_bayes.inference.evidence import Evidence, EvidenceSettings, evidence_of, importance_evidence
 from cpam_bayes.inference.laplace import approximate, find_optima
 from cpam_bayes.inference.posterior import Posterior
 from cpam_bayes.inference.proposal import AdaptationSettings
 from cpam_bayes.inference.swarm.pso import SwarmSettings
-from cpam_bayes.plate import builtin, to_user, user_name
+from cpam_bayes.plate import to_user, user_name
 from cpam_bayes.report.tables import Column, Table, screen_text
 from cpam_bayes.threads import single_blas_thread
 from cpam_bayes.validation.nested import NestedEvidence, nested_evidence
@@ -78,12 +77,8 @@ class Moments(NamedTuple):
 
 
 def _examined(name: str, effort: Effort) -> dict[str, Any]:
-    specimen = builtin(name)
-    start = start_of(specimen, SEED, swarm_settings=effort.swarm)
-    posterior = start.posterior
-    chains, chain_seconds = _timed(
-        lambda: sample_from(posterior, start.bests, start.values, SEED, settings=effort.ensembles)
-    )
+    sampled = cb.sample(name, seed=SEED, settings=effort.ensembles, swarm_settings=effort.swarm)
+    posterior, chains = sampled.posterior, sampled.result
     none = np.empty((0, posterior.parameters.size))
     alone, alone_seconds = _timed(
         lambda: importance_evidence(posterior, none, SEED, settings=effort.evidence)
@@ -114,7 +109,7 @@ def _examined(name: str, effort: Effort) -> dict[str, Any]:
             "effective": chains.diagnostics.ess_bulk,
             "r_hat": chains.diagnostics.r_hat,
             "status": chains.status,
-            "seconds": chain_seconds,
+            "seconds": sampled.seconds_sampling,
         },
         "parameters": [_parameter(posterior, i, moments) for i in range(posterior.parameters.size)],
         "evidence_z": evidence_z,

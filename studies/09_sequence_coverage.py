@@ -4,7 +4,7 @@ python studies/09_sequence_coverage.py [--quick] [--only NAME ...] [--trials N] 
 
 Sequence and constants are drawn from the prior, a list with 1 % noise is simulated by the reduced model that
 the evidences have too, and the place of the true sequence among all is noted
-(cpam_bayes/inference/stacking_coverage.py). One case a plate; cases that were saved before are kept.
+(cpam_bayes/validation/stacking_coverage.py). One case a plate; cases that were saved before are kept.
 """
 
 from __future__ import annotations
@@ -19,9 +19,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+import cpam_bayes as cb
 from cpam_bayes.commands.options import add_executor_options
 from cpam_bayes.parallel import open_executor
-from cpam_bayes.plate import Specimen, builtin
+from cpam_bayes.plate import Specimen
 from cpam_bayes.plate.layup import parse_layup
 from cpam_bayes.report.tables import Column, Table, screen_text
 from cpam_bayes.validation.stacking_coverage import (
@@ -70,7 +71,7 @@ SMALL = CoverageSettings(library=150, log2_points=6)
 
 def specimen_of(case: Case) -> Specimen:
     """The plate of a case; a rectangular one has fewer images."""
-    own = builtin(case.plate)
+    own = cb.read_plate(case.plate)
     width = own.plate.width if case.width is None else case.width
     plate = replace(own.plate, layup=parse_layup(case.layup), width=width)
     return replace(own, plate=plate, angle_grid_deg=case.step_deg)

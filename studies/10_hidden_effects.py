@@ -5,7 +5,7 @@ python studies/10_hidden_effects.py [--quick] [--workers N | --executor SPEC] [-
 
 Truths are finite elements on a mesh of their own with constants within 10 % of the reference, 0.2 % of noise
 and rounding to 0.1 Hz; a few clean plates are solved on three-dimensional bricks by CalculiX instead, where
-it is installed. The diagnosis has Ritz models (cpam_bayes/diagnosis/truths.py, hiding.py, trials.py). Trials
+it is installed. The diagnosis has Ritz models (cpam_bayes/validation/diagnosis). Trials
 are kept as they come, in rounds over all benches: a run that was stopped, or was given some minutes, goes on
 where it was, and its results are those of the trials that there are.
 """

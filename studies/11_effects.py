@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+import cpam_bayes as cb
 from cpam_bayes.diagnosis.cases import plate_case
 from cpam_bayes.diagnosis.fitting import PlateCase
-from cpam_bayes.effects import CATALOGUE, Effect, applicable
+from cpam_bayes.effects import Effect, applicable
 from cpam_bayes.forward_model.model import reference_vector
-from cpam_bayes.plate import builtin
 from cpam_bayes.report.tables import Column, Table, screen_text
 from cpam_bayes.validation.study_results import save_results
 
@@ -45,8 +45,8 @@ QUICK = ("frequency_scale", "viscoelastic", "mode_identity", "outlier")
 
 def run(quick: bool) -> Results:
     """Shifts at one standard deviation of the catalogue at the reference constants."""
-    plates = {name: plate_case(builtin(name)) for name in ((FREE,) if quick else (FREE, CLAMPED))}
-    effects = [e for e in CATALOGUE if not e.drops_references and (not quick or e.name in QUICK)]
+    plates = {name: plate_case(cb.read_plate(name)) for name in ((FREE,) if quick else (FREE, CLAMPED))}
+    effects = [e for e in cb.effects.CATALOGUE if not e.drops_references and (not quick or e.name in QUICK)]
     return {
         "quick": quick,
         "plates": {name: _plate(case) for name, case in plates.items()},

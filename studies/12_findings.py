@@ -8,16 +8,16 @@ from __future__ import annotations
 import argparse
 import csv
 import sys
-import tempfile
 import time
+import tomllib
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-from cpam_bayes.diagnosis.cases import plate_case
-from cpam_bayes.diagnosis.diagnose import Diagnosis, diagnose_cases
+import cpam_bayes as cb
+from cpam_bayes.diagnosis.diagnose import Diagnosis
 from cpam_bayes.diagnosis.fit import Fit
-from cpam_bayes.plate import Specimen, builtin, read_specimen, to_user, user_name
+from cpam_bayes.plate import Specimen, to_user, user_name
 from cpam_bayes.report.tables import Column, Table, screen_text
 from cpam_bayes.validation.study_results import save_results, with_saved
 
@@ -34,6 +34,30 @@ KEYS = {
 ALONE = ("D&G", "A1", "A2", "B1", "B2", "C1", "C2", "C3", "C4", "D1", "D2", "D3", "D4")
 TOGETHER = (("A1", "A2"), ("B1", "B2"), ("C1", "C2"), ("C3", "C4"), ("D1", "D2"), ("D3", "D4"))
 _LISTED = 10
+# Of a plate file, the same for all plates of spruce.
+SPRUCE_SECTIONS = tomllib.loads("""
+[material]
+name = "spruce"
+isotropic = false
+E1_GPa = 10.9
+E2_GPa = 0.85
+nu12 = 0.372
+G12_GPa = 0.70
+G13_GPa = 0.665
+G23_GPa = 0.033
+[material.sd]
+E1_GPa = 1.6
+E2_GPa = 0.25
+nu12 = 0.08
+G12_GPa = 0.2
+[unknowns]
+E1_GPa = [5.0, 20.0]
+E2_GPa = [0.2, 2.0]
+nu12 = [0.1, 0.7]
+G12_GPa = [0.2, 2.0]
+[environment]
+air_density_kg_m3 = 1.2
+""")
 
 
 def run(
@@ -51,9 +75,9 @@ def run(
         groups = groups[:1]
     found = []
     for group in groups:
-        specimens = [wood[name] if name in wood else builtin(name) for name in group]
         start = time.process_time()
-        diagnosis = diagnose_cases([plate_case(s) for s in specimens])
+        plates = [wood.get(name, name) for name in group]
+        diagnosis = cb.diagnose(*plates, next_test="never").diagnosis
         found.append({**told(diagnosis), "seconds": time.process_time() - start})
         if not quick:
             print(
@@ -128,51 +152,29 @@ def spruce() -> dict[str, Specimen]:
     nu_LR 0.372), wide enough for tonewood.
     """
     with SPRUCE.open(encoding="utf-8") as file:
-        rows = list(csv.DictReader(line for line in file if not line.startswith("#")))
-    found = {}
-    with tempfile.TemporaryDirectory() as directory:
-        for row in rows:
-            widths = [float(w) for w in row["widths_mm"].split(";")]
-            path = Path(directory) / f"{row['plate']}.toml"
-            path.write_text(
-                f"""name = "{row["plate"]}"
-[plate]
-length_mm = {row["length_mm"]}
-width_mm = {sum(widths) / len(widths):.2f}
-thickness_mm = {row["thickness_mm"]}
-mass_g = {row["mass_g"]}
-layup = "[0]"
-edges = "FFFF"
-[material]
-name = "spruce"
-isotropic = false
-E1_GPa = 10.9
-E2_GPa = 0.85
-nu12 = 0.372
-G12_GPa = 0.70
-G13_GPa = 0.665
-G23_GPa = 0.033
-[material.sd]
-E1_GPa = 1.6
-E2_GPa = 0.25
-nu12 = 0.08
-G12_GPa = 0.2
-[unknowns]
-E1_GPa = [5.0, 20.0]
-E2_GPa = [0.2, 2.0]
-nu12 = [0.1, 0.7]
-G12_GPa = [0.2, 2.0]
-[environment]
-air_density_kg_m3 = 1.2
-[measurement]
-frequencies_hz = [{row["frequencies_hz"].replace(";", ", ")}]
-resolution_hz = 0.5
-complete = false
-""",
-                encoding="utf-8",
-            )
-            found[row["plate"]] = read_specimen(str(path))
-    return found
+        rows = csv.DictReader(line for line in file if not line.startswith("#"))
+        return {row["plate"]: cb.read_plate(_spruce_plate(row)) for row in rows}
+
+
+def _spruce_plate(row: dict[str, str]) -> dict[str, Any]:
+    """The sections of a plate file."""
+    widths = [float(w) for w in row["widths_mm"].split(";")]
+    measured = {key: float(row[key]) for key in ("length_mm", "thickness_mm", "mass_g")}
+    return {
+        **SPRUCE_SECTIONS,
+        "name": row["plate"],
+        "plate": {
+            **measured,
+            "width_mm": round(sum(widths) / len(widths), 2),
+            "layup": "[0]",
+            "edges": "FFFF",
+        },
+        "measurement": {
+            "frequencies_hz": [float(f) for f in row["frequencies_hz"].split(";")],
+            "resolution_hz": 0.5,
+            "complete": False,
+        },
+    }
 
 
 def show(results: dict[str, Any]) -> None:

@@ -168,7 +168,7 @@ def test_edges_are_reduced_by_the_symmetry_of_the_plate() -> None:
 
 def test_navier_gives_the_known_frequency_of_a_thin_isotropic_plate() -> None:
     study = script("studies", "01_first_light")
-    thin = study._plate(study.builtin("D&G"), 0.3, 0.2, 2e-4, "SSSS", None)
+    thin = study._plate(study.cb.read_plate("D&G"), 0.3, 0.2, 2e-4, "SSSS", None)
     rigidity = np.real(study.plate_problem(thin).nominal.stiffness())[3, 3]
     exact = np.pi / 2 * (1 / 0.3**2 + 1 / 0.2**2) * np.sqrt(rigidity / (thin.plate.density * 2e-4))
     # shear deformation lowers it by (pi h / a)^2

@@ -10,11 +10,13 @@ from cpam_bayes.errors import PlateFileError
 from cpam_bayes.forward_model.air_shift import air_shifts
 from cpam_bayes.forward_model.preconditions import explained_failures, plate_warnings, require_supported
 from cpam_bayes.forward_model.solve import measured_modes
+from cpam_bayes.inference.chains.ensemble import EnsembleSettings
+from cpam_bayes.inference.swarm.settings import SwarmSettings
 from cpam_bayes.paper import PerturbationTable, perturbation_table
 from cpam_bayes.parallel import open_executor
 from cpam_bayes.plate import PlateLike, Specimen, read_plate
 from cpam_bayes.repetition.perturbation import INTERPRETATIONS, Interpretation
-from cpam_bayes.repetition.study import ListSource, Sensitivity, model_list, noise_study
+from cpam_bayes.repetition.study import ENSEMBLE_SETTINGS, ListSource, Sensitivity, model_list, noise_study
 from cpam_bayes.repetition.warnings import printed_table, sensitivity_warnings
 from cpam_bayes.result import SILENT, PlateResult, Watch
 
@@ -52,6 +54,8 @@ def sensitivity(
     readings: Sequence[Interpretation] = INTERPRETATIONS,
     source: ListSource = "model",
     n_modes: int | None = None,
+    settings: SwarmSettings | None = None,
+    chains: EnsembleSettings = ENSEMBLE_SETTINGS,
     executor: str | None = None,
     workers: int | None = None,
     watch: Watch = SILENT,
@@ -67,6 +71,8 @@ def sensitivity(
         root mean square frequency ("rms")
     source : what is perturbed: the frequencies of the "model" at the reference constants, or the "measured"
     n_modes : number of modes with ``source="model"``; as many as were measured, or 10, where left out
+    settings : of the swarms
+    chains : of the ensembles
     executor, workers : where the work is done, see `cpam_bayes.parallel.open_executor`; the answer is the
         same
     watch : is shown the progress
@@ -103,6 +109,8 @@ def sensitivity(
             levels=levels,
             groups=groups,
             readings=readings,
+            swarm_settings=settings,
+            chains=chains,
             executor=pool,
             notify=shown.notify,
             progress=lambda done, _: shown.tick(done, float(done)),
