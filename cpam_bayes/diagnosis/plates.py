@@ -105,6 +105,13 @@ def diagnose(
     ------
     ValueError
         If a plate cannot be read or diagnosed, or if the plates cannot share their constants.
+
+    Examples
+    --------
+    >>> import cpam_bayes as cb
+    >>> result = cb.diagnose("A1", next_test="never")
+    >>> result.claim, result.causes, round(result.probability, 1)
+    ('none', (), 0.6)
     """
     specimens = tuple(require_diagnosable(read_plate(plate)) for plate in plates)
     _require_one_material(specimens)

@@ -21,5 +21,12 @@ class BuiltinPlates(Result):
 
 
 def plates() -> BuiltinPlates:
-    """All built-in specimens."""
+    """All built-in specimens, as the command `plates` lists them.
+
+    Examples
+    --------
+    >>> import cpam_bayes as cb
+    >>> print(cb.plates().summary().splitlines()[0])
+    Built-in specimens
+    """
     return BuiltinPlates(seed=0, specimens=builtin_plates())

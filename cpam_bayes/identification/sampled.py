@@ -83,6 +83,16 @@ def sample(
         initial swarm is feasible.
     StoreError
         If the store cannot be used.
+
+    Examples
+    --------
+    >>> import cpam_bayes as cb
+    >>> result = cb.sample("A1", seed=0)
+    >>> result.status, [constant.name for constant in result.elastic_constants]
+    ('converged', ['E1', 'nu12'])
+    >>> e1 = result.elastic_constants[0]
+    >>> e1.q025 < 67.8e9 < e1.q975, e1.verdict
+    (True, 'determined by the data')
     """
     specimen = require_supported(read_plate(plate), NO_MESH)
     latest: list[Diagnostics] = []

@@ -71,8 +71,9 @@ def posterior(
     >>> posterior = cb.posterior("A1")
     >>> posterior.parameters.names
     ('E1', 'nu12', 'relative_std')
-    >>> posterior.log_prob([[67e9, 0.33, 0.01], [300e9, 0.33, 0.01]])[1]
-    -inf
+    >>> inside, outside = posterior.log_prob([[67e9, 0.33, 0.01], [300e9, 0.33, 0.01]])
+    >>> print(inside > -40, outside)
+    True -inf
     """
     specimen = require_supported(read_plate(plate), NO_MESH)
     measurement, unknowns = required(specimen)

@@ -49,7 +49,14 @@ def read_plate(plate: PlateLike) -> Specimen:
 
 
 def builtin_plates() -> tuple[Specimen, ...]:
-    """The specimens of the paper, as `read_plate` gives each by its name."""
+    """The specimens of the paper, as `read_plate` gives each by its name.
+
+    Examples
+    --------
+    >>> import cpam_bayes as cb
+    >>> [plate.name for plate in cb.builtin_plates()][:5]
+    ['D&G', 'A1', 'A2', 'B1', 'B2']
+    """
     return tuple(builtin(name) for name in builtin_names())
 
 

@@ -82,6 +82,14 @@ def sensitivity(
     ValueError
         If the plate cannot be read, has no unknowns, or measured frequencies are asked for that are missing
         or may lack modes.
+
+    Examples
+    --------
+    >>> import cpam_bayes as cb
+    >>> result = cb.sensitivity("A1", levels=[0.01], groups=3, readings=["rms"], executor="serial")
+    >>> (cell,) = result.study.cells
+    >>> result.status, cell.repetition.constants.shape
+    ('converged', (3, 2))
     """
     specimen = require_supported(read_plate(plate), _NO_MESH)
     if not specimen.unknowns.size:

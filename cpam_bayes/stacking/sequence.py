@@ -80,6 +80,30 @@ def sequence(
     ------
     ValueError
         If the plate cannot be read, has no unknown angle, no measured frequencies or no unknowns.
+
+    Examples
+    --------
+    >>> import cpam_bayes as cb
+    >>> plate = {
+    ...     "name": "two unknown angles",
+    ...     "plate": {
+    ...         "length_mm": 260, "width_mm": 190, "thickness_mm": 3.2,
+    ...         "density_kg_m3": 1590, "layup": "[?/?]_s", "edges": "FFFF",
+    ...     },
+    ...     "material": {
+    ...         "isotropic": False, "E1_GPa": 121.2, "E2_GPa": 9.34, "nu12": 0.23, "G12_GPa": 6.25,
+    ...     },
+    ...     "unknowns": {
+    ...         "E1_GPa": [80, 160], "E2_GPa": [5, 20], "nu12": [0.15, 0.4], "G12_GPa": [4, 10],
+    ...         "angle_grid_deg": 30,
+    ...     },
+    ...     "measurement": {
+    ...         "frequencies_hz": [154.4, 286.9, 402.8, 414.4, 574.5, 749.3], "relative_std": 0.01,
+    ...     },
+    ... }
+    >>> result = cb.sequence(plate, executor="serial")
+    >>> result.answer.top[0].tolist(), int(result.answer.multiplicity[0])
+    ([-30.0, 60.0], 2)
     """
     specimen = require_sequence(read_plate(plate).with_unknown_angles())
     settings = replace(DEFAULT_SETTINGS, listed=max(DEFAULT_SETTINGS.listed, top))

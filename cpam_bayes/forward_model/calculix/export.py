@@ -69,6 +69,15 @@ def export(
     ------
     ValueError
         If the plate cannot be read or exported, or the file cannot be written.
+
+    Examples
+    --------
+    >>> import cpam_bayes as cb
+    >>> from tempfile import TemporaryDirectory
+    >>> with TemporaryDirectory() as directory:
+    ...     deck = cb.export("A1", f"{directory}/a1.inp")
+    >>> deck.n_elements, deck.element_type
+    (255, 'S8R')
     """
     specimen = require_supported(read_plate(plate), _NO_MESH, _NO_AIR)
     given = plate if isinstance(plate, str | os.PathLike) else specimen.name

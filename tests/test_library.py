@@ -1,0 +1,345 @@
+"""The library as a Python caller sees it: the same answers, refusals and warnings as the commands give."""
+
+from __future__ import annotations
+
+import ast
+import doctest
+import inspect
+import json
+import subprocess
+import sys
+import tomllib
+from collections.abc import Callable
+from dataclasses import replace
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import cpam_bayes as cb
+from cpam_bayes.diagnosis import cases, plates
+from cpam_bayes.errors import PlateFileError
+from cpam_bayes.forward_model.solve import ForwardResult
+from cpam_bayes.identification.identify import PointResult
+from cpam_bayes.inference.chains.ensemble import DEFAULT_SETTINGS
+from tests.plate_file import MEASURED, PLATE
+
+Run = Callable[..., tuple[object, str, str]]
+Write = Callable[..., str]
+
+VERBS = [name for name in cb.__all__ if inspect.isfunction(getattr(cb, name))]
+
+
+@pytest.fixture
+def plate_file(tmp_path: Path) -> Write:
+    """Write the plate file with some words replaced and return its path."""
+
+    def write(*changes: tuple[str, str]) -> str:
+        text = PLATE + MEASURED
+        for old, new in changes:
+            assert old in text
+            text = text.replace(old, new)
+        path = tmp_path / "plate.toml"
+        path.write_text(text, encoding="utf-8")
+        return str(path)
+
+    return write
+
+
+@pytest.fixture(scope="module")
+def point() -> PointResult:
+    return cb.identify("A1", seed=1)
+
+
+@pytest.fixture(scope="module")
+def modes() -> ForwardResult:
+    return cb.forward("A1", 2)
+
+
+# Names
+
+
+def test_the_public_names_are_those_that_are_loaded_and_those_that_type_checkers_see() -> None:
+    tree = ast.parse(Path(cb.__file__).read_text("utf-8"))
+    (annotations,) = (node for node in tree.body if isinstance(node, ast.If))
+    imported = {
+        alias.asname: (statement.module, alias.name)
+        for statement in annotations.body
+        if isinstance(statement, ast.ImportFrom)
+        for alias in statement.names
+    }
+    loaded = {name: (module, name) for name, module in cb._PUBLIC.items()}
+    assert imported == loaded | {name: ("cpam_bayes", name) for name in cb._PACKAGES}
+    assert cb.__all__ == sorted(imported)
+
+
+@pytest.mark.parametrize("name", cb.__all__)
+def test_every_public_name_is_listed_and_says_what_it_is(name: str) -> None:
+    assert name in dir(cb)
+    assert len(inspect.getdoc(getattr(cb, name)) or "") > 20
+
+
+@pytest.mark.parametrize("name", VERBS)
+def test_every_parameter_is_annotated(name: str) -> None:
+    signature = inspect.signature(getattr(cb, name))
+    assert signature.return_annotation is not inspect.Signature.empty
+    assert all(p.annotation is not inspect.Parameter.empty for p in signature.parameters.values())
+
+
+def test_a_name_that_is_not_there_is_an_attribute_error() -> None:
+    with pytest.raises(AttributeError, match="no attribute 'anneal'"):
+        cb.anneal  # noqa: B018
+
+
+def python(code: str) -> Any:
+    """What a new process prints as JSON."""
+    done = subprocess.run(
+        [sys.executable, "-c", code], check=True, capture_output=True, text=True, timeout=120
+    )
+    return json.loads(done.stdout)
+
+
+# A package of the name of a function would take its place once a module of the package is imported.
+TWICE = """
+import importlib, json, pkgutil
+import cpam_bayes as cb
+for module in pkgutil.walk_packages(cb.__path__, "cpam_bayes."):
+    if not module.name.endswith("__main__"):
+        importlib.import_module(module.name)
+said = {}
+for name in VERBS:
+    for _ in range(2):
+        arguments = () if name in ("plates", "builtin_plates") else ("no such plate",)
+        try:
+            answer = getattr(cb, name)(*arguments)
+        except cb.errors.PlateFileError as error:
+            answer = str(error)
+        said.setdefault(name, []).append(type(answer).__name__ if arguments == () else answer)
+said["forward"] += [cb.forward("A1", 1).title for _ in range(2)]
+print(json.dumps(said))
+"""
+
+
+def test_every_verb_works_twice_after_all_modules_are_imported() -> None:
+    said = python(TWICE.replace("VERBS", repr(VERBS)))
+    assert said.pop("plates") == ["BuiltinPlates"] * 2
+    assert said.pop("builtin_plates") == ["tuple"] * 2
+    assert said["forward"][2:] == ["A1", "A1"]
+    for name, (first, again, *_) in said.items():
+        assert first.startswith("no such plate: neither a file nor a built-in specimen"), name
+        assert again == first
+
+
+# Refusals
+
+UNKNOWNS = "[unknowns]\nE1_GPa = [10.0, 200.0]\nnu12 = [0.15, 0.4]\n"
+
+
+@pytest.mark.parametrize(
+    ("changes", "call", "argv"),
+    [
+        ([("resolution_hz = 1.0", "complete = false")], cb.identify, ("identify",)),
+        ([(MEASURED, "")], cb.identify, ("identify",)),
+        ([(MEASURED, "")], cb.sample, ("identify", "--backend", "emcee")),
+        ([(MEASURED, "")], cb.diagnose, ("diagnose",)),
+        ([('edges = "FFFF"', 'edges = "FFFF"\nmesh = "plate.msh"')], cb.sample, ("identify",)),
+        ([('edges = "FFFF"', 'edges = "FFFF"\nlayup = "[?/0]_s"')], cb.forward, ("forward",)),
+        ([], cb.sequence, ("sequence",)),
+        (
+            [(UNKNOWNS, "")],
+            cb.sensitivity,
+            ("sensitivity",),
+        ),
+        ([("thickness_mm = 3.0", "thickness_mm = 0.003")], cb.identify, ("identify",)),
+        ([("300.0", "0.0"), ("280.0", "nan")], cb.forward, ("forward",)),
+    ],
+)
+def test_a_caller_is_refused_with_the_text_of_the_command(
+    run: Run,
+    plate_file: Write,
+    changes: list[tuple[str, str]],
+    call: Callable[[str], object],
+    argv: tuple[str, ...],
+) -> None:
+    path = plate_file(*changes)
+    with pytest.raises(ValueError, match=r"plate\.toml") as refused:
+        call(path)
+    status, out, err = run(*argv[:1], path, *argv[1:], "--quiet")
+    assert (status, out) == (2, "")
+    assert err == "".join(f"error: {line}\n" for line in str(refused.value).splitlines())
+
+
+def test_a_list_that_may_lack_modes_is_not_paired_in_order(plate_file: Write) -> None:
+    path = plate_file(("resolution_hz = 1.0", "complete = false"))
+    with pytest.raises(PlateFileError, match=r"measurement\.complete: received false"):
+        cb.identify(path)
+    with pytest.raises(PlateFileError, match=r"measurement\.complete: received false"):
+        cb.identify(cb.read_plate(path))
+    with pytest.raises(PlateFileError, match=r"measurement\.complete: received false"):
+        cb.sensitivity(path, source="measured")
+
+
+def test_a_plate_can_be_given_as_its_content_and_a_wrong_key_is_named(plate_file: Write) -> None:
+    content = tomllib.loads(PLATE + MEASURED)
+    specimen = cb.read_plate(content)
+    from_file = cb.read_plate(plate_file())
+    assert repr(replace(specimen, source=from_file.source)) == repr(from_file)
+    assert cb.read_plate(specimen) is specimen
+    content["plate"]["width_m"] = 0.28
+    with pytest.raises(
+        PlateFileError, match=r"plate\.width_m: unknown key, the nearest known key is width_mm"
+    ):
+        cb.forward(content)
+
+
+@pytest.mark.parametrize(
+    ("call", "said"),
+    [
+        (lambda: cb.diagnose(), "plates: received none, accepted: one plate or more"),
+        (lambda: cb.diagnose("A1", "A1"), "received A1 twice"),
+        (lambda: cb.forward("A1", solver="abaqus"), "solver: received 'abaqus', accepted: ritz fem ccx"),
+        (lambda: cb.forward("A1", element="brick"), "received brick, accepted: with --solver ccx only"),
+        (
+            lambda: cb.identify("A1", residual="both"),
+            "residual: received 'both', accepted: absolute relative",
+        ),
+        (lambda: cb.sensitivity("A1", n_modes=4, source="measured"), "with --list model only"),
+    ],
+)
+def test_arguments_out_of_range_are_refused(call: Callable[[], object], said: str) -> None:
+    with pytest.raises(ValueError, match=said):
+        call()
+
+
+# The same answers
+
+
+def without_seconds(value: Any) -> Any:
+    """A document without how long things took."""
+    if isinstance(value, dict):
+        timed = ("seconds", "per_second")
+        return {k: without_seconds(v) for k, v in value.items() if not any(t in k for t in timed)}
+    return [without_seconds(v) for v in value] if isinstance(value, list) else value
+
+
+def same(result: cb.Result, answer: tuple[object, str, str]) -> bool:
+    """Whether a result is what a command printed: document, warnings, exit status."""
+    status, out, err = answer
+    assert err == "".join(f"warning: {warning}\n" for warning in result.warnings)
+    assert status == (0 if result.reached_goal else 1)
+    document = result.to_dict()
+    assert document["warnings"] == list(result.warnings)
+    return bool(without_seconds(json.loads(out)) == without_seconds(document))
+
+
+def test_forward_is_the_document_of_the_command(run: Run, plate_file: Write) -> None:
+    path = plate_file()
+    assert same(cb.forward(path, seed=2), run("forward", path, "--seed", "2", "--json", "--quiet"))
+
+
+def test_identify_is_the_document_of_the_command(run: Run, plate_file: Write) -> None:
+    path = plate_file(("resolution_hz = 1.0", "relative_std = 0.0001"))
+    result = cb.identify(path, seed=2, residual="relative")
+    assert result.warnings
+    options = ("--residuals", "relative", "--seed", "2")
+    assert same(result, run("identify", path, *options, "--json", "--quiet"))
+
+
+@pytest.mark.slow
+def test_sample_is_the_document_of_the_command(run: Run, plate_file: Write) -> None:
+    path = plate_file()
+    result = cb.sample(path, seed=2, settings=replace(DEFAULT_SETTINGS, most_steps=200))
+    assert (result.status, result.reached_goal) == ("budget", False)
+    options = ("--backend", "emcee", "--steps", "200", "--seed", "2")
+    assert same(result, run("identify", path, *options, "--json", "--quiet"))
+
+
+def test_diagnose_is_the_document_of_the_command(
+    run: Run, plate_file: Write, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    few = {"none", "other", "viscoelastic", "frequency_scale"}
+
+    def some(*args: Any) -> Any:
+        return [(h, at) for h, at in cases.hypotheses_of(*args) if h.cause in few]
+
+    monkeypatch.setattr(plates, "hypotheses_of", some)
+    path = plate_file()
+    assert same(cb.diagnose(path, seed=2), run("diagnose", path, "--seed", "2", "--json", "--quiet"))
+
+
+# What a result can do
+
+
+def test_a_summary_is_the_screen_of_the_command(modes: ForwardResult, run: Run) -> None:
+    _, out, _ = run("forward", "A1", "--modes", "2", "--quiet")
+
+    def untimed(text: str) -> list[str]:
+        return [line for line in text.splitlines() if not line.startswith("  time ")]
+
+    assert untimed(modes.summary()) == untimed(out)
+
+
+def test_a_notebook_shows_the_tables(point: PointResult) -> None:
+    html = point._repr_html_()
+    shown = [table for table in point.tables() if table.rows]
+    assert html.count("<table>") == html.count("</table>") == len(shown)
+    assert "<h2>identify A1</h2>" in html
+    assert "<td>E1</td>" in html
+
+
+def test_a_figure_is_asked_for_by_its_name(point: PointResult, modes: ForwardResult) -> None:
+    assert list(point.figures()) == ["predicted_against_measured", "residuals"]
+    assert point.plot().axes[0].get_xlabel() == "measured, Hz"
+    assert "residuals" in point.plot("residuals").axes[0].get_title()
+    assert len(modes.plot().axes) == 2
+    with pytest.raises(ValueError, match="received 'modes', accepted: predicted_against_measured residuals"):
+        point.plot("modes")
+    with pytest.raises(ValueError, match="accepted: nothing to be drawn"):
+        cb.plates().plot()
+
+
+def test_draws_are_of_a_sampled_posterior(point: PointResult) -> None:
+    with pytest.raises(ValueError, match="to_arviz: identify samples no posterior"):
+        point.to_arviz()
+
+
+def test_saving_writes_the_files_of_the_command(point: PointResult, tmp_path: Path) -> None:
+    out = tmp_path / "new" / "results"
+    point.save(out)
+    names = ("predicted_against_measured", "residuals")
+    files = {"identify.json", "report.html"} | {f"figures/{n}.{e}" for n in names for e in ("png", "svg")}
+    assert {str(p.relative_to(out)) for p in out.rglob("*") if p.is_file()} == files
+    assert json.loads((out / "identify.json").read_text("utf-8")) == point.to_dict()
+    with pytest.raises(ValueError, match="a file, accepted: a directory"):
+        point.save(out / "identify.json")
+
+
+def test_a_result_says_how_it_ended(point: PointResult, modes: ForwardResult) -> None:
+    assert (point.status, point.reached_goal, point.title) == ("converged", True, "A1")
+    assert (modes.status, modes.warnings) == ("done", ())
+
+
+# Examples
+
+SLOW = ("diagnose", "sample", "sensitivity", "sequence")
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.slow if name in SLOW else ()) for name in VERBS]
+)
+def test_the_examples_give_what_they_show(name: str) -> None:
+    module = import_module(cb._PUBLIC[name])
+    (example,) = doctest.DocTestFinder(recurse=False).find(getattr(cb, name), name, module)
+    assert example.examples
+    assert doctest.DocTestRunner(optionflags=doctest.NORMALIZE_WHITESPACE).run(example).failed == 0
+
+
+def test_no_other_example_of_these_modules_is_left_out() -> None:
+    found = {
+        example.name
+        for module in sorted(set(cb._PUBLIC.values()))
+        for example in doctest.DocTestFinder().find(import_module(module))
+        if example.examples
+    }
+    assert found == {f"{cb._PUBLIC[name]}.{name}" for name in VERBS}
