@@ -198,8 +198,11 @@ def test_an_error_of_the_work_comes_as_it_is_with_its_item_and_stops_the_rest(
 ) -> None:
     for name, where in (("here", None), ("there", executor)):
         log = tmp_path / name
-        with pytest.raises(LookupError, match="no luck with 12") as caught:
-            run(work.fail_at, (12, str(log)), range(10, 200), where, batch_size=1)
+        with (
+            work.held_back(tmp_path / "gate") as gate,
+            pytest.raises(LookupError, match="no luck with 12") as caught,
+        ):
+            run(work.fail_at_gate, (12, str(log), gate), range(10, 200), where, batch_size=1)
         assert "item 2 of 190" in caught.value.__notes__[-1]
         # at most those that were waiting in the queue of the executor
         assert "12" in work.lines(log)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -95,6 +97,24 @@ def fail_at(shared: tuple[int, str], item: int) -> int:
     if item == place:
         raise LookupError(f"no luck with {item}")
     return item
+
+
+@contextmanager
+def held_back(path: Path) -> Iterator[str]:
+    """A gate that nobody passes within the block, in any process."""
+    with open(path, "w") as gate:
+        fcntl.flock(gate, fcntl.LOCK_EX)
+        yield str(path)
+
+
+def fail_at_gate(shared: tuple[int, str, str], item: int) -> int:
+    """As ``fail_at``; what comes after the failing item waits at a gate, however late that one is."""
+    place, log, gate = shared
+    found = fail_at((place, log), item)
+    if item > place:
+        with open(gate) as opened:
+            fcntl.flock(opened, fcntl.LOCK_SH)
+    return found
 
 
 def fail_oddly(shared: None, item: int) -> int:
