@@ -40,12 +40,12 @@ def finer(specimen: Specimen) -> np.ndarray:
 @pytest.mark.parametrize(
     ("name", "changes"),
     [
-        ("A1", {}),
+        pytest.param("A1", {}, marks=pytest.mark.slow),
         ("D4", {}),
         ("A2", {"edges": "CCCC"}),
         pytest.param("C2", {"edges": "SSSS", "layup": parse_layup("[30/-60]")}, marks=pytest.mark.slow),
         ("D2", {"edges": "CSFF", "layup": parse_layup("[45/-45]_s")}),
-        ("A1", {"thickness": 1e-4}),
+        pytest.param("A1", {"thickness": 1e-4}, marks=pytest.mark.slow),
     ],
     ids=["A1", "D4", "clamped", "unsymmetric", "mixed", "locking"],
 )

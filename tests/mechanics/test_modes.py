@@ -231,7 +231,9 @@ def test_derivatives_are_those_of_a_complex_step_on_the_operator(name: str) -> N
                 assert jacobian[s, n, j] * p == pytest.approx(expected * p, abs=1e-6 * f)
 
 
-@specimens
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=[pytest.mark.slow] if n == "unsymmetric-oblique" else []) for n in MODELS]
+)
 def test_derivatives_are_the_differences_of_modes_tracked_by_shape(name: str) -> None:
     m = model(name)
     x = points(m, 2)
