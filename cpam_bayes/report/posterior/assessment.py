@@ -8,6 +8,7 @@ import numpy as np
 
 from cpam_bayes.formatting import NOT_KNOWN, fixed, significant
 from cpam_bayes.identification.sampled import SampledResult
+from cpam_bayes.identification.verdicts import BY_DATA, BY_PRIOR
 from cpam_bayes.inference.diagnostics.identifiability import Combination
 from cpam_bayes.inference.diagnostics.power_scaling import MOVED, MovedBound
 from cpam_bayes.inference.diagnostics.profiles import Profile
@@ -18,8 +19,6 @@ __all__ = ["combinations_table", "product_text", "sensitivity_table"]
 
 # Smaller exponents are left out of a product.
 _SMALL = 0.05
-# Contraction from which the data decide, and below which the prior does: as for single constants.
-_BY_DATA, _BY_PRIOR = 0.9, 0.5
 # Diagnoses that a reader must not overlook.
 _DOUBTFUL = ("prior and data disagree", "prior is strong, likelihood weak", "likelihood is weak")
 # Shift of a mean, in sd, from which moving a bound is worth telling.
@@ -41,7 +40,7 @@ def combinations_table(result: SampledResult) -> Table:
         )
         for c in combinations
     )
-    doubtful = frozenset(i for i, c in enumerate(combinations) if c.contraction < _BY_PRIOR)
+    doubtful = frozenset(i for i, c in enumerate(combinations) if c.contraction < BY_PRIOR)
     return Table("Combinations of constants, best determined first", columns, rows, doubtful)
 
 
@@ -57,9 +56,9 @@ def product_text(names: tuple[str, ...], combination: Combination) -> str:
 
 
 def _decider(combination: Combination) -> str:
-    if combination.contraction >= _BY_DATA:
+    if combination.contraction >= BY_DATA:
         return "the data"
-    return "the prior" if combination.contraction < _BY_PRIOR else "data and prior"
+    return "the prior" if combination.contraction < BY_PRIOR else "data and prior"
 
 
 def _percent(sd: float) -> str:
