@@ -94,7 +94,8 @@ class _Distribution:
 class _Truncated(_Distribution):
     """A density of location and scale, cut at bounds."""
 
-    __slots__ = ()
+    __slots__ = ("_known_cut",)
+    _known_cut: _Cut
     lower: float
     upper: float
     scale: float
@@ -118,6 +119,14 @@ class _Truncated(_Distribution):
 
     @property
     def _cut(self) -> _Cut:
+        # computed once: no field, so that equality, hashes and pickles know nothing of it
+        try:
+            return self._known_cut
+        except AttributeError:
+            object.__setattr__(self, "_known_cut", self._computed_cut())
+            return self._known_cut
+
+    def _computed_cut(self) -> _Cut:
         a, b = (self.lower - self._centre) / self.scale, (self.upper - self._centre) / self.scale
         sign = 1.0
         if a > 0.0:
@@ -146,16 +155,16 @@ class _Truncated(_Distribution):
     def to_normal(self, x: ArrayLike) -> Floats:
         """z with Phi(z) = F(x), accurate in both tails, infinite on the bounds, (...) -> (...)."""
         cut = self._cut
-        inside = np.clip(np.asarray(x, dtype=float), self.lower, self.upper)
+        inside = _clipped(np.asarray(x, dtype=float), self.lower, self.upper)
         t = cut.sign * (inside - self._centre) / self.scale
-        p = np.clip((self._distribution(t) - cut.below) / cut.mass, 0.0, 1.0)
+        p = _clipped((self._distribution(t) - cut.below) / cut.mass, 0.0, 1.0)
         return np.asarray(cut.sign * ndtri(p))
 
     def _from_lower_tail(self, p: Floats) -> Floats:
         """x with probability p between it and the bound in the tail that is the lower one after mirroring."""
         cut = self._cut
         t = self._quantile(cut.below + cut.mass * p)
-        return np.asarray(np.clip(self._centre + self.scale * cut.sign * t, self.lower, self.upper))
+        return _clipped(self._centre + self.scale * cut.sign * t, self.lower, self.upper)
 
 
 @dataclass(frozen=True, slots=True)
@@ -195,11 +204,11 @@ class Uniform(_Distribution):
     def from_normal(self, z: ArrayLike) -> Floats:
         """x with F(x) = Phi(z), accurate in both tails, (...) -> (...)."""
         x = self.lower + (self.upper - self.lower) * ndtr(np.asarray(z, dtype=float))
-        return np.clip(x, self.lower, self.upper)
+        return _clipped(x, self.lower, self.upper)
 
     def to_normal(self, x: ArrayLike) -> Floats:
         """z with Phi(z) = F(x), infinite on the bounds, (...) -> (...)."""
-        inside = np.clip(np.asarray(x, dtype=float), self.lower, self.upper)
+        inside = _clipped(np.asarray(x, dtype=float), self.lower, self.upper)
         return np.asarray(ndtri((inside - self.lower) / (self.upper - self.lower)))
 
 
@@ -349,6 +358,11 @@ def _first_moment(nu: float, t: float) -> float:
         return 0.0
     decay = -0.5 * (nu - 1.0) * math.log1p(t * t / nu)
     return nu / (nu - 1.0) * math.exp(_student_log_norm(nu) + decay)
+
+
+def _clipped(x: Floats, lower: float, upper: float) -> Floats:
+    """As ``np.clip``, whose checks take longer than the work on short arrays."""
+    return np.asarray(np.minimum(np.maximum(x, lower), upper))
 
 
 def _inside(x: Floats, lower: float, upper: float, value: Floats | np.float64) -> Floats:
