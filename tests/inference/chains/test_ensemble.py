@@ -285,7 +285,7 @@ def test_a_store_with_some_rounds_goes_on_bit_for_bit(tmp_path: Path, jumps: boo
 KILLED = """
 import os, sys
 from pathlib import Path
-import tests.inference.test_ensemble as t
+import tests.inference.chains.test_ensemble as t
 from cpam_bayes.inference.chains.ensemble import sample
 own, rounds = t.posterior(), []
 def die(diagnostics):
@@ -351,7 +351,7 @@ def test_a_store_that_is_a_file_is_refused(tmp_path: Path) -> None:
 FULL_DISK = """
 import resource, sys
 from pathlib import Path
-import tests.inference.test_ensemble as t
+import tests.inference.chains.test_ensemble as t
 from cpam_bayes.inference.chains.ensemble import sample
 own, rounds = t.posterior(), []
 def fill(diagnostics):
