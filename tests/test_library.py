@@ -249,9 +249,9 @@ def test_identify_is_the_document_of_the_command(run: Run, plate_file: Write) ->
 @pytest.mark.slow
 def test_sample_is_the_document_of_the_command(run: Run, plate_file: Write) -> None:
     path = plate_file()
-    result = cb.sample(path, seed=2, settings=replace(DEFAULT_SETTINGS, most_steps=200))
+    result = cb.sample(path, seed=2, settings=replace(DEFAULT_SETTINGS, most_steps=20, round_steps=20))
     assert (result.status, result.reached_goal) == ("budget", False)
-    options = ("--backend", "emcee", "--steps", "200", "--seed", "2")
+    options = ("--backend", "emcee", "--steps", "20", "--seed", "2")
     assert same(result, run("identify", path, *options, "--json", "--quiet"))
 
 
