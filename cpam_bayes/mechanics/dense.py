@@ -108,7 +108,9 @@ def _projection_pieces(form: Form, space: RitzSpace, rule: Quadrature) -> list[P
         # what is left of integrals that vanish by parity
         return [(i, np.where(np.abs(g) > 1e-12 * size, g, 0.0)) for i, g in values]
 
-    pairs = [(i, j, a @ b.T) for i, a in moments(form.left) for j, b in moments(form.right)]
+    left = moments(form.left)
+    right = left if form.right == form.left else moments(form.right)
+    pairs = [(i, j, a @ b.T) for i, a in left for j, b in right]
     return [(i, j, matrix) for i, j, matrix in pairs if matrix.any()]
 
 
