@@ -42,7 +42,7 @@ def short(monkeypatch):
     def hurried(*args, **kwargs):
         chains = EnsembleSettings(walkers=12, round_steps=40, most_steps=40)
         swarm = SwarmSettings(particles=10, iterations=30)
-        return full(*args, **kwargs, chains=chains, swarm_settings=swarm)
+        return full(*args, **{**kwargs, "chains": chains, "swarm_settings": swarm})
 
     monkeypatch.setattr(sensitivity, "noise_study", hurried)
 
