@@ -67,7 +67,7 @@ SILENT: Final[Watch] = _Silent()
 """Shows nothing: the default of the library."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class Result:
     """The answer to one question.
 
@@ -97,6 +97,12 @@ class Result:
     def title(self) -> str:
         """What was asked about, for headings."""
         return ""
+
+    def __repr__(self) -> str:
+        """One line: what was asked, and how it ended; `summary()` says the rest."""
+        about = f"{self.command} {self.title}".strip()
+        many = f", warnings: {len(self.warnings)}" if self.warnings else ""
+        return f"<{type(self).__name__} of {about}: {self.status}{many}>"
 
     def summary(self) -> str:
         """The screen of the command, as plain text."""
@@ -162,7 +168,7 @@ class Result:
         return getattr(import_module(f"cpam_bayes.report.{self.question}.{part}"), function)(self)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class PlateResult(Result):
     """The answer to a question about one plate.
 

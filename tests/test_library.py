@@ -6,6 +6,7 @@ import ast
 import doctest
 import inspect
 import json
+import pickle
 import subprocess
 import sys
 import tomllib
@@ -286,6 +287,17 @@ def test_a_notebook_shows_the_tables(point: PointResult) -> None:
     assert html.count("<table>") == html.count("</table>") == len(shown)
     assert "<h2>identify A1</h2>" in html
     assert "<td>E1</td>" in html
+
+
+def test_a_result_is_one_line_where_it_is_echoed_and_equal_to_itself_alone(
+    point: PointResult, modes: ForwardResult
+) -> None:
+    assert repr(point) == "<PointResult of identify A1: converged>"
+    assert repr(modes).startswith("<ForwardResult of forward ")
+    again = pickle.loads(pickle.dumps(point))
+    assert point == point
+    assert point != again  # arrays have no truth value to compare results by
+    assert again.to_dict() == point.to_dict()
 
 
 def test_a_figure_is_asked_for_by_its_name(point: PointResult, modes: ForwardResult) -> None:

@@ -28,7 +28,7 @@ __all__ = ["DiagnosisResult", "diagnose", "diagnosis_result"]
 DEFAULT_SCATTER: Final = 0.02
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class DiagnosisResult(Result):
     """Causes weighed against each other, the claim, the extended model and its gain.
 

@@ -9,7 +9,7 @@ from cpam_bayes.plate import Specimen, builtin_plates
 from cpam_bayes.result import Result
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class BuiltinPlates(Result):
     """The specimens of the paper, as they are built in."""
 

@@ -52,7 +52,7 @@ class ModeShape:
     w: Array
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class ForwardResult(PlateResult):
     """Modes of a plate with its reference constants.
 

@@ -33,7 +33,7 @@ NO_MESH: Final = (
 _RESIDUALS: Final = ("absolute", "relative")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class PointResult(PlateResult):
     """Point estimates of the constants by the particle swarm.
 

@@ -53,7 +53,7 @@ class ConstantPosterior:
     reference: float
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class SampledResult(PlateResult):
     """The posterior of one specimen's constants.
 

@@ -23,7 +23,7 @@ from cpam_bayes.result import SILENT, PlateResult, Watch
 _NO_MESH = "sensitivity computes rectangular plates only; leave mesh out"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class SensitivityResult(PlateResult):
     """Inversions of perturbed frequencies beside one posterior, by level of noise.
 

@@ -25,7 +25,7 @@ from cpam_bayes.stacking.warnings import stacking_warnings
 _PIECES = 64
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class StackingResult(PlateResult):
     """The posterior over stacking sequences, the constants integrated over.
 

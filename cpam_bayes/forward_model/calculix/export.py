@@ -21,7 +21,7 @@ _NO_AIR: Final = "decks hold a plate in vacuum; leave air_density_kg_m3 out"
 _TYPE: Final[dict[Element, str]] = {"shell": "S8R", "brick": "C3D20R"}
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class ExportResult(PlateResult):
     """A deck in its file; n_modes : deformation modes that its step asks for."""
 
