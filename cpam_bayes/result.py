@@ -7,6 +7,7 @@ concern of `cpam_bayes.report.QUESTION`, which is loaded when it is asked for an
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
@@ -146,7 +147,7 @@ class Result:
             If the directory cannot be made or written to.
         """
         files = import_module("cpam_bayes.report.files")
-        with files.staging(str(directory)) as stage:
+        with files.staging(os.fspath(directory)) as stage:
             files.save(self, stage)
 
     def to_arviz(self) -> Any:

@@ -76,7 +76,7 @@ def prepare(args: argparse.Namespace) -> Callable[[], Result]:
         readings=INTERPRETATIONS if args.reading == "both" else (args.reading,),
         source=args.list,
         n_modes=args.modes,
-        executor=args.executor,
+        executor=args.executor or "processes",
         workers=args.workers,
         watch=Terminal(args.quiet),
     )

@@ -42,7 +42,7 @@ def prepare(args: argparse.Namespace) -> Callable[[], Result]:
         args.plate,
         seed=args.seed,
         top=args.top,
-        executor=args.executor,
+        executor=args.executor or "processes",
         workers=args.workers,
         watch=Terminal(args.quiet),
     )

@@ -19,13 +19,22 @@ from cpam_bayes.diagnosis.paired_modes import PairedFit, PlateModes, paired_fit,
 from cpam_bayes.diagnosis.warnings import diagnosis_warnings
 from cpam_bayes.effects import CATALOGUE, Effect
 from cpam_bayes.forward_model.air_shift import air_shifts
-from cpam_bayes.forward_model.preconditions import explained_failures, plate_warnings, require_diagnosable
+from cpam_bayes.forward_model.preconditions import (
+    explained_failures,
+    plate_warnings,
+    require_choice,
+    require_diagnosable,
+    require_number,
+    require_seed,
+)
 from cpam_bayes.plate import PlateLike, Specimen, read_plate
 from cpam_bayes.result import SILENT, Result, Watch
 
 __all__ = ["DiagnosisResult", "diagnose", "diagnosis_result"]
 
 DEFAULT_SCATTER: Final = 0.02
+MAX_SCATTER: Final = 0.5
+MAX_PRIOR_NONE: Final = 0.99
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
@@ -113,6 +122,11 @@ def diagnose(
     >>> result.claim, result.causes, round(result.probability, 1)
     ('none', (), 0.6)
     """
+    require_seed(seed)
+    require_number("scatter", scatter, MAX_SCATTER)
+    require_choice("next_test", next_test, ("open", "always", "never"))
+    if prior_none is not None:
+        require_number("prior_none", prior_none, MAX_PRIOR_NONE)
     specimens = tuple(require_diagnosable(read_plate(plate)) for plate in plates)
     _require_one_material(specimens)
     title = f"diagnose {' '.join(s.name for s in specimens)}"

@@ -6,7 +6,7 @@ the rigid clamp; with it no frequency differs from that of the held edge by more
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -87,16 +87,13 @@ def _clamped(facts: PlateFacts) -> list[int]:
     return [i for i, edge in enumerate(facts.edges) if edge == "C"]
 
 
-def _compliant(parameter: str, way: str) -> Callable[[Problem, PlateFacts], Problem]:
-    def change(problem: Problem, facts: PlateFacts) -> Problem:
-        clamped = _clamped(facts)
-        springs = [(i, field) for i in clamped for field in _SPRUNG[way]]
-        forms = tuple(Form(Atom(f), Atom(f), Region("edge", EDGES[i])) for i, f in springs)
-        coefficients = partial(_compliant_springs, parameter, springs)
-        relaxed = replace(problem, edges=_yielding(problem.edges, clamped, way))
-        return relaxed.with_terms(Term(f"clamp_{way}", "stiffness", forms, coefficients))
-
-    return change
+def _compliant(parameter: str, way: str, problem: Problem, facts: PlateFacts) -> Problem:
+    clamped = _clamped(facts)
+    springs = [(i, field) for i in clamped for field in _SPRUNG[way]]
+    forms = tuple(Form(Atom(f), Atom(f), Region("edge", EDGES[i])) for i, f in springs)
+    coefficients = partial(_compliant_springs, parameter, springs)
+    relaxed = replace(problem, edges=_yielding(problem.edges, clamped, way))
+    return relaxed.with_terms(Term(f"clamp_{way}", "stiffness", forms, coefficients))
 
 
 def _compliant_springs(
@@ -162,7 +159,7 @@ CLAMP_ROTATION = Effect(
     parameters=(one_sided("rotation_compliance", "", 0.02),),
     note="edge springs D11 / (c a) on both rotations",
     check="Tighten the clamp and measure again; rising frequencies confirm it.",
-    change=_compliant("rotation_compliance", "rotation"),
+    change=partial(_compliant, "rotation_compliance", "rotation"),
     applies_to=_has_clamp,
     sign=-1,
     excludes=_WAYS,
@@ -175,7 +172,7 @@ CLAMP_TRANSLATION = Effect(
     parameters=(one_sided("translation_compliance", "", 0.002),),
     note="edge springs D11 / (c a^3) on w, A11 / (c a) on u and v",
     check="Measure the motion of the clamp itself with a second accelerometer.",
-    change=_compliant("translation_compliance", "translation"),
+    change=partial(_compliant, "translation_compliance", "translation"),
     applies_to=_has_clamp,
     sign=-1,
     excludes=_WAYS,

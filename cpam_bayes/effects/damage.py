@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -27,18 +28,19 @@ _SOFTENED = np.flatnonzero(LAMINATE_ENTRIES.min(axis=0) >= 3)
 
 
 def _damage_at(place: Place) -> Effect:
-    def change(problem: Problem, facts: PlateFacts) -> Problem:
-        """D and A_s times 1 - d exp(-r^2 / (2 R^2)), r the distance from the place.
+    at = f"at ({place[0]:g}, {place[1]:g})"
+    return replace(DAMAGE, change=partial(_damaged, place), place=place, variant=at)
 
-        R is a twentieth of the shorter side; mass and membrane stiffness stay.
-        """
-        radius = _RADIUS * min(facts.length, facts.width)
-        bell = Product(Bell(place[0], radius / facts.length), Bell(place[1], radius / facts.width))
-        forms = tuple(replace(LAMINATE_FORMS[q], weight=bell) for q in _SOFTENED)
 
-        return problem.with_terms(Term("damage", "stiffness", forms, _lost))
+def _damaged(place: Place, problem: Problem, facts: PlateFacts) -> Problem:
+    """D and A_s times 1 - d exp(-r^2 / (2 R^2)), r the distance from the place.
 
-    return replace(DAMAGE, change=change, place=place, variant=f"at ({place[0]:g}, {place[1]:g})")
+    R is a twentieth of the shorter side; mass and membrane stiffness stay.
+    """
+    radius = _RADIUS * min(facts.length, facts.width)
+    bell = Product(Bell(place[0], radius / facts.length), Bell(place[1], radius / facts.width))
+    forms = tuple(replace(LAMINATE_FORMS[q], weight=bell) for q in _SOFTENED)
+    return problem.with_terms(Term("damage", "stiffness", forms, _lost))
 
 
 def _lost(state: PlateState, values: Values) -> Array:

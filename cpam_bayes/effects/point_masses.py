@@ -30,11 +30,13 @@ def add_known_mass(problem: Problem, mass: float, x: float, y: float) -> Problem
 
 
 def _sensor_at(place: Place) -> Effect:
-    def change(problem: Problem, facts: PlateFacts) -> Problem:
-        del facts
-        return problem.with_terms(_point_mass("sensor_mass", place, None))
+    at = f"at ({place[0]:g}, {place[1]:g})"
+    return replace(SENSOR_MASS, change=partial(_with_sensor, place), place=place, variant=at)
 
-    return replace(SENSOR_MASS, change=change, place=place, variant=f"at ({place[0]:g}, {place[1]:g})")
+
+def _with_sensor(place: Place, problem: Problem, facts: PlateFacts) -> Problem:
+    del facts
+    return problem.with_terms(_point_mass("sensor_mass", place, None))
 
 
 def _point_mass(name: str, place: Place, mass: float | None) -> Term:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from math import comb
@@ -21,6 +20,7 @@ from cpam_bayes.mechanics.problem import (
     CoefficientFunction,
     Field,
     Form,
+    MatrixKind,
     PlateState,
     Problem,
     Term,
@@ -34,39 +34,37 @@ from cpam_bayes.mechanics.weights import LINE, ONE, Polynomial, Product, power
 _MASS_POWERS = np.array([1, 1, 1, 3, 3])
 
 
-def _taper(parameter: str, axis: str) -> Callable[[Problem, PlateFacts], Problem]:
+def _taper(parameter: str, axis: str, problem: Problem, facts: PlateFacts) -> Problem:
     """Thickness h (1 + t s), s from -1 to 1 across the plate, the midplane staying plane.
 
     (1 + t s)^p = sum_k C(p, k) t^k s^k with p = 1 for A, A_s and the mass, 2 for B, 3 for D and the
     rotary inertia: further forms with the weights s^k.
     """
+    del facts
+    return problem.with_terms(
+        _taper_term(parameter, axis, LAMINATE_FORMS, THICKNESS_POWERS, laminate_coefficients, "stiffness"),
+        _taper_term(parameter, axis, MASS_FORMS, _MASS_POWERS, inertia_coefficients, "mass"),
+    )
 
-    def term(
-        name: str,
-        forms: tuple[Form, ...],
-        powers: Array,
-        plain: CoefficientFunction,
-        matrix: str,
-    ) -> Term:
-        rows = [(q, int(p), k) for q, p in enumerate(powers) for k in range(1, int(p) + 1)]
-        which = np.array([q for q, _, _ in rows])
-        binomial = np.array([float(comb(p, k)) for _, p, k in rows])
-        order = np.array([k for _, _, k in rows])
-        weights = {
-            k: Product(power(k), ONE) if axis == "x" else Product(ONE, power(k)) for k in set(order.tolist())
-        }
-        weighted = tuple(replace(forms[q], weight=weights[k]) for q, _, k in rows)
-        coefficients = partial(_taper_coefficients, parameter, plain, which, binomial, order)
-        return Term(name, "stiffness" if matrix == "stiffness" else "mass", weighted, coefficients)
 
-    def change(problem: Problem, facts: PlateFacts) -> Problem:
-        del facts
-        return problem.with_terms(
-            term(parameter, LAMINATE_FORMS, THICKNESS_POWERS, laminate_coefficients, "stiffness"),
-            term(parameter, MASS_FORMS, _MASS_POWERS, inertia_coefficients, "mass"),
-        )
-
-    return change
+def _taper_term(
+    parameter: str,
+    axis: str,
+    forms: tuple[Form, ...],
+    powers: Array,
+    plain: CoefficientFunction,
+    matrix: MatrixKind,
+) -> Term:
+    rows = [(q, int(p), k) for q, p in enumerate(powers) for k in range(1, int(p) + 1)]
+    which = np.array([q for q, _, _ in rows])
+    binomial = np.array([float(comb(p, k)) for _, p, k in rows])
+    order = np.array([k for _, _, k in rows])
+    weights = {
+        k: Product(power(k), ONE) if axis == "x" else Product(ONE, power(k)) for k in set(order.tolist())
+    }
+    weighted = tuple(replace(forms[q], weight=weights[k]) for q, _, k in rows)
+    coefficients = partial(_taper_coefficients, parameter, plain, which, binomial, order)
+    return Term(parameter, matrix, weighted, coefficients)
 
 
 def _taper_coefficients(
@@ -165,7 +163,7 @@ def _tapered(name: str, axis: str, side: str) -> Effect:
         parameters=(either_sign(name, "", 0.03, shown=PERCENT),),
         note=f"h (1 + t s), s from -1 to 1; of first order where edges {axis} = 0 and {axis} = {side} differ",
         check=f"Gauge the thickness at both ends in {axis}.",
-        change=_taper(name, axis),
+        change=partial(_taper, name, axis),
         even=True,
     )
 

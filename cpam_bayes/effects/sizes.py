@@ -14,12 +14,12 @@ from cpam_bayes.parameters import Parameter
 
 def _scaled(size: str, parameter: str) -> Callable[[Problem, PlateFacts], Problem]:
     """One of the plate's numbers times 1 + its relative deviation."""
+    return partial(_with_scaled, size, parameter)
 
-    def change(problem: Problem, facts: PlateFacts) -> Problem:
-        del facts
-        return with_state(problem, partial(_scaled_size, size, parameter))
 
-    return change
+def _with_scaled(size: str, parameter: str, problem: Problem, facts: PlateFacts) -> Problem:
+    del facts
+    return with_state(problem, partial(_scaled_size, size, parameter))
 
 
 def _scaled_size(size: str, parameter: str, state: PlateState, values: Values) -> PlateState:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
 import numpy as np
@@ -11,6 +11,9 @@ from numpy.typing import NDArray
 from cpam_bayes.errors import PlateFileError
 from cpam_bayes.mechanics.modes import RigidBodyError
 from cpam_bayes.plate import Specimen
+
+MAX_MODES = 100
+"""Modes of a plate that are computed at most."""
 
 SUSPICIOUS_RATIO = 3.0
 """Prediction over measurement beyond which a unit in the plate file is suspected."""
@@ -129,6 +132,36 @@ def plate_warnings(specimen: Specimen) -> tuple[str, ...]:
         f"{number} {sensors * 1e3:.6g} g, more than the plate, {mass * 1e3:.6g} g: check mass_g of "
         "[[sensor]] and the density of the plate",
     )
+
+
+def require_choice(name: str, value: object, accepted: Sequence[str]) -> None:
+    """Raise ``ValueError`` where an argument is none of the words that are accepted."""
+    if value not in accepted:
+        raise ValueError(f"{name}: received {value!r}, accepted: {' '.join(accepted)}")
+
+
+def require_whole(name: str, value: object, low: int, high: int) -> None:
+    """Raise ``ValueError`` where an argument is no whole number from ``low`` to ``high``."""
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or not low <= value <= high:
+        raise ValueError(f"{name}: received {value!r}, accepted: a whole number from {low} to {high}")
+
+
+def require_seed(seed: object) -> None:
+    """Raise ``ValueError`` where a seed cannot repeat an answer."""
+    require_whole("seed", seed, 0, 2**63 - 1)
+
+
+def require_modes(n_modes: object) -> None:
+    """Raise ``ValueError`` where a number of modes is given that is not computed."""
+    if n_modes is not None:
+        require_whole("n_modes", n_modes, 1, MAX_MODES)
+
+
+def require_number(name: str, value: object, most: float) -> None:
+    """Raise ``ValueError`` where an argument is no number above 0 and at most ``most``."""
+    real = isinstance(value, int | float | np.number) and not isinstance(value, bool)
+    if not (real and 0.0 < float(value) <= most):  # type: ignore[arg-type]
+        raise ValueError(f"{name}: received {value!r}, accepted: a number above 0 and at most {most:g}")
 
 
 @contextmanager

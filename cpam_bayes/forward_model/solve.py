@@ -16,6 +16,9 @@ from cpam_bayes.forward_model.model import NO_PARAMETERS, PlateModel, converged_
 from cpam_bayes.forward_model.preconditions import (
     explained_failures,
     plate_warnings,
+    require_choice,
+    require_modes,
+    require_seed,
     require_supported,
     units_warning,
 )
@@ -130,10 +133,12 @@ def forward(
     >>> [round(float(f), 1) for f in result.frequencies]
     [100.3, 298.6, 324.5]
     """
+    require_seed(seed)
+    require_modes(n_modes)
+    if solver is not None:
+        require_choice("solver", solver, tuple(_SOLVERS))
     specimen = read_plate(plate)
     name = solver or ("ritz" if specimen.plate.mesh is None else "fem")
-    if name not in _SOLVERS:
-        raise ValueError(f"solver: received {name!r}, accepted: {' '.join(_SOLVERS)}")
     advice = f"--solver {name} computes rectangular plates only; use --solver fem"
     no_air = "CalculiX computes plates in vacuum; leave air_density_kg_m3 out, or use --solver ritz or fem"
     require_supported(specimen, None if name == "fem" else advice, no_air if name == "ccx" else None)

@@ -11,7 +11,9 @@ from cpam_bayes.forward_model.air_shift import air_shifts
 from cpam_bayes.forward_model.preconditions import (
     explained_failures,
     plate_warnings,
+    require_choice,
     require_paired_list,
+    require_seed,
     require_supported,
 )
 from cpam_bayes.identification.angle_search import AngleSearchResult, search_angles
@@ -104,8 +106,8 @@ def identify(
     >>> point.status, round(point.constants["E1"] / 1e9)
     ('converged', 67)
     """
-    if residual not in _RESIDUALS:
-        raise ValueError(f"residual: received {residual!r}, accepted: {' '.join(_RESIDUALS)}")
+    require_seed(seed)
+    require_choice("residual", residual, _RESIDUALS)
     specimen = require_paired_list(require_supported(read_plate(plate), NO_MESH, angles=True))
     measurement, _ = required(specimen)
     settings = settings or SwarmSettings()

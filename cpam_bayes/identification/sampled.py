@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,13 @@ from numpy.typing import NDArray
 from cpam_bayes.forward_model.air_shift import air_shifts
 from cpam_bayes.forward_model.labels import LabelledModel, list_order
 from cpam_bayes.forward_model.model import SIZES, discretisation_error
-from cpam_bayes.forward_model.preconditions import explained_failures, plate_warnings, require_supported
+from cpam_bayes.forward_model.preconditions import (
+    explained_failures,
+    plate_warnings,
+    require_choice,
+    require_seed,
+    require_supported,
+)
 from cpam_bayes.forward_model.reduced import ReducedModel
 from cpam_bayes.identification.identify import NO_MESH
 from cpam_bayes.identification.sampled_result import ConstantPosterior, SampledResult
@@ -94,6 +100,10 @@ def sample(
     >>> e1.q025 < 67.8e9 < e1.q975, e1.verdict
     (True, 'determined by the data')
     """
+    require_seed(seed)
+    require_choice("likelihood", likelihood, get_args(Likelihood))
+    if store is not None and (not str(store) or (Path(store).exists() and not Path(store).is_dir())):
+        raise ValueError(f"store: received {str(store)!r}, accepted: a directory")
     specimen = require_supported(read_plate(plate), NO_MESH)
     latest: list[Diagnostics] = []
 

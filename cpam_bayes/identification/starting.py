@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cpam_bayes.forward_model.labels import LabelledModel, labelled_model
 from cpam_bayes.forward_model.model import discretisation_error, reference_vector, size_parameters
-from cpam_bayes.forward_model.preconditions import explained_failures, require_supported
+from cpam_bayes.forward_model.preconditions import explained_failures, require_choice, require_supported
 from cpam_bayes.forward_model.reduced import DEFAULT_SETTINGS as REDUCTION
 from cpam_bayes.forward_model.reduced import ReducedModel
 from cpam_bayes.forward_model.store import reduced_model
@@ -75,6 +75,7 @@ def posterior(
     >>> print(inside > -40, outside)
     True -inf
     """
+    require_choice("likelihood", likelihood, get_args(Likelihood))
     specimen = require_supported(read_plate(plate), NO_MESH)
     measurement, unknowns = required(specimen)
     spare = _ONE_MORE if measurement.complete else _SPARE_MODES

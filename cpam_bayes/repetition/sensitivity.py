@@ -4,11 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, get_args
 
 from cpam_bayes.errors import PlateFileError
 from cpam_bayes.forward_model.air_shift import air_shifts
-from cpam_bayes.forward_model.preconditions import explained_failures, plate_warnings, require_supported
+from cpam_bayes.forward_model.preconditions import (
+    explained_failures,
+    plate_warnings,
+    require_choice,
+    require_modes,
+    require_number,
+    require_seed,
+    require_supported,
+    require_whole,
+)
 from cpam_bayes.forward_model.solve import measured_modes
 from cpam_bayes.inference.chains.ensemble import EnsembleSettings
 from cpam_bayes.inference.swarm.settings import SwarmSettings
@@ -20,6 +29,8 @@ from cpam_bayes.repetition.study import ENSEMBLE_SETTINGS, ListSource, Sensitivi
 from cpam_bayes.repetition.warnings import printed_table, sensitivity_warnings
 from cpam_bayes.result import SILENT, PlateResult, Watch
 
+MAX_LEVEL = 0.5
+"""Largest level of noise, as a fraction."""
 _NO_MESH = "sensitivity computes rectangular plates only; leave mesh out"
 
 
@@ -51,12 +62,12 @@ def sensitivity(
     seed: int = 0,
     levels: Sequence[float] = (0.01, 0.05, 0.1),
     groups: int = 10,
-    readings: Sequence[Interpretation] = INTERPRETATIONS,
+    readings: Interpretation | Sequence[Interpretation] = INTERPRETATIONS,
     source: ListSource = "model",
     n_modes: int | None = None,
     settings: SwarmSettings | None = None,
     chains: EnsembleSettings = ENSEMBLE_SETTINGS,
-    executor: str | None = None,
+    executor: str = "serial",
     workers: int | None = None,
     watch: Watch = SILENT,
 ) -> SensitivityResult:
@@ -73,8 +84,9 @@ def sensitivity(
     n_modes : number of modes with ``source="model"``; as many as were measured, or 10, where left out
     settings : of the swarms
     chains : of the ensembles
-    executor, workers : where the work is done, see `cpam_bayes.parallel.open_executor`; the answer is the
-        same
+    executor, workers : "serial", in this process; "processes", as many as cores or ``workers``, which needs
+        the call under ``if __name__ == "__main__":`` in a script; or a Dask cluster, see
+        `cpam_bayes.parallel.open_executor`. The answer is the same
     watch : is shown the progress
 
     Raises
@@ -91,6 +103,16 @@ def sensitivity(
     >>> result.status, cell.repetition.constants.shape
     ('converged', (3, 2))
     """
+    require_seed(seed)
+    require_modes(n_modes)
+    require_choice("source", source, get_args(ListSource))
+    readings = (readings,) if isinstance(readings, str) else tuple(readings)
+    for reading in readings or ("",):
+        require_choice("readings", reading, INTERPRETATIONS)
+    levels = tuple(levels)
+    for level in levels or (0.0,):
+        require_number("levels, as fractions", level, MAX_LEVEL)
+    require_whole("groups", groups, 2, 1000)
     specimen = require_supported(read_plate(plate), _NO_MESH)
     if not specimen.unknowns.size:
         raise PlateFileError(f"{specimen.source}: [unknowns] is missing, nothing to identify")

@@ -47,16 +47,22 @@ def save(result: Result, stage: Stage | None) -> None:
     if stage is None:
         return
     directory, draft = stage
+    # What took longest goes to its place first: whatever fails after it, it is there.
+    (draft / f"{result.command}.json").write_text(json_text(result.to_dict()), encoding="utf-8")
+    if result.draws:
+        result.to_arviz().to_netcdf(str(draft / "posterior.nc"))
+    _moved(draft, directory)
     figures = result.figures()
     if figures:
         from cpam_bayes.report.figures import save_figures
 
         (draft / _FIGURES).mkdir()
         save_figures(figures, draft / _FIGURES)
-    if result.draws:
-        result.to_arviz().to_netcdf(str(draft / "posterior.nc"))
     write_page(f"{result.command} {result.title}".strip(), result.tables(), draft)
-    (draft / f"{result.command}.json").write_text(json_text(result.to_dict()), encoding="utf-8")
+    _moved(draft, directory)
+
+
+def _moved(draft: Path, directory: Path) -> None:
     written = sorted(path for path in draft.rglob("*") if path.is_file())
     for path in written:
         target = directory / path.relative_to(draft)

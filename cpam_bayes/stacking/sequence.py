@@ -8,7 +8,13 @@ from typing import ClassVar
 import numpy as np
 
 from cpam_bayes.forward_model.air_shift import air_shifts
-from cpam_bayes.forward_model.preconditions import explained_failures, plate_warnings, require_sequence
+from cpam_bayes.forward_model.preconditions import (
+    explained_failures,
+    plate_warnings,
+    require_seed,
+    require_sequence,
+    require_whole,
+)
 from cpam_bayes.paper.layups import identified_layups
 from cpam_bayes.parallel import open_executor
 from cpam_bayes.plate import PlateLike, Specimen, read_plate
@@ -23,6 +29,8 @@ from cpam_bayes.stacking.warnings import stacking_warnings
 
 # Pieces of the enumeration that progress is shown in.
 _PIECES = 64
+# Sequences that can be listed.
+MAX_LISTED = 2000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
@@ -61,7 +69,7 @@ def sequence(
     *,
     seed: int = 0,
     top: int = 100,
-    executor: str | None = None,
+    executor: str = "serial",
     workers: int | None = None,
     watch: Watch = SILENT,
 ) -> StackingResult:
@@ -72,8 +80,9 @@ def sequence(
     plate : what `read_plate` takes, or what it returns, with "?" in its layup; built-in specimens take the
         unknown angles of Table 9(b)
     top : most probable sequences to list
-    executor, workers : where the work is done, see `cpam_bayes.parallel.open_executor`; the answer is the
-        same
+    executor, workers : "serial", in this process; "processes", as many as cores or ``workers``, which needs
+        the call under ``if __name__ == "__main__":`` in a script; or a Dask cluster, see
+        `cpam_bayes.parallel.open_executor`. The answer is the same
     watch : is shown the progress
 
     Raises
@@ -105,6 +114,8 @@ def sequence(
     >>> result.answer.top[0].tolist(), int(result.answer.multiplicity[0])
     ([-30.0, 60.0], 2)
     """
+    require_seed(seed)
+    require_whole("top", top, 1, MAX_LISTED)
     specimen = require_sequence(read_plate(plate).with_unknown_angles())
     settings = replace(DEFAULT_SETTINGS, listed=max(DEFAULT_SETTINGS.listed, top))
     with open_executor(executor, workers) as pool:
@@ -155,8 +166,9 @@ def stacking_result(
 
 def _printed(answer: StackingPosterior) -> GivenLayup | None:
     """What Table 9(b) prints for a built-in specimen."""
-    printed = identified_layups().get(answer.specimen.source.removeprefix("built-in "))
-    if printed is None:
+    name = answer.specimen.name
+    printed = identified_layups().get(name)
+    if printed is None or answer.specimen.source != f"built-in {name}":
         return None
     return given_layup(answer, np.array(printed.angles_deg, dtype=float))
 

@@ -104,6 +104,13 @@ def first_plate(effect: Effect) -> str:
     return "C1" if effect.applies_to(facts("C1")) else "D3"
 
 
+@pytest.mark.parametrize("effect", CATALOGUE, ids=lambda e: e.name)
+def test_an_effect_at_each_of_its_places_goes_to_a_worker_and_back(effect: Effect) -> None:
+    for variant in (effect, *(effect.at(place) for place in effect.places if effect.at)):
+        again = pickle.loads(pickle.dumps(variant))
+        assert (again.name, again.place, again.variant) == (variant.name, variant.place, variant.variant)
+
+
 one_plate = [pytest.param(first_plate(e), e, id=e.name) for e in OF_THE_PROBLEM]
 every_effect = pytest.mark.parametrize("effect", CATALOGUE, ids=lambda e: e.name)
 

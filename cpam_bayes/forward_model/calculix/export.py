@@ -11,7 +11,12 @@ from typing import ClassVar, Final
 from cpam_bayes.forward_model.air_shift import air_shifts
 from cpam_bayes.forward_model.calculix.deck import Deck, Element, plate_deck
 from cpam_bayes.forward_model.model import reference_constants
-from cpam_bayes.forward_model.preconditions import require_supported
+from cpam_bayes.forward_model.preconditions import (
+    require_choice,
+    require_modes,
+    require_seed,
+    require_supported,
+)
 from cpam_bayes.forward_model.solve import measured_modes
 from cpam_bayes.plate import PlateLike, read_plate
 from cpam_bayes.result import PlateResult
@@ -79,6 +84,9 @@ def export(
     >>> deck.n_elements, deck.element_type
     (255, 'S8R')
     """
+    require_seed(seed)
+    require_modes(n_modes)
+    require_choice("element", element, tuple(_TYPE))
     specimen = require_supported(read_plate(plate), _NO_MESH, _NO_AIR)
     given = plate if isinstance(plate, str | os.PathLike) else specimen.name
     if path == "":

@@ -26,11 +26,11 @@ _POINTS, _TAIL = 300, 0.001
 
 def figures(result: StackingResult) -> dict[str, Figure]:
     """The heat map of the angles, the credible set, the constants."""
-    answer, name = result.answer, result.specimen.name
+    answer = result.answer
     return {
-        f"angles_{name}": angle_map(answer, result.given),
-        f"credible_set_{name}": credible_set(answer, result.given),
-        f"constants_{name}": constants_over_sequences(answer, result.mixture, result.given),
+        "angles": angle_map(answer, result.given),
+        "credible_set": credible_set(answer, result.given),
+        "constants": constants_over_sequences(answer, result.mixture, result.given),
     }
 
 

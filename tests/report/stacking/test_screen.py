@@ -178,9 +178,9 @@ def test_the_same_answer_gives_the_same_pictures(tmp_path: Path) -> None:
         save_figures(result.figures(), tmp_path / name)
     files = sorted(p.name for p in (tmp_path / "first").iterdir())
     assert {p.removesuffix(".png") for p in files if p.endswith(".png")} == {
-        "angles_C1",
-        "constants_C1",
-        "credible_set_C1",
+        "angles",
+        "constants",
+        "credible_set",
     }
     for file in files:
         assert (tmp_path / "first" / file).read_bytes() == (tmp_path / "again" / file).read_bytes()
