@@ -26,8 +26,6 @@ VERDICTS = {
     "determined by data and prior": "#c98a1b",
     "determined by the prior": "#8a8a8a",
 }
-# The same in results of earlier versions.
-EARLIER = dict(zip(("determined", "weakly determined", "not determined"), VERDICTS.values(), strict=True))
 OPEN = VERDICTS["determined by the prior"]
 SYMBOLS = {"E1_GPa": "$E_1$", "E2_GPa": "$E_2$", "nu12": r"$\nu_{12}$", "G12_GPa": "$G_{12}$"}
 # Residuals beyond are drawn at the edge with their number.
@@ -143,7 +141,7 @@ def _constants(axes: Axes, constants: Mapping[str, Mapping[str, Any]]) -> None:
 def _colour(constant: Mapping[str, Any]) -> str:
     if constant["bound"] is not None:
         return OPEN
-    return {**VERDICTS, **EARLIER}[constant["verdict"]]
+    return VERDICTS[constant["verdict"]]
 
 
 def _estimate(name: str, constant: Mapping[str, Any]) -> str:
