@@ -19,10 +19,9 @@ __all__ = [
     "FrequencyRow",
     "MissedMode",
     "PairedFit",
-    "PlateModes",
     "left_aside",
     "paired_fit",
-    "plain_modes",
+    "plain_mode_shapes",
 ]
 
 Array = NDArray[Any]
@@ -71,26 +70,19 @@ class PairedFit:
     missed: tuple[MissedMode, ...]
 
 
-@dataclass(frozen=True, slots=True)
-class PlateModes:
-    """Mode shapes of one plate: u, v, w on a regular grid, (n_modes, 3, n, n)."""
-
-    shapes: Array
-
-
 def paired_fit(d: Diagnosis, fit: Fit, leader: Tested) -> PairedFit:
     """All frequencies plate by plate; leader : the hypothesis that says which mode each is."""
     modes = [case.models.bare.full.modes(_plate_vector(leader, i)) for i, case in enumerate(d.cases)]
     return PairedFit(_frequency_rows(d, fit, leader, modes), _missed_modes(d, leader, modes))
 
 
-def plain_modes(d: Diagnosis) -> tuple[PlateModes, ...]:
+def plain_mode_shapes(d: Diagnosis) -> tuple[Array, ...]:
     """Mode shapes of every plate by the plain model at its most probable constants."""
     shapes = []
     for i, case in enumerate(d.cases):
         model = case.models.bare.full
         spectrum = model.spectrum(_plate_vector(d.weighed.none, i), vectors=True)
-        shapes.append(PlateModes(shapes_on_grid(model.operator, spectrum, n=_SHAPE_POINTS)))
+        shapes.append(shapes_on_grid(model.operator, spectrum, n=_SHAPE_POINTS))
     return tuple(shapes)
 
 

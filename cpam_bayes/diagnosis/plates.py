@@ -15,7 +15,7 @@ from cpam_bayes.diagnosis.extension import Resampled, resample
 from cpam_bayes.diagnosis.fitting import PlateCase
 from cpam_bayes.diagnosis.hypotheses import with_prior_of_none
 from cpam_bayes.diagnosis.next_test.next_measurement import Candidate, next_measurements
-from cpam_bayes.diagnosis.paired_modes import PairedFit, PlateModes, paired_fit, plain_modes
+from cpam_bayes.diagnosis.paired_modes import PairedFit, paired_fit, plain_mode_shapes
 from cpam_bayes.diagnosis.warnings import diagnosis_warnings
 from cpam_bayes.effects import CATALOGUE, Effect
 from cpam_bayes.forward_model.air_shift import air_shifts
@@ -47,7 +47,8 @@ class DiagnosisResult(Result):
     plates : the specimens
     air_shifts : for each plate, see `PlateResult.air_shifts`
     plain, extended : each measured frequency with its mode; extended is None where nothing is claimed
-    modes : of each plate, with their shapes, by the plain model where it is most probable
+    mode_shapes : of each plate, u, v, w on a regular grid, (n_modes, 3, n, n), by the plain model where it
+        is most probable
     scatter : relative standard deviation of a constant from plate to plate
     candidates : further tests, the most informative first
     resampled : the constants of the extended model by emcee, where asked for
@@ -61,7 +62,7 @@ class DiagnosisResult(Result):
     air_shifts: tuple[NDArray[np.float64] | None, ...]
     plain: PairedFit
     extended: PairedFit | None
-    modes: tuple[PlateModes, ...]
+    mode_shapes: tuple[NDArray[np.float64], ...]
     scatter: float
     candidates: tuple[Candidate, ...] = ()
     resampled: Resampled | None = None
@@ -169,7 +170,7 @@ def diagnosis_result(
         air_shifts=tuple(air_shifts(specimen) for specimen in specimens),
         plain=paired_fit(diagnosis, diagnosis.baseline, diagnosis.weighed.none),
         extended=None if extended is None else paired_fit(diagnosis, extended, diagnosis.members[0][0]),
-        modes=plain_modes(diagnosis),
+        mode_shapes=plain_mode_shapes(diagnosis),
         scatter=scatter,
         candidates=candidates,
         resampled=resampled,

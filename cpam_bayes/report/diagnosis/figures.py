@@ -92,7 +92,7 @@ def _draw_plate(
     axes.legend(loc="upper right", frameon=False, fontsize=8, ncols=3)
     if len(result.plates) > 1:
         axes.set_title(result.plates[i].name, fontsize=9, loc="left")
-    plate, shapes = result.plates[i].plate, result.modes[i].shapes
+    plate, shapes = result.plates[i].plate, result.mode_shapes[i]
     aspect, edges = plate.length / plate.width, plate.edges
     for k, (plain, row) in enumerate(zip(before, after or before, strict=True)):
         below = panel.add_subplot(grid[1, k])
