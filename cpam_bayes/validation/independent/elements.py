@@ -1,0 +1,230 @@
+"""An 8-node serendipity plate of first-order theory; what varies is given at its quadrature points.
+
+Strains and kinetic energy are sparse matrices from nodal values to quadrature points: K = B^T (w C) B with
+2 x 2 points an element (the reduced rule: full integration locks), M = N^T (w m) N with 3 x 3. A taper, a
+soft patch, a stress or a dent is another C at these points, a crooked outline is another place of the nodes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import block_diag, bsr_array, coo_array, csr_array, hstack, vstack
+from scipy.sparse.linalg import LinearOperator, eigsh, splu
+from skfem import CellBasis, ElementQuadS2, FacetBasis, MeshQuad1
+
+Array = NDArray[np.float64]
+# Corners of the plate, as a map of the unit square: (2, n) to (2, n).
+Outline = Callable[[Array], Array]
+
+ELEMENTS = 16
+# Width of the outermost elements over that of the others.
+GRADING = 0.35
+FIELDS = ("u", "v", "w", "phi_x", "phi_y")
+EDGES = ("x0", "y0", "x1", "y1")
+
+
+@dataclass(frozen=True, slots=True)
+class Elements:
+    """A mesh with its matrices.
+
+    n : nodes; a field's value at node j is unknown field * n + j.
+    points, weights : (2, q) m and (q,) m2 of the rule of the stiffness; unit : (2, q) on the unit square.
+    value : (q, n) shape functions; slope : (q, n) along x and along y, both sparse.
+    mass_points, mass_weights, mass_unit, mass_value : those of the rule of the mass.
+    edges : by edge its points on the unit square (along it), weights in m and shape functions.
+    held : by edge the nodes on it.
+    nodes : (2, n) of the unit square.
+    """
+
+    n: int
+    points: Array
+    weights: Array
+    unit: Array
+    value: csr_array[Any]
+    slope: tuple[csr_array[Any], csr_array[Any]]
+    mass_points: Array
+    mass_weights: Array
+    mass_unit: Array
+    mass_value: csr_array[Any]
+    edges: Mapping[str, tuple[Array, Array, csr_array[Any]]]
+    held: Mapping[str, NDArray[np.int64]]
+    nodes: Array
+
+
+def divisions(n: int, grading: float = GRADING) -> Array:
+    """Places of n + 1 nodes from 0 to 1, the outermost intervals narrower."""
+    widths = np.ones(n)
+    widths[[0, -1]] = grading
+    return np.asarray(np.concatenate([[0.0], np.cumsum(widths)]) / widths.sum())
+
+
+def elements(outline: Outline, n: tuple[int, int] = (ELEMENTS, ELEMENTS)) -> Elements:
+    """The mesh of a quadrilateral plate: the image of a graded unit square."""
+    grid = _unit_mesh(n)
+    image = MeshQuad1(outline(np.asarray(grid.p)), grid.t)
+    own = ElementQuadS2()
+    rules = {degree: CellBasis(image, own, intorder=degree) for degree in (3, 5)}
+    flat = {degree: CellBasis(grid, own, intorder=degree) for degree in (3, 5)}
+    value, slope_x, slope_y = _sampled(rules[3])
+    mass_value, *_ = _sampled(rules[5])
+    edges, held = {}, {}
+    for edge in EDGES:
+        axis, side = "xy".index(edge[0]), float(edge[1])
+        facets = grid.facets_satisfying(lambda p, a=axis, s=side: np.abs(p[a] - s) < 1e-9)
+        basis = FacetBasis(image, own, facets=facets, intorder=5)
+        along = FacetBasis(grid, own, facets=facets, intorder=5).global_coordinates()[1 - axis]
+        edges[edge] = (along.ravel(), basis.dx.ravel(), _sampled(basis)[0])
+        held[edge] = np.unique(basis.get_dofs(facets).all())
+    return Elements(
+        n=rules[3].N,
+        points=_places(rules[3]),
+        weights=rules[3].dx.ravel(),
+        unit=_places(flat[3]),
+        value=value,
+        slope=(slope_x, slope_y),
+        mass_points=_places(rules[5]),
+        mass_weights=rules[5].dx.ravel(),
+        mass_unit=_places(flat[5]),
+        mass_value=mass_value,
+        edges=edges,
+        held=held,
+        nodes=np.asarray(flat[3].doflocs),
+    )
+
+
+def strains(mesh: Elements, rise: tuple[Array, Array] | None = None) -> csr_array[Any]:
+    """The eight strains at the points of the stiffness, point by point, (8 q, 5 n).
+
+    rise : slopes of a shallow mid-surface at the points, which w then stretches (Marguerre).
+    """
+    n, x, y = mesh.value, *mesh.slope
+    zero = csr_array(n.shape)
+    flat = [zero, zero, zero]
+    if rise is not None:
+        up_x, up_y = (scaled(r, s) for r, s in zip(rise, mesh.slope, strict=True))
+        flat = [up_x, up_y, scaled(rise[0], y) + scaled(rise[1], x)]
+    rows = [
+        [x, zero, flat[0], zero, zero],
+        [zero, y, flat[1], zero, zero],
+        [y, x, flat[2], zero, zero],
+        [zero, zero, zero, x, zero],
+        [zero, zero, zero, zero, y],
+        [zero, zero, zero, y, x],
+        [zero, zero, y, zero, n],
+        [zero, zero, x, n, zero],
+    ]
+    stacked = vstack([hstack(row) for row in rows]).tocsr()
+    q = n.shape[0]
+    return csr_array(stacked[np.arange(8 * q).reshape(8, q).T.ravel()])
+
+
+def stiffness(mesh: Elements, strain: csr_array[Any], c: Array) -> csr_array[Any]:
+    """K of a laminate stiffness at every point, (q, 8, 8)."""
+    blocks = bsr_array(
+        (mesh.weights[:, None, None] * c, np.arange(len(c)), np.arange(len(c) + 1)),
+        shape=(8 * len(c), 8 * len(c)),
+    )
+    return csr_array(strain.T @ (blocks @ strain))
+
+
+def mass(mesh: Elements, per_area: Array, rotary: Array) -> csr_array[Any]:
+    """M of a mass and a rotary inertia per area at the points of the mass rule, kg/m2 and kg."""
+    shift, turn = (
+        mesh.mass_value.T @ scaled(mesh.mass_weights * weight, mesh.mass_value)
+        for weight in (per_area, rotary)
+    )
+    return csr_array(block_diag([shift, shift, shift, turn, turn]))
+
+
+def on_field(mesh: Elements, field: str, small: csr_array[Any]) -> csr_array[Any]:
+    """A matrix of one field among all, (5 n, 5 n)."""
+    entries = coo_array(small)
+    at = FIELDS.index(field) * mesh.n
+    return csr_array(
+        coo_array((entries.data, (entries.row + at, entries.col + at)), shape=(5 * mesh.n, 5 * mesh.n))
+    )
+
+
+def edge_form(mesh: Elements, edge: str, density: Callable[[Array], Array]) -> csr_array[Any]:
+    """Integral along an edge of a spring per length times the square of a field, (n, n)."""
+    along, weights, value = mesh.edges[edge]
+    return csr_array(value.T @ scaled(weights * density(along), value))
+
+
+def at_point(mesh: Elements, place: tuple[float, float]) -> csr_array[Any]:
+    """Shape functions at a place of the unit square, (1, n)."""
+    return _point(mesh.n, place)
+
+
+def frequencies(
+    k: csr_array[Any], m: csr_array[Any], held: NDArray[np.int64], n_modes: int, rigid: int, about: float
+) -> tuple[Array, Array]:
+    """The lowest natural frequencies, Hz, rigid-body motions left out, and their modes (5 n, n_modes).
+
+    held : unknowns that are zero. rigid : motions left out. about : Hz, of the order of the lowest.
+    """
+    size = k.shape[0]
+    free = np.setdiff1d(np.arange(size), held)
+    kf, mf = (matrix.tocsc()[free][:, free] for matrix in (k, m))
+    shift = -((2.0 * np.pi * about) ** 2) * 0.05
+    # symmetric and positive definite: without the threshold zero pivoting would fill the factor
+    factor = splu(
+        (kf - shift * mf).tocsc(),
+        permc_spec="MMD_AT_PLUS_A",
+        diag_pivot_thresh=0.0,
+        options={"SymmetricMode": True},
+    )
+    inverse = LinearOperator(kf.shape, matvec=factor.solve, dtype=np.float64)
+    start = np.random.default_rng(0).standard_normal(len(free))
+    values, vectors = eigsh(kf, n_modes + rigid, mf, sigma=shift, OPinv=inverse, v0=start, tol=1e-9)
+    rank = np.argsort(values)[rigid:]
+    modes = np.zeros((size, len(rank)))
+    modes[free] = vectors[:, rank]
+    return np.sqrt(np.abs(values[rank])) / (2.0 * np.pi), modes
+
+
+@lru_cache(maxsize=8)
+def _unit_mesh(n: tuple[int, int]) -> Any:
+    return MeshQuad1.init_tensor(divisions(n[0]), divisions(n[1]))
+
+
+@lru_cache(maxsize=256)
+def _point(n: int, place: tuple[float, float]) -> csr_array[Any]:
+    for shape in ((ELEMENTS, ELEMENTS), (24, 24), (32, 32), (8, 8)):
+        basis = CellBasis(_unit_mesh(shape), ElementQuadS2(), intorder=3)
+        if n == basis.N:
+            return csr_array(basis.probes(np.array(place)[:, None]))
+    raise ValueError(f"no mesh of {n} nodes is known; use one of the square ones")
+
+
+def _sampled(basis: Any) -> list[csr_array[Any]]:
+    """Shape functions and their slopes at the points of a rule, element by element, (q, n) each."""
+    shape = np.asarray(basis.basis[0][0]).shape
+    rows = np.arange(np.prod(shape)).reshape(shape)
+    cells = basis.mesh.f2t[0, basis.find] if hasattr(basis, "find") and basis.find is not None else None
+    dofs = basis.dofs.element_dofs if cells is None else basis.dofs.element_dofs[:, cells]
+    out = []
+    for pick in (np.asarray, lambda f: f.grad[0], lambda f: f.grad[1]):
+        values = np.stack([pick(basis.basis[i][0]) for i in range(basis.Nbfun)])
+        columns = np.broadcast_to(dofs[:, :, None], values.shape)
+        row = np.broadcast_to(rows, values.shape)
+        entries = (values.ravel(), (row.ravel(), columns.ravel()))
+        out.append(csr_array(coo_array(entries, shape=(rows.size, basis.N))))
+    return out
+
+
+def _places(basis: Any) -> Array:
+    return np.asarray(np.asarray(basis.global_coordinates()).reshape(2, -1))
+
+
+def scaled(weights: Array, matrix: csr_array[Any]) -> csr_array[Any]:
+    """Rows of a matrix times weights."""
+    out = csr_array(matrix, copy=True)
+    out.data = out.data * np.repeat(weights, np.diff(out.indptr))
+    return out
