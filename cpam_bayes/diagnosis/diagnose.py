@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cpam_bayes.diagnosis.answers.gain import Gain, gain_of
 from cpam_bayes.diagnosis.cases import hypotheses_of
 from cpam_bayes.diagnosis.claim import Claim, claim_of
 from cpam_bayes.diagnosis.evidence.marginal import Marginal
 from cpam_bayes.diagnosis.evidence.weighing import Tested, Weighed, weigh
 from cpam_bayes.diagnosis.fit import Fit, fit_of
 from cpam_bayes.diagnosis.fitting import SCATTER, PlateCase
-from cpam_bayes.diagnosis.gain import Gain, gain_of
 from cpam_bayes.diagnosis.hypotheses import NONE, OTHER, PAIR, Hypothesis
 from cpam_bayes.diagnosis.signatures import (
     Menu,

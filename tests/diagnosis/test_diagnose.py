@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 
 from cpam_bayes.diagnosis import diagnose as diagnosing
-from cpam_bayes.diagnosis import gain
+from cpam_bayes.diagnosis.answers import gain
 from cpam_bayes.diagnosis.cases import plate_case
+from cpam_bayes.diagnosis.claim import Claim
 from cpam_bayes.diagnosis.diagnose import Diagnosis, diagnose_cases
 from cpam_bayes.diagnosis.evidence import weighing
+from cpam_bayes.diagnosis.evidence.marginal import sampled_marginal
 from cpam_bayes.diagnosis.extension import resample
 from cpam_bayes.diagnosis.fitting import PlateCase
 from cpam_bayes.diagnosis.hypotheses import DISCREPANCY, NONE, OTHER, Hypothesis
@@ -36,6 +38,7 @@ from tests.diagnosis.toy_plates import (
     even,
     exact_log_evidence,
     hypothesis,
+    log_normal_density,
     straight,
     whole_normal,
 )
@@ -259,23 +262,97 @@ def test_the_frequency_that_a_list_hypothesis_explains_is_told_by_its_own_list(
     """Of two lists of eight, the fourth frequency of the second is the twelfth."""
     cases = [plate(np.zeros(8), name=name) for name in ("one", "two")]
     for of, expected in (
-        (MISREAD[3], [*range(11), *range(12, 16)]),
+        (MISREAD[3], [*range(16)]),
         # without the false one the list has fifteen
         (FALSE[3], [*range(11), *range(11, 15)]),
     ):
         t = weighing.Tested(of, (1,), weighing.marginal_of(cases, of, (1,)))
         asked: list[int] = []
+        clean: list[bool] = []
 
         def recorded(
-            *_: object, left_out: int, asked: list[int] = asked, t: object = t, **__: object
+            _: object,
+            asked_of: Hypothesis,
+            *__: object,
+            left_out: int,
+            asked: list[int] = asked,
+            clean: list[bool] = clean,
+            t: object = t,
+            **___: object,
         ) -> object:
             asked.append(left_out)
+            clean.append(asked_of.listed == ListChange() and not asked_of.parameters)
             return t.marginal  # type: ignore[attr-defined]
 
         monkeypatch.setattr(gain, "marginal_of", recorded)
         found = gain.left_out(cases, t, 16, None, 0.02)
         assert asked == expected
-        assert found[11] == t.marginal.log_evidence
+        if of.listed.misread is not None:
+            # without the misread frequency the rest of the list has no error
+            assert np.flatnonzero(clean).tolist() == [11]
+        else:
+            # a false peak may lie anywhere below the last frequency
+            density = t.marginal.log_evidence - found[11]
+            assert density == pytest.approx(-np.log(cases[1].measurement.frequencies[-1]))
+
+
+def test_a_misread_frequency_is_predicted_by_the_prior_of_its_error() -> None:
+    """ln p(f_i | others) with the constants in closed form and an integral over the misreading."""
+    slip = np.zeros(8)
+    slip[3] = 0.15
+    own = plate(slip)
+    f, sigma, at = own.measurement.frequencies, NOISE * own.measurement.frequencies, 3
+    t = weighing.Tested(MISREAD[at], (0,), weighing.marginal_of([own], MISREAD[at], (0,)))
+    t = replace(t, marginal=sampled_marginal(t.marginal))
+    found = t.marginal.log_evidence - gain.left_out([own], t, 8, None, 0.02)[at]
+    kept = np.arange(8) != at
+    slope = SD * A * F0[:, None]
+    covariance = slope @ slope.T + np.diag(sigma**2)
+    answer = np.linalg.solve(covariance[np.ix_(kept, kept)], covariance[kept, at])
+    mean = F0[at] + answer @ (f - F0)[kept]
+    variance = slope[at] @ slope[at] - answer @ covariance[kept, at]
+    m = np.linspace(MISREADING.prior.lower, MISREADING.prior.upper, 20001)
+    spread = (1.0 + m) ** 2 * variance + sigma[at] ** 2
+    log_density = -0.5 * (f[at] - (1.0 + m) * mean) ** 2 / spread - 0.5 * np.log(2 * np.pi * spread)
+    log_density += MISREADING.prior.log_density(m)
+    direct = np.log(np.trapezoid(np.exp(log_density), m))
+    # two evidences by importance sampling
+    assert found == pytest.approx(direct, abs=0.1)
+
+
+def test_held_out_scores_select_the_cause_again_without_each_frequency(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Of a faint cause: the mixture of plain and extended model, weighed by the other frequencies."""
+    own = plate(0.006 * BUMP, BENT)
+    found = diagnosed(monkeypatch, own, hypothesis(BENT, 0.1), pairs=False, gain=False)
+    bent = found.weighed.best_of("bent")
+    assert 0.1 < bent.probability < 0.99
+    scored = gain.gain_of(
+        [own],
+        found.weighed,
+        Claim("named", ("bent",), 0.9),
+        [(bent, 1.0)],
+        found.baseline,
+        found.baseline,
+        0.02,
+    )
+    f = own.measurement.frequencies
+
+    def evidences(*causes: tuple[Array, float]) -> Array:
+        """Of the whole list, then without each frequency."""
+        slope = np.column_stack([SD * A, *(sd * d for d, sd in causes)]) * F0[:, None]
+        covariance = slope @ slope.T + np.diag((NOISE * f) ** 2)
+        lists = [np.ones(8, dtype=bool), *(np.arange(8) != i for i in range(8))]
+        return np.array([log_normal_density(f[k], F0[k], covariance[np.ix_(k, k)]) for k in lists])
+
+    plain, extended = evidences(), evidences((BUMP, 0.02))
+    mixture = np.logaddexp(plain + np.log(0.5), extended + np.log(0.1))
+    expected = (mixture[0] - mixture[1:]) - (plain[0] - plain[1:])
+    assert scored.n_hypotheses >= 2
+    np.testing.assert_allclose(scored.held_out, expected, atol=0.1)
+    ahead = (extended + np.log(0.1) > plain + np.log(0.5))[1:]
+    assert scored.stable == pytest.approx(ahead.mean(), abs=1e-12)
 
 
 def test_emcee_agrees_with_the_extended_fit(monkeypatch: pytest.MonkeyPatch) -> None:

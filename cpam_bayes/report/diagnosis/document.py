@@ -213,6 +213,7 @@ def _gain(d: Diagnosis) -> dict[str, Any] | None:
         "held_out_log_score_difference": gain.held_out_difference,
         "held_out_log_score_se": gain.held_out_se,
         "held_out_log_score_by_frequency": gain.held_out.tolist(),
+        "held_out_hypotheses": gain.n_hypotheses,
         "stable_share": gain.stable,
     }
 

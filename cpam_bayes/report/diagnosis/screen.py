@@ -277,6 +277,7 @@ def _gain(d: Diagnosis) -> Table:
         ("rms misfit", f"{before} % before, {after} % after"),
         ("log Bayes factor", f"{signed(gain.log_bayes_factor, 1)} against the plain model"),
         ("held-out modes", f"log score {score} +- {se}, each predicted from the others"),
+        ("selection", f"repeated without each frequency, among {gain.n_hypotheses} hypotheses"),
         ("stable", f"ahead without one frequency in {100 * gain.stable:.0f} % of the cases"),
         ("p-value", f"{p}, posterior predictive, with the claimed cause"),
     )

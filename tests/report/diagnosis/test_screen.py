@@ -81,6 +81,8 @@ def test_the_document_has_the_keys_of_the_contract(misread):
     assert gain["rms_percent_after"] < gain["rms_percent_before"] == found["baseline"]["rms_percent"]
     assert {"log_bayes_factor", "held_out_log_score_difference", "held_out_log_score_se"} <= set(gain)
     assert 0.0 <= gain["stable_share"] <= 1.0
+    assert gain["held_out_hypotheses"] == misread.gain.n_hypotheses >= 2
+    assert f"repeated without each frequency, among {misread.gain.n_hypotheses} hypotheses" in screen(misread)
 
 
 def test_probabilities_of_all_hypotheses_sum_to_one_and_none_and_other_are_among_them(clean, misread):

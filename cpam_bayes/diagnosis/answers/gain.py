@@ -1,0 +1,146 @@
+"""What a claimed cause is worth: residuals, evidence, predictions of frequencies left out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import logsumexp
+
+from cpam_bayes.diagnosis.claim import Claim
+from cpam_bayes.diagnosis.evidence.marginal import Marginal, sampled_marginal
+from cpam_bayes.diagnosis.evidence.scan import Tested, marginal_of
+from cpam_bayes.diagnosis.evidence.weighing import Weighed
+from cpam_bayes.diagnosis.fit import Fit
+from cpam_bayes.diagnosis.fitting import PlateCase
+from cpam_bayes.diagnosis.hypotheses import NONE, Hypothesis
+from cpam_bayes.effects.frequency_list import MISREADING
+
+Array = NDArray[Any]
+
+# Hypotheses among which the cause is selected again in every fold: those with this probability, the plain
+# model, and so many at most.
+_LEAST_PROBABILITY, _MOST = 0.01, 6
+
+
+@dataclass(frozen=True, slots=True)
+class Gain:
+    """What the claimed cause is worth.
+
+    log_bayes_factor : of the claimed causes, their variants averaged over their priors
+    held_out : (n_f,) log predictive density of each frequency from all others, of the hypotheses near the
+        top, whose probabilities are those without that frequency, less that of the plain model
+    n_hypotheses : among which the cause is selected in every fold
+    stable : fraction of the frequencies without which the claimed causes still are ahead of none and of the
+        best outsider
+    """
+
+    rms_before: float
+    rms_after: float
+    log_bayes_factor: float
+    held_out: Array
+    n_hypotheses: int
+    stable: float
+
+    @property
+    def held_out_difference(self) -> float:
+        """Sum of the differences."""
+        return float(self.held_out.sum())
+
+    @property
+    def held_out_se(self) -> float:
+        """Standard error of the sum, from the scatter of the differences."""
+        n = len(self.held_out)
+        return float(np.sqrt(n) * self.held_out.std(ddof=1)) if n > 1 else float("nan")
+
+
+def gain_of(
+    cases: Sequence[PlateCase],
+    weighed: Weighed,
+    claim: Claim,
+    members: Sequence[tuple[Tested, float]],
+    baseline: Fit,
+    extended: Fit,
+    scatter: float,
+) -> Gain:
+    """The gain of the claimed causes, ``members`` with their fractions, over the plain model.
+
+    The held-out score of frequency i is ln p(f_i | f_-i) = ln Z(f) - ln Z(f_-i) with Z = sum_h p(h) Z_h over
+    the hypotheses near the top: the cause is selected anew, by its probability, in every fold.
+    """
+    n = len(baseline.measured)
+    claimed = {t.hypothesis.cause for t, _ in members} | set(claim.causes)
+    none = weighed.none.marginal
+    top = [_sampled(cases, t, none, scatter) for t in _near_the_top(weighed, claimed)]
+    whole = np.array([t.marginal.log_evidence for t in top])
+    folds = np.stack([left_out(cases, t, n, None if k == 0 else none, scatter) for k, t in enumerate(top)])
+    log_prior = np.log([t.hypothesis.prior for t in top])
+    weight = folds + log_prior[:, None]
+    mixture = logsumexp(whole + log_prior) - logsumexp(weight, axis=0)
+    is_claimed = np.array([t.hypothesis.cause in claimed for t in top])
+    ahead = logsumexp(weight[is_claimed], axis=0) > weight[~is_claimed].max(axis=0)
+    return Gain(
+        baseline.rms,
+        extended.rms,
+        weighed.log_bayes_factor({t.hypothesis.cause for t, _ in members}),
+        mixture - (whole[0] - folds[0]),
+        len(top),
+        float(np.mean(ahead)),
+    )
+
+
+def left_out(cases: Sequence[PlateCase], t: Tested, n: int, none: Marginal | None, scatter: float) -> Array:
+    """Log evidences of a hypothesis without each of the frequencies in turn, (n,).
+
+    Without the frequency that it takes as misread, what is left of the list is free of that error, over
+    whose size the density of the frequency integrates to one. A false peak has a density of its own, apart
+    from the modes: without it the other frequencies keep theirs.
+    """
+    evidences = np.empty(n)
+    first = t.marginal if t.marginal.is_refined and t.marginal.quadrature is not None else None
+    listed = t.hypothesis.listed
+    before = sum(case.measurement.size for case in cases[: t.plates[0]])  # frequencies of other plates
+    for i in range(n):
+        at, hypothesis, screened = i, t.hypothesis, first
+        if listed.misread is not None and i == before + listed.misread:
+            hypothesis, screened = _without_misreading(hypothesis), None
+        if listed.spurious is not None:
+            if i == before + listed.spurious:
+                evidences[i] = t.marginal.log_evidence - t.marginal.comparison.listed.log_constant
+                continue
+            at = i - (i > before + listed.spurious)
+        marginal = marginal_of(
+            cases, hypothesis, t.plates, scatter=scatter, none=none, left_out=at, screened=screened
+        )
+        evidences[i] = sampled_marginal(marginal).log_evidence
+    return evidences
+
+
+def _near_the_top(weighed: Weighed, claimed: set[str]) -> list[Tested]:
+    """None, and the most probable others: at least one that is claimed and one that is not."""
+    others = [t for t in weighed.tested if t.hypothesis.cause != NONE]
+    kept = [t for t in others if t.probability >= _LEAST_PROBABILITY][: _MOST - 1]
+    for is_claimed in (True, False):
+        if not any((t.hypothesis.cause in claimed) == is_claimed for t in kept):
+            kept += [t for t in others if (t.hypothesis.cause in claimed) == is_claimed][:1]
+    return [weighed.none, *kept]
+
+
+def _sampled(cases: Sequence[PlateCase], t: Tested, none: Marginal, scatter: float) -> Tested:
+    """A hypothesis with the evidence of the whole list by the same means as without a frequency."""
+    if np.isfinite(t.marginal.error):
+        return t
+    first = t.marginal if t.marginal.is_refined and t.marginal.quadrature is not None else None
+    marginal = marginal_of(cases, t.hypothesis, t.plates, scatter=scatter, none=none, screened=first)
+    return replace(t, marginal=sampled_marginal(marginal))
+
+
+def _without_misreading(hypothesis: Hypothesis) -> Hypothesis:
+    return replace(
+        hypothesis,
+        listed=replace(hypothesis.listed, misread=None),
+        parameters=tuple(p for p in hypothesis.parameters if p.name != MISREADING.name),
+    )
