@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cpam_bayes.diagnosis.answers.averaged import averaged_constants
 from cpam_bayes.diagnosis.answers.gain import Gain, gain_of
 from cpam_bayes.diagnosis.cases import hypotheses_of
 from cpam_bayes.diagnosis.claim import Claim, claim_of
@@ -76,6 +77,7 @@ class Diagnosis:
     members : tested variants of the claimed causes with the fractions at which they are averaged
     extended, gain : ``None`` where nothing is claimed
     signatures : by cause, of its best variant
+    averaged : parameters of the plain model over all hypotheses, mean, sd, 2.5 % and 97.5 % quantile, SI
     """
 
     cases: tuple[PlateCase, ...]
@@ -87,7 +89,13 @@ class Diagnosis:
     extended: Fit | None
     gain: Gain | None
     signatures: Mapping[str, Signature]
+    averaged: Mapping[str, tuple[float, float, float, float]]
     seconds: float
+
+    @property
+    def constants(self) -> Mapping[str, tuple[float, float, float, float]]:
+        """The constants of the answer: of what is claimed, or averaged over all hypotheses."""
+        return self.averaged if self.extended is None else self.extended.constants
 
 
 @single_blas_thread
@@ -139,6 +147,7 @@ def diagnose_cases(
         extended,
         found_gain,
         signatures,
+        averaged_constants(weighed),
         time.perf_counter() - start,
     )
 

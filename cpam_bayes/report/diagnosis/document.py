@@ -20,6 +20,7 @@ from cpam_bayes.priors import ScaledStudentT
 from cpam_bayes.report.diagnosis.rows import (
     ConstantRow,
     absorbed_biases,
+    averaged_rows,
     constant_rows,
     hidden_causes,
     noise_of,
@@ -47,6 +48,7 @@ def document(result: DiagnosisResult) -> dict[str, Any]:
         "hypotheses": [_hypothesis(d, cause) for cause in d.causes],
         "baseline": _fit(d, d.baseline, ((d.weighed.none, 1.0),), result.plain),
         "extended": _extended(result),
+        "averaged": _constants(averaged_rows(d)),
         "gain": _gain(d),
         "next_measurement": [_candidate(c) for c in result.candidates],
         "absorbed": [_absorbed(d, cause) for cause in hidden_causes(d)],

@@ -18,6 +18,7 @@ from cpam_bayes.diagnosis.plates import DiagnosisResult
 from cpam_bayes.diagnosis.signatures import ALIKE, cosine
 from cpam_bayes.report.diagnosis.rows import (
     ConstantRow,
+    averaged_rows,
     constant_rows,
     is_pair,
     leading,
@@ -250,14 +251,16 @@ def _signatures(d: Diagnosis) -> Figure:
 
 
 def _constants(d: Diagnosis) -> Figure:
-    """Means and 95 % intervals with and without the claimed cause, a panel a constant."""
+    """Means and 95 % intervals by the plain model and of the answer, a panel a constant."""
     before = constant_rows(d, d.baseline)
-    after = {} if d.extended is None else {row.name: row for row in constant_rows(d, d.extended)}
+    answer = averaged_rows(d) if d.extended is None else constant_rows(d, d.extended)
+    after = {row.name: row for row in answer}
+    label = "averaged over all hypotheses" if d.extended is None else "extended model"
     figure = Figure(figsize=(max(4.5, 1.5 * len(before) + 0.6), 3.4), layout="constrained")
     for axes, row in zip(figure.subplots(1, len(before), squeeze=False)[0], before, strict=True):
         _interval(axes, 0.0, row, _BLUE, "plain model")
         if row.name in after:
-            _interval(axes, 1.0, after[row.name], _ORANGE, "extended model")
+            _interval(axes, 1.0, after[row.name], _ORANGE, label)
         axes.axhline(row.reference, color="0.4", linewidth=1.0, linestyle=":", label="reference")
         axes.set(xlim=(-0.7, 1.7 if after else 0.7), xticks=[])
         axes.set_title(row.name.replace("_", ", "), fontsize=9)

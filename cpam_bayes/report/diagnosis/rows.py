@@ -22,6 +22,7 @@ from cpam_bayes.plate import to_user, user_name
 __all__ = [
     "ConstantRow",
     "absorbed_biases",
+    "averaged_rows",
     "catalogue_sd",
     "constant_rows",
     "hidden_causes",
@@ -63,6 +64,11 @@ def constant_rows(d: Diagnosis, fit: Fit) -> tuple[ConstantRow, ...]:
     """The constants that all plates share."""
     constants = {name: v for name, v in fit.constants.items() if name in _unknowns(d)}
     return tuple(_row(d, name, *values) for name, values in constants.items())
+
+
+def averaged_rows(d: Diagnosis) -> tuple[ConstantRow, ...]:
+    """The constants that all plates share, averaged over all hypotheses by their probability."""
+    return tuple(_row(d, name, *values) for name, values in d.averaged.items() if name in _unknowns(d))
 
 
 def sampled_rows(d: Diagnosis, resampled: Resampled) -> tuple[ConstantRow, ...]:

@@ -13,6 +13,7 @@ from cpam_bayes.diagnosis.plates import DiagnosisResult
 from cpam_bayes.formatting import decimals_of, fixed, listed, signed, significant, with_spread
 from cpam_bayes.report.diagnosis.rows import (
     absorbed_biases,
+    averaged_rows,
     catalogue_sd,
     constant_rows,
     hidden_causes,
@@ -226,24 +227,22 @@ def _hidden(d: Diagnosis) -> Table:
 
 
 def _constants(d: Diagnosis) -> Table:
-    """Mean and 95 % interval, before and with the claimed cause."""
+    """Mean and 95 % interval by the plain model and by what is claimed, or over all hypotheses."""
     before = constant_rows(d, d.baseline)
-    after = {} if d.extended is None else {row.name: row for row in constant_rows(d, d.extended)}
-    columns = list(headed("constant", "#reference", "#mean", "#2.5 %", "#97.5 %"))
-    if after:
-        columns += headed("#extended", "#2.5 %", "#97.5 %")
-    columns.append(Column("determined by"))
+    answer = averaged_rows(d) if d.extended is None else constant_rows(d, d.extended)
+    after = {row.name: row for row in answer}
+    second = "averaged" if d.extended is None else "extended"
+    columns = headed(
+        "constant", "#reference", "#mean", "#2.5 %", "#97.5 %", f"#{second}", "#2.5 %", "#97.5 %"
+    )
     rows = []
     for row in before:
+        last = after.get(row.name, row)
         cells = [row.name, f"{row.reference:.5g}", *_interval(row.mean, row.q025, row.q975, row.sd)]
-        last = row
-        if after:
-            last = after.get(row.name, row)
-            cells += _interval(last.mean, last.q025, last.q975, last.sd) if row.name in after else 3 * [""]
-        cells.append(last.verdict.removeprefix("determined by "))
-        rows.append(tuple(cells))
-    title = "Constants, plain model" + (" and extended model" if after else "")
-    return Table(title, tuple(columns), tuple(rows))
+        cells += _interval(last.mean, last.q025, last.q975, last.sd) if row.name in after else 3 * [""]
+        rows.append((*cells, last.verdict.removeprefix("determined by ")))
+    over = "averaged over all hypotheses by their probability" if d.extended is None else "extended model"
+    return Table(f"Constants, plain model and {over}", (*columns, Column("determined by")), tuple(rows))
 
 
 def _interval(mean: float, low: float, high: float, sd: float) -> list[str]:

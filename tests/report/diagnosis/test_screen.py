@@ -134,6 +134,24 @@ def test_nothing_is_extended_where_nothing_is_claimed(clean):
     assert diagnosis_warnings(clean) == ()
 
 
+def test_constants_are_averaged_over_all_hypotheses_in_every_answer(clean, misread):
+    for d in (clean, misread):
+        averaged = document(d)["averaged"]
+        assert set(averaged) == {"E1_GPa", "nu12"}
+        for name, of in averaged.items():
+            assert of["q025"] < of["mean"] < of["q975"]
+            assert of["mean"] == pytest.approx(d.averaged[name.removesuffix("_GPa")][0] / scale(name))
+    assert "averaged over all hypotheses by their probability" in screen(clean)
+    assert "averaged" not in screen(misread)
+    # a claim has the constants of its extended model, other answers the average
+    assert clean.constants == clean.averaged
+    assert misread.constants == misread.extended.constants
+
+
+def scale(name):
+    return 1e9 if name.endswith("_GPa") else 1.0
+
+
 def test_a_false_peak_belongs_to_no_mode_and_later_ones_to_the_mode_before(false_peak):
     rows = document(false_peak)["extended"]["frequencies"]
     assert [row["kind"] for row in rows] == ["bending", "bending", None, *3 * ["bending"]]
