@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 from scipy.stats import chi2
 
+from cpam_bayes.diagnosis.answers.predictive import explains
 from cpam_bayes.diagnosis.evidence.comparison import kept_of
 from cpam_bayes.diagnosis.evidence.scan import Tested
 
@@ -28,6 +29,7 @@ class Fit:
     predicted, predicted_sd, sigma : of all frequencies, plate by plate.
     rms : relative.
     p_value : posterior predictive, of the sum of squared standardised residuals.
+    predictive_p : the same against the stated repeatability, or the prior of one that is inferred.
     log_evidence : prior-weighted over the members.
     log_evidence_error, k_hat : largest of the members that were sampled, ``nan`` where none was.
     draws : (d, n_constants) behind it, equally probable.
@@ -40,6 +42,7 @@ class Fit:
     sigma: Array
     rms: float
     p_value: float
+    predictive_p: float
     log_evidence: float
     log_evidence_error: float
     k_hat: float
@@ -89,6 +92,7 @@ def fit_of(members: Sequence[tuple[Tested, float]], whole: Array) -> Fit:
         sigma=np.sqrt(v.mean(axis=0)),
         rms=float(np.sqrt(np.mean((mean / whole - 1.0) ** 2))),
         p_value=float(np.mean(chi2.sf(chi, len(whole)))),
+        predictive_p=sum(fraction * explains(t) for t, fraction in members),
         log_evidence=float(
             logsumexp(
                 [t.marginal.log_evidence for t, _ in members],

@@ -12,7 +12,7 @@ from cpam_bayes.formatting import listed, significant
 
 __all__ = ["diagnosis_warnings"]
 
-# A posterior predictive p-value this far out says that noise alone does not explain the residuals.
+# A predictive p-value this far out says that noise alone does not explain the residuals.
 _P_LOW = 0.02
 # Fraction of the cases in which the claimed cause must stay ahead without one frequency.
 _STABLE = 0.8
@@ -34,15 +34,17 @@ def diagnosis_warnings(
     if n <= unknowns:
         many = "frequency" if n == 1 else "frequencies"
         problems.append(f"{n} {many} for {unknowns} unknowns: little is left to show what is wrong")
-    if d.claim.kind == NONE and d.baseline.p_value < _P_LOW:
+    inferred = d.weighed.none.marginal.comparison.noise is not None
+    noise = "any repeatability that is believed" if inferred else "the stated repeatability"
+    if d.claim.kind == NONE and d.baseline.predictive_p < _P_LOW:
         problems.append(
-            f"posterior predictive p-value {d.baseline.p_value:.3f}: the residuals are larger than the "
-            "noise explains, although no cause is more probable than none"
+            f"predictive p-value {d.baseline.predictive_p:.2g}: the residuals are larger than {noise} "
+            "explains, although no cause is more probable than none"
         )
-    if d.extended is not None and d.extended.p_value < _P_LOW:
+    if d.extended is not None and d.extended.predictive_p < _P_LOW:
         problems.append(
-            f"posterior predictive p-value {d.extended.p_value:.3f} with the claimed cause: it does not "
-            "explain all of the residuals"
+            f"predictive p-value {d.extended.predictive_p:.2g} with the claimed cause: it does not "
+            f"explain all of the residuals by {noise}"
         )
     if d.gain is not None and d.gain.stable < _STABLE:
         problems.append(

@@ -143,6 +143,7 @@ def _fit(
         "log_evidence_error": fit.log_evidence_error,
         "k_hat": fit.k_hat,
         "posterior_predictive_p_value": fit.p_value,
+        "predictive_p": fit.predictive_p,
         "noise_percent": None if noise is None else {"mean": 100.0 * noise[0], "sd": 100.0 * noise[1]},
         "nuisance": {name: {"mean": mean, "sd": sd} for name, (mean, sd) in nuisance_of(d, fit).items()},
         "missed_modes": [

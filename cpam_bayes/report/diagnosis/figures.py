@@ -60,10 +60,10 @@ def _residuals(result: DiagnosisResult) -> Figure:
         plain = [row for row in before if row.plate == name]
         extended = None if after is None else [row for row in after if row.plate == name]
         _draw_plate(panel, result, i, plain, extended)
-    p = probability_text(d.baseline.p_value)
-    title = f"{_title(d)}: plain model rms {100 * d.baseline.rms:.2f} %, posterior predictive p {p}"
+    p = probability_text(d.baseline.predictive_p)
+    title = f"{_title(d)}: plain model rms {100 * d.baseline.rms:.2f} %, predictive p {p}"
     if d.extended is not None:
-        p = probability_text(d.extended.p_value)
+        p = probability_text(d.extended.predictive_p)
         title += f"; extended model {100 * d.extended.rms:.2f} %, p {p}"
     panels[0].suptitle(title, fontsize=10)
     return figure

@@ -24,6 +24,7 @@ from cpam_bayes.report.diagnosis.rows import (
 from cpam_bayes.report.diagnosis.words import (
     claim_sentence,
     probability_text,
+    repeatability_text,
     size_text,
 )
 from cpam_bayes.report.plates.head import air_text, plate_head
@@ -114,10 +115,10 @@ def _residuals(result: DiagnosisResult) -> Table:
             far.append(i)
         rows.append(tuple(cells))
     rows += _missed_rows(result, len(columns), several, decimals)
-    p = probability_text(d.baseline.p_value)
+    p = probability_text(d.baseline.predictive_p)
     title = (
-        f"What the plain model gets wrong: rms {significant(100 * d.baseline.rms, 3)} %, posterior "
-        f"predictive p {p}; residual = predicted / measured - 1"
+        f"What the plain model gets wrong: rms {significant(100 * d.baseline.rms, 3)} %, predictive p {p} "
+        f"against {repeatability_text(d)}; residual = predicted / measured - 1"
     )
     return Table(title, tuple(columns), tuple(rows), frozenset(far))
 
@@ -271,14 +272,14 @@ def _gain(d: Diagnosis) -> Table:
     before, after = (significant(100 * rms, 3) for rms in (gain.rms_before, gain.rms_after))
     score, se = with_spread(gain.held_out_difference, gain.held_out_se)
     score = score if score.startswith("-") else f"+{score}"
-    p = probability_text(d.extended.p_value)
+    p = probability_text(d.extended.predictive_p)
     rows = (
         ("rms misfit", f"{before} % before, {after} % after"),
         ("log Bayes factor", f"{signed(gain.log_bayes_factor, 1)} against the plain model"),
         ("held-out modes", f"log score {score} +- {se}, each predicted from the others"),
         ("selection", f"repeated without each frequency, among {gain.n_hypotheses} hypotheses"),
         ("stable", f"ahead without one frequency in {100 * gain.stable:.0f} % of the cases"),
-        ("p-value", f"{p}, posterior predictive, with the claimed cause"),
+        ("p-value", f"{p}, predictive, of the extended model against {repeatability_text(d)}"),
     )
     return facts("Gain of the extended model", rows)
 

@@ -10,6 +10,7 @@ from cpam_bayes.formatting import fixed, listed, significant, with_spread
 __all__ = [
     "claim_sentence",
     "probability_text",
+    "repeatability_text",
     "size_text",
 ]
 
@@ -78,6 +79,12 @@ def probability_text(p: float) -> str:
     if p < 0.0005:
         return "< 0.001"
     return "> 0.999" if p > 0.9995 else fixed(p, 3 if p < 0.1 or p > 0.9 else 2)
+
+
+def repeatability_text(d: Diagnosis) -> str:
+    """What the residuals are held against by the predictive p-value."""
+    inferred = d.weighed.none.marginal.comparison.noise is not None
+    return "the believed repeatability" if inferred else "the stated repeatability"
 
 
 def _most_probable(d: Diagnosis) -> tuple[Cause, ...]:

@@ -148,6 +148,13 @@ def test_constants_are_averaged_over_all_hypotheses_in_every_answer(clean, misre
     assert misread.constants == misread.extended.constants
 
 
+def test_residuals_are_held_against_the_stated_repeatability(clean, misread):
+    found = document(misread)
+    assert found["baseline"]["predictive_p"] < 1e-6 < 0.01 < found["extended"]["predictive_p"]
+    assert document(clean)["baseline"]["predictive_p"] > 0.05
+    assert "predictive p < 0.001 against the stated repeatability" in screen(misread)
+
+
 def scale(name):
     return 1e9 if name.endswith("_GPa") else 1.0
 
@@ -225,7 +232,7 @@ def test_doubts_about_a_diagnosis_are_warned_of(misread):
     assert misread.gain is not None
     poor = replace(
         misread,
-        extended=replace(misread.extended, p_value=0.001),
+        extended=replace(misread.extended, predictive_p=0.001),
         gain=replace(misread.gain, stable=0.5),
     )
     found = " ".join(diagnosis_warnings(poor))
