@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from cpam_bayes.parameters import (
+    Mixture,
     Parameter,
     ParameterSet,
     ScaledStudentT,
@@ -29,6 +30,9 @@ PRIORS = [
     ScaledStudentT(1.0, 4.0, -1.0, 5.0),
     ScaledStudentT(1.0, 3.0, 8.0, 20.0),
     ScaledStudentT(1.0, 4.0, 0.1, 0.2),
+    Mixture(ScaledStudentT(2.0, 4.0, -90.0, 90.0), Uniform(-90.0, 90.0), 0.1),
+    Mixture(ScaledStudentT(0.02, 4.0, 0.0, 2.0), ScaledStudentT(0.2, 4.0, 0.0, 2.0), 0.1),
+    Mixture(TruncatedNormal(0.0, 0.1, -0.6, 1.5), ScaledStudentT(0.2, 4.0, -0.6, 1.5), 0.3),
 ]
 
 
@@ -98,6 +102,33 @@ def test_student_t_density_matches_its_textbook_form():
     assert prior.sd == pytest.approx(math.sqrt(2.0), rel=1e-12)
 
 
+MIXTURES = [p for p in PRIORS if isinstance(p, Mixture)]
+
+
+@pytest.mark.parametrize("prior", MIXTURES, ids=str)
+def test_scores_of_a_mixture_and_back(prior):
+    z = np.linspace(-5.0, 5.0, 4001)
+    x = prior.from_normal(z)
+    assert np.all(np.diff(x) > 0.0)
+    np.testing.assert_allclose(prior.to_normal(x), z, rtol=0, atol=1e-9)
+    # the slope is that of the distribution functions, and ends are the bounds
+    h = 1e-4
+    slope = (prior.from_normal(z + h) - prior.from_normal(z - h)) / (2 * h)
+    expected = np.exp(-0.5 * z**2 - prior.log_density(x)) / math.sqrt(2 * math.pi)
+    np.testing.assert_allclose(slope, expected, rtol=1e-5)
+    assert prior.from_normal([-INF, INF]).tolist() == [prior.lower, prior.upper]
+    assert np.isnan(prior.from_normal(np.nan))
+    assert prior.from_normal(0.3).shape == ()
+
+
+@pytest.mark.parametrize("prior", MIXTURES, ids=str)
+def test_a_mixture_is_known_by_its_text(prior):
+    # texts of priors are in the keys of stored models
+    assert eval(repr(prior)) == prior
+    assert hash(eval(repr(prior))) == hash(prior)
+    assert pickle.loads(pickle.dumps(prior)) == prior
+
+
 def test_half_normal_has_its_textbook_moments():
     prior = TruncatedNormal(0.0, 1.0, 0.0, INF)
     assert prior.mean == pytest.approx(math.sqrt(2 / math.pi), rel=1e-13)
@@ -119,6 +150,9 @@ def test_half_normal_has_its_textbook_moments():
         lambda: ScaledStudentT(1.0, 2.0, -1.0, 1.0),
         lambda: ScaledStudentT(0.0, 4.0, -1.0, 1.0),
         lambda: ScaledStudentT(1.0, 4.0, 1.0, 1.0),
+        lambda: Mixture(Uniform(0.0, 1.0), Uniform(0.0, 2.0), 0.1),
+        lambda: Mixture(ScaledStudentT(1.0, 4.0, 0.0, INF), ScaledStudentT(2.0, 4.0, 0.0, INF), 0.1),
+        lambda: Mixture(Uniform(0.0, 1.0), Uniform(0.0, 1.0), 0.0),
     ],
 )
 def test_impossible_priors_are_refused(make):

@@ -87,11 +87,16 @@ class ComposedModel:
         )
 
     def admissible(self, x: Array) -> Array:
-        """Whether parameter vectors (m, n) satisfy the constraints (9) for every plate, (m,) bool."""
+        """Whether parameter vectors (m, n) satisfy the constraints (9) of every plate and of its effects."""
         x = np.atleast_2d(x)
         admissible = np.ones(len(x), dtype=bool)
         for part in self.parts:
-            admissible &= part.bare.admissible(part.plate_vector(x))
+            vector = part.plate_vector(x)
+            admissible &= part.bare.admissible(vector)
+            for change in part.changes:
+                if change.model is not None:
+                    extended = np.column_stack((vector, x[:, list(change.columns)]))
+                    admissible &= change.model.admissible(extended)
         return admissible
 
 

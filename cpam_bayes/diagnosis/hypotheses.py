@@ -12,10 +12,9 @@ from cpam_bayes.effects import (
     ListChange,
     PlateFacts,
     applicable,
-    gross_variant,
     variants,
 )
-from cpam_bayes.effects.effect import PERCENT, one_sided
+from cpam_bayes.effects.effect import GROSS_FRACTION, PERCENT, one_sided
 from cpam_bayes.parameters import Parameter
 
 NONE, OTHER, PAIR = "none", "other", "pair"
@@ -23,8 +22,6 @@ NONE, OTHER, PAIR = "none", "other", "pair"
 # Prior probabilities: that nothing is wrong, that something is which no cause describes, that two causes
 # act at once; the rest is divided evenly over the families, and in a family over its causes.
 P_NONE, P_OTHER, P_PAIR = 0.50, 0.05, 0.02
-# Fraction of a cause's probability that its gross variant has: a transcription error, not a tolerance.
-_GROSS_FRACTION = 0.1
 _NO_ERROR = ListChange()
 # Scatter of all modes that nothing explains.
 DISCREPANCY = one_sided("discrepancy", "", 0.02, end=0.3, shown=PERCENT)
@@ -95,8 +92,8 @@ def single_hypotheses(
         for entries in causes:
             prior, total = whole / len(causes), sum(fraction for _, fraction in entries)
             hypotheses += [replace(h, prior=prior * fraction / total) for h, fraction in entries]
-    # as probable as the most probable other transcription error
-    gross = max((h.prior for h in hypotheses if h.is_gross), default=_GROSS_FRACTION * whole)
+    # a gross error alone: constants of the right material have their tolerances in their priors
+    gross = GROSS_FRACTION * whole
     hypotheses += [
         Hypothesis(effect.name, effect.family, prior=gross, unmodelled=(effect,))
         for effect in possible
@@ -152,15 +149,11 @@ def paired(a: Hypothesis, b: Hypothesis, scale: float) -> Hypothesis:
 
 
 def _of_plate(effect: Effect, facts: PlateFacts) -> list[tuple[Hypothesis, float]]:
-    """Variants of an effect on a plate with their fractions: its places, and as a transcription error."""
-    places, gross = variants(effect, facts), gross_variant(effect)
-    fraction = (1.0 - (_GROSS_FRACTION if gross else 0.0)) / len(places)
-    entries = [(e, fraction) for e in places]
-    if gross:
-        entries.append((gross, _GROSS_FRACTION))
+    """Variants of an effect on a plate with their fractions: its places."""
+    places = variants(effect, facts)
     return [
-        (Hypothesis(e.name, e.family, e.variant, (e,), parameters=e.parameters), fraction)
-        for e, fraction in entries
+        (Hypothesis(e.name, e.family, e.variant, (e,), parameters=e.parameters), 1.0 / len(places))
+        for e in places
     ]
 
 

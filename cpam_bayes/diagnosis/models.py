@@ -18,6 +18,7 @@ from cpam_bayes.forward_model.model import (
     convergence_samples,
     model_on_basis,
     plate_problem,
+    reference_vector,
     size_parameters,
 )
 from cpam_bayes.forward_model.reduced import ReducedModel, ReductionSettings
@@ -43,8 +44,8 @@ _CONTENT: tuple[tuple[Field, tuple[int, int]], ...] = (
 )
 # A normal prior from the plate file is cut here, standard deviations from its mean.
 _CUT = 4.0
-# Of the models: they hold over a narrow prior.
-_REDUCTION = ReductionSettings(tolerance=1e-4, training=48, checks=60, rounds=2)
+# Of the models: checks enough to see, at the corners of the box, modes that a basis lacks altogether.
+_REDUCTION = ReductionSettings(tolerance=1e-4, training=64, checks=240, rounds=2)
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,12 +121,14 @@ def plate_models(
     bare = stored_model(_hash(key, "bare"), problem, samples.x, n_modes, build)
     assert bare.full.basis is not None
     settings, keep = bare.full.basis
+    middle = reference_vector(specimen, parameters)
     facts = PlateFacts.of(
         specimen.plate,
         specimen.material.isotropic,
         loaded=bool(specimen.sensors),
         air_is_known=specimen.air_density is not None,
         has_references=parameters != diagnosis_parameters(specimen, other_material=True),
+        first_frequency=float(bare.predict(middle[None]).frequencies[0, 0]),
     )
     return PlateModels(
         specimen,

@@ -5,7 +5,7 @@ A new effect is one file and one line in ``CATALOGUE``; ``docs/effects.md`` show
 
 from cpam_bayes.effects.air import AIR, add_air
 from cpam_bayes.effects.angles import INNER_PLY_ANGLE, MISORIENTATION, OUTER_PLY_ANGLE
-from cpam_bayes.effects.clamps import CLAMP_ROTATION, CLAMP_SLIP, CLAMP_TRANSLATION
+from cpam_bayes.effects.clamps import CLAMP_ROTATION, CLAMP_SLIP, CLAMP_TRANSLATION, SOFT_CLAMP
 from cpam_bayes.effects.damage import DAMAGE
 from cpam_bayes.effects.effect import (
     Effect,
@@ -13,7 +13,6 @@ from cpam_bayes.effects.effect import (
     ListVariant,
     PlateFacts,
     extend,
-    gross_variant,
     scale_of,
     variants,
 )
@@ -30,6 +29,7 @@ from cpam_bayes.effects.support import SUPPORT
 CATALOGUE: tuple[Effect, ...] = (
     CLAMP_ROTATION,
     CLAMP_TRANSLATION,
+    SOFT_CLAMP,
     CLAMP_SLIP,
     CLAMP_LENGTH,
     SENSOR_MASS,
@@ -74,7 +74,6 @@ __all__ = [
     "add_known_mass",
     "applicable",
     "extend",
-    "gross_variant",
     "scale_of",
     "variants",
 ]

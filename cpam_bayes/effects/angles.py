@@ -8,7 +8,7 @@ from functools import partial
 
 import numpy as np
 
-from cpam_bayes.effects.effect import Effect, PlateFacts, either_sign, with_state
+from cpam_bayes.effects.effect import EVEN, Effect, PlateFacts, either_sign, with_state
 from cpam_bayes.mechanics.problem import Array, PlateState, Problem, Values
 from cpam_bayes.plate.laminate import LaminateGeometry
 
@@ -96,8 +96,7 @@ MISORIENTATION = Effect(
     title="plate cut at an angle to its plies",
     family="layup",
     belongs_to="plate",
-    parameters=(either_sign("misorientation_deg", "deg", 2.0),),
-    gross=(either_sign("misorientation_deg", "deg", 20.0, 90.0),),
+    parameters=(either_sign("misorientation_deg", "deg", 2.0, 90.0, gross=EVEN),),
     note="all angles + alpha",
     check="Measure the angle between an edge and the fibres of a surface ply.",
     change=_misorientation,
@@ -109,7 +108,7 @@ OUTER_PLY_ANGLE = Effect(
     title="outermost plies laid at another angle",
     family="layup",
     belongs_to="plate",
-    parameters=(either_sign("outer_ply_deg", "deg", 5.0),),
+    parameters=(either_sign("outer_ply_deg", "deg", 5.0, 90.0, gross=EVEN),),
     note="the outermost plies of both faces are turned by one angle",
     check="Measure the fibre angle on both faces, and compare the layup sheet.",
     change=partial(_ply_pair, "outer_ply_deg", _outermost),
@@ -121,7 +120,7 @@ INNER_PLY_ANGLE = Effect(
     title="inner plies laid at another angle",
     family="layup",
     belongs_to="plate",
-    parameters=(either_sign("inner_ply_deg", "deg", 20.0, 90.0),),
+    parameters=(either_sign("inner_ply_deg", "deg", 20.0, 90.0, gross=EVEN),),
     note="the second plies from the midplane are turned: bending hardly depends on them",
     check="Compare the layup sheet, or examine a micrograph of an offcut.",
     change=partial(_ply_pair, "inner_ply_deg", _inner),

@@ -103,6 +103,12 @@ def _compliant_springs(
     return stacked(*(_spring(state, i % 2, field, c) for i, field in springs))
 
 
+def _soft(problem: Problem, facts: PlateFacts) -> Problem:
+    """Springs on the rotations and on the translations of the clamped edges."""
+    turning = _compliant("soft_rotation_compliance", "rotation", problem, facts)
+    return _compliant("soft_translation_compliance", "translation", turning, facts)
+
+
 def _slip(problem: Problem, facts: PlateFacts) -> Problem:
     """The grip fades from a fraction of the edge towards its first end.
 
@@ -149,14 +155,14 @@ def _has_clamp(facts: PlateFacts) -> bool:
 
 
 # The springs of one clamp replace its held fields: two of these effects cannot do so together.
-_WAYS = ("clamp_rotation", "clamp_translation", "clamp_slip")
+_WAYS = ("clamp_rotation", "clamp_translation", "soft_clamp", "clamp_slip")
 
 CLAMP_ROTATION = Effect(
     name="clamp_rotation",
     title="clamp that turns with the plate",
     family="clamp",
     belongs_to="test",
-    parameters=(one_sided("rotation_compliance", "", 0.02),),
+    parameters=(one_sided("rotation_compliance", "", 0.02, 2.0, gross=0.2),),
     note="edge springs D11 / (c a) on both rotations",
     check="Tighten the clamp and measure again; rising frequencies confirm it.",
     change=partial(_compliant, "rotation_compliance", "rotation"),
@@ -169,10 +175,26 @@ CLAMP_TRANSLATION = Effect(
     title="clamp that moves with the plate",
     family="clamp",
     belongs_to="test",
-    parameters=(one_sided("translation_compliance", "", 0.002),),
+    parameters=(one_sided("translation_compliance", "", 0.002, 0.2, gross=0.02),),
     note="edge springs D11 / (c a^3) on w, A11 / (c a) on u and v",
     check="Measure the motion of the clamp itself with a second accelerometer.",
     change=partial(_compliant, "translation_compliance", "translation"),
+    applies_to=_has_clamp,
+    sign=-1,
+    excludes=_WAYS,
+)
+SOFT_CLAMP = Effect(
+    name="soft_clamp",
+    title="clamp that gives in rotation and translation",
+    family="clamp",
+    belongs_to="test",
+    parameters=(
+        one_sided("soft_rotation_compliance", "", 0.02, 2.0, gross=0.2),
+        one_sided("soft_translation_compliance", "", 0.002, 0.2, gross=0.02),
+    ),
+    note="both springs at once: D11 / (c a) on the rotations, D11 / (c' a^3) on w, A11 / (c' a) on u and v",
+    check="Clamp the plate between stiffer jaws that reach over the whole edge, and measure again.",
+    change=_soft,
     applies_to=_has_clamp,
     sign=-1,
     excludes=_WAYS,

@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 
 from cpam_bayes.mechanics.problem import Array, PlateState, Problem, StateFunction, Values
-from cpam_bayes.parameters import Parameter, ParameterSet, ScaledStudentT
+from cpam_bayes.parameters import Mixture, Parameter, ParameterSet, Prior, ScaledStudentT, Uniform
 from cpam_bayes.plate.layup import Layup
 from cpam_bayes.plate.records import Plate
 
@@ -22,6 +22,10 @@ Place = tuple[float, float]
 # at this many scales, beyond which 0.13 % of it would lie.
 DEGREES_OF_FREEDOM = 4.0
 _CUT = 8.0
+# Probability that a size is no tolerance but a gross error: a digit misread, a ply turned by 90 degrees, the
+# wrong sheet. Then it has a far wider density, up to the physical limit.
+GROSS_FRACTION = 0.1
+EVEN = np.inf
 
 # How parameters are shown to people: the unit, and the factor from SI.
 PERCENT, GRAM, MILLIMETRE = ("%", 100.0), ("g", 1e3), ("mm", 1e3)
@@ -37,6 +41,7 @@ class PlateFacts:
     loaded : whether known masses break its symmetries
     air_is_known : whether the model contains the air already
     has_references : whether reference values narrow the priors of the constants
+    first_frequency : of the bare plate at its reference constants, Hz, if known
     """
 
     length: float
@@ -48,6 +53,7 @@ class PlateFacts:
     loaded: bool = False
     air_is_known: bool = False
     has_references: bool = False
+    first_frequency: float | None = None
 
     @classmethod
     def of(
@@ -57,10 +63,12 @@ class PlateFacts:
         loaded: bool = False,
         air_is_known: bool = False,
         has_references: bool = False,
+        first_frequency: float | None = None,
     ) -> PlateFacts:
         """The facts of a measured plate."""
         sides = (plate.length, plate.width, plate.thickness)
-        return cls(*sides, plate.layup, plate.edges, isotropic, loaded, air_is_known, has_references)
+        known = (loaded, air_is_known, has_references)
+        return cls(*sides, plate.layup, plate.edges, isotropic, *known, first_frequency)
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,7 +126,6 @@ class Effect:
     drops_references : whether the constants are those of something else than the reference
     applies_to : whether a plate may have it
     size_factor : expected size on a plate over that of the priors in ``parameters``
-    gross : parameters of the gross variant, a transcription error instead of a tolerance
     sign : of the change of every frequency when the parameter grows, 0 if modes differ
     even : whether the slope of the frequencies at the null is zero on plates that have the symmetries of a
         free orthotropic rectangle
@@ -142,7 +149,6 @@ class Effect:
     drops_references: bool = False
     applies_to: Callable[[PlateFacts], bool] = _always
     size_factor: Callable[[PlateFacts], float] | None = None
-    gross: tuple[Parameter, ...] = ()
     sign: Literal[-1, 0, 1] = 0
     even: bool = False
     couples_stretching: bool = False
@@ -179,8 +185,13 @@ class Effect:
 
 def scale_of(parameter: Parameter) -> float:
     """One standard deviation of the catalogue in the parameter's unit; what is known: its prior mean."""
-    prior = parameter.prior
+    prior = tolerance_of(parameter.prior)
     return prior.scale if isinstance(prior, ScaledStudentT) else prior.mean
+
+
+def tolerance_of(prior: Prior) -> Prior:
+    """A prior less its gross part."""
+    return prior.narrow if isinstance(prior, Mixture) else prior
 
 
 def extend(problem: Problem, effect: Effect, facts: PlateFacts) -> Problem:
@@ -223,17 +234,20 @@ def variants(effect: Effect, facts: PlateFacts) -> tuple[Effect, ...]:
     return tuple(placed)
 
 
-def gross_variant(effect: Effect) -> Effect | None:
-    """The effect as a transcription error, if it can be one."""
-    return replace(effect, parameters=effect.gross, variant="gross") if effect.gross else None
-
-
 def _rescaled(parameter: Parameter, factor: float) -> Parameter:
-    prior = parameter.prior
-    if not isinstance(prior, ScaledStudentT):
-        raise TypeError(f"parameter {parameter.name}: received {prior}, accepted: a Student-t to be rescaled")
-    scale, ends = factor * prior.scale, (factor * prior.lower, factor * prior.upper)
-    return replace(parameter, prior=ScaledStudentT(scale, prior.degrees_of_freedom, *ends))
+    return replace(parameter, prior=_stretched(parameter.prior, factor, parameter.name))
+
+
+def _stretched(prior: Prior, factor: float, name: str) -> Prior:
+    if isinstance(prior, Mixture):
+        narrow, wide = (_stretched(p, factor, name) for p in (prior.narrow, prior.wide))
+        return Mixture(narrow, wide, prior.fraction)
+    ends = (factor * prior.lower, factor * prior.upper)
+    if isinstance(prior, ScaledStudentT):
+        return ScaledStudentT(factor * prior.scale, prior.degrees_of_freedom, *ends)
+    if isinstance(prior, Uniform):
+        return Uniform(*ends)
+    raise TypeError(f"parameter {name}: received {prior}, accepted: a Student-t or uniform to be rescaled")
 
 
 def either_sign(
@@ -242,20 +256,44 @@ def either_sign(
     scale: float,
     end: float | tuple[float, float] | None = None,
     *,
+    gross: float | None = None,
     shown: tuple[str, float] | None = None,
 ) -> Parameter:
-    """A parameter of either sign with the catalogue's prior; end : of the prior, both if not symmetric."""
+    """A parameter of either sign with the catalogue's prior.
+
+    end : of the prior, both if not symmetric
+    gross : scale of gross errors, ``EVEN`` where all sizes up to the ends are equally probable then
+    """
     end = _CUT * scale if end is None else end
     low, high = end if isinstance(end, tuple) else (-end, end)
-    return Parameter(name, unit, ScaledStudentT(scale, DEGREES_OF_FREEDOM, low, high), 0.0, shown)
+    return Parameter(name, unit, _prior(scale, gross, low, high), 0.0, shown)
 
 
 def one_sided(
-    name: str, unit: str, scale: float, end: float | None = None, *, shown: tuple[str, float] | None = None
+    name: str,
+    unit: str,
+    scale: float,
+    end: float | None = None,
+    *,
+    gross: float | None = None,
+    shown: tuple[str, float] | None = None,
 ) -> Parameter:
-    """A parameter that can only add, with the catalogue's prior."""
+    """A parameter that can only add, with the catalogue's prior; gross as of ``either_sign``."""
     end = _CUT * scale if end is None else end
-    return Parameter(name, unit, ScaledStudentT(scale, DEGREES_OF_FREEDOM, 0.0, end), 0.0, shown)
+    return Parameter(name, unit, _prior(scale, gross, 0.0, end), 0.0, shown)
+
+
+def per_thickness(facts: PlateFacts) -> float:
+    """Factor of sizes that the catalogue gives for a plate of 2 mm and that grow with the thickness."""
+    return facts.thickness / 2e-3
+
+
+def _prior(scale: float, gross: float | None, low: float, high: float) -> Prior:
+    tolerance = ScaledStudentT(scale, DEGREES_OF_FREEDOM, low, high)
+    if gross is None:
+        return tolerance
+    wide = Uniform(low, high) if gross == EVEN else ScaledStudentT(gross, DEGREES_OF_FREEDOM, low, high)
+    return Mixture(tolerance, wide, GROSS_FRACTION)
 
 
 def with_state(problem: Problem, change: Callable[[PlateState, Values], PlateState]) -> Problem:

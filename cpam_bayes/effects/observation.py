@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cpam_bayes.effects.effect import PERCENT, Effect, either_sign, one_sided
+from cpam_bayes.effects.effect import EVEN, PERCENT, Effect, either_sign, one_sided
 from cpam_bayes.mechanics.problem import Array, Values
 
 
@@ -28,7 +28,7 @@ FREQUENCY_SCALE = Effect(
     title="frequency scale of the analyser",
     family="size",
     belongs_to="laboratory",
-    parameters=(either_sign("frequency_deviation", "", 0.002, shown=PERCENT),),
+    parameters=(either_sign("frequency_deviation", "", 0.002, 0.1, gross=EVEN, shown=PERCENT),),
     note="all frequencies by one factor, after the plate; stiffer moduli would do the same",
     check="Measure the signal of a calibrated generator.",
     observe=_scaled,
@@ -39,7 +39,7 @@ VISCOELASTIC = Effect(
     title="stiffness that grows with frequency",
     family="damping",
     belongs_to="material",
-    parameters=(one_sided("loss_tangent", "", 0.01),),
+    parameters=(one_sided("loss_tangent", "", 0.01, 0.3, gross=0.05),),
     note="d ln f = (tan delta / pi) ln(f / f_1), after the plate",
     check="Measure the modal damping: the loss tangent is twice the damping ratio.",
     observe=_stiffened,

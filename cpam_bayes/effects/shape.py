@@ -9,7 +9,16 @@ from math import comb
 import numpy as np
 from numpy.polynomial import polynomial
 
-from cpam_bayes.effects.effect import MILLIMETRE, PERCENT, Effect, PlateFacts, either_sign, with_state
+from cpam_bayes.effects.effect import (
+    EVEN,
+    MILLIMETRE,
+    PERCENT,
+    Effect,
+    PlateFacts,
+    either_sign,
+    per_thickness,
+    with_state,
+)
 from cpam_bayes.mechanics.problem import (
     LAMINATE_FORMS,
     MASS_FORMS,
@@ -160,7 +169,7 @@ def _tapered(name: str, axis: str, side: str) -> Effect:
         title=f"thickness that grows along {axis}",
         family="shape",
         belongs_to="plate",
-        parameters=(either_sign(name, "", 0.03, shown=PERCENT),),
+        parameters=(either_sign(name, "", 0.03, 0.6, gross=EVEN, shown=PERCENT),),
         note=f"h (1 + t s), s from -1 to 1; of first order where edges {axis} = 0 and {axis} = {side} differ",
         check=f"Gauge the thickness at both ends in {axis}.",
         change=partial(_taper, name, axis),
@@ -178,7 +187,7 @@ SKEW = Effect(
     title="corners that are not square",
     family="shape",
     belongs_to="plate",
-    parameters=(either_sign("skew_deg", "deg", 1.0),),
+    parameters=(either_sign("skew_deg", "deg", 1.0, 20.0, gross=EVEN),),
     note="gradients of a parallelogram; the plies stay along x",
     check="Measure both diagonals.",
     change=_skew,
@@ -190,10 +199,11 @@ WARP = Effect(
     title="plate that is not flat",
     family="shape",
     belongs_to="plate",
-    parameters=(either_sign("sag", "m", 0.5e-3, shown=MILLIMETRE),),
+    parameters=(either_sign("sag", "m", 0.5e-3, 8e-3, gross=EVEN, shown=MILLIMETRE),),
     note="shallow cap, kappa = 8 s / a^2 and 8 s / b^2: it stretches when it bends",
     check="Lay the plate on a surface plate and gauge its sag.",
     change=_warp,
+    size_factor=per_thickness,
     even=True,
     couples_stretching=True,
 )

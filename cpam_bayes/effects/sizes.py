@@ -28,9 +28,8 @@ def _scaled_size(size: str, parameter: str, state: PlateState, values: Values) -
 
 def _relative(
     name: str,
-    sd: float,
+    deviation: Parameter,
     *,
-    gross: Parameter,
     title: str,
     note: str,
     check: str,
@@ -41,19 +40,17 @@ def _relative(
         title=title,
         family="size",
         belongs_to="plate",
-        parameters=(either_sign(gross.name, "", sd, shown=PERCENT),),
-        gross=(gross,),
+        parameters=(deviation,),
         note=note,
         check=check,
-        change=_scaled(name, gross.name),
+        change=_scaled(name, deviation.name),
         sign=sign,
     )
 
 
 THICKNESS = _relative(
     "thickness",
-    0.01,
-    gross=either_sign("thickness_deviation", "", 0.2, (-0.6, 1.5), shown=PERCENT),
+    either_sign("thickness_deviation", "", 0.01, (-0.6, 1.5), gross=0.2, shown=PERCENT),
     title="thickness other than stated",
     note="h (1 + deviation): thin-plate frequencies grow with h, as with stiffer moduli",
     check="Gauge the thickness at ten points or more.",
@@ -61,8 +58,7 @@ THICKNESS = _relative(
 )
 DENSITY = _relative(
     "density",
-    0.01,
-    gross=either_sign("density_deviation", "", 0.2, (-0.8, 2.0), shown=PERCENT),
+    either_sign("density_deviation", "", 0.01, (-0.8, 2.0), gross=0.2, shown=PERCENT),
     title="density other than stated",
     note="rho (1 + deviation): frequencies fall with rho^-1/2, as with softer moduli",
     check="Weigh the plate and state its mass.",
@@ -70,16 +66,14 @@ DENSITY = _relative(
 )
 LENGTH = _relative(
     "length",
-    0.002,
-    gross=either_sign("length_deviation", "", 0.05, shown=PERCENT),
+    either_sign("length_deviation", "", 0.002, 0.4, gross=0.05, shown=PERCENT),
     title="length other than stated",
     note="a (1 + deviation)",
     check="Measure the length along both edges.",
 )
 WIDTH = _relative(
     "width",
-    0.002,
-    gross=either_sign("width_deviation", "", 0.05, shown=PERCENT),
+    either_sign("width_deviation", "", 0.002, 0.4, gross=0.05, shown=PERCENT),
     title="width other than stated",
     note="b (1 + deviation)",
     check="Measure the width along both edges.",
@@ -108,8 +102,7 @@ CLAMP_LENGTH = Effect(
     title="free length other than stated",
     family="clamp",
     belongs_to="test",
-    parameters=(either_sign("clamp_shift", "m", 0.5e-3, shown=MILLIMETRE),),
-    gross=(either_sign("clamp_shift", "m", 5e-3, shown=MILLIMETRE),),
+    parameters=(either_sign("clamp_shift", "m", 0.5e-3, 40e-3, gross=5e-3, shown=MILLIMETRE),),
     note="a + delta, of the side across the clamp",
     check="Measure the free length from the jaws of the clamp.",
     change=_clamp_length,

@@ -14,6 +14,7 @@ from cpam_bayes.effects.effect import (
     PlateFacts,
     either_sign,
     one_sided,
+    per_thickness,
     with_state,
 )
 from cpam_bayes.mechanics.problem import Array, PlateState, Problem, Values
@@ -81,16 +82,12 @@ def _is_composite(facts: PlateFacts) -> bool:
     return not facts.isotropic
 
 
-def _has_room_for_skins(facts: PlateFacts) -> bool:
-    return not facts.isotropic and facts.thickness > 1e-3
-
-
 TRANSVERSE_SHEAR = Effect(
     name="transverse_shear",
     title="transverse shear stiffness other than computed",
     family="stiffness",
     belongs_to="material",
-    parameters=(either_sign("log_shear_factor", "", 0.3),),
+    parameters=(either_sign("log_shear_factor", "", 0.3, 2.4, gross=0.8),),
     note="A_s exp(t): nothing on thin plates, the higher modes of thick ones",
     check="Measure further, higher modes; they depend on it most.",
     change=_transverse_shear,
@@ -101,7 +98,7 @@ SHEAR_RATIO = Effect(
     title="G13 other than assumed",
     family="stiffness",
     belongs_to="material",
-    parameters=(either_sign("shear_ratio_deviation", "", 0.25, 0.8, shown=PERCENT),),
+    parameters=(either_sign("shear_ratio_deviation", "", 0.25, (-0.8, 2.0), gross=0.5, shown=PERCENT),),
     note="G13 (1 + r), which is G12 unless given",
     check="Look up G13 of the material, or test a short beam.",
     change=_shear_ratio,
@@ -113,10 +110,11 @@ RESIN_SKIN = Effect(
     title="layers of resin on the faces",
     family="stiffness",
     belongs_to="plate",
-    parameters=(one_sided("skin_thickness", "m", 50e-6, 250e-6, shown=MICROMETRE),),
+    parameters=(one_sided("skin_thickness", "m", 50e-6, 400e-6, shown=MICROMETRE),),
     note="plies fill h - 2 t, cured epoxy the rest: all bending modes fall alike, the constants absorb it",
     check="Examine a micrograph of the cross-section.",
     change=_resin_skin,
-    applies_to=_has_room_for_skins,
+    applies_to=_is_composite,
+    size_factor=per_thickness,
     sign=-1,
 )

@@ -12,7 +12,7 @@ from cpam_bayes.parameters import Parameter
 
 BEGIN, END = "<!-- catalogue -->", "<!-- end of the catalogue -->"
 _SIGNS = {1: "rise", -1: "fall", 0: "either"}
-_RECORD = ("cause", "what it is", "family", "of the", "parameter", "1 sd", "frequencies", "not with")
+_RECORD = ("cause", "what it is", "family", "of the", "parameter", "1 sd", "up to", "frequencies", "not with")
 _NOTES = ("cause", "how it enters", "what to check in the laboratory")
 
 
@@ -26,9 +26,9 @@ def _record(effect: Effect) -> tuple[str, ...]:
     places = f", at {len(effect.places)} places" if effect.places else ""
     parameters = [f"{p.name}{' >= 0' if p.prior.lower >= 0.0 else ''}{places}" for p in effect.parameters]
     sizes = [_size(p) for p in effect.parameters]
-    sizes += [f"or {_size(p)} by a transcription error" for p in effect.gross]
+    ends = [_ends(p) for p in effect.parameters]
     others = [name for name in effect.excludes if name != effect.name]
-    texts = (", ".join(t) or "-" for t in (parameters, sizes))
+    texts = (", ".join(t) or "-" for t in (parameters, sizes, ends))
     sign = _SIGNS[effect.sign] if effect.parameters else "-"
     of = (effect.name, effect.title, effect.family, effect.belongs_to)
     return (*of, *texts, sign, ", ".join(others) or "-")
@@ -37,6 +37,13 @@ def _record(effect: Effect) -> tuple[str, ...]:
 def _size(parameter: Parameter) -> str:
     unit, factor = parameter.display
     return f"{factor * scale_of(parameter):g} {unit}".rstrip()
+
+
+def _ends(parameter: Parameter) -> str:
+    unit, factor = parameter.display
+    low, high = factor * parameter.prior.lower, factor * parameter.prior.upper
+    text = f"{high:g}" if low == 0.0 else f"+-{high:g}" if low == -high else f"{low:g}, {high:g}"
+    return f"{text} {unit}".rstrip()
 
 
 def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:

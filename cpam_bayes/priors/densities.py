@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import betaln, ndtr, ndtri, stdtr, stdtrit
 
-__all__ = ["Prior", "ScaledStudentT", "TruncatedNormal", "Uniform"]
+__all__ = ["Prior", "Quantiles", "ScaledStudentT", "TruncatedNormal", "Uniform"]
 
 Floats = NDArray[np.float64]
 
@@ -69,7 +69,7 @@ class Prior(Protocol):
         ...
 
 
-class _Distribution:
+class Quantiles:
     """Distribution function and quantiles through the standard normal, where both tails are accurate."""
 
     __slots__ = ()
@@ -91,7 +91,7 @@ class _Distribution:
         """z with Phi(z) = F(x), accurate in both tails, infinite on the bounds, (...) -> (...)."""
 
 
-class _Truncated(_Distribution):
+class _Truncated(Quantiles):
     """A density of location and scale, cut at bounds."""
 
     __slots__ = ("_known_cut",)
@@ -168,7 +168,7 @@ class _Truncated(_Distribution):
 
 
 @dataclass(frozen=True, slots=True)
-class Uniform(_Distribution):
+class Uniform(Quantiles):
     """Equal density between two bounds, in the parameter's unit.
 
     raises ValueError when the bounds are not finite or not ascending
