@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from cpam_bayes.diagnosis.answers.averaged import averaged_constants
 from cpam_bayes.diagnosis.answers.gain import Gain, gain_of
+from cpam_bayes.diagnosis.answers.prior_sensitivity import PriorSensitivity, prior_sensitivity
 from cpam_bayes.diagnosis.cases import hypotheses_of
 from cpam_bayes.diagnosis.claim import Claim, claim_of
 from cpam_bayes.diagnosis.evidence.marginal import Marginal
@@ -78,6 +79,7 @@ class Diagnosis:
     extended, gain : ``None`` where nothing is claimed
     signatures : by cause, of its best variant
     averaged : parameters of the plain model over all hypotheses, mean, sd, 2.5 % and 97.5 % quantile, SI
+    sensitivity : of probabilities and claim to the scales of the priors
     """
 
     cases: tuple[PlateCase, ...]
@@ -90,6 +92,7 @@ class Diagnosis:
     gain: Gain | None
     signatures: Mapping[str, Signature]
     averaged: Mapping[str, tuple[float, float, float, float]]
+    sensitivity: PriorSensitivity
     seconds: float
 
     @property
@@ -148,6 +151,7 @@ def diagnose_cases(
         found_gain,
         signatures,
         averaged_constants(weighed),
+        prior_sensitivity(weighed, claim, lambda other: _claim(other, _reweighed(causes, other))),
         time.perf_counter() - start,
     )
 
@@ -214,6 +218,15 @@ def _bias(none: Marginal, signature: Signature) -> dict[str, float]:
     dx = none.comparison.scores.slope(x[None], none.comparison.scores.to_z(x[None]))[0]
     names = none.comparison.model.parameters.names
     return {name: float(signature.bias[i] * dx[i] / x[i]) for i, name in enumerate(names) if x[i] != 0.0}
+
+
+def _reweighed(causes: Sequence[Cause], weighed: Weighed) -> list[Cause]:
+    """The causes with the probabilities and Bayes factors of other priors."""
+    probability = weighed.by_cause()
+    return [
+        replace(c, probability=probability[c.name], log_bayes_factor=weighed.log_bayes_factor((c.name,)))
+        for c in causes
+    ]
 
 
 def _claim(weighed: Weighed, causes: Sequence[Cause]) -> Claim:

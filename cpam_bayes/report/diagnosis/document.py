@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from cpam_bayes import __version__
+from cpam_bayes.diagnosis.claim import Claim
 from cpam_bayes.diagnosis.diagnose import Cause, Diagnosis
 from cpam_bayes.diagnosis.evidence.weighing import Tested
 from cpam_bayes.diagnosis.extension import Resampled
@@ -30,6 +31,9 @@ from cpam_bayes.report.diagnosis.rows import (
 )
 from cpam_bayes.report.diagnosis.words import claim_sentence
 
+# Keys of the answers with other scales of the priors.
+_SCALES = ("scales_times_3", "scales_divided_by_3")
+
 
 def document(result: DiagnosisResult) -> dict[str, Any]:
     """The JSON document of `diagnose`."""
@@ -45,6 +49,8 @@ def document(result: DiagnosisResult) -> dict[str, Any]:
         "causes": list(d.claim.causes),
         "probability": d.claim.probability,
         "sentence": claim_sentence(d),
+        "claim_stands": d.sensitivity.claim_stands,
+        "claims_by_prior_scales": dict(zip(_SCALES, map(_claim, d.sensitivity.claims), strict=True)),
         "hypotheses": [_hypothesis(d, cause) for cause in d.causes],
         "baseline": _fit(d, d.baseline, ((d.weighed.none, 1.0),), result.plain),
         "extended": _extended(result),
@@ -62,10 +68,18 @@ def document(result: DiagnosisResult) -> dict[str, Any]:
     }
 
 
+def _claim(claim: Claim) -> dict[str, Any]:
+    return {"claim": claim.kind, "causes": list(claim.causes), "probability": claim.probability}
+
+
 def _hypothesis(d: Diagnosis, cause: Cause) -> dict[str, Any]:
     return {
         "cause": cause.name,
         "probability": cause.probability,
+        "probability_range": {
+            scales: probability[cause.name]
+            for scales, probability in zip(_SCALES, d.sensitivity.probabilities, strict=True)
+        },
         "log_bayes_factor": cause.log_bayes_factor,
         "log_evidence_error": cause.log_evidence_error,
         "k_hat": cause.k_hat,

@@ -25,6 +25,7 @@ from cpam_bayes.report.diagnosis.words import (
     claim_sentence,
     probability_text,
     repeatability_text,
+    sensitivity_sentence,
     size_text,
 )
 from cpam_bayes.report.plates.head import air_text, plate_head
@@ -84,6 +85,7 @@ def _claim(d: Diagnosis, candidates: Sequence[Candidate]) -> tuple[str, ...]:
             sentences.append(f"Its signature is that of {alike} too; the priors of their sizes favour it.")
     if d.claim.kind == "undecided" and candidates:
         sentences.append("A further test would tell more than another fit: see what to measure next.")
+    sentences.append(sensitivity_sentence(d))
     return tuple(sentences)
 
 
@@ -161,7 +163,8 @@ def _causes(d: Diagnosis) -> Table:
     several = len(d.cases) > 1
     columns = list(headed("cause", "variant"))
     columns += headed("of") if several else []
-    columns += headed("#probability", "#log Bayes factor", "size, mean and sd", "indistinguishable from")
+    columns += headed("#probability", "#scales x 3", "#scales / 3", "#log Bayes factor")
+    columns += headed("size, mean and sd", "indistinguishable from")
     rows, claimed = [], []
     shown = leading(d, _LEAST, _MOST)
     for i, cause in enumerate(shown):
@@ -169,6 +172,7 @@ def _causes(d: Diagnosis) -> Table:
         cells += [_plates(d, cause)] if several else []
         cells += [
             probability_text(cause.probability),
+            *(probability_text(p[cause.name]) for p in d.sensitivity.probabilities),
             "0" if cause.name == NONE else signed(cause.log_bayes_factor, 1),
             _size(cause),
             _alike(cause),
@@ -183,9 +187,9 @@ def _causes(d: Diagnosis) -> Table:
         rows.append(
             (
                 f"{further} more",
-                *((width - 4) * ("",)),
+                *((width - 6) * ("",)),
                 probability_text(rest),
-                *(3 * ("",)),
+                *(5 * ("",)),
             )
         )
     return Table("Causes, posterior probability", tuple(columns), tuple(rows), frozenset(claimed))

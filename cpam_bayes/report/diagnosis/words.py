@@ -11,6 +11,7 @@ __all__ = [
     "claim_sentence",
     "probability_text",
     "repeatability_text",
+    "sensitivity_sentence",
     "size_text",
 ]
 
@@ -85,6 +86,19 @@ def repeatability_text(d: Diagnosis) -> str:
     """What the residuals are held against by the predictive p-value."""
     inferred = d.weighed.none.marginal.comparison.noise is not None
     return "the believed repeatability" if inferred else "the stated repeatability"
+
+
+def sensitivity_sentence(d: Diagnosis) -> str:
+    """What becomes of the claim with other scales of the priors."""
+    inferred = d.weighed.none.marginal.comparison.noise is not None
+    scales = "prior scales of causes and noise" if inferred else "prior scales of the causes"
+    if d.sensitivity.claim_stands:
+        return f"The claim is the same with the {scales} times 3 and divided by 3."
+    changed = [
+        f"{how} it is {claim.kind}{': ' + listed(claim.causes, 'and') if claim.causes else ''}"
+        for how, claim in zip(("times 3", "divided by 3"), d.sensitivity.claims, strict=True)
+    ]
+    return f"The claim depends on the {scales}: {', '.join(changed)}."
 
 
 def _most_probable(d: Diagnosis) -> tuple[Cause, ...]:

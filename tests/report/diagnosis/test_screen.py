@@ -155,6 +155,28 @@ def test_residuals_are_held_against_the_stated_repeatability(clean, misread):
     assert "predictive p < 0.001 against the stated repeatability" in screen(misread)
 
 
+def test_probabilities_are_repeated_with_other_scales_of_the_priors(clean, misread):
+    for d in (clean, misread):
+        found = document(d)
+        assert found["claim_stands"] is d.sensitivity.claim_stands
+        for scales in ("scales_times_3", "scales_divided_by_3"):
+            ranges = [h["probability_range"][scales] for h in found["hypotheses"]]
+            assert sum(ranges) == pytest.approx(1.0, abs=1e-9)
+            assert set(found["claims_by_prior_scales"][scales]) == {"claim", "causes", "probability"}
+    assert document(misread)["claim_stands"] is True
+    assert "The claim is the same with the prior scales of the causes times 3 and divided by 3." in screen(
+        misread
+    )
+    other = replace(
+        misread.sensitivity,
+        claim_stands=False,
+        claims=(Claim("none", (), 0.6), Claim("class", ("outlier", "warp"), 0.95)),
+    )
+    text = screen(replace(misread, sensitivity=other))
+    assert "depends on the prior scales of the causes: times 3 it is none" in text
+    assert "divided by 3 it is class: outlier and warp." in text
+
+
 def scale(name):
     return 1e9 if name.endswith("_GPa") else 1.0
 

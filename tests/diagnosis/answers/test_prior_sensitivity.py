@@ -1,0 +1,93 @@
+"""Probabilities with other priors: against evidences in closed form."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from cpam_bayes.diagnosis.answers.prior_sensitivity import FACTORS, prior_sensitivity, rescaled, reweighed
+from cpam_bayes.diagnosis.claim import Claim, claim_of
+from cpam_bayes.diagnosis.evidence import weighing
+from cpam_bayes.diagnosis.hypotheses import NONE, OTHER, Hypothesis
+from cpam_bayes.inference.noise import NOISE_PRIOR
+from cpam_bayes.parameters import ScaledStudentT, TruncatedNormal, Uniform
+from tests.diagnosis.toy_plates import (
+    BUMP,
+    F0,
+    NOISE,
+    SCATTER,
+    A,
+    Array,
+    a_list,
+    case,
+    cause,
+    exact_log_evidence,
+    hypothesis,
+    straight,
+    whole_normal,
+)
+
+NOTHING = Hypothesis(NONE, NONE, prior=0.5)
+BENT = cause("bent", whole_normal(0.02))
+
+
+def weighed(f: Array, relative: float | None = NOISE) -> weighing.Weighed:
+    own = case(a_list(f, relative), [(BENT, straight(BUMP))])
+    return weighing.weigh([own], [(NOTHING, (0,)), (hypothesis(BENT, 0.1), (0,))], pairs=False)
+
+
+@pytest.mark.parametrize("factor", FACTORS)
+@pytest.mark.parametrize("size", [0.0, 0.006, 0.02])
+def test_probabilities_are_those_of_the_other_prior(size: float, factor: float) -> None:
+    f = F0 * (1.0 + A @ [0.03, -0.04] + size * BUMP) * (1.0 + NOISE * SCATTER)
+    found = weighed(f)
+    other = reweighed(found, factor)
+    plain = exact_log_evidence(f, NOISE * f)
+    expected = exact_log_evidence(f, NOISE * f, (BUMP, factor * 0.02)) - plain
+    exact = exact_log_evidence(f, NOISE * f, (BUMP, 0.02)) - plain
+    bent = other.best_of("bent")
+    # the approximation of the evidence itself is not what is tested
+    missed = found.best_of("bent").log_bayes_factor - exact
+    assert bent.log_bayes_factor - missed == pytest.approx(expected, abs=0.08)
+    odds = 0.2 * np.exp(bent.log_bayes_factor)
+    assert bent.probability == pytest.approx(odds / (1.0 + odds), rel=1e-9)
+    assert sum(t.probability for t in other.tested) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("factor", FACTORS)
+def test_the_prior_of_an_inferred_repeatability_is_scaled_too(factor: float) -> None:
+    f = F0 * (1.0 + A @ [0.03, -0.04]) * (1.0 + NOISE * SCATTER)
+    found = weighed(f, None)
+    a = np.geomspace(1e-5, 0.3, 2001)
+
+    def over(factor: float, *directions: tuple[Array, float]) -> float:
+        each = np.array([exact_log_evidence(f, s * f, *directions) for s in a])
+        density = np.exp(each + rescaled(NOISE_PRIOR, factor).log_density(a))
+        return float(np.log(np.trapezoid(density, a)))
+
+    other = reweighed(found, factor)
+    expected = over(factor, (BUMP, factor * 0.02)) - over(factor)
+    missed = found.best_of("bent").log_bayes_factor - (over(1.0, (BUMP, 0.02)) - over(1.0))
+    assert other.best_of("bent").log_bayes_factor - missed == pytest.approx(expected, abs=0.1)
+
+
+def test_a_claim_stands_if_it_is_the_same_with_all_scales() -> None:
+    def claim(w: weighing.Weighed) -> Claim:
+        probability = {**w.by_cause(), OTHER: 0.0}
+        factors = {c: w.log_bayes_factor((c,)) for c in w.by_cause()} | {OTHER: -np.inf}
+        return claim_of(probability, factors, {c: frozenset() for c in probability}, {})
+
+    for size, stands in ((0.0, True), (0.03, True), (0.006, False)):
+        found = weighed(F0 * (1.0 + A @ [0.03, -0.04] + size * BUMP) * (1.0 + NOISE * SCATTER))
+        sensitivity = prior_sensitivity(found, claim(found), claim)
+        assert sensitivity.claim_stands is stands
+        assert len(sensitivity.claims) == len(sensitivity.probabilities) == len(FACTORS)
+        assert all(sum(p.values()) == pytest.approx(1.0) for p in sensitivity.probabilities)
+
+
+def test_bounds_are_kept_and_places_stay_as_they_are() -> None:
+    student = ScaledStudentT(0.1, 4.0, 0.0, 0.8)
+    assert rescaled(student, 3.0) == ScaledStudentT(0.3, 4.0, 0.0, 0.8)
+    assert rescaled(TruncatedNormal(1.0, 0.1, 0.0, 2.0), 3.0) == TruncatedNormal(1.0, 0.3, 0.0, 2.0)
+    place = Uniform(0.0, 1.0)
+    assert rescaled(place, 3.0) is place
