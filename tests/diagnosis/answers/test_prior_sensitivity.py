@@ -86,8 +86,8 @@ def test_a_claim_stands_if_it_is_the_same_with_all_scales() -> None:
 
 
 def test_bounds_are_kept_and_places_stay_as_they_are() -> None:
-    student = ScaledStudentT(0.1, 4.0, 0.0, 0.8)
-    assert rescaled(student, 3.0) == ScaledStudentT(0.3, 4.0, 0.0, 0.8)
-    assert rescaled(TruncatedNormal(1.0, 0.1, 0.0, 2.0), 3.0) == TruncatedNormal(1.0, 0.3, 0.0, 2.0)
+    student = ScaledStudentT(0.5, 4.0, 0.0, 8.0)
+    assert rescaled(student, 3.0) == ScaledStudentT(1.5, 4.0, 0.0, 8.0)
+    assert rescaled(TruncatedNormal(1.0, 0.5, 0.0, 2.0), 3.0) == TruncatedNormal(1.0, 1.5, 0.0, 2.0)
     place = Uniform(0.0, 1.0)
     assert rescaled(place, 3.0) is place
