@@ -12,7 +12,7 @@ from scipy.special import logsumexp
 
 from cpam_bayes.diagnosis.claim import Claim
 from cpam_bayes.diagnosis.evidence.weighing import Tested, Weighed
-from cpam_bayes.parameters import Prior, ScaledStudentT, TruncatedNormal
+from cpam_bayes.parameters import Mixture, Prior, ScaledStudentT, TruncatedNormal
 
 Array = NDArray[Any]
 
@@ -66,7 +66,12 @@ def reweighed(weighed: Weighed, factor: float) -> Weighed:
 
 
 def rescaled(prior: Prior, factor: float) -> Prior:
-    """A prior with its scale multiplied, its bounds kept; one without a scale as it is."""
+    """A prior with its scale multiplied, its bounds kept; one without a scale as it is.
+
+    Of a size that may be a gross error the tolerance is rescaled.
+    """
+    if isinstance(prior, Mixture):
+        return replace(prior, narrow=rescaled(prior.narrow, factor))
     if isinstance(prior, ScaledStudentT | TruncatedNormal):
         return replace(prior, scale=factor * prior.scale)
     return prior

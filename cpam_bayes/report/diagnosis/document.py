@@ -16,8 +16,8 @@ from cpam_bayes.diagnosis.hypotheses import NONE, OTHER
 from cpam_bayes.diagnosis.next_test.next_measurement import Candidate
 from cpam_bayes.diagnosis.paired_modes import FrequencyRow, PairedFit
 from cpam_bayes.diagnosis.plates import DiagnosisResult
-from cpam_bayes.parameters import Parameter
-from cpam_bayes.priors import ScaledStudentT
+from cpam_bayes.effects.effect import tolerance_of
+from cpam_bayes.parameters import Mixture, Parameter, Prior, ScaledStudentT, TruncatedNormal
 from cpam_bayes.report.diagnosis.rows import (
     ConstantRow,
     absorbed_biases,
@@ -273,15 +273,22 @@ def _priors(d: Diagnosis) -> dict[str, Any]:
 
 
 def _effect_prior(p: Parameter) -> dict[str, Any]:
+    """The prior of a size: of its tolerance, and of the gross error that it may be."""
     unit, factor = p.display
-    prior = p.prior
-    shape = "Student-t" if isinstance(prior, ScaledStudentT) else "truncated normal"
-    scale = prior.scale if isinstance(prior, ScaledStudentT) else prior.sd
+    gross = None
+    if isinstance(p.prior, Mixture):
+        gross = {"fraction": p.prior.fraction, **_density(p.prior.wide, factor)}
     return {
-        "kind": shape,
-        "mean": factor * prior.mean,
-        "scale": factor * scale,
-        "lower": factor * prior.lower,
-        "upper": factor * prior.upper,
+        "mean": factor * p.prior.mean,
+        **_density(tolerance_of(p.prior), factor),
+        "gross": gross,
+        "lower": factor * p.prior.lower,
+        "upper": factor * p.prior.upper,
         "unit": unit,
     }
+
+
+def _density(prior: Prior, factor: float) -> dict[str, Any]:
+    kinds: dict[type, str] = {ScaledStudentT: "Student-t", TruncatedNormal: "truncated normal"}
+    scale = prior.scale if isinstance(prior, ScaledStudentT) else prior.sd
+    return {"kind": kinds.get(type(prior), "uniform"), "scale": factor * scale}

@@ -10,7 +10,7 @@ from cpam_bayes.diagnosis.claim import Claim, claim_of
 from cpam_bayes.diagnosis.evidence import weighing
 from cpam_bayes.diagnosis.hypotheses import NONE, OTHER, Hypothesis
 from cpam_bayes.inference.noise import NOISE_PRIOR
-from cpam_bayes.parameters import ScaledStudentT, TruncatedNormal, Uniform
+from cpam_bayes.parameters import Mixture, ScaledStudentT, TruncatedNormal, Uniform
 from tests.diagnosis.toy_plates import (
     BUMP,
     F0,
@@ -89,5 +89,7 @@ def test_bounds_are_kept_and_places_stay_as_they_are() -> None:
     student = ScaledStudentT(0.5, 4.0, 0.0, 8.0)
     assert rescaled(student, 3.0) == ScaledStudentT(1.5, 4.0, 0.0, 8.0)
     assert rescaled(TruncatedNormal(1.0, 0.5, 0.0, 2.0), 3.0) == TruncatedNormal(1.0, 1.5, 0.0, 2.0)
+    wide = Uniform(0.0, 8.0)
+    assert rescaled(Mixture(student, wide, 0.1), 3.0) == Mixture(rescaled(student, 3.0), wide, 0.1)
     place = Uniform(0.0, 1.0)
     assert rescaled(place, 3.0) is place

@@ -233,6 +233,8 @@ def test_priors_of_families_causes_and_sizes_are_told(clean):
     assert priors["families"]["size"]["frequency_scale"] > 0
     size = priors["effects"]["frequency_scale"]["frequency_deviation"]
     assert (size["kind"], size["scale"], size["unit"]) == ("Student-t", 0.2, "%")
+    gross = size["gross"]
+    assert gross is None or (gross["fraction"], gross["scale"] > 1.0) == (0.1, True)
 
 
 def test_every_claim_has_its_own_sentence(clean):
