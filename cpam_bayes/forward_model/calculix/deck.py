@@ -90,8 +90,8 @@ def plate_deck(
     """
     plate = specimen.plate
     _check(specimen, element, n_modes, in_plane)
-    card = _material_card(constants, plate.density)
-    angles, heights = _runs(plate)
+    card = material_card(constants, plate.density)
+    angles, heights = ply_runs(plate)
     if element == "shell":
         lines = _lines(specimen, in_plane or _SHELLS_IN_PLANE)
         mesh, owner = shell_mesh(*lines), np.zeros(1, dtype=np.int64)
@@ -104,9 +104,9 @@ def plate_deck(
     n_rigid = rigid_body_count(plate.edges)
     parts = [
         _heading(specimen, element),
-        _nodes(mesh),
+        node_block(mesh),
         *_elements(mesh, owner, _TYPE[element]),
-        *(_orientation(k, angle) for k, angle in enumerate(unique)),
+        *(orientation_card(k, angle) for k, angle in enumerate(unique)),
         card,
         *(
             [_shell_section(heights, which)]
@@ -115,7 +115,7 @@ def plate_deck(
         ),
         *_masses(specimen, mesh),
         *_boundaries(plate.edges, mesh, element),
-        "*NSET, NSET=SURFACES\n" + _list_of(mesh.surfaces.ravel().tolist()),
+        "*NSET, NSET=SURFACES\n" + integer_lines(mesh.surfaces.ravel().tolist()),
         f"*STEP\n*FREQUENCY\n{n_modes + n_rigid}",
         "*NODE PRINT, NSET=SURFACES\nU\n*END STEP",
     ]
@@ -141,7 +141,7 @@ def _check(specimen: Specimen, element: str, n_modes: int, in_plane: int | None)
         )
 
 
-def _runs(plate: Plate) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def ply_runs(plate: Plate) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Angles (m,) degrees and thicknesses (m,) m of the runs of equal neighbouring plies."""
     angles = plate.layup.angles_deg
     starts = np.concatenate(([0], np.flatnonzero(np.diff(angles)) + 1, [len(angles)]))
@@ -172,7 +172,13 @@ def _check_size(lines: tuple[NDArray[np.float64], ...], n_layers: int) -> None:
         )
 
 
-def _material_card(constants: Mapping[str, float], density: float) -> str:
+def material_card(constants: Mapping[str, float], density: float, name: str = "PLY") -> str:
+    """The card of a ply's material, with E3 = E2, nu13 = nu12 and nu23 by eq. (6).
+
+    constants, density : as for `plate_deck`; kg/m3.
+
+    Raises ValueError for constants that are incomplete or that no material can have.
+    """
     missing = [name for name in CONSTANTS if name not in constants]
     if missing:
         raise ValueError(
@@ -191,12 +197,12 @@ def _material_card(constants: Mapping[str, float], density: float) -> str:
     engineering = (E1, E2, E2, nu12, nu12, nu23, G12, G13, G23)
     return "\n".join(
         [
-            "*MATERIAL, NAME=PLY",
+            f"*MATERIAL, NAME={name}",
             "*ELASTIC, TYPE=ENGINEERING CONSTANTS",
-            _numbers(engineering[:8]),
-            _numbers(engineering[8:]),
+            number_line(engineering[:8]),
+            number_line(engineering[8:]),
             "*DENSITY",
-            _numbers([density]),
+            number_line([density]),
         ]
     )
 
@@ -224,9 +230,10 @@ def _heading(specimen: Specimen, element: Element) -> str:
     )
 
 
-def _nodes(mesh: PlateMesh) -> str:
+def node_block(mesh: PlateMesh) -> str:
+    """The card of all nodes, set ALL."""
     rows = enumerate(mesh.nodes.tolist(), start=1)
-    return "\n".join(["*NODE, NSET=ALL", *(f"{n}, {_numbers(xyz)}" for n, xyz in rows)])
+    return "\n".join(["*NODE, NSET=ALL", *(f"{n}, {number_line(xyz)}" for n, xyz in rows)])
 
 
 def _elements(mesh: PlateMesh, owner: NDArray[np.int64], kind: str) -> Iterable[str]:
@@ -235,18 +242,19 @@ def _elements(mesh: PlateMesh, owner: NDArray[np.int64], kind: str) -> Iterable[
     for layer, run in zip(mesh.elements, owner.tolist(), strict=True):
         yield f"*ELEMENT, TYPE={kind}, ELSET=PLIES_{run + 1}"
         for number, nodes in enumerate(layer.tolist(), start=first):
-            yield f"{number}, " + _list_of(nodes, first_line=15)
+            yield f"{number}, " + integer_lines(nodes, first_line=15)
         first += len(layer)
 
 
-def _orientation(index: int, angle_deg: float) -> str:
+def orientation_card(index: int, angle_deg: float) -> str:
+    """Axes of plies turned by an angle from x, named ANGLE_1 for index 0."""
     c, s = np.cos(np.deg2rad(angle_deg)), np.sin(np.deg2rad(angle_deg))
     axes = np.round([c, s, 0.0, -s, c, 0.0], 12) + 0.0
     return "\n".join(
         [
             f"** {angle_deg:g} degrees from x",
             f"*ORIENTATION, NAME=ANGLE_{index + 1}, SYSTEM=RECTANGULAR",
-            _numbers(axes.tolist()),
+            number_line(axes.tolist()),
         ]
     )
 
@@ -267,7 +275,7 @@ def _masses(specimen: Specimen, mesh: PlateMesh) -> Iterable[str]:
     for k, sensor in enumerate(specimen.sensors, start=1):
         node = mesh.node_at(sensor.x, sensor.y)
         yield f"*ELEMENT, TYPE=MASS, ELSET=SENSOR_{k}\n{number + k}, {node}"
-        yield f"*MASS, ELSET=SENSOR_{k}\n{_numbers([sensor.mass])}"
+        yield f"*MASS, ELSET=SENSOR_{k}\n{number_line([sensor.mass])}"
 
 
 def _boundaries(edges: str, mesh: PlateMesh, element: Element) -> Iterable[str]:
@@ -278,15 +286,16 @@ def _boundaries(edges: str, mesh: PlateMesh, element: Element) -> Iterable[str]:
             held = [d for d in held if d <= 3]
         if not held:
             continue
-        yield f"*NSET, NSET=EDGE_{name.upper()}\n" + _list_of(mesh.edges[name].tolist())
+        yield f"*NSET, NSET=EDGE_{name.upper()}\n" + integer_lines(mesh.edges[name].tolist())
         yield "*BOUNDARY\n" + "\n".join(f"EDGE_{name.upper()}, {d}" for d in held)
 
 
-def _numbers(values: Iterable[float]) -> str:
+def number_line(values: Iterable[float]) -> str:
+    """Numbers as both programs read them, on one line."""
     return ", ".join(f"{v:{_NUMBER}}" for v in values)
 
 
-def _list_of(numbers: list[int], first_line: int = 16) -> str:
+def integer_lines(numbers: list[int], first_line: int = 16) -> str:
     """Numbers, at most 16 a line as ABAQUS reads them; a line that goes on ends in a comma."""
     cuts = [0, *range(first_line, len(numbers), 16), len(numbers)]
     rows = (numbers[a:b] for a, b in pairwise(cuts))

@@ -1,0 +1,111 @@
+"""The error of first-order theory against three dimensions, by rule and on bricks."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import cpam_bayes as cb
+from cpam_bayes.forward_model.calculix import solve_specimen
+from cpam_bayes.forward_model.model import reference_constants
+from cpam_bayes.forward_model.theory_error import edge_layer, shear_frequency, theory_error
+from cpam_bayes.plate import Specimen
+from cpam_bayes.plate.layup import parse_layup
+
+SAVED = Path(__file__).parents[2] / "studies" / "results" / "16_theory_error.json"
+
+
+def carbon(layup: str, edges: str = "FFFF", thickness_mm: float = 3.6) -> Specimen:
+    return cb.read_plate(
+        {
+            "name": "plate",
+            "plate": {
+                "length_mm": 240.0,
+                "width_mm": 180.0,
+                "thickness_mm": thickness_mm,
+                "density_kg_m3": 1580.0,
+                "layup": layup,
+                "edges": edges,
+            },
+            "material": {"isotropic": False, "E1_GPa": 130.0, "E2_GPa": 9.0, "nu12": 0.3, "G12_GPa": 5.0},
+        }
+    )
+
+
+def test_shear_frequency_is_that_of_its_definition() -> None:
+    wave = np.sqrt(5e9 / 1580.0)
+    found = shear_frequency(carbon("[0]"), [100.0, 200.0])
+    assert_allclose(found, 2 * np.pi * np.array([100.0, 200.0]) * 3.6e-3 / wave, rtol=1e-12)
+
+
+@pytest.mark.parametrize("layup", ["[0]", "[30_4]", "[90]"])
+def test_plies_that_are_all_alike_leave_no_stress_at_a_free_edge(layup: str) -> None:
+    assert edge_layer(carbon(layup), 0) < 1e-12
+    assert edge_layer(carbon(layup), 1) < 1e-12
+
+
+def test_edge_layer_of_a_turned_plate_is_that_of_the_other_edge() -> None:
+    here, turned = carbon("[0/30/-60/90]"), carbon("[90/-60/30/0]")
+    assert edge_layer(here, 0) == pytest.approx(edge_layer(turned, 1), rel=1e-9)
+
+
+def test_edge_layer_is_thin_where_plies_alternate_often() -> None:
+    few, many = (edge_layer(carbon(f"[0/45/-45/90]_{n}s"), 0) for n in (1, 3))
+    assert 0.1 < many / few < 0.4
+
+
+def test_only_free_edges_have_a_layer() -> None:
+    f = [100.0]
+    held, free = (theory_error(carbon("[0/45/-45/90]_s", e), f)[0] for e in ("CCCC", "FFFF"))
+    assert held < 2e-4
+    assert free > 10 * held
+
+
+def test_error_grows_with_thickness_and_frequency() -> None:
+    thin, thick = (theory_error(carbon("[0/90]_2s", "FFFF", h), [500.0, 1500.0]) for h in (1.2, 7.2))
+    assert np.all(thick > thin)
+    assert thick[1] > thick[0]
+
+
+def test_a_layup_with_unknown_angles_is_refused() -> None:
+    plate = carbon("[0/90]_2s")
+    unknown = replace(plate, plate=replace(plate.plate, layup=parse_layup("[?/90]_s")))
+    with pytest.raises(ValueError, match="known layup"):
+        theory_error(unknown, [100.0])
+
+
+def test_rule_covers_what_bricks_show() -> None:
+    # The rule is one number for a plate's scatter: root mean squares of ten modes lie within a factor of
+    # 2.5 of it, less the error of the bricks themselves.
+    for case in json.loads(SAVED.read_text(encoding="utf-8"))["cases"]:
+        error, bricks, rule = (
+            np.sqrt(np.mean([m[key] ** 2 for m in case["modes"]]))
+            for key in ("difference_percent", "bricks_error_percent", "rule_percent")
+        )
+        assert error - bricks < 2.5 * rule, case["case"]
+        assert error + bricks + 0.01 > rule / 2.5, case["case"]
+
+
+def test_saved_rule_is_the_rule() -> None:
+    cases = json.loads(SAVED.read_text(encoding="utf-8"))["cases"]
+    (case,) = (c for c in cases if c["case"] == "carbon, quasi-isotropic, FFFF, h/b = 1/50")
+    f = [m["ritz_hz"] for m in case["modes"]]
+    rule = [m["rule_percent"] / 100 for m in case["modes"]]
+    assert_allclose(theory_error(carbon("[0/45/-45/90]_s"), f), rule, rtol=1e-9)
+
+
+@pytest.mark.slow
+@pytest.mark.needs_ccx
+def test_free_edges_of_turned_plies_are_softer_in_three_dimensions() -> None:
+    plate = carbon("[0/45/-45/90]_s", thickness_mm=7.2)
+    ritz = cb.forward(plate, 4).frequencies
+    bricks = solve_specimen(plate, reference_constants(plate), 4, in_plane=100)
+    difference = ritz / bricks - 1.0
+    assert np.all(difference > 0.0)
+    # a mesh of 100 elements in the plane is within 0.05 % in these modes
+    assert difference.max() == pytest.approx(0.8e-2, abs=0.05e-2)
