@@ -16,7 +16,6 @@ from cpam_bayes.diagnosis.models import PlateModels, extended_model, plate_model
 from cpam_bayes.effects import Effect
 from cpam_bayes.effects.frequency_list import MISREADING
 from cpam_bayes.forward_model.reduced import ReducedModel
-from cpam_bayes.forward_model.theory_error import theory_error
 from cpam_bayes.inference.noise import NOISE_PRIOR
 from cpam_bayes.inference.posterior import ForwardModel
 from cpam_bayes.inference.standard_normal import NormalScores
@@ -161,8 +160,7 @@ def _part(
             modes = np.where(modes >= missed, modes + 1, modes)
         if listed.misread is not None:
             misread = (listed.misread, joint.add(MISREADING))
-    solver_error = models.error[np.minimum(modes, len(models.error) - 1)]
-    error = np.hypot(solver_error, theory_error(models.specimen, f[kept]))
+    error = np.hypot(models.error, models.theory_error)[np.minimum(modes, len(models.error) - 1)]
     part = Part(bare, np.array(columns), np.array(scatter), tuple(changes), modes, misread)
     return part, _listed(case.measurement, kept, error, log_constant)
 

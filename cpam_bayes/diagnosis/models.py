@@ -24,6 +24,7 @@ from cpam_bayes.forward_model.model import (
 from cpam_bayes.forward_model.reduced import ReducedModel, ReductionSettings
 from cpam_bayes.forward_model.reduction import reduce
 from cpam_bayes.forward_model.store import model_key, stored_model
+from cpam_bayes.forward_model.theory_error import theory_error
 from cpam_bayes.mechanics.convergence import converge
 from cpam_bayes.mechanics.problem import Field, Problem
 from cpam_bayes.mechanics.spaces.ritz import RitzSettings
@@ -56,6 +57,7 @@ class PlateModels:
     problem : the bare plate
     settings, keep : its converged space
     error : (n_modes,) of that space, relative
+    theory_error : (n_modes,) of first-order theory at the reference constants, relative
     bare : its reduced model
     key : hash of all of that
     """
@@ -68,6 +70,7 @@ class PlateModels:
     settings: RitzSettings
     keep: Array
     error: Array
+    theory_error: Array
     n_modes: int
     bare: ReducedModel
     key: str
@@ -139,6 +142,7 @@ def plate_models(
         settings,
         keep,
         bare.full.error,
+        theory_error(specimen, bare.predict(samples.x[:1]).frequencies[0]),
         n_modes,
         bare,
         key,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
 from typing import Any, Final
 
 import numpy as np
@@ -68,8 +67,6 @@ def theory_error(specimen: Specimen, frequencies: ArrayLike) -> Array:
     return np.asarray(np.sqrt(_FLOOR**2 + _by_free_edges(specimen) ** 2 + by_shear**2))
 
 
-# A diagnosis asks for the error of one plate under hundreds of hypotheses.
-@lru_cache(maxsize=64)
 def _by_free_edges(specimen: Specimen) -> float:
     plate = specimen.plate
     if plate.layup.n_unknown:

@@ -131,6 +131,7 @@ def case(
         unused,
         unused,
         np.zeros(n_modes),
+        np.zeros(n_modes),
         n_modes,
         plate_model(n_modes),  # type: ignore[arg-type]
         name,

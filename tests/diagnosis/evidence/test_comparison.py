@@ -119,11 +119,14 @@ def test_noise_that_is_given_for_each_frequency_overrules_the_relative_one() -> 
     assert comparison.noise is None
 
 
-def test_the_solvers_error_adds_to_the_variance() -> None:
+def test_errors_of_the_solver_and_of_the_theory_add_to_the_variance() -> None:
     plate = case(a_list(NOISY, 0.003))
     rough = replace(plate, models=replace(plate.models, error=np.full(len(F0), 0.004)))
     comparison = comparison_of([rough], Hypothesis("none", "none"))
     np.testing.assert_allclose(comparison.variance(np.ones((1, 2)))[0], (0.005 * NOISY) ** 2, rtol=1e-12)
+    rough = replace(rough, models=replace(rough.models, theory_error=np.full(len(F0), 0.012)))
+    comparison = comparison_of([rough], Hypothesis("none", "none"))
+    np.testing.assert_allclose(comparison.variance(np.ones((1, 2)))[0], (0.013 * NOISY) ** 2, rtol=1e-12)
 
 
 def test_a_frequency_left_out_takes_its_own_factor_away_and_no_other() -> None:
