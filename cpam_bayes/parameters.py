@@ -9,9 +9,25 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cpam_bayes.priors import Mixture, Prior, ScaledStudentT, TruncatedNormal, Uniform
+from cpam_bayes.priors import (
+    Mixture,
+    Prior,
+    ScaledStudentT,
+    TruncatedLogNormal,
+    TruncatedNormal,
+    Uniform,
+)
 
-__all__ = ["Mixture", "Parameter", "ParameterSet", "Prior", "ScaledStudentT", "TruncatedNormal", "Uniform"]
+__all__ = [
+    "Mixture",
+    "Parameter",
+    "ParameterSet",
+    "Prior",
+    "ScaledStudentT",
+    "TruncatedLogNormal",
+    "TruncatedNormal",
+    "Uniform",
+]
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,6 +11,7 @@ from cpam_bayes.parameters import (
     Parameter,
     ParameterSet,
     ScaledStudentT,
+    TruncatedLogNormal,
     TruncatedNormal,
     Uniform,
 )
@@ -30,6 +31,7 @@ PRIORS = [
     ScaledStudentT(1.0, 4.0, -1.0, 5.0),
     ScaledStudentT(1.0, 3.0, 8.0, 20.0),
     ScaledStudentT(1.0, 4.0, 0.1, 0.2),
+    TruncatedLogNormal(0.002, 0.8, 1e-5, 0.02),
     Mixture(ScaledStudentT(2.0, 4.0, -90.0, 90.0), Uniform(-90.0, 90.0), 0.1),
     Mixture(ScaledStudentT(0.02, 4.0, 0.0, 2.0), ScaledStudentT(0.2, 4.0, 0.0, 2.0), 0.1),
     Mixture(TruncatedNormal(0.0, 0.1, -0.6, 1.5), ScaledStudentT(0.2, 4.0, -0.6, 1.5), 0.3),
@@ -102,7 +104,7 @@ def test_student_t_density_matches_its_textbook_form():
     assert prior.sd == pytest.approx(math.sqrt(2.0), rel=1e-12)
 
 
-MIXTURES = [p for p in PRIORS if isinstance(p, Mixture)]
+MIXTURES = [p for p in PRIORS if isinstance(p, Mixture | TruncatedLogNormal)]
 
 
 @pytest.mark.parametrize("prior", MIXTURES, ids=str)
@@ -116,7 +118,7 @@ def test_scores_of_a_mixture_and_back(prior):
     slope = (prior.from_normal(z + h) - prior.from_normal(z - h)) / (2 * h)
     expected = np.exp(-0.5 * z**2 - prior.log_density(x)) / math.sqrt(2 * math.pi)
     np.testing.assert_allclose(slope, expected, rtol=1e-5)
-    assert prior.from_normal([-INF, INF]).tolist() == [prior.lower, prior.upper]
+    assert prior.from_normal([-INF, INF]) == pytest.approx([prior.lower, prior.upper], rel=1e-12, abs=1e-15)
     assert np.isnan(prior.from_normal(np.nan))
     assert prior.from_normal(0.3).shape == ()
 
@@ -150,6 +152,7 @@ def test_half_normal_has_its_textbook_moments():
         lambda: ScaledStudentT(1.0, 2.0, -1.0, 1.0),
         lambda: ScaledStudentT(0.0, 4.0, -1.0, 1.0),
         lambda: ScaledStudentT(1.0, 4.0, 1.0, 1.0),
+        lambda: TruncatedLogNormal(0.002, 0.8, 0.0, 0.02),
         lambda: Mixture(Uniform(0.0, 1.0), Uniform(0.0, 2.0), 0.1),
         lambda: Mixture(ScaledStudentT(1.0, 4.0, 0.0, INF), ScaledStudentT(2.0, 4.0, 0.0, INF), 0.1),
         lambda: Mixture(Uniform(0.0, 1.0), Uniform(0.0, 1.0), 0.0),

@@ -46,6 +46,10 @@ class ComparedPosterior(Posterior):
         sigma = np.sqrt(self.comparison.variance(x))
         return np.asarray(sigma[:, :, None] + np.zeros(predicted.shape[1]))
 
+    def log_likelihood(self, x: Array) -> Array:
+        """Log likelihood of parameter vectors (m, n_parameters), discrepancies correlated, (m,)."""
+        return self.comparison.log_likelihood(x)
+
 
 @dataclass(frozen=True, slots=True)
 class SampledMember:

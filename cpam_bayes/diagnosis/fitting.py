@@ -16,15 +16,16 @@ from cpam_bayes.diagnosis.models import PlateModels, extended_model, plate_model
 from cpam_bayes.effects import Effect
 from cpam_bayes.effects.frequency_list import MISREADING
 from cpam_bayes.forward_model.reduced import ReducedModel
-from cpam_bayes.inference.noise import NOISE_PRIOR
 from cpam_bayes.inference.posterior import ForwardModel
 from cpam_bayes.inference.standard_normal import NormalScores
-from cpam_bayes.parameters import Parameter, ParameterSet, TruncatedNormal
+from cpam_bayes.parameters import Parameter, ParameterSet, TruncatedLogNormal, TruncatedNormal
 from cpam_bayes.plate import Measurement
 
 Array = NDArray[Any]
 
-NOISE = Parameter("relative_std", "", NOISE_PRIOR)
+# Repeatability of a list that does not state it: docs/priors.md says where it is from.
+REPEATABILITY_PRIOR = TruncatedLogNormal(0.002, 0.8, 1e-5, 0.02)
+NOISE = Parameter("relative_std", "", REPEATABILITY_PRIOR)
 # Relative scatter of a constant from plate to plate of one material, standard deviation.
 SCATTER = 0.02
 
@@ -97,7 +98,8 @@ def comparison_of(
         parts.append(part)
         lists.append(listed)
     model = ComposedModel(ParameterSet(tuple(joint.parameters)), tuple(parts))
-    return _compared(model, lists, joint, next(iter(of_plate.values()), None))
+    names = [case.name for case in cases]
+    return _compared(model, lists, names, joint, next(iter(of_plate.values()), None))
 
 
 @dataclass(slots=True)
@@ -179,24 +181,38 @@ def _listed(measurement: Measurement, kept: Array, error: Array, log_constant: f
 
 
 def _compared(
-    model: ComposedModel, lists: list[Listed], joint: _Joint, hypothesis: Hypothesis | None
+    model: ComposedModel,
+    lists: list[Listed],
+    names: list[str],
+    joint: _Joint,
+    hypothesis: Hypothesis | None,
 ) -> Comparison:
     listed = Listed(
         np.concatenate([one.frequencies for one in lists]),
         np.concatenate([one.variance for one in lists]),
         np.concatenate([one.scale for one in lists]),
         sum(one.log_constant for one in lists),
+        np.repeat(np.arange(len(lists)), [len(one.frequencies) for one in lists]),
     )
-    parameters = list(joint.parameters)
-    noise = discrepancy = None
-    if listed.scale.any():
-        noise = len(parameters)
-        parameters.append(NOISE)
+    parameters, amplitudes = list(joint.parameters), []
+    for i, one in enumerate(lists):
+        inferred = bool(one.scale.any())
+        amplitudes.append(len(parameters) if inferred else -1)
+        if inferred:
+            parameters.append(NOISE if len(lists) == 1 else _repeatability(names, i))
+    discrepancy, length = None, 0.0
     if hypothesis is not None and hypothesis.cause == OTHER:
-        discrepancy = len(parameters)
+        discrepancy, length = len(parameters), hypothesis.correlation_length
         parameters.append(hypothesis.parameters[0])
     every = ParameterSet(tuple(parameters))
-    return Comparison(model, listed, every, NormalScores(every), noise, discrepancy)
+    scores = NormalScores(every)
+    return Comparison(model, listed, every, scores, tuple(amplitudes), discrepancy, length)
+
+
+def _repeatability(names: list[str], i: int) -> Parameter:
+    """That of one list of several, each of which is from a test of its own."""
+    number = f", list {i + 1}" if names.count(names[i]) > 1 else ""
+    return replace(NOISE, name=f"{NOISE.name} of {names[i]}{number}")
 
 
 def effect_columns(comparison: Comparison, hypothesis: Hypothesis) -> tuple[int, ...]:

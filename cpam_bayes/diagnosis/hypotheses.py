@@ -24,7 +24,10 @@ NONE, OTHER, PAIR = "none", "other", "pair"
 P_NONE, P_OTHER, P_PAIR = 0.50, 0.05, 0.02
 _NO_ERROR = ListChange()
 # Scatter of all modes that nothing explains.
-DISCREPANCY = one_sided("discrepancy", "", 0.02, end=0.3, shown=PERCENT)
+DISCREPANCY = one_sided("discrepancy", "", 0.01, end=0.5, shown=PERCENT)
+# Over which ratio of frequencies, as a logarithm, it is much the same: white, or an error of the model that
+# changes slowly from mode to mode (Kennedy and O'Hagan, J. R. Statist. Soc. B 63, 2001).
+CORRELATION_LENGTHS = {"white": 0.0, "smooth, over 0.25 in ln f": 0.25, "smooth, over 0.8 in ln f": 0.8}
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +41,7 @@ class Hypothesis:
     parameters : of all of these
     prior : probability of this variant
     unmodelled : effects that have no model: on the list, or on what is known of the constants
+    correlation_length : of a discrepancy, over ln f; 0 where it is white
     """
 
     cause: str
@@ -48,6 +52,7 @@ class Hypothesis:
     parameters: tuple[Parameter, ...] = ()
     prior: float = 0.0
     unmodelled: tuple[Effect, ...] = ()
+    correlation_length: float = 0.0
 
     @property
     def records(self) -> tuple[Effect, ...]:
@@ -80,7 +85,17 @@ def single_hypotheses(
 ) -> tuple[Hypothesis, ...]:
     """None, other and every single cause that a plate with a list of so many frequencies may have."""
     hypotheses = [Hypothesis(NONE, NONE, prior=P_NONE)]
-    hypotheses.append(Hypothesis(OTHER, OTHER, parameters=(DISCREPANCY,), prior=P_OTHER))
+    hypotheses += [
+        Hypothesis(
+            OTHER,
+            OTHER,
+            variant,
+            parameters=(DISCREPANCY,),
+            prior=P_OTHER / len(CORRELATION_LENGTHS),
+            correlation_length=length,
+        )
+        for variant, length in CORRELATION_LENGTHS.items()
+    ]
     possible = applicable(facts, catalogue)
     families: dict[str, list[list[tuple[Hypothesis, float]]]] = defaultdict(list)
     for effect in (e for e in possible if not e.drops_references):

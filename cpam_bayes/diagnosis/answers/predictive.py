@@ -58,15 +58,14 @@ def _refitted(comparison: Comparison, z: Array, amplitudes: Array) -> tuple[Arra
     """
     f = comparison.listed.frequencies
     a = max(len(amplitudes), 1)
-    held = [c for c in (comparison.noise, comparison.discrepancy) if c is not None]
-    free = np.delete(np.arange(z.shape[1]), held)
+    free = np.delete(np.arange(z.shape[1]), comparison.nuisance)
     x = comparison.scores.to_x(z)
     predicted, jacobian = comparison.predict(x, jacobian=True)
     assert jacobian is not None
     slope = (jacobian * comparison.scores.slope(x, z)[:, None, :])[:, :, free]
     at = np.repeat(x[:, None], a, axis=1)
     if comparison.noise is not None:
-        at[:, :, comparison.noise] = amplitudes
+        at[:, :, [c for c in comparison.amplitudes if c >= 0]] = amplitudes[:, None]
     sigma = np.sqrt(comparison.variance(at.reshape(len(z) * a, -1))).reshape(len(z), a, -1)
     scaled = slope[:, None] / sigma[..., None]
     residual = (f - predicted)[:, None] / sigma

@@ -12,7 +12,7 @@ from scipy.special import logsumexp
 
 from cpam_bayes.diagnosis.claim import Claim
 from cpam_bayes.diagnosis.evidence.weighing import Tested, Weighed
-from cpam_bayes.parameters import Mixture, Prior, ScaledStudentT, TruncatedNormal
+from cpam_bayes.parameters import Mixture, Prior, ScaledStudentT, TruncatedLogNormal, TruncatedNormal
 
 Array = NDArray[Any]
 
@@ -74,6 +74,8 @@ def rescaled(prior: Prior, factor: float) -> Prior:
         return replace(prior, narrow=rescaled(prior.narrow, factor))
     if isinstance(prior, ScaledStudentT | TruncatedNormal):
         return replace(prior, scale=factor * prior.scale)
+    if isinstance(prior, TruncatedLogNormal):
+        return replace(prior, median=factor * prior.median)
     return prior
 
 
@@ -81,7 +83,7 @@ def _log_ratio(t: Tested, factor: float) -> float:
     """ln Z' / Z of one hypothesis."""
     comparison, draws = t.marginal.comparison, t.marginal.draws
     log_weight = np.array(t.marginal.log_weight)
-    columns = [*t.columns, *(() if comparison.noise is None else (comparison.noise,))]
+    columns = [*t.columns, *(c for c in comparison.amplitudes if c >= 0)]
     for column in columns:
         prior = comparison.parameters.parameters[column].prior
         x = draws[:, column]

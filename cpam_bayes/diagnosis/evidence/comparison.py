@@ -16,26 +16,50 @@ from cpam_bayes.parameters import ParameterSet
 Array = NDArray[Any]
 
 
+# Fraction of a smooth discrepancy's variance that is common to neighbouring modes; the rest is white.
+SMOOTH_FRACTION = 0.95
+
+
 @dataclass(frozen=True, slots=True)
 class Listed:
     """Measured frequencies of all lists and their noise.
 
-    sigma_i^2 = variance_i + (a scale_i)^2 + (tau f_i)^2, with the amplitude a where it is inferred and
-    the discrepancy tau where a hypothesis has one. log_constant : log probability of what the model does
-    not predict, false peaks for instance.
+    sigma_i^2 = variance_i + (a scale_i)^2, with the amplitude a of the list where it is inferred.
+    log_constant : log probability of what the model does not predict, false peaks for instance.
 
     frequencies, variance, scale : (n,) Hz, Hz^2, Hz; scale is zero where the noise is given.
+    lists : (n,) number of the list that each is from.
     """
 
     frequencies: Array
     variance: Array
     scale: Array
     log_constant: float = 0.0
+    lists: Array | None = None
+
+    @property
+    def of(self) -> Array:
+        """Number of the list that each frequency is from, (n,)."""
+        return np.zeros(len(self.frequencies), dtype=int) if self.lists is None else self.lists
 
     def without(self, i: int) -> Listed:
         """The list less one frequency."""
         kept = np.arange(len(self.frequencies)) != i
-        return Listed(self.frequencies[kept], self.variance[kept], self.scale[kept], self.log_constant)
+        return Listed(
+            self.frequencies[kept], self.variance[kept], self.scale[kept], self.log_constant, self.of[kept]
+        )
+
+    def correlation(self, length: float) -> Array:
+        """Correlation of a discrepancy between the frequencies, (n, n); length over ln f, 0 if white.
+
+        rho exp(-(ln f_i - ln f_j)^2 / (2 length^2)) + (1 - rho) delta_ij within a list, none between lists.
+        """
+        n = len(self.frequencies)
+        if length == 0.0:
+            return np.eye(n)
+        apart = np.subtract.outer(np.log(self.frequencies), np.log(self.frequencies)) / length
+        alike = np.exp(-0.5 * apart**2) * np.equal.outer(self.of, self.of)
+        return np.asarray(SMOOTH_FRACTION * alike + (1.0 - SMOOTH_FRACTION) * np.eye(n))
 
 
 def kept_of(whole: Array, listed: Array) -> Array:
@@ -54,8 +78,13 @@ def kept_of(whole: Array, listed: Array) -> Array:
 class Comparison:
     """A model against lists.
 
+    Residuals are Gaussian with the covariance diag(sigma^2) + tau^2 F R F, F = diag(f) and R the correlation
+    of a discrepancy between the model and the plate (Kennedy and O'Hagan, J. R. Statist. Soc. B 63, 2001).
+
     parameters : those of the model, then those of the noise.
-    noise, discrepancy : columns of a and tau, or ``None``.
+    amplitudes : column of each list's repeatability, -1 where it is given.
+    discrepancy : column of tau, or ``None``.
+    correlation_length : of the discrepancy over ln f, 0 where it is white.
     left_out : a frequency of the model that the list lacks on purpose, or ``None``.
     """
 
@@ -63,9 +92,21 @@ class Comparison:
     listed: Listed
     parameters: ParameterSet
     scores: NormalScores
-    noise: int | None
+    amplitudes: tuple[int, ...]
     discrepancy: int | None
+    correlation_length: float = 0.0
     left_out: int | None = None
+
+    @property
+    def noise(self) -> int | None:
+        """Column of the first repeatability that is inferred, or ``None``."""
+        return next((column for column in self.amplitudes if column >= 0), None)
+
+    @property
+    def nuisance(self) -> tuple[int, ...]:
+        """Columns of all amplitudes of noise and discrepancy."""
+        of_noise = tuple(column for column in self.amplitudes if column >= 0)
+        return of_noise if self.discrepancy is None else (*of_noise, self.discrepancy)
 
     def predict(self, x: Array, *, jacobian: bool = False) -> tuple[Array, Array | None]:
         """Frequencies (m, n_f) of the list at parameters (m, n), derivatives over these."""
@@ -80,13 +121,17 @@ class Comparison:
         return f, slope
 
     def variance(self, x: Array) -> Array:
-        """sigma^2 of every frequency at parameters (m, n), (m, n_f) Hz^2."""
-        variance = np.broadcast_to(self.listed.variance, (len(x), len(self.listed.variance)))
-        if self.noise is not None:
-            variance = variance + (x[:, self.noise, None] * self.listed.scale) ** 2
+        """sigma^2 of every frequency at parameters (m, n), discrepancy included, (m, n_f) Hz^2."""
+        variance = self._independent(x)
         if self.discrepancy is not None:
             variance = variance + (x[:, self.discrepancy, None] * self.listed.frequencies) ** 2
         return variance
+
+    def covariance(self, x: Array) -> Array:
+        """Covariance of all frequencies at parameters (m, n), (m, n_f, n_f) Hz^2."""
+        if self.discrepancy is None:
+            return np.asarray(self._independent(x)[:, :, None] * np.eye(len(self.listed.frequencies)))
+        return self._with_discrepancy(x)
 
     def log_likelihood(self, x: Array) -> Array:
         """Log likelihood at parameters (m, n), -inf where the constraints (9) are broken, (m,)."""
@@ -94,8 +139,11 @@ class Comparison:
         inside = np.flatnonzero(self.model.admissible(x))
         if len(inside):
             f, _ = self.predict(x[inside])
-            variance = self.variance(x[inside])
-            value[inside] = self._gaussian(self.listed.frequencies - f, variance)
+            r = self.listed.frequencies - f
+            if self._is_correlated:
+                value[inside] = self._correlated(r, self._with_discrepancy(x[inside]))[0]
+            else:
+                value[inside] = self._gaussian(r, self.variance(x[inside]))
         return value
 
     def log_density(self, z: Array) -> Array:
@@ -111,16 +159,37 @@ class Comparison:
         if len(inside):
             f, slope = self.predict(x[inside], jacobian=True)
             assert slope is not None
-            variance = self.variance(x[inside])
-            r = self.listed.frequencies - f
-            log_sigma = self._log_sigma_slope(x[inside], variance)
-            value[inside] = self._gaussian(r, variance)
-            gradient[inside] = np.einsum("mi,mij->mj", r / variance, slope)
-            gradient[inside] += np.einsum("mi,mij->mj", r**2 / variance - 1.0, log_sigma)
-            weighted = slope / np.sqrt(variance)[..., None]
-            curvature[inside] = np.swapaxes(weighted, 1, 2) @ weighted
-            curvature[inside] += 2.0 * np.swapaxes(log_sigma, 1, 2) @ log_sigma
+            expand = self._expand_correlated if self._is_correlated else self._expand_independent
+            value[inside], gradient[inside], curvature[inside] = expand(
+                x[inside], self.listed.frequencies - f, slope
+            )
         return self.scores.with_prior(Expansion(value, gradient, curvature), x, z)
+
+    @property
+    def _is_correlated(self) -> bool:
+        return self.discrepancy is not None and self.correlation_length > 0.0
+
+    def _independent(self, x: Array) -> Array:
+        """sigma^2 without the discrepancy, (m, n_f) Hz^2."""
+        variance = np.broadcast_to(self.listed.variance, (len(x), len(self.listed.variance)))
+        if self.noise is not None:
+            # scale is zero where there is no amplitude, and any column will do
+            variance = variance + (x[:, self._amplitude_columns] * self.listed.scale) ** 2
+        return variance
+
+    @property
+    def _amplitude_columns(self) -> Array:
+        return np.array(self.amplitudes)[self.listed.of]
+
+    def _expand_independent(self, x: Array, r: Array, slope: Array) -> tuple[Array, Array, Array]:
+        variance = self.variance(x)
+        log_sigma = self._log_sigma_slope(x, variance)
+        gradient = np.einsum("mi,mij->mj", r / variance, slope)
+        gradient += np.einsum("mi,mij->mj", r**2 / variance - 1.0, log_sigma)
+        weighted = slope / np.sqrt(variance)[..., None]
+        curvature = np.swapaxes(weighted, 1, 2) @ weighted
+        curvature += 2.0 * np.swapaxes(log_sigma, 1, 2) @ log_sigma
+        return self._gaussian(r, variance), gradient, curvature
 
     def _gaussian(self, r: Array, variance: Array) -> Array:
         log_density = -0.5 * np.sum(r**2 / variance + np.log(2 * np.pi * variance), axis=1)
@@ -129,7 +198,60 @@ class Comparison:
     def _log_sigma_slope(self, x: Array, variance: Array) -> Array:
         """d ln sigma_i / d x_j, (m, n_f, n)."""
         slope = np.zeros((*variance.shape, x.shape[1]))
-        for column, scale in ((self.noise, self.listed.scale), (self.discrepancy, self.listed.frequencies)):
-            if column is not None:
-                slope[:, :, column] = x[:, column, None] * scale**2 / variance
+        if self.noise is not None:
+            rows, columns = np.arange(variance.shape[1]), self._amplitude_columns
+            slope[:, rows, columns] = x[:, columns] * self.listed.scale**2 / variance
+        if self.discrepancy is not None:
+            tau = x[:, self.discrepancy, None]
+            slope[:, :, self.discrepancy] = tau * self.listed.frequencies**2 / variance
         return slope
+
+    def _with_discrepancy(self, x: Array) -> Array:
+        n = len(self.listed.frequencies)
+        common = x[:, self.discrepancy, None, None] ** 2 * self._common
+        return np.asarray(common + self._independent(x)[:, :, None] * np.eye(n))
+
+    @property
+    def _common(self) -> Array:
+        """F R F, (n_f, n_f) Hz^2."""
+        f = self.listed.frequencies
+        return f[:, None] * self.listed.correlation(self.correlation_length) * f
+
+    def _correlated(self, r: Array, covariance: Array) -> tuple[Array, Array]:
+        """Log density of residuals (m, n_f) and L^-1 with L L^T the covariance, (m, n_f, n_f)."""
+        back = np.linalg.inv(np.linalg.cholesky(covariance))
+        white = np.einsum("mij,mj->mi", back, r)
+        log_determinant = -2.0 * np.log(np.diagonal(back, axis1=1, axis2=2)).sum(axis=1)
+        quadratic = np.sum(white**2, axis=1) + log_determinant + r.shape[1] * np.log(2 * np.pi)
+        return np.asarray(self.listed.log_constant - 0.5 * quadratic), back
+
+    def _expand_correlated(self, x: Array, r: Array, slope: Array) -> tuple[Array, Array, Array]:
+        """Value, gradient and Fisher information of a Gaussian with the covariance S.
+
+        d/dp = J_p^T S^-1 r + (a^T S_p a - tr S^-1 S_p) / 2 with a = S^-1 r; the information is
+        J_p^T S^-1 J_q + tr(S^-1 S_p S^-1 S_q) / 2 (Kay, Estimation Theory, section 3.9).
+        """
+        value, back = self._correlated(r, self._with_discrepancy(x))
+        white, weighted = np.einsum("mij,mj->mi", back, r), back @ slope
+        gradient = np.einsum("mi,mij->mj", white, weighted)
+        curvature = np.swapaxes(weighted, 1, 2) @ weighted
+        columns = self.nuisance
+        turned = [back @ d @ np.swapaxes(back, 1, 2) for d in self._covariance_slopes(x)]
+        for p, first in zip(columns, turned, strict=True):
+            gradient[:, p] += 0.5 * np.einsum("mi,mij,mj->m", white, first, white)
+            gradient[:, p] -= 0.5 * np.trace(first, axis1=1, axis2=2)
+            for q, second in zip(columns, turned, strict=True):
+                curvature[:, p, q] += 0.5 * np.einsum("mij,mij->m", first, second)
+        return value, gradient, curvature
+
+    def _covariance_slopes(self, x: Array) -> list[Array]:
+        """Derivatives of the covariance over every column of ``nuisance``, (m, n_f, n_f) each."""
+        n, slopes = len(self.listed.frequencies), []
+        for column in self.nuisance:
+            twice = 2.0 * x[:, column, None, None]
+            if column == self.discrepancy:
+                slopes.append(twice * self._common)
+            else:
+                scale = np.where(self._amplitude_columns == column, self.listed.scale, 0.0)
+                slopes.append(twice * (scale**2 * np.eye(n)))
+        return slopes

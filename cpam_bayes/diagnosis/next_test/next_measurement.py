@@ -198,7 +198,9 @@ def _noise(t: Tested, case: PlateCase, f: Array, noise: float | None, as_now: bo
     elif measurement.relative_std is not None:
         variance = measurement.relative_std**2
     else:
-        variance = float(weight @ t.marginal.draws[:, comparison.noise] ** 2)
+        # of all lists, where there are several: a further test is like any of them
+        inferred = [c for c in comparison.amplitudes if c >= 0]
+        variance = float(np.mean(weight @ t.marginal.draws[:, inferred] ** 2))
     if comparison.discrepancy is not None and as_now:
         variance += float(weight @ t.marginal.draws[:, comparison.discrepancy] ** 2)
     variance += float(np.mean(case.models.error**2))

@@ -265,7 +265,7 @@ def _priors(d: Diagnosis) -> dict[str, Any]:
             effects.setdefault(wide, {})[p.name] = _effect_prior(p)
     return {
         "none": d.weighed.none.hypothesis.prior,
-        "other": d.weighed.best_of(OTHER).hypothesis.prior,
+        "other": sum(t.hypothesis.prior for t in d.weighed.tested if t.hypothesis.cause == OTHER),
         "pairs_tested": pairs,
         "families": {name: dict(causes) for name, causes in families.items()},
         "effects": effects,

@@ -110,15 +110,15 @@ def nuisance_of(d: Diagnosis, fit: Fit) -> dict[str, tuple[float, float]]:
 
 
 def noise_of(members: Sequence[tuple[Tested, float]]) -> tuple[float, float] | None:
-    """Mean and sd of the inferred noise over a mixture of hypotheses, relative; ``None`` where given."""
+    """Mean and sd of the inferred noise over hypotheses and lists, relative; ``None`` where given."""
     mean = square = 0.0
     for t, weight in members:
-        column = t.marginal.comparison.noise
-        if column is None:
+        columns = [c for c in t.marginal.comparison.amplitudes if c >= 0]
+        if not columns:
             return None
-        level, sd = (float(v[column]) for v in t.marginal.moments())
-        mean += weight * level
-        square += weight * (level**2 + sd**2)
+        level, sd = (v[columns] for v in t.marginal.moments())
+        mean += weight * float(np.mean(level))
+        square += weight * float(np.mean(level**2 + sd**2))
     return mean, float(np.sqrt(max(square - mean**2, 0.0)))
 
 

@@ -304,7 +304,7 @@ def _work(d: Diagnosis, seed: int) -> Table:
     noise = noise_of(((d.weighed.none, 1.0),))
     families = {t.hypothesis.family for t in d.weighed.tested} - {NONE, OTHER, "pair"}
     prior = d.weighed.none.hypothesis.prior
-    other = d.weighed.best_of(OTHER).hypothesis.prior
+    other = sum(t.hypothesis.prior for t in d.weighed.tested if t.hypothesis.cause == OTHER)
     pairs = P_PAIR * (1.0 - prior) / (1.0 - P_NONE)
     rows = []
     if noise is not None:

@@ -10,6 +10,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from cpam_bayes.diagnosis.evidence.comparison import Listed
 from cpam_bayes.diagnosis.hypotheses import NONE, OTHER, Hypothesis
 from cpam_bayes.effects.material import MATERIAL
 from cpam_bayes.validation.diagnosis.truths import (
@@ -124,8 +125,10 @@ def hide(bench: Bench, trial: Trial, rng: np.random.Generator) -> Hidden | Reach
             listed = listed.copy()
             listed[h.listed.misread] *= 1.0 + size
     noise = rng.standard_normal(n)
-    if any(h.cause == OTHER for h in causes):
-        noise = noise + float(sizes[0]) / bench.noise * rng.standard_normal(n)
+    for h in (h for h in causes if h.cause == OTHER):
+        alike = Listed(listed, listed, listed).correlation(h.correlation_length)
+        scatter = np.linalg.cholesky(alike) @ rng.standard_normal(n)
+        noise = noise + float(sizes[0]) / bench.noise * scatter
     shift = np.zeros(n)
     for h, size in zip(causes, sizes, strict=True):
         if h.parameters and h.cause != OTHER:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
+from cpam_bayes.diagnosis.evidence.comparison import Listed
 from cpam_bayes.diagnosis.hypotheses import NONE, OTHER, Hypothesis
 from cpam_bayes.diagnosis.signatures import ABSORBED, ALIKE, nearest_of
 from cpam_bayes.validation.diagnosis.truths import Linear, sizes_of
@@ -88,8 +89,9 @@ def _best_cosine(truth: Array, seen: Array, whole: Array) -> float:
 def _scattered(at: Linear, h: Hypothesis, residual: Array, a: Array, log_weight: Array) -> float:
     """Log marginal likelihood of a scatter of all modes, over that of none with zero residuals."""
     ratio = (sizes_of(h, _FINE) / at.own.noise) ** 2
-    values, vectors = np.linalg.eigh(a @ a.T)
-    along = (vectors.T @ residual) ** 2
-    variance = 1.0 + values + ratio[:, None]
-    log_likelihood = -0.5 * np.sum(along / variance + np.log(variance / (1.0 + values)), axis=1)
-    return float(logsumexp(log_likelihood + log_weight))
+    listed = Listed(np.exp(at.log_f[at.own.case.modes]), residual, residual)
+    plain = np.eye(len(residual)) + a @ a.T
+    covariance = plain + ratio[:, None, None] * listed.correlation(h.correlation_length)
+    quadratic = np.linalg.solve(covariance, residual[:, None])[..., 0] @ residual
+    log_determinant = np.linalg.slogdet(covariance)[1] - np.linalg.slogdet(plain)[1]
+    return float(logsumexp(log_weight - 0.5 * (quadratic + log_determinant)))

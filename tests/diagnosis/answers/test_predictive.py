@@ -8,8 +8,8 @@ from scipy.stats import chi2, kstest
 
 from cpam_bayes.diagnosis.answers.predictive import explains
 from cpam_bayes.diagnosis.evidence import weighing
+from cpam_bayes.diagnosis.fitting import REPEATABILITY_PRIOR
 from cpam_bayes.diagnosis.hypotheses import DISCREPANCY, NONE, OTHER, Hypothesis
-from cpam_bayes.inference.noise import NOISE_PRIOR
 from tests.diagnosis.toy_plates import (
     BUMP,
     F0,
@@ -57,8 +57,9 @@ def test_a_stated_repeatability_gives_the_chi_square_of_the_residuals(size: floa
 def test_an_inferred_repeatability_is_averaged_over_its_prior() -> None:
     f = F0 * (1.0 + A @ [0.03, -0.04] + 0.03 * BUMP)
     found = explains(weighed_list(f, NOTHING, None))
-    p = (np.arange(400) + 0.5) / 400
-    expected = np.mean([direct(f, a * f) for a in NOISE_PRIOR.ppf(p)])
+    # the tail near the end of the prior explains it best: many points
+    p = (np.arange(8000) + 0.5) / 8000
+    expected = np.mean([direct(f, a * f) for a in REPEATABILITY_PRIOR.ppf(p)])
     assert found == pytest.approx(expected, rel=0.03)
 
 

@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.stats import norm
+from scipy.stats import multivariate_normal, norm
 
 from cpam_bayes.diagnosis.evidence.comparison import Comparison
-from cpam_bayes.diagnosis.fitting import comparison_of
+from cpam_bayes.diagnosis.fitting import REPEATABILITY_PRIOR, comparison_of
 from cpam_bayes.diagnosis.hypotheses import DISCREPANCY, OTHER, Hypothesis
 from cpam_bayes.effects import ListChange
 from tests.diagnosis.toy_plates import (
@@ -28,6 +28,7 @@ from tests.diagnosis.toy_plates import (
 WARP = cause("warp", whole_normal(0.1), is_even=True)
 NOISY = F0 * (1.0 + 0.004 * np.array([1.0, -0.5, 0.3, 2.0, -1.0, 0.2, 0.9, -1.4]))
 SHIFTED = Hypothesis(OTHER, OTHER, parameters=(DISCREPANCY,), prior=0.06)
+SMOOTH = replace(SHIFTED, correlation_length=0.8)
 
 
 def compared(relative: float | None, of: Hypothesis | None = None, resolution: float = 1.0) -> Comparison:
@@ -35,11 +36,25 @@ def compared(relative: float | None, of: Hypothesis | None = None, resolution: f
     return comparison_of([plate], of or hypothesis(WARP, 0.1))
 
 
+def two_lists(of: Hypothesis | None = None) -> Comparison:
+    plates = [
+        case(a_list(f, None), name=name, specimen="one") for name, f in (("a", NOISY), ("b", 1.001 * F0))
+    ]
+    return comparison_of(plates, of or Hypothesis("none", "none"))
+
+
 CASES = {
     "given noise": compared(0.003),
     "inferred noise": compared(None),
     "discrepancy": compared(0.003, SHIFTED),
     "inferred noise and discrepancy": compared(None, SHIFTED),
+    "smooth discrepancy": compared(0.003, SMOOTH),
+    "inferred noise and smooth discrepancy": compared(None, SMOOTH),
+    "two lists": two_lists(),
+    "two lists and a smooth discrepancy": two_lists(SMOOTH),
+    "one frequency left out of a smooth one": replace(
+        compared(None, SMOOTH), listed=compared(None, SMOOTH).listed.without(2), left_out=2
+    ),
     "one frequency left out": replace(compared(None), listed=compared(None).listed.without(2), left_out=2),
 }
 EVERY = pytest.mark.parametrize("comparison", CASES.values(), ids=CASES.keys())
@@ -63,8 +78,8 @@ def test_the_curvature_is_the_mean_of_the_gradients_square_over_lists(comparison
     """Fisher's identity, with the prior's own curvature, which is one in every score."""
     z, rng, m = scores(comparison, 1), np.random.default_rng(2), 20_000
     x = comparison.scores.to_x(z)
-    f, sigma = comparison.predict(x)[0], np.sqrt(comparison.variance(x))
-    residuals = sigma * rng.standard_normal((m, f.shape[1]))
+    f = comparison.predict(x)[0]
+    residuals = rng.standard_normal((m, f.shape[1])) @ np.linalg.cholesky(comparison.covariance(x)[0]).T
     # scale and discrepancy stay those of the list that was measured: only the residuals are drawn
     drawn = replace(comparison, model=_Moved(comparison.model, comparison.listed.frequencies - f - residuals))
     gradients = drawn.expand(np.repeat(z, m, axis=0)).gradient + z
@@ -109,6 +124,51 @@ def test_a_discrepancy_adds_to_the_variance() -> None:
     x = np.array([[1.0, 1.0, 0.02]])
     expected = (0.003 * NOISY) ** 2 + (0.02 * NOISY) ** 2 + 1.0 / 12
     np.testing.assert_allclose(comparison.variance(x)[0], expected, rtol=1e-12)
+
+
+@EVERY
+def test_the_likelihood_is_that_of_the_covariance(comparison: Comparison) -> None:
+    x = comparison.scores.to_x(scores(comparison))
+    f, covariance = comparison.predict(x)[0], comparison.covariance(x)
+    listed = comparison.listed.frequencies
+    expected = [multivariate_normal.logpdf(listed, mean, c) for mean, c in zip(f, covariance, strict=True)]
+    np.testing.assert_allclose(comparison.log_likelihood(x), expected, rtol=1e-9)
+    diagonal = np.diagonal(covariance, axis1=1, axis2=2)
+    np.testing.assert_allclose(comparison.variance(x), diagonal, rtol=1e-12)
+
+
+def test_a_smooth_discrepancy_is_alike_in_modes_near_each_other() -> None:
+    comparison = compared(0.003, SMOOTH)
+    x = np.array([[1.0, 1.0, 0.02]])
+    covariance = comparison.covariance(x)[0] - np.diag((0.003 * NOISY) ** 2 + 1.0 / 12)
+    relative = covariance / np.outer(NOISY, NOISY) / 0.02**2
+    np.testing.assert_allclose(np.diag(relative), 1.0, rtol=1e-9)
+    apart = np.log(NOISY[0] / NOISY[3])
+    assert relative[0, 3] == pytest.approx(0.95 * np.exp(-0.5 * (apart / 0.8) ** 2), rel=1e-9)
+
+
+def test_each_list_has_its_own_repeatability_and_discrepancy() -> None:
+    comparison = two_lists(SMOOTH)
+    names = comparison.parameters.names
+    assert [names[c] for c in comparison.amplitudes] == ["relative_std of a", "relative_std of b"]
+    x = np.ones((1, comparison.parameters.size))
+    x[0, list(comparison.nuisance)] = (0.001, 0.004, 0.01)
+    n = len(F0)
+    noise = comparison.variance(x)[0] / comparison.listed.frequencies**2
+    np.testing.assert_allclose(noise[:n], 0.001**2 + 0.01**2, rtol=1e-4)
+    np.testing.assert_allclose(noise[n:], 0.004**2 + 0.01**2, rtol=1e-4)
+    assert not comparison.covariance(x)[0, :n, n:].any()
+
+
+def test_a_repeatability_that_is_left_out_is_of_the_order_of_two_per_mille() -> None:
+    """docs/priors.md: 95 % of it in 0.04 to 0.9 %, none above 2 %."""
+    assert REPEATABILITY_PRIOR.upper == 0.02
+    low, middle, high = REPEATABILITY_PRIOR.ppf([0.025, 0.5, 0.975])
+    assert low == pytest.approx(0.0004, rel=0.1)
+    assert middle == pytest.approx(0.002, rel=0.01)
+    assert high == pytest.approx(0.009, rel=0.05)
+    assert DISCREPANCY.prior.ppf(0.05) < low * 2
+    assert DISCREPANCY.prior.upper > 20 * REPEATABILITY_PRIOR.upper
 
 
 def test_noise_that_is_given_for_each_frequency_overrules_the_relative_one() -> None:
