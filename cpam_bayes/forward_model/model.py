@@ -210,7 +210,7 @@ class PlateModel:
         f = spectrum.frequencies
         if not jacobian:
             return Prediction(f, None)
-        derivative = eigenvalue_derivatives(self.operator, spectrum, *self._coefficient_derivatives(x))
+        derivative = eigenvalue_derivatives(self.operator, spectrum, *self.coefficient_derivatives(x))
         return Prediction(f, derivative / (8 * np.pi**2 * f[..., None]))
 
     def modes(self, x: Array) -> tuple[Mode, ...]:
@@ -225,7 +225,7 @@ class PlateModel:
         k, m = (np.broadcast_to(c, (len(x), c.shape[-1])) for c in coefficients)
         return k, m
 
-    def _coefficient_derivatives(self, x: Array) -> tuple[Array, Array]:
+    def coefficient_derivatives(self, x: Array) -> tuple[Array, Array]:
         """d theta_q / d p_j by complex step, (m, n_terms, n_parameters) each."""
         m, n = x.shape
         step = _STEP * np.maximum(np.abs(x), np.finfo(float).tiny ** 0.25)

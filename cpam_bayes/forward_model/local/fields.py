@@ -1,0 +1,121 @@
+"""Fields of the reduced basis of a plate at any points: separable trial functions, contracted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cpam_bayes.mechanics.problem import Atom, Field
+from cpam_bayes.mechanics.spaces.ritz import Family, RitzSpace
+
+Array = NDArray[Any]
+
+
+@dataclass(frozen=True, slots=True)
+class FieldPart:
+    """What one sector of trial functions contributes to a field of the basis vectors of one block.
+
+    columns : of these vectors in the whole basis
+    tensor : (x.size, y.size, n_columns)
+    """
+
+    field: Field
+    x: Family
+    y: Family
+    columns: slice
+    tensor: Array
+
+
+def field_parts(space: RitzSpace, indices: list[Array], bases: list[Array]) -> tuple[FieldPart, ...]:
+    """The parts of bases (n_block, r), one a block whose trial functions have these indices in the space."""
+    parts = []
+    first = 0
+    for sector in space.sectors:
+        start = 0
+        for index, basis in zip(indices, bases, strict=True):
+            columns = slice(start, start + basis.shape[1])
+            start = columns.stop
+            inside = np.flatnonzero((index >= first) & (index < first + sector.size))
+            if not len(inside) or not basis.shape[1]:
+                continue
+            pairs = sector.pairs[index[inside] - first]
+            tensor = np.zeros((sector.x.size, sector.y.size, basis.shape[1]))
+            tensor[pairs[:, 0], pairs[:, 1]] = basis[inside]
+            if np.abs(tensor).max() > 0.0:
+                parts.append(FieldPart(sector.field, sector.x, sector.y, columns, tensor))
+        first += sector.size
+    return tuple(parts)
+
+
+class PointValues:
+    """Trial functions of one coordinate at points (...), each family evaluated once."""
+
+    def __init__(self, t: Array) -> None:
+        self._t = t
+        self._legendre: tuple[Array, Array] | None = None
+        self._values: dict[tuple[int, bool], tuple[Family, Array]] = {}
+
+    def at(self, family: Family, derivative: bool) -> Array:
+        """Functions or first derivatives, (..., size)."""
+        key = (id(family), derivative)
+        if key not in self._values:
+            self._values[key] = (family, self._raw(family, derivative) @ family.transform)
+        return self._values[key][1]
+
+    def _raw(self, family: Family, derivative: bool) -> Array:
+        t = self._t
+        highest = int(family.degrees.max(initial=0))
+        if self._legendre is None or self._legendre[0].shape[-1] <= highest:
+            self._legendre = _legendre(t, highest + 2)
+        columns = [self._legendre[int(derivative)][..., family.degrees]]
+        for r in family.rates:
+            near, far = np.exp(-r * t), np.exp(-r * (1 - t))
+            if derivative:
+                near, far = -r * near, r * far
+            by_sign = {1: near + far, -1: near - far, 2: near, 3: far}
+            columns += [by_sign[sign][..., None] for sign in family.signs]
+        return np.concatenate(columns, axis=-1)
+
+
+def _legendre(t: Array, n: int) -> tuple[Array, Array]:
+    """Orthonormal Legendre polynomials on [0, 1] of degrees below n and their derivatives, (..., n) each."""
+    s = 2.0 * t - 1.0
+    p, d = np.zeros((n, *t.shape)), np.zeros((n, *t.shape))
+    p[0] = 1.0
+    if n > 1:
+        p[1], d[1] = s, 1.0
+    for k in range(1, n - 1):
+        p[k + 1] = ((2 * k + 1) * s * p[k] - k * p[k - 1]) / (k + 1)
+        d[k + 1] = d[k - 1] + (2 * k + 1) * p[k]
+    root = np.sqrt(2.0 * np.arange(n) + 1.0)
+    return np.moveaxis(p, 0, -1) * root, 2.0 * np.moveaxis(d, 0, -1) * root
+
+
+def values_at_points(
+    parts: tuple[FieldPart, ...], n_basis: int, atom: Atom, x: PointValues, y: PointValues, m: int
+) -> Array:
+    """A field or derivative of all basis vectors at m points, (m, n_basis)."""
+    out = np.zeros((m, n_basis))
+    for part in parts:
+        if part.field == atom.field:
+            a, b = x.at(part.x, atom.derivative == "x"), y.at(part.y, atom.derivative == "y")
+            products = (a[:, :, None] * b[:, None, :]).reshape(m, -1)
+            out[:, part.columns] += products @ part.tensor.reshape(products.shape[1], -1)
+    return out
+
+
+def values_on_patches(
+    parts: tuple[FieldPart, ...], n_basis: int, atom: Atom, x: PointValues, y: PointValues, m: int, g: int
+) -> Array:
+    """A field or derivative of all basis vectors on m tensor grids of g x g points, (m, g * g, n_basis)."""
+    out = np.zeros((m, g * g, n_basis))
+    for part in parts:
+        if part.field == atom.field:
+            a, b = x.at(part.x, atom.derivative == "x"), y.at(part.y, atom.derivative == "y")
+            n_x, n_y, r = part.tensor.shape
+            along = (a.reshape(m * g, n_x) @ part.tensor.reshape(n_x, n_y * r)).reshape(m, g, n_y, r)
+            out[:, :, part.columns] += (b[:, None] @ along).reshape(m, g * g, r)
+    return out
