@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 import cpam_bayes as cb
 from cpam_bayes.diagnosis.cases import plate_case
 from cpam_bayes.diagnosis.fitting import PlateCase
-from cpam_bayes.effects import Effect, applicable
+from cpam_bayes.effects import Effect, applicable, variants
 from cpam_bayes.forward_model.model import reference_vector
 from cpam_bayes.report.tables import Column, Table, screen_text
 from cpam_bayes.validation.study_results import save_results
@@ -82,8 +82,9 @@ def _own(case: PlateCase, effect: Effect) -> tuple[Array, float, str]:
     """Relative shift by an effect on the plate or on its frequencies, the size and its unit as shown."""
     x = _reference(case)
     if effect.name in PLACES:
-        assert effect.at is not None
-        effect = effect.at(PLACES[effect.name])
+        effect, *_ = variants(effect, case.models.facts)
+        place = dict(zip((p.name for p in effect.coordinates), PLACES[effect.name], strict=False))
+        effect = effect.fixed({name: np.asarray(value) for name, value in place.items()})
     (parameter,) = effect.parameters
     null, one = (values[parameter.name] for values in (effect.null, effect.scaled(1.0)))
     unit, factor = parameter.display

@@ -15,6 +15,7 @@ from cpam_bayes.diagnosis.hypotheses import OTHER, Hypothesis
 from cpam_bayes.diagnosis.models import PlateModels, extended_model, plate_models
 from cpam_bayes.effects import Effect
 from cpam_bayes.effects.frequency_list import MISREADING
+from cpam_bayes.forward_model.local.model import LocalModel
 from cpam_bayes.forward_model.reduced import ReducedModel
 from cpam_bayes.inference.posterior import ForwardModel
 from cpam_bayes.inference.standard_normal import NormalScores
@@ -42,7 +43,7 @@ class PlateCase:
     models: PlateModels
     measurement: Measurement
     modes: Array
-    extended: dict[tuple[str, str], ReducedModel] = field(default_factory=dict)
+    extended: dict[tuple[str, str], ReducedModel | LocalModel] = field(default_factory=dict)
     of_another_material: list[PlateModels] = field(default_factory=list)
 
     @property
@@ -57,7 +58,9 @@ class PlateCase:
             self.of_another_material.append(models)
         return self.of_another_material[0]
 
-    def with_effect(self, effect: Effect, notify: Callable[[str], None] = lambda text: None) -> ReducedModel:
+    def with_effect(
+        self, effect: Effect, notify: Callable[[str], None] = lambda text: None
+    ) -> ReducedModel | LocalModel:
         """The reduced model of the plate with an effect, built when first asked for."""
         key = (effect.name, effect.variant)
         if key not in self.extended:

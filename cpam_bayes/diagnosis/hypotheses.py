@@ -65,6 +65,11 @@ class Hypothesis:
         return () if self.cause in (NONE, OTHER) else tuple(self.cause.split(" + "))
 
     @property
+    def coordinates(self) -> frozenset[str]:
+        """Names of the parameters that say where its effects are."""
+        return frozenset(p.name for e in self.effects if e.is_anywhere for p in e.coordinates)
+
+    @property
     def other_material(self) -> bool:
         """Whether only the search bounds are known of the constants."""
         return any(e.drops_references for e in self.unmodelled)

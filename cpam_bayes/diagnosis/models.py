@@ -12,6 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cpam_bayes.effects import Effect, PlateFacts, extend
+from cpam_bayes.forward_model.local.basis import point_mass_model
+from cpam_bayes.forward_model.local.model import LocalModel
+from cpam_bayes.forward_model.local.store import stored_local_model
 from cpam_bayes.forward_model.model import (
     PlateModel,
     Samples,
@@ -152,11 +155,21 @@ def plate_models(
 @single_blas_thread
 def extended_model(
     plate: PlateModels, effect: Effect, notify: Callable[[str], None] = lambda text: None
-) -> ReducedModel:
+) -> ReducedModel | LocalModel:
     """The reduced model of a plate with an effect, over the priors of both.
 
-    Where the effect changes the edges or couples bending with stretching the space is converged anew.
+    Where the effect changes the edges or couples bending with stretching the space is converged anew. An
+    effect at any place has one model for all places.
     """
+    priors = [[p.name, repr(p.prior)] for p in effect.parameters]
+    key = _hash(plate.key, json.dumps([effect.name, effect.variant, effect.place, priors]))
+    if effect.is_anywhere:
+
+        def build_local() -> LocalModel:
+            notify(f"{plate.specimen.name}: building {effect.name}")
+            return local_model(plate, effect)
+
+        return stored_local_model(key, plate.problem, effect.parameter_set, build_local)
     problem = extend(plate.problem, effect, plate.facts)
     values = [effect.null, effect.scaled(1.0)]
     added = np.array([[v[p.name] for p in effect.parameters] for v in values])
@@ -169,9 +182,19 @@ def extended_model(
         basis = (plate.settings, plate.keep)
         return _reduced(model_on_basis(problem, samples, plate.n_modes, plate.error, basis))
 
-    priors = [[p.name, repr(p.prior)] for p in effect.parameters]
-    key = _hash(plate.key, json.dumps([effect.name, effect.variant, effect.place, priors]))
     return stored_model(key, problem, samples, plate.n_modes, build, light=True)
+
+
+def local_model(plate: PlateModels, effect: Effect) -> LocalModel:
+    """The model of a plate with an effect whose place is a parameter."""
+    return point_mass_model(
+        plate.problem,
+        plate.settings,
+        plate.samples.x,
+        plate.n_modes,
+        plate.error,
+        effect.parameter_set,
+    )
 
 
 def _converged(problem: Problem, samples: Samples, n_modes: int) -> PlateModel:

@@ -93,6 +93,9 @@ def signature_of(tested: Tested, none: Marginal, projector: Projector) -> Signat
     with_it, one_sd = plain.copy(), plain.copy()
     mean, sd = tested.marginal.moments()
     for parameter, column in zip(tested.hypothesis.parameters, tested.columns, strict=True):
+        if parameter.name in tested.hypothesis.coordinates:
+            plain[column] = with_it[column] = one_sd[column] = mean[column]
+            continue
         plain[column] = null[parameter.name]
         size = np.hypot(mean[column] - null[parameter.name], sd[column])
         sign = -1.0 if mean[column] < null[parameter.name] else 1.0

@@ -29,7 +29,9 @@ _SOFTENED = np.flatnonzero(LAMINATE_ENTRIES.min(axis=0) >= 3)
 
 def _damage_at(place: Place) -> Effect:
     at = f"at ({place[0]:g}, {place[1]:g})"
-    return replace(DAMAGE, change=partial(_damaged, place), place=place, variant=at)
+    return replace(
+        DAMAGE, change=partial(_damaged, place), parameters=DAMAGE.parameters[:1], place=place, variant=at
+    )
 
 
 def _damaged(place: Place, problem: Problem, facts: PlateFacts) -> Problem:

@@ -15,8 +15,8 @@ from cpam_bayes.plate.layup import Layup
 from cpam_bayes.plate.records import Plate
 
 Owner = Literal["plate", "test", "material", "laboratory"]
-# Reference coordinates of a mass or a flaw.
-Place = tuple[float, float]
+# Values of an effect's further parameters: the reference coordinates of a mass or a flaw, its extent.
+Place = tuple[float, ...]
 
 # Prior of an effect: Student-t with this many degrees of freedom, cut where the description ends or
 # at this many scales, beyond which 0.13 % of it would lie.
@@ -37,6 +37,7 @@ class PlateFacts:
     """The facts of a plate that decide which effects it may have, and where.
 
     length, width, thickness : m
+    mass : kg
     edges : four of F, S, C
     loaded : whether known masses break its symmetries
     air_is_known : whether the model contains the air already
@@ -50,6 +51,7 @@ class PlateFacts:
     layup: Layup
     edges: str
     isotropic: bool
+    mass: float
     loaded: bool = False
     air_is_known: bool = False
     has_references: bool = False
@@ -67,7 +69,8 @@ class PlateFacts:
     ) -> PlateFacts:
         """The facts of a measured plate."""
         sides = (plate.length, plate.width, plate.thickness)
-        known = (loaded, air_is_known, has_references)
+        mass = plate.density * plate.thickness * plate.area
+        known = (mass, loaded, air_is_known, has_references)
         return cls(*sides, plate.layup, plate.edges, isotropic, *known, first_frequency)
 
 
@@ -117,7 +120,8 @@ class Effect:
     family : causes of one family divide its prior probability
     belongs_to : "plate": tests of one specimen have it in common, a sister plate need not have it; "test":
         of one list; "material", "laboratory": sister plates have it too
-    parameters : with unit, prior, null and the unit that they are shown in
+    parameters : with unit, prior, null and the unit that they are shown in; the first is the size, others say
+        where it is
     note : how it enters the model
     check : what to check in the laboratory, one sentence
     change : Problem -> Problem with the values of the parameters in its state or terms
@@ -132,8 +136,9 @@ class Effect:
     couples_stretching : whether it couples stretching with bending, for which a symmetric layup's space has
         no functions
     excludes : names of the effects that cannot act together with it
-    variant : distinguishes effects of one cause, by place for instance
-    places, at : where it may be, and the effect there
+    variant : distinguishes effects of one cause, by form for instance
+    place : where it is, if that is fixed
+    at : for an effect that may be anywhere, the effect at a place; its ``change`` refuses
     """
 
     name: str
@@ -169,9 +174,32 @@ class Effect:
         return {p.name: 0.0 if p.null is None else p.null for p in self.parameters}
 
     def scaled(self, sds: float) -> dict[str, float]:
-        """Values that lie ``sds`` catalogue standard deviations from the null."""
+        """Values whose sizes lie ``sds`` catalogue standard deviations from the null."""
         null = self.null
-        return {p.name: null[p.name] + sds * scale_of(p) for p in self.parameters}
+        return null | {p.name: null[p.name] + sds * scale_of(p) for p in self.sizes}
+
+    @property
+    def coordinates(self) -> tuple[Parameter, ...]:
+        """The parameters that say where it is, of an effect that may be anywhere."""
+        return self.parameters[1:] if self.at is not None else ()
+
+    @property
+    def sizes(self) -> tuple[Parameter, ...]:
+        """The parameters that say how large it is."""
+        return self.parameters[:1] if self.at is not None else self.parameters
+
+    def fixed(self, values: Values) -> Effect:
+        """The effect with its size alone to vary, where these values put it; itself if it has no place."""
+        if not self.is_anywhere:
+            return self
+        assert self.at is not None
+        placed = self.at(tuple(float(values[p.name]) for p in self.coordinates))
+        return replace(placed, parameters=self.sizes, size_factor=None)
+
+    @property
+    def is_anywhere(self) -> bool:
+        """Whether its place is among its parameters."""
+        return bool(self.coordinates)
 
     @property
     def is_common_to_sisters(self) -> bool:
@@ -215,15 +243,17 @@ def extend(problem: Problem, effect: Effect, facts: PlateFacts) -> Problem:
 
 
 def variants(effect: Effect, facts: PlateFacts) -> tuple[Effect, ...]:
-    """The effect with the priors for this plate, at every place that this plate distinguishes.
+    """The effect with the priors for this plate.
 
-    A place that the plate's symmetries map on an earlier one is left out, and one that an edge holds.
+    A place that the plate's symmetries map on another one is in the prior once.
     """
     if effect.size_factor is not None:
         factor = effect.size_factor(facts)
-        effect = replace(effect, parameters=tuple(_rescaled(p, factor) for p in effect.parameters))
-    if effect.at is None:
-        return (effect,)
+        sizes = tuple(_rescaled(p, factor) for p in effect.sizes)
+        effect = replace(effect, parameters=(*sizes, *effect.coordinates))
+    if not effect.places:
+        return (effect if not effect.is_anywhere else _on_half_or_quarter(effect, facts),)
+    assert effect.at is not None
     seen: set[Place] = set()
     placed = []
     for place in effect.places:
@@ -232,6 +262,24 @@ def variants(effect: Effect, facts: PlateFacts) -> tuple[Effect, ...]:
         seen.update(_images(place, facts))
         placed.append(replace(effect.at(place), parameters=effect.parameters))
     return tuple(placed)
+
+
+def anywhere(problem: Problem, facts: PlateFacts) -> Problem:
+    """The ``change`` of an effect whose place is a parameter: there is none before the place is fixed."""
+    del problem, facts
+    raise ValueError(
+        "an effect at any place is no change of the problem; fix its place with effect.at((x, y))"
+    )
+
+
+def coordinate(name: str, lower: float = 0.0, upper: float = 1.0) -> Parameter:
+    """A reference coordinate with equal density on the plate."""
+    return Parameter(name, "", Uniform(lower, upper), 0.5 * (lower + upper), PERCENT)
+
+
+def place_text(place: Place) -> str:
+    """A place for people."""
+    return f"at ({', '.join(f'{c:.4g}' for c in place)})"
 
 
 def _rescaled(parameter: Parameter, factor: float) -> Parameter:
@@ -315,6 +363,31 @@ def stacked(*columns: Any) -> Array:
     return np.stack(np.broadcast_arrays(*columns), axis=-1)
 
 
+def _on_half_or_quarter(effect: Effect, facts: PlateFacts) -> Effect:
+    """The effect where the plate's symmetries leave its place to be told, the sides x and y >= 0.5."""
+    in_x, in_y = facts.edges[0] == facts.edges[2], facts.edges[1] == facts.edges[3]
+    angles = facts.layup.angles_deg
+    straight = facts.isotropic or bool(np.all(np.isin(np.abs(angles), (0.0, 90.0))))
+    # the half-turn alone leaves one half, whichever
+    halved = (
+        ()
+        if facts.loaded
+        else tuple(
+            axis
+            for axis, is_halved in enumerate((in_x and (straight or in_y), in_y and straight))
+            if is_halved
+        )
+    )
+    if not halved:
+        return effect
+    size, *further = effect.parameters
+    for axis in halved:
+        further[axis] = coordinate(further[axis].name, 0.5)
+    images = "or its mirror images" if straight else "or the place turned by half a turn"
+    variant = f"{effect.variant}, {images}" if effect.variant else images
+    return replace(effect, parameters=(size, *further), variant=variant)
+
+
 def _is_held(place: Place, facts: PlateFacts) -> bool:
     levels = zip(facts.edges, (place[0], place[1], 1.0 - place[0], 1.0 - place[1]), strict=True)
     return any(edge != "F" and level < 1e-12 for edge, level in levels)
@@ -322,7 +395,7 @@ def _is_held(place: Place, facts: PlateFacts) -> bool:
 
 def _images(place: Place, facts: PlateFacts) -> set[Place]:
     """Where the symmetries of the bare plate take a place."""
-    x, y = place
+    x, y = place[:2]
     mirrored: Place = (round(1.0 - x, 12), y)
     flipped: Place = (x, round(1.0 - y, 12))
     turned: Place = (mirrored[0], flipped[1])

@@ -10,11 +10,21 @@ from functools import partial
 
 import numpy as np
 
-from cpam_bayes.effects.effect import GRAM, Effect, Place, PlateFacts, one_sided, stacked
+from cpam_bayes.effects.effect import (
+    GRAM,
+    Effect,
+    Place,
+    PlateFacts,
+    anywhere,
+    coordinate,
+    one_sided,
+    place_text,
+    stacked,
+)
 from cpam_bayes.mechanics.problem import FIELDS, Array, Atom, Form, PlateState, Problem, Region, Term, Values
 
-# Its centre is never nearer to an edge than this, its foot having a size.
-_GRID = (0.05, 0.275, 0.5, 0.725, 0.95)
+# Of the mass of the plate: one standard deviation, and the heaviest that a point mass describes.
+_SCALE, _HEAVIEST = 0.01, 0.1
 
 
 def add_known_mass(problem: Problem, mass: float, x: float, y: float) -> Problem:
@@ -30,8 +40,18 @@ def add_known_mass(problem: Problem, mass: float, x: float, y: float) -> Problem
 
 
 def _sensor_at(place: Place) -> Effect:
-    at = f"at ({place[0]:g}, {place[1]:g})"
-    return replace(SENSOR_MASS, change=partial(_with_sensor, place), place=place, variant=at)
+    return replace(
+        SENSOR_MASS,
+        change=partial(_with_sensor, place),
+        parameters=SENSOR_MASS.parameters[:1],
+        place=place,
+        at=None,
+        variant=place_text(place),
+    )
+
+
+def _plate_mass(facts: PlateFacts) -> float:
+    return facts.mass
 
 
 def _with_sensor(place: Place, problem: Problem, facts: PlateFacts) -> Problem:
@@ -41,7 +61,7 @@ def _with_sensor(place: Place, problem: Problem, facts: PlateFacts) -> Problem:
 
 def _point_mass(name: str, place: Place, mass: float | None) -> Term:
     """The term of a mass at a place; mass : kg, None where it is the parameter ``sensor_mass``."""
-    forms = tuple(Form(Atom(f), Atom(f), Region("point", point=place)) for f in FIELDS)
+    forms = tuple(Form(Atom(f), Atom(f), Region("point", point=(place[0], place[1]))) for f in FIELDS)
     return Term(name, "mass", forms, partial(_coefficients, mass))
 
 
@@ -56,11 +76,16 @@ SENSOR_MASS = Effect(
     title="accelerometer or other added mass",
     family="mass",
     belongs_to="plate",
-    parameters=(one_sided("sensor_mass", "kg", 1e-3, shown=GRAM),),
-    note="point mass m and its rotary inertia (h / 2)^2 m",
+    # of a plate of one kilogram
+    parameters=(
+        one_sided("sensor_mass", "kg", _SCALE, _HEAVIEST, shown=GRAM),
+        coordinate("mass_x"),
+        coordinate("mass_y"),
+    ),
+    note="point mass m and its rotary inertia (h / 2)^2 m at any (x, y); 1 sd is 1 % of the plate's mass",
     check="Weigh what is fixed to the plate and state it under [[sensor]], or measure without contact.",
+    change=anywhere,
+    size_factor=_plate_mass,
     sign=-1,
-    places=tuple((x, y) for x in _GRID for y in _GRID),
     at=_sensor_at,
 )
-SENSOR_MASS = _sensor_at((0.95, 0.95))

@@ -24,9 +24,13 @@ def catalogue_tables(effects: Sequence[Effect] = CATALOGUE) -> str:
 
 def _record(effect: Effect) -> tuple[str, ...]:
     places = f", at {len(effect.places)} places" if effect.places else ""
-    parameters = [f"{p.name}{' >= 0' if p.prior.lower >= 0.0 else ''}{places}" for p in effect.parameters]
-    sizes = [_size(p) for p in effect.parameters]
-    ends = [_ends(p) for p in effect.parameters]
+    sized = effect.sizes
+    parameters = [f"{p.name}{' >= 0' if p.prior.lower >= 0.0 else ''}{places}" for p in sized]
+    parameters += [p.name for p in effect.coordinates]
+    # a size that follows the plate's has its words in the note
+    of_plate = effect.is_anywhere and effect.size_factor is not None
+    sizes = ["of the plate" if of_plate else _size(p) for p in sized]
+    ends = ["of the plate" if of_plate else _ends(p) for p in sized]
     others = [name for name in effect.excludes if name != effect.name]
     texts = (", ".join(t) or "-" for t in (parameters, sizes, ends))
     sign = _SIGNS[effect.sign] if effect.parameters else "-"

@@ -132,14 +132,14 @@ def stored_model(
     are asked of it.
     """
     path = (directory or cache_directory()) / f"{key}.npz"
-    stored = _read(path)
+    stored = read_arrays(path)
     if stored is not None and stored.keys() >= _NEEDED:
         error, basis = stored["error"], _basis(stored)
         if light:
             return _unpack(stored, _without_matrices(problem, n_modes, error, basis))
         return _unpack(stored, model_on_basis(problem, samples, n_modes, error, basis))
     reduced = build()
-    _write(path, _pack(reduced))
+    write_arrays(path, _pack(reduced))
     if light:
         assert reduced.full.basis is not None
         full = _without_matrices(problem, n_modes, reduced.full.error, reduced.full.basis)
@@ -193,7 +193,7 @@ def _unpack(stored: dict[str, Array], full: PlateModel) -> ReducedModel:
     return ReducedModel(full, fast, tuple(forms), stored["reference"], stored["rounding"])
 
 
-def _read(path: Path) -> dict[str, Array] | None:
+def read_arrays(path: Path) -> dict[str, Array] | None:
     """Arrays of a stored model; ``None`` if there is none or the file is damaged."""
     try:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
@@ -202,7 +202,7 @@ def _read(path: Path) -> dict[str, Array] | None:
         return None
 
 
-def _write(path: Path, arrays: dict[str, Array]) -> None:
+def write_arrays(path: Path, arrays: dict[str, Array]) -> None:
     """Store arrays under a name that appears only when they are complete; a full disk is no error."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -7,7 +7,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from cpam_bayes.effects import CATALOGUE, Effect, PlateFacts, extend
+from cpam_bayes.effects import CATALOGUE, Effect, PlateFacts, extend, variants
 from cpam_bayes.forward_model.model import plate_problem
 from cpam_bayes.mechanics.affine import DenseOperator
 from cpam_bayes.mechanics.dense import discretise
@@ -26,6 +26,23 @@ BY_NAME = {effect.name: effect for effect in CATALOGUE}
 def facts(name: str) -> PlateFacts:
     specimen = builtin(name)
     return PlateFacts.of(specimen.plate, specimen.material.isotropic)
+
+
+# Where the effects that may be anywhere are put.
+PLACES = {"sensor_mass": (0.95, 0.95)}
+
+
+def placed(effect: Effect) -> Effect:
+    """An effect at one place, where its place is a parameter."""
+    if not effect.is_anywhere:
+        return effect
+    at = zip((p.name for p in effect.coordinates), PLACES[effect.name], strict=True)
+    return effect.fixed({name: np.asarray(value) for name, value in at})
+
+
+def of_plate(name: str, effect: Effect) -> Effect:
+    """The first variant of an effect with the priors of a plate."""
+    return variants(effect, facts(name))[0] if effect.is_anywhere else effect
 
 
 @lru_cache

@@ -26,7 +26,7 @@ from cpam_bayes.mechanics.spaces.ritz import RitzSettings, RitzSpace, ritz_space
 from cpam_bayes.mechanics.sparse import discretise_sparse
 from cpam_bayes.plate.layup import from_angles
 from cpam_bayes.plate.specimens import builtin
-from tests.effects.cases import BY_NAME, bare, facts, ritz, ritz_operator, values_at, with_effect
+from tests.effects.cases import BY_NAME, bare, facts, placed, ritz, ritz_operator, values_at, with_effect
 from tests.plates import CARBON, CROSS_PLY_16S, plate
 
 PLY = CARBON | {"G13": 5.1e9, "G23": 3.0e9}
@@ -35,7 +35,7 @@ PLY = CARBON | {"G13": 5.1e9, "G23": 3.0e9}
 def facts_of(problem: Problem, layup: tuple[float, ...] = (0.0,)) -> PlateFacts:
     n = problem.nominal
     size = (float(n.length), float(n.width), float(n.thickness))
-    return PlateFacts(*size, from_angles(layup), problem.edges, isotropic=False)
+    return PlateFacts(*size, from_angles(layup), problem.edges, isotropic=False, mass=1.0)
 
 
 def frequencies(problem: Problem, values: dict[str, float], n: int = 6, degree: int = 9) -> np.ndarray:
@@ -356,6 +356,7 @@ def test_every_effect_works_with_an_unknown_layup() -> None:
     for effect in CATALOGUE:
         if effect.change is None or not effect.applies_to(its_facts):
             continue
+        effect = placed(effect)
         extended = extend(problem, effect, its_facts)
         for kind in ("stiffness", "mass"):
             c = extended.coefficients(angles | values_at(effect, (0.0, 1.0)), kind)

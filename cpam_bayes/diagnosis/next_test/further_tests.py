@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from cpam_bayes.diagnosis.composed import Change, ComposedModel, Part
 from cpam_bayes.diagnosis.evidence.weighing import Tested
 from cpam_bayes.diagnosis.fitting import PlateCase
-from cpam_bayes.diagnosis.models import PlateModels, needs_another_space, plate_models
+from cpam_bayes.diagnosis.models import PlateModels, local_model, needs_another_space, plate_models
 from cpam_bayes.effects import Effect, add_known_mass, extend
+from cpam_bayes.forward_model.local.model import LocalModel
 from cpam_bayes.forward_model.model import PlateModel, model_on_basis
 from cpam_bayes.inference.posterior import ForwardModel
 from cpam_bayes.mechanics.convergence import Tolerance, converge
@@ -135,8 +136,13 @@ def _on_basis(plate: PlateModels, problem: Problem, samples: Array) -> PlateMode
     return model_on_basis(problem, samples, plate.n_modes, plate.error, (plate.settings, plate.keep))
 
 
-def _with_effect(plate: PlateModels, effect: Effect) -> PlateModel:
-    """The full model of a plate with an effect: a reduced one would take more solves than it saves."""
+def _with_effect(plate: PlateModels, effect: Effect) -> PlateModel | LocalModel:
+    """The full model of a plate with an effect: a reduced one would take more solves than it saves.
+
+    An effect at any place has its own model, which takes few.
+    """
+    if effect.is_anywhere:
+        return local_model(plate, effect)
     problem = extend(plate.problem, effect, plate.facts)
     added = np.array([[v[p.name] for p in effect.parameters] for v in (effect.null, effect.scaled(1.0))])
     samples = np.column_stack((np.repeat(plate.samples.x[:1], 2, axis=0), added))

@@ -18,6 +18,7 @@ from cpam_bayes.mechanics.dense import discretise
 from cpam_bayes.mechanics.problem import FIELDS, MEMBRANE_FIELDS, Problem, rigid_body_count
 from cpam_bayes.mechanics.spaces.ritz import RitzSettings, RitzSpace, evaluate_sector, ritz_space
 from cpam_bayes.parameters import ParameterSet
+from cpam_bayes.threads import single_blas_thread
 
 Array = NDArray[Any]
 
@@ -34,18 +35,21 @@ class LocalSettings:
 
     further: int = 4
     modes: int = 6
-    constants: int = 12
+    constants: int = 16
     places: int = 60
-    leading: float = 1e-4
+    leading: float = 3e-4
     rest: float = 1e-3
 
 
-def local_space(problem: Problem, settings: RitzSettings, further: int) -> RitzSpace:
-    """Trial functions for a local change: more polynomials, but for stretching where it stands alone."""
-    richer = replace(
-        settings, degree_x=settings.degree_x + further, degree_y=settings.degree_y + further
-    )
-    space = ritz_space(problem.edges, problem.nominal, richer)
+DEFAULT_SETTINGS = LocalSettings()
+# Shift of the energy over the lowest eigenvalue: it makes a free plate stiff.
+_SHIFT = 0.3
+_RIGID = 1e-4
+
+
+def local_space(problem: Problem, settings: RitzSettings) -> RitzSpace:
+    """Trial functions for a local change: all of them, but few for stretching where it stands alone."""
+    space = ritz_space(problem.edges, problem.nominal, settings)
     k = np.real(problem.nominal.stiffness())
     if np.abs(k[:3, 3:6]).max() > 1e-9 * np.sqrt(np.abs(k[0, 0] * k[3, 3])):
         return space
@@ -56,6 +60,7 @@ def local_space(problem: Problem, settings: RitzSettings, further: int) -> RitzS
     return space.restricted(np.concatenate(keep))
 
 
+@single_blas_thread
 def point_mass_model(
     problem: Problem,
     settings: RitzSettings,
@@ -63,7 +68,7 @@ def point_mass_model(
     n_modes: int,
     error: Array,
     added: ParameterSet,
-    how: LocalSettings = LocalSettings(),
+    how: LocalSettings = DEFAULT_SETTINGS,
 ) -> LocalModel:
     """A plate with a point mass anywhere.
 
@@ -72,52 +77,84 @@ def point_mass_model(
     error : (n_modes,) of the bare plate
     added : the mass, kg, and its place
     """
+    # the seed is fixed: a model does not depend on the run that first needed it
     rng = np.random.default_rng(0)
-    space = local_space(problem, settings, how.further)
-    operator = discretise(problem, space, problem.parameters.mapping(samples))
-    plain = PlateModel(operator, n_modes, error)
+    degrees = settings.degree_x + how.further, settings.degree_y + how.further
+    settings = replace(settings, degree_x=degrees[0], degree_y=degrees[1])
+    operator = discretise(problem, local_space(problem, settings), problem.parameters.mapping(samples))
+    plain = PlateModel(operator, n_modes, error, (settings, np.empty(0, dtype=bool)))
     operator = compressed(operator, *plain.coefficients(training_sets(problem, 160, rng)))
     plain = replace(plain, operator=operator)
-    x = np.vstack((samples[:1], training_sets(problem, how.constants, rng)))
+    trained = _training(plain, np.vstack((samples[:1], training_sets(problem, how.constants, rng))), how)
+    rows = _rows(operator, _training_places(rng, how.places))
+    # what a mass in rows of the fields adds: its translation, and its rotation half a thickness off
+    arm = float(np.real(problem.nominal.thickness)) / 2
+    loads = [r * np.array([1.0, 1.0, 1.0, arm, arm])[:, None, None] for r in rows]
+    heaviest = added.parameters[0].prior.upper
+    grown = [_basis(trained, b, np.sqrt(heaviest) * load, how) for b, load in enumerate(loads)]
+    return _assembled(plain, grown, added, trained.shift)
+
+
+@dataclass(frozen=True, slots=True)
+class _Training:
+    """A plate at the sets of constants that its basis is made from.
+
+    stiffness, mass : (m, n_terms) coefficients
+    modes : eigenvalues (m, k) and vectors (m, n, k) of every block
+    last, highest : (m,) eigenvalues of the last mode of the leading basis, and of the last one predicted
+    first : lowest eigenvalue of a deformation mode
+    shift : of the energy in which loads are answered
+    """
+
+    operator: DenseOperator
+    stiffness: Array
+    mass: Array
+    modes: list[tuple[Array, Array]]
+    last: Array
+    highest: Array
+    first: float
+    shift: float
+
+
+def _training(plain: PlateModel, x: Array, how: LocalSettings) -> _Training:
+    operator = plain.operator
     stiffness, mass = plain.coefficients(x)
-    n_rigid = rigid_body_count(problem.edges)
-    wanted = n_modes + how.modes + n_rigid
+    n_rigid = rigid_body_count(operator.problem.edges)
+    wanted = n_rigid + plain.n_modes + how.modes
     modes = [_modes(block, stiffness, mass, wanted) for block in operator.blocks]
     lowest = np.sort(np.concatenate([lam for lam, _ in modes], axis=1), axis=1)
-    first, last = lowest[0, n_rigid], lowest[:, wanted - 1]
-    shift = 0.3 * float(first)
-    points = _training_places(rng, how.places)
-    heaviest = added.parameters[0].prior.upper
-    rows = _rows(operator, points)
-    bases, leading = [], []
-    for block, row, (lam, vectors) in zip(operator.blocks, rows, modes, strict=True):
-        m = block.mass.assemble(mass[:1])[0]
-        root = np.linalg.cholesky(block.stiffness.assemble(stiffness[:1])[0] + shift * m).T
-        rigid = vectors[0][:, np.abs(lam[0]) < 1e-4 * first]
-        basis = np.linalg.qr(root @ rigid)[0] if rigid.size else np.zeros((block.size, 0))
-        own = [
-            v[:, (one > 1e-4 * first) & (one <= top)] / np.sqrt(np.abs(one[(one > 1e-4 * first) & (one <= top)]))
-            for one, v, top in zip(lam, vectors, last, strict=True)
+    first = float(lowest[0, n_rigid])
+    last, highest = lowest[:, wanted - 1], lowest[:, n_rigid + plain.n_modes - 1]
+    return _Training(operator, stiffness, mass, modes, last, highest, first, _SHIFT * first)
+
+
+def _basis(trained: _Training, b: int, loads: Array, how: LocalSettings) -> tuple[Array, int]:
+    """The basis of one block (n, r) and how many of its vectors are the bare plate's own.
+
+    loads : (5, n_places, n), each of the five fields times the mass that acts on it
+    """
+    block = trained.operator.blocks[b]
+    k, m = block.stiffness.assemble(trained.stiffness), block.mass.assemble(trained.mass)
+    root = np.linalg.cholesky(k[0] + trained.shift * m[0]).T
+    lam, vectors = trained.modes[b]
+    # the frequency of a rigid-body motion is rounding
+    rigid = np.abs(lam) < _RIGID * trained.first
+    basis = _grown(np.empty((block.size, 0)), root @ vectors[0][:, rigid[0]], 0.0)
+    own = [
+        v[:, chosen] / np.sqrt(one[chosen])
+        for one, v, chosen in zip(lam, vectors, ~rigid & (lam <= trained.last[:, None]), strict=True)
+    ]
+    basis = _grown(basis, root @ np.concatenate(own, axis=1), how.leading)
+    leading = basis.shape[1]
+    present = [load.T for load in loads if load.any()]
+    if present and any(v.shape[1] for v in own):  # a block without modes in range answers no load
+        every = np.concatenate(present, axis=1)
+        responses = [
+            scipy.linalg.solve(one + trained.shift * inertia, every, assume_a="pos") * np.sqrt(top)
+            for one, inertia, top in zip(k, m, trained.highest, strict=True)
         ]
-        has_modes = any(v.shape[1] for v in own)
-        basis = _grown(basis, root @ np.concatenate(own, axis=1), how.leading)
-        leading.append(basis.shape[1])
-        responses = []
-        highest = lowest[:, n_rigid + n_modes - 1]
-        thickness = np.broadcast_to(np.real(problem.nominal.thickness), 1)[0]
-        for k, inertia, top in zip(
-            block.stiffness.assemble(stiffness), block.mass.assemble(mass), highest, strict=True
-        ):
-            factor = scipy.linalg.cho_factor(k + shift * inertia)
-            for number, r in enumerate(row):
-                if r.any() and has_modes:
-                    arm = thickness / 2 if number >= 3 else 1.0
-                    g = scipy.linalg.cho_solve(factor, r.T) * arm * np.sqrt(heaviest * top)
-                    responses.append(g)
-        if responses:
-            basis = _grown(basis, root @ np.concatenate(responses, axis=1), how.rest)
-        bases.append(scipy.linalg.solve_triangular(root, basis))
-    return _assembled(plain, bases, leading, added, shift)
+        basis = _grown(basis, root @ np.concatenate(responses, axis=1), how.rest)
+    return scipy.linalg.solve_triangular(root, basis), leading
 
 
 def _modes(block: DenseBlock, stiffness: Array, mass: Array, n: int) -> tuple[Array, Array]:
@@ -164,26 +201,23 @@ def _grown(basis: Array, snapshots: Array, tolerance: float) -> Array:
 
 
 def _assembled(
-    plain: PlateModel, bases: list[Array], leading: list[int], added: ParameterSet, shift: float
+    plain: PlateModel, grown: list[tuple[Array, int]], added: ParameterSet, shift: float
 ) -> LocalModel:
-    used = [i for i, v in enumerate(bases) if v.shape[1]]
     operator = plain.operator
-    blocks, indices = [], []
-    for i in used:
-        block, v = operator.blocks[i], bases[i]
-        k, m = block.stiffness.project(v), block.mass.project(v)
-        blocks.append(DenseBlock(k, m, np.arange(v.shape[1]), block.n_terms))
-        indices.append(block.index)
-    kept = [bases[i] for i in used]
-    parts = field_parts(operator.space, indices, kept)
-    grown = {s.field for s in _grown_fields(parts, leading, used, kept)}
-    loads = tuple(i for i, field in enumerate(FIELDS) if field in grown)
-    small = AffineOperator(operator.problem, operator.space, tuple(blocks))
-    bare = PlateModel(small, plain.n_modes, plain.error)
-    return LocalModel(bare, tuple(leading[i] for i in used), parts, added, loads, shift)
+    used = [(block, *pair) for block, pair in zip(operator.blocks, grown, strict=True) if pair[0].size]
+    blocks = tuple(
+        DenseBlock(b.stiffness.project(v), b.mass.project(v), np.arange(v.shape[1]), b.n_terms)
+        for b, v, _ in used
+    )
+    parts = field_parts(operator.space, [b.index for b, _, _ in used], [v for _, v, _ in used])
+    # fields of blocks that hold responses: a load on another one does nothing new
+    answering = {start for start, v, n in _starts(used) if v.shape[1] > n}
+    fields = {part.field for part in parts if part.columns.start in answering}
+    loads = tuple(i for i, field in enumerate(FIELDS) if field in fields)
+    bare = replace(plain, operator=AffineOperator(operator.problem, operator.space, blocks))
+    return LocalModel(bare, tuple(n for _, _, n in used), parts, added, loads, shift)
 
 
-def _grown_fields(parts, leading, used, kept):
-    starts = np.cumsum([0, *(v.shape[1] for v in kept)])
-    n_lead = {int(a): leading[i] for a, i in zip(starts, used)}
-    return [p for p in parts if p.columns.stop - p.columns.start > n_lead[p.columns.start]]
+def _starts(used: list[tuple[DenseBlock, Array, int]]) -> list[tuple[int, Array, int]]:
+    starts = np.cumsum([0, *(v.shape[1] for _, v, _ in used)])
+    return [(int(start), v, n) for start, (_, v, n) in zip(starts[:-1], used, strict=True)]

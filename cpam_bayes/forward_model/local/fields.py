@@ -18,6 +18,7 @@ Array = NDArray[Any]
 class FieldPart:
     """What one sector of trial functions contributes to a field of the basis vectors of one block.
 
+    sector : its number in the space
     columns : of these vectors in the whole basis
     tensor : (x.size, y.size, n_columns)
     """
@@ -25,6 +26,7 @@ class FieldPart:
     field: Field
     x: Family
     y: Family
+    sector: int
     columns: slice
     tensor: Array
 
@@ -33,7 +35,7 @@ def field_parts(space: RitzSpace, indices: list[Array], bases: list[Array]) -> t
     """The parts of bases (n_block, r), one a block whose trial functions have these indices in the space."""
     parts = []
     first = 0
-    for sector in space.sectors:
+    for number, sector in enumerate(space.sectors):
         start = 0
         for index, basis in zip(indices, bases, strict=True):
             columns = slice(start, start + basis.shape[1])
@@ -45,7 +47,7 @@ def field_parts(space: RitzSpace, indices: list[Array], bases: list[Array]) -> t
             tensor = np.zeros((sector.x.size, sector.y.size, basis.shape[1]))
             tensor[pairs[:, 0], pairs[:, 1]] = basis[inside]
             if np.abs(tensor).max() > 0.0:
-                parts.append(FieldPart(sector.field, sector.x, sector.y, columns, tensor))
+                parts.append(FieldPart(sector.field, sector.x, sector.y, number, columns, tensor))
         first += sector.size
     return tuple(parts)
 

@@ -17,6 +17,7 @@ from cpam_bayes.validation.diagnosis.truths import (
     Bench,
     Linear,
     Reached,
+    at_random_place,
     brick_frequencies,
     linear,
     parameter_of,
@@ -142,10 +143,12 @@ def _chosen(
     """A variant of a cause with its size, at a place and of a sign drawn at random."""
     variants = variants_of_cause(at.own, cause)
     weights = np.array([h.prior for h in variants])
-    order = rng.choice(len(variants), size=len(variants), replace=False, p=weights / weights.sum())
+    anywhere = any(e.is_anywhere for h in variants for e in h.effects)
+    n = _PLACES if anywhere else len(variants)
+    order = rng.choice(len(variants), size=n, replace=anywhere, p=weights / weights.sum())
     best = Reached(np.nan, 0.0, 0.0)
     for i in order[:_PLACES]:
-        h = variants[i]
+        h = at_random_place(variants[i], rng)
         if not h.parameters:
             return h, 0.0
         prior = parameter_of(h).prior
@@ -163,7 +166,7 @@ def _from_priors(
 ) -> tuple[tuple[Hypothesis, ...], Array, Array]:
     """One of these hypotheses, constants and a size drawn from the priors."""
     weights = np.array([h.prior for h in singles])
-    h = singles[int(rng.choice(len(singles), p=weights / weights.sum()))]
+    h = at_random_place(singles[int(rng.choice(len(singles), p=weights / weights.sum()))], rng)
     models = bench.case.of_other_material() if h.other_material else bench.case.models
     while True:
         x = models.parameters.sample(rng, 1)

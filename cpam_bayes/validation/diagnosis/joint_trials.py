@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from cpam_bayes.diagnosis.diagnose import diagnose_cases
 from cpam_bayes.diagnosis.fitting import SCATTER, PlateCase
-from cpam_bayes.diagnosis.hypotheses import NONE, OTHER
+from cpam_bayes.diagnosis.hypotheses import NONE, OTHER, Hypothesis
 from cpam_bayes.plate import builtin
 from cpam_bayes.plate.records import Sensor
 from cpam_bayes.validation.diagnosis.hiding import Hidden, Trial, hide
@@ -131,7 +131,9 @@ def _simulated(other: Bench, hidden: Hidden, is_same: bool, x: Array, rng: np.ra
     """Another plate or test with its list; is_same : whether it is of the plate that has the cause."""
     singles = {(h.cause, h.variant): h for h in other.singles}
     pairs = zip(hidden.causes, hidden.sizes, strict=True)
-    there = [(singles.get((h.cause, h.variant)), size) for h, size in pairs if is_same]
+    there = [
+        (h if _is_placed(h) else singles.get((h.cause, h.variant)), size) for h, size in pairs if is_same
+    ]
     kept = [(h, size) for h, size in there if h is not None and not h.is_of_one_test]
     sizes = np.array([size for _, size in kept])
     f = true_frequencies(other, [h for h, _ in kept], x, sizes, other.n_listed)
@@ -158,3 +160,8 @@ def _answer(cases: Sequence[PlateCase], names: set[str], alike: frozenset[str] |
         "relative_sd": (constants.std(axis=0) / np.abs(constants.mean(axis=0))).tolist(),
         "processor_seconds": time.process_time() - start,
     }
+
+
+def _is_placed(h: Hypothesis) -> bool:
+    """Whether its effect is at a place that was drawn: it is on every test of the plate."""
+    return any(e.place is not None for e in h.effects)

@@ -14,12 +14,14 @@ from scipy.special import logsumexp
 from cpam_bayes.diagnosis.evidence.comparison import Listed
 from cpam_bayes.diagnosis.hypotheses import NONE, OTHER, Hypothesis
 from cpam_bayes.diagnosis.signatures import ABSORBED, ALIKE, nearest_of
-from cpam_bayes.validation.diagnosis.truths import Linear, sizes_of
+from cpam_bayes.validation.diagnosis.truths import Linear, at_random_place, sizes_of
 
 Array = NDArray[Any]
 
 # Scores of an effect's size that its shifts are computed at, and points between them.
 _SCORES = np.linspace(-3.6, 3.6, 41)
+# Places that stand for all of them.
+_PLACES = 48
 _FINE = np.linspace(-3.6, 3.6, 401)
 
 
@@ -63,16 +65,26 @@ def oracle(at: Linear, truth: Array, noise: Array) -> Oracle:
         elif h.cause == OTHER:
             log_p[OTHER].append(prior + _scattered(at, h, residual, a, log_weight))
         elif h.parameters:
-            shifts = at.shift(h, sizes_of(h, _SCORES))
-            fine = np.stack([np.interp(_FINE, _SCORES, column) for column in shifts.T], axis=1)
-            seen = fine @ at.root
-            log_likelihood = -0.5 * np.sum((target - seen) ** 2, axis=1) + log_weight
-            log_p[h.cause].append(prior + float(logsumexp(log_likelihood)))
-            cosines[h.cause] = max(cosines.get(h.cause, 0.0), _best_cosine(visible, seen, fine))
+            placed = _placed(h)
+            for one in placed:
+                shifts = at.shift(one, sizes_of(one, _SCORES))
+                fine = np.stack([np.interp(_FINE, _SCORES, column) for column in shifts.T], axis=1)
+                seen = fine @ at.root
+                log_likelihood = -0.5 * np.sum((target - seen) ** 2, axis=1) + log_weight
+                log_p[h.cause].append(prior - np.log(len(placed)) + float(logsumexp(log_likelihood)))
+                cosines[h.cause] = max(cosines.get(h.cause, 0.0), _best_cosine(visible, seen, fine))
     total = {cause: float(logsumexp(values)) for cause, values in log_p.items()}
     whole = float(logsumexp(list(total.values())))
     ranked = sorted(total, key=lambda c: -total[c])
     return Oracle({c: float(np.exp(total[c] - whole)) for c in ranked}, cosines)
+
+
+def _placed(h: Hypothesis) -> list[Hypothesis]:
+    """A cause that may be anywhere at places that stand for its prior; another one alone."""
+    if not h.coordinates:
+        return [h]
+    rng = np.random.default_rng(0)
+    return [at_random_place(h, rng) for _ in range(_PLACES)]
 
 
 def _best_cosine(truth: Array, seen: Array, whole: Array) -> float:

@@ -19,7 +19,7 @@ from cpam_bayes.diagnosis.cases import hypotheses_of, plate_case, with_list
 from cpam_bayes.diagnosis.fitting import PlateCase
 from cpam_bayes.diagnosis.hypotheses import Hypothesis
 from cpam_bayes.diagnosis.signatures import ABSORBED
-from cpam_bayes.effects import extend
+from cpam_bayes.effects import Effect, extend
 from cpam_bayes.forward_model.calculix.solve import solve_specimen
 from cpam_bayes.forward_model.model import reference_vector
 from cpam_bayes.inference.standard_normal import NormalScores
@@ -67,6 +67,11 @@ class Bench:
     def singles(self) -> tuple[Hypothesis, ...]:
         """The hypotheses of one cause, none first."""
         return tuple(h for h, _ in hypotheses_of([self.case]))
+
+    def model_of(self, effect: Effect) -> Effect:
+        """The effect whose model predicts this one: that at any place, of one at a fixed place."""
+        alike = (e for h in self.singles for e in h.effects if e.name == effect.name and e.is_anywhere)
+        return effect if effect.place is None else next(alike, effect)
 
     def list_of(self, frequencies: Array) -> Measurement:
         """A list of these frequencies, rounded to the resolution, ascending."""
@@ -121,7 +126,7 @@ def true_frequencies(bench: Bench, hidden: Sequence[Hypothesis], x: Array, sizes
     problem = models.problem
     for effect, _ in of_plate:
         problem = extend(problem, effect, models.facts)
-    key = tuple((e.name, e.variant) for e, _ in of_plate)
+    key = tuple((e.name, f"{e.variant} {e.place}") for e, _ in of_plate)
     names = models.parameters.names
     if key not in bench.operators:
         while len(bench.operators) >= _KEPT:
@@ -193,7 +198,12 @@ class Linear:
             return shifts / self.own.noise
         effect = h.effects[0]
         if effect.change is not None:
-            vectors = np.column_stack((np.tile(self.x, (len(sizes), 1)), sizes))
+            place = () if effect.place is None else effect.place
+            at = np.tile(np.array([*self.x, 0.0, *place]), (len(sizes), 1))
+            at[:, len(self.x)] = sizes
+            effect, vectors = self.own.model_of(effect), at
+            if not effect.is_anywhere:
+                vectors = at[:, : len(self.x) + 1]
             log_f = np.log(self.own.case.with_effect(effect).predict(vectors).frequencies)
         else:
             assert effect.observe is not None
@@ -219,9 +229,17 @@ def linear(bench: Bench, x: Array) -> Linear:
 
 
 def parameter_of(h: Hypothesis) -> Parameter:
-    """The one parameter of a cause."""
-    (parameter,) = h.parameters
-    return parameter
+    """The size of a cause."""
+    return h.parameters[0]
+
+
+def at_random_place(h: Hypothesis, rng: np.random.Generator) -> Hypothesis:
+    """A hypothesis with its effect at a place drawn from its prior; itself where it has none."""
+    if not h.effects or not h.effects[0].is_anywhere:
+        return h
+    effect = h.effects[0]
+    fixed = effect.fixed({p.name: p.prior.sample(rng, 1)[0] for p in effect.coordinates})
+    return replace(h, effects=(fixed,), parameters=fixed.parameters, variant=fixed.variant)
 
 
 def sizes_of(h: Hypothesis, scores: Array) -> Array:

@@ -1,0 +1,93 @@
+"""Models of a plate with a change at any place, on disk beside the reduced models."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cpam_bayes.forward_model.local.fields import FieldPart
+from cpam_bayes.forward_model.local.model import LocalModel
+from cpam_bayes.forward_model.model import PlateModel
+from cpam_bayes.forward_model.store import cache_directory, read_arrays, write_arrays
+from cpam_bayes.mechanics.affine import AffineMatrix, AffineOperator, DenseBlock
+from cpam_bayes.mechanics.problem import Problem
+from cpam_bayes.mechanics.spaces.ritz import RitzSettings, ritz_space
+from cpam_bayes.parameters import ParameterSet
+from cpam_bayes.threads import single_blas_thread
+
+Array = NDArray[Any]
+
+# To be raised when the same inputs give other numbers.
+_FORMAT = 1
+
+
+@single_blas_thread
+def stored_local_model(
+    key: str,
+    problem: Problem,
+    added: ParameterSet,
+    build: Callable[[], LocalModel],
+    directory: Path | None = None,
+) -> LocalModel:
+    """The model of a plate with a change at any place from disk, or built and stored under a key.
+
+    problem : the bare plate
+    added : parameters of the change
+
+    It is the same bit for bit whether it was read or built.
+    """
+    path = (directory or cache_directory()) / f"{key}-local{_FORMAT}.npz"
+    stored = read_arrays(path)
+    if stored is None or "scalars" not in stored:
+        stored = _pack(build())
+        write_arrays(path, stored)
+    return _unpack(stored, problem, added)
+
+
+def _pack(model: LocalModel) -> dict[str, Array]:
+    assert model.bare.basis is not None
+    arrays = {
+        "error": model.bare.error,
+        "leading": np.array(model.leading, dtype=int),
+        "loads": np.array(model.loads, dtype=int),
+        "basis": np.array(json.dumps(asdict(model.bare.basis[0]))),
+        "scalars": np.array([model.shift]),
+        "sectors": np.array([[p.sector, p.columns.start, p.columns.stop] for p in model.parts], dtype=int),
+    }
+    for i, block in enumerate(model.bare.operator.blocks):
+        arrays[f"{i}_n_terms"] = np.array(block.n_terms)
+        for name, matrix in (("stiffness", block.stiffness), ("mass", block.mass)):
+            arrays[f"{i}_{name}"], arrays[f"{i}_{name}_active"] = matrix.stack, matrix.active
+    for i, part in enumerate(model.parts):
+        arrays[f"{i}_tensor"] = part.tensor
+    return arrays
+
+
+def _unpack(stored: dict[str, Array], problem: Problem, added: ParameterSet) -> LocalModel:
+    settings = RitzSettings(**json.loads(str(stored["basis"])))
+    space = ritz_space(problem.edges, problem.nominal, settings)
+    blocks = []
+    for i in range(sum(name.endswith("_n_terms") for name in stored)):
+        stiffness, mass = (
+            AffineMatrix(stored[f"{i}_{name}"], stored[f"{i}_{name}_active"])
+            for name in ("stiffness", "mass")
+        )
+        n_k, n_m = stored[f"{i}_n_terms"].tolist()
+        blocks.append(DenseBlock(stiffness, mass, np.arange(stiffness.stack.shape[-1]), (n_k, n_m)))
+    parts = tuple(
+        FieldPart(s.field, s.x, s.y, int(number), slice(int(start), int(stop)), stored[f"{i}_tensor"])
+        for i, (number, start, stop) in enumerate(stored["sectors"])
+        for s in (space.sectors[number],)
+    )
+    error = stored["error"]
+    operator = AffineOperator(problem, space, tuple(blocks))
+    bare = PlateModel(operator, len(error), error, (settings, np.empty(0, dtype=bool)))
+    shift = float(stored["scalars"][0])
+    leading, loads = (tuple(int(n) for n in stored[name]) for name in ("leading", "loads"))
+    return LocalModel(bare, leading, parts, added, loads, shift)
