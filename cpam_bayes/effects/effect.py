@@ -70,8 +70,8 @@ class PlateFacts:
         """The facts of a measured plate."""
         sides = (plate.length, plate.width, plate.thickness)
         mass = plate.density * plate.thickness * plate.area
-        known = (mass, loaded, air_is_known, has_references)
-        return cls(*sides, plate.layup, plate.edges, isotropic, *known, first_frequency)
+        known = (loaded, air_is_known, has_references)
+        return cls(*sides, plate.layup, plate.edges, isotropic, mass, *known, first_frequency)
 
 
 @dataclass(frozen=True, slots=True)
