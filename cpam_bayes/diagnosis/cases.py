@@ -210,11 +210,9 @@ def _only(measurement: Measurement, kept: Array) -> Measurement:
     if kept.all():
         return measurement
     sd = measurement.frequency_sd
-    return Measurement(
-        measurement.frequencies[kept],
-        measurement.resolution,
-        measurement.relative_std,
-        None if sd is None else sd[kept],
-        tuple(label for label, is_kept in zip(measurement.labels, kept, strict=True) if is_kept),
-        measurement.complete,
+    return replace(
+        measurement,
+        frequencies=measurement.frequencies[kept],
+        frequency_sd=None if sd is None else sd[kept],
+        labels=tuple(label for label, is_kept in zip(measurement.labels, kept, strict=True) if is_kept),
     )

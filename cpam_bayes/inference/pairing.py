@@ -29,6 +29,8 @@ class PairingPrior:
 
 
 DEFAULT_PAIRING = PairingPrior()
+# Log price of a false peak where there are none: finite, so that none times it is nothing.
+_IMPOSSIBLE = -1e300
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +64,8 @@ def monotone_log_likelihood(
     if not table.n:
         return np.asarray(table.nothing)
     forward = table.sums()[0]
-    return np.asarray(np.logaddexp(table.nothing, _log_sum(forward + table.tail(), axes=(1, 2))))
+    value = np.logaddexp(table.nothing, _log_sum(forward + table.tail(), axes=(1, 2)))
+    return np.where(value > 0.1 * _IMPOSSIBLE, value, -np.inf)
 
 
 def most_probable_pairing(
@@ -139,7 +142,7 @@ class _Prices:
         self.m, self.n, self.k = log_density.shape
         self.pair = np.log1p(-prior.missed) + log_density
         self.miss = np.where(in_range, np.log(prior.missed), 0.0)
-        self.extra = float(np.log(prior.spurious / span)) if prior.spurious > 0 else -np.inf
+        self.extra = float(np.log(prior.spurious / span)) if prior.spurious > 0 else _IMPOSSIBLE
         self.nothing = self.n * self.extra + self.miss.sum(axis=1)
 
     def sums(self, *, maximise: bool = False) -> tuple[Array, dict[tuple[int, int], tuple[int, int]]]:
@@ -180,8 +183,7 @@ class _Prices:
         """Log price of what is left after the pair (i, j), (m, n, k)."""
         after = self.miss.sum(axis=1, keepdims=True) - np.cumsum(self.miss, axis=1)
         rows = np.arange(self.n - 1, -1, -1.0)
-        spare = np.where(rows > 0, rows * (self.extra if np.isfinite(self.extra) else -1e300), 0.0)
-        return np.asarray(after[:, None, :] + spare[None, :, None])
+        return np.asarray(after[:, None, :] + (rows * self.extra)[None, :, None])
 
 
 def _log_sum(values: Array, axes: tuple[int, ...]) -> Array:

@@ -182,12 +182,13 @@ def plate_posterior(
     *,
     likelihood: Likelihood = "relative",
     degrees_of_freedom: float = np.inf,
-    pairing: PairingPrior = DEFAULT_PAIRING,
+    pairing: PairingPrior | None = None,
 ) -> Posterior:
     """The posterior of a model's parameters, with the noise among them if the file leaves it out.
 
     likelihood, degrees_of_freedom : as of ``noise_model``.
     solver_error : (n_modes,) relative.
+    pairing : prior of the pairings of an incomplete list, by default that of the measurement.
 
     Raises ``ValueError`` for a list with labels unless the model is a ``LabelledModel``.
     """
@@ -200,4 +201,6 @@ def plate_posterior(
         raise ValueError(
             "the list of frequencies has labels and the model does not know them; make it with labelled_model"
         )
+    if pairing is None:
+        pairing = PairingPrior(measurement.missed_probability, measurement.false_peaks)
     return Posterior(model, measurement, parameters, noise, labelled, pairing)

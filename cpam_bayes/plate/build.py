@@ -101,6 +101,7 @@ def _sensor(model: SensorModel) -> Sensor:
 
 def _measurement(model: MeasurementModel) -> Measurement:
     sd = model.frequency_sd_hz
+    of_pairing = {name: getattr(model, name) for name in ("missed_probability", "false_peaks")}
     return Measurement(
         frequencies=np.array(model.frequencies_hz, dtype=float),
         resolution=float(model.resolution_hz),
@@ -108,6 +109,7 @@ def _measurement(model: MeasurementModel) -> Measurement:
         frequency_sd=None if sd is None else np.array(sd, dtype=float),
         labels=tuple(model.labels or ("",) * len(model.frequencies_hz)),
         complete=model.complete,
+        **{name: float(value) for name, value in of_pairing.items() if value is not None},
     )
 
 

@@ -149,6 +149,19 @@ def _frequencies(data: Data) -> Problems:
             )
 
 
+def _incomplete(data: Data) -> Problems:
+    measurement = table(data, "measurement")
+    if measurement.get("complete") is False:
+        return
+    for key in ("missed_probability", "false_peaks"):
+        if key in measurement:
+            yield Problem(
+                ("measurement", key),
+                f"of a complete list, received {received(measurement[key])}, accepted: "
+                "complete = false beside it",
+            )
+
+
 def _mesh(data: Data, directory: Path | None) -> Problems:
     mesh = table(data, "plate").get("mesh")
     if not isinstance(mesh, str) or not mesh:
@@ -180,4 +193,5 @@ _CHECKS: Final[tuple[_Check, ...]] = (
     _grid_step,
     _sensors,
     _frequencies,
+    _incomplete,
 )

@@ -76,6 +76,8 @@ class Measurement:
     frequency_sd : (n,) Hz, one for each; it overrules relative_std
     labels : n mode labels, "" where the mode is not known
     complete : no mode is missing from the list
+    missed_probability : of an incomplete list, that a mode in its range is not in it
+    false_peaks : expected number of its frequencies that are no mode
     """
 
     frequencies: NDArray[np.float64]
@@ -84,6 +86,8 @@ class Measurement:
     frequency_sd: NDArray[np.float64] | None
     labels: tuple[str, ...]
     complete: bool
+    missed_probability: float = 0.1
+    false_peaks: float = 0.1
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "frequencies", _read_only(self.frequencies))

@@ -188,6 +188,11 @@ class MeasurementModel(_Table):
         | None
     ) = None
     complete: Flag = True
+    missed_probability: (
+        Annotated[float, Field(gt=0, lt=1, allow_inf_nan=False, description="a number above 0 and below 1")]
+        | None
+    ) = None
+    false_peaks: Annotated[float, _not_negative("a number, 0 or above")] | None = None
 
 
 class PlateFile(_Table):

@@ -66,6 +66,17 @@ def test_outside_the_support_the_model_is_not_asked_and_the_density_is_zero() ->
     np.testing.assert_array_equal(found[1:], -np.inf)
 
 
+def test_probabilities_of_missed_modes_and_false_peaks_are_the_files() -> None:
+    data = measurement(relative_std=0.01)
+    gaps = replace(data, complete=False, missed_probability=0.3, false_peaks=0.0)
+    posterior = plate_posterior(LinearModel(), gaps, np.zeros(4))
+    assert (posterior.pairing.missed, posterior.pairing.spurious) == (0.3, 0.0)
+    # no false peaks, every mode in its place: each is there with the probability 0.7
+    x = np.array([[0.3, -0.2]])
+    full = plate_posterior(LinearModel(), data, np.zeros(4)).log_likelihood(x)[0]
+    assert posterior.log_likelihood(x)[0] == pytest.approx(full + 4 * np.log(0.7), abs=1e-6)
+
+
 def test_a_complete_list_without_its_third_mode_is_far_less_probable_than_an_incomplete_one() -> None:
     model = LinearModel()
     truth = model.predict(np.zeros((1, 2))).frequencies[0]

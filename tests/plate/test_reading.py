@@ -35,6 +35,15 @@ def test_every_key_arrives_in_si(specimen):
     assert (measurement.resolution, measurement.relative_std) == (0.5, 0.005)
     assert measurement.labels == ("(1,1)", "", "", "", "", "")
     assert measurement.complete is False
+    assert (measurement.missed_probability, measurement.false_peaks) == (0.1, 0.1)
+
+
+def test_how_complete_a_list_is_can_be_said(full_text):
+    said = full_text.replace(
+        "complete = false", "complete = false\nmissed_probability = 0.3\nfalse_peaks = 0"
+    )
+    measurement = parse_specimen(said, "x").measurement
+    assert (measurement.missed_probability, measurement.false_peaks) == (0.3, 0.0)
 
 
 def test_unknowns_carry_priors_in_si(specimen):
