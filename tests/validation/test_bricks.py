@@ -1,0 +1,224 @@
+"""Plates of bricks with flaws: what stands in their decks, and what CalculiX makes of them."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import cpam_bayes as cb
+from cpam_bayes.forward_model.calculix import solve_specimen
+from cpam_bayes.forward_model.model import reference_constants
+from cpam_bayes.plate import Sensor, Specimen
+from cpam_bayes.validation.brick_cases import CASES, CONSTANTS, listed_frequencies, plate_file, plate_of
+from cpam_bayes.validation.bricks import (
+    Flaws,
+    Heat,
+    Mass,
+    Notch,
+    Patch,
+    Springs,
+    flawed_deck,
+    flawed_frequencies,
+)
+
+BRICKS = Path(__file__).parents[2] / "studies" / "data" / "bricks"
+A, B, H = 0.2, 0.15, 0.003
+IN_PLANE = 30
+
+
+def plate(edges: str = "FFFF") -> Specimen:
+    return cb.read_plate(
+        {
+            "name": "plate",
+            "plate": {
+                "length_mm": 1e3 * A,
+                "width_mm": 1e3 * B,
+                "thickness_mm": 1e3 * H,
+                "density_kg_m3": 1560.0,
+                "layup": "[0/90]_s",
+                "edges": edges,
+            },
+            "material": {"isotropic": False, "E1_GPa": 128.0, "E2_GPa": 8.6, "nu12": 0.31, "G12_GPa": 4.7},
+        }
+    )
+
+
+def nodes(flaws: Flaws) -> np.ndarray:
+    specimen = plate()
+    return flawed_deck(specimen, reference_constants(specimen), 4, flaws, in_plane=IN_PLANE).mesh.nodes
+
+
+def text(flaws: Flaws, edges: str = "FFFF") -> str:
+    specimen = plate(edges)
+    return flawed_deck(specimen, reference_constants(specimen), 4, flaws, in_plane=IN_PLANE).text
+
+
+def block(deck: str, keyword: str) -> list[list[float]]:
+    """The data lines of the first card that begins with a keyword."""
+    after = deck.split(f"{keyword}\n", 1)[1].split("*", 1)[0]
+    return [[float(v) for v in line.split(",") if v.strip()] for line in after.strip().splitlines()]
+
+
+def test_a_taper_makes_one_end_thicker_and_keeps_the_midplane() -> None:
+    moved = nodes(Flaws(taper=(0.1, 0.0)))
+    for x, thickness in ((0.0, 0.9 * H), (A, 1.1 * H)):
+        z = moved[np.isclose(moved[:, 0], x), 2]
+        assert_allclose([z.min(), z.max()], [-thickness / 2, thickness / 2])
+
+
+def test_a_sag_lifts_the_middle_and_leaves_the_corners() -> None:
+    flat, moved = nodes(Flaws()), nodes(Flaws(sag=(1e-3, 5e-4)))
+    lift = moved[:, 2] - flat[:, 2]
+    assert lift.max() == pytest.approx(1.5e-3, rel=0.1)
+    corner = np.isclose(flat[:, 0] * flat[:, 1], 0.0) & np.isclose(flat[:, 0] + flat[:, 1], 0.0)
+    assert_allclose(lift[corner], 0.0, atol=1e-15)
+
+
+def test_a_mass_sits_at_its_place_on_the_top() -> None:
+    deck = text(Flaws(masses=(Mass(1e-3, 0.073, 0.041),)))
+    ((_, node),) = block(deck, "*ELEMENT, TYPE=MASS, ELSET=MASS_1")
+    (place,) = (row[1:] for row in block(deck, "*NODE, NSET=ALL") if row[0] == node)
+    assert_allclose(place, [0.073, 0.041, H / 2])
+    assert block(deck, "*MASS, ELSET=MASS_1") == [[1e-3]]
+
+
+def test_a_notch_has_neither_elements_nor_nodes() -> None:
+    rows = np.array(block(text(Flaws(notch=Notch(0.03, 0.02))), "*NODE, NSET=ALL"))
+    inside = (rows[:, 1] > A - 0.03 + 1e-9) & (rows[:, 2] > B - 0.02 + 1e-9)
+    assert not inside.any()
+    assert rows[:, 1].max() == pytest.approx(A)
+    assert rows[:, 2].max() == pytest.approx(B)
+
+
+def test_a_patch_is_softer_by_its_fraction_and_as_large_as_asked() -> None:
+    patch = Patch((0.051, 0.083), (0.033, 0.074), 0.4)
+    deck = text(Flaws(patch=patch))
+    plies, soft = (
+        np.array(
+            [
+                v
+                for row in block(deck, f"*MATERIAL, NAME={name}\n*ELASTIC, TYPE=ENGINEERING CONSTANTS")
+                for v in row
+            ]
+        )
+        for name in ("PLY", "SOFT")
+    )
+    is_poisson = np.arange(9) // 3 == 1
+    assert_allclose(soft, np.where(is_poisson, plies, 0.4 * plies), rtol=1e-9)
+    first = deck.split("*ELEMENT, TYPE=C3D20R, ELSET=SOFT_1\n", 1)[1].split("*", 1)[0]
+    numbers = {
+        int(v)
+        for line in first.splitlines()
+        for v in line.split(",")[1 if line[0] != " " else 0 :]
+        if v.strip()
+    }
+    at = {int(row[0]): row[1:] for row in block(deck, "*NODE, NSET=ALL")}
+    xy = np.array([at[n][:2] for n in numbers if n in at])
+    assert_allclose([xy.min(axis=0), xy.max(axis=0)], [[0.051, 0.033], [0.083, 0.074]], atol=1e-12)
+
+
+def test_springs_of_a_face_add_up_to_its_area() -> None:
+    deck = text(Flaws(springs=Springs(1.0, 2.0, 3.0)), "CFFF")
+    total = np.zeros(3)
+    for part in deck.split("*ELEMENT, TYPE=SPRING1, ELSET=")[1:]:
+        elements, spring = part.split("*SPRING, ELSET=", 1)
+        n_nodes = len(elements.strip().splitlines()) - 1
+        degree, stiffness = spring.splitlines()[1:3]
+        total[int(degree) - 1] += n_nodes * float(stiffness)
+    assert_allclose(total, B * H * np.array([1.0, 2.0, 3.0]), rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("edges", "flaws", "message"),
+    [
+        ("SFFF", Flaws(), "accepted: F and C"),
+        ("FFFF", Flaws(springs=Springs(1.0, 1.0, 1.0)), "with a clamped edge"),
+        ("CFFF", Flaws(heat=Heat(1e-5)), "accepted: FFFF"),
+    ],
+)
+def test_what_has_no_meaning_is_refused(edges: str, flaws: Flaws, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        text(flaws, edges)
+
+
+# The files of the worked cases
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_a_file_of_a_case_is_its_plate_with_its_noise(name: str) -> None:
+    truth = json.loads((BRICKS / "truths.json").read_text(encoding="utf-8"))[name]
+    case = CASES[name]
+    saved = (BRICKS / f"{name}.toml").read_text(encoding="utf-8")
+    assert saved == plate_file(case, listed_frequencies(case, np.array(truth["bricks_hz"])))
+    assert truth["cause"] == case.cause
+    assert tuple(truth["constants"][k] for k in CONSTANTS) == case.constants
+    assert cb.read_plate(str(BRICKS / f"{name}.toml")).name == name
+
+
+def test_files_tell_nothing_of_the_truth() -> None:
+    for case in CASES.values():
+        assert set(plate_of(case)) == {"name", "plate", "material", "unknowns"}
+        assert case.reference != case.constants
+
+
+# On CalculiX
+
+
+@pytest.mark.needs_ccx
+def test_without_flaws_the_deck_is_that_of_the_plate() -> None:
+    for edges in ("FFFF", "CFFF"):
+        specimen = plate(edges)
+        constants = reference_constants(specimen)
+        found = flawed_frequencies(specimen, constants, 4, in_plane=IN_PLANE)
+        assert_allclose(found, solve_specimen(specimen, constants, 4, in_plane=IN_PLANE), rtol=1e-6)
+
+
+@pytest.mark.needs_ccx
+def test_a_mass_of_the_truth_acts_as_one_of_the_file() -> None:
+    specimen = plate()
+    constants = reference_constants(specimen)
+    known = replace(specimen, sensors=(Sensor(2e-3, 0.03, 0.12),))
+    hidden = Flaws(masses=(Mass(2e-3, 0.03, 0.12),))
+    found = flawed_frequencies(specimen, constants, 4, hidden, in_plane=IN_PLANE)
+    assert_allclose(found, flawed_frequencies(known, constants, 4, in_plane=IN_PLANE), rtol=1e-9)
+
+
+@pytest.mark.needs_ccx
+def test_stiff_springs_are_a_clamp_and_soft_ones_are_not() -> None:
+    specimen = plate("CFFF")
+    constants = reference_constants(specimen)
+    held, stiff, soft = (
+        flawed_frequencies(specimen, constants, 4, Flaws(springs=s), in_plane=IN_PLANE)
+        for s in (None, Springs(1e16, 1e16, 1e16), Springs(5e12, 5e12, 1e10))
+    )
+    assert_allclose(stiff, held, rtol=1e-3)
+    assert np.all(soft < held)
+
+
+@pytest.mark.needs_ccx
+def test_heat_raises_one_way_and_lowers_the_other() -> None:
+    specimen = plate()
+    constants = reference_constants(specimen)
+    cold, none, warm = (
+        flawed_frequencies(specimen, constants, 1, Flaws(heat=h), in_plane=IN_PLANE)[0]
+        for h in (Heat(-2e-5), None, Heat(2e-5))
+    )
+    # to first order in the stress
+    assert warm - none == pytest.approx(none - cold, rel=0.1)
+    assert abs(warm / none - 1.0) > 1e-3
+
+
+@pytest.mark.needs_ccx
+def test_a_small_taper_is_of_second_order_on_a_free_plate() -> None:
+    specimen = plate()
+    constants = reference_constants(specimen)
+    there, back = (
+        flawed_frequencies(specimen, constants, 4, Flaws(taper=(t, 0.0)), in_plane=IN_PLANE)
+        for t in (0.05, -0.05)
+    )
+    assert_allclose(there, back, rtol=1e-6)
