@@ -40,6 +40,7 @@ class Elements:
     edges : by edge its points on the unit square (along it), weights in m and shape functions.
     held : by edge the nodes on it.
     nodes : (2, n) of the unit square.
+    shape : elements along x and y.
     """
 
     n: int
@@ -55,6 +56,11 @@ class Elements:
     edges: Mapping[str, tuple[Array, Array, csr_array[Any]]]
     held: Mapping[str, NDArray[np.int64]]
     nodes: Array
+    shape: tuple[int, int]
+
+
+class BucklingError(ValueError):
+    """The stress on a plate is more than it bears."""
 
 
 def divisions(n: int, grading: float = GRADING) -> Array:
@@ -95,6 +101,7 @@ def elements(outline: Outline, n: tuple[int, int] = (ELEMENTS, ELEMENTS)) -> Ele
         edges=edges,
         held=held,
         nodes=np.asarray(flat[3].doflocs),
+        shape=n,
     )
 
 
@@ -159,7 +166,7 @@ def edge_form(mesh: Elements, edge: str, density: Callable[[Array], Array]) -> c
 
 def at_point(mesh: Elements, place: tuple[float, float]) -> csr_array[Any]:
     """Shape functions at a place of the unit square, (1, n)."""
-    return _point(mesh.n, place)
+    return _point(mesh.shape, place)
 
 
 def frequencies(
@@ -184,6 +191,8 @@ def frequencies(
     start = np.random.default_rng(0).standard_normal(len(free))
     values, vectors = eigsh(kf, n_modes + rigid, mf, sigma=shift, OPinv=inverse, v0=start, tol=1e-9)
     rank = np.argsort(values)[rigid:]
+    if values[rank[0]] <= 0.0:
+        raise BucklingError("the plate buckles: its lowest eigenvalue is not positive; take a smaller stress")
     modes = np.zeros((size, len(rank)))
     modes[free] = vectors[:, rank]
     return np.sqrt(np.abs(values[rank])) / (2.0 * np.pi), modes
@@ -195,12 +204,9 @@ def _unit_mesh(n: tuple[int, int]) -> Any:
 
 
 @lru_cache(maxsize=256)
-def _point(n: int, place: tuple[float, float]) -> csr_array[Any]:
-    for shape in ((ELEMENTS, ELEMENTS), (24, 24), (32, 32), (8, 8)):
-        basis = CellBasis(_unit_mesh(shape), ElementQuadS2(), intorder=3)
-        if n == basis.N:
-            return csr_array(basis.probes(np.array(place)[:, None]))
-    raise ValueError(f"no mesh of {n} nodes is known; use one of the square ones")
+def _point(n: tuple[int, int], place: tuple[float, float]) -> csr_array[Any]:
+    basis = CellBasis(_unit_mesh(n), ElementQuadS2(), intorder=3)
+    return csr_array(basis.probes(np.array(place)[:, None]))
 
 
 def _sampled(basis: Any) -> list[csr_array[Any]]:

@@ -1,0 +1,1 @@
+"""A benchmark of what is claimed: answers to lists, their scores, an oracle, and simpler methods."""

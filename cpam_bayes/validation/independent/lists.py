@@ -1,0 +1,332 @@
+"""Frequency lists with something hidden in them, and their truths."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cpam_bayes.validation.independent.elements import BucklingError
+from cpam_bayes.validation.independent.flaws import FLAWS, Aux
+from cpam_bayes.validation.independent.nominal import NominalPlate
+from cpam_bayes.validation.independent.true_plate import TruePlate, natural_frequencies, sensitivities
+
+Array = NDArray[np.float64]
+
+# Relative repeatability of the simulated tests.
+NOISE = 0.002
+# Modes beyond the list, of which some may be missed.
+FURTHER = 3
+# Mesh on which a size is sought; the list itself is solved on the finer one.
+_SEARCH_MESH = 10
+_TOLERANCE, _STEPS = 0.05, 9
+# Length of the smooth discrepancy's correlation, in ln f.
+_CORRELATION = (0.4, 1.2)
+# A share of a compound cause below this many standard deviations shows nothing of its own.
+_UNSEEN = 2.0
+# Two causes are hidden together where their visible signatures differ.
+_MOST_ALIKE = 0.9
+
+
+class UnreachableError(ValueError):
+    """A cause cannot have the asked signal to noise within its physical limit."""
+
+
+@dataclass(frozen=True, slots=True)
+class Truth:
+    """What a list hides.
+
+    causes : names; "other" for a smooth discrepancy; empty for a clean list.
+    accepted : further names that are the same physical thing on this plate.
+    sizes, aux : by cause, in the units of its flaw, and its place or form.
+    ratio : signal to noise of each cause, None where it was not asked for.
+    constants : of the plate, in the units of files.
+    true_hz : the modes that are listed, without noise.
+    reference_hz : of the same plate without the causes, FURTHER modes more.
+    """
+
+    kind: str
+    plate: str
+    causes: tuple[str, ...]
+    accepted: tuple[str, ...]
+    sizes: dict[str, float]
+    aux: dict[str, Aux]
+    ratio: float | None
+    constants: dict[str, float]
+    true_hz: tuple[float, ...]
+    stated: bool
+    complete: bool
+    missed: tuple[int, ...] = ()
+    known: bool = True
+    noise: float = NOISE
+    extra: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Linear:
+    """ln f of the unflawed truth and its slopes over the constants' prior scores, of more than n modes."""
+
+    ln_f: Array
+    slope: Array
+    n: int
+
+    def visible(self, shift: Array) -> Array:
+        """A shift of the first n modes less what constants imitate within their priors, in sd."""
+        a = self.slope[: self.n] / NOISE
+        inner = np.eye(self.n) - a @ np.linalg.solve(a.T @ a + np.eye(a.shape[1]), a.T)
+        values, vectors = np.linalg.eigh(inner)
+        root = (vectors * np.sqrt(np.clip(values, 0.0, None))) @ vectors.T
+        return np.asarray(root @ shift[: self.n] / NOISE)
+
+
+def linear_of(nominal: NominalPlate, plate: TruePlate, mesh: int = _SEARCH_MESH) -> Linear:
+    """The linear plate about its true constants."""
+    names = nominal.constants
+    ln_f, slope = sensitivities(replace(plate, mesh=mesh), names, nominal.n_modes + FURTHER)
+    over = np.array([nominal.plate.constants[n] / plate.constants[n] for n in names])
+    return Linear(ln_f, slope * over * nominal.relative_sd, nominal.n_modes)
+
+
+def size_for(
+    linear: Linear, plate: TruePlate, cause: str, aux: Aux, ratio: float, sign: float
+) -> tuple[float, Array]:
+    """The size at which a cause has a signal to noise, and its visible shift; UnreachableError if none."""
+    flaw = FLAWS[cause]
+    coarse = replace(plate, mesh=_SEARCH_MESH)
+    most = flaw.most(plate)
+
+    def seen(size: float) -> tuple[float, Array]:
+        try:
+            f = natural_frequencies(flaw.apply(coarse, sign * size, aux), linear.n + FURTHER)
+        except BucklingError:
+            return np.inf, np.zeros(linear.n)
+        visible = linear.visible(np.log(f) - linear.ln_f)
+        return float(np.linalg.norm(visible)), visible
+
+    tried: list[tuple[float, float]] = []
+    size = min(flaw.scale(plate), most)
+    for _ in range(_STEPS):
+        norm, visible = seen(size)
+        if abs(norm / ratio - 1.0) < _TOLERANCE:
+            return sign * size, visible
+        tried.append((size, norm))
+        below = max((t for t in tried if t[1] < ratio), default=None)
+        above = min((t for t in tried if t[1] >= ratio), default=None)
+        if below is not None and below[0] >= most:
+            break
+        if below is None or above is None or not np.isfinite(above[1]):
+            growth = np.clip(ratio / max(norm, 1e-9), 0.1, 6.0) if np.isfinite(norm) else 0.3
+            size = float(min(size * growth, most))
+            if above is not None and below is not None:
+                size = float(np.sqrt(above[0] * below[0]))
+        else:
+            low, high = (np.log(t) for t in ((below[0], max(below[1], 1e-9)), above))
+            part = np.clip((np.log(ratio) - low[1]) / max(high[1] - low[1], 1e-9), 0.05, 0.95)
+            size = float(np.exp(low[0] + part * (high[0] - low[0])))
+    # a hole grows by whole points of the rule: the nearest size will do
+    size, norm = min(tried, key=lambda t: abs(np.log(max(t[1], 1e-9) / ratio)))
+    if not 0.8 < norm / ratio < 1.25:
+        raise UnreachableError(f"{cause} reaches {norm:.3g} times the noise of {ratio:g}")
+    return sign * size, seen(size)[1]
+
+
+def single(
+    nominal: NominalPlate,
+    cause: str,
+    ratio: float | None,
+    rng: np.random.Generator,
+    *,
+    kind: str = "one",
+    aux: Aux | None = None,
+    size: float | None = None,
+    **how: Any,
+) -> tuple[str, Truth]:
+    """A list with one cause; ratio None: its size as given, or drawn from the prior."""
+    plate = nominal.drawn(rng)
+    flaw = FLAWS[cause]
+    extra: dict[str, Any] = {}
+    if ratio is None:
+        aux = flaw.draw(plate, rng) if aux is None else aux
+        size = flaw.prior_size(plate, rng) if size is None else size
+        try:
+            flawed = flaw.apply(plate, size, aux)
+            natural_frequencies(replace(flawed, mesh=_SEARCH_MESH), 2)
+        except BucklingError as error:
+            raise UnreachableError(str(error)) from None
+    else:
+        linear = linear_of(nominal, plate)
+        for attempt in range(4):
+            own = flaw.draw(plate, rng) if aux is None else aux
+            sign = float(rng.choice((-1.0, 1.0))) if flaw.two_sided else 1.0
+            try:
+                size, _ = size_for(linear, plate, cause, own, ratio, sign)
+                aux = own
+                break
+            except UnreachableError:
+                if attempt == 3:
+                    raise
+    if size is None or aux is None:
+        raise ValueError(f"{cause}: a size and a place are needed")
+    return listed(nominal, plate, kind, {cause: (size, aux)}, rng, ratio=ratio, extra=extra, **how)
+
+
+def pair(
+    nominal: NominalPlate, causes: tuple[str, str], ratio: float, rng: np.random.Generator, **how: Any
+) -> tuple[str, Truth]:
+    """A list with two causes of the same signal to noise whose signatures differ."""
+    plate = nominal.drawn(rng)
+    linear = linear_of(nominal, plate)
+    for _ in range(4):
+        found: dict[str, tuple[float, Aux]] = {}
+        seen = []
+        for cause in causes:
+            flaw = FLAWS[cause]
+            aux = flaw.draw(plate, rng)
+            sign = float(rng.choice((-1.0, 1.0))) if flaw.two_sided else 1.0
+            size, visible = size_for(linear, plate, cause, aux, ratio, sign)
+            found[cause] = (size, aux)
+            seen.append(visible / np.linalg.norm(visible))
+        if abs(float(seen[0] @ seen[1])) < _MOST_ALIKE:
+            return listed(nominal, plate, "two", found, rng, ratio=ratio, **how)
+    raise UnreachableError(f"{causes[0]} and {causes[1]} look alike wherever they are")
+
+
+def listed(
+    nominal: NominalPlate,
+    plate: TruePlate,
+    kind: str,
+    flaws: dict[str, tuple[float, Aux]],
+    rng: np.random.Generator,
+    *,
+    ratio: float | None = None,
+    stated: bool = True,
+    missed: Sequence[int] = (),
+    complete: bool = True,
+    on_list: Callable[[Array], Array] | None = None,
+    causes: tuple[str, ...] | None = None,
+    extra: dict[str, Any] | None = None,
+) -> tuple[str, Truth]:
+    """The file of a list and its truth.
+
+    missed : modes that the laboratory did not see. complete : what the file says.
+    on_list : what else was wrong with the list. causes : if other than the names of the flaws.
+    """
+    flawed = plate
+    for cause, (size, aux) in flaws.items():
+        flawed = FLAWS[cause].apply(flawed, size, aux)
+    every = natural_frequencies(flawed, nominal.n_modes + FURTHER)
+    extra = dict(extra or {})
+    if flaws:
+        shift = np.log(every / natural_frequencies(plate, len(every)))
+        norm = np.linalg.norm(linear_of(nominal, plate).visible(shift))
+        extra |= {
+            "signal_to_noise": round(float(norm), 2),
+            "largest_shift_percent": round(100 * float(np.abs(shift).max()), 3),
+        }
+    f = np.delete(every, list(missed))[: nominal.n_modes]
+    true_hz = f if on_list is None else on_list(f)
+    noisy = true_hz * (1.0 + NOISE * rng.standard_normal(len(f)))
+    noisy = noisy if on_list is not None else np.sort(noisy)
+    names = tuple(flaws) if causes is None else causes
+    truth = Truth(
+        kind=kind,
+        plate=nominal.name,
+        causes=names,
+        accepted=same_thing(nominal, plate, flaws),
+        sizes={cause: float(size) for cause, (size, _) in flaws.items()},
+        aux={cause: aux for cause, (_, aux) in flaws.items() if aux},
+        ratio=None if ratio is None else float(ratio),
+        constants={n: float(plate.constants[n]) for n in nominal.constants},
+        true_hz=tuple(float(v) for v in np.round(true_hz, 3)),
+        stated=stated,
+        complete=complete,
+        missed=tuple(int(k) for k in missed),
+        known=nominal.known,
+        extra=extra,
+    )
+    text = nominal.file([float(v) for v in noisy], stated=NOISE if stated else None, complete=complete)
+    return text, truth
+
+
+def same_thing(
+    nominal: NominalPlate, plate: TruePlate, flaws: dict[str, tuple[float, Aux]]
+) -> tuple[str, ...]:
+    """Other names of a single hidden cause.
+
+    A soft clamp is rotation and translation at once, so each is a soft clamp without the other; a soft clamp
+    whose one part alone is below two standard deviations is the other part. The free length of a plate
+    clamped on x = 0 alone is its length. Plies of one direction all turned, where the layup has no other,
+    are turned as a whole.
+    """
+    if len(flaws) != 1:
+        return ()
+    ((cause, (size, aux)),) = flaws.items()
+    if cause in ("clamp_rotation", "clamp_translation"):
+        return ("soft_clamp",)
+    if cause in ("length", "clamp_length") and plate.edges == "CFFF":
+        return ("clamp_length" if cause == "length" else "length",)
+    if cause == "soft_clamp":
+        linear = linear_of(nominal, plate)
+        soft = FLAWS[cause].apply(replace(plate, mesh=_SEARCH_MESH), size, aux)
+        names = []
+        for name, alone in (
+            ("clamp_rotation", replace(soft, shift=0.0)),
+            ("clamp_translation", replace(soft, turn=0.0)),
+        ):
+            both, one = (np.log(natural_frequencies(p, linear.n + FURTHER)) for p in (soft, alone))
+            if np.linalg.norm(linear.visible(both - one)) < _UNSEEN:
+                names.append(name)
+        return tuple(names)
+    return ()
+
+
+def smooth(nominal: NominalPlate, ratio: float, rng: np.random.Generator, **how: Any) -> tuple[str, Truth]:
+    """A list whose frequencies are off by a smooth function of ln f that no cause explains."""
+    plate = nominal.drawn(rng)
+    linear = linear_of(nominal, plate)
+    x = linear.ln_f[: nominal.n_modes]
+    length = float(np.exp(rng.uniform(*np.log(_CORRELATION))))
+    covariance = np.exp(-0.5 * ((x[:, None] - x) / length) ** 2) + 1e-10 * np.eye(len(x))
+    shift = np.linalg.cholesky(covariance) @ rng.standard_normal(len(x))
+    shift *= ratio / np.linalg.norm(linear.visible(shift))
+    return listed(
+        nominal,
+        plate,
+        "smooth",
+        {},
+        rng,
+        ratio=ratio,
+        on_list=lambda f: np.sort(f * np.exp(shift)),
+        causes=("other",),
+        extra={"correlation_length": length, "shift_percent": [round(100 * float(s), 3) for s in shift]},
+        **how,
+    )
+
+
+def misread(nominal: NominalPlate, ratio: float, rng: np.random.Generator, **how: Any) -> tuple[str, Truth]:
+    """A list with one frequency misread, still in its place."""
+    plate = nominal.drawn(rng)
+    linear = linear_of(nominal, plate)
+    n = nominal.n_modes
+    for i in rng.permutation(n):
+        unit = np.zeros(n)
+        unit[i] = 1.0
+        shift = float(rng.choice((-1.0, 1.0)) * ratio / np.linalg.norm(linear.visible(unit)))
+        ln_f = linear.ln_f[:n] + shift * unit
+        if abs(shift) < 0.4 and (np.diff(ln_f) > 4 * NOISE).all():
+            return listed(
+                nominal,
+                plate,
+                how.pop("kind", "one"),
+                {},
+                rng,
+                ratio=ratio,
+                on_list=lambda f, i=i, s=shift: f * np.where(np.arange(len(f)) == i, np.exp(s), 1.0),  # type: ignore[misc]
+                causes=("outlier",),
+                extra={"frequency": int(i) + 1, "shift_percent": round(100 * shift, 3)},
+                **how,
+            )
+    raise UnreachableError("no frequency can be misread by so much and keep its place")
