@@ -22,7 +22,7 @@ from typing import Any
 Record = dict[str, Any]
 
 # Hypotheses that a record keeps.
-_KEPT = 12
+_KEPT = 6
 _FAILURES = (ValueError, ArithmeticError, LookupError, RuntimeError, TypeError, AttributeError, MemoryError)
 
 

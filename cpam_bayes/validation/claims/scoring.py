@@ -104,7 +104,7 @@ def coverage_of(truth: Record, constants: Mapping[str, Mapping[str, float]]) -> 
 def scored(lists: Iterable[Record], answers: Mapping[str, Record]) -> list[Scored]:
     """All lists that were answered."""
     return [
-        {"id": r["id"], **score(r["truth"], answers[r["id"]])}
+        {"id": r["id"], "set": r["set"], **score(r["truth"], answers[r["id"]])}
         for r in lists
         if "truth" in r and r["id"] in answers
     ]

@@ -1,6 +1,7 @@
 """Signatures of all causes on a plate: shifts of ln f at a grid of sizes and places.
 
-By the independent elements, once a plate at its reference constants, for the oracle and for what users do instead.
+By the independent elements, once a plate at its reference constants, for the oracle and for simpler
+methods.
 """
 
 from __future__ import annotations

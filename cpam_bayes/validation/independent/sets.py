@@ -114,9 +114,17 @@ def planned(own: BenchmarkSet) -> list[Plan]:
     return plans
 
 
-def write_lines(records: Sequence[dict[str, Any]]) -> str:
-    """Records as JSON lines."""
-    return "".join(json.dumps(r, allow_nan=True) + "\n" for r in records)
+def line_of(record: dict[str, Any]) -> str:
+    """A record as a line of JSON, numbers in six digits."""
+    return json.dumps(_short(record), allow_nan=False) + "\n"
+
+
+def _short(value: Any) -> Any:
+    if isinstance(value, float):
+        return float(f"{value:.6g}")
+    if isinstance(value, dict):
+        return {k: _short(v) for k, v in value.items()}
+    return [_short(v) for v in value] if isinstance(value, list | tuple) else value
 
 
 def _stated(rng: np.random.Generator) -> bool:

@@ -1,0 +1,254 @@
+"""Are the claims of the diagnosis right? Truths from independent elements, off every grid.
+
+python studies/15_claims.py [--make SET ...] [--answer SET ...] [--references SET ...]
+    [--engine NAME=TREE] [--workers N] [--minutes M] [--only TEXT] [--limit N] [--quick]
+
+The lists are files with their truths, one JSON line each in studies/data/claims: "id", "file" (a plate
+file as text) and "truth". --make writes a set anew, --answer asks the diagnosis for what is not answered
+yet, --references adds the oracle and what users do instead. Without these the answers that there are
+become results, and the section of docs/hidden_effects.md between its marks. --engine NAME=TREE asks
+another version of the package for its answers. Another method is scored in the same way: write one JSON
+line a list with "id" and the keys of `cpam-bayes diagnose --json` into
+studies/data/claims/answers/SET_NAME.jsonl.
+
+Tuning looked at the set "tuning" alone; "final", with other plates and seeds, is answered once. "rows" are
+twenty plates each of the failures that earlier versions were known for.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import cpam_bayes as cb
+from cpam_bayes.validation.claims import answering, oracle, scoring, simple_methods, summary
+from cpam_bayes.validation.independent import sets
+from cpam_bayes.validation.independent.dictionary import Dictionary, dictionary_of
+from cpam_bayes.validation.independent.lists import NOISE
+from cpam_bayes.validation.study_results import save_results
+
+Results = dict[str, Any]
+
+HERE = Path(__file__).parent
+RESULTS = HERE / "results" / f"{Path(__file__).stem}.json"
+DATA = HERE / "data" / "claims"
+PAGE = HERE.parent / "docs" / "hidden_effects.md"
+START, END = "<!-- claims: written by studies/15_claims.py -->", "<!-- /claims -->"
+
+KEYS = {
+    "quick": "whether this is the small version",
+    "noise": "relative standard deviation of a frequency",
+    "plates": "by set: name, material, layup, edges, modes in a list, whether the file has [material.sd]",
+    "unreachable": "by set: lists that could not be made, and why",
+    "sets": "by set and engine or method: figures, confusion of claims, reliability, coverage, wrong claims",
+}
+
+THIS = "diagnosis"
+TITLES = {
+    "final": "Final figures",
+    "rows": "Known failures, twenty plates each",
+    "tuning": "The set that was tuned on",
+}
+NAMES = {"old": "the diagnosis before", "oracle": "the oracle"}
+QUICK_LISTS = ("clean-00", "taper_x-32-0")
+
+
+def data_path(name: str) -> Path:
+    """The lists of a set."""
+    return DATA / f"{name}.jsonl"
+
+
+def answers_path(name: str, engine: str) -> Path:
+    """The answers of an engine or a method to a set."""
+    return DATA / "answers" / f"{name}_{engine}.jsonl"
+
+
+def run(quick: bool) -> Results:
+    """Scores of all answers that there are; quick: two lists of the tuning set, made and answered here."""
+    if quick:
+        own = sets.SETS["tuning"]
+        plans = {p.name: p for p in sets.planned(own)}
+        entries = [sets.make(own, plans[name]) for name in QUICK_LISTS]
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "answers.jsonl"
+            answering.answer(entries, path, _diagnosed)
+            answers = {THIS: answering.answered(path)}
+        return _results(True, {"tuning": (entries, answers)})
+    found = {}
+    for name in sets.SETS:
+        entries = _lines(data_path(name)) if data_path(name).exists() else []
+        engines = {
+            p.stem.removeprefix(f"{name}_"): answering.answered(p)
+            for p in sorted((DATA / "answers").glob(f"{name}_*.jsonl"))
+        }
+        found[name] = (entries, engines)
+    return _results(False, found)
+
+
+def _results(quick: bool, found: dict[str, tuple[list[Results], dict[str, dict[str, Results]]]]) -> Results:
+    said: Results = {}
+    for name, (entries, engines) in found.items():
+        scores = {engine: scoring.scored(entries, answers) for engine, answers in engines.items()}
+        known = {r["id"]: r for r in scores.get("oracle", [])}
+        said[name] = {}
+        for engine, records in scores.items():
+            if records:
+                said[name][engine] = summary.summary(records, known)
+        mine = {r["id"] for r in scores.get(THIS, [])}
+        # beside another engine or method: the same lists
+        said[name] |= {
+            f"{engine}, same lists": summary.summary([r for r in records if r["id"] in mine], known)
+            for engine, records in scores.items()
+            if engine != THIS and records and mine & {r["id"] for r in records}
+        }
+        for engine in [e for e in scores if e != THIS and scores[e]]:
+            theirs = {r["id"] for r in scores[engine]}
+            both = [r for r in scores.get(THIS, []) if r["id"] in theirs]
+            if engine == "old" and both:
+                said[name]["diagnosis on the lists of old"] = summary.summary(both, known)
+    return {
+        "quick": quick,
+        "noise": NOISE,
+        "plates": {
+            name: [
+                {
+                    "name": p.name,
+                    "material": p.material,
+                    "layup": p.layup,
+                    "edges": p.plate.edges,
+                    "modes": p.n_modes,
+                    "material_sd": p.known,
+                }
+                for p in own.plates
+            ]
+            for name, own in sets.SETS.items()
+        },
+        "unreachable": {
+            name: [{"id": r["id"], "why": r["unreachable"]} for r in entries if "unreachable" in r]
+            for name, (entries, _) in found.items()
+        },
+        "sets": said,
+    }
+
+
+def make(name: str) -> None:
+    """Write a set of lists."""
+    data_path(name).parent.mkdir(parents=True, exist_ok=True)
+    with data_path(name).open("w", encoding="utf-8") as file:
+        for record in sets.made(sets.SETS[name]):
+            file.write(sets.line_of(record))
+            file.flush()
+
+
+def answer(
+    name: str, engine: str, tree: Path, workers: int, minutes: float | None, only: str, limit: int | None
+) -> None:
+    """Ask a version of the package for what is not answered yet, in processes that share the plates."""
+    path = answers_path(name, engine)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    command = [sys.executable, answering.__file__, str(data_path(name)), str(path), "--only", only]
+    command += [] if limit is None else ["--limit", str(limit)]
+    command += [] if minutes is None else ["--minutes", str(minutes)]
+    environment = {**os.environ, "PYTHONPATH": str(tree), "OPENBLAS_NUM_THREADS": "1"}
+    parts = [[*command, "--part", f"{k + 1}/{workers}"] for k in range(workers)]
+    running = [subprocess.Popen(part, env=environment) for part in parts]
+    for process in running:
+        process.wait()
+
+
+def references(name: str, limit: int | None) -> None:
+    """The oracle's answers and those of simpler methods."""
+    paths = {m: answers_path(name, m) for m in ("oracle", *simple_methods.METHODS)}
+    for path in paths.values():
+        path.parent.mkdir(parents=True, exist_ok=True)
+    done = set.intersection(*(set(answering.answered(p)) for p in paths.values()))
+    plates = {p.name: p for p in sets.SETS[name].plates}
+    known: dict[str, Dictionary] = {}
+    for entry in answering.asked(data_path(name), limit=limit):
+        if entry["id"] in done:
+            continue
+        plate = entry["truth"]["plate"]
+        if plate not in known:
+            known[plate] = dictionary_of(plates[plate])
+        found = {
+            "oracle": oracle.claim(*oracle.weighed(known[plate], entry)),
+            **simple_methods.answers(known[plate], entry),
+        }
+        for method, record in found.items():
+            whole = {"constants": {}, "baseline": {}, **record}
+            with paths[method].open("a", encoding="utf-8") as file:
+                file.write(sets.line_of({"id": entry["id"], **whole}))
+        print(name, entry["id"], found["oracle"]["claim"], found["oracle"]["causes"], flush=True)
+
+
+def write_page(results: Results) -> None:
+    """The section of the documentation between its marks."""
+    text = PAGE.read_text("utf-8")
+    body = [START, ""]
+    for name, title in TITLES.items():
+        own = results["sets"].get(name, {})
+        if THIS in own:
+            others = {k.removesuffix(", same lists"): v for k, v in own.items() if k.endswith(", same lists")}
+            body.append(summary.section(title, own[THIS], others, NAMES))
+    body.append(END)
+    before, after = (
+        (text.split(START)[0], text.split(END)[-1]) if START in text else (text.rstrip() + "\n\n", "\n")
+    )
+    PAGE.write_text(before + "\n".join(body) + after, "utf-8")
+
+
+def show(results: Results) -> None:
+    """Print what is said of each set."""
+    for name, engines in results["sets"].items():
+        for engine, own in engines.items():
+            print(f"\n== {name}, {engine}: {own['lists']} lists")
+            for row in own["figures"]:
+                said = f"{row['value']} ({row['standard_error']}) of {row['lists']}"
+                print(f"  {row['what']}: {said}, asked {row['asked']}")
+            for row in own["by_kind"]:
+                print("   ", {k: v for k, v in row.items() if v})
+
+
+def _diagnosed(plate: Path) -> Results:
+    return dict(cb.diagnose(str(plate), seed=0, next_test="never").to_dict())
+
+
+def _lines(path: Path) -> list[Results]:
+    return [json.loads(line) for line in path.read_text("utf-8").splitlines()]
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Make, answer, refer, or sum up."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--quick", action="store_true")
+    for option in ("--make", "--answer", "--references"):
+        parser.add_argument(option, nargs="+", choices=list(sets.SETS), default=[])
+    parser.add_argument("--engine", default=f"{THIS}={HERE.parent}", help="NAME=TREE of a version")
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--minutes", type=float)
+    parser.add_argument("--only", default="")
+    parser.add_argument("--limit", type=int)
+    args = parser.parse_args(arguments)
+    engine, tree = args.engine.split("=", 1)
+    for name in args.make:
+        make(name)
+    for name in args.answer:
+        answer(name, engine, Path(tree), args.workers, args.minutes, args.only, args.limit)
+    for name in args.references:
+        references(name, args.limit)
+    results = run(args.quick)
+    show(results)
+    if not args.quick:
+        save_results(RESULTS, results)
+        write_page(results)
+
+
+if __name__ == "__main__":
+    main()
