@@ -294,7 +294,7 @@ def _rows(plates: Sequence[NominalPlate], k: int) -> Iterator[Plan]:
     def sized(cause: str, low: float, high: float, *, signed: bool) -> Callable[..., Made]:
         def make_one(p: NominalPlate, g: np.random.Generator) -> Made:
             size = float(g.uniform(low, high)) * (float(g.choice((-1.0, 1.0))) if signed else 1.0)
-            stated = bool(k % 2)
+            stated = bool(k // 2 % 2)
             return lists.single(p, cause, None, g, kind="row", size=size, stated=stated)
 
         return make_one
@@ -309,7 +309,7 @@ def _rows(plates: Sequence[NominalPlate], k: int) -> Iterator[Plan]:
         return lists.single(p, "sensor_mass", None, g, kind="row", size=size, aux=aux)
 
     def smooth(p: NominalPlate, g: np.random.Generator) -> Made:
-        return lists.smooth(p, 8.0, g, stated=bool(k % 2))
+        return lists.smooth(p, 8.0, g, stated=bool(k // 2 % 2))
 
     def missed(p: NominalPlate, g: np.random.Generator) -> Made:
         return _missed(p, g)
