@@ -72,7 +72,9 @@ def _by_method(engines: dict[str, Any]) -> dict[str, dict[str, int]]:
     chosen |= {k.removesuffix(marked): v for k, v in engines.items() if k.endswith(marked)}
     chosen = chosen or engines
     return {
-        f"{NAMES.get(name, name)} ({own['lists']})": {c: sum(r[c] for r in own["by_kind"]) for c in COLOURS}
+        f"{NAMES.get(name, name).replace('_', ' ')} ({own['lists']})": {
+            c: sum(r[c] for r in own["by_kind"]) for c in COLOURS
+        }
         for name, own in chosen.items()
     }
 

@@ -56,7 +56,11 @@ TITLES = {
     "rows": "Known failures, twenty plates each",
     "tuning": "The set that was tuned on",
 }
-NAMES = {"old": "the diagnosis before", "oracle": "the oracle"}
+NAMES = {
+    "old": "the diagnosis before",
+    "oracle": "the oracle",
+    **{m: m.replace("_", " ") for m in simple_methods.METHODS},
+}
 QUICK_LISTS = ("clean-00", "taper_x-32-0")
 
 

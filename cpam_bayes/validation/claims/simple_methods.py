@@ -21,7 +21,7 @@ from cpam_bayes.validation.independent.lists import NOISE
 Array = NDArray[np.float64]
 Record = dict[str, Any]
 
-METHODS = ("largest residual", "BIC", "likelihood ratio", "sparse regression")
+METHODS = ("largest_residual", "BIC", "likelihood_ratio", "sparse_regression")
 # Repeatability that is assumed where a file states none.
 _ASSUMED = 0.003
 # Residuals of a mode that are looked into, standard deviations.
@@ -73,10 +73,10 @@ def answers(dictionary: Dictionary, entry: Record) -> dict[str, Record]:
     """The answer of each method in the keys of a diagnosis; they have no probability."""
     seen = whitened(dictionary, entry)
     found = {
-        "largest residual": _largest_residual(seen),
+        "largest_residual": _largest_residual(seen),
         "BIC": _criterion(seen),
-        "likelihood ratio": _likelihood_ratio(seen),
-        "sparse regression": _matching_pursuit(seen),
+        "likelihood_ratio": _likelihood_ratio(seen),
+        "sparse_regression": _matching_pursuit(seen),
     }
     return {m: _answer(causes) for m, causes in found.items()}
 
