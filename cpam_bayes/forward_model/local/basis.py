@@ -37,7 +37,7 @@ class LocalSettings:
     modes: int = 6
     constants: int = 16
     places: int = 60
-    leading: float = 3e-4
+    leading: float = 1e-4
     rest: float = 1e-3
 
 

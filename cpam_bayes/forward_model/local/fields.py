@@ -107,17 +107,3 @@ def values_at_points(
             products = (a[:, :, None] * b[:, None, :]).reshape(m, -1)
             out[:, part.columns] += products @ part.tensor.reshape(products.shape[1], -1)
     return out
-
-
-def values_on_patches(
-    parts: tuple[FieldPart, ...], n_basis: int, atom: Atom, x: PointValues, y: PointValues, m: int, g: int
-) -> Array:
-    """A field or derivative of all basis vectors on m tensor grids of g x g points, (m, g * g, n_basis)."""
-    out = np.zeros((m, g * g, n_basis))
-    for part in parts:
-        if part.field == atom.field:
-            a, b = x.at(part.x, atom.derivative == "x"), y.at(part.y, atom.derivative == "y")
-            n_x, n_y, r = part.tensor.shape
-            along = (a.reshape(m * g, n_x) @ part.tensor.reshape(n_x, n_y * r)).reshape(m, g, n_y, r)
-            out[:, :, part.columns] += (b[:, None] @ along).reshape(m, g * g, r)
-    return out

@@ -24,7 +24,7 @@ from cpam_bayes.threads import single_blas_thread
 Array = NDArray[Any]
 
 # To be raised when the same inputs give other numbers.
-_FORMAT = 1
+_FORMAT = 2
 
 
 @single_blas_thread
