@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from cpam_bayes.diagnosis.evidence.comparison import Comparison, kept_of
-from cpam_bayes.diagnosis.evidence.marginal import GRID, Marginal
+from cpam_bayes.diagnosis.evidence.marginal import Marginal
+from cpam_bayes.diagnosis.evidence.shifts import ShiftTable
 from cpam_bayes.diagnosis.evidence.weighing import Tested
 from cpam_bayes.effects import scale_of
 
@@ -23,8 +24,8 @@ ALIKE = 0.95
 ABSORBED = 0.1
 # A shift smaller than this fraction of the one that it is compared with is hardly there.
 _HARDLY = 0.1
-# Scores of an effect's size at which it is compared with the others.
-_SIZES = np.linspace(GRID[0], GRID[-1], 181)
+# Points between the nodes of one size at which it is compared with the others.
+_BETWEEN = 181
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,12 +181,20 @@ def menu_of(tested: Tested, none: Marginal, projector: Projector) -> Menu | None
     if tested.shift is None:
         return None
     sigma = np.sqrt(none.comparison.variance(none.best[None])[0])
-    fine = CubicSpline(GRID, tested.shift, axis=0)(_SIZES)
-    shift = fine * (none.comparison.listed.frequencies / sigma)
+    shift = _fine(tested.shift) * (none.comparison.listed.frequencies / sigma)
     visible = shift @ projector.root
     whole = np.linalg.norm(shift, axis=1)
     fraction = np.linalg.norm(visible, axis=1) / np.where(whole > 0.0, whole, np.inf)
     return Menu(visible, fraction)
+
+
+def _fine(table: ShiftTable) -> Array:
+    """Shifts between the nodes of one size, and at the nodes of several."""
+    if table.scores.shape[1] > 1:
+        return table.shift
+    score = table.scores[:, 0]
+    fine = np.linspace(score[0], score[-1], _BETWEEN)
+    return np.asarray(CubicSpline(score, table.shift, axis=0)(fine))
 
 
 def _aligned(comparison: Comparison, x: Array, none: Marginal) -> Array:

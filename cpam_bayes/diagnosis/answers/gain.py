@@ -24,6 +24,8 @@ Array = NDArray[Any]
 # Hypotheses among which the cause is selected again in every fold: those with this probability, the plain
 # model, and so many at most.
 _LEAST_PROBABILITY, _MOST = 0.01, 6
+# Optima of the whole list that the fits of every fold start from.
+_STARTS = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +76,7 @@ def gain_of(
     n = len(baseline.measured)
     claimed = {t.hypothesis.cause for t, _ in members} | set(claim.causes)
     none = weighed.none.marginal
-    top = [_sampled(cases, t, none, scatter) for t in _near_the_top(weighed, claimed)]
+    top = [_sampled(t) for t in _near_the_top(weighed, claimed)]
     whole = np.array([t.marginal.log_evidence for t in top])
     folds = np.stack([left_out(cases, t, n, None if k == 0 else none, scatter) for k, t in enumerate(top)])
     log_prior = np.log([t.hypothesis.prior for t in top])
@@ -100,20 +102,27 @@ def left_out(cases: Sequence[PlateCase], t: Tested, n: int, none: Marginal | Non
     from the modes: without it the other frequencies keep theirs.
     """
     evidences = np.empty(n)
-    first = t.marginal if t.marginal.is_refined and t.marginal.quadrature is not None else None
     listed = t.hypothesis.listed
     before = sum(case.measurement.size for case in cases[: t.plates[0]])  # frequencies of other plates
     for i in range(n):
-        at, hypothesis, screened = i, t.hypothesis, first
+        at, hypothesis, known = i, t.hypothesis, t.marginal.z[:_STARTS]
         if listed.misread is not None and i == before + listed.misread:
-            hypothesis, screened = _without_misreading(hypothesis), None
+            hypothesis = _without_misreading(hypothesis)
+            known = np.delete(known, t.marginal.sizes, axis=1)
         if listed.spurious is not None:
             if i == before + listed.spurious:
                 evidences[i] = t.marginal.log_evidence - t.marginal.comparison.listed.log_constant
                 continue
             at = i - (i > before + listed.spurious)
         marginal = marginal_of(
-            cases, hypothesis, t.plates, scatter=scatter, none=none, left_out=at, screened=screened
+            cases,
+            hypothesis,
+            t.plates,
+            scatter=scatter,
+            none=none,
+            left_out=at,
+            known=known,
+            log2_draws=0,
         )
         evidences[i] = sampled_marginal(marginal).log_evidence
     return evidences
@@ -129,13 +138,9 @@ def _near_the_top(weighed: Weighed, claimed: set[str]) -> list[Tested]:
     return [weighed.none, *kept]
 
 
-def _sampled(cases: Sequence[PlateCase], t: Tested, none: Marginal, scatter: float) -> Tested:
+def _sampled(t: Tested) -> Tested:
     """A hypothesis with the evidence of the whole list by the same means as without a frequency."""
-    if np.isfinite(t.marginal.error):
-        return t
-    first = t.marginal if t.marginal.is_refined and t.marginal.quadrature is not None else None
-    marginal = marginal_of(cases, t.hypothesis, t.plates, scatter=scatter, none=none, screened=first)
-    return replace(t, marginal=sampled_marginal(marginal))
+    return t if t.marginal.is_sampled else replace(t, marginal=sampled_marginal(t.marginal))
 
 
 def _without_misreading(hypothesis: Hypothesis) -> Hypothesis:

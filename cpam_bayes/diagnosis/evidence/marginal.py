@@ -1,9 +1,10 @@
-"""Marginal likelihood of a hypothesis: quadrature over one effect's size, Laplace over what is left.
+"""Marginal likelihood of a hypothesis: Laplace's approximation where it holds, quadrature where it does not.
 
-Skew, taper, warp and turned plies have zero slope at zero by symmetry: the posterior of their size may
-have a peak on either side, or a flat top about zero, which no Gaussian describes. Its score is therefore
-gone through on a grid, refined where the mass is; the constants and the noise are integrated at each node
-by Laplace's method in normal scores, where nothing is cut at a bound.
+All optima over constants and sizes together are sought first. A size that the data determine is one
+Gaussian more. One that they do not determine has a density that no Gaussian describes: skew, taper, warp and
+turned plies have zero slope at zero by symmetry, what can only add piles up at zero, and a place is anywhere.
+Such sizes are integrated over nodes, one size on a grid refined where the mass is, several on scattered
+points; the constants and the noise are integrated at each node by Laplace's method in normal scores.
 """
 
 from __future__ import annotations
@@ -14,34 +15,46 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
+from scipy.special import logsumexp, ndtri
 
 from cpam_bayes.diagnosis.evidence.comparison import Comparison
-from cpam_bayes.diagnosis.evidence.proposals import about_nodes
-from cpam_bayes.inference.derivatives import Expansion
+from cpam_bayes.diagnosis.evidence.nodes import Nodes, conditional_optima, joined
+from cpam_bayes.diagnosis.evidence.optima import (
+    LOG2_DRAWS,
+    SIZE_RANGE,
+    Optima,
+    find_optima,
+    size_points,
+    unit_points,
+)
 from cpam_bayes.inference.importance import staged_importance
-from cpam_bayes.inference.optimise import maximise
-from cpam_bayes.inference.standard_normal import MAX_SCORE
-from cpam_bayes.inference.student_mixture import sobol_points
+from cpam_bayes.inference.student_mixture import Mixture, shrunk_moments, sobol_points
 from cpam_bayes.threads import single_blas_thread
 
 Array = NDArray[Any]
 
+# A size is determined where its score's standard deviation is below this at every optimum that carries mass.
+_DETERMINED_SD, _CARRIES = 0.15, 1e-3
 # Scores of the first grid; intervals are halved where the log density changes by more than _STEEP_NATS
 # within _DEPTH_NATS of the best, but never below _FINEST.
-GRID = np.linspace(-3.6, 3.6, 19)
+GRID = np.linspace(-SIZE_RANGE, SIZE_RANGE, 19)
 _STEEP_NATS, _DEPTH_NATS, _FINEST, _MOST_HALVINGS = 1.0, 9.0, 0.01, 6
-# Optimisations end where a step promises less than this, nats, or after so many steps.
-_PROMISED, _MOST_STEPS = 3e-3, 12
-# Local maxima of the first grid that are optimised from.
-_MOST_PEAKS = 3
-# Screened nodes below this fraction of the best one are not refined.
-_NEGLIGIBLE_FRACTION = 1e-5
+# Sizes evenly spread between the bounds of the prior that join the grid: gross errors fill its tails.
+_EVEN_SIZES = 9
+# Nodes about each optimum, in standard deviations of its size.
+_ABOUT = np.array([-2.5, -1.0, 0.0, 1.0, 2.5])
+# Scattered nodes, log2, by the number of sizes that are not determined.
+_LOG2_SCATTERED = {2: 6, 3: 7, 4: 7}
+_MOST_SCATTERED = 8
 # Neighbouring optima further apart, standard deviations, may be those of two modes.
 _MAX_DISTANCE_SD = 2.0
 # Points of the fine quadrature between the nodes.
 _FINE = 1601
-# Importance sampling: degrees of freedom and widening of the proposal, log2 of its points.
-_FREEDOM, _WIDER, _LOG2_POINTS = 6.0, 1.15, 9
+# Nodes with less mass propose nothing.
+_NEGLIGIBLE_FRACTION = 1e-4
+# Importance sampling: degrees of freedom and widening of the proposal, log2 of its points, and stages where
+# the proposal is a scattered one.
+_FREEDOM, _WIDER, _LOG2_POINTS, _LOG2_MORE_POINTS, _STAGES = 6.0, 1.15, 9, 11, (0.25, 0.25, 0.5)
 _HALF_LOG_2PI = 0.5 * np.log(2 * np.pi)
 
 
@@ -49,33 +62,38 @@ _HALF_LOG_2PI = 0.5 * np.log(2 * np.pi)
 class Marginal:
     """What one hypothesis says of the data, and what the data say of its parameters.
 
-    log_evidence : log marginal likelihood.
-    error, effective_size, k_hat : of importance sampling, as in ``Weighted``; ``nan`` for Laplace's.
-    z : (k, n) optima at the nodes.
-    curvature : (k, n - 1, n - 1), or (1, n, n) without quadrature.
-    weight : (k,) fractions of the evidence.
-    draws, log_weight : (d, n) parameters and (d,) their normalised log weights.
-    is_refined : whether the optima are, or only screened.
+    sizes : columns of the effect's size and further coordinates
+    log_evidence : log marginal likelihood
+    error, effective_size, k_hat : of importance sampling, as in ``Weighted``; ``nan`` for Laplace's
+    z, weight : (k, n) optima, of nodes where there are some, and (k,) their fractions of the evidence, the
+        largest first
+    proposal : a stack of one mixture about them
+    is_scattered : whether several sizes are integrated over scattered nodes
+    draws, log_weight : (d, n) parameters and (d,) their normalised log weights
     """
 
     comparison: Comparison
-    quadrature: int | None
+    sizes: tuple[int, ...]
     log_evidence: float
     error: float
     z: Array
-    curvature: Array
     weight: Array
+    proposal: Mixture
+    is_scattered: bool
     draws: Array
     log_weight: Array
-
-    is_refined: bool = True
     effective_size: float = np.nan
     k_hat: float = np.nan
 
     @property
     def best(self) -> Array:
         """Most probable parameters of the node with most mass, (n,)."""
-        return np.asarray(self.comparison.scores.to_x(self.z[int(np.argmax(self.weight))]))
+        return np.asarray(self.comparison.scores.to_x(self.z[0]))
+
+    @property
+    def is_sampled(self) -> bool:
+        """Whether it is known by importance sampling."""
+        return bool(np.isfinite(self.error))
 
     def moments(self) -> tuple[Array, Array]:
         """Posterior mean and standard deviation of the parameters, (n,) each."""
@@ -85,81 +103,148 @@ class Marginal:
 
     def resampled(self, size: int) -> Array:
         """Equally probable draws (size, n), by systematic resampling."""
-        share = np.cumsum(np.exp(self.log_weight))
-        at = np.searchsorted(share / share[-1], (np.arange(size) + 0.5) / size)
+        cumulative = np.cumsum(np.exp(self.log_weight))
+        at = np.searchsorted(cumulative / cumulative[-1], (np.arange(size) + 0.5) / size)
         return np.asarray(self.draws[np.minimum(at, len(self.draws) - 1)])
 
 
 @single_blas_thread
 def laplace_marginal(
     comparison: Comparison,
-    quadrature: int | None,
-    starts: Array,
+    sizes: tuple[int, ...],
+    known: Array,
     *,
-    floor: float = -np.inf,
-    screened: Marginal | None = None,
+    log2_draws: int = LOG2_DRAWS,
+    least: float = -np.inf,
 ) -> Marginal:
-    """The marginal likelihood by quadrature over the score of one parameter, or without.
+    """The marginal likelihood over nodes of the sizes that the data leave open.
 
-    starts : (s, n) scores that optimisations begin from.
-    floor : a log evidence below which the grid is not refined, as the hypothesis carries nothing.
-    screened : the same over nodes of its own, which are optimised from where it stands, instead of the whole
-    grid from the starts. The draws are those of the Laplace approximation.
+    known : (s, n) scores that optimisations begin from, beside draws of the prior
+    log2_draws : of these draws, none at all where it is 0
+    least : log evidence about the optima below which nothing is integrated over nodes
+
+    The draws are those of the Laplace approximation.
     """
-    if quadrature is None:
-        return _at_one_node(comparison, starts if screened is None else screened.z[:1])
-    if screened is None:
-        rest = np.delete(starts, quadrature, axis=1)
-        nodes = _optimised(comparison, quadrature, GRID, np.tile(rest, (len(GRID), 1, 1)))
-    else:
-        score, begin = _promising(screened, quadrature)
-        nodes = _optimised(comparison, quadrature, score, begin)
-    nodes = _from_neighbours(comparison, quadrature, nodes)
-    nodes = _with_peaks(comparison, quadrature, nodes)
-    if nodes.log_density.max() > floor:
-        for _ in range(_MOST_HALVINGS):
-            new, begin = _halved(nodes)
-            if not len(new):
-                break
-            nodes = _merged(nodes, _optimised(comparison, quadrature, new, begin))
-    log_z, weight = _integrated(nodes)
-    z = np.insert(nodes.rest, quadrature, nodes.score, axis=1)
-    return _with_draws(comparison, quadrature, log_z, z, nodes.curvature, weight)
+    optima = find_optima(comparison, sizes, known, log2_draws=log2_draws)
+    open_sizes = _not_determined(optima, sizes)
+    if float(logsumexp(optima.log_mass)) < least:
+        open_sizes = ()
+    if not open_sizes:
+        return _about_optima(comparison, sizes, optima)
+    if len(open_sizes) == 1:
+        return _by_quadrature(comparison, sizes, open_sizes[0], optima, known)
+    return _by_scattered(comparison, sizes, open_sizes, optima, known)
 
 
-def _with_draws(
-    comparison: Comparison, quadrature: int | None, log_z: float, z: Array, curvature: Array, weight: Array
+def _not_determined(optima: Optima, sizes: tuple[int, ...]) -> tuple[int, ...]:
+    """Those of the sizes that are too open for a Gaussian."""
+    log_mass = optima.log_mass
+    carry = log_mass > log_mass.max() + np.log(_CARRIES)
+    variance = np.diagonal(np.linalg.inv(optima.curvature[carry]), axis1=1, axis2=2)
+    return tuple(s for s in sizes if np.sqrt(variance[:, s].max()) > _DETERMINED_SD)
+
+
+def _about_optima(comparison: Comparison, sizes: tuple[int, ...], optima: Optima) -> Marginal:
+    """Laplace's approximation about every optimum."""
+    log_mass = optima.log_mass
+    log_evidence = float(logsumexp(log_mass))
+    factor = np.linalg.cholesky(np.linalg.inv(optima.curvature))
+    return _marginal(comparison, sizes, log_evidence, optima.z, factor, log_mass, is_scattered=False)
+
+
+def _by_quadrature(
+    comparison: Comparison, sizes: tuple[int, ...], column: int, optima: Optima, known: Array
 ) -> Marginal:
-    nothing = np.empty(0)
-    marginal = Marginal(comparison, quadrature, log_z, np.nan, z, curvature, weight, nothing, nothing)
-    approximation = about_nodes(z, curvature, weight, quadrature, 1.0, np.inf)
-    draws = comparison.scores.to_x(sobol_points(approximation, _LOG2_POINTS)[0])
-    return replace(marginal, draws=draws, log_weight=np.full(len(draws), -np.log(len(draws))))
+    """One size gone through node by node."""
+    sd = np.sqrt(np.linalg.inv(optima.curvature)[:, column, column])
+    about = (optima.z[:, column, None] + sd[:, None] * _ABOUT).ravel()
+    even = size_points(comparison, column, _EVEN_SIZES)
+    score = np.concatenate((GRID, even[np.abs(even) > GRID[-1] / 3], about[np.abs(about) < GRID[-1]]))
+    score = np.unique(np.round(score, 4))
+    score = score[np.insert(np.diff(score) > _FINEST, 0, True)]
+    nodes = conditional_optima(comparison, (column,), score[:, None], optima, known)
+    nodes = _from_neighbours(comparison, column, nodes)
+    for _ in range(_MOST_HALVINGS):
+        middle, begin = _halved(nodes)
+        if not len(middle):
+            break
+        further = conditional_optima(comparison, (column,), middle[:, None], None, begin)
+        nodes = joined(nodes, further)
+    log_evidence, log_mass = _integrated(nodes.scores[:, 0], nodes.log_density)
+    width = _spacing(nodes.scores[:, 0])
+    z, factor, each = nodes.components(comparison, log_mass, width[:, None], _NEGLIGIBLE_FRACTION)
+    return _marginal(comparison, sizes, log_evidence, z, factor, each, is_scattered=False)
 
 
-def _at_one_node(comparison: Comparison, starts: Array) -> Marginal:
-    maxima = maximise(
-        lambda z, rows: comparison.expand(z),
-        starts,
-        *(np.full(starts.shape[1], v) for v in (-MAX_SCORE, MAX_SCORE)),
-        most_steps=2 * _MOST_STEPS,
-        promised=_PROMISED,
+def _by_scattered(
+    comparison: Comparison, sizes: tuple[int, ...], columns: tuple[int, ...], optima: Optima, known: Array
+) -> Marginal:
+    """Several sizes on points that fill their priors, and about the optima."""
+    d = len(columns)
+    log2 = _LOG2_SCATTERED.get(d, _MOST_SCATTERED)
+    uniform = unit_points(d, log2)
+    score = np.asarray(ndtri(uniform))
+    first = columns[0] == sizes[0]
+    width = np.full(d, 2.0 / (1 << log2) ** (1.0 / d))
+    log_q = -0.5 * np.sum(score**2, axis=1) - d * _HALF_LOG_2PI
+    if first:
+        log_q += 0.5 * score[:, 0] ** 2 + _HALF_LOG_2PI - np.log(2 * SIZE_RANGE)
+        score[:, 0] = SIZE_RANGE * (2.0 * uniform[:, 0] - 1.0)
+        width[0] *= 1.8
+    nodes = conditional_optima(comparison, columns, score, optima, known, few=True)
+    log_mass = nodes.log_density - log_q - np.log(len(score))
+    spread = np.broadcast_to(width, score.shape)
+    z, factor, each = nodes.components(comparison, log_mass, spread, _NEGLIGIBLE_FRACTION)
+    of_optima = optima.log_mass
+    log_evidence = max(float(logsumexp(log_mass)), float(logsumexp(of_optima)))
+    z = np.concatenate((z, optima.z))
+    factor = np.concatenate((factor, np.linalg.cholesky(np.linalg.inv(optima.curvature))))
+    return _marginal(
+        comparison, sizes, log_evidence, z, factor, np.concatenate((each, of_optima)), is_scattered=True
     )
-    best = int(np.argmax(np.where(np.isfinite(maxima.expansion.value), maxima.expansion.value, -np.inf)))
-    n = starts.shape[1]
-    curvature = maxima.expansion.curvature[best]
-    log_z = float(maxima.expansion.value[best] + n * _HALF_LOG_2PI - 0.5 * np.linalg.slogdet(curvature)[1])
-    return _with_draws(comparison, None, log_z, maxima.u[best][None], curvature[None], np.ones(1))
+
+
+def _marginal(
+    comparison: Comparison,
+    sizes: tuple[int, ...],
+    log_evidence: float,
+    z: Array,
+    factor: Array,
+    log_mass: Array,
+    *,
+    is_scattered: bool,
+) -> Marginal:
+    kept = np.flatnonzero(log_mass > log_mass.max() + np.log(_NEGLIGIBLE_FRACTION))
+    kept = kept[np.argsort(-log_mass[kept], kind="stable")]
+    weight = np.exp(log_mass[kept] - logsumexp(log_mass[kept]))
+    proposal = Mixture(weight[None], z[None, kept], factor[None, kept], np.inf)
+    draws = comparison.scores.to_x(sobol_points(proposal, _LOG2_POINTS)[0])
+    return Marginal(
+        comparison=comparison,
+        sizes=sizes,
+        log_evidence=log_evidence,
+        error=np.nan,
+        z=z[kept],
+        weight=weight,
+        proposal=replace(proposal, factor=_WIDER * proposal.factor, degrees_of_freedom=_FREEDOM),
+        is_scattered=is_scattered,
+        draws=draws,
+        log_weight=np.full(len(draws), -np.log(len(draws))),
+    )
 
 
 @single_blas_thread
 def sampled_marginal(marginal: Marginal) -> Marginal:
     """A marginal likelihood by importance sampling about its Laplace approximation."""
-    proposal = about_nodes(
-        marginal.z, marginal.curvature, marginal.weight, marginal.quadrature, _WIDER, _FREEDOM
-    )
     comparison = marginal.comparison
-    sample = staged_importance(lambda z: comparison.log_density(z[0])[None], proposal, _LOG2_POINTS)
+
+    def log_density(z: Array) -> Array:
+        return comparison.log_density(z[0])[None]
+
+    if marginal.is_scattered:
+        sample = staged_importance(log_density, marginal.proposal, _LOG2_MORE_POINTS, _STAGES, _refitted)
+    else:
+        sample = staged_importance(log_density, marginal.proposal, _LOG2_POINTS)
     if not np.isfinite(sample.log_evidence[0]):
         return marginal
     with np.errstate(divide="ignore"):
@@ -175,134 +260,54 @@ def sampled_marginal(marginal: Marginal) -> Marginal:
     )
 
 
-@dataclass(frozen=True, slots=True)
-class _Nodes:
-    """Conditional optima at scores (k,): value (k,), rest (k, n - 1), curvature (k, n - 1, n - 1)."""
-
-    score: Array
-    value: Array
-    rest: Array
-    curvature: Array
-
-    @property
-    def log_density(self) -> Array:
-        """Log density of the score and the data, the rest integrated, (k,)."""
-        n = self.rest.shape[1]
-        return np.asarray(self.value + n * _HALF_LOG_2PI - 0.5 * np.linalg.slogdet(self.curvature)[1])
+def _refitted(mixture: Mixture, points: Array, log_weight: Array) -> Mixture:
+    return shrunk_moments(mixture, points, log_weight, least=1e-3, wider=_WIDER, prior_points=4.0)
 
 
-def _promising(screened: Marginal, quadrature: int) -> tuple[Array, Array]:
-    """Scores (k,) of nodes that may carry mass, without gaps, and a start (k, 1, n - 1) at each."""
-    order = np.argsort(screened.z[:, quadrature])
-    z, weight = screened.z[order], screened.weight[order]
-    kept = np.flatnonzero(weight > _NEGLIGIBLE_FRACTION * weight.max())
-    z = z[max(kept[0] - 1, 0) : kept[-1] + 2]
-    return z[:, quadrature], np.delete(z, quadrature, axis=1)[:, None]
-
-
-def _optimised(comparison: Comparison, quadrature: int, score: Array, starts: Array) -> _Nodes:
-    """The best optimum at every score (k,) from starts (k, s, n - 1)."""
-    k, s, n = starts.shape
-    of_node = np.repeat(score, s)
-    rest_columns = np.delete(np.arange(n + 1), quadrature)
-
-    def target(u: Array, rows: Array) -> Expansion:
-        e = comparison.expand(np.insert(u, quadrature, of_node[rows], axis=1))
-        block = np.ix_(np.arange(len(u)), rest_columns, rest_columns)
-        return Expansion(e.value, e.gradient[:, rest_columns], e.curvature[block])
-
-    bound = np.full(n, MAX_SCORE)
-    maxima = maximise(
-        target, starts.reshape(k * s, n), -bound, bound, most_steps=_MOST_STEPS, promised=_PROMISED
-    )
-    value = np.where(np.isfinite(maxima.expansion.value), maxima.expansion.value, -1e300).reshape(k, s)
-    best = np.arange(k) * s + value.argmax(axis=1)
-    return _Nodes(score, value.max(axis=1), maxima.u[best], maxima.expansion.curvature[best])
-
-
-def _from_neighbours(comparison: Comparison, quadrature: int, nodes: _Nodes) -> _Nodes:
-    """The nodes optimised again from the better of their neighbours' optima: crossing modes part them."""
-    k = len(nodes.score)
-    height = np.concatenate(([-np.inf], nodes.value, [-np.inf]))
-    better_side = np.where(height[:-2] > height[2:], -1, 1)
-    start = nodes.rest[np.clip(np.arange(k) + better_side, 0, k - 1)]
-    away = start - nodes.rest
-    far = np.einsum("ki,kij,kj->k", away, nodes.curvature, away) > _MAX_DISTANCE_SD**2
-    rows = np.flatnonzero(far & (nodes.value > nodes.value.max() - 2 * _DEPTH_NATS))
-    if not len(rows):
+def _from_neighbours(comparison: Comparison, column: int, nodes: Nodes) -> Nodes:
+    """The nodes optimised again from their neighbours' optima: crossing modes part them."""
+    k = len(nodes.scores)
+    near = nodes.log_density > nodes.log_density.max() - 2 * _DEPTH_NATS
+    first = nodes.rest[:, 0]
+    sides = np.clip(np.arange(k)[:, None] + np.array([-1, 1]), 0, k - 1)
+    away = first[sides] - first[:, None]
+    distance = np.einsum("ksi,kij,ksj->ks", away, nodes.curvature[:, 0], away)
+    near = np.flatnonzero(near & (distance.max(axis=1) > _MAX_DISTANCE_SD**2))
+    if not len(near):
         return nodes
-    again = _optimised(comparison, quadrature, nodes.score[rows], start[rows, None])
-    better = again.value > nodes.value[rows] + 1e-3
-    rows = rows[better]
-    value, rest, curvature = nodes.value.copy(), nodes.rest.copy(), nodes.curvature.copy()
-    value[rows], rest[rows], curvature[rows] = (
-        again.value[better],
-        again.rest[better],
-        again.curvature[better],
-    )
-    return _Nodes(nodes.score, value, rest, curvature)
+    begin = first[sides[near]]
+    again = conditional_optima(comparison, (column,), nodes.scores[near], None, begin)
+    return nodes.merged(near, again)
 
 
-def _with_peaks(comparison: Comparison, quadrature: int, nodes: _Nodes) -> _Nodes:
-    """The nodes, and where optimisations over all scores end that begin at their local maxima."""
-    padded = np.concatenate(([-np.inf], nodes.value, [-np.inf]))
-    peaks = np.flatnonzero((padded[1:-1] >= padded[:-2]) & (padded[1:-1] >= padded[2:]))
-    peaks = peaks[np.argsort(-nodes.value[peaks], kind="stable")][:_MOST_PEAKS]
-    start = np.insert(nodes.rest[peaks], quadrature, nodes.score[peaks], axis=1)
-    bound = np.full(start.shape[1], MAX_SCORE)
-    maxima = maximise(
-        lambda z, rows: comparison.expand(z),
-        start,
-        -bound,
-        bound,
-        most_steps=2 * _MOST_STEPS,
-        promised=_PROMISED,
-    )
-    score = maxima.u[:, quadrature]
-    new = (np.abs(score[:, None] - nodes.score).min(axis=1) > _FINEST) & np.isfinite(maxima.expansion.value)
-    new &= np.abs(score) < -GRID[0]
-    if not new.any():
-        return nodes
-    score, first = np.unique(np.round(score[new], 6), return_index=True)
-    begin = np.delete(maxima.u[new][first], quadrature, axis=1)
-    return _merged(nodes, _optimised(comparison, quadrature, score, begin[:, None]))
-
-
-def _halved(nodes: _Nodes) -> tuple[Array, Array]:
-    """Midpoints of intervals that are too coarse, and starts for them from both ends."""
-    g = nodes.log_density
+def _halved(nodes: Nodes) -> tuple[Array, Array]:
+    """Midpoints of intervals that are too coarse, and starts for them from both ends, (k, 2, n - 1)."""
+    score, g = nodes.scores[:, 0], nodes.log_density
     height = np.maximum(g[1:], g[:-1])
     steep = np.abs(np.diff(g)) > _STEEP_NATS
-    which = np.flatnonzero(steep & (height > g.max() - _DEPTH_NATS) & (np.diff(nodes.score) > _FINEST))
-    middle = 0.5 * (nodes.score[which] + nodes.score[which + 1])
-    return middle, np.stack((nodes.rest[which], nodes.rest[which + 1]), axis=1)
+    which = np.flatnonzero(steep & (height > g.max() - _DEPTH_NATS) & (np.diff(score) > _FINEST))
+    middle = 0.5 * (score[which] + score[which + 1])
+    return middle, np.stack((nodes.rest[which, 0], nodes.rest[which + 1, 0]), axis=1)
 
 
-def _merged(a: _Nodes, b: _Nodes) -> _Nodes:
-    score = np.concatenate((a.score, b.score))
-    order = np.argsort(score)
-    return _Nodes(
-        score[order],
-        *(
-            np.concatenate((getattr(a, name), getattr(b, name)))[order]
-            for name in ("value", "rest", "curvature")
-        ),
-    )
-
-
-def _integrated(nodes: _Nodes) -> tuple[float, Array]:
-    """Log of the integral over the score, and the share of each node's surroundings, (k,)."""
-    g = nodes.log_density
+def _integrated(score: Array, g: Array) -> tuple[float, Array]:
+    """Log of the integral of exp(g) over the score, and the log mass of each node's surroundings, (k,)."""
     top = float(g.max())
-    fine = np.unique(np.concatenate((np.linspace(nodes.score[0], nodes.score[-1], _FINE), nodes.score)))
-    density = np.exp(np.maximum(PchipInterpolator(nodes.score, g)(fine) - top, -700.0))
+    fine = np.unique(np.concatenate((np.linspace(score[0], score[-1], _FINE), score)))
+    density = np.exp(np.maximum(PchipInterpolator(score, np.maximum(g - top, -800.0))(fine), -700.0))
     panel = 0.5 * (density[1:] + density[:-1]) * np.diff(fine)
-    # beyond the whole grid the prior is left, and the likelihood of its ends; a shorter one lost nothing
-    end = np.abs(nodes.score[[0, -1]])
-    tail = np.where(end >= GRID[-1] - _FINEST, np.exp(g[[0, -1]] - top) / np.maximum(end, 1.0), 0.0)
-    owner = np.abs(0.5 * (fine[1:] + fine[:-1])[:, None] - nodes.score).argmin(axis=1)
-    share = np.asarray(np.bincount(owner, panel, minlength=len(g)), dtype=float)
-    share[0] += tail[0]
-    share[-1] += tail[1]
-    total = share.sum()
-    return top + float(np.log(total)), share / total
+    # beyond the grid the prior is left, and the likelihood of its ends
+    end = np.abs(score[[0, -1]])
+    tail = np.exp(g[[0, -1]] - top) / np.maximum(end, 1.0)
+    owner = np.abs(0.5 * (fine[1:] + fine[:-1])[:, None] - score).argmin(axis=1)
+    mass = np.asarray(np.bincount(owner, panel, minlength=len(g)), dtype=float)
+    mass[0] += tail[0]
+    mass[-1] += tail[1]
+    with np.errstate(divide="ignore"):
+        return top + float(np.log(mass.sum())), top + np.log(mass)
+
+
+def _spacing(score: Array) -> Array:
+    """Half the distance between the neighbours of every node, (k,)."""
+    padded = np.concatenate((score[:1] - np.diff(score[:2]), score, score[-1:] + np.diff(score[-2:])))
+    return np.asarray(0.5 * (padded[2:] - padded[:-2]))

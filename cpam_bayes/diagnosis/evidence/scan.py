@@ -1,45 +1,51 @@
-"""Hypotheses tested one by one: screening of each, exact numbers where they matter."""
+"""Hypotheses tested one by one, each fitted from many starts, none first."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import chi2
 
 from cpam_bayes.diagnosis.evidence.comparison import Comparison
 from cpam_bayes.diagnosis.evidence.marginal import Marginal, laplace_marginal, sampled_marginal
-from cpam_bayes.diagnosis.evidence.pair_screening import screened_pair
-from cpam_bayes.diagnosis.evidence.screening import Anchor, Linear, free_of, linear, log_f, screened_marginal
-from cpam_bayes.diagnosis.evidence.tangent import tangents
+from cpam_bayes.diagnosis.evidence.optima import LOG2_DRAWS
+from cpam_bayes.diagnosis.evidence.repairing import repairings
+from cpam_bayes.diagnosis.evidence.shifts import ShiftTable, shift_table
 from cpam_bayes.diagnosis.fitting import SCATTER, PlateCase, comparison_of, effect_columns
-from cpam_bayes.diagnosis.hypotheses import NONE, OTHER, PAIR, Hypothesis
+from cpam_bayes.diagnosis.hypotheses import NONE, Hypothesis
 from cpam_bayes.effects import ListChange
-from cpam_bayes.inference.posterior import ForwardModel
 from cpam_bayes.mechanics.modes import RigidBodyError
 
 Array = NDArray[Any]
 
-# Starts of the optimisations of "none" besides the prior means.
-_STARTS = 6
-# Hypotheses within so many nats of the most probable one are optimised, those nearer are sampled too; the
-# others keep what screening says of them, corrected by a second one if it is within the last number.
-_NEAR, _NEARER, _CORRECTED = 3.0, 2.0, 14.0
-# What screening misses of the plain model is taken for that of all others if it is below this, nats.
-_MOST_OFFSET = 1.0
+# The plain model explains a list whose misfit is no larger with more than this probability.
+_EXPLAINED = 1e-3
+# Hypotheses whose optima lie so many nats below the best are not integrated over open sizes.
+_HOPELESS_NATS = 14.0
+# Draws of the prior, log2, that the plain model is fitted from.
+_LOG2_PLAIN = 11
+# Optima of the plain model that others start from too.
+_PLAIN_OPTIMA = 4
+# Pairings within so many nats of the best are fitted by themselves, at most so many of a cause.
+_NEAR_PAIRINGS, _MOST_PAIRINGS = 25.0, 12
+# Hypotheses within so many nats of the most probable one are sampled; those over several sizes that the data
+# leave open need it from further off.
+_NEAR, _NEAR_SCATTERED = 4.0, 10.0
 
 
 @dataclass(frozen=True, slots=True)
 class Tested:
     """One hypothesis with its marginal likelihood.
 
-    plates : numbers of the plates that have it; all of them where they share it.
-    probability : among all that were tested.
-    log_bayes_factor : against none.
-    shift : (k, n_f) of the log frequencies at the scores of the first grid, with the constants of the plain
-    model; ``None`` where the list is paired otherwise.
+    plates : numbers of the plates that have it; all of them where they share it
+    probability : among all that were tested
+    log_bayes_factor : against none
+    shift : of the log frequencies, with the constants of the plain model; ``None`` where the list is paired
+        otherwise
     """
 
     hypothesis: Hypothesis
@@ -47,7 +53,7 @@ class Tested:
     marginal: Marginal
     probability: float = 0.0
     log_bayes_factor: float = 0.0
-    shift: Array | None = None
+    shift: ShiftTable | None = None
 
     @property
     def columns(self) -> tuple[int, ...]:
@@ -72,202 +78,191 @@ def marginal_of(
     *,
     scatter: float = SCATTER,
     none: Marginal | None = None,
-    floor: float = -np.inf,
     left_out: int | None = None,
-    stand_ins: Mapping[int, ForwardModel] | None = None,
-    screened: Marginal | None = None,
+    known: Array | None = None,
+    log2_draws: int = LOG2_DRAWS,
+    least: float = -np.inf,
 ) -> Marginal:
     """Marginal likelihood of one hypothesis about some plates.
 
-    left_out : a frequency to leave out.
-    stand_ins : models of the plates that the hypothesis is not about.
-    screened : where optimisations begin.
+    none : the plain model, whose optima are starts
+    left_out : a frequency to leave out
+    known : (s, n) further starts
+    log2_draws, least : as in ``laplace_marginal``
     """
-    comparison = comparison_of(cases, _about(cases, hypothesis, plates), scatter=scatter, stand_ins=stand_ins)
+    comparison = comparison_of(cases, about(cases, hypothesis, plates), scatter=scatter)
     if left_out is not None:
         comparison = replace(comparison, listed=comparison.listed.without(left_out), left_out=left_out)
-    columns = effect_columns(comparison, hypothesis)
-    quadrature = columns[0] if columns else None
-    return laplace_marginal(
-        comparison, quadrature, _starts(comparison, hypothesis, none), floor=floor, screened=screened
-    )
+    starts = plain_starts(comparison, none)
+    if known is not None:
+        starts = np.concatenate((known, starts))
+    sizes = effect_columns(comparison, hypothesis)
+    return laplace_marginal(comparison, sizes, starts, log2_draws=log2_draws, least=least)
+
+
+def plain_starts(comparison: Comparison, none: Marginal | None) -> Array:
+    """Scores (s, n) of the plain model's optima and of the prior medians, zero for what it lacks."""
+    n = comparison.parameters.size
+    if none is None:
+        return np.zeros((1, n))
+    names = none.comparison.parameters.names
+    starts = []
+    for z in none.z[:_PLAIN_OPTIMA]:
+        at = dict(zip(names, z, strict=True))
+        starts.append([at.get(name, 0.0) for name in comparison.parameters.names])
+    return np.array([*starts, [0.0] * n])
 
 
 @dataclass(slots=True)
 class Scan:
     """Hypotheses as they are tested, none first.
 
-    anchors : the optimum of none, and the prior means.
-    offset : what screening misses of the plain model, taken to be the same for all.
+    is_explained : whether the plain model explains the lists
+    best : largest log of prior times evidence so far
     """
 
     cases: Sequence[PlateCase]
     scatter: float
     tested: list[Tested] = field(default_factory=list)
     not_tested: list[str] = field(default_factory=list)
-    anchors: tuple[Anchor, ...] = ()
-    offset: float = 0.0
+    is_explained: bool = False
+    best: float = -np.inf
 
     @property
     def none(self) -> Marginal:
         """The plain model."""
         return self.tested[0].marginal
 
-    @property
-    def stand_ins(self) -> Mapping[int, ForwardModel] | None:
-        """Models of the plates that a hypothesis is not about, where there are several."""
-        return self.anchors[0].tangents if len(self.cases) > 1 and self.anchors else None
-
     def begin(self, hypothesis: Hypothesis, plates: tuple[int, ...]) -> None:
-        """The plain model, which all others are screened from."""
-        marginal = marginal_of(self.cases, hypothesis, plates, scatter=self.scatter)
-        self.tested.append(Tested(hypothesis, plates, marginal))
-        best = marginal.z[int(np.argmax(marginal.weight))]
-        names = marginal.comparison.parameters.names
-        self.anchors = tuple(
-            Anchor(
-                dict(zip(names, z, strict=True)),
-                tangents(self.cases, marginal.comparison, marginal.comparison.scores.to_x(z)),
-            )
-            for z in (best, np.zeros_like(best))
-        )
-        approximate = screened_marginal(marginal.comparison, None, self.anchors[0])[0].log_evidence
-        # a plain model that is far off is far off in its own way, of which nothing follows for the others
-        missed = marginal.log_evidence - approximate
-        self.offset = missed if abs(missed) < _MOST_OFFSET else 0.0
+        """The plain model, whose optima are starts of all others."""
+        marginal = marginal_of(self.cases, hypothesis, plates, scatter=self.scatter, log2_draws=_LOG2_PLAIN)
+        self.tested.append(Tested(hypothesis, plates, sampled_marginal(marginal)))
+        self.best = self.tested[0].log_weight
+        self.is_explained = misfit_probability(self.none) > _EXPLAINED
 
-    def screen(self, hypothesis: Hypothesis, plates: tuple[int, ...]) -> list[Tested]:
-        """Screening of a hypothesis; nothing where it cannot be tested, which is noted."""
+    def test(self, hypothesis: Hypothesis, plates: tuple[int, ...], known: Array | None = None) -> None:
+        """Fit a hypothesis from many starts; where it cannot be tested that is noted.
+
+        Where the plain model explains the lists, what is wrong is faint and lies next to it.
+        """
         try:
-            # one scatters all frequencies, the other's constants may lie anywhere: nothing to be linear in
-            if hypothesis.cause == OTHER or hypothesis.other_material:
-                return [Tested(hypothesis, plates, self._optimised(hypothesis, plates))]
-            return [self._screened(hypothesis, plates, self._comparison(hypothesis, plates), False)]
+            marginal = marginal_of(
+                self.cases,
+                hypothesis,
+                plates,
+                scatter=self.scatter,
+                none=self.none,
+                known=known,
+                log2_draws=0 if self.is_explained or known is not None else LOG2_DRAWS,
+                least=self.best - float(np.log(hypothesis.prior)) - _HOPELESS_NATS,
+            )
+            self.best = max(self.best, float(np.log(hypothesis.prior)) + marginal.log_evidence)
+            self.tested.append(Tested(hypothesis, plates, marginal, shift=self.shift_of(hypothesis, marginal)))
         except RigidBodyError:
             self.not_tested.append(
                 f"{hypothesis.cause} {hypothesis.variant}".rstrip()
                 + ": over its prior the plate cannot be told from a rigid body; left out"
             )
-            return []
 
-    def _screened(
-        self, hypothesis: Hypothesis, plates: tuple[int, ...], comparison: Comparison, corrected: bool
-    ) -> Tested:
-        columns = effect_columns(comparison, hypothesis)
-        quadrature = columns[0] if columns else None
-        # the plain model may be bent too far for its optimum to be a good place to expand about
-        anchors = self.anchors if _is_far(hypothesis) else self.anchors[:1]
-        screenings = [screened_marginal(comparison, quadrature, a, corrected=corrected) for a in anchors]
-        best = max((m for m, _ in screenings), key=lambda m: m.log_evidence)
-        shift = None if quadrature is None or _repairs(hypothesis) else screenings[0][1]
-        marginal = replace(best, log_evidence=best.log_evidence + self.offset)
-        return Tested(hypothesis, plates, marginal, shift=shift)
-
-    def corrected(self, screened: Sequence[Tested]) -> list[Tested]:
-        """Screened hypotheses, the promising ones corrected."""
-        best = max((t.log_weight for t in (*self.tested, *screened)), default=0.0)
-        return [
-            self._screened(t.hypothesis, t.plates, t.marginal.comparison, True)
-            if not t.marginal.is_refined and t.hypothesis.effects and t.log_weight > best - _CORRECTED
-            else t
-            for t in screened
+    def test_pairings(self, variants: Sequence[tuple[Hypothesis, tuple[int, ...]]]) -> None:
+        """Fit what is wrong with a list alone: all pairings at once, then the promising ones."""
+        if not variants:
+            return
+        comparisons = [
+            comparison_of(self.cases, about(self.cases, h, plates), scatter=self.scatter)
+            for h, plates in variants
         ]
+        fits = repairings(self.none.comparison, comparisons, self.none.z[:2])
+        value = np.array([fit.log_density for fit in fits])
+        order = np.argsort(-value, kind="stable")
+        kept: dict[str, int] = {}
+        for i in order:
+            hypothesis, plates = variants[i]
+            number = kept.get(hypothesis.cause, 0)
+            if number and (value[i] < value[order[0]] - _NEAR_PAIRINGS or number == _MOST_PAIRINGS):
+                continue
+            kept[hypothesis.cause] = number + 1
+            known = _with_misreading(comparisons[i], self.none.comparison, fits[i].z)
+            sizes = effect_columns(comparisons[i], hypothesis)
+            starts = np.concatenate((known, plain_starts(comparisons[i], self.none)[:1]))
+            marginal = laplace_marginal(comparisons[i], sizes, starts, log2_draws=0)
+            shift = self.shift_of(hypothesis, marginal)
+            self.tested.append(Tested(hypothesis, plates, marginal, shift=shift))
 
-    def linear_none(self) -> tuple[Linear, Array]:
-        """The lists against the plain model, linear about its optimum, and its scores by column."""
-        comparison, anchor = self.none.comparison, self.anchors[0]
-        z = anchor.start(comparison)
-        plain = anchor.plain(comparison)
-        residual = np.log(comparison.listed.frequencies) - log_f(plain, z[None])[0]
-        return linear(comparison, plain, z, free_of(comparison, ()), residual), z
-
-    def screen_pair(self, pair: Hypothesis, a: Tested, b: Tested, lists: Linear) -> Tested:
-        """A pair of causes that were screened alone."""
-        assert a.shift is not None
-        assert b.shift is not None
-        comparison = self._comparison(pair, a.plates)
-        columns = effect_columns(comparison, pair)
-        start = self.anchors[0].start(comparison)
-        marginal = screened_pair(lists, (a.shift, b.shift), comparison, (columns[0], columns[1]), start)
-        return Tested(pair, a.plates, replace(marginal, log_evidence=marginal.log_evidence + self.offset))
-
-    def refine(self, screened: Sequence[Tested], most: int | None = None) -> None:
-        """Add hypotheses, those near the best one (``most`` of them) computed by Laplace's method."""
-        # screening may promise too much, so the best one is among those that were optimised, or too little,
-        # and then all of them about alike
-        best = max(t.log_weight for t in (*self.tested, *screened) if t.marginal.is_refined)
-        n_refined, lift = 0, 0.0
-        for t in ranked(screened):
-            few = most is None or n_refined < most
-            if few and self.is_near(t, best - lift) and not t.marginal.is_refined:
-                promised = t.log_weight
-                t = replace(t, marginal=self._optimised(t.hypothesis, t.plates, t.marginal))
-                lift = max(lift, t.log_weight - promised)
-                best = max(best, t.log_weight)
-                n_refined += 1
-            self.tested.append(t)
-
-    def is_near(self, t: Tested, best: float, within: float = _NEAR) -> bool:
-        """Whether a hypothesis deserves exact numbers: near the best, or the plain model."""
-        return t.log_weight > best - within or t.hypothesis.cause == NONE
+    def shift_of(self, hypothesis: Hypothesis, marginal: Marginal) -> ShiftTable | None:
+        """The shifts of a hypothesis at the plain model's optimum, if it has a size and the same pairing."""
+        listed = hypothesis.listed
+        if not marginal.sizes or listed.missed or listed.spurious is not None or not hypothesis.records:
+            return None
+        names = self.none.comparison.parameters.names
+        at = dict(zip(names, self.none.best, strict=True))
+        middle = marginal.comparison.scores.to_x(np.zeros((1, marginal.comparison.parameters.size)))[0]
+        x = np.array([at.get(n, m) for n, m in zip(marginal.comparison.parameters.names, middle, strict=True)])
+        null = np.array(
+            [0.0 if p.null is None else p.null for p in hypothesis.parameters], dtype=float
+        )
+        return shift_table(marginal.comparison, marginal.sizes, x, null)
 
     def sampled(self, t: Tested, best: float) -> Tested:
-        """A hypothesis by importance sampling, if it is near enough and was optimised."""
-        if not self.is_near(t, best, _NEARER) or not t.marginal.is_refined:
+        """A hypothesis by importance sampling, if it is near enough to the best."""
+        within = _NEAR_SCATTERED if t.marginal.is_scattered else _NEAR
+        if t.marginal.is_sampled or (t.log_weight < best - within and t.hypothesis.cause != NONE):
             return t
-        return replace(t, marginal=sampled_marginal(self.exact(t)))
-
-    def _optimised(
-        self, hypothesis: Hypothesis, plates: tuple[int, ...], first: Marginal | None = None
-    ) -> Marginal:
-        return marginal_of(
-            self.cases,
-            hypothesis,
-            plates,
-            scatter=self.scatter,
-            none=self.none,
-            stand_ins=self.stand_ins,
-            screened=first,
-        )
-
-    def _comparison(self, hypothesis: Hypothesis, plates: tuple[int, ...]) -> Comparison:
-        return comparison_of(
-            self.cases,
-            _about(self.cases, hypothesis, plates),
-            scatter=self.scatter,
-            stand_ins=self.stand_ins,
-        )
-
-    def exact(self, tested: Tested) -> Marginal:
-        """The marginal likelihood of a hypothesis over the models of all plates, without stand-ins."""
-        if self.stand_ins is None or len(tested.plates) == len(self.cases):
-            return tested.marginal
-        about = _about(self.cases, tested.hypothesis, tested.plates)
-        return replace(tested.marginal, comparison=comparison_of(self.cases, about, scatter=self.scatter))
+        return replace(t, marginal=sampled_marginal(t.marginal))
 
 
-def _repairs(hypothesis: Hypothesis) -> bool:
-    """Whether a hypothesis gives frequencies to other modes."""
-    return bool(hypothesis.listed.missed) or hypothesis.listed.spurious is not None
+def misfit_probability(marginal: Marginal) -> float:
+    """Probability of a misfit as large at the optimum, by chi-squared with the degrees of freedom left.
+
+    An inferred noise has the largest amplitude of its prior's central 95 %: more is misfit.
+    """
+    comparison = marginal.comparison
+    z = marginal.z[:1].copy()
+    n_model = comparison.model.parameters.size
+    z[:, n_model:] = np.minimum(z[:, n_model:], 1.96)
+    x = comparison.scores.to_x(z)
+    f, slope = comparison.predict(x, jacobian=True)
+    assert slope is not None
+    sigma = np.sqrt(comparison.variance(x)[0])
+    a = slope[0, :, :n_model] * comparison.scores.slope(x, z)[0, :n_model] / sigma[:, None]
+    values = np.linalg.eigvalsh(a.T @ a)
+    used = float(np.sum(values / (values + 1.0)))
+    t = float(np.sum(((comparison.listed.frequencies - f[0]) / sigma) ** 2))
+    return float(chi2.sf(t, max(len(sigma) - used, 1.0)))
 
 
-def _is_far(hypothesis: Hypothesis) -> bool:
-    """Whether the constants may lie far from those of none."""
-    return hypothesis.is_gross or hypothesis.listed != ListChange() or hypothesis.family == PAIR
+def is_repairing(hypothesis: Hypothesis) -> bool:
+    """Whether a hypothesis is about the frequency list alone."""
+    return hypothesis.listed != ListChange() and not hypothesis.effects
 
 
-def _about(
+def _with_misreading(comparison: Comparison, plain: Comparison, z: Array) -> Array:
+    """Starts (s, n) of a pairing from scores (s, n_plain) of the plain parameters.
+
+    A misread frequency is off by what the model lacks.
+    """
+    starts = np.zeros((len(z), comparison.parameters.size))
+    columns = [comparison.parameters.names.index(name) for name in plain.parameters.names]
+    starts[:, columns] = z
+    at = 0
+    for part in comparison.model.parts:
+        if part.misread is not None:
+            i, column = part.misread
+            x = comparison.scores.to_x(starts)
+            x[:, column] = 0.0
+            f, _ = comparison.predict(x)
+            x[:, column] = np.clip(
+                comparison.listed.frequencies[at + i] / f[:, at + i] - 1.0,
+                comparison.parameters.lower[column],
+                comparison.parameters.upper[column],
+            )
+            starts[:, column] = comparison.scores.to_z(x)[:, column]
+        at += len(part.modes)
+    return starts
+
+
+def about(
     cases: Sequence[PlateCase], hypothesis: Hypothesis, plates: tuple[int, ...]
 ) -> Hypothesis | dict[int, Hypothesis]:
+    """A hypothesis for all plates, or for each of those that it is about."""
     return hypothesis if len(plates) == len(cases) else dict.fromkeys(plates, hypothesis)
-
-
-def _starts(comparison: Comparison, hypothesis: Hypothesis, none: Marginal | None) -> Array:
-    """Scores that optimisations begin from: the optimum of none, and prior means where it may be far."""
-    n = comparison.parameters.size
-    if none is None or hypothesis.other_material:
-        rng = np.random.default_rng(0)
-        return np.concatenate((np.zeros((1, n)), rng.standard_normal((_STARTS, n))))
-    at = dict(zip(none.comparison.parameters.names, none.z[int(np.argmax(none.weight))], strict=True))
-    start = np.array([at.get(name, 0.0) for name in comparison.parameters.names])
-    return np.stack((start, np.zeros(n))) if _is_far(hypothesis) else start[None]

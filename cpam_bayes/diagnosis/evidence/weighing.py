@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -11,38 +11,31 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from cpam_bayes.diagnosis.evidence.pair_screening import ranked_pairs
-from cpam_bayes.diagnosis.evidence.scan import Scan, Tested, marginal_of, ranked
+from cpam_bayes.diagnosis.evidence.pairs import add_pairs
+from cpam_bayes.diagnosis.evidence.scan import Scan, Tested, is_repairing, marginal_of, ranked
 from cpam_bayes.diagnosis.fitting import SCATTER, PlateCase
-from cpam_bayes.diagnosis.hypotheses import (
-    NONE,
-    OTHER,
-    PAIR,
-    Hypothesis,
-    go_together,
-    pair_scale,
-    paired,
-)
-from cpam_bayes.effects import ListChange
+from cpam_bayes.diagnosis.hypotheses import NONE, PAIR, Hypothesis, prior_by_cause
 
 __all__ = ["Tested", "Weighed", "marginal_of", "weigh"]
 
 Array = NDArray[Any]
 
-# Pairs that are screened by themselves, of all that are ranked, and of these the most that are optimised.
-_PAIRS, _PAIRS_REFINED = 16, 6
 # Log Bayes factor of a pair over the better one of its causes, from which it is a hypothesis of its own.
 PAIR_GAIN = 3.0
-# Leading causes of the list that pair with as many other causes.
-_LISTS, _SECOND = 2, 8
+# Rounds in which hypotheses that come near the best one are sampled.
+_SAMPLING_ROUNDS = 3
 
 
 @dataclass(frozen=True, slots=True)
 class Weighed:
-    """All hypotheses, the most probable first, and what could not be tested."""
+    """All hypotheses, the most probable first, and what could not be tested.
+
+    prior : prior probability of every cause, of pairings that explain nothing too
+    """
 
     tested: tuple[Tested, ...]
     not_tested: tuple[str, ...]
+    prior: Mapping[str, float]
 
     @property
     def none(self) -> Tested:
@@ -60,7 +53,8 @@ class Weighed:
         """Of causes against none, all their variants averaged over their priors."""
         variants = [t for t in self.tested if t.hypothesis.cause in causes]
         prior = np.array([t.hypothesis.prior for t in variants])
-        return float(logsumexp([t.log_bayes_factor for t in variants], b=prior / prior.sum()))
+        whole = sum(self.prior.get(cause, 0.0) for cause in {t.hypothesis.cause for t in variants})
+        return float(logsumexp([t.log_bayes_factor for t in variants], b=prior / max(whole, prior.sum())))
 
     def best_of(self, cause: str) -> Tested:
         """The most probable variant of a cause."""
@@ -77,33 +71,38 @@ def weigh(
 ) -> Weighed:
     """Marginal likelihoods of hypotheses, each about some of the plates, none first, and of pairs.
 
-    Where none is not the most probable of all, pairs of causes are ranked by screening and the best of
-    them tested too.
+    Where none is not the most probable of all, the best pairs of causes are tested too.
     """
     scan = Scan(cases, scatter)
     scan.begin(*hypotheses[0])
     total = len(hypotheses)
-    screened: list[Tested] = []
-    for i, (hypothesis, plates) in enumerate(hypotheses[1:]):
-        screened += scan.screen(hypothesis, plates)
+    on_list = [entry for entry in hypotheses[1:] if is_repairing(entry[0])]
+    on_plate = [entry for entry in hypotheses[1:] if not is_repairing(entry[0])]
+    for i, (hypothesis, plates) in enumerate(on_plate):
+        scan.test(hypothesis, plates)
         progress(i + 1, total)
-    screened = scan.corrected(screened)
-    scan.refine(screened)
+    scan.test_pairings(on_list)
     if pairs and ranked(scan.tested)[0].hypothesis.cause != NONE:
-        scan.refine(_pairs(scan, screened, [h for h, _ in hypotheses]), _PAIRS_REFINED)
+        add_pairs(scan, [h for h, _ in hypotheses])
     progress(total, total)
     order = ranked(scan.tested)
-    best = order[0].log_weight
-    order = ranked([scan.sampled(t, best) for t in order])
+    for _ in range(_SAMPLING_ROUNDS):  # sampling may move the best one
+        best = order[0].log_weight
+        sampled = [scan.sampled(t, best) for t in order]
+        moved = any(a is not b for a, b in zip(sampled, order, strict=True))
+        order = ranked(sampled)
+        if not moved:
+            break
     log_none = next(t for t in order if t.hypothesis.cause == NONE).marginal.log_evidence
     log_weight = np.array([t.log_weight for t in order])
-    share = np.exp(log_weight - log_weight.max())
-    share /= share.sum()
+    probability = np.exp(log_weight - log_weight.max())
+    probability /= probability.sum()
     tested = [
         replace(t, probability=float(p), log_bayes_factor=t.marginal.log_evidence - log_none)
-        for t, p in zip(order, share, strict=True)
+        for t, p in zip(order, probability, strict=True)
     ]
-    return Weighed(_credited(tested), tuple(dict.fromkeys(scan.not_tested)))
+    prior = prior_by_cause([h for h, _ in hypotheses])
+    return Weighed(_credited(tested), tuple(dict.fromkeys(scan.not_tested)), prior)
 
 
 def _credited(tested: Sequence[Tested]) -> tuple[Tested, ...]:
@@ -122,40 +121,3 @@ def _credited(tested: Sequence[Tested]) -> tuple[Tested, ...]:
                 kept[best] += kept.pop(i)
     order = sorted(kept, key=lambda i: -kept[i])
     return tuple(replace(tested[i], probability=kept[i]) for i in order)
-
-
-def _pairs(scan: Scan, screened: Sequence[Tested], singles: Sequence[Hypothesis]) -> list[Tested]:
-    """The best pairs of causes of the same plates, by screening."""
-    scale = pair_scale(singles)
-    lists, _ = scan.linear_none()
-    pairs: list[Tested] = []
-    usable = [t for t in screened if t.shift is not None]
-    # the size of the first is gone through node by node: one that may have two signs comes first
-    usable.sort(key=lambda t: not any(e.even for e in t.hypothesis.effects))
-    for plates in dict.fromkeys(t.plates for t in usable):
-        alike = [t for t in usable if t.plates == plates]
-        prior = np.log([t.hypothesis.prior for t in alike])
-        fit = np.array([[go_together(a.hypothesis, b.hypothesis) for b in alike] for a in alike], dtype=bool)
-        log_prior = np.where(fit, prior[:, None] + prior, -np.inf)
-        tables = [t.shift for t in alike if t.shift is not None]
-        for i, j in ranked_pairs(lists, tables, log_prior, _PAIRS):
-            pair = paired(alike[i].hypothesis, alike[j].hypothesis, scale)
-            pairs.append(scan.screen_pair(pair, alike[i], alike[j], lists))
-    return pairs + _with_list(scan, scale)
-
-
-def _with_list(scan: Scan, scale: float) -> list[Tested]:
-    """Leading causes that give frequencies to other modes, with the best variants of other causes."""
-    best: dict[str, Tested] = {}
-    for t in ranked(scan.tested):
-        if t.hypothesis.cause not in (NONE, OTHER):
-            best.setdefault(t.hypothesis.cause, t)
-    order = list(best.values())
-    leading = [t for t in order[:_LISTS] if t.hypothesis.listed != ListChange() and t.shift is None]
-    pairs: list[Tested] = []
-    for first in leading:
-        with_it = [t for t in order if t.plates == first.plates]
-        others = [t for t in with_it if go_together(first.hypothesis, t.hypothesis)]
-        for second in others[:_SECOND]:
-            pairs += scan.screen(paired(first.hypothesis, second.hypothesis, scale), first.plates)
-    return scan.corrected(pairs)

@@ -1,0 +1,142 @@
+"""All optima of a hypothesis over constants and sizes together, from many starts.
+
+The plain model's optimum is a good start for faint effects and a bad one for gross errors: plies turned by
+several degrees move the constants as far as the effect itself. Draws of the prior are therefore screened on
+the reduced model, the best of them optimised in rounds, fewer and further each time, together with what is
+known already (the plain model's optima, the reference).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtri
+from scipy.stats import qmc
+
+from cpam_bayes.diagnosis.evidence.comparison import Comparison
+from cpam_bayes.inference.derivatives import Expansion
+from cpam_bayes.inference.optimise import maximise
+from cpam_bayes.inference.standard_normal import MAX_SCORE
+
+Array = NDArray[Any]
+
+# Draws that are screened; starts of each round and the steps that they are given; gain that ends the last.
+LOG2_DRAWS = 9
+_ROUNDS = ((40, 3), (12, 6), (6, 40))
+_PROMISED = 3e-3
+# Scores of sizes are spread evenly this far: gross errors are in the tails of their priors.
+SIZE_RANGE = 3.6
+# Scale of the relative misfit beyond which a draw is as bad as any, and how much of the mean misfit is
+# forgiven: one modulus scales all frequencies.
+_COARSE, _FORGIVEN = 0.02, 0.9
+# Score of an inferred noise that optimisations begin with: large noise makes the first steps long.
+_FIRST_NOISE = 1.5
+# Optima are the same within this distance, standard deviations, and kept within so many nats of the best.
+_DISTINCT_SD, _DEPTH_NATS = 1.0, 25.0
+
+
+@dataclass(frozen=True, slots=True)
+class Optima:
+    """Distinct optima of a log density over normal scores, the best one first.
+
+    z : (k, n)
+    value : (k,)
+    curvature : (k, n, n)
+    """
+
+    z: Array
+    value: Array
+    curvature: Array
+
+    @property
+    def log_mass(self) -> Array:
+        """Log of the integral about each by Laplace's approximation, (k,)."""
+        n = self.z.shape[1]
+        log_det = np.linalg.slogdet(self.curvature)[1]
+        return np.asarray(self.value + 0.5 * n * np.log(2 * np.pi) - 0.5 * log_det)
+
+
+def find_optima(
+    comparison: Comparison, sizes: tuple[int, ...], known: Array, *, log2_draws: int = LOG2_DRAWS
+) -> Optima:
+    """The distinct optima of a comparison's log density that draws of its priors and known starts lead to.
+
+    sizes : columns of the effect's size and further coordinates
+    known : (s, n) scores that join the draws
+    """
+    z, first = known, len(known)
+    if log2_draws:
+        draws = prior_draws(comparison, sizes, log2_draws)
+        order = np.argsort(coarse_misfit(comparison, draws), kind="stable")
+        z = np.concatenate((known, draws[order[: _ROUNDS[0][0]]]))
+        for keep, steps in _ROUNDS[:-1]:
+            z = _maximised(comparison, z[: keep + first], steps).z
+            first = 0
+    most, steps = _ROUNDS[-1]
+    optima = _maximised(comparison, z[: max(most, first)], steps)
+    near = optima.value > optima.value[0] - _DEPTH_NATS
+    return Optima(optima.z[near], optima.value[near], optima.curvature[near])
+
+
+def prior_draws(comparison: Comparison, sizes: tuple[int, ...], log2_draws: int) -> Array:
+    """Scores (m, n) that fill the prior; those of the first size are spread evenly, noise starts large."""
+    uniform = unit_points(comparison.parameters.size, log2_draws)
+    z = np.asarray(ndtri(uniform))
+    if sizes:
+        z[:, sizes[0]] = SIZE_RANGE * (2.0 * uniform[:, sizes[0]] - 1.0)
+    z[:, comparison.model.parameters.size :] = _FIRST_NOISE
+    return z
+
+
+@cache
+def unit_points(n: int, log2_points: int) -> Array:
+    """Points (2^log2_points, n) that fill the unit cube, the same each time."""
+    points = qmc.Sobol(n, rng=np.random.default_rng(0)).random_base2(log2_points)
+    return np.asarray(np.clip(points, 1e-6, 1.0 - 1e-6))
+
+
+def size_points(comparison: Comparison, column: int, n: int) -> Array:
+    """Scores of n sizes that are evenly spread between the bounds of their prior, (n,)."""
+    lower, upper = comparison.parameters.lower[column], comparison.parameters.upper[column]
+    prior = comparison.parameters.parameters[column].prior
+    x = lower + (upper - lower) * (np.arange(n) + 0.5) / n
+    return np.clip(np.asarray(prior.to_normal(x)), -MAX_SCORE, MAX_SCORE)
+
+
+def coarse_misfit(comparison: Comparison, z: Array) -> Array:
+    """A misfit that ranks far-off scores (m, n), infinite where the constraints (9) are broken, (m,)."""
+    x = comparison.scores.to_x(z)
+    misfit = np.full(len(z), np.inf)
+    inside = np.flatnonzero(comparison.model.admissible(x))
+    if len(inside):
+        f, _ = comparison.predict(x[inside])
+        r = np.log(comparison.listed.frequencies / f)
+        r -= _FORGIVEN * r.mean(axis=1, keepdims=True)
+        misfit[inside] = np.sum(np.log1p((r / _COARSE) ** 2), axis=1)
+    return misfit
+
+
+def _maximised(comparison: Comparison, z: Array, steps: int) -> Optima:
+    bound = np.full(z.shape[1], MAX_SCORE)
+    maxima = maximise(
+        lambda at, rows: comparison.expand(at), z, -bound, bound, most_steps=steps, promised=_PROMISED
+    )
+    return distinct(maxima.u, maxima.expansion)
+
+
+def distinct(z: Array, expansion: Expansion) -> Optima:
+    """Where optimisations ended, without those that ended at the same place or far below the best."""
+    value = np.where(np.isfinite(expansion.value), expansion.value, -np.inf)
+    order = np.argsort(-value, kind="stable")
+    order = order[value[order] > -np.inf]
+    kept: list[int] = []
+    for i in order:
+        away = z[kept] - z[i]
+        distance = np.einsum("ki,kij,kj->k", away, expansion.curvature[kept], away)
+        if not len(kept) or distance.min() > _DISTINCT_SD**2:
+            kept.append(int(i))
+    return Optima(z[kept], value[kept], expansion.curvature[kept])

@@ -1,0 +1,72 @@
+"""What an effect does to the frequencies at the plain model's optimum, over the sizes of its prior."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import logsumexp, ndtri
+
+from cpam_bayes.diagnosis.evidence.comparison import Comparison
+from cpam_bayes.diagnosis.evidence.optima import SIZE_RANGE, size_points, unit_points
+
+Array = NDArray[Any]
+
+# Nodes of one size between the ends of the grid, sizes evenly spread over the prior that join them, and the
+# scattered nodes, log2, of several sizes.
+_NODES, _EVEN, _LOG2_SCATTERED = 19, 9, 7
+
+
+@dataclass(frozen=True, slots=True)
+class ShiftTable:
+    """Shifts of the log frequencies of the lists at nodes of an effect's sizes.
+
+    scores : (k, d) of the size and further coordinates
+    log_prior : (k,) log prior weights of the nodes, normalised
+    shift : (k, n_f)
+    """
+
+    scores: Array
+    log_prior: Array
+    shift: Array
+
+
+def size_nodes(comparison: Comparison, sizes: tuple[int, ...]) -> tuple[Array, Array]:
+    """Nodes (k, d) of an effect's sizes in normal scores and the logs (k,) of their prior weights."""
+    if len(sizes) == 1:
+        even = size_points(comparison, sizes[0], _EVEN)
+        score = np.concatenate((np.linspace(-SIZE_RANGE, SIZE_RANGE, _NODES), even))
+        score = np.unique(np.round(score, 6))
+        log_weight = np.log(np.gradient(score)) - 0.5 * score**2
+        return score[:, None], log_weight - logsumexp(log_weight)
+    uniform = unit_points(len(sizes), _LOG2_SCATTERED)
+    scores = np.asarray(ndtri(uniform))
+    scores[:, 0] = SIZE_RANGE * (2.0 * uniform[:, 0] - 1.0)
+    log_weight = -0.5 * scores[:, 0] ** 2
+    return scores, log_weight - logsumexp(log_weight)
+
+
+def shift_table(comparison: Comparison, sizes: tuple[int, ...], x: Array, null: Array) -> ShiftTable:
+    """Shifts at constants x (n,) of a comparison with an effect.
+
+    null : (d,) values of the sizes that give back the plain model
+    """
+    scores, log_prior = size_nodes(comparison, sizes)
+    z = np.repeat(comparison.scores.to_z(x[None]), len(scores), axis=0)
+    z[:, list(sizes)] = scores
+    at = comparison.scores.to_x(z)
+    at[:, _others(len(x), sizes)] = x[_others(len(x), sizes)]
+    plain = x.copy()
+    plain[list(sizes)] = null
+    f, _ = comparison.predict(np.vstack((plain, at)))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        log_f = np.log(f)
+    shift = log_f[1:] - log_f[0]
+    seen = np.isfinite(shift).all(axis=1)
+    return ShiftTable(scores[seen], log_prior[seen] - logsumexp(log_prior[seen]), shift[seen])
+
+
+def _others(n: int, sizes: tuple[int, ...]) -> Array:
+    return np.delete(np.arange(n), sizes)
