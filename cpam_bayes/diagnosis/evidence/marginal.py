@@ -132,7 +132,7 @@ def laplace_marginal(
     if not open_sizes:
         return _about_optima(comparison, sizes, optima)
     if len(open_sizes) == 1:
-        return _by_quadrature(comparison, sizes, open_sizes[0], optima, known)
+        return _by_quadrature(comparison, sizes, open_sizes[0], optima, known, few=not log2_draws)
     return _by_scattered(comparison, sizes, open_sizes, optima, known)
 
 
@@ -153,16 +153,24 @@ def _about_optima(comparison: Comparison, sizes: tuple[int, ...], optima: Optima
 
 
 def _by_quadrature(
-    comparison: Comparison, sizes: tuple[int, ...], column: int, optima: Optima, known: Array
+    comparison: Comparison,
+    sizes: tuple[int, ...],
+    column: int,
+    optima: Optima,
+    known: Array,
+    *,
+    few: bool,
 ) -> Marginal:
     """One size gone through node by node."""
     sd = np.sqrt(np.linalg.inv(optima.curvature)[:, column, column])
     about = (optima.z[:, column, None] + sd[:, None] * _ABOUT).ravel()
     even = size_points(comparison, column, _EVEN_SIZES)
-    score = np.concatenate((GRID, even[np.abs(even) > GRID[-1] / 3], about[np.abs(about) < GRID[-1]]))
+    score = np.concatenate(
+        (GRID, even[(np.abs(even) > GRID[-1] / 3) & (not few)], about[np.abs(about) < GRID[-1]])
+    )
     score = np.unique(np.round(score, 4))
     score = score[np.insert(np.diff(score) > _FINEST, 0, True)]
-    nodes = conditional_optima(comparison, (column,), score[:, None], optima, known)
+    nodes = conditional_optima(comparison, (column,), score[:, None], optima, known, few=few)
     nodes = _from_neighbours(comparison, column, nodes)
     for _ in range(_MOST_HALVINGS):
         middle, begin = _halved(nodes)

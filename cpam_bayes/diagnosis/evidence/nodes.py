@@ -18,7 +18,7 @@ from cpam_bayes.inference.standard_normal import MAX_SCORE
 Array = NDArray[Any]
 
 # Optimisations end where a step promises less than this, nats, or after so many steps.
-_PROMISED, _MOST_STEPS = 3e-3, 12
+_PROMISED, _MOST_STEPS, _FEW_STEPS = 3e-3, 12, 6
 # Joint optima that each node is approached from, and optima that are kept of each node.
 _FROM_OPTIMA, _KEPT = 2, 2
 # Optima of one node are the same within this distance, standard deviations.
@@ -121,13 +121,13 @@ def conditional_optima(
 
     optima : joint ones; the nearest of them are approached from along their tangents
     known : further starts, (s, n) whole scores, or (k, s, n - d) for each node
-    few : only from the nearest joint optimum and the first known start
+    few : only from the nearest joint optimum, which is near enough for a few steps
     """
     k, n = len(scores), comparison.parameters.size
     rest = np.delete(np.arange(n), columns)
     starts = [] if known.ndim == 2 else [known]
     if known.ndim == 2:
-        used = known[:1] if few else known
+        used = known[:0] if few and optima is not None else known
         starts.append(np.broadcast_to(used[:, rest], (k, len(used), len(rest))))
     if optima is not None:
         starts.append(_along_tangents(columns, rest, scores, optima, 1 if few else _FROM_OPTIMA))
@@ -142,7 +142,7 @@ def conditional_optima(
     bound = np.full(len(rest), MAX_SCORE)
     flat = begin.reshape(k * s, len(rest))
     maxima = maximise(
-        target, flat, -bound, bound, most_steps=5 if few else _MOST_STEPS, promised=_PROMISED
+        target, flat, -bound, bound, most_steps=_FEW_STEPS if few else _MOST_STEPS, promised=_PROMISED
     )
     e = maxima.expansion
     value = np.where(np.isfinite(e.value), e.value, -1e300).reshape(k, s)
@@ -152,9 +152,7 @@ def conditional_optima(
     return Nodes(columns, scores, value, r, curvature)
 
 
-def _along_tangents(
-    columns: tuple[int, ...], rest: Array, scores: Array, optima: Optima, most: int
-) -> Array:
+def _along_tangents(columns: tuple[int, ...], rest: Array, scores: Array, optima: Optima, most: int) -> Array:
     """Starts (k, most, n - d) for the rest from the joint optima nearest in size."""
     at = optima.z[:, list(columns)]
     away = scores[:, None] - at  # (k, optima, d)

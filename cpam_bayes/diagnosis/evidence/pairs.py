@@ -53,7 +53,7 @@ def add_pairs(scan: Scan, singles: Sequence[Hypothesis]) -> None:
     single = [t for t in order if t.hypothesis.cause not in (NONE, OTHER) and t.hypothesis.family != PAIR]
     leaders = _leaders(single)
     seconds = _second_causes(single)
-    promising: dict[tuple[str, str, str, str], tuple[float, Hypothesis, Tested, Array]] = {}
+    promising: dict[tuple[str, ...], tuple[float, Hypothesis, Tested, Array]] = {}
     for leader in leaders:
         for second in seconds:
             if second.plates != leader.plates or not go_together(leader.hypothesis, second.hypothesis):
@@ -62,7 +62,7 @@ def add_pairs(scan: Scan, singles: Sequence[Hypothesis]) -> None:
             gain, scores = _gain_of_second(scan, leader, second)
             value = leader.marginal.log_evidence + gain + float(np.log(pair.prior))
             key = (*sorted(pair.cause.split(" + ")), leader.hypothesis.variant, second.hypothesis.variant)
-            if value > promising.get(key, (-np.inf,))[0]:
+            if key not in promising or value > promising[key][0]:
                 promising[key] = (value, pair, leader, scores)
     chosen = sorted(promising.values(), key=lambda entry: -entry[0])[:_FITTED]
     fitted: set[frozenset[str]] = set()

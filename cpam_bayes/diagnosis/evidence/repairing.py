@@ -81,7 +81,9 @@ def repairings(plain: Comparison, variants: Sequence[Comparison], known: Array) 
 
 def _all_modes(plain: Comparison) -> tuple[Comparison, list[int]]:
     """The comparison with every mode of every plate as if it were listed, and where each plate's begin."""
-    sizes = [len(part.bare.predict(_middle(plain, i)).frequencies[0]) for i, part in enumerate(plain.model.parts)]
+    sizes = [
+        len(part.bare.predict(_middle(plain, i)).frequencies[0]) for i, part in enumerate(plain.model.parts)
+    ]
     parts = tuple(
         replace(part, modes=np.arange(size)) for part, size in zip(plain.model.parts, sizes, strict=True)
     )

@@ -157,7 +157,9 @@ class Scan:
                 least=self.best - float(np.log(hypothesis.prior)) - _HOPELESS_NATS,
             )
             self.best = max(self.best, float(np.log(hypothesis.prior)) + marginal.log_evidence)
-            self.tested.append(Tested(hypothesis, plates, marginal, shift=self.shift_of(hypothesis, marginal)))
+            self.tested.append(
+                Tested(hypothesis, plates, marginal, shift=self.shift_of(hypothesis, marginal))
+            )
         except RigidBodyError:
             self.not_tested.append(
                 f"{hypothesis.cause} {hypothesis.variant}".rstrip()
@@ -197,10 +199,10 @@ class Scan:
         names = self.none.comparison.parameters.names
         at = dict(zip(names, self.none.best, strict=True))
         middle = marginal.comparison.scores.to_x(np.zeros((1, marginal.comparison.parameters.size)))[0]
-        x = np.array([at.get(n, m) for n, m in zip(marginal.comparison.parameters.names, middle, strict=True)])
-        null = np.array(
-            [0.0 if p.null is None else p.null for p in hypothesis.parameters], dtype=float
+        x = np.array(
+            [at.get(n, m) for n, m in zip(marginal.comparison.parameters.names, middle, strict=True)]
         )
+        null = np.array([0.0 if p.null is None else p.null for p in hypothesis.parameters], dtype=float)
         return shift_table(marginal.comparison, marginal.sizes, x, null)
 
     def sampled(self, t: Tested, best: float) -> Tested:
