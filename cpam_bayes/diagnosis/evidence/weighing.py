@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -35,7 +35,7 @@ class Weighed:
 
     tested: tuple[Tested, ...]
     not_tested: tuple[str, ...]
-    prior: Mapping[str, float]
+    prior: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def none(self) -> Tested:

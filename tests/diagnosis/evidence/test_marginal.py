@@ -41,11 +41,8 @@ def measured(shift: np.ndarray, noise: float = NOISE) -> np.ndarray:
     return F0 * (1.0 + A @ TRUTH + shift) * (1.0 + noise * SCATTER)
 
 
-def weighed(comparison: Comparison, quadrature: int | None = 2, floor: float = -np.inf) -> Marginal:
-    rng = np.random.default_rng(0)
-    n = comparison.parameters.size
-    starts = np.concatenate((np.zeros((1, n)), rng.standard_normal((2, n))))
-    return laplace_marginal(comparison, quadrature, starts, floor=floor)
+def weighed(comparison: Comparison, sizes: tuple[int, ...] = (2,), least: float = -np.inf) -> Marginal:
+    return laplace_marginal(comparison, sizes, np.zeros((1, comparison.parameters.size)), least=least)
 
 
 def by_quadrature(f: np.ndarray, noise: float, prior: Prior, shape: np.ndarray) -> float:
@@ -66,7 +63,7 @@ def by_quadrature(f: np.ndarray, noise: float, prior: Prior, shape: np.ndarray) 
 def test_without_an_effect_a_linear_model_has_its_exact_evidence() -> None:
     f = measured(np.zeros(8))
     comparison = comparison_of([case(a_list(f, NOISE))], PLAIN)
-    found = weighed(comparison, None)
+    found = weighed(comparison, ())
     # a Gaussian in scores: only rounding is left
     assert found.log_evidence == pytest.approx(exact_log_evidence(f, NOISE * f), abs=1e-6)
 
@@ -78,7 +75,7 @@ def test_moments_of_a_linear_model_are_those_of_the_gaussian() -> None:
     covariance = np.linalg.inv(slope.T @ slope + np.eye(2) / SD**2)
     expected = 1.0 + covariance @ slope.T @ ((f - F0) / (NOISE * f))
     sd = np.sqrt(np.diag(covariance))
-    laplace = weighed(comparison, None)
+    laplace = weighed(comparison, ())
     for found, near in ((laplace, 0.01), (sampled_marginal(laplace), 0.03)):
         mean, spread = found.moments()
         np.testing.assert_allclose(mean, expected, atol=near * sd.max())
@@ -180,7 +177,7 @@ def test_inferred_noise_is_integrated_by_importance_sampling() -> None:
     s = np.exp(np.linspace(np.log(prior.lower), np.log(prior.upper), 4001))
     log_p = np.array([exact_log_evidence(f, v * f) for v in s]) + prior.log_density(s) + np.log(s)
     expected = logsumexp(log_p, b=np.log(s[1] / s[0]))
-    laplace = weighed(comparison, None)
+    laplace = weighed(comparison, ())
     found = sampled_marginal(laplace)
     assert found.log_evidence == pytest.approx(expected, abs=3.0 * found.error)
     # Laplace's method alone misses the skewness of the noise's score
@@ -188,10 +185,10 @@ def test_inferred_noise_is_integrated_by_importance_sampling() -> None:
 
 
 def test_a_hopeless_hypothesis_is_not_refined() -> None:
-    f = measured(0.017 * BUMP, 1e-4)
+    f = measured(0.004 * BUMP)
     bent = cause("bent", whole_normal(0.02))
-    comparison = comparison_of([case(a_list(f, 1e-4), [(bent, straight(BUMP))])], hypothesis(bent, 0.1))
-    assert len(weighed(comparison, floor=1e6).z) < len(weighed(comparison).z)
+    comparison = comparison_of([case(a_list(f, NOISE), [(bent, even(BUMP))])], hypothesis(bent, 0.1))
+    assert len(weighed(comparison, least=1e6).z) < len(weighed(comparison).z)
 
 
 def test_nodes_ascend_and_their_shares_sum_to_one() -> None:
@@ -220,7 +217,7 @@ def test_what_lies_outside_the_constraints_carries_nothing() -> None:
     part = comparison.model.parts[0]
     cut = replace(part, bare=replace(part.bare, allowed=lambda x: x[:, 0] < middle))  # type: ignore[type-var]
     half = replace(comparison, model=replace(comparison.model, parts=(cut,)))
-    whole, found = (sampled_marginal(weighed(c, None)) for c in (comparison, half))
+    whole, found = (sampled_marginal(weighed(c, ())) for c in (comparison, half))
     share = np.exp(whole.log_weight) @ (whole.draws[:, 0] < middle)
     # of 512 points
     assert found.log_evidence - whole.log_evidence == pytest.approx(np.log(share), abs=0.1)

@@ -114,7 +114,7 @@ def test_a_pair_that_shows_one_cause_only_counts_for_that_cause() -> None:
     own = plate(0.015 * DENT)
     found, alone = (weigh([own], of_one(NOTHING, ANYTHING, *SINGLES), pairs=p) for p in (True, False))
     pairs = [t.hypothesis.causes for t in found.tested if t.hypothesis.family == "pair"]
-    assert pairs == [("bent", "turned")]  # better than either, and not than what acts
+    assert all("dented" not in causes for causes in pairs)
     assert found.by_cause()["dented"] == pytest.approx(alone.by_cause()["dented"], abs=1e-3)
 
 
