@@ -194,7 +194,7 @@ class Scan:
     def shift_of(self, hypothesis: Hypothesis, marginal: Marginal) -> ShiftTable | None:
         """The shifts of a hypothesis at the plain model's optimum, if it has a size and the same pairing."""
         listed = hypothesis.listed
-        if not marginal.sizes or listed.missed or listed.spurious is not None or not hypothesis.records:
+        if not marginal.sizes or listed.missed or listed.spurious is not None or len(hypothesis.records) != 1:
             return None
         names = self.none.comparison.parameters.names
         at = dict(zip(names, self.none.best, strict=True))
