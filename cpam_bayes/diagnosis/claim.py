@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Literal
 
@@ -14,6 +14,11 @@ Kind = Literal["none", "named", "class", "pair", "other", "undecided"]
 SURE, PLAIN = 0.9, 0.5
 # Log Bayes factor of a class over the best outsider.
 CLEAR = 3.0
+# Fraction of the leading cause's probability from which a member of its class is a rival: where the data
+# cannot tell them, a ratio of two priors below it is no evidence either.
+RIVAL = 0.01
+# Probability below which it does not matter whether a cause explains the lists.
+_NEGLIGIBLE = 1e-3
 # Members of a class at most, and causes listed where nothing is decided.
 MOST, UNDECIDED = 6, 3
 
@@ -32,49 +37,103 @@ def claim_of(
     log_evidence: Mapping[str, float],
     alike: Mapping[str, frozenset[str]],
     pairs: Mapping[str, tuple[str, ...]],
+    explains: Callable[[str], bool] = lambda name: True,
 ) -> Claim:
     """The claim.
 
-    probability : of every cause, of pairs, none and other. log_evidence : of each, its variants averaged
-    over their priors. alike : by cause, the causes that frequencies cannot tell from it. pairs : by name,
-    the two causes of each pair.
+    probability : of every cause, of pairs, none and other
+    log_evidence : of each, its variants averaged over their priors
+    alike : by cause, the causes that frequencies cannot tell from it
+    pairs : by name, the two causes of each pair
+    explains : whether the model extended by a cause or a pair explains the lists
 
-    Nothing is wrong where none has half the probability. A single cause is named, or its class, where the
-    class has 0.9 and its best member is 3 nats above the best outsider, none and other among these; a
-    member alone where it has 0.9 itself. Pairs count in the probabilities, with their priors. Then a pair
-    is claimed where it and those whose causes cannot be distinguished from its causes have 0.9, or other.
-    The rest is undecided.
+    Nothing is wrong where none has half the probability. A cause is claimed with what cannot be told from
+    it, where together they have 0.9 and the best of them is 3 nats above the best outsider, none and other
+    among these; alone where it has 0.9 itself and the rest of its class have hardly any probability, so that
+    priors alone do not decide. Pairs count in the probabilities, with their priors. Then a pair is claimed
+    where it and those whose causes cannot be distinguished from its causes have 0.9, or one cause where all
+    hypotheses that contain it, alone or in pairs, have 0.9: what acts beside it is open. No cause is
+    claimed whose extended model leaves a misfit that is no noise: where those that explain nothing hold 0.9
+    with other, it is other. The rest is undecided.
     """
-    if probability[NONE] >= PLAIN:
+    if probability[NONE] >= PLAIN and explains(NONE):
         return Claim("none", (), probability[NONE])
-    singles = [c for c in probability if c not in (NONE, OTHER) and c not in pairs]
-    ranked = sorted(singles, key=lambda c: -probability[c])
-    if ranked:
-        best = ranked[0]
-        members = [best, *(c for c in ranked[1:] if c in alike[best])]
-        whole = sum(probability[c] for c in members)
-        outside = [e for c, e in log_evidence.items() if c not in members and c not in pairs]
-        ahead = max(log_evidence[c] for c in members) - max(outside, default=float("-inf"))
-        if whole >= SURE and ahead >= CLEAR:
-            if probability[best] >= SURE:
-                return Claim("named", (best,), probability[best])
-            if len(members) <= MOST:
-                return Claim("class", tuple(members), whole)
-            members = members[:MOST]
-            whole = sum(probability[c] for c in members)
-            if whole >= SURE:
-                return Claim("class", tuple(members), whole)
-    if pairs:
-        leading = max(pairs, key=lambda name: probability[name])
-        whole = sum(probability[name] for name in pairs if _stands_for(pairs[leading], pairs[name], alike))
-        if whole >= SURE:
-            return Claim("pair", pairs[leading], whole)
-    if probability[OTHER] >= SURE:
-        return Claim("other", (), probability[OTHER])
+    claim = _cause(probability, log_evidence, alike, pairs)
+    if claim is not None and explains(claim.causes[0]):
+        return claim
+    if pairs and explains(_leading(probability, pairs)):
+        claim = _pair(probability, alike, pairs) or _one_of_pairs(probability, alike, pairs)
+        if claim is not None:
+            return claim
+    unexplained = [c for c in probability if c != OTHER and probability[c] > _NEGLIGIBLE and not explains(c)]
+    wrong = probability[OTHER] + sum(probability[c] for c in unexplained)
+    if wrong >= SURE:
+        return Claim("other", (), wrong)
     # a pair stands for both of its causes
     named = sorted((c for c in probability if c not in (NONE, OTHER)), key=lambda c: -probability[c])
     causes = tuple(dict.fromkeys(c for name in named for c in pairs.get(name, (name,))))[:UNDECIDED]
     return Claim("undecided", causes, sum(probability[c] for c in causes if c in probability))
+
+
+def _cause(
+    probability: Mapping[str, float],
+    log_evidence: Mapping[str, float],
+    alike: Mapping[str, frozenset[str]],
+    pairs: Mapping[str, tuple[str, ...]],
+) -> Claim | None:
+    """One cause or its class."""
+    singles = [c for c in probability if c not in (NONE, OTHER) and c not in pairs]
+    ranked = sorted(singles, key=lambda c: -probability[c])
+    if not ranked:
+        return None
+    best = ranked[0]
+    members = [best, *(c for c in ranked[1:] if c in alike[best])]
+    whole = sum(probability[c] for c in members)
+    outside = [e for c, e in log_evidence.items() if c not in members and c not in pairs]
+    ahead = max(log_evidence[c] for c in members) - max(outside, default=float("-inf"))
+    if whole < SURE or ahead < CLEAR:
+        return None
+    rivals = [c for c in members[1:] if probability[c] >= RIVAL * probability[best]]
+    if probability[best] >= SURE and not rivals:
+        return Claim("named", (best,), probability[best])
+    members = [best, *(rivals or members[1:])][:MOST]
+    whole = sum(probability[c] for c in members)
+    return Claim("class", tuple(members), whole) if whole >= SURE else None
+
+
+def _leading(probability: Mapping[str, float], pairs: Mapping[str, tuple[str, ...]]) -> str:
+    return max(pairs, key=lambda name: probability[name])
+
+
+def _pair(
+    probability: Mapping[str, float],
+    alike: Mapping[str, frozenset[str]],
+    pairs: Mapping[str, tuple[str, ...]],
+) -> Claim | None:
+    """A pair with those that cannot be told from it."""
+    if not pairs:
+        return None
+    leading = _leading(probability, pairs)
+    whole = sum(probability[name] for name in pairs if _stands_for(pairs[leading], pairs[name], alike))
+    return Claim("pair", pairs[leading], whole) if whole >= SURE else None
+
+
+def _one_of_pairs(
+    probability: Mapping[str, float],
+    alike: Mapping[str, frozenset[str]],
+    pairs: Mapping[str, tuple[str, ...]],
+) -> Claim | None:
+    """A cause, or its class, that acts in all that is probable, alone or beside one or another."""
+    leading = pairs[_leading(probability, pairs)]
+    for classes in ([(c,) for c in leading], [(c, *sorted(alike.get(c, ()))) for c in leading]):
+        totals = []
+        for members in classes:
+            total = sum(p for name, p in probability.items() if set(members) & set(pairs.get(name, (name,))))
+            totals.append((total, members))
+        total, members = max(totals, key=lambda entry: entry[0])
+        if total >= SURE and len(members) <= MOST:
+            return Claim("named" if len(members) == 1 else "class", members, min(total, 1.0))
+    return None
 
 
 def _stands_for(one: tuple[str, ...], other: tuple[str, ...], alike: Mapping[str, frozenset[str]]) -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 
 from cpam_bayes.diagnosis.answers.averaged import averaged_constants
 from cpam_bayes.diagnosis.answers.gain import Gain, gain_of
+from cpam_bayes.diagnosis.answers.predictive import explains
 from cpam_bayes.diagnosis.answers.prior_sensitivity import PriorSensitivity, prior_sensitivity
 from cpam_bayes.diagnosis.cases import hypotheses_of
 from cpam_bayes.diagnosis.claim import Claim, claim_of
@@ -28,11 +30,14 @@ from cpam_bayes.diagnosis.signatures import (
     menu_of,
     projector_of,
     signature_of,
+    with_equal_fits,
 )
 from cpam_bayes.threads import single_blas_thread
 
 Array = NDArray[Any]
 
+# Predictive p-value below which a model does not explain the lists.
+_EXPLAINED = 1e-3
 # Variants of the claimed causes that carry less than this fraction of the claim are not averaged over.
 _LEAST_FRACTION = 1e-3
 
@@ -172,7 +177,8 @@ def _causes(
         if menu is not None:
             menus[t.hypothesis.cause].append(menu)
     of_all = [menus[name] for name in names]
-    like = {name: tuple(names[j] for j in alike(of_singles, i, of_all)) for i, name in enumerate(names)}
+    by_signature = {name: [names[j] for j in alike(of_singles, i, of_all)] for i, name in enumerate(names)}
+    like = with_equal_fits(by_signature, {name: best[name] for name in names}, weighed.by_cause())
     causes = []
     for name, probability in weighed.by_cause().items():
         t = best[name]
@@ -231,11 +237,17 @@ def _reweighed(causes: Sequence[Cause], weighed: Weighed) -> list[Cause]:
 
 def _claim(weighed: Weighed, causes: Sequence[Cause]) -> Claim:
     pairs = {t.hypothesis.cause: t.hypothesis.causes for t in weighed.tested if t.hypothesis.family == PAIR}
+
+    @cache
+    def explained(name: str) -> bool:
+        return explains(weighed.best_of(name)) > _EXPLAINED
+
     return claim_of(
         {c.name: c.probability for c in causes},
         {c.name: c.log_bayes_factor for c in causes},
         {c.name: frozenset(c.indistinguishable_from) for c in causes},
         pairs,
+        explained,
     )
 
 
@@ -249,7 +261,9 @@ def _members(weighed: Weighed, claim: Claim) -> tuple[tuple[Tested, float], ...]
         ]
     else:
         names = claim.causes or (OTHER,)
-        claimed = [t for t in weighed.tested if t.hypothesis.cause in names]
+        claimed = [
+            t for t in weighed.tested if t.hypothesis.cause in names or set(t.hypothesis.causes) & set(names)
+        ]
     total = sum(t.probability for t in claimed)
     kept = [t for t in claimed if t.probability >= _LEAST_FRACTION * total]
     total = sum(t.probability for t in kept)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
+from cpam_bayes.diagnosis.evidence.best_fits import best_log_likelihood
 from cpam_bayes.diagnosis.evidence.comparison import Comparison, kept_of
 from cpam_bayes.diagnosis.evidence.marginal import Marginal
 from cpam_bayes.diagnosis.evidence.shifts import ShiftTable
@@ -22,6 +23,9 @@ Array = NDArray[Any]
 ALIKE = 0.95
 # A cause of which less than this fraction of the signature is visible is absorbed by the constants.
 ABSORBED = 0.1
+# Causes with less than this fraction of the leading one's probability are not compared by their best fits;
+# fits are equal within so many nats of the log likelihood.
+_COMPARED, _AS_WELL = 5e-3, 2.0
 # A shift smaller than this fraction of the one that it is compared with is hardly there.
 _HARDLY = 0.1
 # Points between the nodes of one size at which it is compared with the others.
@@ -140,6 +144,39 @@ def alike(
         if j != i and best > ALIKE:
             indistinguishable.append(j)
     return tuple(indistinguishable)
+
+
+def with_equal_fits(
+    by_signature: Mapping[str, Sequence[str]], best: Mapping[str, Tested], probability: Mapping[str, float]
+) -> dict[str, tuple[str, ...]]:
+    """The causes that cannot be told from each one, with those that can explain the lists as well.
+
+    Signatures are compared where an effect is small. A gross one may be imitated by another that moves the
+    constants far: whatever the sizes were believed to be, the data prefer neither by more than e^2.
+    Causes that hardly have any probability are left out, but for another material: its wide prior alone
+    makes it improbable.
+
+    by_signature : by cause, those with equal visible signatures
+    best : best variant of every cause
+    """
+    top = max(probability[name] for name in best) if best else 0.0
+    compared = [
+        name
+        for name, t in best.items()
+        if probability[name] > _COMPARED * top or (t.hypothesis.other_material and top > probability["none"])
+    ]
+    peak = {name: best_log_likelihood(best[name].marginal) for name in compared}
+    return {
+        name: tuple(
+            dict.fromkeys(
+                [
+                    *others,
+                    *(c for c in compared if c != name and name in peak and peak[c] > peak[name] - _AS_WELL),
+                ]
+            )
+        )
+        for name, others in by_signature.items()
+    }
 
 
 @dataclass(frozen=True, slots=True)

@@ -78,7 +78,9 @@ def test_members_of_a_class_do_not_stand_in_each_others_way() -> None:
 
 def test_a_member_is_named_only_where_it_has_nine_tenths_itself() -> None:
     evidence = {"a": 9.0, "b": 6.5}
-    assert claimed({"a": 0.92, "b": 0.08}, evidence, ("ab",)) == Claim("named", ("a",), 0.92)
+    assert claimed({"a": 0.995, "b": 0.005}, evidence, ("ab",)) == Claim("named", ("a",), 0.995)
+    # the data cannot tell them: that one is a priori more probable is no finding
+    assert claimed({"a": 0.92, "b": 0.08}, evidence, ("ab",)) == Claim("class", ("a", "b"), 1.0)
     assert claimed({"a": 0.89, "b": 0.11}, evidence, ("ab",)).kind == "class"
 
 
@@ -106,17 +108,32 @@ def test_two_causes_at_once_are_a_pair() -> None:
 def test_pairs_whose_causes_cannot_be_told_apart_are_claimed_together() -> None:
     probability = {"a + b": 0.5, "c + a": 0.43, "c + d": 0.05, "a": 0.02, "b": 0.0, "c": 0.0, "d": 0.0}
     pairs = {"a + b": ("a", "b"), "c + a": ("c", "a"), "c + d": ("c", "d")}
-    assert claimed(probability, pairs=pairs).kind == "undecided"
+    # whatever acts beside it, a does
+    assert claimed(probability, pairs=pairs) == Claim("named", ("a",), pytest.approx(0.95))
     # b and c are alike: the second pair is the first with its causes named the other way round
     found = claimed(probability, classes=("bc",), pairs=pairs)
     assert (found.kind, found.causes, found.probability) == ("pair", ("a", "b"), pytest.approx(0.93))
 
 
-@pytest.mark.parametrize("pair", ["a + b", "c + d"])
-def test_pairs_count_in_the_probabilities_alone(pair: str) -> None:
+@pytest.mark.parametrize(("pair", "kind"), [("a + b", "named"), ("c + d", "undecided")])
+def test_pairs_count_in_the_probabilities_alone(pair: str, kind: str) -> None:
     # their priors are so low that their evidence may well be the larger one
     assert claimed({"a": 0.95, pair: 0.05}, {"a": 10.0, pair: 11.0}) == Claim("named", ("a",), 0.95)
-    assert claimed({"a": 0.85, pair: 0.15}, {"a": 10.0, pair: 11.0}).kind == "undecided"
+    assert claimed({"a": 0.85, pair: 0.15}, {"a": 10.0, pair: 11.0}).kind == kind
+
+
+def test_nothing_is_claimed_that_does_not_explain_the_lists() -> None:
+    probability = {NONE: 0.0, OTHER: 0.01, "a": 0.97, "b": 0.02}
+    evidence = {NONE: 0.0, OTHER: 30.0, "a": 40.0, "b": 35.0}
+    alike = {c: frozenset[str]() for c in probability}
+    assert claim_of(probability, evidence, alike, {}) == Claim("named", ("a",), 0.97)
+    nothing_explains = claim_of(probability, evidence, alike, {}, lambda name: False)
+    assert (nothing_explains.kind, nothing_explains.causes) == ("other", ())
+    assert claim_of(probability, evidence, alike, {}, lambda name: name == "b").kind == "other"
+    assert (
+        claim_of({**probability, "a": 0.5, "b": 0.49}, evidence, alike, {}, lambda n: n == "b").kind
+        == "undecided"
+    )
 
 
 def test_other_where_nothing_known_explains_the_data() -> None:
