@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from cpam_bayes.diagnosis.composed import ComposedModel
 from cpam_bayes.inference.derivatives import Expansion
 from cpam_bayes.inference.standard_normal import NormalScores
+from cpam_bayes.mechanics.modes import RigidBodyError
 from cpam_bayes.parameters import ParameterSet
 
 Array = NDArray[Any]
@@ -120,6 +121,32 @@ class Comparison:
             slope = np.concatenate((slope, further), axis=2)
         return f, slope
 
+    def predict_inside(self, x: Array, *, jacobian: bool = False) -> tuple[Array, Array, Array | None]:
+        """Rows of parameters (m, n) at which the plates have modes, and the predictions there.
+
+        Rows that break the constraints (9) or buckle a plate are left out, also those that are found to be
+        unsound only by solving.
+        """
+        rows = np.flatnonzero(self.model.admissible(x))
+        if not len(rows):
+            n = len(self.listed.frequencies)
+            return rows, np.empty((0, n)), np.empty((0, n, x.shape[1]))
+        try:
+            return rows, *self.predict(x[rows], jacobian=jacobian)
+        except RigidBodyError:
+            if len(rows) == 1:
+                return self.predict_inside(x[:0], jacobian=jacobian)
+        halves = []
+        for part in np.array_split(rows, 2):
+            inside, f, slope = self.predict_inside(x[part], jacobian=jacobian)
+            halves.append((part[inside], f, slope))
+        slopes = [slope for _, _, slope in halves if slope is not None]
+        return (
+            np.concatenate([inside for inside, _, _ in halves]),
+            np.concatenate([f for _, f, _ in halves]),
+            np.concatenate(slopes) if jacobian else None,
+        )
+
     def variance(self, x: Array) -> Array:
         """sigma^2 of every frequency at parameters (m, n), discrepancy included, (m, n_f) Hz^2."""
         variance = self._independent(x)
@@ -136,9 +163,8 @@ class Comparison:
     def log_likelihood(self, x: Array) -> Array:
         """Log likelihood at parameters (m, n), -inf where the constraints (9) are broken, (m,)."""
         value = np.full(len(x), -np.inf)
-        inside = np.flatnonzero(self.model.admissible(x))
+        inside, f, _ = self.predict_inside(x)
         if len(inside):
-            f, _ = self.predict(x[inside])
             r = self.listed.frequencies - f
             if self._is_correlated:
                 value[inside] = self._correlated(r, self._with_discrepancy(x[inside]))[0]
@@ -155,9 +181,8 @@ class Comparison:
         m, n = z.shape
         x = self.scores.to_x(z)
         value, gradient, curvature = np.full(m, -np.inf), np.zeros((m, n)), np.zeros((m, n, n))
-        inside = np.flatnonzero(self.model.admissible(x))
+        inside, f, slope = self.predict_inside(x, jacobian=True)
         if len(inside):
-            f, slope = self.predict(x[inside], jacobian=True)
             assert slope is not None
             expand = self._expand_correlated if self._is_correlated else self._expand_independent
             value[inside], gradient[inside], curvature[inside] = expand(

@@ -111,9 +111,8 @@ def coarse_misfit(comparison: Comparison, z: Array) -> Array:
     """A misfit that ranks far-off scores (m, n), infinite where the constraints (9) are broken, (m,)."""
     x = comparison.scores.to_x(z)
     misfit = np.full(len(z), np.inf)
-    inside = np.flatnonzero(comparison.model.admissible(x))
+    inside, f, _ = comparison.predict_inside(x)
     if len(inside):
-        f, _ = comparison.predict(x[inside])
         r = np.log(comparison.listed.frequencies / f)
         r -= _FORGIVEN * r.mean(axis=1, keepdims=True)
         misfit[inside] = np.sum(np.log1p((r / _COARSE) ** 2), axis=1)

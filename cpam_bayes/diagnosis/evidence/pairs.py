@@ -20,6 +20,7 @@ from cpam_bayes.diagnosis.evidence.scan import Scan, Tested, about, ranked
 from cpam_bayes.diagnosis.evidence.shifts import shift_table
 from cpam_bayes.diagnosis.fitting import comparison_of, effect_columns
 from cpam_bayes.diagnosis.hypotheses import NONE, OTHER, PAIR, Hypothesis, go_together, pair_scale, paired
+from cpam_bayes.mechanics.modes import RigidBodyError
 
 Array = NDArray[Any]
 
@@ -59,7 +60,10 @@ def add_pairs(scan: Scan, singles: Sequence[Hypothesis]) -> None:
             if second.plates != leader.plates or not go_together(leader.hypothesis, second.hypothesis):
                 continue
             pair = paired(leader.hypothesis, second.hypothesis, scale)
-            gain, scores = _gain_of_second(scan, leader, second)
+            try:
+                gain, scores = _gain_of_second(scan, leader, second)
+            except RigidBodyError:  # at the leader's constants the second one's plate buckles
+                continue
             value = leader.marginal.log_evidence + gain + float(np.log(pair.prior))
             key = (*sorted(pair.cause.split(" + ")), leader.hypothesis.variant, second.hypothesis.variant)
             if key not in promising or value > promising[key][0]:
@@ -99,6 +103,7 @@ def _gain_of_second(scan: Scan, leader: Tested, second: Tested) -> tuple[float, 
     comparison = second.marginal.comparison
     middle = comparison.scores.to_x(np.zeros((1, comparison.parameters.size)))[0]
     x = np.array([at.get(n, m) for n, m in zip(comparison.parameters.names, middle, strict=True)])
+    x = np.clip(x, comparison.parameters.lower, comparison.parameters.upper)
     null = np.array([0.0 if p.null is None else p.null for p in second.hypothesis.parameters])
     table = shift_table(comparison, second.marginal.sizes, x, null)
     shift = _as_listed(table.shift, leader, scan)

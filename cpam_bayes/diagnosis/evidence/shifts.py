@@ -60,12 +60,10 @@ def shift_table(comparison: Comparison, sizes: tuple[int, ...], x: Array, null: 
     at[:, _others(len(x), sizes)] = x[_others(len(x), sizes)]
     plain = x.copy()
     plain[list(sizes)] = null
-    f, _ = comparison.predict(np.vstack((plain, at)))
-    with np.errstate(invalid="ignore", divide="ignore"):
-        log_f = np.log(f)
-    shift = log_f[1:] - log_f[0]
-    seen = np.isfinite(shift).all(axis=1)
-    return ShiftTable(scores[seen], log_prior[seen] - logsumexp(log_prior[seen]), shift[seen])
+    f, _ = comparison.predict(plain[None])
+    inside, shifted, _ = comparison.predict_inside(at)
+    log_prior = log_prior[inside]
+    return ShiftTable(scores[inside], log_prior - logsumexp(log_prior), np.log(shifted / f))
 
 
 def _others(n: int, sizes: tuple[int, ...]) -> Array:
