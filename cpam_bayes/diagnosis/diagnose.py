@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cpam_bayes.diagnosis.answers.averaged import averaged_constants
+from cpam_bayes.diagnosis.answers.detectability import Detectable, detectable
 from cpam_bayes.diagnosis.answers.gain import Gain, gain_of
 from cpam_bayes.diagnosis.answers.predictive import explains
 from cpam_bayes.diagnosis.answers.prior_sensitivity import PriorSensitivity, prior_sensitivity
@@ -85,6 +86,7 @@ class Diagnosis:
     signatures : by cause, of its best variant
     averaged : parameters of the plain model over all hypotheses, mean, sd, 2.5 % and 97.5 % quantile, SI
     sensitivity : of probabilities and claim to the scales of the priors
+    detectable : by cause, the smallest size that the lists would have shown; empty if not asked for
     """
 
     cases: tuple[PlateCase, ...]
@@ -98,6 +100,7 @@ class Diagnosis:
     signatures: Mapping[str, Signature]
     averaged: Mapping[str, tuple[float, float, float, float]]
     sensitivity: PriorSensitivity
+    detectable: tuple[Detectable, ...]
     seconds: float
 
     @property
@@ -114,6 +117,7 @@ def diagnose_cases(
     scatter: float = SCATTER,
     pairs: bool = True,
     gain: bool = True,
+    power: bool = True,
     notify: Callable[[str], None] = lambda text: None,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Diagnosis:
@@ -122,6 +126,7 @@ def diagnose_cases(
     hypotheses : with the plates that each is about, none first; all that the plates may have if ``None``
     scatter : relative standard deviation of a constant from plate to plate
     gain : whether to leave out each frequency in turn
+    power : whether to say what sizes the lists would have shown
     """
     start = time.perf_counter()
     if hypotheses is None:
@@ -157,6 +162,7 @@ def diagnose_cases(
         signatures,
         averaged_constants(weighed),
         prior_sensitivity(weighed, claim, lambda other: _claim(other, _reweighed(causes, other))),
+        detectable(weighed) if power else (),
         time.perf_counter() - start,
     )
 

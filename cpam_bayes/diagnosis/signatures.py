@@ -27,7 +27,7 @@ ABSORBED = 0.1
 # fits are equal within so many nats of the log likelihood.
 _COMPARED, _AS_WELL = 5e-3, 2.0
 # A shift smaller than this fraction of the one that it is compared with is hardly there.
-_HARDLY = 0.1
+HARDLY = 0.1
 # Points between the nodes of one size at which it is compared with the others.
 _BETWEEN = 181
 
@@ -206,7 +206,7 @@ def nearest_of(visible: Array, target: Array) -> int:
     opposite is met where it begins to be seen.
     """
     norm = np.linalg.norm(visible, axis=1)
-    there = norm >= _HARDLY * np.linalg.norm(target)
+    there = norm >= HARDLY * np.linalg.norm(target)
     if not there.any():
         return int(np.argmax(norm))
     away = np.where(there, np.sum((visible - target) ** 2, axis=1), np.inf)

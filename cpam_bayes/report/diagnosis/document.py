@@ -20,14 +20,17 @@ from cpam_bayes.effects.effect import tolerance_of
 from cpam_bayes.parameters import Mixture, Parameter, Prior, ScaledStudentT, TruncatedNormal
 from cpam_bayes.report.diagnosis.rows import (
     ConstantRow,
+    DetectableRow,
     absorbed_biases,
     averaged_rows,
     constant_rows,
+    detectable_rows,
     hidden_causes,
     noise_of,
     nuisance_of,
     plate_constants,
     sampled_rows,
+    tested_causes,
 )
 from cpam_bayes.report.diagnosis.words import claim_sentence
 
@@ -56,6 +59,8 @@ def document(result: DiagnosisResult) -> dict[str, Any]:
         "extended": _extended(result),
         "averaged": _constants(averaged_rows(d)),
         "gain": _gain(d),
+        "detectable": [_detectable(row) for row in detectable_rows(d)],
+        "tested": {"hypotheses": len(d.weighed.tested), "causes": list(tested_causes(d))},
         "next_measurement": [_candidate(c) for c in result.candidates],
         "absorbed": [_absorbed(d, cause) for cause in hidden_causes(d)],
         "not_tested": list(d.weighed.not_tested),
@@ -98,6 +103,15 @@ def _size(parameter: Parameter, cause: Cause) -> dict[str, Any]:
     mean, sd, _ = cause.parameters[parameter.name]
     shown, factor = parameter.display
     return {"mean": factor * mean, "sd": factor * sd, "unit": shown}
+
+
+def _detectable(row: DetectableRow) -> dict[str, Any]:
+    return {
+        "cause": row.cause,
+        "smallest": row.smallest,
+        "unit": row.unit,
+        "probability_of_claim": row.probability,
+    }
 
 
 def _candidate(c: Candidate) -> dict[str, Any]:

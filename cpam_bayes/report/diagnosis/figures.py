@@ -20,10 +20,11 @@ from cpam_bayes.report.diagnosis.rows import (
     ConstantRow,
     averaged_rows,
     constant_rows,
+    detectable_rows,
     is_pair,
     leading,
 )
-from cpam_bayes.report.diagnosis.words import probability_text
+from cpam_bayes.report.diagnosis.words import detectable_size, probability_text
 
 Array = NDArray[Any]
 
@@ -43,6 +44,8 @@ def figures(result: DiagnosisResult) -> dict[str, Figure]:
     drawn = {"residuals": _residuals(result), "causes": _causes(d)}
     if len(_singles(d)) > 1:
         drawn["signatures"] = _signatures(d)
+    if any(row.in_sd is not None for row in detectable_rows(d)):
+        drawn["detectable"] = _detectable(d)
     if constant_rows(d, d.baseline):
         drawn["constants"] = _constants(d)
     return drawn
@@ -247,6 +250,34 @@ def _signatures(d: Diagnosis) -> Figure:
         f"|cosine| of signatures, constants projected out\nframed: above {ALIKE:g}, not to be told apart",
         fontsize=8,
     )
+    return figure
+
+
+def _detectable(d: Diagnosis) -> Figure:
+    """The smallest size of each cause that these data would have shown, in expected sizes."""
+    rows = [row for row in detectable_rows(d) if row.probability is not None]
+    rows.sort(key=lambda row: (row.in_sd is None, row.in_sd))
+    sizes = [row.in_sd for row in rows if row.in_sd is not None]
+    left, right = 0.5 * min(*sizes, 1.0), 2.0 * max(*sizes, 1.0)
+    figure = Figure(figsize=(7.6, 0.9 + 0.3 * len(rows)), layout="constrained")
+    axes = figure.add_subplot()
+    for y, row in enumerate(rows):
+        end = right if row.in_sd is None else row.in_sd
+        axes.barh(y, end - left, 0.65, left=left, color="0.9" if row.in_sd is None else _BLUE)
+        x = left if row.in_sd is None else end
+        said = detectable_size(row)
+        axes.annotate(said, (x, y), (4, 0), textcoords="offset points", va="center", fontsize=8)
+    axes.axvline(1.0, color="0.6", linewidth=0.8, linestyle=":")
+    axes.set_yticks(range(len(rows)), [row.cause for row in rows], fontsize=8)
+    axes.invert_yaxis()
+    axes.set(
+        xscale="log",
+        xlim=(left, 2.0 * right),
+        xlabel="smallest size that is claimed with 95 % probability, in expected sizes (dotted: one)",
+    )
+    axes.spines[["top", "right", "left"]].set_visible(False)
+    axes.tick_params(axis="y", length=0)
+    axes.set_title(f"{_title(d)}: what these data would have shown", fontsize=10)
     return figure
 
 

@@ -21,10 +21,12 @@ from cpam_bayes.plate import to_user, user_name
 
 __all__ = [
     "ConstantRow",
+    "DetectableRow",
     "absorbed_biases",
     "averaged_rows",
     "catalogue_sd",
     "constant_rows",
+    "detectable_rows",
     "hidden_causes",
     "is_pair",
     "leading",
@@ -33,6 +35,7 @@ __all__ = [
     "nuisance_of",
     "plate_constants",
     "sampled_rows",
+    "tested_causes",
 ]
 
 Array = NDArray[Any]
@@ -53,6 +56,44 @@ class ConstantRow:
     contraction: float
     verdict: Verdict
     reference: float
+
+
+@dataclass(frozen=True, slots=True)
+class DetectableRow:
+    """What the lists would have shown of one cause.
+
+    title : the cause in words
+    smallest : size in ``unit``, ``None`` where none would have been claimed
+    in_sd : the same in standard deviations of the catalogue
+    probability : of a claim at that size, or at the best one; ``None`` for a cause without a size
+    """
+
+    cause: str
+    title: str
+    smallest: float | None
+    unit: str | None
+    in_sd: float | None
+    probability: float | None
+
+
+def detectable_rows(d: Diagnosis) -> tuple[DetectableRow, ...]:
+    """Of all causes that were tested, the sizes in the units of a workshop."""
+    titles = {c.name: c.hypothesis.records[0].title for c in d.causes if c.hypothesis.records}
+    rows = []
+    for entry in d.detectable:
+        p, smallest, in_sd, unit = entry.parameter, None, None, None
+        if p is not None:
+            unit, factor = p.display
+            if entry.smallest is not None:
+                smallest, in_sd = factor * entry.smallest, entry.smallest / scale_of(p)
+        title = titles.get(entry.cause, entry.cause)
+        rows.append(DetectableRow(entry.cause, title, smallest, unit, in_sd, entry.probability_of_claim))
+    return tuple(rows)
+
+
+def tested_causes(d: Diagnosis) -> tuple[str, ...]:
+    """Single causes that were tested, the most probable first."""
+    return tuple(c.name for c in d.causes if c.name not in (NONE, OTHER) and not is_pair(c))
 
 
 def is_pair(cause: Cause | str) -> bool:

@@ -16,6 +16,7 @@ from cpam_bayes.report.diagnosis.rows import (
     averaged_rows,
     catalogue_sd,
     constant_rows,
+    detectable_rows,
     hidden_causes,
     leading,
     noise_of,
@@ -23,6 +24,8 @@ from cpam_bayes.report.diagnosis.rows import (
 )
 from cpam_bayes.report.diagnosis.words import (
     claim_sentence,
+    detectable_sentences,
+    detectable_size,
     probability_text,
     repeatability_text,
     sensitivity_sentence,
@@ -52,6 +55,7 @@ def screen(result: DiagnosisResult) -> tuple[Table, ...]:
         _constants(d),
         _sampled(d, result.resampled),
         _gain(d),
+        _detectable(d),
         _next(result.candidates),
         _work(d, result.seed),
         remarks("Warnings", result.warnings, flagged=True),
@@ -85,7 +89,7 @@ def _claim(d: Diagnosis, candidates: Sequence[Candidate]) -> tuple[str, ...]:
             sentences.append(f"Its signature is that of {alike} too; the priors of their sizes favour it.")
     if d.claim.kind == "undecided" and candidates:
         sentences.append("A further test would tell more than another fit: see what to measure next.")
-    sentences.append(sensitivity_sentence(d))
+    sentences += (sensitivity_sentence(d), *detectable_sentences(d))
     return tuple(sentences)
 
 
@@ -286,6 +290,18 @@ def _gain(d: Diagnosis) -> Table:
         ("p-value", f"{p}, predictive, of the extended model against {repeatability_text(d)}"),
     )
     return facts("Gain of the extended model", rows)
+
+
+def _detectable(d: Diagnosis) -> Table:
+    """The smallest size of each cause that these data would have shown."""
+    columns = headed("cause", "what it is", "#smallest size", "#in sd", "#probability of the claim")
+    rows = []
+    for row in detectable_rows(d):
+        in_sd = "" if row.in_sd is None else significant(row.in_sd, 2)
+        p = "" if row.probability is None else fixed(row.probability, 2)
+        rows.append((row.cause, row.title, detectable_size(row), in_sd, p))
+    title = "What these data would have shown with 95 % probability: the cause, or a class with it"
+    return Table(title, columns, tuple(rows))
 
 
 def _next(candidates: Sequence[Candidate]) -> Table:

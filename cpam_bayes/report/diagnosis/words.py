@@ -6,9 +6,12 @@ from cpam_bayes.diagnosis.diagnose import Cause, Diagnosis
 from cpam_bayes.diagnosis.hypotheses import NONE, OTHER
 from cpam_bayes.diagnosis.paired_modes import left_aside
 from cpam_bayes.formatting import fixed, listed, significant, with_spread
+from cpam_bayes.report.diagnosis.rows import DetectableRow, detectable_rows, tested_causes
 
 __all__ = [
     "claim_sentence",
+    "detectable_sentences",
+    "detectable_size",
     "probability_text",
     "repeatability_text",
     "sensitivity_sentence",
@@ -49,6 +52,29 @@ def claim_sentence(d: Diagnosis) -> str:
         f"Undecided: no hypothesis is probable enough to be claimed. The plain model has {none}, an error "
         f"outside the catalogue {other}, the most probable causes have {listed(leaders, 'and')}."
     )
+
+
+def detectable_sentences(d: Diagnosis) -> tuple[str, ...]:
+    """Where nothing is claimed: what was tested, and what these data would have shown."""
+    if d.claim.kind != NONE:
+        return ()
+    causes = tested_causes(d)
+    said = [f"Tested: {len(d.weighed.tested)} hypotheses about {listed(causes, 'and')}."]
+    rows = detectable_rows(d)
+    seen = [f"{row.cause} from {detectable_size(row)}" for row in rows if row.smallest is not None]
+    unseen = [row.cause for row in rows if row.smallest is None and row.probability is not None]
+    if seen:
+        said.append(f"With 95 % probability these data would have shown {listed(seen, 'and')}.")
+    if unseen:
+        said.append(f"They need not show {listed(unseen, 'or')}, of whatever size.")
+    return tuple(said)
+
+
+def detectable_size(row: DetectableRow) -> str:
+    """The smallest size that would have been claimed, with its unit."""
+    if row.smallest is None:
+        return "no size" if row.probability is not None else "has no size"
+    return f"{significant(row.smallest, 2)} {row.unit or ''}".rstrip()
 
 
 def _false(d: Diagnosis) -> str:

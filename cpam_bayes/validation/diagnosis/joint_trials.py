@@ -142,7 +142,7 @@ def _simulated(other: Bench, hidden: Hidden, is_same: bool, x: Array, rng: np.ra
 
 def _answer(cases: Sequence[PlateCase], names: set[str], alike: frozenset[str] | set[str]) -> Record:
     start = time.process_time()
-    diagnosis = diagnose_cases(cases, gain=False)
+    diagnosis = diagnose_cases(cases, gain=False, power=False)
     probability = {c.name: c.probability for c in diagnosis.causes}
     leading = next((c.name for c in diagnosis.causes if c.name not in (NONE, OTHER)), NONE)
     with_cause = next(t for t in diagnosis.weighed.tested if t.hypothesis.cause in names)

@@ -54,7 +54,7 @@ def run_trial(bench: Bench, trial: Trial) -> Record:
         hypotheses = [(h, plates) for h, plates in hypotheses if h.cause not in alike]
     simulated = time.perf_counter()
     processor = time.process_time()
-    diagnosis = diagnose_cases([case], hypotheses=hypotheses, gain=False)
+    diagnosis = diagnose_cases([case], hypotheses=hypotheses, gain=False, power=False)
     best = next((c for c in known.probability if c not in (NONE, OTHER)), NONE)
     return head | {
         "reached": True,

@@ -7,6 +7,8 @@ import pytest
 from matplotlib.container import BarContainer, ErrorbarContainer
 
 from cpam_bayes.diagnosis.plates import diagnosis_result
+from cpam_bayes.report.diagnosis.rows import detectable_rows
+from cpam_bayes.report.diagnosis.words import detectable_size
 from cpam_bayes.report.figures import save_figures
 from cpam_bayes.report.page import page_text, write_page
 from cpam_bayes.report.tables import Column, Table
@@ -48,6 +50,19 @@ def test_bars_of_causes_are_their_probabilities(misread, figures):
     widths = sorted(bar.get_width() for bar in axes.containers[0])
     assert widths == pytest.approx(sorted(cause.probability for cause in misread.causes))
     assert "named" in axes.get_title()
+
+
+def test_bars_of_detectable_sizes_end_at_them(misread, figures):
+    axes = figures["detectable"].axes[0]
+    labels = [text.get_text() for text in axes.get_yticklabels()]
+    rows = {row.cause: row for row in detectable_rows(misread)}
+    assert set(labels) == set(rows)
+    for label, patch in zip(labels, axes.patches, strict=True):
+        if rows[label].in_sd is not None:
+            assert patch.get_x() + patch.get_width() == pytest.approx(rows[label].in_sd)
+    said = [text.get_text() for text in axes.texts]
+    assert said == [detectable_size(rows[label]) for label in labels]
+    assert "no size" in said, "a clock that is off is not seen"
 
 
 def test_constants_are_drawn_beside_their_reference(misread, figures):

@@ -177,6 +177,30 @@ def test_probabilities_are_repeated_with_other_scales_of_the_priors(clean, misre
     assert "divided by 3 it is class: outlier and warp." in text
 
 
+def test_what_could_have_been_seen_is_told_of_every_cause(clean, misread):
+    for d in (clean, misread):
+        found = document(d)
+        tested = [h["cause"] for h in found["hypotheses"] if h["cause"] not in ("none", "other")]
+        assert [entry["cause"] for entry in found["detectable"]] == tested
+        assert all(
+            set(entry) == {"cause", "smallest", "unit", "probability_of_claim"}
+            for entry in found["detectable"]
+        )
+        assert found["tested"]["causes"] == tested
+        assert found["tested"]["hypotheses"] == len(d.weighed.tested)
+    told = {entry["cause"]: entry for entry in document(clean)["detectable"]}
+    # one modulus and one size imitate a clock that is off; a loss tangent is seen
+    assert told["frequency_scale"]["smallest"] is None
+    assert told["frequency_scale"]["unit"] == "%"
+    assert told["viscoelastic"]["probability_of_claim"] >= 0.95
+    text = screen(clean)
+    assert f"Tested: {len(clean.weighed.tested)} hypotheses about " in text
+    assert "With 95 % probability these data would have shown viscoelastic from " in text
+    assert "They need not show frequency_scale, of whatever size." in text
+    assert "What these data would have shown with 95 % probability" in screen(misread)
+    assert "Tested:" not in screen(misread)
+
+
 def scale(name):
     return 1e9 if name.endswith("_GPa") else 1.0
 

@@ -1,0 +1,132 @@
+"""The smallest size of each cause that the lists would have shown, by simulation with a linear oracle."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cpam_bayes.diagnosis.answers.linear_oracle import LinearOracle, linear_oracle
+from cpam_bayes.diagnosis.answers.shift_lines import ShiftLine, shift_lines
+from cpam_bayes.diagnosis.claim import CLEAR, SURE
+from cpam_bayes.diagnosis.evidence.weighing import Weighed
+from cpam_bayes.diagnosis.hypotheses import NONE, OTHER
+from cpam_bayes.parameters import Parameter
+from cpam_bayes.threads import single_blas_thread
+
+Array = NDArray[Any]
+
+# Probability with which the smallest size would have been claimed.
+POWER = 0.95
+# Simulated lists, common to all sizes, and the seed of their noise.
+_DRAWS, _SEED = 100, 20
+# Visible shifts at which sizes are tried, standard deviations of the data: the first and the last; how many
+# of them, and how many between the two of these that the answer lies between.
+_FIRST_SD, _LAST_SD, _COARSE, _FINE = 2.0, 40.0, 11, 6
+# Visible shift at which the causes are sought that frequencies cannot tell from one.
+_TYPICAL_SD = 8.0
+# Places of a cause that are tried, of which the median counts.
+_PLACES = 5
+
+
+@dataclass(frozen=True, slots=True)
+class Detectable:
+    """What the lists would have shown of one cause.
+
+    parameter : its size, ``None`` for a cause that has none
+    smallest : distance of the size from its null, SI, from which the cause or its class would have been
+        claimed with probability `POWER`, of either sign and at the median place; ``None`` where no size would
+    probability_of_claim : at that size, or at the best one
+    """
+
+    cause: str
+    parameter: Parameter | None
+    smallest: float | None
+    probability_of_claim: float | None
+
+
+@single_blas_thread
+def detectable(weighed: Weighed) -> tuple[Detectable, ...]:
+    """The smallest detectable size of every single cause that was tested, in the order of their probability.
+
+    The lists are simulated at the plain model's optimum with a cause of some size and noise as stated, or
+    from the posterior of the repeatability; a claim is made as for the lists themselves, by the evidences of
+    all causes (`linear_oracle`). Sizes share the draws of the noise.
+    """
+    lines = shift_lines(weighed.tested, weighed.none.marginal)
+    oracle = linear_oracle(weighed, lines, _DRAWS, np.random.default_rng(_SEED))
+    answers = []
+    for cause in weighed.by_cause():
+        if cause in (NONE, OTHER) or " + " in cause:
+            continue
+        parameters = weighed.best_of(cause).hypothesis.parameters
+        some = _spread([line for line in lines if line.cause == cause])
+        found = [_worse_sign(oracle, line) for line in some]
+        if not found:
+            answers.append(Detectable(cause, parameters[0] if parameters else None, None, None))
+            continue
+        size, power = sorted(found)[len(found) // 2]
+        answers.append(Detectable(cause, parameters[0], size if np.isfinite(size) else None, power))
+    return tuple(answers)
+
+
+def _spread(lines: list[ShiftLine]) -> list[ShiftLine]:
+    """Some of the lines of a cause, evenly over its places."""
+    if len(lines) <= _PLACES:
+        return lines
+    return [lines[i] for i in np.linspace(0, len(lines) - 1, _PLACES).round().astype(int)]
+
+
+def _worse_sign(oracle: LinearOracle, line: ShiftLine) -> tuple[float, float]:
+    """The larger of the smallest sizes of both signs, infinite if one of them is not seen, and its power."""
+    found = []
+    for side in (line.size < 0.0, line.size > 0.0):
+        rows = np.flatnonzero(side)
+        rows = rows[np.argsort(np.abs(line.size[rows]), kind="stable")]
+        if len(rows) > 1:
+            found.append(_smallest(oracle, line.cause, np.abs(line.size[rows]), line.shift[rows]))
+    return max(found, key=lambda entry: (entry[0], -entry[1]), default=(np.inf, 0.0))
+
+
+def _smallest(oracle: LinearOracle, cause: str, size: Array, shift: Array) -> tuple[float, float]:
+    """The smallest of sizes (k,), ascending, with shifts (k, n_f) that is claimed with `POWER`; its power."""
+    seen = np.maximum.accumulate(np.linalg.norm(shift @ oracle.root.T, axis=1))
+    seen += 1e-9 * np.arange(len(seen))
+    high = min(_LAST_SD, seen[-1])
+    low = max(min(_FIRST_SD, 0.5 * high), seen[0])
+    typical = shift[np.searchsorted(seen[:-1], _TYPICAL_SD)]
+    members = oracle.alike(typical[None])[:, 0] | np.array([name == cause for name in oracle.causes])
+    at = np.geomspace(low, high, _COARSE)
+    for more in (_FINE, 0):
+        place = np.interp(at, seen, np.arange(len(seen)))
+        shifts = _between(shift, place)
+        power = _power(oracle, shifts, members)
+        enough = np.flatnonzero(power >= POWER)
+        if not len(enough):
+            return np.inf, float(power.max())
+        first = int(enough[0])
+        if more and first:
+            at = np.linspace(at[first - 1], at[first], more)
+            continue
+        break
+    return float(_between(size, place)[first]), float(power[first])
+
+
+def _between(values: Array, place: Array) -> Array:
+    """Values (k, ...) at fractional rows (m,), (m, ...)."""
+    i = np.minimum(place.astype(int), len(values) - 2)
+    part = (place - i).reshape(-1, *(1,) * (values.ndim - 1))
+    return np.asarray(values[i] + part * (values[i + 1] - values[i]))
+
+
+def _power(oracle: LinearOracle, shift: Array, members: Array) -> Array:
+    """Fraction of the simulated lists with shifts (m, n_f) that claim a class of causes, (m,)."""
+    log_weight = oracle.log_weights(shift)
+    log_weight -= log_weight.max(axis=0)
+    weight = np.exp(log_weight)
+    probability = weight[members].sum(axis=0) / weight.sum(axis=0)
+    log_evidence = log_weight - np.log(oracle.prior)[:, None, None]
+    ahead = log_evidence[members].max(axis=0) - log_evidence[~members].max(axis=0)
+    return np.asarray(((probability >= SURE) & (ahead >= CLEAR)).mean(axis=0))

@@ -1,0 +1,310 @@
+"""Evidences of all causes for simulated lists, with the model linear in the constants.
+
+About the plain model's optimum the log frequencies are linear in the constants, which are integrated within
+their priors in closed form; a cause shifts the frequencies along a line. With y the residuals and t a node of
+a line, both multiplied by the root of the precision, the evidence of a cause over that of the plain model is
+sum_k p_k exp(y.t_k - t_k.t_k / 2). For y = noise + shift this is a matrix product of exp(noise.t_k) and
+exp(shift.t_k - t_k.t_k / 2), so that all draws of the noise share the work for every size.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cpam_bayes.diagnosis.answers.shift_lines import ShiftLine
+from cpam_bayes.diagnosis.evidence.comparison import Comparison
+from cpam_bayes.diagnosis.evidence.weighing import Tested, Weighed
+from cpam_bayes.diagnosis.hypotheses import NONE, OTHER
+from cpam_bayes.diagnosis.signatures import ABSORBED, ALIKE, HARDLY
+
+Array = NDArray[Any]
+
+# Nodes of a line: their distance in standard deviations of the data at most, in scores at most, and the
+# distance from the plain model beyond which none are needed.
+_APART_SD, _APART_SCORES, _FARTHEST_SD = 1.6, 0.5, 50.0
+# The same of nodes whose directions are compared.
+_DIRECTION_SD = 0.5
+# Amplitudes of an inferred noise that evidences are integrated over, and how far beyond those of the truth:
+# a large noise explains a shift too.
+_AMPLITUDES, _BELOW, _ABOVE = 8, 0.6, 10.0
+# Midpoints of equal parts of a discrepancy's prior.
+_DISCREPANCIES = 8
+_LARGEST_EXPONENT = 680.0
+
+
+@dataclass(frozen=True, slots=True)
+class _Gaussians:
+    """Sum of weighted normal densities of residuals r (..., n_f) of the log frequencies, with one mean.
+
+    log_weight : (g,) with the constants of the densities
+    roots : (g, n_f, n_f), root^T root the precision
+    """
+
+    log_weight: Array
+    mean: Array
+    roots: Array
+
+    @staticmethod
+    def of(mean: Array, covariances: Array, log_weight: float) -> _Gaussians:
+        """Equally probable ones with covariances (g, n_f, n_f)."""
+        factor = np.linalg.cholesky(covariances)
+        log_det = np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1)
+        return _Gaussians(log_weight - log_det - float(np.log(len(covariances))), mean, np.linalg.inv(factor))
+
+    def log_density(self, r: Array) -> Array:
+        g, n = self.roots.shape[:2]
+        scaled = (r - self.mean) @ self.roots.reshape(g * n, n).T
+        squares = np.sum(scaled.reshape(*r.shape[:-1], g, n) ** 2, axis=-1)
+        return _log_sum(np.moveaxis(self.log_weight - 0.5 * squares, -1, 0))
+
+
+def _log_sum(terms: Array) -> Array:
+    """Logarithm of the sum of exponentials over the first axis."""
+    if len(terms) == 1:
+        return np.asarray(terms[0])
+    top = np.maximum(terms.max(axis=0), -1e300)
+    with np.errstate(divide="ignore"):
+        return np.asarray(top + np.log(np.exp(terms - top).sum(axis=0)))
+
+
+@dataclass(frozen=True, slots=True)
+class _Level:
+    """One level of the noise.
+
+    plain : density of the residuals under the plain model
+    nodes : (k, n_f) of all lines, times the root of the precision, those of one cause together
+    log_prior : (k,) of the nodes, less half their squared norms
+    factor : (n, k) exp(y . nodes) of the simulated noise
+    blocks : rows of ``nodes`` by cause
+    others : densities under none and what has no line
+    """
+
+    plain: _Gaussians
+    nodes: Array
+    log_prior: Array
+    factor: Array
+    blocks: tuple[slice, ...]
+    others: tuple[_Gaussians, ...]
+
+    def log_evidences(self, noise: Array, shift: Array) -> Array:
+        """Of all causes, (n_causes, n, m), for noise (n, n_f) and shifts (m, n_f)."""
+        r = noise[:, None] + shift
+        plain = self.plain.log_density(r)
+        exponent = self.nodes @ (shift @ self.plain.roots[0].T).T + self.log_prior[:, None]
+        top = exponent.max(axis=0, initial=-np.inf)
+        weight = np.exp(exponent - top)
+        with np.errstate(divide="ignore"):
+            each = [np.log(self.factor[:, b] @ weight[b]) + top + plain for b in self.blocks]
+        each += [density.log_density(r) for density in self.others]
+        return np.stack(each)
+
+
+@dataclass(frozen=True, slots=True)
+class LinearOracle:
+    """Simulated noise about the plain model's optimum, and what the evidences of all hypotheses need.
+
+    causes : in the order of the evidences, none and other among them
+    prior : (n_causes,) of each
+    noise : (n, n_f) of the log frequencies
+    levels : of the noise in the evidences
+    root : (n_f, n_f) of the precision at a typical level of the noise
+    sd : (n_f,) of the log frequencies there
+    ways : of every line the cause's number and, times that root, its nodes
+    """
+
+    causes: tuple[str, ...]
+    prior: Array
+    noise: Array
+    levels: tuple[_Level, ...]
+    root: Array
+    sd: Array
+    ways: _Ways
+
+    def log_weights(self, shift: Array) -> Array:
+        """Log of prior times evidence of every cause for shifts (m, n_f), (n_causes, n, m)."""
+        return _log_sum(np.stack([level.log_evidences(self.noise, shift) for level in self.levels]))
+
+    def alike(self, shift: Array) -> Array:
+        """Whether a cause can do the same as shifts (m, n_f) for all that frequencies tell, (n_causes, m).
+
+        Those that can form a class with the one that did it, by the rule of `signatures`: the cosine with
+        the nearest shift that a cause has, the constants' part taken out of both.
+        """
+        target = shift @ self.root.T
+        visible = np.linalg.norm(target, axis=1) >= ABSORBED * np.linalg.norm(shift / self.sd, axis=1)
+        cosine = np.zeros((len(self.causes), len(shift)))
+        cosine[self.ways.causes] = self.ways.cosines(target)
+        return np.asarray((cosine > ALIKE) & visible)
+
+
+@dataclass(frozen=True, slots=True)
+class _Ways:
+    """Nodes of all lines as the data see them.
+
+    nodes : (k, n_f) times the root of the precision
+    visible : (k,) whether the constants do not absorb them
+    starts : (n_lines,) rows at which the lines begin
+    causes : (c,) numbers of the causes that have lines, and firsts : (c,) their first lines
+    """
+
+    nodes: Array
+    visible: Array
+    starts: Array
+    causes: Array
+    firsts: Array
+
+    def cosines(self, target: Array) -> Array:
+        """Largest cosine, without sign, of targets (m, n_f) with the nearest node of a line, (c, m)."""
+        if not len(self.starts):
+            return np.zeros((0, len(target)))
+        norm, size = np.linalg.norm(self.nodes, axis=1), np.linalg.norm(target, axis=1)
+        product = self.nodes @ target.T
+        distance = norm[:, None] ** 2 - 2.0 * product
+        # shifts that are hardly there have no direction; a line without others is met at its end
+        distance = np.where(norm[:, None] >= HARDLY * size, distance, 1e9 - norm[:, None])
+        nearest = np.minimum.reduceat(distance, self.starts)
+        lengths = np.diff(self.starts, append=len(norm))
+        is_nearest = (distance == np.repeat(nearest, lengths, axis=0)) & self.visible[:, None]
+        with np.errstate(invalid="ignore", divide="ignore"):
+            cosine = np.where(is_nearest, np.abs(product) / (norm[:, None] * size), 0.0)
+        return np.asarray(np.maximum.reduceat(np.nan_to_num(cosine), self.starts[self.firsts]))
+
+
+def linear_oracle(
+    weighed: Weighed, lines: Sequence[ShiftLine], n: int, rng: np.random.Generator
+) -> LinearOracle:
+    """The oracle about the optimum of the plain model, with n draws of its noise."""
+    none = weighed.none.marginal
+    slope, mean = _linear(none.comparison, none.best)
+    amplitudes, log_weight, true = _noise_levels(weighed, n)
+    noise = _sd(none.comparison, none.best, true) * rng.standard_normal((n, len(mean)))
+    names = tuple(dict.fromkeys(line.cause for line in lines))
+    without = [t for t in weighed.tested if _has_no_line(t)]
+    levels = []
+    sds = _sd(none.comparison, none.best, amplitudes)
+    for sd, log_w in zip(sds, log_weight, strict=True):
+        covariance = np.diag(sd**2)
+        plain = _Gaussians.of(mean, (covariance + slope @ slope.T)[None], float(log_w))
+        root = plain.roots[0]
+        of_causes = [[_nodes(line, root) for line in lines if line.cause == name] for name in names]
+        flat = [of_line for of_cause in of_causes for of_line in of_cause]
+        ends = np.cumsum([0, *(sum(len(t) for t, _ in of_cause) for of_cause in of_causes)])
+        nodes = np.concatenate([np.empty((0, len(mean))), *(t for t, _ in flat)])
+        log_prior = np.concatenate([np.empty(0), *(p for _, p in flat)])
+        y = (noise - mean) @ root.T
+        levels.append(
+            _Level(
+                plain,
+                nodes,
+                # y starts at the prior means of the constants, not at the optimum
+                log_prior - 0.5 * np.sum(nodes**2, axis=1),
+                np.exp(np.clip(y @ nodes.T, -_LARGEST_EXPONENT, _LARGEST_EXPONENT)),
+                tuple(slice(a, b) for a, b in pairwise(ends)),
+                tuple(_densities(t, weighed, covariance, float(log_w)) for t in without),
+            )
+        )
+    prior = [sum(t.hypothesis.prior for t in weighed.tested if t.hypothesis.cause == c) for c in names]
+    prior += [t.hypothesis.prior for t in without]
+    root, sd = levels[len(levels) // 2].plain.roots[0], sds[len(levels) // 2]
+    causes = (*names, *(t.hypothesis.cause for t in without))
+    ways = _ways([line for name in names for line in lines if line.cause == name], root, sd)
+    return LinearOracle(causes, np.array(prior), noise, tuple(levels), root, sd, ways)
+
+
+def _ways(lines: Sequence[ShiftLine], root: Array, sd: Array) -> _Ways:
+    nodes = [_nodes(line, root, _DIRECTION_SD)[0] for line in lines]
+    back = np.linalg.inv(root.T) / sd
+    visible = [np.linalg.norm(t, axis=1) >= ABSORBED * np.linalg.norm(t @ back, axis=1) for t in nodes]
+    starts = np.cumsum([0, *(len(t) for t in nodes[:-1])])
+    names = [line.cause for line in lines]
+    firsts = [i for i, name in enumerate(names) if not i or name != names[i - 1]]
+    empty = np.empty((0, len(sd)))
+    return _Ways(
+        np.concatenate([empty, *nodes]),
+        np.concatenate([np.empty(0, dtype=bool), *visible]),
+        starts,
+        np.arange(len(firsts)),
+        np.array(firsts, dtype=int),
+    )
+
+
+def _has_no_line(t: Tested) -> bool:
+    return t.hypothesis.cause in (NONE, OTHER) or t.hypothesis.other_material
+
+
+def _linear(comparison: Comparison, x: Array) -> tuple[Array, Array]:
+    """d ln f / d z of the constants (n_f, n_free), and the mean (n_f,) of ln f - ln f(x) over their prior."""
+    held = [c for c in (comparison.noise, comparison.discrepancy) if c is not None]
+    free = np.delete(np.arange(len(x)), held)
+    x = np.clip(x, comparison.parameters.lower, comparison.parameters.upper)
+    z = comparison.scores.to_z(x[None])
+    f, slope = comparison.predict(x[None], jacobian=True)
+    assert slope is not None
+    by_score = (slope[0] * comparison.scores.slope(x[None], z)[0] / f[0][:, None])[:, free]
+    return by_score, -by_score @ z[0, free]
+
+
+def _sd(comparison: Comparison, x: Array, amplitudes: Array) -> Array:
+    """Noise (a, n_f) of the log frequencies at amplitudes (a,), or (1, n_f) where it is stated."""
+    if comparison.noise is None:
+        at = x[None]
+    else:
+        at = np.tile(x, (len(amplitudes), 1))
+        at[:, comparison.noise] = amplitudes
+    return np.asarray(np.sqrt(comparison.variance(at)) / comparison.listed.frequencies)
+
+
+def _noise_levels(weighed: Weighed, n: int) -> tuple[Array, Array, Array]:
+    """Amplitudes (a,) that evidences are integrated over, logs of their prior weights, (n,) of the truth."""
+    none = weighed.none.marginal
+    column = none.comparison.noise
+    if column is None:
+        return np.ones(1), np.zeros(1), np.ones(n)
+    true = none.resampled(n)[:, column]
+    true = np.clip(true, *np.quantile(true, (0.05, 0.95)))
+    prior = none.comparison.parameters.parameters[column].prior
+    low, high = max(_BELOW * true.min(), prior.lower), min(_ABOVE * true.max(), prior.upper)
+    amplitudes = np.geomspace(low, high, _AMPLITUDES)
+    log_weight = prior.log_density(amplitudes) + np.log(np.gradient(amplitudes))
+    return amplitudes, log_weight, true
+
+
+def _densities(t: Tested, weighed: Weighed, covariance: Array, log_weight: float) -> _Gaussians:
+    """Of the residuals under a hypothesis that scatters them, or lets the constants vary more."""
+    none = weighed.none.marginal
+    log_weight += float(np.log(t.hypothesis.prior))
+    comparison = t.marginal.comparison if t.hypothesis.other_material else none.comparison
+    at = dict(zip(none.comparison.parameters.names, none.best, strict=True))
+    slope, mean = _linear(comparison, np.array([at[name] for name in comparison.parameters.names]))
+    covariance = covariance + slope @ slope.T
+    if t.hypothesis.cause != OTHER:
+        return _Gaussians.of(mean, covariance[None], log_weight)
+    share = (np.arange(_DISCREPANCIES) + 0.5) / _DISCREPANCIES
+    scatter = t.hypothesis.parameters[0].prior.ppf(share)
+    return _Gaussians.of(mean, covariance + scatter[:, None, None] ** 2 * np.eye(len(mean)), log_weight)
+
+
+def _nodes(line: ShiftLine, root: Array, apart: float = _APART_SD) -> tuple[Array, Array]:
+    """Nodes (k, n_f) of a line times a root of the precision, and logs (k,) of their prior weights.
+
+    They are evenly spread over the way that the data see, and over the scores where that is short.
+    """
+    way = line.shift @ root.T
+    near = np.linalg.norm(way, axis=1) < _FARTHEST_SD
+    step = np.linalg.norm(np.diff(way, axis=0), axis=1) / apart
+    step = np.hypot(np.where(near[1:] | near[:-1], step, 0.0), np.diff(line.score) / _APART_SCORES)
+    at = np.concatenate(([0.0], np.cumsum(step)))
+    place = np.interp(np.linspace(0.0, at[-1], int(np.ceil(at[-1])) + 1), at, np.arange(len(at)))
+    i = np.minimum(place.astype(int), len(at) - 2)
+    part = place - i
+    score = line.score[i] + part * (line.score[i + 1] - line.score[i])
+    nodes = way[i] + part[:, None] * (way[i + 1] - way[i])
+    log_weight = np.log(np.gradient(score)) - 0.5 * score**2 - 0.5 * np.log(2 * np.pi) + line.log_prior
+    kept = np.linalg.norm(nodes, axis=1) < _FARTHEST_SD
+    return nodes[kept], log_weight[kept]
