@@ -108,7 +108,9 @@ def left_out(cases: Sequence[PlateCase], t: Tested, n: int, none: Marginal | Non
         at, hypothesis, known = i, t.hypothesis, t.marginal.z[:_STARTS]
         if listed.misread is not None and i == before + listed.misread:
             hypothesis = _without_misreading(hypothesis)
-            known = np.delete(known, t.marginal.sizes, axis=1)
+            parts = t.marginal.comparison.model.parts
+            column = next(part.misread[1] for part in parts if part.misread is not None)
+            known = np.delete(known, column, axis=1)
         if listed.spurious is not None:
             if i == before + listed.spurious:
                 evidences[i] = t.marginal.log_evidence - t.marginal.comparison.listed.log_constant

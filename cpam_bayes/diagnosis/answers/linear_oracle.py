@@ -19,8 +19,9 @@ from numpy.typing import NDArray
 
 from cpam_bayes.diagnosis.answers.shift_lines import ShiftLine
 from cpam_bayes.diagnosis.evidence.comparison import Comparison
+from cpam_bayes.diagnosis.evidence.marginal import Marginal
 from cpam_bayes.diagnosis.evidence.weighing import Tested, Weighed
-from cpam_bayes.diagnosis.hypotheses import NONE, OTHER
+from cpam_bayes.diagnosis.hypotheses import NONE, OTHER, prior_by_cause
 from cpam_bayes.diagnosis.signatures import ABSORBED, ALIKE, HARDLY
 
 Array = NDArray[Any]
@@ -40,7 +41,7 @@ _LARGEST_EXPONENT = 680.0
 
 @dataclass(frozen=True, slots=True)
 class _Gaussians:
-    """Sum of weighted normal densities of residuals r (..., n_f) of the log frequencies, with one mean.
+    """Sum of weighted normal densities of residuals of the log frequencies (n_f,), with one mean.
 
     log_weight : (g,) with the constants of the densities
     roots : (g, n_f, n_f), root^T root the precision
@@ -57,11 +58,13 @@ class _Gaussians:
         log_det = np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1)
         return _Gaussians(log_weight - log_det - float(np.log(len(covariances))), mean, np.linalg.inv(factor))
 
-    def log_density(self, r: Array) -> Array:
-        g, n = self.roots.shape[:2]
-        scaled = (r - self.mean) @ self.roots.reshape(g * n, n).T
-        squares = np.sum(scaled.reshape(*r.shape[:-1], g, n) ** 2, axis=-1)
-        return _log_sum(np.moveaxis(self.log_weight - 0.5 * squares, -1, 0))
+    def log_density(self, noise: Array, shift: Array) -> Array:
+        """Of residuals noise + shift, (n, n_f) and (m, n_f) -> (n, m)."""
+        turned = np.swapaxes(self.roots, 1, 2)
+        a, b = (noise - self.mean) @ turned, shift @ turned
+        squares = 2.0 * a @ np.swapaxes(b, 1, 2)
+        squares += np.einsum("gni,gni->gn", a, a)[:, :, None] + np.einsum("gmi,gmi->gm", b, b)[:, None]
+        return _log_sum(self.log_weight[:, None, None] - 0.5 * squares)
 
 
 def _log_sum(terms: Array) -> Array:
@@ -82,7 +85,7 @@ class _Level:
     log_prior : (k,) of the nodes, less half their squared norms
     factor : (n, k) exp(y . nodes) of the simulated noise
     blocks : rows of ``nodes`` by cause
-    others : densities under none and what has no line
+    others : densities under each cause that has no line, none among them
     """
 
     plain: _Gaussians
@@ -90,18 +93,19 @@ class _Level:
     log_prior: Array
     factor: Array
     blocks: tuple[slice, ...]
-    others: tuple[_Gaussians, ...]
+    others: tuple[tuple[_Gaussians, ...], ...]
 
     def log_evidences(self, noise: Array, shift: Array) -> Array:
         """Of all causes, (n_causes, n, m), for noise (n, n_f) and shifts (m, n_f)."""
-        r = noise[:, None] + shift
-        plain = self.plain.log_density(r)
+        plain = self.plain.log_density(noise, shift)
         exponent = self.nodes @ (shift @ self.plain.roots[0].T).T + self.log_prior[:, None]
         top = exponent.max(axis=0, initial=-np.inf)
         weight = np.exp(exponent - top)
         with np.errstate(divide="ignore"):
             each = [np.log(self.factor[:, b] @ weight[b]) + top + plain for b in self.blocks]
-        each += [density.log_density(r) for density in self.others]
+        each += [
+            _log_sum(np.stack([g.log_density(noise, shift) for g in of_cause])) for of_cause in self.others
+        ]
         return np.stack(each)
 
 
@@ -182,15 +186,14 @@ def linear_oracle(
     """The oracle about the optimum of the plain model, with n draws of its noise."""
     none = weighed.none.marginal
     slope, mean = _linear(none.comparison, none.best)
-    amplitudes, log_weight, true = _noise_levels(weighed, n)
-    noise = _sd(none.comparison, none.best, true) * rng.standard_normal((n, len(mean)))
+    levels_x, log_weight, true = _noise_levels(none, n)
+    noise = _sd(none.comparison, true) * rng.standard_normal((n, len(mean)))
     names = tuple(dict.fromkeys(line.cause for line in lines))
-    without = [t for t in weighed.tested if _has_no_line(t)]
+    without = tuple(dict.fromkeys(t.hypothesis.cause for t in weighed.tested if _has_no_line(t)))
     levels = []
-    sds = _sd(none.comparison, none.best, amplitudes)
-    for sd, log_w in zip(sds, log_weight, strict=True):
-        covariance = np.diag(sd**2)
-        plain = _Gaussians.of(mean, (covariance + slope @ slope.T)[None], float(log_w))
+    for x, log_w in zip(levels_x, log_weight, strict=True):
+        covariance = _covariance(none.comparison, x) + slope @ slope.T
+        plain = _Gaussians.of(mean, covariance[None], float(log_w))
         root = plain.roots[0]
         of_causes = [[_nodes(line, root) for line in lines if line.cause == name] for name in names]
         flat = [of_line for of_cause in of_causes for of_line in of_cause]
@@ -202,19 +205,26 @@ def linear_oracle(
             _Level(
                 plain,
                 nodes,
-                # y starts at the prior means of the constants, not at the optimum
                 log_prior - 0.5 * np.sum(nodes**2, axis=1),
                 np.exp(np.clip(y @ nodes.T, -_LARGEST_EXPONENT, _LARGEST_EXPONENT)),
                 tuple(slice(a, b) for a, b in pairwise(ends)),
-                tuple(_densities(t, weighed, covariance, float(log_w)) for t in without),
+                tuple(
+                    tuple(
+                        _densities(t, none, x, float(log_w))
+                        for t in weighed.tested
+                        if t.hypothesis.cause == cause
+                    )
+                    for cause in without
+                ),
             )
         )
-    prior = [sum(t.hypothesis.prior for t in weighed.tested if t.hypothesis.cause == c) for c in names]
-    prior += [t.hypothesis.prior for t in without]
-    root, sd = levels[len(levels) // 2].plain.roots[0], sds[len(levels) // 2]
-    causes = (*names, *(t.hypothesis.cause for t in without))
+    causes = (*names, *without)
+    prior = prior_by_cause([t.hypothesis for t in weighed.tested])
+    prior = {name: weighed.prior.get(name, prior[name]) for name in causes}
+    middle = len(levels) // 2
+    root, sd = levels[middle].plain.roots[0], _sd(none.comparison, levels_x[middle : middle + 1])[0]
     ways = _ways([line for name in names for line in lines if line.cause == name], root, sd)
-    return LinearOracle(causes, np.array(prior), noise, tuple(levels), root, sd, ways)
+    return LinearOracle(causes, np.array(list(prior.values())), noise, tuple(levels), root, sd, ways)
 
 
 def _ways(lines: Sequence[ShiftLine], root: Array, sd: Array) -> _Ways:
@@ -240,8 +250,7 @@ def _has_no_line(t: Tested) -> bool:
 
 def _linear(comparison: Comparison, x: Array) -> tuple[Array, Array]:
     """d ln f / d z of the constants (n_f, n_free), and the mean (n_f,) of ln f - ln f(x) over their prior."""
-    held = [c for c in (comparison.noise, comparison.discrepancy) if c is not None]
-    free = np.delete(np.arange(len(x)), held)
+    free = np.delete(np.arange(len(x)), comparison.nuisance)
     x = np.clip(x, comparison.parameters.lower, comparison.parameters.upper)
     z = comparison.scores.to_z(x[None])
     f, slope = comparison.predict(x[None], jacobian=True)
@@ -250,44 +259,61 @@ def _linear(comparison: Comparison, x: Array) -> tuple[Array, Array]:
     return by_score, -by_score @ z[0, free]
 
 
-def _sd(comparison: Comparison, x: Array, amplitudes: Array) -> Array:
-    """Noise (a, n_f) of the log frequencies at amplitudes (a,), or (1, n_f) where it is stated."""
-    if comparison.noise is None:
-        at = x[None]
-    else:
-        at = np.tile(x, (len(amplitudes), 1))
-        at[:, comparison.noise] = amplitudes
-    return np.asarray(np.sqrt(comparison.variance(at)) / comparison.listed.frequencies)
+def _sd(comparison: Comparison, x: Array) -> Array:
+    """Noise (m, n_f) of the log frequencies at parameters (m, n)."""
+    return np.asarray(np.sqrt(comparison.variance(x)) / comparison.listed.frequencies)
 
 
-def _noise_levels(weighed: Weighed, n: int) -> tuple[Array, Array, Array]:
-    """Amplitudes (a,) that evidences are integrated over, logs of their prior weights, (n,) of the truth."""
-    none = weighed.none.marginal
-    column = none.comparison.noise
-    if column is None:
-        return np.ones(1), np.zeros(1), np.ones(n)
-    true = none.resampled(n)[:, column]
-    true = np.clip(true, *np.quantile(true, (0.05, 0.95)))
-    prior = none.comparison.parameters.parameters[column].prior
-    low, high = max(_BELOW * true.min(), prior.lower), min(_ABOVE * true.max(), prior.upper)
-    amplitudes = np.geomspace(low, high, _AMPLITUDES)
-    log_weight = prior.log_density(amplitudes) + np.log(np.gradient(amplitudes))
-    return amplitudes, log_weight, true
+def _covariance(comparison: Comparison, x: Array) -> Array:
+    """Of the log frequencies at parameters (n,), (n_f, n_f)."""
+    f = comparison.listed.frequencies
+    return np.asarray(comparison.covariance(x[None])[0] / np.outer(f, f))
 
 
-def _densities(t: Tested, weighed: Weighed, covariance: Array, log_weight: float) -> _Gaussians:
-    """Of the residuals under a hypothesis that scatters them, or lets the constants vary more."""
-    none = weighed.none.marginal
+def _noise_levels(none: Marginal, n: int) -> tuple[Array, Array, Array]:
+    """Parameters (a, n_x) to integrate evidences over, logs of their prior weights, (n, n_x) of the truth.
+
+    The plain model's optimum, with other amplitudes of an inferred noise: those of the truth are drawn from
+    their posterior, evidences have its median times common factors.
+    """
+    comparison, columns = none.comparison, [c for c in none.comparison.amplitudes if c >= 0]
+    true = np.tile(none.best, (n, 1))
+    if not columns:
+        return none.best[None], np.zeros(1), true
+    draws = none.resampled(n)[:, columns]
+    low, high = np.quantile(draws, (0.05, 0.95), axis=0)
+    true[:, columns] = np.clip(draws, low, high)
+    middle = np.median(draws, axis=0)
+    priors = [comparison.parameters.parameters[c].prior for c in columns]
+    least = max(_BELOW * (low / middle).min(), max(p.lower / m for p, m in zip(priors, middle, strict=True)))
+    most = min(_ABOVE * (high / middle).max(), min(p.upper / m for p, m in zip(priors, middle, strict=True)))
+    factor = np.geomspace(least, most, _AMPLITUDES)
+    levels = np.tile(none.best, (_AMPLITUDES, 1))
+    levels[:, columns] = factor[:, None] * middle
+    log_weight = np.log(np.gradient(factor))
+    for column, prior in zip(columns, priors, strict=True):
+        log_weight += prior.log_density(np.clip(levels[:, column], prior.lower, prior.upper))
+    return levels, log_weight, true
+
+
+def _densities(t: Tested, none: Marginal, at: Array, log_weight: float) -> _Gaussians:
+    """Of the residuals under a hypothesis that scatters them, or lets the constants vary more.
+
+    at : (n,) parameters of the plain model, with a level of the noise
+    """
     log_weight += float(np.log(t.hypothesis.prior))
-    comparison = t.marginal.comparison if t.hypothesis.other_material else none.comparison
-    at = dict(zip(none.comparison.parameters.names, none.best, strict=True))
-    slope, mean = _linear(comparison, np.array([at[name] for name in comparison.parameters.names]))
-    covariance = covariance + slope @ slope.T
-    if t.hypothesis.cause != OTHER:
-        return _Gaussians.of(mean, covariance[None], log_weight)
-    share = (np.arange(_DISCREPANCIES) + 0.5) / _DISCREPANCIES
-    scatter = t.hypothesis.parameters[0].prior.ppf(share)
-    return _Gaussians.of(mean, covariance + scatter[:, None, None] ** 2 * np.eye(len(mean)), log_weight)
+    comparison = t.marginal.comparison
+    known = dict(zip(none.comparison.parameters.names, at, strict=True))
+    x = np.array([known.get(name, 0.0) for name in comparison.parameters.names])
+    slope, mean = _linear(comparison, x)
+    if comparison.discrepancy is None:
+        covariances = _covariance(comparison, x)[None]
+    else:
+        share = (np.arange(_DISCREPANCIES) + 0.5) / _DISCREPANCIES
+        each = np.tile(x, (_DISCREPANCIES, 1))
+        each[:, comparison.discrepancy] = t.hypothesis.parameters[0].prior.ppf(share)
+        covariances = np.stack([_covariance(comparison, row) for row in each])
+    return _Gaussians.of(mean, covariances + slope @ slope.T, log_weight)
 
 
 def _nodes(line: ShiftLine, root: Array, apart: float = _APART_SD) -> tuple[Array, Array]:

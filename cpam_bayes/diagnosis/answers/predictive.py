@@ -22,14 +22,15 @@ _MOST_STARTS, _NODE_FRACTION = 8, 1e-3
 def explains(tested: Tested) -> float:
     """Predictive p-value of a hypothesis: whether noise alone leaves such residuals.
 
-    With T = sum_i r_i^2 / sigma_i^2 at the most probable parameters,
+    With T = r^T S^-1 r of the residuals at the most probable parameters, S the covariance of noise and
+    discrepancy,
 
         p = integral of P(chi2_nu >= T(a)) p(a) da,  nu = n - tr H,
 
     over the repeatability a: the one that is stated, or the prior of one that is inferred, not its posterior,
     which any misfit widens until it is explained. H = A (A^T A + I)^-1 A^T projects on what the parameters
-    answer within their priors, A their derivatives over normal scores in units of sigma; the mean of T over
-    the prior predictive distribution is nu (Gelman et al., Bayesian Data Analysis, 3rd ed., 6.3, of the
+    answer within their priors, A their derivatives over normal scores in units of the noise; the mean of T
+    over the prior predictive distribution is nu (Gelman et al., Bayesian Data Analysis, 3rd ed., 6.3, of the
     check). The parameters are fitted again for every a.
     """
     comparison = tested.marginal.comparison
@@ -66,16 +67,17 @@ def _refitted(comparison: Comparison, z: Array, amplitudes: Array) -> tuple[Arra
     at = np.repeat(x[:, None], a, axis=1)
     if comparison.noise is not None:
         at[:, :, [c for c in comparison.amplitudes if c >= 0]] = amplitudes[:, None]
-    sigma = np.sqrt(comparison.variance(at.reshape(len(z) * a, -1))).reshape(len(z), a, -1)
-    scaled = slope[:, None] / sigma[..., None]
-    residual = (f - predicted)[:, None] / sigma
+    covariance = comparison.covariance(at.reshape(len(z) * a, -1))
+    back = np.linalg.inv(np.linalg.cholesky(covariance)).reshape(len(z), a, len(f), len(f))
+    scaled = back @ slope[:, None]
+    residual = np.einsum("samn,sn->sam", back, f - predicted)
     fisher = np.swapaxes(scaled, 2, 3) @ scaled
     gradient = np.einsum("sami,sam->sai", scaled, residual) - z[:, None, free]
     inverse = np.linalg.inv(fisher + np.eye(len(free)))
     moved = np.repeat(z[:, None], a, axis=1)
     moved[:, :, free] += np.einsum("saij,saj->sai", inverse, gradient)
     new, _ = comparison.predict(comparison.scores.to_x(moved.reshape(len(z) * a, -1)))
-    again = (f - new).reshape(residual.shape) / sigma
+    again = np.einsum("samn,san->sam", back, (f - new).reshape(residual.shape))
     before, after = (np.sum(r**2, axis=2) for r in (residual, again))
     after = np.where(np.isfinite(after), after, np.inf)
     return np.minimum(before, after), np.einsum("saij,saji->sa", inverse, fisher)

@@ -12,7 +12,8 @@ from scipy.interpolate import PchipInterpolator
 from scipy.special import ndtri
 from scipy.stats import qmc
 
-from cpam_bayes.diagnosis.evidence.marginal import GRID, Marginal
+from cpam_bayes.diagnosis.evidence.marginal import Marginal
+from cpam_bayes.diagnosis.evidence.optima import SIZE_RANGE
 from cpam_bayes.diagnosis.evidence.weighing import Tested
 from cpam_bayes.diagnosis.hypotheses import NONE, OTHER, PAIR
 from cpam_bayes.parameters import Uniform
@@ -20,7 +21,7 @@ from cpam_bayes.parameters import Uniform
 Array = NDArray[Any]
 
 # Scores of the size at which shifts at a place are computed.
-_SCORES = np.linspace(-3.6, 3.6, 19)
+_SCORES = np.linspace(-SIZE_RANGE, SIZE_RANGE, 19)
 # Scores of a line, between those at which shifts are known, and places at which a cause is taken, log2.
 _FINE = 289
 _LOG2_PLACES = 4
@@ -52,7 +53,8 @@ def shift_lines(tested: Sequence[Tested], none: Marginal) -> tuple[ShiftLine, ..
         h = t.hypothesis
         if h.family == PAIR or h.cause in (NONE, OTHER) or not h.parameters or t.shift is None:
             continue
-        lines += _line(t, GRID, t.shift) if len(h.parameters) == 1 else _at_places(t, none)
+        one = len(h.parameters) == 1
+        lines += _line(t, t.shift.scores[:, 0], t.shift.shift) if one else _at_places(t, none)
     return tuple(lines)
 
 

@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from cpam_bayes.diagnosis.answers.detectability import Detectable
 from cpam_bayes.diagnosis.claim import Claim
 from cpam_bayes.diagnosis.next_test.next_measurement import Candidate
 from cpam_bayes.diagnosis.plates import diagnosis_result
@@ -189,14 +190,27 @@ def test_what_could_have_been_seen_is_told_of_every_cause(clean, misread):
         assert found["tested"]["causes"] == tested
         assert found["tested"]["hypotheses"] == len(d.weighed.tested)
     told = {entry["cause"]: entry for entry in document(clean)["detectable"]}
-    # one modulus and one size imitate a clock that is off; a loss tangent is seen
-    assert told["frequency_scale"]["smallest"] is None
-    assert told["frequency_scale"]["unit"] == "%"
-    assert told["viscoelastic"]["probability_of_claim"] >= 0.95
-    text = screen(clean)
-    assert f"Tested: {len(clean.weighed.tested)} hypotheses about " in text
-    assert "With 95 % probability these data would have shown viscoelastic from " in text
-    assert "They need not show frequency_scale, of whatever size." in text
+    # the constants imitate a clock that is off
+    assert told["frequency_scale"] == {
+        "cause": "frequency_scale",
+        "smallest": None,
+        "unit": "%",
+        "probability_of_claim": 0.0,
+    }
+    parameter = misread.causes[0].hypothesis.parameters[0]
+    entries = (
+        Detectable("outlier", parameter, 0.0123, 0.96),
+        Detectable("skew", parameter, 0.02, 0.95),
+        Detectable("air", parameter, None, 0.3),
+        Detectable("mode_identity", None, None, None),
+    )
+    text = screen(replace(clean, detectable=entries))
+    assert f"Tested: {len(clean.weighed.tested)} hypotheses about frequency_scale" in text.replace(
+        "viscoelastic and frequency_scale", "frequency_scale and viscoelastic"
+    )
+    assert "With 95 % probability these data would have shown outlier from 1.2 % and skew from 2.0 %." in text
+    assert "They need not show air, of whatever size." in text
+    assert re.search(r"mode_identity +mode_identity +has no size", text)
     assert "What these data would have shown with 95 % probability" in screen(misread)
     assert "Tested:" not in screen(misread)
 
