@@ -21,6 +21,7 @@ from cpam_bayes.diagnosis.evidence.comparison import Comparison
 from cpam_bayes.inference.derivatives import Expansion
 from cpam_bayes.inference.optimise import maximise
 from cpam_bayes.inference.standard_normal import MAX_SCORE
+from cpam_bayes.mechanics.modes import RigidBodyError
 
 Array = NDArray[Any]
 
@@ -67,6 +68,8 @@ def find_optima(
 
     sizes : columns of the effect's size and further coordinates
     known : (s, n) scores that join the draws
+
+    Raises ``RigidBodyError`` where no start has a density.
     """
     z, first = known, len(known)
     if log2_draws:
@@ -78,6 +81,8 @@ def find_optima(
             first = 0
     most, steps = _ROUNDS[-1]
     optima = _maximised(comparison, z[: max(most, first)], steps)
+    if not len(optima.value):
+        raise RigidBodyError("at no start the plate has modes, or the constraints are satisfied")
     near = optima.value > optima.value[0] - _DEPTH_NATS
     return Optima(optima.z[near], optima.value[near], optima.curvature[near])
 
