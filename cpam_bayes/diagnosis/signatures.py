@@ -25,7 +25,7 @@ ALIKE = 0.95
 ABSORBED = 0.1
 # Causes with less than this fraction of the leading one's probability are not compared by their best fits;
 # fits are equal within so many nats of the log likelihood.
-_COMPARED, _AS_WELL = 5e-3, 2.0
+_COMPARED, AS_WELL = 5e-3, 2.0
 # A shift smaller than this fraction of the one that it is compared with is hardly there.
 HARDLY = 0.1
 # Points between the nodes of one size at which it is compared with the others.
@@ -171,7 +171,7 @@ def with_equal_fits(
             dict.fromkeys(
                 [
                     *others,
-                    *(c for c in compared if c != name and name in peak and peak[c] > peak[name] - _AS_WELL),
+                    *(c for c in compared if c != name and name in peak and peak[c] > peak[name] - AS_WELL),
                 ]
             )
         )

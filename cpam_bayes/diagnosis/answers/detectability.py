@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from cpam_bayes.diagnosis.answers.linear_oracle import LinearOracle, linear_oracle
 from cpam_bayes.diagnosis.answers.shift_lines import ShiftLine, shift_lines
-from cpam_bayes.diagnosis.claim import CLEAR, SURE
+from cpam_bayes.diagnosis.claim import CLEAR, MOST, SURE
 from cpam_bayes.diagnosis.evidence.weighing import Weighed
 from cpam_bayes.diagnosis.hypotheses import NONE, OTHER
 from cpam_bayes.parameters import Parameter
@@ -25,8 +25,6 @@ _DRAWS, _SEED = 100, 20
 # Visible shifts at which sizes are tried, standard deviations of the data: the first and the last; how many
 # of them, and how many between the two of these that the answer lies between.
 _FIRST_SD, _LAST_SD, _COARSE, _FINE = 2.0, 40.0, 11, 6
-# Visible shift at which the causes are sought that frequencies cannot tell from one.
-_TYPICAL_SD = 8.0
 # Places of a cause that are tried, of which the median counts.
 _PLACES = 5
 
@@ -96,13 +94,11 @@ def _smallest(oracle: LinearOracle, cause: str, size: Array, shift: Array) -> tu
     seen += 1e-9 * np.arange(len(seen))
     high = min(_LAST_SD, seen[-1])
     low = max(min(_FIRST_SD, 0.5 * high), seen[0])
-    typical = shift[np.searchsorted(seen[:-1], _TYPICAL_SD)]
-    members = oracle.alike(typical[None])[:, 0] | np.array([name == cause for name in oracle.causes])
     at = np.geomspace(low, high, _COARSE)
     for more in (_FINE, 0):
         place = np.interp(at, seen, np.arange(len(seen)))
         shifts = _between(shift, place)
-        power = _power(oracle, shifts, members)
+        power = _power(oracle, cause, shifts)
         enough = np.flatnonzero(power >= POWER)
         if not len(enough):
             return np.inf, float(power.max())
@@ -121,12 +117,17 @@ def _between(values: Array, place: Array) -> Array:
     return np.asarray(values[i] + part * (values[i + 1] - values[i]))
 
 
-def _power(oracle: LinearOracle, shift: Array, members: Array) -> Array:
-    """Fraction of the simulated lists with shifts (m, n_f) that claim a class of causes, (m,)."""
+def _power(oracle: LinearOracle, cause: str, shift: Array) -> Array:
+    """Fraction of the simulated lists with shifts (m, n_f) of a cause that claim it or its class, (m,)."""
     log_weight = oracle.log_weights(shift)
     log_weight -= log_weight.max(axis=0)
+    members = oracle.alike(shift) | np.array([name == cause for name in oracle.causes])[:, None]
+    inside, outside = members[:, None], ~members[:, None]
     weight = np.exp(log_weight)
-    probability = weight[members].sum(axis=0) / weight.sum(axis=0)
+    claimed = np.where(inside, weight, 0.0)
+    if members.sum(axis=0).max() > MOST:
+        claimed = -np.partition(-claimed, MOST - 1, axis=0)[:MOST]
+    probability = claimed.sum(axis=0) / weight.sum(axis=0)
     log_evidence = log_weight - np.log(oracle.prior)[:, None, None]
-    ahead = log_evidence[members].max(axis=0) - log_evidence[~members].max(axis=0)
-    return np.asarray(((probability >= SURE) & (ahead >= CLEAR)).mean(axis=0))
+    best, outsider = (np.where(of, log_evidence, -np.inf).max(axis=0) for of in (inside, outside))
+    return np.asarray(((probability >= SURE) & (best >= outsider + CLEAR)).mean(axis=0))

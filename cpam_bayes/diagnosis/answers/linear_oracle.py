@@ -22,7 +22,7 @@ from cpam_bayes.diagnosis.evidence.comparison import Comparison
 from cpam_bayes.diagnosis.evidence.marginal import Marginal
 from cpam_bayes.diagnosis.evidence.weighing import Tested, Weighed
 from cpam_bayes.diagnosis.hypotheses import NONE, OTHER, prior_by_cause
-from cpam_bayes.diagnosis.signatures import ABSORBED, ALIKE, HARDLY
+from cpam_bayes.diagnosis.signatures import ABSORBED, ALIKE, AS_WELL, HARDLY
 
 Array = NDArray[Any]
 
@@ -119,7 +119,8 @@ class LinearOracle:
     levels : of the noise in the evidences
     root : (n_f, n_f) of the precision at a typical level of the noise
     sd : (n_f,) of the log frequencies there
-    ways : of every line the cause's number and, times that root, its nodes
+    ways : the nodes of every line, times that root
+    material : numbers of the causes whose constants may be anything, and the roots of their precisions
     """
 
     causes: tuple[str, ...]
@@ -129,22 +130,27 @@ class LinearOracle:
     root: Array
     sd: Array
     ways: _Ways
+    material: tuple[tuple[int, Array], ...]
 
     def log_weights(self, shift: Array) -> Array:
         """Log of prior times evidence of every cause for shifts (m, n_f), (n_causes, n, m)."""
         return _log_sum(np.stack([level.log_evidences(self.noise, shift) for level in self.levels]))
 
     def alike(self, shift: Array) -> Array:
-        """Whether a cause can do the same as shifts (m, n_f) for all that frequencies tell, (n_causes, m).
+        """Whether a cause cannot be told from the one that shifts by (m, n_f), (n_causes, m).
 
-        Those that can form a class with the one that did it, by the rule of `signatures`: the cosine with
-        the nearest shift that a cause has, the constants' part taken out of both.
+        By the rules of `signatures`: the cosine with the nearest shift that it has, the constants' part
+        taken out of both, or a fit without noise that is as good.
         """
         target = shift @ self.root.T
         visible = np.linalg.norm(target, axis=1) >= ABSORBED * np.linalg.norm(shift / self.sd, axis=1)
-        cosine = np.zeros((len(self.causes), len(shift)))
-        cosine[self.ways.causes] = self.ways.cosines(target)
-        return np.asarray((cosine > ALIKE) & visible)
+        n = len(self.ways.firsts)
+        alike = np.zeros((len(self.causes), len(shift)), dtype=bool)
+        cosine, distance = self.ways.nearest(target)
+        alike[:n] = ((cosine > ALIKE) & visible) | (0.5 * distance < AS_WELL)
+        for number, own in self.material:
+            alike[number] = 0.5 * np.sum((shift @ own.T) ** 2, axis=1) < AS_WELL
+        return alike
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,30 +160,30 @@ class _Ways:
     nodes : (k, n_f) times the root of the precision
     visible : (k,) whether the constants do not absorb them
     starts : (n_lines,) rows at which the lines begin
-    causes : (c,) numbers of the causes that have lines, and firsts : (c,) their first lines
+    firsts : (n_causes,) first lines of the causes
     """
 
     nodes: Array
     visible: Array
     starts: Array
-    causes: Array
     firsts: Array
 
-    def cosines(self, target: Array) -> Array:
-        """Largest cosine, without sign, of targets (m, n_f) with the nearest node of a line, (c, m)."""
+    def nearest(self, target: Array) -> tuple[Array, Array]:
+        """Of targets (m, n_f) and the nearest node: largest cosine, squared distance, (n_causes, m) each."""
         if not len(self.starts):
-            return np.zeros((0, len(target)))
+            return np.zeros((0, len(target))), np.zeros((0, len(target)))
         norm, size = np.linalg.norm(self.nodes, axis=1), np.linalg.norm(target, axis=1)
         product = self.nodes @ target.T
         distance = norm[:, None] ** 2 - 2.0 * product
+        of_cause = np.minimum.reduceat(distance, self.starts[self.firsts]) + size**2
         # shifts that are hardly there have no direction; a line without others is met at its end
         distance = np.where(norm[:, None] >= HARDLY * size, distance, 1e9 - norm[:, None])
-        nearest = np.minimum.reduceat(distance, self.starts)
         lengths = np.diff(self.starts, append=len(norm))
-        is_nearest = (distance == np.repeat(nearest, lengths, axis=0)) & self.visible[:, None]
+        best = np.repeat(np.minimum.reduceat(distance, self.starts), lengths, axis=0)
         with np.errstate(invalid="ignore", divide="ignore"):
-            cosine = np.where(is_nearest, np.abs(product) / (norm[:, None] * size), 0.0)
-        return np.asarray(np.maximum.reduceat(np.nan_to_num(cosine), self.starts[self.firsts]))
+            cosine = np.abs(product) / (norm[:, None] * size)
+        cosine = np.where((distance == best) & self.visible[:, None], cosine, 0.0)
+        return np.nan_to_num(np.maximum.reduceat(cosine, self.starts[self.firsts])), of_cause
 
 
 def linear_oracle(
@@ -224,7 +230,13 @@ def linear_oracle(
     middle = len(levels) // 2
     root, sd = levels[middle].plain.roots[0], _sd(none.comparison, levels_x[middle : middle + 1])[0]
     ways = _ways([line for name in names for line in lines if line.cause == name], root, sd)
-    return LinearOracle(causes, np.array(list(prior.values())), noise, tuple(levels), root, sd, ways)
+    material = tuple(
+        (causes.index(t.hypothesis.cause), _densities(t, none, levels_x[middle], 0.0).roots[0])
+        for t in weighed.tested
+        if t.hypothesis.other_material
+    )
+    each = np.array(list(prior.values()))
+    return LinearOracle(causes, each, noise, tuple(levels), root, sd, ways, material)
 
 
 def _ways(lines: Sequence[ShiftLine], root: Array, sd: Array) -> _Ways:
@@ -239,7 +251,6 @@ def _ways(lines: Sequence[ShiftLine], root: Array, sd: Array) -> _Ways:
         np.concatenate([empty, *nodes]),
         np.concatenate([np.empty(0, dtype=bool), *visible]),
         starts,
-        np.arange(len(firsts)),
         np.array(firsts, dtype=int),
     )
 
