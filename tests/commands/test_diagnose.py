@@ -101,6 +101,12 @@ def test_json_is_one_document_and_the_same_seed_gives_it_again(run, plate_file):
     assert first == again
     assert {h["cause"] for h in first["hypotheses"]} == CHEAP
     assert first["air_density_kg_m3"] == {"plate 7": None}
+    assert {entry["cause"] for entry in first["detectable"]} == CHEAP - {"none", "other"}
+    assert set(first["averaged"]) == set(first["baseline"]["constants"])
+    assert isinstance(first["claim_stands"], bool)
+    assert 0.0 <= first["baseline"]["predictive_p"] <= 1.0
+    scales = {"scales_times_3", "scales_divided_by_3"}
+    assert all(set(h["probability_range"]) == scales for h in first["hypotheses"])
 
 
 @pytest.mark.usefixtures("few_causes")
