@@ -121,11 +121,11 @@ def laplace_marginal(
 
     known : (s, n) scores that optimisations begin from, beside draws of the prior
     log2_draws : of these draws, none at all where it is 0
-    least : log evidence about the optima below which nothing is integrated over nodes
+    least : log evidence about the optima below which nothing is refined
 
     The draws are those of the Laplace approximation.
     """
-    optima = find_optima(comparison, sizes, known, log2_draws=log2_draws)
+    optima = find_optima(comparison, sizes, known, log2_draws=log2_draws, least=least)
     open_sizes = _not_determined(optima, sizes)
     if float(logsumexp(optima.log_mass)) < least:
         open_sizes = ()

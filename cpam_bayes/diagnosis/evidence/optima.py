@@ -27,7 +27,7 @@ Array = NDArray[Any]
 
 # Draws that are screened; starts of each round and the steps that they are given; gain that ends the last.
 LOG2_DRAWS = 9
-_ROUNDS = ((40, 3), (12, 6), (6, 40))
+_ROUNDS = ((40, 3), (12, 6), (6, 25))
 _PROMISED = 3e-3
 # Scores of sizes are spread evenly this far: gross errors are in the tails of their priors.
 SIZE_RANGE = 3.6
@@ -36,6 +36,8 @@ SIZE_RANGE = 3.6
 _COARSE, _FORGIVEN = 0.02, 0.9
 # Score of an inferred noise that optimisations begin with: large noise makes the first steps long.
 _FIRST_NOISE = 1.5
+# An optimisation under way may gain so many times what its next step promises.
+_OVERSHOOT = 10.0
 # Optima are the same within this distance, standard deviations, and kept within so many nats of the best.
 _DISTINCT_SD, _DEPTH_NATS = 1.0, 25.0
 
@@ -62,12 +64,18 @@ class Optima:
 
 
 def find_optima(
-    comparison: Comparison, sizes: tuple[int, ...], known: Array, *, log2_draws: int = LOG2_DRAWS
+    comparison: Comparison,
+    sizes: tuple[int, ...],
+    known: Array,
+    *,
+    log2_draws: int = LOG2_DRAWS,
+    least: float = -np.inf,
 ) -> Optima:
     """The distinct optima of a comparison's log density that draws of its priors and known starts lead to.
 
     sizes : columns of the effect's size and further coordinates
     known : (s, n) scores that join the draws
+    least : log mass below which nothing is worth more steps than it takes to see that
 
     Raises ``RigidBodyError`` where no start has a density.
     """
@@ -77,10 +85,12 @@ def find_optima(
         order = np.argsort(coarse_misfit(comparison, draws), kind="stable")
         z = np.concatenate((known, draws[order[: _ROUNDS[0][0]]]))
         for keep, steps in _ROUNDS[:-1]:
-            z = _maximised(comparison, z[: keep + first], steps).z
-            first = 0
+            optima, promise = _maximised(comparison, z[: keep + first], steps)
+            z, first = optima.z, 0
+        if len(z) and (optima.value + _OVERSHOOT * promise).max() < least - _DEPTH_NATS:
+            return Optima(optima.z[:1], optima.value[:1], optima.curvature[:1])
     most, steps = _ROUNDS[-1]
-    optima = _maximised(comparison, z[: max(most, first)], steps)
+    optima, _ = _maximised(comparison, z[: max(most, first)], steps)
     if not len(optima.value):
         raise RigidBodyError("at no start the plate has modes, or the constraints are satisfied")
     near = optima.value > optima.value[0] - _DEPTH_NATS
@@ -124,16 +134,20 @@ def coarse_misfit(comparison: Comparison, z: Array) -> Array:
     return misfit
 
 
-def _maximised(comparison: Comparison, z: Array, steps: int) -> Optima:
+def _maximised(comparison: Comparison, z: Array, steps: int) -> tuple[Optima, Array]:
+    """Distinct ends of optimisations, and the gain that one more step promises each of them."""
     bound = np.full(z.shape[1], MAX_SCORE)
     maxima = maximise(
         lambda at, rows: comparison.expand(at), z, -bound, bound, most_steps=steps, promised=_PROMISED
     )
-    return distinct(maxima.u, maxima.expansion)
+    kept = distinct(maxima.u, maxima.expansion)
+    g, c = maxima.expansion.gradient[kept], maxima.expansion.curvature[kept]
+    promise = 0.5 * np.einsum("ki,ki->k", g, np.linalg.solve(c, g[..., None])[..., 0])
+    return Optima(maxima.u[kept], maxima.expansion.value[kept], c), promise
 
 
-def distinct(z: Array, expansion: Expansion) -> Optima:
-    """Where optimisations ended, without those that ended at the same place or far below the best."""
+def distinct(z: Array, expansion: Expansion) -> list[int]:
+    """Where optimisations ended, the best first, without those that ended at the same place."""
     value = np.where(np.isfinite(expansion.value), expansion.value, -np.inf)
     order = np.argsort(-value, kind="stable")
     order = order[value[order] > -np.inf]
@@ -143,4 +157,4 @@ def distinct(z: Array, expansion: Expansion) -> Optima:
         distance = np.einsum("ki,kij,kj->k", away, expansion.curvature[kept], away)
         if not len(kept) or distance.min() > _DISTINCT_SD**2:
             kept.append(int(i))
-    return Optima(z[kept], value[kept], expansion.curvature[kept])
+    return kept

@@ -189,6 +189,7 @@ class Scan:
             starts = np.concatenate((known, plain_starts(comparisons[i], self.none)[:1]))
             marginal = laplace_marginal(comparisons[i], sizes, starts, log2_draws=0)
             shift = self.shift_of(hypothesis, marginal)
+            self.best = max(self.best, float(np.log(hypothesis.prior)) + marginal.log_evidence)
             self.tested.append(Tested(hypothesis, plates, marginal, shift=shift))
 
     def shift_of(self, hypothesis: Hypothesis, marginal: Marginal) -> ShiftTable | None:

@@ -78,10 +78,10 @@ def weigh(
     total = len(hypotheses)
     on_list = [entry for entry in hypotheses[1:] if is_repairing(entry[0])]
     on_plate = [entry for entry in hypotheses[1:] if not is_repairing(entry[0])]
+    scan.test_pairings(on_list)
     for i, (hypothesis, plates) in enumerate(on_plate):
         scan.test(hypothesis, plates)
         progress(i + 1, total)
-    scan.test_pairings(on_list)
     if pairs and ranked(scan.tested)[0].hypothesis.cause != NONE:
         add_pairs(scan, [h for h, _ in hypotheses])
     progress(total, total)
