@@ -69,18 +69,19 @@ constants, and writes this page. In a diagnosis the rule of `forward_model/theor
 solver's own error as a variance of each frequency:
 
     e^2 = 0.0001^2 + (0.009 w)^2 + (0.4 h / (a b) sum over free edges of L q)^2
+          + (0.018 h / (a b) sum over clamped edges of L)^2
 
-w = 2 pi f h (rho / G13)^1/2 is the time of a shear wave through the thickness against the period; this part
-comes from the theory itself, which is up to 0.3 % too soft in the highest modes of the thickest plates. The
-last part is that of free edges of laminates whose plies are turned against each other. Bending leaves
-stresses in the plies at a free edge whose resultants vanish but not they themselves; in three dimensions
-they decay within about a thickness and the plate is softer there. It grows with the thickness as h, not as
-h^2, and reaches 0.4 % on thin quasi-isotropic plates of carbon. q (`edge_layer`) follows from the layup; it
-is zero for unidirectional plates and next to nothing for cross-plies. A clamp is taken as a face held over
-the whole thickness; it adds nothing that could be measured. Real clamps are softer, and that is a cause of
-the catalogue.
+- w = 2 pi f h (rho / G13)^1/2 is the time of a shear wave through the thickness against the period. This part
+  comes from the theory itself, which is up to 0.3 % too soft in the highest modes of the thickest plates.
+- Free edges of laminates whose plies are turned against each other. Bending leaves stresses in the plies at a
+  free edge whose resultants vanish but not they themselves; in three dimensions they decay within about a
+  thickness and the plate is softer there. It grows with the thickness as h, not as h^2, and reaches 0.4 % on
+  quasi-isotropic plates of carbon with h/b = 1/50. q (`edge_layer`) follows from the layup; it is zero for
+  unidirectional plates and next to nothing for cross-plies.
+- A clamp is a face held over the whole thickness, which the theory takes as softer than it is. Real clamps
+  are softer, and that is a cause of the catalogue.
 
-Both parts are systematic: the first lowers the frequencies of the model, the second raises them. They
+All parts are systematic: the second one raises the frequencies of the model, the others lower them. They
 differ from mode to mode and count as scatter.
 
 The bricks are extrapolated from two meshes; the error stated for them is a third of the difference of these
