@@ -269,7 +269,7 @@ def _weighing(t: Tested, about: int, case: PlateCase) -> Predicted:
         names += [p.name for p in effect.parameters]
         if effect.change is not None and effect.belongs_to != "test":
             # where it is does not matter to a balance
-            anywhere = {p.name: p.prior.mean for p in effect.coordinates}
+            anywhere = {p.name: np.asarray(p.prior.mean) for p in effect.coordinates}
             problem = extend(problem, effect.fixed(anywhere), facts)
     values = dict(zip(names, drawn.v.T, strict=True))
     state = problem.state({name: values[name] for name in problem.parameters.names})
