@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from cpam_bayes.diagnosis.answers.averaged import averaged_constants
 from cpam_bayes.diagnosis.answers.detectability import Detectable, detectable
 from cpam_bayes.diagnosis.answers.gain import Gain, gain_of
+from cpam_bayes.diagnosis.answers.optima import OpenOptimum, open_optima
 from cpam_bayes.diagnosis.answers.predictive import explains
 from cpam_bayes.diagnosis.answers.prior_sensitivity import PriorSensitivity, prior_sensitivity
 from cpam_bayes.diagnosis.cases import hypotheses_of
@@ -101,6 +102,7 @@ class Diagnosis:
     averaged: Mapping[str, tuple[float, float, float, float]]
     sensitivity: PriorSensitivity
     detectable: tuple[Detectable, ...]
+    optima: tuple[OpenOptimum, ...]
     seconds: float
 
     @property
@@ -163,6 +165,7 @@ def diagnose_cases(
         averaged_constants(weighed),
         prior_sensitivity(weighed, claim, lambda other: _claim(other, _reweighed(causes, other))),
         detectable(weighed) if power else (),
+        open_optima(members[0][0] if members else weighed.none, cases),
         time.perf_counter() - start,
     )
 

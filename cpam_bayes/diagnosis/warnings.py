@@ -51,6 +51,8 @@ def diagnosis_warnings(
             f"the claim holds without one frequency in {100 * d.gain.stable:.0f} % of the cases only: single "
             "frequencies decide it"
         )
+    if d.optima:
+        problems.append(_of_optima(d))
     differing = differing_priors(d.cases)
     if differing:
         problems.append(
@@ -72,3 +74,26 @@ def diagnosis_warnings(
 
 def _unknowns(d: Diagnosis) -> set[str]:
     return {name for case in d.cases for name in case.models.specimen.unknowns.names}
+
+
+def _of_optima(d: Diagnosis) -> str:
+    """Several optima, and the measured mode shapes that would decide between the first two."""
+    first, second = d.optima[:2]
+    percent = " and ".join(f"{100 * o.fraction:.0f} %" for o in d.optima[:2])
+    apart = {
+        n: second.constants[n] / v - 1.0 for n, v in first.constants.items() if v and n in second.constants
+    }
+    name = max(apart, key=lambda n: abs(apart[n]))
+    text = (
+        f"{len(d.optima)} optima explain the frequencies, with {percent} of the probability for the first "
+        f"two: {name} differs by {100 * abs(apart[name]):.2g} % between them"
+    )
+    swapped = first.differences(second)
+    if not swapped:
+        return text
+    i, k, a, b = swapped[0]
+    plate = f"{d.cases[i].name}: " if len(d.cases) > 1 else ""
+    return (
+        f"{text}; the order of two modes differs: {plate}frequency {k + 1} is mode {a} by the first and {b} "
+        "by the second. Its nodal lines decide: label it under [measurement] labels"
+    )

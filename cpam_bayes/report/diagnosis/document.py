@@ -18,6 +18,7 @@ from cpam_bayes.diagnosis.paired_modes import FrequencyRow, PairedFit
 from cpam_bayes.diagnosis.plates import DiagnosisResult
 from cpam_bayes.effects.effect import tolerance_of
 from cpam_bayes.parameters import Mixture, Parameter, Prior, ScaledStudentT, TruncatedNormal
+from cpam_bayes.plate.units import to_user, user_name
 from cpam_bayes.report.diagnosis.rows import (
     ConstantRow,
     DetectableRow,
@@ -58,6 +59,16 @@ def document(result: DiagnosisResult) -> dict[str, Any]:
         "baseline": _fit(d, d.baseline, ((d.weighed.none, 1.0),), result.plain),
         "extended": _extended(result),
         "averaged": _constants(averaged_rows(d)),
+        "optima": [
+            {
+                "probability": o.fraction,
+                "constants": {
+                    user_name(n): to_user(n, o.constants[n]) for n in d.averaged if n in o.constants
+                },
+                "modes": [list(labels) for labels in o.modes],
+            }
+            for o in d.optima
+        ],
         "gain": _gain(d),
         "detectable": [_detectable(row) for row in detectable_rows(d)],
         "tested": {"hypotheses": len(d.weighed.tested), "causes": list(tested_causes(d))},

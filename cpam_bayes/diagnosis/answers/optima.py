@@ -1,0 +1,75 @@
+"""Optima of one model between which the lists do not decide, and the modes whose order they differ in."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from cpam_bayes.diagnosis.evidence.optima import distinct
+from cpam_bayes.diagnosis.evidence.scan import Tested
+from cpam_bayes.diagnosis.fitting import PlateCase
+from cpam_bayes.inference.optimise import maximise
+from cpam_bayes.inference.standard_normal import MAX_SCORE
+
+# Fraction of the posterior from which an optimum is one to be told; nodes that optima are sought from, and
+# the fraction that makes one worth it.
+_LEAST_FRACTION, _MOST_STARTS, _START_FRACTION = 0.03, 12, 3e-3
+
+
+@dataclass(frozen=True, slots=True)
+class OpenOptimum:
+    """One of several optima of the posterior.
+
+    fraction : of the posterior about it
+    constants : name -> value there, SI
+    modes : labels of the modes in the lists' places, plate by plate
+    """
+
+    fraction: float
+    constants: Mapping[str, float]
+    modes: tuple[tuple[str, ...], ...]
+
+    def differences(self, other: OpenOptimum) -> tuple[tuple[int, int, str, str], ...]:
+        """Plate, number of the frequency from 0 and labels at both, where the mode is another one."""
+        return tuple(
+            (i, k, a, b)
+            for i, (here, there) in enumerate(zip(self.modes, other.modes, strict=True))
+            for k, (a, b) in enumerate(zip(here, there, strict=True))
+            if a != b
+        )
+
+
+def open_optima(t: Tested, cases: Sequence[PlateCase]) -> tuple[OpenOptimum, ...]:
+    """The optima of a hypothesis that carry probability, the most probable first; none where it is one.
+
+    Every draw of the posterior counts for the optimum that is nearest in standard deviations.
+    """
+    marginal, comparison = t.marginal, t.marginal.comparison
+    starts = marginal.z[:_MOST_STARTS][marginal.weight[:_MOST_STARTS] > _START_FRACTION]
+    if len(starts) < 2:
+        return ()
+    bound = np.full(starts.shape[1], MAX_SCORE)
+    maxima = maximise(lambda z, rows: comparison.expand(z), starts, -bound, bound, promised=1e-3)
+    kept = distinct(maxima.u, maxima.expansion)
+    z, curvature = maxima.u[kept], maxima.expansion.curvature[kept]
+    draws = comparison.scores.to_z(marginal.draws)
+    away = draws[:, None] - z
+    nearest = np.einsum("dki,kij,dkj->dk", away, curvature, away).argmin(axis=1)
+    fraction = np.bincount(nearest, np.exp(marginal.log_weight), minlength=len(z))
+    carry = [int(k) for k in np.argsort(-fraction, kind="stable") if fraction[k] > _LEAST_FRACTION]
+    if len(carry) < 2:
+        return ()
+    sizes = {p.name for p in t.hypothesis.parameters}
+    found = []
+    for k in carry:
+        x = comparison.scores.to_x(z[k])
+        names = comparison.model.parameters.names
+        constants = {name: float(value) for name, value in zip(names, x, strict=False) if name not in sizes}
+        modes = []
+        for case, part in zip(cases, comparison.model.parts, strict=True):
+            every = case.models.bare.full.modes(part.plate_vector(x[None])[0])
+            modes.append(tuple(every[j].label if j < len(every) else "" for j in part.modes))
+        found.append(OpenOptimum(float(fraction[k]), constants, tuple(modes)))
+    return tuple(found)
