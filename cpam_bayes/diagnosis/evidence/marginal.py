@@ -35,10 +35,12 @@ Array = NDArray[Any]
 
 # A size is determined where its score's standard deviation is below this at every optimum that carries mass.
 _DETERMINED_SD, _CARRIES = 0.15, 1e-3
-# Scores of the first grid; intervals are halved where the log density changes by more than _STEEP_NATS
-# within _DEPTH_NATS of the best, but never below _FINEST.
-GRID = np.linspace(-SIZE_RANGE, SIZE_RANGE, 19)
-_STEEP_NATS, _DEPTH_NATS, _FINEST, _MOST_HALVINGS = 1.0, 9.0, 0.01, 6
+# Scores of the first grid; intervals are halved where the log density changes by more than _STEEP_NATS and
+# they may hold more than _WORTH of the whole, but never below _FINEST.
+GRID = np.linspace(-SIZE_RANGE, SIZE_RANGE, 10)
+_STEEP_NATS, _WORTH, _FINEST, _MOST_HALVINGS = 1.0, 5e-3, 0.01, 6
+# Nodes this far below the best are not approached from their neighbours.
+_DEPTH_NATS = 14.0
 # Sizes evenly spread between the bounds of the prior that join the grid: gross errors fill its tails.
 _EVEN_SIZES = 9
 # Nodes about each optimum, in standard deviations of its size.
@@ -46,15 +48,16 @@ _ABOUT = np.array([-2.5, -1.0, 0.0, 1.0, 2.5])
 # Scattered nodes, log2, by the number of sizes that are not determined.
 _LOG2_SCATTERED = {2: 6, 3: 7, 4: 7}
 _MOST_SCATTERED = 8
-# Neighbouring optima further apart, standard deviations, may be those of two modes.
-_MAX_DISTANCE_SD = 2.0
+# An optimum further than this, standard deviations, from the line between its neighbours may be another one.
+_BENT_SD = 1.0
 # Points of the fine quadrature between the nodes.
 _FINE = 1601
 # Nodes with less mass propose nothing.
 _NEGLIGIBLE_FRACTION = 1e-4
-# Importance sampling: degrees of freedom and widening of the proposal, log2 of its points, and stages where
-# the proposal is a scattered one.
-_FREEDOM, _WIDER, _LOG2_POINTS, _LOG2_MORE_POINTS, _STAGES = 6.0, 1.15, 9, 11, (0.25, 0.25, 0.5)
+# Importance sampling: degrees of freedom and widening of the proposal, log2 of its points. Where the proposal
+# is a scattered one: log2 of the points, of those where the error is larger than that, and stages.
+_FREEDOM, _WIDER, _LOG2_POINTS = 6.0, 1.15, 9
+_LOG2_SCATTERED_POINTS, _LOG2_MORE_POINTS, _LARGE_ERROR, _STAGES = 10, 11, 0.1, (0.25, 0.25, 0.5)
 _HALF_LOG_2PI = 0.5 * np.log(2 * np.pi)
 
 
@@ -176,7 +179,8 @@ def _by_quadrature(
         middle, begin = _halved(nodes)
         if not len(middle):
             break
-        further = conditional_optima(comparison, (column,), middle[:, None], None, begin)
+        smooth = begin.shape[1] == 1
+        further = conditional_optima(comparison, (column,), middle[:, None], None, begin, few=smooth)
         nodes = joined(nodes, further)
     log_evidence, log_mass = _integrated(nodes.scores[:, 0], nodes.log_density)
     width = _spacing(nodes.scores[:, 0])
@@ -250,7 +254,10 @@ def sampled_marginal(marginal: Marginal) -> Marginal:
         return comparison.log_density(z[0])[None]
 
     if marginal.is_scattered:
-        sample = staged_importance(log_density, marginal.proposal, _LOG2_MORE_POINTS, _STAGES, _refitted)
+        for log2 in (_LOG2_SCATTERED_POINTS, _LOG2_MORE_POINTS):
+            sample = staged_importance(log_density, marginal.proposal, log2, _STAGES, _refitted)
+            if sample.standard_error[0] < _LARGE_ERROR:
+                break
     else:
         sample = staged_importance(log_density, marginal.proposal, _LOG2_POINTS)
     if not np.isfinite(sample.log_evidence[0]):
@@ -275,12 +282,10 @@ def _refitted(mixture: Mixture, points: Array, log_weight: Array) -> Mixture:
 def _from_neighbours(comparison: Comparison, column: int, nodes: Nodes) -> Nodes:
     """The nodes optimised again from their neighbours' optima: crossing modes part them."""
     k = len(nodes.scores)
-    near = nodes.log_density > nodes.log_density.max() - 2 * _DEPTH_NATS
+    near = nodes.log_density > nodes.log_density.max() - _DEPTH_NATS
     first = nodes.rest[:, 0]
     sides = np.clip(np.arange(k)[:, None] + np.array([-1, 1]), 0, k - 1)
-    away = first[sides] - first[:, None]
-    distance = np.einsum("ksi,kij,ksj->ks", away, nodes.curvature[:, 0], away)
-    near = np.flatnonzero(near & (distance.max(axis=1) > _MAX_DISTANCE_SD**2))
+    near = np.flatnonzero(near & _bent(nodes))
     if not len(near):
         return nodes
     begin = first[sides[near]]
@@ -288,14 +293,38 @@ def _from_neighbours(comparison: Comparison, column: int, nodes: Nodes) -> Nodes
     return nodes.merged(near, again)
 
 
+def _bent(nodes: Nodes) -> Array:
+    """Whether the optimum of a node is off the line between those of its neighbours, (k,) bool.
+
+    Optima that move with the size on one branch are on it, those of two branches are not.
+    """
+    score, first = nodes.scores[:, 0], nodes.rest[:, 0]
+    bent = np.zeros(len(score), dtype=bool)
+    part = ((score[1:-1] - score[:-2]) / (score[2:] - score[:-2]))[:, None]
+    away = first[1:-1] - (1.0 - part) * first[:-2] - part * first[2:]
+    distance = np.einsum("ki,kij,kj->k", away, nodes.curvature[1:-1, 0], away)
+    bent[1:-1] = distance > _BENT_SD**2
+    return bent
+
+
 def _halved(nodes: Nodes) -> tuple[Array, Array]:
-    """Midpoints of intervals that are too coarse, and starts for them from both ends, (k, 2, n - 1)."""
+    """Midpoints of intervals that are too coarse, and starts for them, (k, s, n - 1).
+
+    These are between the optima of both ends, and where these may be two, at the ends too.
+    """
     score, g = nodes.scores[:, 0], nodes.log_density
-    height = np.maximum(g[1:], g[:-1])
+    density = np.exp(g - g.max())
+    width = np.diff(score)
+    whole = 0.5 * float(np.sum((density[1:] + density[:-1]) * width))
+    most = np.maximum(density[1:], density[:-1]) * width
     steep = np.abs(np.diff(g)) > _STEEP_NATS
-    which = np.flatnonzero(steep & (height > g.max() - _DEPTH_NATS) & (np.diff(score) > _FINEST))
-    middle = 0.5 * (score[which] + score[which + 1])
-    return middle, np.stack((nodes.rest[which, 0], nodes.rest[which + 1, 0]), axis=1)
+    which = np.flatnonzero(steep & (most > _WORTH * whole) & (width > _FINEST))
+    left, right = nodes.rest[which, 0], nodes.rest[which + 1, 0]
+    starts = [0.5 * (left + right)]
+    bent = _bent(nodes)
+    if np.any(bent[which] | bent[which + 1]):
+        starts += [left, right]
+    return 0.5 * (score[which] + score[which + 1]), np.stack(starts, axis=1)
 
 
 def _integrated(score: Array, g: Array) -> tuple[float, Array]:
