@@ -56,7 +56,7 @@ _FINE = 1601
 _NEGLIGIBLE_FRACTION = 1e-4
 # Importance sampling: degrees of freedom and widening of the proposal, log2 of its points. Where the proposal
 # is a scattered one: log2 of the points, of those where the error is larger than that, and stages.
-_FREEDOM, _WIDER, _LOG2_POINTS = 6.0, 1.15, 9
+_FREEDOM, _WIDER, LOG2_POINTS = 6.0, 1.15, 9
 _LOG2_SCATTERED_POINTS, _LOG2_MORE_POINTS, _LARGE_ERROR, _STAGES = 10, 11, 0.1, (0.25, 0.25, 0.5)
 _HALF_LOG_2PI = 0.5 * np.log(2 * np.pi)
 
@@ -140,11 +140,15 @@ def laplace_marginal(
 
 
 def _not_determined(optima: Optima, sizes: tuple[int, ...]) -> tuple[int, ...]:
-    """Those of the sizes that are too open for a Gaussian."""
+    """Those of the sizes that are too open for a Gaussian.
+
+    Where the first one is, all of them are: a small mass may be anywhere, whatever its place at the optimum.
+    """
     log_mass = optima.log_mass
     carry = log_mass > log_mass.max() + np.log(_CARRIES)
     variance = np.diagonal(np.linalg.inv(optima.curvature[carry]), axis1=1, axis2=2)
-    return tuple(s for s in sizes if np.sqrt(variance[:, s].max()) > _DETERMINED_SD)
+    found = tuple(s for s in sizes if np.sqrt(variance[:, s].max()) > _DETERMINED_SD)
+    return sizes if sizes and sizes[0] in found else found
 
 
 def _about_optima(comparison: Comparison, sizes: tuple[int, ...], optima: Optima) -> Marginal:
@@ -230,7 +234,7 @@ def _marginal(
     kept = kept[np.argsort(-log_mass[kept], kind="stable")]
     weight = np.exp(log_mass[kept] - logsumexp(log_mass[kept]))
     proposal = Mixture(weight[None], z[None, kept], factor[None, kept], np.inf)
-    draws = comparison.scores.to_x(sobol_points(proposal, _LOG2_POINTS)[0])
+    draws = comparison.scores.to_x(sobol_points(proposal, LOG2_POINTS)[0])
     return Marginal(
         comparison=comparison,
         sizes=sizes,
@@ -246,8 +250,11 @@ def _marginal(
 
 
 @single_blas_thread
-def sampled_marginal(marginal: Marginal) -> Marginal:
-    """A marginal likelihood by importance sampling about its Laplace approximation."""
+def sampled_marginal(marginal: Marginal, log2_points: int = LOG2_POINTS) -> Marginal:
+    """A marginal likelihood by importance sampling about its Laplace approximation.
+
+    log2_points : of the sample, more where the proposal is a scattered one
+    """
     comparison = marginal.comparison
 
     def log_density(z: Array) -> Array:
@@ -259,7 +266,7 @@ def sampled_marginal(marginal: Marginal) -> Marginal:
             if sample.standard_error[0] < _LARGE_ERROR:
                 break
     else:
-        sample = staged_importance(log_density, marginal.proposal, _LOG2_POINTS)
+        sample = staged_importance(log_density, marginal.proposal, log2_points)
     if not np.isfinite(sample.log_evidence[0]):
         return marginal
     with np.errstate(divide="ignore"):

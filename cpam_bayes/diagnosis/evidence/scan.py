@@ -33,8 +33,8 @@ _PLAIN_OPTIMA = 4
 # Pairings within so many nats of the best are fitted by themselves, at most so many of a cause.
 _NEAR_PAIRINGS, _MOST_PAIRINGS = 25.0, 12
 # Hypotheses within so many nats of the most probable one are sampled; those over several sizes that the data
-# leave open need it from further off.
-_NEAR, _NEAR_SCATTERED = 4.0, 10.0
+# leave open need it from further off. Within _IN_SIGHT fewer points, 2^_LOG2_FEW, correct Laplace's method.
+_NEAR, _NEAR_SCATTERED, _IN_SIGHT, _LOG2_FEW = 4.0, 10.0, 10.0, 7
 
 
 @dataclass(frozen=True, slots=True)
@@ -209,9 +209,13 @@ class Scan:
     def sampled(self, t: Tested, best: float) -> Tested:
         """A hypothesis by importance sampling, if it is near enough to the best."""
         within = _NEAR_SCATTERED if t.marginal.is_scattered else _NEAR
-        if t.marginal.is_sampled or (t.log_weight < best - within and t.hypothesis.cause != NONE):
+        if t.marginal.is_sampled:
             return t
-        return replace(t, marginal=sampled_marginal(t.marginal))
+        if t.log_weight >= best - within or t.hypothesis.cause == NONE:
+            return replace(t, marginal=sampled_marginal(t.marginal))
+        if t.log_weight >= best - _IN_SIGHT:
+            return replace(t, marginal=sampled_marginal(t.marginal, _LOG2_FEW))
+        return t
 
 
 def misfit_probability(marginal: Marginal) -> float:
