@@ -24,9 +24,11 @@ POWER = 0.95
 _DRAWS, _SEED = 100, 20
 # Visible shifts at which sizes are tried, standard deviations of the data: the first and the last; how many
 # of them, and how many between the two of these that the answer lies between.
-_FIRST_SD, _LAST_SD, _COARSE, _FINE = 2.0, 40.0, 11, 6
-# Places of a cause that are tried, of which the median counts.
+_FIRST_SD, _LAST_SD, _COARSE, _FINE = 2.0, 40.0, 8, 5
+# Places of a cause that are tried, of which the median counts; fewer where it may be on one plate or another.
 _PLACES = 5
+# Shifts of opposite sizes that differ by less than this fraction are the same.
+_EVEN = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +62,8 @@ def detectable(weighed: Weighed) -> tuple[Detectable, ...]:
         if cause in (NONE, OTHER) or " + " in cause:
             continue
         parameters = weighed.best_of(cause).hypothesis.parameters
-        some = _spread([line for line in lines if line.cause == cause])
+        of_plates = len({t.plates for t in weighed.tested if t.hypothesis.cause == cause})
+        some = _spread([line for line in lines if line.cause == cause], max(_PLACES // of_plates, 1))
         found = [_worse_sign(oracle, line) for line in some]
         if not found:
             answers.append(Detectable(cause, parameters[0] if parameters else None, None, None))
@@ -70,17 +73,18 @@ def detectable(weighed: Weighed) -> tuple[Detectable, ...]:
     return tuple(answers)
 
 
-def _spread(lines: list[ShiftLine]) -> list[ShiftLine]:
+def _spread(lines: list[ShiftLine], most: int) -> list[ShiftLine]:
     """Some of the lines of a cause, evenly over its places."""
-    if len(lines) <= _PLACES:
+    if len(lines) <= most:
         return lines
-    return [lines[i] for i in np.linspace(0, len(lines) - 1, _PLACES).round().astype(int)]
+    return [lines[i] for i in np.linspace(0, len(lines) - 1, most).round().astype(int)]
 
 
 def _worse_sign(oracle: LinearOracle, line: ShiftLine) -> tuple[float, float]:
     """The larger of the smallest sizes of both signs, infinite if one of them is not seen, and its power."""
     found = []
-    for side in (line.size < 0.0, line.size > 0.0):
+    mirrored = np.abs(line.shift[::-1] - line.shift).max() < _EVEN * np.abs(line.shift).max()
+    for side in (line.size > 0.0, (line.size < 0.0) & (not mirrored)):
         rows = np.flatnonzero(side)
         rows = rows[np.argsort(np.abs(line.size[rows]), kind="stable")]
         if len(rows) > 1:
@@ -97,17 +101,19 @@ def _smallest(oracle: LinearOracle, cause: str, size: Array, shift: Array) -> tu
     at = np.geomspace(low, high, _COARSE)
     for more in (_FINE, 0):
         place = np.interp(at, seen, np.arange(len(seen)))
-        shifts = _between(shift, place)
-        power = _power(oracle, cause, shifts)
+        power = _power(oracle, cause, _between(shift, place))
         enough = np.flatnonzero(power >= POWER)
         if not len(enough):
             return np.inf, float(power.max())
         first = int(enough[0])
-        if more and first:
-            at = np.linspace(at[first - 1], at[first], more)
-            continue
-        break
-    return float(_between(size, place)[first]), float(power[first])
+        if not first or not more:
+            break
+        at = np.linspace(at[first - 1], at[first], more)
+    if first:  # the power grows nearly linearly between the two
+        part = (POWER - power[first - 1]) / (power[first] - power[first - 1])
+        place = place[first - 1] + part * (place[first] - place[first - 1]) * np.ones(1)
+        return float(_between(size, place)[0]), POWER
+    return float(_between(size, place)[0]), float(power[0])
 
 
 def _between(values: Array, place: Array) -> Array:

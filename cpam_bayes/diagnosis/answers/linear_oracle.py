@@ -28,9 +28,9 @@ Array = NDArray[Any]
 
 # Nodes of a line: their distance in standard deviations of the data at most, in scores at most, and the
 # distance from the plain model beyond which none are needed.
-_APART_SD, _APART_SCORES, _FARTHEST_SD = 1.6, 0.5, 50.0
+_APART_SD, _APART_SCORES, _FARTHEST_SD = 1.6, 0.9, 50.0
 # The same of nodes whose directions are compared.
-_DIRECTION_SD = 0.5
+_DIRECTION_SD = 0.8
 # Amplitudes of an inferred noise that evidences are integrated over, and how far beyond those of the truth:
 # a large noise explains a shift too.
 _AMPLITUDES, _BELOW, _ABOVE = 8, 0.6, 10.0
