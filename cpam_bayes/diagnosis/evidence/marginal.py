@@ -54,10 +54,10 @@ _BENT_SD = 1.0
 _FINE = 1601
 # Nodes with less mass propose nothing.
 _NEGLIGIBLE_FRACTION = 1e-4
-# Importance sampling: degrees of freedom and widening of the proposal, log2 of its points. Where the proposal
-# is a scattered one: log2 of the points, of those where the error is larger than that, and stages.
+# Importance sampling: degrees of freedom and widening of the proposal, log2 of its points. Where the error is
+# large, or the proposal a scattered one, it is refitted in stages.
 _FREEDOM, _WIDER, LOG2_POINTS = 6.0, 1.15, 9
-_LOG2_SCATTERED_POINTS, _LOG2_MORE_POINTS, _LARGE_ERROR, _STAGES = 10, 11, 0.1, (0.25, 0.25, 0.5)
+_LOG2_SCATTERED_POINTS, _LARGE_ERROR, _STAGES = (10, 11), 0.1, (0.25, 0.25, 0.5)
 _HALF_LOG_2PI = 0.5 * np.log(2 * np.pi)
 
 
@@ -253,20 +253,20 @@ def _marginal(
 def sampled_marginal(marginal: Marginal, log2_points: int = LOG2_POINTS) -> Marginal:
     """A marginal likelihood by importance sampling about its Laplace approximation.
 
-    log2_points : of the sample, more where the proposal is a scattered one
+    log2_points : of the sample; four times as many where its error is large
     """
     comparison = marginal.comparison
 
     def log_density(z: Array) -> Array:
         return comparison.log_density(z[0])[None]
 
-    if marginal.is_scattered:
-        for log2 in (_LOG2_SCATTERED_POINTS, _LOG2_MORE_POINTS):
-            sample = staged_importance(log_density, marginal.proposal, log2, _STAGES, _refitted)
-            if sample.standard_error[0] < _LARGE_ERROR:
-                break
-    else:
-        sample = staged_importance(log_density, marginal.proposal, log2_points)
+    staged = marginal.is_scattered
+    for log2 in _LOG2_SCATTERED_POINTS if staged else (log2_points, log2_points + 2):
+        stages = _STAGES if staged else (1.0,)
+        sample = staged_importance(log_density, marginal.proposal, log2, stages, _refitted)
+        if sample.standard_error[0] < _LARGE_ERROR:
+            break
+        staged = True
     if not np.isfinite(sample.log_evidence[0]):
         return marginal
     with np.errstate(divide="ignore"):
