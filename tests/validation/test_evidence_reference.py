@@ -1,0 +1,72 @@
+"""The reference of marginal likelihoods against closed forms, and the diagnosis's quick way against it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cpam_bayes.diagnosis.cases import hypotheses_of, plate_case
+from cpam_bayes.diagnosis.evidence.scan import Scan
+from cpam_bayes.diagnosis.fitting import SCATTER, comparison_of
+from cpam_bayes.diagnosis.hypotheses import Hypothesis
+from cpam_bayes.plate import Measurement, builtin
+from cpam_bayes.validation.evidence_reference import ReferenceSettings, reference_evidence
+from tests.diagnosis.toy_plates import (
+    BUMP,
+    F0,
+    NOISE,
+    A,
+    a_list,
+    case,
+    cause,
+    exact_log_evidence,
+    hypothesis,
+    straight,
+    whole_normal,
+)
+from tests.diagnosis.toy_plates import (
+    SCATTER as NOISE_DRAWN,
+)
+
+SMALL = ReferenceSettings(draws=256, nodes=41, log2_points=(11, 13))
+
+
+@pytest.mark.parametrize("size", [0.0, 0.01, -0.05])
+def test_the_reference_finds_the_evidence_of_a_linear_plate(size: float) -> None:
+    sd = 0.02
+    f = F0 * (1.0 + A @ np.array([0.03, -0.04]) + size * BUMP) * (1.0 + NOISE * NOISE_DRAWN)
+    bent = cause("bent", whole_normal(sd))
+    comparison = comparison_of([case(a_list(f, NOISE), [(bent, straight(BUMP))])], hypothesis(bent, 0.1))
+    found = reference_evidence(comparison, (2,), 0, SMALL)
+    # three of its standard errors
+    assert found.error < 0.05
+    assert found.log_evidence == pytest.approx(exact_log_evidence(f, NOISE * f, (BUMP, sd)), abs=0.15)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("hidden", ["none", "damage", "taper_x"])
+def test_the_quick_way_agrees_with_the_reference_on_a_plate(hidden: str) -> None:
+    waiting = Measurement(np.arange(1.0, 11.0), 0.1, 0.002, None, ("",) * 10, complete=True)
+    plate = plate_case(replace(builtin("C1"), measurement=waiting))
+    known = {h.cause: h for h, _ in hypotheses_of([plate])}
+    chosen: list[Hypothesis] = [known[name] for name in dict.fromkeys(("none", hidden, "thickness"))]
+    truth = comparison_of([plate], known[hidden])
+    rng = np.random.default_rng(3)
+    x = truth.scores.to_x(rng.standard_normal((1, truth.parameters.size)))
+    f = truth.predict(x)[0][0] * (1.0 + 0.002 * rng.standard_normal(10))
+    plate = replace(plate, measurement=replace(waiting, frequencies=np.sort(f)))
+    scan = Scan([plate], SCATTER)
+    scan.begin(chosen[0], (0,))
+    for h in chosen[1:]:
+        scan.test(h, (0,))
+    best = max(t.log_weight for t in scan.tested)
+    tested = [scan.sampled(t, best) for t in scan.tested]
+    slow = [reference_evidence(t.marginal.comparison, t.marginal.sizes, 0, SMALL) for t in tested]
+    highest = max(s.log_evidence for s in slow)
+    for t, s in zip(tested, slow, strict=True):
+        if s.log_evidence > highest - 8.0:
+            assert t.marginal.log_evidence == pytest.approx(s.log_evidence, abs=0.3)
+        else:
+            assert t.marginal.log_evidence < highest - 8.0
