@@ -9,15 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cpam_bayes.diagnosis.fitting import PlateCase, comparison_of
+from cpam_bayes.diagnosis.fitting import PlateCase
 from cpam_bayes.diagnosis.hypotheses import NONE, OTHER, Hypothesis, prior_by_cause, single_hypotheses
 from cpam_bayes.diagnosis.models import PlateModels, plate_models
 from cpam_bayes.effects import CATALOGUE, Effect
 from cpam_bayes.forward_model.labels import labelled_model, list_order
 from cpam_bayes.forward_model.model import reference_vector
-from cpam_bayes.inference.optimise import maximise
-from cpam_bayes.inference.posterior import plate_posterior
-from cpam_bayes.inference.standard_normal import MAX_SCORE
 from cpam_bayes.parameters import Parameter
 from cpam_bayes.plate import Measurement, Specimen
 
@@ -25,17 +22,14 @@ Array = NDArray[Any]
 
 # Modes computed beyond a complete list, which may lack two, and beyond one that says it is incomplete.
 _SPARE, _MORE_SPARE = 2, 6
-# Points of the prior at which the pairing of an incomplete list is sought, those of them optimised
-# from, and turns of pairing and optimising at most.
-_POINTS, _OPTIMISED, _MOST_TURNS = 512, 6, 8
 
 
 def plate_case(specimen: Specimen, notify: Callable[[str], None] = lambda text: None) -> PlateCase:
     """A plate with its list, every frequency given to a mode.
 
-    A complete list is paired in order, labels fix their modes, and an incomplete list has the pairing that
-    is most probable under the plain model; its false peaks are left out. Raises ``ValueError`` for a
-    specimen without a list or without unknown constants.
+    A list is paired in order, and labels fix their modes. The pairings of an incomplete list, summed over
+    in its diagnosis, begin from there. Raises ``ValueError`` for a specimen without a list or without unknown
+    constants.
     """
     measurement = specimen.measurement
     if measurement is None or not measurement.size:
@@ -48,9 +42,7 @@ def plate_case(specimen: Specimen, notify: Callable[[str], None] = lambda text: 
         )
     spare = _SPARE if measurement.complete and not any(measurement.labels) else _MORE_SPARE
     models = plate_models(specimen, measurement.size + spare, notify)
-    modes = _modes(models, measurement)
-    kept = modes >= 0
-    return PlateCase(models, _only(measurement, kept), modes[kept])
+    return PlateCase(models, measurement, _modes(models, measurement))
 
 
 def with_list(case: PlateCase, measurement: Measurement) -> PlateCase:
@@ -156,63 +148,10 @@ def _of_specimen(
 
 
 def _modes(models: PlateModels, measurement: Measurement) -> Array:
-    """Model mode of every frequency, -1 for a false peak."""
+    """Model mode of every frequency: in order, but for those that labels fix."""
     n = measurement.size
     if any(measurement.labels):
         labelled = labelled_model(models.bare, measurement, models.specimen)
         order = list_order(labelled, reference_vector(models.specimen, models.parameters))
         return np.asarray(order[:n])
-    if measurement.complete:
-        return np.arange(n)
-    return _most_probable_pairing(models, measurement)
-
-
-def _most_probable_pairing(models: PlateModels, measurement: Measurement) -> Array:
-    """Model mode of every frequency of an incomplete list, -1 for a false peak, under the plain model.
-
-    Pairing and constants are sought in turn from the best of many points of the prior: the most probable
-    pairing at the constants, then the most probable constants of that pairing.
-    """
-    posterior = plate_posterior(models.bare, measurement, models.error)
-    points = posterior.parameters.sample(np.random.default_rng(0), _POINTS)
-    points = points[models.bare.admissible(points[:, : models.parameters.size])]
-    best: dict[bytes, tuple[float, Array]] = {}
-    for start in points[np.argsort(-posterior.log_prob(points), kind="stable")[:_OPTIMISED]]:
-        x, seen = start, set[bytes]()
-        for _ in range(_MOST_TURNS):
-            mode = posterior.most_probable_pairing(x).mode
-            if mode.tobytes() in seen:
-                break
-            seen.add(mode.tobytes())
-            x = _best_constants(models, measurement, mode, x)
-            value = float(posterior.log_prob(x[None])[0])
-            best[mode.tobytes()] = max(best.get(mode.tobytes(), (-np.inf, mode)), (value, mode), key=_first)
-    return max(best.values(), key=_first)[1]
-
-
-def _first(entry: tuple[float, Array]) -> float:
-    return entry[0]
-
-
-def _best_constants(models: PlateModels, measurement: Measurement, mode: Array, x: Array) -> Array:
-    """The most probable parameters of a pairing, by an optimisation from x (n,)."""
-    kept = mode >= 0
-    case = PlateCase(models, _only(measurement, kept), mode[kept])
-    comparison = comparison_of([case], Hypothesis(NONE, NONE))
-    bound = np.full(len(x), MAX_SCORE)
-    maxima = maximise(
-        lambda z, rows: comparison.expand(z), comparison.scores.to_z(x[None]), -bound, bound, promised=1e-2
-    )
-    return np.asarray(comparison.scores.to_x(maxima.u[0]))
-
-
-def _only(measurement: Measurement, kept: Array) -> Measurement:
-    if kept.all():
-        return measurement
-    sd = measurement.frequency_sd
-    return replace(
-        measurement,
-        frequencies=measurement.frequencies[kept],
-        frequency_sd=None if sd is None else sd[kept],
-        labels=tuple(label for label, is_kept in zip(measurement.labels, kept, strict=True) if is_kept),
-    )
+    return np.arange(n)

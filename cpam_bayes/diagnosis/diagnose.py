@@ -81,6 +81,7 @@ class Cause:
 class Diagnosis:
     """The answer about one or several plates.
 
+    cases : incomplete lists paired as is most probable under the plain model
     causes : all, none and other among them, the most probable first
     members : tested variants of the claimed causes with the fractions at which they are averaged
     extended, gain : ``None`` where nothing is claimed
@@ -145,8 +146,9 @@ def diagnose_cases(
     causes = _causes(cases, weighed, best, signatures, projector)
     claim = _claim(weighed, causes)
     members = _members(weighed, claim)
-    whole = weighed.none.marginal.comparison.listed.frequencies
-    baseline = fit_of([(weighed.none, 1.0)], whole)
+    cases = weighed.none.cases or cases
+    whole = np.concatenate([case.measurement.frequencies for case in cases])
+    baseline = fit_of(weighed.plain, whole)
     extended = fit_of(members, whole) if members else None
     found_gain = None
     if gain and extended is not None and members:

@@ -13,7 +13,7 @@ from scipy.stats import chi2
 
 from cpam_bayes.diagnosis.answers.predictive import explains
 from cpam_bayes.diagnosis.evidence.comparison import kept_of
-from cpam_bayes.diagnosis.evidence.scan import Tested
+from cpam_bayes.diagnosis.evidence.tested import Tested, prior_of
 
 Array = NDArray[Any]
 
@@ -61,13 +61,14 @@ def fit_of(members: Sequence[tuple[Tested, float]], whole: Array) -> Fit:
     model_names = first.model.parameters.names
     shared = [n for n in model_names if all(n in t.marginal.comparison.parameters.names for t, _ in members)]
     kept_names = [n for n in shared if n not in {p.name for t, _ in members for p in t.hypothesis.parameters}]
-    draws, predicted, variance, residual = [], [], [], []
+    draws, predicted, variance, tail = [], [], [], []
     for t, fraction in members:
         marginal, comparison = t.marginal, t.marginal.comparison
         x = marginal.resampled(max(round(fraction * _DRAWS), 2))
         f, _ = comparison.predict(x)
         v = comparison.variance(x)
-        if f.shape[1] < len(whole):  # a false peak is predicted as measured
+        freedom = f.shape[1]
+        if freedom < len(whole):  # a false peak is predicted as measured
             kept = kept_of(whole, comparison.listed.frequencies)
             f_all, v_all = np.tile(whole, (len(x), 1)), np.full((len(x), len(whole)), np.median(v))
             f_all[:, kept], v_all[:, kept] = f, v
@@ -76,9 +77,9 @@ def fit_of(members: Sequence[tuple[Tested, float]], whole: Array) -> Fit:
         draws.append(x[:, [names.index(n) for n in kept_names]])
         predicted.append(f)
         variance.append(v)
-        residual.append(np.sum((whole - f) ** 2 / v, axis=1))
+        tail.append(chi2.sf(np.sum((whole - f) ** 2 / v, axis=1), freedom))
     x, f, v = np.concatenate(draws), np.concatenate(predicted), np.concatenate(variance)
-    chi = np.concatenate(residual)
+    whole_prior = prior_of([t for t, _ in members])
     low, high = np.quantile(x, (0.025, 0.975), axis=0)
     mean = f.mean(axis=0)
     return Fit(
@@ -91,12 +92,12 @@ def fit_of(members: Sequence[tuple[Tested, float]], whole: Array) -> Fit:
         predicted_sd=f.std(axis=0),
         sigma=np.sqrt(v.mean(axis=0)),
         rms=float(np.sqrt(np.mean((mean / whole - 1.0) ** 2))),
-        p_value=float(np.mean(chi2.sf(chi, len(whole)))),
+        p_value=float(np.mean(np.concatenate(tail))),
         predictive_p=sum(fraction * explains(t) for t, fraction in members),
         log_evidence=float(
             logsumexp(
                 [t.marginal.log_evidence for t, _ in members],
-                b=[t.hypothesis.prior / sum(m.hypothesis.prior for m, _ in members) for t, _ in members],
+                b=[t.hypothesis.prior / whole_prior for t, _ in members],
             )
         ),
         log_evidence_error=max((t.marginal.error for t in sampled), default=np.nan),

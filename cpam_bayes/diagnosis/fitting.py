@@ -35,9 +35,10 @@ SCATTER = 0.02
 class PlateCase:
     """One plate with its frequency list.
 
-    modes : (n,) model mode of each frequency where the list has no error
+    modes : (n,) model mode of each frequency where the list has no error, -1 for a false peak
     extended : reduced models with its effects so far, by name and variant
     of_another_material : the models over the search bounds of the constants, once they are needed
+    log_pairing : log prior of the pairing of an incomplete list, with the density of its false peaks
     """
 
     models: PlateModels
@@ -45,6 +46,7 @@ class PlateCase:
     modes: Array
     extended: dict[tuple[str, str], ReducedModel | LocalModel] = field(default_factory=dict)
     of_another_material: list[PlateModels] = field(default_factory=list)
+    log_pairing: float = 0.0
 
     @property
     def name(self) -> str:
@@ -146,8 +148,8 @@ def _part(
         prior = TruncatedNormal(0.0, joint.scatter, -4 * joint.scatter, 4 * joint.scatter)
         name = f"scatter of {parameter.name}, {models.specimen.specimen}"
         scatter.append(joint.add(Parameter(name, "", prior)))
-    f, n = case.measurement.frequencies, case.measurement.size
-    modes, kept, log_constant, misread = case.modes, np.arange(n), 0.0, None
+    f, kept = case.measurement.frequencies, np.flatnonzero(case.modes >= 0)
+    modes, log_constant, misread = case.modes[kept], case.log_pairing, None
     changes: list[Change] = []
     if hypothesis is not None:
         for effect in hypothesis.effects:
@@ -159,12 +161,14 @@ def _part(
         listed = hypothesis.listed
         if listed.spurious is not None:
             kept = np.delete(kept, listed.spurious)
-            modes = np.where(np.arange(n) > listed.spurious, modes - 1, modes)[kept]
-            log_constant = -float(np.log(f[-1]))  # a false peak lies anywhere below the last one
+            modes = np.where(np.arange(len(f)) > listed.spurious, modes - 1, modes)[kept]
+            log_constant -= float(np.log(f[-1]))  # a false peak lies anywhere below the last one
         for missed in listed.missed:
             modes = np.where(modes >= missed, modes + 1, modes)
         if listed.misread is not None:
-            misread = (listed.misread, joint.add(MISREADING))
+            column = joint.add(MISREADING)
+            at_misread = np.flatnonzero(kept == listed.misread)
+            misread = (int(at_misread[0]), column) if len(at_misread) else None
     error = np.hypot(models.error, models.theory_error)[np.minimum(modes, len(models.error) - 1)]
     part = Part(bare, np.array(columns), np.array(scatter), tuple(changes), modes, misread)
     return part, _listed(case.measurement, kept, error, log_constant)

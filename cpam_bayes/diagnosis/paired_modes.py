@@ -93,52 +93,47 @@ def _frequency_rows(
     rows: list[FrequencyRow] = []
     start = 0
     standardised = fit.standardised
-    for i, (case, part) in enumerate(zip(d.cases, leader.marginal.comparison.model.parts, strict=True)):
-        modes = modes_of[i]
-        n = case.measurement.size
-        spurious = leader.hypothesis.listed.spurious if len(part.modes) < n else None
-        paired = iter(part.modes)
-        listed = []
-        for k in range(n):
+    parts = leader.marginal.comparison.model.parts
+    for case, part, modes in zip(leader.cases or d.cases, parts, modes_of, strict=True):
+        is_paired = case.modes >= 0
+        if len(part.modes) < is_paired.sum() and leader.hypothesis.listed.spurious is not None:
+            is_paired[leader.hypothesis.listed.spurious] = False
+        numbers = iter(part.modes)
+        for k in range(case.measurement.size):
             j = start + k
-            false_peak = k == spurious
-            number = None if false_peak else int(next(paired))
-            listed.append(
+            number = int(next(numbers)) if is_paired[k] else None
+            rows.append(
                 FrequencyRow(
                     plate=case.name,
                     measured=float(fit.measured[j]),
-                    predicted=None if false_peak else float(fit.predicted[j]),
+                    predicted=None if number is None else float(fit.predicted[j]),
                     predicted_sd=float(fit.predicted_sd[j]),
                     sigma=float(fit.sigma[j]),
-                    standardised=float("nan") if false_peak else -float(standardised[j]),
+                    standardised=float("nan") if number is None else -float(standardised[j]),
                     number=None if number is None else number + 1,
                     mode=None if number is None or number >= len(modes) else modes[number],
                 )
             )
-        start += n
-        nan = float("nan")
-        listed += [FrequencyRow(case.name, f, None, nan, nan, nan, None, None) for f in left_aside(case)]
-        rows += sorted(listed, key=lambda row: row.measured)
+        start += case.measurement.size
     return tuple(rows)
 
 
 def left_aside(case: PlateCase) -> list[float]:
-    """Frequencies of an incomplete list that its most probable pairing gives no mode."""
-    measurement = case.models.specimen.measurement
-    if measurement is None or measurement.complete:
-        return []
-    kept = set(case.measurement.frequencies.tolist())
-    return [f for f in measurement.frequencies.tolist() if f not in kept]
+    """Frequencies of an incomplete list that its pairing gives no mode."""
+    return [float(f) for f in case.measurement.frequencies[case.modes < 0]]
 
 
 def _missed_modes(d: Diagnosis, leader: Tested, modes_of: Sequence[Sequence[Mode]]) -> tuple[MissedMode, ...]:
     """Modes in the range of the lists that these lack under a hypothesis."""
     missed: list[MissedMode] = []
-    for i, (case, part) in enumerate(zip(d.cases, leader.marginal.comparison.model.parts, strict=True)):
-        gaps = sorted(set(range(int(part.modes.max()) + 1)) - {int(k) for k in part.modes})
-        if gaps:
-            modes = modes_of[i]
-            missed += [MissedMode(case.name, k + 1, modes[k]) for k in gaps if k < len(modes)]
+    parts = leader.marginal.comparison.model.parts
+    for case, part, modes in zip(leader.cases or d.cases, parts, modes_of, strict=True):
+        highest = int(part.modes.max())
+        gaps = set(range(highest)) - {int(k) for k in part.modes}
+        if case.modes[-1] < 0:  # the last frequency is no mode, and there may be some below it
+            last = case.measurement.frequencies[-1]
+            gaps |= {k for k in range(highest + 1, len(modes)) if modes[k].frequency <= last}
+        missed += [MissedMode(case.name, k + 1, modes[k]) for k in sorted(gaps) if k < len(modes)]
     return tuple(missed)
 
 

@@ -90,7 +90,7 @@ def signature_of(tested: Tested, none: Marginal, projector: Projector) -> Signat
 
     Its size is the root mean square of its posterior, with the sign of the mean where that is clear.
     """
-    comparison = tested.marginal.comparison
+    comparison = tested.as_plain or tested.marginal.comparison
     at = dict(zip(none.comparison.parameters.names, none.best, strict=True))
     null = {p.name: 0.0 if p.null is None else p.null for p in tested.hypothesis.parameters}
     names = comparison.parameters.names

@@ -12,7 +12,8 @@ from scipy.special import logsumexp
 
 from cpam_bayes.diagnosis.claim import Claim
 from cpam_bayes.diagnosis.evidence.marginal import Marginal, sampled_marginal
-from cpam_bayes.diagnosis.evidence.scan import Tested, marginal_of
+from cpam_bayes.diagnosis.evidence.scan import marginal_of
+from cpam_bayes.diagnosis.evidence.tested import Tested
 from cpam_bayes.diagnosis.evidence.weighing import Weighed
 from cpam_bayes.diagnosis.fit import Fit
 from cpam_bayes.diagnosis.fitting import PlateCase
@@ -24,6 +25,8 @@ Array = NDArray[Any]
 # Hypotheses among which the cause is selected again in every fold: those with this probability, the plain
 # model, and so many at most.
 _LEAST_PROBABILITY, _MOST = 0.01, 6
+# Pairings of the plain model with at least this fraction of its evidence, and so many at most.
+_LEAST_FRACTION, _MOST_PLAIN = 0.05, 3
 # Optima of the whole list that the fits of every fold start from.
 _STARTS = 3
 
@@ -78,18 +81,21 @@ def gain_of(
     none = weighed.none.marginal
     top = [_sampled(t) for t in _near_the_top(weighed, claimed)]
     whole = np.array([t.marginal.log_evidence for t in top])
-    folds = np.stack([left_out(cases, t, n, None if k == 0 else none, scatter) for k, t in enumerate(top)])
+    folds = np.stack([left_out(cases, t, n, None if t is top[0] else none, scatter) for t in top])
+    is_plain = np.array([t.hypothesis.cause == NONE for t in top])
     log_prior = np.log([t.hypothesis.prior for t in top])
     weight = folds + log_prior[:, None]
     mixture = logsumexp(whole + log_prior) - logsumexp(weight, axis=0)
     is_claimed = np.array([t.hypothesis.cause in claimed for t in top])
-    ahead = logsumexp(weight[is_claimed], axis=0) > weight[~is_claimed].max(axis=0)
+    outside = {t.key for t, inside in zip(top, is_claimed, strict=True) if not inside}
+    best_outside = np.max([logsumexp(weight[[t.key == key for t in top]], axis=0) for key in outside], axis=0)
+    ahead = logsumexp(weight[is_claimed], axis=0) > best_outside
     return Gain(
         baseline.rms,
         extended.rms,
         weighed.log_bayes_factor({t.hypothesis.cause for t, _ in members}),
-        mixture - (whole[0] - folds[0]),
-        len(top),
+        mixture - (logsumexp(whole[is_plain]) - logsumexp(folds[is_plain], axis=0)),
+        len({t.key for t in top}),
         float(np.mean(ahead)),
     )
 
@@ -101,11 +107,17 @@ def left_out(cases: Sequence[PlateCase], t: Tested, n: int, none: Marginal | Non
     whose size the density of the frequency integrates to one. A false peak has a density of its own, apart
     from the modes: without it the other frequencies keep theirs.
     """
+    cases = t.cases or cases
     evidences = np.empty(n)
     listed = t.hypothesis.listed
+    paired = np.concatenate([case.modes >= 0 for case in cases])
+    last = np.concatenate([np.full(c.measurement.size, c.measurement.frequencies[-1]) for c in cases])
     before = sum(case.measurement.size for case in cases[: t.plates[0]])  # frequencies of other plates
     for i in range(n):
-        at, hypothesis, known = i, t.hypothesis, t.marginal.z[:_STARTS]
+        if not paired[i]:
+            evidences[i] = t.marginal.log_evidence + np.log(last[i])
+            continue
+        at, hypothesis, known = int(paired[:i].sum()), t.hypothesis, t.marginal.z[:_STARTS]
         if listed.misread is not None and i == before + listed.misread:
             hypothesis = _without_misreading(hypothesis)
             parts = t.marginal.comparison.model.parts
@@ -115,7 +127,7 @@ def left_out(cases: Sequence[PlateCase], t: Tested, n: int, none: Marginal | Non
             if i == before + listed.spurious:
                 evidences[i] = t.marginal.log_evidence - t.marginal.comparison.listed.log_constant
                 continue
-            at = i - (i > before + listed.spurious)
+            at -= i > before + listed.spurious
         marginal = marginal_of(
             cases,
             hypothesis,
@@ -132,12 +144,13 @@ def left_out(cases: Sequence[PlateCase], t: Tested, n: int, none: Marginal | Non
 
 def _near_the_top(weighed: Weighed, claimed: set[str]) -> list[Tested]:
     """None, and the most probable others: at least one that is claimed and one that is not."""
+    plain = [t for t, fraction in weighed.plain if t is weighed.none or fraction >= _LEAST_FRACTION]
     others = [t for t in weighed.tested if t.hypothesis.cause != NONE]
     kept = [t for t in others if t.probability >= _LEAST_PROBABILITY][: _MOST - 1]
     for is_claimed in (True, False):
         if not any((t.hypothesis.cause in claimed) == is_claimed for t in kept):
             kept += [t for t in others if (t.hypothesis.cause in claimed) == is_claimed][:1]
-    return [weighed.none, *kept]
+    return [*plain[:_MOST_PLAIN], *kept]
 
 
 def _sampled(t: Tested) -> Tested:

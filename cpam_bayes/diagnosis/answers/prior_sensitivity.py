@@ -54,7 +54,9 @@ def reweighed(weighed: Weighed, factor: float) -> Weighed:
     prior, as in power scaling (Kallioinen et al., Stat. Comput. 34, 2024).
     """
     log_ratio = np.array([_log_ratio(t, factor) for t in weighed.tested])
-    of_none = next(r for t, r in zip(weighed.tested, log_ratio, strict=True) if t is weighed.none)
+    ratio_of = {id(t): r for t, r in zip(weighed.tested, log_ratio, strict=True)}
+    plain = weighed.plain
+    of_none = float(logsumexp([ratio_of[id(t)] for t, _ in plain], b=[fraction for _, fraction in plain]))
     with np.errstate(divide="ignore"):
         log_weight = np.log([t.probability for t in weighed.tested]) + log_ratio
     probability = np.exp(log_weight - logsumexp(log_weight))

@@ -14,10 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from cpam_bayes.diagnosis.evidence.comparison import kept_of
+from cpam_bayes.diagnosis.evidence.comparison import Comparison, kept_of
 from cpam_bayes.diagnosis.evidence.marginal import Marginal
-from cpam_bayes.diagnosis.evidence.scan import Scan, Tested, about, ranked
+from cpam_bayes.diagnosis.evidence.scan import Scan, about
 from cpam_bayes.diagnosis.evidence.shifts import shift_table
+from cpam_bayes.diagnosis.evidence.tested import Tested, ranked
 from cpam_bayes.diagnosis.fitting import comparison_of, effect_columns
 from cpam_bayes.diagnosis.hypotheses import NONE, OTHER, PAIR, Hypothesis, go_together, pair_scale, paired
 from cpam_bayes.mechanics.modes import RigidBodyError
@@ -76,7 +77,7 @@ def add_pairs(scan: Scan, singles: Sequence[Hypothesis]) -> None:
             continue
         fitted.add(causes)
         known = np.concatenate((leader.marginal.z[0], scores))
-        scan.test(pair, leader.plates, _in_order(scan, pair, leader, known))
+        scan.test(pair, leader.plates, _in_order(scan, pair, leader, known), leader.cases)
 
 
 def _leaders(single: Sequence[Tested]) -> list[Tested]:
@@ -101,12 +102,15 @@ def _gain_of_second(scan: Scan, leader: Tested, second: Tested) -> tuple[float, 
     marginal = leader.marginal
     at = dict(zip(marginal.comparison.parameters.names, marginal.best, strict=True))
     comparison = second.marginal.comparison
+    if leader.cases:
+        of_second = about(scan.cases, second.hypothesis, leader.plates)
+        comparison = comparison_of(leader.cases, of_second, scatter=scan.scatter)
     middle = comparison.scores.to_x(np.zeros((1, comparison.parameters.size)))[0]
     x = np.array([at.get(n, m) for n, m in zip(comparison.parameters.names, middle, strict=True)])
     x = np.clip(x, comparison.parameters.lower, comparison.parameters.upper)
     null = np.array([0.0 if p.null is None else p.null for p in second.hypothesis.parameters])
     table = shift_table(comparison, second.marginal.sizes, x, null)
-    shift = _as_listed(table.shift, leader, scan)
+    shift = _as_listed(table.shift, leader, comparison)
     each = []
     for linear in _linear(marginal):
         whitened = linear.residual - shift @ linear.root.T
@@ -117,13 +121,12 @@ def _gain_of_second(scan: Scan, leader: Tested, second: Tested) -> tuple[float, 
     return float(logsumexp(with_it) - alone), table.scores[int(np.argmax(with_it))]
 
 
-def _as_listed(shift: Array, leader: Tested, scan: Scan) -> Array:
-    """Shifts (k, n_f) of the plain pairing, for the frequencies that the leader's list keeps."""
-    comparison = leader.marginal.comparison
-    n = len(comparison.listed.frequencies)
-    if shift.shape[1] == n:
+def _as_listed(shift: Array, leader: Tested, second: Comparison) -> Array:
+    """Shifts (k, n_f) of the second cause's list, for the frequencies that the leader's list keeps."""
+    listed = leader.marginal.comparison.listed.frequencies
+    if shift.shape[1] == len(listed):
         return shift
-    kept = kept_of(scan.none.comparison.listed.frequencies, comparison.listed.frequencies)
+    kept = kept_of(second.listed.frequencies, listed)
     return shift[:, kept]
 
 

@@ -49,7 +49,7 @@ def repairings(plain: Comparison, variants: Sequence[Comparison], known: Array) 
     variants : the lists paired otherwise, one frequency left out or misread perhaps
     known : (s, n) scores of the plain optima
     """
-    wide, offsets = _all_modes(plain)
+    wide, offsets = all_modes(plain)
     index, mask, constant = _indices(plain, variants, offsets)
     listed = np.log(plain.listed.frequencies)
     n_model = plain.model.parameters.size
@@ -79,13 +79,14 @@ def repairings(plain: Comparison, variants: Sequence[Comparison], known: Array) 
     return fits
 
 
-def _all_modes(plain: Comparison) -> tuple[Comparison, list[int]]:
+def all_modes(plain: Comparison) -> tuple[Comparison, list[int]]:
     """The comparison with every mode of every plate as if it were listed, and where each plate's begin."""
     sizes = [
         len(part.bare.predict(_middle(plain, i)).frequencies[0]) for i, part in enumerate(plain.model.parts)
     ]
     parts = tuple(
-        replace(part, modes=np.arange(size)) for part, size in zip(plain.model.parts, sizes, strict=True)
+        replace(part, modes=np.arange(size), misread=None)
+        for part, size in zip(plain.model.parts, sizes, strict=True)
     )
     offsets = [0, *np.cumsum(sizes)[:-1].tolist()]
     return replace(plain, model=replace(plain.model, parts=parts)), offsets
@@ -105,12 +106,13 @@ def _indices(
     constant = np.zeros(len(variants))
     for v, variant in enumerate(variants):
         modes, at = [], 0
+        kept = kept_of(plain.listed.frequencies, variant.listed.frequencies)
+        places = np.flatnonzero(kept)
         for part, offset in zip(variant.model.parts, offsets, strict=True):
             modes.append(part.modes + offset)
             if part.misread is not None:
-                mask[v, at + part.misread[0]] = False
+                mask[v, places[at + part.misread[0]]] = False
             at += len(part.modes)
-        kept = kept_of(plain.listed.frequencies, variant.listed.frequencies)
         index[v, kept] = np.concatenate(modes)
         mask[v] &= kept
         constant[v] = variant.listed.log_constant

@@ -13,10 +13,21 @@ from scipy.stats import chi2
 from cpam_bayes.diagnosis.evidence.comparison import Comparison
 from cpam_bayes.diagnosis.evidence.marginal import Marginal, laplace_marginal, sampled_marginal
 from cpam_bayes.diagnosis.evidence.optima import LOG2_DRAWS
+from cpam_bayes.diagnosis.evidence.pairing_search import (
+    Cases,
+    PairedLists,
+    in_order,
+    key_of,
+    own_pairing,
+    plain_pairings,
+    recounted,
+)
 from cpam_bayes.diagnosis.evidence.repairing import repairings
 from cpam_bayes.diagnosis.evidence.shifts import ShiftTable, shift_table
+from cpam_bayes.diagnosis.evidence.tested import Tested, ranked
 from cpam_bayes.diagnosis.fitting import SCATTER, PlateCase, comparison_of, effect_columns
 from cpam_bayes.diagnosis.hypotheses import NONE, Hypothesis
+from cpam_bayes.diagnosis.pairings import is_incomplete
 from cpam_bayes.effects import ListChange
 from cpam_bayes.mechanics.modes import RigidBodyError
 
@@ -35,40 +46,10 @@ _NEAR_PAIRINGS, _MOST_PAIRINGS = 25.0, 12
 # Hypotheses within so many nats of the most probable one are sampled; those over several sizes that the data
 # leave open need it from further off. Within _IN_SIGHT fewer points, 2^_LOG2_FEW, correct Laplace's method.
 _NEAR, _NEAR_SCATTERED, _IN_SIGHT, _LOG2_FEW = 4.0, 10.0, 10.0, 7
-
-
-@dataclass(frozen=True, slots=True)
-class Tested:
-    """One hypothesis with its marginal likelihood.
-
-    plates : numbers of the plates that have it; all of them where they share it
-    probability : among all that were tested
-    log_bayes_factor : against none
-    shift : of the log frequencies, with the constants of the plain model; ``None`` where the list is paired
-        otherwise
-    """
-
-    hypothesis: Hypothesis
-    plates: tuple[int, ...]
-    marginal: Marginal
-    probability: float = 0.0
-    log_bayes_factor: float = 0.0
-    shift: ShiftTable | None = None
-
-    @property
-    def columns(self) -> tuple[int, ...]:
-        """Columns of the effect's parameters."""
-        return effect_columns(self.marginal.comparison, self.hypothesis)
-
-    @property
-    def log_weight(self) -> float:
-        """Log of prior times evidence."""
-        return float(np.log(self.hypothesis.prior) + self.marginal.log_evidence)
-
-
-def ranked(tested: Sequence[Tested]) -> list[Tested]:
-    """Hypotheses, those with most prior times evidence first."""
-    return sorted(tested, key=lambda t: t.log_weight, reverse=True)
+# Of incomplete lists: turns of fitting a hypothesis and of pairing at its optimum; hypotheses within so many
+# nats of the best have all pairings that the plain model suggests; optima of one pairing that another starts
+# from; pairings so many nats below the best of a hypothesis are dropped.
+_TURNS, _NEAR_ALL_PAIRINGS, _OTHER_PAIRINGS_OPTIMA, _NEGLIGIBLE_PAIRING = 3, 10.0, 3, 12.0
 
 
 def marginal_of(
@@ -119,6 +100,7 @@ class Scan:
 
     is_explained : whether the plain model explains the lists
     best : largest log of prior times evidence so far
+    pairings, seeds : of incomplete lists, those of the plain model and those that hypotheses begin with
     """
 
     cases: Sequence[PlateCase]
@@ -127,84 +109,188 @@ class Scan:
     not_tested: list[str] = field(default_factory=list)
     is_explained: bool = False
     best: float = -np.inf
+    pairings: tuple[PairedLists, ...] = ()
+    seeds: tuple[PairedLists, ...] = ()
 
     @property
     def none(self) -> Marginal:
-        """The plain model."""
+        """The plain model, with its most probable pairing."""
         return self.tested[0].marginal
+
+    @property
+    def plain_cases(self) -> Cases:
+        """The plates, paired as is most probable under the plain model."""
+        return self.tested[0].cases or tuple(self.cases)
+
+    @property
+    def is_incomplete(self) -> bool:
+        """Whether pairings are summed over."""
+        return any(is_incomplete(case) for case in self.cases)
 
     def begin(self, hypothesis: Hypothesis, plates: tuple[int, ...]) -> None:
         """The plain model, whose optima are starts of all others."""
-        marginal = marginal_of(self.cases, hypothesis, plates, scatter=self.scatter, log2_draws=_LOG2_PLAIN)
-        self.tested.append(Tested(hypothesis, plates, sampled_marginal(marginal)))
-        self.best = self.tested[0].log_weight
-        self.is_explained = misfit_probability(self.none) > _EXPLAINED
-
-    def test(self, hypothesis: Hypothesis, plates: tuple[int, ...], known: Array | None = None) -> None:
-        """Fit a hypothesis from many starts; where it cannot be tested that is noted.
-
-        Where the plain model explains the lists, what is wrong is faint and lies next to it.
-        """
-        try:
+        self.pairings, self.seeds = plain_pairings(self.cases, self.scatter)
+        for k, lists in enumerate(self.pairings):
             marginal = marginal_of(
-                self.cases,
+                lists.cases,
                 hypothesis,
                 plates,
                 scatter=self.scatter,
-                none=self.none,
-                known=known,
-                log2_draws=0 if self.is_explained or known is not None else LOG2_DRAWS,
-                least=self.best - float(np.log(hypothesis.prior)) - _HOPELESS_NATS,
+                known=lists.z,
+                log2_draws=0 if k else _LOG2_PLAIN,
             )
-            self.best = max(self.best, float(np.log(hypothesis.prior)) + marginal.log_evidence)
-            self.tested.append(
-                Tested(hypothesis, plates, marginal, shift=self.shift_of(hypothesis, marginal))
-            )
+            cases = lists.cases if self.is_incomplete else ()
+            self.tested.append(Tested(hypothesis, plates, sampled_marginal(marginal), cases=cases))
+        self.tested = ranked(self.tested)
+        self.best = self.tested[0].log_weight
+        has_false_peaks = any((case.modes < 0).any() for case in self.plain_cases)
+        self.is_explained = misfit_probability(self.none) > _EXPLAINED and not has_false_peaks
+
+    def test(
+        self,
+        hypothesis: Hypothesis,
+        plates: tuple[int, ...],
+        known: Array | None = None,
+        cases: Cases = (),
+    ) -> None:
+        """Fit a hypothesis from many starts; where it cannot be tested that is noted.
+
+        Where the plain model explains the lists, what is wrong is faint and lies next to it.
+
+        known, cases : a start, and the pairing that it has
+        """
+        first = (PairedLists(cases),) if cases else self.seeds
+        try:
+            fits = {lists.key: self._fitted(hypothesis, plates, lists, known) for lists in first}
+            if self.is_incomplete:
+                self._add_pairings(hypothesis, plates, fits)
         except RigidBodyError:
             self.not_tested.append(
                 f"{hypothesis.cause} {hypothesis.variant}".rstrip()
                 + ": over its prior the plate cannot be told from a rigid body; left out"
             )
+            return
+        best = max(fits.values(), key=lambda t: t.log_weight)
+        self.best = max(self.best, best.log_weight)
+        near = [t for t in fits.values() if t.log_weight > best.log_weight - _NEGLIGIBLE_PAIRING]
+        shift = self.shift_of(hypothesis, best)
+        self.tested += [replace(t, shift=shift if t is best else None) for t in near]
+
+    def _fitted(
+        self,
+        hypothesis: Hypothesis,
+        plates: tuple[int, ...],
+        lists: PairedLists,
+        known: Array | None,
+        *,
+        few: bool = False,
+    ) -> Tested:
+        """A hypothesis with one pairing of the lists; few : only from known starts."""
+        none = self.none
+        if lists.z is not None:
+            none = replace(none, z=np.concatenate((lists.z, none.z[:1])))
+        marginal = marginal_of(
+            lists.cases,
+            hypothesis,
+            plates,
+            scatter=self.scatter,
+            none=none,
+            known=known,
+            log2_draws=0 if few or self.is_explained or known is not None else LOG2_DRAWS,
+            least=self.best - float(np.log(hypothesis.prior)) - _HOPELESS_NATS,
+        )
+        if not self.is_incomplete:
+            return Tested(hypothesis, plates, marginal)
+        cases = recounted(lists.cases, about(self.cases, hypothesis, plates), marginal.best, self.scatter)
+        log_prior, counted = (sum(c.log_pairing for c in of) for of in (lists.cases, cases))
+        if counted != log_prior:
+            listed = marginal.comparison.listed
+            listed = replace(listed, log_constant=listed.log_constant + counted - log_prior)
+            marginal = replace(
+                marginal,
+                comparison=replace(marginal.comparison, listed=listed),
+                log_evidence=marginal.log_evidence + counted - log_prior,
+            )
+        as_plain = comparison_of(
+            self.plain_cases, about(self.cases, hypothesis, plates), scatter=self.scatter
+        )
+        return Tested(hypothesis, plates, marginal, cases=cases, as_plain=as_plain)
+
+    def _add_pairings(
+        self, hypothesis: Hypothesis, plates: tuple[int, ...], fits: dict[bytes, Tested]
+    ) -> None:
+        """Further pairings: those that are most probable at its own optima, and near the top all others."""
+        of_plates = about(self.cases, hypothesis, plates)
+        incomplete = [i for i, case in enumerate(self.cases) if is_incomplete(case)]
+        for _ in range(_TURNS):
+            order = ranked(list(fits.values()))
+            own = [
+                own_pairing(t.cases, of_plates, i, t.marginal.best, self.scatter)
+                for t in order[:2]
+                for i in incomplete
+            ]
+            new = {key_of(cases): cases for cases in own if key_of(cases) not in fits}
+            for key, cases in new.items():
+                z = order[0].marginal.z[:_OTHER_PAIRINGS_OPTIMA]
+                fits[key] = self._fitted(hypothesis, plates, PairedLists(cases), z, few=True)
+            if not new:
+                break
+        best = ranked(list(fits.values()))[0]
+        if best.log_weight > self.best - _NEAR_ALL_PAIRINGS:
+            for lists in self.pairings:
+                if lists.key not in fits:
+                    z = best.marginal.z[:_OTHER_PAIRINGS_OPTIMA]
+                    fits[lists.key] = self._fitted(hypothesis, plates, lists, z, few=True)
 
     def test_pairings(self, variants: Sequence[tuple[Hypothesis, tuple[int, ...]]]) -> None:
         """Fit what is wrong with a list alone: all pairings at once, then the promising ones."""
         if not variants:
             return
+        paired = list({lists.key: lists.cases for lists in (*self.pairings, *self.seeds)}.values())
+        entries = [(h, plates, cases) for h, plates in variants for cases in paired]
         comparisons = [
-            comparison_of(self.cases, about(self.cases, h, plates), scatter=self.scatter)
-            for h, plates in variants
+            comparison_of(cases, about(self.cases, h, plates), scatter=self.scatter)
+            for h, plates, cases in entries
         ]
-        fits = repairings(self.none.comparison, comparisons, self.none.z[:2])
+        plain = self.none.comparison
+        if self.is_incomplete:
+            whole = in_order(self.cases)
+            plain = comparison_of(whole, self.tested[0].hypothesis, scatter=self.scatter)
+        fits = repairings(plain, comparisons, self.none.z[:2])
         value = np.array([fit.log_density for fit in fits])
         order = np.argsort(-value, kind="stable")
         kept: dict[str, int] = {}
         for i in order:
-            hypothesis, plates = variants[i]
+            hypothesis, plates, cases = entries[i]
             number = kept.get(hypothesis.cause, 0)
             if number and (value[i] < value[order[0]] - _NEAR_PAIRINGS or number == _MOST_PAIRINGS):
                 continue
             kept[hypothesis.cause] = number + 1
-            known = _with_misreading(comparisons[i], self.none.comparison, fits[i].z)
+            known = _with_misreading(comparisons[i], plain, fits[i].z)
             sizes = effect_columns(comparisons[i], hypothesis)
             starts = np.concatenate((known, plain_starts(comparisons[i], self.none)[:1]))
             marginal = laplace_marginal(comparisons[i], sizes, starts, log2_draws=0)
-            shift = self.shift_of(hypothesis, marginal)
-            self.best = max(self.best, float(np.log(hypothesis.prior)) + marginal.log_evidence)
-            self.tested.append(Tested(hypothesis, plates, marginal, shift=shift))
+            t = Tested(hypothesis, plates, marginal)
+            if self.is_incomplete:
+                as_plain = comparison_of(
+                    self.plain_cases, about(self.cases, hypothesis, plates), scatter=self.scatter
+                )
+                t = replace(t, cases=cases, as_plain=as_plain)
+            self.best = max(self.best, t.log_weight)
+            self.tested.append(replace(t, shift=self.shift_of(hypothesis, t)))
 
-    def shift_of(self, hypothesis: Hypothesis, marginal: Marginal) -> ShiftTable | None:
+    def shift_of(self, hypothesis: Hypothesis, t: Tested) -> ShiftTable | None:
         """The shifts of a hypothesis at the plain model's optimum, if it has a size and the same pairing."""
-        listed = hypothesis.listed
-        if not marginal.sizes or listed.missed or listed.spurious is not None or len(hypothesis.records) != 1:
+        listed, comparison = hypothesis.listed, t.as_plain or t.marginal.comparison
+        sizes = t.marginal.sizes
+        if not sizes or listed.missed or listed.spurious is not None or len(hypothesis.records) != 1:
             return None
         names = self.none.comparison.parameters.names
         at = dict(zip(names, self.none.best, strict=True))
-        middle = marginal.comparison.scores.to_x(np.zeros((1, marginal.comparison.parameters.size)))[0]
-        x = np.array(
-            [at.get(n, m) for n, m in zip(marginal.comparison.parameters.names, middle, strict=True)]
-        )
+        middle = comparison.scores.to_x(np.zeros((1, comparison.parameters.size)))[0]
+        x = np.array([at.get(n, m) for n, m in zip(comparison.parameters.names, middle, strict=True)])
         null = np.array([0.0 if p.null is None else p.null for p in hypothesis.parameters], dtype=float)
-        return shift_table(marginal.comparison, marginal.sizes, x, null)
+        return shift_table(comparison, sizes, x, null)
 
     def sampled(self, t: Tested, best: float) -> Tested:
         """A hypothesis by importance sampling, if it is near enough to the best."""

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from cpam_bayes.diagnosis.evidence.pairs import add_pairs
-from cpam_bayes.diagnosis.evidence.scan import Scan, Tested, is_repairing, marginal_of, ranked
+from cpam_bayes.diagnosis.evidence.scan import Scan, is_repairing, marginal_of
+from cpam_bayes.diagnosis.evidence.tested import Tested, prior_of, ranked
 from cpam_bayes.diagnosis.fitting import SCATTER, PlateCase
 from cpam_bayes.diagnosis.hypotheses import NONE, PAIR, Hypothesis, prior_by_cause
 
@@ -39,8 +40,17 @@ class Weighed:
 
     @property
     def none(self) -> Tested:
-        """The plain model."""
+        """The plain model, with its most probable pairing."""
         return next(t for t in self.tested if t.hypothesis.cause == NONE)
+
+    @property
+    def plain(self) -> tuple[tuple[Tested, float], ...]:
+        """The plain model with all its pairings and their fractions."""
+        variants = [t for t in self.tested if t.hypothesis.cause == NONE]
+        total = sum(t.probability for t in variants)
+        if not total > 0.0:
+            return ((variants[0], 1.0),)
+        return tuple((t, t.probability / total) for t in variants)
 
     def by_cause(self) -> dict[str, float]:
         """Probability of every cause, its variants summed, the most probable first."""
@@ -50,11 +60,12 @@ class Weighed:
         return dict(sorted(probability.items(), key=lambda item: -item[1]))
 
     def log_bayes_factor(self, causes: Collection[str]) -> float:
-        """Of causes against none, all their variants averaged over their priors."""
+        """Of causes against none, all variants averaged over their priors and pairings summed."""
         variants = [t for t in self.tested if t.hypothesis.cause in causes]
         prior = np.array([t.hypothesis.prior for t in variants])
         whole = sum(self.prior.get(cause, 0.0) for cause in {t.hypothesis.cause for t in variants})
-        return float(logsumexp([t.log_bayes_factor for t in variants], b=prior / max(whole, prior.sum())))
+        whole = max(whole, prior_of(variants))
+        return float(logsumexp([t.log_bayes_factor for t in variants], b=prior / whole))
 
     def best_of(self, cause: str) -> Tested:
         """The most probable variant of a cause."""
@@ -93,7 +104,7 @@ def weigh(
         order = ranked(sampled)
         if not moved:
             break
-    log_none = next(t for t in order if t.hypothesis.cause == NONE).marginal.log_evidence
+    log_none = float(logsumexp([t.marginal.log_evidence for t in order if t.hypothesis.cause == NONE]))
     log_weight = np.array([t.log_weight for t in order])
     probability = np.exp(log_weight - log_weight.max())
     probability /= probability.sum()
@@ -113,11 +124,14 @@ def _credited(tested: Sequence[Tested]) -> tuple[Tested, ...]:
     hypothesis more where its evidence is e^3 times that of the better one of its causes.
     """
     kept = {i: t.probability for i, t in enumerate(tested)}
+    evidence: dict[tuple[str, str, tuple[int, ...]], float] = {}
+    for t in tested:
+        evidence[t.key] = float(np.logaddexp(evidence.get(t.key, -np.inf), t.log_bayes_factor))
     for i, t in enumerate(tested):
         if t.hypothesis.family == PAIR:
             alone = [j for j, s in enumerate(tested) if s.hypothesis.cause in t.hypothesis.causes]
-            best = max(alone, key=lambda j: tested[j].log_bayes_factor)
-            if t.log_bayes_factor - tested[best].log_bayes_factor < PAIR_GAIN:
+            best = max(alone, key=lambda j: evidence[tested[j].key])
+            if evidence[t.key] - evidence[tested[best].key] < PAIR_GAIN:
                 kept[best] += kept.pop(i)
     order = sorted(kept, key=lambda i: -kept[i])
     return tuple(replace(tested[i], probability=kept[i]) for i in order)

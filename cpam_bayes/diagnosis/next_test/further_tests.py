@@ -122,7 +122,7 @@ def places(edges: str) -> list[tuple[str, str, tuple[float, float]]]:
 
 def _next_modes(t: Tested, about: int) -> Array:
     """The modes after the last one that a hypothesis has listed."""
-    return int(t.marginal.comparison.model.parts[about].modes[-1]) + 1 + np.arange(MORE_MODES)
+    return int(t.marginal.comparison.model.parts[about].modes.max()) + 1 + np.arange(MORE_MODES)
 
 
 def _loaded(plate: PlateModels, sensor: Sensor) -> tuple[PlateModels, PlateModel]:

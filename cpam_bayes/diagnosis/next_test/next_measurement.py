@@ -86,7 +86,7 @@ def next_measurements(
     about = next((t.plates[0] for t in leading if t.hypothesis.cause not in (NONE, OTHER)), 0)
     case = diagnosis.cases[about]
     candidates = []
-    last = max(int(t.marginal.comparison.model.parts[about].modes[-1]) for t in leading)
+    last = max(int(t.marginal.comparison.model.parts[about].modes.max()) for t in leading)
     for test in further_tests(diagnosis.cases, about, last, scatter, notify):
         notify(f"predicting {test.description}")
         try:

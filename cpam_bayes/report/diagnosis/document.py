@@ -9,7 +9,7 @@ from typing import Any
 from cpam_bayes import __version__
 from cpam_bayes.diagnosis.claim import Claim
 from cpam_bayes.diagnosis.diagnose import Cause, Diagnosis
-from cpam_bayes.diagnosis.evidence.weighing import Tested
+from cpam_bayes.diagnosis.evidence.tested import Tested, distinct_hypotheses, prior_of
 from cpam_bayes.diagnosis.extension import Resampled
 from cpam_bayes.diagnosis.fit import Fit
 from cpam_bayes.diagnosis.hypotheses import NONE, OTHER
@@ -56,7 +56,7 @@ def document(result: DiagnosisResult) -> dict[str, Any]:
         "claim_stands": d.sensitivity.claim_stands,
         "claims_by_prior_scales": dict(zip(_SCALES, map(_claim, d.sensitivity.claims), strict=True)),
         "hypotheses": [_hypothesis(d, cause) for cause in d.causes],
-        "baseline": _fit(d, d.baseline, ((d.weighed.none, 1.0),), result.plain),
+        "baseline": _fit(d, d.baseline, d.weighed.plain, result.plain),
         "extended": _extended(result),
         "averaged": _constants(averaged_rows(d)),
         "optima": [
@@ -106,7 +106,7 @@ def _hypothesis(d: Diagnosis, cause: Cause) -> dict[str, Any]:
         "plates": list(cause.plates),
         "absorbed": cause.absorbed,
         "visible_share": cause.visible,
-        "prior": sum(t.hypothesis.prior for t in d.weighed.tested if t.hypothesis.cause == cause.name),
+        "prior": prior_of([t for t in d.weighed.tested if t.hypothesis.cause == cause.name]),
     }
 
 
@@ -278,8 +278,7 @@ def _priors(d: Diagnosis) -> dict[str, Any]:
     families: dict[str, dict[str, float]] = defaultdict(lambda: defaultdict(float))
     effects: dict[str, dict[str, Any]] = {}
     pairs = 0.0
-    for t in d.weighed.tested:
-        h = t.hypothesis
+    for h in distinct_hypotheses(d.weighed.tested):
         if h.family == "pair":
             pairs += h.prior
             continue
@@ -290,7 +289,7 @@ def _priors(d: Diagnosis) -> dict[str, Any]:
             effects.setdefault(wide, {})[p.name] = _effect_prior(p)
     return {
         "none": d.weighed.none.hypothesis.prior,
-        "other": sum(t.hypothesis.prior for t in d.weighed.tested if t.hypothesis.cause == OTHER),
+        "other": prior_of([t for t in d.weighed.tested if t.hypothesis.cause == OTHER]),
         "pairs_tested": pairs,
         "families": {name: dict(causes) for name, causes in families.items()},
         "effects": effects,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from cpam_bayes.diagnosis.diagnose import Cause, Diagnosis
+from cpam_bayes.diagnosis.evidence.tested import distinct_hypotheses, prior_of
 from cpam_bayes.diagnosis.extension import Resampled
 from cpam_bayes.diagnosis.hypotheses import NONE, OTHER, P_NONE, P_PAIR
 from cpam_bayes.diagnosis.next_test.next_measurement import Candidate
@@ -317,10 +318,10 @@ def _next(candidates: Sequence[Candidate]) -> Table:
 
 
 def _work(d: Diagnosis, seed: int) -> Table:
-    noise = noise_of(((d.weighed.none, 1.0),))
+    noise = noise_of(d.weighed.plain)
     families = {t.hypothesis.family for t in d.weighed.tested} - {NONE, OTHER, "pair"}
     prior = d.weighed.none.hypothesis.prior
-    other = sum(t.hypothesis.prior for t in d.weighed.tested if t.hypothesis.cause == OTHER)
+    other = prior_of([t for t in d.weighed.tested if t.hypothesis.cause == OTHER])
     pairs = P_PAIR * (1.0 - prior) / (1.0 - P_NONE)
     rows = []
     if noise is not None:
@@ -332,6 +333,9 @@ def _work(d: Diagnosis, seed: int) -> Table:
             f"none {prior:g}, other {other:.3g}, two at once {pairs:.3g}, the rest evenly over "
             f"{len(families)} families of causes",
         ),
-        ("work", f"{len(d.weighed.tested)} hypotheses in {d.seconds:.1f} s, seed {seed}"),
+        (
+            "work",
+            f"{len(distinct_hypotheses(d.weighed.tested))} hypotheses in {d.seconds:.1f} s, seed {seed}",
+        ),
     ]
     return facts("Computation", tuple(rows))

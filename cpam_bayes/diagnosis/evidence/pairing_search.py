@@ -1,0 +1,198 @@
+"""The pairings of incomplete lists that carry probability, sought under the plain model.
+
+Every pairing is a hypothesis of its own about the list, and an evidence is the sum over them,
+sum_pi p(pi) Z(h, pi). Pairings are proposed by dynamic programming at draws of the prior and at optima, first
+with a large noise, so that what is wrong with the model is not taken for false peaks; with their neighbours
+they are fitted all at once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cpam_bayes.diagnosis.evidence.comparison import Comparison
+from cpam_bayes.diagnosis.evidence.optima import prior_draws
+from cpam_bayes.diagnosis.evidence.repairing import all_modes, repairings
+from cpam_bayes.diagnosis.fitting import PlateCase, comparison_of
+from cpam_bayes.diagnosis.hypotheses import NONE, Hypothesis
+from cpam_bayes.diagnosis.pairings import (
+    counted,
+    is_incomplete,
+    log_sum,
+    most_probable,
+    neighbours,
+    with_pairing,
+)
+
+Array = NDArray[Any]
+Cases = tuple[PlateCase, ...]
+
+# Draws of the prior, log2, the relative noises at which they propose pairings, and draws that do.
+_LOG2_DRAWS, _COARSE_NOISE, _PROPOSING = 10, (0.03, 0.01), 8
+# Relative noise that forgives the plain model what is wrong with it.
+_FORGIVING = 0.01
+# Rounds of fitting pairings and proposing others, and the best ones that propose.
+_ROUNDS, _LEADING = 5, 3
+# Pairings within so many nats of the best are kept, at most so many; those that other hypotheses begin with.
+_NEAR_NATS, _MOST, _SEEDS = 12.0, 8, 2
+
+
+@dataclass(frozen=True, slots=True)
+class PairedLists:
+    """One pairing of all lists.
+
+    cases : the plates with it
+    z : (s, n) scores of the plain parameters where fits of it ended; ``None`` where nothing was sought
+    value : log posterior density of the plain model there
+    """
+
+    cases: Cases
+    z: Array | None = None
+    value: float = 0.0
+
+    @property
+    def key(self) -> bytes:
+        """The same for equal pairings."""
+        return key_of(self.cases)
+
+
+def key_of(cases: Sequence[PlateCase]) -> bytes:
+    """The same for equal pairings of the lists."""
+    return b"".join(np.asarray(case.modes, dtype=np.int64).tobytes() for case in cases)
+
+
+def plain_pairings(
+    cases: Sequence[PlateCase], scatter: float
+) -> tuple[tuple[PairedLists, ...], tuple[PairedLists, ...]]:
+    """Pairings of incomplete lists that the plain model's evidence is over, and those that others begin with.
+
+    The latter are the best of the plain model and the best where its misfit is forgiven. Of several
+    incomplete lists the pairing of one at a time is varied, the others as they are most probable.
+    """
+    incomplete = [i for i, case in enumerate(cases) if is_incomplete(case)]
+    at = PairedLists(tuple(cases))
+    forgiven = at
+    kept: dict[bytes, PairedLists] = {}
+    seeds: dict[bytes, PairedLists] = {}
+    for i in incomplete:
+        rough = _sought(forgiven.cases, i, scatter, _FORGIVING, ())
+        fine = _sought(at.cases, i, scatter, 0.0, [p.cases[i].modes for p in rough[:_MOST]])
+        near = [p for p in fine[:_MOST] if p.value > fine[0].value - _NEAR_NATS]
+        at, forgiven = fine[0], rough[0]
+        kept = {p.key: p for p in (*near, *(_and(p, i, at) for p in kept.values()))}
+        seeds = {p.key: p for p in (*near[:1], *rough[:_SEEDS], *(_and(p, i, at) for p in seeds.values()))}
+    return tuple(kept.values()) or (at,), tuple(seeds.values()) or (at,)
+
+
+def _and(p: PairedLists, i: int, best: PairedLists) -> PairedLists:
+    """A pairing with the best one of the i-th list."""
+    return replace(p, cases=(*p.cases[:i], best.cases[i], *p.cases[i + 1 :]))
+
+
+def in_order(cases: Sequence[PlateCase]) -> Cases:
+    """The plates with every frequency of an incomplete list given to a mode, none false."""
+    return tuple(with_pairing(c, _filled(c)) if is_incomplete(c) else c for c in cases)
+
+
+def own_pairing(
+    cases: Sequence[PlateCase],
+    hypothesis: dict[int, Hypothesis] | Hypothesis,
+    i: int,
+    x: Array,
+    scatter: float,
+) -> Cases:
+    """The lists with the most probable pairing of the i-th one at parameters x (n,) of a hypothesis."""
+    whole = comparison_of(in_order(cases), hypothesis, scatter=scatter)
+    predicted, sigma = _at(whole, i, x[None], cases)
+    modes = most_probable(cases[i], predicted[0], sigma[0])
+    return _with(cases, i, counted(with_pairing(cases[i], modes), predicted[0]))
+
+
+def recounted(
+    cases: Sequence[PlateCase], hypothesis: dict[int, Hypothesis] | Hypothesis, x: Array, scatter: float
+) -> Cases:
+    """The same pairings with the missed modes above their last one counted at parameters x (n,)."""
+    open_ended = [i for i, c in enumerate(cases) if is_incomplete(c) and c.modes[-1] < 0]
+    if not open_ended:
+        return tuple(cases)
+    whole = comparison_of(in_order(cases), hypothesis, scatter=scatter)
+    for i in open_ended:
+        cases = _with(cases, i, counted(cases[i], _at(whole, i, x[None], cases)[0][0]))
+    return tuple(cases)
+
+
+def _sought(
+    cases: Cases, i: int, scatter: float, forgiven: float, first: Sequence[Array]
+) -> list[PairedLists]:
+    """Pairings of the i-th list that were fitted, the most probable first; forgiven : relative misfit."""
+    nothing = Hypothesis(NONE, NONE)
+    plain = _forgiving(comparison_of(in_order(cases), nothing, scatter=scatter), forgiven)
+    known = np.zeros((1, plain.parameters.size))
+    proposed = [*first, *_from_draws(plain, cases, i)]
+    fitted: dict[bytes, PairedLists] = {}
+    for _ in range(_ROUNDS):
+        new: dict[bytes, Cases] = {}
+        for modes in proposed:
+            trial = _with(cases, i, with_pairing(cases[i], modes))
+            if key_of(trial) not in fitted and np.isfinite(trial[i].log_pairing) and np.any(modes >= 0):
+                new[key_of(trial)] = trial
+        if not new:
+            break
+        variants = [_forgiving(comparison_of(c, nothing, scatter=scatter), forgiven) for c in new.values()]
+        for (key, trial), fit in zip(new.items(), repairings(plain, variants, known), strict=True):
+            x = plain.scores.to_x(fit.z[:1])
+            again = _with(trial, i, counted(trial[i], _at(plain, i, x, cases)[0][0]))
+            value = fit.log_density + again[i].log_pairing - trial[i].log_pairing
+            fitted[key] = PairedLists(again, fit.z, value)
+        best = sorted(fitted.values(), key=lambda p: -p.value)
+        proposed = neighbours(best[0].cases[i])
+        known = best[0].z if best[0].z is not None else known
+        for p in best[:_LEADING]:
+            assert p.z is not None
+            predicted, sigma = _at(plain, i, plain.scores.to_x(p.z), cases)
+            proposed += [most_probable(cases[i], f, s) for f, s in zip(predicted, sigma, strict=True)]
+    return sorted(fitted.values(), key=lambda p: -p.value)
+
+
+def _from_draws(plain: Comparison, cases: Cases, i: int) -> list[Array]:
+    """Pairings that are most probable at draws of the prior, with a large noise."""
+    draws = prior_draws(plain, (), _LOG2_DRAWS)
+    x = plain.scores.to_x(draws)
+    x = x[plain.model.admissible(x)]
+    predicted, _ = _at(plain, i, x, cases)
+    case, proposed = cases[i], []
+    for noise in _COARSE_NOISE:
+        best = np.argsort(-log_sum(case, predicted, noise), kind="stable")[:_PROPOSING]
+        sigma = noise * case.measurement.frequencies
+        proposed += [most_probable(case, predicted[k], sigma) for k in best]
+    return proposed
+
+
+def _at(whole: Comparison, i: int, x: Array, cases: Sequence[PlateCase]) -> tuple[Array, Array]:
+    """Predictions (m, k) of all modes of the i-th plate and standard deviations (m, n) of its frequencies."""
+    wide, offsets = all_modes(whole)
+    first = sum(case.measurement.size for case in cases[:i])
+    f, _ = wide.predict(x)
+    end = offsets[i + 1] if i + 1 < len(offsets) else f.shape[1]
+    sigma = np.sqrt(whole.variance(x))
+    return f[:, offsets[i] : end], sigma[:, first : first + cases[i].measurement.size]
+
+
+def _forgiving(comparison: Comparison, relative: float) -> Comparison:
+    listed = comparison.listed
+    variance = listed.variance + (relative * listed.frequencies) ** 2
+    return replace(comparison, listed=replace(listed, variance=variance))
+
+
+def _with(cases: Sequence[PlateCase], i: int, case: PlateCase) -> Cases:
+    return (*cases[:i], case, *cases[i + 1 :])
+
+
+def _filled(case: PlateCase) -> Array:
+    """Modes of a list whose false peaks have any mode: what stands for the whole list."""
+    return np.where(case.modes >= 0, case.modes, 0)
