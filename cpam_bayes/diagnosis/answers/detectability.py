@@ -53,8 +53,10 @@ def detectable(weighed: Weighed) -> tuple[Detectable, ...]:
 
     The lists are simulated at the plain model's optimum with a cause of some size and noise as stated, or
     from the posterior of the repeatability; a claim is made as for the lists themselves, by the evidences of
-    all causes (`linear_oracle`). Sizes share the draws of the noise.
+    all causes (`linear_oracle`). Sizes share the draws of the noise. Incomplete lists are paired as is most
+    probable under the plain model.
     """
+    weighed = weighed.in_plain_pairing()
     lines = shift_lines(weighed.tested, weighed.none.marginal)
     oracle = linear_oracle(weighed, lines, _DRAWS, np.random.default_rng(_SEED))
     answers = []

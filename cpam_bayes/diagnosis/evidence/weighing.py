@@ -52,6 +52,20 @@ class Weighed:
             return ((variants[0], 1.0),)
         return tuple((t, t.probability / total) for t in variants)
 
+    def in_plain_pairing(self) -> Weighed:
+        """Every hypothesis once, with the pairing of incomplete lists that the plain model has."""
+        if not self.none.cases:
+            return self
+        first: dict[tuple[str, str, tuple[int, ...]], Tested] = {}
+        for t in self.tested:
+            if t.key not in first or (first[t.key].shift is None and t.shift is not None):
+                first[t.key] = t
+        tested = tuple(
+            replace(t, marginal=replace(t.marginal, comparison=t.as_plain or t.marginal.comparison))
+            for t in first.values()
+        )
+        return replace(self, tested=tested)
+
     def by_cause(self) -> dict[str, float]:
         """Probability of every cause, its variants summed, the most probable first."""
         probability: dict[str, float] = defaultdict(float)
