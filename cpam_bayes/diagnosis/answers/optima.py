@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cpam_bayes.diagnosis.evidence.optima import distinct
-from cpam_bayes.diagnosis.evidence.scan import Tested
+from cpam_bayes.diagnosis.evidence.tested import Tested
 from cpam_bayes.diagnosis.fitting import PlateCase
 from cpam_bayes.inference.optimise import maximise
 from cpam_bayes.inference.standard_normal import MAX_SCORE
@@ -63,13 +63,16 @@ def open_optima(t: Tested, cases: Sequence[PlateCase]) -> tuple[OpenOptimum, ...
         return ()
     sizes = {p.name for p in t.hypothesis.parameters}
     found = []
-    for k in carry:
-        x = comparison.scores.to_x(z[k])
+    for best in carry:
+        x = comparison.scores.to_x(z[best])
         names = comparison.model.parameters.names
         constants = {name: float(value) for name, value in zip(names, x, strict=False) if name not in sizes}
         modes = []
-        for case, part in zip(cases, comparison.model.parts, strict=True):
+        for case, part in zip(t.cases or cases, comparison.model.parts, strict=True):
             every = case.models.bare.full.modes(part.plate_vector(x[None])[0])
-            modes.append(tuple(every[j].label if j < len(every) else "" for j in part.modes))
-        found.append(OpenOptimum(float(fraction[k]), constants, tuple(modes)))
+            labels = [every[j].label if j < len(every) else "" for j in part.modes]
+            for k in np.flatnonzero(case.modes < 0):  # false peaks of an incomplete list
+                labels.insert(int(k), "")
+            modes.append(tuple(labels))
+        found.append(OpenOptimum(float(fraction[best]), constants, tuple(modes)))
     return tuple(found)
