@@ -21,7 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cpam_bayes.diagnosis.cases import hypotheses_of, plate_case
-from cpam_bayes.diagnosis.evidence.scan import Scan, Tested, is_repairing, ranked
+from cpam_bayes.diagnosis.evidence.scan import Scan, is_repairing
+from cpam_bayes.diagnosis.evidence.tested import Tested, ranked
 from cpam_bayes.diagnosis.fitting import SCATTER, PlateCase, comparison_of
 from cpam_bayes.diagnosis.hypotheses import NONE, OTHER, Hypothesis
 from cpam_bayes.plate import Measurement, Specimen, builtin, read_plate
