@@ -7,7 +7,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING, Final
 
-from cpam_bayes.commands.options import Commands, add_command, positive
+from cpam_bayes.commands.options import Commands, add_command, add_executor_options, positive
 
 if TYPE_CHECKING:
     from cpam_bayes.result import Result
@@ -53,6 +53,7 @@ def add(commands: Commands) -> None:
         action="store_true",
         help="sample the constants of the extended model by emcee too",
     )
+    add_executor_options(command)
 
 
 def prepare(args: argparse.Namespace) -> Callable[[], Result]:
@@ -68,5 +69,7 @@ def prepare(args: argparse.Namespace) -> Callable[[], Result]:
         prior_none=args.prior_none,
         next_test=args.next,
         emcee=args.emcee,
+        executor=args.executor or "processes",
+        workers=args.workers,
         watch=Terminal(args.quiet),
     )

@@ -6,7 +6,7 @@ import hashlib
 import json
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from cpam_bayes.effects import Effect, PlateFacts, extend
 from cpam_bayes.forward_model.local.basis import point_mass_model
 from cpam_bayes.forward_model.local.model import LocalModel
-from cpam_bayes.forward_model.local.store import stored_local_model
+from cpam_bayes.forward_model.local.store import local_model_path, stored_local_model
 from cpam_bayes.forward_model.model import (
     PlateModel,
     Samples,
@@ -26,7 +26,7 @@ from cpam_bayes.forward_model.model import (
 )
 from cpam_bayes.forward_model.reduced import ReducedModel, ReductionSettings
 from cpam_bayes.forward_model.reduction import reduce
-from cpam_bayes.forward_model.store import model_key, stored_model
+from cpam_bayes.forward_model.store import model_key, model_path, stored_model, without_matrices
 from cpam_bayes.forward_model.theory_error import theory_error
 from cpam_bayes.mechanics.convergence import converge
 from cpam_bayes.mechanics.problem import Field, Problem
@@ -113,18 +113,22 @@ def plate_models(
     notify: Callable[[str], None] = lambda text: None,
     *,
     other_material: bool = False,
+    built: ReducedModel | None = None,
 ) -> PlateModels:
-    """Converge a plate over its priors and reduce it."""
-    parameters = diagnosis_parameters(specimen, other_material=other_material)
-    problem = replace(plate_problem(specimen, parameters), rigid_content=_CONTENT)
-    key = model_key(specimen, parameters, n_modes, ENERGY_CONSISTENT, _REDUCTION, None)
-    samples = convergence_samples(specimen, problem)
+    """Converge a plate over its priors and reduce it.
+
+    built : what ``built_bare`` gave elsewhere, to be stored in place of one built here
+    """
+    parameters, problem, samples = _bare(specimen, other_material)
 
     def build() -> ReducedModel:
+        if built is not None:
+            return built
         notify(f"{specimen.name}: converging the plate")
         return _reduced(_converged(problem, samples, n_modes))
 
-    bare = stored_model(_hash(key, "bare"), problem, samples.x, n_modes, build)
+    key = model_key(specimen, parameters, n_modes, ENERGY_CONSISTENT, _REDUCTION, None)
+    bare = stored_model(_hash(key, "bare"), problem, samples.x, n_modes, build, light=other_material)
     assert bare.full.basis is not None
     settings, keep = bare.full.basis
     middle = reference_vector(specimen, parameters)
@@ -153,36 +157,87 @@ def plate_models(
 
 
 @single_blas_thread
+def built_bare(specimen: Specimen, n_modes: int) -> ReducedModel:
+    """The plate over the search bounds of its constants, built anew and not stored."""
+    _, problem, samples = _bare(specimen, other_material=True)
+    return without_matrices(_reduced(_converged(problem, samples, n_modes)))
+
+
+def is_bare_stored(specimen: Specimen, n_modes: int) -> bool:
+    """Whether the plate over the search bounds of its constants is on disk."""
+    parameters = diagnosis_parameters(specimen, other_material=True)
+    key = model_key(specimen, parameters, n_modes, ENERGY_CONSISTENT, _REDUCTION, None)
+    return model_path(_hash(key, "bare")).exists()
+
+
+def _bare(specimen: Specimen, other_material: bool) -> tuple[ParameterSet, Problem, Samples]:
+    parameters = diagnosis_parameters(specimen, other_material=other_material)
+    problem = replace(plate_problem(specimen, parameters), rigid_content=_CONTENT)
+    return parameters, problem, convergence_samples(specimen, problem)
+
+
+@single_blas_thread
 def extended_model(
-    plate: PlateModels, effect: Effect, notify: Callable[[str], None] = lambda text: None
+    plate: PlateModels,
+    effect: Effect,
+    notify: Callable[[str], None] = lambda text: None,
+    built: ReducedModel | LocalModel | None = None,
 ) -> ReducedModel | LocalModel:
-    """The reduced model of a plate with an effect, over the priors of both.
+    """The reduced model of a plate with an effect, over the priors of both, from disk or built.
+
+    built : what ``built_model`` gave elsewhere, to be stored in place of one built here
+    """
+
+    def build() -> ReducedModel | LocalModel:
+        if built is not None:
+            return built
+        notify(f"{plate.specimen.name}: building {effect.name} {effect.variant}".rstrip())
+        return built_model(plate, effect)
+
+    key = _effect_key(plate, effect)
+    if effect.is_anywhere:
+        return stored_local_model(
+            key, plate.problem, effect.parameter_set, lambda: cast("LocalModel", build())
+        )
+    problem, samples = _extended(plate, effect)
+    reduced = cast("Callable[[], ReducedModel]", build)
+    return stored_model(key, problem, samples, plate.n_modes, reduced, light=True)
+
+
+@single_blas_thread
+def built_model(plate: PlateModels, effect: Effect) -> ReducedModel | LocalModel:
+    """The model of a plate with an effect, built anew and not stored; the matrices of ``plate`` are not used.
 
     Where the effect changes the edges or couples bending with stretching the space is converged anew. An
     effect at any place has one model for all places.
     """
-    priors = [[p.name, repr(p.prior)] for p in effect.parameters]
-    key = _hash(plate.key, json.dumps([effect.name, effect.variant, effect.place, priors]))
     if effect.is_anywhere:
+        return local_model(plate, effect)
+    problem, samples = _extended(plate, effect)
+    if needs_another_space(problem, effect, plate):
+        full = _converged(problem, Samples(samples, np.ones(2)), plate.n_modes)
+    else:
+        full = model_on_basis(problem, samples, plate.n_modes, plate.error, (plate.settings, plate.keep))
+    return without_matrices(_reduced(full, light=True))
 
-        def build_local() -> LocalModel:
-            notify(f"{plate.specimen.name}: building {effect.name}")
-            return local_model(plate, effect)
 
-        return stored_local_model(key, plate.problem, effect.parameter_set, build_local)
-    problem = extend(plate.problem, effect, plate.facts)
+def is_stored(plate: PlateModels, effect: Effect) -> bool:
+    """Whether the model of a plate with an effect is on disk."""
+    key = _effect_key(plate, effect)
+    return (local_model_path(key) if effect.is_anywhere else model_path(key)).exists()
+
+
+def _effect_key(plate: PlateModels, effect: Effect) -> str:
+    priors = [[p.name, repr(p.prior)] for p in effect.parameters]
+    return _hash(plate.key, json.dumps([effect.name, effect.variant, effect.place, priors]))
+
+
+def _extended(plate: PlateModels, effect: Effect) -> tuple[Problem, Array]:
+    """A plate with an effect, and parameter vectors (2, n) without and with it."""
     values = [effect.null, effect.scaled(1.0)]
     added = np.array([[v[p.name] for p in effect.parameters] for v in values])
     samples = np.column_stack((np.repeat(plate.samples.x[:1], 2, axis=0), added))
-
-    def build() -> ReducedModel:
-        notify(f"{plate.specimen.name}: building {effect.name} {effect.variant}".rstrip())
-        if needs_another_space(problem, effect, plate):
-            return _reduced(_converged(problem, Samples(samples, np.ones(2)), plate.n_modes))
-        basis = (plate.settings, plate.keep)
-        return _reduced(model_on_basis(problem, samples, plate.n_modes, plate.error, basis))
-
-    return stored_model(key, problem, samples, plate.n_modes, build, light=True)
+    return extend(plate.problem, effect, plate.facts), samples
 
 
 def local_model(plate: PlateModels, effect: Effect) -> LocalModel:
@@ -202,9 +257,9 @@ def _converged(problem: Problem, samples: Samples, n_modes: int) -> PlateModel:
     return PlateModel(converged.operator, n_modes, converged.error, (converged.settings, converged.keep))
 
 
-def _reduced(full: PlateModel) -> ReducedModel:
+def _reduced(full: PlateModel, *, light: bool = False) -> ReducedModel:
     # the seed is fixed: a model does not depend on the run that first needed it
-    return reduce(full, np.random.default_rng(0), _REDUCTION)
+    return reduce(full, np.random.default_rng(0), _REDUCTION, light=light)
 
 
 def needs_another_space(problem: Problem, effect: Effect, plate: PlateModels) -> bool:

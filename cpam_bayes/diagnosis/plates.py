@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from typing import ClassVar, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cpam_bayes.diagnosis.building import build_models
 from cpam_bayes.diagnosis.cases import hypotheses_of, plate_case
 from cpam_bayes.diagnosis.diagnose import Diagnosis, diagnose_cases
 from cpam_bayes.diagnosis.extension import Resampled, resample
@@ -27,6 +29,7 @@ from cpam_bayes.forward_model.preconditions import (
     require_number,
     require_seed,
 )
+from cpam_bayes.parallel import open_executor
 from cpam_bayes.plate import PlateLike, Specimen, read_plate
 from cpam_bayes.result import SILENT, Result, Watch
 
@@ -96,6 +99,8 @@ def diagnose(
     next_test: Literal["open", "always", "never"] = "open",
     emcee: bool = False,
     catalogue: tuple[Effect, ...] = CATALOGUE,
+    executor: str = "serial",
+    workers: int | None = None,
     watch: Watch = SILENT,
 ) -> DiagnosisResult:
     """What the simulation gets wrong, its cause by probability, the extended model and what it gains.
@@ -109,6 +114,9 @@ def diagnose(
     next_test : when to rank further tests: while the cause is "open", "always", or "never"
     emcee : whether to sample the constants of the extended model by emcee too
     catalogue : the effects that the plates may have
+    executor, workers : where models that are not on disk are built: "serial", in this process; "processes",
+        as many as cores or ``workers``, which needs the call under ``if __name__ == "__main__":`` in a
+        script; or a Dask cluster, see `cpam_bayes.parallel.open_executor`. The answer is the same
     watch : is shown the progress
 
     Raises
@@ -139,7 +147,8 @@ def diagnose(
     for specimen in specimens:
         with explained_failures(specimen):
             cases.append(plate_case(specimen, announce))
-    diagnosis = _diagnosed(cases, title, scatter, prior_none, catalogue, watch)
+    with open_executor(executor, workers) as pool:
+        diagnosis = _diagnosed(cases, title, scatter, prior_none, catalogue, pool, watch)
     candidates: tuple[Candidate, ...] = ()
     if next_test != "never":
         always = next_test == "always"
@@ -183,6 +192,7 @@ def _diagnosed(
     scatter: float,
     prior_none: float | None,
     catalogue: tuple[Effect, ...],
+    executor: Executor | None,
     watch: Watch,
 ) -> Diagnosis:
     hypotheses = hypotheses_of(cases, catalogue)
@@ -197,6 +207,11 @@ def _diagnosed(
             elif done == n + 1:
                 shown.notify(f"{total - n} pairs of causes")
 
+        def built(done: int, total: int) -> None:
+            if done == total or done % max(1, total // 10) == 0:
+                shown.notify(f"building {done} of {total} models")
+
+        build_models(cases, hypotheses, executor, built)
         return diagnose_cases(
             cases, hypotheses=hypotheses, scatter=scatter, notify=shown.notify, progress=progress
         )

@@ -59,7 +59,7 @@ class ReducedModel:
     """A plate on a small basis: parameter vectors in, frequencies and their errors out.
 
     fast : the projected operator.
-    residuals : one ``ResidualForm`` a block.
+    residuals : one ``ResidualForm`` a block, none of a model that knows no errors.
     reference : (8, 8) laminate stiffness of the residuals' norm.
     rounding : () what rounding in the full space may add to an eigenvalue, (rad/s)^2, for the reference
     stiffness.
@@ -128,15 +128,15 @@ def _residual_norms(
         sets, modes = np.nonzero(spectrum.block == b)
         if not len(sets):
             continue
-        distinct = np.unique(sets)
         n_k = len(block.stiffness.active)
         n_terms, n, r = form.images.shape
-        flat = form.images.reshape(n_terms, n * r)
-        k_image = (stiffness[np.ix_(distinct, block.stiffness.active)] @ flat[:n_k]).reshape(-1, n, r)
-        m_image = (mass[np.ix_(distinct, block.mass.active)] @ flat[n_k:]).reshape(-1, n, r)
-        place = np.searchsorted(distinct, sets)
-        v = spectrum.vectors[b][sets, :, spectrum.column[sets, modes], None]
+        v = spectrum.vectors[b][sets, :, spectrum.column[sets, modes]]
         lam = spectrum.eigenvalues[sets, modes]
-        residual = (k_image[place] @ v - lam[:, None, None] * (m_image[place] @ v))[..., 0]
+        weight = np.empty((len(sets), n_terms, r))
+        weight[:, :n_k] = stiffness[sets][:, block.stiffness.active, None] * v[:, None]
+        weight[:, n_k:] = -(lam[:, None] * mass[sets][:, block.mass.active])[..., None] * v[:, None]
+        # one product for all modes: K and M of every set would be far larger than the modes
+        images = np.moveaxis(form.images, 1, 0).reshape(n, n_terms * r)
+        residual = weight.reshape(len(sets), n_terms * r) @ images.T
         eta[sets, modes] = np.sum(residual**2, axis=-1) / lam
     return eta

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any
 
@@ -56,7 +56,11 @@ def _compress(matrix: AffineMatrix, coefficients: Array) -> AffineMatrix:
 
 
 def reduce(
-    model: PlateModel, rng: np.random.Generator, settings: ReductionSettings = DEFAULT_SETTINGS
+    model: PlateModel,
+    rng: np.random.Generator,
+    settings: ReductionSettings = DEFAULT_SETTINGS,
+    *,
+    light: bool = False,
 ) -> ReducedModel:
     """A reduced model that holds over the prior box of a converged plate.
 
@@ -66,6 +70,8 @@ def reduce(
     other sets and the corners of the box, those with the largest error estimates and a few more then
     join the training,
     until none of their errors is large.
+
+    light : without residuals, for a model that only predictions are asked of
     """
     x = training_sets(model.operator.problem, settings.training, rng)
     stiffness, mass = model.coefficients(x)
@@ -91,12 +97,14 @@ def reduce(
             for block, rigid in zip(operator.blocks, bases, strict=True)
         ]
     checks = np.vstack((_corners(model), training_sets(model.operator.problem, settings.checks, rng)))
-    for _ in range(settings.rounds):
+    for last in (*(False,) * (settings.rounds - 1), True):
         bases = [
             _greedy_basis(b, operator, stiffness, mass, spectrum, basis, settings.tolerance)
             for b, basis in enumerate(bases)
         ]
-        reduced = _assemble(model, operator, bases, reference)
+        reduced = _assemble(model, operator, bases, reference, light=light and last)
+        if last:
+            break
         # the estimate does not see a mode that the basis lacks altogether: some sets are solved anyway
         estimate = reduced.error(checks).max(axis=1)
         doubtful = np.argsort(estimate)[::-1][: settings.checks // 10]
@@ -108,7 +116,7 @@ def reduce(
         if not len(doubtful) and error.max() <= 2.0 * settings.tolerance:
             break
         checks = np.delete(checks, examined, axis=0)
-    return reduced
+    return replace(reduced, residuals=()) if light else reduced
 
 
 def _corners(model: PlateModel) -> Array:
@@ -254,11 +262,11 @@ def _cleaned(mass: AffineMatrix) -> AffineMatrix:
 
 
 def _assemble(
-    model: PlateModel, operator: DenseOperator, bases: list[Array], reference: _Reference
+    model: PlateModel, operator: DenseOperator, bases: list[Array], reference: _Reference, *, light: bool
 ) -> ReducedModel:
     """The reduced model on given bases; blocks without a mode in range are left out."""
     used = [b for b, v in enumerate(bases) if v.size]
-    forms = [_residual_form(operator.blocks[b], bases[b], reference.factors[b]) for b in used]
+    forms = [_residual_form(operator.blocks[b], bases[b], reference.factors[b]) for b in used if not light]
     blocks = tuple(_projected_block(operator.blocks[b], bases[b]) for b in used)
     fast = AffineOperator(operator.problem, operator.space, blocks)
     return ReducedModel(

@@ -36,7 +36,7 @@ from cpam_bayes.threads import single_blas_thread
 Array = NDArray[Any]
 
 # To be raised when the same inputs give other numbers.
-_FORMAT = 6
+_FORMAT = 7
 _NEEDED = {"basis", "keep", "error", "reference", "rounding"}
 
 
@@ -131,7 +131,7 @@ def stored_model(
     light : without the matrices of the full space, which take most of the time and memory; only predictions
     are asked of it.
     """
-    path = (directory or cache_directory()) / f"{key}.npz"
+    path = model_path(key, directory)
     stored = read_arrays(path)
     if stored is not None and stored.keys() >= _NEEDED:
         error, basis = stored["error"], _basis(stored)
@@ -140,11 +140,20 @@ def stored_model(
         return _unpack(stored, model_on_basis(problem, samples, n_modes, error, basis))
     reduced = build()
     write_arrays(path, _pack(reduced))
-    if light:
-        assert reduced.full.basis is not None
-        full = _without_matrices(problem, n_modes, reduced.full.error, reduced.full.basis)
-        return replace(reduced, full=full)
-    return reduced
+    return without_matrices(reduced) if light else reduced
+
+
+def without_matrices(reduced: ReducedModel) -> ReducedModel:
+    """A reduced model without the matrices of the full space; only predictions are asked of it."""
+    full = reduced.full
+    assert full.basis is not None
+    problem = full.operator.problem
+    return replace(reduced, full=_without_matrices(problem, full.n_modes, full.error, full.basis))
+
+
+def model_path(key: str, directory: Path | None = None) -> Path:
+    """File of the reduced model with a key."""
+    return (directory or cache_directory()) / f"{key}.npz"
 
 
 def _without_matrices(
@@ -169,8 +178,9 @@ def _pack(reduced: ReducedModel) -> dict[str, Array]:
         "reference": reduced.reference,
         "rounding": reduced.rounding,
     }
-    for i, (block, form) in enumerate(zip(reduced.fast.operator.blocks, reduced.residuals, strict=True)):
+    for i, form in enumerate(reduced.residuals):
         arrays[f"{i}_images"] = form.images
+    for i, block in enumerate(reduced.fast.operator.blocks):
         arrays[f"{i}_n_terms"] = np.array(block.n_terms)
         for name, matrix in (("stiffness", block.stiffness), ("mass", block.mass)):
             arrays[f"{i}_{name}"], arrays[f"{i}_{name}_active"] = matrix.stack, matrix.active
@@ -179,7 +189,7 @@ def _pack(reduced: ReducedModel) -> dict[str, Array]:
 
 def _unpack(stored: dict[str, Array], full: PlateModel) -> ReducedModel:
     blocks, forms = [], []
-    for i in range(sum(name.endswith("_images") for name in stored)):
+    for i in range(sum(name.endswith("_n_terms") for name in stored)):
         stiffness, mass = (
             AffineMatrix(stored[f"{i}_{name}"], stored[f"{i}_{name}_active"])
             for name in ("stiffness", "mass")
@@ -187,7 +197,8 @@ def _unpack(stored: dict[str, Array], full: PlateModel) -> ReducedModel:
         n_k, n_m = stored[f"{i}_n_terms"].tolist()
         index = np.arange(stiffness.stack.shape[-1])
         blocks.append(DenseBlock(stiffness, mass, index, (n_k, n_m)))
-        forms.append(ResidualForm(stored[f"{i}_images"]))
+        if f"{i}_images" in stored:
+            forms.append(ResidualForm(stored[f"{i}_images"]))
     operator = AffineOperator(full.operator.problem, full.operator.space, tuple(blocks))
     fast = PlateModel(operator, full.n_modes, full.error)
     return ReducedModel(full, fast, tuple(forms), stored["reference"], stored["rounding"])

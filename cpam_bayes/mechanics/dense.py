@@ -22,11 +22,12 @@ MATRICES: tuple[MatrixKind, MatrixKind] = ("stiffness", "mass")
 
 
 class FamilyValues:
-    """Values of one-dimensional families at quadrature points, computed once for all forms of a problem."""
+    """One-dimensional families and integrals of their products, computed once for all forms of a problem."""
 
     def __init__(self) -> None:
         # The key holds identities, so the arrays and families are kept as long as the values are.
         self._values: dict[tuple[int, int, bool], tuple[Family, Array, Array]] = {}
+        self._overlaps: dict[tuple[object, ...], tuple[Family, Family, Array]] = {}
 
     def at(self, family: Family, t: Array, derivative: bool) -> Array:
         """Functions or first derivatives of a family at points (n,), (n, size)."""
@@ -34,6 +35,25 @@ class FamilyValues:
         if key not in self._values:
             self._values[key] = (family, t, family.evaluate(t, derivative))
         return self._values[key][2]
+
+    def overlap(
+        self,
+        left: tuple[Family, bool],
+        right: tuple[Family, bool],
+        axis: str,
+        weight: object,
+        t: Array,
+        w: Array,
+    ) -> Array:
+        """Integrals of products of functions or derivatives of two families, (left.size, right.size).
+
+        weight : what the points t and weights w (n,) on an axis follow from
+        """
+        key = (id(left[0]), left[1], id(right[0]), right[1], axis, weight)
+        if key not in self._overlaps:
+            weighted = w[:, None] * self.at(right[0], t, right[1])
+            self._overlaps[key] = (left[0], right[0], self.at(left[0], t, left[1]).T @ weighted)
+        return self._overlaps[key][2]
 
 
 def _area_pieces(form: Form, space: RitzSpace, values: FamilyValues) -> list[Piece]:
@@ -64,13 +84,14 @@ def _overlap(
     """One-dimensional integrals of products of two families; ``None`` where they vanish by parity."""
     in_left, in_right = form.left.derivative == axis, form.right.derivative == axis
     parity = left.parity * right.parity * (-1) ** (in_left + in_right)
+    profile = None
     if isinstance(form.weight, Product):
         profile = form.weight.x if axis == "x" else form.weight.y
         parity *= profile.parity
         w = w * profile(t)
     if parity < 0:
         return None
-    return np.asarray(values.at(left, t, in_left).T @ (w[:, None] * values.at(right, t, in_right)))
+    return values.overlap((left, in_left), (right, in_right), axis, profile, t, w)
 
 
 def _general_pieces(form: Form, space: RitzSpace) -> list[Piece]:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cpam_bayes.mechanics.problem import Atom, Field
-from cpam_bayes.mechanics.spaces.ritz import Family, RitzSpace
+from cpam_bayes.mechanics.spaces.ritz import Family, RitzSpace, legendre_values
 
 Array = NDArray[Any]
 
@@ -71,7 +71,7 @@ class PointValues:
         t = self._t
         highest = int(family.degrees.max(initial=0))
         if self._legendre is None or self._legendre[0].shape[-1] <= highest:
-            self._legendre = _legendre(t, highest + 2)
+            self._legendre = legendre_values(t, highest + 2)
         columns = [self._legendre[int(derivative)][..., family.degrees]]
         for r in family.rates:
             near, far = np.exp(-r * t), np.exp(-r * (1 - t))
@@ -80,20 +80,6 @@ class PointValues:
             by_sign = {1: near + far, -1: near - far, 2: near, 3: far}
             columns += [by_sign[sign][..., None] for sign in family.signs]
         return np.concatenate(columns, axis=-1)
-
-
-def _legendre(t: Array, n: int) -> tuple[Array, Array]:
-    """Orthonormal Legendre polynomials on [0, 1] of degrees below n and their derivatives, (..., n) each."""
-    s = 2.0 * t - 1.0
-    p, d = np.zeros((n, *t.shape)), np.zeros((n, *t.shape))
-    p[0] = 1.0
-    if n > 1:
-        p[1], d[1] = s, 1.0
-    for k in range(1, n - 1):
-        p[k + 1] = ((2 * k + 1) * s * p[k] - k * p[k - 1]) / (k + 1)
-        d[k + 1] = d[k - 1] + (2 * k + 1) * p[k]
-    root = np.sqrt(2.0 * np.arange(n) + 1.0)
-    return np.moveaxis(p, 0, -1) * root, 2.0 * np.moveaxis(d, 0, -1) * root
 
 
 def values_at_points(

@@ -24,7 +24,7 @@ from cpam_bayes.threads import single_blas_thread
 Array = NDArray[Any]
 
 # To be raised when the same inputs give other numbers.
-_FORMAT = 2
+_FORMAT = 3
 
 
 @single_blas_thread
@@ -42,12 +42,17 @@ def stored_local_model(
 
     It is the same bit for bit whether it was read or built.
     """
-    path = (directory or cache_directory()) / f"{key}-local{_FORMAT}.npz"
+    path = local_model_path(key, directory)
     stored = read_arrays(path)
     if stored is None or "scalars" not in stored:
         stored = _pack(build())
         write_arrays(path, stored)
     return _unpack(stored, problem, added)
+
+
+def local_model_path(key: str, directory: Path | None = None) -> Path:
+    """File of the model with a key."""
+    return (directory or cache_directory()) / f"{key}-local{_FORMAT}.npz"
 
 
 def _pack(model: LocalModel) -> dict[str, Array]:

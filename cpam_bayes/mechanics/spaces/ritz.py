@@ -137,11 +137,7 @@ def _raw(
     degrees: Array, rates: tuple[float, ...], signs: tuple[int, ...], t: Array, derivative: bool
 ) -> Array:
     """Legendre polynomials and e(-r t) + sign e(-r (1 - t)); sign 0 stands for the two ends apart."""
-    columns = []
-    for n in degrees:
-        c = np.zeros(int(n) + 1)
-        c[-1] = np.sqrt(2 * n + 1)
-        columns.append(legendre.legval(2 * t - 1, 2 * legendre.legder(c) if derivative else c))
+    columns = list(legendre_values(t, int(degrees.max(initial=0)) + 1)[int(derivative)][..., degrees].T)
     for r in rates:
         near, far = np.exp(-r * t), np.exp(-r * (1 - t))
         if derivative:
@@ -149,6 +145,20 @@ def _raw(
         for sign in signs:
             columns.append({1: near + far, -1: near - far, 2: near, 3: far}[sign])
     return np.stack(columns, axis=-1)
+
+
+def legendre_values(t: Array, n: int) -> tuple[Array, Array]:
+    """Orthonormal Legendre polynomials on [0, 1] of degrees below n and their derivatives, (..., n) each."""
+    s = 2.0 * t - 1.0
+    p, d = np.zeros((n, *t.shape)), np.zeros((n, *t.shape))
+    p[0] = 1.0
+    if n > 1:
+        p[1], d[1] = s, 1.0
+    for k in range(1, n - 1):
+        p[k + 1] = ((2 * k + 1) * s * p[k] - k * p[k - 1]) / (k + 1)
+        d[k + 1] = d[k - 1] + (2 * k + 1) * p[k]
+    root = np.sqrt(2.0 * np.arange(n) + 1.0)
+    return np.moveaxis(p, 0, -1) * root, 2.0 * np.moveaxis(d, 0, -1) * root
 
 
 def make_families(
@@ -305,6 +315,7 @@ def ritz_space(edges: str, nominal: PlateState, settings: RitzSettings) -> RitzS
     degrees = {"x": settings.degree_x, "y": settings.degree_y}
     grids = {axis: graded_quadrature(rates[axis] + corner_rates, degrees[axis]) for axis in "xy"}
     ends = {"x": (edges[0], edges[2]), "y": (edges[1], edges[3])}
+    made: dict[tuple[str, tuple[float, ...], tuple[bool, bool]], tuple[Family, ...]] = {}
 
     def families(field: Field, axis: str) -> tuple[Family, ...]:
         a, b = ends[axis]
@@ -316,7 +327,10 @@ def ritz_space(edges: str, nominal: PlateState, settings: RitzSettings) -> RitzS
         else:
             its_rates = rates[axis] if tangential or settings.coupled else ()
         # parity is a symmetry of the plate only if both edges are alike in every field
-        return make_families(degrees[axis], its_rates, held, a == b, grids[axis])
+        key = (axis, its_rates, held)
+        if key not in made:  # fields with the same functions have the same objects
+            made[key] = make_families(degrees[axis], its_rates, held, a == b, grids[axis])
+        return made[key]
 
     sectors = [
         Sector(field, x, y, np.argwhere(np.ones((x.size, y.size), dtype=bool)))
