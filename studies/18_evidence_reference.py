@@ -38,7 +38,7 @@ CLAMPED = Path(__file__).parent / "data" / "bricks" / "clean_clamped.toml"
 
 KEYS = {
     "quick": "whether this is the small version",
-    "summary": "one each: hypotheses compared near the best and far from it, and how far both ways differ",
+    "summary": "hypotheses compared near the best and far from it, and how far both ways differ",
     "cases": "one each: plate, modes, noise, what is hidden, hypotheses with both log evidences",
 }
 
@@ -46,7 +46,7 @@ SEED = 0
 NOISE, RESOLUTION_HZ = 0.002, 0.1
 # Plates with the frequencies that their models have, whether [material.sd] is kept, and list lengths.
 PLATES = (("C1", 10, True, (6, 10)), ("C1", 10, False, (6, 10)), ("clamped", 12, False, (6, 10, 12)))
-CASES = 200
+CASES, QUICK_CASES = 200, 2
 SIGNALS = (4.0, 8.0, 16.0, 32.0, 100.0)
 # A hypothesis this far below the best is hopeless: the quick way may only be too low there.
 NEAR_NATS = 8.0
@@ -210,31 +210,46 @@ def summary(cases: list[Results]) -> Results:
     }
 
 
-def main() -> None:
-    """Run the cases that are not saved yet."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("--quick", action="store_true", help="a few cases against a smaller reference")
-    parser.add_argument("--cases", type=int, default=CASES, help="lists in all")
-    parser.add_argument("--minutes", type=float, default=np.inf, help="no further list is begun after these")
-    options = parser.parse_args()
-    path = RESULTS.with_stem(f"{RESULTS.stem}_quick") if options.quick else RESULTS
-    cases = {c["case"]: c for c in saved_results(path).get("cases", [])}
-    end = time.monotonic() + 60.0 * options.minutes
-    for number in range(6 if options.quick else options.cases):
-        if number in cases:
+def run(quick: bool, cases: int = CASES, minutes: float = np.inf, path: Path | None = None) -> Results:
+    """The cases that are saved at a path and those that are not, saved one by one."""
+    known = {c["case"]: c for c in saved_results(path).get("cases", [])} if path else {}
+    end = time.monotonic() + 60.0 * minutes
+    for number in range(QUICK_CASES if quick else cases):
+        if number in known:
             continue
         if time.monotonic() > end:
             break
-        cases[number] = run_case(number, quick=options.quick)
-        rows = [cases[k] for k in sorted(cases)]
-        found = summary(rows)
-        save_results(path, {"keys": KEYS, "quick": options.quick, "summary": found, "cases": rows})
-        c = cases[number]
-        print(number, c["plate"], c["modes"], c["hidden"], c["meant"], c["seconds_fast"], c["seconds_slow"])
-        for row in c["hypotheses"]:
-            text = f"{row['fast']:10.2f} {row['slow']:10.2f} +- {row['slow_error']:.2f}"
-            print(f"   {row['fast'] - row['slow']:8.2f} {text} {row['cause']} {row['variant']}", flush=True)
-    print(summary(list(cases.values())))
+        known[number] = run_case(number, quick=quick)
+        if path:
+            save_results(path, as_results(known, quick=quick))
+        _say(known[number])
+    return as_results(known, quick=quick)
+
+
+def as_results(cases: dict[int, Results], *, quick: bool) -> Results:
+    """What is saved of cases by their numbers."""
+    rows = [cases[number] for number in sorted(cases)]
+    return {"quick": quick, "summary": summary(rows), "cases": rows}
+
+
+def _say(c: Results) -> None:
+    print(c["case"], c["plate"], c["modes"], c["hidden"], c["meant"], c["seconds_fast"], c["seconds_slow"])
+    for row in c["hypotheses"]:
+        text = f"{row['fast']:10.2f} {row['slow']:10.2f} +- {row['slow_error']:.2f}"
+        print(f"   {row['fast'] - row['slow']:8.2f} {text} {row['cause']} {row['variant']}", flush=True)
+
+
+def main() -> None:
+    """Run the cases that are not saved yet."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument(
+        "--quick", action="store_true", help="two lists against a smaller reference, not saved"
+    )
+    parser.add_argument("--cases", type=int, default=CASES, help="lists in all")
+    parser.add_argument("--minutes", type=float, default=np.inf, help="no further list is begun after these")
+    options = parser.parse_args()
+    found = run(options.quick, options.cases, options.minutes, None if options.quick else RESULTS)
+    print(found["summary"])
 
 
 if __name__ == "__main__":
