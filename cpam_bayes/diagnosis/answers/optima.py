@@ -10,12 +10,14 @@ import numpy as np
 from cpam_bayes.diagnosis.evidence.optima import distinct
 from cpam_bayes.diagnosis.evidence.tested import Tested
 from cpam_bayes.diagnosis.fitting import PlateCase
-from cpam_bayes.inference.optimise import maximise
+from cpam_bayes.inference.optimise import Array, maximise
 from cpam_bayes.inference.standard_normal import MAX_SCORE
 
 # Fraction of the posterior from which an optimum is one to be told; nodes that optima are sought from, and
 # the fraction that makes one worth it.
 _LEAST_FRACTION, _MOST_STARTS, _START_FRACTION = 0.03, 12, 3e-3
+# Constants agree within so many standard deviations.
+_SAME_SD = 2.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +60,8 @@ def open_optima(t: Tested, cases: Sequence[PlateCase]) -> tuple[OpenOptimum, ...
     away = draws[:, None] - z
     nearest = np.einsum("dki,kij,dkj->dk", away, curvature, away).argmin(axis=1)
     fraction = np.bincount(nearest, np.exp(marginal.log_weight), minlength=len(z))
-    carry = [int(k) for k in np.argsort(-fraction, kind="stable") if fraction[k] > _LEAST_FRACTION]
+    constants_at = [comparison.parameters.names.index(name) for name in _unknowns(t, cases)]
+    carry, fraction = _apart(z[:, constants_at], curvature, constants_at, fraction)
     if len(carry) < 2:
         return ()
     sizes = {p.name for p in t.hypothesis.parameters}
@@ -76,3 +79,26 @@ def open_optima(t: Tested, cases: Sequence[PlateCase]) -> tuple[OpenOptimum, ...
             modes.append(tuple(labels))
         found.append(OpenOptimum(float(fraction[best]), constants, tuple(modes)))
     return tuple(found)
+
+
+def _unknowns(t: Tested, cases: Sequence[PlateCase]) -> list[str]:
+    """Names of the unknown constants that are parameters of the hypothesis."""
+    names = dict.fromkeys(n for case in cases for n in case.models.specimen.unknowns.names)
+    return [n for n in t.marginal.comparison.parameters.names if n in names]
+
+
+def _apart(z: Array, curvature: Array, columns: list[int], fraction: Array) -> tuple[list[int], Array]:
+    """Optima that carry probability and differ in a constant; others count for the one they agree with.
+
+    A skew of either sign, or a mass at the mirrored place, leaves the constants where they are.
+    """
+    sd = np.sqrt(np.diagonal(np.linalg.inv(curvature), axis1=1, axis2=2)[:, columns])
+    whole = np.zeros_like(fraction)
+    carry: list[int] = []
+    for k in np.argsort(-fraction, kind="stable"):
+        same = [i for i in carry if np.all(np.abs(z[k] - z[i]) < _SAME_SD * np.maximum(sd[k], sd[i]))]
+        at = same[0] if same else int(k)
+        whole[at] += fraction[k]
+        if not same:
+            carry.append(int(k))
+    return [k for k in carry if whole[k] > _LEAST_FRACTION], whole
