@@ -45,5 +45,5 @@ def averaged_constants(weighed: Weighed) -> Mapping[str, tuple[float, float, flo
 def weighted_quantiles(x: Array, weight: Array, p: Array) -> Array:
     """Quantiles p of draws (d,) with weights (d,), linear between the draws."""
     order = np.argsort(x, kind="stable")
-    share = np.cumsum(weight[order]) - 0.5 * weight[order]
-    return np.interp(p, share / weight.sum(), x[order])
+    cumulative = np.cumsum(weight[order]) - 0.5 * weight[order]
+    return np.interp(p, cumulative / weight.sum(), x[order])

@@ -119,7 +119,7 @@ class LinearOracle:
     levels : of the noise in the evidences
     root : (n_f, n_f) of the precision at a typical level of the noise
     sd : (n_f,) of the log frequencies there
-    ways : the nodes of every line, times that root
+    paths : the nodes of every line, times that root
     material : numbers of the causes whose constants may be anything, and the roots of their precisions
     """
 
@@ -129,7 +129,7 @@ class LinearOracle:
     levels: tuple[_Level, ...]
     root: Array
     sd: Array
-    ways: _Ways
+    paths: _Paths
     material: tuple[tuple[int, Array], ...]
 
     def log_weights(self, shift: Array) -> Array:
@@ -144,9 +144,9 @@ class LinearOracle:
         """
         target = shift @ self.root.T
         visible = np.linalg.norm(target, axis=1) >= ABSORBED * np.linalg.norm(shift / self.sd, axis=1)
-        n = len(self.ways.firsts)
+        n = len(self.paths.firsts)
         alike = np.zeros((len(self.causes), len(shift)), dtype=bool)
-        cosine, distance = self.ways.nearest(target)
+        cosine, distance = self.paths.nearest(target)
         alike[:n] = ((cosine > ALIKE) & visible) | (0.5 * distance < AS_WELL)
         for number, own in self.material:
             alike[number] = 0.5 * np.sum((shift @ own.T) ** 2, axis=1) < AS_WELL
@@ -154,7 +154,7 @@ class LinearOracle:
 
 
 @dataclass(frozen=True, slots=True)
-class _Ways:
+class _Paths:
     """Nodes of all lines as the data see them.
 
     nodes : (k, n_f) times the root of the precision
@@ -229,17 +229,17 @@ def linear_oracle(
     prior = {name: weighed.prior.get(name, prior[name]) for name in causes}
     middle = len(levels) // 2
     root, sd = levels[middle].plain.roots[0], _sd(none.comparison, levels_x[middle : middle + 1])[0]
-    ways = _ways([line for name in names for line in lines if line.cause == name], root, sd)
+    paths = _paths([line for name in names for line in lines if line.cause == name], root, sd)
     material = tuple(
         (causes.index(t.hypothesis.cause), _densities(t, none, levels_x[middle], 0.0).roots[0])
         for t in weighed.tested
         if t.hypothesis.other_material
     )
     each = np.array(list(prior.values()))
-    return LinearOracle(causes, each, noise, tuple(levels), root, sd, ways, material)
+    return LinearOracle(causes, each, noise, tuple(levels), root, sd, paths, material)
 
 
-def _ways(lines: Sequence[ShiftLine], root: Array, sd: Array) -> _Ways:
+def _paths(lines: Sequence[ShiftLine], root: Array, sd: Array) -> _Paths:
     nodes = [_nodes(line, root, _DIRECTION_SD)[0] for line in lines]
     back = np.linalg.inv(root.T) / sd
     visible = [np.linalg.norm(t, axis=1) >= ABSORBED * np.linalg.norm(t @ back, axis=1) for t in nodes]
@@ -247,7 +247,7 @@ def _ways(lines: Sequence[ShiftLine], root: Array, sd: Array) -> _Ways:
     names = [line.cause for line in lines]
     firsts = [i for i, name in enumerate(names) if not i or name != names[i - 1]]
     empty = np.empty((0, len(sd)))
-    return _Ways(
+    return _Paths(
         np.concatenate([empty, *nodes]),
         np.concatenate([np.empty(0, dtype=bool), *visible]),
         starts,
@@ -320,9 +320,9 @@ def _densities(t: Tested, none: Marginal, at: Array, log_weight: float) -> _Gaus
     if comparison.discrepancy is None:
         covariances = _covariance(comparison, x)[None]
     else:
-        share = (np.arange(_DISCREPANCIES) + 0.5) / _DISCREPANCIES
+        probability = (np.arange(_DISCREPANCIES) + 0.5) / _DISCREPANCIES
         each = np.tile(x, (_DISCREPANCIES, 1))
-        each[:, comparison.discrepancy] = t.hypothesis.parameters[0].prior.ppf(share)
+        each[:, comparison.discrepancy] = t.hypothesis.parameters[0].prior.ppf(probability)
         covariances = np.stack([_covariance(comparison, row) for row in each])
     return _Gaussians.of(mean, covariances + slope @ slope.T, log_weight)
 
@@ -330,18 +330,19 @@ def _densities(t: Tested, none: Marginal, at: Array, log_weight: float) -> _Gaus
 def _nodes(line: ShiftLine, root: Array, apart: float = _APART_SD) -> tuple[Array, Array]:
     """Nodes (k, n_f) of a line times a root of the precision, and logs (k,) of their prior weights.
 
-    They are evenly spread over the way that the data see, and over the scores where that is short.
+    They are evenly spread over the path that the data see, and over the scores where that is short.
     """
-    way = line.shift @ root.T
-    near = np.linalg.norm(way, axis=1) < _FARTHEST_SD
-    step = np.linalg.norm(np.diff(way, axis=0), axis=1) / apart
+    path = line.shift @ root.T
+    near = np.linalg.norm(path, axis=1) < _FARTHEST_SD
+    step = np.linalg.norm(np.diff(path, axis=0), axis=1) / apart
     step = np.hypot(np.where(near[1:] | near[:-1], step, 0.0), np.diff(line.score) / _APART_SCORES)
     at = np.concatenate(([0.0], np.cumsum(step)))
     place = np.interp(np.linspace(0.0, at[-1], int(np.ceil(at[-1])) + 1), at, np.arange(len(at)))
     i = np.minimum(place.astype(int), len(at) - 2)
     part = place - i
     score = line.score[i] + part * (line.score[i + 1] - line.score[i])
-    nodes = way[i] + part[:, None] * (way[i + 1] - way[i])
+    nodes = path[i] + part[:, None] * (path[i + 1] - path[i])
     log_weight = np.log(np.gradient(score)) - 0.5 * score**2 - 0.5 * np.log(2 * np.pi) + line.log_prior
-    kept = np.linalg.norm(nodes, axis=1) < _FARTHEST_SD
+    norm = np.linalg.norm(nodes, axis=1)
+    kept = norm < max(_FARTHEST_SD, 1.001 * norm.min())
     return nodes[kept], log_weight[kept]

@@ -89,12 +89,12 @@ def _at_places(t: Tested, none: Marginal) -> list[ShiftLine]:
     if places:
         where[:, places] = ndtri(qmc.Sobol(len(places), seed=0).random_base2(_LOG2_PLACES))
     offsets = _OFFSETS if sizes else np.zeros(1)
-    log_share = -0.5 * offsets**2
-    log_share -= np.log(np.exp(log_share).sum())
+    log_fraction = -0.5 * offsets**2
+    log_fraction -= np.log(np.exp(log_fraction).sum())
     plain = _plain(t, none)
     lines: list[ShiftLine] = []
     for place in where:
-        for offset, share in zip(offsets, log_share, strict=True):
+        for offset, fraction in zip(offsets, log_fraction, strict=True):
             z = np.tile(place, (len(_SCORES), 1))
             z[:, sizes] = _SCORES[:, None] + offset
             x = np.tile(plain, (len(_SCORES), 1))
@@ -109,7 +109,7 @@ def _at_places(t: Tested, none: Marginal) -> list[ShiftLine]:
             with np.errstate(invalid="ignore", divide="ignore"):
                 shift = np.log(f[1:]) - np.log(f[0])
             known = np.isfinite(shift).all(axis=1)
-            lines += _line(t, _SCORES[known], shift[known], float(share) - float(np.log(n)))
+            lines += _line(t, _SCORES[known], shift[known], float(fraction) - float(np.log(n)))
     return lines
 
 
