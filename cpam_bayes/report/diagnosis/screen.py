@@ -295,7 +295,7 @@ def _gain(d: Diagnosis) -> Table:
 
 def _detectable(d: Diagnosis) -> Table:
     """The smallest size of each cause that these data would have shown."""
-    columns = headed("cause", "what it is", "#smallest size", "#in sd", "#probability of the claim")
+    columns = headed("cause", "what it is", "#smallest size", "#in catalogue sd", "#probability of the claim")
     rows = []
     for row in detectable_rows(d):
         in_sd = "" if row.in_sd is None else significant(row.in_sd, 2)
