@@ -175,7 +175,10 @@ def references(name: str, limit: int | None) -> None:
     done = set.intersection(*(set(answering.answered(p)) for p in paths.values()))
     plates = {p.name: p for p in sets.SETS[name].plates}
     known: dict[str, Dictionary] = {}
-    for entry in answering.asked(data_path(name), limit=limit):
+    # first those that they stand beside
+    mine = set(answering.answered(answers_path(name, THIS)))
+    entries = sorted(answering.asked(data_path(name), limit=limit), key=lambda r: r["id"] not in mine)
+    for entry in entries:
         if entry["id"] in done:
             continue
         plate = entry["truth"]["plate"]

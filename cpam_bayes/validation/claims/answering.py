@@ -1,7 +1,7 @@
 """Answers of a diagnosis to the lists of a benchmark, one JSON line each; nothing is asked twice.
 
 python cpam_bayes/validation/claims/answering.py LISTS.jsonl ANSWERS.jsonl [--only TEXT] [--limit N]
-    [--minutes M] [--part K/N]
+    [--minutes M] [--part K/N] [--plates NAME ...]
 
 Needs nothing of this package but ``diagnose``, so that another version answers the same lists with
 PYTHONPATH set to its tree.
@@ -108,6 +108,7 @@ def main() -> None:
     parser.add_argument("--limit", type=int)
     parser.add_argument("--minutes", type=float)
     parser.add_argument("--part", default="1/1", help="K/N: the K-th of N parts, divided by plates")
+    parser.add_argument("--plates", nargs="+", help="plates whose lists are answered, one after the other")
     options = parser.parse_args()
     import cpam_bayes as cb
 
@@ -118,6 +119,8 @@ def main() -> None:
     k, n = (int(t) for t in options.part.split("/"))
     plates = sorted({r["truth"]["plate"] for r in lists})
     mine = [r for r in lists if plates.index(r["truth"]["plate"]) % n == k - 1]
+    if options.plates:
+        mine = [r for plate in options.plates for r in lists if r["truth"]["plate"] == plate]
     answer(
         mine,
         options.answers,
