@@ -29,7 +29,11 @@ COLOURS = {
 }
 SETS = {"final": "Final set", "rows": "Known failures", "tuning": "Tuning set"}
 THIS = "diagnosis"
-NAMES = {THIS: "this diagnosis", "old": "before"}
+NAMES = {
+    THIS: "this diagnosis",
+    "diagnosis beside old": "this one on the lists of",
+    "old": "the one before",
+}
 # Height of a bar, inches.
 BAR = 0.24
 
@@ -67,15 +71,12 @@ def _by_kind(engines: dict[str, Any]) -> dict[str, dict[str, int]]:
 
 
 def _by_method(engines: dict[str, Any]) -> dict[str, dict[str, int]]:
-    marked = ", same lists"
-    chosen = {THIS: engines[THIS]} if THIS in engines else {}
-    chosen |= {k.removesuffix(marked): v for k, v in engines.items() if k.endswith(marked)}
-    chosen = chosen or engines
+    order = [n for n in NAMES if n in engines] + [n for n in engines if n not in NAMES]
     return {
-        f"{NAMES.get(name, name).replace('_', ' ')} ({own['lists']})": {
-            c: sum(r[c] for r in own["by_kind"]) for c in COLOURS
+        f"{NAMES.get(name, name).replace('_', ' ')} ({engines[name]['lists']})": {
+            c: sum(r[c] for r in engines[name]["by_kind"]) for c in COLOURS
         }
-        for name, own in chosen.items()
+        for name in order
     }
 
 

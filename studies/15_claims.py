@@ -46,19 +46,25 @@ KEYS = {
     "quick": "whether this is the small version",
     "noise": "relative standard deviation of a frequency",
     "plates": "by set: name, material, layup, edges, modes in a list, whether the file has [material.sd]",
+    "lists": "by set: how many there are",
     "unreachable": "by set: lists that could not be made, and why",
-    "sets": "by set and engine or method: figures, confusion of claims, reliability, coverage, wrong claims",
+    "sets": "by set, of the diagnosis and of others on the same lists: figures, confusion of claims and more",
 }
 
-THIS = "diagnosis"
+THIS, BEFORE, ORACLE = "diagnosis", "old", "oracle"
+# This diagnosis on the lists that the one before has answered, too.
+BESIDE = "diagnosis beside old"
+# What is kept of the oracle and of simpler methods.
+BRIEF = ("lists", "by_kind", "figures")
 TITLES = {
     "final": "Final figures",
     "rows": "Known failures, twenty plates each",
     "tuning": "The set that was tuned on",
 }
 NAMES = {
-    "old": "the diagnosis before",
-    "oracle": "the oracle",
+    BEFORE: "the diagnosis before",
+    BESIDE: "this diagnosis on the lists of the one before",
+    ORACLE: "the oracle",
     **{m: m.replace("_", " ") for m in simple_methods.METHODS},
 }
 QUICK_LISTS = ("clean-00", "taper_x-32-0")
@@ -100,23 +106,20 @@ def _results(quick: bool, found: dict[str, tuple[list[Results], dict[str, dict[s
     said: Results = {}
     for name, (entries, engines) in found.items():
         scores = {engine: scoring.scored(entries, answers) for engine, answers in engines.items()}
-        known = {r["id"]: r for r in scores.get("oracle", [])}
-        said[name] = {}
+        known = {r["id"]: r for r in scores.get(ORACLE, [])}
+        mine = scores.get(THIS, [])
+        said[name] = {THIS: summary.summary(mine, known)} if mine else {}
         for engine, records in scores.items():
-            if records:
-                said[name][engine] = summary.summary(records, known)
-        mine = {r["id"] for r in scores.get(THIS, [])}
-        # beside another engine or method: the same lists
-        said[name] |= {
-            f"{engine}, same lists": summary.summary([r for r in records if r["id"] in mine], known)
-            for engine, records in scores.items()
-            if engine != THIS and records and mine & {r["id"] for r in records}
-        }
-        for engine in [e for e in scores if e != THIS and scores[e]]:
-            theirs = {r["id"] for r in scores[engine]}
-            both = [r for r in scores.get(THIS, []) if r["id"] in theirs]
-            if engine == "old" and both:
-                said[name]["diagnosis on the lists of old"] = summary.summary(both, known)
+            # beside another engine or method: the lists that both answered
+            theirs = {r["id"] for r in records}
+            both = {r["id"] for r in mine} & theirs if mine else theirs
+            if engine != THIS and both:
+                own = summary.summary([r for r in records if r["id"] in both], known)
+                said[name][engine] = own if engine == BEFORE else {k: own[k] for k in BRIEF}
+        if BEFORE in said[name] and mine:
+            theirs = {r["id"] for r in scores[BEFORE]}
+            own = summary.summary([r for r in mine if r["id"] in theirs], known)
+            said[name][BESIDE] = {k: own[k] for k in BRIEF}
     return {
         "quick": quick,
         "noise": NOISE,
@@ -134,6 +137,7 @@ def _results(quick: bool, found: dict[str, tuple[list[Results], dict[str, dict[s
             ]
             for name, own in sets.SETS.items()
         },
+        "lists": {name: sum("file" in r for r in entries) for name, (entries, _) in found.items()},
         "unreachable": {
             name: [{"id": r["id"], "why": r["unreachable"]} for r in entries if "unreachable" in r]
             for name, (entries, _) in found.items()
@@ -202,8 +206,9 @@ def write_page(results: Results) -> None:
     for name, title in TITLES.items():
         own = results["sets"].get(name, {})
         if THIS in own:
-            others = {k.removesuffix(", same lists"): v for k, v in own.items() if k.endswith(", same lists")}
-            body.append(summary.section(title, own[THIS], others, NAMES))
+            others = {k: v for k, v in own.items() if k != THIS}
+            total = results["lists"][name]
+            body.append(summary.section(title, total, own[THIS], others, NAMES))
     body.append(END)
     before, after = (
         (text.split(START)[0], text.split(END)[-1]) if START in text else (text.rstrip() + "\n\n", "\n")
