@@ -151,7 +151,7 @@ def test_the_summary_counts_wrong_claims_with_their_lists() -> None:
     ]
     found = summary.summary(records, {})
     assert [w["id"] for w in found["wrong"]] == ["x-1"]
-    assert "x-1" in summary.section("Final", found, {}, {})
+    assert "x-1" in summary.section("Final", 2, found, {}, {})
 
 
 def test_saved_lists_are_those_that_their_seeds_make() -> None:

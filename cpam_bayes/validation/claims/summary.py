@@ -112,9 +112,19 @@ def ratio_of(r: Scored) -> str:
     return "-" if r["ratio"] is None else f"{r['ratio']:3.0f}"
 
 
-def section(title: str, found: Record, others: Mapping[str, Record], names: Mapping[str, str]) -> str:
+def section(
+    title: str, total: int, found: Record, others: Mapping[str, Record], names: Mapping[str, str]
+) -> str:
     """Markdown of a set: figures, the confusion of claims beside other engines and methods, wrong claims."""
-    lines = [f"### {title}", "", "| | asked | reached (standard error) | lists |", "|---|---|---|---|"]
+    answered = f"{found['lists']} of {total} lists answered, in random order."
+    lines = [
+        f"### {title}",
+        "",
+        answered,
+        "",
+        "| | asked | reached (standard error) | lists |",
+        "|---|---|---|---|",
+    ]
     for row in found["figures"]:
         lines.append(f"| {row['what']} | {row['asked']} | {_shown(row)} | {row['lists']} |")
     lines += ["", _confusion_table("hidden", found["by_kind"]), ""]
