@@ -13,6 +13,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.patches import Patch
 
 HERE = Path(__file__).parent
 RESULTS = HERE.parent / "studies" / "results"
@@ -20,6 +21,8 @@ RESULTS = HERE.parent / "studies" / "results"
 DPI = 90
 GREY, ORANGE, GREEN = "#a8a8a8", "#c1440e", "#3f7d3f"
 COLUMNS = 2
+BEFORE = "residual of the plain model, %"
+AFTER = "residual of the extended model, %, where something is claimed"
 MOST_CAUSES = 5
 
 
@@ -36,8 +39,8 @@ def draw(results: Path = RESULTS, folder: Path = HERE) -> list[Path]:
         _probabilities(right, case)
     for axes in grid.ravel()[2 * len(cases) :]:
         axes.set_axis_off()
-    handles, labels = grid[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=2, frameon=False, fontsize=9)
+    handles = [Patch(color=GREY, label=BEFORE), Patch(color=ORANGE, label=AFTER)]
+    figure.legend(handles=handles, loc="outside lower center", ncols=2, frameon=False, fontsize=9)
     path = folder / "17_worked_cases.png"
     figure.savefig(path, dpi=DPI)
     return [path]
@@ -47,15 +50,9 @@ def _residuals(axes: Axes, case: dict[str, Any]) -> None:
     before = _numbers(case["residuals_percent_before"])
     x = np.arange(1, len(before) + 1)
     after = case["residuals_percent_after"]
-    axes.bar(x - 0.2, before, 0.38, color=GREY, label="residual of the plain model, %")
+    axes.bar(x - 0.2, before, 0.38, color=GREY)
     extended = np.zeros(0) if after is None else _numbers(after)
-    axes.bar(
-        x[: len(extended)] + 0.2,
-        extended,
-        0.38,
-        color=ORANGE,
-        label="residual of the extended model, %; none where nothing is claimed",
-    )
+    axes.bar(x[: len(extended)] + 0.2, extended, 0.38, color=ORANGE)
     axes.axhline(0.0, color="0.4", linewidth=0.7)
     axes.tick_params(labelsize=7)
     axes.set_xticks(x)
