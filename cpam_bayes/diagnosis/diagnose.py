@@ -18,7 +18,7 @@ from cpam_bayes.diagnosis.answers.optima import OpenOptimum, open_optima
 from cpam_bayes.diagnosis.answers.predictive import explains
 from cpam_bayes.diagnosis.answers.prior_sensitivity import PriorSensitivity, prior_sensitivity
 from cpam_bayes.diagnosis.cases import hypotheses_of
-from cpam_bayes.diagnosis.claim import Claim, claim_of
+from cpam_bayes.diagnosis.claim import PLAIN, Claim, claim_of
 from cpam_bayes.diagnosis.evidence.marginal import Marginal
 from cpam_bayes.diagnosis.evidence.weighing import Tested, Weighed, weigh
 from cpam_bayes.diagnosis.fit import Fit, fit_of
@@ -189,7 +189,10 @@ def _causes(
             menus[t.hypothesis.cause].append(menu)
     of_all = [menus[name] for name in names]
     by_signature = {name: [names[j] for j in alike(of_singles, i, of_all)] for i, name in enumerate(names)}
-    like = with_equal_fits(by_signature, {name: best[name] for name in names}, weighed.by_cause())
+    probabilities = weighed.by_cause()
+    # fits are compared where a cause may be claimed
+    compared = names if probabilities[NONE] < PLAIN else []
+    like = with_equal_fits(by_signature, {name: best[name] for name in compared}, probabilities)
     causes = []
     for name, probability in weighed.by_cause().items():
         t = best[name]

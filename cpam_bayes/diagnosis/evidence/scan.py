@@ -229,6 +229,8 @@ class Scan:
                 for t in order[:2]
                 for i in incomplete
             ]
+            # without any frequency that is a mode there is nothing to fit
+            own = [cases for cases in own if all((case.modes >= 0).any() for case in cases)]
             new = {key_of(cases): cases for cases in own if key_of(cases) not in fits}
             for key, cases in new.items():
                 z = order[0].marginal.z[:_OTHER_PAIRINGS_OPTIMA]
