@@ -17,7 +17,17 @@ NAMES = {e.name for e in CATALOGUE} | {p.name for e in CATALOGUE for p in e.para
 FAMILIES = {e.family for e in CATALOGUE}
 # Words of the plate file, which name its numbers and tables where no effect is meant.
 PLATE_WORDS = {*SIZES, "air", "air_density", "material"}
-MODULES = [p for p in sorted(PACKAGE.rglob("*.py")) if "effects" not in p.relative_to(PACKAGE).parts]
+# Truths that are made without the catalogue, and their scores, name what they hide: they may not ask it.
+TRUTHS = [
+    *sorted((PACKAGE / "validation" / "independent").glob("*.py")),
+    *sorted((PACKAGE / "validation" / "claims").glob("*.py")),
+    PACKAGE / "validation" / "brick_cases.py",
+]
+MODULES = [
+    p
+    for p in sorted(PACKAGE.rglob("*.py"))
+    if "effects" not in p.relative_to(PACKAGE).parts and p not in TRUTHS
+]
 
 
 def strings(source: str) -> Iterator[str]:
@@ -52,3 +62,21 @@ def test_a_module_outside_the_effects_names_none(path: Path) -> None:
     # where causes are compared and shown no such name can be anything else
     names = NAMES | FAMILIES if is_of_diagnosis else NAMES - PLATE_WORDS
     assert known(path.read_text(encoding="utf-8"), names) == set()
+
+
+@pytest.mark.parametrize("path", TRUTHS[:-1], ids=lambda p: str(p.relative_to(PACKAGE)))
+def test_truths_are_made_without_the_catalogue(path: Path) -> None:
+    assert path.exists()
+    imported = [
+        name
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        for name in _imported(node)
+        if name.startswith(("cpam_bayes.effects", "cpam_bayes.mechanics"))
+    ]
+    assert imported == []
+
+
+def _imported(node: ast.AST) -> list[str]:
+    if isinstance(node, ast.ImportFrom):
+        return [node.module or ""]
+    return [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
