@@ -31,6 +31,7 @@ def summary(records: Sequence[Scored], oracle: Mapping[str, Scored]) -> Record:
     """
     return {
         "lists": len(records),
+        "plates": sorted({r["plate"] for r in records}),
         "by_kind": confusion(records, row_of),
         "by_ratio": confusion([r for r in records if r["kind"] == "one"], ratio_of),
         "by_noise": confusion(records, lambda r: "noise stated" if r["stated"] else "noise left out"),
@@ -116,7 +117,7 @@ def section(
     title: str, total: int, found: Record, others: Mapping[str, Record], names: Mapping[str, str]
 ) -> str:
     """Markdown of a set: figures, the confusion of claims beside other engines and methods, wrong claims."""
-    answered = f"{found['lists']} of {total} lists answered, in random order."
+    answered = f"{found['lists']} of {total} lists answered, of {', '.join(found['plates'])}, at random within a plate."
     lines = [
         f"### {title}",
         "",
