@@ -117,7 +117,8 @@ def section(
     title: str, total: int, found: Record, others: Mapping[str, Record], names: Mapping[str, str]
 ) -> str:
     """Markdown of a set: figures, the confusion of claims beside other engines and methods, wrong claims."""
-    answered = f"{found['lists']} of {total} lists answered, of {', '.join(found['plates'])}, at random within a plate."
+    plates = ", ".join(found["plates"])
+    answered = f"{found['lists']} of {total} lists answered, of {plates}, at random within a plate."
     lines = [
         f"### {title}",
         "",
