@@ -128,8 +128,8 @@ def diagnose(
     --------
     >>> import cpam_bayes as cb
     >>> result = cb.diagnose("A1", next_test="never")
-    >>> result.claim, result.causes, round(result.probability, 1)
-    ('none', (), 0.6)
+    >>> result.claim, [cause.name for cause in result.diagnosis.causes[:2]]
+    ('undecided', ['none', 'other'])
     """
     require_seed(seed)
     require_number("scatter", scatter, MAX_SCATTER)
