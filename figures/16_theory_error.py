@@ -49,7 +49,8 @@ def draw(results: Path = RESULTS, folder: Path = HERE) -> list[Path]:
         )
     modes.axhline(0.0, color="0.4", linewidth=0.7)
     modes.set(xlabel="thickness over the short side, %", ylabel="Ritz model less bricks, %", xlim=(0.0, None))
-    modes.legend(frameon=False, fontsize=8)
+    if modes.get_legend_handles_labels()[0]:
+        modes.legend(frameon=False, fontsize=8)
     ends = np.array([0.008, 1.5])
     rule.plot(ends, ends, color="0.4", linewidth=0.7)
     rule.fill_between(ends, ends / 2, ends * 2, color="0.92", zorder=0)

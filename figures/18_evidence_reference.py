@@ -34,7 +34,8 @@ def draw(results: Path = RESULTS, folder: Path = HERE) -> list[Path]:
     axes.axhline(0.0, color="0.4", linewidth=0.7)
     axes.plot([], [], "o", ms=4, color="#1f6f8b", label="noise stated")
     axes.plot([], [], "o", ms=4, color="#c1440e", label="noise inferred")
-    axes.legend(frameon=False, fontsize=8)
+    if axes.get_legend_handles_labels()[0]:
+        axes.legend(frameon=False, fontsize=8)
     axes.set_xscale("symlog", linthresh=NEAR)
     axes.set_yscale("symlog", linthresh=AGREED)
     axes.set(
