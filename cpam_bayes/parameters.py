@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cpam_bayes.priors import (
+    LogUniform,
     Mixture,
     Prior,
     ScaledStudentT,
@@ -19,6 +20,7 @@ from cpam_bayes.priors import (
 )
 
 __all__ = [
+    "LogUniform",
     "Mixture",
     "Parameter",
     "ParameterSet",

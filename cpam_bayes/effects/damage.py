@@ -7,7 +7,17 @@ from functools import partial
 
 import numpy as np
 
-from cpam_bayes.effects.effect import PERCENT, Effect, Place, PlateFacts, one_sided
+from cpam_bayes.effects.effect import (
+    PERCENT,
+    Effect,
+    LocalForm,
+    Place,
+    PlateFacts,
+    anywhere,
+    coordinate,
+    one_sided,
+    place_text,
+)
 from cpam_bayes.mechanics.problem import (
     LAMINATE_ENTRIES,
     LAMINATE_FORMS,
@@ -18,30 +28,42 @@ from cpam_bayes.mechanics.problem import (
     Values,
     laminate_coefficients,
 )
-from cpam_bayes.mechanics.weights import Bell, Product
+from cpam_bayes.mechanics.weights import Bell, Box, Product
+from cpam_bayes.parameters import LogUniform, Parameter
 
-# Standard deviation of the bell in units of the shorter side.
-_RADIUS = 0.05
-_GRID = (0.1, 0.3, 0.5, 0.7, 0.9)
+# Of the extent over the shorter side: from a spot of a few thicknesses to two thirds of the plate.
+_EXTENT = LogUniform(0.03, 0.35)
+# Of the stiffness lost: one standard deviation, and the most with which the plate is one piece.
+_SCALE, _DEEPEST = 0.2, 0.95
 # Forms of bending and of transverse shear.
 _SOFTENED = np.flatnonzero(LAMINATE_ENTRIES.min(axis=0) >= 3)
 
 
-def _damage_at(place: Place) -> Effect:
-    at = f"at ({place[0]:g}, {place[1]:g})"
+def _damage_at(form: LocalForm, place: Place) -> Effect:
+    """The damage of one form at (x, y) with an extent."""
     return replace(
-        DAMAGE, change=partial(_damaged, place), parameters=DAMAGE.parameters[:1], place=place, variant=at
+        DAMAGE,
+        change=partial(_damaged, form, place),
+        parameters=DAMAGE.parameters[:1],
+        place=place,
+        at=None,
+        local=form,
+        alternatives=(),
+        variant=f"{_WORDS[form]} {place_text(place[:2])}, extent {place[2]:.3g}",
     )
 
 
-def _damaged(place: Place, problem: Problem, facts: PlateFacts) -> Problem:
-    """D and A_s times 1 - d exp(-r^2 / (2 R^2)), r the distance from the place.
+def _damaged(form: LocalForm, place: Place, problem: Problem, facts: PlateFacts) -> Problem:
+    """D and A_s times 1 - d g(x, y).
 
-    R is a twentieth of the shorter side; mass and membrane stiffness stay.
+    g is exp(-r^2 / (2 R^2)), r the distance from the place, or 1 in the square |x|, |y| <= R about it; R is
+    the extent times the shorter side. Mass and membrane stiffness stay.
     """
-    radius = _RADIUS * min(facts.length, facts.width)
-    bell = Product(Bell(place[0], radius / facts.length), Bell(place[1], radius / facts.width))
-    forms = tuple(replace(LAMINATE_FORMS[q], weight=bell) for q in _SOFTENED)
+    x, y, extent = place
+    radius = extent * min(facts.length, facts.width)
+    profile = Bell if form == "bell" else Box
+    weight = Product(profile(x, radius / facts.length), profile(y, radius / facts.width))
+    forms = tuple(replace(LAMINATE_FORMS[q], weight=weight) for q in _SOFTENED)
     return problem.with_terms(Term("damage", "stiffness", forms, _lost))
 
 
@@ -50,16 +72,33 @@ def _lost(state: PlateState, values: Values) -> Array:
     return np.asarray(-np.asarray(values["damage"])[..., None] * plain)
 
 
-DAMAGE = Effect(
+_WORDS: dict[LocalForm, str] = {"bell": "smooth", "rectangle": "with a sharp edge"}
+
+_BELL = Effect(
     name="damage",
     title="local damage: delamination, impact, dry fibres",
     family="damage",
     belongs_to="plate",
-    parameters=(one_sided("damage", "", 0.2, 0.9, shown=PERCENT),),
-    note="D and A_s less by a bell, sd a twentieth of the shorter side",
+    parameters=(
+        one_sided("damage", "", _SCALE, _DEEPEST, shown=PERCENT),
+        coordinate("damage_x"),
+        coordinate("damage_y"),
+        Parameter("damage_extent", "", _EXTENT, _EXTENT.mean, PERCENT),
+    ),
+    note=(
+        "D and A_s less by a bell (extent: its sd) or in a square (extent: half its side) at any (x, y), "
+        "of 3 to 35 % of the shorter side; both forms are equally probable"
+    ),
     check="Tap or C-scan the plate there.",
+    change=anywhere,
     sign=-1,
-    places=tuple((x, y) for x in _GRID for y in _GRID),
-    at=_damage_at,
+    at=partial(_damage_at, "bell"),
+    local="bell",
+    variant=_WORDS["bell"],
 )
-DAMAGE = _damage_at((0.5, 0.5))
+DAMAGE = replace(
+    _BELL,
+    alternatives=(
+        replace(_BELL, at=partial(_damage_at, "rectangle"), local="rectangle", variant=_WORDS["rectangle"]),
+    ),
+)

@@ -17,6 +17,8 @@ from cpam_bayes.plate.records import Plate
 Owner = Literal["plate", "test", "material", "laboratory"]
 # Values of an effect's further parameters: the reference coordinates of a mass or a flaw, its extent.
 Place = tuple[float, ...]
+# What stands at a place that is a parameter: a point mass, a smooth or a sharp-edged softer patch.
+LocalForm = Literal["point", "bell", "rectangle"]
 
 # Prior of an effect: Student-t with this many degrees of freedom, cut where the description ends or
 # at this many scales, beyond which 0.13 % of it would lie.
@@ -121,7 +123,7 @@ class Effect:
     belongs_to : "plate": tests of one specimen have it in common, a sister plate need not have it; "test":
         of one list; "material", "laboratory": sister plates have it too
     parameters : with unit, prior, null and the unit that they are shown in; the first is the size, others say
-        where it is
+        where it is or which way it goes
     note : how it enters the model
     check : what to check in the laboratory, one sentence
     change : Problem -> Problem with the values of the parameters in its state or terms
@@ -139,6 +141,9 @@ class Effect:
     variant : distinguishes effects of one cause, by form for instance
     place : where it is, if that is fixed
     at : for an effect that may be anywhere, the effect at a place; its ``change`` refuses
+    local : its form, for an effect that may be anywhere and for it at a place
+    alternatives : other forms of the same cause with the same parameters, each as probable as it
+    directions : names of the parameters that say which way it goes
     """
 
     name: str
@@ -160,8 +165,10 @@ class Effect:
     excludes: tuple[str, ...] = ()
     variant: str = ""
     place: Place | None = None
-    places: tuple[Place, ...] = ()
     at: Callable[[Place], Effect] | None = None
+    local: LocalForm | None = None
+    alternatives: tuple[Effect, ...] = ()
+    directions: tuple[str, ...] = ()
 
     @property
     def parameter_set(self) -> ParameterSet:
@@ -180,13 +187,15 @@ class Effect:
 
     @property
     def coordinates(self) -> tuple[Parameter, ...]:
-        """The parameters that say where it is, of an effect that may be anywhere."""
-        return self.parameters[1:] if self.at is not None else ()
+        """The parameters that say where it is, of an effect that may be anywhere, or which way it goes."""
+        if self.at is not None:
+            return self.parameters[1:]
+        return tuple(p for p in self.parameters if p.name in self.directions)
 
     @property
     def sizes(self) -> tuple[Parameter, ...]:
         """The parameters that say how large it is."""
-        return self.parameters[:1] if self.at is not None else self.parameters
+        return tuple(p for p in self.parameters if p not in self.coordinates)
 
     def fixed(self, values: Values) -> Effect:
         """The effect with its size alone to vary, where these values put it; itself if it has no place."""
@@ -199,7 +208,7 @@ class Effect:
     @property
     def is_anywhere(self) -> bool:
         """Whether its place is among its parameters."""
-        return bool(self.coordinates)
+        return self.at is not None and bool(self.coordinates)
 
     @property
     def is_common_to_sisters(self) -> bool:
@@ -243,25 +252,19 @@ def extend(problem: Problem, effect: Effect, facts: PlateFacts) -> Problem:
 
 
 def variants(effect: Effect, facts: PlateFacts) -> tuple[Effect, ...]:
-    """The effect with the priors for this plate.
+    """The forms of the effect with the priors for this plate, equally probable.
 
     A place that the plate's symmetries map on another one is in the prior once.
     """
+    return tuple(_for_plate(replace(form, alternatives=()), facts) for form in (effect, *effect.alternatives))
+
+
+def _for_plate(effect: Effect, facts: PlateFacts) -> Effect:
     if effect.size_factor is not None:
         factor = effect.size_factor(facts)
         sizes = tuple(_rescaled(p, factor) for p in effect.sizes)
         effect = replace(effect, parameters=(*sizes, *effect.coordinates))
-    if not effect.places:
-        return (effect if not effect.is_anywhere else _on_half_or_quarter(effect, facts),)
-    assert effect.at is not None
-    seen: set[Place] = set()
-    placed = []
-    for place in effect.places:
-        if place in seen or _is_held(place, facts):
-            continue
-        seen.update(_images(place, facts))
-        placed.append(replace(effect.at(place), parameters=effect.parameters))
-    return tuple(placed)
+    return _on_half_or_quarter(effect, facts) if effect.is_anywhere else effect
 
 
 def anywhere(problem: Problem, facts: PlateFacts) -> Problem:
@@ -386,29 +389,3 @@ def _on_half_or_quarter(effect: Effect, facts: PlateFacts) -> Effect:
     images = "or its mirror images" if straight else "or the place turned by half a turn"
     variant = f"{effect.variant}, {images}" if effect.variant else images
     return replace(effect, parameters=(size, *further), variant=variant)
-
-
-def _is_held(place: Place, facts: PlateFacts) -> bool:
-    levels = zip(facts.edges, (place[0], place[1], 1.0 - place[0], 1.0 - place[1]), strict=True)
-    return any(edge != "F" and level < 1e-12 for edge, level in levels)
-
-
-def _images(place: Place, facts: PlateFacts) -> set[Place]:
-    """Where the symmetries of the bare plate take a place."""
-    x, y = place[:2]
-    mirrored: Place = (round(1.0 - x, 12), y)
-    flipped: Place = (x, round(1.0 - y, 12))
-    turned: Place = (mirrored[0], flipped[1])
-    if facts.loaded:
-        return {place}
-    in_x, in_y = facts.edges[0] == facts.edges[2], facts.edges[1] == facts.edges[3]
-    angles = facts.layup.angles_deg
-    straight = facts.isotropic or bool(np.all(np.isin(np.abs(angles), (0.0, 90.0))))
-    images = {place}
-    if in_x and in_y:
-        images.add(turned)
-    if straight and in_x:
-        images.add(mirrored)
-    if straight and in_y:
-        images.add(flipped)
-    return images

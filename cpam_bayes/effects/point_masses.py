@@ -88,4 +88,5 @@ SENSOR_MASS = Effect(
     size_factor=_plate_mass,
     sign=-1,
     at=_sensor_at,
+    local="point",
 )

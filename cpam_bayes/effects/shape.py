@@ -38,6 +38,7 @@ from cpam_bayes.mechanics.problem import (
     laminate_coefficients,
 )
 from cpam_bayes.mechanics.weights import LINE, ONE, Polynomial, Product, power
+from cpam_bayes.parameters import Parameter, Uniform
 
 # Powers of h that the coefficients of MASS_FORMS carry.
 _MASS_POWERS = np.array([1, 1, 1, 3, 3])
@@ -102,7 +103,8 @@ def _skewed(state: PlateState, values: Values) -> PlateState:
 
 
 # Rows of the membrane strain that an initial deflection adds, eps' = w0,x w,x and so on: row, atom of w,
-# weight along x and along y, along which axis w0 is derived. Its slopes are -4 sag s / side.
+# weight along x and along y, along which axis w0 is derived. Its slopes are -4 sag_x s_x / a and
+# -4 sag_y s_y / b.
 _SLOPES = (
     (0, Atom("w", "x"), (LINE, ONE), "x"),
     (1, Atom("w", "y"), (ONE, LINE), "y"),
@@ -116,37 +118,41 @@ def _times(a: Polynomial, b: Polynomial) -> Polynomial:
 
 
 def _warp(problem: Problem, facts: PlateFacts) -> Problem:
-    """A shallow cap, w0 = sag ((1 - s_x^2) + (1 - s_y^2)), of curvatures 8 sag / a^2 and 8 sag / b^2.
+    """A shallow shell, w0 = sag_x (1 - s_x^2) + sag_y (1 - s_y^2).
+
+    Its curvatures are 8 sag_x / a^2 and 8 sag_y / b^2, with sag_x = 2^1/2 sag cos(direction) and
+    sag_y = 2^1/2 sag sin(direction), whose root mean square is the sag: at 45 deg it is a cap, at 0 deg and
+    90 deg a cylinder, at -45 deg and 135 deg a saddle.
 
     Marguerre's theory: eps_x += w0,x w,x, eps_y += w0,y w,y, gamma_xy += w0,x w,y + w0,y w,x (Proc. 5th
     Int. Congr. Appl. Mech., 1938).
     """
     del facts
     forms: list[Form] = []
-    # (row, row, powers of 1/a and 1/b, factor, power of the sag)
-    table: list[tuple[int, int, Array, float, int]] = []
+    # (row, row, powers of 1/a and 1/b, factor, powers of sag_x and sag_y)
+    table: list[tuple[int, int, Array, float, Array]] = []
 
     def slope(atom: Atom, along: str) -> Array:
         """Powers of 1/a and 1/b in an added strain: a derivative of w0 times one of w."""
-        axes = (atom.derivative, along)
-        return np.array([axes.count("x"), axes.count("y")], dtype=float)
+        return _counted(atom.derivative, along)
 
     for i, row in enumerate(STRAIN_ATOMS[:6]):
         for atom, size in row:
             plain = np.array([size == "length", size == "width"], dtype=float)
             for j, added, weight, along in _SLOPES:
                 forms.append(Form(atom, added, weight=Product(*weight)))
-                table.append((i, j, plain + slope(added, along), -4.0, 1))
+                table.append((i, j, plain + slope(added, along), -4.0, _counted(along)))
     for m, (i, left, w_left, along_left) in enumerate(_SLOPES):
         for n, (j, right, w_right, along_right) in enumerate(_SLOPES[m:], start=m):
             square = Product(_times(w_left[0], w_right[0]), _times(w_left[1], w_right[1]))
             twice = 2.0 if m != n and left == right else 1.0
             forms.append(Form(left, right, weight=square))
-            table.append((i, j, slope(left, along_left) + slope(right, along_right), 16.0 * twice, 2))
+            sides = slope(left, along_left) + slope(right, along_right)
+            table.append((i, j, sides, 16.0 * twice, _counted(along_left, along_right)))
     rows, columns = np.array([r[0] for r in table]), np.array([r[1] for r in table])
     sides = np.array([r[2] for r in table])
-    factor, order = np.array([r[3] for r in table]), np.array([r[4] for r in table])
-    coefficients = partial(_warp_coefficients, rows, columns, sides, factor, order)
+    factor, sags = np.array([r[3] for r in table]), np.array([r[4] for r in table])
+    coefficients = partial(_warp_coefficients, rows, columns, sides, factor, sags)
     # tilting, w is x or y, and u, v are what keeps the cap from stretching
     squares: tuple[Field, ...] = ("u", "v")
     tilting = tuple((field, powers) for field in squares for powers in ((2, 0), (0, 2)))
@@ -154,12 +160,22 @@ def _warp(problem: Problem, facts: PlateFacts) -> Problem:
     return warped.with_terms(Term("warp", "stiffness", tuple(forms), coefficients))
 
 
+def _counted(*axes: str) -> Array:
+    """How often x and how often y is among some axes, (2,), whole: a negative sag has no other powers."""
+    return np.array([axes.count("x"), axes.count("y")])
+
+
 def _warp_coefficients(
-    rows: Array, columns: Array, sides: Array, factor: Array, order: Array, state: PlateState, values: Values
+    rows: Array, columns: Array, sides: Array, factor: Array, sags: Array, state: PlateState, values: Values
 ) -> Array:
     length, width = np.asarray(state.length)[..., None], np.asarray(state.width)[..., None]
-    sag = np.asarray(values["sag"])[..., None]
-    scale = factor * sag**order * length ** (1.0 - sides[:, 0]) * width ** (1.0 - sides[:, 1])
+    sag, direction = np.asarray(values["sag"]), np.deg2rad(1.0) * np.asarray(values["sag_direction_deg"])
+    along_x, along_y = (np.sqrt(2.0) * sag * turned(direction) for turned in (np.cos, np.sin))
+    scale = factor * length ** (1.0 - sides[:, 0]) * width ** (1.0 - sides[:, 1])
+    # whole powers: a negative sag has no other
+    scale = (
+        scale * along_x[..., None] ** sags[:, 0].astype(int) * along_y[..., None] ** sags[:, 1].astype(int)
+    )
     return np.asarray(state.stiffness()[..., rows, columns] * scale)
 
 
@@ -199,9 +215,13 @@ WARP = Effect(
     title="plate that is not flat",
     family="shape",
     belongs_to="plate",
-    parameters=(either_sign("sag", "m", 0.5e-3, 8e-3, gross=EVEN, shown=MILLIMETRE),),
-    note="shallow cap, kappa = 8 s / a^2 and 8 s / b^2: it stretches when it bends",
-    check="Lay the plate on a surface plate and gauge its sag.",
+    parameters=(
+        either_sign("sag", "m", 0.5e-3, 8e-3, gross=EVEN, shown=MILLIMETRE),
+        Parameter("sag_direction_deg", "deg", Uniform(-45.0, 135.0), 45.0),
+    ),
+    note="shallow shell, kappa = 8 s_x / a^2, 8 s_y / b^2, s^2 = (s_x^2 + s_y^2) / 2: bending stretches it",
+    check="Lay the plate on a surface plate and gauge its sag along both sides.",
+    directions=("sag_direction_deg",),
     change=_warp,
     size_factor=per_thickness,
     even=True,

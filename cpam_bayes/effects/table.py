@@ -23,9 +23,8 @@ def catalogue_tables(effects: Sequence[Effect] = CATALOGUE) -> str:
 
 
 def _record(effect: Effect) -> tuple[str, ...]:
-    places = f", at {len(effect.places)} places" if effect.places else ""
     sized = effect.sizes
-    parameters = [f"{p.name}{' >= 0' if p.prior.lower >= 0.0 else ''}{places}" for p in sized]
+    parameters = [f"{p.name}{' >= 0' if p.prior.lower >= 0.0 else ''}" for p in sized]
     parameters += [p.name for p in effect.coordinates]
     # a size that follows the plate's has its words in the note
     of_plate = effect.is_anywhere and effect.size_factor is not None

@@ -61,8 +61,8 @@ class Polynomial:
 
 
 @dataclass(frozen=True, slots=True)
-class Bell:
-    """exp(-((t - centre) / width)^2 / 2)."""
+class _Local:
+    """A weight about a centre."""
 
     centre: float
     width: float
@@ -72,6 +72,11 @@ class Bell:
         """1 about the middle, 0 elsewhere."""
         return 1 if self.centre == 0.5 else 0
 
+
+@dataclass(frozen=True, slots=True)
+class Bell(_Local):
+    """exp(-((t - centre) / width)^2 / 2)."""
+
     @property
     def breaks(self) -> tuple[float, ...]:
         """Panels of two widths, out to where it has vanished."""
@@ -80,6 +85,20 @@ class Bell:
     def __call__(self, t: Array) -> Array:
         """Values at points (n,) of [0, 1], (n,)."""
         return np.asarray(np.exp(-0.5 * ((t - self.centre) / self.width) ** 2))
+
+
+@dataclass(frozen=True, slots=True)
+class Box(_Local):
+    """1 within a width of the centre, 0 elsewhere."""
+
+    @property
+    def breaks(self) -> tuple[float, ...]:
+        """Its ends."""
+        return self.centre - self.width, self.centre + self.width
+
+    def __call__(self, t: Array) -> Array:
+        """Values at points (n,) of [0, 1], (n,)."""
+        return np.asarray(np.where(np.abs(t - self.centre) <= self.width, 1.0, 0.0))
 
 
 ONE = Polynomial((1.0,))

@@ -206,7 +206,7 @@ def test_a_gross_error_is_as_large_as_the_plate_allows(effect: Effect) -> None:
 
 def test_what_has_no_gross_part_is_listed() -> None:
     """A known density, a grip that fades, what rests on a soft support, skins: tolerances to their ends."""
-    without = {e.name for e in CATALOGUE for p in e.parameters if not isinstance(p.prior, Mixture)}
+    without = {e.name for e in CATALOGUE for p in e.sizes if not isinstance(p.prior, Mixture)}
     assert without - {"sensor_mass", "damage"} == {"air", "clamp_slip", "support", "resin_skin", "outlier"}
 
 
@@ -238,7 +238,7 @@ def test_compliances_of_one_clamp_exclude_each_other_and_no_others_do() -> None:
 
 def test_the_expected_size_may_depend_on_the_plate() -> None:
     (found,) = variants(BY_NAME["warp"], facts("C1"))
-    (prior,) = (p.prior for p in found.parameters)
+    (prior,) = (p.prior for p in found.sizes)
     h = facts("C1").thickness
     np.testing.assert_allclose([prior.lower, prior.upper], [-4.0 * h, 4.0 * h])
     assert found.scaled(1.0)["sag"] == pytest.approx(0.25 * h)
@@ -247,8 +247,10 @@ def test_the_expected_size_may_depend_on_the_plate() -> None:
     (support,) = variants(BY_NAME["support"], replace(facts("C1"), first_frequency=120.0))
     assert support.scaled(1.0)["support_frequency"] == pytest.approx(12.0)
     assert support.parameters[0].prior.upper == pytest.approx(60.0)
-    places = variants(replace(BY_NAME["damage"], size_factor=lambda facts: 0.5), facts("C1"))
-    assert {e.scaled(1.0)["damage"] for e in places} == {0.1}
+    smooth, sharp = variants(replace(BY_NAME["damage"], size_factor=lambda facts: 0.5), facts("C1"))
+    assert smooth.scaled(1.0)["damage"] == 0.1
+    assert (smooth.local, sharp.local) == ("bell", "rectangle")
+    assert smooth.coordinates == sharp.coordinates
 
 
 def test_effects_that_a_plate_cannot_have_are_refused_with_what_is_possible() -> None:

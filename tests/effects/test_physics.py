@@ -46,7 +46,7 @@ def frequencies(problem: Problem, values: dict[str, float], n: int = 6, degree: 
 
 
 def applied(problem: Problem, name: str, layup: tuple[float, ...] = (0.0,)) -> Problem:
-    return extend(problem, BY_NAME[name], facts_of(problem, layup))
+    return extend(problem, placed(BY_NAME[name]), facts_of(problem, layup))
 
 
 # The same plate, described otherwise
@@ -265,7 +265,7 @@ def test_loss_tangent_stiffens_by_its_share_of_pi_per_unit_of_log_frequency() ->
 # Energies from the definitions, by quadrature
 
 
-def strains(problem: Problem, space: RitzSpace, deflection: float) -> tuple[np.ndarray, np.ndarray]:
+def strains(problem: Problem, space: RitzSpace, sags: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
     """Generalised strains (n_points, 8, n) of a shallow cap and the points' weights times the area."""
     state, rule = problem.nominal, space.quadrature(AREA)
     a, b = float(state.length), float(state.width)
@@ -286,8 +286,8 @@ def strains(problem: Problem, space: RitzSpace, deflection: float) -> tuple[np.n
     add(6, "phi_y", "")
     add(7, "w", "x")
     add(7, "phi_x", "")
-    # w0 = sag (4 xi (1 - xi) + 4 eta (1 - eta))
-    slope_x, slope_y = (deflection * 4 * (1 - 2 * rule.points.T) / np.array([[a], [b]])).reshape(2, -1)
+    # w0 = sag_x 4 xi (1 - xi) + sag_y 4 eta (1 - eta)
+    slope_x, slope_y = np.array(sags)[:, None] * 4 * (1 - 2 * rule.points.T) / np.array([[a], [b]])
     add(0, "w", "x", slope_x)
     add(1, "w", "y", slope_y)
     add(2, "w", "y", slope_x)
@@ -305,16 +305,21 @@ def whole(problem: Problem, space: RitzSpace, values: dict[str, np.ndarray]) -> 
     return found
 
 
+SAGS = (4e-3, -2.5e-3)
+
+
 @pytest.mark.parametrize("name", ["taper_x", "taper_y", "damage", "warp"])
 def test_stiffness_with_an_effect_is_the_energy_of_its_strains_by_quadrature(name: str) -> None:
     layup = (30.0, -60.0, 10.0)
     problem = plate(0.3, 0.2, 0.02, 1600.0, PLY, layup, "CFFF")
     effect = applied(problem, name, layup)
     space = ritz_space("CFFF", problem.nominal, RitzSettings(5, 5, 1, True))
-    value = {"taper_x": 0.1, "taper_y": -0.1, "damage": 0.3, "warp": 4e-3}[name]
-    parameter = effect.parameters.names[0]
-    found = whole(effect, space, {parameter: np.array([value])})
-    b, area = strains(problem, space, value if name == "warp" else 0.0)
+    value = {"taper_x": 0.1, "taper_y": -0.1, "damage": 0.3, "warp": 0.0}[name]
+    values = {effect.parameters.names[0]: value}
+    if name == "warp":
+        values |= {"sag": np.hypot(*SAGS) / 2**0.5, "sag_direction_deg": np.degrees(np.arctan2(*SAGS[::-1]))}
+    found = whole(effect, space, {name: np.array([v]) for name, v in values.items()})
+    b, area = strains(problem, space, SAGS if name == "warp" else (0.0, 0.0))
     points = space.quadrature(AREA).points
     stiffness = np.broadcast_to(problem.nominal.stiffness(), (len(points), 8, 8)).copy()
     if name.startswith("taper"):

@@ -10,7 +10,8 @@ import pytest
 from cpam_bayes.forward_model.labels import LabelError, LabelledModel, labelled_model, same_label
 from cpam_bayes.forward_model.reduced import ReducedModel
 from cpam_bayes.forward_model.store import reduced_model
-from cpam_bayes.identification.point import estimate_constants, search
+from cpam_bayes.identification.point import estimate_constants
+from cpam_bayes.identification.search import search
 from cpam_bayes.identification.starting import start_of
 from cpam_bayes.inference.chains.sampling import swarm_on_posterior
 from cpam_bayes.inference.posterior import plate_posterior

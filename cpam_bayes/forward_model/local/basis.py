@@ -10,7 +10,10 @@ import scipy.linalg
 from numpy.typing import NDArray
 
 from cpam_bayes.forward_model.local.fields import field_parts
-from cpam_bayes.forward_model.local.model import LocalModel
+from cpam_bayes.forward_model.local.model import Change, LocalModel
+from cpam_bayes.forward_model.local.patch import FURTHER, Patch, loads_of_modes
+from cpam_bayes.forward_model.local.patch_rule import PatchForm
+from cpam_bayes.forward_model.local.point_mass import PointMass
 from cpam_bayes.forward_model.model import PlateModel, training_sets
 from cpam_bayes.forward_model.reduction import compressed
 from cpam_bayes.mechanics.affine import AffineOperator, DenseBlock, DenseOperator
@@ -42,6 +45,7 @@ class LocalSettings:
 
 
 DEFAULT_SETTINGS = LocalSettings()
+PATCH_SETTINGS = LocalSettings(further=8, modes=6, constants=10, places=24, leading=3e-4, rest=3e-4)
 # Shift of the energy over the lowest eigenvalue: it makes a free plate stiff.
 _SHIFT = 0.3
 _RIGID = 1e-4
@@ -77,28 +81,67 @@ def point_mass_model(
     error : (n_modes,) of the bare plate
     added : the mass, kg, and its place
     """
-    # the seed is fixed: a model does not depend on the run that first needed it
-    rng = np.random.default_rng(0)
-    degrees = settings.degree_x + how.further, settings.degree_y + how.further
-    settings = replace(settings, degree_x=degrees[0], degree_y=degrees[1])
-    operator = discretise(problem, local_space(problem, settings), problem.parameters.mapping(samples))
-    plain = PlateModel(operator, n_modes, error, (settings, np.empty(0, dtype=bool)))
-    operator = compressed(operator, *plain.coefficients(training_sets(problem, 160, rng)))
-    plain = replace(plain, operator=operator)
-    trained = _training(plain, np.vstack((samples[:1], training_sets(problem, how.constants, rng))), how)
-    rows = _rows(operator, _training_places(rng, how.places))
+    trained, rng = _training(problem, settings, samples, n_modes, error, how)
+    rows = _rows(trained.operator, _training_places(rng, how.places))
     # what a mass in rows of the fields adds: its translation, and its rotation half a thickness off
     arm = float(np.real(problem.nominal.thickness)) / 2
-    loads = [r * np.array([1.0, 1.0, 1.0, arm, arm])[:, None, None] for r in rows]
-    heaviest = added.parameters[0].prior.upper
-    grown = [_basis(trained, b, np.sqrt(heaviest) * load, how) for b, load in enumerate(loads)]
-    return _assembled(plain, grown, added, trained.shift)
+    inertia = np.sqrt(added.parameters[0].prior.upper) * np.array([1.0, 1.0, 1.0, arm, arm])[:, None, None]
+    by_block = [(inertia * r)[r.any(axis=(1, 2))].reshape(-1, r.shape[-1]) for r in rows]
+    grown = [
+        _basis(trained, b, [np.sqrt(top) * loads for top in trained.highest], how)
+        for b, loads in enumerate(by_block)
+    ]
+    # fields of blocks that hold responses: a load on another one does nothing new
+    answering = [v.shape[1] > n and r for (v, n), r in zip(grown, rows, strict=True)]
+    loads = tuple(i for i in range(len(FIELDS)) if any(r is not False and r[i].any() for r in answering))
+    return _assembled(trained, grown, added, PointMass(loads))
+
+
+@single_blas_thread
+def patch_model(
+    problem: Problem,
+    settings: RitzSettings,
+    samples: Array,
+    n_modes: int,
+    error: Array,
+    added: ParameterSet,
+    form: PatchForm,
+    how: LocalSettings = PATCH_SETTINGS,
+) -> LocalModel:
+    """A plate with a softer patch anywhere, parameters as of ``point_mass_model``.
+
+    added : the fraction of stiffness lost, the place, and the extent over the shorter side
+    """
+    sides = tuple(float(np.real(side)) for side in (problem.nominal.length, problem.nominal.width))
+    patch = Patch(form, (min(sides) / sides[0], min(sides) / sides[1]))
+    trained, rng = _training(problem, settings, samples, n_modes, error, how)
+    operator = trained.operator
+    indices = [block.index for block in operator.blocks]
+    parts = field_parts(operator.space, indices, [np.eye(len(index)) for index in indices])
+    low, high = added.parameters[3].prior.lower, added.parameters[3].prior.upper
+    by_set = []
+    for s, row in enumerate(trained.sets):
+        extents = np.exp(rng.uniform(np.log(low), np.log(high), how.places))
+        where = np.column_stack((_training_places(rng, how.places), extents))
+        by_set.append(
+            loads_of_modes(patch, trained.plain, parts, row, where, _lowest(trained, s, n_modes + FURTHER))
+        )
+    ends = np.cumsum([0, *(len(index) for index in indices)])
+    grown = [
+        _basis(
+            trained, b, [loads[..., ends[b] : ends[b + 1]].reshape(-1, len(index)) for loads in by_set], how
+        )
+        for b, index in enumerate(indices)
+    ]
+    return _assembled(trained, grown, added, patch)
 
 
 @dataclass(frozen=True, slots=True)
 class _Training:
     """A plate at the sets of constants that its basis is made from.
 
+    plain : in the full space
+    sets : (m, n_parameters)
     stiffness, mass : (m, n_terms) coefficients
     modes : eigenvalues (m, k) and vectors (m, n, k) of every block
     last, highest : (m,) eigenvalues of the last mode of the leading basis, and of the last one predicted
@@ -106,7 +149,8 @@ class _Training:
     shift : of the energy in which loads are answered
     """
 
-    operator: DenseOperator
+    plain: PlateModel
+    sets: Array
     stiffness: Array
     mass: Array
     modes: list[tuple[Array, Array]]
@@ -115,23 +159,53 @@ class _Training:
     first: float
     shift: float
 
+    @property
+    def operator(self) -> DenseOperator:
+        """Of the full space."""
+        return self.plain.operator
 
-def _training(plain: PlateModel, x: Array, how: LocalSettings) -> _Training:
-    operator = plain.operator
+
+def _training(
+    problem: Problem, settings: RitzSettings, samples: Array, n_modes: int, error: Array, how: LocalSettings
+) -> tuple[_Training, np.random.Generator]:
+    # the seed is fixed: a model does not depend on the run that first needed it
+    rng = np.random.default_rng(0)
+    degrees = settings.degree_x + how.further, settings.degree_y + how.further
+    settings = replace(settings, degree_x=degrees[0], degree_y=degrees[1])
+    operator = discretise(problem, local_space(problem, settings), problem.parameters.mapping(samples))
+    plain = PlateModel(operator, n_modes, error, (settings, np.empty(0, dtype=bool)))
+    operator = compressed(operator, *plain.coefficients(training_sets(problem, 160, rng)))
+    plain = replace(plain, operator=operator)
+    x = np.vstack((samples[:1], training_sets(problem, how.constants, rng)))
     stiffness, mass = plain.coefficients(x)
-    n_rigid = rigid_body_count(operator.problem.edges)
-    wanted = n_rigid + plain.n_modes + how.modes
+    n_rigid = rigid_body_count(problem.edges)
+    wanted = n_rigid + n_modes + how.modes
     modes = [_modes(block, stiffness, mass, wanted) for block in operator.blocks]
     lowest = np.sort(np.concatenate([lam for lam, _ in modes], axis=1), axis=1)
     first = float(lowest[0, n_rigid])
-    last, highest = lowest[:, wanted - 1], lowest[:, n_rigid + plain.n_modes - 1]
-    return _Training(operator, stiffness, mass, modes, last, highest, first, _SHIFT * first)
+    last, highest = lowest[:, wanted - 1], lowest[:, n_rigid + n_modes - 1]
+    return _Training(plain, x, stiffness, mass, modes, last, highest, first, _SHIFT * first), rng
 
 
-def _basis(trained: _Training, b: int, loads: Array, how: LocalSettings) -> tuple[Array, int]:
+def _lowest(trained: _Training, s: int, k: int) -> list[Array]:
+    """The k lowest modes that deform the plate at one set of constants, of unit energy, by block (n, k)."""
+    first = rigid_body_count(trained.operator.problem.edges)
+    order = np.argsort(np.concatenate([lam[s] for lam, _ in trained.modes]))[first : first + k]
+    out, start = [], 0
+    for lam, vectors in trained.modes:
+        at = order - start
+        inside = (at >= 0) & (at < lam.shape[1])
+        of_block = np.zeros((vectors.shape[1], k))
+        of_block[:, inside] = vectors[s][:, at[inside]] / np.sqrt(lam[s][at[inside]])
+        start += lam.shape[1]
+        out.append(of_block)
+    return out
+
+
+def _basis(trained: _Training, b: int, loads: list[Array], how: LocalSettings) -> tuple[Array, int]:
     """The basis of one block (n, r) and how many of its vectors are the bare plate's own.
 
-    loads : (5, n_places, n), each of the five fields times the mass that acts on it
+    loads : (n_loads, n) for every set of constants, as large as they act on a mode of unit energy
     """
     block = trained.operator.blocks[b]
     k, m = block.stiffness.assemble(trained.stiffness), block.mass.assemble(trained.mass)
@@ -140,18 +214,16 @@ def _basis(trained: _Training, b: int, loads: Array, how: LocalSettings) -> tupl
     # the frequency of a rigid-body motion is rounding
     rigid = np.abs(lam) < _RIGID * trained.first
     basis = _grown(np.empty((block.size, 0)), root @ vectors[0][:, rigid[0]], 0.0)
-    own = [
+    bare_modes = [
         v[:, chosen] / np.sqrt(one[chosen])
         for one, v, chosen in zip(lam, vectors, ~rigid & (lam <= trained.last[:, None]), strict=True)
     ]
-    basis = _grown(basis, root @ np.concatenate(own, axis=1), how.leading)
+    basis = _grown(basis, root @ np.concatenate(bare_modes, axis=1), how.leading)
     leading = basis.shape[1]
-    present = [load.T for load in loads if load.any()]
-    if present and any(v.shape[1] for v in own):  # a block without modes in range answers no load
-        every = np.concatenate(present, axis=1)
+    if any(v.shape[1] for v in bare_modes):  # a block without modes in range answers no load
         responses = [
-            scipy.linalg.solve(one + trained.shift * inertia, every, assume_a="pos") * np.sqrt(top)
-            for one, inertia, top in zip(k, m, trained.highest, strict=True)
+            scipy.linalg.solve(one + trained.shift * inertia, load.T, assume_a="pos")
+            for one, inertia, load in zip(k, m, loads, strict=True)
         ]
         basis = _grown(basis, root @ np.concatenate(responses, axis=1), how.rest)
     return scipy.linalg.solve_triangular(root, basis), leading
@@ -192,7 +264,8 @@ def _grown(basis: Array, snapshots: Array, tolerance: float) -> Array:
     rest = snapshots - basis @ (basis.T @ snapshots)
     if not rest.size:
         return basis
-    u, _, _ = np.linalg.svd(rest, full_matrices=False)
+    # directions by their part of all snapshots; squares, so half the digits, of which three are needed
+    u = np.linalg.eigh(rest @ rest.T)[1][:, ::-1][:, : rest.shape[1]]
     parts = (u.T @ rest) ** 2
     missing = np.cumsum(parts[::-1], axis=0)[::-1].max(axis=1)
     rank = int(np.count_nonzero(missing > tolerance))
@@ -201,23 +274,20 @@ def _grown(basis: Array, snapshots: Array, tolerance: float) -> Array:
 
 
 def _assembled(
-    plain: PlateModel, grown: list[tuple[Array, int]], added: ParameterSet, shift: float
+    trained: _Training, grown: list[tuple[Array, int]], added: ParameterSet, change: Change
 ) -> LocalModel:
-    operator = plain.operator
-    used = [(block, *pair) for block, pair in zip(operator.blocks, grown, strict=True) if pair[0].size]
+    operator = trained.operator
+    # as many modes of a block as any set of constants has in range
+    in_range = [int((lam <= trained.last[:, None]).sum(axis=1).max()) for lam, _ in trained.modes]
+    kept = [min(k, n) for k, (_, n) in zip(in_range, grown, strict=True)]
+    used = [
+        (block, *pair, k) for block, pair, k in zip(operator.blocks, grown, kept, strict=True) if pair[0].size
+    ]
     blocks = tuple(
         DenseBlock(b.stiffness.project(v), b.mass.project(v), np.arange(v.shape[1]), b.n_terms)
-        for b, v, _ in used
+        for b, v, *_ in used
     )
-    parts = field_parts(operator.space, [b.index for b, _, _ in used], [v for _, v, _ in used])
-    # fields of blocks that hold responses: a load on another one does nothing new
-    answering = {start for start, v, n in _starts(used) if v.shape[1] > n}
-    fields = {part.field for part in parts if part.columns.start in answering}
-    loads = tuple(i for i, field in enumerate(FIELDS) if field in fields)
-    bare = replace(plain, operator=AffineOperator(operator.problem, operator.space, blocks))
-    return LocalModel(bare, tuple(n for _, _, n in used), parts, added, loads, shift)
-
-
-def _starts(used: list[tuple[DenseBlock, Array, int]]) -> list[tuple[int, Array, int]]:
-    starts = np.cumsum([0, *(v.shape[1] for _, v, _ in used)])
-    return [(int(start), v, n) for start, (_, v, n) in zip(starts[:-1], used, strict=True)]
+    parts = field_parts(operator.space, [b.index for b, *_ in used], [v for _, v, *_ in used])
+    bare = replace(trained.plain, operator=AffineOperator(operator.problem, operator.space, blocks))
+    leading, modes = tuple(n for _, _, n, _ in used), tuple(k for *_, k in used)
+    return LocalModel(bare, leading, modes, parts, added, trained.shift, change)

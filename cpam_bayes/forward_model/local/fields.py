@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,7 +20,7 @@ class FieldPart:
     """What one sector of trial functions contributes to a field of the basis vectors of one block.
 
     sector : its number in the space
-    columns : of these vectors in the whole basis
+    block, columns : number of the block, and of its vectors in the whole basis
     tensor : (x.size, y.size, n_columns)
     """
 
@@ -27,6 +28,7 @@ class FieldPart:
     x: Family
     y: Family
     sector: int
+    block: int
     columns: slice
     tensor: Array
 
@@ -37,7 +39,7 @@ def field_parts(space: RitzSpace, indices: list[Array], bases: list[Array]) -> t
     first = 0
     for number, sector in enumerate(space.sectors):
         start = 0
-        for index, basis in zip(indices, bases, strict=True):
+        for block, (index, basis) in enumerate(zip(indices, bases, strict=True)):
             columns = slice(start, start + basis.shape[1])
             start = columns.stop
             inside = np.flatnonzero((index >= first) & (index < first + sector.size))
@@ -47,7 +49,7 @@ def field_parts(space: RitzSpace, indices: list[Array], bases: list[Array]) -> t
             tensor = np.zeros((sector.x.size, sector.y.size, basis.shape[1]))
             tensor[pairs[:, 0], pairs[:, 1]] = basis[inside]
             if np.abs(tensor).max() > 0.0:
-                parts.append(FieldPart(sector.field, sector.x, sector.y, number, columns, tensor))
+                parts.append(FieldPart(sector.field, sector.x, sector.y, number, block, columns, tensor))
         first += sector.size
     return tuple(parts)
 
@@ -56,7 +58,7 @@ class PointValues:
     """Trial functions of one coordinate at points (...), each family evaluated once."""
 
     def __init__(self, t: Array) -> None:
-        self._t = t
+        self.points = t
         self._legendre: tuple[Array, Array] | None = None
         self._values: dict[tuple[int, bool], tuple[Family, Array]] = {}
 
@@ -67,8 +69,12 @@ class PointValues:
             self._values[key] = (family, self._raw(family, derivative) @ family.transform)
         return self._values[key][1]
 
+    def along(self, families: tuple[Family, ...], derivative: bool) -> Array:
+        """Those of several families, one after the other, (..., size)."""
+        return np.concatenate([self.at(family, derivative) for family in families], axis=-1)
+
     def _raw(self, family: Family, derivative: bool) -> Array:
-        t = self._t
+        t = self.points
         highest = int(family.degrees.max(initial=0))
         if self._legendre is None or self._legendre[0].shape[-1] <= highest:
             self._legendre = legendre_values(t, highest + 2)
@@ -80,6 +86,39 @@ class PointValues:
             by_sign = {1: near + far, -1: near - far, 2: near, 3: far}
             columns += [by_sign[sign][..., None] for sign in family.signs]
         return np.concatenate(columns, axis=-1)
+
+
+@dataclass(frozen=True, slots=True)
+class FieldGrid:
+    """All functions of x and of y that some sectors of one field are made of.
+
+    x, y : families, one after the other
+    cells : number of each sector or part, and its functions among those of x and of y
+    """
+
+    field: Field
+    x: tuple[Family, ...]
+    y: tuple[Family, ...]
+    cells: tuple[tuple[int, slice, slice], ...]
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Numbers of functions of x and of y."""
+        return sum(f.size for f in self.x), sum(f.size for f in self.y)
+
+
+def field_grid(field: Field, sectors: Sequence[FieldPart]) -> FieldGrid:
+    """The functions of one field of some sectors."""
+    of_field = [(number, s) for number, s in enumerate(sectors) if s.field == field]
+    xs, ys = ({id(getattr(s, a)): getattr(s, a) for _, s in of_field} for a in ("x", "y"))
+    in_x, in_y = _places(xs), _places(ys)
+    cells = tuple((number, in_x[id(s.x)], in_y[id(s.y)]) for number, s in of_field)
+    return FieldGrid(field, tuple(xs.values()), tuple(ys.values()), cells)
+
+
+def _places(families: dict[int, Family]) -> dict[int, slice]:
+    ends = np.cumsum([0, *(f.size for f in families.values())]).tolist()
+    return {key: slice(a, b) for key, a, b in zip(families, ends[:-1], ends[1:], strict=True)}
 
 
 def values_at_points(

@@ -1,6 +1,6 @@
-"""Frequencies of a plate with a point mass anywhere, by a small basis that fits each parameter set.
+"""Frequencies of a plate with a local change anywhere, by a small basis that fits each parameter set.
 
-Per parameter set the Ritz basis is that of the bare plate and the plate's static responses to unit loads
+Per parameter set the Ritz basis is that of the bare plate and the plate's static responses to loads
 where the change is (component mode synthesis with residual flexibility: Craig and Bampton, AIAA J. 6, 1968;
 MacNeal, Comput. Struct. 1, 1971). Both stand in one larger basis, common to all places, in which
 the bare plate is a few small blocks.
@@ -10,44 +10,56 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from itertools import pairwise
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cpam_bayes.forward_model.local.fields import FieldPart, PointValues, values_at_points
+from cpam_bayes.forward_model.local.fields import FieldPart
 from cpam_bayes.forward_model.model import PlateModel, Prediction
-from cpam_bayes.mechanics.affine import DenseOperator
-from cpam_bayes.mechanics.problem import FIELDS, Atom, Derivative, rigid_body_count
+from cpam_bayes.mechanics.problem import rigid_body_count
 from cpam_bayes.parameters import ParameterSet
 
 Array = NDArray[Any]
 
-# Parameter sets solved at a time: their matrices stay in the processor's cache.
-_BATCH = 64
 # Of a response that the bare basis holds already, relative to its flexibility.
 _NUGGET = 1e-11
 
 
+class Change(Protocol):
+    """What is changed: a point mass, a softer patch."""
+
+    def batches(self, added: Array) -> list[Array]:
+        """Rows of the parameters of the change (m, k) that are solved together."""
+        ...
+
+    def predict(self, model: LocalModel, x: Array, jacobian: bool) -> Prediction:
+        """Frequencies at parameter vectors (m, n) and, if asked, their derivatives."""
+        ...
+
+
 @dataclass(frozen=True)
 class LocalModel:
-    """A plate with a point mass at any place: parameter vectors in, frequencies out.
+    """A plate with a local change at any place: parameter vectors in, frequencies out.
 
     bare : the bare plate on the basis common to all places, orthonormal in a reference energy; parameters
         are the plate's
     leading : number of vectors of each block that are the bare plate's own
+    modes : of the bare plate in these, how many of each block a parameter set's basis holds
     parts : fields of the basis
-    added : the mass, then its place as fractions of length and width
-    loads : fields on which the unit loads act, by their numbers
-    shift : (rad/s)^2, of the energy K + shift M in which the plate answers them
+    added : parameters of the change: its size, its place as fractions of length and width, its extent
+    shift : (rad/s)^2, of the energy K + shift M in which the plate answers loads
+    change : what is there
     """
 
     bare: PlateModel
     leading: tuple[int, ...]
+    modes: tuple[int, ...]
     parts: tuple[FieldPart, ...]
     added: ParameterSet
-    loads: tuple[int, ...]
     shift: float
+    change: Change
 
     @property
     def n_modes(self) -> int:
@@ -71,138 +83,153 @@ class LocalModel:
     def predict(self, x: Array, *, jacobian: bool = False) -> Prediction:
         """Frequencies at parameter vectors (m, n) and, if asked, their derivatives.
 
-        d lambda = phi^T (dK - lambda dM) phi with phi fixed, over constants, mass and place.
+        d lambda = phi^T (dK - lambda dM) phi with phi fixed, over constants and change.
         """
         x = np.atleast_2d(x)
-        found = [_predict(self, x[i : i + _BATCH], jacobian) for i in range(0, len(x), _BATCH)]
-        slopes = [p.jacobian for p in found if p.jacobian is not None]
-        return Prediction(
-            np.concatenate([p.frequencies for p in found]) if found else np.empty((0, self.n_modes)),
-            np.concatenate(slopes) if slopes else None,
-        )
+        frequencies = np.empty((len(x), self.n_modes))
+        slopes = np.empty((*frequencies.shape, x.shape[1])) if jacobian else None
+        for rows in self.change.batches(self.split(x)[1]):
+            batch = self.change.predict(self, x[rows], jacobian)
+            frequencies[rows] = batch.frequencies
+            if slopes is not None:
+                slopes[rows] = batch.jacobian
+        return Prediction(frequencies, slopes)
+
+    def split(self, x: Array) -> tuple[Array, Array]:
+        """The plate's parameters and those of the change, of parameter vectors (m, n)."""
+        n = self.bare.parameters.size
+        return x[:, :n], x[:, n:]
 
 
-def _predict(model: LocalModel, x: Array, jacobian: bool) -> Prediction:
-    n_plate, operator, m = model.bare.parameters.size, model.bare.operator, len(x)
-    plate, added = x[:, :n_plate], x[:, n_plate:]
-    stiffness, mass = model.bare.coefficients(plate)
-    weights = _inertia(model, plate, added[:, 0])
-    points = PointValues(added[:, 1]), PointValues(added[:, 2])
-    rows = np.stack([_row(model, points, field, "", m) for field in FIELDS], axis=1)
-    energies, masses, responses = _responses(model, operator, stiffness, mass, rows)
-    a, b, at_place = _ritz(model, energies, masses, responses, rows)
-    mass_there = np.swapaxes(at_place, 1, 2) @ (weights[:, :, None] * at_place)
-    a += model.shift * mass_there
-    b += mass_there
-    back = np.swapaxes(np.linalg.inv(np.linalg.cholesky(a)), 1, 2)
-    whitened = np.swapaxes(back, 1, 2) @ b @ back
-    n_rigid = rigid_body_count(operator.problem.edges)
-    wanted = slice(-1 - n_rigid, -1 - n_rigid - model.n_modes, -1)
-    if not jacobian:
-        lam = 1.0 / np.linalg.eigvalsh(whitened)[:, wanted] - model.shift
-        return Prediction(np.sqrt(np.maximum(lam, 0.0)) / (2 * np.pi), None)
-    mu, vectors = np.linalg.eigh(whitened)
-    mu = mu[:, wanted]
-    lam = 1.0 / mu - model.shift
-    # phi^T B phi = mu for phi^T A phi = 1
-    z = np.swapaxes(back @ vectors[:, :, wanted] / np.sqrt(mu)[:, None], 1, 2)
-    phi = _in_basis(model, z, responses)
-    slope = np.empty((m, model.n_modes, x.shape[1]))
-    slope[..., :n_plate] = _plate_slopes(model, plate, phi, lam, weights, rows, added[:, 0])
-    u = phi @ np.swapaxes(rows, 1, 2)
-    per_mass = weights / np.where(added[:, :1] == 0.0, 1.0, added[:, :1])
-    per_mass = np.where(added[:, :1] == 0.0, _inertia(model, plate, np.ones(m)), per_mass)
-    slope[..., n_plate] = -lam * np.einsum("mif,mf->mi", u**2, per_mass)
-    for k, axis in enumerate(_AXES):
-        moved = np.stack([_row(model, points, field, axis, m) for field in FIELDS], axis=1)
-        du = phi @ np.swapaxes(moved, 1, 2)
-        slope[..., n_plate + 1 + k] = -2.0 * lam * np.einsum("mif,mif,mf->mi", u, du, weights)
-    f = np.sqrt(np.maximum(lam, 0.0)) / (2 * np.pi)
-    return Prediction(f, slope / (8 * np.pi**2 * f[..., None]))
+@dataclass(frozen=True, slots=True)
+class RitzBasis:
+    """The bare plate on the Ritz bases of m parameter sets: its modes, then its responses to loads.
+
+    energy, mass : K + shift M and M, (m, r, r)
+    modes : of each block in its leading vectors, (m, n_leading, n_modes) with an energy of one
+    responses : of each block to the loads, (m, n, n_loads)
+    """
+
+    energy: Array
+    mass: Array
+    modes: list[Array]
+    responses: list[Array]
+
+    @property
+    def n_modes(self) -> int:
+        """Number of modes of all blocks."""
+        return sum(v.shape[2] for v in self.modes)
 
 
-_AXES: tuple[Derivative, Derivative] = ("x", "y")
+def columns_of(modes: list[Array]) -> list[slice]:
+    """Where the modes of each block (m, n, k) stand among all of them."""
+    ends = np.cumsum([0, *(v.shape[2] for v in modes)]).tolist()
+    return [slice(a, b) for a, b in pairwise(ends)]
 
 
-def _row(
-    model: LocalModel, points: tuple[PointValues, PointValues], field: Any, derivative: Derivative, m: int
-) -> Array:
-    n_basis = sum(b.size for b in model.bare.operator.blocks)
-    return values_at_points(model.parts, n_basis, Atom(field, derivative), *points, m)
+@dataclass(frozen=True, slots=True)
+class BareModes:
+    """The bare plate at m parameter sets, and its modes in the leading vectors, block by block.
+
+    energy, mass : K + shift M and M, (m, n, n)
+    vectors : (m, n_leading, n_modes) with an energy of one
+    masses : (m, n_modes)
+    """
+
+    energy: list[Array]
+    mass: list[Array]
+    vectors: list[Array]
+    masses: list[Array]
 
 
-def _inertia(model: LocalModel, plate: Array, mass: Array) -> Array:
-    """m for u, v, w and m (h / 2)^2 for the rotations, (m, 5)."""
-    thickness = model.bare.operator.problem.state(model.bare.parameters.mapping(plate)).thickness
-    rotary = mass * (np.asarray(thickness) / 2) ** 2
-    return np.stack([mass, mass, mass, rotary, rotary], axis=-1)
+def bare_modes(model: LocalModel, plate: Array) -> BareModes:
+    """The bare plate at parameter vectors (m, n)."""
+    stiffness, inertia = model.bare.coefficients(plate)
+    modes = BareModes([], [], [], [])
+    for block, n, k in zip(model.bare.operator.blocks, model.leading, model.modes, strict=True):
+        b = block.mass.assemble(inertia)
+        a = block.stiffness.assemble(stiffness) + model.shift * b
+        v, mu = _whitened(a[:, :n, :n], b[:, :n, :n], k)
+        for of, one in zip(
+            (modes.energy, modes.mass, modes.vectors, modes.masses), (a, b, v, mu), strict=True
+        ):
+            of.append(one)
+    return modes
 
 
-def _responses(
-    model: LocalModel, operator: DenseOperator, stiffness: Array, mass: Array, rows: Array
-) -> tuple[list[Array], list[Array], list[Array]]:
-    """K + shift M and M of each block, (m, n, n), and its responses to unit loads, (m, n, n_loads)."""
-    energies, masses, responses = [], [], []
-    start = 0
-    for block in operator.blocks:
-        part = slice(start, start + block.size)
-        start = part.stop
-        m = block.mass.assemble(mass)
-        k = block.stiffness.assemble(stiffness) + model.shift * m
-        energies.append(k)
-        masses.append(m)
-        responses.append(np.linalg.solve(k, np.swapaxes(rows[:, model.loads, part], 1, 2)))
-    return energies, masses, responses
-
-
-def _ritz(
-    model: LocalModel, energies: list[Array], masses: list[Array], responses: list[Array], rows: Array
-) -> tuple[Array, Array, Array]:
-    """Energy and mass of the Ritz basis (m, r, r), and its five fields at the place, (m, 5, r)."""
-    m, r, n_loads = len(rows), sum(model.leading), len(model.loads)
-    a, b = (np.zeros((m, r + n_loads, r + n_loads)) for _ in range(2))
-    at_place = np.zeros((m, len(FIELDS), r + n_loads))
+def ritz_basis(bare: BareModes, loads: Array) -> RitzBasis:
+    """The bare plate on its modes, and its responses to loads (m, n_loads, n)."""
+    (m, n_loads, _), r = loads.shape, sum(mu.shape[1] for mu in bare.masses)
+    energy, mass = (np.zeros((m, r + n_loads, r + n_loads)) for _ in range(2))
+    responses = []
     start, column = 0, 0
-    for k, mass, g, n in zip(energies, masses, responses, model.leading, strict=True):
-        here = rows[:, :, start : start + k.shape[-1]]
-        lead = slice(column, column + n)
-        start, column = start + k.shape[-1], lead.stop
-        inertia = mass @ g
-        a[:, lead, lead], b[:, lead, lead] = k[:, :n, :n], mass[:, :n, :n]
-        at_place[:, :, lead] = here[:, :, :n]
-        at_place[:, :, r:] += here @ g
-        b[:, lead, r:] = inertia[:, :n]
-        b[:, r:, r:] += np.swapaxes(g, 1, 2) @ inertia
-    # (K + shift M) g is the load itself
-    loaded = at_place[:, model.loads]
-    a[:, r:] = loaded
-    a[:, :r, r:] = np.swapaxes(loaded[:, :, :r], 1, 2)
-    b[:, r:, :r] = np.swapaxes(b[:, :r, r:], 1, 2)
+    for a, b, v, mu in zip(bare.energy, bare.mass, bare.vectors, bare.masses, strict=True):
+        n, k = v.shape[1:]
+        load = np.swapaxes(loads[:, :, start : start + a.shape[1]], 1, 2)
+        g = np.linalg.solve(a, load)
+        responses.append(g)
+        lead, at = slice(column, column + k), np.arange(column, column + k)
+        start, column = start + a.shape[1], lead.stop
+        pushed, across = b @ g, np.swapaxes(v, 1, 2)
+        energy[:, at, at], mass[:, at, at] = 1.0, mu
+        # (K + shift M) g is the load itself
+        energy[:, lead, r:], mass[:, lead, r:] = across @ load[:, :n], across @ pushed[:, :n]
+        energy[:, r:, r:] += np.swapaxes(g, 1, 2) @ load
+        mass[:, r:, r:] += np.swapaxes(g, 1, 2) @ pushed
+    for matrix in (energy, mass):
+        matrix[:, r:, :r] = np.swapaxes(matrix[:, :r, r:], 1, 2)
     i = np.arange(r, r + n_loads)
-    diagonal = a[:, i, i]
+    diagonal = energy[:, i, i]
     # where an edge holds the field, the load does nothing
-    a[:, i, i] += np.where(diagonal > 0.0, _NUGGET * diagonal, 1.0)
-    return a, b, at_place
+    energy[:, i, i] += np.where(diagonal > 0.0, _NUGGET * diagonal, 1.0)
+    return RitzBasis(energy, mass, bare.vectors, responses)
 
 
-def _in_basis(model: LocalModel, z: Array, responses: list[Array]) -> Array:
+def _whitened(energy: Array, mass: Array, k: int) -> tuple[Array, Array]:
+    """The k lowest modes (m, n, k), with an energy of one, and their masses (m, k)."""
+    back = np.swapaxes(np.linalg.inv(np.linalg.cholesky(energy)), 1, 2)
+    mu, v = np.linalg.eigh(np.swapaxes(back, 1, 2) @ mass @ back)
+    return back @ v[:, :, -k:], mu[:, -k:]
+
+
+def eigenvalues(model: LocalModel, energy: Array, mass: Array, vectors: bool) -> tuple[Array, Array | None]:
+    """Eigenvalues (m, n_modes) of deformation modes and, if asked, M-normalised vectors (m, n_modes, r)."""
+    back = np.swapaxes(np.linalg.inv(np.linalg.cholesky(energy)), 1, 2)
+    whitened = np.swapaxes(back, 1, 2) @ mass @ back
+    n_rigid = rigid_body_count(model.bare.operator.problem.edges)
+    wanted = slice(-1 - n_rigid, -1 - n_rigid - model.n_modes, -1)
+    if not vectors:
+        return 1.0 / np.linalg.eigvalsh(whitened)[:, wanted] - model.shift, None
+    mu, every = np.linalg.eigh(whitened)
+    mu = mu[:, wanted]
+    # phi^T M phi = mu for phi^T (K + shift M) phi = 1
+    return 1.0 / mu - model.shift, np.swapaxes(back @ every[:, :, wanted] / np.sqrt(mu)[:, None], 1, 2)
+
+
+def prediction(lam: Array, slope: Array | None) -> Prediction:
+    """Frequencies from eigenvalues (m, n_modes), with their derivatives (m, n_modes, n)."""
+    f = np.sqrt(np.maximum(lam, 0.0)) / (2 * np.pi)
+    return Prediction(f, None if slope is None else slope / (8 * np.pi**2 * f[..., None]))
+
+
+def in_common_basis(z: Array, basis: RitzBasis) -> Array:
     """Vectors (m, k, r) of the Ritz basis in the basis common to all places, (m, k, n)."""
-    r, column = sum(model.leading), 0
+    r = basis.n_modes
     blocks = []
-    for g, n in zip(responses, model.leading, strict=True):
+    for v, g, columns in zip(basis.modes, basis.responses, columns_of(basis.modes), strict=True):
         phi = z[:, :, r:] @ np.swapaxes(g, 1, 2)
-        phi[:, :, :n] += z[:, :, column : column + n]
-        column += n
+        phi[:, :, : v.shape[1]] += z[:, :, columns] @ np.swapaxes(v, 1, 2)
         blocks.append(phi)
     return np.concatenate(blocks, axis=-1)
 
 
-def _plate_slopes(
-    model: LocalModel, plate: Array, phi: Array, lam: Array, weights: Array, rows: Array, mass: Array
-) -> Array:
-    """Derivatives of the eigenvalues over the plate's own parameters, (m, n_modes, n_plate)."""
+def plate_slopes(model: LocalModel, slopes: tuple[Array, Array], phi: Array, lam: Array) -> Array:
+    """Derivatives of the bare plate's energies over its parameters, (m, n_modes, n_plate).
+
+    slopes : of the coefficients of K and M, (m, n_terms, n_plate) each
+    """
     operator, (m, n_modes, _) = model.bare.operator, phi.shape
-    d_stiffness, d_mass = model.bare.coefficient_derivatives(plate)
+    d_stiffness, d_mass = slopes
     k_terms = np.zeros((m, n_modes, d_stiffness.shape[1]))
     m_terms = np.zeros((m, n_modes, d_mass.shape[1]))
     start = 0
@@ -212,9 +239,4 @@ def _plate_slopes(
         k, mass_terms = block.energies(vectors)
         k_terms += k.reshape(k_terms.shape)
         m_terms += mass_terms.reshape(m_terms.shape)
-    slope = k_terms @ d_stiffness - lam[..., None] * (m_terms @ d_mass)
-    if "thickness" in model.bare.parameters:  # the rotary inertia of the mass
-        i = model.bare.parameters.names.index("thickness")
-        u = phi @ np.swapaxes(rows[:, 3:], 1, 2)
-        slope[..., i] -= lam * np.einsum("mif,mf->mi", u**2, 2.0 * weights[:, 3:] / plate[:, i : i + 1])
-    return np.asarray(slope)
+    return np.asarray(k_terms @ d_stiffness - lam[..., None] * (m_terms @ d_mass))

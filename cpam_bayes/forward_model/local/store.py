@@ -12,7 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cpam_bayes.forward_model.local.fields import FieldPart
-from cpam_bayes.forward_model.local.model import LocalModel
+from cpam_bayes.forward_model.local.model import Change, LocalModel
+from cpam_bayes.forward_model.local.patch import Patch
+from cpam_bayes.forward_model.local.point_mass import PointMass
 from cpam_bayes.forward_model.model import PlateModel
 from cpam_bayes.forward_model.store import cache_directory, read_arrays, write_arrays
 from cpam_bayes.mechanics.affine import AffineMatrix, AffineOperator, DenseBlock
@@ -24,7 +26,7 @@ from cpam_bayes.threads import single_blas_thread
 Array = NDArray[Any]
 
 # To be raised when the same inputs give other numbers.
-_FORMAT = 3
+_FORMAT = 4
 
 
 @single_blas_thread
@@ -59,11 +61,13 @@ def _pack(model: LocalModel) -> dict[str, Array]:
     assert model.bare.basis is not None
     arrays = {
         "error": model.bare.error,
-        "leading": np.array(model.leading, dtype=int),
-        "loads": np.array(model.loads, dtype=int),
+        "leading": np.array([model.leading, model.modes], dtype=int),
+        "change": _change_fields(model.change),
         "basis": np.array(json.dumps(asdict(model.bare.basis[0]))),
         "scalars": np.array([model.shift]),
-        "sectors": np.array([[p.sector, p.columns.start, p.columns.stop] for p in model.parts], dtype=int),
+        "sectors": np.array(
+            [[p.sector, p.block, p.columns.start, p.columns.stop] for p in model.parts], dtype=int
+        ),
     }
     for i, block in enumerate(model.bare.operator.blocks):
         arrays[f"{i}_n_terms"] = np.array(block.n_terms)
@@ -86,13 +90,24 @@ def _unpack(stored: dict[str, Array], problem: Problem, added: ParameterSet) -> 
         n_k, n_m = stored[f"{i}_n_terms"].tolist()
         blocks.append(DenseBlock(stiffness, mass, np.arange(stiffness.stack.shape[-1]), (n_k, n_m)))
     parts = tuple(
-        FieldPart(s.field, s.x, s.y, int(number), slice(int(start), int(stop)), stored[f"{i}_tensor"])
-        for i, (number, start, stop) in enumerate(stored["sectors"])
+        FieldPart(s.field, s.x, s.y, number, block, slice(start, stop), stored[f"{i}_tensor"])
+        for i, (number, block, start, stop) in enumerate(stored["sectors"].tolist())
         for s in (space.sectors[number],)
     )
     error = stored["error"]
     operator = AffineOperator(problem, space, tuple(blocks))
     bare = PlateModel(operator, len(error), error, (settings, np.empty(0, dtype=bool)))
     shift = float(stored["scalars"][0])
-    leading, loads = (tuple(int(n) for n in stored[name]) for name in ("leading", "loads"))
-    return LocalModel(bare, leading, parts, added, loads, shift)
+    leading, modes = (tuple(of) for of in stored["leading"].tolist())
+    return LocalModel(bare, leading, modes, parts, added, shift, _change(*json.loads(str(stored["change"]))))
+
+
+def _change_fields(change: Change) -> Array:
+    assert isinstance(change, PointMass | Patch)
+    return np.array(json.dumps([type(change).__name__, asdict(change)]))
+
+
+def _change(kind: str, fields: dict[str, Any]) -> Change:
+    if kind == "PointMass":
+        return PointMass(tuple(fields["loads"]))
+    return Patch(fields["form"], tuple(fields["radius"]))
