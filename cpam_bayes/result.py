@@ -138,6 +138,10 @@ class Result:
             raise ValueError(f"plot: received {name!r}, accepted: {' '.join(drawn) or 'nothing to be drawn'}")
         return drawn[name]
 
+    def texts(self) -> Mapping[str, str]:
+        """Further files of `--out`, by name."""
+        return {}
+
     def save(self, directory: str | Path) -> None:
         """Write the JSON document, the figures and the other files of `--out` into a directory.
 

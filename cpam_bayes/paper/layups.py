@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
-from importlib.resources import files
+from typing import Final
+
+from cpam_bayes.paper.tables import printed_table
+
+PAPER: Final = "CPAM"
+"""Source of the rows of the paper's own method."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,13 +30,18 @@ class IdentifiedLayup:
 @cache
 def identified_layups() -> Mapping[str, IdentifiedLayup]:
     """Table 9 by specimen, in the order of part (b)."""
-    resource = files("cpam_bayes") / "data" / "paper" / "table_9.toml"
-    content = tomllib.loads(resource.read_text(encoding="utf-8"))
+    table = printed_table(9)
+    constants = {
+        row.specimen: {name: cell.text for name, cell in row.values.items()}
+        for row in table.rows
+        if row.part == "a" and row.source == PAPER
+    }
     return {
-        name: IdentifiedLayup(
-            specimen=name,
-            constants=dict(zip(content["constants"], content["identified"].get(name, ()), strict=False)),
-            angles_deg=tuple(angles),
+        row.specimen: IdentifiedLayup(
+            specimen=row.specimen,
+            constants=constants.get(row.specimen, {}),
+            angles_deg=row.values["angles_deg"].angles_deg,
         )
-        for name, angles in content["sequence_deg"].items()
+        for row in table.rows
+        if row.part == "b"
     }

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import tomllib
 from dataclasses import dataclass
 from functools import cache
-from importlib.resources import files
-from itertools import product
 from typing import Final
 
-_TABLES: Final = {"A2": 10, "C1": 11, "C3": 12, "D1": 13, "D3": 14}
+from cpam_bayes.paper.percentages import last_digit, possible_percent
+from cpam_bayes.paper.tables import content
+
+TABLES: Final = {"A2": 10, "C1": 11, "C3": 12, "D1": 13, "D3": 14}
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,19 +67,18 @@ class Contradiction:
 @cache
 def perturbation_table(specimen: str) -> PerturbationTable | None:
     """The table of a built-in specimen, or None where the paper has none for it."""
-    number = _TABLES.get(specimen)
+    number = TABLES.get(specimen)
     if number is None:
         return None
-    resource = files("cpam_bayes") / "data" / "paper" / f"table_{number}.toml"
-    content = tomllib.loads(resource.read_text(encoding="utf-8"))
-    angles = content.get("angles_deg")
+    read = content(number)
+    angles = read.get("angles_deg")
     return PerturbationTable(
-        number=content["table"],
-        specimen=content["specimen"],
-        levels_percent=tuple(content["levels_percent"]),
+        number=read["table"],
+        specimen=read["specimen"],
+        levels_percent=tuple(read["levels_percent"]),
         constants=tuple(
             PrintedConstant(key, row["free"], tuple(row["amount"]), tuple(row["percent_error"]))
-            for key, row in content["constants"].items()
+            for key, row in read["constants"].items()
         ),
         angles_deg=() if angles is None else tuple(tuple(a) for a in (angles["free"], *angles["found"])),
     )
@@ -94,14 +93,8 @@ def contradictions(table: PerturbationTable) -> tuple[Contradiction, ...]:
     impossible = []
     for row in table.constants:
         for level, amount, printed in zip(table.levels_percent, row.amount, row.percent_error, strict=True):
-            ends = product(*((float(t) - _unit(t) / 2, float(t) + _unit(t) / 2) for t in (amount, row.free)))
-            possible = [100.0 * (a / f - 1.0) for a, f in ends]
-            lowest, highest = min(possible), max(possible)
-            if not lowest - _unit(printed) <= float(printed) <= highest + _unit(printed):
+            lowest, highest = possible_percent(amount, row.free, exact_reference=False)
+            unit = last_digit(printed)
+            if not lowest - unit <= float(printed) <= highest + unit:
                 impossible.append(Contradiction(table.number, row.key, level, printed, lowest, highest))
     return tuple(impossible)
-
-
-def _unit(text: str) -> float:
-    """One unit of the last digit printed."""
-    return float(10.0 ** -len(text.partition(".")[2]))

@@ -28,7 +28,8 @@ from numpy.typing import NDArray
 
 from cpam_bayes.forward_model.model import reference_constants
 from cpam_bayes.forward_model.store import reduced_model
-from cpam_bayes.identification.point import PointEstimate, estimate_constants, required
+from cpam_bayes.identification.point import PointEstimate, estimate_constants
+from cpam_bayes.identification.search import required
 from cpam_bayes.inference.chains.ensemble import EnsembleSettings
 from cpam_bayes.inference.swarm.settings import SwarmSettings
 from cpam_bayes.parallel import run

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cpam_bayes.identification.point import linearised_sd, misfit
+from cpam_bayes.identification.point import linearised_sd
+from cpam_bayes.identification.search import misfit
 from cpam_bayes.inference.chains.ensemble import EnsembleSettings
 from cpam_bayes.inference.chains.sampling import sample_posterior
 from cpam_bayes.inference.laplace import gauss_newton_covariance, optimise, prior_sd
@@ -42,7 +43,8 @@ POSTERIOR = 2**32 - 1
 class PosteriorSummary:
     """A posterior at a known noise, SI.
 
-    mean, sd, skewness, contraction (sd over the prior's), next_to_bound (fraction of draws): (n,).
+    mean, sd, q025, q975 (quantiles), skewness, contraction (sd over the prior's), next_to_bound (fraction of
+    draws): (n,).
 
     peaks : (n,) of each marginal density.
     best : (n,) optimum next to the inversion without noise.
@@ -52,6 +54,8 @@ class PosteriorSummary:
 
     mean: Array
     sd: Array
+    q025: Array
+    q975: Array
     skewness: Array
     contraction: Array
     next_to_bound: Array
@@ -201,9 +205,12 @@ def _sample(shared: Shared, task: InversionTask) -> PosteriorSummary:
     near = _NEXT_TO_BOUND * (parameters.upper - parameters.lower)
     next_to = (draws < parameters.lower + near) | (draws > parameters.upper - near)
     scale = prior_sd(posterior)
+    q025, q975 = np.quantile(draws, (0.025, 0.975), axis=0)
     return PosteriorSummary(
         mean=draws.mean(axis=0),
         sd=draws.std(axis=0),
+        q025=q025,
+        q975=q975,
         skewness=np.array([skewness(column) for column in draws.T]),
         contraction=draws.std(axis=0) / scale,
         next_to_bound=next_to.mean(axis=0),
