@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from cpam_bayes.parameters import (
+    LogUniform,
     Mixture,
     Parameter,
     ParameterSet,
@@ -32,6 +33,7 @@ PRIORS = [
     ScaledStudentT(1.0, 3.0, 8.0, 20.0),
     ScaledStudentT(1.0, 4.0, 0.1, 0.2),
     TruncatedLogNormal(0.002, 0.8, 1e-5, 0.02),
+    LogUniform(0.03, 0.35),
     Mixture(ScaledStudentT(2.0, 4.0, -90.0, 90.0), Uniform(-90.0, 90.0), 0.1),
     Mixture(ScaledStudentT(0.02, 4.0, 0.0, 2.0), ScaledStudentT(0.2, 4.0, 0.0, 2.0), 0.1),
     Mixture(TruncatedNormal(0.0, 0.1, -0.6, 1.5), ScaledStudentT(0.2, 4.0, -0.6, 1.5), 0.3),
@@ -104,7 +106,7 @@ def test_student_t_density_matches_its_textbook_form():
     assert prior.sd == pytest.approx(math.sqrt(2.0), rel=1e-12)
 
 
-MIXTURES = [p for p in PRIORS if isinstance(p, Mixture | TruncatedLogNormal)]
+MIXTURES = [p for p in PRIORS if isinstance(p, LogUniform | Mixture | TruncatedLogNormal)]
 
 
 @pytest.mark.parametrize("prior", MIXTURES, ids=str)
@@ -153,6 +155,7 @@ def test_half_normal_has_its_textbook_moments():
         lambda: ScaledStudentT(0.0, 4.0, -1.0, 1.0),
         lambda: ScaledStudentT(1.0, 4.0, 1.0, 1.0),
         lambda: TruncatedLogNormal(0.002, 0.8, 0.0, 0.02),
+        lambda: LogUniform(0.0, 0.35),
         lambda: Mixture(Uniform(0.0, 1.0), Uniform(0.0, 2.0), 0.1),
         lambda: Mixture(ScaledStudentT(1.0, 4.0, 0.0, INF), ScaledStudentT(2.0, 4.0, 0.0, INF), 0.1),
         lambda: Mixture(Uniform(0.0, 1.0), Uniform(0.0, 1.0), 0.0),

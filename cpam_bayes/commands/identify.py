@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 # Options that a back end has no use for.
 _FOREIGN = {
     "pso": ("steps", "store", "likelihood", "noise"),
-    "emcee": ("residuals", "particles", "iterations"),
+    "emcee": ("residuals", "swarms", "particles", "iterations"),
 }
 
 
@@ -40,16 +40,23 @@ def add(commands: Commands) -> None:
         "(default: absolute)",
     )
     command.add_argument(
+        "--swarms",
+        type=whole(1, 1000),
+        metavar="N",
+        help="pso: swarms at most, until two have found the best optimum, 1 to 1000; 1 is the paper's single "
+        "swarm, not polished (default: 12)",
+    )
+    command.add_argument(
         "--particles",
         type=whole(5, 10_000),
         metavar="N",
-        help="pso: particles of the swarm, 5 to 10000 (default: 40)",
+        help="pso: particles of a swarm, 5 to 10000 (default: 40)",
     )
     command.add_argument(
         "--iterations",
         type=whole(1, 100_000),
         metavar="N",
-        help="pso: budget of the swarm, 1 to 100000 iterations (default: 400)",
+        help="pso: budget of a swarm, 1 to 100000 iterations (default: 400)",
     )
     command.add_argument(
         "--steps",
@@ -80,6 +87,7 @@ def prepare(args: argparse.Namespace) -> Callable[[], Result]:
     """Check the options of the back end; return the work."""
     from cpam_bayes.identification.identify import identify
     from cpam_bayes.identification.sampled import sample
+    from cpam_bayes.identification.search import MOST_SWARMS
     from cpam_bayes.inference.swarm.settings import SwarmSettings
     from cpam_bayes.report.progress import Terminal
 
@@ -95,6 +103,7 @@ def prepare(args: argparse.Namespace) -> Callable[[], Result]:
             args.plate,
             seed=args.seed,
             residual=args.residuals or "absolute",
+            swarms=args.swarms or MOST_SWARMS,
             settings=settings,
             watch=watch,
         )

@@ -20,7 +20,7 @@ from cpam_bayes.forward_model.model import angle_parameters, discretisation_erro
 from cpam_bayes.forward_model.reduced import ReducedModel
 from cpam_bayes.forward_model.store import reduced_model
 from cpam_bayes.identification.conditional_misfit import ConditionalFit, fit_constants
-from cpam_bayes.identification.point import Residual, misfit, required
+from cpam_bayes.identification.search import Residual, misfit, required
 from cpam_bayes.inference.posterior import ForwardModel
 from cpam_bayes.inference.swarm.pso import SwarmSettings, initial_swarm
 from cpam_bayes.inference.swarm.swarm import SwarmProblem, SwarmResult, minimise_problem

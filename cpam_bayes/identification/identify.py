@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import ClassVar, Final, TypeVar
 
 from cpam_bayes.forward_model.air_shift import air_shifts
@@ -18,7 +19,8 @@ from cpam_bayes.forward_model.preconditions import (
 )
 from cpam_bayes.identification.angle_search import AngleSearchResult, search_angles
 from cpam_bayes.identification.frequency_rows import FrequencyRow
-from cpam_bayes.identification.point import PointEstimate, Residual, estimate_constants, required
+from cpam_bayes.identification.point import PointEstimate, estimate_constants
+from cpam_bayes.identification.search import MOST_SWARMS, Optimum, Residual, required
 from cpam_bayes.identification.warnings import point_warnings
 from cpam_bayes.inference.swarm.settings import SwarmSettings
 from cpam_bayes.plate import PlateLike, Specimen, read_plate
@@ -56,13 +58,22 @@ class PointResult(PlateResult):
 
     @property
     def status(self) -> str:
-        """Either "converged", or "budget" where the swarm used all its iterations."""
+        """Whether two swarms found the best optimum, "converged", or not, "budget".
+
+        A single swarm has converged when its particles agree.
+        """
         return self.estimate.swarm.status
 
     @property
     def constants(self) -> dict[str, float]:
         """Name -> point estimate, Pa or dimensionless."""
         return {c.name: c.value for c in self.estimate.constants}
+
+    @property
+    def optima(self) -> tuple[tuple[Optimum, dict[str, float]], ...]:
+        """The best optimum and those that the noise does not tell from it, with their constants, SI."""
+        names = [c.name for c in self.estimate.constants]
+        return tuple((o, dict(zip(names, o.x.tolist(), strict=True))) for o in self.estimate.optima)
 
     @property
     def frequencies(self) -> tuple[FrequencyRow, ...]:
@@ -79,18 +90,22 @@ def identify(
     *,
     seed: int = 0,
     residual: Residual = "absolute",
+    swarms: int = MOST_SWARMS,
     settings: SwarmSettings | None = None,
     watch: Watch = SILENT,
 ) -> PointResult:
-    """Elastic constants of a plate by the particle swarm of the paper, eq. (1), (2) and (7).
+    """Elastic constants of a plate by particle swarms, eq. (1), (2) and (7), polished by derivatives.
 
-    Unknown ply angles are searched with the constants by the fuzzy swarm, eq. (3) to (5), and then kept.
+    A single swarm may agree on a wrong optimum. Swarms are therefore run until two of them have found the
+    best optimum of all; the others that the noise does not tell from it are listed. Unknown ply angles are
+    searched with the constants by the fuzzy swarm, eq. (3) to (5), and then kept.
 
     Parameters
     ----------
     plate : what `read_plate` takes, or what it returns
     residual : what is minimised: squared "absolute" differences of frequencies in Hz, or "relative" ones
-    settings : particles, iterations and weights of the swarm
+    swarms : swarms at most, three at least; 1 is the paper's single swarm as it ends, not polished
+    settings : particles, iterations and weights of each swarm
     watch : is shown the progress
 
     Raises
@@ -108,6 +123,8 @@ def identify(
     """
     require_seed(seed)
     require_choice("residual", residual, _RESIDUALS)
+    if swarms < 1:
+        raise ValueError(f"swarms: received {swarms}, accepted: 1 or more")
     specimen = require_paired_list(require_supported(read_plate(plate), NO_MESH, angles=True))
     measurement, _ = required(specimen)
     settings = settings or SwarmSettings()
@@ -116,8 +133,8 @@ def identify(
     def described(value: float) -> str:
         return f"rms misfit {factor * math.sqrt(value / measurement.size):.4g} {unit}"
 
-    def watched(search: Callable[..., Estimate], of: Specimen, title: str) -> Estimate:
-        with watch.stage(f"{title} {of.name}", settings.iterations, described) as shown:
+    def watched(search: Callable[..., Estimate], of: Specimen, title: str, total: int) -> Estimate:
+        with watch.stage(f"{title} {of.name}", total, described) as shown:
             return search(
                 of, seed, settings=settings, residual=residual, progress=shown.tick, notify=shown.notify
             )
@@ -125,9 +142,11 @@ def identify(
     angles: AngleSearchResult | None = None
     with explained_failures(specimen):
         if specimen.plate.layup.n_unknown:
-            angles = watched(search_angles, specimen, "angles of")
+            angles = watched(search_angles, specimen, "angles of", settings.iterations)
             specimen = angles.known
-        estimate = watched(estimate_constants, specimen, "identify")
+        estimate = watched(
+            partial(estimate_constants, swarms=swarms), specimen, "identify", swarms * settings.iterations
+        )
     return PointResult(
         seed=seed,
         warnings=(*point_warnings(estimate, residual), *plate_warnings(specimen)),

@@ -1,37 +1,37 @@
-"""Point identification: the paper's particle swarm over a converged plate, and how far to trust it."""
+"""Point identification: the best optimum of particle swarms over a converged plate, how far to trust it."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import chi2
 
-from cpam_bayes.forward_model.labels import LabelledModel, labelled_model, list_order, spare_modes
-from cpam_bayes.forward_model.model import discretisation_error, plate_problem
+from cpam_bayes.forward_model.labels import LabelledModel, list_order
+from cpam_bayes.forward_model.model import plate_problem
 from cpam_bayes.forward_model.preconditions import units_warning
 from cpam_bayes.forward_model.reduced import ReducedModel
-from cpam_bayes.forward_model.store import reduced_model
+from cpam_bayes.identification.search import Optimum, Residual, Search, required, search
 from cpam_bayes.identification.verdicts import Verdict, verdict_of
-from cpam_bayes.inference.swarm.pso import SwarmResult, SwarmSettings, initial_swarm, minimise
+from cpam_bayes.inference.swarm.pso import SwarmResult, SwarmSettings
 from cpam_bayes.mechanics.shapes import Mode
-from cpam_bayes.parameters import ParameterSet
 from cpam_bayes.plate import Measurement, Specimen
 from cpam_bayes.plate.elasticity import complete_constants
 from cpam_bayes.plate.laminate import flexural_constants
 from cpam_bayes.threads import single_blas_thread
 
 Array = NDArray[Any]
-Residual = Literal["absolute", "relative"]
 
 # A constant this close to a bound, as a fraction of the search interval, sits on it.
 _ON_BOUND = 1e-3
-# Relative error of the plate model at the answer above which the model is converged anew there.
-_ACCEPTED_ERROR = 5e-4
-_MOST_MODELS = 3
+# Probability of the noise that leaves the best optimum ahead of another one.
+_WITHIN = 0.95
+# Standard deviations beyond which a constant has another value at another optimum.
+_APART = 3.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +40,8 @@ class ConstantEstimate:
 
     sd : linearised standard deviation, ``nan`` where the noise is not known (no more frequencies
     than unknowns and no repeatability in the plate file). bound : "lower" or "upper" where the
-    estimate sits on one. reference : the value of the plate file.
+    estimate sits on one. reference : the value of the plate file. elsewhere : its values, ascending, at
+    other optima that the noise does not tell from the best one, where these are more than three sd away.
     """
 
     name: str
@@ -51,6 +52,7 @@ class ConstantEstimate:
     bound: Literal["lower", "upper"] | None
     verdict: Verdict
     reference: float
+    elsewhere: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,6 +63,8 @@ class PointEstimate:
     residuals. noise : relative standard deviation used for the linearised ones, the file's or, where
     that is left out, the residuals' own. error : (n_modes,) estimated relative error of the solver
     at the answer. laminate : flexural stiffness and constants, SI. model : what the swarm ran on.
+    swarm : the single one, or of several the first with the best optimum. swarms : number that were run.
+    optima : the best one and those that the noise does not tell from it.
     """
 
     specimen: Specimen
@@ -73,19 +77,10 @@ class PointEstimate:
     laminate: Mapping[str, float]
     model: ReducedModel
     swarm: SwarmResult
+    swarms: int
+    optima: tuple[Optimum, ...]
     seconds: float
     warnings: tuple[str, ...]
-
-
-def misfit(predicted: Array, measured: Array, residual: Residual) -> Array:
-    """F of eq. (7), the sum of squared differences of frequencies, Hz^2; or of relative ones.
-
-    predicted (m, n), measured (n,) -> (m,).
-    """
-    difference = predicted - measured
-    if residual == "relative":
-        difference = difference / measured
-    return np.asarray(np.sum(difference**2, axis=-1))
 
 
 @single_blas_thread
@@ -93,109 +88,42 @@ def estimate_constants(
     specimen: Specimen,
     seed: int,
     *,
+    swarms: int = 1,
     settings: SwarmSettings | None = None,
     residual: Residual = "absolute",
     progress: Callable[[int, float], None] | None = None,
     notify: Callable[[str], None] = lambda text: None,
 ) -> PointEstimate:
-    """Elastic constants of a specimen by the particle swarm of the paper.
+    """Elastic constants of a specimen by the particle swarm of the paper, or by several that are polished.
 
     Minimises ``misfit`` over the unknowns of the plate file within their bounds under the
-    constraints of eq. (9). The swarm runs on the reduced model; what is reported of its best particle
-    comes from the full one. ``notify`` is told what takes long before the swarm starts. Raises
+    constraints of eq. (9), as ``search`` does. Swarms run on the reduced model; what is reported of the
+    best optimum comes from the full one. ``notify`` is told what takes long before the swarm starts. Raises
     ``ValueError`` if the specimen has no measured frequencies or no unknowns, or if no particle is
     feasible.
     """
     start = time.perf_counter()
-    searched = search(specimen, seed, settings=settings, residual=residual, progress=progress, notify=notify)
-    return summarise(specimen, searched.model, searched.swarm, searched.error, residual, start)
-
-
-@dataclass(frozen=True, slots=True)
-class Search:
-    """What a swarm found and the plate model that it ran on.
-
-    error : (n_modes,) relative error of the solver at its best particle. centre : of the model, as of
-    ``reduced_model``.
-    """
-
-    model: ReducedModel | LabelledModel
-    swarm: SwarmResult
-    error: Array
-    centre: Array | None
-
-
-@single_blas_thread
-def search(
-    specimen: Specimen,
-    seed: int,
-    *,
-    spare: int = 0,
-    settings: SwarmSettings | None = None,
-    residual: Residual = "absolute",
-    progress: Callable[[int, float], None] | None = None,
-    notify: Callable[[str], None] = lambda text: None,
-) -> Search:
-    """The swarm of ``estimate_constants``, on a model of ``spare`` modes more than the list has.
-
-    Frequencies with a label are compared with the mode that has it, the others in ascending order.
-    Raises as ``estimate_constants`` does, and ``LabelError`` for labels that the model does not have.
-    """
-    measurement, unknowns = required(specimen)
-    isotropic = specimen.material.isotropic
-    settings = settings or SwarmSettings()
-    known = tuple((k, v) for k, v in specimen.material.constants.items() if k not in unknowns)
-    n_modes = measurement.size + max(spare, spare_modes(measurement))
-    centre, solves = None, 0
-    for attempt in range(1, _MOST_MODELS + 1):
-        reduced = reduced_model(specimen, unknowns, n_modes, centre=centre, notify=notify)
-        model = labelled_model(reduced, measurement, specimen)
-        rng = np.random.default_rng(seed)
-        swarm = minimise(
-            _objective(model, measurement, residual),
-            unknowns.lower,
-            unknowns.upper,
-            initial_swarm(replace(unknowns, fixed=known), isotropic, settings.particles, rng),
-            settings,
-            rng,
-            feasible=model.full.admissible,
-            progress=progress,
-        )
-        solves += swarm.evaluations
-        error = discretisation_error(model.full, swarm.best)
-        if error.max() <= _ACCEPTED_ERROR or attempt == _MOST_MODELS:
-            break
-        notify("the answer is far from the reference constants: converging the plate model there")
-        centre = swarm.best
-    return Search(model, replace(swarm, evaluations=solves), error, centre)
-
-
-def _objective(
-    model: ReducedModel | LabelledModel, measurement: Measurement, residual: Residual
-) -> Callable[[Array], Array]:
-    n = measurement.size
-    return lambda x: misfit(model.predict(x).frequencies[:, :n], measurement.frequencies, residual)
-
-
-def required(specimen: Specimen) -> tuple[Measurement, ParameterSet]:
-    """Measured frequencies and unknowns of a specimen; ``ValueError`` if it lacks either."""
-    if specimen.measurement is None:
-        raise ValueError(f"{specimen.source}: [measurement] is missing, nothing to identify from")
-    if not specimen.unknowns.size:
-        raise ValueError(f"{specimen.source}: [unknowns] is missing, nothing to identify")
-    return specimen.measurement, specimen.unknowns
+    searched = search(
+        specimen,
+        seed,
+        swarms=swarms,
+        settings=settings,
+        residual=residual,
+        progress=progress,
+        notify=notify,
+    )
+    return summarise(specimen, searched, residual, start)
 
 
 def summarise(
     specimen: Specimen,
-    model: ReducedModel | LabelledModel,
-    swarm: SwarmResult,
-    error: Array,
+    searched: Search,
     residual: Residual,
     start: float,
 ) -> PointEstimate:
-    """What an engineer needs to know about the swarm's best particle."""
+    """What an engineer needs to know about the best optimum of a search."""
     measurement, unknowns = required(specimen)
+    model, swarm, error = searched.model, searched.swarm, searched.error
     best = swarm.best
     prediction = model.full.predict(best, jacobian=True)
     order = list_order(model, best)[: measurement.size]
@@ -207,9 +135,11 @@ def summarise(
     assert prediction.jacobian is not None
     prior_sd = np.array([unknowns[name].prior.sd for name in unknowns.names])
     sd = linearised_sd(prediction.jacobian[0, order], prior_sd, measurement, noise, residual)
+    optima = _within_noise(searched, measurement, noise, residual)
+    at_optima = np.array([optimum.x for optimum in optima])
     estimates = tuple(
-        _estimate(specimen, name, float(value), float(its_sd))
-        for name, value, its_sd in zip(unknowns.names, best, sd, strict=True)
+        _estimate(specimen, name, values, float(its_sd))
+        for name, values, its_sd in zip(unknowns.names, at_optima.T, sd, strict=True)
     )
     state = plate_problem(specimen, unknowns).state(unknowns.mapping(best))
     return PointEstimate(
@@ -223,9 +153,33 @@ def summarise(
         laminate=flexural_constants(np.real(state.stiffness()), float(state.thickness)),
         model=model.reduced if isinstance(model, LabelledModel) else model,
         swarm=swarm,
+        swarms=searched.swarms,
+        optima=optima,
         seconds=time.perf_counter() - start,
         warnings=_warnings(measurement, predicted, unknowns.size),
     )
+
+
+def _within_noise(
+    searched: Search, measurement: Measurement, noise: float, residual: Residual
+) -> tuple[Optimum, ...]:
+    """The optima whose misfit exceeds the best by what the noise may, 95 % of chi-squared.
+
+    As many degrees of freedom as unknowns; the best one alone where the noise is not known.
+    """
+    first, *others = searched.optima
+    if not np.isfinite(noise):
+        return (first,)
+    f, sd = measurement.frequencies, _noise_sd(measurement, noise)
+    variance = float(np.mean((sd / f if residual == "relative" else sd) ** 2))
+    most = first.value + chi2.ppf(_WITHIN, len(first.x)) * variance
+    return (first, *(o for o in others if o.value <= most))
+
+
+def _noise_sd(measurement: Measurement, noise: float) -> Array:
+    """Standard deviations of the frequencies, (n_f,) Hz: those of the plate file, or a relative one."""
+    stated = measurement.frequency_sd
+    return np.asarray(noise * measurement.frequencies if stated is None else stated)
 
 
 def _noise(measurement: Measurement, relative: Array, n_unknowns: int) -> tuple[float, bool]:
@@ -255,7 +209,7 @@ def linearised_sd(
     if not np.isfinite(noise):
         return np.full(len(prior_sd), np.nan)
     f = measurement.frequencies
-    noise_sd = noise * f if measurement.frequency_sd is None else measurement.frequency_sd
+    noise_sd = _noise_sd(measurement, noise)
     variance = np.maximum(noise_sd**2 + measurement.resolution**2 / 12, (1e-9 * f) ** 2)
     weight = 1.0 / f**2 if residual == "relative" else np.ones_like(f)
     scale = float(np.mean(weight * variance))
@@ -273,12 +227,17 @@ def bound_of(value: float, lower: float, upper: float) -> Literal["lower", "uppe
     return "upper" if upper - value < _ON_BOUND * width else None
 
 
-def _estimate(specimen: Specimen, name: str, value: float, sd: float) -> ConstantEstimate:
-    prior = specimen.unknowns[name].prior
+def _estimate(specimen: Specimen, name: str, at_optima: Array, sd: float) -> ConstantEstimate:
+    """An estimate from its values (k,) at the optima that the noise leaves open, the best one first."""
+    value, prior = float(at_optima[0]), specimen.unknowns[name].prior
+    elsewhere = tuple(sorted(v for v in at_optima[1:].tolist() if abs(v - value) > _APART * sd))
     bound = bound_of(value, prior.lower, prior.upper)
-    verdict = verdict_of(sd, prior.sd, at_bound=bound is not None)
+    # as far apart as the optima are, the frequencies do not determine it
+    spread = float(np.hypot(sd, np.std([value, *elsewhere])))
+    verdict = verdict_of(spread, prior.sd, at_bound=bound is not None)
     complete = complete_constants(specimen.material.constants, specimen.material.isotropic)
-    return ConstantEstimate(name, value, sd, prior.lower, prior.upper, bound, verdict, float(complete[name]))
+    reference = float(complete[name])
+    return ConstantEstimate(name, value, sd, prior.lower, prior.upper, bound, verdict, reference, elsewhere)
 
 
 def _warnings(measurement: Measurement, predicted: Array, n_unknowns: int) -> tuple[str, ...]:

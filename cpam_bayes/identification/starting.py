@@ -16,7 +16,7 @@ from cpam_bayes.forward_model.reduced import DEFAULT_SETTINGS as REDUCTION
 from cpam_bayes.forward_model.reduced import ReducedModel
 from cpam_bayes.forward_model.store import reduced_model
 from cpam_bayes.identification.identify import NO_MESH
-from cpam_bayes.identification.point import required, search
+from cpam_bayes.identification.search import required, search
 from cpam_bayes.inference.chains.sampling import swarm_on_posterior
 from cpam_bayes.inference.noise import Likelihood
 from cpam_bayes.inference.posterior import Posterior, plate_posterior

@@ -9,8 +9,9 @@ import numpy as np
 from cpam_bayes.formatting import significant
 from cpam_bayes.forward_model.preconditions import SUSPICIOUS_RATIO
 from cpam_bayes.forward_model.solve import LARGE_ERROR, error_warning
-from cpam_bayes.identification.point import PointEstimate, Residual
+from cpam_bayes.identification.point import PointEstimate
 from cpam_bayes.identification.sampled_result import SampledResult
+from cpam_bayes.identification.search import Residual
 from cpam_bayes.inference.diagnostics.completeness import TranscriptionError
 from cpam_bayes.plate import Specimen, user_name
 from cpam_bayes.priors import TruncatedNormal

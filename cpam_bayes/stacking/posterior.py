@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from cpam_bayes.forward_model.model import angle_parameters, reference_vector
 from cpam_bayes.forward_model.reduced import DEFAULT_SETTINGS as REDUCTION
 from cpam_bayes.forward_model.store import reduced_model
-from cpam_bayes.identification.point import required
+from cpam_bayes.identification.search import required
 from cpam_bayes.plate import Specimen
 from cpam_bayes.plate.records import angle_grid
 from cpam_bayes.stacking.conditional.posterior import ConditionalPosterior, conditional_posterior

@@ -43,6 +43,14 @@ def document(result: PointResult) -> dict[str, Any]:
             }
             for row in result.frequencies
         ],
+        "optima": [
+            {
+                "constants": {user_name(name): to_user(name, v) for name, v in values.items()},
+                "misfit": optimum.value,
+                "swarms": optimum.swarms,
+            }
+            for optimum, values in result.optima
+        ],
         "rms_percent": 100.0 * estimate.rms,
         "noise_percent": 100.0 * estimate.noise,
         "noise_source": "residuals" if estimate.noise_is_inferred else "plate file",
@@ -50,6 +58,7 @@ def document(result: PointResult) -> dict[str, Any]:
         "laminate": laminate_keys(estimate.laminate),
         "air_density_kg_m3": result.specimen.air_density,
         "forward_solves": estimate.swarm.evaluations + (0 if angles is None else angles.swarm.evaluations),
+        "swarms": estimate.swarms,
         "iterations": estimate.swarm.iterations,
         "seconds": estimate.seconds + (0.0 if angles is None else angles.seconds),
         "warnings": list(result.warnings),

@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
+from cpam_bayes.formatting import significant
 from cpam_bayes.identification.identify import PointResult
+from cpam_bayes.plate import to_user, unit_of
 from cpam_bayes.report.figures import PREDICTED
 
 
@@ -49,4 +51,35 @@ def figures(result: PointResult) -> dict[str, Figure]:
     axes.set(xlabel="mode", ylabel="predicted / measured - 1, %")
     axes.margins(y=0.25)
     axes.set_title(f"{result.specimen.name}: residuals, rms {100.0 * estimate.rms:.2f} %")
-    return {"predicted_against_measured": pairs, "residuals": residuals}
+    drawn = {"predicted_against_measured": pairs, "residuals": residuals}
+    return drawn if len(result.optima) < 2 else {**drawn, "optima": _optima(result)}
+
+
+def _optima(result: PointResult) -> Figure:
+    """Where in its search interval each constant lies at every optimum that the noise leaves open."""
+    constants = result.estimate.constants
+    figure = Figure(figsize=(5.8, 0.55 * len(constants) + 1.9), layout="constrained")
+    axes = figure.add_subplot()
+    for k, (optimum, values) in enumerate(result.optima):
+        share = [(values[c.name] - c.lower) / (c.upper - c.lower) for c in constants]
+        best = k == 0
+        axes.plot(
+            share,
+            range(len(constants)),
+            "o-" if best else "s--",
+            color=PREDICTED if best else "0.55",
+            markersize=7 if best else 4,
+            linewidth=1.2 if best else 0.8,
+            zorder=3 if best else 2,
+            label=f"{'best' if best else 'other'}, F = {significant(optimum.value, 3)}" if k < 5 else None,
+        )
+        if best:
+            for i, (x, c) in enumerate(zip(share, constants, strict=True)):
+                text = f"{to_user(c.name, values[c.name]):.4g} {unit_of(c.name)}".rstrip()
+                axes.annotate(text, (x, i), (0, 7), textcoords="offset points", ha="center", fontsize="small")
+    axes.set_yticks(range(len(constants)), [c.name for c in constants])
+    axes.set(xlim=(-0.03, 1.03), ylim=(len(constants) - 0.4, -0.7), xlabel="place in the search interval")
+    axes.grid(axis="x", color="0.9")
+    axes.set_title(f"{result.specimen.name}: optima that the noise does not tell apart")
+    figure.legend(loc="outside lower center", ncols=3, frameon=False, fontsize="small")
+    return figure

@@ -10,6 +10,7 @@ from cpam_bayes.formatting import decimals_of, fixed, signed, significant, with_
 from cpam_bayes.identification.angle_search import AngleSearchResult
 from cpam_bayes.identification.identify import PointResult
 from cpam_bayes.identification.point import PointEstimate
+from cpam_bayes.identification.search import required
 from cpam_bayes.plate import to_user, unit_of
 from cpam_bayes.report.identification.words import noise_sentence, verdict_sentences
 from cpam_bayes.report.plates.head import plate_head
@@ -30,6 +31,7 @@ def screen(result: PointResult) -> tuple[Table, ...]:
         plate_head(result.command, result.specimen, result.air_shifts),
         *(() if result.angles is None else (_angles(result.angles),)),
         _constants(estimate),
+        *((_optima(result),) if len(result.optima) > 1 else ()),
         remarks("What the frequencies determine", verdict_sentences(estimate)),
         _frequencies(result),
         _fit(estimate),
@@ -57,12 +59,33 @@ def _constants(result: PointEstimate) -> Table:
         value, sd = with_spread(to_user(c.name, c.value), to_user(c.name, c.sd))
         lower, upper = (f"{to_user(c.name, bound):.6g}" for bound in (c.lower, c.upper))
         verdict = c.verdict if c.bound is None else f"at its {c.bound} bound"
+        if c.elsewhere and c.bound is None:
+            verdict = "differs between optima"
         if not math.isfinite(c.sd) and c.bound is None:
             verdict = "sd not known"
         reference = f"{to_user(c.name, c.reference):.6g}"
         rows.append((c.name, value, sd, unit_of(c.name), reference, f"{lower} to {upper}", verdict))
-    doubtful = frozenset(i for i, c in enumerate(result.constants) if c.verdict != "determined by the data")
+    doubtful = frozenset(
+        i for i, c in enumerate(result.constants) if c.verdict != "determined by the data" or c.elsewhere
+    )
     return Table("Constants, point estimates", columns, tuple(rows), doubtful)
+
+
+def _optima(result: PointResult) -> Table:
+    names = [c.name for c in result.estimate.constants]
+    units = [f"{name} {unit_of(name)}".rstrip() for name in names]
+    size = required(result.specimen)[0].size
+    unit, factor = ("%", 100.0) if result.residual == "relative" else ("Hz", 1.0)
+    columns = headed(*(f"#{name}" for name in units), f"#rms {unit}", "#swarms")
+    rows = tuple(
+        (
+            *(significant(to_user(name, values[name])) for name in names),
+            significant(factor * math.sqrt(optimum.value / size), 3),
+            f"{optimum.swarms} of {result.estimate.swarms}",
+        )
+        for optimum, values in result.optima
+    )
+    return Table("Optima that the noise does not tell apart", columns, rows)
 
 
 def _frequencies(result: PointResult) -> Table:

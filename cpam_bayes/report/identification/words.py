@@ -6,7 +6,7 @@ import math
 
 from cpam_bayes.formatting import significant
 from cpam_bayes.identification.point import ConstantEstimate, PointEstimate
-from cpam_bayes.plate import to_user, user_name
+from cpam_bayes.plate import to_user, unit_of, user_name
 
 __all__ = ["noise_sentence", "verdict_sentences"]
 
@@ -21,8 +21,8 @@ def verdict_sentences(result: PointEstimate) -> tuple[str, ...]:
         )
         on_bound = [c for c in result.constants if c.bound is not None]
         return first + tuple(_verdict(result, c) for c in on_bound)
-    doubtful = tuple(_verdict(result, c) for c in result.constants if c.verdict != "determined by the data")
-    sure = [c.name for c in result.constants if c.verdict == "determined by the data"]
+    sure = [c.name for c in result.constants if c.verdict == "determined by the data" and not c.elsewhere]
+    doubtful = tuple(_verdict(result, c) for c in result.constants if c.name not in sure)
     determined = f"Determined by the frequencies: {', '.join(sure) or 'none of the constants'}."
     return (*doubtful, determined)
 
@@ -35,6 +35,13 @@ def _verdict(result: PointEstimate, constant: ConstantEstimate) -> str:
         return (
             f"{name} sits on its {constant.bound} bound, {shown}: the bound decided, not the "
             "frequencies. Its sd does not hold there, and the other constants depend on the bound."
+        )
+    if constant.elsewhere:
+        others = " or ".join(f"{to_user(name, v):.4g}" for v in constant.elsewhere)
+        best = f"{to_user(name, constant.value):.4g}"
+        return (
+            f"{name} may be {best} or {others} {unit_of(name)}".rstrip()
+            + ": the noise does not tell these optima apart. Labels of the modes, or more modes, may."
         )
     percent = 100 * constant.sd / result.specimen.unknowns[name].prior.sd
     spread = f"its sd is {percent:.0f} % of that of the search interval"

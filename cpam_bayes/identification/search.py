@@ -1,0 +1,342 @@
+"""Where the misfit of a plate is smallest: the paper's swarm, alone or several, each polished by derivatives.
+
+A swarm that has converged has agreed, no more: it may have agreed on the wrong one of two optima. Several
+swarms are therefore run, what each began and ended with is optimised by damped Gauss-Newton steps, and the
+best optimum counts when two swarms have found it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cpam_bayes.forward_model.labels import LabelledModel, labelled_model, spare_modes
+from cpam_bayes.forward_model.model import discretisation_error
+from cpam_bayes.forward_model.reduced import ReducedModel
+from cpam_bayes.forward_model.store import reduced_model
+from cpam_bayes.inference.derivatives import Expansion
+from cpam_bayes.inference.optimise import maximise, polish
+from cpam_bayes.inference.swarm.pso import SwarmResult, SwarmSettings, initial_swarm, minimise
+from cpam_bayes.parameters import ParameterSet
+from cpam_bayes.plate import Measurement, Specimen
+from cpam_bayes.threads import single_blas_thread
+
+Array = NDArray[Any]
+Residual = Literal["absolute", "relative"]
+Model = ReducedModel | LabelledModel
+
+# Swarms at most, at least, and how many of them have to find the best optimum.
+MOST_SWARMS, _LEAST_SWARMS, _FOUND = 12, 3, 2
+# Relative error of the plate model at the answer above which the model is converged anew there.
+_ACCEPTED_ERROR = 5e-4
+_MOST_MODELS = 3
+# Half the width of a search interval in standard deviations of a uniform density over it.
+_HALF_WIDTH = 3.0**0.5
+# Steps of a polishing, optima that are the same: standard deviations apart at the noise of the best one.
+_STEPS, _SAME = 40, 1.0
+# Optima this far above the best misfit, in units of the noise, are dropped.
+_DEPTH = 50.0
+# Least rms misfit, relative to the highest frequency, that noise is taken from: rounding of exact lists.
+_LEAST_RMS = 1e-7
+
+
+@dataclass(frozen=True, slots=True)
+class Optimum:
+    """A local minimum of the misfit.
+
+    x : (n,) constants
+    value : the misfit there
+    swarms : number of swarms that found it
+    """
+
+    x: Array
+    value: float
+    swarms: int
+
+
+@dataclass(frozen=True, slots=True)
+class Search:
+    """What swarms found and the plate model that they ran on.
+
+    swarm : the single swarm, or the first of several with the best optimum and the status of them all
+    error : (n_modes,) relative error of the solver at its best particle
+    centre : of the model, as of ``reduced_model``
+    optima : distinct ones, the best first; of a single swarm its best particle
+    swarms : number that were run
+    """
+
+    model: Model
+    swarm: SwarmResult
+    error: Array
+    centre: Array | None
+    optima: tuple[Optimum, ...]
+    swarms: int
+
+
+def misfit(predicted: Array, measured: Array, residual: Residual) -> Array:
+    """F of eq. (7), the sum of squared differences of frequencies, Hz^2; or of relative ones.
+
+    predicted (m, n), measured (n,) -> (m,).
+    """
+    difference = predicted - measured
+    if residual == "relative":
+        difference = difference / measured
+    return np.asarray(np.sum(difference**2, axis=-1))
+
+
+def required(specimen: Specimen) -> tuple[Measurement, ParameterSet]:
+    """Measured frequencies and unknowns of a specimen; ``ValueError`` if it lacks either."""
+    if specimen.measurement is None:
+        raise ValueError(f"{specimen.source}: [measurement] is missing, nothing to identify from")
+    if not specimen.unknowns.size:
+        raise ValueError(f"{specimen.source}: [unknowns] is missing, nothing to identify")
+    return specimen.measurement, specimen.unknowns
+
+
+@single_blas_thread
+def search(
+    specimen: Specimen,
+    seed: int,
+    *,
+    swarms: int = 1,
+    spare: int = 0,
+    settings: SwarmSettings | None = None,
+    residual: Residual = "absolute",
+    progress: Callable[[int, float], None] | None = None,
+    notify: Callable[[str], None] = lambda text: None,
+) -> Search:
+    """The minimum of ``misfit`` over the unknowns of a plate file, on a reduced model.
+
+    Frequencies with a label are compared with the mode that has it, the others in ascending order.
+    Raises ``ValueError`` if the specimen has no measured frequencies or no unknowns, or if no particle is
+    feasible, and ``LabelError`` for labels that the model does not have.
+
+    swarms : at most so many; 1 is the paper's single swarm as it ends, not polished
+    spare : modes of the model more than the list has
+    progress : told the iteration, of all swarms together, and the best misfit of the one that is running
+    """
+    measurement, unknowns = required(specimen)
+    settings = settings or SwarmSettings()
+    n_modes = measurement.size + max(spare, spare_modes(measurement))
+    centre, solves = None, 0
+    for attempt in range(1, _MOST_MODELS + 1):
+        reduced = reduced_model(specimen, unknowns, n_modes, centre=centre, notify=notify)
+        model = labelled_model(reduced, measurement, specimen)
+        task = _Task(specimen, model, measurement, unknowns, settings, residual)
+        swarm, optima, run = (
+            _single(task, seed, progress) if swarms == 1 else _several(task, seed, swarms, progress)
+        )
+        solves += swarm.evaluations
+        error = discretisation_error(model.full, swarm.best)
+        if error.max() <= _ACCEPTED_ERROR or attempt == _MOST_MODELS:
+            break
+        notify("the answer is far from the reference constants: converging the plate model there")
+        centre = swarm.best
+    return Search(model, replace(swarm, evaluations=solves), error, centre, optima, run)
+
+
+Progress = Callable[[int, float], None] | None
+
+
+@dataclass(frozen=True, slots=True)
+class _Task:
+    """What swarms minimise."""
+
+    specimen: Specimen
+    model: Model
+    measurement: Measurement
+    unknowns: ParameterSet
+    settings: SwarmSettings
+    residual: Residual
+
+    def objective(self, x: Array) -> Array:
+        """The misfit at constants (m, n), (m,)."""
+        f = self.model.predict(x).frequencies[:, : self.measurement.size]
+        return misfit(f, self.measurement.frequencies, self.residual)
+
+    @property
+    def weight(self) -> Array:
+        """Factors of the differences that are squared, (n_f,)."""
+        measured = self.measurement.frequencies
+        return 1.0 / measured if self.residual == "relative" else np.ones_like(measured)
+
+    @property
+    def half(self) -> Array:
+        """Constants per unit of the coordinates of a polishing, whose bounds are +-3^(1/2), (n,)."""
+        return np.asarray(0.5 * (self.unknowns.upper - self.unknowns.lower) / _HALF_WIDTH)
+
+    @property
+    def middle(self) -> Array:
+        """Middles of the search intervals, (n,)."""
+        return np.asarray(0.5 * (self.unknowns.lower + self.unknowns.upper))
+
+    def to_x(self, u: Array) -> Array:
+        """Constants at coordinates (..., n)."""
+        x = self.middle + self.half * u
+        return np.asarray(np.clip(x, self.unknowns.lower, self.unknowns.upper))
+
+    def variance(self, value: float) -> float:
+        """Variance of a difference if a misfit is noise, at least that of rounding."""
+        f = self.measurement.frequencies
+        least = len(f) * (_LEAST_RMS * float((self.weight * f).max())) ** 2
+        return max(value, least) / max(len(f) - self.unknowns.size, 1)
+
+    def start(self, rng: np.random.Generator) -> Array:
+        """Start positions of a swarm, (particles, n)."""
+        material = self.specimen.material
+        known = tuple((k, v) for k, v in material.constants.items() if k not in self.unknowns)
+        fixed = replace(self.unknowns, fixed=known)
+        return initial_swarm(fixed, material.isotropic, self.settings.particles, rng)
+
+    def swarm(self, start: Array, rng: np.random.Generator, progress: Progress) -> SwarmResult:
+        """A swarm from these positions."""
+        bounds = self.unknowns.lower, self.unknowns.upper
+        feasible = self.model.full.admissible
+        return minimise(
+            self.objective, *bounds, start, self.settings, rng, feasible=feasible, progress=progress
+        )
+
+
+def _single(task: _Task, seed: int, progress: Progress) -> tuple[SwarmResult, tuple[Optimum, ...], int]:
+    rng = np.random.default_rng(seed)
+    swarm = task.swarm(task.start(rng), rng, progress)
+    return swarm, (Optimum(swarm.best, swarm.value, 1),), 1
+
+
+def _several(
+    task: _Task, seed: int, most: int, progress: Progress
+) -> tuple[SwarmResult, tuple[Optimum, ...], int]:
+    """Swarms until two of them have found the best optimum, the first as a single one would run."""
+    ends: list[_Ends] = []
+    first: SwarmResult | None = None
+    optima: tuple[Optimum, ...] = ()
+    solves = 0
+    for k in range(most):
+        rng = np.random.default_rng(seed if k == 0 else [seed, k])
+        start = task.start(rng)
+        swarm = task.swarm(start, rng, _shifted(progress, k * task.settings.iterations))
+        ends.append(_polished(task, np.vstack((swarm.best, start)), swarm.value))
+        first = first or swarm
+        solves += swarm.evaluations + ends[-1].solves
+        optima = _distinct(task, ends)
+        if k + 1 >= min(_LEAST_SWARMS, most) and optima[0].swarms >= _FOUND:
+            break
+    assert first is not None
+    agreed = optima[0].swarms >= _FOUND
+    run = len(ends)
+    return (
+        replace(
+            first,
+            best=optima[0].x,
+            value=optima[0].value,
+            evaluations=solves,
+            status="converged" if agreed else "budget",
+            message=_MESSAGES[agreed].format(run=run, swarms=optima[0].swarms),
+        ),
+        optima,
+        run,
+    )
+
+
+_MESSAGES = {
+    True: "{swarms} of {run} swarms, polished by derivatives, found this optimum; none found a better one",
+    False: (
+        "the best optimum of {run} swarms, polished by derivatives, was found by one of them alone: there "
+        "may be a better one; allow more swarms, or narrow the bounds"
+    ),
+}
+
+
+def _shifted(progress: Progress, done: int) -> Progress:
+    return None if progress is None else lambda iteration, best: progress(done + iteration, best)
+
+
+@dataclass(frozen=True, slots=True)
+class _Ends:
+    """Where the polishing of one swarm ended.
+
+    u : (m, n) constants from -1 to 1 times the half width of their intervals
+    value : (m,) misfits
+    curvature : (m, n, n) of the misfit over 2, in u
+    solves : forward solves that it took
+    """
+
+    u: Array
+    value: Array
+    curvature: Array
+    solves: int
+
+
+def _polished(task: _Task, start: Array, value: float) -> _Ends:
+    """Local minima of the misfit next to constants (m, n), the first of them with this misfit."""
+    measured, weight, half = task.measurement.frequencies, task.weight, task.half
+    variance, solves = task.variance(value), 0
+
+    def target(u: Array, rows: Array) -> Expansion:
+        nonlocal solves
+        del rows
+        m, n = u.shape
+        x = task.to_x(u)
+        values, gradient, curvature = np.full(m, -np.inf), np.zeros((m, n)), np.zeros((m, n, n))
+        inside = np.flatnonzero(task.model.full.admissible(x))
+        if len(inside):
+            solves += len(inside)
+            prediction = task.model.predict(x[inside], jacobian=True)
+            assert prediction.jacobian is not None
+            r = (prediction.frequencies[:, : len(measured)] - measured) * weight
+            slope = prediction.jacobian[:, : len(measured)] * weight[:, None] * half
+            values[inside] = -0.5 * np.sum(r**2, axis=1) / variance
+            gradient[inside] = -np.einsum("mi,mij->mj", r, slope) / variance
+            curvature[inside] = np.swapaxes(slope, 1, 2) @ slope / variance
+        return Expansion(values, gradient, curvature)
+
+    def value_of(u: Array) -> Array:
+        nonlocal solves
+        values = np.full(len(u), -np.inf)
+        x = task.to_x(u)
+        inside = np.flatnonzero(task.model.full.admissible(x))
+        solves += len(inside)
+        if len(inside):
+            values[inside] = -0.5 * task.objective(x[inside]) / variance
+        return values
+
+    bound = np.full(len(half), _HALF_WIDTH)
+    ends = maximise(target, (start - task.middle) / half, -bound, bound, most_steps=_STEPS)
+    value_at = np.where(np.isfinite(ends.expansion.value), ends.expansion.value, -np.inf)
+    row = int(np.argmax(value_at))
+    # two modes that cross leave a kink, where steps shrink before the optimum
+    best, expansion, _ = polish(value_of, target, ends, row, -bound, bound)
+    u, curvature = ends.u.copy(), ends.expansion.curvature.copy()
+    u[row], curvature[row], value_at[row] = best, expansion.curvature[0], expansion.value[0]
+    known = np.isfinite(value_at)
+    return _Ends(u[known], -2.0 * variance * value_at[known], variance * curvature[known], solves)
+
+
+def _distinct(task: _Task, ends: Sequence[_Ends]) -> tuple[Optimum, ...]:
+    """The optima that swarms found, the best first, each with the number of swarms that did."""
+    u = np.concatenate([e.u for e in ends])
+    value = np.concatenate([e.value for e in ends])
+    curvature = np.concatenate([e.curvature for e in ends])
+    swarm = np.repeat(np.arange(len(ends)), [len(e.value) for e in ends])
+    variance = task.variance(float(value.min()))
+    order = np.argsort(value, kind="stable")
+    order = order[value[order] <= value.min() + 2.0 * _DEPTH * variance]
+    kept: list[int] = []
+    found: list[set[int]] = []
+    for i in order:
+        away = u[kept] - u[i]
+        distance = np.einsum("ki,kij,kj->k", away, curvature[kept], away) / variance
+        # both are optima: where one lies on the way to the other it has a misfit of its own
+        same = np.flatnonzero((distance < _SAME**2) & (value[i] - value[kept] < _SAME**2 * variance))
+        if len(same):
+            found[same[0]].add(int(swarm[i]))
+        else:
+            kept.append(int(i))
+            found.append({int(swarm[i])})
+    return tuple(
+        Optimum(task.to_x(u[i]), float(value[i]), len(swarms)) for i, swarms in zip(kept, found, strict=True)
+    )

@@ -1,0 +1,84 @@
+"""Several swarms, polished: optima, how often they are found, and what is said of a constant then."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import cpam_bayes as cb
+from cpam_bayes.identification import search as searching
+from cpam_bayes.identification.search import Optimum, search
+from cpam_bayes.plate.specimens import builtin
+
+# F, Hz^2, and E1, GPa, of the best optimum of B1, and of the one where a single swarm of seed 1 ends.
+BEST_B1, WRONG_B1 = 13.062, 883.1
+
+
+def test_a_single_swarm_may_agree_on_a_wrong_optimum_and_several_do_not() -> None:
+    one = cb.identify("B1", seed=1, swarms=1)
+    assert one.status == "converged"
+    assert one.estimate.swarm.value == pytest.approx(WRONG_B1, rel=1e-3)
+    several = cb.identify("B1", seed=1)
+    assert several.status == "converged"
+    assert several.estimate.swarm.value == pytest.approx(BEST_B1, rel=1e-3)
+    assert several.estimate.optima[0].swarms >= 2
+
+
+def test_the_single_swarm_is_the_first_of_several_and_is_not_polished() -> None:
+    one = search(builtin("A1"), 3, swarms=1)
+    np.testing.assert_array_equal(one.optima[0].x, one.swarm.best)
+    several = search(builtin("A1"), 3, swarms=12)
+    np.testing.assert_array_equal(several.swarm.personal_bests, one.swarm.personal_bests)
+    assert several.optima[0].value <= one.swarm.value
+
+
+def test_an_optimum_has_no_slope_where_no_bound_holds_it() -> None:
+    found = search(builtin("C1"), 0, swarms=12)
+    x = found.optima[0].x
+    measurement, unknowns = searching.required(builtin("C1"))
+    f = measurement.frequencies
+
+    def value(at: np.ndarray) -> float:
+        return float(searching.misfit(found.model.predict(at).frequencies[:, : len(f)], f, "absolute")[0])
+
+    width = unknowns.upper - unknowns.lower
+    free = (x > unknowns.lower + 1e-4 * width) & (x < unknowns.upper - 1e-4 * width)
+    assert free.any()
+    for i in np.flatnonzero(free):
+        step = 1e-4 * width[i] * np.eye(len(x))[i]
+        around = value(x + step), value(x - step)
+        assert min(around) >= found.optima[0].value * (1.0 - 1e-9)
+        # a central difference, beside the curvature over the same step
+        assert abs(around[0] - around[1]) < 0.05 * (sum(around) - 2.0 * found.optima[0].value)
+
+
+def test_a_budget_of_swarms_that_agree_on_nothing_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    def alone(*args: object) -> tuple[Optimum, ...]:
+        return (Optimum(builtin("A1").unknowns.lower, 1.0, 1),)
+
+    monkeypatch.setattr(searching, "_distinct", alone)
+    found = search(builtin("A1"), 0, swarms=4)
+    assert found.swarms == 4
+    assert found.swarm.status == "budget"
+    assert "there may be a better one" in found.swarm.message
+
+
+def test_constants_that_differ_between_optima_are_not_determined() -> None:
+    result = cb.identify("B2", seed=0)
+    constants = {c.name: c for c in result.estimate.constants}
+    assert len(result.optima) > 1
+    # 53 GPa beside 110 GPa, of nearly one misfit
+    assert constants["E1"].value / 1e9 == pytest.approx(53.2, rel=0.01)
+    assert any(v / 1e9 == pytest.approx(109.9, rel=0.01) for v in constants["E1"].elsewhere)
+    assert constants["E1"].verdict != "determined by the data"
+    shown = result.summary()
+    assert "E1 may be 53.22 or" in shown
+    assert "differs between optima" in shown
+    document = result.to_dict()
+    assert [o["swarms"] for o in document["optima"]] == [o.swarms for o, _ in result.optima]
+    assert "optima" in result.figures()
+
+
+def test_less_than_one_swarm_is_refused() -> None:
+    with pytest.raises(ValueError, match="swarms: received 0, accepted: 1 or more"):
+        cb.identify("A1", swarms=0)
