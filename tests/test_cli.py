@@ -16,7 +16,8 @@ from tests.plate_file import MEASURED
 from tests.plate_file import PLATE as WITHOUT_LIST
 
 PROJECT = Path(__file__).parent.parent
-SHORT = ("--iterations", "8", "--quiet")  # a few steps of the swarm say all that is asked here
+# a single swarm and a few steps of it say all that is asked here
+SHORT = ("--swarms", "1", "--iterations", "8", "--quiet")
 
 PLATE = WITHOUT_LIST + MEASURED
 
@@ -193,12 +194,12 @@ def test_relative_residuals_and_the_size_of_the_swarm_are_options(run):
 
 
 def test_progress_is_a_line_now_and_then_and_none_with_quiet(run):
-    _, _, err = run("identify", "A1", "--iterations", "40")
+    _, _, err = run("identify", "A1", "--swarms", "1", "--iterations", "40")
     lines = [line for line in err.splitlines() if "iteration " in line]
     assert 5 <= len(lines) <= 12
     assert "rms misfit" in lines[0]
     assert "\x1b" not in err
-    assert "iteration " not in run("identify", "A1", "--iterations", "40", "--quiet")[2]
+    assert "iteration " not in run("identify", "A1", "--swarms", "1", "--iterations", "40", "--quiet")[2]
 
 
 # What does not hold is said
@@ -226,7 +227,7 @@ def test_no_more_frequencies_than_unknowns_is_answered_with_the_bounds_decide(ru
 @pytest.mark.parametrize("command", ["forward", "identify"])
 def test_a_slip_of_units_is_suspected(run, plate_file, command, old, new):
     argv = [command, plate_file((old, new)), "--quiet"]
-    status, out, err = run(*argv, *(SHORT[:2] if command == "identify" else ()))
+    status, out, err = run(*argv, *(SHORT[:4] if command == "identify" else ()))
     assert status == 0
     assert re.search(r"times the measured one.*check the units", err)
     assert "times the measured one" in out
@@ -411,7 +412,8 @@ def test_an_answer_that_cannot_be_saved_is_shown_all_the_same(run, tmp_path, mon
 @pytest.mark.parametrize("line", ["up to 100000 iterations", "iteration 0 of 100000"])
 def test_an_interrupted_run_ends_with_130_one_line_and_no_files(line, tmp_path):
     out = tmp_path / "out"
-    argv = ("identify", "A1", "--particles", "10000", "--iterations", "100000", "--out", str(out))
+    budget = ("--swarms", "1", "--particles", "10000", "--iterations", "100000")
+    argv = ("identify", "A1", *budget, "--out", str(out))
     process = start(*argv)
     for said in process.stderr:
         if line in said:

@@ -5,7 +5,7 @@ This module is imported for `--help`: it loads nothing beyond the standard libra
 
 from typing import Final
 
-COMMANDS: Final = ("plates", "forward", "export", "identify", "sensitivity", "sequence", "diagnose")
+COMMANDS: Final = ("plates", "forward", "export", "identify", "sensitivity", "sequence", "diagnose", "paper")
 SOLVERS: Final = ("ritz", "fem", "ccx")
 ELEMENTS: Final = ("brick", "shell")
 """What CalculiX computes with."""

@@ -1,0 +1,185 @@
+"""The comparison as a page of the documentation, written from its JSON document alone."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+from cpam_bayes.formatting import signed, significant
+
+__all__ = ["page"]
+
+_ROWS = ("specimen", "by", "quantity", "printed", "ours", "difference %", "95 % interval", "verdict")
+
+
+def page(document: Mapping[str, Any]) -> str:
+    """The page docs/comparison.md of the document of `cpam-bayes paper --json`."""
+    return "\n".join(_lines(document)).rstrip() + "\n"
+
+
+def _lines(document: Mapping[str, Any]) -> Iterator[str]:
+    yield "# The paper's tables, reproduced and audited"
+    yield ""
+    yield (
+        "This page is written by `python studies/19_paper.py` from `studies/results/19_paper.json`, the "
+        f"document of `cpam-bayes paper --json` (version {document['version']}, seed {document['seed']}); a "
+        "test holds the two together. Tables are those of Masoumi and Ghasemi Ghalebahman (2017)."
+    )
+    yield ""
+    yield "## The most important disagreements"
+    yield ""
+    yield from (f"{i}. {text}" for i, text in enumerate(document["disagreements"], 1))
+    yield ""
+    yield from _verdicts(document)
+    yield from _audit(document)
+    yield from _solvers(document["rows"])
+    for table in document["tables"]:
+        rows = [r for r in document["rows"] if r["table"] == table["table"] and r["verdict"] != "input"]
+        if rows:
+            yield f"## Table {table['table']}: {table['title']}"
+            yield ""
+            yield from _table(_ROWS, [_cells(row) for row in rows])
+    yield from _computed(document)
+
+
+def _verdicts(document: Mapping[str, Any]) -> Iterator[str]:
+    yield "## Verdicts"
+    yield ""
+    yield (
+        "A frequency agrees up to 0.5 % or half a unit of its last digit, an identified constant up to 1 %, "
+        "a mean of ten up to two standard errors of the difference of two such means. *Within the "
+        "posterior*: in the 95 % interval, or the 95 % set of stacking sequences. *Input*: printed data that "
+        "are computed from, or references."
+    )
+    yield ""
+    kinds = list(document["tables"][0]["verdicts"])
+    rows = [
+        [str(t["table"]), t["title"], *(str(t["verdicts"][kind] or "") for kind in kinds)]
+        for t in document["tables"]
+    ]
+    yield from _table(["table", "title", *kinds], rows)
+
+
+def _audit(document: Mapping[str, Any]) -> Iterator[str]:
+    audit = document["audit"]
+    percentages = audit["percentages"]
+    found = [p["agreement"] for p in percentages]
+    yield "## Audit of the print"
+    yield ""
+    yield (
+        f"Of {len(found)} printed percentages {found.count('follows')} follow from the digits of their rows, "
+        f"{found.count('before rounding')} can follow from values before rounding, and "
+        f"{found.count('does not follow')} cannot:"
+    )
+    yield ""
+    wrong = [p for p in percentages if p["agreement"] == "does not follow"]
+    yield from _table(
+        ("table", "specimen", "by", "quantity", "printed %", "recomputed %", "possible %"),
+        [
+            [
+                *(str(p["table"]), p["specimen"], p["source"], p["quantity"]),
+                *(f"{p['printed_percent']:g}", f"{p['recomputed_percent']:.1f}"),
+                " to ".join(f"{v:.1f}" for v in p["possible_percent"]),
+            ]
+            for p in wrong
+        ],
+    )
+    yield from (f"- {note}" for note in audit["misprints"])
+    yield ""
+    if audit["means_of_ten"]:
+        yield "## What means of ten can show"
+        yield ""
+        yield audit["means_of_ten"]
+        yield ""
+    yield "## Printed constants against their own frequencies"
+    yield ""
+    yield (
+        "F is eq. (7), in Hz², of the plate with the printed constants and layup, by forward solves only; "
+        "beside it the least F that the swarms found within the bounds of eq. (8), and how many of them "
+        "found it."
+    )
+    yield ""
+    yield from _table(
+        (
+            "table",
+            "specimen",
+            "constants",
+            "by",
+            "F",
+            "least F",
+            "rms %",
+            "rms % at the least F",
+            "swarms that found it",
+            "swarms converged",
+            "on a bound",
+        ),
+        [
+            [
+                *(str(m["table"]), m["specimen"], m["case"], m["source"]),
+                *(significant(m["objective"]), significant(m["our_objective"])),
+                *(significant(m["rms_percent"], 3), significant(m["our_rms_percent"], 3)),
+                f"{m['swarms_found']} of {m['swarms']}",
+                str(m["swarms_converged"]),
+                " ".join(m["on_bounds"]),
+            ]
+            for m in audit["misfits"]
+        ],
+    )
+
+
+def _solvers(rows: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+    compared = [r for r in rows if r["table"] in (1, 5) and r["source"] == "ABAQUS"]
+    if not compared:
+        return
+    yield "## ABAQUS beside three converged solvers"
+    yield ""
+    yield (
+        "The package's Ritz method and finite elements are first-order shear deformation theory; CalculiX "
+        "has 20-node bricks. Frequencies in Hz."
+    )
+    yield ""
+    names = ("ritz_hz", "fem_hz", "calculix_hz")
+    yield from _table(
+        ("table", "plate", "mode", "ABAQUS, printed", "Ritz", "elements", "CalculiX", "printed less Ritz %"),
+        [
+            [
+                *(str(r["table"]), r["specimen"], r["quantity"][1:].partition("_")[0], r["printed_text"]),
+                *("" if r["details"][n] is None else significant(r["details"][n], 6) for n in names),
+                signed(r["difference_percent"], 1),
+            ]
+            for r in compared
+        ],
+    )
+
+
+def _cells(row: Mapping[str, Any]) -> list[str]:
+    ours, q025, q975 = row["ours"], row["q025"], row["q975"]
+    if isinstance(ours, list):
+        shown = f"[{', '.join(f'{angle:g}' for angle in ours)}]"
+    else:
+        shown = "" if ours is None else significant(ours, 5 if row["quantity"].endswith("_hz") else 4)
+    interval = "" if q025 is None or q975 is None else f"{significant(q025)} to {significant(q975)}"
+    off = row["difference_percent"]
+    return [
+        *(row["specimen"], row["source"], row["quantity"], row["printed_text"], shown),
+        *("" if off is None else signed(off, 1), interval, row["verdict"]),
+    ]
+
+
+def _computed(document: Mapping[str, Any]) -> Iterator[str]:
+    yield "## Computations"
+    yield ""
+    rows = [
+        [task, str(r["version"]), str(r["date"]), f"{r['seconds']:.0f}"]
+        for task, r in document["computed"].items()
+    ]
+    yield from _table(("what", "version", "date", "seconds"), rows)
+    yield from (f"- Warning: {text}" for text in document["warnings"])
+
+
+def _table(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> Iterator[str]:
+    yield f"| {' | '.join(headings)} |"
+    yield f"|{'---|' * len(headings)}"
+    for row in rows:
+        yield f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in row)} |"
+    yield ""

@@ -1,0 +1,115 @@
+"""The screen of `paper`."""
+
+from __future__ import annotations
+
+from cpam_bayes.comparison.records import NOT_REPRODUCIBLE, Misfit, PaperResult, Row, kind_of
+from cpam_bayes.comparison.summary import (
+    KINDS,
+    computed_rows,
+    disagreements,
+    means_of_ten,
+    notes,
+    percentage_counts,
+    verdict_counts,
+)
+from cpam_bayes.formatting import signed, significant
+from cpam_bayes.paper import printed_table
+from cpam_bayes.report.tables import Table, headed, remarks
+
+__all__ = ["misfit_cells", "row_cells", "screen"]
+
+
+def screen(result: PaperResult) -> tuple[Table, ...]:
+    """Verdicts by table, the rows, the misfit of the printed constants, the audit of the print."""
+    return (
+        remarks("Largest disagreements", disagreements(result), flagged=True),
+        _verdicts(result),
+        *(_rows(result, number) for number in result.numbers),
+        _misfits(result.misfits),
+        remarks("What means of ten can show", tuple(filter(None, (means_of_ten(result),)))),
+        remarks("Misprints and contradictions in the print", notes(result)),
+        _computed(result),
+        remarks("Warnings", result.warnings, flagged=True),
+    )
+
+
+def row_cells(row: Row) -> tuple[str, ...]:
+    """A row as text: specimen, source, quantity, printed, ours, difference, interval, verdict."""
+    interval = ""
+    if row.q025 is not None and row.q975 is not None:
+        interval = f"{significant(row.q025)} to {significant(row.q975)}"
+    return (
+        row.specimen,
+        row.source,
+        row.quantity,
+        row.printed,
+        _ours(row),
+        "" if row.difference_percent is None else signed(row.difference_percent, 1),
+        interval,
+        row.verdict,
+    )
+
+
+def misfit_cells(m: Misfit) -> tuple[str, ...]:
+    """A misfit as text."""
+    return (
+        str(m.table),
+        m.specimen,
+        m.case,
+        m.source,
+        significant(m.objective),
+        significant(m.our_objective),
+        significant(m.rms_percent, 3),
+        significant(m.our_rms_percent, 3),
+        f"{m.swarms_found} of {m.swarms}",
+        str(m.swarms_converged),
+        " ".join(m.on_bounds),
+    )
+
+
+def _ours(row: Row) -> str:
+    if row.ours is None:
+        return ""
+    if isinstance(row.ours, tuple):
+        return f"[{', '.join(f'{angle:g}' for angle in row.ours)}]"
+    return significant(row.ours, 5 if row.quantity.endswith("_hz") else 4)
+
+
+def _verdicts(result: PaperResult) -> Table:
+    rows = []
+    for number in result.numbers:
+        found, percent = verdict_counts(result.rows, number), percentage_counts(number)
+        counts = [*(found[kind] for kind in KINDS), *percent.values()]
+        rows.append((str(number), printed_table(number).title, *(str(count or "") for count in counts)))
+    columns = headed(
+        *("#table", "title", *(f"#{kind}" for kind in KINDS)),
+        *("#percentages that follow", "#before rounding", "#do not follow"),
+    )
+    return Table(
+        "Printed values by verdict, printed percentages by whether they follow", columns, tuple(rows)
+    )
+
+
+def _rows(result: PaperResult, number: int) -> Table:
+    rows = computed_rows(result.rows, number)
+    columns = headed("specimen", "by", "quantity", "#printed", "#ours", "#%", "95 % interval", "verdict")
+    flagged = frozenset(i for i, row in enumerate(rows) if kind_of(row.verdict) == NOT_REPRODUCIBLE)
+    title = f"Table {number}: {printed_table(number).title}"
+    return Table(title, columns, tuple(row_cells(row) for row in rows), flagged)
+
+
+def _misfits(misfits: tuple[Misfit, ...]) -> Table:
+    columns = headed(
+        *("#table", "specimen", "constants", "by", "#F Hz2", "#least F", "#rms %", "#least F's rms %"),
+        *("#swarms", "#converged", "on a bound"),
+    )
+    title = "Printed constants against their own frequencies, and the least F that the swarms found"
+    return Table(title, columns, tuple(misfit_cells(m) for m in misfits))
+
+
+def _computed(result: PaperResult) -> Table:
+    rows = tuple(
+        (task, str(record["version"]), str(record["date"]), f"{float(record['seconds']):.0f}")
+        for task, record in result.computed.items()
+    )
+    return Table("Computations", headed("what", "version", "date", "#s"), rows)
