@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
 from typing import Any
 
 import numpy as np
@@ -15,7 +14,7 @@ from cpam_bayes.diagnosis.answers.averaged import averaged_constants
 from cpam_bayes.diagnosis.answers.detectability import Detectable, detectable
 from cpam_bayes.diagnosis.answers.gain import Gain, gain_of
 from cpam_bayes.diagnosis.answers.optima import OpenOptimum, open_optima
-from cpam_bayes.diagnosis.answers.predictive import explains
+from cpam_bayes.diagnosis.answers.predictive import PredictiveChecks
 from cpam_bayes.diagnosis.answers.prior_sensitivity import PriorSensitivity, prior_sensitivity
 from cpam_bayes.diagnosis.cases import hypotheses_of
 from cpam_bayes.diagnosis.claim import PLAIN, Claim, claim_of
@@ -144,16 +143,17 @@ def diagnose_cases(
         if name not in (NONE, OTHER)
     }
     causes = _causes(cases, weighed, best, signatures, projector)
-    claim = _claim(weighed, causes)
+    checks = PredictiveChecks()
+    claim = _claim(weighed, causes, checks)
     members = _members(weighed, claim)
     cases = weighed.none.cases or cases
     whole = np.concatenate([case.measurement.frequencies for case in cases])
-    baseline = fit_of(weighed.plain, whole)
-    extended = fit_of(members, whole) if members else None
-    found_gain = None
+    baseline = fit_of(weighed.plain, whole, checks)
+    extended = fit_of(members, whole, checks) if members else None
+    gain_of_claim = None
     if gain and extended is not None and members:
         notify("leaving one frequency out")
-        found_gain = gain_of(cases, weighed, claim, members, baseline, extended, scatter)
+        gain_of_claim = gain_of(cases, weighed, claim, members, baseline, extended, scatter)
     return Diagnosis(
         tuple(cases),
         weighed,
@@ -162,10 +162,10 @@ def diagnose_cases(
         members,
         baseline,
         extended,
-        found_gain,
+        gain_of_claim,
         signatures,
         averaged_constants(weighed),
-        prior_sensitivity(weighed, claim, lambda other: _claim(other, _reweighed(causes, other))),
+        prior_sensitivity(weighed, claim, lambda other: _claim(other, _reweighed(causes, other), checks)),
         detectable(weighed) if power else (),
         open_optima(members[0][0] if members else weighed.none, cases),
         time.perf_counter() - start,
@@ -249,12 +249,11 @@ def _reweighed(causes: Sequence[Cause], weighed: Weighed) -> list[Cause]:
     ]
 
 
-def _claim(weighed: Weighed, causes: Sequence[Cause]) -> Claim:
+def _claim(weighed: Weighed, causes: Sequence[Cause], checks: PredictiveChecks) -> Claim:
     pairs = {t.hypothesis.cause: t.hypothesis.causes for t in weighed.tested if t.hypothesis.family == PAIR}
 
-    @cache
     def explained(name: str) -> bool:
-        return explains(weighed.best_of(name)) > _EXPLAINED
+        return checks.p_value(weighed.best_of(name)) > _EXPLAINED
 
     return claim_of(
         {c.name: c.probability for c in causes},

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 from scipy.stats import chi2
 
-from cpam_bayes.diagnosis.answers.predictive import explains
+from cpam_bayes.diagnosis.answers.predictive import PredictiveChecks
 from cpam_bayes.diagnosis.evidence.comparison import kept_of
 from cpam_bayes.diagnosis.evidence.tested import Tested, prior_of
 
@@ -54,7 +54,7 @@ class Fit:
         return np.asarray((self.measured - self.predicted) / np.hypot(self.sigma, self.predicted_sd))
 
 
-def fit_of(members: Sequence[tuple[Tested, float]], whole: Array) -> Fit:
+def fit_of(members: Sequence[tuple[Tested, float]], whole: Array, checks: PredictiveChecks) -> Fit:
     """The fit of a mixture of hypotheses with the same constants; whole : all listed frequencies."""
     first = members[0][0].marginal.comparison
     sampled = [t for t, _ in members if np.isfinite(t.marginal.error)]
@@ -93,7 +93,7 @@ def fit_of(members: Sequence[tuple[Tested, float]], whole: Array) -> Fit:
         sigma=np.sqrt(v.mean(axis=0)),
         rms=float(np.sqrt(np.mean((mean / whole - 1.0) ** 2))),
         p_value=float(np.mean(np.concatenate(tail))),
-        predictive_p=sum(fraction * explains(t) for t, fraction in members),
+        predictive_p=sum(fraction * checks.p_value(t) for t, fraction in members),
         log_evidence=float(
             logsumexp(
                 [t.marginal.log_evidence for t, _ in members],

@@ -66,8 +66,8 @@ class Hypothesis:
 
     @property
     def coordinates(self) -> frozenset[str]:
-        """Names of the parameters that say where its effects are."""
-        return frozenset(p.name for e in self.effects if e.is_anywhere for p in e.coordinates)
+        """Names of the parameters that say where its effects are or which way they go."""
+        return frozenset(p.name for e in self.effects for p in e.coordinates)
 
     @property
     def other_material(self) -> bool:

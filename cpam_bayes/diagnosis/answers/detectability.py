@@ -63,15 +63,17 @@ def detectable(weighed: Weighed) -> tuple[Detectable, ...]:
     for cause in weighed.by_cause():
         if cause in (NONE, OTHER) or " + " in cause:
             continue
-        parameters = weighed.best_of(cause).hypothesis.parameters
+        variants = [t.hypothesis for t in weighed.tested if t.hypothesis.cause == cause]
+        # a frequency far off is one of another mode: such a variant has no size
+        size_of = next((h.parameters[0] for h in variants if h.parameters), None)
         of_plates = len({t.plates for t in weighed.tested if t.hypothesis.cause == cause})
         some = _spread([line for line in lines if line.cause == cause], max(_PLACES // of_plates, 1))
-        found = [_worse_sign(oracle, line) for line in some]
-        if not found:
-            answers.append(Detectable(cause, parameters[0] if parameters else None, None, None))
+        by_place = [_worse_sign(oracle, line) for line in some]
+        if not by_place:
+            answers.append(Detectable(cause, size_of, None, None))
             continue
-        size, power = sorted(found)[len(found) // 2]
-        answers.append(Detectable(cause, parameters[0], size if np.isfinite(size) else None, power))
+        size, power = sorted(by_place)[len(by_place) // 2]
+        answers.append(Detectable(cause, size_of, size if np.isfinite(size) else None, power))
     return tuple(answers)
 
 
@@ -84,14 +86,14 @@ def _spread(lines: list[ShiftLine], most: int) -> list[ShiftLine]:
 
 def _worse_sign(oracle: LinearOracle, line: ShiftLine) -> tuple[float, float]:
     """The larger of the smallest sizes of both signs, infinite if one of them is not seen, and its power."""
-    found = []
+    by_sign = []
     mirrored = np.abs(line.shift[::-1] - line.shift).max() < _EVEN * np.abs(line.shift).max()
     for side in (line.size > 0.0, (line.size < 0.0) & (not mirrored)):
         rows = np.flatnonzero(side)
         rows = rows[np.argsort(np.abs(line.size[rows]), kind="stable")]
         if len(rows) > 1:
-            found.append(_smallest(oracle, line.cause, np.abs(line.size[rows]), line.shift[rows]))
-    return max(found, key=lambda entry: (entry[0], -entry[1]), default=(np.inf, 0.0))
+            by_sign.append(_smallest(oracle, line.cause, np.abs(line.size[rows]), line.shift[rows]))
+    return max(by_sign, key=lambda entry: (entry[0], -entry[1]), default=(np.inf, 0.0))
 
 
 def _smallest(oracle: LinearOracle, cause: str, size: Array, shift: Array) -> tuple[float, float]:

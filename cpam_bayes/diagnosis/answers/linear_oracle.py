@@ -148,8 +148,8 @@ class LinearOracle:
         alike = np.zeros((len(self.causes), len(shift)), dtype=bool)
         cosine, distance = self.paths.nearest(target)
         alike[:n] = ((cosine > ALIKE) & visible) | (0.5 * distance < AS_WELL)
-        for number, own in self.material:
-            alike[number] = 0.5 * np.sum((shift @ own.T) ** 2, axis=1) < AS_WELL
+        for number, root in self.material:
+            alike[number] = 0.5 * np.sum((shift @ root.T) ** 2, axis=1) < AS_WELL
         return alike
 
 
@@ -314,8 +314,7 @@ def _densities(t: Tested, none: Marginal, at: Array, log_weight: float) -> _Gaus
     """
     log_weight += float(np.log(t.hypothesis.prior))
     comparison = t.marginal.comparison
-    known = dict(zip(none.comparison.parameters.names, at, strict=True))
-    x = np.array([known.get(name, 0.0) for name in comparison.parameters.names])
+    x = comparison.carried(none.comparison, at)
     slope, mean = _linear(comparison, x)
     if comparison.discrepancy is None:
         covariances = _covariance(comparison, x)[None]

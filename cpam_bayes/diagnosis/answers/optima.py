@@ -7,15 +7,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cpam_bayes.diagnosis.evidence.optima import distinct
+from cpam_bayes.diagnosis.evidence.optima import maximised
 from cpam_bayes.diagnosis.evidence.tested import Tested
 from cpam_bayes.diagnosis.fitting import PlateCase
-from cpam_bayes.inference.optimise import Array, maximise
-from cpam_bayes.inference.standard_normal import MAX_SCORE
+from cpam_bayes.inference.optimise import Array
 
-# Fraction of the posterior from which an optimum is one to be told; nodes that optima are sought from, and
-# the fraction that makes one worth it.
+# Fraction of the posterior from which an optimum is reported; nodes that optima are sought from, and the
+# fraction that makes one worth it.
 _LEAST_FRACTION, _MOST_STARTS, _START_FRACTION = 0.03, 12, 3e-3
+# Steps of an optimisation at most, and the gain, nats, that ends it.
+_MOST_STEPS, _PROMISED = 60, 1e-3
 # Constants agree within so many standard deviations.
 _SAME_SD = 2.0
 
@@ -52,10 +53,8 @@ def open_optima(t: Tested, cases: Sequence[PlateCase]) -> tuple[OpenOptimum, ...
     starts = marginal.z[:_MOST_STARTS][marginal.weight[:_MOST_STARTS] > _START_FRACTION]
     if len(starts) < 2:
         return ()
-    bound = np.full(starts.shape[1], MAX_SCORE)
-    maxima = maximise(lambda z, rows: comparison.expand(z), starts, -bound, bound, promised=1e-3)
-    kept = distinct(maxima.u, maxima.expansion)
-    z, curvature = maxima.u[kept], maxima.expansion.curvature[kept]
+    optima, _ = maximised(comparison, starts, _MOST_STEPS, _PROMISED)
+    z, curvature = optima.z, optima.curvature
     draws = comparison.scores.to_z(marginal.draws)
     away = draws[:, None] - z
     nearest = np.einsum("dki,kij,dkj->dk", away, curvature, away).argmin(axis=1)
@@ -65,7 +64,7 @@ def open_optima(t: Tested, cases: Sequence[PlateCase]) -> tuple[OpenOptimum, ...
     if len(carry) < 2:
         return ()
     sizes = {p.name for p in t.hypothesis.parameters}
-    found = []
+    open_ones = []
     for best in carry:
         x = comparison.scores.to_x(z[best])
         names = comparison.model.parameters.names
@@ -77,8 +76,8 @@ def open_optima(t: Tested, cases: Sequence[PlateCase]) -> tuple[OpenOptimum, ...
             for k in np.flatnonzero(case.modes < 0):  # false peaks of an incomplete list
                 labels.insert(int(k), "")
             modes.append(tuple(labels))
-        found.append(OpenOptimum(float(fraction[best]), constants, tuple(modes)))
-    return tuple(found)
+        open_ones.append(OpenOptimum(float(fraction[best]), constants, tuple(modes)))
+    return tuple(open_ones)
 
 
 def _unknowns(t: Tested, cases: Sequence[PlateCase]) -> list[str]:

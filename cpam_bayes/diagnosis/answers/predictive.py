@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,8 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from cpam_bayes.diagnosis.evidence.comparison import Comparison
-from cpam_bayes.diagnosis.evidence.weighing import Tested
+from cpam_bayes.diagnosis.evidence.marginal import Marginal
+from cpam_bayes.diagnosis.evidence.tested import Tested
 
 Array = NDArray[Any]
 
@@ -45,6 +47,24 @@ def explains(tested: Tested) -> float:
     return float(weight @ p.max(axis=0) / weight.sum())
 
 
+@dataclass(frozen=True, slots=True)
+class PredictiveChecks:
+    """Predictive p-values of hypotheses, each computed once, when it is first asked for.
+
+    A hypothesis that is weighed again with other priors keeps its marginal likelihood, and so its p-value.
+    """
+
+    _known: dict[int, tuple[Marginal, float]] = field(default_factory=dict)
+
+    def p_value(self, tested: Tested) -> float:
+        """`explains` of a hypothesis."""
+        key = id(tested.marginal)
+        if key not in self._known:
+            # held with its p-value, so that no other marginal likelihood can have the same number
+            self._known[key] = (tested.marginal, explains(tested))
+        return self._known[key][1]
+
+
 def _starts(tested: Tested) -> Array:
     """Scores (s, n) of the nodes that carry mass, the best first."""
     marginal = tested.marginal
@@ -76,8 +96,10 @@ def _refitted(comparison: Comparison, z: Array, amplitudes: Array) -> tuple[Arra
     inverse = np.linalg.inv(fisher + np.eye(len(free)))
     moved = np.repeat(z[:, None], a, axis=1)
     moved[:, :, free] += np.einsum("saij,saj->sai", inverse, gradient)
-    new, _ = comparison.predict(comparison.scores.to_x(moved.reshape(len(z) * a, -1)))
-    again = np.einsum("samn,san->sam", back, (f - new).reshape(residual.shape))
-    before, after = (np.sum(r**2, axis=2) for r in (residual, again))
+    # a step may lead where the plate buckles
+    inside, new, _ = comparison.predict_inside(comparison.scores.to_x(moved.reshape(len(z) * a, -1)))
+    again = np.full((len(z) * a, len(f)), np.inf)
+    again[inside] = np.einsum("mij,mj->mi", back.reshape(-1, *back.shape[2:])[inside], f - new)
+    before, after = np.sum(residual**2, axis=2), np.sum(again**2, axis=1).reshape(len(z), a)
     after = np.where(np.isfinite(after), after, np.inf)
     return np.minimum(before, after), np.einsum("saij,saji->sa", inverse, fisher)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,7 +16,7 @@ from cpam_bayes.diagnosis.evidence.marginal import Marginal
 from cpam_bayes.diagnosis.evidence.optima import SIZE_RANGE
 from cpam_bayes.diagnosis.evidence.weighing import Tested
 from cpam_bayes.diagnosis.hypotheses import NONE, OTHER, PAIR
-from cpam_bayes.parameters import Uniform
+from cpam_bayes.parameters import LogUniform, Uniform
 
 Array = NDArray[Any]
 
@@ -82,7 +82,7 @@ def _at_places(t: Tested, none: Marginal) -> list[ShiftLine]:
     """A line at each of some places or, of two sizes at once, at each of some ratios of them."""
     comparison, parameters = t.marginal.comparison, t.hypothesis.parameters
     further = parameters[1:]
-    places = [k for k, p in enumerate(further) if isinstance(p.prior, Uniform)]
+    places = [k for k, p in enumerate(further) if isinstance(p.prior, Uniform | LogUniform)]
     sizes = [k for k in range(len(further)) if k not in places]
     n = 2**_LOG2_PLACES if places else 1
     where = np.zeros((n, len(further)))
@@ -91,7 +91,7 @@ def _at_places(t: Tested, none: Marginal) -> list[ShiftLine]:
     offsets = _OFFSETS if sizes else np.zeros(1)
     log_fraction = -0.5 * offsets**2
     log_fraction -= np.log(np.exp(log_fraction).sum())
-    plain = _plain(t, none)
+    plain = comparison.carried(none.comparison, none.best)
     lines: list[ShiftLine] = []
     for place in where:
         for offset, fraction in zip(offsets, log_fraction, strict=True):
@@ -103,17 +103,14 @@ def _at_places(t: Tested, none: Marginal) -> list[ShiftLine]:
                 x[:, column] = p.prior.from_normal(z[:, k])
             bare = x[:1].copy()
             for p, column in zip(parameters, t.columns, strict=True):
-                if not isinstance(p.prior, Uniform):
+                if not isinstance(p.prior, Uniform | LogUniform):
                     bare[:, column] = 0.0 if p.null is None else p.null
-            f, _ = comparison.predict(np.vstack((bare, x)))
+            inside, f, _ = comparison.predict_inside(np.vstack((bare, x)))
+            if len(inside) < 2 or inside[0] != 0:
+                continue
             with np.errstate(invalid="ignore", divide="ignore"):
                 shift = np.log(f[1:]) - np.log(f[0])
             known = np.isfinite(shift).all(axis=1)
-            lines += _line(t, _SCORES[known], shift[known], float(fraction) - float(np.log(n)))
+            score = _SCORES[inside[1:] - 1]
+            lines += _line(t, score[known], shift[known], float(fraction) - float(np.log(n)))
     return lines
-
-
-def _plain(t: Tested, none: Marginal) -> Array:
-    """Parameters of a hypothesis at the plain model's optimum, (n,)."""
-    at: Mapping[str, float] = dict(zip(none.comparison.parameters.names, none.best, strict=True))
-    return np.array([at.get(name, 0.0) for name in t.marginal.comparison.parameters.names])

@@ -109,6 +109,20 @@ class Comparison:
         of_noise = tuple(column for column in self.amplitudes if column >= 0)
         return of_noise if self.discrepancy is None else (*of_noise, self.discrepancy)
 
+    def carried(self, other: Comparison, values: Array, rest: Array | float = 0.0) -> Array:
+        """Values (..., n) of the parameters of the same name in another comparison.
+
+        values : (..., n_other) parameters, or scores, of the other one
+        rest : (n,) or one value, for the parameters that it lacks
+        """
+        column_of = {name: column for column, name in enumerate(other.parameters.names)}
+        carried = np.empty((*values.shape[:-1], self.parameters.size))
+        carried[...] = rest
+        for column, name in enumerate(self.parameters.names):
+            if name in column_of:
+                carried[..., column] = values[..., column_of[name]]
+        return carried
+
     def predict(self, x: Array, *, jacobian: bool = False) -> tuple[Array, Array | None]:
         """Frequencies (m, n_f) of the list at parameters (m, n), derivatives over these."""
         prediction = self.model.predict(x, jacobian=jacobian)

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
-from scipy.special import logsumexp, ndtri
+from scipy.special import logsumexp
 
 from cpam_bayes.diagnosis.evidence.comparison import Comparison
 from cpam_bayes.diagnosis.evidence.nodes import Nodes, conditional_optima, joined
@@ -25,7 +25,7 @@ from cpam_bayes.diagnosis.evidence.optima import (
     Optima,
     find_optima,
     size_points,
-    unit_points,
+    spread_scores,
 )
 from cpam_bayes.inference.importance import staged_importance
 from cpam_bayes.inference.student_mixture import Mixture, shrunk_moments, sobol_points
@@ -57,7 +57,9 @@ _NEGLIGIBLE_FRACTION = 1e-4
 # Importance sampling: degrees of freedom and widening of the proposal, log2 of its points. Where the error is
 # large, or the proposal a scattered one, it is refitted in stages.
 _FREEDOM, _WIDER, LOG2_POINTS = 6.0, 1.15, 9
-_LOG2_SCATTERED_POINTS, _LARGE_ERROR, _STAGES = (10, 11), 0.1, (0.25, 0.25, 0.5)
+_LARGE_ERROR, _STAGES, _MORE_STAGES = 0.1, (0.25, 0.25, 0.5), (0.1, 0.1, 0.2, 0.2, 0.4)
+# Samples of a scattered proposal, in turn: log2 of the points, stages, and the error that is enough.
+_SCATTERED_SAMPLES = ((10, _STAGES, _LARGE_ERROR), (11, _STAGES, 0.25), (12, _MORE_STAGES, np.inf))
 _HALF_LOG_2PI = 0.5 * np.log(2 * np.pi)
 
 
@@ -147,8 +149,8 @@ def _not_determined(optima: Optima, sizes: tuple[int, ...]) -> tuple[int, ...]:
     log_mass = optima.log_mass
     carry = log_mass > log_mass.max() + np.log(_CARRIES)
     variance = np.diagonal(np.linalg.inv(optima.curvature[carry]), axis1=1, axis2=2)
-    found = tuple(s for s in sizes if np.sqrt(variance[:, s].max()) > _DETERMINED_SD)
-    return sizes if sizes and sizes[0] in found else found
+    undetermined = tuple(s for s in sizes if np.sqrt(variance[:, s].max()) > _DETERMINED_SD)
+    return sizes if sizes and sizes[0] in undetermined else undetermined
 
 
 def _about_optima(comparison: Comparison, sizes: tuple[int, ...], optima: Optima) -> Marginal:
@@ -198,14 +200,13 @@ def _by_scattered(
     """Several sizes on points that fill their priors, and about the optima."""
     d = len(columns)
     log2 = _LOG2_SCATTERED.get(d, _MOST_SCATTERED)
-    uniform = unit_points(d, log2)
-    score = np.asarray(ndtri(uniform))
     first = columns[0] == sizes[0]
+    score = spread_scores(d, log2, 0 if first else None)
     width = np.full(d, 2.0 / (1 << log2) ** (1.0 / d))
-    log_q = -0.5 * np.sum(score**2, axis=1) - d * _HALF_LOG_2PI
+    normal = score[:, 1:] if first else score
+    log_q = -0.5 * np.sum(normal**2, axis=1) - normal.shape[1] * _HALF_LOG_2PI
     if first:
-        log_q += 0.5 * score[:, 0] ** 2 + _HALF_LOG_2PI - np.log(2 * SIZE_RANGE)
-        score[:, 0] = SIZE_RANGE * (2.0 * uniform[:, 0] - 1.0)
+        log_q -= np.log(2 * SIZE_RANGE)
         width[0] *= 1.8
     nodes = conditional_optima(comparison, columns, score, optima, known, few=True)
     log_mass = nodes.log_density - log_q - np.log(len(score))
@@ -253,20 +254,18 @@ def _marginal(
 def sampled_marginal(marginal: Marginal, log2_points: int = LOG2_POINTS) -> Marginal:
     """A marginal likelihood by importance sampling about its Laplace approximation.
 
-    log2_points : of the sample; four times as many where its error is large
+    log2_points : of the sample about optima; four times as many where its error is large
     """
     comparison = marginal.comparison
 
     def log_density(z: Array) -> Array:
         return comparison.log_density(z[0])[None]
 
-    staged = marginal.is_scattered
-    for log2 in _LOG2_SCATTERED_POINTS if staged else (log2_points, log2_points + 2):
-        stages = _STAGES if staged else (1.0,)
+    about_optima = ((log2_points, (1.0,), _LARGE_ERROR), (log2_points + 2, _STAGES, np.inf))
+    for log2, stages, enough in _SCATTERED_SAMPLES if marginal.is_scattered else about_optima:
         sample = staged_importance(log_density, marginal.proposal, log2, stages, _refitted)
-        if sample.standard_error[0] < _LARGE_ERROR:
+        if sample.standard_error[0] < enough:
             break
-        staged = True
     if not np.isfinite(sample.log_evidence[0]):
         return marginal
     with np.errstate(divide="ignore"):

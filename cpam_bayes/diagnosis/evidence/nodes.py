@@ -19,8 +19,8 @@ Array = NDArray[Any]
 
 # Optimisations end where a step promises less than this, nats, or after so many steps.
 _PROMISED, _MOST_STEPS, _FEW_STEPS = 3e-3, 12, 6
-# Joint optima that each node is approached from, and optima that are kept of each node.
-_FROM_OPTIMA, _KEPT = 2, 2
+# Joint optima that each node is approached from.
+_FROM_OPTIMA = 2
 # Optima of one node are the same within this distance, standard deviations.
 _DISTINCT_SD = 1.0
 # A node's optimum moves with the size by no more than this, scores per score.
@@ -81,7 +81,8 @@ class Nodes:
         log_mass : (k,) of the nodes
         width : (k, d)
         """
-        each = log_mass[:, None] + self.log_mass - self.log_density[:, None]
+        # in this order: where the plate buckles both densities are so low that they swallow the mass
+        each = log_mass[:, None] + (self.log_mass - self.log_density[:, None])
         which = np.nonzero(each > each.max() + np.log(negligible))
         z, log_each = self.z()[which], each[which]
         curvature = comparison.expand(z).curvature

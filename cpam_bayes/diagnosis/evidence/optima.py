@@ -82,15 +82,15 @@ def find_optima(
     z, first = known, len(known)
     if log2_draws:
         draws = prior_draws(comparison, sizes, log2_draws)
-        order = np.argsort(coarse_misfit(comparison, draws), kind="stable")
+        order = np.argsort(_misfit_at(comparison, draws), kind="stable")
         z = np.concatenate((known, draws[order[: _ROUNDS[0][0]]]))
         for keep, steps in _ROUNDS[:-1]:
-            optima, promise = _maximised(comparison, z[: keep + first], steps)
+            optima, promise = maximised(comparison, z[: keep + first], steps)
             z, first = optima.z, 0
         if len(z) and (optima.value + _OVERSHOOT * promise).max() < least - _DEPTH_NATS:
             return Optima(optima.z[:1], optima.value[:1], optima.curvature[:1])
     most, steps = _ROUNDS[-1]
-    optima, _ = _maximised(comparison, z[: max(most, first)], steps)
+    optima, _ = maximised(comparison, z[: max(most, first)], steps)
     if not len(optima.value):
         raise RigidBodyError("at no start the plate has modes, or the constraints are satisfied")
     near = optima.value > optima.value[0] - _DEPTH_NATS
@@ -99,16 +99,22 @@ def find_optima(
 
 def prior_draws(comparison: Comparison, sizes: tuple[int, ...], log2_draws: int) -> Array:
     """Scores (m, n) that fill the prior; those of the first size are spread evenly, noise starts large."""
-    uniform = unit_points(comparison.parameters.size, log2_draws)
-    z = np.asarray(ndtri(uniform))
-    if sizes:
-        z[:, sizes[0]] = SIZE_RANGE * (2.0 * uniform[:, sizes[0]] - 1.0)
+    z = spread_scores(comparison.parameters.size, log2_draws, sizes[0] if sizes else None)
     z[:, comparison.model.parameters.size :] = _FIRST_NOISE
     return z
 
 
+def spread_scores(n: int, log2_points: int, even: int | None) -> Array:
+    """Scores (2^log2_points, n) that fill a normal prior; those of the column ``even`` are spread evenly."""
+    uniform = _unit_points(n, log2_points)
+    z = np.asarray(ndtri(uniform))
+    if even is not None:
+        z[:, even] = SIZE_RANGE * (2.0 * uniform[:, even] - 1.0)
+    return z
+
+
 @cache
-def unit_points(n: int, log2_points: int) -> Array:
+def _unit_points(n: int, log2_points: int) -> Array:
     """Points (2^log2_points, n) that fill the unit cube, the same each time."""
     points = qmc.Sobol(n, rng=np.random.default_rng(0)).random_base2(log2_points)
     return np.asarray(np.clip(points, 1e-6, 1.0 - 1e-6))
@@ -122,31 +128,40 @@ def size_points(comparison: Comparison, column: int, n: int) -> Array:
     return np.clip(np.asarray(prior.to_normal(x)), -MAX_SCORE, MAX_SCORE)
 
 
-def coarse_misfit(comparison: Comparison, z: Array) -> Array:
+def _misfit_at(comparison: Comparison, z: Array) -> Array:
     """A misfit that ranks far-off scores (m, n), infinite where the constraints (9) are broken, (m,)."""
     x = comparison.scores.to_x(z)
     misfit = np.full(len(z), np.inf)
     inside, f, _ = comparison.predict_inside(x)
     if len(inside):
-        r = np.log(comparison.listed.frequencies / f)
-        r -= _FORGIVEN * r.mean(axis=1, keepdims=True)
-        misfit[inside] = np.sum(np.log1p((r / _COARSE) ** 2), axis=1)
+        misfit[inside] = coarse_misfit(np.log(comparison.listed.frequencies / f))
     return misfit
 
 
-def _maximised(comparison: Comparison, z: Array, steps: int) -> tuple[Optima, Array]:
-    """Distinct ends of optimisations, and the gain that one more step promises each of them."""
+def coarse_misfit(r: Array) -> Array:
+    """A misfit that ranks far-off residuals (m, n_f) of the log frequencies, (m,)."""
+    r = r - _FORGIVEN * r.mean(axis=1, keepdims=True)
+    return np.asarray(np.sum(np.log1p((r / _COARSE) ** 2), axis=1))
+
+
+def maximised(
+    comparison: Comparison, z: Array, most_steps: int, promised: float = _PROMISED
+) -> tuple[Optima, Array]:
+    """Distinct ends of optimisations from scores (s, n), and the gain that one more step promises each.
+
+    most_steps, promised : as in ``maximise``
+    """
     bound = np.full(z.shape[1], MAX_SCORE)
     maxima = maximise(
-        lambda at, rows: comparison.expand(at), z, -bound, bound, most_steps=steps, promised=_PROMISED
+        lambda at, rows: comparison.expand(at), z, -bound, bound, most_steps=most_steps, promised=promised
     )
-    kept = distinct(maxima.u, maxima.expansion)
+    kept = _distinct(maxima.u, maxima.expansion)
     g, c = maxima.expansion.gradient[kept], maxima.expansion.curvature[kept]
     promise = 0.5 * np.einsum("ki,ki->k", g, np.linalg.solve(c, g[..., None])[..., 0])
     return Optima(maxima.u[kept], maxima.expansion.value[kept], c), promise
 
 
-def distinct(z: Array, expansion: Expansion) -> list[int]:
+def _distinct(z: Array, expansion: Expansion) -> list[int]:
     """Where optimisations ended, the best first, without those that ended at the same place."""
     value = np.where(np.isfinite(expansion.value), expansion.value, -np.inf)
     order = np.argsort(-value, kind="stable")

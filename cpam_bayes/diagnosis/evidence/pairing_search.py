@@ -23,6 +23,7 @@ from cpam_bayes.diagnosis.hypotheses import NONE, Hypothesis
 from cpam_bayes.diagnosis.pairings import (
     counted,
     is_incomplete,
+    is_open_ended,
     log_sum,
     most_probable,
     neighbours,
@@ -99,7 +100,7 @@ def in_order(cases: Sequence[PlateCase]) -> Cases:
     return tuple(with_pairing(c, _filled(c)) if is_incomplete(c) else c for c in cases)
 
 
-def own_pairing(
+def pairing_at(
     cases: Sequence[PlateCase],
     hypothesis: dict[int, Hypothesis] | Hypothesis,
     i: int,
@@ -108,21 +109,22 @@ def own_pairing(
 ) -> Cases:
     """The lists with the most probable pairing of the i-th one at parameters x (n,) of a hypothesis."""
     whole = comparison_of(in_order(cases), hypothesis, scatter=scatter)
-    predicted, sigma = _at(whole, i, x[None], cases)
-    modes = most_probable(cases[i], predicted[0], sigma[0])
-    return _with(cases, i, counted(with_pairing(cases[i], modes), predicted[0]))
+    every = _EveryMode.of(whole, i, cases)
+    predicted = every.predict(x[None])[0]
+    modes = most_probable(cases[i], predicted, every.sigma(x[None])[0])
+    return _with(cases, i, counted(with_pairing(cases[i], modes), predicted))
 
 
 def recounted(
     cases: Sequence[PlateCase], hypothesis: dict[int, Hypothesis] | Hypothesis, x: Array, scatter: float
 ) -> Cases:
     """The same pairings with the missed modes above their last one counted at parameters x (n,)."""
-    open_ended = [i for i, c in enumerate(cases) if is_incomplete(c) and c.modes[-1] < 0]
+    open_ended = [i for i, case in enumerate(cases) if is_open_ended(case)]
     if not open_ended:
         return tuple(cases)
     whole = comparison_of(in_order(cases), hypothesis, scatter=scatter)
     for i in open_ended:
-        cases = _with(cases, i, counted(cases[i], _at(whole, i, x[None], cases)[0][0]))
+        cases = _with(cases, i, counted(cases[i], _EveryMode.of(whole, i, cases).predict(x[None])[0]))
     return tuple(cases)
 
 
@@ -132,8 +134,9 @@ def _sought(
     """Pairings of the i-th list that were fitted, the most probable first; forgiven : relative misfit."""
     nothing = Hypothesis(NONE, NONE)
     plain = _forgiving(comparison_of(in_order(cases), nothing, scatter=scatter), forgiven)
+    every = _EveryMode.of(plain, i, cases)
     known = np.zeros((1, plain.parameters.size))
-    proposed = [*first, *_from_draws(plain, cases, i)]
+    proposed = [*first, *_from_draws(every, cases[i])]
     fitted: dict[bytes, PairedLists] = {}
     for _ in range(_ROUNDS):
         new: dict[bytes, Cases] = {}
@@ -145,8 +148,10 @@ def _sought(
             break
         variants = [_forgiving(comparison_of(c, nothing, scatter=scatter), forgiven) for c in new.values()]
         for (key, trial), fit in zip(new.items(), repairings(plain, variants, known), strict=True):
-            x = plain.scores.to_x(fit.z[:1])
-            again = _with(trial, i, counted(trial[i], _at(plain, i, x, cases)[0][0]))
+            again = trial
+            if is_open_ended(trial[i]):
+                predicted = every.predict(plain.scores.to_x(fit.z[:1]))[0]
+                again = _with(trial, i, counted(trial[i], predicted))
             value = fit.log_density + again[i].log_pairing - trial[i].log_pairing
             fitted[key] = PairedLists(again, fit.z, value)
         best = sorted(fitted.values(), key=lambda p: -p.value)
@@ -154,18 +159,18 @@ def _sought(
         known = best[0].z if best[0].z is not None else known
         for p in best[:_LEADING]:
             assert p.z is not None
-            predicted, sigma = _at(plain, i, plain.scores.to_x(p.z), cases)
-            proposed += [most_probable(cases[i], f, s) for f, s in zip(predicted, sigma, strict=True)]
+            x = plain.scores.to_x(p.z)
+            at_fits = zip(every.predict(x), every.sigma(x), strict=True)
+            proposed += [most_probable(cases[i], f, sigma) for f, sigma in at_fits]
     return sorted(fitted.values(), key=lambda p: -p.value)
 
 
-def _from_draws(plain: Comparison, cases: Cases, i: int) -> list[Array]:
+def _from_draws(every: _EveryMode, case: PlateCase) -> list[Array]:
     """Pairings that are most probable at draws of the prior, with a large noise."""
-    draws = prior_draws(plain, (), _LOG2_DRAWS)
-    x = plain.scores.to_x(draws)
-    x = x[plain.model.admissible(x)]
-    predicted, _ = _at(plain, i, x, cases)
-    case, proposed = cases[i], []
+    plain = every.listed
+    x = plain.scores.to_x(prior_draws(plain, (), _LOG2_DRAWS))
+    predicted = every.predict(x[plain.model.admissible(x)])
+    proposed = []
     for noise in _COARSE_NOISE:
         best = np.argsort(-log_sum(case, predicted, noise), kind="stable")[:_PROPOSING]
         sigma = noise * case.measurement.frequencies
@@ -173,14 +178,35 @@ def _from_draws(plain: Comparison, cases: Cases, i: int) -> list[Array]:
     return proposed
 
 
-def _at(whole: Comparison, i: int, x: Array, cases: Sequence[PlateCase]) -> tuple[Array, Array]:
-    """Predictions (m, k) of all modes of the i-th plate and standard deviations (m, n) of its frequencies."""
-    wide, offsets = all_modes(whole)
-    first = sum(case.measurement.size for case in cases[:i])
-    f, _ = wide.predict(x)
-    end = offsets[i + 1] if i + 1 < len(offsets) else f.shape[1]
-    sigma = np.sqrt(whole.variance(x))
-    return f[:, offsets[i] : end], sigma[:, first : first + cases[i].measurement.size]
+@dataclass(frozen=True, slots=True)
+class _EveryMode:
+    """All modes of one plate of a comparison, beside the noise of its list.
+
+    listed, wide : the comparison with the modes that are listed, and with all of them
+    modes, frequencies : of the plate, among those of all plates
+    """
+
+    listed: Comparison
+    wide: Comparison
+    modes: slice
+    frequencies: slice
+
+    @staticmethod
+    def of(comparison: Comparison, i: int, cases: Sequence[PlateCase]) -> _EveryMode:
+        """Of the i-th plate."""
+        wide, offsets = all_modes(comparison)
+        last = offsets[i] + len(wide.model.parts[i].modes)
+        first = sum(case.measurement.size for case in cases[:i])
+        frequencies = slice(first, first + cases[i].measurement.size)
+        return _EveryMode(comparison, wide, slice(offsets[i], last), frequencies)
+
+    def predict(self, x: Array) -> Array:
+        """Frequencies (m, k) of all modes at parameters (m, n), Hz."""
+        return self.wide.predict(x)[0][:, self.modes]
+
+    def sigma(self, x: Array) -> Array:
+        """Standard deviations of the listed frequencies at parameters (m, n), (m, n_f) Hz."""
+        return np.asarray(np.sqrt(self.listed.variance(x))[:, self.frequencies])
 
 
 def _forgiving(comparison: Comparison, relative: float) -> Comparison:

@@ -100,16 +100,11 @@ def _second_causes(single: Sequence[Tested]) -> list[Tested]:
 def _gain_of_second(scan: Scan, leader: Tested, second: Tested) -> tuple[float, Array]:
     """Log evidence that a second cause adds at the leader's optimum, and its most probable scores (d,)."""
     marginal = leader.marginal
-    at = dict(zip(marginal.comparison.parameters.names, marginal.best, strict=True))
     comparison = second.marginal.comparison
     if leader.cases:
         of_second = about(scan.cases, second.hypothesis, leader.plates)
         comparison = comparison_of(leader.cases, of_second, scatter=scan.scatter)
-    middle = comparison.scores.to_x(np.zeros((1, comparison.parameters.size)))[0]
-    x = np.array([at.get(n, m) for n, m in zip(comparison.parameters.names, middle, strict=True)])
-    x = np.clip(x, comparison.parameters.lower, comparison.parameters.upper)
-    null = np.array([0.0 if p.null is None else p.null for p in second.hypothesis.parameters])
-    table = shift_table(comparison, second.marginal.sizes, x, null)
+    table = shift_table(comparison, second.hypothesis.parameters, second.marginal.sizes, marginal)
     shift = _as_listed(table.shift, leader, comparison)
     each = []
     for linear in _linear(marginal):
@@ -157,9 +152,9 @@ def _linear(marginal: Marginal) -> list[_Linear]:
 def _in_order(scan: Scan, pair: Hypothesis, leader: Tested, known: Array) -> Array:
     """Starts (1, n) of a pair from the leader's scores, then those of the second cause."""
     comparison = comparison_of(scan.cases, about(scan.cases, pair, leader.plates), scatter=scan.scatter)
-    names = leader.marginal.comparison.parameters.names
-    at = dict(zip(names, known[: len(names)], strict=True))
-    start = np.array([at.get(name, 0.0) for name in comparison.parameters.names])
+    of_leader = leader.marginal.comparison
+    n = of_leader.parameters.size
+    start = comparison.carried(of_leader, known[:n])
     columns = effect_columns(comparison, pair)
-    start[list(columns[len(leader.hypothesis.parameters) :])] = known[len(names) :]
+    start[list(columns[len(leader.hypothesis.parameters) :])] = known[n:]
     return start[None]

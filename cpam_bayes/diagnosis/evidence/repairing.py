@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cpam_bayes.diagnosis.evidence.comparison import Comparison, kept_of
-from cpam_bayes.diagnosis.evidence.optima import LOG2_DRAWS, prior_draws
+from cpam_bayes.diagnosis.evidence.optima import LOG2_DRAWS, coarse_misfit, prior_draws
 from cpam_bayes.inference.derivatives import Expansion
 from cpam_bayes.inference.optimise import maximise
 from cpam_bayes.inference.standard_normal import MAX_SCORE
@@ -24,8 +24,6 @@ Array = NDArray[Any]
 
 # Draws that each pairing is fitted from, those that go on, and the steps of both rounds.
 _FIRST, _FIRST_STEPS, _SECOND, _SECOND_STEPS = 5, 4, 2, 14
-# Scale of the relative misfit that ranks draws, and how much of its mean is forgiven.
-_COARSE, _FORGIVEN = 0.02, 0.9
 # Scores of an inferred noise at which a fit is valued.
 _NOISE_SCORES = np.linspace(-2.5, 2.5, 9)
 
@@ -59,9 +57,7 @@ def repairings(plain: Comparison, variants: Sequence[Comparison], known: Array) 
     log_f = np.log(wide.predict(plain.scores.to_x(draws))[0])
     starts = []
     for i, m in zip(index, mask, strict=True):
-        r = (listed - log_f[:, i])[:, m]
-        r = r - _FORGIVEN * r.mean(axis=1, keepdims=True)
-        order = np.argsort(np.sum(np.log1p((r / _COARSE) ** 2), axis=1), kind="stable")
+        order = np.argsort(coarse_misfit((listed - log_f[:, i])[:, m]), kind="stable")
         starts.append(np.concatenate((known, draws[order[:_FIRST]])))
     s, n = starts[0].shape
     rows = np.repeat(np.arange(len(variants)), s)

@@ -18,7 +18,7 @@ from cpam_bayes.diagnosis.evidence.pairing_search import (
     PairedLists,
     in_order,
     key_of,
-    own_pairing,
+    pairing_at,
     plain_pairings,
     recounted,
 )
@@ -83,15 +83,10 @@ def marginal_of(
 
 def plain_starts(comparison: Comparison, none: Marginal | None) -> Array:
     """Scores (s, n) of the plain model's optima and of the prior medians, zero for what it lacks."""
-    n = comparison.parameters.size
+    medians = np.zeros((1, comparison.parameters.size))
     if none is None:
-        return np.zeros((1, n))
-    names = none.comparison.parameters.names
-    starts = []
-    for z in none.z[:_PLAIN_OPTIMA]:
-        at = dict(zip(names, z, strict=True))
-        starts.append([at.get(name, 0.0) for name in comparison.parameters.names])
-    return np.array([*starts, [0.0] * n])
+        return medians
+    return np.concatenate((comparison.carried(none.comparison, none.z[:_PLAIN_OPTIMA]), medians))
 
 
 @dataclass(slots=True)
@@ -199,8 +194,6 @@ class Scan:
             log2_draws=0 if few or self.is_explained or known is not None else LOG2_DRAWS,
             least=self.best - float(np.log(hypothesis.prior)) - _HOPELESS_NATS,
         )
-        if not self.is_incomplete:
-            return Tested(hypothesis, plates, marginal)
         cases = recounted(lists.cases, about(self.cases, hypothesis, plates), marginal.best, self.scatter)
         log_prior, counted = (sum(c.log_pairing for c in of) for of in (lists.cases, cases))
         if counted != log_prior:
@@ -211,6 +204,14 @@ class Scan:
                 comparison=replace(marginal.comparison, listed=listed),
                 log_evidence=marginal.log_evidence + counted - log_prior,
             )
+        return self._as_tested(hypothesis, plates, marginal, cases)
+
+    def _as_tested(
+        self, hypothesis: Hypothesis, plates: tuple[int, ...], marginal: Marginal, cases: Cases
+    ) -> Tested:
+        """A hypothesis with its pairing and the plain model's, where lists are incomplete."""
+        if not self.is_incomplete:
+            return Tested(hypothesis, plates, marginal)
         as_plain = comparison_of(
             self.plain_cases, about(self.cases, hypothesis, plates), scatter=self.scatter
         )
@@ -219,19 +220,19 @@ class Scan:
     def _add_pairings(
         self, hypothesis: Hypothesis, plates: tuple[int, ...], fits: dict[bytes, Tested]
     ) -> None:
-        """Further pairings: those that are most probable at its own optima, and near the top all others."""
+        """Further pairings: the most probable at the optima of the hypothesis; near the top, all others."""
         of_plates = about(self.cases, hypothesis, plates)
         incomplete = [i for i, case in enumerate(self.cases) if is_incomplete(case)]
         for _ in range(_TURNS):
             order = ranked(list(fits.values()))
-            own = [
-                own_pairing(t.cases, of_plates, i, t.marginal.best, self.scatter)
+            proposed = [
+                pairing_at(t.cases, of_plates, i, t.marginal.best, self.scatter)
                 for t in order[:2]
                 for i in incomplete
             ]
             # without any frequency that is a mode there is nothing to fit
-            own = [cases for cases in own if all((case.modes >= 0).any() for case in cases)]
-            new = {key_of(cases): cases for cases in own if key_of(cases) not in fits}
+            proposed = [cases for cases in proposed if all((case.modes >= 0).any() for case in cases)]
+            new = {key_of(cases): cases for cases in proposed if key_of(cases) not in fits}
             for key, cases in new.items():
                 z = order[0].marginal.z[:_OTHER_PAIRINGS_OPTIMA]
                 fits[key] = self._fitted(hypothesis, plates, PairedLists(cases), z, few=True)
@@ -272,12 +273,7 @@ class Scan:
             sizes = effect_columns(comparisons[i], hypothesis)
             starts = np.concatenate((known, plain_starts(comparisons[i], self.none)[:1]))
             marginal = laplace_marginal(comparisons[i], sizes, starts, log2_draws=0)
-            t = Tested(hypothesis, plates, marginal)
-            if self.is_incomplete:
-                as_plain = comparison_of(
-                    self.plain_cases, about(self.cases, hypothesis, plates), scatter=self.scatter
-                )
-                t = replace(t, cases=cases, as_plain=as_plain)
+            t = self._as_tested(hypothesis, plates, marginal, cases)
             self.best = max(self.best, t.log_weight)
             self.tested.append(replace(t, shift=self.shift_of(hypothesis, t)))
 
@@ -287,12 +283,7 @@ class Scan:
         sizes = t.marginal.sizes
         if not sizes or listed.missed or listed.spurious is not None or len(hypothesis.records) != 1:
             return None
-        names = self.none.comparison.parameters.names
-        at = dict(zip(names, self.none.best, strict=True))
-        middle = comparison.scores.to_x(np.zeros((1, comparison.parameters.size)))[0]
-        x = np.array([at.get(n, m) for n, m in zip(comparison.parameters.names, middle, strict=True)])
-        null = np.array([0.0 if p.null is None else p.null for p in hypothesis.parameters], dtype=float)
-        return shift_table(comparison, sizes, x, null)
+        return shift_table(comparison, hypothesis.parameters, sizes, self.none)
 
     def sampled(self, t: Tested, best: float) -> Tested:
         """A hypothesis by importance sampling, if it is near enough to the best."""
@@ -336,9 +327,7 @@ def _with_misreading(comparison: Comparison, plain: Comparison, z: Array) -> Arr
 
     A misread frequency is off by what the model lacks.
     """
-    starts = np.zeros((len(z), comparison.parameters.size))
-    columns = [comparison.parameters.names.index(name) for name in plain.parameters.names]
-    starts[:, columns] = z
+    starts = comparison.carried(plain, z)
     at = 0
     for part in comparison.model.parts:
         if part.misread is not None:

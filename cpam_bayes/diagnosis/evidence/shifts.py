@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import logsumexp, ndtri
+from scipy.special import logsumexp
 
 from cpam_bayes.diagnosis.evidence.comparison import Comparison
-from cpam_bayes.diagnosis.evidence.optima import SIZE_RANGE, size_points, unit_points
+from cpam_bayes.diagnosis.evidence.marginal import Marginal
+from cpam_bayes.diagnosis.evidence.optima import SIZE_RANGE, size_points, spread_scores
+from cpam_bayes.parameters import Parameter
 
 Array = NDArray[Any]
 
@@ -41,18 +44,26 @@ def size_nodes(comparison: Comparison, sizes: tuple[int, ...]) -> tuple[Array, A
         score = np.unique(np.round(score, 6))
         log_weight = np.log(np.gradient(score)) - 0.5 * score**2
         return score[:, None], log_weight - logsumexp(log_weight)
-    uniform = unit_points(len(sizes), _LOG2_SCATTERED)
-    scores = np.asarray(ndtri(uniform))
-    scores[:, 0] = SIZE_RANGE * (2.0 * uniform[:, 0] - 1.0)
+    scores = spread_scores(len(sizes), _LOG2_SCATTERED, 0)
     log_weight = -0.5 * scores[:, 0] ** 2
     return scores, log_weight - logsumexp(log_weight)
 
 
-def shift_table(comparison: Comparison, sizes: tuple[int, ...], x: Array, null: Array) -> ShiftTable:
-    """Shifts at constants x (n,) of a comparison with an effect.
+def shift_table(
+    comparison: Comparison, effect: Sequence[Parameter], sizes: tuple[int, ...], about: Marginal
+) -> ShiftTable:
+    """Shifts by an effect at the optimum of another hypothesis.
 
-    null : (d,) values of the sizes that give back the plain model
+    What that hypothesis lacks is at its prior median.
+
+    comparison : with the effect
+    effect, sizes : the d parameters of the effect, and their columns
+    about : the other hypothesis
     """
+    medians = comparison.scores.to_x(np.zeros((1, comparison.parameters.size)))[0]
+    x = comparison.carried(about.comparison, about.best, medians)
+    x = np.clip(x, comparison.parameters.lower, comparison.parameters.upper)
+    null = [0.0 if p.null is None else p.null for p in effect]
     scores, log_prior = size_nodes(comparison, sizes)
     z = np.repeat(comparison.scores.to_z(x[None]), len(scores), axis=0)
     z[:, list(sizes)] = scores

@@ -17,7 +17,7 @@ from cpam_bayes.diagnosis.next_test.next_measurement import Candidate
 from cpam_bayes.diagnosis.paired_modes import FrequencyRow, PairedFit
 from cpam_bayes.diagnosis.plates import DiagnosisResult
 from cpam_bayes.effects.effect import tolerance_of
-from cpam_bayes.parameters import Mixture, Parameter, Prior, ScaledStudentT, TruncatedNormal
+from cpam_bayes.parameters import LogUniform, Mixture, Parameter, Prior, ScaledStudentT, TruncatedNormal
 from cpam_bayes.plate.units import to_user, user_name
 from cpam_bayes.report.diagnosis.rows import (
     ConstantRow,
@@ -313,6 +313,10 @@ def _effect_prior(p: Parameter) -> dict[str, Any]:
 
 
 def _density(prior: Prior, factor: float) -> dict[str, Any]:
-    kinds: dict[type, str] = {ScaledStudentT: "Student-t", TruncatedNormal: "truncated normal"}
+    kinds: dict[type, str] = {
+        ScaledStudentT: "Student-t",
+        TruncatedNormal: "truncated normal",
+        LogUniform: "log-uniform",
+    }
     scale = prior.scale if isinstance(prior, ScaledStudentT) else prior.sd
     return {"kind": kinds.get(type(prior), "uniform"), "scale": factor * scale}

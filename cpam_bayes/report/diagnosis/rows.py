@@ -30,7 +30,6 @@ __all__ = [
     "hidden_causes",
     "is_pair",
     "leading",
-    "member_names",
     "noise_of",
     "nuisance_of",
     "plate_constants",
@@ -189,11 +188,6 @@ def absorbed_biases(d: Diagnosis, cause: Cause) -> tuple[float, str, dict[str, f
     if size == 0.0:
         return 0.0, shown, {}
     return size, shown, {user_name(n): 100.0 * cause.bias[n] / size for n in names}
-
-
-def member_names(d: Diagnosis) -> tuple[str, ...]:
-    """Causes whose variants the extended model is averaged over, the most probable first."""
-    return tuple(dict.fromkeys(t.hypothesis.cause for t, _ in d.members))
 
 
 def leading(d: Diagnosis, least: float, most: int) -> tuple[Cause, ...]:

@@ -187,6 +187,16 @@ def test_what_is_wrong_with_a_list_has_no_size() -> None:
     assert entry == Detectable("mode_identity", None, None, None)
 
 
+def test_the_size_is_that_of_a_variant_that_has_one() -> None:
+    found = weighed(BENT)
+    sized = found.best_of("bent")
+    gross = replace(sized.hypothesis, variant="gross", parameters=())
+    first = replace(sized, hypothesis=gross, shift=None, probability=0.9)
+    both = by_cause(detectable(replace(found, tested=(first, *found.tested))))
+    assert both["bent"].parameter == sized.hypothesis.parameters[0]
+    assert both["bent"].smallest is not None
+
+
 def test_a_cause_with_a_place_has_the_size_at_the_median_place(monkeypatch: pytest.MonkeyPatch) -> None:
     """Half of the places show the cause only half as well."""
     place = Parameter("place", "", Uniform(0.0, 1.0), 0.5)

@@ -8,6 +8,7 @@ from scipy.stats import chi2, kstest
 
 from cpam_bayes.diagnosis.answers.predictive import explains
 from cpam_bayes.diagnosis.evidence import weighing
+from cpam_bayes.diagnosis.evidence.comparison import Comparison
 from cpam_bayes.diagnosis.fitting import REPEATABILITY_PRIOR
 from cpam_bayes.diagnosis.hypotheses import DISCREPANCY, NONE, OTHER, Hypothesis
 from tests.diagnosis.toy_plates import (
@@ -80,3 +81,16 @@ def test_p_values_of_lists_by_the_model_itself_are_uniform() -> None:
         f = F0 * (1.0 + A @ constants) * (1.0 + NOISE * rng.standard_normal(8))
         found.append(explains(weighed_list(f, NOTHING, NOISE)))
     assert kstest(found, "uniform").pvalue > 0.01
+
+
+def test_a_step_to_where_the_plate_buckles_is_not_taken(monkeypatch: pytest.MonkeyPatch) -> None:
+    f = F0 * (1.0 + A @ [0.03, -0.04]) * (1.0 + NOISE * SCATTER)
+    tested = weighed_list(f, NOTHING, NOISE)
+    whole = explains(tested)
+
+    def buckled(self: Comparison, x: Array) -> tuple[Array, Array, None]:
+        return np.empty(0, dtype=int), np.empty((0, len(f))), None
+
+    monkeypatch.setattr(Comparison, "predict_inside", buckled)
+    # the optimum itself is left, a step of Gauss and Newton from it changes nothing
+    assert explains(tested) == pytest.approx(whole, rel=1e-3)
