@@ -95,8 +95,8 @@ def answer(
             record = {"id": entry["id"], **record, "seconds": round(time.perf_counter() - start, 2)}
             with path.open("a", encoding="utf-8") as file:
                 file.write(json.dumps(record) + "\n")
-            told = record.get("claim", record.get("error"))
-            notify(f"{i + 1}/{len(lists)} {entry['id']}: {told} {record.get('causes', '')}")
+            outcome = record.get("claim", record.get("error"))
+            notify(f"{i + 1}/{len(lists)} {entry['id']}: {outcome} {record.get('causes', '')}")
 
 
 def main() -> None:

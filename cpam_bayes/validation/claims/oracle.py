@@ -59,12 +59,12 @@ class Plain:
 
     def __init__(self, dictionary: Dictionary, entry: Record) -> None:
         truth = entry["truth"]
-        own = dictionary.plate
-        self.true = replace(own.plate, constants={**own.plate.constants, **truth["constants"]})
+        nominal = dictionary.plate
+        self.true = replace(nominal.plate, constants={**nominal.plate.constants, **truth["constants"]})
         self.linear, self.order = dictionary.at(self.true)
         self.measured = np.log(listed_hz(entry))
         self.missed = list(truth["missed"]) if not truth["complete"] else []
-        self.modes = np.delete(np.arange(len(self.linear.ln_f)), self.missed)[: own.n_modes]
+        self.modes = np.delete(np.arange(len(self.linear.ln_f)), self.missed)[: nominal.n_modes]
         rounding = RESOLUTION_HZ / np.sqrt(12.0) / np.exp(self.measured)
         levels = np.array([NOISE]) if truth["stated"] else _LEVELS
         self.variances = [level**2 + rounding**2 for level in levels]
@@ -72,14 +72,16 @@ class Plain:
         if len(levels) > 1:
             weight = -0.5 * (np.log(levels / _MEDIAN) / _SPREAD) ** 2
         self.log_weight = weight - logsumexp(weight)
-        reference = np.array([own.plate.constants[n] for n in own.constants])
-        own_values = np.array([self.true.constants[n] for n in own.constants])
+        reference = np.array([nominal.plate.constants[n] for n in nominal.constants])
+        true_values = np.array([self.true.constants[n] for n in nominal.constants])
         # where the file trusts the reference, the prior's centre is off by these scores
         self.offset = (
-            (reference - own_values) / (reference * own.relative_sd) if own.known else 0.0 * reference
+            (reference - true_values) / (reference * nominal.relative_sd)
+            if nominal.known
+            else 0.0 * reference
         )
-        self.wide = np.array([own.bounds[n][1] - own.bounds[n][0] for n in own.constants]) / (
-            np.sqrt(12.0) * reference * own.relative_sd
+        self.wide = np.array([nominal.bounds[n][1] - nominal.bounds[n][0] for n in nominal.constants]) / (
+            np.sqrt(12.0) * reference * nominal.relative_sd
         )
 
     def visible(self, shift: Array) -> Array:
@@ -140,13 +142,13 @@ def weighed(dictionary: Dictionary, entry: Record) -> tuple[dict[str, float], di
     best: dict[str, float] = {}
     for signature, order in curves:
         _, shift, log_prior = signature.fine()
-        own = shift[:, order][:, plain.modes]
-        value = plain.log_evidence(own, log_prior)
+        listed = shift[:, order][:, plain.modes]
+        value = plain.log_evidence(listed, log_prior)
         by_cause[signature.cause].append(value)
         if value > best.get(signature.cause, -np.inf):
             best[signature.cause] = value
-            likely = plain.visible_misfit(own)
-            seen[signature.cause] = plain.visible(own[int(np.argmin(likely))])
+            likely = plain.visible_misfit(listed)
+            seen[signature.cause] = plain.visible(listed[int(np.argmin(likely))])
     for cause, values in by_cause.items():
         log_e[cause] = float(logsumexp(values) - np.log(len(values)))
     log_e |= _of_list(plain, complete=truth["complete"])

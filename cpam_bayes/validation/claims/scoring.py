@@ -78,7 +78,7 @@ def score(truth: Record, answer: Record) -> Scored:
 def _is_true(claim: str, named: set[str], causes: set[str], accepted: set[str]) -> bool:
     known = causes | accepted
     if claim == "pair" and len(causes) == 1:
-        # one thing told by two names that are both the thing itself
+        # one thing named twice, by two names that are both the thing itself
         return named <= known or (
             causes == {"soft_clamp"} and named == {"clamp_rotation", "clamp_translation"}
         )
@@ -93,8 +93,8 @@ def coverage_of(truth: Record, constants: Mapping[str, Mapping[str, float]]) -> 
     for name, interval in constants.items():
         if name not in _UNIT or _UNIT[name][0] not in truth["constants"]:
             continue
-        own, unit = _UNIT[name]
-        value = truth["constants"][own] / unit
+        constant, unit = _UNIT[name]
+        value = truth["constants"][constant] / unit
         low = interval.get("q025", interval["mean"] - _NORMAL * interval["sd"])
         high = interval.get("q975", interval["mean"] + _NORMAL * interval["sd"])
         inside[name] = bool(low <= value <= high)

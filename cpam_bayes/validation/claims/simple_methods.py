@@ -72,13 +72,13 @@ def whitened(dictionary: Dictionary, entry: Record) -> Whitened:
 def answers(dictionary: Dictionary, entry: Record) -> dict[str, Record]:
     """The answer of each method in the keys of a diagnosis; they have no probability."""
     seen = whitened(dictionary, entry)
-    found = {
+    causes_by_method = {
         "largest_residual": _largest_residual(seen),
         "BIC": _criterion(seen),
         "likelihood_ratio": _likelihood_ratio(seen),
         "sparse_regression": _matching_pursuit(seen),
     }
-    return {m: _answer(causes) for m, causes in found.items()}
+    return {m: _answer(causes) for m, causes in causes_by_method.items()}
 
 
 def _answer(causes: list[str]) -> Record:

@@ -73,8 +73,8 @@ def figures(records: Sequence[Scored], oracle: Mapping[str, Scored]) -> list[Rec
         rows.append(_row(f"claimed and right where the oracle claims, {title}", ">= 0.95", known, _is(RIGHT)))
     every = [r for r in records if r["causes"] and r["kind"] != "smooth" and _strength(r) >= _STRONG]
     rows.append(_row("claimed and right, all with signal to noise 8 and above", "-", every, _is(RIGHT)))
-    told = [r for r in every if r["id"] in oracle]
-    outcomes = [oracle[r["id"]]["category"] == RIGHT for r in told]
+    with_oracle = [r for r in every if r["id"] in oracle]
+    outcomes = [oracle[r["id"]]["category"] == RIGHT for r in with_oracle]
     rows.append(_of("  the oracle on the same lists", "-", outcomes))
     rows.append(_row("wrong claims, all lists", "<= 0.01", records, _is(WRONG)))
     smooth = [r for r in records if r["kind"] == "smooth"]
@@ -85,9 +85,15 @@ def figures(records: Sequence[Scored], oracle: Mapping[str, Scored]) -> list[Rec
     rows.append(
         _row("none with what could have been seen", "1", silent, lambda r: r["told_what_could_be_seen"])
     )
-    found = reliability(records, (*CLAIMS, "other"))
+    calibration = reliability(records, (*CLAIMS, "other"))
     rows.append(
-        _value("expected calibration error of claims", "<= 0.03", found["error"], None, found["lists"])
+        _value(
+            "expected calibration error of claims",
+            "<= 0.03",
+            calibration["error"],
+            None,
+            calibration["lists"],
+        )
     )
     every_interval = coverage(records)
     rows.append(
@@ -114,11 +120,11 @@ def ratio_of(r: Scored) -> str:
 
 
 def section(
-    title: str, total: int, found: Record, others: Mapping[str, Record], names: Mapping[str, str]
+    title: str, total: int, scores: Record, others: Mapping[str, Record], names: Mapping[str, str]
 ) -> str:
     """Markdown of a set: figures, the confusion of claims beside other engines and methods, wrong claims."""
-    plates = ", ".join(found["plates"])
-    answered = f"{found['lists']} of {total} lists answered, of {plates}, at random within a plate."
+    plates = ", ".join(scores["plates"])
+    answered = f"{scores['lists']} of {total} lists answered, of {plates}, at random within a plate."
     lines = [
         f"### {title}",
         "",
@@ -127,19 +133,19 @@ def section(
         "| | asked | reached (standard error) | lists |",
         "|---|---|---|---|",
     ]
-    for row in found["figures"]:
+    for row in scores["figures"]:
         lines.append(f"| {row['what']} | {row['asked']} | {_shown(row)} | {row['lists']} |")
-    lines += ["", _confusion_table("hidden", found["by_kind"]), ""]
-    if any(r["what"] != "-" for r in found["by_ratio"]):
+    lines += ["", _confusion_table("hidden", scores["by_kind"]), ""]
+    if any(r["what"] != "-" for r in scores["by_ratio"]):
         lines += [
             "Single causes by signal to noise:",
             "",
-            _confusion_table("signal to noise", found["by_ratio"]),
+            _confusion_table("signal to noise", scores["by_ratio"]),
             "",
         ]
     if others:
-        lines += ["On the same lists:", "", _side_by_side(found, others, names), ""]
-    cover = found["coverage"]
+        lines += ["On the same lists:", "", _side_by_side(scores, others, names), ""]
+    cover = scores["coverage"]
     lines += [
         "Coverage of 95 % intervals: "
         + "; ".join(
@@ -148,12 +154,12 @@ def section(
         + ".",
         "",
     ]
-    if found["wrong"]:
+    if scores["wrong"]:
         lines += ["Wrong claims:", "", "| list | hidden | claimed | probability |", "|---|---|---|---|"]
         lines += [
             f"| {w['id']} | {', '.join(w['causes']) or 'nothing'} "
             f"| {w['claim']}: {', '.join(w['claimed'])} | {w['probability']:.3f} |"
-            for w in found["wrong"]
+            for w in scores["wrong"]
         ]
         lines.append("")
     return "\n".join(lines)
@@ -169,13 +175,13 @@ def _confusion_table(what: str, rows: Sequence[Record]) -> str:
     return "\n".join(lines)
 
 
-def _side_by_side(found: Record, others: Mapping[str, Record], names: Mapping[str, str]) -> str:
+def _side_by_side(scores: Record, others: Mapping[str, Record], names: Mapping[str, str]) -> str:
     head = ["method", "lists", *CATEGORIES]
     lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
-    for name, own in {"": found, **others}.items():
-        total = [sum(r[c] for r in own["by_kind"]) for c in CATEGORIES]
+    for name, of_method in {"": scores, **others}.items():
+        total = [sum(r[c] for r in of_method["by_kind"]) for c in CATEGORIES]
         said = names.get(name, name) or "this diagnosis"
-        lines.append("| " + " | ".join(str(c) for c in (said, own["lists"], *total)) + " |")
+        lines.append("| " + " | ".join(str(c) for c in (said, of_method["lists"], *total)) + " |")
     return "\n".join(lines)
 
 

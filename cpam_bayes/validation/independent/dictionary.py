@@ -71,8 +71,8 @@ class Dictionary:
 
     def at(self, plate: TruePlate) -> tuple[Linear, NDArray[np.int64]]:
         """The linear plate at other constants, and which reference mode each of its modes is."""
-        own = replace(plate, mesh=MESH)
-        _, shapes = modes(own, self.shapes.shape[1])
+        meshed = replace(plate, mesh=MESH)
+        _, shapes = modes(meshed, self.shapes.shape[1])
         overlap = np.abs(self.shapes.T @ (self.inertia @ shapes))
         rows, columns = linear_sum_assignment(-overlap)
         order = np.empty(len(rows), dtype=np.int64)
@@ -90,9 +90,9 @@ def dictionary_of(nominal: NominalPlate) -> Dictionary:
     for cause, flaw in FLAWS.items():
         if flaw.applies(nominal.plate):
             for i, aux in enumerate(_places(cause, nominal.plate)):
-                found = signature_of(bare, cause, aux, ln_f, i)
-                if len(found.sizes) > 2:
-                    signatures.append(found)
+                signature = signature_of(bare, cause, aux, ln_f, i)
+                if len(signature.sizes) > 2:
+                    signatures.append(signature)
     return Dictionary(nominal, tuple(signatures), shapes, matrices(bare)[1])
 
 

@@ -74,17 +74,17 @@ def elements(outline: Outline, n: tuple[int, int] = (ELEMENTS, ELEMENTS)) -> Ele
     """The mesh of a quadrilateral plate: the image of a graded unit square."""
     grid = _unit_mesh(n)
     image = MeshQuad1(outline(np.asarray(grid.p)), grid.t)
-    own = ElementQuadS2()
-    rules = {degree: CellBasis(image, own, intorder=degree) for degree in (3, 5)}
-    flat = {degree: CellBasis(grid, own, intorder=degree) for degree in (3, 5)}
+    shape = ElementQuadS2()
+    rules = {degree: CellBasis(image, shape, intorder=degree) for degree in (3, 5)}
+    flat = {degree: CellBasis(grid, shape, intorder=degree) for degree in (3, 5)}
     value, slope_x, slope_y = _sampled(rules[3])
     mass_value, *_ = _sampled(rules[5])
     edges, held = {}, {}
     for edge in EDGES:
         axis, side = "xy".index(edge[0]), float(edge[1])
         facets = grid.facets_satisfying(lambda p, a=axis, s=side: np.abs(p[a] - s) < 1e-9)
-        basis = FacetBasis(image, own, facets=facets, intorder=5)
-        along = FacetBasis(grid, own, facets=facets, intorder=5).global_coordinates()[1 - axis]
+        basis = FacetBasis(image, shape, facets=facets, intorder=5)
+        along = FacetBasis(grid, shape, facets=facets, intorder=5).global_coordinates()[1 - axis]
         edges[edge] = (along.ravel(), basis.dx.ravel(), _sampled(basis)[0])
         held[edge] = np.unique(basis.get_dofs(facets).all())
     return Elements(

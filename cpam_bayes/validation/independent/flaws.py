@@ -87,8 +87,8 @@ def _anywhere(plate: TruePlate, rng: np.random.Generator) -> Aux:
 
 def _loaded(plate: TruePlate, size: float, aux: Aux) -> TruePlate:
     m = size * plate.total_mass
-    own = Mass(m, aux["x"] * plate.length, aux["y"] * plate.width, m * _GYRATION**2)
-    return replace(plate, masses=(*plate.masses, own))
+    mass = Mass(m, aux["x"] * plate.length, aux["y"] * plate.width, m * _GYRATION**2)
+    return replace(plate, masses=(*plate.masses, mass))
 
 
 def _patch(plate: TruePlate, rng: np.random.Generator) -> Aux:
@@ -103,8 +103,8 @@ def _patch(plate: TruePlate, rng: np.random.Generator) -> Aux:
 
 def _softer(plate: TruePlate, size: float, aux: Aux) -> TruePlate:
     half = [h * side for h, side in zip(aux["half"], (plate.length, plate.width), strict=True)]
-    own = Patch(aux["form"], aux["x"] * plate.length, aux["y"] * plate.width, half[0], half[1], size)
-    return replace(plate, patches=(*plate.patches, own))
+    patch = Patch(aux["form"], aux["x"] * plate.length, aux["y"] * plate.width, half[0], half[1], size)
+    return replace(plate, patches=(*plate.patches, patch))
 
 
 def _cut(plate: TruePlate, rng: np.random.Generator) -> Aux:
@@ -120,8 +120,8 @@ def _cut(plate: TruePlate, rng: np.random.Generator) -> Aux:
 def _without(plate: TruePlate, size: float, aux: Aux) -> TruePlate:
     """A part whose half widths are this fraction of the sides is gone."""
     half_x, half_y = size * plate.length * aux["ratio"], size * plate.width / aux["ratio"]
-    own = Patch(aux["form"], aux["x"] * plate.length, aux["y"] * plate.width, half_x, half_y, 1.0, gone=True)
-    return replace(plate, patches=(*plate.patches, own))
+    gap = Patch(aux["form"], aux["x"] * plate.length, aux["y"] * plate.width, half_x, half_y, 1.0, gone=True)
+    return replace(plate, patches=(*plate.patches, gap))
 
 
 def _soft(plate: TruePlate, size: float, aux: Aux) -> TruePlate:

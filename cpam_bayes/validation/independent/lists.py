@@ -159,11 +159,11 @@ def single(
     else:
         linear = linear_of(nominal, plate)
         for attempt in range(4):
-            own = flaw.draw(plate, rng) if aux is None else aux
+            place = flaw.draw(plate, rng) if aux is None else aux
             sign = float(rng.choice((-1.0, 1.0))) if flaw.two_sided else 1.0
             try:
-                size, _ = size_for(linear, plate, cause, own, ratio, sign)
-                aux = own
+                size, _ = size_for(linear, plate, cause, place, ratio, sign)
+                aux = place
                 break
             except UnreachableError:
                 if attempt == 3:
@@ -180,17 +180,17 @@ def pair(
     plate = nominal.drawn(rng)
     linear = linear_of(nominal, plate)
     for _ in range(4):
-        found: dict[str, tuple[float, Aux]] = {}
+        hidden: dict[str, tuple[float, Aux]] = {}
         seen = []
         for cause in causes:
             flaw = FLAWS[cause]
             aux = flaw.draw(plate, rng)
             sign = float(rng.choice((-1.0, 1.0))) if flaw.two_sided else 1.0
             size, visible = size_for(linear, plate, cause, aux, ratio, sign)
-            found[cause] = (size, aux)
+            hidden[cause] = (size, aux)
             seen.append(visible / np.linalg.norm(visible))
         if abs(float(seen[0] @ seen[1])) < _MOST_ALIKE:
-            return listed(nominal, plate, "two", found, rng, ratio=ratio, **how)
+            return listed(nominal, plate, "two", hidden, rng, ratio=ratio, **how)
     raise UnreachableError(f"{causes[0]} and {causes[1]} look alike wherever they are")
 
 

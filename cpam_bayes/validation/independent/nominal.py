@@ -70,8 +70,8 @@ class NominalPlate:
         return np.asarray(np.array(widths) / np.sqrt(12.0))
 
     def drawn(self, rng: np.random.Generator) -> TruePlate:
-        """The plate with constants of its own, drawn about the reference."""
-        own = {}
+        """The plate with constants drawn about the reference."""
+        constants = {}
         for name, (low, high) in self.bounds.items():
             reference = self.plate.constants[name]
             while True:
@@ -81,8 +81,8 @@ class NominalPlate:
                 value = reference * (1.0 + deviation)
                 if low < value < high:
                     break
-            own[name] = float(value)
-        return replace(self.plate, constants=own)
+            constants[name] = float(value)
+        return replace(self.plate, constants=constants)
 
     def file(self, frequencies_hz: list[float], *, stated: float | None, complete: bool = True) -> str:
         """The plate file with a list of frequencies; stated : relative repeatability, left out if None."""

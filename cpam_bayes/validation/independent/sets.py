@@ -84,17 +84,17 @@ SETS = {
 }  # fmt: skip
 
 
-def made(own: BenchmarkSet) -> Iterator[dict[str, Any]]:
-    """The lists of a set, one record each: id, file and truth; those out of reach are told with why."""
-    plans = planned(own)
-    order = np.random.default_rng(own.seed).permutation(len(plans))
+def made(benchmark: BenchmarkSet) -> Iterator[dict[str, Any]]:
+    """The lists of a set, one record each: id, file and truth; those out of reach with the reason."""
+    plans = planned(benchmark)
+    order = np.random.default_rng(benchmark.seed).permutation(len(plans))
     for i in order:
-        yield make(own, plans[i])
+        yield make(benchmark, plans[i])
 
 
-def make(own: BenchmarkSet, plan: Plan) -> dict[str, Any]:
+def make(benchmark: BenchmarkSet, plan: Plan) -> dict[str, Any]:
     """One list: on the first of its plates, in random order, on which it can be."""
-    rng = np.random.default_rng([own.seed, zlib.crc32(plan.name.encode())])
+    rng = np.random.default_rng([benchmark.seed, zlib.crc32(plan.name.encode())])
     why = ""
     for k in rng.permutation(len(plan.plates)):
         try:
@@ -102,15 +102,15 @@ def make(own: BenchmarkSet, plan: Plan) -> dict[str, Any]:
         except UnreachableError as error:
             why = str(error)
             continue
-        return {"id": plan.name, "set": own.name, "file": text, "truth": asdict(truth)}
-    return {"id": plan.name, "set": own.name, "unreachable": why}
+        return {"id": plan.name, "set": benchmark.name, "file": text, "truth": asdict(truth)}
+    return {"id": plan.name, "set": benchmark.name, "unreachable": why}
 
 
-def planned(own: BenchmarkSet) -> list[Plan]:
+def planned(benchmark: BenchmarkSet) -> list[Plan]:
     """All lists of a set."""
-    plans = [*_clean(own), *_single(own), *_others(own)]
-    if own.rows:
-        plans += [plan for k in range(own.rows) for plan in _rows(own.plates, k)]
+    plans = [*_clean(benchmark), *_single(benchmark), *_others(benchmark)]
+    if benchmark.rows:
+        plans += [plan for k in range(benchmark.rows) for plan in _rows(benchmark.plates, k)]
     return plans
 
 
@@ -131,21 +131,21 @@ def _stated(rng: np.random.Generator) -> bool:
     return bool(rng.random() > _UNSTATED)
 
 
-def _clean(own: BenchmarkSet) -> Iterator[Plan]:
+def _clean(benchmark: BenchmarkSet) -> Iterator[Plan]:
     def make_clean(plate: NominalPlate, rng: np.random.Generator) -> Made:
         return lists.listed(plate, plate.drawn(rng), "clean", {}, rng, stated=_stated(rng))
 
-    for k in range(own.clean):
-        yield Plan(f"clean-{k:02d}", (own.plates[k % len(own.plates)],), make_clean)
-    for k in range(own.coincident):
-        yield Plan(f"coincident-{k:02d}", own.plates, _coincident)
+    for k in range(benchmark.clean):
+        yield Plan(f"clean-{k:02d}", (benchmark.plates[k % len(benchmark.plates)],), make_clean)
+    for k in range(benchmark.coincident):
+        yield Plan(f"coincident-{k:02d}", benchmark.plates, _coincident)
 
 
-def _single(own: BenchmarkSet) -> Iterator[Plan]:
+def _single(benchmark: BenchmarkSet) -> Iterator[Plan]:
     """Each cause at each signal to noise; list errors and another material, too."""
-    for k in range(own.per_cell):
+    for k in range(benchmark.per_cell):
         for cause, flaw in FLAWS.items():
-            on = tuple(p for p in own.plates if flaw.applies(p.plate))
+            on = tuple(p for p in benchmark.plates if flaw.applies(p.plate))
             for ratio in RATIOS:
 
                 def one(p: NominalPlate, g: np.random.Generator, c: str = cause, r: float = ratio) -> Made:
@@ -157,31 +157,31 @@ def _single(own: BenchmarkSet) -> Iterator[Plan]:
             def wrong(p: NominalPlate, g: np.random.Generator, r: float = ratio) -> Made:
                 return lists.misread(p, r, g, stated=_stated(g))
 
-            yield Plan(f"outlier-{ratio:g}-{k}", own.plates, wrong)
+            yield Plan(f"outlier-{ratio:g}-{k}", benchmark.plates, wrong)
         for i in range(4):
-            yield Plan(f"mode_identity-{k}-{i}", own.plates, _missed)
+            yield Plan(f"mode_identity-{k}-{i}", benchmark.plates, _missed)
         for i in range(2):
-            yield Plan(f"material-{k}-{i}", tuple(p for p in own.plates if p.known), _other_material)
+            yield Plan(f"material-{k}-{i}", tuple(p for p in benchmark.plates if p.known), _other_material)
 
 
-def _others(own: BenchmarkSet) -> Iterator[Plan]:
-    for k in range(own.prior):
+def _others(benchmark: BenchmarkSet) -> Iterator[Plan]:
+    for k in range(benchmark.prior):
         cause = list(FLAWS)[(7 * k) % len(FLAWS)]
-        on = tuple(p for p in own.plates if FLAWS[cause].applies(p.plate))
+        on = tuple(p for p in benchmark.plates if FLAWS[cause].applies(p.plate))
 
         def prior(p: NominalPlate, g: np.random.Generator, c: str = cause) -> Made:
             return lists.single(p, c, None, g, kind="prior", stated=_stated(g))
 
         yield Plan(f"prior-{k:02d}-{cause}", on, prior)
-    for k in range(own.smooth):
+    for k in range(benchmark.smooth):
 
         def smooth(p: NominalPlate, g: np.random.Generator, r: float = (8.0, 16.0, 32.0)[k % 3]) -> Made:
             return lists.smooth(p, r, g, stated=_stated(g))
 
-        yield Plan(f"smooth-{k:02d}", (own.plates[k % len(own.plates)],), smooth)
-    for k in range(own.two):
+        yield Plan(f"smooth-{k:02d}", (benchmark.plates[k % len(benchmark.plates)],), smooth)
+    for k in range(benchmark.two):
         both = PAIRS[k % len(PAIRS)]
-        on = tuple(p for p in own.plates if all(FLAWS[c].applies(p.plate) for c in both))
+        on = tuple(p for p in benchmark.plates if all(FLAWS[c].applies(p.plate) for c in both))
 
         def two(
             p: NominalPlate,
@@ -192,8 +192,8 @@ def _others(own: BenchmarkSet) -> Iterator[Plan]:
             return lists.pair(p, c, r, g, stated=_stated(g))
 
         yield Plan(f"two-{k:02d}", on, two)
-    for k in range(own.incomplete):
-        yield Plan(f"incomplete-{k:02d}", own.plates, _incomplete(k))
+    for k in range(benchmark.incomplete):
+        yield Plan(f"incomplete-{k:02d}", benchmark.plates, _incomplete(k))
 
 
 def _incomplete(k: int) -> Callable[[NominalPlate, np.random.Generator], Made]:
@@ -220,37 +220,37 @@ def _missed(plate: NominalPlate, rng: np.random.Generator) -> Made:
 
 def _other_material(plate: NominalPlate, rng: np.random.Generator) -> Made:
     """Two constants 4 to 8 standard deviations from the reference that the file trusts."""
-    own = dict(plate.drawn(rng).constants)
-    moved = rng.choice(len(plate.constants), size=min(2, len(own)), replace=False)
+    constants = dict(plate.drawn(rng).constants)
+    moved = rng.choice(len(plate.constants), size=min(2, len(constants)), replace=False)
     for i in moved:
         name = plate.constants[int(i)]
         low, high = plate.bounds[name]
         step = float(rng.choice((-1.0, 1.0)) * rng.uniform(4.0, 8.0)) * nominal.REFERENCE_SD
         value = plate.plate.constants[name] * (1.0 + step)
-        own[name] = float(np.clip(value, low * 1.02, high * 0.98))
-    other = replace(plate.plate, constants=own)
+        constants[name] = float(np.clip(value, low * 1.02, high * 0.98))
+    other = replace(plate.plate, constants=constants)
     return lists.listed(plate, other, "one", {}, rng, causes=("material",), stated=_stated(rng))
 
 
 def _coincident(plate: NominalPlate, rng: np.random.Generator) -> Made:
     """A clean list in which two modes of other shapes nearly coincide: a constant is moved until they do."""
     for _ in range(6):
-        own = plate.drawn(rng)
+        drawn = plate.drawn(rng)
         for name in (n for n in plate.constants if n != "nu12"):
-            found = _meeting(plate, own, name)
-            if found is not None:
-                return lists.listed(plate, found, "coincident", {}, rng, stated=_stated(rng))
+            coincident = _meeting(plate, drawn, name)
+            if coincident is not None:
+                return lists.listed(plate, coincident, "coincident", {}, rng, stated=_stated(rng))
     raise UnreachableError(f"no two modes of {plate.name} meet within the constants' range")
 
 
-def _meeting(plate: NominalPlate, own: TruePlate, name: str) -> TruePlate | None:
+def _meeting(plate: NominalPlate, drawn: TruePlate, name: str) -> TruePlate | None:
     """The plate with a constant at which two of its modes exchange places."""
-    coarse = replace(own, mesh=8)
-    values = own.constants[name] * np.linspace(0.88, 1.12, 7)
+    coarse = replace(drawn, mesh=8)
+    values = drawn.constants[name] * np.linspace(0.88, 1.12, 7)
     low, high = plate.bounds[name]
 
     def at(value: float) -> TruePlate:
-        return replace(coarse, constants={**own.constants, name: float(value)})
+        return replace(coarse, constants={**drawn.constants, name: float(value)})
 
     gaps = []
     for value in values:
@@ -263,7 +263,7 @@ def _meeting(plate: NominalPlate, own: TruePlate, name: str) -> TruePlate | None
         a, b = float(values[i]), float(values[i + 2])
         best = _golden(lambda v, j=j: float(np.diff(np.log(modes(at(v), plate.n_modes)[0]))[j]), a, b)  # type: ignore[misc]
         if best[1] < _COINCIDE and low < best[0] < high:
-            return replace(own, constants={**own.constants, name: best[0]})
+            return replace(drawn, constants={**drawn.constants, name: best[0]})
     return None
 
 

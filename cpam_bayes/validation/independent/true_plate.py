@@ -160,13 +160,13 @@ def matrices(plate: TruePlate) -> tuple[csr_array[Any], csr_array[Any], NDArray[
             mesh, "w", csr_array(value.T @ elements.scaled(bed * mesh.mass_weights, value))
         )
     m = elements.mass(mesh, per_area, per_area * _thickness(plate, mesh.mass_unit) ** 2 / 12.0)
-    for own in plate.masses:
-        at = elements.at_point(mesh, _on_square(plate, own))
+    for mass in plate.masses:
+        at = elements.at_point(mesh, _on_square(plate, mass))
         spread = csr_array(at.T @ at)
         for name in ("u", "v", "w"):
-            m = m + own.mass * elements.on_field(mesh, name, spread)
+            m = m + mass.mass * elements.on_field(mesh, name, spread)
         for name in ("phi_x", "phi_y"):
-            turning = own.rotary + own.mass * (plate.thickness / 2.0) ** 2
+            turning = mass.rotary + mass.mass * (plate.thickness / 2.0) ** 2
             m = m + turning * elements.on_field(mesh, name, spread)
     springs, held = _supports(plate, mesh)
     return csr_array(k + springs), csr_array(m), held
@@ -219,8 +219,8 @@ def _laminate(
     correction: float | None,
 ) -> Array:
     ply = (thickness - sum(skins)) / len(angles_deg)
-    own = dict(constants)
-    plies = [(own, angle, ply) for angle in angles_deg]
+    ply_constants = dict(constants)
+    plies = [(ply_constants, angle, ply) for angle in angles_deg]
     resin = laminate.completed(laminate.RESIN)
     if skins[0]:
         plies.insert(0, (resin, 0.0, skins[0]))
@@ -299,8 +299,8 @@ def _meshed(
     return mesh, elements.strains(mesh, (slopes[0], slopes[1]))
 
 
-def _on_square(plate: TruePlate, own: Mass) -> tuple[float, float]:
-    return float(own.x / plate.length), float(own.y / plate.width)
+def _on_square(plate: TruePlate, mass: Mass) -> tuple[float, float]:
+    return float(mass.x / plate.length), float(mass.y / plate.width)
 
 
 def _with(plate: TruePlate, name: str, step: float) -> TruePlate:
