@@ -73,7 +73,7 @@ def shifted(plate: TruePlate, cause: str, size: float) -> np.ndarray:
 def test_a_hidden_cause_shifts_as_the_effect_of_its_name(cause: str, tmp_path: Path) -> None:
     own = CLAMPED if FLAWS[cause].applies(CLAMPED.plate) else FREE
     size = 3.0 * FLAWS[cause].scale(own.plate)
-    values = {name: factor * size for name, factor in CAUSES[cause].items()}
+    values = BY_NAME[cause].null | {name: factor * size for name, factor in CAUSES[cause].items()}
     specimen = read(own, tmp_path)
     expected = of_package(specimen, BY_NAME[cause], values) / of_package(specimen, None, {})
     # two coarse meshes: shifts of up to 27 %

@@ -70,7 +70,8 @@ class Bench:
 
     def model_of(self, effect: Effect) -> Effect:
         """The effect whose model predicts this one: that at any place, of one at a fixed place."""
-        alike = (e for h in self.singles for e in h.effects if e.name == effect.name and e.is_anywhere)
+        of = [e for h in self.singles for e in h.effects if e.name == effect.name and e.is_anywhere]
+        alike = (e for e in of if e.local == effect.local)
         return effect if effect.place is None else next(alike, effect)
 
     def list_of(self, frequencies: Array) -> Measurement:
@@ -139,13 +140,13 @@ def true_frequencies(bench: Bench, hidden: Sequence[Hypothesis], x: Array, sizes
         bench.operators[key] = discretise_sparse(problem, space, samples)
     values: dict[str, Any] = dict(zip(names, x, strict=True))
     for effect, size in of_plate:
-        values |= dict.fromkeys(effect.null, size)
+        values |= of_size(effect, size)
     # the samples' problem has the same terms; sizes enter through the coefficients alone
     operator = bench.operators[key]
     f = solve(operator, *operator.coefficients(values), n).frequencies[0]
     for effect, size in effects:
         if effect.observe is not None:
-            f = effect.observe(f, dict.fromkeys(effect.null, np.asarray(size)))
+            f = effect.observe(f, of_size(effect, np.asarray(size)))
     return np.asarray(f)
 
 
@@ -203,12 +204,13 @@ class Linear:
             at[:, len(self.x)] = sizes
             effect, vectors = self.own.model_of(effect), at
             if not effect.is_anywhere:
-                vectors = at[:, : len(self.x) + 1]
+                vectors = np.tile(np.array([*self.x, *effect.null.values()]), (len(sizes), 1))
+                vectors[:, len(self.x)] = sizes
             log_f = np.log(self.own.case.with_effect(effect).predict(vectors).frequencies)
         else:
             assert effect.observe is not None
             plain = np.tile(np.exp(self.log_f), (len(sizes), 1))
-            log_f = np.log(effect.observe(plain, dict.fromkeys(effect.null, sizes)))
+            log_f = np.log(effect.observe(plain, of_size(effect, sizes)))
         return np.asarray((log_f - self.log_f)[:, modes] / self.own.noise)
 
     def visible(self, h: Hypothesis, sizes: Array) -> Array:
@@ -231,6 +233,11 @@ def linear(bench: Bench, x: Array) -> Linear:
 def parameter_of(h: Hypothesis) -> Parameter:
     """The size of a cause."""
     return h.parameters[0]
+
+
+def of_size(effect: Effect, size: Any) -> dict[str, Any]:
+    """Values of an effect's parameters: the first has this size, the others their nulls."""
+    return effect.null | {effect.parameters[0].name: size}
 
 
 def at_random_place(h: Hypothesis, rng: np.random.Generator) -> Hypothesis:
