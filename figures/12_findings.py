@@ -20,7 +20,8 @@ DPI = 110
 # none, other, the three leading causes, all else
 COLOURS = {"none": "#7a9e7e", "other": "#8c8c8c"}
 LEADING, REST = ("#c1440e", "#e08e45", "#f2cc8f"), "#e8e8e8"
-_SPELT_FROM = 0.12
+# Width of a letter on the axis of probabilities.
+_OF_A_LETTER = 0.0095
 
 
 def draw(results: Path = RESULTS, folder: Path = HERE) -> list[Path]:
@@ -64,10 +65,9 @@ def _bar(axes: Axes, row: int, group: dict[str, Any]) -> None:
     left = 0.0
     for cause, probability, colour in pieces:
         axes.barh(row, probability, left=left, color=colour, height=0.72)
-        if probability >= _SPELT_FROM and cause not in COLOURS:
-            text = f"{cause} {by_cause[cause]['variant']}".strip()
+        if probability >= _OF_A_LETTER * len(cause) and cause not in COLOURS:
             axes.text(
-                left + 0.5 * probability, row, text, ha="center", va="center", fontsize=7, color="white"
+                left + 0.5 * probability, row, cause, ha="center", va="center", fontsize=7, color="white"
             )
         left += probability
     axes.barh(row, 1.0 - left, left=left, color=REST, height=0.72)

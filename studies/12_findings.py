@@ -1,6 +1,8 @@
 """What the diagnosis finds on the paper's plates and on five plates of spruce, alone and jointly.
 
-python studies/12_findings.py [--quick] [--only C1 ...]
+python studies/12_findings.py [--quick] [--only C1 ...] [--page]
+
+Every group is diagnosed, saved, and written to docs/findings.md; --page writes the page from what is saved.
 """
 
 from __future__ import annotations
@@ -10,29 +12,30 @@ import csv
 import sys
 import time
 import tomllib
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import cpam_bayes as cb
-from cpam_bayes.diagnosis.diagnose import Diagnosis
-from cpam_bayes.diagnosis.fit import Fit
-from cpam_bayes.plate import Specimen, to_user, user_name
-from cpam_bayes.report.tables import Column, Table, screen_text
-from cpam_bayes.validation.study_results import save_results, with_saved
+from cpam_bayes.plate import Specimen
+from cpam_bayes.validation.study_results import save_results, saved_results, with_saved
+
+Results = dict[str, Any]
 
 HERE = Path(__file__).parent
 RESULTS = HERE / "results" / f"{Path(__file__).stem}.json"
 SPRUCE = HERE / "data" / "spruce_plates.csv"
+PAGE = HERE.parent / "docs" / "findings.md"
 
 KEYS = {
     "quick": "whether this is the small version",
-    "groups": "one a group of plates: plates, claim, causes, probability, hypotheses (the first ten), "
-    "baseline, extended, gain, seconds",
+    "groups": "one a group of plates: the answer, the claims at other scales of the priors, ten causes, "
+    "the fits, the averaged constants, the gain, the sizes that would have shown, seconds",
 }
 
 ALONE = ("D&G", "A1", "A2", "B1", "B2", "C1", "C2", "C3", "C4", "D1", "D2", "D3", "D4")
 TOGETHER = (("A1", "A2"), ("B1", "B2"), ("C1", "C2"), ("C3", "C4"), ("D1", "D2"), ("D3", "D4"))
+SPRUCE_TOGETHER = (("1L", "2L"), ("3L", "4L"))
 _LISTED = 10
 # Of a plate file, the same for all plates of spruce.
 SPRUCE_SECTIONS = tomllib.loads("""
@@ -63,8 +66,8 @@ air_density_kg_m3 = 1.2
 def run(
     quick: bool = False,
     only: Sequence[str] = (),
-    keep: Callable[[dict[str, Any]], None] = lambda results: None,
-) -> dict[str, Any]:
+    keep: Callable[[Results], None] = lambda results: None,
+) -> Results:
     """Diagnose every group; quick: one plate.
 
     only : names of groups, plates joined by ``+``. keep : told the results after each group.
@@ -73,75 +76,60 @@ def run(
     groups = [g for g in groups_of(wood) if not only or "+".join(g) in only]
     if quick:
         groups = groups[:1]
-    found = []
+    rows = []
     for group in groups:
         start = time.process_time()
-        plates = [wood.get(name, name) for name in group]
-        diagnosis = cb.diagnose(*plates, next_test="never").diagnosis
-        found.append({**told(diagnosis), "seconds": time.process_time() - start})
+        document = cb.diagnose(*(wood.get(name, name) for name in group), next_test="never").to_dict()
+        rows.append(row_of(document, time.process_time() - start))
         if not quick:
-            print(
-                f"{' + '.join(group)}: {diagnosis.claim.kind} {found[-1]['seconds']:.0f} s", file=sys.stderr
-            )
-            keep({"quick": quick, "groups": found})
-    return {"quick": quick, "groups": found}
+            print(f"{line_of(rows[-1])}, {rows[-1]['seconds']:.0f} s", file=sys.stderr, flush=True)
+            keep({"quick": quick, "groups": rows})
+    return {"quick": quick, "groups": rows}
 
 
 def groups_of(wood: Iterable[str]) -> list[tuple[str, ...]]:
     """All groups of plates: each alone, then those of one material together."""
     alone = [(name,) for name in (*ALONE, *wood)]
-    return [*alone, *TOGETHER, ("1L", "2L"), ("3L", "4L")]
+    return [*alone, *TOGETHER, *SPRUCE_TOGETHER]
 
 
-def told(diagnosis: Diagnosis) -> dict[str, Any]:
-    """A diagnosis as plain data, in the units of the plate file."""
-    fit = {"baseline": _fit(diagnosis.baseline)}
-    fit["extended"] = None if diagnosis.extended is None else _fit(diagnosis.extended)
-    gain = diagnosis.gain
+def row_of(document: Mapping[str, Any], seconds: float) -> Results:
+    """What is kept of an answer.
+
+    document : the JSON document of `diagnose`
+    """
+    kept = ("claim", "causes", "probability", "sentence", "claim_stands", "claims_by_prior_scales")
+    extended = document["extended"]
     return {
-        "plates": [case.name for case in diagnosis.cases],
-        "claim": diagnosis.claim.kind,
-        "causes": list(diagnosis.claim.causes),
-        "probability": diagnosis.claim.probability,
-        "hypotheses": [
-            {
-                "cause": c.name,
-                "variant": c.variant,
-                "plates": list(c.plates),
-                "probability": c.probability,
-                "log_bayes_factor": c.log_bayes_factor,
-                "parameters": {name: list(value) for name, value in c.parameters.items()},
-                "indistinguishable_from": list(c.indistinguishable_from),
-                "visible": c.visible,
-            }
-            for c in diagnosis.causes[:_LISTED]
-        ],
-        "not_tested": list(diagnosis.weighed.not_tested),
-        **fit,
-        "gain": None
-        if gain is None
-        else {
-            "log_bayes_factor": gain.log_bayes_factor,
-            "held_out": gain.held_out_difference,
-            "held_out_se": gain.held_out_se,
-            "stable": gain.stable,
-        },
+        "plates": [plate["plate"] for plate in document["plates"]],
+        **{key: document[key] for key in kept},
+        "hypotheses": [_cause(h) for h in document["hypotheses"][:_LISTED]],
+        "not_tested": document["not_tested"],
+        "baseline": _fit(document["baseline"]),
+        "extended": None if extended is None else _fit(extended),
+        "averaged": _constants(document["averaged"]),
+        "gain": document["gain"],
+        "detectable": document["detectable"],
+        "seconds": seconds,
     }
 
 
-def _fit(fit: Fit) -> dict[str, Any]:
+def _cause(hypothesis: Mapping[str, Any]) -> Results:
+    kept = ("cause", "variant", "plates", "probability", "probability_range", "log_bayes_factor")
+    return {key: hypothesis[key] for key in (*kept, "parameters", "indistinguishable_from")}
+
+
+def _fit(fit: Mapping[str, Any]) -> Results:
     return {
-        "constants": {
-            user_name(name): [to_user(name, v) for v in values]
-            for name, values in fit.constants.items()
-            if not name.startswith("scatter")
-        },
-        "rms_percent": 100.0 * fit.rms,
-        "p_value": fit.p_value,
-        "log_evidence": fit.log_evidence,
-        "standardised": [float(r) for r in fit.standardised],
-        "residual_percent": [float(100.0 * r) for r in fit.measured / fit.predicted - 1.0],
+        "constants": _constants(fit["constants"]),
+        "rms_percent": fit["rms_percent"],
+        "predictive_p": fit["predictive_p"],
+        "residual_percent": [f["residual_percent"] for f in fit["frequencies"]],
     }
+
+
+def _constants(constants: Mapping[str, Mapping[str, float]]) -> Results:
+    return {name: {key: v[key] for key in ("mean", "sd", "q025", "q975")} for name, v in constants.items()}
 
 
 def spruce() -> dict[str, Specimen]:
@@ -177,43 +165,192 @@ def _spruce_plate(row: dict[str, str]) -> dict[str, Any]:
     }
 
 
-def show(results: dict[str, Any]) -> None:
-    """Print the claims, one line a group."""
-    rows = []
-    for group in results["groups"]:
-        first = next(h for h in group["hypotheses"])
-        extended = group["extended"]
-        rows.append(
-            (
-                " + ".join(group["plates"]),
-                group["claim"],
-                " ".join(group["causes"]),
-                f"{group['probability']:.2f}",
-                f"{first['cause']} {first['variant']}".strip(),
-                f"{first['log_bayes_factor']:.1f}",
-                f"{group['baseline']['rms_percent']:.2f}",
-                "" if extended is None else f"{extended['rms_percent']:.2f}",
-                f"{group['baseline']['p_value']:.2f}",
-            )
-        )
-    columns = tuple(
-        Column(name)
-        for name in ("plates", "claim", "causes", "P", "leading", "log BF", "rms %", "after %", "p")
+def line_of(row: Results) -> str:
+    """The answer about one group in a line."""
+    return f"{' + '.join(row['plates'])}: {row['claim']} {' '.join(row['causes'])} {row['probability']:.2f}"
+
+
+def page(results: Results) -> str:
+    """The page of the documentation."""
+    rows = {tuple(row["plates"]): row for row in results["groups"]}
+    wood = tuple(spruce())
+    alone = [rows[name,] for name in ALONE if (name,) in rows]
+    together = [rows[group] for group in TOGETHER if group in rows]
+    of_wood = [rows[name,] for name in wood if (name,) in rows]
+    wood_together = [rows[group] for group in SPRUCE_TOGETHER if group in rows]
+    quiet = [row for row in alone if row["claim"] == "none"]
+    sections = [
+        (alone, [_HEAD, *_answers(alone), "", "## What is claimed, or nearly", "", *_stories(alone)]),
+        (quiet, [_UNSEEN, *_unseen(quiet), ""]),
+        (together, [_TOGETHER, *_answers(together), "", *_stories(together)]),
+        (of_wood, [_WOOD, *_answers(of_wood), "", *_published(of_wood), "", *_stories(of_wood)]),
+        (wood_together, [_WOOD_TOGETHER, *_answers(wood_together), "", *_stories(wood_together)]),
+    ]
+    return "\n".join(line for of, lines in sections if of for line in lines)
+
+
+def _answers(rows: Sequence[Results]) -> Iterable[str]:
+    """A table: one group a line, with what other scales of the priors would claim."""
+    yield (
+        "| plates | answer | P | rms %, plain, extended | P(none) | scales x 3 | scales / 3 | "
+        + " | ".join(_CONSTANTS)
+        + " |"
     )
-    print(screen_text((Table("Diagnoses", columns, tuple(rows)),), sys.stdout))
+    yield "|" + "---|" * (7 + len(_CONSTANTS))
+    for row in rows:
+        after = row["extended"]
+        rms = f"{row['baseline']['rms_percent']:.2f}" + (f", {after['rms_percent']:.2f}" if after else "")
+        none = next((h["probability"] for h in row["hypotheses"] if h["cause"] == "none"), None)
+        constants = (row["extended"] or {"constants": row["averaged"]})["constants"]
+        cells = (
+            " + ".join(row["plates"]),
+            _answer(row),
+            f"{row['probability']:.2f}",
+            rms,
+            "< 0.01" if none is None or none < 0.01 else f"{none:.2f}",
+            *(_answer(row["claims_by_prior_scales"][key]) for key in _SCALES),
+            *(_value(constants.get(name)) for name in _CONSTANTS),
+        )
+        yield f"| {' | '.join(cells)} |"
+
+
+def _answer(row: Mapping[str, Any]) -> str:
+    return row["claim"] + (f": {', '.join(row['causes'])}" if row["claim"] in _CLAIMS else "")
+
+
+def _value(constant: Mapping[str, float] | None) -> str:
+    return "" if constant is None else f"{constant['q025']:.4g} to {constant['q975']:.4g}"
+
+
+def _stories(rows: Sequence[Results]) -> Iterable[str]:
+    """Of each group with an answer other than none its sentence, its causes, and what they are worth."""
+    for row in (row for row in rows if row["claim"] != "none"):
+        yield f"### {' + '.join(row['plates'])}"
+        yield ""
+        times, divided = (_answer(row["claims_by_prior_scales"][key]) for key in _SCALES)
+        scales = f"With all scales of the priors times 3 the answer is {times}, divided by 3 {divided}."
+        yield f"{row['sentence']} {scales}"
+        if row["gain"] is not None:
+            difference = row["gain"]["held_out_log_score_difference"]
+            se = row["gain"]["held_out_log_score_se"]
+            yield (
+                "The extended model predicts each frequency from the others better, by "
+                f"{difference:.1f} nats in all (standard error {se:.1f})."
+            )
+        yield ""
+        yield "| cause | P | P, scales x 3, / 3 | log Bayes factor | size |"
+        yield "|---|---|---|---|---|"
+        for h in row["hypotheses"][:_STORY]:
+            shown = h["probability_range"]
+            sizes = ", ".join(
+                f"{name} {p['mean']:.3g} +- {p['sd']:.2g} {p['unit']}".rstrip()
+                for name, p in h["parameters"].items()
+            )
+            where = "" if len(row["plates"]) == 1 or len(h["plates"]) > 1 else f" of {h['plates'][0]}"
+            cause = f"{h['cause']}{where}" + (f" ({h['variant']})" if h["variant"] else "")
+            yield (
+                f"| {cause} | {h['probability']:.3f} | {', '.join(f'{shown[key]:.3f}' for key in _SCALES)} | "
+                f"{h['log_bayes_factor']:.1f} | {sizes} |"
+            )
+        yield ""
+
+
+def _unseen(rows: Sequence[Results]) -> Iterable[str]:
+    """The smallest sizes that the lists of quiet plates would have shown."""
+    yield "| cause | " + " | ".join(row["plates"][0] for row in rows) + " |"
+    yield "|---|" + "---|" * len(rows)
+    by_plate = [{entry["cause"]: entry for entry in row["detectable"]} for row in rows]
+    for cause in sorted({cause for sizes in by_plate for cause in sizes}):
+        entries = [sizes.get(cause) for sizes in by_plate]
+        if any(entry is not None and entry["unit"] is not None for entry in entries):
+            yield f"| {cause} | " + " | ".join(map(_size, entries)) + " |"
+
+
+def _size(entry: Mapping[str, Any] | None) -> str:
+    if entry is None:
+        return "-"
+    return "no size" if entry["smallest"] is None else f"{entry['smallest']:.2g} {entry['unit']}".rstrip()
+
+
+def _published(rows: Sequence[Results]) -> Iterable[str]:
+    yield "| plate | published E1, E2, G12 GPa, nu12 | in the interval of the same |"
+    yield "|---|---|---|"
+    with SPRUCE.open(encoding="utf-8") as file:
+        table = csv.DictReader(line for line in file if not line.startswith("#"))
+        published = {row["plate"]: row["published_Ex_Ey_Gxy_nu"].split(";") for row in table}
+    for row in rows:
+        constants = (row["extended"] or {"constants": row["averaged"]})["constants"]
+        values = dict(zip(_PUBLISHED, published[row["plates"][0]], strict=True))
+        within = {name: (constants[name]["q025"], constants[name]["q975"]) for name in values}
+        inside = [name for name, v in values.items() if within[name][0] <= float(v) <= within[name][1]]
+        yield f"| {row['plates'][0]} | {', '.join(values.values())} | {', '.join(inside) or 'none'} |"
+
+
+_PUBLISHED = ("E1_GPa", "E2_GPa", "G12_GPa", "nu12")
+_STORY = 4
+_SCALES = ("scales_times_3", "scales_divided_by_3")
+_CLAIMS = ("named", "class", "pair")
+_CONSTANTS = ("E1_GPa", "E2_GPa", "nu12", "G12_GPa")
+
+_HEAD = """# What the diagnosis finds
+
+`cpam-bayes diagnose` on the plates of the paper (Tables 2 to 4), on the aluminium plate of Table 1 and on
+five plates of spruce. `python studies/12_findings.py` runs it and writes this page, every number included.
+
+What is assumed: the constants are normal about the reference of the plate file with the standard deviation
+of `[material.sd]`, 10 % for the built-in plates. The repeatability, which the paper does not give, is
+inferred with [a log-normal prior](priors.md) that ends at 2 %; what is beyond belongs to a cause or to
+`other`. Sizes and probabilities of the causes have [the priors of the catalogue](effects.md). The plates
+were known when the catalogue was written, so that these priors are not blind. Each answer is repeated with
+the scales of causes and noise times 3 and divided by 3.
+
+![What is claimed of every plate](../figures/12_findings.png)
+
+## Each plate alone
+
+95 % intervals of the constants are of the extended model where something is claimed, else averaged over all
+hypotheses.
+"""
+_UNSEEN = """## What the quiet lists would have shown
+
+The smallest size of each cause that the list of a plate with answer none would have shown with a
+probability of 95 %, at the median place ("no size": none up to the end of the prior).
+"""
+_TOGETHER = """## Plates of one material together
+
+Plates of one material share their constants, each with a scatter of 2 % from plate to plate
+(`--scatter`); each list has its own repeatability, and a cause is one plate's or common to all.
+"""
+_WOOD = """## Five plates of spruce
+
+Tonewood plates of Badiane et al. (J. Acoust. Soc. Am., 2023): a hammer, one accelerometer, free edges, air
+given, lists that may lack modes, so that pairings are summed over. Priors of the constants are Sitka
+spruce of the Wood Handbook. The plates are not quite rectangles: 1L narrows from 217 to 199 mm at one end.
+"""
+_WOOD_TOGETHER = """### Two plates of spruce as one material
+
+With the scatter of 2 % that laminates of one prepreg have; a tree allows more, so that what is claimed of
+one plate here may be wood.
+"""
 
 
 def main() -> None:
+    """Diagnose, save and write the page."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="the small version; nothing is saved")
     parser.add_argument("--only", nargs="+", default=(), help="groups, plates of one joined by +")
+    parser.add_argument("--page", action="store_true", help="write the page from what is saved, run nothing")
     args = parser.parse_args()
     order = groups_of(spruce())
 
-    def keep(results: dict[str, Any]) -> None:
+    def keep(results: Results) -> None:
         save_results(RESULTS, with_saved(results, RESULTS, order, lambda group: tuple(group["plates"])))
 
-    show(run(args.quick, args.only, keep))
+    if not args.page:
+        for row in run(args.quick, args.only, keep)["groups"]:
+            print(line_of(row))
+    if not args.quick:
+        PAGE.write_text(page(saved_results(RESULTS)), encoding="utf-8")
 
 
 if __name__ == "__main__":

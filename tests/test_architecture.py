@@ -31,6 +31,7 @@ LAYERS = (
     "stacking",
     "diagnosis",
     "repetition",
+    "comparison",
     "validation",
     "report",
     "commands",

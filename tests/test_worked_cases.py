@@ -10,7 +10,7 @@ import pytest
 from tests.test_studies import saved, script
 
 PROJECT = Path(__file__).parent.parent
-CASES, THEORY = "17_worked_cases", "16_theory_error"
+CASES, THEORY, FINDINGS = "17_worked_cases", "16_theory_error", "12_findings"
 
 
 @pytest.mark.parametrize(
@@ -35,7 +35,7 @@ def test_an_answer_has_its_verdict(cause: str, claim: str, causes: list[str], ex
     assert script("studies", CASES).verdict(cause, claim, causes) == expected
 
 
-@pytest.mark.parametrize("name", [CASES, THEORY])
+@pytest.mark.parametrize("name", [CASES, THEORY, FINDINGS])
 def test_a_page_is_what_its_study_writes(name: str) -> None:
     study = script("studies", name)
     assert study.PAGE.read_text(encoding="utf-8") == study.page(saved(name))
