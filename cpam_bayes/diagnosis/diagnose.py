@@ -265,18 +265,21 @@ def _claim(weighed: Weighed, causes: Sequence[Cause], checks: PredictiveChecks) 
 
 
 def _members(weighed: Weighed, claim: Claim) -> tuple[tuple[Tested, float], ...]:
-    """The tested variants of what is claimed, with their fractions."""
+    """The tested variants of what is claimed, with their fractions; of other all, with their probabilities.
+
+    Other is claimed where nothing explains the lists, whichever hypothesis comes nearest.
+    """
     if claim.kind in ("none", "undecided"):
         return ()
-    if claim.kind == "pair":
+    if claim.kind == "other":
+        claimed = list(weighed.tested)
+    elif claim.kind == "pair":
         claimed = [
             t for t in weighed.tested if t.hypothesis.family == PAIR and t.hypothesis.causes == claim.causes
         ]
     else:
-        names = claim.causes or (OTHER,)
-        claimed = [
-            t for t in weighed.tested if t.hypothesis.cause in names or set(t.hypothesis.causes) & set(names)
-        ]
+        names = set(claim.causes)
+        claimed = [t for t in weighed.tested if names & {t.hypothesis.cause, *t.hypothesis.causes}]
     total = sum(t.probability for t in claimed)
     kept = [t for t in claimed if t.probability >= _LEAST_FRACTION * total]
     total = sum(t.probability for t in kept)

@@ -17,7 +17,7 @@ from cpam_bayes.diagnosis.evidence.tested import Tested
 from cpam_bayes.diagnosis.evidence.weighing import Weighed
 from cpam_bayes.diagnosis.fit import Fit
 from cpam_bayes.diagnosis.fitting import PlateCase
-from cpam_bayes.diagnosis.hypotheses import NONE, Hypothesis
+from cpam_bayes.diagnosis.hypotheses import NONE, OTHER, Hypothesis
 from cpam_bayes.effects.frequency_list import MISREADING
 
 Array = NDArray[Any]
@@ -77,7 +77,8 @@ def gain_of(
     the hypotheses near the top: the cause is selected anew, by its probability, in every fold.
     """
     n = len(baseline.measured)
-    claimed = {t.hypothesis.cause for t, _ in members} | set(claim.causes)
+    extending = {t.hypothesis.cause for t, _ in members} - {NONE} or {OTHER}
+    claimed = extending | set(claim.causes)
     none = weighed.none.marginal
     top = [_sampled(t) for t in _near_the_top(weighed, claimed)]
     whole = np.array([t.marginal.log_evidence for t in top])
@@ -93,7 +94,7 @@ def gain_of(
     return Gain(
         baseline.rms,
         extended.rms,
-        weighed.log_bayes_factor({t.hypothesis.cause for t, _ in members}),
+        weighed.log_bayes_factor(extending),
         mixture - (logsumexp(whole[is_plain]) - logsumexp(folds[is_plain], axis=0)),
         len({t.key for t in top}),
         float(np.mean(ahead)),

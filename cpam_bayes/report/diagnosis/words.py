@@ -42,8 +42,7 @@ def claim_sentence(d: Diagnosis) -> str:
         case "other":
             return (
                 "The model lacks something that no cause of the catalogue explains: probability "
-                f"{p}. The residuals by mode show where. The extended model adds a scatter of all modes to "
-                "the noise, which widens the intervals and repairs no frequency."
+                f"{p}. The residuals by mode show where. {_nearest(d)}"
             )
     none = probability_text(by_name[NONE].probability)
     other = probability_text(by_name[OTHER].probability)
@@ -125,6 +124,22 @@ def sensitivity_sentence(d: Diagnosis) -> str:
         for how, claim in zip(("times 3", "divided by 3"), d.sensitivity.claims, strict=True)
     ]
     return f"The claim depends on the {scales}: {', '.join(changed)}."
+
+
+def _nearest(d: Diagnosis) -> str:
+    """What stands for an error outside the catalogue in the extended model."""
+    nearest = max(d.causes, key=lambda c: c.probability)
+    if nearest.name == OTHER:
+        return (
+            "The extended model adds a scatter of all modes to the noise, which widens the intervals and "
+            "repairs no frequency."
+        )
+    title = "the plain model" if nearest.name == NONE else nearest.name
+    return (
+        f"Of all hypotheses {title} comes nearest, probability {probability_text(nearest.probability)}, "
+        "and leaves a misfit that is no noise. The extended model averages over the hypotheses; its "
+        "intervals do not cover what none of them contains."
+    )
 
 
 def _most_probable(d: Diagnosis) -> tuple[Cause, ...]:
