@@ -11,7 +11,7 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from cpam_bayes.effects import Effect, PlateFacts, extend
+from cpam_bayes.effects import Effect, PlateFacts, add_known_mass, extend
 from cpam_bayes.forward_model.local.basis import patch_model, point_mass_model
 from cpam_bayes.forward_model.local.model import LocalModel
 from cpam_bayes.forward_model.local.store import local_model_path, stored_local_model
@@ -34,6 +34,7 @@ from cpam_bayes.mechanics.spaces.ritz import RitzSettings
 from cpam_bayes.parameters import Parameter, ParameterSet, TruncatedNormal
 from cpam_bayes.plate import Specimen
 from cpam_bayes.plate.laminate import ENERGY_CONSISTENT
+from cpam_bayes.plate.records import Sensor
 from cpam_bayes.threads import single_blas_thread
 
 Array = NDArray[Any]
@@ -154,6 +155,13 @@ def plate_models(
         bare,
         key,
     )
+
+
+def loaded_with(plate: PlateModels, sensor: Sensor) -> PlateModels:
+    """The plate with a known mass, in the space of the plate without it, whose ``bare`` stays without it."""
+    problem = add_known_mass(plate.problem, sensor.mass, sensor.x, sensor.y)
+    key = _hash(plate.key, json.dumps([sensor.mass, sensor.x, sensor.y]))
+    return replace(plate, problem=problem, facts=replace(plate.facts, loaded=True), key=key)
 
 
 @single_blas_thread

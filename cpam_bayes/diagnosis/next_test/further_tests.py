@@ -12,10 +12,17 @@ from numpy.typing import NDArray
 from cpam_bayes.diagnosis.composed import Change, ComposedModel, Part
 from cpam_bayes.diagnosis.evidence.weighing import Tested
 from cpam_bayes.diagnosis.fitting import PlateCase
-from cpam_bayes.diagnosis.models import PlateModels, local_model, needs_another_space, plate_models
-from cpam_bayes.effects import Effect, add_known_mass, extend
+from cpam_bayes.diagnosis.models import (
+    PlateModels,
+    extended_model,
+    loaded_with,
+    needs_another_space,
+    plate_models,
+)
+from cpam_bayes.effects import Effect, extend
 from cpam_bayes.forward_model.local.model import LocalModel
 from cpam_bayes.forward_model.model import PlateModel, model_on_basis
+from cpam_bayes.forward_model.reduced import ReducedModel
 from cpam_bayes.inference.posterior import ForwardModel
 from cpam_bayes.mechanics.convergence import Tolerance, converge
 from cpam_bayes.mechanics.problem import Problem
@@ -127,22 +134,21 @@ def _next_modes(t: Tested, about: int) -> Array:
 
 def _loaded(plate: PlateModels, sensor: Sensor) -> tuple[PlateModels, PlateModel]:
     """A plate with a known mass, in the space of the plate without it."""
-    problem = add_known_mass(plate.problem, sensor.mass, sensor.x, sensor.y)
-    loaded = replace(plate, problem=problem, facts=replace(plate.facts, loaded=True))
-    return loaded, _on_basis(loaded, problem, plate.samples.x)
+    loaded = loaded_with(plate, sensor)
+    return loaded, _on_basis(loaded, loaded.problem, plate.samples.x)
 
 
 def _on_basis(plate: PlateModels, problem: Problem, samples: Array) -> PlateModel:
     return model_on_basis(problem, samples, plate.n_modes, plate.error, (plate.settings, plate.keep))
 
 
-def _with_effect(plate: PlateModels, effect: Effect) -> PlateModel | LocalModel:
+def _with_effect(plate: PlateModels, effect: Effect) -> PlateModel | ReducedModel | LocalModel:
     """The full model of a plate with an effect: a reduced one would take more solves than it saves.
 
-    An effect at any place has its own model, which takes few.
+    An effect at any place has its own model, which takes few and is stored.
     """
     if effect.is_anywhere:
-        return local_model(plate, effect)
+        return extended_model(plate, effect)
     problem = extend(plate.problem, effect, plate.facts)
     added = np.array([[v[p.name] for p in effect.parameters] for v in (effect.null, effect.scaled(1.0))])
     samples = np.column_stack((np.repeat(plate.samples.x[:1], 2, axis=0), added))
