@@ -1,0 +1,60 @@
+"""What the site needs beside its pages: figures of the repository, equations, and no network.
+
+mkdocs calls these functions (`hooks` in mkdocs.yml). The pages stay readable as they lie in the repository:
+they link figures as ``../figures/x.png`` and write equations as ``$...$``.
+"""
+
+from __future__ import annotations
+
+import html
+import re
+from pathlib import Path
+from typing import Any
+
+from latex2mathml.converter import convert
+from mkdocs.exceptions import PluginError
+from mkdocs.structure.files import File
+
+_PROJECT = Path(__file__).parents[2]
+# ](../figures/x.png) of a page; the site has the same files under figures/
+_FIGURE_LINK = re.compile(r"(?<=\]\()\.\./(?=figures/[\w.]+\.png\))")
+_EQUATION = re.compile(
+    r'<(?P<tag>span|div) class="arithmatex">\\(?P<open>[(\[])(?P<latex>.*?)\\[)\]]</(?P=tag)>', re.DOTALL
+)
+# What a browser fetches by itself; a link is fetched when it is followed
+_FETCHED = re.compile(
+    r'<(?:script|img|iframe|source)\b[^>]*?\ssrc="?(?://|https?:)[^">\s]*'
+    r'|<link\b(?=[^>]*\brel="?(?:stylesheet|preconnect|preload|icon))[^>]*?\shref="?(?://|https?:)[^">\s]*'
+    r"|url\([\"']?(?://|https?:)[^)]*"
+)
+
+
+def on_files(files: Any, *, config: Any) -> Any:
+    """Add the figures that pages show."""
+    for figure in sorted((_PROJECT / "figures").glob("*.png")):
+        files.append(File.generated(config, f"figures/{figure.name}", abs_src_path=str(figure)))
+    return files
+
+
+def on_page_markdown(markdown: str, **_: Any) -> str:
+    """Let links to the repository's figures point to those of the site."""
+    return _FIGURE_LINK.sub("", markdown)
+
+
+def on_page_content(content: str, **_: Any) -> str:
+    """Turn equations into MathML, which browsers show without a script."""
+    return _EQUATION.sub(_mathml, content)
+
+
+def on_post_page(output: str, *, page: Any, **_: Any) -> str:
+    """Refuse a page that fetches from a network, and one with an equation left as it was written."""
+    if fetched := _FETCHED.search(output):
+        raise PluginError(f"{page.file.src_uri}: fetched from a network: {fetched.group()}")
+    if "arithmatex" in output:
+        raise PluginError(f"{page.file.src_uri}: an equation was not converted")
+    return output
+
+
+def _mathml(equation: re.Match[str]) -> str:
+    display = "inline" if equation["open"] == "(" else "block"
+    return convert(html.unescape(equation["latex"]).strip(), display=display)

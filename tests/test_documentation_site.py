@@ -1,0 +1,67 @@
+"""The site of the documentation: every page in its place, every public name, nothing from a network."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+import cpam_bayes as cb
+
+PROJECT = Path(__file__).parent.parent
+DOCS = PROJECT / "docs"
+
+
+def listed_pages(nav: list[Any]) -> list[str]:
+    """The pages of a navigation, in its order."""
+    pages: list[str] = []
+    for entry in nav:
+        for target in entry.values() if isinstance(entry, dict) else [entry]:
+            pages += [target] if isinstance(target, str) else listed_pages(target)
+    return pages
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    directory = tmp_path_factory.mktemp("site")
+    done = subprocess.run(
+        [sys.executable, "-m", "mkdocs", "build", "--quiet", "--strict", "--site-dir", str(directory)],
+        cwd=PROJECT,
+        env=os.environ | {"NO_MKDOCS_2_WARNING": "1"},
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
+    assert done.returncode == 0, done.stderr
+    return directory
+
+
+def test_the_navigation_names_every_page_once() -> None:
+    nav = yaml.safe_load((PROJECT / "mkdocs.yml").read_text("utf-8"))["nav"]
+    assert sorted(listed_pages(nav)) == sorted(str(page.relative_to(DOCS)) for page in DOCS.rglob("*.md"))
+
+
+def test_the_api_page_describes_every_public_name() -> None:
+    described = re.findall(r"^::: cpam_bayes\.(\w+)$", (DOCS / "api.md").read_text("utf-8"), re.MULTILINE)
+    assert set(cb.__all__) <= set(described)
+
+
+def test_the_site_builds_strictly_with_its_figures_and_the_api(site: Path) -> None:
+    api = (site / "api.html").read_text("utf-8")
+    assert all(f'id="cpam_bayes.{name}"' in api for name in cb.__all__)
+    for page in site.rglob("*.html"):
+        for source in re.findall(r'<img[^>]*\ssrc="([^"]+)"', page.read_text("utf-8")):
+            assert (page.parent / source).is_file(), f"{page.name}: {source}"
+
+
+def test_no_page_fetches_from_a_network(site: Path) -> None:
+    """`docs/build/hooks.py` refuses such a page; here the styles and the pages without it."""
+    fetching = re.compile(r'(?:<(?:script|img|iframe)[^>]*\ssrc=|@import\s|url\()["\']?(?:https?:)?//')
+    for file in [*site.rglob("*.html"), *site.rglob("*.css")]:
+        assert not fetching.search(file.read_text("utf-8")), file.name
