@@ -73,7 +73,8 @@ class Result:
     """The answer to one question.
 
     seed : repeats the answer bit for bit. warnings : every reason not to trust the numbers as they
-    stand. reached_goal : False where a sampler has not converged; the warnings then say so.
+    stand. slips : those of them that most likely ruin the answer, which stand above everything else.
+    reached_goal : False where a sampler has not converged; the warnings then say so.
     """
 
     question: ClassVar[str]
@@ -87,6 +88,7 @@ class Result:
 
     seed: int
     warnings: tuple[str, ...] = ()
+    slips: tuple[str, ...] = ()
     reached_goal: bool = True
 
     @property
@@ -110,8 +112,23 @@ class Result:
         from_tables = import_module("cpam_bayes.report.tables").plain_text
         return "\n".join(from_tables(table) for table in self.tables() if table.rows)
 
+    def in_words(self) -> Any:
+        """The answer in plain words, see `cpam_bayes.report.summary.Summary`."""
+        return self._rendered("summary", "summary")
+
+    def screen(self, *, verbose: bool = False) -> tuple[Any, ...]:
+        """The tables of the screen, see `cpam_bayes.report.tables.Table`.
+
+        verbose : with the statistics and tables behind the answer.
+        """
+        words = import_module("cpam_bayes.report.summary")
+        return (
+            *words.summary_tables(self.in_words()),
+            *(self.tables() if verbose else (words.MORE,)),
+        )
+
     def tables(self) -> tuple[Any, ...]:
-        """The tables of the screen, see `cpam_bayes.report.tables.Table`."""
+        """The statistics and tables behind the answer."""
         return tuple(self._rendered("screen", "screen"))
 
     def to_dict(self) -> dict[str, Any]:

@@ -240,11 +240,9 @@ def test_a_fit_that_misses_a_frequency_is_not_to_be_trusted(run, plate_file):
 
 def test_what_the_swarm_leaves_aside_is_said(run, plate_file):
     path = plate_file(
-        ("[material]\n", "[plate.sd]\nthickness_mm = 0.02\n\n[material]\n"),
         ("nu12 = [0.15, 0.4]", "nu12 = { mean = 0.33, sd = 0.02, bounds = [0.15, 0.4] }"),
     )
     err = run("identify", path, *SHORT)[2]
-    assert "[plate.sd] is not used by the swarm" in err
     assert "mean and sd of nu12" in err
 
 

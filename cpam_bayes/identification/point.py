@@ -9,12 +9,13 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.stats import chi2, t
 
 from cpam_bayes.forward_model.labels import LabelledModel, list_order
 from cpam_bayes.forward_model.model import plate_problem
 from cpam_bayes.forward_model.preconditions import units_warning
 from cpam_bayes.forward_model.reduced import ReducedModel
+from cpam_bayes.identification.scale_errors import ScaleError, scale_errors, sizes_spread
 from cpam_bayes.identification.search import Optimum, Residual, Search, required, search
 from cpam_bayes.identification.verdicts import Verdict, verdict_of
 from cpam_bayes.inference.swarm.pso import SwarmResult, SwarmSettings
@@ -30,6 +31,10 @@ Array = NDArray[Any]
 _ON_BOUND = 1e-3
 # Probability of the noise that leaves the best optimum ahead of another one.
 _WITHIN = 0.95
+# Probability in each tail outside an interval of 95 %.
+_TAIL = 0.025
+# Relative noise that weighs the frequencies where none is known.
+_EVEN_NOISE = 0.01
 # Standard deviations beyond which a constant has another value at another optimum.
 _APART = 3.0
 
@@ -38,15 +43,18 @@ _APART = 3.0
 class ConstantEstimate:
     """One identified constant, SI.
 
-    sd : linearised standard deviation, ``nan`` where the noise is not known (no more frequencies
-    than unknowns and no repeatability in the plate file). bound : "lower" or "upper" where the
-    estimate sits on one. reference : the value of the plate file. elsewhere : its values, ascending, at
-    other optima that the noise does not tell from the best one, where these are more than three sd away.
+    sd : linearised standard deviation, with those of [plate.sd], ``nan`` where the noise is not known (no
+    more frequencies than unknowns and no repeatability in the plate file). interval : of 95 %, within the
+    bounds and over all optima that the noise leaves open, None where the sd does not hold. bound :
+    "lower" or "upper" where the estimate sits on one. reference : the value of the plate file. elsewhere :
+    its values, ascending, at other optima that the noise does not tell from the best one, where these are
+    more than three sd away.
     """
 
     name: str
     value: float
     sd: float
+    interval: tuple[float, float] | None
     lower: float
     upper: float
     bound: Literal["lower", "upper"] | None
@@ -64,7 +72,8 @@ class PointEstimate:
     that is left out, the residuals' own. error : (n_modes,) estimated relative error of the solver
     at the answer. laminate : flexural stiffness and constants, SI. model : what the swarm ran on.
     swarm : the single one, or of several the first with the best optimum. swarms : number that were run.
-    optima : the best one and those that the noise does not tell from it.
+    optima : the best one and those that the noise does not tell from it. scale_errors : what errors of
+    sizes, mass and frequency scale do to the constants.
     """
 
     specimen: Specimen
@@ -79,6 +88,7 @@ class PointEstimate:
     swarm: SwarmResult
     swarms: int
     optima: tuple[Optimum, ...]
+    scale_errors: tuple[ScaleError, ...]
     seconds: float
     warnings: tuple[str, ...]
 
@@ -137,8 +147,18 @@ def summarise(
     sd = linearised_sd(prediction.jacobian[0, order], prior_sd, measurement, noise, residual)
     optima = _within_noise(searched, measurement, noise, residual)
     at_optima = np.array([optimum.x for optimum in optima])
+    level = noise if np.isfinite(noise) else _EVEN_NOISE
+    scales = scale_errors(
+        specimen,
+        model.full,
+        dict(zip(unknowns.names, best.tolist(), strict=True)),
+        order,
+        _noise_sd(measurement, level) / measurement.frequencies,
+        dict(zip(unknowns.names, prior_sd.tolist(), strict=True)),
+    )
+    freedom = measurement.size - unknowns.size if inferred else np.inf
     estimates = tuple(
-        _estimate(specimen, name, values, float(its_sd))
+        _estimate(specimen, name, values, _with_sizes(scales, name, values[0], its_sd), freedom)
         for name, values, its_sd in zip(unknowns.names, at_optima.T, sd, strict=True)
     )
     state = plate_problem(specimen, unknowns).state(unknowns.mapping(best))
@@ -155,6 +175,7 @@ def summarise(
         swarm=swarm,
         swarms=searched.swarms,
         optima=optima,
+        scale_errors=scales,
         seconds=time.perf_counter() - start,
         warnings=_warnings(measurement, predicted, unknowns.size),
     )
@@ -227,8 +248,16 @@ def bound_of(value: float, lower: float, upper: float) -> Literal["lower", "uppe
     return "upper" if upper - value < _ON_BOUND * width else None
 
 
-def _estimate(specimen: Specimen, name: str, at_optima: Array, sd: float) -> ConstantEstimate:
-    """An estimate from its values (k,) at the optima that the noise leaves open, the best one first."""
+def _with_sizes(scales: tuple[ScaleError, ...], name: str, value: float, sd: float) -> float:
+    """The standard deviation of a constant with what the sizes of the plate add to it."""
+    return float(np.hypot(sd, abs(value) * sizes_spread(scales, name) if scales else 0.0))
+
+
+def _estimate(specimen: Specimen, name: str, at_optima: Array, sd: float, freedom: float) -> ConstantEstimate:
+    """An estimate from its values (k,) at the optima that the noise leaves open, the best one first.
+
+    freedom : of the noise, infinite where it is known.
+    """
     value, prior = float(at_optima[0]), specimen.unknowns[name].prior
     elsewhere = tuple(sorted(v for v in at_optima[1:].tolist() if abs(v - value) > _APART * sd))
     bound = bound_of(value, prior.lower, prior.upper)
@@ -237,7 +266,23 @@ def _estimate(specimen: Specimen, name: str, at_optima: Array, sd: float) -> Con
     verdict = verdict_of(spread, prior.sd, at_bound=bound is not None)
     complete = complete_constants(specimen.material.constants, specimen.material.isotropic)
     reference = float(complete[name])
-    return ConstantEstimate(name, value, sd, prior.lower, prior.upper, bound, verdict, reference, elsewhere)
+    interval = None
+    if bound is None and np.isfinite(sd):
+        reach = float(t.ppf(1.0 - _TAIL, freedom)) * sd
+        values = (value, *elsewhere)
+        interval = (max(min(values) - reach, prior.lower), min(max(values) + reach, prior.upper))
+    return ConstantEstimate(
+        name=name,
+        value=value,
+        sd=sd,
+        interval=interval,
+        lower=prior.lower,
+        upper=prior.upper,
+        bound=bound,
+        verdict=verdict,
+        reference=reference,
+        elsewhere=elsewhere,
+    )
 
 
 def _warnings(measurement: Measurement, predicted: Array, n_unknowns: int) -> tuple[str, ...]:

@@ -13,7 +13,7 @@ from cpam_bayes.identification.point import PointEstimate
 from cpam_bayes.identification.sampled_result import SampledResult
 from cpam_bayes.identification.search import Residual
 from cpam_bayes.inference.diagnostics.completeness import TranscriptionError
-from cpam_bayes.plate import Specimen, user_name
+from cpam_bayes.plate import Specimen
 from cpam_bayes.priors import TruncatedNormal
 
 __all__ = ["point_warnings", "sampled_warnings"]
@@ -98,9 +98,6 @@ def _other_labels(result: PointEstimate) -> list[str]:
 def _unused(specimen: Specimen) -> list[str]:
     """What the plate file gives and the swarm has no use for."""
     problems = []
-    if specimen.plate.sd:
-        names = ", ".join(user_name(name) for name in specimen.plate.sd)
-        problems.append(f"[plate.sd] is not used by the swarm: the sd leave out that of {names}")
     priors = [
         name for name in specimen.unknowns.names if isinstance(specimen.unknowns[name].prior, TruncatedNormal)
     ]

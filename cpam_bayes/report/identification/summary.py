@@ -1,0 +1,133 @@
+"""`identify` by the swarm in plain words."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+
+from cpam_bayes.formatting import listed, significant
+from cpam_bayes.identification.identify import PointResult
+from cpam_bayes.identification.point import ConstantEstimate, PointEstimate
+from cpam_bayes.identification.verdicts import Verdict
+from cpam_bayes.plate import to_user, unit_of, user_name
+from cpam_bayes.report.sentences import (
+    constant_title,
+    decided_by,
+    frequencies_text,
+    noise_sentence,
+    plate_argument,
+    plate_sentence,
+    scale_sentences,
+)
+from cpam_bayes.report.summary import ConstantLine, Determined, Summary, determined_by
+
+DETERMINED: Final[dict[Verdict, Determined]] = {
+    "determined by the data": "yes",
+    "determined by data and prior": "partly",
+    "determined by the prior": "no",
+}
+
+
+def summary(result: PointResult) -> Summary:
+    """The constants, what decides them, what they rest on, and what to do next."""
+    estimate = result.estimate
+    constants = tuple(_constant(result, c) for c in estimate.constants)
+    use = [c.symbol for c in constants if c.determined != "no"]
+    unseen, gauge = scale_sentences(result.specimen, estimate.scale_errors, use)
+    return Summary(
+        title=f"identify {result.title}",
+        slips=result.slips,
+        headline=_headline(result, constants),
+        constants=constants,
+        basis=(_fit(result), _noise(estimate), plate_sentence(result.specimen), *unseen),
+        warnings=tuple(w for w in result.warnings if w not in result.slips),
+        next_steps=(*_next_steps(result, constants), *gauge),
+    )
+
+
+def _headline(result: PointResult, constants: tuple[ConstantLine, ...]) -> str:
+    said = determined_by(constants, len(result.frequencies))
+    if result.angles is None:
+        return said
+    angles = "/".join(f"{a:g}" for a in result.angles.angles_deg)
+    return (
+        f"The unknown angles that fit best are {angles}; other angles may fit as well: "
+        f"`cpam-bayes sequence {plate_argument(result.specimen)}` gives each its probability. {said}"
+    )
+
+
+def _constant(result: PointResult, c: ConstantEstimate) -> ConstantLine:
+    specimen = result.specimen
+    unit = to_user(c.name, 1.0)
+    by = "the frequencies"
+    verdict = DETERMINED[c.verdict]
+    prior = specimen.unknowns[c.name].prior
+    if c.bound is not None:
+        end = c.lower if c.bound == "lower" else c.upper
+        by, verdict = f"its {c.bound} bound {to_user(c.name, end):.5g} {unit_of(c.name)}".rstrip(), "no"
+    elif not math.isfinite(c.sd):
+        by, verdict = "too few frequencies to tell", "no"
+    elif c.elsewhere:
+        by, verdict = "which of several optima is true", "no"
+    elif verdict != "yes":
+        by = decided_by(c.name, prior) + (" with the frequencies" if verdict == "partly" else "")
+    return ConstantLine(
+        symbol=c.name,
+        title=constant_title(c.name, isotropic=specimen.material.isotropic),
+        key=user_name(c.name),
+        value=unit * c.value,
+        interval=None if c.interval is None else (unit * c.interval[0], unit * c.interval[1]),
+        unit=unit_of(c.name),
+        reference=unit * c.reference,
+        determined=verdict,
+        by=by,
+    )
+
+
+def _fit(result: PointResult) -> str:
+    residuals = np.array([row.residual for row in result.frequencies])
+    worst = int(np.argmax(np.abs(residuals)))
+    side = "too high" if residuals[worst] > 0 else "too low"
+    return (
+        f"With these constants the plate model repeats the {frequencies_text(len(residuals))} to "
+        f"{significant(100 * result.estimate.rms, 2)} % (root mean square); the worst is frequency "
+        f"{worst + 1}, predicted {significant(100 * abs(residuals[worst]), 2)} % {side}."
+    )
+
+
+def _noise(estimate: PointEstimate) -> str:
+    measurement = estimate.specimen.measurement
+    assert measurement is not None
+    n, k = measurement.size, len(estimate.constants)
+    if not math.isfinite(estimate.noise):
+        return (
+            f"No intervals can be given: {frequencies_text(n)} for {k} unknowns leave nothing to tell the "
+            "noise by."
+        )
+    if not estimate.noise_is_inferred:
+        key = "relative_std" if measurement.frequency_sd is None else "frequency_sd_hz"
+        return noise_sentence(estimate.noise, f"the level is {key} of the plate file")
+    return noise_sentence(
+        estimate.noise, f"the level is estimated from the misfit of {n} frequencies with {k} constants fitted"
+    )
+
+
+def _next_steps(result: PointResult, constants: tuple[ConstantLine, ...]) -> tuple[str, ...]:
+    estimate, steps = result.estimate, []
+    plate = plate_argument(result.specimen)
+    open_ = [c.symbol for c in constants if c.determined != "yes"]
+    if open_:
+        steps.append(f"Measure more modes: {listed(open_, 'and')} may then be determined.")
+    if estimate.noise_is_inferred:
+        steps.append(
+            "Repeat the tap test and give relative_std in [measurement]: a measured noise is better than one "
+            "estimated from the misfit."
+        )
+    steps.append(
+        "Ask what the plate model gets wrong (was anything attached to the plate?): "
+        f"cpam-bayes diagnose {plate}"
+    )
+    steps.append(f"Get the full posterior of the constants: cpam-bayes identify {plate} --backend emcee")
+    return tuple(steps)

@@ -1,0 +1,154 @@
+"""Sentences that the summaries of several questions share; each can be understood alone."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Sequence
+from typing import Final
+
+from cpam_bayes.formatting import fixed, listed, significant
+from cpam_bayes.identification.scale_errors import FREQUENCY_SCALE, ScaleError
+from cpam_bayes.plate import Specimen, to_user, unit_of, user_name
+from cpam_bayes.priors import Prior, TruncatedNormal
+from cpam_bayes.report.plates.head import edges_text, layup_text, size_text
+
+__all__ = [
+    "constant_title",
+    "decided_by",
+    "frequencies_text",
+    "noise_sentence",
+    "noise_word",
+    "plate_argument",
+    "plate_sentence",
+    "scale_sentences",
+]
+
+_TITLES: Final = {
+    "E1": "Young's modulus along the fibres",
+    "E2": "Young's modulus across the fibres",
+    "nu12": "Poisson's ratio in the ply",
+    "G12": "shear modulus in the ply",
+    "G13": "transverse shear modulus, along the fibres",
+    "G23": "transverse shear modulus, across the fibres",
+}
+_ISOTROPIC: Final = {"E1": "Young's modulus", "nu12": "Poisson's ratio"}
+
+# Relative noise of a tap test: usual up to the first level, high from there on.
+_GOOD, _USUAL = 0.003, 0.01
+# Least visible fraction of an error of size that the frequencies are said to show.
+_VISIBLE = 0.3
+# Least relative error of a constant, for 1 % of a size, that is worth a word, %.
+_WORTH_TELLING = 0.3
+_SCALE_WORDS: Final = {
+    "thickness": "thickness",
+    "length": "length",
+    "width": "width",
+    "density": "density",
+    "mass": "mass",
+    FREQUENCY_SCALE: "the analyser's frequency scale",
+}
+
+
+def constant_title(name: str, *, isotropic: bool) -> str:
+    """A constant in words; a name that has none stands for itself."""
+    return (_ISOTROPIC if isotropic else _TITLES).get(name, name)
+
+
+def frequencies_text(n: int) -> str:
+    """A number of measured frequencies."""
+    return "1 measured frequency" if n == 1 else f"{n} measured frequencies"
+
+
+def decided_by(name: str, prior: Prior, parameter_is_reference: bool = False) -> str:
+    """What decides a constant that the frequencies leave open, in the unit of the plate file."""
+    unit = f" {unit_of(name)}".rstrip()
+    if parameter_is_reference:
+        return "its [material] value and [material.sd]"
+    if isinstance(prior, TruncatedNormal):
+        return f"its prior {to_user(name, prior.loc):.5g} +- {to_user(name, prior.scale):.3g}{unit}"
+    return f"its bounds {to_user(name, prior.lower):.5g} to {to_user(name, prior.upper):.5g}{unit}"
+
+
+def plate_argument(specimen: Specimen) -> str:
+    """What a command takes for a plate, quoted for a shell."""
+    return shlex.quote(specimen.source.removeprefix("built-in "))
+
+
+def plate_sentence(specimen: Specimen) -> str:
+    """The plate as the model has it: what is not named here is not in the model."""
+    plate = specimen.plate
+    mass = plate.mass if plate.mass is not None else plate.density * plate.area * plate.thickness
+    weight = f", {mass * 1e3:.4g} g" if plate.mesh is None or plate.mass is not None else ""
+    layup = "" if specimen.material.isotropic else f", layup {layup_text(specimen)}"
+    air = f"air of {specimen.air_density:g} kg/m3" if specimen.air_density else "no air"
+    if specimen.sensors:
+        masses = [f"{s.mass * 1e3:g} g at ({s.x * 1e3:g}, {s.y * 1e3:g}) mm" for s in specimen.sensors]
+        attached = f"with {listed(masses, 'and')} attached"
+    else:
+        attached = "nothing attached to the plate"
+    return (
+        f"The plate in the model: {size_text(plate)} mm{weight}{layup}, {edges_text(plate.edges)}, "
+        f"{attached}, {air}."
+    )
+
+
+def noise_word(level: float) -> str:
+    """How a relative noise compares with that of a tap test."""
+    if level <= _GOOD:
+        return "which is low for a tap test"
+    return "which is usual for a tap test" if level <= _USUAL else "which is high for a tap test"
+
+
+def noise_sentence(level: float, source: str) -> str:
+    """What noise the intervals stand on; level : relative, source : where the level comes from."""
+    percent = significant(100.0 * level, 2)
+    return f"The intervals assume a noise of {percent} % of a frequency, {noise_word(level)}; {source}."
+
+
+def scale_sentences(
+    specimen: Specimen, errors: Sequence[ScaleError], shown: Sequence[str]
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """What errors of size, mass and frequency scale do unseen, and what to do about them.
+
+    shown : constants that are worth a word.
+    """
+    said, todo = [], []
+    given = [e for e in errors if e.sd is not None]
+    if given:
+        spreads = [f"{to_user(e.name, specimen.plate.sd[e.name]):g} {_unit(e.name)}" for e in given]
+        names = [f"{_SCALE_WORDS[e.name]} (+- {sd})" for e, sd in zip(given, spreads, strict=True)]
+        said.append(f"The intervals contain the stated uncertainty of {listed(names, 'and')}.")
+    missing, parts = [], []
+    for e in errors:
+        if e.sd is not None or e.visible > _VISIBLE:
+            continue
+        moved = [
+            f"{name} by {fixed(abs(e.shift[name]), 1)} %"
+            for name in shown
+            if abs(e.shift[name]) >= _WORTH_TELLING
+        ]
+        if not moved:
+            continue
+        parts.append(f"1 % of {_SCALE_WORDS[e.name]} moves {listed(moved, 'and')}")
+        if e.name != FREQUENCY_SCALE:
+            missing.append(e.name)
+    if parts:
+        said.append(f"No frequency shows an error of size, mass or frequency scale: {', '.join(parts)}.")
+    if missing:
+        keys = listed([user_name(name) for name in missing], "and")
+        verb = _HOW[missing[0]] if len(missing) == 1 else "Gauge and weigh the plate"
+        todo.append(f"{verb}, and give [plate.sd] with {keys}: the intervals then contain those errors.")
+    return tuple(said), tuple(todo)
+
+
+_HOW: Final = {
+    "thickness": "Gauge the thickness at ten points",
+    "density": "Weigh the plate",
+    "mass": "Weigh the plate",
+    "length": "Measure the length along both edges",
+    "width": "Measure the width along both edges",
+}
+
+
+def _unit(name: str) -> str:
+    return {"density": "kg/m3"}.get(name, unit_of(name))
