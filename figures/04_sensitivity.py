@@ -1,60 +1,72 @@
-"""Noise on a list of frequencies: repeated inversions, posteriors and the paper's Tables 10 to 14."""
+"""Noise on a list of frequencies: repeated inversions, posteriors and the paper's Tables 10 to 14.
+
+python figures/04_sensitivity.py [--help]
+"""
 
 from __future__ import annotations
 
-import json
-from pathlib import Path
 from typing import Any
 
-import matplotlib.pyplot as plt
+from journal import DOUBLE_MM, Drawing, Picture, figure, listed
+from matplotlib.figure import Figure
 
 from cpam_bayes.report.repetition.figures import draw_constant, legend_entries
 
-HERE = Path(__file__).parent
-STUDY = Path(__file__).stem
-TITLES = {
-    "model": "Noise on the list that the plate model gives at the reference constants",
-    "measured": "Noise on the measured list, as in the paper, against the inversion without noise",
-}
+STUDY = "04_sensitivity"
 NAMES = {"model": STUDY, "measured": f"{STUDY}_measured"}
-STYLE = {"font.size": 8.0, "axes.titlesize": 8.5, "legend.fontsize": 8.0, "axes.axisbelow": True}
+TITLES = {
+    "model": "Noise on the frequencies that the plate model gives at the reference constants",
+    "measured": "Noise on the measured frequencies, as in the paper",
+}
 
 
-def draw(results: Path, folder: Path) -> list[Path]:
-    """Draw the study's results, read from one folder, into another."""
-    data = json.loads((results / f"{STUDY}.json").read_text(encoding="utf-8"))
-    return [_draw(data[source], TITLES[source], folder / f"{NAMES[source]}.png") for source in TITLES]
+def pictures(data: dict[str, Any]) -> list[Picture]:
+    return [_picture(data[source], source) for source in TITLES]
 
 
-def _draw(documents: list[dict[str, Any]], title: str, path: Path) -> Path:
+def _picture(documents: list[dict[str, Any]], source: str) -> Picture:
+    compared = [
+        constant
+        for d in documents
+        for level in d["levels"]
+        for interpretation in level["readings"].values()
+        for constant in interpretation["constants"].values()
+    ]
+    inversions = max(len(c["repetitions"]) for c in compared)
+    agreeing = sum(c["means_agree"] and c["sds_agree"] for c in compared)
+    return Picture(
+        NAMES[source],
+        _grid(documents, TITLES[source]),
+        f"{TITLES[source]}: repeated inversions, posteriors and the printed means of ten.",
+        f"Every constant of {listed([d['plate'] for d in documents])} at each level of noise, as difference "
+        f"from the inversion without noise. Circles: mean of {inversions} inversions of perturbed "
+        "frequencies, with their standard deviation and, thick, the standard error of the mean. Squares: "
+        "mean and standard deviation of the posterior at that noise. Crosses: Tables 10 to 14 as printed. "
+        "The two interpretations of eq. (12) stand side by side. Means and standard deviations of "
+        f"repetition and posterior both agree in {agreeing} of {len(compared)} comparisons.",
+    )
+
+
+def _grid(documents: list[dict[str, Any]], title: str) -> Figure:
     columns = max(len(d["without_noise"]["constants"]) for d in documents)
-    with plt.rc_context(STYLE):
-        figure, axes = plt.subplots(
-            len(documents),
-            columns,
-            figsize=(2.5 * columns + 0.5, 2.1 * len(documents) + 1.1),
-            layout="constrained",
-            squeeze=False,
-        )
-        for row, document in zip(axes, documents, strict=True):
-            names = list(document["without_noise"]["constants"])
-            for ax, name in zip(row, names, strict=False):
-                draw_constant(ax, document, name)
-                ax.grid(True, axis="y", color="#e4e4e4", linewidth=0.6)
-            for ax in row[len(names) :]:
-                ax.set_axis_off()
-            row[0].set_ylabel("difference, %")
-        for ax in axes.ravel():
-            if ax.axison:
-                ax.set_xlabel("noise, %", labelpad=1)
-        figure.suptitle(title, fontsize=10)
-        handles = legend_entries(list(documents[0]["levels"][0]["readings"]))
-        figure.legend(handles=handles, loc="outside lower center", ncols=2, frameon=False)
-        figure.savefig(path, dpi=110, metadata={"Software": None})
-        plt.close(figure)
-    return path
+    new = figure(DOUBLE_MM, 25 + 41 * len(documents))
+    axes = new.subplots(len(documents), columns, squeeze=False)
+    for row, document in zip(axes, documents, strict=True):
+        names = list(document["without_noise"]["constants"])
+        for ax, name in zip(row, names, strict=False):
+            draw_constant(ax, document, name)
+            ax.grid(True, axis="y")
+            ax.set_xlabel("noise, %", labelpad=1)
+        for ax in row[len(names) :]:
+            ax.set_axis_off()
+        row[0].set_ylabel("difference, %")
+    new.suptitle(title)
+    handles = legend_entries(list(documents[0]["levels"][0]["readings"]))
+    new.legend(handles=handles, loc="outside lower center", ncols=2)
+    return new
 
+
+draw = Drawing(__file__, STUDY, "seed 0", pictures)
 
 if __name__ == "__main__":
-    for path in draw(HERE.parent / "studies" / "results", HERE):
-        print(path.relative_to(HERE.parent))
+    draw.main()

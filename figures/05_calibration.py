@@ -1,92 +1,113 @@
 """Rank histograms, distributions of the ranks and coverage of simulation-based calibration.
 
-python figures/05_calibration.py
+python figures/05_calibration.py [--help]
 """
 
 from __future__ import annotations
 
-import json
-from pathlib import Path
 from typing import Any
 
-import matplotlib
-
-matplotlib.use("Agg")
-import matplotlib.pyplot as plt
 import numpy as np
+from journal import (
+    AMBER,
+    BAND,
+    BLUE,
+    DOUBLE_MM,
+    GREEN,
+    GREY,
+    ORANGE,
+    PURPLE,
+    SKY,
+    Drawing,
+    Picture,
+    figure,
+    listed,
+    symbol,
+)
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
-STUDY = Path(__file__).stem
-HERE = Path(__file__).parent
-
-# Okabe and Ito's colours, told apart by the colour-blind and in grey.
-BLUE, ORANGE, GREY = "#0072B2", "#D55E00", "#777777"
-COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
+COLOURS = (BLUE, ORANGE, GREEN, PURPLE, AMBER, SKY)
 MARKERS = "osD^vP"
-SYMBOLS = {"relative_std": "noise s"}
-STYLE = {"font.size": 8.5, "axes.titlesize": 9.0, "legend.fontsize": 7.5, "axes.axisbelow": True}
 
 
-def draw(results: Path, folder: Path) -> list[Path]:
-    """Draw the study's results, read from one folder, into another."""
-    data = json.loads((results / f"{STUDY}.json").read_text(encoding="utf-8"))
+def pictures(data: dict[str, Any]) -> list[Picture]:
+    plates = data["plates"]
+    smallest = min(p["corrected_p"] for plate in plates for p in plate["parameters"])
+    coverage = [
+        (abs(c["share"] - c["level"]), 2 * c["standard_error"])
+        for plate in plates
+        for p in plate["parameters"]
+        for c in p["coverage"]
+    ]
+    within = sum(difference <= allowed for difference, allowed in coverage)
+    return [
+        Picture(
+            "05_calibration",
+            _all(data),
+            f"Simulation-based calibration of the posteriors of {listed([p['plate'] for p in plates])}.",
+            "True values are drawn from the prior and lists simulated from them: "
+            f"{listed([str(p['repetitions']) for p in plates])} repetitions. Histograms: rank of the true "
+            f"value among {data['draws']} posterior draws; grey: where {100 * data['band_probability']:g} % "
+            "of histograms of uniform ranks lie whole; p: test of uniformity, corrected for the number of "
+            "parameters. Below: the ranks' distribution less the uniform one with its band, and coverage "
+            "of central intervals less their level with two standard errors. The smallest p is "
+            f"{smallest:.2f}; {within} of {len(coverage)} coverages are within two standard errors of their "
+            "level.",
+        )
+    ]
+
+
+def _all(data: dict[str, Any]) -> Figure:
     plates = data["plates"]
     most = max(len(p["parameters"]) for p in plates)
-    with plt.rc_context(STYLE):
-        figure, axes = plt.subplots(
-            len(plates),
-            most + 2,
-            figsize=(2.0 * most + 5.0, 2.5 * len(plates) + 0.3),
-            squeeze=False,
-            layout="constrained",
-            width_ratios=[1.0] * most + [1.6, 1.4],
-        )
-        for row, plate in zip(axes, plates, strict=True):
-            for ax in row[len(plate["parameters"]) : most]:
-                ax.axis("off")
-            for ax, parameter in zip(row, plate["parameters"], strict=False):
-                _histogram(ax, plate, parameter, data["draws"])
-            row[0].set_ylabel(f"{plate['plate']}, {plate['repetitions']} repetitions\ncount")
-            _distribution(row[most], plate, data["draws"])
-            _coverage(row[most + 1], plate)
-        path = folder / f"{STUDY}.png"
-        figure.savefig(path, dpi=120, metadata={"Software": None})
-        plt.close(figure)
-    return [path]
+    new = figure(DOUBLE_MM, 100 * len(plates))
+    for part, plate in zip(np.atleast_1d(new.subfigures(len(plates), 1)), plates, strict=True):
+        part.suptitle(f"{plate['plate']}, {plate['repetitions']} repetitions")
+        above, below = part.subfigures(2, 1, height_ratios=(0.85, 1.0))
+        panels = above.subplots(1, most, squeeze=False)[0]
+        for ax in panels[len(plate["parameters"]) :]:
+            ax.set_axis_off()
+        for ax, parameter in zip(panels, plate["parameters"], strict=False):
+            _histogram(ax, plate, parameter, data["draws"])
+        panels[0].set_ylabel("repetitions")
+        left, right = below.subplots(1, 2)
+        _distribution(left, plate, data["draws"])
+        _coverage(right, plate)
+        handles, labels = left.get_legend_handles_labels()
+        below.legend(handles, labels, loc="outside lower center", ncols=len(labels))
+    return new
 
 
 def _histogram(ax: Axes, plate: dict[str, Any], parameter: dict[str, Any], draws: int) -> None:
     counts, band = parameter["counts"], plate["histogram_band"]
     edges = np.linspace(0, draws + 1, len(counts) + 1)
-    ax.axhspan(band["lower"][0], band["upper"][0], color="#dddddd", linewidth=0)
+    ax.axhspan(band["lower"][0], band["upper"][0], color=BAND, linewidth=0)
     ax.axhline(plate["repetitions"] / len(counts), color=GREY, linewidth=0.8)
     ax.stairs(counts, edges, fill=True, color=BLUE, alpha=0.75)
     ax.set_xlim(0, draws + 1)
     ax.set_ylim(0, 1.15 * max(band["upper"][0], *counts))
-    ax.set_title(f"{_symbol(parameter['name'])}, p = {parameter['corrected_p']:.2f}")
-    ax.set_xlabel("rank of the truth")
+    ax.set_title(f"{symbol(parameter['name'])}, p = {parameter['corrected_p']:.2f}")
+    ax.set_xlabel("rank")
 
 
 def _distribution(ax: Axes, plate: dict[str, Any], draws: int) -> None:
     """Departure of the ranks' distribution from the uniform one, with its band."""
     n = plate["repetitions"]
-    share = np.arange(1, draws + 1) / (draws + 1)
+    uniform = np.arange(1, draws + 1) / (draws + 1)
     band = plate["ecdf_band"]
-    lower, upper = (np.array(band[side]) / n - share for side in ("lower", "upper"))
-    ax.fill_between(share, lower, upper, color="#dddddd", linewidth=0, label="95 % of uniform ranks")
-    for parameter, colour in zip(plate["parameters"], COLOURS, strict=False):
-        departure = np.array(parameter["cumulative"][:-1]) / n - share
-        ax.plot(share, departure, color=colour, linewidth=1.0, label=_symbol(parameter["name"]))
-    ax.set_xlim(0, 1)
-    ax.set_xlabel("rank / 100")
-    ax.set_title("distribution of ranks less the uniform one")
-    ax.legend(ncols=2, loc="lower center", frameon=False, handlelength=1.2, columnspacing=1.0)
-    room = 1.9 * float(np.max(np.abs((*lower, *upper))))
-    ax.set_ylim(-room, 0.6 * room)
+    lower, upper = (np.array(band[side]) / n - uniform for side in ("lower", "upper"))
+    ax.fill_between(uniform, lower, upper, color=BAND, linewidth=0, label="95 % of uniform ranks")
+    for i, (parameter, colour) in enumerate(zip(plate["parameters"], COLOURS, strict=False)):
+        departure = np.array(parameter["cumulative"][:-1]) / n - uniform
+        marks = {"marker": MARKERS[i], "markevery": (5 + 2 * i, 20), "ms": 3}
+        ax.plot(uniform, departure, color=colour, label=symbol(parameter["name"]), **marks)
+    ax.set(xlim=(0, 1), xlabel=f"rank / {draws + 1}", ylabel="distribution - uniform one")
+    ax.set_title("Distribution of the ranks")
 
 
 def _coverage(ax: Axes, plate: dict[str, Any]) -> None:
-    """Shares of intervals that hold the truth, with two binomial standard errors."""
+    """Fractions of intervals that hold the true value, with two binomial standard errors."""
     n = len(plate["parameters"])
     for i, (parameter, colour) in enumerate(zip(plate["parameters"], COLOURS, strict=False)):
         for level, c in enumerate(parameter["coverage"]):
@@ -102,15 +123,11 @@ def _coverage(ax: Axes, plate: dict[str, Any]) -> None:
     levels = [c["level"] for c in plate["parameters"][0]["coverage"]]
     ax.axhline(0.0, color=GREY, linewidth=0.8)
     ax.set_xticks(range(len(levels)), [f"{100 * level:g} %" for level in levels])
-    ax.set_xlabel("central interval")
-    ax.set_ylabel("coverage less level, %")
-    ax.set_title("coverage, two standard errors")
+    ax.set(xlabel="level of the central interval", ylabel="coverage - level, %")
+    ax.set_title("Coverage, two standard errors")
 
 
-def _symbol(name: str) -> str:
-    return SYMBOLS.get(name, name)
-
+draw = Drawing(__file__, "05_calibration", "seed 0", pictures)
 
 if __name__ == "__main__":
-    for path in draw(HERE.parent / "studies" / "results", HERE):
-        print(path.relative_to(HERE.parent))
+    draw.main()

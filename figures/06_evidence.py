@@ -1,50 +1,54 @@
 """Evidence by three methods, and moments of posteriors by three methods.
 
-python figures/06_evidence.py
+python figures/06_evidence.py [--help]
 """
 
 from __future__ import annotations
 
-import json
-from pathlib import Path
 from typing import Any
 
 import numpy as np
+from journal import BLUE, DARK, DOUBLE_MM, LIGHT, ORANGE, Drawing, Picture, bare, figure, listed, symbol
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-HERE = Path(__file__).parent
-RESULTS = HERE.parent / "studies" / "results"
-
-DPI = 150
-COLORS = {"importance": "#333333", "emcee": "#4878a8", "nested": "#c1440e"}
+COLOURS = {"importance": DARK, "emcee": BLUE, "nested": ORANGE}
+MARKERS = {"importance": "o", "emcee": "s", "nested": "D"}
 NAMES = {"importance": "importance sampling", "emcee": "emcee", "nested": "nested sampling (dynesty)"}
-SYMBOLS = {
-    "E1_GPa": "$E_1$",
-    "E2_GPa": "$E_2$",
-    "nu12": r"$\nu_{12}$",
-    "G12_GPa": "$G_{12}$",
-    "G23_GPa": "$G_{23}$",
-    "relative_std": "noise",
-}
 
 
-def draw(results: Path = RESULTS, folder: Path = HERE) -> list[Path]:
-    """Draw the picture from the study's results in one folder into another."""
-    specimens = json.loads((results / "06_evidence.json").read_text(encoding="utf-8"))["specimens"]
-    figure = Figure(figsize=(11.0, 7.0), layout="constrained")
-    FigureCanvasAgg(figure)
-    left, middle, right = figure.subplots(1, 3, width_ratios=(1.25, 1.0, 1.0))
+def pictures(data: dict[str, Any]) -> list[Picture]:
+    specimens = data["specimens"]
+    z = max(abs(s["evidence_z"]) for s in specimens)
+    moments = max(abs(s["worst_z"]) for s in specimens)
+    agreeing = sum(s["agrees"] for s in specimens)
+    return [
+        Picture(
+            "06_evidence",
+            _all(specimens),
+            f"Log evidence and moments of the posteriors of {listed([s['plate'] for s in specimens])} by "
+            "several methods.",
+            "Left: log evidence less that of importance sampling; hollow: Laplace's approximation, which "
+            "states no error. Middle and right: means and standard deviations of every parameter less "
+            "those of importance sampling, in posterior standard deviations. Bars: two standard errors. "
+            f"Nested and importance sampling differ by at most {z:.1f} standard errors in the evidence; the "
+            f"moments of all methods by at most {moments:.1f}. The methods agree on {agreeing} of "
+            f"{len(specimens)} specimens.",
+        )
+    ]
+
+
+def _all(specimens: list[dict[str, Any]]) -> Figure:
+    rows = sum(len(s["parameters"]) for s in specimens)
+    new = figure(DOUBLE_MM, 35 + 6.5 * rows)
+    left, middle, right = new.subplots(1, 3, width_ratios=(1.1, 1.0, 1.0))
     _evidence(left, specimens)
     _moments(middle, specimens, "mean", "Means")
     _moments(right, specimens, "sd", "Standard deviations")
     right.set_yticklabels([])
     handles, labels = middle.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False)
-    path = folder / "06_evidence.png"
-    figure.savefig(path, dpi=DPI)
-    return [path]
+    new.legend(handles, labels, loc="outside lower center", ncols=3)
+    return new
 
 
 def _evidence(axes: Axes, specimens: list[dict[str, Any]]) -> None:
@@ -52,28 +56,25 @@ def _evidence(axes: Axes, specimens: list[dict[str, Any]]) -> None:
     for specimen in specimens:
         reference = specimen["log_evidence"]["importance"]["value"]
         for method, found in specimen["log_evidence"].items():
-            color = COLORS["nested" if method == "nested" else "importance"]
-            row = len(rows)
-            offset = found["value"] - reference
+            color = COLOURS["nested" if method == "nested" else "importance"]
             # Laplace has no error to show
             axes.errorbar(
-                offset,
-                row,
+                found["value"] - reference,
+                len(rows),
                 xerr=2 * found.get("error", 0.0),
-                fmt="o",
-                ms=5,
+                fmt=MARKERS["nested" if method == "nested" else "importance"],
                 color=color,
                 mfc=color if "error" in found else "white",
-                capsize=4 if "error" in found else 0,
+                capsize=3 if "error" in found else 0,
             )
             rows.append(f"{specimen['plate']}  {method}")
-        axes.axhline(len(rows) - 0.5, color="0.85", linewidth=0.8)
+        axes.axhline(len(rows) - 0.5, color=LIGHT, linewidth=0.6)
     axes.axvline(0.0, color="0.5", linewidth=0.8, zorder=0)
-    axes.set_yticks(range(len(rows)), rows, fontsize=8)
+    axes.set_yticks(range(len(rows)), rows)
     axes.set(ylim=(len(rows) - 0.5, -0.5))
-    axes.set_xlabel("log evidence less that of importance sampling\nbars: two standard errors")
+    axes.set_xlabel("difference, nats")
     axes.set_title("Log evidence")
-    _clean(axes)
+    bare(axes)
 
 
 def _moments(axes: Axes, specimens: list[dict[str, Any]], what: str, title: str) -> None:
@@ -82,35 +83,30 @@ def _moments(axes: Axes, specimens: list[dict[str, Any]], what: str, title: str)
     for specimen in specimens:
         for parameter in specimen["parameters"]:
             base = parameter["importance"]
-            for shift, (method, color) in zip((-0.22, 0.0, 0.22), COLORS.items(), strict=True):
-                own = parameter[method]
+            for shift, (method, color) in zip((-0.22, 0.0, 0.22), COLOURS.items(), strict=True):
+                moments = parameter[method]
                 axes.errorbar(
-                    (own[what] - base[what]) / base["sd"],
+                    (moments[what] - base[what]) / base["sd"],
                     len(rows) + shift,
-                    xerr=2 * own[f"{what}_error"] / base["sd"],
-                    fmt="o",
-                    ms=4,
-                    capsize=3,
+                    xerr=2 * moments[f"{what}_error"] / base["sd"],
+                    fmt=MARKERS[method],
+                    ms=3,
+                    capsize=2,
                     color=color,
                     label=NAMES[method] if not rows else None,
                 )
-            rows.append(f"{specimen['plate']}  {SYMBOLS.get(parameter['name'], parameter['name'])}")
-        axes.axhline(len(rows) - 0.5, color="0.85", linewidth=0.8)
+            rows.append(f"{specimen['plate']}  {symbol(parameter['name'])}")
+        axes.axhline(len(rows) - 0.5, color=LIGHT, linewidth=0.6)
     widest = float(np.max(np.abs(axes.get_xlim())))
     axes.axvline(0.0, color="0.5", linewidth=0.8, zorder=0)
-    axes.set_yticks(range(len(rows)), rows, fontsize=9)
+    axes.set_yticks(range(len(rows)), rows)
     axes.set(xlim=(-widest, widest), ylim=(len(rows) - 0.5, -0.5))
-    axes.set_xlabel("difference in posterior sd\nbars: two standard errors")
+    axes.set_xlabel("difference, posterior sd")
     axes.set_title(title)
-    _clean(axes)
+    bare(axes)
 
 
-def _clean(axes: Axes) -> None:
-    axes.set_axisbelow(True)
-    axes.spines[["top", "right", "left"]].set_visible(False)
-    axes.tick_params(axis="y", length=0)
-
+draw = Drawing(__file__, "06_evidence", "seed 0", pictures)
 
 if __name__ == "__main__":
-    for _path in draw():
-        print(_path.name)
+    draw.main()

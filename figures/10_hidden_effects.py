@@ -1,78 +1,68 @@
 """What is found of hidden effects: which cause leads by what was hidden, and how reliable its probability is.
 
-python figures/10_hidden_effects.py
+python figures/10_hidden_effects.py [--help]
 """
 
 from __future__ import annotations
 
-import json
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from journal import BLUE, DOUBLE_MM, GREY, ORANGE, SINGLE_MM, Drawing, Picture, figure
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-HERE = Path(__file__).parent
-RESULTS = HERE.parent / "studies" / "results"
-STUDY = Path(__file__).stem
-
-DPI = 110
-# Okabe and Ito's colours.
-COLOURS = ("#0072B2", "#D55E00")
-GREY = "#777777"
+STUDY = "10_hidden_effects"
 RATIO = 8.0
-COLUMNS = 2
-
-
-def draw(results: Path = RESULTS, folder: Path = HERE) -> list[Path]:
-    """Draw the pictures from the study's results in one folder into another."""
-    data = json.loads((results / f"{STUDY}.json").read_text(encoding="utf-8"))
-    return [
-        _saved(_confusion(_matrices(data["confusion"])), folder / f"{STUDY}.png"),
-        _saved(_reliability(data["reliability"]), folder / f"{STUDY}_reliability.png"),
-    ]
-
-
-def _saved(figure: Figure, path: Path) -> Path:
-    figure.savefig(path, dpi=DPI, metadata={"Software": None})
-    return path
-
-
-def _figure(width: float, height: float) -> Figure:
-    figure = Figure(figsize=(width, height), layout="constrained")
-    FigureCanvasAgg(figure)
-    return figure
-
-
-def _confusion(matrices: list[Matrix]) -> Figure:
-    """Which cause led by what was hidden, one panel a bench."""
-    rows = -(-len(matrices) // COLUMNS)
-    most = max(max(len(m.hidden), len(m.leading)) for m in matrices)
-    figure = _figure(COLUMNS * (1.6 + 0.2 * max(most, 6)), rows * (1.6 + 0.18 * max(most, 6)))
-    panels = figure.subplots(rows, COLUMNS, squeeze=False).ravel()
-    for empty in panels[len(matrices) :]:
-        empty.set_axis_off()
-    for ax, matrix in zip(panels, matrices, strict=False):
-        _matrix(ax, matrix)
-    figure.suptitle(
-        f"Signal to noise {RATIO:g}: most probable cause, % of the trials of each row", fontsize=10
-    )
-    return figure
+# Millimetres of a row, a column and the labels of a matrix.
+ROW_MM, LABELS_MM = 3.4, 42.0
 
 
 class Matrix(NamedTuple):
-    """Shares (hidden, leading) of one bench's trials; its causes by name."""
+    """Fractions (hidden, leading) of the trials on one plate; its causes by name."""
 
     bench: str
     hidden: list[str]
     leading: list[str]
-    share: np.ndarray
+    fraction: np.ndarray
+    trials: int
+    right: int
+
+
+def pictures(data: dict[str, Any]) -> list[Picture]:
+    matrices = _matrices(data["confusion"])
+    trials, right = sum(m.trials for m in matrices), sum(m.right for m in matrices)
+    bins = "; ".join(
+        f"{s['set']}: {s['n']} trials, calibration error {s['error']:.3f} ({s['standard_error']:.3f} by "
+        "chance alone)"
+        for s in data["reliability"]
+    )
+    drawn = [
+        Picture(
+            f"{STUDY}_{matrix.bench.replace(',', '').replace(' ', '_')}",
+            _confusion(matrix),
+            f"Most probable cause by the cause that was hidden, {matrix.bench}.",
+            f"Signal to noise {RATIO:g}, and plates without a hidden cause; per cent of the trials of each "
+            "row, their number in brackets. On the diagonal the most probable hypothesis is the true one: "
+            f"{matrix.right} of {matrix.trials} trials here, {right} of {trials} on all plates. Causes that "
+            "act alike share the rest.",
+        )
+        for matrix in matrices
+    ]
+    drawn.append(
+        Picture(
+            f"{STUDY}_reliability",
+            _reliability(data["reliability"]),
+            "How often the most probable class of causes is right, by its probability.",
+            "Fraction of trials whose most probable class holds the true cause, with one standard error. "
+            f"{bins}.",
+        )
+    )
+    return drawn
 
 
 def _matrices(cells: list[dict[str, Any]]) -> list[Matrix]:
-    """Clean plates with strong effects, bench by bench."""
+    """Plates without a hidden cause and with strong effects, bench by bench."""
     by_bench: dict[str, dict[str, dict[str, int]]] = {}
     for cell in cells:
         if cell["ratio"] in (0.0, RATIO):
@@ -80,59 +70,67 @@ def _matrices(cells: list[dict[str, Any]]) -> list[Matrix]:
     found = []
     for name, counts in by_bench.items():
         hidden = sorted(counts, key=lambda c: (c != "none", c))
-        answers = {c for own in counts.values() for c in own}
+        answers = {c for row in counts.values() for c in row}
         pairs = {c for c in answers if " + " in c}
         leading = [*hidden, *sorted(answers - set(hidden) - pairs)]
         if pairs:
             leading.append("two causes")
-        share = np.zeros((len(hidden), len(leading)))
+        number = np.zeros((len(hidden), len(leading)))
         for i, h in enumerate(hidden):
             for c, k in counts[h].items():
-                share[i, leading.index("two causes" if c in pairs else c)] += k
-        share /= share.sum(axis=1, keepdims=True)
-        found.append(Matrix(name, [f"{h} ({sum(counts[h].values())})" for h in hidden], leading, share))
+                number[i, leading.index("two causes" if c in pairs else c)] += k
+        rows = number.sum(axis=1)
+        labels = [f"{h} ({n:.0f})" for h, n in zip(hidden, rows, strict=True)]
+        right = int(number.diagonal().sum())
+        found.append(Matrix(name, labels, leading, number / rows[:, None], int(rows.sum()), right))
     return found
 
 
-def _matrix(ax: Axes, own: Matrix) -> None:
-    ax.imshow(np.ma.masked_equal(own.share, 0.0), cmap="Blues", vmin=0.0, vmax=1.0, aspect="auto")
-    ax.set_xticks(range(len(own.leading)), own.leading, rotation=90, fontsize=7)
-    ax.set_yticks(range(len(own.hidden)), own.hidden, fontsize=7)
-    ax.set_xlabel("most probable", fontsize=8)
-    ax.set_ylabel("hidden (trials)", fontsize=8)
-    ax.set_title(own.bench, fontsize=9)
-    for i, row in enumerate(own.share):
+def _confusion(matrix: Matrix) -> Figure:
+    """Which cause led by what was hidden, on one plate."""
+    wide = min(DOUBLE_MM, 3.0 * ROW_MM * len(matrix.leading))
+    new = figure(DOUBLE_MM if wide > SINGLE_MM else SINGLE_MM, LABELS_MM + ROW_MM * len(matrix.hidden) + 8)
+    _matrix(new.subplots(), matrix)
+    return new
+
+
+def _matrix(ax: Axes, matrix: Matrix) -> None:
+    ax.imshow(np.ma.masked_equal(matrix.fraction, 0.0), cmap="Blues", vmin=0.0, vmax=1.0, aspect="auto")
+    ax.set_xticks(range(len(matrix.leading)), matrix.leading, rotation=90)
+    ax.set_yticks(range(len(matrix.hidden)), matrix.hidden)
+    ax.set_xlabel("most probable hypothesis")
+    ax.set_ylabel("hidden cause (trials)")
+    ax.set_title(f"{matrix.bench}, % of the trials of each row")
+    ax.tick_params(length=0)
+    for i, row in enumerate(matrix.fraction):
         for j, value in enumerate(row):
             if value > 0.0:
                 shade = "white" if value > 0.6 else "black"
-                ax.text(j, i, f"{100 * value:.0f}", ha="center", va="center", fontsize=6, color=shade)
+                ax.text(j, i, f"{100 * value:.0f}", ha="center", va="center", fontsize=7, color=shade)
 
 
 def _reliability(sets: list[dict[str, Any]]) -> Figure:
     """How often the leading class was right, by its probability."""
-    figure = _figure(5.2, 4.4)
-    ax = figure.subplots()
+    new = figure(SINGLE_MM, 82)
+    ax = new.subplots()
     ax.plot((0, 1), (0, 1), color=GREY, linewidth=0.8)
-    for own, colour, marker in zip(sets, COLOURS, "os", strict=False):
-        p = np.array([b["probability"] for b in own["bins"]])
-        right = np.array([b["right"] for b in own["bins"]])
-        n = np.array([b["n"] for b in own["bins"]])
-        # of a share, with one trial of each outcome added
+    for trials, colour, marker in zip(sets, (BLUE, ORANGE), "os", strict=False):
+        p = np.array([b["probability"] for b in trials["bins"]])
+        right = np.array([b["right"] for b in trials["bins"]])
+        n = np.array([b["n"] for b in trials["bins"]])
+        # of a fraction, with one trial of each outcome added
         smooth = (right * n + 1) / (n + 2)
         bars = np.sqrt(smooth * (1 - smooth) / n)
-        label = f"{own['set']}: {own['n']}, {own['error']:.3f} ({own['standard_error']:.3f} by chance alone)"
-        ax.errorbar(p, right, yerr=bars, fmt=marker, ms=4, color=colour, elinewidth=0.8, label=label)
-    ax.set_xlim(0, 1.02)
-    ax.set(ylim=(0, 1.3), yticks=np.linspace(0.0, 1.0, 6))
-    ax.set_xlabel("probability of the leading class")
-    ax.set_ylabel("share that was right")
-    ax.legend(
-        fontsize=7.5, loc="upper left", frameon=False, title="trials, calibration error", title_fontsize=7.5
-    )
-    ax.spines[["top", "right"]].set_visible(False)
-    return figure
+        label = f"{trials['set']}, {trials['n']} trials"
+        ax.errorbar(p, right, yerr=bars, fmt=marker, color=colour, elinewidth=0.8, label=label)
+    ax.set(xlim=(0, 1.03), ylim=(0, 1.03))
+    ax.set_xlabel("probability of the most probable class")
+    ax.set_ylabel("fraction of trials that were right")
+    new.legend(loc="outside upper center")
+    return new
 
+
+draw = Drawing(__file__, STUDY, "seed 0", pictures)
 
 if __name__ == "__main__":
-    for path in draw():
-        print(path.relative_to(HERE.parent))
+    draw.main()

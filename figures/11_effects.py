@@ -1,59 +1,75 @@
-"""What every cause does to the modes of a plate, and what of it the constants leave to be seen.
+"""What every cause does to the modes of a plate, and what of it the constants leave visible.
 
-python figures/11_effects.py
+python figures/11_effects.py [--help]
 """
 
 from __future__ import annotations
 
-import json
-from pathlib import Path
 from typing import Any
 
 import numpy as np
+from journal import DOUBLE_MM, LIGHT, ORANGE, Drawing, Picture, figure, listed
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-HERE = Path(__file__).parent
-RESULTS = HERE.parent / "studies" / "results"
-
-DPI = 110
 COLUMNS = 4
-GREY, ORANGE = "#a8a8a8", "#c1440e"
+# Below this fraction of its shift a cause is said to be absorbed.
+ABSORBED = 0.02
 
 
-def draw(results: Path = RESULTS, folder: Path = HERE) -> list[Path]:
-    """Draw one panel a cause from the study's results in one folder into another."""
-    found = json.loads((results / "11_effects.json").read_text(encoding="utf-8"))
+def pictures(found: dict[str, Any]) -> list[Picture]:
+    effects = found["effects"]
+    absorbed = [
+        e["cause"] for e in effects if _norm(e["projected_percent"]) < ABSORBED * _norm(e["shift_percent"])
+    ]
+    said = (
+        f" Less than {100 * ABSORBED:g} % of the shift stays visible for {listed(absorbed)}."
+        if absorbed
+        else ""
+    )
+    return [
+        Picture(
+            "11_effects",
+            _all(found),
+            "Relative shift of each mode by every cause of the catalogue, and the part that the constants "
+            "cannot absorb.",
+            "Bars of a panel: modes of the plate that its title names, by their labels; the size of the "
+            "cause is in the title. Grey: shift; orange: what is left when the constants have absorbed "
+            f"what they can, priors aside.{said}",
+        )
+    ]
+
+
+def _norm(values: list[float]) -> float:
+    return float(np.linalg.norm(values))
+
+
+def _all(found: dict[str, Any]) -> Figure:
     effects = found["effects"]
     rows = -(-len(effects) // COLUMNS)
-    figure = Figure(figsize=(11.0, 1.75 * rows + 0.8), layout="constrained")
-    FigureCanvasAgg(figure)
-    grid = figure.subplots(rows, COLUMNS, squeeze=False).ravel()
+    new = figure(DOUBLE_MM, 12 + 31 * rows)
+    grid = new.subplots(rows, COLUMNS, squeeze=False).ravel()
     for axes, effect in zip(grid, effects, strict=False):
         _panel(axes, effect, found["plates"][effect["plate"]]["labels"])
     for axes in grid[len(effects) :]:
         axes.set_axis_off()
     handles, labels = grid[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=2, frameon=False, fontsize=9)
-    figure.suptitle("Relative shift of each mode in %, by one standard deviation of every cause", fontsize=11)
-    path = folder / "11_effects.png"
-    figure.savefig(path, dpi=DPI)
-    return [path]
+    new.legend(handles, labels, loc="outside lower center", ncols=2)
+    new.supylabel("relative shift of the frequency, %", fontsize=7.5)
+    return new
 
 
 def _panel(axes: Axes, effect: dict[str, Any], labels: list[str]) -> None:
     shift, left = (np.array(effect[key]) for key in ("shift_percent", "projected_percent"))
     x = np.arange(len(shift))
-    axes.bar(x - 0.2, shift, 0.38, color=GREY, label="shift")
-    axes.bar(x + 0.2, left, 0.38, color=ORANGE, label="left when the constants have taken what they can")
+    axes.bar(x - 0.2, shift, 0.38, color=LIGHT, label="shift")
+    axes.bar(x + 0.2, left, 0.38, color=ORANGE, label="not absorbed by the constants")
     axes.axhline(0.0, color="0.4", linewidth=0.7)
-    axes.set_xticks(x, [_short(label) for label in labels[: len(x)]], fontsize=6)
-    axes.tick_params(axis="y", labelsize=7)
+    axes.set_xticks(x, [_short(label) for label in labels[: len(x)]])
+    axes.tick_params(axis="x", length=0)
     axes.locator_params(axis="y", nbins=4)
     axes.margins(y=0.12)
-    axes.spines[["top", "right"]].set_visible(False)
-    axes.set_title(f"{effect['cause']}, {_size(effect)}, {effect['plate']}", fontsize=8)
+    axes.set_title(f"{effect['cause']}\n{_size(effect)}, {effect['plate']}", fontsize=7.5)
 
 
 def _size(effect: dict[str, Any]) -> str:
@@ -63,10 +79,12 @@ def _size(effect: dict[str, Any]) -> str:
 
 
 def _short(label: str) -> str:
-    """A label in the space of a bar: its numbers, a combination in two lines."""
-    return label.replace("(", "").replace(")", "").replace("+", "\n")
+    """A label in the space of a bar: its numbers one below the other, of a combination the first."""
+    first, *others = label.split("+")
+    return first.strip().strip("()").replace(",", "\n") + ("+" if others else "")
 
+
+draw = Drawing(__file__, "11_effects", "no random numbers", pictures)
 
 if __name__ == "__main__":
-    for _path in draw():
-        print(_path.name)
+    draw.main()

@@ -1,78 +1,91 @@
 """What the diagnosis finds: probabilities of none, other and the leading causes of every plate.
 
-python figures/12_findings.py
+python figures/12_findings.py [--help]
 """
 
 from __future__ import annotations
 
-import json
-from pathlib import Path
 from typing import Any
 
+from journal import DARK, DOUBLE_MM, GREY, ORANGE, SKY, Drawing, Picture, claimed, figure
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.patches import Patch
 
-HERE = Path(__file__).parent
-RESULTS = HERE.parent / "studies" / "results"
-
-DPI = 110
-# none, other, the three leading causes, all else
-COLOURS = {"none": "#7a9e7e", "other": "#8c8c8c"}
-LEADING, REST = ("#c1440e", "#e08e45", "#f2cc8f"), "#e8e8e8"
+COLOURS = {"none": SKY, "other": GREY}
+LEADING, REST = (ORANGE, "#E9A36A", "#F6D9BF"), "#EFEFEF"
 # Width of a letter on the axis of probabilities.
-_OF_A_LETTER = 0.0095
+LETTER = 0.0115
 
 
-def draw(results: Path = RESULTS, folder: Path = HERE) -> list[Path]:
-    """Draw one bar a group of plates from the study's results in one folder into another."""
-    groups = json.loads((results / "12_findings.json").read_text(encoding="utf-8"))["groups"]
-    figure = Figure(figsize=(10.5, 0.3 * len(groups) + 1.4), layout="constrained")
-    FigureCanvasAgg(figure)
-    bars, fits = figure.subplots(1, 2, width_ratios=(3.2, 1.0), sharey=True)
+def pictures(data: dict[str, Any]) -> list[Picture]:
+    groups = data["groups"]
+    claims = [
+        f"{' + '.join(g['plates'])}: {claimed(g)}" for g in groups if g["claim"] not in ("none", "undecided")
+    ]
+    return [
+        Picture(
+            "12_findings",
+            _all(groups),
+            "What the diagnosis finds on the plates of the paper, and on plates of spruce where these are "
+            "among the results.",
+            "Left: posterior probability that nothing is wrong, that something outside the catalogue is, "
+            "and of the three most probable causes, named where there is room. Right: rms residual of the "
+            "plain model, and an arrow to that of the extended model where something is claimed. "
+            + (f"Claimed: {'; '.join(claims)}." if claims else "Nothing is claimed."),
+        )
+    ]
+
+
+def _all(groups: list[dict[str, Any]]) -> Figure:
+    new = figure(DOUBLE_MM, 32 + 6.5 * len(groups))
+    bars, fits = new.subplots(1, 2, width_ratios=(3.0, 1.0), sharey=True)
     for row, group in enumerate(groups):
         _bar(bars, row, group)
-        before = group["baseline"]["rms_percent"]
-        fits.plot(before, row, "o", color="#555555", markersize=4)
-        if group["extended"] is not None:
-            after = group["extended"]["rms_percent"]
-            fits.annotate(
-                "", (after, row), (before, row), arrowprops={"arrowstyle": "->", "color": LEADING[0]}
-            )
-    bars.set_yticks(range(len(groups)), [" + ".join(g["plates"]) for g in groups], fontsize=8)
-    bars.invert_yaxis()
-    bars.set_xlim(0.0, 1.0)
-    bars.set_xlabel("probability")
-    bars.set_title("none (green), other (grey), the leading causes, the rest (light)", fontsize=9)
+        _fit(fits, row, group)
+    bars.set_yticks(range(len(groups)), [" + ".join(g["plates"]) for g in groups])
+    bars.set_ylim(len(groups) - 0.5, -0.5)
+    bars.set(xlim=(0.0, 1.0), xlabel="probability")
     fits.set_xscale("log")
     fits.set_xlim(0.1, 100.0)
     fits.set_xticks((0.1, 1.0, 10.0, 100.0), ("0.1", "1", "10", "100"))
     fits.minorticks_off()
-    fits.set_xlabel("rms residual, %;\narrow: to the extended model")
-    fits.grid(axis="x", color="0.9")
+    fits.set_xlabel("rms residual, %")
+    fits.grid(axis="x")
     for axes in (bars, fits):
-        axes.spines[["top", "right"]].set_visible(False)
-    path = folder / "12_findings.png"
-    figure.savefig(path, dpi=DPI)
-    return [path]
+        axes.spines["left"].set_visible(False)
+        axes.tick_params(axis="y", length=0)
+    words = ("nothing wrong", "outside the catalogue", "most probable cause", "second", "third", "all others")
+    colours = (*COLOURS.values(), *LEADING, REST)
+    handles = [Patch(color=c, label=w) for w, c in zip(words, colours, strict=True)]
+    new.legend(handles=handles, loc="outside upper center", ncols=len(handles))
+    return new
+
+
+def _fit(axes: Axes, row: int, group: dict[str, Any]) -> None:
+    before = group["baseline"]["rms_percent"]
+    if group["extended"] is not None:
+        after = group["extended"]["rms_percent"]
+        arrow = {"arrowstyle": "->", "color": ORANGE, "lw": 1.0, "shrinkA": 0.0, "shrinkB": 0.0}
+        axes.annotate("", (after, row), (before, row), arrowprops=arrow)
+    axes.plot(before, row, "o", color=DARK)
 
 
 def _bar(axes: Axes, row: int, group: dict[str, Any]) -> None:
     by_cause = {h["cause"]: h for h in group["hypotheses"]}
     causes = [c for c in by_cause if c not in COLOURS]
     pieces = [(c, by_cause[c]["probability"], COLOURS[c]) for c in COLOURS if c in by_cause]
-    pieces += [(c, by_cause[c]["probability"], LEADING[i]) for i, c in enumerate(causes[:3])]
+    pieces += [(c, by_cause[c]["probability"], LEADING[i]) for i, c in enumerate(causes[: len(LEADING)])]
     left = 0.0
     for cause, probability, colour in pieces:
-        axes.barh(row, probability, left=left, color=colour, height=0.72)
-        if probability >= _OF_A_LETTER * len(cause) and cause not in COLOURS:
-            axes.text(
-                left + 0.5 * probability, row, cause, ha="center", va="center", fontsize=7, color="white"
-            )
+        axes.barh(row, probability, left=left, color=colour, height=0.75)
+        if probability >= LETTER * len(cause) and cause not in COLOURS:
+            axes.text(left + 0.5 * probability, row, cause, ha="center", va="center", fontsize=7)
         left += probability
-    axes.barh(row, 1.0 - left, left=left, color=REST, height=0.72)
+    axes.barh(row, 1.0 - left, left=left, color=REST, height=0.75)
 
+
+draw = Drawing(__file__, "12_findings", "seed 0", pictures)
 
 if __name__ == "__main__":
-    for _path in draw():
-        print(_path.name)
+    draw.main()

@@ -1,51 +1,59 @@
 """What sister plates and further tests add: probability of the hidden cause, cause by cause.
 
-python figures/13_several_plates.py
+python figures/13_several_plates.py [--help]
 """
 
 from __future__ import annotations
 
-import json
-from pathlib import Path
+from typing import Any
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
+from journal import DOUBLE_MM, Drawing, Picture, figure
 from matplotlib.figure import Figure
 
-HERE = Path(__file__).parent
-RESULTS = HERE.parent / "studies" / "results"
-STUDY = Path(__file__).stem
 
-DPI = 130
+def pictures(data: dict[str, Any]) -> list[Picture]:
+    setups = data["setups"]
+    alone, best = setups[0], max(setups, key=lambda s: s["cause_probability"])
+    wrong = sum(s["wrong_claims"] for s in setups)
+    return [
+        Picture(
+            "13_several_plates",
+            _table(data),
+            "Probability of the hidden cause by what else is measured.",
+            f"A cause is hidden in simulated lists of C1, {alone['trials']} trials. Rows: mean over the "
+            "trials of a cause; columns: the list alone, with lists of sister plates without the flaw, or "
+            f"with another test of the same plate. On average {alone['cause_probability']:.2f} alone and "
+            f"{best['cause_probability']:.2f} with the most informative addition ({best['setup']}). Wrong "
+            f"claims: {wrong}.",
+        )
+    ]
 
 
-def draw(results: Path = RESULTS, folder: Path = HERE) -> list[Path]:
-    """Draw the picture from the study's results in one folder into another."""
-    data = json.loads((results / f"{STUDY}.json").read_text(encoding="utf-8"))
+def _table(data: dict[str, Any]) -> Figure:
     setups, rows = data["setups"], data["by_cause"]
     names = [s["setup"] for s in setups]
     table = np.array([[row[n] for n in names] for row in rows])
     mean = np.array([s["cause_probability"] for s in setups])
     order = np.argsort(-table[:, 0], kind="stable")
     shown = np.vstack((mean, table[order]))
-    figure = Figure(figsize=(2.4 + 1.15 * len(names), 1.3 + 0.29 * len(shown)), layout="constrained")
-    FigureCanvasAgg(figure)
-    ax = figure.subplots()
+    new = figure(DOUBLE_MM, 22 + 6.0 * len(shown))
+    ax = new.subplots()
     image = ax.imshow(shown, cmap="Blues", vmin=0.0, vmax=1.0, aspect="auto")
     for (i, j), value in np.ndenumerate(shown):
-        ax.text(j, i, f"{value:.2f}", ha="center", va="center", fontsize=8, color="w" if value > 0.6 else "k")
-    ax.axhline(0.5, color="black", linewidth=1.2)
-    ax.set_xticks(range(len(names)), [n.replace(" as well", "\nas well") for n in names], fontsize=9)
-    ax.set_yticks(range(len(shown)), ["mean of all trials", *(rows[i]["cause"] for i in order)], fontsize=9)
+        ax.text(j, i, f"{value:.2f}", ha="center", va="center", color="w" if value > 0.6 else "k")
+    ax.axhline(0.5, color="black", linewidth=1.0)
+    ax.set_xticks(range(len(names)), [n.replace(" as well", "\nas well") for n in names])
+    ax.set_yticks(range(len(shown)), ["mean of all trials", *(rows[i]["cause"] for i in order)])
+    ax.set_ylabel("hidden cause")
     ax.xaxis.tick_top()
     ax.tick_params(length=0)
     ax.spines[:].set_visible(False)
-    figure.colorbar(image, ax=ax, label="probability of the hidden cause", fraction=0.04)
-    path = folder / f"{STUDY}.png"
-    figure.savefig(path, dpi=DPI, metadata={"Software": None})
-    return [path]
+    new.colorbar(image, ax=ax, label="probability of the hidden cause", fraction=0.04, pad=0.02)
+    return new
 
+
+draw = Drawing(__file__, "13_several_plates", "seed 0", pictures)
 
 if __name__ == "__main__":
-    for path in draw():
-        print(path.relative_to(HERE.parent))
+    draw.main()

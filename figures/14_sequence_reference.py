@@ -1,65 +1,80 @@
-"""How far log evidences of sequences are off, and the sum over all of them layer by layer.
+"""How far log evidences of stacking sequences are off, and the sum over all of them layer by layer.
 
-python figures/14_sequence_reference.py
+python figures/14_sequence_reference.py [--help]
 """
 
 from __future__ import annotations
 
-import json
-from pathlib import Path
 from typing import Any
 
 import numpy as np
+from journal import AMBER, BLUE, DOUBLE_MM, GREY, ORANGE, Drawing, Picture, figure
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-HERE = Path(__file__).parent
-RESULTS = HERE.parent / "studies" / "results"
-STUDY = Path(__file__).stem
-
-DPI = 130
-BLUE, RED, GREY = "#4878a8", "#c0392b", "#808080"
-ASKED = 0.1
+LARGEST_RMS = 0.1
 
 
-def draw(results: Path = RESULTS, folder: Path = HERE) -> list[Path]:
-    """Draw the picture from the study's results in one folder into another."""
-    cases = json.loads((results / f"{STUDY}.json").read_text(encoding="utf-8"))["cases"]
+def pictures(data: dict[str, Any]) -> list[Picture]:
+    cases = data["cases"]
     layered = [c for c in cases if c["layers"]]
-    figure = Figure(figsize=(4.6 + 3.9 * len(layered), 3.7), layout="constrained")
-    FigureCanvasAgg(figure)
-    axes = figure.subplots(1, 1 + len(layered), squeeze=False)[0]
+    rms = [c[key]["rms"] for c in cases for key in ("top", "drawn_with_care") if c[key]["rms"] is not None]
+    sums = (
+        " Right: stacking sequences drawn layer by layer, by how far the surrogate has them below its "
+        "largest value: fraction of the sum over all that a layer holds, by the reference with one "
+        "standard error and by the surrogate."
+    )
+    return [
+        Picture(
+            "14_sequence_reference",
+            _all(cases, layered),
+            "Log evidences of stacking sequences against a slow and independent reference.",
+            "Left: root mean square errors of the log evidence of the most probable classes and of "
+            f"stacking sequences drawn from the posterior; dashed: {LARGEST_RMS:g} nats. The largest of "
+            f"those that `sequence` uses is {max(rms):.3f} nats." + (sums if layered else ""),
+        )
+    ]
+
+
+def _all(cases: list[dict[str, Any]], layered: list[dict[str, Any]]) -> Figure:
+    new = figure(DOUBLE_MM, 78)
+    axes = new.subplots(1, 1 + len(layered), squeeze=False)[0]
     _errors(axes[0], cases)
     for ax, case in zip(axes[1:], layered, strict=True):
         _layers(ax, case)
-    path = folder / f"{STUDY}.png"
-    figure.savefig(path, dpi=DPI, metadata={"Software": None})
-    return [path]
+    handles, labels = axes[0].get_legend_handles_labels()
+    if layered:
+        more = axes[1].get_legend_handles_labels()
+        handles, labels = handles + more[0], labels + more[1]
+    new.legend(handles, labels, loc="outside lower center", ncols=3)
+    return new
 
 
 def _errors(ax: Axes, cases: list[dict[str, Any]]) -> None:
     """Root mean square errors against the reference."""
     y = np.arange(len(cases))
     kinds = (
-        ("top", "o", BLUE, "most probable"),
-        ("drawn_with_care", "s", RED, "drawn, refined"),
-        ("drawn_as_known", "d", "#e69f00", "drawn, before refinement"),
-        ("laplace", "|", GREY, "drawn, Laplace"),
+        ("top", "o", BLUE, "most probable classes"),
+        ("drawn_with_care", "s", ORANGE, "drawn, refined"),
+        ("drawn_as_known", "D", AMBER, "drawn, before refinement"),
+        ("laplace", "|", GREY, "drawn, Laplace's approximation"),
     )
     for key, marker, color, label in kinds:
         values = [c[key] if key == "drawn_as_known" else c[key]["rms"] for c in cases]
-        ax.plot([np.nan if v is None else v for v in values], y, marker, color=color, label=label, ms=7)
-    ax.axvline(ASKED, color="0.6", lw=0.8, ls="--")
-    ax.set_yticks(y, [c["case"] for c in cases], fontsize=8)
-    ax.set(xscale="log", xlabel="error of the log evidence, rms, nats", ylim=(len(cases) - 0.5, -0.5))
+        size = 7 if marker == "|" else 4
+        shown = [np.nan if v is None else v for v in values]
+        ax.plot(shown, y, marker, color=color, label=label, ms=size, mew=1.5 if marker == "|" else 0.5)
+    ax.axvline(LARGEST_RMS, color="0.6", lw=0.8, ls="--")
+    ax.set_yticks(y, [c["case"].replace(", ", "\n", 1) for c in cases])
+    ax.set(xscale="log", ylim=(len(cases) - 0.5, -0.5))
+    ax.set_xlabel("error of the log evidence, rms, nats")
     low, high = ax.get_xlim()
-    ticks = [t for t in (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0) if low <= t <= high]
+    ticks = [t for t in (0.01, 0.03, 0.1, 0.3, 1.0, 3.0) if low <= t <= high]
     ax.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
     ax.set_xticks([], minor=True)
-    ax.grid(axis="x", color="0.92")
-    ax.legend(frameon=False, fontsize=7.5, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
-    ax.spines[["top", "right", "left"]].set_visible(False)
+    ax.grid(axis="x")
+    ax.spines["left"].set_visible(False)
+    ax.tick_params(axis="y", length=0)
 
 
 def _layers(ax: Axes, case: dict[str, Any]) -> None:
@@ -73,16 +88,17 @@ def _layers(ax: Axes, case: dict[str, Any]) -> None:
         yerr=[r["mass_error"] / total for r in rows],
         fmt="o",
         color=BLUE,
-        label="reference",
+        label="layer, reference",
     )
-    ax.plot(middle, [r["learned_mass"] / total for r in rows], "x", color=RED, ms=8, label="surrogate")
-    ax.set(yscale="log", ylim=(1e-12, 3.0), xlabel="surrogate below its top, nats")
-    ax.set_ylabel("fraction of the sum over all sequences", fontsize=9)
-    ax.set_title(case["case"], fontsize=9)
-    ax.legend(frameon=False, fontsize=8)
-    ax.spines[["top", "right"]].set_visible(False)
+    ax.plot(
+        middle, [r["learned_mass"] / total for r in rows], "x", color=ORANGE, ms=6, label="layer, surrogate"
+    )
+    ax.set(yscale="log", ylim=(1e-12, 3.0), xlabel="surrogate below its largest, nats")
+    ax.set_ylabel("fraction of the sum over all")
+    ax.set_title(case["case"])
 
+
+draw = Drawing(__file__, "14_sequence_reference", "seed 0", pictures)
 
 if __name__ == "__main__":
-    for path in draw():
-        print(path.relative_to(HERE.parent))
+    draw.main()

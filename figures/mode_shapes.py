@@ -1,28 +1,21 @@
 """Mode shapes of C1 and D3 with their kinds, labels and frequencies.
 
-python figures/mode_shapes.py
+python figures/mode_shapes.py [--help]
 """
 
 from __future__ import annotations
 
-import json
-import re
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
+from journal import BLACK, DARK, DOUBLE_MM, ORANGE, Drawing, Picture, figure, subscripts
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from scipy.ndimage import zoom
 
-HERE = Path(__file__).parent
-RESULTS = HERE.parent / "studies" / "results"
-
-DPI = 110
 COLUMNS = {6: 3, 10: 5}
-OUTLINE, HELD, MOVED = "#333333", "#111111", "#c1440e"
+OUTLINE, HELD, MOVED = DARK, BLACK, ORANGE
 # Every so many grid lines of an in-plane mode are drawn, moved by so much of the shorter side.
 STRIDE, LARGEST = 4, 0.13
 # Nodal lines that cross look torn on a coarse grid. Steps of colour.
@@ -30,33 +23,38 @@ FINER = 6
 LEVELS = 20
 
 
-def draw(results: Path = RESULTS, folder: Path = HERE) -> list[Path]:
-    """Draw one picture a plate from the study's results in one folder into another."""
-    found = json.loads((results / "02_agreement.json").read_text(encoding="utf-8"))
-    written = []
-    for name, plate in found["shapes"].items():
-        path = folder / f"mode_shapes_{name}.png"
-        figure = _plate(name, plate)
-        FigureCanvasAgg(figure)
-        figure.savefig(path, dpi=DPI)
-        written.append(path)
-    return written
+def pictures(found: dict[str, Any]) -> list[Picture]:
+    return [_picture(name, plate) for name, plate in found["shapes"].items()]
+
+
+def _picture(name: str, plate: Mapping[str, Any]) -> Picture:
+    modes = plate["modes"]
+    in_plane = any("w" not in mode for mode in modes)
+    lowest, highest = (modes[i]["frequency_hz"] for i in (0, -1))
+    return Picture(
+        f"mode_shapes_{name}",
+        _plate(name, plate),
+        f"Mode shapes of {name}, {plate['layup']}, edges {plate['edges']}: {len(modes)} modes from "
+        f"{lowest:.1f} to {highest:.1f} Hz.",
+        f"The plate is {plate['length_mm']:g} x {plate['width_mm']:g} mm. Colour: deflection w, up red, "
+        "down blue; black: nodal lines"
+        + ("; grid: displacement in the plane, undeformed in grey" if in_plane else "")
+        + ". Thick edges are clamped. Above each mode its number, frequency, kind, and the numbers of nodal "
+        "lines that are crossed along x and along y.",
+    )
 
 
 def _plate(name: str, plate: Mapping[str, Any]) -> Figure:
     modes, size = plate["modes"], (plate["length_mm"], plate["width_mm"])
     columns = COLUMNS.get(len(modes), 3)
     rows = -(-len(modes) // columns)
-    wide = 2.6
+    wide = min(DOUBLE_MM / columns, 45.0)
     tall = wide * size[1] / size[0]
-    figure = Figure(figsize=(wide * columns, rows * (tall + 0.5) + 0.6), layout="constrained")
-    drawn = "colour: deflection w, its nodal lines black"
-    if any("w" not in mode for mode in modes):
-        drawn += "; grid: displacement in the plane"
-    layup = re.sub(r"_(\w+)", r"$_{\1}$", plate["layup"])
-    title = f"{name}: {layup}, {size[0]:g} x {size[1]:g} mm, edges {plate['edges']}"
-    figure.suptitle(f"{title}\n{drawn}", fontsize=10)
-    for i, (axes, mode) in enumerate(zip(figure.subplots(rows, columns).ravel(), modes, strict=True), 1):
+    new = figure(DOUBLE_MM, rows * (tall + 12) + 8)
+    new.suptitle(
+        f"{name}: {subscripts(plate['layup'])}, {size[0]:g} x {size[1]:g} mm, edges {plate['edges']}"
+    )
+    for i, (axes, mode) in enumerate(zip(new.subplots(rows, columns).ravel(), modes, strict=True), 1):
         (_deflection if "w" in mode else _in_plane)(axes, mode, size)
         _edges(axes, plate["edges"], size)
         axes.set_aspect("equal")
@@ -64,8 +62,8 @@ def _plate(name: str, plate: Mapping[str, Any]) -> Figure:
         margin = 0.02 * min(size)
         # for the width of the outline
         axes.set(xlim=(-margin, size[0] + margin), ylim=(-margin, size[1] + margin))
-        axes.set_title(f"{i}   {mode['frequency_hz']:.1f} Hz\n{mode['kind']} {mode['label']}", fontsize=9)
-    return figure
+        axes.set_title(f"{i}   {mode['frequency_hz']:.1f} Hz\n{mode['kind']} {mode['label']}", fontsize=7.5)
+    return new
 
 
 def _deflection(axes: Axes, mode: Mapping[str, Any], size: tuple[float, float]) -> None:
@@ -78,7 +76,7 @@ def _deflection(axes: Axes, mode: Mapping[str, Any], size: tuple[float, float]) 
     # a clamped edge is zero all along, which is no nodal line
     inside = np.abs(w) > 1e-3
     if w[inside].min() < 0.0:
-        axes.contour(x, y, w.T, [0.0], colors="black", linewidths=1.4)
+        axes.contour(x, y, w.T, [0.0], colors="black", linewidths=1.0)
 
 
 def _in_plane(axes: Axes, mode: Mapping[str, Any], size: tuple[float, float]) -> None:
@@ -95,13 +93,14 @@ def _edges(axes: Axes, edges: str, size: tuple[float, float]) -> None:
     """The outline, clamped edges thick, simply supported ones dashed."""
     a, b = size
     lines = (((0, 0), (0, b)), ((0, a), (0, 0)), ((a, a), (0, b)), ((0, a), (b, b)))
-    widths = {"F": 0.8, "S": 2.0, "C": 4.0}
+    widths = {"F": 0.8, "S": 1.6, "C": 3.2}
     for (x, y), condition in zip(lines, edges, strict=True):
         style = "--" if condition == "S" else "-"
         color = OUTLINE if condition == "F" else HELD
         axes.plot(x, y, style, color=color, linewidth=widths[condition], solid_capstyle="butt")
 
 
+draw = Drawing(__file__, "02_agreement", "no random numbers", pictures)
+
 if __name__ == "__main__":
-    for _path in draw():
-        print(_path.name)
+    draw.main()

@@ -1,4 +1,4 @@
-"""Studies and figures keep working: small runs, saved results, pictures, and the lists of them."""
+"""Studies keep working: small runs, saved results, and the list of them."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from tests.shared import once_a_run
 PROJECT = Path(__file__).parent.parent
 SAVED = PROJECT / "studies" / "results"
 STUDIES = sorted(path.stem for path in (PROJECT / "studies").glob("[0-9]*.py"))
-FIGURES = sorted(path.stem for path in (PROJECT / "figures").glob("*.py"))
+FIGURES = {path.stem for path in (PROJECT / "figures").glob("*.py")}
 AGREEMENT = "02_agreement"
 
 
@@ -49,15 +49,6 @@ def saved(name: str) -> dict[str, Any]:
     return found
 
 
-@pytest.fixture(scope="module")
-def quick_results(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with the results of the small versions of all studies."""
-    folder = tmp_path_factory.mktemp("results")
-    for name in STUDIES:
-        (folder / f"{name}.json").write_text(quick_text(name), encoding="utf-8")
-    return folder
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("name", STUDIES)
 def test_a_small_run_has_the_documented_keys(name: str) -> None:
@@ -73,32 +64,6 @@ def test_saved_results_are_those_of_a_full_run(name: str) -> None:
     assert found["quick"] is False
 
 
-@pytest.mark.parametrize("name", FIGURES)
-def test_a_figure_is_drawn_from_saved_results(name: str, tmp_path: Path) -> None:
-    drawn = script("figures", name).draw(SAVED, tmp_path)
-    assert drawn, "the files that were written are returned"
-    for path in drawn:
-        assert path.parent == tmp_path
-        assert path.read_bytes().startswith(b"\x89PNG")
-        assert (PROJECT / "figures" / path.name).exists(), "the picture is kept beside its script"
-        assert path.stat().st_size < 300e3
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", FIGURES)
-def test_a_figure_is_drawn_from_a_small_run(name: str, quick_results: Path, tmp_path: Path) -> None:
-    script("figures", name).draw(quick_results, tmp_path)
-
-
-@pytest.mark.slow
-def test_the_same_results_give_the_same_picture(quick_results: Path, tmp_path: Path) -> None:
-    first, again = (
-        [path.read_bytes() for path in script("figures", "mode_shapes").draw(quick_results, tmp_path)]
-        for _ in range(2)
-    )
-    assert first == again
-
-
 def listed(readme: Path) -> set[str]:
     """The scripts that a README's table begins a row with."""
     return set(re.findall(r"^\| `([\w.]+)\.py` \|", readme.read_text(encoding="utf-8"), re.MULTILINE))
@@ -106,14 +71,7 @@ def listed(readme: Path) -> set[str]:
 
 def test_each_study_is_listed_and_has_a_figure() -> None:
     assert listed(PROJECT / "studies" / "README.md") == set(STUDIES)
-    assert set(STUDIES) <= set(FIGURES)
-
-
-def test_each_figure_and_picture_is_listed() -> None:
-    readme = PROJECT / "figures" / "README.md"
-    assert listed(readme) == set(FIGURES)
-    pictures = {path.name for path in (PROJECT / "figures").glob("*.png")}
-    assert set(re.findall(r"`([\w.]+\.png)`", readme.read_text(encoding="utf-8"))) >= pictures
+    assert set(STUDIES) <= FIGURES
 
 
 # What the studies say

@@ -60,7 +60,8 @@ def draw_constant(axes: Axes, document: Mapping[str, Any], name: str) -> None:
     axes.axhline(0.0, color="0.6", linewidth=0.8, zorder=0)
     axes.set_xticks(range(len(document["levels"])), [f"{v['level_percent']:g}" for v in document["levels"]])
     axes.set_xlim(-0.6, len(document["levels"]) - 0.4)
-    axes.set_title(f"{document['plate']}: {name.split('_')[0]} = {reference:.4g}", fontsize="medium")
+    constant, _, unit = name.partition("_")
+    axes.set_title(f"{document['plate']}: {constant} = {reference:.4g} {unit}".rstrip(), fontsize="medium")
 
 
 def legend_entries(readings: Sequence[str]) -> list[Any]:

@@ -1,0 +1,196 @@
+"""Figures: drawn from saved results, with captions, legible in print, the same bytes each time."""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import re
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+
+import draw
+import journal
+import pytest
+from matplotlib.axes import Axes
+from matplotlib.axis import Axis
+from matplotlib.figure import Figure
+from matplotlib.text import Text
+from matplotlib.transforms import Bbox
+from PIL import Image
+
+from tests.test_studies import PROJECT, SAVED, STUDIES, listed, quick_text
+
+FIGURES = PROJECT / "figures"
+QUICKLY_DRAWN = "20_swarms"
+MM_PER_INCH = 25.4
+
+
+@cache
+def pictures(name: str) -> list[journal.Picture]:
+    return draw.drawing(name).drawn(SAVED)
+
+
+def source_of(path: Path) -> str:
+    """The hash of the results that a PNG was drawn from."""
+    with Image.open(path, formats=["PNG"]) as image:
+        return str(image.info["Source"])
+
+
+@pytest.fixture(scope="module")
+def quick_results(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the results of the small versions of all studies."""
+    folder = tmp_path_factory.mktemp("results")
+    for name in STUDIES:
+        (folder / f"{name}.json").write_text(quick_text(name), encoding="utf-8")
+    return folder
+
+
+@pytest.mark.parametrize("name", draw.NAMES)
+def test_a_figure_is_drawn_from_saved_results(name: str, tmp_path: Path) -> None:
+    drawing = draw.drawing(name)
+    source = hashlib.sha256((SAVED / f"{drawing.study}.json").read_bytes()).hexdigest()
+    written = drawing(SAVED, tmp_path)
+    assert written, "the files that were written are returned"
+    for path in written:
+        kept = FIGURES / path.name
+        assert path.stat().st_size < 300e3
+        assert source_of(path) == source
+        assert source_of(kept) == source, "drawn from other results: run figures/draw.py"
+        caption = path.with_suffix(".md").read_text(encoding="utf-8")
+        assert kept.with_suffix(".md").read_text(encoding="utf-8") == caption
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", draw.NAMES)
+def test_a_figure_is_drawn_from_a_small_run(name: str, quick_results: Path, tmp_path: Path) -> None:
+    draw.drawing(name)(quick_results, tmp_path)
+
+
+@pytest.mark.parametrize("kind", journal.KINDS)
+def test_the_same_results_give_the_same_bytes(kind: str, tmp_path: Path) -> None:
+    drawing = draw.drawing(QUICKLY_DRAWN)
+    first, again = ([path.read_bytes() for path in drawing(SAVED, tmp_path, kind)] for _ in range(2))
+    assert first == again
+
+
+def texts(figure: Figure) -> Iterator[tuple[str, float, Bbox]]:
+    """What is written, its size in points, and the box that it takes; ticks beyond the ends are not."""
+    beyond = set()
+    for axes in figure.findobj(Axes):
+        assert isinstance(axes, Axes)
+        for axis in (axes.xaxis, axes.yaxis):
+            beyond |= {id(label) for label in _unseen(axis, axes.axison)}
+    for text in figure.findobj(Text):
+        assert isinstance(text, Text)
+        if text.get_visible() and text.get_text().strip() and id(text) not in beyond:
+            yield text.get_text(), float(text.get_fontsize()), text.get_window_extent()
+
+
+def _unseen(axis: Axis, shown: bool) -> Iterator[Text]:
+    low, high = sorted(axis.get_view_interval())
+    slack = 1e-9 * (high - low)
+    for tick in (*axis.get_major_ticks(), *axis.get_minor_ticks()):
+        if not (shown and low - slack <= tick.get_loc() <= high + slack):
+            yield from (tick.label1, tick.label2)
+
+
+def faults(figure: Figure) -> list[str]:
+    """What a reader of the printed figure would complain of."""
+    figure.draw_without_rendering()
+    width, height = figure.get_size_inches() * MM_PER_INCH
+    found = []
+    if round(width, 6) not in (journal.SINGLE_MM, journal.DOUBLE_MM):
+        found.append(f"{width:.1f} mm wide")
+    if height > journal.TALLEST_MM:
+        found.append(f"{height:.1f} mm tall")
+    written = list(texts(figure))
+    page = figure.bbox.padded(1.0)
+    for text, points, box in written:
+        if points < journal.LEAST_POINTS:
+            found.append(f"{text!r} in {points:.1f} points")
+        if box.x0 < page.x0 or box.y0 < page.y0 or box.x1 > page.x1 or box.y1 > page.y1:
+            found.append(f"{text!r} beyond the page")
+    for (text, _, box), (other, _, beside) in itertools.combinations(written, 2):
+        common = Bbox.intersection(box, beside)
+        if common is not None and min(common.width, common.height) > 1.0:
+            found.append(f"{text!r} over {other!r}")
+    return found
+
+
+@pytest.mark.parametrize("name", draw.NAMES)
+def test_a_figure_is_legible_in_print(name: str) -> None:
+    for picture in pictures(name):
+        assert faults(picture.figure) == []
+
+
+def test_what_is_not_legible_is_found() -> None:
+    figure = journal.figure(100.0, 300.0)
+    figure.text(0.5, 0.5, "one")
+    figure.text(0.5, 0.5, "two", fontsize=5.0)
+    figure.text(0.99, 0.9, "a long text at the edge")
+    assert faults(figure) == [
+        "100.0 mm wide",
+        "300.0 mm tall",
+        "'two' in 5.0 points",
+        "'a long text at the edge' beyond the page",
+        "'one' over 'two'",
+    ]
+
+
+def test_axes_with_a_scale_say_their_quantity() -> None:
+    unnamed = {
+        (picture.name, axes.get_title())
+        for name in draw.NAMES
+        for picture in pictures(name)
+        for axes in picture.figure.axes
+        if axes.axison and axes.has_data() and not axes.get_xlabel() and not _common(picture.figure)
+    }
+    # names of rows and columns, and modes by their labels, are no quantities
+    assert {name for name, _ in unnamed} <= {"13_several_plates", "17_worked_cases"}
+
+
+def _common(figure: Figure) -> bool:
+    return figure.get_supxlabel() != "" or figure.get_supylabel() != ""
+
+
+@pytest.mark.parametrize("name", draw.NAMES)
+def test_a_caption_names_the_seeds_of_its_study(name: str) -> None:
+    drawing = draw.drawing(name)
+    study = (PROJECT / "studies" / f"{drawing.study}.py").read_text(encoding="utf-8")
+    if stated := re.search(r"^SEED = (\d+)", study, re.MULTILINE):
+        assert drawing.seeds == f"seed {stated[1]}"
+    if stated := re.search(r"^SEEDS = (\d+)", study, re.MULTILINE):
+        assert drawing.seeds == f"seeds 0 to {int(stated[1]) - 1}"
+
+
+def test_one_command_draws_what_it_is_asked_for(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    draw.main([QUICKLY_DRAWN, "--out", str(tmp_path / "new"), "--format", "svg"])
+    written = [f"{QUICKLY_DRAWN}.md", f"{QUICKLY_DRAWN}.svg"]
+    assert sorted(path.name for path in (tmp_path / "new").iterdir()) == written
+    assert capsys.readouterr().out == f"{tmp_path / 'new' / written[1]}\n"
+
+
+@pytest.mark.parametrize("main", [draw.main, draw.drawing(QUICKLY_DRAWN).main])
+def test_help_draws_nothing(main, tmp_path, monkeypatch, capsys) -> None:
+    monkeypatch.setattr(journal.Drawing, "__call__", None)
+    with pytest.raises(SystemExit) as stop:
+        main(["--help"])
+    assert stop.value.code == 0
+    assert "--out DIR" in capsys.readouterr().out
+
+
+def test_a_figure_that_is_not_there_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as stop:
+        draw.main(["99_nothing"])
+    assert stop.value.code == 2
+    assert "no figure is named 99_nothing" in capsys.readouterr().err
+
+
+def test_each_figure_is_listed_and_nothing_else_is_kept() -> None:
+    readme = FIGURES / "README.md"
+    assert listed(readme) == set(draw.NAMES)
+    names = {picture.name for name in draw.NAMES for picture in pictures(name)}
+    assert set(re.findall(r"`([\w.&]+)\.png`", readme.read_text(encoding="utf-8"))) == names
+    for ending in ("png", "md"):
+        assert {path.stem for path in FIGURES.glob(f"*.{ending}")} - {"README"} == names
