@@ -1,54 +1,128 @@
-"""The Python examples of the documentation run, and give the values that stand beside them."""
+"""The examples of the documentation run, and print and give what stands beside them."""
 
 from __future__ import annotations
 
-import ast
 import re
 from pathlib import Path
-from typing import Any
 
 import matplotlib
 import pytest
 
-from tests.plate_file import MEASURED, PLATE
+from cpam_bayes.cli import _parser
+from cpam_bayes.commands import COMMANDS
+from docs.build.examples import ExampleError, check, run_block, shortened
 
 PROJECT = Path(__file__).parent.parent
+PAGES = sorted([*PROJECT.glob("docs/*.md"), PROJECT / "README.md"])
+# Pages whose examples take more than some seconds, and one that runs CalculiX.
+_SLOW = [pytest.mark.slow]
+MARKS = dict.fromkeys(
+    (
+        "README.md",
+        "cluster.md",
+        "library.md",
+        "own_prior.md",
+        "repeats.md",
+        "sensors.md",
+        "several_plates.md",
+    ),
+    _SLOW,
+) | {"calculix_abaqus.md": [pytest.mark.needs_ccx, pytest.mark.slow]}
+WITH_EXAMPLES = [
+    pytest.param(page, marks=MARKS.get(page.name, []), id=page.stem)
+    for page in PAGES
+    if re.search(r"^```(python|console)", page.read_text("utf-8"), re.MULTILINE)
+]
 
 
-def blocks(page: Path) -> list[str]:
-    """The contents of the ```python blocks of a page."""
-    return re.findall(r"^```python\n(.*?)^```", page.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
-
-
-def run_block(text: str, names: dict[str, Any]) -> None:
-    """Run a block; an expression with ``# -> value`` at its end has that value."""
-    lines = text.splitlines()
-    for statement in ast.parse(text).body:
-        source = ast.get_source_segment(text, statement)
-        assert source is not None
-        if not isinstance(statement, ast.Expr):
-            exec(source, names)
-            continue
-        value = eval(source, names)
-        _, _, expected = lines[statement.end_lineno - 1].partition("  # -> ")
-        assert not expected or repr(value) == expected, source
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("page", ["README.md", "docs/library.md"])
-def test_the_python_examples_of_a_page_run(
-    page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("page", WITH_EXAMPLES)
+def test_the_examples_of_a_page_run_and_print_what_it_says(
+    page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.chdir(tmp_path)
+    """``python docs/build/examples.py PAGE`` writes the outputs anew."""
     monkeypatch.setattr(matplotlib, "rcParams", matplotlib.rcParams.copy())
-    (tmp_path / "my_plate.toml").write_text(PLATE + MEASURED, encoding="utf-8")
-    names: dict[str, Any] = {}
-    for block in blocks(PROJECT / page):
-        run_block(block, names)
-    assert "cb" in names, "the page has examples"
+    assert check(page, tmp_path) > 0
 
 
 def test_a_value_that_is_not_the_documented_one_fails() -> None:
     run_block("1 + 1  # -> 2\n", {})
-    with pytest.raises(AssertionError, match=r"1 \+ 1"):
+    with pytest.raises(ExampleError, match=r"1 \+ 1"):
         run_block("1 + 1  # -> 3\n", {})
+
+
+CONSOLE = """\
+```toml title="numbers.txt"
+first 1.00 in 3.2 s
+```
+
+```toml title="added to numbers.txt"
+second 2.00
+```
+
+```console
+$ cat numbers.txt
+first 1.00 in 9.9 s
+
+second 2.00
+```
+"""
+
+
+@pytest.mark.parametrize(
+    ("documented", "is_the_same"),
+    [
+        ("second 2.00", True),
+        ("second 2.01", True),  # rounding decides about the last digit
+        ("second 2.02", False),
+        ("second 2.000", False),
+        ("third 2.00", False),
+        ("second 2.00\nthird 3.00", False),
+    ],
+)
+def test_an_output_that_is_not_the_documented_one_fails(
+    tmp_path: Path, documented: str, is_the_same: bool
+) -> None:
+    page = tmp_path / "page.md"
+    head, _, tail = CONSOLE.rpartition("second 2.00")
+    page.write_text(head + documented + tail, encoding="utf-8")
+    directory = tmp_path / "run"
+    directory.mkdir()
+    if is_the_same:
+        assert check(page, directory) == 1
+    else:
+        with pytest.raises(ExampleError, match=r"page\.md"):
+            check(page, directory)
+
+
+def test_a_command_that_fails_fails_its_page(tmp_path: Path) -> None:
+    page = tmp_path / "page.md"
+    page.write_text("```console\n$ exit 1\n```\n", encoding="utf-8")
+    with pytest.raises(ExampleError, match="exit status 1"):
+        check(page, tmp_path)
+
+
+def test_a_screen_is_shortened_to_its_named_parts() -> None:
+    screen = "head\n  a\n\nConstants\n  b\n\nWork\n  c\n\nModes\n  d\n"
+    assert shortened(screen, ["Constants", "Modes"]) == "...\n\nConstants\n  b\n\n...\n\nModes\n  d\n"
+    with pytest.raises(ExampleError, match="begins with 'Causes'"):
+        shortened(screen, ["Causes"])
+
+
+def test_every_command_and_option_of_the_documentation_exists() -> None:
+    options = {name: option_names(name) for name in COMMANDS}
+    found = 0
+    for page in PAGES:
+        for name, rest in re.findall(r"cpam-bayes ([a-z]+)((?: [^`\n|]*)?)", page.read_text("utf-8")):
+            assert name in options, f"{page.name}: cpam-bayes {name}"
+            unknown = set(re.findall(r"(?<=\s)--[a-z-]+", rest)) - options[name]
+            assert not unknown, f"{page.name}: cpam-bayes {name}{rest}"
+            found += 1
+    assert found > len(COMMANDS)
+
+
+def option_names(command: str) -> set[str]:
+    """The options of a command, as its help has them."""
+    parser = _parser()
+    (commands,) = (action for action in parser._actions if action.dest == "command")
+    assert commands.choices is not None
+    return {name for action in commands.choices[command]._actions for name in action.option_strings}

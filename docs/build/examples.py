@@ -1,0 +1,264 @@
+"""The examples of the documentation: run, compared with what stands in the page, written anew.
+
+    python docs/build/examples.py docs/tutorial.md ...
+
+runs the examples of the pages and writes the outputs and pictures into them. The tests run the same examples
+and compare. The examples of a page run from top to bottom, in a directory of their own:
+
+- a block with ``title="NAME"`` is a file that is written; with ``title="added to NAME"`` it is added to one;
+- a ``python`` block runs in one session a page; an expression with ``# -> value`` at its end has that value;
+- a line ``$ COMMAND`` of a ``console`` block runs in a shell, and what follows is what it prints;
+  one that ends with `` &`` runs until the page ends;
+- ``<!-- show: TITLE | TITLE -->`` before such a block keeps the named parts of a screen and puts "..."
+  for others;
+- ``<!-- picture: FILE -->`` before an image says which file of the examples it is.
+"""
+
+from __future__ import annotations
+
+import ast
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+_BLOCK = re.compile(
+    r"(?:^<!-- show: (?P<show>[^\n]*) -->\n)?^```(?P<language>\w+)(?P<info>[^\n]*)\n(?P<text>.*?)^```$"
+    r"|^<!-- picture: (?P<source>\S+) -->\n!\[[^\]]*\]\((?P<picture>[^)]+)\)",
+    re.MULTILINE | re.DOTALL,
+)
+_TITLE = re.compile(r'title="(?P<added>added to )?(?P<name>[^"]+)"')
+# Seconds, and rates over them, differ from run to run.
+_TIMES = re.compile(r"\d[\d.]*(?= s\b)|\d+(?= effective samples a second)|\d+(?= in all$)")
+_NUMBER = re.compile(r"(?<![\w.])\d+(?:\.\d+)?(?:e[+-]?\d+)?")
+_OTHERS = "..."
+
+
+class ExampleError(AssertionError):
+    """An example that fails, or one whose output is not what the page says."""
+
+
+@dataclass
+class _Session:
+    directory: Path
+    page: Path
+    names: dict[str, Any]
+    background: list[subprocess.Popen[bytes]]
+
+
+def check(page: Path, directory: Path) -> int:
+    """Run the examples of a page in a directory and compare; how many there were.
+
+    Raises
+    ------
+    ExampleError
+        If a command fails, or a value or an output is not what the page says.
+    """
+    text = page.read_text("utf-8")
+    again, count = _run(page, directory)
+    if not _alike(text, again):
+        raise ExampleError(f"{page.name}: {_difference(text, again)}")
+    return count
+
+
+def write(page: Path) -> None:
+    """Run the examples of a page and write their outputs and pictures."""
+    with tempfile.TemporaryDirectory() as directory:
+        text, _ = _run(page, Path(directory), pictures=True)
+    page.write_text(text, encoding="utf-8")
+
+
+def _run(page: Path, directory: Path, *, pictures: bool = False) -> tuple[str, int]:
+    """The text of a page with its outputs as they are now, and the number of examples."""
+    session = _Session(directory, page, {}, [])
+    parts, end, count = [], 0, 0
+    text = page.read_text("utf-8")
+    before = Path.cwd()
+    os.chdir(directory)
+    try:
+        for match in _BLOCK.finditer(text):
+            parts.append(text[end : match.start()])
+            parts.append(_picture(session, match, pictures) if match["source"] else _block(session, match))
+            count += match["language"] in ("python", "console") or match["source"] is not None
+            end = match.end()
+    finally:
+        os.chdir(before)
+        for process in session.background:
+            os.killpg(process.pid, signal.SIGTERM)
+            process.wait()
+    return "".join([*parts, text[end:]]), count
+
+
+def _block(session: _Session, match: re.Match[str]) -> str:
+    text = match["text"]
+    if title := _TITLE.search(match["info"]):
+        with (session.directory / title["name"]).open(
+            "a" if title["added"] else "w", encoding="utf-8"
+        ) as file:
+            file.write(("\n" if title["added"] else "") + text)
+    elif match["language"] == "python":
+        run_block(text, session.names)
+    elif match["language"] == "console":
+        return match[0].replace(text, "".join(_console(session, text, match["show"])))
+    return match[0]
+
+
+def run_block(text: str, names: dict[str, Any]) -> None:
+    """Run Python; an expression with ``# -> value`` at its end has that value.
+
+    Raises
+    ------
+    ExampleError
+        If a value is another one.
+    """
+    lines = text.splitlines()
+    for statement in ast.parse(text).body:
+        source = ast.get_source_segment(text, statement)
+        assert source is not None
+        if not isinstance(statement, ast.Expr):
+            exec(source, names)
+            continue
+        value = eval(source, names)
+        assert statement.end_lineno is not None
+        _, _, expected = lines[statement.end_lineno - 1].partition("  # -> ")
+        if expected and repr(value) != expected:
+            raise ExampleError(f"{source}: {value!r}, documented {expected}")
+
+
+def _console(session: _Session, text: str, show: str | None) -> Iterator[str]:
+    """The commands of a block, each with what it prints now."""
+    commands = [line for line in text.splitlines() if line.startswith("$ ")]
+    for i, command in enumerate(commands):
+        if i and not commands[i - 1].endswith(" &"):
+            yield "\n"
+        if command.endswith(" &"):
+            session.background.append(_started(command[2:-2]))
+            yield command + "\n"
+            continue
+        output = _output(command[2:])
+        if show:
+            output = shortened(output, [title.strip() for title in show.split("|")])
+        yield command + "\n"
+        yield output.rstrip() + "\n" if output.strip() else ""
+
+
+def _environment() -> dict[str, str]:
+    """That of a shell with the programs beside this Python."""
+    programs = os.pathsep.join((str(Path(sys.executable).parent), os.environ["PATH"]))
+    return os.environ | {"PATH": programs, "PYTHONWARNINGS": "ignore"}
+
+
+def _started(command: str) -> subprocess.Popen[bytes]:
+    """A program that runs until the page ends, with those that it starts."""
+    return subprocess.Popen(
+        ["bash", "-c", command],
+        env=_environment(),
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+    )
+
+
+def _output(command: str) -> str:
+    """What a command prints, progress left out."""
+    done = subprocess.run(
+        ["bash", "-c", command],
+        env=_environment(),
+        capture_output=True,
+        text=True,
+        timeout=1800,
+    )
+    # 2 is an error that the page may want to show
+    if done.returncode not in (0, 2):
+        raise ExampleError(f"{command}: exit status {done.returncode}\n{done.stdout}{done.stderr}")
+    said = [line for line in done.stderr.splitlines() if line.startswith(("error:", "warning:", "    "))]
+    return "".join(f"{line.rstrip()}\n" for line in [*said, *done.stdout.splitlines()])
+
+
+def shortened(screen: str, titles: list[str]) -> str:
+    """The parts of a screen whose first line begins with a title, "..." for the others.
+
+    Raises
+    ------
+    ExampleError
+        If no part begins with one of the titles.
+    """
+    parts = re.split(r"\n\s*\n", screen.strip("\n"))
+    for title in titles:
+        if not any(part.startswith(title) for part in parts):
+            raise ExampleError(f"no part of the screen begins with {title!r}:\n{screen}")
+    kept: list[str] = []
+    for part in parts:
+        if part.startswith(tuple(titles)):
+            kept.append(part)
+        elif not kept or kept[-1] != _OTHERS:
+            kept.append(_OTHERS)
+    return "\n\n".join(kept) + "\n"
+
+
+def _picture(session: _Session, match: re.Match[str], write_it: bool) -> str:
+    source, picture = session.directory / match["source"], session.page.parent / match["picture"]
+    if not source.is_file():
+        raise ExampleError(f"{match['source']}: the examples before it do not write this picture")
+    if write_it:
+        picture.parent.mkdir(exist_ok=True)
+        shutil.copy(source, picture)
+    if not picture.is_file():
+        raise ExampleError(f"{match['picture']}: missing; run python docs/build/examples.py on this page")
+    return match[0]
+
+
+def _alike(documented: str, now: str) -> bool:
+    """Whether two texts differ in times, and in the last digits of numbers, alone."""
+    old, new = (_TIMES.sub("0", _spaced(text)) for text in (documented, now))
+    if _NUMBER.sub("0", old) != _NUMBER.sub("0", new):
+        return False
+    return all(_near(a, b) for a, b in zip(_NUMBER.findall(old), _NUMBER.findall(new), strict=True))
+
+
+def _spaced(text: str) -> str:
+    """The text with its columns as wide as one space: a longer time makes a column wider."""
+    return re.sub(r"[ ─━]+", " ", text)
+
+
+def _near(documented: str, now: str) -> bool:
+    """Whether two numbers are the same but for one unit of the last digit, which rounding decides."""
+    (decimals, exponent), others = _last_digit(documented), _last_digit(now)
+    if (decimals, exponent) != others:
+        return False
+    return abs(float(documented) - float(now)) < 1.5 * 10.0 ** (exponent - decimals)
+
+
+def _last_digit(number: str) -> tuple[int, int]:
+    """Decimals of the mantissa, and exponent."""
+    mantissa, _, exponent = number.partition("e")
+    return len(mantissa.partition(".")[2]), int(exponent or 0)
+
+
+def _difference(documented: str, now: str) -> str:
+    """The first lines that differ."""
+    old, new = documented.splitlines(), now.splitlines()
+    for a, b in zip(old, new, strict=False):
+        if not _alike(a, b):
+            return f"the page has\n{a}\nand now it is\n{b}"
+    return f"{len(old)} lines in the page, {len(new)} now"
+
+
+def main() -> None:
+    """Write the outputs of the pages that the command line names."""
+    if len(sys.argv) < 2 or sys.argv[1].startswith("-"):
+        print(__doc__)
+        return
+    for page in sys.argv[1:]:
+        write(Path(page).resolve())
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,153 @@
+"""docs/plate_file.md has every key of a plate file with its unit, its default and a valid example."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Iterator
+from copy import deepcopy
+from pathlib import Path
+from types import UnionType
+from typing import Annotated, Any, Union, get_args, get_origin
+
+import pytest
+from pydantic import BaseModel
+from pydantic.fields import FieldInfo
+
+import cpam_bayes as cb
+from cpam_bayes.plate.schema import PlateFile
+
+PAGE = (Path(__file__).parents[2] / "docs" / "plate_file.md").read_text(encoding="utf-8")
+TOP, PRIOR = "The top of the file", "{ mean, sd, bounds }"
+UNITS = {"mm": "mm", "g": "g", "m3": "kg/m³", "GPa": "GPa", "hz": "Hz", "deg": "°"}
+
+
+def parts(annotation: Any) -> Iterator[Any]:
+    """A type and what it is made of."""
+    yield annotation
+    if get_origin(annotation) in (Union, UnionType, Annotated, list):
+        for part in get_args(annotation):
+            if isinstance(part, FieldInfo):
+                continue
+            yield from parts(part)
+
+
+def tables(model: type[BaseModel], heading: str) -> dict[str, dict[str, FieldInfo]]:
+    """The heading of every table of a plate file, and its keys."""
+    found: dict[str, dict[str, FieldInfo]] = {heading: {}}
+    for key, field in model.model_fields.items():
+        inside = list(parts(field.annotation))
+        models = [part for part in inside if isinstance(part, type) and issubclass(part, BaseModel)]
+        path = key if heading == TOP else f"{heading[1:-1]}.{key}"
+        is_list = any(get_origin(part) is list for part in inside)
+        for inner in models:
+            if heading == "[unknowns]":
+                found |= tables(inner, PRIOR)
+            else:
+                found |= tables(inner, f"[[{path}]]" if is_list else f"[{path}]")
+        if not models or heading == "[unknowns]":
+            found[heading][key] = field
+    return found
+
+
+TABLES = tables(PlateFile, TOP)
+
+
+def documented(heading: str) -> dict[str, dict[str, str]]:
+    """Key -> the cells of its row."""
+    title = heading if heading == TOP else f"`{heading}`"
+    _, _, section = PAGE.partition(f"\n## {title}\n")
+    section = section.partition("\n## ")[0]
+    rows = [
+        [cell.strip() for cell in line.strip("|").split(" | ")]
+        for line in section.splitlines()
+        if "|" in line
+    ]
+    columns, rows = [cell.strip("| ") for cell in rows[0]], rows[2:]
+    return {row[0].strip("| `"): dict(zip(columns, row, strict=True)) for row in rows}
+
+
+KEYS = [(heading, key) for heading, keys in TABLES.items() for key in keys]
+
+
+def test_the_schema_has_the_tables_that_this_test_looks_for() -> None:
+    assert {TOP, PRIOR, "[plate]", "[plate.sd]", "[material.sd]", "[[sensor]]", "[measurement]"} < set(TABLES)
+    assert len(KEYS) > 40
+
+
+def test_the_page_has_these_tables_and_no_others() -> None:
+    headings = re.findall(r"^## (.*)$", PAGE, re.MULTILINE)
+    assert {heading.strip("`") for heading in headings} == set(TABLES)
+
+
+@pytest.mark.parametrize("heading", TABLES)
+def test_a_table_has_a_row_for_every_key_and_no_other(heading: str) -> None:
+    assert sorted(documented(heading)) == sorted(TABLES[heading])
+
+
+@pytest.mark.parametrize(("heading", "key"), KEYS)
+def test_a_row_says_unit_and_default(heading: str, key: str) -> None:
+    row, field = documented(heading)[key], TABLES[heading][key]
+    suffix = key.rpartition("_")[2]
+    assert row["unit"] == ("of the key" if heading == PRIOR else UNITS.get(suffix, "-"))
+    assert (row["default"] == "required") == field.is_required()
+    if isinstance(field.default, bool | float):
+        assert row["default"] == str(field.default).lower()
+    assert len(row["what it says"]) > 10
+
+
+# All values that a standard deviation may belong to.
+FILE: dict[str, Any] = {
+    "name": "panel",
+    "plate": {
+        "length_mm": 310.0,
+        "width_mm": 228.0,
+        "thickness_mm": 3.1,
+        "density_kg_m3": 1555.0,
+        "layup": "[(0/90)_8]_s",
+        "edges": "FFFF",
+    },
+    "material": {
+        "isotropic": False,
+        "E1_GPa": 132.0,
+        "E2_GPa": 9.1,
+        "nu12": 0.31,
+        "G12_GPa": 4.8,
+        "G13_GPa": 4.8,
+        "G23_GPa": 3.2,
+    },
+    "unknowns": {"nu12": {"mean": 0.31, "sd": 0.03, "bounds": [0.15, 0.45]}},
+    "sensor": [{"mass_g": 1.0, "x_mm": 10.0, "y_mm": 10.0}],
+    "measurement": {"frequencies_hz": [80.2, 146.3, 218.6]},
+}
+
+
+def with_example(heading: str, key: str, value: Any) -> dict[str, Any]:
+    """The file with the example of a key, and with what the key needs or excludes."""
+    file = deepcopy(FILE)
+    if key == "mass_g" and heading.startswith("[plate"):
+        del file["plate"]["density_kg_m3"]
+        file["plate"]["mass_g"] = 340.7
+    if key in ("missed_probability", "false_peaks"):
+        file["measurement"]["complete"] = False
+    if heading == PRIOR:
+        table = file["unknowns"]["nu12"]
+    elif heading == "[[sensor]]":
+        table = file["sensor"][0]
+    else:
+        table = file
+        for name in [] if heading == TOP else heading.strip("[]").split("."):
+            table = table.setdefault(name, {})
+    table[key] = value
+    return file
+
+
+@pytest.mark.parametrize(("heading", "key"), KEYS)
+def test_the_example_of_a_key_is_accepted(
+    heading: str, key: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "plate.msh").touch()
+    example = tomllib.loads(documented(heading)[key]["example"].strip("`"))
+    assert list(example) == [key]
+    cb.read_plate(with_example(heading, key, example[key]))
