@@ -101,6 +101,11 @@ class Result:
         """What was asked about, for headings."""
         return ""
 
+    @property
+    def about(self) -> tuple[Specimen, ...]:
+        """The plates that were asked about, to be drawn; none for a question about no plate."""
+        return ()
+
     def __repr__(self) -> str:
         """One line: what was asked, and how it ended; `summary()` says the rest."""
         about = f"{self.command} {self.title}".strip()
@@ -114,7 +119,12 @@ class Result:
 
     def in_words(self) -> Any:
         """The answer in plain words, see `cpam_bayes.report.summary.Summary`."""
-        return self._rendered("summary", "summary")
+        try:
+            return self._rendered("summary", "summary")
+        except ModuleNotFoundError:
+            words = import_module("cpam_bayes.report.summary")
+            title = f"{self.command} {self.title}".strip()
+            return words.Summary(title, "", slips=self.slips, warnings=self.warnings)
 
     def screen(self, *, verbose: bool = False) -> tuple[Any, ...]:
         """The tables of the screen, see `cpam_bayes.report.tables.Table`.
@@ -127,9 +137,13 @@ class Result:
             *(self.tables() if verbose else (words.MORE,)),
         )
 
+    def sections(self) -> tuple[Any, ...]:
+        """What stands behind the answer, see `cpam_bayes.report.sections.Section`."""
+        return tuple(self._rendered("screen", "sections"))
+
     def tables(self) -> tuple[Any, ...]:
         """The statistics and tables behind the answer."""
-        return tuple(self._rendered("screen", "screen"))
+        return tuple(import_module("cpam_bayes.report.sections").tables_of(self.sections()))
 
     def to_dict(self) -> dict[str, Any]:
         """The JSON document of the command: what is not a finite number is None."""
@@ -137,8 +151,18 @@ class Result:
         return dict(plain(self._rendered("document", "document")))
 
     def figures(self) -> Mapping[str, Figure]:
-        """All figures by name, drawn anew."""
-        return dict(self._rendered("figures", "figures")) if self.has_figures else {}
+        """All figures by name, drawn anew; the last one is a drawing of the plate."""
+        drawn = dict(self._rendered("figures", "figures")) if self.has_figures else {}
+        if self.about:
+            drawn["plate"] = import_module("cpam_bayes.report.plates.figures").plate_figure(self.about)
+        return drawn
+
+    def captions(self) -> Mapping[str, Any]:
+        """What to see in each figure, by name, see `cpam_bayes.report.sections.Caption`."""
+        said = dict(self._rendered("captions", "captions")) if self.has_figures else {}
+        if self.about:
+            said["plate"] = import_module("cpam_bayes.report.plates.captions").plate_caption(self.about)
+        return said
 
     def plot(self, name: str | None = None) -> Figure:
         """One figure, the first one unless named.
@@ -205,3 +229,8 @@ class PlateResult(Result):
     def title(self) -> str:
         """The name of the plate."""
         return self.specimen.name
+
+    @property
+    def about(self) -> tuple[Specimen, ...]:
+        """The plate."""
+        return (self.specimen,)

@@ -76,6 +76,11 @@ class DiagnosisResult(Result):
         return " ".join(plate.name for plate in self.plates)
 
     @property
+    def about(self) -> tuple[Specimen, ...]:
+        """The plates."""
+        return self.plates
+
+    @property
     def claim(self) -> str:
         """One of "none", "named", "class", "pair", "other" and "undecided"."""
         return self.diagnosis.claim.kind

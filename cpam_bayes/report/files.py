@@ -60,7 +60,7 @@ def save(result: Result, stage: Stage | None) -> None:
 
         (draft / _FIGURES).mkdir()
         save_figures(figures, draft / _FIGURES)
-    write_page(f"{result.command} {result.title}".strip(), result.tables(), draft)
+    write_page(result, draft)
     _moved(draft, directory)
 
 

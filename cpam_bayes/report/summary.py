@@ -81,6 +81,11 @@ class ConstantLine:
         return f"{low} to {high}"
 
     @property
+    def reference_text(self) -> str:
+        """The reference, "" where there is none."""
+        return f"{self.reference:.5g}" if math.isfinite(self.reference) else ""
+
+    @property
     def determined_text(self) -> str:
         """Whether the frequencies determine the constant, and what decides where they do not."""
         if self.determined != "yes":
@@ -146,7 +151,7 @@ def _constants(constants: tuple[ConstantLine, ...]) -> Table:
             c.value_text,
             c.interval_text,
             c.unit,
-            f"{c.reference:.5g}" if math.isfinite(c.reference) else "",
+            c.reference_text,
             c.determined_text,
         )
         for c in constants

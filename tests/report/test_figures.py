@@ -20,7 +20,7 @@ def test_the_same_answer_gives_the_same_bytes(point, tmp_path):
     first, again = (written(point.figures(), tmp_path / name) for name in ("first", "again"))
     assert set(first) == {
         f"{name}.{ending}"
-        for name in ("predicted_against_measured", "residuals")
+        for name in ("predicted_against_measured", "residuals", "plate")
         for ending in ("png", "svg")
     }
     assert first == again
@@ -44,7 +44,7 @@ def test_a_noise_that_is_not_known_is_not_drawn(identification, result_of):
 
 
 def test_every_mode_is_drawn_with_kind_label_and_frequency(forward_result):
-    (figure,) = forward_result.figures().values()
+    figure = forward_result.plot("modes")
     titles = [axes.get_title() for axes in figure.axes if axes.get_title()]
     assert re.fullmatch(r"1: 1351\.\d+ Hz\nbending \(1,1\)", titles[0])
     assert len(titles) == 3

@@ -7,6 +7,7 @@ from matplotlib.figure import Figure
 
 from cpam_bayes.comparison.records import AGREES, NOT_REPRODUCIBLE, WITHIN, PaperResult, Row, kind_of
 from cpam_bayes.paper.layups import PAPER
+from cpam_bayes.report.comparison.captions import figures_of
 
 _COLOURS = {AGREES: "#4878a8", WITHIN: "#8a8a8a", NOT_REPRODUCIBLE: "#c1440e"}
 _MISPRINTED_PERCENT = 50.0
@@ -15,15 +16,12 @@ _MISPRINTED_PERCENT = 50.0
 def figures(result: PaperResult) -> dict[str, Figure]:
     """All figures of the tables that were computed, by name."""
     compared = [row for row in result.rows if row.difference_percent is not None]
-    drawn = {}
-    if compared:
-        drawn["differences"] = _differences(compared)
-    five = [row for row in compared if row.table == 5]
-    if five:
-        drawn["frequencies"] = _frequencies(five)
-    if any(m.source.startswith(PAPER) for m in result.misfits):
-        drawn["misfits"] = _misfits(result)
-    return drawn
+    draw = {
+        "differences": lambda: _differences(compared),
+        "frequencies": lambda: _frequencies([row for row in compared if row.table == 5]),
+        "misfits": lambda: _misfits(result),
+    }
+    return {name: draw[name]() for name in figures_of(result)}
 
 
 def _differences(rows: list[Row]) -> Figure:

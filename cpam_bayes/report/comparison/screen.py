@@ -14,22 +14,38 @@ from cpam_bayes.comparison.summary import (
 )
 from cpam_bayes.formatting import signed, significant
 from cpam_bayes.paper import printed_table
+from cpam_bayes.report.comparison.captions import figures_of
+from cpam_bayes.report.sections import Section
 from cpam_bayes.report.tables import Table, headed, remarks
 
-__all__ = ["misfit_cells", "row_cells", "screen"]
+__all__ = ["misfit_cells", "row_cells", "sections"]
 
 
-def screen(result: PaperResult) -> tuple[Table, ...]:
+def sections(result: PaperResult) -> tuple[Section, ...]:
     """Verdicts by table, the rows, the misfit of the printed constants, the audit of the print."""
+    drawn = figures_of(result)
     return (
-        remarks("Largest disagreements", disagreements(result), flagged=True),
-        _verdicts(result),
-        *(_rows(result, number) for number in result.numbers),
-        _misfits(result.misfits),
-        remarks("What means of ten can show", tuple(filter(None, (means_of_ten(result),)))),
-        remarks("Misprints and contradictions in the print", notes(result)),
-        _computed(result),
-        remarks("Warnings", result.warnings, flagged=True),
+        Section(
+            "Where paper and computation disagree",
+            (remarks("Largest disagreements", disagreements(result), flagged=True), _verdicts(result)),
+            tuple(name for name in ("differences", "frequencies") if name in drawn),
+            folded=False,
+        ),
+        Section("Table by table", tuple(_rows(result, number) for number in result.numbers)),
+        Section(
+            "Misfit of the printed constants",
+            (_misfits(result.misfits),),
+            tuple(name for name in ("misfits",) if name in drawn),
+        ),
+        Section(
+            "Audit of the print",
+            (
+                remarks("What means of ten can show", tuple(filter(None, (means_of_ten(result),)))),
+                remarks("Misprints and contradictions in the print", notes(result)),
+            ),
+        ),
+        Section("Computations", (_computed(result),)),
+        Section("All warnings", (remarks("Warnings", result.warnings, flagged=True),)),
     )
 
 

@@ -11,18 +11,23 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy.ndimage import zoom
 
+from cpam_bayes.diagnosis.claim import PLAIN, SURE
 from cpam_bayes.diagnosis.diagnose import Diagnosis
 from cpam_bayes.diagnosis.hypotheses import NONE, OTHER
 from cpam_bayes.diagnosis.paired_modes import FrequencyRow
 from cpam_bayes.diagnosis.plates import DiagnosisResult
 from cpam_bayes.diagnosis.signatures import ALIKE, cosine
+from cpam_bayes.formatting import listed
 from cpam_bayes.report.diagnosis.rows import (
     ConstantRow,
     averaged_rows,
     constant_rows,
     detectable_rows,
-    is_pair,
     leading,
+    shows_constants,
+    shows_detectable,
+    shows_signatures,
+    with_signatures,
 )
 from cpam_bayes.report.diagnosis.words import detectable_size, probability_text
 
@@ -42,11 +47,11 @@ def figures(result: DiagnosisResult) -> dict[str, Figure]:
     """All figures of a diagnosis by name."""
     d = result.diagnosis
     drawn = {"residuals": _residuals(result), "causes": _causes(d)}
-    if len(_singles(d)) > 1:
+    if shows_signatures(d):
         drawn["signatures"] = _signatures(d)
-    if any(row.in_sd is not None for row in detectable_rows(d)):
+    if shows_detectable(d):
         drawn["detectable"] = _detectable(d)
-    if constant_rows(d, d.baseline):
+    if shows_constants(d):
         drawn["constants"] = _constants(d)
     return drawn
 
@@ -196,17 +201,25 @@ def _causes(d: Diagnosis) -> Figure:
         )
     axes.set_yticks(y, [_with_place(d, c) for c in shown], fontsize=8)
     axes.invert_yaxis()
-    axes.set(
-        xlim=(0, 1.45),
-        xticks=np.linspace(0, 1, 6),
-        xlabel="probability; dotted: what a claim needs",
-    )
-    axes.axvline(0.9, color="0.6", linewidth=0.8, linestyle=":")
+    needed = [PLAIN if c.name == NONE else SURE for c in shown]
+    axes.plot(needed, y, "|", color="black", markersize=13, markeredgewidth=1.6, label="needed for a claim")
+    axes.set(xlim=(0, 1.45), xticks=np.linspace(0, 1, 6), xlabel="probability")
+    figure.legend(loc="outside lower right", frameon=False, fontsize=8)
     axes.spines[["top", "right", "left"]].set_visible(False)
     axes.tick_params(axis="y", length=0)
-    what = f"{d.claim.kind}: {', '.join(d.claim.causes)}" if d.claim.causes else d.claim.kind
-    axes.set_title(f"{_title(d)}: claim {what}", fontsize=10)
+    axes.set_title(f"{_title(d)}: {_claimed(d)}", fontsize=10)
     return figure
+
+
+def _claimed(d: Diagnosis) -> str:
+    """The claim in a few words."""
+    names = listed(d.claim.causes, "or" if d.claim.kind == "class" else "and")
+    return {
+        "none": "no cause is claimed",
+        "other": "claimed is an error outside the catalogue",
+        "undecided": "undecided, no cause is claimed",
+        "class": f"claimed is one of {names}",
+    }.get(d.claim.kind, f"claimed is {names}")
 
 
 def _with_place(d: Diagnosis, cause: Any) -> str:
@@ -218,9 +231,9 @@ def _with_place(d: Diagnosis, cause: Any) -> str:
     return " ".join(parts)
 
 
-def _singles(d: Diagnosis) -> list[str]:
+def _alike_together(d: Diagnosis) -> list[str]:
     """Single causes that leave something to be seen, ordered so that those alike stand together."""
-    names = [c.name for c in d.causes if c.name in d.signatures and not is_pair(c) and not c.absorbed]
+    names = with_signatures(d)
     ordered: list[str] = []
     while names:
         last = d.signatures[ordered[-1]] if ordered else None
@@ -232,7 +245,7 @@ def _singles(d: Diagnosis) -> list[str]:
 
 def _signatures(d: Diagnosis) -> Figure:
     """Cosines between the causes' signatures, the constants projected out."""
-    names = _singles(d)
+    names = _alike_together(d)
     signatures = [d.signatures[name] for name in names]
     matrix = np.array([[cosine(a, b) for b in signatures] for a in signatures])
     size = 1.9 + 0.27 * len(names)

@@ -34,7 +34,11 @@ __all__ = [
     "nuisance_of",
     "plate_constants",
     "sampled_rows",
+    "shows_constants",
+    "shows_detectable",
+    "shows_signatures",
     "tested_causes",
+    "with_signatures",
 ]
 
 Array = NDArray[Any]
@@ -188,6 +192,26 @@ def absorbed_biases(d: Diagnosis, cause: Cause) -> tuple[float, str, dict[str, f
     if size == 0.0:
         return 0.0, shown, {}
     return size, shown, {user_name(n): 100.0 * cause.bias[n] / size for n in names}
+
+
+def with_signatures(d: Diagnosis) -> list[str]:
+    """Single causes that leave something to be seen, the most probable first."""
+    return [c.name for c in d.causes if c.name in d.signatures and not is_pair(c) and not c.absorbed]
+
+
+def shows_signatures(d: Diagnosis) -> bool:
+    """Whether there are signatures to be compared."""
+    return len(with_signatures(d)) > 1
+
+
+def shows_detectable(d: Diagnosis) -> bool:
+    """Whether some cause has a size that the lists would have shown."""
+    return any(row.in_sd is not None for row in detectable_rows(d))
+
+
+def shows_constants(d: Diagnosis) -> bool:
+    """Whether there are constants to be drawn."""
+    return bool(constant_rows(d, d.baseline))
 
 
 def leading(d: Diagnosis, least: float, most: int) -> tuple[Cause, ...]:

@@ -22,6 +22,9 @@ from cpam_bayes.report.diagnosis.rows import (
     leading,
     noise_of,
     sampled_rows,
+    shows_constants,
+    shows_detectable,
+    shows_signatures,
 )
 from cpam_bayes.report.diagnosis.words import (
     claim_sentence,
@@ -32,7 +35,8 @@ from cpam_bayes.report.diagnosis.words import (
     sensitivity_sentence,
     size_text,
 )
-from cpam_bayes.report.plates.head import air_text, plate_head
+from cpam_bayes.report.plates.head import air_text, plate_section
+from cpam_bayes.report.sections import Section
 from cpam_bayes.report.tables import Column, Table, facts, headed, remarks
 
 # A residual of so many standard deviations is marked.
@@ -42,31 +46,42 @@ _LEAST, _MOST, _ALIKE = 0.005, 10, 3
 _NEXT = 5
 
 
-def screen(result: DiagnosisResult) -> tuple[Table, ...]:
-    """Claim, residuals, causes, what is hidden, constants and gain, what to measure next."""
+def sections(result: DiagnosisResult) -> tuple[Section, ...]:
+    """Claim and causes, residuals, what could have been seen, constants and gain, what to measure next."""
     d = result.diagnosis
+    several = ("signatures",) if shows_signatures(d) else ()
+    sizes = ("detectable",) if shows_detectable(d) else ()
+    constants = ("constants",) if shows_constants(d) else ()
     return (
-        *_heads(result),
-        remarks("Diagnosis", _claim(d, result.candidates)),
-        _checks(d),
-        _residuals(result),
-        _causes(d),
-        _hidden(d),
-        remarks("Not tested", d.weighed.not_tested),
-        _constants(d),
-        _sampled(d, result.resampled),
-        _gain(d),
-        _detectable(d),
-        _next(result.candidates),
-        _work(d, result.seed),
-        remarks("Warnings", result.warnings, flagged=True),
+        _plates_section(result),
+        Section(
+            "What the plate model gets wrong",
+            (remarks("Diagnosis", _claim(d, result.candidates)), _checks(d), _residuals(result)),
+            ("residuals",),
+            folded=False,
+        ),
+        Section(
+            "Causes by their probability",
+            (_causes(d), remarks("Not tested", d.weighed.not_tested)),
+            ("causes", *several),
+            folded=False,
+        ),
+        Section("What these data could have shown", (_detectable(d), _hidden(d)), sizes),
+        Section(
+            "Constants and gain",
+            (_constants(d), _sampled(d, result.resampled), _gain(d)),
+            constants,
+        ),
+        Section("What to measure next", (_next(result.candidates),)),
+        Section("Priors and work", (_work(d, result.seed),)),
+        Section("All warnings", (remarks("Warnings", result.warnings, flagged=True),)),
     )
 
 
-def _heads(result: DiagnosisResult) -> tuple[Table, ...]:
+def _plates_section(result: DiagnosisResult) -> Section:
     specimens = result.plates
     if len(specimens) == 1:
-        return (plate_head(result.command, specimens[0], result.air_shifts[0]),)
+        return plate_section(result.command, specimens[0], result.air_shifts[0])
     columns = headed("plate", "specimen", "edges", "#frequencies")
     rows = tuple(
         (s.name, s.specimen, s.plate.edges, str(case.measurement.size))
@@ -77,7 +92,12 @@ def _heads(result: DiagnosisResult) -> tuple[Table, ...]:
     notes = tuple(f"{s.name}: {note}" for s in specimens for note in s.notes)
     material = specimens[0].material.name
     title = f"diagnose {result.title}, material {material or 'not named'}"
-    return Table(title, columns, rows), air, remarks("Notes", notes)
+    return Section(
+        "The plates and their measurements",
+        (Table(title, columns, rows), air, remarks("Notes", notes)),
+        ("plate",),
+        folded=False,
+    )
 
 
 def _claim(d: Diagnosis, candidates: Sequence[Candidate]) -> tuple[str, ...]:

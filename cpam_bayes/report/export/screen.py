@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from cpam_bayes.forward_model.calculix.export import ExportResult
-from cpam_bayes.report.plates.head import plate_head
-from cpam_bayes.report.tables import Table, facts
+from cpam_bayes.report.plates.head import plate_section
+from cpam_bayes.report.sections import Section
+from cpam_bayes.report.tables import facts
 
 
-def screen(result: ExportResult) -> tuple[Table, ...]:
+def sections(result: ExportResult) -> tuple[Section, ...]:
     """Plate, and what its file holds."""
     n_rigid = result.deck.n_rigid
     rows = (
@@ -18,6 +19,6 @@ def screen(result: ExportResult) -> tuple[Table, ...]:
         ("step", f"{result.n_modes + n_rigid} modes: {result.n_modes} and {n_rigid} rigid-body motions"),
     )
     return (
-        plate_head(result.command, result.specimen, result.air_shifts),
-        facts("Written", rows),
+        plate_section(result.command, result.specimen, result.air_shifts),
+        Section("Input file", (facts("Written", rows),), folded=False),
     )

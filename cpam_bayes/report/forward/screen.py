@@ -8,11 +8,12 @@ from cpam_bayes.formatting import signed, significant
 from cpam_bayes.forward_model.solve import ForwardResult
 from cpam_bayes.plate import Specimen, to_user, unit_of
 from cpam_bayes.report.forward.rows import constants_with_origin, measured_of_modes
-from cpam_bayes.report.plates.head import plate_head
+from cpam_bayes.report.plates.head import plate_section
+from cpam_bayes.report.sections import Section
 from cpam_bayes.report.tables import Table, facts, headed, remarks
 
 
-def screen(result: ForwardResult) -> tuple[Table, ...]:
+def sections(result: ForwardResult) -> tuple[Section, ...]:
     """Plate, constants, modes, and how exact they are."""
     measured = measured_of_modes(result)
     columns = list(headed("#mode", "#Hz", "kind", "label"))
@@ -33,14 +34,17 @@ def screen(result: ForwardResult) -> tuple[Table, ...]:
         ("labels", "nodal lines across x and across y; half-waves between two held edges"),
         ("time", f"{result.seconds:.1f} s"),
     )
-    tables = (
-        plate_head(result.command, result.specimen, result.air_shifts),
-        _constants(result.specimen),
-        Table("Modes from these constants", tuple(columns), tuple(rows)),
-        facts("Computation", computation),
-        remarks("Warnings", result.warnings, flagged=True),
+    return (
+        plate_section(result.command, result.specimen, result.air_shifts),
+        Section(
+            "Modes",
+            (_constants(result.specimen), Table("Modes from these constants", tuple(columns), tuple(rows))),
+            ("modes",),
+            folded=False,
+        ),
+        Section("Computation", (facts("Computation", computation),)),
+        Section("All warnings", (remarks("Warnings", result.warnings, flagged=True),)),
     )
-    return tables
 
 
 def _constants(specimen: Specimen) -> Table:

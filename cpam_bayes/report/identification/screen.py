@@ -13,7 +13,8 @@ from cpam_bayes.identification.point import PointEstimate
 from cpam_bayes.identification.search import required
 from cpam_bayes.plate import to_user, unit_of
 from cpam_bayes.report.identification.words import noise_sentence, verdict_sentences
-from cpam_bayes.report.plates.head import plate_head
+from cpam_bayes.report.plates.head import plate_section
+from cpam_bayes.report.sections import Section
 from cpam_bayes.report.tables import Table, facts, headed, remarks
 
 _MISFIT = {
@@ -24,20 +25,31 @@ _MISFIT = {
 _ROUNDING = 1e-9
 
 
-def screen(result: PointResult) -> tuple[Table, ...]:
-    """Plate, constants, what to believe of them, frequencies, and how they were angles."""
+def sections(result: PointResult) -> tuple[Section, ...]:
+    """Plate, frequencies, constants and what to believe of them, how they were found."""
     estimate = result.estimate
+    several = len(result.optima) > 1
     return (
-        plate_head(result.command, result.specimen, result.air_shifts),
-        *(() if result.angles is None else (_angles(result.angles),)),
-        _constants(estimate),
-        *((_optima(result),) if len(result.optima) > 1 else ()),
-        remarks("What the frequencies determine", verdict_sentences(estimate)),
-        _frequencies(result),
-        _fit(estimate),
-        _laminate(estimate),
-        _search(result),
-        remarks("Warnings", result.warnings, flagged=True),
+        plate_section(result.command, result.specimen, result.air_shifts),
+        Section(
+            "Measured and predicted frequencies",
+            (_frequencies(result), _fit(estimate)),
+            ("residuals", "predicted_against_measured"),
+            folded=False,
+        ),
+        Section(
+            "Constants",
+            (
+                *(() if result.angles is None else (_angles(result.angles),)),
+                _constants(estimate),
+                *((_optima(result),) if several else ()),
+                remarks("What the frequencies determine", verdict_sentences(estimate)),
+                _laminate(estimate),
+            ),
+            ("optima",) if several else (),
+        ),
+        Section("Search", (_search(result),)),
+        Section("All warnings", (remarks("Warnings", result.warnings, flagged=True),)),
     )
 
 

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from cpam_bayes.formatting import fixed
 from cpam_bayes.forward_model.air_shift import ROOM_AIR
 from cpam_bayes.plate import Plate, Specimen
+from cpam_bayes.report.sections import Section
 from cpam_bayes.report.tables import Table, facts
 
 __all__ = [
@@ -16,7 +17,9 @@ __all__ = [
     "air_text",
     "edges_text",
     "layup_text",
+    "measured_facts",
     "plate_head",
+    "plate_section",
     "size_text",
     "thickness_class",
     "thickness_ratio",
@@ -27,6 +30,15 @@ NO_AIR = "none given: vacuum, no air in the model"
 THIN = 20.0
 _EDGES = ("x = 0", "y = 0", "x = length", "y = width")
 _CONDITIONS = {"F": "free", "S": "simply supported", "C": "clamped"}
+
+
+def plate_section(command: str, specimen: Specimen, air_shifts: NDArray[np.float64] | None) -> Section:
+    """The plate as it was computed, drawn, and what was measured of it.
+
+    air_shifts : see `PlateResult.air_shifts`
+    """
+    tables = (plate_head(command, specimen, air_shifts), measured_facts(specimen))
+    return Section("The plate and what was measured", tables, ("plate",), folded=False)
 
 
 def plate_head(command: str, specimen: Specimen, air_shifts: NDArray[np.float64] | None) -> Table:
@@ -52,6 +64,34 @@ def plate_head(command: str, specimen: Specimen, air_shifts: NDArray[np.float64]
     rows.append(("air", air_text(specimen, air_shifts)))
     rows += [("note", note) for note in specimen.notes]
     return facts(f"{command} {specimen.name}", tuple(rows))
+
+
+def measured_facts(specimen: Specimen) -> Table:
+    """The frequencies as the laboratory gives them, and what it says of their quality."""
+    measurement = specimen.measurement
+    if measurement is None:
+        return facts("What was measured", ())
+    listed = ", ".join(
+        f"{f:.10g}{f' {label}' if label else ''}"
+        for f, label in zip(measurement.frequencies, measurement.labels, strict=True)
+    )
+    if measurement.frequency_sd is not None:
+        low, high = measurement.frequency_sd.min(), measurement.frequency_sd.max()
+        span = f"{low:g}" if low == high else f"{low:g} to {high:g}"
+        repeatability = f"standard deviation {span} Hz, as given"
+    elif measurement.relative_std is not None:
+        repeatability = f"{100.0 * measurement.relative_std:.3g} % of a frequency, as given"
+    else:
+        repeatability = "not given: inferred from the misfit"
+    resolution = f"{measurement.resolution:g} Hz" if measurement.resolution else "not given"
+    complete = "no mode is missing between the first and the last"
+    rows = (
+        (f"{measurement.size} frequencies", f"{listed} Hz"),
+        ("read to", resolution),
+        ("repeatability", repeatability),
+        ("completeness", complete if measurement.complete else "modes may be missing"),
+    )
+    return facts("What was measured", rows)
 
 
 def air_text(specimen: Specimen, air_shifts: NDArray[np.float64] | None) -> str:

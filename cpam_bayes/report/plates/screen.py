@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from cpam_bayes.forward_model.builtin import BuiltinPlates
 from cpam_bayes.report.plates.head import THIN, layup_text, size_text, thickness_class, thickness_ratio
+from cpam_bayes.report.sections import Section
 from cpam_bayes.report.tables import Table, headed, remarks
 
 
-def screen(result: BuiltinPlates) -> tuple[Table, ...]:
+def sections(result: BuiltinPlates) -> tuple[Section, ...]:
     """One row for each specimen."""
     columns = headed("name", "size mm", "layup", "edges", "material", "#frequencies", "class")
     rows = tuple(
@@ -28,4 +29,5 @@ def screen(result: BuiltinPlates) -> tuple[Table, ...]:
         f"class: thickness over shorter side, thick from 1/{THIN:.0f} on",
         'write "D&G" in quotes: the shell has a use of its own for &',
     )
-    return Table("Built-in specimens", columns, rows), remarks("Legend", legend)
+    listed = Table("Built-in specimens", columns, rows)
+    return (Section("Plates of the paper", (listed, remarks("Legend", legend)), folded=False),)

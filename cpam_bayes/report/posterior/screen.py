@@ -11,27 +11,38 @@ from cpam_bayes.inference.noise import NOISE_NAMES
 from cpam_bayes.plate import to_user, unit_of
 from cpam_bayes.priors import Prior, TruncatedNormal
 from cpam_bayes.report.documents import laminate_unit
-from cpam_bayes.report.plates.head import plate_head
+from cpam_bayes.report.plates.head import plate_section
 from cpam_bayes.report.posterior.assessment import combinations_table, sensitivity_table
+from cpam_bayes.report.sections import Section
 from cpam_bayes.report.tables import Column, Table, facts, headed, remarks
 
 # A mode this many standard deviations from what the others predict is marked.
 _MAX_DISTANCE_SD = 3.0
 
 
-def screen(result: SampledResult) -> tuple[Table, ...]:
-    """Plate, marginal posteriors, what to believe of them, frequencies, chains."""
+def sections(result: SampledResult) -> tuple[Section, ...]:
+    """Plate, marginal posteriors and what determines them, frequencies, chains."""
     return (
-        plate_head(result.command, result.specimen, result.air_shifts),
-        _marginals("Constants, posterior", result, result.elastic_constants),
-        _marginals("Sizes, posterior", result, result.sizes),
-        remarks("What the frequencies determine", _verdicts(result)),
-        combinations_table(result),
-        sensitivity_table(result),
-        _frequencies(result),
-        _laminate(result),
-        _chains(result),
-        remarks("Warnings", result.warnings, flagged=True),
+        plate_section(result.command, result.specimen, result.air_shifts),
+        Section(
+            "Posterior of the constants",
+            (
+                _marginals("Constants, posterior", result, result.elastic_constants),
+                _marginals("Sizes, posterior", result, result.sizes),
+                remarks("What the frequencies determine", _verdicts(result)),
+                _laminate(result),
+            ),
+            ("marginals_and_profiles",),
+            folded=False,
+        ),
+        Section(
+            "Which constants move together, and what decides them",
+            (combinations_table(result), sensitivity_table(result)),
+            ("posterior",),
+        ),
+        Section("Measured and predicted frequencies", (_frequencies(result),), ("left_out",)),
+        Section("Fit and sampling", (_chains(result),)),
+        Section("All warnings", (remarks("Warnings", result.warnings, flagged=True),)),
     )
 
 

@@ -12,12 +12,13 @@ from cpam_bayes.repetition.perturbation import Interpretation
 from cpam_bayes.repetition.sensitivity import SensitivityResult
 from cpam_bayes.repetition.study import Cell, Sensitivity
 from cpam_bayes.repetition.warnings import level_percent, where
-from cpam_bayes.report.plates.head import plate_head
+from cpam_bayes.report.plates.head import plate_section
 from cpam_bayes.report.repetition.words import (
     beside_paper,
     difference_sentences,
     printed_percent,
 )
+from cpam_bayes.report.sections import Section
 from cpam_bayes.report.tables import Column, Table, facts, remarks
 
 READING_WORDS: Final[dict[Interpretation, str]] = {
@@ -26,16 +27,23 @@ READING_WORDS: Final[dict[Interpretation, str]] = {
 }
 
 
-def screen(result: SensitivityResult) -> tuple[Table, ...]:
+def sections(result: SensitivityResult) -> tuple[Section, ...]:
     """Plate, what was done, one table for each level and reading, why both differ, the paper."""
     study, table = result.study, result.table
     return (
-        plate_head(result.command, result.specimen, result.air_shifts),
-        _study(study, result.seed),
-        *(_cell_table(study, cell, table) for cell in study.cells),
-        remarks("Where repetition and posterior differ", difference_sentences(study)),
-        remarks("Beside the paper", beside_paper(study, table)),
-        remarks("Warnings", result.warnings, flagged=True),
+        plate_section(result.command, result.specimen, result.air_shifts),
+        Section("What was done", (_study(study, result.seed),)),
+        Section(
+            "Repeated inversions beside the posterior",
+            (
+                *(_cell_table(study, cell, table) for cell in study.cells),
+                remarks("Where repetition and posterior differ", difference_sentences(study)),
+                remarks("Beside the paper", beside_paper(study, table)),
+            ),
+            ("sensitivity",),
+            folded=False,
+        ),
+        Section("All warnings", (remarks("Warnings", result.warnings, flagged=True),)),
     )
 
 

@@ -7,7 +7,8 @@ import numpy as np
 from cpam_bayes.formatting import NOT_KNOWN, decimals_of, fixed, signed, significant, with_spread
 from cpam_bayes.inference.posterior import NOISE
 from cpam_bayes.plate import to_user, user_name
-from cpam_bayes.report.plates.head import plate_head
+from cpam_bayes.report.plates.head import plate_section
+from cpam_bayes.report.sections import Section
 from cpam_bayes.report.tables import Column, Table, facts, headed, remarks
 from cpam_bayes.stacking.mixture import SampledComponent, StackingMixture
 from cpam_bayes.stacking.queries.angle_information import AngleInformation
@@ -21,18 +22,29 @@ _SHOWN = 12
 _SHOWN_PROBABILITY = 0.005
 
 
-def screen(result: StackingResult) -> tuple[Table, ...]:
+def sections(result: StackingResult) -> tuple[Section, ...]:
     """Plate, the most probable sequences, plies, constants, how it was done."""
     answer, information = result.answer, result.information
     return (
-        plate_head(result.command, result.specimen, result.air_shifts),
-        _sequences(answer),
-        _plies(answer, information),
-        remarks("Outer and inner plies", (outer_and_inner(information),)),
-        *_fit(answer, result.fit),
-        _mixture(answer, result.mixture, result.given),
-        _work(result),
-        remarks("Warnings", result.warnings, flagged=True),
+        plate_section(result.command, result.specimen, result.air_shifts),
+        Section("Stacking sequences", (_sequences(answer),), ("credible_set",), folded=False),
+        Section(
+            "Angle by angle",
+            (
+                _plies(answer, information),
+                remarks("Outer and inner plies", (outer_and_inner(information),)),
+            ),
+            ("angles",),
+            folded=False,
+        ),
+        Section("Measured and predicted frequencies", _fit(answer, result.fit)),
+        Section(
+            "Constants over all sequences",
+            (_mixture(answer, result.mixture, result.given),),
+            ("constants",),
+        ),
+        Section("Enumeration", (_work(result),)),
+        Section("All warnings", (remarks("Warnings", result.warnings, flagged=True),)),
     )
 
 

@@ -1,17 +1,17 @@
-"""Figures of a diagnosis show its numbers, and the page holds them."""
+"""Figures of a diagnosis show its numbers, and their titles agree with them."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from matplotlib.container import BarContainer, ErrorbarContainer
 
+from cpam_bayes.diagnosis.claim import Claim
 from cpam_bayes.diagnosis.plates import diagnosis_result
 from cpam_bayes.report.diagnosis.rows import detectable_rows
 from cpam_bayes.report.diagnosis.words import detectable_size
-from cpam_bayes.report.figures import save_figures
-from cpam_bayes.report.page import page_text, write_page
-from cpam_bayes.report.tables import Column, Table
 from tests.diagnosed import aluminium_case, diagnosed, listed
 
 
@@ -49,7 +49,26 @@ def test_bars_of_causes_are_their_probabilities(misread, figures):
     axes = figures["causes"].axes[0]
     widths = sorted(bar.get_width() for bar in axes.containers[0])
     assert widths == pytest.approx(sorted(cause.probability for cause in misread.causes))
-    assert "named" in axes.get_title()
+    assert axes.get_title() == "plate 7: claimed is outlier"
+    (needed,) = (line for line in axes.lines if line.get_label() == "needed for a claim")
+    labels = [text.get_text() for text in axes.get_yticklabels()]
+    claims = dict(zip(labels, needed.get_xdata(), strict=True))
+    assert claims.pop("none") == 0.5
+    assert set(claims.values()) == {0.9}
+
+
+def test_a_claim_that_nothing_is_wrong_is_no_claim_of_a_cause(misread):
+    title = {
+        claim.kind: diagnosis_result(replace(misread, claim=claim), 0).plot("causes").axes[0].get_title()
+        for claim in (
+            Claim("none", (), 0.6),
+            Claim("class", ("outlier", "viscoelastic"), 0.95),
+            Claim("undecided", ("outlier",), 0.4),
+        )
+    }
+    assert title["none"] == "plate 7: no cause is claimed"
+    assert title["class"] == "plate 7: claimed is one of outlier or viscoelastic"
+    assert title["undecided"] == "plate 7: undecided, no cause is claimed"
 
 
 def test_bars_of_detectable_sizes_end_at_them(misread, figures):
@@ -78,23 +97,3 @@ def test_constants_are_drawn_beside_their_reference(misread, figures):
 def test_a_hidden_cause_has_no_place_among_signatures(figures):
     labels = [text.get_text() for text in figures["signatures"].axes[0].get_xticklabels()]
     assert set(labels) == {"outlier", "viscoelastic"}
-
-
-def test_the_page_holds_tables_and_figures_and_asks_for_nothing_else(result, figures, tmp_path):
-    (tmp_path / "figures").mkdir()
-    save_figures(figures, tmp_path / "figures")
-    write_page("diagnose plate 7", result.tables(), tmp_path)
-    text = (tmp_path / "report.html").read_text(encoding="utf-8")
-    assert text.count("<img ") == len(figures)
-    assert text.count("data:image/png;base64,") == len(figures)
-    assert "http" not in text
-    assert "outlier" in text
-
-
-def test_text_of_a_page_is_escaped():
-    table = Table("a < b", (Column("x"), Column("n", number=True)), (("<script>", "1"),), frozenset({0}))
-    text = page_text("D&G", [table], [])
-    assert "<script>" not in text
-    assert "&lt;script&gt;" in text
-    assert "<title>D&amp;G</title>" in text
-    assert '<tr class="flag">' in text

@@ -181,6 +181,7 @@ def test_the_same_answer_gives_the_same_pictures(tmp_path: Path) -> None:
         "angles",
         "constants",
         "credible_set",
+        "plate",
     }
     for file in files:
         assert (tmp_path / "first" / file).read_bytes() == (tmp_path / "again" / file).read_bytes()

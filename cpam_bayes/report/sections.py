@@ -1,0 +1,41 @@
+"""What stands behind an answer, section by section: tables on a screen, with figures on a page."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from cpam_bayes.report.tables import Table
+
+__all__ = ["Caption", "Section", "tables_of"]
+
+
+@dataclass(frozen=True, slots=True)
+class Caption:
+    """The words beside a figure.
+
+    text : what to see in the figure
+    alt : what the figure shows, for a reader who cannot see it
+    """
+
+    text: str
+    alt: str
+
+
+@dataclass(frozen=True, slots=True)
+class Section:
+    """A part of an answer.
+
+    tables : those without rows are not shown
+    figures : names of figures, which stand on a page before the tables
+    folded : on a page, whether a reader opens the section before its content is shown
+    """
+
+    title: str
+    tables: tuple[Table, ...] = ()
+    figures: tuple[str, ...] = ()
+    folded: bool = True
+
+
+def tables_of(sections: tuple[Section, ...]) -> tuple[Table, ...]:
+    """All tables in their order."""
+    return tuple(table for section in sections for table in section.tables)

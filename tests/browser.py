@@ -1,0 +1,151 @@
+"""Chromium without a window, told what to do over a pipe: a page as a reader sees it.
+
+The messages are those of the DevTools protocol, each ended by a zero byte.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+import os
+import select
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+PROGRAM = "chromium"
+_OPTIONS = (
+    "--headless",
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-dev-shm-usage",
+    "--hide-scrollbars",
+    "--remote-debugging-pipe",
+)
+_TIME_LIMIT = 60.0
+# The browser reads from descriptor 3 and writes to 4, whatever the numbers of the two pipes are here.
+_LAUNCH = """
+import fcntl, os, sys
+ends = [fcntl.fcntl(int(end), fcntl.F_DUPFD, 10) for end in sys.argv[1:3]]
+for number, end in enumerate(ends, 3):
+    os.dup2(end, number)
+os.execvp(sys.argv[3], sys.argv[3:])
+"""
+
+
+@dataclass
+class Browser:
+    """One open page; requests, console : all that it asked for and said, from its first page on."""
+
+    to: int
+    back: int
+    session: str = ""
+    requests: list[str] = field(default_factory=list)
+    console: list[str] = field(default_factory=list)
+    _number: int = 0
+    _unread: bytes = b""
+    _events: list[str] = field(default_factory=list)
+
+    def call(self, method: str, **params: Any) -> dict[str, Any]:
+        """The answer to one call of the protocol."""
+        self._number += 1
+        message: dict[str, Any] = {"id": self._number, "method": method, "params": params}
+        if self.session:
+            message["sessionId"] = self.session
+        os.write(self.to, json.dumps(message).encode() + b"\0")
+        while True:
+            said = self._next()
+            if said.get("id") == self._number:
+                assert "error" not in said, said
+                return dict(said["result"])
+
+    def show(self, page: Path, width: int, height: int = 900) -> None:
+        """Open a page of the disk in a window of that width, and wait until it is whole."""
+        self.call(
+            "Emulation.setDeviceMetricsOverride",
+            width=width,
+            height=height,
+            deviceScaleFactor=1,
+            mobile=width < 600,
+        )
+        self._events.clear()
+        self.call("Page.navigate", url=page.resolve().as_uri())
+        while "Page.loadEventFired" not in self._events:
+            self._next()
+
+    def value(self, expression: str) -> Any:
+        """What an expression gives on the page."""
+        result = self.call("Runtime.evaluate", expression=expression, returnByValue=True)
+        assert "exceptionDetails" not in result, result
+        return result["result"].get("value")
+
+    def picture(self, path: Path, *, whole: bool = True) -> None:
+        """The page as PNG."""
+        shot = self.call("Page.captureScreenshot", captureBeyondViewport=whole)
+        path.write_bytes(base64.b64decode(shot["data"]))
+
+    def print_to(self, path: Path) -> None:
+        """The page as a printer gets it, PDF of A4."""
+        done = self.call("Page.printToPDF", paperWidth=8.27, paperHeight=11.69, preferCSSPageSize=True)
+        path.write_bytes(base64.b64decode(done["data"]))
+
+    def start(self) -> None:
+        """Open a page and listen to it."""
+        target = self.call("Target.createTarget", url="about:blank")["targetId"]
+        self.session = self.call("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
+        for domain in ("Page", "Runtime", "Log", "Network"):
+            self.call(f"{domain}.enable")
+
+    def _next(self) -> dict[str, Any]:
+        while b"\0" not in self._unread:
+            ready, _, _ = select.select([self.back], [], [], _TIME_LIMIT)
+            assert ready, f"{PROGRAM}: no answer for {_TIME_LIMIT:g} s"
+            chunk = os.read(self.back, 1 << 20)
+            assert chunk, f"{PROGRAM}: ended"
+            self._unread += chunk
+        text, _, self._unread = self._unread.partition(b"\0")
+        said: dict[str, Any] = json.loads(text)
+        self._note(said.get("method", ""), said.get("params", {}))
+        return said
+
+    def _note(self, method: str, params: Mapping[str, Any]) -> None:
+        self._events.append(method)
+        if method == "Network.requestWillBeSent":
+            self.requests.append(params["request"]["url"])
+        elif method == "Log.entryAdded":
+            self.console.append(params["entry"]["text"])
+        elif method == "Runtime.consoleAPICalled":
+            self.console.append(str(params["args"]))
+        elif method == "Runtime.exceptionThrown":
+            self.console.append(params["exceptionDetails"]["text"])
+
+
+@contextmanager
+def open_browser() -> Iterator[Browser]:
+    """A browser with one page, closed in the end."""
+    from_us, to_browser = os.pipe()
+    from_browser, to_us = os.pipe()
+    with tempfile.TemporaryDirectory() as profile:
+        ends = (str(from_us), str(to_us))
+        process = subprocess.Popen(
+            [sys.executable, "-c", _LAUNCH, *ends, PROGRAM, *_OPTIONS, f"--user-data-dir={profile}"],
+            pass_fds=(from_us, to_us),
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+        os.close(from_us)
+        os.close(to_us)
+        browser = Browser(to_browser, from_browser)
+        try:
+            browser.start()
+            yield browser
+        finally:
+            os.close(to_browser)
+            os.close(from_browser)
+            process.terminate()
+            process.wait(_TIME_LIMIT)
