@@ -55,7 +55,7 @@ def pictures(data: dict[str, Any]) -> list[Picture]:
             _reliability(data["reliability"]),
             "How often the most probable class of causes is right, by its probability.",
             "Fraction of trials whose most probable class holds the true cause, with one standard error. "
-            f"{bins}.",
+            f"{bins[:1].upper()}{bins[1:]}.",
         )
     )
     return drawn

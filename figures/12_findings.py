@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from journal import DARK, DOUBLE_MM, GREY, ORANGE, SKY, Drawing, Picture, claimed, figure
+from journal import DARK, DOUBLE_MM, GREY, ORANGE, SKY, Drawing, Picture, claimed, figure, listed
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
@@ -27,8 +27,7 @@ def pictures(data: dict[str, Any]) -> list[Picture]:
         Picture(
             "12_findings",
             _all(groups),
-            "What the diagnosis finds on the plates of the paper, and on plates of spruce where these are "
-            "among the results.",
+            f"What the diagnosis finds on {listed([' + '.join(g['plates']) for g in groups])}.",
             "Left: posterior probability that nothing is wrong, that something outside the catalogue is, "
             "and of the three most probable causes, named where there is room. Right: rms residual of the "
             "plain model, and an arrow to that of the extended model where something is claimed. "

@@ -39,9 +39,8 @@ def pictures(data: dict[str, Any]) -> list[Picture]:
                 _frequencies(table_5),
                 "ABAQUS frequencies of Table 5 over converged ones, mode by mode.",
                 "Modes of each plate from the left. The largest difference is "
-                f"{worst['difference_percent']:+.1f} % on {worst['specimen']}; "
-                f"{sum(not _readable(r) for r in table_5)} frequencies that lack a digit in print are left "
-                "out.",
+                f"{worst['difference_percent']:+.1f} % on {worst['specimen']}. "
+                f"Left out for lack of a digit in print: {sum(not _readable(r) for r in table_5)}.",
             )
         )
     if misfits:

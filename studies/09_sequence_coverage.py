@@ -25,6 +25,7 @@ from cpam_bayes.parallel import open_executor
 from cpam_bayes.plate import Specimen
 from cpam_bayes.plate.layup import parse_layup
 from cpam_bayes.report.tables import Column, Table, screen_text
+from cpam_bayes.validation.pages import markdown_table, with_error, write_sections
 from cpam_bayes.validation.stacking_coverage import (
     ALLOWED,
     CoverageSettings,
@@ -176,6 +177,32 @@ def show(results: Results) -> None:
     print(screen_text((Table("Randomised credible sets of sequences", columns, rows),), sys.stdout))
 
 
+def sections(results: Results) -> dict[str, str]:
+    """The table of docs/sequences.md: how often sets hold the true stacking sequence."""
+    cases = results["cases"]
+    levels = [row["level"] for row in cases[0]["coverage"]]
+    head = (
+        "plates",
+        "lists",
+        *(f"{100 * level:g} % sets" for level in levels),
+        "p",
+        "median 95 % set",
+        "first",
+    )
+    rows = (
+        (
+            f"{c['case']}, `{c['layup']}`, {c['modes']} frequencies, grid of {c['step_deg']:g} degrees",
+            str(len(c["trials"])),
+            *(with_error(row["covered"], row["sd"]) for row in c["coverage"]),
+            f"{c['p_uniform']:.2f}",
+            f"{c['median_set_size']:g}",
+            f"{100 * c['truth_ranked_first']:.0f} %",
+        )
+        for c in cases
+    )
+    return {"coverage": markdown_table(head, rows)}
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="the small version; nothing is saved")
@@ -191,7 +218,9 @@ def main() -> None:
         for name in only or CASES:
             results = run(False, executor, (name,), args.trials)
             save_results(RESULTS, with_saved(results, RESULTS, tuple(CASES)))
-    show(saved_results(RESULTS))
+    found = saved_results(RESULTS)
+    show(found)
+    write_sections(Path(__file__).parents[1], RESULTS.stem, sections(found))
 
 
 if __name__ == "__main__":

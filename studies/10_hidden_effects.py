@@ -18,9 +18,10 @@ import json
 import shutil
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
 from dataclasses import asdict
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -42,6 +43,7 @@ from cpam_bayes.validation.diagnosis.trial_statistics import (
 from cpam_bayes.validation.diagnosis.trials import Trial, run_trial
 from cpam_bayes.validation.diagnosis.truths import MESH, Bench, bench, variants_of_cause
 from cpam_bayes.validation.draw_store import DrawStore
+from cpam_bayes.validation.pages import listed, markdown_table, paragraph, with_error, write_sections
 from cpam_bayes.validation.study_results import save_results
 
 Results = dict[str, Any]
@@ -273,6 +275,44 @@ def show(results: Results) -> None:
         print(f"{row['bench']}: {row['cause']} does not reach {row['ratio']:g}: {row['why']}")
 
 
+# Sections of docs/hidden_effects.md
+
+
+def sections(results: Results) -> dict[str, str]:
+    """What docs/hidden_effects.md says of the trials."""
+    trials = max(row["n"] for row in results["figures"])
+    on = listed([bench["name"].replace(", ", " with ") for bench in results["benches"]])
+    return {
+        "trials": paragraph(
+            f"{trials} trials on {on}; causes that do not reach the ratio within their prior are left out "
+            "(the study lists them):"
+        ),
+        "figures": markdown_table(
+            ("", "asked", "reached (standard error)", "trials"), map(_figure, results["figures"])
+        ),
+        "oracle": "\n".join(_beside_oracle(results["figures"])),
+    }
+
+
+def _beside_oracle(rows: Sequence[Results]) -> Iterator[str]:
+    """Whether the oracle finds more, which knows the model of the truth."""
+    for row, oracle in pairwise(rows):
+        if "oracle" in oracle["name"]:
+            more = oracle["value"] - row["value"] > 2.0 * row["error"]
+            said = "finds more on" if more else "finds no more, within two standard errors, on"
+            yield f"- {row['name']}: the oracle {said} the same lists."
+
+
+def _figure(row: Results) -> tuple[str, ...]:
+    name = row["name"].strip().replace("slips of the list", "transcription errors")
+    reached = with_error(row["value"], row["error"])
+    if name.startswith("expected calibration error"):
+        reached = f"{row['value']:.3f}, by chance alone {row['error']:.3f}"
+    if name.startswith("processor seconds"):
+        reached = f"{row['value']:.1f}"
+    return name, row["asked"], reached, str(row["n"])
+
+
 def main() -> None:
     """Run the study, print its tables and save the results."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
@@ -296,6 +336,7 @@ def main() -> None:
     def keep(results: Results) -> None:
         if not args.quick:
             save_results(RESULTS, results)
+            write_sections(Path(__file__).parents[1], RESULTS.stem, sections(results))
 
     with open_executor(args.executor, args.workers) as executor:
         results = run(

@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 import csv
 import sys
+import textwrap
 import time
 import tomllib
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -18,6 +19,7 @@ from typing import Any
 
 import cpam_bayes as cb
 from cpam_bayes.plate import Specimen
+from cpam_bayes.validation.pages import write_sections
 from cpam_bayes.validation.study_results import save_results, saved_results, with_saved
 
 Results = dict[str, Any]
@@ -25,7 +27,6 @@ Results = dict[str, Any]
 HERE = Path(__file__).parent
 RESULTS = HERE / "results" / f"{Path(__file__).stem}.json"
 SPRUCE = HERE / "data" / "spruce_plates.csv"
-PAGE = HERE.parent / "docs" / "findings.md"
 
 KEYS = {
     "quick": "whether this is the small version",
@@ -170,8 +171,8 @@ def line_of(row: Results) -> str:
     return f"{' + '.join(row['plates'])}: {row['claim']} {' '.join(row['causes'])} {row['probability']:.2f}"
 
 
-def page(results: Results) -> str:
-    """The page of the documentation."""
+def sections(results: Results) -> dict[str, str]:
+    """What docs/findings.md says of the plates, and the answer about C1 in the README."""
     rows = {tuple(row["plates"]): row for row in results["groups"]}
     wood = tuple(spruce())
     alone = [rows[name,] for name in ALONE if (name,) in rows]
@@ -179,14 +180,36 @@ def page(results: Results) -> str:
     of_wood = [rows[name,] for name in wood if (name,) in rows]
     wood_together = [rows[group] for group in SPRUCE_TOGETHER if group in rows]
     quiet = [row for row in alone if row["claim"] == "none"]
-    sections = [
+    parts = [
         (alone, [_HEAD, *_answers(alone), "", "## What is claimed, or nearly", "", *_stories(alone)]),
         (quiet, [_UNSEEN, *_unseen(quiet), ""]),
         (together, [_TOGETHER, *_answers(together), "", *_stories(together)]),
         (of_wood, [_WOOD, *_answers(of_wood), "", *_published(of_wood), "", *_stories(of_wood)]),
         (wood_together, [_WOOD_TOGETHER, *_answers(wood_together), "", *_stories(wood_together)]),
     ]
-    return "\n".join(line for of, lines in sections if of for line in lines)
+    return {
+        "plates": "\n".join(line for of, lines in parts if of for line in lines),
+        **{row["plates"][0]: _in_short(row) for row in alone},
+    }
+
+
+def _in_short(row: Results) -> str:
+    """The answer about one plate as code, in the words of the screen."""
+    baseline = row["baseline"]
+    smallest = [d for d in row["detectable"] if d["smallest"] is not None]
+    unseen = [d["cause"] for d in row["detectable"] if d["smallest"] is None]
+    lines = [
+        "Diagnosis",
+        textwrap.indent(textwrap.fill(row["sentence"], 100), "  "),
+        "",
+        f"What the plain model gets wrong: rms {baseline['rms_percent']:.2f} %, predictive p "
+        f"{baseline['predictive_p']:.3f}",
+        "",
+        "What these data would have shown with 95 % probability: the cause, or a class with it",
+        *(f"  {d['cause']:<18}{d['smallest']:8.2g} {d['unit']}".rstrip() for d in smallest),
+        textwrap.indent(textwrap.fill(f"no size: {', '.join(unseen)}", 100), "  "),
+    ]
+    return textwrap.indent("\n".join(lines), "    ")
 
 
 def _answers(rows: Sequence[Results]) -> Iterable[str]:
@@ -292,21 +315,7 @@ _SCALES = ("scales_times_3", "scales_divided_by_3")
 _CLAIMS = ("named", "class", "pair")
 _CONSTANTS = ("E1_GPa", "E2_GPa", "nu12", "G12_GPa")
 
-_HEAD = """# What the diagnosis finds
-
-`cpam-bayes diagnose` on the plates of the paper (Tables 2 to 4), on the aluminium plate of Table 1 and on
-five plates of spruce. `python studies/12_findings.py` runs it and writes this page, every number included.
-
-What is assumed: the constants are normal about the reference of the plate file with the standard deviation
-of `[material.sd]`, 10 % for the built-in plates. The repeatability, which the paper does not give, is
-inferred with [a log-normal prior](priors.md) that ends at 2 %; what is beyond belongs to a cause or to
-`other`. Sizes and probabilities of the causes have [the priors of the catalogue](effects.md). The plates
-were known when the catalogue was written, so that these priors are not blind. Each answer is repeated with
-the scales of causes and noise times 3 and divided by 3.
-
-![What is claimed of every plate](../figures/12_findings.png)
-
-## Each plate alone
+_HEAD = """## Each plate alone
 
 95 % intervals of the constants are of the extended model where something is claimed, else averaged over all
 hypotheses.
@@ -350,7 +359,7 @@ def main() -> None:
         for row in run(args.quick, args.only, keep)["groups"]:
             print(line_of(row))
     if not args.quick:
-        PAGE.write_text(page(saved_results(RESULTS)), encoding="utf-8")
+        write_sections(HERE.parent, RESULTS.stem, sections(saved_results(RESULTS)))
 
 
 if __name__ == "__main__":

@@ -27,6 +27,7 @@ from cpam_bayes.report.tables import Column, Table, screen_text
 from cpam_bayes.validation.diagnosis.joint_trials import TESTS, laboratory, run_joint_trial
 from cpam_bayes.validation.diagnosis.trials import Trial
 from cpam_bayes.validation.diagnosis.truths import variants_of_cause
+from cpam_bayes.validation.pages import markdown_table, write_sections
 from cpam_bayes.validation.study_results import save_results
 
 Results = dict[str, Any]
@@ -152,6 +153,34 @@ def show(results: Results) -> None:
     print(screen_text((first, Table("Probability of the hidden cause", heads, lines)), sys.stdout))
 
 
+def sections(results: Results) -> dict[str, str]:
+    """The table of docs/hidden_effects.md: what further plates and tests add."""
+    head = (
+        "measured",
+        "trials",
+        "true cause leads",
+        "its probability, mean",
+        "named",
+        "claimed",
+        "wrong claims",
+    )
+    rows = (
+        (
+            s["setup"],
+            str(s["trials"]),
+            f"{s['leads']:.2f}",
+            f"{s['cause_probability']:.2f}",
+            f"{s['named']:.2f}",
+            f"{s['claimed']:.2f}",
+            str(s["wrong_claims"]),
+            f"{s['constants_spread']:.2f}",
+            f"{s['processor_seconds']:.1f}",
+        )
+        for s in results["setups"]
+    )
+    return {"setups": markdown_table((*head, "spread of the constants", "processor s"), rows)}
+
+
 def main() -> None:
     """Run the study, print its tables and save the results."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
@@ -168,6 +197,7 @@ def main() -> None:
     show(results)
     if not args.quick:
         save_results(RESULTS, results)
+        write_sections(Path(__file__).parents[1], RESULTS.stem, sections(results))
 
 
 if __name__ == "__main__":

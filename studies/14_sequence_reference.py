@@ -15,7 +15,7 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from itertools import pairwise
 from pathlib import Path
@@ -37,6 +37,14 @@ from cpam_bayes.stacking.posterior import stacking_posterior, stacking_problem
 from cpam_bayes.stacking.records import DEFAULT_SETTINGS, StackingProblem, StackingSettings
 from cpam_bayes.stacking.surrogate.training import TrainingSettings, train
 from cpam_bayes.stacking.symmetry.classes import classes
+from cpam_bayes.validation.pages import (
+    counted,
+    in_digits,
+    markdown_table,
+    paragraph,
+    with_error,
+    write_sections,
+)
 from cpam_bayes.validation.study_results import save_results, saved_results, with_saved
 from cpam_bayes.validation.unknown_layups import with_noise_free_list, with_unknown_layup
 
@@ -70,6 +78,8 @@ CASES = {
 }
 # Of the reference: log2 of its points, its library, and the members of it that an optimisation begins at.
 LOG2_POINTS, LIBRARY, STARTS = 11, 768, 8
+# The last layer has no end that means anything.
+LARGEST_SHOWN_NATS = 1000.0
 # Layers of the surrogate, nats below its top, and log2 of the points of what is drawn of them.
 LAYERS = (-10.0, 3.0, 6.0, 9.0, 12.0, 16.0, 22.0, 30.0, 45.0, np.inf)
 LAYER_POINTS = 9
@@ -272,6 +282,83 @@ def show(results: Results) -> None:
     print(screen_text(tuple(found), sys.stdout))
 
 
+# Sections of docs/sequences.md
+
+
+def sections(results: Results) -> dict[str, str]:
+    """What docs/sequences.md says of errors of log evidences and of the sum over all stacking sequences."""
+    cases = results["cases"]
+    layered = [c for c in cases if c["layers"]]
+    return {
+        "errors": _errors_table(cases) + "\n\n" + paragraph(" ".join(map(_scatter, cases))),
+        "sums": "\n\n".join(_sum(c) for c in layered),
+    }
+
+
+def _errors_table(cases: Sequence[Results]) -> str:
+    head = ("list", "most probable classes", "rms", "largest", "draws", "rms", "within 0.1", "largest")
+    rows = (
+        (
+            c["case"],
+            str(c["top"]["n"]),
+            f"{c['top']['rms']:.3f}",
+            f"{c['top']['largest']:.2f}",
+            str(c["drawn_with_care"]["n"]),
+            f"{c['drawn_with_care']['rms']:.3f}",
+            f"{100 * c['drawn_with_care']['within']:.1f} %",
+            f"{c['drawn_with_care']['largest']:.2f}",
+            "-" if c["drawn_as_known"] is None else f"{c['drawn_as_known']:.2f}",
+            f"{c['laplace']['rms']:.2f}",
+        )
+        for c in cases
+    )
+    return markdown_table((*head, "before refinement, rms", "Laplace, rms"), rows)
+
+
+def _scatter(case: Results) -> str:
+    of_top, of_draws = (
+        f"{e['mean']:+.3f} and {max(e['rms'] ** 2 - e['mean'] ** 2, 0.0) ** 0.5:.3f}"
+        for e in (case["top"], case["drawn_with_care"])
+    )
+    return (
+        f"Mean and scatter about it, {case['case']}: most probable classes {of_top}, draws {of_draws} nats."
+    )
+
+
+def _sum(case: Results) -> str:
+    total = sum(r["mass"] for r in case["layers"])
+    drawn = sum(r["drawn"] for r in case["layers"])
+    reference = with_error(case["sum"]["log_evidence"], case["sum"]["relative_error"], 3)
+    rows = (
+        (
+            f"{r['from']:g} to {r['to']:g}" if r["to"] < LARGEST_SHOWN_NATS else f"more than {r['from']:g}",
+            str(r["drawn"]),
+            counted(r["classes"]),
+            in_digits(r["mass"] / total),
+            in_digits(r["learned_mass"] / total),
+            f"{r['most_above']:.1f}",
+            f"{-r['highest']:.1f}",
+        )
+        for r in case["layers"]
+    )
+    head = (
+        "surrogate below its largest, nats",
+        "drawn",
+        "of classes",
+        "fraction of the sum",
+        "by the surrogate",
+    )
+    return (
+        paragraph(
+            f"{case['case']}: the sum over all {counted(case['enumerated'])} stacking sequences, estimated "
+            f"from {drawn} classes drawn layer by layer, has the log {reference}; `sequence` finds "
+            f"{case['log_evidence']:.3f}."
+        )
+        + "\n\n"
+        + markdown_table((*head, "above the surrogate at most, nats", "below the best at least, nats"), rows)
+    )
+
+
 def main() -> None:
     """Run the study, print its tables and save the results, case by case."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
@@ -289,7 +376,9 @@ def main() -> None:
             return
         for name in args.only or CASES:
             save_results(RESULTS, with_saved(run(False, executor, (name,), tell), RESULTS, tuple(CASES)))
-    show(saved_results(RESULTS))
+    found = saved_results(RESULTS)
+    show(found)
+    write_sections(Path(__file__).parents[1], RESULTS.stem, sections(found))
 
 
 if __name__ == "__main__":

@@ -6,7 +6,7 @@ python studies/15_claims.py [--make SET ...] [--answer SET ...] [--references SE
 The lists are files with their truths, one JSON line each in studies/data/claims: "id", "file" (a plate
 file as text) and "truth". --make writes a set anew, --answer asks the diagnosis for what is not answered
 yet, --references adds the oracle and what users do instead. Without these the answers that there are
-become results, and the section of docs/hidden_effects.md between its marks. --engine NAME=TREE asks
+become results, and the section of docs/hidden_effects.md. --engine NAME=TREE asks
 another version of the package for its answers. Another method is scored in the same way: write one JSON
 line a list with "id" and the keys of `cpam-bayes diagnose --json` into
 studies/data/claims/answers/SET_NAME.jsonl.
@@ -32,6 +32,7 @@ from cpam_bayes.validation.claims import answering, oracle, scoring, simple_meth
 from cpam_bayes.validation.independent import sets
 from cpam_bayes.validation.independent.dictionary import Dictionary, dictionary_of
 from cpam_bayes.validation.independent.lists import NOISE
+from cpam_bayes.validation.pages import write_sections
 from cpam_bayes.validation.study_results import save_results
 
 Results = dict[str, Any]
@@ -39,8 +40,6 @@ Results = dict[str, Any]
 HERE = Path(__file__).parent
 RESULTS = HERE / "results" / f"{Path(__file__).stem}.json"
 DATA = HERE / "data" / "claims"
-PAGE = HERE.parent / "docs" / "hidden_effects.md"
-START, END = "<!-- claims: written by studies/15_claims.py -->", "<!-- /claims -->"
 
 KEYS = {
     "quick": "whether this is the small version",
@@ -199,21 +198,15 @@ def references(name: str, limit: int | None) -> None:
         print(name, entry["id"], found["oracle"]["claim"], found["oracle"]["causes"], flush=True)
 
 
-def write_page(results: Results) -> None:
-    """The section of the documentation between its marks."""
-    text = PAGE.read_text("utf-8")
-    body = [START, ""]
+def sections(results: Results) -> dict[str, str]:
+    """What docs/hidden_effects.md says of each set."""
+    found = []
     for name, title in TITLES.items():
-        own = results["sets"].get(name, {})
-        if THIS in own:
-            others = {k: v for k, v in own.items() if k != THIS}
-            total = results["lists"][name]
-            body.append(summary.section(title, total, own[THIS], others, NAMES))
-    body.append(END)
-    before, after = (
-        (text.split(START)[0], text.split(END)[-1]) if START in text else (text.rstrip() + "\n\n", "\n")
-    )
-    PAGE.write_text(before + "\n".join(body) + after, "utf-8")
+        engines = results["sets"].get(name, {})
+        if THIS in engines:
+            others = {k: v for k, v in engines.items() if k != THIS}
+            found.append(summary.section(title, results["lists"][name], engines[THIS], others, NAMES))
+    return {"sets": "\n".join(found)}
 
 
 def show(results: Results) -> None:
@@ -259,7 +252,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     show(results)
     if not args.quick:
         save_results(RESULTS, results)
-        write_page(results)
+        write_sections(HERE.parent, RESULTS.stem, sections(results))
 
 
 if __name__ == "__main__":

@@ -28,11 +28,11 @@ from cpam_bayes.forward_model.calculix import solve_modes
 from cpam_bayes.forward_model.model import reference_constants
 from cpam_bayes.forward_model.theory_error import shear_frequency, theory_error
 from cpam_bayes.plate import Specimen
+from cpam_bayes.validation.pages import write_sections
 from cpam_bayes.validation.study_results import save_results, saved_results, with_saved
 
 Results = dict[str, Any]
 
-PAGE = Path(__file__).parents[1] / "docs" / "theory_error.md"
 RESULTS = Path(__file__).parent / "results" / f"{Path(__file__).stem}.json"
 
 KEYS = {
@@ -62,33 +62,7 @@ LENGTH_MM, WIDTH_MM = 240.0, 180.0
 SLENDERNESS = (150, 50, 25, 15)
 
 
-_PAGE_HEAD = """# First-order theory against three dimensions
-
-`python studies/16_theory_error.py` solves plates by the Ritz model and by bricks of 20 nodes with the same
-constants, and writes this page. In a diagnosis the rule of `forward_model/theory_error.py` is added to the
-solver's own error as a variance of each frequency:
-
-    e^2 = 0.0001^2 + (0.009 w)^2 + (0.4 h / (a b) sum over free edges of L q)^2
-          + (0.018 h / (a b) sum over clamped edges of L)^2
-
-- w = 2 pi f h (rho / G13)^1/2 is the time of a shear wave through the thickness against the period. This part
-  comes from the theory itself, which is up to 0.3 % too soft in the highest modes of the thickest plates.
-- Free edges of laminates whose plies are turned against each other. Bending leaves stresses in the plies at a
-  free edge whose resultants vanish but not they themselves; in three dimensions they decay within about a
-  thickness and the plate is softer there. It grows with the thickness as h, not as h^2, and reaches 0.4 % on
-  quasi-isotropic plates of carbon with h/b = 1/50. q (`edge_layer`) follows from the layup; it is zero for
-  unidirectional plates and next to nothing for cross-plies.
-- A clamp is a face held over the whole thickness, which the theory takes as softer than it is. Real clamps
-  are softer, and that is a cause of the catalogue.
-
-All parts are systematic: the second one raises the frequencies of the model, the others lower them. They
-differ from mode to mode and count as scatter.
-
-The bricks are extrapolated from two meshes; the error stated for them is a third of the difference of these
-and is mostly too large, since the error falls faster than the extrapolation takes it to. On a quasi-
-isotropic plate, h/b = 1/25, a mesh graded to the edges changes the six lowest frequencies by 0.01 %.
-
-Relative differences in %, Ritz model less bricks, ten modes:
+_TABLE = """Relative differences in %, Ritz model less bricks, ten modes:
 
 | plate | rms | mean | largest | error of bricks | rule |
 |---|---|---|---|---|---|"""
@@ -222,7 +196,7 @@ def main(arguments: list[str] | None = None) -> int:
         print_rows(found)
         save_results(RESULTS, with_saved(found, RESULTS, every))
     save_results(RESULTS, with_rule(saved_results(RESULTS)))
-    PAGE.write_text(page(saved_results(RESULTS)), encoding="utf-8")
+    write_sections(Path(__file__).parents[1], RESULTS.stem, sections(saved_results(RESULTS)))
     return 0
 
 
@@ -237,15 +211,15 @@ def with_rule(results: Results) -> Results:
     return results
 
 
-def page(results: Results) -> str:
-    """The page of the documentation."""
+def sections(results: Results) -> dict[str, str]:
+    """The table of docs/theory_error.md."""
     rows = [
         f"| {c['case']} | {rms(c, 'difference_percent'):.3f} | {mean(c):+.3f} | "
         f"{max(abs(m['difference_percent']) for m in c['modes']):.3f} | "
         f"{rms(c, 'bricks_error_percent'):.3f} | {rms(c, 'rule_percent'):.3f} |"
         for c in results["cases"]
     ]
-    return "\n".join([_PAGE_HEAD, *rows, ""])
+    return {"plates": "\n".join([_TABLE, *rows])}
 
 
 def rms(case: Results, key: str) -> float:

@@ -33,6 +33,7 @@ from cpam_bayes.validation.brick_cases import (
     true_frequencies,
     truth_of,
 )
+from cpam_bayes.validation.pages import write_sections
 from cpam_bayes.validation.study_results import save_results, saved_results, with_saved
 
 Results = dict[str, Any]
@@ -41,7 +42,6 @@ HERE = Path(__file__).parent
 RESULTS = HERE / "results" / f"{Path(__file__).stem}.json"
 BRICKS = HERE / "data" / "bricks"
 TRUTHS = BRICKS / "truths.json"
-PAGE = HERE.parent / "docs" / "worked_cases.md"
 
 KEYS = {
     "quick": "whether this is the small version",
@@ -153,8 +153,8 @@ def measure(names: Iterable[str]) -> None:
         print(name, ", ".join(f"{v:.1f}" for v in f), "Hz", flush=True)
 
 
-def page(results: Results) -> str:
-    """The page of the documentation."""
+def sections(results: Results) -> dict[str, str]:
+    """What docs/worked_cases.md says of the cases."""
     rows = results["cases"]
     words = [row["verdict"] for row in rows]
     counts = ", ".join(f"{word} {words.count(word)}" for word in dict.fromkeys(sorted(words)))
@@ -163,9 +163,8 @@ def page(results: Results) -> str:
         f"{len(rows)} plates: {counts}. {sum(covered)} of {len(covered)} true constants lie in their 95 % "
         "intervals."
     )
-    return "\n".join(
-        [_PAGE_HEAD, summary, "", _TABLE, *map(_line, rows), "", _CONSTANTS, *_constants(rows), ""]
-    )
+    lines = [summary, "", _TABLE, *map(_line, rows), "", _CONSTANTS, *_constants(rows)]
+    return {"cases": "\n".join(lines)}
 
 
 def _line(row: Results) -> str:
@@ -188,17 +187,6 @@ def _constants(rows: Iterable[Results]) -> Iterable[str]:
         yield f"| {row['case']} | {' | '.join(cells)} |"
 
 
-_PAGE_HEAD = """# Worked cases
-
-Plates of three-dimensional bricks with one thing wrong, or nothing. `python studies/17_worked_cases.py`
-diagnoses them and writes this page; the plate files and their truths stand in `studies/data/bricks`. The
-plates are not the built-in ones. Their constants are a few per cent off those of the file, the flaw is in
-geometry, masses or supports of the bricks, the noise is 0.2 %. Sizes, constants and seeds were written
-down before any of them was diagnosed, but wrong answers were looked into while the engine was made: these
-are examples, not a benchmark.
-
-![Residuals and probabilities of the causes](../figures/17_worked_cases.png)
-"""
 _TABLE = """| case | what is wrong | answer | probability | rms before, after, % | verdict |
 |---|---|---|---|---|---|"""
 _CONSTANTS = """True constants (GPa) and 95 % intervals, of the extended model where something is claimed,
@@ -226,7 +214,7 @@ def main(arguments: list[str] | None = None) -> int:
         found = run(False, [name])
         print_rows(found)
         save_results(RESULTS, with_saved(found, RESULTS, list(CASES)))
-    PAGE.write_text(page(saved_results(RESULTS)), encoding="utf-8")
+    write_sections(HERE.parent, RESULTS.stem, sections(saved_results(RESULTS)))
     return 0
 
 

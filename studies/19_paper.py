@@ -16,13 +16,13 @@ from cpam_bayes.comparison.compare import compare
 from cpam_bayes.paper.layups import identified_layups
 from cpam_bayes.report.comparison.markdown import page
 from cpam_bayes.report.progress import Terminal
+from cpam_bayes.validation.pages import write_sections
 from cpam_bayes.validation.study_results import save_results
 
 Results = dict[str, Any]
 
 FOLDER = Path(__file__).parent
 RESULTS = FOLDER / "results" / f"{Path(__file__).stem}.json"
-PAGE = FOLDER.parent / "docs" / "comparison.md"
 STORED = Path(cb.__file__).parent / "data" / "paper" / "computed"
 
 KEYS = {
@@ -40,6 +40,11 @@ def run(quick: bool, executor: str | None = "serial", workers: int | None = None
     spec = executor or "processes"
     result = compare(number, quick=quick, seed=SEED, executor=spec, workers=workers, watch=Terminal(quick))
     return {"quick": quick, "paper": result.to_dict()}
+
+
+def sections(results: Results) -> dict[str, str]:
+    """The content of docs/comparison.md."""
+    return {"tables": page(results["paper"])}
 
 
 def stored() -> dict[str, Results]:
@@ -99,7 +104,7 @@ def main() -> None:
             print(page(results["paper"]))
             return
         save_results(RESULTS, results)
-    PAGE.write_text(page(json.loads(RESULTS.read_text("utf-8"))["paper"]), encoding="utf-8")
+    write_sections(FOLDER.parent, RESULTS.stem, sections(json.loads(RESULTS.read_text("utf-8"))))
 
 
 if __name__ == "__main__":

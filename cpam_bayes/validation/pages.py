@@ -1,0 +1,155 @@
+"""Sections of documentation pages that are written from saved results.
+
+A page holds a section between two marks, each on a line of its own:
+
+    <!-- 08_sequences: cost -->
+    ...
+    <!-- /08_sequences -->
+
+The first name is the source, a study or ``figure``; the second is the section. All else in a page is typed.
+"""
+
+from __future__ import annotations
+
+import re
+import textwrap
+from collections.abc import Iterable, Mapping, Sequence
+from os.path import relpath
+from pathlib import Path
+
+__all__ = [
+    "FIGURE",
+    "angles",
+    "counted",
+    "figure_section",
+    "in_digits",
+    "listed",
+    "markdown_table",
+    "marks",
+    "pages",
+    "paragraph",
+    "sections_of_figures",
+    "with_error",
+    "with_sections",
+    "write_sections",
+]
+
+FIGURE = "figure"
+_SECTION = re.compile(
+    r"^<!-- (?P<source>\w+): (?P<name>[^\n]+?) -->\n(?P<text>.*?)^<!-- /(?P=source) -->$",
+    re.MULTILINE | re.DOTALL,
+)
+
+
+def pages(project: Path) -> list[Path]:
+    """All pages that may hold sections: the README and docs/."""
+    return [project / "README.md", *sorted((project / "docs").glob("*.md"))]
+
+
+def marks(page: str) -> list[tuple[str, str]]:
+    """Source and name of each section, in order; raises ``ValueError`` for a mark without its pair."""
+    found = [(section["source"], section["name"]) for section in _SECTION.finditer(page)]
+    sources = {source for source, _ in found}
+    lone = [
+        line
+        for line in re.findall(r"^<!-- /?(\w+)(?:: .*)? -->$", page, re.MULTILINE)
+        if line not in sources and (line == FIGURE or line[:1].isdigit())
+    ]
+    if lone:
+        raise ValueError(
+            f"marks of {', '.join(lone)} without their pair: write <!-- x: name --> and <!-- /x -->"
+        )
+    return found
+
+
+def with_sections(page: str, source: str, sections: Mapping[str, str]) -> str:
+    """A page with the sections of one source written anew.
+
+    Raises ``ValueError`` for a section that the page asks for and the source does not have.
+    """
+
+    def text(section: re.Match[str]) -> str:
+        if section["source"] != source:
+            return section[0]
+        name = section["name"]
+        if name not in sections:
+            known = ", ".join(sections) or "none"
+            raise ValueError(f"no section of {source} is named {name!r}; there are {known}")
+        content = sections[name].strip("\n")
+        return f"<!-- {source}: {name} -->\n\n{content}\n\n<!-- /{source} -->"
+
+    return _SECTION.sub(text, page)
+
+
+def write_sections(project: Path, source: str, sections: Mapping[str, str]) -> list[Path]:
+    """Write the sections of one source into all pages that ask for them; the pages that changed."""
+    changed = []
+    for path in pages(project):
+        before = path.read_text(encoding="utf-8")
+        after = with_sections(before, source, sections)
+        if after != before:
+            path.write_text(after, encoding="utf-8")
+            changed.append(path)
+    return changed
+
+
+def figure_section(caption: Path, page: Path) -> str:
+    """A figure with its caption, as a page shows it; from the caption file beside the figure."""
+    title, text, *_ = caption.read_text(encoding="utf-8").split("\n\n")
+    link = Path(relpath(caption.with_suffix(".png"), page.parent)).as_posix()
+    alternative = " ".join(title.strip("*").split())
+    return f"![{alternative}]({link})\n\n{paragraph(f'{title} {text}')}"
+
+
+def sections_of_figures(project: Path, page: Path) -> dict[str, str]:
+    """All figures by name, for one page."""
+    captions = (path for path in sorted((project / "figures").glob("*.md")) if path.name != "README.md")
+    return {path.stem: figure_section(path, page) for path in captions}
+
+
+def paragraph(text: str, start: str = "") -> str:
+    """Text in lines of a page, the first after ``start`` ("- " for an item of a list)."""
+    return textwrap.fill(
+        " ".join(text.split()),
+        110,
+        initial_indent=start,
+        subsequent_indent=" " * len(start),
+        break_on_hyphens=False,
+        break_long_words=False,
+    )
+
+
+def markdown_table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A table of Markdown."""
+    lines = ("| " + " | ".join(cells) + " |" for cells in (head, *rows))
+    first, *others = lines
+    return "\n".join((first, "|" + "---|" * len(head), *others))
+
+
+def counted(number: float) -> str:
+    """A number of things in few digits: 1296, 46 656, 1.7 million, 844 million, 2.2 billion."""
+    for word, unit in (("billion", 1e9), ("million", 1e6)):
+        if number >= unit:
+            return f"{number / unit:.{0 if number >= 10 * unit else 1}f} {word}"
+    return f"{number:.0f}" if number < 1e4 else f"{number:,.0f}".replace(",", " ")
+
+
+def with_error(value: float, error: float, decimals: int = 3) -> str:
+    """A value with its standard error in units of the last digit: 0.970(12)."""
+    digits = round(error * 10**decimals)
+    return f"{value:.{decimals}f}" + (f"({digits})" if digits else "")
+
+
+def in_digits(value: float, digits: int = 2) -> str:
+    """A value in so many digits, with a short exponent: 2.3e-5, 1.1e4."""
+    return re.sub(r"e([+-])0*", lambda sign: "e" + sign[1].strip("+"), f"{value:.{digits}g}")
+
+
+def angles(angles_deg: Iterable[float]) -> str:
+    """A stacking sequence in short: 0/90/45."""
+    return "/".join(f"{angle:g}" for angle in angles_deg)
+
+
+def listed(names: Sequence[str]) -> str:
+    """Names in a sentence: a, b and c."""
+    return " and ".join(filter(None, (", ".join(names[:-1]), *names[-1:])))

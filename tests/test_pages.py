@@ -1,0 +1,135 @@
+"""Pages say what the saved results say: every generated section is written anew and compared."""
+
+from __future__ import annotations
+
+import json
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+from cpam_bayes.validation.pages import (
+    FIGURE,
+    counted,
+    figure_section,
+    in_digits,
+    listed,
+    markdown_table,
+    marks,
+    pages,
+    with_error,
+    with_sections,
+    write_sections,
+)
+from tests.test_studies import PROJECT, SAVED, STUDIES, script
+
+PAGES = {str(path.relative_to(PROJECT)): path for path in pages(PROJECT)}
+WITH_SECTIONS = [name for name, path in PAGES.items() if marks(path.read_text(encoding="utf-8"))]
+PAGE = "Typed.\n\n<!-- 01_study: part -->\nold\n<!-- /01_study -->\n\nTyped, too.\n"
+
+
+@cache
+def sections(study: str) -> dict[str, str]:
+    module = script("studies", study)
+    results = json.loads((SAVED / f"{study}.json").read_text(encoding="utf-8"))
+    return dict(module.sections(results)) if hasattr(module, "sections") else {}
+
+
+@pytest.mark.parametrize("name", WITH_SECTIONS)
+def test_a_page_says_what_the_saved_results_say(name: str) -> None:
+    """Written anew by: python studies/write_pages.py."""
+    assert script("studies", "write_pages").written(PAGES[name], STUDIES) == PAGES[name].read_text("utf-8")
+
+
+def test_every_source_of_a_section_is_a_study_or_a_figure() -> None:
+    sources = {source for path in PAGES.values() for source, _ in marks(path.read_text(encoding="utf-8"))}
+    assert sources <= {FIGURE, *STUDIES}
+
+
+def test_a_study_that_writes_sections_has_its_place_in_a_page() -> None:
+    asked = {mark for path in PAGES.values() for mark in marks(path.read_text(encoding="utf-8"))}
+    for study in STUDIES:
+        written = {name for name in sections(study) if (study, name) in asked}
+        assert bool(written) == bool(sections(study)), study
+
+
+def test_figures_stand_in_pages_with_their_captions_alone() -> None:
+    for path in PAGES.values():
+        text = with_sections(path.read_text(encoding="utf-8"), FIGURE, dict.fromkeys(names_of_figures(), ""))
+        by_hand = [line for line in text.splitlines() if line.startswith("![") and "figures/" in line]
+        assert by_hand == [] or path.name == "README.md"
+
+
+def names_of_figures() -> list[str]:
+    return [path.stem for path in (PROJECT / "figures").glob("*.png")]
+
+
+@pytest.mark.parametrize(
+    ("study", "key", "name"),
+    [("13_several_plates", "setups", "setups"), ("17_worked_cases", "cases", "cases")],
+)
+def test_a_section_follows_whatever_the_results_hold(study: str, key: str, name: str) -> None:
+    results = json.loads((SAVED / f"{study}.json").read_text(encoding="utf-8"))
+    fewer = {**results, key: results[key][:-1]}
+    assert script("studies", study).sections(fewer)[name] != sections(study)[name]
+
+
+def test_a_section_is_written_between_its_marks_alone() -> None:
+    written = with_sections(PAGE, "01_study", {"part": "new"})
+    assert written == PAGE.replace("\nold\n", "\n\nnew\n\n")
+    assert with_sections(written, "01_study", {"part": "new"}) == written
+    assert with_sections(PAGE, "02_another", {}) == PAGE
+
+
+def test_a_section_that_is_not_there_is_refused() -> None:
+    with pytest.raises(ValueError, match="no section of 01_study is named 'part'; there are whole"):
+        with_sections(PAGE, "01_study", {"whole": ""})
+
+
+@pytest.mark.parametrize(
+    "lone", ["<!-- 01_study: part -->\n", "<!-- /01_study -->\n", "<!-- figure: x -->\n"]
+)
+def test_a_mark_without_its_pair_is_refused(lone: str) -> None:
+    with pytest.raises(ValueError, match="without their pair"):
+        marks("Typed.\n\n" + lone)
+
+
+def test_a_study_writes_its_sections_into_all_pages(tmp_path: Path) -> None:
+    (tmp_path / "docs").mkdir()
+    for name in ("README.md", "docs/one.md"):
+        (tmp_path / name).write_text(PAGE, encoding="utf-8")
+    (tmp_path / "docs" / "two.md").write_text("Typed.\n", encoding="utf-8")
+    changed = write_sections(tmp_path, "01_study", {"part": "new"})
+    assert changed == [tmp_path / "README.md", tmp_path / "docs" / "one.md"]
+    assert write_sections(tmp_path, "01_study", {"part": "new"}) == []
+
+
+def test_a_figure_is_linked_from_where_its_page_lies(tmp_path: Path) -> None:
+    caption = tmp_path / "figures" / "x.md"
+    caption.parent.mkdir()
+    caption.write_text("**What it\nis.**\n\nWhat to see.\n\nData: ...\n", encoding="utf-8")
+    shown = "![What it is.]({})\n\n**What it is.** What to see."
+    assert figure_section(caption, tmp_path / "README.md") == shown.format("figures/x.png")
+    assert figure_section(caption, tmp_path / "docs" / "one.md") == shown.format("../figures/x.png")
+
+
+@pytest.mark.parametrize(
+    ("number", "words"),
+    [
+        (1296, "1296"),
+        (46656, "46 656"),
+        (1679616, "1.7 million"),
+        (60466176, "60 million"),
+        (2.18e9, "2.2 billion"),
+    ],
+)
+def test_numbers_of_things_are_short(number: float, words: str) -> None:
+    assert counted(number) == words
+
+
+def test_values_are_written_as_in_print() -> None:
+    assert with_error(0.9702, 0.0118) == "0.970(12)"
+    assert with_error(-27.678, 1e-6) == "-27.678"
+    assert [in_digits(v) for v in (2.35e-5, 0.0014, 1.08e4, 41.0)] == ["2.3e-5", "0.0014", "1.1e4", "41"]
+    assert [listed(names) for names in (["a"], ["a", "b"], ["a", "b", "c"])] == ["a", "a and b", "a, b and c"]
+    assert markdown_table(("x", "y"), [("1", "2")]) == "| x | y |\n|---|---|\n| 1 | 2 |"
