@@ -40,13 +40,12 @@ def pictures(data: dict[str, Any]) -> list[Picture]:
 
 
 def _all(cases: list[dict[str, Any]]) -> Figure:
-    new = figure(DOUBLE_MM, 14 + 36 * len(cases))
+    new = figure(DOUBLE_MM, 12 + 36.5 * len(cases))
     grid = new.subplots(len(cases), 2, squeeze=False, width_ratios=(1.3, 1.0))
     for (left, right), case in zip(grid, cases, strict=True):
         _residuals(left, case)
         _probabilities(right, case)
     grid[-1][0].set_xlabel("mode")
-    grid[-1][1].set_xlabel("posterior probability")
     handles = [Patch(color=colour, label=label) for colour, label in LABELS.items()]
     new.legend(handles=handles, loc="outside lower center", ncols=3)
     return new
@@ -74,7 +73,7 @@ def _probabilities(axes: Axes, case: dict[str, Any]) -> None:
     axes.barh(y, p, 0.65, color=[BLUE if h["cause"] == true else LIGHT for h in shown])
     names = [h["cause"] + (" (true)" if h["cause"] == true else "") for h in shown]
     axes.set_yticks(y, names)
-    axes.set(xlim=(0.0, 1.0), ylim=(len(shown) - 0.5, -0.5))
+    axes.set(xlim=(0.0, 1.0), ylim=(len(shown) - 0.5, -0.5), xlabel="posterior probability")
     bare(axes)
     claim = claimed(case)
     title = f"claim: {claim}, {case['probability']:.2f}: {case['verdict']}"

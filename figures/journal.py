@@ -122,20 +122,26 @@ class Drawing:
         The same results give the same bytes. Returns the figures' paths; raises ``FileNotFoundError`` where
         there are no results.
         """
-        written = []
-        content = (results / f"{self.study}.json").read_bytes()
+        return self.write(self.drawn(results), results, folder, kind)
+
+    def drawn(self, results: Path = RESULTS) -> list[Picture]:
+        """The figures, not written."""
         with _style():
-            for picture in self.pictures(json.loads(content)):
+            return self.pictures(json.loads(self._content(results)))
+
+    def write(self, drawn: Sequence[Picture], results: Path, folder: Path, kind: str = "png") -> list[Path]:
+        """Write figures that were drawn from the results in one folder, and their captions, into another."""
+        content, written = self._content(results), []
+        with _style():
+            for picture in drawn:
                 path = folder / f"{picture.name}.{kind}"
                 _save(picture.figure, path, kind, hashlib.sha256(content).hexdigest())
                 path.with_suffix(".md").write_text(self._caption(picture, content), encoding="utf-8")
                 written.append(path)
         return written
 
-    def drawn(self, results: Path = RESULTS) -> list[Picture]:
-        """The figures, not written."""
-        with _style():
-            return self.pictures(json.loads((results / f"{self.study}.json").read_bytes()))
+    def _content(self, results: Path) -> bytes:
+        return (results / f"{self.study}.json").read_bytes()
 
     def main(self, arguments: Sequence[str] | None = None) -> None:
         """Answer the command line of the script."""
@@ -178,7 +184,7 @@ def draw_all(drawings: Sequence[Drawing], options: argparse.Namespace) -> None:
 
 def figure(width_mm: float, height_mm: float) -> Figure:
     """An empty figure of this size."""
-    new = Figure(figsize=(width_mm / 25.4, height_mm / 25.4), layout="constrained")
+    new = Figure(figsize=(width_mm / 25.4, height_mm / 25.4), dpi=DPI, layout="constrained")
     FigureCanvasAgg(new)
     return new
 

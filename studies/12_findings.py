@@ -206,7 +206,7 @@ def _in_short(row: Results) -> str:
         f"{baseline['predictive_p']:.3f}",
         "",
         "What these data would have shown with 95 % probability: the cause, or a class with it",
-        *(f"  {d['cause']:<18}{d['smallest']:8.2g} {d['unit']}".rstrip() for d in smallest),
+        *(f"  {d['cause']:<18}{d['smallest']:8.3g} {d['unit']}".rstrip() for d in smallest),
         textwrap.indent(textwrap.fill(f"no size: {', '.join(unseen)}", 100), "  "),
     ]
     return textwrap.indent("\n".join(lines), "    ")
