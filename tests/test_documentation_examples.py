@@ -20,11 +20,13 @@ MARKS = dict.fromkeys(
     (
         "README.md",
         "cluster.md",
+        "index.md",
         "library.md",
         "own_prior.md",
         "repeats.md",
         "sensors.md",
         "several_plates.md",
+        "tutorial.md",
     ),
     _SLOW,
 ) | {"calculix_abaqus.md": [pytest.mark.needs_ccx, pytest.mark.slow]}

@@ -60,6 +60,19 @@ def test_the_site_builds_strictly_with_its_figures_and_the_api(site: Path) -> No
             assert (page.parent / source).is_file(), f"{page.name}: {source}"
 
 
+def test_fields_of_a_docstring_are_a_list_with_the_types_of_the_signature(site: Path) -> None:
+    """`docs/build/docstrings.py` makes them of lines ``name : what it is``."""
+    text = re.sub(r"<[^>]+>", "", (site / "api.html").read_text("utf-8"))
+    assert re.search(r"density: kg/m3, from the mass when that was given", text)
+    assert re.search(r"plate\s*\(\s*PlateLike\s*\)\s*–\s*the name of a built-in specimen", text)
+
+
+def test_equations_are_mathml(site: Path) -> None:
+    theory = (site / "theory.html").read_text("utf-8")
+    assert theory.count("<math") > 20
+    assert not re.search(r"\\(frac|int|sum|nu)\b", theory)
+
+
 def test_no_page_fetches_from_a_network(site: Path) -> None:
     """`docs/build/hooks.py` refuses such a page; here the styles and the pages without it."""
     fetching = re.compile(r'(?:<(?:script|img|iframe)[^>]*\ssrc=|@import\s|url\()["\']?(?:https?:)?//')

@@ -72,7 +72,8 @@ def write(page: Path) -> None:
     """Run the examples of a page and write their outputs and pictures."""
     with tempfile.TemporaryDirectory() as directory:
         text, _ = _run(page, Path(directory), pictures=True)
-    page.write_text(text, encoding="utf-8")
+    if not _alike(page.read_text("utf-8"), text):
+        page.write_text(text, encoding="utf-8")
 
 
 def _run(page: Path, directory: Path, *, pictures: bool = False) -> tuple[str, int]:
