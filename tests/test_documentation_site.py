@@ -64,7 +64,7 @@ def test_fields_of_a_docstring_are_a_list_with_the_types_of_the_signature(site: 
     """`docs/build/docstrings.py` makes them of lines ``name : what it is``."""
     text = re.sub(r"<[^>]+>", "", (site / "api.html").read_text("utf-8"))
     assert re.search(r"density: kg/m3, from the mass when that was given", text)
-    assert re.search(r"plate\s*\(\s*PlateLike\s*\)\s*–\s*the name of a built-in specimen", text)
+    assert re.search(r"plate\s*\(\s*PlateLike\s*\)\W+the name of a built-in specimen", text)
 
 
 def test_equations_are_mathml(site: Path) -> None:
