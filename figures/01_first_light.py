@@ -127,7 +127,7 @@ def _frequencies(axes: Axes, found: Mapping[str, Any]) -> None:
     axes.set_yticks(rows, [f"{i}  {m['label']}" for i, m in enumerate(modes, 1)])
     axes.set(xlim=(0, 1.1 * max(measured)), ylim=(len(modes) - 0.5, -0.5), xlabel="frequency, Hz")
     axes.set_title("Frequencies of the modes")
-    axes.legend(loc="lower left")
+    axes.legend(loc="upper right")
     bare(axes)
 
 

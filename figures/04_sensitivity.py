@@ -32,6 +32,8 @@ def _picture(documents: list[dict[str, Any]], source: str) -> Picture:
         for interpretation in level["readings"].values()
         for constant in interpretation["constants"].values()
     ]
+    readings = len(documents[0]["levels"][0]["readings"])
+    beside = " The two interpretations of eq. (12) stand side by side." if readings > 1 else ""
     inversions = max(len(c["repetitions"]) for c in compared)
     agreeing = sum(c["means_agree"] and c["sds_agree"] for c in compared)
     return Picture(
@@ -41,9 +43,9 @@ def _picture(documents: list[dict[str, Any]], source: str) -> Picture:
         f"Every constant of {listed([d['plate'] for d in documents])} at each level of noise, as difference "
         f"from the inversion without noise. Circles: mean of {inversions} inversions of perturbed "
         "frequencies, with their standard deviation and, thick, the standard error of the mean. Squares: "
-        "mean and standard deviation of the posterior at that noise. Crosses: Tables 10 to 14 as printed. "
-        "The two interpretations of eq. (12) stand side by side. Means and standard deviations of "
-        f"repetition and posterior both agree in {agreeing} of {len(compared)} comparisons.",
+        "mean and standard deviation of the posterior at that noise. Crosses: Tables 10 to 14 as "
+        f"printed.{beside} Means and standard deviations of repetition and posterior both "
+        f"agree in {agreeing} of {len(compared)} comparisons.",
     )
 
 

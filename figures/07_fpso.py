@@ -35,8 +35,8 @@ def pictures(data: dict[str, Any]) -> list[Picture]:
             "what 1 % of the frequencies does (diamonds), with 68 % intervals; hollow: the smallest F is "
             "the best known, which makes the rate an upper bound. Middle: F of each run's stacking "
             "sequence less the smallest, over what rounding makes; runs at the left edge reach the "
-            f"smallest F. Right: solves; those of an enumeration have derivatives. Of {runs} runs {exact} end within rounding of the smallest F, "
-            f"{near} within 1 %.",
+            f"smallest F. Right: solves; those of an enumeration have derivatives. Of {runs} runs {exact} "
+            f"end within rounding of the smallest F, {near} within 1 %.",
         )
     ]
     if data["particles"]:
