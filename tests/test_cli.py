@@ -355,7 +355,7 @@ def test_identify_writes_its_document_and_figures(run, tmp_path):
     out = tmp_path / "new" / "results"
     status, text, _ = run("identify", "A1", "--json", "--out", str(out), *SHORT)
     assert status == 0
-    names = ("predicted_against_measured", "residuals", "plate")
+    names = ("predicted_against_measured", "residuals", "modes", "plate")
     expected = {"identify.json", "report.html"} | {
         f"figures/{n}.{end}" for n in names for end in ("png", "svg")
     }

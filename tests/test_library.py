@@ -320,7 +320,7 @@ def test_a_result_is_one_line_where_it_is_echoed_and_equal_to_itself_alone(
 
 
 def test_a_figure_is_asked_for_by_its_name(point: PointResult, modes: ForwardResult) -> None:
-    assert list(point.figures()) == ["predicted_against_measured", "residuals", "plate"]
+    assert list(point.figures()) == ["predicted_against_measured", "residuals", "modes", "plate"]
     assert point.plot().axes[0].get_xlabel() == "measured, Hz"
     assert "residuals" in point.plot("residuals").axes[0].get_title()
     assert len(modes.plot().axes) == 2
@@ -338,7 +338,7 @@ def test_draws_are_of_a_sampled_posterior(point: PointResult) -> None:
 def test_saving_writes_the_files_of_the_command(point: PointResult, tmp_path: Path) -> None:
     out = tmp_path / "new" / "results"
     point.save(out)
-    names = ("predicted_against_measured", "residuals", "plate")
+    names = ("predicted_against_measured", "residuals", "modes", "plate")
     files = {"identify.json", "report.html"} | {f"figures/{n}.{e}" for n in names for e in ("png", "svg")}
     assert {str(p.relative_to(out)) for p in out.rglob("*") if p.is_file()} == files
     assert json.loads((out / "identify.json").read_text("utf-8")) == point.to_dict()

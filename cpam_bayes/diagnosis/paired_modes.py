@@ -13,7 +13,7 @@ from cpam_bayes.diagnosis.diagnose import Diagnosis
 from cpam_bayes.diagnosis.evidence.weighing import Tested
 from cpam_bayes.diagnosis.fit import Fit
 from cpam_bayes.diagnosis.fitting import PlateCase
-from cpam_bayes.mechanics.shapes import Mode, shapes_on_grid
+from cpam_bayes.mechanics.shapes import Mode
 
 __all__ = [
     "FrequencyRow",
@@ -25,8 +25,6 @@ __all__ = [
 ]
 
 Array = NDArray[Any]
-
-_SHAPE_POINTS = 31
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,12 +76,9 @@ def paired_fit(d: Diagnosis, fit: Fit, leader: Tested) -> PairedFit:
 
 def plain_mode_shapes(d: Diagnosis) -> tuple[Array, ...]:
     """Mode shapes of every plate by the plain model at its most probable constants."""
-    shapes = []
-    for i, case in enumerate(d.cases):
-        model = case.models.bare.full
-        spectrum = model.spectrum(_plate_vector(d.weighed.none, i), vectors=True)
-        shapes.append(shapes_on_grid(model.operator, spectrum, n=_SHAPE_POINTS))
-    return tuple(shapes)
+    return tuple(
+        case.models.bare.full.shapes(_plate_vector(d.weighed.none, i)) for i, case in enumerate(d.cases)
+    )
 
 
 def _frequency_rows(

@@ -15,7 +15,7 @@ from cpam_bayes.mechanics.convergence import Tolerance, converge, rich_frequenci
 from cpam_bayes.mechanics.dense import discretise
 from cpam_bayes.mechanics.modes import Spectrum, eigenvalue_derivatives, solve
 from cpam_bayes.mechanics.problem import PlateState, Problem, Values, bare_plate
-from cpam_bayes.mechanics.shapes import Mode, describe_modes
+from cpam_bayes.mechanics.shapes import Mode, describe_modes, shapes_on_grid
 from cpam_bayes.mechanics.spaces.ritz import RitzSettings, ritz_space
 from cpam_bayes.parameters import Parameter, ParameterSet, TruncatedNormal, Uniform
 from cpam_bayes.plate.elasticity import CONSTANTS, complete_constants, is_admissible
@@ -30,6 +30,8 @@ SIZES = {"length": "m", "width": "m", "thickness": "m", "density": "kg/m3", "mas
 """What is measured of a plate beside its frequencies, with its unit."""
 # A size varies within this many standard deviations and within these factors of its value.
 _SIZE_RANGE, _SIZE_FACTOR = 5.0, 4.0
+# Points of a shape along each side.
+_SHAPE_POINTS = 31
 # Step of the complex-step derivative, relative to a parameter: any small number does, no digits go.
 _STEP = 1e-25
 # A space is converged at constants this far from the centre, as a fraction.
@@ -218,6 +220,10 @@ class PlateModel:
         spectrum = self.spectrum(x, vectors=True)
         _, mass = self.coefficients(np.atleast_2d(x))
         return describe_modes(self.operator, spectrum, mass)
+
+    def shapes(self, x: Array) -> Array:
+        """Shapes of the modes at one parameter vector (n,): u, v, w on a grid, (n_modes, 3, 31, 31)."""
+        return shapes_on_grid(self.operator, self.spectrum(x, vectors=True), n=_SHAPE_POINTS)
 
     def coefficients(self, x: Array) -> tuple[Array, Array]:
         """Coefficients of K and M at parameter vectors (m, n), (m, n_terms) each."""

@@ -67,7 +67,8 @@ class ConstantEstimate:
 class PointEstimate:
     """Answer of the particle swarm for one specimen.
 
-    predicted : one mode for each measured frequency. rms : root mean square of the relative
+    predicted : one mode for each measured frequency. shapes : theirs, (n_modes, 3, n, n), u, v and w on a
+    regular grid. rms : root mean square of the relative
     residuals. noise : relative standard deviation used for the linearised ones, the file's or, where
     that is left out, the residuals' own. error : (n_modes,) estimated relative error of the solver
     at the answer. laminate : flexural stiffness and constants, SI. model : what the swarm ran on.
@@ -79,6 +80,7 @@ class PointEstimate:
     specimen: Specimen
     constants: tuple[ConstantEstimate, ...]
     predicted: tuple[Mode, ...]
+    shapes: Array
     rms: float
     noise: float
     noise_is_inferred: bool
@@ -166,6 +168,7 @@ def summarise(
         specimen=specimen,
         constants=estimates,
         predicted=tuple(modes[j] for j in order),
+        shapes=model.full.shapes(best)[order],
         rms=rms,
         noise=noise,
         noise_is_inferred=inferred,

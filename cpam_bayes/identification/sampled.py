@@ -197,6 +197,7 @@ def _summarise(
         predicted=frequencies.mean(axis=0),
         predicted_sd=frequencies.std(axis=0),
         modes=tuple(modes[j] for j in order),
+        shapes=model.full.shapes(best[:n])[order],
         pairing=pairing,
         p_value=predictive_p_value(posterior, few, frequencies, pairing, rng),
         laminate=_laminate(model, few[:, :n]),

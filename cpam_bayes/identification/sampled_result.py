@@ -63,6 +63,7 @@ class SampledResult(PlateResult):
     constants : marginal posteriors of all parameters
     predicted, predicted_sd : (n_modes,) posterior mean and sd of the model's frequencies, Hz
     modes : the model's modes at the most probable draw
+    shapes : of these modes, (n_modes, 3, n, n), u, v and w on a regular grid
     pairing : of the measured frequencies with them
     p_value : posterior predictive p-value of the sum of squared standardised residuals
     laminate : name -> (mean, sd)
@@ -83,6 +84,7 @@ class SampledResult(PlateResult):
     predicted: Array
     predicted_sd: Array
     modes: tuple[Mode, ...]
+    shapes: Array
     pairing: Pairing
     p_value: float
     laminate: Mapping[str, tuple[float, float]]

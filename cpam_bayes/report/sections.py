@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from cpam_bayes.report.tables import Table
 
-__all__ = ["Caption", "Section", "tables_of"]
+__all__ = ["Caption", "Section", "modes_caption", "tables_of"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,6 +35,17 @@ class Section:
     tables: tuple[Table, ...] = ()
     figures: tuple[str, ...] = ()
     folded: bool = True
+
+
+def modes_caption(modes: Sequence[tuple[float, str]]) -> Caption:
+    """The words beside mode shapes; modes : frequency, Hz, and label of each."""
+    listed = ", ".join(f"{label} at {frequency:.4g} Hz" for frequency, label in modes)
+    return Caption(
+        "Red moves up while blue moves down. On the black lines the plate stands still: a support there "
+        "does not disturb the mode, and a sensor or a tap there does not see the mode. A deformed grid is "
+        "a mode in the plane of the plate.",
+        f"Shapes of {len(modes)} modes: {listed}.",
+    )
 
 
 def tables_of(sections: tuple[Section, ...]) -> tuple[Table, ...]:

@@ -20,7 +20,7 @@ def test_the_same_answer_gives_the_same_bytes(point, tmp_path):
     first, again = (written(point.figures(), tmp_path / name) for name in ("first", "again"))
     assert set(first) == {
         f"{name}.{ending}"
-        for name in ("predicted_against_measured", "residuals", "plate")
+        for name in ("predicted_against_measured", "residuals", "modes", "plate")
         for ending in ("png", "svg")
     }
     assert first == again

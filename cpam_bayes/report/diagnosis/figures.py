@@ -9,7 +9,6 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
-from scipy.ndimage import zoom
 
 from cpam_bayes.diagnosis.claim import PLAIN, SURE
 from cpam_bayes.diagnosis.diagnose import Diagnosis
@@ -30,17 +29,12 @@ from cpam_bayes.report.diagnosis.rows import (
     with_signatures,
 )
 from cpam_bayes.report.diagnosis.words import detectable_size, probability_text
+from cpam_bayes.report.mode_shapes import draw_shape, extent_of
 
 Array = NDArray[Any]
 
 _GREY, _BLUE, _ORANGE = "#8a8a8a", "#4878a8", "#c1440e"
 _BARS = 14
-# Grid lines of an in-plane mode along each side, and how far it is moved, shares of the plate.
-_LINES, _MOVED = 6, 0.12
-# Nodal lines that cross are drawn on a grid so many times finer.
-_FINER = 4
-# Share of the plate next to a held edge in which they are not drawn.
-_BLANK = 0.08
 
 
 def figures(result: DiagnosisResult) -> dict[str, Figure]:
@@ -102,14 +96,15 @@ def _draw_plate(
     if len(result.plates) > 1:
         axes.set_title(result.plates[i].name, fontsize=9, loc="left")
     plate, shapes = result.plates[i].plate, result.mode_shapes[i]
-    aspect, edges = plate.length / plate.width, plate.edges
+    extent = extent_of(plate.length, plate.width)
     for k, (plain, row) in enumerate(zip(before, after or before, strict=True)):
         below = panel.add_subplot(grid[1, k])
-        below.set_axis_off()
         if row.mode is None or row.number is None:
+            below.set_axis_off()
             below.set_title("no mode", fontsize=7)
             continue
-        _draw_shape(below, shapes[row.number - 1], aspect, edges, row.mode.in_plane_fraction > 0.5)
+        in_plane = row.mode.in_plane_fraction > 0.5
+        draw_shape(below, shapes[row.number - 1], extent, plate.edges, in_plane=in_plane, linewidth=0.6)
         label = row.mode.label
         if plain.mode is not None and plain.number != row.number:
             label = f"not {plain.mode.label}\n{label}"
@@ -135,44 +130,6 @@ def _limits(rows: Sequence[FrequencyRow]) -> tuple[float, float]:
     whisker = float(np.median([2.0 * _sd_percent(row) for row in shown])) if shown else 1.0
     end = 1.1 * max(largest + whisker, 0.1)
     return -end, 1.3 * end
-
-
-def _draw_shape(axes: Axes, shape: Array, aspect: float, edges: str, in_plane: bool) -> None:
-    u, v, w = shape
-    if in_plane:
-        s = np.linspace(0.0, 1.0, len(u))
-        x, y = np.meshgrid(aspect * s, s, indexing="ij")
-        scale = _MOVED * min(aspect, 1.0) / float(np.hypot(u, v).max())
-        px, py = x + scale * u, y + scale * v
-        for k in np.linspace(0, len(u) - 1, _LINES).round().astype(int):
-            axes.plot(px[k], py[k], px[:, k], py[:, k], color=_GREY, linewidth=0.6)
-    else:
-        w = w / np.abs(w).max()
-        axes.imshow(
-            w.T,
-            cmap="RdBu_r",
-            vmin=-1,
-            vmax=1,
-            origin="lower",
-            extent=(0, aspect, 0, 1),
-            interpolation="bilinear",
-        )
-        if w.min() < -0.01 and w.max() > 0.01:
-            fine, ends = zoom(w, _FINER), (0.0, aspect, 0.0, 1.0)
-            _blank_held(fine, edges)
-            axes.contour(
-                fine.T, [0.0], colors="black", linewidths=0.6, extent=ends, negative_linestyles="solid"
-            )
-    axes.set_aspect("equal")
-
-
-def _blank_held(w: Array, edges: str) -> None:
-    """Blank what lies next to a held edge: there the deflection is zero to rounding."""
-    n = max(1, round(_BLANK * len(w)))
-    sides = (w[:n], w[:, :n], w[-n:], w[:, -n:])
-    for edge, side in zip(edges, sides, strict=True):
-        if edge != "F":
-            side[...] = np.nan
 
 
 def _causes(d: Diagnosis) -> Figure:

@@ -6,7 +6,7 @@ import math
 
 from cpam_bayes.formatting import significant
 from cpam_bayes.identification.identify import PointResult
-from cpam_bayes.report.sections import Caption
+from cpam_bayes.report.sections import Caption, modes_caption
 
 
 def captions(result: PointResult) -> dict[str, Caption]:
@@ -33,6 +33,7 @@ def captions(result: PointResult) -> dict[str, Caption]:
             f"Residuals of {n} modes in percent. {listed}.",
         ),
     }
+    drawn["modes"] = modes_caption([(row.measured, row.label or row.kind) for row in rows])
     if len(result.optima) > 1:
         best = significant(result.optima[0][0].value, 3)
         drawn["optima"] = Caption(

@@ -9,6 +9,7 @@ from cpam_bayes.formatting import significant
 from cpam_bayes.identification.identify import PointResult
 from cpam_bayes.plate import to_user, unit_of
 from cpam_bayes.report.figures import PREDICTED
+from cpam_bayes.report.mode_shapes import extent_of, shapes_figure
 
 
 def figures(result: PointResult) -> dict[str, Figure]:
@@ -51,8 +52,21 @@ def figures(result: PointResult) -> dict[str, Figure]:
     axes.set(xlabel="mode", ylabel="predicted / measured - 1, %")
     axes.margins(y=0.25)
     axes.set_title(f"{result.specimen.name}: residuals, rms {100.0 * estimate.rms:.2f} %")
-    drawn = {"predicted_against_measured": pairs, "residuals": residuals}
+    drawn = {"predicted_against_measured": pairs, "residuals": residuals, "modes": _modes(result)}
     return drawn if len(result.optima) < 2 else {**drawn, "optima": _optima(result)}
+
+
+def _modes(result: PointResult) -> Figure:
+    """The shape of the mode that each measured frequency belongs to."""
+    plate, rows = result.specimen.plate, result.frequencies
+    return shapes_figure(
+        f"{result.specimen.name}: modes of the measured frequencies",
+        [f"{i}: {row.measured:g} Hz measured\n{row.kind} {row.label}" for i, row in enumerate(rows, 1)],
+        list(result.estimate.shapes),
+        [mode.in_plane_fraction > 0.5 for mode in result.estimate.predicted],
+        extent_of(plate.length, plate.width),
+        plate.edges,
+    )
 
 
 def _optima(result: PointResult) -> Figure:

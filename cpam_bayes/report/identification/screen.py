@@ -34,9 +34,10 @@ def sections(result: PointResult) -> tuple[Section, ...]:
         Section(
             "Measured and predicted frequencies",
             (_frequencies(result), _fit(estimate)),
-            ("residuals", "predicted_against_measured"),
+            ("residuals",),
             folded=False,
         ),
+        Section("Mode shapes", figures=("modes",)),
         Section(
             "Constants",
             (
@@ -48,7 +49,7 @@ def sections(result: PointResult) -> tuple[Section, ...]:
             ),
             ("optima",) if several else (),
         ),
-        Section("Search", (_search(result),)),
+        Section("Search", (_search(result),), ("predicted_against_measured",)),
         Section("All warnings", (remarks("Warnings", result.warnings, flagged=True),)),
     )
 

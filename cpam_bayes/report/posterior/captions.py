@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from cpam_bayes.formatting import listed
 from cpam_bayes.identification.sampled import SampledResult
-from cpam_bayes.report.sections import Caption
+from cpam_bayes.report.sections import Caption, modes_caption
 
 
 def captions(result: SampledResult) -> dict[str, Caption]:
     """A caption for each figure."""
     names = listed(list(result.posterior.parameters.names), "and")
     constants = listed([p.name for p in result.assessment.profiles], "and")
-    n = sum(row is not None for row in result.frequencies)
+    rows = [row for row in result.frequencies if row is not None]
     return {
         "posterior": Caption(
             "Diagonal: the posterior of each parameter. Below: how two parameters go together; a slanted "
@@ -29,6 +29,7 @@ def captions(result: SampledResult) -> dict[str, Caption]:
             "Blue: what the model with all frequencies predicts. Orange: what the other frequencies "
             "predict for this one. A bar that misses zero is a frequency that the others contradict. "
             "Leverage near one: no other frequency checks this one.",
-            f"Residuals of {n} modes as predicted by all and by the other modes, and the leverage of each.",
+            f"Residuals of {len(rows)} modes by all and by the other modes, and the leverage of each.",
         ),
+        "modes": modes_caption([(row.measured, row.mode.label or row.mode.kind) for row in rows]),
     }

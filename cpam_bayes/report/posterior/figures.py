@@ -16,6 +16,7 @@ from cpam_bayes.identification.sampled import ConstantPosterior, SampledResult
 from cpam_bayes.inference.diagnostics.profiles import DROP_95, Profile
 from cpam_bayes.inference.noise import NOISE_NAMES
 from cpam_bayes.plate import to_user, unit_of, user_name
+from cpam_bayes.report.mode_shapes import extent_of, shapes_figure
 
 _BINS = 40
 # Bins of a pair are wider, for its draws are spread over their square.
@@ -35,6 +36,7 @@ def figures(result: SampledResult) -> dict[str, Figure]:
         "posterior": _pairs(result),
         "marginals_and_profiles": _marginals_and_profiles(result),
         "left_out": _left_out(result),
+        "modes": _modes(result),
     }
 
 
@@ -185,6 +187,20 @@ def _left_out(result: SampledResult) -> Figure:
     lower.set_xticks(x, names)
     upper.set_title(f"{result.specimen.name}: modes left out, posterior predictive p = {result.p_value:.2f}")
     return figure
+
+
+def _modes(result: SampledResult) -> Figure:
+    """The shape of the mode that each measured frequency belongs to."""
+    plate = result.specimen.plate
+    rows = [row for row in result.frequencies if row is not None]
+    return shapes_figure(
+        f"{result.specimen.name}: modes of the measured frequencies",
+        [f"{r.number}: {r.measured:g} Hz measured\n{r.mode.kind} {r.mode.label}" for r in rows],
+        [result.shapes[row.number - 1] for row in rows],
+        [row.mode.in_plane_fraction > 0.5 for row in rows],
+        extent_of(plate.length, plate.width),
+        plate.edges,
+    )
 
 
 def _label(parameter: str) -> str:

@@ -41,6 +41,7 @@ def sections(result: SampledResult) -> tuple[Section, ...]:
             ("posterior",),
         ),
         Section("Measured and predicted frequencies", (_frequencies(result),), ("left_out",)),
+        Section("Mode shapes", figures=("modes",)),
         Section("Fit and sampling", (_chains(result),)),
         Section("All warnings", (remarks("Warnings", result.warnings, flagged=True),)),
     )

@@ -116,7 +116,7 @@ def test_the_same_posterior_gives_the_same_figures(sampled: SampledResult, tmp_p
         (tmp_path / name).mkdir()
         save_figures(sampled.figures(), tmp_path / name)
         written.append({p.name: p.read_bytes() for p in (tmp_path / name).iterdir()})
-    drawn = ("posterior", "marginals_and_profiles", "left_out", "plate")
+    drawn = ("posterior", "marginals_and_profiles", "left_out", "modes", "plate")
     names = {f"{n}.{e}" for n in drawn for e in ("png", "svg")}
     assert set(written[0]) == names
     assert written[0] == written[1]
