@@ -309,10 +309,12 @@ def _errors_table(cases: Sequence[Results]) -> str:
             f"{c['drawn_with_care']['largest']:.2f}",
             "-" if c["drawn_as_known"] is None else f"{c['drawn_as_known']:.2f}",
             f"{c['laplace']['rms']:.2f}",
+            f"{c['drawn_with_care']['reference_error']:.3f}",
         )
         for c in cases
     )
-    return markdown_table((*head, "before refinement, rms", "Laplace, rms"), rows)
+    tail = ("before refinement, rms", "Laplace, rms", "standard error of the reference")
+    return markdown_table((*head, *tail), rows)
 
 
 def _scatter(case: Results) -> str:

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -28,7 +28,7 @@ from cpam_bayes.forward_model.calculix import solve_modes
 from cpam_bayes.forward_model.model import reference_constants
 from cpam_bayes.forward_model.theory_error import shear_frequency, theory_error
 from cpam_bayes.plate import Specimen
-from cpam_bayes.validation.pages import write_sections
+from cpam_bayes.validation.pages import paragraph, write_sections
 from cpam_bayes.validation.study_results import save_results, saved_results, with_saved
 
 Results = dict[str, Any]
@@ -60,6 +60,8 @@ ORDINARY = ("cross-ply", "unidirectional", "quasi-isotropic")
 LENGTH_MM, WIDTH_MM = 240.0, 180.0
 # Short side over thickness.
 SLENDERNESS = (150, 50, 25, 15)
+# Rms over the modes that the bricks of a plate are off, at most, where the largest differences are stated.
+EXACT_BRICKS_PERCENT = 0.2
 
 
 _TABLE = """Relative differences in %, Ritz model less bricks, ten modes:
@@ -219,7 +221,25 @@ def sections(results: Results) -> dict[str, str]:
         f"{rms(c, 'bricks_error_percent'):.3f} | {rms(c, 'rule_percent'):.3f} |"
         for c in results["cases"]
     ]
-    return {"plates": "\n".join([_TABLE, *rows])}
+    return {"plates": "\n".join([_TABLE, *rows]), "largest": _largest(results["cases"])}
+
+
+def _largest(cases: Sequence[Results]) -> str:
+    """The modes that the model takes as too soft and too stiff by most, by the edges of the plate."""
+    said = [f"Where the bricks are exact to {EXACT_BRICKS_PERCENT:g} %:"]
+    exact = [c for c in cases if rms(c, "bricks_error_percent") <= EXACT_BRICKS_PERCENT]
+    for words, chosen in (
+        ("free all round", [c for c in exact if c["edges"] == "FFFF"]),
+        ("with a clamped edge", [c for c in exact if "C" in c["edges"]]),
+    ):
+        modes = [(m["difference_percent"], c["case"]) for c in chosen for m in c["modes"]]
+        if modes:
+            (soft, softest), (stiff, stiffest) = min(modes), max(modes)
+            said.append(
+                f"on plates {words} the model differs from the bricks by {soft:+.2f} % ({softest}) to "
+                f"{stiff:+.2f} % ({stiffest}) in the worst modes;"
+            )
+    return paragraph(" ".join(said).rstrip(";") + ".")
 
 
 def rms(case: Results, key: str) -> float:
