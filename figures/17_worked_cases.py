@@ -15,7 +15,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-MOST_CAUSES = 5
+MOST_CAUSES, CASES_A_FIGURE = 5, 6
 LABELS = {
     LIGHT: "residual of the plain model; other hypotheses",
     ORANGE: "residual of the extended model",
@@ -26,16 +26,19 @@ LABELS = {
 def pictures(data: dict[str, Any]) -> list[Picture]:
     cases = data["cases"]
     verdicts = ", ".join(f"{word} {n}" for word, n in Counter(c["verdict"] for c in cases).items())
+    parts = [cases[i : i + CASES_A_FIGURE] for i in range(0, len(cases), CASES_A_FIGURE)]
     return [
         Picture(
-            "17_worked_cases",
-            _all(cases),
-            "Diagnoses of plates of three-dimensional bricks with one thing wrong, or nothing.",
+            "17_worked_cases" + (f"_{number}" if number > 1 else ""),
+            _all(part),
+            "Diagnoses of plates of three-dimensional bricks with one thing wrong, or nothing"
+            + (f", part {number} of {len(parts)}." if len(parts) > 1 else "."),
             "Two panels a plate. Left: residual of each mode by the plain model and, where something is "
             "claimed, by the extended model; the title says what is wrong. Right: posterior probability of "
             f"the {MOST_CAUSES} most probable hypotheses and of the true one; the title says the claim, its "
-            f"probability and whether it is right. Claims: {verdicts}.",
+            f"probability and whether it is right. Claims on all {len(cases)} plates: {verdicts}.",
         )
+        for number, part in enumerate(parts, 1)
     ]
 
 

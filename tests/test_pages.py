@@ -17,6 +17,7 @@ from cpam_bayes.validation.pages import (
     markdown_table,
     marks,
     pages,
+    sections_of_figures,
     with_error,
     with_sections,
     write_sections,
@@ -55,13 +56,10 @@ def test_a_study_that_writes_sections_has_its_place_in_a_page() -> None:
 
 def test_figures_stand_in_pages_with_their_captions_alone() -> None:
     for path in PAGES.values():
-        text = with_sections(path.read_text(encoding="utf-8"), FIGURE, dict.fromkeys(names_of_figures(), ""))
+        none = dict.fromkeys(sections_of_figures(PROJECT, path), "")
+        text = with_sections(path.read_text(encoding="utf-8"), FIGURE, none)
         by_hand = [line for line in text.splitlines() if line.startswith("![") and "figures/" in line]
         assert by_hand == [] or path.name == "README.md"
-
-
-def names_of_figures() -> list[str]:
-    return [path.stem for path in (PROJECT / "figures").glob("*.png")]
 
 
 @pytest.mark.parametrize(

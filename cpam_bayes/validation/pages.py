@@ -102,9 +102,15 @@ def figure_section(caption: Path, page: Path) -> str:
 
 
 def sections_of_figures(project: Path, page: Path) -> dict[str, str]:
-    """All figures by name, for one page."""
-    captions = (path for path in sorted((project / "figures").glob("*.md")) if path.name != "README.md")
-    return {path.stem: figure_section(path, page) for path in captions}
+    """All figures by name, and those of a script as "all of NAME", for one page."""
+    found: dict[str, str] = {}
+    for path in sorted((project / "figures").glob("*.md")):
+        script = re.search(r"`python figures/draw\.py (\w+)`", path.read_text(encoding="utf-8"))
+        if script and path.with_suffix(".png").exists():
+            found[path.stem] = figure_section(path, page)
+            together = found.get(f"all of {script[1]}", "")
+            found[f"all of {script[1]}"] = f"{together}\n\n{found[path.stem]}".strip()
+    return found
 
 
 def paragraph(text: str, start: str = "") -> str:
