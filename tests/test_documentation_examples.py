@@ -20,11 +20,13 @@ MARKS = dict.fromkeys(
     (
         "README.md",
         "cluster.md",
+        "effects.md",
         "index.md",
         "library.md",
         "own_prior.md",
         "repeats.md",
         "sensors.md",
+        "sensitivity.md",
         "several_plates.md",
         "tutorial.md",
     ),

@@ -13,9 +13,11 @@ import pytest
 import yaml
 
 import cpam_bayes as cb
+from tests.browser import open_browser
 
 PROJECT = Path(__file__).parent.parent
 DOCS = PROJECT / "docs"
+HIDDEN = "[...document.querySelectorAll('article img')].filter(i => !i.naturalWidth).map(i => i.src)"
 
 
 def listed_pages(nav: list[Any]) -> list[str]:
@@ -78,3 +80,16 @@ def test_no_page_fetches_from_a_network(site: Path) -> None:
     fetching = re.compile(r'(?:<(?:script|img|iframe)[^>]*\ssrc=|@import\s|url\()["\']?(?:https?:)?//')
     for file in [*site.rglob("*.html"), *site.rglob("*.css")]:
         assert not fetching.search(file.read_text("utf-8")), file.name
+
+
+@pytest.mark.needs_browser
+def test_every_page_fits_a_screen_and_a_phone_and_shows_its_figures(site: Path) -> None:
+    with open_browser() as browser:
+        for page in sorted(site.glob("*.html")):
+            for width in (1280, 390):
+                browser.show(page, width)
+                wide = browser.value("document.documentElement.scrollWidth")
+                assert wide <= width, f"{page.name}: {wide} px in a window of {width}"
+                hidden = browser.value(HIDDEN)
+                assert hidden == [], page.name
+        assert [url for url in browser.requests if not url.startswith(("file:", "data:", "blob:"))] == []

@@ -83,6 +83,7 @@ def _run(page: Path, directory: Path, *, pictures: bool = False) -> tuple[str, i
     text = page.read_text("utf-8")
     before = Path.cwd()
     os.chdir(directory)
+    sys.path.insert(0, str(directory))
     try:
         for match in _BLOCK.finditer(text):
             parts.append(text[end : match.start()])
@@ -90,6 +91,7 @@ def _run(page: Path, directory: Path, *, pictures: bool = False) -> tuple[str, i
             count += match["language"] in ("python", "console") or match["source"] is not None
             end = match.end()
     finally:
+        sys.path.remove(str(directory))
         os.chdir(before)
         for process in session.background:
             os.killpg(process.pid, signal.SIGTERM)
