@@ -69,7 +69,7 @@ def _finish(work: Callable[[], Result], args: argparse.Namespace) -> int:
     for warning in answer.warnings:
         print(f"warning: {warning}", file=sys.stderr)
     try:
-        _show(answer, args.json)
+        _show(answer, args.json, args.verbose)
     except BrokenPipeError:
         raise
     except OSError:  # a full disk, which is said when standard output is closed
@@ -80,14 +80,14 @@ def _finish(work: Callable[[], Result], args: argparse.Namespace) -> int:
     return 0 if answer.reached_goal else NOT_DONE
 
 
-def _show(answer: Result, as_json: bool) -> None:
+def _show(answer: Result, as_json: bool, verbose: bool) -> None:
     from cpam_bayes.report.documents import json_text
     from cpam_bayes.report.tables import screen_text
 
     stream = sys.stdout
     if stream is None:  # closed by the caller
         return
-    text = json_text(answer.to_dict()) if as_json else screen_text(answer.tables(), stream)
+    text = json_text(answer.to_dict()) if as_json else screen_text(answer.screen(verbose=verbose), stream)
     encoding = stream.encoding or "utf-8"
     stream.write(text.encode(encoding, "backslashreplace").decode(encoding))
     stream.flush()

@@ -112,19 +112,14 @@ class Result:
         many = f", warnings: {len(self.warnings)}" if self.warnings else ""
         return f"<{type(self).__name__} of {about}: {self.status}{many}>"
 
-    def summary(self) -> str:
-        """The screen of the command, as plain text."""
+    def summary(self, *, verbose: bool = False) -> str:
+        """The screen of the command, as plain text; verbose : with the tables behind the answer."""
         from_tables = import_module("cpam_bayes.report.tables").plain_text
-        return "\n".join(from_tables(table) for table in self.tables() if table.rows)
+        return "\n".join(from_tables(table) for table in self.screen(verbose=verbose) if table.rows)
 
     def in_words(self) -> Any:
         """The answer in plain words, see `cpam_bayes.report.summary.Summary`."""
-        try:
-            return self._rendered("summary", "summary")
-        except ModuleNotFoundError:
-            words = import_module("cpam_bayes.report.summary")
-            title = f"{self.command} {self.title}".strip()
-            return words.Summary(title, "", slips=self.slips, warnings=self.warnings)
+        return self._rendered("summary", "summary")
 
     def screen(self, *, verbose: bool = False) -> tuple[Any, ...]:
         """The tables of the screen, see `cpam_bayes.report.tables.Table`.
@@ -132,10 +127,10 @@ class Result:
         verbose : with the statistics and tables behind the answer.
         """
         words = import_module("cpam_bayes.report.summary")
-        return (
-            *words.summary_tables(self.in_words()),
-            *(self.tables() if verbose else (words.MORE,)),
-        )
+        first, behind = words.summary_tables(self.in_words()), self.tables()
+        if not behind:
+            return tuple(first)
+        return (*first, *(behind if verbose else (words.MORE,)))
 
     def sections(self) -> tuple[Any, ...]:
         """What stands behind the answer, see `cpam_bayes.report.sections.Section`."""
@@ -208,7 +203,7 @@ class Result:
         return import_module(self.draws).inference_data(self)
 
     def _repr_html_(self) -> str:
-        return str(import_module("cpam_bayes.report.page").fragment(self.tables()))
+        return str(import_module("cpam_bayes.report.page").fragment(self.screen(verbose=True)))
 
     def _rendered(self, part: str, function: str) -> Any:
         return getattr(import_module(f"cpam_bayes.report.{self.question}.{part}"), function)(self)

@@ -85,6 +85,9 @@ def add_command(
     )
     if out is not None:
         parser.add_argument("--out", metavar="DIR", help=out)
+    parser.add_argument(
+        "--verbose", action="store_true", help="the statistics and tables behind the answer too"
+    )
     parser.add_argument("--quiet", action="store_true", help="no progress on standard error")
     return parser
 

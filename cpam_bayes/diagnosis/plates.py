@@ -29,6 +29,13 @@ from cpam_bayes.forward_model.preconditions import (
     require_number,
     require_seed,
 )
+from cpam_bayes.forward_model.slips import (
+    count_slips,
+    equal_list_slips,
+    misfit_slips,
+    reference_slips,
+    require_reachable,
+)
 from cpam_bayes.parallel import open_executor
 from cpam_bayes.plate import PlateLike, Specimen, read_plate
 from cpam_bayes.result import SILENT, Result, Watch
@@ -143,6 +150,8 @@ def diagnose(
         require_number("prior_none", prior_none, MAX_PRIOR_NONE)
     specimens = tuple(require_diagnosable(read_plate(plate)) for plate in plates)
     _require_one_material(specimens)
+    for specimen in specimens:
+        require_reachable(specimen)
     title = f"diagnose {' '.join(s.name for s in specimens)}"
 
     def announce(text: str) -> None:
@@ -160,10 +169,24 @@ def diagnose(
         candidates = next_measurements(diagnosis, always=always, scatter=scatter, notify=announce)
     resampled = resample(diagnosis, seed, notify=announce) if emcee else None
     warnings = diagnosis_warnings(diagnosis, resampled, emcee=emcee)
+    slips = _slips(diagnosis, specimens)
     return replace(
         diagnosis_result(diagnosis, seed, scatter, candidates, resampled),
-        warnings=(*warnings, *(w for s in specimens for w in plate_warnings(s))),
+        slips=slips,
+        warnings=(*slips, *warnings, *(w for s in specimens for w in plate_warnings(s))),
         reached_goal=resampled is None or resampled.converged,
+    )
+
+
+def _slips(diagnosis: Diagnosis, specimens: Sequence[Specimen]) -> tuple[str, ...]:
+    """What most likely ruins the diagnosis."""
+    fit = diagnosis.extended or diagnosis.baseline
+    unknowns = {name for specimen in specimens for name in specimen.unknowns.names}
+    return (
+        *equal_list_slips(specimens),
+        *count_slips(len(diagnosis.baseline.measured), len(unknowns)),
+        *misfit_slips(fit.rms),
+        *dict.fromkeys(slip for specimen in specimens for slip in reference_slips(specimen)),
     )
 
 

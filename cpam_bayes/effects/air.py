@@ -128,7 +128,7 @@ def _is_left_out(facts: PlateFacts) -> bool:
 
 AIR = Effect(
     name="air",
-    title="the air that the plate moves",
+    title="air that moves with the plate",
     family="surroundings",
     belongs_to="laboratory",
     # the densities that rooms have, at any height above the sea and in any weather

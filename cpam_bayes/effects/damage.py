@@ -76,7 +76,7 @@ _WORDS: dict[LocalForm, str] = {"bell": "smooth", "rectangle": "with a sharp edg
 
 _BELL = Effect(
     name="damage",
-    title="local damage: delamination, impact, dry fibres",
+    title="local damage (delamination, impact, dry fibres)",
     family="damage",
     belongs_to="plate",
     parameters=(

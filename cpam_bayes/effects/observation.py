@@ -25,7 +25,7 @@ def _stiffened(frequencies: Array, values: Values) -> Array:
 
 FREQUENCY_SCALE = Effect(
     name="frequency_scale",
-    title="frequency scale of the analyser",
+    title="analyser with a wrong frequency scale",
     family="size",
     belongs_to="laboratory",
     parameters=(either_sign("frequency_deviation", "", 0.002, 0.1, gross=EVEN, shown=PERCENT),),

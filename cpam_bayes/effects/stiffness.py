@@ -95,7 +95,7 @@ TRANSVERSE_SHEAR = Effect(
 )
 SHEAR_RATIO = Effect(
     name="shear_ratio",
-    title="G13 other than assumed",
+    title="shear modulus G13 other than assumed",
     family="stiffness",
     belongs_to="material",
     parameters=(either_sign("shear_ratio_deviation", "", 0.25, (-0.8, 2.0), gross=0.5, shown=PERCENT),),

@@ -27,6 +27,6 @@ def plates() -> BuiltinPlates:
     --------
     >>> import cpam_bayes as cb
     >>> print(cb.plates().summary().splitlines()[0])
-    Built-in specimens
+    plates
     """
     return BuiltinPlates(seed=0, specimens=builtin_plates())

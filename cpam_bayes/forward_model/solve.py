@@ -153,10 +153,11 @@ def forward(
     with explained_failures(specimen):
         solution = solve(specimen, n)
     seconds = time.perf_counter() - start
-    warnings = (*_warnings(specimen, solution), *plate_warnings(specimen))
+    slips = tuple(_slips(specimen, solution))
     return ForwardResult(
         seed=seed,
-        warnings=warnings,
+        warnings=(*slips, *error_warning(solution.error), *plate_warnings(specimen)),
+        slips=slips,
         specimen=solution.specimen,
         air_shifts=air_shifts(specimen),
         solver=solution.solver,
@@ -185,18 +186,15 @@ def error_warning(error: Array, limit: float = LARGE_ERROR) -> list[str]:
     ]
 
 
-def _warnings(specimen: Specimen, solution: _Solution) -> list[str]:
-    """A solver's error that is not small, and a plate that looks like one in other units."""
-    warnings = error_warning(solution.error)
+def _slips(specimen: Specimen, solution: _Solution) -> list[str]:
+    """A plate that looks like one in other units."""
+    slips: list[str] = []
     measurement = specimen.measurement
     if measurement is not None and measurement.complete:
         n = min(measurement.size, len(solution.modes))
         predicted = np.array([mode.frequency for mode in solution.modes[:n]])
-        warnings += units_warning(
-            predicted / measurement.frequencies[:n],
-            "check the units of the sizes, the density, the constants and the frequencies",
-        )
-    return warnings
+        slips += units_warning(predicted / measurement.frequencies[:n])
+    return slips
 
 
 def _ritz(specimen: Specimen, n_modes: int) -> _Solution:

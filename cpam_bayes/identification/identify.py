@@ -17,6 +17,7 @@ from cpam_bayes.forward_model.preconditions import (
     require_seed,
     require_supported,
 )
+from cpam_bayes.forward_model.slips import count_slips, misfit_slips, reference_slips, require_reachable
 from cpam_bayes.identification.angle_search import AngleSearchResult, search_angles
 from cpam_bayes.identification.frequency_rows import FrequencyRow
 from cpam_bayes.identification.point import PointEstimate, estimate_constants
@@ -126,6 +127,8 @@ def identify(
     if swarms < 1:
         raise ValueError(f"swarms: received {swarms}, accepted: 1 or more")
     specimen = require_paired_list(require_supported(read_plate(plate), NO_MESH, angles=True))
+    required(specimen)
+    require_reachable(specimen)
     measurement, _ = required(specimen)
     settings = settings or SwarmSettings()
     unit, factor = ("%", 100.0) if residual == "relative" else ("Hz", 1.0)
@@ -147,9 +150,13 @@ def identify(
         estimate = watched(
             partial(estimate_constants, swarms=swarms), specimen, "identify", swarms * settings.iterations
         )
+    misfit = estimate.noise if estimate.noise_is_inferred else estimate.rms
+    n, k = len(estimate.predicted), len(estimate.constants)
+    slips = (*count_slips(n, k), *misfit_slips(misfit), *reference_slips(specimen))
     return PointResult(
         seed=seed,
-        warnings=(*point_warnings(estimate, residual), *plate_warnings(specimen)),
+        warnings=(*slips, *point_warnings(estimate, residual), *plate_warnings(specimen)),
+        slips=slips,
         specimen=specimen,
         air_shifts=air_shifts(specimen),
         estimate=estimate,

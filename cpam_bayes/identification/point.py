@@ -295,9 +295,5 @@ def _warnings(measurement: Measurement, predicted: Array, n_unknowns: int) -> tu
             f"{measurement.size} frequencies for {n_unknowns} unknowns: the bounds decide, "
             "the fit says nothing about its own error"
         )
-    problems += units_warning(
-        predicted / measurement.frequencies,
-        "check the units of the sizes, the density and the frequencies",
-        " even for the best constants",
-    )
+    problems += units_warning(predicted / measurement.frequencies, " even for the best constants")
     return tuple(problems)

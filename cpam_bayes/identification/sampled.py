@@ -22,8 +22,11 @@ from cpam_bayes.forward_model.preconditions import (
     require_supported,
 )
 from cpam_bayes.forward_model.reduced import ReducedModel
+from cpam_bayes.forward_model.slips import count_slips, misfit_slips, reference_slips, require_reachable
 from cpam_bayes.identification.identify import NO_MESH
 from cpam_bayes.identification.sampled_result import ConstantPosterior, SampledResult
+from cpam_bayes.identification.scale_errors import ScaleError, scale_errors
+from cpam_bayes.identification.search import required
 from cpam_bayes.identification.starting import start_of
 from cpam_bayes.identification.verdicts import verdict_of
 from cpam_bayes.identification.warnings import sampled_warnings
@@ -39,6 +42,7 @@ from cpam_bayes.inference.diagnostics.completeness import transcription_error
 from cpam_bayes.inference.diagnostics.predictive import predictive_p_value
 from cpam_bayes.inference.evidence import Evidence, evidence_of
 from cpam_bayes.inference.noise import Likelihood
+from cpam_bayes.inference.pairing import Pairing
 from cpam_bayes.inference.posterior import Posterior
 from cpam_bayes.inference.swarm.pso import SwarmSettings
 from cpam_bayes.plate import PlateLike, Specimen, read_plate
@@ -55,6 +59,8 @@ __all__ = ["ConstantPosterior", "SampledResult", "sample"]
 _TOUCH = 0.01
 # Fraction of draws next to a bound that an even density over the interval would not put there.
 _AT_BOUND = 0.05
+# Relative noise that weighs the frequencies where none is stated; its level hardly matters.
+_EVEN_NOISE = 0.01
 # Draws that predictions and laminate constants are averaged over.
 _PREDICTIVE_DRAWS = 1000
 
@@ -105,6 +111,8 @@ def sample(
     if store is not None and (not str(store) or (Path(store).exists() and not Path(store).is_dir())):
         raise ValueError(f"store: received {str(store)!r}, accepted: a directory")
     specimen = require_supported(read_plate(plate), NO_MESH)
+    required(specimen)
+    require_reachable(specimen)
     latest: list[Diagnostics] = []
 
     def described(r_hat: float) -> str:
@@ -202,6 +210,7 @@ def _summarise(
         p_value=predictive_p_value(posterior, few, frequencies, pairing, rng),
         laminate=_laminate(model, few[:, :n]),
         error=discretisation_error(model.full, best[:n])[paired],
+        scale_errors=_scale_errors(specimen, posterior, model, best, pairing, order),
         doubt=transcription_error(specimen, posterior, model, best),
         evidence=evidence,
         assessment=assess(posterior, result, pairing, specimen.unknowns.names),
@@ -210,7 +219,47 @@ def _summarise(
         seconds_sampling=sampling,
         seconds=time.perf_counter() - start,
     )
-    return replace(summary, warnings=(*sampled_warnings(summary), *plate_warnings(specimen)))
+    slips = _slips(summary)
+    warnings = (*slips, *sampled_warnings(summary), *plate_warnings(specimen))
+    return replace(summary, slips=slips, warnings=warnings)
+
+
+def _slips(result: SampledResult) -> tuple[str, ...]:
+    """What most likely ruins the posterior."""
+    measurement = result.posterior.measurement
+    residuals = np.array([row.residual for row in result.frequencies if row is not None])
+    misfit = float(np.sqrt(np.mean(residuals**2))) if residuals.size else 0.0
+    relative = next((c.mean for c in result.constants if c.name == "relative_std"), misfit)
+    return (
+        *count_slips(measurement.size, len(result.elastic_constants)),
+        *misfit_slips(max(relative, misfit)),
+        *reference_slips(result.specimen),
+    )
+
+
+def _scale_errors(
+    specimen: Specimen,
+    posterior: Posterior,
+    model: ReducedModel | LabelledModel,
+    best: Array,
+    pairing: Pairing,
+    order: Array,
+) -> tuple[ScaleError, ...]:
+    """Of the sizes, the mass and the frequency scale, at the most probable draw."""
+    measurement, unknowns = required(specimen)
+    values = model.parameters.mapping(best[: model.parameters.size])
+    known = pairing.mode >= 0
+    stated = measurement.frequency_sd
+    relative = _EVEN_NOISE if measurement.relative_std is None else measurement.relative_std
+    sd = relative * measurement.frequencies if stated is None else np.asarray(stated)
+    return scale_errors(
+        specimen,
+        model.full,
+        {name: float(values[name]) for name in unknowns.names},
+        order[pairing.mode[known]],
+        (sd / measurement.frequencies)[known],
+        {name: unknowns[name].prior.sd for name in unknowns.names},
+    )
 
 
 def _marginal(specimen: Specimen, posterior: Posterior, i: int, draws: Array) -> ConstantPosterior:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from cpam_bayes.forward_model.model import SIZES
 from cpam_bayes.identification.frequency_rows import LeftOutPrediction, MissedMode, SampledFrequency
+from cpam_bayes.identification.scale_errors import ScaleError
 from cpam_bayes.identification.verdicts import Verdict
 from cpam_bayes.inference.chains.ensemble import (
     EnsembleResult,
@@ -68,6 +69,7 @@ class SampledResult(PlateResult):
     p_value : posterior predictive p-value of the sum of squared standardised residuals
     laminate : name -> (mean, sd)
     error : relative error of the solver at the most probable draw in the modes that have a frequency
+    scale_errors : what errors of sizes, mass and frequency scale do to the constants
     doubt : a pairing of a complete list that is far more probable than one to one
     evidence : by importance sampling
     assessment : what determines the posterior and how it fits
@@ -89,6 +91,7 @@ class SampledResult(PlateResult):
     p_value: float
     laminate: Mapping[str, tuple[float, float]]
     error: Array
+    scale_errors: tuple[ScaleError, ...]
     doubt: TranscriptionError | None
     evidence: Evidence
     assessment: Assessment

@@ -7,6 +7,7 @@ reading finds every error.
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Final
@@ -15,9 +16,13 @@ from cpam_bayes.errors import LayupError
 from cpam_bayes.plate.constants import constants_of_kind, physical_material, search_bounds
 from cpam_bayes.plate.layup import Layup, parse_layup
 from cpam_bayes.plate.problems import Problem, received
-from cpam_bayes.plate.raw import Data, Problems, number, real, table
+from cpam_bayes.plate.raw import Data, Problems, number, numbers, real, table
 from cpam_bayes.plate.records import angle_grid
 from cpam_bayes.plate.units import USER_UNITS
+
+# No solid is lighter or heavier, foams and heavy metals included, kg/m3; no fibre is stiffer, GPa.
+_DENSITIES: Final = (5.0, 25_000.0)
+_MAX_MODULUS: Final = 2000.0
 
 _Check = Callable[[Data], Problems]
 
@@ -39,6 +44,55 @@ def _mass_or_density(data: Data) -> Problems:
             f"density, received {' and '.join(given) or 'neither'}, "
             "accepted: one of density_kg_m3 and mass_g",
         )
+
+
+def _possible_density(data: Data) -> Problems:
+    """Densities of another unit, and masses and sizes that make such a one."""
+    plate = table(data, "plate")
+    low, high = _DENSITIES
+    density, mass = number(plate, "density_kg_m3"), number(plate, "mass_g")
+    accepted = f"accepted: {low:g} to {high:g} kg/m3"
+    if density is not None and density > 0.0 and not low <= density <= high:
+        likely = f"; {density:g} g/cm3 are {1e3 * density:g} kg/m3" if density < low else ""
+        yield Problem(
+            ("plate", "density_kg_m3"), f"no density of a solid, received {density:g}, {accepted}{likely}"
+        )
+    sizes = [number(plate, key) for key in ("length_mm", "width_mm", "thickness_mm")]
+    if mass is None or mass <= 0.0 or plate.get("mesh") is not None:
+        return
+    known = [size for size in sizes if size is not None and size > 0.0]
+    if len(known) < len(sizes):
+        return
+    made = 1e6 * mass / math.prod(known)  # g/mm3 to kg/m3
+    if not low <= made <= high:
+        likely = (
+            f"is the mass in kg? {mass:g} kg are {1e3 * mass:g} g" if made < low else "are the sizes in mm?"
+        )
+        yield Problem(
+            ("plate", "mass_g"),
+            f"no mass of this plate, received {mass:g}, which makes {made:.3g} kg/m3, {accepted}; {likely}",
+        )
+
+
+def _possible_moduli(data: Data) -> Problems:
+    """Moduli in MPa or Pa."""
+    material, unknowns = table(data, "material"), table(data, "unknowns")
+    for key in (name for name in USER_UNITS if name.endswith("_GPa")):
+        value = number(material, key)
+        if value is not None and value > _MAX_MODULUS:
+            yield Problem(
+                ("material", key),
+                f"stiffer than any material, received {value:g}, accepted: up to {_MAX_MODULUS:g} GPa; "
+                f"{value:g} MPa are {value / 1e3:g} GPa",
+            )
+        prior = unknowns.get(key)
+        bounds = numbers(prior, "bounds") if isinstance(prior, dict) else numbers(unknowns, key)
+        if bounds and min(bounds) > _MAX_MODULUS:
+            yield Problem(
+                ("unknowns", key),
+                f"stiffer than any material, received {received(bounds)}, accepted: bounds in GPa, the lower "
+                f"one up to {_MAX_MODULUS:g}; {min(bounds):g} MPa are {min(bounds) / 1e3:g} GPa",
+            )
 
 
 def _thin(data: Data) -> Problems:
@@ -184,6 +238,8 @@ def _listed(keys: Iterable[str]) -> str:
 
 _CHECKS: Final[tuple[_Check, ...]] = (
     _mass_or_density,
+    _possible_density,
+    _possible_moduli,
     _thin,
     _spreads,
     _layups,

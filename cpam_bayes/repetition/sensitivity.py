@@ -18,6 +18,7 @@ from cpam_bayes.forward_model.preconditions import (
     require_supported,
     require_whole,
 )
+from cpam_bayes.forward_model.slips import reference_slips, require_reachable
 from cpam_bayes.forward_model.solve import measured_modes
 from cpam_bayes.inference.chains.ensemble import EnsembleSettings
 from cpam_bayes.inference.swarm.settings import SwarmSettings
@@ -118,6 +119,7 @@ def sensitivity(
         raise PlateFileError(f"{specimen.source}: [unknowns] is missing, nothing to identify")
     if source == "measured":
         _require_complete(specimen)
+        require_reachable(specimen)
         if n_modes is not None:
             raise ValueError(f"--modes: received {n_modes}, accepted: with --list model only")
     total = len(levels) * len(readings) * (groups + 1)
@@ -145,9 +147,11 @@ def sensitivity(
             notify=shown.notify,
             progress=lambda done, _: shown.tick(done, float(done)),
         )
+    slips = reference_slips(specimen)
     return SensitivityResult(
         seed=seed,
-        warnings=(*sensitivity_warnings(study), *plate_warnings(specimen)),
+        slips=slips,
+        warnings=(*slips, *sensitivity_warnings(study), *plate_warnings(specimen)),
         reached_goal=all(cell.posterior.converged for cell in study.cells),
         specimen=specimen,
         air_shifts=air_shifts(specimen),

@@ -49,6 +49,7 @@ def save(result: Result, stage: Stage | None) -> None:
     directory, draft = stage
     # What took longest goes to its place first: whatever fails after it, it is there.
     (draft / f"{result.command}.json").write_text(json_text(result.to_dict()), encoding="utf-8")
+    _moved(draft, directory)
     for name, text in result.texts().items():
         (draft / name).write_text(text, encoding="utf-8")
     if result.draws:

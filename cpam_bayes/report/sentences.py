@@ -8,20 +8,32 @@ from typing import Final
 
 from cpam_bayes.formatting import fixed, listed, significant
 from cpam_bayes.identification.scale_errors import FREQUENCY_SCALE, ScaleError
+from cpam_bayes.identification.verdicts import Verdict
 from cpam_bayes.plate import Specimen, to_user, unit_of, user_name
 from cpam_bayes.priors import Prior, TruncatedNormal
 from cpam_bayes.report.plates.head import edges_text, layup_text, size_text
+from cpam_bayes.report.summary import Determined
 
 __all__ = [
+    "DETERMINED",
+    "attached_step",
     "constant_title",
     "decided_by",
     "frequencies_text",
+    "high_noise_warning",
     "noise_sentence",
     "noise_word",
     "plate_argument",
     "plate_sentence",
     "scale_sentences",
 ]
+
+DETERMINED: Final[dict[Verdict, Determined]] = {
+    "determined by the data": "yes",
+    "determined by data and prior": "partly",
+    "determined by the prior": "no",
+}
+"""Whether the frequencies determine a constant, in a word."""
 
 _TITLES: Final = {
     "E1": "Young's modulus along the fibres",
@@ -59,11 +71,9 @@ def frequencies_text(n: int) -> str:
     return "1 measured frequency" if n == 1 else f"{n} measured frequencies"
 
 
-def decided_by(name: str, prior: Prior, parameter_is_reference: bool = False) -> str:
+def decided_by(name: str, prior: Prior) -> str:
     """What decides a constant that the frequencies leave open, in the unit of the plate file."""
     unit = f" {unit_of(name)}".rstrip()
-    if parameter_is_reference:
-        return "its [material] value and [material.sd]"
     if isinstance(prior, TruncatedNormal):
         return f"its prior {to_user(name, prior.loc):.5g} +- {to_user(name, prior.scale):.3g}{unit}"
     return f"its bounds {to_user(name, prior.lower):.5g} to {to_user(name, prior.upper):.5g}{unit}"
@@ -92,11 +102,34 @@ def plate_sentence(specimen: Specimen) -> str:
     )
 
 
+def attached_step(specimen: Specimen) -> tuple[str, ...]:
+    """What to ask about masses on the plate, where the file gives none."""
+    if specimen.sensors:
+        return ()
+    plate = specimen.plate
+    percent = 0.1 / (plate.mass or plate.density * plate.area * plate.thickness)
+    return (
+        "Was an accelerometer, a cable or tape on the plate? State its mass under [[sensor]]: 1 g is "
+        f"{significant(percent, 2)} % of this plate's mass, and a mass left out makes the moduli wrong by "
+        "about as much.",
+    )
+
+
 def noise_word(level: float) -> str:
     """How a relative noise compares with that of a tap test."""
     if level <= _GOOD:
         return "which is low for a tap test"
     return "which is usual for a tap test" if level <= _USUAL else "which is high for a tap test"
+
+
+def high_noise_warning(level: float) -> tuple[str, ...]:
+    """What an inferred noise above that of a usual tap test may mean; level : relative."""
+    if level <= _USUAL:
+        return ()
+    return (
+        f"The misfit is {significant(100.0 * level, 2)} % of a frequency, more than the scatter of a usual "
+        "tap test: the plate model may lack something, and then the intervals can miss the true constants.",
+    )
 
 
 def noise_sentence(level: float, source: str) -> str:

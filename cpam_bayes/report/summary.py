@@ -54,7 +54,7 @@ class ConstantLine:
     unit : "" where there is none
     reference : of the plate file, nan where it has none
     determined : whether the frequencies determine the constant
-    by : what decides its value, as it ends the sentence "its value is decided by ..."
+    by : what decides its value, alone or with the frequencies, as it ends "its value is decided by ..."
     """
 
     symbol: str
@@ -89,7 +89,7 @@ class ConstantLine:
     def determined_text(self) -> str:
         """Whether the frequencies determine the constant, and what decides where they do not."""
         if self.determined != "yes":
-            return f"{self.determined}: decided by {self.by}"
+            return f"no, by {self.by}" if self.determined == "no" else f"partly, with {self.by}"
         half = 2.0 * self._sd / abs(self.value)
         return f"yes, to +-{significant(100.0 * half, 2)} %" if math.isfinite(half) else "yes"
 
@@ -184,7 +184,9 @@ def determined_by(constants: tuple[ConstantLine, ...], n_frequencies: int) -> st
     if not yes:
         begun = f"The {many} {verb} none of the constants alone"
     elif len(constants) == sum(c.determined == "yes" for c in constants):
-        which = "the constant" if len(constants) == 1 else f"all {len(constants)} constants"
+        which = {1: "the constant", 2: "both constants"}.get(
+            len(constants), f"all {len(constants)} constants"
+        )
         begun = f"The {many} {verb} {which}: {yes}"
     else:
         count = sum(c.determined == "yes" for c in constants)

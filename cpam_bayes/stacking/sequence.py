@@ -15,6 +15,7 @@ from cpam_bayes.forward_model.preconditions import (
     require_sequence,
     require_whole,
 )
+from cpam_bayes.forward_model.slips import count_slips, misfit_slips, reference_slips, require_reachable
 from cpam_bayes.paper.layups import identified_layups
 from cpam_bayes.parallel import open_executor
 from cpam_bayes.plate import PlateLike, Specimen, read_plate
@@ -117,6 +118,7 @@ def sequence(
     require_seed(seed)
     require_whole("top", top, 1, MAX_LISTED)
     specimen = require_sequence(read_plate(plate).with_unknown_angles())
+    require_reachable(specimen)
     settings = replace(DEFAULT_SETTINGS, listed=max(DEFAULT_SETTINGS.listed, top))
     with open_executor(executor, workers) as pool:
         with (
@@ -149,9 +151,11 @@ def stacking_result(
 ) -> StackingResult:
     """The posterior over stacking sequences with what is shown beside it, and its warnings."""
     specimen, fit = answer.specimen, best_fit(answer)
+    slips = _slips(specimen, fit)
     return StackingResult(
         seed=seed,
-        warnings=(*stacking_warnings(answer, mixture, fit), *plate_warnings(specimen)),
+        slips=slips,
+        warnings=(*slips, *stacking_warnings(answer, mixture, fit), *plate_warnings(specimen)),
         reached_goal=mixture.converged,
         specimen=specimen,
         air_shifts=air_shifts(_most_probable(answer)),
@@ -161,6 +165,18 @@ def stacking_result(
         fit=fit,
         information=angle_information(specimen.plate.layup, answer.marginals),
         top=top,
+    )
+
+
+def _slips(specimen: Specimen, fit: BestFit) -> tuple[str, ...]:
+    """What most likely ruins the answer."""
+    residual = np.asarray(fit.residual)[np.isfinite(fit.residual)]
+    misfit = float(np.sqrt(np.mean(residual**2))) if residual.size else 0.0
+    count = 0 if specimen.measurement is None else specimen.measurement.size
+    return (
+        *count_slips(count, specimen.unknowns.size),
+        *misfit_slips(misfit),
+        *reference_slips(specimen),
     )
 
 

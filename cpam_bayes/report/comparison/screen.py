@@ -3,15 +3,7 @@
 from __future__ import annotations
 
 from cpam_bayes.comparison.records import NOT_REPRODUCIBLE, Misfit, PaperResult, Row, kind_of
-from cpam_bayes.comparison.summary import (
-    KINDS,
-    computed_rows,
-    disagreements,
-    means_of_ten,
-    notes,
-    percentage_counts,
-    verdict_counts,
-)
+from cpam_bayes.comparison.summary import computed_rows, notes
 from cpam_bayes.formatting import signed, significant
 from cpam_bayes.paper import printed_table
 from cpam_bayes.report.comparison.captions import figures_of
@@ -22,16 +14,15 @@ __all__ = ["misfit_cells", "row_cells", "sections"]
 
 
 def sections(result: PaperResult) -> tuple[Section, ...]:
-    """Verdicts by table, the rows, the misfit of the printed constants, the audit of the print."""
+    """The rows, the misfit of the printed constants, the audit of the print."""
     drawn = figures_of(result)
     return (
         Section(
-            "Where paper and computation disagree",
-            (remarks("Largest disagreements", disagreements(result), flagged=True), _verdicts(result)),
+            "Table by table",
+            tuple(_rows(result, number) for number in result.numbers),
             tuple(name for name in ("differences", "frequencies") if name in drawn),
             folded=False,
         ),
-        Section("Table by table", tuple(_rows(result, number) for number in result.numbers)),
         Section(
             "Misfit of the printed constants",
             (_misfits(result.misfits),),
@@ -39,13 +30,9 @@ def sections(result: PaperResult) -> tuple[Section, ...]:
         ),
         Section(
             "Audit of the print",
-            (
-                remarks("What means of ten can show", tuple(filter(None, (means_of_ten(result),)))),
-                remarks("Misprints and contradictions in the print", notes(result)),
-            ),
+            (remarks("Misprints and contradictions in the print", notes(result)),),
         ),
         Section("Computations", (_computed(result),)),
-        Section("All warnings", (remarks("Warnings", result.warnings, flagged=True),)),
     )
 
 
@@ -89,21 +76,6 @@ def _ours(row: Row) -> str:
     if isinstance(row.ours, tuple):
         return f"[{', '.join(f'{angle:g}' for angle in row.ours)}]"
     return significant(row.ours, 5 if row.quantity.endswith("_hz") else 4)
-
-
-def _verdicts(result: PaperResult) -> Table:
-    rows = []
-    for number in result.numbers:
-        found, percent = verdict_counts(result.rows, number), percentage_counts(number)
-        counts = [*(found[kind] for kind in KINDS), *percent.values()]
-        rows.append((str(number), printed_table(number).title, *(str(count or "") for count in counts)))
-    columns = headed(
-        *("#table", "title", *(f"#{kind}" for kind in KINDS)),
-        *("#percentages that follow", "#before rounding", "#do not follow"),
-    )
-    return Table(
-        "Printed values by verdict, printed percentages by whether they follow", columns, tuple(rows)
-    )
 
 
 def _rows(result: PaperResult, number: int) -> Table:

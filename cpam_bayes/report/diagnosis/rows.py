@@ -14,7 +14,7 @@ from cpam_bayes.diagnosis.evidence.weighing import Tested
 from cpam_bayes.diagnosis.extension import Resampled
 from cpam_bayes.diagnosis.fit import Fit
 from cpam_bayes.diagnosis.hypotheses import NONE, OTHER
-from cpam_bayes.effects import scale_of
+from cpam_bayes.effects import CATALOGUE, scale_of
 from cpam_bayes.forward_model.model import reference_constants
 from cpam_bayes.identification.verdicts import Verdict, verdict_of
 from cpam_bayes.plate import to_user, user_name
@@ -38,6 +38,7 @@ __all__ = [
     "shows_detectable",
     "shows_signatures",
     "tested_causes",
+    "titles_of",
     "with_signatures",
 ]
 
@@ -81,7 +82,7 @@ class DetectableRow:
 
 def detectable_rows(d: Diagnosis) -> tuple[DetectableRow, ...]:
     """Of all causes that were tested, the sizes in the units of a workshop."""
-    titles = {c.name: c.hypothesis.records[0].title for c in d.causes if c.hypothesis.records}
+    titles = titles_of(d)
     rows = []
     for entry in d.detectable:
         p, smallest, in_sd, unit = entry.parameter, None, None, None
@@ -92,6 +93,12 @@ def detectable_rows(d: Diagnosis) -> tuple[DetectableRow, ...]:
         title = titles.get(entry.cause, entry.cause)
         rows.append(DetectableRow(entry.cause, title, smallest, unit, in_sd, entry.probability_of_claim))
     return tuple(rows)
+
+
+def titles_of(d: Diagnosis) -> dict[str, str]:
+    """Name of a single cause -> the cause in words, of the catalogue and of what was tested."""
+    tested = (effect for cause in d.causes for effect in cause.hypothesis.records)
+    return {effect.name: effect.title for effect in (*CATALOGUE, *tested)}
 
 
 def tested_causes(d: Diagnosis) -> tuple[str, ...]:

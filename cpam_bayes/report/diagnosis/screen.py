@@ -11,7 +11,7 @@ from cpam_bayes.diagnosis.hypotheses import NONE, OTHER, P_NONE, P_PAIR
 from cpam_bayes.diagnosis.next_test.next_measurement import Candidate
 from cpam_bayes.diagnosis.paired_modes import FrequencyRow
 from cpam_bayes.diagnosis.plates import DiagnosisResult
-from cpam_bayes.formatting import decimals_of, fixed, listed, signed, significant, with_spread
+from cpam_bayes.formatting import decimals_of, fixed, signed, significant, with_spread
 from cpam_bayes.report.diagnosis.rows import (
     absorbed_biases,
     averaged_rows,
@@ -27,13 +27,12 @@ from cpam_bayes.report.diagnosis.rows import (
     shows_signatures,
 )
 from cpam_bayes.report.diagnosis.words import (
-    claim_sentence,
-    detectable_sentences,
     detectable_size,
     probability_text,
     repeatability_text,
     sensitivity_sentence,
     size_text,
+    with_title,
 )
 from cpam_bayes.report.plates.head import air_text, plate_section
 from cpam_bayes.report.sections import Section
@@ -56,13 +55,17 @@ def sections(result: DiagnosisResult) -> tuple[Section, ...]:
         _plates_section(result),
         Section(
             "What the plate model gets wrong",
-            (remarks("Diagnosis", _claim(d, result.candidates)), _checks(d), _residuals(result)),
+            (_checks(d), _residuals(result)),
             ("residuals",),
             folded=False,
         ),
         Section(
             "Causes by their probability",
-            (_causes(d), remarks("Not tested", d.weighed.not_tested)),
+            (
+                _causes(d),
+                remarks("Other scales of the priors", (sensitivity_sentence(d),)),
+                remarks("Not tested", d.weighed.not_tested),
+            ),
             ("causes", *several),
             folded=False,
         ),
@@ -74,7 +77,6 @@ def sections(result: DiagnosisResult) -> tuple[Section, ...]:
         ),
         Section("What to measure next", (_next(result.candidates),)),
         Section("Priors and work", (_work(d, result.seed),)),
-        Section("All warnings", (remarks("Warnings", result.warnings, flagged=True),)),
     )
 
 
@@ -100,25 +102,11 @@ def _plates_section(result: DiagnosisResult) -> Section:
     )
 
 
-def _claim(d: Diagnosis, candidates: Sequence[Candidate]) -> tuple[str, ...]:
-    sentences = [claim_sentence(d)]
-    claimed = {c.name: c for c in d.causes if c.name in d.claim.causes}
-    if d.claim.kind == "named":
-        (cause,) = claimed.values()
-        if cause.indistinguishable_from:
-            alike = listed(cause.indistinguishable_from[:_ALIKE], "or")
-            sentences.append(f"Its signature is that of {alike} too; the priors of their sizes favour it.")
-    if d.claim.kind == "undecided" and candidates:
-        sentences.append("A further test would tell more than another fit: see what to measure next.")
-    sentences += (sensitivity_sentence(d), *detectable_sentences(d))
-    return tuple(sentences)
-
-
 def _checks(d: Diagnosis) -> Table:
     """What the claimed causes are, and how the laboratory can check each."""
     claimed = [c for c in d.causes if c.name in d.claim.causes and d.claim.kind != "undecided"]
     records = (effect for cause in claimed for effect in cause.hypothesis.records)
-    return facts("To check in the laboratory", tuple((e.name, f"{e.title}. {e.check}") for e in records))
+    return facts("To check in the laboratory", tuple((e.title, e.check) for e in records))
 
 
 def _residuals(result: DiagnosisResult) -> Table:
@@ -193,7 +181,7 @@ def _causes(d: Diagnosis) -> Table:
     rows, claimed = [], []
     shown = leading(d, _LEAST, _MOST)
     for i, cause in enumerate(shown):
-        cells = [cause.name, cause.variant]
+        cells = [with_title(d, cause.name), cause.variant]
         cells += [_plates(d, cause)] if several else []
         cells += [
             probability_text(cause.probability),
@@ -241,9 +229,9 @@ def _hidden(d: Diagnosis) -> Table:
     """Causes that the constants imitate, and by how much each constant moves."""
     names = [row.name for row in constant_rows(d, d.baseline)]
     columns = (
-        Column("cause"),
-        Column("visible", number=True),
-        Column("of"),
+        Column("error"),
+        Column("shows", number=True),
+        Column("size"),
         *(Column(f"{name.removesuffix('_GPa')} %", number=True) for name in names),
     )
     rows = []
@@ -251,8 +239,13 @@ def _hidden(d: Diagnosis) -> Table:
         _, unit, per_unit = absorbed_biases(d, cause)
         one = catalogue_sd(cause)
         moved = [f"{one * per_unit.get(name, 0.0):+.2g}" for name in names]
-        rows.append((cause.name, f"{100 * cause.visible:.0f} %", f"{one:g} {unit}".strip(), *moved))
-    title = "Absorbed by the constants: visible fraction of a cause of this size, and the bias that it causes"
+        rows.append(
+            (with_title(d, cause.name), f"{100 * cause.visible:.0f} %", f"{one:g} {unit}".strip(), *moved)
+        )
+    title = (
+        "Errors that the constants absorb: how much of an error of this size shows in the frequencies, and "
+        "how far it moves each constant"
+    )
     return Table(title, columns, tuple(rows))
 
 
@@ -315,13 +308,18 @@ def _gain(d: Diagnosis) -> Table:
 
 def _detectable(d: Diagnosis) -> Table:
     """The smallest size of each cause that these data would have shown."""
-    columns = headed("cause", "what it is", "#smallest size", "#in catalogue sd", "#probability of the claim")
+    columns = headed(
+        "kind of error", "key", "#smallest size that shows", "#times its usual size", "#chance that it shows"
+    )
     rows = []
     for row in detectable_rows(d):
         in_sd = "" if row.in_sd is None else significant(row.in_sd, 2)
         p = "" if row.probability is None else fixed(row.probability, 2)
-        rows.append((row.cause, row.title, detectable_size(row), in_sd, p))
-    title = "What these data would have shown with 95 % probability: the cause, or a class with it"
+        rows.append((row.title, row.cause, detectable_size(row), in_sd, p))
+    title = (
+        "How large an error must be to show in these frequencies, in 95 of 100 repetitions; usual size: one "
+        "standard deviation of the catalogue"
+    )
     return Table(title, columns, tuple(rows))
 
 

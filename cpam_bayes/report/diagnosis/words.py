@@ -2,71 +2,143 @@
 
 from __future__ import annotations
 
+from cpam_bayes.diagnosis.claim import Claim
 from cpam_bayes.diagnosis.diagnose import Cause, Diagnosis
 from cpam_bayes.diagnosis.hypotheses import NONE, OTHER
 from cpam_bayes.diagnosis.paired_modes import left_aside
 from cpam_bayes.formatting import fixed, listed, significant, with_spread
-from cpam_bayes.report.diagnosis.rows import DetectableRow, detectable_rows, tested_causes
+from cpam_bayes.report.diagnosis.rows import (
+    DetectableRow,
+    detectable_rows,
+    noise_of,
+    tested_causes,
+    titles_of,
+)
+from cpam_bayes.report.sentences import noise_word
 
 __all__ = [
     "claim_sentence",
-    "detectable_sentences",
     "detectable_size",
     "probability_text",
     "repeatability_text",
+    "seen_sentences",
     "sensitivity_sentence",
     "size_text",
+    "with_title",
 ]
 
 # A standard deviation that is a smaller share of its mean is none: one node holds all the weight.
 _UNSURE = 1e-3
+# Sizes of so many standard deviations of the catalogue are usual; causes that a sentence lists at most.
+_USUAL_SD, _FEW = 3.0, 3
 
 
 def claim_sentence(d: Diagnosis) -> str:
     """The claim in one sentence or two."""
     p = probability_text(d.claim.probability)
     by_name = {cause.name: cause for cause in d.causes}
+    causes = [with_title(d, name) for name in d.claim.causes]
     match d.claim.kind:
         case "none":
-            return f"No evidence of a model error: the plain model has probability {p}{_false(d)}."
+            return (
+                f"No evidence of a model error{_at_noise(d)}: the plate model as it stands has probability "
+                f"{p}{_false(d)}.{_may_be_there(d)}"
+            )
         case "named":
             cause = by_name[d.claim.causes[0]]
-            return f"Named: {cause.name}{_where(d, cause)}, probability {p}{_of_size(cause)}."
+            return (
+                f"The plate model lacks one thing: {causes[0]}{_of_size(cause)}{_where(d, cause)}; "
+                f"probability {p}.{_alike(d, cause)}"
+            )
         case "class":
             return (
-                f"The model lacks one of {listed(d.claim.causes, 'or')}, and these frequencies cannot "
-                f"tell which: together they have probability {p}."
+                f"The plate model lacks one thing of {len(causes)}, and these frequencies cannot tell which: "
+                f"{'; '.join(causes)}. Together they have probability {p}."
             )
         case "pair":
-            return f"Two causes at once, {listed(d.claim.causes, 'and')}: probability {p}."
+            return f"The plate model lacks two things at once: {'; '.join(causes)}; probability {p}."
         case "other":
             return (
-                "The model lacks something that no cause of the catalogue explains: probability "
+                "The plate model lacks something that no cause of the catalogue explains: probability "
                 f"{p}. The residuals by mode show where. {_nearest(d)}"
             )
     none = probability_text(by_name[NONE].probability)
     other = probability_text(by_name[OTHER].probability)
-    leaders = [f"{c.name} {probability_text(c.probability)}" for c in _most_probable(d)]
+    leaders = [f"{with_title(d, c.name)}, {probability_text(c.probability)}" for c in _most_probable(d)]
     return (
-        f"Undecided: no hypothesis is probable enough to be claimed. The plain model has {none}, an error "
-        f"outside the catalogue {other}, the most probable causes have {listed(leaders, 'and')}."
+        f"Undecided: nothing is probable enough to be claimed{_at_noise(d)}. The plate model as it stands "
+        f"has probability {none}, an error that is not in the catalogue {other}; the most probable causes "
+        f"are: {'; '.join(leaders)}."
     )
 
 
-def detectable_sentences(d: Diagnosis) -> tuple[str, ...]:
-    """Where nothing is claimed: what was tested, and what these data would have shown."""
-    if d.claim.kind != NONE:
+def with_title(d: Diagnosis, name: str) -> str:
+    """A cause in words with its key; a pair with both."""
+    if name == NONE:
+        return "the plate model as it stands"
+    if name == OTHER:
+        return "an error that is not in the catalogue"
+    titles = titles_of(d)
+    return " together with ".join(
+        f"{titles[part]} ({part})" if part in titles else part for part in name.split(" + ")
+    )
+
+
+def seen_sentences(d: Diagnosis) -> tuple[str, ...]:
+    """Where nothing is claimed: what these frequencies would have shown, and what may be there unseen."""
+    if d.claim.kind not in (NONE, "undecided"):
         return ()
-    causes = tested_causes(d)
-    said = [f"Tested: {len(d.weighed.tested)} hypotheses about {listed(causes, 'and')}."]
     rows = detectable_rows(d)
-    seen = [f"{row.cause} from {detectable_size(row)}" for row in rows if row.smallest is not None]
-    unseen = [row.cause for row in rows if row.smallest is None and row.probability is not None]
+    seen = [row for row in rows if row.in_sd is not None and row.in_sd <= _USUAL_SD]
+    large = [row for row in rows if row.in_sd is not None and row.in_sd > _USUAL_SD]
+    unseen = _unseen(d)
+    said = []
     if seen:
-        said.append(f"With 95 % probability these data would have shown {listed(seen, 'and')}.")
+        sizes = "; ".join(f"{row.title} from {detectable_size(row)}" for row in seen)
+        said.append(f"These frequencies would have shown, with 95 % probability: {sizes}.")
+    if large:
+        some = "; ".join(f"{row.title} from {detectable_size(row)}" for row in large[:_FEW])
+        more = f"; and {len(large) - _FEW} more" if len(large) > _FEW else ""
+        said.append(f"These causes would have shown only at sizes far beyond the usual: {some}{more}.")
     if unseen:
-        said.append(f"They need not show {listed(unseen, 'or')}, of whatever size.")
+        said.append(f"These causes need not show at any size: {'; '.join(unseen)}.")
     return tuple(said)
+
+
+def _unseen(d: Diagnosis) -> list[str]:
+    """Titles of the causes that need not show at any size."""
+    rows = detectable_rows(d)
+    return [row.title for row in rows if row.smallest is None and row.probability is not None]
+
+
+def _may_be_there(d: Diagnosis) -> str:
+    """What "no evidence" does not say."""
+    unseen = _unseen(d)
+    if not unseen:
+        return ""
+    return (
+        f" An error may be there all the same: {len(unseen)} of {len(tested_causes(d))} causes need not show "
+        "in these frequencies."
+    )
+
+
+def _at_noise(d: Diagnosis) -> str:
+    """The noise at which a claim is made."""
+    noise = noise_of(d.weighed.plain)
+    if noise is None:
+        return " at the stated repeatability"
+    return f" at a noise of {significant(100.0 * noise[0], 2)} %, {noise_word(noise[0])}"
+
+
+def _alike(d: Diagnosis, cause: Cause) -> str:
+    """The causes that frequencies cannot tell from the one that is named."""
+    if not cause.indistinguishable_from:
+        return ""
+    others = [with_title(d, name) for name in cause.indistinguishable_from[:_FEW]]
+    return (
+        f" The frequencies alone cannot tell this cause from: {'; '.join(others)}. The usual sizes of errors "
+        "favour the first."
+    )
 
 
 def detectable_size(row: DetectableRow) -> str:
@@ -87,17 +159,28 @@ def _false(d: Diagnosis) -> str:
 
 
 def size_text(cause: Cause) -> str:
-    """Sizes of an effect, mean and sd with their unit."""
-    sizes = []
+    """Sizes of an effect, mean and sd with their unit, and where it is or which way it goes."""
+    coordinates = {p.name for effect in cause.hypothesis.records for p in effect.coordinates}
+    sizes, places = [], []
     for parameter in cause.hypothesis.parameters:
         mean, sd, _ = cause.parameters[parameter.name]
         shown, factor = parameter.display
         if sd < _UNSURE * abs(mean):  # looked at in passing, at a few sizes
-            sizes.append(f"about {significant(factor * mean, 2)} {shown}".rstrip())
-            continue
-        value, spread = with_spread(factor * mean, factor * sd)
-        sizes.append(f"{value} +- {spread} {shown}".rstrip())
-    return "; ".join(sizes)
+            text = f"about {significant(factor * mean, 2)} {shown}".rstrip()
+        else:
+            value, spread = with_spread(factor * mean, factor * sd)
+            text = f"{value} +- {spread} {shown}".rstrip()
+        if parameter.name in coordinates:
+            places.append(f"{_axis(parameter.name)} {text}".strip())
+        else:
+            sizes.append(text)
+    return f"{'; '.join(sizes)}{' at ' if sizes and places else ''}{', '.join(places)}"
+
+
+def _axis(name: str) -> str:
+    """What stands before a coordinate: x or y of a place, nothing of a direction."""
+    last = name.rsplit("_", 1)[-1]
+    return f"{last} =" if last in ("x", "y") else ""
 
 
 def probability_text(p: float) -> str:
@@ -116,14 +199,21 @@ def repeatability_text(d: Diagnosis) -> str:
 def sensitivity_sentence(d: Diagnosis) -> str:
     """What becomes of the claim with other scales of the priors."""
     inferred = d.weighed.none.marginal.comparison.noise is not None
-    scales = "prior scales of causes and noise" if inferred else "prior scales of the causes"
+    what = "errors and noise" if inferred else "errors"
+    begun = f"Believing beforehand in {what} three times as large, or a third as large,"
     if d.sensitivity.claim_stands:
-        return f"The claim is the same with the {scales} times 3 and divided by 3."
-    changed = [
-        f"{how} it is {claim.kind}{': ' + listed(claim.causes, 'and') if claim.causes else ''}"
-        for how, claim in zip(("times 3", "divided by 3"), d.sensitivity.claims, strict=True)
-    ]
-    return f"The claim depends on the {scales}: {', '.join(changed)}."
+        return f"{begun} leaves the claim as it is."
+    larger, smaller = (_short(d, claim) for claim in d.sensitivity.claims)
+    return f"{begun} changes the claim: three times as large, {larger}; a third as large, {smaller}."
+
+
+def _short(d: Diagnosis, claim: Claim) -> str:
+    """A claim in a few words."""
+    if not claim.causes:
+        nothing = claim.kind == NONE
+        return "no evidence of a model error" if nothing else "no known cause explains the frequencies"
+    names = "; ".join(with_title(d, name) for name in claim.causes)
+    return f"undecided between {names}" if claim.kind == "undecided" else names
 
 
 def _nearest(d: Diagnosis) -> str:
@@ -134,11 +224,10 @@ def _nearest(d: Diagnosis) -> str:
             "The extended model adds a scatter of all modes to the noise, which widens the intervals and "
             "repairs no frequency."
         )
-    title = "the plain model" if nearest.name == NONE else nearest.name
     return (
-        f"Of all hypotheses {title} comes nearest, probability {probability_text(nearest.probability)}, "
-        "and leaves a misfit that is no noise. The extended model averages over the hypotheses; its "
-        "intervals do not cover what none of them contains."
+        f"Of all hypotheses {with_title(d, nearest.name)} comes nearest, probability "
+        f"{probability_text(nearest.probability)}, and leaves a misfit that is no noise. The extended model "
+        "averages over the hypotheses; its intervals do not cover what none of them contains."
     )
 
 

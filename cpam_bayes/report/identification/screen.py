@@ -50,7 +50,6 @@ def sections(result: PointResult) -> tuple[Section, ...]:
             ("optima",) if several else (),
         ),
         Section("Search", (_search(result),), ("predicted_against_measured",)),
-        Section("All warnings", (remarks("Warnings", result.warnings, flagged=True),)),
     )
 
 

@@ -3,31 +3,26 @@
 from __future__ import annotations
 
 import math
-from typing import Final
 
 import numpy as np
 
 from cpam_bayes.formatting import listed, significant
 from cpam_bayes.identification.identify import PointResult
 from cpam_bayes.identification.point import ConstantEstimate, PointEstimate
-from cpam_bayes.identification.verdicts import Verdict
 from cpam_bayes.plate import to_user, unit_of, user_name
 from cpam_bayes.report.sentences import (
+    DETERMINED,
+    attached_step,
     constant_title,
     decided_by,
     frequencies_text,
+    high_noise_warning,
     noise_sentence,
     plate_argument,
     plate_sentence,
     scale_sentences,
 )
-from cpam_bayes.report.summary import ConstantLine, Determined, Summary, determined_by
-
-DETERMINED: Final[dict[Verdict, Determined]] = {
-    "determined by the data": "yes",
-    "determined by data and prior": "partly",
-    "determined by the prior": "no",
-}
+from cpam_bayes.report.summary import ConstantLine, Summary, determined_by
 
 
 def summary(result: PointResult) -> Summary:
@@ -42,7 +37,10 @@ def summary(result: PointResult) -> Summary:
         headline=_headline(result, constants),
         constants=constants,
         basis=(_fit(result), _noise(estimate), plate_sentence(result.specimen), *unseen),
-        warnings=tuple(w for w in result.warnings if w not in result.slips),
+        warnings=(
+            *(high_noise_warning(estimate.noise) if estimate.noise_is_inferred and not result.slips else ()),
+            *(w for w in result.warnings if w not in result.slips),
+        ),
         next_steps=(*_next_steps(result, constants), *gauge),
     )
 
@@ -68,11 +66,11 @@ def _constant(result: PointResult, c: ConstantEstimate) -> ConstantLine:
         end = c.lower if c.bound == "lower" else c.upper
         by, verdict = f"its {c.bound} bound {to_user(c.name, end):.5g} {unit_of(c.name)}".rstrip(), "no"
     elif not math.isfinite(c.sd):
-        by, verdict = "too few frequencies to tell", "no"
+        by, verdict = decided_by(c.name, prior), "no"
     elif c.elsewhere:
-        by, verdict = "which of several optima is true", "no"
+        by, verdict = "which of several optima is taken", "no"
     elif verdict != "yes":
-        by = decided_by(c.name, prior) + (" with the frequencies" if verdict == "partly" else "")
+        by = decided_by(c.name, prior)
     return ConstantLine(
         symbol=c.name,
         title=constant_title(c.name, isotropic=specimen.material.isotropic),
@@ -115,7 +113,7 @@ def _noise(estimate: PointEstimate) -> str:
 
 
 def _next_steps(result: PointResult, constants: tuple[ConstantLine, ...]) -> tuple[str, ...]:
-    estimate, steps = result.estimate, []
+    estimate, steps = result.estimate, [*attached_step(result.specimen)]
     plate = plate_argument(result.specimen)
     open_ = [c.symbol for c in constants if c.determined != "yes"]
     if open_:
@@ -125,9 +123,6 @@ def _next_steps(result: PointResult, constants: tuple[ConstantLine, ...]) -> tup
             "Repeat the tap test and give relative_std in [measurement]: a measured noise is better than one "
             "estimated from the misfit."
         )
-    steps.append(
-        "Ask what the plate model gets wrong (was anything attached to the plate?): "
-        f"cpam-bayes diagnose {plate}"
-    )
+    steps.append(f"Ask what the plate model gets wrong: cpam-bayes diagnose {plate}")
     steps.append(f"Get the full posterior of the constants: cpam-bayes identify {plate} --backend emcee")
     return tuple(steps)

@@ -43,7 +43,6 @@ def sections(result: SampledResult) -> tuple[Section, ...]:
         Section("Measured and predicted frequencies", (_frequencies(result),), ("left_out",)),
         Section("Mode shapes", figures=("modes",)),
         Section("Fit and sampling", (_chains(result),)),
-        Section("All warnings", (remarks("Warnings", result.warnings, flagged=True),)),
     )
 
 

@@ -43,7 +43,6 @@ def sections(result: SensitivityResult) -> tuple[Section, ...]:
             ("sensitivity",),
             folded=False,
         ),
-        Section("All warnings", (remarks("Warnings", result.warnings, flagged=True),)),
     )
 
 

@@ -44,7 +44,6 @@ def sections(result: StackingResult) -> tuple[Section, ...]:
             ("constants",),
         ),
         Section("Enumeration", (_work(result),)),
-        Section("All warnings", (remarks("Warnings", result.warnings, flagged=True),)),
     )
 
 

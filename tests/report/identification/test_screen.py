@@ -94,10 +94,11 @@ def test_a_solver_error_that_is_not_small_beside_the_noise_is_a_warning(identifi
     assert "up to 6.6 % of a frequency" in point_warnings(wrong, "absolute")[0]
 
 
-def test_a_swarm_that_used_its_budget_is_a_warning(identification, shown):
+def test_a_swarm_that_used_its_budget_is_a_warning(identification, result_of):
     swarm = replace(identification.swarm, status="budget", message="the budget was used")
     assert point_warnings(replace(identification, swarm=swarm), "absolute") == ("the budget was used",)
-    assert "Warnings\n  the budget was used" in shown(identification, ("the budget was used",))
+    result = result_of(identification, ("the budget was used",))
+    assert "  The budget was used." in result.summary()
 
 
 def test_a_search_that_saw_another_misfit_than_the_plate_solver_is_a_warning(identification):

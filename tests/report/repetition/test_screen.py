@@ -135,7 +135,7 @@ def test_a_level_that_the_paper_lacks_has_no_column_of_it(aluminium):
     table = perturbation_table("A2")
     screen = result(with_cell(aluminium, cell(0.02, "rms")), table).tables()
     assert not any(column.heading == "paper %" for t in screen for column in t.columns)
-    text = result(with_cell(aluminium, cell(0.05, "rms")), table).summary()
+    text = result(with_cell(aluminium, cell(0.05, "rms")), table).summary(verbose=True)
     assert "paper %" in text
     assert "-3.10" in text
     assert "+7.20" in text

@@ -1,0 +1,166 @@
+"""Slips in a plate file that ruin the answer, found before any work, with the likely cure.
+
+A list that no constants within the bounds come near is refused. What may be meant, but rarely is, is
+said in a sentence that stands above the answer.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cpam_bayes.errors import PlateFileError
+from cpam_bayes.formatting import listed, significant
+from cpam_bayes.forward_model.model import NO_PARAMETERS, plate_problem, reference_constants
+from cpam_bayes.forward_model.preconditions import likely_cure
+from cpam_bayes.mechanics.dense import discretise
+from cpam_bayes.mechanics.modes import RigidBodyError, solve
+from cpam_bayes.mechanics.spaces.ritz import RitzSettings, ritz_space
+from cpam_bayes.plate import Material, Specimen, to_user, unit_of, user_name
+from cpam_bayes.threads import single_blas_thread
+
+__all__ = [
+    "HIGH_MISFIT",
+    "count_slips",
+    "equal_list_slips",
+    "misfit_slips",
+    "reference_slips",
+    "require_reachable",
+]
+
+Array = NDArray[np.float64]
+
+HIGH_MISFIT: Final = 0.03
+"""Relative misfit above which a list does not belong to its plate model: no tap test scatters so."""
+
+# A list this many times outside what the bounds reach is refused; one that may lack its first modes, or
+# whose labels say which modes it holds, only where it is further away.
+_UNREACHABLE, _UNREACHABLE_WITH_GAPS = 3.0, 30.0
+# Frequencies to a few percent, which is plenty here.
+_SETTINGS: Final = RitzSettings(9, 9)
+# Lists of several plates that differ by no more than this everywhere are most likely one measurement.
+_EQUAL = 2e-3
+
+
+@single_blas_thread
+def require_reachable(specimen: Specimen) -> Specimen:
+    """Return the specimen, or raise `PlateFileError` if no constants come near its frequencies.
+
+    Compared are the medians over the list of the logarithms of measured and predicted frequencies, these
+    with all unknown moduli at their lower bounds and at their upper ones. Not asked of a mesh, and where
+    bending cannot be told from rounding, which others say.
+    """
+    measurement = specimen.measurement
+    if measurement is None or specimen.plate.mesh is not None:
+        return specimen
+    n = measurement.size
+    try:
+        reference = _frequencies(specimen, reference_constants(specimen), n)
+        low, high = (_frequencies(specimen, _at_bounds(specimen, end), n) for end in ("lower", "upper"))
+    except (RigidBodyError, np.linalg.LinAlgError):
+        return specimen
+    above = float(np.exp(np.median(np.log(low / measurement.frequencies))))
+    below = float(np.exp(np.median(np.log(measurement.frequencies / high))))
+    with_gaps = not measurement.complete or any(measurement.labels)
+    limit = _UNREACHABLE_WITH_GAPS if with_gaps else _UNREACHABLE
+    if max(above, below) <= limit:
+        return specimen
+    ratio = float(np.exp(np.median(np.log(reference / measurement.frequencies))))
+    span = [significant(float(v), 3) for v in (reference[0], reference[-1])]
+    given = [f"{float(v):.6g}" for v in (measurement.frequencies[0], measurement.frequencies[-1])]
+    raise PlateFileError(
+        f"{specimen.source}: measurement.frequencies_hz: received {' to '.join(dict.fromkeys(given))} Hz, "
+        f"where the plate with the constants of [material] has {' to '.join(dict.fromkeys(span))} Hz, "
+        f"{significant(ratio, 3)} times as much, and no constants within [unknowns] come near: "
+        f"{likely_cure(ratio)}"
+    )
+
+
+def _at_bounds(specimen: Specimen, end: str) -> dict[str, float]:
+    """Reference constants with the unknown moduli at one end of their bounds."""
+    constants = reference_constants(specimen)
+    for name in specimen.unknowns.names:
+        if name != "nu12":
+            constants[name] = float(getattr(specimen.unknowns[name].prior, end))
+    return constants
+
+
+def _frequencies(specimen: Specimen, constants: dict[str, float], n: int) -> Array:
+    """The lowest frequencies of the plate with given constants, roughly, (n,) Hz."""
+    material = specimen.material
+    names = material.constants if material.isotropic else constants
+    given = Material(material.isotropic, {k: constants[k] for k in names}, material.sd, material.name)
+    layup = specimen.plate.layup
+    if layup.n_unknown:
+        evenly = np.linspace(-90.0, 90.0, layup.n_unknown + 1)[1:]
+        layup = layup.with_angles(evenly)
+    plain = replace(specimen, material=given, plate=replace(specimen.plate, layup=layup))
+    problem = plate_problem(plain, NO_PARAMETERS)
+    operator = discretise(problem, ritz_space(problem.edges, problem.nominal, _SETTINGS), {})
+    return np.asarray(solve(operator, *operator.coefficients({}), n).frequencies[0])
+
+
+def reference_slips(specimen: Specimen) -> tuple[str, ...]:
+    """Reference constants outside their own bounds."""
+    outside = []
+    reference = reference_constants(specimen)
+    for name in specimen.unknowns.names:
+        prior = specimen.unknowns[name].prior
+        if name in specimen.material.constants and not prior.lower <= reference[name] <= prior.upper:
+            value, low, high = (to_user(name, v) for v in (reference[name], prior.lower, prior.upper))
+            span = f"{low:.5g} to {high:.5g} {unit_of(name)}".rstrip()
+            outside.append(f"{user_name(name)} = {value:.5g} lies outside its bounds {span}")
+    if not outside:
+        return ()
+    return (
+        f"the reference value of [material] contradicts [unknowns]: {listed(outside, 'and')}; correct the "
+        "value or widen the bounds",
+    )
+
+
+def count_slips(n_frequencies: int, n_unknowns: int) -> tuple[str, ...]:
+    """Fewer frequencies than unknowns."""
+    if n_frequencies >= n_unknowns:
+        return ()
+    many = "1 frequency" if n_frequencies == 1 else f"{n_frequencies} frequencies"
+    return (
+        f"{many} for {n_unknowns} unknowns: fewer frequencies than unknowns, so that the bounds decide the "
+        f"answer; measure at least {n_unknowns + 2} frequencies, or take constants that are known out of "
+        "[unknowns]",
+    )
+
+
+def misfit_slips(level: float) -> tuple[str, ...]:
+    """A misfit that no tap test makes; level : inferred noise, or rms residual where the noise is stated."""
+    if not level > HIGH_MISFIT:
+        return ()
+    return (
+        f"the plate model does not describe these frequencies: with its best constants the misfit is "
+        f"{significant(100.0 * level, 2)} % of a frequency, where a tap test repeats to 1 % or better; do "
+        "not use the constants before the units, the sizes, the edges, the layup and the order and "
+        "completeness of the list are checked",
+    )
+
+
+def equal_list_slips(specimens: Sequence[Specimen]) -> tuple[str, ...]:
+    """Plates whose lists are so nearly equal that they are most likely one measurement."""
+    slips = []
+    for i, first in enumerate(specimens):
+        for second in specimens[i + 1 :]:
+            a, b = first.measurement, second.measurement
+            if a is None or b is None or a.size != b.size:
+                continue
+            apart = float(np.max(np.abs(b.frequencies / a.frequencies - 1.0)))
+            if apart > _EQUAL:
+                continue
+            how = "are equal" if apart == 0.0 else f"differ by {significant(100 * apart, 2)} % at most"
+            slips.append(
+                f"the frequencies of {first.name} and {second.name} {how}: one plate measured twice is not "
+                "two plates, and counting the list twice makes the answer too sure; give one plate file with "
+                "the mean of both lists and their scatter as frequency_sd_hz"
+            )
+    return tuple(slips)

@@ -1,0 +1,118 @@
+"""`identify --backend emcee`, the posterior of the constants, in plain words."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cpam_bayes.formatting import listed, significant
+from cpam_bayes.identification.sampled import ConstantPosterior, SampledResult
+from cpam_bayes.inference.noise import NOISE_NAMES
+from cpam_bayes.plate import to_user, unit_of, user_name
+from cpam_bayes.report.sentences import (
+    DETERMINED,
+    attached_step,
+    constant_title,
+    decided_by,
+    frequencies_text,
+    high_noise_warning,
+    noise_sentence,
+    plate_argument,
+    plate_sentence,
+    scale_sentences,
+)
+from cpam_bayes.report.summary import ConstantLine, Summary, determined_by
+
+
+def summary(result: SampledResult) -> Summary:
+    """The constants, what decides them, what they rest on, and what to do next."""
+    constants = tuple(_constant(result, c) for c in result.elastic_constants)
+    use = [c.symbol for c in constants if c.determined != "no"]
+    unseen, gauge = scale_sentences(result.specimen, result.scale_errors, use)
+    headline = determined_by(constants, result.posterior.measurement.size)
+    if result.status == "budget":
+        headline = f"The chains did not converge: do not use this answer, allow more steps. {headline}"
+    return Summary(
+        title=f"identify {result.title}",
+        slips=result.slips,
+        headline=headline,
+        constants=constants,
+        basis=(_fit(result), *_noise(result), plate_sentence(result.specimen), *unseen),
+        warnings=(
+            *(() if result.slips else high_noise_warning(_inferred(result))),
+            *(w for w in result.warnings if w not in result.slips),
+        ),
+        next_steps=(*_next_steps(result, constants), *gauge),
+    )
+
+
+def _constant(result: SampledResult, c: ConstantPosterior) -> ConstantLine:
+    unit = to_user(c.name, 1.0)
+    by = "the frequencies"
+    if c.bound is not None:
+        end = to_user(c.name, c.lower if c.bound == "lower" else c.upper)
+        by = f"its {c.bound} bound {end:.5g} {unit_of(c.name)}".rstrip()
+    elif DETERMINED[c.verdict] != "yes":
+        by = decided_by(c.name, result.posterior.parameters[c.name].prior)
+    return ConstantLine(
+        symbol=c.name,
+        title=constant_title(c.name, isotropic=result.specimen.material.isotropic),
+        key=user_name(c.name),
+        value=unit * c.mean,
+        interval=(unit * c.q025, unit * c.q975),
+        unit=unit_of(c.name),
+        reference=unit * c.reference,
+        determined=DETERMINED[c.verdict],
+        by=by,
+    )
+
+
+def _fit(result: SampledResult) -> str:
+    rows = [row for row in result.frequencies if row is not None]
+    residuals = np.array([row.residual for row in rows])
+    n = len(result.frequencies)
+    if not residuals.size:
+        return f"None of the {frequencies_text(n)} belongs to a mode of the plate model."
+    worst = int(np.argmax(np.abs(residuals)))
+    side = "too high" if residuals[worst] > 0 else "too low"
+    paired = "" if len(rows) == n else f"; {n - len(rows)} of them belong to no mode"
+    rms = significant(100 * float(np.sqrt(np.mean(residuals**2))), 2)
+    return (
+        f"The plate model repeats the {frequencies_text(n)} to {rms} % (root mean square){paired}; the worst "
+        f"is {rows[worst].measured:.6g} Hz, predicted {significant(100 * abs(residuals[worst]), 2)} % {side}."
+    )
+
+
+def _noise(result: SampledResult) -> tuple[str, ...]:
+    measurement = result.posterior.measurement
+    if not any(c.name in NOISE_NAMES for c in result.constants):
+        stated = measurement.frequency_sd
+        if stated is not None:
+            level = float(np.mean(stated / measurement.frequencies))
+            return (noise_sentence(level, "the level is frequency_sd_hz of the plate file"),)
+        if measurement.relative_std is None:
+            return ()
+        return (noise_sentence(measurement.relative_std, "the level is relative_std of the plate file"),)
+    return (noise_sentence(_inferred(result), "the level is inferred from the misfit"),)
+
+
+def _inferred(result: SampledResult) -> float:
+    """The inferred noise, relative; 0 where the plate file states it."""
+    noise = [c for c in result.constants if c.name in NOISE_NAMES]
+    if not noise:
+        return 0.0
+    relative = noise[0].name == "relative_std"
+    typical = 1.0 if relative else float(np.mean(result.posterior.measurement.frequencies))
+    return noise[0].mean / typical
+
+
+def _next_steps(result: SampledResult, constants: tuple[ConstantLine, ...]) -> tuple[str, ...]:
+    steps = [*attached_step(result.specimen)]
+    open_ = [c.symbol for c in constants if c.determined != "yes"]
+    if result.status == "budget":
+        steps.insert(0, "Allow more steps: --steps N.")
+    if open_:
+        steps.append(f"Measure more modes: {listed(open_, 'and')} may then be determined.")
+    steps.append(
+        f"Ask what the plate model gets wrong: cpam-bayes diagnose {plate_argument(result.specimen)}"
+    )
+    return tuple(steps)
