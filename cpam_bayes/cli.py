@@ -53,13 +53,13 @@ def _finish(work: Callable[[], Result], args: argparse.Namespace) -> int:
     from cpam_bayes.parallel import WorkersLostError
     from cpam_bayes.report.files import save, staging
 
-    not_saved: OSError | None = None
+    not_saved: Exception | None = None
     try:
         with staging(args.out) as stage:
             answer = work()
             try:
                 save(answer, stage)
-            except OSError as error:
+            except (OSError, ValueError) as error:  # no fault of the input: the answer is shown all the same
                 not_saved = error
     except ValueError as error:
         return _refuse(error)

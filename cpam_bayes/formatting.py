@@ -3,11 +3,20 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable, Sequence
 
-__all__ = ["NOT_KNOWN", "decimals_of", "fixed", "listed", "signed", "significant", "with_spread"]
+__all__ = ["NOT_KNOWN", "decimals_of", "file_stem", "fixed", "listed", "signed", "significant", "with_spread"]
 
 NOT_KNOWN = "-"
+# Characters of a name that a file name may not have anywhere, or may not everywhere.
+_NOT_IN_FILES = re.compile(r"[^\w.&()+-]+")
+_LONGEST_STEM = 80
+
+
+def file_stem(name: str) -> str:
+    """A name that people gave as a file name without ending: what no file system takes becomes "_"."""
+    return _NOT_IN_FILES.sub("_", name).strip("._ ")[:_LONGEST_STEM] or "plate"
 
 
 def fixed(value: float, decimals: int) -> str:

@@ -518,3 +518,17 @@ def test_lost_workers_end_a_command_with_one_message_and_1(run, monkeypatch) -> 
     monkeypatch.setattr(plates, "prepare", lambda args: lost)
     status, out, err = run("plates")
     assert (status, out, err) == (1, "", "error: four workers died at item 3\n")
+
+
+def test_the_answer_is_kept_and_shown_where_a_figure_fails(run, plate_file, tmp_path, monkeypatch):
+    from cpam_bayes.forward_model.solve import ForwardResult
+
+    def fails(result):
+        raise ValueError("drawn in vain")
+
+    monkeypatch.setattr(ForwardResult, "figures", fails)
+    status, out, err = run("forward", plate_file(), "--modes", "2", "--out", tmp_path / "out", "--quiet")
+    assert status == 1
+    assert "natural frequencies" in out
+    assert "drawn in vain; not all files are there" in err
+    assert (tmp_path / "out" / "forward.json").is_file()

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from cpam_bayes.formatting import decimals_of, fixed, significant, with_spread
+from cpam_bayes.formatting import decimals_of, file_stem, fixed, significant, with_spread
 
 
 @pytest.mark.parametrize(
@@ -52,3 +52,20 @@ def test_a_list_has_the_decimals_it_was_written_with():
     assert decimals_of([102.0, 311.0]) == 0
     assert decimals_of([156.7, 232.25, 300.0]) == 2
     assert decimals_of([1 / 3]) == 6
+
+
+@pytest.mark.parametrize(
+    ("name", "stem"),
+    [
+        ("D&G", "D&G"),
+        ("plate 7", "plate_7"),
+        ("a/b", "a_b"),
+        ("../../etc", "etc"),
+        ("a\\b:c*d?", "a_b_c_d"),
+        ("...", "plate"),
+        ("Platte größer", "Platte_größer"),
+        ("x" * 300, "x" * 80),
+    ],
+)
+def test_a_name_becomes_a_file_name_that_every_system_takes(name: str, stem: str) -> None:
+    assert file_stem(name) == stem

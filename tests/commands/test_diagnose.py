@@ -130,7 +130,7 @@ def test_the_prior_of_none_is_an_option_and_the_others_keep_their_proportions(ru
 @pytest.mark.usefixtures("few_causes")
 def test_progress_goes_to_standard_error_and_files_to_the_directory(run, plate_file, tmp_path):
     out_dir = tmp_path / "out"
-    status, out, err = run("diagnose", plate_file(), "--out", out_dir)
+    status, out, err = run("diagnose", plate_file(), "--verbose", "--out", out_dir)
     assert status == 0
     assert "of the hypotheses" in err
     assert "Causes, posterior probability" in out
@@ -144,4 +144,4 @@ def test_air_in_the_file_is_part_of_the_model_and_no_cause(run, plate_file):
     path = plate_file(("[measurement]", "[environment]\nair_density_kg_m3 = 1.2\n\n[measurement]"))
     status, out, _ = run("diagnose", path, "--quiet")
     assert status == 0
-    assert "1.2 kg/m3, in the model" in out
+    assert "nothing attached to the plate, air of 1.2 kg/m3." in out

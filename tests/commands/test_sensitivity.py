@@ -72,7 +72,9 @@ def test_a_plate_without_a_measurement_gets_the_answer_of_the_contract(run, plat
 
 
 def test_chains_that_did_not_converge_end_with_status_1_and_say_so(run, plate_file, short):
-    status, out, err = run("sensitivity", plate_file(), "--levels", "5", "--reading", "rms", *FEW)
+    status, out, err = run(
+        "sensitivity", plate_file(), "--levels", "5", "--reading", "rms", "--verbose", *FEW
+    )
     assert status == 1
     assert "used their budget before they converged" in err
     assert re.search(r"Noise 5 % of the rms frequency \(rms\), [\d.]+ Hz for all modes", out)

@@ -125,7 +125,7 @@ def test_the_error_on_a_mesh_of_a_file_is_said_to_be_unknown(run, with_mesh):
     assert document["relative_error_estimate"] is None
     assert [mode["relative_error_estimate"] for mode in document["modes"]] == [None, None]
     assert document["no_error_estimate"].startswith("not known")
-    _, out, _ = run("forward", path)
+    _, out, _ = run("forward", path, "--verbose")
     assert re.search(r"error +not known: the mesh of a file is the only one", out)
     assert re.search(r"outline +the mesh .*plate.msh", out)
     assert "32 8-node elements of plate.msh, 20000 mm2" in out
@@ -133,7 +133,7 @@ def test_the_error_on_a_mesh_of_a_file_is_said_to_be_unknown(run, with_mesh):
 
 def test_a_holed_plate_that_was_weighed_is_denser_than_its_rectangle(run, with_mesh, tmp_path):
     path = with_mesh(holed(), weight="mass_g = 100.0")
-    status, out, _ = run("forward", path, "--modes", "4", "--out", tmp_path / "out", "--quiet")
+    status, out, _ = run("forward", path, "--modes", "4", "--out", tmp_path / "out", "--quiet", "--verbose")
     assert status == 0
     # 20000 mm2 less an ellipse of 40 x 20 mm, 32 chords round
     area = 20000.0 - 16 * np.sin(np.pi / 16) * 40 * 20
@@ -252,7 +252,7 @@ def test_export_writes_a_deck_of_each_element(run, tmp_path, element, cards):
 
 def test_export_writes_shells_to_a_file_of_the_plates_name(run, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    status, out, err = run("export", "D&G", "--to", "ccx")
+    status, out, err = run("export", "D&G", "--to", "ccx", "--verbose")
     assert (status, err) == (0, "")
     assert re.search(r"file +D&G.inp\n", out)
     assert re.search(r"elements +\d+ of S8R, shells", out)

@@ -54,3 +54,13 @@ def test_an_impossible_directory_is_refused(name, tmp_path, monkeypatch):
     with pytest.raises(ValueError, match="--out"), staging(name):
         raise AssertionError("the work has begun")
     assert listed(tmp_path) == []
+
+
+def test_what_was_computed_is_there_when_a_figure_cannot_be_drawn(tmp_path, monkeypatch):
+    def fails(result):
+        raise ValueError("no such figure")
+
+    monkeypatch.setattr(type(RESULT), "figures", fails)
+    with pytest.raises(ValueError, match="no such figure"), staging(str(tmp_path)) as stage:
+        save(RESULT, stage)
+    assert listed(tmp_path) == ["plates.json"]

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar, Final
 
+from cpam_bayes.formatting import file_stem
 from cpam_bayes.forward_model.air_shift import air_shifts
 from cpam_bayes.forward_model.calculix.deck import Deck, Element, plate_deck
 from cpam_bayes.forward_model.model import reference_constants
@@ -88,11 +89,11 @@ def export(
     require_modes(n_modes)
     require_choice("element", element, tuple(_TYPE))
     specimen = require_supported(read_plate(plate), _NO_MESH, _NO_AIR)
-    given = plate if isinstance(plate, str | os.PathLike) else specimen.name
+    given = plate if isinstance(plate, str | os.PathLike) else ""
     if path == "":
         raise ValueError("--out: received an empty name, accepted: the file to write")
-    target = Path(path or f"{Path(given).stem}.inp")
-    if target.resolve() == Path(given).resolve():
+    target = Path(path or f"{Path(given).stem or file_stem(specimen.name)}.inp")
+    if given and target.resolve() == Path(given).resolve():
         raise ValueError(f"--out {target}: the plate file itself; give another name")
     _require_writable(target, force)
     n = n_modes or measured_modes(specimen)
