@@ -31,7 +31,7 @@ def pictures(data: dict[str, Any]) -> list[Picture]:
             "Log evidences of stacking sequences against a slow and independent reference.",
             "Left: root mean square errors of the log evidence of the most probable classes and of "
             f"stacking sequences drawn from the posterior; dashed: {LARGEST_RMS:g} nats. The largest of "
-            f"those that `sequence` uses is {max(rms):.3f} nats." + (sums if layered else ""),
+            f"those that `sequence` uses is {max(rms, default=0.0):.3f} nats." + (sums if layered else ""),
         )
     ]
 
