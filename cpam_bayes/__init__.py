@@ -8,6 +8,7 @@
     cb.sample(plate, seed=0)        # their posterior by emcee
     cb.sequence(plate)              # the probability of every stacking sequence
     cb.diagnose(plate)              # what the simulation gets wrong, and why
+    cb.full_report(plate)           # constants, stacking sequences and diagnosis, for one page
     cb.sensitivity(plate)           # the paper's noise study beside the posterior
 
 Every result has `summary()`, `to_dict()`, `plot()`, `save()`, `warnings` and `status`. Names are loaded
@@ -22,6 +23,7 @@ __version__ = "0.1.0"
 if TYPE_CHECKING:
     from cpam_bayes import effects as effects
     from cpam_bayes import paper as paper
+    from cpam_bayes.combined import full_report as full_report
     from cpam_bayes.diagnosis.plates import diagnose as diagnose
     from cpam_bayes.forward_model.builtin import plates as plates
     from cpam_bayes.forward_model.calculix.export import export as export
@@ -42,6 +44,7 @@ _PUBLIC = {
     "diagnose": "cpam_bayes.diagnosis.plates",
     "export": "cpam_bayes.forward_model.calculix.export",
     "forward": "cpam_bayes.forward_model.solve",
+    "full_report": "cpam_bayes.combined",
     "identify": "cpam_bayes.identification.identify",
     "plates": "cpam_bayes.forward_model.builtin",
     "posterior": "cpam_bayes.identification.starting",
@@ -59,6 +62,7 @@ __all__ = [
     "effects",
     "export",
     "forward",
+    "full_report",
     "identify",
     "paper",
     "plates",

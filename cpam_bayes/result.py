@@ -97,6 +97,11 @@ class Result:
         return "done"
 
     @property
+    def has_draws(self) -> bool:
+        """Whether `to_arviz` gives the draws of a posterior."""
+        return bool(self.draws)
+
+    @property
     def title(self) -> str:
         """What was asked about, for headings."""
         return ""
@@ -198,7 +203,7 @@ class Result:
         ValueError
             If no posterior was sampled.
         """
-        if not self.draws:
+        if not self.has_draws:
             raise ValueError(f"to_arviz: {self.command} samples no posterior; `sample` and `sequence` do")
         return import_module(self.draws).inference_data(self)
 

@@ -31,6 +31,7 @@ LAYERS = (
     "stacking",
     "diagnosis",
     "repetition",
+    "combined",
     "comparison",
     "validation",
     "report",

@@ -5,7 +5,17 @@ This module is imported for `--help`: it loads nothing beyond the standard libra
 
 from typing import Final
 
-COMMANDS: Final = ("plates", "forward", "export", "identify", "sensitivity", "sequence", "diagnose", "paper")
+COMMANDS: Final = (
+    "plates",
+    "forward",
+    "export",
+    "identify",
+    "sensitivity",
+    "sequence",
+    "diagnose",
+    "report",
+    "paper",
+)
 SOLVERS: Final = ("ritz", "fem", "ccx")
 ELEMENTS: Final = ("brick", "shell")
 """What CalculiX computes with."""

@@ -52,7 +52,7 @@ def save(result: Result, stage: Stage | None) -> None:
     _moved(draft, directory)
     for name, text in result.texts().items():
         (draft / name).write_text(text, encoding="utf-8")
-    if result.draws:
+    if result.has_draws:
         result.to_arviz().to_netcdf(str(draft / "posterior.nc"))
     _moved(draft, directory)
     figures = result.figures()

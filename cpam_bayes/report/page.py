@@ -6,6 +6,7 @@ The page holds its style and its figures, has no script, and forbids itself to f
 from __future__ import annotations
 
 import base64
+import hashlib
 import platform
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -16,7 +17,9 @@ from typing import Any, Final
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
-from cpam_bayes.report.sections import Caption, Section
+from cpam_bayes import __version__
+from cpam_bayes.report.documents import json_text
+from cpam_bayes.report.sections import COMPUTATION, Caption, Section, merged
 from cpam_bayes.report.summary import Summary, sentence
 from cpam_bayes.report.tables import Table, facts
 from cpam_bayes.result import Result
@@ -45,15 +48,22 @@ def write_page(result: Result, directory: Path) -> None:
         result.in_words(),
         (*result.sections(), _computation(result)),
         images,
+        f"cpam_bayes {__version__}, seed {result.seed}",
     )
     (directory / "report.html").write_text(text, encoding="utf-8")
 
 
-def page_text(title: str, summary: Summary, sections: Sequence[Section], images: Mapping[str, Image]) -> str:
-    """The page; images : by the names that the sections give."""
+def page_text(
+    title: str,
+    summary: Summary,
+    sections: Sequence[Section],
+    images: Mapping[str, Image],
+    made: str = "",
+) -> str:
+    """The page; images : by the names that the sections give. made : what made the page."""
     template = _environment().get_template("page.html")
-    shown = [s for s in sections if s.figures or any(table.rows for table in s.tables)]
-    return template.render(title=title, summary=summary, sections=shown, images=images)
+    shown = [s for s in merged(sections) if s.figures or any(table.rows for table in s.tables)]
+    return template.render(title=title, summary=summary, sections=shown, images=images, made=made)
 
 
 def fragment(tables: Sequence[Table]) -> str:
@@ -72,9 +82,15 @@ def _environment() -> Environment:
         keep_trailing_newline=True,
     )
     environment.filters["sentence"] = sentence
+    environment.filters["typeset"] = _typeset
     style = environment.get_template("style.css").render()
     environment.globals["style"] = Markup(style)
     return environment
+
+
+def _typeset(text: str) -> str:
+    """A text of the screen as print has it."""
+    return text.replace("+-", "\N{PLUS-MINUS SIGN}")
 
 
 def _source(figure: Path) -> str:
@@ -87,16 +103,21 @@ def _source(figure: Path) -> str:
 
 
 def _computation(result: Result) -> Section:
-    """Versions, seed, work and time: what repeats the answer."""
+    """Versions, seed, time and hashes: what repeats the answer, and what tells whether it is this one."""
     document = result.to_dict()
+    libraries = ", ".join(f"{name} {version(name)}" for name in _LIBRARIES)
     rows = [
-        ("program", f"cpam_bayes {document['version']}" if "version" in document else "cpam_bayes"),
-        ("libraries", ", ".join(f"{name} {version(name)}" for name in _LIBRARIES)),
+        ("program", f"cpam_bayes {__version__}, {libraries}"),
         ("Python", f"{platform.python_version()} on {platform.system()} {platform.machine()}"),
-        ("seed", f"{result.seed}; the same seed gives the same answer"),
+        ("seed", f"{result.seed}: the same seed gives the same answer"),
     ]
-    if document.get("forward_solves"):
-        rows.append(("forward solves", str(document["forward_solves"])))
     if document.get("seconds") is not None:
         rows.append(("time", f"{document['seconds']:.1f} s"))
-    return Section("How this was computed", (facts("What repeats the answer", tuple(rows)),))
+    rows += [
+        (specimen.source, f"SHA-256 {hashlib.sha256(Path(specimen.source).read_bytes()).hexdigest()}")
+        for specimen in result.about
+        if Path(specimen.source).is_file()
+    ]
+    answer = hashlib.sha256(json_text(document).encode()).hexdigest()
+    rows.append((f"{result.command}.json", f"SHA-256 {answer}"))
+    return Section(COMPUTATION, (facts("What repeats the answer, and which answer it is", tuple(rows)),))

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Final
 
 from cpam_bayes.report.tables import Table
 
-__all__ = ["Caption", "Section", "modes_caption", "tables_of"]
+__all__ = ["COMPUTATION", "Caption", "Section", "merged", "modes_caption", "tables_of"]
+
+COMPUTATION: Final = "How this was computed"
+"""Title of the section that stands last on a page."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,6 +50,19 @@ def modes_caption(modes: Sequence[tuple[float, str]]) -> Caption:
         "a mode in the plane of the plate.",
         f"Shapes of {len(modes)} modes: {listed}.",
     )
+
+
+def merged(sections: Sequence[Section]) -> tuple[Section, ...]:
+    """Sections of one title as one, where the last of them stands."""
+    found: dict[str, Section] = {}
+    for section in sections:
+        before = found.pop(section.title, replace(section, tables=(), figures=()))
+        found[section.title] = replace(
+            section,
+            tables=(*before.tables, *section.tables),
+            figures=(*before.figures, *section.figures),
+        )
+    return tuple(found.values())
 
 
 def tables_of(sections: tuple[Section, ...]) -> tuple[Table, ...]:

@@ -64,6 +64,11 @@ class StackingResult(PlateResult):
         """Either "converged", as all chains of the constants have, or "not converged"."""
         return "converged" if self.mixture.converged else "not converged"
 
+    @property
+    def most_probable(self) -> Specimen:
+        """The specimen with the most probable angles."""
+        return _most_probable(self.answer)
+
 
 def sequence(
     plate: PlateLike,

@@ -7,7 +7,7 @@ from cpam_bayes.comparison.summary import computed_rows, notes
 from cpam_bayes.formatting import signed, significant
 from cpam_bayes.paper import printed_table
 from cpam_bayes.report.comparison.captions import figures_of
-from cpam_bayes.report.sections import Section
+from cpam_bayes.report.sections import COMPUTATION, Section
 from cpam_bayes.report.tables import Table, headed, remarks
 
 __all__ = ["misfit_cells", "row_cells", "sections"]
@@ -32,7 +32,7 @@ def sections(result: PaperResult) -> tuple[Section, ...]:
             "Audit of the print",
             (remarks("Misprints and contradictions in the print", notes(result)),),
         ),
-        Section("Computations", (_computed(result),)),
+        Section(COMPUTATION, (_computed(result),)),
     )
 
 

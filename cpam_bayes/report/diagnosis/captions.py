@@ -14,7 +14,7 @@ from cpam_bayes.report.diagnosis.rows import (
     shows_detectable,
     shows_signatures,
 )
-from cpam_bayes.report.diagnosis.words import claim_sentence, probability_text
+from cpam_bayes.report.diagnosis.words import probability_text
 from cpam_bayes.report.sections import Caption
 
 
@@ -35,7 +35,7 @@ def captions(result: DiagnosisResult) -> dict[str, Caption]:
         "causes": Caption(
             "How probable each cause is. The black mark is what a claim of that cause alone needs: "
             f"{PLAIN:g} for none, which says that nothing is wrong, {SURE:g} for the others. ln B weighs a "
-            f"cause against none. {claim_sentence(d)}",
+            "cause against none: three and more speak for the cause.",
             f"Probabilities of the causes: {most}.",
         ),
     }

@@ -136,7 +136,7 @@ def _causes(d: Diagnosis) -> Figure:
     """Probabilities of the leading causes, none and other among them."""
     shown = leading(d, 0.0, _BARS)
     names = [cause.name for cause in shown]
-    figure = Figure(figsize=(7.6, 0.9 + 0.3 * len(names)), layout="constrained")
+    figure = Figure(figsize=(6.8, 1.1 + 0.28 * len(names)), layout="constrained")
     axes = figure.add_subplot()
     y = np.arange(len(names))
     claimed = d.claim.causes if d.claim.kind != "undecided" else ()
@@ -153,15 +153,13 @@ def _causes(d: Diagnosis) -> Figure:
         said = probability_text(cause.probability)
         if cause.name != NONE:
             said += f"   ln B {round(cause.log_bayes_factor, 1) + 0.0:+.1f}"
-        axes.annotate(
-            said, (cause.probability, at), (4, 0), textcoords="offset points", va="center", fontsize=8
-        )
+        axes.text(1.04, float(at), said, va="center", fontsize=8)
     axes.set_yticks(y, [_with_place(d, c) for c in shown], fontsize=8)
     axes.invert_yaxis()
     needed = [PLAIN if c.name == NONE else SURE for c in shown]
     axes.plot(needed, y, "|", color="black", markersize=13, markeredgewidth=1.6, label="needed for a claim")
-    axes.set(xlim=(0, 1.45), xticks=np.linspace(0, 1, 6), xlabel="probability")
-    figure.legend(loc="outside lower right", frameon=False, fontsize=8)
+    axes.set(xlim=(0, 1.5), xticks=np.linspace(0, 1, 6), xlabel="probability")
+    figure.legend(loc="outside lower center", frameon=False, fontsize=8)
     axes.spines[["top", "right", "left"]].set_visible(False)
     axes.tick_params(axis="y", length=0)
     axes.set_title(f"{_title(d)}: {_claimed(d)}", fontsize=10)
@@ -229,7 +227,7 @@ def _detectable(d: Diagnosis) -> Figure:
     rows.sort(key=lambda row: (row.in_sd is None, row.in_sd))
     sizes = [row.in_sd for row in rows if row.in_sd is not None]
     left, right = 0.5 * min(*sizes, 1.0), 2.0 * max(*sizes, 1.0)
-    figure = Figure(figsize=(7.6, 0.9 + 0.3 * len(rows)), layout="constrained")
+    figure = Figure(figsize=(6.8, 0.9 + 0.28 * len(rows)), layout="constrained")
     axes = figure.add_subplot()
     for y, row in enumerate(rows):
         end = right if row.in_sd is None else row.in_sd

@@ -35,7 +35,7 @@ from cpam_bayes.report.diagnosis.words import (
     with_title,
 )
 from cpam_bayes.report.plates.head import air_text, plate_section
-from cpam_bayes.report.sections import Section
+from cpam_bayes.report.sections import COMPUTATION, Section
 from cpam_bayes.report.tables import Column, Table, facts, headed, remarks
 
 # A residual of so many standard deviations is marked.
@@ -66,9 +66,10 @@ def sections(result: DiagnosisResult) -> tuple[Section, ...]:
                 remarks("Other scales of the priors", (sensitivity_sentence(d),)),
                 remarks("Not tested", d.weighed.not_tested),
             ),
-            ("causes", *several),
+            ("causes",),
             folded=False,
         ),
+        Section("Which causes look alike", figures=several),
         Section("What these data could have shown", (_detectable(d), _hidden(d)), sizes),
         Section(
             "Constants and gain",
@@ -76,7 +77,7 @@ def sections(result: DiagnosisResult) -> tuple[Section, ...]:
             constants,
         ),
         Section("What to measure next", (_next(result.candidates),)),
-        Section("Priors and work", (_work(d, result.seed),)),
+        Section(COMPUTATION, (_work(d, result.seed),)),
     )
 
 

@@ -14,7 +14,7 @@ from cpam_bayes.identification.search import required
 from cpam_bayes.plate import to_user, unit_of
 from cpam_bayes.report.identification.words import noise_sentence, verdict_sentences
 from cpam_bayes.report.plates.head import plate_section
-from cpam_bayes.report.sections import Section
+from cpam_bayes.report.sections import COMPUTATION, Section
 from cpam_bayes.report.tables import Table, facts, headed, remarks
 
 _MISFIT = {
@@ -37,7 +37,7 @@ def sections(result: PointResult) -> tuple[Section, ...]:
             ("residuals",),
             folded=False,
         ),
-        Section("Mode shapes", figures=("modes",)),
+        Section("Mode shapes", figures=("modes", "predicted_against_measured")),
         Section(
             "Constants",
             (
@@ -49,7 +49,7 @@ def sections(result: PointResult) -> tuple[Section, ...]:
             ),
             ("optima",) if several else (),
         ),
-        Section("Search", (_search(result),), ("predicted_against_measured",)),
+        Section(COMPUTATION, (_search(result),)),
     )
 
 

@@ -114,7 +114,7 @@ def _marginals_and_profiles(result: SampledResult) -> Figure:
     profiles = result.assessment.profiles
     names = result.posterior.parameters.names
     constants = {c.name: c for c in result.constants}
-    figure = Figure(figsize=(max(5.2, 2.4 * len(profiles)), 4.6), layout="constrained")
+    figure = Figure(figsize=(max(5.0, 1.7 * len(profiles) + 0.4), 4.4), layout="constrained")
     axes = figure.subplots(2, len(profiles), squeeze=False, sharex="col")
     for upper, lower, profile in zip(axes[0], axes[1], profiles, strict=True):
         c, factor = constants[profile.name], to_user(profile.name, 1.0)
@@ -141,7 +141,7 @@ def _marginals_and_profiles(result: SampledResult) -> Figure:
         Line2D([], [], color=_ORANGE, marker=".", label="profile"),
         Line2D([], [], color=_ORANGE, linestyle="--", label="95 % interval"),
     ]
-    figure.legend(handles=key, loc="outside lower center", ncols=len(key), frameon=False, fontsize=8)
+    figure.legend(handles=key, loc="outside lower center", ncols=3, frameon=False, fontsize=8)
     figure.suptitle(f"{result.specimen.name}: marginal posteriors and profile likelihoods", fontsize=10)
     return figure
 

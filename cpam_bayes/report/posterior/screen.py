@@ -13,7 +13,7 @@ from cpam_bayes.priors import Prior, TruncatedNormal
 from cpam_bayes.report.documents import laminate_unit
 from cpam_bayes.report.plates.head import plate_section
 from cpam_bayes.report.posterior.assessment import combinations_table, sensitivity_table
-from cpam_bayes.report.sections import Section
+from cpam_bayes.report.sections import COMPUTATION, Section
 from cpam_bayes.report.tables import Column, Table, facts, headed, remarks
 
 # A mode this many standard deviations from what the others predict is marked.
@@ -42,7 +42,7 @@ def sections(result: SampledResult) -> tuple[Section, ...]:
         ),
         Section("Measured and predicted frequencies", (_frequencies(result),), ("left_out",)),
         Section("Mode shapes", figures=("modes",)),
-        Section("Fit and sampling", (_chains(result),)),
+        Section(COMPUTATION, (_chains(result),)),
     )
 
 

@@ -8,7 +8,7 @@ from cpam_bayes.formatting import NOT_KNOWN, decimals_of, fixed, signed, signifi
 from cpam_bayes.inference.posterior import NOISE
 from cpam_bayes.plate import to_user, user_name
 from cpam_bayes.report.plates.head import plate_section
-from cpam_bayes.report.sections import Section
+from cpam_bayes.report.sections import COMPUTATION, Section
 from cpam_bayes.report.tables import Column, Table, facts, headed, remarks
 from cpam_bayes.stacking.mixture import SampledComponent, StackingMixture
 from cpam_bayes.stacking.queries.angle_information import AngleInformation
@@ -37,13 +37,13 @@ def sections(result: StackingResult) -> tuple[Section, ...]:
             ("angles",),
             folded=False,
         ),
-        Section("Measured and predicted frequencies", _fit(answer, result.fit)),
+        Section("Measured frequencies and the most probable sequence", _fit(answer, result.fit)),
         Section(
             "Constants over all sequences",
             (_mixture(answer, result.mixture, result.given),),
             ("constants",),
         ),
-        Section("Enumeration", (_work(result),)),
+        Section(COMPUTATION, (_work(result),)),
     )
 
 

@@ -1,0 +1,1 @@
+"""What `report` shows: the answers of its parts on one page."""

@@ -1,0 +1,32 @@
+"""Sections of `report`: the plate once, then those of its parts, what is folded last."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Final
+
+from cpam_bayes.combined import FullReport
+from cpam_bayes.report.plates.head import plate_section
+from cpam_bayes.report.sections import Section
+from cpam_bayes.result import Result
+
+PLATE: Final = "plate"
+
+
+def figure_name(part: Result, name: str) -> str:
+    """The name of a part's figure, of which there is one in all parts."""
+    return f"{part.question}_{name}"
+
+
+def sections(result: FullReport) -> tuple[Section, ...]:
+    """Plate, then constants, stacking sequences and diagnosis."""
+    of_parts = [
+        replace(section, figures=tuple(figure_name(part, name) for name in section.figures))
+        for part in result.parts
+        for section in part.sections()
+        if PLATE not in section.figures
+    ]
+    return (
+        plate_section(result.command, result.specimen, result.air_shifts),
+        *sorted(of_parts, key=lambda section: section.folded),
+    )
