@@ -19,7 +19,7 @@ from cpam_bayes.plate import Plate, Specimen
 
 Array = NDArray[Any]
 
-__all__ = ["FREQUENCY_SCALE", "ScaleError", "scale_errors", "sizes_spread"]
+__all__ = ["FREQUENCY_SCALE", "ScaleError", "scale_errors", "sizes_spread", "thin_plate_errors"]
 
 FREQUENCY_SCALE: Final = "frequency_scale"
 # Range of a size about its value in which its derivative is taken, relative.
@@ -88,6 +88,15 @@ def scale_errors(
         known = None if sd is None else float(sd / sizes[name])
         found.append(ScaleError(name, dict(zip(names, shift.tolist(), strict=True)), visible, known))
     return tuple(found)
+
+
+def thin_plate_errors(specimen: Specimen) -> tuple[ScaleError, ...]:
+    """The same of a thin plate whose layup is open: f^2 is proportional to E h^2 / rho, or E h^3 / m."""
+    plate = specimen.plate
+    moduli = [name for name in specimen.unknowns.names if name != "nu12"]
+    thickness, weighed = (2.0, "density") if plate.mass is None else (3.0, "mass")
+    powers = {"thickness": thickness, weighed: -1.0, FREQUENCY_SCALE: 2.0}
+    return tuple(ScaleError(name, dict.fromkeys(moduli, power), 0.0, None) for name, power in powers.items())
 
 
 def sizes_spread(errors: tuple[ScaleError, ...], constant: str) -> float:

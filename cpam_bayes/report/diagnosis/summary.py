@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Final
 
+import numpy as np
+
 from cpam_bayes.diagnosis.diagnose import Cause, Diagnosis
 from cpam_bayes.diagnosis.hypotheses import NONE, OTHER
 from cpam_bayes.diagnosis.plates import DiagnosisResult
@@ -118,9 +120,24 @@ def _noise(d: Diagnosis) -> tuple[str, ...]:
     claimed = d.extended is not None
     noise = noise_of(d.members if claimed else d.weighed.plain)
     if noise is None:
-        return ()
+        return _stated(d)
     model = "extended model" if claimed else "plate model"
     return (noise_sentence(noise[0], f"the level is inferred from the misfit of the {model}"),)
+
+
+def _stated(d: Diagnosis) -> tuple[str, ...]:
+    """The noise of the plate files."""
+    said = []
+    for case in d.cases:
+        measurement, of = case.measurement, f" of {case.name}" if len(d.cases) > 1 else ""
+        if measurement.frequency_sd is not None:
+            level, key = float(np.mean(measurement.frequency_sd / measurement.frequencies)), "frequency_sd_hz"
+        elif measurement.relative_std is not None:
+            level, key = measurement.relative_std, "relative_std"
+        else:
+            continue
+        said.append(noise_sentence(level, f"the level is {key} of the plate file{of}"))
+    return tuple(said)
 
 
 def _named(specimen: Specimen) -> str:

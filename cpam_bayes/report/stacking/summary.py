@@ -7,6 +7,7 @@ from typing import Final
 import numpy as np
 
 from cpam_bayes.formatting import significant
+from cpam_bayes.identification.scale_errors import thin_plate_errors
 from cpam_bayes.identification.verdicts import verdict_of
 from cpam_bayes.inference.posterior import NOISE
 from cpam_bayes.plate import to_user, unit_of, user_name
@@ -19,6 +20,7 @@ from cpam_bayes.report.sentences import (
     frequencies_text,
     noise_sentence,
     plate_sentence,
+    scale_sentences,
 )
 from cpam_bayes.report.summary import ConstantLine, Summary
 from cpam_bayes.report.tables import Table, headed
@@ -122,6 +124,13 @@ def _constants(result: StackingResult) -> tuple[ConstantLine, ...]:
     return tuple(lines)
 
 
+def _unseen(result: StackingResult) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    use = [c.symbol for c in _constants(result) if c.determined != "no"]
+    errors = thin_plate_errors(result.specimen)
+    shown = [name for name in use if name in errors[0].shift]
+    return scale_sentences(result.specimen, errors, shown)
+
+
 def _basis(result: StackingResult) -> tuple[str, ...]:
     answer, fit = result.answer, result.fit
     template = answer.conditional.template
@@ -137,6 +146,7 @@ def _basis(result: StackingResult) -> tuple[str, ...]:
         plate_sentence(result.specimen),
         "Stacking sequences with the same bending stiffness have the same frequencies: no number of "
         "frequencies tells a layup from its mirror images.",
+        *_unseen(result)[0],
     )
 
 
