@@ -112,6 +112,14 @@ def test_a_screen_is_shortened_to_its_named_parts() -> None:
         shortened(screen, ["Causes"])
 
 
+@pytest.mark.parametrize(
+    ("page", "title"), [("README.md", "examples/panel.toml"), ("docs/tutorial.md", "panel.toml")]
+)
+def test_the_plate_of_the_first_pages_is_the_one_in_the_examples(page: str, title: str) -> None:
+    _, _, block = (PROJECT / page).read_text("utf-8").partition(f'```toml title="{title}"\n')
+    assert block.partition("```")[0] == (PROJECT / "examples" / "panel.toml").read_text("utf-8")
+
+
 def test_every_command_and_option_of_the_documentation_exists() -> None:
     options = {name: option_names(name) for name in COMMANDS}
     found = 0

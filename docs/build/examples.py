@@ -102,9 +102,9 @@ def _run(page: Path, directory: Path, *, pictures: bool = False) -> tuple[str, i
 def _block(session: _Session, match: re.Match[str]) -> str:
     text = match["text"]
     if title := _TITLE.search(match["info"]):
-        with (session.directory / title["name"]).open(
-            "a" if title["added"] else "w", encoding="utf-8"
-        ) as file:
+        path = session.directory / title["name"]
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with path.open("a" if title["added"] else "w", encoding="utf-8") as file:
             file.write(("\n" if title["added"] else "") + text)
     elif match["language"] == "python":
         run_block(text, session.names)
