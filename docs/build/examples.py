@@ -24,6 +24,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+import textwrap
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -39,6 +40,7 @@ _TITLE = re.compile(r'title="(?P<added>added to )?(?P<name>[^"]+)"')
 _TIMES = re.compile(r"\d[\d.]*(?= s\b)|\d+(?= effective samples a second)|\d+(?= in all$)")
 _NUMBER = re.compile(r"(?<![\w.])\d+(?:\.\d+)?(?:e[+-]?\d+)?")
 _OTHERS = "..."
+_WIDTH = 100
 
 
 class ExampleError(AssertionError):
@@ -182,7 +184,22 @@ def _output(command: str) -> str:
     if done.returncode not in (0, 2):
         raise ExampleError(f"{command}: exit status {done.returncode}\n{done.stdout}{done.stderr}")
     said = [line for line in done.stderr.splitlines() if line.startswith(("error:", "warning:", "    "))]
-    return "".join(f"{line.rstrip()}\n" for line in [*said, *done.stdout.splitlines()])
+    return "".join(f"{folded(line.rstrip())}\n" for line in [*said, *done.stdout.splitlines()])
+
+
+def folded(line: str) -> str:
+    """A long sentence of a screen in several lines; rows of tables, which have gaps, as they are."""
+    indent = line[: len(line) - len(line.lstrip())]
+    if len(line) <= _WIDTH or "  " in line.strip():
+        return line
+    return textwrap.fill(
+        line.strip(),
+        _WIDTH,
+        initial_indent=indent,
+        subsequent_indent=f"{indent}  ",
+        break_long_words=False,
+        break_on_hyphens=False,
+    )
 
 
 def shortened(screen: str, titles: list[str]) -> str:
