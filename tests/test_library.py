@@ -304,7 +304,7 @@ def test_a_notebook_shows_the_tables(point: PointResult) -> None:
     assert html.count("<h3>") == len(shown)
     assert html.count("</ul>") == len(sentences)
     assert html.count("<table") == html.count("</table>") == len(shown) - len(sentences)
-    assert "<h3>identify A1</h3>" in html
+    assert "<h3>Plate A1</h3>" in html
     assert ">E1</" in html
 
 

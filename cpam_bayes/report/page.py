@@ -8,6 +8,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import platform
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
@@ -33,16 +34,21 @@ _LIBRARIES: Final = ("numpy", "scipy", "emcee")
 
 @dataclass(frozen=True, slots=True)
 class Image:
-    """A figure as a page holds it: its source, which is data, and its caption."""
+    """A figure as a page holds it.
+
+    source : a data URI
+    width : of the figure at its own size, CSS pixels
+    """
 
     source: str
+    width: int
     caption: Caption
 
 
 def write_page(result: Result, directory: Path) -> None:
     """Write ``report.html`` with the figures that lie in the directory's ``figures``."""
     captions = result.captions()
-    images = {name: Image(_source(directory / "figures" / name), captions[name]) for name in captions}
+    images = {name: _image(directory / "figures" / name, caption) for name, caption in captions.items()}
     text = page_text(
         f"{result.command} {result.title}".strip(),
         result.in_words(),
@@ -83,9 +89,15 @@ def _environment() -> Environment:
     )
     environment.filters["sentence"] = sentence
     environment.filters["typeset"] = _typeset
+    environment.filters["brief"] = _brief
     style = environment.get_template("style.css").render()
     environment.globals["style"] = Markup(style)
     return environment
+
+
+def _brief(title: str) -> str:
+    """The title of a table without what it explains."""
+    return re.split("[:;,]", title)[0]
 
 
 def _typeset(text: str) -> str:
@@ -93,13 +105,16 @@ def _typeset(text: str) -> str:
     return text.replace("+-", "\N{PLUS-MINUS SIGN}")
 
 
-def _source(figure: Path) -> str:
-    """A figure as a data URI: lines where they are few, pixels where they are many."""
-    svg, png = figure.with_suffix(".svg"), figure.with_suffix(".png")
-    drawn = svg.read_bytes()
-    if len(drawn) <= _MAX_SVG_BYTES:
-        return f"data:image/svg+xml;base64,{base64.b64encode(drawn).decode('ascii')}"
-    return f"data:image/png;base64,{base64.b64encode(png.read_bytes()).decode('ascii')}"
+def _image(figure: Path, caption: Caption) -> Image:
+    """A figure as lines where they are few, as pixels where they are many."""
+    drawn = figure.with_suffix(".svg").read_bytes()
+    points = re.search(rb'<svg[^>]*\swidth="([0-9.]+)pt"', drawn)
+    assert points is not None, f"{figure}: no width"
+    kind = "svg+xml"
+    if len(drawn) > _MAX_SVG_BYTES:
+        kind, drawn = "png", figure.with_suffix(".png").read_bytes()
+    data = base64.b64encode(drawn).decode("ascii")
+    return Image(f"data:image/{kind};base64,{data}", round(float(points[1]) * 96 / 72), caption)
 
 
 def _computation(result: Result) -> Section:

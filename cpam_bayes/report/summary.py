@@ -104,7 +104,7 @@ class Summary:
 
     title : what was asked
     slips : what most likely ruins the answer, and the likely cure; read before all else
-    headline : the answer in one or two sentences
+    headline : the answer in one or two sentences, a line for each of several questions
     constants : the constants that were asked for, () where none were
     tables : what else was asked for: modes, stacking sequences
     basis : what the answer rests on: frequencies, plate, noise, and what no frequency shows
@@ -136,7 +136,7 @@ def summary_tables(summary: Summary) -> tuple[Table, ...]:
 
 def _head(summary: Summary) -> Table:
     slips = tuple(map(sentence, summary.slips))
-    rows = tuple((text,) for text in (*slips, summary.headline))
+    rows = tuple((text,) for text in (*slips, *summary.headline.splitlines()))
     return Table(summary.title, (Column(),), rows, frozenset(range(len(slips))))
 
 

@@ -124,7 +124,7 @@ def summary_of(**changes) -> Summary:
 
 def test_text_of_a_page_is_escaped():
     table = Table("a < b", (Column("x"), Column("n", number=True)), (("<script>", "1"),), frozenset({0}))
-    image = Image("data:,", Caption("<b>.", 'a "quoted" <i>.'))
+    image = Image("data:,", 100, Caption("<b>.", 'a "quoted" <i>.'))
     text = page_text("D&G", summary_of(), [Section("s", (table,), ("f",))], {"f": image})
     assert "<script>" not in text
     assert "&lt;script&gt;" in text

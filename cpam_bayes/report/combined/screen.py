@@ -27,6 +27,6 @@ def sections(result: FullReport) -> tuple[Section, ...]:
         if PLATE not in section.figures
     ]
     return (
-        plate_section(result.command, result.specimen, result.air_shifts),
+        plate_section(result.specimen, result.air_shifts),
         *sorted(of_parts, key=lambda section: section.folded),
     )

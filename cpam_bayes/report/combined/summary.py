@@ -3,29 +3,38 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import Final
 
 from cpam_bayes.combined import FullReport
 from cpam_bayes.report.sentences import plate_argument
 from cpam_bayes.report.summary import Summary
 
+_TWO_ANSWERS: Final = (
+    "The constants of this summary allow for everything that may be wrong with the plate model, and where "
+    "the plate file says in [material.sd] how well a reference is known, that counts as knowledge. The "
+    "frequencies alone, with a plate model believed to be right, give the constants further below, which "
+    "may differ."
+)
+
 
 def summary(result: FullReport) -> Summary:
     """The headlines of all parts, the constants with what may be wrong, warnings and next steps."""
     parts = [part.in_words() for part in result.parts]
+    *_, diagnosis = parts
     asked = [f"cpam-bayes {part.command}" for part in result.parts]
-    steps = _each_once(step for part in parts for step in part.next_steps)
+    steps = _each_once(step for part in (diagnosis, *parts[1:-1]) for step in part.next_steps)
     quick = (
         f"Get the posterior of the constants and a ranking of further tests: cpam-bayes report "
         f"{plate_argument(result.specimen)} --out DIR",
     )
     return Summary(
         title=f"Report on plate {result.title}",
-        headline=" ".join(part.headline for part in parts),
+        headline="\n".join(part.headline for part in parts),
         slips=result.slips,
-        constants=next((part.constants for part in reversed(parts) if part.constants), ()),
+        constants=diagnosis.constants,
         tables=tuple(table for part in parts for table in part.tables),
-        basis=_each_once(sentence for part in parts for sentence in part.basis),
-        warnings=tuple(w for w in result.warnings if w not in result.slips),
+        basis=(_TWO_ANSWERS, *diagnosis.basis),
+        warnings=_each_once(w for part in parts for w in part.warnings if w not in result.slips),
         next_steps=(
             # What a step would ask for is on the page already.
             *(step for step in steps if not any(command in step for command in asked)),

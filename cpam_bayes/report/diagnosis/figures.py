@@ -34,7 +34,7 @@ from cpam_bayes.report.mode_shapes import draw_shape, extent_of
 Array = NDArray[Any]
 
 _GREY, _BLUE, _ORANGE = "#8a8a8a", "#4878a8", "#c1440e"
-_BARS = 14
+_BARS = 12
 
 
 def figures(result: DiagnosisResult) -> dict[str, Figure]:
@@ -136,7 +136,7 @@ def _causes(d: Diagnosis) -> Figure:
     """Probabilities of the leading causes, none and other among them."""
     shown = leading(d, 0.0, _BARS)
     names = [cause.name for cause in shown]
-    figure = Figure(figsize=(6.8, 1.1 + 0.28 * len(names)), layout="constrained")
+    figure = Figure(figsize=(5.8, 1.3 + 0.27 * len(names)), layout="constrained")
     axes = figure.add_subplot()
     y = np.arange(len(names))
     claimed = d.claim.causes if d.claim.kind != "undecided" else ()
@@ -150,11 +150,13 @@ def _causes(d: Diagnosis) -> Figure:
     ]
     axes.barh(y, [c.probability for c in shown], 0.65, color=colors)
     for at, cause in zip(y, shown, strict=True):
-        said = probability_text(cause.probability)
+        axes.text(1.06, float(at), probability_text(cause.probability), va="center", fontsize=9)
         if cause.name != NONE:
-            said += f"   ln B {round(cause.log_bayes_factor, 1) + 0.0:+.1f}"
-        axes.text(1.04, float(at), said, va="center", fontsize=8)
-    axes.set_yticks(y, [_with_place(d, c) for c in shown], fontsize=8)
+            factor = f"{round(cause.log_bayes_factor, 1) + 0.0:+.1f}"
+            axes.text(1.45, float(at), factor, va="center", ha="right", fontsize=9)
+    axes.text(1.06, -0.9, "probability", va="center", fontsize=8)
+    axes.text(1.45, -0.9, "ln B", va="center", ha="right", fontsize=8)
+    axes.set_yticks(y, [_with_place(d, c) for c in shown], fontsize=9)
     axes.invert_yaxis()
     needed = [PLAIN if c.name == NONE else SURE for c in shown]
     axes.plot(needed, y, "|", color="black", markersize=13, markeredgewidth=1.6, label="needed for a claim")
@@ -162,7 +164,7 @@ def _causes(d: Diagnosis) -> Figure:
     figure.legend(loc="outside lower center", frameon=False, fontsize=8)
     axes.spines[["top", "right", "left"]].set_visible(False)
     axes.tick_params(axis="y", length=0)
-    axes.set_title(f"{_title(d)}: {_claimed(d)}", fontsize=10)
+    axes.set_title(f"{_title(d)}: {_claimed(d)}", fontsize=10, pad=12)
     return figure
 
 
@@ -179,8 +181,6 @@ def _claimed(d: Diagnosis) -> str:
 
 def _with_place(d: Diagnosis, cause: Any) -> str:
     parts = [cause.name]
-    if cause.variant:
-        parts[0] += f", {cause.variant}"
     if len(d.cases) > 1 and len(cause.plates) < len(d.cases):
         parts.append(f"of {', '.join(cause.plates)}")
     return " ".join(parts)
@@ -227,7 +227,7 @@ def _detectable(d: Diagnosis) -> Figure:
     rows.sort(key=lambda row: (row.in_sd is None, row.in_sd))
     sizes = [row.in_sd for row in rows if row.in_sd is not None]
     left, right = 0.5 * min(*sizes, 1.0), 2.0 * max(*sizes, 1.0)
-    figure = Figure(figsize=(6.8, 0.9 + 0.28 * len(rows)), layout="constrained")
+    figure = Figure(figsize=(5.8, 0.9 + 0.28 * len(rows)), layout="constrained")
     axes = figure.add_subplot()
     for y, row in enumerate(rows):
         end = right if row.in_sd is None else row.in_sd
@@ -241,7 +241,7 @@ def _detectable(d: Diagnosis) -> Figure:
     axes.set(
         xscale="log",
         xlim=(left, 2.0 * right),
-        xlabel="smallest size that is claimed with 95 % probability, in expected sizes (dotted: one)",
+        xlabel="smallest size claimed with 95 % probability, in expected sizes (dotted: one)",
     )
     axes.spines[["top", "right", "left"]].set_visible(False)
     axes.tick_params(axis="y", length=0)

@@ -84,7 +84,7 @@ def sections(result: DiagnosisResult) -> tuple[Section, ...]:
 def _plates_section(result: DiagnosisResult) -> Section:
     specimens = result.plates
     if len(specimens) == 1:
-        return plate_section(result.command, specimens[0], result.air_shifts[0])
+        return plate_section(specimens[0], result.air_shifts[0])
     columns = headed("plate", "specimen", "edges", "#frequencies")
     rows = tuple(
         (s.name, s.specimen, s.plate.edges, str(case.measurement.size))

@@ -19,6 +19,6 @@ def sections(result: ExportResult) -> tuple[Section, ...]:
         ("step", f"{result.n_modes + n_rigid} modes: {result.n_modes} and {n_rigid} rigid-body motions"),
     )
     return (
-        plate_section(result.command, result.specimen, result.air_shifts),
+        plate_section(result.specimen, result.air_shifts),
         Section("Input file", (facts("Written", rows),), folded=False),
     )

@@ -25,7 +25,7 @@ def sections(result: ForwardResult) -> tuple[Section, ...]:
         ("time", f"{result.seconds:.1f} s"),
     )
     return (
-        plate_section(result.command, result.specimen, result.air_shifts),
+        plate_section(result.specimen, result.air_shifts),
         Section(
             "Modes",
             (_constants(result.specimen),),

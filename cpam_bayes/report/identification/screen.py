@@ -30,7 +30,7 @@ def sections(result: PointResult) -> tuple[Section, ...]:
     estimate = result.estimate
     several = len(result.optima) > 1
     return (
-        plate_section(result.command, result.specimen, result.air_shifts),
+        plate_section(result.specimen, result.air_shifts),
         Section(
             "Measured and predicted frequencies",
             (_frequencies(result), _fit(estimate)),

@@ -11,11 +11,13 @@ from cpam_bayes.report.sentences import plate_sentence
 
 def plate_caption(specimens: Sequence[Specimen]) -> Caption:
     """What the drawing of one plate, or of several, shows."""
-    held = any(set(s.plate.edges) - {"F"} for s in specimens)
+    edges = {edge for s in specimens for edge in s.plate.edges}
     sensors = any(s.sensors for s in specimens)
     parts = ["The plate as the model has it, seen from above"]
-    if held:
-        parts.append("hatched edges are clamped, those on triangles simply supported")
+    if "C" in edges:
+        parts.append("hatched edges are clamped")
+    if "S" in edges:
+        parts.append("edges on triangles are simply supported")
     if sensors:
         parts.append("a red dot is a mass attached to the plate")
     if not all(s.material.isotropic for s in specimens):

@@ -32,16 +32,16 @@ _EDGES = ("x = 0", "y = 0", "x = length", "y = width")
 _CONDITIONS = {"F": "free", "S": "simply supported", "C": "clamped"}
 
 
-def plate_section(command: str, specimen: Specimen, air_shifts: NDArray[np.float64] | None) -> Section:
+def plate_section(specimen: Specimen, air_shifts: NDArray[np.float64] | None) -> Section:
     """The plate as it was computed, drawn, and what was measured of it.
 
     air_shifts : see `PlateResult.air_shifts`
     """
-    tables = (plate_head(command, specimen, air_shifts), measured_facts(specimen))
+    tables = (plate_head(specimen, air_shifts), measured_facts(specimen))
     return Section("The plate and what was measured", tables, ("plate",), folded=False)
 
 
-def plate_head(command: str, specimen: Specimen, air_shifts: NDArray[np.float64] | None) -> Table:
+def plate_head(specimen: Specimen, air_shifts: NDArray[np.float64] | None) -> Table:
     """What was computed: the plate as the file gives it, and where the file says more.
 
     air_shifts : see `PlateResult.air_shifts`
@@ -63,7 +63,7 @@ def plate_head(command: str, specimen: Specimen, air_shifts: NDArray[np.float64]
     ]
     rows.append(("air", air_text(specimen, air_shifts)))
     rows += [("note", note) for note in specimen.notes]
-    return facts(f"{command} {specimen.name}", tuple(rows))
+    return facts(f"Plate {specimen.name}", tuple(rows))
 
 
 def measured_facts(specimen: Specimen) -> Table:

@@ -23,7 +23,7 @@ _MAX_DISTANCE_SD = 3.0
 def sections(result: SampledResult) -> tuple[Section, ...]:
     """Plate, marginal posteriors and what determines them, frequencies, chains."""
     return (
-        plate_section(result.command, result.specimen, result.air_shifts),
+        plate_section(result.specimen, result.air_shifts),
         Section(
             "Posterior of the constants",
             (

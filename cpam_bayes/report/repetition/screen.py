@@ -31,7 +31,7 @@ def sections(result: SensitivityResult) -> tuple[Section, ...]:
     """Plate, what was done, one table for each level and reading, why both differ, the paper."""
     study, table = result.study, result.table
     return (
-        plate_section(result.command, result.specimen, result.air_shifts),
+        plate_section(result.specimen, result.air_shifts),
         Section("What was done", (_study(study, result.seed),)),
         Section(
             "Repeated inversions beside the posterior",

@@ -26,7 +26,7 @@ def sections(result: StackingResult) -> tuple[Section, ...]:
     """Plate, the most probable sequences, plies, constants, how it was done."""
     answer, information = result.answer, result.information
     return (
-        plate_section(result.command, result.specimen, result.air_shifts),
+        plate_section(result.specimen, result.air_shifts),
         Section("Stacking sequences", (_sequences(answer),), ("credible_set",), folded=False),
         Section(
             "Angle by angle",

@@ -122,6 +122,6 @@ def test_edges_are_said_in_words(edges, text):
 
 
 def test_the_head_has_the_slips_of_print_of_a_specimen():
-    text = plain_text(plate_head("C1", builtin("C1"), None))
+    text = plain_text(plate_head(builtin("C1"), None))
     assert "layup     [(0/90)_8]_s, 32 plies" in text
     assert re.search(r"note +Table 2 prints this layup as", text)
