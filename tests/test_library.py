@@ -324,8 +324,8 @@ def test_a_figure_is_asked_for_by_its_name(point: PointResult, modes: ForwardRes
     assert point.plot().axes[0].get_xlabel() == "measured, Hz"
     assert "residuals" in point.plot("residuals").axes[0].get_title()
     assert len(modes.plot().axes) == 2
-    with pytest.raises(ValueError, match="received 'modes', accepted: predicted_against_measured residuals"):
-        point.plot("modes")
+    with pytest.raises(ValueError, match="received 'causes', accepted: predicted_against_measured residuals"):
+        point.plot("causes")
     with pytest.raises(ValueError, match="accepted: nothing to be drawn"):
         cb.plates().plot()
 

@@ -125,7 +125,7 @@ def _draw_plies(axes: Axes, layup: Layup) -> None:
     """The plies as a stack, the lowest at the bottom, coloured by angle; unknown ones hatched."""
     n = layup.n_plies
     for k, (angle, unknown) in enumerate(zip(layup.angles_deg, layup.unknown_index, strict=True)):
-        style: dict[str, Any] = {"facecolor": "white", "hatch": "...."} if unknown >= 0 else {
+        style: dict[str, Any] = {"facecolor": "white", "hatch": ".."} if unknown >= 0 else {
             "facecolor": _colour(float(angle))
         }  # fmt: skip
         axes.add_patch(Rectangle((0, k), 1, 1, edgecolor=_INK, linewidth=0.5, **style))
@@ -140,7 +140,7 @@ def _draw_plies(axes: Axes, layup: Layup) -> None:
         known = sorted({float(a) for a in layup.angles_deg if np.isfinite(a)})
         keys = [Patch(facecolor=_colour(a), edgecolor=_INK, label=f"{a:g} deg") for a in known[:_MOST_KEYS]]
         if layup.n_unknown:
-            keys.append(Patch(facecolor="white", edgecolor=_INK, hatch="....", label="unknown"))
+            keys.append(Patch(facecolor="white", edgecolor=_INK, hatch="..", label="unknown"))
         axes.legend(handles=keys, loc="upper center", bbox_to_anchor=(0.5, 0.0), frameon=False, fontsize=9)
 
 

@@ -38,7 +38,7 @@ def angle_map(result: StackingPosterior, given: GivenLayup | None = None) -> Fig
     """Probability of each angle for each unknown, from the bottom; entropies at the right."""
     k = len(result.marginals)
     information = angle_information(result.specimen.plate.layup, result.marginals)
-    figure = Figure(figsize=(8.0, 1.9 + 0.45 * k), layout="constrained")
+    figure = Figure(figsize=(6.4, 1.9 + 0.45 * k), layout="constrained")
     axes = figure.subplots()
     step = result.grid_deg[1] - result.grid_deg[0] if len(result.grid_deg) > 1 else 180.0
     edges = np.append(result.grid_deg - step / 2, result.grid_deg[-1] + step / 2)
@@ -69,7 +69,7 @@ def credible_set(result: StackingPosterior, given: GivenLayup | None = None) -> 
     mass, k = result.probability * result.multiplicity, result.top.shape[1]
     n = int(np.clip(np.searchsorted(np.cumsum(mass), _MATTERS) + 1, _FEWEST, _SHOWN))
     n = min(n, len(mass))
-    figure = Figure(figsize=(9.5, max(3.4, 1.3 + 0.24 * n)), layout="constrained")
+    figure = Figure(figsize=(8.0, max(3.4, 1.3 + 0.24 * n)), layout="constrained")
     table, bars, curve = figure.subplots(1, 3, width_ratios=(0.9 + 0.45 * k, 2.2, 3.2))
     _draw_angles(table, result.top[:n])
     rows = np.arange(n) + 1
@@ -98,7 +98,7 @@ def credible_set(result: StackingPosterior, given: GivenLayup | None = None) -> 
     )
     curve.set(xscale="log", xlabel="number of sequences", ylabel="probability of the set", ylim=(0.0, 1.03))
     curve.spines[["top", "right"]].set_visible(False)
-    curve.legend(loc="upper left", bbox_to_anchor=(0.0, 0.93), frameon=False, fontsize=8)
+    curve.legend(loc="lower right", bbox_to_anchor=(1.0, 0.1), frameon=False, fontsize=8)
     figure.suptitle(
         f"{result.specimen.name}: 95 % set of {_counted(result.credible_count)} of {result.enumerated}",
         fontsize=11,
