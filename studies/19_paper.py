@@ -13,6 +13,7 @@ from typing import Any
 import cpam_bayes as cb
 from cpam_bayes.commands.options import add_executor_options
 from cpam_bayes.comparison.compare import compare
+from cpam_bayes.comparison.simulation import diagnosis_row
 from cpam_bayes.paper.layups import identified_layups
 from cpam_bayes.report.comparison.markdown import page
 from cpam_bayes.report.progress import Terminal
@@ -31,7 +32,7 @@ KEYS = {
 }
 SEED = 0
 # When the studies that the package's stored results are taken from were run.
-DATES = {"02_agreement": "2026-11-21", "08_sequences": "2026-11-22"}
+DATES = {"02_agreement": "2026-11-21", "08_sequences": "2026-11-22", "12_findings": "2026-11-23"}
 
 
 def run(quick: bool, executor: str | None = "serial", workers: int | None = None) -> Results:
@@ -48,18 +49,21 @@ def sections(results: Results) -> dict[str, str]:
 
 
 def stored() -> dict[str, Results]:
-    """The results that come with the package, from those of studies 02 and 08."""
-    agreement, sequences = (
+    """The results that come with the package, from those of studies 02, 08 and 12."""
+    agreement, sequences, findings = (
         json.loads((FOLDER / "results" / f"{name}.json").read_text("utf-8")) for name in DATES
     )
     plates = {row["plate"]: row for row in agreement["specimens"] if row["bricks"] is not None}
     cases = {row["case"]: row for row in sequences["cases"] if row["case"] in identified_layups()}
+    alone = {row["plates"][0]: row for row in findings["groups"] if len(row["plates"]) == 1}
+    diagnosed = {name: alone[name] for name in plates if name in alone}
     common = {name: {"version": cb.__version__, "date": DATES[name]} for name in DATES}
     return {
         "calculix": {
             **common["02_agreement"],
             "command": "python studies/02_agreement.py",
             "seconds": sum(row["bricks"]["seconds"] for row in plates.values()),
+            "seconds_each": {name: row["bricks"]["seconds"] for name, row in plates.items()},
             "frequencies_hz": {
                 name: [
                     f * (1.0 + d / 100.0)
@@ -80,6 +84,12 @@ def stored() -> dict[str, Results]:
                 }
                 for name, row in cases.items()
             },
+        },
+        "diagnoses": {
+            **common["12_findings"],
+            "command": "python studies/12_findings.py",
+            "seconds": sum(row["seconds"] for row in diagnosed.values()),
+            "plates": {name: diagnosis_row(row) for name, row in diagnosed.items()},
         },
     }
 

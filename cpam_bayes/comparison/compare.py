@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from cpam_bayes.comparison.cases import BUILT_IN, FOUR, TWO
-from cpam_bayes.comparison.records import Misfit, PaperResult, Row
+from cpam_bayes.comparison.records import Cost, Misfit, PaperResult, Row, WellPosed
 from cpam_bayes.comparison.rows import (
     Computed,
     constant_rows,
@@ -18,9 +18,11 @@ from cpam_bayes.comparison.rows import (
     layup_rows,
     noise_rows,
 )
-from cpam_bayes.comparison.slow import calculix_frequencies, sequence_cases
+from cpam_bayes.comparison.simulation import simulation_errors
+from cpam_bayes.comparison.slow import calculix_frequencies, diagnoses, sequence_cases
 from cpam_bayes.comparison.store import packaged, read, stamp, write
 from cpam_bayes.comparison.tasks import FULL, QUICK, Effort, Results, Task, work
+from cpam_bayes.diagnosis.fitting import REPEATABILITY_PRIOR
 from cpam_bayes.forward_model.preconditions import require_seed, require_whole
 from cpam_bayes.forward_model.store import cache_directory
 from cpam_bayes.paper import printed_table
@@ -69,8 +71,9 @@ def compare(
 ) -> PaperResult:
     """The paper's tables, printed values beside computed ones, with a verdict on each.
 
-    Finished computations are stored, and the same call goes on from there. Posteriors over stacking sequences
-    and frequencies of CalculiX come with the package, with version and date.
+    Finished computations are stored, and the same call goes on from there. Posteriors over stacking
+    sequences, frequencies of CalculiX and diagnoses of the measured lists come with the package, with version
+    and date.
 
     Parameters
     ----------
@@ -95,12 +98,14 @@ def compare(
     effort = QUICK if quick else FULL
     directory = cache_directory() / "paper" if store is None else Path(store)
     computed = _computed(numbers, effort, seed, everything, executor, workers, directory, watch)
-    calculix, sequences = packaged("calculix"), packaged("sequences")
+    calculix, sequences, diagnosed = packaged("calculix"), packaged("sequences"), packaged("diagnoses")
     if everything and not quick:
         if shutil.which("ccx") is not None and {1, 5} & set(numbers):
             calculix = calculix_frequencies(watch)
         if set(numbers) & {9, 11, 12, 13, 14}:
             sequences = sequence_cases(seed, executor, workers, watch)
+        if {1, 5} & set(numbers):
+            diagnosed = diagnoses(seed, watch)
     by_task: Computed = {(task.kind, task.specimen, task.case): results for task, results in computed.items()}
     rows = tuple(row for n in numbers for row in _rows(n, by_task, calculix, sequences))
     records = {task.title: results for task, results in computed.items()}
@@ -110,9 +115,12 @@ def compare(
         numbers=numbers,
         rows=rows,
         misfits=tuple(_misfits(computed)),
+        well_posed=tuple(_well_posed(computed, sequences)),
+        simulation_errors=tuple(error for n in numbers for error in simulation_errors(n, diagnosed)),
+        costs=tuple(_costs(computed, calculix)),
         computed={
             **{title: {k: r[k] for k in ("version", "date", "seconds")} for title, r in records.items()},
-            **_stored_records(numbers, calculix, sequences),
+            **_stored_records(numbers, calculix, sequences, diagnosed),
         },
         quick=quick,
         seconds=time.perf_counter() - start,
@@ -169,11 +177,39 @@ def _rows(
         yield from noise_rows(table, computed, sequences)
 
 
+def _by_table(computed: Mapping[Task, Results], key: str) -> Iterator[tuple[Task, Results]]:
+    """Tasks whose results have a key, by table and specimen."""
+    ordered = sorted(computed.items(), key=lambda item: (item[0].table, item[0].specimen, item[0].case))
+    return ((task, results) for task, results in ordered if key in results)
+
+
+def _well_posed(computed: Mapping[Task, Results], sequences: Mapping[str, Any]) -> Iterator[WellPosed]:
+    for task, results in _by_table(computed, "well_posed"):
+        stored = sequences["cases"].get(task.specimen) if task.table == 9 else None
+        yield WellPosed(
+            table=task.table,
+            specimen=task.specimen,
+            case=task.case,
+            repeatability_percent=100.0 * float(REPEATABILITY_PRIOR.ppf(0.975)),
+            layups=None if stored is None else stored["credible_95_count"],
+            **results["well_posed"],
+        )
+
+
+def _costs(computed: Mapping[Task, Results], calculix: Mapping[str, Any]) -> Iterator[Cost]:
+    for task, results in _by_table(computed, "forward_solves"):
+        yield Cost(
+            task.specimen,
+            task.case,
+            results["forward_solves"],
+            results["seconds"],
+            calculix["seconds_each"].get(task.specimen),
+        )
+
+
 def _misfits(computed: Mapping[Task, Results]) -> Iterator[Misfit]:
-    for task, results in sorted(
-        computed.items(), key=lambda item: (item[0].table, item[0].specimen, item[0].case)
-    ):
-        for printed in results.get("printed", ()):
+    for task, results in _by_table(computed, "printed"):
+        for printed in results["printed"]:
             yield Misfit(
                 table=task.table,
                 specimen=task.specimen,
@@ -191,11 +227,15 @@ def _misfits(computed: Mapping[Task, Results]) -> Iterator[Misfit]:
 
 
 def _stored_records(
-    numbers: tuple[int, ...], calculix: Mapping[str, Any], sequences: Mapping[str, Any]
+    numbers: tuple[int, ...],
+    calculix: Mapping[str, Any],
+    sequences: Mapping[str, Any],
+    diagnosed: Mapping[str, Any],
 ) -> dict[str, dict[str, str | float]]:
     records = {}
     if {1, 5} & set(numbers):
         records["CalculiX, 20-node bricks"] = calculix
+        records["diagnoses of the measured lists"] = diagnosed
     if set(numbers) & {9, 11, 12, 13, 14}:
         records["posteriors over stacking sequences"] = sequences
     return {name: {k: r[k] for k in ("version", "date", "seconds")} for name, r in records.items()}
@@ -210,6 +250,6 @@ def _warnings(computed: Mapping[Task, Results], quick: bool) -> Iterator[str]:
     unconverged = [t.title for t, r in computed.items() if not r.get("posterior_converged", True)]
     if unconverged and not quick:
         yield f"chains that have not converged: {'; '.join(sorted(unconverged))}"
-    lonely = [t.title for t, r in computed.items() if r.get("swarms", 0) > 1 and r["swarms_found"] == 1]
+    lonely = [t.title for t, r in computed.items() if not r.get("optimum_found_again", True)]
     if lonely:
         yield f"the best fit was found by one swarm only: {'; '.join(sorted(lonely))}"

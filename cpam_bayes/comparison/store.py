@@ -22,7 +22,7 @@ from cpam_bayes.comparison.tasks import Effort, Results, Task, printed_rows
 __all__ = ["packaged", "read", "stamp", "write"]
 
 # To be raised when the same inputs give other numbers.
-_FORMAT: Final = 1
+_FORMAT: Final = 2
 
 
 def task_key(effort: Effort, task: Task) -> str:
@@ -70,7 +70,7 @@ def write(directory: Path, effort: Effort, task: Task, results: Results) -> None
 
 @cache
 def packaged(name: str) -> Mapping[str, Any]:
-    """Results that take too long for every run, with version and date: "calculix" or "sequences"."""
+    """What takes too long for every run, with version and date: "calculix", "diagnoses" or "sequences"."""
     resource = files("cpam_bayes") / "data" / "paper" / "computed" / f"{name}.json"
     computed: Mapping[str, Any] = json.loads(resource.read_text(encoding="utf-8"))
     return computed

@@ -126,7 +126,7 @@ def test_four_constants_of_aluminium_are_searched_beyond_the_bounds_of_eq_8() ->
     ]
 
 
-@pytest.mark.parametrize("name", ["calculix", "sequences"])
+@pytest.mark.parametrize("name", ["calculix", "diagnoses", "sequences"])
 def test_what_comes_with_the_package_is_what_its_study_found(name: str) -> None:
     spec = importlib.util.spec_from_file_location("paper_study", PROJECT / "studies" / "19_paper.py")
     assert spec is not None

@@ -32,6 +32,8 @@ def _lines(document: Mapping[str, Any]) -> Iterator[str]:
     yield ""
     yield from _verdicts(document)
     yield from _audit(document)
+    yield from _well_posed(document["hadamard"])
+    yield from _simulation(document["simulation"])
     yield from _solvers(document["rows"])
     for table in document["tables"]:
         rows = [r for r in document["rows"] if r["table"] == table["table"] and r["verdict"] != "input"]
@@ -127,6 +129,117 @@ def _audit(document: Mapping[str, Any]) -> Iterator[str]:
     )
 
 
+def _well_posed(conditions: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+    if not conditions:
+        return
+    yield "## Hadamard's conditions"
+    yield ""
+    yield (
+        "A problem is well posed where a solution exists, is the only one, and moves little when the data "
+        "do. *Existence*: what the best constants leave, the root of the residual sum of squares over the "
+        f"degrees of freedom, against the {conditions[0]['repeatability_percent']:.2g} % that 97.5 % of tap "
+        "tests repeat within. *Uniqueness*: rank and condition number of the sensitivities d ln f / d ln x "
+        "there, the optima whose misfits the noise does not tell apart, and the stacking sequences of "
+        "the 95 % set where the angles are unknown too. *Stability*: standard deviation of a constant in % "
+        "for 1 % of noise on each frequency, to first order and without bounds."
+    )
+    yield ""
+    exist = [c for c in conditions if c["exists"]]
+    unique = [c for c in conditions if c["unique"]]
+    yield (
+        f"A solution exists in this sense for {len(exist)} of {len(conditions)} choices of plate and unknowns"
+        f"{_named(exist)}, and is the only one for {len(unique)}{_named(unique)}."
+    )
+    yield ""
+    names = list(dict.fromkeys(name for c in conditions for name in c["percent_per_percent"]))
+    yield from _table(
+        (
+            *("table", "specimen", "unknowns of", "left %", "exists", "rank", "condition number", "optima"),
+            *("stacking sequences", *(f"{name.partition('_')[0]}, % per %" for name in names)),
+        ),
+        [
+            [
+                *(str(c["table"]), c["specimen"], f"{c['unknowns']} of {c['frequencies']} frequencies"),
+                "" if c["left_percent"] is None else significant(c["left_percent"], 2),
+                {True: "yes", False: "no", None: ""}[c["exists"]],
+                f"{c['rank']} of {c['unknowns']}",
+                "" if c["condition"] is None else significant(c["condition"], 2),
+                str(c["optima"]),
+                "" if c["layups"] is None else str(c["layups"]),
+                *(_amplified(c["percent_per_percent"], name) for name in names),
+            ]
+            for c in conditions
+        ],
+    )
+
+
+def _amplified(percent: Mapping[str, float | None], name: str) -> str:
+    if name not in percent:
+        return ""
+    value = percent[name]
+    return "not determined" if value is None else significant(value, 2)
+
+
+def _named(conditions: Sequence[Mapping[str, Any]]) -> str:
+    """The plates in brackets."""
+    named = dict.fromkeys(f"{c['specimen']} with {c['unknowns']} unknowns" for c in conditions)
+    return f" ({'; '.join(named)})" if named else ""
+
+
+def _simulation(errors: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+    if not errors:
+        return
+    yield "## The paper's simulation, diagnosed"
+    yield ""
+    yield (
+        "Printed: ABAQUS with the reference constants against the measured list. Plain: this package's model "
+        "with the constants that the list and the bounds make probable. Extended: by what the diagnosis "
+        "claims. The gain is the log Bayes factor of the claim, and the log predictive density of "
+        "frequencies left out, in nats above the plain model."
+    )
+    yield ""
+    yield from _table(
+        (
+            *("table", "plate", "printed rms %", "plain rms %", "claim", "probability", "extended rms %"),
+            *("log Bayes factor", "left-out frequencies"),
+        ),
+        [
+            [
+                *(str(e["table"]), e["specimen"], significant(e["printed_rms_percent"], 3)),
+                significant(e["plain_rms_percent"], 3),
+                f"{e['claim']}: {', '.join(e['causes'])}" if e["causes"] else e["claim"],
+                f"{e['probability']:.2f}",
+                "" if e["extended_rms_percent"] is None else significant(e["extended_rms_percent"], 3),
+                "" if e["log_bayes_factor"] is None else signed(e["log_bayes_factor"], 1),
+                "" if e["held_out"] is None else f"{signed(e['held_out'], 1)} +- {e['held_out_se']:.1f}",
+            ]
+            for e in errors
+        ],
+    )
+
+
+def _costs(costs: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+    if not costs:
+        return
+    yield (
+        "Forward solves of the optimum, the single swarms and the posterior of a plate, with their wall "
+        "time, and what as many runs of CalculiX with 20-node bricks would take one after another, at the "
+        "seconds of one run:"
+    )
+    yield ""
+    yield from _table(
+        ("plate", "constants", "forward solves", "seconds", "seconds of one CalculiX run", "CalculiX hours"),
+        [
+            [
+                *(c["specimen"], c["case"], str(c["forward_solves"]), f"{c['seconds']:.1f}"),
+                "" if c["calculix_seconds"] is None else f"{c['calculix_seconds']:.1f}",
+                "" if c["calculix_hours"] is None else f"{c['calculix_hours']:.0f}",
+            ]
+            for c in costs
+        ],
+    )
+
+
 def _solvers(rows: Sequence[Mapping[str, Any]]) -> Iterator[str]:
     compared = [r for r in rows if r["table"] in (1, 5) and r["source"] == "ABAQUS"]
     if not compared:
@@ -174,6 +287,7 @@ def _computed(document: Mapping[str, Any]) -> Iterator[str]:
         for task, r in document["computed"].items()
     ]
     yield from _table(("what", "version", "date", "seconds"), rows)
+    yield from _costs(document["costs"])
     yield from (f"- Warning: {text}" for text in document["warnings"])
 
 

@@ -2,7 +2,15 @@
 
 from __future__ import annotations
 
-from cpam_bayes.comparison.records import NOT_REPRODUCIBLE, Misfit, PaperResult, Row, kind_of
+from cpam_bayes.comparison.records import (
+    NOT_REPRODUCIBLE,
+    Misfit,
+    PaperResult,
+    Row,
+    SimulationError,
+    WellPosed,
+    kind_of,
+)
 from cpam_bayes.comparison.summary import computed_rows, notes
 from cpam_bayes.formatting import signed, significant
 from cpam_bayes.paper import printed_table
@@ -28,6 +36,8 @@ def sections(result: PaperResult) -> tuple[Section, ...]:
             (_misfits(result.misfits),),
             tuple(name for name in ("misfits",) if name in drawn),
         ),
+        Section("Is the problem well posed", (_well_posed(result.well_posed),)),
+        Section("What the paper's simulation gets wrong", (_simulation(result.simulation_errors),)),
         Section(
             "Audit of the print",
             (remarks("Misprints and contradictions in the print", notes(result)),),
@@ -93,6 +103,48 @@ def _misfits(misfits: tuple[Misfit, ...]) -> Table:
     )
     title = "Printed constants against their own frequencies, and the least F that the swarms found"
     return Table(title, columns, tuple(misfit_cells(m) for m in misfits))
+
+
+def _well_posed(conditions: tuple[WellPosed, ...]) -> Table:
+    columns = headed(
+        *("#table", "specimen", "#unknowns", "#left %", "exists", "#rank", "#condition", "#optima"),
+        *("#stacking sequences", "% of each constant per % of noise"),
+    )
+    rows = tuple(
+        (
+            *(str(c.table), c.specimen, f"{c.unknowns} of {c.frequencies}"),
+            "" if c.left_percent is None else significant(c.left_percent, 2),
+            {True: "yes", False: "no", None: ""}[c.exists],
+            *(str(c.rank), "" if c.condition is None else significant(c.condition, 2), str(c.optima)),
+            "" if c.layups is None else str(c.layups),
+            "  ".join(
+                f"{name.partition('_')[0]} {'-' if value is None else significant(value, 2)}"
+                for name, value in c.percent_per_percent.items()
+            ),
+        )
+        for c in conditions
+    )
+    title = "Does a solution exist, is there one only, is it stable (Hadamard)"
+    return Table(title, columns, rows)
+
+
+def _simulation(errors: tuple[SimulationError, ...]) -> Table:
+    columns = headed(
+        *("#table", "plate", "#printed rms %", "#plain rms %", "claim", "#probability", "#extended rms %"),
+        "#log Bayes factor",
+    )
+    rows = tuple(
+        (
+            *(str(e.table), e.specimen, significant(e.printed_rms_percent, 3)),
+            significant(e.plain_rms_percent, 3),
+            f"{e.claim}: {', '.join(e.causes)}" if e.causes else e.claim,
+            f"{e.probability:.2f}",
+            "" if e.extended_rms_percent is None else significant(e.extended_rms_percent, 3),
+            "" if e.log_bayes_factor is None else signed(e.log_bayes_factor, 1),
+        )
+        for e in errors
+    )
+    return Table("The paper's simulation, diagnosed against the measured frequencies", columns, rows)
 
 
 def _computed(result: PaperResult) -> Table:
