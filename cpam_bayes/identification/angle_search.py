@@ -11,7 +11,8 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field, replace
-from typing import Any
+from functools import partial
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +21,14 @@ from cpam_bayes.forward_model.model import angle_parameters, discretisation_erro
 from cpam_bayes.forward_model.reduced import ReducedModel
 from cpam_bayes.forward_model.store import reduced_model
 from cpam_bayes.identification.conditional_misfit import ConditionalFit, fit_constants
-from cpam_bayes.identification.search import Residual, misfit, required
+from cpam_bayes.identification.search import (
+    FOUND_AGAIN,
+    LEAST_RMS,
+    LEAST_SWARMS,
+    Residual,
+    misfit,
+    required,
+)
 from cpam_bayes.inference.posterior import ForwardModel
 from cpam_bayes.inference.swarm.pso import SwarmSettings, initial_swarm
 from cpam_bayes.inference.swarm.swarm import SwarmProblem, SwarmResult, minimise_problem
@@ -46,6 +54,10 @@ Array = NDArray[Any]
 
 # Sequences fitted together: also what a worker takes at a time.
 _TOGETHER = 128
+# Constants beside those of the swarm that the fit for its angles starts from.
+_STARTS = 3
+# Two swarms found the same where their F differ by less than this fraction.
+_SAME_F = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,9 +100,14 @@ class AngleSearchProblem:
 class AngleSearchResult:
     """Answer of the fuzzy swarm for one specimen.
 
-    angles_deg : (n_plies,). constants : SI, by name. value : F, Hz^2, or without unit where residuals
-    are relative. predicted : (n,) Hz on the full model. rms : root mean square of its relative
-    residuals. error : (n,) estimated relative error of the solver there.
+    angles_deg : (n_plies,)
+    constants : SI, by name
+    value : F, Hz^2, or without unit where residuals are relative
+    predicted : (n,) Hz on the full model
+    rms : root mean square of its relative residuals
+    error : (n,) estimated relative error of the solver there
+    swarm : the single one, or of several the one with the least F and the status of them all
+    found : (n_swarms,) least F for the angles that each swarm ended at, ascending
     """
 
     specimen: Specimen
@@ -102,6 +119,7 @@ class AngleSearchResult:
     error: Array = field(repr=False)
     model: ReducedModel = field(repr=False)
     swarm: SwarmResult
+    found: tuple[float, ...]
     seconds: float
 
     @property
@@ -139,7 +157,7 @@ def fuzzy_problem(fit: AngleSearchProblem) -> SwarmProblem:
 
 def run_swarm(
     fit: AngleSearchProblem,
-    seed: int,
+    seed: int | Sequence[int],
     settings: SwarmSettings | None = None,
     progress: Callable[[int, float], None] | None = None,
 ) -> SwarmResult:
@@ -177,17 +195,21 @@ def search_angles(
     specimen: Specimen,
     seed: int,
     *,
+    swarms: int = 1,
     settings: SwarmSettings | None = None,
     residual: Residual = "absolute",
     progress: Callable[[int, float], None] | None = None,
     notify: Callable[[str], None] = lambda text: None,
 ) -> AngleSearchResult:
-    """Ply angles and constants of a specimen by the fuzzy swarm of the paper.
+    """Ply angles and constants of a specimen by the fuzzy swarm of the paper, or by several.
 
-    The swarm runs on the reduced model for any layup; what is reported of its best particle comes from
-    the full one. ``notify`` is told what takes long before the swarm starts. Raises ``ValueError`` if
+    Several run until two have found the least F of all, the constants of the angles that each ended at fitted
+    by derivatives. Swarms run on the reduced model for any layup; what is reported of the best answer comes
+    from the full one. ``notify`` is told what takes long before the swarm starts. Raises ``ValueError`` if
     the specimen has no measured frequencies, no unknown constants or no unknown angles, or if no
     particle is feasible.
+
+    swarms : at most so many; 1 is the paper's single swarm as it ends, its constants not fitted
     """
     start = time.perf_counter()
     measurement, unknowns = required(specimen)
@@ -195,7 +217,11 @@ def search_angles(
     model = reduced_model(specimen, parameters, measurement.size, notify=notify)
     grid = angle_grid(specimen.angle_grid_deg)
     fit = AngleSearchProblem(specimen, model, measurement.frequencies, grid, residual)
-    swarm = run_swarm(fit, seed, settings, progress)
+    if swarms == 1:
+        swarm = run_swarm(fit, seed, settings, progress)
+        found: tuple[float, ...] = (swarm.value,)
+    else:
+        swarm, found = _several(fit, seed, swarms, settings or SwarmSettings(), progress)
     best = np.concatenate((swarm.best, grid[swarm.sequence]))
     predicted = model.full.predict(best).frequencies[0]
     return AngleSearchResult(
@@ -208,8 +234,57 @@ def search_angles(
         error=discretisation_error(model.full, best),
         model=model,
         swarm=swarm,
+        found=found,
         seconds=time.perf_counter() - start,
     )
+
+
+def _several(
+    fit: AngleSearchProblem,
+    seed: int,
+    most: int,
+    settings: SwarmSettings,
+    progress: Callable[[int, float], None] | None,
+) -> tuple[SwarmResult, tuple[float, ...]]:
+    """Swarms until two have found the least F: the first with what they found, and the least F of each."""
+    starts = search_starts(fit, _STARTS)
+    scale = 1.0 if fit.residual == "relative" else float(fit.measured.max())
+    rounding = len(fit.measured) * (LEAST_RMS * scale) ** 2
+    ends: list[SwarmResult] = []
+    for k in range(most):
+        told = progress and partial(_told, progress, k * settings.iterations)
+        swarm = run_swarm(fit, seed if k == 0 else [seed, k], settings, told)
+        fitted = best_constants(fit, swarm.sequence[None], np.vstack((swarm.best, starts)))
+        evaluations = swarm.evaluations + fitted.evaluations
+        if fitted.values[0] < swarm.value:
+            swarm = replace(swarm, best=fitted.constants[0], value=float(fitted.values[0]))
+        ends.append(replace(swarm, evaluations=evaluations))
+        least = min(end.value for end in ends)
+        again = sum(end.value <= (1.0 + _SAME_F) * least + rounding for end in ends)
+        if k + 1 >= LEAST_SWARMS and again >= FOUND_AGAIN:
+            break
+    best = min(ends, key=lambda end: end.value)
+    agreed = again >= FOUND_AGAIN
+    chosen = replace(
+        best,
+        evaluations=sum(end.evaluations for end in ends),
+        status="converged" if agreed else "budget",
+        message=_MESSAGES[agreed].format(run=len(ends), swarms=again),
+    )
+    return chosen, tuple(sorted(end.value for end in ends))
+
+
+def _told(progress: Callable[[int, float], None], done: int, iteration: int, best: float) -> None:
+    progress(done + iteration, best)
+
+
+_MESSAGES: Final = {
+    True: "{swarms} of {run} fuzzy swarms found angles of this F; none found a smaller one",
+    False: (
+        "the least F of {run} fuzzy swarms was found by one of them alone: other angles may fit better; "
+        "`sequence` compares all on the grid"
+    ),
+}
 
 
 def search_starts(fit: AngleSearchProblem, n: int, seed: int = 0) -> Array:

@@ -23,6 +23,7 @@ from cpam_bayes.identification.frequency_rows import FrequencyRow
 from cpam_bayes.identification.point import PointEstimate, estimate_constants
 from cpam_bayes.identification.search import MOST_SWARMS, Optimum, Residual, required
 from cpam_bayes.identification.warnings import point_warnings
+from cpam_bayes.inference.swarm.pso import SwarmResult
 from cpam_bayes.inference.swarm.settings import SwarmSettings
 from cpam_bayes.plate import PlateLike, Specimen, read_plate
 from cpam_bayes.result import SILENT, PlateResult, Watch
@@ -61,9 +62,21 @@ class PointResult(PlateResult):
     def status(self) -> str:
         """Whether two swarms found the best optimum, "converged", or not, "budget".
 
-        A single swarm has converged when its particles agree.
+        A single swarm has converged when its particles agree. Where angles were unknown, their search has to
+        have converged too.
         """
-        return self.estimate.swarm.status
+        return self._decisive.status
+
+    @property
+    def message(self) -> str:
+        """The status in a sentence."""
+        return self._decisive.message
+
+    @property
+    def _decisive(self) -> SwarmResult:
+        """The search that the status is of."""
+        constants = self.estimate.swarm
+        return constants if self.angles is None or constants.status != "converged" else self.angles.swarm
 
     @property
     def constants(self) -> dict[str, float]:
@@ -99,7 +112,7 @@ def identify(
 
     A single swarm may agree on a wrong optimum. Swarms are therefore run until two of them have found the
     best optimum of all; the others that the noise does not tell from it are listed. Unknown ply angles are
-    searched with the constants by the fuzzy swarm, eq. (3) to (5), and then kept.
+    searched with the constants by fuzzy swarms, eq. (3) to (5), in the same way, and then kept.
 
     Parameters
     ----------
@@ -145,17 +158,19 @@ def identify(
     angles: AngleSearchResult | None = None
     with explained_failures(specimen):
         if specimen.plate.layup.n_unknown:
-            angles = watched(search_angles, specimen, "angles of", settings.iterations)
+            search = partial(search_angles, swarms=swarms)
+            angles = watched(search, specimen, "angles of", swarms * settings.iterations)
             specimen = angles.known
         estimate = watched(
             partial(estimate_constants, swarms=swarms), specimen, "identify", swarms * settings.iterations
         )
     misfit = estimate.noise if estimate.noise_is_inferred else estimate.rms
     n, k = len(estimate.predicted), len(estimate.constants)
+    unsure = () if angles is None or angles.swarm.status != "budget" else (angles.swarm.message,)
     slips = (*count_slips(n, k), *misfit_slips(misfit), *reference_slips(specimen))
     return PointResult(
         seed=seed,
-        warnings=(*slips, *point_warnings(estimate, residual), *plate_warnings(specimen)),
+        warnings=(*slips, *unsure, *point_warnings(estimate, residual), *plate_warnings(specimen)),
         slips=slips,
         specimen=specimen,
         air_shifts=air_shifts(specimen),

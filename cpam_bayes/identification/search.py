@@ -30,7 +30,7 @@ Residual = Literal["absolute", "relative"]
 Model = ReducedModel | LabelledModel
 
 # Swarms at most, at least, and how many of them have to find the best optimum.
-MOST_SWARMS, _LEAST_SWARMS, _FOUND = 12, 3, 2
+MOST_SWARMS, LEAST_SWARMS, FOUND_AGAIN = 12, 3, 2
 # Relative error of the plate model at the answer above which the model is converged anew there.
 _ACCEPTED_ERROR = 5e-4
 _MOST_MODELS = 3
@@ -41,7 +41,7 @@ _STEPS, _SAME = 40, 1.0
 # Optima this far above the best misfit, in units of the noise, are dropped.
 _DEPTH = 50.0
 # Least rms misfit, relative to the highest frequency, that noise is taken from: rounding of exact lists.
-_LEAST_RMS = 1e-7
+LEAST_RMS = 1e-7
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,7 +182,7 @@ class _Task:
     def variance(self, value: float) -> float:
         """Variance of a difference if a misfit is noise, at least that of rounding."""
         f = self.measurement.frequencies
-        least = len(f) * (_LEAST_RMS * float((self.weight * f).max())) ** 2
+        least = len(f) * (LEAST_RMS * float((self.weight * f).max())) ** 2
         return max(value, least) / max(len(f) - self.unknowns.size, 1)
 
     def start(self, rng: np.random.Generator) -> Array:
@@ -223,10 +223,10 @@ def _several(
         first = first or swarm
         solves += swarm.evaluations + ends[-1].solves
         optima = _distinct(task, ends)
-        if k + 1 >= min(_LEAST_SWARMS, most) and optima[0].swarms >= _FOUND:
+        if k + 1 >= min(LEAST_SWARMS, most) and optima[0].swarms >= FOUND_AGAIN:
             break
     assert first is not None
-    agreed = optima[0].swarms >= _FOUND
+    agreed = optima[0].swarms >= FOUND_AGAIN
     run = len(ends)
     return (
         replace(

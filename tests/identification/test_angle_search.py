@@ -11,6 +11,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from cpam_bayes.forward_model.model import reference_vector
 from cpam_bayes.forward_model.reduced import ReductionSettings
 from cpam_bayes.forward_model.store import reduced_model
+from cpam_bayes.identification import angle_search
 from cpam_bayes.identification.angle_search import (
     AngleSearchProblem,
     best_constants,
@@ -184,3 +185,27 @@ def test_what_cannot_be_searched_is_refused() -> None:
     specimen = builtin("C1", sequence=True)
     with pytest.raises(ValueError, match=r"\[measurement\] is missing"):
         search_angles(replace(specimen, measurement=None), 0)
+
+
+def test_several_fuzzy_swarms_find_the_least_f_twice_where_single_ones_miss_it(
+    fit: AngleSearchProblem, specimen: Specimen, enumerated: np.ndarray, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Swarms too small to find the plate's own angles each time; enumeration is the judge."""
+    assert specimen.measurement is not None
+    exact = replace(specimen, measurement=replace(specimen.measurement, frequencies=fit.measured))
+    monkeypatch.setattr(angle_search, "reduced_model", lambda *args, **kwargs: fit.model)
+    settings = SwarmSettings(particles=6, iterations=12)
+    least = enumerated.min()
+    singles = [search_angles(exact, seed, settings=settings) for seed in range(6)]
+    assert any(single.value > 10 * COARSE for single in singles), "some single swarm ends elsewhere"
+    rounding = 6 * (1e-7 * fit.measured.max()) ** 2
+    for seed in range(6):
+        several = search_angles(exact, seed, swarms=12, settings=settings)
+        assert several.found == tuple(sorted(several.found))
+        assert several.value == several.found[0]
+        again = sum(
+            value <= 1.001 * several.value + 6 * (1e-7 * fit.measured.max()) ** 2 for value in several.found
+        )
+        assert (several.swarm.status == "converged") == (again >= 2)
+        assert several.value <= least + COARSE
+        assert several.swarm.evaluations > singles[seed].swarm.evaluations

@@ -19,7 +19,7 @@ def document(result: PointResult) -> dict[str, Any]:
         "backend": "pso",
         "residuals": result.residual,
         "status": result.status,
-        "message": estimate.swarm.message,
+        "message": result.message,
         "constants": {
             user_name(c.name): {
                 "value": to_user(c.name, c.value),

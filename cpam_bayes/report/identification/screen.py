@@ -56,7 +56,7 @@ def sections(result: PointResult) -> tuple[Section, ...]:
 def _angles(angles: AngleSearchResult) -> Table:
     rows = (
         ("layup", f"{angles.specimen.plate.layup.text} asked for"),
-        ("unknown", "/".join(f"{a:g}" for a in angles.angles_deg) + ", found by the fuzzy swarm"),
+        ("unknown", "/".join(f"{a:g}" for a in angles.angles_deg) + ", found by fuzzy swarms"),
         ("status", angles.swarm.message),
         ("work", f"{angles.swarm.evaluations} forward solves in {angles.seconds:.1f} s"),
         ("others", "may explain the list as well or better: `sequence` gives each its probability"),
