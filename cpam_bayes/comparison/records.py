@@ -183,9 +183,9 @@ class PaperResult(Result):
     numbers: tuple[int, ...]
     rows: tuple[Row, ...]
     misfits: tuple[Misfit, ...]
-    well_posed: tuple[WellPosed, ...]
-    simulation_errors: tuple[SimulationError, ...]
-    costs: tuple[Cost, ...]
+    well_posed: tuple[WellPosed, ...] = ()
+    simulation_errors: tuple[SimulationError, ...] = ()
+    costs: tuple[Cost, ...] = ()
     computed: Mapping[str, Mapping[str, str | float]]
     quick: bool
     seconds: float
