@@ -5,14 +5,17 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cpam_bayes.identification.sampled import SampledResult
 from cpam_bayes.inference.chains.arviz_data import arviz_data, by_user_name
 from cpam_bayes.inference.diagnostics.assessment import log_likelihoods, thinned
 from cpam_bayes.inference.diagnostics.identifiability import paired
-from cpam_bayes.plate import user_name
+from cpam_bayes.plate import to_user, user_name
 
 __all__ = ["inference_data"]
+
+Array = NDArray[Any]
 
 _PRIOR_DRAWS = 1000
 
@@ -20,11 +23,12 @@ _PRIOR_DRAWS = 1000
 def inference_data(result: SampledResult) -> Any:
     """The posterior as ``arviz.InferenceData``, thinned by the autocorrelation time.
 
-    Chains are the walkers of all ensembles. Constants carry the names and units of the plate file; the
-    densities lp and log_prior are those over SI units. Groups: posterior; prior, draws of it;
-    sample_stats (lp); log_likelihood, by frequency over `mode`, as one number for a list that may lack
-    modes; log_prior, by parameter; posterior_predictive and observed_data over `mode`, of the
-    frequencies that have one. Attributes: versions, plate, seed, hash of the problem, the likelihood.
+    Chains are the ensembles, whose walkers are no chains of their own. Constants carry the names and units of
+    the plate file; the densities lp and log_prior are those over SI units. Groups: posterior; prior, draws of
+    it; sample_stats (lp); log_likelihood, by frequency over `mode`, as one number for a list that may lack
+    modes; log_prior, by parameter; posterior_predictive, prior_predictive and observed_data over `mode`, of
+    the frequencies that have one; constant_data, the plate's sizes and density. Attributes: versions, plate,
+    layup, edges, seed, hash of the problem, the likelihood.
     """
     posterior, chains = result.posterior, thinned(result.result)
     names = posterior.parameters.names
@@ -33,11 +37,16 @@ def inference_data(result: SampledResult) -> Any:
     total, pointwise = log_likelihoods(posterior, flat, predicted, result.pairing)
     rows, columns = paired(result.pairing)
     rng = np.random.default_rng([result.seed, 2])
-    noise = posterior.noise_model.sample(rng, (len(flat), len(rows)))
-    replicate = predicted[:, columns] + posterior.noise(flat, predicted)[:, rows, columns] * noise
+
+    def replicated(x: Array, f: Array) -> Array:
+        noise = posterior.noise_model.sample(rng, (len(x), len(rows)))
+        return np.asarray(f[:, columns] + posterior.noise(x, f)[:, rows, columns] * noise)
+
+    replicate = replicated(flat, predicted)
     prior = posterior.parameters.sample(rng, _PRIOR_DRAWS)
     prior = prior[np.isfinite(posterior.log_prior(prior))]
-    measurement = posterior.measurement
+    before = replicated(prior, posterior.predict(prior))
+    measurement, plate = posterior.measurement, result.specimen.plate
     given = "frequency_sd_hz" if measurement.frequency_sd is not None else "relative_std"
     return arviz_data(
         result.specimen,
@@ -49,6 +58,8 @@ def inference_data(result: SampledResult) -> Any:
             else f"{given}, given",
             "noise_degrees_of_freedom": posterior.degrees_of_freedom,
             "resolution_hz": measurement.resolution,
+            "layup": plate.layup.text,
+            "edges": plate.edges,
             "list_is_complete": int(measurement.complete),
             "thinned_by": chains.step,
             "r_hat": result.result.diagnostics.r_hat,
@@ -65,6 +76,13 @@ def inference_data(result: SampledResult) -> Any:
         if pointwise is None
         else {"frequencies_hz": pointwise.reshape(*shape, -1)},
         posterior_predictive={"frequencies_hz": replicate.reshape(*shape, -1)},
+        prior_predictive={"frequencies_hz": before[None]},
+        constant_data={
+            "length_mm": to_user("length", plate.length),
+            "width_mm": to_user("width", plate.width),
+            "thickness_mm": to_user("thickness", plate.thickness),
+            "density_kg_m3": plate.density,
+        },
         observed_data={"frequencies_hz": measurement.frequencies[rows]},
         dims={"frequencies_hz": ["mode"]},
         coords={"mode": [f"{j + 1} {result.modes[j].label}".strip() for j in columns]},

@@ -50,7 +50,7 @@ class Assessment:
 
 @dataclass(frozen=True, slots=True)
 class ThinnedDraws:
-    """Draws one autocorrelation time apart, walkers as chains.
+    """Draws one autocorrelation time apart, ensembles as chains.
 
     step : steps of the chains between two.
     draws : (chains, draws, n).
@@ -68,12 +68,15 @@ class ThinnedDraws:
 
 
 def thinned(result: EnsembleResult) -> ThinnedDraws:
-    """Draws of all walkers of all ensembles, thinned by the autocorrelation time."""
+    """Draws of the ensembles, thinned by the autocorrelation time.
+
+    An ensemble is one chain, step by step with all its walkers: these move by each other's positions and are
+    no chains of their own, by which R-hat could tell that a sampler has not mixed.
+    """
     step = max(1, int(np.ceil(result.diagnostics.autocorrelation_time)))
     chain, log_prob = result.chain[:, ::step], result.log_prob[:, ::step]
-    n_ensembles, n_draws, n_walkers, n = chain.shape
-    draws = np.moveaxis(chain, 2, 1).reshape(n_ensembles * n_walkers, n_draws, n)
-    return ThinnedDraws(step, draws, np.moveaxis(log_prob, 2, 1).reshape(draws.shape[:2]))
+    n_ensembles, _, _, n = chain.shape
+    return ThinnedDraws(step, chain.reshape(n_ensembles, -1, n), log_prob.reshape(n_ensembles, -1))
 
 
 def assess(

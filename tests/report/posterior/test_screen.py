@@ -134,11 +134,13 @@ summary = az.summary(data)
 ours = [name for name in sys.modules if name.startswith("cpam_bayes")]
 psens = {c: {k: float(v) for k, v in az.psens(data, component=c).items()} for c in ("prior", "likelihood")}
 dims = {g: {k: list(v.dims) for k, v in data[g].items()} for g in data.groups()}
+chains = data.posterior.sizes["chain"]
 modes = data.observed_data["mode"].values.tolist()
 attrs = {k: str(v) for k, v in (data.attrs | data.posterior.attrs).items()}
 mean = {k: float(v) for k, v in summary["mean"].items()}
+r_hat = {k: float(v) for k, v in summary["r_hat"].items()}
 unit = data.posterior["E1_GPa"].attrs["unit"]
-print(json.dumps([ours, mean, psens, dims, modes, attrs, unit]))
+print(json.dumps([ours, mean, r_hat, chains, psens, dims, modes, attrs, unit]))
 """
 
 
@@ -156,15 +158,20 @@ def opened_plainly(result: SampledResult, directory: Path) -> list:
 
 
 def test_the_file_opens_in_arviz_without_this_package(sampled: SampledResult, tmp_path: Path) -> None:
-    ours, mean, psens, dims, modes, attrs, unit = opened_plainly(sampled, tmp_path)
+    ours, mean, r_hat, chains, psens, dims, modes, attrs, unit = opened_plainly(sampled, tmp_path)
     assert ours == []
     for c in sampled.constants[:2]:
         name, factor = {"E1": ("E1_GPa", 1e-9), "nu12": ("nu12", 1.0)}[c.name]
         # thinned draws of the same chains; arviz rounds to three decimals
         assert mean[name] == pytest.approx(c.mean * factor, abs=0.3 * c.sd * factor + 5e-4)
     assert unit == "GPa"
+    # a stranger's arviz, which knows of chains only, comes to the R-hat of the ensembles
+    assert dims["posterior"]["E1_GPa"] == ["chain", "draw"]
+    assert chains == sampled.result.chain.shape[0]
+    assert max(r_hat.values()) == pytest.approx(sampled.result.diagnostics.r_hat, abs=0.005)
     by_mode = {"frequencies_hz": ["chain", "draw", "mode"]}
-    assert dims["log_likelihood"] == dims["posterior_predictive"] == by_mode
+    assert dims["log_likelihood"] == dims["posterior_predictive"] == dims["prior_predictive"] == by_mode
+    assert set(dims["constant_data"]) == {"length_mm", "width_mm", "thickness_mm", "density_kg_m3"}
     assert dims["observed_data"] == {"frequencies_hz": ["mode"]}
     for group in ("posterior", "prior", "log_prior"):
         assert set(dims[group]) == {"E1_GPa", "nu12", "relative_std"}
