@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cpam_bayes.effects import Effect, PlateFacts, add_known_mass, extend
-from cpam_bayes.forward_model.local.basis import patch_model, point_mass_model
+from cpam_bayes.forward_model.local.basis import BarePlate, patch_model, point_mass_model
 from cpam_bayes.forward_model.local.model import LocalModel
 from cpam_bayes.forward_model.local.store import local_model_path, stored_local_model
 from cpam_bayes.forward_model.model import (
@@ -250,12 +250,12 @@ def _extended(plate: PlateModels, effect: Effect) -> tuple[Problem, Array]:
 
 def local_model(plate: PlateModels, effect: Effect) -> LocalModel:
     """The model of a plate with an effect whose place is a parameter."""
-    of_plate = (plate.problem, plate.settings, plate.samples.x, plate.n_modes, plate.error)
+    bare = BarePlate(plate.problem, plate.settings, plate.samples.x, plate.n_modes, plate.error)
     if effect.local is None:
         raise ValueError(f"effect {effect.name}: at any place, but its form is not given in `local`")
     if effect.local == "point":
-        return point_mass_model(*of_plate, effect.parameter_set)
-    return patch_model(*of_plate, effect.parameter_set, effect.local)
+        return point_mass_model(bare, effect.parameter_set)
+    return patch_model(bare, effect.parameter_set, effect.local)
 
 
 def _converged(problem: Problem, samples: Samples, n_modes: int) -> PlateModel:

@@ -44,6 +44,22 @@ class LocalSettings:
     rest: float = 1e-3
 
 
+@dataclass(frozen=True, slots=True)
+class BarePlate:
+    """The plate that a local change is added to.
+
+    problem, settings : the plate and the space on which it is converged
+    samples : (m, n_parameters), the centre of its priors first
+    error : (n_modes,) relative, of the solver
+    """
+
+    problem: Problem
+    settings: RitzSettings
+    samples: Array
+    n_modes: int
+    error: Array
+
+
 DEFAULT_SETTINGS = LocalSettings()
 PATCH_SETTINGS = LocalSettings(further=8, modes=6, constants=10, places=24, leading=3e-4, rest=3e-4)
 # Shift of the energy over the lowest eigenvalue: it makes a free plate stiff.
@@ -66,25 +82,16 @@ def local_space(problem: Problem, settings: RitzSettings) -> RitzSpace:
 
 @single_blas_thread
 def point_mass_model(
-    problem: Problem,
-    settings: RitzSettings,
-    samples: Array,
-    n_modes: int,
-    error: Array,
-    added: ParameterSet,
-    how: LocalSettings = DEFAULT_SETTINGS,
+    plate: BarePlate, added: ParameterSet, how: LocalSettings = DEFAULT_SETTINGS
 ) -> LocalModel:
     """A plate with a point mass anywhere.
 
-    problem, settings : the bare plate and the space on which it is converged
-    samples : (m, n_parameters), the centre of its priors first
-    error : (n_modes,) of the bare plate
     added : the mass, kg, and its place
     """
-    trained, rng = _training(problem, settings, samples, n_modes, error, how)
+    trained, rng = _training(plate, how)
     rows = _rows(trained.operator, _training_places(rng, how.places))
     # what a mass in rows of the fields adds: its translation, and its rotation half a thickness off
-    arm = float(np.real(problem.nominal.thickness)) / 2
+    arm = float(np.real(plate.problem.nominal.thickness)) / 2
     inertia = np.sqrt(added.parameters[0].prior.upper) * np.array([1.0, 1.0, 1.0, arm, arm])[:, None, None]
     by_block = [(inertia * r)[r.any(axis=(1, 2))].reshape(-1, r.shape[-1]) for r in rows]
     grown = [
@@ -99,22 +106,16 @@ def point_mass_model(
 
 @single_blas_thread
 def patch_model(
-    problem: Problem,
-    settings: RitzSettings,
-    samples: Array,
-    n_modes: int,
-    error: Array,
-    added: ParameterSet,
-    form: PatchForm,
-    how: LocalSettings = PATCH_SETTINGS,
+    plate: BarePlate, added: ParameterSet, form: PatchForm, how: LocalSettings = PATCH_SETTINGS
 ) -> LocalModel:
-    """A plate with a softer patch anywhere, parameters as of ``point_mass_model``.
+    """A plate with a softer patch anywhere.
 
     added : the fraction of stiffness lost, the place, and the extent over the shorter side
     """
-    sides = tuple(float(np.real(side)) for side in (problem.nominal.length, problem.nominal.width))
+    nominal = plate.problem.nominal
+    sides = tuple(float(np.real(side)) for side in (nominal.length, nominal.width))
     patch = Patch(form, (min(sides) / sides[0], min(sides) / sides[1]))
-    trained, rng = _training(problem, settings, samples, n_modes, error, how)
+    trained, rng = _training(plate, how)
     operator = trained.operator
     indices = [block.index for block in operator.blocks]
     parts = field_parts(operator.space, indices, [np.eye(len(index)) for index in indices])
@@ -124,7 +125,9 @@ def patch_model(
         extents = np.exp(rng.uniform(np.log(low), np.log(high), how.places))
         where = np.column_stack((_training_places(rng, how.places), extents))
         by_set.append(
-            loads_of_modes(patch, trained.plain, parts, row, where, _lowest(trained, s, n_modes + FURTHER))
+            loads_of_modes(
+                patch, trained.plain, parts, row, where, _lowest(trained, s, plate.n_modes + FURTHER)
+            )
         )
     ends = np.cumsum([0, *(len(index) for index in indices)])
     grown = [
@@ -165,18 +168,17 @@ class _Training:
         return self.plain.operator
 
 
-def _training(
-    problem: Problem, settings: RitzSettings, samples: Array, n_modes: int, error: Array, how: LocalSettings
-) -> tuple[_Training, np.random.Generator]:
+def _training(plate: BarePlate, how: LocalSettings) -> tuple[_Training, np.random.Generator]:
     # the seed is fixed: a model does not depend on the run that first needed it
     rng = np.random.default_rng(0)
-    degrees = settings.degree_x + how.further, settings.degree_y + how.further
-    settings = replace(settings, degree_x=degrees[0], degree_y=degrees[1])
-    operator = discretise(problem, local_space(problem, settings), problem.parameters.mapping(samples))
-    plain = PlateModel(operator, n_modes, error, (settings, np.empty(0, dtype=bool)))
+    problem, n_modes = plate.problem, plate.n_modes
+    degrees = plate.settings.degree_x + how.further, plate.settings.degree_y + how.further
+    settings = replace(plate.settings, degree_x=degrees[0], degree_y=degrees[1])
+    operator = discretise(problem, local_space(problem, settings), problem.parameters.mapping(plate.samples))
+    plain = PlateModel(operator, n_modes, plate.error, (settings, np.empty(0, dtype=bool)))
     operator = compressed(operator, *plain.coefficients(training_sets(problem, 160, rng)))
     plain = replace(plain, operator=operator)
-    x = np.vstack((samples[:1], training_sets(problem, how.constants, rng)))
+    x = np.vstack((plate.samples[:1], training_sets(problem, how.constants, rng)))
     stiffness, mass = plain.coefficients(x)
     n_rigid = rigid_body_count(problem.edges)
     wanted = n_rigid + n_modes + how.modes
