@@ -14,6 +14,7 @@ import cpam_bayes as cb
 from cpam_bayes.commands.options import add_executor_options
 from cpam_bayes.comparison.compare import compare
 from cpam_bayes.comparison.simulation import diagnosis_row
+from cpam_bayes.paper import printed_table
 from cpam_bayes.paper.layups import identified_layups
 from cpam_bayes.report.comparison.markdown import page
 from cpam_bayes.report.progress import Terminal
@@ -55,8 +56,9 @@ def stored() -> dict[str, Results]:
     )
     plates = {row["plate"]: row for row in agreement["specimens"] if row["bricks"] is not None}
     cases = {row["case"]: row for row in sequences["cases"] if row["case"] in identified_layups()}
+    measured = {row.specimen for n in (1, 4) for row in printed_table(n).rows}
     alone = {row["plates"][0]: row for row in findings["groups"] if len(row["plates"]) == 1}
-    diagnosed = {name: alone[name] for name in plates if name in alone}
+    diagnosed = {name: row for name, row in alone.items() if name in measured}
     common = {name: {"version": cb.__version__, "date": DATES[name]} for name in DATES}
     return {
         "calculix": {

@@ -120,7 +120,8 @@ class WellPosed:
 class SimulationError:
     """What the simulation of Table 5, or 1, gets wrong on a plate, by the diagnosis of its measured list.
 
-    printed_rms_percent : of the printed simulation, with the reference constants, against the measured list
+    printed_rms_percent : of the printed simulation, with the reference constants, against the measured list;
+        None where none is printed
     plain_rms_percent, extended_rms_percent : of the plain model with its own constants, and extended by what
         is claimed; None where nothing is
     claim, causes, probability : of the diagnosis
@@ -130,7 +131,7 @@ class SimulationError:
 
     table: int
     specimen: str
-    printed_rms_percent: float
+    printed_rms_percent: float | None
     plain_rms_percent: float
     claim: str
     causes: tuple[str, ...]

@@ -205,7 +205,11 @@ def _simulation(errors: Sequence[Mapping[str, Any]]) -> Iterator[str]:
         ),
         [
             [
-                *(str(e["table"]), e["specimen"], significant(e["printed_rms_percent"], 3)),
+                *(
+                    str(e["table"]),
+                    e["specimen"],
+                    "" if e["printed_rms_percent"] is None else significant(e["printed_rms_percent"], 3),
+                ),
                 significant(e["plain_rms_percent"], 3),
                 f"{e['claim']}: {', '.join(e['causes'])}" if e["causes"] else e["claim"],
                 f"{e['probability']:.2f}",
