@@ -2,8 +2,8 @@
 
 python notebooks/execute.py [NAME ...]
 
-Executed in this folder, cell by cell, in a kernel of this environment. Neither times nor versions are kept, so
-that a notebook changes only where its results do.
+Executed in this folder, cell by cell, in a kernel of this environment. Neither times nor versions are kept:
+a notebook changes only where its results do.
 """
 
 from __future__ import annotations

@@ -1,0 +1,53 @@
+"""Notebooks are saved with their results, and run from the first cell to the last."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+from types import ModuleType
+
+import nbformat
+import pytest
+
+FOLDER = Path(__file__).parent.parent / "notebooks"
+NOTEBOOKS = sorted(path.stem for path in FOLDER.glob("*.ipynb"))
+
+
+def runner() -> ModuleType:
+    """The script that executes them."""
+    spec = importlib.util.spec_from_file_location("execute", FOLDER / "execute.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def shapes(notebook: nbformat.NotebookNode) -> list[tuple[str, list[str]]]:
+    """Of every code cell, its source and the kinds of its results."""
+    return [
+        (cell.source, [out.output_type for out in cell.outputs])
+        for cell in notebook.cells
+        if cell.cell_type == "code"
+    ]
+
+
+def test_there_are_three() -> None:
+    assert len(NOTEBOOKS) == 3
+
+
+@pytest.mark.parametrize("name", NOTEBOOKS)
+def test_a_notebook_is_saved_with_results_and_without_errors(name: str) -> None:
+    kinds = [
+        kind for _, kinds in shapes(nbformat.read(FOLDER / f"{name}.ipynb", as_version=4)) for kind in kinds
+    ]
+    assert "display_data" in kinds, "a figure"
+    assert {"execute_result", "stream"} & set(kinds)
+    assert "error" not in kinds
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", NOTEBOOKS)
+def test_a_notebook_runs_and_shows_what_it_is_saved_with(name: str) -> None:
+    saved = shapes(nbformat.read(FOLDER / f"{name}.ipynb", as_version=4))
+    assert shapes(runner().executed(FOLDER / f"{name}.ipynb")) == saved
