@@ -241,7 +241,7 @@ def _detectable(d: Diagnosis) -> Figure:
     axes.set(
         xscale="log",
         xlim=(left, 2.0 * right),
-        xlabel="smallest size claimed with 95 % probability, in expected sizes (dotted: one)",
+        xlabel="smallest size, in expected sizes (dotted: one)",
     )
     axes.spines[["top", "right", "left"]].set_visible(False)
     axes.tick_params(axis="y", length=0)
