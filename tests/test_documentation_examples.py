@@ -120,6 +120,24 @@ def test_the_plate_of_the_first_pages_is_the_one_in_the_examples(page: str, titl
     assert block.partition("```")[0] == (PROJECT / "examples" / "panel.toml").read_text("utf-8")
 
 
+def test_the_picture_of_the_first_pages_has_the_numbers_of_the_tutorial() -> None:
+    picture = (PROJECT / "docs" / "pictures" / "from_foam_to_report.svg").read_text("utf-8")
+    tutorial = (PROJECT / "docs" / "tutorial.md").read_text("utf-8")
+    _, _, posterior = tutorial.partition("--out posterior\n")
+    rows = re.findall(r"^  (?:E1|E2|nu12|G12) .*?[\d.]+ to [\d.]+", posterior, re.MULTILINE)[:4]
+    assert intervals(picture) == intervals("\n".join(rows))
+    (mass,) = re.findall(r"([\d.]+ g) of added mass", picture)
+    assert f"an added mass of {mass}" in " ".join(tutorial.split())
+
+
+def intervals(text: str) -> list[tuple[float, float]]:
+    """Ends to two decimals, as the picture has them."""
+    return [
+        (round(float(low), 2), round(float(high), 2))
+        for low, high in re.findall(r"([\d.]+) to ([\d.]+)", text)
+    ]
+
+
 def test_every_command_and_option_of_the_documentation_exists() -> None:
     options = {name: option_names(name) for name in COMMANDS}
     found = 0
