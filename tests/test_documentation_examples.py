@@ -150,6 +150,12 @@ def test_every_command_and_option_of_the_documentation_exists() -> None:
     assert found > len(COMMANDS)
 
 
+@pytest.mark.parametrize("page", ["README.md", "docs/commands.md"])
+def test_a_page_that_lists_the_commands_lists_all(page: str) -> None:
+    text = (PROJECT / page).read_text("utf-8")
+    assert set(COMMANDS) <= set(re.findall(r"^\| `cpam-bayes ([a-z]+)", text, re.MULTILINE))
+
+
 def option_names(command: str) -> set[str]:
     """The options of a command, as its help has them."""
     parser = _parser()
