@@ -54,9 +54,11 @@ def sections(result: PointResult) -> tuple[Section, ...]:
 
 
 def _angles(angles: AngleSearchResult) -> Table:
+    n = len(angles.found)
+    searched = "the fuzzy swarm" if n == 1 else f"{n} fuzzy swarms"
     rows = (
         ("layup", f"{angles.specimen.plate.layup.text} asked for"),
-        ("unknown", "/".join(f"{a:g}" for a in angles.angles_deg) + ", found by fuzzy swarms"),
+        ("unknown", "/".join(f"{a:g}" for a in angles.angles_deg) + f", found by {searched}"),
         ("status", angles.swarm.message),
         ("work", f"{angles.swarm.evaluations} forward solves in {angles.seconds:.1f} s"),
         ("others", "may explain the list as well or better: `sequence` gives each its probability"),
