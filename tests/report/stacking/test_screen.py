@@ -55,13 +55,13 @@ def test_the_printed_sequence_stands_in_document_and_screen() -> None:
     document = result.to_dict()
     assert document["printed_sequence"]["rank"] == 1
     assert document["printed_sequence"]["constants"] == document["sequences"][0]["constants"]
-    text = result.summary()
+    text = result.summary(verbose=True)
     assert "30/-60: probability" in text
     assert "given the printed one" in text
 
 
 def test_the_screen_says_set_number_and_plies() -> None:
-    text = stacking_result(answer(), mixture(), None, 0, 5).summary()
+    text = stacking_result(answer(), mixture(), None, 0, 5).summary(verbose=True)
     assert f"{answer().credible_count} sequences" in text
     assert "outer angles are better determined than inner ones" in text
     assert "emcee on the first 3 of the list" in text
@@ -80,7 +80,7 @@ def test_chains_that_failed_or_disagree_are_warned_of() -> None:
 
 
 def test_the_screen_says_noise_fit_and_air() -> None:
-    text = stacking_result(answer(), mixture(), None, 0, 5).summary()
+    text = stacking_result(answer(), mixture(), None, 0, 5).summary(verbose=True)
     assert "1.0 % of a frequency, from the plate file; alone it leaves residuals like these" in text
     assert "would lower the first 6 frequencies by" in text
     document = stacking_result(answer(), mixture(), None, 0, 5).to_dict()
@@ -106,7 +106,7 @@ def test_a_list_that_lacks_a_mode_is_paired() -> None:
     assert fit.p_value > 0.9
     document = stacking_result(found, mixture(), None, 0, 5).to_dict()
     assert document["missed_modes"] == [{"predicted_hz": pytest.approx(fit.missed[0])}]
-    text = stacking_result(found, mixture(), None, 0, 5).summary()
+    text = stacking_result(found, mixture(), None, 0, 5).summary(verbose=True)
     assert f"modes of the most probable sequence at {int(fit.missed[0])}." in text
     wrong = replace(
         few, frequencies=np.sort(np.append(np.delete(every, 2), every[3] * 1.1)), labels=("",) * 6
