@@ -210,7 +210,7 @@ def test_shells_of_calculix_agree_with_ritz(run):
 
 @pytest.mark.needs_ccx
 def test_bricks_are_what_calculix_computes_with_by_default(run, tmp_path):
-    argv = ("forward", "A1", "--modes", "3", "--solver", "ccx", "--out", tmp_path, "--quiet")
+    argv = ("forward", "A1", "--modes", "3", "--solver", "ccx", "--out", tmp_path, "--quiet", "--verbose")
     status, out, _ = run(*argv)
     assert status == 0
     assert re.search(r"solver +CalculiX, 20-node bricks", out)
