@@ -12,6 +12,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import chi2
 
 from cpam_bayes.errors import PlateFileError
 from cpam_bayes.formatting import listed, significant
@@ -20,7 +21,7 @@ from cpam_bayes.forward_model.preconditions import likely_cure
 from cpam_bayes.mechanics.dense import discretise
 from cpam_bayes.mechanics.modes import RigidBodyError, solve
 from cpam_bayes.mechanics.spaces.ritz import RitzSettings, ritz_space
-from cpam_bayes.plate import Material, Specimen, to_user, unit_of, user_name
+from cpam_bayes.plate import Material, Measurement, Specimen, to_user, unit_of, user_name
 from cpam_bayes.threads import single_blas_thread
 
 __all__ = [
@@ -28,6 +29,7 @@ __all__ = [
     "count_slips",
     "equal_list_slips",
     "misfit_slips",
+    "noise_slips",
     "reference_slips",
     "require_reachable",
 ]
@@ -44,6 +46,8 @@ _UNREACHABLE, _UNREACHABLE_WITH_GAPS = 3.0, 30.0
 _SETTINGS: Final = RitzSettings(9, 9)
 # Lists of several plates that differ by no more than this everywhere are most likely one measurement.
 _EQUAL = 2e-3
+# Probability of a misfit, by noise as stated, below which it is no accident.
+_UNEXPLAINED = 1e-3
 
 
 @single_blas_thread
@@ -143,6 +147,28 @@ def misfit_slips(level: float) -> tuple[str, ...]:
         f"{significant(100.0 * level, 2)} % of a frequency, where a tap test repeats to 1 % or better; do "
         "not use the constants before the units, the sizes, the edges, the layup and the order and "
         "completeness of the list are checked",
+    )
+
+
+def noise_slips(measurement: Measurement, residuals: Array, n_fitted: int) -> tuple[str, ...]:
+    """A misfit that noise as stated leaves with a probability below 0.001.
+
+    residuals : (n,) predicted / measured - 1, nan where a frequency belongs to no mode. n_fitted : constants.
+    """
+    f, paired = measurement.frequencies, np.isfinite(residuals)
+    stated = measurement.relative_std if measurement.frequency_sd is None else measurement.frequency_sd / f
+    freedom = int(paired.sum()) - n_fitted
+    if stated is None or freedom < 1:
+        return ()
+    sd = np.sqrt(np.broadcast_to(stated, f.shape) ** 2 + (measurement.resolution / f) ** 2 / 12.0)
+    chi_squared = float(np.sum((residuals[paired] / sd[paired]) ** 2))
+    if chi2.sf(chi_squared, freedom) >= _UNEXPLAINED:
+        return ()
+    return (
+        "the plate model does not describe these frequencies: with its best constants the misfit is "
+        f"{significant(np.sqrt(chi_squared / freedom), 2)} times the stated noise, so that the true "
+        "constants can lie far outside their intervals; ask `diagnose` what the model gets wrong, and look "
+        "for a mass that was left on the plate, a misread frequency, a missed mode, the edges and the layup",
     )
 
 

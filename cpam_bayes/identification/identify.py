@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from functools import partial
 from typing import ClassVar, Final, TypeVar
 
+import numpy as np
+
 from cpam_bayes.forward_model.air_shift import air_shifts
 from cpam_bayes.forward_model.preconditions import (
     explained_failures,
@@ -17,7 +19,13 @@ from cpam_bayes.forward_model.preconditions import (
     require_seed,
     require_supported,
 )
-from cpam_bayes.forward_model.slips import count_slips, misfit_slips, reference_slips, require_reachable
+from cpam_bayes.forward_model.slips import (
+    count_slips,
+    misfit_slips,
+    noise_slips,
+    reference_slips,
+    require_reachable,
+)
 from cpam_bayes.identification.angle_search import AngleSearchResult, search_angles
 from cpam_bayes.identification.frequency_rows import FrequencyRow
 from cpam_bayes.identification.point import PointEstimate, estimate_constants
@@ -167,7 +175,9 @@ def identify(
     misfit = estimate.noise if estimate.noise_is_inferred else estimate.rms
     n, k = len(estimate.predicted), len(estimate.constants)
     unsure = () if angles is None or angles.swarm.status != "budget" else (angles.swarm.message,)
-    slips = (*count_slips(n, k), *misfit_slips(misfit), *reference_slips(specimen))
+    residuals = np.array([mode.frequency for mode in estimate.predicted]) / measurement.frequencies - 1.0
+    excess = misfit_slips(misfit) or noise_slips(measurement, residuals, k)
+    slips = (*count_slips(n, k), *excess, *reference_slips(specimen))
     return PointResult(
         seed=seed,
         warnings=(*slips, *unsure, *point_warnings(estimate, residual), *plate_warnings(specimen)),

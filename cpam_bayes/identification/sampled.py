@@ -22,7 +22,13 @@ from cpam_bayes.forward_model.preconditions import (
     require_supported,
 )
 from cpam_bayes.forward_model.reduced import ReducedModel
-from cpam_bayes.forward_model.slips import count_slips, misfit_slips, reference_slips, require_reachable
+from cpam_bayes.forward_model.slips import (
+    count_slips,
+    misfit_slips,
+    noise_slips,
+    reference_slips,
+    require_reachable,
+)
 from cpam_bayes.identification.identify import NO_MESH
 from cpam_bayes.identification.sampled_result import ConstantPosterior, SampledResult
 from cpam_bayes.identification.scale_errors import ScaleError, scale_errors
@@ -227,12 +233,17 @@ def _summarise(
 def _slips(result: SampledResult) -> tuple[str, ...]:
     """What most likely ruins the posterior."""
     measurement = result.posterior.measurement
-    residuals = np.array([row.residual for row in result.frequencies if row is not None])
+    every = np.array([np.nan if row is None else row.residual for row in result.frequencies])
+    residuals = every[np.isfinite(every)]
     misfit = float(np.sqrt(np.mean(residuals**2))) if residuals.size else 0.0
     relative = next((c.mean for c in result.constants if c.name == "relative_std"), misfit)
+    n = len(result.elastic_constants)
+    excess = misfit_slips(max(relative, misfit))
+    if not excess and not result.posterior.noise_is_inferred:
+        excess = noise_slips(measurement, every, n)
     return (
-        *count_slips(measurement.size, len(result.elastic_constants)),
-        *misfit_slips(max(relative, misfit)),
+        *count_slips(measurement.size, n),
+        *excess,
         *reference_slips(result.specimen),
     )
 

@@ -137,6 +137,15 @@ def _directions(n: int) -> Array:
     return np.concatenate((normal, -normal))
 
 
+def _root_of_inverse(precision: Array) -> Array:
+    """L with L L^T the inverse of a symmetric matrix whose eigenvalues are at least one, (n, n)."""
+    try:
+        return np.asarray(np.linalg.cholesky(np.linalg.inv(precision)))
+    except np.linalg.LinAlgError:  # directions that differ by more than the digits of a number
+        values, vectors = np.linalg.eigh(precision)
+        return np.asarray(vectors / np.sqrt(np.maximum(values, 1.0)))
+
+
 def polish(
     value: Callable[[Array], Array],
     target: Callable[[Array, Array], Expansion],
@@ -154,8 +163,7 @@ def polish(
     expansion = Expansion(*(a[row : row + 1] for a in _parts(maxima.expansion)))
     n = len(u)
     for _ in range(_MOST_POLLS):
-        covariance = np.linalg.inv(expansion.curvature[0] + np.eye(n))
-        spread = _directions(n) @ np.linalg.cholesky(covariance).T
+        spread = _directions(n) @ _root_of_inverse(expansion.curvature[0] + np.eye(n)).T
         points = np.clip(u + np.concatenate([s * spread for s in _POLL_SIZES]), lower, upper)
         values = value(points)
         best = int(np.argmax(np.where(np.isnan(values), -np.inf, values)))

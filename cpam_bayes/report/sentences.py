@@ -110,8 +110,8 @@ def attached_step(specimen: Specimen) -> tuple[str, ...]:
     percent = 0.1 / (plate.mass or plate.density * plate.area * plate.thickness)
     return (
         "Was an accelerometer, a cable or tape on the plate? State its mass under [[sensor]]: 1 g is "
-        f"{significant(percent, 2)} % of this plate's mass, and a mass left out makes the moduli wrong by "
-        "about as much.",
+        f"{significant(percent, 2)} % of this plate's mass, and a mass that is left out makes the moduli too "
+        "low, near a free corner by several times its share.",
     )
 
 
@@ -127,8 +127,9 @@ def high_noise_warning(level: float) -> tuple[str, ...]:
     if level <= _USUAL:
         return ()
     return (
-        f"The misfit is {significant(100.0 * level, 2)} % of a frequency, more than the scatter of a usual "
-        "tap test: the plate model may lack something, and then the intervals can miss the true constants.",
+        f"The noise inferred from the misfit is {significant(100.0 * level, 2)} % of a frequency, more than "
+        "the scatter of a usual tap test: the plate model may lack something, and then the intervals can "
+        "miss the true constants.",
     )
 
 
@@ -166,7 +167,10 @@ def scale_sentences(
         if e.name != FREQUENCY_SCALE:
             missing.append(e.name)
     if parts:
-        said.append(f"No frequency shows an error of size, mass or frequency scale: {', '.join(parts)}.")
+        said.append(
+            "Frequencies hardly show a small error of size, mass or frequency scale; the constants take it "
+            f"up: {', '.join(parts)}."
+        )
     if missing:
         keys = listed([user_name(name) for name in missing], "and")
         verb = _HOW[missing[0]] if len(missing) == 1 else "Gauge and weigh the plate"

@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 import cpam_bayes as cb
 
+Run = Callable[..., tuple[object, str, str]]
+
+PROJECT = Path(__file__).parent.parent.parent
 TRUE_E1 = 121.2
 PLATE = {
     "name": "accelerometer left out",
@@ -78,3 +84,25 @@ def test_diagnose_is_not_calm_about_it_in_noise(loaded: np.ndarray) -> None:
     e1 = said.constants[0]
     assert e1.interval is not None
     assert e1.interval[0] < TRUE_E1 < e1.interval[1]
+
+
+def test_a_misfit_of_several_times_the_stated_noise_is_the_first_line(run: Run, tmp_path: Path) -> None:
+    """One frequency with two digits swapped: the misfit is far below what a list of a wrong plate leaves."""
+    text = (PROJECT / "examples" / "panel.toml").read_text("utf-8")
+    right, wrong = tmp_path / "right.toml", tmp_path / "wrong.toml"
+    right.write_text(text, "utf-8")
+    wrong.write_text(text.replace("310.2", "301.2"), "utf-8")
+    for path, expected in ((right, False), (wrong, True)):
+        _, out, _ = run("identify", path, "--quiet")
+        first = out.splitlines()[1]
+        assert ("times the stated noise" in first) == expected
+
+
+def test_one_frequency_is_no_error_of_linear_algebra(run: Run, tmp_path: Path) -> None:
+    text = (PROJECT / "examples" / "panel.toml").read_text("utf-8")
+    begun, _, rest = text.partition("frequencies_hz = [")
+    path = tmp_path / "one.toml"
+    path.write_text(f"{begun}frequencies_hz = [80.2]{rest.partition(']')[2]}", "utf-8")
+    status, out, _ = run("identify", path, "--quiet")
+    assert status in (0, 1)
+    assert "1 frequency for 4 unknowns" in out

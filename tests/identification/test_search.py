@@ -71,7 +71,7 @@ def test_constants_that_differ_between_optima_are_not_determined() -> None:
     assert constants["E1"].value / 1e9 == pytest.approx(53.2, rel=0.01)
     assert any(v / 1e9 == pytest.approx(109.9, rel=0.01) for v in constants["E1"].elsewhere)
     assert constants["E1"].verdict != "determined by the data"
-    assert "no, by which of several optima is taken" in result.summary()
+    assert "no, by the choice between several optima" in result.summary()
     shown = result.summary(verbose=True)
     assert "E1 may be 53.22 or" in shown
     assert "differs between optima" in shown

@@ -311,7 +311,10 @@ def _sampler(posterior: Posterior, settings: EnsembleSettings, proposal: Proposa
 
     moves = moves_of(proposal, settings.jumps)
     n = posterior.parameters.size
-    return emcee.EnsembleSampler(settings.walkers, n, posterior.log_prob, moves=moves, vectorize=True)
+    sampler = emcee.EnsembleSampler(settings.walkers, n, posterior.log_prob, moves=moves, vectorize=True)
+    # emcee wraps the function to print all parameters of a call that is interrupted or fails
+    sampler.log_prob_fn = posterior.log_prob
+    return sampler
 
 
 def _state(start: Array, posterior: Posterior, seed: int, ensemble: int) -> Any:

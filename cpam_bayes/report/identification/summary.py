@@ -68,7 +68,7 @@ def _constant(result: PointResult, c: ConstantEstimate) -> ConstantLine:
     elif not math.isfinite(c.sd):
         by, verdict = decided_by(c.name, prior), "no"
     elif c.elsewhere:
-        by, verdict = "which of several optima is taken", "no"
+        by, verdict = "the choice between several optima that fit alike", "no"
     elif verdict != "yes":
         by = decided_by(c.name, prior)
     return ConstantLine(
@@ -123,6 +123,12 @@ def _next_steps(result: PointResult, constants: tuple[ConstantLine, ...]) -> tup
             "Repeat the tap test and give relative_std in [measurement]: a measured noise is better than one "
             "estimated from the misfit."
         )
+    if result.angles is not None:  # the other commands want a known layup
+        steps.append(f"Get the probability of every layup on the grid: cpam-bayes sequence {plate}")
+        steps.append(
+            f"Get all of it, with the most probable layup, on one page: cpam-bayes report {plate} --out DIR"
+        )
+        return tuple(steps)
     steps.append(f"Ask what the plate model gets wrong: cpam-bayes diagnose {plate}")
     steps.append(f"Get the full posterior of the constants: cpam-bayes identify {plate} --backend emcee")
     return tuple(steps)
