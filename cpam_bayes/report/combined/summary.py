@@ -12,7 +12,7 @@ from cpam_bayes.report.summary import Summary
 _TWO_ANSWERS: Final = (
     "The constants of this summary allow for everything that may be wrong with the plate model, and where "
     "the plate file says in [material.sd] how well a reference is known, that counts as knowledge. The "
-    "frequencies alone, with a plate model believed to be right, give the constants further below, which "
+    "frequencies alone, with a plate model believed to be right, give the constants of `identify`, which "
     "may differ."
 )
 

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
+from cpam_bayes.forward_model.model import Prediction
 from cpam_bayes.inference.chains.ensemble import (
     EnsembleResult,
     EnsembleSettings,
@@ -260,6 +261,26 @@ def test_a_budget_ends_the_sampling_and_the_status_says_so() -> None:
     assert found.status == "budget"
     assert not found.diagnostics.converged
     assert found.diagnostics.steps == 200
+
+
+def test_an_interrupted_call_prints_nothing(
+    capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """emcee prints all parameters of a call that ends in an exception, an interrupt too."""
+    own = posterior()
+    walkers = start(own)
+    predict, calls = LinearModel.predict, []
+
+    def interrupted(self: LinearModel, x: np.ndarray, *, jacobian: bool = False) -> Prediction:
+        calls.append(len(x))
+        if len(calls) > 5:
+            raise KeyboardInterrupt
+        return predict(self, x, jacobian=jacobian)
+
+    monkeypatch.setattr(LinearModel, "predict", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        sample(own, walkers, 7, SETTINGS)
+    assert capfd.readouterr() == ("", "")
 
 
 def test_the_same_seed_gives_the_same_chain_bit_for_bit(tmp_path: Path) -> None:
