@@ -13,15 +13,23 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from cpam_bayes.effects import observation
 from cpam_bayes.forward_model.model import SIZES, PlateModel, model_on_basis, plate_problem
 from cpam_bayes.parameters import Parameter, ParameterSet, Uniform
 from cpam_bayes.plate import Plate, Specimen
 
 Array = NDArray[Any]
 
-__all__ = ["FREQUENCY_SCALE", "ScaleError", "scale_errors", "sizes_spread", "thin_plate_errors"]
+__all__ = [
+    "FREQUENCY_SCALE",
+    "ScaleError",
+    "number_of",
+    "scale_errors",
+    "sizes_spread",
+    "thin_plate_errors",
+]
 
-FREQUENCY_SCALE: Final = "frequency_scale"
+FREQUENCY_SCALE: Final = observation.FREQUENCY_SCALE.name
 # Range of a size about its value in which its derivative is taken, relative.
 _RANGE = 0.1
 
@@ -97,6 +105,18 @@ def thin_plate_errors(specimen: Specimen) -> tuple[ScaleError, ...]:
     thickness, weighed = (2.0, "density") if plate.mass is None else (3.0, "mass")
     powers = {"thickness": thickness, weighed: -1.0, FREQUENCY_SCALE: 2.0}
     return tuple(ScaleError(name, dict.fromkeys(moduli, power), 0.0, None) for name, power in powers.items())
+
+
+def number_of(cause: str, plate: Plate) -> str | None:
+    """The number of a plate file, or the frequency scale, that a cause is an error of; None for other causes.
+
+    A plate that was weighed has a mass and no density of its own.
+    """
+    if cause == FREQUENCY_SCALE:
+        return cause
+    if cause not in SIZES:
+        return None
+    return cause if cause in _size_values(plate) else "mass"
 
 
 def sizes_spread(errors: tuple[ScaleError, ...], constant: str) -> float:

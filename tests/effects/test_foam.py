@@ -139,7 +139,7 @@ def test_it_is_in_the_document_with_its_unit_and_on_the_screen() -> None:
     assert size["mean"] == pytest.approx(0.2, abs=3.0 * size["sd"])
     # C1 is 3.2 mm thick
     assert document["priors"]["effects"]["foam"]["foam_stiffness"]["scale"] == pytest.approx(0.1 * 3.2 / 3)
-    screen = found().summary()
+    screen = found().summary(verbose=True)
     assert "foam" in screen
     assert "kN/m2/mm" in screen
     assert f"{FOAM.title}. {FOAM.check}" in screen

@@ -232,7 +232,7 @@ def _hidden(d: Diagnosis) -> Table:
     columns = (
         Column("error"),
         Column("shows", number=True),
-        Column("size"),
+        Column("of size"),
         *(Column(f"{name.removesuffix('_GPa')} %", number=True) for name in names),
     )
     rows = []

@@ -10,7 +10,7 @@ from cpam_bayes.diagnosis.diagnose import Cause, Diagnosis
 from cpam_bayes.diagnosis.hypotheses import NONE, OTHER
 from cpam_bayes.diagnosis.plates import DiagnosisResult
 from cpam_bayes.formatting import significant
-from cpam_bayes.identification.scale_errors import FREQUENCY_SCALE, ScaleError
+from cpam_bayes.identification.scale_errors import ScaleError, number_of
 from cpam_bayes.plate import Specimen, unit_of
 from cpam_bayes.plate.units import USER_UNITS
 from cpam_bayes.report.diagnosis.rows import (
@@ -148,12 +148,12 @@ def _unseen(d: Diagnosis, specimen: Specimen, shown: list[str]) -> tuple[tuple[s
     """Errors of size, mass and scale as `scale_sentences` says them, from the causes that are absorbed."""
     errors = []
     for cause in hidden_causes(d):
-        if cause.name not in ("thickness", "density", "length", "width", FREQUENCY_SCALE):
+        name = number_of(cause.name, specimen.plate)
+        if name is None:
             continue
         _, unit, per_unit = absorbed_biases(d, cause)
         if unit != "%":
             continue
-        name = "mass" if cause.name == "density" and specimen.plate.mass is not None else cause.name
         # An unmodelled excess of the true number shows as this error of the constants.
         shift = {USER_UNITS[key][0]: value for key, value in per_unit.items()}
         sd = specimen.plate.sd.get(name)
