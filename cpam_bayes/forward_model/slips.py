@@ -156,11 +156,12 @@ def noise_slips(measurement: Measurement, residuals: Array, n_fitted: int) -> tu
     residuals : (n,) predicted / measured - 1, nan where a frequency belongs to no mode. n_fitted : constants.
     """
     f, paired = measurement.frequencies, np.isfinite(residuals)
-    stated = measurement.relative_std if measurement.frequency_sd is None else measurement.frequency_sd / f
+    unstated = measurement.relative_std is None and measurement.frequency_sd is None
     freedom = int(paired.sum()) - n_fitted
-    if stated is None or freedom < 1:
+    if unstated or freedom < 1:
         return ()
-    sd = np.sqrt(np.broadcast_to(stated, f.shape) ** 2 + (measurement.resolution / f) ** 2 / 12.0)
+    noise = measurement.noise_sd(measurement.relative_std or 0.0)
+    sd = np.sqrt(noise**2 + measurement.resolution**2 / 12.0) / f
     chi_squared = float(np.sum((residuals[paired] / sd[paired]) ** 2))
     if chi2.sf(chi_squared, freedom) >= _UNEXPLAINED:
         return ()

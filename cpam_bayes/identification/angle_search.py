@@ -11,7 +11,6 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field, replace
-from functools import partial
 from typing import Any, Final
 
 import numpy as np
@@ -28,6 +27,8 @@ from cpam_bayes.identification.search import (
     Residual,
     misfit,
     required,
+    shifted,
+    swarm_seed,
 )
 from cpam_bayes.inference.posterior import ForwardModel
 from cpam_bayes.inference.swarm.pso import SwarmSettings, initial_swarm
@@ -107,7 +108,7 @@ class AngleSearchResult:
     rms : root mean square of its relative residuals
     error : (n,) estimated relative error of the solver there
     swarm : the single one, or of several the one with the least F and the status of them all
-    found : (n_swarms,) least F for the angles that each swarm ended at, ascending
+    values : (n_swarms,) least F for the angles that each swarm ended at, ascending
     """
 
     specimen: Specimen
@@ -119,7 +120,7 @@ class AngleSearchResult:
     error: Array = field(repr=False)
     model: ReducedModel = field(repr=False)
     swarm: SwarmResult
-    found: tuple[float, ...]
+    values: tuple[float, ...]
     seconds: float
 
     @property
@@ -219,9 +220,9 @@ def search_angles(
     fit = AngleSearchProblem(specimen, model, measurement.frequencies, grid, residual)
     if swarms == 1:
         swarm = run_swarm(fit, seed, settings, progress)
-        found: tuple[float, ...] = (swarm.value,)
+        values: tuple[float, ...] = (swarm.value,)
     else:
-        swarm, found = _several(fit, seed, swarms, settings or SwarmSettings(), progress)
+        swarm, values = _several(fit, seed, swarms, settings or SwarmSettings(), progress)
     best = np.concatenate((swarm.best, grid[swarm.sequence]))
     predicted = model.full.predict(best).frequencies[0]
     return AngleSearchResult(
@@ -234,7 +235,7 @@ def search_angles(
         error=discretisation_error(model.full, best),
         model=model,
         swarm=swarm,
-        found=found,
+        values=values,
         seconds=time.perf_counter() - start,
     )
 
@@ -246,14 +247,14 @@ def _several(
     settings: SwarmSettings,
     progress: Callable[[int, float], None] | None,
 ) -> tuple[SwarmResult, tuple[float, ...]]:
-    """Swarms until two have found the least F: the first with what they found, and the least F of each."""
+    """Swarms until two have found the least F: the best with the status of all, and the least F of each."""
     starts = search_starts(fit, _STARTS)
     scale = 1.0 if fit.residual == "relative" else float(fit.measured.max())
     rounding = len(fit.measured) * (LEAST_RMS * scale) ** 2
     ends: list[SwarmResult] = []
     for k in range(most):
-        told = progress and partial(_told, progress, k * settings.iterations)
-        swarm = run_swarm(fit, seed if k == 0 else [seed, k], settings, told)
+        watched = shifted(progress, k * settings.iterations)
+        swarm = run_swarm(fit, swarm_seed(seed, k), settings, watched)
         fitted = best_constants(fit, swarm.sequence[None], np.vstack((swarm.best, starts)))
         evaluations = swarm.evaluations + fitted.evaluations
         if fitted.values[0] < swarm.value:
@@ -272,10 +273,6 @@ def _several(
         message=_MESSAGES[agreed].format(run=len(ends), swarms=again),
     )
     return chosen, tuple(sorted(end.value for end in ends))
-
-
-def _told(progress: Callable[[int, float], None], done: int, iteration: int, best: float) -> None:
-    progress(done + iteration, best)
 
 
 _MESSAGES: Final = {

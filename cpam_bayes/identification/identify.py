@@ -148,9 +148,8 @@ def identify(
     if swarms < 1:
         raise ValueError(f"swarms: received {swarms}, accepted: 1 or more")
     specimen = require_paired_list(require_supported(read_plate(plate), NO_MESH, angles=True))
-    required(specimen)
-    require_reachable(specimen)
     measurement, _ = required(specimen)
+    require_reachable(specimen)
     settings = settings or SwarmSettings()
     unit, factor = ("%", 100.0) if residual == "relative" else ("Hz", 1.0)
 

@@ -155,7 +155,7 @@ def summarise(
         model.full,
         dict(zip(unknowns.names, best.tolist(), strict=True)),
         order,
-        _noise_sd(measurement, level) / measurement.frequencies,
+        measurement.noise_sd(level) / measurement.frequencies,
         dict(zip(unknowns.names, prior_sd.tolist(), strict=True)),
     )
     freedom = measurement.size - unknowns.size if inferred else np.inf
@@ -194,16 +194,10 @@ def _within_noise(
     first, *others = searched.optima
     if not np.isfinite(noise):
         return (first,)
-    f, sd = measurement.frequencies, _noise_sd(measurement, noise)
+    f, sd = measurement.frequencies, measurement.noise_sd(noise)
     variance = float(np.mean((sd / f if residual == "relative" else sd) ** 2))
     most = first.value + chi2.ppf(_WITHIN, len(first.x)) * variance
     return (first, *(o for o in others if o.value <= most))
-
-
-def _noise_sd(measurement: Measurement, noise: float) -> Array:
-    """Standard deviations of the frequencies, (n_f,) Hz: those of the plate file, or a relative one."""
-    stated = measurement.frequency_sd
-    return np.asarray(noise * measurement.frequencies if stated is None else stated)
 
 
 def _noise(measurement: Measurement, relative: Array, n_unknowns: int) -> tuple[float, bool]:
@@ -233,7 +227,7 @@ def linearised_sd(
     if not np.isfinite(noise):
         return np.full(len(prior_sd), np.nan)
     f = measurement.frequencies
-    noise_sd = _noise_sd(measurement, noise)
+    noise_sd = measurement.noise_sd(noise)
     variance = np.maximum(noise_sd**2 + measurement.resolution**2 / 12, (1e-9 * f) ** 2)
     weight = 1.0 / f**2 if residual == "relative" else np.ones_like(f)
     scale = float(np.mean(weight * variance))

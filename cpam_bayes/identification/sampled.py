@@ -260,9 +260,8 @@ def _scale_errors(
     measurement, unknowns = required(specimen)
     values = model.parameters.mapping(best[: model.parameters.size])
     known = pairing.mode >= 0
-    stated = measurement.frequency_sd
     relative = _EVEN_NOISE if measurement.relative_std is None else measurement.relative_std
-    sd = relative * measurement.frequencies if stated is None else np.asarray(stated)
+    sd = measurement.noise_sd(relative)
     return scale_errors(
         specimen,
         model.full,

@@ -216,9 +216,9 @@ def _several(
     optima: tuple[Optimum, ...] = ()
     solves = 0
     for k in range(most):
-        rng = np.random.default_rng(seed if k == 0 else [seed, k])
+        rng = np.random.default_rng(swarm_seed(seed, k))
         start = task.start(rng)
-        swarm = task.swarm(start, rng, _shifted(progress, k * task.settings.iterations))
+        swarm = task.swarm(start, rng, shifted(progress, k * task.settings.iterations))
         ends.append(_polished(task, np.vstack((swarm.best, start)), swarm.value))
         first = first or swarm
         solves += swarm.evaluations + ends[-1].solves
@@ -251,7 +251,13 @@ _MESSAGES = {
 }
 
 
-def _shifted(progress: Progress, done: int) -> Progress:
+def swarm_seed(seed: int, k: int) -> int | list[int]:
+    """The seed of the k-th of several swarms: the first runs as a single one would."""
+    return seed if k == 0 else [seed, k]
+
+
+def shifted(progress: Progress, done: int) -> Progress:
+    """The progress of a swarm that begins after so many iterations of others."""
     return None if progress is None else lambda iteration, best: progress(done + iteration, best)
 
 

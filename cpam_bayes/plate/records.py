@@ -99,6 +99,10 @@ class Measurement:
         """Number of measured frequencies."""
         return int(self.frequencies.size)
 
+    def noise_sd(self, relative: float) -> NDArray[np.float64]:
+        """Standard deviations of the frequencies, (n,) Hz: ``frequency_sd``, or ``relative`` of each."""
+        return relative * self.frequencies if self.frequency_sd is None else self.frequency_sd
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Specimen:

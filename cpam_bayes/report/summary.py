@@ -24,6 +24,7 @@ __all__ = [
     "Determined",
     "Summary",
     "determined_by",
+    "more_modes_step",
     "names_of",
     "sentence",
     "summary_tables",
@@ -174,6 +175,12 @@ def sentence(text: str) -> str:
 def names_of(constants: Sequence[ConstantLine], *determined: Determined) -> str:
     """Symbols of the constants so determined, with commas and "and"."""
     return listed([c.symbol for c in constants if c.determined in determined], "and")
+
+
+def more_modes_step(constants: tuple[ConstantLine, ...]) -> tuple[str, ...]:
+    """What further modes may do for constants that the frequencies leave open; nothing where none is."""
+    left = names_of(constants, "no", "partly")
+    return (f"Measure more modes: {left} may then be determined.",) if left else ()
 
 
 def determined_by(constants: tuple[ConstantLine, ...], n_frequencies: int) -> str:

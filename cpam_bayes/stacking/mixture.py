@@ -23,6 +23,7 @@ from cpam_bayes.inference.chains.ensemble import (
     start_positions,
 )
 from cpam_bayes.inference.chains.sampling import swarm_on_posterior
+from cpam_bayes.inference.diagnostics.assessment import thinned
 from cpam_bayes.inference.importance import Weighted, weighted
 from cpam_bayes.inference.posterior import Posterior
 from cpam_bayes.inference.proposal import AdaptationSettings, Proposal, adapted
@@ -217,7 +218,7 @@ def _sampled(shared: tuple[ConditionalPosterior, MixtureSettings], item: Item) -
     importance, sampled_moments = _importance(posterior, proposal, settings.points, rng)
     return SampledComponent(
         index=index,
-        draws=_thinned(chains),
+        draws=thinned(chains).flat,
         diagnostics=chains.diagnostics,
         chains=_moments_of_chains(chains),
         importance=importance,
@@ -226,13 +227,6 @@ def _sampled(shared: tuple[ConditionalPosterior, MixtureSettings], item: Item) -
         effective=float(sampled_moments.effective_size[0]),
         k_hat=float(sampled_moments.k_hat[0]),
     )
-
-
-def _thinned(chains: EnsembleResult) -> Array:
-    """Draws one autocorrelation time apart, (d, n)."""
-    step = max(1, int(np.ceil(chains.diagnostics.autocorrelation_time)))
-    kept = chains.chain[:, ::step]
-    return np.asarray(kept.reshape(-1, kept.shape[-1]))
 
 
 def _moments_of_chains(chains: EnsembleResult) -> Moments:

@@ -201,9 +201,9 @@ def test_several_fuzzy_swarms_find_the_least_f_twice_where_single_ones_miss_it(
     rounding = 6 * (1e-7 * fit.measured.max()) ** 2
     for seed in range(3):
         several = search_angles(exact, seed, swarms=12, settings=settings)
-        assert several.found == tuple(sorted(several.found))
-        assert several.value == several.found[0]
-        again = sum(value <= 1.001 * several.value + rounding for value in several.found)
+        assert several.values == tuple(sorted(several.values))
+        assert several.value == several.values[0]
+        again = sum(value <= 1.001 * several.value + rounding for value in several.values)
         assert (several.swarm.status == "converged") == (again >= 2)
         assert several.value <= least + COARSE
         assert several.swarm.evaluations > singles[seed].swarm.evaluations

@@ -37,7 +37,7 @@ from cpam_bayes.report.sentences import (
     plate_sentence,
     scale_sentences,
 )
-from cpam_bayes.report.summary import ConstantLine, Summary, names_of
+from cpam_bayes.report.summary import ConstantLine, Summary, more_modes_step
 
 # Leading causes whose check in the laboratory is named where nothing is claimed.
 _CHECKED: Final = 2
@@ -186,8 +186,7 @@ def _next_steps(result: DiagnosisResult, constants: tuple[ConstantLine, ...]) ->
             "Repeat the tap test and give relative_std in [measurement]: with a measured repeatability "
             "smaller errors can be seen."
         )
-    if names_of(constants, "no", "partly"):
-        steps.append(f"Measure more modes: {names_of(constants, 'no', 'partly')} may then be determined.")
+    steps += more_modes_step(constants)
     return tuple(steps)
 
 

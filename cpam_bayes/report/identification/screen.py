@@ -54,7 +54,7 @@ def sections(result: PointResult) -> tuple[Section, ...]:
 
 
 def _angles(angles: AngleSearchResult) -> Table:
-    n = len(angles.found)
+    n = len(angles.values)
     searched = "the fuzzy swarm" if n == 1 else f"{n} fuzzy swarms"
     rows = (
         ("layup", f"{angles.specimen.plate.layup.text} asked for"),

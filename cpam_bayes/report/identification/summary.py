@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from cpam_bayes.formatting import listed, significant
+from cpam_bayes.formatting import significant
 from cpam_bayes.identification.identify import PointResult
 from cpam_bayes.identification.point import ConstantEstimate, PointEstimate
 from cpam_bayes.plate import to_user, unit_of, user_name
@@ -22,7 +22,7 @@ from cpam_bayes.report.sentences import (
     plate_sentence,
     scale_sentences,
 )
-from cpam_bayes.report.summary import ConstantLine, Summary, determined_by
+from cpam_bayes.report.summary import ConstantLine, Summary, determined_by, more_modes_step
 
 
 def summary(result: PointResult) -> Summary:
@@ -115,9 +115,7 @@ def _noise(estimate: PointEstimate) -> str:
 def _next_steps(result: PointResult, constants: tuple[ConstantLine, ...]) -> tuple[str, ...]:
     estimate, steps = result.estimate, [*attached_step(result.specimen)]
     plate = plate_argument(result.specimen)
-    open_ = [c.symbol for c in constants if c.determined != "yes"]
-    if open_:
-        steps.append(f"Measure more modes: {listed(open_, 'and')} may then be determined.")
+    steps += more_modes_step(constants)
     if estimate.noise_is_inferred:
         steps.append(
             "Repeat the tap test and give relative_std in [measurement]: a measured noise is better than one "

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cpam_bayes.formatting import listed, significant
+from cpam_bayes.formatting import significant
 from cpam_bayes.identification.sampled import ConstantPosterior, SampledResult
 from cpam_bayes.inference.noise import NOISE_NAMES
 from cpam_bayes.plate import to_user, unit_of, user_name
@@ -20,7 +20,7 @@ from cpam_bayes.report.sentences import (
     plate_sentence,
     scale_sentences,
 )
-from cpam_bayes.report.summary import ConstantLine, Summary, determined_by
+from cpam_bayes.report.summary import ConstantLine, Summary, determined_by, more_modes_step
 
 
 def summary(result: SampledResult) -> Summary:
@@ -107,11 +107,9 @@ def _inferred(result: SampledResult) -> float:
 
 def _next_steps(result: SampledResult, constants: tuple[ConstantLine, ...]) -> tuple[str, ...]:
     steps = [*attached_step(result.specimen)]
-    open_ = [c.symbol for c in constants if c.determined != "yes"]
     if result.status == "budget":
         steps.insert(0, "Allow more steps: --steps N.")
-    if open_:
-        steps.append(f"Measure more modes: {listed(open_, 'and')} may then be determined.")
+    steps += more_modes_step(constants)
     steps.append(
         f"Ask what the plate model gets wrong: cpam-bayes diagnose {plate_argument(result.specimen)}"
     )
