@@ -141,34 +141,34 @@ def _frequencies(rows: Sequence[Row]) -> str:
 
 def _own_misfit(misfits: Sequence[Misfit]) -> str:
     """The specimens of Table 9 whose printed constants miss their own frequencies."""
-    own = [m for m in misfits if m.table == 9 and m.source == PAPER]
-    if not own:
+    identified = [m for m in misfits if m.table == 9 and m.source == PAPER]
+    if not identified:
         return ""
-    worst = max(own, key=lambda m: m.rms_percent)
-    far = sorted(m.specimen for m in own if m.rms_percent > 5.0)
-    ten = sum(m.objective > 10.0 * m.our_objective for m in own)
+    worst = max(identified, key=lambda m: m.rms_percent)
+    far = sorted(m.specimen for m in identified if m.rms_percent > 5.0)
+    ten = sum(m.objective > 10.0 * m.our_objective for m in identified)
     listed = f"above 5 % for {', '.join(far)}" if far else "below 5 % for all"
     return (
         "Table 9(a): the constants that the paper identified miss their own frequencies: rms "
         f"{listed}, worst {worst.rms_percent:.3g} % for {worst.specimen}, where the best fit within the "
         f"bounds leaves {worst.our_rms_percent:.3g} %. Their F, eq. (7), is more than ten times the least "
-        f"one for {ten} of {len(own)} plates."
+        f"one for {ten} of {len(identified)} plates."
     )
 
 
 def _determined(rows: Sequence[Row]) -> str:
     """Printed digits that the frequencies do not determine: constants and stacking sequences."""
-    own = [r for r in rows if r.table == 9 and r.part == "a" and r.source == PAPER]
-    wide = [r for r in own if r.q025 and r.q975 and r.q975 > 1.5 * r.q025]
+    identified = [r for r in rows if r.table == 9 and r.part == "a" and r.source == PAPER]
+    wide = [r for r in identified if r.q025 and r.q975 and r.q975 > 1.5 * r.q025]
     layups = [r for r in rows if r.table == 9 and r.part == "b"]
-    if not own or not layups:
+    if not identified or not layups:
         return ""
-    widest = max(own, key=lambda r: (r.q975 or 0.0) / (r.q025 or 1.0))
+    widest = max(identified, key=lambda r: (r.q975 or 0.0) / (r.q025 or 1.0))
     counts = sorted(int(r.details["credible_95_count"] or 0) for r in layups)
     outside = [r.specimen for r in layups if r.verdict != WITHIN]
     return (
-        f"Table 9: the lists determine less than is printed. {len(wide)} of {len(own)} printed constants "
-        f"have a 95 % interval whose ends are a factor of 1.5 or more apart; {widest.quantity} of "
+        f"Table 9: the lists determine less than is printed. {len(wide)} of {len(identified)} printed "
+        f"constants have a 95 % interval whose ends are a factor of 1.5 or more apart; {widest.quantity} of "
         f"{widest.specimen}, printed {widest.printed}, has {significant(widest.q025 or 0.0, 3)} to "
         f"{significant(widest.q975 or 0.0, 3)}. {counts[0]} to {counts[-1]} stacking sequences on the grid "
         f"are in the 95 % sets, and the printed ones of {', '.join(outside) or 'no plate'} are outside or at "

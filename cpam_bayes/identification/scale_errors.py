@@ -87,15 +87,15 @@ def scale_errors(
     # Frequencies follow the true size; the constants take up what the model lacks.
     changes = {name: relative[:, n + i] for i, name in enumerate(sizes)}
     changes[FREQUENCY_SCALE] = np.ones(len(order))
-    found = []
+    errors = []
     for name, change in changes.items():
         shift = np.linalg.solve(curvature, weighted.T @ (change / noise))
         left = (change - relative[:, :n] @ shift) / noise
         visible = float(np.linalg.norm(left) / np.linalg.norm(change / noise))
         sd = specimen.plate.sd.get(name)
         known = None if sd is None else float(sd / sizes[name])
-        found.append(ScaleError(name, dict(zip(names, shift.tolist(), strict=True)), visible, known))
-    return tuple(found)
+        errors.append(ScaleError(name, dict(zip(names, shift.tolist(), strict=True)), visible, known))
+    return tuple(errors)
 
 
 def thin_plate_errors(specimen: Specimen) -> tuple[ScaleError, ...]:

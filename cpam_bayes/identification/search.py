@@ -332,17 +332,18 @@ def _distinct(task: _Task, ends: Sequence[_Ends]) -> tuple[Optimum, ...]:
     order = np.argsort(value, kind="stable")
     order = order[value[order] <= value.min() + 2.0 * _DEPTH * variance]
     kept: list[int] = []
-    found: list[set[int]] = []
+    finders: list[set[int]] = []
     for i in order:
         away = u[kept] - u[i]
         distance = np.einsum("ki,kij,kj->k", away, curvature[kept], away) / variance
         # both are optima: where one lies on the way to the other it has a misfit of its own
         same = np.flatnonzero((distance < _SAME**2) & (value[i] - value[kept] < _SAME**2 * variance))
         if len(same):
-            found[same[0]].add(int(swarm[i]))
+            finders[same[0]].add(int(swarm[i]))
         else:
             kept.append(int(i))
-            found.append({int(swarm[i])})
+            finders.append({int(swarm[i])})
     return tuple(
-        Optimum(task.to_x(u[i]), float(value[i]), len(swarms)) for i, swarms in zip(kept, found, strict=True)
+        Optimum(task.to_x(u[i]), float(value[i]), len(swarms))
+        for i, swarms in zip(kept, finders, strict=True)
     )

@@ -48,8 +48,8 @@ def pages(project: Path) -> list[Path]:
 
 def marks(page: str) -> list[tuple[str, str]]:
     """Source and name of each section, in order; raises ``ValueError`` for a mark without its pair."""
-    found = [(section["source"], section["name"]) for section in _SECTION.finditer(page)]
-    sources = {source for source, _ in found}
+    sections = [(section["source"], section["name"]) for section in _SECTION.finditer(page)]
+    sources = {source for source, _ in sections}
     lone = [
         line
         for line in re.findall(r"^<!-- /?(\w+)(?:: .*)? -->$", page, re.MULTILINE)
@@ -59,7 +59,7 @@ def marks(page: str) -> list[tuple[str, str]]:
         raise ValueError(
             f"marks of {', '.join(lone)} without their pair: write <!-- x: name --> and <!-- /x -->"
         )
-    return found
+    return sections
 
 
 def with_sections(page: str, source: str, sections: Mapping[str, str]) -> str:
@@ -103,14 +103,14 @@ def figure_section(caption: Path, page: Path) -> str:
 
 def sections_of_figures(project: Path, page: Path) -> dict[str, str]:
     """All figures by name, and those of a script as "all of NAME", for one page."""
-    found: dict[str, str] = {}
+    written: dict[str, str] = {}
     for path in sorted((project / "figures").glob("*.md")):
         script = re.search(r"`python figures/draw\.py (\w+)`", path.read_text(encoding="utf-8"))
         if script and path.with_suffix(".png").exists():
-            found[path.stem] = figure_section(path, page)
-            together = found.get(f"all of {script[1]}", "")
-            found[f"all of {script[1]}"] = f"{together}\n\n{found[path.stem]}".strip()
-    return found
+            written[path.stem] = figure_section(path, page)
+            together = written.get(f"all of {script[1]}", "")
+            written[f"all of {script[1]}"] = f"{together}\n\n{written[path.stem]}".strip()
+    return written
 
 
 def paragraph(text: str, start: str = "") -> str:

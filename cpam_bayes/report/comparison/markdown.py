@@ -65,13 +65,14 @@ def _verdicts(document: Mapping[str, Any]) -> Iterator[str]:
 def _audit(document: Mapping[str, Any]) -> Iterator[str]:
     audit = document["audit"]
     percentages = audit["percentages"]
-    found = [p["agreement"] for p in percentages]
+    agreements = [p["agreement"] for p in percentages]
     yield "## Audit of the print"
     yield ""
     yield (
-        f"Of {len(found)} printed percentages {found.count('follows')} follow from the digits of their rows, "
-        f"{found.count('before rounding')} can follow from values before rounding, and "
-        f"{found.count('does not follow')} cannot:"
+        f"Of {len(agreements)} printed percentages {agreements.count('follows')} follow from the digits of "
+        "their rows, "
+        f"{agreements.count('before rounding')} can follow from values before rounding, and "
+        f"{agreements.count('does not follow')} cannot:"
     )
     yield ""
     wrong = [p for p in percentages if p["agreement"] == "does not follow"]

@@ -17,13 +17,13 @@ from cpam_bayes.report.tables import Table, headed
 
 def summary(result: PaperResult) -> Summary:
     """Verdicts by table, and the disagreements in words."""
-    found = {kind: sum(verdict_counts(result.rows, n)[kind] for n in result.numbers) for kind in KINDS}
-    computed = found[AGREES] + found[WITHIN] + found[NOT_REPRODUCIBLE]
+    counts = {kind: sum(verdict_counts(result.rows, n)[kind] for n in result.numbers) for kind in KINDS}
+    computed = counts[AGREES] + counts[WITHIN] + counts[NOT_REPRODUCIBLE]
     tables = f"Table {result.numbers[0]}" if len(result.numbers) == 1 else f"{len(result.numbers)} tables"
     said = (
-        f"Of {computed} printed values of {tables} that can be computed, {found[AGREES]} agree, "
-        f"{found[WITHIN]} lie within the posterior's 95 % interval or set, and {found[NOT_REPRODUCIBLE]} are "
-        "not reproducible."
+        f"Of {computed} printed values of {tables} that can be computed, {counts[AGREES]} agree, "
+        f"{counts[WITHIN]} lie within the posterior's 95 % interval or set, and {counts[NOT_REPRODUCIBLE]} "
+        "are not reproducible."
         if computed
         else f"{tables} holds inputs only: nothing to be computed."
     )
@@ -50,8 +50,8 @@ def verdicts_table(result: PaperResult) -> Table:
     """Counts of verdicts, a row each table."""
     rows = []
     for number in result.numbers:
-        found, percent = verdict_counts(result.rows, number), percentage_counts(number)
-        counts = [*(found[kind] for kind in KINDS), *percent.values()]
+        verdicts, percent = verdict_counts(result.rows, number), percentage_counts(number)
+        counts = [*(verdicts[kind] for kind in KINDS), *percent.values()]
         rows.append((str(number), printed_table(number).title, *(str(count or "") for count in counts)))
     columns = headed(
         *("#table", "title", *(f"#{kind}" for kind in KINDS)),
