@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from cpam_bayes.forward_model.builtin import plates as plates
     from cpam_bayes.forward_model.calculix.export import export as export
     from cpam_bayes.forward_model.solve import forward as forward
+    from cpam_bayes.forward_model.stored_models import cache as cache
     from cpam_bayes.identification.identify import identify as identify
     from cpam_bayes.identification.sampled import sample as sample
     from cpam_bayes.identification.starting import posterior as posterior
@@ -41,6 +42,7 @@ if TYPE_CHECKING:
 _PUBLIC = {
     "Result": "cpam_bayes.result",
     "builtin_plates": "cpam_bayes.plate.reader",
+    "cache": "cpam_bayes.forward_model.stored_models",
     "diagnose": "cpam_bayes.diagnosis.plates",
     "export": "cpam_bayes.forward_model.calculix.export",
     "forward": "cpam_bayes.forward_model.solve",
@@ -58,6 +60,7 @@ _PACKAGES = ("effects", "paper")
 __all__ = [
     "Result",
     "builtin_plates",
+    "cache",
     "diagnose",
     "effects",
     "export",

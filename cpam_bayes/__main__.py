@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import sys
+from collections.abc import Callable, Sequence
 from types import FrameType
 
 # Before numpy loads: small eigenproblems lose more by sharing out than they gain.
@@ -12,19 +13,21 @@ for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
 
 INTERRUPTED = 130
+# Ctrl-C, a scheduler or `kill`, a terminal that is closed
+_ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+_UNTOUCHED = (signal.SIG_DFL, signal.default_int_handler)
 _MESSAGE = "cpam-bayes: interrupted\n"
 
 
 def main() -> int:
     """Run the command line and return its exit status."""
-    # A shell may have told us to ignore the signal, as for jobs in the background.
-    listening = signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    # A shell may have told us to ignore a signal, as for jobs in the background or under nohup.
+    heard = [number for number in _ENDING if signal.getsignal(number) in _UNTOUCHED]
     try:
-        if listening:
-            signal.signal(signal.SIGINT, _leave)
-        status = _run(listening)
+        _listen(heard, _leave)
+        status = _run(heard)
     except KeyboardInterrupt:
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        _listen(heard, signal.SIG_IGN)
         os.write(2, _MESSAGE.encode())
         status = INTERRUPTED
     except SystemExit as leaving:  # argparse: help, version, or options it refuses
@@ -34,19 +37,30 @@ def main() -> int:
     return _flushed(status)
 
 
-def _run(listening: bool) -> int:
+def _run(heard: Sequence[signal.Signals]) -> int:
     from cpam_bayes.cli import prepare
 
     work = prepare(sys.argv[1:])
-    if listening:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
+    _listen(heard, _interrupt)
     return work()
+
+
+def _listen(numbers: Sequence[signal.Signals], handler: Callable[..., object] | signal.Handlers) -> None:
+    for number in numbers:
+        signal.signal(number, handler)
 
 
 def _leave(signal_number: int, frame: FrameType | None) -> None:
     """Leave at once: an exception inside the import of a library does not always come out of it."""
     os.write(2, _MESSAGE.encode())
     os._exit(INTERRUPTED)
+
+
+def _interrupt(signal_number: int, frame: FrameType | None) -> None:
+    """Clean up and leave; of a system that ends a session with several signals the first one counts."""
+    if signal_number != signal.SIGINT:
+        _listen([number for number in _ENDING if number != signal.SIGINT], signal.SIG_IGN)
+    raise KeyboardInterrupt
 
 
 def _flushed(status: int) -> int:

@@ -6,8 +6,10 @@ Only the standard library is imported here; what a command computes with loads o
 from __future__ import annotations
 
 import argparse
+import logging
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from functools import partial
 from importlib import import_module
 from typing import TYPE_CHECKING, Final
@@ -55,7 +57,7 @@ def _finish(work: Callable[[], Result], args: argparse.Namespace) -> int:
 
     not_saved: Exception | None = None
     try:
-        with staging(args.out) as stage:
+        with _warnings_shown(), staging(args.out) as stage:
             answer = work()
             try:
                 save(answer, stage)
@@ -78,6 +80,18 @@ def _finish(work: Callable[[], Result], args: argparse.Namespace) -> int:
         print(f"error: --out {args.out}: {not_saved}; not all files are there", file=sys.stderr)
         return NOT_WRITTEN
     return 0 if answer.reached_goal else NOT_DONE
+
+
+@contextmanager
+def _warnings_shown() -> Iterator[None]:
+    """Show what the package logs, a damaged file that was set aside for instance, as warnings."""
+    log, handler = logging.getLogger("cpam_bayes"), logging.StreamHandler()
+    handler.setFormatter(logging.Formatter("warning: %(message)s"))
+    log.addHandler(handler)
+    try:
+        yield
+    finally:
+        log.removeHandler(handler)
 
 
 def _show(answer: Result, as_json: bool, verbose: bool) -> None:

@@ -19,10 +19,10 @@ from typing import Any
 import numpy as np
 
 from cpam_bayes.commands.options import add_executor_options
-from cpam_bayes.forward_model.store import cache_directory
 from cpam_bayes.inference.swarm.pso import SwarmSettings
 from cpam_bayes.parallel import open_executor
 from cpam_bayes.report.tables import Column, Table, screen_text
+from cpam_bayes.storage import cache_directory
 from cpam_bayes.validation.calibration import (
     N_DRAWS,
     SETTINGS,

@@ -29,10 +29,10 @@ import numpy as np
 
 from cpam_bayes.commands.options import add_executor_options
 from cpam_bayes.diagnosis.hypotheses import P_NONE, P_OTHER, P_PAIR
-from cpam_bayes.forward_model.store import cache_directory
 from cpam_bayes.parallel import open_executor
 from cpam_bayes.parallel import run as share_out
 from cpam_bayes.report.tables import Column, Table, screen_text
+from cpam_bayes.storage import cache_directory
 from cpam_bayes.validation.diagnosis.trial_statistics import (
     confusion,
     figures,

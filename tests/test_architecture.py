@@ -16,6 +16,7 @@ import cpam_bayes
 LAYERS = (
     "errors",
     "formatting",
+    "storage",
     "threads",
     "parallel",
     "priors",

@@ -47,8 +47,14 @@ def plate_file(tmp_path):
     return write
 
 
+def listen():
+    """Undo what a shell may have done that starts tests in the background or under nohup."""
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.SIG_DFL)
+
+
 def start(*argv, code=None, **options):
-    """Start the command as a process of its own that listens to interruptions."""
+    """Start the command as a process of its own that listens to signals."""
     how = ("-c", code) if code else ("-m", "cpam_bayes")
     return subprocess.Popen(
         [sys.executable, *how, *argv],
@@ -56,8 +62,7 @@ def start(*argv, code=None, **options):
         stderr=subprocess.PIPE,
         text=True,
         cwd=PROJECT,
-        # A shell that starts tests in the background lets its children ignore the signal.
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+        preexec_fn=listen,
         **options,
     )
 
@@ -447,8 +452,16 @@ def test_an_answer_that_cannot_be_saved_is_shown_all_the_same(run, tmp_path, mon
 # Interruptions
 
 
-@pytest.mark.parametrize("line", ["up to 100000 iterations", "iteration 0 of 100000"])
-def test_an_interrupted_run_ends_with_130_one_line_and_no_files(line, tmp_path):
+@pytest.mark.parametrize(
+    ("line", "number"),
+    [
+        ("up to 100000 iterations", signal.SIGINT),
+        ("iteration 0 of 100000", signal.SIGINT),
+        ("iteration 0 of 100000", signal.SIGTERM),
+        ("iteration 0 of 100000", signal.SIGHUP),
+    ],
+)
+def test_an_interrupted_run_ends_with_130_one_line_and_no_files(line, number, tmp_path):
     out = tmp_path / "out"
     budget = ("--swarms", "1", "--particles", "10000", "--iterations", "100000")
     argv = ("identify", "A1", *budget, "--out", str(out))
@@ -456,13 +469,80 @@ def test_an_interrupted_run_ends_with_130_one_line_and_no_files(line, tmp_path):
     for said in process.stderr:
         if line in said:
             break
-    process.send_signal(signal.SIGINT)
+    assert [path.name.startswith(".cpam-bayes-") for path in out.iterdir()] == [True]
+    process.send_signal(number)
     rest, err = process.communicate(timeout=60)
     assert process.returncode == 130
     assert rest == ""
     assert "Traceback" not in err
     assert err.splitlines()[-1] == "cpam-bayes: interrupted"
     assert not out.exists()
+
+
+def test_what_a_killed_run_left_is_gone_after_the_next_one(run, plate_file, tmp_path):
+    out = tmp_path / "out"
+    process = start("identify", "A1", "--swarms", "1", "--particles", "10000", "--out", str(out))
+    for said in process.stderr:
+        if "iteration 0" in said:
+            break
+    process.kill()
+    process.communicate(timeout=60)
+    (draft,) = out.iterdir()
+    assert draft.name.startswith(".cpam-bayes-")
+    assert run("forward", plate_file(), "--modes", "2", "--out", out, "--quiet")[0] == 0
+    assert (out / "forward.json").is_file()
+    assert not draft.exists()
+
+
+def test_a_signal_that_the_shell_said_to_ignore_is_ignored(plate_file):
+    process = subprocess.Popen(
+        [sys.executable, "-m", "cpam_bayes", "identify", "A1", "--swarms", "1"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        cwd=PROJECT,
+        preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_IGN),
+    )
+    for said in process.stderr:
+        if "iteration 0" in said:
+            process.send_signal(signal.SIGHUP)
+            break
+    out, _ = process.communicate(timeout=120)
+    assert process.returncode == 0
+    assert "E1" in out
+
+
+@pytest.mark.parametrize("kind", ["device", "link", "directory", "pipe"])
+def test_export_with_force_replaces_regular_files_only(run, plate_file, tmp_path, kind):
+    target = tmp_path / "deck.inp"
+    kept = tmp_path / "kept.inp"
+    kept.write_text("somebody's")
+    if kind == "link":
+        target.symlink_to(kept)
+    elif kind == "directory":
+        target.mkdir()
+    elif kind == "pipe":
+        os.mkfifo(target)
+    else:
+        target = Path(os.devnull)
+    before = target.lstat()
+    command = ("export", plate_file(), "--to", "ccx", "--force", "--out", target)
+    accepted = "a directory, accepted" if kind == "directory" else "a link, pipe or device, accepted"
+    refused(run(*command), accepted)
+    assert target.lstat().st_mode == before.st_mode
+    assert kept.read_text() == "somebody's"
+
+
+def test_results_replace_regular_files_only(run, plate_file, tmp_path):
+    out, kept = tmp_path / "out", tmp_path / "kept.json"
+    out.mkdir()
+    kept.write_text("somebody's")
+    (out / "forward.json").symlink_to(kept)
+    status, shown, err = run("forward", plate_file(), "--modes", "2", "--out", out, "--quiet")
+    assert status == 1
+    assert "natural frequencies" in shown
+    assert "a directory, link, pipe or device is in its place" in err
+    assert kept.read_text() == "somebody's"
 
 
 def test_an_interruption_while_libraries_load_ends_with_130():

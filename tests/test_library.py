@@ -111,7 +111,7 @@ for module in pkgutil.walk_packages(cb.__path__, "cpam_bayes."):
 said = {}
 for name in VERBS:
     for _ in range(2):
-        arguments = () if name in ("plates", "builtin_plates") else ("no such plate",)
+        arguments = () if name in ("plates", "builtin_plates", "cache") else ("no such plate",)
         try:
             answer = getattr(cb, name)(*arguments)
         except cb.errors.PlateFileError as error:
@@ -126,6 +126,7 @@ def test_every_verb_works_twice_after_all_modules_are_imported() -> None:
     said = python(TWICE.replace("VERBS", repr(VERBS)))
     assert said.pop("plates") == ["BuiltinPlates"] * 2
     assert said.pop("builtin_plates") == ["tuple"] * 2
+    assert said.pop("cache") == ["CacheResult"] * 2
     assert said["forward"][2:] == ["A1", "A1"]
     for name, (first, again, *_) in said.items():
         assert first.startswith("no such plate: neither a file nor a built-in specimen"), name

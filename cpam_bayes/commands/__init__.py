@@ -15,6 +15,7 @@ COMMANDS: Final = (
     "diagnose",
     "report",
     "paper",
+    "cache",
 )
 SOLVERS: Final = ("ritz", "fem", "ccx")
 ELEMENTS: Final = ("brick", "shell")

@@ -24,13 +24,13 @@ from cpam_bayes.comparison.store import packaged, read, stamp, write
 from cpam_bayes.comparison.tasks import FULL, QUICK, Effort, Results, Task, work
 from cpam_bayes.diagnosis.fitting import REPEATABILITY_PRIOR
 from cpam_bayes.forward_model.preconditions import require_seed, require_whole
-from cpam_bayes.forward_model.store import cache_directory
 from cpam_bayes.paper import printed_table
 from cpam_bayes.paper.layups import PAPER
 from cpam_bayes.paper.perturbation import TABLES
 from cpam_bayes.paper.tables import NUMBERS
 from cpam_bayes.parallel import open_executor, run
 from cpam_bayes.result import SILENT, Watch
+from cpam_bayes.storage import cache_directory
 
 __all__ = ["compare", "tasks_of"]
 

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
-import tempfile
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import asdict
@@ -18,6 +16,7 @@ from typing import Any, Final
 from cpam_bayes import __version__
 from cpam_bayes.comparison.cases import case_specimen
 from cpam_bayes.comparison.tasks import Effort, Results, Task, printed_rows
+from cpam_bayes.storage import read_sealed, set_aside, write_sealed
 
 __all__ = ["packaged", "read", "stamp", "write"]
 
@@ -50,10 +49,18 @@ def stamp(results: Results) -> Results:
 
 
 def read(directory: Path, effort: Effort, task: Task) -> Results | None:
-    """What was stored of a task, None where it was not, or with other inputs."""
+    """What was stored of a task, None where it was not, with other inputs, or is damaged: it is set aside."""
+    path = _path(directory, effort, task)
     try:
-        computed: Results = json.loads(_path(directory, effort, task).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        content = read_sealed(path)
+    except OSError:
+        return None
+    if content is None:
+        return None
+    try:
+        computed: Results = json.loads(content)
+    except ValueError:
+        set_aside(path)
         return None
     return computed
 
@@ -62,10 +69,7 @@ def write(directory: Path, effort: Effort, task: Task, results: Results) -> None
     """Store a finished task; a directory that cannot be written to ends the storing, not the work."""
     with suppress(OSError):
         directory.mkdir(parents=True, exist_ok=True)
-        handle, draft = tempfile.mkstemp(dir=directory, suffix=".part")
-        with os.fdopen(handle, "w", encoding="utf-8") as file:
-            json.dump(results, file, indent=1)
-        os.replace(draft, _path(directory, effort, task))
+        write_sealed(_path(directory, effort, task), json.dumps(results, indent=1).encode())
 
 
 @cache
@@ -77,4 +81,4 @@ def packaged(name: str) -> Mapping[str, Any]:
 
 
 def _path(directory: Path, effort: Effort, task: Task) -> Path:
-    return directory / f"{task_key(effort, task)}.json"
+    return directory / f"{task_key(effort, task)}.results"

@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
-import tempfile
-import zipfile
 from collections.abc import Callable
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -31,6 +28,7 @@ from cpam_bayes.mechanics.spaces.ritz import RitzSettings, ritz_space
 from cpam_bayes.parameters import ParameterSet
 from cpam_bayes.plate import Specimen
 from cpam_bayes.plate.laminate import ENERGY_CONSISTENT, ShearModel
+from cpam_bayes.storage.cache import model_file, read_model, write_model
 from cpam_bayes.threads import single_blas_thread
 
 Array = NDArray[Any]
@@ -38,15 +36,6 @@ Array = NDArray[Any]
 # To be raised when the same inputs give other numbers.
 _FORMAT = 7
 _NEEDED = {"basis", "keep", "error", "reference", "rounding"}
-
-
-def cache_directory() -> Path:
-    """Where reduced models are kept: $CPAM_BAYES_CACHE, or the user's cache directory."""
-    chosen = os.environ.get("CPAM_BAYES_CACHE")
-    if chosen:
-        return Path(chosen)
-    base = os.environ.get("XDG_CACHE_HOME")
-    return (Path(base) if base else Path.home() / ".cache") / "cpam_bayes"
 
 
 def model_key(
@@ -97,9 +86,9 @@ def reduced_model(
     """The reduced model of a specimen over the prior box of its parameters, from disk if it is there.
 
     centre : the parameter vector about which the plate model is converged most tightly, by default
-    the reference constants. A file that cannot be read or written is passed over: the model is built
-    again. ``notify`` is called with what takes long. The model is the same bit for bit whether it was
-    read or built.
+    the reference constants. A file that cannot be read or written is passed over, a damaged one set aside:
+    the model is built again. ``notify`` is called with what takes long. The model is the same bit for bit
+    whether it was read or built.
     """
     key = model_key(specimen, parameters, n_modes, shear, settings, centre)
     problem = plate_problem(specimen, parameters, shear)
@@ -132,14 +121,14 @@ def stored_model(
     are asked of it.
     """
     path = model_path(key, directory)
-    stored = read_arrays(path)
+    stored = read_model(path)
     if stored is not None and stored.keys() >= _NEEDED:
         error, basis = stored["error"], _basis(stored)
         if light:
             return _unpack(stored, _without_matrices(problem, n_modes, error, basis))
         return _unpack(stored, model_on_basis(problem, samples, n_modes, error, basis))
     reduced = build()
-    write_arrays(path, _pack(reduced))
+    write_model(path, _pack(reduced))
     return without_matrices(reduced) if light else reduced
 
 
@@ -153,7 +142,7 @@ def without_matrices(reduced: ReducedModel) -> ReducedModel:
 
 def model_path(key: str, directory: Path | None = None) -> Path:
     """File of the reduced model with a key."""
-    return (directory or cache_directory()) / f"{key}.npz"
+    return model_file(key, directory)
 
 
 def _without_matrices(
@@ -202,27 +191,3 @@ def _unpack(stored: dict[str, Array], full: PlateModel) -> ReducedModel:
     operator = AffineOperator(full.operator.problem, full.operator.space, tuple(blocks))
     fast = PlateModel(operator, full.n_modes, full.error)
     return ReducedModel(full, fast, tuple(forms), stored["reference"], stored["rounding"])
-
-
-def read_arrays(path: Path) -> dict[str, Array] | None:
-    """Arrays of a stored model; ``None`` if there is none or the file is damaged."""
-    try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
-            return {name: archive[name] for name in archive.files}
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile):
-        return None
-
-
-def write_arrays(path: Path, arrays: dict[str, Array]) -> None:
-    """Store arrays under a name that appears only when they are complete; a full disk is no error."""
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".part", delete=False) as part:
-            try:
-                np.savez(part, **arrays)  # type: ignore[arg-type]
-            except BaseException:
-                Path(part.name).unlink()
-                raise
-        Path(part.name).replace(path)
-    except OSError:
-        return

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import math
-import os
 import pickle
-import tempfile
 from collections import deque
 from collections.abc import Callable, Collection, Iterator, Sequence
 from concurrent.futures import (
@@ -21,11 +19,11 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from functools import cache
 from itertools import count
-from pathlib import Path
 from typing import Any, TypeVar, cast
 
 from cpam_bayes.parallel.executors import DaskCluster, WorkersLostError, open_executor, workers_of
 from cpam_bayes.parallel.worker import Outcome, Ticket, digest_of, digest_of_file, forget, work_through
+from cpam_bayes.storage import draft_file
 from cpam_bayes.threads import single_blas_thread
 
 T = TypeVar("T")
@@ -266,13 +264,11 @@ def _issued(shared: Any, executor: Executor) -> Iterator[Ticket]:
         finally:
             executor.forget(digest)
         return
-    handle, path = tempfile.mkstemp(prefix="cpam_bayes_", suffix=".pickle")
-    digest = ""
-    try:
-        with os.fdopen(handle, "w+b") as file:
-            pickle.dump(shared, file)
-            digest = digest_of_file(file)
-        yield Ticket(digest, path)
-    finally:
-        Path(path).unlink(missing_ok=True)
-        forget(digest)  # threads of this process restored it here
+    with draft_file() as (path, file):
+        pickle.dump(shared, file)
+        digest = digest_of_file(file)
+        file.close()
+        try:
+            yield Ticket(digest, str(path))
+        finally:
+            forget(digest)  # threads of this process restored it here

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import os
-import shutil
-import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 from cpam_bayes.report.documents import json_text
 from cpam_bayes.report.page import write_page
 from cpam_bayes.result import Result
+from cpam_bayes.storage import draft_directory, put_in_place
 
 __all__ = ["Stage", "save", "staging"]
 
@@ -34,12 +33,9 @@ def staging(out: str | None) -> Iterator[Stage | None]:
         raise ValueError("--out: received an empty name, accepted: a directory")
     directory = Path(out)
     made = _made(directory)
-    draft = _draft(directory, made)
-    try:
-        yield directory, draft
-    finally:
-        shutil.rmtree(draft, ignore_errors=True)
-        _remove_empty(made)
+    with ExitStack() as stack:
+        stack.callback(_remove_empty, made)
+        yield directory, _draft(directory, stack)
 
 
 def save(result: Result, stage: Stage | None) -> None:
@@ -70,7 +66,7 @@ def _moved(draft: Path, directory: Path) -> None:
     for path in written:
         target = directory / path.relative_to(draft)
         target.parent.mkdir(exist_ok=True)
-        os.replace(path, target)
+        put_in_place(path, target)
 
 
 def _made(directory: Path) -> list[Path]:
@@ -85,14 +81,13 @@ def _made(directory: Path) -> list[Path]:
     return missing
 
 
-def _draft(directory: Path, made: list[Path]) -> Path:
+def _draft(directory: Path, stack: ExitStack) -> Path:
     figures = directory / _FIGURES
     try:
         if figures.exists() and not (figures.is_dir() and os.access(figures, os.W_OK | os.X_OK)):
             raise ValueError(f"--out {directory}: {figures} is no directory to write to")
-        return Path(tempfile.mkdtemp(prefix=".cpam-bayes-", dir=directory))
+        return stack.enter_context(draft_directory(directory))
     except OSError as error:
-        _remove_empty(made)
         raise _refused(directory, error) from None
 
 

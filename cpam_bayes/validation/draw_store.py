@@ -6,23 +6,28 @@ import json
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from cpam_bayes.inference.chains.store import StoreError
+from cpam_bayes.storage import seal_of
+
+_SEAL_DIGITS: Final = 16
 
 
 @dataclass(frozen=True, slots=True)
 class DrawStore:
-    """A file of JSON lines: the hash of the problem first, then one record a line.
+    """A file of lines, a checksum and a JSON document each: the hash of the problem first, then the records.
 
     A line counts once its end is written, so a run that is killed at any moment loses at most the record
-    that it was writing.
+    that it was writing. A store begun before lines had checksums goes on without them.
 
     records : those that were there when the store was opened.
+    sealed : whether its lines have checksums.
     """
 
     path: Path
     records: tuple[dict[str, Any], ...]
+    sealed: bool = True
 
     @classmethod
     def open(cls, path: Path, key: str) -> DrawStore:
@@ -35,13 +40,14 @@ class DrawStore:
             path.parent.mkdir(parents=True, exist_ok=True)
             content = path.read_bytes() if path.exists() else b""
             if not content:
-                _append(path, {"problem": key})
+                _append(path, {"problem": key}, sealed=True)
                 return cls(path, ())
         except OSError as error:
             raise StoreError(f"store {path}: cannot be used: {error.strerror}") from error
         whole = content[: content.rfind(b"\n") + 1]
+        sealed = not whole.startswith(b"{")
         try:
-            head, *records = [json.loads(line) for line in whole.splitlines()]
+            head, *records = [_record(line, sealed) for line in whole.splitlines()]
             problem_stored = head["problem"]
         except (ValueError, KeyError, TypeError) as error:
             raise StoreError(
@@ -54,20 +60,36 @@ class DrawStore:
             )
         if len(whole) < len(content):
             os.truncate(path, len(whole))
-        return cls(path, tuple(records))
+        return cls(path, tuple(records), sealed)
 
     def append(self, record: dict[str, Any]) -> None:
         """Add a record; floats are read back bit for bit. Raises ``StoreError`` if it cannot be written."""
         try:
-            _append(self.path, record)
+            _append(self.path, record, self.sealed)
         except OSError as error:
             raise StoreError(
                 f"store {self.path}: cannot be written ({error.strerror}); what it holds is kept"
             ) from error
 
 
-def _append(path: Path, record: dict[str, Any]) -> None:
-    with path.open("a", encoding="utf-8") as file:
-        file.write(json.dumps(record) + "\n")
+def _record(line: bytes, sealed: bool) -> Any:
+    """What a line holds; raise ``ValueError`` for one that is damaged."""
+    if not sealed:
+        return json.loads(line)
+    seal, _, text = line.partition(b" ")
+    if seal.decode("ascii") != _line_seal(text):
+        raise ValueError("the checksum of a line is wrong")
+    return json.loads(text)
+
+
+def _line_seal(text: bytes) -> str:
+    return seal_of("", text)[:_SEAL_DIGITS]
+
+
+def _append(path: Path, record: dict[str, Any], sealed: bool) -> None:
+    text = json.dumps(record).encode()
+    line = f"{_line_seal(text)} ".encode() + text if sealed else text
+    with path.open("ab") as file:
+        file.write(line + b"\n")
         file.flush()
         os.fsync(file.fileno())

@@ -22,7 +22,7 @@ from cpam_bayes.forward_model.model import (
 )
 from cpam_bayes.forward_model.reduced import DEFAULT_SETTINGS, ReducedModel, ReductionSettings, coercivity
 from cpam_bayes.forward_model.reduction import compressed, reduce
-from cpam_bayes.forward_model.store import cache_directory, model_key, reduced_model
+from cpam_bayes.forward_model.store import model_key, reduced_model
 from cpam_bayes.mechanics.convergence import Tolerance, rich_frequencies
 from cpam_bayes.mechanics.modes import solve
 from cpam_bayes.mechanics.problem import rigid_body_count
@@ -357,7 +357,7 @@ def test_a_stored_model_is_read_back_bit_for_bit(b1: Specimen, tmp_path: Path) -
     assert said
     assert not silence, "nothing is built that is there"
     same_bits(built, read)
-    assert [path.suffix for path in (tmp_path / "new" / "folder").iterdir()] == [".npz"]
+    assert [path.suffix for path in (tmp_path / "new" / "folder").iterdir()] == [".arrays"]
 
 
 @pytest.mark.parametrize("damage", ["truncated", "empty", "garbage", "flipped"])
@@ -376,6 +376,7 @@ def test_a_damaged_file_is_built_again(b1: Specimen, tmp_path: Path, damage: str
     path.write_bytes(changed[damage])
     again, said = build(b1, tmp_path)
     assert said, "it was built, not read"
+    assert path.with_name(f"{path.name}.damaged").exists()
     same_bits(built, again)
     assert not build(b1, tmp_path)[1], "and stored once more"
 
@@ -439,15 +440,3 @@ def test_whatever_changes_the_model_changes_its_key(b1: Specimen) -> None:
 
 def test_what_was_measured_is_no_part_of_the_key(b1: Specimen) -> None:
     assert key(replace(b1, measurement=None, name="other", source="elsewhere", notes=())) == key(b1)
-
-
-def test_cache_directory_follows_the_environment(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "xdg"))
-    monkeypatch.delenv("CPAM_BAYES_CACHE", raising=False)
-    assert cache_directory() == tmp_path / "xdg" / "cpam_bayes"
-    monkeypatch.setenv("CPAM_BAYES_CACHE", str(tmp_path / "own"))
-    assert cache_directory() == tmp_path / "own"
-    monkeypatch.delenv("CPAM_BAYES_CACHE")
-    monkeypatch.delenv("XDG_CACHE_HOME")
-    monkeypatch.setattr(Path, "home", lambda: tmp_path)
-    assert cache_directory() == tmp_path / ".cache" / "cpam_bayes"

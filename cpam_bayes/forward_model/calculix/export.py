@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar, Final
@@ -21,6 +20,7 @@ from cpam_bayes.forward_model.preconditions import (
 from cpam_bayes.forward_model.solve import measured_modes
 from cpam_bayes.plate import PlateLike, read_plate
 from cpam_bayes.result import PlateResult
+from cpam_bayes.storage import draft_directory, put_in_place, replaceable
 
 _NO_MESH: Final = "decks are written for rectangular plates only; leave mesh out"
 _NO_AIR: Final = "decks hold a plate in vacuum; leave air_density_kg_m3 out"
@@ -116,6 +116,8 @@ def _require_writable(path: Path, force: bool) -> None:
     try:
         if path.is_dir():
             raise ValueError(f"{shown}: a directory, accepted: the file to write")
+        if not replaceable(path):
+            raise ValueError(f"{shown}: a link, pipe or device, accepted: a regular file or a new name")
         if os.path.lexists(path) and not force:
             raise ValueError(f"{shown}: exists; give another name, or --force to write over it")
         if not path.parent.is_dir():
@@ -127,9 +129,9 @@ def _require_writable(path: Path, force: bool) -> None:
 def _write_whole(path: Path, text: str) -> None:
     """Write a file that is there whole or not at all; raise ``ValueError`` where that fails."""
     try:
-        with tempfile.TemporaryDirectory(prefix=".cpam-bayes-", dir=path.parent) as draft:
-            written = Path(draft, "file")
+        with draft_directory(path.parent) as draft:
+            written = draft / "file"
             written.write_text(text, encoding="utf-8", newline="\n")
-            os.replace(written, path)
+            put_in_place(written, path)
     except OSError as error:
         raise ValueError(f"--out {path}: cannot be written to: {error.strerror}") from None

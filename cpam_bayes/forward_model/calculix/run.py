@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import shutil
 import subprocess
-import tempfile
 from pathlib import Path
 from typing import Final
 
@@ -13,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cpam_bayes.forward_model.calculix.results import CalculixError, deformation_modes, read_eigenvalues
+from cpam_bayes.storage import draft_directory
 
 PROGRAM_VARIABLE: Final = "CPAM_BAYES_CCX"
 _PROGRAM: Final = "ccx"
@@ -45,9 +45,9 @@ def run_deck(text: str, *, timeout: float | None = None) -> str:
     Raises CalculixError when the program is missing, fails, runs out of time or solves nothing.
     """
     program = _program()
-    with tempfile.TemporaryDirectory(prefix="cpam_bayes-") as folder:
+    with draft_directory() as folder:
         Path(folder, f"{_JOB}.inp").write_text(text, encoding="utf-8", newline="\n")
-        output = _execute(program, Path(folder), timeout)
+        output = _execute(program, folder, timeout)
         file = Path(folder, f"{_JOB}.dat")
         results = file.read_text(encoding="ascii", errors="replace") if file.exists() else ""
     if read_eigenvalues(results).size == 0:

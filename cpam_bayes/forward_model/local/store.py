@@ -16,11 +16,11 @@ from cpam_bayes.forward_model.local.model import Change, LocalModel
 from cpam_bayes.forward_model.local.patch import Patch
 from cpam_bayes.forward_model.local.point_mass import PointMass
 from cpam_bayes.forward_model.model import PlateModel
-from cpam_bayes.forward_model.store import cache_directory, read_arrays, write_arrays
 from cpam_bayes.mechanics.affine import AffineMatrix, AffineOperator, DenseBlock
 from cpam_bayes.mechanics.problem import Problem
 from cpam_bayes.mechanics.spaces.ritz import RitzSettings, ritz_space
 from cpam_bayes.parameters import ParameterSet
+from cpam_bayes.storage.cache import model_file, read_model, write_model
 from cpam_bayes.threads import single_blas_thread
 
 Array = NDArray[Any]
@@ -45,16 +45,16 @@ def stored_local_model(
     It is the same bit for bit whether it was read or built.
     """
     path = local_model_path(key, directory)
-    stored = read_arrays(path)
+    stored = read_model(path)
     if stored is None or "scalars" not in stored:
         stored = _pack(build())
-        write_arrays(path, stored)
+        write_model(path, stored)
     return _unpack(stored, problem, added)
 
 
 def local_model_path(key: str, directory: Path | None = None) -> Path:
     """File of the model with a key."""
-    return (directory or cache_directory()) / f"{key}-local{_FORMAT}.npz"
+    return model_file(f"{key}-local{_FORMAT}", directory)
 
 
 def _pack(model: LocalModel) -> dict[str, Array]:

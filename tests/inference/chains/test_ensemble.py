@@ -294,7 +294,7 @@ def test_a_store_with_some_rounds_goes_on_bit_for_bit(tmp_path: Path, jumps: boo
     settings = replace(JUMPING, round_steps=50) if jumps else SETTINGS
     proposal = good_proposal() if jumps else None
     whole = run(tmp_path, settings, proposal)
-    rounds = sorted(tmp_path.glob("round_*.h5"))
+    rounds = sorted(tmp_path.glob("round_*.arrays"))
     assert len(rounds) > 2
     for path in rounds[kept:]:
         path.unlink()
@@ -323,7 +323,7 @@ def test_a_run_that_is_killed_goes_on_bit_for_bit(tmp_path: Path, jumps: bool) -
     command = [sys.executable, "-c", KILLED, str(tmp_path), str(jumps)]
     killed = subprocess.run(command, cwd=ROOT, check=False, capture_output=True)
     assert killed.returncode == -9, killed.stderr.decode()
-    assert len(list(tmp_path.glob("round_*.h5"))) == 2
+    assert len(list(tmp_path.glob("round_*.arrays"))) == 2
     proposal = good_proposal() if jumps else None
     np.testing.assert_array_equal(
         run(tmp_path, SETTINGS, proposal).chain, run(None, SETTINGS, proposal).chain
@@ -353,13 +353,31 @@ def test_a_store_of_chains_with_other_jumps_is_refused(tmp_path: Path, other: st
         run(tmp_path, settings, proposal)
 
 
-@pytest.mark.parametrize("content", [b"", b"no HDF5 at all", None], ids=["empty", "foreign", "truncated"])
-def test_a_damaged_store_is_refused_with_its_name(tmp_path: Path, content: bytes | None) -> None:
-    run(tmp_path)
-    first = tmp_path / "round_0000.h5"
-    first.write_bytes(first.read_bytes()[:500] if content is None else content)
-    with pytest.raises(StoreError, match=r"round_0000\.h5: is damaged"):
+@pytest.mark.parametrize("content", [b"", b"no round at all", None], ids=["empty", "foreign", "truncated"])
+def test_a_damaged_round_is_set_aside_named_once_and_sampled_again_bit_for_bit(
+    tmp_path: Path, content: bytes | None, caplog: pytest.LogCaptureFixture
+) -> None:
+    whole = run(tmp_path)
+    second = tmp_path / "round_0001.arrays"
+    second.write_bytes(second.read_bytes()[:500] if content is None else content)
+    damaged = second.read_bytes()
+    np.testing.assert_array_equal(run(tmp_path).chain, whole.chain)
+    (said,) = caplog.messages
+    assert said.startswith(f"{second} was damaged: set aside as round_0001.arrays.damaged")
+    assert second.with_name("round_0001.arrays.damaged").read_bytes() == damaged
+
+
+def test_a_round_in_the_place_of_another_is_not_taken_for_it(tmp_path: Path) -> None:
+    whole = run(tmp_path)
+    (tmp_path / "round_0001.arrays").write_bytes((tmp_path / "round_0000.arrays").read_bytes())
+    np.testing.assert_array_equal(run(tmp_path).chain, whole.chain)
+
+
+def test_rounds_of_an_earlier_version_are_refused_and_left_alone(tmp_path: Path) -> None:
+    (tmp_path / "round_0000.h5").write_bytes(b"hours of work")
+    with pytest.raises(StoreError, match=r"rounds of an earlier version \(round_0000\.h5 and on\)"):
         run(tmp_path)
+    assert [(p.name, p.read_bytes()) for p in tmp_path.iterdir()] == [("round_0000.h5", b"hours of work")]
 
 
 def test_a_store_that_is_a_file_is_refused(tmp_path: Path) -> None:
@@ -392,13 +410,13 @@ def test_on_a_full_disk_rounds_are_kept_sampling_goes_on_and_the_result_says_so(
     status, rounds, steps, not_stored = done.stdout.strip().split(" ", 3)
     assert status == "converged"
     assert int(steps) == whole.diagnostics.steps == int(rounds) * SETTINGS.round_steps
-    assert "round_0002.h5: cannot be written (File too large); 2 rounds before it are kept" in not_stored
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["round_0000.h5", "round_0001.h5"]
+    assert "round_0002.arrays: cannot be written (File too large); 2 rounds before it are kept" in not_stored
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["round_0000.arrays", "round_0001.arrays"]
     # with room again the same problem goes on from there
     np.testing.assert_array_equal(run(tmp_path).chain, whole.chain)
 
 
-@pytest.mark.parametrize("error", [OSError(28, "No space left on device"), RuntimeError("cannot close")])
+@pytest.mark.parametrize("error", [OSError(28, "No space left on device"), OSError("cannot close")])
 def test_whatever_the_failure_of_a_write_nothing_sampled_is_lost(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: Exception
 ) -> None:
@@ -408,7 +426,7 @@ def test_whatever_the_failure_of_a_write_nothing_sampled_is_lost(
     monkeypatch.setattr(Path, "replace", fail)
     found = run(tmp_path)
     assert found.not_stored is not None
-    assert "round_0000.h5: cannot be written" in found.not_stored
+    assert "round_0000.arrays: cannot be written" in found.not_stored
     assert list(tmp_path.iterdir()) == []
     np.testing.assert_array_equal(found.chain, run().chain)
 
