@@ -23,7 +23,6 @@ from cpam_bayes.effects import CATALOGUE, Effect
 from cpam_bayes.forward_model.air_shift import air_shifts
 from cpam_bayes.forward_model.preconditions import (
     explained_failures,
-    plate_warnings,
     require_choice,
     require_diagnosable,
     require_number,
@@ -173,7 +172,7 @@ def diagnose(
     return replace(
         diagnosis_result(diagnosis, seed, scatter, candidates, resampled),
         slips=slips,
-        warnings=(*slips, *warnings, *(w for s in specimens for w in plate_warnings(s))),
+        warnings=(*slips, *warnings),
         reached_goal=resampled is None or resampled.converged,
     )
 

@@ -132,22 +132,6 @@ def require_paired_list(specimen: Specimen) -> Specimen:
     return specimen
 
 
-def plate_warnings(specimen: Specimen) -> tuple[str, ...]:
-    """What of a plate file is possible and yet most likely a slip."""
-    plate = specimen.plate
-    mass = plate.density * plate.area * plate.thickness
-    if plate.mesh is not None:  # which may be smaller than the rectangle
-        mass = plate.mass or mass
-    sensors = sum(sensor.mass for sensor in specimen.sensors)
-    if not sensors > mass:
-        return ()
-    number = "the sensor weighs" if len(specimen.sensors) == 1 else "the sensors together weigh"
-    return (
-        f"{number} {sensors * 1e3:.6g} g, more than the plate, {mass * 1e3:.6g} g: check mass_g of "
-        "[[sensor]] and the density of the plate",
-    )
-
-
 def require_choice(name: str, value: object, accepted: Sequence[str]) -> None:
     """Raise ``ValueError`` where an argument is none of the words that are accepted."""
     if value not in accepted:

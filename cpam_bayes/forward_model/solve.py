@@ -15,7 +15,6 @@ from cpam_bayes.forward_model.air_shift import air_shifts
 from cpam_bayes.forward_model.model import NO_PARAMETERS, PlateModel, converged_model, reference_constants
 from cpam_bayes.forward_model.preconditions import (
     explained_failures,
-    plate_warnings,
     require_choice,
     require_modes,
     require_seed,
@@ -156,7 +155,7 @@ def forward(
     slips = tuple(_slips(specimen, solution))
     return ForwardResult(
         seed=seed,
-        warnings=(*slips, *error_warning(solution.error), *plate_warnings(specimen)),
+        warnings=(*slips, *error_warning(solution.error)),
         slips=slips,
         specimen=solution.specimen,
         air_shifts=air_shifts(specimen),

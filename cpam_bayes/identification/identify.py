@@ -13,7 +13,6 @@ import numpy as np
 from cpam_bayes.forward_model.air_shift import air_shifts
 from cpam_bayes.forward_model.preconditions import (
     explained_failures,
-    plate_warnings,
     require_choice,
     require_paired_list,
     require_seed,
@@ -179,7 +178,7 @@ def identify(
     slips = (*count_slips(n, k), *excess, *reference_slips(specimen))
     return PointResult(
         seed=seed,
-        warnings=(*slips, *unsure, *point_warnings(estimate, residual), *plate_warnings(specimen)),
+        warnings=(*slips, *unsure, *point_warnings(estimate, residual)),
         slips=slips,
         specimen=specimen,
         air_shifts=air_shifts(specimen),

@@ -16,7 +16,6 @@ from cpam_bayes.forward_model.labels import LabelledModel, list_order
 from cpam_bayes.forward_model.model import SIZES, discretisation_error
 from cpam_bayes.forward_model.preconditions import (
     explained_failures,
-    plate_warnings,
     require_choice,
     require_seed,
     require_supported,
@@ -226,7 +225,7 @@ def _summarise(
         seconds=time.perf_counter() - start,
     )
     slips = _slips(summary)
-    warnings = (*slips, *sampled_warnings(summary), *plate_warnings(specimen))
+    warnings = (*slips, *sampled_warnings(summary))
     return replace(summary, slips=slips, warnings=warnings)
 
 

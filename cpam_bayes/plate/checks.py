@@ -18,11 +18,14 @@ from cpam_bayes.plate.layup import Layup, parse_layup
 from cpam_bayes.plate.problems import Problem, received
 from cpam_bayes.plate.raw import Data, Problems, number, numbers, real, table
 from cpam_bayes.plate.records import angle_grid
+from cpam_bayes.plate.schema import MAX_FREQUENCIES
 from cpam_bayes.plate.units import USER_UNITS
 
 # No solid is lighter or heavier, foams and heavy metals included, kg/m3; no fibre is stiffer, GPa.
 _DENSITIES: Final = (5.0, 25_000.0)
 _MAX_MODULUS: Final = 2000.0
+# Below this mass a plate's own numbers are wrong, which is said of them, g.
+_LIGHTEST: Final = 1e-6
 
 _Check = Callable[[Data], Problems]
 
@@ -181,10 +184,36 @@ def _sensors(data: Data) -> Problems:
                 )
 
 
+def _heavy_sensors(data: Data) -> Problems:
+    """Known masses that together are heavier than the plate: in another unit, or no plate test."""
+    plate, sensors = table(data, "plate"), data.get("sensor")
+    if not isinstance(sensors, list):
+        return
+    masses = [number(sensor, "mass_g") for sensor in sensors if isinstance(sensor, dict)]
+    total = sum(mass for mass in masses if mass is not None and mass > 0.0)
+    mass = _mass(plate)
+    if mass is not None and total > mass > _LIGHTEST:
+        yield Problem(
+            ("sensor", len(masses) - 1, "mass_g"),
+            f"heavier than the plate, received {total:g} in all, accepted: up to {mass:.4g}, the mass of the "
+            "plate in g; check the units of the masses and of the plate",
+        )
+
+
+def _mass(plate: Data) -> float | None:
+    """The mass of a plate, of one with a mesh at most, g."""
+    mass, density = number(plate, "mass_g"), number(plate, "density_kg_m3")
+    sizes = [number(plate, key) for key in ("length_mm", "width_mm", "thickness_mm")]
+    known = [size for size in sizes if size is not None and size > 0.0]
+    if mass is not None or density is None or len(known) < len(sizes):
+        return mass
+    return 1e-6 * density * math.prod(known)  # kg/m3 mm3 to g
+
+
 def _frequencies(data: Data) -> Problems:
     measurement = table(data, "measurement")
     listed = measurement.get("frequencies_hz")
-    if not isinstance(listed, list):
+    if not isinstance(listed, list) or len(listed) > MAX_FREQUENCIES:
         return
     frequencies = [real(value) for value in listed]
     for i, (before, after) in enumerate(itertools.pairwise(frequencies), start=1):
@@ -248,6 +277,7 @@ _CHECKS: Final[tuple[_Check, ...]] = (
     search_bounds,
     _grid_step,
     _sensors,
+    _heavy_sensors,
     _frequencies,
     _incomplete,
 )

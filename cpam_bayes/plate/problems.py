@@ -6,8 +6,9 @@ import difflib
 import json
 import re
 import reprlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from types import UnionType
 from typing import Annotated, Any, Final, Union, get_args, get_origin, get_type_hints
 
@@ -19,6 +20,8 @@ from cpam_bayes.plate.schema import TAGS, PlateFile
 from cpam_bayes.plate.toml_lines import Path
 
 _MAX_PROBLEMS: Final = 100
+# Items of a list that a message shows.
+_MAX_SHOWN: Final = 6
 _BARE = re.compile(r"[A-Za-z0-9_-]+")
 
 _WRONG: Final = {
@@ -38,10 +41,18 @@ _WRONG: Final = {
 
 @dataclass(frozen=True, slots=True)
 class Problem:
-    """One thing that is wrong: where in the file, and a phrase that says it all."""
+    """One thing that is wrong: where in the file, and a phrase that says it all, or what makes the phrase.
+
+    A file can be wrong in ten thousand places; only what is shown is put in words.
+    """
 
     path: Path
-    what: str
+    what: str | Callable[[], str]
+
+    @property
+    def text(self) -> str:
+        """The phrase."""
+        return self.what if isinstance(self.what, str) else self.what()
 
 
 def plate_file_error(source: str, problems: Iterable[Problem], lines: Mapping[Path, int]) -> PlateFileError:
@@ -49,14 +60,14 @@ def plate_file_error(source: str, problems: Iterable[Problem], lines: Mapping[Pa
     located = sorted(
         ((_line(problem.path, lines), problem) for problem in problems), key=lambda item: item[0]
     )
-    # A mapping given instead of a file has no lines.
-    said = [
-        f"{source}{f':{line}' if lines else ''}: {_key(problem.path)}: {problem.what}"
-        for line, problem in located
-    ]
-    said = list(dict.fromkeys(said))
-    if len(said) > _MAX_PROBLEMS:
-        said = [*said[:_MAX_PROBLEMS], f"{source}: and {len(said) - _MAX_PROBLEMS} more problems"]
+    said: dict[str, None] = {}
+    for i, (line, problem) in enumerate(located):
+        if len(said) == _MAX_PROBLEMS:
+            said[f"{source}: and {len(located) - i} more problems"] = None
+            break
+        # A mapping given instead of a file has no lines.
+        where = f"{source}:{line}" if lines else source
+        said[f"{where}: {_key(problem.path)}: {problem.text}"] = None
     return PlateFileError(*said)
 
 
@@ -65,6 +76,7 @@ def received(value: object) -> str:
     short = reprlib.Repr()
     short.maxstring = short.maxother = short.maxlong = 60
     short.maxlevel = 2
+    short.maxlist = _MAX_SHOWN
     if isinstance(value, bool):
         return "true" if value else "false"
     return json.dumps(value) if isinstance(value, str) and len(value) <= 60 else short.repr(value)
@@ -76,7 +88,7 @@ def schema_problems(data: Mapping[str, Any]) -> list[Problem]:
         PlateFile.model_validate(data)
     except ValidationError as error:
         return [
-            Problem(_path(item["loc"]), _what(item["type"], _path(item["loc"]), item["input"]))
+            Problem(_path(item["loc"]), partial(_what, item["type"], _path(item["loc"]), item["input"]))
             for item in error.errors(include_url=False, include_context=False)
         ]
     return []
@@ -89,6 +101,8 @@ def _what(kind: str, path: Path, value: object) -> str:
     if kind == "missing":
         return f"missing, accepted: {accepted}"
     wrong = _WRONG.get(kind, "wrong type")
+    if kind == "too_long" and isinstance(value, list) and len(value) > _MAX_SHOWN:
+        return f"too many, received {len(value)}, accepted: {accepted}"
     return f"{wrong}, received {received(value)}, accepted: {accepted}"
 
 

@@ -18,7 +18,7 @@ from cpam_bayes.plate.specimens import builtin, builtin_names
 PlateLike: TypeAlias = str | os.PathLike[str] | Mapping[str, Any] | Specimen
 """What a plate can be given as, see `read_plate`."""
 
-MAX_BYTES: Final = 1_000_000
+MAX_BYTES: Final = 250_000
 
 
 def read_plate(plate: PlateLike) -> Specimen:

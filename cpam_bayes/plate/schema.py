@@ -10,8 +10,20 @@ from typing import Annotated, Any, Final
 
 from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag
 
-__all__ = ["TAGS", "MaterialModel", "MeasurementModel", "NormalModel", "PlateFile", "PlateModel"]
+__all__ = [
+    "MAX_FREQUENCIES",
+    "TAGS",
+    "MaterialModel",
+    "MeasurementModel",
+    "NormalModel",
+    "PlateFile",
+    "PlateModel",
+]
 
+# More frequencies than modes are computed, and more masses than a plate is hung with, are a slip.
+MAX_FREQUENCIES: Final = 100
+_MAX_SENSORS: Final = 100
+_MAX_NOTES: Final = 1000
 # Beyond these, areas and masses would overflow or vanish.
 _SMALLEST: Final = 1e-12
 _LARGEST: Final = 1e12
@@ -169,7 +181,12 @@ class MeasurementModel(_Table):
     """The table [measurement]."""
 
     frequencies_hz: Annotated[
-        list[Hertz], Field(min_length=1, description="a list of at least one frequency, ascending")
+        list[Hertz],
+        Field(
+            min_length=1,
+            max_length=MAX_FREQUENCIES,
+            description=f"a list of 1 to {MAX_FREQUENCIES} frequencies, ascending",
+        ),
     ]
     resolution_hz: Annotated[float, _not_negative("a number, 0 or above, in Hz")] = 0.0
     relative_std: (
@@ -179,11 +196,16 @@ class MeasurementModel(_Table):
         ]
         | None
     ) = None
-    frequency_sd_hz: Annotated[list[Hertz], Field(description="a list, one for each frequency")] | None = None
+    frequency_sd_hz: (
+        Annotated[
+            list[Hertz], Field(max_length=MAX_FREQUENCIES, description="a list, one for each frequency")
+        ]
+        | None
+    ) = None
     labels: (
         Annotated[
             list[Annotated[str, Field(pattern=_PRINTABLE, description='a text, "" for none')]],
-            Field(description="a list of texts, one for each frequency"),
+            Field(max_length=MAX_FREQUENCIES, description="a list of texts, one for each frequency"),
         ]
         | None
     ) = None
@@ -202,7 +224,7 @@ class PlateFile(_Table):
     specimen: Text | None = None
     notes: Annotated[
         list[Annotated[str, Field(pattern=_PRINTABLE, description="a text of printable characters")]],
-        Field(description="a list of texts"),
+        Field(max_length=_MAX_NOTES, description=f"a list of at most {_MAX_NOTES} texts"),
     ] = []
     plate: Annotated[PlateModel, Field(description="a table [plate]")]
     material: Annotated[MaterialModel, Field(description="a table [material]")]
@@ -210,6 +232,6 @@ class PlateFile(_Table):
     environment: Annotated[EnvironmentModel, Field(description="a table [environment]")] = EnvironmentModel()
     sensor: Annotated[
         list[Annotated[SensorModel, Field(description="a table [[sensor]]")]],
-        Field(description="tables [[sensor]]"),
+        Field(max_length=_MAX_SENSORS, description=f"at most {_MAX_SENSORS} tables [[sensor]]"),
     ] = []
     measurement: Annotated[MeasurementModel, Field(description="a table [measurement]")] | None = None

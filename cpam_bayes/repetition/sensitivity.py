@@ -10,7 +10,6 @@ from cpam_bayes.errors import PlateFileError
 from cpam_bayes.forward_model.air_shift import air_shifts
 from cpam_bayes.forward_model.preconditions import (
     explained_failures,
-    plate_warnings,
     require_choice,
     require_modes,
     require_number,
@@ -151,7 +150,7 @@ def sensitivity(
     return SensitivityResult(
         seed=seed,
         slips=slips,
-        warnings=(*slips, *sensitivity_warnings(study), *plate_warnings(specimen)),
+        warnings=(*slips, *sensitivity_warnings(study)),
         reached_goal=all(cell.posterior.converged for cell in study.cells),
         specimen=specimen,
         air_shifts=air_shifts(specimen),

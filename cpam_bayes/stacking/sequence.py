@@ -10,7 +10,6 @@ import numpy as np
 from cpam_bayes.forward_model.air_shift import air_shifts
 from cpam_bayes.forward_model.preconditions import (
     explained_failures,
-    plate_warnings,
     require_seed,
     require_sequence,
     require_whole,
@@ -160,7 +159,7 @@ def stacking_result(
     return StackingResult(
         seed=seed,
         slips=slips,
-        warnings=(*slips, *stacking_warnings(answer, mixture, fit), *plate_warnings(specimen)),
+        warnings=(*slips, *stacking_warnings(answer, mixture, fit)),
         reached_goal=mixture.converged,
         specimen=specimen,
         air_shifts=air_shifts(_most_probable(answer)),

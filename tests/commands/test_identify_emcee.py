@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from contextlib import nullcontext
 from functools import partial
 from pathlib import Path
 
 import pytest
 
 from cpam_bayes.cli import prepare
-from cpam_bayes.forward_model.preconditions import plate_warnings
+from cpam_bayes.errors import PlateFileError
 from cpam_bayes.identification.sampled_result import SampledResult
 from cpam_bayes.inference.chains.ensemble import DEFAULT_SETTINGS
 from cpam_bayes.plate import read_specimen
@@ -188,7 +189,7 @@ def test_a_store_of_another_problem_is_refused_and_a_damaged_round_is_sampled_ag
         first.write_bytes(content)
         status, out, err = run(*command, "--json")
         assert json.loads(out)["constants"] == answer["constants"]
-        assert f"warning: {first} was damaged: set aside as round_0000.arrays.damaged" in err
+        assert f"warning: {first} was damaged: it is set aside as round_0000.arrays.damaged" in err
 
 
 @pytest.mark.slow
@@ -233,18 +234,10 @@ def test_a_list_that_lacks_a_mode_is_put_in_doubt(run: Run, plate_file: Write) -
 SENSOR = "[[sensor]]\nmass_g = {}\nx_mm = 10.0\ny_mm = 10.0\n\n[measurement]"
 
 
-@pytest.mark.slow
-def test_a_sensor_heavier_than_the_plate_is_a_warning(run: Run, plate_file: Write) -> None:
-    path = plate_file(("[measurement]", SENSOR.format(700.0)))
-    status, out, err = run("forward", path, "--quiet", "--modes", "1", "--json")
-    said = "the sensor weighs 700 g, more than the plate, 680.4 g: check mass_g"
-    assert status == 0
-    assert said in err
-    assert any(said in text for text in json.loads(out)["warnings"])
-
-
-@pytest.mark.parametrize(("masses", "said"), [((680.0,), 0), ((400.0, 281.0), 1), ((681.0,), 1), ((), 0)])
-def test_sensors_are_weighed_together(plate_file: Write, masses: tuple[float, ...], said: int) -> None:
+@pytest.mark.parametrize(("masses", "refused"), [((680.0,), False), ((400.0, 281.0), True), ((681.0,), True)])
+def test_sensors_are_weighed_together(plate_file: Write, masses: tuple[float, ...], refused: bool) -> None:
     tables = "".join(SENSOR.format(mass).removesuffix("[measurement]") for mass in masses)
-    specimen = read_specimen(plate_file(("[measurement]", f"{tables}[measurement]")))
-    assert len(plate_warnings(specimen)) == said
+    path = plate_file(("[measurement]", f"{tables}[measurement]"))
+    said = "heavier than the plate, received 681 in all, accepted: up to 680.4, the mass of the plate in g"
+    with pytest.raises(PlateFileError, match=said) if refused else nullcontext():
+        read_specimen(path)

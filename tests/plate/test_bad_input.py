@@ -8,6 +8,7 @@ import pytest
 
 from cpam_bayes.errors import PlateFileError
 from cpam_bayes.plate import parse_specimen
+from cpam_bayes.plate import problems as wording
 
 
 def problems_of(text):
@@ -130,7 +131,7 @@ SPOILT = [
     ("y_mm = 240.0", "y_mm = 251", "sensor item 1.y_mm", "width_mm"),
     ("x_mm = 250.0", "x_mm = -1.0", "sensor item 1.x_mm", "from the corner"),
     ("[102, 311, 342,", "[102, 342, 311,", "measurement.frequencies_hz item 3", "311 after 342"),
-    ("[102, 311, 342, 342, 390, 612.5]", "[]", None, "at least one"),
+    ("[102, 311, 342, 342, 390, 612.5]", "[]", None, "a list of 1 to 100 frequencies"),
     ("[0.2, 0.5,", "[0.2,", "measurement.frequency_sd_hz", "received 5, accepted: 6"),
     ('["(1,1)", ', "[", "measurement.labels", "received 5, accepted: 6"),
     ("[plate]\n", '[plate]\nmesh = "none.msh"\n', "plate.mesh", "no such file"),
@@ -265,6 +266,53 @@ def test_very_many_errors_are_cut_off():
     problems = problems_of("x = 1\n" + "\n".join(f"key{i} = 1" for i in range(5000)))
     assert len(problems) == 101
     assert "more problems" in problems[-1]
+
+
+def test_only_the_problems_that_are_shown_are_put_in_words(monkeypatch):
+    asked = []
+    nearest = wording.difflib.get_close_matches
+    monkeypatch.setattr(
+        wording.difflib, "get_close_matches", lambda *a, **k: asked.append(a) or nearest(*a, **k)
+    )
+    assert len(problems_of("".join(f"key{i} = 1\n" for i in range(20_000)))) == 101
+    assert 0 < len(asked) <= 100
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("[[sensor]]\n" * 30_000, "too many, received 30000, accepted: at most 100 tables [[sensor]]"),
+        ("[[sensor]]\nmass_g = 'x'\n" * 10_000, "too many, received 10000, accepted: at most 100 tables"),
+        (
+            f"notes = [{'1, ' * 100_000}]\n",
+            "too many, received 100000, accepted: a list of at most 1000 texts",
+        ),
+        (
+            f"[measurement]\nfrequencies_hz = [{'1, ' * 200}]",
+            "too many, received 200, accepted: a list of 1 to 100 frequencies, ascending",
+        ),
+        (
+            f"[measurement]\nfrequencies_hz = [{'-1, ' * 100_000}]",
+            "too many, received 100000, accepted: a list of 1 to 100 frequencies, ascending",
+        ),
+    ],
+    ids=["empty sensors", "wrong sensors", "wrong notes", "frequencies", "wrong frequencies"],
+)
+def test_too_many_of_a_kind_are_one_problem(text, said):
+    found = [problem for problem in problems_of(text) if "too many" in problem]
+    assert [said in problem for problem in found] == [True]
+    assert len(problems_of(text)) < 6  # what is missing beside it
+
+
+def test_sensors_heavier_than_the_plate_are_refused_with_its_mass(full_text):
+    # 260 mm x 250 mm x 3.2 mm of 1590 kg/m3
+    said = problems_of(full_text.replace("mass_g = 0.5", "mass_g = 500.0"))
+    assert len(said) == 1
+    assert (
+        "sensor item 2.mass_g: heavier than the plate, received 501.2 in all, accepted: up to 330.7"
+        in said[0]
+    )
+    assert parse_specimen(full_text.replace("mass_g = 0.5", "mass_g = 300.0"), "x").sensors[1].mass == 0.3
 
 
 def test_received_values_are_shown_short_and_printable(full_text):

@@ -363,7 +363,7 @@ def test_a_damaged_round_is_set_aside_named_once_and_sampled_again_bit_for_bit(
     damaged = second.read_bytes()
     np.testing.assert_array_equal(run(tmp_path).chain, whole.chain)
     (said,) = caplog.messages
-    assert said.startswith(f"{second} was damaged: set aside as round_0001.arrays.damaged")
+    assert said.startswith(f"{second} was damaged: it is set aside as round_0001.arrays.damaged")
     assert second.with_name("round_0001.arrays.damaged").read_bytes() == damaged
 
 
