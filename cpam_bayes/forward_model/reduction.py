@@ -209,26 +209,29 @@ def _greedy_basis(
         return start
     column, lam = spectrum.column[sets, modes], spectrum.eigenvalues[sets, modes]
     vectors = spectrum.vectors[b][sets, :, column]
-    distinct, place = np.unique(sets, return_inverse=True)
     basis = start if start.size else _orthonormal(vectors[:1].T, block, mass[0])
+    rest = np.arange(len(sets))
     while True:
         small = _projected_block(block, basis)
+        distinct, place = np.unique(sets[rest], return_inverse=True)
         eigenvalues = small.eigenvalues(stiffness[distinct], mass[distinct], small.size)
-        missing = column >= small.size
-        ratio = np.abs(eigenvalues[place, np.where(missing, 0, column)]) / lam
+        missing = column[rest] >= small.size
+        ratio = np.abs(eigenvalues[place, np.where(missing, 0, column[rest])]) / lam[rest]
         error = np.where(missing, np.inf, np.sqrt(ratio) - 1.0)
         if error.max() <= tolerance:
             return basis
         # a mode that is missing shifts all above it: the lowest bad one of a set is to blame
         bad = np.flatnonzero(error > tolerance)
-        bad = bad[np.argsort(lam[bad], kind="stable")]
-        _, first = np.unique(sets[bad], return_index=True)
+        bad = bad[np.argsort(lam[rest[bad]], kind="stable")]
+        _, first = np.unique(sets[rest[bad]], return_index=True)
         lowest = bad[first]
         worst = lowest[np.argsort(error[lowest])[::-1]][:_MODES_PER_ROUND]
-        grown = _orthonormal(np.column_stack((basis, vectors[worst].T)), block, mass[0])
+        grown = _orthonormal(np.column_stack((basis, vectors[rest[worst]].T)), block, mass[0])
         if grown.shape[1] == basis.shape[1]:  # nothing new in them: rounding is all that is left
             return basis
         basis = grown
+        # in a larger space no eigenvalue is higher (Courant and Fischer): what is represented well remains so
+        rest = rest[np.isin(sets[rest], sets[rest[bad]])]
 
 
 def _orthonormal(vectors: Array, block: DenseBlock, mass: Array) -> Array:
