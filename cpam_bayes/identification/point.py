@@ -67,14 +67,18 @@ class ConstantEstimate:
 class PointEstimate:
     """Answer of the particle swarm for one specimen.
 
-    predicted : one mode for each measured frequency. shapes : theirs, (n_modes, 3, n, n), u, v and w on a
-    regular grid. rms : root mean square of the relative
-    residuals. noise : relative standard deviation used for the linearised ones, the file's or, where
-    that is left out, the residuals' own. error : (n_modes,) estimated relative error of the solver
-    at the answer. laminate : flexural stiffness and constants, SI. model : what the swarm ran on.
-    swarm : the single one, or of several the first with the best optimum. swarms : number that were run.
-    optima : the best one and those that the noise does not tell from it. scale_errors : what errors of
-    sizes, mass and frequency scale do to the constants.
+    predicted : one mode for each measured frequency
+    shapes : (n_modes, 3, n, n) of these, u, v and w on a regular grid
+    rms : root mean square of the relative residuals
+    noise : relative standard deviation used for the linearised ones, the file's or, where that is left out,
+        the residuals' own
+    error : (n_modes,) estimated relative error of the solver at the answer
+    laminate : flexural stiffness and constants, SI
+    model, centre : what the swarm ran on, and its centre, as of ``reduced_model``
+    swarm : the single one, or of several the first with the best optimum
+    swarms : number that were run
+    optima : the best one and those that the noise does not tell from it
+    scale_errors : what errors of sizes, mass and frequency scale do to the constants
     """
 
     specimen: Specimen
@@ -87,6 +91,7 @@ class PointEstimate:
     error: Array
     laminate: Mapping[str, float]
     model: ReducedModel
+    centre: Array | None
     swarm: SwarmResult
     swarms: int
     optima: tuple[Optimum, ...]
@@ -175,6 +180,7 @@ def summarise(
         error=error[order],
         laminate=flexural_constants(np.real(state.stiffness()), float(state.thickness)),
         model=model.reduced if isinstance(model, LabelledModel) else model,
+        centre=searched.centre,
         swarm=swarm,
         swarms=searched.swarms,
         optima=optima,

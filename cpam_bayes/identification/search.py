@@ -8,7 +8,7 @@ best optimum counts when two swarms have found it.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -33,7 +33,10 @@ Model = ReducedModel | LabelledModel
 MOST_SWARMS, LEAST_SWARMS, FOUND_AGAIN = 12, 3, 2
 # Relative error of the plate model at the answer above which the model is converged anew there.
 _ACCEPTED_ERROR = 5e-4
-_MOST_MODELS = 3
+# A model converged at the answer that has more than this fraction of the error before is as good as any.
+_MOST_MODELS, _LOWER_ERROR = 3, 0.7
+# Constants that differ by less than this, relative, have the same error of the plate model.
+_SAME_PLACE = 1e-3
 # Half the width of a search interval in standard deviations of a uniform density over it.
 _HALF_WIDTH = 3.0**0.5
 # Steps of a polishing, optima that are the same: standard deviations apart at the noise of the best one.
@@ -106,6 +109,7 @@ def search(
     spare: int = 0,
     settings: SwarmSettings | None = None,
     residual: Residual = "absolute",
+    centre: Array | None = None,
     progress: Callable[[int, float], None] | None = None,
     notify: Callable[[str], None] = lambda text: None,
 ) -> Search:
@@ -117,26 +121,32 @@ def search(
 
     swarms : at most so many; 1 is the paper's single swarm as it ends, not polished
     spare : modes of the model more than the list has
+    centre : (n,) constants where the plate model is converged at first, the reference where left out
     progress : told the iteration, of all swarms together, and the best misfit of the one that is running
     """
     measurement, unknowns = required(specimen)
     settings = settings or SwarmSettings()
     n_modes = measurement.size + max(spare, spare_modes(measurement))
-    centre, solves = None, 0
+    solves, least = 0, np.inf
     for attempt in range(1, _MOST_MODELS + 1):
         reduced = reduced_model(specimen, unknowns, n_modes, centre=centre, notify=notify)
         model = labelled_model(reduced, measurement, specimen)
         task = _Task(specimen, model, measurement, unknowns, settings, residual)
-        swarm, optima, run = (
-            _single(task, seed, progress) if swarms == 1 else _several(task, seed, swarms, progress)
-        )
-        solves += swarm.evaluations
-        error = discretisation_error(model.full, swarm.best)
-        if error.max() <= _ACCEPTED_ERROR or attempt == _MOST_MODELS:
+        run = _Swarms(task, seed, swarms, progress)
+        # the first swarm tells whether the model is converged where the answer lies: the others wait for that
+        run.add()
+        at, error = run.best, discretisation_error(model.full, run.best)
+        last = attempt == _MOST_MODELS or error.max() >= least
+        if error.max() <= _ACCEPTED_ERROR or last:
+            run.finish()
+            if not np.allclose(run.best, at, rtol=_SAME_PLACE):
+                error = discretisation_error(model.full, run.best)
+        solves += run.solves
+        if error.max() <= _ACCEPTED_ERROR or last:
             break
         notify("the answer is far from the reference constants: converging the plate model there")
-        centre = swarm.best
-    return Search(model, replace(swarm, evaluations=solves), error, centre, optima, run)
+        centre, least = run.best, _LOWER_ERROR * float(error.max())
+    return Search(model, replace(run.result(), evaluations=solves), error, centre, run.optima, run.number)
 
 
 Progress = Callable[[int, float], None] | None
@@ -201,45 +211,70 @@ class _Task:
         )
 
 
-def _single(task: _Task, seed: int, progress: Progress) -> tuple[SwarmResult, tuple[Optimum, ...], int]:
-    rng = np.random.default_rng(seed)
-    swarm = task.swarm(task.start(rng), rng, progress)
-    return swarm, (Optimum(swarm.best, swarm.value, 1),), 1
+@dataclass(slots=True)
+class _Swarms:
+    """Swarms that run one after the other until two of them have found the best optimum.
 
+    most : number of swarms at most; one alone is not polished
+    first : the first one, as a single one would run
+    optima : of all so far, the best first
+    """
 
-def _several(
-    task: _Task, seed: int, most: int, progress: Progress
-) -> tuple[SwarmResult, tuple[Optimum, ...], int]:
-    """Swarms until two of them have found the best optimum, the first as a single one would run."""
-    ends: list[_Ends] = []
+    task: _Task
+    seed: int
+    most: int
+    progress: Progress
     first: SwarmResult | None = None
+    ends: list[_Ends] = field(default_factory=list)
     optima: tuple[Optimum, ...] = ()
-    solves = 0
-    for k in range(most):
-        rng = np.random.default_rng(swarm_seed(seed, k))
-        start = task.start(rng)
-        swarm = task.swarm(start, rng, shifted(progress, k * task.settings.iterations))
-        ends.append(_polished(task, np.vstack((swarm.best, start)), swarm.value))
-        first = first or swarm
-        solves += swarm.evaluations + ends[-1].solves
-        optima = _distinct(task, ends)
-        if k + 1 >= min(LEAST_SWARMS, most) and optima[0].swarms >= FOUND_AGAIN:
-            break
-    assert first is not None
-    agreed = optima[0].swarms >= FOUND_AGAIN
-    run = len(ends)
-    return (
-        replace(
-            first,
-            best=optima[0].x,
-            value=optima[0].value,
-            evaluations=solves,
-            status="converged" if agreed else "budget",
-            message=_MESSAGES[agreed].format(run=run, swarms=optima[0].swarms),
-        ),
-        optima,
-        run,
-    )
+    solves: int = 0
+
+    @property
+    def number(self) -> int:
+        """Number of swarms that have run."""
+        return max(len(self.ends), 1)
+
+    @property
+    def best(self) -> Array:
+        """Constants of the best optimum, (n,)."""
+        return self.optima[0].x
+
+    def add(self) -> None:
+        """Run the next swarm."""
+        k = len(self.ends)
+        rng = np.random.default_rng(swarm_seed(self.seed, k))
+        start = self.task.start(rng)
+        swarm = self.task.swarm(start, rng, shifted(self.progress, k * self.task.settings.iterations))
+        self.first = self.first or swarm
+        self.solves += swarm.evaluations
+        if self.most == 1:
+            self.optima = (Optimum(swarm.best, swarm.value, 1),)
+            return
+        self.ends.append(_polished(self.task, np.vstack((swarm.best, start)), swarm.value))
+        self.solves += self.ends[-1].solves
+        self.optima = _distinct(self.task, self.ends)
+
+    def finish(self) -> None:
+        """Run more swarms until the best optimum is found again."""
+        while self.number < self.most and not (self.number >= LEAST_SWARMS and self._agreed):
+            self.add()
+
+    @property
+    def _agreed(self) -> bool:
+        return self.optima[0].swarms >= FOUND_AGAIN
+
+    def result(self) -> SwarmResult:
+        """The first swarm, with the best optimum and the status of all."""
+        assert self.first is not None
+        if self.most == 1:
+            return self.first
+        return replace(
+            self.first,
+            best=self.best,
+            value=self.optima[0].value,
+            status="converged" if self._agreed else "budget",
+            message=_MESSAGES[self._agreed].format(run=self.number, swarms=self.optima[0].swarms),
+        )
 
 
 _MESSAGES = {
