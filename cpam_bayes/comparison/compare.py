@@ -34,8 +34,9 @@ from cpam_bayes.storage import cache_directory
 
 __all__ = ["compare", "tasks_of"]
 
-# Thick plates take longest: they begin first, so that no worker starts one at the end.
-_LONGEST: Final = ("D1", "D2", "D3", "D4")
+# Thick plates take longest: they begin first, so that no worker starts one at the end, and their constants
+# before their noise, which needs a model that these build.
+_LONGEST: Final = ("D4", "D3", "D1", "D2")
 _NOISE: Final = {number: name for name, number in TABLES.items()}
 
 
@@ -140,7 +141,7 @@ def _computed(
     wanted = dict.fromkeys(task for n in reversed(numbers) for task in tasks_of(n, seed))
     if not effort.full:
         wanted = {task: None for task in wanted if task.kind != "noise" or task.specimen not in _LONGEST}
-    tasks = sorted(wanted, key=lambda task: task.specimen not in _LONGEST)
+    tasks = sorted(wanted, key=_turn)
     stored = {} if everything else {task: read(directory, effort, task) for task in tasks}
     computed = {task: results for task, results in stored.items() if results is not None}
     missing = [task for task in tasks if task not in computed]
@@ -161,6 +162,13 @@ def _computed(
 
         run(work, effort, missing, pool, batch_size=1, on_result=keep)
     return computed
+
+
+def _turn(task: Task) -> tuple[bool, bool, int]:
+    """What tasks are sorted by."""
+    if task.specimen not in _LONGEST:
+        return True, False, 0
+    return False, task.kind == "noise", _LONGEST.index(task.specimen)
 
 
 def _rows(

@@ -17,6 +17,7 @@ from cpam_bayes.identification.identify import identify
 from cpam_bayes.identification.point import ConstantEstimate
 from cpam_bayes.identification.sampled import sample
 from cpam_bayes.identification.sampled_result import SampledResult
+from cpam_bayes.identification.search import search
 from cpam_bayes.inference.chains.ensemble import DEFAULT_SETTINGS, EnsembleSettings
 from cpam_bayes.inference.swarm.settings import SwarmSettings
 from cpam_bayes.paper import PrintedRow, printed_table
@@ -103,9 +104,11 @@ def _constants(effort: Effort, task: Task) -> Results:
     specimen = case_specimen(task.specimen, task.case)
     best = identify(specimen, seed=task.seed, settings=effort.swarm)
     seeds = range(task.seed, task.seed + effort.swarms)
-    singles = [identify(specimen, seed=seed, swarms=1, settings=effort.swarm) for seed in seeds]
+    singles = [
+        search(specimen, seed, settings=effort.swarm, centre=best.estimate.centre).swarm for seed in seeds
+    ]
     least = best.estimate.swarm.value
-    found = [point.estimate.swarm.value <= (1.0 + _SAME_OPTIMUM) * least for point in singles]
+    found = [single.value <= (1.0 + _SAME_OPTIMUM) * least for single in singles]
     posterior = None
     if effort.full:
         posterior = sample(specimen, seed=task.seed, settings=effort.chains, swarm_settings=effort.swarm)
@@ -124,10 +127,10 @@ def _constants(effort: Effort, task: Task) -> Results:
         "optimum_found_again": best.status == "converged",
         "swarms": effort.swarms,
         "swarms_found": sum(found),
-        "swarms_converged": sum(point.status == "converged" for point in singles),
+        "swarms_converged": sum(single.status == "converged" for single in singles),
         "well_posed": well_posed(best),
         "posterior_converged": posterior is None or posterior.reached_goal,
-        "forward_solves": sum(p.estimate.swarm.evaluations for p in (best, *singles))
+        "forward_solves": sum(swarm.evaluations for swarm in (best.estimate.swarm, *singles))
         + (0 if posterior is None else posterior.forward_solves),
         "printed": [
             {"source": row.source, **_misfit(specimen, row)}
