@@ -13,7 +13,6 @@ from cpam_bayes.forward_model.model import angle_parameters, plate_problem
 from cpam_bayes.mechanics.convergence import Tolerance, rich_frequencies
 from cpam_bayes.parameters import ParameterSet
 from cpam_bayes.plate import Sensor, Specimen
-from cpam_bayes.plate.elasticity import complete_constants
 from cpam_bayes.plate.laminate import ENERGY_CONSISTENT, FIVE_SIXTHS, ShearModel
 
 Array = NDArray[np.float64]
@@ -119,9 +118,7 @@ def parameters(specimen: Specimen) -> ParameterSet:
 def reference_vector(case: Case) -> Array:
     """Parameter vector of the plate as the paper gives it."""
     specimen, known = case.specimen(), case.known().plate.layup
-    values: dict[str, Any] = dict(
-        complete_constants(specimen.material.constants, specimen.material.isotropic)
-    )
+    values: dict[str, Any] = dict(specimen.material.complete())
     layup = specimen.plate.layup
     for k, name in enumerate(layup.unknown_names):
         values[name] = known.angles_deg[np.argmax(layup.unknown_index == k)]

@@ -21,7 +21,6 @@ from cpam_bayes.forward_model.calculix import PROGRAM_VARIABLE, solve_specimen
 from cpam_bayes.forward_model.calculix.deck import Element
 from cpam_bayes.mechanics.problem import PlateState
 from cpam_bayes.plate import Specimen
-from cpam_bayes.plate.elasticity import complete_constants
 
 Array = NDArray[np.float64]
 # Five fields, or w and the rotations alone, which is all that bending of a symmetric laminate needs.
@@ -166,7 +165,7 @@ def panels_plate(
 
 def calculix(specimen: Specimen, element: Element, in_plane: int, n_modes: int) -> Array:
     """CalculiX through files; shells (S8R) or bricks (C3D20R), about ``in_plane`` elements in the plane."""
-    constants = complete_constants(specimen.material.constants, specimen.material.isotropic)
+    constants = specimen.material.complete()
     given = {name: float(value) for name, value in constants.items()}
     return solve_specimen(specimen, given, n_modes, element=element, in_plane=in_plane, timeout=300.0)
 

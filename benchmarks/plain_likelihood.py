@@ -30,7 +30,8 @@ _RIGID = 3
 
 def cross_ply_stiffness(angles_deg: Array, thickness: float, constants: Mapping[str, float]) -> Array:
     """D11 D12 D22 D66 and 5/6 A44, 5/6 A55 of plies at 0 or 90 degrees, (6,)."""
-    c = {name: float(value) for name, value in complete_constants(constants, False).items()}
+    complete = complete_constants(constants, "transversely_isotropic")
+    c = {name: float(value) for name, value in complete.items()}
     scale = 1.0 / (1.0 - c["nu12"] ** 2 * c["E2"] / c["E1"])
     q11, q12, q22 = scale * c["E1"], scale * c["nu12"] * c["E2"], scale * c["E2"]
     z = np.linspace(-0.5, 0.5, len(angles_deg) + 1) * thickness

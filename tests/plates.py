@@ -33,7 +33,7 @@ def plate(
         np.asarray(width),
         np.asarray(thickness),
         np.asarray(density),
-        complete_constants(constants, isotropic="E2" not in constants),
+        complete_constants(constants, "transversely_isotropic" if "E2" in constants else "isotropic"),
         laminate_geometry(layup),
         shear,
     )

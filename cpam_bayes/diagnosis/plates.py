@@ -257,7 +257,7 @@ def _require_one_material(specimens: Sequence[Specimen]) -> None:
     first = specimens[0]
     for other in specimens[1:]:
         same = other.material.name == first.material.name
-        if not (same and other.material.isotropic == first.material.isotropic):
+        if not (same and other.material.symmetry == first.material.symmetry):
             raise ValueError(
                 f"{other.source}: material {other.material.name or 'not named'}, while {first.name} has "
                 f"{first.material.name or 'none named'}; plates that are diagnosed together share their "

@@ -9,6 +9,7 @@ from cpam_bayes.diagnosis.diagnose import Diagnosis
 from cpam_bayes.diagnosis.extension import Resampled
 from cpam_bayes.diagnosis.hypotheses import NONE
 from cpam_bayes.formatting import listed, significant
+from cpam_bayes.inference.diagnostics.constraints import cut_warnings
 
 __all__ = ["diagnosis_warnings"]
 
@@ -46,6 +47,9 @@ def diagnosis_warnings(
             f"predictive p-value {d.extended.predictive_p:.2g} with the claimed cause: it does not "
             f"explain all of the residuals by {noise}"
         )
+    fit = d.baseline if d.extended is None else d.extended
+    draws = dict(zip(fit.constants, fit.draws.T, strict=True))
+    problems += cut_warnings(d.cases[0].models.specimen.material, draws)
     if d.gain is not None and d.gain.stable < _STABLE:
         problems.append(
             f"the claim holds without one frequency in {100 * d.gain.stable:.0f} % of the cases only: single "

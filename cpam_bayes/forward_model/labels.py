@@ -72,7 +72,7 @@ class LabelledModel:
         return self.reduced.parameters
 
     def admissible(self, x: Array) -> Array:
-        """Whether parameter vectors (m, n) satisfy the constraints (9), (m,) bool."""
+        """Whether parameter vectors (m, n) satisfy the constraints of the material, (m,) bool."""
         return self.reduced.admissible(x)
 
     def predict(self, x: Array, *, jacobian: bool = False) -> Prediction:

@@ -18,7 +18,7 @@ from cpam_bayes.mechanics.problem import PlateState, Problem, Values, bare_plate
 from cpam_bayes.mechanics.shapes import Mode, describe_modes, shapes_on_grid
 from cpam_bayes.mechanics.spaces.ritz import RitzSettings, ritz_space
 from cpam_bayes.parameters import Parameter, ParameterSet, TruncatedNormal, Uniform
-from cpam_bayes.plate.elasticity import CONSTANTS, complete_constants, is_admissible
+from cpam_bayes.plate.elasticity import CONSTANTS
 from cpam_bayes.plate.laminate import ENERGY_CONSISTENT, ShearModel, laminate_geometry
 from cpam_bayes.plate.records import Material, Plate, Specimen
 from cpam_bayes.threads import single_blas_thread
@@ -97,9 +97,7 @@ def varied_sizes(plate: Plate, values: Values) -> dict[str, Any]:
 
 def reference_constants(specimen: Specimen) -> dict[str, float]:
     """All six reference constants of a specimen, Pa or dimensionless."""
-    material = specimen.material
-    complete = complete_constants(material.constants, material.isotropic)
-    return {name: float(value) for name, value in complete.items()}
+    return {name: float(value) for name, value in specimen.material.complete().items()}
 
 
 def plate_problem(
@@ -109,8 +107,8 @@ def plate_problem(
 ) -> Problem:
     """The plate of a specimen as an eigenvalue problem in some of its constants, angles and sizes.
 
-    parameters : what varies; other constants keep their reference value, G13, G23 and the constants of an
-    isotropic plate following eq. (6) and (11) where they are not given. Known masses keep their place in
+    parameters : what varies; other constants keep their reference value, and those that are not given follow
+    from the others by the material's symmetry. Known masses keep their place in
     proportion where a size varies.
 
     Raises ``ValueError`` if an unknown angle of the layup is not among the parameters.
@@ -127,7 +125,7 @@ def plate_problem(
         width=np.asarray(plate.width),
         thickness=np.asarray(plate.thickness),
         density=np.asarray(plate.density),
-        constants=complete_constants(material.constants, material.isotropic),
+        constants=material.complete(),
         layup=laminate_geometry(layup.angles(spread), symmetric=layup.is_symmetric),
         shear=shear,
         symmetric=layup.is_symmetric,
@@ -145,8 +143,7 @@ def plate_problem(
 
 def _plate_state(plate: Plate, material: Material, nominal: PlateState, values: Values) -> PlateState:
     """The nominal state with the constants, sizes and angles that vary."""
-    constants = complete_constants(_given_constants(material, values), material.isotropic)
-    state = replace(nominal, constants=constants, **varied_sizes(plate, values))
+    state = replace(nominal, constants=material.complete(values), **varied_sizes(plate, values))
     if not plate.layup.n_unknown:
         return state
     angles = np.stack([values[name] for name in plate.layup.unknown_names], axis=-1)
@@ -155,11 +152,7 @@ def _plate_state(plate: Plate, material: Material, nominal: PlateState, values: 
 
 def _is_physical(material: Material, values: Values) -> NDArray[np.bool_]:
     shape = np.broadcast_shapes(*(np.shape(v) for v in values.values()))
-    return np.broadcast_to(is_admissible(_given_constants(material, values), material.isotropic), shape)
-
-
-def _given_constants(material: Material, values: Values) -> dict[str, Any]:
-    return {**material.constants, **{k: v for k, v in values.items() if k in CONSTANTS}}
+    return np.broadcast_to(material.admissible(values), shape)
 
 
 @dataclass(frozen=True, slots=True)
@@ -194,7 +187,7 @@ class PlateModel:
         return self.operator.problem.parameters
 
     def admissible(self, x: Array) -> Array:
-        """Whether parameter vectors (m, n) satisfy the constraints (9), (m,) bool."""
+        """Whether parameter vectors (m, n) satisfy the constraints of the material, (m,) bool."""
         return self.operator.problem.admissible(self.parameters.mapping(x))
 
     def spectrum(self, x: Array, *, vectors: bool = False) -> Spectrum:

@@ -132,6 +132,29 @@ def require_paired_list(specimen: Specimen) -> Specimen:
     return specimen
 
 
+def exchange_warnings(specimen: Specimen) -> tuple[str, ...]:
+    """A warning where no frequency tells the two axes of orthotropic plies apart.
+
+    Exchanging them turns every ply by 90 degrees: to other angles, where these are unknown, or to the same
+    plate, if it is square with four equal edges.
+    """
+    plate, unknowns, measurement = specimen.plate, specimen.unknowns, specimen.measurement
+    square = plate.length == plate.width and len(set(plate.edges)) == 1
+    turnable = square or bool(np.all(plate.layup.unknown_index >= 0))
+    free = specimen.material.symmetry == "orthotropic" and {"E1", "E2", "nu12"} <= set(unknowns.names)
+    labelled = measurement is not None and any(measurement.labels)
+    if not free or labelled or specimen.sensors or not turnable:
+        return ()
+    e1, e2 = unknowns["E1"].prior, unknowns["E2"].prior
+    if max(e1.lower, e2.lower) >= min(e1.upper, e2.upper):
+        return ()
+    why = "the plate is square with four equal edges" if square else "ply angles are unknown"
+    return (
+        f"E1 and E2 can change places without a change of any frequency, as {why}: the answer is one of two; "
+        f"give them bounds in [unknowns] that do not overlap{', or label the modes' if square else ''}",
+    )
+
+
 def require_choice(name: str, value: object, accepted: Sequence[str]) -> None:
     """Raise ``ValueError`` where an argument is none of the words that are accepted."""
     if value not in accepted:

@@ -82,7 +82,7 @@ class ReducedModel:
         return self.full.parameters
 
     def admissible(self, x: Array) -> Array:
-        """Whether parameter vectors (m, n) satisfy the constraints (9), (m,) bool."""
+        """Whether parameter vectors (m, n) satisfy the constraints of the material, (m,) bool."""
         return self.full.admissible(x)
 
     def predict(self, x: Array, *, jacobian: bool = False) -> Prediction:

@@ -21,7 +21,7 @@ from cpam_bayes.forward_model.preconditions import likely_cure
 from cpam_bayes.mechanics.dense import discretise
 from cpam_bayes.mechanics.modes import RigidBodyError, solve
 from cpam_bayes.mechanics.spaces.ritz import RitzSettings, ritz_space
-from cpam_bayes.plate import Material, Measurement, Specimen, to_user, unit_of, user_name
+from cpam_bayes.plate import Measurement, Specimen, to_user, unit_of, user_name
 from cpam_bayes.threads import single_blas_thread
 
 __all__ = [
@@ -97,7 +97,7 @@ def _frequencies(specimen: Specimen, constants: dict[str, float], n: int) -> Arr
     """The lowest frequencies of the plate with given constants, roughly, (n,) Hz."""
     material = specimen.material
     names = material.constants if material.isotropic else constants
-    given = Material(material.isotropic, {k: constants[k] for k in names}, material.sd, material.name)
+    given = replace(material, constants={k: constants[k] for k in names})
     layup = specimen.plate.layup
     if layup.n_unknown:
         evenly = np.linspace(-90.0, 90.0, layup.n_unknown + 1)[1:]

@@ -57,7 +57,7 @@ def model_key(
             plate.layup.unknown_index.tolist(),
         ],
         "edges": plate.edges,
-        "isotropic": specimen.material.isotropic,
+        "symmetry": specimen.material.symmetry,
         "constants": sorted(specimen.material.constants.items()),
         "sensors": [[s.mass, s.x, s.y] for s in specimen.sensors],
         "air": specimen.air_density,

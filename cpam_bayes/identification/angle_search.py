@@ -170,7 +170,7 @@ def run_swarm(
     material, unknowns = fit.specimen.material, fit.unknowns
     known = tuple((k, v) for k, v in material.constants.items() if k not in unknowns)
     rng = np.random.default_rng(seed)
-    start = initial_swarm(replace(unknowns, fixed=known), material.isotropic, settings.particles, rng)
+    start = initial_swarm(replace(unknowns, fixed=known), material.symmetry, settings.particles, rng)
     return minimise_problem(fuzzy_problem(fit), start, settings, rng, progress=progress)
 
 
@@ -292,7 +292,7 @@ def search_starts(fit: AngleSearchProblem, n: int, seed: int = 0) -> Array:
     material, unknowns = fit.specimen.material, fit.unknowns
     known = tuple((k, v) for k, v in material.constants.items() if k not in unknowns)
     drawn = initial_swarm(
-        replace(unknowns, fixed=known), material.isotropic, 8 * n, np.random.default_rng(seed)
+        replace(unknowns, fixed=known), material.symmetry, 8 * n, np.random.default_rng(seed)
     )
     both = np.vstack((reference_vector(fit.specimen, unknowns), drawn))
     return np.asarray(both[fit.admissible(both)][:n])

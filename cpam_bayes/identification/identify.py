@@ -12,6 +12,7 @@ import numpy as np
 
 from cpam_bayes.forward_model.air_shift import air_shifts
 from cpam_bayes.forward_model.preconditions import (
+    exchange_warnings,
     explained_failures,
     require_choice,
     require_paired_list,
@@ -161,6 +162,7 @@ def identify(
                 of, seed, settings=settings, residual=residual, progress=shown.tick, notify=shown.notify
             )
 
+    exchange = exchange_warnings(specimen)
     angles: AngleSearchResult | None = None
     with explained_failures(specimen):
         if specimen.plate.layup.n_unknown:
@@ -178,7 +180,7 @@ def identify(
     slips = (*count_slips(n, k), *excess, *reference_slips(specimen))
     return PointResult(
         seed=seed,
-        warnings=(*slips, *unsure, *point_warnings(estimate, residual)),
+        warnings=(*slips, *unsure, *point_warnings(estimate, residual), *exchange),
         slips=slips,
         specimen=specimen,
         air_shifts=air_shifts(specimen),

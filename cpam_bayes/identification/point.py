@@ -21,7 +21,6 @@ from cpam_bayes.identification.verdicts import Verdict, verdict_of
 from cpam_bayes.inference.swarm.pso import SwarmResult, SwarmSettings
 from cpam_bayes.mechanics.shapes import Mode
 from cpam_bayes.plate import Measurement, Specimen
-from cpam_bayes.plate.elasticity import complete_constants
 from cpam_bayes.plate.laminate import flexural_constants
 from cpam_bayes.threads import single_blas_thread
 
@@ -267,8 +266,7 @@ def _estimate(specimen: Specimen, name: str, at_optima: Array, sd: float, freedo
     # as far apart as the optima are, the frequencies do not determine it
     spread = float(np.hypot(sd, np.std([value, *elsewhere])))
     verdict = verdict_of(spread, prior.sd, at_bound=bound is not None)
-    complete = complete_constants(specimen.material.constants, specimen.material.isotropic)
-    reference = float(complete[name])
+    reference = float(specimen.material.complete()[name])
     interval = None
     if bound is None and np.isfinite(sd):
         reach = float(t.ppf(1.0 - _TAIL, freedom)) * sd

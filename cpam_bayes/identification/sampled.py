@@ -15,6 +15,7 @@ from cpam_bayes.forward_model.air_shift import air_shifts
 from cpam_bayes.forward_model.labels import LabelledModel, list_order
 from cpam_bayes.forward_model.model import SIZES, discretisation_error
 from cpam_bayes.forward_model.preconditions import (
+    exchange_warnings,
     explained_failures,
     require_choice,
     require_seed,
@@ -51,7 +52,6 @@ from cpam_bayes.inference.pairing import Pairing
 from cpam_bayes.inference.posterior import Posterior
 from cpam_bayes.inference.swarm.pso import SwarmSettings
 from cpam_bayes.plate import PlateLike, Specimen, read_plate
-from cpam_bayes.plate.elasticity import complete_constants
 from cpam_bayes.plate.laminate import flexural_constants
 from cpam_bayes.result import SILENT, Watch
 from cpam_bayes.threads import single_blas_thread
@@ -225,7 +225,7 @@ def _summarise(
         seconds=time.perf_counter() - start,
     )
     slips = _slips(summary)
-    warnings = (*slips, *sampled_warnings(summary))
+    warnings = (*slips, *sampled_warnings(summary), *exchange_warnings(specimen))
     return replace(summary, slips=slips, warnings=warnings)
 
 
@@ -305,10 +305,9 @@ def _marginal(specimen: Specimen, posterior: Posterior, i: int, draws: Array) ->
 
 
 def _reference(specimen: Specimen, name: str) -> float:
-    material = specimen.material
     if name in SIZES:
         return float(getattr(specimen.plate, name))
-    return float(complete_constants(material.constants, material.isotropic).get(name, np.nan))
+    return float(specimen.material.complete().get(name, np.nan))
 
 
 def _laminate(model: ReducedModel | LabelledModel, x: Array) -> dict[str, tuple[float, float]]:

@@ -200,7 +200,7 @@ class _Task:
         material = self.specimen.material
         known = tuple((k, v) for k, v in material.constants.items() if k not in self.unknowns)
         fixed = replace(self.unknowns, fixed=known)
-        return initial_swarm(fixed, material.isotropic, self.settings.particles, rng)
+        return initial_swarm(fixed, material.symmetry, self.settings.particles, rng)
 
     def swarm(self, start: Array, rng: np.random.Generator, progress: Progress) -> SwarmResult:
         """A swarm from these positions."""

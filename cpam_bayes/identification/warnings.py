@@ -13,6 +13,11 @@ from cpam_bayes.identification.point import PointEstimate
 from cpam_bayes.identification.sampled_result import SampledResult
 from cpam_bayes.identification.search import Residual
 from cpam_bayes.inference.diagnostics.completeness import TranscriptionError
+from cpam_bayes.inference.diagnostics.constraints import (
+    constraint_warnings,
+    cut_warnings,
+    limiting_constraints,
+)
 from cpam_bayes.plate import Specimen
 from cpam_bayes.priors import TruncatedNormal
 
@@ -40,6 +45,7 @@ def point_warnings(result: PointEstimate, residual: Residual) -> tuple[str, ...]
         problems.append(result.swarm.message)
     limit = _FRACTION_OF_NOISE * result.noise if math.isfinite(result.noise) else LARGE_ERROR
     problems += error_warning(result.error, limit)
+    problems += _on_constraints(result)
     problems += _other_labels(result)
     problems += _unused(result.specimen)
     return tuple(problems)
@@ -80,6 +86,15 @@ def _poor_fit(result: PointEstimate) -> list[str]:
         "constants the model does not describe this list; do not trust them before the plate, the "
         "edges and the order and completeness of the frequencies are checked"
     ]
+
+
+def _on_constraints(result: PointEstimate) -> tuple[str, ...]:
+    specimen = result.specimen
+    best = np.array([c.value for c in result.constants])
+    return constraint_warnings(
+        "the best constants lie on the constraint",
+        limiting_constraints(specimen.material, specimen.unknowns, best),
+    )
 
 
 def _other_labels(result: PointEstimate) -> list[str]:
@@ -128,6 +143,8 @@ def sampled_warnings(result: SampledResult) -> tuple[str, ...]:
         problems.append(result.result.not_stored)
     if result.doubt is not None:
         problems.append(transcription_error_sentence(result.doubt))
+    draws = dict(zip(result.posterior.parameters.names, result.result.draws.T, strict=True))
+    problems += cut_warnings(result.specimen.material, draws)
     if result.p_value < _P_LOW:
         problems.append(
             f"posterior predictive p-value {result.p_value:.3f}: the residuals are larger than the noise "

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from cpam_bayes.parameters import Parameter, ParameterSet, Prior, TruncatedNormal, Uniform
+from cpam_bayes.plate.constants import CONSTANT_KEYS, symmetry_of
 from cpam_bayes.plate.layup import parse_layup
 from cpam_bayes.plate.records import Material, Measurement, Plate, Sensor, Specimen
 from cpam_bayes.plate.schema import (
@@ -67,10 +68,12 @@ def _plate(model: PlateModel, directory: Path | None) -> Plate:
 
 
 def _material(model: MaterialModel) -> Material:
-    constants = model.model_dump(exclude_none=True, exclude={"isotropic", "name", "sd"})
+    given = model.model_dump(exclude_none=True)
+    symmetry = symmetry_of(given)
+    assert symmetry is not None
     return Material(
-        isotropic=model.isotropic,
-        constants=_in_si(constants),
+        symmetry=symmetry,
+        constants=_in_si({key: value for key, value in given.items() if key in CONSTANT_KEYS}),
         sd={} if model.sd is None else _in_si(model.sd.model_dump(exclude_none=True)),
         name=model.name,
     )

@@ -13,7 +13,13 @@ from pathlib import Path
 from typing import Final
 
 from cpam_bayes.errors import LayupError
-from cpam_bayes.plate.constants import constants_of_kind, physical_material, search_bounds
+from cpam_bayes.plate.constants import (
+    constants_of_symmetry,
+    known_symmetry,
+    physical_material,
+    search_bounds,
+    symmetry_of,
+)
 from cpam_bayes.plate.layup import Layup, parse_layup
 from cpam_bayes.plate.problems import Problem, received
 from cpam_bayes.plate.raw import Data, Problems, number, numbers, real, table
@@ -130,7 +136,7 @@ def _layups(data: Data) -> Problems:
     yield from problems
     sequence, problems = _layup(plate, "sequence_layup")
     yield from problems
-    if "layup" not in plate and table(data, "material").get("isotropic") is not True:
+    if "layup" not in plate and symmetry_of(table(data, "material")) not in (None, "isotropic"):
         yield Problem(("plate", "layup"), 'missing, accepted: a layup such as "[(0/90)_8]_s"')
     if sequence is not None and sequence.n_unknown == 0:
         yield Problem(
@@ -272,7 +278,8 @@ _CHECKS: Final[tuple[_Check, ...]] = (
     _thin,
     _spreads,
     _layups,
-    constants_of_kind,
+    known_symmetry,
+    constants_of_symmetry,
     physical_material,
     search_bounds,
     _grid_step,

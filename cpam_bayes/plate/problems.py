@@ -36,6 +36,7 @@ _WRONG: Final = {
     "string_too_short": "empty text",
     "string_too_long": "text too long",
     "string_pattern_mismatch": "malformed",
+    "literal_error": "not a symmetry",
 }
 
 

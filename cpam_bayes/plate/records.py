@@ -5,12 +5,24 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import MappingProxyType
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from cpam_bayes.parameters import ParameterSet
+from cpam_bayes.plate.elasticity import (
+    CONSTANTS,
+    Array,
+    MaterialSymmetry,
+    complete_constants,
+    constraint_margins,
+    is_admissible,
+)
 from cpam_bayes.plate.layup import Layup
+
+_NONE_VARIED: Final[Mapping[str, ArrayLike]] = MappingProxyType({})
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,16 +57,40 @@ class Plate:
 class Material:
     """Reference constants of a ply.
 
+    symmetry : says which constants the ply has, which follow from others, and what they satisfy
     constants : Pa or dimensionless; E1, E2, nu12, G12 and, where given, G13, G23;
         isotropic: E1, nu12
     sd : how well each is known, in the same unit, where given
     name : plates of the same name share their constants
     """
 
-    isotropic: bool
+    symmetry: MaterialSymmetry
     constants: Mapping[str, float]
     sd: Mapping[str, float]
     name: str | None
+
+    @property
+    def isotropic(self) -> bool:
+        """Whether the ply has no directions."""
+        return self.symmetry == "isotropic"
+
+    def complete(self, values: Mapping[str, ArrayLike] = _NONE_VARIED) -> dict[str, Array]:
+        """All six constants, those in ``values`` (...) in place of the reference; see `complete_constants`.
+
+        Names in ``values`` that are no constants are left aside.
+        """
+        return complete_constants(self._with(values), self.symmetry)
+
+    def admissible(self, values: Mapping[str, ArrayLike]) -> NDArray[np.bool_]:
+        """Whether the constants can be, with ``values`` (...) in place of the reference; (...)."""
+        return is_admissible(self._with(values), self.symmetry)
+
+    def margins(self, values: Mapping[str, ArrayLike]) -> NDArray[np.float64]:
+        """By how much the constants with ``values`` (...) meet each constraint, (..., n_constraints)."""
+        return constraint_margins(self._with(values), self.symmetry)
+
+    def _with(self, values: Mapping[str, ArrayLike]) -> dict[str, ArrayLike]:
+        return {**self.constants, **{name: v for name, v in values.items() if name in CONSTANTS}}
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,6 +10,8 @@ from typing import Annotated, Any, Final
 
 from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag
 
+from cpam_bayes.plate.elasticity import MaterialSymmetry
+
 __all__ = [
     "MAX_FREQUENCIES",
     "TAGS",
@@ -113,7 +115,13 @@ class MaterialSpreads(_Table):
 class MaterialModel(_Table):
     """The table [material]."""
 
-    isotropic: Flag
+    symmetry: (
+        Annotated[
+            MaterialSymmetry, Field(description='"isotropic", "transversely_isotropic" or "orthotropic"')
+        ]
+        | None
+    ) = None
+    isotropic: Flag | None = None
     E1_GPa: GPa
     E2_GPa: GPa | None = None
     nu12: Poisson

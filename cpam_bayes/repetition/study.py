@@ -195,7 +195,7 @@ def noise_study(
     problem = InverseProblem(
         model=reduced_model(plain, unknowns, measurement.size, notify=notify),
         unknowns=replace(unknowns, fixed=known),
-        isotropic=specimen.material.isotropic,
+        material=specimen.material,
         swarm=settings,
     )
     notify("inverting the list without noise")

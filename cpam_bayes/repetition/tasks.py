@@ -12,11 +12,12 @@ from cpam_bayes.identification.point import linearised_sd
 from cpam_bayes.identification.search import misfit
 from cpam_bayes.inference.chains.ensemble import EnsembleSettings
 from cpam_bayes.inference.chains.sampling import sample_posterior
+from cpam_bayes.inference.diagnostics.constraints import cutting_constraints
 from cpam_bayes.inference.laplace import gauss_newton_covariance, optimise, prior_sd
 from cpam_bayes.inference.posterior import ForwardModel, Posterior, plate_posterior
 from cpam_bayes.inference.swarm.pso import SwarmResult, SwarmSettings, initial_swarm, minimise
 from cpam_bayes.parameters import ParameterSet
-from cpam_bayes.plate import Measurement
+from cpam_bayes.plate import Material, Measurement
 from cpam_bayes.repetition.agreement import density_peaks, skewness
 from cpam_bayes.repetition.perturbation import (
     INTERPRETATIONS,
@@ -50,6 +51,7 @@ class PosteriorSummary:
     best : (n,) optimum next to the inversion without noise.
     linearised_sd, swarm_sd : (n,) to first order at that optimum, of the posterior and of the minimum of
     eq. (7).
+    constraints : on the constants of the ply that cut the posterior.
     """
 
     mean: Array
@@ -65,6 +67,7 @@ class PosteriorSummary:
     swarm_sd: Array
     effective: float
     converged: bool
+    constraints: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +76,7 @@ class InverseProblem:
 
     model: ForwardModel
     unknowns: ParameterSet
-    isotropic: bool
+    material: Material
     swarm: SwarmSettings
 
 
@@ -148,7 +151,7 @@ def _minimum(problem: InverseProblem, frequencies: Array, rng: np.random.Generat
         lambda x: misfit(problem.model.predict(x).frequencies[:, :n], frequencies, "absolute"),
         unknowns.lower,
         unknowns.upper,
-        initial_swarm(unknowns, problem.isotropic, problem.swarm.particles, rng),
+        initial_swarm(unknowns, problem.material.symmetry, problem.swarm.particles, rng),
         problem.swarm,
         rng,
         feasible=problem.model.admissible,
@@ -220,7 +223,14 @@ def _sample(shared: Shared, task: InversionTask) -> PosteriorSummary:
         swarm_sd=_swarm_sd(posterior, best, scale),
         effective=result.diagnostics.ess_bulk,
         converged=result.status == "converged",
+        constraints=_cutting(shared.problem, draws),
     )
+
+
+def _cutting(problem: InverseProblem, draws: Array) -> tuple[str, ...]:
+    """Constraints on the constants of the ply that cut a posterior, draws (m, n)."""
+    margins = problem.material.margins(problem.unknowns.mapping(draws))
+    return cutting_constraints(margins, problem.material.symmetry)
 
 
 def _swarm_sd(posterior: Posterior, x: Array, scale: Array) -> Array:

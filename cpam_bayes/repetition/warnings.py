@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from cpam_bayes.formatting import significant
 from cpam_bayes.forward_model.model import reference_constants
+from cpam_bayes.inference.diagnostics.constraints import constraint_warnings
 from cpam_bayes.paper import PerturbationTable
 from cpam_bayes.plate import user_name
 from cpam_bayes.priors import TruncatedNormal
@@ -59,6 +60,9 @@ def sensitivity_warnings(result: Sensitivity) -> tuple[str, ...]:
                 f"{where(cell)}: the posterior's chains used their budget before they converged, with "
                 f"{cell.posterior.effective:.0f} effective samples"
             )
+        problems += constraint_warnings(
+            f"{where(cell)}: the posterior is cut by the constraint", cell.posterior.constraints
+        )
         if cell.repetition.converged < result.groups:
             problems.append(
                 f"{where(cell)}: {result.groups - cell.repetition.converged} of {result.groups} swarms used "

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Final
 
 from cpam_bayes.formatting import fixed, listed, significant
 from cpam_bayes.identification.scale_errors import FREQUENCY_SCALE, ScaleError
 from cpam_bayes.identification.verdicts import Verdict
 from cpam_bayes.plate import Specimen, to_user, unit_of, user_name
+from cpam_bayes.plate.elasticity import MaterialSymmetry
 from cpam_bayes.priors import Prior, TruncatedNormal
 from cpam_bayes.report.plates.head import edges_text, layup_text, size_text
 from cpam_bayes.report.summary import Determined
@@ -44,6 +45,17 @@ _TITLES: Final = {
     "G23": "transverse shear modulus, across the fibres",
 }
 _ISOTROPIC: Final = {"E1": "Young's modulus", "nu12": "Poisson's ratio"}
+_ORTHOTROPIC: Final = _TITLES | {
+    "E1": "Young's modulus along axis 1 of the ply",
+    "E2": "Young's modulus along axis 2 of the ply",
+    "G13": "transverse shear modulus along axis 1",
+    "G23": "transverse shear modulus along axis 2",
+}
+_TITLES_OF: Final[Mapping[MaterialSymmetry, Mapping[str, str]]] = {
+    "isotropic": _ISOTROPIC,
+    "transversely_isotropic": _TITLES,
+    "orthotropic": _ORTHOTROPIC,
+}
 
 # Relative noise of a tap test: usual up to the first level, high from there on.
 _GOOD, _USUAL = 0.003, 0.01
@@ -61,9 +73,9 @@ _SCALE_WORDS: Final = {
 }
 
 
-def constant_title(name: str, *, isotropic: bool) -> str:
+def constant_title(name: str, symmetry: MaterialSymmetry) -> str:
     """A constant in words; a name that has none stands for itself."""
-    return (_ISOTROPIC if isotropic else _TITLES).get(name, name)
+    return _TITLES_OF[symmetry].get(name, name)
 
 
 def frequencies_text(n: int) -> str:

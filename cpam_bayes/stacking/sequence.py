@@ -9,6 +9,7 @@ import numpy as np
 
 from cpam_bayes.forward_model.air_shift import air_shifts
 from cpam_bayes.forward_model.preconditions import (
+    exchange_warnings,
     explained_failures,
     require_seed,
     require_sequence,
@@ -159,7 +160,7 @@ def stacking_result(
     return StackingResult(
         seed=seed,
         slips=slips,
-        warnings=(*slips, *stacking_warnings(answer, mixture, fit)),
+        warnings=(*slips, *stacking_warnings(answer, mixture, fit), *exchange_warnings(specimen)),
         reached_goal=mixture.converged,
         specimen=specimen,
         air_shifts=air_shifts(_most_probable(answer)),

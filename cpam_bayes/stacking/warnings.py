@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from cpam_bayes.inference.diagnostics.constraints import cut_warnings
 from cpam_bayes.plate import user_name
 from cpam_bayes.stacking.mixture import StackingMixture
 from cpam_bayes.stacking.queries.best_fit import BestFit
@@ -49,6 +50,8 @@ def stacking_warnings(result: StackingPosterior, mixture: StackingMixture, fit: 
             f"the log evidence of {len(doubtful)} listed sequences is uncertain by up to "
             f"{result.log_evidence_error[doubtful].max():.2f}, first number {doubtful[0] + 1}"
         )
+    constants = dict(zip(result.conditional.parameters.names, mixture.parameters.T, strict=True))
+    problems += cut_warnings(result.specimen.material, constants)
     for c in mixture.sampled:
         name = f"the chains of sequence {c.index + 1}" if c.index >= 0 else "the chains of the given sequence"
         if not c.diagnostics.converged:

@@ -311,7 +311,7 @@ def true_frequencies(case: BrickCase, n_modes: int, *, fine: int = _FINE, coarse
     specimen = read_plate(plate_of(case))
     given = {"E1": case.constants[0] * 1e9, "E2": case.constants[1] * 1e9}
     given |= {"nu12": case.constants[2], "G12": case.constants[3] * 1e9}
-    constants = {k: float(v) for k, v in complete_constants(given, isotropic=False).items()}
+    constants = {k: float(v) for k, v in complete_constants(given, "transversely_isotropic").items()}
     rough, good = (
         flawed_frequencies(specimen, constants, n_modes, case.flaws, in_plane=n) for n in (coarse, fine)
     )

@@ -277,7 +277,7 @@ def _elements(mesh: PlateMesh, kept: NDArray[np.bool_], owner: Integers, patch: 
 
 
 def _material(constants: Mapping[str, float], density: float, name: str, heat: Heat | None) -> str:
-    card = material_card(constants, density, name)
+    card = material_card(constants, "transversely_isotropic", density, name)
     # unit coefficient: a temperature is a strain
     return card if heat is None else f"{card}\n*EXPANSION\n1.0"
 

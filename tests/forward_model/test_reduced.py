@@ -420,7 +420,7 @@ def test_whatever_changes_the_model_changes_its_key(b1: Specimen) -> None:
         replace(b1, plate=replace(plate, edges="CFFF")),
         replace(b1, plate=replace(plate, layup=read_specimen("C1").plate.layup)),
         replace(b1, plate=replace(plate, layup=read_specimen("B1").with_unknown_angles().plate.layup)),
-        replace(b1, material=replace(material, isotropic=True)),
+        replace(b1, material=replace(material, symmetry="orthotropic")),
         replace(b1, material=replace(material, constants={**material.constants, "E1": 1e11})),
     ]
     centre = 0.5 * (b1.unknowns.lower + b1.unknowns.upper)

@@ -13,7 +13,7 @@ from cpam_bayes.inference.posterior import NOISE, NOISE_PRIOR, SolverError, plat
 from cpam_bayes.mechanics.problem import Problem
 from cpam_bayes.parameters import Parameter, ParameterSet, Uniform
 from cpam_bayes.plate import Measurement, Specimen, read_specimen
-from cpam_bayes.plate.elasticity import CONSTANTS, complete_constants, through_thickness_poisson
+from cpam_bayes.plate.elasticity import CONSTANTS, through_thickness_poisson
 from tests.linear_model import LinearModel, measurement
 
 
@@ -178,7 +178,7 @@ def least_eigenvalue_of_the_ply(specimen: Specimen, plate: Unasked, x: np.ndarra
     """Of the scaled compliance of a transversely isotropic ply in three dimensions, (m,)."""
     values = plate.parameters.mapping(x)
     given = {k: v for k, v in reference_constants(specimen).items() if k in specimen.material.constants}
-    constants = complete_constants(given | values, specimen.material.isotropic)
+    constants = specimen.material.complete(given | values)
     e1, e2, nu12 = (np.broadcast_to(constants[k], len(x)) for k in CONSTANTS[:3])
     nu23 = nu12 if specimen.material.isotropic else through_thickness_poisson(e1, e2, nu12)
     off = -nu12 * np.sqrt(e2 / e1)

@@ -273,7 +273,7 @@ def test_derivatives_of_coinciding_modes_are_those_of_the_branches_they_split_in
     # A square isotropic plate: (1,3) and (3,1) coincide and have the same parity. With E1 they part;
     # Navier's solution follows each branch.
     nominal = plate(0.2, 0.2, 0.01, 1600.0, ISOTROPIC, (0.0,), "SSSS").nominal
-    base = complete_constants(ISOTROPIC, True)
+    base = complete_constants(ISOTROPIC, "isotropic")
     names = ("E1", "E2", "G12")
     parameters = ParameterSet(tuple(Parameter(n, "Pa", Uniform(1e9, 200e9)) for n in names))
 
@@ -377,7 +377,7 @@ def test_labels_of_a_simply_supported_rectangle_count_naviers_half_waves() -> No
 
 def test_in_plane_modes_of_a_thick_simply_supported_plate_are_named_so() -> None:
     # v = sin(pi x / a), one half-wave between the edges that hold v, none across: at c / 2a
-    constants = complete_constants(ISOTROPIC, True)
+    constants = complete_constants(ISOTROPIC, "isotropic")
     speed = float(np.sqrt(constants["G12"] / 2700.0))
     found = described(plate(0.3, 0.2, 0.06, 2700.0, ISOTROPIC, (0.0,), "SSSS"), 12)
     in_plane = {mode.label: mode for mode in found if mode.kind == "in-plane"}

@@ -36,7 +36,7 @@ def free_parameters(layup: tuple[float, ...], edges: str = "FFFF") -> Problem:
 
     def state(values: Values) -> PlateState:
         own = {k: values[k] for k in ("E1", "G12")}
-        constants = complete_constants({**CARBON, **own}, isotropic=False)
+        constants = complete_constants({**CARBON, **own}, "transversely_isotropic")
         return replace(nominal, constants=constants, thickness=values["thickness"])
 
     return bare_plate(parameters, edges, nominal, state)

@@ -27,6 +27,15 @@ def line_of(text, fragment):
     return text[: text.index(fragment)].count("\n") + 1
 
 
+PLATE = """name = "x"
+[plate]
+length_mm = 100
+width_mm = 50
+thickness_mm = 2
+density_kg_m3 = 2700
+edges = "FFFF"
+"""
+
 # (what stands in the good file, what replaces it, the key, what the message must hold)
 SPOILT = [
     # unknown keys
@@ -100,7 +109,9 @@ SPOILT = [
     # missing
     ('edges = "CFSF"\n', "", "plate.edges", "missing, accepted: four letters"),
     ("E2_GPa = 9.34\n", "", "material.E2_GPa", "missing"),
-    ("isotropic = false\n", "", "material.isotropic", "missing"),
+    ("isotropic = false\n", 'symmetry = "ortho"\n', "material.symmetry", 'accepted: "isotropic", "tran'),
+    ("isotropic = false\n", "symmetry = 1\n", "material.symmetry", "not a symmetry, received 1"),
+    ("isotropic = false", 'isotropic = true\nsymmetry = "orthotropic"', "material.isotropic", "contradicts"),
     ('layup = "[(0/90)_8]_s"\nsequence_', "sequence_", "plate.layup", "missing"),
     # relations
     ("density_kg_m3 = 1590.0", "density_kg_m3 = 1590.0\nmass_g = 3", "plate.mass_g", "one of"),
@@ -115,7 +126,7 @@ SPOILT = [
     ('"[(0/90)_8]_s"', '"[0_1000000]"', "plate.layup", "1000000 plies"),
     ('"[(?/?/?/?)_4]_s"', '"[(0/90)_8]_s"', "plate.sequence_layup", "no unknown angle"),
     ('"[(?/?/?/?)_4]_s"', '"[?/?]_s"', "plate.sequence_layup", "received 4, accepted: 32"),
-    ("E1_GPa = 121.2", "E1_GPa = 9.0", "material.E1_GPa", "E1 > E2"),
+    ("E1_GPa = 121.2", "E1_GPa = 9.0", "material.E1_GPa", "E1 > E2, fourth of eq. (9); fabrics, wood and"),
     ("nu12 = 0.23", "nu12 = 0.6", "material.nu12", "second of eq. (9)"),
     ("nu12 = 0.23", "nu12 = 5", "material.nu12", "third of eq. (9)"),
     ("nu12 = 0.23", "nu12 = 1.0", "material.nu12", "eq. (9)"),
@@ -160,8 +171,21 @@ def test_each_error_names_file_line_key_and_what_is_accepted(full_text, good, ba
     assert last in line or ("missing" in said and table in line)
 
 
-def test_a_material_without_an_isotropic_flag_lacks_only_the_flag(full_text):
-    assert "material.isotropic: missing" in one_problem(full_text.replace("isotropic = false\n", ""))
+def test_a_material_of_two_constants_that_names_no_symmetry_lacks_only_that():
+    text = PLATE + "[material]\nE1_GPa = 69\nnu12 = 0.3\n"
+    assert "material.symmetry: missing" in one_problem(text)
+
+
+@pytest.mark.parametrize("nu12", [-1.8, 1.8])
+def test_an_orthotropic_material_is_refused_where_it_is_not_positive_definite_only(nu12):
+    text = (
+        PLATE + 'layup = "[0]"\n[material]\nsymmetry = "orthotropic"\nE1_GPa = 3\nE2_GPa = 1\nG12_GPa = 1\n'
+    )
+    problem = one_problem(f"{text}nu12 = {nu12}\n")
+    assert "material.nu12: impossible constants" in problem
+    assert "|nu12| < sqrt(E1/E2), a positive definite stiffness" in problem
+    assert "eq. (9)" not in problem
+    assert parse_specimen(f"{text}nu12 = {nu12 / 1.8}\n", "x").material.symmetry == "orthotropic"
 
 
 def test_all_errors_of_a_file_come_at_once_in_the_order_of_their_lines(full_text):
@@ -225,20 +249,9 @@ def test_an_isotropic_plate_has_two_constants(full_text, key):
     assert all("E1_GPa and nu12 only" in problem for problem in problems)
 
 
-def test_an_isotropic_poissons_ratio_stays_below_one_half():
-    text = """
-    name = "x"
-    [plate]
-    length_mm = 100
-    width_mm = 50
-    thickness_mm = 2
-    density_kg_m3 = 2700
-    edges = "FFFF"
-    [material]
-    isotropic = true
-    E1_GPa = 69
-    nu12 = 0.5
-    """
+@pytest.mark.parametrize("said", ["isotropic = true", 'symmetry = "isotropic"'])
+def test_an_isotropic_poissons_ratio_stays_below_one_half(said):
+    text = f"{PLATE}[material]\n{said}\nE1_GPa = 69\nnu12 = 0.5\n"
     assert "-1 < nu12 < 0.5" in one_problem(text)
     text = text.replace("0.5", "0.3") + "[unknowns]\nnu12 = [0.6, 0.7]\n"
     assert "no physical constants" in one_problem(text)

@@ -27,7 +27,7 @@ Constants = Mapping[str, ArrayLike]
 
 # G13 and G23 differ from each other and from G12, so that a mistaken index shows.
 PLY: dict[str, float] = CARBON | {"G13": 5.1e9, "G23": 3.0e9}
-ISOTROPIC = complete_constants({"E1": 70e9, "nu12": 0.3}, isotropic=True)
+ISOTROPIC = complete_constants({"E1": 70e9, "nu12": 0.3}, "isotropic")
 THICKNESS = 0.0032
 UNCORRECTED = ShearModel(1.0)
 LAYUPS: dict[str, tuple[float, ...]] = {

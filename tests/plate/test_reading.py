@@ -156,3 +156,37 @@ def test_records_are_read_only_and_travel_between_processes(specimen):
     again = pickle.loads(pickle.dumps(specimen))
     assert again.unknowns == specimen.unknowns
     assert np.array_equal(again.measurement.frequencies, specimen.measurement.frequencies)
+
+
+@pytest.mark.parametrize(
+    ("said", "symmetry"),
+    [
+        ("", "transversely_isotropic"),
+        ("isotropic = false\n", "transversely_isotropic"),
+        ('symmetry = "transversely_isotropic"\n', "transversely_isotropic"),
+        ('isotropic = false\nsymmetry = "orthotropic"\n', "orthotropic"),
+        ('symmetry = "orthotropic"\n', "orthotropic"),
+    ],
+)
+def test_constants_of_a_composite_are_transversely_isotropic_unless_said_otherwise(full_text, said, symmetry):
+    material = parse_specimen(full_text.replace("isotropic = false\n", said), "x").material
+    assert (material.symmetry, material.isotropic) == (symmetry, False)
+
+
+@pytest.mark.parametrize(
+    "constants",
+    [
+        "E1_GPa = 60\nE2_GPa = 60\nnu12 = 0.05\nG12_GPa = 4",  # balanced fabric
+        "E1_GPa = 0.9\nE2_GPa = 11\nnu12 = 0.04\nG12_GPa = 0.8",  # wood, its grain along axis 2
+        "E1_GPa = 11\nE2_GPa = 0.9\nnu12 = 0.51\nG12_GPa = 0.8",  # spruce
+    ],
+)
+def test_orthotropic_moduli_come_in_any_order(full_text, constants):
+    before, _, after = full_text.partition("[material]")
+    _, _, after = after.partition("[unknowns]")
+    after = after.replace("nu12 = {", "nu12 = [-1.5, 1.5] # {")
+    text = f'{before}[material]\nsymmetry = "orthotropic"\n{constants}\n[unknowns]{after}'
+    specimen = parse_specimen(text, "x")
+    assert specimen.unknowns["nu12"].prior == Uniform(-1.5, 1.5)
+    complete = specimen.material.complete()
+    assert complete["G13"] == complete["G23"] == specimen.material.constants["G12"]

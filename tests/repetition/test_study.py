@@ -14,7 +14,7 @@ from cpam_bayes.inference.swarm.pso import minimise
 from cpam_bayes.inference.swarm.settings import SwarmSettings
 from cpam_bayes.inference.swarm.swarm import SwarmResult
 from cpam_bayes.parallel import open_executor
-from cpam_bayes.plate import Specimen, read_specimen
+from cpam_bayes.plate import Material, Specimen, read_specimen
 from cpam_bayes.repetition import study as study_module
 from cpam_bayes.repetition import tasks as noise_tasks
 from cpam_bayes.repetition.perturbation import INTERPRETATIONS, Interpretation, perturbation_sd
@@ -31,6 +31,8 @@ from cpam_bayes.repetition.tasks import (
 from tests.linear_model import MEAN_HZ, SLOPE_HZ, LinearModel, measurement
 
 ENSEMBLE_SETTINGS = EnsembleSettings(walkers=16, round_steps=500, effective=1000.0)
+# The model's parameters are no constants of it.
+FREE = Material("isotropic", {"E1": 70e9, "nu12": 0.3}, {}, None)
 EXACT = MEAN_HZ + SLOPE_HZ @ np.array([0.4, -0.3])
 
 
@@ -38,7 +40,7 @@ EXACT = MEAN_HZ + SLOPE_HZ @ np.array([0.4, -0.3])
 def shared() -> Shared:
     """A linear model and the list that it gives at (0.4, -0.3)."""
     return Shared(
-        problem=InverseProblem(LinearModel(), LinearModel().parameters, False, SwarmSettings()),
+        problem=InverseProblem(LinearModel(), LinearModel().parameters, FREE, SwarmSettings()),
         measurement=replace(measurement(None), frequencies=EXACT),
         reference=np.array([0.4, -0.3]),
         chains=ENSEMBLE_SETTINGS,

@@ -23,7 +23,7 @@ from cpam_bayes.forward_model.calculix.mesh import (
     shell_mesh,
 )
 from cpam_bayes.mechanics.problem import EDGES, HELD, rigid_body_count
-from cpam_bayes.plate.elasticity import CONSTANTS, through_thickness_poisson
+from cpam_bayes.plate.elasticity import CONSTANTS, MaterialSymmetry, through_thickness_poisson
 from cpam_bayes.plate.records import Plate, Specimen
 
 Element = Literal["shell", "brick"]
@@ -77,8 +77,8 @@ def plate_deck(
     """The deck of a specimen: mesh, plies, edges, known masses, a step for its modes.
 
     Shells are S8R with a composite section. Bricks are C3D20R in layers: each run of equal plies
-    has its own layers of elements, no ply is averaged with another. Plies are orthotropic with
-    E3 = E2, nu13 = nu12 and nu23 by eq. (6). Edges hold the fields that `problem.HELD` names,
+    has its own layers of elements, no ply is averaged with another. Plies are those of
+    `material_card`. Edges hold the fields that `problem.HELD` names,
     bricks on the whole face.
 
     constants : E1, E2, nu12, G12, G13, G23, all six, Pa or dimensionless.
@@ -90,7 +90,7 @@ def plate_deck(
     """
     plate = specimen.plate
     _check(specimen, element, n_modes, in_plane)
-    card = material_card(constants, plate.density)
+    card = material_card(constants, specimen.material.symmetry, plate.density)
     angles, heights = ply_runs(plate)
     if element == "shell":
         lines = _lines(specimen, in_plane or _SHELLS_IN_PLANE)
@@ -172,8 +172,13 @@ def _check_size(lines: tuple[NDArray[np.float64], ...], n_layers: int) -> None:
         )
 
 
-def material_card(constants: Mapping[str, float], density: float, name: str = "PLY") -> str:
-    """The card of a ply's material, with E3 = E2, nu13 = nu12 and nu23 by eq. (6).
+def material_card(
+    constants: Mapping[str, float], symmetry: MaterialSymmetry, density: float, name: str = "PLY"
+) -> str:
+    """The card of a ply's material with what plates hardly show through the thickness.
+
+    E3 = E2, nu13 = nu12 and nu23 by eq. (6); of an orthotropic ply E3 is the smaller of E1 and E2, nu13 and
+    nu23 are 0.
 
     constants, density : as for `plate_deck`; kg/m3.
 
@@ -186,15 +191,15 @@ def material_card(constants: Mapping[str, float], density: float, name: str = "P
             f"{', '.join(CONSTANTS)}; elasticity.complete_constants fills in what follows"
         )
     E1, E2, nu12, G12, G13, G23 = (float(constants[name]) for name in CONSTANTS)
+    E3, nu13, nu23 = _through_thickness(E1, E2, nu12, symmetry)
     moduli = (E1, E2, G12, G13, G23)
-    if not (all(0.0 < v < np.inf for v in moduli) and _is_positive_definite(E1, E2, nu12)):
+    if not (all(0.0 < v < np.inf for v in moduli) and _is_positive_definite((E1, E2, E3), nu12, nu13, nu23)):
         given = ", ".join(f"{name} = {float(constants[name]):.4g}" for name in CONSTANTS)
         raise ValueError(
             f"elastic constants: received {given}, accepted: positive moduli and Poisson's ratios "
-            "that with eq. (6) make a positive definite compliance"
+            f"that make a positive definite compliance, with nu13 = {nu13:.4g} and nu23 = {nu23:.4g}"
         )
-    nu23 = float(through_thickness_poisson(E1, E2, nu12))
-    engineering = (E1, E2, E2, nu12, nu12, nu23, G12, G13, G23)
+    engineering = (E1, E2, E3, nu12, nu13, nu23, G12, G13, G23)
     return "\n".join(
         [
             f"*MATERIAL, NAME={name}",
@@ -207,13 +212,23 @@ def material_card(constants: Mapping[str, float], density: float, name: str = "P
     )
 
 
-def _is_positive_definite(E1: float, E2: float, nu12: float) -> bool:
-    """Whether the compliance of the three normal stresses is, times E1; nu23 by eq. (6)."""
-    if not abs(nu12) < 1.0:
+def _through_thickness(
+    E1: float, E2: float, nu12: float, symmetry: MaterialSymmetry
+) -> tuple[float, float, float]:
+    """E3, nu13 and nu23."""
+    if symmetry == "orthotropic":
+        return min(E1, E2), 0.0, 0.0
+    if nu12 == 1.0:  # where eq. (6) has a pole
+        return E2, nu12, np.inf
+    return E2, nu12, float(through_thickness_poisson(E1, E2, nu12))
+
+
+def _is_positive_definite(moduli: tuple[float, float, float], nu12: float, nu13: float, nu23: float) -> bool:
+    """Whether the compliance of the three normal stresses is, times E1."""
+    if not np.all(np.isfinite((*moduli, nu12, nu13, nu23))):
         return False
-    ratio = E1 / E2
-    nu23 = float(through_thickness_poisson(E1, E2, nu12))
-    compliance = np.array([[1.0, -nu12, -nu12], [-nu12, ratio, -nu23 * ratio], [-nu12, -nu23 * ratio, ratio]])
+    to_2, to_3 = moduli[0] / moduli[1], moduli[0] / moduli[2]
+    compliance = [[1.0, -nu12, -nu13], [-nu12, to_2, -nu23 * to_2], [-nu13, -nu23 * to_2, to_3]]
     return bool(np.linalg.eigvalsh(compliance)[0] > 0.0)
 
 

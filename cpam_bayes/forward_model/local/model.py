@@ -77,7 +77,7 @@ class LocalModel:
         return self.bare.parameters.union(self.added)
 
     def admissible(self, x: Array) -> Array:
-        """Whether parameter vectors (m, n) satisfy the constraints (9), (m,) bool."""
+        """Whether parameter vectors (m, n) satisfy the constraints of the material, (m,) bool."""
         return self.bare.admissible(np.atleast_2d(x)[:, : self.bare.parameters.size])
 
     def predict(self, x: Array, *, jacobian: bool = False) -> Prediction:

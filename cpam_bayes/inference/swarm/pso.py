@@ -31,13 +31,14 @@ from cpam_bayes.inference.swarm.settings import (
 )
 from cpam_bayes.inference.swarm.swarm import SwarmProblem, SwarmResult, minimise_problem
 from cpam_bayes.parameters import ParameterSet
+from cpam_bayes.plate.elasticity import MaterialSymmetry
 
 __all__ = ["SwarmResult", "SwarmSettings", "initial_swarm", "minimise"]
 
 
 def initial_swarm(
     parameters: ParameterSet,
-    isotropic: bool,
+    symmetry: MaterialSymmetry,
     n: int,
     rng: np.random.Generator,
 ) -> FloatArray:
@@ -46,10 +47,11 @@ def initial_swarm(
     E2 is uniform in its bounds, E1 uniform between E2 and its upper bound, nu12 uniform in
     [-sqrt(E1/E2), sqrt(E1/E2)] cut to its bounds, all others uniform in theirs. E2 is drawn below
     the upper bound of E1, and E1 not below its own lower bound, so that every particle lies in
-    the box. For an isotropic plate E1 = E2 by eq. (11): the order of the two is not asked for.
+    the box. The order of the two is that of a transversely isotropic ply: an isotropic one has E1 = E2 by
+    eq. (11), and of an orthotropic one both are uniform in their bounds.
 
     parameters : the unknowns, SI units; a fixed E1 or E2 among them limits the other one.
-    isotropic : whether eq. (11) holds.
+    symmetry : of the ply.
     n : number of particles.
 
     Returns (n, parameters.size), columns as in ``parameters.names``.
@@ -61,14 +63,16 @@ def initial_swarm(
     bounds = dict(zip(parameters.names, zip(parameters.lower, parameters.upper, strict=True), strict=True))
     drawn = {name: np.full(n, value) for name, value in parameters.fixed}
     edge = np.ones(n)  # sqrt(E1 / E2)
-    if not isotropic and "E2" in bounds:
+    composite, ordered = symmetry != "isotropic", symmetry == "transversely_isotropic"
+    if composite and "E2" in bounds:
         low, high = bounds["E2"]
         top = bounds["E1"][1] if "E1" in bounds else drawn.get("E1", np.inf)
-        drawn["E2"] = _draw("E2", low, np.minimum(high, top), n, rng)
-    if not isotropic and "E1" in bounds:
+        drawn["E2"] = _draw("E2", low, np.minimum(high, top) if ordered else high, n, rng)
+    if composite and "E1" in bounds:
         low, high = bounds["E1"]
-        drawn["E1"] = _draw("E1", np.maximum(low, drawn.get("E2", low)), high, n, rng)
-    if not isotropic and "E1" in drawn and "E2" in drawn:
+        above = np.maximum(low, drawn.get("E2", low)) if ordered else low
+        drawn["E1"] = _draw("E1", above, high, n, rng)
+    if composite and "E1" in drawn and "E2" in drawn:
         edge = np.sqrt(drawn["E1"] / drawn["E2"])
     for name, (low, high) in bounds.items():
         if name == "nu12":
@@ -92,7 +96,7 @@ def minimise(
     """Minimise a function over a box by a particle swarm, eq. (1) and (2), see ``minimise_problem``.
 
     objective : (m, n_constants) -> (m,).
-    feasible : (m, n_constants) -> (m,) bool, the constraints (9).
+    feasible : (m, n_constants) -> (m,) bool, the constraints of the material.
     lower, upper : (n_constants,).
     """
 

@@ -81,7 +81,7 @@ def _constant(d: Diagnosis, row: ConstantRow) -> ConstantLine:
         by = decided_by(name, case.models.parameters[name].prior)
     return ConstantLine(
         symbol=name,
-        title=constant_title(name, isotropic=case.models.specimen.material.isotropic),
+        title=constant_title(name, case.models.specimen.material.symmetry),
         key=row.name,
         value=row.mean,
         interval=(row.q025, row.q975),

@@ -51,7 +51,7 @@ def plate_head(specimen: Specimen, air_shifts: NDArray[np.float64] | None) -> Ta
         ("source", specimen.source),
         ("size", f"{size_text(plate)} mm, {thickness_class(plate)} ({thickness_ratio(plate)})"),
         ("density", _density(plate)),
-        ("material", specimen.material.name or "not named"),
+        ("material", _material(specimen)),
         ("layup", layup_text(specimen)),
         ("edges", f"{plate.edges}: {edges_text(plate.edges)}"),
     ]
@@ -94,6 +94,12 @@ def measured_facts(specimen: Specimen) -> Table:
     return facts("What was measured", rows)
 
 
+def _material(specimen: Specimen) -> str:
+    """The name of the material, and what it is where the layup does not tell."""
+    name = specimen.material.name or "not named"
+    return f"{name}, orthotropic" if specimen.material.symmetry == "orthotropic" else name
+
+
 def air_text(specimen: Specimen, air_shifts: NDArray[np.float64] | None) -> str:
     """The air in the model, or what it would change by ``air_shifts``, relative, None where not computed."""
     if specimen.air_density:
@@ -118,7 +124,7 @@ def layup_text(specimen: Specimen) -> str:
     if specimen.material.isotropic:
         return "isotropic"
     layup = specimen.plate.layup
-    return f"{layup.text}, {layup.n_plies} plies"
+    return f"{layup.text}, {'1 ply' if layup.n_plies == 1 else f'{layup.n_plies} plies'}"
 
 
 def edges_text(edges: str) -> str:

@@ -29,7 +29,6 @@ from cpam_bayes.mechanics.spaces.fem import fem_space
 from cpam_bayes.mechanics.sparse import discretise_sparse
 from cpam_bayes.parameters import Parameter, ParameterSet
 from cpam_bayes.plate import Measurement, Specimen, builtin
-from cpam_bayes.plate.elasticity import complete_constants
 
 Array = NDArray[Any]
 
@@ -158,9 +157,7 @@ def brick_frequencies(bench: Bench, x: Array, n: int) -> Array:
     Raises ``CalculixError`` where CalculiX is not there or fails.
     """
     models = bench.case.models
-    material = models.specimen.material
-    given = dict(material.constants) | dict(zip(models.parameters.names, x, strict=True))
-    every = complete_constants(given, material.isotropic)
+    every = models.specimen.material.complete(dict(zip(models.parameters.names, x, strict=True)))
     constants = {name: float(value) for name, value in every.items()}
     return np.asarray(solve_specimen(models.specimen, constants, n))
 

@@ -19,8 +19,7 @@ from cpam_bayes.forward_model.calculix import (
 )
 from cpam_bayes.forward_model.calculix.mesh import grid_lines
 from cpam_bayes.forward_model.calculix.results import deformation_modes, read_displacements
-from cpam_bayes.plate import Sensor, Specimen, builtin
-from cpam_bayes.plate.elasticity import complete_constants
+from cpam_bayes.plate import Material, Sensor, Specimen, builtin
 from cpam_bayes.plate.layup import parse_layup
 
 N_MODES = 6
@@ -41,7 +40,7 @@ class Card:
 
 def constants(specimen: Specimen) -> dict[str, float]:
     material = specimen.material
-    complete = complete_constants(material.constants, material.isotropic)
+    complete = material.complete()
     return {name: float(value) for name, value in complete.items()}
 
 
@@ -156,6 +155,18 @@ def test_plies_are_transversely_isotropic() -> None:
     assert_allclose(E2, 2 * G23 * (1 + nu23), rtol=1e-11)
     assert len(given.data[0].split(",")) == 8
     assert only(deck, "DENSITY").numbers() == [1590.0]
+
+
+@pytest.mark.parametrize("nu12", [0.04, 0.15])
+def test_an_orthotropic_ply_is_positive_definite_in_three_dimensions(nu12: float) -> None:
+    material = Material("orthotropic", {"E1": 0.9e9, "E2": 11e9, "nu12": nu12, "G12": 0.7e9}, {}, None)
+    deck = cards(replace(builtin("C1"), material=material), "brick", in_plane=16)
+    E1, E2, E3, nu12, nu13, nu23, *shear = only(deck, "ELASTIC").numbers()
+    assert (E1, E2, E3) == (0.9e9, 11e9, 0.9e9)
+    assert (nu13, nu23) == (0.0, 0.0)
+    assert shear == [0.7e9] * 3
+    compliance = [[1 / E1, -nu12 / E1, 0.0], [-nu12 / E1, 1 / E2, 0.0], [0.0, 0.0, 1 / E3]]
+    assert np.linalg.eigvalsh(compliance)[0] > 0.0
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,6 @@ from cpam_bayes.forward_model.calculix import (
 from cpam_bayes.forward_model.model import NO_PARAMETERS, converged_model
 from cpam_bayes.mechanics.shapes import Mode
 from cpam_bayes.plate import Sensor, Specimen, builtin
-from cpam_bayes.plate.elasticity import complete_constants
 from cpam_bayes.plate.layup import parse_layup
 
 pytestmark = pytest.mark.needs_ccx
@@ -26,7 +25,7 @@ pytestmark = pytest.mark.needs_ccx
 
 def constants(specimen: Specimen) -> dict[str, float]:
     material = specimen.material
-    complete = complete_constants(material.constants, material.isotropic)
+    complete = material.complete()
     return {name: float(value) for name, value in complete.items()}
 
 

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from cpam_bayes.inference.swarm.pso import SwarmSettings, initial_swarm, minimise
 from cpam_bayes.inference.swarm.swarm import SwarmProblem, SwarmState, confine, step_swarm
 from cpam_bayes.parameters import Parameter, ParameterSet, Uniform
-from cpam_bayes.plate.elasticity import is_admissible
+from cpam_bayes.plate.elasticity import MaterialSymmetry, is_admissible
 
 Array = NDArray[np.float64]
 
@@ -241,24 +241,24 @@ def test_values_that_are_not_finite_are_penalised() -> None:
     assert result.evaluations == 40 * (result.iterations + 1)
 
 
-@pytest.mark.parametrize("isotropic", [False, True])
+@pytest.mark.parametrize("symmetry", ["isotropic", "transversely_isotropic", "orthotropic"])
 @pytest.mark.parametrize("seed", range(10))
-def test_initial_swarm_meets_its_constraints(isotropic: bool, seed: int) -> None:
-    parameters = unknowns("nu12 E1" if isotropic else "E1 E2 nu12 G12 G23")
-    swarm = initial_swarm(parameters, isotropic, 500, np.random.default_rng(seed))
+def test_initial_swarm_meets_its_constraints(symmetry: MaterialSymmetry, seed: int) -> None:
+    parameters = unknowns("nu12 E1" if symmetry == "isotropic" else "E1 E2 nu12 G12 G23")
+    swarm = initial_swarm(parameters, symmetry, 500, np.random.default_rng(seed))
     assert swarm.shape == (500, parameters.size)
     assert np.all((swarm >= parameters.lower) & (swarm <= parameters.upper))
     constants = parameters.mapping(swarm)
-    if not isotropic:
+    if symmetry == "transversely_isotropic":
         assert np.all(constants["E1"] >= constants["E2"])
         assert np.all(np.abs(constants["nu12"]) <= np.sqrt(constants["E1"] / constants["E2"]))
         constants |= {"G13": constants["G12"]}
-    assert is_admissible(constants, isotropic).all()
+    assert is_admissible(constants, symmetry).all()
 
 
 def test_initial_swarm_spreads_as_section_5_1_says() -> None:
     n = 20_000
-    swarm = initial_swarm(unknowns("E1 E2 nu12 G12"), False, n, np.random.default_rng(3))
+    swarm = initial_swarm(unknowns("E1 E2 nu12 G12"), "transversely_isotropic", n, np.random.default_rng(3))
     E1, E2, nu12, G12 = swarm.T
     lower = np.maximum(E2, 10e9)
     # Each of these is uniform in [0, 1]: mean 1/2 within five standard errors.
@@ -273,9 +273,9 @@ def test_initial_swarm_spreads_as_section_5_1_says() -> None:
 
 def test_initial_swarm_keeps_to_a_known_modulus() -> None:
     rng = np.random.default_rng(0)
-    E1 = initial_swarm(unknowns("E1 nu12", E2=38e9), False, 300, rng)[:, 0]
+    E1 = initial_swarm(unknowns("E1 nu12", E2=38e9), "transversely_isotropic", 300, rng)[:, 0]
     assert E1.min() >= 38e9
-    E2 = initial_swarm(unknowns("nu12 E2", E1=12e9), False, 300, rng)[:, 1]
+    E2 = initial_swarm(unknowns("nu12 E2", E1=12e9), "transversely_isotropic", 300, rng)[:, 1]
     assert E2.max() <= 12e9
 
 
@@ -294,7 +294,7 @@ def test_a_model_that_always_fails_is_said() -> None:
 
 def test_bounds_that_leave_no_room_are_said() -> None:
     with pytest.raises(ValueError, match="no start value for E1"):
-        initial_swarm(unknowns("E1", E2=300e9), False, 10, np.random.default_rng(0))
+        initial_swarm(unknowns("E1", E2=300e9), "transversely_isotropic", 10, np.random.default_rng(0))
 
 
 @pytest.mark.parametrize(
