@@ -10,6 +10,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from cpam_bayes.arguments import checked
 from cpam_bayes.diagnosis.plates import DiagnosisResult, diagnose
 from cpam_bayes.forward_model.preconditions import require_diagnosable, require_seed, require_sequence
 from cpam_bayes.identification.identify import PointResult, identify
@@ -78,6 +79,7 @@ class FullReport(PlateResult):
         return {f"{part.command}.json": json_text(part.to_dict()) for part in self.parts}
 
 
+@checked
 def full_report(
     plate: PlateLike,
     *,

@@ -1,4 +1,4 @@
-"""The errors a user can cause while describing a plate."""
+"""The errors a user can cause while describing a plate or calling a function."""
 
 from __future__ import annotations
 
@@ -21,6 +21,17 @@ class PlateFileError(ValueError):
 
     def __str__(self) -> str:
         return "\n".join(self.problems)
+
+
+class ArgumentError(TypeError, ValueError):
+    """An argument of a type that a function does not take."""
+
+    def __init__(self, name: str, received: str, accepted: str) -> None:
+        super().__init__(name, received, accepted)
+
+    def __str__(self) -> str:
+        name, received, accepted = self.args
+        return f"{name}: received {received}, accepted: {accepted}"
 
 
 class LayupError(ValueError):

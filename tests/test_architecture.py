@@ -15,6 +15,7 @@ import cpam_bayes
 # A module imports only from its own layer and from those above it in this list.
 LAYERS = (
     "errors",
+    "arguments",
     "formatting",
     "storage",
     "threads",

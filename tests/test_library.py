@@ -16,11 +16,12 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 import cpam_bayes as cb
 from cpam_bayes.diagnosis import cases, plates
-from cpam_bayes.errors import PlateFileError
+from cpam_bayes.errors import ArgumentError, PlateFileError
 from cpam_bayes.forward_model.solve import ForwardResult
 from cpam_bayes.identification.identify import PointResult
 from cpam_bayes.inference.chains.ensemble import DEFAULT_SETTINGS
@@ -213,8 +214,10 @@ def test_a_plate_can_be_given_as_its_content_and_a_wrong_key_is_named(plate_file
         (lambda: cb.sensitivity("A1", levels=[5.0]), "levels, as fractions: received 5.0, accepted"),
         (lambda: cb.sensitivity("A1", groups=1), "groups: received 1, accepted: a whole number from 2"),
         (lambda: cb.forward("A1", n_modes=0), "n_modes: received 0, accepted: a whole number from 1 to 100"),
-        (lambda: cb.export("A1", n_modes=2.5), "n_modes: received 2.5, accepted: a whole number"),
-        (lambda: cb.identify("A1", seed=None), "seed: received None, accepted: a whole number from 0"),
+        (
+            lambda: cb.export("A1", n_modes=101),
+            "n_modes: received 101, accepted: a whole number from 1 to 100",
+        ),
         (lambda: cb.sample("A1", seed=-1), "seed: received -1, accepted: a whole number from 0"),
         (lambda: cb.sample("A1", likelihood="x"), "likelihood: received 'x', accepted: relative absolute"),
         (lambda: cb.sample("A1", store=""), "store: received '', accepted: a directory"),
@@ -222,12 +225,69 @@ def test_a_plate_can_be_given_as_its_content_and_a_wrong_key_is_named(plate_file
         (lambda: cb.sequence("C1", top=0), "top: received 0, accepted: a whole number from 1 to 2000"),
         (lambda: cb.diagnose("A1", next_test="x"), "next_test: received 'x', accepted: open always never"),
         (lambda: cb.diagnose("A1", scatter=-1.0), "scatter: received -1.0, accepted: a number above 0"),
-        (lambda: cb.diagnose("A1", prior_none="a"), "prior_none: received 'a', accepted: a number above 0"),
+        (lambda: cb.diagnose("A1", prior_none=2.0), "prior_none: received 2.0, accepted: a number above 0"),
     ],
 )
 def test_arguments_out_of_range_are_refused(call: Callable[[], object], said: str) -> None:
     with pytest.raises(ValueError, match=said):
         call()
+
+
+# A value that is of no type of an annotation of the verbs.
+NOTHING = object()
+
+
+@pytest.mark.parametrize("name", [name for name in VERBS if name not in ("plates", "builtin_plates")])
+def test_an_argument_of_a_wrong_type_is_named_before_any_work(name: str) -> None:
+    verb = getattr(cb, name)
+    for parameter in inspect.signature(verb).parameters.values():
+        plate = () if parameter.name in ("plate", "plates") or name == "cache" else ("A1",)
+        wrong = NOTHING, 1j, b"C1"
+        for value in wrong:
+            given = {} if parameter.kind is parameter.VAR_POSITIONAL else {parameter.name: value}
+            with pytest.raises(ValueError, match=f"^{parameter.name}: received .*, accepted: ") as refused:
+                verb(*plate, **given) if given else verb(value)
+            assert isinstance(refused.value, TypeError)
+
+
+@pytest.mark.parametrize(
+    ("call", "said"),
+    [
+        (lambda: cb.identify("A1", seed=None), "seed: received None, accepted: a whole number"),
+        (lambda: cb.identify("A1", seed=True), "seed: received True, accepted: a whole number"),
+        (lambda: cb.export("A1", n_modes=2.5), "n_modes: received 2.5, accepted: a whole number or None"),
+        (lambda: cb.forward("A1", n_modes="3"), "n_modes: received '3', accepted: a whole number or None"),
+        (
+            lambda: cb.forward(None),
+            "plate: received None, accepted: a text or a path or a mapping or a Specimen",
+        ),
+        (lambda: cb.diagnose("A1", 3), "plates: received 3, accepted: a text or a path or a mapping"),
+        (lambda: cb.diagnose("A1", prior_none="a"), "prior_none: received 'a', accepted: a number or None"),
+        (lambda: cb.sequence("C1", executor=4), "executor: received 4, accepted: a text"),
+        (
+            lambda: cb.sensitivity("A1", levels=0.01),
+            "levels: received 0.01, accepted: a sequence of which each is a number",
+        ),
+        (lambda: cb.identify("A1", settings={}), "settings: received {}, accepted: a SwarmSettings or None"),
+        (lambda: cb.identify("A1", watch=print), "watch: received <built-in .*, accepted: a Watch"),
+    ],
+)
+def test_what_is_said_of_a_wrong_type(call: Callable[[], object], said: str) -> None:
+    with pytest.raises(ArgumentError, match=f"^{said}"):
+        call()
+
+
+def test_what_numpy_makes_is_taken_for_what_it_is() -> None:
+    computed = cb.forward("A1", np.int64(1), seed=np.int32(3))
+    assert computed.frequencies.shape == (1,)
+    assert cb.forward(plate="A1", n_modes=1).frequencies == computed.frequencies
+
+
+def test_an_argument_that_a_function_does_not_have_is_left_to_python() -> None:
+    with pytest.raises(TypeError, match="unexpected keyword argument 'mode'"):
+        cb.forward("A1", mode=3)
+    with pytest.raises(TypeError, match="missing 1 required positional argument: 'plate'"):
+        cb.forward()
 
 
 # The same answers

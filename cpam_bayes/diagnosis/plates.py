@@ -10,6 +10,7 @@ from typing import ClassVar, Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from cpam_bayes.arguments import checked
 from cpam_bayes.diagnosis.building import build_models
 from cpam_bayes.diagnosis.cases import hypotheses_of, plate_case
 from cpam_bayes.diagnosis.diagnose import Diagnosis, diagnose_cases
@@ -102,6 +103,7 @@ class DiagnosisResult(Result):
         return self.diagnosis.claim.probability
 
 
+@checked
 def diagnose(
     *plates: PlateLike,
     seed: int = 0,

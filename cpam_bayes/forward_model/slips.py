@@ -28,6 +28,7 @@ __all__ = [
     "HIGH_MISFIT",
     "count_slips",
     "equal_list_slips",
+    "misfit_over_noise",
     "misfit_slips",
     "noise_slips",
     "reference_slips",
@@ -150,8 +151,11 @@ def misfit_slips(level: float) -> tuple[str, ...]:
     )
 
 
-def noise_slips(measurement: Measurement, residuals: Array, n_fitted: int) -> tuple[str, ...]:
-    """A misfit that noise as stated leaves with a probability below 0.001.
+def misfit_over_noise(measurement: Measurement, residuals: Array, n_fitted: int) -> float:
+    """The misfit in times of the stated noise, 1 where noise as stated explains it or none is stated.
+
+    The root of chi-squared over its degrees of freedom (Birge, 1932), where that is exceeded with a
+    probability below 0.001.
 
     residuals : (n,) predicted / measured - 1, nan where a frequency belongs to no mode. n_fitted : constants.
     """
@@ -159,15 +163,22 @@ def noise_slips(measurement: Measurement, residuals: Array, n_fitted: int) -> tu
     unstated = measurement.relative_std is None and measurement.frequency_sd is None
     freedom = int(paired.sum()) - n_fitted
     if unstated or freedom < 1:
-        return ()
+        return 1.0
     noise = measurement.noise_sd(measurement.relative_std or 0.0)
     sd = np.sqrt(noise**2 + measurement.resolution**2 / 12.0) / f
     chi_squared = float(np.sum((residuals[paired] / sd[paired]) ** 2))
-    if chi2.sf(chi_squared, freedom) >= _UNEXPLAINED:
+    explained = chi2.sf(chi_squared, freedom) >= _UNEXPLAINED
+    return 1.0 if explained else float(np.sqrt(chi_squared / freedom))
+
+
+def noise_slips(measurement: Measurement, residuals: Array, n_fitted: int) -> tuple[str, ...]:
+    """A misfit that noise as stated does not explain; arguments as of `misfit_over_noise`."""
+    times = misfit_over_noise(measurement, residuals, n_fitted)
+    if times == 1.0:
         return ()
     return (
         "the plate model does not describe these frequencies: with its best constants the misfit is "
-        f"{significant(np.sqrt(chi_squared / freedom), 2)} times the stated noise, so that the true "
+        f"{significant(times, 2)} times the stated noise, so that the true "
         "constants can lie far outside their intervals; ask `diagnose` what the model gets wrong, and look "
         "for a mass that was left on the plate, a misread frequency, a missed mode, the edges and the layup",
     )

@@ -10,6 +10,7 @@ from typing import ClassVar, Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from cpam_bayes.arguments import checked
 from cpam_bayes.formatting import significant
 from cpam_bayes.forward_model.air_shift import air_shifts
 from cpam_bayes.forward_model.model import NO_PARAMETERS, PlateModel, converged_model, reference_constants
@@ -99,6 +100,7 @@ class _Solution:
     extent: tuple[tuple[float, float], tuple[float, float]] | None = None
 
 
+@checked
 def forward(
     plate: PlateLike,
     n_modes: int | None = None,

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
 
+from cpam_bayes.arguments import checked
 from cpam_bayes.result import Result
 from cpam_bayes.storage.cache import (
     CacheContent,
@@ -30,6 +31,7 @@ class CacheResult(Result):
     limit: int
 
 
+@checked
 def cache(*, clear: bool = False) -> CacheResult:
     """Count the models of plates on disk, or remove them.
 

@@ -10,6 +10,7 @@ from typing import ClassVar, Final, TypeVar
 
 import numpy as np
 
+from cpam_bayes.arguments import checked
 from cpam_bayes.forward_model.air_shift import air_shifts
 from cpam_bayes.forward_model.preconditions import (
     exchange_warnings,
@@ -107,6 +108,7 @@ class PointResult(PlateResult):
         )
 
 
+@checked
 def identify(
     plate: PlateLike,
     *,

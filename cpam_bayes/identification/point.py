@@ -15,6 +15,7 @@ from cpam_bayes.forward_model.labels import LabelledModel, list_order
 from cpam_bayes.forward_model.model import plate_problem
 from cpam_bayes.forward_model.preconditions import units_warning
 from cpam_bayes.forward_model.reduced import ReducedModel
+from cpam_bayes.forward_model.slips import misfit_over_noise
 from cpam_bayes.identification.scale_errors import ScaleError, scale_errors, sizes_spread
 from cpam_bayes.identification.search import Optimum, Residual, Search, required, search
 from cpam_bayes.identification.verdicts import Verdict, verdict_of
@@ -150,7 +151,9 @@ def summarise(
     noise, inferred = _noise(measurement, relative, unknowns.size)
     assert prediction.jacobian is not None
     prior_sd = np.array([unknowns[name].prior.sd for name in unknowns.names])
-    sd = linearised_sd(prediction.jacobian[0, order], prior_sd, measurement, noise, residual)
+    # a misfit that the stated noise does not explain widens it, Birge's ratio
+    excess = misfit_over_noise(measurement, relative, unknowns.size)
+    sd = linearised_sd(prediction.jacobian[0, order], prior_sd, measurement, noise, residual, excess)
     optima = _within_noise(searched, measurement, noise, residual)
     at_optima = np.array([optimum.x for optimum in optima])
     level = noise if np.isfinite(noise) else _EVEN_NOISE
@@ -162,9 +165,10 @@ def summarise(
         measurement.noise_sd(level) / measurement.frequencies,
         dict(zip(unknowns.names, prior_sd.tolist(), strict=True)),
     )
-    freedom = measurement.size - unknowns.size if inferred else np.inf
+    explained = excess == 1.0
+    freedom = measurement.size - unknowns.size if inferred or not explained else np.inf
     estimates = tuple(
-        _estimate(specimen, name, values, _with_sizes(scales, name, values[0], its_sd), freedom)
+        _estimate(specimen, name, values, _with_sizes(scales, name, values[0], its_sd), freedom, explained)
         for name, values, its_sd in zip(unknowns.names, at_optima.T, sd, strict=True)
     )
     state = plate_problem(specimen, unknowns).state(unknowns.mapping(best))
@@ -218,7 +222,12 @@ def _noise(measurement: Measurement, relative: Array, n_unknowns: int) -> tuple[
 
 
 def linearised_sd(
-    jacobian: Array, prior_sd: Array, measurement: Measurement, noise: float, residual: Residual
+    jacobian: Array,
+    prior_sd: Array,
+    measurement: Measurement,
+    noise: float,
+    residual: Residual,
+    excess: float = 1.0,
 ) -> Array:
     """Standard deviations of the constants that minimise F, to first order in the noise, (n,).
 
@@ -227,13 +236,13 @@ def linearised_sd(
     A^-1 (J^T W S W J / s^4 + R) A^-1, A = J^T W J / s^2 + R, S = diag((noise f)^2 + resolution^2 / 12).
     A constant that the data leave open keeps the standard deviation of its interval.
 
-    jacobian : (n_modes, n) Hz per unit; prior_sd : (n,).
+    jacobian : (n_modes, n) Hz per unit; prior_sd : (n,). excess : what the noise is multiplied by.
     """
     if not np.isfinite(noise):
         return np.full(len(prior_sd), np.nan)
     f = measurement.frequencies
     noise_sd = measurement.noise_sd(noise)
-    variance = np.maximum(noise_sd**2 + measurement.resolution**2 / 12, (1e-9 * f) ** 2)
+    variance = np.maximum(excess**2 * (noise_sd**2 + measurement.resolution**2 / 12), (1e-9 * f) ** 2)
     weight = 1.0 / f**2 if residual == "relative" else np.ones_like(f)
     scale = float(np.mean(weight * variance))
     j = jacobian * prior_sd
@@ -255,17 +264,19 @@ def _with_sizes(scales: tuple[ScaleError, ...], name: str, value: float, sd: flo
     return float(np.hypot(sd, abs(value) * sizes_spread(scales, name) if scales else 0.0))
 
 
-def _estimate(specimen: Specimen, name: str, at_optima: Array, sd: float, freedom: float) -> ConstantEstimate:
+def _estimate(
+    specimen: Specimen, name: str, at_optima: Array, sd: float, freedom: float, explained: bool
+) -> ConstantEstimate:
     """An estimate from its values (k,) at the optima that the noise leaves open, the best one first.
 
-    freedom : of the noise, infinite where it is known.
+    freedom : of the noise, infinite where it is known. explained : whether the noise explains the misfit.
     """
     value, prior = float(at_optima[0]), specimen.unknowns[name].prior
     elsewhere = tuple(sorted(v for v in at_optima[1:].tolist() if abs(v - value) > _APART * sd))
     bound = bound_of(value, prior.lower, prior.upper)
     # as far apart as the optima are, the frequencies do not determine it
     spread = float(np.hypot(sd, np.std([value, *elsewhere])))
-    verdict = verdict_of(spread, prior.sd, at_bound=bound is not None)
+    verdict = verdict_of(spread, prior.sd, at_bound=bound is not None, explained=explained)
     reference = float(specimen.material.complete()[name])
     interval = None
     if bound is None and np.isfinite(sd):

@@ -11,6 +11,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from cpam_bayes.arguments import checked
 from cpam_bayes.forward_model.air_shift import air_shifts
 from cpam_bayes.forward_model.labels import LabelledModel, list_order
 from cpam_bayes.forward_model.model import SIZES, discretisation_error
@@ -24,6 +25,7 @@ from cpam_bayes.forward_model.preconditions import (
 from cpam_bayes.forward_model.reduced import ReducedModel
 from cpam_bayes.forward_model.slips import (
     count_slips,
+    misfit_over_noise,
     misfit_slips,
     noise_slips,
     reference_slips,
@@ -70,6 +72,7 @@ _EVEN_NOISE = 0.01
 _PREDICTIVE_DRAWS = 1000
 
 
+@checked
 def sample(
     plate: PlateLike,
     *,
@@ -224,15 +227,36 @@ def _summarise(
         seconds_sampling=sampling,
         seconds=time.perf_counter() - start,
     )
+    summary = replace(summary, constants=_judged(summary))
     slips = _slips(summary)
     warnings = (*slips, *sampled_warnings(summary), *exchange_warnings(specimen))
     return replace(summary, slips=slips, warnings=warnings)
 
 
+def _judged(result: SampledResult) -> tuple[ConstantPosterior, ...]:
+    """The constants, none of them determined where noise as stated does not explain the misfit."""
+    n = len(result.elastic_constants)
+    inferred = result.posterior.noise_is_inferred
+    if inferred or misfit_over_noise(result.posterior.measurement, _residuals(result), n) == 1.0:
+        return result.constants
+    of_the_plate = {c.name for c in result.elastic_constants}
+    return tuple(
+        replace(c, verdict=verdict_of(c.sd, result.posterior.parameters[c.name].prior.sd, explained=False))
+        if c.name in of_the_plate
+        else c
+        for c in result.constants
+    )
+
+
+def _residuals(result: SampledResult) -> Array:
+    """(n,) predicted / measured - 1, nan where a frequency belongs to no mode."""
+    return np.array([np.nan if row is None else row.residual for row in result.frequencies])
+
+
 def _slips(result: SampledResult) -> tuple[str, ...]:
     """What most likely ruins the posterior."""
     measurement = result.posterior.measurement
-    every = np.array([np.nan if row is None else row.residual for row in result.frequencies])
+    every = _residuals(result)
     residuals = every[np.isfinite(every)]
     misfit = float(np.sqrt(np.mean(residuals**2))) if residuals.size else 0.0
     relative = next((c.mean for c in result.constants if c.name == "relative_std"), misfit)

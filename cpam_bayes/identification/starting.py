@@ -9,6 +9,7 @@ from typing import Any, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from cpam_bayes.arguments import checked
 from cpam_bayes.forward_model.labels import LabelledModel, labelled_model
 from cpam_bayes.forward_model.model import discretisation_error, reference_vector, size_parameters
 from cpam_bayes.forward_model.preconditions import explained_failures, require_choice, require_supported
@@ -45,6 +46,7 @@ class Start:
     solves: int
 
 
+@checked
 @single_blas_thread
 def posterior(
     plate: PlateLike, *, likelihood: Likelihood = "relative", degrees_of_freedom: float = np.inf

@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final, TypeAlias
 
+from cpam_bayes.arguments import checked
 from cpam_bayes.errors import PlateFileError
 from cpam_bayes.plate.parse import parse_specimen, specimen_of
 from cpam_bayes.plate.problems import received
@@ -21,6 +22,7 @@ PlateLike: TypeAlias = str | os.PathLike[str] | Mapping[str, Any] | Specimen
 MAX_BYTES: Final = 250_000
 
 
+@checked
 def read_plate(plate: PlateLike) -> Specimen:
     """Read a plate file, its content, or a built-in specimen.
 

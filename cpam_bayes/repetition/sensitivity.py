@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar, get_args
 
+from cpam_bayes.arguments import checked
 from cpam_bayes.errors import PlateFileError
 from cpam_bayes.forward_model.air_shift import air_shifts
 from cpam_bayes.forward_model.preconditions import (
@@ -56,6 +57,7 @@ class SensitivityResult(PlateResult):
         return "converged" if self.reached_goal else "budget"
 
 
+@checked
 def sensitivity(
     plate: PlateLike,
     *,

@@ -8,7 +8,7 @@ from typing import Final
 
 from cpam_bayes.formatting import fixed, listed, significant
 from cpam_bayes.identification.scale_errors import FREQUENCY_SCALE, ScaleError
-from cpam_bayes.identification.verdicts import Verdict
+from cpam_bayes.identification.verdicts import MISFIT, Verdict
 from cpam_bayes.plate import Specimen, to_user, unit_of, user_name
 from cpam_bayes.plate.elasticity import MaterialSymmetry
 from cpam_bayes.priors import Prior, TruncatedNormal
@@ -17,6 +17,7 @@ from cpam_bayes.report.summary import Determined
 
 __all__ = [
     "DETERMINED",
+    "UNDESCRIBED",
     "attached_step",
     "constant_title",
     "decided_by",
@@ -33,8 +34,12 @@ DETERMINED: Final[dict[Verdict, Determined]] = {
     "determined by the data": "yes",
     "determined by data and prior": "partly",
     "determined by the prior": "no",
+    MISFIT: "partly",
 }
 """Whether the frequencies determine a constant, in a word."""
+
+UNDESCRIBED: Final = "a plate model that does not describe the frequencies"
+"""What decides a constant where the misfit is no noise."""
 
 _TITLES: Final = {
     "E1": "Young's modulus along the fibres",

@@ -7,6 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from cpam_bayes.arguments import checked
 from cpam_bayes.forward_model.air_shift import air_shifts
 from cpam_bayes.forward_model.preconditions import (
     exchange_warnings,
@@ -70,6 +71,7 @@ class StackingResult(PlateResult):
         return _most_probable(self.answer)
 
 
+@checked
 def sequence(
     plate: PlateLike,
     *,

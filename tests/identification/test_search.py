@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -83,3 +85,22 @@ def test_constants_that_differ_between_optima_are_not_determined() -> None:
 def test_less_than_one_swarm_is_refused() -> None:
     with pytest.raises(ValueError, match="swarms: received 0, accepted: 1 or more"):
         cb.identify("A1", swarms=0)
+
+
+@pytest.mark.slow
+def test_constants_of_a_model_that_misfits_the_stated_noise_are_not_determined() -> None:
+    """C1's printed frequencies leave 1.3 % whatever the constants are."""
+    c1 = builtin("C1")
+    assert c1.measurement is not None
+    believed = replace(c1, measurement=replace(c1.measurement, relative_std=0.001))
+    point, inferred = (cb.identify(specimen).estimate for specimen in (believed, c1))
+    assert point.rms > 8 * 0.001
+    assert {c.verdict for c in point.constants} <= {
+        "not determined, the model misfits",
+        "determined by the prior",
+    }
+    assert point.constants[0].verdict == "not determined, the model misfits"
+    assert "determine none of the constants" in cb.identify(believed).summary()
+    # whatever is stated, the misfit decides how wide the intervals are
+    for stated, from_misfit in zip(point.constants, inferred.constants, strict=True):
+        assert 0.5 < stated.sd / from_misfit.sd < 2.0

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar, Final
 
+from cpam_bayes.arguments import checked
 from cpam_bayes.formatting import file_stem
 from cpam_bayes.forward_model.air_shift import air_shifts
 from cpam_bayes.forward_model.calculix.deck import Deck, Element, plate_deck
@@ -52,6 +53,7 @@ class ExportResult(PlateResult):
         return _TYPE[self.element]
 
 
+@checked
 def export(
     plate: PlateLike,
     path: str | Path | None = None,

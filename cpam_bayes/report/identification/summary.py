@@ -9,9 +9,11 @@ import numpy as np
 from cpam_bayes.formatting import significant
 from cpam_bayes.identification.identify import PointResult
 from cpam_bayes.identification.point import ConstantEstimate, PointEstimate
+from cpam_bayes.identification.verdicts import MISFIT
 from cpam_bayes.plate import to_user, unit_of, user_name
 from cpam_bayes.report.sentences import (
     DETERMINED,
+    UNDESCRIBED,
     attached_step,
     constant_title,
     decided_by,
@@ -69,6 +71,8 @@ def _constant(result: PointResult, c: ConstantEstimate) -> ConstantLine:
         by, verdict = decided_by(c.name, prior), "no"
     elif c.elsewhere:
         by, verdict = "the choice between several optima that fit alike", "no"
+    elif c.verdict == MISFIT:
+        by = UNDESCRIBED
     elif verdict != "yes":
         by = decided_by(c.name, prior)
     return ConstantLine(

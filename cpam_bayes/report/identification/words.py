@@ -6,6 +6,7 @@ import math
 
 from cpam_bayes.formatting import significant
 from cpam_bayes.identification.point import ConstantEstimate, PointEstimate
+from cpam_bayes.identification.verdicts import MISFIT
 from cpam_bayes.plate import to_user, unit_of, user_name
 
 __all__ = ["noise_sentence", "verdict_sentences"]
@@ -45,6 +46,8 @@ def _verdict(result: PointEstimate, constant: ConstantEstimate) -> str:
         )
     percent = 100 * constant.sd / result.specimen.unknowns[name].prior.sd
     spread = f"its sd is {percent:.0f} % of that of the search interval"
+    if constant.verdict == MISFIT:
+        return f"{name} is not determined: the plate model does not describe the frequencies."
     if constant.verdict == "determined by the prior":
         return f"{name} is not determined by the frequencies: {spread}. Do not use its value."
     return f"{name} is weakly determined by the frequencies: {spread}."

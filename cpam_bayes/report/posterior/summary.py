@@ -6,10 +6,12 @@ import numpy as np
 
 from cpam_bayes.formatting import significant
 from cpam_bayes.identification.sampled import ConstantPosterior, SampledResult
+from cpam_bayes.identification.verdicts import MISFIT
 from cpam_bayes.inference.noise import NOISE_NAMES
 from cpam_bayes.plate import to_user, unit_of, user_name
 from cpam_bayes.report.sentences import (
     DETERMINED,
+    UNDESCRIBED,
     attached_step,
     constant_title,
     decided_by,
@@ -51,6 +53,8 @@ def _constant(result: SampledResult, c: ConstantPosterior) -> ConstantLine:
     if c.bound is not None:
         end = to_user(c.name, c.lower if c.bound == "lower" else c.upper)
         by = f"its {c.bound} bound {end:.5g} {unit_of(c.name)}".rstrip()
+    elif c.verdict == MISFIT:
+        by = UNDESCRIBED
     elif DETERMINED[c.verdict] != "yes":
         by = decided_by(c.name, result.posterior.parameters[c.name].prior)
     return ConstantLine(
