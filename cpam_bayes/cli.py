@@ -7,12 +7,14 @@ from __future__ import annotations
 
 import argparse
 import logging
+import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import partial
 from importlib import import_module
-from typing import TYPE_CHECKING, Final
+from pathlib import Path
+from typing import TYPE_CHECKING, Final, TextIO
 
 from cpam_bayes import __version__
 from cpam_bayes.commands import COMMANDS
@@ -56,13 +58,21 @@ def _finish(work: Callable[[], Result], args: argparse.Namespace) -> int:
     from cpam_bayes.report.files import save, staging
 
     not_saved: Exception | None = None
+    notes: tuple[str, ...] = ()
+    store: str | None = getattr(args, "store", None)
     try:
         with _warnings_shown(), staging(args.out) as stage:
             answer = work()
             try:
-                save(answer, stage)
+                notes = save(answer, stage)
             except (OSError, ValueError) as error:  # no fault of the input: the answer is shown all the same
                 not_saved = error
+    except KeyboardInterrupt:
+        if store is not None and any(Path(store).glob("*")):
+            print(
+                f"finished rounds are kept in {store}: the same command goes on from there", file=sys.stderr
+            )
+        raise
     except ValueError as error:
         return _refuse(error)
     except WorkersLostError as error:
@@ -70,11 +80,14 @@ def _finish(work: Callable[[], Result], args: argparse.Namespace) -> int:
         return NOT_DONE
     for warning in answer.warnings:
         print(f"warning: {warning}", file=sys.stderr)
+    for note in notes:
+        print(f"note: {note}", file=sys.stderr)
     try:
         _show(answer, args.json, args.verbose)
     except BrokenPipeError:
         raise
-    except OSError:  # a full disk, which is said when standard output is closed
+    except OSError as error:
+        _give_up(sys.stdout, error)
         return NOT_WRITTEN
     if not_saved is not None:
         print(f"error: --out {args.out}: {not_saved}; not all files are there", file=sys.stderr)
@@ -92,6 +105,13 @@ def _warnings_shown() -> Iterator[None]:
         yield
     finally:
         log.removeHandler(handler)
+
+
+def _give_up(stream: TextIO, error: OSError) -> None:
+    """Say that an answer could not be written, and let what is left of it go nowhere."""
+    print(f"error: standard output: {error.strerror}; the answer was not written", file=sys.stderr)
+    with suppress(OSError):  # a stream that is no file
+        os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 def _show(answer: Result, as_json: bool, verbose: bool) -> None:

@@ -14,11 +14,14 @@ import textwrap
 import time
 import tomllib
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import cpam_bayes as cb
+from cpam_bayes.effects import CATALOGUE
 from cpam_bayes.plate import Specimen
+from cpam_bayes.report.diagnosis.words import probability_text
 from cpam_bayes.validation.pages import write_sections
 from cpam_bayes.validation.study_results import save_results, saved_results, with_saved
 
@@ -172,7 +175,7 @@ def line_of(row: Results) -> str:
 
 
 def sections(results: Results) -> dict[str, str]:
-    """What docs/findings.md says of the plates, and the answer about C1 in the README."""
+    """What docs/findings.md says of the plates, and docs/model_errors.md of C1."""
     rows = {tuple(row["plates"]): row for row in results["groups"]}
     wood = tuple(spruce())
     alone = [rows[name,] for name in ALONE if (name,) in rows]
@@ -197,19 +200,68 @@ def _in_short(row: Results) -> str:
     """The answer about one plate as code, in the words of the screen."""
     baseline = row["baseline"]
     smallest = [d for d in row["detectable"] if d["smallest"] is not None]
-    unseen = [d["cause"] for d in row["detectable"] if d["smallest"] is None]
+    sized = [d for d in row["detectable"] if d["probability_of_claim"] is not None]
+    unseen = [_titles()[d["cause"]] for d in sized if d["smallest"] is None]
     lines = [
-        "Diagnosis",
-        textwrap.indent(textwrap.fill(row["sentence"], 100), "  "),
+        *textwrap.wrap(_claim(row), 100),
         "",
-        f"What the plain model gets wrong: rms {baseline['rms_percent']:.2f} %, predictive p "
-        f"{baseline['predictive_p']:.3f}",
+        *textwrap.wrap(
+            f"The plate model as it stands leaves a misfit of {baseline['rms_percent']:.2f} % (root mean "
+            f"square), predictive p {baseline['predictive_p']:.3f}.",
+            100,
+        ),
         "",
-        "What these data would have shown with 95 % probability: the cause, or a class with it",
-        *(f"  {d['cause']:<18}{d['smallest']:8.3g} {d['unit']}".rstrip() for d in smallest),
-        textwrap.indent(textwrap.fill(f"no size: {', '.join(unseen)}", 100), "  "),
+        "How large an error must be to show in these frequencies, in 95 of 100 repetitions",
+        *(f"  {_titles()[d['cause']]:<50}{d['smallest']:8.3g} {d['unit']}".rstrip() for d in smallest),
+        "",
+        *textwrap.wrap(f"These causes need not show at any size: {'; '.join(unseen)}.", 100),
     ]
     return textwrap.indent("\n".join(lines), "    ")
+
+
+def _claim(row: Results) -> str:
+    """The claim as the screen words it."""
+    p = probability_text(row["probability"])
+    by_cause = {h["cause"]: h for h in row["hypotheses"]}
+    if row["claim"] == "none":
+        return f"No evidence of a model error: the plate model as it stands has probability {p}."
+    if row["claim"] == "other":
+        return (
+            "The plate model lacks something that no cause of the catalogue explains: probability "
+            f"{p}. The residuals by mode show where."
+        )
+    if row["claim"] == "undecided":
+        none, other = (
+            probability_text(by_cause[key]["probability"]) if key in by_cause else "< 0.001"
+            for key in ("none", "other")
+        )
+        leaders = [f"{_with_title(c)}, {probability_text(by_cause[c]['probability'])}" for c in row["causes"]]
+        return (
+            "Undecided: nothing is probable enough to be claimed. The plate model as it stands has "
+            f"probability {none}, an error that is not in the catalogue {other}; the most probable causes "
+            f"are: {'; '.join(leaders)}."
+        )
+    causes = [_with_title(c) for c in row["causes"]]
+    if row["claim"] == "class":
+        return (
+            f"The plate model lacks one thing of {len(causes)}, and these frequencies cannot tell which: "
+            f"{'; '.join(causes)}. Together they have probability {p}."
+        )
+    variant = by_cause[row["causes"][0]]["variant"] if row["claim"] == "named" else None
+    return (
+        f"The plate model lacks {'one thing' if row['claim'] == 'named' else 'two things at once'}: "
+        f"{'; '.join(causes)}{f' ({variant})' if variant else ''}; probability {p}."
+    )
+
+
+def _with_title(cause: str) -> str:
+    return " together with ".join(f"{_titles()[name]} ({name})" for name in cause.split(" + "))
+
+
+@cache
+def _titles() -> dict[str, str]:
+    """Key of a cause -> the cause in words."""
+    return {effect.name: effect.title for effect in CATALOGUE}
 
 
 def _answers(rows: Sequence[Results]) -> Iterable[str]:
@@ -252,7 +304,7 @@ def _stories(rows: Sequence[Results]) -> Iterable[str]:
         yield ""
         times, divided = (_answer(row["claims_by_prior_scales"][key]) for key in _SCALES)
         scales = f"With all scales of the priors times 3 the answer is {times}, divided by 3 {divided}."
-        yield f"{row['sentence']} {scales}"
+        yield f"{_claim(row)} {scales}"
         if row["gain"] is not None:
             difference = row["gain"]["held_out_log_score_difference"]
             se = row["gain"]["held_out_log_score_se"]

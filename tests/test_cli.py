@@ -449,7 +449,43 @@ def test_an_answer_that_cannot_be_saved_is_shown_all_the_same(run, tmp_path, mon
     assert [path.name for path in out.iterdir()] == ["forward.json"]
 
 
+@pytest.mark.parametrize("buffered", ["", "1"])
+@pytest.mark.parametrize("options", [(), ("--json",)])
+def test_an_answer_that_a_full_disk_does_not_take_is_said_to_be_lost(buffered, options):
+    with open("/dev/full", "w") as full:
+        done = subprocess.run(
+            [sys.executable, "-m", "cpam_bayes", "plates", *options],
+            stdout=full,
+            stderr=subprocess.PIPE,
+            cwd=PROJECT,
+            env={**os.environ, "PYTHONUNBUFFERED": buffered},
+            text=True,
+            timeout=60,
+            check=False,
+        )
+    said = "error: standard output: No space left on device; the answer was not written\n"
+    assert (done.returncode, done.stderr) == (1, said)
+
+
 # Interruptions
+
+
+@pytest.mark.parametrize("finished", [True, False])
+def test_an_interrupted_run_with_a_store_says_how_to_go_on(finished, tmp_path, monkeypatch, capsys):
+    from cpam_bayes.commands import identify
+
+    def interrupted():
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(identify, "prepare", lambda args: interrupted)
+    store = tmp_path / "rounds"
+    store.mkdir()
+    if finished:
+        (store / "round_0000.h5").touch()
+    with pytest.raises(KeyboardInterrupt):
+        main(["identify", "A1", "--backend", "emcee", "--store", str(store)])
+    said = f"finished rounds are kept in {store}: the same command goes on from there\n"
+    assert capsys.readouterr().err == (said if finished else "")
 
 
 @pytest.mark.parametrize(

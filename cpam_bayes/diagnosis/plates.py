@@ -35,6 +35,7 @@ from cpam_bayes.forward_model.slips import (
     misfit_slips,
     reference_slips,
     require_reachable,
+    stated_noise_slips,
 )
 from cpam_bayes.parallel import open_executor
 from cpam_bayes.plate import PlateLike, Specimen, read_plate
@@ -183,7 +184,9 @@ def _slips(diagnosis: Diagnosis, specimens: Sequence[Specimen]) -> tuple[str, ..
     """What most likely ruins the diagnosis."""
     fit = diagnosis.extended or diagnosis.baseline
     unknowns = {name for specimen in specimens for name in specimen.unknowns.names}
+    measurements = [s.measurement for s in specimens if s.measurement is not None]
     return (
+        *dict.fromkeys(slip for m in measurements for slip in stated_noise_slips(m)),
         *equal_list_slips(specimens),
         *count_slips(len(diagnosis.baseline.measured), len(unknowns)),
         *misfit_slips(fit.rms),

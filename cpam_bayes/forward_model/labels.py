@@ -7,12 +7,14 @@ shape is most like it, by modal assurance, so that modes which change their orde
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cpam_bayes.formatting import listed
 from cpam_bayes.forward_model.model import PlateModel, Prediction, reference_vector
 from cpam_bayes.forward_model.reduced import ReducedModel
 from cpam_bayes.mechanics.modes import Spectrum
@@ -176,6 +178,40 @@ def spare_modes(measurement: Measurement) -> int:
 def same_label(label: str) -> str:
     """A label without spaces, the parts of a combination in the order of the model's own."""
     return "+".join(sorted("".join(label.split()).split("+"), reverse=True))
+
+
+def modes_of_labels(labels: Sequence[str], modes: Sequence[Mode]) -> dict[int, int]:
+    """Number of each labelled frequency -> number of the mode that has the label, both from 0.
+
+    Frequencies of equal labels take the modes of that label in ascending order; a label that no mode has
+    is left out.
+    """
+    bearers = [same_label(mode.label) for mode in modes]
+    free = set(range(len(modes)))
+    found = {}
+    for i, label in enumerate(labels):
+        at = next((j for j in sorted(free) if label and bearers[j] == same_label(label)), None)
+        if at is not None:
+            free.remove(at)
+            found[i] = at
+    return found
+
+
+def label_warnings(measurement: Measurement, modes: Sequence[Mode]) -> list[str]:
+    """Labels of a list that none of the modes has."""
+    known = modes_of_labels(measurement.labels, modes)
+    lost = [
+        f"{label} of {f:.6g} Hz"
+        for i, (label, f) in enumerate(zip(measurement.labels, measurement.frequencies, strict=True))
+        if label and i not in known
+    ]
+    if not lost:
+        return []
+    which = "the label" if len(lost) == 1 else "the labels"
+    return [
+        f"measurement.labels: none of the first {len(modes)} modes has {which} {listed(lost, 'and')}, which "
+        "therefore stands beside no mode; check the label and the edges, or compute more modes (--modes N)"
+    ]
 
 
 def _columns(measurement: Measurement, modes: tuple[Mode, ...], source: str) -> list[int]:

@@ -6,7 +6,7 @@ said in a sentence that stands above the answer.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Final
 
@@ -26,6 +26,8 @@ from cpam_bayes.threads import single_blas_thread
 
 __all__ = [
     "HIGH_MISFIT",
+    "common_factor_slips",
+    "contradicts_list",
     "count_slips",
     "equal_list_slips",
     "misfit_over_noise",
@@ -33,6 +35,7 @@ __all__ = [
     "noise_slips",
     "reference_slips",
     "require_reachable",
+    "stated_noise_slips",
 ]
 
 Array = NDArray[np.float64]
@@ -49,6 +52,12 @@ _SETTINGS: Final = RitzSettings(9, 9)
 _EQUAL = 2e-3
 # Probability of a misfit, by noise as stated, below which it is no accident.
 _UNEXPLAINED = 1e-3
+# Standard deviations of [material.sd] from which a modulus is no batch of its material any more.
+_FAR_SD = 3.0
+# Moduli whose ratios to their references differ by no more than this factor have one ratio in common.
+_COMMON = 1.3
+# How every slip begins that says of a list and its plate model that they do not belong together.
+_NOT_DESCRIBED: Final = "the plate model does not describe these frequencies"
 
 
 @single_blas_thread
@@ -144,7 +153,7 @@ def misfit_slips(level: float) -> tuple[str, ...]:
     if not level > HIGH_MISFIT:
         return ()
     return (
-        f"the plate model does not describe these frequencies: with its best constants the misfit is "
+        f"{_NOT_DESCRIBED}: with its best constants the misfit is "
         f"{significant(100.0 * level, 2)} % of a frequency, where a tap test repeats to 1 % or better; do "
         "not use the constants before the units, the sizes, the edges, the layup and the order and "
         "completeness of the list are checked",
@@ -177,10 +186,85 @@ def noise_slips(measurement: Measurement, residuals: Array, n_fitted: int) -> tu
     if times == 1.0:
         return ()
     return (
-        "the plate model does not describe these frequencies: with its best constants the misfit is "
+        f"{_NOT_DESCRIBED}: with its best constants the misfit is "
         f"{significant(times, 2)} times the stated noise, so that the true "
         "constants can lie far outside their intervals; ask `diagnose` what the model gets wrong, and look "
         "for a mass that was left on the plate, a misread frequency, a missed mode, the edges and the layup",
+    )
+
+
+def contradicts_list(slips: Sequence[str]) -> bool:
+    """Whether one of the slips says that the plate model does not describe the frequencies."""
+    return any(slip.startswith(_NOT_DESCRIBED) for slip in slips)
+
+
+def stated_noise_slips(measurement: Measurement) -> tuple[str, ...]:
+    """A stated noise that no tap test has: per cent written as a fraction, most likely."""
+    if measurement.frequency_sd is not None:
+        level, key = float(np.mean(measurement.frequency_sd / measurement.frequencies)), "frequency_sd_hz"
+    elif measurement.relative_std is not None:
+        level, key = measurement.relative_std, f"relative_std = {measurement.relative_std:g}"
+    else:
+        return ()
+    if level <= HIGH_MISFIT:
+        return ()
+    percent = significant(100.0 * level, 2)
+    meant = ""
+    if measurement.frequency_sd is None:
+        meant = f"if {level:g} % is meant, write relative_std = {level / 100.0:g}; "
+    return (
+        f"the stated noise, {key}, is {percent} % of a frequency, where a tap test repeats to 1 % or better: "
+        f"{meant}with so much noise the frequencies tell little, and any misfit passes for noise",
+    )
+
+
+def common_factor_slips(specimen: Specimen, estimates: Mapping[str, tuple[float, float]]) -> tuple[str, ...]:
+    """All moduli far on one side of their references: a wrong size, mass or frequency scale, most likely.
+
+    Of a thin plate f^2 is proportional to E h^2 / rho, or E h^3 / m: an error of h, rho or m is a common
+    factor of all moduli, which no frequency shows.
+
+    estimates : modulus that the frequencies determine -> its estimate and standard deviation, Pa
+    """
+    reference, ratios, distances = reference_constants(specimen), {}, {}
+    for name, (value, sd) in estimates.items():
+        known = specimen.material.sd.get(name)
+        if known is None or unit_of(name) != "GPa":
+            continue
+        ratios[name] = value / reference[name]
+        distances[name] = (value - reference[name]) / float(np.hypot(known, sd))
+    above = bool(distances) and min(distances.values()) > _FAR_SD
+    below = bool(distances) and max(distances.values()) < -_FAR_SD
+    if not (above or below):
+        return ()
+    far = [f"{name} by {significant(abs(z), 2)}" for name, z in distances.items()]
+    who = "the one modulus" if len(far) == 1 else "every modulus"
+    begun = (
+        f"{who} that these frequencies determine lies far {'above' if above else 'below'} its reference, "
+        f"{listed(far, 'and')} standard deviations of [material.sd]"
+    )
+    cure = _cure_of_factor(specimen, ratios)
+    return (
+        f"{begun}: {cure}; check these numbers, and whether [material] is this plate's material, before the "
+        "constants are used",
+    )
+
+
+def _cure_of_factor(specimen: Specimen, ratios: Mapping[str, float]) -> str:
+    """What a wrong number would have to be to make the moduli so many times their references."""
+    weighed = specimen.plate.mass is not None
+    mass = "mass_g" if weighed else "density_kg_m3"
+    if max(ratios.values()) > _COMMON * min(ratios.values()):
+        return f"look for a wrong thickness_mm or {mass}, or an analyser with a wrong frequency scale"
+    ratio = float(np.exp(np.mean(np.log(list(ratios.values())))))
+    thickness = specimen.plate.thickness * 1e3
+    true_thickness = thickness * ratio ** (1.0 / (3.0 if weighed else 2.0))
+    attached = "a mass left on the plate, " if ratio < 1.0 else ""
+    return (
+        f"a factor of {significant(ratio, 3)} on the moduli is what a wrong thickness, mass or frequency "
+        f"scale makes: a true thickness of {significant(true_thickness, 3)} mm for thickness_mm = "
+        f"{thickness:g}, a true {mass} of {significant(1.0 / ratio, 3)} times the stated one, {attached}or "
+        f"frequencies that are {significant(float(np.sqrt(ratio)), 3)} times the true ones"
     )
 
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from cpam_bayes.arguments import checked
 from cpam_bayes.formatting import significant
 from cpam_bayes.forward_model.air_shift import air_shifts
+from cpam_bayes.forward_model.labels import label_warnings
 from cpam_bayes.forward_model.model import NO_PARAMETERS, PlateModel, converged_model, reference_constants
 from cpam_bayes.forward_model.preconditions import (
     explained_failures,
@@ -155,9 +156,11 @@ def forward(
         solution = solve(specimen, n)
     seconds = time.perf_counter() - start
     slips = tuple(_slips(specimen, solution))
+    measurement = specimen.measurement
+    labels = () if measurement is None else label_warnings(measurement, solution.modes)
     return ForwardResult(
         seed=seed,
-        warnings=(*slips, *error_warning(solution.error)),
+        warnings=(*slips, *labels, *error_warning(solution.error)),
         slips=slips,
         specimen=solution.specimen,
         air_shifts=air_shifts(specimen),

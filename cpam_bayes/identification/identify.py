@@ -21,16 +21,19 @@ from cpam_bayes.forward_model.preconditions import (
     require_supported,
 )
 from cpam_bayes.forward_model.slips import (
+    common_factor_slips,
     count_slips,
     misfit_slips,
     noise_slips,
     reference_slips,
     require_reachable,
+    stated_noise_slips,
 )
 from cpam_bayes.identification.angle_search import AngleSearchResult, search_angles
 from cpam_bayes.identification.frequency_rows import FrequencyRow
 from cpam_bayes.identification.point import PointEstimate, estimate_constants
 from cpam_bayes.identification.search import MOST_SWARMS, Optimum, Residual, required
+from cpam_bayes.identification.verdicts import MISFIT
 from cpam_bayes.identification.warnings import point_warnings
 from cpam_bayes.inference.swarm.pso import SwarmResult
 from cpam_bayes.inference.swarm.settings import SwarmSettings
@@ -179,7 +182,18 @@ def identify(
     unsure = () if angles is None or angles.swarm.status != "budget" else (angles.swarm.message,)
     residuals = np.array([mode.frequency for mode in estimate.predicted]) / measurement.frequencies - 1.0
     excess = misfit_slips(misfit) or noise_slips(measurement, residuals, k)
-    slips = (*count_slips(n, k), *excess, *reference_slips(specimen))
+    determined = {
+        c.name: (c.value, c.sd)
+        for c in estimate.constants
+        if c.verdict in ("determined by the data", MISFIT) and not c.elsewhere
+    }
+    slips = (
+        *stated_noise_slips(measurement),
+        *count_slips(n, k),
+        *excess,
+        *common_factor_slips(specimen, determined),
+        *reference_slips(specimen),
+    )
     return PointResult(
         seed=seed,
         warnings=(*slips, *unsure, *point_warnings(estimate, residual), *exchange),

@@ -24,19 +24,21 @@ from cpam_bayes.forward_model.preconditions import (
 )
 from cpam_bayes.forward_model.reduced import ReducedModel
 from cpam_bayes.forward_model.slips import (
+    common_factor_slips,
     count_slips,
     misfit_over_noise,
     misfit_slips,
     noise_slips,
     reference_slips,
     require_reachable,
+    stated_noise_slips,
 )
 from cpam_bayes.identification.identify import NO_MESH
 from cpam_bayes.identification.sampled_result import ConstantPosterior, SampledResult
 from cpam_bayes.identification.scale_errors import ScaleError, scale_errors
 from cpam_bayes.identification.search import required
 from cpam_bayes.identification.starting import start_of
-from cpam_bayes.identification.verdicts import verdict_of
+from cpam_bayes.identification.verdicts import MISFIT, verdict_of
 from cpam_bayes.identification.warnings import sampled_warnings
 from cpam_bayes.inference.chains.ensemble import (
     DEFAULT_SETTINGS,
@@ -264,9 +266,16 @@ def _slips(result: SampledResult) -> tuple[str, ...]:
     excess = misfit_slips(max(relative, misfit))
     if not excess and not result.posterior.noise_is_inferred:
         excess = noise_slips(measurement, every, n)
+    determined = {
+        c.name: (c.mean, c.sd)
+        for c in result.elastic_constants
+        if c.verdict in ("determined by the data", MISFIT)
+    }
     return (
+        *stated_noise_slips(measurement),
         *count_slips(measurement.size, n),
         *excess,
+        *common_factor_slips(result.specimen, determined),
         *reference_slips(result.specimen),
     )
 

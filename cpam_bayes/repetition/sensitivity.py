@@ -18,7 +18,7 @@ from cpam_bayes.forward_model.preconditions import (
     require_supported,
     require_whole,
 )
-from cpam_bayes.forward_model.slips import reference_slips, require_reachable
+from cpam_bayes.forward_model.slips import reference_slips, require_reachable, stated_noise_slips
 from cpam_bayes.forward_model.solve import measured_modes
 from cpam_bayes.inference.chains.ensemble import EnsembleSettings
 from cpam_bayes.inference.swarm.settings import SwarmSettings
@@ -148,7 +148,8 @@ def sensitivity(
             notify=shown.notify,
             progress=lambda done, _: shown.tick(done, float(done)),
         )
-    slips = reference_slips(specimen)
+    stated = () if specimen.measurement is None else stated_noise_slips(specimen.measurement)
+    slips = (*stated, *reference_slips(specimen))
     return SensitivityResult(
         seed=seed,
         slips=slips,

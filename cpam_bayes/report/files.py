@@ -8,7 +8,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 from cpam_bayes.report.documents import json_text
-from cpam_bayes.report.page import write_page
+from cpam_bayes.report.page import PAGE, command_of, write_page
 from cpam_bayes.result import Result
 from cpam_bayes.storage import draft_directory, put_in_place
 
@@ -38,10 +38,13 @@ def staging(out: str | None) -> Iterator[Stage | None]:
         yield directory, _draft(directory, stack)
 
 
-def save(result: Result, stage: Stage | None) -> None:
-    """Write NAME.json, the figures as PNG and SVG, other files; raise ``OSError`` where that fails."""
+def save(result: Result, stage: Stage | None) -> tuple[str, ...]:
+    """Write NAME.json, the figures as PNG and SVG, other files; raise ``OSError`` where that fails.
+
+    Returns what became of the page of another command, a sentence each.
+    """
     if stage is None:
-        return
+        return ()
     directory, draft = stage
     # What took longest goes to its place first: whatever fails after it, it is there.
     (draft / f"{result.command}.json").write_text(json_text(result.to_dict()), encoding="utf-8")
@@ -58,7 +61,25 @@ def save(result: Result, stage: Stage | None) -> None:
         (draft / _FIGURES).mkdir()
         save_figures(figures, draft / _FIGURES)
     write_page(result, draft)
+    notes = _other_page_kept(result.command, directory)
     _moved(draft, directory)
+    return notes
+
+
+def _other_page_kept(command: str, directory: Path) -> tuple[str, ...]:
+    """Name the page of another command after that command; an older page of this one goes."""
+    page = directory / PAGE
+    _page_named(command, directory).unlink(missing_ok=True)
+    other = command_of(page) if page.is_file() else None
+    if other is None or other == command:
+        return ()
+    kept = _page_named(other, directory)
+    put_in_place(page, kept)
+    return (f"{page} is now the page of {command}, that of {other} is kept as {kept.name}",)
+
+
+def _page_named(command: str, directory: Path) -> Path:
+    return directory / f"{command}_page.html"
 
 
 def _moved(draft: Path, directory: Path) -> None:

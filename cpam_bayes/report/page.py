@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
-from markupsafe import Markup
+from markupsafe import Markup, escape
 
 from cpam_bayes import __version__
 from cpam_bayes.report.documents import json_text
@@ -25,10 +25,14 @@ from cpam_bayes.report.summary import Summary, sentence
 from cpam_bayes.report.tables import Table, facts
 from cpam_bayes.result import Result
 
-__all__ = ["Image", "fragment", "page_text", "write_page"]
+__all__ = ["PAGE", "Image", "command_of", "fragment", "page_text", "write_page"]
+
+PAGE: Final = "report.html"
+"""Name of the page of every command."""
 
 # A drawing of more bytes than this is embedded as pixels.
 _MAX_SVG_BYTES: Final = 150_000
+_COMMAND: Final = re.compile(r'<meta name="generator" content="cpam-bayes (\w+)">')
 _LIBRARIES: Final = ("numpy", "scipy", "emcee")
 
 
@@ -46,7 +50,7 @@ class Image:
 
 
 def write_page(result: Result, directory: Path) -> None:
-    """Write ``report.html`` with the figures that lie in the directory's ``figures``."""
+    """Write the page with the figures that lie in the directory's ``figures``."""
     captions = result.captions()
     images = {name: _image(directory / "figures" / name, caption) for name, caption in captions.items()}
     text = page_text(
@@ -55,8 +59,15 @@ def write_page(result: Result, directory: Path) -> None:
         (*result.sections(), _computation(result)),
         images,
         f"cpam_bayes {__version__}, seed {result.seed}",
+        result.command,
     )
-    (directory / "report.html").write_text(text, encoding="utf-8")
+    (directory / PAGE).write_text(text, encoding="utf-8")
+
+
+def command_of(page: Path) -> str | None:
+    """The command that wrote a page, None for a file of something else."""
+    found = _COMMAND.search(page.read_text(encoding="utf-8", errors="replace"))
+    return found[1] if found else None
 
 
 def page_text(
@@ -65,11 +76,14 @@ def page_text(
     sections: Sequence[Section],
     images: Mapping[str, Image],
     made: str = "",
+    command: str = "",
 ) -> str:
-    """The page; images : by the names that the sections give. made : what made the page."""
+    """The page; images : by the names that the sections give. made, command : what made the page."""
     template = _environment().get_template("page.html")
     shown = [s for s in merged(sections) if s.figures or any(table.rows for table in s.tables)]
-    return template.render(title=title, summary=summary, sections=shown, images=images, made=made)
+    return template.render(
+        title=title, summary=summary, sections=shown, images=images, made=made, command=command
+    )
 
 
 def fragment(tables: Sequence[Table]) -> str:
@@ -100,9 +114,10 @@ def _brief(title: str) -> str:
     return re.split("[:;,]", title)[0]
 
 
-def _typeset(text: str) -> str:
-    """A text of the screen as print has it."""
-    return text.replace("+-", "\N{PLUS-MINUS SIGN}")
+def _typeset(text: str) -> Markup:
+    """A text of the screen as print has it: signs of its own, and words of the command line as code."""
+    plain = escape(text.replace("+-", "\N{PLUS-MINUS SIGN}"))
+    return Markup(re.sub("`([^`]+)`", r"<code>\1</code>", plain))
 
 
 def _image(figure: Path, caption: Caption) -> Image:

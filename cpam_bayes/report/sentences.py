@@ -7,6 +7,8 @@ from collections.abc import Mapping, Sequence
 from typing import Final
 
 from cpam_bayes.formatting import fixed, listed, significant
+from cpam_bayes.forward_model.labels import same_label
+from cpam_bayes.forward_model.slips import contradicts_list
 from cpam_bayes.identification.scale_errors import FREQUENCY_SCALE, ScaleError
 from cpam_bayes.identification.verdicts import MISFIT, Verdict
 from cpam_bayes.plate import Specimen, to_user, unit_of, user_name
@@ -17,12 +19,14 @@ from cpam_bayes.report.summary import Determined
 
 __all__ = [
     "DETERMINED",
+    "HIGH_NOISE",
     "UNDESCRIBED",
     "attached_step",
     "constant_title",
     "decided_by",
     "frequencies_text",
     "high_noise_warning",
+    "mismatch_step",
     "noise_sentence",
     "noise_word",
     "plate_argument",
@@ -30,6 +34,8 @@ __all__ = [
     "scale_sentences",
 ]
 
+HIGH_NOISE: Final = "The noise inferred from the misfit is"
+"""How the warning of a high inferred noise begins."""
 DETERMINED: Final[dict[Verdict, Determined]] = {
     "determined by the data": "yes",
     "determined by data and prior": "partly",
@@ -132,6 +138,28 @@ def attached_step(specimen: Specimen) -> tuple[str, ...]:
     )
 
 
+def mismatch_step(
+    specimen: Specimen, slips: Sequence[str], found: Sequence[str | None] = ()
+) -> tuple[str, ...]:
+    """What to check before all else where the frequency list contradicts the plate.
+
+    slips : of the answer. found : label of the mode that each frequency was paired with, None for no mode.
+    """
+    labels = () if specimen.measurement is None else specimen.measurement.labels
+    other = [
+        given
+        for given, label in zip(labels, found, strict=False)
+        if given and (label is None or same_label(given) != same_label(label))
+    ]
+    if not (contradicts_list(slips) or other):
+        return ()
+    edges = f"the edges ({edges_text(specimen.plate.edges)})"
+    layup = () if specimen.material.isotropic else ("the layup",)
+    named = ("the labels",) if any(labels) else ()
+    what = listed([*named, edges, *layup, "the order and completeness of the list"], "and")
+    return (f"Check {what}: these frequencies contradict the plate model.",)
+
+
 def noise_word(level: float) -> str:
     """How a relative noise compares with that of a tap test."""
     if level <= _GOOD:
@@ -144,7 +172,7 @@ def high_noise_warning(level: float) -> tuple[str, ...]:
     if level <= _USUAL:
         return ()
     return (
-        f"The noise inferred from the misfit is {significant(100.0 * level, 2)} % of a frequency, more than "
+        f"{HIGH_NOISE} {significant(100.0 * level, 2)} % of a frequency, more than "
         "the scatter of a usual tap test: the plate model may lack something, and then the intervals can "
         "miss the true constants.",
     )

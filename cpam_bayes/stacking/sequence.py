@@ -16,7 +16,13 @@ from cpam_bayes.forward_model.preconditions import (
     require_sequence,
     require_whole,
 )
-from cpam_bayes.forward_model.slips import count_slips, misfit_slips, reference_slips, require_reachable
+from cpam_bayes.forward_model.slips import (
+    count_slips,
+    misfit_slips,
+    reference_slips,
+    require_reachable,
+    stated_noise_slips,
+)
 from cpam_bayes.paper.layups import identified_layups
 from cpam_bayes.parallel import open_executor
 from cpam_bayes.plate import PlateLike, Specimen, read_plate
@@ -179,9 +185,11 @@ def _slips(specimen: Specimen, fit: BestFit) -> tuple[str, ...]:
     """What most likely ruins the answer."""
     residual = np.asarray(fit.residual)[np.isfinite(fit.residual)]
     misfit = float(np.sqrt(np.mean(residual**2))) if residual.size else 0.0
-    count = 0 if specimen.measurement is None else specimen.measurement.size
+    measurement = specimen.measurement
+    assert measurement is not None
     return (
-        *count_slips(count, specimen.unknowns.size),
+        *stated_noise_slips(measurement),
+        *count_slips(measurement.size, specimen.unknowns.size),
         *misfit_slips(misfit),
         *reference_slips(specimen),
     )

@@ -11,11 +11,14 @@ from cpam_bayes.errors import PlateFileError
 from cpam_bayes.forward_model.builtin import plates
 from cpam_bayes.forward_model.preconditions import likely_cure
 from cpam_bayes.forward_model.slips import (
+    common_factor_slips,
+    contradicts_list,
     count_slips,
     equal_list_slips,
     misfit_slips,
     reference_slips,
     require_reachable,
+    stated_noise_slips,
 )
 from cpam_bayes.plate import Specimen
 from cpam_bayes.plate.specimens import builtin
@@ -90,3 +93,73 @@ def test_lists_of_different_length_are_different_plates() -> None:
     shorter = replace(first.measurement, frequencies=first.measurement.frequencies[:5], labels=("",) * 5)
     assert equal_list_slips([first, replace(first, measurement=shorter)]) == ()
     assert np.isfinite(shorter.frequencies).all()
+
+
+@pytest.mark.parametrize(
+    ("noise", "said"),
+    [
+        ({}, ""),
+        ({"relative_std": 0.03}, ""),
+        ({"relative_std": 0.2}, "relative_std = 0.2, is 20 % of a frequency"),
+        ({"frequency_sd": 0.04}, "frequency_sd_hz, is 4.0 % of a frequency"),
+    ],
+)
+def test_a_stated_noise_that_no_tap_test_has_is_a_slip(noise: dict[str, float], said: str) -> None:
+    measurement = builtin("A1").measurement
+    assert measurement is not None
+    if "frequency_sd" in noise:
+        given = replace(measurement, frequency_sd=noise["frequency_sd"] * measurement.frequencies)
+    else:
+        given = replace(measurement, relative_std=noise.get("relative_std"))
+    slips = stated_noise_slips(given)
+    assert len(slips) == bool(said)
+    assert all(said in slip for slip in slips)
+    assert all(("write relative_std = 0.002" in slip) == ("relative_std" in noise) for slip in slips)
+
+
+def moduli_of_c1(factor: float, **changes: float) -> dict[str, tuple[float, float]]:
+    """Reference moduli of C1 times a factor, or a factor each, known to 1 %."""
+    constants = builtin("C1").material.constants
+    factors = {name: changes.get(name, factor) for name in ("E1", "E2", "G12")}
+    return {name: (f * constants[name], 0.01 * constants[name]) for name, f in factors.items()}
+
+
+def test_moduli_with_one_factor_in_common_are_a_wrong_size_mass_or_scale() -> None:
+    specimen = builtin("C1")  # thickness 3.2 mm, a density, [material.sd] of 10 %
+    (slip,) = common_factor_slips(specimen, moduli_of_c1(0.5))
+    assert slip.startswith("every modulus that these frequencies determine lies far below its reference")
+    # f^2 goes as E h^2 / rho: half of E is h over the root of 2, twice rho, frequencies over the root of 2
+    for said in ("a factor of 0.500", "2.26 mm for thickness_mm = 3.2", "density_kg_m3 of 2.00 times"):
+        assert said in slip
+    assert "a mass left on the plate, or frequencies that are 0.707 times the true ones" in slip
+    weighed = replace(specimen, plate=replace(specimen.plate, mass=0.344))
+    (slip,) = common_factor_slips(weighed, moduli_of_c1(2.0))
+    # weighed: f^2 goes as E h^3 / m, and nothing that is attached makes a plate stiffer
+    assert "4.03 mm for thickness_mm = 3.2" in slip
+    assert "mass_g of 0.500 times" in slip
+    assert "left on the plate" not in slip
+
+
+@pytest.mark.parametrize("changes", [{"E2": 1.1}, {"E2": 1.5}, {"E1": 0.71, "E2": 0.71, "G12": 0.71}])
+def test_moduli_that_one_batch_may_have_are_left_alone(changes: dict[str, float]) -> None:
+    assert common_factor_slips(builtin("C1"), moduli_of_c1(0.5, **changes)) == ()
+
+
+def test_moduli_far_off_by_different_factors_have_no_size_to_name() -> None:
+    (slip,) = common_factor_slips(builtin("C1"), moduli_of_c1(0.5, E2=0.3))
+    assert "look for a wrong thickness_mm or density_kg_m3" in slip
+    assert "a factor of" not in slip
+
+
+def test_a_reference_of_unknown_spread_and_poisson_s_ratio_tell_nothing_of_a_scale() -> None:
+    specimen = builtin("C1")
+    unknown = replace(specimen, material=replace(specimen.material, sd={}))
+    assert common_factor_slips(unknown, moduli_of_c1(0.5)) == ()
+    assert common_factor_slips(specimen, {"nu12": (0.05, 0.001)}) == ()
+    (slip,) = common_factor_slips(specimen, {"E1": (60e9, 1e9)})
+    assert slip.startswith("the one modulus that these frequencies determine")
+
+
+def test_slips_that_contradict_the_list_are_told_from_others() -> None:
+    assert contradicts_list(misfit_slips(0.1))
+    assert not contradicts_list(count_slips(3, 4))

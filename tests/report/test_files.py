@@ -6,6 +6,7 @@ import pytest
 
 from cpam_bayes.forward_model.builtin import plates
 from cpam_bayes.report.files import save, staging
+from cpam_bayes.report.page import PAGE, command_of
 
 RESULT = plates()
 
@@ -29,6 +30,32 @@ def test_an_older_result_is_replaced_and_other_files_stay(tmp_path):
         save(RESULT, stage)
     assert listed(tmp_path) == ["notes.txt", "plates.json", "report.html"]
     assert json.loads((tmp_path / "plates.json").read_text()) == RESULT.to_dict()
+
+
+def test_the_page_of_another_command_is_kept_under_its_name(tmp_path, forward_result):
+    def saved(result):
+        with staging(str(tmp_path)) as stage:
+            return save(result, stage)
+
+    def command():
+        return command_of(tmp_path / PAGE)
+
+    assert saved(RESULT) == ()
+    assert saved(RESULT) == ()
+    first = (tmp_path / PAGE).read_text("utf-8")
+    (note,) = saved(forward_result)
+    assert "is now the page of forward, that of plates is kept as plates_page.html" in note
+    assert command() == "forward"
+    assert (tmp_path / "plates_page.html").read_text("utf-8") == first
+    # a page of one command stands at one place
+    assert len(saved(RESULT)) == 1
+    assert command() == "plates"
+    assert {path.name for path in tmp_path.glob("*.html")} == {PAGE, "forward_page.html"}
+
+
+def test_a_page_of_something_else_is_no_page_of_a_command(tmp_path):
+    (tmp_path / PAGE).write_text("<title>coverage</title>")
+    assert command_of(tmp_path / PAGE) is None
 
 
 @pytest.mark.parametrize("end", [KeyboardInterrupt, RuntimeError])

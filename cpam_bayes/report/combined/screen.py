@@ -1,4 +1,4 @@
-"""Sections of `report`: the plate once, then those of its parts, what is folded last."""
+"""Sections of `report`: ten questions, the plate once, then those of its parts, what is folded last."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ from dataclasses import replace
 from typing import Final
 
 from cpam_bayes.combined import FullReport
+from cpam_bayes.report.combined.questions import QUESTIONS, questions
+from cpam_bayes.report.combined.summary import summary
 from cpam_bayes.report.plates.head import plate_section
 from cpam_bayes.report.sections import Section
 from cpam_bayes.result import Result
@@ -19,7 +21,7 @@ def figure_name(part: Result, name: str) -> str:
 
 
 def sections(result: FullReport) -> tuple[Section, ...]:
-    """Plate, then constants, stacking sequences and diagnosis."""
+    """The ten questions, plate, then constants, stacking sequences and diagnosis."""
     of_parts = [
         replace(section, figures=tuple(figure_name(part, name) for name in section.figures))
         for part in result.parts
@@ -27,6 +29,7 @@ def sections(result: FullReport) -> tuple[Section, ...]:
         if PLATE not in section.figures
     ]
     return (
+        Section(QUESTIONS, (questions(result, summary(result)),), folded=False),
         plate_section(result.specimen, result.air_shifts),
         *sorted(of_parts, key=lambda section: section.folded),
     )

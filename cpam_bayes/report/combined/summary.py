@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from typing import Final
 
 from cpam_bayes.combined import FullReport
-from cpam_bayes.report.sentences import plate_argument
+from cpam_bayes.report.sentences import HIGH_NOISE, plate_argument
 from cpam_bayes.report.summary import Summary
 
 _TWO_ANSWERS: Final = (
@@ -34,7 +34,13 @@ def summary(result: FullReport) -> Summary:
         constants=diagnosis.constants,
         tables=tuple(table for part in parts for table in part.tables),
         basis=(_TWO_ANSWERS, *diagnosis.basis),
-        warnings=_each_once(w for part in parts for w in part.warnings if w not in result.slips),
+        # The diagnosis infers a noise of its own, whose level stands in its headline.
+        warnings=_each_once(
+            w
+            for part in parts
+            for w in part.warnings
+            if w not in result.slips and not w.startswith(HIGH_NOISE)
+        ),
         next_steps=(
             # What a step would ask for is on the page already.
             *(step for step in steps if not any(command in step for command in asked)),

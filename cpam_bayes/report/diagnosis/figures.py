@@ -222,7 +222,7 @@ def _signatures(d: Diagnosis) -> Figure:
 
 
 def _detectable(d: Diagnosis) -> Figure:
-    """The smallest size of each cause that these data would have shown, in expected sizes."""
+    """The smallest size of each cause that these data would have shown, in usual sizes."""
     rows = [row for row in detectable_rows(d) if row.probability is not None]
     rows.sort(key=lambda row: (row.in_sd is None, row.in_sd))
     sizes = [row.in_sd for row in rows if row.in_sd is not None]
@@ -241,7 +241,7 @@ def _detectable(d: Diagnosis) -> Figure:
     axes.set(
         xscale="log",
         xlim=(left, 2.0 * right),
-        xlabel="smallest size, in expected sizes (dotted: one)",
+        xlabel="smallest size, in usual sizes (dotted: one)",
     )
     axes.spines[["top", "right", "left"]].set_visible(False)
     axes.tick_params(axis="y", length=0)

@@ -33,6 +33,7 @@ from cpam_bayes.report.sentences import (
     constant_title,
     decided_by,
     frequencies_text,
+    mismatch_step,
     noise_sentence,
     plate_sentence,
     scale_sentences,
@@ -163,7 +164,8 @@ def _unseen(d: Diagnosis, specimen: Specimen, shown: list[str]) -> tuple[tuple[s
 
 
 def _next_steps(result: DiagnosisResult, constants: tuple[ConstantLine, ...]) -> tuple[str, ...]:
-    d, steps = result.diagnosis, []
+    d = result.diagnosis
+    steps = [step for plate in result.plates for step in mismatch_step(plate, result.slips)]
     steps += _checks(d)
     asked = any("[[sensor]]" in step for step in steps)
     if not asked and d.claim.kind in (NONE, "undecided") and len(result.plates) == 1:

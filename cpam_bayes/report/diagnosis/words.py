@@ -113,12 +113,13 @@ def _unseen(d: Diagnosis) -> list[str]:
 
 def _may_be_there(d: Diagnosis) -> str:
     """What "no evidence" does not say."""
-    unseen = _unseen(d)
+    sized = [row for row in detectable_rows(d) if row.probability is not None]
+    unseen = sum(row.in_sd is None or row.in_sd > 1.0 for row in sized)
     if not unseen:
         return ""
     return (
-        f" An error may be there all the same: {len(unseen)} of {len(tested_causes(d))} causes need not show "
-        "in these frequencies."
+        f" An error may be there all the same: at their usual sizes, {unseen} of {len(tested_causes(d))} "
+        "causes would not have been seen."
     )
 
 

@@ -24,7 +24,8 @@ def document(result: ForwardResult) -> dict[str, Any]:
                 "label": mode.label,
                 "in_plane_share": mode.in_plane_fraction,
                 "relative_error_estimate": float(error),
-                "measured_hz": measured,
+                "measured_hz": None if measured is None else measured.hz,
+                "paired_by": None if measured is None else "label" if measured.by_label else "order",
             }
             for mode, error, measured in zip(
                 result.modes, result.error, measured_of_modes(result), strict=True

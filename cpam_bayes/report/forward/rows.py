@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
+from cpam_bayes.forward_model.labels import modes_of_labels
 from cpam_bayes.forward_model.solve import ForwardResult
 from cpam_bayes.plate import Specimen
 
@@ -20,10 +23,32 @@ def constants_with_origin(specimen: Specimen) -> list[tuple[str, float, str]]:
     return [(name, float(complete[name]), origin) for name, origin in origins.items()]
 
 
-def measured_of_modes(result: ForwardResult) -> list[float | None]:
-    """The measured frequency of every mode, where the list has no gaps."""
+@dataclass(frozen=True, slots=True)
+class MeasuredFrequency:
+    """A measured frequency beside a mode, Hz; by_label : by its label, or else by its place in the list."""
+
+    hz: float
+    by_label: bool
+
+
+def measured_of_modes(result: ForwardResult) -> list[MeasuredFrequency | None]:
+    """The measured frequency of every mode: by its label, the others in order where the list has no gaps."""
+    found: list[MeasuredFrequency | None] = [None] * len(result.modes)
     measurement = result.specimen.measurement
-    listed: list[float | None] = []
-    if measurement is not None and measurement.complete:
-        listed += [float(f) for f in measurement.frequencies[: len(result.modes)]]
-    return listed + [None] * (len(result.modes) - len(listed))
+    if measurement is None:
+        return found
+    for i, j in modes_of_labels(measurement.labels, result.modes).items():
+        found[j] = MeasuredFrequency(float(measurement.frequencies[i]), by_label=True)
+    if not measurement.complete:
+        return found
+    left = (j for j, taken in enumerate(found) if taken is None)
+    plain = (f for f, label in zip(measurement.frequencies, measurement.labels, strict=True) if not label)
+    for j, f in zip([*left], plain, strict=False):
+        found[j] = MeasuredFrequency(float(f), by_label=False)
+    return found
+
+
+def list_is_paired(result: ForwardResult) -> bool:
+    """Whether measured frequencies stand beside modes: by labels, or in a list without gaps."""
+    measurement = result.specimen.measurement
+    return measurement is None or measurement.complete or all(measurement.labels)

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from cpam_bayes.formatting import NOT_KNOWN, listed, signed, significant
+from cpam_bayes.forward_model.preconditions import SUSPICIOUS_RATIO
 from cpam_bayes.forward_model.solve import ForwardResult
 from cpam_bayes.plate import to_user, unit_of
-from cpam_bayes.report.forward.rows import constants_with_origin, measured_of_modes
+from cpam_bayes.report.forward.rows import constants_with_origin, list_is_paired, measured_of_modes
 from cpam_bayes.report.plates.head import air_text
 from cpam_bayes.report.sentences import plate_argument, plate_sentence
 from cpam_bayes.report.summary import Summary
@@ -29,6 +30,7 @@ def summary(result: ForwardResult) -> Summary:
             plate_sentence(result.specimen),
             f"Air: {air_text(result.specimen, result.air_shifts)}.",
             _error(result),
+            *_unpaired(result),
         ),
         warnings=tuple(w for w in result.warnings if w not in result.slips),
         next_steps=_next_steps(result),
@@ -39,26 +41,41 @@ def modes_table(result: ForwardResult) -> Table:
     """Each mode, beside the measured frequency where there is one."""
     measured = measured_of_modes(result)
     columns = list(headed("#mode", "#Hz", "kind", "label"))
+    by_label = any(m is not None and m.by_label for m in measured)
     if any(measured):
-        columns += headed("#measured Hz", "#difference %")
+        columns += headed("#measured Hz", "#difference %", *(("paired by",) if by_label else ()))
     rows = []
-    for i, (mode, hz) in enumerate(zip(result.modes, measured, strict=True), 1):
+    for i, (mode, m) in enumerate(zip(result.modes, measured, strict=True), 1):
         row = [str(i), significant(mode.frequency, 6), mode.kind, mode.label]
-        if any(measured):
-            row += ["", ""] if hz is None else [f"{hz:.10g}", signed(100 * (mode.frequency / hz - 1.0), 2)]
-        rows.append(tuple(row))
+        if m is not None:
+            row += [f"{m.hz:.10g}", _difference(mode.frequency / m.hz)]
+            row += ["label" if m.by_label else "order"] if by_label else []
+        rows.append((*row, *("" for _ in columns[len(row) :])))
     return Table("Modes from these constants", tuple(columns), tuple(rows))
 
 
+def _difference(ratio: float) -> str:
+    """Computed over measured, as a difference in % or, where units must be wrong, as a factor."""
+    if 1.0 / SUSPICIOUS_RATIO <= ratio <= SUSPICIOUS_RATIO:
+        return signed(100.0 * (ratio - 1.0), 2)
+    return f"{significant(ratio, 3)} times"
+
+
 def _beside(result: ForwardResult) -> str:
-    pairs = [
-        (m.frequency, hz)
-        for m, hz in zip(result.modes, measured_of_modes(result), strict=True)
-        if hz is not None
-    ]
-    if not pairs:
+    ratios = np.array(
+        [
+            mode.frequency / measured.hz
+            for mode, measured in zip(result.modes, measured_of_modes(result), strict=True)
+            if measured is not None
+        ]
+    )
+    if not ratios.size:
         return ""
-    off = np.array([predicted / hz - 1.0 for predicted, hz in pairs])
+    if not 1.0 / SUSPICIOUS_RATIO <= float(np.median(ratios)) <= SUSPICIOUS_RATIO:
+        low, high = (significant(float(v), 3) for v in (ratios.min(), ratios.max()))
+        span = low if low == high else f"{low} to {high}"
+        return f" They are {span} times the measured ones."
+    off = ratios - 1.0
     rms = significant(100.0 * float(np.sqrt(np.mean(off**2))), 2)
     low, high = (signed(100.0 * float(v), 1) for v in (off.min(), off.max()))
     return f" They differ from the measured ones by {low} to {high} % ({rms} % root mean square)."
@@ -79,6 +96,15 @@ def _error(result: ForwardResult) -> str:
     return (
         f"Solver: {result.solver}; its frequencies are exact to about {significant(100 * worst, 2)} %, which "
         "says nothing about errors of the constants or of the plate."
+    )
+
+
+def _unpaired(result: ForwardResult) -> tuple[str, ...]:
+    if list_is_paired(result):
+        return ()
+    return (
+        "The frequency list may lack modes (complete = false): a frequency without a label stands beside no "
+        "mode here; identify --backend emcee sums over all pairings.",
     )
 
 

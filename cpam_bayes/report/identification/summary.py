@@ -19,6 +19,7 @@ from cpam_bayes.report.sentences import (
     decided_by,
     frequencies_text,
     high_noise_warning,
+    mismatch_step,
     noise_sentence,
     plate_argument,
     plate_sentence,
@@ -117,8 +118,11 @@ def _noise(estimate: PointEstimate) -> str:
 
 
 def _next_steps(result: PointResult, constants: tuple[ConstantLine, ...]) -> tuple[str, ...]:
-    estimate, steps = result.estimate, [*attached_step(result.specimen)]
-    plate = plate_argument(result.specimen)
+    estimate, plate = result.estimate, plate_argument(result.specimen)
+    steps = [
+        *mismatch_step(result.specimen, result.slips, [row.label for row in result.frequencies]),
+        *attached_step(result.specimen),
+    ]
     steps += more_modes_step(constants)
     if estimate.noise_is_inferred:
         steps.append(

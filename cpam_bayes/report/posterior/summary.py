@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cpam_bayes.formatting import significant
+from cpam_bayes.formatting import listed, significant
 from cpam_bayes.identification.sampled import ConstantPosterior, SampledResult
 from cpam_bayes.identification.verdicts import MISFIT
 from cpam_bayes.inference.noise import NOISE_NAMES
@@ -17,6 +17,7 @@ from cpam_bayes.report.sentences import (
     decided_by,
     frequencies_text,
     high_noise_warning,
+    mismatch_step,
     noise_sentence,
     plate_argument,
     plate_sentence,
@@ -38,7 +39,7 @@ def summary(result: SampledResult) -> Summary:
         slips=result.slips,
         headline=headline,
         constants=constants,
-        basis=(_fit(result), *_noise(result), plate_sentence(result.specimen), *unseen),
+        basis=(_fit(result), *_gaps(result), *_noise(result), plate_sentence(result.specimen), *unseen),
         warnings=(
             *(() if result.slips else high_noise_warning(_inferred(result))),
             *(w for w in result.warnings if w not in result.slips),
@@ -78,12 +79,28 @@ def _fit(result: SampledResult) -> str:
         return f"None of the {frequencies_text(n)} belongs to a mode of the plate model."
     worst = int(np.argmax(np.abs(residuals)))
     side = "too high" if residuals[worst] > 0 else "too low"
-    paired = "" if len(rows) == n else f"; {n - len(rows)} of them belong to no mode"
     rms = significant(100 * float(np.sqrt(np.mean(residuals**2))), 2)
     return (
-        f"The plate model repeats the {frequencies_text(n)} to {rms} % (root mean square){paired}; the worst "
+        f"The plate model repeats the {frequencies_text(n)} to {rms} % (root mean square); the worst "
         f"is {rows[worst].measured:.6g} Hz, predicted {significant(100 * abs(residuals[worst]), 2)} % {side}."
     )
+
+
+def _gaps(result: SampledResult) -> tuple[str, ...]:
+    """Modes that the list lacks, and frequencies that belong to no mode."""
+    said = []
+    if result.missed:
+        modes = [
+            f"{m.mode.label or m.mode.kind} near {significant(m.predicted, 4)} Hz" for m in result.missed
+        ]
+        many = "1 mode" if len(modes) == 1 else f"{len(modes)} modes"
+        said.append(f"The list lacks {many} that the plate model has in its range: {listed(modes, 'and')}.")
+    rows = zip(result.posterior.measurement.frequencies, result.frequencies, strict=True)
+    alone = [f"{f:.6g} Hz" for f, row in rows if row is None]
+    if alone:
+        verb = "belongs" if len(alone) == 1 else "belong"
+        said.append(f"{listed(alone, 'and')} {verb} to no mode of the plate model.")
+    return tuple(said)
 
 
 def _noise(result: SampledResult) -> tuple[str, ...]:
@@ -110,7 +127,8 @@ def _inferred(result: SampledResult) -> float:
 
 
 def _next_steps(result: SampledResult, constants: tuple[ConstantLine, ...]) -> tuple[str, ...]:
-    steps = [*attached_step(result.specimen)]
+    found = [None if row is None else row.mode.label for row in result.frequencies]
+    steps = [*mismatch_step(result.specimen, result.slips, found), *attached_step(result.specimen)]
     if result.status == "budget":
         steps.insert(0, "Allow more steps: --steps N.")
     steps += more_modes_step(constants)

@@ -212,7 +212,9 @@ def test_what_could_have_been_seen_is_told_of_every_cause(clean, misread):
     assert "2 causes were weighed against the plate model as it stands" in text
     assert "would have shown, with 95 % probability: misread or mistyped frequency from 1.2 %" in text
     assert "These causes need not show at any size: air that moves with the plate." in text
-    assert "An error may be there all the same: 1 of 2 causes need not show in these frequencies." in text
+    # the misread frequency would have been seen at its usual size of 2 %, the others not at theirs
+    said = "An error may be there all the same: at their usual sizes, 1 of 2 causes would not have been seen."
+    assert said in text
     assert re.search(r"mode missed, counted twice or swapped +mode_identity +has no size", text)
     assert "How large an error must be to show in these frequencies" in screen(misread)
     assert "These causes need not show" not in screen(misread)

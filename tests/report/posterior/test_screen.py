@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import xarray
 
 from cpam_bayes.identification.sampled import SampledResult, sample
 from cpam_bayes.inference.chains.ensemble import EnsembleSettings
@@ -185,6 +186,17 @@ def test_the_file_opens_in_arviz_without_this_package(sampled: SampledResult, tm
     assert psens["likelihood"]["E1_GPa"] == pytest.approx(told["E1"].likelihood, rel=1e-6)
 
 
+def test_the_file_is_a_tree_as_arviz_1_reads_files(sampled: SampledResult, tmp_path: Path) -> None:
+    """`arviz_base.from_netcdf` opens a file by `xarray.open_datatree`."""
+    path = tmp_path / "posterior.nc"
+    sampled.to_arviz().to_netcdf(path)
+    with xarray.open_datatree(path) as tree:
+        for group in ("posterior", "prior", "log_prior", "log_likelihood", "posterior_predictive"):
+            assert all(v.dims[:2] == ("chain", "draw") for v in tree[group].data_vars.values())
+        assert {"sample_stats", "prior_predictive", "observed_data", "constant_data"} <= set(tree.children)
+        assert tree["posterior"]["E1_GPa"].attrs["unit"] == "GPa"
+
+
 @pytest.mark.slow
 def test_densities_in_the_file_add_up(sampled: SampledResult, gappy: SampledResult) -> None:
     for result in (sampled, gappy):
@@ -243,6 +255,17 @@ def test_a_list_that_may_lack_modes_has_one_likelihood_and_no_pareto_diagnostics
     document = gappy.to_dict()
     assert document["leave_one_out"]["psis"] is None
     assert len(gappy.assessment.left_out.residual) == 5
+
+
+@pytest.mark.slow
+def test_the_first_screen_names_the_mode_that_a_list_lacks(
+    gappy: SampledResult, sampled: SampledResult
+) -> None:
+    (missed,) = gappy.to_dict()["missed_modes"]
+    (said,) = (text for text in gappy.in_words().basis if "The list lacks" in text)
+    assert said.startswith("The list lacks 1 mode that the plate model has in its range: ")
+    assert f"{missed['label']} near {missed['predicted_hz']:.3g}" in said
+    assert not any("lacks" in text for text in sampled.in_words().basis)
 
 
 @pytest.mark.slow
