@@ -56,21 +56,18 @@ def reduced_stiffness(constants: Mapping[str, ArrayLike]) -> Array:
     nu12, g12 = np.asarray(constants["nu12"]), np.asarray(constants["G12"])
     inverse = 1.0 / (1.0 - nu12 * nu12 * e2 / e1)
     q22 = e2 * inverse
-    return np.stack(np.broadcast_arrays(e1 * inverse, nu12 * q22, q22, g12), axis=-1)
+    return _on_last_axis(e1 * inverse, nu12 * q22, q22, g12)
 
 
 def stiffness_invariants(reduced: Array) -> Array:
     """Tsai-Pagano invariants ``(U1, ..., U5)`` of a ply, (..., 4) -> (..., 5), Pa."""
-    q11, q12, q22, q66 = np.moveaxis(reduced, -1, 0)
-    return np.stack(
-        (
-            (3 * q11 + 3 * q22 + 2 * q12 + 4 * q66) / 8,
-            (q11 - q22) / 2,
-            (q11 + q22 - 2 * q12 - 4 * q66) / 8,
-            (q11 + q22 + 6 * q12 - 4 * q66) / 8,
-            (q11 + q22 - 2 * q12 + 4 * q66) / 8,
-        ),
-        axis=-1,
+    q11, q12, q22, q66 = (reduced[..., i] for i in range(4))
+    return _on_last_axis(
+        (3 * q11 + 3 * q22 + 2 * q12 + 4 * q66) / 8,
+        (q11 - q22) / 2,
+        (q11 + q22 - 2 * q12 - 4 * q66) / 8,
+        (q11 + q22 + 6 * q12 - 4 * q66) / 8,
+        (q11 + q22 - 2 * q12 + 4 * q66) / 8,
     )
 
 
@@ -89,22 +86,32 @@ def rotated_stiffness(invariants: Array, weights: Array) -> Array:
 
     invariants (..., 5), weights (..., 5) -> (..., 6).
     """
-    u1, u2, u3, u4, u5 = np.moveaxis(invariants, -1, 0)
-    w0, w1, w2, w3, w4 = np.moveaxis(weights, -1, 0)
+    u1, u2, u3, u4, u5 = (invariants[..., i] for i in range(5))
+    w0, w1, w2, w3, w4 = (weights[..., i] for i in range(5))
     even, odd, quad, half = u1 * w0 + u3 * w2, u2 * w1, u3 * w4, 0.5 * u2 * w3
-    return np.stack(
-        np.broadcast_arrays(
-            even + odd, u4 * w0 - u3 * w2, even - odd, u5 * w0 - u3 * w2, half + quad, half - quad
-        ),
-        axis=-1,
+    return _on_last_axis(
+        even + odd, u4 * w0 - u3 * w2, even - odd, u5 * w0 - u3 * w2, half + quad, half - quad
     )
+
+
+def _on_last_axis(*entries: Array) -> Array:
+    """Arrays that broadcast, one after the other on a new last axis; faster than ``np.stack``."""
+    shape = np.broadcast_shapes(*(e.shape for e in entries))
+    stacked = np.empty((*shape, len(entries)), dtype=np.result_type(*entries))
+    for i, entry in enumerate(entries):
+        stacked[..., i] = entry
+    return stacked
+
+
+# Where each entry of a symmetric matrix stands among (X11, X12, X22, X66, X16, X26).
+_ENTRIES_3 = np.array([[0, 1, 4], [1, 2, 5], [4, 5, 3]])
+# The same among (X11, X22, X12), and of the adjugate among (X22, X11, -X12, -X21).
+_ENTRIES_2, _ADJUGATE_2 = np.array([[0, 2], [2, 1]]), np.array([[0, 2], [3, 1]])
 
 
 def _symmetric3(x: Array) -> Array:
     """(X11, X12, X22, X66, X16, X26) on the last axis -> (..., 3, 3)."""
-    x11, x12, x22, x66, x16, x26 = np.moveaxis(x, -1, 0)
-    rows = ((x11, x12, x16), (x12, x22, x26), (x16, x26, x66))
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+    return np.asarray(x[..., _ENTRIES_3])
 
 
 def _merge_equal_plies(angles_deg: Array) -> tuple[Array, Array]:
@@ -236,7 +243,7 @@ def _shear_compliance(
         h_yy, h_xx, h_xy = _energy_of_one_layup(geometry, invariants, d, b, mean, half)
     else:
         h_yy, h_xx, h_xy = _energy_of_layups(geometry, invariants, d, b, mean, half)
-    return np.stack((np.stack((h_yy, h_xy), -1), np.stack((h_xy, h_xx), -1)), -2)
+    return np.asarray(_on_last_axis(h_yy, h_xx, h_xy)[..., _ENTRIES_2])
 
 
 def _energy_of_one_layup(
@@ -288,10 +295,7 @@ def _energy_of_layups(
 
 def _inverse2(x: Array) -> Array:
     determinant = x[..., 0, 0] * x[..., 1, 1] - x[..., 0, 1] * x[..., 1, 0]
-    adjugate = np.stack(
-        (np.stack((x[..., 1, 1], -x[..., 0, 1]), -1), np.stack((-x[..., 1, 0], x[..., 0, 0]), -1)),
-        -2,
-    )
+    adjugate = _on_last_axis(x[..., 1, 1], x[..., 0, 0], -x[..., 0, 1], -x[..., 1, 0])[..., _ADJUGATE_2]
     return np.asarray(adjugate / determinant[..., None, None])
 
 
