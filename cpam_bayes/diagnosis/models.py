@@ -202,7 +202,7 @@ def extended_model(
         notify(f"{plate.specimen.name}: building {effect.name} {effect.variant}".rstrip())
         return built_model(plate, effect)
 
-    key = _effect_key(plate, effect)
+    key = effect_key(plate, effect)
     if effect.is_anywhere:
         return stored_local_model(
             key, plate.problem, effect.parameter_set, lambda: cast("LocalModel", build())
@@ -231,13 +231,14 @@ def built_model(plate: PlateModels, effect: Effect) -> ReducedModel | LocalModel
 
 def is_stored(plate: PlateModels, effect: Effect) -> bool:
     """Whether the model of a plate with an effect is on disk."""
-    key = _effect_key(plate, effect)
+    key = effect_key(plate, effect)
     return (local_model_path(key) if effect.is_anywhere else model_path(key)).exists()
 
 
-def _effect_key(plate: PlateModels, effect: Effect) -> str:
+def effect_key(plate: PlateModels, effect: Effect, *parts: str) -> str:
+    """Hash of all that the model of a plate with an effect depends on, and of parts that name another one."""
     priors = [[p.name, repr(p.prior)] for p in effect.parameters]
-    return _hash(plate.key, json.dumps([effect.name, effect.variant, effect.place, priors]))
+    return _hash(plate.key, json.dumps([effect.name, effect.variant, effect.place, priors]), *parts)
 
 
 def _extended(plate: PlateModels, effect: Effect) -> tuple[Problem, Array]:

@@ -14,6 +14,7 @@ from cpam_bayes.diagnosis.evidence.weighing import Tested
 from cpam_bayes.diagnosis.fitting import PlateCase
 from cpam_bayes.diagnosis.models import (
     PlateModels,
+    effect_key,
     extended_model,
     loaded_with,
     needs_another_space,
@@ -23,6 +24,7 @@ from cpam_bayes.effects import Effect, extend
 from cpam_bayes.forward_model.local.model import LocalModel
 from cpam_bayes.forward_model.model import PlateModel, model_on_basis
 from cpam_bayes.forward_model.reduced import ReducedModel
+from cpam_bayes.forward_model.store import stored_plate_model
 from cpam_bayes.inference.posterior import ForwardModel
 from cpam_bayes.mechanics.convergence import Tolerance, converge
 from cpam_bayes.mechanics.problem import Problem
@@ -145,7 +147,7 @@ def _on_basis(plate: PlateModels, problem: Problem, samples: Array) -> PlateMode
 def _with_effect(plate: PlateModels, effect: Effect) -> PlateModel | ReducedModel | LocalModel:
     """The full model of a plate with an effect: a reduced one would take more solves than it saves.
 
-    An effect at any place has its own model, which takes few and is stored.
+    An effect at any place has its own model, which takes few. What a space is converged for is stored.
     """
     if effect.is_anywhere:
         return extended_model(plate, effect)
@@ -154,8 +156,12 @@ def _with_effect(plate: PlateModels, effect: Effect) -> PlateModel | ReducedMode
     samples = np.column_stack((np.repeat(plate.samples.x[:1], 2, axis=0), added))
     if not needs_another_space(problem, effect, plate):
         return _on_basis(plate, problem, samples)
-    space = converge(problem, problem.parameters.mapping(samples), plate.n_modes, _TOLERANCE)
-    return PlateModel(space.operator, plate.n_modes, space.error, (space.settings, space.keep))
+
+    def build() -> PlateModel:
+        space = converge(problem, problem.parameters.mapping(samples), plate.n_modes, _TOLERANCE)
+        return PlateModel(space.operator, plate.n_modes, space.error, (space.settings, space.keep))
+
+    return stored_plate_model(effect_key(plate, effect, "space"), problem, samples, plate.n_modes, build)
 
 
 @dataclass(frozen=True, slots=True)
