@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from cpam_bayes.parameters import Parameter, ParameterSet, Prior, TruncatedNormal, Uniform
 from cpam_bayes.plate.constants import CONSTANT_KEYS, symmetry_of
 from cpam_bayes.plate.layup import parse_layup
+from cpam_bayes.plate.modes_table.hits import TableModes
 from cpam_bayes.plate.records import Material, Measurement, Plate, Sensor, Specimen
 from cpam_bayes.plate.schema import (
     MaterialModel,
@@ -25,8 +28,10 @@ from cpam_bayes.plate.units import USER_UNITS, to_si
 _ISOTROPIC_LAYUP = "[0]"
 
 
-def build_specimen(file: PlateFile, source: str, directory: Path | None) -> Specimen:
-    """The records of a file that passed every check."""
+def build_specimen(
+    file: PlateFile, source: str, directory: Path | None, modes: TableModes | None
+) -> Specimen:
+    """The records of a file that passed every check; modes : of the table that it names."""
     sequence_layup = file.plate.sequence_layup
     return Specimen(
         name=file.name,
@@ -38,7 +43,7 @@ def build_specimen(file: PlateFile, source: str, directory: Path | None) -> Spec
         angle_grid_deg=float(file.unknowns.angle_grid_deg),
         air_density=file.environment.air_density_kg_m3,
         sensors=tuple(_sensor(sensor) for sensor in file.sensor),
-        measurement=None if file.measurement is None else _measurement(file.measurement),
+        measurement=None if file.measurement is None else _measurement(file.measurement, modes),
         notes=tuple(file.notes),
         sequence_layup=None if sequence_layup is None else parse_layup(sequence_layup),
     )
@@ -102,18 +107,27 @@ def _sensor(model: SensorModel) -> Sensor:
     return Sensor(to_si("mass_g", model.mass_g), to_si("x_mm", model.x_mm), to_si("y_mm", model.y_mm))
 
 
-def _measurement(model: MeasurementModel) -> Measurement:
-    sd = model.frequency_sd_hz
+def _measurement(model: MeasurementModel, modes: TableModes | None) -> Measurement:
+    sd, listed = model.frequency_sd_hz, model.frequencies_hz or []
     of_pairing = {name: getattr(model, name) for name in ("missed_probability", "false_peaks")}
-    return Measurement(
-        frequencies=np.array(model.frequencies_hz, dtype=float),
+    changed: dict[str, Any] = {name: float(v) for name, v in of_pairing.items() if v is not None}
+    if modes is not None:
+        changed |= {
+            "frequencies": modes.frequencies,
+            "frequency_sd": modes.sd,
+            "labels": modes.labels,
+            "damping": modes.damping,
+            "origin": f"{model.table}: {modes.origin}",
+        }
+    given = Measurement(
+        frequencies=np.array(listed, dtype=float),
         resolution=float(model.resolution_hz),
         relative_std=model.relative_std,
         frequency_sd=None if sd is None else np.array(sd, dtype=float),
-        labels=tuple(model.labels or ("",) * len(model.frequencies_hz)),
+        labels=tuple(model.labels or ("",) * len(listed)),
         complete=model.complete,
-        **{name: float(value) for name, value in of_pairing.items() if value is not None},
     )
+    return replace(given, **changed)
 
 
 def _in_si(values: dict[str, float]) -> dict[str, float]:

@@ -216,6 +216,25 @@ def _mass(plate: Data) -> float | None:
     return 1e-6 * density * math.prod(known)  # kg/m3 mm3 to g
 
 
+def _list_or_table(data: Data) -> Problems:
+    measurement = table(data, "measurement")
+    if "measurement" not in data or not isinstance(data["measurement"], dict):
+        return
+    given = [key for key in ("frequencies_hz", "table") if key in measurement]
+    if len(given) != 1:
+        yield Problem(
+            ("measurement", *given[1:]),
+            f"frequencies, received {' and '.join(given) or 'neither'}, "
+            "accepted: one of frequencies_hz and table",
+        )
+    for key in ("frequency_sd_hz", "labels") if given == ["table"] else ():
+        if key in measurement:
+            column = {"frequency_sd_hz": "sd"}.get(key, "label")
+            yield Problem(
+                ("measurement", key), f"beside a table, accepted: a column {column} in the table instead"
+            )
+
+
 def _frequencies(data: Data) -> Problems:
     measurement = table(data, "measurement")
     listed = measurement.get("frequencies_hz")
@@ -285,6 +304,7 @@ _CHECKS: Final[tuple[_Check, ...]] = (
     _grid_step,
     _sensors,
     _heavy_sensors,
+    _list_or_table,
     _frequencies,
     _incomplete,
 )

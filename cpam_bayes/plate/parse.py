@@ -11,6 +11,7 @@ from typing import Any, Final
 from cpam_bayes.errors import PlateFileError
 from cpam_bayes.plate.build import build_specimen
 from cpam_bayes.plate.checks import relation_problems
+from cpam_bayes.plate.modes_table.read import table_of
 from cpam_bayes.plate.problems import plate_file_error, schema_problems
 from cpam_bayes.plate.records import Specimen
 from cpam_bayes.plate.schema import PlateFile
@@ -27,8 +28,8 @@ def parse_specimen(text: str, source: str, directory: Path | None = None) -> Spe
     """Read the text of a plate file.
 
     source : how messages name the file.
-    directory : where its relative paths begin raises PlateFileError with all problems, each with file, line
-    and key
+    directory : where its relative paths begin
+    raises PlateFileError with all problems, each with file, line and key
     """
     return specimen_of(_load(text, source), source, directory, line_numbers(text))
 
@@ -40,10 +41,11 @@ def specimen_of(
 
     lines : where each key stands, empty for what was not read from a text
     """
-    problems = schema_problems(data) + relation_problems(data, directory)
+    modes, of_table = table_of(data, directory)
+    problems = schema_problems(data) + relation_problems(data, directory) + of_table
     if problems:
         raise plate_file_error(source, problems, lines)
-    return build_specimen(PlateFile.model_validate(data), source, directory)
+    return build_specimen(PlateFile.model_validate(data), source, directory, modes)
 
 
 def _load(text: str, source: str) -> Mapping[str, Any]:

@@ -4,22 +4,22 @@ from __future__ import annotations
 
 import difflib
 import os
-import stat
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Final, TypeAlias
+from typing import Any, TypeAlias
 
 from cpam_bayes.arguments import checked
 from cpam_bayes.errors import PlateFileError
 from cpam_bayes.plate.parse import parse_specimen, specimen_of
 from cpam_bayes.plate.problems import received
 from cpam_bayes.plate.records import Specimen
+from cpam_bayes.plate.regular_file import MAX_BYTES, read_regular_file
 from cpam_bayes.plate.specimens import builtin, builtin_names
+
+__all__ = ["MAX_BYTES", "PlateLike", "builtin_plates", "read_plate", "read_specimen"]
 
 PlateLike: TypeAlias = str | os.PathLike[str] | Mapping[str, Any] | Specimen
 """What a plate can be given as, see `read_plate`."""
-
-MAX_BYTES: Final = 250_000
 
 
 @checked
@@ -76,7 +76,10 @@ def read_specimen(path_or_name: str) -> Specimen:
 
 
 def _read_text(path: str, source: str) -> str:
-    content = _read_bytes(path, source)
+    try:
+        content = read_regular_file(path, source, "a plate file or a built-in specimen")
+    except FileNotFoundError:
+        raise PlateFileError(_unknown_name(path, source)) from None
     if b"\0" in content:
         raise PlateFileError(f"{source}: a binary file, accepted: a TOML text")
     try:
@@ -87,39 +90,6 @@ def _read_text(path: str, source: str) -> str:
             f"{source}:{line}: file: not UTF-8 text, received byte 0x{content[error.start]:02x}, "
             "accepted: a TOML text in UTF-8"
         ) from None
-
-
-def _read_bytes(path: str, source: str) -> bytes:
-    try:
-        _require_small_file(os.stat(path), source)
-        # Not blocking, and checked again: the path may have become a pipe in between.
-        handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0))
-        with os.fdopen(handle, "rb") as file:
-            _require_small_file(os.fstat(file.fileno()), source)
-            content = file.read(MAX_BYTES + 1)
-    except FileNotFoundError:
-        raise PlateFileError(_unknown_name(path, source)) from None
-    except (OSError, ValueError) as error:
-        if isinstance(error, PlateFileError):
-            raise
-        reason = error.strerror if isinstance(error, OSError) else str(error)
-        raise PlateFileError(f"{source}: cannot be read: {reason}") from None
-    if len(content) > MAX_BYTES:
-        raise PlateFileError(_too_large(source, "more"))
-    return content
-
-
-def _require_small_file(status: os.stat_result, source: str) -> None:
-    if stat.S_ISDIR(status.st_mode):
-        raise PlateFileError(f"{source}: a directory, accepted: a plate file or a built-in specimen")
-    if not stat.S_ISREG(status.st_mode):
-        raise PlateFileError(f"{source}: a pipe or device, accepted: a regular file")
-    if status.st_size > MAX_BYTES:
-        raise PlateFileError(_too_large(source, f"{status.st_size} bytes"))
-
-
-def _too_large(source: str, size: str) -> str:
-    return f"{source}: too large, received {size}, accepted: up to {MAX_BYTES} bytes"
 
 
 def _unknown_name(name: str, source: str) -> str:

@@ -114,6 +114,8 @@ class Measurement:
     complete : no mode is missing from the list
     missed_probability : of an incomplete list, that a mode in its range is not in it
     false_peaks : expected number of its frequencies that are no mode
+    damping : (n,) ratios to critical damping, nan where not measured; None where none is
+    origin : the table that it was read from and what was made of it, "" for a list in the plate file
     """
 
     frequencies: NDArray[np.float64]
@@ -124,11 +126,20 @@ class Measurement:
     complete: bool
     missed_probability: float = 0.1
     false_peaks: float = 0.1
+    damping: NDArray[np.float64] | None = None
+    origin: str = ""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "frequencies", _read_only(self.frequencies))
         if self.frequency_sd is not None:
             object.__setattr__(self, "frequency_sd", _read_only(self.frequency_sd))
+        if self.damping is not None:
+            object.__setattr__(self, "damping", _read_only(self.damping))
+
+    @property
+    def loss_factors(self) -> NDArray[np.float64] | None:
+        """Twice the damping ratios, eta = 2 zeta of a lightly damped mode, (n,); None without them."""
+        return None if self.damping is None else 2.0 * self.damping
 
     @property
     def size(self) -> int:

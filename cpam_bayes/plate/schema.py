@@ -188,14 +188,20 @@ class SensorModel(_Table):
 class MeasurementModel(_Table):
     """The table [measurement]."""
 
-    frequencies_hz: Annotated[
-        list[Hertz],
-        Field(
-            min_length=1,
-            max_length=MAX_FREQUENCIES,
-            description=f"a list of 1 to {MAX_FREQUENCIES} frequencies, ascending",
-        ),
-    ]
+    frequencies_hz: (
+        Annotated[
+            list[Hertz],
+            Field(
+                min_length=1,
+                max_length=MAX_FREQUENCIES,
+                description=f"a list of 1 to {MAX_FREQUENCIES} frequencies, ascending",
+            ),
+        ]
+        | None
+    ) = None
+    table: (
+        Annotated[str, Field(min_length=1, description="the path of a table of modes, from this file")] | None
+    ) = None
     resolution_hz: Annotated[float, _not_negative("a number, 0 or above, in Hz")] = 0.0
     relative_std: (
         Annotated[

@@ -31,6 +31,21 @@ def plate_keys(result: PlateResult) -> dict[str, Any]:
         "specimen": result.specimen.specimen,
         "source": result.specimen.source,
         "seed": result.seed,
+        **_damping_keys(result),
+    }
+
+
+def _damping_keys(result: PlateResult) -> dict[str, Any]:
+    """Damping ratios and loss factors of the measured frequencies, where a table gives them."""
+    measurement = result.specimen.measurement
+    if measurement is None or measurement.damping is None or measurement.loss_factors is None:
+        return {}
+    columns = (measurement.frequencies, measurement.damping, measurement.loss_factors)
+    return {
+        "damping": [
+            {"measured_hz": float(f), "damping_ratio": float(ratio), "loss_factor": float(factor)}
+            for f, ratio, factor in zip(*columns, strict=True)
+        ]
     }
 
 

@@ -11,7 +11,7 @@ from cpam_bayes.forward_model.labels import same_label
 from cpam_bayes.forward_model.slips import contradicts_list
 from cpam_bayes.identification.scale_errors import FREQUENCY_SCALE, ScaleError
 from cpam_bayes.identification.verdicts import MISFIT, Verdict
-from cpam_bayes.plate import Specimen, to_user, unit_of, user_name
+from cpam_bayes.plate import Measurement, Specimen, to_user, unit_of, user_name
 from cpam_bayes.plate.elasticity import MaterialSymmetry
 from cpam_bayes.priors import Prior, TruncatedNormal
 from cpam_bayes.report.plates.head import edges_text, layup_text, size_text
@@ -32,6 +32,7 @@ __all__ = [
     "plate_argument",
     "plate_sentence",
     "scale_sentences",
+    "stated_noise",
 ]
 
 HIGH_NOISE: Final = "The noise inferred from the misfit is"
@@ -182,6 +183,14 @@ def noise_sentence(level: float, source: str) -> str:
     """What noise the intervals stand on; level : relative, source : where the level comes from."""
     percent = significant(100.0 * level, 2)
     return f"The intervals assume a noise of {percent} % of a frequency, {noise_word(level)}; {source}."
+
+
+def stated_noise(measurement: Measurement) -> str:
+    """Where the noise of a measurement is stated."""
+    if measurement.frequency_sd is None:
+        return "relative_std of the plate file"
+    table = measurement.origin.partition(": ")[0]
+    return f"that of the table {table}" if table else "frequency_sd_hz of the plate file"
 
 
 def scale_sentences(

@@ -37,6 +37,7 @@ from cpam_bayes.report.sentences import (
     noise_sentence,
     plate_sentence,
     scale_sentences,
+    stated_noise,
 )
 from cpam_bayes.report.summary import ConstantLine, Summary, more_modes_step
 
@@ -132,12 +133,12 @@ def _stated(d: Diagnosis) -> tuple[str, ...]:
     for case in d.cases:
         measurement, of = case.measurement, f" of {case.name}" if len(d.cases) > 1 else ""
         if measurement.frequency_sd is not None:
-            level, key = float(np.mean(measurement.frequency_sd / measurement.frequencies)), "frequency_sd_hz"
+            level = float(np.mean(measurement.frequency_sd / measurement.frequencies))
         elif measurement.relative_std is not None:
-            level, key = measurement.relative_std, "relative_std"
+            level = measurement.relative_std
         else:
             continue
-        said.append(noise_sentence(level, f"the level is {key} of the plate file{of}"))
+        said.append(noise_sentence(level, f"the level is {stated_noise(measurement)}{of}"))
     return tuple(said)
 
 

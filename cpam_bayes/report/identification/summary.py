@@ -24,6 +24,7 @@ from cpam_bayes.report.sentences import (
     plate_argument,
     plate_sentence,
     scale_sentences,
+    stated_noise,
 )
 from cpam_bayes.report.summary import ConstantLine, Summary, determined_by, more_modes_step
 
@@ -110,8 +111,7 @@ def _noise(estimate: PointEstimate) -> str:
             "noise by."
         )
     if not estimate.noise_is_inferred:
-        key = "relative_std" if measurement.frequency_sd is None else "frequency_sd_hz"
-        return noise_sentence(estimate.noise, f"the level is {key} of the plate file")
+        return noise_sentence(estimate.noise, f"the level is {stated_noise(measurement)}")
     return noise_sentence(
         estimate.noise, f"the level is estimated from the misfit of {n} frequencies with {k} constants fitted"
     )

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from cpam_bayes.formatting import fixed
+from cpam_bayes.formatting import fixed, significant
 from cpam_bayes.forward_model.air_shift import ROOM_AIR
-from cpam_bayes.plate import Plate, Specimen
+from cpam_bayes.plate import Measurement, Plate, Specimen
 from cpam_bayes.report.sections import Section
 from cpam_bayes.report.tables import Table, facts
 
@@ -77,8 +77,9 @@ def measured_facts(specimen: Specimen) -> Table:
     )
     if measurement.frequency_sd is not None:
         low, high = measurement.frequency_sd.min(), measurement.frequency_sd.max()
-        span = f"{low:g}" if low == high else f"{low:g} to {high:g}"
-        repeatability = f"standard deviation {span} Hz, as given"
+        span = f"{low:.3g}" if low == high else f"{low:.3g} to {high:.3g}"
+        made = "of a single hit, from the table" if measurement.origin else "as given"
+        repeatability = f"standard deviation {span} Hz, {made}"
     elif measurement.relative_std is not None:
         repeatability = f"{100.0 * measurement.relative_std:.3g} % of a frequency, as given"
     else:
@@ -90,8 +91,21 @@ def measured_facts(specimen: Specimen) -> Table:
         ("read to", resolution),
         ("repeatability", repeatability),
         ("completeness", complete if measurement.complete else "modes may be missing"),
+        *((("table", measurement.origin),) if measurement.origin else ()),
+        *_damping(measurement),
     )
     return facts("What was measured", rows)
+
+
+def _damping(measurement: Measurement) -> tuple[tuple[str, str], ...]:
+    """Damping ratios and loss factors, where they were measured."""
+    ratios, factors = measurement.damping, measurement.loss_factors
+    if ratios is None or factors is None:
+        return ()
+    return (
+        ("damping ratio", f"{', '.join(significant(100.0 * float(v), 3) for v in ratios)} %"),
+        ("loss factor", ", ".join(significant(float(v), 3) for v in factors)),
+    )
 
 
 def _material(specimen: Specimen) -> str:

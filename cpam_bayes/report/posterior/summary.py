@@ -22,6 +22,7 @@ from cpam_bayes.report.sentences import (
     plate_argument,
     plate_sentence,
     scale_sentences,
+    stated_noise,
 )
 from cpam_bayes.report.summary import ConstantLine, Summary, determined_by, more_modes_step
 
@@ -107,12 +108,10 @@ def _noise(result: SampledResult) -> tuple[str, ...]:
     measurement = result.posterior.measurement
     if not any(c.name in NOISE_NAMES for c in result.constants):
         stated = measurement.frequency_sd
-        if stated is not None:
-            level = float(np.mean(stated / measurement.frequencies))
-            return (noise_sentence(level, "the level is frequency_sd_hz of the plate file"),)
-        if measurement.relative_std is None:
+        if stated is None and measurement.relative_std is None:
             return ()
-        return (noise_sentence(measurement.relative_std, "the level is relative_std of the plate file"),)
+        level = measurement.relative_std if stated is None else np.mean(stated / measurement.frequencies)
+        return (noise_sentence(float(level or 0.0), f"the level is {stated_noise(measurement)}"),)
     return (noise_sentence(_inferred(result), "the level is inferred from the misfit"),)
 
 

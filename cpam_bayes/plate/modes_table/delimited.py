@@ -1,0 +1,84 @@
+"""Tables as instruments and spreadsheets write them: any separator, decimal points or commas, lines above."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+__all__ = ["Delimited", "Row", "decode", "read_delimited"]
+
+_SEPARATORS: Final = ("\t", ";", ",", "|", " ")
+_DECLARED: Final = "sep="
+_COMMENTS: Final = ("#", "%")
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One line of a table: its number, from 1, and a cell for each column, "" where it has none."""
+
+    line: int
+    cells: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Delimited:
+    """A table: its heads, in the line ``line``, and the rows below; separator : between the cells."""
+
+    line: int
+    heads: tuple[str, ...]
+    rows: tuple[Row, ...]
+    separator: str
+
+
+def decode(content: bytes) -> str:
+    """The text of a file that a spreadsheet saved: UTF-8, UTF-16 with its mark, or Windows-1252."""
+    if content.startswith((b"\xff\xfe", b"\xfe\xff")):
+        return content.decode("utf-16", errors="replace")
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return content.decode("cp1252", errors="replace")
+
+
+def read_delimited(text: str, is_header: Callable[[Sequence[str]], bool]) -> Delimited | None:
+    """The table of a text from its first line of heads on; None where no line has such heads.
+
+    Empty lines and comments (# or %) are passed over, and a line "sep=;" says the separator.
+
+    is_header : whether cells are the heads of the table that is looked for
+    """
+    lines = text.splitlines()
+    separators: tuple[str, ...] = _SEPARATORS
+    for i, line in enumerate(lines):
+        if line.strip().casefold().startswith(_DECLARED) and len(line.strip()) > len(_DECLARED):
+            separators = (line.strip()[len(_DECLARED)],)
+            continue
+        for separator in separators:
+            heads = _cells(line, separator)
+            if is_header(heads):
+                rows = tuple(_rows(lines, i + 1, separator, len(heads)))
+                return Delimited(i + 1, tuple(heads), rows, separator)
+    return None
+
+
+def _rows(lines: Sequence[str], first: int, separator: str, n_columns: int) -> Iterator[Row]:
+    for number, line in enumerate(lines[first:], start=first + 1):
+        cells = _cells(line, separator)
+        if not any(cells) or line.lstrip().startswith(_COMMENTS):
+            continue
+        yield Row(number, (*cells, *[""] * (n_columns - len(cells))))
+
+
+def _cells(line: str, separator: str) -> list[str]:
+    # spaces at the ends of a line separate nothing, tabs there are empty cells
+    stripped = line.strip(" \r\n")
+    try:
+        found = next(csv.reader([stripped], delimiter=separator, skipinitialspace=True), [])
+    except csv.Error:  # a line without an end to its quotes or cells
+        return []
+    cells = [cell.strip() for cell in found]
+    while cells and not cells[-1]:
+        cells.pop()
+    return cells

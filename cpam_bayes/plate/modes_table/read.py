@@ -1,0 +1,46 @@
+"""The table that a plate file names under [measurement], found and read."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from cpam_bayes.errors import PlateFileError
+from cpam_bayes.plate.modes_table.delimited import decode
+from cpam_bayes.plate.modes_table.hits import TableModes, modes_of
+from cpam_bayes.plate.modes_table.rows import TableProblem, read_modes_table
+from cpam_bayes.plate.problems import Problem, received
+from cpam_bayes.plate.raw import Data, table
+from cpam_bayes.plate.regular_file import read_regular_file
+
+__all__ = ["table_of"]
+
+_KEY = ("measurement", "table")
+
+
+def table_of(data: Data, directory: Path | None) -> tuple[TableModes | None, list[Problem]]:
+    """The modes of the table that a plate file names, and what is wrong with it, by line and column.
+
+    directory : where relative paths begin
+    """
+    measurement = table(data, "measurement")
+    name = measurement.get("table")
+    if not isinstance(name, str) or not name:
+        return None, []
+    path = Path(name) if directory is None else directory / name
+    try:
+        content = read_regular_file(str(path), received(name), "a table of modes")
+    except FileNotFoundError:
+        return None, [
+            Problem(_KEY, f"no such file, received {received(name)}, accepted: a path from the plate file")
+        ]
+    except (PlateFileError, ValueError) as error:
+        return None, [Problem(_KEY, str(error))]
+    rows, problems = read_modes_table(decode(content))
+    modes: TableModes | None = None
+    if rows is not None:
+        modes, problems = modes_of(rows, complete=measurement.get("complete") is not False)
+    return modes, [_located(name, problem) for problem in problems]
+
+
+def _located(name: str, problem: TableProblem) -> Problem:
+    return Problem(_KEY, f"{Path(name).name} {problem}")

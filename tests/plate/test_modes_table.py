@@ -1,0 +1,330 @@
+"""A table of modes is read as instruments write it, hits become frequencies, and errors have their place."""
+
+from __future__ import annotations
+
+import itertools
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.stats import t
+
+import cpam_bayes as cb
+from cpam_bayes.errors import PlateFileError
+from cpam_bayes.plate import Measurement
+from cpam_bayes.plate.modes_table.hits import small_sample_factor
+from cpam_bayes.report.documents import plate_keys
+from cpam_bayes.report.plates.head import measured_facts
+from cpam_bayes.report.tables import Table
+
+PLATE = """name = "bar"
+[plate]
+length_mm = 200
+width_mm = 100
+thickness_mm = 3
+density_kg_m3 = 2700
+edges = "FFFF"
+[material]
+isotropic = true
+E1_GPa = 69
+nu12 = 0.33
+[measurement]
+"""
+LINE = 1 + PLATE.count("\n")
+
+TABLE = """mode,hz,damping
+1,101.5,0.004
+2,305.25,0.002
+3,333,
+"""
+
+
+@pytest.fixture
+def read(tmp_path: Path):
+    """Read a plate file whose table has some content."""
+
+    def reading(content: str | bytes, more: str = "") -> cb.Specimen:
+        encoded = content.encode() if isinstance(content, str) else content
+        (tmp_path / "modes.csv").write_bytes(encoded)
+        path = tmp_path / "bar.toml"
+        path.write_text(f'{PLATE}table = "modes.csv"\n{more}', encoding="utf-8")
+        return cb.read_plate(path)
+
+    return reading
+
+
+@pytest.fixture
+def measured(read):
+    def measurement(content: str | bytes, more: str = "") -> Measurement:
+        found = read(content, more).measurement
+        assert found is not None
+        return found
+
+    return measurement
+
+
+@pytest.fixture
+def refused(read):
+    """The problems of a table, each without the name and line of the plate file."""
+
+    def problems(content: str | bytes, more: str = "") -> list[str]:
+        with pytest.raises(PlateFileError) as caught:
+            read(content, more)
+        place = re.compile(rf".*bar\.toml:{LINE}: measurement\.table: ")
+        assert all(place.match(problem) for problem in caught.value.problems), caught.value.problems
+        return [place.sub("", problem) for problem in caught.value.problems]
+
+    return problems
+
+
+WRITTEN = {
+    "commas": TABLE,
+    "semicolons and decimal commas": TABLE.replace(",", ";").replace(".", ","),
+    "tabs and decimal commas": TABLE.replace(",", "\t").replace(".", ","),
+    "bars": TABLE.replace(",", " | "),
+    "spaces": "  mode   hz  damping\n 1 101.5  0.004\n 2   305.25 0.002 \n 3 333\n",
+    "decimal commas in quotes": '"mode","hz","damping"\n"1","101,5","0,004"\n2,"305,25","0,002"\n3,333,\n',
+    "no space to spare": TABLE.replace("\n", "\r\n"),
+    "a byte order mark": TABLE.encode("utf-8-sig"),
+    "UTF-16": TABLE.encode("utf-16"),
+    "Windows-1252": f"# Schl\u00e4ge\n{TABLE}".encode("cp1252"),
+    "lines above, comments and empty lines": f"Project;bar 7, hung\nDate 3.4.\n\n# heads\n{TABLE}\n# end\n\n",
+    "a separator that is declared": "sep=;\n" + TABLE.replace(",", ";").replace(".", ","),
+    "heads that begin as a comment": "# " + TABLE,
+    "units in brackets": "Mode No.;Frequency [kHz];Damping (%)\n1;0,1015;0,4\n2;0,30525;0,2\n3;0,333;\n",
+    "units after the name": "mode,frequency_hz,damping_%\n1,101.5,0.4\n2,305.25,0.2\n3,333,\n",
+    "other columns": "mode,amplitude,hz,damping\n1,9.9,101.5,0.004\n2,?,305.25,0.002\n3,,333,\n",
+    "another order": "damping,hz,mode\n,333,3\n0.002,305.25,2\n0.004,101.5,1\n",
+}
+
+
+@pytest.mark.parametrize("content", WRITTEN.values(), ids=WRITTEN)
+def test_a_table_says_the_same_however_it_is_written(measured, content: str | bytes) -> None:
+    found = measured(content)
+    np.testing.assert_allclose(found.frequencies, [101.5, 305.25, 333.0], rtol=1e-12)
+    np.testing.assert_allclose(found.damping, [0.004, 0.002, np.nan], rtol=1e-12)
+    np.testing.assert_allclose(found.loss_factors, [0.008, 0.004, np.nan], rtol=1e-12)
+    assert found.frequency_sd is None
+    assert found.labels == ("", "", "")
+
+
+def test_a_table_needs_no_more_than_frequencies(measured) -> None:
+    found = measured("hz\n311\n102,5\n")
+    assert found.frequencies.tolist() == [102.5, 311.0]
+    assert found.damping is None
+    assert found.loss_factors is None
+
+
+def test_labels_name_modes_and_fix_them(measured) -> None:
+    found = measured('label;hit;hz\n"(1,1)";1;102\n"(2,0)";1;311\n"(1,1)";2;104\n"(2,0)";2;311,6\n')
+    assert found.labels == ("(1,1)", "(2,0)")
+    np.testing.assert_allclose(found.frequencies, [103.0, 311.3], rtol=1e-12)
+
+
+HITS = "mode,hit,hz\n1,1,100.2\n1,2,100.6\n1,3,100.1\n2,1,310.0\n2,2,311.0\n2,3,312.0\n3,1,400.0\n"
+
+
+def test_hits_become_their_mean_and_the_scatter_of_a_single_one(measured) -> None:
+    found = measured(HITS)
+    first, second = np.array([100.2, 100.6, 100.1]), np.array([310.0, 311.0, 312.0])
+    factor = t.ppf(0.975, 2) / 1.959963984540054
+    np.testing.assert_allclose(found.frequencies, [first.mean(), 311.0, 400.0], rtol=1e-12)
+    scatter = [first.std(ddof=1) * factor, second.std(ddof=1) * factor]
+    np.testing.assert_allclose(found.frequency_sd[:2], scatter, rtol=1e-12)
+    # one hit: the relative scatter of the others together, which has 4 degrees of freedom
+    pooled = np.sqrt(np.mean([first.var(ddof=1) / first.mean() ** 2, second.var(ddof=1) / 311.0**2]))
+    alone = 400.0 * pooled * t.ppf(0.975, 4) / 1.959963984540054
+    assert found.frequency_sd[2] == pytest.approx(alone, rel=1e-12)
+
+
+@pytest.mark.parametrize("n", [2, 3, 5, 10])
+def test_the_interval_of_few_hits_holds_a_further_one_as_often_as_it_says(n: int) -> None:
+    rng = np.random.default_rng(n)
+    hits, further = rng.standard_normal((20_000, n)), rng.standard_normal(20_000)
+    half = 1.96 * hits.std(axis=1, ddof=1) * small_sample_factor(n - 1.0)
+    # the mean of n hits moves too, by 1 / n of the variance
+    inside = np.abs(further - hits.mean(axis=1)) < half * np.sqrt(1.0 + 1.0 / n)
+    # four standard errors of 20 000 trials
+    assert inside.mean() == pytest.approx(0.95, abs=0.0062)
+
+
+def test_the_order_of_rows_changes_nothing(measured) -> None:
+    head, *rows = HITS.splitlines()
+    expected = measured(HITS)
+    for order in itertools.islice(itertools.permutations(rows), 1, 5000, 700):
+        found = measured("\n".join((head, *order)))
+        np.testing.assert_allclose(found.frequencies, expected.frequencies, rtol=1e-13)
+        np.testing.assert_allclose(found.frequency_sd, expected.frequency_sd, rtol=1e-9)
+
+
+def test_equal_hits_scatter_by_the_rounding_of_the_table(measured) -> None:
+    found = measured("mode;hz\n1;100,2\n1;100,2\n2;300,1\n2;300,1\n")
+    np.testing.assert_allclose(found.frequency_sd, 0.1 / np.sqrt(12.0), rtol=1e-12)
+
+
+def test_standard_deviations_of_the_table_are_taken(measured) -> None:
+    found = measured("mode,hz,sd\n1,100,0.3\n2,300,0.5\n")
+    assert found.frequency_sd.tolist() == [0.3, 0.5]
+
+
+def test_a_weight_of_0_leaves_a_hit_out_and_others_weigh(measured) -> None:
+    found = measured(
+        "mode,hz,weight,damping\n1,100,1,0.01\n1,180,0,0.2\n1,103,2,0.04\n2,300,1,\n2,300.5,1,\n"
+    )
+    assert found.frequencies[0] == pytest.approx(102.0, rel=1e-12)
+    assert found.damping[0] == pytest.approx(0.03, rel=1e-12)
+
+
+LEFT_OUT = "mode,hz,weight\n1,100,1\n2,200,0\n3,300,1\n"
+
+
+def test_a_mode_left_out_makes_a_gap_that_must_be_said(measured, refused) -> None:
+    (problem,) = refused(LEFT_OUT)
+    assert problem.startswith("modes.csv line 3, column hz: mode 2 is left out, accepted: complete = false")
+    found = measured(LEFT_OUT, "complete = false\n")
+    assert found.frequencies.tolist() == [100.0, 300.0]
+    assert "left out: 2" in found.origin
+
+
+def test_a_last_mode_left_out_is_no_gap(measured) -> None:
+    assert measured(LEFT_OUT.replace("200,0", "400,0")).frequencies.tolist() == [100.0, 300.0]
+
+
+def test_a_number_that_is_lacking_is_a_gap(measured, refused) -> None:
+    content = "mode,hz\n7,100\n8,200\n10,300\n"
+    assert refused(content) == [
+        "modes.csv column mode: the numbers lack 9, accepted: complete = false in [measurement], as the list "
+        "then lacks a mode"
+    ]
+    assert measured(content, "complete = false\n").size == 3
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        ("mode,hz\n1,100\n2,abc\n", 'line 3, column hz: not a number, received "abc"'),
+        ("mode;hz\n1;100\n\n2;-5\n", "line 4, column hz: out of range, received -5"),
+        ("mode;hz\n1;0\n", "line 2, column hz: out of range, received 0"),
+        ("mode;hz\n1;nan\n", 'line 2, column hz: not a number, received "nan"'),
+        ("mode;hz\n1;1e999\n", "line 2, column hz: out of range"),
+        ("mode;hz\n1;1.234,5\n", 'line 2, column hz: not a number, received "1.234,5"'),
+        ("mode;hz\n1;100.5\n2;200,5\n", "line 3, column hz: another decimal mark than in line 2"),
+        ("mode,hz\n1,100,5\n", "line 2: 3 cells for 2 columns, accepted: one for each head; decimal commas"),
+        ("mode,hz,damping\n1,100,0.4\n2,200,1.2\n", "line 3, column damping: out of range, received 1.2"),
+        ("mode,hz,sd\n1,100,0\n", "line 2, column sd: out of range"),
+        ("mode,hz,sd\n1,100,0.5\n2,200,\n", "line 3, column sd: missing"),
+        ("mode,hz,weight\n1,100,-1\n", "line 2, column weight: out of range"),
+        ("mode,hz,weight\n1,100,0\n", "no frequency with a weight above 0"),
+        ("mode,hz,dampng\n1,100,1\n", "line 1, column dampng: unknown head, the nearest is damping"),
+        ("mode,hz,frequency\n1,100,100\n", "line 1, column frequency: a second column hz"),
+        ("mode,Frequency [rpm]\n1,100\n", "line 1, column Frequency [rpm]: unknown unit rpm"),
+        ("hit,hz\n1,100\n", "line 1, column hit: hits of no mode"),
+        ("mode,hit,hz\n1,1,100\n1,1,101\n", "line 3, column hit: hit 1 of mode 1 a second time"),
+        ("mode,hit,hz\n,1,100\n", "line 2, column mode: missing"),
+        ("mode,label,hz\n1,a,100\n1,b,101\n", "line 3, column label: mode 1 has the labels a and b"),
+        ("mode,label,hz\n1,\x1b[31m,100\n", "line 2, column label: not a text that can be shown"),
+        ("mode,hz\n", "line 1: no rows below the heads"),
+        ("", "no column of frequencies"),
+        ("100\n200\n", "no column of frequencies"),
+        ("mode\n1\n", "no column of frequencies"),
+        (b"\x00\x01\x02" * 50, "no column of frequencies"),
+        ("hz\n" + "".join(f"{100 + i}\n" for i in range(101)), "too many modes, received 101"),
+        ("hz\n" + "1" * 260_000, "too large"),
+        ('hz\n"' + "1" * 200_000, None),
+    ],
+)
+def test_what_is_wrong_has_its_line_and_column(refused, content: str | bytes, said: str | None) -> None:
+    problems = refused(content)
+    assert len(problems) == 1
+    assert "\x1b" not in problems[0]
+    assert said is None or said in problems[0]
+    assert len(problems[0]) < 400
+
+
+def test_everything_that_is_wrong_with_a_table_comes_at_once(refused) -> None:
+    problems = refused("mode,hz,damping\n1,abc,0.1\n2,200,7\n3,300,0.1\n4,-1,x\n")
+    assert [problem.partition(": ")[0] for problem in problems] == [
+        "modes.csv line 2, column hz",
+        "modes.csv line 3, column damping",
+        "modes.csv line 5, column hz",
+        "modes.csv line 5, column damping",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("none.csv", "no such file"),
+        (".", "a directory, accepted: a table of modes"),
+        ("a\\u0000b", "cannot be"),
+    ],
+)
+def test_a_table_that_cannot_be_read_is_said(tmp_path: Path, name: str, said: str) -> None:
+    path = tmp_path / "bar.toml"
+    path.write_text(f'{PLATE}table = "{name}"\n', encoding="utf-8")
+    with pytest.raises(PlateFileError) as caught:
+        cb.read_plate(path)
+    assert len(caught.value.problems) == 1
+    assert f":{LINE}: measurement.table: " in caught.value.problems[0]
+    assert said in caught.value.problems[0]
+
+
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        ("frequencies_hz = [100]\n", "one of frequencies_hz and table"),
+        ("frequency_sd_hz = [1, 1, 1]\n", "a column sd in the table"),
+        ('labels = ["", "", ""]\n', "a column label in the table"),
+    ],
+)
+def test_a_table_stands_alone(read, more: str, said: str) -> None:
+    with pytest.raises(PlateFileError, match=said):
+        read(TABLE, more)
+
+
+def test_a_measurement_without_frequencies_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "bar.toml"
+    path.write_text(f"{PLATE}resolution_hz = 1\n", encoding="utf-8")
+    with pytest.raises(PlateFileError, match="received neither, accepted: one of frequencies_hz and table"):
+        cb.read_plate(path)
+
+
+def test_a_table_stays_beside_its_plate_file_wherever_it_is_read_from(
+    read, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    read(TABLE)
+    monkeypatch.chdir(tmp_path.parent)
+    found = cb.read_plate(Path(tmp_path.name) / "bar.toml").measurement
+    assert found is not None
+    assert found.size == 3
+
+
+def test_damping_is_shown_and_in_the_document(read) -> None:
+    specimen = read("mode,hit,hz,damping [%],comment\n1,1,100,0.4,x\n1,2,101,0.5,y\n2,1,300,,z\n")
+    shown: Table = measured_facts(specimen)
+    rows = dict(row[:2] for row in shown.rows)
+    assert rows["damping ratio"] == "0.450, - %"
+    assert rows["loss factor"] == "0.00900, -"
+    assert rows["table"] == "modes.csv: means of 1 to 2 hits a mode; columns not used: comment"
+    assert "of a single hit, from the table" in rows["repeatability"]
+    document = plate_keys(cb.forward(specimen, n_modes=2))
+    ratios = [row["damping_ratio"] for row in document["damping"]]
+    np.testing.assert_allclose(ratios, [0.0045, np.nan], rtol=1e-12)
+    assert "damping" not in plate_keys(cb.forward("A1", n_modes=2))
+
+
+EXAMPLE = Path(__file__).parents[2] / "examples" / "panel_hits.toml"
+
+
+def test_the_example_of_a_table_is_the_panel_of_the_other_example() -> None:
+    found, listed = (
+        cb.read_plate(EXAMPLE.with_name(name)).measurement for name in (EXAMPLE.name, "panel.toml")
+    )
+    assert found is not None
+    assert listed is not None
+    # means of five hits that scatter by 0.2 %, one of them left out
+    np.testing.assert_allclose(found.frequencies, listed.frequencies, rtol=2e-3)
+    assert found.frequency_sd is not None
+    assert np.all(found.frequency_sd < 0.006 * found.frequencies)
+    assert found.origin == "panel_hits.csv: means of 4 to 5 hits a mode"
