@@ -46,6 +46,7 @@ __all__ = ["DiagnosisResult", "diagnose", "diagnosis_result"]
 DEFAULT_SCATTER: Final = 0.02
 MAX_SCATTER: Final = 0.5
 MAX_PRIOR_NONE: Final = 0.99
+MAX_PLATES: Final = 50
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
@@ -150,6 +151,10 @@ def diagnose(
     require_choice("next_test", next_test, ("open", "always", "never"))
     if prior_none is not None:
         require_number("prior_none", prior_none, MAX_PRIOR_NONE)
+    if not 1 <= len(plates) <= MAX_PLATES:
+        raise ValueError(
+            f"plates: received {len(plates) or 'none'}, accepted: one plate or more, {MAX_PLATES} at most"
+        )
     specimens = tuple(require_diagnosable(read_plate(plate)) for plate in plates)
     _require_one_material(specimens)
     for specimen in specimens:
@@ -251,8 +256,6 @@ def _diagnosed(
 
 def _require_one_material(specimens: Sequence[Specimen]) -> None:
     """Refuse plates that cannot share their constants, or of which two are the same."""
-    if not specimens:
-        raise ValueError("plates: received none, accepted: one plate or more")
     names = [s.name for s in specimens]
     twice = next((name for i, name in enumerate(names) if name in names[:i]), None)
     if twice is not None:

@@ -30,6 +30,7 @@ from cpam_bayes.validation.calibration import (
     simulate,
     spread_draws,
 )
+from cpam_bayes.validation.draw_store import DrawStore
 from cpam_bayes.validation.rank_statistics import coverage, holm, rank_statistics
 from tests.linear_model import LinearModel, exact_gaussian
 
@@ -264,7 +265,7 @@ def test_a_store_holds_a_line_for_each_repetition_as_soon_as_it_is_there(tmp_pat
     path, lines = tmp_path / "store.jsonl", []
     calibrate(fast(), 3, store=path, progress=lambda done: lines.append(len(path.read_bytes().splitlines())))
     assert lines == [2, 3, 4]
-    record = json.loads(path.read_text("utf-8").splitlines()[1])
+    record = json.loads(path.read_text("utf-8").splitlines()[1].partition(" ")[2])
     assert set(record) == set(asdict(repeat(fast(), 0)))
 
 
@@ -293,6 +294,27 @@ def test_a_file_that_is_no_store_is_refused_and_left_alone(tmp_path: Path, conte
     with pytest.raises(StoreError, match=r"store\.jsonl: is damaged or no store"):
         calibrate(fast(), 1, store=path)
     assert path.read_bytes() == content
+
+
+@pytest.mark.parametrize("line", [0, 1, 2])
+def test_a_changed_digit_before_the_end_of_a_store_is_found(tmp_path: Path, line: int) -> None:
+    path = tmp_path / "store.jsonl"
+    store = DrawStore.open(path, "0" * 8)
+    for i in range(3):
+        store.append({"number": i, "value": 12.5})
+    lines = path.read_bytes().splitlines(keepends=True)
+    lines[line] = lines[line].replace(b"0" * 8, b"0" * 7 + b"1").replace(b"12.5", b"13.5")
+    path.write_bytes(b"".join(lines))
+    with pytest.raises(StoreError, match="is damaged"):
+        DrawStore.open(path, "0" * 8)
+    assert path.read_bytes() == b"".join(lines)
+
+
+def test_a_store_begun_without_checksums_goes_on_without_them(tmp_path: Path) -> None:
+    path = tmp_path / "store.jsonl"
+    path.write_text('{"problem": "a"}\n{"number": 0}\n', encoding="utf-8")
+    DrawStore.open(path, "a").append({"number": 1})
+    assert DrawStore.open(path, "a").records == ({"number": 0}, {"number": 1})
 
 
 def test_a_store_that_cannot_be_made_is_refused(tmp_path: Path) -> None:
