@@ -9,9 +9,10 @@ import base64
 import hashlib
 import platform
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
+from itertools import chain
 from pathlib import Path
 from typing import Any, Final
 
@@ -23,6 +24,7 @@ from cpam_bayes.report.documents import json_text
 from cpam_bayes.report.sections import COMPUTATION, Caption, Section, merged
 from cpam_bayes.report.summary import Summary, sentence
 from cpam_bayes.report.tables import Table, facts
+from cpam_bayes.report.terms import terms_section
 from cpam_bayes.result import Result
 
 __all__ = ["PAGE", "Image", "command_of", "fragment", "page_text", "write_page"]
@@ -53,15 +55,25 @@ def write_page(result: Result, directory: Path) -> None:
     """Write the page with the figures that lie in the directory's ``figures``."""
     captions = result.captions()
     images = {name: _image(directory / "figures" / name, caption) for name, caption in captions.items()}
+    summary, sections = result.in_words(), result.sections()
+    terms = terms_section(_words(summary, sections, captions.values()))
     text = page_text(
         f"{result.command} {result.title}".strip(),
-        result.in_words(),
-        (*result.sections(), _computation(result)),
+        summary,
+        (*sections, terms, _computation(result)),
         images,
         f"cpam_bayes {__version__}, seed {result.seed}",
         result.command,
     )
     (directory / PAGE).write_text(text, encoding="utf-8")
+
+
+def _words(summary: Summary, sections: Iterable[Section], captions: Iterable[Caption]) -> str:
+    """All that a page says, but for the words inside its figures."""
+    tables = (*summary.tables, *(table for section in sections for table in section.tables))
+    cells = (" ".join((table.title, *(table.headings or ()), *chain(*table.rows))) for table in tables)
+    said = (summary.headline, *summary.slips, *summary.basis, *summary.warnings, *summary.next_steps)
+    return "\n".join((*said, *cells, *(caption.text for caption in captions)))
 
 
 def command_of(page: Path) -> str | None:
@@ -116,7 +128,7 @@ def _brief(title: str) -> str:
 
 def _typeset(text: str) -> Markup:
     """A text of the screen as print has it: signs of its own, and words of the command line as code."""
-    plain = escape(text.replace("+-", "\N{PLUS-MINUS SIGN}"))
+    plain = str(escape(text.replace("+-", "\N{PLUS-MINUS SIGN}")))
     return Markup(re.sub("`([^`]+)`", r"<code>\1</code>", plain))
 
 

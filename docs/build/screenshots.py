@@ -22,7 +22,7 @@ PICTURES: Final = PROJECT / "docs" / "pictures"
 # Name of the picture -> width and height of the window, CSS pixels.
 WINDOWS: Final = {"report_C1_wide": (1100, 1500), "report_C1_phone": (390, 1500)}
 # Colours of a palette that is enough for text, marks and thin lines.
-_COLOURS: Final = 64
+_COLOURS: Final = 128
 
 
 def photograph(page: Path, directory: Path) -> list[Path]:

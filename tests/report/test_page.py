@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from html import escape
+from html import escape, unescape
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -17,10 +17,12 @@ from cpam_bayes.report.page import Image, page_text
 from cpam_bayes.report.sections import Caption, Section
 from cpam_bayes.report.summary import ConstantLine, Summary
 from cpam_bayes.report.tables import Column, Table
+from cpam_bayes.report.terms import TERMS, terms_section
 from cpam_bayes.result import Result
 from tests.browser import Browser, open_browser
 from tests.diagnosed import aluminium_case, diagnosed, listed
 
+PROJECT = Path(__file__).parents[2]
 MAX_BYTES = 5_000_000
 WIDE, PHONE = 1280, 390
 # Width of A4 between margins of 15 mm, CSS pixels.
@@ -137,6 +139,11 @@ def test_text_of_a_page_is_escaped():
     assert "<figcaption>&lt;b&gt;.</figcaption>" in text
 
 
+def test_words_of_the_command_line_are_code_and_signs_are_typeset():
+    text = page_text("t", summary_of(basis=("Ask `identify <b>`: 1 +- 2.",)), [], {})
+    assert "<li>Ask <code>identify &lt;b&gt;</code>: 1 \N{PLUS-MINUS SIGN} 2.</li>" in text
+
+
 def test_a_page_says_the_summary_first_and_its_slips_before_all():
     summary = summary_of(
         slips=("a slip of units",), warnings=("a warning",), next_steps=("Weigh the plate.",)
@@ -145,6 +152,24 @@ def test_a_page_says_the_summary_first_and_its_slips_before_all():
     said = ["A slip of units.", "Nothing &lt; something.", "110.0 to 130.0", "A warning.", "Weigh", "Later"]
     places = [text.index(words) for words in said]
     assert places == sorted(places)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_page_explains_the_words_that_it_uses(pages, name):
+    body = pages[name].read_text(encoding="utf-8").partition("<body>")[2]
+    text = unescape(" ".join(re.sub(r"<[^>]*>", " ", body).split()))
+    said, _, explained = text.partition("Words on this page")
+    for word, meaning in TERMS.items():
+        used = re.search(rf"\b{word}\b", said, re.IGNORECASE) is not None
+        assert not used or meaning.replace("`", "") in explained, word
+
+
+def test_the_words_of_pages_are_those_of_the_glossary():
+    glossary = (PROJECT / "docs" / "glossary.md").read_text(encoding="utf-8")
+    rows = dict(re.findall(r"^\| ([^|]+) \| ([^|]+) \|$", glossary, re.MULTILINE))
+    assert {word: rows.get(word) for word in TERMS} == TERMS
+    section = terms_section("The posterior, two walkers, evidences; a noisy interim.")
+    assert [word for word, _ in section.tables[0].rows] == ["evidence", "posterior", "walker"]
 
 
 def test_a_section_without_content_is_left_out():

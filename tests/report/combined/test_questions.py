@@ -22,6 +22,7 @@ from cpam_bayes.plate import builtin
 from cpam_bayes.report.combined.questions import questions
 from tests.plate_file import MEASURED, PLATE
 
+PROJECT = Path(__file__).parents[3]
 CHEAP = {"none", "other", "viscoelastic", "frequency_scale"}
 
 
@@ -63,6 +64,12 @@ def test_the_page_holds_ten_questions_with_their_answers(report: FullReport, tmp
     for question, answer in asked.items():
         assert f">{question}<" in page
         assert f">{answer}<" in page
+
+
+def test_the_tutorial_says_where_the_page_has_each_answer(report: FullReport) -> None:
+    tutorial = (PROJECT / "docs" / "tutorial.md").read_text("utf-8")
+    table = tutorial.partition("| question | where the page says it |")[2].partition("\n\n")[0]
+    assert re.findall(r"^\| ([^|]+\?) \|", table, re.MULTILINE) == list(answers(report))
 
 
 def test_the_answers_are_the_numbers_of_the_document(report: FullReport) -> None:
