@@ -7,6 +7,7 @@ from typing import Final
 
 COMMANDS: Final = (
     "plates",
+    "new",
     "forward",
     "export",
     "identify",
@@ -20,6 +21,8 @@ COMMANDS: Final = (
 SOLVERS: Final = ("ritz", "fem", "ccx")
 ELEMENTS: Final = ("brick", "shell")
 """What CalculiX computes with."""
+MATERIALS: Final = ("carbon", "glass", "fabric", "spruce", "metal")
+"""What a new plate file can begin with."""
 BACKENDS: Final = ("pso", "emcee")
 NOISE_SHAPES: Final = {"gaussian": float("inf"), "student-t": 4.0}
 """Name of a shape of noise -> its degrees of freedom."""

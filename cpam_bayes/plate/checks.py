@@ -44,7 +44,7 @@ def relation_problems(data: Data, directory: Path | None) -> list[Problem]:
 
 def _mass_or_density(data: Data) -> Problems:
     plate = table(data, "plate")
-    if not plate:
+    if not isinstance(data.get("plate"), dict):
         return
     given = [key for key in ("density_kg_m3", "mass_g") if key in plate]
     if len(given) != 1:
@@ -130,7 +130,7 @@ def _spreads(data: Data) -> Problems:
 
 def _layups(data: Data) -> Problems:
     plate = table(data, "plate")
-    if not plate:
+    if not isinstance(data.get("plate"), dict):
         return
     known, problems = _layup(plate, "layup")
     yield from problems
