@@ -120,23 +120,27 @@ def _grouped(table: ModesTable) -> tuple[list[tuple[str, tuple[Hit, ...]]], list
     """Rows by mode, or by label where there are no modes, and slips in them."""
     by = "mode" if "mode" in table.columns else "label" if "label" in table.columns else ""
     groups: dict[str, list[Hit]] = {}
+    seen: set[tuple[str, object]] = set()
+    labels_of: dict[str, set[str]] = {}
     problems = []
     for row in table.hits:
         key = str(getattr(row, by)) if by else ""
         if not key and by and "hit" in table.columns:
             problems.append(TableProblem(row.line, by, f"missing, accepted: the {by} that was hit"))
             continue
-        group = groups.setdefault(key or f"line {row.line}", [])
-        if row.hit and row.hit in (other.hit for other in group):
+        name = key or f"line {row.line}"
+        if row.hit and (name, row.hit) in seen:
             problems.append(
                 TableProblem(row.line, "hit", f"hit {row.hit} of {by} {key} a second time, accepted: once")
             )
-        labels = {other.label for other in (*group, row) if other.label}
+        seen.add((name, row.hit))
+        labels = labels_of.setdefault(name, set())
+        labels |= {row.label} - {""}
         if len(labels) > 1:
             problems.append(
                 TableProblem(row.line, "label", f"{by} {key} has the labels {' and '.join(sorted(labels))}")
             )
-        group.append(row)
+        groups.setdefault(name, []).append(row)
     return [(key, tuple(rows)) for key, rows in groups.items()], problems
 
 

@@ -1,0 +1,319 @@
+"""What happens to hostile plate files, layups, stored files, arguments and signals?
+
+python studies/21_hard_use.py [--quick] [--minutes M] [--inputs N]
+
+Hypothesis makes plate files and layups (cpam_bayes/validation/hostile.py), stored files are damaged byte
+by byte, functions get arguments of wrong types, and running commands get signals. An input may be accepted or
+refused with a message; anything else is a failure. Each kind that has no end gets a quarter of the time.
+"""
+
+from __future__ import annotations
+
+import argparse
+import inspect
+import logging
+import os
+import resource
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+from hypothesis import HealthCheck, Phase, given, seed, settings
+from hypothesis import strategies as st
+
+import cpam_bayes as cb
+from cpam_bayes.errors import ArgumentError, LayupError, PlateFileError
+from cpam_bayes.plate import parse_specimen
+from cpam_bayes.plate.layup import parse_layup
+from cpam_bayes.report.tables import Table, headed, screen_text
+from cpam_bayes.storage import read_arrays, write_arrays
+from cpam_bayes.validation.hostile import DAMAGES, LARGE_FILES, layups, plate_texts
+from cpam_bayes.validation.pages import counted, markdown_table, paragraph, write_sections
+from cpam_bayes.validation.study_results import save_results
+
+Results = dict[str, Any]
+
+HERE = Path(__file__).parent
+RESULTS = HERE / "results" / f"{Path(__file__).stem}.json"
+
+KEYS = {
+    "quick": "whether this is the small version",
+    "kinds": "one for each kind of input: inputs, accepted, refused, failed, seconds of the slowest",
+    "failures": "the first inputs of each kind that were neither accepted nor refused, with the exception",
+    "memory_gib": "most memory that the process of the study held, GiB",
+    "signals": "one for each signal: commands, statuses, files left, files left after the next command",
+}
+
+SEED = 0
+INPUTS = 100_000
+# Inputs that hypothesis makes from one seed.
+BATCH = 1000
+SHOWN_FAILURES = 5
+SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP", "SIGKILL")
+WRONG = (object(), 1j, b"C1", [], {}, "?", -1, float("nan"), print, ...)
+
+
+class Tally:
+    """What became of the inputs of one kind."""
+
+    def __init__(self, kind: str, refusals: tuple[type[Exception], ...], most: int, seconds: float) -> None:
+        self.kind, self._refusals, self._most = kind, refusals, most
+        self._end = time.monotonic() + seconds
+        self.inputs = self.accepted = self.refused = 0
+        self.slowest = 0.0
+        self.failures: list[Results] = []
+
+    @property
+    def is_open(self) -> bool:
+        """Whether there is time and room for another input."""
+        return self.inputs < self._most and time.monotonic() < self._end
+
+    def record(self, shown: object, answer: Callable[[], object]) -> None:
+        """Give one input; ``answer`` returns something false where it was refused without an exception."""
+        if not self.is_open:
+            return
+        self.inputs += 1
+        start = time.process_time()
+        try:
+            accepted = bool(answer())
+        except self._refusals:
+            accepted = False
+        except Exception as error:  # noqa: BLE001 - what is looked for
+            self.failures.append(
+                {
+                    "kind": self.kind,
+                    "input": repr(shown)[:500],
+                    "error": f"{type(error).__name__}: {error}"[:500],
+                }
+            )
+            return
+        finally:
+            self.slowest = max(self.slowest, time.process_time() - start)
+        self.accepted += accepted
+        self.refused += not accepted
+
+    def row(self) -> Results:
+        """The counts, ready for JSON."""
+        return {
+            "kind": self.kind,
+            "inputs": self.inputs,
+            "accepted": self.accepted,
+            "refused": self.refused,
+            "failed": len(self.failures),
+            "slowest_seconds": round(self.slowest, 3),
+        }
+
+
+def run(quick: bool, inputs: int = INPUTS, minutes: float = 10.0) -> Results:
+    """All kinds of input, then all signals."""
+    most, seconds = (20, 5.0) if quick else (inputs, 60.0 * minutes / 4.0)
+    tallies = [
+        _made_by_hypothesis("plate files", plate_texts(), _read, (PlateFileError,), most, seconds),
+        _made_by_hypothesis("layups", layups(), parse_layup, (LayupError,), most, seconds),
+        _large_files(most),
+        _damaged_files(most, seconds),
+        _wrong_arguments(most, seconds),
+    ]
+    return {
+        "quick": quick,
+        "kinds": [tally.row() for tally in tallies],
+        "failures": [failure for tally in tallies for failure in tally.failures[:SHOWN_FAILURES]],
+        "memory_gib": round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20, 3),
+        "signals": [_signalled(name) for name in (SIGNALS[1:2] if quick else SIGNALS)],
+    }
+
+
+def _read(text: str) -> object:
+    return parse_specimen(text, "plate.toml")
+
+
+def _made_by_hypothesis(
+    kind: str,
+    strategy: st.SearchStrategy[str],
+    read: Callable[[str], object],
+    refusals: tuple[type[Exception], ...],
+    most: int,
+    seconds: float,
+) -> Tally:
+    tally = Tally(kind, refusals, most, seconds)
+    batch = 0
+    while tally.is_open:
+
+        @seed(SEED + batch)
+        @settings(
+            max_examples=min(BATCH, most),
+            phases=[Phase.generate],
+            deadline=None,
+            database=None,
+            suppress_health_check=list(HealthCheck),
+        )
+        @given(strategy)
+        def give(text: str) -> None:
+            tally.record(text, partial(read, text))
+
+        give()
+        batch += 1
+    return tally
+
+
+def _large_files(most: int) -> Tally:
+    tally = Tally("plate files of the size limit", (PlateFileError,), most, float("inf"))
+    for text in LARGE_FILES.values():
+        tally.record(text[:60], partial(_read, text))
+    return tally
+
+
+def _damaged_files(most: int, seconds: float) -> Tally:
+    """Stored arrays after one kind of damage each, in turn; what is read back must be nothing."""
+    tally = Tally("damaged stored files", (), most, seconds)
+    rng = np.random.default_rng(SEED)
+    logging.getLogger("cpam_bayes").addHandler(logging.NullHandler())
+    with TemporaryDirectory() as folder:
+        path = Path(folder, "model.arrays")
+        write_arrays(path, {"stack": rng.standard_normal((6, 8, 8)), "name": np.array("a text")})
+        whole = path.read_bytes()
+        while tally.is_open:
+            for damage in DAMAGES.values():
+                content = damage(whole, rng)
+                if content != whole:
+                    path.write_bytes(content)
+                    tally.record(content[:60], lambda: read_arrays(path))
+    return tally
+
+
+def _wrong_arguments(most: int, seconds: float) -> Tally:
+    """Every argument of every function of the library, given something else."""
+    tally = Tally("arguments of wrong types", (ArgumentError, ValueError), most, seconds)
+    for name, keyword, value in _arguments():
+        verb = getattr(cb, name)
+        first = () if keyword in ("plate", "plates") or name == "cache" else ("no such plate",)
+        given_ = {} if keyword == "plates" else {keyword: value}
+        places = (value,) if keyword == "plates" else first
+        tally.record((name, keyword, value), partial(verb, *places, **given_))
+    return tally
+
+
+def _arguments() -> Iterator[tuple[str, str, object]]:
+    for name in cb.__all__:
+        verb = getattr(cb, name)
+        if inspect.isfunction(verb):
+            for keyword in inspect.signature(verb).parameters:
+                for value in WRONG:
+                    yield name, keyword, value
+
+
+def _signalled(name: str) -> Results:
+    """A long command that gets a signal while it computes, and a short one after it in the same directory."""
+    command = [sys.executable, "-m", "cpam_bayes"]
+    with TemporaryDirectory() as folder:
+        out = Path(folder, "out")
+        environment = {**os.environ, "TMPDIR": folder}
+        long = ["identify", "A1", "--particles", "10000", "--swarms", "1", "--out", str(out)]
+        started = subprocess.Popen(
+            [*command, *long], env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        )
+        assert started.stderr is not None
+        for line in started.stderr:
+            if "iteration 0" in line:
+                break
+        started.send_signal(getattr(signal, name))
+        _, said = started.communicate()
+        left = _drafts(folder)
+        short = ["forward", "A1", "--modes", "2", "--quiet", "--out", str(out)]
+        again = subprocess.run([*command, *short], env=environment, capture_output=True, check=False)
+        return {
+            "signal": name,
+            "status": started.returncode,
+            "traceback": "Traceback" in said,
+            "left": left,
+            "next_status": again.returncode,
+            "left_after_the_next": _drafts(folder),
+        }
+
+
+def _drafts(folder: str) -> int:
+    return sum(path.name.startswith(".cpam-bayes-") for path in Path(folder).rglob("*"))
+
+
+def sections(results: Results) -> dict[str, str]:
+    """What docs/robustness.md says of the results."""
+    kinds, failed = results["kinds"], sum(row["failed"] for row in results["kinds"])
+    inputs = sum(row["inputs"] for row in kinds)
+    slowest = max(kinds, key=lambda row: row["slowest_seconds"])
+    head = ("tried", "inputs", "accepted", "refused with a message", "anything else", "slowest, processor s")
+    rows = [
+        (
+            row["kind"],
+            counted(row["inputs"]),
+            counted(row["accepted"]),
+            counted(row["refused"]),
+            str(row["failed"]),
+            f"{row['slowest_seconds']:.2g}",
+        )
+        for row in kinds
+    ]
+    said = paragraph(
+        f"Of {counted(inputs)} inputs {failed if failed else 'none'} ended in anything but an answer or a "
+        f"message. The slowest, one of the {slowest['kind']}, took {slowest['slowest_seconds']:.2g} s of a "
+        f"processor; the process held {results['memory_gib']:.2g} GiB at most."
+    )
+    signals = [
+        (
+            row["signal"],
+            str(row["status"]),
+            str(row["left"]),
+            str(row["next_status"]),
+            str(row["left_after_the_next"]),
+        )
+        for row in results["signals"]
+    ]
+    of_signals = (
+        "signal",
+        "exit status",
+        "drafts left",
+        "status of the next command",
+        "drafts left after it",
+    )
+    return {
+        "inputs": f"{said}\n\n{markdown_table(head, rows)}",
+        "signals": markdown_table(of_signals, signals),
+    }
+
+
+def show(results: Results) -> None:
+    """Print both tables."""
+    columns = headed("kind", "#inputs", "#accepted", "#refused", "#failed", "#slowest s")
+    rows = tuple(tuple(str(v) for v in row.values()) for row in results["kinds"])
+    tables = [Table("Hostile inputs", columns, rows)]
+    names = headed("signal", "#status", "traceback", "#left", "#next status", "#left after it")
+    tables.append(
+        Table("Signals", names, tuple(tuple(str(v) for v in row.values()) for row in results["signals"]))
+    )
+    print(screen_text(tables, sys.stdout))
+    for failure in results["failures"]:
+        print(failure)
+
+
+def main() -> None:
+    """Run, show, save and write the page."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="the small version; nothing is saved")
+    parser.add_argument("--minutes", type=float, default=10.0, help="time for the inputs (default: 10)")
+    parser.add_argument("--inputs", type=int, default=INPUTS, help=f"of a kind at most (default: {INPUTS})")
+    options = parser.parse_args()
+    results = run(options.quick, options.inputs, options.minutes)
+    show(results)
+    if not options.quick:
+        save_results(RESULTS, results)
+        write_sections(HERE.parent, RESULTS.stem, sections(results))
+
+
+if __name__ == "__main__":
+    main()
