@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cpam_bayes.errors import PlateFileError
+from cpam_bayes.formatting import significant
 from cpam_bayes.mechanics.modes import RigidBodyError
 from cpam_bayes.plate import Specimen
 
@@ -218,7 +219,7 @@ def units_warning(ratio: NDArray[np.float64], where: str = "") -> list[str]:
     if 1 / SUSPICIOUS_RATIO <= worst <= SUSPICIOUS_RATIO:
         return []
     return [
-        f"a predicted frequency is {worst:.3g} times the measured one{where}: "
+        f"a predicted frequency is {significant(worst, 3)} times the measured one{where}: "
         f"{likely_cure(float(np.median(ratio)))}"
     ]
 
