@@ -121,13 +121,14 @@ def search(
 
     swarms : at most so many; 1 is the paper's single swarm as it ends, not polished
     spare : modes of the model more than the list has
-    centre : (n,) constants where the plate model is converged at first, the reference where left out
+    centre : (n,) constants where the plate model is converged; left out, the reference, and the answer if that
+        is far from it
     progress : told the iteration, of all swarms together, and the best misfit of the one that is running
     """
     measurement, unknowns = required(specimen)
     settings = settings or SwarmSettings()
     n_modes = measurement.size + max(spare, spare_modes(measurement))
-    solves, least = 0, np.inf
+    stays, solves, least = centre is not None, 0, np.inf
     for attempt in range(1, _MOST_MODELS + 1):
         reduced = reduced_model(specimen, unknowns, n_modes, centre=centre, notify=notify)
         model = labelled_model(reduced, measurement, specimen)
@@ -136,7 +137,7 @@ def search(
         # the first swarm tells whether the model is converged where the answer lies: the others wait for that
         run.add()
         at, error = run.best, discretisation_error(model.full, run.best)
-        last = attempt == _MOST_MODELS or error.max() >= least
+        last = stays or attempt == _MOST_MODELS or error.max() >= least
         if error.max() <= _ACCEPTED_ERROR or last:
             run.finish()
             if not np.allclose(run.best, at, rtol=_SAME_PLACE):

@@ -104,3 +104,15 @@ def test_constants_of_a_model_that_misfits_the_stated_noise_are_not_determined()
     # whatever is stated, the misfit decides how wide the intervals are
     for stated, from_misfit in zip(point.constants, inferred.constants, strict=True):
         assert 0.5 < stated.sd / from_misfit.sd < 2.0
+
+
+@pytest.mark.parametrize(("centre", "models"), [(None, 2), (builtin("A1").unknowns.upper, 1)])
+def test_a_plate_model_is_converged_anew_where_that_helps_and_no_centre_was_given(
+    monkeypatch: pytest.MonkeyPatch, centre: np.ndarray | None, models: int
+) -> None:
+    said: list[str] = []
+    monkeypatch.setattr(searching, "discretisation_error", lambda full, x: np.full(full.n_modes, 1e-2))
+    found = search(builtin("A1"), 0, swarms=12, centre=centre, notify=said.append)
+    assert sum("converging the plate model there" in text for text in said) == models - 1
+    if centre is not None:
+        np.testing.assert_array_equal(found.centre, centre)
