@@ -121,8 +121,8 @@ def search(
 
     swarms : at most so many; 1 is the paper's single swarm as it ends, not polished
     spare : modes of the model more than the list has
-    centre : (n,) constants where the plate model is converged; left out, the reference, and the answer if that
-        is far from it
+    centre : (n,) constants where the plate model is converged; left out, it is at the reference, and at the
+        answer if that is far from it
     progress : told the iteration, of all swarms together, and the best misfit of the one that is running
     """
     measurement, unknowns = required(specimen)
