@@ -93,7 +93,11 @@ def test_unknown_angles_are_weighed_and_the_most_probable_ones_diagnosed(few_cau
     assert not report.reached_goal, "20 steps are too few"
     report.save(tmp_path)
     page = (tmp_path / "report.html").read_text("utf-8")
-    for words in ("Stacking sequences", "Posterior of the constants", "Causes by their probability"):
+    for words in (
+        "Stacking sequences",
+        "Posterior of the constants, from the frequencies alone",
+        "Causes by their probability",
+    ):
         assert f"<h2>{words}</h2>" in page
     assert (tmp_path / "posterior.nc").exists()
     assert len(report.to_arviz().posterior.data_vars) == 4

@@ -11,6 +11,7 @@ from cpam_bayes.formatting import listed, significant
 from cpam_bayes.report.diagnosis.rows import DetectableRow, detectable_rows
 from cpam_bayes.report.diagnosis.words import claim_sentence, detectable_size, probability_text
 from cpam_bayes.report.plates.head import layup_text
+from cpam_bayes.report.sentences import plate_argument
 from cpam_bayes.report.summary import ConstantLine, Summary, names_of
 from cpam_bayes.report.tables import Table, facts
 
@@ -38,7 +39,8 @@ def questions(result: FullReport, words: Summary) -> Table:
         ("What should be done next?", words.next_steps[0] if words.next_steps else "Nothing."),
         (
             "Which version and seed repeat this page?",
-            f"cpam_bayes {__version__} with seed {result.seed}: cpam-bayes report --seed {result.seed}.",
+            f"cpam_bayes {__version__} with seed {result.seed}: cpam-bayes report "
+            f"{plate_argument(result.specimen)} --seed {result.seed}.",
         ),
     )
     return facts(QUESTIONS, rows)
@@ -53,7 +55,7 @@ def _intervals(constants: tuple[ConstantLine, ...]) -> str:
     said = [f"{c.symbol} in {c.interval_text} {c.unit}".rstrip() for c in constants if c.interval is not None]
     if not said:
         return "No intervals can be given."
-    return f"With 95 % probability, if the plate is what its file says: {listed(said, 'and')}."
+    return f"With 95 % probability, with sizes, mass and layup of the plate file: {listed(said, 'and')}."
 
 
 def _open(constants: tuple[ConstantLine, ...]) -> str:

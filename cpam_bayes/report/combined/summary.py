@@ -9,11 +9,13 @@ from cpam_bayes.combined import FullReport
 from cpam_bayes.report.sentences import HIGH_NOISE, plate_argument
 from cpam_bayes.report.summary import Summary
 
+FREQUENCIES_ALONE: Final = "from the frequencies alone"
+"""What is added to the title of a section whose constants are not those of the summary."""
 _TWO_ANSWERS: Final = (
-    "The constants of this summary allow for everything that may be wrong with the plate model, and where "
-    "the plate file says in [material.sd] how well a reference is known, that counts as knowledge. The "
-    "frequencies alone, with a plate model believed to be right, give the constants of `identify`, which "
-    "may differ."
+    "The constants of this summary allow for the errors of the plate model that were weighed, each with its "
+    "probability; what [material.sd] says of a reference counts as knowledge, and sizes, mass and layup are "
+    f"those of the plate file. What is said to be {FREQUENCIES_ALONE} takes the plate model for right and "
+    "knows of the constants nothing but the bounds of [unknowns]: its values differ, and are not the answer."
 )
 
 

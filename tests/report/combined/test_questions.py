@@ -95,7 +95,7 @@ def test_the_answers_are_the_numbers_of_the_document(report: FullReport) -> None
     assert asked["What should be done next?"] == report.in_words().next_steps[0]
     repeats = asked["Which version and seed repeat this page?"]
     assert __version__ in repeats
-    assert "--seed 3" in repeats
+    assert f"cpam-bayes report {report.specimen.source} --seed 3" in repeats
 
 
 def test_what_an_accelerometer_would_have_done_is_said_whatever_was_found(report: FullReport) -> None:
