@@ -12,6 +12,7 @@ from cpam_bayes.diagnosis.cases import hypotheses_of, plate_case
 from cpam_bayes.diagnosis.fitting import PlateCase
 from cpam_bayes.diagnosis.hypotheses import Hypothesis
 from cpam_bayes.plate import read_plate
+from cpam_bayes.storage import read_arrays
 
 CAUSES = ("air", "shear_ratio", "sensor_mass")
 
@@ -27,7 +28,8 @@ def hypotheses(case: PlateCase) -> list[tuple[Hypothesis, tuple[int, ...]]]:
 
 
 def stored(directory: Path) -> dict[str, dict[str, np.ndarray]]:
-    return {path.name: dict(np.load(path)) for path in directory.iterdir()}
+    found = {path.name: read_arrays(path) for path in directory.iterdir()}
+    return {name: arrays for name, arrays in found.items() if arrays is not None}
 
 
 def test_models_are_the_same_from_workers_and_on_demand(case: PlateCase, tmp_path: Path) -> None:
