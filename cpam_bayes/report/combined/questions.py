@@ -7,6 +7,7 @@ from typing import Final
 from cpam_bayes import __version__
 from cpam_bayes.combined import FullReport
 from cpam_bayes.diagnosis.paired_modes import FrequencyRow
+from cpam_bayes.effects import CATALOGUE
 from cpam_bayes.formatting import listed, significant
 from cpam_bayes.report.diagnosis.rows import DetectableRow, detectable_rows
 from cpam_bayes.report.diagnosis.words import claim_sentence, detectable_size, probability_text
@@ -19,8 +20,8 @@ __all__ = ["QUESTIONS", "questions"]
 
 QUESTIONS: Final = "Ten questions and their answers"
 
-# The cause that an accelerometer is, in the catalogue.
-_ADDED_MASS: Final = "sensor_mass"
+# The cause that an accelerometer is: the mass at a point.
+_ADDED_MASS: Final = next(effect.name for effect in CATALOGUE if effect.local == "point")
 # Modes named as the worst ones.
 _WORST: Final = 2
 
