@@ -28,7 +28,7 @@ from cpam_bayes.forward_model.reduced import ReducedModel, ReductionSettings
 from cpam_bayes.forward_model.reduction import reduce
 from cpam_bayes.forward_model.store import model_key, model_path, stored_model, without_matrices
 from cpam_bayes.forward_model.theory_error import theory_error
-from cpam_bayes.mechanics.convergence import converge
+from cpam_bayes.mechanics.convergence import Tolerance, converge
 from cpam_bayes.mechanics.problem import Field, Problem
 from cpam_bayes.mechanics.spaces.ritz import RitzSettings
 from cpam_bayes.parameters import Parameter, ParameterSet, TruncatedNormal
@@ -126,7 +126,7 @@ def plate_models(
         if built is not None:
             return built
         notify(f"{specimen.name}: converging the plate")
-        return _reduced(_converged(problem, samples, n_modes))
+        return _reduced(converged_plate(problem, samples, n_modes))
 
     key = model_key(specimen, parameters, n_modes, ENERGY_CONSISTENT, _REDUCTION, None)
     bare = stored_model(_hash(key, "bare"), problem, samples.x, n_modes, build, light=other_material)
@@ -168,7 +168,7 @@ def loaded_with(plate: PlateModels, sensor: Sensor) -> PlateModels:
 def built_bare(specimen: Specimen, n_modes: int) -> ReducedModel:
     """The plate over the search bounds of its constants, built anew and not stored."""
     _, problem, samples = _bare(specimen, other_material=True)
-    return without_matrices(_reduced(_converged(problem, samples, n_modes)))
+    return without_matrices(_reduced(converged_plate(problem, samples, n_modes)))
 
 
 def is_bare_stored(specimen: Specimen, n_modes: int) -> bool:
@@ -207,7 +207,7 @@ def extended_model(
         return stored_local_model(
             key, plate.problem, effect.parameter_set, lambda: cast("LocalModel", build())
         )
-    problem, samples = _extended(plate, effect)
+    problem, samples = extended_problem(plate, effect)
     reduced = cast("Callable[[], ReducedModel]", build)
     return stored_model(key, problem, samples, plate.n_modes, reduced, light=True)
 
@@ -221,9 +221,9 @@ def built_model(plate: PlateModels, effect: Effect) -> ReducedModel | LocalModel
     """
     if effect.is_anywhere:
         return local_model(plate, effect)
-    problem, samples = _extended(plate, effect)
+    problem, samples = extended_problem(plate, effect)
     if needs_another_space(problem, effect, plate):
-        full = _converged(problem, Samples(samples, np.ones(2)), plate.n_modes)
+        full = converged_plate(problem, Samples(samples, np.ones(2)), plate.n_modes)
     else:
         full = model_on_basis(problem, samples, plate.n_modes, plate.error, (plate.settings, plate.keep))
     return without_matrices(_reduced(full, light=True))
@@ -241,7 +241,7 @@ def effect_key(plate: PlateModels, effect: Effect, *parts: str) -> str:
     return _hash(plate.key, json.dumps([effect.name, effect.variant, effect.place, priors]), *parts)
 
 
-def _extended(plate: PlateModels, effect: Effect) -> tuple[Problem, Array]:
+def extended_problem(plate: PlateModels, effect: Effect) -> tuple[Problem, Array]:
     """A plate with an effect, and parameter vectors (2, n) without and with it."""
     values = [effect.null, effect.scaled(1.0)]
     added = np.array([[v[p.name] for p in effect.parameters] for v in values])
@@ -259,8 +259,12 @@ def local_model(plate: PlateModels, effect: Effect) -> LocalModel:
     return patch_model(bare, effect.parameter_set, effect.local)
 
 
-def _converged(problem: Problem, samples: Samples, n_modes: int) -> PlateModel:
-    converged = converge(problem, problem.parameters.mapping(samples.x), n_modes, None, samples.allowance)
+def converged_plate(
+    problem: Problem, samples: Samples, n_modes: int, tolerance: Tolerance | None = None
+) -> PlateModel:
+    """The full model of a problem on a space that is converged at samples, as of ``converge``."""
+    x = problem.parameters.mapping(samples.x)
+    converged = converge(problem, x, n_modes, tolerance, samples.allowance)
     return PlateModel(converged.operator, n_modes, converged.error, (converged.settings, converged.keep))
 
 

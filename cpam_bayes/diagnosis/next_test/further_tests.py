@@ -14,19 +14,21 @@ from cpam_bayes.diagnosis.evidence.weighing import Tested
 from cpam_bayes.diagnosis.fitting import PlateCase
 from cpam_bayes.diagnosis.models import (
     PlateModels,
+    converged_plate,
     effect_key,
     extended_model,
+    extended_problem,
     loaded_with,
     needs_another_space,
     plate_models,
 )
 from cpam_bayes.effects import Effect, extend
 from cpam_bayes.forward_model.local.model import LocalModel
-from cpam_bayes.forward_model.model import PlateModel, model_on_basis
+from cpam_bayes.forward_model.model import PlateModel, Samples, model_on_basis
 from cpam_bayes.forward_model.reduced import ReducedModel
 from cpam_bayes.forward_model.store import stored_plate_model
 from cpam_bayes.inference.posterior import ForwardModel
-from cpam_bayes.mechanics.convergence import Tolerance, converge
+from cpam_bayes.mechanics.convergence import Tolerance
 from cpam_bayes.mechanics.problem import Problem
 from cpam_bayes.parameters import ParameterSet
 from cpam_bayes.plate.records import Sensor
@@ -151,15 +153,12 @@ def _with_effect(plate: PlateModels, effect: Effect) -> PlateModel | ReducedMode
     """
     if effect.is_anywhere:
         return extended_model(plate, effect)
-    problem = extend(plate.problem, effect, plate.facts)
-    added = np.array([[v[p.name] for p in effect.parameters] for v in (effect.null, effect.scaled(1.0))])
-    samples = np.column_stack((np.repeat(plate.samples.x[:1], 2, axis=0), added))
+    problem, samples = extended_problem(plate, effect)
     if not needs_another_space(problem, effect, plate):
         return _on_basis(plate, problem, samples)
 
     def build() -> PlateModel:
-        space = converge(problem, problem.parameters.mapping(samples), plate.n_modes, _TOLERANCE)
-        return PlateModel(space.operator, plate.n_modes, space.error, (space.settings, space.keep))
+        return converged_plate(problem, Samples(samples, np.ones(2)), plate.n_modes, _TOLERANCE)
 
     return stored_plate_model(effect_key(plate, effect, "space"), problem, samples, plate.n_modes, build)
 

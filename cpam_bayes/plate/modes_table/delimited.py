@@ -75,10 +75,10 @@ def _cells(line: str, separator: str) -> list[str]:
     # spaces at the ends of a line separate nothing, tabs there are empty cells
     stripped = line.strip(" \r\n")
     try:
-        found = next(csv.reader([stripped], delimiter=separator, skipinitialspace=True), [])
+        split = next(csv.reader([stripped], delimiter=separator, skipinitialspace=True), [])
     except csv.Error:  # a line without an end to its quotes or cells
         return []
-    cells = [cell.strip() for cell in found]
+    cells = [cell.strip() for cell in split]
     while cells and not cells[-1]:
         cells.pop()
     return cells

@@ -101,7 +101,7 @@ def modes_of(table: ModesTable, *, complete: bool) -> tuple[TableModes | None, t
         return None, tuple(gaps)
     sd = _scatter(used, table.step)
     if sd is not None and not np.all(np.isfinite(sd)):
-        lines = [mode.rows[0].line for mode, own in zip(used, sd, strict=True) if not np.isfinite(own)]
+        lines = [mode.rows[0].line for mode, one in zip(used, sd, strict=True) if not np.isfinite(one)]
         what = "missing, accepted: one for each mode, as others have one"
         return None, tuple(TableProblem(line, "sd", what) for line in lines)
     damping = np.array([_mean_damping(mode.rows) for mode in used])
