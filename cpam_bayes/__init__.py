@@ -6,6 +6,7 @@
     cb.forward(plate)               # natural frequencies from the reference constants
     cb.identify(plate, seed=0)      # constants by the particle swarm
     cb.sample(plate, seed=0)        # their posterior by emcee
+    cb.predict(posterior, plate)    # frequencies of another plate of the same material
     cb.sequence(plate)              # the probability of every stacking sequence
     cb.diagnose(plate)              # what the simulation gets wrong, and why
     cb.full_report(plate)           # constants, stacking sequences and diagnosis, for one page
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
     from cpam_bayes.identification.starting import posterior as posterior
     from cpam_bayes.plate.reader import builtin_plates as builtin_plates
     from cpam_bayes.plate.reader import read_plate as read_plate
+    from cpam_bayes.prediction.predict import predict as predict
     from cpam_bayes.repetition.sensitivity import sensitivity as sensitivity
     from cpam_bayes.result import Result as Result
     from cpam_bayes.stacking.sequence import sequence as sequence
@@ -50,6 +52,7 @@ _PUBLIC = {
     "identify": "cpam_bayes.identification.identify",
     "plates": "cpam_bayes.forward_model.builtin",
     "posterior": "cpam_bayes.identification.starting",
+    "predict": "cpam_bayes.prediction.predict",
     "read_plate": "cpam_bayes.plate.reader",
     "sample": "cpam_bayes.identification.sampled",
     "sensitivity": "cpam_bayes.repetition.sensitivity",
@@ -70,6 +73,7 @@ __all__ = [
     "paper",
     "plates",
     "posterior",
+    "predict",
     "read_plate",
     "sample",
     "sensitivity",

@@ -193,9 +193,11 @@ def _wrong_arguments(most: int, seconds: float) -> Tally:
     tally = Tally("arguments of wrong types", (ArgumentError, ValueError), most, seconds)
     for name, keyword, value in _arguments():
         verb = getattr(cb, name)
-        first = () if keyword in ("plate", "plates") or name == "cache" else ("no such plate",)
-        given_ = {} if keyword == "plates" else {keyword: value}
-        places = (value,) if keyword == "plates" else first
+        wanted = inspect.signature(verb).parameters.values()
+        several = any(p.kind is p.VAR_POSITIONAL for p in wanted)
+        needed = {p.name: "no such plate" for p in wanted if p.default is p.empty and not several}
+        given_ = {} if keyword == "plates" else {**needed, keyword: value}
+        places = (value,) if keyword == "plates" else ("no such plate",) * several
         tally.record((name, keyword, value), partial(verb, *places, **given_))
     return tally
 

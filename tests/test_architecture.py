@@ -30,6 +30,7 @@ LAYERS = (
     "forward_model",
     "inference",
     "identification",
+    "prediction",
     "stacking",
     "diagnosis",
     "repetition",

@@ -113,6 +113,7 @@ said = {}
 for name in VERBS:
     for _ in range(2):
         arguments = () if name in ("plates", "builtin_plates", "cache") else ("no such plate",)
+        arguments = ("no such file", *arguments) if name == "predict" else arguments
         try:
             answer = getattr(cb, name)(*arguments)
         except cb.errors.PlateFileError as error:
@@ -241,13 +242,15 @@ NOTHING = object()
 @pytest.mark.parametrize("name", [name for name in VERBS if name not in ("plates", "builtin_plates")])
 def test_an_argument_of_a_wrong_type_is_named_before_any_work(name: str) -> None:
     verb = getattr(cb, name)
-    for parameter in inspect.signature(verb).parameters.values():
-        plate = () if parameter.name in ("plate", "plates") or name == "cache" else ("A1",)
+    parameters = inspect.signature(verb).parameters.values()
+    several = any(p.kind is p.VAR_POSITIONAL for p in parameters)
+    needed = {p.name: "A1" for p in parameters if p.default is p.empty and not several}
+    for parameter in parameters:
         wrong = NOTHING, 1j, b"C1"
         for value in wrong:
-            given = {} if parameter.kind is parameter.VAR_POSITIONAL else {parameter.name: value}
+            given = {} if parameter.kind is parameter.VAR_POSITIONAL else needed | {parameter.name: value}
             with pytest.raises(ValueError, match=f"^{parameter.name}: received .*, accepted: ") as refused:
-                verb(*plate, **given) if given else verb(value)
+                verb(*(("A1",) * several), **given) if given else verb(value)
             assert isinstance(refused.value, TypeError)
 
 

@@ -11,6 +11,7 @@ COMMANDS: Final = (
     "forward",
     "export",
     "identify",
+    "predict",
     "sensitivity",
     "sequence",
     "diagnose",

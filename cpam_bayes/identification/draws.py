@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from typing import Any
 
 import numpy as np
@@ -28,7 +29,8 @@ def inference_data(result: SampledResult) -> Any:
     it; sample_stats (lp); log_likelihood, by frequency over `mode`, as one number for a list that may lack
     modes; log_prior, by parameter; posterior_predictive, prior_predictive and observed_data over `mode`, of
     the frequencies that have one; constant_data, the plate's sizes and density. Attributes: versions, plate,
-    layup, edges, seed, hash of the problem, the likelihood.
+    specimen, layup, edges, seed, hash of the problem, the likelihood; of the material its symmetry and the
+    constants that did not vary (JSON, as in the plate file); the repeatability where it was given.
     """
     posterior, chains = result.posterior, thinned(result.result)
     names = posterior.parameters.names
@@ -58,6 +60,10 @@ def inference_data(result: SampledResult) -> Any:
             else f"{given}, given",
             "noise_degrees_of_freedom": posterior.degrees_of_freedom,
             "resolution_hz": measurement.resolution,
+            "specimen": result.specimen.specimen,
+            "symmetry": result.specimen.material.symmetry,
+            "held_constants": _held(result),
+            **_repeatability(result),
             "layup": plate.layup.text,
             "edges": plate.edges,
             "list_is_complete": int(measurement.complete),
@@ -87,3 +93,18 @@ def inference_data(result: SampledResult) -> Any:
         dims={"frequencies_hz": ["mode"]},
         coords={"mode": [f"{j + 1} {result.modes[j].label}".strip() for j in columns]},
     )
+
+
+def _held(result: SampledResult) -> str:
+    """The constants of [material] that did not vary, by their names in the plate file."""
+    constants, unknowns = result.specimen.material.constants, result.specimen.unknowns
+    held = {user_name(n): to_user(n, v) for n, v in constants.items() if n not in unknowns}
+    return json.dumps(held, sort_keys=True)
+
+
+def _repeatability(result: SampledResult) -> dict[str, float]:
+    """The relative standard deviation of a measured frequency where it was given."""
+    measurement = result.posterior.measurement
+    if measurement.frequency_sd is not None:
+        return {"repeatability": float(np.mean(measurement.frequency_sd / measurement.frequencies))}
+    return {} if measurement.relative_std is None else {"repeatability": measurement.relative_std}

@@ -28,7 +28,7 @@ def document(result: ForwardResult) -> dict[str, Any]:
                 "paired_by": None if measured is None else "label" if measured.by_label else "order",
             }
             for mode, error, measured in zip(
-                result.modes, result.error, measured_of_modes(result), strict=True
+                result.modes, result.error, measured_of_modes(result.specimen, result.modes), strict=True
             )
         ],
         "relative_error_estimate": float(np.max(result.error)),

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from cpam_bayes.forward_model.labels import modes_of_labels
 from cpam_bayes.forward_model.solve import ForwardResult
+from cpam_bayes.mechanics.shapes import Mode
 from cpam_bayes.plate import Specimen
 
 
@@ -31,13 +33,13 @@ class MeasuredFrequency:
     by_label: bool
 
 
-def measured_of_modes(result: ForwardResult) -> list[MeasuredFrequency | None]:
+def measured_of_modes(specimen: Specimen, modes: Sequence[Mode]) -> list[MeasuredFrequency | None]:
     """The measured frequency of every mode: by its label, the others in order where the list has no gaps."""
-    found: list[MeasuredFrequency | None] = [None] * len(result.modes)
-    measurement = result.specimen.measurement
+    found: list[MeasuredFrequency | None] = [None] * len(modes)
+    measurement = specimen.measurement
     if measurement is None:
         return found
-    for i, j in modes_of_labels(measurement.labels, result.modes).items():
+    for i, j in modes_of_labels(measurement.labels, modes).items():
         found[j] = MeasuredFrequency(float(measurement.frequencies[i]), by_label=True)
     if not measurement.complete:
         return found

@@ -39,7 +39,7 @@ def summary(result: ForwardResult) -> Summary:
 
 def modes_table(result: ForwardResult) -> Table:
     """Each mode, beside the measured frequency where there is one."""
-    measured = measured_of_modes(result)
+    measured = measured_of_modes(result.specimen, result.modes)
     columns = list(headed("#mode", "#Hz", "kind", "label"))
     by_label = any(m is not None and m.by_label for m in measured)
     if any(measured):
@@ -65,7 +65,9 @@ def _beside(result: ForwardResult) -> str:
     ratios = np.array(
         [
             mode.frequency / measured.hz
-            for mode, measured in zip(result.modes, measured_of_modes(result), strict=True)
+            for mode, measured in zip(
+                result.modes, measured_of_modes(result.specimen, result.modes), strict=True
+            )
             if measured is not None
         ]
     )

@@ -1,0 +1,1 @@
+"""The question `predict`: frequencies of another plate of a material whose posterior is stored."""

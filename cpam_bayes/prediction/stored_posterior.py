@@ -1,0 +1,137 @@
+"""A posterior as `identify --backend emcee --out DIR` stores it: draws in SI, and what they hold for."""
+
+from __future__ import annotations
+
+import json
+import os
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cpam_bayes.forward_model.model import SIZES
+from cpam_bayes.identification.sampled_result import SampledResult
+from cpam_bayes.inference.noise import NOISE_NAMES
+from cpam_bayes.plate import USER_UNITS, to_si
+from cpam_bayes.plate.elasticity import CONSTANTS
+
+__all__ = ["PosteriorLike", "StoredPosterior", "read_posterior"]
+
+Array = NDArray[Any]
+PosteriorLike = str | os.PathLike[str] | SampledResult
+
+_KNOWN = (*CONSTANTS, *SIZES, *NOISE_NAMES)
+
+
+@dataclass(frozen=True, slots=True)
+class StoredPosterior:
+    """Draws of the constants of a plate.
+
+    source : the file, or the name of the plate
+    draws : name -> (n_draws,) SI; constants, sizes and the noise, those that varied
+    plate, specimen : names of the plate that was measured
+    symmetry : of its material, "" where the file does not say
+    held : constants that the plate file gave and that did not vary, SI
+    repeatability : relative standard deviation of a measured frequency where it was given, else None
+    """
+
+    source: str
+    draws: Mapping[str, Array]
+    plate: str
+    specimen: str
+    symmetry: str
+    held: Mapping[str, float]
+    repeatability: float | None
+
+    @property
+    def size(self) -> int:
+        """Number of draws."""
+        return len(next(iter(self.draws.values())))
+
+    @property
+    def constants(self) -> tuple[str, ...]:
+        """The elastic constants among the draws."""
+        return tuple(name for name in self.draws if name in CONSTANTS)
+
+    @property
+    def sizes(self) -> tuple[str, ...]:
+        """The sizes of the measured plate among the draws."""
+        return tuple(name for name in self.draws if name in SIZES)
+
+    def thinned(self, most: int) -> StoredPosterior:
+        """So many draws at most, at even distances."""
+        if self.size <= most:
+            return self
+        at = np.linspace(0, self.size - 1, most).round().astype(int)
+        draws = {name: values[at] for name, values in self.draws.items()}
+        return StoredPosterior(
+            self.source, draws, self.plate, self.specimen, self.symmetry, self.held, self.repeatability
+        )
+
+
+def read_posterior(posterior: PosteriorLike) -> StoredPosterior:
+    """The draws of a file ``posterior.nc``, or of a result that was just computed.
+
+    Raises ``ValueError`` for a file that cannot be read or has no draws of elastic constants.
+    """
+    if isinstance(posterior, SampledResult):
+        return _stored(posterior.to_arviz(), posterior.title)
+    path = Path(posterior)
+    if not path.is_file():
+        kind = "a directory" if path.is_dir() else "no file there"
+        raise ValueError(
+            f"{path}: {kind}, accepted: the posterior.nc that `identify --backend emcee --out DIR` writes"
+        )
+    return _stored(_opened(path), str(path))
+
+
+def _opened(path: Path) -> Any:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", FutureWarning)  # arviz announces its next version
+        import arviz
+
+        read: Any = arviz.from_netcdf
+        try:
+            return read(str(path))
+        except (OSError, ValueError, KeyError, TypeError, RuntimeError) as error:
+            said = str(error).splitlines()[0] if str(error) else type(error).__name__
+            raise ValueError(
+                f"{path}: cannot be read as NetCDF ({said}), accepted: the posterior.nc that "
+                "`identify --backend emcee --out DIR` writes"
+            ) from None
+
+
+def _stored(data: Any, source: str) -> StoredPosterior:
+    group = data["posterior"] if "posterior" in data.groups() else {}
+    draws = {}
+    for user, (name, _) in USER_UNITS.items():
+        if name in _KNOWN and user in group and group[user].dims == ("chain", "draw"):
+            draws[name] = to_si(user, 1.0) * np.asarray(group[user], dtype=float).ravel()
+    if not any(name in CONSTANTS for name in draws):
+        raise ValueError(
+            f"{source}: no draws of elastic constants, accepted: the posterior.nc that "
+            "`identify --backend emcee --out DIR` writes"
+        )
+    broken = [name for name, values in draws.items() if len(values) < 2 or not np.all(np.isfinite(values))]
+    if broken:
+        raise ValueError(f"{source}: draws of {', '.join(broken)} are too few or not finite numbers")
+    attrs = data.attrs
+    given = attrs.get("repeatability")
+    return StoredPosterior(
+        source=source,
+        draws=draws,
+        plate=str(attrs.get("plate", "")),
+        specimen=str(attrs.get("specimen", "")),
+        symmetry=str(attrs.get("symmetry", "")),
+        held={USER_UNITS[user][0]: to_si(user, value) for user, value in _held(attrs).items()},
+        repeatability=None if given is None else float(given),
+    )
+
+
+def _held(attrs: Mapping[str, Any]) -> dict[str, float]:
+    held = json.loads(attrs.get("held_constants", "{}"))
+    return {user: float(value) for user, value in held.items() if user in USER_UNITS}
