@@ -7,6 +7,7 @@
     cb.identify(plate, seed=0)      # constants by the particle swarm
     cb.sample(plate, seed=0)        # their posterior by emcee
     cb.predict(posterior, plate)    # frequencies of another plate of the same material
+    cb.design(plate)                # which specimen would determine the constants
     cb.sequence(plate)              # the probability of every stacking sequence
     cb.diagnose(plate)              # what the simulation gets wrong, and why
     cb.full_report(plate)           # constants, stacking sequences and diagnosis, for one page
@@ -38,6 +39,7 @@ if TYPE_CHECKING:
     from cpam_bayes.prediction.predict import predict as predict
     from cpam_bayes.repetition.sensitivity import sensitivity as sensitivity
     from cpam_bayes.result import Result as Result
+    from cpam_bayes.specimen_design.design import design as design
     from cpam_bayes.stacking.sequence import sequence as sequence
 
 # Public name -> the module that holds it.
@@ -45,6 +47,7 @@ _PUBLIC = {
     "Result": "cpam_bayes.result",
     "builtin_plates": "cpam_bayes.plate.reader",
     "cache": "cpam_bayes.forward_model.stored_models",
+    "design": "cpam_bayes.specimen_design.design",
     "diagnose": "cpam_bayes.diagnosis.plates",
     "export": "cpam_bayes.forward_model.calculix.export",
     "forward": "cpam_bayes.forward_model.solve",
@@ -64,6 +67,7 @@ __all__ = [
     "Result",
     "builtin_plates",
     "cache",
+    "design",
     "diagnose",
     "effects",
     "export",

@@ -31,6 +31,7 @@ LAYERS = (
     "inference",
     "identification",
     "prediction",
+    "specimen_design",
     "stacking",
     "diagnosis",
     "repetition",

@@ -12,6 +12,7 @@ COMMANDS: Final = (
     "export",
     "identify",
     "predict",
+    "design",
     "sensitivity",
     "sequence",
     "diagnose",

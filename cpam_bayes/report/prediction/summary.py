@@ -120,4 +120,6 @@ def _next_steps(result: PredictionResult) -> tuple[str, ...]:
         steps.append("Measure the plate, add [measurement] to its file, and see whether it lies in there.")
     elif result.specimen.unknowns.size:
         steps.append(f"Identify this plate by itself and compare: cpam-bayes identify {plate}")
+    if result.specimen.unknowns.size:
+        steps.append(f"See which specimen would say more of the constants: cpam-bayes design {plate}")
     return tuple(steps)

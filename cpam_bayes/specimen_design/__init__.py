@@ -1,0 +1,1 @@
+"""The question `design`: which specimen and test would determine the constants."""
