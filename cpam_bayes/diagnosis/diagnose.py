@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -18,7 +19,9 @@ from cpam_bayes.diagnosis.answers.predictive import PredictiveChecks
 from cpam_bayes.diagnosis.answers.prior_sensitivity import PriorSensitivity, prior_sensitivity
 from cpam_bayes.diagnosis.cases import hypotheses_of
 from cpam_bayes.diagnosis.claim import PLAIN, Claim, claim_of
+from cpam_bayes.diagnosis.evidence.best_fits import best_log_likelihood
 from cpam_bayes.diagnosis.evidence.marginal import Marginal
+from cpam_bayes.diagnosis.evidence.sharing import shared_out
 from cpam_bayes.diagnosis.evidence.weighing import Tested, Weighed, weigh
 from cpam_bayes.diagnosis.fit import Fit, fit_of
 from cpam_bayes.diagnosis.fitting import SCATTER, PlateCase
@@ -28,6 +31,7 @@ from cpam_bayes.diagnosis.signatures import (
     Projector,
     Signature,
     alike,
+    compared_by_fits,
     menu_of,
     projector_of,
     signature_of,
@@ -120,6 +124,7 @@ def diagnose_cases(
     pairs: bool = True,
     gain: bool = True,
     power: bool = True,
+    executor: Executor | None = None,
     notify: Callable[[str], None] = lambda text: None,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Diagnosis:
@@ -129,12 +134,13 @@ def diagnose_cases(
     scatter : relative standard deviation of a constant from plate to plate
     gain : whether to leave out each frequency in turn
     power : whether to say what sizes the lists would have shown
+    executor : where hypotheses are fitted, ``None`` for this process; the answer is the same
     """
     start = time.perf_counter()
     if hypotheses is None:
         hypotheses = hypotheses_of(cases)
     notify(f"weighing {len(hypotheses)} hypotheses")
-    weighed = weigh(cases, hypotheses, scatter=scatter, pairs=pairs, progress=progress)
+    weighed = weigh(cases, hypotheses, scatter=scatter, pairs=pairs, executor=executor, progress=progress)
     best = {name: weighed.best_of(name) for name in weighed.by_cause()}
     projector = projector_of(weighed.none.marginal)
     signatures = {
@@ -142,8 +148,9 @@ def diagnose_cases(
         for name, t in best.items()
         if name not in (NONE, OTHER)
     }
-    causes = _causes(cases, weighed, best, signatures, projector)
+    causes = _causes(cases, weighed, best, signatures, projector, executor)
     checks = PredictiveChecks()
+    checks.compute(cases, list(best.values()), executor)
     claim = _claim(weighed, causes, checks)
     members = _members(weighed, claim)
     cases = weighed.none.cases or cases
@@ -153,7 +160,7 @@ def diagnose_cases(
     gain_of_claim = None
     if gain and extended is not None and members:
         notify("leaving one frequency out")
-        gain_of_claim = gain_of(cases, weighed, claim, members, baseline, extended, scatter)
+        gain_of_claim = gain_of(cases, weighed, claim, members, baseline, extended, scatter, executor)
     return Diagnosis(
         tuple(cases),
         weighed,
@@ -166,7 +173,7 @@ def diagnose_cases(
         signatures,
         averaged_constants(weighed),
         prior_sensitivity(weighed, claim, lambda other: _claim(other, _reweighed(causes, other), checks)),
-        detectable(weighed) if power else (),
+        detectable(weighed, cases, executor) if power else (),
         open_optima(members[0][0] if members else weighed.none, cases),
         time.perf_counter() - start,
     )
@@ -178,6 +185,7 @@ def _causes(
     best: Mapping[str, Tested],
     signatures: Mapping[str, Signature],
     projector: Projector,
+    executor: Executor | None,
 ) -> tuple[Cause, ...]:
     pairs = {t.hypothesis.cause for t in weighed.tested if t.hypothesis.family == PAIR}
     names = [name for name in signatures if name not in pairs]
@@ -192,7 +200,10 @@ def _causes(
     probabilities = weighed.by_cause()
     # fits are compared where a cause may be claimed
     compared = names if probabilities[NONE] < PLAIN else []
-    like = with_equal_fits(by_signature, {name: best[name] for name in compared}, probabilities)
+    fits = compared_by_fits({name: best[name] for name in compared}, probabilities)
+    marginals = [t.marginal for t in fits.values()]
+    peaks = shared_out(best_log_likelihood, cases, marginals, executor)
+    like = with_equal_fits(by_signature, dict(zip(fits, peaks, strict=True)))
     causes = []
     for name, probability in weighed.by_cause().items():
         t = best[name]

@@ -14,6 +14,7 @@ from cpam_bayes.arguments import checked
 from cpam_bayes.diagnosis.building import build_models
 from cpam_bayes.diagnosis.cases import hypotheses_of, plate_case
 from cpam_bayes.diagnosis.diagnose import Diagnosis, diagnose_cases
+from cpam_bayes.diagnosis.evidence.sharing import ready
 from cpam_bayes.diagnosis.extension import Resampled, resample
 from cpam_bayes.diagnosis.fitting import PlateCase
 from cpam_bayes.diagnosis.hypotheses import with_prior_of_none
@@ -129,9 +130,10 @@ def diagnose(
     next_test : when to rank further tests: while the cause is "open", "always", or "never"
     emcee : whether to sample the constants of the extended model by emcee too
     catalogue : the effects that the plates may have
-    executor, workers : where models that are not on disk are built: "serial", in this process; "processes",
-        as many as cores or ``workers``, which needs the call under ``if __name__ == "__main__":`` in a
-        script; or a Dask cluster, see `cpam_bayes.parallel.open_executor`. The answer is the same
+    executor, workers : where models are built and hypotheses are fitted: "serial", in this process;
+        "processes", as many as cores or ``workers``, which needs the call under
+        ``if __name__ == "__main__":`` in a script; or a Dask cluster, see
+        `cpam_bayes.parallel.open_executor`. The answer is the same
     watch : is shown the progress
 
     Raises
@@ -165,15 +167,18 @@ def diagnose(
         watch.announce(f"{title}: {text}")
 
     cases = []
-    for specimen in specimens:
-        with explained_failures(specimen):
-            cases.append(plate_case(specimen, announce))
     with open_executor(executor, workers) as pool:
+        ready(pool)
+        for specimen in specimens:
+            with explained_failures(specimen):
+                cases.append(plate_case(specimen, announce))
         diagnosis = _diagnosed(cases, title, scatter, prior_none, catalogue, pool, watch)
-    candidates: tuple[Candidate, ...] = ()
-    if next_test != "never":
-        always = next_test == "always"
-        candidates = next_measurements(diagnosis, always=always, scatter=scatter, notify=announce)
+        candidates: tuple[Candidate, ...] = ()
+        if next_test != "never":
+            always = next_test == "always"
+            candidates = next_measurements(
+                diagnosis, always=always, scatter=scatter, executor=pool, notify=announce
+            )
     resampled = resample(diagnosis, seed, notify=announce) if emcee else None
     warnings = diagnosis_warnings(diagnosis, resampled, emcee=emcee)
     slips = _slips(diagnosis, specimens)
@@ -250,7 +255,12 @@ def _diagnosed(
 
         build_models(cases, hypotheses, executor, built)
         return diagnose_cases(
-            cases, hypotheses=hypotheses, scatter=scatter, notify=shown.notify, progress=progress
+            cases,
+            hypotheses=hypotheses,
+            scatter=scatter,
+            executor=executor,
+            notify=shown.notify,
+            progress=progress,
         )
 
 

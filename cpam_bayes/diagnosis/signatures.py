@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from cpam_bayes.diagnosis.evidence.best_fits import best_log_likelihood
 from cpam_bayes.diagnosis.evidence.comparison import Comparison, kept_of
 from cpam_bayes.diagnosis.evidence.marginal import Marginal
 from cpam_bayes.diagnosis.evidence.shifts import ShiftTable
@@ -150,32 +149,39 @@ def alike(
     return tuple(indistinguishable)
 
 
+def compared_by_fits(best: Mapping[str, Tested], probability: Mapping[str, float]) -> dict[str, Tested]:
+    """The causes whose fits are compared.
+
+    Causes that hardly have any probability are left out, but for another material: its wide prior alone
+    makes it improbable.
+
+    best : best variant of every cause
+    """
+    top = max(probability[name] for name in best) if best else 0.0
+    return {
+        name: t
+        for name, t in best.items()
+        if probability[name] > _COMPARED * top or (t.hypothesis.other_material and top > probability["none"])
+    }
+
+
 def with_equal_fits(
-    by_signature: Mapping[str, Sequence[str]], best: Mapping[str, Tested], probability: Mapping[str, float]
+    by_signature: Mapping[str, Sequence[str]], peak: Mapping[str, float]
 ) -> dict[str, tuple[str, ...]]:
     """The causes that cannot be told from each one, with those that can explain the lists as well.
 
     Signatures are compared where an effect is small. A gross one may be imitated by another that moves the
     constants far: whatever the sizes were believed to be, the data prefer neither by more than e^2.
-    Causes that hardly have any probability are left out, but for another material: its wide prior alone
-    makes it improbable.
 
     by_signature : by cause, those with equal visible signatures
-    best : best variant of every cause
+    peak : largest log likelihood of the causes whose fits are compared
     """
-    top = max(probability[name] for name in best) if best else 0.0
-    compared = [
-        name
-        for name, t in best.items()
-        if probability[name] > _COMPARED * top or (t.hypothesis.other_material and top > probability["none"])
-    ]
-    peak = {name: best_log_likelihood(best[name].marginal) for name in compared}
     return {
         name: tuple(
             dict.fromkeys(
                 [
                     *others,
-                    *(c for c in compared if c != name and name in peak and peak[c] > peak[name] - AS_WELL),
+                    *(c for c in peak if c != name and name in peak and peak[c] > peak[name] - AS_WELL),
                 ]
             )
         )

@@ -104,6 +104,11 @@ class ProcessPool(Executor):
             self.workers, get_context("spawn"), initializer=start_worker, initargs=(self._reader,)
         )
 
+    def start(self, ready: Callable[[], None]) -> None:
+        """Have all workers start and call ``ready``, whose module they import, while others wait for none."""
+        for _ in range(self.workers):
+            self.submit(ready)
+
     def submit(self, fn: Callable[..., T], /, *args: Any, **kwargs: Any) -> Future[T]:
         """Hand a call to the workers."""
         # A worker inherits the mask: Ctrl-C does not reach it before it has learnt to ignore it.

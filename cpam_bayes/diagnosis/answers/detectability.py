@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,7 +13,9 @@ from numpy.typing import NDArray
 from cpam_bayes.diagnosis.answers.linear_oracle import LinearOracle, linear_oracle
 from cpam_bayes.diagnosis.answers.shift_lines import ShiftLine, shift_lines
 from cpam_bayes.diagnosis.claim import CLEAR, MOST, SURE
+from cpam_bayes.diagnosis.evidence.sharing import shared_out
 from cpam_bayes.diagnosis.evidence.weighing import Weighed
+from cpam_bayes.diagnosis.fitting import PlateCase
 from cpam_bayes.diagnosis.hypotheses import NONE, OTHER
 from cpam_bayes.parameters import Parameter
 from cpam_bayes.threads import single_blas_thread
@@ -48,18 +52,22 @@ class Detectable:
 
 
 @single_blas_thread
-def detectable(weighed: Weighed) -> tuple[Detectable, ...]:
+def detectable(
+    weighed: Weighed, cases: Sequence[PlateCase] = (), executor: Executor | None = None
+) -> tuple[Detectable, ...]:
     """The smallest detectable size of every single cause that was tested, in the order of their probability.
 
     The lists are simulated at the plain model's optimum with a cause of some size and noise as stated, or
     from the posterior of the repeatability; a claim is made as for the lists themselves, by the evidences of
     all causes (`linear_oracle`). Sizes share the draws of the noise. Incomplete lists are paired as is most
     probable under the plain model.
+
+    cases, executor : the plates, and where the causes are worked on
     """
     weighed = weighed.in_plain_pairing()
     lines = shift_lines(weighed.tested, weighed.none.marginal)
     oracle = linear_oracle(weighed, lines, _DRAWS, np.random.default_rng(_SEED))
-    answers = []
+    wanted: list[_Sought] = []
     for cause in weighed.by_cause():
         if cause in (NONE, OTHER) or " + " in cause:
             continue
@@ -68,13 +76,20 @@ def detectable(weighed: Weighed) -> tuple[Detectable, ...]:
         size_of = next((h.parameters[0] for h in variants if h.parameters), None)
         of_plates = len({t.plates for t in weighed.tested if t.hypothesis.cause == cause})
         some = _spread([line for line in lines if line.cause == cause], max(_PLACES // of_plates, 1))
-        by_place = [_worse_sign(oracle, line) for line in some]
-        if not by_place:
-            answers.append(Detectable(cause, size_of, None, None))
-            continue
-        size, power = sorted(by_place)[len(by_place) // 2]
-        answers.append(Detectable(cause, size_of, size if np.isfinite(size) else None, power))
-    return tuple(answers)
+        wanted.append((oracle, cause, size_of, some))
+    return tuple(shared_out(_detectable, cases, wanted, executor, common=oracle))
+
+
+_Sought = tuple[LinearOracle, str, Parameter | None, list[ShiftLine]]
+
+
+def _detectable(item: _Sought) -> Detectable:
+    oracle, cause, size_of, some = item
+    by_place = [_worse_sign(oracle, line) for line in some]
+    if not by_place:
+        return Detectable(cause, size_of, None, None)
+    size, power = sorted(by_place)[len(by_place) // 2]
+    return Detectable(cause, size_of, size if np.isfinite(size) else None, power)
 
 
 def _spread(lines: list[ShiftLine], most: int) -> list[ShiftLine]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -13,6 +14,7 @@ from scipy.special import logsumexp
 from cpam_bayes.diagnosis.claim import Claim
 from cpam_bayes.diagnosis.evidence.marginal import Marginal, sampled_marginal
 from cpam_bayes.diagnosis.evidence.scan import marginal_of
+from cpam_bayes.diagnosis.evidence.sharing import shared_out
 from cpam_bayes.diagnosis.evidence.tested import Tested
 from cpam_bayes.diagnosis.evidence.weighing import Weighed
 from cpam_bayes.diagnosis.fit import Fit
@@ -70,6 +72,7 @@ def gain_of(
     baseline: Fit,
     extended: Fit,
     scatter: float,
+    executor: Executor | None = None,
 ) -> Gain:
     """The gain of the claimed causes, ``members`` with their fractions, over the plain model.
 
@@ -80,9 +83,10 @@ def gain_of(
     extending = {t.hypothesis.cause for t, _ in members} - {NONE} or {OTHER}
     claimed = extending | set(claim.causes)
     none = weighed.none.marginal
-    top = [_sampled(t) for t in _near_the_top(weighed, claimed)]
+    top = shared_out(_sampled, cases, _near_the_top(weighed, claimed), executor)
     whole = np.array([t.marginal.log_evidence for t in top])
-    folds = np.stack([left_out(cases, t, n, None if t is top[0] else none, scatter) for t in top])
+    items = [(tuple(cases), t, n, None if t is top[0] else none, scatter) for t in top]
+    folds = np.stack(shared_out(_folds_of, cases, items, executor))
     is_plain = np.array([t.hypothesis.cause == NONE for t in top])
     log_prior = np.log([t.hypothesis.prior for t in top])
     weight = folds + log_prior[:, None]
@@ -141,6 +145,10 @@ def left_out(cases: Sequence[PlateCase], t: Tested, n: int, none: Marginal | Non
         )
         evidences[i] = sampled_marginal(marginal).log_evidence
     return evidences
+
+
+def _folds_of(item: tuple[Sequence[PlateCase], Tested, int, Marginal | None, float]) -> Array:
+    return left_out(*item)
 
 
 def _near_the_top(weighed: Weighed, claimed: set[str]) -> list[Tested]:

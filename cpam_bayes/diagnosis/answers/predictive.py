@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -11,7 +13,9 @@ from scipy.stats import chi2
 
 from cpam_bayes.diagnosis.evidence.comparison import Comparison
 from cpam_bayes.diagnosis.evidence.marginal import Marginal
+from cpam_bayes.diagnosis.evidence.sharing import shared_out
 from cpam_bayes.diagnosis.evidence.tested import Tested
+from cpam_bayes.diagnosis.fitting import PlateCase
 
 Array = NDArray[Any]
 
@@ -49,12 +53,19 @@ def explains(tested: Tested) -> float:
 
 @dataclass(frozen=True, slots=True)
 class PredictiveChecks:
-    """Predictive p-values of hypotheses, each computed once, when it is first asked for.
+    """Predictive p-values of hypotheses, each computed once, at the latest when it is asked for.
 
     A hypothesis that is weighed again with other priors keeps its marginal likelihood, and so its p-value.
     """
 
     _known: dict[int, tuple[Marginal, float]] = field(default_factory=dict)
+
+    def compute(
+        self, cases: Sequence[PlateCase], tested: Sequence[Tested], executor: Executor | None
+    ) -> None:
+        """The p-values of hypotheses about some plates, side by side on an executor."""
+        for t, p in zip(tested, shared_out(explains, cases, tested, executor), strict=True):
+            self._known[id(t.marginal)] = (t.marginal, p)
 
     def p_value(self, tested: Tested) -> float:
         """`explains` of a hypothesis."""

@@ -16,7 +16,7 @@ from scipy.special import logsumexp
 
 from cpam_bayes.diagnosis.evidence.comparison import Comparison, kept_of
 from cpam_bayes.diagnosis.evidence.marginal import Marginal
-from cpam_bayes.diagnosis.evidence.scan import Scan, about
+from cpam_bayes.diagnosis.evidence.scan import Scan, Trial, about
 from cpam_bayes.diagnosis.evidence.shifts import shift_table
 from cpam_bayes.diagnosis.evidence.tested import Tested, ranked
 from cpam_bayes.diagnosis.fitting import comparison_of, effect_columns
@@ -71,13 +71,16 @@ def add_pairs(scan: Scan, singles: Sequence[Hypothesis]) -> None:
                 promising[key] = (value, pair, leader, scores)
     chosen = sorted(promising.values(), key=lambda entry: -entry[0])[:_FITTED]
     fitted: set[frozenset[str]] = set()
+    trials = []
     for value, pair, leader, scores in chosen:
         causes = frozenset((*pair.causes, pair.variant))
         if value < best - _PROMISING or causes in fitted:
             continue
         fitted.add(causes)
         known = np.concatenate((leader.marginal.z[0], scores))
-        scan.test(pair, leader.plates, _in_order(scan, pair, leader, known), leader.cases)
+        start = _in_order(scan, pair, leader, known)
+        trials.append(Trial(pair, leader.plates, start, leader.cases))
+    scan.test(trials)
 
 
 def _leaders(single: Sequence[Tested]) -> list[Tested]:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -11,7 +13,12 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from cpam_bayes.diagnosis.evidence.comparison import Comparison
-from cpam_bayes.diagnosis.evidence.marginal import Marginal, laplace_marginal, sampled_marginal
+from cpam_bayes.diagnosis.evidence.marginal import (
+    LOG2_POINTS,
+    Marginal,
+    laplace_marginal,
+    sampled_marginal,
+)
 from cpam_bayes.diagnosis.evidence.optima import LOG2_DRAWS
 from cpam_bayes.diagnosis.evidence.pairing_search import (
     Cases,
@@ -23,6 +30,7 @@ from cpam_bayes.diagnosis.evidence.pairing_search import (
     recounted,
 )
 from cpam_bayes.diagnosis.evidence.repairing import repairings
+from cpam_bayes.diagnosis.evidence.sharing import shared_out
 from cpam_bayes.diagnosis.evidence.shifts import ShiftTable, shift_table
 from cpam_bayes.diagnosis.evidence.tested import Tested, ranked
 from cpam_bayes.diagnosis.fitting import SCATTER, PlateCase, comparison_of, effect_columns
@@ -37,6 +45,8 @@ Array = NDArray[Any]
 _EXPLAINED = 1e-3
 # Hypotheses whose optima lie so many nats below the best are not integrated over open sizes.
 _HOPELESS_NATS = 14.0
+# Hypotheses that are fitted side by side, knowing the same of the others.
+_ROUND = 8
 # Draws of the prior, log2, that the plain model is fitted from.
 _LOG2_PLAIN = 11
 # Optima of the plain model that others start from too.
@@ -89,10 +99,38 @@ def plain_starts(comparison: Comparison, none: Marginal | None) -> Array:
     return np.concatenate((comparison.carried(none.comparison, none.z[:_PLAIN_OPTIMA]), medians))
 
 
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """A hypothesis to be tested.
+
+    known, cases : a start, and the pairing that it has
+    """
+
+    hypothesis: Hypothesis
+    plates: tuple[int, ...]
+    known: Array | None = None
+    cases: Cases = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Tried:
+    """What became of a trial.
+
+    tested : with every pairing that carries probability; none where it could not be tested
+    best : largest log of prior times evidence so far
+    not_tested : why
+    """
+
+    tested: tuple[Tested, ...]
+    best: float
+    not_tested: tuple[str, ...] = ()
+
+
 @dataclass(slots=True)
 class Scan:
     """Hypotheses as they are tested, none first.
 
+    executor : where they are fitted, ``None`` for this process
     is_explained : whether the plain model explains the lists
     best : largest log of prior times evidence so far
     pairings, seeds : of incomplete lists, those of the plain model and those that hypotheses begin with
@@ -100,6 +138,7 @@ class Scan:
 
     cases: Sequence[PlateCase]
     scatter: float
+    executor: Executor | None = None
     tested: list[Tested] = field(default_factory=list)
     not_tested: list[str] = field(default_factory=list)
     is_explained: bool = False
@@ -141,35 +180,58 @@ class Scan:
         has_false_peaks = any((case.modes < 0).any() for case in self.plain_cases)
         self.is_explained = misfit_probability(self.none) > _EXPLAINED and not has_false_peaks
 
-    def test(
-        self,
-        hypothesis: Hypothesis,
-        plates: tuple[int, ...],
-        known: Array | None = None,
-        cases: Cases = (),
-    ) -> None:
-        """Fit a hypothesis from many starts; where it cannot be tested that is noted.
+    def test(self, trials: Sequence[Trial], progress: Callable[[int], None] = lambda done: None) -> None:
+        """Fit hypotheses from many starts, round by round; those that cannot be tested are noted.
 
-        Where the plain model explains the lists, what is wrong is faint and lies next to it.
+        Where the plain model explains the lists, what is wrong is faint and lies next to it. What is hopeless
+        is known from the rounds before, so that the answer does not depend on who is first.
 
-        known, cases : a start, and the pairing that it has
+        progress : is told the number of trials that are done
         """
-        first = (PairedLists(cases),) if cases else self.seeds
+        trials = sorted(trials, key=lambda trial: any(e.is_anywhere for e in trial.hypothesis.effects))
+        for trial in trials:
+            self._built(trial)
+        for start in range(0, len(trials), _ROUND):
+            scan = replace(self, tested=self.tested[:1], not_tested=[], executor=None)
+            items = [(scan, trial) for trial in trials[start : start + _ROUND]]
+
+            def count(done: int, before: int = start) -> None:
+                progress(before + done)
+
+            for tried in shared_out(_tried, self.cases, items, self.executor, progress=count):
+                self.tested += tried.tested
+                self.not_tested += tried.not_tested
+                self.best = max(self.best, tried.best)
+
+    def _built(self, trial: Trial) -> None:
+        """Have the models that a trial needs, so that workers share them."""
+        for i in trial.plates:
+            if trial.hypothesis.other_material:
+                self.cases[i].of_other_material()
+            for effect in trial.hypothesis.effects:
+                if effect.change is not None:
+                    with suppress(RigidBodyError):  # it is said where the hypothesis is tested
+                        self.cases[i].with_effect(effect)
+
+    def tried(self, trial: Trial) -> Tried:
+        """Fit a hypothesis from many starts."""
+        hypothesis, plates = trial.hypothesis, trial.plates
+        first = (PairedLists(trial.cases),) if trial.cases else self.seeds
         try:
-            fits = {lists.key: self._fitted(hypothesis, plates, lists, known) for lists in first}
+            fits = {lists.key: self._fitted(hypothesis, plates, lists, trial.known) for lists in first}
             if self.is_incomplete:
                 self._add_pairings(hypothesis, plates, fits)
         except RigidBodyError:
-            self.not_tested.append(
+            why = (
                 f"{hypothesis.cause} {hypothesis.variant}".rstrip()
                 + ": over its prior the plate cannot be told from a rigid body; left out"
             )
-            return
+            return Tried((), self.best, (why,))
         best = max(fits.values(), key=lambda t: t.log_weight)
-        self.best = max(self.best, best.log_weight)
         near = [t for t in fits.values() if t.log_weight > best.log_weight - _NEGLIGIBLE_PAIRING]
         shift = self.shift_of(hypothesis, best)
-        self.tested += [replace(t, shift=shift if t is best else None) for t in near]
+        tested = tuple(replace(t, shift=shift if t is best else None) for t in near)
+        return Tried(tested, max(self.best, best.log_weight))
 
     def _fitted(
         self,
@@ -285,16 +347,20 @@ class Scan:
             return None
         return shift_table(comparison, hypothesis.parameters, sizes, self.none)
 
-    def sampled(self, t: Tested, best: float) -> Tested:
-        """A hypothesis by importance sampling, if it is near enough to the best."""
-        within = _NEAR_SCATTERED if t.marginal.is_scattered else _NEAR
-        if t.marginal.is_sampled:
-            return t
-        if t.log_weight >= best - within or t.hypothesis.cause == NONE:
-            return replace(t, marginal=sampled_marginal(t.marginal))
-        if t.log_weight >= best - _IN_SIGHT:
-            return replace(t, marginal=sampled_marginal(t.marginal, _LOG2_FEW))
-        return t
+
+def _tried(item: tuple[Scan, Trial]) -> Tried:
+    scan, trial = item
+    return scan.tried(trial)
+
+
+def points_near(t: Tested, best: float) -> int:
+    """Points, log2, by which a hypothesis is sampled for its distance from the best; 0: it stays as it is."""
+    if t.marginal.is_sampled:
+        return 0
+    within = _NEAR_SCATTERED if t.marginal.is_scattered else _NEAR
+    if t.log_weight >= best - within or t.hypothesis.cause == NONE:
+        return LOG2_POINTS
+    return _LOG2_FEW if t.log_weight >= best - _IN_SIGHT else 0
 
 
 def misfit_probability(marginal: Marginal) -> float:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Callable, Collection, Mapping, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -11,8 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
+from cpam_bayes.diagnosis.evidence.marginal import sampled_marginal
 from cpam_bayes.diagnosis.evidence.pairs import add_pairs
-from cpam_bayes.diagnosis.evidence.scan import Scan, is_repairing, marginal_of
+from cpam_bayes.diagnosis.evidence.scan import Scan, Trial, is_repairing, marginal_of, points_near
+from cpam_bayes.diagnosis.evidence.sharing import shared_out
 from cpam_bayes.diagnosis.evidence.tested import Tested, prior_of, ranked
 from cpam_bayes.diagnosis.fitting import SCATTER, PlateCase
 from cpam_bayes.diagnosis.hypotheses import NONE, PAIR, Hypothesis, prior_by_cause
@@ -92,32 +95,35 @@ def weigh(
     *,
     scatter: float = SCATTER,
     pairs: bool = True,
+    executor: Executor | None = None,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Weighed:
     """Marginal likelihoods of hypotheses, each about some of the plates, none first, and of pairs.
 
     Where none is not the most probable of all, the best pairs of causes are tested too.
+
+    executor : where hypotheses are fitted, ``None`` for this process
     """
-    scan = Scan(cases, scatter)
+    scan = Scan(cases, scatter, executor)
     scan.begin(*hypotheses[0])
     total = len(hypotheses)
     on_list = [entry for entry in hypotheses[1:] if is_repairing(entry[0])]
-    on_plate = [entry for entry in hypotheses[1:] if not is_repairing(entry[0])]
+    on_plate = [Trial(h, plates) for h, plates in hypotheses[1:] if not is_repairing(h)]
     scan.test_pairings(on_list)
-    for i, (hypothesis, plates) in enumerate(on_plate):
-        scan.test(hypothesis, plates)
-        progress(i + 1, total)
+    scan.test(on_plate, lambda done: progress(done, total))
     if pairs and ranked(scan.tested)[0].hypothesis.cause != NONE:
         add_pairs(scan, [h for h, _ in hypotheses])
     progress(total, total)
     order = ranked(scan.tested)
     for _ in range(_SAMPLING_ROUNDS):  # sampling may move the best one
         best = order[0].log_weight
-        sampled = [scan.sampled(t, best) for t in order]
-        moved = any(a is not b for a, b in zip(sampled, order, strict=True))
-        order = ranked(sampled)
-        if not moved:
+        near = [i for i, t in enumerate(order) if points_near(t, best)]
+        if not near:
             break
+        points = [(order[i], points_near(order[i], best)) for i in near]
+        for i, t in zip(near, shared_out(_sampled, cases, points, executor), strict=True):
+            order[i] = t
+        order = ranked(order)
     log_none = float(logsumexp([t.marginal.log_evidence for t in order if t.hypothesis.cause == NONE]))
     log_weight = np.array([t.log_weight for t in order])
     probability = np.exp(log_weight - log_weight.max())
@@ -128,6 +134,11 @@ def weigh(
     ]
     prior = prior_by_cause([h for h, _ in hypotheses])
     return Weighed(_credited(tested), tuple(dict.fromkeys(scan.not_tested)), prior)
+
+
+def _sampled(item: tuple[Tested, int]) -> Tested:
+    t, log2_points = item
+    return replace(t, marginal=sampled_marginal(t.marginal, log2_points))
 
 
 def _credited(tested: Sequence[Tested]) -> tuple[Tested, ...]:

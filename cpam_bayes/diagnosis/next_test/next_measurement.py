@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -12,6 +13,7 @@ from scipy.special import logsumexp, ndtri
 from scipy.stats import qmc
 
 from cpam_bayes.diagnosis.diagnose import Diagnosis
+from cpam_bayes.diagnosis.evidence.sharing import shared_out
 from cpam_bayes.diagnosis.evidence.weighing import Tested, Weighed
 from cpam_bayes.diagnosis.fitting import SCATTER, PlateCase
 from cpam_bayes.diagnosis.hypotheses import NONE, OTHER
@@ -69,6 +71,7 @@ def next_measurements(
     always: bool = False,
     noise: float | None = None,
     scatter: float = SCATTER,
+    executor: Executor | None = None,
     notify: Callable[[str], None] = lambda text: None,
 ) -> tuple[Candidate, ...]:
     """Tests of the plate that the leading cause is about, the most informative first.
@@ -77,6 +80,7 @@ def next_measurements(
     the same material, weighing and gauging. always : also where nothing is wrong or the cause is named.
     noise : relative standard deviation of a frequency in them; left out, that of the list or, where it was
     inferred, what each hypothesis says of it. Every hypothesis predicts the data from its own posterior.
+    executor : where that is done.
     """
     if diagnosis.claim.kind in _SETTLED and not always:
         return ()
@@ -84,20 +88,44 @@ def next_measurements(
     if len({t.hypothesis.cause for t in leading}) < 2:
         return ()
     about = next((t.plates[0] for t in leading if t.hypothesis.cause not in (NONE, OTHER)), 0)
-    case = diagnosis.cases[about]
-    candidates = []
     last = max(int(t.marginal.comparison.model.parts[about].modes.max()) for t in leading)
-    for test in further_tests(diagnosis.cases, about, last, scatter, notify):
-        notify(f"predicting {test.description}")
-        try:
-            outlook = outlook_of(leading, case, test.prepare(), noise)
-        except RigidBodyError:
+    tests = further_tests(diagnosis.cases, about, last, scatter)
+    notify(f"predicting {len(tests)} further tests")
+    asked = _Asked(diagnosis.cases, about, last, scatter, noise, leading)
+    items = [(asked, number) for number in range(len(tests))]
+    predicted = shared_out(_candidate, diagnosis.cases, items, executor, common=asked)
+    candidates = []
+    for test, candidate in zip(tests, predicted, strict=True):
+        if candidate is None:
             notify(
                 f"{test.description}: a cause leaves a plate that cannot be told from a rigid body; left out"
             )
-            continue
-        candidates.append(Candidate(test.name, test.description, *information(outlook)))
+        else:
+            candidates.append(candidate)
     return tuple(sorted(candidates, key=lambda c: -c.information))
+
+
+@dataclass(frozen=True, slots=True)
+class _Asked:
+    """What tests that could follow are predicted from, as in `further_tests` and `outlook_of`."""
+
+    cases: Sequence[PlateCase]
+    about: int
+    last_mode: int
+    scatter: float
+    noise: float | None
+    leading: tuple[Tested, ...]
+
+
+def _candidate(item: tuple[_Asked, int]) -> Candidate | None:
+    """What the test of some number would tell, ``None`` where it cannot be predicted."""
+    asked, number = item
+    test = further_tests(asked.cases, asked.about, asked.last_mode, asked.scatter)[number]
+    try:
+        outlook = outlook_of(asked.leading, asked.cases[asked.about], test.prepare(), asked.noise)
+    except RigidBodyError:
+        return None
+    return Candidate(test.name, test.description, *information(outlook))
 
 
 def leading_hypotheses(weighed: Weighed) -> tuple[Tested, ...]:
