@@ -12,6 +12,14 @@ for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ[_name] = "1"
 
 
+def pytest_configure() -> None:
+    """Each process of pytest-xdist has a core of its own: commands under test start no workers beside it."""
+    number = os.environ.get("PYTEST_XDIST_WORKER", "").removeprefix("gw")
+    if number and hasattr(os, "sched_setaffinity"):
+        allowed = sorted(os.sched_getaffinity(0))
+        os.sched_setaffinity(0, {allowed[int(number) % len(allowed)]})
+
+
 @pytest.fixture(scope="session", autouse=True)
 def _run_directory(tmp_path_factory: pytest.TempPathFactory) -> None:
     """Reduced models of the tests are built by the code under test, never read from a user's cache.

@@ -52,8 +52,9 @@ def open_executor(
     """What ``run`` shares work out over, closed at the end; its workers are stopped after an exception.
 
     spec : ``None`` or "processes": worker processes of this machine, ``processes`` of them or as many as
-    there are cores. "serial": ``None``, for work in this process. "dask://host:port": the workers of that
-    cluster, whose scheduler may take ``patience`` seconds to answer and as many to show a worker.
+    there are cores; where there is one core, work in this process. "serial": ``None``, for work in this
+    process. "dask://host:port": the workers of that cluster, whose scheduler may take ``patience`` seconds to
+    answer and as many to show a worker.
 
     Raises ``ValueError`` for anything else, a scheduler that does not answer or has no workers, and workers
     that have another version of this package or none.
@@ -69,7 +70,7 @@ def open_executor(
     if address is not None:
         with _connected(spec, address, patience) as executor:
             yield executor
-    elif spec == SERIAL:
+    elif spec == SERIAL or (processes is None and cores() == 1):
         yield None
     else:
         pool = ProcessPool(cores() if processes is None else processes)
