@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from cpam_bayes.result import Result as Result
     from cpam_bayes.specimen_design.design import design as design
     from cpam_bayes.stacking.sequence import sequence as sequence
+    from cpam_bayes.time_limit import time_limit as time_limit
 
 # Public name -> the module that holds it.
 _PUBLIC = {
@@ -60,6 +61,7 @@ _PUBLIC = {
     "sample": "cpam_bayes.identification.sampled",
     "sensitivity": "cpam_bayes.repetition.sensitivity",
     "sequence": "cpam_bayes.stacking.sequence",
+    "time_limit": "cpam_bayes.time_limit",
 }
 _PACKAGES = ("effects", "paper")
 
@@ -82,6 +84,7 @@ __all__ = [
     "sample",
     "sensitivity",
     "sequence",
+    "time_limit",
 ]
 
 

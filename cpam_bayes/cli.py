@@ -56,13 +56,15 @@ def _finish(work: Callable[[], Result], args: argparse.Namespace) -> int:
     """Do the work, save its files, and show its answer even if they could not be saved."""
     from cpam_bayes.parallel import WorkersLostError
     from cpam_bayes.report.files import save, staging
+    from cpam_bayes.time_limit import TimeIsUpError, time_limit
 
     not_saved: Exception | None = None
     notes: tuple[str, ...] = ()
     store: str | None = getattr(args, "store", None)
     try:
         with _warnings_shown(), staging(args.out) as stage:
-            answer = work()
+            with time_limit(getattr(args, "time_limit", None)):
+                answer = work()
             try:
                 notes = save(answer, stage)
             except (OSError, ValueError) as error:  # no fault of the input: the answer is shown all the same
@@ -75,7 +77,7 @@ def _finish(work: Callable[[], Result], args: argparse.Namespace) -> int:
         raise
     except ValueError as error:
         return _refuse(error)
-    except WorkersLostError as error:
+    except (WorkersLostError, TimeIsUpError) as error:
         print(f"error: {error}", file=sys.stderr)
         return NOT_DONE
     for warning in answer.warnings:

@@ -18,6 +18,7 @@ from cpam_bayes.identification.sampled import SampledResult, sample
 from cpam_bayes.plate import PlateLike, Specimen, read_plate
 from cpam_bayes.result import SILENT, PlateResult, Result, Watch
 from cpam_bayes.stacking.sequence import StackingResult, sequence
+from cpam_bayes.time_limit import within_time
 
 __all__ = ["FullReport", "full_report"]
 
@@ -80,6 +81,7 @@ class FullReport(PlateResult):
 
 
 @checked
+@within_time
 def full_report(
     plate: PlateLike,
     *,

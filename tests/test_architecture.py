@@ -19,6 +19,7 @@ LAYERS = (
     "formatting",
     "storage",
     "threads",
+    "time_limit",
     "parallel",
     "priors",
     "parameters",

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING, Final
 
-from cpam_bayes.commands.options import Commands, add_command, add_executor_options, positive
+from cpam_bayes.commands.options import Commands, add_command, add_executor_options, add_time_limit, positive
 
 if TYPE_CHECKING:
     from cpam_bayes.result import Result
@@ -54,6 +54,7 @@ def add(commands: Commands) -> None:
         help="sample the constants of the extended model by emcee too",
     )
     add_executor_options(command)
+    add_time_limit(command)
 
 
 def prepare(args: argparse.Namespace) -> Callable[[], Result]:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cpam_bayes.commands import BACKENDS, NOISE_SHAPES
-from cpam_bayes.commands.options import Commands, add_command, add_plate, whole
+from cpam_bayes.commands.options import Commands, add_command, add_plate, add_time_limit, whole
 
 if TYPE_CHECKING:
     from cpam_bayes.inference.chains.ensemble import EnsembleSettings
@@ -81,6 +81,7 @@ def add(commands: Commands) -> None:
         help="emcee: gaussian, or student-t with 4 degrees of freedom, which a few bad frequencies do "
         "not sway (default: gaussian)",
     )
+    add_time_limit(command)
 
 
 def prepare(args: argparse.Namespace) -> Callable[[], Result]:

@@ -15,6 +15,7 @@ Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
 DEFAULT_SEED: Final = 0
 MAX_MODES: Final = 100
 MAX_WORKERS: Final = 1000
+MAX_SECONDS: Final = 1e7
 STATUS_TEXT: Final = """\
 exit status: 0 done, 1 ran and did not reach its goal, 2 bad input, 130 interrupted.
 PLATE is a built-in specimen (`cpam-bayes plates` lists them) or the path of a plate file.
@@ -35,6 +36,17 @@ def add_executor_options(parser: argparse.ArgumentParser) -> None:
         type=whole(1, MAX_WORKERS),
         metavar="N",
         help=f"number of processes, 1 to {MAX_WORKERS} (default: one a core)",
+    )
+
+
+def add_time_limit(parser: argparse.ArgumentParser) -> None:
+    """Add `--time-limit`."""
+    parser.add_argument(
+        "--time-limit",
+        type=positive(MAX_SECONDS, "number of seconds"),
+        metavar="S",
+        help="end after about S seconds with the best answer so far, which says what is missing; exit status "
+        "1 then (default: none)",
     )
 
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING
 
-from cpam_bayes.commands.options import Commands, add_command, add_executor_options, whole
+from cpam_bayes.commands.options import Commands, add_command, add_executor_options, add_time_limit, whole
 
 if TYPE_CHECKING:
     from cpam_bayes.result import Result
@@ -36,6 +36,7 @@ def add(commands: Commands) -> None:
         help="keep finished computations in DIR; the same command goes on from there (default: in the cache)",
     )
     add_executor_options(command)
+    add_time_limit(command)
 
 
 def prepare(args: argparse.Namespace) -> Callable[[], Result]:

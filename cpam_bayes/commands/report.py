@@ -7,7 +7,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING
 
-from cpam_bayes.commands.options import Commands, add_command, add_executor_options, add_plate
+from cpam_bayes.commands.options import Commands, add_command, add_executor_options, add_plate, add_time_limit
 
 if TYPE_CHECKING:
     from cpam_bayes.result import Result
@@ -28,6 +28,7 @@ def add(commands: Commands) -> None:
         "tests",
     )
     add_executor_options(command)
+    add_time_limit(command)
 
 
 def prepare(args: argparse.Namespace) -> Callable[[], Result]:

@@ -13,6 +13,7 @@ from cpam_bayes.commands.options import (
     add_executor_options,
     add_modes,
     add_plate,
+    add_time_limit,
     positive,
     whole,
 )
@@ -59,6 +60,7 @@ def add(commands: Commands) -> None:
     )
     add_modes(command)
     add_executor_options(command)
+    add_time_limit(command)
 
 
 def prepare(args: argparse.Namespace) -> Callable[[], Result]:

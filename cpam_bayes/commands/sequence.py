@@ -7,7 +7,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING
 
-from cpam_bayes.commands.options import Commands, add_command, add_executor_options, whole
+from cpam_bayes.commands.options import Commands, add_command, add_executor_options, add_time_limit, whole
 
 if TYPE_CHECKING:
     from cpam_bayes.result import Result
@@ -30,6 +30,7 @@ def add(commands: Commands) -> None:
         help="most probable sequences in the JSON document, 1 to 2000 (default: 100)",
     )
     add_executor_options(command)
+    add_time_limit(command)
 
 
 def prepare(args: argparse.Namespace) -> Callable[[], Result]:

@@ -31,6 +31,7 @@ from cpam_bayes.paper.tables import NUMBERS
 from cpam_bayes.parallel import open_executor, run
 from cpam_bayes.result import SILENT, Watch
 from cpam_bayes.storage import cache_directory
+from cpam_bayes.time_limit import TimeIsUpError
 
 __all__ = ["compare", "tasks_of"]
 
@@ -160,7 +161,10 @@ def _computed(
             shown.tick(done, float(len(missing) - done))
             shown.notify(f"{task.title}: {results['seconds']:.0f} s")
 
-        run(work, effort, missing, pool, batch_size=1, on_result=keep)
+        try:
+            run(work, effort, missing, pool, batch_size=1, on_result=keep, is_limited=True)
+        except TimeIsUpError as error:
+            raise TimeIsUpError(f"{error}; the same command goes on from there") from error
     return computed
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pickle
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
+from contextlib import suppress
 from dataclasses import replace
 
 from cpam_bayes.diagnosis.fitting import PlateCase
@@ -25,6 +26,7 @@ from cpam_bayes.forward_model.reduced import ReducedModel
 from cpam_bayes.forward_model.store import without_matrices
 from cpam_bayes.mechanics.modes import RigidBodyError
 from cpam_bayes.parallel import counted, run
+from cpam_bayes.time_limit import TimeIsUpError
 
 Model = ReducedModel | LocalModel
 
@@ -60,7 +62,8 @@ def build_models(
         count(index, None)
 
     progress(0, len(wanted))
-    run(_built, plates, wanted, executor, batch_size=1, on_result=store)
+    with suppress(TimeIsUpError):  # the hypotheses that need what is missing are not tested
+        run(_built, plates, wanted, executor, batch_size=1, on_result=store, is_limited=True)
 
 
 def _built(plates: Sequence[PlateModels], item: tuple[int, Effect | None]) -> Model | None:

@@ -38,6 +38,7 @@ from cpam_bayes.diagnosis.signatures import (
     with_equal_fits,
 )
 from cpam_bayes.threads import single_blas_thread
+from cpam_bayes.time_limit import cut_short, is_time_up
 
 Array = NDArray[Any]
 
@@ -158,6 +159,9 @@ def diagnose_cases(
     baseline = fit_of(weighed.plain, whole, checks)
     extended = fit_of(members, whole, checks) if members else None
     gain_of_claim = None
+    if is_time_up() and (gain or power):
+        cut_short("neither the gain nor the smallest visible sizes were computed")
+        gain = power = False
     if gain and extended is not None and members:
         notify("leaving one frequency out")
         gain_of_claim = gain_of(cases, weighed, claim, members, baseline, extended, scatter, executor)

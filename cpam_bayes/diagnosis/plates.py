@@ -41,6 +41,7 @@ from cpam_bayes.forward_model.slips import (
 from cpam_bayes.parallel import open_executor
 from cpam_bayes.plate import PlateLike, Specimen, read_plate
 from cpam_bayes.result import SILENT, Result, Watch
+from cpam_bayes.time_limit import cut_short, is_time_up, within_time
 
 __all__ = ["DiagnosisResult", "diagnose", "diagnosis_result"]
 
@@ -107,6 +108,7 @@ class DiagnosisResult(Result):
 
 
 @checked
+@within_time
 def diagnose(
     *plates: PlateLike,
     seed: int = 0,
@@ -174,7 +176,9 @@ def diagnose(
                 cases.append(plate_case(specimen, announce))
         diagnosis = _diagnosed(cases, title, scatter, prior_none, catalogue, pool, watch)
         candidates: tuple[Candidate, ...] = ()
-        if next_test != "never":
+        if next_test != "never" and is_time_up():
+            cut_short("no further tests were ranked")
+        elif next_test != "never":
             always = next_test == "always"
             candidates = next_measurements(
                 diagnosis, always=always, scatter=scatter, executor=pool, notify=announce

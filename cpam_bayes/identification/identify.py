@@ -39,6 +39,7 @@ from cpam_bayes.inference.swarm.pso import SwarmResult
 from cpam_bayes.inference.swarm.settings import SwarmSettings
 from cpam_bayes.plate import PlateLike, Specimen, read_plate
 from cpam_bayes.result import SILENT, PlateResult, Watch
+from cpam_bayes.time_limit import within_time
 
 __all__ = ["NO_MESH", "PointResult", "identify"]
 
@@ -112,6 +113,7 @@ class PointResult(PlateResult):
 
 
 @checked
+@within_time
 def identify(
     plate: PlateLike,
     *,

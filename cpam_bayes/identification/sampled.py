@@ -59,6 +59,7 @@ from cpam_bayes.plate import PlateLike, Specimen, read_plate
 from cpam_bayes.plate.laminate import flexural_constants
 from cpam_bayes.result import SILENT, Watch
 from cpam_bayes.threads import single_blas_thread
+from cpam_bayes.time_limit import within_time
 
 Array = NDArray[Any]
 
@@ -75,6 +76,7 @@ _PREDICTIVE_DRAWS = 1000
 
 
 @checked
+@within_time
 def sample(
     plate: PlateLike,
     *,

@@ -24,6 +24,7 @@ from cpam_bayes.inference.swarm.pso import SwarmResult, SwarmSettings, initial_s
 from cpam_bayes.parameters import ParameterSet
 from cpam_bayes.plate import Measurement, Specimen
 from cpam_bayes.threads import single_blas_thread
+from cpam_bayes.time_limit import cut_short, is_time_up
 
 Array = NDArray[Any]
 Residual = Literal["absolute", "relative"]
@@ -137,7 +138,7 @@ def search(
         # the first swarm tells whether the model is converged where the answer lies: the others wait for that
         run.add()
         at, error = run.best, discretisation_error(model.full, run.best)
-        last = stays or attempt == _MOST_MODELS or error.max() >= least
+        last = stays or attempt == _MOST_MODELS or error.max() >= least or is_time_up()
         if error.max() <= _ACCEPTED_ERROR or last:
             run.finish()
             if not np.allclose(run.best, at, rtol=_SAME_PLACE):
@@ -258,6 +259,9 @@ class _Swarms:
     def finish(self) -> None:
         """Run more swarms until the best optimum is found again."""
         while self.number < self.most and not (self.number >= LEAST_SWARMS and self._agreed):
+            if is_time_up():
+                cut_short(f"{self.number} of at least {LEAST_SWARMS} swarms ran")
+                break
             self.add()
 
     @property

@@ -25,6 +25,7 @@ from cpam_bayes.parallel.executors import DaskCluster, WorkersLostError, open_ex
 from cpam_bayes.parallel.worker import Outcome, Ticket, digest_of, digest_of_file, forget, work_through
 from cpam_bayes.storage import draft_file
 from cpam_bayes.threads import single_blas_thread
+from cpam_bayes.time_limit import TimeIsUpError, is_time_up, time_is_up_error, time_limit
 
 T = TypeVar("T")
 Shared = TypeVar("Shared")
@@ -37,6 +38,8 @@ _MAX_LOSSES = 3
 _BATCH_SECONDS = 0.5
 # A batch is at most this many times larger than one before it.
 _GROWTH = 8
+# How often work that is limited in time looks at the clock, seconds.
+_LOOK_SECONDS = 1.0
 # Batches handed out for each worker: one that it works on and one that waits.
 _AHEAD = 2
 
@@ -60,6 +63,7 @@ def run(
     *,
     batch_size: int | None = None,
     on_result: Callable[[int, Result], None] | None = None,
+    is_limited: bool = False,
 ) -> list[Result]:
     """``work(shared, item)`` of every item, in the order of the items.
 
@@ -71,6 +75,8 @@ def run(
     executor : ``None`` for this process.
     batch_size : items sent at a time, by default what takes half a second.
     on_result : called in this process with index and result as results arrive, in any order.
+    is_limited : whether a time limit ends the work between two items, by ``TimeIsUpError``. An item that is
+    begun is not cut short.
 
     Batches lost with a worker are done again by others. Raises what ``work`` or ``on_result`` raised,
     with the item's index as a note, ``WorkersLostError`` if a batch was lost four times, and
@@ -81,8 +87,8 @@ def run(
         raise ValueError(f"batch_size: received {batch_size}, accepted: 1 or more")
     tell = on_result or (lambda index, result: None)
     if executor is None:
-        return _run_here(work, shared, items, tell)
-    return _run_there(work, shared, items, executor, batch_size, tell) if len(items) else []
+        return _run_here(work, shared, items, tell, is_limited)
+    return _run_there(work, shared, items, executor, batch_size, tell, is_limited) if len(items) else []
 
 
 def counted(progress: Callable[[int, int], None], total: int) -> Callable[[int, Any], None]:
@@ -96,12 +102,16 @@ def _run_here(
     shared: Shared,
     items: Sequence[Item],
     tell: Callable[[int, Result], None],
+    is_limited: bool,
 ) -> list[Result]:
     shared = _copied(shared)
-    results = []
+    results: list[Result] = []
     for index, item in enumerate(items):
+        if is_limited and is_time_up():
+            raise _time_is_up(index, len(items))
         try:
-            result = work(shared, _copied(item))
+            with time_limit(None):  # as in a worker
+                result = work(shared, _copied(item))
         except Exception as error:
             error.add_note(_place(index, len(items)))
             raise
@@ -129,6 +139,7 @@ def _run_there(
     executor: Executor,
     batch_size: int | None,
     tell: Callable[[int, Result], None],
+    is_limited: bool,
 ) -> list[Result]:
     dumps: Callable[[Any], bytes] = executor.pickled if isinstance(executor, DaskCluster) else pickle.dumps
     pickled = cache(lambda: dumps(shared))
@@ -141,6 +152,8 @@ def _run_there(
         patience = 1 if isinstance(executor, DaskCluster) else 0
         stack.push(_cancel_on_exception(pending))
         while True:
+            if is_limited and len(results) < len(items) and is_time_up():
+                raise _time_is_up(len(results), len(items))
             workers = workers_of(executor)
             while len(pending) < _AHEAD * workers and (batch := queue.take(workers, pending.values())):
                 packed = dumps([items[i] for i in range(batch.start, batch.stop)])
@@ -152,7 +165,7 @@ def _run_there(
                     executor = _usable(executor, stack)
             if not pending:
                 return [results[i] for i in range(len(items))]
-            done, _ = wait(pending, return_when=FIRST_COMPLETED)
+            done, _ = wait(pending, _LOOK_SECONDS if is_limited else None, return_when=FIRST_COMPLETED)
             for future in sorted(done, key=lambda f: pending[f].start):
                 batch = pending.pop(future)
                 failure = CancelledError("cancelled") if future.cancelled() else future.exception()
@@ -178,6 +191,10 @@ def _run_there(
                     outcome.error.add_note(_place(batch.start + len(outcome.results), len(items)))
                     raise outcome.error
                 queue.done(batch, outcome.seconds)
+
+
+def _time_is_up(done: int, n: int) -> TimeIsUpError:
+    return time_is_up_error(f"{done} of {n} parts of the work were done")
 
 
 class _Queue:

@@ -18,9 +18,10 @@ that is tested here.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
+from itertools import count
 from typing import Any, Final, Literal
 
 import numpy as np
@@ -48,6 +49,7 @@ from cpam_bayes.repetition.tasks import (
     swarm_value,
 )
 from cpam_bayes.threads import single_blas_thread
+from cpam_bayes.time_limit import TimeIsUpError, cut_short
 
 Array = NDArray[Any]
 ListSource = Literal["measured", "model"]
@@ -56,6 +58,8 @@ ListSource = Literal["measured", "model"]
 ENSEMBLE_SETTINGS: Final = EnsembleSettings(walkers=24, round_steps=500, effective=1000.0, most_steps=10_000)
 # Swarms that look for the reference.
 _STARTS: Final = 10
+# A spread needs two groups.
+_FEWEST_GROUPS: Final = 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,7 +188,7 @@ def noise_study(
     start = time.perf_counter()
     if not levels or not all(0.0 < level <= 0.5 for level in levels):
         raise ValueError(f"levels of noise: received {tuple(levels)}, accepted: above 0, at most 0.5")
-    if groups < 2:
+    if groups < _FEWEST_GROUPS:
         raise ValueError(f"groups: received {groups}, accepted: 2 or more, a spread needs two")
     measurement, unknowns = required(specimen)
     if not measurement.complete:
@@ -211,20 +215,24 @@ def noise_study(
     pairs = [(level, reading) for level in dict.fromkeys(levels) for reading in dict.fromkeys(readings)]
     # the longest first, so that no worker begins one at the end
     items = [InversionTask(*pair, POSTERIOR) for pair in pairs]
-    items += [InversionTask(*pair, group) for pair in pairs for group in range(groups)]
+    items += [InversionTask(*pair, group) for group in range(groups) for pair in pairs]
     notify("inverting noisy lists and sampling posteriors")
-    done = 0
+    results: dict[int, Any] = {}
 
-    def count(index: int, result: object) -> None:
-        nonlocal done
-        done += 1
-        progress(done, len(items))
+    def keep(index: int, result: object) -> None:
+        results[index] = result
+        progress(len(results), len(items))
 
-    results: list[Any] = run(run_task, shared, items, executor, on_result=count)
+    try:
+        run(run_task, shared, items, executor, on_result=keep, is_limited=True)
+    except TimeIsUpError:
+        wanted, groups = groups, _complete_groups(results, len(pairs))
+        if groups < _FEWEST_GROUPS:
+            raise
+        cut_short(f"{groups} of {wanted} groups of noisy lists were inverted")
     cells = []
     for i, (level, reading) in enumerate(pairs):
-        first = len(pairs) + i * groups
-        repetition = _collect(results[first : first + groups])
+        repetition = _collect([results[(group + 1) * len(pairs) + i] for group in range(groups)])
         posterior: PosteriorSummary = results[i]
         sd = perturbation_sd(measurement.frequencies, level, reading)
         at_reference = np.array([mode.frequency for mode in without_noise.predicted])
@@ -272,6 +280,12 @@ def _collect(inversions: Sequence[Inversion]) -> Repetition:
         missed=sum(i.missed for i in inversions),
         solves=sum(i.solves for i in inversions),
     )
+
+
+def _complete_groups(results: Mapping[int, object], n_pairs: int) -> int:
+    """Number of the first groups that were inverted for all pairs, whose posteriors were sampled."""
+    first = next(index for index in count() if index not in results)
+    return max(first // n_pairs - 1, 0)
 
 
 def _comparisons(

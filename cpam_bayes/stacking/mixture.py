@@ -34,6 +34,7 @@ from cpam_bayes.stacking.queries.given_layup import GivenLayup
 from cpam_bayes.stacking.records import StackingPosterior
 from cpam_bayes.stacking.symmetry.classes import members
 from cpam_bayes.threads import single_blas_thread
+from cpam_bayes.time_limit import TimeIsUpError, cut_short
 
 Array = NDArray[Any]
 
@@ -185,8 +186,22 @@ def sample_mixture(
         index = len(answer.top) if given.index is None else given.index
         items.append((index, given.angles_deg, given.fits, [seed, 6, index]))
     shared, count = (answer.conditional, settings), counted(progress, len(items))
-    results = tuple(run(_sampled, shared, items, executor, batch_size=1, on_result=count))
-    components, given_component = results[:n], None
+    results: dict[int, SampledComponent] = {}
+
+    def keep(index: int, component: SampledComponent) -> None:
+        results[index] = component
+        count(index, component)
+
+    try:
+        run(_sampled, shared, items, executor, batch_size=1, on_result=keep, is_limited=True)
+    except TimeIsUpError:
+        wanted, n = n, next(i for i in range(n + 1) if i not in results)
+        if not n:
+            keep(0, run(_sampled, shared, items[:1], executor)[0])
+            n = 1
+        cut_short(f"the constants of {n} of {wanted} sequences were sampled by emcee")
+        given = None if extra or (given and (given.index or 0) >= n) else given
+    components, given_component = tuple(results[i] for i in range(n)), None
     if given is not None:
         given_component = results[n] if extra else results[given.index or 0]
         if given.index is None:

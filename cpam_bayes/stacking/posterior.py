@@ -36,6 +36,7 @@ from cpam_bayes.stacking.records import (
 from cpam_bayes.stacking.symmetry.equal_bending import merge_indistinguishable
 from cpam_bayes.stacking.symmetry.symmetries import plate_symmetries
 from cpam_bayes.threads import single_blas_thread
+from cpam_bayes.time_limit import time_limit
 
 Array = NDArray[Any]
 
@@ -75,7 +76,8 @@ def stacking_posterior(
     else:
         result = by_surrogate(problem, problem.sums, rng, notify, progress)
     if problem.sums is not None:
-        result = merge_indistinguishable(result, problem, problem.sums)
+        with time_limit(None):  # what is known by now is to be told
+            result = merge_indistinguishable(result, problem, problem.sums)
     return replace(result, seconds=time.perf_counter() - start)
 
 

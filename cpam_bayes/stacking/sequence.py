@@ -34,6 +34,7 @@ from cpam_bayes.stacking.queries.best_fit import BestFit, best_fit
 from cpam_bayes.stacking.queries.given_layup import GivenLayup, given_layup
 from cpam_bayes.stacking.records import DEFAULT_SETTINGS, StackingPosterior
 from cpam_bayes.stacking.warnings import stacking_warnings
+from cpam_bayes.time_limit import time_limit, within_time
 
 # Pieces of the enumeration that progress is shown in.
 _PIECES = 64
@@ -78,6 +79,7 @@ class StackingResult(PlateResult):
 
 
 @checked
+@within_time
 def sequence(
     plate: PlateLike,
     *,
@@ -146,7 +148,8 @@ def sequence(
                 notify=shown.notify,
                 progress=lambda done, _: shown.tick(done, float(done)),
             )
-        given = _printed(answer)
+        with time_limit(None):  # one sequence, even if time is up
+            given = _printed(answer)
         classes = n_sampled_classes(answer) + (given is not None)
         with watch.stage("constants by emcee", classes, lambda done: "a class each") as shown:
             mixture = sample_mixture(
@@ -156,7 +159,8 @@ def sequence(
                 executor=pool,
                 progress=lambda done, _: shown.tick(done, float(done)),
             )
-    return stacking_result(answer, mixture, given, seed, top)
+    with time_limit(None):
+        return stacking_result(answer, mixture, given, seed, top)
 
 
 def stacking_result(

@@ -38,6 +38,7 @@ from cpam_bayes.diagnosis.hypotheses import NONE, Hypothesis
 from cpam_bayes.diagnosis.pairings import is_incomplete
 from cpam_bayes.effects import ListChange
 from cpam_bayes.mechanics.modes import RigidBodyError
+from cpam_bayes.time_limit import cut_short, is_time_up
 
 Array = NDArray[Any]
 
@@ -190,8 +191,15 @@ class Scan:
         """
         trials = sorted(trials, key=lambda trial: any(e.is_anywhere for e in trial.hypothesis.effects))
         for trial in trials:
-            self._built(trial)
+            if not is_time_up():
+                self._built(trial)
         for start in range(0, len(trials), _ROUND):
+            if is_time_up():
+                left = [trial.hypothesis for trial in trials[start:]]
+                self.not_tested += [f"{h.cause} {h.variant}".rstrip() + ": time was up" for h in left]
+                causes = ", ".join(dict.fromkeys(h.cause for h in left))
+                cut_short(f"{len(left)} hypotheses were not tested, of {causes}")
+                break
             scan = replace(self, tested=self.tested[:1], not_tested=[], executor=None)
             items = [(scan, trial) for trial in trials[start : start + _ROUND]]
 

@@ -19,6 +19,7 @@ from cpam_bayes.diagnosis.evidence.sharing import shared_out
 from cpam_bayes.diagnosis.evidence.tested import Tested, prior_of, ranked
 from cpam_bayes.diagnosis.fitting import SCATTER, PlateCase
 from cpam_bayes.diagnosis.hypotheses import NONE, PAIR, Hypothesis, prior_by_cause
+from cpam_bayes.time_limit import cut_short, is_time_up
 
 __all__ = ["Tested", "Weighed", "marginal_of", "weigh"]
 
@@ -111,11 +112,14 @@ def weigh(
     on_plate = [Trial(h, plates) for h, plates in hypotheses[1:] if not is_repairing(h)]
     scan.test_pairings(on_list)
     scan.test(on_plate, lambda done: progress(done, total))
-    if pairs and ranked(scan.tested)[0].hypothesis.cause != NONE:
+    if pairs and not is_time_up() and ranked(scan.tested)[0].hypothesis.cause != NONE:
         add_pairs(scan, [h for h, _ in hypotheses])
     progress(total, total)
     order = ranked(scan.tested)
     for _ in range(_SAMPLING_ROUNDS):  # sampling may move the best one
+        if is_time_up():
+            cut_short("the evidence of the leading causes is approximate")
+            break
         best = order[0].log_weight
         near = [i for i, t in enumerate(order) if points_near(t, best)]
         if not near:

@@ -23,6 +23,7 @@ from cpam_bayes.inference.chains.store import Rounds
 from cpam_bayes.inference.laplace import GaussianApproximation, optimise, prior_sd
 from cpam_bayes.inference.posterior import Posterior
 from cpam_bayes.inference.proposal import Proposal
+from cpam_bayes.time_limit import cut_short, is_time_up
 
 Array = NDArray[Any]
 
@@ -241,7 +242,10 @@ def sample(
         log_probs.append(log_prob)
         found = diagnose_chains(np.concatenate(chains, axis=1), settings)
         progress(found)
-        if found.converged or found.steps >= settings.most_steps:
+        ended = is_time_up() and not found.converged
+        if ended:
+            cut_short(f"emcee ended after {found.steps} of at most {settings.most_steps} steps")
+        if found.converged or found.steps >= settings.most_steps or ended:
             return EnsembleResult(
                 np.concatenate(chains, axis=1)[:, found.burn_in :],
                 np.concatenate(log_probs, axis=1)[:, found.burn_in :],

@@ -25,6 +25,7 @@ from cpam_bayes.inference.swarm.settings import (
     Status,
     SwarmSettings,
 )
+from cpam_bayes.time_limit import cut_short, is_time_up
 
 _BOUNCE: Final = -0.5
 """Fraction of the velocity kept by a component that was stopped at a bound (Clerc 2012)."""
@@ -251,7 +252,7 @@ def minimise_problem(
 
     Particles that are not feasible, or whose objective is not finite, get an infinite value, the
     penalty of section 5.2; the former are not sent to the objective. The swarm stops when it converged
-    or when its budget is used, and says which. An interruption is not caught.
+    or when its budget is used, and says which; a time limit ends its budget. An interruption is not caught.
 
     start : (particles, n_constants), sets the swarm's size; ``settings.particles`` is not read here.
     progress : called with the iteration and the best value, the start first.
@@ -264,6 +265,9 @@ def minimise_problem(
         if progress is not None:
             progress(len(state.history) - 1, state.history[-1])
         status = stop_reason(problem, state, settings)
+        if status is None and is_time_up():
+            status = "budget"
+            cut_short(f"a swarm ended after {len(state.history) - 1} of {settings.iterations} iterations")
         if status is not None:
             return _result(problem, state, settings, status)
         state = step_swarm(problem, state, settings, rng)

@@ -72,7 +72,7 @@ def evaluate(
         (angles[i : i + _BATCH], starts[i : i + _BATCH], library, scanned, log2_points)
         for i in range(0, len(sequences), _BATCH)
     ]
-    pieces = run(_evaluate_batch, conditional, items, executor, batch_size=1)
+    pieces = run(_evaluate_batch, conditional, items, executor, batch_size=1, is_limited=True)
     return Evaluated(sequences, joined([p[0] for p in pieces]), joined([p[1] for p in pieces]))
 
 
@@ -138,7 +138,7 @@ def locate(
     ]
     if not items:
         return Located(np.empty(0), np.empty((0, near.shape[1])))
-    pieces = run(_locate_batch, conditional, items, executor, batch_size=1)
+    pieces = run(_locate_batch, conditional, items, executor, batch_size=1, is_limited=True)
     return Located(np.concatenate([p.log_evidence for p in pieces]), np.concatenate([p.x for p in pieces]))
 
 

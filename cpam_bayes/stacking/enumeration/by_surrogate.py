@@ -8,7 +8,7 @@ and corrects the sums of the parts that were not sampled.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from typing import Any
@@ -42,6 +42,7 @@ from cpam_bayes.stacking.surrogate.training import (
 )
 from cpam_bayes.stacking.symmetry.classes import canonical, classes
 from cpam_bayes.stacking.symmetry.symmetries import Symmetry
+from cpam_bayes.time_limit import TimeIsUpError, cut_short
 
 Array = NDArray[Any]
 
@@ -85,6 +86,26 @@ def by_surrogate(
     progress: Callable[[int, int], None],
 ) -> StackingPosterior:
     """The posterior by a surrogate: all sequences enumerated, those that can matter computed."""
+    posterior: StackingPosterior | None = None
+    try:
+        for posterior in _rounds(problem, sums, rng, notify, progress):  # noqa: B007
+            pass
+    except TimeIsUpError:
+        if posterior is None:
+            raise
+        cut_short("the probabilities of sequences are those of a round before the last")
+    assert posterior is not None
+    return posterior
+
+
+def _rounds(
+    problem: StackingProblem,
+    sums: PlySums,
+    rng: np.random.Generator,
+    notify: Callable[[str], None],
+    progress: Callable[[int, int], None],
+) -> Iterator[StackingPosterior]:
+    """The posterior after every round of training, listing and checking, each better than the one before."""
     training = training_problem(problem, sums)
     trained = train(training, rng, notify, noisier_seeds(problem, sums, rng, notify))
     rounds, fine, margin = 0, False, _MARGIN
@@ -113,8 +134,9 @@ def by_surrogate(
         settled = close and not astray
         excess = posterior.unaccounted / problem.settings.unaccounted
         last = rounds >= (_MAX_ROUNDS if astray or excess > 1.0 else _ROUNDS)
+        yield posterior
         if current is problem and (last or (settled and excess <= 1.0)):
-            return posterior
+            return
         if excess > 1.0:
             margin, pilot = 0.5 * margin / excess, None
         if not settled:
@@ -310,4 +332,6 @@ def _enumerated(
     visited = prefixes_to_visit(enumeration) if prefixes is None else prefixes
     items = [part for part in np.array_split(visited, _PIECES) if len(part)]
     count = counted(progress, len(items))
-    return combined(run(enumerate_prefixes, enumeration, items, executor, batch_size=1, on_result=count))
+    return combined(
+        run(enumerate_prefixes, enumeration, items, executor, batch_size=1, on_result=count, is_limited=True)
+    )

@@ -200,5 +200,12 @@ def refined(
 
 def surrogate_values(surrogate: Surrogate, executor: Executor | None, features: Array) -> Array:
     """The surrogate's log evidence at features (m, d), in parallel, (m,)."""
-    pieces = run(Surrogate.values, surrogate, np.array_split(features, _PIECES), executor, batch_size=1)
+    pieces = run(
+        Surrogate.values,
+        surrogate,
+        np.array_split(features, _PIECES),
+        executor,
+        batch_size=1,
+        is_limited=True,
+    )
     return np.concatenate(pieces)

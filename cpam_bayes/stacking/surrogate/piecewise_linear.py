@@ -132,7 +132,7 @@ def piecewise_linear_surrogate(
             freedom=freedom,
         )
         batches = np.split(centre, range(_BATCH, len(centre), _BATCH))
-        sorted_cells = run(_leaves_and_halved, level, batches, executor, batch_size=1)
+        sorted_cells = run(_leaves_and_halved, level, batches, executor, batch_size=1, is_limited=True)
         leaves += [kept for kept, _ in sorted_cells]
         halved = np.concatenate([centres for _, centres in sorted_cells])
         centre = (halved[:, None, :] + width * _mesh(np.array([-0.25, 0.25]))).reshape(-1, 4)

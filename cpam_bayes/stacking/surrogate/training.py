@@ -260,7 +260,9 @@ def _draws(
         for part in np.array_split(np.arange(len(moving)), _CHAIN_PIECES)
         if len(part)
     ]
-    state[moving] = np.concatenate(run(_gibbs, (surrogate, sums), items, executor, batch_size=1))
+    state[moving] = np.concatenate(
+        run(_gibbs, (surrogate, sums), items, executor, batch_size=1, is_limited=True)
+    )
     _, first = np.unique(state, axis=0, return_index=True)
     first = np.sort(first)
     new = first[_new(state[first], data)]

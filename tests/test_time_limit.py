@@ -1,0 +1,224 @@
+"""A time limit ends work with the best answer so far, which says first what is missing."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from itertools import count
+from typing import Any
+
+import pytest
+
+import cpam_bayes as cb
+from cpam_bayes import time_limit as limits
+from cpam_bayes.inference.chains.ensemble import EnsembleSettings
+from cpam_bayes.parallel import run
+from cpam_bayes.time_limit import TimeIsUpError, cut_short, is_time_up, time_limit
+
+AT_ONCE = 1e-9
+Run = Callable[..., tuple[object, str, str]]
+STACK: dict[str, Any] = {
+    "name": "two unknown angles",
+    "plate": {
+        "length_mm": 260,
+        "width_mm": 190,
+        "thickness_mm": 3.2,
+        "density_kg_m3": 1590,
+        "layup": "[?/?]_s",
+        "edges": "FFFF",
+    },
+    "material": {"isotropic": False, "E1_GPa": 121.2, "E2_GPa": 9.34, "nu12": 0.23, "G12_GPa": 6.25},
+    "unknowns": {
+        "E1_GPa": [80, 160],
+        "E2_GPa": [5, 20],
+        "nu12": [0.15, 0.4],
+        "G12_GPa": [4, 10],
+        "angle_grid_deg": 30,
+    },
+    "measurement": {
+        "frequencies_hz": [154.4, 286.9, 402.8, 414.4, 574.5, 749.3],
+        "relative_std": 0.05,
+    },
+}
+
+
+@pytest.fixture
+def looks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A clock that goes on by a second whenever it is looked at."""
+    seconds = count()
+    monkeypatch.setattr(limits.time, "monotonic", lambda: float(next(seconds)))
+
+
+def plus_one(shared: int, item: int) -> int:
+    assert not is_time_up()
+    return shared + item
+
+
+def test_time_is_up_after_the_limit_and_never_without(looks: None) -> None:
+    assert not is_time_up()
+    with time_limit(2.0):
+        assert [is_time_up() for _ in range(3)] == [False, True, True]
+        with time_limit(None):
+            assert not is_time_up()
+        assert is_time_up()
+    assert not is_time_up()
+
+
+@pytest.mark.parametrize("seconds", [0.0, -1.0, float("nan")])
+def test_a_limit_is_a_positive_number(seconds: float) -> None:
+    with pytest.raises(ValueError, match="time limit: received"), time_limit(seconds):
+        pass
+
+
+@pytest.mark.parametrize("workers", [None, 1])
+def test_limited_work_ends_between_two_items(looks: None, workers: int | None) -> None:
+    done: list[int] = []
+    executor = None if workers is None else ThreadPoolExecutor(workers)
+    with time_limit(3.0), pytest.raises(TimeIsUpError, match=r"the time limit of 3 s .* of 50 parts"):
+        run(
+            plus_one,
+            1,
+            range(50),
+            executor,
+            batch_size=1,
+            on_result=lambda index, result: done.append(result),
+            is_limited=True,
+        )
+    assert 0 < len(done) < 50
+    with time_limit(3.0):
+        assert run(plus_one, 1, range(50)) == list(range(1, 51))
+
+
+def test_an_answer_in_time_is_the_same() -> None:
+    free = cb.identify("A1", seed=3)
+    with time_limit(3600.0):
+        limited = cb.identify("A1", seed=3)
+    assert limited.reached_goal
+    assert limited.constants == free.constants
+    assert limited.slips == free.slips
+
+
+def test_a_swarm_ends_early_and_says_so() -> None:
+    with time_limit(AT_ONCE):
+        point = cb.identify("A1", seed=0)
+    assert not point.reached_goal
+    assert point.status == "budget"
+    assert point.slips[0] == point.warnings[0]
+    assert "a swarm ended after 0 of 400 iterations; 1 of at least 3 swarms ran" in point.slips[0]
+    assert set(point.constants) == {"E1", "nu12"}
+
+
+def test_emcee_ends_after_a_round_and_goes_on_from_the_store(tmp_path: Any) -> None:
+    with time_limit(AT_ONCE):
+        cut = cb.sample("A1", seed=0, store=tmp_path, settings=EnsembleSettings(round_steps=20))
+    assert not cut.reached_goal
+    assert "emcee ended after 20 of at most 10000 steps" in cut.slips[0]
+    assert list(tmp_path.glob("*"))
+
+
+def test_a_diagnosis_names_what_it_did_not_test() -> None:
+    with time_limit(AT_ONCE):
+        answer = cb.diagnose("A1")
+    assert not answer.reached_goal
+    not_tested = answer.diagnosis.weighed.not_tested
+    assert not_tested
+    assert all("time was up" in text for text in not_tested)
+    assert f"{len(not_tested)} hypotheses were not tested, of " in answer.slips[0]
+    assert "gain" in answer.slips[0]
+    tested = {t.hypothesis.cause for t in answer.diagnosis.weighed.tested}
+    assert "none" in tested
+    assert "thickness" not in tested
+    assert "thickness" in answer.slips[0]
+
+
+def test_a_noise_study_needs_two_groups(looks: None) -> None:
+    with time_limit(AT_ONCE), pytest.raises(TimeIsUpError, match="0 of 4 parts"):
+        cb.sensitivity("A1", levels=[0.01], groups=3, readings=["rms"])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("done", [2, 4])
+def test_a_noise_study_has_the_groups_that_were_inverted(done: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = cb.sensitivity("A1", levels=[0.01, 0.05], groups=4, readings=["rms"])
+    told: list[int] = []
+    monkeypatch.setattr(
+        "cpam_bayes.parallel.sharing.is_time_up", lambda: len(told) >= 2 * (done + 1) + (done < 4)
+    )
+
+    class Counting:
+        def announce(self, text: str) -> None:
+            del text
+
+        def stage(self, title: str, total: int, described: Callable[[float], str]) -> Any:
+            from contextlib import nullcontext
+
+            from cpam_bayes.result import Progress
+
+            return nullcontext(Progress(lambda k, value: told.append(k), lambda text: None))
+
+    with time_limit(3600.0):
+        cut = cb.sensitivity("A1", levels=[0.01, 0.05], groups=4, readings=["rms"], watch=Counting())
+    for a, b in zip(cut.study.cells, whole.study.cells, strict=True):
+        assert a.repetition.constants.tolist() == b.repetition.constants[:done].tolist()
+    assert cut.reached_goal == (done == 4)
+    assert any("2 of 4 groups" in slip for slip in cut.slips) == (done == 2)
+
+
+@pytest.mark.slow
+def test_sequences_that_are_not_weighed_yet_have_no_probability() -> None:
+    with time_limit(AT_ONCE), pytest.raises(TimeIsUpError, match="before there was an answer"):
+        cb.sequence(STACK)
+
+
+@pytest.mark.slow
+def test_constants_of_the_first_sequence_are_sampled_when_time_is_up(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    from cpam_bayes.stacking import sequence as module
+
+    whole = cb.sequence(STACK, seed=0)
+    sample_mixture = module.sample_mixture
+
+    def late(*args: Any, **kwargs: Any) -> Any:
+        with time_limit(AT_ONCE):
+            mixture = sample_mixture(*args, **kwargs)
+            missing.append(limits._limit.get())
+            return mixture
+
+    missing: list[Any] = []
+    monkeypatch.setattr(module, "sample_mixture", late)
+    cut = cb.sequence(STACK, seed=0)
+    n = len(whole.mixture.components)
+    assert n > 1
+    assert len(cut.mixture.components) == 1
+    assert f"the constants of 1 of {n} sequences were sampled" in missing[0].missing[0]
+    assert cut.answer.probability.tolist() == whole.answer.probability.tolist()
+    first, same = whole.mixture.components[0], cut.mixture.components[0]
+    assert first.draws.tolist() == same.draws.tolist()
+
+
+def test_the_command_says_it_first_and_exits_with_1(run: Run) -> None:
+    status, out, err = run("identify", "A1", "--quiet", "--time-limit", "1e-9")
+    assert status == 1
+    assert "The time limit of 1e-09 s ended the work early" in out.splitlines()[1]
+    assert "warning: the time limit of 1e-09 s" in err
+    status, out, _ = run("identify", "A1", "--quiet", "--json", "--time-limit", "1e-9")
+    assert status == 1
+    assert json.loads(out)["warnings"][0].startswith("the time limit of 1e-09 s")
+
+
+def test_a_command_without_an_answer_says_so(run: Run) -> None:
+    status, out, err = run("sensitivity", "A1", "--quiet", "--executor", "serial", "--time-limit", "1e-9")
+    assert (status, out) == (1, "")
+    assert err.startswith("error: the time limit of 1e-09 s was reached before there was an answer")
+
+
+def test_what_is_missing_is_noted_once() -> None:
+    cut_short("nobody asked")
+    with time_limit(5.0):
+        cut_short("this")
+        cut_short("this")
+        limit = limits._limit.get()
+        assert limit is not None
+        assert limit.sentence == "the time limit of 5 s ended the work early: this"
