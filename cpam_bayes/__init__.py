@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from cpam_bayes import effects as effects
     from cpam_bayes import paper as paper
     from cpam_bayes.combined import full_report as full_report
+    from cpam_bayes.deadline import time_limit as time_limit
     from cpam_bayes.diagnosis.plates import diagnose as diagnose
     from cpam_bayes.forward_model.builtin import plates as plates
     from cpam_bayes.forward_model.calculix.export import export as export
@@ -41,7 +42,6 @@ if TYPE_CHECKING:
     from cpam_bayes.result import Result as Result
     from cpam_bayes.specimen_design.design import design as design
     from cpam_bayes.stacking.sequence import sequence as sequence
-    from cpam_bayes.time_limit import time_limit as time_limit
 
 # Public name -> the module that holds it.
 _PUBLIC = {
@@ -61,7 +61,7 @@ _PUBLIC = {
     "sample": "cpam_bayes.identification.sampled",
     "sensitivity": "cpam_bayes.repetition.sensitivity",
     "sequence": "cpam_bayes.stacking.sequence",
-    "time_limit": "cpam_bayes.time_limit",
+    "time_limit": "cpam_bayes.deadline",
 }
 _PACKAGES = ("effects", "paper")
 

@@ -54,9 +54,9 @@ def _refuse(error: ValueError) -> int:
 
 def _finish(work: Callable[[], Result], args: argparse.Namespace) -> int:
     """Do the work, save its files, and show its answer even if they could not be saved."""
+    from cpam_bayes.deadline import TimeIsUpError, time_limit
     from cpam_bayes.parallel import WorkersLostError
     from cpam_bayes.report.files import save, staging
-    from cpam_bayes.time_limit import TimeIsUpError, time_limit
 
     not_saved: Exception | None = None
     notes: tuple[str, ...] = ()

@@ -16,9 +16,8 @@ from cpam_bayes.forward_model.preconditions import require_diagnosable, require_
 from cpam_bayes.identification.identify import PointResult, identify
 from cpam_bayes.identification.sampled import SampledResult, sample
 from cpam_bayes.plate import PlateLike, Specimen, read_plate
-from cpam_bayes.result import SILENT, PlateResult, Result, Watch
+from cpam_bayes.result import SILENT, PlateResult, Result, Watch, within_time
 from cpam_bayes.stacking.sequence import StackingResult, sequence
-from cpam_bayes.time_limit import within_time
 
 __all__ = ["FullReport", "full_report"]
 

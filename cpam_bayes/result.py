@@ -10,21 +10,24 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import wraps
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Final, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Final, ParamSpec, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cpam_bayes.deadline import current_limit
 from cpam_bayes.plate.records import Specimen
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["SILENT", "PlateResult", "Progress", "Result", "Watch"]
+__all__ = ["SILENT", "PlateResult", "Progress", "Result", "Watch", "within_time"]
 
+P = ParamSpec("P")
 R = TypeVar("R", bound="Result")
 
 
@@ -234,3 +237,21 @@ class PlateResult(Result):
     def about(self) -> tuple[Specimen, ...]:
         """The plate."""
         return (self.specimen,)
+
+
+def within_time(verb: Callable[P, R]) -> Callable[P, R]:
+    """A function whose answer says first what it lacks because time was up (`cpam_bayes.deadline`)."""
+
+    @wraps(verb)
+    def telling(*args: P.args, **kwargs: P.kwargs) -> R:
+        answer, limit = verb(*args, **kwargs), current_limit()
+        if limit is None or not limit.missing:
+            return answer
+        # a part of the answer may have said already what was missing by then
+        slips, warnings = (
+            (limit.sentence, *(text for text in texts if not text.startswith(limit.beginning)))
+            for texts in (answer.slips, answer.warnings)
+        )
+        return replace(answer, slips=slips, warnings=warnings, reached_goal=False)
+
+    return telling

@@ -19,7 +19,7 @@ LAYERS = (
     "formatting",
     "storage",
     "threads",
-    "time_limit",
+    "deadline",
     "parallel",
     "priors",
     "parameters",

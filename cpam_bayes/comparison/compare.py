@@ -22,6 +22,7 @@ from cpam_bayes.comparison.simulation import simulation_errors
 from cpam_bayes.comparison.slow import calculix_frequencies, diagnoses, sequence_cases
 from cpam_bayes.comparison.store import packaged, read, stamp, write
 from cpam_bayes.comparison.tasks import FULL, QUICK, Effort, Results, Task, work
+from cpam_bayes.deadline import TimeIsUpError
 from cpam_bayes.diagnosis.fitting import REPEATABILITY_PRIOR
 from cpam_bayes.forward_model.preconditions import require_seed, require_whole
 from cpam_bayes.paper import printed_table
@@ -31,7 +32,6 @@ from cpam_bayes.paper.tables import NUMBERS
 from cpam_bayes.parallel import open_executor, run
 from cpam_bayes.result import SILENT, Watch
 from cpam_bayes.storage import cache_directory
-from cpam_bayes.time_limit import TimeIsUpError
 
 __all__ = ["compare", "tasks_of"]
 

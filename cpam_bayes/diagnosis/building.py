@@ -8,6 +8,7 @@ from concurrent.futures import Executor
 from contextlib import suppress
 from dataclasses import replace
 
+from cpam_bayes.deadline import TimeIsUpError
 from cpam_bayes.diagnosis.fitting import PlateCase
 from cpam_bayes.diagnosis.hypotheses import Hypothesis
 from cpam_bayes.diagnosis.models import (
@@ -26,7 +27,6 @@ from cpam_bayes.forward_model.reduced import ReducedModel
 from cpam_bayes.forward_model.store import without_matrices
 from cpam_bayes.mechanics.modes import RigidBodyError
 from cpam_bayes.parallel import counted, run
-from cpam_bayes.time_limit import TimeIsUpError
 
 Model = ReducedModel | LocalModel
 

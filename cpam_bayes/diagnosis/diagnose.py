@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cpam_bayes.deadline import cut_short, is_time_up
 from cpam_bayes.diagnosis.answers.averaged import averaged_constants
 from cpam_bayes.diagnosis.answers.detectability import Detectable, detectable
 from cpam_bayes.diagnosis.answers.gain import Gain, gain_of
@@ -38,7 +39,6 @@ from cpam_bayes.diagnosis.signatures import (
     with_equal_fits,
 )
 from cpam_bayes.threads import single_blas_thread
-from cpam_bayes.time_limit import cut_short, is_time_up
 
 Array = NDArray[Any]
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cpam_bayes.arguments import checked
+from cpam_bayes.deadline import cut_short, is_time_up
 from cpam_bayes.diagnosis.building import build_models
 from cpam_bayes.diagnosis.cases import hypotheses_of, plate_case
 from cpam_bayes.diagnosis.diagnose import Diagnosis, diagnose_cases
@@ -40,8 +41,7 @@ from cpam_bayes.forward_model.slips import (
 )
 from cpam_bayes.parallel import open_executor
 from cpam_bayes.plate import PlateLike, Specimen, read_plate
-from cpam_bayes.result import SILENT, Result, Watch
-from cpam_bayes.time_limit import cut_short, is_time_up, within_time
+from cpam_bayes.result import SILENT, Result, Watch, within_time
 
 __all__ = ["DiagnosisResult", "diagnose", "diagnosis_result"]
 

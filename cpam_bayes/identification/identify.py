@@ -38,8 +38,7 @@ from cpam_bayes.identification.warnings import point_warnings
 from cpam_bayes.inference.swarm.pso import SwarmResult
 from cpam_bayes.inference.swarm.settings import SwarmSettings
 from cpam_bayes.plate import PlateLike, Specimen, read_plate
-from cpam_bayes.result import SILENT, PlateResult, Watch
-from cpam_bayes.time_limit import within_time
+from cpam_bayes.result import SILENT, PlateResult, Watch, within_time
 
 __all__ = ["NO_MESH", "PointResult", "identify"]
 

@@ -57,9 +57,8 @@ from cpam_bayes.inference.posterior import Posterior
 from cpam_bayes.inference.swarm.pso import SwarmSettings
 from cpam_bayes.plate import PlateLike, Specimen, read_plate
 from cpam_bayes.plate.laminate import flexural_constants
-from cpam_bayes.result import SILENT, Watch
+from cpam_bayes.result import SILENT, Watch, within_time
 from cpam_bayes.threads import single_blas_thread
-from cpam_bayes.time_limit import within_time
 
 Array = NDArray[Any]
 

@@ -14,6 +14,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from cpam_bayes.deadline import cut_short, is_time_up
 from cpam_bayes.forward_model.labels import LabelledModel, labelled_model, spare_modes
 from cpam_bayes.forward_model.model import discretisation_error
 from cpam_bayes.forward_model.reduced import ReducedModel
@@ -24,7 +25,6 @@ from cpam_bayes.inference.swarm.pso import SwarmResult, SwarmSettings, initial_s
 from cpam_bayes.parameters import ParameterSet
 from cpam_bayes.plate import Measurement, Specimen
 from cpam_bayes.threads import single_blas_thread
-from cpam_bayes.time_limit import cut_short, is_time_up
 
 Array = NDArray[Any]
 Residual = Literal["absolute", "relative"]

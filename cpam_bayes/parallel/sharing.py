@@ -21,11 +21,11 @@ from functools import cache
 from itertools import count
 from typing import Any, TypeVar, cast
 
+from cpam_bayes.deadline import TimeIsUpError, is_time_up, time_is_up_error, time_limit
 from cpam_bayes.parallel.executors import DaskCluster, WorkersLostError, open_executor, workers_of
 from cpam_bayes.parallel.worker import Outcome, Ticket, digest_of, digest_of_file, forget, work_through
 from cpam_bayes.storage import draft_file
 from cpam_bayes.threads import single_blas_thread
-from cpam_bayes.time_limit import TimeIsUpError, is_time_up, time_is_up_error, time_limit
 
 T = TypeVar("T")
 Shared = TypeVar("Shared")

@@ -28,8 +28,7 @@ from cpam_bayes.plate import PlateLike, Specimen, read_plate
 from cpam_bayes.repetition.perturbation import INTERPRETATIONS, Interpretation
 from cpam_bayes.repetition.study import ENSEMBLE_SETTINGS, ListSource, Sensitivity, model_list, noise_study
 from cpam_bayes.repetition.warnings import printed_table, sensitivity_warnings
-from cpam_bayes.result import SILENT, PlateResult, Watch
-from cpam_bayes.time_limit import within_time
+from cpam_bayes.result import SILENT, PlateResult, Watch, within_time
 
 MAX_LEVEL = 0.5
 """Largest level of noise, as a fraction."""

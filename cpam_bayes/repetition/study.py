@@ -27,6 +27,7 @@ from typing import Any, Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from cpam_bayes.deadline import TimeIsUpError, cut_short
 from cpam_bayes.forward_model.model import reference_constants
 from cpam_bayes.forward_model.store import reduced_model
 from cpam_bayes.identification.point import PointEstimate, estimate_constants
@@ -49,7 +50,6 @@ from cpam_bayes.repetition.tasks import (
     swarm_value,
 )
 from cpam_bayes.threads import single_blas_thread
-from cpam_bayes.time_limit import TimeIsUpError, cut_short
 
 Array = NDArray[Any]
 ListSource = Literal["measured", "model"]

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cpam_bayes.deadline import TimeIsUpError, cut_short
 from cpam_bayes.inference.chains.ensemble import (
     Diagnostics,
     EnsembleResult,
@@ -34,7 +35,6 @@ from cpam_bayes.stacking.queries.given_layup import GivenLayup
 from cpam_bayes.stacking.records import StackingPosterior
 from cpam_bayes.stacking.symmetry.classes import members
 from cpam_bayes.threads import single_blas_thread
-from cpam_bayes.time_limit import TimeIsUpError, cut_short
 
 Array = NDArray[Any]
 

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cpam_bayes.deadline import time_limit
 from cpam_bayes.forward_model.model import angle_parameters, reference_vector
 from cpam_bayes.forward_model.reduced import DEFAULT_SETTINGS as REDUCTION
 from cpam_bayes.forward_model.store import reduced_model
@@ -36,7 +37,6 @@ from cpam_bayes.stacking.records import (
 from cpam_bayes.stacking.symmetry.equal_bending import merge_indistinguishable
 from cpam_bayes.stacking.symmetry.symmetries import plate_symmetries
 from cpam_bayes.threads import single_blas_thread
-from cpam_bayes.time_limit import time_limit
 
 Array = NDArray[Any]
 

@@ -8,6 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from cpam_bayes.arguments import checked
+from cpam_bayes.deadline import time_limit
 from cpam_bayes.forward_model.air_shift import air_shifts
 from cpam_bayes.forward_model.preconditions import (
     exchange_warnings,
@@ -26,7 +27,7 @@ from cpam_bayes.forward_model.slips import (
 from cpam_bayes.paper.layups import identified_layups
 from cpam_bayes.parallel import open_executor
 from cpam_bayes.plate import PlateLike, Specimen, read_plate
-from cpam_bayes.result import SILENT, PlateResult, Watch
+from cpam_bayes.result import SILENT, PlateResult, Watch, within_time
 from cpam_bayes.stacking.mixture import StackingMixture, n_sampled_classes, sample_mixture
 from cpam_bayes.stacking.posterior import stacking_posterior
 from cpam_bayes.stacking.queries.angle_information import AngleInformation, angle_information
@@ -34,7 +35,6 @@ from cpam_bayes.stacking.queries.best_fit import BestFit, best_fit
 from cpam_bayes.stacking.queries.given_layup import GivenLayup, given_layup
 from cpam_bayes.stacking.records import DEFAULT_SETTINGS, StackingPosterior
 from cpam_bayes.stacking.warnings import stacking_warnings
-from cpam_bayes.time_limit import time_limit, within_time
 
 # Pieces of the enumeration that progress is shown in.
 _PIECES = 64

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
+from cpam_bayes.deadline import cut_short, is_time_up
 from cpam_bayes.diagnosis.evidence.comparison import Comparison
 from cpam_bayes.diagnosis.evidence.marginal import (
     LOG2_POINTS,
@@ -38,7 +39,6 @@ from cpam_bayes.diagnosis.hypotheses import NONE, Hypothesis
 from cpam_bayes.diagnosis.pairings import is_incomplete
 from cpam_bayes.effects import ListChange
 from cpam_bayes.mechanics.modes import RigidBodyError
-from cpam_bayes.time_limit import cut_short, is_time_up
 
 Array = NDArray[Any]
 

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
+from cpam_bayes.deadline import cut_short, is_time_up
 from cpam_bayes.diagnosis.evidence.marginal import sampled_marginal
 from cpam_bayes.diagnosis.evidence.pairs import add_pairs
 from cpam_bayes.diagnosis.evidence.scan import Scan, Trial, is_repairing, marginal_of, points_near
@@ -19,7 +20,6 @@ from cpam_bayes.diagnosis.evidence.sharing import shared_out
 from cpam_bayes.diagnosis.evidence.tested import Tested, prior_of, ranked
 from cpam_bayes.diagnosis.fitting import SCATTER, PlateCase
 from cpam_bayes.diagnosis.hypotheses import NONE, PAIR, Hypothesis, prior_by_cause
-from cpam_bayes.time_limit import cut_short, is_time_up
 
 __all__ = ["Tested", "Weighed", "marginal_of", "weigh"]
 

@@ -18,12 +18,12 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from cpam_bayes.deadline import cut_short, is_time_up
 from cpam_bayes.inference.chains.autocorrelation import integrated_times
 from cpam_bayes.inference.chains.store import Rounds
 from cpam_bayes.inference.laplace import GaussianApproximation, optimise, prior_sd
 from cpam_bayes.inference.posterior import Posterior
 from cpam_bayes.inference.proposal import Proposal
-from cpam_bayes.time_limit import cut_short, is_time_up
 
 Array = NDArray[Any]
 

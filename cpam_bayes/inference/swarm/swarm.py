@@ -15,6 +15,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from cpam_bayes.deadline import cut_short, is_time_up
 from cpam_bayes.inference.swarm.fpso import decode, normalised
 from cpam_bayes.inference.swarm.settings import (
     TEXTS,
@@ -25,7 +26,6 @@ from cpam_bayes.inference.swarm.settings import (
     Status,
     SwarmSettings,
 )
-from cpam_bayes.time_limit import cut_short, is_time_up
 
 _BOUNCE: Final = -0.5
 """Fraction of the velocity kept by a component that was stopped at a bound (Clerc 2012)."""

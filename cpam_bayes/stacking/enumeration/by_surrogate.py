@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cpam_bayes.deadline import TimeIsUpError, cut_short
 from cpam_bayes.parallel import counted, run
 from cpam_bayes.stacking.conditional.evaluation import Evaluated, merged, with_optima
 from cpam_bayes.stacking.enumeration.best_first import (
@@ -42,7 +43,6 @@ from cpam_bayes.stacking.surrogate.training import (
 )
 from cpam_bayes.stacking.symmetry.classes import canonical, classes
 from cpam_bayes.stacking.symmetry.symmetries import Symmetry
-from cpam_bayes.time_limit import TimeIsUpError, cut_short
 
 Array = NDArray[Any]
 

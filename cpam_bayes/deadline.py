@@ -3,21 +3,10 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
-from dataclasses import dataclass, field, replace
-from functools import wraps
-from typing import TYPE_CHECKING, ParamSpec, TypeVar
-
-if TYPE_CHECKING:
-    from cpam_bayes.result import Result
-
-    R = TypeVar("R", bound=Result)
-
-P = ParamSpec("P")
-
-__all__ = ["TimeIsUpError", "TimeLimit", "cut_short", "is_time_up", "time_limit", "within_time"]
+from dataclasses import dataclass, field
 
 
 class TimeIsUpError(RuntimeError):
@@ -38,9 +27,14 @@ class TimeLimit:
     missing: list[str] = field(default_factory=list)
 
     @property
+    def beginning(self) -> str:
+        """What happened, in words."""
+        return f"the time limit of {self.seconds:g} s ended the work early: "
+
+    @property
     def sentence(self) -> str:
-        """What was left out, in words."""
-        return f"the time limit of {self.seconds:g} s ended the work early: {'; '.join(self.missing)}"
+        """What happened, and what was left out."""
+        return self.beginning + "; ".join(self.missing)
 
 
 _limit: ContextVar[TimeLimit | None] = ContextVar("time_limit", default=None)
@@ -76,39 +70,26 @@ def time_limit(seconds: float | None) -> Iterator[None]:
         _limit.reset(before)
 
 
+def current_limit() -> TimeLimit | None:
+    """The limit that what runs here is under."""
+    return _limit.get()
+
+
 def is_time_up() -> bool:
     """Whether the time limit, if there is one, is reached."""
-    limit = _limit.get()
+    limit = current_limit()
     return limit is not None and time.monotonic() >= limit.end
 
 
 def cut_short(missing: str) -> None:
     """Note what the answer lacks because time is up."""
-    limit = _limit.get()
+    limit = current_limit()
     if limit is not None and missing not in limit.missing:
         limit.missing.append(missing)
 
 
 def time_is_up_error(missing: str) -> TimeIsUpError:
     """The error that says that there is no answer, and why."""
-    limit = _limit.get()
+    limit = current_limit()
     seconds = "" if limit is None else f" of {limit.seconds:g} s"
     return TimeIsUpError(f"the time limit{seconds} was reached before there was an answer: {missing}")
-
-
-def within_time(verb: Callable[P, R]) -> Callable[P, R]:
-    """A function whose answer says first what it lacks because time was up."""
-
-    @wraps(verb)
-    def telling(*args: P.args, **kwargs: P.kwargs) -> R:
-        answer, limit = verb(*args, **kwargs), _limit.get()
-        if limit is None or not limit.missing:
-            return answer
-        others = [
-            [text for text in texts if not text.startswith("the time limit of ")]
-            for texts in (answer.slips, answer.warnings)
-        ]
-        slips, warnings = ((limit.sentence, *texts) for texts in others)
-        return replace(answer, slips=slips, warnings=warnings, reached_goal=False)
-
-    return telling

@@ -11,10 +11,10 @@ from typing import Any
 import pytest
 
 import cpam_bayes as cb
-from cpam_bayes import time_limit as limits
+from cpam_bayes import deadline as limits
+from cpam_bayes.deadline import TimeIsUpError, cut_short, is_time_up, time_limit
 from cpam_bayes.inference.chains.ensemble import EnsembleSettings
 from cpam_bayes.parallel import run
-from cpam_bayes.time_limit import TimeIsUpError, cut_short, is_time_up, time_limit
 
 AT_ONCE = 1e-9
 Run = Callable[..., tuple[object, str, str]]
@@ -183,7 +183,7 @@ def test_constants_of_the_first_sequence_are_sampled_when_time_is_up(
     def late(*args: Any, **kwargs: Any) -> Any:
         with time_limit(AT_ONCE):
             mixture = sample_mixture(*args, **kwargs)
-            missing.append(limits._limit.get())
+            missing.append(limits.current_limit())
             return mixture
 
     missing: list[Any] = []
@@ -219,6 +219,6 @@ def test_what_is_missing_is_noted_once() -> None:
     with time_limit(5.0):
         cut_short("this")
         cut_short("this")
-        limit = limits._limit.get()
+        limit = limits.current_limit()
         assert limit is not None
         assert limit.sentence == "the time limit of 5 s ended the work early: this"
