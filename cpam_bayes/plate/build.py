@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,6 @@ import numpy as np
 from cpam_bayes.parameters import Parameter, ParameterSet, Prior, TruncatedNormal, Uniform
 from cpam_bayes.plate.constants import CONSTANT_KEYS, symmetry_of
 from cpam_bayes.plate.layup import parse_layup
-from cpam_bayes.plate.modes_table.hits import TableModes
 from cpam_bayes.plate.records import Material, Measurement, Plate, Sensor, Specimen
 from cpam_bayes.plate.schema import (
     MaterialModel,
@@ -29,9 +29,9 @@ _ISOTROPIC_LAYUP = "[0]"
 
 
 def build_specimen(
-    file: PlateFile, source: str, directory: Path | None, modes: TableModes | None
+    file: PlateFile, source: str, directory: Path | None, measured: Mapping[str, Any]
 ) -> Specimen:
-    """The records of a file that passed every check; modes : of the table that it names."""
+    """The records of a file that passed every check; measured : fields of `Measurement` from another file."""
     sequence_layup = file.plate.sequence_layup
     return Specimen(
         name=file.name,
@@ -43,7 +43,7 @@ def build_specimen(
         angle_grid_deg=float(file.unknowns.angle_grid_deg),
         air_density=file.environment.air_density_kg_m3,
         sensors=tuple(_sensor(sensor) for sensor in file.sensor),
-        measurement=None if file.measurement is None else _measurement(file.measurement, modes),
+        measurement=None if file.measurement is None else _measurement(file.measurement, measured),
         notes=tuple(file.notes),
         sequence_layup=None if sequence_layup is None else parse_layup(sequence_layup),
     )
@@ -107,18 +107,10 @@ def _sensor(model: SensorModel) -> Sensor:
     return Sensor(to_si("mass_g", model.mass_g), to_si("x_mm", model.x_mm), to_si("y_mm", model.y_mm))
 
 
-def _measurement(model: MeasurementModel, modes: TableModes | None) -> Measurement:
+def _measurement(model: MeasurementModel, measured: Mapping[str, Any]) -> Measurement:
     sd, listed = model.frequency_sd_hz, model.frequencies_hz or []
     of_pairing = {name: getattr(model, name) for name in ("missed_probability", "false_peaks")}
-    changed: dict[str, Any] = {name: float(v) for name, v in of_pairing.items() if v is not None}
-    if modes is not None:
-        changed |= {
-            "frequencies": modes.frequencies,
-            "frequency_sd": modes.sd,
-            "labels": modes.labels,
-            "damping": modes.damping,
-            "origin": f"{model.table}: {modes.origin}",
-        }
+    stated: dict[str, Any] = {name: float(v) for name, v in of_pairing.items() if v is not None}
     given = Measurement(
         frequencies=np.array(listed, dtype=float),
         resolution=float(model.resolution_hz),
@@ -127,7 +119,7 @@ def _measurement(model: MeasurementModel, modes: TableModes | None) -> Measureme
         labels=tuple(model.labels or ("",) * len(listed)),
         complete=model.complete,
     )
-    return replace(given, **changed)
+    return replace(given, **stated, **measured)
 
 
 def _in_si(values: dict[str, float]) -> dict[str, float]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Final
 
@@ -216,23 +216,33 @@ def _mass(plate: Data) -> float | None:
     return 1e-6 * density * math.prod(known)  # kg/m3 mm3 to g
 
 
-def _list_or_table(data: Data) -> Problems:
+def _one_list(data: Data) -> Problems:
+    """Frequencies from one place, and what belongs to a list alone not beside a file."""
     measurement = table(data, "measurement")
     if "measurement" not in data or not isinstance(data["measurement"], dict):
         return
-    given = [key for key in ("frequencies_hz", "table") if key in measurement]
+    given = [key for key in ("frequencies_hz", "table", "shapes") if key in measurement]
     if len(given) != 1:
         yield Problem(
-            ("measurement", *given[1:]),
-            f"frequencies, received {' and '.join(given) or 'neither'}, "
-            "accepted: one of frequencies_hz and table",
+            ("measurement", *given[1:2]),
+            f"frequencies, received {' and '.join(given) or 'none'}, "
+            "accepted: one of frequencies_hz, table and shapes",
         )
-    for key in ("frequency_sd_hz", "labels") if given == ["table"] else ():
+    for key, cure in _BESIDE.get(given[0], {}).items() if len(given) == 1 else ():
         if key in measurement:
-            column = {"frequency_sd_hz": "sd"}.get(key, "label")
-            yield Problem(
-                ("measurement", key), f"beside a table, accepted: a column {column} in the table instead"
-            )
+            yield Problem(("measurement", key), cure)
+
+
+_BESIDE: Final[Mapping[str, Mapping[str, str]]] = {
+    "table": {
+        "frequency_sd_hz": "beside a table, accepted: a column sd in the table instead",
+        "labels": "beside a table, accepted: a column label in the table instead",
+    },
+    "shapes": {
+        "frequency_sd_hz": "beside shapes, accepted: relative_std or resolution_hz",
+        "labels": "beside shapes, which say what mode a frequency is, accepted: no labels",
+    },
+}
 
 
 def _frequencies(data: Data) -> Problems:
@@ -304,7 +314,7 @@ _CHECKS: Final[tuple[_Check, ...]] = (
     _grid_step,
     _sensors,
     _heavy_sensors,
-    _list_or_table,
+    _one_list,
     _frequencies,
     _incomplete,
 )

@@ -11,6 +11,7 @@ from typing import Any, Final
 from cpam_bayes.errors import PlateFileError
 from cpam_bayes.plate.build import build_specimen
 from cpam_bayes.plate.checks import relation_problems
+from cpam_bayes.plate.mode_shapes.read import shapes_of
 from cpam_bayes.plate.modes_table.read import table_of
 from cpam_bayes.plate.problems import plate_file_error, schema_problems
 from cpam_bayes.plate.records import Specimen
@@ -41,11 +42,18 @@ def specimen_of(
 
     lines : where each key stands, empty for what was not read from a text
     """
-    modes, of_table = table_of(data, directory)
-    problems = schema_problems(data) + relation_problems(data, directory) + of_table
+    of_table, table_problems = table_of(data, directory)
+    of_shapes, shape_problems = shapes_of(data, directory)
+    problems = schema_problems(data) + relation_problems(data, directory) + table_problems + shape_problems
     if problems:
         raise plate_file_error(source, problems, lines)
-    return build_specimen(PlateFile.model_validate(data), source, directory, modes)
+    file = PlateFile.model_validate(data)
+    measured: dict[str, Any] = {}
+    if file.measurement is not None and of_table is not None:
+        measured = of_table.fields(str(file.measurement.table))
+    if file.measurement is not None and of_shapes is not None:
+        measured = of_shapes.fields(str(file.measurement.shapes))
+    return build_specimen(file, source, directory, measured)
 
 
 def _load(text: str, source: str) -> Mapping[str, Any]:

@@ -21,6 +21,7 @@ from cpam_bayes.plate.elasticity import (
     is_admissible,
 )
 from cpam_bayes.plate.layup import Layup
+from cpam_bayes.plate.mode_shapes.measured import MeasuredShapes
 
 _NONE_VARIED: Final[Mapping[str, ArrayLike]] = MappingProxyType({})
 
@@ -115,7 +116,8 @@ class Measurement:
     missed_probability : of an incomplete list, that a mode in its range is not in it
     false_peaks : expected number of its frequencies that are no mode
     damping : (n,) ratios to critical damping, nan where not measured; None where none is
-    origin : the table that it was read from and what was made of it, "" for a list in the plate file
+    shapes : of its modes, None where they were not measured
+    origin : the file that it was read from and what was made of it, "" for a list in the plate file
     """
 
     frequencies: NDArray[np.float64]
@@ -127,6 +129,7 @@ class Measurement:
     missed_probability: float = 0.1
     false_peaks: float = 0.1
     damping: NDArray[np.float64] | None = None
+    shapes: MeasuredShapes | None = None
     origin: str = ""
 
     def __post_init__(self) -> None:
@@ -140,6 +143,11 @@ class Measurement:
     def loss_factors(self) -> NDArray[np.float64] | None:
         """Twice the damping ratios, eta = 2 zeta of a lightly damped mode, (n,); None without them."""
         return None if self.damping is None else 2.0 * self.damping
+
+    @property
+    def names_modes(self) -> bool:
+        """Whether labels or shapes say of some frequencies which mode they are."""
+        return any(self.labels) or self.shapes is not None
 
     @property
     def size(self) -> int:

@@ -202,6 +202,12 @@ class MeasurementModel(_Table):
     table: (
         Annotated[str, Field(min_length=1, description="the path of a table of modes, from this file")] | None
     ) = None
+    shapes: (
+        Annotated[
+            str, Field(min_length=1, description="the path of a universal file of modes, from this file")
+        ]
+        | None
+    ) = None
     resolution_hz: Annotated[float, _not_negative("a number, 0 or above, in Hz")] = 0.0
     relative_std: (
         Annotated[

@@ -10,12 +10,14 @@ from pathlib import Path
 from types import UnionType
 from typing import Annotated, Any, Union, get_args, get_origin
 
+import numpy as np
 import pytest
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 import cpam_bayes as cb
 from cpam_bayes.plate.schema import PlateFile
+from tests.universal import grid, mode_55, nodes_15
 
 PAGE = (Path(__file__).parents[2] / "docs" / "plate_file.md").read_text(encoding="utf-8")
 TOP, PRIOR = "The top of the file", "{ mean, sd, bounds }"
@@ -128,7 +130,7 @@ def with_example(heading: str, key: str, value: Any) -> dict[str, Any]:
     if key == "mass_g" and heading.startswith("[plate"):
         del file["plate"]["density_kg_m3"]
         file["plate"]["mass_g"] = 340.7
-    if key == "table":
+    if key in ("table", "shapes"):
         del file["measurement"]["frequencies_hz"]
     if key in ("missed_probability", "false_peaks"):
         file["measurement"]["complete"] = False
@@ -150,6 +152,11 @@ def test_the_example_of_a_key_is_accepted(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "plate.msh").touch()
+    points = grid(310.0, 228.0)
+    twist = np.stack(
+        (0.0 * points[:, 0], 0.0 * points[:, 0], (points[:, 0] - 155.0) * (points[:, 1] - 114.0))
+    )
+    (tmp_path / "modes.unv").write_text(nodes_15(points) + mode_55(80.2, twist), encoding="utf-8")
     (tmp_path / "modes.csv").write_text("mode,hz\n1,80.2\n2,146.3\n", encoding="utf-8")
     example = tomllib.loads(documented(heading)[key]["example"].strip("`"))
     assert list(example) == [key]

@@ -273,7 +273,7 @@ def test_a_table_that_cannot_be_read_is_said(tmp_path: Path, name: str, said: st
 @pytest.mark.parametrize(
     ("more", "said"),
     [
-        ("frequencies_hz = [100]\n", "one of frequencies_hz and table"),
+        ("frequencies_hz = [100]\n", "one of frequencies_hz, table and shapes"),
         ("frequency_sd_hz = [1, 1, 1]\n", "a column sd in the table"),
         ('labels = ["", "", ""]\n', "a column label in the table"),
     ],
@@ -286,7 +286,9 @@ def test_a_table_stands_alone(read, more: str, said: str) -> None:
 def test_a_measurement_without_frequencies_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "bar.toml"
     path.write_text(f"{PLATE}resolution_hz = 1\n", encoding="utf-8")
-    with pytest.raises(PlateFileError, match="received neither, accepted: one of frequencies_hz and table"):
+    with pytest.raises(
+        PlateFileError, match="received none, accepted: one of frequencies_hz, table and shapes"
+    ):
         cb.read_plate(path)
 
 
@@ -306,7 +308,7 @@ def test_damping_is_shown_and_in_the_document(read) -> None:
     rows = dict(row[:2] for row in shown.rows)
     assert rows["damping ratio"] == "0.450, - %"
     assert rows["loss factor"] == "0.00900, -"
-    assert rows["table"] == "modes.csv: means of 1 to 2 hits a mode; columns not used: comment"
+    assert rows["read from"] == "modes.csv: means of 1 to 2 hits a mode; columns not used: comment"
     assert "of a single hit, from the table" in rows["repeatability"]
     document = plate_keys(cb.forward(specimen, n_modes=2))
     ratios = [row["damping_ratio"] for row in document["damping"]]

@@ -42,6 +42,16 @@ class TableModes:
     left_out: tuple[str, ...]
     unused: tuple[str, ...]
 
+    def fields(self, name: str) -> dict[str, Any]:
+        """What of a `Measurement` the table gives; name : of the table, as the plate file has it."""
+        return {
+            "frequencies": self.frequencies,
+            "frequency_sd": self.sd,
+            "labels": self.labels,
+            "damping": self.damping,
+            "origin": f"{name}: {self.origin}",
+        }
+
     @property
     def origin(self) -> str:
         """What the frequencies are made of, in words."""

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from cpam_bayes.errors import PlateFileError
 from cpam_bayes.plate.modes_table.delimited import decode
 from cpam_bayes.plate.modes_table.hits import TableModes, modes_of
 from cpam_bayes.plate.modes_table.rows import TableProblem, read_modes_table
-from cpam_bayes.plate.problems import Problem, received
+from cpam_bayes.plate.problems import Problem
 from cpam_bayes.plate.raw import Data, table
-from cpam_bayes.plate.regular_file import read_regular_file
+from cpam_bayes.plate.regular_file import read_named_file
 
 __all__ = ["table_of"]
 
@@ -26,15 +25,9 @@ def table_of(data: Data, directory: Path | None) -> tuple[TableModes | None, lis
     name = measurement.get("table")
     if not isinstance(name, str) or not name:
         return None, []
-    path = Path(name) if directory is None else directory / name
-    try:
-        content = read_regular_file(str(path), received(name), "a table of modes")
-    except FileNotFoundError:
-        return None, [
-            Problem(_KEY, f"no such file, received {received(name)}, accepted: a path from the plate file")
-        ]
-    except (PlateFileError, ValueError) as error:
-        return None, [Problem(_KEY, str(error))]
+    content, unread = read_named_file(_KEY, name, directory, "a table of modes")
+    if content is None:
+        return None, unread
     rows, problems = read_modes_table(decode(content))
     modes: TableModes | None = None
     if rows is not None:

@@ -91,7 +91,7 @@ def measured_facts(specimen: Specimen) -> Table:
         ("read to", resolution),
         ("repeatability", repeatability),
         ("completeness", complete if measurement.complete else "modes may be missing"),
-        *((("table", measurement.origin),) if measurement.origin else ()),
+        *((("read from", measurement.origin),) if measurement.origin else ()),
         *_damping(measurement),
     )
     return facts("What was measured", rows)

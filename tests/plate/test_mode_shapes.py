@@ -1,0 +1,180 @@
+"""A universal file gives frequencies, damping and shapes on the plate, and errors say what it lacks."""
+
+from __future__ import annotations
+
+import builtins
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import cpam_bayes as cb
+from cpam_bayes.errors import PlateFileError
+from cpam_bayes.plate import Measurement
+from tests.universal import block, grid, mode_55, nodes_15, nodes_2411, units_164
+
+PLATE = """name = "bar"
+[plate]
+length_mm = 200
+width_mm = 100
+thickness_mm = 3
+density_kg_m3 = 2700
+edges = "FFFF"
+[material]
+isotropic = true
+E1_GPa = 69
+nu12 = 0.33
+[measurement]
+"""
+MM = grid(200.0, 100.0)
+SHAPE = np.stack((0.0 * MM[:, 0], 0.0 * MM[:, 0], (MM[:, 0] - 100.0) * (MM[:, 1] - 50.0)))
+OTHER = np.stack((0.0 * MM[:, 0], 0.0 * MM[:, 0], np.cos(2.0 * np.pi * MM[:, 0] / 200.0)))
+
+
+@pytest.fixture
+def read(tmp_path: Path):
+    """The measurement of a plate file whose universal file has some content."""
+
+    def reading(content: str | bytes, more: str = "") -> Measurement:
+        encoded = content.encode() if isinstance(content, str) else content
+        (tmp_path / "modes.unv").write_bytes(encoded)
+        path = tmp_path / "bar.toml"
+        path.write_text(f'{PLATE}shapes = "modes.unv"\n{more}', encoding="utf-8")
+        found = cb.read_plate(path).measurement
+        assert found is not None
+        return found
+
+    return reading
+
+
+@pytest.fixture
+def refused(read):
+    def problem(content: str | bytes, more: str = "") -> str:
+        with pytest.raises(PlateFileError) as caught:
+            read(content, more)
+        (text,) = caught.value.problems
+        return re.sub(r"^.*bar\.toml:\d+: ", "", text)
+
+    return problem
+
+
+def test_nodes_and_normal_modes_are_read_in_the_order_of_their_frequencies(read):
+    found = read(nodes_15(MM) + mode_55(305.25, OTHER, 2, viscous=0.002) + mode_55(101.5, 3.0 * SHAPE))
+    assert found.frequencies.tolist() == [101.5, 305.25]
+    assert np.isnan(found.damping[0])
+    assert found.damping[1] == pytest.approx(0.002)
+    assert found.labels == ("", "")
+    assert np.allclose(found.shapes.points, 1e-3 * MM)
+    assert np.allclose(found.shapes.values, [3.0 * SHAPE, OTHER], rtol=1e-5)
+    assert found.shapes.directions.tolist() == [False, False, True]
+    assert "datasets 15 55; 2 real modes at 20 nodes in mm, by the size of the plate" in found.origin
+
+
+@pytest.mark.parametrize(
+    ("nodes", "words"),
+    [
+        (nodes_15(1e-3 * MM), "in m, by the size of the plate, from the corner"),
+        (nodes_2411(MM), "datasets 55 2411;"),
+        (nodes_2411(1e-3 * MM) + units_164(1.0), "in m, from the corner"),
+        (nodes_15(MM) + units_164(1000.0), "in mm, from the corner"),
+        (nodes_15(MM / 25.4) + units_164(1.0 / 0.0254), "in in, from the corner"),
+        (nodes_15(MM - (100.0, 50.0)), "from the middle"),
+    ],
+)
+def test_nodes_lie_on_the_plate_in_any_unit_and_from_the_middle(read, nodes, words):
+    found = read(nodes + mode_55(101.5, SHAPE))
+    assert np.allclose(found.shapes.points, 1e-3 * MM, atol=1e-8)
+    assert words in found.origin
+
+
+def test_damping_is_viscous_or_half_of_hysteretic_or_of_the_complex_eigenvalue(read):
+    modes = (
+        mode_55(100.0, SHAPE, viscous=0.004)
+        + mode_55(200.0, SHAPE, hysteretic=0.006)
+        + mode_55(300.0, SHAPE * (1.0 + 0.5j), damping=0.01)
+    )
+    found = read(nodes_15(MM) + modes)
+    assert found.frequencies == pytest.approx([100.0, 200.0, 300.0], rel=1e-5)
+    assert found.damping == pytest.approx([0.004, 0.003, 0.01], rel=1e-4)
+    assert np.allclose(found.shapes.values[2], SHAPE * (1.0 + 0.5j), rtol=1e-5)
+
+
+def test_datasets_that_are_not_needed_need_not_be_readable(read):
+    head = block(151, "broken") + block(2420, "not read") + block(9999, "unknown")
+    forced = mode_55(50.0, SHAPE).replace(f"{1:10d}{2:10d}{2:10d}", f"{1:10d}{5:10d}{2:10d}")
+    rigid = mode_55(0.0, SHAPE)
+    found = read(head + nodes_15(MM) + rigid + forced + mode_55(101.5, SHAPE))
+    assert found.frequencies.tolist() == [101.5]
+
+
+def test_lines_of_another_system_are_read(read):
+    assert read((nodes_15(MM) + mode_55(101.5, SHAPE)).replace("\n", "\r\n")).size == 1
+
+
+def test_shapes_are_taken_at_the_nodes_that_all_modes_have(read):
+    some = [3, 1, 20, 7]
+    at = np.array(some) - 1
+    found = read(nodes_15(MM) + mode_55(101.5, SHAPE) + mode_55(305.0, OTHER[:, at], 2, nodes=some))
+    assert found.shapes.nodes.tolist() == sorted(some)
+    assert np.allclose(found.shapes.values[1, 2], OTHER[2, np.sort(at)], rtol=1e-5)
+    assert np.allclose(found.shapes.points, 1e-3 * MM[np.sort(at)])
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        ("", "no modes, accepted: datasets 55"),
+        ("hello", "no modes, accepted: datasets 55"),
+        (nodes_15(MM), "no modes, accepted: datasets 55"),
+        (mode_55(101.5, SHAPE), "no nodes, accepted: a dataset 15 or 2411"),
+        (nodes_15(MM[:4]) + mode_55(101.5, SHAPE), "no coordinates of the nodes 5 6 7 8 9 10, accepted"),
+        (nodes_15(MM) + mode_55(101.5, 0.0 * SHAPE), "a mode that moves at no node"),
+        (
+            nodes_15(2.0 * MM) + mode_55(101.5, SHAPE),
+            "do not lie on the plate, received x 0 to 400",
+        ),
+        (nodes_15(MM) + units_164(1.0) + mode_55(101.5, SHAPE), "in m by dataset 164, accepted: the plane"),
+        (nodes_15(MM[:, [0, 0, 1]] * [1, 0, 1]) + mode_55(101.5, SHAPE), "do not lie on the plate"),
+        (nodes_15(MM) + mode_55(101.5, SHAPE[:, :2], nodes=[1, 2]), "2 nodes that all modes have"),
+        (nodes_15(MM) + mode_55(101.5, SHAPE)[:900] + "\n    -1\n", "dataset 2, of type 55"),
+        (
+            nodes_15(MM) + "".join(mode_55(100.0 + i, SHAPE) for i in range(101)),
+            "too many modes, received 101",
+        ),
+    ],
+)
+def test_what_a_file_lacks_is_said(refused, content, said):
+    problem = refused(content)
+    assert problem.startswith("measurement.shapes: modes.unv: ")
+    assert said in problem
+
+
+def test_the_file_must_be_there_and_alone(refused, read, tmp_path):
+    good = nodes_15(MM) + mode_55(101.5, SHAPE)
+    assert refused(good, 'labels = ["(1,1)"]\n').startswith("measurement.labels: beside shapes")
+    assert refused(good, "frequency_sd_hz = [1.0]\n").startswith("measurement.frequency_sd_hz: beside shapes")
+    assert "frequencies_hz and shapes, accepted: one of" in refused(good, "frequencies_hz = [101.5]\n")
+    read(good)
+    (tmp_path / "modes.unv").unlink()
+    with pytest.raises(PlateFileError, match=r'measurement\.shapes: no such file, received "modes\.unv"'):
+        cb.read_plate(tmp_path / "bar.toml")
+    (tmp_path / "modes.unv").mkdir()
+    with pytest.raises(PlateFileError, match="a directory, accepted: a universal file of modes"):
+        cb.read_plate(tmp_path / "bar.toml")
+
+
+def test_without_the_library_the_extra_is_named(refused, monkeypatch):
+    real = builtins.__import__
+
+    def missing(name, *args, **kwargs):
+        if name == "pyuff":
+            raise ImportError
+        return real(name, *args, **kwargs)
+
+    monkeypatch.setattr(builtins, "__import__", missing)
+    assert 'pip install "cpam-bayes[uff]"' in refused(nodes_15(MM) + mode_55(101.5, SHAPE))
+
+
+def test_a_relative_std_stands_beside_shapes(read):
+    assert read(nodes_15(MM) + mode_55(101.5, SHAPE), "relative_std = 0.01\n").relative_std == 0.01
