@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from cpam_bayes.deadline import time_limit as time_limit
     from cpam_bayes.diagnosis.plates import diagnose as diagnose
     from cpam_bayes.forward_model.builtin import plates as plates
-    from cpam_bayes.forward_model.calculix.export import export as export
+    from cpam_bayes.forward_model.export import export as export
     from cpam_bayes.forward_model.solve import forward as forward
     from cpam_bayes.forward_model.stored_models import cache as cache
     from cpam_bayes.identification.identify import identify as identify
@@ -50,7 +50,7 @@ _PUBLIC = {
     "cache": "cpam_bayes.forward_model.stored_models",
     "design": "cpam_bayes.specimen_design.design",
     "diagnose": "cpam_bayes.diagnosis.plates",
-    "export": "cpam_bayes.forward_model.calculix.export",
+    "export": "cpam_bayes.forward_model.export",
     "forward": "cpam_bayes.forward_model.solve",
     "full_report": "cpam_bayes.combined",
     "identify": "cpam_bayes.identification.identify",

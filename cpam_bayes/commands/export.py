@@ -1,4 +1,4 @@
-"""`cpam-bayes export PLATE`: the input deck of a plate for CalculiX and ABAQUS."""
+"""`cpam-bayes export PLATE`: a plate as a file for other programs."""
 
 from __future__ import annotations
 
@@ -16,23 +16,29 @@ if TYPE_CHECKING:
 
 def add(commands: Commands) -> None:
     """Add the command and its options."""
-    command = add_command(commands, "export", "write an input file for CalculiX and ABAQUS", out=None)
+    command = add_command(
+        commands, "export", "write a file for CalculiX and ABAQUS, or for modal software", out=None
+    )
     add_plate(command)
     command.add_argument(
-        "--to", choices=("ccx",), required=True, help="ccx: CalculiX, and ABAQUS reads it too"
+        "--to",
+        choices=("ccx", "uff"),
+        required=True,
+        help="ccx: an input file of CalculiX, and ABAQUS reads it too; uff: the predicted modes as a "
+        "universal file, datasets 15 and 55",
     )
     command.add_argument(
         "--element",
         choices=ELEMENTS,
-        default="shell",
-        help="shell, 8 nodes (S8R), or brick, 20 nodes, in layers of plies (C3D20R) (default: shell)",
+        help="ccx: shell, 8 nodes (S8R), or brick, 20 nodes, in layers of plies (C3D20R) (default: shell)",
     )
     add_modes(command)
     command.add_argument(
         "--out",
         dest="file",
         metavar="FILE",
-        help="the file to write, not a directory as of other commands (default: PLATE.inp, here)",
+        help="the file to write, not a directory as of other commands (default: PLATE.inp or "
+        "PLATE.unv, here)",
     )
     command.add_argument("--force", action="store_true", help="write over a file that is there")
     command.set_defaults(out=None)
@@ -40,12 +46,13 @@ def add(commands: Commands) -> None:
 
 def prepare(args: argparse.Namespace) -> Callable[[], Result]:
     """Return the work."""
-    from cpam_bayes.forward_model.calculix.export import export
+    from cpam_bayes.forward_model.export import export
 
     return partial(
         export,
         args.plate,
         args.file,
+        to=args.to,
         element=args.element,
         n_modes=args.modes,
         force=args.force,

@@ -15,7 +15,7 @@ from cpam_bayes.mechanics.convergence import Tolerance, converge, rich_frequenci
 from cpam_bayes.mechanics.dense import discretise
 from cpam_bayes.mechanics.modes import Spectrum, eigenvalue_derivatives, solve
 from cpam_bayes.mechanics.problem import PlateState, Problem, Values, bare_plate
-from cpam_bayes.mechanics.shapes import Mode, describe_modes, shapes_on_grid
+from cpam_bayes.mechanics.shapes import Mode, describe_modes, shapes_at, shapes_on_grid
 from cpam_bayes.mechanics.spaces.ritz import RitzSettings, ritz_space
 from cpam_bayes.parameters import Parameter, ParameterSet, TruncatedNormal, Uniform
 from cpam_bayes.plate.elasticity import CONSTANTS
@@ -217,6 +217,13 @@ class PlateModel:
     def shapes(self, x: Array) -> Array:
         """Shapes of the modes at one parameter vector (n,): u, v, w on a grid, (n_modes, 3, 31, 31)."""
         return shapes_on_grid(self.operator, self.spectrum(x, vectors=True), n=_SHAPE_POINTS)
+
+    def shapes_at(self, x: Array, points: Array) -> Array:
+        """Shapes of the modes at one parameter vector (n,): u, v, w at points, (n_modes, 3, n_points).
+
+        points : (n_points, 2), x over the length and y over the width
+        """
+        return shapes_at(self.operator, self.spectrum(x, vectors=True), points)
 
     def coefficients(self, x: Array) -> tuple[Array, Array]:
         """Coefficients of K and M at parameter vectors (m, n), (m, n_terms) each."""

@@ -65,6 +65,25 @@ def grid_points(extent: Extent = UNIT_SQUARE, n: int = _GRID) -> Array:
     return np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
 
 
+def shapes_at(operator: AffineOperator[Any, Any], spectrum: Spectrum, points: Array) -> Array:
+    """u, v and w of the modes of the first parameter set at points, (n_modes, 3, n_points).
+
+    points : (n_points, 2) in reference coordinates.
+    """
+    sizes = [operator.space.dimension(f) for f in FIELDS]
+    vectors = np.zeros((spectrum.eigenvalues.shape[1], sum(sizes)))
+    for mode, whole in enumerate(vectors):
+        b, vector = spectrum.vector(0, mode)
+        whole[operator.blocks[b].index] = vector
+    rule = Quadrature(Region("point"), points, np.ones(len(points)))
+    shapes = np.empty((len(vectors), len(_DISPLACEMENTS), len(points)))
+    for k, field in enumerate(_DISPLACEMENTS):
+        start = int(np.sum(sizes[: FIELDS.index(field)]))
+        coefficients = vectors[:, start : start + operator.space.dimension(field)]
+        shapes[:, k] = (operator.space.evaluate(field, rule, "") @ coefficients.T).T
+    return shapes
+
+
 def shapes_on_grid(
     operator: AffineOperator[Any, Any],
     spectrum: Spectrum,
@@ -75,19 +94,8 @@ def shapes_on_grid(
 
     extent : least and greatest x, and y, of the grid in reference coordinates.
     """
-    sizes = [operator.space.dimension(f) for f in FIELDS]
-    vectors = np.zeros((spectrum.eigenvalues.shape[1], sum(sizes)))
-    for mode, whole in enumerate(vectors):
-        b, vector = spectrum.vector(0, mode)
-        whole[operator.blocks[b].index] = vector
-    points = grid_points(extent, n)
-    rule = Quadrature(Region("point"), points, np.ones(len(points)))
-    shapes = np.empty((len(vectors), len(_DISPLACEMENTS), n, n))
-    for k, field in enumerate(_DISPLACEMENTS):
-        start = int(np.sum(sizes[: FIELDS.index(field)]))
-        coefficients = vectors[:, start : start + operator.space.dimension(field)]
-        shapes[:, k] = (operator.space.evaluate(field, rule, "") @ coefficients.T).T.reshape(-1, n, n)
-    return shapes
+    shapes = shapes_at(operator, spectrum, grid_points(extent, n))
+    return shapes.reshape(*shapes.shape[:2], n, n)
 
 
 def label_of_shape(values: Array, edges: str, field: Field) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from cpam_bayes.forward_model.calculix.export import ExportResult
+from cpam_bayes.forward_model.export import ExportResult
 from cpam_bayes.report.documents import plate_keys
 
 

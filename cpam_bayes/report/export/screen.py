@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from cpam_bayes.forward_model.calculix.export import ExportResult
+from cpam_bayes.forward_model.export import ExportResult
 from cpam_bayes.report.plates.head import plate_section
 from cpam_bayes.report.sections import Section
 from cpam_bayes.report.tables import facts

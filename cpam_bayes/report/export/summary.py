@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 
-from cpam_bayes.forward_model.calculix.export import ExportResult
+from cpam_bayes.forward_model.export import ExportResult
 from cpam_bayes.report.sentences import plate_argument, plate_sentence
 from cpam_bayes.report.summary import Summary
 

@@ -1,16 +1,21 @@
-"""The input deck of a plate for CalculiX and ABAQUS: the question `export`."""
+"""A plate as a file for other programs, a deck or predicted modes: the question `export`."""
 
 from __future__ import annotations
 
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar, Final
+from typing import ClassVar, Final, Literal
 
 from cpam_bayes.arguments import checked
 from cpam_bayes.formatting import file_stem
 from cpam_bayes.forward_model.air_shift import air_shifts
 from cpam_bayes.forward_model.calculix.deck import Deck, Element, plate_deck
+from cpam_bayes.forward_model.mode_shapes.universal import (
+    UniversalShapes,
+    predicted_shapes,
+    universal_text,
+)
 from cpam_bayes.forward_model.model import reference_constants
 from cpam_bayes.forward_model.preconditions import (
     require_choice,
@@ -23,8 +28,10 @@ from cpam_bayes.plate import PlateLike, read_plate
 from cpam_bayes.result import PlateResult
 from cpam_bayes.storage import draft_directory, put_in_place, replaceable
 
-_NO_MESH: Final = "decks are written for rectangular plates only; leave mesh out"
+_NO_MESH: Final = "files are written for rectangular plates only; leave mesh out"
 _NO_AIR: Final = "decks hold a plate in vacuum; leave air_density_kg_m3 out"
+Format = Literal["ccx", "uff"]
+_ENDINGS: Final[dict[Format, str]] = {"ccx": ".inp", "uff": ".unv"}
 _TYPE: Final[dict[Element, str]] = {"shell": "S8R", "brick": "C3D20R"}
 
 
@@ -53,24 +60,40 @@ class ExportResult(PlateResult):
         return _TYPE[self.element]
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
+class UniversalResult(PlateResult):
+    """Predicted modes in a universal file."""
+
+    question: ClassVar[str] = "universal"
+    command: ClassVar[str] = "export"
+    has_figures: ClassVar[bool] = False
+
+    path: Path
+    shapes: UniversalShapes
+
+
 @checked
 def export(
     plate: PlateLike,
     path: str | Path | None = None,
     *,
-    element: Element = "shell",
+    to: Format = "ccx",
+    element: Element | None = None,
     n_modes: int | None = None,
     force: bool = False,
     seed: int = 0,
-) -> ExportResult:
-    """Write a plate with its reference constants as an input deck for CalculiX and ABAQUS.
+) -> ExportResult | UniversalResult:
+    """Write a plate with its reference constants as a file for other programs.
 
     Parameters
     ----------
     plate : what `read_plate` takes, or what it returns
-    path : the file to write, by default the name of the plate with the ending ".inp"
-    element : "shell" (S8R) or "brick" (C3D20R)
-    n_modes : modes that the deck asks for; as many as were measured, or 10, where left out
+    path : the file to write, by default the name of the plate with the ending ".inp" or ".unv"
+    to : "ccx", an input deck for CalculiX and ABAQUS, or "uff", predicted modes as a universal file
+        (datasets 15 and 55), at the nodes of measured shapes where there are some
+    element : of a deck, "shell" (S8R) or "brick" (C3D20R); "shell" where left out
+    n_modes : modes that the deck asks for, or that are written; as many as were measured, or 10, where left
+        out
     force : whether to write over a file that is there
 
     Raises
@@ -89,27 +112,43 @@ def export(
     """
     require_seed(seed)
     require_modes(n_modes)
-    require_choice("element", element, tuple(_TYPE))
-    specimen = require_supported(read_plate(plate), _NO_MESH, _NO_AIR)
-    given = plate if isinstance(plate, str | os.PathLike) else ""
-    if path == "":
-        raise ValueError("--out: received an empty name, accepted: the file to write")
-    target = Path(path or f"{Path(given).stem or file_stem(specimen.name)}.inp")
-    if given and target.resolve() == Path(given).resolve():
-        raise ValueError(f"--out {target}: the plate file itself; give another name")
+    require_choice("to", to, tuple(_ENDINGS))
+    if element is not None:
+        require_choice("element", element, tuple(_TYPE))
+        if to != "ccx":
+            raise ValueError(f"--element: received {element}, accepted: with --to ccx only")
+    specimen = require_supported(read_plate(plate), _NO_MESH, _NO_AIR if to == "ccx" else None)
+    target = _target(plate, path, specimen.name, _ENDINGS[to])
     _require_writable(target, force)
     n = n_modes or measured_modes(specimen)
-    deck = plate_deck(specimen, reference_constants(specimen), element, n)
+    if to == "uff":
+        shapes = predicted_shapes(specimen, n)
+        _write_whole(target, universal_text(specimen.name, shapes))
+        return UniversalResult(
+            seed=seed, specimen=specimen, air_shifts=air_shifts(specimen), path=target, shapes=shapes
+        )
+    deck = plate_deck(specimen, reference_constants(specimen), element or "shell", n)
     _write_whole(target, deck.text)
     return ExportResult(
         seed=seed,
         specimen=specimen,
         air_shifts=air_shifts(specimen),
         path=target,
-        element=element,
+        element=element or "shell",
         n_modes=n,
         deck=deck,
     )
+
+
+def _target(plate: PlateLike, path: str | Path | None, name: str, ending: str) -> Path:
+    """The file to write, which is not the plate file."""
+    given = plate if isinstance(plate, str | os.PathLike) else ""
+    if path == "":
+        raise ValueError("--out: received an empty name, accepted: the file to write")
+    target = Path(path or f"{Path(given).stem or file_stem(name)}{ending}")
+    if given and target.resolve() == Path(given).resolve():
+        raise ValueError(f"--out {target}: the plate file itself; give another name")
+    return target
 
 
 def _require_writable(path: Path, force: bool) -> None:
