@@ -4,21 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any
-
-import numpy as np
-from numpy.typing import NDArray
 
 from cpam_bayes.diagnosis.fitting import PlateCase
 from cpam_bayes.diagnosis.hypotheses import NONE, OTHER, Hypothesis, prior_by_cause, single_hypotheses
-from cpam_bayes.diagnosis.models import PlateModels, plate_models
+from cpam_bayes.diagnosis.models import plate_models
 from cpam_bayes.effects import CATALOGUE, Effect
-from cpam_bayes.forward_model.labels import labelled_model, list_order
+from cpam_bayes.forward_model.labels import by_shape, labelled_model, list_order, spare_modes
 from cpam_bayes.forward_model.model import reference_vector
 from cpam_bayes.parameters import Parameter
 from cpam_bayes.plate import Measurement, Specimen
-
-Array = NDArray[Any]
 
 # Modes computed beyond a complete list, which may lack two, and beyond one that says it is incomplete.
 _SPARE, _MORE_SPARE = 2, 6
@@ -27,7 +21,8 @@ _SPARE, _MORE_SPARE = 2, 6
 def plate_case(specimen: Specimen, notify: Callable[[str], None] = lambda text: None) -> PlateCase:
     """A plate with its list, every frequency given to a mode.
 
-    A list is paired in order, and labels fix their modes. The pairings of an incomplete list, summed over
+    A list is paired in order, and labels and measured shapes fix their modes, shapes that are like several
+    modes the most probable ones. The pairings of an incomplete list, summed over
     in its diagnosis, begin from there. Raises ``ValueError`` for a specimen without a list or without unknown
     constants.
     """
@@ -40,9 +35,11 @@ def plate_case(specimen: Specimen, notify: Callable[[str], None] = lambda text: 
         raise ValueError(
             f"{specimen.source}: [unknowns] is missing; name the constants that may differ from [material]"
         )
-    spare = _SPARE if measurement.complete and not any(measurement.labels) else _MORE_SPARE
-    models = plate_models(specimen, measurement.size + spare, notify)
-    return PlateCase(models, measurement, _modes(models, measurement))
+    spare = _SPARE if measurement.complete and not measurement.names_modes else _MORE_SPARE
+    models = plate_models(specimen, measurement.size + max(spare, spare_modes(measurement)), notify)
+    model = labelled_model(models.bare, measurement, specimen)
+    order = list_order(model, reference_vector(specimen, models.parameters))
+    return PlateCase(models, measurement, order[: measurement.size], by_shape=by_shape(model))
 
 
 def with_list(case: PlateCase, measurement: Measurement) -> PlateCase:
@@ -145,13 +142,3 @@ def _of_specimen(
     causes = [(h, tuple(at)) for h, at in flaws.values()] + causes
     whole = prior_by_cause([h for h, _ in causes])
     return [(replace(h, prior=h.prior * alone[h.cause] / whole[h.cause]), at) for h, at in causes]
-
-
-def _modes(models: PlateModels, measurement: Measurement) -> Array:
-    """Model mode of every frequency: in order, but for those that labels fix."""
-    n = measurement.size
-    if any(measurement.labels):
-        labelled = labelled_model(models.bare, measurement, models.specimen)
-        order = list_order(labelled, reference_vector(models.specimen, models.parameters))
-        return np.asarray(order[:n])
-    return np.arange(n)

@@ -16,6 +16,7 @@ from cpam_bayes.diagnosis.models import PlateModels, extended_model, plate_model
 from cpam_bayes.effects import Effect
 from cpam_bayes.effects.frequency_list import MISREADING
 from cpam_bayes.forward_model.local.model import LocalModel
+from cpam_bayes.forward_model.mode_shapes.assurance import ShapePairing
 from cpam_bayes.forward_model.reduced import ReducedModel
 from cpam_bayes.inference.posterior import ForwardModel
 from cpam_bayes.inference.standard_normal import NormalScores
@@ -39,6 +40,7 @@ class PlateCase:
     extended : reduced models with its effects so far, by name and variant
     of_another_material : the models over the search bounds of the constants, once they are needed
     log_pairing : log prior of the pairing of an incomplete list, with the density of its false peaks
+    by_shape : what its measured shapes say, None without them
     """
 
     models: PlateModels
@@ -47,6 +49,7 @@ class PlateCase:
     extended: dict[tuple[str, str], ReducedModel | LocalModel] = field(default_factory=dict)
     of_another_material: list[PlateModels] = field(default_factory=list)
     log_pairing: float = 0.0
+    by_shape: ShapePairing | None = None
 
     @property
     def name(self) -> str:

@@ -9,6 +9,7 @@ from cpam_bayes.diagnosis.diagnose import Diagnosis
 from cpam_bayes.diagnosis.extension import Resampled
 from cpam_bayes.diagnosis.hypotheses import NONE
 from cpam_bayes.formatting import listed, significant
+from cpam_bayes.forward_model.labels import shape_warnings
 from cpam_bayes.inference.diagnostics.constraints import cut_warnings
 
 __all__ = ["diagnosis_warnings"]
@@ -57,6 +58,9 @@ def diagnosis_warnings(
         )
     if d.optima:
         problems.append(_of_optima(d))
+    for case in d.cases:
+        said = shape_warnings(case.by_shape, case.measurement)
+        problems += [f"{text}; the most probable pairing is taken" for text in said]
     differing = differing_priors(d.cases)
     if differing:
         problems.append(

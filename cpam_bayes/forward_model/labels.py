@@ -1,7 +1,8 @@
-"""Modes that are known by their labels, followed through the parameters by their shapes.
+"""Modes that are known by their labels or by measured shapes, followed through the parameters.
 
 A label is that of a mode at one place, the reference constants. Elsewhere the mode is the one whose
-shape is most like it, by modal assurance, so that modes which change their order keep their labels.
+shape is most like it, by modal assurance, so that modes which change their order keep their labels. A
+measured shape says the same of the mode that it is most like at the reference constants.
 """
 
 from __future__ import annotations
@@ -15,23 +16,43 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cpam_bayes.formatting import listed
+from cpam_bayes.forward_model.mode_shapes.assurance import (
+    AmbiguousShapesError,
+    ShapePairing,
+    pair_by_assurance,
+)
 from cpam_bayes.forward_model.model import PlateModel, Prediction, reference_vector
 from cpam_bayes.forward_model.reduced import ReducedModel
 from cpam_bayes.mechanics.modes import Spectrum
 from cpam_bayes.mechanics.shapes import Mode
 from cpam_bayes.parameters import ParameterSet
 from cpam_bayes.plate import Measurement, Specimen
+from cpam_bayes.plate.mode_shapes.measured import MeasuredShapes
 
 Array = NDArray[Any]
 
 # Modes computed beyond the list, so that a labelled one which moves up is still among them.
 SPARE_MODES = 4
+# Probability of another mode from which a warning names it.
+_DOUBT = 0.01
 # Modal assurance below which none of the computed modes is the labelled one.
 _LEAST_ASSURANCE = 0.1
 
 
 class LabelError(ValueError):
     """A label of the plate file that names no mode of the model, or names one too often."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Alternative:
+    """One pairing of frequencies with modes.
+
+    places : (n_modes,) place in the predictions of the mode that stands at each place by this pairing
+    log_probability : of it, by the measured shapes
+    """
+
+    places: Array
+    log_probability: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,10 +62,13 @@ class LabelledModel:
     The mode of a labelled frequency stands at that frequency's own number, whatever its rank; the
     others fill the other places in ascending order.
 
-    rows : (n_labels,) numbers of the labelled frequencies.
+    rows : (n_labels,) numbers of the labelled frequencies; of modes beyond the list, which may be those of
+    some frequencies by their shapes, places after it.
     block : (n_labels,) block of the operator that holds each labelled mode.
     images : M psi of each reference shape psi in its block, with psi^T M psi = 1.
     weights : M of every block, at the reference.
+    alternatives : where measured shapes are like several modes, all pairings with their probabilities.
+    by_shape : what measured shapes say, None where labels say it.
     """
 
     reduced: ReducedModel
@@ -52,6 +76,8 @@ class LabelledModel:
     block: Array
     images: tuple[Array, ...]
     weights: tuple[Array, ...]
+    alternatives: tuple[Alternative, ...] = ()
+    by_shape: ShapePairing | None = None
 
     @property
     def full(self) -> PlateModel:
@@ -143,26 +169,77 @@ class LabelledModel:
 def labelled_model(
     model: ReducedModel, measurement: Measurement, specimen: Specimen
 ) -> ReducedModel | LabelledModel:
-    """The model with its modes in the places that the labels of a list give them.
+    """The model with its modes in the places that the labels or the measured shapes of a list give them.
 
-    The model itself where no frequency is labelled. Raises ``LabelError`` for a label that no mode of
-    the model has at the reference constants, or that other numbers of frequencies and of modes bear.
+    The model itself where neither is given. Raises ``LabelError`` for a label that no mode of
+    the model has at the reference constants, or that other numbers of frequencies and of modes bear, and
+    for shapes that are like no mode or do not tell modes apart.
     """
-    rows = np.flatnonzero([bool(label) for label in measurement.labels])
-    if not len(rows):
+    if not measurement.names_modes:
         return model
     x = reference_vector(specimen, model.parameters)
     modes = model.full.modes(x)
-    columns = _columns(measurement, modes, specimen.source)
+    alternatives: tuple[Alternative, ...] = ()
+    pairing: ShapePairing | None = None
+    if measurement.shapes is not None:
+        points = measurement.shapes.points / (specimen.plate.length, specimen.plate.width)
+        pairing = paired_shapes(measurement.shapes, model.full.shapes_at(x, points), modes, specimen)
+        rows, columns, alternatives = _places(pairing, model.n_modes)
+    else:
+        rows = np.flatnonzero([bool(label) for label in measurement.labels])
+        columns = np.array(_columns(measurement, modes, specimen.source))
     spectrum = model.fast.spectrum(x, vectors=True)
     _, mass = model.fast.coefficients(x[None])
     weights = tuple(block.mass.assemble(mass[0]) for block in model.fast.operator.blocks)
     blocks, images = [], []
     for j in columns:
-        b, psi = spectrum.vector(0, j)
+        b, psi = spectrum.vector(0, int(j))
         blocks.append(b)
         images.append(weights[b] @ psi / np.sqrt(psi @ weights[b] @ psi))
-    return LabelledModel(model, rows, np.array(blocks), tuple(images), weights)
+    return LabelledModel(model, rows, np.array(blocks), tuple(images), weights, alternatives, pairing)
+
+
+def paired_shapes(
+    shapes: MeasuredShapes, predicted: Array, modes: tuple[Mode, ...], specimen: Specimen
+) -> ShapePairing:
+    """What measured shapes say against predicted ones (k, 3, n_nodes).
+
+    Raises ``LabelError`` where they are like no mode or do not tell modes apart.
+    """
+    where = f"{specimen.source}: measurement.shapes"
+    try:
+        pairing = pair_by_assurance(shapes, predicted, modes)
+    except AmbiguousShapesError as error:
+        raise LabelError(f"{where}: {error}") from None
+    if np.all(pairing.modes < 0):
+        raise LabelError(
+            f"{where}: no shape is like one of the first {len(modes)} modes, the largest modal assurance is "
+            f"{pairing.assurance.max():.2f}; check the edges, the layup, and the places of the nodes"
+        )
+    return pairing
+
+
+def _places(pairing: ShapePairing, n_modes: int) -> tuple[Array, Array, tuple[Alternative, ...]]:
+    """Places and modes that are followed, and all pairings where there are several.
+
+    A mode that a frequency may have, but has not in the most probable pairing, stands after the list.
+    """
+    n, first = len(pairing.modes), pairing.modes
+    rows = np.flatnonzero(first >= 0)
+    every = np.concatenate([one.modes[one.modes >= 0] for one in pairing.assignments])
+    further = np.setdiff1d(every, first)[: n_modes - n]
+    place = {int(j): int(i) for i, j in zip(rows, first[rows], strict=True)}
+    place |= {int(j): n + e for e, j in enumerate(further)}
+    alternatives = []
+    for one in pairing.assignments:
+        if all(int(j) in place for j in one.modes[rows]):
+            places = np.full(n_modes, -1)
+            places[rows] = [place[int(j)] for j in one.modes[rows]]
+            places[places < 0] = np.setdiff1d(np.arange(n_modes), places)
+            alternatives.append(Alternative(places, one.log_probability))
+    followed = np.concatenate((rows, n + np.arange(len(further))))
+    columns = np.concatenate((first[rows], further))
+    return followed, columns, tuple(alternatives) if len(alternatives) > 1 else ()
 
 
 def list_order(model: ReducedModel | LabelledModel, x: Array) -> Array:
@@ -170,9 +247,41 @@ def list_order(model: ReducedModel | LabelledModel, x: Array) -> Array:
     return model.order(x)[0] if isinstance(model, LabelledModel) else np.arange(model.n_modes)
 
 
+def by_shape(model: ReducedModel | LabelledModel) -> ShapePairing | None:
+    """What measured shapes say against a model, None without them."""
+    return model.by_shape if isinstance(model, LabelledModel) else None
+
+
 def spare_modes(measurement: Measurement) -> int:
-    """Modes to compute beyond the list: some where labelled ones may move up, none otherwise."""
+    """Modes to compute beyond the list: some where labelled ones may move up, none otherwise.
+
+    More beside shapes, which may be those of a part of the modes.
+    """
+    if measurement.shapes is not None:
+        return SPARE_MODES + measurement.size // 4
     return SPARE_MODES if any(measurement.labels) else 0
+
+
+def shape_warnings(pairing: ShapePairing | None, measurement: Measurement) -> list[str]:
+    """Measured shapes that are like no mode, and those that are like several."""
+    if pairing is None:
+        return []
+    problems, several = [], []
+    for f, mode, assurance, p in zip(
+        measurement.frequencies, pairing.modes, pairing.assurance, pairing.probability, strict=True
+    ):
+        if mode < 0:
+            problems.append(
+                f"the shape of {f:.6g} Hz is like no mode of the model (modal assurance up to "
+                f"{assurance.max():.2f}): it is paired by its place among the others"
+            )
+        elif p[mode] < 1.0 - _DOUBT:
+            likely = [j for j in np.argsort(-p) if p[j] >= _DOUBT]
+            said = listed([f"{pairing.candidates[j].label} with {100.0 * p[j]:.0f} %" for j in likely], "or")
+            several.append(f"{f:.6g} Hz is {said}")
+    if several:
+        problems.append(f"shapes are like several modes: {'; '.join(several)}")
+    return problems
 
 
 def same_label(label: str) -> str:

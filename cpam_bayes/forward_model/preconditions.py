@@ -102,10 +102,10 @@ def _angles_asked(specimen: Specimen) -> list[str]:
             f"plate.layup: received {layup.text}, the material is isotropic, which has no ply angles; leave "
             "layup out"
         )
-    if layup.n_unknown and measurement is not None and any(measurement.labels):
+    if layup.n_unknown and measurement is not None and measurement.names_modes:
         problems.append(
-            "measurement.labels: received labels beside unknown angles, which pair frequencies with modes in "
-            "ascending order; leave them out"
+            f"measurement.{'shapes' if measurement.shapes else 'labels'}: received beside unknown angles, "
+            "which pair frequencies with modes in ascending order; leave them out"
         )
     return problems
 
@@ -143,7 +143,7 @@ def exchange_warnings(specimen: Specimen) -> tuple[str, ...]:
     square = plate.length == plate.width and len(set(plate.edges)) == 1
     turnable = square or bool(np.all(plate.layup.unknown_index >= 0))
     free = specimen.material.symmetry == "orthotropic" and {"E1", "E2", "nu12"} <= set(unknowns.names)
-    labelled = measurement is not None and any(measurement.labels)
+    labelled = measurement is not None and measurement.names_modes
     if not free or labelled or specimen.sensors or not turnable:
         return ()
     e1, e2 = unknowns["E1"].prior, unknowns["E2"].prior

@@ -79,7 +79,7 @@ def require_reachable(specimen: Specimen) -> Specimen:
         return specimen
     above = float(np.exp(np.median(np.log(low / measurement.frequencies))))
     below = float(np.exp(np.median(np.log(measurement.frequencies / high))))
-    with_gaps = not measurement.complete or any(measurement.labels)
+    with_gaps = not measurement.complete or measurement.names_modes
     limit = _UNREACHABLE_WITH_GAPS if with_gaps else _UNREACHABLE
     if max(above, below) <= limit:
         return specimen

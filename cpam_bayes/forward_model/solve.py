@@ -9,11 +9,13 @@ from typing import ClassVar, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import RegularGridInterpolator
 
 from cpam_bayes.arguments import checked
 from cpam_bayes.formatting import significant
 from cpam_bayes.forward_model.air_shift import air_shifts
-from cpam_bayes.forward_model.labels import label_warnings
+from cpam_bayes.forward_model.labels import label_warnings, paired_shapes, shape_warnings, spare_modes
+from cpam_bayes.forward_model.mode_shapes.assurance import ShapePairing
 from cpam_bayes.forward_model.model import NO_PARAMETERS, PlateModel, converged_model, reference_constants
 from cpam_bayes.forward_model.preconditions import (
     explained_failures,
@@ -29,6 +31,7 @@ from cpam_bayes.mechanics.shapes import (
     Mode,
     describe_modes,
     grid_points,
+    shapes_at,
     shapes_on_grid,
 )
 from cpam_bayes.plate import PlateLike, Specimen, read_plate
@@ -69,6 +72,7 @@ class ForwardResult(PlateResult):
     seconds : wall clock
     no_estimate : why there is no estimate of the error
     extent : m, least and greatest x, and y, of the shapes' grid; None for the rectangle
+    by_shape : what measured shapes say of the modes, None without them
     """
 
     question: ClassVar[str] = "forward"
@@ -81,6 +85,7 @@ class ForwardResult(PlateResult):
     seconds: float
     no_estimate: str = ""
     extent: tuple[tuple[float, float], tuple[float, float]] | None = None
+    by_shape: ShapePairing | None = None
 
     @property
     def frequencies(self) -> Array:
@@ -90,13 +95,17 @@ class ForwardResult(PlateResult):
 
 @dataclass(frozen=True, slots=True)
 class _Solution:
-    """The fields of `ForwardResult`; specimen : as computed, see `ElementModel.specimen`."""
+    """The fields of `ForwardResult`; specimen : as computed, see `ElementModel.specimen`.
+
+    at_nodes : (n_modes, 3, n_nodes) shapes at the nodes of the measured ones, None without them.
+    """
 
     specimen: Specimen
     solver: str
     modes: tuple[Mode, ...]
     error: Array
     shapes: Array
+    at_nodes: Array | None
     no_estimate: str = ""
     extent: tuple[tuple[float, float], tuple[float, float]] | None = None
 
@@ -157,7 +166,10 @@ def forward(
     seconds = time.perf_counter() - start
     slips = tuple(_slips(specimen, solution))
     measurement = specimen.measurement
-    labels = () if measurement is None else label_warnings(measurement, solution.modes)
+    pairing, labels = None, [] if measurement is None else label_warnings(measurement, solution.modes)
+    if measurement is not None and measurement.shapes is not None and solution.at_nodes is not None:
+        pairing = paired_shapes(measurement.shapes, solution.at_nodes, solution.modes, solution.specimen)
+        labels += shape_warnings(pairing, measurement)
     return ForwardResult(
         seed=seed,
         warnings=(*slips, *labels, *error_warning(solution.error)),
@@ -171,12 +183,16 @@ def forward(
         seconds=seconds,
         no_estimate=solution.no_estimate,
         extent=solution.extent,
+        by_shape=pairing,
     )
 
 
 def measured_modes(specimen: Specimen) -> int:
-    """As many modes as were measured, or 10."""
-    return DEFAULT_MODES if specimen.measurement is None else specimen.measurement.size
+    """As many modes as were measured, some more beside measured shapes, or 10."""
+    measurement = specimen.measurement
+    if measurement is None:
+        return DEFAULT_MODES
+    return measurement.size + (spare_modes(measurement) if measurement.shapes is not None else 0)
 
 
 def error_warning(error: Array, limit: float = LARGE_ERROR) -> list[str]:
@@ -204,8 +220,8 @@ def _slips(specimen: Specimen, solution: _Solution) -> list[str]:
 def _ritz(specimen: Specimen, n_modes: int) -> _Solution:
     """First-order shear deformation theory on a converged Ritz space."""
     model = converged_model(specimen, NO_PARAMETERS, n_modes)
-    modes, shapes = _described(model)
-    return _Solution(specimen, "Ritz, first-order shear deformation", modes, model.error, shapes)
+    modes, shapes, at_nodes = _described(model, specimen)
+    return _Solution(specimen, "Ritz, first-order shear deformation", modes, model.error, shapes, at_nodes)
 
 
 def _fem(specimen: Specimen, n_modes: int) -> _Solution:
@@ -216,7 +232,7 @@ def _fem(specimen: Specimen, n_modes: int) -> _Solution:
     plate, space = solved.specimen.plate, solved.space
     (x0, x1), (y0, y1) = space.extent
     extent: Extent = (x0 / plate.length, x1 / plate.length), (y0 / plate.width, y1 / plate.width)
-    modes, shapes = _described(solved.model, extent)
+    modes, shapes, at_nodes = _described(solved.model, solved.specimen, extent)
     n = shapes.shape[-1]
     shapes[:, :, ~space.covers(grid_points(extent, n)).reshape(n, n)] = np.nan
     on = "" if plate.mesh is None else f" of {plate.mesh.name}, {space.area * 1e6:.6g} mm2"
@@ -226,6 +242,7 @@ def _fem(specimen: Specimen, n_modes: int) -> _Solution:
         modes,
         solved.model.error,
         shapes,
+        at_nodes,
         "" if plate.mesh is None else "not known: the mesh of a file is the only one",
         space.extent,
     )
@@ -237,18 +254,41 @@ def _ccx(specimen: Specimen, n_modes: int, element: Element = "brick") -> _Solut
 
     solved = solve_modes(specimen, reference_constants(specimen), n_modes, element=element)
     name = {"brick": "20-node bricks, layers of C3D20R", "shell": "8-node composite shells, S8R"}[element]
+    points, at_nodes = _nodes(specimen), None
+    if points is not None:
+        side = np.linspace(0.0, 1.0, solved.shapes.shape[-1])
+        grid = RegularGridInterpolator((side, side), np.moveaxis(solved.shapes, (0, 1), (2, 3)))
+        at_nodes = np.moveaxis(grid(points), 0, -1)
     return _Solution(
-        specimen, f"CalculiX, {name}", solved.modes, np.full(n_modes, np.nan), solved.shapes, "not estimated"
+        specimen=specimen,
+        solver=f"CalculiX, {name}",
+        modes=solved.modes,
+        error=np.full(n_modes, np.nan),
+        shapes=solved.shapes,
+        at_nodes=at_nodes,
+        no_estimate="not estimated",
     )
 
 
 _SOLVERS: Final = {"ritz": _ritz, "fem": _fem, "ccx": _ccx}
 
 
-def _described(model: PlateModel, extent: Extent = UNIT_SQUARE) -> tuple[tuple[Mode, ...], Array]:
-    """Modes of a model without parameters, and their u, v, w on a grid, (n_modes, 3, n, n)."""
+def _described(
+    model: PlateModel, specimen: Specimen, extent: Extent = UNIT_SQUARE
+) -> tuple[tuple[Mode, ...], Array, Array | None]:
+    """Modes of a model without parameters, and their u, v, w on a grid and at measured nodes."""
     none = np.empty((1, 0))
     spectrum = model.spectrum(none, vectors=True)
     _, mass = model.coefficients(none)
     modes = describe_modes(model.operator, spectrum, mass, extent)
-    return modes, shapes_on_grid(model.operator, spectrum, extent)
+    points = _nodes(specimen)
+    at_nodes = None if points is None else shapes_at(model.operator, spectrum, points)
+    return modes, shapes_on_grid(model.operator, spectrum, extent), at_nodes
+
+
+def _nodes(specimen: Specimen) -> Array | None:
+    """Nodes of the measured shapes in reference coordinates, (n, 2)."""
+    measurement, plate = specimen.measurement, specimen.plate
+    if measurement is None or measurement.shapes is None:
+        return None
+    return np.asarray(measurement.shapes.points / (plate.length, plate.width))

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2, t
 
-from cpam_bayes.forward_model.labels import LabelledModel, list_order
+from cpam_bayes.forward_model.labels import LabelledModel, by_shape, list_order
+from cpam_bayes.forward_model.mode_shapes.assurance import ShapePairing
 from cpam_bayes.forward_model.model import plate_problem
 from cpam_bayes.forward_model.preconditions import units_warning
 from cpam_bayes.forward_model.reduced import ReducedModel
@@ -79,6 +80,7 @@ class PointEstimate:
     swarms : number that were run
     optima : the best one and those that the noise does not tell from it
     scale_errors : what errors of sizes, mass and frequency scale do to the constants
+    by_shape : what measured shapes say of the modes, None without them
     """
 
     specimen: Specimen
@@ -98,6 +100,7 @@ class PointEstimate:
     scale_errors: tuple[ScaleError, ...]
     seconds: float
     warnings: tuple[str, ...]
+    by_shape: ShapePairing | None = None
 
 
 @single_blas_thread
@@ -190,6 +193,7 @@ def summarise(
         scale_errors=scales,
         seconds=time.perf_counter() - start,
         warnings=_warnings(measurement, predicted, unknowns.size),
+        by_shape=by_shape(model),
     )
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from cpam_bayes.arguments import checked
 from cpam_bayes.forward_model.air_shift import air_shifts
-from cpam_bayes.forward_model.labels import LabelledModel, list_order
+from cpam_bayes.forward_model.labels import LabelledModel, by_shape, list_order
 from cpam_bayes.forward_model.model import SIZES, discretisation_error
 from cpam_bayes.forward_model.preconditions import (
     exchange_warnings,
@@ -229,6 +229,7 @@ def _summarise(
         forward_solves=solves,
         seconds_sampling=sampling,
         seconds=time.perf_counter() - start,
+        by_shape=by_shape(model),
     )
     summary = replace(summary, constants=_judged(summary))
     slips = _slips(summary)

@@ -8,6 +8,7 @@ from typing import Any, ClassVar, Literal
 
 from numpy.typing import NDArray
 
+from cpam_bayes.forward_model.mode_shapes.assurance import ShapePairing
 from cpam_bayes.forward_model.model import SIZES
 from cpam_bayes.identification.frequency_rows import LeftOutPrediction, MissedMode, SampledFrequency
 from cpam_bayes.identification.scale_errors import ScaleError
@@ -75,6 +76,7 @@ class SampledResult(PlateResult):
     assessment : what determines the posterior and how it fits
     result : chains and diagnostics of the ensembles
     seconds_sampling : of the ensembles, without the plate model, the swarm and what follows
+    by_shape : what measured shapes say of the modes at the reference constants, None without them
     """
 
     question: ClassVar[str] = "posterior"
@@ -99,6 +101,7 @@ class SampledResult(PlateResult):
     forward_solves: int
     seconds_sampling: float
     seconds: float
+    by_shape: ShapePairing | None = None
 
     @property
     def status(self) -> str:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cpam_bayes.arguments import checked
-from cpam_bayes.forward_model.labels import LabelledModel, labelled_model
+from cpam_bayes.forward_model.labels import LabelledModel, labelled_model, spare_modes
 from cpam_bayes.forward_model.model import discretisation_error, reference_vector, size_parameters
 from cpam_bayes.forward_model.preconditions import explained_failures, require_choice, require_supported
 from cpam_bayes.forward_model.reduced import DEFAULT_SETTINGS as REDUCTION
@@ -80,7 +80,7 @@ def posterior(
     require_choice("likelihood", likelihood, get_args(Likelihood))
     specimen = require_supported(read_plate(plate), NO_MESH)
     measurement, unknowns = required(specimen)
-    spare = _ONE_MORE if measurement.complete else _SPARE_MODES
+    spare = max(_ONE_MORE if measurement.complete else _SPARE_MODES, spare_modes(measurement))
     parameters = unknowns.union(size_parameters(specimen))
     with explained_failures(specimen):
         reduced = reduced_model(specimen, parameters, measurement.size + spare)
@@ -123,7 +123,8 @@ def start_of(
         )
 
     if not measurement.complete:
-        reduced = reduced_model(specimen, parameters, measurement.size + _SPARE_MODES, notify=notify)
+        spare = max(_SPARE_MODES, spare_modes(measurement))
+        reduced = reduced_model(specimen, parameters, measurement.size + spare, notify=notify)
         model = labelled_model(reduced, measurement, specimen)
         target = posterior_on(model, reduced.full.error)
         bests, values, solves = swarm_on_posterior(target, seed, swarm_settings or SwarmSettings())

@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from cpam_bayes.formatting import significant
+from cpam_bayes.forward_model.labels import shape_warnings
 from cpam_bayes.forward_model.preconditions import SUSPICIOUS_RATIO
 from cpam_bayes.forward_model.solve import LARGE_ERROR, error_warning
 from cpam_bayes.identification.point import PointEstimate
@@ -47,6 +48,7 @@ def point_warnings(result: PointEstimate, residual: Residual) -> tuple[str, ...]
     problems += error_warning(result.error, limit)
     problems += _on_constraints(result)
     problems += _other_labels(result)
+    problems += _of_shapes(result)
     problems += _unused(result.specimen)
     return tuple(problems)
 
@@ -110,6 +112,17 @@ def _other_labels(result: PointEstimate) -> list[str]:
     return problems
 
 
+def _of_shapes(result: PointEstimate) -> list[str]:
+    measurement = result.specimen.measurement
+    assert measurement is not None
+    return [
+        f"{text}; the swarm takes the most probable pairing, --backend emcee weighs them all"
+        if result.by_shape is not None and len(result.by_shape.assignments) > 1
+        else text
+        for text in shape_warnings(result.by_shape, measurement)
+    ]
+
+
 def _unused(specimen: Specimen) -> list[str]:
     """What the plate file gives and the swarm has no use for."""
     problems = []
@@ -150,6 +163,8 @@ def sampled_warnings(result: SampledResult) -> tuple[str, ...]:
             f"posterior predictive p-value {result.p_value:.3f}: the residuals are larger than the noise "
             "of the plate file explains, the plate model lacks something or the noise is larger"
         )
+    weighed = "; all pairings are weighed by their probability" if result.posterior.alternatives else ""
+    problems += [f"{text}{weighed}" for text in shape_warnings(result.by_shape, measurement)]
     return tuple(problems)
 
 

@@ -165,7 +165,7 @@ def hessian_u(posterior: Posterior, axes: Coordinates, u: Array, sd: Array) -> A
 
 def expand_likelihood(posterior: Posterior, x: Array) -> Expansion:
     """Log likelihood, gradient and Fisher information over the parameters x (m, n) within the support."""
-    return (_one_to_one if posterior.measurement.complete else _summed)(posterior, x)
+    return (_one_to_one if posterior.is_one_to_one else _summed)(posterior, x)
 
 
 def _one_to_one(posterior: Posterior, x: Array) -> Expansion:
@@ -239,7 +239,7 @@ class _TangentPosterior(Posterior):
 
 
 def _summed(posterior: Posterior, x: Array) -> Expansion:
-    """Of an incomplete list: differences of its likelihood along the tangent of the model, no solves."""
+    """Where pairings are summed over: differences of the likelihood along the model's tangent, no solves."""
     n_plate, n = posterior.model.parameters.size, x.shape[1]
     prediction = posterior.model.predict(x[:, :n_plate], jacobian=True)
     assert prediction.jacobian is not None

@@ -7,8 +7,9 @@ from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import logsumexp
 
-from cpam_bayes.forward_model.labels import LabelledModel
+from cpam_bayes.forward_model.labels import Alternative, LabelledModel
 from cpam_bayes.forward_model.model import Prediction
 from cpam_bayes.inference.noise import NOISE_PRIOR, Likelihood, NoiseModel, noise_model
 from cpam_bayes.inference.pairing import (
@@ -64,6 +65,7 @@ class Posterior:
     noise_model: NoiseModel
     labelled: Array
     pairing: PairingPrior = DEFAULT_PAIRING
+    alternatives: tuple[Alternative, ...] = ()
 
     @property
     def noise_is_inferred(self) -> bool:
@@ -110,16 +112,34 @@ class Posterior:
             )
         return predicted
 
+    @property
+    def is_one_to_one(self) -> bool:
+        """Whether every frequency belongs to the mode at its own place, and no pairings are summed over."""
+        return self.measurement.complete and not self.alternatives
+
     def log_likelihood(self, x: Array) -> Array:
         """Log likelihood of parameter vectors (m, n_parameters), (m,)."""
         predicted = self.predict(x)
-        density = self.log_density(predicted, self.noise(x, predicted))
+        density, in_range = self.log_density(predicted, self.noise(x, predicted)), self.in_range(predicted)
+        if not self.alternatives:
+            return self._log_likelihood(density, in_range)
+        return np.asarray(logsumexp(self._by_alternative(density, in_range), axis=0))
+
+    def _by_alternative(self, density: Array, in_range: Array) -> Array:
+        """Log likelihood by every alternative pairing with its probability, (n_alternatives, m)."""
+        return np.stack(
+            [
+                one.log_probability + self._log_likelihood(density[:, :, one.places], in_range[:, one.places])
+                for one in self.alternatives
+            ]
+        )
+
+    def _log_likelihood(self, density: Array, in_range: Array) -> Array:
+        """Log likelihood (m,) of densities (m, n_f, n_modes) with every labelled mode at its place."""
         if self.measurement.complete:
             i = np.arange(self.measurement.size)
             return np.asarray(density[:, i, i].sum(axis=1))
-        return labelled_log_likelihood(
-            density, self.in_range(predicted), self.span, self.labelled, self.pairing
-        )
+        return labelled_log_likelihood(density, in_range, self.span, self.labelled, self.pairing)
 
     def log_density(self, predicted: Array, sigma: Array) -> Array:
         """Log density of every measured frequency about every predicted one, (m, n_f, n_modes)."""
@@ -129,13 +149,25 @@ class Posterior:
     def most_probable_pairing(self, x: Array) -> Pairing:
         """Which frequency is which of the model's modes at one parameter vector (n_parameters,)."""
         measurement = self.measurement
-        if measurement.complete:
+        if self.is_one_to_one:
             return Pairing(np.arange(measurement.size), np.empty(0, dtype=int), 0.0)
         predicted = self.predict(x[None])
-        density = self.log_density(predicted, self.noise(x[None], predicted))[0]
-        return most_probable_labelled_pairing(
-            density, self.in_range(predicted)[0], self.span, self.labelled, self.pairing
+        density, in_range = (
+            self.log_density(predicted, self.noise(x[None], predicted)),
+            self.in_range(predicted),
         )
+        places, log_probability = np.arange(predicted.shape[1]), 0.0
+        if self.alternatives:
+            each = self._by_alternative(density, in_range)[:, 0]
+            best = int(np.argmax(each))
+            places, log_probability = self.alternatives[best].places, float(each[best] - logsumexp(each))
+        if measurement.complete:
+            return Pairing(places[: measurement.size], np.empty(0, dtype=int), log_probability)
+        pairing = most_probable_labelled_pairing(
+            density[0][:, places], in_range[0, places], self.span, self.labelled, self.pairing
+        )
+        mode = np.where(pairing.mode >= 0, places[pairing.mode], -1)
+        return Pairing(mode, np.sort(places[pairing.missed]), pairing.log_probability + log_probability)
 
     def in_range(self, predicted: Array) -> Array:
         """Modes that a complete list would contain: none lies above the highest frequency listed."""
@@ -190,17 +222,22 @@ def plate_posterior(
     solver_error : (n_modes,) relative.
     pairing : prior of the pairings of an incomplete list, by default that of the measurement.
 
-    Raises ``ValueError`` for a list with labels unless the model is a ``LabelledModel``.
+    Raises ``ValueError`` for a list with labels or shapes unless the model is a ``LabelledModel``.
     """
     noise = noise_model(measurement, solver_error, likelihood, degrees_of_freedom)
     parameters = model.parameters
     if noise.parameter is not None:
         parameters = parameters.union(ParameterSet((noise.parameter,)))
-    labelled = np.array([bool(label) for label in measurement.labels])
-    if labelled.any() and not isinstance(model, LabelledModel):
+    labelled = np.zeros(measurement.size, dtype=bool)
+    alternatives: tuple[Alternative, ...] = ()
+    if isinstance(model, LabelledModel):
+        labelled[model.rows[model.rows < measurement.size]] = True
+        alternatives = model.alternatives
+    elif measurement.names_modes:
         raise ValueError(
-            "the list of frequencies has labels and the model does not know them; make it with labelled_model"
+            "the list of frequencies has labels or shapes and the model does not know them; make it with "
+            "labelled_model"
         )
     if pairing is None:
         pairing = PairingPrior(measurement.missed_probability, measurement.false_peaks)
-    return Posterior(model, measurement, parameters, noise, labelled, pairing)
+    return Posterior(model, measurement, parameters, noise, labelled, pairing, alternatives)

@@ -264,7 +264,7 @@ def _best_start(
 
 def _plain(specimen: Specimen, measurement: Measurement) -> Specimen:
     """The specimen with a list that is paired in its order, and sizes known exactly, as in the paper."""
-    unlabelled = replace(measurement, labels=("",) * measurement.size)
+    unlabelled = replace(measurement, labels=("",) * measurement.size, shapes=None)
     return replace(specimen, measurement=unlabelled, plate=replace(specimen.plate, sd={}))
 
 

@@ -82,8 +82,10 @@ def _left_aside(result: Sensitivity) -> list[str]:
     if specimen.plate.sd:
         names = ", ".join(user_name(name) for name in specimen.plate.sd)
         problems.append(f"[plate.sd] is not used here: {names} are taken as exact")
-    if specimen.measurement is not None and any(specimen.measurement.labels):
-        problems.append("labels are not used here: frequencies are paired with modes in their order")
+    if specimen.measurement is not None and specimen.measurement.names_modes:
+        problems.append(
+            "labels and shapes are not used here: frequencies are paired with modes in their order"
+        )
     normal = [n for n in specimen.unknowns.names if isinstance(specimen.unknowns[n].prior, TruncatedNormal)]
     if normal:
         problems.append(

@@ -98,7 +98,7 @@ def test_the_screen_says_who_found_the_angles(run: Run, path: Path) -> None:
         (
             "[measurement]",
             '[measurement]\nlabels = ["(1,1)", "", "", "", "", ""]',
-            "received labels beside unknown angles",
+            "labels: received beside unknown angles",
         ),
     ],
     ids=["isotropic", "labels"],

@@ -213,6 +213,7 @@ def _paired(posterior: Posterior, pairing: _Pairing) -> Posterior:
         frequencies=full_list.frequencies[pairing.rows],
         frequency_sd=sd,
         labels=("",) * len(pairing.rows),
+        shapes=None,
     )
     return replace(
         posterior,
@@ -222,4 +223,5 @@ def _paired(posterior: Posterior, pairing: _Pairing) -> Posterior:
             noise, scale=noise.scale[pairing.rows], solver_error=noise.solver_error[pairing.columns]
         ),
         labelled=np.zeros(len(pairing.rows), dtype=bool),
+        alternatives=(),
     )

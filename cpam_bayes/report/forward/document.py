@@ -10,6 +10,7 @@ from cpam_bayes.forward_model.solve import ForwardResult
 from cpam_bayes.plate import to_user, user_name
 from cpam_bayes.report.documents import plate_keys
 from cpam_bayes.report.forward.rows import constants_with_origin, measured_of_modes
+from cpam_bayes.report.modal_assurance.rows import shape_keys
 
 
 def document(result: ForwardResult) -> dict[str, Any]:
@@ -25,12 +26,16 @@ def document(result: ForwardResult) -> dict[str, Any]:
                 "in_plane_share": mode.in_plane_fraction,
                 "relative_error_estimate": float(error),
                 "measured_hz": None if measured is None else measured.hz,
-                "paired_by": None if measured is None else "label" if measured.by_label else "order",
+                "paired_by": None if measured is None else measured.by,
             }
             for mode, error, measured in zip(
-                result.modes, result.error, measured_of_modes(result.specimen, result.modes), strict=True
+                result.modes,
+                result.error,
+                measured_of_modes(result.specimen, result.modes, result.by_shape),
+                strict=True,
             )
         ],
+        **shape_keys(result.by_shape, result.specimen.measurement),
         "relative_error_estimate": float(np.max(result.error)),
         "no_error_estimate": result.no_estimate or None,
         "constants": {

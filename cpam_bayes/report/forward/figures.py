@@ -6,6 +6,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from cpam_bayes.forward_model.solve import ForwardResult
+from cpam_bayes.report.modal_assurance.figure import assurance_figures
 from cpam_bayes.report.mode_shapes import extent_of, shapes_figure
 
 
@@ -24,4 +25,6 @@ def figures(result: ForwardResult) -> dict[str, Figure]:
         extent,
         plate.edges if plate.mesh is None else "FFFF",
     )
-    return {"modes": figure}
+    return {"modes": figure} | assurance_figures(
+        result.specimen.name, result.by_shape, result.specimen.measurement
+    )

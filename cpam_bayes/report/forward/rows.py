@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 from cpam_bayes.forward_model.labels import modes_of_labels
+from cpam_bayes.forward_model.mode_shapes.assurance import ShapePairing
 from cpam_bayes.forward_model.solve import ForwardResult
 from cpam_bayes.mechanics.shapes import Mode
 from cpam_bayes.plate import Specimen
@@ -27,30 +29,47 @@ def constants_with_origin(specimen: Specimen) -> list[tuple[str, float, str]]:
 
 @dataclass(frozen=True, slots=True)
 class MeasuredFrequency:
-    """A measured frequency beside a mode, Hz; by_label : by its label, or else by its place in the list."""
+    """A measured frequency beside a mode, Hz; by : its shape, its label, or its place in the list."""
 
     hz: float
-    by_label: bool
+    by: Literal["shape", "label", "order"]
 
 
-def measured_of_modes(specimen: Specimen, modes: Sequence[Mode]) -> list[MeasuredFrequency | None]:
-    """The measured frequency of every mode: by its label, the others in order where the list has no gaps."""
+def measured_of_modes(
+    specimen: Specimen, modes: Sequence[Mode], by_shape: ShapePairing | None = None
+) -> list[MeasuredFrequency | None]:
+    """The measured frequency of every mode, by shape or label, the others in order.
+
+    Those of a list with gaps stand beside a mode by shape or label alone.
+
+    by_shape : what measured shapes say of these modes; where this is not known, they are beside none
+    """
     found: list[MeasuredFrequency | None] = [None] * len(modes)
     measurement = specimen.measurement
-    if measurement is None:
+    if measurement is None or (measurement.shapes is not None and by_shape is None):
         return found
-    for i, j in modes_of_labels(measurement.labels, modes).items():
-        found[j] = MeasuredFrequency(float(measurement.frequencies[i]), by_label=True)
+    known = modes_of_labels(measurement.labels, modes)
+    if by_shape is not None:
+        known = {i: int(j) for i, j in enumerate(by_shape.modes) if j >= 0}
+    for i, j in known.items():
+        hz = float(measurement.frequencies[i])
+        found[j] = MeasuredFrequency(hz, "label" if by_shape is None else "shape")
     if not measurement.complete:
         return found
     left = (j for j, taken in enumerate(found) if taken is None)
-    plain = (f for f, label in zip(measurement.frequencies, measurement.labels, strict=True) if not label)
+    plain = (
+        f
+        for i, (f, label) in enumerate(zip(measurement.frequencies, measurement.labels, strict=True))
+        if not label and i not in known
+    )
     for j, f in zip([*left], plain, strict=False):
-        found[j] = MeasuredFrequency(float(f), by_label=False)
+        found[j] = MeasuredFrequency(float(f), "order")
     return found
 
 
 def list_is_paired(result: ForwardResult) -> bool:
-    """Whether measured frequencies stand beside modes: by labels, or in a list without gaps."""
+    """Whether measured frequencies stand beside modes: by shape or label, or in a list without gaps."""
     measurement = result.specimen.measurement
-    return measurement is None or measurement.complete or all(measurement.labels)
+    if measurement is None or measurement.complete:
+        return True
+    return all(measurement.labels) if result.by_shape is None else bool((result.by_shape.modes >= 0).all())

@@ -8,6 +8,7 @@ from cpam_bayes.formatting import significant
 from cpam_bayes.forward_model.solve import ForwardResult
 from cpam_bayes.plate import Specimen, to_user, unit_of
 from cpam_bayes.report.forward.rows import constants_with_origin
+from cpam_bayes.report.modal_assurance.rows import assurance_sections
 from cpam_bayes.report.plates.head import plate_section
 from cpam_bayes.report.sections import COMPUTATION, Section
 from cpam_bayes.report.tables import Table, facts, headed
@@ -32,6 +33,7 @@ def sections(result: ForwardResult) -> tuple[Section, ...]:
             ("modes",),
             folded=False,
         ),
+        *assurance_sections(result.by_shape, result.specimen.measurement),
         Section(COMPUTATION, (facts("Computation", computation),)),
     )
 

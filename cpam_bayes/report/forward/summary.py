@@ -39,17 +39,17 @@ def summary(result: ForwardResult) -> Summary:
 
 def modes_table(result: ForwardResult) -> Table:
     """Each mode, beside the measured frequency where there is one."""
-    measured = measured_of_modes(result.specimen, result.modes)
+    measured = measured_of_modes(result.specimen, result.modes, result.by_shape)
     columns = list(headed("#mode", "#Hz", "kind", "label"))
-    by_label = any(m is not None and m.by_label for m in measured)
+    named = any(m is not None and m.by != "order" for m in measured)
     if any(measured):
-        columns += headed("#measured Hz", "#difference %", *(("paired by",) if by_label else ()))
+        columns += headed("#measured Hz", "#difference %", *(("paired by",) if named else ()))
     rows = []
     for i, (mode, m) in enumerate(zip(result.modes, measured, strict=True), 1):
         row = [str(i), significant(mode.frequency, 6), mode.kind, mode.label]
         if m is not None:
             row += [f"{m.hz:.10g}", _difference(mode.frequency / m.hz)]
-            row += ["label" if m.by_label else "order"] if by_label else []
+            row += [m.by] if named else []
         rows.append((*row, *("" for _ in columns[len(row) :])))
     return Table("Modes from these constants", tuple(columns), tuple(rows))
 
@@ -66,7 +66,7 @@ def _beside(result: ForwardResult) -> str:
         [
             mode.frequency / measured.hz
             for mode, measured in zip(
-                result.modes, measured_of_modes(result.specimen, result.modes), strict=True
+                result.modes, measured_of_modes(result.specimen, result.modes, result.by_shape), strict=True
             )
             if measured is not None
         ]
@@ -105,8 +105,8 @@ def _unpaired(result: ForwardResult) -> tuple[str, ...]:
     if list_is_paired(result):
         return ()
     return (
-        "The frequency list may lack modes (complete = false): a frequency without a label stands beside no "
-        "mode here; identify --backend emcee sums over all pairings.",
+        "The frequency list may lack modes (complete = false): a frequency without a label or shape stands "
+        "beside no mode here; identify --backend emcee sums over all pairings.",
     )
 
 

@@ -6,6 +6,7 @@ import math
 
 from cpam_bayes.formatting import significant
 from cpam_bayes.identification.identify import PointResult
+from cpam_bayes.report.modal_assurance.rows import assurance_captions
 from cpam_bayes.report.sections import Caption, modes_caption
 
 
@@ -34,6 +35,7 @@ def captions(result: PointResult) -> dict[str, Caption]:
         ),
     }
     drawn["modes"] = modes_caption([(row.measured, row.label or row.kind) for row in rows])
+    drawn |= assurance_captions(estimate.by_shape)
     if len(result.optima) > 1:
         best = significant(result.optima[0][0].value, 3)
         drawn["optima"] = Caption(

@@ -9,6 +9,7 @@ import numpy as np
 from cpam_bayes.identification.identify import PointResult
 from cpam_bayes.plate import to_user, user_name
 from cpam_bayes.report.documents import laminate_keys, plate_keys
+from cpam_bayes.report.modal_assurance.rows import shape_keys
 
 
 def document(result: PointResult) -> dict[str, Any]:
@@ -51,6 +52,7 @@ def document(result: PointResult) -> dict[str, Any]:
             }
             for optimum, values in result.optima
         ],
+        **shape_keys(estimate.by_shape, result.specimen.measurement),
         "rms_percent": 100.0 * estimate.rms,
         "noise_percent": 100.0 * estimate.noise,
         "noise_source": "residuals" if estimate.noise_is_inferred else "plate file",

@@ -9,6 +9,7 @@ from cpam_bayes.formatting import significant
 from cpam_bayes.identification.identify import PointResult
 from cpam_bayes.plate import to_user, unit_of
 from cpam_bayes.report.figures import PREDICTED
+from cpam_bayes.report.modal_assurance.figure import assurance_figures
 from cpam_bayes.report.mode_shapes import extent_of, shapes_figure
 
 
@@ -53,6 +54,7 @@ def figures(result: PointResult) -> dict[str, Figure]:
     axes.margins(y=0.25)
     axes.set_title(f"{result.specimen.name}: residuals, rms {100.0 * estimate.rms:.2f} %")
     drawn = {"predicted_against_measured": pairs, "residuals": residuals, "modes": _modes(result)}
+    drawn |= assurance_figures(result.specimen.name, estimate.by_shape, result.specimen.measurement)
     return drawn if len(result.optima) < 2 else {**drawn, "optima": _optima(result)}
 
 

@@ -13,6 +13,7 @@ from cpam_bayes.identification.point import PointEstimate
 from cpam_bayes.identification.search import required
 from cpam_bayes.plate import to_user, unit_of
 from cpam_bayes.report.identification.words import noise_sentence, verdict_sentences
+from cpam_bayes.report.modal_assurance.rows import assurance_sections
 from cpam_bayes.report.plates.head import plate_section
 from cpam_bayes.report.sections import COMPUTATION, Section
 from cpam_bayes.report.tables import Table, facts, headed, remarks
@@ -37,6 +38,7 @@ def sections(result: PointResult) -> tuple[Section, ...]:
             ("residuals",),
             folded=False,
         ),
+        *assurance_sections(estimate.by_shape, result.specimen.measurement),
         Section("Mode shapes", figures=("modes", "predicted_against_measured")),
         Section(
             "Constants",

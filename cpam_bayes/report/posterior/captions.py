@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from cpam_bayes.formatting import listed
 from cpam_bayes.identification.sampled import SampledResult
+from cpam_bayes.report.modal_assurance.rows import assurance_captions
 from cpam_bayes.report.sections import Caption, modes_caption
 
 
@@ -32,4 +33,5 @@ def captions(result: SampledResult) -> dict[str, Caption]:
             f"Residuals of {len(rows)} modes by all and by the other modes, and the leverage of each.",
         ),
         "modes": modes_caption([(row.measured, row.mode.label or row.mode.kind) for row in rows]),
+        **assurance_captions(result.by_shape),
     }

@@ -12,6 +12,7 @@ from cpam_bayes.inference.noise import NOISE_NAMES
 from cpam_bayes.plate import to_user, user_name
 from cpam_bayes.priors import Prior, TruncatedNormal, Uniform
 from cpam_bayes.report.documents import laminate_unit, plate_keys
+from cpam_bayes.report.modal_assurance.rows import shape_keys
 
 
 def document(result: SampledResult) -> dict[str, Any]:
@@ -32,6 +33,7 @@ def document(result: SampledResult) -> dict[str, Any]:
         "missed_modes": [
             {"predicted_hz": m.predicted, "kind": m.mode.kind, "label": m.mode.label} for m in result.missed
         ],
+        **shape_keys(result.by_shape, result.posterior.measurement),
         "posterior_predictive_p_value": result.p_value,
         "leave_one_out": _leave_one_out(result),
         "log_evidence": result.evidence.log_evidence,

@@ -16,6 +16,7 @@ from cpam_bayes.identification.sampled import ConstantPosterior, SampledResult
 from cpam_bayes.inference.diagnostics.profiles import DROP_95, Profile
 from cpam_bayes.inference.noise import NOISE_NAMES
 from cpam_bayes.plate import to_user, unit_of, user_name
+from cpam_bayes.report.modal_assurance.figure import assurance_figures
 from cpam_bayes.report.mode_shapes import extent_of, shapes_figure
 
 _BINS = 40
@@ -37,6 +38,7 @@ def figures(result: SampledResult) -> dict[str, Figure]:
         "marginals_and_profiles": _marginals_and_profiles(result),
         "left_out": _left_out(result),
         "modes": _modes(result),
+        **assurance_figures(result.specimen.name, result.by_shape, result.posterior.measurement),
     }
 
 

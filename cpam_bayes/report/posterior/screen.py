@@ -11,6 +11,7 @@ from cpam_bayes.inference.noise import NOISE_NAMES
 from cpam_bayes.plate import to_user, unit_of
 from cpam_bayes.priors import Prior, TruncatedNormal
 from cpam_bayes.report.documents import laminate_unit
+from cpam_bayes.report.modal_assurance.rows import assurance_sections
 from cpam_bayes.report.plates.head import plate_section
 from cpam_bayes.report.posterior.assessment import combinations_table, sensitivity_table
 from cpam_bayes.report.sections import COMPUTATION, Section
@@ -41,6 +42,7 @@ def sections(result: SampledResult) -> tuple[Section, ...]:
             ("posterior",),
         ),
         Section("Measured and predicted frequencies", (_frequencies(result),), ("left_out",)),
+        *assurance_sections(result.by_shape, result.posterior.measurement),
         Section("Mode shapes", figures=("modes",)),
         Section(COMPUTATION, (_chains(result),)),
     )

@@ -43,7 +43,7 @@ def document(result: PredictionResult) -> dict[str, Any]:
                 "kind": m.mode.kind,
                 "label": m.mode.label,
                 "measured_hz": None if there is None else there.hz,
-                "paired_by": None if there is None else "label" if there.by_label else "order",
+                "paired_by": None if there is None else there.by,
             }
             for m, there in zip(result.modes, measured, strict=True)
         ],

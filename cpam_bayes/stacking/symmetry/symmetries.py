@@ -88,7 +88,7 @@ def plane_motions(specimen: Specimen) -> tuple[str, ...]:
     motion is sought.
     """
     plate = specimen.plate
-    labelled = specimen.measurement is not None and any(specimen.measurement.labels)
+    labelled = specimen.measurement is not None and specimen.measurement.names_modes
     if plate.mesh is not None:
         return ("",)
     masses = [(s.x / plate.length, s.y / plate.width, s.mass) for s in specimen.sensors]

@@ -59,7 +59,9 @@ def test_a_label_puts_a_frequency_beside_its_mode_and_the_others_in_order(
     assert paired(alone) == [(None, None), (None, None), (1.01, "label")]
     gaps = with_list(carbon, (third, ""), complete=False)
     assert paired(gaps) == paired(alone)
-    assert any("a frequency without a label stands beside no mode" in said for said in gaps.in_words().basis)
+    assert any(
+        "a frequency without a label or shape stands beside no mode" in said for said in gaps.in_words().basis
+    )
 
 
 def test_a_label_of_no_computed_mode_is_warned_of(carbon: ForwardResult) -> None:

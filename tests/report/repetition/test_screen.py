@@ -237,7 +237,7 @@ def test_what_the_file_gives_and_the_study_leaves_aside_is_a_warning(study):
     given = replace(own, unknowns=unknowns, measurement=labelled, plate=plate)
     found = sensitivity_warnings(replace(study, source="measured", specimen=given))
     assert found[0] == "[plate.sd] is not used here: thickness_mm are taken as exact"
-    assert "labels are not used here" in found[1]
+    assert "labels and shapes are not used here" in found[1]
     assert "mean and sd of E1, nu12 in [unknowns] enter the posterior alone" in found[2]
 
 
