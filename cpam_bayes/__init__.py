@@ -11,6 +11,7 @@
     cb.sequence(plate)              # the probability of every stacking sequence
     cb.diagnose(plate)              # what the simulation gets wrong, and why
     cb.full_report(plate)           # constants, stacking sequences and diagnosis, for one page
+    cb.batch(plate, other_plate)    # many plates, one row each, with limits and a control chart
     cb.sensitivity(plate)           # the paper's noise study beside the posterior
 
 Every result has `summary()`, `to_dict()`, `plot()`, `save()`, `warnings` and `status`. Names are loaded
@@ -25,6 +26,7 @@ __version__ = "0.1.0"
 if TYPE_CHECKING:
     from cpam_bayes import effects as effects
     from cpam_bayes import paper as paper
+    from cpam_bayes.batches.batch import batch as batch
     from cpam_bayes.combined import full_report as full_report
     from cpam_bayes.deadline import time_limit as time_limit
     from cpam_bayes.diagnosis.plates import diagnose as diagnose
@@ -46,6 +48,7 @@ if TYPE_CHECKING:
 # Public name -> the module that holds it.
 _PUBLIC = {
     "Result": "cpam_bayes.result",
+    "batch": "cpam_bayes.batches.batch",
     "builtin_plates": "cpam_bayes.plate.reader",
     "cache": "cpam_bayes.forward_model.stored_models",
     "design": "cpam_bayes.specimen_design.design",
@@ -67,6 +70,7 @@ _PACKAGES = ("effects", "paper")
 
 __all__ = [
     "Result",
+    "batch",
     "builtin_plates",
     "cache",
     "design",

@@ -186,6 +186,10 @@ class Result:
         """Further files of `--out`, by name."""
         return {}
 
+    def datasets(self) -> Mapping[str, Any]:
+        """Further NetCDF files of `--out` as xarray datasets, by name."""
+        return {}
+
     def save(self, directory: str | Path) -> None:
         """Write the JSON document, the figures and the other files of `--out` into a directory.
 

@@ -37,6 +37,7 @@ LAYERS = (
     "diagnosis",
     "repetition",
     "combined",
+    "batches",
     "comparison",
     "validation",
     "report",

@@ -17,6 +17,7 @@ COMMANDS: Final = (
     "sequence",
     "diagnose",
     "report",
+    "batch",
     "paper",
     "cache",
 )

@@ -51,6 +51,8 @@ def save(result: Result, stage: Stage | None) -> tuple[str, ...]:
     _moved(draft, directory)
     for name, text in result.texts().items():
         (draft / name).write_text(text, encoding="utf-8")
+    for name, dataset in result.datasets().items():
+        dataset.to_netcdf(draft / name, engine="h5netcdf")
     if result.has_draws:
         result.to_arviz().to_netcdf(str(draft / "posterior.nc"))
     _moved(draft, directory)

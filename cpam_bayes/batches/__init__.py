@@ -1,0 +1,1 @@
+"""The question `batch`: many plates, their limits, their scatter."""

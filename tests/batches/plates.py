@@ -1,0 +1,48 @@
+"""Simulated aluminium plates for batches, quick to identify."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import cpam_bayes as cb
+
+SIZES = {"length_mm": 300.0, "width_mm": 260.0, "thickness_mm": 3.0, "density_kg_m3": 2700.0}
+UNKNOWNS = {"E1_GPa": [40.0, 100.0], "nu12": [0.15, 0.45]}
+N_MODES = 6
+
+
+def plate(name: str, e1: float = 70.0, nu12: float = 0.33, **sizes: float) -> dict[str, Any]:
+    """A plate with the exact list of other constants than its reference, 69 GPa and 0.33."""
+    described: dict[str, Any] = {
+        "name": name,
+        "plate": {**SIZES, **sizes, "edges": "FFFF"},
+        "material": {"isotropic": True, "E1_GPa": 69.0, "nu12": 0.33, "name": "aluminium"},
+        "unknowns": UNKNOWNS,
+    }
+    true = {**described, "material": {"isotropic": True, "E1_GPa": e1, "nu12": nu12}}
+    f = cb.forward(true, N_MODES).frequencies
+    return {**described, "measurement": {"frequencies_hz": f.tolist(), "relative_std": 0.002}}
+
+
+def with_noise(described: Mapping[str, Any], rng: np.random.Generator, std: float = 0.002) -> dict[str, Any]:
+    """The plate with a noisy list."""
+    measured = dict(described["measurement"])
+    f = np.array(measured["frequencies_hz"])
+    measured["frequencies_hz"] = (f * (1.0 + std * rng.standard_normal(len(f)))).tolist()
+    return {**described, "measurement": measured}
+
+
+def written(path: Path, described: Mapping[str, Any]) -> Path:
+    """The plate as a file."""
+    lines = [f'name = "{described["name"]}"']
+    for section in ("plate", "material", "unknowns", "measurement"):
+        lines.append(f"[{section}]")
+        for key, value in described[section].items():
+            shown = {True: "true", False: "false"}[value] if isinstance(value, bool) else repr(value)
+            lines.append(f"{key} = {shown}")
+    path.write_text("\n".join(lines).replace("'", '"') + "\n", encoding="utf-8")
+    return path

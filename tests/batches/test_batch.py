@@ -1,0 +1,260 @@
+"""Many plates: the same constants by shared models, failures that stop nothing, limits, charts, stores."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.stats import norm, t
+
+import cpam_bayes as cb
+from cpam_bayes.batches.control_chart import control_chart
+from cpam_bayes.batches.geometry import carried, groups_of, size_powers
+from cpam_bayes.batches.limits import MarginalPosterior, read_limit
+from cpam_bayes.batches.plate_row import computed_row, row_of
+from tests.batches.plates import N_MODES, plate, with_noise, written
+
+# Limits
+
+
+def test_a_limit_is_read_in_the_unit_of_the_plate_file() -> None:
+    limit = read_limit(" E1_GPa>=115 ")
+    assert (limit.text, limit.name, limit.side, limit.value) == ("E1_GPa >= 115", "E1", "at least", 115e9)
+    below = read_limit("nu12 < 0.4")
+    assert (below.text, below.side, below.value) == ("nu12 <= 0.4", "at most", 0.4)
+
+
+@pytest.mark.parametrize("text", ["E1 >= 115", "E1_GPa 115", "E1_GPa >= ", "E1_GPa == 1", "mass_g > 1", ""])
+def test_a_text_that_is_no_limit_is_refused_with_what_is(run: Any, text: str) -> None:
+    status, out, err = run("batch", "A1", "--limit", text)
+    assert (status, out) == (2, "")
+    assert f"limit: received {text!r}" in err
+
+
+def test_the_probability_of_a_limit_is_that_of_a_density_cut_at_the_bounds() -> None:
+    free = MarginalPosterior(120.0, 2.0, np.inf, -1e9, 1e9)
+    assert free.below(117.0) == pytest.approx(norm.cdf(-1.5))
+    heavy = MarginalPosterior(120.0, 2.0, 3.0, -1e9, 1e9)
+    assert heavy.below(117.0) == pytest.approx(t.cdf(-1.5, 3))
+    half = MarginalPosterior(0.4, 0.1, np.inf, 0.0, 0.4)  # an optimum on its upper bound
+    assert half.below(0.3) == pytest.approx(2.0 * (norm.cdf(-1.0) - norm.cdf(-4.0)), rel=1e-3)
+    assert (half.below(0.5), half.below(-1.0)) == (1.0, 0.0)
+    limit = read_limit("nu12 >= 0.3")
+    assert half.meets(limit) == pytest.approx(1.0 - half.below(0.3))
+
+
+# The control chart
+
+
+def test_the_control_limits_are_those_of_the_handbook() -> None:
+    """Flow rates of NIST/SEMATECH e-Handbook of Statistical Methods, 6.3.2.2."""
+    flow = [49.6, 47.6, 49.9, 51.3, 47.8, 51.2, 52.6, 52.4, 53.6, 52.1]
+    chart = control_chart(flow)
+    assert chart is not None
+    assert chart.mean == pytest.approx(50.81)
+    assert chart.limits == pytest.approx((45.8159, 55.8041), abs=1e-3)
+    assert chart.outside == ()
+    # a single value far off widens the limits by itself: by one part in ten here
+    moved = control_chart([*flow * 3, 75.0])
+    assert moved is not None
+    assert moved.outside == (30,)
+    assert control_chart(flow[:2]) is None
+
+
+# Shared models
+
+
+def test_a_thin_plate_goes_with_its_thickness_its_density_and_its_area() -> None:
+    powers = size_powers(cb.read_plate(plate("thin", thickness_mm=1.0)), N_MODES)
+    thickness, density, length, width = powers.T
+    np.testing.assert_allclose(thickness, 1.0, atol=2e-3)
+    np.testing.assert_allclose(density, -0.5, atol=1e-9)
+    # all of bending: lengths taken together have the power -2, less the shear of a plate of 1/260
+    np.testing.assert_allclose(length + width, -2.0, atol=2e-3)
+
+
+def test_plates_of_other_sizes_have_the_constants_that_their_own_models_give() -> None:
+    first = plate("first", 66.0, 0.30)
+    other = plate("other", 75.0, 0.36, thickness_mm=3.12, density_kg_m3=2640.0, length_mm=302.0)
+    shared = cb.batch(first, other)
+    single = cb.batch(first, other, share_models=False)
+    assert (shared.models, single.models) == (1, 2)
+    for row, e1, nu12 in zip(shared.rows, (66.0, 75.0), (0.30, 0.36), strict=True):
+        own = single.rows[shared.rows.index(row)]
+        for name, true in (("E1", e1 * 1e9), ("nu12", nu12)):
+            found, alone = row.constant(name), own.constant(name)
+            assert found is not None
+            assert alone is not None
+            assert abs(found.value - alone.value) < 0.1 * alone.sd
+            assert abs(found.value - true) < 0.2 * alone.sd  # the solver's error is a tenth of the noise
+            assert found.sd == pytest.approx(alone.sd, rel=0.02)
+
+
+def test_plates_that_differ_by_more_than_sizes_share_nothing() -> None:
+    first = plate("first")
+    alike = plate("alike", thickness_mm=3.05)
+    thick = plate("thick", thickness_mm=3.5)
+    clamped = {**first, "plate": {**first["plate"], "edges": "CFFF"}}
+    labelled = {**first, "measurement": {**first["measurement"], "labels": ["(1,1)"] + [""] * (N_MODES - 1)}}
+    specimens = [cb.read_plate(p) for p in (first, thick, alike, clamped, labelled, labelled)]
+    assert groups_of(specimens) == [[0, 2], [1], [3], [4], [5]]
+
+
+def test_a_carried_list_keeps_its_relative_noise() -> None:
+    first, other = (cb.read_plate(plate("p", thickness_mm=h)) for h in (3.0, 3.1))
+    moved = carried(other, first, size_powers(first, N_MODES))
+    assert moved is not None
+    assert moved.measurement is not None
+    assert first.measurement is not None
+    assert moved.plate is first.plate
+    assert moved.measurement.relative_std == 0.002
+    np.testing.assert_allclose(moved.measurement.frequencies, first.measurement.frequencies, rtol=2e-5)
+
+
+# Laplace's approximation
+
+
+def test_the_marginals_are_those_of_the_posterior_integrated_on_a_grid() -> None:
+    described = with_noise(plate("noisy"), np.random.default_rng(4))
+    row = computed_row("noisy", cb.read_plate(described), 0, False)
+    density = cb.posterior(described)
+    e = np.linspace(64e9, 76e9, 121)
+    nu = np.linspace(0.15, 0.45, 121)
+    x = np.stack(np.meshgrid(e, nu, indexing="ij"), axis=-1).reshape(-1, 2)
+    p = np.exp(density.log_prob(x) - density.log_prob(x).max()).reshape(121, 121)
+    for name, values, axis in (("E1", e, 1), ("nu12", nu, 0)):
+        marginal = p.sum(axis=axis) / p.sum()
+        mean = float(marginal @ values)
+        sd = float(np.sqrt(marginal @ (values - mean) ** 2))
+        found = row.constant(name)
+        assert found is not None
+        assert abs(found.posterior.centre - mean) < 0.05 * sd
+        assert found.posterior.sd == pytest.approx(sd, rel=0.05)
+
+
+# Failures, files, stores
+
+
+@pytest.fixture
+def files(tmp_path: Path) -> list[Path]:
+    rng = np.random.default_rng(0)
+    good = [
+        written(tmp_path / f"p{i}.toml", with_noise(plate(f"p{i}", thickness_mm=h), rng))
+        for i, h in enumerate((3.0, 3.02, 2.97))
+    ]
+    broken = tmp_path / "broken.toml"
+    broken.write_text("[plate]\nlength_m = 3\n", encoding="utf-8")
+    empty = {**plate("list"), "measurement": {**plate("list")["measurement"], "complete": False}}
+    return [
+        good[0],
+        broken,
+        good[1],
+        tmp_path / "missing.toml",
+        written(tmp_path / "list.toml", empty),
+        good[2],
+    ]
+
+
+def test_a_plate_that_fails_says_why_and_the_others_are_done(
+    run: Any, files: list[Path], tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    limits = ("--limit", "E1_GPa >= 60", "--limit", "nu12 <= 0.3")
+    status, text, err = run(
+        "batch", *files, *limits, "--out", out, "--json", "--quiet", "--executor", "serial"
+    )
+    document = json.loads(text)
+    assert status == 1
+    assert "3 plates have no answer" in err
+    rows = document["rows"]
+    assert [row["status"] for row in rows] == ["done", "failed", "done", "failed", "failed", "done"]
+    assert [row["file"] for row in rows] == [str(path) for path in files]
+    assert "unknown key" in rows[1]["message"]
+    assert "neither a file nor a built-in specimen" in rows[3]["message"]
+    assert "measurement.complete: received false" in rows[4]["message"]
+    for row in (rows[i] for i in (0, 2, 5)):
+        e1 = row["constants"]["E1_GPa"]
+        assert abs(e1["value"] - 70.0) < 4.0 * e1["sd"]
+        assert row["limits"]["E1_GPa >= 60"] > 0.999
+        assert 0.0 < row["limits"]["nu12 <= 0.3"] < 0.9
+    table = list(csv.DictReader((out / "results.csv").read_text(encoding="utf-8").splitlines()))
+    assert [row["status"] for row in table] == [row["status"] for row in rows]
+    assert float(table[0]["E1_GPa"]) == pytest.approx(rows[0]["constants"]["E1_GPa"]["value"], rel=1e-6)
+    assert (table[1]["E1_GPa"], table[0]["P(E1_GPa >= 60)"] > "0.99") == ("", True)
+    import xarray
+
+    with xarray.open_dataset(out / "results.nc", engine="h5netcdf") as stored:
+        values = stored["value"].sel(constant="E1_GPa").values
+        assert list(stored["constant"].values) == ["E1_GPa", "nu12"]
+        assert np.isnan(values[[1, 3, 4]]).all()
+        expected = [rows[i]["constants"]["E1_GPa"]["value"] for i in (0, 2, 5)]
+        np.testing.assert_allclose(values[[0, 2, 5]], expected)
+        assert float(stored["probability_of_limit"][0, 0]) == rows[0]["limits"]["E1_GPa >= 60"]
+    assert (out / "report.html").is_file()
+    assert (out / "figures" / "control_chart.png").is_file()
+
+
+def test_a_stopped_batch_goes_on_and_a_damaged_row_is_computed_again(
+    files: list[Path], tmp_path: Path
+) -> None:
+    good = [str(files[i]) for i in (0, 2, 5)]
+    store = tmp_path / "store"
+    first = cb.batch(*good[:2], store=store)
+    again = cb.batch(*good, store=store)
+    assert (first.from_store, again.from_store) == (0, 2)
+    fresh = cb.batch(*good)
+    ignored = {"seconds": 0, "from_store": 0}
+    assert {**again.to_dict(), **ignored} == {**fresh.to_dict(), **ignored}
+    kept = sorted(store.glob("*.plate"))
+    assert len(kept) == 3
+    content = kept[0].read_bytes()
+    kept[0].write_bytes(content[:-20] + b"x" * 20)
+    repaired = cb.batch(*good, store=store)
+    assert repaired.from_store == 2
+    assert {**repaired.to_dict(), **ignored} == {**fresh.to_dict(), **ignored}
+    other_seed = cb.batch(*good, store=store, seed=5)
+    assert other_seed.from_store == 0
+
+
+def test_any_number_of_workers_gives_the_same_rows(files: list[Path]) -> None:
+    good = [str(files[i]) for i in (0, 2, 5)]
+    here = cb.batch(*good)
+    there = cb.batch(*good, executor="processes", workers=2)
+    assert {**here.to_dict(), "seconds": 0} == {**there.to_dict(), "seconds": 0}
+
+
+def test_a_row_is_the_same_after_it_was_stored() -> None:
+    row = computed_row("file", cb.read_plate(plate("p")), 0, False)
+    assert row_of(row.stored()) == row
+
+
+def test_an_error_that_nobody_foresaw_is_a_row_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    from cpam_bayes.batches import batch as module
+
+    def fails(*arguments: object) -> None:
+        raise ZeroDivisionError("by chance")
+
+    monkeypatch.setattr(module, "computed_row", fails)
+    result = cb.batch("A1")
+    assert result.rows[0].message == "ZeroDivisionError: by chance"
+    assert (result.status, result.reached_goal) == ("failed", False)
+    assert "All plates" not in result.summary()
+
+
+@pytest.mark.slow
+def test_a_batch_with_diagnosis_has_the_claims_of_diagnose() -> None:
+    quiet = with_noise(plate("quiet"), np.random.default_rng(1))
+    swapped = plate("misread")
+    swapped["measurement"]["frequencies_hz"][3] *= 1.06
+    swapped["measurement"]["frequencies_hz"].sort()
+    result = cb.batch(quiet, swapped, diagnosis=True)
+    for row, described in zip(result.rows, (quiet, swapped), strict=True):
+        alone = cb.diagnose(described, next_test="never")
+        assert row.diagnosis is not None
+        assert row.diagnosis.claim == alone.claim
+        assert row.diagnosis.causes == alone.causes
+        assert row.diagnosis.probability == pytest.approx(alone.probability, abs=1e-9)
