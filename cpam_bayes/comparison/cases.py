@@ -67,4 +67,4 @@ def with_constants(specimen: Specimen, row: PrintedRow) -> Specimen:
         key: cell.number for key, cell in row.values.items() if cell.number is not None
     }
     constants = {key.partition("_")[0]: to_si(key, value) for key, value in printed.items()}
-    return replace(specimen, material=replace(specimen.material, constants=constants, sd={}))
+    return replace(specimen, material=replace(specimen.material.parts[""], constants=constants, sd={}))

@@ -18,9 +18,8 @@ from cpam_bayes.mechanics.problem import PlateState, Problem, Values, bare_plate
 from cpam_bayes.mechanics.shapes import Mode, describe_modes, shapes_at, shapes_on_grid
 from cpam_bayes.mechanics.spaces.ritz import RitzSettings, ritz_space
 from cpam_bayes.parameters import Parameter, ParameterSet, TruncatedNormal, Uniform
-from cpam_bayes.plate.elasticity import CONSTANTS
 from cpam_bayes.plate.laminate import ENERGY_CONSISTENT, ShearModel, laminate_geometry
-from cpam_bayes.plate.records import Material, Plate, Specimen
+from cpam_bayes.plate.records import Hybrid, Material, Plate, Specimen
 from cpam_bayes.threads import single_blas_thread
 
 Array = NDArray[Any]
@@ -126,9 +125,10 @@ def plate_problem(
         thickness=np.asarray(plate.thickness),
         density=np.asarray(plate.density),
         constants=material.complete(),
-        layup=laminate_geometry(layup.angles(spread), symmetric=layup.is_symmetric),
+        layup=laminate_geometry(layup.angles(spread), symmetric=layup.is_symmetric, plies=layup.plies),
         shear=shear,
         symmetric=layup.is_symmetric,
+        plies=layup.plies,
     )
 
     # partial objects, not closures: a model must be picklable to be sent to another process
@@ -141,7 +141,9 @@ def plate_problem(
     return problem
 
 
-def _plate_state(plate: Plate, material: Material, nominal: PlateState, values: Values) -> PlateState:
+def _plate_state(
+    plate: Plate, material: Material | Hybrid, nominal: PlateState, values: Values
+) -> PlateState:
     """The nominal state with the constants, sizes and angles that vary."""
     state = replace(nominal, constants=material.complete(values), **varied_sizes(plate, values))
     if not plate.layup.n_unknown:
@@ -150,7 +152,7 @@ def _plate_state(plate: Plate, material: Material, nominal: PlateState, values: 
     return replace(state, layup=plate.layup.angles(angles))
 
 
-def _is_physical(material: Material, values: Values) -> NDArray[np.bool_]:
+def _is_physical(material: Material | Hybrid, values: Values) -> NDArray[np.bool_]:
     shape = np.broadcast_shapes(*(np.shape(v) for v in values.values()))
     return np.broadcast_to(material.admissible(values), shape)
 
@@ -287,11 +289,12 @@ def convergence_samples(
         return Samples(np.empty((1, 0)), np.ones(1))
     rng = np.random.default_rng(0)
     middle = reference_vector(specimen, parameters) if centre is None else centre
+    constants = reference_constants(specimen)
     samples: list[Array] = []
     while len(samples) <= near:
         x = parameters.sample(rng, 1)[0]
         for i, name in enumerate(parameters.names):
-            if name in CONSTANTS:
+            if name in constants:
                 away = _NEIGHBOURHOOD * rng.uniform(-1.0, 1.0) if samples else 0.0
                 x[i] = middle[i] * (1.0 + away)
             elif name in SIZES and not samples:

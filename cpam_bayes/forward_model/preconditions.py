@@ -13,7 +13,9 @@ from numpy.typing import NDArray
 from cpam_bayes.errors import PlateFileError
 from cpam_bayes.formatting import significant
 from cpam_bayes.mechanics.modes import RigidBodyError
-from cpam_bayes.plate import Specimen
+from cpam_bayes.parameters import ParameterSet
+from cpam_bayes.plate import Material, Specimen
+from cpam_bayes.plate.units import joined_name
 
 MAX_MODES = 100
 """Modes of a plate that are computed at most."""
@@ -55,7 +57,7 @@ def require_supported(
 def require_diagnosable(specimen: Specimen) -> Specimen:
     """Return the specimen, or raise `PlateFileError` if what is wrong with it cannot be asked for."""
     no_mesh = "diagnose computes rectangular plates only; leave mesh out"
-    problems = [*_not_computed(specimen, no_mesh), *_unknown_angles(specimen)]
+    problems = [*_not_computed(specimen, no_mesh), *_named_plies(specimen), *_unknown_angles(specimen)]
     if specimen.measurement is None:
         problems.append("[measurement] is missing, nothing to be compared with the model")
     if not specimen.unknowns.size:
@@ -67,6 +69,7 @@ def require_diagnosable(specimen: Specimen) -> Specimen:
 def require_sequence(specimen: Specimen) -> Specimen:
     """Return the specimen, or raise `PlateFileError` if its sequence cannot be asked for."""
     problems = _not_computed(specimen, "sequence computes rectangular plates only; leave mesh out")
+    problems += _named_plies(specimen)
     if not specimen.plate.layup.n_unknown:
         problems.append(
             f'plate.layup: received {specimen.plate.layup.text}, none of its angles is "?"; write "?" for '
@@ -91,6 +94,17 @@ def _not_computed(specimen: Specimen, no_mesh: str | None, no_air: str | None = 
     if air and no_air is not None:
         problems.append(f"environment.air_density_kg_m3: received {air:g}, {no_air}")
     return problems
+
+
+def _named_plies(specimen: Specimen) -> list[str]:
+    """Why plies of several materials or thicknesses cannot be asked about, if there are some."""
+    layup = specimen.plate.layup
+    if not layup.kinds:
+        return []
+    return [
+        f"plate.layup: received {layup.text} with tables [[ply]], accepted: equal plies of one material; "
+        "`forward`, `identify` and `export` take plies of several"
+    ]
 
 
 def _angles_asked(specimen: Specimen) -> list[str]:
@@ -142,18 +156,28 @@ def exchange_warnings(specimen: Specimen) -> tuple[str, ...]:
     plate, unknowns, measurement = specimen.plate, specimen.unknowns, specimen.measurement
     square = plate.length == plate.width and len(set(plate.edges)) == 1
     turnable = square or bool(np.all(plate.layup.unknown_index >= 0))
-    free = specimen.material.symmetry == "orthotropic" and {"E1", "E2", "nu12"} <= set(unknowns.names)
     labelled = measurement is not None and measurement.names_modes
-    if not free or labelled or specimen.sensors or not turnable:
-        return ()
-    e1, e2 = unknowns["E1"].prior, unknowns["E2"].prior
-    if max(e1.lower, e2.lower) >= min(e1.upper, e2.upper):
+    if (
+        labelled
+        or specimen.sensors
+        or not turnable
+        or not all(_exchangeable(name, part, unknowns) for name, part in specimen.material.parts.items())
+    ):
         return ()
     why = "the plate is square with four equal edges" if square else "ply angles are unknown"
     return (
         f"E1 and E2 can change places without a change of any frequency, as {why}: the answer is one of two; "
         f"give them bounds in [unknowns] that do not overlap{', or label the modes' if square else ''}",
     )
+
+
+def _exchangeable(name: str, material: Material, unknowns: ParameterSet) -> bool:
+    """Whether the two axes of a material can change places within the bounds."""
+    e1, e2, nu12 = (joined_name(name, constant) for constant in ("E1", "E2", "nu12"))
+    if material.symmetry != "orthotropic" or not {e1, e2, nu12} <= set(unknowns.names):
+        return False
+    first, second = unknowns[e1].prior, unknowns[e2].prior
+    return max(first.lower, second.lower) < min(first.upper, second.upper)
 
 
 def require_choice(name: str, value: object, accepted: Sequence[str]) -> None:

@@ -98,21 +98,19 @@ def _at_bounds(specimen: Specimen, end: str) -> dict[str, float]:
     """Reference constants with the unknown moduli at one end of their bounds."""
     constants = reference_constants(specimen)
     for name in specimen.unknowns.names:
-        if name != "nu12":
+        if unit_of(name):
             constants[name] = float(getattr(specimen.unknowns[name].prior, end))
     return constants
 
 
 def _frequencies(specimen: Specimen, constants: dict[str, float], n: int) -> Array:
     """The lowest frequencies of the plate with given constants, roughly, (n,) Hz."""
-    material = specimen.material
-    names = material.constants if material.isotropic else constants
-    given = replace(material, constants={k: constants[k] for k in names})
+    material = specimen.material.with_constants(constants)
     layup = specimen.plate.layup
     if layup.n_unknown:
         evenly = np.linspace(-90.0, 90.0, layup.n_unknown + 1)[1:]
         layup = layup.with_angles(evenly)
-    plain = replace(specimen, material=given, plate=replace(specimen.plate, layup=layup))
+    plain = replace(specimen, material=material, plate=replace(specimen.plate, layup=layup))
     problem = plate_problem(plain, NO_PARAMETERS)
     operator = discretise(problem, ritz_space(problem.edges, problem.nominal, _SETTINGS), {})
     return np.asarray(solve(operator, *operator.coefficients({}), n).frequencies[0])

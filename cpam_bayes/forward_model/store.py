@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable
-from dataclasses import asdict, replace
+from dataclasses import asdict, astuple, replace
 from pathlib import Path
 from typing import Any
 
@@ -55,9 +55,10 @@ def model_key(
         "layup": [
             [repr(float(a)) for a in plate.layup.angles_deg],
             plate.layup.unknown_index.tolist(),
+            *(astuple(kind) for kind in plate.layup.kinds),
         ],
         "edges": plate.edges,
-        "symmetry": specimen.material.symmetry,
+        "symmetry": " ".join(part.symmetry for part in specimen.material.parts.values()),
         "constants": sorted(specimen.material.constants.items()),
         "sensors": [[s.mass, s.x, s.y] for s in specimen.sensors],
         "air": specimen.air_density,

@@ -31,7 +31,7 @@ from cpam_bayes.identification.search import (
     swarm_seed,
 )
 from cpam_bayes.inference.posterior import ForwardModel
-from cpam_bayes.inference.swarm.pso import SwarmSettings, initial_swarm
+from cpam_bayes.inference.swarm.pso import SwarmSettings, material_swarm
 from cpam_bayes.inference.swarm.swarm import SwarmProblem, SwarmResult, minimise_problem
 from cpam_bayes.parallel import run
 from cpam_bayes.parameters import ParameterSet
@@ -167,10 +167,8 @@ def run_swarm(
     Raises ``ValueError`` if no particle is feasible.
     """
     settings = settings or SwarmSettings()
-    material, unknowns = fit.specimen.material, fit.unknowns
-    known = tuple((k, v) for k, v in material.constants.items() if k not in unknowns)
     rng = np.random.default_rng(seed)
-    start = initial_swarm(replace(unknowns, fixed=known), material.symmetry, settings.particles, rng)
+    start = material_swarm(fit.specimen.material, fit.unknowns, settings.particles, rng)
     return minimise_problem(fuzzy_problem(fit), start, settings, rng, progress=progress)
 
 
@@ -289,12 +287,8 @@ def search_starts(fit: AngleSearchProblem, n: int, seed: int = 0) -> Array:
 
     The reference is left out where it does not meet the constraints (9) within the bounds.
     """
-    material, unknowns = fit.specimen.material, fit.unknowns
-    known = tuple((k, v) for k, v in material.constants.items() if k not in unknowns)
-    drawn = initial_swarm(
-        replace(unknowns, fixed=known), material.symmetry, 8 * n, np.random.default_rng(seed)
-    )
-    both = np.vstack((reference_vector(fit.specimen, unknowns), drawn))
+    drawn = material_swarm(fit.specimen.material, fit.unknowns, 8 * n, np.random.default_rng(seed))
+    both = np.vstack((reference_vector(fit.specimen, fit.unknowns), drawn))
     return np.asarray(both[fit.admissible(both)][:n])
 
 

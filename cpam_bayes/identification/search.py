@@ -21,7 +21,7 @@ from cpam_bayes.forward_model.reduced import ReducedModel
 from cpam_bayes.forward_model.store import reduced_model
 from cpam_bayes.inference.derivatives import Expansion
 from cpam_bayes.inference.optimise import maximise, polish
-from cpam_bayes.inference.swarm.pso import SwarmResult, SwarmSettings, initial_swarm, minimise
+from cpam_bayes.inference.swarm.pso import SwarmResult, SwarmSettings, material_swarm, minimise
 from cpam_bayes.parameters import ParameterSet
 from cpam_bayes.plate import Measurement, Specimen
 from cpam_bayes.threads import single_blas_thread
@@ -199,10 +199,7 @@ class _Task:
 
     def start(self, rng: np.random.Generator) -> Array:
         """Start positions of a swarm, (particles, n)."""
-        material = self.specimen.material
-        known = tuple((k, v) for k, v in material.constants.items() if k not in self.unknowns)
-        fixed = replace(self.unknowns, fixed=known)
-        return initial_swarm(fixed, material.symmetry, self.settings.particles, rng)
+        return material_swarm(self.specimen.material, self.unknowns, self.settings.particles, rng)
 
     def swarm(self, start: Array, rng: np.random.Generator, progress: Progress) -> SwarmResult:
         """A swarm from these positions."""

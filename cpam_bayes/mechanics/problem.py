@@ -19,6 +19,7 @@ from cpam_bayes.parameters import ParameterSet
 from cpam_bayes.plate.laminate import (
     ENERGY_CONSISTENT,
     LaminateGeometry,
+    PlyStack,
     ShearModel,
     laminate_geometry,
     laminate_stiffness,
@@ -131,6 +132,7 @@ class PlateState:
     ``layup`` is (n_plies,) or (..., n_plies) degrees, or a precomputed ``LaminateGeometry``.
     ``changes`` are applied to the laminate's stiffness (..., 8, 8), first to last. ``skew`` is the
     angle in radians by which the edges x = 0 and x = length lean towards x; sides keep their lengths.
+    ``plies`` : what they are, ``None`` where all are alike.
     """
 
     length: Array
@@ -143,13 +145,17 @@ class PlateState:
     symmetric: bool | None = None
     changes: tuple[Callable[[Array], Array], ...] = ()
     skew: Array | None = None
+    plies: PlyStack | None = None
+
+    def geometry(self) -> LaminateGeometry:
+        """What of the layup does not depend on the constants."""
+        if isinstance(self.layup, LaminateGeometry):
+            return self.layup
+        return laminate_geometry(self.layup, symmetric=self.symmetric, plies=self.plies)
 
     def stiffness(self) -> Array:
         """The 8 x 8 laminate stiffness, (..., 8, 8)."""
-        layup = self.layup
-        if not isinstance(layup, LaminateGeometry):
-            layup = laminate_geometry(layup, symmetric=self.symmetric)
-        stiffness = laminate_stiffness(self.constants, layup, self.thickness, self.shear)
+        stiffness = laminate_stiffness(self.constants, self.geometry(), self.thickness, self.shear)
         for change in self.changes:
             stiffness = change(stiffness)
         return stiffness
@@ -253,17 +259,39 @@ def _skewed_coefficients(state: PlateState) -> Array:
 
 
 def inertia_coefficients(state: PlateState, values: Values) -> Array:
-    """Coefficients of the kinetic energy: rho h for u, v, w and rho h^3 / 12 for the rotations, (..., 5)."""
+    """Coefficients of the kinetic energy, (..., 5): rho h for u, v, w, the integral of rho z^2 for rotations.
+
+    The latter is rho h^3 / 12 of a plate of one density.
+    """
     del values
     translation = state.density * state.thickness * state.length * state.width
     if state.skew is not None:
         translation = translation * np.cos(state.skew)
     rotation = translation * state.thickness**2 / 12
+    if state.plies is not None:
+        rotation = rotation * state.plies.mass_moments[1]
     return np.stack(np.broadcast_arrays(*[translation] * 3, *[rotation] * 2), axis=-1)
+
+
+def mass_offset_coefficients(state: PlateState, values: Values) -> Array:
+    """Coefficients of the integral of rho z, which couples u with phi_x and v with phi_y, (..., 2)."""
+    first = 0.0 if state.plies is None else state.plies.mass_moments[0]
+    translation = inertia_coefficients(state, values)[..., :1]
+    offset = translation * (first * np.asarray(state.thickness)[..., None])
+    return np.concatenate((offset, offset), axis=-1)
 
 
 LAMINATE_TERM = Term("laminate", "stiffness", LAMINATE_FORMS, laminate_coefficients)
 INERTIA_TERM = Term("inertia", "mass", MASS_FORMS, inertia_coefficients)
+MASS_OFFSET_TERM = Term(
+    "mass offset",
+    "mass",
+    (Form(Atom("u"), Atom("phi_x")), Form(Atom("v"), Atom("phi_y"))),
+    mass_offset_coefficients,
+)
+"""Of a plate whose upper half is heavier or lighter than the lower."""
+# Distance of the centre of mass from the midplane over the thickness that is rounding.
+_CENTRED = 1e-9
 
 
 def everything(values: Values) -> NDArray[np.bool_]:
@@ -284,7 +312,9 @@ def bare_plate(
     """
     if len(edges) != 4 or any(e not in CONDITIONS for e in edges):
         raise ValueError(f"edges: got {edges!r}, expected four of F, S, C (x=0, y=0, x=length, y=width)")
-    return Problem(parameters, edges, nominal, state, (LAMINATE_TERM, INERTIA_TERM), admissible)
+    centred = nominal.plies is None or abs(nominal.plies.mass_moments[0]) < _CENTRED
+    terms = (LAMINATE_TERM, INERTIA_TERM) if centred else (LAMINATE_TERM, INERTIA_TERM, MASS_OFFSET_TERM)
+    return Problem(parameters, edges, nominal, state, terms, admissible)
 
 
 def rigid_body_count(edges: str) -> int:

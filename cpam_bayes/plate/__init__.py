@@ -3,6 +3,7 @@
 from cpam_bayes.plate.parse import parse_specimen
 from cpam_bayes.plate.reader import MAX_BYTES, PlateLike, builtin_plates, read_plate, read_specimen
 from cpam_bayes.plate.records import (
+    Hybrid,
     Material,
     Measurement,
     Plate,
@@ -16,6 +17,7 @@ from cpam_bayes.plate.units import USER_UNITS, to_si, to_user, unit_of, user_nam
 __all__ = [
     "MAX_BYTES",
     "USER_UNITS",
+    "Hybrid",
     "Material",
     "Measurement",
     "Plate",

@@ -11,9 +11,12 @@ import numpy as np
 
 from cpam_bayes.parameters import Parameter, ParameterSet, Prior, TruncatedNormal, Uniform
 from cpam_bayes.plate.constants import CONSTANT_KEYS, symmetry_of
-from cpam_bayes.plate.layup import parse_layup
-from cpam_bayes.plate.records import Material, Measurement, Plate, Sensor, Specimen
+from cpam_bayes.plate.layup import Layup, PlyKind, parse_layup
+from cpam_bayes.plate.plies import ply_kinds
+from cpam_bayes.plate.records import Hybrid, Material, Measurement, Plate, Sensor, Specimen
 from cpam_bayes.plate.schema import (
+    ConstantsModel,
+    HybridUnknownsModel,
     MaterialModel,
     MeasurementModel,
     NormalModel,
@@ -22,7 +25,7 @@ from cpam_bayes.plate.schema import (
     SensorModel,
     UnknownsModel,
 )
-from cpam_bayes.plate.units import USER_UNITS, to_si
+from cpam_bayes.plate.units import USER_UNITS, joined_name, to_si
 
 # The angles of an isotropic plate's plies change nothing.
 _ISOTROPIC_LAYUP = "[0]"
@@ -32,44 +35,59 @@ def build_specimen(
     file: PlateFile, source: str, directory: Path | None, measured: Mapping[str, Any]
 ) -> Specimen:
     """The records of a file that passed every check; measured : fields of `Measurement` from another file."""
+    kinds = ply_kinds(file.model_dump(exclude_none=True)) or {}
     sequence_layup = file.plate.sequence_layup
     return Specimen(
         name=file.name,
         specimen=file.specimen or file.name,
         source=source,
-        plate=_plate(file.plate, directory),
-        material=_material(file.material),
+        plate=_plate(file.plate, kinds, directory),
+        material=_materials(file.material),
         unknowns=_unknowns(file.unknowns),
         angle_grid_deg=float(file.unknowns.angle_grid_deg),
         air_density=file.environment.air_density_kg_m3,
         sensors=tuple(_sensor(sensor) for sensor in file.sensor),
         measurement=None if file.measurement is None else _measurement(file.measurement, measured),
         notes=tuple(file.notes),
-        sequence_layup=None if sequence_layup is None else parse_layup(sequence_layup),
+        sequence_layup=None if sequence_layup is None else parse_layup(sequence_layup, kinds),
     )
 
 
-def _plate(model: PlateModel, directory: Path | None) -> Plate:
+def _plate(model: PlateModel, kinds: Mapping[str, PlyKind], directory: Path | None) -> Plate:
     length = to_si("length_mm", model.length_mm)
     width = to_si("width_mm", model.width_mm)
     thickness = to_si("thickness_mm", model.thickness_mm)
     mass = None if model.mass_g is None else to_si("mass_g", model.mass_g)
+    layup = parse_layup(model.layup or _ISOTROPIC_LAYUP, kinds)
     if mass is not None:
         density = mass / (length * width * thickness)
-    else:
-        assert model.density_kg_m3 is not None
+    elif model.density_kg_m3 is not None:
         density = float(model.density_kg_m3)
+    else:
+        density = _mean_density(layup)
     return Plate(
         length=length,
         width=width,
         thickness=thickness,
         density=density,
         mass=mass,
-        layup=parse_layup(model.layup or _ISOTROPIC_LAYUP),
+        layup=layup,
         edges=model.edges,
         sd={} if model.sd is None else _in_si(model.sd.model_dump(exclude_none=True)),
         mesh=None if model.mesh is None else (directory or Path()) / model.mesh,
     )
+
+
+def _mean_density(layup: Layup) -> float:
+    """Mass of the plies over their thickness, kg/m3."""
+    mass = sum((kind.density or 0.0) * kind.thickness for kind in layup.kinds)
+    return mass / sum(kind.thickness for kind in layup.kinds)
+
+
+def _materials(model: MaterialModel | dict[str, MaterialModel]) -> Material | Hybrid:
+    if isinstance(model, MaterialModel):
+        return _material(model)
+    return Hybrid({name: _material(part) for name, part in model.items()})
 
 
 def _material(model: MaterialModel) -> Material:
@@ -84,15 +102,22 @@ def _material(model: MaterialModel) -> Material:
     )
 
 
-def _unknowns(model: UnknownsModel) -> ParameterSet:
+def _unknowns(model: UnknownsModel | HybridUnknownsModel) -> ParameterSet:
+    if isinstance(model, UnknownsModel):
+        return ParameterSet(_parameters(model, ""))
+    parts = (model.__pydantic_extra__ or {}).items()
+    return ParameterSet(tuple(p for material, part in parts for p in _parameters(part, material)))
+
+
+def _parameters(model: ConstantsModel, material: str) -> tuple[Parameter, ...]:
     parameters = []
     for user in type(model).model_fields:
         prior = getattr(model, user)
         if user in USER_UNITS and prior is not None:
             name, factor = USER_UNITS[user]
             unit = "Pa" if factor != 1.0 else ""
-            parameters.append(Parameter(name, unit, _prior(user, prior)))
-    return ParameterSet(tuple(parameters))
+            parameters.append(Parameter(joined_name(material, name), unit, _prior(user, prior)))
+    return tuple(parameters)
 
 
 def _prior(user: str, model: list[float] | NormalModel) -> Prior:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Iterable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Final
 
@@ -20,9 +21,16 @@ from cpam_bayes.plate.constants import (
     search_bounds,
     symmetry_of,
 )
-from cpam_bayes.plate.layup import Layup, parse_layup
+from cpam_bayes.plate.layup import Layup, PlyKind, parse_layup
+from cpam_bayes.plate.plies import (
+    known_plies,
+    materials_of_plies,
+    one_density,
+    ply_kinds,
+    stated_thickness,
+)
 from cpam_bayes.plate.problems import Problem, received
-from cpam_bayes.plate.raw import Data, Problems, number, numbers, real, table
+from cpam_bayes.plate.raw import Data, Problems, number, numbers, per_material, real, table
 from cpam_bayes.plate.records import angle_grid
 from cpam_bayes.plate.schema import MAX_FREQUENCIES
 from cpam_bayes.plate.units import USER_UNITS
@@ -39,33 +47,33 @@ _Check = Callable[[Data], Problems]
 def relation_problems(data: Data, directory: Path | None) -> list[Problem]:
     """Every relation that a file breaks; `directory` is where its relative paths begin."""
     problems = [problem for check in _CHECKS for problem in check(data)]
+    problems += [
+        problem.of_material(name)
+        for check in _CHECKS_OF_A_MATERIAL
+        for name, part in per_material(data)
+        for problem in check(part)
+    ]
     return problems + list(_mesh(data, directory))
 
 
-def _mass_or_density(data: Data) -> Problems:
-    plate = table(data, "plate")
-    if not isinstance(data.get("plate"), dict):
-        return
-    given = [key for key in ("density_kg_m3", "mass_g") if key in plate]
-    if len(given) != 1:
-        yield Problem(
-            ("plate", *given[1:]),
-            f"density, received {' and '.join(given) or 'neither'}, "
-            "accepted: one of density_kg_m3 and mass_g",
-        )
-
-
-def _possible_density(data: Data) -> Problems:
-    """Densities of another unit, and masses and sizes that make such a one."""
-    plate = table(data, "plate")
+def _density(data: Data, owner: str) -> Problems:
+    """Densities of another unit."""
     low, high = _DENSITIES
-    density, mass = number(plate, "density_kg_m3"), number(plate, "mass_g")
-    accepted = f"accepted: {low:g} to {high:g} kg/m3"
+    density = number(table(data, owner), "density_kg_m3")
     if density is not None and density > 0.0 and not low <= density <= high:
         likely = f"; {density:g} g/cm3 are {1e3 * density:g} kg/m3" if density < low else ""
         yield Problem(
-            ("plate", "density_kg_m3"), f"no density of a solid, received {density:g}, {accepted}{likely}"
+            (owner, "density_kg_m3"),
+            f"no density of a solid, received {density:g}, accepted: {low:g} to {high:g} kg/m3{likely}",
         )
+
+
+def _possible_mass(data: Data) -> Problems:
+    """Masses and sizes that make a density of another unit."""
+    plate = table(data, "plate")
+    low, high = _DENSITIES
+    mass = number(plate, "mass_g")
+    accepted = f"accepted: {low:g} to {high:g} kg/m3"
     sizes = [number(plate, key) for key in ("length_mm", "width_mm", "thickness_mm")]
     if mass is None or mass <= 0.0 or plate.get("mesh") is not None:
         return
@@ -116,25 +124,27 @@ def _thin(data: Data) -> Problems:
         )
 
 
-def _spreads(data: Data) -> Problems:
-    for name in ("plate", "material"):
-        given = table(data, name)
-        for key in table(data, name, "sd"):
-            if key in USER_UNITS and key not in given:
-                yield Problem(
-                    (name, "sd", key),
-                    f"standard deviation of a number that [{name}] does not give, "
-                    f"accepted: {_listed(k for k in given if k in USER_UNITS)}",
-                )
+def _spreads(data: Data, name: str) -> Problems:
+    given = table(data, name)
+    for key in table(data, name, "sd"):
+        if key in USER_UNITS and key not in given:
+            yield Problem(
+                (name, "sd", key),
+                f"standard deviation of a number that [{name}] does not give, "
+                f"accepted: {_listed(k for k in given if k in USER_UNITS)}",
+            )
 
 
 def _layups(data: Data) -> Problems:
     plate = table(data, "plate")
     if not isinstance(data.get("plate"), dict):
         return
-    known, problems = _layup(plate, "layup")
+    kinds = ply_kinds(data)
+    if kinds is None:
+        return
+    known, problems = _layup(plate, "layup", kinds)
     yield from problems
-    sequence, problems = _layup(plate, "sequence_layup")
+    sequence, problems = _layup(plate, "sequence_layup", kinds)
     yield from problems
     if "layup" not in plate and symmetry_of(table(data, "material")) not in (None, "isotropic"):
         yield Problem(("plate", "layup"), 'missing, accepted: a layup such as "[(0/90)_8]_s"')
@@ -150,12 +160,12 @@ def _layups(data: Data) -> Problems:
         )
 
 
-def _layup(plate: Data, key: str) -> tuple[Layup | None, list[Problem]]:
+def _layup(plate: Data, key: str, kinds: Mapping[str, PlyKind]) -> tuple[Layup | None, list[Problem]]:
     text = plate.get(key)
     if not isinstance(text, str):
         return None, []
     try:
-        return parse_layup(text), []
+        return parse_layup(text, kinds), []
     except LayupError as error:
         shown = str(error).replace("\n", "\n    ")
         return None, [Problem(("plate", key), f"malformed layup: {shown}")]
@@ -301,20 +311,28 @@ def _listed(keys: Iterable[str]) -> str:
 
 
 _CHECKS: Final[tuple[_Check, ...]] = (
-    _mass_or_density,
-    _possible_density,
-    _possible_moduli,
+    one_density,
+    partial(_density, owner="plate"),
+    _possible_mass,
     _thin,
-    _spreads,
+    partial(_spreads, name="plate"),
+    known_plies,
+    materials_of_plies,
     _layups,
-    known_symmetry,
-    constants_of_symmetry,
-    physical_material,
-    search_bounds,
+    stated_thickness,
     _grid_step,
     _sensors,
     _heavy_sensors,
     _one_list,
     _frequencies,
     _incomplete,
+)
+_CHECKS_OF_A_MATERIAL: Final[tuple[_Check, ...]] = (
+    partial(_density, owner="material"),
+    _possible_moduli,
+    partial(_spreads, name="material"),
+    known_symmetry,
+    constants_of_symmetry,
+    physical_material,
+    search_bounds,
 )

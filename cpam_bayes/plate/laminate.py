@@ -1,23 +1,27 @@
 """Laminate stiffness: from ply constants and ply angles to the symmetric 8 x 8 matrix [A B; B D; A_s].
 
 Generalised strains are ordered ``(eps_x, eps_y, gamma_xy, kappa_x, kappa_y, kappa_xy, gamma_yz, gamma_xz)``.
+Plies may be of several materials. What is linear in the invariants of a ply then stands material after
+material on its last axis: 5 invariants each, 5 integrals of angle functions each.
 Every function is vectorised over leading axes and accepts complex input, so that derivatives
 can be taken by a complex step.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[Any]
+Value = TypeVar("Value")
 
 N_STRAINS = 8
+_INVARIANTS = 5
 MEMBRANE = slice(0, 3)
 CURVATURE = slice(3, 6)
 SHEAR = slice(6, 8)
@@ -40,6 +44,50 @@ class ShearModel:
 
 ENERGY_CONSISTENT = ShearModel()
 FIVE_SIXTHS = ShearModel(5.0 / 6.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlyStack:
+    """Where plies lie and what they are made of, whatever their angles are.
+
+    interfaces : (n_plies + 1,) z / h, from -1/2 to 1/2.
+    material : (n_plies,) positions in ``names``.
+    density : (n_plies,) over the mean of the plate.
+    names : of the materials; constants of a material "c" are called "c.E1", of "" just "E1".
+    """
+
+    interfaces: Array
+    material: Array
+    density: Array
+    names: tuple[str, ...] = ("",)
+
+    @property
+    def is_symmetric(self) -> bool:
+        """Whether the upper half mirrors the lower."""
+        even = np.allclose(self.interfaces, -self.interfaces[::-1], rtol=0.0, atol=1e-12)
+        return bool(even and np.array_equal(self.material, self.material[::-1]))
+
+    @property
+    def mass_moments(self) -> tuple[float, float]:
+        """Integrals of density times z and times 12 z^2 over the thickness, of unit thickness and density.
+
+        They are 0 and 1 of a plate of one density.
+        """
+        first, second = (float(np.diff(self.interfaces**k) @ self.density) / k for k in (2, 3))
+        return first, 12.0 * second
+
+
+def equal_plies(n: int) -> PlyStack:
+    """Plies of one thickness and one material."""
+    return PlyStack(np.arange(n + 1) / n - 0.5, np.zeros(n, dtype=np.intp), np.ones(n))
+
+
+def constants_of(constants: Mapping[str, Value], material: str) -> Mapping[str, Value]:
+    """The constants of one material of a hybrid by their plain names; material "" : as they are."""
+    if not material:
+        return constants
+    start = f"{material}."
+    return {name.removeprefix(start): v for name, v in constants.items() if name.startswith(start)}
 
 
 def reduced_stiffness(constants: Mapping[str, ArrayLike]) -> Array:
@@ -84,8 +132,11 @@ def rotated_stiffness(invariants: Array, weights: Array) -> Array:
     functions of one ply it is the ply's own Qbar, with their integral over z, z or z^2 it is A,
     B or D.
 
-    invariants (..., 5), weights (..., 5) -> (..., 6).
+    invariants (..., 5), weights (..., 5) -> (..., 6); (..., 5 n) each of n materials, whose sum it is.
     """
+    if weights.shape[-1] > _INVARIANTS:
+        groups = (slice(i, i + _INVARIANTS) for i in range(0, weights.shape[-1], _INVARIANTS))
+        return np.asarray(sum(rotated_stiffness(invariants[..., g], weights[..., g]) for g in groups))
     u1, u2, u3, u4, u5 = (invariants[..., i] for i in range(5))
     w0, w1, w2, w3, w4 = (weights[..., i] for i in range(5))
     even, odd, quad, half = u1 * w0 + u3 * w2, u2 * w1, u3 * w4, 0.5 * u2 * w3
@@ -103,6 +154,14 @@ def _on_last_axis(*entries: Array) -> Array:
     return stacked
 
 
+def _side_by_side(arrays: list[Array]) -> Array:
+    """Arrays (..., k) whose leading axes broadcast, one after the other on the last axis."""
+    if len(arrays) == 1:
+        return arrays[0]
+    shape = np.broadcast_shapes(*(a.shape[:-1] for a in arrays))
+    return np.concatenate([np.broadcast_to(a, (*shape, a.shape[-1])) for a in arrays], axis=-1)
+
+
 # Where each entry of a symmetric matrix stands among (X11, X12, X22, X66, X16, X26).
 _ENTRIES_3 = np.array([[0, 1, 4], [1, 2, 5], [4, 5, 3]])
 # The same among (X11, X22, X12), and of the adjugate among (X22, X11, -X12, -X21).
@@ -114,12 +173,16 @@ def _symmetric3(x: Array) -> Array:
     return np.asarray(x[..., _ENTRIES_3])
 
 
-def _merge_equal_plies(angles_deg: Array) -> tuple[Array, Array]:
-    """Neighbouring plies of one angle as one ply: angles (m,) and interfaces (m + 1,) in z / h."""
-    n = angles_deg.size
-    change = np.flatnonzero(np.diff(angles_deg)) + 1
-    starts = np.concatenate(([0], change))
-    return angles_deg[starts], np.concatenate((starts, [n])) / n - 0.5
+def _merge_equal_plies(angles_deg: Array, plies: PlyStack) -> tuple[Array, Array, Array]:
+    """Neighbouring plies of one angle and material as one: angles and materials (m,), interfaces (m + 1,)."""
+    starts = run_starts(angles_deg, plies)
+    return angles_deg[starts], plies.material[starts], plies.interfaces[np.append(starts, angles_deg.size)]
+
+
+def run_starts(angles_deg: Array, plies: PlyStack) -> Array:
+    """The first ply of each run of neighbours of one angle and one material, (m,)."""
+    change = (np.diff(angles_deg) != 0.0) | (np.diff(plies.material) != 0)
+    return np.concatenate(([0], np.flatnonzero(change) + 1))
 
 
 @dataclass(frozen=True)
@@ -127,10 +190,11 @@ class LaminateGeometry:
     """What of a layup does not depend on the elastic constants, for unit thickness.
 
     in_plane, coupling, flexural : (..., 5), lamination parameters: integrals of the angle functions times
-    1, z and z^2.
-    gauss : (..., n_points, 5) their running integrals from the bottom times z (``first``) and times 1
-    (``zeroth``, ``None`` where the laminate is symmetric); ``ply`` (..., n_points, 5) the angle functions
-    at the points and ``weight`` (n_points,).
+    1, z and z^2; of n materials (..., 5 n), each integrated over its own plies.
+    gauss : (..., n_points, 5) or (..., n_points, 5 n) their running integrals from the bottom times z
+    (``first``) and times 1 (``zeroth``, ``None`` where the laminate is symmetric); ``ply`` (..., n_points, 5)
+    the angle functions at the points, ``material`` (n_points,) whose they are and ``weight`` (n_points,).
+    names : of the materials, as in ``PlyStack``.
     """
 
     in_plane: Array
@@ -141,22 +205,28 @@ class LaminateGeometry:
     first: Array
     zeroth: Array | None
     weight: Array
+    material: Array
+    names: tuple[str, ...] = ("",)
+
+    def at_points(self, values: Array) -> Array:
+        """A number for each material, (..., n_materials), at the points, (..., n_points), or one for all."""
+        return values if len(self.names) == 1 else np.asarray(values[..., self.material])
 
     @cached_property
     def shear_energy(self) -> Array:
-        """Shear energy of one layup as quadratic forms, (2, 3, n, n).
+        """Shear energy of one layup as quadratic forms, (n_materials, 2, 3, n, n).
 
         The shear stresses are linear in the products of an invariant U_i with a compliance d_jk (or
-        b_jk): with these in a vector X_k of length n = 15 (30 with b), the entries (yy, xx, xy) of
-        the shear compliance are m X^T T_0 X + d X^T T_1 X with m the mean and d half the difference
-        of 1/G23 and 1/G13. Only for a single layup: it replaces sums over plies by small products.
+        b_jk): with these in a vector X_k of length n = 15 (30 with b) for each material, the entries (yy, xx,
+        xy) of the shear compliance are m X^T T_0 X + d X^T T_1 X with m the mean and d half the difference
+        of 1/G23 and 1/G13, summed over the materials. Only for a single layup: it replaces sums over plies by
+        small products.
         """
         columns = [self.first] if self.zeroth is None else [self.first, self.zeroth]
         # rows x, y, xy of the running stiffness that each product of U_i with row j gives, (3, p, n)
         rows = np.concatenate([_running_rows(c) for c in columns], axis=-1)
-        c2, s2 = self.ply[:, 1] * self.weight, self.ply[:, 3] * self.weight
         forms = []
-        for s_yz, s_xz, s_mix in ((self.weight, self.weight, 0.0 * c2), (c2, -c2, -s2)):
+        for s_yz, s_xz, s_mix in self._shear_weights():
             along_y, along_x = (rows[1], rows[2]), (rows[2], rows[0])  # (tau_yz, tau_xz) of Qy, of Qx
             for (a_yz, a_xz), (b_yz, b_xz) in (
                 (along_y, along_y),
@@ -165,36 +235,50 @@ class LaminateGeometry:
             ):
                 form = a_yz.T @ (s_yz[:, None] * b_yz) + a_xz.T @ (s_xz[:, None] * b_xz)
                 forms.append(form + a_yz.T @ (s_mix[:, None] * b_xz) + a_xz.T @ (s_mix[:, None] * b_yz))
-        return np.array(forms).reshape(2, 3, *forms[0].shape)
+        return np.array(forms).reshape(-1, 2, 3, *forms[0].shape)
+
+    def _shear_weights(self) -> Iterator[tuple[Array, Array, Array]]:
+        """Weights of tau_yz^2, tau_xz^2 and their product at the points, for m, then d of each material."""
+        for k in range(len(self.names)):
+            weight = self.weight * (self.material == k)
+            c2, s2 = self.ply[:, 1] * weight, self.ply[:, 3] * weight
+            yield weight, weight, 0.0 * c2
+            yield c2, -c2, -s2
 
 
 def _running_rows(running: Array) -> Array:
-    """Rows x, y and xy of the running stiffness (n_points, 5) for unit invariants, (3, n_points, 15)."""
-    entries = np.stack([rotated_stiffness(unit, running) for unit in np.eye(5)], axis=1)
+    """Rows x, y and xy of the running stiffness (n_points, 5 n) for unit invariants, (3, n_points, 15 n)."""
+    n = running.shape[-1]
+    entries = np.stack([rotated_stiffness(unit, running) for unit in np.eye(n)], axis=1)
     x11, x12, x22, x66, x16, x26 = np.moveaxis(entries, -1, 0)
     rows = ((x11, x12, x16), (x12, x22, x26), (x16, x26, x66))
-    return np.stack([np.stack(row, axis=-1).reshape(len(running), 15) for row in rows])
+    return np.stack([np.stack(row, axis=-1).reshape(len(running), 3 * n) for row in rows])
 
 
-def laminate_geometry(angles_deg: ArrayLike, *, symmetric: bool | None = None) -> LaminateGeometry:
-    """Lamination parameters and running integrals of a layup of plies of equal thickness.
+def laminate_geometry(
+    angles_deg: ArrayLike, *, symmetric: bool | None = None, plies: PlyStack | None = None
+) -> LaminateGeometry:
+    """Lamination parameters and running integrals of a layup.
 
     angles_deg : (n_plies,) bottom to top, or (..., n_plies) for a stack of layups. ``symmetric``
     states that all of them are symmetric about the midplane; left out, it is read off the angles.
+    ``plies`` : equal ones where left out.
     """
     angles = np.asarray(angles_deg)
+    plies = plies or equal_plies(angles.shape[-1])
     if symmetric is None:
-        symmetric = bool(np.array_equal(angles, angles[..., ::-1]))
+        symmetric = bool(np.array_equal(angles, angles[..., ::-1])) and plies.is_symmetric
     if angles.ndim == 1 and not np.iscomplexobj(angles):
-        angles, z = _merge_equal_plies(angles)
+        angles, material, z = _merge_equal_plies(angles, plies)
     else:
-        z = np.arange(angles.shape[-1] + 1) / angles.shape[-1] - 0.5
+        material, z = plies.material, plies.interfaces
     functions = angle_functions(angles)
+    by_material = _apart(functions, material, len(plies.names))
     moments = [np.diff(z**k) / k for k in (1, 2, 3)]
-    in_plane, coupling, flexural = (np.einsum("...kj,k->...j", functions, m) for m in moments)
+    in_plane, coupling, flexural = (np.einsum("...kj,k->...j", by_material, m) for m in moments)
     if symmetric:  # the lower half carries half of the energy
         keep = z[:-1] < -1e-12
-        functions = functions[..., keep, :]
+        functions, by_material, material = functions[..., keep, :], by_material[..., keep, :], material[keep]
         bottom, top = z[:-1][keep], np.minimum(z[1:][keep], 0.0)
         coupling = np.zeros_like(coupling)
     else:
@@ -203,11 +287,12 @@ def laminate_geometry(angles_deg: ArrayLike, *, symmetric: bool | None = None) -
     points = middle[:, None] + half[:, None] * _GAUSS_Z
 
     def running(power: int) -> Array:
-        whole = functions * ((top**power - bottom**power) / power)[:, None]
+        whole = by_material * ((top**power - bottom**power) / power)[:, None]
         below = np.cumsum(whole, axis=-2) - whole
         part = (points**power - bottom[:, None] ** power) / power
-        at_points = below[..., :, None, :] + functions[..., :, None, :] * part[..., None]
-        return np.asarray(at_points.reshape(*functions.shape[:-2], -1, 5))
+        at_points = below[..., :, None, :] + by_material[..., :, None, :] * part[..., None]
+        shape = (*by_material.shape[:-2], -1, by_material.shape[-1])
+        return np.asarray(at_points.reshape(shape))
 
     return LaminateGeometry(
         in_plane=in_plane,
@@ -218,13 +303,25 @@ def laminate_geometry(angles_deg: ArrayLike, *, symmetric: bool | None = None) -
         first=running(2),
         zeroth=None if symmetric else running(1),
         weight=(half[:, None] * _GAUSS_W).ravel() * (2.0 if symmetric else 1.0),
+        material=np.repeat(material, len(_GAUSS_Z)),
+        names=plies.names,
     )
+
+
+def _apart(functions: Array, material: Array, n: int) -> Array:
+    """Angle functions of plies (..., n_plies, 5) with zeros for the plies of other materials, (..., 5 n)."""
+    if n == 1:
+        return functions
+    return np.concatenate([functions * (material == k)[:, None] for k in range(n)], axis=-1)
 
 
 def _shear_compliance(
     geometry: LaminateGeometry, invariants: Array, abd: Array, g13: Array, g23: Array
 ) -> Array:
     """Energy-consistent transverse shear compliance of unit thickness, (..., 2, 2), order (yz, xz).
+
+    g13, g23 : (..., n_materials), Pa.
+
 
     Equilibrium gives tau_xz = -F11 Qx - F32 Qy and tau_yz = -F31 Qx - F22 Qy with
     F(z) = int_{-h/2}^{z} Qbar (b + zeta d) dzeta, [a b; b^T d] the inverse of [A B; B D], once two
@@ -254,13 +351,16 @@ def _energy_of_one_layup(
     def products(column: int) -> Array:
         parts = [d] if b is None else [d, b]
         x = [invariants[..., :, None] * part[..., None, :, column] for part in parts]
-        return np.concatenate([y.reshape(*y.shape[:-2], 15) for y in x], axis=-1)
+        return np.concatenate([y.reshape(*y.shape[:-2], 3 * y.shape[-2]) for y in x], axis=-1)
 
     of_x, of_y = products(0), products(1)
     terms = []
     for k, (left, right) in enumerate(((of_y, of_y), (of_x, of_x), (of_y, of_x))):
-        at_mean, at_half = (np.sum((left @ form[k]) * right, axis=-1) for form in geometry.shear_energy)
-        terms.append(mean * at_mean + half * at_half)
+        term: Array | float = 0.0
+        for material, forms in enumerate(geometry.shear_energy):
+            at_mean, at_half = (np.sum((left @ form[k]) * right, axis=-1) for form in forms)
+            term = term + (mean[..., material] * at_mean + half[..., material] * at_half)
+        terms.append(np.asarray(term))
     return np.stack(np.broadcast_arrays(*terms))
 
 
@@ -285,7 +385,7 @@ def _energy_of_layups(
         g11, g22, g31, g32 = rows(geometry.zeroth, b)
         f11, f22, f31, f32 = f11 + g11, f22 + g22, f31 + g31, f32 + g32
     c2, s2 = geometry.ply[..., 1], geometry.ply[..., 3]
-    mean, half, weight = mean[..., None], half[..., None], geometry.weight
+    mean, half, weight = geometry.at_points(mean), geometry.at_points(half), geometry.weight
     s_yz, s_xz, s_mix = (mean + half * c2) * weight, (mean - half * c2) * weight, -half * s2 * weight
     h_yy = np.sum(s_yz * f22 * f22 + s_xz * f32 * f32 + 2 * s_mix * f22 * f32, axis=-1)
     h_xx = np.sum(s_yz * f31 * f31 + s_xz * f11 * f11 + 2 * s_mix * f31 * f11, axis=-1)
@@ -310,7 +410,7 @@ def laminate_stiffness(
     (A, B, D)_ij = sum_k Qbar_ij,k (z_k - z_{k-1}, (z_k^2 - z_{k-1}^2) / 2, (z_k^3 - z_{k-1}^3) / 3)
     (Jones, eq. 4.22 to 4.24); A_s as ``shear`` says.
 
-    constants : E1, E2, G12, G13, G23 in Pa and nu12, each (...).
+    constants : E1, E2, G12, G13, G23 in Pa and nu12, each (...); those of several materials by full names.
     layup : angles in degrees (n_plies,) or (..., n_plies) bottom to top, or a ``LaminateGeometry``.
     thickness : (...), m.
 
@@ -318,12 +418,13 @@ def laminate_stiffness(
     """
     geometry = layup if isinstance(layup, LaminateGeometry) else laminate_geometry(layup)
     h = np.asarray(thickness)
-    invariants = stiffness_invariants(reduced_stiffness(constants))
+    plies = [constants_of(constants, name) for name in geometry.names]
+    invariants = _side_by_side([stiffness_invariants(reduced_stiffness(ply)) for ply in plies])
     a = _symmetric3(rotated_stiffness(invariants, geometry.in_plane))
     d = _symmetric3(rotated_stiffness(invariants, geometry.flexural))
     b = _symmetric3(rotated_stiffness(invariants, geometry.coupling))
-    g13, g23 = np.asarray(constants["G13"]), np.asarray(constants["G23"])
-    shape = np.broadcast_shapes(a.shape[:-2], h.shape, g13.shape, g23.shape)
+    g13, g23 = (_side_by_side([np.asarray(ply[g])[..., None] for ply in plies]) for g in ("G13", "G23"))
+    shape = np.broadcast_shapes(a.shape[:-2], h.shape, g13.shape[:-1], g23.shape[:-1])
     unit = np.zeros((*shape, N_STRAINS, N_STRAINS), dtype=np.result_type(a, h, g13, g23))
     unit[..., MEMBRANE, MEMBRANE] = a
     unit[..., CURVATURE, CURVATURE] = d
@@ -333,10 +434,11 @@ def laminate_stiffness(
         compliance = _shear_compliance(geometry, invariants, unit, g13, g23)
         unit[..., SHEAR, SHEAR] = _inverse2(compliance)
     else:
-        c2, s2 = geometry.in_plane[..., 1], geometry.in_plane[..., 3]
-        unit[..., 6, 6] = (g23 + g13) / 2 + (g23 - g13) / 2 * c2
-        unit[..., 7, 7] = (g23 + g13) / 2 - (g23 - g13) / 2 * c2
-        unit[..., 6, 7] = unit[..., 7, 6] = (g13 - g23) / 2 * s2
+        part, c2, s2 = (geometry.in_plane[..., i::_INVARIANTS] for i in (0, 1, 3))
+        mean, half = (g23 + g13) / 2, (g23 - g13) / 2
+        unit[..., 6, 6] = np.sum(mean * part + half * c2, axis=-1)
+        unit[..., 7, 7] = np.sum(mean * part - half * c2, axis=-1)
+        unit[..., 6, 7] = unit[..., 7, 6] = -np.sum(half * s2, axis=-1)
         unit[..., SHEAR, SHEAR] *= shear.factor
     return np.asarray(unit * thickness_powers(h))
 

@@ -1,16 +1,18 @@
-"""The notation of layups: "[(0/90)_8]_s", "[45/-45/0_2]_2s", "[(?/?/?/?)_4]_s"."""
+"""The notation of layups: "[(0/90)_8]_s", "[45/-45/0_2]_2s", "[(?/?/?/?)_4]_s", "[(c0/g45)_4]_s"."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from types import MappingProxyType
 from typing import Any, Final, NoReturn
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cpam_bayes.errors import LayupError
+from cpam_bayes.plate.laminate import PlyStack
 
 MAX_PLIES: Final = 2000
 _MAX_CHARACTERS: Final = 10_000
@@ -20,6 +22,7 @@ _SPACE = re.compile(r"\s*")
 _ANGLE = re.compile(r"[0-9]+(?:\.[0-9]*)?|\.[0-9]+")
 _SIGN = re.compile("\N{PLUS-MINUS SIGN}|\N{MINUS-OR-PLUS SIGN}|\\+-|-\\+|\\+|-|\N{MINUS SIGN}|")
 _COUNT = re.compile(r"[0-9]+")
+_NAME = re.compile(r"[A-Za-z]+")
 _PAIRS: Final = {
     "\N{PLUS-MINUS SIGN}": (1.0, -1.0),
     "+-": (1.0, -1.0),
@@ -28,22 +31,40 @@ _PAIRS: Final = {
 }
 _MINUS: Final = ("-", "\N{MINUS SIGN}")
 
-# A run of plies: (angle, -1) is known, (nan, k) is the k-th unknown, counted from 0.
-_Plies = list[tuple[float, int]]
+# A run of plies: (angle, -1, name) is known, (nan, k, name) is the k-th unknown, counted from 0; a ply that
+# is like all others has the name "".
+_Plies = list[tuple[float, int, str]]
+
+
+@dataclass(frozen=True, slots=True)
+class PlyKind:
+    """A ply that a layup calls by a name.
+
+    material : of a hybrid, "" where all plies are of one
+    thickness : m
+    density : kg/m3, None where the plate is taken as of one density
+    """
+
+    name: str
+    material: str
+    thickness: float
+    density: float | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Layup:
-    """The ply angles of a laminate of equal plies, bottom to top, degrees from the x axis.
+    """The ply angles of a laminate, bottom to top, degrees from the x axis.
 
     text : as written
     angles_deg : (n_plies,) in (-90, 90], nan where unknown
     unknown_index : (n_plies,) which unknown a ply takes, -1 where known
+    kinds : n_plies, what each ply is; empty where all are alike
     """
 
     text: str
     angles_deg: NDArray[np.float64]
     unknown_index: NDArray[np.int64]
+    kinds: tuple[PlyKind, ...] = ()
 
     def __post_init__(self) -> None:
         angles = np.array(self.angles_deg, dtype=np.float64)
@@ -72,7 +93,26 @@ class Layup:
     def is_symmetric(self) -> bool:
         """Whether the upper half mirrors the lower whatever the unknown angles are."""
         known = np.array_equal(self.angles_deg, self.angles_deg[::-1], equal_nan=True)
+        known = known and self.kinds == self.kinds[::-1]
         return known and np.array_equal(self.unknown_index, self.unknown_index[::-1])
+
+    @property
+    def plies(self) -> PlyStack | None:
+        """Where the plies lie and what they are made of, None where all are alike.
+
+        Thicknesses are taken in proportion: they fill the plate.
+        """
+        if not self.kinds:
+            return None
+        thickness = np.array([kind.thickness for kind in self.kinds])
+        names = tuple(dict.fromkeys(kind.material for kind in self.kinds))
+        density = np.array([1.0 if kind.density is None else kind.density for kind in self.kinds])
+        return PlyStack(
+            interfaces=np.concatenate(([0.0], np.cumsum(thickness))) / thickness.sum() - 0.5,
+            material=np.array([names.index(kind.material) for kind in self.kinds]),
+            density=density * thickness.sum() / (density @ thickness),
+            names=names,
+        )
 
     def angles(self, unknown_deg: ArrayLike) -> NDArray[Any]:
         """Angles of every ply, (..., n_unknown) -> (..., n_plies), degrees; complex input passes.
@@ -102,19 +142,26 @@ class Layup:
                 f"unknown angles of {self.text}: received shape {np.shape(unknown_deg)}, "
                 f"accepted: ({self.n_unknown},)"
             )
-        return from_angles(angles.tolist())
+        known = from_angles(angles.tolist())
+        if not self.kinds:
+            return known
+        named = "/".join(_format_ply(a, 1, k.name) for a, k in zip(known.angles_deg, self.kinds, strict=True))
+        return replace(known, text=f"[{named}]", kinds=self.kinds)
 
 
-def parse_layup(text: str) -> Layup:
+def parse_layup(text: str, kinds: Mapping[str, PlyKind] = MappingProxyType({})) -> Layup:
     """Read a layup, bottom to top.
 
     Plies are parted by "/"; "_n" repeats a ply or a group; after the last bracket "_s" mirrors,
     "_T" does not, "_2s" repeats and then mirrors; "±45" is 45/-45. A "?" is an unknown angle: one
     unknown for each "?" written, however often its group is repeated.
 
+    kinds : plies by their names, which the layup then writes before each angle, as in "[c0/g45]"; a name
+        without an angle is at 0
+
     raises LayupError for anything else, angles outside [-90, 90] and more than MAX_PLIES plies
     """
-    return _Reader(text).layup()
+    return _Reader(text, kinds).layup()
 
 
 def from_angles(angles_deg: Sequence[float]) -> Layup:
@@ -160,8 +207,8 @@ def _format_run(angles: list[float]) -> str:
     return unit if period == n else f"({unit})_{n // period}"
 
 
-def _format_ply(angle: float, count: int) -> str:
-    number = np.format_float_positional(angle, trim="-")
+def _format_ply(angle: float, count: int, name: str = "") -> str:
+    number = name + np.format_float_positional(angle, trim="-")
     return number if count == 1 else f"{number}_{count}"
 
 
@@ -173,8 +220,9 @@ def _normalised(angle: float) -> float:
 class _Reader:
     """Recursive descent over one layup; every count is checked before a list grows by it."""
 
-    def __init__(self, text: str) -> None:
+    def __init__(self, text: str, kinds: Mapping[str, PlyKind]) -> None:
         self.text = text
+        self.kinds = kinds
         self.at = 0
         self.unknowns = 0
         if len(text) > _MAX_CHARACTERS:
@@ -190,8 +238,9 @@ class _Reader:
         plies = self.ending(plies)
         if self.peek():
             self.fail('nothing may follow but "_s", "_T", "_n" or "_ns"')
-        angles, index = zip(*plies, strict=True)
-        return Layup(self.text, np.array(angles), np.array(index))
+        angles, index, names = zip(*plies, strict=True)
+        kinds = tuple(self.kinds[name] for name in names) if self.kinds else ()
+        return Layup(self.text, np.array(angles), np.array(index), kinds)
 
     def group(self, closing: str, depth: int) -> _Plies:
         if depth > _MAX_DEPTH:
@@ -215,12 +264,30 @@ class _Reader:
         if self.take("("):
             plies = self.group(")", depth + 1)
             return self.repeated(plies, optional_mark=True)
+        name = self.name()
         if self.take("?"):
             self.unknowns += 1
-            return self.repeated([(float("nan"), self.unknowns - 1)], optional_mark=False)
-        return self.repeated(self.angle(), optional_mark=False)
+            return self.repeated([(float("nan"), self.unknowns - 1, name)], optional_mark=False)
+        return self.repeated(self.angle(name), optional_mark=False)
 
-    def angle(self) -> _Plies:
+    def name(self) -> str:
+        """The name before an angle, "" where plies have none."""
+        self.peek()
+        start = self.at
+        name = self.match(_NAME)
+        if name and not self.kinds:
+            self.fail(
+                f'ply "{name}", accepted: angles alone, or tables [[ply]] with the names of plies', start
+            )
+        if self.kinds and name not in self.kinds:
+            self.fail(
+                f'ply "{name}", accepted: an angle after the name of a [[ply]]: {" ".join(self.kinds)}', start
+            )
+        return name
+
+    def angle(self, name: str) -> _Plies:
+        if name and self.peek() in ("/", "]", ")", "_"):
+            return [(0.0, -1, name)]
         self.peek()
         start = self.at
         sign = self.match(_SIGN)
@@ -232,7 +299,7 @@ class _Reader:
         if value > 90.0:
             self.fail(f"angle {sign}{digits[:20]}, accepted: -90 to 90 degrees", start)
         signs = _PAIRS.get(sign, (-1.0,) if sign in _MINUS else (1.0,))
-        return [(_normalised(s * value), -1) for s in signs]
+        return [(_normalised(s * value), -1, name) for s in signs]
 
     def repeated(self, plies: _Plies, optional_mark: bool) -> _Plies:
         marked = self.take("_")

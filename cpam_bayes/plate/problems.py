@@ -16,7 +16,7 @@ from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 
 from cpam_bayes.errors import PlateFileError
-from cpam_bayes.plate.schema import TAGS, PlateFile
+from cpam_bayes.plate.schema import OF_ALL, OF_EACH, TAGS, PlateFile
 from cpam_bayes.plate.toml_lines import Path
 
 _MAX_PROBLEMS: Final = 100
@@ -49,6 +49,12 @@ class Problem:
 
     path: Path
     what: str | Callable[[], str]
+
+    def of_material(self, name: str) -> Problem:
+        """The same thing, found in a file that was looked at as if it had this material alone."""
+        if not name or self.path[0] not in ("material", "unknowns"):
+            return self
+        return Problem((self.path[0], name, *self.path[1:]), self.what)
 
     @property
     def text(self) -> str:
@@ -119,11 +125,15 @@ def _unknown_key(path: Path) -> str:
 
 
 def _path(location: tuple[int | str, ...]) -> Path:
-    """Pydantic's location without the names of a prior's two forms."""
-    inside = 2 if location[:1] == ("unknowns",) else len(location)
-    return location[:inside] + tuple(
-        part for i, part in enumerate(location[inside:]) if not (i == 0 and part in TAGS)
-    )
+    """Pydantic's location without the names of the forms of tables and of priors."""
+    table, form = location[:1], location[1:2]
+    if form not in ((OF_ALL,), (OF_EACH,)):
+        return location
+    prior = 2 if form == (OF_EACH,) else 1
+    inside = location[2:]
+    if table == ("unknowns",) and inside[prior : prior + 1] and inside[prior] in TAGS:
+        inside = inside[:prior] + inside[prior + 1 :]
+    return table + inside
 
 
 def _line(path: Path, lines: Mapping[Path, int]) -> int:
@@ -181,8 +191,13 @@ def _inside(annotation: Any, path: Path) -> list[tuple[Any, Path]]:
         return [(option, path) for option in get_args(annotation)]
     if origin is list and path and isinstance(path[0], int):
         return [(get_args(annotation)[0], path[1:])]
+    if origin is dict and path:
+        return [(get_args(annotation)[1], path[1:])]
     if _is_table(annotation) and path:
-        hint = get_type_hints(annotation, include_extras=True).get(str(path[0]))
+        hints = get_type_hints(annotation, include_extras=True)
+        if annotation.model_config["extra"] == "allow" and path[0] not in annotation.model_fields:
+            return [(hints["__pydantic_extra__"], path)]
+        hint = hints.get(str(path[0]))
         return [] if hint is None else [(hint, path[1:])]
     return []
 
@@ -191,12 +206,16 @@ def _is_table(annotation: Any) -> bool:
     return isinstance(annotation, type) and issubclass(annotation, BaseModel)
 
 
+# Tables that a file may have several of.
+_LISTS: Final = ("sensor", "ply")
+
+
 def _tables() -> dict[str, str]:
     """Which single table a key belongs in, for keys that only one table has."""
     homes: dict[str, list[str]] = {}
     for table in PlateFile.model_fields:
         for key in _keys_of(PlateFile, (table,)) + _keys_of(PlateFile, (table, 0)):
-            homes.setdefault(key, []).append("[[sensor]]" if table == "sensor" else f"[{table}]")
+            homes.setdefault(key, []).append(f"[[{table}]]" if table in _LISTS else f"[{table}]")
     homes |= {key: ["the top of the file"] for key in PlateFile.model_fields if key not in homes}
     return {key: places[0] for key, places in homes.items() if len(places) == 1}
 

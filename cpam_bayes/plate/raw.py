@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from cpam_bayes.plate.problems import Problem
+from cpam_bayes.plate.schema import is_hybrid
 
 Data = Mapping[str, Any]
 Problems = Iterator[Problem]
@@ -18,6 +19,16 @@ def table(data: Data, *path: str) -> Data:
         inner = data.get(key)
         data = inner if isinstance(inner, dict) else {}
     return data
+
+
+def per_material(data: Data) -> Iterator[tuple[str, Data]]:
+    """The file as if each material were its only one, by name; "" and the file where there is but one."""
+    material = data.get("material")
+    if not is_hybrid(material):
+        yield "", data
+        return
+    for name, part in table(data, "material").items():
+        yield name, {**data, "material": part, "unknowns": table(data, "unknowns", name)}
 
 
 def number(source: Data, key: str) -> float | None:

@@ -4,25 +4,31 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import reduce
 from pathlib import Path
 from types import MappingProxyType
-from typing import Final
+from typing import Final, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from cpam_bayes.formatting import listed
 from cpam_bayes.parameters import ParameterSet
 from cpam_bayes.plate.elasticity import (
     CONSTANTS,
+    CONSTRAINTS,
     Array,
     MaterialSymmetry,
     complete_constants,
     constraint_margins,
     is_admissible,
 )
+from cpam_bayes.plate.laminate import constants_of
 from cpam_bayes.plate.layup import Layup
 from cpam_bayes.plate.mode_shapes.measured import MeasuredShapes
+from cpam_bayes.plate.units import joined_name
 
+Value = TypeVar("Value")
 _NONE_VARIED: Final[Mapping[str, ArrayLike]] = MappingProxyType({})
 
 
@@ -75,6 +81,16 @@ class Material:
         """Whether the ply has no directions."""
         return self.symmetry == "isotropic"
 
+    @property
+    def parts(self) -> Mapping[str, Material]:
+        """The material itself, by the name that its constants carry: none."""
+        return {"": self}
+
+    @property
+    def constraints(self) -> tuple[str, ...]:
+        """What the constants must satisfy, in the order of `margins`."""
+        return CONSTRAINTS[self.symmetry]
+
     def complete(self, values: Mapping[str, ArrayLike] = _NONE_VARIED) -> dict[str, Array]:
         """All six constants, those in ``values`` (...) in place of the reference; see `complete_constants`.
 
@@ -90,8 +106,77 @@ class Material:
         """By how much the constants with ``values`` (...) meet each constraint, (..., n_constraints)."""
         return constraint_margins(self._with(values), self.symmetry)
 
+    def with_constants(self, constants: Mapping[str, float]) -> Material:
+        """The material with other reference constants, of which those that its symmetry has are taken."""
+        names = self.constants if self.isotropic else constants
+        return replace(self, constants={name: constants[name] for name in names})
+
     def _with(self, values: Mapping[str, ArrayLike]) -> dict[str, ArrayLike]:
         return {**self.constants, **{name: v for name, v in values.items() if name in CONSTANTS}}
+
+
+@dataclass(frozen=True, slots=True)
+class Hybrid:
+    """The materials of a hybrid laminate by name; the constant E1 of a material "c" is called "c.E1".
+
+    It answers what a `Material` answers, for all of them at once.
+    """
+
+    parts: Mapping[str, Material]
+
+    @property
+    def constants(self) -> Mapping[str, float]:
+        """Reference constants as they are given, Pa or dimensionless."""
+        return self._joined({name: part.constants for name, part in self.parts.items()})
+
+    @property
+    def sd(self) -> Mapping[str, float]:
+        """How well each is known, in the same unit, where given."""
+        return self._joined({name: part.sd for name, part in self.parts.items()})
+
+    @property
+    def name(self) -> str:
+        """The names of the materials, in words."""
+        return listed([part.name or name for name, part in self.parts.items()], "and")
+
+    @property
+    def isotropic(self) -> bool:
+        """A hybrid has directions, through its thickness at least."""
+        return False
+
+    @property
+    def constraints(self) -> tuple[str, ...]:
+        """What the constants must satisfy, in the order of `margins`."""
+        return tuple(f"{text} of {name}" for name, part in self.parts.items() for text in part.constraints)
+
+    def complete(self, values: Mapping[str, ArrayLike] = _NONE_VARIED) -> dict[str, Array]:
+        """All six constants of each material, see `Material.complete`."""
+        return self._joined(
+            {name: part.complete(constants_of(values, name)) for name, part in self.parts.items()}
+        )
+
+    def admissible(self, values: Mapping[str, ArrayLike]) -> NDArray[np.bool_]:
+        """Whether the constants of all materials can be, see `Material.admissible`; (...)."""
+        each = (part.admissible(constants_of(values, name)) for name, part in self.parts.items())
+        return np.asarray(reduce(np.logical_and, each))
+
+    def margins(self, values: Mapping[str, ArrayLike]) -> NDArray[np.float64]:
+        """By how much the constants meet each constraint, (..., n_constraints)."""
+        each = [part.margins(constants_of(values, name)) for name, part in self.parts.items()]
+        shape = np.broadcast_shapes(*(m.shape[:-1] for m in each))
+        return np.concatenate([np.broadcast_to(m, (*shape, m.shape[-1])) for m in each], axis=-1)
+
+    def with_constants(self, constants: Mapping[str, float]) -> Hybrid:
+        """The materials with other reference constants, see `Material.with_constants`."""
+        return Hybrid(
+            {name: part.with_constants(constants_of(constants, name)) for name, part in self.parts.items()}
+        )
+
+    @staticmethod
+    def _joined(parts: Mapping[str, Mapping[str, Value]]) -> dict[str, Value]:
+        return {
+            joined_name(part, name): value for part, values in parts.items() for name, value in values.items()
+        }
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,7 +262,7 @@ class Specimen:
     specimen: str
     source: str
     plate: Plate
-    material: Material
+    material: Material | Hybrid
     unknowns: ParameterSet
     angle_grid_deg: float
     air_density: float | None

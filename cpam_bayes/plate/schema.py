@@ -14,17 +14,23 @@ from cpam_bayes.plate.elasticity import MaterialSymmetry
 
 __all__ = [
     "MAX_FREQUENCIES",
+    "OF_ALL",
+    "OF_EACH",
     "TAGS",
+    "ConstantsModel",
+    "HybridUnknownsModel",
     "MaterialModel",
     "MeasurementModel",
     "NormalModel",
     "PlateFile",
     "PlateModel",
+    "is_hybrid",
 ]
 
 # More frequencies than modes are computed, and more masses than a plate is hung with, are a slip.
 MAX_FREQUENCIES: Final = 100
 _MAX_SENSORS: Final = 100
+_MAX_PLY_KINDS: Final = 100
 _MAX_NOTES: Final = 1000
 # Beyond these, areas and masses would overflow or vanish.
 _SMALLEST: Final = 1e-12
@@ -64,6 +70,7 @@ Text = Annotated[
     ),
 ]
 Flag = Annotated[bool, Field(description="true or false")]
+Name = Annotated[str, Field(pattern="^[A-Za-z]{1,20}$", description="a name of 1 to 20 letters")]
 
 
 class _Table(BaseModel):
@@ -128,8 +135,23 @@ class MaterialModel(_Table):
     G12_GPa: GPa | None = None
     G13_GPa: GPa | None = None
     G23_GPa: GPa | None = None
+    density_kg_m3: Density | None = None
     name: Text | None = None
     sd: Annotated[MaterialSpreads, Field(description="a table [material.sd]")] | None = None
+
+
+Step = Annotated[
+    float,
+    Field(gt=0, le=180, allow_inf_nan=False, description="a step that divides 180, 0.1 or more"),
+]
+
+
+class PlyModel(_Table):
+    """A table [[ply]]: a ply that the layup calls by its name."""
+
+    name: Name
+    material: Annotated[str, Field(description="a material M with a table [material.M]")] | None = None
+    thickness_mm: Millimetres
 
 
 Bounds = Annotated[
@@ -162,17 +184,58 @@ PriorModel = Annotated[
 ]
 
 
-class UnknownsModel(_Table):
+class ConstantsModel(_Table):
+    """Unknown constants of one material."""
+
     E1_GPa: PriorModel | None = None
     E2_GPa: PriorModel | None = None
     nu12: PriorModel | None = None
     G12_GPa: PriorModel | None = None
     G13_GPa: PriorModel | None = None
     G23_GPa: PriorModel | None = None
-    angle_grid_deg: Annotated[
-        float,
-        Field(gt=0, le=180, allow_inf_nan=False, description="a step that divides 180, 0.1 or more"),
-    ] = 5.0
+
+
+class UnknownsModel(ConstantsModel):
+    """The table [unknowns]."""
+
+    angle_grid_deg: Step = 5.0
+
+
+class HybridUnknownsModel(_Table):
+    """The table [unknowns] with a table for each material."""
+
+    model_config = ConfigDict(strict=True, extra="allow", frozen=True)
+    __pydantic_extra__: dict[str, ConstantsModel]
+
+    angle_grid_deg: Step = 5.0
+
+
+_SHARED: Final = (*MaterialModel.model_fields, *UnknownsModel.model_fields)
+OF_EACH, OF_ALL = "of each material", "of all materials"
+
+
+def is_hybrid(table: object) -> bool:
+    """Whether a table [material] or [unknowns] has a table for each material instead of constants."""
+    if not isinstance(table, dict):
+        return False
+    named = {key: value for key, value in table.items() if key != "angle_grid_deg"}
+    return bool(named) and all(isinstance(v, dict | BaseModel) and k not in _SHARED for k, v in named.items())
+
+
+def _materials(table: object) -> str:
+    return OF_EACH if is_hybrid(table) or isinstance(table, HybridUnknownsModel) else OF_ALL
+
+
+Materials = Annotated[
+    Annotated[MaterialModel, Tag(OF_ALL)] | Annotated[dict[Name, MaterialModel], Tag(OF_EACH)],
+    Discriminator(_materials),
+    Field(description="a table [material], or a table [material.NAME] for each of several"),
+]
+Unknowns = Annotated[
+    Annotated[UnknownsModel, Tag(OF_ALL)] | Annotated[HybridUnknownsModel, Tag(OF_EACH)],
+    Discriminator(_materials),
+    Field(description="a table [unknowns], or a table [unknowns.NAME] for each of several materials"),
+]
 
 
 class EnvironmentModel(_Table):
@@ -247,8 +310,12 @@ class PlateFile(_Table):
         Field(max_length=_MAX_NOTES, description=f"a list of at most {_MAX_NOTES} texts"),
     ] = []
     plate: Annotated[PlateModel, Field(description="a table [plate]")]
-    material: Annotated[MaterialModel, Field(description="a table [material]")]
-    unknowns: Annotated[UnknownsModel, Field(description="a table [unknowns]")] = UnknownsModel()
+    material: Materials
+    unknowns: Unknowns = UnknownsModel()
+    ply: Annotated[
+        list[Annotated[PlyModel, Field(description="a table [[ply]]")]],
+        Field(max_length=_MAX_PLY_KINDS, description=f"at most {_MAX_PLY_KINDS} tables [[ply]]"),
+    ] = []
     environment: Annotated[EnvironmentModel, Field(description="a table [environment]")] = EnvironmentModel()
     sensor: Annotated[
         list[Annotated[SensorModel, Field(description="a table [[sensor]]")]],

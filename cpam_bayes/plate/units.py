@@ -31,6 +31,17 @@ USER_UNITS: Final[Mapping[str, tuple[str, float]]] = MappingProxyType(
 _BY_NAME: Final = {name: (user, factor) for user, (name, factor) in USER_UNITS.items()}
 
 
+def split_name(name: str) -> tuple[str, str]:
+    """The material of a hybrid, "" of one material, and the plain name: "c.E1" is of "c" and "E1"."""
+    material, _, plain = name.rpartition(".")
+    return material, plain
+
+
+def joined_name(material: str, name: str) -> str:
+    """The name of a constant of a material: "c.E1"; of the material "" its plain name."""
+    return f"{material}.{name}" if material else name
+
+
 def to_si(user: str, value: float) -> float:
     """A number of the plate file in SI.
 
@@ -63,9 +74,11 @@ def unit_of(name: str) -> str:
 
 
 def _lookup(name: str) -> tuple[str, float]:
-    if name not in _BY_NAME:
+    material, plain = split_name(name)
+    if plain not in _BY_NAME:
         raise ValueError(f"name: received {name!r}, accepted: {list(_BY_NAME)}")
-    return _BY_NAME[name]
+    user, factor = _BY_NAME[plain]
+    return joined_name(material, user), factor
 
 
 def _scaled(value: float, factor: float) -> float:

@@ -15,9 +15,9 @@ from cpam_bayes.inference.chains.sampling import sample_posterior
 from cpam_bayes.inference.diagnostics.constraints import cutting_constraints
 from cpam_bayes.inference.laplace import gauss_newton_covariance, optimise, prior_sd
 from cpam_bayes.inference.posterior import ForwardModel, Posterior, plate_posterior
-from cpam_bayes.inference.swarm.pso import SwarmResult, SwarmSettings, initial_swarm, minimise
+from cpam_bayes.inference.swarm.pso import SwarmResult, SwarmSettings, material_swarm, minimise
 from cpam_bayes.parameters import ParameterSet
-from cpam_bayes.plate import Material, Measurement
+from cpam_bayes.plate import Hybrid, Material, Measurement
 from cpam_bayes.repetition.agreement import density_peaks, skewness
 from cpam_bayes.repetition.perturbation import (
     INTERPRETATIONS,
@@ -76,7 +76,7 @@ class InverseProblem:
 
     model: ForwardModel
     unknowns: ParameterSet
-    material: Material
+    material: Material | Hybrid
     swarm: SwarmSettings
 
 
@@ -151,7 +151,7 @@ def _minimum(problem: InverseProblem, frequencies: Array, rng: np.random.Generat
         lambda x: misfit(problem.model.predict(x).frequencies[:, :n], frequencies, "absolute"),
         unknowns.lower,
         unknowns.upper,
-        initial_swarm(unknowns, problem.material.symmetry, problem.swarm.particles, rng),
+        material_swarm(problem.material, unknowns, problem.swarm.particles, rng),
         problem.swarm,
         rng,
         feasible=problem.model.admissible,
@@ -230,7 +230,7 @@ def _sample(shared: Shared, task: InversionTask) -> PosteriorSummary:
 def _cutting(problem: InverseProblem, draws: Array) -> tuple[str, ...]:
     """Constraints on the constants of the ply that cut a posterior, draws (m, n)."""
     margins = problem.material.margins(problem.unknowns.mapping(draws))
-    return cutting_constraints(margins, problem.material.symmetry)
+    return cutting_constraints(margins, problem.material.constraints)
 
 
 def _swarm_sd(posterior: Posterior, x: Array, scale: Array) -> Array:

@@ -11,8 +11,9 @@ from cpam_bayes.forward_model.labels import same_label
 from cpam_bayes.forward_model.slips import contradicts_list
 from cpam_bayes.identification.scale_errors import FREQUENCY_SCALE, ScaleError
 from cpam_bayes.identification.verdicts import MISFIT, Verdict
-from cpam_bayes.plate import Measurement, Specimen, to_user, unit_of, user_name
+from cpam_bayes.plate import Hybrid, Material, Measurement, Specimen, to_user, unit_of, user_name
 from cpam_bayes.plate.elasticity import MaterialSymmetry
+from cpam_bayes.plate.units import split_name
 from cpam_bayes.priors import Prior, TruncatedNormal
 from cpam_bayes.report.plates.head import edges_text, layup_text, size_text
 from cpam_bayes.report.summary import Determined
@@ -85,9 +86,12 @@ _SCALE_WORDS: Final = {
 }
 
 
-def constant_title(name: str, symmetry: MaterialSymmetry) -> str:
-    """A constant in words; a name that has none stands for itself."""
-    return _TITLES_OF[symmetry].get(name, name)
+def constant_title(name: str, material: Material | Hybrid) -> str:
+    """A constant in words, of a hybrid with its material; a name that has none stands for itself."""
+    of, plain = split_name(name)
+    part = material.parts.get(of)
+    title = "" if part is None else _TITLES_OF[part.symmetry].get(plain, "")
+    return f"{title}{f', {part.name or of}' if of and part is not None else ''}" if title else name
 
 
 def frequencies_text(n: int) -> str:

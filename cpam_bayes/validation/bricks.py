@@ -159,11 +159,11 @@ def flawed_deck(
         raise ValueError("springs: received for a free plate, accepted: with a clamped edge")
     if flaws.heat is not None and plate.edges != "FFFF":
         raise ValueError(f"heat: received with edges {plate.edges}, accepted: FFFF")
-    angles, heights = ply_runs(plate)
-    z, owner = layer_boundaries(heights)
+    runs = ply_runs(plate)
+    z, owner = layer_boundaries(runs.heights)
     mesh = brick_mesh(*_lines(specimen, flaws, in_plane), z)
     kept = _kept_elements(mesh, plate.length, plate.width, flaws.notch)
-    turned = from_angles(_turned(angles, flaws.turned_deg)).angles_deg
+    turned = from_angles(_turned(runs.angles, flaws.turned_deg)).angles_deg
     unique, which = np.unique(turned, return_inverse=True)
     moved = replace(mesh, nodes=_moved(mesh.nodes, plate.length, plate.width, flaws))
     fields = [

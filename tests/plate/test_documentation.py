@@ -46,7 +46,8 @@ def tables(model: type[BaseModel], heading: str) -> dict[str, dict[str, FieldInf
             if heading == "[unknowns]":
                 found |= tables(inner, PRIOR)
             else:
-                found |= tables(inner, f"[[{path}]]" if is_list else f"[{path}]")
+                for name, keys in tables(inner, f"[[{path}]]" if is_list else f"[{path}]").items():
+                    found.setdefault(name, {}).update(keys)
         if not models or heading == "[unknowns]":
             found[heading][key] = field
     return found

@@ -24,6 +24,7 @@ from cpam_bayes.forward_model.calculix.mesh import (
 )
 from cpam_bayes.mechanics.problem import EDGES, HELD, rigid_body_count
 from cpam_bayes.plate.elasticity import CONSTANTS, MaterialSymmetry, through_thickness_poisson
+from cpam_bayes.plate.laminate import constants_of, equal_plies, run_starts
 from cpam_bayes.plate.records import Plate, Specimen
 
 Element = Literal["shell", "brick"]
@@ -81,7 +82,7 @@ def plate_deck(
     `material_card`. Edges hold the fields that `problem.HELD` names,
     bricks on the whole face.
 
-    constants : E1, E2, nu12, G12, G13, G23, all six, Pa or dimensionless.
+    constants : E1, E2, nu12, G12, G13, G23, all six, Pa or dimensionless; of a hybrid those of each material.
     n_modes : deformation modes; the step asks for the rigid-body motions beside them.
     in_plane : elements in the plane; left out, enough for the first ten modes.
 
@@ -90,28 +91,28 @@ def plate_deck(
     """
     plate = specimen.plate
     _check(specimen, element, n_modes, in_plane)
-    card = material_card(constants, specimen.material.symmetry, plate.density)
-    angles, heights = ply_runs(plate)
+    runs = ply_runs(plate)
+    cards = _material_cards(specimen, constants, runs)
     if element == "shell":
         lines = _lines(specimen, in_plane or _SHELLS_IN_PLANE)
         mesh, owner = shell_mesh(*lines), np.zeros(1, dtype=np.int64)
     else:
-        z, owner = layer_boundaries(heights)
+        z, owner = layer_boundaries(runs.heights)
         lines = _lines(specimen, in_plane or _bricks_in_plane(len(owner)))
         _check_size(lines, len(owner))
         mesh = brick_mesh(*lines, z)
-    unique, which = np.unique(angles, return_inverse=True)
+    unique, which = np.unique(runs.angles, return_inverse=True)
     n_rigid = rigid_body_count(plate.edges)
     parts = [
         _heading(specimen, element),
         node_block(mesh),
         *_elements(mesh, owner, _TYPE[element]),
         *(orientation_card(k, angle) for k, angle in enumerate(unique)),
-        card,
+        *cards.values(),
         *(
-            [_shell_section(heights, which)]
+            [_shell_section(runs, which, tuple(cards))]
             if element == "shell"
-            else [_solid_section(k, int(o)) for k, o in enumerate(which)]
+            else [_solid_section(k, int(o), tuple(cards)[runs.material[k]]) for k, o in enumerate(which)]
         ),
         *_masses(specimen, mesh),
         *_boundaries(plate.edges, mesh, element),
@@ -141,11 +142,47 @@ def _check(specimen: Specimen, element: str, n_modes: int, in_plane: int | None)
         )
 
 
-def ply_runs(plate: Plate) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Angles (m,) degrees and thicknesses (m,) m of the runs of equal neighbouring plies."""
+@dataclass(frozen=True, slots=True, eq=False)
+class PlyRuns:
+    """The runs of equal neighbouring plies of a plate, bottom to top.
+
+    angles : (m,) degrees
+    heights : (m,) m
+    material : (m,) positions in ``names``, the materials of a hybrid
+    density : (m,) kg/m3
+    """
+
+    angles: NDArray[np.float64]
+    heights: NDArray[np.float64]
+    material: NDArray[np.int64]
+    density: NDArray[np.float64]
+    names: tuple[str, ...]
+
+
+def ply_runs(plate: Plate) -> PlyRuns:
+    """The runs of equal neighbouring plies of a plate with known angles."""
     angles = plate.layup.angles_deg
-    starts = np.concatenate(([0], np.flatnonzero(np.diff(angles)) + 1, [len(angles)]))
-    return angles[starts[:-1]], np.diff(starts) * (plate.thickness / len(angles))
+    plies = plate.layup.plies or equal_plies(len(angles))
+    starts = run_starts(angles, plies)
+    return PlyRuns(
+        angles=angles[starts],
+        heights=np.diff(plies.interfaces[np.append(starts, len(angles))]) * plate.thickness,
+        material=plies.material[starts],
+        density=plies.density[starts] * plate.density,
+        names=plies.names,
+    )
+
+
+def _material_cards(specimen: Specimen, constants: Mapping[str, float], runs: PlyRuns) -> dict[str, str]:
+    """The card of each material by its name in the deck, in the order of the runs' names."""
+    cards = {}
+    for k, name in enumerate(runs.names):
+        in_deck = f"PLY_{k + 1}" if name else "PLY"
+        density = float(runs.density[np.flatnonzero(runs.material == k)[0]])
+        part = specimen.material.parts[name]
+        about = f"** material {name}\n" if name else ""
+        cards[in_deck] = about + material_card(constants_of(constants, name), part.symmetry, density, in_deck)
+    return cards
 
 
 def _bricks_in_plane(n_layers: int) -> int:
@@ -274,15 +311,18 @@ def orientation_card(index: int, angle_deg: float) -> str:
     )
 
 
-def _shell_section(heights: NDArray[np.float64], which: NDArray[np.int64]) -> str:
+def _shell_section(runs: PlyRuns, which: NDArray[np.int64], cards: tuple[str, ...]) -> str:
     """Runs from the bottom up: thickness, points of Simpson's rule (ABAQUS), material, axes."""
-    rows = (f"{t:{_NUMBER}}, 3, PLY, ANGLE_{o + 1}" for t, o in zip(heights, which, strict=True))
+    rows = (
+        f"{t:{_NUMBER}}, 3, {cards[m]}, ANGLE_{o + 1}"
+        for t, m, o in zip(runs.heights, runs.material, which, strict=True)
+    )
     return "\n".join(["*SHELL SECTION, COMPOSITE, ELSET=PLIES_1", *rows])
 
 
-def _solid_section(run: int, orientation: int) -> str:
+def _solid_section(run: int, orientation: int, card: str) -> str:
     name = f"ANGLE_{orientation + 1}"
-    return f"*SOLID SECTION, ELSET=PLIES_{run + 1}, MATERIAL=PLY, ORIENTATION={name}"
+    return f"*SOLID SECTION, ELSET=PLIES_{run + 1}, MATERIAL={card}, ORIENTATION={name}"
 
 
 def _masses(specimen: Specimen, mesh: PlateMesh) -> Iterable[str]:

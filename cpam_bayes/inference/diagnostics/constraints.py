@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cpam_bayes.parameters import ParameterSet
-from cpam_bayes.plate.elasticity import CONSTRAINTS, MaterialSymmetry
-from cpam_bayes.plate.records import Material
+from cpam_bayes.plate.records import Hybrid, Material
 
 __all__ = ["constraint_warnings", "cut_warnings", "cutting_constraints", "limiting_constraints"]
 
@@ -26,31 +25,32 @@ _BEYOND: Final = (
 )
 
 
-def cutting_constraints(margins: Array, symmetry: MaterialSymmetry) -> tuple[str, ...]:
+def cutting_constraints(margins: Array, constraints: Sequence[str]) -> tuple[str, ...]:
     """The constraints that draws crowd against.
 
     margins : (m, n_constraints) of equally probable draws, see `constraint_margins`; (n_constraints,) where
         no draw moves them
+    constraints : what each is, n_constraints
     """
     margins = np.atleast_2d(margins)
     near = np.mean(margins < _NEAR_SD * margins.std(axis=0), axis=0)
-    return _named(symmetry, near >= _LEAST_FRACTION)
+    return _named(constraints, near >= _LEAST_FRACTION)
 
 
-def limiting_constraints(material: Material, unknowns: ParameterSet, x: Array) -> tuple[str, ...]:
+def limiting_constraints(material: Material | Hybrid, unknowns: ParameterSet, x: Array) -> tuple[str, ...]:
     """The constraints that a small step of one constant breaks; x : (n,), an optimum."""
     step = _STEP * np.diag(unknowns.upper - unknowns.lower)
     margins = np.atleast_2d(material.margins(unknowns.mapping(np.concatenate((x + step, x - step)))))
-    return _named(material.symmetry, np.any(margins <= 0.0, axis=0))
+    return _named(material.constraints, np.any(margins <= 0.0, axis=0))
 
 
-def _named(symmetry: MaterialSymmetry, chosen: Array) -> tuple[str, ...]:
-    return tuple(text for text, is_chosen in zip(CONSTRAINTS[symmetry], chosen, strict=True) if is_chosen)
+def _named(constraints: Sequence[str], chosen: Array) -> tuple[str, ...]:
+    return tuple(text for text, is_chosen in zip(constraints, chosen, strict=True) if is_chosen)
 
 
-def cut_warnings(material: Material, draws: Mapping[str, Array]) -> tuple[str, ...]:
+def cut_warnings(material: Material | Hybrid, draws: Mapping[str, Array]) -> tuple[str, ...]:
     """A warning for each constraint that cuts a posterior; draws : name -> (m,), equally probable."""
-    constraints = cutting_constraints(material.margins(draws), material.symmetry)
+    constraints = cutting_constraints(material.margins(draws), material.constraints)
     return constraint_warnings("the posterior is cut by the constraint", constraints)
 
 

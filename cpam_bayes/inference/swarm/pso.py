@@ -18,6 +18,7 @@ The paper gives no settings. Those of `SwarmSettings` come from the literature:
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
@@ -32,8 +33,31 @@ from cpam_bayes.inference.swarm.settings import (
 from cpam_bayes.inference.swarm.swarm import SwarmProblem, SwarmResult, minimise_problem
 from cpam_bayes.parameters import ParameterSet
 from cpam_bayes.plate.elasticity import MaterialSymmetry
+from cpam_bayes.plate.records import Hybrid, Material
+from cpam_bayes.plate.units import joined_name, split_name
 
-__all__ = ["SwarmResult", "SwarmSettings", "initial_swarm", "minimise"]
+__all__ = ["SwarmResult", "SwarmSettings", "initial_swarm", "material_swarm", "minimise"]
+
+
+def material_swarm(
+    material: Material | Hybrid, unknowns: ParameterSet, n: int, rng: np.random.Generator
+) -> FloatArray:
+    """Draw the start positions of the unknown constants of a plate, `initial_swarm` for each material.
+
+    Constants that are not among the unknowns have their reference value.
+
+    Returns (n, unknowns.size), columns as in ``unknowns.names``.
+
+    Raises ``ValueError`` if the bounds leave no room for the constraints.
+    """
+    drawn: dict[str, FloatArray] = {}
+    for name, part in material.parts.items():
+        of_part = tuple(p for p in unknowns.parameters if split_name(p.name)[0] == name)
+        plain = ParameterSet(tuple(replace(p, name=split_name(p.name)[1]) for p in of_part))
+        known = tuple((k, v) for k, v in part.constants.items() if k not in plain)
+        swarm = initial_swarm(replace(plain, fixed=known), part.symmetry, n, rng)
+        drawn |= {joined_name(name, k): column for k, column in zip(plain.names, swarm.T, strict=True)}
+    return np.column_stack([drawn[name] for name in unknowns.names])
 
 
 def initial_swarm(
@@ -79,7 +103,7 @@ def initial_swarm(
             drawn[name] = _draw(name, np.maximum(low, -edge), np.minimum(high, edge), n, rng)
         elif name not in drawn:
             drawn[name] = _draw(name, low, high, n, rng)
-    return np.column_stack([drawn[name] for name in parameters.names])
+    return np.column_stack([drawn[name] for name in parameters.names] or [np.empty((n, 0))])
 
 
 def minimise(

@@ -83,7 +83,7 @@ def _constant(d: Diagnosis, row: ConstantRow) -> ConstantLine:
         by = decided_by(name, case.models.parameters[name].prior)
     return ConstantLine(
         symbol=name,
-        title=constant_title(name, case.models.specimen.material.symmetry),
+        title=constant_title(name, case.models.specimen.material),
         key=row.name,
         value=row.mean,
         interval=(row.q025, row.q975),

@@ -10,12 +10,20 @@ from cpam_bayes.forward_model.labels import modes_of_labels
 from cpam_bayes.forward_model.mode_shapes.assurance import ShapePairing
 from cpam_bayes.forward_model.solve import ForwardResult
 from cpam_bayes.mechanics.shapes import Mode
-from cpam_bayes.plate import Specimen
+from cpam_bayes.plate import Material, Specimen
+from cpam_bayes.plate.units import joined_name
 
 
 def constants_with_origin(specimen: Specimen) -> list[tuple[str, float, str]]:
     """Name, value in SI and origin of every constant that the plate has."""
-    material = specimen.material
+    return [
+        (joined_name(of, name), value, origin)
+        for of, part in specimen.material.parts.items()
+        for name, value, origin in _of_material(part)
+    ]
+
+
+def _of_material(material: Material) -> list[tuple[str, float, str]]:
     complete = material.complete()
     if material.isotropic:
         origins = dict.fromkeys(("E1", "nu12"), "plate file") | {"G12": "eq. (11)"}

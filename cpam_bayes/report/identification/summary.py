@@ -79,7 +79,7 @@ def _constant(result: PointResult, c: ConstantEstimate) -> ConstantLine:
         by = decided_by(c.name, prior)
     return ConstantLine(
         symbol=c.name,
-        title=constant_title(c.name, specimen.material.symmetry),
+        title=constant_title(c.name, specimen.material),
         key=user_name(c.name),
         value=unit * c.value,
         interval=None if c.interval is None else (unit * c.interval[0], unit * c.interval[1]),

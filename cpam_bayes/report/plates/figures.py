@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch, Rectangle
 
 from cpam_bayes.plate import Plate, Specimen
+from cpam_bayes.plate.laminate import equal_plies
 from cpam_bayes.plate.layup import Layup
 
 __all__ = ["plate_figure"]
@@ -124,15 +125,19 @@ def _draw_isotropic(axes: Axes, plate: Plate) -> None:
 def _draw_plies(axes: Axes, layup: Layup) -> None:
     """The plies as a stack, the lowest at the bottom, coloured by angle; unknown ones hatched."""
     n = layup.n_plies
+    stack = layup.plies or equal_plies(n)
+    levels = n * (stack.interfaces + 0.5)
     for k, (angle, unknown) in enumerate(zip(layup.angles_deg, layup.unknown_index, strict=True)):
         style: dict[str, Any] = {"facecolor": "white", "hatch": ".."} if unknown >= 0 else {
             "facecolor": _colour(float(angle))
         }  # fmt: skip
-        axes.add_patch(Rectangle((0, k), 1, 1, edgecolor=_INK, linewidth=0.5, **style))
+        bottom, height = levels[k], levels[k + 1] - levels[k]
+        axes.add_patch(Rectangle((0, bottom), 1, height, edgecolor=_INK, linewidth=0.5, **style))
         if n <= _MOST_WRITTEN:
-            said = "?" if unknown >= 0 else f"{angle:g}"
+            name = layup.kinds[k].name if layup.kinds else ""
+            said = name + ("?" if unknown >= 0 else f"{angle:g}")
             box = {"facecolor": "white", "edgecolor": "none", "pad": 0.6}
-            axes.text(0.5, k + 0.5, said, ha="center", va="center", fontsize=8, bbox=box)
+            axes.text(0.5, bottom + height / 2, said, ha="center", va="center", fontsize=8, bbox=box)
     axes.set(xlim=(0, 1), ylim=(-0.02 * n, 1.02 * n))
     axes.set_axis_off()
     axes.set_title(f"{n} plies", fontsize=9)

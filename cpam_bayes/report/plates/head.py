@@ -110,8 +110,11 @@ def _damping(measurement: Measurement) -> tuple[tuple[str, str], ...]:
 
 def _material(specimen: Specimen) -> str:
     """The name of the material, and what it is where the layup does not tell."""
-    name = specimen.material.name or "not named"
-    return f"{name}, orthotropic" if specimen.material.symmetry == "orthotropic" else name
+    said = (
+        f"{part.name or name or 'not named'}{', orthotropic' if part.symmetry == 'orthotropic' else ''}"
+        for name, part in specimen.material.parts.items()
+    )
+    return "; ".join(said)
 
 
 def air_text(specimen: Specimen, air_shifts: NDArray[np.float64] | None) -> str:

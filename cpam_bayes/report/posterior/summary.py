@@ -61,7 +61,7 @@ def _constant(result: SampledResult, c: ConstantPosterior) -> ConstantLine:
         by = decided_by(c.name, result.posterior.parameters[c.name].prior)
     return ConstantLine(
         symbol=c.name,
-        title=constant_title(c.name, result.specimen.material.symmetry),
+        title=constant_title(c.name, result.specimen.material),
         key=user_name(c.name),
         value=unit * c.mean,
         interval=(unit * c.q025, unit * c.q975),

@@ -63,7 +63,6 @@ def _percents(result: SensitivityResult, cell: Cell, i: int) -> tuple[float, flo
 
 
 def _spreads(result: SensitivityResult, cell: Cell) -> Table:
-    symmetry = result.specimen.material.symmetry
     columns = headed("", "", "#repeated inversions, sd %", "#posterior, sd %", "do both agree?")
     rows, flagged = [], []
     for i, c in enumerate(result.study.without_noise.constants):
@@ -74,7 +73,7 @@ def _spreads(result: SensitivityResult, cell: Cell) -> Table:
         rows.append(
             (
                 c.name,
-                constant_title(c.name, symmetry) or user_name(c.name),
+                constant_title(c.name, result.specimen.material) or user_name(c.name),
                 significant(by_repetition, 2),
                 significant(by_posterior, 2),
                 "no, see --verbose" if causes else "yes",

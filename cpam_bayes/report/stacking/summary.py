@@ -111,7 +111,7 @@ def _constants(result: StackingResult) -> tuple[ConstantLine, ...]:
         lines.append(
             ConstantLine(
                 symbol=name,
-                title=constant_title(name, result.specimen.material.symmetry),
+                title=constant_title(name, result.specimen.material),
                 key=user_name(name),
                 value=unit * float(draws[:, i].mean()),
                 interval=(unit * float(low), unit * float(high)),

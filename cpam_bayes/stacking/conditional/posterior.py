@@ -22,7 +22,7 @@ from cpam_bayes.inference.posterior import ForwardModel, Posterior, plate_poster
 from cpam_bayes.inference.standard_normal import NormalScores
 from cpam_bayes.mechanics.problem import PlateState, StateFunction, Values
 from cpam_bayes.parameters import ParameterSet
-from cpam_bayes.plate.laminate import LaminateGeometry, laminate_geometry
+from cpam_bayes.plate.laminate import LaminateGeometry
 from cpam_bayes.threads import single_blas_thread
 
 Array = NDArray[Any]
@@ -90,7 +90,7 @@ def _geometry(conditional: ConditionalPosterior, angles_deg: Array) -> LaminateG
     values = {**others, **{name: angles_deg[:, i] for i, name in enumerate(names)}}
     state = problem.state(values)
     assert not isinstance(state.layup, LaminateGeometry)
-    return laminate_geometry(state.layup, symmetric=state.symmetric)
+    return state.geometry()
 
 
 def _model_at(model: ReducedModel, n_angles: int, geometry: LaminateGeometry | None) -> ForwardModel:

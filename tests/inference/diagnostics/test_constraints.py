@@ -13,6 +13,7 @@ from cpam_bayes.inference.diagnostics.constraints import (
 )
 from cpam_bayes.parameters import Parameter, ParameterSet, Uniform
 from cpam_bayes.plate import Material
+from cpam_bayes.plate.elasticity import CONSTRAINTS
 
 CARBON = {"E1": 121e9, "E2": 9.3e9, "nu12": 0.3, "G12": 6e9}
 N_DRAWS = 4000
@@ -28,7 +29,7 @@ def cut_normal(beyond: float) -> np.ndarray:
     ("beyond", "cuts"), [(0.9, True), (0.5, True), (0.1, True), (0.01, False), (1e-3, False)]
 )
 def test_a_constraint_cuts_where_a_part_of_the_density_would_lie_beyond(beyond: float, cuts: bool) -> None:
-    found = cutting_constraints(cut_normal(beyond)[:, None], "orthotropic")
+    found = cutting_constraints(cut_normal(beyond)[:, None], CONSTRAINTS["orthotropic"])
     assert bool(found) == cuts
 
 
