@@ -26,6 +26,7 @@ MARKS = dict.fromkeys(
         "own_prior.md",
         "repeats.md",
         "sensors.md",
+        "hybrids.md",
         "sensitivity.md",
         "several_plates.md",
         "tutorial.md",

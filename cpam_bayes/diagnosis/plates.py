@@ -279,7 +279,7 @@ def _require_one_material(specimens: Sequence[Specimen]) -> None:
     first = specimens[0]
     for other in specimens[1:]:
         same = other.material.name == first.material.name
-        if not (same and _symmetry(other) == _symmetry(first)):
+        if not (same and other.material.symmetry == first.material.symmetry):
             raise ValueError(
                 f"{other.source}: material {other.material.name or 'not named'}, while {first.name} has "
                 f"{first.material.name or 'none named'}; plates that are diagnosed together share their "
@@ -293,10 +293,6 @@ def _require_one_material(specimens: Sequence[Specimen]) -> None:
                 f"{tested.source}; files of one specimen are tests of one plate: give them the same [plate] "
                 "but for the edges, or names of their own to the specimens"
             )
-
-
-def _symmetry(specimen: Specimen) -> list[str]:
-    return [part.symmetry for part in specimen.material.parts.values()]
 
 
 def _sizes(specimen: Specimen) -> tuple[float | str, ...]:

@@ -25,6 +25,7 @@ from cpam_bayes.forward_model.preconditions import (
     require_supported,
     units_warning,
 )
+from cpam_bayes.forward_model.sandwich import sandwich_warnings
 from cpam_bayes.mechanics.shapes import (
     UNIT_SQUARE,
     Extent,
@@ -170,9 +171,10 @@ def forward(
     if measurement is not None and measurement.shapes is not None and solution.at_nodes is not None:
         pairing = paired_shapes(measurement.shapes, solution.at_nodes, solution.modes, solution.specimen)
         labels += shape_warnings(pairing, measurement)
+    sandwich = () if name == "ccx" else sandwich_warnings(solution.specimen, solution.modes)
     return ForwardResult(
         seed=seed,
-        warnings=(*slips, *labels, *error_warning(solution.error)),
+        warnings=(*slips, *labels, *error_warning(solution.error), *sandwich),
         slips=slips,
         specimen=solution.specimen,
         air_shifts=air_shifts(specimen),

@@ -58,7 +58,7 @@ def model_key(
             *(astuple(kind) for kind in plate.layup.kinds),
         ],
         "edges": plate.edges,
-        "symmetry": " ".join(part.symmetry for part in specimen.material.parts.values()),
+        "symmetry": specimen.material.symmetry,
         "constants": sorted(specimen.material.constants.items()),
         "sensors": [[s.mass, s.x, s.y] for s in specimen.sensors],
         "air": specimen.air_density,

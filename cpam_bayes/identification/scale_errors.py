@@ -17,6 +17,7 @@ from cpam_bayes.effects import observation
 from cpam_bayes.forward_model.model import SIZES, PlateModel, model_on_basis, plate_problem
 from cpam_bayes.parameters import Parameter, ParameterSet, Uniform
 from cpam_bayes.plate import Plate, Specimen
+from cpam_bayes.plate.units import split_name
 
 Array = NDArray[Any]
 
@@ -101,7 +102,7 @@ def scale_errors(
 def thin_plate_errors(specimen: Specimen) -> tuple[ScaleError, ...]:
     """The same of a thin plate whose layup is open: f^2 is proportional to E h^2 / rho, or E h^3 / m."""
     plate = specimen.plate
-    moduli = [name for name in specimen.unknowns.names if name != "nu12"]
+    moduli = [name for name in specimen.unknowns.names if split_name(name)[1] != "nu12"]
     thickness, weighed = (2.0, "density") if plate.mass is None else (3.0, "mass")
     powers = {"thickness": thickness, weighed: -1.0, FREQUENCY_SCALE: 2.0}
     return tuple(ScaleError(name, dict.fromkeys(moduli, power), 0.0, None) for name, power in powers.items())

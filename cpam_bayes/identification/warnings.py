@@ -9,6 +9,7 @@ import numpy as np
 from cpam_bayes.formatting import significant
 from cpam_bayes.forward_model.labels import shape_warnings
 from cpam_bayes.forward_model.preconditions import SUSPICIOUS_RATIO
+from cpam_bayes.forward_model.sandwich import sandwich_warnings
 from cpam_bayes.forward_model.solve import LARGE_ERROR, error_warning
 from cpam_bayes.identification.point import PointEstimate
 from cpam_bayes.identification.sampled_result import SampledResult
@@ -50,6 +51,9 @@ def point_warnings(result: PointEstimate, residual: Residual) -> tuple[str, ...]
     problems += _other_labels(result)
     problems += _of_shapes(result)
     problems += _unused(result.specimen)
+    problems += sandwich_warnings(
+        result.specimen, result.predicted, {c.name: c.value for c in result.constants}
+    )
     return tuple(problems)
 
 
@@ -165,7 +169,8 @@ def sampled_warnings(result: SampledResult) -> tuple[str, ...]:
         )
     weighed = "; all pairings are weighed by their probability" if result.posterior.alternatives else ""
     problems += [f"{text}{weighed}" for text in shape_warnings(result.by_shape, measurement)]
-    return tuple(problems)
+    found = {c.name: c.mean for c in result.elastic_constants}
+    return (*problems, *sandwich_warnings(result.specimen, result.modes, found))
 
 
 def transcription_error_sentence(doubt: TranscriptionError) -> str:

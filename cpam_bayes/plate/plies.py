@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from typing import Final
 
 from cpam_bayes.errors import LayupError
 from cpam_bayes.plate.layup import PlyKind, parse_layup
 from cpam_bayes.plate.problems import Problem, received
 from cpam_bayes.plate.raw import Data, Problems, number, per_material, table
-from cpam_bayes.plate.schema import is_hybrid
+from cpam_bayes.plate.schema import NAME, is_hybrid
 from cpam_bayes.plate.units import to_si
 
 # Part of the stated thickness by which the plies may miss it; they fill it in proportion.
@@ -16,20 +17,19 @@ _THICKNESS_TOLERANCE: Final = 0.01
 
 
 def ply_kinds(data: Data) -> dict[str, PlyKind] | None:
-    """The plies of the tables [[ply]] by their names, None where one of them is not complete."""
+    """The plies of the tables [[ply]] by their names, None where they are not all as they must be."""
     kinds: dict[str, PlyKind] = {}
     densities = {name: number(table(part, "material"), "density_kg_m3") for name, part in per_material(data)}
     for ply in _tables(data):
         name, thickness, material = ply.get("name"), number(ply, "thickness_mm"), ply.get("material", "")
-        if (
-            not isinstance(name, str)
-            or not isinstance(material, str)
-            or thickness is None
-            or thickness <= 0.0
-        ):
+        if not isinstance(name, str) or not re.fullmatch(NAME, name) or name in kinds:
+            return None
+        if not isinstance(material, str) or material not in densities:
+            return None
+        if thickness is None or thickness <= 0.0:
             return None
         kinds[name] = PlyKind(name, material, to_si("thickness_mm", thickness), densities.get(material))
-    return kinds
+    return None if is_hybrid(data.get("material")) and not kinds else kinds
 
 
 def _tables(data: Data) -> list[Data]:

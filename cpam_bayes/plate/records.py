@@ -140,6 +140,11 @@ class Hybrid:
         return listed([part.name or name for name, part in self.parts.items()], "and")
 
     @property
+    def symmetry(self) -> str:
+        """The symmetries of the materials, in words."""
+        return ", ".join(f"{name} {part.symmetry}" for name, part in self.parts.items())
+
+    @property
     def isotropic(self) -> bool:
         """A hybrid has directions, through its thickness at least."""
         return False

@@ -14,6 +14,7 @@ from cpam_bayes.plate.elasticity import MaterialSymmetry
 
 __all__ = [
     "MAX_FREQUENCIES",
+    "NAME",
     "OF_ALL",
     "OF_EACH",
     "TAGS",
@@ -70,7 +71,8 @@ Text = Annotated[
     ),
 ]
 Flag = Annotated[bool, Field(description="true or false")]
-Name = Annotated[str, Field(pattern="^[A-Za-z]{1,20}$", description="a name of 1 to 20 letters")]
+NAME: Final = "^[A-Za-z]{1,20}$"
+Name = Annotated[str, Field(pattern=NAME, description="a name of 1 to 20 letters")]
 
 
 class _Table(BaseModel):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import warnings
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,7 @@ from cpam_bayes.identification.sampled_result import SampledResult
 from cpam_bayes.inference.noise import NOISE_NAMES
 from cpam_bayes.plate import USER_UNITS, to_si
 from cpam_bayes.plate.elasticity import CONSTANTS
+from cpam_bayes.plate.units import joined_name, split_name
 
 __all__ = ["PosteriorLike", "StoredPosterior", "read_posterior"]
 
@@ -55,7 +56,7 @@ class StoredPosterior:
     @property
     def constants(self) -> tuple[str, ...]:
         """The elastic constants among the draws."""
-        return tuple(name for name in self.draws if name in CONSTANTS)
+        return tuple(name for name in self.draws if split_name(name)[1] in CONSTANTS)
 
     @property
     def sizes(self) -> tuple[str, ...]:
@@ -108,10 +109,13 @@ def _opened(path: Path) -> Any:
 def _stored(data: Any, source: str) -> StoredPosterior:
     group = data["posterior"] if "posterior" in data.groups() else {}
     draws = {}
-    for user, (name, _) in USER_UNITS.items():
-        if name in _KNOWN and user in group and group[user].dims == ("chain", "draw"):
-            draws[name] = to_si(user, 1.0) * np.asarray(group[user], dtype=float).ravel()
-    if not any(name in CONSTANTS for name in draws):
+    for user in _in_order(str(name) for name in group):
+        material, plain = split_name(user)
+        name = USER_UNITS[plain][0]
+        if name in _KNOWN and group[user].dims == ("chain", "draw"):
+            values = to_si(plain, 1.0) * np.asarray(group[user], dtype=float).ravel()
+            draws[joined_name(material, name)] = values
+    if not any(split_name(name)[1] in CONSTANTS for name in draws):
         raise ValueError(
             f"{source}: no draws of elastic constants, accepted: the posterior.nc that "
             "`identify --backend emcee --out DIR` writes"
@@ -127,11 +131,22 @@ def _stored(data: Any, source: str) -> StoredPosterior:
         plate=str(attrs.get("plate", "")),
         specimen=str(attrs.get("specimen", "")),
         symmetry=str(attrs.get("symmetry", "")),
-        held={USER_UNITS[user][0]: to_si(user, value) for user, value in _held(attrs).items()},
+        held=_held(attrs),
         repeatability=None if given is None else float(given),
     )
 
 
 def _held(attrs: Mapping[str, Any]) -> dict[str, float]:
-    held = json.loads(attrs.get("held_constants", "{}"))
-    return {user: float(value) for user, value in held.items() if user in USER_UNITS}
+    given = json.loads(attrs.get("held_constants", "{}"))
+    held = {}
+    for user in _in_order(given):
+        material, plain = split_name(user)
+        held[joined_name(material, USER_UNITS[plain][0])] = to_si(plain, float(given[user]))
+    return held
+
+
+def _in_order(names: Iterable[str]) -> list[str]:
+    """The names of a plate file among some, those of each material in the file's order."""
+    order = list(USER_UNITS)
+    known = (name for name in names if split_name(name)[1] in order)
+    return sorted(known, key=lambda name: order.index(split_name(name)[1]))

@@ -25,6 +25,7 @@ __all__ = [
     "attached_step",
     "constant_title",
     "decided_by",
+    "diagnose_step",
     "frequencies_text",
     "high_noise_warning",
     "mismatch_step",
@@ -143,6 +144,13 @@ def attached_step(specimen: Specimen) -> tuple[str, ...]:
     )
 
 
+def diagnose_step(specimen: Specimen) -> tuple[str, ...]:
+    """To ask what the model gets wrong, where `diagnose` takes the plate."""
+    if specimen.plate.layup.kinds:
+        return ()
+    return (f"Ask what the plate model gets wrong: cpam-bayes diagnose {plate_argument(specimen)}",)
+
+
 def mismatch_step(
     specimen: Specimen, slips: Sequence[str], found: Sequence[str | None] = ()
 ) -> tuple[str, ...]:
@@ -223,7 +231,7 @@ def scale_sentences(
             continue
         parts.append(f"1 % of {_SCALE_WORDS[e.name]} moves {listed(moved, 'and')}")
         if e.name != FREQUENCY_SCALE:
-            missing.append(e.name)
+            missing.append("mass" if e.name == "density" and _densities_of_plies(specimen) else e.name)
     if parts:
         said.append(
             "Frequencies hardly show a small error of size, mass or frequency scale; the constants take it "
@@ -234,6 +242,11 @@ def scale_sentences(
         verb = _HOW[missing[0]] if len(missing) == 1 else "Gauge and weigh the plate"
         todo.append(f"{verb}, and give [plate.sd] with {keys}: the intervals then contain those errors.")
     return tuple(said), tuple(todo)
+
+
+def _densities_of_plies(specimen: Specimen) -> bool:
+    """Whether the density of the plate follows from those of its materials."""
+    return any(kind.density is not None for kind in specimen.plate.layup.kinds)
 
 
 _HOW: Final = {

@@ -92,6 +92,10 @@ def specimen_of(specimen: Specimen, geometry: Geometry) -> Specimen:
 def layups_of(specimen: Specimen, layups: Sequence[str] | None) -> tuple[Layup, ...]:
     """The layups asked for, or the one of the plate and usual ones of as many plies."""
     present = specimen.plate.layup
+    if present.kinds:
+        if layups:
+            raise ValueError(f"layups: received for {present.text}, accepted: for plates of equal plies")
+        return (present,)
     if layups:
         return tuple(_layup(text) for text in layups)
     n = present.n_plies

@@ -17,6 +17,7 @@ from pydantic.fields import FieldInfo
 
 import cpam_bayes as cb
 from cpam_bayes.plate.schema import PlateFile
+from tests.hybrids import HYBRID
 from tests.universal import grid, mode_55, nodes_15
 
 PAGE = (Path(__file__).parents[2] / "docs" / "plate_file.md").read_text(encoding="utf-8")
@@ -125,6 +126,21 @@ FILE: dict[str, Any] = {
 }
 
 
+def _hybrid_with(heading: str, key: str, value: Any) -> dict[str, Any]:
+    """A hybrid with the example in its ply, or in both of its materials."""
+    file = deepcopy(HYBRID)
+    ply = {"name": "g", "material": "glass", "thickness_mm": 0.25} | (
+        {key: value} if heading == "[[ply]]" else {}
+    )
+    file["ply"][1] = ply
+    if heading == "[material]":
+        file["material"] = {name: {**part, key: value} for name, part in file["material"].items()}
+    file["material"][ply["material"]] = file["material"].pop("glass")
+    file["plate"]["layup"] = f"[c0/{ply['name']}90]_s"
+    file["plate"]["thickness_mm"] = 2.0 * (0.25 + ply["thickness_mm"])
+    return file
+
+
 def with_example(heading: str, key: str, value: Any) -> dict[str, Any]:
     """The file with the example of a key, and with what the key needs or excludes."""
     file = deepcopy(FILE)
@@ -133,6 +149,8 @@ def with_example(heading: str, key: str, value: Any) -> dict[str, Any]:
         file["plate"]["mass_g"] = 340.7
     if key in ("table", "shapes"):
         del file["measurement"]["frequencies_hz"]
+    if heading == "[[ply]]" or (heading, key) == ("[material]", "density_kg_m3"):
+        return _hybrid_with(heading, key, value)
     if key in ("missed_probability", "false_peaks"):
         file["measurement"]["complete"] = False
     if heading == PRIOR:

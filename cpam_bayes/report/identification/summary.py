@@ -17,6 +17,7 @@ from cpam_bayes.report.sentences import (
     attached_step,
     constant_title,
     decided_by,
+    diagnose_step,
     frequencies_text,
     high_noise_warning,
     mismatch_step,
@@ -54,9 +55,10 @@ def _headline(result: PointResult, constants: tuple[ConstantLine, ...]) -> str:
     if result.angles is None:
         return said
     angles = "/".join(f"{a:g}" for a in result.angles.angles_deg)
+    how = f": `cpam-bayes sequence {plate_argument(result.specimen)}` gives each its probability"
     return (
-        f"The unknown angles that fit best are {angles}; other angles may fit as well: "
-        f"`cpam-bayes sequence {plate_argument(result.specimen)}` gives each its probability. {said}"
+        f"The unknown angles that fit best are {angles}; other angles may fit as well"
+        f"{'' if result.specimen.plate.layup.kinds else how}. {said}"
     )
 
 
@@ -129,12 +131,14 @@ def _next_steps(result: PointResult, constants: tuple[ConstantLine, ...]) -> tup
             "Repeat the tap test and give relative_std in [measurement]: a measured noise is better than one "
             "estimated from the misfit."
         )
+    if result.angles is not None and result.specimen.plate.layup.kinds:
+        return tuple(steps)
     if result.angles is not None:  # the other commands want a known layup
         steps.append(f"Get the probability of every layup on the grid: cpam-bayes sequence {plate}")
         steps.append(
             f"Get all of it, with the most probable layup, on one page: cpam-bayes report {plate} --out DIR"
         )
         return tuple(steps)
-    steps.append(f"Ask what the plate model gets wrong: cpam-bayes diagnose {plate}")
+    steps += diagnose_step(result.specimen)
     steps.append(f"Get the full posterior of the constants: cpam-bayes identify {plate} --backend emcee")
     return tuple(steps)

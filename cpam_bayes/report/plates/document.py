@@ -27,7 +27,7 @@ def document(result: BuiltinPlates) -> dict[str, Any]:
                 "edges": s.plate.edges,
                 "material": s.material.name,
                 "isotropic": s.material.isotropic,
-                "symmetry": " ".join(part.symmetry for part in s.material.parts.values()),
+                "symmetry": s.material.symmetry,
                 "unknowns": [user_name(name) for name in s.unknowns.names],
                 "frequencies": 0 if s.measurement is None else s.measurement.size,
                 "thickness_class": thickness_class(s.plate),

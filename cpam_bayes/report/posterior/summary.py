@@ -15,11 +15,11 @@ from cpam_bayes.report.sentences import (
     attached_step,
     constant_title,
     decided_by,
+    diagnose_step,
     frequencies_text,
     high_noise_warning,
     mismatch_step,
     noise_sentence,
-    plate_argument,
     plate_sentence,
     scale_sentences,
     stated_noise,
@@ -130,8 +130,4 @@ def _next_steps(result: SampledResult, constants: tuple[ConstantLine, ...]) -> t
     steps = [*mismatch_step(result.specimen, result.slips, found), *attached_step(result.specimen)]
     if result.status == "budget":
         steps.insert(0, "Allow more steps: --steps N.")
-    steps += more_modes_step(constants)
-    steps.append(
-        f"Ask what the plate model gets wrong: cpam-bayes diagnose {plate_argument(result.specimen)}"
-    )
-    return tuple(steps)
+    return (*steps, *more_modes_step(constants), *diagnose_step(result.specimen))

@@ -1,0 +1,248 @@
+"""Plate files of several materials: what is read, and what is refused."""
+
+from __future__ import annotations
+
+from copy import deepcopy
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import cpam_bayes as cb
+from cpam_bayes.errors import LayupError, PlateFileError
+from cpam_bayes.plate import Hybrid, user_name
+from cpam_bayes.plate.layup import PlyKind, parse_layup
+from cpam_bayes.plate.units import to_si, to_user, unit_of
+from tests.hybrids import GLASS, HYBRID, hybrid
+
+UNKNOWNS = {"carbon": {"E1_GPa": [80.0, 180.0]}, "glass": {"E1_GPa": [20.0, 60.0], "nu12": [0.1, 0.4]}}
+KINDS = {name: PlyKind(name, name, 1e-4) for name in ("c", "g", "core")}
+
+
+def test_constants_carry_the_name_of_their_material() -> None:
+    plate = cb.read_plate({**HYBRID, "unknowns": UNKNOWNS})
+    assert isinstance(plate.material, Hybrid)
+    assert plate.unknowns.names == ("carbon.E1", "glass.E1", "glass.nu12")
+    assert plate.material.constants["glass.E1"] == 40.1e9
+    assert plate.material.complete()["carbon.G13"] == 6.25e9
+    assert plate.material.name == "carbon/epoxy and glass"
+    assert user_name("glass.E1") == "glass.E1_GPa"
+    assert (unit_of("glass.E1"), to_user("glass.E1", 40.1e9)) == ("GPa", 40.1)
+
+
+def test_each_material_meets_its_own_constraints() -> None:
+    material = cb.read_plate(HYBRID).material
+    allowed = material.admissible({"carbon.E1": np.array([1e11, 1e9]), "glass.E1": np.array([4e10, 4e10])})
+    assert allowed.tolist() == [True, False]
+    margins = material.margins({"glass.nu12": np.array([0.2, 0.6, 0.7])})
+    assert margins.shape == (3, len(material.constraints))
+    broken = [text for text, m in zip(material.constraints, margins[1], strict=True) if m <= 0.0]
+    assert broken[0].endswith("of glass")
+    assert len(broken) == len([text for text in broken if "glass" in text])
+
+
+def test_the_plies_give_mass_and_heights() -> None:
+    plate = cb.read_plate(HYBRID).plate
+    # 6 plies of carbon of 0.25 mm, 4 of glass of 0.375 mm
+    assert_allclose(plate.density, (1590.0 * 1.5 + 1900.0 * 1.5) / 3.0, rtol=1e-12)
+    stack = plate.layup.plies
+    assert stack is not None
+    assert_allclose(
+        3.0 * np.diff(stack.interfaces), [0.25] * 2 + [0.375] * 2 + [0.25] * 2 + [0.375] * 2 + [0.25] * 2
+    )
+    assert_allclose(stack.density @ np.diff(stack.interfaces), 1.0, rtol=1e-12)
+    assert plate.layup.is_symmetric
+    assert stack.is_symmetric
+
+
+def test_a_weighed_plate_has_its_mass_in_the_proportion_of_the_densities() -> None:
+    plate = cb.read_plate(hybrid(mass_g=330.0)).plate
+    assert_allclose(plate.density, 0.33 / (0.3 * 0.2 * 0.003), rtol=1e-12)
+    stack, given = plate.layup.plies, cb.read_plate(HYBRID).plate.layup.plies
+    assert stack is not None
+    assert given is not None
+    assert_allclose(stack.density, given.density)
+
+
+def test_one_density_of_the_plate_is_one_density_of_all_plies() -> None:
+    file = hybrid(density_kg_m3=1700.0)
+    file["material"] = {
+        k: {n: v for n, v in m.items() if n != "density_kg_m3"} for k, m in file["material"].items()
+    }
+    stack = cb.read_plate(file).plate.layup.plies
+    assert stack is not None
+    assert_allclose(stack.mass_moments, (0.0, 1.0), atol=1e-15)
+
+
+def test_plies_of_one_material_may_differ_in_thickness() -> None:
+    file = hybrid(density_kg_m3=1590.0, layup="[thick0/thin90]_s", thickness_mm=2.5)
+    file["ply"] = [{"name": "thick", "thickness_mm": 1.0}, {"name": "thin", "thickness_mm": 0.25}]
+    file["material"] = {k: v for k, v in file["material"]["carbon"].items() if k != "density_kg_m3"}
+    plate = cb.read_plate(file)
+    assert plate.material.constants["E1"] == 121.2e9
+    assert plate.plate.layup.plies is not None
+    assert_allclose(plate.plate.layup.plies.interfaces, [-0.5, -0.1, 0.0, 0.1, 0.5])
+
+
+@pytest.mark.parametrize(
+    ("text", "names", "angles"),
+    [
+        ("[(c0/g45)_2]_s", "c g c g g c g c", [0, 45, 0, 45, 45, 0, 45, 0]),
+        ("[c+-45/core/g90_2]", "c c core g g", [45, -45, 0, 90, 90]),
+        ("[ c0 / core_2 / c0 ]", "c core core c", [0, 0, 0, 0]),
+        ("[c-30/g?/c90]", "c g c", [-30, np.nan, 90]),
+    ],
+)
+def test_names_stand_before_angles(text: str, names: str, angles: list[float]) -> None:
+    layup = parse_layup(text, KINDS)
+    assert [kind.name for kind in layup.kinds] == names.split()
+    assert_allclose(layup.angles_deg, angles)
+
+
+def test_known_angles_keep_the_plies() -> None:
+    layup = parse_layup("[c0/g?]_s", KINDS).with_angles([45.0])
+    assert layup.text == "[c0/g45/g45/c0]"
+    assert [kind.name for kind in parse_layup(layup.text, KINDS).kinds] == [k.name for k in layup.kinds]
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("[c0/k45]", 'ply "k"'),
+        ("[c0/45]", 'ply ""'),
+        ("[c0/core?x]", "expected"),
+        ("[c]_s2", "nothing may follow"),
+    ],
+)
+def test_a_layup_of_other_plies_is_refused(text: str, said: str) -> None:
+    with pytest.raises(LayupError, match=said):
+        parse_layup(text, KINDS)
+
+
+def test_names_without_tables_are_refused() -> None:
+    with pytest.raises(LayupError, match=r"tables \[\[ply\]\]"):
+        parse_layup("[c0/g45]")
+
+
+def spoilt(change: Any) -> dict[str, Any]:
+    file = deepcopy(HYBRID)
+    file["unknowns"] = deepcopy(UNKNOWNS)
+    change(file)
+    return file
+
+
+SPOILT = {
+    "thickness": (
+        lambda f: f["plate"].update(thickness_mm=3.2),
+        "plate.thickness_mm: not the sum of the plies, received 3.2, the plies of the layup make 3 mm",
+    ),
+    "no ply": (lambda f: f.pop("ply"), "material: several materials, received carbon glass"),
+    "no layup": (lambda f: f["plate"].pop("layup"), "plate.layup: missing, accepted: a layup of named plies"),
+    "twice": (lambda f: f["ply"][1].update(name="c"), 'ply item 2.name: received "c" twice'),
+    "unknown material": (
+        lambda f: f["ply"][0].update(material="karbon"),
+        "ply item 1.material: no table [material.karbon], accepted: carbon glass",
+    ),
+    "ply without material": (lambda f: f["ply"][0].pop("material"), "ply item 1.material: missing"),
+    "digit": (lambda f: f["ply"][0].update(name="c1"), "ply item 1.name: malformed"),
+    "no thickness": (lambda f: f["ply"][0].pop("thickness_mm"), "ply item 1.thickness_mm: missing"),
+    "unused": (
+        lambda f: f["material"].update(steel=GLASS),
+        "material.steel: no ply of the layup is of it",
+    ),
+    "unknowns of none": (
+        lambda f: f["unknowns"].update(steel={"E1_GPa": [1.0, 2.0]}),
+        'unknowns.steel: of no material, received "steel"',
+    ),
+    "flat unknowns": (
+        lambda f: f.update(unknowns={"E1_GPa": [80.0, 180.0]}),
+        'unknowns.E1_GPa: of no material, received "E1_GPa", accepted: tables [unknowns.NAME]',
+    ),
+    "bounds": (lambda f: f["unknowns"]["glass"].update(E1_GPa=[60.0, 20.0]), "unknowns.glass.E1_GPa: bounds"),
+    "prior": (lambda f: f["unknowns"]["glass"].update(E1_GPa=3.0), "unknowns.glass.E1_GPa: not a prior"),
+    "unknown constant": (
+        lambda f: f["unknowns"]["glass"].update(E3_GPa=[1.0, 2.0]),
+        "unknowns.glass.E3_GPa: unknown key, the nearest known key is E",
+    ),
+    "key of a material": (
+        lambda f: f["material"]["glass"].update(E3_GPa=2.0),
+        "material.glass.E3_GPa: unknown key, the nearest known key is E",
+    ),
+    "impossible": (
+        lambda f: f["material"]["glass"].update(E1_GPa=1.0),
+        "material.glass.E1_GPa: impossible constants",
+    ),
+    "missing constant": (
+        lambda f: f["material"]["glass"].pop("G12_GPa"),
+        "material.glass.G12_GPa: missing",
+    ),
+    "sd": (
+        lambda f: f["material"]["glass"].update(sd={"G23_GPa": 0.1}),
+        "material.glass.sd.G23_GPa: standard deviation of a number that [material] does not give",
+    ),
+    "one density": (
+        lambda f: f["material"]["glass"].pop("density_kg_m3"),
+        "material.glass.density_kg_m3: missing",
+    ),
+    "density in g/cm3": (
+        lambda f: f["material"]["glass"].update(density_kg_m3=1.9),
+        "material.glass.density_kg_m3: no density of a solid, received 1.9",
+    ),
+    "both densities": (
+        lambda f: f["plate"].update(density_kg_m3=1700.0),
+        "plate.density_kg_m3: beside densities of the materials",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", SPOILT)
+def test_a_wrong_hybrid_is_refused_with_its_key(name: str) -> None:
+    change, said = SPOILT[name]
+    with pytest.raises(PlateFileError) as error:
+        cb.read_plate(spoilt(change))
+    assert [p for p in error.value.problems if said in p], error.value.problems
+    assert len(error.value.problems) == 1
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda f: f["ply"][0].update(material="carbon"), "ply item 1.material: beside one [material]"),
+        (lambda f: f["material"].update(density_kg_m3=1590.0), "material.density_kg_m3: of one material"),
+        (lambda f: f.update(unknowns={"carbon": {"E1_GPa": [80.0, 180.0]}}), "unknowns: tables for several"),
+        (lambda f: f["plate"].update(layup="[0/90]_s"), 'plate.layup: malformed layup: ply ""'),
+    ],
+)
+def test_named_plies_of_one_material_are_of_no_other(change: Any, said: str) -> None:
+    file = hybrid(density_kg_m3=1590.0, layup="[c0/c90]_s", thickness_mm=1.0)
+    file["ply"] = [{"name": "c", "thickness_mm": 0.25}]
+    file["material"] = {k: v for k, v in HYBRID["material"]["carbon"].items() if k != "density_kg_m3"}
+    cb.read_plate(file)
+    change(file)
+    with pytest.raises(PlateFileError) as error:
+        cb.read_plate(file)
+    assert [p for p in error.value.problems if said in p], error.value.problems
+
+
+def test_a_text_is_refused_with_its_line(tmp_path: Any) -> None:
+    path = tmp_path / "hybrid.toml"
+    path.write_text(
+        'name = "h"\n[plate]\nlength_mm = 300.0\nwidth_mm = 200.0\nthickness_mm = 1.0\nlayup = "[c0/g0]"\n'
+        'edges = "FFFF"\n[[ply]]\nname = "c"\nmaterial = "c"\nthickness_mm = 0.5\n[[ply]]\nname = "g"\n'
+        'material = "g"\nthickness_mm = 0.5\n[material.c]\nisotropic = true\nE1_GPa = 70.0\nnu12 = 0.3\n'
+        'density_kg_m3 = 2700.0\n[material.g]\nsymmetry = "isotropic"\nE1_GPa = "stiff"\nnu12 = 0.3\n'
+        "density_kg_m3 = 2700.0\n",
+        encoding="utf-8",
+    )
+    with pytest.raises(PlateFileError) as error:
+        cb.read_plate(str(path))
+    assert error.value.problems == (
+        f'{path}:23: material.g.E1_GPa: wrong type, received "stiff", accepted: a number above 0, in GPa',
+    )
+
+
+def test_the_unit_of_a_material_that_is_not_there_is_the_plain_one() -> None:
+    assert to_si("E1_GPa", 1.0) == 1e9
+    with pytest.raises(ValueError, match=r"received 'c\.rho'"):
+        user_name("c.rho")
