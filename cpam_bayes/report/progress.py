@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import sys
 import time
@@ -14,6 +15,8 @@ from cpam_bayes.result import Progress
 __all__ = ["Terminal", "announce", "progress", "timed_lines"]
 
 _LINES = 10
+# Less than this is not worth an estimate, seconds.
+_WORTH_SAYING = 10.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,13 +68,45 @@ def progress(
         yield _lines(description, total, described)
 
 
+class _Clock:
+    """Estimates from what is done how long the rest of a budget takes."""
+
+    def __init__(self, total: int) -> None:
+        self._total = total
+        self._first: tuple[int, float] | None = None
+
+    def left(self, iteration: int) -> str:
+        """The time that is left at most, with a comma before it; nothing where it is short or not known."""
+        now = time.monotonic()
+        if self._first is None:
+            self._first = (iteration, now)
+        done = iteration - self._first[0]
+        if done <= 0:
+            return ""
+        seconds = (now - self._first[1]) * (self._total - iteration) / done
+        return f", at most {duration(seconds)} left" if seconds >= _WORTH_SAYING else ""
+
+
+def duration(seconds: float) -> str:
+    """A time in words: 40 s, 12 min, 3 h 20 min."""
+    if seconds <= 55.0:
+        return f"{math.ceil(seconds / 5.0) * 5} s"
+    minutes = math.ceil(seconds / 60.0)
+    hours, rest = divmod(minutes, 60)
+    if not hours:
+        return f"{minutes} min"
+    return f"{hours} h {rest} min" if rest else f"{hours} h"
+
+
 def _lines(description: str, total: int, described: Callable[[float], str]) -> Progress:
     step = max(1, total // _LINES)
     announce(f"{description}: up to {total} iterations", False)
+    clock = _Clock(total)
 
     def tick(iteration: int, best: float) -> None:
+        left = clock.left(iteration)
         if iteration % step == 0:
-            announce(f"{description}: iteration {iteration} of {total}, {described(best)}", False)
+            announce(f"{description}: iteration {iteration} of {total}, {described(best)}{left}", False)
 
     return Progress(tick, lambda text: announce(f"{description}: {text}", False))
 
@@ -89,9 +124,10 @@ def _bar(description: str, total: int, described: Callable[[float], str]) -> Ite
     )
     with Bar(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(description, total=None, what="plate model")
+        clock = _Clock(total)
 
         def tick(iteration: int, best: float) -> None:
-            what = f"iteration {iteration} of {total}, {described(best)}"
+            what = f"iteration {iteration} of {total}, {described(best)}{clock.left(iteration)}"
             bar.update(task, total=total, completed=iteration, what=what)
 
         def notify(text: str) -> None:
