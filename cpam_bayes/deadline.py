@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, field
+
+from cpam_bayes.arguments import checked
 
 
 class TimeIsUpError(RuntimeError):
@@ -40,8 +42,8 @@ class TimeLimit:
 _limit: ContextVar[TimeLimit | None] = ContextVar("time_limit", default=None)
 
 
-@contextmanager
-def time_limit(seconds: float | None) -> Iterator[None]:
+@checked
+def time_limit(seconds: float | None) -> AbstractContextManager[None]:
     """End what is computed inside after about so many seconds, with the best answer so far.
 
     The answer then says first what is missing, and has not reached its goal. Where there is nothing to
@@ -62,6 +64,11 @@ def time_limit(seconds: float | None) -> Iterator[None]:
     """
     if seconds is not None and not seconds > 0.0:
         raise ValueError(f"time limit: received {seconds}, accepted: seconds above 0, or None")
+    return _limited(seconds)
+
+
+@contextmanager
+def _limited(seconds: float | None) -> Iterator[None]:
     limit = None if seconds is None else TimeLimit(seconds, time.monotonic() + seconds)
     before = _limit.set(limit)
     try:

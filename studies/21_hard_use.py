@@ -1,10 +1,11 @@
-"""What happens to hostile plate files, layups, stored files, arguments and signals?
+"""What happens to hostile plate files, layups, tables, stored files, arguments and signals?
 
 python studies/21_hard_use.py [--quick] [--minutes M] [--inputs N]
 
-Hypothesis makes plate files and layups (cpam_bayes/validation/hostile.py), stored files are damaged byte
-by byte, functions get arguments of wrong types, and running commands get signals. An input may be accepted or
-refused with a message; anything else is a failure. Each kind that has no end gets a quarter of the time.
+Hypothesis makes plate files, layups and tables of modes (cpam_bayes/validation/hostile.py), stored files are
+damaged byte by byte, functions get arguments of wrong types, and running commands get signals. An input may
+be accepted or refused with a message; anything else is a failure. Each kind that has no end gets a fifth of
+the time.
 """
 
 from __future__ import annotations
@@ -32,9 +33,11 @@ import cpam_bayes as cb
 from cpam_bayes.errors import ArgumentError, LayupError, PlateFileError
 from cpam_bayes.plate import parse_specimen
 from cpam_bayes.plate.layup import parse_layup
+from cpam_bayes.plate.modes_table.hits import modes_of
+from cpam_bayes.plate.modes_table.rows import read_modes_table
 from cpam_bayes.report.tables import Table, headed, screen_text
 from cpam_bayes.storage import read_arrays, write_arrays
-from cpam_bayes.validation.hostile import DAMAGES, LARGE_FILES, layups, plate_texts
+from cpam_bayes.validation.hostile import DAMAGES, LARGE_FILES, layups, mode_tables, plate_texts
 from cpam_bayes.validation.pages import counted, markdown_table, paragraph, write_sections
 from cpam_bayes.validation.study_results import save_results
 
@@ -48,7 +51,7 @@ KEYS = {
     "kinds": "one for each kind of input: inputs, accepted, refused, failed, seconds of the slowest",
     "failures": "the first inputs of each kind that were neither accepted nor refused, with the exception",
     "memory_gib": "most memory that the process of the study held, GiB",
-    "signals": "one for each signal: commands, statuses, files left, files left after the next command",
+    "signals": "one for each command and signal: statuses, files left, files left after the next command",
 }
 
 SEED = 0
@@ -57,6 +60,16 @@ INPUTS = 100_000
 BATCH = 1000
 SHOWN_FAILURES = 5
 SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP", "SIGKILL")
+# Commands that take long, and that write into a directory.
+LONG = {
+    "identify": ("identify", "A1", "--particles", "10000", "--swarms", "1"),
+    "identify, emcee": ("identify", "C1", "--backend", "emcee"),
+    "diagnose": ("diagnose", "A1"),
+    "sequence": ("sequence", "B1"),
+    "sensitivity": ("sensitivity", "A1"),
+    "report": ("report", "A1"),
+    "paper": ("paper", "--quick"),
+}
 WRONG = (object(), 1j, b"C1", [], {}, "?", -1, float("nan"), print, ...)
 
 
@@ -113,10 +126,11 @@ class Tally:
 
 def run(quick: bool, inputs: int = INPUTS, minutes: float = 10.0) -> Results:
     """All kinds of input, then all signals."""
-    most, seconds = (20, 5.0) if quick else (inputs, 60.0 * minutes / 4.0)
+    most, seconds = (20, 5.0) if quick else (inputs, 60.0 * minutes / 5.0)
     tallies = [
         _made_by_hypothesis("plate files", plate_texts(), _read, (PlateFileError,), most, seconds),
         _made_by_hypothesis("layups", layups(), parse_layup, (LayupError,), most, seconds),
+        _made_by_hypothesis("tables of modes", mode_tables(), _read_table, (), most, seconds),
         _large_files(most),
         _damaged_files(most, seconds),
         _wrong_arguments(most, seconds),
@@ -126,12 +140,27 @@ def run(quick: bool, inputs: int = INPUTS, minutes: float = 10.0) -> Results:
         "kinds": [tally.row() for tally in tallies],
         "failures": [failure for tally in tallies for failure in tally.failures[:SHOWN_FAILURES]],
         "memory_gib": round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20, 3),
-        "signals": [_signalled(name) for name in (SIGNALS[1:2] if quick else SIGNALS)],
+        "signals": [
+            _signalled(command, name)
+            for command in (("identify",) if quick else LONG)
+            for name in (SIGNALS[1:2] if quick else SIGNALS)
+        ],
     }
 
 
 def _read(text: str) -> object:
     return parse_specimen(text, "plate.toml")
+
+
+def _read_table(text: str) -> object:
+    """The modes of a table; ``None`` where it is refused."""
+    rows, problems = read_modes_table(text)
+    modes = None
+    if rows is not None:
+        modes, problems = modes_of(rows, complete=True)
+    if (modes is None) != bool(problems):
+        raise AssertionError("neither modes nor a reason, or both")
+    return modes
 
 
 def _made_by_hypothesis(
@@ -211,19 +240,19 @@ def _arguments() -> Iterator[tuple[str, str, object]]:
                     yield name, keyword, value
 
 
-def _signalled(name: str) -> Results:
+def _signalled(which: str, name: str) -> Results:
     """A long command that gets a signal while it computes, and a short one after it in the same directory."""
     command = [sys.executable, "-m", "cpam_bayes"]
     with TemporaryDirectory() as folder:
         out = Path(folder, "out")
-        environment = {**os.environ, "TMPDIR": folder}
-        long = ["identify", "A1", "--particles", "10000", "--swarms", "1", "--out", str(out)]
+        environment = {**os.environ, "TMPDIR": folder, "CPAM_BAYES_CACHE": str(Path(folder, "cache"))}
+        long = [*LONG[which], "--out", str(out)]
         started = subprocess.Popen(
             [*command, *long], env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
         )
         assert started.stderr is not None
         for line in started.stderr:
-            if "iteration 0" in line:
+            if "iteration" in line or "hypotheses" in line:
                 break
         started.send_signal(getattr(signal, name))
         _, said = started.communicate()
@@ -231,6 +260,7 @@ def _signalled(name: str) -> Results:
         short = ["forward", "A1", "--modes", "2", "--quiet", "--out", str(out)]
         again = subprocess.run([*command, *short], env=environment, capture_output=True, check=False)
         return {
+            "command": which,
             "signal": name,
             "status": started.returncode,
             "traceback": "Traceback" in said,
@@ -268,6 +298,7 @@ def sections(results: Results) -> dict[str, str]:
     )
     signals = [
         (
+            row["command"],
             row["signal"],
             str(row["status"]),
             str(row["left"]),
@@ -277,6 +308,7 @@ def sections(results: Results) -> dict[str, str]:
         for row in results["signals"]
     ]
     of_signals = (
+        "command",
         "signal",
         "exit status",
         "drafts left",
@@ -294,7 +326,7 @@ def show(results: Results) -> None:
     columns = headed("kind", "#inputs", "#accepted", "#refused", "#failed", "#slowest s")
     rows = tuple(tuple(str(v) for v in row.values()) for row in results["kinds"])
     tables = [Table("Hostile inputs", columns, rows)]
-    names = headed("signal", "#status", "traceback", "#left", "#next status", "#left after it")
+    names = headed("command", "signal", "#status", "traceback", "#left", "#next status", "#left after it")
     tables.append(
         Table("Signals", names, tuple(tuple(str(v) for v in row.values()) for row in results["signals"]))
     )

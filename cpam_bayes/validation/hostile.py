@@ -1,4 +1,4 @@
-"""Plate files and layups that no user means, as strategies of hypothesis, and damage to stored files."""
+"""Plate files, layups and tables of modes that no user means, by hypothesis, and damage to stored files."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 from hypothesis import strategies as st
 
-__all__ = ["DAMAGES", "LARGE_FILES", "layups", "plate_texts"]
+__all__ = ["DAMAGES", "LARGE_FILES", "layups", "mode_tables", "plate_texts"]
 
 _PLATE: Final = """\
 name = "panel 7"
@@ -141,6 +141,35 @@ def layups() -> st.SearchStrategy[str]:
         st.text(alphabet="[]()/_0123456789.?+-±∓sST ", max_size=60),
         st.text(max_size=40),
     )
+
+
+_HEADS: Final = (
+    "mode", "label", "Frequency (Hz)", "frequency [kHz]", "hz", "hit", "sd", "damping (%)", "zeta", "weight"
+)  # fmt: skip
+_CELLS: Final = st.one_of(
+    st.floats(1.0, 5000.0).map(lambda hz: f"{hz:.2f}"),
+    st.floats(1.0, 5000.0).map(lambda hz: f"{hz:.2f}".replace(".", ",")),
+    st.integers(0, 12).map(str),
+    st.sampled_from(("", "(1,1)", "bending 2", "n/a", "-", "1e400", "nan", "-3", "0", "1.234,5", '"a', "٣")),
+    st.text(max_size=12),
+)  # fmt: skip
+_SEPARATORS: Final = st.sampled_from((",", ";", "\t", "|", " ", ", "))
+
+
+@st.composite
+def mode_tables(draw: st.DrawFn) -> str:
+    """The text of a table of modes, most of them wrong somewhere, or of no table at all."""
+    if draw(st.integers(0, 9)) == 0:
+        return draw(st.text(max_size=300))
+    separator = draw(_SEPARATORS)
+    heads = draw(st.lists(st.sampled_from(_HEADS), min_size=1, max_size=6, unique=draw(st.booleans())))
+    n = len(heads)
+    lines = draw(st.lists(st.text(max_size=20).filter(str.isprintable), max_size=2))
+    lines.append(separator.join(heads))
+    for _ in range(draw(st.integers(0, 8))):
+        cells = draw(st.lists(_CELLS, min_size=max(n - draw(st.integers(0, 1)), 0), max_size=n + 1))
+        lines.append(separator.join(cells))
+    return draw(st.sampled_from(("\n", "\r\n", "\r"))).join(lines)
 
 
 def _flipped(content: bytes, rng: np.random.Generator) -> bytes:

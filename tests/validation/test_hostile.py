@@ -12,8 +12,10 @@ from hypothesis import HealthCheck, given, settings
 from cpam_bayes.errors import LayupError, PlateFileError
 from cpam_bayes.plate import MAX_BYTES, parse_specimen
 from cpam_bayes.plate.layup import MAX_PLIES, format_angles, parse_layup
+from cpam_bayes.plate.modes_table.hits import modes_of
+from cpam_bayes.plate.modes_table.rows import read_modes_table
 from cpam_bayes.storage import read_arrays, write_arrays
-from cpam_bayes.validation.hostile import DAMAGES, LARGE_FILES, layups, plate_texts
+from cpam_bayes.validation.hostile import DAMAGES, LARGE_FILES, layups, mode_tables, plate_texts
 from tests.effort import calls
 
 BOUNDED = settings(
@@ -59,6 +61,23 @@ def test_a_layup_is_read_or_refused_with_the_place(text: str) -> None:
     if layup is not None and not layup.n_unknown:
         again = parse_layup(format_angles(layup.angles_deg.tolist()))
         np.testing.assert_array_equal(again.angles_deg, layup.angles_deg)
+
+
+@BOUNDED
+@given(mode_tables())
+def test_a_table_of_modes_is_read_or_refused_in_short_printable_lines(text: str) -> None:
+    rows, problems = read_modes_table(text)
+    modes = None
+    if rows is not None:
+        modes, problems = modes_of(rows, complete=True)
+    assert (modes is None) == bool(problems)
+    for problem in problems:
+        assert all(line.isprintable() and len(line) < 1000 for line in str(problem).splitlines())
+    if modes is not None:
+        assert np.all(np.diff(modes.frequencies) >= 0.0)
+        assert np.all(np.isfinite(modes.frequencies))
+        assert np.all(modes.frequencies > 0.0)
+        assert modes.sd is None or np.all(np.isfinite(modes.sd))
 
 
 @pytest.mark.slow
