@@ -15,6 +15,7 @@ from cpam_bayes.batches.control_chart import ControlChart, control_chart
 from cpam_bayes.batches.geometry import carried, groups_of, size_powers
 from cpam_bayes.batches.limits import Limit, read_limit
 from cpam_bayes.batches.plate_row import PlateRow, computed_row, failed_row
+from cpam_bayes.batches.population import Population, population_of
 from cpam_bayes.batches.row_store import read_row, row_key, write_row
 from cpam_bayes.diagnosis.building import build_models
 from cpam_bayes.diagnosis.cases import hypotheses_of, plate_case
@@ -51,6 +52,7 @@ class BatchResult(Result):
     diagnosis : whether each plate was diagnosed
     models : number of geometries, whose plates share one model
     from_store : number of plates that a stored run had finished
+    population : mean constants of the material and their scatter, where asked for
     seconds : wall clock
     """
 
@@ -63,11 +65,14 @@ class BatchResult(Result):
     models: int
     from_store: int
     seconds: float
+    population: Population | None = None
 
     @property
     def status(self) -> str:
-        """Either "done", or "failed" where a plate has no answer."""
-        return "done" if self.reached_goal else "failed"
+        """Either "done", "failed" where a plate has no answer, or "not converged", of the scatter."""
+        if self.failed or self.reached_goal:
+            return "failed" if self.failed else "done"
+        return "not converged"
 
     @property
     def title(self) -> str:
@@ -109,8 +114,12 @@ class BatchResult(Result):
         return {"results.csv": import_module("cpam_bayes.report.batch.files").csv_text(self)}
 
     def datasets(self) -> Mapping[str, Any]:
-        """The table as an xarray dataset."""
-        return {"results.nc": import_module("cpam_bayes.report.batch.files").dataset(self)}
+        """The table as an xarray dataset, and the draws of means and scatters."""
+        files = import_module("cpam_bayes.report.batch.files")
+        table = {"results.nc": files.dataset(self)}
+        return (
+            table if self.population is None else {**table, "population.nc": files.population_dataset(self)}
+        )
 
 
 @checked
@@ -118,6 +127,7 @@ def batch(
     *plates: PlateLike,
     limits: Sequence[str] = (),
     diagnosis: bool = False,
+    hierarchical: bool = False,
     share_models: bool = True,
     seed: int = 0,
     store: str | Path | None = None,
@@ -136,6 +146,8 @@ def batch(
     plates : what `read_plate` takes, or what it returns
     limits : such as "E1_GPa >= 115"; each row has the probability of meeting them
     diagnosis : whether to ask what the plate model gets wrong, as `diagnose` does
+    hierarchical : whether to ask for the mean constants of the material and their scatter from plate to
+        plate, by emcee
     share_models : False computes each plate with its own sizes
     store : a directory that keeps finished plates; the same call goes on from there
     executor, workers : where the plates are computed, see `cpam_bayes.parallel.open_executor`; the answer is
@@ -172,18 +184,38 @@ def batch(
     )
     failed = sum(row.status == "failed" for row in rows)
     many = f"{failed} plate{' has' if failed == 1 else 's have'} no answer: the rows say why"
+    population, not_pooled = _population(rows, seed, watch) if hierarchical else (None, ())
     materials = {row.material for row in rows if row.status == "done"}
     mixed = "the plates are of several materials: means and control limits are those of a mixture"
     return BatchResult(
         seed=seed,
-        warnings=((many,) if failed else ()) + ((mixed,) if len(materials) > 1 else ()),
-        reached_goal=not failed,
+        warnings=((many,) if failed else ()) + ((mixed,) if len(materials) > 1 else ()) + not_pooled,
+        reached_goal=not failed and not not_pooled,
         rows=tuple(rows),
         limits=read,
         diagnosis=diagnosis,
         models=n_models,
         from_store=from_store,
+        population=population,
         seconds=time.perf_counter() - start,
+    )
+
+
+def _population(
+    rows: Sequence[PlateRow], seed: int, watch: Watch
+) -> tuple[Population | None, tuple[str, ...]]:
+    """Mean and scatter of the material, and why there is none or why not to trust it."""
+    watch.announce("batch: mean and scatter of the material")
+    try:
+        population = population_of(rows, seed)
+    except ValueError as error:
+        return None, (f"no mean and scatter of the material: {error}",)
+    if population.status == "converged":
+        return population, ()
+    d = population.diagnostics
+    return population, (
+        f"the chains of mean and scatter used their budget of {d.steps} steps before they converged (R-hat "
+        f"{d.r_hat:.3f}, {d.ess_bulk:.0f} effective samples)",
     )
 
 

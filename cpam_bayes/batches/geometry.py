@@ -53,7 +53,7 @@ def groups_of(specimens: Sequence[Specimen]) -> list[list[int]]:
 def _geometry(specimen: Specimen) -> tuple[Any, ...] | None:
     """All that a model depends on but the sizes; None where the modes of a list are not known in advance."""
     measurement, plate = specimen.measurement, specimen.plate
-    if measurement is None or not measurement.complete or any(measurement.labels) or plate.mesh is not None:
+    if measurement is None or not measurement.complete or measurement.names_modes or plate.mesh is not None:
         return None
     if plate.layup.n_unknown:
         return None

@@ -10,7 +10,7 @@ from typing import Any, Final
 
 from cpam_bayes import __version__
 from cpam_bayes.batches.plate_row import PlateRow, row_of
-from cpam_bayes.plate import Specimen
+from cpam_bayes.plate import Measurement, Specimen
 from cpam_bayes.storage import read_sealed, set_aside, write_sealed
 
 __all__ = ["read_row", "row_key", "write_row"]
@@ -45,9 +45,18 @@ def row_key(specimen: Specimen, seed: int, diagnosis: bool) -> str:
             None if measurement.frequency_sd is None else measurement.frequency_sd.tolist(),
             list(measurement.labels),
             measurement.complete,
+            _shapes(measurement),
         ],
     }
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:32]
+
+
+def _shapes(measurement: Measurement) -> str | None:
+    """Hash of the measured shapes."""
+    shapes = measurement.shapes
+    if shapes is None:
+        return None
+    return hashlib.sha256(shapes.points.tobytes() + shapes.values.tobytes()).hexdigest()
 
 
 def read_row(directory: Path | None, key: str) -> PlateRow | None:

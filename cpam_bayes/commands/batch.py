@@ -38,6 +38,11 @@ def add(commands: Commands) -> None:
         "--diagnosis", action="store_true", help="ask of each plate what the plate model gets wrong"
     )
     command.add_argument(
+        "--hierarchical",
+        action="store_true",
+        help="the mean constants of the material and their scatter from plate to plate, by emcee",
+    )
+    command.add_argument(
         "--own-models",
         action="store_true",
         help="compute each plate with its own sizes; left out, plates of one geometry share their models",
@@ -61,6 +66,7 @@ def prepare(args: argparse.Namespace) -> Callable[[], Result]:
         *args.files,
         limits=args.limit,
         diagnosis=args.diagnosis,
+        hierarchical=args.hierarchical,
         share_models=not args.own_models,
         seed=args.seed,
         store=args.store,

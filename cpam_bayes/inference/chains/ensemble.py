@@ -13,7 +13,7 @@ import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,8 +24,22 @@ from cpam_bayes.inference.chains.store import Rounds
 from cpam_bayes.inference.laplace import GaussianApproximation, optimise, prior_sd
 from cpam_bayes.inference.posterior import Posterior
 from cpam_bayes.inference.proposal import Proposal
+from cpam_bayes.parameters import ParameterSet
 
 Array = NDArray[Any]
+
+
+class Density(Protocol):
+    """What is sampled: log probabilities of parameter vectors."""
+
+    @property
+    def parameters(self) -> ParameterSet:
+        """Parameters in the order of the vectors."""
+        ...
+
+    def log_prob(self, x: Array) -> Array:
+        """Log probability of vectors (m, n) but for a constant, (m,), -inf outside the support."""
+        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -220,8 +234,24 @@ def sample(
     """
     key = chain_hash(posterior, start, settings, seed, proposal)
     rounds = Rounds(store, key) if store is not None else None
-    samplers = [_sampler(posterior, settings, proposal) for _ in range(settings.ensembles)]
-    states = [_state(start[e], posterior, seed, e) for e in range(settings.ensembles)]
+    return sample_density(
+        posterior, start, seed, settings, proposal=proposal, rounds=rounds, progress=progress
+    )
+
+
+def sample_density(
+    density: Density,
+    start: Array,
+    seed: int,
+    settings: EnsembleSettings = DEFAULT_SETTINGS,
+    *,
+    proposal: Proposal | None = None,
+    rounds: Rounds | None = None,
+    progress: Callable[[Diagnostics], None] = lambda diagnostics: None,
+) -> EnsembleResult:
+    """Sample any density as ``sample`` does a posterior; rounds : of the store, if there is one."""
+    samplers = [_sampler(density, settings, proposal) for _ in range(settings.ensembles)]
+    states = [_state(start[e], density, seed, e) for e in range(settings.ensembles)]
     chains: list[Array] = []
     log_probs: list[Array] = []
     not_stored: str | None = None
@@ -310,23 +340,23 @@ def moves_of(proposal: Proposal | None, jumps: float) -> list[tuple[Any, float]]
     return [(emcee.moves.MHMove(jump), jumps), *((move, (1.0 - jumps) * share) for move, share in local)]
 
 
-def _sampler(posterior: Posterior, settings: EnsembleSettings, proposal: Proposal | None) -> Any:
+def _sampler(density: Density, settings: EnsembleSettings, proposal: Proposal | None) -> Any:
     import emcee
 
     moves = moves_of(proposal, settings.jumps)
-    n = posterior.parameters.size
-    sampler = emcee.EnsembleSampler(settings.walkers, n, posterior.log_prob, moves=moves, vectorize=True)
+    n = density.parameters.size
+    sampler = emcee.EnsembleSampler(settings.walkers, n, density.log_prob, moves=moves, vectorize=True)
     # emcee wraps the function to print all parameters of a call that is interrupted or fails
-    sampler.log_prob_fn = posterior.log_prob
+    sampler.log_prob_fn = density.log_prob
     return sampler
 
 
-def _state(start: Array, posterior: Posterior, seed: int, ensemble: int) -> Any:
+def _state(start: Array, density: Density, seed: int, ensemble: int) -> Any:
     import emcee
 
     words = np.random.SeedSequence([seed, ensemble]).generate_state(624)
     random_state = np.random.RandomState(words).get_state()
-    return emcee.State(start, log_prob=posterior.log_prob(start), random_state=random_state)
+    return emcee.State(start, log_prob=density.log_prob(start), random_state=random_state)
 
 
 def _advance(sampler: Any, state: Any, steps: int) -> tuple[Array, Array, Any]:

@@ -23,6 +23,7 @@ def document(result: BatchResult) -> dict[str, Any]:
         "limits": [limit.text for limit in result.limits],
         "rows": [_row(result, row) for row in result.rows],
         "control_chart": {user_name(name): _chart(result, name) for name in result.constants},
+        "population": _population(result),
         "seconds": result.seconds,
         "warnings": list(result.warnings),
     }
@@ -62,6 +63,36 @@ def _constant(c: RowConstant) -> dict[str, Any]:
         "verdict": c.verdict,
         "laplace": {"centre": unit * c.posterior.centre, "sd": unit * c.posterior.sd},
     }
+
+
+def _population(result: BatchResult) -> dict[str, Any] | None:
+    found = result.population
+    if found is None:
+        return None
+    d = found.diagnostics
+    return {
+        "plates": found.plates,
+        "status": found.status,
+        "constants": {
+            user_name(c.name): {
+                "mean": _quantiles(c.mean, to_user(c.name, 1.0)),
+                "scatter_percent": _quantiles(c.scatter, 100.0),
+                "next_plate": _quantiles(c.next_plate, to_user(c.name, 1.0)),
+            }
+            for c in found.constants
+        },
+        "diagnostics": {
+            "r_hat": d.r_hat,
+            "ess_bulk": d.ess_bulk,
+            "autocorrelation_time": d.autocorrelation_time,
+            "converged": d.converged,
+            "steps": d.steps,
+        },
+    }
+
+
+def _quantiles(values: tuple[float, float, float, float], factor: float) -> dict[str, float]:
+    return dict(zip(("mean", "sd", "q025", "q975"), (factor * v for v in values), strict=True))
 
 
 def _chart(result: BatchResult, name: str) -> dict[str, Any] | None:

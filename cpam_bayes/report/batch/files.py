@@ -14,7 +14,7 @@ from cpam_bayes.batches.batch import BatchResult
 from cpam_bayes.batches.plate_row import PlateRow
 from cpam_bayes.plate import to_user, unit_of, user_name
 
-__all__ = ["csv_text", "dataset"]
+__all__ = ["csv_text", "dataset", "population_dataset"]
 
 _COLUMNS = ("value", "sd", "low", "high")
 
@@ -104,6 +104,22 @@ def dataset(result: BatchResult) -> Any:
         },
         attrs={"cpam_bayes_version": __version__, "command": result.command, "seed": result.seed},
     )
+
+
+def population_dataset(result: BatchResult) -> Any:
+    """The draws of means and scatters as ``xarray.Dataset``, in the units of plate files."""
+    import xarray
+
+    found = result.population
+    assert found is not None
+    n = len(found.constants)
+    drawn = {}
+    for k, c in enumerate(found.constants):
+        user = user_name(c.name)
+        drawn[user] = ("draw", to_user(c.name, 1.0) * found.draws[:, k], {"unit": unit_of(c.name)})
+        drawn[f"{user}_scatter"] = ("draw", found.draws[:, n + k], {"of": "relative standard deviation"})
+    attrs = {"cpam_bayes_version": __version__, "plates": found.plates, "seed": result.seed}
+    return xarray.Dataset(drawn, attrs=attrs)
 
 
 def _or_nan(value: float | None) -> float:

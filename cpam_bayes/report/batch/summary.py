@@ -29,6 +29,7 @@ def summary(result: BatchResult) -> Summary:
         headline=_headline(result),
         tables=(
             _batch_table(result),
+            _population_table(result),
             _limits_table(result),
             plates_table(result, some, title),
             _failed(result),
@@ -111,6 +112,20 @@ def _batch_table(result: BatchResult) -> Table:
     return Table("The batch", columns, tuple(lines), frozenset(flagged))
 
 
+def _population_table(result: BatchResult) -> Table:
+    """Mean constants of the material, their scatter, and where a further plate would lie."""
+    columns = headed("", "#mean", "#sd", "unit", "scatter of plates, 95 %", "a further plate, 95 %")
+    lines = []
+    for c in () if result.population is None else result.population.constants:
+        value, sd, *_ = (to_user(c.name, v) for v in c.mean)
+        low, high = (
+            with_spread(to_user(c.name, v), to_user(c.name, c.next_plate[1]))[0] for v in c.next_plate[2:]
+        )
+        scatter = " to ".join(significant(100.0 * v, 2) for v in c.scatter[2:])
+        lines.append((c.name, *with_spread(value, sd), unit_of(c.name), f"{scatter} %", f"{low} to {high}"))
+    return Table("The material: mean constants, and their scatter from plate to plate", columns, tuple(lines))
+
+
 def _limits_table(result: BatchResult) -> Table:
     rows, flagged = [], []
     for k, limit in enumerate(result.limits):
@@ -151,6 +166,11 @@ def _basis(result: BatchResult) -> tuple[str, ...]:
         f"Models: {geometries}. A list is carried to the sizes of the first plate of its geometry by the "
         "powers of the sizes at the reference constants.",
     ]
+    if result.population is not None:
+        said.append(
+            "Mean and scatter: a hierarchical model of Gaussian plates, sampled by emcee from the likelihood "
+            "of each; the scatter has a prior of half a Student-t, 5 % wide."
+        )
     if any(result.chart(name) for name in result.constants):
         said.append(
             "Control limits: mean +- 3 sd, the sd from the mean difference of neighbours in the list "
