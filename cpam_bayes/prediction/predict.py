@@ -26,7 +26,7 @@ from cpam_bayes.forward_model.solve import error_warning, measured_modes
 from cpam_bayes.forward_model.store import reduced_model
 from cpam_bayes.mechanics.shapes import Mode
 from cpam_bayes.parameters import Parameter, ParameterSet, Uniform
-from cpam_bayes.plate import PlateLike, Specimen, read_plate, to_user, unit_of
+from cpam_bayes.plate import PlateLike, Specimen, read_plate, to_user, unit_of, user_name
 from cpam_bayes.prediction.stored_posterior import PosteriorLike, StoredPosterior, read_posterior
 from cpam_bayes.result import SILENT, PlateResult, Watch
 from cpam_bayes.threads import single_blas_thread
@@ -42,6 +42,8 @@ _NO_MESH = "predict computes rectangular plates only; leave mesh out"
 _LEAST_RANGE = 1e-6
 # A constant that is held at another value than in the posterior is told from this relative difference on.
 _SAME = 1e-6
+# A size that is measured again may differ by so many standard deviations.
+_FAR_SD = 5.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,7 +146,9 @@ def _predicted(
 ) -> PredictionResult:
     start = time.perf_counter()
     rng = np.random.default_rng(seed)
-    same_plate = bool(stored.sizes) and stored.specimen == specimen.specimen
+    same_name = bool(stored.sizes) and stored.specimen == specimen.specimen
+    differing = _differing_sizes(specimen, stored) if same_name else ()
+    same_plate = same_name and not differing
     drawn = {name: stored.draws[name] for name in stored.constants}
     drawn |= _sizes(specimen, stored, same_plate, rng)
     possible = specimen.material.admissible(drawn)
@@ -162,7 +166,7 @@ def _predicted(
     error = model.full.error
     return PredictionResult(
         seed=seed,
-        warnings=(*_warnings(specimen, stored), *error_warning(error)),
+        warnings=(*differing, *_warnings(specimen, stored), *error_warning(error)),
         specimen=specimen,
         air_shifts=air_shifts(specimen),
         posterior=stored,
@@ -172,6 +176,21 @@ def _predicted(
         error=error,
         sizes_of_posterior=same_plate,
         seconds=time.perf_counter() - start,
+    )
+
+
+def _differing_sizes(specimen: Specimen, stored: StoredPosterior) -> tuple[str, ...]:
+    """Why the plate is not the one that was measured, whose name it has."""
+    far = []
+    for name, there in stored.outline.items():
+        here = float(getattr(specimen.plate, name))
+        if abs(here - there) > _FAR_SD * specimen.plate.sd.get(name, 0.0) + _SAME * there:
+            far.append(f"{user_name(name)} {to_user(name, here):.5g} instead of {to_user(name, there):.5g}")
+    if not far:
+        return ()
+    return (
+        f"{specimen.name} has the name of the plate that was measured and other sizes, {', '.join(far)}: its "
+        "sizes are taken from its file; give it a `specimen` of its own",
     )
 
 

@@ -6,7 +6,7 @@ import json
 import os
 import warnings
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from cpam_bayes.forward_model.model import SIZES
 from cpam_bayes.identification.sampled_result import SampledResult
 from cpam_bayes.inference.noise import NOISE_NAMES
-from cpam_bayes.plate import USER_UNITS, to_si
+from cpam_bayes.plate import USER_UNITS, to_si, user_name
 from cpam_bayes.plate.elasticity import CONSTANTS
 from cpam_bayes.plate.units import joined_name, split_name
 
@@ -38,6 +38,7 @@ class StoredPosterior:
     symmetry : of its material, "" where the file does not say
     held : constants that the plate file gave and that did not vary, SI
     repeatability : relative standard deviation of a measured frequency where it was given, else None
+    outline : length, width and thickness of the plate file, m, as far as they are there
     """
 
     source: str
@@ -47,6 +48,7 @@ class StoredPosterior:
     symmetry: str
     held: Mapping[str, float]
     repeatability: float | None
+    outline: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def size(self) -> int:
@@ -69,9 +71,7 @@ class StoredPosterior:
             return self
         at = np.linspace(0, self.size - 1, most).round().astype(int)
         draws = {name: values[at] for name, values in self.draws.items()}
-        return StoredPosterior(
-            self.source, draws, self.plate, self.specimen, self.symmetry, self.held, self.repeatability
-        )
+        return replace(self, draws=draws)
 
 
 def read_posterior(posterior: PosteriorLike) -> StoredPosterior:
@@ -133,7 +133,14 @@ def _stored(data: Any, source: str) -> StoredPosterior:
         symmetry=str(attrs.get("symmetry", "")),
         held=_held(attrs),
         repeatability=None if given is None else float(given),
+        outline=_outline(data),
     )
+
+
+def _outline(data: Any) -> dict[str, float]:
+    group = data["constant_data"] if "constant_data" in data.groups() else {}
+    names = {user_name(name): name for name in ("length", "width", "thickness")}
+    return {name: to_si(user, float(np.ravel(group[user])[0])) for user, name in names.items() if user in group}
 
 
 def _held(attrs: Mapping[str, Any]) -> dict[str, float]:

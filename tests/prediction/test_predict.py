@@ -104,6 +104,17 @@ def test_another_test_of_the_same_plate_has_the_sizes_of_the_draws(sampled: Samp
         assert wide.sd / wide.mean == pytest.approx(0.02, rel=0.2)  # of a thickness that is known to 2 %
 
 
+def test_a_plate_of_the_same_name_and_another_size_has_the_sizes_of_its_file(sampled: SampledResult) -> None:
+    thinner = {**SIMULATED, "plate": {**SIMULATED["plate"], "thickness_mm": 1.0, "length_mm": 150.0}}
+    result = cb.predict(sampled, thinner, 3)
+    assert not result.sizes_of_posterior
+    assert "other sizes, length_mm 150 instead of " in result.warnings[0]
+    assert "thickness_mm 1 instead of " in result.warnings[0]
+    named = cb.predict(sampled, {**thinner, "specimen": "sister"}, 3)
+    assert [m.mean for m in result.modes] == [m.mean for m in named.modes]
+    assert named.warnings == result.warnings[1:]
+
+
 def test_a_saved_posterior_predicts_its_own_list_as_the_result_does(
     sampled: SampledResult, tmp_path: Path
 ) -> None:
