@@ -165,6 +165,15 @@ def test_a_noise_study_has_the_groups_that_were_inverted(done: int, monkeypatch:
     assert any("2 of 4 groups" in slip for slip in cut.slips) == (done == 2)
 
 
+def test_plates_that_a_batch_did_not_reach_have_rows_that_say_so() -> None:
+    with time_limit(AT_ONCE):
+        answer = cb.batch("A1", "no such plate", "A2")
+    assert not answer.reached_goal
+    assert [row.status for row in answer.rows] == ["failed"] * 3
+    assert [row.message == "time was up before this plate" for row in answer.rows] == [True, False, True]
+    assert "2 of 3 plates were not computed" in answer.slips[0]
+
+
 @pytest.mark.slow
 def test_sequences_that_are_not_weighed_yet_have_no_probability() -> None:
     with time_limit(AT_ONCE), pytest.raises(TimeIsUpError, match="before there was an answer"):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
@@ -17,6 +18,7 @@ from cpam_bayes.batches.limits import Limit, read_limit
 from cpam_bayes.batches.plate_row import PlateRow, computed_row, failed_row
 from cpam_bayes.batches.population import Population, population_of
 from cpam_bayes.batches.row_store import read_row, row_key, write_row
+from cpam_bayes.deadline import TimeIsUpError, cut_short
 from cpam_bayes.diagnosis.building import build_models
 from cpam_bayes.diagnosis.cases import hypotheses_of, plate_case
 from cpam_bayes.effects import CATALOGUE
@@ -31,7 +33,7 @@ from cpam_bayes.identification.identify import NO_MESH
 from cpam_bayes.identification.search import required
 from cpam_bayes.parallel import WorkersLostError, open_executor, run
 from cpam_bayes.plate import PlateLike, Specimen, read_plate
-from cpam_bayes.result import SILENT, Result, Watch
+from cpam_bayes.result import SILENT, Result, Watch, within_time
 
 __all__ = ["BatchResult", "batch"]
 
@@ -123,6 +125,7 @@ class BatchResult(Result):
 
 
 @checked
+@within_time
 def batch(
     *plates: PlateLike,
     limits: Sequence[str] = (),
@@ -296,7 +299,15 @@ def _computed(
             _build_models([items[i][1] for i in missing], pool, shown.notify)
         given = (items[i] for i in missing)
         todo = [(file, plate) for file, plate in given if isinstance(plate, Specimen)]
-        run(_row, (seed, diagnosis), todo, pool, batch_size=1, on_result=keep)
+        with suppress(TimeIsUpError):
+            run(_row, (seed, diagnosis), todo, pool, batch_size=1, on_result=keep, is_limited=True)
+    late = [i for i in missing if i not in rows]
+    for i in late:
+        file, plate = items[i]
+        assert isinstance(plate, Specimen)
+        rows[i] = failed_row(file, plate.name, "time was up before this plate")
+    if late:
+        cut_short(f"{len(late)} of {len(items)} plates were not computed")
     return [rows[i] for i in range(len(items))], from_store
 
 

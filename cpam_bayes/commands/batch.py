@@ -7,7 +7,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING
 
-from cpam_bayes.commands.options import Commands, add_command, add_executor_options
+from cpam_bayes.commands.options import Commands, add_command, add_executor_options, add_time_limit
 
 if TYPE_CHECKING:
     from cpam_bayes.result import Result
@@ -51,6 +51,7 @@ def add(commands: Commands) -> None:
         "--store", metavar="DIR", help="keep finished plates in DIR; the same command goes on from there"
     )
     add_executor_options(command)
+    add_time_limit(command)
 
 
 def prepare(args: argparse.Namespace) -> Callable[[], Result]:

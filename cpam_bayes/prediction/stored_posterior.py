@@ -140,7 +140,9 @@ def _stored(data: Any, source: str) -> StoredPosterior:
 def _outline(data: Any) -> dict[str, float]:
     group = data["constant_data"] if "constant_data" in data.groups() else {}
     names = {user_name(name): name for name in ("length", "width", "thickness")}
-    return {name: to_si(user, float(np.ravel(group[user])[0])) for user, name in names.items() if user in group}
+    return {
+        name: to_si(user, float(np.ravel(group[user])[0])) for user, name in names.items() if user in group
+    }
 
 
 def _held(attrs: Mapping[str, Any]) -> dict[str, float]:
