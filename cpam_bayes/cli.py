@@ -14,7 +14,7 @@ from contextlib import contextmanager, suppress
 from functools import partial
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, TextIO
+from typing import TYPE_CHECKING, Any, Final, TextIO
 
 from cpam_bayes import __version__
 from cpam_bayes.commands import COMMANDS
@@ -35,7 +35,12 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def prepare(argv: Sequence[str]) -> Callable[[], int]:
     """Read the options and the plate file and load what the command needs; return its work."""
-    args = _parser().parse_args(argv)
+    try:
+        args = _parser().parse_args(argv)
+    except BrokenPipeError:
+        raise
+    except OSError as error:  # of help or version, which the parser shows
+        return partial(_not_shown, error)
     try:
         if args.out is not None:
             import_module("cpam_bayes.report.figures")
@@ -50,6 +55,11 @@ def _refuse(error: ValueError) -> int:
     for problem in getattr(error, "problems", (str(error),)):
         print(f"error: {problem}", file=sys.stderr)
     return BAD_INPUT
+
+
+def _not_shown(error: OSError) -> int:
+    _give_up(sys.stdout, error)
+    return NOT_WRITTEN
 
 
 def _finish(work: Callable[[], Result], args: argparse.Namespace) -> int:
@@ -89,8 +99,7 @@ def _finish(work: Callable[[], Result], args: argparse.Namespace) -> int:
     except BrokenPipeError:
         raise
     except OSError as error:
-        _give_up(sys.stdout, error)
-        return NOT_WRITTEN
+        return _not_shown(error)
     if not_saved is not None:
         print(f"error: --out {args.out}: {not_saved}; not all files are there", file=sys.stderr)
         return NOT_WRITTEN
@@ -125,19 +134,42 @@ def _show(answer: Result, as_json: bool, verbose: bool) -> None:
         return
     text = json_text(answer.to_dict()) if as_json else screen_text(answer.screen(verbose=verbose), stream)
     encoding = stream.encoding or "utf-8"
-    stream.write(text.encode(encoding, "backslashreplace").decode(encoding))
+    _write(text.encode(encoding, "backslashreplace").decode(encoding), stream)
+
+
+def _write(text: str, stream: TextIO) -> None:
+    stream.write(text)
     stream.flush()
 
 
+class _Parser(argparse.ArgumentParser):
+    """A parser that raises ``OSError`` where help or version cannot be written; argparse ignores that."""
+
+    def print_help(self, file: Any = None) -> None:
+        """Write the help, to standard output if nowhere else."""
+        stream = sys.stdout if file is None else file
+        if stream is not None:
+            _write(self.format_help(), stream)
+
+
+class _Version(argparse.Action):
+    """Show the version and leave."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *args: object) -> None:
+        if sys.stdout is not None:
+            _write(f"cpam-bayes {__version__}\n", sys.stdout)
+        parser.exit()
+
+
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+    parser = _Parser(
         prog="cpam-bayes",
         description="Elastic constants of composite plates from their natural frequencies.",
         epilog=STATUS_TEXT,
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
     )
-    parser.add_argument("--version", action="version", version=f"cpam-bayes {__version__}")
+    parser.add_argument("--version", action=_Version, nargs=0, help="show program's version number and exit")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     for name in COMMANDS:
         import_module(f"cpam_bayes.commands.{name}").add(commands)

@@ -450,11 +450,13 @@ def test_an_answer_that_cannot_be_saved_is_shown_all_the_same(run, tmp_path, mon
 
 
 @pytest.mark.parametrize("buffered", ["", "1"])
-@pytest.mark.parametrize("options", [(), ("--json",)])
-def test_an_answer_that_a_full_disk_does_not_take_is_said_to_be_lost(buffered, options):
+@pytest.mark.parametrize(
+    "argv", [("plates",), ("plates", "--json"), ("--version",), ("--help",), ("forward", "--help")]
+)
+def test_an_answer_that_a_full_disk_does_not_take_is_said_to_be_lost(buffered, argv):
     with open("/dev/full", "w") as full:
         done = subprocess.run(
-            [sys.executable, "-m", "cpam_bayes", "plates", *options],
+            [sys.executable, "-m", "cpam_bayes", *argv],
             stdout=full,
             stderr=subprocess.PIPE,
             cwd=PROJECT,
