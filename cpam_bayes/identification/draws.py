@@ -28,9 +28,10 @@ def inference_data(result: SampledResult) -> Any:
     the plate file; the densities lp and log_prior are those over SI units. Groups: posterior; prior, draws of
     it; sample_stats (lp); log_likelihood, by frequency over `mode`, as one number for a list that may lack
     modes; log_prior, by parameter; posterior_predictive, prior_predictive and observed_data over `mode`, of
-    the frequencies that have one; constant_data, the plate's sizes and density. Attributes: versions, plate,
-    specimen, layup, edges, seed, hash of the problem, the likelihood; of the material its symmetry and the
-    constants that did not vary (JSON, as in the plate file); the repeatability where it was given.
+    the frequencies that have one; constant_data, the plate's sizes and density. Attributes: command,
+    versions, plate, specimen, layup, edges, seed, hash of the problem, the likelihood; of the material its
+    symmetry and the constants that did not vary (JSON, as in the plate file); the repeatability where it was
+    given.
     """
     posterior, chains = result.posterior, thinned(result.result)
     names = posterior.parameters.names
@@ -51,6 +52,7 @@ def inference_data(result: SampledResult) -> Any:
     measurement, plate = posterior.measurement, result.specimen.plate
     given = "frequency_sd_hz" if measurement.frequency_sd is not None else "relative_std"
     return arviz_data(
+        result.command,
         result.specimen,
         result.seed,
         posterior,

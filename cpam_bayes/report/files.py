@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
@@ -15,6 +15,7 @@ from cpam_bayes.storage import draft_directory, put_in_place
 __all__ = ["Stage", "save", "staging"]
 
 _FIGURES = "figures"
+_DRAWS = "posterior.nc"
 
 # Where the files go in the end, and where they are written first.
 Stage = tuple[Path, Path]
@@ -41,7 +42,7 @@ def staging(out: str | None) -> Iterator[Stage | None]:
 def save(result: Result, stage: Stage | None) -> tuple[str, ...]:
     """Write NAME.json, the figures as PNG and SVG, other files; raise ``OSError`` where that fails.
 
-    Returns what became of the page of another command, a sentence each.
+    Returns what became of the page and the draws of another command, a sentence each.
     """
     if stage is None:
         return ()
@@ -53,8 +54,7 @@ def save(result: Result, stage: Stage | None) -> tuple[str, ...]:
         (draft / name).write_text(text, encoding="utf-8")
     for name, dataset in result.datasets().items():
         dataset.to_netcdf(draft / name, engine="h5netcdf")
-    if result.has_draws:
-        result.to_arviz().to_netcdf(str(draft / "posterior.nc"))
+    notes = _draws_written(result, draft, directory) if result.has_draws else ()
     _moved(draft, directory)
     figures = result.figures()
     if figures:
@@ -63,25 +63,32 @@ def save(result: Result, stage: Stage | None) -> tuple[str, ...]:
         (draft / _FIGURES).mkdir()
         save_figures(figures, draft / _FIGURES)
     write_page(result, draft)
-    notes = _other_page_kept(result.command, directory)
+    notes += _other_kept(directory / PAGE, "page.html", result.command, command_of)
     _moved(draft, directory)
     return notes
 
 
-def _other_page_kept(command: str, directory: Path) -> tuple[str, ...]:
-    """Name the page of another command after that command; an older page of this one goes."""
-    page = directory / PAGE
-    _page_named(command, directory).unlink(missing_ok=True)
-    other = command_of(page) if page.is_file() else None
+def _draws_written(result: Result, draft: Path, directory: Path) -> tuple[str, ...]:
+    """Write the draws; what became of those of another command."""
+    from cpam_bayes.inference.chains.arviz_data import command_of_draws
+
+    result.to_arviz().to_netcdf(str(draft / _DRAWS))
+    # those of `report` are of `identify`
+    command = command_of_draws(draft / _DRAWS) or result.command
+    return _other_kept(directory / _DRAWS, _DRAWS, command, command_of_draws)
+
+
+def _other_kept(
+    file: Path, name: str, command: str, command_of_file: Callable[[Path], str | None]
+) -> tuple[str, ...]:
+    """Keep a file of another command as COMMAND_NAME; an older one of this command goes."""
+    file.with_name(f"{command}_{name}").unlink(missing_ok=True)
+    other = command_of_file(file) if file.is_file() else None
     if other is None or other == command:
         return ()
-    kept = _page_named(other, directory)
-    put_in_place(page, kept)
-    return (f"{page} is now the page of {command}, that of {other} is kept as {kept.name}",)
-
-
-def _page_named(command: str, directory: Path) -> Path:
-    return directory / f"{command}_page.html"
+    kept = file.with_name(f"{other}_{name}")
+    put_in_place(file, kept)
+    return (f"{file} is now that of {command}, that of {other} is kept as {kept.name}",)
 
 
 def _moved(draft: Path, directory: Path) -> None:

@@ -19,13 +19,14 @@ def inference_data(result: StackingResult) -> Any:
     units of the plate file, angle_deg over `ply` (the unknown angles from the bottom), component, the draw's
     class in the list (-1: none of it); sample_stats, what each draw was sampled by; constant_data, the list
     itself over `sequence` with probabilities, log evidences and their errors, and the marginals of the
-    angles over `ply` and `angle`; observed_data, the measured frequencies over `mode`. Attributes: versions,
-    plate, seed, hash of the problem, size of the credible set.
+    angles over `ply` and `angle`; observed_data, the measured frequencies over `mode`. Attributes: command,
+    versions, plate, seed, hash of the problem, size of the credible set.
     """
     answer, mixture = result.answer, result.mixture
     names = answer.conditional.parameters.names
     frequencies = answer.conditional.template.measurement.frequencies
     data = arviz_data(
+        result.command,
         result.specimen,
         result.seed,
         answer.conditional.at(answer.top[:1]),

@@ -44,7 +44,7 @@ def test_the_page_of_another_command_is_kept_under_its_name(tmp_path, forward_re
     assert saved(RESULT) == ()
     first = (tmp_path / PAGE).read_text("utf-8")
     (note,) = saved(forward_result)
-    assert "is now the page of forward, that of plates is kept as plates_page.html" in note
+    assert note == f"{tmp_path / PAGE} is now that of forward, that of plates is kept as plates_page.html"
     assert command() == "forward"
     assert (tmp_path / "plates_page.html").read_text("utf-8") == first
     # a page of one command stands at one place

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from importlib.metadata import version
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -13,10 +14,27 @@ from cpam_bayes import __version__
 from cpam_bayes.inference.chains.ensemble import problem_hash
 from cpam_bayes.plate import Specimen, to_user, unit_of, user_name
 
-__all__ = ["arviz_data", "by_user_name"]
+__all__ = ["arviz_data", "by_user_name", "command_of_draws"]
 
+# Name of the attribute.
+_COMMAND: Final = "command"
 # arviz writes its own version, into every group.
 _LIBRARIES: Final = ("numpy", "scipy", "emcee")
+
+
+def command_of_draws(file: Path) -> str | None:
+    """The command whose draws a file holds, None for a file of something else."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", FutureWarning)
+        import arviz
+    read: Callable[[str], Any] = arviz.from_netcdf
+    try:
+        data = read(str(file))
+    except (OSError, ValueError):  # not NetCDF
+        return None
+    found = data.attrs.get(_COMMAND)
+    data.close()
+    return None if found is None else str(found)
 
 
 def by_user_name(names: tuple[str, ...], draws: np.typing.NDArray[Any]) -> dict[str, Any]:
@@ -25,6 +43,7 @@ def by_user_name(names: tuple[str, ...], draws: np.typing.NDArray[Any]) -> dict[
 
 
 def arviz_data(
+    command: str,
     specimen: Specimen,
     seed: int,
     sampled: Any,
@@ -34,8 +53,9 @@ def arviz_data(
 ) -> Any:
     """The groups as ``arviz.InferenceData``.
 
+    command : whose answer they are of, see `command_of_draws`.
     sampled : the posterior that the hash of the problem is of.
-    attributes : beside versions, plate, seed and hash.
+    attributes : beside command, versions, plate, seed and hash.
     log_prior : by parameter.
     groups : as of ``arviz.from_dict``.
     """
@@ -47,6 +67,7 @@ def arviz_data(
 
         centre = np.array([[p.prior.mean for p in sampled.parameters.parameters]])
         attrs = {
+            _COMMAND: command,
             "cpam_bayes_version": __version__,
             **{f"{library}_version": version(library) for library in _LIBRARIES},
             "plate": specimen.name,

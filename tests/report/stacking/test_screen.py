@@ -7,7 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cpam_bayes.inference.chains.arviz_data import command_of_draws
 from cpam_bayes.report.figures import save_figures
+from cpam_bayes.report.files import save, staging
 from cpam_bayes.stacking.draws import EMCEE
 from cpam_bayes.stacking.mixture import StackingMixture
 from cpam_bayes.stacking.posterior import stacking_posterior
@@ -146,6 +148,23 @@ def test_what_was_learned_badly_or_overlooked_is_warned_of() -> None:
     assert "sequences with up to 0.004 of the probability were left out" in left_out
     document = stacking_result(bad, mixture(), None, 0, 5).to_dict()
     assert document["learned"]["overlooked_nats"] == 1.2
+
+
+def test_draws_of_another_command_in_the_directory_are_kept_under_its_name(tmp_path: Path) -> None:
+    result = stacking_result(answer(), mixture(), None, 3, 5)
+    file, kept = tmp_path / "posterior.nc", tmp_path / "identify_posterior.nc"
+    file.write_text("no draws of anybody")
+    result.save(tmp_path)
+    assert command_of_draws(file) == "sequence"
+    of_identify = result.to_arviz()
+    of_identify.attrs["command"] = "identify"
+    of_identify.to_netcdf(str(file))
+    with staging(str(tmp_path)) as stage:
+        (note,) = save(result, stage)
+    assert note == f"{file} is now that of sequence, that of identify is kept as identify_posterior.nc"
+    result.save(tmp_path)
+    assert (command_of_draws(file), command_of_draws(kept)) == ("sequence", "identify")
+    assert sorted(path.name for path in tmp_path.glob("*.nc")) == ["identify_posterior.nc", "posterior.nc"]
 
 
 def test_the_posterior_file_opens_in_plain_arviz(tmp_path: Path) -> None:
