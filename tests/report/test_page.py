@@ -251,7 +251,8 @@ def test_what_is_folded_is_printed(browser, pages):
     browser.show(pages["diagnose"], PAPER)
     browser.call("Emulation.setEmulatedMedia", media="print")
     closed = browser.value("[...document.querySelectorAll('details')].filter((d) => !d.open).length")
-    hidden = browser.value("[...document.images].filter((i) => !i.checkVisibility()).length")
+    content = "[...document.querySelectorAll('img, table')]"
+    hidden = browser.value(f"{content}.filter((i) => !i.checkVisibility()).length")
     width = browser.value("document.documentElement.scrollWidth")
     browser.call("Emulation.setEmulatedMedia", media="")
     assert closed > 0
