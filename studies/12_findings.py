@@ -207,7 +207,7 @@ def _in_short(row: Results) -> str:
         "",
         *textwrap.wrap(
             f"The plate model as it stands leaves a misfit of {baseline['rms_percent']:.2f} % (root mean "
-            f"square), predictive p {baseline['predictive_p']:.3f}.",
+            f"square), p-value {baseline['predictive_p']:.3f}.",
             100,
         ),
         "",

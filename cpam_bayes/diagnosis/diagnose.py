@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cpam_bayes.deadline import cut_short, is_time_up
-from cpam_bayes.diagnosis.answers.averaged import averaged_constants
+from cpam_bayes.diagnosis.answers.averaged import averaged_constants, averaged_draws
 from cpam_bayes.diagnosis.answers.detectability import Detectable, detectable
 from cpam_bayes.diagnosis.answers.gain import Gain, gain_of
 from cpam_bayes.diagnosis.answers.optima import OpenOptimum, open_optima
-from cpam_bayes.diagnosis.answers.predictive import PredictiveChecks
+from cpam_bayes.diagnosis.answers.predictive import PredictiveChecks, within_stated_noise
 from cpam_bayes.diagnosis.answers.prior_sensitivity import PriorSensitivity, prior_sensitivity
 from cpam_bayes.diagnosis.cases import hypotheses_of
 from cpam_bayes.diagnosis.claim import PLAIN, Claim, claim_of
@@ -38,6 +38,7 @@ from cpam_bayes.diagnosis.signatures import (
     signature_of,
     with_equal_fits,
 )
+from cpam_bayes.identification.reliance import Reliance, reliances
 from cpam_bayes.threads import single_blas_thread
 
 Array = NDArray[Any]
@@ -93,6 +94,9 @@ class Diagnosis:
     averaged : parameters of the plain model over all hypotheses, mean, sd, 2.5 % and 97.5 % quantile, SI
     sensitivity : of probabilities and claim to the scales of the priors
     detectable : by cause, the smallest size that the lists would have shown; empty if not asked for
+    explained, plain_explained : whether noise as stated explains what the model of the answer, or the plain
+        one, leaves of the lists; of constants averaged over all hypotheses, what the most probable one leaves
+    reliances : intervals of the answer that rest on the bounds or the prior of another constant
     """
 
     cases: tuple[PlateCase, ...]
@@ -108,6 +112,9 @@ class Diagnosis:
     sensitivity: PriorSensitivity
     detectable: tuple[Detectable, ...]
     optima: tuple[OpenOptimum, ...]
+    explained: bool
+    plain_explained: bool
+    reliances: tuple[Reliance, ...]
     seconds: float
 
     @property
@@ -158,6 +165,8 @@ def diagnose_cases(
     whole = np.concatenate([case.measurement.frequencies for case in cases])
     baseline = fit_of(weighed.plain, whole, checks)
     extended = fit_of(members, whole, checks) if members else None
+    leading = members[0][0] if members else weighed.tested[0]
+    n_constants = len({name for case in cases for name in case.models.specimen.unknowns.names})
     gain_of_claim = None
     if is_time_up() and (gain or power):
         cut_short("neither the gain nor the smallest visible sizes were computed")
@@ -179,8 +188,31 @@ def diagnose_cases(
         prior_sensitivity(weighed, claim, lambda other: _claim(other, _reweighed(causes, other), checks)),
         detectable(weighed, cases, executor) if power else (),
         open_optima(members[0][0] if members else weighed.none, cases),
+        claim.kind != OTHER and within_stated_noise(leading, n_constants),
+        within_stated_noise(weighed.none, n_constants),
+        _reliances(cases, weighed, extended),
         time.perf_counter() - start,
     )
+
+
+def _reliances(cases: Sequence[PlateCase], weighed: Weighed, extended: Fit | None) -> tuple[Reliance, ...]:
+    """Of the constants of the answer."""
+    if extended is None:
+        names, draws, weight = averaged_draws(weighed)
+    else:
+        names, draws = tuple(extended.constants), extended.draws
+        weight = np.full(len(draws), 1.0 / len(draws))
+    prior_sd = {
+        name: case.models.parameters[name].prior.sd
+        for case in cases
+        for name in case.models.specimen.unknowns.names
+    }
+    kept = [i for i, name in enumerate(names) if name in prior_sd]
+    if not kept:
+        return ()
+    covariance = np.atleast_2d(np.cov(draws[:, kept].T, aweights=weight, ddof=0))
+    of = [names[i] for i in kept]
+    return reliances(of, covariance, np.array([prior_sd[name] for name in of]))
 
 
 def _causes(

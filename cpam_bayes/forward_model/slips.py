@@ -26,6 +26,7 @@ from cpam_bayes.threads import single_blas_thread
 
 __all__ = [
     "HIGH_MISFIT",
+    "birge_ratio",
     "common_factor_slips",
     "contradicts_list",
     "count_slips",
@@ -159,21 +160,30 @@ def misfit_slips(level: float) -> tuple[str, ...]:
 
 
 def misfit_over_noise(measurement: Measurement, residuals: Array, n_fitted: int) -> float:
-    """The misfit in times of the stated noise, 1 where noise as stated explains it or none is stated.
-
-    The root of chi-squared over its degrees of freedom (Birge, 1932), where that is exceeded with a
-    probability below 0.001.
+    """The misfit in times of the stated noise by `birge_ratio`; 1 where no noise is stated.
 
     residuals : (n,) predicted / measured - 1, nan where a frequency belongs to no mode. n_fitted : constants.
     """
     f, paired = measurement.frequencies, np.isfinite(residuals)
-    unstated = measurement.relative_std is None and measurement.frequency_sd is None
-    freedom = int(paired.sum()) - n_fitted
-    if unstated or freedom < 1:
+    if measurement.relative_std is None and measurement.frequency_sd is None:
         return 1.0
     noise = measurement.noise_sd(measurement.relative_std or 0.0)
     sd = np.sqrt(noise**2 + measurement.resolution**2 / 12.0) / f
-    chi_squared = float(np.sum((residuals[paired] / sd[paired]) ** 2))
+    return birge_ratio(residuals[paired] / sd[paired], n_fitted)
+
+
+def birge_ratio(standardised: Array, n_fitted: int) -> float:
+    """A misfit in times of the noise, 1 where the noise explains it or no frequency is left over to tell.
+
+    The root of chi-squared over its degrees of freedom (Birge, Phys. Rev. 40, 1932), where that is exceeded
+    with a probability below 0.001.
+
+    standardised : (n,) residuals over the standard deviations of the noise. n_fitted : constants.
+    """
+    freedom = len(standardised) - n_fitted
+    if freedom < 1:
+        return 1.0
+    chi_squared = float(np.sum(standardised**2))
     explained = chi2.sf(chi_squared, freedom) >= _UNEXPLAINED
     return 1.0 if explained else float(np.sqrt(chi_squared / freedom))
 

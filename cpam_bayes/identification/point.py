@@ -17,6 +17,7 @@ from cpam_bayes.forward_model.model import plate_problem
 from cpam_bayes.forward_model.preconditions import units_warning
 from cpam_bayes.forward_model.reduced import ReducedModel
 from cpam_bayes.forward_model.slips import misfit_over_noise
+from cpam_bayes.identification.reliance import Reliance, reliances
 from cpam_bayes.identification.scale_errors import ScaleError, scale_errors, sizes_spread
 from cpam_bayes.identification.search import Optimum, Residual, Search, required, search
 from cpam_bayes.identification.verdicts import Verdict, verdict_of
@@ -80,6 +81,7 @@ class PointEstimate:
     swarms : number that were run
     optima : the best one and those that the noise does not tell from it
     scale_errors : what errors of sizes, mass and frequency scale do to the constants
+    reliances : intervals that rest on the bounds or the prior of another constant
     by_shape : what measured shapes say of the modes, None without them
     """
 
@@ -98,6 +100,7 @@ class PointEstimate:
     swarms: int
     optima: tuple[Optimum, ...]
     scale_errors: tuple[ScaleError, ...]
+    reliances: tuple[Reliance, ...]
     seconds: float
     warnings: tuple[str, ...]
     by_shape: ShapePairing | None = None
@@ -156,7 +159,9 @@ def summarise(
     prior_sd = np.array([unknowns[name].prior.sd for name in unknowns.names])
     # a misfit that the stated noise does not explain widens it, Birge's ratio
     excess = misfit_over_noise(measurement, relative, unknowns.size)
-    sd = linearised_sd(prediction.jacobian[0, order], prior_sd, measurement, noise, residual, excess)
+    covariance = linearised_covariance(
+        prediction.jacobian[0, order], prior_sd, measurement, noise, residual, excess
+    )
     optima = _within_noise(searched, measurement, noise, residual)
     at_optima = np.array([optimum.x for optimum in optima])
     level = noise if np.isfinite(noise) else _EVEN_NOISE
@@ -170,9 +175,10 @@ def summarise(
     )
     explained = excess == 1.0
     freedom = measurement.size - unknowns.size if inferred or not explained else np.inf
+    sd = _with_sizes(scales, unknowns.names, best, np.sqrt(np.diag(covariance)))
     estimates = tuple(
-        _estimate(specimen, name, values, _with_sizes(scales, name, values[0], its_sd), freedom, explained)
-        for name, values, its_sd in zip(unknowns.names, at_optima.T, sd, strict=True)
+        _estimate(specimen, name, values, its_sd, freedom, explained)
+        for name, values, its_sd in zip(unknowns.names, at_optima.T, sd.tolist(), strict=True)
     )
     state = plate_problem(specimen, unknowns).state(unknowns.mapping(best))
     return PointEstimate(
@@ -191,6 +197,7 @@ def summarise(
         swarms=searched.swarms,
         optima=optima,
         scale_errors=scales,
+        reliances=reliances(unknowns.names, covariance, prior_sd, sd),
         seconds=time.perf_counter() - start,
         warnings=_warnings(measurement, predicted, unknowns.size),
         by_shape=by_shape(model),
@@ -225,7 +232,7 @@ def _noise(measurement: Measurement, relative: Array, n_unknowns: int) -> tuple[
     return float(np.sqrt(np.sum(relative**2) / freedom)), True
 
 
-def linearised_sd(
+def linearised_covariance(
     jacobian: Array,
     prior_sd: Array,
     measurement: Measurement,
@@ -233,7 +240,7 @@ def linearised_sd(
     residual: Residual,
     excess: float = 1.0,
 ) -> Array:
-    """Standard deviations of the constants that minimise F, to first order in the noise, (n,).
+    """Covariance of the constants that minimise F, to first order in the noise, (n, n).
 
     The minimum of (f - J x)^T W (f - J x) / s^2 + x^T R x, with W the weights of F, s^2 the mean of
     the weighted variances and R the inverse variances of the search intervals, has the covariance
@@ -243,7 +250,7 @@ def linearised_sd(
     jacobian : (n_modes, n) Hz per unit; prior_sd : (n,). excess : what the noise is multiplied by.
     """
     if not np.isfinite(noise):
-        return np.full(len(prior_sd), np.nan)
+        return np.full((len(prior_sd), len(prior_sd)), np.nan)
     f = measurement.frequencies
     noise_sd = measurement.noise_sd(noise)
     variance = np.maximum(excess**2 * (noise_sd**2 + measurement.resolution**2 / 12), (1e-9 * f) ** 2)
@@ -252,7 +259,7 @@ def linearised_sd(
     j = jacobian * prior_sd
     inverse = np.linalg.inv(j.T @ (weight[:, None] * j) / scale + np.eye(len(prior_sd)))
     middle = j.T @ ((weight**2 * variance)[:, None] * j) / scale**2 + np.eye(len(prior_sd))
-    return np.asarray(np.sqrt(np.diag(inverse @ middle @ inverse)) * prior_sd)
+    return np.asarray(np.outer(prior_sd, prior_sd) * (inverse @ middle @ inverse))
 
 
 def bound_of(value: float, lower: float, upper: float) -> Literal["lower", "upper"] | None:
@@ -263,9 +270,11 @@ def bound_of(value: float, lower: float, upper: float) -> Literal["lower", "uppe
     return "upper" if upper - value < _ON_BOUND * width else None
 
 
-def _with_sizes(scales: tuple[ScaleError, ...], name: str, value: float, sd: float) -> float:
-    """The standard deviation of a constant with what the sizes of the plate add to it."""
-    return float(np.hypot(sd, abs(value) * sizes_spread(scales, name) if scales else 0.0))
+def _with_sizes(scales: tuple[ScaleError, ...], names: tuple[str, ...], values: Array, sd: Array) -> Array:
+    """Standard deviations of constants (n,) with what the sizes of the plate add to them."""
+    if not scales:
+        return sd
+    return np.asarray(np.hypot(sd, np.abs(values) * [sizes_spread(scales, name) for name in names]))
 
 
 def _estimate(

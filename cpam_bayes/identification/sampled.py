@@ -34,6 +34,7 @@ from cpam_bayes.forward_model.slips import (
     stated_noise_slips,
 )
 from cpam_bayes.identification.identify import NO_MESH
+from cpam_bayes.identification.reliance import Reliance, reliances
 from cpam_bayes.identification.sampled_result import ConstantPosterior, SampledResult
 from cpam_bayes.identification.scale_errors import ScaleError, scale_errors
 from cpam_bayes.identification.search import required
@@ -222,6 +223,7 @@ def _summarise(
         laminate=_laminate(model, few[:, :n]),
         error=discretisation_error(model.full, best[:n])[paired],
         scale_errors=_scale_errors(specimen, posterior, model, best, pairing, order),
+        reliances=_reliances(posterior, draws, specimen.unknowns.names),
         doubt=transcription_error(specimen, posterior, model, best),
         evidence=evidence,
         assessment=assess(posterior, result, pairing, specimen.unknowns.names),
@@ -306,6 +308,13 @@ def _scale_errors(
     )
 
 
+def _reliances(posterior: Posterior, draws: Array, names: tuple[str, ...]) -> tuple[Reliance, ...]:
+    """Of the elastic constants; draws : (m, n) of all parameters."""
+    kept = [posterior.parameters.names.index(name) for name in names]
+    prior_sd = np.array([posterior.parameters[name].prior.sd for name in names])
+    return reliances(names, np.atleast_2d(np.cov(draws[:, kept].T)), prior_sd)
+
+
 def _marginal(specimen: Specimen, posterior: Posterior, i: int, draws: Array) -> ConstantPosterior:
     parameter = posterior.parameters.parameters[i]
     prior = parameter.prior
@@ -319,7 +328,8 @@ def _marginal(specimen: Specimen, posterior: Posterior, i: int, draws: Array) ->
     bound: Literal["lower", "upper"] | None = None
     if max(at_lower, at_upper) > _AT_BOUND:
         bound = "lower" if at_lower > at_upper else "upper"
-    verdict = verdict_of(sd, prior.sd, at_bound=bound is not None)
+    # `_judged` asks whether the noise explains the misfit once the frequencies have their modes
+    verdict = verdict_of(sd, prior.sd, at_bound=bound is not None, explained=True)
     q025, median, q975 = (float(q) for q in np.quantile(draws, (0.025, 0.5, 0.975)))
     return ConstantPosterior(
         name=parameter.name,

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from cpam_bayes.forward_model.mode_shapes.assurance import ShapePairing
 from cpam_bayes.forward_model.model import SIZES
 from cpam_bayes.identification.frequency_rows import LeftOutPrediction, MissedMode, SampledFrequency
+from cpam_bayes.identification.reliance import Reliance
 from cpam_bayes.identification.scale_errors import ScaleError
 from cpam_bayes.identification.verdicts import Verdict
 from cpam_bayes.inference.chains.ensemble import (
@@ -71,6 +72,7 @@ class SampledResult(PlateResult):
     laminate : name -> (mean, sd)
     error : relative error of the solver at the most probable draw in the modes that have a frequency
     scale_errors : what errors of sizes, mass and frequency scale do to the constants
+    reliances : intervals that rest on the bounds or the prior of another constant
     doubt : a pairing of a complete list that is far more probable than one to one
     evidence : by importance sampling
     assessment : what determines the posterior and how it fits
@@ -94,6 +96,7 @@ class SampledResult(PlateResult):
     laminate: Mapping[str, tuple[float, float]]
     error: Array
     scale_errors: tuple[ScaleError, ...]
+    reliances: tuple[Reliance, ...]
     doubt: TranscriptionError | None
     evidence: Evidence
     assessment: Assessment

@@ -21,11 +21,11 @@ BY_PRIOR: Final = 0.5
 """Posterior contraction below which the prior does: its sd is more than 0.7 of the prior's."""
 
 
-def verdict_of(sd: float, prior_sd: float, *, at_bound: bool = False, explained: bool = True) -> Verdict:
+def verdict_of(sd: float, prior_sd: float, *, explained: bool, at_bound: bool = False) -> Verdict:
     """Who determines a constant, by its posterior contraction 1 - (sd / prior sd)^2.
 
-    explained : whether the noise as stated explains the misfit. A model that it does not is none of this
-    plate, and what its frequencies determine is no constant of the plate either.
+    explained : whether the noise as stated explains the misfit, see `slips.birge_ratio`. A model that it does
+    not is none of this plate, and what its frequencies determine is no constant of the plate either.
 
     A constant in contact with a bound is never determined by the data alone; one whose sd is not known
     counts as determined by the prior.

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cpam_bayes.identification.point import linearised_sd
+from cpam_bayes.identification.point import linearised_covariance
 from cpam_bayes.identification.search import misfit
 from cpam_bayes.inference.chains.ensemble import EnsembleSettings
 from cpam_bayes.inference.chains.sampling import sample_posterior
@@ -240,4 +240,5 @@ def _swarm_sd(posterior: Posterior, x: Array, scale: Array) -> Array:
     assert jacobian is not None
     assert measurement.frequency_sd is not None
     noise = float(np.mean(measurement.frequency_sd / measurement.frequencies))
-    return linearised_sd(jacobian[0], scale, measurement, noise, "absolute")
+    covariance = linearised_covariance(jacobian[0], scale, measurement, noise, "absolute")
+    return np.asarray(np.sqrt(np.diag(covariance)))

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Final
 
 from cpam_bayes.formatting import fixed, listed, significant
 from cpam_bayes.forward_model.labels import same_label
 from cpam_bayes.forward_model.slips import contradicts_list
+from cpam_bayes.identification.reliance import Reliance
 from cpam_bayes.identification.scale_errors import FREQUENCY_SCALE, ScaleError
 from cpam_bayes.identification.verdicts import MISFIT, Verdict
-from cpam_bayes.plate import Hybrid, Material, Measurement, Specimen, to_user, unit_of, user_name
+from cpam_bayes.plate import Hybrid, Material, Measurement, Plate, Specimen, to_user, unit_of, user_name
 from cpam_bayes.plate.elasticity import MaterialSymmetry
 from cpam_bayes.plate.units import split_name
 from cpam_bayes.priors import Prior, TruncatedNormal
@@ -19,12 +20,14 @@ from cpam_bayes.report.plates.head import edges_text, layup_text, size_text
 from cpam_bayes.report.summary import Determined
 
 __all__ = [
+    "CONTAINED",
     "DETERMINED",
     "HIGH_NOISE",
     "UNDESCRIBED",
     "attached_step",
     "constant_title",
-    "decided_by",
+    "contained_sentence",
+    "decider",
     "diagnose_step",
     "frequencies_text",
     "high_noise_warning",
@@ -33,10 +36,14 @@ __all__ = [
     "noise_word",
     "plate_argument",
     "plate_sentence",
+    "reliance_sentences",
+    "rests_on",
     "scale_sentences",
     "stated_noise",
 ]
 
+CONTAINED: Final = "The intervals contain"
+"""How the sentence begins that says which errors of size, mass and scale the intervals contain."""
 HIGH_NOISE: Final = "The noise inferred from the misfit is"
 """How the warning of a high inferred noise begins."""
 DETERMINED: Final[dict[Verdict, Determined]] = {
@@ -77,6 +84,8 @@ _GOOD, _USUAL = 0.003, 0.01
 _VISIBLE = 0.3
 # Least relative error of a constant, for 1 % of a size, that is worth a word, %.
 _WORTH_TELLING = 0.3
+# Probability of errors of size, mass and scale among all causes that is worth a word.
+_SMALL_WEIGHT = 0.01
 _SCALE_WORDS: Final = {
     "thickness": "thickness",
     "length": "length",
@@ -100,12 +109,44 @@ def frequencies_text(n: int) -> str:
     return "1 measured frequency" if n == 1 else f"{n} measured frequencies"
 
 
-def decided_by(name: str, prior: Prior) -> str:
-    """What decides a constant that the frequencies leave open, in the unit of the plate file."""
+def decider(verdict: Verdict, name: str, prior: Prior) -> str:
+    """What decides a constant, alone or with the frequencies, in the unit of the plate file."""
+    if verdict == MISFIT:
+        return UNDESCRIBED
+    return "the frequencies" if DETERMINED[verdict] == "yes" else f"its {' '.join(_prior_text(name, prior))}"
+
+
+def reliance_sentences(
+    reliances: Sequence[Reliance], prior_of: Callable[[str], Prior], shown: Sequence[str]
+) -> tuple[str, ...]:
+    """What the prior of one constant does to the interval of another.
+
+    prior_of : a constant. shown : constants that are worth a word.
+    """
+    said = []
+    for r in reliances:
+        if r.name not in shown:
+            continue
+        kind, value = _prior_text(r.on, prior_of(r.on))
+        said.append(
+            f"The interval of {r.name} rests on the {kind} of {r.on} too, {value}: with {kind} twice as wide "
+            f"the interval of {r.name} would be {significant(100.0 * r.widening, 2)} % wider."
+        )
+    return tuple(said)
+
+
+def rests_on(name: str, reliances: Sequence[Reliance], prior_of: Callable[[str], Prior]) -> str:
+    """The priors of others that the interval of a constant rests on, in a few words; "" for none."""
+    others = [f"the {_prior_text(r.on, prior_of(r.on))[0]} of {r.on}" for r in reliances if r.name == name]
+    return listed(others, "and") if others else ""
+
+
+def _prior_text(name: str, prior: Prior) -> tuple[str, str]:
+    """What a prior is called, and its numbers in the unit of the plate file."""
     unit = f" {unit_of(name)}".rstrip()
     if isinstance(prior, TruncatedNormal):
-        return f"its prior {to_user(name, prior.loc):.5g} +- {to_user(name, prior.scale):.3g}{unit}"
-    return f"its bounds {to_user(name, prior.lower):.5g} to {to_user(name, prior.upper):.5g}{unit}"
+        return "prior", f"{to_user(name, prior.loc):.5g} +- {to_user(name, prior.scale):.3g}{unit}"
+    return "bounds", f"{to_user(name, prior.lower):.5g} to {to_user(name, prior.upper):.5g}{unit}"
 
 
 def plate_argument(specimen: Specimen) -> str:
@@ -205,20 +246,37 @@ def stated_noise(measurement: Measurement) -> str:
     return f"that of the table {table}" if table else "frequency_sd_hz of the plate file"
 
 
-def scale_sentences(
-    specimen: Specimen, errors: Sequence[ScaleError], shown: Sequence[str]
-) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """What errors of size, mass and frequency scale do unseen, and what to do about them.
+def contained_sentence(
+    plate: Plate, *, counted: bool = True, found: Collection[str] = (), weight: float = 0.0
+) -> str:
+    """Which of sizes, mass and frequency scale have their errors in the intervals, and which do not.
 
-    shown : constants that are worth a word.
+    counted : whether the intervals count with [plate.sd]. found : those whose error the model of the answer
+    contains. weight : probability of all those among the causes that the answer is averaged over.
     """
-    said, todo = [], []
-    given = [e for e in errors if e.sd is not None]
-    if given:
-        spreads = [f"{to_user(e.name, specimen.plate.sd[e.name]):g} {_unit(e.name)}" for e in given]
-        names = [f"{_SCALE_WORDS[e.name]} (+- {sd})" for e, sd in zip(given, spreads, strict=True)]
-        said.append(f"The intervals contain the stated uncertainty of {listed(names, 'and')}.")
-    missing, parts = [], []
+    weighed = "density" if plate.mass is None else "mass"
+    names = ("thickness", "length", "width", weighed, FREQUENCY_SCALE)
+    stated = plate.sd if counted else {}
+    inside = [f"{_SCALE_WORDS[n]} (+- {to_user(n, stated[n]):g} {_unit(n)})" for n in names if n in stated]
+    inside += [f"{_SCALE_WORDS[n]} (what was found)" for n in names if n in found and n not in stated]
+    outside = [_SCALE_WORDS[n] for n in names if n not in stated and n not in found]
+    said = f"{CONTAINED} "
+    if inside:
+        said += f"the uncertainty of {listed(inside, 'and')}; they contain "
+    said += f"no error of {listed(outside, 'or')}, which count as exact"
+    if weight >= _SMALL_WEIGHT:
+        said += f"; as causes that were weighed they have a probability of {significant(weight, 2)} together"
+    return f"{said}."
+
+
+def scale_sentences(
+    specimen: Specimen, errors: Sequence[ScaleError], shown: Sequence[str], *, counted: bool = True
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """What errors of size, mass and frequency scale do outside the intervals, and what to do about them.
+
+    shown : constants that are worth a word. counted : whether the intervals count with [plate.sd].
+    """
+    said, todo, missing, parts = [], [], [], []
     for e in errors:
         if e.sd is not None or e.visible > _VISIBLE:
             continue
@@ -234,13 +292,15 @@ def scale_sentences(
             missing.append("mass" if e.name == "density" and _densities_of_plies(specimen) else e.name)
     if parts:
         said.append(
-            "Frequencies hardly show a small error of size, mass or frequency scale; the constants take it "
-            f"up: {', '.join(parts)}."
+            "Errors outside the intervals hardly show in the frequencies, and the constants take them up: "
+            f"{'; '.join(parts)}."
         )
     if missing:
         keys = listed([user_name(name) for name in missing], "and")
         verb = _HOW[missing[0]] if len(missing) == 1 else "Gauge and weigh the plate"
-        todo.append(f"{verb}, and give [plate.sd] with {keys}: the intervals then contain those errors.")
+        if counted:
+            verb += f", and give [plate.sd] with {keys}: the intervals then contain those errors"
+        todo.append(f"{verb}.")
     return tuple(said), tuple(todo)
 
 

@@ -56,6 +56,7 @@ class ConstantLine:
     reference : of the plate file, nan where it has none
     determined : whether the frequencies determine the constant
     by : what decides its value, alone or with the frequencies, as it ends "its value is decided by ..."
+    rests_on : the priors of other constants that the interval rests on, "the prior of E2"; "" for none
     """
 
     symbol: str
@@ -67,6 +68,7 @@ class ConstantLine:
     reference: float
     determined: Determined
     by: str
+    rests_on: str = ""
 
     @property
     def value_text(self) -> str:
@@ -89,10 +91,13 @@ class ConstantLine:
     @property
     def determined_text(self) -> str:
         """Whether the frequencies determine the constant, and what decides where they do not."""
-        if self.determined != "yes":
-            return f"no, by {self.by}" if self.determined == "no" else f"partly, with {self.by}"
+        if self.determined == "no":
+            return f"no, by {self.by}"
+        if self.determined == "partly":
+            return f"partly, with {self.by}" + (f" and {self.rests_on}" if self.rests_on else "")
         half = 2.0 * self._sd / abs(self.value)
-        return f"yes, to +-{significant(100.0 * half, 2)} %" if math.isfinite(half) else "yes"
+        said = f"yes, to +-{significant(100.0 * half, 2)} %" if math.isfinite(half) else "yes"
+        return said + (f", with {self.rests_on}" if self.rests_on else "")
 
     @property
     def _sd(self) -> float:

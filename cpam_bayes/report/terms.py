@@ -24,6 +24,8 @@ TERMS: Final = {
     "plate",
     "missed mode": "a mode in the range of the list that is not in it",
     "noise": "scatter of a measured frequency about that of its mode",
+    "p-value": "the probability of residuals as large or larger if the model is right, with the noise that "
+    "is named beside it",
     "plain model": "the plate as its file says, with nothing wrong",
     "posterior": "the probability of the constants after the measurement",
     "prior": "the probability of the constants, or of the size of a cause, before the measurement",

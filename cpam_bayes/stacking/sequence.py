@@ -19,11 +19,14 @@ from cpam_bayes.forward_model.preconditions import (
 )
 from cpam_bayes.forward_model.slips import (
     count_slips,
+    misfit_over_noise,
     misfit_slips,
     reference_slips,
     require_reachable,
     stated_noise_slips,
 )
+from cpam_bayes.identification.reliance import Reliance, reliances
+from cpam_bayes.inference.posterior import NOISE
 from cpam_bayes.paper.layups import identified_layups
 from cpam_bayes.parallel import open_executor
 from cpam_bayes.plate import PlateLike, Specimen, read_plate
@@ -53,6 +56,8 @@ class StackingResult(PlateResult):
     given : the sequence that the paper prints for a built-in specimen, None for other plates
     fit : the most probable sequence beside the measured frequencies
     information : what the frequencies tell about each ply
+    explained : whether noise as stated explains what the most probable sequence leaves of the list
+    reliances : intervals that rest on the bounds or the prior of another constant
     top : sequences in the JSON document
     """
 
@@ -65,6 +70,8 @@ class StackingResult(PlateResult):
     given: GivenLayup | None
     fit: BestFit
     information: AngleInformation
+    explained: bool
+    reliances: tuple[Reliance, ...]
     top: int
 
     @property
@@ -169,6 +176,7 @@ def stacking_result(
     """The posterior over stacking sequences with what is shown beside it, and its warnings."""
     specimen, fit = answer.specimen, best_fit(answer)
     slips = _slips(specimen, fit)
+    measurement = answer.conditional.template.measurement
     return StackingResult(
         seed=seed,
         slips=slips,
@@ -181,8 +189,19 @@ def stacking_result(
         given=given,
         fit=fit,
         information=angle_information(specimen.plate.layup, answer.marginals),
+        explained=misfit_over_noise(measurement, fit.residual, specimen.unknowns.size) == 1.0,
+        reliances=_reliances(answer, mixture),
         top=top,
     )
+
+
+def _reliances(answer: StackingPosterior, mixture: StackingMixture) -> tuple[Reliance, ...]:
+    """Of the constants over all sequences."""
+    parameters = answer.conditional.parameters
+    kept = [i for i, name in enumerate(parameters.names) if name != NOISE]
+    names = [parameters.names[i] for i in kept]
+    covariance = np.atleast_2d(np.cov(mixture.parameters[:, kept].T))
+    return reliances(names, covariance, np.array([parameters[name].prior.sd for name in names]))
 
 
 def _slips(specimen: Specimen, fit: BestFit) -> tuple[str, ...]:

@@ -65,9 +65,16 @@ def test_the_summary_says_what_no_frequency_shows_and_what_the_intervals_contain
     exact: PointResult, gauged: PointResult
 ) -> None:
     basis = " ".join(exact.in_words().basis)
-    assert "the constants take it up: 1 % of thickness moves E1 by" in basis
+    assert (
+        "The intervals contain no error of thickness, length, width, density or the analyser's frequency "
+        "scale, which count as exact." in basis
+    )
+    assert "the constants take them up: 1 % of thickness moves E1 by" in basis
     assert any("give [plate.sd] with thickness_mm" in step for step in exact.in_words().next_steps)
     basis = " ".join(gauged.in_words().basis)
-    assert "The intervals contain the stated uncertainty of thickness (+- 0.06 mm)." in basis
+    assert (
+        "The intervals contain the uncertainty of thickness (+- 0.06 mm); they contain no error of length, "
+        "width, density or the analyser's frequency scale, which count as exact." in basis
+    )
     assert "1 % of thickness" not in basis
     assert "1 % of density" in basis

@@ -23,6 +23,18 @@ def averaged_constants(weighed: Weighed) -> Mapping[str, tuple[float, float, flo
     The density is sum_h P(h | data) p(x | h, data), Bayesian model averaging (Hoeting et al., Stat. Sci. 14,
     1999), by the draws of every hypothesis with their weights.
     """
+    names, draws, weight = averaged_draws(weighed)
+    mean = weight @ draws
+    sd = np.sqrt(weight @ (draws - mean) ** 2)
+    quantiles = [weighted_quantiles(draws[:, i], weight, _QUANTILES) for i in range(len(names))]
+    return {
+        name: (float(mean[i]), float(sd[i]), float(quantiles[i][0]), float(quantiles[i][1]))
+        for i, name in enumerate(names)
+    }
+
+
+def averaged_draws(weighed: Weighed) -> tuple[tuple[str, ...], Array, Array]:
+    """Names, draws (d, n) and weights (d,) of the parameters of the plain model over all hypotheses."""
     names = weighed.none.marginal.comparison.model.parameters.names
     kept = [
         t
@@ -32,14 +44,7 @@ def averaged_constants(weighed: Weighed) -> Mapping[str, tuple[float, float, flo
     columns = [[t.marginal.comparison.parameters.names.index(n) for n in names] for t in kept]
     draws = np.concatenate([t.marginal.draws[:, at] for t, at in zip(kept, columns, strict=True)])
     weight = np.concatenate([t.probability * np.exp(t.marginal.log_weight) for t in kept])
-    weight /= weight.sum()
-    mean = weight @ draws
-    sd = np.sqrt(weight @ (draws - mean) ** 2)
-    quantiles = [weighted_quantiles(draws[:, i], weight, _QUANTILES) for i in range(len(names))]
-    return {
-        name: (float(mean[i]), float(sd[i]), float(quantiles[i][0]), float(quantiles[i][1]))
-        for i, name in enumerate(names)
-    }
+    return names, draws, weight / weight.sum()
 
 
 def weighted_quantiles(x: Array, weight: Array, p: Array) -> Array:

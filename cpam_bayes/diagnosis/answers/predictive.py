@@ -16,6 +16,7 @@ from cpam_bayes.diagnosis.evidence.marginal import Marginal
 from cpam_bayes.diagnosis.evidence.sharing import shared_out
 from cpam_bayes.diagnosis.evidence.tested import Tested
 from cpam_bayes.diagnosis.fitting import PlateCase
+from cpam_bayes.forward_model.slips import birge_ratio
 
 Array = NDArray[Any]
 
@@ -49,6 +50,20 @@ def explains(tested: Tested) -> float:
     misfit, effective = _refitted(comparison, z, amplitudes)
     p = np.asarray(chi2.sf(misfit, len(comparison.listed.frequencies) - effective))
     return float(weight @ p.max(axis=0) / weight.sum())
+
+
+def within_stated_noise(tested: Tested, n_constants: int) -> bool:
+    """Whether noise as stated explains what a hypothesis leaves of the lists, by `birge_ratio`.
+
+    Of its most probable parameters, over the frequencies whose noise is stated; the discrepancy of an error
+    outside the catalogue is no noise.
+    """
+    marginal = tested.marginal
+    listed = marginal.comparison.listed
+    predicted, _ = marginal.comparison.predict(marginal.best[None])
+    stated = listed.scale == 0.0
+    standardised = (listed.frequencies - predicted[0])[stated] / np.sqrt(listed.variance[stated])
+    return birge_ratio(standardised, n_constants) == 1.0
 
 
 @dataclass(frozen=True, slots=True)

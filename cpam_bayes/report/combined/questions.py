@@ -12,7 +12,7 @@ from cpam_bayes.formatting import listed, significant
 from cpam_bayes.report.diagnosis.rows import DetectableRow, detectable_rows
 from cpam_bayes.report.diagnosis.words import claim_sentence, detectable_size, probability_text
 from cpam_bayes.report.plates.head import layup_text
-from cpam_bayes.report.sentences import plate_argument
+from cpam_bayes.report.sentences import CONTAINED, plate_argument
 from cpam_bayes.report.summary import ConstantLine, Summary, names_of
 from cpam_bayes.report.tables import Table, facts
 
@@ -30,7 +30,7 @@ def questions(result: FullReport, words: Summary) -> Table:
     """Ten questions and their answers; words : the summary of the report."""
     rows = (
         ("What are the constants?", _values(words.constants)),
-        ("How sure are they?", _intervals(words.constants)),
+        ("How sure are they?", _intervals(words)),
         ("Which are not determined by these frequencies?", _open(words.constants)),
         ("What is wrong with the plate model?", claim_sentence(result.diagnosis.diagnosis)),
         ("Would a forgotten accelerometer have shown?", _accelerometer(result)),
@@ -52,11 +52,14 @@ def _values(constants: tuple[ConstantLine, ...]) -> str:
     return f"{listed(said, 'and')}."
 
 
-def _intervals(constants: tuple[ConstantLine, ...]) -> str:
+def _intervals(words: Summary) -> str:
+    """The intervals, and which errors they contain."""
+    constants = words.constants
+    contained = next((text for text in words.basis if text.startswith(CONTAINED)), "")
     said = [f"{c.symbol} in {c.interval_text} {c.unit}".rstrip() for c in constants if c.interval is not None]
     if not said:
         return "No intervals can be given."
-    return f"With 95 % probability, with sizes, mass and layup of the plate file: {listed(said, 'and')}."
+    return f"With 95 % probability: {listed(said, 'and')}. {contained}"
 
 
 def _open(constants: tuple[ConstantLine, ...]) -> str:

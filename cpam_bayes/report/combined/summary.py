@@ -13,9 +13,10 @@ FREQUENCIES_ALONE: Final = "from the frequencies alone"
 """What is added to the title of a section whose constants are not those of the summary."""
 _TWO_ANSWERS: Final = (
     "The constants of this summary allow for the errors of the plate model that were weighed, each with its "
-    "probability; what [material.sd] says of a reference counts as knowledge, and sizes, mass and layup are "
-    f"those of the plate file. What is said to be {FREQUENCIES_ALONE} takes the plate model for right and "
-    "knows of the constants nothing but the bounds of [unknowns]: its values differ, and are not the answer."
+    "probability; what [material.sd] says of a reference counts as knowledge, and the layup is that of the "
+    f"plate file. What is said to be {FREQUENCIES_ALONE} takes the plate model for right and knows of the "
+    "constants nothing but the bounds of [unknowns]: its values, its noise and its p-value are others, and "
+    "are not the answer."
 )
 
 

@@ -62,11 +62,9 @@ def _residuals(result: DiagnosisResult) -> Figure:
         plain = [row for row in before if row.plate == name]
         extended = None if after is None else [row for row in after if row.plate == name]
         _draw_plate(panel, result, i, plain, extended)
-    p = probability_text(d.baseline.predictive_p)
-    title = f"{_title(d)}: plain model rms {100 * d.baseline.rms:.2f} %, predictive p {p}"
+    title = f"{_title(d)}: misfit of the plain model {100 * d.baseline.rms:.2f} %"
     if d.extended is not None:
-        p = probability_text(d.extended.predictive_p)
-        title += f"; extended model {100 * d.extended.rms:.2f} %, p {p}"
+        title += f", of the extended one {100 * d.extended.rms:.2f} %"
     panels[0].suptitle(title, fontsize=10)
     return figure
 

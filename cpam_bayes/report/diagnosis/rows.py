@@ -114,24 +114,26 @@ def is_pair(cause: Cause | str) -> bool:
 def constant_rows(d: Diagnosis, fit: Fit) -> tuple[ConstantRow, ...]:
     """The constants that all plates share."""
     constants = {name: v for name, v in fit.constants.items() if name in _unknowns(d)}
-    return tuple(_row(d, name, *values) for name, values in constants.items())
+    explained = d.plain_explained if fit is d.baseline else d.explained
+    return tuple(_row(d, name, *values, explained=explained) for name, values in constants.items())
 
 
 def averaged_rows(d: Diagnosis) -> tuple[ConstantRow, ...]:
     """The constants that all plates share, averaged over all hypotheses by their probability."""
-    return tuple(_row(d, name, *values) for name, values in d.averaged.items() if name in _unknowns(d))
+    constants = {name: v for name, v in d.averaged.items() if name in _unknowns(d)}
+    return tuple(_row(d, name, *values, explained=d.explained) for name, values in constants.items())
 
 
 def sampled_rows(d: Diagnosis, resampled: Resampled) -> tuple[ConstantRow, ...]:
     """The constants that all plates share, of the extended model by emcee."""
-    return tuple(
-        _row(d, name, *values) for name, values in resampled.constants.items() if name in _unknowns(d)
-    )
+    constants = {name: v for name, v in resampled.constants.items() if name in _unknowns(d)}
+    return tuple(_row(d, name, *values, explained=d.explained) for name, values in constants.items())
 
 
 def plate_constants(d: Diagnosis, fit: Fit, i: int) -> tuple[ConstantRow, ...]:
     """The constants of one plate, with its own deviations from the shared ones."""
     case, names = d.cases[i], list(fit.constants)
+    explained = d.plain_explained if fit is d.baseline else d.explained
     rows = []
     for name in case.models.specimen.unknowns.names:
         if name not in names:
@@ -141,7 +143,8 @@ def plate_constants(d: Diagnosis, fit: Fit, i: int) -> tuple[ConstantRow, ...]:
         if scatter in names:
             draws = draws * (1.0 + fit.draws[:, names.index(scatter)])
         low, high = np.quantile(draws, (0.025, 0.975))
-        rows.append(_row(d, name, float(draws.mean()), float(draws.std()), float(low), float(high)))
+        values = (float(v) for v in (draws.mean(), draws.std(), low, high))
+        rows.append(_row(d, name, *values, explained=explained))
     return tuple(rows)
 
 
@@ -234,7 +237,9 @@ def _unknowns(d: Diagnosis) -> Mapping[str, None]:
     return dict.fromkeys(name for case in d.cases for name in case.models.specimen.unknowns.names)
 
 
-def _row(d: Diagnosis, name: str, mean: float, sd: float, low: float, high: float) -> ConstantRow:
+def _row(
+    d: Diagnosis, name: str, mean: float, sd: float, low: float, high: float, *, explained: bool
+) -> ConstantRow:
     case = next(c for c in d.cases if name in c.models.specimen.unknowns.names)
     prior = case.models.parameters[name].prior
     reference = reference_constants(case.models.specimen).get(name, float("nan"))
@@ -245,6 +250,6 @@ def _row(d: Diagnosis, name: str, mean: float, sd: float, low: float, high: floa
         q025=to_user(name, low),
         q975=to_user(name, high),
         contraction=1.0 - (sd / prior.sd) ** 2,
-        verdict=verdict_of(sd, prior.sd),
+        verdict=verdict_of(sd, prior.sd, explained=explained),
         reference=to_user(name, float(reference)),
     )

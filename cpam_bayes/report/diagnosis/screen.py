@@ -28,8 +28,8 @@ from cpam_bayes.report.diagnosis.rows import (
 )
 from cpam_bayes.report.diagnosis.words import (
     detectable_size,
+    p_value_text,
     probability_text,
-    repeatability_text,
     sensitivity_sentence,
     size_text,
     with_title,
@@ -55,7 +55,7 @@ def sections(result: DiagnosisResult) -> tuple[Section, ...]:
         _plates_section(result),
         Section(
             "What the plate model gets wrong",
-            (_checks(d), _residuals(result)),
+            (_checks(d), _misfit(d), _residuals(result)),
             ("residuals",),
             folded=False,
         ),
@@ -110,6 +110,15 @@ def _checks(d: Diagnosis) -> Table:
     return facts("To check in the laboratory", tuple((e.title, e.check) for e in records))
 
 
+def _misfit(d: Diagnosis) -> Table:
+    """How large the residuals are, and whether noise alone explains them."""
+    rows = (
+        ("misfit", f"{significant(100 * d.baseline.rms, 3)} %, root mean square of the residuals"),
+        ("p-value", f"{p_value_text(d, d.baseline)}; small speaks against the plain model"),
+    )
+    return facts("How well the plain model fits", rows)
+
+
 def _residuals(result: DiagnosisResult) -> Table:
     """Each frequency against the plain model and, where there is one, the extended one."""
     d, before = result.diagnosis, result.plain.frequencies
@@ -131,11 +140,7 @@ def _residuals(result: DiagnosisResult) -> Table:
             far.append(i)
         rows.append(tuple(cells))
     rows += _missed_rows(result, len(columns), several, decimals)
-    p = probability_text(d.baseline.predictive_p)
-    title = (
-        f"What the plain model gets wrong: rms {significant(100 * d.baseline.rms, 3)} %, predictive p {p} "
-        f"against {repeatability_text(d)}; residual = predicted / measured - 1"
-    )
+    title = "What the plain model gets wrong, residual = predicted / measured - 1"
     return Table(title, tuple(columns), tuple(rows), frozenset(far))
 
 
@@ -295,14 +300,13 @@ def _gain(d: Diagnosis) -> Table:
     before, after = (significant(100 * rms, 3) for rms in (gain.rms_before, gain.rms_after))
     score, se = with_spread(gain.held_out_difference, gain.held_out_se)
     score = score if score.startswith("-") else f"+{score}"
-    p = probability_text(d.extended.predictive_p)
     rows = (
         ("rms misfit", f"{before} % before, {after} % after"),
         ("log Bayes factor", f"{signed(gain.log_bayes_factor, 1)} against the plain model"),
         ("held-out modes", f"log score {score} +- {se}, each predicted from the others"),
         ("selection", f"repeated without each frequency, among {gain.n_hypotheses} hypotheses"),
         ("stable", f"ahead without one frequency in {100 * gain.stable:.0f} % of the cases"),
-        ("p-value", f"{p}, predictive, of the extended model against {repeatability_text(d)}"),
+        ("p-value", f"{p_value_text(d, d.extended)}, the extended model being right"),
     )
     return facts("Gain of the extended model", rows)
 
@@ -325,14 +329,14 @@ def _detectable(d: Diagnosis) -> Table:
 
 
 def _next(candidates: Sequence[Candidate]) -> Table:
-    columns = headed("test", "#information, nats", "#of", "#chance that it decides")
+    columns = headed("test", "#information, nats", "#at most, nats", "#chance that it decides")
     rows = tuple(
         (c.description, fixed(c.information, 2), fixed(c.possible, 2), f"{100 * c.decided:.0f} %")
         for c in candidates[:_NEXT]
     )
     further = len(candidates) - len(rows)
     if further > 0:
-        rows += ((f"{further} more that tell less", "", "", ""),)
+        rows += ((f"{further} more that {'tells' if further == 1 else 'tell'} less", "", "", ""),)
     return Table("What to measure next, by what it would tell about the cause", columns, rows)
 
 
@@ -345,7 +349,9 @@ def _work(d: Diagnosis, seed: int) -> Table:
     rows = []
     if noise is not None:
         level, spread = with_spread(100 * noise[0], 100 * noise[1])
-        rows.append(("noise", f"{level} +- {spread} % of a frequency, inferred with the plain model"))
+        rows.append(
+            ("noise", f"{level} +- {spread} % of a frequency, inferred from the misfit of the plain model")
+        )
     rows += [
         (
             "priors",

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
 
 from cpam_bayes.diagnosis.diagnose import Cause, Diagnosis
+from cpam_bayes.diagnosis.fitting import PlateCase
 from cpam_bayes.diagnosis.hypotheses import NONE, OTHER
+from cpam_bayes.diagnosis.next_test.next_measurement import Candidate
 from cpam_bayes.diagnosis.plates import DiagnosisResult
 from cpam_bayes.formatting import significant
 from cpam_bayes.identification.scale_errors import ScaleError, number_of
 from cpam_bayes.plate import Specimen, unit_of
 from cpam_bayes.plate.units import USER_UNITS
+from cpam_bayes.priors import Prior
 from cpam_bayes.report.diagnosis.rows import (
     ConstantRow,
     absorbed_biases,
@@ -31,18 +35,22 @@ from cpam_bayes.report.sentences import (
     DETERMINED,
     attached_step,
     constant_title,
-    decided_by,
+    contained_sentence,
+    decider,
     frequencies_text,
     mismatch_step,
     noise_sentence,
     plate_sentence,
+    reliance_sentences,
+    rests_on,
     scale_sentences,
     stated_noise,
 )
 from cpam_bayes.report.summary import ConstantLine, Summary, more_modes_step
 
-# Leading causes whose check in the laboratory is named where nothing is claimed.
+# Causes whose check in the laboratory is named where nothing is claimed: their number, and least probability.
 _CHECKED: Final = 2
+_LIKELY: Final = 0.1
 # Probability of deciding from which a further test is recommended as such.
 _DECIDES: Final = 0.3
 
@@ -54,6 +62,7 @@ def summary(result: DiagnosisResult) -> Summary:
     constants = tuple(_constant(d, row) for row in rows)
     use = [c.symbol for c in constants if c.determined != "no"]
     unseen, gauge = _unseen(d, result.plates[0], use) if len(result.plates) == 1 else ((), ())
+    relied = reliance_sentences(d.reliances, lambda name: _prior(d, name), use)
     depends = () if d.sensitivity.claim_stands else (sensitivity_sentence(d),)
     return Summary(
         title=f"diagnose {result.title}",
@@ -67,20 +76,18 @@ def summary(result: DiagnosisResult) -> Summary:
             *_noise(d),
             *(plate_sentence(s) if len(result.plates) == 1 else _named(s) for s in result.plates),
             *seen_sentences(d),
+            *_contained(d, result.plates),
             *unseen,
+            *relied,
         ),
         warnings=(*depends, *(w for w in result.warnings if w not in result.slips)),
-        next_steps=(*_next_steps(result, constants), *gauge),
+        next_steps=_next_steps(result, constants, gauge),
     )
 
 
 def _constant(d: Diagnosis, row: ConstantRow) -> ConstantLine:
     name = USER_UNITS[row.name][0]
-    case = next(c for c in d.cases if name in c.models.specimen.unknowns.names)
-    determined = DETERMINED[row.verdict]
-    by = "the frequencies"
-    if determined != "yes":
-        by = decided_by(name, case.models.parameters[name].prior)
+    case = _case_with(d, name)
     return ConstantLine(
         symbol=name,
         title=constant_title(name, case.models.specimen.material),
@@ -89,9 +96,19 @@ def _constant(d: Diagnosis, row: ConstantRow) -> ConstantLine:
         interval=(row.q025, row.q975),
         unit=unit_of(name),
         reference=row.reference,
-        determined=determined,
-        by=by,
+        determined=DETERMINED[row.verdict],
+        by=decider(row.verdict, name, _prior(d, name)),
+        rests_on=rests_on(name, d.reliances, lambda other: _prior(d, other)),
     )
+
+
+def _case_with(d: Diagnosis, constant: str) -> PlateCase:
+    """The first plate of which a constant is unknown."""
+    return next(c for c in d.cases if constant in c.models.specimen.unknowns.names)
+
+
+def _prior(d: Diagnosis, constant: str) -> Prior:
+    return _case_with(d, constant).models.parameters[constant].prior
 
 
 def _weighed(d: Diagnosis) -> str:
@@ -146,6 +163,26 @@ def _named(specimen: Specimen) -> str:
     return f"{specimen.name}: {plate_sentence(specimen)}"
 
 
+def _contained(d: Diagnosis, plates: Sequence[Specimen]) -> tuple[str, ...]:
+    """Which errors of size, mass and scale the intervals contain, once where all plates are alike."""
+    said = [_contained_of(d, specimen) for specimen in plates]
+    if len(set(said)) == 1:
+        return (said[0],)
+    return tuple(f"{s.name}: {text}" for s, text in zip(plates, said, strict=True))
+
+
+def _contained_of(d: Diagnosis, specimen: Specimen) -> str:
+    plate = specimen.plate
+
+    def numbers(cause: str) -> set[str]:
+        return {n for part in cause.split(" + ") if (n := number_of(part, plate))}
+
+    if d.extended is not None and d.claim.kind != OTHER:
+        return contained_sentence(plate, found=set().union(*map(numbers, d.claim.causes)))
+    weight = sum(c.probability for c in d.causes if numbers(c.name) - set(plate.sd))
+    return contained_sentence(plate, weight=weight)
+
+
 def _unseen(d: Diagnosis, specimen: Specimen, shown: list[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Errors of size, mass and scale as `scale_sentences` says them, from the causes that are absorbed."""
     errors = []
@@ -164,41 +201,51 @@ def _unseen(d: Diagnosis, specimen: Specimen, shown: list[str]) -> tuple[tuple[s
     return scale_sentences(specimen, errors, shown)
 
 
-def _next_steps(result: DiagnosisResult, constants: tuple[ConstantLine, ...]) -> tuple[str, ...]:
+def _next_steps(
+    result: DiagnosisResult, constants: tuple[ConstantLine, ...], gauge: tuple[str, ...]
+) -> tuple[str, ...]:
+    """What costs nothing first, then what is claimed, the same test once more, another test.
+
+    gauge : what to measure of the plate.
+    """
     d = result.diagnosis
     steps = [step for plate in result.plates for step in mismatch_step(plate, result.slips)]
-    steps += _checks(d)
-    asked = any("[[sensor]]" in step for step in steps)
+    checks = _checks(d)
+    asked = any("[[sensor]]" in step for step in checks)
     if not asked and d.claim.kind in (NONE, "undecided") and len(result.plates) == 1:
         steps += attached_step(result.plates[0])
-    if result.candidates:
-        best = result.candidates[0]
-        chance = f"{100 * best.decided:.0f} %"
-        if best.decided >= _DECIDES:
-            steps.append(
-                f"The most telling further test: {best.description}; the chance that it decides is {chance}."
-            )
-        else:
-            steps.append(
-                f"No single further test is likely to decide; the most telling one is {best.description} "
-                f"(chance {chance})."
-            )
-    noise = noise_of(d.weighed.plain)
-    if noise is not None:
+    steps += [*checks, *gauge]
+    if noise_of(d.weighed.plain) is not None:
         steps.append(
             "Repeat the tap test and give relative_std in [measurement]: with a measured repeatability "
             "smaller errors can be seen."
         )
-    steps += more_modes_step(constants)
-    return tuple(steps)
+    return (*steps, *more_modes_step(constants), *_further_test(result.candidates))
+
+
+def _further_test(candidates: Sequence[Candidate]) -> tuple[str, ...]:
+    """The test that most probably decides which cause it is, recommended where it probably does."""
+    if not candidates:
+        return ()
+    best = max(candidates, key=lambda c: c.decided)
+    chance = f"{100 * best.decided:.0f} %"
+    if best.decided >= _DECIDES:
+        return (f"Do a further test: {best.description}; the chance that it decides is {chance}.",)
+    if len(candidates) == 1:
+        return (f"One further test was computed and is not likely to decide: {best.description}, {chance}.",)
+    return (
+        f"No single further test is likely to decide what is wrong: of the {len(candidates)} that were "
+        f"computed the best chance is {chance}, with {best.description}.",
+    )
 
 
 def _checks(d: Diagnosis) -> list[str]:
-    """How the laboratory checks what is claimed, or the most probable causes where nothing is."""
+    """How the laboratory checks what is claimed, or the probable causes where nothing is."""
     if d.claim.kind == NONE:
         return []
     claimed: list[Cause] = [c for c in d.causes if c.name in d.claim.causes]
     if d.claim.kind in ("undecided", OTHER):
-        claimed = [c for c in d.causes if c.name not in (NONE, OTHER)][:_CHECKED]
+        likely = [c for c in d.causes if c.name not in (NONE, OTHER) and c.probability >= _LIKELY]
+        claimed = likely[:_CHECKED]
     records = {e.name: e for cause in claimed for e in cause.hypothesis.records}
     return [f"Check for {e.title}: {e.check[:1].lower()}{e.check[1:]}" for e in records.values()]

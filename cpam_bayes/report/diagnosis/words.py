@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from cpam_bayes.diagnosis.claim import Claim
 from cpam_bayes.diagnosis.diagnose import Cause, Diagnosis
+from cpam_bayes.diagnosis.fit import Fit
 from cpam_bayes.diagnosis.hypotheses import NONE, OTHER
 from cpam_bayes.diagnosis.paired_modes import left_aside
 from cpam_bayes.formatting import fixed, listed, significant, with_spread
@@ -19,8 +20,8 @@ from cpam_bayes.report.sentences import noise_word
 __all__ = [
     "claim_sentence",
     "detectable_size",
+    "p_value_text",
     "probability_text",
-    "repeatability_text",
     "seen_sentences",
     "sensitivity_sentence",
     "size_text",
@@ -191,10 +192,11 @@ def probability_text(p: float) -> str:
     return "> 0.999" if p > 0.9995 else fixed(p, 3 if p < 0.1 or p > 0.9 else 2)
 
 
-def repeatability_text(d: Diagnosis) -> str:
-    """What the residuals are held against by the predictive p-value."""
+def p_value_text(d: Diagnosis, fit: Fit) -> str:
+    """The p-value of a fit, and what it is the chance of."""
     inferred = d.weighed.none.marginal.comparison.noise is not None
-    return "the believed repeatability" if inferred else "the stated repeatability"
+    noise = "the repeatability believed before the measurement" if inferred else "the stated repeatability"
+    return f"{probability_text(fit.predictive_p)}, the chance of residuals as large with {noise}"
 
 
 def sensitivity_sentence(d: Diagnosis) -> str:

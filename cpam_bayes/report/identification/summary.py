@@ -9,14 +9,13 @@ import numpy as np
 from cpam_bayes.formatting import significant
 from cpam_bayes.identification.identify import PointResult
 from cpam_bayes.identification.point import ConstantEstimate, PointEstimate
-from cpam_bayes.identification.verdicts import MISFIT
 from cpam_bayes.plate import to_user, unit_of, user_name
 from cpam_bayes.report.sentences import (
     DETERMINED,
-    UNDESCRIBED,
     attached_step,
     constant_title,
-    decided_by,
+    contained_sentence,
+    decider,
     diagnose_step,
     frequencies_text,
     high_noise_warning,
@@ -24,6 +23,8 @@ from cpam_bayes.report.sentences import (
     noise_sentence,
     plate_argument,
     plate_sentence,
+    reliance_sentences,
+    rests_on,
     scale_sentences,
     stated_noise,
 )
@@ -41,12 +42,19 @@ def summary(result: PointResult) -> Summary:
         slips=result.slips,
         headline=_headline(result, constants),
         constants=constants,
-        basis=(_fit(result), _noise(estimate), plate_sentence(result.specimen), *unseen),
+        basis=(
+            _fit(result),
+            _noise(estimate),
+            plate_sentence(result.specimen),
+            contained_sentence(result.specimen.plate),
+            *unseen,
+            *reliance_sentences(estimate.reliances, lambda name: result.specimen.unknowns[name].prior, use),
+        ),
         warnings=(
             *(high_noise_warning(estimate.noise) if estimate.noise_is_inferred and not result.slips else ()),
             *(w for w in result.warnings if w not in result.slips),
         ),
-        next_steps=(*_next_steps(result, constants), *gauge),
+        next_steps=_next_steps(result, constants, gauge),
     )
 
 
@@ -65,20 +73,15 @@ def _headline(result: PointResult, constants: tuple[ConstantLine, ...]) -> str:
 def _constant(result: PointResult, c: ConstantEstimate) -> ConstantLine:
     specimen = result.specimen
     unit = to_user(c.name, 1.0)
-    by = "the frequencies"
-    verdict = DETERMINED[c.verdict]
-    prior = specimen.unknowns[c.name].prior
+    verdict, prior = DETERMINED[c.verdict], specimen.unknowns[c.name].prior
+    by = decider(c.verdict, c.name, prior)
     if c.bound is not None:
         end = c.lower if c.bound == "lower" else c.upper
         by, verdict = f"its {c.bound} bound {to_user(c.name, end):.5g} {unit_of(c.name)}".rstrip(), "no"
     elif not math.isfinite(c.sd):
-        by, verdict = decided_by(c.name, prior), "no"
+        verdict = "no"
     elif c.elsewhere:
         by, verdict = "the choice between several optima that fit alike", "no"
-    elif c.verdict == MISFIT:
-        by = UNDESCRIBED
-    elif verdict != "yes":
-        by = decided_by(c.name, prior)
     return ConstantLine(
         symbol=c.name,
         title=constant_title(c.name, specimen.material),
@@ -89,6 +92,7 @@ def _constant(result: PointResult, c: ConstantEstimate) -> ConstantLine:
         reference=unit * c.reference,
         determined=verdict,
         by=by,
+        rests_on=rests_on(c.name, result.estimate.reliances, lambda name: specimen.unknowns[name].prior),
     )
 
 
@@ -119,26 +123,27 @@ def _noise(estimate: PointEstimate) -> str:
     )
 
 
-def _next_steps(result: PointResult, constants: tuple[ConstantLine, ...]) -> tuple[str, ...]:
-    estimate, plate = result.estimate, plate_argument(result.specimen)
+def _next_steps(
+    result: PointResult, constants: tuple[ConstantLine, ...], gauge: tuple[str, ...]
+) -> tuple[str, ...]:
+    """What costs nothing first; gauge : what to measure of the plate."""
+    plate = plate_argument(result.specimen)
     steps = [
         *mismatch_step(result.specimen, result.slips, [row.label for row in result.frequencies]),
         *attached_step(result.specimen),
     ]
-    steps += more_modes_step(constants)
-    if estimate.noise_is_inferred:
-        steps.append(
-            "Repeat the tap test and give relative_std in [measurement]: a measured noise is better than one "
-            "estimated from the misfit."
-        )
-    if result.angles is not None and result.specimen.plate.layup.kinds:
-        return tuple(steps)
-    if result.angles is not None:  # the other commands want a known layup
+    if result.angles is None:
+        steps += diagnose_step(result.specimen)
+        steps.append(f"Get the full posterior of the constants: cpam-bayes identify {plate} --backend emcee")
+    elif not result.specimen.plate.layup.kinds:  # the other commands want a known layup
         steps.append(f"Get the probability of every layup on the grid: cpam-bayes sequence {plate}")
         steps.append(
             f"Get all of it, with the most probable layup, on one page: cpam-bayes report {plate} --out DIR"
         )
-        return tuple(steps)
-    steps += diagnose_step(result.specimen)
-    steps.append(f"Get the full posterior of the constants: cpam-bayes identify {plate} --backend emcee")
-    return tuple(steps)
+    steps += gauge
+    if result.estimate.noise_is_inferred:
+        steps.append(
+            "Repeat the tap test and give relative_std in [measurement]: a measured noise is better than one "
+            "estimated from the misfit."
+        )
+    return (*steps, *more_modes_step(constants))

@@ -187,7 +187,7 @@ def _left_out(result: SampledResult) -> Figure:
     lower.bar(x, [row.left_out.leverage for row in rows], 0.5, color=_GREY)
     lower.set(ylim=(0, 1), ylabel="leverage", xlabel="mode")
     lower.set_xticks(x, names)
-    upper.set_title(f"{result.specimen.name}: modes left out, posterior predictive p = {result.p_value:.2f}")
+    upper.set_title(f"{result.specimen.name}: each mode predicted by all, and by the others")
     return figure
 
 

@@ -181,11 +181,11 @@ def _chains(result: SampledResult) -> Table:
     if noise:
         factor, unit = (1.0, "Hz") if noise[0].name == "absolute_sd" else (100.0, "% of a frequency")
         level, spread = factor * noise[0].mean, factor * noise[0].sd
-        rows.append(("noise", f"{level:.2g} +- {spread:.2g} {unit}, inferred{shape}"))
+        rows.append(("noise of the chains", f"{level:.2g} +- {spread:.2g} {unit}, inferred{shape}"))
     elif shape:
-        rows.append(("noise", f"of the plate file{shape}"))
+        rows.append(("noise of the chains", f"of the plate file{shape}"))
     rows += [
-        ("p-value", f"{result.p_value:.2f}, posterior predictive, of the sum of squared residuals"),
+        ("p-value", _p_value(result)),
         *_left_out(result),
         ("evidence", _evidence(result)),
         ("chains", f"{ensembles} ensembles of {walkers} walkers, {d.steps} steps, burn-in {d.burn_in}"),
@@ -207,6 +207,14 @@ def _chains(result: SampledResult) -> Table:
         ),
     ]
     return facts("Fit and sampling", tuple(rows))
+
+
+def _p_value(result: SampledResult) -> str:
+    """The p-value of the chains, and what it is the chance of."""
+    said = f"{result.p_value:.2f}, the chance of residuals as large with the noise of the chains"
+    if not result.posterior.noise_is_inferred:
+        return f"{said}; small speaks against the plate model"
+    return f"{said}, which is inferred from the same residuals: it checks the chains, not the plate model"
 
 
 def _left_out(result: SampledResult) -> list[tuple[str, str]]:

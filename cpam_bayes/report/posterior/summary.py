@@ -6,21 +6,22 @@ import numpy as np
 
 from cpam_bayes.formatting import listed, significant
 from cpam_bayes.identification.sampled import ConstantPosterior, SampledResult
-from cpam_bayes.identification.verdicts import MISFIT
 from cpam_bayes.inference.noise import NOISE_NAMES
 from cpam_bayes.plate import to_user, unit_of, user_name
 from cpam_bayes.report.sentences import (
     DETERMINED,
-    UNDESCRIBED,
     attached_step,
     constant_title,
-    decided_by,
+    contained_sentence,
+    decider,
     diagnose_step,
     frequencies_text,
     high_noise_warning,
     mismatch_step,
     noise_sentence,
     plate_sentence,
+    reliance_sentences,
+    rests_on,
     scale_sentences,
     stated_noise,
 )
@@ -40,25 +41,29 @@ def summary(result: SampledResult) -> Summary:
         slips=result.slips,
         headline=headline,
         constants=constants,
-        basis=(_fit(result), *_gaps(result), *_noise(result), plate_sentence(result.specimen), *unseen),
+        basis=(
+            _fit(result),
+            *_gaps(result),
+            *_noise(result),
+            plate_sentence(result.specimen),
+            contained_sentence(result.specimen.plate),
+            *unseen,
+            *reliance_sentences(result.reliances, lambda name: result.posterior.parameters[name].prior, use),
+        ),
         warnings=(
             *(() if result.slips else high_noise_warning(_inferred(result))),
             *(w for w in result.warnings if w not in result.slips),
         ),
-        next_steps=(*_next_steps(result, constants), *gauge),
+        next_steps=_next_steps(result, constants, gauge),
     )
 
 
 def _constant(result: SampledResult, c: ConstantPosterior) -> ConstantLine:
     unit = to_user(c.name, 1.0)
-    by = "the frequencies"
+    by = decider(c.verdict, c.name, result.posterior.parameters[c.name].prior)
     if c.bound is not None:
         end = to_user(c.name, c.lower if c.bound == "lower" else c.upper)
         by = f"its {c.bound} bound {end:.5g} {unit_of(c.name)}".rstrip()
-    elif c.verdict == MISFIT:
-        by = UNDESCRIBED
-    elif DETERMINED[c.verdict] != "yes":
-        by = decided_by(c.name, result.posterior.parameters[c.name].prior)
     return ConstantLine(
         symbol=c.name,
         title=constant_title(c.name, result.specimen.material),
@@ -69,6 +74,7 @@ def _constant(result: SampledResult, c: ConstantPosterior) -> ConstantLine:
         reference=unit * c.reference,
         determined=DETERMINED[c.verdict],
         by=by,
+        rests_on=rests_on(c.name, result.reliances, lambda name: result.posterior.parameters[name].prior),
     )
 
 
@@ -125,9 +131,12 @@ def _inferred(result: SampledResult) -> float:
     return noise[0].mean / typical
 
 
-def _next_steps(result: SampledResult, constants: tuple[ConstantLine, ...]) -> tuple[str, ...]:
+def _next_steps(
+    result: SampledResult, constants: tuple[ConstantLine, ...], gauge: tuple[str, ...]
+) -> tuple[str, ...]:
+    """What costs nothing first; gauge : what to measure of the plate."""
     found = [None if row is None else row.mode.label for row in result.frequencies]
     steps = [*mismatch_step(result.specimen, result.slips, found), *attached_step(result.specimen)]
     if result.status == "budget":
         steps.insert(0, "Allow more steps: --steps N.")
-    return (*steps, *more_modes_step(constants), *diagnose_step(result.specimen))
+    return (*steps, *diagnose_step(result.specimen), *gauge, *more_modes_step(constants))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
@@ -16,10 +17,13 @@ from cpam_bayes.report.sentences import (
     DETERMINED,
     attached_step,
     constant_title,
-    decided_by,
+    contained_sentence,
+    decider,
     frequencies_text,
     noise_sentence,
     plate_sentence,
+    reliance_sentences,
+    rests_on,
     scale_sentences,
 )
 from cpam_bayes.report.summary import ConstantLine, Summary
@@ -36,15 +40,17 @@ _SHOWN_PROBABILITY: Final = 0.05
 
 def summary(result: StackingResult) -> Summary:
     """The stacking sequences, the constants over all of them, what both rest on, and what to do next."""
+    constants = _constants(result)
+    use = [c.symbol for c in constants if c.determined != "no"]
     return Summary(
         title=f"sequence {result.title}",
         slips=result.slips,
         headline=_headline(result),
-        constants=_constants(result),
+        constants=constants,
         tables=(_sequences(result), _angles(result)),
-        basis=_basis(result),
+        basis=_basis(result, use),
         warnings=tuple(w for w in result.warnings if w not in result.slips),
-        next_steps=_next_steps(result),
+        next_steps=_next_steps(result, use),
     )
 
 
@@ -106,8 +112,7 @@ def _constants(result: StackingResult) -> tuple[ConstantLine, ...]:
             continue
         unit, prior = to_user(name, 1.0), conditional.parameters[name].prior
         low, high = np.quantile(draws[:, i], (0.025, 0.975))
-        determined = DETERMINED[verdict_of(float(draws[:, i].std()), prior.sd)]
-        by = "the frequencies" if determined == "yes" else decided_by(name, prior)
+        verdict = verdict_of(float(draws[:, i].std()), prior.sd, explained=result.explained)
         lines.append(
             ConstantLine(
                 symbol=name,
@@ -117,22 +122,25 @@ def _constants(result: StackingResult) -> tuple[ConstantLine, ...]:
                 interval=(unit * float(low), unit * float(high)),
                 unit=unit_of(name),
                 reference=unit * float(reference.get(name, np.nan)),
-                determined=determined,
-                by=by,
+                determined=DETERMINED[verdict],
+                by=decider(verdict, name, prior),
+                rests_on=rests_on(name, result.reliances, lambda other: conditional.parameters[other].prior),
             )
         )
     return tuple(lines)
 
 
-def _unseen(result: StackingResult) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    use = [c.symbol for c in _constants(result) if c.determined != "no"]
+def _unseen(result: StackingResult, use: Sequence[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:
     errors = thin_plate_errors(result.specimen)
-    shown = [name for name in use if name in errors[0].shift]
-    return scale_sentences(result.specimen, errors, shown)
+    return scale_sentences(
+        result.specimen, errors, [name for name in use if name in errors[0].shift], counted=False
+    )
 
 
-def _basis(result: StackingResult) -> tuple[str, ...]:
+def _basis(result: StackingResult, use: Sequence[str]) -> tuple[str, ...]:
+    """What the answer rests on; use : the constants that the frequencies have a say in."""
     answer, fit = result.answer, result.fit
+    parameters = answer.conditional.parameters
     template = answer.conditional.template
     residual = np.asarray(fit.residual)[np.isfinite(fit.residual)]
     rms = float(np.sqrt(np.mean(residual**2))) if residual.size else np.nan
@@ -146,11 +154,14 @@ def _basis(result: StackingResult) -> tuple[str, ...]:
         plate_sentence(result.specimen),
         "Stacking sequences with the same bending stiffness have the same frequencies: no number of "
         "frequencies tells a layup from its mirror images.",
-        *_unseen(result)[0],
+        contained_sentence(result.specimen.plate, counted=False),
+        *_unseen(result, use)[0],
+        *reliance_sentences(result.reliances, lambda name: parameters[name].prior, use),
     )
 
 
-def _next_steps(result: StackingResult) -> tuple[str, ...]:
+def _next_steps(result: StackingResult, use: Sequence[str]) -> tuple[str, ...]:
+    """What costs nothing first."""
     answer = result.answer
     steps = [*attached_step(result.specimen)]
     if answer.probability[0] * answer.multiplicity[0] < _SURE:
@@ -158,5 +169,7 @@ def _next_steps(result: StackingResult) -> tuple[str, ...]:
             'Narrow the choice with what is known of the layup: write known angles instead of "?", take a '
             "coarser angle_grid_deg, or give narrower bounds of the constants from a tensile test."
         )
+    steps += _unseen(result, use)[1]
+    if answer.probability[0] * answer.multiplicity[0] < _SURE:
         steps.append("Measure more modes, and give relative_std in [measurement] from repeated tap tests.")
     return tuple(steps)

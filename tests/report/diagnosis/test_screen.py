@@ -15,13 +15,17 @@ from cpam_bayes.diagnosis.next_test.next_measurement import Candidate
 from cpam_bayes.diagnosis.plates import diagnosis_result
 from cpam_bayes.diagnosis.warnings import diagnosis_warnings
 from cpam_bayes.effects import CATALOGUE
+from cpam_bayes.formatting import significant
+from cpam_bayes.identification.reliance import Reliance
 from cpam_bayes.report.diagnosis.rows import (
     absorbed_biases,
+    averaged_rows,
     catalogue_sd,
     hidden_causes,
 )
 from cpam_bayes.report.diagnosis.words import claim_sentence, probability_text
 from cpam_bayes.report.documents import json_text
+from cpam_bayes.report.sentences import contained_sentence
 from tests.diagnosed import DRAWN, aluminium_case, diagnosed, listed
 
 MISREAD = np.array([1.0, 1.0, 1.05, 1.0, 1.0, 1.0])
@@ -157,7 +161,7 @@ def test_residuals_are_held_against_the_stated_repeatability(clean, misread):
     found = document(misread)
     assert found["baseline"]["predictive_p"] < 1e-6 < 0.01 < found["extended"]["predictive_p"]
     assert document(clean)["baseline"]["predictive_p"] > 0.05
-    assert "predictive p < 0.001 against the stated repeatability" in screen(misread)
+    assert "< 0.001, the chance of residuals as large with the stated repeatability" in screen(misread)
 
 
 def test_probabilities_are_repeated_with_other_scales_of_the_priors(clean, misread):
@@ -317,6 +321,82 @@ def test_what_to_measure_next_is_shown_with_its_information(clean):
     text = screen(clean, candidates=(next_one,))
     assert "What to measure next" in text
     assert re.search(r"weigh the plate to 0.1 g +0.42 +1.10 +25 %", text)
+
+
+@pytest.mark.parametrize(
+    ("chances", "said"),
+    [
+        ((0.2, 0.45), "Do a further test: weigh; the chance that it decides is 45 %."),
+        (
+            (0.01, 0.06),
+            "No single further test is likely to decide what is wrong: of the 2 that were computed the best "
+            "chance is 6 %, with weigh.",
+        ),
+        ((0.06,), "One further test was computed and is not likely to decide: clamp, 6 %."),
+    ],
+)
+def test_next_steps_begin_with_what_costs_nothing_and_end_with_the_likeliest_test(clean, chances, said):
+    tests = tuple(
+        Candidate(name, name, 1.0 - i, 2.0, chance)
+        for i, (name, chance) in enumerate(zip(("clamp", "weigh"), chances, strict=False))
+    )
+    steps = diagnosis_result(clean, 3, candidates=tests).in_words().next_steps
+    assert steps[0].startswith("Was an accelerometer")
+    assert steps[-1] == said
+
+
+def test_the_check_of_what_is_claimed_comes_before_other_measurements(misread):
+    steps = diagnosis_result(misread, 3).in_words().next_steps
+    assert (
+        steps[0] == "Check for misread or mistyped frequency: read that peak again in the measured spectrum."
+    )
+
+
+def test_no_constant_is_determined_where_noise_as_stated_does_not_explain_the_misfit(case, clean):
+    assert clean.explained
+    assert {row.verdict for row in averaged_rows(clean)} == {"determined by the data"}
+    bent = np.array([1.03, 0.97, 1.03, 0.97, 1.03, 0.97])
+    wrong = diagnosed([listed(case, bent)], [], gain=False)
+    assert wrong.claim.kind == "other"
+    assert not wrong.explained
+    assert not wrong.plain_explained
+    for line in diagnosis_result(wrong, 3).in_words().constants:
+        assert line.determined == "partly"
+        assert line.by == "a plate model that does not describe the frequencies"
+
+
+def test_the_misfit_of_the_plain_model_alone_takes_nothing_from_the_extended_one(misread):
+    assert misread.claim.kind == "named"
+    assert not misread.plain_explained
+    assert misread.explained
+
+
+def test_an_answer_says_which_errors_of_the_plate_its_intervals_contain(case, clean):
+    (said,) = (
+        t for t in diagnosis_result(clean, 3).in_words().basis if t.startswith("The intervals contain")
+    )
+    scale = next(c.probability for c in clean.causes if c.name == "frequency_scale")
+    assert said == (
+        "The intervals contain no error of thickness, length, width, density or the analyser's frequency "
+        "scale, which count as exact; as causes that were weighed they have a probability of "
+        f"{significant(scale, 2)} together."
+    )
+    plate = replace(case.models.specimen.plate, sd={"thickness": 2e-5, "length": 1e-4})
+    assert contained_sentence(plate, found=("density",)) == (
+        "The intervals contain the uncertainty of thickness (+- 0.02 mm), length (+- 0.1 mm) and density "
+        "(what was found); they contain no error of width or the analyser's frequency scale, which count as "
+        "exact."
+    )
+
+
+def test_the_prior_that_an_interval_rests_on_is_named_beside_it(clean):
+    relied = replace(clean, reliances=(Reliance("E1", "nu12", 0.42), Reliance("nu12", "E1", 0.11)))
+    words = diagnosis_result(relied, 3).in_words()
+    assert words.constants[0].determined_text.endswith(", with the bounds of nu12")
+    assert any(
+        t.startswith("The interval of E1 rests on the bounds of nu12 too, ") and t.endswith("42 % wider.")
+        for t in words.basis
+    )
 
 
 @pytest.mark.parametrize(
