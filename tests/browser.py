@@ -38,6 +38,47 @@ os.execvp(sys.argv[3], sys.argv[3:])
 """
 
 
+# Text whose contrast against what lies behind it is below 4.5, with the ratio.
+_FAINT = """
+(() => {
+  const luminance = (c) => {
+    const [r, g, b] = c.map((v) => v / 255).map((v) => v < 0.04 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4);
+    return 0.2126 * r + 0.7152 * g + 0.0722 * b;
+  };
+  const rgba = (text) => text.match(/[\\d.]+/g).map(Number);
+  const behind = (element) => {
+    for (let at = element; at; at = at.parentElement) {
+      const colour = rgba(getComputedStyle(at).backgroundColor);
+      if (colour.length < 4 || colour[3] === 1) return colour.slice(0, 3);
+    }
+    return [255, 255, 255];
+  };
+  const faint = [];
+  for (const element of document.body.querySelectorAll("*")) {
+    if (![...element.childNodes].some((n) => n.nodeType === 3 && n.textContent.trim())) continue;
+    const [a, b] = [rgba(getComputedStyle(element).color).slice(0, 3), behind(element)].map(luminance);
+    const ratio = (Math.max(a, b) + 0.05) / (Math.min(a, b) + 0.05);
+    if (ratio < 4.5) faint.push(element.tagName + " " + ratio.toFixed(2));
+  }
+  return faint;
+})()
+"""
+_OPEN_ALL = "document.querySelectorAll('details').forEach((d) => { d.open = true })"
+# Figures that a reader does not see: not loaded, without area, or beyond the sides of the window.
+_UNSEEN = """
+[...document.images].filter((i) => {
+  const box = i.getBoundingClientRect();
+  return !i.complete || !i.naturalWidth || box.width < 200 || box.height < 40 || box.left < 0
+    || box.right > document.documentElement.clientWidth || !i.checkVisibility();
+}).map((i) => i.alt)
+"""
+# What scrolls sideways by itself and no key reaches.
+_OUT_OF_REACH = """
+[...document.querySelectorAll("*")].filter((e) => e.scrollWidth > e.clientWidth + 1 && e.clientWidth
+  && getComputedStyle(e).overflowX === "auto" && e.tabIndex < 0).length
+"""
+
+
 @dataclass
 class Browser:
     """One open page; requests, console : all that it asked for and said, from its first page on."""
@@ -149,3 +190,25 @@ def open_browser() -> Iterator[Browser]:
             os.close(from_browser)
             process.terminate()
             process.wait(_TIME_LIMIT)
+
+
+def faults(browser: Browser, page: Path, width: int) -> list[str]:
+    """What a reader of a page of the disk would complain of, its folded parts opened too."""
+    browser.requests.clear()
+    browser.console.clear()
+    browser.show(page, width)
+    found = _wider(browser, width, "folded")
+    browser.value(_OPEN_ALL)
+    found += _wider(browser, width, "opened")
+    found += [f"not seen: {alt}" for alt in browser.value(_UNSEEN)]
+    found += [f"faint: {text}" for text in browser.value(_FAINT)]
+    if out_of_reach := browser.value(_OUT_OF_REACH):
+        found.append(f"{out_of_reach} parts scroll that no key reaches")
+    found += [f"console: {text}" for text in browser.console]
+    asked = [url for url in browser.requests if not url.startswith("data:")]
+    return found + [f"asked for {url}" for url in asked if url != page.as_uri()]
+
+
+def _wider(browser: Browser, width: int, state: str) -> list[str]:
+    wide = browser.value("document.documentElement.scrollWidth")
+    return [f"{state}: {wide} px wide in a window of {width}"] if wide > width else []

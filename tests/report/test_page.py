@@ -19,7 +19,7 @@ from cpam_bayes.report.summary import ConstantLine, Summary
 from cpam_bayes.report.tables import Column, Table
 from cpam_bayes.report.terms import TERMS, terms_section
 from cpam_bayes.result import Result
-from tests.browser import Browser, open_browser
+from tests.browser import Browser, faults, open_browser
 from tests.diagnosed import aluminium_case, diagnosed, listed
 
 PROJECT = Path(__file__).parents[2]
@@ -186,64 +186,12 @@ def browser() -> Iterator[Browser]:
         yield opened
 
 
-# Text whose contrast against what lies behind it is below 4.5, with the ratio.
-FAINT = """
-(() => {
-  const luminance = (c) => {
-    const [r, g, b] = c.map((v) => v / 255).map((v) => v < 0.04 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4);
-    return 0.2126 * r + 0.7152 * g + 0.0722 * b;
-  };
-  const rgba = (text) => text.match(/[\\d.]+/g).map(Number);
-  const behind = (element) => {
-    for (let at = element; at; at = at.parentElement) {
-      const colour = rgba(getComputedStyle(at).backgroundColor);
-      if (colour.length < 4 || colour[3] === 1) return colour.slice(0, 3);
-    }
-    return [255, 255, 255];
-  };
-  const faint = [];
-  for (const element of document.body.querySelectorAll("*")) {
-    if (![...element.childNodes].some((n) => n.nodeType === 3 && n.textContent.trim())) continue;
-    const [a, b] = [rgba(getComputedStyle(element).color).slice(0, 3), behind(element)].map(luminance);
-    const ratio = (Math.max(a, b) + 0.05) / (Math.min(a, b) + 0.05);
-    if (ratio < 4.5) faint.push(element.tagName + " " + ratio.toFixed(2));
-  }
-  return faint;
-})()
-"""
-OPEN_ALL = "document.querySelectorAll('details').forEach((d) => { d.open = true })"
-# Figures that a reader does not see: not loaded, without area, or beyond the sides of the window.
-UNSEEN = """
-[...document.images].filter((i) => {
-  const box = i.getBoundingClientRect();
-  return !i.complete || !i.naturalWidth || box.width < 200 || box.height < 40 || box.left < 0
-    || box.right > document.documentElement.clientWidth || !i.checkVisibility();
-}).map((i) => i.alt)
-"""
-# What scrolls sideways by itself and no key reaches.
-OUT_OF_REACH = """
-[...document.querySelectorAll("*")].filter((e) => e.scrollWidth > e.clientWidth + 1 && e.clientWidth
-  && getComputedStyle(e).overflowX === "auto" && e.tabIndex < 0).length
-"""
-
-
 @pytest.mark.needs_browser
 @pytest.mark.parametrize("width", [WIDE, PHONE])
 @pytest.mark.parametrize("name", NAMES)
 def test_a_page_in_a_browser(browser, pages, name, width):
-    browser.requests.clear()
-    browser.console.clear()
-    browser.show(pages[name], width)
-    assert browser.value("document.documentElement.scrollWidth") <= width
-    folded = browser.value("[...document.images].filter((i) => !i.checkVisibility()).length")
-    browser.value(OPEN_ALL)
-    assert browser.value("document.documentElement.scrollWidth") <= width
-    assert browser.value("document.images.length") > folded or name == "plates"
-    assert browser.value(UNSEEN) == []
-    assert browser.value(FAINT) == []
-    assert browser.value(OUT_OF_REACH) == 0
-    assert browser.console == []
-    assert [url for url in browser.requests if not url.startswith("data:")] == [pages[name].as_uri()]
+    assert faults(browser, pages[name], width) == []
+    assert browser.value("document.images.length") > 0 or name == "plates"
 
 
 @pytest.mark.needs_browser
