@@ -120,7 +120,7 @@ class DesignResult(PlateResult):
     def verdicts(self, candidate: Candidate) -> Mapping[str, Verdict]:
         """Who would determine each constant."""
         sds = zip(self.constants, candidate.expected.sd, self.prior_sd, strict=True)
-        return {name: verdict_of(float(sd), float(prior)) for name, sd, prior in sds}
+        return {name: verdict_of(float(sd), float(prior), explained=True) for name, sd, prior in sds}
 
 
 @checked
@@ -245,7 +245,10 @@ def _needed_std(response: Response, n_modes: int, test: Test, prior: Array, aske
     """The largest repeatability, of 1, 2 and 5 times powers of ten, by which the data determine all asked."""
     for std in _STDS:
         sd = expected_information(response, n_modes, Test(std, test.resolution), prior, asked).sd
-        verdicts = [verdict_of(float(s), float(p)) for s, p in zip(sd[asked], prior[asked], strict=True)]
+        verdicts = [
+            verdict_of(float(s), float(p), explained=True)
+            for s, p in zip(sd[asked], prior[asked], strict=True)
+        ]
         if all(v == "determined by the data" for v in verdicts):
             return std
     return None

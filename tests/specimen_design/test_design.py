@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import cpam_bayes as cb
-from cpam_bayes.identification.point import linearised_sd
+from cpam_bayes.identification.point import linearised_covariance
 from cpam_bayes.specimen_design.candidates import geometries, specimen_of
 from cpam_bayes.specimen_design.information import Test, expected_information, response_of
 
@@ -115,7 +115,9 @@ def test_the_standard_deviations_are_those_of_the_swarm_for_a_list_that_fits() -
     listed = {"frequencies_hz": response.frequencies.tolist(), "relative_std": 0.003}
     measurement = cb.read_plate({**CARBON, "measurement": listed}).measurement
     assert measurement is not None
-    swarm = linearised_sd(response.slopes / prior, prior, measurement, 0.003, "relative")
+    swarm = np.sqrt(
+        np.diag(linearised_covariance(response.slopes / prior, prior, measurement, 0.003, "relative"))
+    )
     np.testing.assert_allclose(found, swarm, rtol=2e-3)  # the solver's error is in one of them
 
 
