@@ -48,7 +48,10 @@ def sandwich_error(
     Sandwich Panels, 1969, on thick faces). First-order theory with the energy-consistent shear stiffness
     A_s = S / (1 - r)^2, r = D_f / D, has m w^2 = D k^4 / (1 + D k^2 / A_s). With
     y = D k^2 / A_s / (1 - r) the first is 1 + r (1 - r) y^2 / (1 + y) times the second. k follows from the
-    frequency; of waves along x and along y the larger error is taken. It is 0 without a soft core.
+    frequency; of waves along x and along y the larger error is taken. At a clamped edge the faces are held
+    too: over d = (D_f / S)^1/2 the core does not shear, which takes y / (1 + y) d / L more for each clamped
+    edge across a side L (the density of the shear energy is twice its mean there). The error is 0 without a
+    soft core. Measured by ``python studies/22_sandwiches.py``.
 
     frequencies : (n,) Hz, of bending modes.
     constants : in place of the reference ones, SI.
@@ -60,18 +63,28 @@ def sandwich_error(
     state = replace(nominal, constants=specimen.material.complete(constants))
     omega2 = (2.0 * np.pi * np.asarray(frequencies, dtype=float)) ** 2
     shear = np.real(state.stiffness())[[7, 6], [7, 6]]
-    return np.maximum(*(_of_waves(state, layup.angles_deg, axis, shear[axis], omega2) for axis in (0, 1)))
+    edges = specimen.plate.edges
+    clamped = [(edges[axis] + edges[axis + 2]).count("C") for axis in (0, 1)]
+    of_axes = (_of_waves(state, layup.angles_deg, k, shear[k], clamped[k], omega2) for k in (0, 1))
+    return np.maximum(*of_axes)
 
 
-def _of_waves(state: PlateState, angles_deg: Array, axis: int, shear: float, omega2: Array) -> Array:
-    """e of waves along an axis (0: x, 1: y); shear : A_s across it, N/m; omega2 : (n,)."""
+def _of_waves(
+    state: PlateState, angles_deg: Array, axis: int, shear: float, clamped: int, omega2: Array
+) -> Array:
+    """e of waves along an axis (0: x, 1: y), (n,).
+
+    shear : A_s across it, N/m. clamped : number of its ends that are. omega2 : (n,), (rad/s)^2.
+    """
     bending, of_faces = _bending(state, angles_deg, axis)
     r = of_faces / bending
     by_shear = state.density * state.thickness * omega2 / shear
     by_bending = state.density * state.thickness * omega2 / bending
     k2 = (by_shear + np.sqrt(by_shear**2 + 4.0 * by_bending)) / 2.0
     y = bending * k2 / shear / (1.0 - r)
-    return np.asarray(1.0 - 1.0 / np.sqrt(1.0 + r * (1.0 - r) * y**2 / (1.0 + y)))
+    held = np.sqrt(of_faces / shear) / (1.0 - r) / float(state.length if axis == 0 else state.width)
+    of_waves = 1.0 - 1.0 / np.sqrt(1.0 + r * (1.0 - r) * y**2 / (1.0 + y))
+    return np.asarray(np.minimum(of_waves + clamped * held * y / (1.0 + y), 1.0))
 
 
 def _bending(state: PlateState, angles_deg: Array, axis: int) -> tuple[float, float]:
