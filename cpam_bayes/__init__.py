@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from cpam_bayes.diagnosis.plates import diagnose as diagnose
     from cpam_bayes.forward_model.builtin import plates as plates
     from cpam_bayes.forward_model.export import export as export
+    from cpam_bayes.forward_model.new_plate import new as new
     from cpam_bayes.forward_model.solve import forward as forward
     from cpam_bayes.forward_model.stored_models import cache as cache
     from cpam_bayes.identification.identify import identify as identify
@@ -57,6 +58,7 @@ _PUBLIC = {
     "forward": "cpam_bayes.forward_model.solve",
     "full_report": "cpam_bayes.combined",
     "identify": "cpam_bayes.identification.identify",
+    "new": "cpam_bayes.forward_model.new_plate",
     "plates": "cpam_bayes.forward_model.builtin",
     "posterior": "cpam_bayes.identification.starting",
     "predict": "cpam_bayes.prediction.predict",
@@ -80,6 +82,7 @@ __all__ = [
     "forward",
     "full_report",
     "identify",
+    "new",
     "paper",
     "plates",
     "posterior",

@@ -116,9 +116,10 @@ for name in VERBS:
     for _ in range(2):
         arguments = () if name in ("plates", "builtin_plates", "cache") else ("no such plate",)
         arguments = ("no such file", *arguments) if name == "predict" else arguments
+        arguments = ("",) if name == "new" else arguments
         try:
             answer = getattr(cb, name)(*arguments)
-        except cb.errors.PlateFileError as error:
+        except ValueError as error:
             answer = str(error)
         said.setdefault(name, []).append(answer if isinstance(answer, str) else type(answer).__name__)
 said["forward"] += [cb.forward("A1", 1).title for _ in range(2)]
@@ -133,6 +134,7 @@ def test_every_verb_works_twice_after_all_modules_are_imported() -> None:
     # a batch goes on without the plate
     assert said.pop("batch") == ["BatchResult"] * 2
     assert said.pop("cache") == ["CacheResult"] * 2
+    assert said.pop("new") == ["FILE: received '', accepted: the file to write"] * 2
     assert said["forward"][2:] == ["A1", "A1"]
     for name, (first, again, *_) in said.items():
         assert first.startswith("no such plate: neither a file nor a built-in specimen"), name

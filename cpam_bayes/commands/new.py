@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Callable
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from cpam_bayes.commands import MATERIALS
 from cpam_bayes.commands.options import Commands, add_command, positive
@@ -14,11 +15,26 @@ if TYPE_CHECKING:
     from cpam_bayes.result import Result
 
 _LARGEST = 1e9
+# Option -> the argument of `cpam_bayes.new` that it fills.
+_ARGUMENTS: Final = {
+    "size": "size_mm",
+    "mass": "mass_g",
+    "layup": "layup",
+    "edges": "edges",
+    "material": "material",
+    "frequencies": "frequencies_hz",
+    "table": "table",
+}
 
 
 def add(commands: Commands) -> None:
     """Add the command and its options."""
-    command = add_command(commands, "new", "write a commented plate file to begin with", out=None)
+    command = add_command(
+        commands,
+        "new",
+        "write a commented plate file to begin with, by questions at a terminal where no option says more",
+        out=None,
+    )
     command.add_argument("file", metavar="FILE", help="the plate file to write; never written over")
     number = positive(_LARGEST)
     command.add_argument(
@@ -36,29 +52,27 @@ def add(commands: Commands) -> None:
     command.add_argument(
         "--material",
         choices=MATERIALS,
-        default=MATERIALS[0],
         help=f"whose typical constants and bounds it begins with (default: {MATERIALS[0]})",
     )
     measured = command.add_mutually_exclusive_group()
-    measured.add_argument(
-        "--frequencies", nargs="+", type=number, default=(), metavar="HZ", help="ascending, Hz"
-    )
+    measured.add_argument("--frequencies", nargs="+", type=number, metavar="HZ", help="ascending, Hz")
     measured.add_argument("--table", metavar="TABLE", help="a table of modes, its path from FILE")
     command.set_defaults(out=None)
 
 
 def prepare(args: argparse.Namespace) -> Callable[[], Result]:
-    """Return the work."""
-    from cpam_bayes.forward_model.new_plate import new
+    """Return the work; what is known is asked for where no option says anything of the plate."""
+    from cpam_bayes.forward_model.new_plate import new, plate_text, require_new
 
-    return partial(
-        new,
-        args.file,
-        size_mm=args.size,
-        mass_g=args.mass,
-        layup=args.layup,
-        edges=args.edges,
-        material=args.material,
-        frequencies_hz=tuple(args.frequencies),
-        table=args.table,
-    )
+    given = {name: getattr(args, option) for option, name in _ARGUMENTS.items()}
+    given = {name: value for name, value in given.items() if value is not None}
+    if not given and not args.json and _at_a_terminal():
+        from cpam_bayes.commands.questions import asked
+
+        require_new(args.file)
+        given = asked(lambda told: plate_text(args.file, **told))
+    return partial(new, args.file, **given)
+
+
+def _at_a_terminal() -> bool:
+    return sys.stdin is not None and sys.stdin.isatty()
