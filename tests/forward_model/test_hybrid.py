@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -263,3 +265,32 @@ def test_the_error_of_a_sandwich_is_that_against_bricks(face_mm: float, core_GPa
     bricks = solve_modes(specimen, reference_constants(specimen), 4, in_plane=60).frequencies
     rule = sandwich_error(specimen, ritz)
     assert_allclose(1.0 - ritz / bricks, rule, rtol=0.4, atol=5e-4)
+
+
+def test_the_saved_study_of_sandwiches_is_that_of_the_rule_as_it_is() -> None:
+    """studies/22_sandwiches.py: bricks of 30 sandwiches, free and with a clamped edge."""
+    path = Path(__file__).parents[2] / "studies" / "results" / "22_sandwiches.json"
+    cases = json.loads(path.read_text("utf-8"))["cases"]
+    ratios = []
+    for case in cases:
+        plate = sandwich(case["face"] * 10.0, 70.0 / case["ratio"], case["edges"])
+        if case["thickness_mm"] != 10.0:
+            continue
+        ritz = [mode["ritz_hz"] for mode in case["modes"]]
+        expected = 100.0 * sandwich_error(cb.read_plate(plate), ritz)
+        assert_allclose(expected, [mode["expected_percent"] for mode in case["modes"]], rtol=1e-6, atol=1e-9)
+        found = np.array([mode["too_low_percent"] for mode in case["modes"]])
+        counted = (expected > 0.5) & (expected < 5.0)
+        ratios += (found[counted] / expected[counted]).tolist()
+    assert len(ratios) > 50
+    assert max(ratios) < 2.0
+    assert 0.7 < np.median(ratios) < 1.1
+
+
+def test_a_clamped_edge_adds_to_the_error_of_a_sandwich() -> None:
+    free, one, two = (
+        sandwich_error(cb.read_plate(sandwich(1.0, 0.02, edges)), [400.0, 800.0])
+        for edges in ("FFFF", "CFFF", "CFCF")
+    )
+    assert_allclose(two - one, one - free, rtol=1e-9)
+    assert np.all(one > free)
