@@ -64,6 +64,19 @@ def test_saved_results_are_those_of_a_full_run(name: str) -> None:
     assert found["quick"] is False
 
 
+@pytest.mark.parametrize("name", [*STUDIES, "write_pages"])
+def test_a_study_answers_help_and_computes_nothing(
+    name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    study = script("studies", name)
+    monkeypatch.setattr(study, "run", None, raising=False)
+    monkeypatch.setattr("sys.argv", [f"{name}.py", "--help"])
+    with pytest.raises(SystemExit) as stop:
+        study.main()
+    assert stop.value.code in (0, None)
+    assert f"usage: {name}.py" in capsys.readouterr().out
+
+
 def listed(readme: Path) -> set[str]:
     """The scripts that a README's table begins a row with."""
     return set(re.findall(r"^\| `([\w.]+)\.py` \|", readme.read_text(encoding="utf-8"), re.MULTILINE))

@@ -187,7 +187,7 @@ def test_the_file_opens_in_arviz_without_this_package(sampled: SampledResult, tm
 
 
 def test_the_file_is_a_tree_as_arviz_1_reads_files(sampled: SampledResult, tmp_path: Path) -> None:
-    """`arviz_base.from_netcdf` opens a file by `xarray.open_datatree`."""
+    """As `xarray.open_datatree` gives them to arviz-base, arviz-stats and arviz-plots."""
     path = tmp_path / "posterior.nc"
     sampled.to_arviz().to_netcdf(path)
     with xarray.open_datatree(path) as tree:
