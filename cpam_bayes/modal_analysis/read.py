@@ -1,0 +1,164 @@
+"""Frequency responses from the files that analysers and recorders write."""
+
+from __future__ import annotations
+
+import io
+import re
+import struct
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.io import wavfile
+
+from cpam_bayes.errors import PlateFileError
+from cpam_bayes.modal_analysis.records import FrequencyResponses, ModalTestError
+from cpam_bayes.modal_analysis.signals import Recording, Window, responses_of_hits
+from cpam_bayes.plate.mode_shapes.universal import UniversalFileError, read_sets
+from cpam_bayes.plate.modes_table.delimited import decode, read_delimited
+from cpam_bayes.plate.regular_file import read_regular_file
+
+__all__ = ["read_responses"]
+
+Array = NDArray[Any]
+
+_MOST_BYTES: Final = 500_000_000
+_UNIVERSAL, _TABLES, _WAVES = (".unv", ".uff", ".unf"), (".csv", ".txt", ".tsv", ".dat"), (".wav",)
+_ACCEPTED: Final = (
+    "frequency responses (a universal file with datasets 58, .unv or .uff; a table, .csv or .txt) or "
+    "recorded hits (.wav)"
+)
+# Of a dataset 58: the type of a frequency response function.
+_FRF: Final = 4
+_HEAD = re.compile(r"^(hz|frequency|freq|f|re|real|im|imag|imaginary|mag|magnitude|abs|phase)\b")
+_EVEN: Final = 1e-3
+
+
+def read_responses(
+    files: Sequence[str],
+    *,
+    force: int | None,
+    response: Sequence[int],
+    window: Window | None,
+    high: float | None,
+) -> FrequencyResponses:
+    """The frequency responses of files of one format; recorded hits are averaged.
+
+    force, response : channels of a .wav file, from 1
+    window : what records are multiplied by
+    high : Hz, end of the range of recorded hits
+
+    Raises ``ModalTestError`` for what cannot be read, with the file.
+    """
+    endings = {Path(name).suffix.casefold() for name in files}
+    if endings <= set(_WAVES):
+        if window is None or not response:
+            raise ModalTestError(
+                "--response and --window: not given, accepted: the channels of the responses and the window "
+                "of .wav files, such as --force 1 --response 2 --window exponential"
+            )
+        recordings = [_recording(name, force, response) for name in files]
+        if len({one.rate for one in recordings}) > 1:
+            raise ModalTestError("files of several sampling rates, accepted: one")
+        return responses_of_hits(recordings, window, high)
+    if force is not None or response or window is not None:
+        raise ModalTestError("--force, --response and --window: accepted: with .wav files only")
+    of_files = [_universal(n) if Path(n).suffix.casefold() in _UNIVERSAL else _table(n) for n in files]
+    first = of_files[0]
+    if any(not np.array_equal(one.frequencies, first.frequencies) for one in of_files):
+        raise ModalTestError("files with different lines of frequency, accepted: the same in all")
+    origins = list(dict.fromkeys(one.origin for one in of_files))
+    frf = np.vstack([one.frf for one in of_files])
+    return FrequencyResponses(first.frequencies, frf, 0.0, 0.0, "; ".join(origins))
+
+
+def _content(name: str) -> bytes:
+    if Path(name).suffix.casefold() not in (*_UNIVERSAL, *_TABLES, *_WAVES):
+        raise ModalTestError(f"{name}: unknown ending, accepted: {_ACCEPTED}")
+    try:
+        return read_regular_file(name, name, _ACCEPTED, _MOST_BYTES)
+    except FileNotFoundError:
+        raise ModalTestError(f"{name}: no such file, accepted: {_ACCEPTED}") from None
+    except PlateFileError as error:
+        raise ModalTestError(str(error)) from None
+
+
+def _universal(name: str) -> FrequencyResponses:
+    """The frequency responses of datasets 58, ASCII or binary."""
+    try:
+        sets = read_sets(_content(name), (58,))
+    except UniversalFileError as error:
+        raise ModalTestError(f"{name}: {error}") from None
+    frf = [one for one in sets if one.get("func_type") == _FRF and np.iscomplexobj(one["data"])]
+    if not frf:
+        raise ModalTestError(f"{name}: no frequency response functions, accepted: datasets 58 of type 4")
+    x = np.asarray(frf[0]["x"], dtype=float)
+    if any(not np.array_equal(one["x"], x) for one in frf):
+        raise ModalTestError(f"{name}: datasets 58 with different lines, accepted: the same in all")
+    return _checked(name, x, np.stack([one["data"] for one in frf]), f"dataset 58, {len(frf)} responses")
+
+
+def _table(name: str) -> FrequencyResponses:
+    """A frequency in each row, and a pair of columns a response: re and im, or magnitude and phase."""
+    found = read_delimited(decode(_content(name)), lambda heads: len(_columns(heads)) > 2)
+    columns = [] if found is None else _columns(found.heads)
+    kinds = [kind for kind, _, _ in columns]
+    if found is None or kinds[0] != "f" or len(kinds) % 2 == 0 or set(kinds[1::2]) - {"re", "mag"}:
+        raise ModalTestError(
+            f"{name}: no table of responses, accepted: a line of heads with hz and then re and im, or "
+            "magnitude and phase [deg], of each response"
+        )
+    rows = []
+    for row in found.rows:
+        try:
+            cells = [row.cells[i] for _, _, i in columns]
+            rows.append([float(c if found.separator == "," else c.replace(",", ".")) for c in cells])
+        except (ValueError, IndexError):
+            raise ModalTestError(f"{name}:{row.line}: not a row of {len(columns)} numbers") from None
+    values = np.array(rows).T
+    frf = []
+    for k in range(1, len(columns), 2):
+        (kind, unit, _), (_, angle, _) = columns[k], columns[k + 1]
+        first, second = values[k], values[k + 1]
+        if kind == "mag":
+            size = 10.0 ** (first / 20.0) if "db" in unit else first
+            first, second = size, second if "rad" in angle else np.radians(second)
+        frf.append(first + 1j * second if kind == "re" else first * np.exp(1j * second))
+    scale = 1e3 if "khz" in columns[0][1] else 1.0
+    return _checked(name, scale * values[0], np.array(frf), f"table, {len(frf)} responses")
+
+
+def _columns(heads: Sequence[str]) -> list[tuple[str, str, int]]:
+    """Kind, whole head and place of the columns that are read."""
+    short = {"hz": "f", "frequency": "f", "freq": "f", "real": "re", "imag": "im", "imaginary": "im"}
+    short |= {"magnitude": "mag", "abs": "mag"}
+    found = []
+    for i, head in enumerate(heads):
+        match = _HEAD.match(re.sub(r"[_\d]", " ", head.casefold()).strip())
+        if match:
+            found.append((short.get(match[1], match[1]), head.casefold(), i))
+    return found
+
+
+def _checked(name: str, frequencies: Array, frf: Array, origin: str) -> FrequencyResponses:
+    steps = np.diff(frequencies)
+    if len(frequencies) < 2 or not np.all(steps > 0.0) or np.ptp(steps) > _EVEN * steps.mean() * len(steps):
+        raise ModalTestError(f"{name}: lines that do not ascend by equal steps, accepted: equal steps in Hz")
+    if not np.all(np.isfinite(frf)):
+        frf = np.where(np.isfinite(frf), frf, 0.0)  # analysers write no number at 0 Hz
+    return FrequencyResponses(frequencies, frf, 0.0, 0.0, origin)
+
+
+def _recording(name: str, force: int | None, response: Sequence[int]) -> Recording:
+    try:
+        rate, samples = wavfile.read(io.BytesIO(_content(name)))
+    except (ValueError, EOFError, struct.error) as error:
+        raise ModalTestError(f"{name}: not a .wav file that can be read: {error}") from None
+    signals = np.atleast_2d(np.asarray(samples, dtype=float).T)
+    for channel in (*(() if force is None else (force,)), *response):
+        if not 1 <= channel <= len(signals):
+            raise ModalTestError(f"{name}: no channel {channel}, accepted: 1 to {len(signals)}")
+    hit = None if force is None else signals[force - 1]
+    return Recording(float(rate), hit, signals[[channel - 1 for channel in response]])
