@@ -3,6 +3,7 @@
     import cpam_bayes as cb
 
     plate = cb.read_plate("C1")     # a built-in specimen, the path of a plate file, or its content
+    cb.poles("tap.unv")             # from frequency responses to a table of modes
     cb.forward(plate)               # natural frequencies from the reference constants
     cb.identify(plate, seed=0)      # constants by the particle swarm
     cb.sample(plate, seed=0)        # their posterior by emcee
@@ -38,6 +39,7 @@ if TYPE_CHECKING:
     from cpam_bayes.identification.identify import identify as identify
     from cpam_bayes.identification.sampled import sample as sample
     from cpam_bayes.identification.starting import posterior as posterior
+    from cpam_bayes.modal_analysis.poles import poles as poles
     from cpam_bayes.plate.reader import builtin_plates as builtin_plates
     from cpam_bayes.plate.reader import read_plate as read_plate
     from cpam_bayes.prediction.predict import predict as predict
@@ -60,6 +62,7 @@ _PUBLIC = {
     "identify": "cpam_bayes.identification.identify",
     "new": "cpam_bayes.forward_model.new_plate",
     "plates": "cpam_bayes.forward_model.builtin",
+    "poles": "cpam_bayes.modal_analysis.poles",
     "posterior": "cpam_bayes.identification.starting",
     "predict": "cpam_bayes.prediction.predict",
     "read_plate": "cpam_bayes.plate.reader",
@@ -85,6 +88,7 @@ __all__ = [
     "new",
     "paper",
     "plates",
+    "poles",
     "posterior",
     "predict",
     "read_plate",

@@ -26,6 +26,7 @@ LAYERS = (
     "plate",
     "paper",
     "result",
+    "modal_analysis",
     "mechanics",
     "effects",
     "forward_model",

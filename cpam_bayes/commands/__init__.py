@@ -8,6 +8,7 @@ from typing import Final
 COMMANDS: Final = (
     "plates",
     "new",
+    "poles",
     "forward",
     "export",
     "identify",

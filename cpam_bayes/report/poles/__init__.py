@@ -1,0 +1,1 @@
+"""What `poles` shows."""
