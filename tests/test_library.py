@@ -135,6 +135,9 @@ def test_every_verb_works_twice_after_all_modules_are_imported() -> None:
     assert said.pop("batch") == ["BatchResult"] * 2
     assert said.pop("cache") == ["CacheResult"] * 2
     assert said.pop("new") == ["FILE: received '', accepted: the file to write"] * 2
+    first, again = said.pop("poles")
+    assert first.startswith("no such plate: unknown ending, accepted: frequency responses")
+    assert again == first
     assert said["forward"][2:] == ["A1", "A1"]
     for name, (first, again, *_) in said.items():
         assert first.startswith("no such plate: neither a file nor a built-in specimen"), name

@@ -113,6 +113,21 @@ def poles(
     ------
     ValueError
         If a file cannot be read, or an argument is out of range.
+
+    Examples
+    --------
+    >>> import cpam_bayes as cb
+    >>> import numpy as np
+    >>> from tempfile import TemporaryDirectory
+    >>> f = np.arange(1.0, 200.0)
+    >>> h = 1.0 / (100.0**2 - f**2 + 2j * 0.01 * 100.0 * f)  # 100 Hz, 1 % of critical damping
+    >>> h = h + 1e-6 * np.random.default_rng(0).standard_normal((2, len(f))).T @ [1.0, 1j]
+    >>> with TemporaryDirectory() as directory:
+    ...     rows = np.stack((f, h.real, h.imag), axis=1)
+    ...     np.savetxt(f"{directory}/tap.csv", rows, delimiter=",", header="hz,re,im", comments="")
+    ...     result = cb.poles(f"{directory}/tap.csv", order=20)
+    >>> [(round(mode.frequency, 1), round(mode.damping, 3)) for mode in result.modes]
+    [(100.0, 0.01)]
     """
     if not files:
         raise ModalTestError("no file, accepted: one or more")
