@@ -22,7 +22,14 @@ from cpam_bayes.inference.chains.ensemble import Diagnostics, EnsembleSettings, 
 from cpam_bayes.parameters import Parameter, ParameterSet, ScaledStudentT, Uniform
 from cpam_bayes.threads import single_blas_thread
 
-__all__ = ["BatchPosterior", "Population", "PopulationConstant", "batch_posterior", "population_of"]
+__all__ = [
+    "LEAST_PLATES",
+    "BatchPosterior",
+    "Population",
+    "PopulationConstant",
+    "batch_posterior",
+    "population_of",
+]
 
 Array = NDArray[Any]
 

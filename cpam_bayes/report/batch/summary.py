@@ -10,6 +10,7 @@ import numpy as np
 from cpam_bayes.batches.batch import BatchResult
 from cpam_bayes.batches.limits import Limit
 from cpam_bayes.batches.plate_row import PlateRow
+from cpam_bayes.batches.population import LEAST_PLATES
 from cpam_bayes.formatting import fixed, listed, significant, with_spread
 from cpam_bayes.plate import to_user, unit_of
 from cpam_bayes.report.summary import Summary
@@ -197,6 +198,12 @@ def _next_steps(result: BatchResult) -> tuple[str, ...]:
             f"Repeat the test of the plates whose limits are open, {row.name} for instance: {limit.text} is "
             "neither met nor missed with 95 % probability."
         )
-    if not result.diagnosis:
+    standing = any(result.outside(name) for name in result.constants)
+    if standing and not result.diagnosis:
         steps.append("Ask what is wrong with the plates that stand out: cpam-bayes diagnose FILE.")
+    one_material = len({row.material for row in result.done}) == 1
+    if result.population is None and one_material and len(result.done) >= LEAST_PLATES:
+        steps.append(
+            "Get the mean constants of the material and their scatter from plate to plate: --hierarchical."
+        )
     return tuple(steps)
