@@ -59,6 +59,7 @@ def _geometry(specimen: Specimen) -> tuple[Any, ...] | None:
         return None
     return (
         tuple(plate.layup.angles_deg),
+        plate.layup.kinds,
         plate.edges,
         specimen.material.symmetry,
         tuple(sorted(specimen.material.constants.items())),

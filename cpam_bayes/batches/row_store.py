@@ -29,7 +29,7 @@ def row_key(specimen: Specimen, seed: int, diagnosis: bool) -> str:
         "diagnosis": diagnosis,
         "name": specimen.name,
         "plate": [repr(v) for v in (plate.length, plate.width, plate.thickness, plate.density, plate.mass)],
-        "layup": [repr(float(a)) for a in plate.layup.angles_deg],
+        "layup": [*(repr(float(a)) for a in plate.layup.angles_deg), *map(repr, plate.layup.kinds)],
         "edges": plate.edges,
         "sd": sorted(plate.sd.items()),
         "material": repr(specimen.material),

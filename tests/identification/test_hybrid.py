@@ -66,6 +66,15 @@ def test_the_posterior_covers_the_constants_of_both_materials(
     stored = result.to_arviz().posterior
     assert {"carbon.E1_GPa", "carbon.E2_GPa", "glass.E1_GPa"} <= set(stored.data_vars)
     assert stored["glass.E1_GPa"].attrs["unit"] == "GPa"
+    # another layup of the same plies, from the stored draws
+    other = hybrid(layup="[c0/g90/c90]_s", thickness_mm=1.75)
+    predicted = cb.predict(tmp_path / "posterior.nc", other, n_modes=4)
+    for name, value in TRUTH.items():
+        material, constant = name.split(".")
+        other["material"][material] = {**other["material"][material], f"{constant}_GPa": value}
+    truth = cb.forward(other, n_modes=4).frequencies
+    for mode, f in zip(predicted.modes, truth, strict=True):
+        assert abs(mode.mean - f) < 4.0 * mode.sd + 2e-4 * f
 
 
 @pytest.mark.slow
