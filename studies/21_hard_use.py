@@ -243,6 +243,8 @@ def _arguments() -> Iterator[tuple[str, str, object]]:
 def _signalled(which: str, name: str) -> Results:
     """A long command that gets a signal while it computes, and a short one after it in the same directory."""
     command = [sys.executable, "-m", "cpam_bayes"]
+    # what was started in the background ignores it, and so would the command
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     with TemporaryDirectory() as folder:
         out = Path(folder, "out")
         environment = {**os.environ, "TMPDIR": folder, "CPAM_BAYES_CACHE": str(Path(folder, "cache"))}
