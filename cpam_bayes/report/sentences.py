@@ -129,7 +129,7 @@ def reliance_sentences(
             continue
         kind, value = _prior_text(r.on, prior_of(r.on))
         said.append(
-            f"The interval of {r.name} rests on the {kind} of {r.on} too, {value}: with {kind} twice as "
+            f"The interval of {r.name} rests on the {kind} of {r.on} too, {value}: were the {kind} twice as "
             f"wide, the interval of {r.name} would be {significant(100.0 * r.widening, 2)} % wider."
         )
     return tuple(said)
