@@ -6,9 +6,21 @@ import math
 import re
 from collections.abc import Iterable, Sequence
 
-__all__ = ["NOT_KNOWN", "decimals_of", "file_stem", "fixed", "listed", "signed", "significant", "with_spread"]
+__all__ = [
+    "NOT_KNOWN",
+    "decimals_of",
+    "file_stem",
+    "fixed",
+    "listed",
+    "probable",
+    "signed",
+    "significant",
+    "with_spread",
+]
 
 NOT_KNOWN = "-"
+# Probabilities below this have digits that depend on the processor.
+LEAST_PROBABILITY = 1e-12
 # Characters of a name that a file name may not have anywhere, or may not everywhere.
 _NOT_IN_FILES = re.compile(r"[^\w.&()+-]+")
 _LONGEST_STEM = 80
@@ -29,6 +41,11 @@ def signed(value: float, decimals: int) -> str:
     """A number with so many decimals and its sign, that of zero being plus."""
     text = fixed(value, decimals)
     return text if text.startswith("-") else f"+{text}"
+
+
+def probable(p: float) -> str:
+    """A probability with three digits; what no computation tells from zero is said to be less than 1e-12."""
+    return f"{p:.3g}" if p >= LEAST_PROBABILITY else f"< {LEAST_PROBABILITY:g}"
 
 
 def significant(value: float, digits: int = 4) -> str:

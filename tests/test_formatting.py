@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from cpam_bayes.formatting import decimals_of, file_stem, fixed, significant, with_spread
+from cpam_bayes.formatting import decimals_of, file_stem, fixed, probable, significant, with_spread
 
 
 @pytest.mark.parametrize(
@@ -69,3 +69,10 @@ def test_a_list_has_the_decimals_it_was_written_with():
 )
 def test_a_name_becomes_a_file_name_that_every_system_takes(name: str, stem: str) -> None:
     assert file_stem(name) == stem
+
+
+@pytest.mark.parametrize(
+    ("p", "text"), [(1.0, "1"), (0.12345, "0.123"), (3e-12, "3e-12"), (2.85e-51, "< 1e-12"), (0.0, "< 1e-12")]
+)
+def test_a_probability_that_no_computation_tells_from_zero_is_small(p, text):
+    assert probable(p) == text

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from cpam_bayes.diagnosis.claim import Claim
 from cpam_bayes.diagnosis.diagnose import Cause, Diagnosis
 from cpam_bayes.diagnosis.fit import Fit
@@ -206,17 +208,24 @@ def sensitivity_sentence(d: Diagnosis) -> str:
     begun = f"Believing beforehand in {what} three times as large, or a third as large,"
     if d.sensitivity.claim_stands:
         return f"{begun} leaves the claim as it is."
-    larger, smaller = (_short(d, claim) for claim in d.sensitivity.claims)
+    each = zip(d.sensitivity.claims, d.sensitivity.probabilities, strict=True)
+    larger, smaller = (_short(d, claim, probability) for claim, probability in each)
     return f"{begun} changes the claim: three times as large, {larger}; a third as large, {smaller}."
 
 
-def _short(d: Diagnosis, claim: Claim) -> str:
-    """A claim in a few words."""
+def _short(d: Diagnosis, claim: Claim, probability: Mapping[str, float]) -> str:
+    """A claim in a few words; probability : of every cause, with its prior."""
     if not claim.causes:
         nothing = claim.kind == NONE
         return "no evidence of a model error" if nothing else "no known cause explains the frequencies"
-    names = "; ".join(with_title(d, name) for name in claim.causes)
-    return f"undecided between {names}" if claim.kind == "undecided" else names
+    if claim.kind == "undecided":
+        first = claim.causes[0]
+        none, other, of_first = (probability_text(probability.get(n, 0.0)) for n in (NONE, OTHER, first))
+        return (
+            f"undecided, with probability {none} for the plate model as it stands, {other} for an error that "
+            f"is not in the catalogue and {of_first} for the most probable cause, {with_title(d, first)}"
+        )
+    return "; ".join(with_title(d, name) for name in claim.causes)
 
 
 def _nearest(d: Diagnosis) -> str:

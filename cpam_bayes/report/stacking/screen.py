@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cpam_bayes.formatting import NOT_KNOWN, decimals_of, fixed, signed, significant, with_spread
+from cpam_bayes.formatting import NOT_KNOWN, decimals_of, fixed, probable, signed, significant, with_spread
 from cpam_bayes.inference.posterior import NOISE
 from cpam_bayes.plate import to_user, user_name
 from cpam_bayes.report.plates.head import plate_section
@@ -55,9 +55,9 @@ def _sequences(result: StackingPosterior) -> Table:
         (
             str(i + 1),
             "/".join(f"{a:g}" for a in result.top[i]),
-            f"{result.probability[i]:.3g}",
+            probable(float(result.probability[i])),
             str(int(result.multiplicity[i])),
-            f"{result.probability[i] * result.multiplicity[i]:.3g}",
+            probable(float(result.probability[i] * result.multiplicity[i])),
             fixed(float(result.log_evidence[i]), 2),
             fixed(float(result.log_evidence_error[i]), 2),
         )

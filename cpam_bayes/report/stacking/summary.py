@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from cpam_bayes.formatting import significant
+from cpam_bayes.formatting import probable, significant
 from cpam_bayes.identification.scale_errors import thin_plate_errors
 from cpam_bayes.identification.verdicts import verdict_of
 from cpam_bayes.inference.posterior import NOISE
@@ -78,7 +78,7 @@ def _sequences(result: StackingResult) -> Table:
         (
             str(i + 1),
             "/".join(f"{a:g}" for a in answer.top[i]),
-            f"{answer.probability[i] * answer.multiplicity[i]:.3g}",
+            probable(float(answer.probability[i] * answer.multiplicity[i])),
             str(int(answer.multiplicity[i]) - 1),
         )
         for i in range(min(_SHOWN, len(answer.top)))
