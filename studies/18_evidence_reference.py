@@ -21,8 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cpam_bayes.diagnosis.cases import hypotheses_of, plate_case
-from cpam_bayes.diagnosis.evidence.scan import Scan, is_repairing
-from cpam_bayes.diagnosis.evidence.tested import Tested, ranked
+from cpam_bayes.diagnosis.evidence.tested import Tested
+from cpam_bayes.diagnosis.evidence.weighing import weigh
 from cpam_bayes.diagnosis.fitting import SCATTER, PlateCase, comparison_of
 from cpam_bayes.diagnosis.hypotheses import NONE, OTHER, Hypothesis
 from cpam_bayes.plate import Measurement, Specimen, builtin, read_plate
@@ -117,16 +117,8 @@ def drawn(case: PlateCase, n: int, rng: np.random.Generator) -> tuple[Hypothesis
 
 def weighed(case: PlateCase, chosen: list[Hypothesis]) -> list[Tested]:
     """Hypotheses, none first, as the diagnosis weighs them."""
-    scan = Scan([case], SCATTER)
-    scan.begin(chosen[0], (0,))
-    for h in chosen[1:]:
-        if not is_repairing(h):
-            scan.test(h, (0,))
-    scan.test_pairings([(h, (0,)) for h in chosen[1:] if is_repairing(h)])
-    order = ranked(scan.tested)
-    for _ in range(3):
-        order = ranked([scan.sampled(t, order[0].log_weight) for t in order])
-    return order
+    every = [(h, (0,)) for h in chosen]
+    return list(weigh([case], every, scatter=SCATTER, pairs=False).tested)
 
 
 def run_case(number: int, *, quick: bool) -> Results:

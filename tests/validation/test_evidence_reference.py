@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from cpam_bayes.diagnosis.cases import hypotheses_of, plate_case
-from cpam_bayes.diagnosis.evidence.scan import Scan
+from cpam_bayes.diagnosis.evidence.scan import Scan, Trial, sampled_near_the_best
 from cpam_bayes.diagnosis.fitting import SCATTER, comparison_of
 from cpam_bayes.diagnosis.hypotheses import Hypothesis
 from cpam_bayes.plate import Measurement, builtin
@@ -59,10 +59,8 @@ def test_the_quick_way_agrees_with_the_reference_on_a_plate(hidden: str) -> None
     plate = replace(plate, measurement=replace(waiting, frequencies=np.sort(f)))
     scan = Scan([plate], SCATTER)
     scan.begin(chosen[0], (0,))
-    for h in chosen[1:]:
-        scan.test(h, (0,))
-    best = max(t.log_weight for t in scan.tested)
-    tested = [scan.sampled(t, best) for t in scan.tested]
+    scan.test([Trial(h, (0,)) for h in chosen[1:]])
+    tested = sampled_near_the_best(scan.tested, [plate]) or scan.tested
     slow = [reference_evidence(t.marginal.comparison, t.marginal.sizes, 0, SMALL) for t in tested]
     highest = max(s.log_evidence for s in slow)
     for t, s in zip(tested, slow, strict=True):

@@ -361,7 +361,25 @@ def _tried(item: tuple[Scan, Trial]) -> Tried:
     return scan.tried(trial)
 
 
-def points_near(t: Tested, best: float) -> int:
+def sampled_near_the_best(
+    tested: Sequence[Tested], cases: Sequence[PlateCase], executor: Executor | None = None
+) -> list[Tested] | None:
+    """Hypotheses, of which those near the best are known by importance sampling; ``None`` if all were."""
+    best = max(t.log_weight for t in tested)
+    near = [i for i, t in enumerate(tested) if _points_near(t, best)]
+    if not near:
+        return None
+    items = [(tested[i], _points_near(tested[i], best)) for i in near]
+    sampled = dict(zip(near, shared_out(_sampled, cases, items, executor), strict=True))
+    return [sampled.get(i, t) for i, t in enumerate(tested)]
+
+
+def _sampled(item: tuple[Tested, int]) -> Tested:
+    t, log2_points = item
+    return replace(t, marginal=sampled_marginal(t.marginal, log2_points))
+
+
+def _points_near(t: Tested, best: float) -> int:
     """Points, log2, by which a hypothesis is sampled for its distance from the best; 0: it stays as it is."""
     if t.marginal.is_sampled:
         return 0

@@ -13,10 +13,8 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from cpam_bayes.deadline import cut_short, is_time_up
-from cpam_bayes.diagnosis.evidence.marginal import sampled_marginal
 from cpam_bayes.diagnosis.evidence.pairs import add_pairs
-from cpam_bayes.diagnosis.evidence.scan import Scan, Trial, is_repairing, marginal_of, points_near
-from cpam_bayes.diagnosis.evidence.sharing import shared_out
+from cpam_bayes.diagnosis.evidence.scan import Scan, Trial, is_repairing, marginal_of, sampled_near_the_best
 from cpam_bayes.diagnosis.evidence.tested import Tested, prior_of, ranked
 from cpam_bayes.diagnosis.fitting import SCATTER, PlateCase
 from cpam_bayes.diagnosis.hypotheses import NONE, PAIR, Hypothesis, prior_by_cause
@@ -120,14 +118,10 @@ def weigh(
         if is_time_up():
             cut_short("the evidence of the leading causes is approximate")
             break
-        best = order[0].log_weight
-        near = [i for i, t in enumerate(order) if points_near(t, best)]
-        if not near:
+        sampled = sampled_near_the_best(order, cases, executor)
+        if sampled is None:
             break
-        points = [(order[i], points_near(order[i], best)) for i in near]
-        for i, t in zip(near, shared_out(_sampled, cases, points, executor), strict=True):
-            order[i] = t
-        order = ranked(order)
+        order = ranked(sampled)
     log_none = float(logsumexp([t.marginal.log_evidence for t in order if t.hypothesis.cause == NONE]))
     log_weight = np.array([t.log_weight for t in order])
     probability = np.exp(log_weight - log_weight.max())
@@ -138,11 +132,6 @@ def weigh(
     ]
     prior = prior_by_cause([h for h, _ in hypotheses])
     return Weighed(_credited(tested), tuple(dict.fromkeys(scan.not_tested)), prior)
-
-
-def _sampled(item: tuple[Tested, int]) -> Tested:
-    t, log2_points = item
-    return replace(t, marginal=sampled_marginal(t.marginal, log2_points))
 
 
 def _credited(tested: Sequence[Tested]) -> tuple[Tested, ...]:
