@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cpam_bayes.forward_model.focused import focused
 from cpam_bayes.forward_model.model import Prediction
+from cpam_bayes.forward_model.reduced import ReducedModel
 from cpam_bayes.inference.posterior import ForwardModel
 from cpam_bayes.mechanics.problem import Values
 from cpam_bayes.parameters import ParameterSet
@@ -17,6 +19,8 @@ from cpam_bayes.parameters import ParameterSet
 Array = NDArray[Any]
 
 _STEP = 1e-30
+# Vectors of a block from which on a second projection pays.
+LARGE_BASIS = 80
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,9 +99,49 @@ class ComposedModel:
             admissible &= part.bare.admissible(vector)
             for change in part.changes:
                 if change.model is not None:
-                    extended = np.column_stack((vector, x[:, list(change.columns)]))
-                    admissible &= change.model.admissible(extended)
+                    admissible &= change.model.admissible(_extended(vector, x, change))
         return admissible
+
+    def about(
+        self, x: Array, tolerance: float, fraction: float, *, least_size: int = LARGE_BASIS
+    ) -> ComposedModel:
+        """The same on fewer vectors where models are reduced ones: enough about parameter vectors x (m, n).
+
+        tolerance, fraction : as in ``focused``
+        least_size : models whose largest block is smaller stay as they are
+
+        Raises ``RigidBodyError`` where a plate has no modes at one of them.
+        """
+        known: dict[int, ForwardModel] = {}
+
+        def smaller(model: ForwardModel, of_model: Array) -> ForwardModel:
+            if not isinstance(model, ReducedModel):
+                return model
+            if max(block.size for block in model.fast.operator.blocks) < least_size:
+                return model
+            if id(model) not in known:
+                known[id(model)] = focused(model, of_model, tolerance, fraction)
+            return known[id(model)]
+
+        x = np.atleast_2d(x)[:, : self.parameters.size]
+        parts = []
+        for part in self.parts:
+            vector = part.plate_vector(x)
+            changes = tuple(
+                change
+                if change.model is None
+                else replace(change, model=smaller(change.model, _extended(vector, x, change)))
+                for change in part.changes
+            )
+            is_bare_used = sum(change.model is not None for change in changes) != 1
+            bare = smaller(part.bare, vector) if is_bare_used else part.bare
+            parts.append(replace(part, bare=bare, changes=changes))
+        return replace(self, parts=tuple(parts))
+
+
+def _extended(vector: Array, x: Array, change: Change) -> Array:
+    """Parameters of a plate and of its effect, (m, n_plate + n_effect), from its own and joint vectors."""
+    return np.column_stack((vector, x[:, list(change.columns)]))
 
 
 def _predict(part: Part, x: Array, jacobian: bool) -> Prediction:
@@ -137,8 +181,7 @@ def _log_prediction(
         prediction = part.bare.predict(vector, jacobian=jacobian)
     else:
         assert change.model is not None
-        extended = np.column_stack((vector, x[:, list(change.columns)]))
-        prediction = change.model.predict(extended, jacobian=jacobian)
+        prediction = change.model.predict(_extended(vector, x, change), jacobian=jacobian)
     f = prediction.frequencies
     if prediction.jacobian is None:
         return np.log(f), np.zeros((1, 1, 1))

@@ -33,14 +33,14 @@ def focused(model: ReducedModel, x: Array, tolerance: float, fraction: float = 1
     operator = model.fast.operator
     stiffness, mass = model.fast.coefficients(x)
     spectrum = solve(operator, stiffness, mass, model.n_modes, vectors=True)
-    pairs = [
-        (_basis(b, block, stiffness, mass, spectrum, tolerance, fraction), form)
-        for b, (block, form) in enumerate(zip(operator.blocks, model.residuals, strict=True))
+    bases = [
+        _basis(b, block, stiffness, mass, spectrum, tolerance, fraction)
+        for b, block in enumerate(operator.blocks)
     ]
-    used = [b for b, (basis, _) in enumerate(pairs) if basis.shape[1]]
-    blocks = tuple(_projected(operator.blocks[b], pairs[b][0]) for b in used)
+    used = [b for b, basis in enumerate(bases) if basis.shape[1]]
+    blocks = tuple(_projected(operator.blocks[b], bases[b]) for b in used)
     fast = replace(model.fast, operator=AffineOperator(operator.problem, operator.space, blocks))
-    residuals = tuple(ResidualForm(pairs[b][1].images @ pairs[b][0]) for b in used)
+    residuals = tuple(ResidualForm(model.residuals[b].images @ bases[b]) for b in used if model.residuals)
     return replace(model, fast=fast, residuals=residuals)
 
 

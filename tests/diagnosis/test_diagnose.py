@@ -13,7 +13,7 @@ from cpam_bayes.diagnosis.cases import plate_case
 from cpam_bayes.diagnosis.claim import Claim
 from cpam_bayes.diagnosis.diagnose import Diagnosis, diagnose_cases
 from cpam_bayes.diagnosis.evidence import weighing
-from cpam_bayes.diagnosis.evidence.marginal import sampled_marginal
+from cpam_bayes.diagnosis.evidence.sampled import sampled_marginal
 from cpam_bayes.diagnosis.extension import resample
 from cpam_bayes.diagnosis.fitting import PlateCase
 from cpam_bayes.diagnosis.hypotheses import DISCREPANCY, NONE, OTHER, Hypothesis

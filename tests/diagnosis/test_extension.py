@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from cpam_bayes.diagnosis.evidence import weighing
-from cpam_bayes.diagnosis.evidence.marginal import sampled_marginal
+from cpam_bayes.diagnosis.evidence.sampled import sampled_marginal
 from cpam_bayes.diagnosis.evidence.weighing import marginal_of
 from cpam_bayes.diagnosis.extension import (
     Resampled,

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from cpam_bayes.diagnosis.claim import Claim
-from cpam_bayes.diagnosis.evidence.marginal import Marginal, sampled_marginal
+from cpam_bayes.diagnosis.evidence.marginal import Marginal
+from cpam_bayes.diagnosis.evidence.sampled import sampled_marginal
 from cpam_bayes.diagnosis.evidence.scan import marginal_of
 from cpam_bayes.diagnosis.evidence.sharing import shared_out
 from cpam_bayes.diagnosis.evidence.tested import Tested

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -160,6 +160,17 @@ class Comparison:
             np.concatenate([f for _, f, _ in halves]),
             np.concatenate(slopes) if jacobian else None,
         )
+
+    def about(self, z: Array, tolerance: float, fraction: float = 1.0) -> Comparison:
+        """The same with models that are enough about scores z (m, n), as of ``ComposedModel.about``."""
+        x = self.scores.to_x(z)
+        x = x[self.model.admissible(x)]
+        if not len(x):
+            return self
+        try:
+            return replace(self, model=self.model.about(x, tolerance, fraction))
+        except RigidBodyError:
+            return self
 
     def variance(self, x: Array) -> Array:
         """sigma^2 of every frequency at parameters (m, n), discrepancy included, (m, n_f) Hz^2."""

@@ -27,8 +27,7 @@ from cpam_bayes.diagnosis.evidence.optima import (
     size_points,
     spread_scores,
 )
-from cpam_bayes.inference.importance import staged_importance
-from cpam_bayes.inference.student_mixture import Mixture, shrunk_moments, sobol_points
+from cpam_bayes.inference.student_mixture import Mixture, sobol_points
 from cpam_bayes.threads import single_blas_thread
 
 Array = NDArray[Any]
@@ -54,12 +53,8 @@ _BENT_SD = 1.0
 _FINE = 1601
 # Nodes with less mass propose nothing.
 _NEGLIGIBLE_FRACTION = 1e-4
-# Importance sampling: degrees of freedom and widening of the proposal, log2 of its points. Where the error is
-# large, or the proposal a scattered one, it is refitted in stages.
-_FREEDOM, _WIDER, LOG2_POINTS = 6.0, 1.15, 9
-_LARGE_ERROR, _STAGES, _MORE_STAGES = 0.1, (0.25, 0.25, 0.5), (0.1, 0.1, 0.2, 0.2, 0.4)
-# Samples of a scattered proposal, in turn: log2 of the points, stages, and the error that is enough.
-_SCATTERED_SAMPLES = ((10, _STAGES, _LARGE_ERROR), (11, _STAGES, 0.25), (12, _MORE_STAGES, np.inf))
+# Degrees of freedom and widening of the mixture that importance sampling proposes, log2 of its points.
+_FREEDOM, WIDER, LOG2_POINTS = 6.0, 1.15, 9
 _HALF_LOG_2PI = 0.5 * np.log(2 * np.pi)
 
 
@@ -243,46 +238,11 @@ def _marginal(
         error=np.nan,
         z=z[kept],
         weight=weight,
-        proposal=replace(proposal, factor=_WIDER * proposal.factor, degrees_of_freedom=_FREEDOM),
+        proposal=replace(proposal, factor=WIDER * proposal.factor, degrees_of_freedom=_FREEDOM),
         is_scattered=is_scattered,
         draws=draws,
         log_weight=np.full(len(draws), -np.log(len(draws))),
     )
-
-
-@single_blas_thread
-def sampled_marginal(marginal: Marginal, log2_points: int = LOG2_POINTS) -> Marginal:
-    """A marginal likelihood by importance sampling about its Laplace approximation.
-
-    log2_points : of the sample about optima; four times as many where its error is large
-    """
-    comparison = marginal.comparison
-
-    def log_density(z: Array) -> Array:
-        return comparison.log_density(z[0])[None]
-
-    about_optima = ((log2_points, (1.0,), _LARGE_ERROR), (log2_points + 2, _STAGES, np.inf))
-    for log2, stages, enough in _SCATTERED_SAMPLES if marginal.is_scattered else about_optima:
-        sample = staged_importance(log_density, marginal.proposal, log2, stages, _refitted)
-        if sample.standard_error[0] < enough:
-            break
-    if not np.isfinite(sample.log_evidence[0]):
-        return marginal
-    with np.errstate(divide="ignore"):
-        log_weight = np.log(sample.weight[0])
-    return replace(
-        marginal,
-        log_evidence=float(sample.log_evidence[0]),
-        error=float(sample.standard_error[0]),
-        effective_size=float(sample.effective_size[0]),
-        k_hat=float(sample.k_hat[0]),
-        draws=comparison.scores.to_x(sample.points[0]),
-        log_weight=log_weight,
-    )
-
-
-def _refitted(mixture: Mixture, points: Array, log_weight: Array) -> Mixture:
-    return shrunk_moments(mixture, points, log_weight, least=1e-3, wider=_WIDER, prior_points=4.0)
 
 
 def _from_neighbours(comparison: Comparison, column: int, nodes: Nodes) -> Nodes:

@@ -14,12 +14,7 @@ from scipy.stats import chi2
 
 from cpam_bayes.deadline import cut_short, is_time_up
 from cpam_bayes.diagnosis.evidence.comparison import Comparison
-from cpam_bayes.diagnosis.evidence.marginal import (
-    LOG2_POINTS,
-    Marginal,
-    laplace_marginal,
-    sampled_marginal,
-)
+from cpam_bayes.diagnosis.evidence.marginal import LOG2_POINTS, Marginal, laplace_marginal
 from cpam_bayes.diagnosis.evidence.optima import LOG2_DRAWS
 from cpam_bayes.diagnosis.evidence.pairing_search import (
     Cases,
@@ -31,6 +26,7 @@ from cpam_bayes.diagnosis.evidence.pairing_search import (
     recounted,
 )
 from cpam_bayes.diagnosis.evidence.repairing import repairings
+from cpam_bayes.diagnosis.evidence.sampled import sampled_marginal
 from cpam_bayes.diagnosis.evidence.sharing import shared_out
 from cpam_bayes.diagnosis.evidence.shifts import ShiftTable, shift_table
 from cpam_bayes.diagnosis.evidence.tested import Tested, ranked
