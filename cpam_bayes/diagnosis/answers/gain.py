@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from cpam_bayes.diagnosis.claim import Claim
+from cpam_bayes.diagnosis.composed import ComposedModel
 from cpam_bayes.diagnosis.evidence.marginal import Marginal
-from cpam_bayes.diagnosis.evidence.sampled import sampled_marginal
+from cpam_bayes.diagnosis.evidence.sampled import about_optima, sampled_marginal
 from cpam_bayes.diagnosis.evidence.scan import marginal_of
 from cpam_bayes.diagnosis.evidence.sharing import shared_out
 from cpam_bayes.diagnosis.evidence.tested import Tested
@@ -116,6 +117,8 @@ def left_out(cases: Sequence[PlateCase], t: Tested, n: int, none: Marginal | Non
     cases = t.cases or cases
     evidences = np.empty(n)
     listed = t.hypothesis.listed
+    # the posterior without a frequency is about that with it
+    near = about_optima(t.marginal).model
     paired = np.concatenate([case.modes >= 0 for case in cases])
     last = np.concatenate([np.full(c.measurement.size, c.measurement.frequencies[-1]) for c in cases])
     before = sum(case.measurement.size for case in cases[: t.plates[0]])  # frequencies of other plates
@@ -124,8 +127,9 @@ def left_out(cases: Sequence[PlateCase], t: Tested, n: int, none: Marginal | Non
             evidences[i] = t.marginal.log_evidence + np.log(last[i])
             continue
         at, hypothesis, known = int(paired[:i].sum()), t.hypothesis, t.marginal.z[:_STARTS]
+        model: ComposedModel | None = near
         if listed.misread is not None and i == before + listed.misread:
-            hypothesis = _without_misreading(hypothesis)
+            hypothesis, model = _without_misreading(hypothesis), None
             parts = t.marginal.comparison.model.parts
             column = next(part.misread[1] for part in parts if part.misread is not None)
             known = np.delete(known, column, axis=1)
@@ -141,6 +145,7 @@ def left_out(cases: Sequence[PlateCase], t: Tested, n: int, none: Marginal | Non
             scatter=scatter,
             none=none,
             left_out=at,
+            model=model,
             known=known,
             log2_draws=0,
         )

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from cpam_bayes.deadline import cut_short, is_time_up
+from cpam_bayes.diagnosis.composed import ComposedModel
 from cpam_bayes.diagnosis.evidence.comparison import Comparison
 from cpam_bayes.diagnosis.evidence.marginal import LOG2_POINTS, Marginal, laplace_marginal
 from cpam_bayes.diagnosis.evidence.optima import LOG2_DRAWS
@@ -67,6 +68,7 @@ def marginal_of(
     scatter: float = SCATTER,
     none: Marginal | None = None,
     left_out: int | None = None,
+    model: ComposedModel | None = None,
     known: Array | None = None,
     log2_draws: int = LOG2_DRAWS,
     least: float = -np.inf,
@@ -75,10 +77,13 @@ def marginal_of(
 
     none : the plain model, whose optima are starts
     left_out : a frequency to leave out
+    model : one that is as good as the hypothesis's own where it is asked
     known : (s, n) further starts
     log2_draws, least : as in ``laplace_marginal``
     """
     comparison = comparison_of(cases, about(cases, hypothesis, plates), scatter=scatter)
+    if model is not None:
+        comparison = replace(comparison, model=model)
     if left_out is not None:
         comparison = replace(comparison, listed=comparison.listed.without(left_out), left_out=left_out)
     starts = plain_starts(comparison, none)
