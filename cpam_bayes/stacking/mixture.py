@@ -30,6 +30,7 @@ from cpam_bayes.inference.posterior import Posterior
 from cpam_bayes.inference.proposal import AdaptationSettings, Proposal, adapted
 from cpam_bayes.inference.swarm.pso import SwarmSettings
 from cpam_bayes.parallel import counted, run
+from cpam_bayes.stacking.conditional.bases import of_sequence
 from cpam_bayes.stacking.conditional.posterior import ConditionalFits, ConditionalPosterior
 from cpam_bayes.stacking.queries.given_layup import GivenLayup
 from cpam_bayes.stacking.records import StackingPosterior
@@ -217,7 +218,8 @@ def _sampled(shared: tuple[ConditionalPosterior, MixtureSettings], item: Item) -
     """The conditional posterior of one class; item : its index, angles, fits and key of the seed."""
     conditional, settings = shared
     index, angles, fits, key = item
-    posterior = conditional.at(angles[None])
+    noise = float(conditional.relative_noise(fits.x).min())
+    posterior = of_sequence(conditional, angles, noise).at(angles[None])
     seed = int(np.random.SeedSequence(key).generate_state(1)[0])
     rng = np.random.default_rng([seed, 1])
     bests, _, _ = swarm_on_posterior(posterior, seed, settings.swarm)

@@ -1,4 +1,4 @@
-"""Small reduced bases for the posteriors of sequences: of the whole box, and of where the mass is."""
+"""Small reduced bases for the posteriors of sequences: for the whole box, where the mass is, for one."""
 
 from __future__ import annotations
 
@@ -24,6 +24,9 @@ NEAR, _NEAR_SETS, _NEAR_ERROR = 18.0, 800, 2e-3
 _MOST, _NOISY = 0.98, 8e-3
 # Both errors are at most these shares of the noise, as far as it is known.
 _BOX_SHARE, _NEAR_SHARE = 0.3, 0.05
+# The basis for one sequence and all constants: sets, the least and the largest relative error, and the share
+# of the noise that it is between them.
+_SEQUENCE_SETS, _SEQUENCE_ERRORS, _SEQUENCE_SHARE = 300, (2e-5, 2e-4), 0.02
 # Share of the draws whose noise may be less than the one that counts where it is inferred.
 _LEAST_NOISE = 0.01
 
@@ -55,6 +58,19 @@ def about(
     return replace(
         conditional, model=focused(conditional.model, x, min(_NEAR_ERROR, _NEAR_SHARE * noise), _share(noise))
     )
+
+
+def of_sequence(conditional: ConditionalPosterior, angles_deg: Array, noise: float) -> ConditionalPosterior:
+    """The posterior on a basis for one sequence (k,), wherever its constants are in their box.
+
+    Constants alone change a mode far less than the angles do: a third of the vectors says as much.
+
+    noise : least standard deviation of a frequency, relative.
+    """
+    sets = training_sets(conditional.model.full.operator.problem, _SEQUENCE_SETS, np.random.default_rng(0))
+    sets[:, : conditional.n_angles] = angles_deg
+    error = float(np.clip(_SEQUENCE_SHARE * noise, *_SEQUENCE_ERRORS))
+    return replace(conditional, model=focused(conditional.model, sets, error))
 
 
 def _share(noise: float) -> float:
