@@ -23,6 +23,7 @@ from typing import Any, TypeVar, cast
 
 from cpam_bayes.deadline import TimeIsUpError, is_time_up, time_is_up_error, time_limit
 from cpam_bayes.parallel.executors import DaskCluster, WorkersLostError, open_executor, workers_of
+from cpam_bayes.parallel.shared_file import copied, write_shared
 from cpam_bayes.parallel.worker import Outcome, Ticket, digest_of, digest_of_file, forget, work_through
 from cpam_bayes.storage import draft_file
 from cpam_bayes.threads import single_blas_thread
@@ -123,7 +124,7 @@ def _run_here(
 def _copied(value: T) -> T:
     """The value as a worker would get it; itself if it could not be sent to one."""
     try:
-        return cast(T, pickle.loads(pickle.dumps(value)))
+        return cast(T, copied(value))
     except (pickle.PicklingError, AttributeError, TypeError):
         return value
 
@@ -282,7 +283,7 @@ def _issued(shared: Any, executor: Executor) -> Iterator[Ticket]:
             executor.forget(digest)
         return
     with draft_file() as (path, file):
-        pickle.dump(shared, file)
+        write_shared(shared, file)
         digest = digest_of_file(file)
         file.close()
         try:

@@ -12,7 +12,6 @@ import time
 import traceback
 from collections import OrderedDict
 from collections.abc import Callable
-from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from io import BufferedIOBase
 from multiprocessing.connection import Connection
@@ -20,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from cpam_bayes import __version__
+from cpam_bayes.parallel.shared_file import read_shared
 from cpam_bayes.threads import keep_to_one_core, single_blas_thread
 
 # Shared objects that a worker keeps: those of two calls of `run` that take turns on one cluster.
@@ -155,13 +155,13 @@ def _from_file(ticket: Ticket) -> _Restored | None:
     """What the ticket's file holds, unless this machine has no such file."""
     if not ticket.path:
         return None
-    with ExitStack() as stack:
-        try:
-            file = stack.enter_context(Path(ticket.path).open("rb"))
+    path = Path(ticket.path)
+    try:
+        with path.open("rb") as file:
             known = digest_of_file(file) == ticket.digest
-        except OSError:
-            return None
-        return _Restored(pickle.load(file), ticket.path) if known else None
+        return _Restored(read_shared(path), ticket.path) if known else None
+    except OSError:
+        return None
 
 
 def deliver(digest: str, pickled: bytes) -> None:

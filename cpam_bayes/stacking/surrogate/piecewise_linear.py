@@ -138,12 +138,13 @@ def piecewise_linear_surrogate(
         centre = (halved[:, None, :] + width * _mesh(np.array([-0.25, 0.25]))).reshape(-1, 4)
         width *= 0.5
     first, leaf = _box(leaves, _FIRST << halvings)
+    centre, tangents = _taken(leaves)
     return PiecewiseLinearSurrogate(
         width=2.0 / (_FIRST << halvings),
         first=first,
         leaf=leaf,
-        centre=np.concatenate([each.centre for each in leaves]),
-        tangent=np.concatenate([each.tangent for each in leaves]),
+        centre=centre,
+        tangent=tangents,
         lower_bound=top - depth,
         freedom=freedom,
     )
@@ -209,6 +210,19 @@ def _box(leaves: list[_Leaves], n: int) -> tuple[Array, Array]:
             leaf[tuple((each.corner + offset - first).T)] = rows
         begin += len(rows)
     return first, leaf
+
+
+def _taken(leaves: list[_Leaves]) -> tuple[Array, Array]:
+    """Centres and tangents of all leaves, which are taken off the list: nothing is in memory twice."""
+    n = sum(len(each.centre) for each in leaves)
+    centre = np.empty((n, *leaves[0].centre.shape[1:]), dtype=np.float32)
+    tangent = np.empty((n, *leaves[0].tangent.shape[1:]), dtype=np.float32)
+    while leaves:
+        each = leaves.pop()
+        begin = n - len(each.centre)
+        centre[begin:n], tangent[begin:n] = each.centre, each.tangent
+        n = begin
+    return centre, tangent
 
 
 def _mesh(axis: Array) -> Array:
