@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cpam_bayes.stacking.conditional.bases import of_sequence
 from cpam_bayes.stacking.conditional.importance import importance_evidence
 from cpam_bayes.stacking.conditional.posterior import ConditionalFits, fit_conditionals
 from cpam_bayes.stacking.records import StackingPosterior
@@ -75,7 +76,9 @@ def given_layup(answer: StackingPosterior, angles_deg: Array, log2_points: int =
     best = np.argsort(-listed.fits.log_evidence, kind="stable")[:4]
     starts = np.concatenate((listed.fits.x[best], answer.drawn.fits.x[:4]))
     fits = fit_conditionals(answer.conditional, on_grid[None], starts)
-    conditional = importance_evidence(answer.conditional, on_grid[None], fits, log2_points)
+    noise = float(answer.conditional.relative_noise(fits.x).min())
+    own = of_sequence(answer.conditional, on_grid, noise)
+    conditional = importance_evidence(own, on_grid[None], fits, log2_points)
     log_evidence = float(conditional.log_evidence[0])
     total = answer.log_evidence_total + float(np.log(answer.enumerated))
     probability = float(np.exp(log_evidence - total))
