@@ -6,8 +6,10 @@ import json
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from itertools import count
+from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 import cpam_bayes as cb
@@ -15,6 +17,7 @@ from cpam_bayes import deadline as limits
 from cpam_bayes.deadline import TimeIsUpError, cut_short, is_time_up, time_limit
 from cpam_bayes.inference.chains.ensemble import EnsembleSettings
 from cpam_bayes.parallel import run
+from tests.plate_file import MEASURED, PLATE
 
 AT_ONCE = 1e-9
 Run = Callable[..., tuple[object, str, str]]
@@ -85,6 +88,7 @@ def test_limited_work_ends_between_two_items(looks: None, workers: int | None) -
             on_result=lambda index, result: done.append(result),
             is_limited=True,
         )
+    # what was begun when time was up is told too
     assert 0 < len(done) < 50
     with time_limit(3.0):
         assert run(plus_one, 1, range(50)) == list(range(1, 51))
@@ -127,9 +131,25 @@ def test_a_diagnosis_names_what_it_did_not_test() -> None:
     assert f"{len(not_tested)} hypotheses were not tested, of " in answer.slips[0]
     assert "gain" in answer.slips[0]
     tested = {t.hypothesis.cause for t in answer.diagnosis.weighed.tested}
-    assert "none" in tested
+    assert {"none", "other"} <= tested
     assert "thickness" not in tested
     assert "thickness" in answer.slips[0]
+
+
+def test_nothing_is_claimed_of_a_part_of_the_causes(run: Run, tmp_path: Path) -> None:
+    plate = tmp_path / "plate.toml"
+    plate.write_text(PLATE + MEASURED, "utf-8")
+    plain = cb.forward(str(plate)).frequencies[:6]
+    for factors in (np.ones(6), np.linspace(0.94, 1.06, 6)):
+        listed = ", ".join(f"{f:.2f}" for f in plain * factors)
+        text = (PLATE + MEASURED).replace("114, 167, 218, 289, 300, 497", listed)
+        plate.write_text(f"{text}relative_std = 0.002\n", "utf-8")
+        status, out, _ = run("diagnose", plate, "--time-limit", AT_ONCE, "--executor", "serial")
+        assert status == 1
+        assert "Undecided: time was up before every cause was tested, and nothing can be claimed." in out
+        with time_limit(AT_ONCE):
+            answer = cb.diagnose(str(plate))
+        assert (answer.claim, answer.reached_goal) == ("undecided", False)
 
 
 def test_a_noise_study_needs_two_groups(looks: None) -> None:

@@ -18,17 +18,19 @@ from cpam_bayes.batches.limits import Limit, read_limit
 from cpam_bayes.batches.plate_row import PlateRow, computed_row, failed_row
 from cpam_bayes.batches.population import Population, population_of
 from cpam_bayes.batches.row_store import read_row, row_key, write_row
-from cpam_bayes.deadline import TimeIsUpError, cut_short
+from cpam_bayes.deadline import TimeIsUpError, cut_short, is_time_up
 from cpam_bayes.diagnosis.building import build_models
 from cpam_bayes.diagnosis.cases import hypotheses_of, plate_case
 from cpam_bayes.effects import CATALOGUE
 from cpam_bayes.errors import PlateFileError
+from cpam_bayes.formatting import significant
 from cpam_bayes.forward_model.preconditions import (
     require_diagnosable,
     require_paired_list,
     require_seed,
     require_supported,
 )
+from cpam_bayes.forward_model.slips import equal_list_slips
 from cpam_bayes.identification.identify import NO_MESH
 from cpam_bayes.identification.search import required
 from cpam_bayes.parallel import WorkersLostError, open_executor, run
@@ -38,6 +40,8 @@ from cpam_bayes.result import SILENT, Result, Watch, within_time
 __all__ = ["BatchResult", "batch"]
 
 MAX_PLATES: Final = 10_000
+# Plates that a warning names.
+_SHOWN = 5
 
 # A plate as it is computed, or why it cannot be.
 _Item: TypeAlias = "tuple[str, Specimen | PlateRow]"
@@ -180,8 +184,8 @@ def batch(
     read = tuple(read_limit(text) for text in limits)
     if store is not None and (not str(store) or (Path(store).exists() and not Path(store).is_dir())):
         raise ValueError(f"store: received {str(store)!r}, accepted: a directory")
-    items = [_read(plate, diagnosis) for plate in plates]
-    items, n_models = _with_shared_sizes(items, share_models)
+    read_items = [_read(plate, diagnosis) for plate in plates]
+    items, n_models = _with_shared_sizes(read_items, share_models)
     rows, from_store = _computed(
         items, seed, diagnosis, None if store is None else Path(store), executor, workers, watch
     )
@@ -192,7 +196,13 @@ def batch(
     mixed = "the plates are of several materials: means and control limits are those of a mixture"
     return BatchResult(
         seed=seed,
-        warnings=((many,) if failed else ()) + ((mixed,) if len(materials) > 1 else ()) + not_pooled,
+        warnings=(
+            *((many,) if failed else ()),
+            *((mixed,) if len(materials) > 1 else ()),
+            *equal_list_slips([plate for _, plate in read_items if isinstance(plate, Specimen)]),
+            *_not_described(rows),
+            *not_pooled,
+        ),
         reached_goal=not failed and not not_pooled,
         rows=tuple(rows),
         limits=read,
@@ -201,6 +211,19 @@ def batch(
         from_store=from_store,
         population=population,
         seconds=time.perf_counter() - start,
+    )
+
+
+def _not_described(rows: Sequence[PlateRow]) -> tuple[str, ...]:
+    """Which plates have a misfit that the stated noise does not explain."""
+    worst = sorted((row for row in rows if row.misfit > 1.0), key=lambda row: -row.misfit)
+    if not worst:
+        return ()
+    shown = [f"{row.name} ({significant(row.misfit, 2)} times the noise)" for row in worst[:_SHOWN]]
+    more = f" and {len(worst) - _SHOWN} more" if len(worst) > _SHOWN else ""
+    return (
+        f"the plate model does not describe the frequencies of {', '.join(shown)}{more}: their constants, "
+        "and what is said of limits, means and scatter with them, cannot be trusted until the cause is known",
     )
 
 
@@ -319,7 +342,7 @@ def _build_models(
         return
     seen = set()
     for plate in plates:
-        if not isinstance(plate, Specimen):
+        if not isinstance(plate, Specimen) or is_time_up():
             continue
         key = repr((plate.plate, plate.material, plate.unknowns))
         if key in seen:

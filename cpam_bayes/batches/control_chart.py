@@ -10,38 +10,41 @@ import numpy as np
 
 __all__ = ["ControlChart", "control_chart"]
 
-# Mean range of two normal values over their standard deviation, d2; limits in standard deviations.
-_D2, _SIGMAS = 1.128, 3.0
+# Standard deviation of normal values over the median range of two of them; limits in standard deviations.
+_OF_MEDIAN_RANGE, _SIGMAS = 1.047, 3.0
 LEAST_PLATES: Final = 3
 
 
 @dataclass(frozen=True, slots=True)
 class ControlChart:
-    """Mean and limits of one constant over the plates of a batch, in the order of the batch.
+    """Median and limits of one constant over the plates of a batch, in the order of the batch.
 
-    sigma : from the mean moving range, MR / 1.128
+    sigma : from the median moving range
     outside : numbers, from 0, of the values beyond the limits
     """
 
-    mean: float
+    median: float
     sigma: float
     outside: tuple[int, ...]
 
     @property
     def limits(self) -> tuple[float, float]:
-        """Mean - 3 sigma and mean + 3 sigma."""
-        return self.mean - _SIGMAS * self.sigma, self.mean + _SIGMAS * self.sigma
+        """Median - 3 sigma and median + 3 sigma."""
+        return self.median - _SIGMAS * self.sigma, self.median + _SIGMAS * self.sigma
 
 
 def control_chart(values: Sequence[float]) -> ControlChart | None:
     """The chart of individual values with limits from their moving ranges; None of fewer than three.
 
-    Mean +- 3 MR / 1.128, MR the mean of |x_i - x_(i-1)| (Montgomery, Introduction to Statistical Quality
-    Control; NIST/SEMATECH e-Handbook, 6.3.2.2).
+    median(x) +- 3 * 1.047 median |x_i - x_(i-1)|: medians, because a bad plate would widen limits from means
+    and hide (Montgomery, Introduction to Statistical Quality Control, section 6.4).
     """
     if len(values) < LEAST_PLATES:
         return None
     x = np.asarray(values, dtype=float)
-    mean, sigma = float(x.mean()), float(np.mean(np.abs(np.diff(x)))) / _D2
-    outside = np.flatnonzero(np.abs(x - mean) > _SIGMAS * sigma)
-    return ControlChart(mean, sigma, tuple(int(i) for i in outside))
+    ranges = np.abs(np.diff(x))
+    # more than half of the neighbours are equal
+    typical = float(np.median(ranges)) or float(ranges.mean())
+    median, sigma = float(np.median(x)), _OF_MEDIAN_RANGE * typical
+    outside = np.flatnonzero(np.abs(x - median) > _SIGMAS * sigma)
+    return ControlChart(median, sigma, tuple(int(i) for i in outside))

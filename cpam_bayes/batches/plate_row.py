@@ -80,6 +80,7 @@ class PlateRow:
     file : as it was given
     message : why it failed, or the warnings of its identification
     rms : of the relative residuals; noise : relative standard deviation that the intervals assume
+    misfit : over the stated noise, as of `misfit_over_noise`; 1 where that explains it
     """
 
     file: str
@@ -93,6 +94,7 @@ class PlateRow:
     rms: float = float("nan")
     noise: float = float("nan")
     search: str = ""
+    misfit: float = 1.0
 
     def constant(self, name: str) -> RowConstant | None:
         """A constant by its name."""
@@ -164,6 +166,7 @@ def computed_row(file: str, specimen: Specimen, seed: int, diagnosis: bool) -> P
         rms=estimate.rms,
         noise=estimate.noise,
         search=point.status,
+        misfit=1.0 if specimen.measurement is None else _misfit(point, specimen.measurement),
     )
 
 
@@ -195,12 +198,16 @@ def local_likelihood(point: PointResult) -> LocalLikelihood:
 def _with_noise(point: PointResult, measurement: Measurement) -> Measurement:
     """The measurement with the noise that the intervals of the swarm assume, Birge's ratio in it."""
     estimate = point.estimate
-    residuals = np.array([m.frequency for m in estimate.predicted]) / measurement.frequencies - 1.0
-    excess = misfit_over_noise(measurement, residuals, len(estimate.constants))
+    excess = _misfit(point, measurement)
     if measurement.frequency_sd is not None:
         return replace(measurement, frequency_sd=excess * measurement.frequency_sd)
     level = estimate.noise if np.isfinite(estimate.noise) else estimate.rms
     return replace(measurement, relative_std=float(np.clip(excess * level, 1e-6, 1.0)))
+
+
+def _misfit(point: PointResult, measurement: Measurement) -> float:
+    residuals = np.array([m.frequency for m in point.estimate.predicted]) / measurement.frequencies - 1.0
+    return misfit_over_noise(measurement, residuals, len(point.estimate.constants))
 
 
 def _marginals(point: PointResult, likelihood: LocalLikelihood) -> list[MarginalPosterior]:

@@ -38,6 +38,8 @@ def claim_of(
     alike: Mapping[str, frozenset[str]],
     pairs: Mapping[str, tuple[str, ...]],
     explains: Callable[[str], bool] = lambda name: True,
+    *,
+    is_cut_short: bool = False,
 ) -> Claim:
     """The claim.
 
@@ -46,6 +48,7 @@ def claim_of(
     alike : by cause, the causes that frequencies cannot tell from it
     pairs : by name, the two causes of each pair
     explains : whether the model extended by a cause or a pair explains the lists
+    is_cut_short : whether hypotheses are missing: then nothing is claimed
 
     Nothing is wrong where none has half the probability. A cause is claimed with what cannot be told from
     it, where together they have 0.9 and the best of them is 3 nats above the best outsider, none and other
@@ -56,6 +59,8 @@ def claim_of(
     claimed whose extended model leaves a misfit that is no noise: where those that explain nothing hold 0.9
     with other, it is other. The rest is undecided.
     """
+    if is_cut_short:
+        return _undecided(probability, pairs)
     if probability[NONE] >= PLAIN and explains(NONE):
         return Claim("none", (), probability[NONE])
     claim = _cause(probability, log_evidence, alike, pairs)
@@ -69,6 +74,10 @@ def claim_of(
     wrong = probability[OTHER] + sum(probability[c] for c in unexplained)
     if wrong >= SURE:
         return Claim("other", (), wrong)
+    return _undecided(probability, pairs)
+
+
+def _undecided(probability: Mapping[str, float], pairs: Mapping[str, tuple[str, ...]]) -> Claim:
     # a pair stands for both of its causes
     named = sorted((c for c in probability if c not in (NONE, OTHER)), key=lambda c: -probability[c])
     causes = tuple(dict.fromkeys(c for name in named for c in pairs.get(name, (name,))))[:UNDECIDED]

@@ -308,6 +308,7 @@ def _claim(weighed: Weighed, causes: Sequence[Cause], checks: PredictiveChecks) 
         {c.name: frozenset(c.indistinguishable_from) for c in causes},
         pairs,
         explained,
+        is_cut_short=weighed.is_cut_short,
     )
 
 

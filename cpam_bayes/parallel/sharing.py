@@ -77,7 +77,7 @@ def run(
     batch_size : items sent at a time, by default what takes half a second.
     on_result : called in this process with index and result as results arrive, in any order.
     is_limited : whether a time limit ends the work between two items, by ``TimeIsUpError``. An item that is
-    begun is not cut short.
+    begun is not cut short, and its result is told.
 
     Batches lost with a worker are done again by others. Raises what ``work`` or ``on_result`` raised,
     with the item's index as a note, ``WorkersLostError`` if a batch was lost four times, and
@@ -153,10 +153,15 @@ def _run_there(
         patience = 1 if isinstance(executor, DaskCluster) else 0
         stack.push(_cancel_on_exception(pending))
         while True:
-            if is_limited and len(results) < len(items) and is_time_up():
-                raise _time_is_up(len(results), len(items))
+            late = is_limited and len(results) < len(items) and is_time_up()
+            if late:
+                for future in [future for future in pending if future.cancel()]:
+                    del pending[future]
+                if not pending:
+                    raise _time_is_up(len(results), len(items))
             workers = workers_of(executor)
-            while len(pending) < _AHEAD * workers and (batch := queue.take(workers, pending.values())):
+            most = 0 if late else workers if is_limited else _AHEAD * workers
+            while len(pending) < most and (batch := queue.take(workers, pending.values())):
                 packed = dumps([items[i] for i in range(batch.start, batch.stop)])
                 sent = replace(ticket, pickled=pickled()) if batch.misses > patience else ticket
                 try:

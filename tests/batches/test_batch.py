@@ -50,19 +50,31 @@ def test_the_probability_of_a_limit_is_that_of_a_density_cut_at_the_bounds() -> 
 # The control chart
 
 
-def test_the_control_limits_are_those_of_the_handbook() -> None:
+def test_the_control_limits_are_those_of_medians() -> None:
     """Flow rates of NIST/SEMATECH e-Handbook of Statistical Methods, 6.3.2.2."""
     flow = [49.6, 47.6, 49.9, 51.3, 47.8, 51.2, 52.6, 52.4, 53.6, 52.1]
     chart = control_chart(flow)
     assert chart is not None
-    assert chart.mean == pytest.approx(50.81)
-    assert chart.limits == pytest.approx((45.8159, 55.8041), abs=1e-3)
+    # ranges of neighbours 2.0 2.3 1.4 3.5 3.4 1.4 0.2 1.2 1.5
+    assert chart.median == pytest.approx(51.25)
+    assert chart.limits == pytest.approx((51.25 - 3 * 1.047 * 1.5, 51.25 + 3 * 1.047 * 1.5))
     assert chart.outside == ()
-    # a single value far off widens the limits by itself: by one part in ten here
-    moved = control_chart([*flow * 3, 75.0])
-    assert moved is not None
-    assert moved.outside == (30,)
     assert control_chart(flow[:2]) is None
+
+
+def test_a_normal_process_has_the_handbook_s_limits() -> None:
+    chart = control_chart(np.random.default_rng(1).normal(50.0, 2.0, 20_000).tolist())
+    assert chart is not None
+    assert chart.sigma == pytest.approx(2.0, rel=0.03)
+    assert len(chart.outside) / 20_000 == pytest.approx(0.0027, abs=0.0015)
+
+
+def test_bad_plates_do_not_hide_in_the_limits_that_they_widen() -> None:
+    # two of nine, side by side: limits from means, 140.9 +- 16.4, would hold one of them
+    moduli = [135.2, 137.1, 136.0, 157.0, 158.1, 136.3, 135.5, 136.9, 136.8]
+    chart = control_chart(moduli)
+    assert chart is not None
+    assert chart.outside == (3, 4)
 
 
 # Shared models
@@ -258,3 +270,12 @@ def test_a_batch_with_diagnosis_has_the_claims_of_diagnose() -> None:
         assert row.diagnosis.claim == alone.claim
         assert row.diagnosis.causes == alone.causes
         assert row.diagnosis.probability == pytest.approx(alone.probability, abs=1e-9)
+
+
+def test_copies_and_plates_that_are_not_described_are_named() -> None:
+    rng = np.random.default_rng(4)
+    good, odd = with_noise(plate("good"), rng), with_noise(plate("odd"), rng, std=0.03)
+    answer = cb.batch(good, {**good, "name": "copy"}, odd)
+    assert any("the frequencies of good and copy are equal" in w for w in answer.warnings)
+    assert any("does not describe the frequencies of odd (" in w for w in answer.warnings)
+    assert [row.misfit > 1.0 for row in answer.rows] == [False, False, True]

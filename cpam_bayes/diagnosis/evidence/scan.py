@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from cpam_bayes.deadline import cut_short, is_time_up
+from cpam_bayes.deadline import cut_short, is_time_up, time_limit
 from cpam_bayes.diagnosis.composed import ComposedModel
 from cpam_bayes.diagnosis.evidence.comparison import Comparison
 from cpam_bayes.diagnosis.evidence.marginal import LOG2_POINTS, Marginal, laplace_marginal
@@ -32,7 +32,7 @@ from cpam_bayes.diagnosis.evidence.sharing import shared_out
 from cpam_bayes.diagnosis.evidence.shifts import ShiftTable, shift_table
 from cpam_bayes.diagnosis.evidence.tested import Tested, ranked
 from cpam_bayes.diagnosis.fitting import SCATTER, PlateCase, comparison_of, effect_columns
-from cpam_bayes.diagnosis.hypotheses import NONE, Hypothesis
+from cpam_bayes.diagnosis.hypotheses import NONE, OTHER, Hypothesis
 from cpam_bayes.diagnosis.pairings import is_incomplete
 from cpam_bayes.effects import ListChange
 from cpam_bayes.mechanics.modes import RigidBodyError
@@ -135,6 +135,7 @@ class Scan:
     executor : where they are fitted, ``None`` for this process
     is_explained : whether the plain model explains the lists
     best : largest log of prior times evidence so far
+    is_cut_short : whether time was up before all were tested
     pairings, seeds : of incomplete lists, those of the plain model and those that hypotheses begin with
     """
 
@@ -145,6 +146,7 @@ class Scan:
     not_tested: list[str] = field(default_factory=list)
     is_explained: bool = False
     best: float = -np.inf
+    is_cut_short: bool = False
     pairings: tuple[PairedLists, ...] = ()
     seeds: tuple[PairedLists, ...] = ()
 
@@ -196,21 +198,34 @@ class Scan:
                 self._built(trial)
         for start in range(0, len(trials), _ROUND):
             if is_time_up():
-                left = [trial.hypothesis for trial in trials[start:]]
-                self.not_tested += [f"{h.cause} {h.variant}".rstrip() + ": time was up" for h in left]
-                causes = ", ".join(dict.fromkeys(h.cause for h in left))
-                cut_short(f"{len(left)} hypotheses were not tested, of {causes}")
+                self._end_early(trials[start:])
                 break
-            scan = replace(self, tested=self.tested[:1], not_tested=[], executor=None)
-            items = [(scan, trial) for trial in trials[start : start + _ROUND]]
+            self._test_round(trials[start : start + _ROUND], progress, start)
 
-            def count(done: int, before: int = start) -> None:
-                progress(before + done)
+    def _test_round(
+        self, trials: Sequence[Trial], progress: Callable[[int], None] = lambda done: None, before: int = 0
+    ) -> None:
+        scan = replace(self, tested=self.tested[:1], not_tested=[], executor=None)
+        items = [(scan, trial) for trial in trials]
 
-            for tried in shared_out(_tried, self.cases, items, self.executor, progress=count):
-                self.tested += tried.tested
-                self.not_tested += tried.not_tested
-                self.best = max(self.best, tried.best)
+        def count(done: int) -> None:
+            progress(before + done)
+
+        for tried in shared_out(_tried, self.cases, items, self.executor, progress=count):
+            self.tested += tried.tested
+            self.not_tested += tried.not_tested
+            self.best = max(self.best, tried.best)
+
+    def _end_early(self, left: Sequence[Trial]) -> None:
+        """Note what is not tested because time is up; what is in no catalogue is tested all the same."""
+        skipped = [trial.hypothesis for trial in left if trial.hypothesis.cause != OTHER]
+        if skipped:
+            self.is_cut_short = True
+            self.not_tested += [f"{h.cause} {h.variant}".rstrip() + ": time was up" for h in skipped]
+            causes = ", ".join(dict.fromkeys(h.cause for h in skipped))
+            cut_short(f"{len(skipped)} hypotheses were not tested, of {causes}")
+        with time_limit(None):
+            self._test_round([trial for trial in left if trial.hypothesis.cause == OTHER])
 
     def _built(self, trial: Trial) -> None:
         """Have the models that a trial needs, so that workers share them."""

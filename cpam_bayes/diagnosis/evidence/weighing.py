@@ -34,11 +34,13 @@ class Weighed:
     """All hypotheses, the most probable first, and what could not be tested.
 
     prior : prior probability of every cause, of pairings that explain nothing too
+    is_cut_short : whether time was up before all were tested, so that probabilities are of a part of them
     """
 
     tested: tuple[Tested, ...]
     not_tested: tuple[str, ...]
     prior: Mapping[str, float] = field(default_factory=dict)
+    is_cut_short: bool = False
 
     @property
     def none(self) -> Tested:
@@ -110,8 +112,12 @@ def weigh(
     on_plate = [Trial(h, plates) for h, plates in hypotheses[1:] if not is_repairing(h)]
     scan.test_pairings(on_list)
     scan.test(on_plate, lambda done: progress(done, total))
-    if pairs and not is_time_up() and ranked(scan.tested)[0].hypothesis.cause != NONE:
-        add_pairs(scan, [h for h, _ in hypotheses])
+    if pairs and ranked(scan.tested)[0].hypothesis.cause != NONE:
+        if is_time_up():
+            scan.is_cut_short = True
+            cut_short("no two causes were tested together")
+        else:
+            add_pairs(scan, [h for h, _ in hypotheses])
     progress(total, total)
     order = ranked(scan.tested)
     for _ in range(_SAMPLING_ROUNDS):  # sampling may move the best one
@@ -131,7 +137,8 @@ def weigh(
         for t, p in zip(order, probability, strict=True)
     ]
     prior = prior_by_cause([h for h, _ in hypotheses])
-    return Weighed(_credited(tested), tuple(dict.fromkeys(scan.not_tested)), prior)
+    not_tested = tuple(dict.fromkeys(scan.not_tested))
+    return Weighed(_credited(tested), not_tested, prior, scan.is_cut_short)
 
 
 def _credited(tested: Sequence[Tested]) -> tuple[Tested, ...]:

@@ -101,7 +101,7 @@ def _chart(result: BatchResult, name: str) -> dict[str, Any] | None:
         return None
     low, high = chart.limits
     return {
-        "mean": to_user(name, chart.mean),
+        "median": to_user(name, chart.median),
         "sigma": to_user(name, chart.sigma),
         "lower": to_user(name, low),
         "upper": to_user(name, high),

@@ -35,7 +35,7 @@ def figures(result: BatchResult) -> dict[str, Figure]:
             red[list(chart.outside)] = True
             lower, upper = (to_user(name, v) for v in chart.limits)
             axes.axhspan(lower, upper, color="0.93")
-            axes.axhline(to_user(name, chart.mean), color="0.5", linewidth=1)
+            axes.axhline(to_user(name, chart.median), color="0.5", linewidth=1)
         axes.vlines(place, low, high, color="0.6", linewidth=1)
         axes.plot(place[~red], value[~red], "o", color=MEASURED, markersize=3.5)
         axes.plot(place[red], value[red], "o", color=_OUTSIDE, markersize=4.5)

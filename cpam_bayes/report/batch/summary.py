@@ -174,8 +174,8 @@ def _basis(result: BatchResult) -> tuple[str, ...]:
         )
     if any(result.chart(name) for name in result.constants):
         said.append(
-            "Control limits: mean +- 3 sd, the sd from the mean difference of neighbours in the list "
-            "(moving range / 1.128)."
+            "Control limits: median +- 3 sd, the sd from the median difference of neighbours in the list "
+            "(1.047 times the median moving range), which a few bad plates do not widen."
         )
     return tuple(said)
 
