@@ -10,7 +10,7 @@ import logging
 import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from functools import partial
 from importlib import import_module
 from pathlib import Path
@@ -67,13 +67,15 @@ def _finish(work: Callable[[], Result], args: argparse.Namespace) -> int:
     from cpam_bayes.deadline import TimeIsUpError, time_limit
     from cpam_bayes.parallel import WorkersLostError
     from cpam_bayes.report.files import save, staging
+    from cpam_bayes.report.progress import forecasting
 
     not_saved: Exception | None = None
     notes: tuple[str, ...] = ()
     store: str | None = getattr(args, "store", None)
     try:
         with _warnings_shown(), staging(args.out) as stage:
-            with time_limit(getattr(args, "time_limit", None)):
+            told = nullcontext() if getattr(args, "quiet", True) else forecasting()
+            with told, time_limit(getattr(args, "time_limit", None)):
                 answer = work()
             try:
                 notes = save(answer, stage)

@@ -23,6 +23,7 @@ from typing import Any, TypeVar, cast
 
 from cpam_bayes.deadline import TimeIsUpError, is_time_up, time_is_up_error, time_limit
 from cpam_bayes.parallel.executors import DaskCluster, WorkersLostError, open_executor, workers_of
+from cpam_bayes.parallel.observing import reporting
 from cpam_bayes.parallel.shared_file import copied, write_shared
 from cpam_bayes.parallel.worker import Outcome, Ticket, digest_of, digest_of_file, forget, work_through
 from cpam_bayes.storage import draft_file
@@ -86,10 +87,18 @@ def run(
     """
     if batch_size is not None and batch_size < 1:
         raise ValueError(f"batch_size: received {batch_size}, accepted: 1 or more")
-    tell = on_result or (lambda index, result: None)
-    if executor is None:
-        return _run_here(work, shared, items, tell, is_limited)
-    return _run_there(work, shared, items, executor, batch_size, tell, is_limited) if len(items) else []
+    if not len(items):
+        return []
+    with reporting(len(items)) as one_done:
+
+        def tell(index: int, result: Result) -> None:
+            one_done()
+            if on_result is not None:
+                on_result(index, result)
+
+        if executor is None:
+            return _run_here(work, shared, items, tell, is_limited)
+        return _run_there(work, shared, items, executor, batch_size, tell, is_limited)
 
 
 def counted(progress: Callable[[int, int], None], total: int) -> Callable[[int, Any], None]:

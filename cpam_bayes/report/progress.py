@@ -8,13 +8,19 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
 
+from cpam_bayes.parallel import observed
 from cpam_bayes.result import Progress
 
-__all__ = ["Terminal", "announce", "progress", "timed_lines"]
+__all__ = ["Terminal", "announce", "forecasting", "progress", "timed_lines"]
 
 _LINES = 10
+# What takes longer is said as soon as it is known, seconds: from so many iterations and seconds on.
+_LONG, _ENOUGH_DONE, _ENOUGH_SECONDS = 60.0, 4, 3.0
+# It is said again where the end is expected later than was said by this fraction of the time.
+_LATER = 0.5
 # Less than this is not worth an estimate, seconds.
 _WORTH_SAYING = 10.0
 
@@ -62,28 +68,78 @@ def progress(
     """
     if quiet or sys.stderr is None:
         yield Progress(lambda iteration, best: None, lambda text: None)
-    elif sys.stderr.isatty() and os.environ.get("TERM") not in {None, "dumb", "unknown"}:
-        yield from _bar(description, total, described)
-    else:
-        yield _lines(description, total, described)
+        return
+    with forecasting() as forecast:
+        clock = _Clock(total, forecast)
+        if sys.stderr.isatty() and os.environ.get("TERM") not in {None, "dumb", "unknown"}:
+            yield from _bar(description, total, described, clock)
+        else:
+            yield _lines(description, total, described, clock)
+
+
+class Forecast:
+    """Says what takes longer than a minute, once for each time that it moves the end.
+
+    Whatever has a number of parts counts: the iterations of a stage, and items that are shared out.
+    """
+
+    def __init__(self) -> None:
+        self._end = -math.inf
+        self._items: _Clock | None = None
+
+    def shared_out(self, done: int, total: int) -> None:
+        """Take note of items that are shared out."""
+        if not done or self._items is None:
+            self._items = _Clock(total, self)
+        self._items.left(done)
+
+    def expect(self, now: float, whole: float, left: float) -> None:
+        """Say what a part takes, if it is long and does not end when it was said; all in seconds."""
+        if whole >= _LONG and now + left > self._end + _LATER * whole:
+            self._end = now + left
+            announce(f"this part takes up to {duration(whole)}", False)
+
+
+_forecast: ContextVar[Forecast | None] = ContextVar("forecast", default=None)
+
+
+@contextmanager
+def forecasting() -> Iterator[Forecast]:
+    """Say on standard error how long parts of the work inside take, where it is above a minute.
+
+    It is measured: the time of the first iterations or items times their number.
+    """
+    current = _forecast.get()
+    if current is not None:
+        yield current
+        return
+    current = Forecast()
+    before = _forecast.set(current)
+    try:
+        with observed(current.shared_out):
+            yield current
+    finally:
+        _forecast.reset(before)
 
 
 class _Clock:
     """Estimates from what is done how long the rest of a budget takes."""
 
-    def __init__(self, total: int) -> None:
-        self._total = total
+    def __init__(self, total: int, forecast: Forecast) -> None:
+        self._total, self._forecast = total, forecast
         self._first: tuple[int, float] | None = None
 
     def left(self, iteration: int) -> str:
         """The time that is left at most, with a comma before it; nothing where it is short or not known."""
         now = time.monotonic()
-        if self._first is None:
+        if self._first is None or iteration < self._first[0]:
             self._first = (iteration, now)
-        done = iteration - self._first[0]
+        done, past = iteration - self._first[0], now - self._first[1]
         if done <= 0:
             return ""
-        seconds = (now - self._first[1]) * (self._total - iteration) / done
+        seconds = past * (self._total - iteration) / done
+        if past >= _ENOUGH_SECONDS and done >= min(_ENOUGH_DONE, self._total // 2):
+            self._forecast.expect(now, past + seconds, seconds)
         return f", at most {duration(seconds)} left" if seconds >= _WORTH_SAYING else ""
 
 
@@ -98,10 +154,9 @@ def duration(seconds: float) -> str:
     return f"{hours} h {rest} min" if rest else f"{hours} h"
 
 
-def _lines(description: str, total: int, described: Callable[[float], str]) -> Progress:
+def _lines(description: str, total: int, described: Callable[[float], str], clock: _Clock) -> Progress:
     step = max(1, total // _LINES)
     announce(f"{description}: up to {total} iterations", False)
-    clock = _Clock(total)
 
     def tick(iteration: int, best: float) -> None:
         left = clock.left(iteration)
@@ -111,7 +166,9 @@ def _lines(description: str, total: int, described: Callable[[float], str]) -> P
     return Progress(tick, lambda text: announce(f"{description}: {text}", False))
 
 
-def _bar(description: str, total: int, described: Callable[[float], str]) -> Iterator[Progress]:
+def _bar(
+    description: str, total: int, described: Callable[[float], str], clock: _Clock
+) -> Iterator[Progress]:
     from rich.console import Console
     from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
     from rich.progress import Progress as Bar
@@ -124,7 +181,6 @@ def _bar(description: str, total: int, described: Callable[[float], str]) -> Ite
     )
     with Bar(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(description, total=None, what="plate model")
-        clock = _Clock(total)
 
         def tick(iteration: int, best: float) -> None:
             what = f"iteration {iteration} of {total}, {described(best)}{clock.left(iteration)}"

@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from cpam_bayes.parallel import WorkersLostError, open_executor, run
+from cpam_bayes.parallel import WorkersLostError, observed, open_executor, run
 from cpam_bayes.parallel.worker import Ticket, work_through
 from tests.parallel import work
 
@@ -60,6 +60,17 @@ def test_results_are_those_of_the_serial_run_in_the_order_of_the_items(
     expected = [work.noisy_norm(MATRIX, seed) for seed in seeds]
     assert run(work.noisy_norm, MATRIX, seeds) == expected
     assert run(work.noisy_norm, MATRIX, seeds, executor, batch_size=batch_size) == expected
+
+
+@pytest.mark.parametrize("executor", ["two", "threads"], indirect=True)
+def test_an_observer_is_told_of_all_that_is_shared_out(executor: Executor) -> None:
+    seen: list[tuple[int, int]] = []
+    with observed(lambda done, total: seen.append((done, total))):
+        run(work.noisy_norm, MATRIX, range(3), executor)
+        run(work.noisy_norm, MATRIX, range(2))
+        run(work.noisy_norm, MATRIX, ())
+    run(work.noisy_norm, MATRIX, range(3), executor)
+    assert seen == [(0, 3), (1, 3), (2, 3), (3, 3), (0, 2), (1, 2), (2, 2)]
 
 
 @pytest.mark.parametrize("executor", ["two", "threads"], indirect=True)

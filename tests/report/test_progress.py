@@ -6,8 +6,10 @@ import sys
 
 import pytest
 
+from cpam_bayes.parallel import run
 from cpam_bayes.report import progress as module
-from cpam_bayes.report.progress import announce, duration, progress
+from cpam_bayes.report.progress import Terminal as Watch
+from cpam_bayes.report.progress import announce, duration, forecasting, progress
 
 
 class Terminal(io.StringIO):
@@ -68,6 +70,71 @@ def test_long_work_says_what_is_left(monkeypatch, capsys):
     assert lines[1] == "identify C1: iteration 2 of 20, rms 3.3 Hz, at most 9 min left"
     assert lines[-2] == "identify C1: iteration 18 of 20, rms 0.5 Hz, at most 1 min left"
     assert lines[-1] == "identify C1: iteration 20 of 20, rms 0.5 Hz"
+
+
+def expected(capsys):
+    """The lines that say how long a part takes, with the line before each."""
+    lines = capsys.readouterr().err.splitlines()
+    return [(lines[i - 1] if i else "", line) for i, line in enumerate(lines) if line.startswith("this part")]
+
+
+def test_what_takes_above_a_minute_is_said_once_as_soon_as_it_is_known(monkeypatch, capsys):
+    a_clock(monkeypatch, 30.0)
+    work(20)
+    ((before, said),) = expected(capsys)
+    assert said == "this part takes up to 10 min"
+    assert before.startswith("identify C1: iteration 2 of 20")  # it is known after four iterations
+
+
+def test_what_takes_less_than_a_minute_is_not_said(monkeypatch, capsys):
+    a_clock(monkeypatch, 2.9)
+    work(20)
+    assert not expected(capsys)
+
+
+def doubled(shared, item):
+    return run(quadrupled, shared, range(50))[0] + 2 * item
+
+
+def quadrupled(shared, item):
+    return 4 * item
+
+
+def test_items_that_are_shared_out_count_whoever_shares_them_out(monkeypatch, capsys):
+    a_clock(monkeypatch, 20.0)
+    with forecasting():
+        announce("two by two", False)
+        assert run(doubled, None, range(30)) == list(range(0, 60, 2))
+    # what an item shares out itself does not look at the clock
+    assert expected(capsys) == [("two by two", "this part takes up to 10 min")]
+    run(doubled, None, range(30))
+    assert not expected(capsys)
+
+
+def test_a_stage_whose_iterations_are_items_says_its_time_once(monkeypatch, capsys):
+    a_clock(monkeypatch, 20.0)
+    with forecasting(), Watch().stage("design", 30, lambda done: "specimens") as shown:
+        run(quadrupled, None, range(30), on_result=lambda index, _: shown.tick(index + 1, 0.0))
+    assert [said for _, said in expected(capsys)] == ["this part takes up to 18 min"]
+
+
+def test_a_later_end_is_said_again(monkeypatch, capsys):
+    seconds = iter([0.0, 20.0, 40.0, 60.0, 80.0, 900.0, *(1000.0 + 100.0 * i for i in range(20))])
+    monkeypatch.setattr(module.time, "monotonic", lambda: next(seconds))
+    with forecasting():
+        run(quadrupled, None, range(10))
+    assert [said for _, said in expected(capsys)] == [
+        "this part takes up to 4 min",
+        "this part takes up to 30 min",
+    ]
+
+
+@pytest.mark.parametrize("options", [(), ("--quiet",)])
+def test_a_command_says_what_its_parts_take_unless_it_is_quiet(run, monkeypatch, options):
+    a_clock(monkeypatch, 30.0)
+    status, _, said = run("identify", "A1", "--swarms", "1", *options)
+    assert status == 0
+    assert ("this part takes up to " in said) == (not options)
 
 
 def test_a_bar_says_what_is_left(monkeypatch):

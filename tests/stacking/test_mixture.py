@@ -126,7 +126,10 @@ def test_the_same_seed_gives_the_same_draws_whoever_computes_them() -> None:
         proposal=replace(ONE.proposal, rounds=1, draws=200),
         points=200,
     )
-    alone = sample_mixture(own, 0, settings=short)
+    told: list[tuple[int, int]] = []
+    alone = sample_mixture(own, 0, settings=short, progress=lambda done, total: told.append((done, total)))
+    n = n_sampled_classes(own, short)
+    assert told == [(done, n) for done in range(1, n + 1)]
     with open_executor("processes", 2) as executor:
         shared = sample_mixture(own, 0, settings=short, executor=executor)
     np.testing.assert_array_equal(shared.parameters, alone.parameters)
