@@ -32,6 +32,18 @@ def test_an_older_result_is_replaced_and_other_files_stay(tmp_path):
     assert json.loads((tmp_path / "plates.json").read_text()) == RESULT.to_dict()
 
 
+def test_two_runs_into_one_directory_leave_whole_files_of_the_last_and_no_drafts(tmp_path, forward_result):
+    with staging(str(tmp_path)) as one, staging(str(tmp_path)) as other:
+        save(RESULT, one)
+        save(RESULT, other)
+        notes = save(forward_result, one)
+    assert len(notes) == 1
+    assert json.loads((tmp_path / "plates.json").read_text()) == RESULT.to_dict()
+    assert json.loads((tmp_path / "forward.json").read_text()) == forward_result.to_dict()
+    assert command_of(tmp_path / PAGE) == "forward"
+    assert not [name for name in listed(tmp_path) if "cpam-bayes" in name]
+
+
 def test_the_page_of_another_command_is_kept_under_its_name(tmp_path, forward_result):
     def saved(result):
         with staging(str(tmp_path)) as stage:

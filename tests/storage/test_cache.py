@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import json
 import os
@@ -118,6 +119,19 @@ for i in range(200):
     make_room(directory, 15_000)
 print(found)
 """
+
+
+@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EROFS, errno.EACCES])
+def test_a_disk_that_is_full_or_read_only_costs_the_model_and_not_the_answer(
+    directory: Path, monkeypatch: pytest.MonkeyPatch, number: int
+) -> None:
+    def fails(path: Path, model: object) -> None:
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr("cpam_bayes.storage.arrays.write_arrays", fails)
+    path = model_file(name_of(0))
+    write_model(path, MODEL)
+    assert read_model(path) is None
 
 
 def test_several_processes_read_write_and_make_room_at_once(directory: Path) -> None:

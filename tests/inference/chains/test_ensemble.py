@@ -303,6 +303,20 @@ def test_a_store_with_some_rounds_goes_on_bit_for_bit(tmp_path: Path, jumps: boo
     assert again.solves == whole.solves
 
 
+def test_two_runs_on_one_store_at_once_have_the_chain_of_one_alone(tmp_path: Path) -> None:
+    own, others = posterior(), []
+
+    def another(diagnostics: object) -> None:
+        if not others:  # the other begins after the first round of this one, and overtakes it
+            others.append(run(tmp_path))
+
+    found = sample(own, start(own), 7, SETTINGS, store=tmp_path, progress=another)
+    whole = run()
+    np.testing.assert_array_equal(found.chain, whole.chain)
+    np.testing.assert_array_equal(others[0].chain, whole.chain)
+    assert {path.suffix for path in tmp_path.iterdir()} == {".arrays"}
+
+
 KILLED = """
 import os, sys
 from pathlib import Path
