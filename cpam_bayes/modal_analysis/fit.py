@@ -107,7 +107,7 @@ def _solved(band: _Band, poles: Array) -> _Fit | None:
         return np.asarray(real + 1j * imaginary)
 
     p = np.column_stack((poles.real, poles.imag)).ravel() / scale
-    used = weight = 1.0 / np.sqrt(np.mean(band.data**2, axis=1))
+    used = weight = 1.0 / np.sqrt(np.maximum(np.mean(band.data**2, axis=1), np.finfo(float).tiny))
     for _ in range(_PASSES):  # even weights first, then those of the residuals
 
         def weighted(p: Array, weight: Array = weight) -> Array:

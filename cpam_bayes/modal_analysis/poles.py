@@ -25,6 +25,8 @@ TABLE: Final = "modes.csv"
 """The table of modes among the files of `--out`."""
 # Orders that can be asked for.
 _LEAST_ORDER, _MOST_ORDER = 10, 200
+# Responses times lines: as many take some seconds and less than 1 GiB.
+_MOST_VALUES: Final = 2_000_000
 # Where the range begins, unless given: lines, and a fraction of its end.
 _FIRST_LINE, _FIRST_FRACTION = 10, 0.02
 # Modes closer than this many of their half widths together are told of, and a poor standard deviation.
@@ -146,6 +148,11 @@ def poles(
     if lines < 2 * order:
         raise ModalTestError(
             f"{lines} lines from {low:g} to {high:g} Hz, accepted: {2 * order} or more for --order {order}"
+        )
+    if len(responses.frf) * lines > _MOST_VALUES:
+        raise ModalTestError(
+            f"{len(responses.frf)} responses of {lines} lines from {low:g} to {high:g} Hz, accepted: "
+            f"{_MOST_VALUES} values at most: a narrower --range, shorter records or fewer responses"
         )
     watch.announce(f"poles: {len(responses.frf)} responses, {lines} lines, up to {order} poles")
     found = stabilise(responses, low, high, order)

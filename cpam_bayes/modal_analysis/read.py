@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import re
-import struct
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -24,7 +24,10 @@ __all__ = ["read_responses"]
 
 Array = NDArray[Any]
 
-_MOST_BYTES: Final = 500_000_000
+# A file of this size takes some seconds and less than 1 GiB.
+_MOST_BYTES: Final = 50_000_000
+_MOST_LINES, _MOST_COLUMNS = 200_000, 2_000
+_MOST_SAMPLES: Final = 25_000_000
 _UNIVERSAL, _TABLES, _WAVES = (".unv", ".uff", ".unf"), (".csv", ".txt", ".tsv", ".dat"), (".wav",)
 _ACCEPTED: Final = (
     "frequency responses (a universal file with datasets 58, .unv or .uff; a table, .csv or .txt) or "
@@ -34,6 +37,9 @@ _ACCEPTED: Final = (
 _FRF: Final = 4
 _HEAD = re.compile(r"^(hz|frequency|freq|f|re|real|im|imag|imaginary|mag|magnitude|abs|phase)\b")
 _EVEN: Final = 1e-3
+# The largest value of a response or a record: what is beyond leaves the range of squares and their sums.
+_LEAST_SIZE, _MOST_SIZE = 1e-60, 1e60
+_LEAST_HZ, _MOST_HZ = 1e-3, 1e9
 
 
 def read_responses(
@@ -97,12 +103,22 @@ def _universal(name: str) -> FrequencyResponses:
     x = np.asarray(frf[0]["x"], dtype=float)
     if any(not np.array_equal(one["x"], x) for one in frf):
         raise ModalTestError(f"{name}: datasets 58 with different lines, accepted: the same in all")
+    if any(len(one["data"]) != len(x) for one in frf):
+        raise ModalTestError(f"{name}: a dataset 58 that ends within a line, accepted: whole files")
     return _checked(name, x, np.stack([one["data"] for one in frf]), f"dataset 58, {len(frf)} responses")
 
 
 def _table(name: str) -> FrequencyResponses:
     """A frequency in each row, and a pair of columns a response: re and im, or magnitude and phase."""
-    found = read_delimited(decode(_content(name)), lambda heads: len(_columns(heads)) > 2)
+    text = decode(_content(name))
+    n_lines = text.count("\n") + text.count("\r")
+    if n_lines > 2 * _MOST_LINES:  # two characters may end a line
+        raise ModalTestError(f"{name}: received {n_lines} lines, accepted: {_MOST_LINES} at most")
+
+    def is_header(heads: Sequence[str]) -> bool:
+        return len(heads) <= _MOST_COLUMNS and len(_columns(heads)) > 2
+
+    found = read_delimited(text, is_header)
     columns = [] if found is None else _columns(found.heads)
     kinds = [kind for kind, _, _ in columns]
     if found is None or kinds[0] != "f" or len(kinds) % 2 == 0 or set(kinds[1::2]) - {"re", "mag"}:
@@ -117,15 +133,21 @@ def _table(name: str) -> FrequencyResponses:
             rows.append([float(c if found.separator == "," else c.replace(",", ".")) for c in cells])
         except (ValueError, IndexError):
             raise ModalTestError(f"{name}:{row.line}: not a row of {len(columns)} numbers") from None
+    if not rows:
+        raise ModalTestError(f"{name}: no rows below the heads, accepted: a row for each line of frequency")
     values = np.array(rows).T
     frf = []
     for k in range(1, len(columns), 2):
         (kind, unit, _), (_, angle, _) = columns[k], columns[k + 1]
         first, second = values[k], values[k + 1]
         if kind == "mag":
-            size = 10.0 ** (first / 20.0) if "db" in unit else first
-            first, second = size, second if "rad" in angle else np.radians(second)
-        frf.append(first + 1j * second if kind == "re" else first * np.exp(1j * second))
+            with np.errstate(over="ignore", invalid="ignore"):  # refused below
+                size = 10.0 ** (first / 20.0) if "db" in unit else first
+                turn = second if "rad" in angle else np.radians(second)
+                first, second = size * np.cos(turn), size * np.sin(turn)
+        response = first.astype(complex)
+        response.imag = second
+        frf.append(response)
     scale = 1e3 if "khz" in columns[0][1] else 1.0
     return _checked(name, scale * values[0], np.array(frf), f"table, {len(frf)} responses")
 
@@ -143,22 +165,54 @@ def _columns(heads: Sequence[str]) -> list[tuple[str, str, int]]:
 
 
 def _checked(name: str, frequencies: Array, frf: Array, origin: str) -> FrequencyResponses:
+    highest = np.max(np.abs(frequencies), initial=0.0)
+    if not _LEAST_HZ <= highest <= _MOST_HZ:
+        raise ModalTestError(
+            f"{name}: lines of frequency up to {highest:g} Hz, accepted: {_LEAST_HZ:g} to {_MOST_HZ:g} Hz"
+        )
     steps = np.diff(frequencies)
-    if len(frequencies) < 2 or not np.all(steps > 0.0) or np.ptp(steps) > _EVEN * steps.mean() * len(steps):
+    even = len(steps) > 0 and np.all(steps > 0.0) and np.ptp(steps) <= _EVEN * steps.mean() * len(steps)
+    if not even or frequencies[0] < 0.0:
         raise ModalTestError(f"{name}: lines that do not ascend by equal steps, accepted: equal steps in Hz")
-    if not np.all(np.isfinite(frf)):
-        frf = np.where(np.isfinite(frf), frf, 0.0)  # analysers write no number at 0 Hz
+    missing = np.flatnonzero(~np.all(np.isfinite(frf), axis=0))
+    if missing.any():  # analysers write no number at 0 Hz
+        raise ModalTestError(
+            f"{name}: no number at {frequencies[missing[-1]]:g} Hz, accepted: one at each line"
+        )
+    frf = np.where(np.isfinite(frf), frf, 0.0)
+    for number, size in enumerate(np.max(np.abs(frf), axis=1), 1):
+        if not _LEAST_SIZE < size < _MOST_SIZE:
+            what = f"whose largest value is {size:.3g}" if size else "that is zero at all lines"
+            raise ModalTestError(
+                f"{name}: response {number} {what}, accepted: {_LEAST_SIZE:g} to {_MOST_SIZE:g}"
+            )
     return FrequencyResponses(frequencies, frf, 0.0, 0.0, origin)
 
 
 def _recording(name: str, force: int | None, response: Sequence[int]) -> Recording:
+    content = _content(name)
     try:
-        rate, samples = wavfile.read(io.BytesIO(_content(name)))
-    except (ValueError, EOFError, struct.error) as error:
+        # scipy warns of what it passes over, and of a length that a recorder never filled in
+        with warnings.catch_warnings(action="ignore"):
+            rate, samples = wavfile.read(io.BytesIO(content))
+    except Exception as error:  # noqa: BLE001 - scipy raises what comes, of a head with zeros for instance
         raise ModalTestError(f"{name}: not a .wav file that can be read: {error}") from None
-    signals = np.atleast_2d(np.asarray(samples, dtype=float).T)
-    for channel in (*(() if force is None else (force,)), *response):
-        if not 1 <= channel <= len(signals):
-            raise ModalTestError(f"{name}: no channel {channel}, accepted: 1 to {len(signals)}")
-    hit = None if force is None else signals[force - 1]
-    return Recording(float(rate), hit, signals[[channel - 1 for channel in response]])
+    channels = np.atleast_2d(samples.T)
+    if not channels.size or not rate > 0:
+        raise ModalTestError(f"{name}: {channels.size} samples, {rate} a second, accepted: above 0")
+    wanted = (*(() if force is None else (force,)), *response)
+    for channel in wanted:
+        if not 1 <= channel <= len(channels):
+            raise ModalTestError(f"{name}: no channel {channel}, accepted: 1 to {len(channels)}")
+    if len(wanted) * channels.shape[1] > _MOST_SAMPLES:
+        raise ModalTestError(
+            f"{name}: received {len(wanted)} channels of {channels.shape[1]} samples, accepted: "
+            f"{_MOST_SAMPLES} samples at most; several files are one test"
+        )
+    with np.errstate(invalid="ignore"):  # of floats that are no numbers
+        signals = channels[[channel - 1 for channel in wanted]].astype(float)
+    if not np.all(np.abs(signals) < _MOST_SIZE):
+        raise ModalTestError(f"{name}: samples that are no numbers, accepted: numbers up to {_MOST_SIZE:g}")
+    if force is None:
+        return Recording(float(rate), None, signals)
+    return Recording(float(rate), signals[0], signals[1:])

@@ -24,6 +24,7 @@ _ONSET, _APART, _BEFORE = 0.3, 0.25, 0.002
 # The range of a test ends where the spectrum of the force has fallen to this fraction of its largest value.
 _FORCE_LEFT: Final = 0.1
 _LEAST_LINES: Final = 50
+_MOST_HITS: Final = 1000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -94,6 +95,10 @@ def _hits(recording: Recording) -> list[Array]:
         return []
     above = np.flatnonzero(trigger > _ONSET * trigger.max())
     first = above[np.append(True, np.diff(above) > _APART * recording.rate)]
+    if len(first) > _MOST_HITS:
+        raise ModalTestError(
+            f"{len(first)} hits, accepted: {_MOST_HITS} at most: records that rest between hits"
+        )
     starts = np.maximum(first - int(_BEFORE * recording.rate), 0)
     ends = np.append(starts[1:], channels.shape[1])
     return [

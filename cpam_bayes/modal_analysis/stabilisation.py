@@ -54,7 +54,7 @@ def stabilise(responses: FrequencyResponses, low: float, high: float, order: int
     low, high : Hz, the range
     order : number of poles of the largest model
 
-    Raises ``ModalTestError`` where sdypy-EMA is missing.
+    Raises ``ModalTestError`` where sdypy-EMA is missing, or where nothing determines poles.
     """
     found = _poles(responses, low, high, order)
     orders, s = np.concatenate([np.full(len(p), n) for n, p in found]), np.concatenate([p for _, p in found])
@@ -77,7 +77,13 @@ def _poles(responses: FrequencyResponses, low: float, high: float, order: int) -
         raise ModalTestError(_MISSING) from None
     model = EMA.Model(responses.frf, responses.frequencies, lower=low, upper=high, pol_order_high=order)
     with np.errstate(all="ignore"):
-        model.get_poles(method="lscf", show_progress=False)
+        try:
+            model.get_poles(method="lscf", show_progress=False)
+        except np.linalg.LinAlgError:
+            raise ModalTestError(
+                f"the responses from {low:g} to {high:g} Hz do not determine models of {order} poles, "
+                "accepted: measured responses, which have noise, and which are not zero there"
+            ) from None
     found = []
     for n, poles in enumerate(model.all_poles, start=1):
         s = np.asarray(poles)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import builtins
+import io
 import json
 from itertools import pairwise
 from pathlib import Path
@@ -255,7 +256,18 @@ def test_no_mode_is_no_success_and_says_what_to_try(run, tmp_path: Path) -> None
     assert not (tmp_path / "out" / "modes.csv").exists()
 
 
-FEW = b"hz,re,im\n" + b"".join(b"%d,1,0\n" % i for i in range(100))
+def rows(*values: str) -> bytes:
+    return "\n".join(["hz,re,im", *values]).encode()
+
+
+def wave(rate: int, samples: np.ndarray) -> bytes:
+    file = io.BytesIO()
+    wavfile.write(file, rate, samples)
+    return file.getvalue()
+
+
+STEADY = [f"{i},1,0" for i in range(100)]
+HIT = {"response": [1], "window": "none"}
 
 
 @pytest.mark.parametrize(
@@ -277,6 +289,31 @@ FEW = b"hz,re,im\n" + b"".join(b"%d,1,0\n" % i for i in range(100))
         ("tap.wav", b"RIFF", {"response": [1]}, "--response and --window: not given"),
         ("tap.csv", b"hz,re,im\n1,2,3\n2,1,1\n", {"order": 5}, "--order: received 5, accepted: 10 to 200"),
         ("tap.csv", b"hz,re,im\n1,2,3\n2,1,1\n", {"low_hz": 50.0}, "--range: received 50 to 2 Hz"),
+        ("tap.csv", rows(), {}, "no rows below the heads"),
+        (
+            "tap.csv",
+            rows(*STEADY[:50], "50,nan,0", *STEADY[51:]),
+            {},
+            "no number at 50 Hz, accepted: one at each",
+        ),
+        ("tap.csv", rows("0,0,0", "1,0,0", "2,0,0"), {}, "response 1 that is zero at all lines"),
+        (
+            "tap.csv",
+            rows("0,0,0", "1,1e300,0"),
+            {},
+            "response 1 whose largest value is 1e+300, accepted: 1e-60",
+        ),
+        (
+            "tap.csv",
+            rows("0,1,0", "1e300,1,0"),
+            {},
+            "lines of frequency up to 1e+300 Hz, accepted: 0.001 to 1e+09",
+        ),
+        ("tap.csv", rows() + b"\n" * 500_000, {}, "received 500000 lines, accepted: 200000 at most"),
+        ("tap.unv", b"    -1\n" * 30_000, {}, "received 15000 datasets, accepted: 10000 at most"),
+        ("tap.wav", wave(0, np.ones(9, np.int16)), HIT, "9 samples, 0 a second, accepted: above 0"),
+        ("tap.wav", wave(8, np.full(99, np.nan)), HIT, "samples that are no numbers"),
+        ("tap.wav", wave(1, np.ones(2000, np.int16)), HIT, "2000 hits, accepted: 1000 at most"),
     ],
 )
 def test_what_cannot_be_read_is_said(tmp_path, name, content, options, said) -> None:
@@ -284,6 +321,20 @@ def test_what_cannot_be_read_is_said(tmp_path, name, content, options, said) -> 
     with pytest.raises(ModalTestError) as caught:
         cb.poles(tmp_path / name, **options)
     assert said in str(caught.value)
+
+
+def test_more_values_than_fit_the_memory_are_refused_before_they_are_analysed(tmp_path: Path) -> None:
+    (tmp_path / "long.wav").write_bytes(wave(48_000, np.tile(np.array([255, 0], np.uint8), 4_100_000)))
+    with pytest.raises(ModalTestError, match=r"of .* lines from .* Hz, accepted: 2000000 values at most"):
+        cb.poles(tmp_path / "long.wav", response=[1], window="none")
+
+
+def test_a_record_whose_recorder_never_filled_in_its_length_is_read(recorded: Path, tmp_path: Path) -> None:
+    content = bytearray(recorded.read_bytes())
+    content[4:8] = b"\xff\xff\xff\x7f"
+    (tmp_path / "hits.wav").write_bytes(content)
+    result = cb.poles(tmp_path / "hits.wav", force=1, response=[2], window="none", high_hz=390.0, order=40)
+    assert_known(result.modes, rtol=1e-4)
 
 
 def test_a_channel_that_is_not_there_and_a_missing_file_are_named(recorded: Path, tmp_path: Path) -> None:

@@ -138,6 +138,18 @@ def test_shapes_are_taken_at_the_nodes_that_all_modes_have(read):
         (nodes_15(MM[:, [0, 0, 1]] * [1, 0, 1]) + mode_55(101.5, SHAPE), "do not lie on the plate"),
         (nodes_15(MM) + mode_55(101.5, SHAPE[:, :2], nodes=[1, 2]), "2 nodes that all modes have"),
         (nodes_15(MM) + mode_55(101.5, SHAPE)[:900] + "\n    -1\n", "dataset 2, of type 55"),
+        (nodes_15(MM)[:-30] + "\n    -1\n" + mode_55(101.5, SHAPE), "a dataset 15 that ends within a node"),
+        (
+            nodes_15(MM) + mode_55(101.5, SHAPE).replace("5.00000E+03", "5.0000?E+03"),
+            "dataset 2, of type 55: cannot be read, accepted: the columns of its format",
+        ),
+        (
+            nodes_15(MM).replace("2.00000E+02", "        nan") + mode_55(101.5, SHAPE),
+            "values that are no numbers",
+        ),
+        (nodes_15(MM).replace("\n        20", "\n       1.5") + mode_55(101.5, SHAPE), "no whole numbers"),
+        (nodes_15(MM) + units_164(1e-300) + mode_55(101.5, SHAPE), "received a factor of length of 1e-300"),
+        ("    -1\n" * 30_000, "received 15000 datasets, accepted: 10000 at most"),
         (
             nodes_15(MM) + "".join(mode_55(100.0 + i, SHAPE) for i in range(101)),
             "too many modes, received 101",

@@ -16,11 +16,11 @@ from cpam_bayes.plate.raw import Data, number, table
 from cpam_bayes.plate.regular_file import read_named_file
 from cpam_bayes.plate.schema import MAX_FREQUENCIES
 
-__all__ = ["MAX_UNIVERSAL_BYTES", "ShapeModes", "shapes_of"]
+__all__ = ["MAX_UNIVERSAL_BYTES", "ShapeModes", "read_shapes", "shapes_of"]
 
 _KEY: Final = ("measurement", "shapes")
-MAX_UNIVERSAL_BYTES: Final = 100_000_000
-"""A file of 100 modes at 10 000 nodes has half of it."""
+MAX_UNIVERSAL_BYTES: Final = 20_000_000
+"""A file of 100 modes at 3000 nodes has as much; it is read in some seconds."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,12 +64,16 @@ def shapes_of(data: Data, directory: Path | None) -> tuple[ShapeModes | None, li
     if content is None or length is None or width is None or min(length, width) <= 0.0:
         return None, problems
     try:
-        return _read(content, 1e-3 * length, 1e-3 * width), []
+        return read_shapes(content, 1e-3 * length, 1e-3 * width), []
     except UniversalFileError as error:
         return None, [Problem(_KEY, f"{Path(name).name}: {error}")]
 
 
-def _read(content: bytes, length: float, width: float) -> ShapeModes:
+def read_shapes(content: bytes, length: float, width: float) -> ShapeModes:
+    """The modes of a universal file on a plate of length by width, m.
+
+    Raises ``UniversalFileError`` where there are none, or where their nodes cannot be placed.
+    """
     found = universal_modes(content)
     if len(found.modes) > MAX_FREQUENCIES:
         raise UniversalFileError(f"too many modes, received {len(found.modes)}, accepted: {MAX_FREQUENCIES}")

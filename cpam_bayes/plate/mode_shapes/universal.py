@@ -21,6 +21,14 @@ Array = NDArray[Any]
 _NODES, _SHAPE, _UNITS = (15, 2411), 55, 164
 # Analyses of a dataset 55 that are modes: normal ones, complex ones of displacement and of velocity.
 _NORMAL, _COMPLEX = 2, (3, 7)
+# What stands before and after each dataset, and how many datasets a file may have.
+_MARK: Final = b"    -1"
+_MOST_SETS: Final = 10_000
+# Numbers of nodes have ten columns. What is beyond the size leaves the range of squares and their sums.
+_MOST_NODE: Final = 10**10
+_MOST_SIZE: Final = 1e100
+# Units of length from a thousandth of a nanometre to a terametre.
+_LEAST_FACTOR: Final = 1e-12
 _MISSING: Final = 'universal files need the library pyuff, accepted: pip install "cpam-bayes[uff]"'
 
 
@@ -75,6 +83,9 @@ def read_sets(content: bytes, types: Sequence[int]) -> list[Mapping[str, Any]]:
     Raises ``UniversalFileError`` where pyuff is missing or cannot read one of them.
     """
     library = pyuff()
+    marks = content.count(_MARK)
+    if marks > 2 * _MOST_SETS:
+        raise UniversalFileError(f"received {marks // 2} datasets, accepted: {_MOST_SETS} at most")
     with TemporaryDirectory() as directory:
         path = Path(directory) / "file.unv"
         path.write_bytes(content)
@@ -89,8 +100,10 @@ def read_sets(content: bytes, types: Sequence[int]) -> list[Mapping[str, Any]]:
                 continue
             try:
                 sets.append({**file.read_sets(i), "type": kind})
-            except Exception as error:  # noqa: BLE001 - pyuff raises Exception itself
-                raise UniversalFileError(f"dataset {i + 1}, of type {kind}: {error}") from None
+            except Exception:  # noqa: BLE001 - pyuff raises Exception itself, which says nothing more
+                raise UniversalFileError(
+                    f"dataset {i + 1}, of type {kind}: cannot be read, accepted: the columns of its format"
+                ) from None
     return sets
 
 
@@ -109,13 +122,16 @@ def universal_modes(content: bytes) -> UniversalModes:
     places: dict[int, Array] = {}
     for one in sets:
         if one["type"] in _NODES:
-            coordinates = np.stack([np.asarray(one[axis], dtype=float) for axis in "xyz"], axis=1)
-            places |= dict(zip(np.asarray(one["node_nums"]).astype(int).tolist(), coordinates, strict=True))
+            nodes, coordinates = _of_nodes(one, "xyz")
+            places |= dict(zip(nodes.tolist(), coordinates.T, strict=True))
     if not places:
         raise UniversalFileError("no nodes, accepted: a dataset 15 or 2411 beside the modes")
     factors = [float(one["length"]) for one in sets if one["type"] == _UNITS]
-    if factors and not factors[0] > 0.0:
-        raise UniversalFileError(f"dataset 164: received a factor of length of {factors[0]:g}, accepted: > 0")
+    if factors and not _LEAST_FACTOR < factors[0] < 1.0 / _LEAST_FACTOR:
+        raise UniversalFileError(
+            f"dataset 164: received a factor of length of {factors[0]:g}, accepted: {_LEAST_FACTOR:g} to "
+            f"{1.0 / _LEAST_FACTOR:g}"
+        )
     return UniversalModes(
         modes=tuple(sorted(modes, key=lambda mode: mode.frequency)),
         places=places,
@@ -137,11 +153,24 @@ def _mode(one: Mapping[str, Any]) -> UniversalMode | None:
         return None
     if not (np.isfinite(frequency) and frequency > 0.0):
         return None
-    values = np.stack([np.asarray(one[f"r{axis}"]) for axis in (1, 2, 3)])
-    if not np.all(np.isfinite(values)):
-        raise UniversalFileError(f"the mode of {frequency:g} Hz has values that are no numbers")
-    nodes = np.asarray(one["node_nums"]).astype(int)
+    nodes, values = _of_nodes(one, ("r1", "r2", "r3"))
     return UniversalMode(frequency, damping if 0.0 < damping < 1.0 else np.nan, nodes, values)
+
+
+def _of_nodes(one: Mapping[str, Any], names: Sequence[str]) -> tuple[Array, Array]:
+    """The nodes (n,) of a dataset and what it has for each, (len(names), n)."""
+    of = f"a dataset {one['type']}"
+    numbers, columns = np.asarray(one["node_nums"], dtype=float), [np.asarray(one[name]) for name in names]
+    if any(column.shape != numbers.shape for column in columns):
+        raise UniversalFileError(f"{of} that ends within a node, accepted: whole datasets")
+    values = np.stack(columns)
+    if not np.all(np.abs(values) < _MOST_SIZE):
+        raise UniversalFileError(
+            f"{of} has values that are no numbers, accepted: numbers up to {_MOST_SIZE:g}"
+        )
+    if not np.all((numbers >= 0.0) & (numbers < _MOST_NODE) & (numbers % 1.0 == 0.0)):
+        raise UniversalFileError(f"{of} has nodes that are no whole numbers, accepted: 0 to {_MOST_NODE - 1}")
+    return numbers.astype(int), values
 
 
 def _damping_of(one: Mapping[str, Any]) -> float:

@@ -12,6 +12,8 @@ __all__ = ["Delimited", "Row", "decode", "read_delimited"]
 _SEPARATORS: Final = ("\t", ";", ",", "|", " ")
 _DECLARED: Final = "sep="
 _COMMENTS: Final = ("#", "%")
+# Heads stand in one of the first lines, and these are no longer than this.
+_LINES_ABOVE, _LONGEST_HEADS = 1000, 100_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +45,7 @@ def decode(content: bytes) -> str:
 
 
 def read_delimited(text: str, is_header: Callable[[Sequence[str]], bool]) -> Delimited | None:
-    """The table of a text from its first line of heads on; None where no line has such heads.
+    """The table of a text from its first line of heads on; None where the first 1000 lines have none.
 
     Empty lines and comments (# or %) are passed over, and a line "sep=;" says the separator.
 
@@ -51,7 +53,9 @@ def read_delimited(text: str, is_header: Callable[[Sequence[str]], bool]) -> Del
     """
     lines = text.splitlines()
     separators: tuple[str, ...] = _SEPARATORS
-    for i, line in enumerate(lines):
+    for i, line in enumerate(lines[:_LINES_ABOVE]):
+        if len(line) > _LONGEST_HEADS:
+            continue
         if line.strip().casefold().startswith(_DECLARED) and len(line.strip()) > len(_DECLARED):
             separators = (line.strip()[len(_DECLARED)],)
             continue
@@ -65,6 +69,8 @@ def read_delimited(text: str, is_header: Callable[[Sequence[str]], bool]) -> Del
 
 def _rows(lines: Sequence[str], first: int, separator: str, n_columns: int) -> Iterator[Row]:
     for number, line in enumerate(lines[first:], start=first + 1):
+        if not line:
+            continue
         cells = _cells(line, separator)
         if not any(cells) or line.lstrip().startswith(_COMMENTS):
             continue

@@ -1,14 +1,14 @@
-"""Plate files, layups and tables of modes that no user means, by hypothesis, and damage to stored files."""
+"""Plate files that no user means."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Final
 
-import numpy as np
 from hypothesis import strategies as st
 
-__all__ = ["DAMAGES", "LARGE_FILES", "layups", "mode_tables", "plate_texts"]
+__all__ = ["LARGE_FILES", "plate_texts"]
+
 
 _PLATE: Final = """\
 name = "panel 7"
@@ -111,101 +111,6 @@ def plate_texts(draw: st.DrawFn) -> str:
         elif how == "other":
             lines = draw(st.text(max_size=300)).splitlines()
     return "\n".join(lines)
-
-
-_PLIES: Final = st.one_of(
-    st.floats(-100, 100).map(lambda angle: f"{angle:g}"),
-    st.integers(-90, 90).map(str),
-    st.sampled_from(("?", "±45", "-+30", "+-0", "", "90.", ".5", "1e3", "٣")),
-)
-_COUNTS: Final = st.one_of(
-    st.just(""), st.integers(0, 3000).map(lambda n: f"_{n}"), st.just("_"), st.just("2")
-)
-
-
-def _run(plies: st.SearchStrategy[str]) -> st.SearchStrategy[str]:
-    item = st.tuples(plies, _COUNTS).map("".join)
-    return st.lists(item, max_size=5).map("/".join)
-
-
-_GROUPS: Final = st.recursive(
-    _run(_PLIES), lambda inner: _run(inner.map(lambda run: f"({run})")), max_leaves=6
-)
-_ENDS: Final = st.sampled_from(("]", "]_s", "]s", "]_2s", "]_T", "]_99999999999s", "", "]]", "]_", "] x"))
-
-
-def layups() -> st.SearchStrategy[str]:
-    """Layups of the notation, most of them wrong somewhere, and texts of its characters."""
-    return st.one_of(
-        st.tuples(st.just("["), _GROUPS, _ENDS).map("".join),
-        st.text(alphabet="[]()/_0123456789.?+-±∓sST ", max_size=60),
-        st.text(max_size=40),
-    )
-
-
-_HEADS: Final = (
-    "mode", "label", "Frequency (Hz)", "frequency [kHz]", "hz", "hit", "sd", "damping (%)", "zeta", "weight"
-)  # fmt: skip
-_CELLS: Final = st.one_of(
-    st.floats(1.0, 5000.0).map(lambda hz: f"{hz:.2f}"),
-    st.floats(1.0, 5000.0).map(lambda hz: f"{hz:.2f}".replace(".", ",")),
-    st.integers(0, 12).map(str),
-    st.sampled_from(("", "(1,1)", "bending 2", "n/a", "-", "1e400", "nan", "-3", "0", "1.234,5", '"a', "٣")),
-    st.text(max_size=12),
-)  # fmt: skip
-_SEPARATORS: Final = st.sampled_from((",", ";", "\t", "|", " ", ", "))
-
-
-@st.composite
-def mode_tables(draw: st.DrawFn) -> str:
-    """The text of a table of modes, most of them wrong somewhere, or of no table at all."""
-    if draw(st.integers(0, 9)) == 0:
-        return draw(st.text(max_size=300))
-    separator = draw(_SEPARATORS)
-    heads = draw(st.lists(st.sampled_from(_HEADS), min_size=1, max_size=6, unique=draw(st.booleans())))
-    n = len(heads)
-    lines = draw(st.lists(st.text(max_size=20).filter(str.isprintable), max_size=2))
-    lines.append(separator.join(heads))
-    for _ in range(draw(st.integers(0, 8))):
-        cells = draw(st.lists(_CELLS, min_size=max(n - draw(st.integers(0, 1)), 0), max_size=n + 1))
-        lines.append(separator.join(cells))
-    return draw(st.sampled_from(("\n", "\r\n", "\r"))).join(lines)
-
-
-def _flipped(content: bytes, rng: np.random.Generator) -> bytes:
-    changed = bytearray(content)
-    for place in rng.choice(len(content), size=rng.integers(1, 9), replace=False):
-        changed[place] ^= int(rng.integers(1, 256))
-    return bytes(changed)
-
-
-def _truncated(content: bytes, rng: np.random.Generator) -> bytes:
-    return content[: rng.integers(len(content))]
-
-
-def _in_directory(content: bytes, rng: np.random.Generator) -> bytes:
-    changed = bytearray(content)
-    changed[rng.integers(content.index(b"PK\x01\x02"), len(content))] ^= int(rng.integers(1, 256))
-    return bytes(changed)
-
-
-def _moved(content: bytes, rng: np.random.Generator) -> bytes:
-    start, stop, place = np.sort(rng.choice(len(content), size=3, replace=False))
-    return content[:start] + content[stop:place] + content[start:stop] + content[place:]
-
-
-def _longer(content: bytes, rng: np.random.Generator) -> bytes:
-    return content + rng.bytes(int(rng.integers(1, 100)))
-
-
-DAMAGES: Final[Mapping[str, Callable[[bytes, np.random.Generator], bytes]]] = {
-    "bytes changed": _flipped,
-    "truncated": _truncated,
-    "zip directory changed": _in_directory,
-    "a piece moved": _moved,
-    "bytes appended": _longer,
-}
-"""What may happen to the arrays of a stored file, by name."""
 
 
 LARGE_FILES: Final[Mapping[str, str]] = {
