@@ -314,6 +314,15 @@ BAD_FILES = {
         ":8: plate.width_m: unknown key, the nearest known key is width_mm",
     ),
     "descending": (("218, 289", "289, 218"), "measurement.frequencies_hz item 4: descending"),
+    "descending throughout": (
+        ("[114, 167, 218, 289, 300, 497]", "[497, 300, 218]"),
+        "item 2: descending frequencies, received 300 after 497, and at 1 more place, accepted: ascending, "
+        "equal ones for a degenerate pair; write the list the other way round",
+    ),
+    "one frequency again and again": (
+        ("[114, 167, 218, 289, 300, 497]", "[114, 114, 114, 114]"),
+        "measurement.frequencies_hz: all 4 frequencies are equal, received 114 each time",
+    ),
     "impossible": (("nu12 = 0.33", "nu12 = 0.99"), ":13: material"),
     "layup": (('edges = "FFFF"', 'edges = "FFFF"\nlayup = "[0/9x]"'), "(character 5)\n"),
     "million plies": (('edges = "FFFF"', 'edges = "FFFF"\nlayup = "[0_1000000]"'), "plate.layup"),

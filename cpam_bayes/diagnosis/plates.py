@@ -31,12 +31,12 @@ from cpam_bayes.forward_model.preconditions import (
     require_number,
     require_seed,
 )
+from cpam_bayes.forward_model.reachable import require_reachable
 from cpam_bayes.forward_model.slips import (
     count_slips,
     equal_list_slips,
     misfit_slips,
     reference_slips,
-    require_reachable,
     stated_noise_slips,
 )
 from cpam_bayes.parallel import open_executor

@@ -26,16 +26,31 @@ SUSPICIOUS_RATIO = 3.0
 # Longer side over thickness from which a failure is blamed on the thickness.
 _THIN = 300.0
 
-# Prediction over measurement -> the slips that make it so, and how far from it a ratio may be.
+# Prediction over measurement -> the slips that make it so. A frequency goes as h / sqrt(density) or, of a
+# plate that was weighed, as h sqrt(h / mass): what a wrong thickness does differs.
 _CURES: Final = (
     (1000.0, "frequencies in kHz for Hz, or sizes in m for mm"),
     (31.6, "a mass in kg for g, a density in g/cm3 for kg/m3, or constants in MPa for GPa"),
     (25.4, "sizes in inches for mm"),
     (10.0, "sizes in cm for mm, or a thickness 10 times too large"),
     (1.0 / (2.0 * math.pi), "frequencies in rad/s for Hz"),
-    (1.0 / 31.6, "a mass in g given 1000 times too large, or constants in TPa for GPa"),
+    (1.0 / 10.0, "a thickness 10 times too small, as of cm for mm"),
+    (1.0 / 31.6, "constants in TPa for GPa"),
     (1.0 / 1000.0, "frequencies in mHz for Hz, or sizes in um for mm"),
 )
+_CURES_OF_A_WEIGHED: Final = (
+    (1000.0, "frequencies in kHz for Hz"),
+    (31.6, "a thickness 10 times too large, a mass in kg for g, or constants in MPa for GPa"),
+    (25.4, "sizes in inches for mm"),
+    (1.0 / (2.0 * math.pi), "frequencies in rad/s for Hz"),
+    (
+        1.0 / 31.6,
+        "a thickness 10 times too small, as of cm for mm, a mass 1000 times too large, or constants in TPa "
+        "for GPa",
+    ),
+    (1.0 / 1000.0, "frequencies in mHz for Hz"),
+)
+# How far from it a ratio may be.
 _NEAR = 1.35
 
 
@@ -222,21 +237,26 @@ def explained_failures(specimen: Specimen) -> Iterator[None]:
         raise _solver_failure(specimen, error) from error
 
 
-def likely_cure(ratio: float) -> str:
-    """What slip of units makes predicted frequencies so many times the measured ones."""
-    likely = [text for value, text in _CURES if 1.0 / _NEAR < ratio / value < _NEAR]
+def likely_cure(ratio: float, *, weighed: bool) -> str:
+    """What slip of units makes predicted frequencies so many times the measured ones.
+
+    weighed : whether the plate file has a mass, and the density follows from it
+    """
+    cures = _CURES_OF_A_WEIGHED if weighed else _CURES
+    likely = [text for value, text in cures if 1.0 / _NEAR < ratio / value < _NEAR]
     if not likely:  # constants may be far from their reference too
-        nearest = min(_CURES, key=lambda cure: abs(math.log(ratio / cure[0])))
+        nearest = min(cures, key=lambda cure: abs(math.log(ratio / cure[0])))
         likely = [nearest[1]] if abs(math.log(ratio / nearest[0])) < math.log(2.5) else []
     if not likely:
         return "check the units of sizes, mass or density, constants and frequencies, and the edges"
     return f"the likely slip is {likely[0]}; check the units of the plate file"
 
 
-def units_warning(ratio: NDArray[np.float64], where: str = "") -> list[str]:
+def units_warning(ratio: NDArray[np.float64], where: str = "", *, weighed: bool) -> list[str]:
     """A warning where a predicted frequency is not even of the size of the measured one.
 
     ratio : predicted over measured frequencies.
+    weighed : as `likely_cure`
     where : at which constants, with a space before.
     """
     worst = float(ratio[np.argmax(np.abs(np.log(ratio)))])
@@ -244,7 +264,7 @@ def units_warning(ratio: NDArray[np.float64], where: str = "") -> list[str]:
         return []
     return [
         f"a predicted frequency is {significant(worst, 3)} times the measured one{where}: "
-        f"{likely_cure(float(np.median(ratio)))}"
+        f"{likely_cure(float(np.median(ratio)), weighed=weighed)}"
     ]
 
 

@@ -1,28 +1,20 @@
-"""Slips in a plate file that ruin the answer, found before any work, with the likely cure.
+"""Slips in a plate file that ruin the answer, with the likely cure, each a sentence above the answer.
 
-A list that no constants within the bounds come near is refused. What may be meant, but rarely is, is
-said in a sentence that stands above the answer.
+What may be meant, but rarely is. Lists that no plate of the file can have are refused (`reachable`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from cpam_bayes.errors import PlateFileError
 from cpam_bayes.formatting import listed, significant
-from cpam_bayes.forward_model.model import NO_PARAMETERS, plate_problem, reference_constants
-from cpam_bayes.forward_model.preconditions import likely_cure
-from cpam_bayes.mechanics.dense import discretise
-from cpam_bayes.mechanics.modes import RigidBodyError, solve
-from cpam_bayes.mechanics.spaces.ritz import RitzSettings, ritz_space
+from cpam_bayes.forward_model.model import reference_constants
 from cpam_bayes.plate import Measurement, Specimen, to_user, unit_of, user_name
-from cpam_bayes.threads import single_blas_thread
 
 __all__ = [
     "HIGH_MISFIT",
@@ -35,7 +27,6 @@ __all__ = [
     "misfit_slips",
     "noise_slips",
     "reference_slips",
-    "require_reachable",
     "stated_noise_slips",
 ]
 
@@ -44,11 +35,6 @@ Array = NDArray[np.float64]
 HIGH_MISFIT: Final = 0.03
 """Relative misfit above which a list does not belong to its plate model: no tap test scatters so."""
 
-# A list this many times outside what the bounds reach is refused; one that may lack its first modes, or
-# whose labels say which modes it holds, only where it is further away.
-_UNREACHABLE, _UNREACHABLE_WITH_GAPS = 3.0, 30.0
-# Frequencies to a few percent, which is plenty here.
-_SETTINGS: Final = RitzSettings(9, 9)
 # Lists of several plates that differ by no more than this everywhere are most likely one measurement.
 _EQUAL = 2e-3
 # Probability of a misfit, by noise as stated, below which it is no accident.
@@ -59,62 +45,6 @@ _FAR_SD = 3.0
 _COMMON = 1.3
 # How every slip begins that says of a list and its plate model that they do not belong together.
 _NOT_DESCRIBED: Final = "the plate model does not describe these frequencies"
-
-
-@single_blas_thread
-def require_reachable(specimen: Specimen) -> Specimen:
-    """Return the specimen, or raise `PlateFileError` if no constants come near its frequencies.
-
-    Compared are the medians over the list of the logarithms of measured and predicted frequencies, these
-    with all unknown moduli at their lower bounds and at their upper ones. Not asked of a mesh, and where
-    bending cannot be told from rounding, which others say.
-    """
-    measurement = specimen.measurement
-    if measurement is None or specimen.plate.mesh is not None:
-        return specimen
-    n = measurement.size
-    try:
-        reference = _frequencies(specimen, reference_constants(specimen), n)
-        low, high = (_frequencies(specimen, _at_bounds(specimen, end), n) for end in ("lower", "upper"))
-    except (RigidBodyError, np.linalg.LinAlgError):
-        return specimen
-    above = float(np.exp(np.median(np.log(low / measurement.frequencies))))
-    below = float(np.exp(np.median(np.log(measurement.frequencies / high))))
-    with_gaps = not measurement.complete or measurement.names_modes
-    limit = _UNREACHABLE_WITH_GAPS if with_gaps else _UNREACHABLE
-    if max(above, below) <= limit:
-        return specimen
-    ratio = float(np.exp(np.median(np.log(reference / measurement.frequencies))))
-    span = [significant(float(v), 3) for v in (reference[0], reference[-1])]
-    given = [f"{float(v):.6g}" for v in (measurement.frequencies[0], measurement.frequencies[-1])]
-    raise PlateFileError(
-        f"{specimen.source}: measurement.frequencies_hz: received {' to '.join(dict.fromkeys(given))} Hz, "
-        f"where the plate with the constants of [material] has {' to '.join(dict.fromkeys(span))} Hz, "
-        f"{significant(ratio, 3)} times as much, and no constants within [unknowns] come near: "
-        f"{likely_cure(ratio)}"
-    )
-
-
-def _at_bounds(specimen: Specimen, end: str) -> dict[str, float]:
-    """Reference constants with the unknown moduli at one end of their bounds."""
-    constants = reference_constants(specimen)
-    for name in specimen.unknowns.names:
-        if unit_of(name):
-            constants[name] = float(getattr(specimen.unknowns[name].prior, end))
-    return constants
-
-
-def _frequencies(specimen: Specimen, constants: dict[str, float], n: int) -> Array:
-    """The lowest frequencies of the plate with given constants, roughly, (n,) Hz."""
-    material = specimen.material.with_constants(constants)
-    layup = specimen.plate.layup
-    if layup.n_unknown:
-        evenly = np.linspace(-90.0, 90.0, layup.n_unknown + 1)[1:]
-        layup = layup.with_angles(evenly)
-    plain = replace(specimen, material=material, plate=replace(specimen.plate, layup=layup))
-    problem = plate_problem(plain, NO_PARAMETERS)
-    operator = discretise(problem, ritz_space(problem.edges, problem.nominal, _SETTINGS), {})
-    return np.asarray(solve(operator, *operator.coefficients({}), n).frequencies[0])
 
 
 def reference_slips(specimen: Specimen) -> tuple[str, ...]:

@@ -215,7 +215,9 @@ def _slips(specimen: Specimen, solution: _Solution) -> list[str]:
     if measurement is not None and measurement.complete:
         n = min(measurement.size, len(solution.modes))
         predicted = np.array([mode.frequency for mode in solution.modes[:n]])
-        slips += units_warning(predicted / measurement.frequencies[:n])
+        slips += units_warning(
+            predicted / measurement.frequencies[:n], weighed=specimen.plate.mass is not None
+        )
     return slips
 
 

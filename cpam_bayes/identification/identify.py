@@ -20,13 +20,13 @@ from cpam_bayes.forward_model.preconditions import (
     require_seed,
     require_supported,
 )
+from cpam_bayes.forward_model.reachable import require_reachable
 from cpam_bayes.forward_model.slips import (
     common_factor_slips,
     count_slips,
     misfit_slips,
     noise_slips,
     reference_slips,
-    require_reachable,
     stated_noise_slips,
 )
 from cpam_bayes.identification.angle_search import AngleSearchResult, search_angles

@@ -199,7 +199,7 @@ def summarise(
         scale_errors=scales,
         reliances=reliances(unknowns.names, covariance, prior_sd, sd),
         seconds=time.perf_counter() - start,
-        warnings=_warnings(measurement, predicted, unknowns.size),
+        warnings=_warnings(specimen, predicted),
         by_shape=by_shape(model),
     )
 
@@ -310,12 +310,14 @@ def _estimate(
     )
 
 
-def _warnings(measurement: Measurement, predicted: Array, n_unknowns: int) -> tuple[str, ...]:
-    problems = []
+def _warnings(specimen: Specimen, predicted: Array) -> tuple[str, ...]:
+    (measurement, unknowns), problems = required(specimen), []
+    n_unknowns = unknowns.size
     if measurement.size <= n_unknowns:
         problems.append(
             f"{measurement.size} frequencies for {n_unknowns} unknowns: the bounds decide, "
             "the fit says nothing about its own error"
         )
-    problems += units_warning(predicted / measurement.frequencies, " even for the best constants")
+    ratio, weighed = predicted / measurement.frequencies, specimen.plate.mass is not None
+    problems += units_warning(ratio, " even for the best constants", weighed=weighed)
     return tuple(problems)

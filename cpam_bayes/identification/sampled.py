@@ -22,6 +22,7 @@ from cpam_bayes.forward_model.preconditions import (
     require_seed,
     require_supported,
 )
+from cpam_bayes.forward_model.reachable import require_reachable
 from cpam_bayes.forward_model.reduced import ReducedModel
 from cpam_bayes.forward_model.slips import (
     common_factor_slips,
@@ -30,7 +31,6 @@ from cpam_bayes.forward_model.slips import (
     misfit_slips,
     noise_slips,
     reference_slips,
-    require_reachable,
     stated_noise_slips,
 )
 from cpam_bayes.identification.identify import NO_MESH

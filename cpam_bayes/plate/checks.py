@@ -38,6 +38,8 @@ from cpam_bayes.plate.units import USER_UNITS
 # No solid is lighter or heavier, foams and heavy metals included, kg/m3; no fibre is stiffer, GPa.
 _DENSITIES: Final = (5.0, 25_000.0)
 _MAX_MODULUS: Final = 2000.0
+# A pair may be equal, and a third frequency by chance of the rounding; more equal ones are one mode.
+_EQUAL_AT_MOST: Final = 3
 # Below this mass a plate's own numbers are wrong, which is said of them, g.
 _LIGHTEST: Final = 1e-6
 
@@ -260,14 +262,7 @@ def _frequencies(data: Data) -> Problems:
     listed = measurement.get("frequencies_hz")
     if not isinstance(listed, list) or len(listed) > MAX_FREQUENCIES:
         return
-    frequencies = [real(value) for value in listed]
-    for i, (before, after) in enumerate(itertools.pairwise(frequencies), start=1):
-        if before is not None and after is not None and after < before:
-            yield Problem(
-                ("measurement", "frequencies_hz", i),
-                f"descending frequencies, received {after:g} after {before:g}, "
-                "accepted: ascending, equal ones for a degenerate pair",
-            )
+    yield from _order([real(value) for value in listed])
     for key in ("frequency_sd_hz", "labels"):
         values = measurement.get(key)
         if isinstance(values, list) and len(values) != len(listed):
@@ -275,6 +270,27 @@ def _frequencies(data: Data) -> Problems:
                 ("measurement", key),
                 f"wrong length, received {len(values)}, accepted: {len(listed)}, one for each frequency",
             )
+
+
+def _order(frequencies: list[float | None]) -> Problems:
+    """One problem of a list that is not ascending, or has one frequency again and again."""
+    known = [(i, value) for i, value in enumerate(frequencies) if value is not None]
+    down = [(i, a, b) for (_, a), (i, b) in itertools.pairwise(known) if b < a]
+    if down:
+        i, before, after = down[0]
+        more = f", and at {len(down) - 1} more place{'s' if len(down) > 2 else ''}" if down[1:] else ""
+        whole = len(down) == len(frequencies) - 1 and len(down) > 1
+        yield Problem(
+            ("measurement", "frequencies_hz", i),
+            f"descending frequencies, received {after:g} after {before:g}{more}, accepted: ascending, equal "
+            f"ones for a degenerate pair{'; write the list the other way round' if whole else ''}",
+        )
+    elif len(known) > _EQUAL_AT_MOST and known[0][1] == known[-1][1]:
+        yield Problem(
+            ("measurement", "frequencies_hz"),
+            f"all {len(frequencies)} frequencies are equal, received {known[0][1]:g} each time, accepted: "
+            "one frequency a mode; are these repeats of one mode?",
+        )
 
 
 def _incomplete(data: Data) -> Problems:

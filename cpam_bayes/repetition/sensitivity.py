@@ -18,7 +18,8 @@ from cpam_bayes.forward_model.preconditions import (
     require_supported,
     require_whole,
 )
-from cpam_bayes.forward_model.slips import reference_slips, require_reachable, stated_noise_slips
+from cpam_bayes.forward_model.reachable import require_reachable
+from cpam_bayes.forward_model.slips import reference_slips, stated_noise_slips
 from cpam_bayes.forward_model.solve import measured_modes
 from cpam_bayes.inference.chains.ensemble import EnsembleSettings
 from cpam_bayes.inference.swarm.settings import SwarmSettings

@@ -17,12 +17,12 @@ from cpam_bayes.forward_model.preconditions import (
     require_sequence,
     require_whole,
 )
+from cpam_bayes.forward_model.reachable import require_reachable
 from cpam_bayes.forward_model.slips import (
     count_slips,
     misfit_over_noise,
     misfit_slips,
     reference_slips,
-    require_reachable,
     stated_noise_slips,
 )
 from cpam_bayes.identification.reliance import Reliance, reliances

@@ -10,6 +10,7 @@ import pytest
 from cpam_bayes.errors import PlateFileError
 from cpam_bayes.forward_model.builtin import plates
 from cpam_bayes.forward_model.preconditions import likely_cure
+from cpam_bayes.forward_model.reachable import require_reachable
 from cpam_bayes.forward_model.slips import (
     common_factor_slips,
     contradicts_list,
@@ -17,7 +18,6 @@ from cpam_bayes.forward_model.slips import (
     equal_list_slips,
     misfit_slips,
     reference_slips,
-    require_reachable,
     stated_noise_slips,
 )
 from cpam_bayes.plate import Specimen
@@ -64,8 +64,48 @@ def test_a_list_that_may_lack_its_first_modes_is_given_the_benefit_of_the_doubt(
 
 
 def test_a_ratio_that_no_unit_explains_has_no_likely_slip() -> None:
-    assert "check the units" in likely_cure(3.5)
-    assert "likely slip" not in likely_cure(3.5)
+    for weighed in (True, False):
+        assert "check the units" in likely_cure(3.5, weighed=weighed)
+        assert "likely slip" not in likely_cure(3.5, weighed=weighed)
+
+
+@pytest.mark.parametrize(("name", "weighed"), [("A1", False), ("C1", False), ("C1", True)])
+@pytest.mark.parametrize(("factor", "said"), [(0.1, "10 times too small"), (10.0, "10 times too large")])
+def test_a_thickness_ten_times_off_is_among_the_likely_slips(
+    name: str, weighed: bool, factor: float, said: str
+) -> None:
+    # weighed, the density goes with 1 / h, and a frequency with h^1.5 in place of h
+    specimen = builtin(name)
+    plate = replace(specimen.plate, thickness=factor * specimen.plate.thickness)
+    if weighed:
+        plate = replace(plate, mass=0.344, density=specimen.plate.density / factor)
+    with pytest.raises(PlateFileError, match=f"a thickness {said}"):
+        require_reachable(replace(specimen, plate=plate))
+
+
+@pytest.mark.parametrize("name", ["A1", "C1"])
+@pytest.mark.parametrize("low", [(3.1,), (3.1, 4.2)])
+def test_frequencies_below_any_of_the_plate_are_refused_as_motion_on_its_support(
+    name: str, low: tuple[float, ...]
+) -> None:
+    specimen = builtin(name)
+    measurement = specimen.measurement
+    assert measurement is not None
+    listed = np.concatenate((low, measurement.frequencies))
+    with_them = replace(measurement, frequencies=listed, labels=("",) * len(listed))
+    many = "first frequency" if len(low) == 1 else f"first {len(low)} frequencies"
+    with pytest.raises(PlateFileError, match=f"3.1.* Hz, where .*the {many} of .* rigid body on its support"):
+        require_reachable(replace(specimen, measurement=with_them))
+
+
+@pytest.mark.parametrize("name", BUILTIN)
+def test_a_first_frequency_at_the_lower_bounds_is_one_of_the_plate(name: str) -> None:
+    specimen = builtin(name)
+    measurement = specimen.measurement
+    assert measurement is not None
+    listed = measurement.frequencies.copy()
+    listed[0] *= 0.5  # a quarter of the moduli, which most bounds reach
+    require_reachable(replace(specimen, measurement=replace(measurement, frequencies=listed)))
 
 
 @pytest.mark.parametrize(("n", "k", "found"), [(6, 4, 0), (4, 4, 0), (3, 4, 1)])
