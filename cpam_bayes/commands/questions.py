@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -10,6 +11,11 @@ from typing import Any, Final
 from cpam_bayes.commands import MATERIALS
 
 Given = dict[str, Any]
+
+# Typed in place of an answer, it takes the one before back.
+_BACK: Final = "<"
+# Between numbers: spaces, a semicolon, a comma before a space, a sign of multiplication.
+_BETWEEN: Final = re.compile(r"(?:\s*[;x*\N{MULTIPLICATION SIGN}]\s*|,?\s+)", re.IGNORECASE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,8 +32,13 @@ class Question:
 
 
 def _numbers(text: str) -> tuple[float, ...]:
+    """Numbers with points or, all of them, with commas; one alone with a comma may be two, and is refused."""
+    parts = _BETWEEN.split(text.strip())
+    both = "." in text and any("," in part for part in parts)
     try:
-        return tuple(float(part) for part in text.replace(";", " ").split())
+        if both or (len(parts) == 1 and "," in text):
+            raise ValueError
+        return tuple(_number(part) for part in parts)
     except ValueError:
         raise ValueError(
             f"received {text!r}, accepted: numbers with spaces between them, such as 310 228 3.1"
@@ -35,10 +46,10 @@ def _numbers(text: str) -> tuple[float, ...]:
 
 
 def _number(text: str) -> float:
-    (value, *more) = _numbers(text)
-    if more:
-        raise ValueError(f"received {text!r}, accepted: one number")
-    return value
+    try:
+        return float(text.replace(",", "."))
+    except ValueError:
+        raise ValueError(f"received {text!r}, accepted: one number, such as 340.7") from None
 
 
 def _material(text: str) -> str:
@@ -63,12 +74,21 @@ def asked(check: Callable[[Given], object]) -> Given:
 
     check : raises ValueError for what cannot be; the question is then asked again
     """
-    print("What is known of the plate? An empty line for what is not; Ctrl-C ends.", file=sys.stderr)
-    given: Given = {}
-    for question in QUESTIONS:
-        if not _left_out(question, given):
-            given = _answer(question, given, check)
-    return given
+    print(
+        f"What is known of the plate? An empty line for what is not; {_BACK} takes the answer before back; "
+        "Ctrl-C ends.",
+        file=sys.stderr,
+    )
+    at, before = 0, [Given()]  # what was known before each of the questions so far
+    while at < len(QUESTIONS):
+        given = before[at]
+        answered = given if _left_out(QUESTIONS[at], given) else _answer(QUESTIONS[at], given, check)
+        if answered is None:
+            at = max((i for i in range(at) if not _left_out(QUESTIONS[i], before[i])), default=0)
+            continue
+        at += 1
+        before[at:] = [answered]
+    return before[-1]
 
 
 def _left_out(question: Question, given: Given) -> bool:
@@ -77,7 +97,8 @@ def _left_out(question: Question, given: Given) -> bool:
     return of_metal or (question.key == "frequencies_hz" and "table" in given)
 
 
-def _answer(question: Question, given: Given, check: Callable[[Given], object]) -> Given:
+def _answer(question: Question, given: Given, check: Callable[[Given], object]) -> Given | None:
+    """What is known with the answer, None where the answer before is to be given again."""
     while True:
         print(f"{question.text}: ", end="", file=sys.stderr, flush=True)
         try:
@@ -86,10 +107,13 @@ def _answer(question: Question, given: Given, check: Callable[[Given], object]) 
             raise ValueError("the questions were not answered to the end; nothing is written") from None
         if not text:
             return given
+        if text == _BACK:
+            return None
         try:
             told = {**given, question.key: question.read(text)}
             check(told)
         except ValueError as error:
-            print(f"  {error}", file=sys.stderr)
+            back = f" ({_BACK} goes back to the answer before)" if given else ""
+            print(f"  {error}{back}", file=sys.stderr)
         else:
             return told

@@ -71,7 +71,7 @@ def test_the_file_is_that_of_the_options(run: Run, tmp_path: Path, monkeypatch: 
 @pytest.mark.parametrize(
     ("at", "wrong", "said"),
     [
-        (0, "310 x 228", "accepted: numbers with spaces"),
+        (0, "310 by 228", "accepted: numbers with spaces"),
         (0, "310 228", "accepted: length, width and thickness"),
         (0, "3.1 2.2 310", "not a plate"),
         (1, "1 2", "accepted: one number"),
@@ -91,6 +91,45 @@ def test_what_cannot_be_is_asked_again(
     assert status == 0
     assert said in err
     assert cb.read_plate(tmp_path / "panel.toml").plate.mass == 0.3407
+
+
+def test_sizes_in_cm_are_taken_back_where_the_mass_shows_them(
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    typed(monkeypatch, "31 22.8 0.31", "340.7", "<", *ANSWERS)
+    status, _, err = run("new", tmp_path / "panel.toml")
+    assert status == 0
+    assert "are the sizes in mm? (< goes back to the answer before)" in err
+    assert cb.read_plate(tmp_path / "panel.toml").plate.thickness == pytest.approx(3.1e-3)
+
+
+def test_back_passes_over_what_was_not_asked_and_ends_at_the_first_question(
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    typed(monkeypatch, "<", "300 280 3", "680", "metal", "<", *ANSWERS[2:])
+    status, _, _ = run("new", tmp_path / "panel.toml")
+    assert status == 0
+    assert not cb.read_plate(tmp_path / "panel.toml").material.isotropic
+
+
+@pytest.mark.parametrize(
+    "size", ["310 x 228 x 3.1", "310x228x3,1", "310 228 3,1", "310, 228, 3.1", "310;228;3.1"]
+)
+def test_numbers_are_read_as_they_are_written_by_hand(
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, size: str
+) -> None:
+    typed(monkeypatch, size, "340,7", *ANSWERS[2:6], "80,2 146,3 218,6")
+    assert run("new", tmp_path / "panel.toml")[0] == 0
+    read = cb.read_plate(tmp_path / "panel.toml")
+    assert (read.plate.length, read.plate.thickness, read.plate.mass) == pytest.approx((0.31, 3.1e-3, 0.3407))
+    assert read.measurement is not None
+    assert read.measurement.frequencies.tolist() == [80.2, 146.3, 218.6]
+
+
+@pytest.mark.parametrize("numbers", ["80,146", "80,146,218", "80,2 146.3"])
+def test_a_comma_that_may_stand_between_numbers_is_asked_again(numbers: str) -> None:
+    with pytest.raises(ValueError, match="accepted: numbers with spaces between them"):
+        QUESTIONS[-1].read(numbers)
 
 
 def test_empty_lines_leave_all_open(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
