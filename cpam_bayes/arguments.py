@@ -46,9 +46,11 @@ def checked(verb: Callable[P, R]) -> Callable[P, R]:
     def refusing(*args: P.args, **kwargs: P.kwargs) -> R:
         hints, parameters = annotations()
         for name, value in _given(parameters, args, kwargs):
-            hint = hints[name]
+            hint = hints.get(name, Any)  # self has none
             if not _fits(value, hint):
-                raise ArgumentError(name, _shown(value), " or ".join(dict.fromkeys(_words(hint))))
+                accepted = " or ".join(dict.fromkeys(_words(hint)))
+                one = f"; one is written as [{_shown(value)}]" if _fits([value], hint) else ""
+                raise ArgumentError(name, _shown(value), accepted + one)
         return verb(*args, **kwargs)
 
     return refusing

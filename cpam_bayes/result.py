@@ -13,12 +13,12 @@ from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, replace
 from functools import wraps
 from importlib import import_module
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Final, ParamSpec, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cpam_bayes.arguments import checked
 from cpam_bayes.deadline import current_limit
 from cpam_bayes.plate.records import Specimen
 
@@ -190,13 +190,14 @@ class Result:
         """Further NetCDF files of `--out` as xarray datasets, by name."""
         return {}
 
-    def save(self, directory: str | Path) -> None:
+    @checked
+    def save(self, directory: str | os.PathLike[str]) -> None:
         """Write the JSON document, the figures and the other files of `--out` into a directory.
 
         Raises
         ------
         ValueError
-            If the directory cannot be made or written to.
+            If the directory cannot be made or written to; `ArgumentError` if it is no path.
         """
         files = import_module("cpam_bayes.report.files")
         with files.staging(os.fspath(directory)) as stage:

@@ -290,6 +290,34 @@ def test_what_is_said_of_a_wrong_type(call: Callable[[], object], said: str) -> 
         call()
 
 
+def test_one_where_several_are_accepted_is_shown_how_to_write() -> None:
+    with pytest.raises(ArgumentError, match=r"^constants: received 'nu12', accepted: .*as \['nu12'\]$"):
+        cb.design("A1", constants="nu12")
+
+
+@pytest.mark.parametrize("directory", [3, None])
+def test_a_result_is_saved_in_a_directory_alone(point: PointResult, directory: Any) -> None:
+    with pytest.raises(ArgumentError, match=f"^directory: received {directory}, accepted: a text or a path"):
+        point.save(directory)
+
+
+def test_a_plate_of_arrays_and_tuples_is_that_of_lists() -> None:
+    lists = tomllib.loads(PLATE + MEASURED)
+    others = tomllib.loads(PLATE + MEASURED)
+    others["measurement"]["frequencies_hz"] = np.array(lists["measurement"]["frequencies_hz"])
+    others["unknowns"] = {name: tuple(bounds) for name, bounds in lists["unknowns"].items()}
+    others["plate"]["length_mm"] = np.float32(lists["plate"]["length_mm"])
+    read, expected = cb.read_plate(others), cb.read_plate(lists)
+    assert read.plate.length == expected.plate.length
+    assert read.unknowns == expected.unknowns
+    assert read.measurement is not None
+    assert expected.measurement is not None
+    assert read.measurement.frequencies.tolist() == expected.measurement.frequencies.tolist()
+    others["measurement"]["frequencies_hz"] = np.array([[114.0, 167.0]])
+    with pytest.raises(PlateFileError, match="frequencies_hz item 1: wrong type"):
+        cb.read_plate(others)
+
+
 def test_what_numpy_makes_is_taken_for_what_it_is() -> None:
     computed = cb.forward("A1", np.int64(1), seed=np.int32(3))
     assert computed.frequencies.shape == (1,)

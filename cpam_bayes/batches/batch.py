@@ -34,7 +34,7 @@ from cpam_bayes.forward_model.slips import equal_list_slips
 from cpam_bayes.identification.identify import NO_MESH
 from cpam_bayes.identification.search import required
 from cpam_bayes.parallel import WorkersLostError, open_executor, run
-from cpam_bayes.plate import PlateLike, Specimen, read_plate
+from cpam_bayes.plate import PlateLike, Specimen, read_plate, user_name
 from cpam_bayes.result import SILENT, Result, Watch, within_time
 
 __all__ = ["BatchResult", "batch"]
@@ -164,7 +164,8 @@ def batch(
     Raises
     ------
     ValueError
-        If there is no plate, a limit cannot be read, or the store is no directory.
+        If there is no plate, a limit cannot be read or is on a constant that no plate asks for, or the store
+        is no directory.
 
     Examples
     --------
@@ -185,6 +186,7 @@ def batch(
     if store is not None and (not str(store) or (Path(store).exists() and not Path(store).is_dir())):
         raise ValueError(f"store: received {str(store)!r}, accepted: a directory")
     read_items = [_read(plate, diagnosis) for plate in plates]
+    _require_limits_of_unknowns(read, read_items)
     items, n_models = _with_shared_sizes(read_items, share_models)
     rows, from_store = _computed(
         items, seed, diagnosis, None if store is None else Path(store), executor, workers, watch
@@ -257,6 +259,18 @@ def _read(plate: PlateLike, diagnosis: bool) -> _Item:
     except ValueError as error:
         return file, failed_row(file, Path(file).stem, str(error))
     return file, specimen
+
+
+def _require_limits_of_unknowns(limits: Sequence[Limit], items: Sequence[_Item]) -> None:
+    """Raise ``ValueError`` for a limit on a constant that no plate asks for."""
+    read = [item for _, item in items if isinstance(item, Specimen)]
+    unknown = list(dict.fromkeys(name for specimen in read for name in specimen.unknowns.names))
+    for limit in limits:
+        if read and limit.name not in unknown:
+            raise ValueError(
+                f"limit: received {limit.text!r}, a constant that is in [unknowns] of no plate, accepted: "
+                f"{' '.join(user_name(name) for name in unknown)}"
+            )
 
 
 def _with_shared_sizes(items: Sequence[_Item], share: bool) -> tuple[list[_Item], int]:

@@ -8,6 +8,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, TypeAlias
 
+import numpy as np
+
 from cpam_bayes.arguments import checked
 from cpam_bayes.errors import PlateFileError
 from cpam_bayes.plate.parse import parse_specimen, specimen_of
@@ -29,7 +31,8 @@ def read_plate(plate: PlateLike) -> Specimen:
     Parameters
     ----------
     plate : the name of a built-in specimen, the path of a plate file, or a mapping with the sections of
-        one (the keys and units of the file); a `Specimen` is returned as it is
+        one (the keys and units of the file; tuples and numpy arrays are lists); a `Specimen` is returned as
+        it is
 
     Raises
     ------
@@ -46,8 +49,17 @@ def read_plate(plate: PlateLike) -> Specimen:
     if isinstance(plate, Specimen):
         return plate
     if isinstance(plate, Mapping):
-        return specimen_of(plate, str(plate.get("name", "plate")), None, {})
+        return specimen_of(_as_of_a_file(plate), str(plate.get("name", "plate")), None, {})
     return read_specimen(os.fspath(plate))
+
+
+def _as_of_a_file(value: Any) -> Any:
+    """What Python or numpy hold, as TOML has it: tables, lists and single values."""
+    if isinstance(value, Mapping):
+        return {key: _as_of_a_file(inner) for key, inner in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    return [_as_of_a_file(inner) for inner in value] if isinstance(value, list | tuple) else value
 
 
 def builtin_plates() -> tuple[Specimen, ...]:

@@ -35,6 +35,15 @@ def test_a_text_that_is_no_limit_is_refused_with_what_is(run: Any, text: str) ->
     assert f"limit: received {text!r}" in err
 
 
+def test_a_limit_on_a_constant_that_no_plate_asks_for_is_refused(run: Any) -> None:
+    status, out, err = run("batch", "A1", "--limit", "G23_GPa >= 3")
+    assert (status, out) == (2, "")
+    assert (
+        "limit: received 'G23_GPa >= 3', a constant that is in [unknowns] of no plate, accepted: E1_GPa"
+        in err
+    )
+
+
 def test_the_probability_of_a_limit_is_that_of_a_density_cut_at_the_bounds() -> None:
     free = MarginalPosterior(120.0, 2.0, np.inf, -1e9, 1e9)
     assert free.below(117.0) == pytest.approx(norm.cdf(-1.5))
