@@ -133,7 +133,7 @@ class DenseBlock:
         """
         k, back = self._whitened(stiffness, mass)
         if self.size > _LARGE:
-            pairs = [scipy.linalg.eigh(matrix, subset_by_index=(0, n - 1)) for matrix in k]
+            pairs = [_lowest_pairs(matrix, n) for matrix in k]
             values = np.stack([pair[0] for pair in pairs])
             vectors = np.stack([pair[1].T for pair in pairs])
             return values, lambda sets, column: _mapped(back, sets, vectors[sets, column])
@@ -150,6 +150,15 @@ class DenseBlock:
             energy[:, matrix.active] = np.sum(images * vectors.T, axis=1).T
             terms.append(energy)
         return terms[0], terms[1]
+
+
+def _lowest_pairs(matrix: Array, n: int) -> tuple[Array, Array]:
+    """The n lowest eigenvalues (n,) of a matrix given by its lower half, and their vectors (size, n)."""
+    if n <= _FEW * len(matrix):
+        values, vectors = scipy.linalg.eigh(matrix, subset_by_index=(0, n - 1))
+        return values, vectors
+    values, vectors = np.linalg.eigh(matrix)
+    return values[:n], vectors[:, :n]
 
 
 def _mapped(back: Array, sets: Array, phi: Array) -> Array:
@@ -193,6 +202,8 @@ def _iterated(k: Array, eigenvalues: Array, sets: Array, column: Array) -> Array
 
 # Size beyond which inverse iterations do not pay: with ten modes it is 40, with five 70.
 _LARGE = 60
+# Fraction of the eigenpairs of a large block above which all of them, by divide and conquer, cost less.
+_FEW = 1 / 6
 # Relative distance of eigenvalues under which an inverse iteration does not tell their vectors apart.
 _CLOSE = 1e-5
 # Relative distance from an eigenvalue at which the inverse iteration is taken.
