@@ -1,0 +1,126 @@
+"""Results of benchmarks/waits.py as tables, on a screen and in docs/speed.md."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+from cpam_bayes.report.tables import Column, Table
+from cpam_bayes.validation.pages import listed, markdown_table, paragraph
+
+Results = dict[str, Any]
+Cells = tuple[str, ...]
+
+_WAITS = (
+    *("", "before, s", "now, s", "to reach, s", "before, processor s", "now, processor s"),
+    *("before, GiB", "now, GiB", "to reach, GiB"),
+)
+_SOLVER = ("", "before", "now", "to reach", "", "against")
+
+
+def tables(results: Results) -> tuple[Table, ...]:
+    """For the screen, with the answers."""
+    waits = tuple((*row, _answers(r)) for row, r in zip(_wait_rows(results), results["waits"], strict=True))
+    columns = _columns((*_WAITS, "answers"), left=("answers",))
+    solver = Table("Forward solvers", _columns(_SOLVER, left=("against",)), tuple(_solver_rows(results)))
+    return Table("Wall clock and memory, from nothing", columns, waits), *((solver,) if solver.rows else ())
+
+
+def sections(results: Results) -> dict[str, str]:
+    """The tables of docs/speed.md, each with what was compared."""
+    waits = markdown_table(_WAITS, _wait_rows(results))
+    solver = markdown_table(_SOLVER, _solver_rows(results)) if results["solver"] else "Not measured yet."
+    return {
+        "waits": f"{_compared(results['waits'])}\n\n{waits}",
+        "solver": f"{_compared(results['solver'])}\n\n{solver}".strip(),
+    }
+
+
+def _wait_rows(results: Results) -> list[Cells]:
+    return [
+        (
+            row["case"],
+            _seconds(row["before"]),
+            _seconds(row["after"]),
+            _plain(row["reach_s"]),
+            _processor(row["before"]),
+            _processor(row["after"]),
+            _gib(row["before"]),
+            _gib(row["after"]),
+            _plain(row["reach_gib"]),
+        )
+        for row in results["waits"]
+    ]
+
+
+def _solver_rows(results: Results) -> list[Cells]:
+    return [
+        (
+            row["case"],
+            _found(row["before"]),
+            _found(row["after"]),
+            f"{_plain(row['reach'])} or {'more' if row['at_least'] else 'less'}",
+            row["unit"],
+            (row["after"] or {}).get("against", ""),
+        )
+        for row in results["solver"]
+    ]
+
+
+def _compared(rows: list[Results]) -> str:
+    """Which versions, and how busy the machine was."""
+    if not rows:
+        return ""
+    commits = {side: _commits(row[side] for row in rows) for side in ("before", "after")}
+    text = f"Now: {listed(commits['after'])}."
+    if commits["before"]:
+        text = f"Before: {listed(commits['before'])}. {text}"
+    loads = [row["load"] for row in rows if row.get("load") is not None]
+    if loads:
+        text += (
+            f" Processes that wanted a core after a case, a mean over one minute: {min(loads):.1f} to "
+            f"{max(loads):.1f}."
+        )
+    return paragraph(text)
+
+
+def _commits(measured: Iterable[Results | None]) -> list[str]:
+    return list(dict.fromkeys(m["commit"] for m in measured if m is not None and m["commit"]))
+
+
+def _seconds(measured: Results | None) -> str:
+    if measured is None:
+        return ""
+    text = f"{'over ' if measured['stopped'] else ''}{_plain(measured['seconds'])}"
+    # 1 is an answer too: of chains that used their budget, for instance
+    failed = not measured["stopped"] and measured["exit_status"] not in (0, 1)
+    return f"{text} (exit {measured['exit_status']})" if failed else text
+
+
+def _processor(measured: Results | None) -> str:
+    return "" if measured is None else _plain(measured["processor_seconds"])
+
+
+def _gib(measured: Results | None) -> str:
+    return "" if measured is None else f"{measured['peak_gib']:.1f}"
+
+
+def _answers(row: Results) -> str:
+    said = [m["answer"] or "" for m in (row["before"], row["after"]) if m is not None]
+    return said[0] if len(set(said)) == 1 else f"{said[0]}; now {said[1]}"
+
+
+def _found(measured: Results | None) -> str:
+    return "" if measured is None else _plain(measured["found"])
+
+
+def _plain(value: float | None) -> str:
+    if value is None:
+        return ""
+    return (
+        f"{value:.1e}" if 0.0 < abs(value) < 1e-2 else f"{value:.2g}" if abs(value) < 10 else f"{value:.0f}"
+    )
+
+
+def _columns(headings: Cells, left: tuple[str, ...]) -> tuple[Column, ...]:
+    return tuple(Column(heading, i > 0 and heading not in left) for i, heading in enumerate(headings))
