@@ -1,4 +1,4 @@
-"""How the cost of the forward solver grows with accuracy, with the number of modes and of parameters.
+"""How the cost of the forward solver grows with accuracy, with the number of modes, parameters and plies.
 
 python studies/03_solver_growth.py [--quick]
 """
@@ -48,23 +48,25 @@ KEYS = {
     "accuracy": "one basis each: plate, with or without edge exponentials, its size, worst error, full solve",
     "modes": "one number of modes each: sizes, full and reduced solves, LAPACK alone, building, errors",
     "parameters": "one set of parameters each: their names; the rest as for modes",
+    "plies": "one number of plies each; the rest as for modes",
 }
 
 STACK = 64
 MODES = {"C1": 6, "D1": 10}
 DEGREES = {"enriched": (6, 7, 8, 9, 10, 12, 14), "plain": (6, 8, 10, 12, 14, 16, 18, 20, 24)}
-NUMBERS_OF_MODES = (6, 10, 16, 24, 32, 40)
+NUMBERS_OF_MODES = (6, 10, 16, 24, 32, 40, 60)
 # Constants join first, as the paper's unknowns do, then the angles of C1's group of four plies.
 CONSTANTS = ("E1", "E2", "nu12", "G12", "G23")
 GROUP = (0.0, 90.0, 0.0, 90.0)
 NUMBERS_OF_PARAMETERS = (2, 3, 4, 5, 6, 7, 8, 9)
+NUMBERS_OF_PLIES = (4, 8, 16, 32, 64)
 _REFERENCE = Tolerance(kept=1e-5, rich=2e-6, largest_degree=30)
 _QUICK_SETTINGS = ReductionSettings(training=12, checks=12, rounds=1)
 
 
 @single_blas_thread
 def run(quick: bool) -> Results:
-    """All three ladders; quick: two or three small steps of each."""
+    """All four ladders; quick: two or three small steps of each."""
     rounds = 2 if quick else 9
     settings = _QUICK_SETTINGS if quick else DEFAULT_SETTINGS
     return {
@@ -73,6 +75,7 @@ def run(quick: bool) -> Results:
         "accuracy": _against_accuracy(("C1",) if quick else tuple(MODES), quick, rounds),
         "modes": _against_modes((3, 4) if quick else NUMBERS_OF_MODES, settings, rounds),
         "parameters": _against_parameters((2, 3) if quick else NUMBERS_OF_PARAMETERS, settings, rounds),
+        "plies": _against_plies((4, 8) if quick else NUMBERS_OF_PLIES, settings, rounds),
     }
 
 
@@ -119,7 +122,7 @@ def _sizes(model: PlateModel) -> list[int]:
     return [block.size for block in model.operator.blocks]
 
 
-# Number of modes, number of parameters
+# Number of modes, of parameters, of plies
 
 
 def _against_modes(numbers: Iterable[int], settings: ReductionSettings, rounds: int) -> list[Results]:
@@ -134,6 +137,16 @@ def _against_parameters(numbers: Iterable[int], settings: ReductionSettings, rou
         specimen, parameters = _with_parameters(n)
         label = {"parameters": n, "names": list(parameters.names)}
         models.append((_built(specimen, parameters, MODES["C1"], settings), label))
+    return _measured(models, rounds)
+
+
+def _against_plies(numbers: Iterable[int], settings: ReductionSettings, rounds: int) -> list[Results]:
+    known, models = cb.read_plate("C1"), []
+    for n in numbers:
+        # as thick as C1: thinner plies, alternating
+        layup = parse_layup(f"[(0/90)_{n // 4}]_s")
+        specimen = replace(known, plate=replace(known.plate, layup=layup))
+        models.append((_built(specimen, known.unknowns, MODES["C1"], settings), {"plies": n}))
     return _measured(models, rounds)
 
 
@@ -246,7 +259,7 @@ def show(results: Results) -> None:
     )
     headings = ("plate", "basis", "degree", "unknowns", "worst error", "full, ms", "ratio")
     tables = [Table("Cost against accuracy", _columns(headings, text=2), rows)]
-    for kind in ("modes", "parameters"):
+    for kind in ("modes", "parameters", "plies"):
         rows = tuple(
             (
                 str(p[kind]),
