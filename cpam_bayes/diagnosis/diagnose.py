@@ -236,7 +236,7 @@ def _causes(
     probabilities = weighed.by_cause()
     # fits are compared where a cause may be claimed
     compared = names if probabilities[NONE] < PLAIN else []
-    fits = compared_by_fits({name: best[name] for name in compared}, probabilities)
+    fits = compared_by_fits({name: best[name] for name in compared}, probabilities, by_signature)
     marginals = [t.marginal for t in fits.values()]
     peaks = shared_out(best_log_likelihood, cases, marginals, executor)
     like = with_equal_fits(by_signature, dict(zip(fits, peaks, strict=True)))

@@ -24,8 +24,8 @@ ALIKE = 0.95
 # A cause of which less than this fraction of the signature is visible is absorbed by the constants.
 ABSORBED = 0.1
 # Causes with less than this fraction of the leading one's probability are not compared by their best fits;
-# fits are equal within so many nats of the log likelihood.
-_COMPARED, AS_WELL = 5e-3, 2.0
+# fits are equal within so many nats of the log likelihood, and told apart by so many.
+_COMPARED, AS_WELL, _TOLD_APART = 5e-3, 2.0, 7.0
 # A shift smaller than this fraction of the one that it is compared with is hardly there.
 HARDLY = 0.1
 # Points between the nodes of one size at which it is compared with the others.
@@ -149,44 +149,49 @@ def alike(
     return tuple(indistinguishable)
 
 
-def compared_by_fits(best: Mapping[str, Tested], probability: Mapping[str, float]) -> dict[str, Tested]:
+def compared_by_fits(
+    best: Mapping[str, Tested], probability: Mapping[str, float], by_signature: Mapping[str, Sequence[str]]
+) -> dict[str, Tested]:
     """The causes whose fits are compared.
 
-    Causes that hardly have any probability are left out, but for another material: its wide prior alone
-    makes it improbable.
+    Causes that hardly have any probability are left out, but for those with the signature of the leading
+    one, and for another material: its wide prior alone makes it improbable.
 
     best : best variant of every cause
+    by_signature : by cause, those with equal visible signatures
     """
-    top = max(probability[name] for name in best) if best else 0.0
+    if not best:
+        return {}
+    leading = max(best, key=lambda name: probability[name])
+    top = probability[leading]
     return {
         name: t
         for name, t in best.items()
-        if probability[name] > _COMPARED * top or (t.hypothesis.other_material and top > probability["none"])
+        if probability[name] > _COMPARED * top
+        or name in by_signature[leading]
+        or (t.hypothesis.other_material and top > probability["none"])
     }
 
 
 def with_equal_fits(
     by_signature: Mapping[str, Sequence[str]], peak: Mapping[str, float]
 ) -> dict[str, tuple[str, ...]]:
-    """The causes that cannot be told from each one, with those that can explain the lists as well.
+    """The causes that cannot be told from each one: those with its signature, and those that fit as well.
 
     Signatures are compared where an effect is small. A gross one may be imitated by another that moves the
-    constants far: whatever the sizes were believed to be, the data prefer neither by more than e^2.
+    constants far: whatever the sizes were believed to be, the data prefer neither by more than e^2. And it
+    may be told from one with its signature: at any size that fits worse by more than e^7.
 
     by_signature : by cause, those with equal visible signatures
     peak : largest log likelihood of the causes whose fits are compared
     """
-    return {
-        name: tuple(
-            dict.fromkeys(
-                [
-                    *others,
-                    *(c for c in peak if c != name and name in peak and peak[c] > peak[name] - AS_WELL),
-                ]
-            )
-        )
-        for name, others in by_signature.items()
-    }
+    found = {}
+    for name, others in by_signature.items():
+        behind = {c: peak[name] - peak[c] for c in peak if c != name} if name in peak else {}
+        as_well = [c for c, nats in behind.items() if nats < AS_WELL]
+        kept = [c for c in others if behind.get(c, 0.0) < _TOLD_APART]
+        found[name] = tuple(dict.fromkeys([*kept, *as_well]))
+    return found
 
 
 @dataclass(frozen=True, slots=True)

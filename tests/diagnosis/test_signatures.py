@@ -18,6 +18,7 @@ from cpam_bayes.diagnosis.signatures import (
     nearest_of,
     projector_of,
     signature_of,
+    with_equal_fits,
 )
 from cpam_bayes.effects import Effect, ListChange
 from cpam_bayes.effects.frequency_list import MISREADING
@@ -205,3 +206,16 @@ def test_a_false_peak_may_equal_its_neighbour() -> None:
         found = signature(false, f)
         assert found.shift.shape == (8,)
         assert np.all(np.isfinite(found.shift))
+
+
+def test_causes_are_told_apart_by_fits_and_not_by_priors() -> None:
+    by_signature = {"turned": ("skew", "inner"), "skew": ("turned",), "inner": ("turned",), "mass": ()}
+    peak = {"turned": 30.0, "skew": 21.0, "inner": 26.0, "mass": 29.0}
+    found = with_equal_fits(by_signature, peak)
+    # e^9 behind at any size: skew is another cause; inner plies fit worse by e^4, which decides nothing
+    assert found["turned"] == ("inner", "mass")
+    assert found["inner"] == ("turned", "mass")
+    # what fits better imitates the worse one
+    assert set(found["skew"]) == {"turned", "inner", "mass"}
+    # without fits only signatures are compared
+    assert with_equal_fits(by_signature, {})["turned"] == ("skew", "inner")
