@@ -12,6 +12,7 @@ import numpy as np
 
 from cpam_bayes.arguments import checked
 from cpam_bayes.forward_model.air_shift import air_shifts
+from cpam_bayes.forward_model.labels import labelled_model
 from cpam_bayes.forward_model.preconditions import (
     exchange_warnings,
     explained_failures,
@@ -100,6 +101,16 @@ class PointResult(PlateResult):
         """The best optimum and those that the noise does not tell from it, with their constants, SI."""
         names = [c.name for c in self.estimate.constants]
         return tuple((o, dict(zip(names, o.x.tolist(), strict=True))) for o in self.estimate.optima)
+
+    def rms_of_optima(self) -> list[float]:
+        """Root mean square of the relative residuals at every optimum."""
+        if len(self.optima) < 2:
+            return [self.estimate.rms] * len(self.optima)
+        measurement, _ = required(self.specimen)
+        model = labelled_model(self.estimate.model, measurement, self.specimen)
+        predicted = model.predict(np.array([optimum.x for optimum, _ in self.optima])).frequencies
+        residuals = predicted / measurement.frequencies - 1.0
+        return [float(rms) for rms in np.sqrt(np.mean(residuals**2, axis=1))]
 
     @property
     def frequencies(self) -> tuple[FrequencyRow, ...]:

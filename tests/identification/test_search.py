@@ -78,7 +78,9 @@ def test_constants_that_differ_between_optima_are_not_determined() -> None:
     assert "E1 may be 53.22 or" in shown
     assert "differs between optima" in shown
     document = result.to_dict()
-    assert [o["swarms"] for o in document["optima"]] == [o.swarms for o, _ in result.optima]
+    assert [o["found_by"] for o in document["optima"]] == [o.swarms for o, _ in result.optima]
+    assert [o["objective"] for o in document["optima"]] == sorted(o["objective"] for o in document["optima"])
+    assert document["optima"][0]["rms_percent"] == pytest.approx(document["rms_percent"], rel=1e-3)
     assert "optima" in result.figures()
 
 

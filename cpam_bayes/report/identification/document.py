@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from cpam_bayes.identification.identify import PointResult
+from cpam_bayes.identification.point import ConstantEstimate
 from cpam_bayes.plate import to_user, user_name
 from cpam_bayes.report.documents import laminate_keys, plate_keys
 from cpam_bayes.report.modal_assurance.rows import shape_keys
@@ -27,6 +28,7 @@ def document(result: PointResult) -> dict[str, Any]:
                 "sd": to_user(c.name, c.sd),
                 "lower": to_user(c.name, c.lower),
                 "upper": to_user(c.name, c.upper),
+                **dict(zip(("q025", "q975"), _interval(c), strict=True)),
                 "bound": c.bound,
                 "verdict": c.verdict,
                 "reference": to_user(c.name, c.reference),
@@ -47,10 +49,11 @@ def document(result: PointResult) -> dict[str, Any]:
         "optima": [
             {
                 "constants": {user_name(name): to_user(name, v) for name, v in values.items()},
-                "misfit": optimum.value,
-                "swarms": optimum.swarms,
+                "objective": optimum.value,
+                "rms_percent": 100.0 * rms,
+                "found_by": optimum.swarms,
             }
-            for optimum, values in result.optima
+            for (optimum, values), rms in zip(result.optima, result.rms_of_optima(), strict=True)
         ],
         **shape_keys(estimate.by_shape, result.specimen.measurement),
         "rms_percent": 100.0 * estimate.rms,
@@ -66,3 +69,11 @@ def document(result: PointResult) -> dict[str, Any]:
         "warnings": list(result.warnings),
         "notes": list(result.specimen.notes),
     }
+
+
+def _interval(constant: ConstantEstimate) -> tuple[float | None, float | None]:
+    """The 95 % interval in the units of the plate file, as the screen shows it."""
+    if constant.interval is None:
+        return None, None
+    low, high = (to_user(constant.name, v) for v in constant.interval)
+    return low, high
