@@ -24,7 +24,7 @@ def pictures(data: dict[str, Any]) -> list[Picture]:
         Picture(
             "21_hard_use",
             _bars(data["kinds"]),
-            "What became of hostile plate files, layups, stored files and arguments.",
+            "What became of hostile plate files, layups, tables, measurements, stored files and arguments.",
             f"Parts of {inputs} inputs that were accepted or refused with a message; {failed} ended in "
             "anything else. A damaged stored file counts as refused where nothing of it is used.",
         )

@@ -1,16 +1,18 @@
-"""What happens to hostile plate files, layups, tables, stored files, arguments and signals?
+"""What happens to hostile plate files, layups, tables, universal files, records, arguments and signals?
 
 python studies/21_hard_use.py [--quick] [--minutes M] [--inputs N]
 
-Hypothesis makes plate files, layups and tables of modes (cpam_bayes/validation/hostile.py), stored files are
-damaged byte by byte, functions get arguments of wrong types, and running commands get signals. An input may
-be accepted or refused with a message; anything else is a failure. Each kind that has no end gets a fifth of
-the time.
+Hypothesis makes texts and files of each kind (cpam_bayes/validation/hostile), and nine times as many are made
+of pieces of those, which is quicker. Stored files are damaged byte by byte, functions get arguments of wrong
+types, and running commands get signals. An input may be accepted or refused with a message; anything else,
+a warning of another library on the screen included, is a failure. Each kind that has no end gets an equal
+part of the time that those before it left.
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import inspect
 import logging
 import os
@@ -19,11 +21,12 @@ import signal
 import subprocess
 import sys
 import time
+import warnings
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from hypothesis import HealthCheck, Phase, given, seed, settings
@@ -31,17 +34,34 @@ from hypothesis import strategies as st
 
 import cpam_bayes as cb
 from cpam_bayes.errors import ArgumentError, LayupError, PlateFileError
+from cpam_bayes.modal_analysis.records import ModalTestError
 from cpam_bayes.plate import parse_specimen
 from cpam_bayes.plate.layup import parse_layup
+from cpam_bayes.plate.mode_shapes.read import MAX_UNIVERSAL_BYTES, read_shapes
+from cpam_bayes.plate.mode_shapes.universal import UniversalFileError
 from cpam_bayes.plate.modes_table.hits import modes_of
 from cpam_bayes.plate.modes_table.rows import read_modes_table
 from cpam_bayes.report.tables import Table, headed, screen_text
 from cpam_bayes.storage import read_arrays, write_arrays
-from cpam_bayes.validation.hostile import DAMAGES, LARGE_FILES, layups, mode_tables, plate_texts
+from cpam_bayes.validation.hostile import (
+    DAMAGES,
+    LARGE_FILES,
+    LARGE_TABLES,
+    LARGE_UNIVERSAL_FILES,
+    crossed,
+    layups,
+    mode_tables,
+    plate_texts,
+    recordings,
+    response_tables,
+    universal_modes_files,
+    universal_response_files,
+)
 from cpam_bayes.validation.pages import counted, markdown_table, paragraph, write_sections
 from cpam_bayes.validation.study_results import save_results
 
 Results = dict[str, Any]
+Content = TypeVar("Content", str, bytes)
 
 HERE = Path(__file__).parent
 RESULTS = HERE / "results" / f"{Path(__file__).stem}.json"
@@ -56,8 +76,10 @@ KEYS = {
 
 SEED = 0
 INPUTS = 100_000
-# Inputs that hypothesis makes from one seed.
-BATCH = 1000
+# Inputs that hypothesis makes from one seed, and how many are made of pieces of those for each.
+BATCH, CROSSED = 1000, 9
+# Length and width of the plate that modes of universal files are placed on, m.
+SIDES = (0.2, 0.1)
 SHOWN_FAILURES = 5
 SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP", "SIGKILL")
 # Commands that take long, and that write into a directory.
@@ -76,7 +98,13 @@ WRONG = (object(), 1j, b"C1", [], {}, "?", -1, float("nan"), print, ...)
 class Tally:
     """What became of the inputs of one kind."""
 
-    def __init__(self, kind: str, refusals: tuple[type[Exception], ...], most: int, seconds: float) -> None:
+    def __init__(
+        self,
+        kind: str,
+        refusals: type[Exception] | tuple[type[Exception], ...],
+        most: int,
+        seconds: float,
+    ) -> None:
         self.kind, self._refusals, self._most = kind, refusals, most
         self._end = time.monotonic() + seconds
         self.inputs = self.accepted = self.refused = 0
@@ -126,15 +154,15 @@ class Tally:
 
 def run(quick: bool, inputs: int = INPUTS, minutes: float = 10.0) -> Results:
     """All kinds of input, then all signals."""
-    most, seconds = (20, 5.0) if quick else (inputs, 60.0 * minutes / 5.0)
-    tallies = [
-        _made_by_hypothesis("plate files", plate_texts(), _read, (PlateFileError,), most, seconds),
-        _made_by_hypothesis("layups", layups(), parse_layup, (LayupError,), most, seconds),
-        _made_by_hypothesis("tables of modes", mode_tables(), _read_table, (), most, seconds),
-        _large_files(most),
-        _damaged_files(most, seconds),
-        _wrong_arguments(most, seconds),
-    ]
+    most, seconds = (20, 40.0) if quick else (inputs, 60.0 * minutes)
+    warnings.simplefilter("error")
+    end = time.monotonic() + seconds
+    kinds = _kinds(most)
+    tallies = []
+    for left, kind in zip(range(len(kinds), 0, -1), kinds, strict=True):
+        tallies.append(kind(max(0.0, end - time.monotonic()) / left))
+        print(tallies[-1].row(), *tallies[-1].failures[:SHOWN_FAILURES], file=sys.stderr, flush=True)
+    tallies[-1:-1] = [_large_files(), _large_universal_files()]
     return {
         "quick": quick,
         "kinds": [tally.row() for tally in tallies],
@@ -146,6 +174,48 @@ def run(quick: bool, inputs: int = INPUTS, minutes: float = 10.0) -> Results:
             for name in (SIGNALS[1:2] if quick else SIGNALS)
         ],
     }
+
+
+def _kinds(most: int) -> list[Callable[[float], Tally]]:
+    """Functions of the seconds that a kind has; the quick kinds first."""
+    made = _made_by_hypothesis
+    return [
+        partial(_wrong_arguments, most),
+        partial(made, "layups", layups(), parse_layup, LayupError, most),
+        partial(made, "tables of modes", mode_tables(), _read_table, (), most),
+        partial(
+            made, "universal files of modes", universal_modes_files(), _read_shapes, UniversalFileError, most
+        ),
+        partial(_damaged_files, most),
+        partial(
+            made,
+            "universal files of responses",
+            universal_response_files(),
+            _poles_of(".unv"),
+            ModalTestError,
+            most,
+        ),
+        partial(made, "tables of responses", response_tables(), _poles_of(".csv"), ModalTestError, most),
+        partial(made, "recorded hits", recordings(), _poles_of(".wav"), ModalTestError, most),
+        partial(made, "plate files", plate_texts(), _read, PlateFileError, most),
+    ]
+
+
+def _read_shapes(content: bytes) -> object:
+    return read_shapes(content, *SIDES)
+
+
+def _poles_of(ending: str) -> Callable[[str | bytes], object]:
+    """What `cb.poles` makes of the content of a file."""
+    of_hits: Results = {"force": 1, "response": (2,), "window": "exponential"}
+
+    def answer(content: str | bytes) -> object:
+        with TemporaryDirectory() as folder:
+            path = Path(folder, f"test{ending}")
+            path.write_bytes(content if isinstance(content, bytes) else content.encode())
+            return cb.poles(path, order=10, **(of_hits if ending == ".wav" else {}))
+
+    return answer
 
 
 def _read(text: str) -> object:
@@ -165,37 +235,66 @@ def _read_table(text: str) -> object:
 
 def _made_by_hypothesis(
     kind: str,
-    strategy: st.SearchStrategy[str],
-    read: Callable[[str], object],
-    refusals: tuple[type[Exception], ...],
+    strategy: st.SearchStrategy[Content],
+    read: Callable[[Content], object],
+    refusals: type[Exception] | tuple[type[Exception], ...],
     most: int,
     seconds: float,
 ) -> Tally:
     tally = Tally(kind, refusals, most, seconds)
+    rng = np.random.default_rng(SEED)
     batch = 0
     while tally.is_open:
-
-        @seed(SEED + batch)
-        @settings(
-            max_examples=min(BATCH, most),
-            phases=[Phase.generate],
-            deadline=None,
-            database=None,
-            suppress_health_check=list(HealthCheck),
-        )
-        @given(strategy)
-        def give(text: str) -> None:
-            tally.record(text, partial(read, text))
-
-        give()
+        made = _made(strategy, SEED + batch, min(BATCH, max(1, most // (1 + CROSSED))))
+        for content in made:
+            tally.record(content, partial(read, content))
+        for _ in range(CROSSED * len(made)):
+            one, other = (made[i] for i in rng.integers(len(made), size=2))
+            content = crossed(one, other, rng)
+            tally.record(content, partial(read, content))
         batch += 1
     return tally
 
 
-def _large_files(most: int) -> Tally:
-    tally = Tally("plate files of the size limit", (PlateFileError,), most, float("inf"))
+def _made(strategy: st.SearchStrategy[Content], number: int, most: int) -> list[Content]:
+    """What hypothesis makes from one seed."""
+    made: list[Content] = []
+
+    @seed(number)
+    @settings(
+        max_examples=most,
+        phases=[Phase.generate],
+        deadline=None,
+        database=None,
+        suppress_health_check=list(HealthCheck),
+    )
+    @given(strategy)
+    def keep(content: Content) -> None:
+        made.append(content)
+
+    keep()
+    return made
+
+
+def _large_files() -> Tally:
+    tally = Tally("plate files of the size limit", PlateFileError, len(LARGE_FILES), float("inf"))
     for text in LARGE_FILES.values():
         tally.record(text[:60], partial(_read, text))
+    return tally
+
+
+def _large_universal_files() -> Tally:
+    """Of modes at their limit of size, and universal files and tables of responses of half as much."""
+    both = len(LARGE_UNIVERSAL_FILES)
+    refusals = (UniversalFileError, ModalTestError)
+    tally = Tally(
+        "universal files and tables of 10 to 20 MB", refusals, 2 * both + len(LARGE_TABLES), float("inf")
+    )
+    for name, made in LARGE_UNIVERSAL_FILES.items():
+        tally.record(name, partial(_read_shapes, made(MAX_UNIVERSAL_BYTES)))
+        tally.record(name, partial(_poles_of(".unv"), made(MAX_UNIVERSAL_BYTES // 2)))
+    for name, made in LARGE_TABLES.items():
+        tally.record(name, partial(_poles_of(".csv"), made(MAX_UNIVERSAL_BYTES)))
     return tally
 
 
@@ -220,15 +319,20 @@ def _damaged_files(most: int, seconds: float) -> Tally:
 def _wrong_arguments(most: int, seconds: float) -> Tally:
     """Every argument of every function of the library, given something else."""
     tally = Tally("arguments of wrong types", (ArgumentError, ValueError), most, seconds)
+    with TemporaryDirectory() as folder, contextlib.chdir(folder):  # some write files
+        _give_arguments(tally)
+    return tally
+
+
+def _give_arguments(tally: Tally) -> None:
     for name, keyword, value in _arguments():
         verb = getattr(cb, name)
         wanted = inspect.signature(verb).parameters.values()
-        several = any(p.kind is p.VAR_POSITIONAL for p in wanted)
-        needed = {p.name: "no such plate" for p in wanted if p.default is p.empty and not several}
-        given_ = {} if keyword == "plates" else {**needed, keyword: value}
-        places = (value,) if keyword == "plates" else ("no such plate",) * several
+        several = next((p.name for p in wanted if p.kind is p.VAR_POSITIONAL), None)
+        needed = {p.name: "no such plate" for p in wanted if p.default is p.empty and p.name != several}
+        given_ = {} if keyword == several else {**needed, keyword: value}
+        places = () if several is None else (value if keyword == several else "no such plate",)
         tally.record((name, keyword, value), partial(verb, *places, **given_))
-    return tally
 
 
 def _arguments() -> Iterator[tuple[str, str, object]]:
@@ -243,8 +347,9 @@ def _arguments() -> Iterator[tuple[str, str, object]]:
 def _signalled(which: str, name: str) -> Results:
     """A long command that gets a signal while it computes, and a short one after it in the same directory."""
     command = [sys.executable, "-m", "cpam_bayes"]
-    # what was started in the background ignores it, and so would the command
+    # what was started in the background ignores these, and so would the command
     signal.signal(signal.SIGINT, signal.default_int_handler)
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
     with TemporaryDirectory() as folder:
         out = Path(folder, "out")
         environment = {**os.environ, "TMPDIR": folder, "CPAM_BAYES_CACHE": str(Path(folder, "cache"))}
