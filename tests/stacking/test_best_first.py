@@ -1,5 +1,6 @@
 """Every sequence on a grid, enumerated by the piecewise-linear surrogate, against a loop over all."""
 
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -15,6 +16,7 @@ from cpam_bayes.stacking.enumeration.best_first import (
     prefixes_to_visit,
     values_of_prefix,
 )
+from cpam_bayes.stacking.enumeration.pilot import PilotEnumeration
 from cpam_bayes.stacking.features import PlySums, ply_sums
 from cpam_bayes.stacking.surrogate.gaussian_process import fit_gaussian_process
 from cpam_bayes.stacking.surrogate.piecewise_linear import (
@@ -176,6 +178,41 @@ def test_listed_sequences_are_not_among_those_that_a_prefix_sums(sums: PlySums) 
     assert 0 < len(low) < len(every)
     np.testing.assert_array_equal(low, every[value < -2.0])
     assert below.max() < -2.0
+
+
+def test_values_on_cells_are_those_of_their_tangents(sums: PlySums) -> None:
+    # steep as with a noise of 1e-4, where a tangent continued to zero is far from its cell
+    steep = 300.0
+
+    def steeper(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        y, slope = tangent(x)
+        return np.column_stack((steep * y[:, :4], y[:, 4])), slope * np.array([steep] * 4 + [1.0])[:, None]
+
+    table = piecewise_linear_surrogate(
+        steeper, sums.rest_bound, 0.0, 1e6, halvings=1, slack=0.6, freedom=np.inf
+    )
+    x = sums.features(np.random.default_rng(3).integers(len(GRID), size=(400, 4)))
+    x = x[table.lookup(x[:, :4]) >= 0]
+    found = table.values(table.lookup(x[:, :4]), np.column_stack((np.ones(len(x)), x)).astype(np.float32))
+    exact = log_evidence(steeper(x)[0], np.inf)
+    assert len(x) > 50
+    # single precision of scores of some hundreds
+    np.testing.assert_allclose(found, exact, rtol=3e-6, atol=1e-4)
+
+
+def part(mass: np.ndarray, own: Enumeration) -> PilotEnumeration:
+    prefixes = np.arange(len(mass))
+    return PilotEnumeration(own, replace(enumerate_prefixes(own, prefixes), mass=mass), len(mass) / 729)
+
+
+def test_a_pilot_stands_for_all_where_the_mass_is_spread(sums: PlySums) -> None:
+    own = enumerator(sums, -12.0)
+    even, uneven = np.ones(9), np.array([1.0] + [1e-3] * 8)
+    assert not part(even, own).is_representative, "nine prefixes are too few"
+    many = replace(part(even, own), sums=replace(part(even, own).sums, mass=np.ones(200)))
+    assert many.is_representative
+    assert not replace(many, fraction=1.0).is_representative, "nothing is saved by a trial on all"
+    assert not replace(many, sums=replace(many.sums, mass=np.repeat(uneven, 20) ** 4)).is_representative
 
 
 def wave(x: np.ndarray) -> np.ndarray:

@@ -177,16 +177,15 @@ def _values(enumeration: Enumeration, prefixes: Array) -> Iterator[tuple[Array, 
         yield from ((digits[p], inner, enumeration.every[prefix]) for p, prefix in enumerate(prefixes))
         return
     both = enumeration.sums.both
-    total = all_choices(both[n_outer:]).T.astype(np.float32)
-    v, q = np.ascontiguousarray(total[:4]), np.ascontiguousarray(total[4:])
-    outer = np.zeros((len(digits), both.shape[2]))
+    total = all_choices(both[n_outer:]).astype(np.float32)
+    v, sums = np.ascontiguousarray(total[:, :4].T), np.column_stack((np.ones_like(total[:, 0]), total))
+    outer = np.zeros((len(digits), 1 + both.shape[2]))
     for j in range(n_outer):
-        outer += both[j][digits[:, j]]
+        outer[:, 1:] += both[j][digits[:, j]]
     for p in range(len(prefixes)):
-        leaf = table.rows(v, outer[p, :4])
+        leaf = table.rows(v, outer[p, 1:5])
         rows = np.flatnonzero(leaf >= 0)
-        shift = outer[p].astype(np.float32)
-        yield digits[p], rows, table.values(leaf[rows], v[:, rows].T + shift[:4], q[:, rows].T + shift[4:])
+        yield digits[p], rows, table.values(leaf[rows], sums[rows] + outer[p].astype(np.float32))
 
 
 def _prefix_digits(enumeration: Enumeration, prefixes: Array) -> Array:

@@ -151,7 +151,7 @@ def _round(
     """All sequences, or those of the pilot's prefixes alone, listed, computed and checked."""
     part = replace(pilot, fraction=1.0) if on_some else pilot
     enumeration, prefixes = part.listing(problem), pilot.sums.prefixes if on_some else None
-    cells = "" if enumeration.table is None else f", {len(enumeration.table.centre)} cells"
+    cells = "" if enumeration.table is None else f", {len(enumeration.table.tangent)} cells"
     every = f"some of {problem.n_sequences}" if on_some else str(problem.n_sequences)
     notify(f"{every} sequences{cells}")
     if prefixes is None:

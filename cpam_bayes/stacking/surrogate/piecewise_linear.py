@@ -37,8 +37,8 @@ class PiecewiseLinearSurrogate:
     first : (4,) number along each axis of the first cell of a box about those that were kept; the outermost
     cells of the box are empty.
     leaf : (n_1, n_2, n_3, n_4) int32, row of ``tangent`` of each cell of the box, -1 where it was left out.
-    centre : (L, 4).
-    tangent : (L, n_z + 1, 1 + 4 + n_q), scores, and last the rest, at the centre, and their gradients.
+    tangent : (L, n_z + 1, 1 + 4 + n_q), scores, and last the rest, continued to sums of zero, and their
+    gradients.
     lower_bound : log evidence that cells left out do not exceed.
     freedom : of ``log_evidence``.
     """
@@ -46,7 +46,6 @@ class PiecewiseLinearSurrogate:
     width: float
     first: Array
     leaf: Array
-    centre: Array
     tangent: Array
     lower_bound: float
     freedom: float
@@ -74,10 +73,9 @@ class PiecewiseLinearSurrogate:
             flat += cell
         return np.asarray(self.leaf.ravel()[flat])
 
-    def values(self, rows: Array, v: Array, q: Array) -> Array:
-        """Log evidence of points in the cells ``rows`` (m,), v (m, 4), q (m, n_q)."""
-        away = np.column_stack((np.ones(len(v), dtype=np.float32), v - self.centre[rows], q))
-        y = np.einsum("mij,mj->mi", self.tangent[rows], away)
+    def values(self, rows: Array, sums: Array) -> Array:
+        """Log evidence of points in the cells ``rows`` (m,), a one, v and q in each row of ``sums``."""
+        y = np.matmul(np.take(self.tangent, rows, axis=0), sums[:, :, None])[:, :, 0]
         return log_evidence(y.astype(np.float64), self.freedom)
 
 
@@ -89,7 +87,7 @@ def log_evidence(y: Array, freedom: float) -> Array:
 
     freedom : infinite where the noise is known, else n_f.
     """
-    square = np.sum(y[:, :-1] ** 2, axis=1)
+    square = np.einsum("mi,mi->m", y[:, :-1], y[:, :-1])
     deviance = square if np.isinf(freedom) else freedom * np.log1p(square / freedom)
     return np.asarray(y[:, -1] - 0.5 * deviance)
 
@@ -138,12 +136,11 @@ def piecewise_linear_surrogate(
         centre = (halved[:, None, :] + width * _mesh(np.array([-0.25, 0.25]))).reshape(-1, 4)
         width *= 0.5
     first, leaf = _box(leaves, _FIRST << halvings)
-    centre, tangents = _taken(leaves)
+    tangents = _taken(leaves)
     return PiecewiseLinearSurrogate(
         width=2.0 / (_FIRST << halvings),
         first=first,
         leaf=leaf,
-        centre=centre,
         tangent=tangents,
         lower_bound=top - depth,
         freedom=freedom,
@@ -176,7 +173,6 @@ class _Leaves:
 
     side: int
     corner: Array
-    centre: Array
     tangent: Array
 
 
@@ -190,9 +186,9 @@ def _leaves_and_halved(level: _Level, centre: Array) -> tuple[_Leaves, Array]:
     finer = (upper >= level.keep_from) & (upper >= level.halve_from)
     leaf = (upper >= level.keep_from) & ~finer
     corner = np.rint(level.side * ((centre[leaf] + 1.0) / level.width - 0.5)).astype(np.int64)
-    tangent = np.concatenate((y[leaf, :, None], slope[leaf]), axis=2)
-    kept = _Leaves(level.side, corner, centre[leaf].astype(np.float32), tangent.astype(np.float32))
-    return kept, centre[finer]
+    at_zero = y[leaf] - np.einsum("lzj,lj->lz", slope[leaf, :, :4], centre[leaf])
+    tangent = np.concatenate((at_zero[:, :, None], slope[leaf]), axis=2)
+    return _Leaves(level.side, corner, tangent.astype(np.float32)), centre[finer]
 
 
 def _box(leaves: list[_Leaves], n: int) -> tuple[Array, Array]:
@@ -212,17 +208,15 @@ def _box(leaves: list[_Leaves], n: int) -> tuple[Array, Array]:
     return first, leaf
 
 
-def _taken(leaves: list[_Leaves]) -> tuple[Array, Array]:
-    """Centres and tangents of all leaves, which are taken off the list: nothing is in memory twice."""
-    n = sum(len(each.centre) for each in leaves)
-    centre = np.empty((n, *leaves[0].centre.shape[1:]), dtype=np.float32)
+def _taken(leaves: list[_Leaves]) -> Array:
+    """Tangents of all leaves, which are taken off the list: nothing is in memory twice."""
+    n = sum(len(each.tangent) for each in leaves)
     tangent = np.empty((n, *leaves[0].tangent.shape[1:]), dtype=np.float32)
     while leaves:
-        each = leaves.pop()
-        begin = n - len(each.centre)
-        centre[begin:n], tangent[begin:n] = each.centre, each.tangent
-        n = begin
-    return centre, tangent
+        own = leaves.pop().tangent
+        tangent[n - len(own) : n] = own
+        n -= len(own)
+    return tangent
 
 
 def _mesh(axis: Array) -> Array:
