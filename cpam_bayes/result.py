@@ -226,12 +226,20 @@ class Result:
 class PlateResult(Result):
     """The answer to a question about one plate.
 
+    What reading its measurement left doubtful is a warning of every such answer.
+
     air_shifts : (n,) relative changes of the lowest frequencies that the air of a room would cause, None
     where air is in the model or its effect is not computed.
     """
 
     specimen: Specimen
     air_shifts: NDArray[np.float64] | None = None
+
+    def __post_init__(self) -> None:
+        measurement = self.specimen.measurement
+        if measurement is not None and measurement.remarks:
+            warnings = dict.fromkeys((*self.warnings, *measurement.remarks))
+            object.__setattr__(self, "warnings", tuple(warnings))
 
     @property
     def title(self) -> str:

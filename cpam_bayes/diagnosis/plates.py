@@ -189,9 +189,15 @@ def diagnose(
     return replace(
         diagnosis_result(diagnosis, seed, scatter, candidates, resampled),
         slips=slips,
-        warnings=(*slips, *warnings),
+        warnings=(*slips, *warnings, *_remarks(specimens)),
         reached_goal=resampled is None or resampled.converged,
     )
+
+
+def _remarks(specimens: Sequence[Specimen]) -> tuple[str, ...]:
+    """What reading the measurements left doubtful."""
+    measurements = [s.measurement for s in specimens if s.measurement is not None]
+    return tuple(dict.fromkeys(remark for m in measurements for remark in m.remarks))
 
 
 def _slips(diagnosis: Diagnosis, specimens: Sequence[Specimen]) -> tuple[str, ...]:

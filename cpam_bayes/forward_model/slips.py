@@ -139,7 +139,12 @@ def contradicts_list(slips: Sequence[str]) -> bool:
 def stated_noise_slips(measurement: Measurement) -> tuple[str, ...]:
     """A stated noise that no tap test has: per cent written as a fraction, most likely."""
     if measurement.frequency_sd is not None:
-        level, key = float(np.mean(measurement.frequency_sd / measurement.frequencies)), "frequency_sd_hz"
+        relative = measurement.frequency_sd / measurement.frequencies
+        at, level = int(np.argmax(relative)), float(np.mean(relative))
+        key = (
+            f"{measurement.sd_source} (most at {measurement.frequencies[at]:g} Hz, "
+            f"{significant(100.0 * relative[at], 2)} %)"
+        )
     elif measurement.relative_std is not None:
         level, key = measurement.relative_std, f"relative_std = {measurement.relative_std:g}"
     else:

@@ -208,6 +208,7 @@ class Measurement:
     damping : (n,) ratios to critical damping, nan where not measured; None where none is
     shapes : of its modes, None where they were not measured
     origin : the file that it was read from and what was made of it, "" for a list in the plate file
+    remarks : what in that file may be a slip, a sentence each
     """
 
     frequencies: NDArray[np.float64]
@@ -221,6 +222,7 @@ class Measurement:
     damping: NDArray[np.float64] | None = None
     shapes: MeasuredShapes | None = None
     origin: str = ""
+    remarks: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "frequencies", _read_only(self.frequencies))
@@ -233,6 +235,12 @@ class Measurement:
     def loss_factors(self) -> NDArray[np.float64] | None:
         """Twice the damping ratios, eta = 2 zeta of a lightly damped mode, (n,); None without them."""
         return None if self.damping is None else 2.0 * self.damping
+
+    @property
+    def sd_source(self) -> str:
+        """Where ``frequency_sd`` is stated: the key of the plate file, or the table."""
+        table = self.origin.partition(": ")[0]
+        return f"that of the table {table}" if table else "frequency_sd_hz"
 
     @property
     def names_modes(self) -> bool:

@@ -242,8 +242,7 @@ def stated_noise(measurement: Measurement) -> str:
     """Where the noise of a measurement is stated."""
     if measurement.frequency_sd is None:
         return "relative_std of the plate file"
-    table = measurement.origin.partition(": ")[0]
-    return f"that of the table {table}" if table else "frequency_sd_hz of the plate file"
+    return f"{measurement.sd_source}{'' if measurement.origin else ' of the plate file'}"
 
 
 def contained_sentence(

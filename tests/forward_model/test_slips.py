@@ -141,7 +141,7 @@ def test_lists_of_different_length_are_different_plates() -> None:
         ({}, ""),
         ({"relative_std": 0.03}, ""),
         ({"relative_std": 0.2}, "relative_std = 0.2, is 20 % of a frequency"),
-        ({"frequency_sd": 0.04}, "frequency_sd_hz, is 4.0 % of a frequency"),
+        ({"frequency_sd": 0.04}, "Hz, 4.0 %), is 4.0 % of a frequency"),
     ],
 )
 def test_a_stated_noise_that_no_tap_test_has_is_a_slip(noise: dict[str, float], said: str) -> None:

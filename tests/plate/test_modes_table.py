@@ -78,6 +78,50 @@ def refused(read):
     return problems
 
 
+EQUAL_HITS = "mode,hit,hz\n" + "".join(
+    f"{m},{h},{f}\n" for m, f in ((1, 101.5), (2, 305.2)) for h in (1, 2, 3)
+)
+
+
+def test_a_stated_repeatability_is_the_least_that_hits_give(measured) -> None:
+    identical = measured(EQUAL_HITS, "relative_std = 0.002\n")
+    assert identical.frequency_sd == pytest.approx(0.002 * identical.frequencies)
+    assert identical.remarks == ()
+    scattered = measured(EQUAL_HITS.replace("1,2,101.5", "1,2,111.5"), "relative_std = 0.002\n")
+    assert scattered.frequency_sd[0] > 0.05 * scattered.frequencies[0]
+
+
+def test_identical_hits_with_nothing_stated_are_told_of(read) -> None:
+    plate = read(EQUAL_HITS)
+    assert plate.measurement.frequency_sd == pytest.approx(0.1 / np.sqrt(12.0))
+    (remark,) = plate.measurement.remarks
+    assert remark.startswith("modes.csv: the hits of each mode are equal to the last digit")
+    assert remark in cb.forward(plate).warnings
+    assert read(EQUAL_HITS.replace("1,2,101.5", "1,2,101.6")).measurement.remarks == ()
+
+
+@pytest.mark.parametrize("wrong", ["3.052", "30520", "250"])
+def test_a_hit_far_from_the_others_of_its_mode_is_named_before_it_is_averaged(refused, wrong: str) -> None:
+    (problem,) = refused(EQUAL_HITS.replace("2,2,305.2", f"2,2,{wrong}"))
+    said = f"modes.csv line 6, column hz: mode 2, hit 2: received {float(wrong):g} Hz beside 305.2, 305.2 Hz"
+    assert problem.startswith(said)
+    assert "weight of 0" in problem
+
+
+def test_a_hit_without_weight_may_be_anything(measured) -> None:
+    weighed = EQUAL_HITS.replace("hz\n", "hz,weight\n").replace("2,2,305.2\n", "2,2,3.052,0\n")
+    assert measured(weighed).frequencies == pytest.approx([101.5, 305.2])
+
+
+def test_damping_that_no_composite_has_is_said_to_be_read_as_a_ratio(measured) -> None:
+    (remark,) = measured("mode,hz,damping\n1,101.5,0.4\n2,305.2,0.3\n").remarks
+    assert "damping up to 0.4 is read as a ratio, 40 % of critical damping" in remark
+    assert "the head is damping [%]" in remark
+    (remark,) = measured("mode,hz,damping [%]\n1,101.5,40\n2,305.2,30\n").remarks
+    assert remark.endswith("damping up to 40 % of critical damping, where composite plates have 0.05 to 3 %")
+    assert measured("mode,hz,damping [%]\n1,101.5,0.4\n2,305.2,0.3\n").remarks == ()
+
+
 WRITTEN = {
     "commas": TABLE,
     "semicolons and decimal commas": TABLE.replace(",", ";").replace(".", ","),

@@ -19,6 +19,10 @@ Array = NDArray[Any]
 
 # Probability below the upper end of an interval of 95 %.
 _UPPER: Final = 0.975
+# Hits further than this factor from the median of their mode are misread, or of another mode.
+_ASTRAY: Final = 1.2
+# Damping above this is more than a composite plate has, 0.0005 to 0.03.
+_MUCH_DAMPING: Final = 0.05
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,6 +36,7 @@ class TableModes:
     hits : (n,) that a mode was seen in
     left_out : modes that no row with a weight has, as they are named
     unused : heads of the columns that are not read
+    remarks : what may be a slip, a sentence each
     """
 
     frequencies: Array
@@ -41,6 +46,7 @@ class TableModes:
     hits: Array
     left_out: tuple[str, ...]
     unused: tuple[str, ...]
+    remarks: tuple[str, ...]
 
     def fields(self, name: str) -> dict[str, Any]:
         """What of a `Measurement` the table gives; name : of the table, as the plate file has it."""
@@ -50,6 +56,7 @@ class TableModes:
             "labels": self.labels,
             "damping": self.damping,
             "origin": f"{name}: {self.origin}",
+            "remarks": tuple(f"{name}: {remark}" for remark in self.remarks),
         }
 
     @property
@@ -87,16 +94,20 @@ def small_sample_factor(freedom: float) -> float:
     return float(t.ppf(_UPPER, freedom) / norm.ppf(_UPPER))
 
 
-def modes_of(table: ModesTable, *, complete: bool) -> tuple[TableModes | None, tuple[TableProblem, ...]]:
+def modes_of(
+    table: ModesTable, *, complete: bool, least: float = 0.0
+) -> tuple[TableModes | None, tuple[TableProblem, ...]]:
     """One frequency a mode with the scatter of its hits, or everything that is wrong.
 
     The scatter is that of a single hit, as what all hits share is not in it, enlarged by
     `small_sample_factor`; of a mode with one hit it is the relative scatter of all others together. It is no
-    less than the rounding of the table, nor than the mean of stated standard deviations.
+    less than the rounding of the table, nor than the mean of stated standard deviations, nor than ``least``.
 
     complete : whether modes that are left out in between are refused
+    least : what a standard deviation is at least, as a fraction of the frequency
     """
     groups, problems = _grouped(table)
+    problems += [problem for name, rows in groups for problem in _astray(table, name, rows)]
     modes = [_mode(name, rows) for name, rows in groups]
     used = sorted((mode for mode in modes if mode.rows), key=lambda mode: mode.mean)
     if not problems and not used:
@@ -110,6 +121,8 @@ def modes_of(table: ModesTable, *, complete: bool) -> tuple[TableModes | None, t
     if gaps:
         return None, tuple(gaps)
     sd = _scatter(used, table.step)
+    if sd is not None:
+        sd = np.maximum(sd, least * np.array([mode.mean for mode in used]))
     if sd is not None and not np.all(np.isfinite(sd)):
         lines = [mode.rows[0].line for mode, one in zip(used, sd, strict=True) if not np.isfinite(one)]
         what = "missing, accepted: one for each mode, as others have one"
@@ -123,7 +136,52 @@ def modes_of(table: ModesTable, *, complete: bool) -> tuple[TableModes | None, t
         hits=np.array([len(mode.rows) for mode in used]),
         left_out=tuple(mode.name for mode in modes if not mode.rows),
         unused=table.unused,
+        remarks=(*_rounded(used, least), *_damped(damping, table.damping_unit)),
     ), ()
+
+
+def _astray(table: ModesTable, name: str, every: Sequence[Hit]) -> list[TableProblem]:
+    """The hit of a mode that is furthest from the others, where it is none of this mode."""
+    rows = [row for row in every if row.hz is not None and row.weight > 0.0]
+    f = np.array([row.hz for row in rows])
+    if len(rows) < 2:
+        return []
+    away = np.abs(np.log(f / np.median(f)))
+    if away.max() <= np.log(_ASTRAY):
+        return []
+    at = int(np.argmax(away))
+    called = f"mode {name}" if "mode" in table.columns else name
+    hit = f", hit {rows[at].hit}" if rows[at].hit else ""
+    others = ", ".join(f"{value:g}" for value in np.delete(f, at)[:5])
+    what = (
+        f"{called}{hit}: received {f[at]:g} Hz beside {others} Hz, accepted: hits of one mode, which agree "
+        "to 20 %; correct it, or leave it out by a weight of 0"
+    )
+    return [TableProblem(rows[at].line, "hz", what)]
+
+
+def _rounded(modes: Sequence[_Mode], least: float) -> tuple[str, ...]:
+    """Repeats that are equal to the last digit, and nothing else that tells the scatter."""
+    repeated = [mode for mode in modes if mode.freedom > 0.0]
+    told = least > 0.0 or any(np.isfinite(mode.stated) for mode in modes)
+    if told or not repeated or any(mode.variance > 0.0 for mode in repeated):
+        return ()
+    return (
+        "the hits of each mode are equal to the last digit, so that they show the rounding alone and no "
+        "scatter; state relative_std in [measurement], 0.002 for a usual tap test, or write more digits",
+    )
+
+
+def _damped(damping: Array, unit: str) -> tuple[str, ...]:
+    """Damping that is more than a plate has: per cent read as ratios, most likely."""
+    most = float(np.max(damping, initial=0.0, where=np.isfinite(damping)))
+    if most <= _MUCH_DAMPING:
+        return ()
+    read = f"{100.0 * most:g} % of critical damping"
+    if unit != "%":
+        read = f"{most:g} is read as a ratio, {read}"
+    cure = "; if per cent is meant, the head is damping [%]" if unit in ("", "1", "-") else ""
+    return (f"damping up to {read}, where composite plates have 0.05 to 3 %{cure}",)
 
 
 def _grouped(table: ModesTable) -> tuple[list[tuple[str, tuple[Hit, ...]]], list[TableProblem]]:

@@ -8,7 +8,7 @@ from cpam_bayes.plate.modes_table.delimited import decode
 from cpam_bayes.plate.modes_table.hits import TableModes, modes_of
 from cpam_bayes.plate.modes_table.rows import TableProblem, read_modes_table
 from cpam_bayes.plate.problems import Problem
-from cpam_bayes.plate.raw import Data, table
+from cpam_bayes.plate.raw import Data, number, table
 from cpam_bayes.plate.regular_file import read_named_file
 
 __all__ = ["table_of"]
@@ -31,7 +31,8 @@ def table_of(data: Data, directory: Path | None) -> tuple[TableModes | None, lis
     rows, problems = read_modes_table(decode(content))
     modes: TableModes | None = None
     if rows is not None:
-        modes, problems = modes_of(rows, complete=measurement.get("complete") is not False)
+        least = max(number(measurement, "relative_std") or 0.0, 0.0)
+        modes, problems = modes_of(rows, complete=measurement.get("complete") is not False, least=least)
     return modes, [_located(name, problem) for problem in problems]
 
 

@@ -73,12 +73,17 @@ class Hit:
 
 @dataclass(frozen=True, slots=True)
 class ModesTable:
-    """The rows of a table. unused : heads of the columns that are not read. step : of the last digit, Hz."""
+    """The rows of a table.
+
+    unused : heads of the columns that are not read. step : of the last digit, Hz. damping_unit : of its head,
+    "" where there is none.
+    """
 
     hits: tuple[Hit, ...]
     columns: tuple[str, ...]
     unused: tuple[str, ...]
     step: float
+    damping_unit: str = ""
 
 
 def read_modes_table(text: str) -> tuple[ModesTable | None, tuple[TableProblem, ...]]:
@@ -100,7 +105,8 @@ def read_modes_table(text: str) -> tuple[ModesTable | None, tuple[TableProblem, 
         if head.isprintable() and head and not name
     )
     hits = tuple(_hit(row, columns) for row in found.rows)
-    return ModesTable(hits, names, unused, _step(found, columns)), ()
+    unit = dict(columns).get("damping", "")
+    return ModesTable(hits, names, unused, _step(found, columns), unit), ()
 
 
 def _column(head: str) -> tuple[str, str]:

@@ -62,7 +62,7 @@ def noise_sentence(result: PointEstimate) -> str:
     level = f"{significant(100 * result.noise, 2)} % of a frequency"
     rounding = f", and the rounding to {measurement.resolution:g} Hz" if measurement.resolution else ""
     if not result.noise_is_inferred:
-        key = "frequency_sd_hz, on average" if measurement.frequency_sd is not None else ""
+        key = f"{measurement.sd_source}, on average" if measurement.frequency_sd is not None else ""
         return f"{level}, from the plate file ({key or 'relative_std'}){rounding}"
     freedom = measurement.size - len(result.constants)
     return (
