@@ -45,7 +45,8 @@ def add(commands: Commands) -> None:
         type=positive(_MOST_HZ, "frequency"),
         nargs=2,
         metavar=("LOW", "HIGH"),
-        help="Hz (default: all but the first lines; of hits up to where the force has fallen to a tenth)",
+        help="Hz (default: all but the first lines; of hits up to where the force has fallen to a tenth, of "
+        "decays a quarter above the last line that stands above noise)",
     )
     command.add_argument(
         "--order",

@@ -9,8 +9,10 @@ from pathlib import Path
 from typing import ClassVar, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cpam_bayes.arguments import checked
+from cpam_bayes.modal_analysis.doubts import peaks_of
 from cpam_bayes.modal_analysis.fit import Pole, fit_poles
 from cpam_bayes.modal_analysis.read import read_responses
 from cpam_bayes.modal_analysis.records import FrequencyResponses, ModalTestError
@@ -29,6 +31,10 @@ _LEAST_ORDER, _MOST_ORDER = 10, 200
 _MOST_VALUES: Final = 2_000_000
 # Where the range begins, unless given: lines, and a fraction of its end.
 _FIRST_LINE, _FIRST_FRACTION = 10, 0.02
+# Lines at 0 Hz and beside it are drift.
+_FIRST_PEAK: Final = 3
+# A peak belongs to a mode within so many half widths; so many others are named.
+_PEAK, _MOST_SAID = 3.0, 10
 # Modes closer than this many of their half widths together are told of, and a poor standard deviation.
 _CLOSE, _POOR = 2.0, 0.01
 
@@ -107,7 +113,7 @@ def poles(
     force, response : channels of .wav files, from 1; without force each hit is a free decay
     window : of .wav files, "none" or "exponential", whose damping is taken off again
     low_hz, high_hz : the range; left out, all but the first lines, of hits up to where the force has fallen
-        to a tenth
+        to a tenth, of decays without a force a quarter above the last line that stands above noise
     order : number of poles of the largest model, 10 to 200
     seed : of the result's record; nothing is drawn at random
 
@@ -159,7 +165,7 @@ def poles(
     modes = tuple(one for one in fit_poles(responses, found.candidates) if low <= one.frequency <= high)
     return PolesResult(
         seed=seed,
-        warnings=_warnings(modes),
+        warnings=(*responses.remarks, *_below(responses, low), *_warnings(responses, modes, low, high)),
         reached_goal=bool(modes),
         files=names,
         responses=responses,
@@ -171,10 +177,49 @@ def poles(
     )
 
 
-def _warnings(modes: Sequence[Pole]) -> tuple[str, ...]:
+def _size(responses: FrequencyResponses) -> NDArray[np.float64]:
+    """Root mean square over the responses, each over its own, (n,)."""
+    power = np.abs(responses.frf) ** 2
+    mean = np.maximum(np.mean(power, axis=1, keepdims=True), np.finfo(float).tiny)
+    return np.asarray(np.sqrt(np.mean(power / mean, axis=0)))
+
+
+def _is_under(peak: float, mode: Pole, step: float) -> bool:
+    """Whether a peak is that of a mode."""
+    return abs(peak - mode.frequency) < _PEAK * mode.damping * mode.frequency + 2.0 * step
+
+
+def _below(responses: FrequencyResponses, low: float) -> tuple[str, ...]:
+    """A peak below the range that is the largest of all."""
+    size = _size(responses)
+    at = int(np.argmax(size[_FIRST_PEAK:])) + _FIRST_PEAK
+    if not responses.frequencies[at] < low:
+        return ()
+    return (
+        f"the responses are largest at {responses.frequencies[at]:.4g} Hz, below the range, where no modes "
+        "are looked for: a mode, the plate on its support, or hum; --range widens it",
+    )
+
+
+def _warnings(
+    responses: FrequencyResponses, modes: Sequence[Pole], low: float, high: float
+) -> tuple[str, ...]:
+    inside = (responses.frequencies >= low) & (responses.frequencies <= high)
+    peaks = peaks_of(responses.frequencies[inside], _size(responses)[inside])
+    left = [f"{f:.5g}" for f in peaks if not any(_is_under(f, one, responses.step) for one in modes)]
     if not modes:
-        return ("no pole stays over the orders: widen the range, raise --order, or look at the responses",)
+        seen = f"peak at {', '.join(left[:_MOST_SAID])} Hz" if left else "have no clear peak"
+        return (
+            f"no pole stays over the orders from {low:.4g} to {high:.4g} Hz, where the responses {seen}: "
+            "widen the range, raise --order, or look at the responses",
+        )
     problems = []
+    if left:
+        problems.append(
+            f"peaks of the responses without a mode of the table: {', '.join(left[:_MOST_SAID])} Hz; modes "
+            "that were not found with this --order and range, or steady tones such as mains hum: look at the "
+            "stability diagram, and try another --order"
+        )
     close = [
         f"{a.frequency:.5g} and {b.frequency:.5g} Hz"
         for a, b in pairwise(modes)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.io import wavfile
 
 from cpam_bayes.errors import PlateFileError
+from cpam_bayes.modal_analysis.doubts import require_unclipped
 from cpam_bayes.modal_analysis.records import FrequencyResponses, ModalTestError
 from cpam_bayes.modal_analysis.signals import Recording, Window, responses_of_hits
 from cpam_bayes.plate.mode_shapes.universal import UniversalFileError, read_sets
@@ -35,7 +36,7 @@ _ACCEPTED: Final = (
 )
 # Of a dataset 58: the type of a frequency response function.
 _FRF: Final = 4
-_HEAD = re.compile(r"^(hz|frequency|freq|f|re|real|im|imag|imaginary|mag|magnitude|abs|phase)\b")
+_HEAD = re.compile(r"^(hz|khz|frequency|freq|f|re|real|im|imag|imaginary|mag|magnitude|abs|phase)\b")
 _EVEN: Final = 1e-3
 # The largest value of a response or a record: what is beyond leaves the range of squares and their sums.
 _LEAST_SIZE, _MOST_SIZE = 1e-60, 1e60
@@ -141,6 +142,7 @@ def _table(name: str) -> FrequencyResponses:
         (kind, unit, _), (_, angle, _) = columns[k], columns[k + 1]
         first, second = values[k], values[k + 1]
         if kind == "mag":
+            _require_units(name, unit, angle, first, second)
             with np.errstate(over="ignore", invalid="ignore"):  # refused below
                 size = 10.0 ** (first / 20.0) if "db" in unit else first
                 turn = second if "rad" in angle else np.radians(second)
@@ -152,9 +154,31 @@ def _table(name: str) -> FrequencyResponses:
     return _checked(name, scale * values[0], np.array(frf), f"table, {len(frf)} responses")
 
 
+def _require_units(name: str, unit: str, angle: str, magnitude: Array, phase: Array) -> None:
+    """Raise ``ModalTestError`` where magnitude or phase cannot be in the unit that their heads say."""
+    if "db" not in unit and np.any(magnitude < 0.0):
+        raise ModalTestError(
+            f"{name}: magnitudes below 0, down to {np.nanmin(magnitude):g}, accepted: 0 or above; of values "
+            "in dB the head says [dB]"
+        )
+    most = np.nanmax(np.abs(phase), initial=0.0)
+    if "deg" not in angle and "rad" not in angle and most <= 2.0 * np.pi:
+        raise ModalTestError(
+            f"{name}: phases up to {most:.3g} of no unit, accepted: phase [rad], or phase [deg]"
+        )
+
+
 def _columns(heads: Sequence[str]) -> list[tuple[str, str, int]]:
     """Kind, whole head and place of the columns that are read."""
-    short = {"hz": "f", "frequency": "f", "freq": "f", "real": "re", "imag": "im", "imaginary": "im"}
+    short = {
+        "hz": "f",
+        "khz": "f",
+        "frequency": "f",
+        "freq": "f",
+        "real": "re",
+        "imag": "im",
+        "imaginary": "im",
+    }
     short |= {"magnitude": "mag", "abs": "mag"}
     found = []
     for i, head in enumerate(heads):
@@ -209,10 +233,16 @@ def _recording(name: str, force: int | None, response: Sequence[int]) -> Recordi
             f"{name}: received {len(wanted)} channels of {channels.shape[1]} samples, accepted: "
             f"{_MOST_SAMPLES} samples at most; several files are one test"
         )
+    if force is not None and force in response:
+        raise ModalTestError(
+            f"--force and --response: received {force} for both, accepted: different channels"
+        )
     with np.errstate(invalid="ignore"):  # of floats that are no numbers
         signals = channels[[channel - 1 for channel in wanted]].astype(float)
     if not np.all(np.abs(signals) < _MOST_SIZE):
         raise ModalTestError(f"{name}: samples that are no numbers, accepted: numbers up to {_MOST_SIZE:g}")
+    for channel in wanted:
+        require_unclipped(name, channel, channels[channel - 1])
     if force is None:
         return Recording(float(rate), None, signals)
     return Recording(float(rate), signals[0], signals[1:])

@@ -26,6 +26,7 @@ class FrequencyResponses:
     added_decay : rad/s that a window adds to the decay of every mode
     correlation : of the noise of a line with that of the next one, by the window
     origin : the format and what was read, in words
+    remarks : what makes them doubtful, a sentence each
     """
 
     frequencies: Array
@@ -33,6 +34,7 @@ class FrequencyResponses:
     added_decay: float
     correlation: float
     origin: str
+    remarks: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         for name in ("frequencies", "frf"):

@@ -9,6 +9,7 @@ from typing import Any, Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from cpam_bayes.modal_analysis.doubts import hum_remarks, last_line_of_modes, require_force_of_a_hit
 from cpam_bayes.modal_analysis.records import FrequencyResponses, ModalTestError
 
 __all__ = ["WINDOWS", "Recording", "Window", "responses_of_hits"]
@@ -23,7 +24,11 @@ _END: Final = 0.01
 _ONSET, _APART, _BEFORE = 0.3, 0.25, 0.002
 # The range of a test ends where the spectrum of the force has fallen to this fraction of its largest value.
 _FORCE_LEFT: Final = 0.1
+# Spectra of decays end this much above their last line that stands above noise.
+_OUTSIDE: Final = 1.25
 _LEAST_LINES: Final = 50
+# A range that is found from the responses has these lines at least: twice the poles of the default order.
+_LEAST_FOUND: Final = 150
 _MOST_HITS: Final = 1000
 
 
@@ -47,9 +52,10 @@ def responses_of_hits(
     """Responses over force of all hits, H_1 = sum conj(F) X / sum |F|^2; without it, spectra of decays.
 
     Each hit begins where its force, or its largest response, rises. All hits have the length of the shortest.
-    Spectra end at ``high``, Hz, or where the force has fallen to a tenth.
+    Spectra end at ``high``, Hz, or where the force has fallen to a tenth, or a quarter above the last line of
+    a decay that stands above its noise.
 
-    Raises ``ModalTestError`` where there is no hit, or hits are too short.
+    Raises ``ModalTestError`` where there is no hit, hits are too short, or the force is no hit's.
     """
     hits = [hit for one in recordings for hit in _hits(one)]
     if not hits:
@@ -59,15 +65,24 @@ def responses_of_hits(
     weight = np.exp(-decay * np.arange(n) / rate)
     spectra = np.stack([np.fft.rfft(hit[:, :n] * weight, axis=1) for hit in hits])  # hits, channels, lines
     frequencies = np.fft.rfftfreq(n, 1.0 / rate)
-    has_force = recordings[0].force is not None
+    has_force, remarks = recordings[0].force is not None, _hums(recordings)
     if has_force:
+        require_force_of_a_hit(hits, rate, _BEFORE)
         force, response = spectra[:, :1], spectra[:, 1:]
         power = np.sum(np.abs(force) ** 2, axis=0)
         frf = np.sum(force.conj() * response, axis=0) / np.maximum(power, np.finfo(float).tiny)
         fallen = np.flatnonzero(power[0] < _FORCE_LEFT**2 * power[0].max())
         end = int(fallen[0]) if high is None and len(fallen) else len(frequencies)
     else:
-        frf, end = spectra.reshape(-1, len(frequencies)), len(frequencies)
+        frf = spectra.reshape(-1, len(frequencies))
+        size = np.mean(np.abs(frf) ** 2, axis=1, keepdims=True)
+        last = last_line_of_modes(np.mean(np.abs(frf) ** 2 / np.maximum(size, np.finfo(float).tiny), axis=0))
+        if high is not None and frequencies[last] > high:
+            remarks += (
+                f"responses stand above their noise up to {frequencies[last]:.4g} Hz, beyond the range: "
+                "modes there are not looked for",
+            )
+        end = min(max(int(_OUTSIDE * last) + 1, _LEAST_FOUND), len(frequencies))
     if high is not None:
         end = int(np.searchsorted(frequencies, high, side="right"))
     if end < _LEAST_LINES:
@@ -83,7 +98,13 @@ def responses_of_hits(
         decay,
         1.0 / (1.0 + (np.pi * rate / (decay * n)) ** 2) if decay else 0.0,
         f"{many} of {n / rate:.3g} s, {recordings[0].responses.shape[0]} response {over}; window: {window}",
+        remarks,
     )
+
+
+def _hums(recordings: Sequence[Recording]) -> tuple[str, ...]:
+    said = (remark for one in recordings for remark in hum_remarks(one.rate, one.responses))
+    return tuple(dict.fromkeys(said))
 
 
 def _hits(recording: Recording) -> list[Array]:

@@ -205,6 +205,82 @@ def test_the_range_of_hits_ends_where_the_force_has_fallen(recorded: Path) -> No
     assert 550.0 < result.high < 750.0
 
 
+@pytest.mark.parametrize("kind", [np.int16, np.float32])
+@pytest.mark.parametrize("gain", [3.0, 30.0])
+def test_a_record_clipped_at_full_scale_is_refused(tmp_path: Path, kind: type, gain: float) -> None:
+    full = 32767.0 if kind is np.int16 else 1.0
+    samples = np.clip(gain / 30000.0 * hits(2)[:, 1], -1.0, 1.0) * full
+    wavfile.write(tmp_path / "clip.wav", RATE, samples.astype(kind))
+    with pytest.raises(ModalTestError, match=r"clip.wav: channel 1 is clipped: .* samples hold its largest"):
+        cb.poles(tmp_path / "clip.wav", response=[1], window="none")
+
+
+def test_flat_tops_below_full_scale_are_clipped_too(tmp_path: Path) -> None:
+    samples = np.clip(hits(2)[:, 1], -8000, 8000)  # an amplifier before the recorder
+    wavfile.write(tmp_path / "clip.wav", RATE, samples)
+    with pytest.raises(ModalTestError, match="is clipped"):
+        cb.poles(tmp_path / "clip.wav", response=[1], window="none")
+
+
+def test_a_force_that_rings_is_most_likely_a_response(recorded: Path) -> None:
+    with pytest.raises(ModalTestError, match=r"rings long after the hit.*exchange --force and --response"):
+        cb.poles(recorded, force=2, response=[1], window="none")
+    with pytest.raises(ModalTestError, match="received 2 for both"):
+        cb.poles(recorded, force=2, response=[2], window="none")
+
+
+def test_mains_hum_is_named_with_the_peaks_that_are_seen(tmp_path: Path) -> None:
+    samples = hits(1)[:, 1] / 30000.0
+    t = np.arange(len(samples)) / RATE
+    samples = 0.5 * samples + 0.2 * np.sin(2.0 * np.pi * 50.0 * t)
+    wavfile.write(tmp_path / "hum.wav", RATE, samples.astype(np.float32))
+    result = cb.poles(tmp_path / "hum.wav", response=[1], window="none", order=20)
+    assert any("a steady tone of the mains, 50 or 100 Hz" in warning for warning in result.warnings)
+    wavfile.write(tmp_path / "clean.wav", RATE, hits(1)[:, 1])
+    clean = cb.poles(tmp_path / "clean.wav", response=[1], window="none", order=20)
+    assert not any("mains" in warning for warning in clean.responses.remarks)
+
+
+def test_decays_at_a_high_rate_are_searched_where_they_stand_above_noise(tmp_path: Path) -> None:
+    rate, rng = 44100, np.random.default_rng(0)
+    t = np.arange(3 * rate) / rate
+    decay = np.sum(np.exp(eigenvalues(FREQUENCIES, DAMPING)[:, None] * t).imag, axis=0)
+    samples = decay / np.abs(decay).max() + 0.01 * rng.standard_normal(len(t))
+    wavfile.write(tmp_path / "phone.wav", rate, (30000.0 / 1.1 * samples).astype(np.int16))
+    result = cb.poles(tmp_path / "phone.wav", response=[1], window="none", order=40)
+    assert FREQUENCIES[-1] < result.high < 2.0 * FREQUENCIES[-1]
+    assert result.low < 0.5 * FREQUENCIES[0]
+    assert_known(result.modes, rtol=2e-4)
+    cut = cb.poles(tmp_path / "phone.wav", response=[1], window="none", order=20, low_hz=100.0, high_hz=200.0)
+    assert any("responses stand above their noise up to" in warning for warning in cut.warnings)
+
+
+def test_a_peak_without_a_mode_is_named(tmp_path: Path) -> None:
+    data = responses(n_responses=1)
+    frf = data.frf[0].copy()
+    frf[np.flatnonzero(LINES == 250.0)] = 0.3 * np.abs(frf).max()  # a steady tone
+    table = np.stack((LINES, frf.real, frf.imag), axis=1)
+    np.savetxt(tmp_path / "tap.csv", table, delimiter=",", header="hz,re,im", comments="")
+    result = cb.poles(tmp_path / "tap.csv", order=40, high_hz=390.0)
+    assert_known(result.modes)
+    assert result.warnings[0].startswith("peaks of the responses without a mode of the table: 250 Hz")
+
+
+@pytest.mark.parametrize(
+    ("heads", "row", "said"),
+    [
+        ("hz,magnitude,phase [deg]", lambda f: (-3.0, 100.0), "magnitudes below 0, down to -3, .*says .dB."),
+        ("hz,magnitude,phase", lambda f: (1.0, 3.1), "phases up to 3.1 of no unit, accepted: phase .rad."),
+        ("hz,re,im", lambda f: ("nan" if f == 150 else 1.0, 0.0), "no number at 150 Hz"),
+    ],
+)
+def test_a_column_that_cannot_be_what_its_head_says_is_refused(tmp_path, heads, row, said) -> None:
+    lines = [heads, *(",".join(map(str, (f, *row(f)))) for f in range(1, 300))]
+    (tmp_path / "tap.csv").write_text("\n".join(lines))
+    with pytest.raises(ModalTestError, match=said):
+        cb.poles(tmp_path / "tap.csv")
+
+
 def test_the_table_is_read_by_a_plate_file(run, tmp_path: Path) -> None:
     written_universal(tmp_path / "tap.unv", responses(), 0)
     out = tmp_path / "out"

@@ -71,6 +71,15 @@ def test_nodes_and_normal_modes_are_read_in_the_order_of_their_frequencies(read)
     assert "datasets 15 55; 2 real modes at 20 nodes in mm, by the size of the plate" in found.origin
 
 
+def test_a_file_that_is_cut_short_inside_a_mode_is_refused(read, refused):
+    whole = nodes_15(MM) + mode_55(101.5, SHAPE) + mode_55(305.25, OTHER)
+    cut = whole[: len(whole) - len(mode_55(305.25, OTHER)) // 2]
+    line = whole[: -len(mode_55(305.25, OTHER))].count("\n") + 1
+    assert f"cut short: the dataset that begins at line {line} has no end" in refused(cut)
+    assert refused(cut.replace("\n", "\r\n")) == refused(cut)
+    assert read(whole + "\n").frequencies.tolist() == [101.5, 305.25]
+
+
 @pytest.mark.parametrize(
     ("nodes", "words"),
     [

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -23,6 +24,7 @@ _NODES, _SHAPE, _UNITS = (15, 2411), 55, 164
 _NORMAL, _COMPLEX = 2, (3, 7)
 # What stands before and after each dataset, and how many datasets a file may have.
 _MARK: Final = b"    -1"
+_MARK_LINE: Final = re.compile(rb"^ {4}-1[ \t]*\r?$", re.MULTILINE)
 _MOST_SETS: Final = 10_000
 # Numbers of nodes have ten columns. What is beyond the size leaves the range of squares and their sums.
 _MOST_NODE: Final = 10**10
@@ -86,6 +88,7 @@ def read_sets(content: bytes, types: Sequence[int]) -> list[Mapping[str, Any]]:
     marks = content.count(_MARK)
     if marks > 2 * _MOST_SETS:
         raise UniversalFileError(f"received {marks // 2} datasets, accepted: {_MOST_SETS} at most")
+    _require_whole(content)
     with TemporaryDirectory() as directory:
         path = Path(directory) / "file.unv"
         path.write_bytes(content)
@@ -105,6 +108,17 @@ def read_sets(content: bytes, types: Sequence[int]) -> list[Mapping[str, Any]]:
                     f"dataset {i + 1}, of type {kind}: cannot be read, accepted: the columns of its format"
                 ) from None
     return sets
+
+
+def _require_whole(content: bytes) -> None:
+    """Raise ``UniversalFileError`` where the last dataset has no end, which pyuff passes over."""
+    marks = list(_MARK_LINE.finditer(content))
+    if len(marks) % 2 and content[marks[-1].end() :].strip():
+        line = content.count(b"\n", 0, marks[-1].start()) + 1
+        raise UniversalFileError(
+            f"cut short: the dataset that begins at line {line} has no end, accepted: whole files, in which "
+            "a line -1 ends each dataset"
+        )
 
 
 def universal_modes(content: bytes) -> UniversalModes:

@@ -19,7 +19,7 @@ def summary(result: PolesResult) -> Summary:
         headline=f"The responses show {many}{span}.",
         tables=(_table(result),),
         basis=(
-            f"Read: {result.responses.origin}; {result.low:.5g} to {result.high:.5g} Hz, lines "
+            f"Read: {result.responses.origin}; looked at {result.low:.5g} to {result.high:.5g} Hz, lines "
             f"{result.responses.step:.4g} Hz apart.",
             "Standard deviations are those of the fit to these responses: how the plate hangs, warms or is "
             "hit elsewhere is not in them.",
