@@ -1,6 +1,5 @@
 """Every sequence on a grid, enumerated by the piecewise-linear surrogate, against a loop over all."""
 
-from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -16,7 +15,6 @@ from cpam_bayes.stacking.enumeration.best_first import (
     prefixes_to_visit,
     values_of_prefix,
 )
-from cpam_bayes.stacking.enumeration.pilot import PilotEnumeration
 from cpam_bayes.stacking.features import PlySums, ply_sums
 from cpam_bayes.stacking.surrogate.gaussian_process import fit_gaussian_process
 from cpam_bayes.stacking.surrogate.piecewise_linear import (
@@ -198,21 +196,6 @@ def test_values_on_cells_are_those_of_their_tangents(sums: PlySums) -> None:
     assert len(x) > 50
     # single precision of scores of some hundreds
     np.testing.assert_allclose(found, exact, rtol=3e-6, atol=1e-4)
-
-
-def part(mass: np.ndarray, own: Enumeration) -> PilotEnumeration:
-    prefixes = np.arange(len(mass))
-    return PilotEnumeration(own, replace(enumerate_prefixes(own, prefixes), mass=mass), len(mass) / 729)
-
-
-def test_a_pilot_stands_for_all_where_the_mass_is_spread(sums: PlySums) -> None:
-    own = enumerator(sums, -12.0)
-    even, uneven = np.ones(9), np.array([1.0] + [1e-3] * 8)
-    assert not part(even, own).is_representative, "nine prefixes are too few"
-    many = replace(part(even, own), sums=replace(part(even, own).sums, mass=np.ones(200)))
-    assert many.is_representative
-    assert not replace(many, fraction=1.0).is_representative, "nothing is saved by a trial on all"
-    assert not replace(many, sums=replace(many.sums, mass=np.repeat(uneven, 20) ** 4)).is_representative
 
 
 def wave(x: np.ndarray) -> np.ndarray:
