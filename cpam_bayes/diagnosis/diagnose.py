@@ -239,7 +239,7 @@ def _causes(
     fits = compared_by_fits({name: best[name] for name in compared}, probabilities, by_signature)
     marginals = [t.marginal for t in fits.values()]
     peaks = shared_out(best_log_likelihood, cases, marginals, executor)
-    like = with_equal_fits(by_signature, dict(zip(fits, peaks, strict=True)))
+    like = with_equal_fits(by_signature, dict(zip(fits, peaks, strict=True)), probabilities)
     causes = []
     for name, probability in weighed.by_cause().items():
         t = best[name]

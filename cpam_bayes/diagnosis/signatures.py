@@ -24,8 +24,9 @@ ALIKE = 0.95
 # A cause of which less than this fraction of the signature is visible is absorbed by the constants.
 ABSORBED = 0.1
 # Causes with less than this fraction of the leading one's probability are not compared by their best fits;
-# fits are equal within so many nats of the log likelihood, and told apart by so many.
-_COMPARED, AS_WELL, _TOLD_APART = 5e-3, 2.0, 7.0
+# fits are equal within so many nats of the log likelihood, and told apart by so many where one has less than
+# a fraction of the other's probability.
+_COMPARED, AS_WELL, _TOLD_APART, _HARDLY_PROBABLE = 5e-3, 2.0, 7.0, 1e-2
 # A shift smaller than this fraction of the one that it is compared with is hardly there.
 HARDLY = 0.1
 # Points between the nodes of one size at which it is compared with the others.
@@ -174,13 +175,14 @@ def compared_by_fits(
 
 
 def with_equal_fits(
-    by_signature: Mapping[str, Sequence[str]], peak: Mapping[str, float]
+    by_signature: Mapping[str, Sequence[str]], peak: Mapping[str, float], probability: Mapping[str, float]
 ) -> dict[str, tuple[str, ...]]:
     """The causes that cannot be told from each one: those with its signature, and those that fit as well.
 
     Signatures are compared where an effect is small. A gross one may be imitated by another that moves the
     constants far: whatever the sizes were believed to be, the data prefer neither by more than e^2. And it
-    may be told from one with its signature: at any size that fits worse by more than e^7.
+    may be told from one with its signature: at any size that fits worse by more than e^7, and its probability
+    is no more than 0.01 of the other's.
 
     by_signature : by cause, those with equal visible signatures
     peak : largest log likelihood of the causes whose fits are compared
@@ -189,7 +191,8 @@ def with_equal_fits(
     for name, others in by_signature.items():
         behind = {c: peak[name] - peak[c] for c in peak if c != name} if name in peak else {}
         as_well = [c for c, nats in behind.items() if nats < AS_WELL]
-        kept = [c for c in others if behind.get(c, 0.0) < _TOLD_APART]
+        hardly = {c for c in behind if probability[c] < _HARDLY_PROBABLE * probability[name]}
+        kept = [c for c in others if c not in hardly or behind[c] < _TOLD_APART]
         found[name] = tuple(dict.fromkeys([*kept, *as_well]))
     return found
 

@@ -208,14 +208,18 @@ def test_a_false_peak_may_equal_its_neighbour() -> None:
         assert np.all(np.isfinite(found.shift))
 
 
-def test_causes_are_told_apart_by_fits_and_not_by_priors() -> None:
+def test_causes_with_one_signature_are_told_apart_by_fits() -> None:
     by_signature = {"turned": ("skew", "inner"), "skew": ("turned",), "inner": ("turned",), "mass": ()}
     peak = {"turned": 30.0, "skew": 21.0, "inner": 26.0, "mass": 29.0}
-    found = with_equal_fits(by_signature, peak)
+    probability = {"turned": 0.99, "skew": 1e-4, "inner": 5e-3, "mass": 4e-3}
+    found = with_equal_fits(by_signature, peak, probability)
     # e^9 behind at any size: skew is another cause; inner plies fit worse by e^4, which decides nothing
     assert found["turned"] == ("inner", "mass")
     assert found["inner"] == ("turned", "mass")
     # what fits better imitates the worse one
     assert set(found["skew"]) == {"turned", "inner", "mass"}
+    # where the priors give it a part of the probability after all, it stays in the class
+    shared = with_equal_fits(by_signature, peak, {**probability, "turned": 0.6, "skew": 0.4})
+    assert shared["turned"] == ("skew", "inner", "mass")
     # without fits only signatures are compared
-    assert with_equal_fits(by_signature, {})["turned"] == ("skew", "inner")
+    assert with_equal_fits(by_signature, {}, probability)["turned"] == ("skew", "inner")

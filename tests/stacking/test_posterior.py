@@ -184,7 +184,7 @@ def test_the_surrogate_does_not_depend_on_the_number_of_workers(
 @pytest.mark.slow
 def test_what_would_be_good_with_more_noise_leads_to_a_truth_that_few_sequences_do_not_show() -> None:
     layup, truth, step = "[(?/?/?)_2]_s", (30.0, -60.0, 10.0), 10.0
-    few = TrainingSettings(initial=100, exploration_rounds=2, each_round=60, max_size=400, log2_points=4)
+    few = TrainingSettings(initial=60, exploration_rounds=2, each_round=40, max_size=140, log2_points=4)
     settings = replace(QUICK, exhaustive=0, training=few)
     problem = stacking_problem(listed(layup, truth, 0.001, step), 0, settings=settings)
     assert problem.sums is not None
@@ -195,7 +195,7 @@ def test_what_would_be_good_with_more_noise_leads_to_a_truth_that_few_sequences_
     for start, found in ((seeds, True), (None, False)):
         best = train(training, np.random.default_rng(0), lambda text: None, start)
         first = best.data.sequences[best.data.log_evidence.argmax()]
-        assert np.any(np.all(true == first, axis=1)) == found, "of 5832 sequences, 400 are looked at"
+        assert np.any(np.all(true == first, axis=1)) == found, "of 5832 sequences, 140 are looked at"
     noisy = stacking_problem(listed(layup, truth, 0.01, step), 0, settings=settings)
     assert noisier_seeds(noisy, problem.sums, np.random.default_rng(0), lambda text: None) is None
 
