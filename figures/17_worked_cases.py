@@ -79,8 +79,11 @@ def _probabilities(axes: Axes, case: dict[str, Any]) -> None:
     axes.set(xlim=(0.0, 1.0), ylim=(len(shown) - 0.5, -0.5), xlabel="posterior probability")
     bare(axes)
     claim = claimed(case)
-    title = f"claim: {claim}, {case['probability']:.2f}: {case['verdict']}"
-    axes.set_title(textwrap.fill(title, 48), loc="left", fontsize=7.5)
+    if case["claim"] == "undecided":
+        title = f"undecided; most probable: {', '.join(case['causes'])}"
+    else:
+        title = f"claim: {claim}, {case['probability']:.2f}: {case['verdict']}"
+    axes.set_title(textwrap.fill(title, 44), loc="left", fontsize=7.5)
 
 
 def _numbers(values: list[float | None]) -> np.ndarray:
