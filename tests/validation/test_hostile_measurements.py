@@ -117,5 +117,5 @@ def test_a_large_universal_file_takes_an_effort_in_proportion(tmp_path: Path, na
 def test_a_large_table_of_responses_takes_an_effort_in_proportion(tmp_path: Path, name: str) -> None:
     content = LARGE_TABLES[name](MAX_UNIVERSAL_BYTES // 10)
     with calls() as made:
-        assert poles_of(tmp_path / "tap.csv", content)
+        poles_of(tmp_path / "tap.csv", content)
     assert made() < CALLS_A_KB * len(content) // 1000
