@@ -22,7 +22,7 @@ from benchmarks.building import STACK, Ours, prepare
 from benchmarks.cases import CASES, Array, Converged, converged, worst_error
 from benchmarks.entries import FULL, Entry, our_entries, peer_entries
 from benchmarks.targets import models, speeds
-from benchmarks.timing import interleaved, ratio
+from benchmarks.timing import busy_processes, interleaved, ratio
 from cpam_bayes.report.tables import Column, Table, remarks, screen_text
 from cpam_bayes.threads import single_blas_thread
 
@@ -38,7 +38,7 @@ def run(quick: bool = False, rounds: int | None = None) -> Results:
     cases = CASES[:1] if quick else CASES
     accuracy = QUICK_ACCURACY if quick else ACCURACY
     rounds = rounds or (2 if quick else 9)
-    load = [_load()]
+    load = [busy_processes()]
     with tempfile.TemporaryDirectory() as directory:
         known = {case.name: converged(case) for case in cases}
         ours = [prepare(case, Path(directory), quick) for case in cases]
@@ -59,18 +59,13 @@ def run(quick: bool = False, rounds: int | None = None) -> Results:
         "rounds": rounds,
         "stack": STACK,
         "accuracy": accuracy,
-        "load": [*load, _load()],
+        "load": [*load, busy_processes()],
         "converged": {name: _as_data(found) for name, found in known.items()},
         "rows": [_row(entry, times) for entry in entries],
         "building": building,
         "targets": [{**asdict(target), "reached": target.reached} for target in targets],
         "missing": _missing(),
     }
-
-
-def _load() -> float | None:
-    """Processes that want a core, a mean over one minute; ``None`` where the system does not tell."""
-    return os.getloadavg()[0] if hasattr(os, "getloadavg") else None
 
 
 def _missing() -> list[str]:

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 import cpam_bayes as cb
 from benchmarks.plain_likelihood import Frequencies, plain_frequencies
 from benchmarks.targets import Target
-from benchmarks.timing import interleaved, ratio
+from benchmarks.timing import busy_processes, interleaved, ratio
 from cpam_bayes.inference.chains.autocorrelation import integrated_times
 from cpam_bayes.inference.chains.ensemble import DEFAULT_SETTINGS, moves_of
 from cpam_bayes.inference.chains.sampling import JUMPS as FIT
@@ -83,7 +83,7 @@ def run(quick: bool = False, rounds: int | None = None) -> Results:
     rounds = rounds or (2 if quick else 9)
     mesh = QUICK_MESH if quick else MESH
     walkers, many = (12, _QUICK_MANY) if quick else (DEFAULT_SETTINGS.walkers, _MANY)
-    load = [_load()]
+    load = [busy_processes()]
     posterior = cb.posterior(PLATE)
     settings = replace(DEFAULT_SETTINGS, walkers=walkers, most_steps=400 if quick else 2000)
     found = sample_posterior(posterior, 0, settings=settings)
@@ -117,7 +117,7 @@ def run(quick: bool = False, rounds: int | None = None) -> Results:
         "mesh": mesh,
         "walkers": walkers,
         "rounds": rounds,
-        "load": [*load, _load()],
+        "load": [*load, busy_processes()],
         "fit": {"solves": proposal.solves, "processor_seconds": used},
         "agreement": [_agreement(name, f, posterior, few) for name, f in theirs.items()],
         "rows": rows,
@@ -142,10 +142,6 @@ def _entries(posterior: Posterior, mesh: int, walkers: int, many: int) -> list[E
 def _spread(draws: Array, n: int) -> Array:
     """Some draws from all over the chains, (n, n_parameters)."""
     return np.asarray(draws[np.linspace(0, len(draws) - 1, n).astype(int)])
-
-
-def _load() -> float | None:
-    return os.getloadavg()[0] if hasattr(os, "getloadavg") else None
 
 
 def _plain_log_prob(posterior: Posterior, frequencies: Frequencies) -> LogProb:

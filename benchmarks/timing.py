@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass
@@ -17,6 +18,11 @@ Call = Callable[[], Any]
 _SHORTEST = 0.01
 # A call that has used this much time, s, sits out the remaining rounds.
 _BUDGET = 3.0
+
+
+def busy_processes() -> float | None:
+    """Processes that want a core, a mean over one minute; ``None`` where the system does not tell."""
+    return os.getloadavg()[0] if hasattr(os, "getloadavg") else None
 
 
 @dataclass(frozen=True, slots=True)

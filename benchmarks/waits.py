@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import subprocess
 import sys
 import tempfile
@@ -21,6 +20,7 @@ from statistics import median
 from typing import Any, NamedTuple
 
 from benchmarks.fresh import Wait, waited
+from benchmarks.timing import busy_processes
 from benchmarks.wait_tables import sections, tables
 from cpam_bayes.report.tables import screen_text
 from cpam_bayes.validation.pages import write_sections
@@ -107,7 +107,7 @@ SOLVER_ROWS = (
 )
 SOLVER = "solver"
 NAMES = (*(case.name for case in CASES), SOLVER)
-# Minutes that the forward solvers may take.
+# Seconds that the forward solvers may take.
 _SOLVER_LIMIT = 1800.0
 
 
@@ -132,20 +132,20 @@ def run(
 
 
 def _row(case: Case, trees: dict[str, Path | None], rounds: int, limit: float) -> Results:
-    found: dict[str, list[Wait]] = {name: [] for name, tree in trees.items() if tree is not None}
+    waits: dict[str, list[Wait]] = {name: [] for name, tree in trees.items() if tree is not None}
     for i in range(rounds):
         # in turning order, so that a machine that gets busy or warm favours neither
-        for name in list(found)[:: 1 if i % 2 == 0 else -1]:
+        for name in list(waits)[:: 1 if i % 2 == 0 else -1]:
             # what was stopped once is not tried again
-            if not found[name] or found[name][-1].exit_status is not None:
-                found[name].append(_answer(case, trees[name] or ROOT, limit))
+            if not waits[name] or waits[name][-1].exit_status is not None:
+                waits[name].append(_answer(case, trees[name] or ROOT, limit))
     return {
         "case": case.name,
         "what": case.what,
         "reach_s": case.reach_s,
         "reach_gib": case.reach_gib,
-        "load": _load(),
-        **{name: _measured(found[name], tree) if tree is not None else None for name, tree in trees.items()},
+        "load": busy_processes(),
+        **{name: _measured(waits[name], tree) if tree is not None else None for name, tree in trees.items()},
     }
 
 
@@ -190,7 +190,7 @@ def _said(document: Results) -> str | None:
 
 def _solver_rows(trees: dict[str, Path | None]) -> list[Results]:
     """The rows of the forward solvers, a run of its own in each tree."""
-    found: dict[str, tuple[list[Results], str] | None] = dict.fromkeys(trees)
+    measured: dict[str, tuple[list[Results], str] | None] = dict.fromkeys(trees)
     for name, tree in trees.items():
         if tree is None:
             continue
@@ -202,14 +202,14 @@ def _solver_rows(trees: dict[str, Path | None]) -> list[Results]:
             if wait.exit_status != 0:
                 print(f"benchmarks.forward_solvers of {name} ended with {wait.exit_status}", file=sys.stderr)
                 continue
-            found[name] = (_targets(file), _commit(tree))
+            measured[name] = (_targets(file), _commit(tree))
     return [
         {
             "case": row.name,
             "unit": row.unit,
             "reach": row.reach,
             "at_least": row.at_least,
-            **{name: _value(row, *of) if of is not None else None for name, of in found.items()},
+            **{name: _value(row, *of) if of is not None else None for name, of in measured.items()},
         }
         for row in SOLVER_ROWS
     ]
@@ -239,11 +239,6 @@ def _commit(tree: Path) -> str:
         changed = git("status", "--porcelain", "--untracked-files=no", "cpam_bayes")
         return git("rev-parse", "--short", "HEAD") + ("+" if changed else "")
     return ""
-
-
-def _load() -> float | None:
-    """Processes that want a core, a mean over one minute; ``None`` where the system does not tell."""
-    return os.getloadavg()[0] if hasattr(os, "getloadavg") else None
 
 
 def _tree(text: str) -> Path:
