@@ -15,7 +15,6 @@ from cpam_bayes.diagnosis.cases import hypotheses_of, plate_case
 from cpam_bayes.diagnosis.diagnose import diagnose_cases
 from cpam_bayes.effects import CATALOGUE
 from cpam_bayes.forward_model.labels import labelled_model
-from cpam_bayes.forward_model.slips import misfit_over_noise
 from cpam_bayes.identification.identify import PointResult, identify
 from cpam_bayes.inference.derivatives import expand_likelihood
 from cpam_bayes.inference.posterior import plate_posterior
@@ -80,7 +79,7 @@ class PlateRow:
     file : as it was given
     message : why it failed, or the warnings of its identification
     rms : of the relative residuals; noise : relative standard deviation that the intervals assume
-    misfit : over the stated noise, as of `misfit_over_noise`; 1 where that explains it
+    misfit : over the stated noise, as of `PointEstimate`; 1 where that explains it
     """
 
     file: str
@@ -166,7 +165,7 @@ def computed_row(file: str, specimen: Specimen, seed: int, diagnosis: bool) -> P
         rms=estimate.rms,
         noise=estimate.noise,
         search=point.status,
-        misfit=1.0 if specimen.measurement is None else _misfit(point, specimen.measurement),
+        misfit=estimate.misfit,
     )
 
 
@@ -198,16 +197,10 @@ def local_likelihood(point: PointResult) -> LocalLikelihood:
 def _with_noise(point: PointResult, measurement: Measurement) -> Measurement:
     """The measurement with the noise that the intervals of the swarm assume, Birge's ratio in it."""
     estimate = point.estimate
-    excess = _misfit(point, measurement)
     if measurement.frequency_sd is not None:
-        return replace(measurement, frequency_sd=excess * measurement.frequency_sd)
+        return replace(measurement, frequency_sd=estimate.misfit * measurement.frequency_sd)
     level = estimate.noise if np.isfinite(estimate.noise) else estimate.rms
-    return replace(measurement, relative_std=float(np.clip(excess * level, 1e-6, 1.0)))
-
-
-def _misfit(point: PointResult, measurement: Measurement) -> float:
-    residuals = np.array([m.frequency for m in point.estimate.predicted]) / measurement.frequencies - 1.0
-    return misfit_over_noise(measurement, residuals, len(point.estimate.constants))
+    return replace(measurement, relative_std=float(np.clip(estimate.misfit * level, 1e-6, 1.0)))
 
 
 def _marginals(point: PointResult, likelihood: LocalLikelihood) -> list[MarginalPosterior]:

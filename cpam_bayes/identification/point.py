@@ -74,6 +74,7 @@ class PointEstimate:
     rms : root mean square of the relative residuals
     noise : relative standard deviation used for the linearised ones, the file's or, where that is left out,
         the residuals' own
+    misfit : over the stated noise, as of ``misfit_over_noise``; 1 where that explains it
     error : (n_modes,) estimated relative error of the solver at the answer
     laminate : flexural stiffness and constants, SI
     model, centre : what the swarm ran on, and its centre, as of ``reduced_model``
@@ -92,6 +93,7 @@ class PointEstimate:
     rms: float
     noise: float
     noise_is_inferred: bool
+    misfit: float
     error: Array
     laminate: Mapping[str, float]
     model: ReducedModel
@@ -189,6 +191,7 @@ def summarise(
         rms=rms,
         noise=noise,
         noise_is_inferred=inferred,
+        misfit=excess,
         error=error[order],
         laminate=flexural_constants(np.real(state.stiffness()), float(state.thickness)),
         model=model.reduced if isinstance(model, LabelledModel) else model,
