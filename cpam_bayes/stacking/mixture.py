@@ -218,8 +218,7 @@ def _sampled(shared: tuple[ConditionalPosterior, MixtureSettings], item: Item) -
     """The conditional posterior of one class; item : its index, angles, fits and key of the seed."""
     conditional, settings = shared
     index, angles, fits, key = item
-    noise = float(conditional.relative_noise(fits.x).min())
-    posterior = of_sequence(conditional, angles, noise).at(angles[None])
+    posterior = of_sequence(conditional, angles, conditional.least_noise(fits.x)).at(angles[None])
     seed = int(np.random.SeedSequence(key).generate_state(1)[0])
     rng = np.random.default_rng([seed, 1])
     bests, _, _ = swarm_on_posterior(posterior, seed, settings.swarm)

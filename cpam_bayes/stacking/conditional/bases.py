@@ -37,7 +37,7 @@ def roughly(conditional: ConditionalPosterior, rng: np.random.Generator) -> Cond
     noise = np.inf
     if not conditional.template.noise_is_inferred:
         middle = 0.5 * (conditional.parameters.lower + conditional.parameters.upper)
-        noise = float(conditional.relative_noise(middle[None]).min())
+        noise = conditional.least_noise(middle[None])
     return replace(
         conditional, model=focused(conditional.model, box, min(_BOX_ERROR, _BOX_SHARE * noise), _share(noise))
     )

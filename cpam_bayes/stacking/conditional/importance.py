@@ -151,7 +151,7 @@ def _on_own_basis(
     spread = ndtri(qmc.Sobol(p.size, rng=np.random.default_rng(0)).random(_OWN_SETS))
     some = np.clip(known.mean + _OWN_WIDER * known.sd * spread, p.lower, p.upper)
     some = np.concatenate((known.draws, some[np.isfinite(conditional.template.log_prior(some))]))
-    noise = float(conditional.relative_noise(known.draws).min())
+    noise = conditional.least_noise(known.draws)
     constants = some[:, : conditional.template.model.parameters.size]
     x = np.column_stack((np.broadcast_to(angles_deg, (len(some), len(angles_deg))), constants))
     return replace(conditional, model=focused(conditional.model, x, min(_OWN_ERROR, _OWN_SHARE * noise)))

@@ -70,6 +70,10 @@ class ConditionalPosterior:
         variance = (self.template.amplitude(x)[:, None] * noise.scale) ** 2 + noise.rounding
         return np.asarray(np.sqrt(variance) / self.template.measurement.frequencies)
 
+    def least_noise(self, x: Array) -> float:
+        """The least of these at any of the parameters x (m, n)."""
+        return float(self.relative_noise(x).min())
+
 
 def conditional_posterior(
     model: ReducedModel, n_angles: int, measurement: Any, solver_error: Array, **options: Any

@@ -171,7 +171,7 @@ def _with_more_noise(problem: StackingProblem) -> StackingProblem | None:
     model = conditional.template.noise_model
     if not isinstance(model.amplitude, float):  # inferred
         return None
-    if conditional.relative_noise(middle[None]).min() >= _EASY_NOISE:
+    if conditional.least_noise(middle[None]) >= _EASY_NOISE:
         return None
     noise = replace(
         model, amplitude=_NOISE_FACTOR * model.amplitude, rounding=_NOISE_FACTOR**2 * model.rounding

@@ -76,9 +76,8 @@ def given_layup(answer: StackingPosterior, angles_deg: Array, log2_points: int =
     best = np.argsort(-listed.fits.log_evidence, kind="stable")[:4]
     starts = np.concatenate((listed.fits.x[best], answer.drawn.fits.x[:4]))
     fits = fit_conditionals(answer.conditional, on_grid[None], starts)
-    noise = float(answer.conditional.relative_noise(fits.x).min())
-    own = of_sequence(answer.conditional, on_grid, noise)
-    conditional = importance_evidence(own, on_grid[None], fits, log2_points)
+    posterior = of_sequence(answer.conditional, on_grid, answer.conditional.least_noise(fits.x))
+    conditional = importance_evidence(posterior, on_grid[None], fits, log2_points)
     log_evidence = float(conditional.log_evidence[0])
     total = answer.log_evidence_total + float(np.log(answer.enumerated))
     probability = float(np.exp(log_evidence - total))

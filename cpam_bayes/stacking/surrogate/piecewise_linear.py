@@ -136,12 +136,11 @@ def piecewise_linear_surrogate(
         centre = (halved[:, None, :] + width * _mesh(np.array([-0.25, 0.25]))).reshape(-1, 4)
         width *= 0.5
     first, leaf = _box(leaves, _FIRST << halvings)
-    tangents = _taken(leaves)
     return PiecewiseLinearSurrogate(
         width=2.0 / (_FIRST << halvings),
         first=first,
         leaf=leaf,
-        tangent=tangents,
+        tangent=_taken(leaves),
         lower_bound=top - depth,
         freedom=freedom,
     )
@@ -213,9 +212,9 @@ def _taken(leaves: list[_Leaves]) -> Array:
     n = sum(len(each.tangent) for each in leaves)
     tangent = np.empty((n, *leaves[0].tangent.shape[1:]), dtype=np.float32)
     while leaves:
-        own = leaves.pop().tangent
-        tangent[n - len(own) : n] = own
-        n -= len(own)
+        of_level = leaves.pop().tangent
+        tangent[n - len(of_level) : n] = of_level
+        n -= len(of_level)
     return tangent
 
 
