@@ -74,8 +74,8 @@ def _finish(work: Callable[[], Result], args: argparse.Namespace) -> int:
     store: str | None = getattr(args, "store", None)
     try:
         with _warnings_shown(), staging(args.out) as stage:
-            told = nullcontext() if getattr(args, "quiet", True) else forecasting()
-            with told, time_limit(getattr(args, "time_limit", None)):
+            forecast = nullcontext() if getattr(args, "quiet", True) else forecasting()
+            with forecast, time_limit(getattr(args, "time_limit", None)):
                 answer = work()
             try:
                 notes = save(answer, stage)

@@ -15,6 +15,7 @@ __all__ = [
     "hum_remarks",
     "last_line_of_modes",
     "peaks_of",
+    "relative_power",
     "require_force_of_a_hit",
     "require_unclipped",
 ]
@@ -112,6 +113,13 @@ def hum_remarks(rate: float, channels: Array) -> tuple[str, ...]:
     return ()
 
 
+def relative_power(frf: Array) -> Array:
+    """Mean power of the lines over the responses (m, n), each over the mean of its own, (n,)."""
+    power = np.abs(frf) ** 2
+    mean = np.maximum(np.mean(power, axis=1, keepdims=True), np.finfo(float).tiny)
+    return np.asarray(np.mean(power / mean, axis=0))
+
+
 def last_line_of_modes(power: Array) -> int:
     """The last line that stands above the noise; all, where none does; power : (n,)."""
     above = power > max(_ABOVE_NOISE * float(np.median(power)), _ABOVE_LEAST * float(power.max()))
@@ -122,10 +130,10 @@ def peaks_of(frequencies: Array, size: Array) -> Array:
     """The frequencies of the peaks of a spectrum, (n_peaks,) Hz; frequencies, size : (n,)."""
     step = float(frequencies[1] - frequencies[0])
     highest = (size[1:-1] >= size[:-2]) & (size[1:-1] > size[2:]) & (size[1:-1] > _OF_LARGEST * size.max())
-    found = []
+    peaks = []
     for i in np.flatnonzero(highest) + 1:
         near = max(int(_ALONE * frequencies[i] / step), _ALONE_LINES)
         window, wider = (size[max(i - k, 0) : i + k + 1] for k in (near, 4 * near))
         if size[i] == window.max() and size[i] > _ABOVE_MEDIAN * np.median(wider):
-            found.append(float(frequencies[i]))
-    return np.array(found)
+            peaks.append(float(frequencies[i]))
+    return np.array(peaks)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cpam_bayes.arguments import checked
-from cpam_bayes.modal_analysis.doubts import peaks_of
+from cpam_bayes.modal_analysis.doubts import peaks_of, relative_power
 from cpam_bayes.modal_analysis.fit import Pole, fit_poles
 from cpam_bayes.modal_analysis.read import read_responses
 from cpam_bayes.modal_analysis.records import FrequencyResponses, ModalTestError
@@ -165,7 +165,7 @@ def poles(
     modes = tuple(one for one in fit_poles(responses, found.candidates) if low <= one.frequency <= high)
     return PolesResult(
         seed=seed,
-        warnings=(*responses.remarks, *_below(responses, low), *_warnings(responses, modes, low, high)),
+        warnings=(*responses.remarks, *_warnings(responses, modes, low, high)),
         reached_goal=bool(modes),
         files=names,
         responses=responses,
@@ -177,21 +177,13 @@ def poles(
     )
 
 
-def _size(responses: FrequencyResponses) -> NDArray[np.float64]:
-    """Root mean square over the responses, each over its own, (n,)."""
-    power = np.abs(responses.frf) ** 2
-    mean = np.maximum(np.mean(power, axis=1, keepdims=True), np.finfo(float).tiny)
-    return np.asarray(np.sqrt(np.mean(power / mean, axis=0)))
-
-
 def _is_under(peak: float, mode: Pole, step: float) -> bool:
     """Whether a peak is that of a mode."""
     return abs(peak - mode.frequency) < _PEAK * mode.damping * mode.frequency + 2.0 * step
 
 
-def _below(responses: FrequencyResponses, low: float) -> tuple[str, ...]:
-    """A peak below the range that is the largest of all."""
-    size = _size(responses)
+def _below(responses: FrequencyResponses, size: NDArray[np.float64], low: float) -> tuple[str, ...]:
+    """A peak below the range that is the largest of all; size : of the lines, (n,)."""
     at = int(np.argmax(size[_FIRST_PEAK:])) + _FIRST_PEAK
     if not responses.frequencies[at] < low:
         return ()
@@ -204,16 +196,19 @@ def _below(responses: FrequencyResponses, low: float) -> tuple[str, ...]:
 def _warnings(
     responses: FrequencyResponses, modes: Sequence[Pole], low: float, high: float
 ) -> tuple[str, ...]:
+    size = np.sqrt(relative_power(responses.frf))
     inside = (responses.frequencies >= low) & (responses.frequencies <= high)
-    peaks = peaks_of(responses.frequencies[inside], _size(responses)[inside])
+    peaks = peaks_of(responses.frequencies[inside], size[inside])
     left = [f"{f:.5g}" for f in peaks if not any(_is_under(f, one, responses.step) for one in modes)]
+    below = _below(responses, size, low)
     if not modes:
         seen = f"peak at {', '.join(left[:_MOST_SAID])} Hz" if left else "have no clear peak"
         return (
+            *below,
             f"no pole stays over the orders from {low:.4g} to {high:.4g} Hz, where the responses {seen}: "
             "widen the range, raise --order, or look at the responses",
         )
-    problems = []
+    problems = [*below]
     if left:
         problems.append(
             f"peaks of the responses without a mode of the table: {', '.join(left[:_MOST_SAID])} Hz; modes "

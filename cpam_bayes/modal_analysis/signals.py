@@ -9,7 +9,12 @@ from typing import Any, Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from cpam_bayes.modal_analysis.doubts import hum_remarks, last_line_of_modes, require_force_of_a_hit
+from cpam_bayes.modal_analysis.doubts import (
+    hum_remarks,
+    last_line_of_modes,
+    relative_power,
+    require_force_of_a_hit,
+)
 from cpam_bayes.modal_analysis.records import FrequencyResponses, ModalTestError
 
 __all__ = ["WINDOWS", "Recording", "Window", "responses_of_hits"]
@@ -75,8 +80,7 @@ def responses_of_hits(
         end = int(fallen[0]) if high is None and len(fallen) else len(frequencies)
     else:
         frf = spectra.reshape(-1, len(frequencies))
-        size = np.mean(np.abs(frf) ** 2, axis=1, keepdims=True)
-        last = last_line_of_modes(np.mean(np.abs(frf) ** 2 / np.maximum(size, np.finfo(float).tiny), axis=0))
+        last = last_line_of_modes(relative_power(frf))
         if high is not None and frequencies[last] > high:
             remarks += (
                 f"responses stand above their noise up to {frequencies[last]:.4g} Hz, beyond the range: "

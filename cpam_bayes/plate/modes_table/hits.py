@@ -163,8 +163,8 @@ def _astray(table: ModesTable, name: str, every: Sequence[Hit]) -> list[TablePro
 def _rounded(modes: Sequence[_Mode], least: float) -> tuple[str, ...]:
     """Repeats that are equal to the last digit, and nothing else that tells the scatter."""
     repeated = [mode for mode in modes if mode.freedom > 0.0]
-    told = least > 0.0 or any(np.isfinite(mode.stated) for mode in modes)
-    if told or not repeated or any(mode.variance > 0.0 for mode in repeated):
+    is_stated = least > 0.0 or any(np.isfinite(mode.stated) for mode in modes)
+    if is_stated or not repeated or any(mode.variance > 0.0 for mode in repeated):
         return ()
     return (
         "the hits of each mode are equal to the last digit, so that they show the rounding alone and no "
