@@ -187,14 +187,14 @@ def with_equal_fits(
     by_signature : by cause, those with equal visible signatures
     peak : largest log likelihood of the causes whose fits are compared
     """
-    found = {}
+    indistinguishable = {}
     for name, others in by_signature.items():
         behind = {c: peak[name] - peak[c] for c in peak if c != name} if name in peak else {}
         as_well = [c for c, nats in behind.items() if nats < AS_WELL]
         hardly = {c for c in behind if probability[c] < _HARDLY_PROBABLE * probability[name]}
         kept = [c for c in others if c not in hardly or behind[c] < _TOLD_APART]
-        found[name] = tuple(dict.fromkeys([*kept, *as_well]))
-    return found
+        indistinguishable[name] = tuple(dict.fromkeys([*kept, *as_well]))
+    return indistinguishable
 
 
 @dataclass(frozen=True, slots=True)

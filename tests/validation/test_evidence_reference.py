@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from cpam_bayes.diagnosis.cases import hypotheses_of, plate_case
-from cpam_bayes.diagnosis.evidence.scan import Scan, Trial, sampled_near_the_best
+from cpam_bayes.diagnosis.evidence.sampled import sampled_near_the_best
+from cpam_bayes.diagnosis.evidence.scan import Scan, Trial
 from cpam_bayes.diagnosis.fitting import SCATTER, comparison_of
 from cpam_bayes.diagnosis.hypotheses import Hypothesis
 from cpam_bayes.plate import Measurement, builtin

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from concurrent.futures import Executor
 from dataclasses import replace
 from typing import Any
 
@@ -10,6 +12,10 @@ from numpy.typing import NDArray
 
 from cpam_bayes.diagnosis.evidence.comparison import Comparison
 from cpam_bayes.diagnosis.evidence.marginal import LOG2_POINTS, WIDER, Marginal
+from cpam_bayes.diagnosis.evidence.sharing import shared_out
+from cpam_bayes.diagnosis.evidence.tested import Tested
+from cpam_bayes.diagnosis.fitting import PlateCase
+from cpam_bayes.diagnosis.hypotheses import NONE
 from cpam_bayes.inference.importance import Weighted, staged_importance
 from cpam_bayes.inference.student_mixture import Mixture, shrunk_moments, sobol_points
 from cpam_bayes.threads import single_blas_thread
@@ -25,6 +31,9 @@ _SCATTERED_SAMPLES = ((10, _STAGES, _LARGE_ERROR), (11, _STAGES, 0.25), (12, _MO
 _LOG2_TRAINING, _TOLERANCE, _FRACTION = 6, 2e-5, 0.95
 # Points of most weight at which the log densities of both are compared, and how far they may be apart.
 _COMPARED, _ALIKE_NATS = 16, 0.05
+# Hypotheses within so many nats of the most probable one are sampled; those over several sizes that the data
+# leave open need it from further off. Within _IN_SIGHT fewer points, 2^_LOG2_FEW, correct Laplace's method.
+_NEAR, _NEAR_SCATTERED, _IN_SIGHT, _LOG2_FEW = 4.0, 10.0, 10.0, 7
 
 
 @single_blas_thread
@@ -63,8 +72,8 @@ def _sample(marginal: Marginal, comparison: Comparison, log2_points: int) -> Wei
     def log_density(z: Array) -> Array:
         return comparison.log_density(z[0])[None]
 
-    about_optima = ((log2_points, (1.0,), _LARGE_ERROR), (log2_points + 2, _STAGES, np.inf))
-    for log2, stages, enough in _SCATTERED_SAMPLES if marginal.is_scattered else about_optima:
+    one_by_one = ((log2_points, (1.0,), _LARGE_ERROR), (log2_points + 2, _STAGES, np.inf))
+    for log2, stages, enough in _SCATTERED_SAMPLES if marginal.is_scattered else one_by_one:
         sample = staged_importance(log_density, marginal.proposal, log2, stages, _refitted)
         if sample.standard_error[0] < enough:
             break
@@ -79,3 +88,31 @@ def _are_alike(near: Comparison, comparison: Comparison, sample: Weighted) -> bo
 
 def _refitted(mixture: Mixture, points: Array, log_weight: Array) -> Mixture:
     return shrunk_moments(mixture, points, log_weight, least=1e-3, wider=WIDER, prior_points=4.0)
+
+
+def sampled_near_the_best(
+    tested: Sequence[Tested], cases: Sequence[PlateCase], executor: Executor | None = None
+) -> list[Tested] | None:
+    """Hypotheses, of which those near the best are known by importance sampling; ``None`` if all were."""
+    best = max(t.log_weight for t in tested)
+    near = [i for i, t in enumerate(tested) if _points_near(t, best)]
+    if not near:
+        return None
+    items = [(tested[i], _points_near(tested[i], best)) for i in near]
+    sampled = dict(zip(near, shared_out(_sampled, cases, items, executor), strict=True))
+    return [sampled.get(i, t) for i, t in enumerate(tested)]
+
+
+def _sampled(item: tuple[Tested, int]) -> Tested:
+    t, log2_points = item
+    return replace(t, marginal=sampled_marginal(t.marginal, log2_points))
+
+
+def _points_near(t: Tested, best: float) -> int:
+    """Points, log2, by which a hypothesis is sampled for its distance from the best; 0: it stays as it is."""
+    if t.marginal.is_sampled:
+        return 0
+    within = _NEAR_SCATTERED if t.marginal.is_scattered else _NEAR
+    if t.log_weight >= best - within or t.hypothesis.cause == NONE:
+        return LOG2_POINTS
+    return _LOG2_FEW if t.log_weight >= best - _IN_SIGHT else 0

@@ -15,7 +15,7 @@ from scipy.stats import chi2
 from cpam_bayes.deadline import cut_short, is_time_up, time_limit
 from cpam_bayes.diagnosis.composed import ComposedModel
 from cpam_bayes.diagnosis.evidence.comparison import Comparison
-from cpam_bayes.diagnosis.evidence.marginal import LOG2_POINTS, Marginal, laplace_marginal
+from cpam_bayes.diagnosis.evidence.marginal import Marginal, laplace_marginal
 from cpam_bayes.diagnosis.evidence.optima import LOG2_DRAWS
 from cpam_bayes.diagnosis.evidence.pairing_search import (
     Cases,
@@ -32,7 +32,7 @@ from cpam_bayes.diagnosis.evidence.sharing import shared_out
 from cpam_bayes.diagnosis.evidence.shifts import ShiftTable, shift_table
 from cpam_bayes.diagnosis.evidence.tested import Tested, ranked
 from cpam_bayes.diagnosis.fitting import SCATTER, PlateCase, comparison_of, effect_columns
-from cpam_bayes.diagnosis.hypotheses import NONE, OTHER, Hypothesis
+from cpam_bayes.diagnosis.hypotheses import OTHER, Hypothesis
 from cpam_bayes.diagnosis.pairings import is_incomplete
 from cpam_bayes.effects import ListChange
 from cpam_bayes.mechanics.modes import RigidBodyError
@@ -51,9 +51,6 @@ _LOG2_PLAIN = 11
 _PLAIN_OPTIMA = 4
 # Pairings within so many nats of the best are fitted by themselves, at most so many of a cause.
 _NEAR_PAIRINGS, _MOST_PAIRINGS = 25.0, 12
-# Hypotheses within so many nats of the most probable one are sampled; those over several sizes that the data
-# leave open need it from further off. Within _IN_SIGHT fewer points, 2^_LOG2_FEW, correct Laplace's method.
-_NEAR, _NEAR_SCATTERED, _IN_SIGHT, _LOG2_FEW = 4.0, 10.0, 10.0, 7
 # Of incomplete lists: turns of fitting a hypothesis and of pairing at its optimum; hypotheses within so many
 # nats of the best have all pairings that the plain model suggests; optima of one pairing that another starts
 # from; pairings so many nats below the best of a hypothesis are dropped.
@@ -375,34 +372,6 @@ class Scan:
 def _tried(item: tuple[Scan, Trial]) -> Tried:
     scan, trial = item
     return scan.tried(trial)
-
-
-def sampled_near_the_best(
-    tested: Sequence[Tested], cases: Sequence[PlateCase], executor: Executor | None = None
-) -> list[Tested] | None:
-    """Hypotheses, of which those near the best are known by importance sampling; ``None`` if all were."""
-    best = max(t.log_weight for t in tested)
-    near = [i for i, t in enumerate(tested) if _points_near(t, best)]
-    if not near:
-        return None
-    items = [(tested[i], _points_near(tested[i], best)) for i in near]
-    sampled = dict(zip(near, shared_out(_sampled, cases, items, executor), strict=True))
-    return [sampled.get(i, t) for i, t in enumerate(tested)]
-
-
-def _sampled(item: tuple[Tested, int]) -> Tested:
-    t, log2_points = item
-    return replace(t, marginal=sampled_marginal(t.marginal, log2_points))
-
-
-def _points_near(t: Tested, best: float) -> int:
-    """Points, log2, by which a hypothesis is sampled for its distance from the best; 0: it stays as it is."""
-    if t.marginal.is_sampled:
-        return 0
-    within = _NEAR_SCATTERED if t.marginal.is_scattered else _NEAR
-    if t.log_weight >= best - within or t.hypothesis.cause == NONE:
-        return LOG2_POINTS
-    return _LOG2_FEW if t.log_weight >= best - _IN_SIGHT else 0
 
 
 def misfit_probability(marginal: Marginal) -> float:

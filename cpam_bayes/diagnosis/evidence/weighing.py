@@ -14,7 +14,8 @@ from scipy.special import logsumexp
 
 from cpam_bayes.deadline import cut_short, is_time_up
 from cpam_bayes.diagnosis.evidence.pairs import add_pairs
-from cpam_bayes.diagnosis.evidence.scan import Scan, Trial, is_repairing, marginal_of, sampled_near_the_best
+from cpam_bayes.diagnosis.evidence.sampled import sampled_near_the_best
+from cpam_bayes.diagnosis.evidence.scan import Scan, Trial, is_repairing, marginal_of
 from cpam_bayes.diagnosis.evidence.tested import Tested, prior_of, ranked
 from cpam_bayes.diagnosis.fitting import SCATTER, PlateCase
 from cpam_bayes.diagnosis.hypotheses import NONE, PAIR, Hypothesis, prior_by_cause

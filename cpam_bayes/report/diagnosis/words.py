@@ -68,13 +68,15 @@ def claim_sentence(d: Diagnosis) -> str:
     none = probability_text(by_name[NONE].probability)
     other = probability_text(by_name[OTHER].probability)
     leaders = [f"{with_title(d, c.name)}, {probability_text(c.probability)}" for c in _most_probable(d)]
-    begun = (
-        f"Undecided: nothing is probable enough to be claimed{_at_noise(d)}. The plate model as it stands "
-    )
     if d.weighed.is_cut_short:
         begun = (
             "Undecided: time was up before every cause was tested, and nothing can be claimed. Among what "
             "was tested the plate model as it stands "
+        )
+    else:
+        begun = (
+            f"Undecided: nothing is probable enough to be claimed{_at_noise(d)}. "
+            "The plate model as it stands "
         )
     return (
         f"{begun}has probability {none}, an error that is not in the catalogue {other}; the most probable "
