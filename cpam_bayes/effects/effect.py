@@ -92,6 +92,11 @@ class ListChange:
     spurious: int | None = None
     misread: int | None = None
 
+    @property
+    def changes_pairing(self) -> bool:
+        """Whether frequencies belong to other modes than in a list without error."""
+        return bool(self.missed) or self.spurious is not None
+
 
 @dataclass(frozen=True, slots=True)
 class ListVariant:

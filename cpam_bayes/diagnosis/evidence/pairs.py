@@ -1,22 +1,27 @@
-"""Which second cause may act beside a leading one: ranked in closed form at the leader's optimum.
+"""Which two causes may act at once: ranked in closed form, and the leading ones fitted like single causes.
 
-About the optimum of a leading hypothesis the log frequencies are linear in the scores of its parameters, so
-that constants and the leader's size are integrated in closed form at every node of a second effect's sizes.
+Where the log frequencies are linear in the scores of the constants and the shifts of two effects add, the
+constants are integrated in closed form at every two nodes of the effects' sizes: about the plain model's
+optimum, or about that of a cause that explains the lists alone. Where nothing does, gross errors lead these
+optima astray: pairs are ranked about the prior medians too, and then about the constants of the best pair,
+until no better one turns up.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import combinations
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
+from cpam_bayes.deadline import is_time_up
 from cpam_bayes.diagnosis.evidence.comparison import Comparison, kept_of
 from cpam_bayes.diagnosis.evidence.marginal import Marginal
-from cpam_bayes.diagnosis.evidence.scan import Scan, Trial, about
+from cpam_bayes.diagnosis.evidence.scan import EXPLAINED, Scan, Trial, about, misfit_probability
 from cpam_bayes.diagnosis.evidence.shifts import shift_table
 from cpam_bayes.diagnosis.evidence.tested import Tested, ranked
 from cpam_bayes.diagnosis.fitting import comparison_of, effect_columns
@@ -25,110 +30,190 @@ from cpam_bayes.mechanics.modes import RigidBodyError
 
 Array = NDArray[Any]
 
-# Leading hypotheses that get a second cause, and pairs that are fitted.
-_LEADERS, _FITTED = 3, 6
-# Pairs that promise less than this, nats below the best hypothesis, are not fitted.
+# Pairs that are fitted of the ranking about a point, and about the best pair.
+_FITTED, _FITTED_FURTHER = 6, 4
+# Where the lists are explained, pairs that promise less than this, nats below the best hypothesis, are not.
 _PROMISING = 6.0
-# Scores of an inferred noise at which second causes are ranked.
+# Leading causes that get a second one.
+_LEADERS = 3
+# Scores of an inferred noise at which pairs are ranked.
 _NOISE_SCORES = (-1.5, 0.0, 1.5)
 
 
 @dataclass(frozen=True, slots=True)
+class _Point:
+    """Where the lists are linear: the first scores of the plain model, or of a leading cause.
+
+    leader : that cause, ``None`` for the plain model
+    """
+
+    marginal: Marginal
+    leader: Tested | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class _Linear:
-    """A leader's lists about its optimum, in units of the noise with the parameters integrated.
+    """The lists about a point, in units of the noise with the parameters integrated.
 
     residual : (n_f,) whitened
     root : (n_f, n_f), root^T root the precision
+    to_scores : (n_model, n_f), from whitened residuals to the most probable scores of the parameters
     log_constant : log density without residual
     """
 
     residual: Array
     root: Array
+    to_scores: Array
     log_constant: float
+
+
+@dataclass(frozen=True, slots=True)
+class _Shifts:
+    """What a cause does to the log frequencies of a point.
+
+    scores, log_prior : (k, d) of its sizes, and (k,) log prior weights
+    shift : (k, n_f)
+    """
+
+    cause: Tested
+    scores: Array
+    log_prior: Array
+    shift: Array
+
+
+@dataclass(frozen=True, slots=True)
+class _Candidate:
+    """A pair that is not fitted yet.
+
+    log_weight : log of prior times evidence in closed form
+    leader : its more probable cause
+    known, scores : the comparison of the point, and its most probable scores (n,)
+    sizes : (d,) most probable scores of sizes, those of the pair's last parameters
+    """
+
+    log_weight: float
+    pair: Hypothesis
+    leader: Tested
+    known: Comparison
+    scores: Array
+    sizes: Array
+
+    @property
+    def key(self) -> frozenset[str]:
+        """The same whichever of its causes is first."""
+        return frozenset((*self.pair.causes, *self.pair.variant.split(" / ")))
 
 
 def add_pairs(scan: Scan, singles: Sequence[Hypothesis]) -> None:
     """Fit the pairs of causes that may explain the lists better than one cause does."""
-    scale = pair_scale(singles)
-    order = ranked(scan.tested)
-    best = order[0].log_weight
-    single = [t for t in order if t.hypothesis.cause not in (NONE, OTHER) and t.hypothesis.family != PAIR]
-    leaders = _leaders(single)
-    seconds = _second_causes(single)
-    promising: dict[tuple[str, ...], tuple[float, Hypothesis, Tested, Array]] = {}
-    for leader in leaders:
-        for second in seconds:
-            if second.plates != leader.plates or not go_together(leader.hypothesis, second.hypothesis):
-                continue
-            pair = paired(leader.hypothesis, second.hypothesis, scale)
-            try:
-                gain, scores = _gain_of_second(scan, leader, second)
-            except RigidBodyError:  # at the leader's constants the second one's plate buckles
-                continue
-            value = leader.marginal.log_evidence + gain + float(np.log(pair.prior))
-            key = (*sorted(pair.cause.split(" + ")), leader.hypothesis.variant, second.hypothesis.variant)
-            if key not in promising or value > promising[key][0]:
-                promising[key] = (value, pair, leader, scores)
-    chosen = sorted(promising.values(), key=lambda entry: -entry[0])[:_FITTED]
-    fitted: set[frozenset[str]] = set()
-    trials = []
-    for value, pair, leader, scores in chosen:
-        causes = frozenset((*pair.causes, pair.variant))
-        if value < best - _PROMISING or causes in fitted:
-            continue
-        fitted.add(causes)
-        known = np.concatenate((leader.marginal.z[0], scores))
-        start = _in_order(scan, pair, leader, known)
-        trials.append(Trial(pair, leader.plates, start, leader.cases))
-    scan.test(trials)
+    search = _PairSearch(scan, _single_causes(scan), pair_scale(singles))
+    leaders = search.leaders()
+    explaining = [t for t in leaders if misfit_probability(t.marginal) > EXPLAINED]
+    of_pairing = [t for t in leaders if t.hypothesis.listed.changes_pairing]
+    if scan.is_explained:
+        search.fit([_Point(scan.none), *(_Point(t.marginal, t) for t in of_pairing)], _FITTED, _PROMISING)
+        return
+    if explaining:
+        search.fit([_Point(t.marginal, t) for t in explaining], _FITTED, _PROMISING)
+        return
+    medians = replace(scan.none, z=np.zeros_like(scan.none.z[:1]))
+    search.fit([_Point(scan.none), _Point(medians), *(_Point(t.marginal, t) for t in of_pairing)], _FITTED)
+    while (before := search.best()) is not None and not is_time_up():
+        constants = scan.none.comparison.carried(before.marginal.comparison, before.marginal.z[:1])
+        search.fit([_Point(replace(scan.none, z=constants))], _FITTED_FURTHER)
+        if search.best() is before:
+            break
 
 
-def _leaders(single: Sequence[Tested]) -> list[Tested]:
-    """The best variants of the leading causes."""
-    leaders: dict[str, Tested] = {}
-    for t in single:
-        leaders.setdefault(t.hypothesis.cause, t)
-    return list(leaders.values())[:_LEADERS]
+def _single_causes(scan: Scan) -> tuple[Tested, ...]:
+    """Every variant of every cause, with its most probable pairing, the most probable first."""
+    best: dict[tuple[str, str, tuple[int, ...]], Tested] = {}
+    for t in ranked(scan.tested):
+        if t.hypothesis.cause not in (NONE, OTHER):
+            best.setdefault(t.key, t)
+    return tuple(best.values())
 
 
-def _second_causes(single: Sequence[Tested]) -> list[Tested]:
-    """One variant of every cause on the plate or its frequencies, and every misreading."""
-    best: dict[tuple[str, str], Tested] = {}
-    for t in single:
-        if t.hypothesis.effects:
-            best.setdefault((t.hypothesis.cause, t.hypothesis.variant), t)
-    return list(best.values())
+@dataclass(slots=True)
+class _PairSearch:
+    """Pairs of causes as they are ranked and fitted.
 
+    causes : every variant of every cause, the most probable first
+    scale : prior of a pair over the product of those of its causes
+    fitted : keys of the pairs that were fitted
+    """
 
-def _gain_of_second(scan: Scan, leader: Tested, second: Tested) -> tuple[float, Array]:
-    """Log evidence that a second cause adds at the leader's optimum, and its most probable scores (d,)."""
-    marginal = leader.marginal
-    comparison = second.marginal.comparison
-    if leader.cases:
-        of_second = about(scan.cases, second.hypothesis, leader.plates)
-        comparison = comparison_of(leader.cases, of_second, scatter=scan.scatter)
-    table = shift_table(comparison, second.hypothesis.parameters, second.marginal.sizes, marginal)
-    shift = _as_listed(table.shift, leader, comparison)
-    each = []
-    for linear in _linear(marginal):
-        whitened = linear.residual - shift @ linear.root.T
-        log_p = linear.log_constant - 0.5 * np.sum(whitened**2, axis=1)
-        each.append((log_p, linear.log_constant - 0.5 * float(linear.residual @ linear.residual)))
-    with_it = logsumexp([log_p for log_p, _ in each], axis=0) + table.log_prior
-    alone = logsumexp([plain for _, plain in each])
-    return float(logsumexp(with_it) - alone), table.scores[int(np.argmax(with_it))]
+    scan: Scan
+    causes: tuple[Tested, ...]
+    scale: float
+    fitted: set[frozenset[str]] = field(default_factory=set)
 
+    def leaders(self) -> list[Tested]:
+        """The best variants of the leading causes."""
+        leaders: dict[str, Tested] = {}
+        for t in self.causes:
+            leaders.setdefault(t.hypothesis.cause, t)
+        return list(leaders.values())[:_LEADERS]
 
-def _as_listed(shift: Array, leader: Tested, second: Comparison) -> Array:
-    """Shifts (k, n_f) of the second cause's list, for the frequencies that the leader's list keeps."""
-    listed = leader.marginal.comparison.listed.frequencies
-    if shift.shape[1] == len(listed):
-        return shift
-    kept = kept_of(second.listed.frequencies, listed)
-    return shift[:, kept]
+    def best(self) -> Tested | None:
+        """The most probable pair that was fitted."""
+        return next((t for t in ranked(self.scan.tested) if t.hypothesis.family == PAIR), None)
+
+    def fit(self, points: Sequence[_Point], most: int, promising: float = np.inf) -> None:
+        """Fit the leading pairs about each point.
+
+        most : pairs of a point
+        promising : nats below the best hypothesis within which a pair must be in closed form
+        """
+        scan, trials = self.scan, []
+        least = scan.best - promising
+        for candidate in (c for point in points for c in self._ranked(point)[:most]):
+            if candidate.log_weight > least and candidate.key not in self.fitted:
+                self.fitted.add(candidate.key)
+                leader = candidate.leader
+                trials.append(Trial(candidate.pair, leader.plates, _start(scan, candidate), leader.cases))
+        scan.test(trials)
+
+    def _ranked(self, point: _Point) -> list[_Candidate]:
+        """Every two causes that may act at once, the best variants of each, the best pair first."""
+        linear = _linear(point.marginal)
+        alone = logsumexp([own.log_constant - 0.5 * own.residual @ own.residual for own in linear])
+        best: dict[frozenset[str], _Candidate] = {}
+        for a, b in self._couples(point):
+            pair = paired(a.cause.hypothesis, b.cause.hypothesis, self.scale)
+            log_density, noise, i, j = _together(linear, a, b)
+            own = linear[noise]
+            rest = own.residual - own.root @ (a.shift[i] + b.shift[j])
+            scores = point.marginal.z[0].copy()
+            scores[: len(own.to_scores)] = own.to_scores @ rest
+            gain = log_density - float(alone)
+            candidate = _Candidate(
+                log_weight=point.marginal.log_evidence + gain + float(np.log(pair.prior)),
+                pair=pair,
+                leader=max(a.cause, b.cause, key=lambda t: t.log_weight),
+                known=point.marginal.comparison,
+                scores=scores,
+                sizes=np.concatenate((a.scores[i], b.scores[j])),
+            )
+            if candidate.key not in best or candidate.log_weight > best[candidate.key].log_weight:
+                best[candidate.key] = candidate
+        return sorted(best.values(), key=lambda c: -c.log_weight)
+
+    def _couples(self, point: _Point) -> Iterator[tuple[_Shifts, _Shifts]]:
+        """Two causes that can act at once, the leader of a point one of them."""
+        shifts = [s for t in self.causes if (s := _shifts(self.scan, point, t)) is not None]
+        couples: Iterator[tuple[_Shifts, _Shifts]] = combinations(shifts, 2)
+        if point.leader is not None:
+            n_f = len(point.marginal.comparison.listed.frequencies)
+            leader = _Shifts(point.leader, np.zeros((1, 0)), np.zeros(1), np.zeros((1, n_f)))
+            couples = ((leader, s) for s in shifts)
+        for a, b in couples:
+            if a.cause.plates == b.cause.plates and go_together(a.cause.hypothesis, b.cause.hypothesis):
+                yield a, b
 
 
 def _linear(marginal: Marginal) -> list[_Linear]:
+    """At each of the scores of an inferred noise, or once."""
     comparison, z = marginal.comparison, marginal.z[:1]
     n_model = comparison.model.parameters.size
     scores = [z]
@@ -148,16 +233,55 @@ def _linear(marginal: Marginal) -> list[_Linear]:
         covariance = np.diag(sigma**2) + a @ a.T
         root = np.linalg.inv(np.linalg.cholesky(covariance))
         log_constant = float(np.log(np.diagonal(root)).sum())
-        linear.append(_Linear(root @ residual, root, log_constant))
+        linear.append(_Linear(root @ residual, root, a.T @ root.T, log_constant))
     return linear
 
 
-def _in_order(scan: Scan, pair: Hypothesis, leader: Tested, known: Array) -> Array:
-    """Starts (1, n) of a pair from the leader's scores, then those of the second cause."""
-    comparison = comparison_of(scan.cases, about(scan.cases, pair, leader.plates), scatter=scan.scatter)
-    of_leader = leader.marginal.comparison
-    n = of_leader.parameters.size
-    start = comparison.carried(of_leader, known[:n])
-    columns = effect_columns(comparison, pair)
-    start[list(columns[len(leader.hypothesis.parameters) :])] = known[n:]
-    return start[None]
+def _shifts(scan: Scan, point: _Point, t: Tested) -> _Shifts | None:
+    """The shifts of a cause about a point.
+
+    ``None`` where it has no size, where modes are paired otherwise, and where the plate buckles.
+    """
+    hypothesis, sizes = t.hypothesis, t.marginal.sizes
+    if not sizes or hypothesis.listed.changes_pairing or (point.leader and not hypothesis.effects):
+        return None
+    if point.marginal is scan.none and t.shift is not None:
+        return _Shifts(t, t.shift.scores, t.shift.log_prior, t.shift.shift)
+    comparison = t.as_plain or t.marginal.comparison
+    if point.leader is not None:
+        cases = point.leader.cases or scan.cases
+        comparison = comparison_of(cases, about(scan.cases, hypothesis, t.plates), scatter=scan.scatter)
+    try:
+        table = shift_table(comparison, hypothesis.parameters, sizes, point.marginal)
+    except RigidBodyError:
+        return None
+    shift = _of_list(point.marginal.comparison, comparison, table.shift)
+    return _Shifts(t, table.scores, table.log_prior, shift)
+
+
+def _of_list(point: Comparison, own: Comparison, shift: Array) -> Array:
+    """Shifts (k, n_own) of a list, for the frequencies that a point keeps of it, (k, n_f)."""
+    whole, listed = own.listed.frequencies, point.listed.frequencies
+    return shift if len(whole) == len(listed) else shift[:, kept_of(whole, listed)]
+
+
+def _together(linear: Sequence[_Linear], a: _Shifts, b: _Shifts) -> tuple[float, int, int, int]:
+    """Log density of the lists with two causes, and the noise and the nodes of both where it is largest."""
+    each = []
+    for own in linear:
+        left, right = own.residual - a.shift @ own.root.T, b.shift @ own.root.T
+        distance = np.sum(left**2, axis=1)[:, None] + np.sum(right**2, axis=1) - 2.0 * left @ right.T
+        each.append(own.log_constant - 0.5 * distance + a.log_prior[:, None] + b.log_prior)
+    log_density = np.stack(each)
+    noise, i, j = np.unravel_index(int(np.argmax(log_density)), log_density.shape)
+    return float(logsumexp(log_density)), int(noise), int(i), int(j)
+
+
+def _start(scan: Scan, candidate: _Candidate) -> Array:
+    """Starts (1, n) of a pair: the scores of its point, and the sizes."""
+    of_pair = about(scan.cases, candidate.pair, candidate.leader.plates)
+    comparison = comparison_of(scan.cases, of_pair, scatter=scan.scatter)
+    start = comparison.carried(candidate.known, candidate.scores)
+    columns = effect_columns(comparison, candidate.pair)
+    start[list(columns[len(columns) - len(candidate.sizes) :])] = candidate.sizes
+    return np.asarray(start[None])

@@ -39,8 +39,8 @@ from cpam_bayes.mechanics.modes import RigidBodyError
 
 Array = NDArray[Any]
 
-# The plain model explains a list whose misfit is no larger with more than this probability.
-_EXPLAINED = 1e-3
+# A hypothesis explains a list whose misfit is no larger with more than this probability.
+EXPLAINED = 1e-3
 # Hypotheses whose optima lie so many nats below the best are not integrated over open sizes.
 _HOPELESS_NATS = 14.0
 # Hypotheses that are fitted side by side, knowing the same of the others.
@@ -179,7 +179,7 @@ class Scan:
         self.tested = ranked(self.tested)
         self.best = self.tested[0].log_weight
         has_false_peaks = any((case.modes < 0).any() for case in self.plain_cases)
-        self.is_explained = misfit_probability(self.none) > _EXPLAINED and not has_false_peaks
+        self.is_explained = misfit_probability(self.none) > EXPLAINED and not has_false_peaks
 
     def test(self, trials: Sequence[Trial], progress: Callable[[int], None] = lambda done: None) -> None:
         """Fit hypotheses from many starts, round by round; those that cannot be tested are noted.
@@ -274,7 +274,7 @@ class Scan:
             scatter=self.scatter,
             none=none,
             known=known,
-            log2_draws=0 if few or self.is_explained or known is not None else LOG2_DRAWS,
+            log2_draws=0 if few or self.is_explained else LOG2_DRAWS,
             least=self.best - float(np.log(hypothesis.prior)) - _HOPELESS_NATS,
         )
         cases = recounted(lists.cases, about(self.cases, hypothesis, plates), marginal.best, self.scatter)
@@ -364,7 +364,7 @@ class Scan:
         """The shifts of a hypothesis at the plain model's optimum, if it has a size and the same pairing."""
         listed, comparison = hypothesis.listed, t.as_plain or t.marginal.comparison
         sizes = t.marginal.sizes
-        if not sizes or listed.missed or listed.spurious is not None or len(hypothesis.records) != 1:
+        if not sizes or listed.changes_pairing or len(hypothesis.records) != 1:
             return None
         return shift_table(comparison, hypothesis.parameters, sizes, self.none)
 
