@@ -110,6 +110,24 @@ def test_two_causes_at_once_are_found_as_a_pair() -> None:
     assert found.tested[0].marginal.log_evidence == pytest.approx(expected, abs=2.0)
 
 
+def test_a_pair_is_found_though_other_causes_look_more_like_it_alone() -> None:
+    """Four causes are nearly the sum of two: each of them leads, and no pair with one of them is right."""
+    nearly = {
+        f"nearly {k}": BUMP + DENT + np.roll([1.0, -1.0, 0.5, 0.0, 0.0, -0.5, 0.0, 0.0], k)
+        for k in (0, 2, 3, 5)
+    }
+    decoys = {name: cause(name, whole_normal(0.02)) for name in nearly}
+    f = F0 * (1.0 + A @ [0.03, -0.04] + 0.03 * BUMP + 0.03 * DENT) * (1.0 + NOISE * SCATTER)
+    effects = [(BENT, straight(BUMP)), (DENTED, straight(DENT))]
+    effects += [(effect, straight(nearly[name])) for name, effect in decoys.items()]
+    singles = [hypothesis(effect, 0.05) for effect, _ in effects]
+    found = weigh([case(a_list(f, NOISE), effects)], of_one(NOTHING, ANYTHING, *singles))
+    alone = [t.hypothesis.cause for t in found.tested if t.hypothesis.cause in (*nearly, "bent", "dented")]
+    assert set(alone[:3]) <= set(nearly)
+    assert set(found.tested[0].hypothesis.causes) == {"bent", "dented"}
+    assert found.tested[0].probability > 0.95
+
+
 def test_a_pair_that_shows_one_cause_only_counts_for_that_cause() -> None:
     own = plate(0.015 * DENT)
     found, alone = (weigh([own], of_one(NOTHING, ANYTHING, *SINGLES), pairs=p) for p in (True, False))
