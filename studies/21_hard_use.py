@@ -91,6 +91,8 @@ LONG = {
     "sensitivity": ("sensitivity", "A1"),
     "report": ("report", "A1"),
     "paper": ("paper", "--quick"),
+    "batch": ("batch", "C1", "C3"),
+    "design": ("design", "C1"),
 }
 WRONG = (object(), 1j, b"C1", [], {}, "?", -1, float("nan"), print, ...)
 

@@ -499,20 +499,23 @@ def test_an_interrupted_run_with_a_store_says_how_to_go_on(finished, tmp_path, m
     assert capsys.readouterr().err == (said if finished else "")
 
 
+IDENTIFY = ("identify", "A1", "--swarms", "1", "--particles", "10000", "--iterations", "100000")
+
+
 @pytest.mark.parametrize(
-    ("line", "number"),
+    ("argv", "line", "number"),
     [
-        ("up to 100000 iterations", signal.SIGINT),
-        ("iteration 0 of 100000", signal.SIGINT),
-        ("iteration 0 of 100000", signal.SIGTERM),
-        ("iteration 0 of 100000", signal.SIGHUP),
+        (IDENTIFY, "up to 100000 iterations", signal.SIGINT),
+        (IDENTIFY, "iteration 0 of 100000", signal.SIGINT),
+        (IDENTIFY, "iteration 0 of 100000", signal.SIGTERM),
+        (IDENTIFY, "iteration 0 of 100000", signal.SIGHUP),
+        (("batch", "C1", "C3"), "batch: up to 2 iterations", signal.SIGTERM),
+        (("design", "C1", "--modes", "40"), "design C1: up to", signal.SIGHUP),
     ],
 )
-def test_an_interrupted_run_ends_with_130_one_line_and_no_files(line, number, tmp_path):
+def test_an_interrupted_run_ends_with_130_one_line_and_no_files(argv, line, number, tmp_path):
     out = tmp_path / "out"
-    budget = ("--swarms", "1", "--particles", "10000", "--iterations", "100000")
-    argv = ("identify", "A1", *budget, "--out", str(out))
-    process = start(*argv)
+    process = start(*argv, "--out", str(out))
     for said in process.stderr:
         if line in said:
             break
