@@ -71,6 +71,8 @@ def test_names_of_one_physical_thing_are_few_and_symmetric() -> None:
     assert lists.same_thing(PLATE, plate, {"length": (0.01, {})}) == ("clamp_length",)
     assert lists.same_thing(PLATE, plate, {"clamp_length": (1e-3, {})}) == ("length",)
     assert lists.same_thing(PLATE, plate, {"clamp_rotation": (0.1, {})}) == ("soft_clamp",)
+    both: dict[str, tuple[float, Any]] = {"clamp_rotation": (0.1, {}), "taper_y": (0.1, {})}
+    assert lists.same_thing(PLATE, plate, both) == ("soft_clamp",)
     # a free plate has no clamp
     free = replace(plate, edges="FFFF")
     assert lists.same_thing(PLATE, free, {"length": (0.01, {})}) == ()

@@ -67,7 +67,7 @@ def score(truth: Record, answer: Record) -> Scored:
         "category": category,
         "right": right,
         "class_size": len(named) if claim == "class" else 0,
-        "whole": claim != "pair" or named == causes,
+        "whole": claim != "pair" or (len(causes) == 2 and named <= causes | accepted),
         "inside": coverage_of(truth, answer["constants"]),
         "inside_plain": coverage_of(truth, answer["baseline"]),
         "told_what_could_be_seen": bool(answer.get("detectable")),

@@ -254,16 +254,18 @@ def listed(
 def same_thing(
     nominal: NominalPlate, plate: TruePlate, flaws: dict[str, tuple[float, Aux]]
 ) -> tuple[str, ...]:
-    """Other names of a single hidden cause.
+    """Other names of the hidden causes.
 
     A soft clamp is rotation and translation at once, so each is a soft clamp without the other; a soft clamp
     whose one part alone is below two standard deviations is the other part. The free length of a plate
     clamped on x = 0 alone is its length. Plies of one direction all turned, where the layup has no other,
     are turned as a whole.
     """
-    if len(flaws) != 1:
-        return ()
-    ((cause, (size, aux)),) = flaws.items()
+    names = [_same_as(nominal, plate, cause, size, aux) for cause, (size, aux) in flaws.items()]
+    return tuple(sorted({name for own in names for name in own}))
+
+
+def _same_as(nominal: NominalPlate, plate: TruePlate, cause: str, size: float, aux: Aux) -> tuple[str, ...]:
     if cause in ("clamp_rotation", "clamp_translation"):
         return ("soft_clamp",)
     if cause in ("length", "clamp_length") and plate.edges == "CFFF":
