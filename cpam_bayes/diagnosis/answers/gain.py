@@ -13,6 +13,7 @@ from scipy.special import logsumexp
 
 from cpam_bayes.diagnosis.claim import Claim
 from cpam_bayes.diagnosis.composed import ComposedModel
+from cpam_bayes.diagnosis.evidence.comparison import Comparison
 from cpam_bayes.diagnosis.evidence.marginal import Marginal
 from cpam_bayes.diagnosis.evidence.sampled import about_optima, sampled_marginal
 from cpam_bayes.diagnosis.evidence.scan import marginal_of
@@ -23,6 +24,7 @@ from cpam_bayes.diagnosis.fit import Fit
 from cpam_bayes.diagnosis.fitting import PlateCase
 from cpam_bayes.diagnosis.hypotheses import NONE, OTHER, Hypothesis
 from cpam_bayes.effects.frequency_list import MISREADING
+from cpam_bayes.inference.importance import RELIABLE_K, effective_size, pareto_shape
 
 Array = NDArray[Any]
 
@@ -31,6 +33,9 @@ Array = NDArray[Any]
 _LEAST_PROBABILITY, _MOST = 0.01, 6
 # Pairings of the plain model with at least this fraction of its evidence, and so many at most.
 _LEAST_FRACTION, _MOST_PLAIN = 0.05, 3
+# Error of a log evidence that the draws with all frequencies may have without one of them, or so many times
+# their own; and how much heavier than theirs, or than what is reliable, the tail of the weights may be.
+_SMALL_ERROR, _OWN_ERRORS, _HEAVIER_TAIL = 0.1, 2.0, 0.25
 # Optima of the whole list that the fits of every fold start from.
 _STARTS = 3
 
@@ -118,7 +123,8 @@ def left_out(cases: Sequence[PlateCase], t: Tested, n: int, none: Marginal | Non
     evidences = np.empty(n)
     listed = t.hypothesis.listed
     # the posterior without a frequency is about that with it
-    near = about_optima(t.marginal).model
+    about = about_optima(t.marginal)
+    near, reweighted = about.model, _reweighted(t.marginal, about)
     paired = np.concatenate([case.modes >= 0 for case in cases])
     last = np.concatenate([np.full(c.measurement.size, c.measurement.frequencies[-1]) for c in cases])
     before = sum(case.measurement.size for case in cases[: t.plates[0]])  # frequencies of other plates
@@ -138,6 +144,9 @@ def left_out(cases: Sequence[PlateCase], t: Tested, n: int, none: Marginal | Non
                 evidences[i] = t.marginal.log_evidence - t.marginal.comparison.listed.log_constant
                 continue
             at -= i > before + listed.spurious
+        if hypothesis is t.hypothesis and np.isfinite(reweighted[at]):
+            evidences[i] = reweighted[at]
+            continue
         marginal = marginal_of(
             cases,
             hypothesis,
@@ -150,6 +159,27 @@ def left_out(cases: Sequence[PlateCase], t: Tested, n: int, none: Marginal | Non
             log2_draws=0,
         )
         evidences[i] = sampled_marginal(marginal).log_evidence
+    return evidences
+
+
+def _reweighted(marginal: Marginal, about: Comparison) -> Array:
+    """Log evidences without each of the frequencies from the draws with all, (n_f,).
+
+    ln Z_-i = ln Z + ln E[1 / p(f_i | f_-i, x)] over the posterior of x (Gelfand, Dey and Chang, Bayesian
+    Statistics 4, 1992). Not a number where the weights' tail is too heavy (Vehtari, Gelman and Gabry, Stat.
+    Comput. 27, 2017) or their error too large, unless those of the draws are hardly better: what a frequency
+    says alone is for a sample of its own.
+    """
+    evidences = np.full(len(about.listed.frequencies), np.nan)
+    if not marginal.is_sampled:
+        return evidences
+    log_weight = marginal.log_weight[:, None] - about.log_conditional(marginal.draws)
+    most_error = max(_SMALL_ERROR, _OWN_ERRORS * marginal.error)
+    most_k = max(RELIABLE_K, marginal.k_hat + _HEAVIER_TAIL)
+    for i, own in enumerate(log_weight.T):
+        error = np.sqrt(1.0 / effective_size(own) - 1.0 / len(own))
+        if pareto_shape(own) < most_k and error < most_error:
+            evidences[i] = marginal.log_evidence + logsumexp(own)
     return evidences
 
 

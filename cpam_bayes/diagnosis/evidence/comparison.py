@@ -197,6 +197,23 @@ class Comparison:
                 value[inside] = self._gaussian(r, self.variance(x[inside]))
         return value
 
+    def log_conditional(self, x: Array) -> Array:
+        """Log density of each frequency given the others and the parameters (m, n), (m, n_f).
+
+        With Q the inverse covariance and r the residuals, r_i given the others is Gaussian with the variance
+        1 / Q_ii and lies (Q r)_i / Q_ii off its mean (Rue and Held, Gaussian Markov Random Fields, theorem
+        2.3). Zero where the constraints (9) are broken.
+        """
+        value = np.zeros((len(x), len(self.listed.frequencies)))
+        inside, f, _ = self.predict_inside(x)
+        if len(inside):
+            r = self.listed.frequencies - f
+            precision = np.linalg.inv(self.covariance(x[inside]))
+            own = np.diagonal(precision, axis1=1, axis2=2)
+            off = np.einsum("mij,mj->mi", precision, r) / own
+            value[inside] = 0.5 * (np.log(own / (2.0 * np.pi)) - own * off**2)
+        return value
+
     def log_density(self, z: Array) -> Array:
         """Log of likelihood times prior density over scores (m, n), (m,)."""
         return self.scores.log_prior(z) + self.log_likelihood(self.scores.to_x(z))

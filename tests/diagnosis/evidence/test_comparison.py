@@ -74,6 +74,21 @@ def test_the_gradient_is_the_difference_quotient(comparison: Comparison) -> None
 
 
 @EVERY
+def test_a_frequency_given_the_others_is_the_ratio_of_two_densities(comparison: Comparison) -> None:
+    x = comparison.scores.to_x(scores(comparison))
+    f, _ = comparison.predict(x)
+    covariance, listed = comparison.covariance(x), comparison.listed.frequencies
+    for i in range(len(listed)):
+        others = np.delete(np.arange(len(listed)), i)
+        expected = [
+            multivariate_normal.logpdf(listed, mean, own)
+            - multivariate_normal.logpdf(listed[others], mean[others], own[np.ix_(others, others)])
+            for mean, own in zip(f, covariance, strict=True)
+        ]
+        np.testing.assert_allclose(comparison.log_conditional(x)[:, i], expected, rtol=1e-9)
+
+
+@EVERY
 def test_the_curvature_is_the_mean_of_the_gradients_square_over_lists(comparison: Comparison) -> None:
     """Fisher's identity, with the prior's own curvature, which is one in every score."""
     z, rng, m = scores(comparison, 1), np.random.default_rng(2), 20_000
