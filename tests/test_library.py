@@ -455,7 +455,7 @@ def test_a_result_says_how_it_ended(point: PointResult, modes: ForwardResult) ->
 
 # Examples
 
-SLOW = ("diagnose", "sample", "sensitivity", "sequence")
+SLOW = ("diagnose", "full_report", "sample", "sensitivity", "sequence")
 
 
 @pytest.mark.parametrize(

@@ -115,6 +115,7 @@ def test_plates_that_do_not_scatter_have_a_small_one_and_open_constants_the_prio
     assert e2.mean[1] == pytest.approx(200.0 / np.sqrt(12.0), rel=0.1)
 
 
+@pytest.mark.slow
 def test_lists_of_simulated_plates_give_the_constants_of_their_material(run: Any) -> None:
     rng = np.random.default_rng(1)
     moduli = 70.0 * (1.0 + 0.03 * rng.standard_normal(8))

@@ -38,6 +38,7 @@ def measured() -> dict[str, Any]:
     }
 
 
+@pytest.mark.slow
 def test_the_swarm_finds_the_constants_of_both_materials(measured: dict[str, Any]) -> None:
     result = cb.identify(measured, seed=0)
     found = result.to_dict()["constants"]

@@ -93,6 +93,7 @@ def test_the_truth_of_another_plate_lies_in_the_intervals(sampled: SampledResult
         assert mode.q025 < f < mode.q975
 
 
+@pytest.mark.slow
 def test_another_test_of_the_same_plate_has_the_sizes_of_the_draws(sampled: SampledResult) -> None:
     """Thickness and modulus are known badly, what they do together well: the frequencies show that."""
     clamped = {**SIMULATED, "name": "clamped", "plate": {**SIMULATED["plate"], "edges": "CFFF"}}

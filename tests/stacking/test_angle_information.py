@@ -33,6 +33,7 @@ def test_outer_angles_are_better_only_if_less_of_them_is_open(
     np.testing.assert_array_equal(found.outer_first, [0, 1])
 
 
+@pytest.mark.slow
 def test_the_outer_angle_of_a_plate_is_better_determined_than_the_inner_one() -> None:
     own = answer()
     found = angle_information(own.specimen.plate.layup, own.marginals)

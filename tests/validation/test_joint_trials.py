@@ -22,6 +22,7 @@ def hidden(own: Laboratory) -> Hidden:
     return found
 
 
+@pytest.mark.slow
 def test_a_sister_is_another_specimen_of_the_same_material(own: Laboratory) -> None:
     specimens = [b.case.models.specimen for b in (own.alone, *own.sisters)]
     assert len({s.specimen for s in specimens}) == 3
@@ -29,6 +30,7 @@ def test_a_sister_is_another_specimen_of_the_same_material(own: Laboratory) -> N
     assert own.setups == ("alone", "one sister", "two sisters")
 
 
+@pytest.mark.slow
 def test_a_sister_lacks_the_flaw_and_another_test_of_the_plate_has_it(
     own: Laboratory, hidden: Hidden
 ) -> None:
