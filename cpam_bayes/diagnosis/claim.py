@@ -54,8 +54,8 @@ def claim_of(
     it, where together they have 0.9 and the best of them is 3 nats above the best outsider, none and other
     among these; alone where it has 0.9 itself and the rest of its class have hardly any probability, so that
     priors alone do not decide. Pairs count in the probabilities, with their priors. Then a pair is claimed
-    where it and those whose causes cannot be distinguished from its causes have 0.9, or one cause where all
-    hypotheses that contain it, alone or in pairs, have 0.9: what acts beside it is open. No cause is
+    where it has 0.9 itself, or one cause where all hypotheses that contain it, alone or in pairs, have 0.9:
+    what acts beside it is open. No cause is
     claimed whose extended model leaves a misfit that is no noise: where those that explain nothing hold 0.9
     with other, it is other. The rest is undecided.
     """
@@ -67,7 +67,7 @@ def claim_of(
     if claim is not None and explains(claim.causes[0]):
         return claim
     if pairs and explains(_leading(probability, pairs)):
-        claim = _pair(probability, alike, pairs) or _one_of_pairs(probability, alike, pairs)
+        claim = _pair(probability, pairs) or _one_of_pairs(probability, alike, pairs)
         if claim is not None:
             return claim
     unexplained = [c for c in probability if c != OTHER and probability[c] > _NEGLIGIBLE and not explains(c)]
@@ -114,17 +114,11 @@ def _leading(probability: Mapping[str, float], pairs: Mapping[str, tuple[str, ..
     return max(pairs, key=lambda name: probability[name])
 
 
-def _pair(
-    probability: Mapping[str, float],
-    alike: Mapping[str, frozenset[str]],
-    pairs: Mapping[str, tuple[str, ...]],
-) -> Claim | None:
-    """A pair with those that cannot be told from it."""
-    if not pairs:
-        return None
+def _pair(probability: Mapping[str, float], pairs: Mapping[str, tuple[str, ...]]) -> Claim | None:
+    """The leading pair, where it has the probability itself."""
     leading = _leading(probability, pairs)
-    whole = sum(probability[name] for name in pairs if _stands_for(pairs[leading], pairs[name], alike))
-    return Claim("pair", pairs[leading], whole) if whole >= SURE else None
+    sure = probability[leading] >= SURE
+    return Claim("pair", pairs[leading], probability[leading]) if sure else None
 
 
 def _one_of_pairs(
@@ -143,13 +137,3 @@ def _one_of_pairs(
         if total >= SURE and len(members) <= MOST:
             return Claim("named" if len(members) == 1 else "class", members, min(total, 1.0))
     return None
-
-
-def _stands_for(one: tuple[str, ...], other: tuple[str, ...], alike: Mapping[str, frozenset[str]]) -> bool:
-    """Whether each cause of a pair is one of the other pair, or cannot be distinguished from it."""
-
-    def is_like(a: str, b: str) -> bool:
-        return a == b or b in alike.get(a, frozenset())
-
-    (a, b), (c, d) = one, other
-    return (is_like(a, c) and is_like(b, d)) or (is_like(a, d) and is_like(b, c))

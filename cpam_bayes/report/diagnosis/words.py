@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Mapping
 
 from cpam_bayes.diagnosis.claim import Claim
@@ -13,6 +14,7 @@ from cpam_bayes.formatting import fixed, listed, significant, with_spread
 from cpam_bayes.report.diagnosis.rows import (
     DetectableRow,
     detectable_rows,
+    is_pair,
     noise_of,
     tested_causes,
     titles_of,
@@ -34,6 +36,8 @@ __all__ = [
 _UNSURE = 1e-3
 # Sizes of so many standard deviations of the catalogue are usual; causes that a sentence lists at most.
 _USUAL_SD, _FEW = 3.0, 3
+# Share of a claim's probability from which something else acts beside what is claimed.
+_MOSTLY = 0.5
 
 
 def claim_sentence(d: Diagnosis) -> str:
@@ -46,6 +50,12 @@ def claim_sentence(d: Diagnosis) -> str:
             return (
                 f"No evidence of a model error{_at_noise(d)}: the plate model as it stands has probability "
                 f"{p}{_false(d)}.{_may_be_there(d)}"
+            )
+        case "named" | "class" if beside := _beside(d):
+            one = " or ".join(causes)
+            return (
+                f"The plate model lacks two things at once: {one}, with probability {p}, and one more, of "
+                f"which these frequencies cannot tell what it is: {'; '.join(beside)}."
             )
         case "named":
             cause = by_name[d.claim.causes[0]]
@@ -141,6 +151,20 @@ def _at_noise(d: Diagnosis) -> str:
     if noise is None:
         return " at the stated repeatability"
     return f" at a noise of {significant(100.0 * noise[0], 2)} %, {noise_word(noise[0])}"
+
+
+def _beside(d: Diagnosis) -> list[str]:
+    """What may act beside the claimed causes, where these are hardly probable alone; else nothing."""
+    claimed = set(d.claim.causes)
+    partners: dict[str, float] = defaultdict(float)
+    for cause in d.causes:
+        parts = set(cause.name.split(" + "))
+        if is_pair(cause) and len(parts & claimed) == 1:
+            partners[(parts - claimed).pop()] += cause.probability
+    if sum(partners.values()) < _MOSTLY * d.claim.probability:
+        return []
+    order = sorted(partners, key=lambda name: -partners[name])
+    return [f"{with_title(d, name)}, {probability_text(partners[name])}" for name in order[:_FEW]]
 
 
 def _alike(d: Diagnosis, cause: Cause) -> str:

@@ -295,6 +295,16 @@ def test_every_claim_has_its_own_sentence(clean):
     assert "0.950" in cannot
     pair = said("pair", ("warp", "skew"), 0.93)
     assert "two things at once: plate that is not flat (warp); corners that are not square (skew);" in pair
+    alone = next(c for c in clean.causes if c.name != "none")
+    two = tuple(
+        replace(alone, name=f"warp + {name}", probability=p) for name, p in (("skew", 0.5), ("damage", 0.4))
+    )
+    with_pairs = replace(clean, causes=(*clean.causes, *two), claim=Claim("named", ("warp",), 0.95))
+    beside = claim_sentence(with_pairs)
+    assert (
+        "lacks two things at once: plate that is not flat (warp), with probability 0.950, and one" in beside
+    )
+    assert "what it is: corners that are not square (skew), 0.50; local damage" in beside
     assert "no cause of the catalogue explains" in said("other", (), 0.97)
     undecided = said("undecided", ("viscoelastic",), 0.4)
     assert undecided.startswith("Undecided")
