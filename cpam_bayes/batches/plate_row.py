@@ -64,12 +64,16 @@ class LocalLikelihood:
 
 @dataclass(frozen=True, slots=True)
 class PlateDiagnosis:
-    """The claim about one plate, as of `diagnose`."""
+    """The claim about one plate, as of `diagnose`.
+
+    probability_beside : that anything acts beside a claimed cause
+    """
 
     claim: str
     causes: tuple[str, ...]
     probability: float
     probability_none: float
+    probability_beside: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -233,4 +237,10 @@ def _diagnosed(specimen: Specimen) -> PlateDiagnosis:
     found = diagnose_cases(cases, hypotheses=hypotheses_of(cases, CATALOGUE), gain=False, power=False)
     none = found.weighed.by_cause().get("none", 0.0)
     claim = found.claim
-    return PlateDiagnosis(claim.kind, tuple(claim.causes), float(claim.probability), float(none))
+    return PlateDiagnosis(
+        claim.kind,
+        tuple(claim.causes),
+        float(claim.probability),
+        float(none),
+        float(found.probability_beside),
+    )

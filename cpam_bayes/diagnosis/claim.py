@@ -17,6 +17,8 @@ CLEAR = 3.0
 # Fraction of the leading cause's probability from which a member of its class is a rival: where the data
 # cannot tell them, a ratio of two priors below it is no evidence either.
 RIVAL = 0.01
+# Fraction of a claim's probability from which it is told that something else may act beside what is claimed.
+BESIDE = 0.1
 # Probability below which it does not matter whether a cause explains the lists.
 _NEGLIGIBLE = 1e-3
 # Members of a class at most, and causes listed where nothing is decided.

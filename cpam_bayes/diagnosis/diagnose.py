@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
@@ -26,7 +27,7 @@ from cpam_bayes.diagnosis.evidence.sharing import shared_out
 from cpam_bayes.diagnosis.evidence.weighing import Tested, Weighed, weigh
 from cpam_bayes.diagnosis.fit import Fit, fit_of
 from cpam_bayes.diagnosis.fitting import SCATTER, PlateCase
-from cpam_bayes.diagnosis.hypotheses import NONE, OTHER, PAIR, Hypothesis
+from cpam_bayes.diagnosis.hypotheses import NONE, OTHER, PAIR, Hypothesis, causes_in
 from cpam_bayes.diagnosis.signatures import (
     Menu,
     Projector,
@@ -121,6 +122,31 @@ class Diagnosis:
     def constants(self) -> Mapping[str, tuple[float, float, float, float]]:
         """The constants of the answer: of what is claimed, or averaged over all hypotheses."""
         return self.averaged if self.extended is None else self.extended.constants
+
+    @property
+    def claimed(self) -> frozenset[str]:
+        """Names among ``causes`` that the claim stands on, pairs with a claimed cause too."""
+        if self.claim.kind in (NONE, OTHER):
+            return frozenset({self.claim.kind})
+        return frozenset(t.hypothesis.cause for t, _ in self.members)
+
+    @property
+    def beside(self) -> Mapping[str, float]:
+        """What may act beside a claimed cause, and the probability of the two, the most probable first."""
+        partners: dict[str, float] = defaultdict(float)
+        if self.claim.kind in ("named", "class"):
+            for cause in self.causes:
+                two = causes_in(cause.name)
+                inside = [name for name in self.claim.causes if name in two]
+                if len(two) > 1 and inside:
+                    partner = next((name for name in two if name not in inside), inside[-1])
+                    partners[partner] += cause.probability
+        return dict(sorted(partners.items(), key=lambda entry: -entry[1]))
+
+    @property
+    def probability_beside(self) -> float:
+        """That anything acts beside a claimed cause."""
+        return sum(self.beside.values())
 
 
 @single_blas_thread

@@ -18,6 +18,8 @@ from cpam_bayes.effects.effect import GROSS_FRACTION, PERCENT, one_sided
 from cpam_bayes.parameters import Parameter
 
 NONE, OTHER, PAIR = "none", "other", "pair"
+# Between the names of two causes that act at once.
+_TOGETHER = " + "
 
 # Prior probabilities: that nothing is wrong, that something is which no cause describes, that two causes
 # act at once; the rest is divided evenly over the families, and in a family over its causes.
@@ -62,7 +64,7 @@ class Hypothesis:
     @property
     def causes(self) -> tuple[str, ...]:
         """Names of the causes that act."""
-        return () if self.cause in (NONE, OTHER) else tuple(self.cause.split(" + "))
+        return () if self.cause in (NONE, OTHER) else causes_in(self.cause)
 
     @property
     def coordinates(self) -> frozenset[str]:
@@ -83,6 +85,11 @@ class Hypothesis:
     def is_of_one_test(self) -> bool:
         """Whether it belongs to one test of a specimen: its clamp or its list."""
         return any(e.belongs_to == "test" for e in self.records)
+
+
+def causes_in(name: str) -> tuple[str, ...]:
+    """The causes that act where one of this name does: two of a pair."""
+    return tuple(name.split(_TOGETHER))
 
 
 def single_hypotheses(
@@ -155,9 +162,10 @@ def pair_scale(singles: Sequence[Hypothesis]) -> float:
 
 
 def paired(a: Hypothesis, b: Hypothesis, scale: float) -> Hypothesis:
-    """Two causes that act at once, with the prior of ``pair_scale``."""
+    """Two causes that act at once, the same whichever is first, with the prior of ``pair_scale``."""
+    a, b = sorted((a, b), key=lambda h: (h.cause, h.variant))
     return Hypothesis(
-        cause=f"{a.cause} + {b.cause}",
+        cause=f"{a.cause}{_TOGETHER}{b.cause}",
         family=PAIR,
         variant=" / ".join(v for v in (a.variant, b.variant) if v),
         effects=a.effects + b.effects,

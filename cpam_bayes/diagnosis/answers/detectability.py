@@ -16,7 +16,7 @@ from cpam_bayes.diagnosis.claim import CLEAR, MOST, SURE
 from cpam_bayes.diagnosis.evidence.sharing import shared_out
 from cpam_bayes.diagnosis.evidence.weighing import Weighed
 from cpam_bayes.diagnosis.fitting import PlateCase
-from cpam_bayes.diagnosis.hypotheses import NONE, OTHER
+from cpam_bayes.diagnosis.hypotheses import NONE, OTHER, causes_in
 from cpam_bayes.parameters import Parameter
 from cpam_bayes.threads import single_blas_thread
 
@@ -69,7 +69,7 @@ def detectable(
     oracle = linear_oracle(weighed, lines, _DRAWS, np.random.default_rng(_SEED))
     wanted: list[_Sought] = []
     for cause in weighed.by_cause():
-        if cause in (NONE, OTHER) or " + " in cause:
+        if cause in (NONE, OTHER) or len(causes_in(cause)) > 1:
             continue
         variants = [t.hypothesis for t in weighed.tested if t.hypothesis.cause == cause]
         # a frequency far off is one of another mode: such a variant has no size

@@ -15,7 +15,7 @@ from cpam_bayes.diagnosis.claim import Claim
 from cpam_bayes.diagnosis.composed import ComposedModel
 from cpam_bayes.diagnosis.evidence.comparison import Comparison
 from cpam_bayes.diagnosis.evidence.marginal import Marginal
-from cpam_bayes.diagnosis.evidence.sampled import about_optima, sampled_marginal
+from cpam_bayes.diagnosis.evidence.sampled import about_draws, sampled_marginal
 from cpam_bayes.diagnosis.evidence.scan import marginal_of
 from cpam_bayes.diagnosis.evidence.sharing import shared_out
 from cpam_bayes.diagnosis.evidence.tested import Tested
@@ -33,9 +33,10 @@ Array = NDArray[Any]
 _LEAST_PROBABILITY, _MOST = 0.01, 6
 # Pairings of the plain model with at least this fraction of its evidence, and so many at most.
 _LEAST_FRACTION, _MOST_PLAIN = 0.05, 3
-# Error of a log evidence that the draws with all frequencies may have without one of them, or so many times
-# their own; and how much heavier than theirs, or than what is reliable, the tail of the weights may be.
-_SMALL_ERROR, _OWN_ERRORS, _HEAVIER_TAIL = 0.1, 2.0, 0.25
+# Error of a log evidence that the draws with all frequencies may have without one of them: this or so many
+# times their own, up to a bound. How much heavier than theirs the tail of the weights may be, or than what is
+# reliable.
+_SMALL_ERROR, _OWN_ERRORS, _LARGEST_ERROR, _HEAVIER_TAIL = 0.1, 2.0, 0.3, 0.25
 # Optima of the whole list that the fits of every fold start from.
 _STARTS = 3
 
@@ -123,7 +124,7 @@ def left_out(cases: Sequence[PlateCase], t: Tested, n: int, none: Marginal | Non
     evidences = np.empty(n)
     listed = t.hypothesis.listed
     # the posterior without a frequency is about that with it
-    about = about_optima(t.marginal)
+    about = about_draws(t.marginal)
     near, reweighted = about.model, _reweighted(t.marginal, about)
     paired = np.concatenate([case.modes >= 0 for case in cases])
     last = np.concatenate([np.full(c.measurement.size, c.measurement.frequencies[-1]) for c in cases])
@@ -171,12 +172,13 @@ def _reweighted(marginal: Marginal, about: Comparison) -> Array:
     says alone is for a sample of its own.
     """
     evidences = np.full(len(about.listed.frequencies), np.nan)
-    if not marginal.is_sampled:
+    if not marginal.is_sampled or not np.isfinite(marginal.k_hat):
         return evidences
     log_weight = marginal.log_weight[:, None] - about.log_conditional(marginal.draws)
-    most_error = max(_SMALL_ERROR, _OWN_ERRORS * marginal.error)
+    most_error = max(_SMALL_ERROR, min(_OWN_ERRORS * marginal.error, _LARGEST_ERROR))
     most_k = max(RELIABLE_K, marginal.k_hat + _HEAVIER_TAIL)
-    for i, own in enumerate(log_weight.T):
+    for i in np.flatnonzero(~np.isnan(log_weight).any(axis=0)):
+        own = log_weight[:, i]
         error = np.sqrt(1.0 / effective_size(own) - 1.0 / len(own))
         if pareto_shape(own) < most_k and error < most_error:
             evidences[i] = marginal.log_evidence + logsumexp(own)

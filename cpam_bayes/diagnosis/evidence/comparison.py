@@ -202,9 +202,9 @@ class Comparison:
 
         With Q the inverse covariance and r the residuals, r_i given the others is Gaussian with the variance
         1 / Q_ii and lies (Q r)_i / Q_ii off its mean (Rue and Held, Gaussian Markov Random Fields, theorem
-        2.3). Zero where the constraints (9) are broken.
+        2.3). Not a number where the constraints (9) are broken.
         """
-        value = np.zeros((len(x), len(self.listed.frequencies)))
+        value = np.full((len(x), len(self.listed.frequencies)), np.nan)
         inside, f, _ = self.predict_inside(x)
         if len(inside):
             r = self.listed.frequencies - f

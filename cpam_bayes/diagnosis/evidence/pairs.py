@@ -18,9 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from cpam_bayes.deadline import is_time_up
-from cpam_bayes.diagnosis.evidence.comparison import Comparison, kept_of
+from cpam_bayes.deadline import cut_short, is_time_up
+from cpam_bayes.diagnosis.evidence.comparison import Comparison
 from cpam_bayes.diagnosis.evidence.marginal import Marginal
+from cpam_bayes.diagnosis.evidence.pairing_search import Cases
 from cpam_bayes.diagnosis.evidence.scan import EXPLAINED, Scan, Trial, about, misfit_probability
 from cpam_bayes.diagnosis.evidence.shifts import shift_table
 from cpam_bayes.diagnosis.evidence.tested import Tested, ranked
@@ -44,11 +45,18 @@ _NOISE_SCORES = (-1.5, 0.0, 1.5)
 class _Point:
     """Where the lists are linear: the first scores of the plain model, or of a leading cause.
 
+    cases : the plates with the pairing there; none where all lists are complete
     leader : that cause, ``None`` for the plain model
     """
 
     marginal: Marginal
+    cases: Cases
     leader: Tested | None = None
+
+    @classmethod
+    def of(cls, leader: Tested) -> _Point:
+        """The optimum of a leading cause."""
+        return cls(leader.marginal, leader.cases, leader)
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +79,7 @@ class _Linear:
 class _Shifts:
     """What a cause does to the log frequencies of a point.
 
-    scores, log_prior : (k, d) of its sizes, and (k,) log prior weights
+    scores, log_prior : (k, d) of its sizes, and (k,) log prior weights; d = 0 for the leader of the point
     shift : (k, n_f)
     """
 
@@ -86,22 +94,24 @@ class _Candidate:
     """A pair that is not fitted yet.
 
     log_weight : log of prior times evidence in closed form
-    leader : its more probable cause
+    plates : that have it
+    cases : the plates with the pairing of the point; none where all lists are complete
     known, scores : the comparison of the point, and its most probable scores (n,)
-    sizes : (d,) most probable scores of sizes, those of the pair's last parameters
+    sizes : most probable scores (d,) of the sizes of each cause; none of the leader of the point
     """
 
     log_weight: float
     pair: Hypothesis
-    leader: Tested
+    plates: tuple[int, ...]
+    cases: Cases
     known: Comparison
     scores: Array
-    sizes: Array
+    sizes: tuple[tuple[Hypothesis, Array], ...]
 
     @property
-    def key(self) -> frozenset[str]:
-        """The same whichever of its causes is first."""
-        return frozenset((*self.pair.causes, *self.pair.variant.split(" / ")))
+    def key(self) -> tuple[str, str, tuple[int, ...]]:
+        """That of the pair once it is tested."""
+        return (self.pair.cause, self.pair.variant, self.plates)
 
 
 def add_pairs(scan: Scan, singles: Sequence[Hypothesis]) -> None:
@@ -111,18 +121,20 @@ def add_pairs(scan: Scan, singles: Sequence[Hypothesis]) -> None:
     explaining = [t for t in leaders if misfit_probability(t.marginal) > EXPLAINED]
     of_pairing = [t for t in leaders if t.hypothesis.listed.changes_pairing]
     if scan.is_explained:
-        search.fit([_Point(scan.none), *(_Point(t.marginal, t) for t in of_pairing)], _FITTED, _PROMISING)
+        search.fit([search.plain, *map(_Point.of, of_pairing)], _FITTED, _PROMISING)
         return
     if explaining:
-        search.fit([_Point(t.marginal, t) for t in explaining], _FITTED, _PROMISING)
+        search.fit([_Point.of(t) for t in explaining], _FITTED, _PROMISING)
         return
-    medians = replace(scan.none, z=np.zeros_like(scan.none.z[:1]))
-    search.fit([_Point(scan.none), _Point(medians), *(_Point(t.marginal, t) for t in of_pairing)], _FITTED)
-    while (before := search.best()) is not None and not is_time_up():
-        constants = scan.none.comparison.carried(before.marginal.comparison, before.marginal.z[:1])
-        search.fit([_Point(replace(scan.none, z=constants))], _FITTED_FURTHER)
-        if search.best() is before:
+    search.fit([search.plain, *search.medians, *map(_Point.of, of_pairing)], _FITTED)
+    before = None
+    while (best := search.best()) is not None and best is not before:
+        if is_time_up():
+            scan.is_cut_short = True
+            cut_short("pairs about the best pair were not tested")
             break
+        before = best
+        search.fit([search.about(best)], _FITTED_FURTHER)
 
 
 def _single_causes(scan: Scan) -> tuple[Tested, ...]:
@@ -146,7 +158,28 @@ class _PairSearch:
     scan: Scan
     causes: tuple[Tested, ...]
     scale: float
-    fitted: set[frozenset[str]] = field(default_factory=set)
+    fitted: set[tuple[str, str, tuple[int, ...]]] = field(default_factory=set)
+
+    @property
+    def plain(self) -> _Point:
+        """The plain model's optimum."""
+        return _Point(self.scan.none, self.scan.tested[0].cases)
+
+    @property
+    def medians(self) -> list[_Point]:
+        """The prior medians, where the plates have modes there."""
+        none = self.scan.none
+        medians = np.zeros_like(none.z[:1])
+        inside, _, _ = none.comparison.predict_inside(none.comparison.scores.to_x(medians))
+        return [_Point(replace(none, z=medians), self.plain.cases)] if len(inside) else []
+
+    def about(self, pair: Tested) -> _Point:
+        """The constants of a pair, without what it does."""
+        scan, comparison = self.scan, self.scan.none.comparison
+        if pair.cases:
+            comparison = comparison_of(pair.cases, scan.tested[0].hypothesis, scatter=scan.scatter)
+        constants = comparison.carried(pair.marginal.comparison, pair.marginal.z[:1])
+        return _Point(replace(scan.none, comparison=comparison, z=constants), pair.cases)
 
     def leaders(self) -> list[Tested]:
         """The best variants of the leading causes."""
@@ -170,15 +203,15 @@ class _PairSearch:
         for candidate in (c for point in points for c in self._ranked(point)[:most]):
             if candidate.log_weight > least and candidate.key not in self.fitted:
                 self.fitted.add(candidate.key)
-                leader = candidate.leader
-                trials.append(Trial(candidate.pair, leader.plates, _start(scan, candidate), leader.cases))
+                start = _start(scan, candidate)
+                trials.append(Trial(candidate.pair, candidate.plates, start, candidate.cases))
         scan.test(trials)
 
     def _ranked(self, point: _Point) -> list[_Candidate]:
         """Every two causes that may act at once, the best variants of each, the best pair first."""
         linear = _linear(point.marginal)
         alone = logsumexp([own.log_constant - 0.5 * own.residual @ own.residual for own in linear])
-        best: dict[frozenset[str], _Candidate] = {}
+        best: dict[tuple[str, str, tuple[int, ...]], _Candidate] = {}
         for a, b in self._couples(point):
             pair = paired(a.cause.hypothesis, b.cause.hypothesis, self.scale)
             log_density, noise, i, j = _together(linear, a, b)
@@ -190,10 +223,11 @@ class _PairSearch:
             candidate = _Candidate(
                 log_weight=point.marginal.log_evidence + gain + float(np.log(pair.prior)),
                 pair=pair,
-                leader=max(a.cause, b.cause, key=lambda t: t.log_weight),
+                plates=a.cause.plates,
+                cases=point.cases,
                 known=point.marginal.comparison,
                 scores=scores,
-                sizes=np.concatenate((a.scores[i], b.scores[j])),
+                sizes=((a.cause.hypothesis, a.scores[i]), (b.cause.hypothesis, b.scores[j])),
             )
             if candidate.key not in best or candidate.log_weight > best[candidate.key].log_weight:
                 best[candidate.key] = candidate
@@ -240,29 +274,25 @@ def _linear(marginal: Marginal) -> list[_Linear]:
 def _shifts(scan: Scan, point: _Point, t: Tested) -> _Shifts | None:
     """The shifts of a cause about a point.
 
-    ``None`` where it has no size, where modes are paired otherwise, and where the plate buckles.
+    ``None`` where it has no size, where modes are paired otherwise, and where the plate buckles or breaks the
+    constraints (9) with any size.
     """
     hypothesis, sizes = t.hypothesis, t.marginal.sizes
     if not sizes or hypothesis.listed.changes_pairing or (point.leader and not hypothesis.effects):
         return None
     if point.marginal is scan.none and t.shift is not None:
         return _Shifts(t, t.shift.scores, t.shift.log_prior, t.shift.shift)
-    comparison = t.as_plain or t.marginal.comparison
-    if point.leader is not None:
-        cases = point.leader.cases or scan.cases
-        comparison = comparison_of(cases, about(scan.cases, hypothesis, t.plates), scatter=scan.scatter)
+    comparison = t.marginal.comparison
+    if point.leader is not None or point.cases:
+        listed = hypothesis.listed if point.leader is None else point.leader.hypothesis.listed
+        of_plates = about(scan.cases, replace(hypothesis, listed=listed), t.plates)
+        comparison = comparison_of(point.cases or scan.cases, of_plates, scatter=scan.scatter)
+        sizes = effect_columns(comparison, hypothesis)
     try:
         table = shift_table(comparison, hypothesis.parameters, sizes, point.marginal)
     except RigidBodyError:
         return None
-    shift = _of_list(point.marginal.comparison, comparison, table.shift)
-    return _Shifts(t, table.scores, table.log_prior, shift)
-
-
-def _of_list(point: Comparison, own: Comparison, shift: Array) -> Array:
-    """Shifts (k, n_own) of a list, for the frequencies that a point keeps of it, (k, n_f)."""
-    whole, listed = own.listed.frequencies, point.listed.frequencies
-    return shift if len(whole) == len(listed) else shift[:, kept_of(whole, listed)]
+    return _Shifts(t, table.scores, table.log_prior, table.shift) if len(table.scores) else None
 
 
 def _together(linear: Sequence[_Linear], a: _Shifts, b: _Shifts) -> tuple[float, int, int, int]:
@@ -279,9 +309,10 @@ def _together(linear: Sequence[_Linear], a: _Shifts, b: _Shifts) -> tuple[float,
 
 def _start(scan: Scan, candidate: _Candidate) -> Array:
     """Starts (1, n) of a pair: the scores of its point, and the sizes."""
-    of_pair = about(scan.cases, candidate.pair, candidate.leader.plates)
-    comparison = comparison_of(scan.cases, of_pair, scatter=scan.scatter)
+    of_pair = about(scan.cases, candidate.pair, candidate.plates)
+    comparison = comparison_of(candidate.cases or scan.cases, of_pair, scatter=scan.scatter)
     start = comparison.carried(candidate.known, candidate.scores)
-    columns = effect_columns(comparison, candidate.pair)
-    start[list(columns[len(columns) - len(candidate.sizes) :])] = candidate.sizes
+    for hypothesis, sizes in candidate.sizes:
+        if len(sizes):
+            start[list(effect_columns(comparison, hypothesis))] = sizes
     return np.asarray(start[None])

@@ -68,6 +68,14 @@ def about_optima(marginal: Marginal) -> Comparison:
     return marginal.comparison.about(points, _TOLERANCE, _FRACTION)
 
 
+def about_draws(marginal: Marginal) -> Comparison:
+    """As ``about_optima``; the marginal's own comparison where that is not enough at its draws."""
+    near = about_optima(marginal)
+    x = marginal.draws[np.argsort(-marginal.log_weight, kind="stable")[:_COMPARED]]
+    apart = np.abs(near.log_likelihood(x) - marginal.comparison.log_likelihood(x))
+    return near if apart.max() < _ALIKE_NATS else marginal.comparison
+
+
 def _sample(marginal: Marginal, comparison: Comparison, log2_points: int) -> Weighted:
     def log_density(z: Array) -> Array:
         return comparison.log_density(z[0])[None]

@@ -366,7 +366,8 @@ class Scan:
         sizes = t.marginal.sizes
         if not sizes or listed.changes_pairing or len(hypothesis.records) != 1:
             return None
-        return shift_table(comparison, hypothesis.parameters, sizes, self.none)
+        table = shift_table(comparison, hypothesis.parameters, sizes, self.none)
+        return table if len(table.scores) else None
 
 
 def _tried(item: tuple[Scan, Trial]) -> Tried:

@@ -56,6 +56,8 @@ def shift_table(
 
     What that hypothesis lacks is at its prior median.
 
+    Nodes at which the plate buckles or the constraints (9) are broken are left out, if need be all.
+
     comparison : with the effect
     effect, sizes : the d parameters of the effect, and their columns
     about : the other hypothesis
@@ -74,6 +76,8 @@ def shift_table(
     f, _ = comparison.predict(plain[None])
     inside, shifted, _ = comparison.predict_inside(at)
     log_prior = log_prior[inside]
+    if not len(inside):
+        return ShiftTable(scores[:0], log_prior, shifted)
     return ShiftTable(scores[inside], log_prior - logsumexp(log_prior), np.log(shifted / f))
 
 

@@ -26,8 +26,6 @@ Array = NDArray[Any]
 # Causes that tests are to tell apart: until they have so much probability, so many at most, in so many
 # variants at most.
 _ENOUGH, _MOST_CAUSES, _MOST_VARIANTS = 0.99, 6, 10
-# Claims after which no causes are left to distinguish.
-_SETTLED = ("none", "named")
 # Simulated data, log2, of each hypothesis; probability from which a cause counts as identified.
 _LOG2_DATA, _IDENTIFIED = 10, 0.9
 
@@ -82,7 +80,7 @@ def next_measurements(
     inferred, what each hypothesis says of it. Every hypothesis predicts the data from its own posterior.
     executor : where that is done.
     """
-    if diagnosis.claim.kind in _SETTLED and not always:
+    if _is_settled(diagnosis) and not always:
         return ()
     leading = leading_hypotheses(diagnosis.weighed)
     if len({t.hypothesis.cause for t in leading}) < 2:
@@ -103,6 +101,13 @@ def next_measurements(
         else:
             candidates.append(candidate)
     return tuple(sorted(candidates, key=lambda c: -c.information))
+
+
+def _is_settled(diagnosis: Diagnosis) -> bool:
+    """Whether no causes are left to tell apart: none, or one, and nothing open beside it."""
+    claim = diagnosis.claim
+    alone = claim.probability - diagnosis.probability_beside
+    return claim.kind == NONE or (claim.kind == "named" and alone >= _IDENTIFIED)
 
 
 @dataclass(frozen=True, slots=True)

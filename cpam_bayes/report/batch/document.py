@@ -49,6 +49,7 @@ def _row(result: BatchResult, row: PlateRow) -> dict[str, Any]:
             "causes": list(found.causes),
             "probability": found.probability,
             "probability_none": found.probability_none,
+            "probability_beside": found.probability_beside,
         },
     }
 

@@ -25,7 +25,7 @@ def csv_text(result: BatchResult) -> str:
     for name in result.constants:
         user = user_name(name)
         heads += [user, f"{user}_sd", f"{user}_q025", f"{user}_q975", f"{user}_verdict"]
-    heads += ["rms_percent", "noise_percent", "claim", "causes", "probability"]
+    heads += ["rms_percent", "noise_percent", "claim", "causes", "probability", "probability_beside"]
     heads += [f"P({limit.text})" for limit in result.limits]
     text = io.StringIO()
     table = csv.writer(text, lineterminator="\n")
@@ -45,9 +45,11 @@ def _cells(result: BatchResult, row: PlateRow) -> list[str]:
         cells.append(c.verdict)
     cells += [_number(100.0 * row.rms), _number(100.0 * row.noise)]
     found = row.diagnosis
-    cells += (
-        ["", "", ""] if found is None else [found.claim, " ".join(found.causes), _number(found.probability)]
-    )
+    if found is None:
+        cells += [""] * 4
+    else:
+        beside = _number(found.probability_beside)
+        cells += [found.claim, " ".join(found.causes), _number(found.probability), beside]
     for limit in result.limits:
         p = result.probability(row, limit)
         cells.append("" if p is None else _number(p))

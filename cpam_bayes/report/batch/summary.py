@@ -11,6 +11,7 @@ from cpam_bayes.batches.batch import BatchResult
 from cpam_bayes.batches.limits import Limit
 from cpam_bayes.batches.plate_row import PlateRow
 from cpam_bayes.batches.population import LEAST_PLATES
+from cpam_bayes.diagnosis.claim import BESIDE
 from cpam_bayes.formatting import fixed, listed, significant, with_spread
 from cpam_bayes.plate import to_user, unit_of
 from cpam_bayes.report.summary import Summary
@@ -79,7 +80,9 @@ def _claim(row: PlateRow) -> str:
     if found.claim == "none":
         return f"nothing (P {found.probability:.2f})"
     causes = f": {', '.join(found.causes)}" if found.causes else ""
-    return f"{found.claim}{causes} (P {found.probability:.2f})"
+    beside = found.probability_beside
+    more = f", with another one (P {beside:.2f})" if beside >= BESIDE * found.probability else ""
+    return f"{found.claim}{causes} (P {found.probability:.2f}){more}"
 
 
 def _fails(result: BatchResult, row: PlateRow, limit: Limit) -> bool:

@@ -75,7 +75,7 @@ def _open(constants: tuple[ConstantLine, ...]) -> str:
 
 def _accelerometer(result: FullReport) -> str:
     d = result.diagnosis.diagnosis
-    if any(_ADDED_MASS in name.split(" + ") for name in d.claim.causes) and d.claim.kind != "undecided":
+    if _ADDED_MASS in d.claim.causes and d.claim.kind != "undecided":
         return "It shows: an added mass is part of what is wrong with the plate model, see above."
     row = next((row for row in detectable_rows(d) if row.cause == _ADDED_MASS), None)
     if row is None:

@@ -54,6 +54,8 @@ def document(result: DiagnosisResult) -> dict[str, Any]:
         "probability": d.claim.probability,
         "sentence": claim_sentence(d),
         "claim_stands": d.sensitivity.claim_stands,
+        "beside": dict(d.beside),
+        "probability_beside": d.probability_beside,
         "claims_by_prior_scales": dict(zip(_SCALES, map(_claim, d.sensitivity.claims), strict=True)),
         "hypotheses": [_hypothesis(d, cause) for cause in d.causes],
         "baseline": _fit(d, d.baseline, d.weighed.plain, result.plain),

@@ -137,15 +137,7 @@ def _causes(d: Diagnosis) -> Figure:
     figure = Figure(figsize=(5.8, 1.3 + 0.27 * len(names)), layout="constrained")
     axes = figure.add_subplot()
     y = np.arange(len(names))
-    claimed = d.claim.causes if d.claim.kind != "undecided" else ()
-    colors = [
-        _ORANGE
-        if c.name in claimed or c.name == d.claim.kind
-        else _GREY
-        if c.name in (NONE, OTHER)
-        else _BLUE
-        for c in shown
-    ]
+    colors = [_ORANGE if c.name in d.claimed else _GREY if c.name in (NONE, OTHER) else _BLUE for c in shown]
     axes.barh(y, [c.probability for c in shown], 0.65, color=colors)
     for at, cause in zip(y, shown, strict=True):
         axes.text(1.06, float(at), probability_text(cause.probability), va="center", fontsize=9)

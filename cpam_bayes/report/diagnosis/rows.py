@@ -13,7 +13,7 @@ from cpam_bayes.diagnosis.diagnose import Cause, Diagnosis
 from cpam_bayes.diagnosis.evidence.weighing import Tested
 from cpam_bayes.diagnosis.extension import Resampled
 from cpam_bayes.diagnosis.fit import Fit
-from cpam_bayes.diagnosis.hypotheses import NONE, OTHER
+from cpam_bayes.diagnosis.hypotheses import NONE, OTHER, causes_in
 from cpam_bayes.effects import CATALOGUE, scale_of
 from cpam_bayes.forward_model.model import reference_constants
 from cpam_bayes.identification.verdicts import Verdict, verdict_of
@@ -108,7 +108,7 @@ def tested_causes(d: Diagnosis) -> tuple[str, ...]:
 
 def is_pair(cause: Cause | str) -> bool:
     """Whether a cause is two at once."""
-    return " + " in (cause if isinstance(cause, str) else cause.name)
+    return len(causes_in(cause if isinstance(cause, str) else cause.name)) > 1
 
 
 def constant_rows(d: Diagnosis, fit: Fit) -> tuple[ConstantRow, ...]:

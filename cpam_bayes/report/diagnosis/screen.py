@@ -196,7 +196,7 @@ def _causes(d: Diagnosis) -> Table:
             _size(cause),
             _alike(cause),
         ]
-        if cause.name in d.claim.causes and d.claim.kind != "undecided":
+        if cause.name in d.claimed:
             claimed.append(i)
         rows.append(tuple(cells))
     further = len(d.causes) - len(shown)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Sequence
 from typing import Final
 
@@ -9,7 +10,7 @@ import numpy as np
 
 from cpam_bayes.diagnosis.diagnose import Cause, Diagnosis
 from cpam_bayes.diagnosis.fitting import PlateCase
-from cpam_bayes.diagnosis.hypotheses import NONE, OTHER
+from cpam_bayes.diagnosis.hypotheses import NONE, OTHER, causes_in
 from cpam_bayes.diagnosis.next_test.next_measurement import Candidate
 from cpam_bayes.diagnosis.plates import DiagnosisResult
 from cpam_bayes.formatting import significant
@@ -51,6 +52,8 @@ from cpam_bayes.report.summary import ConstantLine, Summary, more_modes_step
 # Causes whose check in the laboratory is named where nothing is claimed: their number, and least probability.
 _CHECKED: Final = 2
 _LIKELY: Final = 0.1
+# Fraction of the answer from which it contains what hypotheses of it contain.
+_CONTAINED: Final = 0.5
 # Probability of deciding from which a further test is recommended as such.
 _DECIDES: Final = 0.3
 
@@ -175,10 +178,16 @@ def _contained_of(d: Diagnosis, specimen: Specimen) -> str:
     plate = specimen.plate
 
     def numbers(cause: str) -> set[str]:
-        return {n for part in cause.split(" + ") if (n := number_of(part, plate))}
+        return {n for part in causes_in(cause) if (n := number_of(part, plate))}
 
     if d.extended is not None and d.claim.kind != OTHER:
-        return contained_sentence(plate, found=set().union(*map(numbers, d.claim.causes)))
+        contained: dict[str, float] = defaultdict(float)
+        for claimed in d.claim.causes:
+            contained |= dict.fromkeys(numbers(claimed), 1.0)
+        for t, fraction in d.members:
+            for name in numbers(t.hypothesis.cause):
+                contained[name] += fraction
+        return contained_sentence(plate, found=[name for name, f in contained.items() if f >= _CONTAINED])
     weight = sum(c.probability for c in d.causes if numbers(c.name) - set(plate.sd))
     return contained_sentence(plate, weight=weight)
 

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Mapping
 
-from cpam_bayes.diagnosis.claim import Claim
+from cpam_bayes.diagnosis.claim import BESIDE, Claim
 from cpam_bayes.diagnosis.diagnose import Cause, Diagnosis
 from cpam_bayes.diagnosis.fit import Fit
-from cpam_bayes.diagnosis.hypotheses import NONE, OTHER
+from cpam_bayes.diagnosis.hypotheses import NONE, OTHER, causes_in
 from cpam_bayes.diagnosis.paired_modes import left_aside
 from cpam_bayes.formatting import fixed, listed, significant, with_spread
 from cpam_bayes.report.diagnosis.rows import (
     DetectableRow,
     detectable_rows,
-    is_pair,
     noise_of,
     tested_causes,
     titles_of,
@@ -36,7 +34,7 @@ __all__ = [
 _UNSURE = 1e-3
 # Sizes of so many standard deviations of the catalogue are usual; causes that a sentence lists at most.
 _USUAL_SD, _FEW = 3.0, 3
-# Share of a claim's probability from which something else acts beside what is claimed.
+# Fraction of a claim's probability from which something acts beside what is claimed.
 _MOSTLY = 0.5
 
 
@@ -51,22 +49,18 @@ def claim_sentence(d: Diagnosis) -> str:
                 f"No evidence of a model error{_at_noise(d)}: the plate model as it stands has probability "
                 f"{p}{_false(d)}.{_may_be_there(d)}"
             )
-        case "named" | "class" if beside := _beside(d):
-            one = " or ".join(causes)
-            return (
-                f"The plate model lacks two things at once: {one}, with probability {p}, and one more, of "
-                f"which these frequencies cannot tell what it is: {'; '.join(beside)}."
-            )
         case "named":
             cause = by_name[d.claim.causes[0]]
+            size = _of_size(cause) if d.probability_beside < BESIDE * d.claim.probability else ""
             return (
-                f"The plate model lacks one thing: {causes[0]}{_of_size(cause)}{_where(d, cause)}; "
-                f"probability {p}.{_alike(d, cause)}"
+                f"The plate model lacks {_number(d)}: {causes[0]}{size}{_where(d, cause)}; "
+                f"probability {p}.{_beside(d)}{_alike(d, cause)}"
             )
         case "class":
             return (
-                f"The plate model lacks one thing of {len(causes)}, and these frequencies cannot tell which: "
-                f"{'; '.join(causes)}. Together they have probability {p}."
+                f"The plate model lacks {'at least ' if _beside(d) else ''}one thing of {len(causes)}, and "
+                f"these frequencies cannot tell which: {'; '.join(causes)}. "
+                f"Together they have probability {p}.{_beside(d)}"
             )
         case "pair":
             return f"The plate model lacks two things at once: {'; '.join(causes)}; probability {p}."
@@ -102,7 +96,7 @@ def with_title(d: Diagnosis, name: str) -> str:
         return "an error that is not in the catalogue"
     titles = titles_of(d)
     return " together with ".join(
-        f"{titles[part]} ({part})" if part in titles else part for part in name.split(" + ")
+        f"{titles[part]} ({part})" if part in titles else part for part in causes_in(name)
     )
 
 
@@ -153,18 +147,25 @@ def _at_noise(d: Diagnosis) -> str:
     return f" at a noise of {significant(100.0 * noise[0], 2)} %, {noise_word(noise[0])}"
 
 
-def _beside(d: Diagnosis) -> list[str]:
-    """What may act beside the claimed causes, where these are hardly probable alone; else nothing."""
-    claimed = set(d.claim.causes)
-    partners: dict[str, float] = defaultdict(float)
-    for cause in d.causes:
-        parts = set(cause.name.split(" + "))
-        if is_pair(cause) and len(parts & claimed) == 1:
-            partners[(parts - claimed).pop()] += cause.probability
-    if sum(partners.values()) < _MOSTLY * d.claim.probability:
-        return []
-    order = sorted(partners, key=lambda name: -partners[name])
-    return [f"{with_title(d, name)}, {probability_text(partners[name])}" for name in order[:_FEW]]
+def _number(d: Diagnosis) -> str:
+    """How many things a plate model lacks that lacks what is claimed."""
+    if d.probability_beside >= _MOSTLY * d.claim.probability:
+        return "two things at once"
+    return "one thing" if d.probability_beside < BESIDE * d.claim.probability else "at least one thing"
+
+
+def _beside(d: Diagnosis) -> str:
+    """What may act beside what is claimed."""
+    if d.probability_beside < BESIDE * d.claim.probability:
+        return ""
+    names = list(d.beside)
+    said = [f"{with_title(d, name)}, {probability_text(d.beside[name])}" for name in names[:_FEW]]
+    more = f"; and {len(names) - _FEW} more" if len(names) > _FEW else ""
+    unknown = ", of which these frequencies cannot tell what it is" if len(names) > 1 else ""
+    return (
+        f" Something else acts beside it with probability {probability_text(d.probability_beside)}{unknown}: "
+        f"{'; '.join(said)}{more}."
+    )
 
 
 def _alike(d: Diagnosis, cause: Cause) -> str:

@@ -16,7 +16,7 @@ from cpam_bayes.diagnosis.cases import hypotheses_of
 from cpam_bayes.diagnosis.composed import ComposedModel
 from cpam_bayes.diagnosis.diagnose import Diagnosis, diagnose_cases
 from cpam_bayes.diagnosis.evidence.weighing import Tested
-from cpam_bayes.diagnosis.hypotheses import NONE, OTHER
+from cpam_bayes.diagnosis.hypotheses import NONE, OTHER, causes_in
 from cpam_bayes.validation.diagnosis.hiding import Hidden, Trial, hide
 from cpam_bayes.validation.diagnosis.oracle import oracle
 from cpam_bayes.validation.diagnosis.truths import Bench, Reached
@@ -81,16 +81,16 @@ def run_trial(bench: Bench, trial: Trial) -> Record:
 
 def _answer(diagnosis: Diagnosis) -> Record:
     ranked = [c for c in diagnosis.causes if c.name not in (NONE, OTHER)]
-    singles = [c for c in ranked if " + " not in c.name]
+    singles = [c for c in ranked if len(causes_in(c.name)) == 1]
     by_name = {c.name: c.probability for c in diagnosis.causes}
     # the class of each cause that leads its own class, with the class's probability
     classes = []
     for c in singles:
-        members = [c.name, *(m for m in c.indistinguishable_from if " + " not in m)]
+        members = [c.name, *(m for m in c.indistinguishable_from if len(causes_in(m)) == 1)]
         if by_name[c.name] >= max(by_name[m] for m in members):
             classes.append((sum(by_name[m] for m in members), members))
     probability, members = max(classes, key=lambda k: k[0]) if classes else (0.0, [])
-    pair = next((c for c in ranked if " + " in c.name), None)
+    pair = next((c for c in ranked if len(causes_in(c.name)) > 1), None)
     return {
         "claim": diagnosis.claim.kind,
         "claimed": list(diagnosis.claim.causes),
@@ -99,7 +99,7 @@ def _answer(diagnosis: Diagnosis) -> Record:
         "other": by_name[OTHER],
         "class": members,
         "class_probability": probability,
-        "pair": pair.name.split(" + ") if pair else [],
+        "pair": list(causes_in(pair.name)) if pair else [],
         "pair_probability": pair.probability if pair else 0.0,
         "causes": [[c.name, c.variant, c.probability, c.log_bayes_factor] for c in ranked[:_LISTED]],
         "tested": len(diagnosis.weighed.tested),

@@ -7,9 +7,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from cpam_bayes.diagnosis.composed import ComposedModel
+from cpam_bayes.diagnosis.evidence import pairs
 from cpam_bayes.diagnosis.evidence.weighing import Weighed, marginal_of, weigh
 from cpam_bayes.diagnosis.fitting import PlateCase, comparison_of, effect_columns
-from cpam_bayes.diagnosis.hypotheses import DISCREPANCY, NONE, OTHER, P_NONE, P_OTHER, P_PAIR, Hypothesis
+from cpam_bayes.diagnosis.hypotheses import (
+    DISCREPANCY,
+    NONE,
+    OTHER,
+    P_NONE,
+    P_OTHER,
+    P_PAIR,
+    Hypothesis,
+    causes_in,
+    paired,
+)
 from cpam_bayes.effects import ListChange
 from cpam_bayes.effects.frequency_list import MISREADING
 from cpam_bayes.mechanics.modes import RigidBodyError
@@ -126,13 +138,44 @@ def test_a_pair_is_found_though_other_causes_look_more_like_it_alone() -> None:
     assert set(alone[:3]) <= set(nearly)
     assert set(found.tested[0].hypothesis.causes) == {"bent", "dented"}
     assert found.tested[0].probability > 0.95
+    two = [t.hypothesis for t in found.tested if t.hypothesis.family == "pair"]
+    assert len({frozenset(h.causes) for h in two}) == len({h.cause for h in two}) == len(two) > 4
+
+
+def test_a_pair_is_the_same_whichever_cause_is_first() -> None:
+    assert paired(SINGLES[0], SINGLES[1], 2.0) == paired(SINGLES[1], SINGLES[0], 2.0)
+    turned = replace(SINGLES[0], variant="to the left"), replace(SINGLES[1], variant="at a corner")
+    assert paired(*turned, 1.0).variant == "to the left / at a corner"
+    assert causes_in(paired(*turned, 1.0).cause) == ("bent", "dented")
+
+
+def test_pairs_are_ranked_though_the_prior_medians_break_the_constraints(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    own = plate(0.03 * DENT + 0.03 * BUMP)
+    everywhere = weigh([own], of_one(NOTHING, ANYTHING, *SINGLES)).tested[0]
+    admissible = ComposedModel.admissible
+
+    def off_the_medians(model: ComposedModel, x: Array) -> Array:
+        return np.asarray(admissible(model, x) & (np.abs(x[:, :2] - 1.0).max(axis=1) > 1e-9))
+
+    monkeypatch.setattr(ComposedModel, "admissible", off_the_medians)
+    found = weigh([own], of_one(NOTHING, ANYTHING, *SINGLES)).tested[0]
+    assert found.hypothesis.cause == everywhere.hypothesis.cause == "bent + dented"
+
+
+def test_pairs_that_time_does_not_allow_leave_the_answer_cut_short(monkeypatch: pytest.MonkeyPatch) -> None:
+    own = plate(0.03 * DENT + 0.03 * BUMP)
+    assert not weigh([own], of_one(NOTHING, ANYTHING, *SINGLES)).is_cut_short
+    monkeypatch.setattr(pairs, "is_time_up", lambda: True)
+    assert weigh([own], of_one(NOTHING, ANYTHING, *SINGLES)).is_cut_short
 
 
 def test_a_pair_that_shows_one_cause_only_counts_for_that_cause() -> None:
     own = plate(0.015 * DENT)
     found, alone = (weigh([own], of_one(NOTHING, ANYTHING, *SINGLES), pairs=p) for p in (True, False))
-    pairs = [t.hypothesis.causes for t in found.tested if t.hypothesis.family == "pair"]
-    assert all("dented" not in causes for causes in pairs)
+    two = [t.hypothesis.causes for t in found.tested if t.hypothesis.family == "pair"]
+    assert all("dented" not in causes for causes in two)
     assert found.by_cause()["dented"] == pytest.approx(alone.by_cause()["dented"], abs=1e-3)
 
 
@@ -209,7 +252,7 @@ def test_what_cannot_act_together_is_no_pair() -> None:
         for name, names in excluded.items()
     ]
     found = {p.causes for p in pairs_of(of_clamp, of_clamp)}
-    assert found == {("clamp_rotation", "clamp_length"), ("clamp_slip", "clamp_length")}
+    assert found == {("clamp_length", "clamp_rotation"), ("clamp_length", "clamp_slip")}
     lists = [misread(0), Hypothesis("mode_identity", "list", listed=ListChange(missed=(1,)), prior=0.1)]
     assert pairs_of(lists, lists) == ()
     # two variants of one cause

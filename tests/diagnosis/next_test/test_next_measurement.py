@@ -279,7 +279,7 @@ def test_weighing_and_gauging_see_a_thicker_plate() -> None:
     assert information(found)[0] == pytest.approx(np.log(2.0), abs=0.01)
 
 
-def a_diagnosis(kind: str, monkeypatch: pytest.MonkeyPatch) -> Diagnosis:
+def a_diagnosis(kind: str, monkeypatch: pytest.MonkeyPatch, beside: float = 0.0) -> Diagnosis:
     own = plate(0.008 * BUMP)
     leading = tuple(
         made(h, own, p)
@@ -299,7 +299,10 @@ def a_diagnosis(kind: str, monkeypatch: pytest.MonkeyPatch) -> Diagnosis:
 
     monkeypatch.setattr(next_measurement, "further_tests", tests)
     found: Any = SimpleNamespace(
-        claim=Claim(kind, (), 0.5), weighed=Weighed(tested=leading, not_tested=()), cases=(own,)
+        claim=Claim(kind, (), 0.95),
+        weighed=Weighed(tested=leading, not_tested=()),
+        cases=(own,),
+        probability_beside=beside,
     )  # type: ignore[arg-type]
     return found  # type: ignore[no-any-return]
 
@@ -321,6 +324,11 @@ def test_nothing_is_asked_where_all_is_settled(kind: str, monkeypatch: pytest.Mo
     diagnosis = a_diagnosis(kind, monkeypatch)
     assert next_measurements(diagnosis) == ()
     assert len(next_measurements(diagnosis, always=True)) == 3
+
+
+def test_what_acts_beside_a_named_cause_is_not_settled(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert len(next_measurements(a_diagnosis("named", monkeypatch, beside=0.7))) == 3
+    assert next_measurements(a_diagnosis("named", monkeypatch, beside=0.03)) == ()
 
 
 def test_known_masses_go_where_the_plate_is_free() -> None:

@@ -299,12 +299,19 @@ def test_every_claim_has_its_own_sentence(clean):
     two = tuple(
         replace(alone, name=f"warp + {name}", probability=p) for name, p in (("skew", 0.5), ("damage", 0.4))
     )
-    with_pairs = replace(clean, causes=(*clean.causes, *two), claim=Claim("named", ("warp",), 0.95))
+    causes = (*clean.causes, replace(alone, name="warp", probability=0.05))
+    with_pairs = replace(clean, causes=(*causes, *two), claim=Claim("named", ("warp",), 0.95))
+    assert with_pairs.beside == {"skew": 0.5, "damage": 0.4}
     beside = claim_sentence(with_pairs)
-    assert (
-        "lacks two things at once: plate that is not flat (warp), with probability 0.950, and one" in beside
-    )
+    assert "lacks two things at once: plate that is not flat (warp); probability 0.950. Something" in beside
+    assert "beside it with probability 0.90, of which these frequencies cannot tell what it is" in beside
     assert "what it is: corners that are not square (skew), 0.50; local damage" in beside
+    assert "tell what" not in claim_sentence(replace(with_pairs, causes=(*causes, two[0])))
+    faint = (replace(two[0], probability=0.01),)
+    assert "lacks one thing: plate" in claim_sentence(replace(with_pairs, causes=(*causes, *faint)))
+    of_two = replace(with_pairs, claim=Claim("class", ("warp", "skew"), 0.95))
+    assert of_two.beside == {"skew": 0.5, "damage": 0.4}
+    assert "lacks at least one thing of 2" in claim_sentence(of_two)
     assert "no cause of the catalogue explains" in said("other", (), 0.97)
     undecided = said("undecided", ("viscoelastic",), 0.4)
     assert undecided.startswith("Undecided")
