@@ -1,6 +1,8 @@
 """Result files appear when all of them are whole, or not at all."""
 
+import errno
 import json
+import os
 
 import pytest
 
@@ -92,6 +94,20 @@ def test_an_impossible_directory_is_refused(name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(ValueError, match="--out"), staging(name):
         raise AssertionError("the work has begun")
+    assert listed(tmp_path) == []
+
+
+@pytest.mark.parametrize("number", [errno.EROFS, errno.EACCES])
+def test_a_directory_that_is_read_only_is_refused_before_the_work(number, tmp_path, monkeypatch):
+    def fails(*args, **kwargs):
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr("tempfile.mkdtemp", fails)
+    monkeypatch.setattr("os.unlink", fails)
+    refused = f"cannot be written to: {os.strerror(number)}"
+    for name in ("", "new"):
+        with pytest.raises(ValueError, match=refused), staging(str(tmp_path / name)):
+            raise AssertionError("the work has begun")
     assert listed(tmp_path) == []
 
 
