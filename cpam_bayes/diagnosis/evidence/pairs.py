@@ -4,12 +4,14 @@ Where the log frequencies are linear in the scores of the constants and the shif
 constants are integrated in closed form at every two nodes of the effects' sizes: about the plain model's
 optimum, or about that of a cause that explains the lists alone. Where nothing does, gross errors lead these
 optima astray: pairs are ranked about the prior medians too, and then about the constants of the best pair,
-until no better one turns up.
+until no better one turns up. An error of a list may show only once a cause of the plate is there: the leading
+causes of the plates are fitted together with every error of the lists, all of these at once.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import combinations
 from typing import Any
@@ -22,10 +24,20 @@ from cpam_bayes.deadline import cut_short, is_time_up
 from cpam_bayes.diagnosis.evidence.comparison import Comparison
 from cpam_bayes.diagnosis.evidence.marginal import Marginal
 from cpam_bayes.diagnosis.evidence.pairing_search import Cases
-from cpam_bayes.diagnosis.evidence.scan import EXPLAINED, Scan, Trial, about, misfit_probability
+from cpam_bayes.diagnosis.evidence.repairing import repairings
+from cpam_bayes.diagnosis.evidence.scan import (
+    EXPLAINED,
+    Scan,
+    Trial,
+    about,
+    is_repairing,
+    misfit_probability,
+    with_misreading,
+)
+from cpam_bayes.diagnosis.evidence.sharing import shared_out
 from cpam_bayes.diagnosis.evidence.shifts import shift_table
 from cpam_bayes.diagnosis.evidence.tested import Tested, ranked
-from cpam_bayes.diagnosis.fitting import comparison_of, effect_columns
+from cpam_bayes.diagnosis.fitting import PlateCase, comparison_of, effect_columns
 from cpam_bayes.diagnosis.hypotheses import NONE, OTHER, PAIR, Hypothesis, go_together, pair_scale, paired
 from cpam_bayes.mechanics.modes import RigidBodyError
 
@@ -35,8 +47,9 @@ Array = NDArray[Any]
 _FITTED, _FITTED_FURTHER = 6, 4
 # Where the lists are explained, pairs that promise less than this, nats below the best hypothesis, are not.
 _PROMISING = 6.0
-# Leading causes that get a second one.
-_LEADERS = 3
+# Leading causes that get a second one; causes of a plate that get every error of its list, the pairs with
+# these that are fitted, and the optima that the search for them begins at.
+_LEADERS, _WITH_LIST_ERRORS, _LIST_ERRORS_FITTED, _OPTIMA = 3, 5, 3, 2
 # Scores of an inferred noise at which pairs are ranked.
 _NOISE_SCORES = (-1.5, 0.0, 1.5)
 
@@ -114,9 +127,12 @@ class _Candidate:
         return (self.pair.cause, self.pair.variant, self.plates)
 
 
-def add_pairs(scan: Scan, singles: Sequence[Hypothesis]) -> None:
-    """Fit the pairs of causes that may explain the lists better than one cause does."""
-    search = _PairSearch(scan, _single_causes(scan), pair_scale(singles))
+def add_pairs(scan: Scan, hypotheses: Sequence[tuple[Hypothesis, tuple[int, ...]]]) -> None:
+    """Fit the pairs of causes that may explain the lists better than one cause does.
+
+    hypotheses : all single ones, with the plates that each is about
+    """
+    search = _PairSearch(scan, _single_causes(scan), pair_scale([h for h, _ in hypotheses]))
     leaders = search.leaders()
     explaining = [t for t in leaders if misfit_probability(t.marginal) > EXPLAINED]
     of_pairing = [t for t in leaders if t.hypothesis.listed.changes_pairing]
@@ -127,6 +143,7 @@ def add_pairs(scan: Scan, singles: Sequence[Hypothesis]) -> None:
         search.fit([_Point.of(t) for t in explaining], _FITTED, _PROMISING)
         return
     search.fit([search.plain, *search.medians, *map(_Point.of, of_pairing)], _FITTED)
+    search.fit_list_errors([(h, plates) for h, plates in hypotheses if is_repairing(h)])
     before = None
     while (best := search.best()) is not None and best is not before:
         if is_time_up():
@@ -206,6 +223,42 @@ class _PairSearch:
                 start = _start(scan, candidate)
                 trials.append(Trial(candidate.pair, candidate.plates, start, candidate.cases))
         scan.test(trials)
+
+    def fit_list_errors(self, errors: Sequence[tuple[Hypothesis, tuple[int, ...]]]) -> None:
+        """Fit the leading causes of the plates together with the errors of their lists that suit them."""
+        scan, leaders = self.scan, dict[str, Tested]()
+        for t in self.causes:
+            if t.hypothesis.effects:
+                leaders.setdefault(t.hypothesis.cause, t)
+        items = [
+            (tuple(scan.cases), t, self._with_errors(t, errors), scan.scatter)
+            for t in list(leaders.values())[:_WITH_LIST_ERRORS]
+        ]
+        if is_time_up():
+            scan.is_cut_short = True
+            cut_short("errors of the lists were not tested together with causes of the plates")
+            return
+        trials = []
+        for item, promising in zip(
+            items, shared_out(_promising, scan.cases, items, scan.executor), strict=True
+        ):
+            t = item[1]
+            for number, start in promising:
+                pair = item[2][number]
+                self.fitted.add((pair.cause, pair.variant, t.plates))
+                trials.append(Trial(pair, t.plates, start, t.cases))
+        scan.test(trials)
+
+    def _with_errors(
+        self, t: Tested, errors: Sequence[tuple[Hypothesis, tuple[int, ...]]]
+    ) -> tuple[Hypothesis, ...]:
+        """The pairs of a cause with errors of its plates' lists that are not fitted yet."""
+        pairs = (
+            paired(t.hypothesis, error, self.scale)
+            for error, plates in errors
+            if plates == t.plates and go_together(t.hypothesis, error)
+        )
+        return tuple(pair for pair in pairs if (pair.cause, pair.variant, t.plates) not in self.fitted)
 
     def _ranked(self, point: _Point) -> list[_Candidate]:
         """Every two causes that may act at once, the best variants of each, the best pair first."""
@@ -316,3 +369,22 @@ def _start(scan: Scan, candidate: _Candidate) -> Array:
         if len(sizes):
             start[list(effect_columns(comparison, hypothesis))] = sizes
     return np.asarray(start[None])
+
+
+def _promising(
+    item: tuple[tuple[PlateCase, ...], Tested, tuple[Hypothesis, ...], float],
+) -> list[tuple[int, Array]]:
+    """Numbers of the pairs with a cause that fit the lists best, and starts (s, n) of each."""
+    all_cases, t, pairs, scatter = item
+    cases = t.cases or all_cases
+    comparisons = [comparison_of(cases, about(cases, pair, t.plates), scatter=scatter) for pair in pairs]
+    alone = comparison_of(cases, about(cases, t.hypothesis, t.plates), scatter=scatter)
+    sizes = effect_columns(alone, t.hypothesis)
+    with suppress(RigidBodyError):
+        fits = repairings(alone, comparisons, t.marginal.z[:_OPTIMA], sizes)
+        value = [fit.log_density + np.log(pair.prior) for fit, pair in zip(fits, pairs, strict=True)]
+        best = np.argsort(value, kind="stable")[::-1][:_LIST_ERRORS_FITTED]
+        return [
+            (int(i), with_misreading(comparisons[i], comparisons[i].carried(alone, fits[i].z))) for i in best
+        ]
+    return []

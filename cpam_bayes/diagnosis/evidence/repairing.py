@@ -1,4 +1,4 @@
-"""Pairings of a frequency list with other modes, all of them fitted at once on the plain model.
+"""Pairings of a frequency list with other modes, all of them fitted at once on one model.
 
 A missed mode moves all frequencies above it by several per cent, and the constants of the true pairing lie
 far from those of the wrong one. Every pairing is therefore fitted from several draws of the prior; one stack
@@ -33,28 +33,33 @@ class Repairing:
     """The fit of one pairing.
 
     log_density : largest log posterior density, the misreading of a frequency left out
-    z : (s, n) scores of the plain parameters where fits ended, the better one first
+    z : (s, n) scores of the model's parameters where fits ended, the better one first
     """
 
     log_density: float
     z: Array
 
 
-def repairings(plain: Comparison, variants: Sequence[Comparison], known: Array) -> list[Repairing]:
-    """Fits of pairings that have the plain model's parameters.
+def repairings(
+    plain: Comparison, variants: Sequence[Comparison], known: Array, sizes: tuple[int, ...] = ()
+) -> list[Repairing]:
+    """Fits of pairings that have the parameters of a model, without any cause or with one.
 
     plain : the lists as they are, for the parameters and all modes
     variants : the lists paired otherwise, one frequency left out or misread perhaps
-    known : (s, n) scores of the plain optima
+    known : (s, n) scores of the model's optima
+    sizes : columns of the cause's parameters
+
+    Raises ``RigidBodyError`` where the plate has no modes at an optimum.
     """
     wide, offsets = all_modes(plain)
     index, mask, constant = _indices(plain, variants, offsets)
     listed = np.log(plain.listed.frequencies)
     n_model = plain.model.parameters.size
-    draws = prior_draws(plain, (), LOG2_DRAWS)
-    draws = draws[plain.model.admissible(plain.scores.to_x(draws))]
+    draws = prior_draws(plain, sizes, LOG2_DRAWS)
     draws[:, n_model:] = 0.0
-    log_f = np.log(wide.predict(plain.scores.to_x(draws))[0])
+    inside, f, _ = wide.predict_inside(plain.scores.to_x(draws))
+    draws, log_f = draws[inside], np.log(f)
     starts = []
     for i, m in zip(index, mask, strict=True):
         order = np.argsort(coarse_misfit((listed - log_f[:, i])[:, m]), kind="stable")
@@ -126,9 +131,8 @@ def _maximised(
         m = len(at)
         value, gradient, curvature = np.full(m, -np.inf), np.zeros((m, n)), np.zeros((m, n, n))
         x = plain.scores.to_x(at)
-        inside = np.flatnonzero(plain.model.admissible(x))
+        inside, f, slope = wide.predict_inside(x, jacobian=True)
         if len(inside):
-            f, slope = wide.predict(x[inside], jacobian=True)
             assert slope is not None
             chosen, used = index[rows[inside]], mask[rows[inside]]
             f = np.take_along_axis(f, chosen, axis=1)

@@ -352,7 +352,7 @@ class Scan:
             if number and (value[i] < value[order[0]] - _NEAR_PAIRINGS or number == _MOST_PAIRINGS):
                 continue
             kept[hypothesis.cause] = number + 1
-            known = _with_misreading(comparisons[i], plain, fits[i].z)
+            known = with_misreading(comparisons[i], comparisons[i].carried(plain, fits[i].z))
             sizes = effect_columns(comparisons[i], hypothesis)
             starts = np.concatenate((known, plain_starts(comparisons[i], self.none)[:1]))
             marginal = laplace_marginal(comparisons[i], sizes, starts, log2_draws=0)
@@ -400,13 +400,9 @@ def is_repairing(hypothesis: Hypothesis) -> bool:
     return hypothesis.listed != ListChange() and not hypothesis.effects
 
 
-def _with_misreading(comparison: Comparison, plain: Comparison, z: Array) -> Array:
-    """Starts (s, n) of a pairing from scores (s, n_plain) of the plain parameters.
-
-    A misread frequency is off by what the model lacks.
-    """
-    starts = comparison.carried(plain, z)
-    at = 0
+def with_misreading(comparison: Comparison, starts: Array) -> Array:
+    """Starts (s, n) of a pairing, with a misread frequency off by what the model lacks there."""
+    starts, at = starts.copy(), 0
     for part in comparison.model.parts:
         if part.misread is not None:
             i, column = part.misread

@@ -118,7 +118,7 @@ def weigh(
             scan.is_cut_short = True
             cut_short("no two causes were tested together")
         else:
-            add_pairs(scan, [h for h, _ in hypotheses])
+            add_pairs(scan, hypotheses)
     progress(total, total)
     order = ranked(scan.tested)
     for _ in range(_SAMPLING_ROUNDS):  # sampling may move the best one

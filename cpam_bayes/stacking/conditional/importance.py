@@ -24,9 +24,9 @@ from cpam_bayes.threads import single_blas_thread
 
 Array = NDArray[Any]
 
-# Degrees of freedom and widening of the proposals of importance sampling: with lighter tails the mean of 512
-# weights is too small where a constant is left open.
-_FREEDOM, _WIDER = 3.0, 1.3
+# Degrees of freedom and widening of the proposals of importance sampling. Light tails scatter less with few
+# points; the mean of 512 weights is too small with them where a constant is left open.
+_LIGHT, _HEAVY = (6.0, 1.1), (3.0, 1.3)
 # Draws of the constants that are kept of each sequence.
 _KEPT = 8
 # Points of importance sampling that are solved for together.
@@ -49,7 +49,8 @@ class RefinementSettings:
     """When importance sampling of a stacking sequence takes more trouble.
 
     refitted_from : log2 of the points from which on the proposal is refitted.
-    resampled_from : log2 of the points from which on an unsure evidence is sampled again.
+    resampled_from : log2 of the points from which on the proposal has heavy tails, and an unsure evidence is
+        sampled again.
     unsure : standard error of a log evidence that is.
     large : functions in a block from which on an unsure sequence gets a basis for itself.
     """
@@ -158,18 +159,12 @@ def _on_own_basis(
     return replace(conditional, model=focused(conditional.model, x, min(_OWN_ERROR, _OWN_SHARE * noise)))
 
 
-def _about_optima(fits: ConditionalFits) -> Mixture:
+def _about_optima(fits: ConditionalFits, freedom: float, wider: float) -> Mixture:
     used = fits.weight > _USED
     share = np.where(used, np.maximum(fits.weight, _LEAST_FRACTION), 0.0)
     covariance = np.linalg.inv(fits.curvature + CURVATURE_FLOOR * np.eye(fits.optima.shape[2]))
-    factor = np.linalg.cholesky(covariance) * _WIDER
-    return Mixture(share / share.sum(axis=1, keepdims=True), fits.optima, factor, _FREEDOM)
-
-
-def _refitted(mixture: Mixture, z: Array, log_weight: Array) -> Mixture:
-    return shrunk_moments(
-        mixture, z, log_weight, least=_LEAST_FRACTION, wider=_WIDER, prior_points=_PRIOR_POINTS
-    )
+    factor = np.linalg.cholesky(covariance) * wider
+    return Mixture(share / share.sum(axis=1, keepdims=True), fits.optima, factor, freedom)
 
 
 def _importance(
@@ -181,7 +176,9 @@ def _importance(
 ) -> Conditionals:
     stages = _STAGES if log2_points >= settings.refitted_from else (1.0,)
     target = partial(_log_density, conditional, angles_deg)
-    found = staged_importance(target, _about_optima(fits), log2_points, stages, _refitted)
+    freedom, wider = _HEAVY if log2_points >= settings.resampled_from else _LIGHT
+    refitted = partial(shrunk_moments, least=_LEAST_FRACTION, wider=wider, prior_points=_PRIOR_POINTS)
+    found = staged_importance(target, _about_optima(fits, freedom, wider), log2_points, stages, refitted)
     x = conditional.axes.to_x(found.points)
     mean = np.einsum("mp,mpj->mj", found.weight, x)
     sd = np.sqrt(np.einsum("mp,mpj->mj", found.weight, (x - mean[:, None, :]) ** 2))
