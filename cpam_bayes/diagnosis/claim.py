@@ -80,10 +80,11 @@ def claim_of(
 
 
 def _undecided(probability: Mapping[str, float], pairs: Mapping[str, tuple[str, ...]]) -> Claim:
-    # a pair stands for both of its causes
+    """The most probable causes, with the probability that one of them acts; a pair stands for both of its."""
     named = sorted((c for c in probability if c not in (NONE, OTHER)), key=lambda c: -probability[c])
     causes = tuple(dict.fromkeys(c for name in named for c in pairs.get(name, (name,))))[:UNDECIDED]
-    return Claim("undecided", causes, sum(probability[c] for c in causes if c in probability))
+    whole = sum(probability[name] for name in named if set(causes) & set(pairs.get(name, (name,))))
+    return Claim("undecided", causes, whole)
 
 
 def _cause(

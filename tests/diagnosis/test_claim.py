@@ -30,6 +30,13 @@ def test_none_at_a_half_or_more(p: float) -> None:
     assert claimed({NONE: p, "a": 1.0 - p}, {"a": 10.0}) == Claim("none", (), p)
 
 
+def test_undecided_has_the_probability_that_one_of_its_causes_acts() -> None:
+    probability = {"none": 0.0, "other": 0.6, "a": 0.0, "b": 0.05, "c": 0.1, "a + b": 0.25}
+    found = claimed(probability, dict.fromkeys(probability, 1.0))
+    assert (found.kind, found.causes) == ("undecided", ("a", "b", "c"))
+    assert found.probability == pytest.approx(0.4)
+
+
 def test_just_under_a_half_is_undecided() -> None:
     found = claimed({NONE: 0.499, "a": 0.3, "b": 0.201})
     assert found.kind == "undecided"

@@ -231,10 +231,11 @@ class _PairSearch:
             if t.hypothesis.effects:
                 leaders.setdefault(t.hypothesis.cause, t)
         items = [
-            (tuple(scan.cases), t, self._with_errors(t, errors), scan.scatter)
+            (tuple(scan.cases), t, pairs, scan.scatter)
             for t in list(leaders.values())[:_WITH_LIST_ERRORS]
+            if (pairs := self._with_errors(t, errors))
         ]
-        if is_time_up():
+        if items and is_time_up():
             scan.is_cut_short = True
             cut_short("errors of the lists were not tested together with causes of the plates")
             return

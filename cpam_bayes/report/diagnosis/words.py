@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from cpam_bayes.diagnosis.claim import BESIDE, Claim
 from cpam_bayes.diagnosis.diagnose import Cause, Diagnosis
@@ -10,6 +10,7 @@ from cpam_bayes.diagnosis.fit import Fit
 from cpam_bayes.diagnosis.hypotheses import NONE, OTHER, causes_in
 from cpam_bayes.diagnosis.paired_modes import left_aside
 from cpam_bayes.formatting import fixed, listed, significant, with_spread
+from cpam_bayes.parameters import Parameter
 from cpam_bayes.report.diagnosis.rows import (
     DetectableRow,
     detectable_rows,
@@ -34,8 +35,8 @@ __all__ = [
 _UNSURE = 1e-3
 # Sizes of so many standard deviations of the catalogue are usual; causes that a sentence lists at most.
 _USUAL_SD, _FEW = 3.0, 3
-# Fraction of a claim's probability from which something acts beside what is claimed.
-_MOSTLY = 0.5
+# Probability from which a cause is told where time was up before all were tested.
+_TOLD = 1e-3
 
 
 def claim_sentence(d: Diagnosis) -> str:
@@ -53,17 +54,19 @@ def claim_sentence(d: Diagnosis) -> str:
             cause = by_name[d.claim.causes[0]]
             size = _of_size(cause) if d.probability_beside < BESIDE * d.claim.probability else ""
             return (
-                f"The plate model lacks {_number(d)}: {causes[0]}{size}{_where(d, cause)}; "
+                f"The plate model lacks {_at_least(d)}one thing: {causes[0]}{size}{_where(d, cause)}; "
                 f"probability {p}.{_beside(d)}{_alike(d, cause)}"
             )
         case "class":
             return (
-                f"The plate model lacks {'at least ' if _beside(d) else ''}one thing of {len(causes)}, and "
+                f"The plate model lacks {_at_least(d)}one thing of {len(causes)}, and "
                 f"these frequencies cannot tell which: {'; '.join(causes)}. "
                 f"Together they have probability {p}.{_beside(d)}"
             )
         case "pair":
-            return f"The plate model lacks two things at once: {'; '.join(causes)}; probability {p}."
+            pair = next(c for c in d.causes if set(causes_in(c.name)) == set(d.claim.causes))
+            each = "; ".join(f"{with_title(d, name)}{_of_one(pair, name)}" for name in causes_in(pair.name))
+            return f"The plate model lacks two things at once: {each}{_where(d, pair)}; probability {p}."
         case "other":
             return (
                 "The plate model lacks something that no cause of the catalogue explains: probability "
@@ -73,6 +76,7 @@ def claim_sentence(d: Diagnosis) -> str:
     other = probability_text(by_name[OTHER].probability)
     leaders = [f"{with_title(d, c.name)}, {probability_text(c.probability)}" for c in _most_probable(d)]
     if d.weighed.is_cut_short:
+        leaders = [text for text, c in zip(leaders, _most_probable(d), strict=True) if c.probability >= _TOLD]
         begun = (
             "Undecided: time was up before every cause was tested, and nothing can be claimed. Among what "
             "was tested the plate model as it stands "
@@ -82,9 +86,8 @@ def claim_sentence(d: Diagnosis) -> str:
             f"Undecided: nothing is probable enough to be claimed{_at_noise(d)}. "
             "The plate model as it stands "
         )
-    return (
-        f"{begun}has probability {none}, an error that is not in the catalogue {other}; the most probable "
-        f"causes are: {'; '.join(leaders)}."
+    return f"{begun}has probability {none}, an error that is not in the catalogue {other}" + (
+        f"; the most probable causes are: {'; '.join(leaders)}." if leaders else "."
     )
 
 
@@ -147,11 +150,17 @@ def _at_noise(d: Diagnosis) -> str:
     return f" at a noise of {significant(100.0 * noise[0], 2)} %, {noise_word(noise[0])}"
 
 
-def _number(d: Diagnosis) -> str:
-    """How many things a plate model lacks that lacks what is claimed."""
-    if d.probability_beside >= _MOSTLY * d.claim.probability:
-        return "two things at once"
-    return "one thing" if d.probability_beside < BESIDE * d.claim.probability else "at least one thing"
+def _at_least(d: Diagnosis) -> str:
+    """Whether something may act beside what is claimed."""
+    return "at least " if d.probability_beside >= BESIDE * d.claim.probability else ""
+
+
+def _of_one(pair: Cause, name: str) -> str:
+    """Size and place of one of two causes."""
+    effects = [effect for effect in pair.hypothesis.records if effect.name == name]
+    names = {p.name for effect in effects for p in effect.parameters}
+    size = _sizes(pair, [p for p in pair.hypothesis.parameters if p.name in names])
+    return f", {size}" if size else ""
 
 
 def _beside(d: Diagnosis) -> str:
@@ -198,9 +207,13 @@ def _false(d: Diagnosis) -> str:
 
 def size_text(cause: Cause) -> str:
     """Sizes of an effect, mean and sd with their unit, and where it is or which way it goes."""
+    return _sizes(cause, cause.hypothesis.parameters)
+
+
+def _sizes(cause: Cause, parameters: Sequence[Parameter]) -> str:
     coordinates = {p.name for effect in cause.hypothesis.records for p in effect.coordinates}
     sizes, places = [], []
-    for parameter in cause.hypothesis.parameters:
+    for parameter in parameters:
         mean, sd, _ = cause.parameters[parameter.name]
         shown, factor = parameter.display
         if sd < _UNSURE * abs(mean):  # looked at in passing, at a few sizes
@@ -253,7 +266,7 @@ def _short(d: Diagnosis, claim: Claim, probability: Mapping[str, float]) -> str:
         nothing = claim.kind == NONE
         return "no evidence of a model error" if nothing else "no known cause explains the frequencies"
     if claim.kind == "undecided":
-        first = claim.causes[0]
+        first = max((name for name in probability if name not in (NONE, OTHER)), key=lambda n: probability[n])
         none, other, of_first = (probability_text(probability.get(n, 0.0)) for n in (NONE, OTHER, first))
         return (
             f"undecided, with probability {none} for the plate model as it stands, {other} for an error that "

@@ -216,6 +216,21 @@ def test_a_frequency_that_was_misread_is_found() -> None:
     assert best.marginal.moments()[0][best.columns[0]] == pytest.approx(0.1 / true, abs=0.01)
 
 
+@pytest.mark.parametrize("i", [0, 3, 5])
+def test_the_misread_frequency_is_found_again_beside_a_gross_cause(i: int) -> None:
+    """Alone, another frequency looks misread: that one was the only one to be tried beside the cause."""
+    slip = np.zeros(8)
+    slip[i] = 0.03
+    errors = [replace(misread(k), prior=0.01) for k in range(8)]
+    own = plate(slip + 0.04 * DENT)
+    alone = weigh([own], of_one(NOTHING, ANYTHING, *SINGLES, *errors), pairs=False)
+    assert next(t for t in alone.tested if t.hypothesis.cause == "outlier").hypothesis.listed.misread != i
+    best = weigh([own], of_one(NOTHING, ANYTHING, *SINGLES, *errors)).tested[0]
+    assert best.hypothesis.causes == ("dented", "outlier")
+    assert best.hypothesis.listed.misread == i
+    assert best.probability > 0.9
+
+
 def test_an_outlier_and_a_cause_of_the_plate_go_together_in_either_order() -> None:
     slip = np.zeros(8)
     slip[3] = 0.2

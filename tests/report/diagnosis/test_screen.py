@@ -23,7 +23,7 @@ from cpam_bayes.report.diagnosis.rows import (
     catalogue_sd,
     hidden_causes,
 )
-from cpam_bayes.report.diagnosis.words import claim_sentence, probability_text
+from cpam_bayes.report.diagnosis.words import claim_sentence, probability_text, size_text
 from cpam_bayes.report.documents import json_text
 from cpam_bayes.report.sentences import contained_sentence
 from tests.diagnosed import DRAWN, aluminium_case, diagnosed, listed
@@ -293,9 +293,19 @@ def test_every_claim_has_its_own_sentence(clean):
     assert "lacks one thing of 2, and these frequencies cannot tell which: thickness other than" in cannot
     assert "stated (thickness); density other than stated (density). Together" in cannot
     assert "0.950" in cannot
-    pair = said("pair", ("warp", "skew"), 0.93)
-    assert "two things at once: plate that is not flat (warp); corners that are not square (skew);" in pair
-    alone = next(c for c in clean.causes if c.name != "none")
+    alone = next(c for c in clean.causes if c.name == "viscoelastic")
+    one = replace(
+        alone,
+        name="skew + viscoelastic",
+        variant="frequency 5",
+        hypothesis=replace(alone.hypothesis, cause="skew + viscoelastic"),
+    )
+    pair = claim_sentence(
+        replace(clean, causes=(*clean.causes, one), claim=Claim("pair", ("skew", "viscoelastic"), 0.93))
+    )
+    assert "two things at once: corners that are not square (skew); " in pair
+    assert f"(viscoelastic), {size_text(alone)} (frequency 5); probability 0.930." in pair
+    assert size_text(alone)
     two = tuple(
         replace(alone, name=f"warp + {name}", probability=p) for name, p in (("skew", 0.5), ("damage", 0.4))
     )
@@ -303,7 +313,7 @@ def test_every_claim_has_its_own_sentence(clean):
     with_pairs = replace(clean, causes=(*causes, *two), claim=Claim("named", ("warp",), 0.95))
     assert with_pairs.beside == {"skew": 0.5, "damage": 0.4}
     beside = claim_sentence(with_pairs)
-    assert "lacks two things at once: plate that is not flat (warp); probability 0.950. Something" in beside
+    assert "lacks at least one thing: plate that is not flat (warp); probability 0.950. Something" in beside
     assert "beside it with probability 0.90, of which these frequencies cannot tell what it is" in beside
     assert "what it is: corners that are not square (skew), 0.50; local damage" in beside
     assert "tell what" not in claim_sentence(replace(with_pairs, causes=(*causes, two[0])))
