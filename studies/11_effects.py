@@ -35,7 +35,7 @@ KEYS = {
 # The free plate, and the clamped one for what the first cannot have.
 FREE, CLAMPED = "C1", "A2"
 # Where a mass and a flaw are put, and the frequency that is misread, the mode that is missed.
-PLACES = {"sensor_mass": (0.95, 0.95), "damage": (0.5, 0.5, 0.05)}
+PLACES = {"sensor_mass": (0.95, 0.95, 0.0), "damage": (0.5, 0.5, 0.05)}
 LISTED = 2
 # The misreading that is drawn, relative.
 SLIP = 0.05

@@ -29,7 +29,7 @@ def facts(name: str) -> PlateFacts:
 
 
 # Where the effects that may be anywhere are put.
-PLACES = {"sensor_mass": (0.95, 0.95), "damage": (0.5, 0.5, 0.05)}
+PLACES = {"sensor_mass": (0.95, 0.95, 0.0), "damage": (0.5, 0.5, 0.05)}
 
 
 def placed(effect: Effect) -> Effect:

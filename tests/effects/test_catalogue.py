@@ -300,7 +300,7 @@ def test_an_effect_at_any_place_is_no_change_of_the_problem_before_its_place_is_
 
 
 def test_images_of_a_place_have_equal_frequencies() -> None:
-    a, b = (BY_NAME["sensor_mass"].at((x, 0.275)) for x in (0.05, 0.95))  # type: ignore[misc]
+    a, b = (BY_NAME["sensor_mass"].at((x, 0.275, 0.004)) for x in (0.05, 0.95))  # type: ignore[misc]
     f, g = (ritz("C1", effect, (1.0,), degree=8) for effect in (a, b))
     # equal but for rounding, which is some 1e-8 of a frequency of a thin plate
     np.testing.assert_allclose(f, g, rtol=1e-6)

@@ -124,13 +124,20 @@ def test_resin_skin_is_a_thinner_laminate_between_two_resin_plies() -> None:
 
 def test_sensor_mass_is_a_known_mass_of_that_size() -> None:
     n = bare("D3").nominal
-    effect = BY_NAME["sensor_mass"].at((0.95, 0.275))  # type: ignore[misc]
+    effect = BY_NAME["sensor_mass"].at((0.95, 0.275, 0.0))  # type: ignore[misc]
     problem = extend(bare("D3"), effect, facts("D3"))
     known = add_known_mass(bare("D3"), 2e-3, 0.95 * float(n.length), 0.275 * float(n.width))
     found = problem.coefficients({"sensor_mass": np.asarray(2e-3)}, "mass")
     np.testing.assert_allclose(found, known.coefficients({}, "mass"), rtol=1e-14)
     places = [np.array([f.region.point for f in p.forms("mass")]) for p in (problem, known)]
     np.testing.assert_allclose(*places, rtol=1e-14)
+
+
+def test_a_sensor_turns_with_its_radius_of_gyration_about_the_surface() -> None:
+    m, r, h = 2e-3, 4e-3, float(bare("D3").nominal.thickness)
+    problem = extend(bare("D3"), BY_NAME["sensor_mass"].at((0.95, 0.275, r)), facts("D3"))  # type: ignore[misc]
+    found = problem.coefficients({"sensor_mass": np.asarray(m)}, "mass")
+    np.testing.assert_allclose(found[-5:], [m, m, m, *[m * (h**2 / 4 + r**2)] * 2], rtol=1e-14)
 
 
 @pytest.mark.parametrize("edges", ["FFFF", "CFFF"])

@@ -58,9 +58,9 @@ def random_sets(name: str, n: int, *, gross: bool = False) -> np.ndarray:
     x = model.parameters.sample(rng, 4 * n)
     x = x[model.admissible(x)][:n]
     if gross:
-        x[:, -3] = mass_of(plate).parameters[0].prior.upper
-        x[::3, -2] = 1.0
-        x[::6, -1] = 1.0
+        x[:, -4] = mass_of(plate).parameters[0].prior.upper
+        x[::3, -3] = 1.0
+        x[::6, -2] = 1.0
     return x
 
 
@@ -99,10 +99,10 @@ def test_frequencies_are_those_of_the_full_space_with_the_mass_there(name: str) 
 
 def test_frequencies_are_those_of_finite_elements_with_the_mass_there() -> None:
     rows = random_sets("C1", 2)
-    rows[:, -3:] = [[0.02, 0.83, 0.61], [0.01, 0.97, 0.96]]
+    rows[:, -4:] = [[0.02, 0.83, 0.61, 0.004], [0.01, 0.97, 0.96, 0.004]]
     model = model_of("C1")
     bare = rows.copy()
-    bare[:, -3] = 0.0
+    bare[:, -4] = 0.0
     found = model.predict(rows).frequencies / model.predict(bare).frequencies
     expected = [
         truth("C1", a, elements=True) / truth("C1", b, elements=True) for a, b in zip(rows, bare, strict=True)
@@ -114,20 +114,20 @@ def test_frequencies_are_those_of_finite_elements_with_the_mass_there() -> None:
 @pytest.mark.parametrize("name", ["C1", "A2"])
 def test_no_mass_is_the_bare_plate_wherever_it_is(name: str) -> None:
     sets = random_sets(name, 6)
-    sets[:, -3] = 0.0
+    sets[:, -4] = 0.0
     plate = plate_of(name)
-    bare = plate.bare.predict(sets[:, :-3]).frequencies
+    bare = plate.bare.predict(sets[:, :-4]).frequencies
     found = model_of(name).predict(sets).frequencies
     # the two spaces differ by the error that the smaller one states, and by that of its reduced basis
     np.testing.assert_allclose(found, bare, rtol=5e-4)
     elsewhere = sets.copy()
-    elsewhere[:, -2:] = 0.77
+    elsewhere[:, -3:-1] = 0.77
     np.testing.assert_allclose(model_of(name).predict(elsewhere).frequencies, found, rtol=2e-5)
 
 
 def test_images_of_a_place_have_equal_frequencies() -> None:
     sets = random_sets("C1", 6)
-    for axis in (-1, -2):
+    for axis in (-2, -3):
         other = sets.copy()
         other[:, axis] = 1.0 - other[:, axis]
         found = [model_of("C1").predict(x).frequencies for x in (sets, other)]
@@ -137,7 +137,7 @@ def test_images_of_a_place_have_equal_frequencies() -> None:
 @pytest.mark.parametrize("name", ["C1", "A2", "angled"])
 def test_jacobian_is_the_difference_quotient_of_the_frequencies(name: str) -> None:
     model, sets = model_of(name), random_sets(name, 5)
-    sets[:, -2:] = 0.55 + 0.4 * (sets[:, -2:] - 0.5)
+    sets[:, -3:-1] = 0.55 + 0.4 * (sets[:, -3:-1] - 0.5)
     prediction = model.predict(sets, jacobian=True)
     assert prediction.jacobian is not None
     np.testing.assert_allclose(prediction.frequencies, model.predict(sets).frequencies, rtol=1e-9)

@@ -86,12 +86,12 @@ def point_mass_model(
 ) -> LocalModel:
     """A plate with a point mass anywhere.
 
-    added : the mass, kg, and its place
+    added : the mass, kg, its place, and its radius of gyration, m
     """
     trained, rng = _training(plate, how)
     rows = _rows(trained.operator, _training_places(rng, how.places))
-    # what a mass in rows of the fields adds: its translation, and its rotation half a thickness off
-    arm = float(np.real(plate.problem.nominal.thickness)) / 2
+    # what a mass in rows of the fields adds: its translation, and its rotation about the midplane
+    arm = np.hypot(float(np.real(plate.problem.nominal.thickness)) / 2, added.parameters[3].prior.upper)
     inertia = np.sqrt(added.parameters[0].prior.upper) * np.array([1.0, 1.0, 1.0, arm, arm])[:, None, None]
     by_block = [(inertia * r)[r.any(axis=(1, 2))].reshape(-1, r.shape[-1]) for r in rows]
     grown = [

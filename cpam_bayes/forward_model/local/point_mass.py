@@ -30,7 +30,7 @@ _AXES: tuple[Derivative, Derivative] = ("x", "y")
 
 @dataclass(frozen=True, slots=True)
 class PointMass:
-    """A mass glued to the surface; parameters are the mass and its place.
+    """A mass glued to the surface; parameters are the mass, its place and its radius of gyration.
 
     loads : fields on which its inertia acts, by their numbers
     """
@@ -38,15 +38,15 @@ class PointMass:
     loads: tuple[int, ...]
 
     def batches(self, added: Array) -> list[Array]:
-        """Rows of the parameters of the change (m, 3) that are solved together."""
+        """Rows of the parameters of the change (m, 4) that are solved together."""
         rows = np.arange(len(added))
         return [rows[i : i + _BATCH] for i in range(0, len(rows), _BATCH)]
 
     def predict(self, model: LocalModel, x: Array, jacobian: bool) -> Prediction:
         """Frequencies at parameter vectors (m, n) and, if asked, their derivatives."""
         plate, added = model.split(x)
-        mass, m = added[:, 0], len(x)
-        weights = _inertia(model, plate, mass)
+        mass, gyration, m = added[:, 0], added[:, 3], len(x)
+        weights = _inertia(model, plate, mass, gyration)
         points = PointValues(added[:, 1]), PointValues(added[:, 2])
         rows = _rows(model, points, "", m)
         basis = ritz_basis(bare_modes(model, plate), rows[:, self.loads])
@@ -62,14 +62,15 @@ class PointMass:
         slope = np.empty((*lam.shape, x.shape[1]))
         slope[..., :n_plate] = plate_slopes(model, model.bare.coefficient_derivatives(plate), phi, lam)
         u = phi @ np.swapaxes(rows, 1, 2)
+        turning = np.einsum("mif,mif->mi", u[..., 3:], u[..., 3:])
         if "thickness" in model.bare.parameters:  # the rotary inertia of the mass
             i = model.bare.parameters.names.index("thickness")
-            rotary = 2.0 * weights[:, 3:] / plate[:, i : i + 1]
-            slope[..., i] -= lam * np.einsum("mif,mf->mi", u[..., 3:] ** 2, rotary)
-        slope[..., n_plate] = -lam * np.einsum("mif,mf->mi", u**2, _inertia(model, plate, np.ones(m)))
+            slope[..., i] -= lam * turning * (0.5 * mass * plate[:, i])[:, None]
+        slope[..., n_plate] = -lam * np.einsum("mif,mf->mi", u**2, _inertia(model, plate, np.ones(m), gyration))
         for k, axis in enumerate(_AXES):
             du = phi @ np.swapaxes(_rows(model, points, axis, m), 1, 2)
             slope[..., n_plate + 1 + k] = -2.0 * lam * np.einsum("mif,mif,mf->mi", u, du, weights)
+        slope[..., n_plate + 3] = -2.0 * lam * turning * (mass * gyration)[:, None]
         return prediction(lam, slope)
 
 
@@ -94,8 +95,8 @@ def _at_place(model: LocalModel, rows: Array, basis: RitzBasis) -> Array:
     return np.concatenate([*leading, answers], axis=-1)
 
 
-def _inertia(model: LocalModel, plate: Array, mass: Array) -> Array:
-    """m for u, v, w and m (h / 2)^2 for the rotations, (m, 5)."""
+def _inertia(model: LocalModel, plate: Array, mass: Array, gyration: Array) -> Array:
+    """m for u, v, w and m ((h / 2)^2 + r^2) for the rotations, (m, 5)."""
     thickness = model.bare.operator.problem.state(model.bare.parameters.mapping(plate)).thickness
-    rotary = mass * (np.asarray(thickness) / 2) ** 2
+    rotary = mass * ((np.asarray(thickness) / 2) ** 2 + gyration**2)
     return np.stack([mass, mass, mass, rotary, rotary], axis=-1)

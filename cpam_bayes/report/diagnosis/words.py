@@ -228,10 +228,12 @@ def _sizes(cause: Cause, parameters: Sequence[Parameter]) -> str:
     return f"{'; '.join(sizes)}{' at ' if sizes and places else ''}{', '.join(places)}"
 
 
+_AXES = {"x": "x =", "y": "y =", "gyration": "radius of gyration"}
+
+
 def _axis(name: str) -> str:
-    """What stands before a coordinate: x or y of a place, nothing of a direction."""
-    last = name.rsplit("_", 1)[-1]
-    return f"{last} =" if last in ("x", "y") else ""
+    """What stands before a coordinate: x or y of a place, a radius of gyration, nothing of a direction."""
+    return _AXES.get(name.rsplit("_", 1)[-1], "")
 
 
 def probability_text(p: float) -> str:
