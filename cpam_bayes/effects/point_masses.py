@@ -27,8 +27,8 @@ from cpam_bayes.parameters import LogUniform, Parameter
 
 # Of the mass of the plate: one standard deviation, and the heaviest that a point mass describes.
 _SCALE, _HEAVIEST = 0.01, 0.1
-# Radius of gyration about the surface that a mass is fixed to, m. A cube of side s has s (1/6 + 1/4)^(1/2): 3 mm for
-# half a gram to 19 mm for 50 g with the 2 to 5 g/cm3 of accelerometers; less for what is flat, a magnet or a patch.
+# Radius of gyration about the surface that a mass is fixed to, m. A cube of side s has s (1/6 + 1/4)^(1/2):
+# 3 mm for half a gram to 19 mm for 50 g with the 2 to 5 g/cm3 of accelerometers; less for what is flat.
 _GYRATION = LogUniform(1e-3, 20e-3)
 
 
@@ -66,7 +66,11 @@ def _with_sensor(place: Place, problem: Problem, facts: PlateFacts) -> Problem:
 
 
 def _point_mass(name: str, place: tuple[float, float], mass: float | None, gyration: float) -> Term:
-    """The term of a mass at a place; mass : kg, None where it is the parameter ``sensor_mass``; gyration : m."""
+    """The term of a mass at a place.
+
+    mass : kg, None where it is the parameter ``sensor_mass``
+    gyration : radius of gyration about the surface, m
+    """
     forms = tuple(Form(Atom(f), Atom(f), Region("point", point=place)) for f in FIELDS)
     return Term(name, "mass", forms, partial(_coefficients, mass, gyration))
 
@@ -90,8 +94,8 @@ SENSOR_MASS = Effect(
         Parameter("mass_gyration", "m", _GYRATION, _GYRATION.mean, MILLIMETRE),
     ),
     note=(
-        "point mass m and its rotary inertia ((h / 2)^2 + r^2) m at any (x, y), radius of gyration r of 1 to 20 mm; "
-        "1 sd is 1 % of the plate's mass"
+        "point mass m and its rotary inertia ((h / 2)^2 + r^2) m at any (x, y), radius of gyration r of "
+        "1 to 20 mm; 1 sd is 1 % of the plate's mass"
     ),
     check="Weigh what is fixed to the plate and state it under [[sensor]], or measure without contact.",
     change=anywhere,

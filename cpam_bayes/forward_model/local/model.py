@@ -48,7 +48,8 @@ class LocalModel:
     leading : number of vectors of each block that are the bare plate's own
     modes : of the bare plate in these, how many of each block a parameter set's basis holds
     parts : fields of the basis
-    added : parameters of the change: its size, its place as fractions of length and width, its extent or its radius of gyration
+    added : parameters of the change: its size, its place as fractions of length and width, its extent or its
+        radius of gyration
     shift : (rad/s)^2, of the energy K + shift M in which the plate answers loads
     change : what is there
     """

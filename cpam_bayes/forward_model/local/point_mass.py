@@ -66,7 +66,8 @@ class PointMass:
         if "thickness" in model.bare.parameters:  # the rotary inertia of the mass
             i = model.bare.parameters.names.index("thickness")
             slope[..., i] -= lam * turning * (0.5 * mass * plate[:, i])[:, None]
-        slope[..., n_plate] = -lam * np.einsum("mif,mf->mi", u**2, _inertia(model, plate, np.ones(m), gyration))
+        of_one = _inertia(model, plate, np.ones(m), gyration)
+        slope[..., n_plate] = -lam * np.einsum("mif,mf->mi", u**2, of_one)
         for k, axis in enumerate(_AXES):
             du = phi @ np.swapaxes(_rows(model, points, axis, m), 1, 2)
             slope[..., n_plate + 1 + k] = -2.0 * lam * np.einsum("mif,mif,mf->mi", u, du, weights)
