@@ -225,6 +225,12 @@ def _repeatability(names: list[str], i: int) -> Parameter:
     return replace(NOISE, name=f"{NOISE.name} of {names[i]}{number}")
 
 
+def smooth_columns(comparison: Comparison, hypothesis: Hypothesis) -> tuple[int, ...]:
+    """Those of the hypothesis's columns that Laplace's method integrates well wherever they are left open."""
+    each = zip(effect_columns(comparison, hypothesis), hypothesis.parameters, strict=True)
+    return tuple(column for column, p in each if p.name in hypothesis.smooth)
+
+
 def effect_columns(comparison: Comparison, hypothesis: Hypothesis) -> tuple[int, ...]:
     """Columns of a hypothesis's parameters in the joint vector, one for each."""
     names = comparison.parameters.names

@@ -72,6 +72,11 @@ class Hypothesis:
         return frozenset(p.name for e in self.effects for p in e.coordinates)
 
     @property
+    def smooth(self) -> frozenset[str]:
+        """Names of the parameters that Laplace's method integrates well wherever they are left open."""
+        return frozenset(name for e in self.effects for name in e.smooth)
+
+    @property
     def other_material(self) -> bool:
         """Whether only the search bounds are known of the constants."""
         return any(e.drops_references for e in self.unmodelled)

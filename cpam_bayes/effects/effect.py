@@ -149,6 +149,7 @@ class Effect:
     local : its form, for an effect that may be anywhere and for it at a place
     alternatives : other forms of the same cause with the same parameters, each as probable as it
     directions : names of the parameters that say which way it goes
+    smooth : names of further parameters that, wherever they are left open, Laplace's method integrates well
     """
 
     name: str
@@ -174,6 +175,7 @@ class Effect:
     local: LocalForm | None = None
     alternatives: tuple[Effect, ...] = ()
     directions: tuple[str, ...] = ()
+    smooth: tuple[str, ...] = ()
 
     @property
     def parameter_set(self) -> ParameterSet:

@@ -103,4 +103,5 @@ SENSOR_MASS = Effect(
     sign=-1,
     at=_sensor_at,
     local="point",
+    smooth=("mass_gyration",),
 )

@@ -114,19 +114,21 @@ def laplace_marginal(
     sizes: tuple[int, ...],
     known: Array,
     *,
+    smooth: tuple[int, ...] = (),
     log2_draws: int = LOG2_DRAWS,
     least: float = -np.inf,
 ) -> Marginal:
     """The marginal likelihood over nodes of the sizes that the data leave open.
 
     known : (s, n) scores that optimisations begin from, beside draws of the prior
+    smooth : those of the sizes that are left to Laplace's method even where they are open
     log2_draws : of these draws, none at all where it is 0
     least : log evidence about the optima below which nothing is refined
 
     The draws are those of the Laplace approximation.
     """
     optima = find_optima(comparison, sizes, known, log2_draws=log2_draws, least=least)
-    open_sizes = _not_determined(optima, sizes)
+    open_sizes = _not_determined(optima, tuple(s for s in sizes if s not in smooth))
     if float(logsumexp(optima.log_mass)) < least:
         open_sizes = ()
     if not open_sizes:

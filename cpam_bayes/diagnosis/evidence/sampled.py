@@ -16,16 +16,15 @@ from cpam_bayes.diagnosis.evidence.sharing import shared_out
 from cpam_bayes.diagnosis.evidence.tested import Tested
 from cpam_bayes.diagnosis.fitting import PlateCase
 from cpam_bayes.diagnosis.hypotheses import NONE
+from cpam_bayes.inference.adaptive_importance import adaptive_importance
 from cpam_bayes.inference.importance import Weighted, staged_importance
 from cpam_bayes.inference.student_mixture import Mixture, shrunk_moments, sobol_points
 from cpam_bayes.threads import single_blas_thread
 
 Array = NDArray[Any]
 
-# Where the error is large, or the proposal a scattered one, it is refitted in stages.
-_LARGE_ERROR, _STAGES, _MORE_STAGES = 0.1, (0.25, 0.25, 0.5), (0.1, 0.1, 0.2, 0.2, 0.4)
-# Samples of a scattered proposal, in turn: log2 of the points, stages, and the error that is enough.
-_SCATTERED_SAMPLES = ((10, _STAGES, _LARGE_ERROR), (11, _STAGES, 0.25), (12, _MORE_STAGES, np.inf))
+# Where the error is larger, or the proposal a scattered one, it grows where the weights are heavy.
+_LARGE_ERROR = 0.1
 # Models are projected once more, on modes at so many points of the proposal, log2, so that this fraction of
 # their frequencies has a relative error below the tolerance.
 _LOG2_TRAINING, _TOLERANCE, _FRACTION = 6, 2e-5, 0.95
@@ -40,7 +39,7 @@ _NEAR, _NEAR_SCATTERED, _IN_SIGHT, _LOG2_FEW = 4.0, 10.0, 10.0, 7
 def sampled_marginal(marginal: Marginal, log2_points: int = LOG2_POINTS) -> Marginal:
     """A marginal likelihood by importance sampling about its Laplace approximation.
 
-    log2_points : of the sample about optima; four times as many where its error is large
+    log2_points : of the sample about optima; more where its error is large
     """
     comparison = marginal.comparison
     near = about_optima(marginal)
@@ -80,12 +79,11 @@ def _sample(marginal: Marginal, comparison: Comparison, log2_points: int) -> Wei
     def log_density(z: Array) -> Array:
         return comparison.log_density(z[0])[None]
 
-    one_by_one = ((log2_points, (1.0,), _LARGE_ERROR), (log2_points + 2, _STAGES, np.inf))
-    for log2, stages, enough in _SCATTERED_SAMPLES if marginal.is_scattered else one_by_one:
-        sample = staged_importance(log_density, marginal.proposal, log2, stages, _refitted)
-        if sample.standard_error[0] < enough:
-            break
-    return sample
+    if not marginal.is_scattered:
+        sample = staged_importance(log_density, marginal.proposal, log2_points)
+        if sample.standard_error[0] < _LARGE_ERROR:
+            return sample
+    return adaptive_importance(log_density, comparison.expand, marginal.proposal, _refitted)
 
 
 def _are_alike(near: Comparison, comparison: Comparison, sample: Weighted) -> bool:

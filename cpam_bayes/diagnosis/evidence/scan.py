@@ -31,7 +31,7 @@ from cpam_bayes.diagnosis.evidence.sampled import sampled_marginal
 from cpam_bayes.diagnosis.evidence.sharing import shared_out
 from cpam_bayes.diagnosis.evidence.shifts import ShiftTable, shift_table
 from cpam_bayes.diagnosis.evidence.tested import Tested, ranked
-from cpam_bayes.diagnosis.fitting import SCATTER, PlateCase, comparison_of, effect_columns
+from cpam_bayes.diagnosis.fitting import SCATTER, PlateCase, comparison_of, effect_columns, smooth_columns
 from cpam_bayes.diagnosis.hypotheses import OTHER, Hypothesis
 from cpam_bayes.diagnosis.pairings import is_incomplete
 from cpam_bayes.effects import ListChange
@@ -86,8 +86,8 @@ def marginal_of(
     starts = plain_starts(comparison, none)
     if known is not None:
         starts = np.concatenate((known, starts))
-    sizes = effect_columns(comparison, hypothesis)
-    return laplace_marginal(comparison, sizes, starts, log2_draws=log2_draws, least=least)
+    sizes, smooth = effect_columns(comparison, hypothesis), smooth_columns(comparison, hypothesis)
+    return laplace_marginal(comparison, sizes, starts, smooth=smooth, log2_draws=log2_draws, least=least)
 
 
 def plain_starts(comparison: Comparison, none: Marginal | None) -> Array:
@@ -355,7 +355,8 @@ class Scan:
             known = with_misreading(comparisons[i], comparisons[i].carried(plain, fits[i].z))
             sizes = effect_columns(comparisons[i], hypothesis)
             starts = np.concatenate((known, plain_starts(comparisons[i], self.none)[:1]))
-            marginal = laplace_marginal(comparisons[i], sizes, starts, log2_draws=0)
+            smooth = smooth_columns(comparisons[i], hypothesis)
+            marginal = laplace_marginal(comparisons[i], sizes, starts, smooth=smooth, log2_draws=0)
             t = self._as_tested(hypothesis, plates, marginal, cases)
             self.best = max(self.best, t.log_weight)
             self.tested.append(replace(t, shift=self.shift_of(hypothesis, t)))

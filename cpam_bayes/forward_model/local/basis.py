@@ -91,7 +91,7 @@ def point_mass_model(
     trained, rng = _training(plate, how)
     rows = _rows(trained.operator, _training_places(rng, how.places))
     # what a mass in rows of the fields adds: its translation, and its rotation about the midplane
-    arm = np.hypot(float(np.real(plate.problem.nominal.thickness)) / 2, added.parameters[3].prior.upper)
+    arm = np.hypot(float(np.real(plate.problem.nominal.thickness)) / 2, added.parameters[3].prior.mean)
     inertia = np.sqrt(added.parameters[0].prior.upper) * np.array([1.0, 1.0, 1.0, arm, arm])[:, None, None]
     by_block = [(inertia * r)[r.any(axis=(1, 2))].reshape(-1, r.shape[-1]) for r in rows]
     grown = [
