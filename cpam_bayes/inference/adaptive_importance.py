@@ -21,7 +21,7 @@ Array = NDArray[Any]
 
 # Gaussians that join after a round, chosen from so many times as many points; they are so far apart at least,
 # and away from their points at most, in their own standard deviations.
-_JOIN, _CANDIDATES, _APART, _FURTHEST = 32, 4, 1.0, 2.0
+_JOIN, _CANDIDATES, _APART, _FURTHEST = 8, 4, 1.0, 2.0
 # Their share of the proposal, the power of the weights by which they divide it, and their factor on standard
 # deviations.
 _SHARE, _FLAT, _WIDER = 0.5, 0.5, 1.15
@@ -36,8 +36,8 @@ class Rounds(NamedTuple):
     steady : change of the log evidence by the last round that is small enough
     """
 
-    log2_points: int = 9
-    most: int = 8
+    log2_points: int = 8
+    most: int = 16
     least: int = 4
     enough: float = 400.0
     steady: float = 0.05
