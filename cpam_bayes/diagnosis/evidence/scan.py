@@ -49,6 +49,8 @@ _ROUND = 8
 _LOG2_PLAIN = 11
 # Optima of the plain model that others start from too.
 _PLAIN_OPTIMA = 4
+# Score of a size that can only add at which there is hardly any of it.
+_FAINT = -3.0
 # Pairings within so many nats of the best are fitted by themselves, at most so many of a cause.
 _NEAR_PAIRINGS, _MOST_PAIRINGS = 25.0, 12
 # Of incomplete lists: turns of fitting a hypothesis and of pairing at its optimum; hypotheses within so many
@@ -91,11 +93,27 @@ def marginal_of(
 
 
 def plain_starts(comparison: Comparison, none: Marginal | None) -> Array:
-    """Scores (s, n) of the plain model's optima and of the prior medians, zero for what it lacks."""
+    """Scores (s, n) of the plain model's optima and of the prior medians, zero for what it lacks.
+
+    Sizes that can only add begin from hardly anything too: where the median is a gross error, optimisations
+    from there are given up long before they are back at the plain model.
+    """
     medians = np.zeros((1, comparison.parameters.size))
     if none is None:
         return medians
-    return np.concatenate((comparison.carried(none.comparison, none.z[:_PLAIN_OPTIMA]), medians))
+    plain = comparison.carried(none.comparison, none.z[:_PLAIN_OPTIMA])
+    starts = [plain, medians]
+    known = none.comparison.parameters.names
+    one_sided = [
+        i
+        for i, p in enumerate(comparison.parameters.parameters)
+        if p.name not in known and p.null is not None and p.null <= p.prior.lower
+    ]
+    if one_sided:
+        faint = plain[:1].copy()
+        faint[:, one_sided] = _FAINT
+        starts.append(faint)
+    return np.concatenate(starts)
 
 
 @dataclass(frozen=True, slots=True)
