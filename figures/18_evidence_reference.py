@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 
 # Agreement that is asked for, nats, and the distance within which it is.
 AGREED, NEAR = 0.3, 8.0
+_TICKS = (0.3, 3, 30, 300, 3000, 30000)
 
 
 def pictures(data: dict[str, Any]) -> list[Picture]:
@@ -49,7 +50,7 @@ def _differences(cases: list[dict[str, Any]]) -> Figure:
     axes.set_xlim(-0.3, None)
     axes.set_xticks((0, 2, 4, 6, 8, 100, 1000), ("0", "2", "4", "6", "8", "100", "1000"))
     furthest = max((abs(y) for line in axes.lines for y in line.get_ydata()), default=AGREED)
-    ticks = [t for t in (0.1, 0.3, 1, 3, 10, 30, 100, 300, 1000) if t <= max(furthest, AGREED)]
+    ticks = [t for t in _TICKS if t <= max(furthest, AGREED)]
     places = [-t for t in reversed(ticks)] + [0.0, *ticks]
     axes.set_yticks(places, [f"{t:g}" for t in places])
     axes.minorticks_off()
