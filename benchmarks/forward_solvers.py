@@ -23,7 +23,8 @@ from benchmarks.cases import CASES, Array, Converged, converged, worst_error
 from benchmarks.entries import FULL, Entry, our_entries, peer_entries
 from benchmarks.targets import models, speeds
 from benchmarks.timing import busy_processes, interleaved, ratio
-from cpam_bayes.report.tables import Column, Table, remarks, screen_text
+from cpam_bayes.render.report import Heading, Table, remarks
+from cpam_bayes.render.terminal import screen_text
 from cpam_bayes.threads import single_blas_thread
 
 Results = dict[str, Any]
@@ -131,8 +132,8 @@ def tables(results: Results) -> tuple[Table, ...]:
         for row in results["rows"]
     )
     columns = (
-        *(Column(heading) for heading in ("case", "solver", "size")),
-        *(Column(heading, True) for heading in ("median", "ratio to ours", "quartiles", "worst error")),
+        *(Heading(heading) for heading in ("case", "solver", "size")),
+        *(Heading(heading, True) for heading in ("median", "ratio to ours", "quartiles", "worst error")),
     )
     title = (
         "Time of one parameter set and its ratio to our full solve of the case, "
@@ -160,7 +161,7 @@ def _targets_table(targets: list[Results]) -> Table:
         for target in targets
     )
     headings = ("case", "what", "found", "to reach", "unit", "reached", "against")
-    columns = tuple(Column(heading, heading in ("found", "to reach")) for heading in headings)
+    columns = tuple(Heading(heading, heading in ("found", "to reach")) for heading in headings)
     return Table("Figures to reach", columns, rows)
 
 

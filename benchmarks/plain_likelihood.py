@@ -16,7 +16,7 @@ from scipy.sparse.linalg import eigsh
 from skfem import Basis, BilinearForm, ElementQuadS2, ElementVector, MeshQuad
 
 from cpam_bayes.plate import Specimen
-from cpam_bayes.plate.elasticity import complete_constants
+from cpam_bayes.plate.laminate import complete_constants
 
 Array = NDArray[Any]
 Frequencies = Callable[[Mapping[str, float]], Array]

@@ -23,13 +23,13 @@ import cpam_bayes as cb
 from benchmarks.plain_likelihood import Frequencies, plain_frequencies
 from benchmarks.targets import Target
 from benchmarks.timing import busy_processes, interleaved, ratio
-from cpam_bayes.inference.chains.autocorrelation import integrated_times
-from cpam_bayes.inference.chains.ensemble import DEFAULT_SETTINGS, moves_of
-from cpam_bayes.inference.chains.sampling import JUMPS as FIT
-from cpam_bayes.inference.chains.sampling import sample_posterior
+from cpam_bayes.inference.ensemble import DEFAULT_SETTINGS, integrated_times, moves_of
 from cpam_bayes.inference.posterior import Posterior
 from cpam_bayes.inference.proposal import adapted
-from cpam_bayes.report.tables import Column, Table, remarks, screen_text
+from cpam_bayes.inference.sampling import JUMPS as FIT
+from cpam_bayes.inference.sampling import sample_posterior
+from cpam_bayes.render.report import Heading, Table, remarks
+from cpam_bayes.render.terminal import screen_text
 from cpam_bayes.threads import single_blas_thread
 
 Array = NDArray[Any]
@@ -283,7 +283,11 @@ def tables(results: Results) -> tuple[Table, ...]:
         for row in results["rows"]
     )
     headings = ("walkers", "evaluation, ms", "autocorrelation", "effective/s", "times ours", "quartiles")
-    columns = (Column("log probability"), Column("moves"), *(Column(heading, True) for heading in headings))
+    columns = (
+        Heading("log probability"),
+        Heading("moves"),
+        *(Heading(heading, True) for heading in headings),
+    )
     title = f"emcee on {results['plate']}, processor's time, medians of {results['rounds']} rounds"
     agreement = tuple(
         f"{a['sampler']}: log probabilities differ by at most {a['largest_difference']:.2g} over "

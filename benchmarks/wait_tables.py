@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
-from cpam_bayes.report.tables import Column, Table
-from cpam_bayes.validation.pages import listed, markdown_table, paragraph
+from cpam_bayes.render.report import Heading, Table
+from studies.validation.reporting import listed, markdown_table, paragraph
 
 Results = dict[str, Any]
 Cells = tuple[str, ...]
@@ -122,5 +122,5 @@ def _plain(value: float | None) -> str:
     )
 
 
-def _columns(headings: Cells, left: tuple[str, ...]) -> tuple[Column, ...]:
-    return tuple(Column(heading, i > 0 and heading not in left) for i, heading in enumerate(headings))
+def _columns(headings: Cells, left: tuple[str, ...]) -> tuple[Heading, ...]:
+    return tuple(Heading(heading, i > 0 and heading not in left) for i, heading in enumerate(headings))

@@ -22,9 +22,8 @@ from typing import Any, NamedTuple
 from benchmarks.fresh import Wait, waited
 from benchmarks.timing import busy_processes
 from benchmarks.wait_tables import sections, tables
-from cpam_bayes.report.tables import screen_text
-from cpam_bayes.validation.pages import write_sections
-from cpam_bayes.validation.study_results import save_results, with_saved
+from cpam_bayes.render.terminal import screen_text
+from studies.validation.reporting import save_results, with_saved, write_sections
 
 Results = dict[str, Any]
 Keep = Callable[[Results], None]

@@ -11,9 +11,10 @@
     cb.design(plate)                # which specimen would determine the constants
     cb.sequence(plate)              # the probability of every stacking sequence
     cb.diagnose(plate)              # what the simulation gets wrong, and why
-    cb.full_report(plate)           # constants, stacking sequences and diagnosis, for one page
+    cb.report(plate)                # constants, stacking sequences and diagnosis, for one page
     cb.batch(plate, other_plate)    # many plates, one row each, with limits and a control chart
     cb.sensitivity(plate)           # the paper's noise study beside the posterior
+    cb.paper(5)                     # a table of the paper beside what this package computes
 
 Every result has `summary()`, `to_dict()`, `plot()`, `save()`, `warnings` and `status`. Names are loaded
 when they are first used.
@@ -26,52 +27,52 @@ __version__ = "0.1.0"
 
 if TYPE_CHECKING:
     from cpam_bayes import effects as effects
-    from cpam_bayes import paper as paper
-    from cpam_bayes.batches.batch import batch as batch
-    from cpam_bayes.combined import full_report as full_report
-    from cpam_bayes.deadline import time_limit as time_limit
-    from cpam_bayes.diagnosis.plates import diagnose as diagnose
-    from cpam_bayes.forward_model.builtin import plates as plates
-    from cpam_bayes.forward_model.export import export as export
-    from cpam_bayes.forward_model.new_plate import new as new
-    from cpam_bayes.forward_model.solve import forward as forward
-    from cpam_bayes.forward_model.stored_models import cache as cache
-    from cpam_bayes.identification.identify import identify as identify
-    from cpam_bayes.identification.sampled import sample as sample
-    from cpam_bayes.identification.starting import posterior as posterior
-    from cpam_bayes.modal_analysis.poles import poles as poles
-    from cpam_bayes.plate.reader import builtin_plates as builtin_plates
-    from cpam_bayes.plate.reader import read_plate as read_plate
-    from cpam_bayes.prediction.predict import predict as predict
-    from cpam_bayes.repetition.sensitivity import sensitivity as sensitivity
+    from cpam_bayes.identification.search import posterior
+    from cpam_bayes.plate.reader import builtin_plates, read_plate
+    from cpam_bayes.questions.batch import batch
+    from cpam_bayes.questions.cache import cache
+    from cpam_bayes.questions.design import design
+    from cpam_bayes.questions.diagnose import diagnose
+    from cpam_bayes.questions.export import export
+    from cpam_bayes.questions.forward import forward
+    from cpam_bayes.questions.identify.emcee import sample
+    from cpam_bayes.questions.identify.pso import identify
+    from cpam_bayes.questions.new import new
+    from cpam_bayes.questions.paper import paper
+    from cpam_bayes.questions.plates import plates
+    from cpam_bayes.questions.poles import poles
+    from cpam_bayes.questions.predict import predict
+    from cpam_bayes.questions.report import report
+    from cpam_bayes.questions.sensitivity import sensitivity
+    from cpam_bayes.questions.sequence import sequence
     from cpam_bayes.result import Result as Result
-    from cpam_bayes.specimen_design.design import design as design
-    from cpam_bayes.stacking.sequence import sequence as sequence
+    from cpam_bayes.running import time_limit as time_limit
 
 # Public name -> the module that holds it.
 _PUBLIC = {
     "Result": "cpam_bayes.result",
-    "batch": "cpam_bayes.batches.batch",
+    "batch": "cpam_bayes.questions.batch",
     "builtin_plates": "cpam_bayes.plate.reader",
-    "cache": "cpam_bayes.forward_model.stored_models",
-    "design": "cpam_bayes.specimen_design.design",
-    "diagnose": "cpam_bayes.diagnosis.plates",
-    "export": "cpam_bayes.forward_model.export",
-    "forward": "cpam_bayes.forward_model.solve",
-    "full_report": "cpam_bayes.combined",
-    "identify": "cpam_bayes.identification.identify",
-    "new": "cpam_bayes.forward_model.new_plate",
-    "plates": "cpam_bayes.forward_model.builtin",
-    "poles": "cpam_bayes.modal_analysis.poles",
-    "posterior": "cpam_bayes.identification.starting",
-    "predict": "cpam_bayes.prediction.predict",
+    "cache": "cpam_bayes.questions.cache",
+    "design": "cpam_bayes.questions.design",
+    "diagnose": "cpam_bayes.questions.diagnose",
+    "export": "cpam_bayes.questions.export",
+    "forward": "cpam_bayes.questions.forward",
+    "report": "cpam_bayes.questions.report",
+    "identify": "cpam_bayes.questions.identify.pso",
+    "new": "cpam_bayes.questions.new",
+    "paper": "cpam_bayes.questions.paper",
+    "plates": "cpam_bayes.questions.plates",
+    "poles": "cpam_bayes.questions.poles",
+    "posterior": "cpam_bayes.identification.search",
+    "predict": "cpam_bayes.questions.predict",
     "read_plate": "cpam_bayes.plate.reader",
-    "sample": "cpam_bayes.identification.sampled",
-    "sensitivity": "cpam_bayes.repetition.sensitivity",
-    "sequence": "cpam_bayes.stacking.sequence",
-    "time_limit": "cpam_bayes.deadline",
+    "sample": "cpam_bayes.questions.identify.emcee",
+    "sensitivity": "cpam_bayes.questions.sensitivity",
+    "sequence": "cpam_bayes.questions.sequence",
+    "time_limit": "cpam_bayes.running",
 }
-_PACKAGES = ("effects", "paper")
+_PACKAGES = ("effects",)
 
 __all__ = [
     "Result",
@@ -83,7 +84,6 @@ __all__ = [
     "effects",
     "export",
     "forward",
-    "full_report",
     "identify",
     "new",
     "paper",
@@ -92,6 +92,7 @@ __all__ = [
     "posterior",
     "predict",
     "read_plate",
+    "report",
     "sample",
     "sensitivity",
     "sequence",

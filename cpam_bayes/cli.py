@@ -1,6 +1,6 @@
 """The command line: options in, an answer to standard output, warnings and errors beside it.
 
-Only the standard library is imported here; what a command computes with loads once it was asked for.
+Only the standard library is imported here; the question that a command asks loads once it was asked for.
 """
 
 from __future__ import annotations
@@ -17,12 +17,29 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TextIO
 
 from cpam_bayes import __version__
-from cpam_bayes.commands import COMMANDS
-from cpam_bayes.commands.options import STATUS_TEXT
+from cpam_bayes.command import STATUS_TEXT, Command
 
 if TYPE_CHECKING:
     from cpam_bayes.result import Result
 
+COMMANDS: Final = {
+    "plates": "the built-in specimens",
+    "new": "a commented plate file to begin with",
+    "poles": "natural frequencies and damping from frequency responses or recorded hits",
+    "forward": "natural frequencies from the reference constants",
+    "export": "an input file for CalculiX and ABAQUS, or predicted modes for modal software",
+    "identify": "constants from the measured frequencies",
+    "predict": "frequencies of another plate from a stored posterior",
+    "design": "which specimen and test would determine the constants",
+    "sensitivity": "the paper's repetition on perturbed frequencies beside the posterior",
+    "sequence": "the probability of every stacking sequence on the grid",
+    "diagnose": "what the simulation gets wrong, the cause, and the gain of modelling it",
+    "report": "constants, stacking sequences and diagnosis on one page",
+    "batch": "the constants of many plates, one row each, with limits and a control chart",
+    "paper": "the paper's tables beside what this package computes",
+    "cache": "the stored models of plates on disk",
+}
+"""Command, and module of `cpam_bayes.questions` with its `COMMAND` -> what it answers."""
 BAD_INPUT: Final = 2
 NOT_WRITTEN: Final = 1
 NOT_DONE: Final = 1
@@ -36,16 +53,17 @@ def main(argv: Sequence[str] | None = None) -> int:
 def prepare(argv: Sequence[str]) -> Callable[[], int]:
     """Read the options and the plate file and load what the command needs; return its work."""
     try:
-        args = _parser().parse_args(argv)
+        command, parser = _asked(argv)
+        args = parser.parse_args(argv)
     except BrokenPipeError:
         raise
     except OSError as error:  # of help or version, which the parser shows
         return partial(_not_shown, error)
     try:
         if args.out is not None:
-            import_module("cpam_bayes.report.figures")
-        module = import_module(f"cpam_bayes.commands.{args.command}")
-        work: Callable[[], Result] = module.prepare(args)
+            import_module("matplotlib.figure")  # before the work: what is missing is said at once
+        assert command is not None, "argparse requires a command"
+        work = command.prepare(args)
     except ValueError as error:
         return partial(_refuse, error)
     return partial(_finish, work, args)
@@ -64,10 +82,10 @@ def _not_shown(error: OSError) -> int:
 
 def _finish(work: Callable[[], Result], args: argparse.Namespace) -> int:
     """Do the work, save its files, and show its answer even if they could not be saved."""
-    from cpam_bayes.deadline import TimeIsUpError, time_limit
     from cpam_bayes.parallel import WorkersLostError
-    from cpam_bayes.report.files import save, staging
-    from cpam_bayes.report.progress import forecasting
+    from cpam_bayes.render.files import save, staging
+    from cpam_bayes.render.progress import forecasting
+    from cpam_bayes.running import TimeIsUpError, time_limit
 
     not_saved: Exception | None = None
     notes: tuple[str, ...] = ()
@@ -128,13 +146,16 @@ def _give_up(stream: TextIO, error: OSError) -> None:
 
 
 def _show(answer: Result, as_json: bool, verbose: bool) -> None:
-    from cpam_bayes.report.documents import json_text
-    from cpam_bayes.report.tables import screen_text
+    from cpam_bayes.render.documents import json_text
+    from cpam_bayes.render.terminal import screen_tables, screen_text
 
     stream = sys.stdout
     if stream is None:  # closed by the caller
         return
-    text = json_text(answer.to_dict()) if as_json else screen_text(answer.screen(verbose=verbose), stream)
+    if as_json:
+        text = json_text(answer.to_dict())
+    else:
+        text = screen_text(screen_tables(answer.report(), verbose=verbose), stream)
     encoding = stream.encoding or "utf-8"
     _write(text.encode(encoding, "backslashreplace").decode(encoding), stream)
 
@@ -163,7 +184,8 @@ class _Version(argparse.Action):
         parser.exit()
 
 
-def _parser() -> argparse.ArgumentParser:
+def _asked(argv: Sequence[str]) -> tuple[Command | None, argparse.ArgumentParser]:
+    """The command that is asked for, and the parser with its options; the others are in the help alone."""
     parser = _Parser(
         prog="cpam-bayes",
         description="Elastic constants of composite plates from their natural frequencies.",
@@ -173,6 +195,18 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action=_Version, nargs=0, help="show program's version number and exit")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
-    for name in COMMANDS:
-        import_module(f"cpam_bayes.commands.{name}").add(commands)
-    return parser
+    asked = next((word for word in argv if not word.startswith("-")), None)
+    found: Command | None = None
+    for name, what in COMMANDS.items():
+        added = commands.add_parser(
+            name,
+            help=what,
+            description=f"{what[0].upper()}{what[1:]}.",
+            epilog=STATUS_TEXT,
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+            allow_abbrev=False,
+        )
+        if name == asked:
+            found = import_module(f"cpam_bayes.questions.{name}").COMMAND
+            found.add_to(added)
+    return found, parser

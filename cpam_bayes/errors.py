@@ -1,6 +1,17 @@
-"""The errors a user can cause while describing a plate or calling a function."""
+"""Mistakes of a user: the errors of plate files and layups, and arguments of a wrong type."""
 
 from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import cache, wraps
+from inspect import Parameter, signature
+from numbers import Integral, Real
+from pathlib import Path
+from types import NoneType, UnionType
+from typing import Any, Final, Literal, ParamSpec, TypeVar, Union, get_args, get_origin, get_type_hints
+
+__all__ = ["checked"]
 
 _WINDOW = 60
 
@@ -9,10 +20,12 @@ class PlateFileError(ValueError):
     """Everything that is wrong with one plate file, one problem a line.
 
     problems : each "file:line: key: what was wrong, the value received, what is accepted"
+    gaps : those of them that miss something and name nothing wrong
     """
 
-    def __init__(self, *problems: str) -> None:
+    def __init__(self, *problems: str, gaps: tuple[str, ...] = ()) -> None:
         super().__init__(*problems)
+        self.gaps = gaps
 
     @property
     def problems(self) -> tuple[str, ...]:
@@ -68,3 +81,105 @@ def _excerpt(text: str, position: int) -> tuple[str, int]:
     head = "..." if start else ""
     tail = "..." if stop < len(text) else ""
     return f"{head}{shown}{tail}", len(head) + position - start
+
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+_WORDS: Final[dict[Any, str]] = {
+    int: "a whole number",
+    float: "a number",
+    bool: "True or False",
+    str: "a text",
+    Path: "a path",
+    os.PathLike: "a path",
+    Mapping: "a mapping",
+    NoneType: "None",
+}
+_MAX_SHOWN: Final = 60
+
+
+def checked(verb: Callable[P, R]) -> Callable[P, R]:
+    """A function that refuses an argument of a type that its annotation does not name.
+
+    Raises ``ArgumentError``, a ``TypeError`` and ``ValueError``, with the name of the argument, what was
+    received and what is accepted. Values are the concern of the function.
+    """
+
+    @cache
+    def annotations() -> tuple[Mapping[str, Any], Mapping[str, Parameter]]:
+        return get_type_hints(verb), signature(verb).parameters
+
+    @wraps(verb)
+    def refusing(*args: P.args, **kwargs: P.kwargs) -> R:
+        hints, parameters = annotations()
+        for name, value in _given(parameters, args, kwargs):
+            hint = hints.get(name, Any)  # self has none
+            if not _fits(value, hint):
+                accepted = " or ".join(dict.fromkeys(_words(hint)))
+                one = f"; one is written as [{_shown(value)}]" if _fits([value], hint) else ""
+                raise ArgumentError(name, _shown(value), accepted + one)
+        return verb(*args, **kwargs)
+
+    return refusing
+
+
+def _given(
+    parameters: Mapping[str, Parameter], args: Sequence[Any], kwargs: Mapping[str, Any]
+) -> Iterator[tuple[str, Any]]:
+    """Names and values of the arguments that were given; what the function lacks is left to Python."""
+    places = [p for p in parameters.values() if p.kind is not Parameter.KEYWORD_ONLY]
+    for i, value in enumerate(args):
+        if i < len(places):
+            yield places[i].name, value
+        elif places and places[-1].kind is Parameter.VAR_POSITIONAL:
+            yield places[-1].name, value
+    yield from ((name, value) for name, value in kwargs.items() if name in parameters)
+
+
+def _fits(value: object, hint: Any) -> bool:
+    """Whether a value is of the type of an annotation."""
+    origin, inner = get_origin(hint), get_args(hint)
+    if origin in (Union, UnionType):
+        return any(_fits(value, option) for option in inner)
+    if origin is Literal:
+        return isinstance(value, str)
+    if origin in (Sequence, tuple):
+        kind: Any = tuple if origin is tuple else Sequence
+        listed = isinstance(value, kind) or (origin is Sequence and hasattr(value, "__array__"))
+        return listed and not isinstance(value, str | bytes) and all(_fits(v, inner[0]) for v in value)  # type: ignore[attr-defined]
+    kind = origin or hint
+    if kind is Any:
+        return True
+    if kind is bool:
+        return isinstance(value, bool) or type(value).__name__ == "bool"  # numpy's own
+    if kind in (int, float):
+        return isinstance(value, Integral if kind is int else Real) and not isinstance(value, bool)
+    if getattr(kind, "_is_protocol", False):
+        return all(hasattr(value, name) for name in _members(kind))
+    return isinstance(value, kind)
+
+
+def _members(protocol: Any) -> list[str]:
+    return [name for name in vars(protocol) if not name.startswith("_")]
+
+
+def _words(hint: Any) -> Iterator[str]:
+    """What an annotation accepts, in words."""
+    origin, inner = get_origin(hint), get_args(hint)
+    if origin in (Union, UnionType):
+        for option in inner:
+            yield from _words(option)
+    elif origin is Literal:
+        yield " ".join(map(str, inner))
+    elif origin in (Sequence, tuple):
+        (words,) = set(_words(inner[0]))
+        yield f"a {'tuple' if origin is tuple else 'sequence'} of which each is {words}"
+    else:
+        kind = origin or hint
+        yield _WORDS.get(kind, f"a {kind.__name__}" if hasattr(kind, "__name__") else str(kind))
+
+
+def _shown(value: object) -> str:
+    text = repr(value)
+    return text if len(text) <= _MAX_SHOWN else f"{text[:_MAX_SHOWN]}... ({type(value).__name__})"

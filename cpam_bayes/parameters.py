@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -29,6 +29,7 @@ __all__ = [
     "TruncatedLogNormal",
     "TruncatedNormal",
     "Uniform",
+    "read_only",
 ]
 
 
@@ -41,6 +42,9 @@ class Parameter:
     prior : in that unit
     null : the value that gives back the plain model, for the parameters of an effect
     shown : unit for people and the factor from `unit`, None for `unit` itself
+    kind : "scatter" for the relative deviation of a plate's constant from that of its material
+    base : the name that it has where there is but one plate, or of the constant that it scatters about
+    of : the plate, material or list that it belongs to, "" where there is but one
     """
 
     name: str
@@ -48,6 +52,14 @@ class Parameter:
     prior: Prior
     null: float | None = None
     shown: tuple[str, float] | None = None
+    kind: Literal["quantity", "scatter"] = "quantity"
+    base: str = ""
+    of: str = ""
+
+    @property
+    def own(self) -> str:
+        """Its name without the plate, material or list that it belongs to."""
+        return self.base or self.name
 
     @property
     def display(self) -> tuple[str, float]:
@@ -86,12 +98,12 @@ class ParameterSet:
     @property
     def lower(self) -> NDArray[np.float64]:
         """Lower bounds, (size,), each in its unit."""
-        return _read_only([parameter.prior.lower for parameter in self.parameters])
+        return read_only([parameter.prior.lower for parameter in self.parameters])
 
     @property
     def upper(self) -> NDArray[np.float64]:
         """Upper bounds, (size,), each in its unit."""
-        return _read_only([parameter.prior.upper for parameter in self.parameters])
+        return read_only([parameter.prior.upper for parameter in self.parameters])
 
     def __contains__(self, name: object) -> bool:
         """Whether a parameter of this name varies."""
@@ -203,7 +215,8 @@ class ParameterSet:
         return array
 
 
-def _read_only(values: list[float]) -> NDArray[np.float64]:
+def read_only(values: ArrayLike) -> NDArray[np.float64]:
+    """A copy as an array of floats that cannot be written to."""
     array = np.array(values, dtype=float)
     array.flags.writeable = False
     return array

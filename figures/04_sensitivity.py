@@ -10,7 +10,7 @@ from typing import Any
 from journal import DOUBLE_MM, Drawing, Picture, figure, listed
 from matplotlib.figure import Figure
 
-from cpam_bayes.report.repetition.figures import draw_constant, legend_entries
+from cpam_bayes.render.noise_study import draw_constant, legend_entries
 
 STUDY = "04_sensitivity"
 NAMES = {"model": STUDY, "measured": f"{STUDY}_measured"}

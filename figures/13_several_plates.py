@@ -1,4 +1,4 @@
-"""What sister plates and further tests add: probability of the hidden cause, cause by cause.
+"""What a sister plate and further tests add: probability of the hidden cause, cause by cause.
 
 python figures/13_several_plates.py [--help]
 """
@@ -15,17 +15,19 @@ from matplotlib.figure import Figure
 def pictures(data: dict[str, Any]) -> list[Picture]:
     setups = data["setups"]
     alone, best = setups[0], max(setups, key=lambda s: s["cause_probability"])
-    wrong = sum(s["wrong_claims"] for s in setups)
+    layup, n_listed, noise, _, ratio = data["plate"]
+    wrong = sum(s["claimed and wrong"] for s in setups)
     return [
         Picture(
             "13_several_plates",
             _table(data),
             "Probability of the hidden cause by what else is measured.",
-            f"A cause is hidden in simulated lists of C1, {alone['trials']} trials. Rows: mean over the "
-            "trials of a cause; columns: the list alone, with lists of sister plates without the flaw, or "
-            f"with another test of the same plate. On average {alone['cause_probability']:.2f} alone and "
-            f"{best['cause_probability']:.2f} with the most informative addition ({best['setup']}). Wrong "
-            f"claims: {wrong}.",
+            f"Flaws of {ratio:g} times the noise in lists of {n_listed} frequencies with {100 * noise:g} % "
+            f"noise, {layup}, free edges, {alone['trials']} trials of independent elements. Rows: mean over "
+            "the trials of a cause; columns: the list alone, with the list of a sister plate without the "
+            f"flaw, or with another test of the same plate. On average {alone['cause_probability']:.2f} "
+            f"alone and {best['cause_probability']:.2f} with the most informative addition "
+            f"({best['setup']}). Claimed and wrong: {wrong} of {sum(s['trials'] for s in setups)}.",
         )
     ]
 
@@ -37,7 +39,7 @@ def _table(data: dict[str, Any]) -> Figure:
     mean = np.array([s["cause_probability"] for s in setups])
     order = np.argsort(-table[:, 0], kind="stable")
     shown = np.vstack((mean, table[order]))
-    new = figure(DOUBLE_MM, 22 + 6.0 * len(shown))
+    new = figure(DOUBLE_MM, 22 + 6.0 * max(len(shown), 6))  # room for the words of the colour bar
     ax = new.subplots()
     image = ax.imshow(shown, cmap="Blues", vmin=0.0, vmax=1.0, aspect="auto")
     for (i, j), value in np.ndenumerate(shown):

@@ -1,4 +1,4 @@
-"""What is claimed of lists with hidden causes: right, wrong or nothing, beside other engines and methods.
+"""What is claimed of lists with hidden causes: right, wrong or nothing, beside other methods.
 
 python figures/15_claims.py [--help]
 """
@@ -22,11 +22,7 @@ COLOURS = {
 }
 SETS = {"final": "final set", "rows": "known failures", "tuning": "tuning set"}
 THIS = "diagnosis"
-NAMES = {
-    THIS: "this diagnosis",
-    "diagnosis beside old": "this one, on the lists\nof the version before",
-    "old": "the version before",
-}
+NAMES = {THIS: "this diagnosis"}
 # Millimetres of a bar.
 BAR_MM = 6.0
 

@@ -21,14 +21,15 @@ import numpy as np
 
 import cpam_bayes as cb
 from cpam_bayes.forward_model.model import NO_PARAMETERS, PlateModel, converged_model, plate_problem
-from cpam_bayes.inference.swarm.settings import SwarmSettings
+from cpam_bayes.inference.swarm import SwarmSettings
 from cpam_bayes.mechanics.convergence import Tolerance
 from cpam_bayes.plate import Specimen, to_user
 from cpam_bayes.plate.laminate import ENERGY_CONSISTENT, FIVE_SIXTHS, ShearModel
 from cpam_bayes.plate.layup import parse_layup
-from cpam_bayes.report.tables import Column, Table, remarks, screen_text
+from cpam_bayes.render.report import Heading, Table, remarks
+from cpam_bayes.render.terminal import screen_text
 from cpam_bayes.threads import single_blas_thread
-from cpam_bayes.validation.study_results import save_results
+from validation.reporting import save_results
 
 RESULTS = Path(__file__).parent / "results" / f"{Path(__file__).stem}.json"
 
@@ -301,8 +302,8 @@ def show(results: dict[str, Any]) -> None:
 _TEXT = {"plate", "constant", "label", "kind", "swarm", "verdict", "within 2 sd", "case", "reference", ""}
 
 
-def _columns(headings: Sequence[str]) -> tuple[Column, ...]:
-    return tuple(Column(heading, heading not in _TEXT) for heading in headings)
+def _columns(headings: Sequence[str]) -> tuple[Heading, ...]:
+    return tuple(Heading(heading, heading not in _TEXT) for heading in headings)
 
 
 Rows = tuple[tuple[str, ...], ...]

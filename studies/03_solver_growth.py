@@ -24,17 +24,17 @@ from cpam_bayes.forward_model.model import (
     plate_problem,
     training_sets,
 )
-from cpam_bayes.forward_model.reduced import DEFAULT_SETTINGS, ReducedModel, ReductionSettings
-from cpam_bayes.forward_model.reduction import reduce
+from cpam_bayes.forward_model.reduced import DEFAULT_SETTINGS, ReducedModel, ReductionSettings, reduce
 from cpam_bayes.mechanics.convergence import Tolerance, rich_frequencies
 from cpam_bayes.mechanics.dense import discretise
 from cpam_bayes.mechanics.spaces.ritz import RitzSettings, ritz_space
 from cpam_bayes.parameters import ParameterSet
 from cpam_bayes.plate import Specimen
 from cpam_bayes.plate.layup import parse_layup
-from cpam_bayes.report.tables import Column, Table, screen_text
+from cpam_bayes.render.report import Heading, Table
+from cpam_bayes.render.terminal import screen_text
 from cpam_bayes.threads import single_blas_thread
-from cpam_bayes.validation.study_results import save_results
+from validation.reporting import save_results
 
 Array = NDArray[np.float64]
 Results = dict[str, Any]
@@ -284,8 +284,8 @@ def show(results: Results) -> None:
     print(screen_text(tuple(tables), sys.stdout))
 
 
-def _columns(headings: tuple[str, ...], text: int = 0) -> tuple[Column, ...]:
-    return tuple(Column(heading, i >= text) for i, heading in enumerate(headings))
+def _columns(headings: tuple[str, ...], text: int = 0) -> tuple[Heading, ...]:
+    return tuple(Heading(heading, i >= text) for i, heading in enumerate(headings))
 
 
 def main() -> None:

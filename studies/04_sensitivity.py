@@ -11,11 +11,12 @@ from pathlib import Path
 from typing import Any
 
 import cpam_bayes as cb
-from cpam_bayes.commands.options import add_executor_options
-from cpam_bayes.inference.chains.ensemble import EnsembleSettings
-from cpam_bayes.inference.swarm.settings import SwarmSettings
-from cpam_bayes.report.tables import Column, Table, screen_text
-from cpam_bayes.validation.study_results import save_results
+from cpam_bayes.command import add_executor_options
+from cpam_bayes.inference.ensemble import EnsembleSettings
+from cpam_bayes.inference.swarm import SwarmSettings
+from cpam_bayes.render.report import Heading, Table
+from cpam_bayes.render.terminal import screen_text
+from validation.reporting import save_results
 
 Results = dict[str, Any]
 
@@ -56,9 +57,9 @@ def run(quick: bool, executor: str | None = "serial", workers: int | None = None
 def show(results: Results) -> None:
     """Print one row for each plate, level, reading and constant."""
     columns = (
-        *(Column("plate"), Column("noise %", number=True), Column("reading"), Column("name")),
-        *(Column(h, number=True) for h in ("paper %", "error %", "se %", "posterior %", "sd ratio")),
-        Column("verdict"),
+        *(Heading("plate"), Heading("noise %", number=True), Heading("reading"), Heading("name")),
+        *(Heading(h, number=True) for h in ("paper %", "error %", "se %", "posterior %", "sd ratio")),
+        Heading("verdict"),
     )
     for source in ("model", "measured"):
         rows = [

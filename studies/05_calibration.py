@@ -3,7 +3,7 @@
 python studies/05_calibration.py [--quick] [--workers N | --executor SPEC] [--repetitions N] [--store DIR]
 
 Constants and noise are drawn from their priors, a list is simulated by the reduced model that the
-posterior has too, sampled, and the truth is ranked among 99 draws (cpam_bayes/validation/calibration.py).
+posterior has too, sampled, and the truth is ranked among 99 draws (cpam_bayes/calibration.py).
 Repetitions are kept as they come: a run that was stopped goes on where it was.
 """
 
@@ -18,22 +18,26 @@ from typing import Any
 
 import numpy as np
 
-from cpam_bayes.commands.options import add_executor_options
-from cpam_bayes.inference.swarm.pso import SwarmSettings
-from cpam_bayes.parallel import open_executor
-from cpam_bayes.report.tables import Column, Table, screen_text
-from cpam_bayes.storage import cache_directory
-from cpam_bayes.validation.calibration import (
+from cpam_bayes.calibration import (
     N_DRAWS,
     SETTINGS,
+    Band,
     Experiment,
     PlateSource,
     Repetition,
     calibrate,
+    coverage,
     parameter_names,
+    rank_statistics,
 )
-from cpam_bayes.validation.rank_statistics import Band, coverage, rank_statistics
-from cpam_bayes.validation.study_results import save_results
+from cpam_bayes.command import add_executor_options
+from cpam_bayes.inference.swarm import SwarmSettings
+from cpam_bayes.parallel import open_executor
+from cpam_bayes.render.report import Heading, Table
+from cpam_bayes.render.terminal import screen_text
+from cpam_bayes.storage import cache_directory
+from validation.draw_store import stored_calibration
+from validation.reporting import save_results
 
 Results = dict[str, Any]
 
@@ -84,16 +88,12 @@ def _plate(
     )
 
     def tell(done: int) -> None:
-        if not quick:
-            print(f"\r{name}: {done} of {n}", end="" if done < n else "\n", file=sys.stderr, flush=True)
+        print(f"\r{name}: {done} of {n}", end="" if done < n else "\n", file=sys.stderr, flush=True)
 
-    found = calibrate(
-        experiment,
-        n,
-        store=store / f"{name}.jsonl" if store is not None else None,
-        executor=executor,
-        progress=tell,
-    )
+    if store is None:
+        found = calibrate(experiment, n, executor=executor)
+    else:
+        found = stored_calibration(experiment, n, store / f"{name}.jsonl", executor=executor, progress=tell)
     return summary(name, modes, parameter_names(experiment), found)
 
 
@@ -153,7 +153,7 @@ def show(results: Results) -> None:
             f"{plate['plate']}: {plate['repetitions']} repetitions, {plate['converged']} converged; "
             "p-values of the ranks, coverage in per cent"
         )
-        columns = (Column("parameter"), *(Column(heading, True) for heading in headings))
+        columns = (Heading("parameter"), *(Heading(heading, True) for heading in headings))
         tables.append(Table(title, columns, rows))
     print(screen_text(tuple(tables), sys.stdout))
 

@@ -16,17 +16,18 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import cpam_bayes as cb
-from cpam_bayes.inference.chains.ensemble import EnsembleResult, EnsembleSettings
-from cpam_bayes.inference.evidence import Evidence, EvidenceSettings, evidence_of, importance_evidence
+from cpam_bayes.inference.ensemble import EnsembleResult, EnsembleSettings
 from cpam_bayes.inference.laplace import approximate, find_optima
 from cpam_bayes.inference.posterior import Posterior
 from cpam_bayes.inference.proposal import AdaptationSettings
-from cpam_bayes.inference.swarm.pso import SwarmSettings
+from cpam_bayes.inference.sampling import Evidence, EvidenceSettings, evidence_of, importance_evidence
+from cpam_bayes.inference.swarm import SwarmSettings
 from cpam_bayes.plate import to_user, user_name
-from cpam_bayes.report.tables import Column, Table, screen_text
+from cpam_bayes.render.report import Heading, Table
+from cpam_bayes.render.terminal import screen_text
 from cpam_bayes.threads import single_blas_thread
-from cpam_bayes.validation.nested import NestedEvidence, nested_evidence
-from cpam_bayes.validation.study_results import save_results
+from validation.nested import NestedEvidence, nested_evidence
+from validation.reporting import save_results
 
 RESULTS = Path(__file__).parent / "results" / f"{Path(__file__).stem}.json"
 
@@ -225,8 +226,8 @@ _TEXT = {"plate", "method", "parameter", "agrees"}
 Rows = tuple[tuple[str, ...], ...]
 
 
-def _columns(headings: Sequence[str]) -> tuple[Column, ...]:
-    return tuple(Column(heading, heading not in _TEXT) for heading in headings)
+def _columns(headings: Sequence[str]) -> tuple[Heading, ...]:
+    return tuple(Heading(heading, heading not in _TEXT) for heading in headings)
 
 
 def _evidence_rows(specimens: list[dict[str, Any]]) -> Rows:

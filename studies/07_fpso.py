@@ -29,7 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import beta
 
-from cpam_bayes.commands.options import add_executor_options
+from cpam_bayes.command import add_executor_options
 from cpam_bayes.forward_model.model import reference_vector
 from cpam_bayes.forward_model.reduced import DEFAULT_SETTINGS, ReductionSettings
 from cpam_bayes.forward_model.store import reduced_model
@@ -40,20 +40,28 @@ from cpam_bayes.identification.angle_search import (
     search_parameters,
     search_starts,
 )
-from cpam_bayes.inference.swarm.pso import SwarmSettings
-from cpam_bayes.inference.swarm.swarm import SwarmResult
-from cpam_bayes.paper.layups import identified_layups
+from cpam_bayes.inference.swarm import SwarmResult, SwarmSettings
 from cpam_bayes.parallel import open_executor
 from cpam_bayes.plate import Specimen, to_si
 from cpam_bayes.plate.records import angle_grid
-from cpam_bayes.report.progress import timed_lines
-from cpam_bayes.report.tables import Column, Table, screen_text
-from cpam_bayes.stacking.symmetry.classes import canonical, classes
-from cpam_bayes.stacking.symmetry.symmetries import Symmetry, plate_symmetries
+from cpam_bayes.printed.tables import identified_layups
+from cpam_bayes.render.progress import timed_lines
+from cpam_bayes.render.report import Heading, Table
+from cpam_bayes.render.terminal import screen_text
+from cpam_bayes.stacking.symmetry import Symmetry, canonical, classes, plate_symmetries
 from cpam_bayes.threads import single_blas_thread
-from cpam_bayes.validation.pages import counted, in_digits, listed, markdown_table, paragraph, write_sections
-from cpam_bayes.validation.study_results import save_results, saved_results, with_saved
-from cpam_bayes.validation.unknown_layups import known_angles, with_unknown_layup
+from validation.reporting import (
+    counted,
+    in_digits,
+    listed,
+    markdown_table,
+    paragraph,
+    save_results,
+    saved_results,
+    with_saved,
+    write_sections,
+)
+from validation.sequences import known_angles, with_unknown_layup
 
 Array = NDArray[Any]
 Results = dict[str, Any]
@@ -456,8 +464,8 @@ def _angles(angles_deg: Iterable[float]) -> str:
     return "/".join(f"{a:g}" for a in angles_deg)
 
 
-def _columns(headings: tuple[str, ...], text: tuple[int, ...]) -> tuple[Column, ...]:
-    return tuple(Column(heading, i not in text) for i, heading in enumerate(headings))
+def _columns(headings: tuple[str, ...], text: tuple[int, ...]) -> tuple[Heading, ...]:
+    return tuple(Heading(heading, i not in text) for i, heading in enumerate(headings))
 
 
 # Sections of docs/sequences.md

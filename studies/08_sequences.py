@@ -26,27 +26,29 @@ from typing import Any
 
 import numpy as np
 
-from cpam_bayes.commands.options import add_executor_options
-from cpam_bayes.paper.layups import identified_layups
+from cpam_bayes.command import add_executor_options
 from cpam_bayes.parallel import open_executor
 from cpam_bayes.plate import Specimen
-from cpam_bayes.report.progress import timed_lines
-from cpam_bayes.report.tables import Column, Table, screen_text
+from cpam_bayes.printed.tables import identified_layups
+from cpam_bayes.render.progress import timed_lines
+from cpam_bayes.render.report import Heading, Table
+from cpam_bayes.render.terminal import screen_text
 from cpam_bayes.stacking.posterior import stacking_posterior
-from cpam_bayes.stacking.queries.angle_information import angle_information
-from cpam_bayes.stacking.queries.given_layup import given_layup
+from cpam_bayes.stacking.queries import angle_information, given_layup
 from cpam_bayes.stacking.records import DEFAULT_SETTINGS, StackingPosterior, StackingSettings
-from cpam_bayes.validation.pages import (
+from validation.reporting import (
     angles,
     counted,
     in_digits,
     listed,
     markdown_table,
     paragraph,
+    save_results,
+    saved_results,
+    with_saved,
     write_sections,
 )
-from cpam_bayes.validation.study_results import save_results, saved_results, with_saved
-from cpam_bayes.validation.unknown_layups import known_angles, with_noise_free_list, with_unknown_layup
+from validation.sequences import known_angles, with_noise_free_list, with_unknown_layup
 
 Results = dict[str, Any]
 Notify = Callable[[str], None]
@@ -304,7 +306,7 @@ def show(results: Results) -> None:
     cases = (*cases, "rank", "s")
     rows = tuple(_row(c) for c in results["cases"])
     text = {"case", "most probable", "printed"}
-    tables = [Table("Sequences", tuple(Column(h, h not in text) for h in cases), rows)]
+    tables = [Table("Sequences", tuple(Heading(h, h not in text) for h in cases), rows)]
     noise = ("case", "noise, %", "p of the class", "rank", "95 % set", "s")
     levels = tuple(
         (
@@ -318,7 +320,7 @@ def show(results: Results) -> None:
         for n in results["noise"]
         for r in n["levels"]
     )
-    tables.append(Table("C1's own list", tuple(Column(h, h != "case") for h in noise), levels))
+    tables.append(Table("C1's own list", tuple(Heading(h, h != "case") for h in noise), levels))
     cost = ("case", "layup", "sequences", "95 % set", "unaccounted", "s", "GiB")
     costs = tuple(
         (
@@ -332,7 +334,7 @@ def show(results: Results) -> None:
         )
         for c in results["cost"]
     )
-    tables.append(Table("Cost", tuple(Column(h, h not in ("case", "layup")) for h in cost), costs))
+    tables.append(Table("Cost", tuple(Heading(h, h not in ("case", "layup")) for h in cost), costs))
     print(screen_text(tuple(tables), sys.stdout))
 
 

@@ -20,20 +20,27 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import cpam_bayes as cb
-from cpam_bayes.commands.options import add_executor_options
+from cpam_bayes.command import add_executor_options
 from cpam_bayes.parallel import open_executor
 from cpam_bayes.plate import Specimen
 from cpam_bayes.plate.layup import parse_layup
-from cpam_bayes.report.tables import Column, Table, screen_text
-from cpam_bayes.validation.pages import markdown_table, with_error, write_sections
-from cpam_bayes.validation.stacking_coverage import (
+from cpam_bayes.render.report import Heading, Table
+from cpam_bayes.render.terminal import screen_text
+from validation.reporting import (
+    markdown_table,
+    save_results,
+    saved_results,
+    with_error,
+    with_saved,
+    write_sections,
+)
+from validation.sequences import (
     ALLOWED,
     CoverageSettings,
     Trial,
     stacking_coverage,
     summarised,
 )
-from cpam_bayes.validation.study_results import save_results, saved_results, with_saved
 
 Results = dict[str, Any]
 
@@ -173,7 +180,7 @@ def show(results: Results) -> None:
         for c in results["cases"]
         for level in c["coverage"]
     )
-    columns = tuple(Column(h, h not in {"case", "layup", "passes"}) for h in headings)
+    columns = tuple(Heading(h, h not in {"case", "layup", "passes"}) for h in headings)
     print(screen_text((Table("Randomised credible sets of sequences", columns, rows),), sys.stdout))
 
 

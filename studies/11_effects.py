@@ -15,11 +15,12 @@ from numpy.typing import NDArray
 
 import cpam_bayes as cb
 from cpam_bayes.diagnosis.cases import plate_case
-from cpam_bayes.diagnosis.fitting import PlateCase
+from cpam_bayes.diagnosis.comparison import PlateCase
 from cpam_bayes.effects import Effect, applicable, variants
 from cpam_bayes.forward_model.model import reference_vector
-from cpam_bayes.report.tables import Column, Table, screen_text
-from cpam_bayes.validation.study_results import save_results
+from cpam_bayes.render.report import Heading, Table
+from cpam_bayes.render.terminal import screen_text
+from validation.reporting import save_results
 
 Array = NDArray[Any]
 Results = dict[str, Any]
@@ -124,12 +125,12 @@ def _reference(case: PlateCase) -> Array:
 def show(results: Results) -> None:
     """Print the largest shifts."""
     columns = (
-        Column("cause"),
-        Column("plate"),
-        Column("size", number=True),
-        Column("unit"),
-        Column("largest shift %", number=True),
-        Column("left by the constants %", number=True),
+        Heading("cause"),
+        Heading("plate"),
+        Heading("size", number=True),
+        Heading("unit"),
+        Heading("largest shift %", number=True),
+        Heading("left by the constants %", number=True),
     )
     rows = tuple(
         (

@@ -21,9 +21,8 @@ from typing import Any
 import cpam_bayes as cb
 from cpam_bayes.effects import CATALOGUE
 from cpam_bayes.plate import Specimen
-from cpam_bayes.report.diagnosis.words import probability_text
-from cpam_bayes.validation.pages import write_sections
-from cpam_bayes.validation.study_results import save_results, saved_results, with_saved
+from cpam_bayes.questions.diagnose.document import probability_text
+from validation.reporting import save_results, saved_results, with_saved, write_sections
 
 Results = dict[str, Any]
 

@@ -1,152 +1,172 @@
-"""What do sister plates and further tests of one plate add to a diagnosis?
+"""What do a sister plate and a further test of the plate add to a diagnosis?
 
 python studies/13_several_plates.py [--quick] [--workers N | --executor SPEC] [--per-cause N]
+    [--causes NAME ...]
 
-A cause is hidden in C1, as large as a signal-to-noise ratio of 8 asks of its list alone, which has six
-frequencies with 0.2 % of noise. The list is diagnosed alone, with one and with two sister plates that nothing
-is wrong with and whose constants scatter by 2 %, with the same plate clamped on one edge, and with the same
-plate carrying a known mass near a corner. Truths are finite elements, the diagnosis has Ritz models
-(cpam_bayes/validation/diagnosis/joint_trials.py).
+A flaw is hidden in a square cross-ply plate with free edges, as large as a signal-to-noise ratio of 8 asks of
+its list of six frequencies with 0.2 % of noise. The list is diagnosed alone, with that of a sister plate that
+nothing is wrong with and whose constants scatter by 2 %, with that of the same plate clamped on one edge, and
+with that of the same plate carrying a known mass near a corner. Lists are those of independent elements
+(studies/validation/several_plates.py). A flaw in all setups takes three minutes; saved trials are kept.
 """
 
 from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable
+from collections.abc import Sequence
 from concurrent.futures import Executor
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from cpam_bayes.commands.options import add_executor_options
+from cpam_bayes.command import add_executor_options
 from cpam_bayes.parallel import open_executor
 from cpam_bayes.parallel import run as share_out
-from cpam_bayes.report.tables import Column, Table, screen_text
-from cpam_bayes.validation.diagnosis.joint_trials import TESTS, laboratory, run_joint_trial
-from cpam_bayes.validation.diagnosis.trials import Trial
-from cpam_bayes.validation.diagnosis.truths import variants_of_cause
-from cpam_bayes.validation.pages import markdown_table, write_sections
-from cpam_bayes.validation.study_results import save_results
+from cpam_bayes.render.report import Heading, Table
+from cpam_bayes.render.terminal import screen_text
+from validation.claims import scoring
+from validation.independent.lists import NOISE, RESOLUTION_HZ, NominalPlate
+from validation.independent.true_plate import FLAWS, TruePlate
+from validation.reporting import markdown_table, save_results, saved_results, write_sections
+from validation.several_plates import ALONE, SETUPS, SISTER, Laboratory, spread, trial
 
 Results = dict[str, Any]
-Notify = Callable[[str], None]
 
 RESULTS = Path(__file__).parent / "results" / f"{Path(__file__).stem}.json"
 
 KEYS = {
     "quick": "whether this is the small version",
-    "plate": "plate, frequencies in a list, noise, resolution in Hz and signal to noise",
-    "setups": "one each: trials, shares that were right, mean probabilities, claims, spread of the constants",
+    "plate": "layup, frequencies in a list, noise, resolution in Hz and signal to noise",
+    "setups": "one each: trials, how many of each category, mean probability, spread of the constants",
     "by_cause": "mean probability of the hidden cause in every setup",
+    "unreachable": "flaws that cannot have the signal to noise, and why",
     "trials": "the records",
 }
 
 SEED = 0
-PLATE, LISTED, NOISE, RESOLUTION_HZ, RATIO = "C1", 6, 0.002, 0.1, 8.0
-PER_CAUSE = 4
-# Slips of the list are in one list alone, and another material is no flaw of one plate.
-LEFT_OUT = ("none", "other", "mode_identity", "outlier", "material")
+CARBON = {"E1": 130e9, "E2": 8.8e9, "nu12": 0.29, "G12": 4.9e9}
+CROSS_PLY = ("[0/90]_2s", (0.0, 90.0, 0.0, 90.0, 90.0, 0.0, 90.0, 0.0))
+PLATE = NominalPlate(
+    "panel",
+    TruePlate(0.25, 0.25, 2.4e-3, 1580.0, "FFFF", CROSS_PLY[1], CARBON),
+    CROSS_PLY[0],
+    "carbon",
+    known=True,
+    n_modes=6,
+)
+RATIO = 8.0
+# Flaws of one plate that it has free and clamped: one of each family.
+CAUSES = (
+    *("sensor_mass", "length", "taper_x", "warp"),
+    *("misorientation", "outer_ply_angle", "membrane_stress", "damage"),
+)
 QUICK_CAUSE = "warp"
+# The order of rows.
+ORDER = tuple(FLAWS)
 
 
 def run(
     quick: bool,
     executor: Executor | None = None,
-    per_cause: int = PER_CAUSE,
-    progress: Callable[[int, int], None] = lambda done, total: None,
+    per_cause: int = 1,
+    causes: Sequence[str] = CAUSES,
+    path: Path | None = None,
 ) -> Results:
-    """All causes that reach the ratio; quick: one trial of one cause, with sisters only."""
-    own = laboratory(PLATE, LISTED, noise=NOISE, resolution=RESOLUTION_HZ, tests=() if quick else TESTS)
-    names = dict.fromkeys(h.cause for h in own.alone.singles if h.cause not in LEFT_OUT)
-    causes = [QUICK_CAUSE] if quick else [c for c in names if variants_of_cause(own.alone, c)]
-    trials = [
-        Trial("one", (c,), RATIO, i, seed=SEED) for i in range(1 if quick else per_cause) for c in causes
-    ]
-    done = [0]
+    """The trials that are saved at a path and those that are not, saved one by one; quick: one, not saved."""
+    setups = (ALONE, SISTER) if quick else SETUPS
+    items = [(cause, n) for n in range(1 if quick else per_cause) for cause in causes]
+    items = [(QUICK_CAUSE, 0)] if quick else items
+    saved = saved_results(path) if path else {}
+    records = [*saved.get("trials", []), *saved.get("unreachable", [])]
+    known = {(r["cause"], r["number"]) for r in records}
 
-    def count(index: int, record: Results) -> None:
-        del index, record
-        done[0] += 1
-        progress(done[0], len(trials))
+    def keep(index: int, record: Results) -> None:
+        records.append(record)
+        if path:
+            save_results(path, as_results(records, setups, quick=quick))
+            print(f"{len(records)} trials", file=sys.stderr, flush=True)
 
-    found = share_out(run_joint_trial, own, trials, executor, batch_size=1, on_result=count)
-    records = [r for r in found if r["reached"]]
+    own = Laboratory(PLATE, RATIO, SEED, setups)
+    missing = [item for item in items if item not in known]
+    if missing:
+        share_out(trial, own, missing, executor, batch_size=1, on_result=keep)
+    return as_results(records, setups, quick=quick)
+
+
+def as_results(records: Sequence[Results], setups: Sequence[str], *, quick: bool) -> Results:
+    """What is saved of trials, in the order of causes and numbers."""
+    every = sorted(records, key=lambda r: (ORDER.index(r["cause"]), r["number"]))
+    done = [r for r in every if "setups" in r]
     return {
         "quick": quick,
-        "plate": [PLATE, LISTED, NOISE, RESOLUTION_HZ, RATIO],
-        "setups": [_summary(setup, records) for setup in own.setups],
+        "plate": [PLATE.layup, PLATE.n_modes, NOISE, RESOLUTION_HZ, RATIO],
+        "setups": [_summary(setup, done) for setup in setups] if done else [],
         "by_cause": [
             {
-                "cause": c,
+                "cause": cause,
                 "trials": len(of),
-                **{s: float(np.mean([r["setups"][s]["cause_probability"] for r in of])) for s in own.setups},
+                **{s: float(np.mean([r["setups"][s]["cause_probability"] for r in of])) for s in setups},
             }
-            for c in causes
-            for of in [[r for r in records if r["causes"] == [c]]]
+            for cause in ORDER
+            for of in [[r for r in done if r["cause"] == cause]]
             if of
         ],
-        "trials": records,
+        "unreachable": [r for r in every if "unreachable" in r],
+        "trials": done,
     }
 
 
 def _summary(setup: str, records: list[Results]) -> Results:
     own = [r["setups"][setup] for r in records]
-    ratios = [
-        np.log(np.array(a["relative_sd"]) / r["setups"]["alone"]["relative_sd"])
-        for a, r in zip(own, records, strict=True)
-    ]
-    claims = [a for a in own if a["claim"] in ("named", "class", "pair")]
+    (counts,) = scoring.confusion(own, lambda r: setup)
+    cover = scoring.coverage(own)
     return {
         "setup": setup,
         "trials": len(own),
-        "leads": _share(own, "leads"),
-        "leads_class": _share(own, "leads_class"),
-        "cause_probability": _share(own, "cause_probability"),
-        "class_probability": _share(own, "class_probability"),
-        "claimed": len(claims) / len(own),
-        "named": sum(a["claim"] == "named" for a in own) / len(own),
-        "wrong_claims": sum(not a["claim_is_right"] for a in claims),
-        "constants_spread": float(np.exp(np.mean(ratios))),
-        "processor_seconds": _share(own, "processor_seconds"),
+        **{category: counts[category] for category in scoring.CATEGORIES},
+        "named": sum(a["claim"] == "named" for a in own),
+        "cause_probability": float(np.mean([a["cause_probability"] for a in own])),
+        "constants_spread": spread(own, [r["setups"][ALONE] for r in records]),
+        "inside": round(cover["share"] * cover["constants"]),
+        "constants": cover["constants"],
+        "processor_seconds": float(np.mean([a["seconds"] for a in own])),
     }
 
 
-def _share(answers: list[Results], key: str) -> float:
-    return float(np.mean([a[key] for a in answers]))
+HEAD = (
+    *("measured", "trials", "claimed and right", "of these one cause named", "claimed and wrong"),
+    *("other, undecided or none", "probability of the cause, mean", "constants in their 95 % intervals"),
+    *("spread of the constants", "processor s"),
+)
+
+
+def _rows(results: Results) -> list[tuple[str, ...]]:
+    return [
+        (
+            s["setup"],
+            str(s["trials"]),
+            str(s[scoring.RIGHT]),
+            str(s["named"]),
+            str(s[scoring.WRONG]),
+            str(s[scoring.OTHER] + s[scoring.UNDECIDED] + s[scoring.NONE]),
+            f"{s['cause_probability']:.2f}",
+            f"{s['inside']} of {s['constants']}",
+            f"{s['constants_spread']:.2f}",
+            f"{s['processor_seconds']:.0f}",
+        )
+        for s in results["setups"]
+    ]
 
 
 def show(results: Results) -> None:
     """Print the results as tables."""
-    titles = (
-        "measured",
-        "trials",
-        "cause leads",
-        "P(cause)",
-        "named",
-        "claimed",
-        "wrong",
-        "sd over alone",
-        "s",
+    first = Table(
+        "What else is measured", tuple(Heading(t, i > 0) for i, t in enumerate(HEAD)), tuple(_rows(results))
     )
-    rows = tuple(
-        (
-            r["setup"],
-            str(r["trials"]),
-            f"{r['leads']:.2f}",
-            f"{r['cause_probability']:.2f}",
-            f"{r['named']:.2f}",
-            f"{r['claimed']:.2f}",
-            str(r["wrong_claims"]),
-            f"{r['constants_spread']:.2f}",
-            f"{r['processor_seconds']:.1f}",
-        )
-        for r in results["setups"]
-    )
-    first = Table("What else is measured", tuple(Column(t, i > 0) for i, t in enumerate(titles)), rows)
     setups = [r["setup"] for r in results["setups"]]
-    heads = (Column("hidden"), Column("trials", True), *(Column(s, True) for s in setups))
+    heads = (Heading("hidden"), Heading("trials", True), *(Heading(s, True) for s in setups))
     lines = tuple(
         (r["cause"], str(r["trials"]), *(f"{r[s]:.2f}" for s in setups)) for r in results["by_cause"]
     )
@@ -154,31 +174,8 @@ def show(results: Results) -> None:
 
 
 def sections(results: Results) -> dict[str, str]:
-    """The table of docs/hidden_effects.md: what further plates and tests add."""
-    head = (
-        "measured",
-        "trials",
-        "true cause leads",
-        "its probability, mean",
-        "named",
-        "claimed",
-        "wrong claims",
-    )
-    rows = (
-        (
-            s["setup"],
-            str(s["trials"]),
-            f"{s['leads']:.2f}",
-            f"{s['cause_probability']:.2f}",
-            f"{s['named']:.2f}",
-            f"{s['claimed']:.2f}",
-            str(s["wrong_claims"]),
-            f"{s['constants_spread']:.2f}",
-            f"{s['processor_seconds']:.1f}",
-        )
-        for s in results["setups"]
-    )
-    return {"setups": markdown_table((*head, "spread of the constants", "processor s"), rows)}
+    """The table of docs/hidden_effects.md: what a further plate or test adds."""
+    return {"setups": markdown_table(HEAD, _rows(results))}
 
 
 def main() -> None:
@@ -186,14 +183,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="the small version; nothing is saved")
     add_executor_options(parser)
-    parser.add_argument("--per-cause", type=int, default=PER_CAUSE, metavar="N", help="trials of each cause")
+    parser.add_argument("--per-cause", type=int, default=1, metavar="N", help="trials of each cause")
+    parser.add_argument(
+        "--causes", nargs="+", choices=ORDER, default=CAUSES, metavar="NAME", help="flaws that are hidden"
+    )
     args = parser.parse_args()
 
-    def tell(done: int, total: int) -> None:
-        print(f"\r{done} of {total} trials", end="\n" if done == total else "", file=sys.stderr, flush=True)
-
     with open_executor(args.executor, args.workers) as executor:
-        results = run(args.quick, executor, args.per_cause, tell)
+        results = run(args.quick, executor, args.per_cause, args.causes, None if args.quick else RESULTS)
     show(results)
     if not args.quick:
         save_results(RESULTS, results)

@@ -24,29 +24,30 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cpam_bayes.commands.options import add_executor_options
+from cpam_bayes.command import add_executor_options
 from cpam_bayes.parallel import open_executor
-from cpam_bayes.report.progress import timed_lines
-from cpam_bayes.report.tables import Column, Table, screen_text
-from cpam_bayes.stacking.conditional.evaluation import Evaluated, evaluate
-from cpam_bayes.stacking.conditional.starts import scan_library
-from cpam_bayes.stacking.enumeration.by_surrogate import training_problem
-from cpam_bayes.stacking.enumeration.listing import surrogate_values
-from cpam_bayes.stacking.features import all_sequences
+from cpam_bayes.render.progress import timed_lines
+from cpam_bayes.render.report import Heading, Table
+from cpam_bayes.render.terminal import screen_text
+from cpam_bayes.stacking.evaluation import Evaluated, evaluate, scan_library
+from cpam_bayes.stacking.listing import surrogate_values
 from cpam_bayes.stacking.posterior import stacking_posterior, stacking_problem
 from cpam_bayes.stacking.records import DEFAULT_SETTINGS, StackingProblem, StackingSettings
-from cpam_bayes.stacking.surrogate.training import TrainingSettings, train
-from cpam_bayes.stacking.symmetry.classes import classes
-from cpam_bayes.validation.pages import (
+from cpam_bayes.stacking.search import training_problem
+from cpam_bayes.stacking.symmetry import all_sequences, classes
+from cpam_bayes.stacking.training import TrainingSettings, train
+from validation.reporting import (
     counted,
     in_digits,
     markdown_table,
     paragraph,
+    save_results,
+    saved_results,
     with_error,
+    with_saved,
     write_sections,
 )
-from cpam_bayes.validation.study_results import save_results, saved_results, with_saved
-from cpam_bayes.validation.unknown_layups import with_noise_free_list, with_unknown_layup
+from validation.sequences import with_noise_free_list, with_unknown_layup
 
 Array = NDArray[Any]
 Results = dict[str, Any]
@@ -249,7 +250,7 @@ def show(results: Results) -> None:
         )
         for c in results["cases"]
     )
-    found = [Table("Log evidence, nats", tuple(Column(h, i > 0) for i, h in enumerate(heads)), rows)]
+    found = [Table("Log evidence, nats", tuple(Heading(h, i > 0) for i, h in enumerate(heads)), rows)]
     for c in results["cases"]:
         if not c["layers"]:
             continue
@@ -278,7 +279,7 @@ def show(results: Results) -> None:
             )
             for r in c["layers"]
         )
-        found.append(Table(f"Layers of {c['case']}", tuple(Column(t, True) for t in titles), lines))
+        found.append(Table(f"Layers of {c['case']}", tuple(Heading(t, True) for t in titles), lines))
     print(screen_text(tuple(found), sys.stdout))
 
 

@@ -28,12 +28,10 @@ from pathlib import Path
 from typing import Any
 
 import cpam_bayes as cb
-from cpam_bayes.validation.claims import answering, oracle, scoring, simple_methods, summary
-from cpam_bayes.validation.independent import sets
-from cpam_bayes.validation.independent.dictionary import Dictionary, dictionary_of
-from cpam_bayes.validation.independent.lists import NOISE
-from cpam_bayes.validation.pages import write_sections
-from cpam_bayes.validation.study_results import save_results
+from validation.claims import answering, references, scoring
+from validation.independent import sets
+from validation.independent.lists import NOISE
+from validation.reporting import save_results, write_sections
 
 Results = dict[str, Any]
 
@@ -50,21 +48,12 @@ KEYS = {
     "sets": "by set, of the diagnosis and of others on the same lists: figures, confusion of claims and more",
 }
 
-THIS, BEFORE, ORACLE = "diagnosis", "old", "oracle"
-# This diagnosis on the lists that the one before has answered, too.
-BESIDE = "diagnosis beside old"
-# What is kept of the oracle and of simpler methods.
+THIS, ORACLE = "diagnosis", "oracle"
+# What is kept of the oracle and of other methods.
 BRIEF = ("lists", "by_kind", "figures")
-TITLES = {
-    "final": "Final figures",
-    "rows": "Known failures, twenty plates each",
-    "tuning": "The set that was tuned on",
-}
 NAMES = {
-    BEFORE: "the diagnosis before",
-    BESIDE: "this diagnosis on the lists of the one before",
     ORACLE: "the oracle",
-    **{m: m.replace("_", " ") for m in simple_methods.METHODS},
+    **{m: m.replace("_", " ") for m in references.METHODS},
 }
 QUICK_LISTS = ("clean-00", "taper_x-32-0")
 
@@ -107,18 +96,14 @@ def _results(quick: bool, found: dict[str, tuple[list[Results], dict[str, dict[s
         scores = {engine: scoring.scored(entries, answers) for engine, answers in engines.items()}
         known = {r["id"]: r for r in scores.get(ORACLE, [])}
         mine = scores.get(THIS, [])
-        said[name] = {THIS: summary.summary(mine, known)} if mine else {}
+        said[name] = {THIS: scoring.summary(mine, known)} if mine else {}
         for engine, records in scores.items():
             # beside another engine or method: the lists that both answered
             theirs = {r["id"] for r in records}
             both = {r["id"] for r in mine} & theirs if mine else theirs
             if engine != THIS and both:
-                own = summary.summary([r for r in records if r["id"] in both], known)
-                said[name][engine] = own if engine == BEFORE else {k: own[k] for k in BRIEF}
-        if BEFORE in said[name] and mine:
-            theirs = {r["id"] for r in scores[BEFORE]}
-            own = summary.summary([r for r in mine if r["id"] in theirs], known)
-            said[name][BESIDE] = {k: own[k] for k in BRIEF}
+                own = scoring.summary([r for r in records if r["id"] in both], known)
+                said[name][engine] = {k: own[k] for k in BRIEF}
     return {
         "quick": quick,
         "noise": NOISE,
@@ -170,14 +155,14 @@ def answer(
         process.wait()
 
 
-def references(name: str, limit: int | None) -> None:
+def refer(name: str, limit: int | None) -> None:
     """The oracle's answers and those of simpler methods."""
-    paths = {m: answers_path(name, m) for m in ("oracle", *simple_methods.METHODS)}
+    paths = {m: answers_path(name, m) for m in ("oracle", *references.METHODS)}
     for path in paths.values():
         path.parent.mkdir(parents=True, exist_ok=True)
     done = set.intersection(*(set(answering.answered(p)) for p in paths.values()))
     plates = {p.name: p for p in sets.SETS[name].plates}
-    known: dict[str, Dictionary] = {}
+    known: dict[str, references.Dictionary] = {}
     # first those that they stand beside
     mine = set(answering.answered(answers_path(name, THIS)))
     entries = sorted(answering.asked(data_path(name), limit=limit), key=lambda r: r["id"] not in mine)
@@ -186,10 +171,10 @@ def references(name: str, limit: int | None) -> None:
             continue
         plate = entry["truth"]["plate"]
         if plate not in known:
-            known[plate] = dictionary_of(plates[plate])
+            known[plate] = references.dictionary_of(plates[plate])
         found = {
-            "oracle": oracle.claim(*oracle.weighed(known[plate], entry)),
-            **simple_methods.answers(known[plate], entry),
+            "oracle": references.claim(*references.weighed(known[plate], entry)),
+            **references.answers(known[plate], entry),
         }
         for method, record in found.items():
             whole = {"constants": {}, "baseline": {}, **record}
@@ -200,13 +185,12 @@ def references(name: str, limit: int | None) -> None:
 
 def sections(results: Results) -> dict[str, str]:
     """What docs/hidden_effects.md says of each set."""
-    found = []
-    for name, title in TITLES.items():
-        engines = results["sets"].get(name, {})
+    found = {}
+    for name, engines in results["sets"].items():
         if THIS in engines:
             others = {k: v for k, v in engines.items() if k != THIS}
-            found.append(summary.section(title, results["lists"][name], engines[THIS], others, NAMES))
-    return {"sets": "\n".join(found)}
+            found[name] = scoring.section(results["lists"][name], engines[THIS], others, NAMES)
+    return found
 
 
 def show(results: Results) -> None:
@@ -247,7 +231,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     for name in args.answer:
         answer(name, engine, Path(tree), args.workers, args.minutes, args.only, args.limit)
     for name in args.references:
-        references(name, args.limit)
+        refer(name, args.limit)
     results = run(args.quick)
     show(results)
     if not args.quick:

@@ -28,8 +28,7 @@ from cpam_bayes.forward_model.calculix import solve_modes
 from cpam_bayes.forward_model.model import reference_constants
 from cpam_bayes.forward_model.theory_error import shear_frequency, theory_error
 from cpam_bayes.plate import Specimen
-from cpam_bayes.validation.pages import paragraph, write_sections
-from cpam_bayes.validation.study_results import save_results, saved_results, with_saved
+from validation.reporting import paragraph, save_results, saved_results, with_saved, write_sections
 
 Results = dict[str, Any]
 

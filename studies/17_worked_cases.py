@@ -26,15 +26,14 @@ from typing import Any
 
 import cpam_bayes as cb
 from cpam_bayes.effects import CATALOGUE
-from cpam_bayes.validation.brick_cases import (
+from validation.brick_cases import (
     CASES,
     listed_frequencies,
     plate_file,
     true_frequencies,
     truth_of,
 )
-from cpam_bayes.validation.pages import write_sections
-from cpam_bayes.validation.study_results import save_results, saved_results, with_saved
+from validation.reporting import save_results, saved_results, with_saved, write_sections
 
 Results = dict[str, Any]
 

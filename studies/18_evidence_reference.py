@@ -5,7 +5,7 @@ python studies/18_evidence_reference.py [--quick] [--cases N] [--minutes M]
 Lists are drawn from the Ritz models themselves: it is the integral that is tested. Each has a cause of the
 catalogue or none, with a size from its prior or at signal to noise 4 to 100. None, the true hypothesis and
 two others chosen at random are weighed as the diagnosis does and by the reference of
-cpam_bayes/validation/evidence_reference.py. Runs go on from the saved cases, --minutes ends one early.
+studies/validation/evidence_reference.py. Runs go on from the saved cases, --minutes ends one early.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cpam_bayes.diagnosis.cases import hypotheses_of, plate_case
-from cpam_bayes.diagnosis.evidence.tested import Tested
+from cpam_bayes.diagnosis.comparison import SCATTER, Comparison, PlateCase, comparison_of
+from cpam_bayes.diagnosis.evidence.marginal import Tested
 from cpam_bayes.diagnosis.evidence.weighing import weigh
-from cpam_bayes.diagnosis.fitting import SCATTER, PlateCase, comparison_of
 from cpam_bayes.diagnosis.hypotheses import NONE, OTHER, Hypothesis
+from cpam_bayes.inference.derivatives import NormalScores
 from cpam_bayes.plate import Measurement, Specimen, builtin, read_plate
-from cpam_bayes.validation.diagnosis.truths import Bench, at_random_place, linear, size_for
-from cpam_bayes.validation.evidence_reference import ReferenceSettings, reference_evidence
-from cpam_bayes.validation.study_results import save_results, saved_results
+from validation.evidence_reference import ReferenceSettings, reference_evidence
+from validation.reporting import save_results, saved_results
 
 Array = NDArray[Any]
 Results = dict[str, Any]
@@ -98,11 +98,12 @@ def drawn(case: PlateCase, n: int, rng: np.random.Generator) -> tuple[Hypothesis
             column = comparison.parameters.names.index(own.parameters[0].name)
             signal = rng.choice((0.0, *SIGNALS))
             if signal and cause != OTHER and len(own.parameters) == 1:
-                at = linear(Bench(case), x[0, : case.models.parameters.size])
-                side = 1.0 if own.parameters[0].prior.lower >= 0.0 else float(rng.choice((-1.0, 1.0)))
-                reached = size_for(at, own, float(signal), side)
-                if np.isfinite(reached.size):
-                    x[0, column], meant = reached.size, f"signal to noise {signal:g}"
+                prior = own.parameters[0].prior
+                side = 1.0 if prior.lower >= 0.0 else float(rng.choice((-1.0, 1.0)))
+                most = prior.upper if side > 0.0 else prior.lower
+                reached = size_for(case, comparison, x[0], column, most, float(signal))
+                if reached is not None:
+                    x[0, column], meant = reached, f"signal to noise {signal:g}"
             size = float(x[0, column])
         if not comparison.model.admissible(x)[0]:
             continue
@@ -113,6 +114,44 @@ def drawn(case: PlateCase, n: int, rng: np.random.Generator) -> tuple[Hypothesis
         if h.listed.spurious is not None:  # the model has the others: a false peak lies anywhere among them
             f = np.sort(np.append(f, rng.uniform(0.7 * f[0], f[-1])))
         return h, size, meant, f
+
+
+def at_random_place(h: Hypothesis, rng: np.random.Generator) -> Hypothesis:
+    """A hypothesis with its effect at a place drawn from its prior; itself where it has none."""
+    if not h.effects or not h.effects[0].is_anywhere:
+        return h
+    effect = h.effects[0]
+    fixed = effect.fixed({p.name: p.prior.sample(rng, 1)[0] for p in effect.coordinates})
+    return replace(h, effects=(fixed,), parameters=fixed.parameters, variant=fixed.variant)
+
+
+def size_for(
+    case: PlateCase, comparison: Comparison, x: Array, column: int, most: float, signal: float
+) -> float | None:
+    """The smallest size with a signal to noise; None where it is not reached by ``most``.
+
+    The signal is the shift of ln f less what the constants imitate within their priors.
+    x : (n,) parameters; column : of the size.
+    """
+    scores = NormalScores(case.models.parameters)
+    constants = x[None, : case.models.parameters.size]
+    plain = case.models.bare.predict(constants, jacobian=True)
+    assert plain.jacobian is not None
+    z = scores.to_z(constants)
+    slope = plain.jacobian[0] / plain.frequencies[0][:, None] * scores.slope(scores.to_x(z), z)[0]
+    a = slope[case.modes] / NOISE
+    values, vectors = np.linalg.eigh(np.eye(len(a)) + a @ a.T)
+    # effects of second order grow as squares
+    sizes = most * np.linspace(0.0, 1.0, 97) ** 2
+    at = np.tile(x, (len(sizes), 1))
+    at[:, column] = sizes
+    shift = np.log(comparison.predict(at)[0] / plain.frequencies[0][case.modes]) / NOISE
+    highest = np.maximum.accumulate(np.linalg.norm(shift @ vectors / np.sqrt(values), axis=1))
+    if highest[-1] < signal:
+        return None
+    i = int(np.argmax(highest >= signal))
+    part = (signal - highest[i - 1]) / (highest[i] - highest[i - 1])
+    return float(sizes[i - 1] + part * (sizes[i] - sizes[i - 1]))
 
 
 def weighed(case: PlateCase, chosen: list[Hypothesis]) -> list[Tested]:

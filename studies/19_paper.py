@@ -11,15 +11,12 @@ from pathlib import Path
 from typing import Any
 
 import cpam_bayes as cb
-from cpam_bayes.commands.options import add_executor_options
-from cpam_bayes.comparison.compare import compare
-from cpam_bayes.comparison.simulation import diagnosis_row
-from cpam_bayes.paper import printed_table
-from cpam_bayes.paper.layups import identified_layups
-from cpam_bayes.report.comparison.markdown import page
-from cpam_bayes.report.progress import Terminal
-from cpam_bayes.validation.pages import write_sections
-from cpam_bayes.validation.study_results import save_results
+from cpam_bayes.command import add_executor_options
+from cpam_bayes.printed.tables import identified_layups, printed_table
+from cpam_bayes.questions.paper.present import page
+from cpam_bayes.questions.paper.work import diagnosis_row
+from cpam_bayes.render.progress import Terminal
+from validation.reporting import save_results, write_sections
 
 Results = dict[str, Any]
 
@@ -40,7 +37,7 @@ def run(quick: bool, executor: str | None = "serial", workers: int | None = None
     """All tables; quick: Table 7 with the small effort."""
     number = 7 if quick else None
     spec = executor or "processes"
-    result = compare(number, quick=quick, seed=SEED, executor=spec, workers=workers, watch=Terminal(quick))
+    result = cb.paper(number, quick=quick, seed=SEED, executor=spec, workers=workers, watch=Terminal(quick))
     return {"quick": quick, "paper": result.to_dict()}
 
 

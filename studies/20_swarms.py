@@ -22,7 +22,7 @@ from scipy.stats import qmc
 
 from cpam_bayes.identification.search import MOST_SWARMS, Search, misfit, required, search
 from cpam_bayes.plate import Specimen, builtin, to_user, user_name
-from cpam_bayes.validation.study_results import save_results, with_saved
+from validation.reporting import save_results, with_saved
 
 Results = dict[str, Any]
 

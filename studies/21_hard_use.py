@@ -34,31 +34,25 @@ from hypothesis import strategies as st
 
 import cpam_bayes as cb
 from cpam_bayes.errors import ArgumentError, LayupError, PlateFileError
-from cpam_bayes.modal_analysis.records import ModalTestError
+from cpam_bayes.modal_analysis.read import ModalTestError
 from cpam_bayes.plate import parse_specimen
 from cpam_bayes.plate.layup import parse_layup
-from cpam_bayes.plate.mode_shapes.read import MAX_UNIVERSAL_BYTES, read_shapes
-from cpam_bayes.plate.mode_shapes.universal import UniversalFileError
-from cpam_bayes.plate.modes_table.hits import modes_of
-from cpam_bayes.plate.modes_table.rows import read_modes_table
-from cpam_bayes.report.tables import Table, headed, screen_text
+from cpam_bayes.plate.mode_shapes import MAX_UNIVERSAL_BYTES, UniversalFileError, read_shapes
+from cpam_bayes.plate.modes_table import modes_of, read_modes_table
+from cpam_bayes.render.report import Heading, Table
+from cpam_bayes.render.terminal import screen_text
 from cpam_bayes.storage import read_arrays, write_arrays
-from cpam_bayes.validation.hostile import (
-    DAMAGES,
-    LARGE_FILES,
+from validation.hostile.files import DAMAGES, LARGE_FILES, crossed, layups, plate_texts
+from validation.hostile.measurements import (
     LARGE_TABLES,
     LARGE_UNIVERSAL_FILES,
-    crossed,
-    layups,
     mode_tables,
-    plate_texts,
     recordings,
     response_tables,
     universal_modes_files,
     universal_response_files,
 )
-from cpam_bayes.validation.pages import counted, markdown_table, paragraph, write_sections
-from cpam_bayes.validation.study_results import save_results
+from validation.reporting import counted, markdown_table, paragraph, save_results, write_sections
 
 Results = dict[str, Any]
 Content = TypeVar("Content", str, bytes)
@@ -432,10 +426,16 @@ def sections(results: Results) -> dict[str, str]:
 
 def show(results: Results) -> None:
     """Print both tables."""
-    columns = headed("kind", "#inputs", "#accepted", "#refused", "#failed", "#slowest s")
+    columns = tuple(
+        Heading(text.removeprefix("#"), text.startswith("#"))
+        for text in ("kind", "#inputs", "#accepted", "#refused", "#failed", "#slowest s")
+    )
     rows = tuple(tuple(str(v) for v in row.values()) for row in results["kinds"])
     tables = [Table("Hostile inputs", columns, rows)]
-    names = headed("command", "signal", "#status", "traceback", "#left", "#next status", "#left after it")
+    names = tuple(
+        Heading(text.removeprefix("#"), text.startswith("#"))
+        for text in ("command", "signal", "#status", "traceback", "#left", "#next status", "#left after it")
+    )
     tables.append(
         Table("Signals", names, tuple(tuple(str(v) for v in row.values()) for row in results["signals"]))
     )

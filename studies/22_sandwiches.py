@@ -19,10 +19,9 @@ from typing import Any, NamedTuple
 import cpam_bayes as cb
 from cpam_bayes.forward_model.calculix import solve_modes
 from cpam_bayes.forward_model.model import reference_constants
-from cpam_bayes.forward_model.sandwich import LIMIT, sandwich_error
+from cpam_bayes.forward_model.theory_error import LIMIT, sandwich_error
 from cpam_bayes.plate import Specimen
-from cpam_bayes.validation.pages import paragraph, write_sections
-from cpam_bayes.validation.study_results import save_results
+from validation.reporting import paragraph, save_results, write_sections
 
 Results = dict[str, Any]
 

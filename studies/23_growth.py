@@ -29,15 +29,17 @@ import numpy as np
 import cpam_bayes as cb
 from cpam_bayes.effects import CATALOGUE
 from cpam_bayes.stacking.posterior import stacking_posterior
-from cpam_bayes.validation.pages import (
+from validation.reporting import (
     counted,
     in_digits,
     listed,
     markdown_table,
     paragraph,
+    save_results,
+    saved_results,
+    with_saved,
     write_sections,
 )
-from cpam_bayes.validation.study_results import save_results, saved_results, with_saved
 
 Results = dict[str, Any]
 Plate = dict[str, Any]

@@ -11,7 +11,7 @@ import json
 from collections.abc import Sequence
 from pathlib import Path
 
-from cpam_bayes.validation.pages import FIGURE, pages, sections_of_figures, with_sections
+from validation.reporting import FIGURE, pages, sections_of_figures, with_sections
 
 HERE = Path(__file__).parent
 PROJECT = HERE.parent

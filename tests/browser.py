@@ -64,13 +64,18 @@ _FAINT = """
 })()
 """
 _OPEN_ALL = "document.querySelectorAll('details').forEach((d) => { d.open = true })"
-# Figures that a reader does not see: not loaded, without area, or beyond the sides of the window.
+# Figures that a reader does not see: not loaded, without area, or beyond the window where nothing scrolls.
 _UNSEEN = """
 [...document.images].filter((i) => {
   const box = i.getBoundingClientRect();
   return !i.complete || !i.naturalWidth || box.width < 200 || box.height < 40 || box.left < 0
-    || box.right > document.documentElement.clientWidth || !i.checkVisibility();
+    || (box.right > document.documentElement.clientWidth && !i.closest(".scroll")) || !i.checkVisibility();
 }).map((i) => i.alt)
+"""
+# Figures so small that letters of 8 points are below 9 pixels.
+_SMALL = """
+[...document.images].filter((i) => i.getBoundingClientRect().width < 0.85 * i.getAttribute("width"))
+  .map((i) => i.alt)
 """
 # What scrolls sideways by itself and no key reaches.
 _OUT_OF_REACH = """
@@ -201,6 +206,7 @@ def faults(browser: Browser, page: Path, width: int) -> list[str]:
     browser.value(_OPEN_ALL)
     found += _wider(browser, width, "opened")
     found += [f"not seen: {alt}" for alt in browser.value(_UNSEEN)]
+    found += [f"small letters: {alt}" for alt in browser.value(_SMALL)]
     found += [f"faint: {text}" for text in browser.value(_FAINT)]
     if out_of_reach := browser.value(_OUT_OF_REACH):
         found.append(f"{out_of_reach} parts scroll that no key reaches")

@@ -2,10 +2,13 @@
 
 import os
 from collections.abc import Callable, Generator
+from pathlib import Path
+from typing import Any
 
 import pytest
 
 from tests import shared
+from tests.plate_file import PLATE
 
 # Before a test module loads numpy: two threads slow stacked eigenproblems down.
 for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
@@ -49,6 +52,34 @@ def run(capsys: pytest.CaptureFixture[str]) -> Callable[..., tuple[object, str, 
         return status, shown.out, shown.err
 
     return run_here
+
+
+@pytest.fixture
+def plate_file(tmp_path: Path) -> Callable[..., str]:
+    """Write a plate file with some words replaced, by default the aluminium plate's, and return its path."""
+
+    def write(*changes: tuple[str, str], text: str = PLATE) -> str:
+        for old, new in changes:
+            assert old in text
+            text = text.replace(old, new)
+        path = tmp_path / "plate.toml"
+        path.write_text(text, encoding="utf-8")
+        return str(path)
+
+    return write
+
+
+@pytest.fixture
+def few_causes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A diagnosis weighs only causes that need no further plate model."""
+    from cpam_bayes.diagnosis import cases
+    from cpam_bayes.questions import diagnose
+    from tests.diagnosed import CHEAP
+
+    def some(*args: Any) -> Any:
+        return [(h, at) for h, at in cases.hypotheses_of(*args) if h.cause in CHEAP]
+
+    monkeypatch.setattr(diagnose, "hypotheses_of", some)
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

@@ -4,18 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 
 from cpam_bayes.diagnosis.cases import hypotheses_of, plate_case, with_list
+from cpam_bayes.diagnosis.comparison import PlateCase
 from cpam_bayes.diagnosis.diagnose import Diagnosis, diagnose_cases
-from cpam_bayes.diagnosis.fitting import PlateCase
 from cpam_bayes.plate import parse_specimen
 from tests.plate_file import MEASURED, PLATE
 
 # Relative noise of the lists, and one draw of it in its own unit.
 NOISE = 0.002
 DRAWN = np.array([0.3, -0.8, 0.5, 0.9, -0.6, -0.2])
+
+# A list whose third frequency was misread by 5 %, over that of its model.
+MISREAD = np.array([1.0, 1.0, 1.05, 1.0, 1.0, 1.0])
+# Causes that need no further plate model.
+CHEAP = frozenset({"none", "other", "viscoelastic", "frequency_scale"})
 
 
 def diagnosed(cases: Sequence[PlateCase], causes: Sequence[str], *, gain: bool = True) -> Diagnosis:
@@ -39,3 +45,16 @@ def listed(case: PlateCase, factor: np.ndarray, noise: np.ndarray = DRAWN) -> Pl
     f = case.models.bare.predict(x).frequencies[0, : len(factor)]
     measured = np.round(f * factor * (1.0 + NOISE * noise), 1)
     return with_list(case, replace(case.measurement, frequencies=measured, resolution=0.1))
+
+
+@cache
+def clean() -> Diagnosis:
+    """Of a list with nothing wrong."""
+    return diagnosed([listed(aluminium_case(), np.ones(6))], ["frequency_scale", "viscoelastic"])
+
+
+@cache
+def misread() -> Diagnosis:
+    """Of a list with a misread frequency."""
+    causes = ["outlier", "viscoelastic", "frequency_scale"]
+    return diagnosed([listed(aluminium_case(), MISREAD)], causes)

@@ -88,10 +88,3 @@ def distorted(quads: Quads, amount: float) -> Quads:
     moved[:, 0] += amount * x.max() * bubble * np.cos(3 * np.pi * b)
     moved[:, 1] += amount * y.max() * bubble * np.sin(4 * np.pi * a)
     return replace(quads, points=moved)
-
-
-def graded(n: int, first: float, ratio: float = 2.0) -> np.ndarray:
-    """n even parts of [0, 1], the outer ones cut further down to ``first``."""
-    strips = first * np.cumsum(ratio ** np.arange(20))
-    strips = strips[strips < 0.6 / n]
-    return np.unique(np.concatenate((np.linspace(0, 1, n + 1), strips, 1 - strips)))

@@ -1,4 +1,6 @@
-"""The plate file of the tests of commands: an aluminium plate, and the list measured on it."""
+"""Plate files of the tests: an aluminium plate with the list measured on it, a bar, and any as a mapping."""
+
+from typing import Any
 
 PLATE = """\
 name = "plate 7"
@@ -24,3 +26,31 @@ MEASURED = """
 frequencies_hz = [114, 167, 218, 289, 300, 497]
 resolution_hz = 1.0
 """
+BAR = """\
+name = "bar"
+[plate]
+length_mm = 200
+width_mm = 100
+thickness_mm = 3
+density_kg_m3 = 2700
+edges = "FFFF"
+[material]
+isotropic = true
+E1_GPa = 69
+nu12 = 0.33
+"""
+
+
+def described(
+    size_mm: tuple[float, float, float],
+    density_kg_m3: float,
+    material: dict[str, Any],
+    *,
+    layup: str = "[0]",
+    edges: str = "FFFF",
+    **tables: Any,
+) -> dict[str, Any]:
+    """A plate file as a mapping; tables : what stands in it beside [plate] and [material]."""
+    sizes = dict(zip(("length_mm", "width_mm", "thickness_mm"), size_mm, strict=True))
+    plate = {**sizes, "density_kg_m3": density_kg_m3, "layup": layup, "edges": edges}
+    return {"name": "plate", "plate": plate, "material": material, **tables}

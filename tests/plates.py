@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from cpam_bayes.mechanics.convergence import Tolerance, converge
 from cpam_bayes.mechanics.modes import solve
 from cpam_bayes.mechanics.problem import PlateState, Problem, bare_plate
 from cpam_bayes.parameters import ParameterSet
-from cpam_bayes.plate.elasticity import complete_constants
-from cpam_bayes.plate.laminate import ENERGY_CONSISTENT, FIVE_SIXTHS, ShearModel, laminate_geometry
+from cpam_bayes.plate import Specimen, builtin
+from cpam_bayes.plate.laminate import (
+    ENERGY_CONSISTENT,
+    FIVE_SIXTHS,
+    ShearModel,
+    complete_constants,
+    laminate_geometry,
+)
 
 CARBON = {"E1": 121.2e9, "E2": 9.34e9, "nu12": 0.23, "G12": 6.25e9}
 GLASS = {"E1": 40.1e9, "E2": 8.9e9, "nu12": 0.23, "G12": 4.23e9}
@@ -46,6 +54,12 @@ def frequencies(problem: Problem, n_modes: int, tolerance: Tolerance | None = No
     return solve(found, *found.coefficients({}), n_modes).frequencies[0]
 
 
+def with_plate(name: str, **changes: object) -> Specimen:
+    """A built-in specimen with other entries of its plate."""
+    specimen = builtin(name)
+    return replace(specimen, plate=replace(specimen.plate, **changes))  # type: ignore[arg-type]
+
+
 __all__ = [
     "ANGLE_PLY_16S",
     "CARBON",
@@ -55,4 +69,5 @@ __all__ = [
     "GLASS",
     "frequencies",
     "plate",
+    "with_plate",
 ]

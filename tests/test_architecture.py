@@ -15,38 +15,35 @@ import cpam_bayes
 # A module imports only from its own layer and from those above it in this list.
 LAYERS = (
     "errors",
-    "arguments",
     "formatting",
+    "fingerprint",
     "storage",
     "threads",
-    "deadline",
+    "running",
     "parallel",
     "priors",
     "parameters",
     "plate",
-    "paper",
-    "result",
+    "answer",
     "modal_analysis",
     "mechanics",
     "effects",
     "forward_model",
     "inference",
     "identification",
-    "prediction",
-    "specimen_design",
+    "printed",
+    "calibration",
     "stacking",
     "diagnosis",
-    "repetition",
-    "combined",
     "batches",
-    "comparison",
-    "validation",
-    "report",
-    "commands",
+    "render",
+    "result",
+    "command",
+    "questions",
     "cli",
     "__main__",
 )
-HEAVY = ("arviz", "dynesty", "distributed", "emcee", "matplotlib", "skfem")
+HEAVY = ("arviz_base", "arviz_stats", "dynesty", "distributed", "emcee", "matplotlib", "skfem")
 # The package itself may be asked for these by any layer.
 ROOT_NAMES = {"__version__"}
 TYPE_CHECKING = ("TYPE_CHECKING", "typing.TYPE_CHECKING")
@@ -182,27 +179,38 @@ def test_no_module_imports_itself_through_others() -> None:
     assert cycle(edges) == []
 
 
-def test_what_only_studies_and_tests_use_is_imported_by_nothing_else() -> None:
-    users = {
-        module_name(path)
-        for path in MODULES
-        for name in imports(path.read_text("utf-8"), module_name(path), path.name == "__init__.py")
-        if layer(name) == "validation" and layer(module_name(path)) != "validation"
-    }
-    assert users == set()
+# The command line and the public names load what they are asked for, by its name.
+BY_NAME = {"cpam_bayes", "cpam_bayes.cli"}
+
+
+def modules_in_strings(source: str) -> list[str]:
+    """Full names of modules of this package in strings that are no docstrings."""
+    tree = ast.parse(source)
+    described = [node for node in ast.walk(tree) if isinstance(node, ast.Expr)]
+    docstrings = {id(n.value) for n in described if isinstance(n.value, ast.Constant)}
+    texts = [n for n in ast.walk(tree) if isinstance(n, ast.Constant) and isinstance(n.value, str)]
+    return [n.value for n in texts if id(n) not in docstrings and re.match(r"cpam_bayes\.\w", n.value)]
+
+
+@pytest.mark.parametrize("path", MODULES, ids=module_name)
+def test_no_module_is_reached_by_a_name_in_a_string(path: Path) -> None:
+    if module_name(path) not in BY_NAME:
+        assert modules_in_strings(path.read_text("utf-8")) == []
+
+
+def test_a_module_in_a_string_is_found_and_one_in_a_docstring_is_not() -> None:
+    assert modules_in_strings('"""See `cpam_bayes.plate`."""\nload("cpam_bayes.plate")') == [
+        "cpam_bayes.plate"
+    ]
+    assert modules_in_strings('load(f"cpam_bayes.questions.{name}")') == ["cpam_bayes.questions."]
 
 
 def test_the_documentation_names_every_layer_and_every_folder() -> None:
     text = (PROJECT / "docs" / "architecture.md").read_text("utf-8")
-    chain = re.search(r"^    (errors(?:\s+->\s+\w+)+)", text, re.M)
-    assert chain is not None
-    assert tuple(re.split(r"\s+->\s+", chain[1])) == LAYERS
-    rows = re.findall(r"^\| (`.*?) \|", text, re.M)
-    named = {name.rstrip("/") for name in re.findall(r"`([\w/]+)`", " ".join(rows))}
-    packages = {str(p.parent.relative_to(PACKAGE)) for p in MODULES if p.name == "__init__.py"} - {"."}
-    one_a_question = {p for p in packages if p.startswith("report/")}
-    modules = {name for name in LAYERS if (PACKAGE / f"{name}.py").exists()} - {"__main__"}
-    assert named == (packages - one_a_question) | modules
+    named = set(re.findall(r"^\| `([\w/]+?)/?(?:\.py)?` \|", text, re.M))
+    rooms = {p.relative_to(PACKAGE).parts[0].removesuffix(".py") for p in MODULES} - {"__init__", "__main__"}
+    assert named == rooms
+    assert rooms <= set(LAYERS)
 
 
 def test_a_circle_of_imports_is_found() -> None:
@@ -220,17 +228,25 @@ def test_an_annotation_is_no_use_of_matplotlib_and_a_lazy_import_is() -> None:
     assert uses_matplotlib("def late():\n    from matplotlib.figure import Figure")
 
 
-def test_matplotlib_is_imported_in_report_and_figures_alone() -> None:
-    elsewhere = [*MODULES, *PROJECT.glob("studies/*.py"), *PROJECT.glob("benchmarks/*.py")]
-    users = {
-        str(path)
-        for path in elsewhere
-        if path.is_relative_to(PROJECT / "studies")
-        or path.is_relative_to(PROJECT / "benchmarks")
-        or layer(module_name(path)) != "report"
-        if uses_matplotlib(path.read_text("utf-8"))
-    }
-    assert users == set()
+def test_matplotlib_is_loaded_where_answers_are_drawn_alone() -> None:
+    scripts = [*PROJECT.glob("studies/**/*.py"), *PROJECT.glob("benchmarks/*.py")]
+    computing = [path for path in MODULES if layer(module_name(path)) not in ("render", "questions")]
+    assert [path for path in (*scripts, *computing) if uses_matplotlib(path.read_text("utf-8"))] == []
+
+
+@pytest.mark.slow
+def test_a_question_loads_no_heavy_library_before_it_is_asked() -> None:
+    names = [n for n in map(module_name, MODULES) if n.startswith("cpam_bayes.questions.")]
+    code = f"""
+import importlib, json, sys
+for name in {names!r}:
+    importlib.import_module(name)
+print(json.dumps([name for name in {HEAVY!r} if name in sys.modules]))
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", code], check=True, capture_output=True, text=True, timeout=120
+    )
+    assert json.loads(done.stdout) == []
 
 
 def test_the_command_line_loads_no_heavy_library() -> None:
@@ -249,8 +265,58 @@ print(json.dumps([name for name in {HEAVY!r} if name in sys.modules]))
 SOLVES = {"predict", "spectrum", "modes", "log_prob", "log_likelihood", "solve", "air_shifts", "best_fit"}
 
 
-@pytest.mark.parametrize("path", sorted((PACKAGE / "report").rglob("*.py")), ids=module_name)
-def test_reports_render_and_solve_nothing(path: Path) -> None:
+@pytest.mark.parametrize("path", sorted((PACKAGE / "render").rglob("*.py")), ids=module_name)
+def test_what_renders_solves_nothing(path: Path) -> None:
     calls = (node.func for node in ast.walk(ast.parse(path.read_text("utf-8"))) if isinstance(node, ast.Call))
     names = {f.attr if isinstance(f, ast.Attribute) else getattr(f, "id", "") for f in calls}
     assert names & SOLVES == set()
+
+
+# What reads files that others wrote, whose words are all there is to go by.
+READERS = {"plate", "modal_analysis", "storage"}
+READS = {"startswith", "endswith", "removeprefix", "removesuffix", "partition", "rpartition", "split", "find"}
+# Literals that are asked for and are shown to nobody, or are cut off what another layer has written.
+ASKED_FOR = {
+    "at least": "the side of a limit, one of two literals",
+    "held edges": "what an effect is drawn as, one of four literals",
+    "mirror image": "the name of a symmetry",
+    "cannot be judged": "the verdict on a plate of a batch, one of four literals",
+    "too close to call": "another of these",
+    "built-in ": "the source of a specimen, as the reader of plates writes it",
+    "executor: ": "the name of the argument in an error, which argparse says itself",
+}
+
+
+def read_texts(source: str) -> Iterator[str]:
+    """Texts of several words, or with a word and a space, that a module compares with or looks for."""
+    for node in ast.walk(ast.parse(source)):
+        looked_for: list[ast.expr] = []
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr in READS:
+            looked_for = node.args
+        elif isinstance(node, ast.Compare):
+            asked = (ast.Eq, ast.NotEq, ast.In, ast.NotIn)
+            looked_for = [node.left, *node.comparators] if any(isinstance(o, asked) for o in node.ops) else []
+        for literal in (n for expression in looked_for for n in ast.walk(expression)):
+            text = literal.value if isinstance(literal, ast.Constant) else None
+            if isinstance(text, str) and " " in text and re.search(r"[A-Za-z]{2}", text):
+                yield text
+
+
+def test_a_text_that_is_looked_for_is_found() -> None:
+    assert list(read_texts('any(w.startswith("The noise") for w in said)')) == ["The noise"]
+    assert list(read_texts('base, _, of = name.partition(" of ")')) == [" of "]
+    assert list(read_texts('verdict == "determined by the data" or "E1" in name')) == [
+        "determined by the data"
+    ]
+
+
+@pytest.mark.parametrize("path", MODULES, ids=module_name)
+def test_nothing_is_decided_by_a_text_that_is_shown(path: Path) -> None:
+    if layer(module_name(path)) in READERS:
+        return
+    assert set(read_texts(path.read_text("utf-8"))) <= set(ASKED_FOR)
+
+
+def test_every_text_that_may_be_asked_for_is() -> None:
+    asked = {text for path in MODULES for text in read_texts(path.read_text("utf-8"))}
+    assert set(ASKED_FOR) <= asked

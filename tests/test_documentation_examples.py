@@ -8,8 +8,7 @@ from pathlib import Path
 import matplotlib
 import pytest
 
-from cpam_bayes.cli import _parser
-from cpam_bayes.commands import COMMANDS
+from cpam_bayes.cli import COMMANDS, _asked
 from docs.build.examples import ExampleError, check, run_block, shortened
 
 PROJECT = Path(__file__).parent.parent
@@ -162,7 +161,7 @@ def test_a_page_that_lists_the_commands_lists_all(page: str) -> None:
 
 def option_names(command: str) -> set[str]:
     """The options of a command, as its help has them."""
-    parser = _parser()
+    _, parser = _asked([command])
     (commands,) = (action for action in parser._actions if action.dest == "command")
     assert commands.choices is not None
     return {name for action in commands.choices[command]._actions for name in action.option_strings}

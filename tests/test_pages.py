@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from cpam_bayes.validation.pages import (
+from tests.test_studies import PROJECT, SAVED, STUDIES, script
+from validation.reporting import (
     FIGURE,
     counted,
     figure_section,
@@ -22,7 +23,6 @@ from cpam_bayes.validation.pages import (
     with_sections,
     write_sections,
 )
-from tests.test_studies import PROJECT, SAVED, STUDIES, script
 
 PAGES = {str(path.relative_to(PROJECT)): path for path in pages(PROJECT)}
 WITH_SECTIONS = [name for name, path in PAGES.items() if marks(path.read_text(encoding="utf-8"))]

@@ -10,7 +10,7 @@ from benchmarks.plain_likelihood import cross_ply_stiffness, plain_frequencies
 from cpam_bayes.forward_model.model import plate_problem
 from cpam_bayes.plate import read_specimen
 from cpam_bayes.plate.laminate import FIVE_SIXTHS
-from tests.mechanics.test_closed_forms import CONVERGED_HZ
+from tests.mechanics.test_convergence import CONVERGED_HZ
 
 # As benchmarks/README.md has them.
 KEYS = {

@@ -10,7 +10,7 @@ import pytest
 from benchmarks import fresh, waits
 from benchmarks.wait_tables import sections, tables
 from cpam_bayes.plate import read_plate
-from cpam_bayes.validation.pages import with_sections
+from validation.reporting import with_sections
 
 PAGE = waits.ROOT / "docs" / "speed.md"
 # As benchmarks/README.md has them.

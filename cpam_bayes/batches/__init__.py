@@ -1,1 +1,1 @@
-"""The question `batch`: many plates, their limits, their scatter."""
+"""Many plates: shared models, rows, limits, the scatter of a material."""

@@ -23,7 +23,7 @@ from cpam_bayes.mechanics.convergence import Tolerance, converge
 from cpam_bayes.parameters import Parameter, ParameterSet, Uniform
 from cpam_bayes.plate import Specimen
 
-__all__ = ["carried", "groups_of", "size_powers"]
+__all__ = ["carried", "groups_of", "size_powers", "with_shared_sizes"]
 
 Array = NDArray[Any]
 
@@ -115,3 +115,26 @@ def carried(specimen: Specimen, nominal: Specimen, powers: Array) -> Specimen | 
         resolution=measurement.resolution * float(np.mean(factor)),
     )
     return replace(specimen, plate=nominal.plate, measurement=moved)
+
+
+def with_shared_sizes(specimens: Sequence[Specimen]) -> tuple[list[Specimen], int]:
+    """The plates of one geometry with the sizes and lists as of its first, and the number of geometries."""
+    shared = list(specimens)
+    groups = groups_of(specimens)
+    count = len(groups)
+    for first, *others in groups:
+        nominal = specimens[first]
+        moving = [k for k in others if specimens[k].plate != nominal.plate]
+        if not moving:
+            continue
+        assert nominal.measurement is not None
+        try:
+            powers = size_powers(nominal, nominal.measurement.size)
+        except ValueError:  # it is said where the plate is computed
+            count += len(moving)
+            continue
+        for k in moving:
+            moved = carried(specimens[k], nominal, powers)
+            count += moved is None
+            shared[k] = moved or specimens[k]
+    return shared, count

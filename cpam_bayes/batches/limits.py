@@ -1,18 +1,24 @@
-"""Limits of quality control: "E1_GPa >= 115", and the probability that a constant meets one."""
+"""Quality control of constants: limits such as "E1_GPa >= 115", and Shewhart's chart of individual values.
+
+A limit has the probability that a constant meets it; the chart tells the plates that differ by more than the
+batch scatters.
+"""
 
 from __future__ import annotations
 
 import math
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final, Literal
 
+import numpy as np
 from scipy.stats import t
 
 from cpam_bayes.plate import USER_UNITS, to_si
-from cpam_bayes.plate.elasticity import CONSTANTS
+from cpam_bayes.plate.laminate import CONSTANTS
 
-__all__ = ["Limit", "MarginalPosterior", "read_limit"]
+__all__ = ["ControlChart", "Limit", "MarginalPosterior", "control_chart", "read_limit"]
 
 _FORM: Final = re.compile(r"\s*(\w+)\s*(>=|<=|>|<)\s*([-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?)\s*")
 _NAMES: Final = {user: name for user, (name, _) in USER_UNITS.items() if name in CONSTANTS}
@@ -85,3 +91,43 @@ def _is_number(text: str) -> bool:
         return math.isfinite(float(text))
     except ValueError:
         return False
+
+
+# Standard deviation of normal values over the median range of two of them; limits in standard deviations.
+_OF_MEDIAN_RANGE, _SIGMAS = 1.047, 3.0
+LEAST_PLATES: Final = 3
+
+
+@dataclass(frozen=True, slots=True)
+class ControlChart:
+    """Median and limits of one constant over the plates of a batch, in the order of the batch.
+
+    sigma : from the median moving range
+    outside : numbers, from 0, of the values beyond the limits
+    """
+
+    median: float
+    sigma: float
+    outside: tuple[int, ...]
+
+    @property
+    def limits(self) -> tuple[float, float]:
+        """Median - 3 sigma and median + 3 sigma."""
+        return self.median - _SIGMAS * self.sigma, self.median + _SIGMAS * self.sigma
+
+
+def control_chart(values: Sequence[float]) -> ControlChart | None:
+    """The chart of individual values with limits from their moving ranges; None of fewer than three.
+
+    median(x) +- 3 * 1.047 median |x_i - x_(i-1)|: medians, because a bad plate would widen limits from means
+    and hide (Montgomery, Introduction to Statistical Quality Control, section 6.4).
+    """
+    if len(values) < LEAST_PLATES:
+        return None
+    x = np.asarray(values, dtype=float)
+    ranges = np.abs(np.diff(x))
+    # more than half of the neighbours are equal
+    typical = float(np.median(ranges)) or float(ranges.mean())
+    median, sigma = float(np.median(x)), _OF_MEDIAN_RANGE * typical
+    outside = np.flatnonzero(np.abs(x - median) > _SIGMAS * sigma)
+    return ControlChart(median, sigma, tuple(int(i) for i in outside))

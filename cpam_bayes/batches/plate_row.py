@@ -1,31 +1,49 @@
-"""What a batch keeps of one plate: constants, their likelihood, the diagnosis; or why there is none."""
+"""The row of one plate in a batch: its constants, their likelihood, the claim, or why there is no answer.
+
+Finished rows are kept on disk, so that a stopped batch goes on.
+"""
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
-from typing import Any, Literal
+from pathlib import Path
+from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cpam_bayes.answer import Verdict
 from cpam_bayes.batches.limits import MarginalPosterior
 from cpam_bayes.diagnosis.cases import hypotheses_of, plate_case
 from cpam_bayes.diagnosis.diagnose import diagnose_cases
 from cpam_bayes.effects import CATALOGUE
 from cpam_bayes.forward_model.labels import labelled_model
-from cpam_bayes.identification.identify import PointResult, identify
+from cpam_bayes.identification.point import PointEstimate
 from cpam_bayes.inference.derivatives import expand_likelihood
 from cpam_bayes.inference.posterior import plate_posterior
-from cpam_bayes.parameters import TruncatedNormal
 from cpam_bayes.plate import Measurement, Specimen
+from cpam_bayes.storage import read_sealed, set_aside, write_sealed
 
-__all__ = ["LocalLikelihood", "PlateDiagnosis", "PlateRow", "RowConstant", "computed_row", "failed_row"]
+__all__ = [
+    "LocalLikelihood",
+    "PlateDiagnosis",
+    "PlateRow",
+    "RowConstant",
+    "computed_row",
+    "diagnosed",
+    "failed_row",
+    "read_row",
+    "row_key",
+    "write_row",
+]
 
 Array = NDArray[Any]
 
-# Digits of floats survive a round trip through JSON.
+# Least relative error of the solver that a likelihood counts with.
 _SOLVER_FLOOR = 5e-5
 
 
@@ -43,7 +61,7 @@ class RowConstant:
     sd: float
     low: float
     high: float
-    verdict: str
+    verdict: Verdict
     posterior: MarginalPosterior
 
 
@@ -105,14 +123,17 @@ class PlateRow:
 
     def stored(self) -> bytes:
         """The row as a text that `row_of` reads."""
-        return json.dumps(asdict(self)).encode()
+        return json.dumps(asdict(self), default=lambda verdict: verdict.value).encode()
 
 
 def row_of(content: bytes) -> PlateRow:
     """The row of a stored text; raises ``ValueError``, ``KeyError`` or ``TypeError`` for others."""
     raw: dict[str, Any] = json.loads(content)
     constants = tuple(
-        RowConstant(**{**c, "posterior": MarginalPosterior(**c["posterior"])}) for c in raw["constants"]
+        RowConstant(
+            **{**c, "verdict": Verdict(c["verdict"]), "posterior": MarginalPosterior(**c["posterior"])}
+        )
+        for c in raw["constants"]
     )
     likelihood, diagnosis = raw["likelihood"], raw["diagnosis"]
     return PlateRow(
@@ -137,21 +158,26 @@ def failed_row(file: str, name: str, message: str) -> PlateRow:
     return PlateRow(file, name, "failed", " ".join(message.split()))
 
 
-def computed_row(file: str, specimen: Specimen, seed: int, diagnosis: bool) -> PlateRow:
-    """The constants of a plate by swarms, Laplace's approximation, and the diagnosis where asked for.
+def computed_row(
+    file: str,
+    estimate: PointEstimate,
+    *,
+    message: str = "",
+    search: str = "",
+    diagnosis: PlateDiagnosis | None = None,
+) -> PlateRow:
+    """The row of a plate with its point estimates by relative residuals.
 
-    Raises what `identify` and `diagnose` raise.
+    message : what the identification warns of; search : how its swarms ended
     """
-    # relative residuals: their optimum is that of the posterior, which the limits are asked of
-    point = identify(specimen, seed=seed, residual="relative")
-    estimate = point.estimate
-    likelihood = local_likelihood(point)
-    marginals = _marginals(point, likelihood)
+    specimen = estimate.specimen
+    likelihood = local_likelihood(estimate)
+    marginals = _marginals(estimate, likelihood)
     return PlateRow(
         file=file,
         name=specimen.name,
         status="done",
-        message=" ".join(f"{w}." for w in point.warnings),
+        message=message,
         material=specimen.material.name or "",
         constants=tuple(
             RowConstant(
@@ -165,26 +191,26 @@ def computed_row(file: str, specimen: Specimen, seed: int, diagnosis: bool) -> P
             for c, marginal in zip(estimate.constants, marginals, strict=True)
         ),
         likelihood=likelihood,
-        diagnosis=_diagnosed(specimen) if diagnosis else None,
+        diagnosis=diagnosis,
         rms=estimate.rms,
         noise=estimate.noise,
-        search=point.status,
+        search=search,
         misfit=estimate.misfit,
     )
 
 
-def local_likelihood(point: PointResult) -> LocalLikelihood:
+def local_likelihood(estimate: PointEstimate) -> LocalLikelihood:
     """The likelihood about the answer of the swarm, with its noise and with [plate.sd] integrated over.
 
     An error z of a size, in its standard deviations, shifts the constants that repeat the list by B z: the
     integral over z of a Gaussian likelihood is F - F B (1 + B^T F B)^-1 B^T F, and its gradient alike.
     """
-    estimate, specimen = point.estimate, point.specimen
+    specimen = estimate.specimen
     measurement = specimen.measurement
     assert measurement is not None
     model = labelled_model(estimate.model, measurement, specimen)
     error = np.hypot(estimate.model.full.error, _SOLVER_FLOOR)
-    posterior = plate_posterior(model, _with_noise(point, measurement), error)
+    posterior = plate_posterior(model, _with_noise(estimate, measurement), error)
     at = np.array([c.value for c in estimate.constants])
     expansion = expand_likelihood(posterior, at[None])
     g, f = expansion.gradient[0], expansion.curvature[0]
@@ -198,28 +224,28 @@ def local_likelihood(point: PointResult) -> LocalLikelihood:
     return LocalLikelihood(names, tuple(at.tolist()), tuple(g.tolist()), tuple(map(tuple, f.tolist())))
 
 
-def _with_noise(point: PointResult, measurement: Measurement) -> Measurement:
+def _with_noise(estimate: PointEstimate, measurement: Measurement) -> Measurement:
     """The measurement with the noise that the intervals of the swarm assume, Birge's ratio in it."""
-    estimate = point.estimate
     if measurement.frequency_sd is not None:
         return replace(measurement, frequency_sd=estimate.misfit * measurement.frequency_sd)
     level = estimate.noise if np.isfinite(estimate.noise) else estimate.rms
     return replace(measurement, relative_std=float(np.clip(estimate.misfit * level, 1e-6, 1.0)))
 
 
-def _marginals(point: PointResult, likelihood: LocalLikelihood) -> list[MarginalPosterior]:
+def _marginals(estimate: PointEstimate, likelihood: LocalLikelihood) -> list[MarginalPosterior]:
     """Laplace's approximation of the marginals, bounded by their priors.
 
     A constant that the data leave open keeps the width of its prior, as in `gauss_newton_covariance`.
     """
-    estimate, unknowns = point.estimate, point.specimen.unknowns
+    unknowns = estimate.specimen.unknowns
     priors = [unknowns[name].prior for name in likelihood.names]
     curvature = np.diag([prior.sd**-2.0 for prior in priors])
     covariance = np.linalg.inv(np.array(likelihood.information) + curvature)
+    numbers = [prior.describe() for prior in priors]
     pull = np.array(
         [
-            (prior.loc - at) / prior.scale**2 if isinstance(prior, TruncatedNormal) else 0.0
-            for prior, at in zip(priors, likelihood.at, strict=True)
+            0.0 if n.centre is None else (n.centre - at) / n.scale**2
+            for n, at in zip(numbers, likelihood.at, strict=True)
         ]
     )
     centre = np.array(likelihood.at) + covariance @ (np.array(likelihood.gradient) + pull)
@@ -231,7 +257,7 @@ def _marginals(point: PointResult, likelihood: LocalLikelihood) -> list[Marginal
     ]
 
 
-def _diagnosed(specimen: Specimen) -> PlateDiagnosis:
+def diagnosed(specimen: Specimen) -> PlateDiagnosis:
     """The claim, without what `diagnose` adds to it: the gain, detectable sizes, further tests."""
     cases = [plate_case(specimen)]
     found = diagnose_cases(cases, hypotheses=hypotheses_of(cases, CATALOGUE), gain=False, power=False)
@@ -244,3 +270,81 @@ def _diagnosed(specimen: Specimen) -> PlateDiagnosis:
         float(none),
         float(found.probability_beside),
     )
+
+
+# To be raised when the same inputs give other numbers.
+_FORMAT: Final = 1
+
+
+def row_key(specimen: Specimen, seed: int, diagnosis: bool, sources: str) -> str:
+    """Hash of all that a row depends on: the plate as it is computed, its list, the seed.
+
+    sources : fingerprint of the code that computes it
+    """
+    measurement, plate = specimen.measurement, specimen.plate
+    content: dict[str, Any] = {
+        "format": _FORMAT,
+        "sources": sources,
+        "seed": seed,
+        "diagnosis": diagnosis,
+        "name": specimen.name,
+        "plate": [repr(v) for v in (plate.length, plate.width, plate.thickness, plate.density, plate.mass)],
+        "layup": [*(repr(float(a)) for a in plate.layup.angles_deg), *map(repr, plate.layup.kinds)],
+        "edges": plate.edges,
+        "sd": sorted(plate.sd.items()),
+        "material": repr(specimen.material),
+        "unknowns": repr(specimen.unknowns),
+        "sensors": [repr(s) for s in specimen.sensors],
+        "air": specimen.air_density,
+        "measured": None
+        if measurement is None
+        else [
+            measurement.frequencies.tolist(),
+            measurement.resolution,
+            measurement.relative_std,
+            None if measurement.frequency_sd is None else measurement.frequency_sd.tolist(),
+            list(measurement.labels),
+            measurement.complete,
+            _shapes(measurement),
+        ],
+    }
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:32]
+
+
+def _shapes(measurement: Measurement) -> str | None:
+    """Hash of the measured shapes."""
+    shapes = measurement.shapes
+    if shapes is None:
+        return None
+    return hashlib.sha256(shapes.points.tobytes() + shapes.values.tobytes()).hexdigest()
+
+
+def read_row(directory: Path | None, key: str) -> PlateRow | None:
+    """What was stored of a plate; None where nothing was, or it is damaged: it is set aside."""
+    if directory is None:
+        return None
+    path = _path(directory, key)
+    try:
+        content = read_sealed(path)
+    except OSError:
+        return None
+    if content is None:
+        return None
+    try:
+        return row_of(content)
+    except (ValueError, KeyError, TypeError):
+        set_aside(path)
+        return None
+
+
+def write_row(directory: Path | None, key: str, row: PlateRow) -> None:
+    """Store a finished plate; a directory that cannot be written to ends the storing, not the work."""
+    if directory is None:
+        return
+    with suppress(OSError):
+        directory.mkdir(parents=True, exist_ok=True)
+        write_sealed(_path(directory, key), row.stored())
+
+
+def _path(directory: Path, key: str) -> Path:
+    return directory / f"{key}.plate"

@@ -1,1 +1,1 @@
-"""What the simulation gets wrong: causes weighed by evidence, the claim, the extended model, the gain."""
+"""Causes of a misfit weighed against each other: the claim, its gain, further tests."""

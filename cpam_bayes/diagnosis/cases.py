@@ -1,18 +1,44 @@
-"""From plate files to plates with their lists, ready to be weighed."""
+"""From plate files to plates with their lists and models, ready to be weighed.
+
+An incomplete list is paired with the modes of the model; every pairing has a prior probability.
+"""
 
 from __future__ import annotations
 
+import pickle
 from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
+from contextlib import suppress
 from dataclasses import replace
+from typing import Any
 
-from cpam_bayes.diagnosis.fitting import PlateCase
+import numpy as np
+from numpy.typing import NDArray
+
+from cpam_bayes.diagnosis.comparison import PlateCase
 from cpam_bayes.diagnosis.hypotheses import NONE, OTHER, Hypothesis, prior_by_cause, single_hypotheses
-from cpam_bayes.diagnosis.models import plate_models
-from cpam_bayes.effects import CATALOGUE, Effect
+from cpam_bayes.diagnosis.models import (
+    PlateModels,
+    built_bare,
+    built_model,
+    extended_model,
+    is_bare_stored,
+    is_stored,
+    needs_another_space,
+    plate_models,
+)
+from cpam_bayes.effects import CATALOGUE, Effect, extend
 from cpam_bayes.forward_model.labels import by_shape, labelled_model, list_order, spare_modes
+from cpam_bayes.forward_model.local.model import LocalModel
 from cpam_bayes.forward_model.model import reference_vector
+from cpam_bayes.forward_model.reduced import ReducedModel
+from cpam_bayes.forward_model.store import without_matrices
+from cpam_bayes.inference.pairing import PairingPrior, monotone_log_likelihood, most_probable_pairing
+from cpam_bayes.mechanics.modes import RigidBodyError
+from cpam_bayes.parallel import counted, run
 from cpam_bayes.parameters import Parameter
 from cpam_bayes.plate import Measurement, Specimen
+from cpam_bayes.running import TimeIsUpError
 
 # Modes computed beyond a complete list, which may lack two, and beyond one that says it is incomplete.
 _SPARE, _MORE_SPARE = 2, 6
@@ -142,3 +168,216 @@ def _of_specimen(
     causes = [(h, tuple(at)) for h, at in flaws.values()] + causes
     whole = prior_by_cause([h for h, _ in causes])
     return [(replace(h, prior=h.prior * alone[h.cause] / whole[h.cause]), at) for h, at in causes]
+
+
+Model = ReducedModel | LocalModel
+
+
+def build_models(
+    cases: Sequence[PlateCase],
+    hypotheses: Sequence[tuple[Hypothesis, tuple[int, ...]]],
+    executor: Executor | None = None,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> None:
+    """Build the models that hypotheses need and that are not on disk, on all workers of an executor.
+
+    Workers hand the models back and this process stores them, so that a worker that is stopped leaves no
+    file. The models are the same bit for bit on any executor. What cannot be sent to a worker, an effect of a
+    script for instance, is left to be built when it is asked for.
+    """
+    wanted = _wanted(cases, hypotheses)
+    if not wanted:
+        return
+    plates = [replace(case.models, bare=without_matrices(case.models.bare)) for case in cases]
+
+    count = counted(progress, len(wanted))
+
+    def store(index: int, built: Model | None) -> None:
+        i, effect = wanted[index]
+        case = cases[i]
+        if effect is None and isinstance(built, ReducedModel):
+            specimen, n_modes = case.models.specimen, case.models.n_modes
+            case.of_another_material.append(plate_models(specimen, n_modes, other_material=True, built=built))
+        elif effect is not None and built is not None:
+            model = extended_model(case.models, effect, built=built)
+            case.extended[effect.name, effect.variant] = model
+        count(index, None)
+
+    progress(0, len(wanted))
+    with suppress(TimeIsUpError):  # the hypotheses that need what is missing are not tested
+        run(_built, plates, wanted, executor, batch_size=1, on_result=store, is_limited=True)
+
+
+def _built(plates: Sequence[PlateModels], item: tuple[int, Effect | None]) -> Model | None:
+    """The model of a plate with an effect, or of another material; ``None`` where it has no modes."""
+    i, effect = item
+    try:
+        if effect is None:
+            return built_bare(plates[i].specimen, plates[i].n_modes)
+        return built_model(plates[i], effect)
+    except RigidBodyError:  # it is said where the hypothesis is tested
+        return None
+
+
+def _wanted(
+    cases: Sequence[PlateCase], hypotheses: Sequence[tuple[Hypothesis, tuple[int, ...]]]
+) -> list[tuple[int, Effect | None]]:
+    """Plates with the effects of their models, ``None`` for another material; what takes longest first."""
+    wanted: dict[tuple[int, str, str], tuple[int, int, Effect | None]] = {}
+    for hypothesis, plates in hypotheses:
+        for i in plates:
+            case = cases[i]
+            models = case.models
+            of_another = hypothesis.other_material and not case.of_another_material
+            if of_another and not is_bare_stored(models.specimen, models.n_modes):
+                wanted[i, "", ""] = (0, i, None)
+            for effect in hypothesis.effects:
+                key = (i, effect.name, effect.variant)
+                known = key in wanted or key[1:] in case.extended or effect.change is None
+                if not known and not is_stored(models, effect) and _can_be_sent(effect):
+                    wanted[key] = (1 - int(_is_converged_anew(models, effect)), i, effect)
+    return [(i, effect) for _, i, effect in sorted(wanted.values(), key=lambda entry: entry[0])]
+
+
+def _is_converged_anew(models: PlateModels, effect: Effect) -> bool:
+    if effect.is_anywhere:
+        return False
+    return needs_another_space(extend(models.problem, effect, models.facts), effect, models)
+
+
+def _can_be_sent(effect: Effect) -> bool:
+    try:
+        pickle.dumps(effect)
+    except (pickle.PicklingError, AttributeError, TypeError):
+        return False
+    return True
+
+
+Array = NDArray[Any]
+
+
+def is_incomplete(case: PlateCase) -> bool:
+    """Whether pairings of a plate's list are summed over."""
+    return not case.measurement.complete
+
+
+def is_open_ended(case: PlateCase) -> bool:
+    """Whether the last frequency of an incomplete list is a false peak.
+
+    Only then does the pairing itself not say how many modes below it are missed.
+    """
+    return is_incomplete(case) and bool(case.modes[-1] < 0)
+
+
+def pairing_prior(measurement: Measurement) -> PairingPrior:
+    """Probabilities of missed modes and of false peaks that the plate file gives."""
+    return PairingPrior(measurement.missed_probability, measurement.false_peaks)
+
+
+def labelled(case: PlateCase) -> Array:
+    """Which frequencies keep the mode of their label or of their shape, (n,) bool."""
+    if case.by_shape is not None:
+        return np.asarray(case.by_shape.modes >= 0)
+    return np.array([bool(label) for label in case.measurement.labels])
+
+
+def with_pairing(case: PlateCase, modes: Array, missed_above: int = 0) -> PlateCase:
+    """A plate whose list is paired otherwise.
+
+    The log prior is n_paired log(1 - p) + n_missed log p + n_false log(lambda / f_last), with the modes
+    below the highest paired one that the list lacks as missed (``PairingPrior``); a list that is complete
+    has no such prior.
+
+    modes : (n,) model mode of every frequency, -1 for a false peak
+    missed_above : modes above the highest paired one and below the last frequency, a false peak then
+    """
+    if case.measurement.complete:
+        return replace(case, modes=modes)
+    prior, paired = pairing_prior(case.measurement), modes[modes >= 0]
+    n_false = len(modes) - len(paired)
+    n_missed = int(paired.max(initial=-1)) + 1 - len(paired) + missed_above
+    log_prior = len(paired) * np.log1p(-prior.missed)
+    with np.errstate(divide="ignore"):
+        if n_missed:
+            log_prior += n_missed * np.log(prior.missed)
+        if n_false:
+            log_prior += n_false * (np.log(prior.spurious) - np.log(case.measurement.frequencies[-1]))
+    return replace(case, modes=modes, log_pairing=float(log_prior))
+
+
+def with_missed_modes(case: PlateCase, predicted: Array) -> PlateCase:
+    """The same pairing with the modes that predictions (k,) have below the last frequency as missed."""
+    if not is_open_ended(case):
+        return case
+    first = int(case.modes.max(initial=-1)) + 1
+    above = int(np.sum(predicted[first:] <= case.measurement.frequencies[-1]))
+    return with_pairing(case, case.modes, above)
+
+
+def most_probable(case: PlateCase, predicted: Array, sigma: Array) -> Array:
+    """The most probable modes (n,) at predictions (k,) with noise (n,) Hz; labelled ones keep theirs."""
+    fixed = labelled(case)
+    columns = np.setdiff1d(np.arange(len(predicted)), case.modes[fixed])
+    f = case.measurement.frequencies
+    density = log_density(f[~fixed], predicted[None, columns], sigma[~fixed])[0]
+    pairing = most_probable_pairing(
+        density, predicted[columns] <= f[-1], f[-1], pairing_prior(case.measurement)
+    )
+    modes = np.array(case.modes)
+    modes[~fixed] = np.where(pairing.mode >= 0, columns[pairing.mode], -1)
+    return modes
+
+
+def log_sum(case: PlateCase, predicted: Array, relative: float) -> Array:
+    """Log likelihood of predictions (m, k) summed over all pairings, at a relative noise, (m,)."""
+    fixed, f = labelled(case), case.measurement.frequencies
+    columns = np.setdiff1d(np.arange(predicted.shape[1]), case.modes[fixed])
+    density = log_density(f[~fixed], predicted[:, columns], relative * f[~fixed])
+    value = monotone_log_likelihood(
+        density, predicted[:, columns] <= f[-1], f[-1], pairing_prior(case.measurement)
+    )
+    away = (f[fixed] - predicted[:, case.modes[fixed]]) / (relative * f[fixed])
+    return np.asarray(value - 0.5 * np.sum(away**2, axis=1))
+
+
+def log_density(f: Array, predicted: Array, sigma: Array) -> Array:
+    """Log density of frequencies (n,) about predictions (m, k), (m, n, k)."""
+    away = (f[:, None] - predicted[:, None, :]) / sigma[:, None]
+    return np.asarray(-0.5 * away**2 - np.log(sigma)[:, None] - 0.5 * np.log(2 * np.pi))
+
+
+def neighbours(case: PlateCase) -> list[Array]:
+    """Modes (n,) of all pairings one move away.
+
+    A frequency is false or of another mode, or all above it are those of the next modes.
+    """
+    fixed = labelled(case)
+    columns = np.setdiff1d(np.arange(case.models.n_modes), case.modes[fixed])
+    place = {int(mode): at for at, mode in enumerate(columns)}
+    rank = np.array([place.get(int(mode), -1) for mode in case.modes[~fixed]])
+    n, k = len(rank), len(columns)
+    moved: list[Array] = []
+    for i in range(n):
+        below, above = rank[:i].max(initial=-1), min((r for r in rank[i + 1 :] if r >= 0), default=k)
+        moved += [_moved(rank, i, r) for r in (-1, *range(int(below) + 1, int(above))) if r != rank[i]]
+        if rank[i] < 0:
+            continue
+        for step in (-1, 1):
+            shifted = np.where((np.arange(n) >= i) & (rank >= 0), rank + step, rank)
+            if shifted.max() < k and shifted[i] > below:
+                moved.append(shifted)
+            at = i + step
+            if 0 <= at < n and rank[at] < 0:  # the next frequency is the mode, and this one false
+                moved.append(_moved(_moved(rank, at, rank[i]), i, -1))
+    modes = []
+    for r in moved:
+        changed = np.array(case.modes)
+        changed[~fixed] = np.where(r >= 0, columns[r], -1)
+        modes.append(changed)
+    return modes
+
+
+def _moved(rank: Array, i: int, to: int) -> Array:
+    moved = rank.copy()
+    moved[i] = to
+    return moved

@@ -12,22 +12,31 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cpam_bayes.deadline import cut_short, is_time_up
-from cpam_bayes.diagnosis.answers.averaged import averaged_constants, averaged_draws
 from cpam_bayes.diagnosis.answers.detectability import Detectable, detectable
-from cpam_bayes.diagnosis.answers.gain import Gain, gain_of
-from cpam_bayes.diagnosis.answers.optima import OpenOptimum, open_optima
-from cpam_bayes.diagnosis.answers.predictive import PredictiveChecks, within_stated_noise
-from cpam_bayes.diagnosis.answers.prior_sensitivity import PriorSensitivity, prior_sensitivity
+from cpam_bayes.diagnosis.answers.optima import (
+    OpenOptimum,
+    PriorSensitivity,
+    averaged_constants,
+    averaged_draws,
+    open_optima,
+    prior_sensitivity,
+)
 from cpam_bayes.diagnosis.cases import hypotheses_of
-from cpam_bayes.diagnosis.claim import PLAIN, Claim, claim_of
-from cpam_bayes.diagnosis.evidence.best_fits import best_log_likelihood
-from cpam_bayes.diagnosis.evidence.marginal import Marginal
-from cpam_bayes.diagnosis.evidence.sharing import shared_out
+from cpam_bayes.diagnosis.comparison import SCATTER, PlateCase
+from cpam_bayes.diagnosis.evidence.marginal import Marginal, best_log_likelihood
+from cpam_bayes.diagnosis.evidence.sampled import shared_out
 from cpam_bayes.diagnosis.evidence.weighing import Tested, Weighed, weigh
-from cpam_bayes.diagnosis.fit import Fit, fit_of
-from cpam_bayes.diagnosis.fitting import SCATTER, PlateCase
-from cpam_bayes.diagnosis.hypotheses import NONE, OTHER, PAIR, Hypothesis, causes_in
+from cpam_bayes.diagnosis.fit import Fit, Gain, PredictiveChecks, fit_of, gain_of, within_stated_noise
+from cpam_bayes.diagnosis.hypotheses import (
+    CLAIM_RULES,
+    NONE,
+    OTHER,
+    PAIR,
+    Claim,
+    Hypothesis,
+    causes_in,
+    claim_of,
+)
 from cpam_bayes.diagnosis.signatures import (
     Menu,
     Projector,
@@ -39,13 +48,16 @@ from cpam_bayes.diagnosis.signatures import (
     signature_of,
     with_equal_fits,
 )
-from cpam_bayes.identification.reliance import Reliance, reliances
+from cpam_bayes.identification.point import Reliance, reliances
+from cpam_bayes.running import cut_short, is_time_up
 from cpam_bayes.threads import single_blas_thread
 
 Array = NDArray[Any]
 
-# Predictive p-value below which a model does not explain the lists.
-_EXPLAINED = 1e-3
+EXPLAINED = 1e-3
+"""Predictive p-value below which a model does not explain the lists."""
+# A cause of which the constants leave less than this fraction to be seen is called hidden.
+_HIDDEN = 0.3
 # Variants of the claimed causes that carry less than this fraction of the claim are not averaged over.
 _LEAST_FRACTION = 1e-3
 
@@ -82,6 +94,11 @@ class Cause:
     bias: Mapping[str, float]
     hypothesis: Hypothesis
 
+    @property
+    def is_pair(self) -> bool:
+        """Whether it is two at once."""
+        return len(causes_in(self.name)) > 1
+
 
 @dataclass(frozen=True, slots=True)
 class Diagnosis:
@@ -92,7 +109,7 @@ class Diagnosis:
     members : tested variants of the claimed causes with the fractions at which they are averaged
     extended, gain : ``None`` where nothing is claimed
     signatures : by cause, of its best variant
-    averaged : parameters of the plain model over all hypotheses, mean, sd, 2.5 % and 97.5 % quantile, SI
+    averaged : the answer, constants averaged over all hypotheses: mean, sd, 2.5 % and 97.5 % quantile, SI
     sensitivity : of probabilities and claim to the scales of the priors
     detectable : by cause, the smallest size that the lists would have shown; empty if not asked for
     explained, plain_explained : whether noise as stated explains what the model of the answer, or the plain
@@ -119,9 +136,31 @@ class Diagnosis:
     seconds: float
 
     @property
-    def constants(self) -> Mapping[str, tuple[float, float, float, float]]:
-        """The constants of the answer: of what is claimed, or averaged over all hypotheses."""
-        return self.averaged if self.extended is None else self.extended.constants
+    def something_wrong(self) -> float:
+        """Probability that anything is wrong."""
+        return 1.0 - next(c.probability for c in self.causes if c.name == NONE)
+
+    @property
+    def bayes_factor(self) -> float:
+        """Of an error, whichever, against none: posterior odds over prior odds."""
+        prior = self.weighed.none.hypothesis.prior
+        none = next(c.probability for c in self.causes if c.name == NONE)
+        return (1.0 - none) / none * prior / (1.0 - prior) if none > 0.0 else float("inf")
+
+    @property
+    def tested_causes(self) -> tuple[str, ...]:
+        """Names of the single causes that were tested, the most probable first."""
+        return tuple(c.name for c in self.causes if c.name not in (NONE, OTHER) and not c.is_pair)
+
+    @property
+    def hidden_causes(self) -> tuple[Cause, ...]:
+        """Single causes of which the constants leave little to be seen, the best hidden first."""
+        hidden = [c for c in self.causes if c.visible < _HIDDEN and c.parameters and not c.is_pair]
+        return tuple(sorted(hidden, key=lambda cause: cause.visible))
+
+    def inclusion(self, cause: str) -> float:
+        """Probability that a cause acts, alone or beside another."""
+        return sum(c.probability for c in self.causes if cause in causes_in(c.name))
 
     @property
     def claimed(self) -> frozenset[str]:
@@ -195,7 +234,7 @@ def diagnose_cases(
     n_constants = len({name for case in cases for name in case.models.specimen.unknowns.names})
     gain_of_claim = None
     if is_time_up() and (gain or power):
-        cut_short("neither the gain nor the smallest visible sizes were computed")
+        cut_short("cut_gain")
         gain = power = False
     if gain and extended is not None and members:
         notify("leaving one frequency out")
@@ -216,18 +255,14 @@ def diagnose_cases(
         open_optima(members[0][0] if members else weighed.none, cases),
         claim.kind != OTHER and within_stated_noise(leading, n_constants),
         within_stated_noise(weighed.none, n_constants),
-        _reliances(cases, weighed, extended),
+        _reliances(cases, weighed),
         time.perf_counter() - start,
     )
 
 
-def _reliances(cases: Sequence[PlateCase], weighed: Weighed, extended: Fit | None) -> tuple[Reliance, ...]:
-    """Of the constants of the answer."""
-    if extended is None:
-        names, draws, weight = averaged_draws(weighed)
-    else:
-        names, draws = tuple(extended.constants), extended.draws
-        weight = np.full(len(draws), 1.0 / len(draws))
+def _reliances(cases: Sequence[PlateCase], weighed: Weighed) -> tuple[Reliance, ...]:
+    """Of the constants of the answer, which are averaged over all hypotheses."""
+    names, draws, weight = averaged_draws(weighed)
     prior_sd = {
         name: case.models.parameters[name].prior.sd
         for case in cases
@@ -261,7 +296,7 @@ def _causes(
     by_signature = {name: [names[j] for j in alike(of_singles, i, of_all)] for i, name in enumerate(names)}
     probabilities = weighed.by_cause()
     # fits are compared where a cause may be claimed
-    compared = names if probabilities[NONE] < PLAIN else []
+    compared = names if probabilities[NONE] < CLAIM_RULES.plain else []
     fits = compared_by_fits({name: best[name] for name in compared}, probabilities, by_signature)
     marginals = [t.marginal for t in fits.values()]
     peaks = shared_out(best_log_likelihood, cases, marginals, executor)
@@ -326,7 +361,7 @@ def _claim(weighed: Weighed, causes: Sequence[Cause], checks: PredictiveChecks) 
     pairs = {t.hypothesis.cause: t.hypothesis.causes for t in weighed.tested if t.hypothesis.family == PAIR}
 
     def explained(name: str) -> bool:
-        return checks.p_value(weighed.best_of(name)) > _EXPLAINED
+        return checks.p_value(weighed.best_of(name)) > EXPLAINED
 
     return claim_of(
         {c.name: c.probability for c in causes},

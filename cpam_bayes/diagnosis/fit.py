@@ -1,21 +1,144 @@
-"""What a model, or a mixture of models, makes of the lists once it is fitted."""
+"""A fitted model, or a mixture of models, against the lists: whether it explains them, and what it is worth.
+
+The gain of a claimed cause is in residuals, in evidence, and in predictions of frequencies left out.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from concurrent.futures import Executor
+from dataclasses import dataclass, field, replace
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 from scipy.stats import chi2
 
-from cpam_bayes.diagnosis.answers.predictive import PredictiveChecks
-from cpam_bayes.diagnosis.evidence.comparison import kept_of
-from cpam_bayes.diagnosis.evidence.tested import Tested, prior_of
+from cpam_bayes.diagnosis.comparison import Comparison, PlateCase, kept_of
+from cpam_bayes.diagnosis.evidence.marginal import Marginal, Tested, prior_of
+from cpam_bayes.diagnosis.evidence.sampled import about_draws, sampled_marginal, shared_out
+from cpam_bayes.diagnosis.evidence.scan import marginal_of
+from cpam_bayes.diagnosis.evidence.weighing import Weighed
+from cpam_bayes.diagnosis.hypotheses import NONE, OTHER, Claim, Hypothesis
+from cpam_bayes.diagnosis.models import ComposedModel
+from cpam_bayes.effects.frequency_list import MISREADING
+from cpam_bayes.forward_model.preconditions import birge_ratio
+from cpam_bayes.inference.student_mixture import RELIABLE_K, effective_size, pareto_shape
+from cpam_bayes.parameters import Parameter
 
 Array = NDArray[Any]
+
+# Scores of an inferred repeatability that its prior is averaged over; its tail is wanted down to 1e-6.
+_SCORES = np.linspace(-5.0, 5.0, 41)
+# Nodes of the quadrature that the parameters are refitted from, and the mass that makes one worth it.
+_MOST_STARTS, _NODE_FRACTION = 8, 1e-3
+
+
+def explains(tested: Tested) -> float:
+    """Predictive p-value of a hypothesis: whether noise alone leaves such residuals.
+
+    With T = r^T S^-1 r of the residuals at the most probable parameters, S the covariance of noise and
+    discrepancy,
+
+        p = integral of P(chi2_nu >= T(a)) p(a) da,  nu = n - tr H,
+
+    over the repeatability a: the one that is stated, or the prior of one that is inferred, not its posterior,
+    which any misfit widens until it is explained. H = A (A^T A + I)^-1 A^T projects on what the parameters
+    answer within their priors, A their derivatives over normal scores in units of the noise; the mean of T
+    over the prior predictive distribution is nu (Gelman et al., Bayesian Data Analysis, 3rd ed., 6.3, of the
+    check). The parameters are fitted again for every a.
+    """
+    comparison = tested.marginal.comparison
+    z = _starts(tested)
+    if comparison.noise is None:
+        amplitudes, weight = np.empty(0), np.ones(1)
+    else:
+        amplitudes = comparison.parameters.parameters[comparison.noise].prior.from_normal(_SCORES)
+        weight = np.exp(-0.5 * _SCORES**2)
+    misfit, effective = _refitted(comparison, z, amplitudes)
+    p = np.asarray(chi2.sf(misfit, len(comparison.listed.frequencies) - effective))
+    return float(weight @ p.max(axis=0) / weight.sum())
+
+
+def within_stated_noise(tested: Tested, n_constants: int) -> bool:
+    """Whether noise as stated explains what a hypothesis leaves of the lists, by `birge_ratio`.
+
+    Of its most probable parameters, over the frequencies whose noise is stated; the discrepancy of an error
+    outside the catalogue is no noise.
+    """
+    marginal = tested.marginal
+    listed = marginal.comparison.listed
+    predicted, _ = marginal.comparison.predict(marginal.best[None])
+    stated = listed.scale == 0.0
+    standardised = (listed.frequencies - predicted[0])[stated] / np.sqrt(listed.variance[stated])
+    return birge_ratio(standardised, n_constants) == 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class PredictiveChecks:
+    """Predictive p-values of hypotheses, each computed once, at the latest when it is asked for.
+
+    A hypothesis that is weighed again with other priors keeps its marginal likelihood, and so its p-value.
+    """
+
+    _known: dict[int, tuple[Marginal, float]] = field(default_factory=dict)
+
+    def compute(
+        self, cases: Sequence[PlateCase], tested: Sequence[Tested], executor: Executor | None
+    ) -> None:
+        """The p-values of hypotheses about some plates, side by side on an executor."""
+        for t, p in zip(tested, shared_out(explains, cases, tested, executor), strict=True):
+            self._known[id(t.marginal)] = (t.marginal, p)
+
+    def p_value(self, tested: Tested) -> float:
+        """`explains` of a hypothesis."""
+        key = id(tested.marginal)
+        if key not in self._known:
+            # held with its p-value, so that no other marginal likelihood can have the same number
+            self._known[key] = (tested.marginal, explains(tested))
+        return self._known[key][1]
+
+
+def _starts(tested: Tested) -> Array:
+    """Scores (s, n) of the nodes that carry mass, the best first."""
+    marginal = tested.marginal
+    order = np.argsort(-marginal.weight, kind="stable")[:_MOST_STARTS]
+    return marginal.z[[i for k, i in enumerate(order) if not k or marginal.weight[i] > _NODE_FRACTION]]
+
+
+def _refitted(comparison: Comparison, z: Array, amplitudes: Array) -> tuple[Array, Array]:
+    """T and tr H for starts (s, n) at amplitudes (a,) of the noise, (s, a) each.
+
+    One step of Gauss and Newton from each start; the better one of start and step counts.
+    """
+    f = comparison.listed.frequencies
+    a = max(len(amplitudes), 1)
+    free = np.delete(np.arange(z.shape[1]), comparison.nuisance)
+    x = comparison.scores.to_x(z)
+    predicted, jacobian = comparison.predict(x, jacobian=True)
+    assert jacobian is not None
+    slope = (jacobian * comparison.scores.slope(x, z)[:, None, :])[:, :, free]
+    at = np.repeat(x[:, None], a, axis=1)
+    if comparison.noise is not None:
+        at[:, :, [c for c in comparison.amplitudes if c >= 0]] = amplitudes[:, None]
+    covariance = comparison.covariance(at.reshape(len(z) * a, -1))
+    back = np.linalg.inv(np.linalg.cholesky(covariance)).reshape(len(z), a, len(f), len(f))
+    scaled = back @ slope[:, None]
+    residual = np.einsum("samn,sn->sam", back, f - predicted)
+    fisher = np.swapaxes(scaled, 2, 3) @ scaled
+    gradient = np.einsum("sami,sam->sai", scaled, residual) - z[:, None, free]
+    inverse = np.linalg.inv(fisher + np.eye(len(free)))
+    moved = np.repeat(z[:, None], a, axis=1)
+    moved[:, :, free] += np.einsum("saij,saj->sai", inverse, gradient)
+    # a step may lead where the plate buckles
+    inside, new, _ = comparison.predict_inside(comparison.scores.to_x(moved.reshape(len(z) * a, -1)))
+    again = np.full((len(z) * a, len(f)), np.inf)
+    again[inside] = np.einsum("mij,mj->mi", back.reshape(-1, *back.shape[2:])[inside], f - new)
+    before, after = np.sum(residual**2, axis=2), np.sum(again**2, axis=1).reshape(len(z), a)
+    after = np.where(np.isfinite(after), after, np.inf)
+    return np.minimum(before, after), np.einsum("saij,saji->sa", inverse, fisher)
+
 
 # Draws that fits are summarised from.
 _DRAWS = 1024
@@ -33,6 +156,7 @@ class Fit:
     log_evidence : prior-weighted over the members.
     log_evidence_error, k_hat : largest of the members that were sampled, ``nan`` where none was.
     draws : (d, n_constants) behind it, equally probable.
+    parameters : name -> the parameter that it is of.
     """
 
     constants: Mapping[str, tuple[float, float, float, float]]
@@ -47,6 +171,7 @@ class Fit:
     log_evidence_error: float
     k_hat: float
     draws: Array
+    parameters: Mapping[str, Parameter]
 
     @property
     def standardised(self) -> Array:
@@ -60,7 +185,9 @@ def fit_of(members: Sequence[tuple[Tested, float]], whole: Array, checks: Predic
     sampled = [t for t, _ in members if np.isfinite(t.marginal.error)]
     model_names = first.model.parameters.names
     shared = [n for n in model_names if all(n in t.marginal.comparison.parameters.names for t, _ in members)]
-    kept_names = [n for n in shared if n not in {p.name for t, _ in members for p in t.hypothesis.parameters}]
+    # with several plates the size of a cause is named after its plate too
+    of_causes = {p.own for t, _ in members for p in t.hypothesis.parameters}
+    kept_names = [n for n in shared if first.model.parameters[n].own not in of_causes]
     draws, predicted, variance, tail = [], [], [], []
     for t, fraction in members:
         marginal, comparison = t.marginal, t.marginal.comparison
@@ -103,4 +230,218 @@ def fit_of(members: Sequence[tuple[Tested, float]], whole: Array, checks: Predic
         log_evidence_error=max((t.marginal.error for t in sampled), default=np.nan),
         k_hat=max((t.marginal.k_hat for t in sampled), default=np.nan),
         draws=x,
+        parameters={name: first.parameters[name] for name in kept_names},
+    )
+
+
+def inferred_noise(members: Sequence[tuple[Tested, float]]) -> tuple[float, float] | None:
+    """Mean and sd of the inferred noise over hypotheses and lists, relative; None where it was given."""
+    mean = square = 0.0
+    for t, weight in members:
+        columns = [c for c in t.marginal.comparison.amplitudes if c >= 0]
+        if not columns:
+            return None
+        level, sd = (v[columns] for v in t.marginal.moments())
+        mean += weight * float(np.mean(level))
+        square += weight * float(np.mean(level**2 + sd**2))
+    return mean, float(np.sqrt(max(square - mean**2, 0.0)))
+
+
+@dataclass(frozen=True, slots=True)
+class FoldSettings:
+    """The selection that is repeated without each frequency.
+
+    least_probability, most : hypotheses among which the cause is selected again: those with this probability,
+        the plain model, and so many at most
+    least_fraction, most_plain : pairings of the plain model with this fraction of its evidence, and so many
+        at most
+    small_error, own_errors, largest_error : error of a log evidence that the draws with all frequencies may
+        have without one of them: this or so many times their own, up to a bound
+    heavier_tail : how much heavier than theirs the tail of the weights may be, or than what is reliable
+    starts : optima of the whole list that the fits of every fold start from
+    """
+
+    least_probability: float = 0.01
+    most: int = 6
+    least_fraction: float = 0.05
+    most_plain: int = 3
+    small_error: float = 0.1
+    own_errors: float = 2.0
+    largest_error: float = 0.3
+    heavier_tail: float = 0.25
+    starts: int = 3
+
+
+_FOLDS: Final = FoldSettings()
+
+
+@dataclass(frozen=True, slots=True)
+class Gain:
+    """What the claimed cause is worth.
+
+    log_bayes_factor : of the claimed causes, their variants averaged over their priors
+    held_out : (n_f,) log predictive density of each frequency from all others, of the hypotheses near the
+        top, whose probabilities are those without that frequency, less that of the plain model
+    n_hypotheses : among which the cause is selected in every fold
+    stable : fraction of the frequencies without which the claimed causes still are ahead of none and of the
+        best outsider
+    """
+
+    rms_before: float
+    rms_after: float
+    log_bayes_factor: float
+    held_out: Array
+    n_hypotheses: int
+    stable: float
+
+    @property
+    def held_out_difference(self) -> float:
+        """Sum of the differences."""
+        return float(self.held_out.sum())
+
+    @property
+    def held_out_se(self) -> float:
+        """Standard error of the sum, from the scatter of the differences."""
+        n = len(self.held_out)
+        return float(np.sqrt(n) * self.held_out.std(ddof=1)) if n > 1 else float("nan")
+
+
+def gain_of(
+    cases: Sequence[PlateCase],
+    weighed: Weighed,
+    claim: Claim,
+    members: Sequence[tuple[Tested, float]],
+    baseline: Fit,
+    extended: Fit,
+    scatter: float,
+    executor: Executor | None = None,
+) -> Gain:
+    """The gain of the claimed causes, ``members`` with their fractions, over the plain model.
+
+    The held-out score of frequency i is ln p(f_i | f_-i) = ln Z(f) - ln Z(f_-i) with Z = sum_h p(h) Z_h over
+    the hypotheses near the top: the cause is selected anew, by its probability, in every fold.
+    """
+    n = len(baseline.measured)
+    extending = {t.hypothesis.cause for t, _ in members} - {NONE} or {OTHER}
+    claimed = extending | set(claim.causes)
+    none = weighed.none.marginal
+    top = shared_out(_sampled, cases, _near_the_top(weighed, claimed), executor)
+    whole = np.array([t.marginal.log_evidence for t in top])
+    items = [(tuple(cases), t, n, None if t is top[0] else none, scatter) for t in top]
+    folds = np.stack(shared_out(_folds_of, cases, items, executor))
+    is_plain = np.array([t.hypothesis.cause == NONE for t in top])
+    log_prior = np.log([t.hypothesis.prior for t in top])
+    weight = folds + log_prior[:, None]
+    mixture = logsumexp(whole + log_prior) - logsumexp(weight, axis=0)
+    is_claimed = np.array([t.hypothesis.cause in claimed for t in top])
+    outside = {t.key for t, inside in zip(top, is_claimed, strict=True) if not inside}
+    best_outside = np.max([logsumexp(weight[[t.key == key for t in top]], axis=0) for key in outside], axis=0)
+    ahead = logsumexp(weight[is_claimed], axis=0) > best_outside
+    return Gain(
+        baseline.rms,
+        extended.rms,
+        weighed.log_bayes_factor(extending),
+        mixture - (logsumexp(whole[is_plain]) - logsumexp(folds[is_plain], axis=0)),
+        len({t.key for t in top}),
+        float(np.mean(ahead)),
+    )
+
+
+def left_out(cases: Sequence[PlateCase], t: Tested, n: int, none: Marginal | None, scatter: float) -> Array:
+    """Log evidences of a hypothesis without each of the frequencies in turn, (n,).
+
+    Without the frequency that it takes as misread, what is left of the list is free of that error, over
+    whose size the density of the frequency integrates to one. A false peak has a density of its own, apart
+    from the modes: without it the other frequencies keep theirs.
+    """
+    cases = t.cases or cases
+    evidences = np.empty(n)
+    listed = t.hypothesis.listed
+    # the posterior without a frequency is about that with it
+    about = about_draws(t.marginal)
+    near, reweighted = about.model, _reweighted(t.marginal, about)
+    paired = np.concatenate([case.modes >= 0 for case in cases])
+    last = np.concatenate([np.full(c.measurement.size, c.measurement.frequencies[-1]) for c in cases])
+    before = sum(case.measurement.size for case in cases[: t.plates[0]])  # frequencies of other plates
+    for i in range(n):
+        if not paired[i]:
+            evidences[i] = t.marginal.log_evidence + np.log(last[i])
+            continue
+        at, hypothesis, known = int(paired[:i].sum()), t.hypothesis, t.marginal.z[: _FOLDS.starts]
+        model: ComposedModel | None = near
+        if listed.misread is not None and i == before + listed.misread:
+            hypothesis, model = _without_misreading(hypothesis), None
+            parts = t.marginal.comparison.model.parts
+            column = next(part.misread[1] for part in parts if part.misread is not None)
+            known = np.delete(known, column, axis=1)
+        if listed.spurious is not None:
+            if i == before + listed.spurious:
+                evidences[i] = t.marginal.log_evidence - t.marginal.comparison.listed.log_constant
+                continue
+            at -= i > before + listed.spurious
+        if hypothesis is t.hypothesis and np.isfinite(reweighted[at]):
+            evidences[i] = reweighted[at]
+            continue
+        marginal = marginal_of(
+            cases,
+            hypothesis,
+            t.plates,
+            scatter=scatter,
+            none=none,
+            left_out=at,
+            model=model,
+            known=known,
+            log2_draws=0,
+        )
+        evidences[i] = sampled_marginal(marginal).log_evidence
+    return evidences
+
+
+def _reweighted(marginal: Marginal, about: Comparison) -> Array:
+    """Log evidences without each of the frequencies from the draws with all, (n_f,).
+
+    ln Z_-i = ln Z + ln E[1 / p(f_i | f_-i, x)] over the posterior of x (Gelfand, Dey and Chang, Bayesian
+    Statistics 4, 1992). Not a number where the weights' tail is too heavy (Vehtari, Gelman and Gabry, Stat.
+    Comput. 27, 2017) or their error too large, unless those of the draws are hardly better: what a frequency
+    says alone is for a sample of its own.
+    """
+    evidences = np.full(len(about.listed.frequencies), np.nan)
+    if not marginal.is_sampled or not np.isfinite(marginal.k_hat):
+        return evidences
+    log_weight = marginal.log_weight[:, None] - about.log_conditional(marginal.draws)
+    most_error = max(_FOLDS.small_error, min(_FOLDS.own_errors * marginal.error, _FOLDS.largest_error))
+    most_k = max(RELIABLE_K, marginal.k_hat + _FOLDS.heavier_tail)
+    for i in np.flatnonzero(~np.isnan(log_weight).any(axis=0)):
+        own = log_weight[:, i]
+        error = np.sqrt(1.0 / effective_size(own) - 1.0 / len(own))
+        if pareto_shape(own) < most_k and error < most_error:
+            evidences[i] = marginal.log_evidence + logsumexp(own)
+    return evidences
+
+
+def _folds_of(item: tuple[Sequence[PlateCase], Tested, int, Marginal | None, float]) -> Array:
+    return left_out(*item)
+
+
+def _near_the_top(weighed: Weighed, claimed: set[str]) -> list[Tested]:
+    """None, and the most probable others: at least one that is claimed and one that is not."""
+    plain = [t for t, fraction in weighed.plain if t is weighed.none or fraction >= _FOLDS.least_fraction]
+    others = [t for t in weighed.tested if t.hypothesis.cause != NONE]
+    kept = [t for t in others if t.probability >= _FOLDS.least_probability][: _FOLDS.most - 1]
+    for is_claimed in (True, False):
+        if not any((t.hypothesis.cause in claimed) == is_claimed for t in kept):
+            kept += [t for t in others if (t.hypothesis.cause in claimed) == is_claimed][:1]
+    return [*plain[: _FOLDS.most_plain], *kept]
+
+
+def _sampled(t: Tested) -> Tested:
+    """A hypothesis with the evidence of the whole list by the same means as without a frequency."""
+    return t if t.marginal.is_sampled else replace(t, marginal=sampled_marginal(t.marginal))
+
+
+def _without_misreading(hypothesis: Hypothesis) -> Hypothesis:
+    return replace(
+        hypothesis,
+        listed=replace(hypothesis.listed, misread=None),
+        parameters=tuple(p for p in hypothesis.parameters if p.name != MISREADING.name),
     )

@@ -1,10 +1,11 @@
-"""Which causes are compared on a plate, and their prior probabilities."""
+"""Hypotheses about a plate: the causes with their prior probabilities, and the rules of a claim."""
 
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Final, Literal
 
 from cpam_bayes.effects import (
     CATALOGUE,
@@ -223,3 +224,153 @@ def go_together(a: Hypothesis, b: Hypothesis) -> bool:
 
 def _both(a: ListChange, b: ListChange) -> ListChange:
     return b if a == _NO_ERROR else a
+
+
+Kind = Literal["none", "named", "class", "pair", "other", "undecided"]
+
+
+@dataclass(frozen=True, slots=True)
+class ClaimRules:
+    """When something is claimed.
+
+    sure : least probability of a cause, plain : of nothing wrong
+    clear : least log Bayes factor of a class over the best outsider
+    rival : fraction of the leading cause's probability from which a member of its class is a rival: where the
+        data cannot tell them, a ratio of two priors below it is no evidence either
+    beside : fraction of a claim's probability from which it is told that something else may act beside it
+    negligible : probability below which it does not matter whether a cause explains the lists
+    most, undecided : members of a class at most, and causes listed where nothing is decided
+    """
+
+    sure: float = 0.9
+    plain: float = 0.5
+    clear: float = 3.0
+    rival: float = 0.01
+    beside: float = 0.1
+    negligible: float = 1e-3
+    most: int = 6
+    undecided: int = 3
+
+
+CLAIM_RULES: Final = ClaimRules()
+
+
+@dataclass(frozen=True, slots=True)
+class Claim:
+    """The claim, the causes that it names and its probability."""
+
+    kind: Kind
+    causes: tuple[str, ...]
+    probability: float
+
+
+def claim_of(
+    probability: Mapping[str, float],
+    log_evidence: Mapping[str, float],
+    alike: Mapping[str, frozenset[str]],
+    pairs: Mapping[str, tuple[str, ...]],
+    explains: Callable[[str], bool] = lambda name: True,
+    *,
+    is_cut_short: bool = False,
+) -> Claim:
+    """The claim.
+
+    probability : of every cause, of pairs, none and other
+    log_evidence : of each, its variants averaged over their priors
+    alike : by cause, the causes that frequencies cannot tell from it
+    pairs : by name, the two causes of each pair
+    explains : whether the model extended by a cause or a pair explains the lists
+    is_cut_short : whether hypotheses are missing: then nothing is claimed
+
+    Nothing is wrong where none has half the probability. A cause is claimed with what cannot be told from
+    it, where together they have 0.9 and the best of them is 3 nats above the best outsider, none and other
+    among these; alone where it has 0.9 itself and the rest of its class have hardly any probability, so that
+    priors alone do not decide. Pairs count in the probabilities, with their priors. Then a pair is claimed
+    where it has 0.9 itself, or one cause where all hypotheses that contain it, alone or in pairs, have 0.9:
+    what acts beside it is open. No cause is
+    claimed whose extended model leaves a misfit that is no noise: where those that explain nothing hold 0.9
+    with other, it is other. The rest is undecided.
+    """
+    if is_cut_short:
+        return _undecided(probability, pairs)
+    if probability[NONE] >= CLAIM_RULES.plain and explains(NONE):
+        return Claim("none", (), probability[NONE])
+    claim = _cause(probability, log_evidence, alike, pairs)
+    if claim is not None and explains(claim.causes[0]):
+        return claim
+    if pairs and explains(_leading(probability, pairs)):
+        claim = _pair(probability, pairs) or _one_of_pairs(probability, alike, pairs)
+        if claim is not None:
+            return claim
+    unexplained = [
+        c for c in probability if c != OTHER and probability[c] > CLAIM_RULES.negligible and not explains(c)
+    ]
+    wrong = probability[OTHER] + sum(probability[c] for c in unexplained)
+    if wrong >= CLAIM_RULES.sure:
+        return Claim("other", (), wrong)
+    return _undecided(probability, pairs)
+
+
+def _undecided(probability: Mapping[str, float], pairs: Mapping[str, tuple[str, ...]]) -> Claim:
+    """The most probable causes, with the probability that one of them acts; a pair stands for both of its."""
+    named = sorted((c for c in probability if c not in (NONE, OTHER)), key=lambda c: -probability[c])
+    causes = tuple(dict.fromkeys(c for name in named for c in pairs.get(name, (name,))))[
+        : CLAIM_RULES.undecided
+    ]
+    whole = sum(probability[name] for name in named if set(causes) & set(pairs.get(name, (name,))))
+    return Claim("undecided", causes, whole)
+
+
+def _cause(
+    probability: Mapping[str, float],
+    log_evidence: Mapping[str, float],
+    alike: Mapping[str, frozenset[str]],
+    pairs: Mapping[str, tuple[str, ...]],
+) -> Claim | None:
+    """One cause or its class."""
+    singles = [c for c in probability if c not in (NONE, OTHER) and c not in pairs]
+    ranked = sorted(singles, key=lambda c: -probability[c])
+    if not ranked:
+        return None
+    best = ranked[0]
+    members = [best, *(c for c in ranked[1:] if c in alike[best])]
+    whole = sum(probability[c] for c in members)
+    outside = [e for c, e in log_evidence.items() if c not in members and c not in pairs]
+    ahead = max(log_evidence[c] for c in members) - max(outside, default=float("-inf"))
+    if whole < CLAIM_RULES.sure or ahead < CLAIM_RULES.clear:
+        return None
+    rivals = [c for c in members[1:] if probability[c] >= CLAIM_RULES.rival * probability[best]]
+    if probability[best] >= CLAIM_RULES.sure and not rivals:
+        return Claim("named", (best,), probability[best])
+    members = [best, *(rivals or members[1:])][: CLAIM_RULES.most]
+    whole = sum(probability[c] for c in members)
+    return Claim("class", tuple(members), whole) if whole >= CLAIM_RULES.sure else None
+
+
+def _leading(probability: Mapping[str, float], pairs: Mapping[str, tuple[str, ...]]) -> str:
+    return max(pairs, key=lambda name: probability[name])
+
+
+def _pair(probability: Mapping[str, float], pairs: Mapping[str, tuple[str, ...]]) -> Claim | None:
+    """The leading pair, where it has the probability itself."""
+    leading = _leading(probability, pairs)
+    sure = probability[leading] >= CLAIM_RULES.sure
+    return Claim("pair", pairs[leading], probability[leading]) if sure else None
+
+
+def _one_of_pairs(
+    probability: Mapping[str, float],
+    alike: Mapping[str, frozenset[str]],
+    pairs: Mapping[str, tuple[str, ...]],
+) -> Claim | None:
+    """A cause, or its class, that acts in all that is probable, alone or beside one or another."""
+    leading = pairs[_leading(probability, pairs)]
+    for classes in ([(c,) for c in leading], [(c, *sorted(alike.get(c, ()))) for c in leading]):
+        totals = []
+        for members in classes:
+            total = sum(p for name, p in probability.items() if set(members) & set(pairs.get(name, (name,))))
+            totals.append((total, members))
+        total, members = max(totals, key=lambda entry: entry[0])
+        if total >= CLAIM_RULES.sure and len(members) <= CLAIM_RULES.most:
+            return Claim("named" if len(members) == 1 else "class", members, min(total, 1.0))
+    return None

@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from cpam_bayes.diagnosis.evidence.comparison import Comparison, kept_of
-from cpam_bayes.diagnosis.evidence.marginal import Marginal
-from cpam_bayes.diagnosis.evidence.shifts import ShiftTable
+from cpam_bayes.diagnosis.comparison import Comparison, kept_of
+from cpam_bayes.diagnosis.evidence.marginal import Marginal, ShiftTable
 from cpam_bayes.diagnosis.evidence.weighing import Tested
 from cpam_bayes.effects import scale_of
 from cpam_bayes.mechanics.modes import RigidBodyError

@@ -3,10 +3,7 @@
 A new effect is one file and one line in ``CATALOGUE``; ``docs/effects.md`` shows how.
 """
 
-from cpam_bayes.effects.air import AIR, add_air
-from cpam_bayes.effects.angles import INNER_PLY_ANGLE, MISORIENTATION, OUTER_PLY_ANGLE
-from cpam_bayes.effects.clamps import CLAMP_ROTATION, CLAMP_SLIP, CLAMP_TRANSLATION, SOFT_CLAMP
-from cpam_bayes.effects.damage import DAMAGE
+from cpam_bayes.effects.edges import CLAMP_ROTATION, CLAMP_SLIP, CLAMP_TRANSLATION, SOFT_CLAMP, SUPPORT
 from cpam_bayes.effects.effect import (
     Effect,
     ListChange,
@@ -16,15 +13,30 @@ from cpam_bayes.effects.effect import (
     scale_of,
     variants,
 )
-from cpam_bayes.effects.frequency_list import MODE_IDENTITY, OUTLIER
-from cpam_bayes.effects.material import MATERIAL
-from cpam_bayes.effects.observation import FREQUENCY_SCALE, VISCOELASTIC
-from cpam_bayes.effects.point_masses import SENSOR_MASS, add_known_mass
-from cpam_bayes.effects.shape import SKEW, TAPER_X, TAPER_Y, WARP
-from cpam_bayes.effects.sizes import CLAMP_LENGTH, DENSITY, LENGTH, THICKNESS, WIDTH
-from cpam_bayes.effects.stiffness import RESIN_SKIN, SHEAR_RATIO, TRANSVERSE_SHEAR
-from cpam_bayes.effects.stress import MEMBRANE_STRESS
-from cpam_bayes.effects.support import SUPPORT
+from cpam_bayes.effects.frequency_list import FREQUENCY_SCALE, MODE_IDENTITY, OUTLIER, VISCOELASTIC
+from cpam_bayes.effects.geometry import (
+    CLAMP_LENGTH,
+    DENSITY,
+    LENGTH,
+    SKEW,
+    TAPER_X,
+    TAPER_Y,
+    THICKNESS,
+    WARP,
+    WIDTH,
+)
+from cpam_bayes.effects.masses import AIR, SENSOR_MASS, add_air, add_known_mass
+from cpam_bayes.effects.plies import (
+    DAMAGE,
+    INNER_PLY_ANGLE,
+    MATERIAL,
+    MEMBRANE_STRESS,
+    MISORIENTATION,
+    OUTER_PLY_ANGLE,
+    RESIN_SKIN,
+    SHEAR_RATIO,
+    TRANSVERSE_SHEAR,
+)
 
 CATALOGUE: tuple[Effect, ...] = (
     CLAMP_ROTATION,

@@ -149,6 +149,7 @@ class Effect:
     local : its form, for an effect that may be anywhere and for it at a place
     alternatives : other forms of the same cause with the same parameters, each as probable as it
     directions : names of the parameters that say which way it goes
+    drawn : where it shows on a drawing of the plate, "" for what is everywhere
     smooth : names of further parameters that, wherever they are left open, Laplace's method integrates well
     """
 
@@ -176,6 +177,7 @@ class Effect:
     alternatives: tuple[Effect, ...] = ()
     directions: tuple[str, ...] = ()
     smooth: tuple[str, ...] = ()
+    drawn: Literal["", "held edges", "corners", "plies"] = ""
 
     @property
     def parameter_set(self) -> ParameterSet:
@@ -229,13 +231,7 @@ class Effect:
 
 def scale_of(parameter: Parameter) -> float:
     """One standard deviation of the catalogue in the parameter's unit; what is known: its prior mean."""
-    prior = tolerance_of(parameter.prior)
-    return prior.scale if isinstance(prior, ScaledStudentT) else prior.mean
-
-
-def tolerance_of(prior: Prior) -> Prior:
-    """A prior less its gross part."""
-    return prior.narrow if isinstance(prior, Mixture) else prior
+    return parameter.prior.typical
 
 
 def extend(problem: Problem, effect: Effect, facts: PlateFacts) -> Problem:
@@ -269,7 +265,7 @@ def variants(effect: Effect, facts: PlateFacts) -> tuple[Effect, ...]:
 def _for_plate(effect: Effect, facts: PlateFacts) -> Effect:
     if effect.size_factor is not None:
         factor = effect.size_factor(facts)
-        sizes = tuple(_rescaled(p, factor) for p in effect.sizes)
+        sizes = tuple(replace(p, prior=p.prior.stretched(factor)) for p in effect.sizes)
         effect = replace(effect, parameters=(*sizes, *effect.coordinates))
     return _on_half_or_quarter(effect, facts) if effect.is_anywhere else effect
 
@@ -290,22 +286,6 @@ def coordinate(name: str, lower: float = 0.0, upper: float = 1.0) -> Parameter:
 def place_text(place: Place) -> str:
     """A place for people."""
     return f"at ({', '.join(f'{c:.4g}' for c in place)})"
-
-
-def _rescaled(parameter: Parameter, factor: float) -> Parameter:
-    return replace(parameter, prior=_stretched(parameter.prior, factor, parameter.name))
-
-
-def _stretched(prior: Prior, factor: float, name: str) -> Prior:
-    if isinstance(prior, Mixture):
-        narrow, wide = (_stretched(p, factor, name) for p in (prior.narrow, prior.wide))
-        return Mixture(narrow, wide, prior.fraction)
-    ends = (factor * prior.lower, factor * prior.upper)
-    if isinstance(prior, ScaledStudentT):
-        return ScaledStudentT(factor * prior.scale, prior.degrees_of_freedom, *ends)
-    if isinstance(prior, Uniform):
-        return Uniform(*ends)
-    raise TypeError(f"parameter {name}: received {prior}, accepted: a Student-t or uniform to be rescaled")
 
 
 def either_sign(

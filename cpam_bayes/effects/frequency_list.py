@@ -1,8 +1,11 @@
-"""Errors in a frequency list: modes missed or counted twice, and misread frequencies."""
+"""Effects on a frequency list instead of the plate: missed modes, misread values, scale, loss tangent."""
 
 from __future__ import annotations
 
-from cpam_bayes.effects.effect import PERCENT, Effect, ListChange, ListVariant, either_sign
+import numpy as np
+
+from cpam_bayes.effects.effect import EVEN, PERCENT, Effect, ListChange, ListVariant, either_sign, one_sided
+from cpam_bayes.mechanics.problem import Array, Values
 
 # Relative error of a misread frequency.
 MISREADING = either_sign("misreading", "", 0.05, end=0.6, shown=PERCENT)
@@ -43,7 +46,7 @@ def _misreadings(n: int, complete: bool) -> tuple[ListVariant, ...]:
 
 MODE_IDENTITY = Effect(
     name="mode_identity",
-    title="mode missed, counted twice or swapped",
+    title="missed, extra or swapped mode",
     family="list",
     belongs_to="test",
     parameters=(),
@@ -53,11 +56,50 @@ MODE_IDENTITY = Effect(
 )
 OUTLIER = Effect(
     name="outlier",
-    title="misread or mistyped frequency",
+    title="misread frequency",
     family="list",
     belongs_to="test",
     parameters=(MISREADING,),
     note="one frequency is off, so far perhaps that it stands in another place",
     check="Read that peak again in the measured spectrum.",
     pairings=_misreadings,
+)
+
+
+def _scaled(frequencies: Array, values: Values) -> Array:
+    """F (1 + s)."""
+    return np.asarray(frequencies * (1.0 + np.asarray(values["frequency_deviation"])[..., None]))
+
+
+def _stiffened(frequencies: Array, values: Values) -> Array:
+    """F (f / f_1)^(tan delta / pi): d ln f = (tan delta / pi) ln(f / f_1).
+
+    A material of constant loss tangent stiffens by 2 tan delta / pi per unit of ln f (Kramers and
+    Kronig); the constants are those at the first frequency.
+    """
+    slope = np.asarray(values["loss_tangent"])[..., None] / np.pi
+    return np.asarray(frequencies * np.exp(slope * np.log(frequencies / frequencies[..., :1])))
+
+
+FREQUENCY_SCALE = Effect(
+    name="frequency_scale",
+    title="wrong frequency scale",
+    family="size",
+    belongs_to="laboratory",
+    parameters=(either_sign("frequency_deviation", "", 0.002, 0.1, gross=EVEN, shown=PERCENT),),
+    note="all frequencies by one factor, after the plate; stiffer moduli would do the same",
+    check="Measure the signal of a calibrated generator.",
+    observe=_scaled,
+    sign=1,
+)
+VISCOELASTIC = Effect(
+    name="viscoelastic",
+    title="frequency-dependent stiffness",
+    family="damping",
+    belongs_to="material",
+    parameters=(one_sided("loss_tangent", "", 0.01, 0.3, gross=0.05),),
+    note="d ln f = (tan delta / pi) ln(f / f_1), after the plate",
+    check="Measure the modal damping: the loss tangent is twice the damping ratio.",
+    observe=_stiffened,
+    sign=1,
 )

@@ -1,1 +1,1 @@
-"""From parameters to natural frequencies: the converged model, its reduced basis, the store of models."""
+"""Frequencies of a plate from its parameters."""

@@ -1,21 +1,39 @@
-"""What a plate file says beyond what can be computed or believed: refused, or warned of."""
+"""What a plate file says beyond what can be computed or believed: refused, or warned of.
+
+A list that no constants within the bounds come near is refused before any work, with the likely cure.
+
+Slips in a plate file that ruin the answer, with the likely cure, each a sentence above the answer.
+
+What may be meant, but rarely is. Lists that no plate of the file can have are refused (`reachable`).
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import chi2
 
+from cpam_bayes.answer import Notice, Severity
 from cpam_bayes.errors import PlateFileError
-from cpam_bayes.formatting import significant
-from cpam_bayes.mechanics.modes import RigidBodyError
+from cpam_bayes.formatting import listed, significant
+from cpam_bayes.forward_model.model import NO_PARAMETERS, plate_problem, reference_constants
+from cpam_bayes.mechanics.dense import discretise
+from cpam_bayes.mechanics.modes import RigidBodyError, solve
+from cpam_bayes.mechanics.spaces.ritz import RitzSettings, ritz_space
 from cpam_bayes.parameters import ParameterSet
-from cpam_bayes.plate import Material, Specimen
+from cpam_bayes.plate import Material, Measurement, Specimen, unit_of
+from cpam_bayes.plate.edges import conditions
 from cpam_bayes.plate.units import joined_name
+from cpam_bayes.threads import single_blas_thread
+
+LARGE_ERROR: Final = 1e-3
+"""Relative error of the solver from which it is no longer small, where the noise is not known."""
 
 MAX_MODES = 100
 """Modes of a plate that are computed at most."""
@@ -38,7 +56,7 @@ _CURES: Final = (
     (1.0 / 31.6, "constants in TPa for GPa"),
     (1.0 / 1000.0, "frequencies in mHz for Hz, or sizes in um for mm"),
 )
-_CURES_OF_A_WEIGHED: Final = (
+_CURES_WHEN_WEIGHED: Final = (
     (1000.0, "frequencies in kHz for Hz"),
     (31.6, "a thickness 10 times too large, a mass in kg for g, or constants in MPa for GPa"),
     (25.4, "sizes in inches for mm"),
@@ -52,6 +70,11 @@ _CURES_OF_A_WEIGHED: Final = (
 )
 # How far from it a ratio may be.
 _NEAR = 1.35
+
+
+def rectangular_only(command: str) -> str:
+    """Advice for a plate with a mesh that a command does not compute."""
+    return f"{command} computes rectangular plates only; leave mesh out"
 
 
 def require_supported(
@@ -71,8 +94,11 @@ def require_supported(
 
 def require_diagnosable(specimen: Specimen) -> Specimen:
     """Return the specimen, or raise `PlateFileError` if what is wrong with it cannot be asked for."""
-    no_mesh = "diagnose computes rectangular plates only; leave mesh out"
-    problems = [*_not_computed(specimen, no_mesh), *_named_plies(specimen), *_unknown_angles(specimen)]
+    problems = [
+        *_not_computed(specimen, rectangular_only("diagnose")),
+        *_named_plies(specimen),
+        *_unknown_angles(specimen),
+    ]
     if specimen.measurement is None:
         problems.append("[measurement] is missing, nothing to be compared with the model")
     if not specimen.unknowns.size:
@@ -83,7 +109,7 @@ def require_diagnosable(specimen: Specimen) -> Specimen:
 
 def require_sequence(specimen: Specimen) -> Specimen:
     """Return the specimen, or raise `PlateFileError` if its sequence cannot be asked for."""
-    problems = _not_computed(specimen, "sequence computes rectangular plates only; leave mesh out")
+    problems = _not_computed(specimen, rectangular_only("sequence"))
     problems += _named_plies(specimen)
     if not specimen.plate.layup.n_unknown:
         problems.append(
@@ -162,8 +188,8 @@ def require_paired_list(specimen: Specimen) -> Specimen:
     return specimen
 
 
-def exchange_warnings(specimen: Specimen) -> tuple[str, ...]:
-    """A warning where no frequency tells the two axes of orthotropic plies apart.
+def exchange_notices(specimen: Specimen) -> tuple[Notice, ...]:
+    """A notice where no frequency tells the two axes of orthotropic plies apart.
 
     Exchanging them turns every ply by 90 degrees: to other angles, where these are unknown, or to the same
     plate, if it is square with four equal edges.
@@ -179,11 +205,7 @@ def exchange_warnings(specimen: Specimen) -> tuple[str, ...]:
         or not all(_exchangeable(name, part, unknowns) for name, part in specimen.material.parts.items())
     ):
         return ()
-    why = "the plate is square with four equal edges" if square else "ply angles are unknown"
-    return (
-        f"E1 and E2 can change places without a change of any frequency, as {why}: the answer is one of two; "
-        f"give them bounds in [unknowns] that do not overlap{', or label the modes' if square else ''}",
-    )
+    return (Notice("axes_exchange", facts={"square": square}),)
 
 
 def _exchangeable(name: str, material: Material, unknowns: ParameterSet) -> bool:
@@ -242,7 +264,7 @@ def likely_cure(ratio: float, *, weighed: bool) -> str:
 
     weighed : whether the plate file has a mass, and the density follows from it
     """
-    cures = _CURES_OF_A_WEIGHED if weighed else _CURES
+    cures = _CURES_WHEN_WEIGHED if weighed else _CURES
     likely = [text for value, text in cures if 1.0 / _NEAR < ratio / value < _NEAR]
     if not likely:  # constants may be far from their reference too
         nearest = min(cures, key=lambda cure: abs(math.log(ratio / cure[0])))
@@ -252,20 +274,18 @@ def likely_cure(ratio: float, *, weighed: bool) -> str:
     return f"the likely slip is {likely[0]}; check the units of the plate file"
 
 
-def units_warning(ratio: NDArray[np.float64], where: str = "", *, weighed: bool) -> list[str]:
-    """A warning where a predicted frequency is not even of the size of the measured one.
+def units_notices(
+    ratio: NDArray[np.float64], *, weighed: bool, severity: Severity = "warning"
+) -> tuple[Notice, ...]:
+    """A notice where a predicted frequency is not even of the size of the measured one.
 
-    ratio : predicted over measured frequencies.
-    weighed : as `likely_cure`
-    where : at which constants, with a space before.
+    ratio : predicted over measured frequencies. weighed : as of `likely_cure`.
     """
     worst = float(ratio[np.argmax(np.abs(np.log(ratio)))])
     if 1 / SUSPICIOUS_RATIO <= worst <= SUSPICIOUS_RATIO:
-        return []
-    return [
-        f"a predicted frequency is {significant(worst, 3)} times the measured one{where}: "
-        f"{likely_cure(float(np.median(ratio)), weighed=weighed)}"
-    ]
+        return ()
+    facts = {"ratio": worst, "median": float(np.median(ratio)), "weighed": weighed}
+    return (Notice("units", severity, facts),)
 
 
 def _solver_failure(specimen: Specimen, error: RigidBodyError) -> ValueError:
@@ -285,3 +305,260 @@ def _solver_failure(specimen: Specimen, error: RigidBodyError) -> ValueError:
 def _raise(specimen: Specimen, problems: list[str]) -> None:
     if problems:
         raise PlateFileError(*(f"{specimen.source}: {problem}" for problem in problems))
+
+
+Array = NDArray[np.float64]
+
+# A list this many times outside what the bounds reach is refused; one that may lack its first modes, or
+# whose labels say which modes it holds, only where it is further away.
+_UNREACHABLE, _UNREACHABLE_WITH_GAPS = 3.0, 30.0
+# A first frequency so many times below the lowest within the bounds is none of the plate; of unknown angles,
+# which have bounds of their own, only the lowest of one layup is known.
+_BELOW_ALL, _BELOW_ALL_OF_UNKNOWN_ANGLES = 3.0, 10.0
+# Frequencies to a few percent, which is plenty here.
+_SETTINGS: Final = RitzSettings(9, 9)
+
+
+@single_blas_thread
+def require_reachable(specimen: Specimen) -> Specimen:
+    """Return the specimen, or raise `PlateFileError` if no constants come near its frequencies, or the first.
+
+    Compared are the medians over the list of the logarithms of measured and predicted frequencies, these
+    with all unknown moduli at their lower bounds and at their upper ones. Not asked of a mesh, and where
+    bending cannot be told from rounding, which others say.
+    """
+    measurement = specimen.measurement
+    if measurement is None or specimen.plate.mesh is not None:
+        return specimen
+    n = measurement.size
+    try:
+        reference = _frequencies(specimen, reference_constants(specimen), n)
+        low, high = (_frequencies(specimen, _at_bounds(specimen, end), n) for end in ("lower", "upper"))
+    except (RigidBodyError, np.linalg.LinAlgError):
+        return specimen
+    above = float(np.exp(np.median(np.log(low / measurement.frequencies))))
+    below = float(np.exp(np.median(np.log(measurement.frequencies / high))))
+    with_gaps = not measurement.complete or measurement.names_modes
+    limit = _UNREACHABLE_WITH_GAPS if with_gaps else _UNREACHABLE
+    if max(above, below) <= limit:
+        _require_no_motion_of_the_support(specimen, float(low[0]))
+        return specimen
+    ratio = float(np.exp(np.median(np.log(reference / measurement.frequencies))))
+    span = [significant(float(v), 3) for v in (reference[0], reference[-1])]
+    given = [f"{float(v):.6g}" for v in (measurement.frequencies[0], measurement.frequencies[-1])]
+    raise PlateFileError(
+        f"{specimen.source}: measurement.frequencies_hz: received {' to '.join(dict.fromkeys(given))} Hz, "
+        f"where the plate with the constants of [material] has {' to '.join(dict.fromkeys(span))} Hz, "
+        f"{significant(ratio, 3)} times as much, and no constants within [unknowns] come near: "
+        f"{likely_cure(ratio, weighed=specimen.plate.mass is not None)}"
+    )
+
+
+def _require_no_motion_of_the_support(specimen: Specimen, lowest: float) -> None:
+    """Raise `PlateFileError` if the first frequencies are far below any that bends the plate.
+
+    lowest : Hz, the first frequency with all moduli at their lower bounds
+    """
+    assert specimen.measurement is not None
+    f = specimen.measurement.frequencies
+    unknown = bool(specimen.plate.layup.n_unknown)
+    too_low = f[f < lowest / (_BELOW_ALL_OF_UNKNOWN_ANGLES if unknown else _BELOW_ALL)]
+    if not too_low.size:
+        return
+    n = too_low.size
+    many, are, them = (
+        (f"the first {n} frequencies", "are", "them") if n > 1 else ("the first frequency", "is", "it")
+    )
+    received = listed([f"{value:.6g}" for value in too_low], "and")
+    motion = (
+        "motion of the plate as a rigid body on its support"
+        if any(edge.is_free for edge in conditions(specimen.plate.edges))
+        else "hum"
+    )
+    raise PlateFileError(
+        f"{specimen.source}: measurement.frequencies_hz: received {received} Hz, "
+        f"where no constants within [unknowns] give this plate a frequency below "
+        f"{significant(lowest, 3)} Hz: {many} of the list {are} most likely "
+        f"{motion}, which is no mode of the plate; leave {them} out"
+    )
+
+
+def _at_bounds(specimen: Specimen, end: str) -> dict[str, float]:
+    """Reference constants with the unknown moduli at one end of their bounds."""
+    constants = reference_constants(specimen)
+    for name in specimen.unknowns.names:
+        if unit_of(name):
+            constants[name] = float(getattr(specimen.unknowns[name].prior, end))
+    return constants
+
+
+def _frequencies(specimen: Specimen, constants: dict[str, float], n: int) -> Array:
+    """The lowest frequencies of the plate with given constants, roughly, (n,) Hz."""
+    material = specimen.material.with_constants(constants)
+    layup = specimen.plate.layup
+    if layup.n_unknown:
+        evenly = np.linspace(-90.0, 90.0, layup.n_unknown + 1)[1:]
+        layup = layup.with_angles(evenly)
+    plain = replace(specimen, material=material, plate=replace(specimen.plate, layup=layup))
+    problem = plate_problem(plain, NO_PARAMETERS)
+    operator = discretise(problem, ritz_space(problem.edges, problem.nominal, _SETTINGS), {})
+    return np.asarray(solve(operator, *operator.coefficients({}), n).frequencies[0])
+
+
+USUAL_NOISE: Final = 0.01
+"""Relative noise of a tap test: usual up to here, high above."""
+HIGH_MISFIT: Final = 0.03
+"""Relative misfit above which a list does not belong to its plate model: no tap test scatters so."""
+
+# Lists of several plates that differ by no more than this everywhere are most likely one measurement.
+_EQUAL = 2e-3
+# Probability of a misfit, by noise as stated, below which it is no accident.
+_UNEXPLAINED = 1e-3
+# Standard deviations of [material.sd] from which a modulus is no batch of its material any more.
+_FAR_SD = 3.0
+# Moduli whose ratios to their references differ by no more than this factor have one ratio in common.
+_COMMON = 1.3
+# Codes of the notices that the plate model does not describe the frequencies.
+_CONTRADICTING: Final = frozenset({"large_misfit", "misfit_over_noise"})
+
+
+def reference_slips(specimen: Specimen) -> tuple[Notice, ...]:
+    """Reference constants outside their own bounds."""
+    reference, unknowns = reference_constants(specimen), specimen.unknowns
+    outside = tuple(
+        (name, reference[name], unknowns[name].prior.lower, unknowns[name].prior.upper)
+        for name in unknowns.names
+        if name in specimen.material.constants
+        and not unknowns[name].prior.lower <= reference[name] <= unknowns[name].prior.upper
+    )
+    return (Notice("reference_outside", "slip", {"outside": outside}),) if outside else ()
+
+
+def count_slips(n_frequencies: int, n_unknowns: int) -> tuple[Notice, ...]:
+    """Fewer frequencies than unknowns."""
+    if n_frequencies >= n_unknowns:
+        return ()
+    return (Notice("few_frequencies", "slip", {"frequencies": n_frequencies, "unknowns": n_unknowns}),)
+
+
+def count_notices(n_frequencies: int, n_unknowns: int) -> tuple[Notice, ...]:
+    """As many frequencies as unknowns, so that none is left over to judge the fit."""
+    return (Notice("no_frequency_over", facts={"count": n_unknowns}),) if n_frequencies == n_unknowns else ()
+
+
+def misfit_slips(level: float) -> tuple[Notice, ...]:
+    """A misfit that no tap test makes; level : inferred noise, or rms residual where the noise is stated."""
+    return (Notice("large_misfit", "slip", {"misfit": level}),) if level > HIGH_MISFIT else ()
+
+
+def high_noise_notices(level: float) -> tuple[Notice, ...]:
+    """An inferred noise, relative, above that of a usual tap test."""
+    return (Notice("high_noise", facts={"noise": level}),) if level > USUAL_NOISE else ()
+
+
+def misfit_over_noise(measurement: Measurement, residuals: Array, n_fitted: int) -> float:
+    """The misfit in times of the stated noise by `birge_ratio`; 1 where no noise is stated.
+
+    residuals : (n,) predicted / measured - 1, nan where a frequency belongs to no mode. n_fitted : constants.
+    """
+    f, paired = measurement.frequencies, np.isfinite(residuals)
+    if measurement.relative_std is None and measurement.frequency_sd is None:
+        return 1.0
+    noise = measurement.noise_sd(measurement.relative_std or 0.0)
+    sd = np.sqrt(noise**2 + measurement.resolution**2 / 12.0) / f
+    return birge_ratio(residuals[paired] / sd[paired], n_fitted)
+
+
+def birge_ratio(standardised: Array, n_fitted: int) -> float:
+    """A misfit in times of the noise, 1 where the noise explains it or no frequency is left over to tell.
+
+    The root of chi-squared over its degrees of freedom (Birge, Phys. Rev. 40, 1932), where that is exceeded
+    with a probability below 0.001.
+
+    standardised : (n,) residuals over the standard deviations of the noise. n_fitted : constants.
+    """
+    freedom = len(standardised) - n_fitted
+    if freedom < 1:
+        return 1.0
+    chi_squared = float(np.sum(standardised**2))
+    explained = chi2.sf(chi_squared, freedom) >= _UNEXPLAINED
+    return 1.0 if explained else float(np.sqrt(chi_squared / freedom))
+
+
+def noise_slips(measurement: Measurement, residuals: Array, n_fitted: int) -> tuple[Notice, ...]:
+    """A misfit that noise as stated does not explain; arguments as of `misfit_over_noise`."""
+    times = misfit_over_noise(measurement, residuals, n_fitted)
+    return () if times == 1.0 else (Notice("misfit_over_noise", "slip", {"times": times}),)
+
+
+def contradicts_list(notices: Iterable[Notice]) -> bool:
+    """Whether one of the notices says that the plate model does not describe the frequencies."""
+    return any(notice.code in _CONTRADICTING for notice in notices)
+
+
+def stated_noise_slips(measurement: Measurement) -> tuple[Notice, ...]:
+    """A stated noise that no tap test has: per cent written as a fraction, most likely."""
+    if measurement.frequency_sd is not None:
+        relative = measurement.frequency_sd / measurement.frequencies
+        at, level = int(np.argmax(relative)), float(np.mean(relative))
+        most = (float(measurement.frequencies[at]), float(relative[at]))
+        facts = {"noise": level, "source": measurement.sd_source, "most": most}
+    elif measurement.relative_std is not None:
+        level, facts = measurement.relative_std, {"noise": measurement.relative_std}
+    else:
+        return ()
+    return (Notice("large_stated_noise", "slip", facts),) if level > HIGH_MISFIT else ()
+
+
+def common_factor_slips(
+    specimen: Specimen, estimates: Mapping[str, tuple[float, float]]
+) -> tuple[Notice, ...]:
+    """All moduli far on one side of their references: a wrong size, mass or frequency scale, most likely.
+
+    Of a thin plate f^2 is proportional to E h^2 / rho, or E h^3 / m: an error of h, rho or m is a common
+    factor of all moduli, which no frequency shows.
+
+    estimates : modulus that the frequencies determine -> its estimate and standard deviation, Pa
+    """
+    reference, ratios, distances = reference_constants(specimen), {}, {}
+    for name, (value, sd) in estimates.items():
+        known = specimen.material.sd.get(name)
+        if known is None or unit_of(name) != "GPa":
+            continue
+        ratios[name] = value / reference[name]
+        distances[name] = (value - reference[name]) / float(np.hypot(known, sd))
+    above = bool(distances) and min(distances.values()) > _FAR_SD
+    below = bool(distances) and max(distances.values()) < -_FAR_SD
+    if not (above or below):
+        return ()
+    is_common = max(ratios.values()) <= _COMMON * min(ratios.values())
+    facts = {
+        "distances": tuple(distances.items()),
+        "ratio": float(np.exp(np.mean(np.log(list(ratios.values()))))) if is_common else None,
+        "thickness": specimen.plate.thickness,
+        "weighed": specimen.plate.mass is not None,
+    }
+    return (Notice("common_factor", "slip", facts),)
+
+
+def equal_list_slips(specimens: Sequence[Specimen]) -> tuple[Notice, ...]:
+    """Plates whose lists are so nearly equal that they are most likely one measurement."""
+    slips = []
+    for i, first in enumerate(specimens):
+        for second in specimens[i + 1 :]:
+            a, b = first.measurement, second.measurement
+            if a is None or b is None or a.size != b.size:
+                continue
+            apart = float(np.max(np.abs(b.frequencies / a.frequencies - 1.0)))
+            if apart <= _EQUAL:
+                facts = {"plates": (first.name, second.name), "apart": apart}
+                slips.append(Notice("equal_lists", "slip", facts))
+    return tuple(slips)
+
+
+def error_notices(error: Array, limit: float = LARGE_ERROR) -> tuple[Notice, ...]:
+    """A notice if the solver's estimated relative error (n_modes,) is above a limit."""
+    worst = float(np.max(error))
+    if not worst > limit:
+        return ()
+    return (Notice("solver_error", facts={"error": worst, "mode": int(np.argmax(error)) + 1}),)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cpam_bayes import __version__
+from cpam_bayes.fingerprint import fingerprint
 from cpam_bayes.forward_model.model import (
     PlateModel,
     converged_model,
@@ -20,15 +20,20 @@ from cpam_bayes.forward_model.model import (
     model_on_basis,
     plate_problem,
 )
-from cpam_bayes.forward_model.reduced import DEFAULT_SETTINGS, ReducedModel, ReductionSettings, ResidualForm
-from cpam_bayes.forward_model.reduction import reduce
+from cpam_bayes.forward_model.reduced import (
+    DEFAULT_SETTINGS,
+    ReducedModel,
+    ReductionSettings,
+    ResidualForm,
+    reduce,
+)
 from cpam_bayes.mechanics.affine import AffineMatrix, AffineOperator, DenseBlock
 from cpam_bayes.mechanics.problem import Problem
 from cpam_bayes.mechanics.spaces.ritz import RitzSettings, ritz_space
 from cpam_bayes.parameters import ParameterSet
 from cpam_bayes.plate import Specimen
 from cpam_bayes.plate.laminate import ENERGY_CONSISTENT, ShearModel
-from cpam_bayes.storage.cache import model_file, read_model, write_model
+from cpam_bayes.storage import model_file, read_model, write_model
 from cpam_bayes.threads import single_blas_thread
 
 Array = NDArray[Any]
@@ -50,7 +55,7 @@ def model_key(
     plate = specimen.plate
     content = {
         "format": _FORMAT,
-        "version": __version__,
+        "sources": fingerprint(__name__),
         "sizes": [plate.length, plate.width, plate.thickness, plate.density, plate.mass],
         "layup": [
             [repr(float(a)) for a in plate.layup.angles_deg],

@@ -1,1 +1,1 @@
-"""One plate, one frequency list: the constants as a point estimate or as a posterior."""
+"""Constants and angles of one plate from its list."""

@@ -1,33 +1,234 @@
-"""Point identification: the best optimum of particle swarms over a converged plate, how far to trust it."""
+"""Point identification: the best optimum of particle swarms over a converged plate, and how far to trust it.
+
+What decides a constant, whose prior an interval rests on, and what an error of size, mass or frequency scale
+does: a plate that is 1 % thicker than stated has higher frequencies, which stiffer constants repeat, and no
+fit can tell.
+"""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2, t
 
-from cpam_bayes.forward_model.labels import LabelledModel, by_shape, list_order
-from cpam_bayes.forward_model.mode_shapes.assurance import ShapePairing
-from cpam_bayes.forward_model.model import plate_problem
-from cpam_bayes.forward_model.preconditions import units_warning
+from cpam_bayes.answer import Constant, Notice, Verdict
+from cpam_bayes.effects import frequency_list as observation
+from cpam_bayes.forward_model.labels import LabelledModel, ShapePairing, by_shape, list_order
+from cpam_bayes.forward_model.model import SIZES, PlateModel, model_on_basis, plate_problem
+from cpam_bayes.forward_model.preconditions import count_notices, misfit_over_noise, units_notices
 from cpam_bayes.forward_model.reduced import ReducedModel
-from cpam_bayes.forward_model.slips import misfit_over_noise
-from cpam_bayes.identification.reliance import Reliance, reliances
-from cpam_bayes.identification.scale_errors import ScaleError, scale_errors, sizes_spread
 from cpam_bayes.identification.search import Optimum, Residual, Search, required, search
-from cpam_bayes.identification.verdicts import Verdict, verdict_of
-from cpam_bayes.inference.swarm.pso import SwarmResult, SwarmSettings
-from cpam_bayes.mechanics.shapes import Mode
-from cpam_bayes.plate import Measurement, Specimen
+from cpam_bayes.inference.swarm import SwarmResult, SwarmSettings
+from cpam_bayes.mechanics.modes import Mode
+from cpam_bayes.parameters import Parameter, ParameterSet, Uniform
+from cpam_bayes.plate import Measurement, Plate, Specimen
 from cpam_bayes.plate.laminate import flexural_constants
+from cpam_bayes.plate.units import split_name
 from cpam_bayes.threads import single_blas_thread
 
+__all__ = [
+    "BY_DATA",
+    "BY_PRIOR",
+    "FREQUENCY_SCALE",
+    "LEAST_WIDENING",
+    "Reliance",
+    "ScaleError",
+    "number_of",
+    "reliances",
+    "scale_errors",
+    "sizes_spread",
+    "thin_plate_errors",
+    "verdict_of",
+]
+
+BY_DATA: Final = 0.9
+"""Posterior contraction from which the data determine a constant: its sd is a third of the prior's."""
+BY_PRIOR: Final = 0.5
+"""Posterior contraction below which the prior does: its sd is more than 0.7 of the prior's."""
+
+
+def verdict_of(sd: float, prior_sd: float, *, explained: bool, at_bound: bool = False) -> Verdict:
+    """Who determines a constant, by its posterior contraction 1 - (sd / prior sd)^2.
+
+    explained : whether the noise as stated explains the misfit, see `slips.birge_ratio`. A model that it does
+    not is none of this plate, and what its frequencies determine is no constant of the plate either.
+
+    A constant in contact with a bound is never determined by the data alone; one whose sd is not known
+    counts as determined by the prior.
+    """
+    contraction = 1.0 - (sd / prior_sd) ** 2
+    if not contraction >= BY_PRIOR:
+        return Verdict.PRIOR
+    if not explained:
+        return Verdict.MISFIT
+    return Verdict.DATA if contraction >= BY_DATA and not at_bound else Verdict.BOTH
+
+
 Array = NDArray[Any]
+
+
+LEAST_WIDENING: Final = 0.1
+"""Relative growth of a standard deviation that is worth a word."""
+
+# 1 - 1/4: what a prior of twice the width takes off its precision
+_LESS_PRECISION = 0.75
+
+
+@dataclass(frozen=True, slots=True)
+class Reliance:
+    """A constant whose interval rests on the prior, or the bounds, of another one.
+
+    name : of the constant
+    on : the constant whose prior it is
+    widening : relative growth of the standard deviation of ``name`` were the prior of ``on`` twice as wide
+    """
+
+    name: str
+    on: str
+    widening: float
+
+
+def reliances(
+    names: Sequence[str], covariance: Array, prior_sd: Array, sd: Array | None = None
+) -> tuple[Reliance, ...]:
+    """Constants whose interval would be wider by a tenth with a wider prior of another one.
+
+    Of a normal posterior with covariance S, a normal prior of constant j with standard deviation s_j that
+    becomes twice as wide takes 3/4 / s_j^2 off the precision of j, so that (Sherman and Morrison, Ann. Math.
+    Stat. 21, 1950)
+
+        S'_ii = S_ii + k S_ij^2 / (1 - k S_jj),  k = 3 / (4 s_j^2)
+
+    Parameters
+    ----------
+    covariance : (n, n) of the posterior
+    prior_sd : (n,)
+    sd : (n,) standard deviations that the intervals have, where they contain more than the covariance does
+    """
+    variance = np.diag(covariance)
+    shown = variance if sd is None else sd**2
+    found = []
+    for j, on in enumerate(names):
+        left = _LESS_PRECISION / prior_sd[j] ** 2
+        # a posterior piled up at both ends of its bounds has more variance than an even one
+        added = left * covariance[:, j] ** 2 / (1.0 - min(left * variance[j], _LESS_PRECISION))
+        for i, name in enumerate(names):
+            widening = float(np.sqrt(1.0 + added[i] / shown[i]) - 1.0)
+            if i != j and widening >= LEAST_WIDENING:
+                found.append(Reliance(name, on, widening))
+    return tuple(found)
+
+
+FREQUENCY_SCALE: Final = observation.FREQUENCY_SCALE.name
+# Range of a size about its value in which its derivative is taken, relative.
+_RANGE = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class ScaleError:
+    """What an error of one number that the model takes for exact does to the constants, to first order.
+
+    name : thickness, length, width, density or mass; "frequency_scale" of the analyser
+    shift : constant -> its relative error for each relative error of the number
+    visible : fraction of the frequencies' change that the constants do not repeat, 0 to 1
+    sd : relative standard deviation of the number in [plate.sd], None where it gives none
+    """
+
+    name: str
+    shift: Mapping[str, float]
+    visible: float
+    sd: float | None
+
+
+def scale_errors(
+    specimen: Specimen,
+    model: PlateModel,
+    constants: Mapping[str, float],
+    order: Array,
+    noise: Array,
+    spread: Mapping[str, float],
+) -> tuple[ScaleError, ...]:
+    """Of each size, the density or mass, and the frequency scale.
+
+    Parameters
+    ----------
+    model : converged on a Ritz space; of another one nothing is known and nothing returned
+    constants : unknown -> its value, SI
+    order : (n_f,) mode of each measured frequency
+    noise : (n_f,) relative standard deviations
+    spread : unknown -> standard deviation of its prior, SI
+    """
+    if model.basis is None:
+        return ()
+    names, sizes = list(constants), _size_values(specimen.plate)
+    values = {**constants, **sizes}
+    parameters = ParameterSet(tuple(_about(name, value) for name, value in values.items()))
+    x = np.array([list(values.values())])
+    problem = plate_problem(specimen, parameters)
+    varied = model_on_basis(problem, x, model.n_modes, model.error, model.basis)
+    predicted = varied.predict(x, jacobian=True)
+    assert predicted.jacobian is not None
+    # relative change of each frequency for each relative change of a parameter
+    relative = (predicted.jacobian[0] * x / predicted.frequencies[0][:, None])[order]
+    n = len(names)
+    prior = np.array([spread[name] / abs(constants[name]) for name in names])
+    weighted = relative[:, :n] / noise[:, None]
+    curvature = weighted.T @ weighted + np.diag(prior**-2.0)
+    # Frequencies follow the true size; the constants take up what the model lacks.
+    changes = {name: relative[:, n + i] for i, name in enumerate(sizes)}
+    changes[FREQUENCY_SCALE] = np.ones(len(order))
+    errors = []
+    for name, change in changes.items():
+        shift = np.linalg.solve(curvature, weighted.T @ (change / noise))
+        left = (change - relative[:, :n] @ shift) / noise
+        visible = float(np.linalg.norm(left) / np.linalg.norm(change / noise))
+        sd = specimen.plate.sd.get(name)
+        known = None if sd is None else float(sd / sizes[name])
+        errors.append(ScaleError(name, dict(zip(names, shift.tolist(), strict=True)), visible, known))
+    return tuple(errors)
+
+
+def thin_plate_errors(specimen: Specimen) -> tuple[ScaleError, ...]:
+    """The same of a thin plate whose layup is open: f^2 is proportional to E h^2 / rho, or E h^3 / m."""
+    plate = specimen.plate
+    moduli = [name for name in specimen.unknowns.names if split_name(name)[1] != "nu12"]
+    thickness, weighed = (2.0, "density") if plate.mass is None else (3.0, "mass")
+    powers = {"thickness": thickness, weighed: -1.0, FREQUENCY_SCALE: 2.0}
+    return tuple(ScaleError(name, dict.fromkeys(moduli, power), 0.0, None) for name, power in powers.items())
+
+
+def number_of(cause: str, plate: Plate) -> str | None:
+    """The number of a plate file, or the frequency scale, that a cause is an error of; None for other causes.
+
+    A plate that was weighed has a mass and no density of its own.
+    """
+    if cause == FREQUENCY_SCALE:
+        return cause
+    if cause not in SIZES:
+        return None
+    return cause if cause in _size_values(plate) else "mass"
+
+
+def sizes_spread(errors: tuple[ScaleError, ...], constant: str) -> float:
+    """Relative standard deviation of a constant by the standard deviations of [plate.sd] together."""
+    return float(np.sqrt(sum((e.sd * e.shift[constant]) ** 2 for e in errors if e.sd is not None)))
+
+
+def _size_values(plate: Plate) -> dict[str, float]:
+    weighed = "density" if plate.mass is None else "mass"
+    names = [name for name in SIZES if name not in ("density", "mass")]
+    return {name: float(getattr(plate, name)) for name in (*names, weighed)}
+
+
+def _about(name: str, value: float) -> Parameter:
+    low, high = sorted((value * (1.0 - _RANGE), value * (1.0 + _RANGE)))
+    return Parameter(name, SIZES.get(name, ""), Uniform(low, high))
+
 
 # A constant this close to a bound, as a fraction of the search interval, sits on it.
 _ON_BOUND = 1e-3
@@ -42,33 +243,11 @@ _APART = 3.0
 
 
 @dataclass(frozen=True, slots=True)
-class ConstantEstimate:
-    """One identified constant, SI.
-
-    sd : linearised standard deviation, with those of [plate.sd], ``nan`` where the noise is not known (no
-    more frequencies than unknowns and no repeatability in the plate file). interval : of 95 %, within the
-    bounds and over all optima that the noise leaves open, None where the sd does not hold. bound :
-    "lower" or "upper" where the estimate sits on one. reference : the value of the plate file. elsewhere :
-    its values, ascending, at other optima that the noise does not tell from the best one, where these are
-    more than three sd away.
-    """
-
-    name: str
-    value: float
-    sd: float
-    interval: tuple[float, float] | None
-    lower: float
-    upper: float
-    bound: Literal["lower", "upper"] | None
-    verdict: Verdict
-    reference: float
-    elsewhere: tuple[float, ...] = ()
-
-
-@dataclass(frozen=True, slots=True)
 class PointEstimate:
     """Answer of the particle swarm for one specimen.
 
+    constants : SI, in the order of the unknowns. The sd is linearised and contains those of [plate.sd]; the
+        interval reaches over all optima that the noise leaves open
     predicted : one mode for each measured frequency
     shapes : (n_modes, 3, n, n) of these, u, v and w on a regular grid
     rms : root mean square of the relative residuals
@@ -87,7 +266,7 @@ class PointEstimate:
     """
 
     specimen: Specimen
-    constants: tuple[ConstantEstimate, ...]
+    constants: tuple[Constant, ...]
     predicted: tuple[Mode, ...]
     shapes: Array
     rms: float
@@ -104,7 +283,7 @@ class PointEstimate:
     scale_errors: tuple[ScaleError, ...]
     reliances: tuple[Reliance, ...]
     seconds: float
-    warnings: tuple[str, ...]
+    notices: tuple[Notice, ...]
     by_shape: ShapePairing | None = None
 
 
@@ -178,8 +357,17 @@ def summarise(
     explained = excess == 1.0
     freedom = measurement.size - unknowns.size if inferred or not explained else np.inf
     sd = _with_sizes(scales, unknowns.names, best, np.sqrt(np.diag(covariance)))
+    relied_on = reliances(unknowns.names, covariance, prior_sd, sd)
     estimates = tuple(
-        _estimate(specimen, name, values, its_sd, freedom, explained)
+        _constant(
+            specimen,
+            name,
+            values,
+            its_sd,
+            freedom,
+            explained=explained,
+            rests_on=tuple(r.on for r in relied_on if r.name == name),
+        )
         for name, values, its_sd in zip(unknowns.names, at_optima.T, sd.tolist(), strict=True)
     )
     state = plate_problem(specimen, unknowns).state(unknowns.mapping(best))
@@ -200,9 +388,9 @@ def summarise(
         swarms=searched.swarms,
         optima=optima,
         scale_errors=scales,
-        reliances=reliances(unknowns.names, covariance, prior_sd, sd),
+        reliances=relied_on,
         seconds=time.perf_counter() - start,
-        warnings=_warnings(specimen, predicted),
+        notices=_notices(specimen, predicted),
         by_shape=by_shape(model),
     )
 
@@ -280,10 +468,17 @@ def _with_sizes(scales: tuple[ScaleError, ...], names: tuple[str, ...], values: 
     return np.asarray(np.hypot(sd, np.abs(values) * [sizes_spread(scales, name) for name in names]))
 
 
-def _estimate(
-    specimen: Specimen, name: str, at_optima: Array, sd: float, freedom: float, explained: bool
-) -> ConstantEstimate:
-    """An estimate from its values (k,) at the optima that the noise leaves open, the best one first.
+def _constant(
+    specimen: Specimen,
+    name: str,
+    at_optima: Array,
+    sd: float,
+    freedom: float,
+    *,
+    explained: bool,
+    rests_on: tuple[str, ...],
+) -> Constant:
+    """A constant from its values (k,) at the optima that the noise leaves open, the best one first.
 
     freedom : of the noise, infinite where it is known. explained : whether the noise explains the misfit.
     """
@@ -299,28 +494,21 @@ def _estimate(
         reach = float(t.ppf(1.0 - _TAIL, freedom)) * sd
         values = (value, *elsewhere)
         interval = (max(min(values) - reach, prior.lower), min(max(values) + reach, prior.upper))
-    return ConstantEstimate(
+    return Constant(
         name=name,
         value=value,
         sd=sd,
         interval=interval,
-        lower=prior.lower,
-        upper=prior.upper,
-        bound=bound,
-        verdict=verdict,
+        prior=prior,
         reference=reference,
+        verdict=verdict,
+        bound=bound,
         elsewhere=elsewhere,
+        rests_on=rests_on,
     )
 
 
-def _warnings(specimen: Specimen, predicted: Array) -> tuple[str, ...]:
-    (measurement, unknowns), problems = required(specimen), []
-    n_unknowns = unknowns.size
-    if measurement.size <= n_unknowns:
-        problems.append(
-            f"{measurement.size} frequencies for {n_unknowns} unknowns: the bounds decide, "
-            "the fit says nothing about its own error"
-        )
+def _notices(specimen: Specimen, predicted: Array) -> tuple[Notice, ...]:
+    measurement, unknowns = required(specimen)
     ratio, weighed = predicted / measurement.frequencies, specimen.plate.mass is not None
-    problems += units_warning(ratio, " even for the best constants", weighed=weighed)
-    return tuple(problems)
+    return (*count_notices(measurement.size, unknowns.size), *units_notices(ratio, weighed=weighed))

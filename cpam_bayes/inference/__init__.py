@@ -1,4 +1,1 @@
-"""Back ends that turn measured frequencies into constants.
-
-Nothing is imported here, so that the command line loads only the back end it was asked for.
-"""
+"""One log probability of a plate's parameters, its optima, integrals and draws."""

@@ -1,14 +1,15 @@
-"""Mixtures of Student-t densities: density, draws, and two ways to fit them to weighted points."""
+"""Mixtures of Student-t densities: density, draws, mass between bounds, fits, importance sampling."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtri, gammaln, ndtri
+from scipy.special import chdtri, gammaln, log_ndtr, ndtri, ndtri_exp, stdtr, stdtrit
 from scipy.stats import qmc
 
 Array = NDArray[Any]
@@ -237,3 +238,227 @@ def _factor(scale: Array) -> Array:
         except np.linalg.LinAlgError:
             continue
     return np.asarray(np.sqrt(spread))
+
+
+def log_box_mass(
+    centre: Array,
+    scale: Array,
+    lower: Array,
+    upper: Array,
+    nu: float = np.inf,
+    log2_points: int = 10,
+) -> Array:
+    """Log probability between bounds of m Gaussian or Student-t densities, (m,).
+
+    One variable after the other, each given those before, over a Sobol sequence, the most constrained
+    first (Genz and Bretz, Computation of Multivariate Normal and t Probabilities, 2009). All in
+    logarithms: a centre many standard deviations outside keeps its digits. The error is about 1e-3
+    with 2^10 points in five dimensions. No chance is involved.
+
+    centre : (m, n).
+    scale : (m, n, n) covariance, or scale matrix of a Student-t of nu degrees of freedom.
+    lower, upper : (n,), may be infinite.
+    """
+    m, n = centre.shape
+    sd = np.sqrt(np.diagonal(scale, axis1=1, axis2=2))
+    alone = _log_interval((lower - centre) / sd, (upper - centre) / sd, nu)
+    order = np.argsort(alone, axis=1, kind="stable")
+    row = np.arange(m)[:, None]
+    factor = np.linalg.cholesky(scale[row[..., None], order[:, :, None], order[:, None, :]])
+    sobol = qmc.Sobol(n, scramble=False).random_base2(log2_points)
+    points = sobol + 0.5**log2_points / 2.0  # off the faces of the cube
+    _, log_mass = _sequential(centre[row, order], factor, lower[order], upper[order], nu, points)
+    top = log_mass.max(axis=1, keepdims=True)
+    return np.asarray(np.log(np.mean(np.exp(log_mass - top), axis=1)) + top[:, 0])
+
+
+def box_draws(
+    centre: Array, scale: Array, lower: Array, upper: Array, nu: float, size: int, rng: np.random.Generator
+) -> tuple[Array, Array]:
+    """Draws between bounds near a Gaussian or Student-t, (size, n), and their log density, (size,).
+
+    Every coordinate is drawn from its conditional density given those before, cut at its bounds. That
+    is not the density cut as a whole, but one that is known, normalised, and equal to it where nothing
+    is cut (Geweke, 1991). centre : (n,), scale : (n, n), lower and upper (n,).
+    """
+    factor = np.linalg.cholesky(scale)
+    uniform = rng.uniform(size=(size, len(centre)))
+    x, log_mass = _sequential(centre[None], factor[None], lower[None], upper[None], nu, uniform)
+    return x[0], log_student_t(x[0] - centre, factor, nu) - log_mass[0]
+
+
+def _sequential(
+    centre: Array, factor: Array, lower: Array, upper: Array, nu: float, uniform: Array
+) -> tuple[Array, Array]:
+    """Points between the bounds, (m, k, n), and the log product of the conditional masses, (m, k).
+
+    centre, lower, upper : (m, n).
+    factor : (m, n, n).
+    uniform : (k, n) in (0, 1).
+    """
+    m, n = centre.shape
+    z = np.zeros((m, len(uniform), n))
+    log_mass = np.zeros((m, len(uniform)))
+    squared = np.zeros((m, len(uniform)))
+    for i in range(n):
+        shift = np.einsum("mkj,mj->mk", z[:, :, :i], factor[:, i, :i]) + centre[:, i, None]
+        # given those before, a t coordinate is a t of more degrees of freedom and another width
+        dof = nu + i
+        width = np.ones_like(squared) if np.isinf(nu) else np.sqrt((nu + squared) / dof)
+        a, b = ((bound[:, i, None] - shift) / (factor[:, i, i, None] * width) for bound in (lower, upper))
+        log_mass += _log_interval(a, b, dof)
+        z[:, :, i] = width * _interval_quantile(a, b, dof, uniform[:, i])
+        squared += z[:, :, i] ** 2
+    x = centre[:, None] + np.einsum("mkj,mij->mki", z, factor)
+    return np.clip(x, lower[:, None], upper[:, None]), log_mass
+
+
+def _mirrored(a: Array, b: Array) -> tuple[Array, Array, Array]:
+    """Intervals carried to the lower tail, where distribution functions are accurate, and their signs."""
+    with np.errstate(invalid="ignore"):
+        flip = a + b > 0  # not where both are infinite: then nothing is cut
+    return np.where(flip, -b, a), np.where(flip, -a, b), np.where(flip, -1.0, 1.0)
+
+
+def _log_interval(a: Array, b: Array, nu: float) -> Array:
+    """Log probability of a standard variable between a and b."""
+    a, b, _ = _mirrored(a, b)
+    with np.errstate(divide="ignore"):
+        if np.isinf(nu):
+            below, above = log_ndtr(a), log_ndtr(b)
+            return np.asarray(above + np.log(-np.expm1(np.minimum(below - above, 0.0))))
+        return np.asarray(np.log(stdtr(nu, b) - stdtr(nu, a)))
+
+
+def _interval_quantile(a: Array, b: Array, nu: float, p: Array) -> Array:
+    """Quantiles p in (0, 1) of a standard variable cut to [a, b]."""
+    a, b, sign = _mirrored(a, b)
+    p = np.where(sign > 0, p, 1.0 - p)
+    if np.isinf(nu):
+        with np.errstate(divide="ignore"):
+            log_p = np.logaddexp(log_ndtr(a) + np.log1p(-p), log_ndtr(b) + np.log(p))
+        x = ndtri_exp(np.minimum(log_p, 0.0))
+    else:
+        x = stdtrit(nu, (1.0 - p) * stdtr(nu, a) + p * stdtr(nu, b))
+    return np.asarray(sign * np.clip(x, a, b))
+
+
+# Importance weights with a heavier tail than this have no useful error (Vehtari et al., 2024).
+RELIABLE_K = 0.7
+# Fewest weights in the tail that a Pareto density is fitted to.
+_FEWEST_IN_TAIL = 5
+
+
+@dataclass(frozen=True, slots=True)
+class Weighted:
+    """Weighted points of m densities and the integrals of these.
+
+    points : (m, p, n).
+    weight : (m, p), each row adds up to one.
+    log_evidence : (m,) log of the mean weight.
+    standard_error : (m,) of it, that of independent points, an upper bound for a Sobol sequence.
+    effective_size : (m,) (sum w)^2 / sum w^2.
+    k_hat : (m,) Pareto shape of the largest weights.
+    """
+
+    points: Array
+    weight: Array
+    log_evidence: Array
+    standard_error: Array
+    effective_size: Array
+    k_hat: Array
+
+
+def weighted(points: Array, log_ratio: Array) -> Weighted:
+    """Points (m, p, n) with the logs (m, p) of target density over the density they were drawn from.
+
+    Where all of a row are -inf its log evidence is too, and the rest of it is not a number.
+    """
+    top = log_ratio.max(axis=1)
+    top = np.where(np.isfinite(top), top, 0.0)
+    ratio = np.exp(log_ratio - top[:, None])
+    mean = ratio.mean(axis=1)
+    p = log_ratio.shape[1]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return Weighted(
+            points=points,
+            weight=ratio / ratio.sum(axis=1, keepdims=True),
+            log_evidence=top + np.log(mean),
+            standard_error=ratio.std(axis=1) / mean / np.sqrt(p),
+            effective_size=ratio.sum(axis=1) ** 2 / np.sum(ratio**2, axis=1),
+            k_hat=np.array([pareto_shape(row) for row in log_ratio]),
+        )
+
+
+def staged_importance(
+    log_density: Callable[[Array], Array],
+    mixture: Mixture,
+    log2_points: int,
+    stages: tuple[float, ...] = (1.0,),
+    refit: Callable[[Mixture, Array, Array], Mixture] | None = None,
+) -> Weighted:
+    """Integrals of m densities by importance sampling from a stack of Student-t mixtures.
+
+    The points are those of one scrambled Sobol sequence for all densities, so that differences between
+    these are known better than each alone. After each stage the mixtures are refitted to all points before;
+    all of them are weighed against the blend of the mixtures (Cornuet et al., 2012).
+
+    log_density : (m, p, n) -> (m, p).
+    stages : fractions of the points.
+    refit : mixture, points and their log weights -> the mixture of the next stage.
+    """
+    m, n = mixture.centre.shape[0], mixture.centre.shape[2]
+    stops = np.cumsum([0, *(round(stage * (1 << log2_points)) for stage in stages)])
+    mixtures, sizes = [mixture], [int(size) for size in np.diff(stops)]
+    points, target = np.empty((m, 0, n)), np.empty((m, 0))
+    for i in range(len(stages)):
+        if i and refit is not None:
+            log_weight = target - log_blend(mixtures, sizes[:i], points)
+            mixtures.append(refit(mixtures[-1], points, log_weight))
+        more = sobol_points(mixtures[i], log2_points, slice(stops[i], stops[i + 1]))
+        points = np.concatenate((points, more), axis=1)
+        target = np.concatenate((target, log_density(more)), axis=1)
+    return weighted(points, target - log_blend(mixtures, sizes, points))
+
+
+def effective_size(log_weight: Array) -> float:
+    """(sum w)^2 / sum w^2 of weights (p,) that are given by their logarithms."""
+    top = float(log_weight.max())
+    if not np.isfinite(top):
+        return 0.0
+    w = np.exp(log_weight - top)
+    return float(w.sum() ** 2 / np.sum(w**2))
+
+
+def pareto_shape(log_weight: Array) -> float:
+    """Shape k-hat of a generalised Pareto density fitted to the largest of weights (p,).
+
+    The fifth or 3 sqrt(p) largest, whichever are fewer, by the posterior mean of Zhang and Stephens (2009)
+    with the prior of Vehtari et al. (2024, Pareto smoothed importance sampling, eq. 10): 10 weights of
+    shape 0.5. Infinite where fewer than five stand out.
+    """
+    finite = log_weight[np.isfinite(log_weight)]
+    n = len(finite)
+    n_tail = int(np.ceil(min(n / 5.0, 3.0 * np.sqrt(n))))
+    if n_tail < _FEWEST_IN_TAIL:
+        return np.inf
+    ordered = np.sort(finite) - finite.max()
+    cut = max(float(ordered[-n_tail - 1]), float(np.log(np.finfo(float).tiny)))
+    tail = np.exp(ordered[ordered > cut]) - np.exp(cut)
+    return _generalised_pareto_shape(tail) if len(tail) >= _FEWEST_IN_TAIL else np.inf
+
+
+def _generalised_pareto_shape(tail: Array) -> float:
+    """Of exceedances (m,) in ascending order."""
+    m = len(tail)
+    n_grid = 30 + int(np.sqrt(m))
+    b = 1.0 - np.sqrt(n_grid / (np.arange(1, n_grid + 1) - 0.5))
+    b = b / (3.0 * tail[int(m / 4 + 0.5) - 1]) + 1.0 / tail[-1]
+    k = np.log1p(-b[:, None] * tail).mean(axis=1)
+    log_likelihood = m * (np.log(-b / k) - k - 1.0)
+    with np.errstate(over="ignore"):
+        weight = 1.0 / np.exp(log_likelihood - log_likelihood[:, None]).sum(axis=1)
+    kept = weight >= 10.0 * np.finfo(float).eps
+    mean = np.sum(b[kept] * weight[kept]) / weight[kept].sum()
+    shape = float(np.log1p(-mean * tail).mean())
+    return (m * shape + 10.0 * 0.5) / (m + 10.0)

@@ -1,1 +1,1 @@
-"""Plate mechanics: the forms, the spaces that discretise them, operators, eigenpairs, convergence."""
+"""Plates as affine operators, discretised by Ritz or finite elements."""

@@ -1,4 +1,8 @@
-"""Discretised problems: K(p) = sum_q theta_q(p) K_q and M(p) = sum_q mu_q(p) M_q, dense or sparse."""
+"""Discretised problems: K(p) = sum_q theta_q(p) K_q and M(p) = sum_q mu_q(p) M_q, dense or sparse.
+
+Forms on the reference square are weighted by products of one function of xi and one of eta, which keep the
+tensor structure of a Ritz space; the parities of the factors say which symmetries of the plate they leave.
+"""
 
 from __future__ import annotations
 
@@ -9,12 +13,12 @@ from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 import scipy.linalg
+from numpy.polynomial import polynomial
 from numpy.typing import NDArray
 from scipy.linalg import lapack, solve_triangular
 
 from cpam_bayes.mechanics.problem import Problem, Values
-from cpam_bayes.mechanics.spaces.protocol import Space
-from cpam_bayes.mechanics.spaces.ritz import RitzSpace
+from cpam_bayes.mechanics.spaces.ritz import RitzSpace, Space
 from cpam_bayes.threads import matrix_by_matrix
 
 Array = NDArray[Any]
@@ -238,3 +242,109 @@ def restricted(operator: DenseOperator, keep: Array) -> DenseOperator:
 
 
 DenseOperator = AffineOperator[RitzSpace, DenseBlock]
+
+
+class Profile(Protocol):
+    """A function of one reference coordinate, with its parity about the middle: 1, -1, or 0 for none."""
+
+    @property
+    def parity(self) -> int:
+        """1 even, -1 odd, 0 neither."""
+        ...
+
+    @property
+    def breaks(self) -> tuple[float, ...]:
+        """Points between which a quadrature is smooth enough, none for what varies slowly."""
+        ...
+
+    def __call__(self, t: Array) -> Array:
+        """Values at points (n,) of [0, 1], (n,)."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Polynomial:
+    """A polynomial in s = 2 t - 1, lowest power first."""
+
+    coefficients: tuple[float, ...]
+
+    @property
+    def parity(self) -> int:
+        """1 if only even powers occur, -1 if only odd ones, 0 otherwise."""
+        powers = {k % 2 for k, c in enumerate(self.coefficients) if c != 0.0}
+        return {frozenset({0}): 1, frozenset({1}): -1, frozenset(): 1}.get(frozenset(powers), 0)
+
+    @property
+    def breaks(self) -> tuple[float, ...]:
+        """None."""
+        return ()
+
+    def __call__(self, t: Array) -> Array:
+        """Values at points (n,) of [0, 1], (n,)."""
+        return np.asarray(polynomial.polyval(2.0 * t - 1.0, np.array(self.coefficients)))
+
+    def derivative(self, order: int = 1) -> Polynomial:
+        """The derivative with respect to s."""
+        return Polynomial(tuple(polynomial.polyder(np.array(self.coefficients), order).tolist()))
+
+
+@dataclass(frozen=True, slots=True)
+class _Local:
+    """A weight about a centre."""
+
+    centre: float
+    width: float
+
+    @property
+    def parity(self) -> int:
+        """1 about the middle, 0 elsewhere."""
+        return 1 if self.centre == 0.5 else 0
+
+
+@dataclass(frozen=True, slots=True)
+class Bell(_Local):
+    """exp(-((t - centre) / width)^2 / 2)."""
+
+    @property
+    def breaks(self) -> tuple[float, ...]:
+        """Panels of two widths, out to where it has vanished."""
+        return tuple(self.centre + k * self.width for k in (-8, -4, -2, 0, 2, 4, 8))
+
+    def __call__(self, t: Array) -> Array:
+        """Values at points (n,) of [0, 1], (n,)."""
+        return np.asarray(np.exp(-0.5 * ((t - self.centre) / self.width) ** 2))
+
+
+@dataclass(frozen=True, slots=True)
+class Box(_Local):
+    """1 within a width of the centre, 0 elsewhere."""
+
+    @property
+    def breaks(self) -> tuple[float, ...]:
+        """Its ends."""
+        return self.centre - self.width, self.centre + self.width
+
+    def __call__(self, t: Array) -> Array:
+        """Values at points (n,) of [0, 1], (n,)."""
+        return np.asarray(np.where(np.abs(t - self.centre) <= self.width, 1.0, 0.0))
+
+
+ONE = Polynomial((1.0,))
+LINE = Polynomial((0.0, 1.0))
+
+
+def power(k: int) -> Polynomial:
+    """s to the power k."""
+    return Polynomial((0.0,) * k + (1.0,))
+
+
+@dataclass(frozen=True, slots=True)
+class Product:
+    """x(xi) times y(eta)."""
+
+    x: Profile
+    y: Profile
+
+    def __call__(self, points: Array) -> Array:
+        """Values at reference points (n, 2), (n,)."""
+        return self.x(points[:, 0]) * self.y(points[:, 1])

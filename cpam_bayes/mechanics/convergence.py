@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 from cpam_bayes.mechanics.affine import DenseOperator, restricted
 from cpam_bayes.mechanics.dense import discretise, discretise_at
 from cpam_bayes.mechanics.modes import RigidBodyError, Spectrum, solve
-from cpam_bayes.mechanics.problem import CLAMPED, Problem, Values
+from cpam_bayes.mechanics.problem import Problem, Values
 from cpam_bayes.mechanics.spaces.ritz import RitzSettings, RitzSpace, ritz_space
+from cpam_bayes.plate.edges import conditions
 
 Array = NDArray[Any]
 
@@ -223,7 +224,7 @@ def _rich(
     _refuse_too_thin(problem)
     stiffness = np.abs(problem.state(samples).stiffness()).reshape(-1, 8, 8).max(axis=0)
     orthotropic = np.max(stiffness[[0, 3, 1, 4], [2, 5, 2, 5]]) <= 1e-9 * stiffness[3, 3]
-    clamped = any(edge in CLAMPED for edge in problem.edges)
+    clamped = any(edge.is_clamp for edge in conditions(problem.edges))
     degree = 10 + int(np.sqrt(n_modes))
     settings = RitzSettings(degree, degree, 2, clamped or not orthotropic, 2 if clamped else 0)
     eye = np.eye(_count(samples))

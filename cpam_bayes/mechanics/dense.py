@@ -10,11 +10,9 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from cpam_bayes.mechanics.affine import AffineMatrix, AffineOperator, DenseBlock, DenseOperator
+from cpam_bayes.mechanics.affine import AffineMatrix, AffineOperator, DenseBlock, DenseOperator, Product
 from cpam_bayes.mechanics.problem import Atom, Form, MatrixKind, Problem, Values
-from cpam_bayes.mechanics.spaces.protocol import Quadrature
-from cpam_bayes.mechanics.spaces.ritz import Family, RitzSpace, broken_quadrature, evaluate_sector
-from cpam_bayes.mechanics.weights import Product
+from cpam_bayes.mechanics.spaces.ritz import Family, Quadrature, RitzSpace, broken_quadrature, evaluate_sector
 
 Array = NDArray[Any]
 Piece = tuple[int, int, Array]

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cpam_bayes.parameters import ParameterSet
+from cpam_bayes.plate.edges import EDGES, FIELDS, Field, conditions, is_stated
 from cpam_bayes.plate.laminate import (
     ENERGY_CONSISTENT,
     LaminateGeometry,
@@ -26,27 +27,10 @@ from cpam_bayes.plate.laminate import (
 )
 
 Array = NDArray[Any]
-Field = Literal["u", "v", "w", "phi_x", "phi_y"]
 Derivative = Literal["", "x", "y"]
 MatrixKind = Literal["stiffness", "mass"]
 
-FIELDS: tuple[Field, ...] = ("u", "v", "w", "phi_x", "phi_y")
 MEMBRANE_FIELDS: tuple[Field, ...] = ("u", "v")
-EDGES = ("x0", "y0", "x1", "y1")
-# Fields that an edge holds at zero, by its condition. S is the hard simple support of Navier's
-# solution: the tangential displacement and the tangential rotation are held, the normal ones free.
-HELD: dict[str, dict[str, tuple[Field, ...]]] = {
-    "F": {"x": (), "y": ()},
-    "S": {"x": ("v", "w", "phi_y"), "y": ("u", "w", "phi_x")},
-    "C": {"x": FIELDS, "y": FIELDS},
-    # clamps that give way: the fields that are not held stand on springs, which a term brings
-    "R": {"x": ("u", "v", "w"), "y": ("u", "v", "w")},
-    "T": {"x": ("phi_x", "phi_y"), "y": ("phi_x", "phi_y")},
-    "E": {"x": (), "y": ()},
-}
-CONDITIONS = ("F", "S", "C")
-YIELDING = ("R", "T", "E")
-CLAMPED = ("C", *YIELDING)
 
 
 @dataclass(frozen=True, slots=True)
@@ -310,7 +294,7 @@ def bare_plate(
 
     Raises ``ValueError`` if ``edges`` is not four of F, S, C.
     """
-    if len(edges) != 4 or any(e not in CONDITIONS for e in edges):
+    if not is_stated(edges):
         raise ValueError(f"edges: got {edges!r}, expected four of F, S, C (x=0, y=0, x=length, y=width)")
     centred = nominal.plies is None or abs(nominal.plies.mass_moments[0]) < _CENTRED
     terms = (LAMINATE_TERM, INERTIA_TERM) if centred else (LAMINATE_TERM, INERTIA_TERM, MASS_OFFSET_TERM)
@@ -323,7 +307,7 @@ def rigid_body_count(edges: str) -> int:
     The motions are u = c1 - c3 y, v = c2 + c3 x, w = c4 - c5 x - c6 y, phi_x = c5, phi_y = c6.
     """
     rows = []
-    for name, condition in zip(EDGES, edges, strict=True):
+    for name, condition in zip(EDGES, conditions(edges), strict=True):
         axis, level = name[0], float(name[1])
         for t in (0.0, 1.0):
             x, y = (level, t) if axis == "x" else (t, level)
@@ -334,6 +318,5 @@ def rigid_body_count(edges: str) -> int:
                 "phi_x": (0, 0, 0, 0, 1, 0),
                 "phi_y": (0, 0, 0, 0, 0, 1),
             }
-            kept = FIELDS if condition in YIELDING else HELD[condition][axis]
-            rows += [motion[field] for field in kept]
+            rows += [motion[field] for field in (*condition.held(axis), *condition.sprung)]
     return 6 - (int(np.linalg.matrix_rank(np.array(rows, dtype=float))) if rows else 0)

@@ -15,17 +15,9 @@ from scipy.sparse.linalg import LinearOperator, eigsh, splu
 
 from cpam_bayes.mechanics.affine import AffineOperator, ModeVectors
 from cpam_bayes.mechanics.dense import MATRICES, active_terms, projected_functions
-from cpam_bayes.mechanics.problem import (
-    FIELDS,
-    MEMBRANE_FIELDS,
-    Field,
-    Form,
-    MatrixKind,
-    PlateState,
-    Problem,
-    Values,
-)
+from cpam_bayes.mechanics.problem import MEMBRANE_FIELDS, Form, MatrixKind, PlateState, Problem, Values
 from cpam_bayes.mechanics.spaces.fem import FemSpace
+from cpam_bayes.plate.edges import FIELDS, Field
 
 Array = NDArray[Any]
 

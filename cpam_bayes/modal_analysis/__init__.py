@@ -1,1 +1,1 @@
-"""From frequency responses or recorded hits to the poles of a plate, for a table of modes."""
+"""Frequency responses and recorded hits to poles."""

@@ -21,11 +21,22 @@ from functools import cache
 from itertools import count
 from typing import Any, TypeVar, cast
 
-from cpam_bayes.deadline import TimeIsUpError, is_time_up, time_is_up_error, time_limit
-from cpam_bayes.parallel.executors import DaskCluster, WorkersLostError, open_executor, workers_of
-from cpam_bayes.parallel.observing import reporting
-from cpam_bayes.parallel.shared_file import copied, write_shared
-from cpam_bayes.parallel.worker import Outcome, Ticket, digest_of, digest_of_file, forget, work_through
+from cpam_bayes.parallel.executors import (
+    DaskCluster,
+    Outcome,
+    Ticket,
+    WorkersLostError,
+    copied,
+    digest_of,
+    digest_of_file,
+    forget,
+    open_executor,
+    reporting,
+    work_through,
+    workers_of,
+    write_shared,
+)
+from cpam_bayes.running import TimeIsUpError, is_time_up, time_is_up_error, time_limit
 from cpam_bayes.storage import draft_file
 from cpam_bayes.threads import single_blas_thread
 

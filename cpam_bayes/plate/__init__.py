@@ -1,17 +1,16 @@
 """Plate files, their units, and the built-in specimens."""
 
-from cpam_bayes.plate.parse import parse_specimen
-from cpam_bayes.plate.reader import MAX_BYTES, PlateLike, builtin_plates, read_plate, read_specimen
-from cpam_bayes.plate.records import (
-    Hybrid,
-    Material,
-    Measurement,
-    Plate,
-    Sensor,
-    Specimen,
-    angle_grid,
+from cpam_bayes.plate.reader import (
+    PlateLike,
+    builtin,
+    builtin_names,
+    builtin_plates,
+    parse_specimen,
+    read_plate,
+    read_specimen,
 )
-from cpam_bayes.plate.specimens import builtin, builtin_names
+from cpam_bayes.plate.records import Hybrid, Material, Measurement, Plate, Sensor, Specimen, angle_grid
+from cpam_bayes.plate.text import MAX_BYTES
 from cpam_bayes.plate.units import USER_UNITS, to_si, to_user, unit_of, user_name
 
 __all__ = [

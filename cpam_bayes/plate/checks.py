@@ -1,40 +1,39 @@
 """What relates several values of a plate file, checked on the raw tables.
 
-Each check leaves aside what is missing or of the wrong type, which the schema reports, so that one
-reading finds every error.
+Each check leaves aside what is missing or of the wrong type, which the schema reports, so that one reading
+finds every error.
 """
 
 from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterable, Mapping
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import partial
 from pathlib import Path
-from typing import Final
+from typing import Any, Final, cast
+
+import numpy as np
 
 from cpam_bayes.errors import LayupError
-from cpam_bayes.plate.constants import (
-    constants_of_symmetry,
-    known_symmetry,
-    physical_material,
-    search_bounds,
-    symmetry_of,
-)
+from cpam_bayes.plate.laminate import CONSTRAINTS, MaterialSymmetry, constraint_violations, is_admissible
 from cpam_bayes.plate.layup import Layup, PlyKind, parse_layup
-from cpam_bayes.plate.plies import (
-    known_plies,
-    materials_of_plies,
-    one_density,
-    ply_kinds,
-    stated_thickness,
-)
-from cpam_bayes.plate.problems import Problem, received
-from cpam_bayes.plate.raw import Data, Problems, number, numbers, per_material, real, table
+from cpam_bayes.plate.problems import Data, Problem, Problems, number, numbers, real, received, table
 from cpam_bayes.plate.records import angle_grid
-from cpam_bayes.plate.schema import MAX_FREQUENCIES
-from cpam_bayes.plate.units import USER_UNITS
+from cpam_bayes.plate.schema import MAX_FREQUENCIES, NAME, is_hybrid
+from cpam_bayes.plate.units import USER_UNITS, to_si, user_name
 
+__all__ = ["CONSTANT_KEYS", "ply_kinds", "relation_problems", "symmetry_of"]
+
+CONSTANT_KEYS: Final = ("E1_GPa", "E2_GPa", "nu12", "G12_GPa", "G13_GPa", "G23_GPa")
+_REQUIRED: Final = CONSTANT_KEYS[:4]
+_ISOTROPIC: Final = ("E1_GPa", "nu12")
+_GRID_POINTS: Final = 7
+# What a material is that names the constants of a composite and no symmetry.
+_COMPOSITE: Final[MaterialSymmetry] = "transversely_isotropic"
+# What to do about constants that eq. (9) refuses and that other plies have.
+_OTHER_SYMMETRY: Final = 'fabrics, wood and plywood are symmetry = "orthotropic"'
 # No solid is lighter or heavier, foams and heavy metals included, kg/m3; no fibre is stiffer, GPa.
 _DENSITIES: Final = (5.0, 25_000.0)
 _MAX_MODULUS: Final = 2000.0
@@ -42,6 +41,18 @@ _MAX_MODULUS: Final = 2000.0
 _EQUAL_AT_MOST: Final = 3
 # Below this mass a plate's own numbers are wrong, which is said of them, g.
 _LIGHTEST: Final = 1e-6
+# Part of the stated thickness by which the plies may miss it; they fill it in proportion.
+_THICKNESS_TOLERANCE: Final = 0.01
+_BESIDE: Final[Mapping[str, Mapping[str, str]]] = {
+    "table": {
+        "frequency_sd_hz": "beside a table, accepted: a column sd in the table instead",
+        "labels": "beside a table, accepted: a column label in the table instead",
+    },
+    "shapes": {
+        "frequency_sd_hz": "beside shapes, accepted: relative_std or resolution_hz",
+        "labels": "beside shapes, which say what mode a frequency is, accepted: no labels",
+    },
+}
 
 _Check = Callable[[Data], Problems]
 
@@ -52,10 +63,266 @@ def relation_problems(data: Data, directory: Path | None) -> list[Problem]:
     problems += [
         problem.of_material(name)
         for check in _CHECKS_OF_A_MATERIAL
-        for name, part in per_material(data)
+        for name, part in _per_material(data)
         for problem in check(part)
     ]
     return problems + list(_mesh(data, directory))
+
+
+def _per_material(data: Data) -> Iterator[tuple[str, Data]]:
+    """The file as if each material were its only one, by name; "" and the file where there is but one."""
+    material = data.get("material")
+    if not is_hybrid(material):
+        yield "", data
+        return
+    for name, part in table(data, "material").items():
+        yield name, {**data, "material": part, "unknowns": table(data, "unknowns", name)}
+
+
+# [material] and [unknowns]
+
+
+def symmetry_of(material: Data) -> MaterialSymmetry | None:
+    """The symmetry that a table [material] states or, by its constants, implies; None where it does not."""
+    stated, isotropic = material.get("symmetry"), material.get("isotropic")
+    if stated is not None:
+        return cast(MaterialSymmetry, stated) if stated in tuple(CONSTRAINTS) else None
+    if isotropic is True:
+        return "isotropic"
+    implied = isotropic is False or (isotropic is None and ("E2_GPa" in material or "G12_GPa" in material))
+    return _COMPOSITE if implied else None
+
+
+def _known_symmetry(data: Data) -> Problems:
+    """Whether [material] says once what its symmetry is."""
+    material = table(data, "material")
+    if not material:
+        return
+    stated, isotropic = material.get("symmetry"), material.get("isotropic")
+    if stated is None and isotropic is None and symmetry_of(material) is None:
+        yield Problem(
+            ("material", "symmetry"),
+            'missing, accepted: "isotropic" beside E1_GPa and nu12, or E2_GPa and G12_GPa of a composite',
+        )
+    contradicts = isinstance(isotropic, bool) and isotropic != (stated == "isotropic")
+    if stated in tuple(CONSTRAINTS) and contradicts:
+        yield Problem(
+            ("material", "isotropic"),
+            f"contradicts symmetry, received {received(isotropic)} beside {received(stated)}, "
+            "accepted: symmetry alone",
+        )
+
+
+def _constants_of_symmetry(data: Data) -> Problems:
+    """Which constants a material of this symmetry has."""
+    material, unknowns = table(data, "material"), table(data, "unknowns")
+    symmetry = symmetry_of(material)
+    if symmetry == "isotropic":
+        for path, given in (
+            (("material",), material),
+            (("material", "sd"), table(data, "material", "sd")),
+            (("unknowns",), unknowns),
+        ):
+            for key in given:
+                if key in CONSTANT_KEYS and key not in _ISOTROPIC:
+                    yield Problem(
+                        (*path, key),
+                        f"not a constant of an isotropic material, received "
+                        f"{received(given[key])}, accepted: E1_GPa and nu12 only, eq. (11)",
+                    )
+    elif symmetry is not None:
+        for key in _REQUIRED:
+            if key not in material and key not in _ISOTROPIC:
+                yield Problem(
+                    ("material", key),
+                    f"missing, a ply that is {symmetry.replace('_', ' ')} has E1 E2 nu12 G12",
+                )
+
+
+def _reference(data: Data) -> tuple[dict[str, float], MaterialSymmetry] | None:
+    """The reference constants as numbers, when all of them are there and positive."""
+    material = table(data, "material")
+    symmetry = symmetry_of(material)
+    if symmetry is None:
+        return None
+    wanted = _ISOTROPIC if symmetry == "isotropic" else CONSTANT_KEYS
+    constants: dict[str, float] = {}
+    for key in wanted:
+        value = number(material, key)
+        if value is None and (key in material or key in _REQUIRED):
+            return None
+        if value is not None:
+            constants[USER_UNITS[key][0]] = value
+    moduli_positive = all(value > 0.0 for name, value in constants.items() if name != "nu12")
+    possible = moduli_positive and (constants["nu12"] != 1.0 or symmetry == "orthotropic")
+    return (constants, symmetry) if possible else None
+
+
+def _physical_material(data: Data) -> Problems:
+    """Reference constants that their symmetry does not allow."""
+    material = table(data, "material")
+    if number(material, "nu12") == 1.0 and symmetry_of(material) == _COMPOSITE:
+        yield Problem(("material", "nu12"), f"impossible constants, accepted: {CONSTRAINTS[_COMPOSITE][1]}")
+    reference = _reference(data)
+    if reference is None:
+        return
+    constants, symmetry = reference
+    broken = np.flatnonzero(constraint_violations(constants, symmetry))
+    if broken.size:
+        said = ", ".join(f"{user_name(name)} = {value:g}" for name, value in constants.items())
+        accepted = CONSTRAINTS[symmetry][int(broken[-1])]
+        fits = symmetry == _COMPOSITE and bool(is_admissible(constants, "orthotropic"))
+        hint = f"; {_OTHER_SYMMETRY}" if fits else ""
+        key = "E1_GPa" if 3 in broken else "nu12"
+        yield Problem(("material", key), f"impossible constants, received {said}, accepted: {accepted}{hint}")
+
+
+def _search_bounds(data: Data) -> Problems:
+    """Bounds and priors that are reversed, not physical, or at odds with each other."""
+    unknowns = table(data, "unknowns")
+    orthotropic = symmetry_of(table(data, "material")) == "orthotropic"
+    boxes: dict[str, tuple[float, float]] = {}
+    for key in CONSTANT_KEYS:
+        prior = unknowns.get(key)
+        normal = prior if isinstance(prior, dict) else None
+        bounds = numbers(normal, "bounds") if normal is not None else numbers(unknowns, key)
+        if bounds is None or len(bounds) != 2:
+            continue
+        lower, upper = bounds
+        path = ("unknowns", key, "bounds") if normal is not None else ("unknowns", key)
+        if not lower < upper:
+            yield Problem(path, f"bounds, received {received(bounds)}, accepted: [lower, upper] ascending")
+            continue
+        if key == "nu12" and not (-1.0 < lower < upper < 1.0 or orthotropic):
+            yield Problem(path, f"not physical, received {received(bounds)}, accepted: within -1 and 1")
+            continue
+        if key != "nu12" and lower <= 0.0:
+            yield Problem(path, f"not physical, received {received(bounds)}, accepted: bounds above 0")
+            continue
+        mean = number(normal, "mean") if normal is not None else None
+        if mean is not None and not lower <= mean <= upper:
+            yield Problem(
+                ("unknowns", key, "mean"),
+                f"outside the bounds, received {mean:g}, accepted: {lower:g} to {upper:g}",
+            )
+        boxes[key] = (lower, upper)
+    # A bound or a reference that is wrong by itself would only be said a second time.
+    if boxes.keys() == {key for key in CONSTANT_KEYS if key in unknowns}:
+        yield from _possible_box(data, boxes)
+
+
+def _possible_box(data: Data, boxes: Mapping[str, tuple[float, float]]) -> Problems:
+    """The constraints must leave something of the search box, looked for on a grid."""
+    reference = _reference(data)
+    if reference is None or not boxes:
+        return
+    constants, symmetry = reference
+    if not is_admissible(constants, symmetry):
+        return
+    searched = [key for key in ("E1_GPa", "E2_GPa", "nu12") if key in boxes]
+    if symmetry == "isotropic":
+        searched = [key for key in searched if key in _ISOTROPIC]
+    if not searched:
+        return
+    axes = [np.linspace(*boxes[key], _GRID_POINTS) for key in searched]
+    grids = np.meshgrid(*axes, indexing="ij")
+    trial: dict[str, Any] = dict(constants) | {
+        USER_UNITS[key][0]: grid for key, grid in zip(searched, grids, strict=True)
+    }
+    if not is_admissible(trial, symmetry).any():
+        said = ", ".join(f"{key} {boxes[key][0]:g} to {boxes[key][1]:g}" for key in searched)
+        allowed = {_COMPOSITE: "bounds that eq. (9) does not rule out"}
+        accepted = allowed.get(symmetry, f"bounds with {CONSTRAINTS[symmetry][0]}")
+        hint = f"; {_OTHER_SYMMETRY}" if symmetry == _COMPOSITE else ""
+        yield Problem(
+            ("unknowns", searched[-1]),
+            f"no physical constants within the bounds, received {said}, accepted: {accepted}{hint}",
+        )
+
+
+def _possible_moduli(data: Data) -> Problems:
+    """Moduli in MPa or Pa."""
+    material, unknowns = table(data, "material"), table(data, "unknowns")
+    for key in (name for name in USER_UNITS if name.endswith("_GPa")):
+        value = number(material, key)
+        if value is not None and value > _MAX_MODULUS:
+            yield Problem(
+                ("material", key),
+                f"stiffer than any material, received {value:g}, accepted: up to {_MAX_MODULUS:g} GPa; "
+                f"{value:g} MPa are {value / 1e3:g} GPa",
+            )
+        prior = unknowns.get(key)
+        bounds = numbers(prior, "bounds") if isinstance(prior, dict) else numbers(unknowns, key)
+        if bounds and min(bounds) > _MAX_MODULUS:
+            yield Problem(
+                ("unknowns", key),
+                f"stiffer than any material, received {received(bounds)}, accepted: bounds in GPa, the lower "
+                f"one up to {_MAX_MODULUS:g}; {min(bounds):g} MPa are {min(bounds) / 1e3:g} GPa",
+            )
+
+
+def _grid_step(data: Data) -> Problems:
+    step = number(table(data, "unknowns"), "angle_grid_deg")
+    if step is None or not 0.0 < step <= 180.0:
+        return
+    try:
+        angle_grid(step)
+    except ValueError:
+        yield Problem(
+            ("unknowns", "angle_grid_deg"),
+            f"not a grid, received {step:g}, accepted: a step that divides 180, 0.1 or more",
+        )
+
+
+def _spreads(data: Data, name: str) -> Problems:
+    given = table(data, name)
+    for key in table(data, name, "sd"):
+        if key in USER_UNITS and key not in given:
+            yield Problem(
+                (name, "sd", key),
+                f"standard deviation of a number that [{name}] does not give, "
+                f"accepted: {_listed(k for k in given if k in USER_UNITS)}",
+            )
+
+
+def _listed(keys: Iterable[str]) -> str:
+    return " ".join(keys) or "none"
+
+
+# [plate]: sizes, mass and density
+
+
+def _one_density(data: Data) -> Problems:
+    """The density of the plate, of its materials, or its mass, and a density of one material alone."""
+    plate, hybrid = table(data, "plate"), is_hybrid(data.get("material"))
+    if not isinstance(data.get("plate"), dict):
+        return
+    given = [key for key in ("density_kg_m3", "mass_g") if key in plate]
+    with_density = [name for name, part in _per_material(data) if "density_kg_m3" in table(part, "material")]
+    if with_density and not hybrid:
+        yield Problem(
+            ("material", "density_kg_m3"), "of one material, accepted: density_kg_m3 or mass_g in [plate]"
+        )
+    elif with_density:
+        for name in table(data, "material"):
+            if name not in with_density:
+                yield Problem(
+                    ("material", name, "density_kg_m3"),
+                    "missing, accepted: a density of each material, or of none",
+                )
+        if "density_kg_m3" in plate:
+            yield Problem(
+                ("plate", "density_kg_m3"),
+                "beside densities of the materials, accepted: these, with mass_g where the plate was weighed",
+            )
+        return
+    if len(given) != 1:
+        yield Problem(
+            ("plate", *given[1:]),
+            f"density, received {' and '.join(given) or 'neither'}, "
+            "accepted: one of density_kg_m3 and mass_g",
+            is_gap=not given,
+        )
 
 
 def _density(data: Data, owner: str) -> Problems:
@@ -93,27 +360,6 @@ def _possible_mass(data: Data) -> Problems:
         )
 
 
-def _possible_moduli(data: Data) -> Problems:
-    """Moduli in MPa or Pa."""
-    material, unknowns = table(data, "material"), table(data, "unknowns")
-    for key in (name for name in USER_UNITS if name.endswith("_GPa")):
-        value = number(material, key)
-        if value is not None and value > _MAX_MODULUS:
-            yield Problem(
-                ("material", key),
-                f"stiffer than any material, received {value:g}, accepted: up to {_MAX_MODULUS:g} GPa; "
-                f"{value:g} MPa are {value / 1e3:g} GPa",
-            )
-        prior = unknowns.get(key)
-        bounds = numbers(prior, "bounds") if isinstance(prior, dict) else numbers(unknowns, key)
-        if bounds and min(bounds) > _MAX_MODULUS:
-            yield Problem(
-                ("unknowns", key),
-                f"stiffer than any material, received {received(bounds)}, accepted: bounds in GPa, the lower "
-                f"one up to {_MAX_MODULUS:g}; {min(bounds):g} MPa are {min(bounds) / 1e3:g} GPa",
-            )
-
-
 def _thin(data: Data) -> Problems:
     plate = table(data, "plate")
     thickness = number(plate, "thickness_mm")
@@ -126,15 +372,123 @@ def _thin(data: Data) -> Problems:
         )
 
 
-def _spreads(data: Data, name: str) -> Problems:
-    given = table(data, name)
-    for key in table(data, name, "sd"):
-        if key in USER_UNITS and key not in given:
+def _mesh(data: Data, directory: Path | None) -> Problems:
+    mesh = table(data, "plate").get("mesh")
+    if not isinstance(mesh, str) or not mesh:
+        return
+    path = Path(mesh) if directory is None else directory / mesh
+    try:
+        exists = path.is_file()
+    except (OSError, ValueError):
+        exists = False
+    if not exists:
+        yield Problem(
+            ("plate", "mesh"),
+            f"no such file, received {received(mesh)}, accepted: a path from the plate file",
+        )
+
+
+# [[ply]] and the layup
+
+
+def ply_kinds(data: Data) -> dict[str, PlyKind] | None:
+    """The plies of the tables [[ply]] by their names, None where they are not all as they must be."""
+    kinds: dict[str, PlyKind] = {}
+    densities = {name: number(table(part, "material"), "density_kg_m3") for name, part in _per_material(data)}
+    for ply in _ply_tables(data):
+        name, thickness, material = ply.get("name"), number(ply, "thickness_mm"), ply.get("material", "")
+        if not isinstance(name, str) or not re.fullmatch(NAME, name) or name in kinds:
+            return None
+        if not isinstance(material, str) or material not in densities:
+            return None
+        if thickness is None or thickness <= 0.0:
+            return None
+        kinds[name] = PlyKind(name, material, to_si("thickness_mm", thickness), densities.get(material))
+    return None if is_hybrid(data.get("material")) and not kinds else kinds
+
+
+def _ply_tables(data: Data) -> list[Data]:
+    plies = data.get("ply")
+    return [ply for ply in plies if isinstance(ply, dict)] if isinstance(plies, list) else []
+
+
+def _known_plies(data: Data) -> Problems:
+    """Names that occur twice, and plies of materials that there are not."""
+    plies, hybrid = _ply_tables(data), is_hybrid(data.get("material"))
+    names = [ply.get("name") for ply in plies]
+    materials = list(table(data, "material")) if hybrid else []
+    for i, ply in enumerate(plies):
+        material = ply.get("material")
+        if names[i] is not None and names[i] in names[:i]:
             yield Problem(
-                (name, "sd", key),
-                f"standard deviation of a number that [{name}] does not give, "
-                f"accepted: {_listed(k for k in given if k in USER_UNITS)}",
+                ("ply", i, "name"), f"received {received(names[i])} twice, accepted: a name for each"
             )
+        if material is not None and not hybrid:
+            yield Problem(
+                ("ply", i, "material"), "beside one [material], accepted: nothing; it is of that one"
+            )
+        elif hybrid and material not in materials:
+            said = "missing" if material is None else f"no table [material.{material}]"
+            yield Problem(("ply", i, "material"), f"{said}, accepted: {' '.join(materials)}")
+
+
+def _materials_of_plies(data: Data) -> Problems:
+    """Several materials without plies, materials and unknowns that the layup does not have."""
+    material, unknowns = data.get("material"), table(data, "unknowns")
+    if not is_hybrid(material):
+        if is_hybrid(data.get("unknowns")):
+            yield Problem(
+                ("unknowns",), "tables for several materials beside one [material], accepted: its constants"
+            )
+        return
+    materials = table(data, "material")
+    if not _ply_tables(data):
+        yield Problem(
+            ("material",),
+            f"several materials, received {' '.join(materials)}, accepted: with a table [[ply]] for each "
+            "ply that the layup names: name, material, thickness_mm",
+        )
+    elif table(data, "plate").get("layup") is None:
+        yield Problem(
+            ("plate", "layup"), 'missing, accepted: a layup of named plies such as "[(c0/g45)_4]_s"'
+        )
+    for name in unknowns:
+        if name != "angle_grid_deg" and name not in materials:
+            yield Problem(
+                ("unknowns", name),
+                f"of no material, received {received(name)}, accepted: tables [unknowns.NAME] with NAME one "
+                f"of {' '.join(materials)}",
+            )
+    used = {kind.material for kind in _plies_of_layup(data)}
+    for name in materials if used else ():
+        if name not in used:
+            yield Problem(
+                ("material", name), "no ply of the layup is of it, accepted: materials of the plate"
+            )
+
+
+def _stated_thickness(data: Data) -> Problems:
+    """Plies that do not make the thickness of the plate."""
+    stated = number(table(data, "plate"), "thickness_mm")
+    made = 1e3 * sum(kind.thickness for kind in _plies_of_layup(data))
+    if stated is None or not made or abs(made / stated - 1.0) <= _THICKNESS_TOLERANCE:
+        return
+    yield Problem(
+        ("plate", "thickness_mm"),
+        f"not the sum of the plies, received {stated:g}, the plies of the layup make {made:.5g} mm, "
+        f"accepted: within {100.0 * _THICKNESS_TOLERANCE:g} %; correct thickness_mm, a [[ply]] or the layup",
+    )
+
+
+def _plies_of_layup(data: Data) -> tuple[PlyKind, ...]:
+    """The plies of the layup, none where it cannot be read or has no named plies."""
+    kinds, text = ply_kinds(data), table(data, "plate").get("layup")
+    if not kinds or not isinstance(text, str):
+        return ()
+    try:
+        return parse_layup(text, kinds).kinds
+    except LayupError:
+        return ()
 
 
 def _layups(data: Data) -> Problems:
@@ -149,7 +503,7 @@ def _layups(data: Data) -> Problems:
     sequence, problems = _layup(plate, "sequence_layup", kinds)
     yield from problems
     if "layup" not in plate and symmetry_of(table(data, "material")) not in (None, "isotropic"):
-        yield Problem(("plate", "layup"), 'missing, accepted: a layup such as "[(0/90)_8]_s"')
+        yield Problem(("plate", "layup"), 'missing, accepted: a layup such as "[(0/90)_8]_s"', is_gap=True)
     if sequence is not None and sequence.n_unknown == 0:
         yield Problem(
             ("plate", "sequence_layup"),
@@ -173,17 +527,7 @@ def _layup(plate: Data, key: str, kinds: Mapping[str, PlyKind]) -> tuple[Layup |
         return None, [Problem(("plate", key), f"malformed layup: {shown}")]
 
 
-def _grid_step(data: Data) -> Problems:
-    step = number(table(data, "unknowns"), "angle_grid_deg")
-    if step is None or not 0.0 < step <= 180.0:
-        return
-    try:
-        angle_grid(step)
-    except ValueError:
-        yield Problem(
-            ("unknowns", "angle_grid_deg"),
-            f"not a grid, received {step:g}, accepted: a step that divides 180, 0.1 or more",
-        )
+# [[sensor]]
 
 
 def _sensors(data: Data) -> Problems:
@@ -228,6 +572,9 @@ def _mass(plate: Data) -> float | None:
     return 1e-6 * density * math.prod(known)  # kg/m3 mm3 to g
 
 
+# [measurement]
+
+
 def _one_list(data: Data) -> Problems:
     """Frequencies from one place, and what belongs to a list alone not beside a file."""
     measurement = table(data, "measurement")
@@ -239,22 +586,11 @@ def _one_list(data: Data) -> Problems:
             ("measurement", *given[1:2]),
             f"frequencies, received {' and '.join(given) or 'none'}, "
             "accepted: one of frequencies_hz, table and shapes",
+            is_gap=not given,
         )
     for key, cure in _BESIDE.get(given[0], {}).items() if len(given) == 1 else ():
         if key in measurement:
             yield Problem(("measurement", key), cure)
-
-
-_BESIDE: Final[Mapping[str, Mapping[str, str]]] = {
-    "table": {
-        "frequency_sd_hz": "beside a table, accepted: a column sd in the table instead",
-        "labels": "beside a table, accepted: a column label in the table instead",
-    },
-    "shapes": {
-        "frequency_sd_hz": "beside shapes, accepted: relative_std or resolution_hz",
-        "labels": "beside shapes, which say what mode a frequency is, accepted: no labels",
-    },
-}
 
 
 def _frequencies(data: Data) -> Problems:
@@ -306,36 +642,16 @@ def _incomplete(data: Data) -> Problems:
             )
 
 
-def _mesh(data: Data, directory: Path | None) -> Problems:
-    mesh = table(data, "plate").get("mesh")
-    if not isinstance(mesh, str) or not mesh:
-        return
-    path = Path(mesh) if directory is None else directory / mesh
-    try:
-        exists = path.is_file()
-    except (OSError, ValueError):
-        exists = False
-    if not exists:
-        yield Problem(
-            ("plate", "mesh"),
-            f"no such file, received {received(mesh)}, accepted: a path from the plate file",
-        )
-
-
-def _listed(keys: Iterable[str]) -> str:
-    return " ".join(keys) or "none"
-
-
 _CHECKS: Final[tuple[_Check, ...]] = (
-    one_density,
+    _one_density,
     partial(_density, owner="plate"),
     _possible_mass,
     _thin,
     partial(_spreads, name="plate"),
-    known_plies,
-    materials_of_plies,
+    _known_plies,
+    _materials_of_plies,
     _layups,
-    stated_thickness,
+    _stated_thickness,
     _grid_step,
     _sensors,
     _heavy_sensors,
@@ -347,8 +663,8 @@ _CHECKS_OF_A_MATERIAL: Final[tuple[_Check, ...]] = (
     partial(_density, owner="material"),
     _possible_moduli,
     partial(_spreads, name="material"),
-    known_symmetry,
-    constants_of_symmetry,
-    physical_material,
-    search_bounds,
+    _known_symmetry,
+    _constants_of_symmetry,
+    _physical_material,
+    _search_bounds,
 )

@@ -1,43 +1,24 @@
-"""What is wrong with a plate file, and how it is said."""
+"""What is wrong with a plate file and how it is said, and raw tables that are not trusted yet."""
 
 from __future__ import annotations
 
-import difflib
 import json
+import math
 import re
 import reprlib
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from functools import partial
-from types import UnionType
-from typing import Annotated, Any, Final, Union, get_args, get_origin, get_type_hints
-
-from pydantic import BaseModel, ValidationError
-from pydantic.fields import FieldInfo
+from typing import Any, Final
 
 from cpam_bayes.errors import PlateFileError
-from cpam_bayes.plate.schema import OF_ALL, OF_EACH, TAGS, PlateFile
-from cpam_bayes.plate.toml_lines import Path
 
+KeyPath = tuple[str | int, ...]
+Data = Mapping[str, Any]
+
+_BARE = re.compile(r"[A-Za-z0-9_-]+")
 _MAX_PROBLEMS: Final = 100
 # Items of a list that a message shows.
-_MAX_SHOWN: Final = 6
-_BARE = re.compile(r"[A-Za-z0-9_-]+")
-
-_WRONG: Final = {
-    "finite_number": "not a finite number",
-    "union_tag_not_found": "not a prior",
-    "greater_than": "out of range",
-    "greater_than_equal": "out of range",
-    "less_than": "out of range",
-    "less_than_equal": "out of range",
-    "too_short": "wrong length",
-    "too_long": "wrong length",
-    "string_too_short": "empty text",
-    "string_too_long": "text too long",
-    "string_pattern_mismatch": "malformed",
-    "literal_error": "not a symmetry",
-}
+MAX_SHOWN: Final = 6
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,16 +26,19 @@ class Problem:
     """One thing that is wrong: where in the file, and a phrase that says it all, or what makes the phrase.
 
     A file can be wrong in ten thousand places; only what is shown is put in words.
+
+    is_gap : whether something is missing and nothing wrong
     """
 
-    path: Path
+    path: KeyPath
     what: str | Callable[[], str]
+    is_gap: bool = False
 
     def of_material(self, name: str) -> Problem:
         """The same thing, found in a file that was looked at as if it had this material alone."""
         if not name or self.path[0] not in ("material", "unknowns"):
             return self
-        return Problem((self.path[0], name, *self.path[1:]), self.what)
+        return Problem((self.path[0], name, *self.path[1:]), self.what, self.is_gap)
 
     @property
     def text(self) -> str:
@@ -62,20 +46,25 @@ class Problem:
         return self.what if isinstance(self.what, str) else self.what()
 
 
-def plate_file_error(source: str, problems: Iterable[Problem], lines: Mapping[Path, int]) -> PlateFileError:
+Problems = Iterator[Problem]
+
+
+def plate_file_error(
+    source: str, problems: Iterable[Problem], lines: Mapping[KeyPath, int]
+) -> PlateFileError:
     """All problems of a file as one error, in the order of their lines."""
     located = sorted(
         ((_line(problem.path, lines), problem) for problem in problems), key=lambda item: item[0]
     )
-    said: dict[str, None] = {}
+    said: dict[str, bool] = {}
     for i, (line, problem) in enumerate(located):
         if len(said) == _MAX_PROBLEMS:
-            said[f"{source}: and {len(located) - i} more problems"] = None
+            said[f"{source}: and {len(located) - i} more problems"] = False
             break
         # A mapping given instead of a file has no lines.
         where = f"{source}:{line}" if lines else source
-        said[f"{where}: {_key(problem.path)}: {problem.text}"] = None
-    return PlateFileError(*said)
+        said[f"{where}: {_key(problem.path)}: {problem.text}"] = problem.is_gap
+    return PlateFileError(*said, gaps=tuple(text for text, is_gap in said.items() if is_gap))
 
 
 def received(value: object) -> str:
@@ -83,66 +72,19 @@ def received(value: object) -> str:
     short = reprlib.Repr()
     short.maxstring = short.maxother = short.maxlong = 60
     short.maxlevel = 2
-    short.maxlist = _MAX_SHOWN
+    short.maxlist = MAX_SHOWN
     if isinstance(value, bool):
         return "true" if value else "false"
     return json.dumps(value) if isinstance(value, str) and len(value) <= 60 else short.repr(value)
 
 
-def schema_problems(data: Mapping[str, Any]) -> list[Problem]:
-    """Unknown keys, missing keys, wrong types and single values out of range."""
-    try:
-        PlateFile.model_validate(data)
-    except ValidationError as error:
-        return [
-            Problem(_path(item["loc"]), partial(_what, item["type"], _path(item["loc"]), item["input"]))
-            for item in error.errors(include_url=False, include_context=False)
-        ]
-    return []
-
-
-def _what(kind: str, path: Path, value: object) -> str:
-    if kind == "extra_forbidden":
-        return _unknown_key(path)
-    accepted = _accepted(PlateFile, path) or "see the plate file's documentation"
-    if kind == "missing":
-        return f"missing, accepted: {accepted}"
-    wrong = _WRONG.get(kind, "wrong type")
-    if kind == "too_long" and isinstance(value, list) and len(value) > _MAX_SHOWN:
-        return f"too many, received {len(value)}, accepted: {accepted}"
-    return f"{wrong}, received {received(value)}, accepted: {accepted}"
-
-
-def _unknown_key(path: Path) -> str:
-    key = str(path[-1])
-    siblings = _keys_of(PlateFile, path[:-1])
-    nearest = difflib.get_close_matches(key, siblings, n=1, cutoff=0.5)
-    if key in _TABLE_OF:
-        return f"unknown key here, it belongs in {_TABLE_OF[key]}"
-    if nearest:
-        return f"unknown key, the nearest known key is {nearest[0]}"
-    return f"unknown key, accepted: {' '.join(siblings)}"
-
-
-def _path(location: tuple[int | str, ...]) -> Path:
-    """Pydantic's location without the names of the forms of tables and of priors."""
-    table, form = location[:1], location[1:2]
-    if form not in ((OF_ALL,), (OF_EACH,)):
-        return location
-    prior = 2 if form == (OF_EACH,) else 1
-    inside = location[2:]
-    if table == ("unknowns",) and inside[prior : prior + 1] and inside[prior] in TAGS:
-        inside = inside[:prior] + inside[prior + 1 :]
-    return table + inside
-
-
-def _line(path: Path, lines: Mapping[Path, int]) -> int:
+def _line(path: KeyPath, lines: Mapping[KeyPath, int]) -> int:
     while path and path not in lines:
         path = path[:-1]
     return lines.get(path, 1)
 
 
-def _key(path: Path) -> str:
+def _key(path: KeyPath) -> str:
     said = ""
     for part in path:
         if isinstance(part, int):
@@ -153,71 +95,34 @@ def _key(path: Path) -> str:
     return said or "file"
 
 
-def _accepted(annotation: Any, path: Path) -> str | None:
-    """The description of the field at a path of the schema."""
-    if get_origin(annotation) is Annotated:
-        described = [
-            item.description
-            for item in annotation.__metadata__
-            if isinstance(item, FieldInfo) and item.description
-        ]
-        if not path and described:
-            return described[-1]
-        return _accepted(annotation.__origin__, path)
-    for inner, rest in _inside(annotation, path):
-        accepted = _accepted(inner, rest)
-        if accepted:
-            return accepted
-    return None
+def table(data: Data, *path: str) -> Data:
+    """The table at a path, empty when it is missing or no table."""
+    for key in path:
+        inner = data.get(key)
+        data = inner if isinstance(inner, dict) else {}
+    return data
 
 
-def _keys_of(annotation: Any, path: Path) -> list[str]:
-    """The keys of the table at a path of the schema."""
-    if get_origin(annotation) is Annotated:
-        return _keys_of(annotation.__origin__, path)
-    if not path and _is_table(annotation):
-        return list(annotation.model_fields)
-    for inner, rest in _inside(annotation, path):
-        keys = _keys_of(inner, rest)
-        if keys:
-            return keys
-    return []
+def number(source: Data, key: str) -> float | None:
+    """A finite number of a table, None when it is missing or no such number."""
+    return real(source.get(key))
 
 
-def _inside(annotation: Any, path: Path) -> list[tuple[Any, Path]]:
-    """One step along a path into an annotation that is not Annotated."""
-    origin = get_origin(annotation)
-    if origin in (Union, UnionType):
-        return [(option, path) for option in get_args(annotation)]
-    if origin is list and path and isinstance(path[0], int):
-        return [(get_args(annotation)[0], path[1:])]
-    if origin is dict and path:
-        return [(get_args(annotation)[1], path[1:])]
-    if _is_table(annotation) and path:
-        hints = get_type_hints(annotation, include_extras=True)
-        if annotation.model_config["extra"] == "allow" and path[0] not in annotation.model_fields:
-            return [(hints["__pydantic_extra__"], path)]
-        hint = hints.get(str(path[0]))
-        return [] if hint is None else [(hint, path[1:])]
-    return []
+def real(value: object) -> float | None:
+    """A value as a finite number, None when it is none."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return None
+    try:
+        finite = float(value)
+    except OverflowError:
+        return None
+    return finite if math.isfinite(finite) else None
 
 
-def _is_table(annotation: Any) -> bool:
-    return isinstance(annotation, type) and issubclass(annotation, BaseModel)
-
-
-# Tables that a file may have several of.
-_LISTS: Final = ("sensor", "ply")
-
-
-def _tables() -> dict[str, str]:
-    """Which single table a key belongs in, for keys that only one table has."""
-    homes: dict[str, list[str]] = {}
-    for table in PlateFile.model_fields:
-        for key in _keys_of(PlateFile, (table,)) + _keys_of(PlateFile, (table, 0)):
-            homes.setdefault(key, []).append(f"[[{table}]]" if table in _LISTS else f"[{table}]")
-    homes |= {key: ["the top of the file"] for key in PlateFile.model_fields if key not in homes}
-    return {key: places[0] for key, places in homes.items() if len(places) == 1}
-
-
-_TABLE_OF: Final = _tables()
+def numbers(source: Data, key: str) -> list[float] | None:
+    """A list of finite numbers of a table, None when it is missing or no such list."""
+    values = source.get(key)
+    if not isinstance(values, list):
+        return None
+    numbers_read = [real(value) for value in values]
+    return None if None in numbers_read else [value for value in numbers_read if value is not None]

@@ -1,24 +1,62 @@
-"""Opening plate files, whatever the path turns out to be."""
+"""Plate files, their content and built-in specimens become a `Specimen`, or one error with all that is wrong.
+
+The text (text.py) is parsed; its values are checked one by one (schema.py) and together (checks.py); what has
+passed becomes records in SI.
+"""
 
 from __future__ import annotations
 
 import difflib
 import os
 from collections.abc import Mapping
+from dataclasses import replace
+from importlib.resources import files
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, Final, TypeAlias
 
 import numpy as np
 
-from cpam_bayes.arguments import checked
-from cpam_bayes.errors import PlateFileError
-from cpam_bayes.plate.parse import parse_specimen, specimen_of
-from cpam_bayes.plate.problems import received
-from cpam_bayes.plate.records import Specimen
-from cpam_bayes.plate.regular_file import MAX_BYTES, read_regular_file
-from cpam_bayes.plate.specimens import builtin, builtin_names
+from cpam_bayes.errors import PlateFileError, checked
+from cpam_bayes.parameters import Parameter, ParameterSet, Prior, TruncatedNormal, Uniform
+from cpam_bayes.plate.checks import CONSTANT_KEYS, ply_kinds, relation_problems, symmetry_of
+from cpam_bayes.plate.layup import Layup, PlyKind, parse_layup
+from cpam_bayes.plate.mode_shapes import shapes_of
+from cpam_bayes.plate.modes_table import table_of
+from cpam_bayes.plate.problems import KeyPath, plate_file_error, received
+from cpam_bayes.plate.records import Hybrid, Material, Measurement, Plate, Sensor, Specimen
+from cpam_bayes.plate.schema import (
+    ConstantsModel,
+    HybridUnknownsModel,
+    MaterialModel,
+    MeasurementModel,
+    NormalModel,
+    PlateFile,
+    PlateModel,
+    SensorModel,
+    UnknownsModel,
+    validated,
+)
+from cpam_bayes.plate.text import decode, line_numbers, parse, read_regular_file
+from cpam_bayes.plate.units import USER_UNITS, joined_name, to_si
 
-__all__ = ["MAX_BYTES", "PlateLike", "builtin_plates", "read_plate", "read_specimen"]
+__all__ = [
+    "PlateLike",
+    "builtin",
+    "builtin_names",
+    "builtin_plates",
+    "parse_specimen",
+    "read_plate",
+    "read_specimen",
+]
+
+# The angles of an isotropic plate's plies change nothing.
+_ISOTROPIC_LAYUP = "[0]"
+_NAMES: Final = (
+    "D&G",
+    *("A1", "A2", "B1", "B2", "C1", "C2", "C3", "C4"),
+    *("D1", "D2", "D3", "D4", "F1", "F2", "G1", "G2"),
+)
+
 
 PlateLike: TypeAlias = str | os.PathLike[str] | Mapping[str, Any] | Specimen
 """What a plate can be given as, see `read_plate`."""
@@ -49,7 +87,7 @@ def read_plate(plate: PlateLike) -> Specimen:
     if isinstance(plate, Specimen):
         return plate
     if isinstance(plate, Mapping):
-        return specimen_of(_as_of_a_file(plate), str(plate.get("name", "plate")), None, {})
+        return _checked_specimen(_as_of_a_file(plate), str(plate.get("name", "plate")), None, {})
     return read_specimen(os.fspath(plate))
 
 
@@ -60,6 +98,50 @@ def _as_of_a_file(value: Any) -> Any:
     if isinstance(value, np.ndarray | np.generic):
         value = value.tolist()
     return [_as_of_a_file(inner) for inner in value] if isinstance(value, list | tuple) else value
+
+
+def read_specimen(path_or_name: str) -> Specimen:
+    """Read a plate file, or take a built-in specimen by its name.
+
+    A file that has the name of a built-in specimen is reached as "./NAME". Raises ``PlateFileError`` with
+    all problems of the file at once.
+    """
+    if path_or_name in builtin_names():
+        return builtin(path_or_name)
+    source = path_or_name if path_or_name.isprintable() and path_or_name else received(path_or_name)
+    try:
+        content = read_regular_file(path_or_name, source, "a plate file or a built-in specimen")
+    except FileNotFoundError:
+        raise PlateFileError(_unknown_name(path_or_name, source)) from None
+    return parse_specimen(decode(content, source), source, Path(path_or_name).parent)
+
+
+def _unknown_name(name: str, source: str) -> str:
+    names = builtin_names()
+    folded = {known.casefold(): known for known in names}
+    close = difflib.get_close_matches(name.casefold(), folded, n=3, cutoff=0.5)
+    nearest = [folded[match] for match in close]
+    hint = f"the nearest built-in: {' '.join(nearest)}" if nearest else f"built in: {' '.join(names)}"
+    return f"{source}: neither a file nor a built-in specimen, {hint}"
+
+
+def builtin_names() -> tuple[str, ...]:
+    """Names of the built-in specimens, as the paper has them."""
+    return _NAMES
+
+
+def builtin(name: str, sequence: bool = False) -> Specimen:
+    """A built-in specimen: Tables 1 to 4 as printed, bounds of eq. (8).
+
+    sequence : with the unknown angles of Table 9(b)
+    raises ValueError for a name that is not in `builtin_names`
+    """
+    if name not in _NAMES:
+        raise ValueError(f"built-in specimen: received {name!r}, accepted: {' '.join(_NAMES)}")
+    resource = files("cpam_bayes") / "data" / "specimens" / f"{name.replace('&', '_and_')}.toml"
+    text = resource.read_text(encoding="utf-8")
+    specimen = parse_specimen(text, f"built-in {name}")
+    return specimen.with_unknown_angles() if sequence else specimen
 
 
 def builtin_plates() -> tuple[Specimen, ...]:
@@ -74,40 +156,150 @@ def builtin_plates() -> tuple[Specimen, ...]:
     return tuple(builtin(name) for name in builtin_names())
 
 
-def read_specimen(path_or_name: str) -> Specimen:
-    """Read a plate file, or take a built-in specimen by its name.
+def parse_specimen(text: str, source: str, directory: Path | None = None) -> Specimen:
+    """Read the text of a plate file.
 
-    A file that has the name of a built-in specimen is reached as "./NAME". Raises ``PlateFileError`` with
-    all problems of the file at once.
+    source : how messages name the file.
+    directory : where its relative paths begin
+    raises PlateFileError with all problems, each with file, line and key
     """
-    if path_or_name in builtin_names():
-        return builtin(path_or_name)
-    source = path_or_name if path_or_name.isprintable() and path_or_name else received(path_or_name)
-    text = _read_text(path_or_name, source)
-    return parse_specimen(text, source, Path(path_or_name).parent)
+    return _checked_specimen(parse(text, source), source, directory, line_numbers(text))
 
 
-def _read_text(path: str, source: str) -> str:
-    try:
-        content = read_regular_file(path, source, "a plate file or a built-in specimen")
-    except FileNotFoundError:
-        raise PlateFileError(_unknown_name(path, source)) from None
-    if b"\0" in content:
-        raise PlateFileError(f"{source}: a binary file, accepted: a TOML text")
-    try:
-        return content.decode("utf-8-sig").replace("\r\n", "\n")
-    except UnicodeDecodeError as error:
-        line = content.count(b"\n", 0, error.start) + 1
-        raise PlateFileError(
-            f"{source}:{line}: file: not UTF-8 text, received byte 0x{content[error.start]:02x}, "
-            "accepted: a TOML text in UTF-8"
-        ) from None
+def _checked_specimen(
+    data: Mapping[str, Any], source: str, directory: Path | None, lines: Mapping[KeyPath, int]
+) -> Specimen:
+    """Check the content of a plate file; arguments and errors as `parse_specimen`.
+
+    lines : where each key stands, empty for what was not read from a text
+    """
+    file, problems = validated(data)
+    of_table, table_problems = table_of(data, directory)
+    of_shapes, shape_problems = shapes_of(data, directory)
+    problems += relation_problems(data, directory) + table_problems + shape_problems
+    if file is None or problems:
+        raise plate_file_error(source, problems, lines)
+    measured: dict[str, Any] = {}
+    if file.measurement is not None and of_table is not None:
+        measured = of_table.fields(str(file.measurement.table))
+    if file.measurement is not None and of_shapes is not None:
+        measured = of_shapes.fields(str(file.measurement.shapes))
+    return _specimen(file, source, directory, measured)
 
 
-def _unknown_name(name: str, source: str) -> str:
-    names = builtin_names()
-    folded = {known.casefold(): known for known in names}
-    close = difflib.get_close_matches(name.casefold(), folded, n=3, cutoff=0.5)
-    nearest = [folded[match] for match in close]
-    hint = f"the nearest built-in: {' '.join(nearest)}" if nearest else f"built in: {' '.join(names)}"
-    return f"{source}: neither a file nor a built-in specimen, {hint}"
+def _specimen(file: PlateFile, source: str, directory: Path | None, measured: Mapping[str, Any]) -> Specimen:
+    """The records of a file that passed every check; measured : fields of `Measurement` from another file."""
+    kinds = ply_kinds(file.model_dump(exclude_none=True)) or {}
+    sequence_layup = file.plate.sequence_layup
+    return Specimen(
+        name=file.name,
+        specimen=file.specimen or file.name,
+        source=source,
+        plate=_plate(file.plate, kinds, directory),
+        material=_materials(file.material),
+        unknowns=_unknowns(file.unknowns),
+        angle_grid_deg=float(file.unknowns.angle_grid_deg),
+        air_density=file.environment.air_density_kg_m3,
+        sensors=tuple(_sensor(sensor) for sensor in file.sensor),
+        measurement=None if file.measurement is None else _measurement(file.measurement, measured),
+        notes=tuple(file.notes),
+        sequence_layup=None if sequence_layup is None else parse_layup(sequence_layup, kinds),
+    )
+
+
+def _plate(model: PlateModel, kinds: Mapping[str, PlyKind], directory: Path | None) -> Plate:
+    length = to_si("length_mm", model.length_mm)
+    width = to_si("width_mm", model.width_mm)
+    thickness = to_si("thickness_mm", model.thickness_mm)
+    mass = None if model.mass_g is None else to_si("mass_g", model.mass_g)
+    layup = parse_layup(model.layup or _ISOTROPIC_LAYUP, kinds)
+    if mass is not None:
+        density = mass / (length * width * thickness)
+    elif model.density_kg_m3 is not None:
+        density = float(model.density_kg_m3)
+    else:
+        density = _mean_density(layup)
+    return Plate(
+        length=length,
+        width=width,
+        thickness=thickness,
+        density=density,
+        mass=mass,
+        layup=layup,
+        edges=model.edges,
+        sd={} if model.sd is None else _in_si(model.sd.model_dump(exclude_none=True)),
+        mesh=None if model.mesh is None else (directory or Path()) / model.mesh,
+    )
+
+
+def _mean_density(layup: Layup) -> float:
+    """Mass of the plies over their thickness, kg/m3."""
+    mass = sum((kind.density or 0.0) * kind.thickness for kind in layup.kinds)
+    return mass / sum(kind.thickness for kind in layup.kinds)
+
+
+def _materials(model: MaterialModel | dict[str, MaterialModel]) -> Material | Hybrid:
+    if isinstance(model, MaterialModel):
+        return _material(model)
+    return Hybrid({name: _material(part) for name, part in model.items()})
+
+
+def _material(model: MaterialModel) -> Material:
+    given = model.model_dump(exclude_none=True)
+    symmetry = symmetry_of(given)
+    assert symmetry is not None
+    return Material(
+        symmetry=symmetry,
+        constants=_in_si({key: value for key, value in given.items() if key in CONSTANT_KEYS}),
+        sd={} if model.sd is None else _in_si(model.sd.model_dump(exclude_none=True)),
+        name=model.name,
+    )
+
+
+def _unknowns(model: UnknownsModel | HybridUnknownsModel) -> ParameterSet:
+    if isinstance(model, UnknownsModel):
+        return ParameterSet(_parameters(model, ""))
+    parts = (model.__pydantic_extra__ or {}).items()
+    return ParameterSet(tuple(p for material, part in parts for p in _parameters(part, material)))
+
+
+def _parameters(model: ConstantsModel, material: str) -> tuple[Parameter, ...]:
+    parameters = []
+    for user in type(model).model_fields:
+        prior = getattr(model, user)
+        if user in USER_UNITS and prior is not None:
+            name, factor = USER_UNITS[user]
+            unit = "Pa" if factor != 1.0 else ""
+            parameters.append(Parameter(joined_name(material, name), unit, _prior(user, prior)))
+    return tuple(parameters)
+
+
+def _prior(user: str, model: list[float] | NormalModel) -> Prior:
+    if isinstance(model, NormalModel):
+        lower, upper = (to_si(user, bound) for bound in model.bounds)
+        return TruncatedNormal(to_si(user, model.mean), to_si(user, model.sd), lower, upper)
+    lower, upper = (to_si(user, bound) for bound in model)
+    return Uniform(lower, upper)
+
+
+def _sensor(model: SensorModel) -> Sensor:
+    return Sensor(to_si("mass_g", model.mass_g), to_si("x_mm", model.x_mm), to_si("y_mm", model.y_mm))
+
+
+def _measurement(model: MeasurementModel, measured: Mapping[str, Any]) -> Measurement:
+    sd, listed = model.frequency_sd_hz, model.frequencies_hz or []
+    of_pairing = {name: getattr(model, name) for name in ("missed_probability", "false_peaks")}
+    stated: dict[str, Any] = {name: float(v) for name, v in of_pairing.items() if v is not None}
+    given = Measurement(
+        frequencies=np.array(listed, dtype=float),
+        resolution=float(model.resolution_hz),
+        relative_std=model.relative_std,
+        frequency_sd=None if sd is None else np.array(sd, dtype=float),
+        labels=tuple(model.labels or ("",) * len(listed)),
+        complete=model.complete,
+    )
+    return replace(given, **stated, **measured)
+
+
+def _in_si(values: dict[str, float]) -> dict[str, float]:
+    return {USER_UNITS[user][0]: to_si(user, value) for user, value in values.items()}

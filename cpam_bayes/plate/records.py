@@ -13,19 +13,19 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cpam_bayes.formatting import listed
-from cpam_bayes.parameters import ParameterSet
-from cpam_bayes.plate.elasticity import (
+from cpam_bayes.parameters import ParameterSet, read_only
+from cpam_bayes.plate.laminate import (
     CONSTANTS,
     CONSTRAINTS,
-    Array,
     MaterialSymmetry,
     complete_constants,
+    constants_of,
     constraint_margins,
     is_admissible,
 )
-from cpam_bayes.plate.laminate import constants_of
+from cpam_bayes.plate.laminate import Array as Array
 from cpam_bayes.plate.layup import Layup
-from cpam_bayes.plate.mode_shapes.measured import MeasuredShapes
+from cpam_bayes.plate.mode_shapes import MeasuredShapes
 from cpam_bayes.plate.units import joined_name
 
 Value = TypeVar("Value")
@@ -61,6 +61,20 @@ class Plate:
 
 
 @dataclass(frozen=True, slots=True)
+class Constraint:
+    """An inequality that the constants of a ply must satisfy.
+
+    text : as a formula, with its equation where it has a number
+    symmetry : of the ply
+    of : the material of a hybrid laminate
+    """
+
+    text: str
+    symmetry: MaterialSymmetry
+    of: str = ""
+
+
+@dataclass(frozen=True, slots=True)
 class Material:
     """Reference constants of a ply.
 
@@ -87,9 +101,9 @@ class Material:
         return {"": self}
 
     @property
-    def constraints(self) -> tuple[str, ...]:
+    def constraints(self) -> tuple[Constraint, ...]:
         """What the constants must satisfy, in the order of `margins`."""
-        return CONSTRAINTS[self.symmetry]
+        return tuple(Constraint(text, self.symmetry) for text in CONSTRAINTS[self.symmetry])
 
     def complete(self, values: Mapping[str, ArrayLike] = _NONE_VARIED) -> dict[str, Array]:
         """All six constants, those in ``values`` (...) in place of the reference; see `complete_constants`.
@@ -150,9 +164,9 @@ class Hybrid:
         return False
 
     @property
-    def constraints(self) -> tuple[str, ...]:
+    def constraints(self) -> tuple[Constraint, ...]:
         """What the constants must satisfy, in the order of `margins`."""
-        return tuple(f"{text} of {name}" for name, part in self.parts.items() for text in part.constraints)
+        return tuple(replace(each, of=name) for name, part in self.parts.items() for each in part.constraints)
 
     def complete(self, values: Mapping[str, ArrayLike] = _NONE_VARIED) -> dict[str, Array]:
         """All six constants of each material, see `Material.complete`."""
@@ -225,11 +239,11 @@ class Measurement:
     remarks: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "frequencies", _read_only(self.frequencies))
+        object.__setattr__(self, "frequencies", read_only(self.frequencies))
         if self.frequency_sd is not None:
-            object.__setattr__(self, "frequency_sd", _read_only(self.frequency_sd))
+            object.__setattr__(self, "frequency_sd", read_only(self.frequency_sd))
         if self.damping is not None:
-            object.__setattr__(self, "damping", _read_only(self.damping))
+            object.__setattr__(self, "damping", read_only(self.damping))
 
     @property
     def loss_factors(self) -> NDArray[np.float64] | None:
@@ -299,10 +313,4 @@ def angle_grid(step_deg: float) -> NDArray[np.float64]:
     count = round(180.0 / step_deg) if 0.1 <= step_deg <= 180.0 else 0
     if count < 1 or abs(count * step_deg - 180.0) > 1e-9:
         raise ValueError(f"angle grid: received a step of {step_deg}, accepted: 0.1 or more, dividing 180")
-    return _read_only(np.round(90.0 - step_deg * np.arange(count - 1, -1, -1), 9) + 0.0)
-
-
-def _read_only(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    array = np.array(values, dtype=np.float64)
-    array.flags.writeable = False
-    return array
+    return read_only(np.round(90.0 - step_deg * np.arange(count - 1, -1, -1), 9) + 0.0)

@@ -1,23 +1,26 @@
-"""The plate file as strict models: names, types and ranges of single values.
+"""The plate file as strict models: names, types and ranges of single values, and what is said of a wrong one.
 
-What relates several values is in checks.py. The description of a field is what an error says is
-accepted.
+What relates several values is in checks.py. The description of a field is what an error says is accepted.
 """
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Final
+import difflib
+from collections.abc import Mapping
+from functools import partial
+from types import UnionType
+from typing import Annotated, Any, Final, Union, get_args, get_origin, get_type_hints
 
-from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag
+from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, ValidationError
+from pydantic.fields import FieldInfo
 
-from cpam_bayes.plate.elasticity import MaterialSymmetry
+from cpam_bayes.plate.edges import STATED
+from cpam_bayes.plate.laminate import MaterialSymmetry
+from cpam_bayes.plate.problems import MAX_SHOWN, KeyPath, Problem, received
 
 __all__ = [
     "MAX_FREQUENCIES",
     "NAME",
-    "OF_ALL",
-    "OF_EACH",
-    "TAGS",
     "ConstantsModel",
     "HybridUnknownsModel",
     "MaterialModel",
@@ -25,7 +28,10 @@ __all__ = [
     "NormalModel",
     "PlateFile",
     "PlateModel",
+    "SensorModel",
+    "UnknownsModel",
     "is_hybrid",
+    "validated",
 ]
 
 # More frequencies than modes are computed, and more masses than a plate is hung with, are a slip.
@@ -102,8 +108,8 @@ class PlateModel(_Table):
     edges: Annotated[
         str,
         Field(
-            pattern="^[FSC]{4}$",
-            description="four letters of F S C for x=0, y=0, x=length, y=width",
+            pattern=f"^[{STATED}]{{4}}$",
+            description=f"four letters of {' '.join(STATED)} for x=0, y=0, x=length, y=width",
         ),
     ]
     mesh: (
@@ -177,7 +183,7 @@ def _form(value: object) -> str | None:
 
 
 # The names of the two forms stand in pydantic's locations, not in the file.
-TAGS: Final = ("bounds", "normal")
+_TAGS: Final = ("bounds", "normal")
 
 PriorModel = Annotated[
     Annotated[Bounds, Tag("bounds")] | Annotated[NormalModel, Tag("normal")],
@@ -213,7 +219,7 @@ class HybridUnknownsModel(_Table):
 
 
 _SHARED: Final = (*MaterialModel.model_fields, *UnknownsModel.model_fields)
-OF_EACH, OF_ALL = "of each material", "of all materials"
+_OF_EACH, _OF_ALL = "of each material", "of all materials"
 
 
 def is_hybrid(table: object) -> bool:
@@ -225,16 +231,16 @@ def is_hybrid(table: object) -> bool:
 
 
 def _materials(table: object) -> str:
-    return OF_EACH if is_hybrid(table) or isinstance(table, HybridUnknownsModel) else OF_ALL
+    return _OF_EACH if is_hybrid(table) or isinstance(table, HybridUnknownsModel) else _OF_ALL
 
 
 Materials = Annotated[
-    Annotated[MaterialModel, Tag(OF_ALL)] | Annotated[dict[Name, MaterialModel], Tag(OF_EACH)],
+    Annotated[MaterialModel, Tag(_OF_ALL)] | Annotated[dict[Name, MaterialModel], Tag(_OF_EACH)],
     Discriminator(_materials),
     Field(description="a table [material], or a table [material.NAME] for each of several"),
 ]
 Unknowns = Annotated[
-    Annotated[UnknownsModel, Tag(OF_ALL)] | Annotated[HybridUnknownsModel, Tag(OF_EACH)],
+    Annotated[UnknownsModel, Tag(_OF_ALL)] | Annotated[HybridUnknownsModel, Tag(_OF_EACH)],
     Discriminator(_materials),
     Field(description="a table [unknowns], or a table [unknowns.NAME] for each of several materials"),
 ]
@@ -245,6 +251,8 @@ class EnvironmentModel(_Table):
 
 
 class SensorModel(_Table):
+    """A table [[sensor]]: a known mass on the plate."""
+
     mass_g: Grams
     x_mm: Place
     y_mm: Place
@@ -324,3 +332,143 @@ class PlateFile(_Table):
         Field(max_length=_MAX_SENSORS, description=f"at most {_MAX_SENSORS} tables [[sensor]]"),
     ] = []
     measurement: Annotated[MeasurementModel, Field(description="a table [measurement]")] | None = None
+
+
+_WRONG: Final = {
+    "finite_number": "not a finite number",
+    "union_tag_not_found": "not a prior",
+    "greater_than": "out of range",
+    "greater_than_equal": "out of range",
+    "less_than": "out of range",
+    "less_than_equal": "out of range",
+    "too_short": "wrong length",
+    "too_long": "wrong length",
+    "string_too_short": "empty text",
+    "string_too_long": "text too long",
+    "string_pattern_mismatch": "malformed",
+    "literal_error": "not a symmetry",
+}
+
+
+# Pydantic's type of the error of a required key.
+_MISSING: Final = "missing"
+
+
+def validated(data: Mapping[str, Any]) -> tuple[PlateFile | None, list[Problem]]:
+    """The file as models, or its unknown and missing keys, wrong types and single values out of range."""
+    try:
+        return PlateFile.model_validate(data), []
+    except ValidationError as error:
+        return None, [
+            Problem(
+                _path(item["loc"]),
+                partial(_what, item["type"], _path(item["loc"]), item["input"]),
+                item["type"] == _MISSING,
+            )
+            for item in error.errors(include_url=False, include_context=False)
+        ]
+
+
+def _what(kind: str, path: KeyPath, value: object) -> str:
+    if kind == "extra_forbidden":
+        return _unknown_key(path)
+    accepted = _accepted(PlateFile, path) or "see the plate file's documentation"
+    if kind == _MISSING:
+        return f"missing, accepted: {accepted}"
+    wrong = _WRONG.get(kind, "wrong type")
+    if kind == "too_long" and isinstance(value, list) and len(value) > MAX_SHOWN:
+        return f"too many, received {len(value)}, accepted: {accepted}"
+    return f"{wrong}, received {received(value)}, accepted: {accepted}"
+
+
+def _unknown_key(path: KeyPath) -> str:
+    key = str(path[-1])
+    siblings = _keys_of(PlateFile, path[:-1])
+    nearest = difflib.get_close_matches(key, siblings, n=1, cutoff=0.5)
+    if key in _TABLE_OF:
+        return f"unknown key here, it belongs in {_TABLE_OF[key]}"
+    if nearest:
+        return f"unknown key, the nearest known key is {nearest[0]}"
+    return f"unknown key, accepted: {' '.join(siblings)}"
+
+
+def _path(location: tuple[int | str, ...]) -> KeyPath:
+    """Pydantic's location without the names of the forms of tables and of priors."""
+    table, form = location[:1], location[1:2]
+    if form not in ((_OF_ALL,), (_OF_EACH,)):
+        return location
+    prior = 2 if form == (_OF_EACH,) else 1
+    inside = location[2:]
+    if table == ("unknowns",) and inside[prior : prior + 1] and inside[prior] in _TAGS:
+        inside = inside[:prior] + inside[prior + 1 :]
+    return table + inside
+
+
+def _accepted(annotation: Any, path: KeyPath) -> str | None:
+    """The description of the field at a path of the schema."""
+    if get_origin(annotation) is Annotated:
+        described = [
+            item.description
+            for item in annotation.__metadata__
+            if isinstance(item, FieldInfo) and item.description
+        ]
+        if not path and described:
+            return described[-1]
+        return _accepted(annotation.__origin__, path)
+    for inner, rest in _inside(annotation, path):
+        accepted = _accepted(inner, rest)
+        if accepted:
+            return accepted
+    return None
+
+
+def _keys_of(annotation: Any, path: KeyPath) -> list[str]:
+    """The keys of the table at a path of the schema."""
+    if get_origin(annotation) is Annotated:
+        return _keys_of(annotation.__origin__, path)
+    if not path and _is_table(annotation):
+        return list(annotation.model_fields)
+    for inner, rest in _inside(annotation, path):
+        keys = _keys_of(inner, rest)
+        if keys:
+            return keys
+    return []
+
+
+def _inside(annotation: Any, path: KeyPath) -> list[tuple[Any, KeyPath]]:
+    """One step along a path into an annotation that is not Annotated."""
+    origin = get_origin(annotation)
+    if origin in (Union, UnionType):
+        return [(option, path) for option in get_args(annotation)]
+    if origin is list and path and isinstance(path[0], int):
+        return [(get_args(annotation)[0], path[1:])]
+    if origin is dict and path:
+        return [(get_args(annotation)[1], path[1:])]
+    if _is_table(annotation) and path:
+        hints = get_type_hints(annotation, include_extras=True)
+        if annotation.model_config["extra"] == "allow" and path[0] not in annotation.model_fields:
+            return [(hints["__pydantic_extra__"], path)]
+        hint = hints.get(str(path[0]))
+        return [] if hint is None else [(hint, path[1:])]
+    return []
+
+
+def _is_table(annotation: Any) -> bool:
+    return isinstance(annotation, type) and issubclass(annotation, BaseModel)
+
+
+# Tables that a file may have several of.
+_LISTS: Final = ("sensor", "ply")
+
+
+def _tables() -> dict[str, str]:
+    """Which single table a key belongs in, for keys that only one table has."""
+    homes: dict[str, list[str]] = {}
+    for table in PlateFile.model_fields:
+        for key in _keys_of(PlateFile, (table,)) + _keys_of(PlateFile, (table, 0)):
+            homes.setdefault(key, []).append(f"[[{table}]]" if table in _LISTS else f"[{table}]")
+    homes |= {key: ["the top of the file"] for key in PlateFile.model_fields if key not in homes}
+    return {key: places[0] for key, places in homes.items() if len(places) == 1}
+
+
+_TABLE_OF: Final = _tables()

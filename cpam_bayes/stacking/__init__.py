@@ -1,1 +1,1 @@
-"""The posterior over stacking sequences, the elastic constants marginalised."""
+"""The posterior over stacking sequences."""

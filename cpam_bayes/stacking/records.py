@@ -1,21 +1,26 @@
-"""The problem of unknown ply angles and the posterior over stacking sequences that solves it."""
+"""The problem of unknown ply angles and the posterior over stacking sequences that solves it.
+
+Different sequences may share their bending stiffness, and so the frequencies of a thin plate, though no
+motion of the plate maps one on the other: where the plies of two sets weigh the same, exchanging what lies in
+them leaves all four bending lamination parameters as they are: [0/90/90/45/0/30]_s and [90/0/0/45/90/30]_s,
+since 6^3 - 5^3 + 2^3 - 1^3 = 5^3 - 3^3. Transverse shear still tells them apart, the less the thinner the
+plate and the noisier the list; where it does not, they are merged.
+"""
 
 from __future__ import annotations
 
 from concurrent.futures import Executor
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cpam_bayes.plate import Specimen
-from cpam_bayes.stacking.conditional.evaluation import Evaluated
-from cpam_bayes.stacking.conditional.posterior import ConditionalPosterior
-from cpam_bayes.stacking.features import PlySums
-from cpam_bayes.stacking.surrogate.training import TrainingSettings
-from cpam_bayes.stacking.symmetry.classes import canonical, members
-from cpam_bayes.stacking.symmetry.symmetries import Symmetry
+from cpam_bayes.stacking.conditional import ConditionalPosterior
+from cpam_bayes.stacking.evaluation import Evaluated
+from cpam_bayes.stacking.symmetry import PlySums, Symmetry, all_choices, canonical, members
+from cpam_bayes.stacking.training import TrainingSettings
 
 Array = NDArray[Any]
 
@@ -23,6 +28,45 @@ Array = NDArray[Any]
 CREDIBLE = 0.95
 # A draw this much better than every sequence listed, nats, was overlooked: less is noise of its evidence.
 OVERLOOKED = 0.3
+# Sums of cosines that differ by less are equal.
+_EQUAL: Final = 1e-11
+# Log Bayes factors, nats, that are smaller say nothing: evidences are known to about as much.
+_INDISTINGUISHABLE_NATS: Final = 0.1
+# A direction in which sums over the outer and the inner plies are sorted; any that is no special one.
+_DIRECTION: Final = np.array([1.0, np.sqrt(2.0), np.sqrt(3.0), np.sqrt(5.0)])
+
+
+@dataclass(frozen=True, slots=True)
+class RoundSettings:
+    """When the rounds of training, listing and checking end, where there are many sequences.
+
+    least_rounds, most_rounds : of a result that is settled, and of one that is astray.
+    settled_nats, settled_errors : root mean square error on the draws that settles it, nats, or so many times
+        that at the end of the training.
+    astray_nats : that error from which on it is astray.
+    added_from_list : listed sequences that join the training set in a further round.
+    unlisted : fraction of the mass that may be known from the surrogate alone where the list can be long
+        enough.
+    fine_from : that fraction from which on the surrogate is trained to a finer error.
+    margin : fraction of what may be left out that the lower bound is chosen for, as a pilot enumeration is
+        rough.
+    many : sequences above which a short list is tried first.
+    trial_fitted, trial_listed, trial_draws : sequences fitted, most probable, and drawn in that trial.
+    """
+
+    least_rounds: int = 2
+    most_rounds: int = 4
+    settled_nats: float = 0.2
+    settled_errors: float = 1.5
+    astray_nats: float = 0.5
+    added_from_list: int = 400
+    unlisted: float = 3e-3
+    fine_from: float = 0.05
+    margin: float = 0.5
+    many: int = 10_000_000
+    trial_fitted: int = 500
+    trial_listed: int = 50
+    trial_draws: int = 150
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,7 +74,7 @@ class StackingSettings:
     """How the posterior over stacking sequences is computed.
 
     exhaustive : up to so many classes of sequences every evidence is computed.
-    training : of the surrogate where there are more.
+    training, rounds : of the surrogate where there are more.
     halvings : of the cells of the piecewise-linear surrogate.
     unaccounted : probability that may be left out.
     max_fitted : sequences whose constants are fitted one by one, at most.
@@ -44,6 +88,7 @@ class StackingSettings:
 
     exhaustive: int = 1500
     training: TrainingSettings = field(default_factory=TrainingSettings)
+    rounds: RoundSettings = field(default_factory=RoundSettings)
     halvings: int = 2
     unaccounted: float = 1e-3
     max_fitted: int = 20_000
@@ -203,3 +248,79 @@ class StackingProblem:
         classes = [members(sequence, self.symmetries) for sequence in data.sequences]
         drawn = [every[rng.integers(len(every))] for every in classes]
         return replace(data, sequences=np.array(drawn, dtype=data.sequences.dtype))
+
+
+def equal_bending(sums: PlySums, sequences: Array) -> tuple[Array, ...]:
+    """All sequences of the grid with the bending lamination parameters of each of (m, k), itself included.
+
+    These are sums over the outer plies and over the inner plies, tabulated for all choices of either.
+    """
+    k, g = sums.n_unknown, len(sums.grid_deg)
+    inner = k - k // 2
+    left, right = all_choices(sums.first[: k - inner]), all_choices(sums.first[k - inner :])
+    order = np.argsort(right @ _DIRECTION, kind="stable")
+    at = (right @ _DIRECTION)[order]
+    equal = []
+    for target in sums.features(sequences)[:, :4]:
+        needed = (target - left) @ _DIRECTION
+        begin, end = (np.searchsorted(at, needed + sign * len(_DIRECTION) * _EQUAL) for sign in (-1, 1))
+        some = np.flatnonzero(end > begin)
+        rows = np.repeat(some, (end - begin)[some])
+        columns = order[np.concatenate([np.arange(begin[i], end[i]) for i in some])]
+        same = np.all(np.abs(left[rows] + right[columns] - target) < _EQUAL, axis=1)
+        whole = rows[same] * g**inner + columns[same]
+        equal.append(np.column_stack(np.unravel_index(whole, (g,) * k)))
+    return tuple(equal)
+
+
+def merge_indistinguishable(
+    answer: StackingPosterior, problem: StackingProblem, sums: PlySums
+) -> StackingPosterior:
+    """The posterior with classes of equal bending stiffness noted, and merged where nothing else counts.
+
+    They are merged if the log of their Bayes factor E[p(f | x, s') / p(f | x, s)], over the posterior of the
+    constants x of the first, is within ``_INDISTINGUISHABLE_NATS`` of zero.
+    """
+    sequences = answer.components.sequences
+    classes = canonical(sequences, problem.symmetries).representative
+    listed_row = {tuple(row): i for i, row in enumerate(classes.tolist())}
+    same_bending, alike = list(answer.same_bending), list(answer.alike)
+    probability, multiplicity = answer.probability.copy(), answer.multiplicity.copy()
+    merged = np.zeros(len(sequences), dtype=bool)
+    for i, same in enumerate(equal_bending(sums, sequences)):
+        orbits = canonical(same, problem.symmetries)
+        others, at = np.unique(orbits.representative, axis=0, return_index=True)
+        new = np.any(others != classes[i], axis=1)
+        if merged[i] or not new.any():
+            continue
+        same_bending[i], size = others[new], orbits.size[at][new]
+        near = np.abs(_log_bayes_factors(answer, i, same_bending[i])) < _INDISTINGUISHABLE_NATS
+        alike[i] = same_bending[i][near]
+        rows = [listed_row[key] for key in map(tuple, alike[i].tolist()) if key in listed_row]
+        rows = [i, *(row for row in rows if row > i and not merged[row])]
+        merged[rows[1:]] = True
+        probability[i] = np.average(answer.probability[rows], weights=answer.multiplicity[rows])
+        multiplicity[i] += size[near].sum()
+    kept = np.flatnonzero(~merged)
+    kept = kept[np.lexsort((-answer.log_evidence[kept], -probability[kept]))]
+    whole = replace(
+        answer,
+        same_bending=tuple(same_bending),
+        alike=tuple(alike),
+        probability=probability,
+        multiplicity=multiplicity,
+    )
+    return whole.listing(kept)
+
+
+def _log_bayes_factors(answer: StackingPosterior, i: int, others: Array) -> Array:
+    """Log Bayes factors of others (m, k) against the listed class ``i`` from draws of its constants, (m,)."""
+    x = answer.components.conditionals.draws[i]
+    angles = answer.grid_deg[np.vstack((answer.components.sequences[i], others))]
+    rows = np.repeat(np.arange(len(angles)), len(x))
+    log_p = (
+        answer.conditional.at(angles, rows)
+        .log_prob(np.tile(x, (len(angles), 1)))
+        .reshape(len(angles), len(x))
+    )
+    return np.asarray(np.log(np.mean(np.exp(log_p[1:] - log_p[0]), axis=1)))

@@ -50,7 +50,7 @@ def main() -> None:
     page = parser.parse_args().page
     with tempfile.TemporaryDirectory() as directory:
         if page is None:
-            cb.full_report("C1", seed=0).save(directory)
+            cb.report("C1", seed=0).save(directory)
             page = Path(directory) / "report.html"
         for path in photograph(page, PICTURES):
             print(path.relative_to(PROJECT))

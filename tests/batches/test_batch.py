@@ -12,11 +12,15 @@ import pytest
 from scipy.stats import norm, t
 
 import cpam_bayes as cb
-from cpam_bayes.batches.control_chart import control_chart
 from cpam_bayes.batches.geometry import carried, groups_of, size_powers
-from cpam_bayes.batches.limits import MarginalPosterior, read_limit
-from cpam_bayes.batches.plate_row import computed_row, row_of
+from cpam_bayes.batches.limits import MarginalPosterior, control_chart, read_limit
+from cpam_bayes.batches.plate_row import PlateRow, computed_row, row_of
 from tests.batches.plates import N_MODES, plate, with_noise, written
+
+
+def row_alone(described: dict[str, Any]) -> PlateRow:
+    return computed_row("file", cb.identify(described, residuals="relative").estimate)
+
 
 # Limits
 
@@ -141,7 +145,7 @@ def test_a_carried_list_keeps_its_relative_noise() -> None:
 
 def test_the_marginals_are_those_of_the_posterior_integrated_on_a_grid() -> None:
     described = with_noise(plate("noisy"), np.random.default_rng(4))
-    row = computed_row("noisy", cb.read_plate(described), 0, False)
+    row = row_alone(described)
     density = cb.posterior(described)
     e = np.linspace(64e9, 76e9, 121)
     nu = np.linspace(0.15, 0.45, 121)
@@ -202,6 +206,10 @@ def test_a_plate_that_fails_says_why_and_the_others_are_done(
         assert abs(e1["value"] - 70.0) < 4.0 * e1["sd"]
         assert row["limits"]["E1_GPa >= 60"] > 0.999
         assert 0.0 < row["limits"]["nu12 <= 0.3"] < 0.9
+    assert {rows[i]["verdict"] for i in (1, 3, 4)} == {"cannot be judged"}
+    for row in (rows[i] for i in (0, 2, 5)):
+        p = row["limits"]["nu12 <= 0.3"]
+        assert row["verdict"] == ("fail" if p <= 0.05 else "too close to call")
     table = list(csv.DictReader((out / "results.csv").read_text(encoding="utf-8").splitlines()))
     assert [row["status"] for row in table] == [row["status"] for row in rows]
     assert float(table[0]["E1_GPa"]) == pytest.approx(rows[0]["constants"]["E1_GPa"]["value"], rel=1e-6)
@@ -249,21 +257,21 @@ def test_any_number_of_workers_gives_the_same_rows(files: list[Path]) -> None:
 
 
 def test_a_row_is_the_same_after_it_was_stored() -> None:
-    row = computed_row("file", cb.read_plate(plate("p")), 0, False)
+    row = row_alone(plate("p"))
     assert row_of(row.stored()) == row
 
 
 def test_an_error_that_nobody_foresaw_is_a_row_too(monkeypatch: pytest.MonkeyPatch) -> None:
-    from cpam_bayes.batches import batch as module
+    from cpam_bayes.questions import batch as module
 
-    def fails(*arguments: object) -> None:
+    def fails(*arguments: object, **options: object) -> None:
         raise ZeroDivisionError("by chance")
 
     monkeypatch.setattr(module, "computed_row", fails)
     result = cb.batch("A1")
     assert result.rows[0].message == "ZeroDivisionError: by chance"
     assert (result.status, result.reached_goal) == ("failed", False)
-    assert "All plates" not in result.summary()
+    assert result.report().summary.headline.startswith("0 of 1 ")
 
 
 @pytest.mark.slow
@@ -285,6 +293,7 @@ def test_copies_and_plates_that_are_not_described_are_named() -> None:
     rng = np.random.default_rng(4)
     good, odd = with_noise(plate("good"), rng), with_noise(plate("odd"), rng, std=0.03)
     answer = cb.batch(good, {**good, "name": "copy"}, odd)
-    assert any("the frequencies of good and copy are equal" in w for w in answer.warnings)
-    assert any("does not describe the frequencies of odd (" in w for w in answer.warnings)
+    told = {notice.code: notice.facts["plates"] for notice in answer.notices}
+    assert told["equal_lists"] == ("good", "copy")
+    assert [name for name, _ in told["undescribed_plates"]] == ["odd"]
     assert [row.misfit > 1.0 for row in answer.rows] == [False, False, True]

@@ -6,7 +6,7 @@ from typing import Any
 
 import cpam_bayes as cb
 from cpam_bayes.batches.geometry import groups_of
-from cpam_bayes.batches.row_store import row_key
+from cpam_bayes.batches.plate_row import row_key
 from cpam_bayes.plate import Specimen
 from tests.hybrids import hybrid
 
@@ -26,5 +26,5 @@ def test_plates_of_other_plies_share_no_model() -> None:
 
 
 def test_a_stored_row_is_of_its_plies() -> None:
-    keys = {row_key(plate, 0, False) for plate in (measured(0.25, 0.375), measured(0.3, 0.3))}
+    keys = {row_key(plate, 0, False, "") for plate in (measured(0.25, 0.375), measured(0.3, 0.3))}
     assert len(keys) == 2

@@ -9,6 +9,7 @@ import pytest
 from scipy.stats import multivariate_normal
 
 import cpam_bayes as cb
+from cpam_bayes.answer import Verdict
 from cpam_bayes.batches.limits import MarginalPosterior
 from cpam_bayes.batches.plate_row import LocalLikelihood, PlateRow, RowConstant
 from cpam_bayes.batches.population import batch_posterior, population_of
@@ -24,9 +25,7 @@ def likelihood(at: Any, information: Any, gradient: Any = None) -> LocalLikeliho
 
 def row(number: int, local: LocalLikelihood, lower: float = 0.0, upper: float = 200.0) -> PlateRow:
     constants = tuple(
-        RowConstant(
-            name, v, 1.0, 0.0, 1.0, "determined by the data", MarginalPosterior(v, 1.0, np.inf, lower, upper)
-        )
+        RowConstant(name, v, 1.0, 0.0, 1.0, Verdict.DATA, MarginalPosterior(v, 1.0, np.inf, lower, upper))
         for name, v in zip(local.names, local.at, strict=True)
     )
     return PlateRow(f"p{number}", f"p{number}", "done", "", "carbon", constants, local)
@@ -137,7 +136,7 @@ def test_lists_of_simulated_plates_give_the_constants_of_their_material(run: Any
 def test_a_batch_that_has_no_scatter_says_why_and_keeps_its_rows(run: Any) -> None:
     status, out, err = run("batch", "A1", "A2", "--hierarchical", "--quiet", "--executor", "serial")
     assert status == 1
-    assert "no mean and scatter of the material: 2 plates have an answer" in err
+    assert "2 plates have an answer, a scatter needs 3 or more" in err
     assert "A1" in out
     two = [row(i, likelihood(70.0, 1.0)) for i in range(3)]
     other = PlateRow("q", "q", "done", "", "glass", two[0].constants, two[0].likelihood)

@@ -7,9 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cpam_bayes.diagnosis.building import build_models
-from cpam_bayes.diagnosis.cases import hypotheses_of, plate_case
-from cpam_bayes.diagnosis.fitting import PlateCase
+from cpam_bayes.diagnosis.cases import build_models, hypotheses_of, plate_case
+from cpam_bayes.diagnosis.comparison import PlateCase
 from cpam_bayes.diagnosis.hypotheses import Hypothesis
 from cpam_bayes.plate import read_plate
 from cpam_bayes.storage import read_arrays

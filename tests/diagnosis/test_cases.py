@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from cpam_bayes.diagnosis.cases import differing_priors, hypotheses_of, plate_case, with_list
+from cpam_bayes.diagnosis.comparison import PlateCase
 from cpam_bayes.diagnosis.evidence.pairing_search import plain_pairings
-from cpam_bayes.diagnosis.fitting import PlateCase
 from cpam_bayes.diagnosis.hypotheses import (
     NONE,
     OTHER,
@@ -21,7 +21,7 @@ from cpam_bayes.diagnosis.hypotheses import (
     single_hypotheses,
 )
 from cpam_bayes.effects import ListChange, PlateFacts, applicable
-from cpam_bayes.plate.specimens import builtin, builtin_names
+from cpam_bayes.plate.reader import builtin, builtin_names
 from tests.diagnosis.toy_plates import F0, a_list, case
 
 

@@ -6,8 +6,7 @@ from collections.abc import Mapping
 
 import pytest
 
-from cpam_bayes.diagnosis.claim import CLEAR, MOST, SURE, Claim, claim_of
-from cpam_bayes.diagnosis.hypotheses import NONE, OTHER
+from cpam_bayes.diagnosis.hypotheses import CLAIM_RULES, NONE, OTHER, Claim, claim_of
 
 PAIRS = {"a + b": ("a", "b"), "c + d": ("c", "d")}
 
@@ -49,18 +48,22 @@ def test_one_cause_is_named() -> None:
     assert found == Claim("named", ("a",), 0.95)
 
 
-@pytest.mark.parametrize(("ahead", "kind"), [(CLEAR, "named"), (CLEAR - 0.01, "undecided")])
+@pytest.mark.parametrize(
+    ("ahead", "kind"), [(CLAIM_RULES.clear, "named"), (CLAIM_RULES.clear - 0.01, "undecided")]
+)
 def test_a_cause_is_named_only_three_nats_above_the_best_outsider(ahead: float, kind: str) -> None:
     found = claimed({NONE: 0.02, "a": 0.95, "b": 0.03}, {"a": 8.0, "b": 8.0 - ahead})
     assert found.kind == kind
 
 
-@pytest.mark.parametrize(("own", "kind"), [(CLEAR, "named"), (CLEAR - 0.01, "undecided")])
+@pytest.mark.parametrize(
+    ("own", "kind"), [(CLAIM_RULES.clear, "named"), (CLAIM_RULES.clear - 0.01, "undecided")]
+)
 def test_none_is_an_outsider_too(own: float, kind: str) -> None:
     assert claimed({NONE: 0.05, "a": 0.95}, {"a": own}).kind == kind
 
 
-@pytest.mark.parametrize(("p", "kind"), [(SURE, "named"), (SURE - 0.01, "undecided")])
+@pytest.mark.parametrize(("p", "kind"), [(CLAIM_RULES.sure, "named"), (CLAIM_RULES.sure - 0.01, "undecided")])
 def test_nine_tenths_name_a_cause_that_stands_alone(p: float, kind: str) -> None:
     assert claimed({NONE: 0.0, "a": p, "b": 1.0 - p}, {"a": 9.0}).kind == kind
 
@@ -97,7 +100,7 @@ def test_causes_that_do_not_look_alike_are_no_class() -> None:
 
 def test_a_class_has_six_members_at_most() -> None:
     letters = "abcdefgh"
-    assert MOST == 6
+    assert CLAIM_RULES.most == 6
     small = dict(zip(letters, (0.3, 0.2, 0.2, 0.1, 0.1, 0.06, 0.02, 0.02), strict=True))
     found = claimed(small, dict.fromkeys(letters, 9.0), (letters,))
     assert found.kind == "class"

@@ -8,21 +8,20 @@ import numpy as np
 import pytest
 
 from cpam_bayes.diagnosis import diagnose as diagnosing
-from cpam_bayes.diagnosis.answers import gain
+from cpam_bayes.diagnosis import fit as gain
 from cpam_bayes.diagnosis.cases import plate_case
-from cpam_bayes.diagnosis.claim import Claim
+from cpam_bayes.diagnosis.comparison import PlateCase
 from cpam_bayes.diagnosis.diagnose import Diagnosis, diagnose_cases
 from cpam_bayes.diagnosis.evidence import weighing
 from cpam_bayes.diagnosis.evidence.sampled import sampled_marginal
 from cpam_bayes.diagnosis.extension import resample
-from cpam_bayes.diagnosis.fitting import PlateCase
-from cpam_bayes.diagnosis.hypotheses import DISCREPANCY, NONE, OTHER, Hypothesis
+from cpam_bayes.diagnosis.hypotheses import DISCREPANCY, NONE, OTHER, Claim, Hypothesis
 from cpam_bayes.effects import CATALOGUE, Effect, ListChange
 from cpam_bayes.effects.frequency_list import MISREADING
-from cpam_bayes.inference.chains.ensemble import EnsembleSettings
+from cpam_bayes.inference.ensemble import EnsembleSettings
 from cpam_bayes.parameters import ScaledStudentT
 from cpam_bayes.plate import Measurement
-from cpam_bayes.plate.specimens import builtin
+from cpam_bayes.plate.reader import builtin
 from tests.diagnosis.toy_plates import (
     BUMP,
     DENT,

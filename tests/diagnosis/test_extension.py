@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from cpam_bayes.diagnosis.comparison import PlateCase, comparison_of
 from cpam_bayes.diagnosis.evidence import weighing
 from cpam_bayes.diagnosis.evidence.sampled import sampled_marginal
 from cpam_bayes.diagnosis.evidence.weighing import marginal_of
@@ -17,12 +18,11 @@ from cpam_bayes.diagnosis.extension import (
     resample_members,
     start_positions,
 )
-from cpam_bayes.diagnosis.fitting import PlateCase, comparison_of
 from cpam_bayes.diagnosis.hypotheses import DISCREPANCY, NONE, OTHER, Hypothesis
 from cpam_bayes.effects import ListChange
 from cpam_bayes.effects.frequency_list import MISREADING
-from cpam_bayes.inference.chains.ensemble import EnsembleSettings
 from cpam_bayes.inference.derivatives import expand
+from cpam_bayes.inference.ensemble import EnsembleSettings
 from tests.diagnosis.toy_plates import (
     BUMP,
     DENT,

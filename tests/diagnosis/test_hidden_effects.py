@@ -15,16 +15,13 @@ import numpy as np
 import pytest
 
 import cpam_bayes as cb
-from cpam_bayes.diagnosis.building import build_models
-from cpam_bayes.diagnosis.cases import hypotheses_of, plate_case
+from cpam_bayes.diagnosis.cases import build_models, hypotheses_of, plate_case
 from cpam_bayes.effects import CATALOGUE
 from cpam_bayes.plate import parse_specimen
-from cpam_bayes.validation.independent import lists
-from cpam_bayes.validation.independent.flaws import Aux
-from cpam_bayes.validation.independent.lists import Truth
-from cpam_bayes.validation.independent.nominal import NominalPlate
-from cpam_bayes.validation.independent.true_plate import TruePlate
 from tests.shared import once_a_run
+from validation.independent import lists
+from validation.independent.lists import NominalPlate, Truth
+from validation.independent.true_plate import Aux, TruePlate
 
 _HALF = (0.0, 90.0) * 4
 _METAL = {"E1": 70e9, "nu12": 0.33}
@@ -160,12 +157,14 @@ def _with_models(name: str) -> str:
     return name
 
 
-def _diagnosed(case: Case, folder: Path) -> cb.DiagnosisResult:
+def _diagnosed(
+    case: Case, folder: Path, catalogue: tuple[cb.effects.Effect, ...] = CATALOGUE
+) -> cb.DiagnosisResult:
     """What a user would be told of the list."""
     text, _ = case.listed()
     path = folder / f"{_with_models(case.plate.name)}.toml"
     path.write_text(text, "utf-8")
-    return cb.diagnose(path, next_test="never")
+    return cb.diagnose(path, next_test="never", catalogue=catalogue)
 
 
 def _marked(cases: tuple[Case, ...]) -> list[object]:
@@ -196,3 +195,38 @@ def test_what_the_constants_imitate_is_not_claimed_and_is_said_to_be_unseen(
     assert least is None or least > abs(case.size)
     # of others it is told what these data would have shown
     assert smallest["warp"] is not None
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("plate", PLATES.values(), ids=PLATES)
+def test_nothing_is_claimed_of_a_plate_without_a_flaw(plate: NominalPlate, tmp_path: Path) -> None:
+    case = Case("none", plate, made=lambda p, rng: lists.listed(p, p.drawn(rng), "clean", {}, rng))
+    assert _diagnosed(case, tmp_path).claim in ("none", "undecided")
+
+
+@pytest.mark.slow
+def test_a_list_that_says_it_lacks_modes_is_diagnosed_like_any_other(tmp_path: Path) -> None:
+    (mass,) = (case for case in SHOWN if case.cause == "sensor_mass")
+
+    def lacking(plate: NominalPlate, rng: np.random.Generator) -> Listed:
+        how = {"size": mass.size, "aux": mass.aux, "missed": [4], "complete": False}
+        return lists.single(plate, mass.cause, None, rng, **how)
+
+    found = _diagnosed(replace(mass, made=lacking), tmp_path)
+    assert found.claim in ("named", "class")
+    assert "sensor_mass" in found.causes
+
+
+@pytest.mark.slow
+def test_what_no_cause_explains_is_no_cause(tmp_path: Path) -> None:
+    """A smooth discrepancy of sixteen times the noise."""
+    case = Case("other", FREE, made=lambda plate, rng: lists.smooth(plate, 16.0, rng))
+    assert _diagnosed(case, tmp_path).claim in ("other", "undecided")
+
+
+@pytest.mark.slow
+def test_a_cause_that_the_catalogue_lacks_is_not_replaced_by_a_wrong_one(tmp_path: Path) -> None:
+    (warped,) = (case for case in SHOWN if case.cause == "warp")
+    others = tuple(effect for effect in CATALOGUE if effect.name != "warp")
+    found = _diagnosed(warped, tmp_path, others)
+    assert found.claim in ("none", "undecided", "other")

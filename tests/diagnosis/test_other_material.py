@@ -10,7 +10,7 @@ from cpam_bayes.diagnosis.diagnose import diagnose_cases
 from cpam_bayes.diagnosis.hypotheses import PAIR, single_hypotheses
 from cpam_bayes.diagnosis.models import diagnosis_parameters
 from cpam_bayes.effects import PlateFacts
-from cpam_bayes.effects.material import MATERIAL
+from cpam_bayes.effects.plies import MATERIAL
 from cpam_bayes.plate import Measurement, Specimen, builtin
 from tests.diagnosis.toy_plates import pairs_of
 

@@ -10,15 +10,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cpam_bayes.diagnosis.evidence.comparison import Comparison
-from cpam_bayes.diagnosis.fitting import PlateCase
+from cpam_bayes.diagnosis.comparison import Comparison, PlateCase
 from cpam_bayes.diagnosis.hypotheses import Hypothesis, go_together, pair_scale, paired
 from cpam_bayes.diagnosis.models import PlateModels
 from cpam_bayes.effects import Effect, PlateFacts
 from cpam_bayes.effects.effect import PERCENT
 from cpam_bayes.parameters import Parameter, ParameterSet, TruncatedNormal
 from cpam_bayes.plate import Measurement
-from cpam_bayes.plate.specimens import builtin
+from cpam_bayes.plate.reader import builtin
 from cpam_bayes.priors import Prior
 from tests.toy_models import ToyModel
 

@@ -16,7 +16,7 @@ from cpam_bayes.mechanics.problem import Problem
 from cpam_bayes.mechanics.spaces.fem import fem_space
 from cpam_bayes.mechanics.spaces.ritz import RitzSettings, ritz_space
 from cpam_bayes.mechanics.sparse import discretise_sparse
-from cpam_bayes.plate.specimens import builtin
+from cpam_bayes.plate.reader import builtin
 
 MODES = {"C1": 6, "A2": 6, "D3": 10}
 BY_NAME = {effect.name: effect for effect in CATALOGUE}

@@ -18,16 +18,9 @@ FAMILIES = {e.family for e in CATALOGUE}
 # Words of the plate file, which name its numbers and tables where no effect is meant.
 PLATE_WORDS = {*SIZES, "air", "air_density", "material"}
 # Truths that are made without the catalogue, and their scores, name what they hide: they may not ask it.
-TRUTHS = [
-    *sorted((PACKAGE / "validation" / "independent").glob("*.py")),
-    *sorted((PACKAGE / "validation" / "claims").glob("*.py")),
-    PACKAGE / "validation" / "brick_cases.py",
-]
-MODULES = [
-    p
-    for p in sorted(PACKAGE.rglob("*.py"))
-    if "effects" not in p.relative_to(PACKAGE).parts and p not in TRUTHS
-]
+VALIDATION = PACKAGE.parent / "studies" / "validation"
+TRUTHS = [path for folder in ("independent", "claims") for path in sorted((VALIDATION / folder).glob("*.py"))]
+MODULES = [p for p in sorted(PACKAGE.rglob("*.py")) if "effects" not in p.relative_to(PACKAGE).parts]
 
 
 def strings(source: str) -> Iterator[str]:
@@ -64,7 +57,7 @@ def test_a_module_outside_the_effects_names_none(path: Path) -> None:
     assert known(path.read_text(encoding="utf-8"), names) == set()
 
 
-@pytest.mark.parametrize("path", TRUTHS[:-1], ids=lambda p: str(p.relative_to(PACKAGE)))
+@pytest.mark.parametrize("path", TRUTHS, ids=lambda p: str(p.relative_to(VALIDATION)))
 def test_truths_are_made_without_the_catalogue(path: Path) -> None:
     assert path.exists()
     imported = [

@@ -15,18 +15,18 @@ from cpam_bayes.effects import (
     add_known_mass,
     extend,
 )
-from cpam_bayes.effects.air import PressureJumps, jump_energy
-from cpam_bayes.effects.stress import _G
+from cpam_bayes.effects.masses import PressureJumps, jump_energy
+from cpam_bayes.effects.plies import _G
 from cpam_bayes.forward_model.model import angle_parameters, plate_problem
 from cpam_bayes.mechanics.dense import discretise
 from cpam_bayes.mechanics.modes import solve
-from cpam_bayes.mechanics.problem import AREA, FIELDS, Derivative, Field, Problem
-from cpam_bayes.mechanics.spaces.fem import fem_space
+from cpam_bayes.mechanics.problem import AREA, Problem
 from cpam_bayes.mechanics.spaces.ritz import RitzSettings, RitzSpace, ritz_space
-from cpam_bayes.mechanics.sparse import discretise_sparse
+from cpam_bayes.plate.edges import FIELDS
 from cpam_bayes.plate.layup import from_angles
-from cpam_bayes.plate.specimens import builtin
+from cpam_bayes.plate.reader import builtin
 from tests.effects.cases import BY_NAME, bare, facts, placed, ritz, ritz_operator, values_at, with_effect
+from tests.mechanics.test_problem import strains as strains_of_a_flat_plate
 from tests.plates import CARBON, CROSS_PLY_16S, plate
 
 PLY = CARBON | {"G13": 5.1e9, "G23": 3.0e9}
@@ -274,32 +274,19 @@ def test_loss_tangent_stiffens_by_its_share_of_pi_per_unit_of_log_frequency() ->
 
 def strains(problem: Problem, space: RitzSpace, sags: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
     """Generalised strains (n_points, 8, n) of a shallow cap and the points' weights times the area."""
-    state, rule = problem.nominal, space.quadrature(AREA)
-    a, b = float(state.length), float(state.width)
-    sizes = [space.dimension(f) for f in FIELDS]
-    starts = dict(zip(FIELDS, np.cumsum([0, *sizes[:-1]]), strict=True))
-    found = np.zeros((len(rule.points), 8, sum(sizes)))
-
-    def add(row: int, field: Field, derivative: Derivative, factor: np.ndarray | float = 1.0) -> None:
-        values = space.evaluate(field, rule, derivative) / {"": 1.0, "x": a, "y": b}[derivative]
-        found[:, row, starts[field] : starts[field] + values.shape[1]] += np.reshape(factor, (-1, 1)) * values
-
-    for row, along_x, along_y in ((0, "u", "v"), (3, "phi_x", "phi_y")):
-        add(row, along_x, "x")  # type: ignore[arg-type]
-        add(row + 1, along_y, "y")  # type: ignore[arg-type]
-        add(row + 2, along_x, "y")  # type: ignore[arg-type]
-        add(row + 2, along_y, "x")  # type: ignore[arg-type]
-    add(6, "w", "y")
-    add(6, "phi_y", "")
-    add(7, "w", "x")
-    add(7, "phi_x", "")
+    found, area = strains_of_a_flat_plate(space, problem.nominal)
+    rule, sides = space.quadrature(AREA), (float(problem.nominal.length), float(problem.nominal.width))
+    start = sum(space.dimension(f) for f in FIELDS[: FIELDS.index("w")])
+    w = slice(start, start + space.dimension("w"))
+    w_x, w_y = (space.evaluate("w", rule, d) / side for d, side in zip(("x", "y"), sides, strict=True))  # type: ignore[arg-type]
     # w0 = sag_x 4 xi (1 - xi) + sag_y 4 eta (1 - eta)
-    slope_x, slope_y = np.array(sags)[:, None] * 4 * (1 - 2 * rule.points.T) / np.array([[a], [b]])
-    add(0, "w", "x", slope_x)
-    add(1, "w", "y", slope_y)
-    add(2, "w", "y", slope_x)
-    add(2, "w", "x", slope_y)
-    return found, rule.weights * a * b
+    slope_x, slope_y = (
+        sag * 4 * (1 - 2 * at) / side for sag, at, side in zip(sags, rule.points.T, sides, strict=True)
+    )
+    found[:, 0, w] += slope_x[:, None] * w_x
+    found[:, 1, w] += slope_y[:, None] * w_y
+    found[:, 2, w] += slope_x[:, None] * w_y + slope_y[:, None] * w_x
+    return found, area
 
 
 def whole(problem: Problem, space: RitzSpace, values: dict[str, np.ndarray]) -> np.ndarray:
@@ -377,18 +364,3 @@ def test_every_effect_works_with_an_unknown_layup() -> None:
         if effect.name == "outer_ply_angle":
             turned = {name: a[:1] for name, a in angles.items()} | {"outer_ply_deg": np.array([0.0, 5.0])}
             assert not np.allclose(*extended.coefficients(turned, "stiffness"))
-
-
-def test_finite_elements_take_the_part_of_an_edge_that_ritz_takes() -> None:
-    effect = BY_NAME["clamp_slip"]
-    problem = with_effect("D3", effect)
-    space = fem_space(problem.edges, problem.nominal, 8, 8)
-    other = ritz_space(problem.edges, problem.nominal, RitzSettings(6, 6, 1, True, 1))
-    for form in problem.forms("stiffness"):
-        if form.region.kind == "edge":
-            start, end = form.region.span
-            total = [s.quadrature(form.region).weights.sum() for s in (space, other)]
-            # elements: midpoints, 64 to an eighth of the edge
-            assert total[0] == pytest.approx(end - start, abs=2 / (8 * 64))
-            assert total[1] == pytest.approx(end - start, rel=1e-13)
-    assert len(discretise_sparse(problem, space, values_at(effect, (1.0,))).blocks) == 2

@@ -6,10 +6,9 @@ from dataclasses import replace
 
 import pytest
 
-from cpam_bayes.forward_model.air_shift import ROOM_AIR, air_shifts
-from cpam_bayes.forward_model.model import NO_PARAMETERS, converged_model
+from cpam_bayes.forward_model.model import NO_PARAMETERS, ROOM_AIR, air_shifts, converged_model
 from cpam_bayes.plate import builtin
-from cpam_bayes.report.plates.head import air_text
+from cpam_bayes.render.plate import air_text
 
 
 @pytest.mark.parametrize("name", ["C1", pytest.param("A2", marks=pytest.mark.slow)])

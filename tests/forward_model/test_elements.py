@@ -10,20 +10,15 @@ import pytest
 
 from cpam_bayes.forward_model.elements import element_model
 from cpam_bayes.forward_model.model import plate_problem
-from cpam_bayes.mechanics.modes import solve
-from cpam_bayes.mechanics.shapes import grid_points, shapes_on_grid
+from cpam_bayes.mechanics.modes import grid_points, shapes_on_grid, solve
 from cpam_bayes.mechanics.spaces import fem
 from cpam_bayes.mechanics.sparse import discretise_sparse
 from cpam_bayes.plate import Specimen, builtin
 from cpam_bayes.plate.layup import parse_layup
 from tests.meshes import Quads, grid, rectangle
+from tests.plates import with_plate
 
 N_MODES = 10
-
-
-def with_plate(name: str, **changes: object) -> Specimen:
-    specimen = builtin(name)
-    return replace(specimen, plate=replace(specimen.plate, **changes))
 
 
 def finer(specimen: Specimen) -> np.ndarray:

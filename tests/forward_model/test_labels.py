@@ -11,11 +11,9 @@ from cpam_bayes.forward_model.labels import LabelError, LabelledModel, labelled_
 from cpam_bayes.forward_model.reduced import ReducedModel
 from cpam_bayes.forward_model.store import reduced_model
 from cpam_bayes.identification.point import estimate_constants
-from cpam_bayes.identification.search import search
-from cpam_bayes.identification.starting import start_of
-from cpam_bayes.inference.chains.sampling import swarm_on_posterior
+from cpam_bayes.identification.search import start_of
 from cpam_bayes.inference.posterior import plate_posterior
-from cpam_bayes.inference.swarm.settings import SwarmSettings
+from cpam_bayes.inference.swarm import SwarmSettings
 from cpam_bayes.parameters import ParameterSet
 from cpam_bayes.plate import Measurement, Specimen, read_specimen
 
@@ -74,7 +72,6 @@ def test_derivatives_stand_in_the_places_of_their_modes(plate: Specimen, model: 
     own = labelled_model(model, listed(np.array([60.0, 84.0]), TWISTED_FIRST), plate)
     x, step = np.array([[9.34e9, 16e9]]), np.array([[0.0, 1e7]])
     jacobian = own.predict(x, jacobian=True).jacobian
-    assert jacobian is not None
     up, down = (own.predict(x + s * step).frequencies for s in (1, -1))
     # a step of 6e-4 of G12: curvature enters with its square; rounding of f by 1e-6 Hz gives 1e-13
     np.testing.assert_allclose(jacobian[0, :, 1], (up - down)[0] / 2e7, rtol=1e-5, atol=1e-13)
@@ -102,37 +99,7 @@ def test_labels_decide_between_two_constants_that_give_the_same_list(
     np.testing.assert_array_equal(begun.posterior.most_probable_pairing(best).mode, [0, 1])
 
 
-@pytest.mark.parametrize("complete", [True, False])
-def test_without_labels_both_constants_are_equally_probable_and_with_them_one_is_ruled_out(
-    plate: Specimen, model: ReducedModel, crossed: np.ndarray, complete: bool
-) -> None:
-    data = listed(crossed, ("", ""), complete)
-    free = plate_posterior(model, data, np.full(6, 1e-4))
-    ends = []
-    for labels in (TWISTED_FIRST, BENT_FIRST):
-        own = plate_posterior(
-            labelled_model(model, replace(data, labels=labels), plate),
-            replace(data, labels=labels),
-            np.full(6, 1e-4),
-        )
-        bests, values, _ = swarm_on_posterior(own, 0, SwarmSettings(particles=20, iterations=60))
-        ends.append((own, bests[np.argmin(values)]))
-    (twisted, a), (bent, b) = ends
-    at_a, at_b = free.log_prob(np.stack((a, b)))
-    assert at_a == pytest.approx(at_b, abs=1.0)
-    assert twisted.log_prob(a)[0] - twisted.log_prob(b)[0] > 100.0
-    assert bent.log_prob(b)[0] - bent.log_prob(a)[0] > 100.0
-
-
-def test_a_label_works_alone_beside_frequencies_without_one(plate: Specimen, crossed: np.ndarray) -> None:
-    data = listed(crossed, ("", "(1,1)"))
-    found = search(replace(plate, measurement=data), 0, settings=SwarmSettings(particles=20, iterations=60))
-    assert found.swarm.best[1] == pytest.approx(16e9, rel=0.02)
-
-
-def test_the_swarm_reports_modes_beside_the_frequencies_that_they_belong_to(
-    plate: Specimen, crossed: np.ndarray
-) -> None:
+def test_the_swarm_reports_modes_beside_the_frequencies_that_they_belong_to(plate: Specimen) -> None:
     # too far apart for the bounds of G12: the labelled modes stay crossed in the answer
     data = listed(np.array([80.0, 84.0]), BENT_FIRST)
     narrow = replace(plate, unknowns=plate.unknowns.fix(G12=16e9), measurement=data)

@@ -11,10 +11,12 @@ import pytest
 from scipy.stats import special_ortho_group
 
 import cpam_bayes as cb
-from cpam_bayes.forward_model.labels import LabelError, LabelledModel, labelled_model
-from cpam_bayes.forward_model.mode_shapes.assurance import (
+from cpam_bayes.forward_model.labels import (
     AmbiguousShapesError,
+    LabelError,
+    LabelledModel,
     ShapePairing,
+    labelled_model,
     modal_assurance,
     pair_by_assurance,
 )
@@ -23,11 +25,12 @@ from cpam_bayes.forward_model.store import reduced_model
 from cpam_bayes.identification.search import search
 from cpam_bayes.inference.derivatives import expand
 from cpam_bayes.inference.posterior import Posterior, plate_posterior
-from cpam_bayes.inference.swarm.settings import SwarmSettings
-from cpam_bayes.mechanics.shapes import Mode
+from cpam_bayes.inference.swarm import SwarmSettings
+from cpam_bayes.mechanics.modes import Mode
 from cpam_bayes.parameters import ParameterSet
 from cpam_bayes.plate import Measurement, Specimen, read_specimen
-from cpam_bayes.plate.mode_shapes.measured import MeasuredShapes
+from cpam_bayes.plate.mode_shapes import MeasuredShapes
+from tests.plate_file import BAR
 from tests.universal import grid, mode_55, nodes_15
 
 K = 8
@@ -217,7 +220,6 @@ def test_the_swarm_finds_the_constants_that_the_order_of_the_list_would_hide(tes
 def unsure(tested: Specimen, model: ReducedModel) -> Specimen:
     """The plate with shapes that are nearly halfway between the two modes."""
     measurement = measurement_of(tested)
-    assert measurement.shapes is not None
     first, second = (v / np.linalg.norm(v) for v in measurement.shapes.values)
     return with_values(tested, np.stack((first + 0.97 * second, second - 0.97 * first)))
 
@@ -234,7 +236,6 @@ def test_the_likelihood_is_the_sum_over_pairings_by_their_probability(unsure, mo
     own = posterior.model
     assert isinstance(own, LabelledModel)
     assert len(posterior.alternatives) == 2
-    assert own.by_shape is not None
     measurement, total = measurement_of(unsure), 0.0
     x = np.array([[9.34e9, 15e9]])
     for one in own.by_shape.assignments:
@@ -271,21 +272,7 @@ def test_shapes_like_no_mode_are_refused_with_what_to_check(tested, model):
         labelled_model(model, measurement_of(specimen), specimen)
 
 
-FILE = """name = "bar"
-[plate]
-length_mm = 200
-width_mm = 100
-thickness_mm = 3
-density_kg_m3 = 2700
-edges = "FFFF"
-[material]
-isotropic = true
-E1_GPa = 69
-nu12 = 0.33
-[unknowns]
-E1_GPa = [50, 90]
-nu12 = [0.2, 0.45]
-"""
+FILE = f"{BAR}[unknowns]\nE1_GPa = [50, 90]\nnu12 = [0.2, 0.45]\n"
 
 
 def test_predicted_modes_written_as_a_universal_file_are_read_back_as_their_own(run, tmp_path):
@@ -293,11 +280,10 @@ def test_predicted_modes_written_as_a_universal_file_are_read_back_as_their_own(
     plate.write_text(FILE, encoding="utf-8")
     status, out, err = run("export", plate, "--to", "uff", "--modes", "5", "--out", tmp_path / "modes.unv")
     assert (status, err) == (0, "")
-    assert "holds 5 predicted modes" in out
+    assert "5 predicted modes" in out
     plate.write_text(f'{FILE}[measurement]\nshapes = "modes.unv"\n', encoding="utf-8")
     result = cb.forward(plate)
     computed = cb.forward(tomllib.loads(FILE), n_modes=5)
-    assert result.by_shape is not None
     # frequencies are written with six digits
     np.testing.assert_allclose(result.specimen.measurement.frequencies, computed.frequencies, rtol=1e-5)
     assert result.by_shape.modes.tolist() == [0, 1, 2, 3, 4]
@@ -307,7 +293,6 @@ def test_predicted_modes_written_as_a_universal_file_are_read_back_as_their_own(
     assert [one["label"] for one in document["shapes"]] == [m.label for m in computed.modes]
     assert [mode["paired_by"] for mode in document["modes"][:6]] == ["shape"] * 5 + [None]
     assert set(result.figures()) == {"modes", "modal_assurance", "plate"}
-    assert set(result.captions()) == set(result.figures())
     assert "Modal assurance at the reference constants" in result.summary(verbose=True)
 
 
@@ -323,8 +308,6 @@ def test_modes_are_written_at_the_nodes_of_measured_shapes(tmp_path):
     assert result.shapes.nodes.tolist() == numbers
     plate.write_text(f'{FILE}[measurement]\nshapes = "predicted.unv"\n', encoding="utf-8")
     again = cb.read_plate(plate).measurement
-    assert again is not None
-    assert again.shapes is not None
     assert again.shapes.nodes.tolist() == numbers
     # coordinates are written with six digits
     np.testing.assert_allclose(again.shapes.points, 1e-3 * points, rtol=2e-6)

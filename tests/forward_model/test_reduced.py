@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import pickle
 from dataclasses import dataclass, replace
 from functools import cache
 from itertools import product
@@ -18,13 +18,16 @@ from cpam_bayes.forward_model.model import (
     convergence_samples,
     plate_problem,
     reference_vector,
-    training_sets,
+    size_parameters,
 )
-from cpam_bayes.forward_model.reduced import DEFAULT_SETTINGS, ReducedModel, ReductionSettings, coercivity
-from cpam_bayes.forward_model.reduction import compressed, reduce
+from cpam_bayes.forward_model.reduced import (
+    DEFAULT_SETTINGS,
+    ReducedModel,
+    ReductionSettings,
+    reduce,
+)
 from cpam_bayes.forward_model.store import model_key, reduced_model, stored_plate_model
 from cpam_bayes.mechanics.convergence import Tolerance, rich_frequencies
-from cpam_bayes.mechanics.modes import solve
 from cpam_bayes.mechanics.problem import rigid_body_count
 from cpam_bayes.parameters import ParameterSet
 from cpam_bayes.plate import Specimen, read_specimen
@@ -45,7 +48,6 @@ def parameters_of(specimen: Specimen) -> ParameterSet:
 
 
 def n_modes_of(specimen: Specimen) -> int:
-    assert specimen.measurement is not None
     return specimen.measurement.size
 
 
@@ -188,20 +190,6 @@ def test_printed_error_of_any_layup_holds_on_the_usual_layups() -> None:
     assert full.error.max() < 2e-4, "what is promised of a thin plate"
 
 
-def test_coercivity_is_the_least_ratio_of_strain_energies() -> None:
-    rng = np.random.default_rng(2)
-    reference = np.diag(np.arange(1.0, 9.0))
-    assert coercivity(3.0 * reference, reference) == pytest.approx(3.0, rel=1e-12)
-    stiffer = reference + np.eye(8)
-    least = coercivity(stiffer, reference)
-    assert least == pytest.approx(1.0 + 1.0 / 8.0, rel=1e-12)
-    strain = rng.normal(size=(100, 8))
-    ratio = np.einsum("ni,ij,nj->n", strain, stiffer, strain) / np.einsum(
-        "ni,ij,nj->n", strain, reference, strain
-    )
-    assert np.all(ratio >= least)
-
-
 # What the reduced model shares with the full one
 
 
@@ -218,33 +206,15 @@ def test_reduced_derivatives_are_the_full_ones(name: str) -> None:
     np.testing.assert_array_less(np.abs(found - expected) * reach / scale, 1e-3)
 
 
-@pytest.mark.parametrize("name", FIXED)
-def test_reduced_derivatives_are_those_of_the_reduced_frequencies(name: str) -> None:
-    model = reduced(name)
-    x = prior_draws(model.full, 10, seed=78)
-    jacobian = model.predict(x, jacobian=True).jacobian
-    assert jacobian is not None
-    for j in range(x.shape[1]):
-        step = 1e-3 * x[:, j]
-        moved = [x + sign * step[:, None] * np.eye(x.shape[1])[j] for sign in (1, -1)]
-        up, down = (model.predict(y).frequencies for y in moved)
-        slope = (up - down) / (2 * step[:, None])
-        # differences: 1e-6 of curvature and, as terms of K cancel on a thin plate, 1e-8 / 1e-3 of rounding
-        scale = model.predict(x).frequencies / x[:, [j]]
-        np.testing.assert_array_less(np.abs(jacobian[..., j] - slope) / scale, 1e-4)
-
-
 @cases
 def test_a_batch_is_what_its_members_are_alone(name: str) -> None:
     model = reduced(name)
     x = compared(name).x[:15]
     together = model.predict(x, jacobian=True)
     errors = model.error(x)
-    assert together.jacobian is not None
     reach = model.full.parameters.upper - model.full.parameters.lower
     for i, own in enumerate(x):
         alone = model.predict(own, jacobian=True)
-        assert alone.jacobian is not None
         # sums in another order: 1e-16 of the terms of K, which cancel down to 1e-9 of themselves
         np.testing.assert_allclose(alone.frequencies[0], together.frequencies[i], rtol=1e-7)
         scale = np.abs(together.jacobian[i] * reach).max()
@@ -252,41 +222,6 @@ def test_a_batch_is_what_its_members_are_alone(name: str) -> None:
             alone.jacobian[0] * reach, together.jacobian[i] * reach, rtol=0, atol=1e-6 * scale
         )
         np.testing.assert_allclose(model.error(own)[0], errors[i], rtol=1e-2)
-
-
-@cases
-def test_compressed_operator_is_the_operator(name: str) -> None:
-    model = reduced(name).full
-    x = training_sets(model.operator.problem, 60, np.random.default_rng(9))
-    stiffness, mass = model.coefficients(x)
-    small = compressed(model.operator, stiffness, mass)
-    others = prior_draws(model, 5, seed=10)  # relations between coefficients hold everywhere
-    stiffness, mass = model.coefficients(others)
-    for block, whole in zip(small.blocks, model.operator.blocks, strict=True):
-        assert len(block.stiffness.active) <= len(whole.stiffness.active)
-        assert len(block.mass.active) == 1
-        for matrix, own, coefficients in (
-            (block.stiffness, whole.stiffness, stiffness),
-            (block.mass, whole.mass, mass),
-        ):
-            expected = own.assemble(coefficients)
-            # relations are found by a decomposition that drops 1e-11 of the largest
-            np.testing.assert_allclose(
-                matrix.assemble(coefficients), expected, rtol=0, atol=1e-10 * np.abs(expected).max()
-            )
-    np.testing.assert_allclose(
-        solve(small, stiffness, mass, model.n_modes).frequencies,
-        model.predict(others).frequencies,
-        rtol=1e-6,
-    )
-
-
-def test_fixed_orthotropic_layup_needs_few_terms() -> None:
-    # D11, D12, D22, D66 and A44, A55 in bending
-    model = reduced("B1").full
-    stiffness, mass = model.coefficients(training_sets(model.operator.problem, 60, np.random.default_rng(9)))
-    small = compressed(model.operator, stiffness, mass)
-    assert max(len(block.stiffness.active) for block in small.blocks) <= 6
 
 
 @cases
@@ -371,45 +306,21 @@ def test_a_stored_model_is_read_back_bit_for_bit(b1: Specimen, tmp_path: Path) -
     assert said
     assert not silence, "nothing is built that is there"
     same_bits(built, read)
+    same_bits(built, pickle.loads(pickle.dumps(read)))  # on its way to a worker
     assert [path.suffix for path in (tmp_path / "new" / "folder").iterdir()] == [".arrays"]
 
 
-@pytest.mark.parametrize("damage", ["truncated", "empty", "garbage", "flipped"])
-def test_a_damaged_file_is_built_again(b1: Specimen, tmp_path: Path, damage: str) -> None:
+def test_a_damaged_file_is_built_again(b1: Specimen, tmp_path: Path) -> None:
     built, _ = build(b1, tmp_path)
     (path,) = tmp_path.iterdir()
     content = bytearray(path.read_bytes())
-    whole = bytes(content)
     content[int(0.6 * len(content))] ^= 0xFF
-    changed = {
-        "truncated": whole[: len(whole) // 2],
-        "empty": b"",
-        "garbage": b"not a model",
-        "flipped": bytes(content),
-    }
-    path.write_bytes(changed[damage])
+    path.write_bytes(content)
     again, said = build(b1, tmp_path)
     assert said, "it was built, not read"
     assert path.with_name(f"{path.name}.damaged").exists()
     same_bits(built, again)
     assert not build(b1, tmp_path)[1], "and stored once more"
-
-
-@pytest.fixture
-def not_a_directory(tmp_path: Path) -> Iterator[Path]:
-    path = tmp_path / "file"
-    path.write_text("in the way")
-    yield path / "folder"
-    assert path.read_text() == "in the way"
-
-
-def test_a_directory_that_cannot_be_written_still_gives_the_model(
-    b1: Specimen, tmp_path: Path, not_a_directory: Path
-) -> None:
-    stored, _ = build(b1, tmp_path / "good")
-    unstored, said = build(b1, not_a_directory)
-    assert said
-    same_bits(stored, unstored)
 
 
 def key(
@@ -437,6 +348,7 @@ def test_whatever_changes_the_model_changes_its_key(b1: Specimen) -> None:
         replace(b1, material=replace(material, symmetry="orthotropic")),
         replace(b1, material=replace(material, constants={**material.constants, "E1": 1e11})),
     ]
+    gauged = replace(b1, plate=replace(plate, sd={"thickness": 2e-5}))
     centre = 0.5 * (b1.unknowns.lower + b1.unknowns.upper)
     keys = [key(b1), *(key(other) for other in changed)]
     keys += [
@@ -448,6 +360,7 @@ def test_whatever_changes_the_model_changes_its_key(b1: Specimen) -> None:
         key(b1, parameters=b1.unknowns.fix(nu12=0.23)),
         key(b1, parameters=b1.unknowns.fix(nu12=0.24)),
         key(b1, parameters=read_specimen("D1").unknowns),
+        key(b1, parameters=b1.unknowns.union(size_parameters(gauged))),
     ]
     assert len(set(keys)) == len(keys)
 

@@ -13,34 +13,18 @@ from numpy.testing import assert_allclose
 import cpam_bayes as cb
 from cpam_bayes.forward_model.calculix import solve_specimen
 from cpam_bayes.forward_model.model import reference_constants
-from cpam_bayes.forward_model.theory_error import edge_layer, shear_frequency, theory_error
+from cpam_bayes.forward_model.theory_error import edge_layer, theory_error
 from cpam_bayes.plate import Specimen
 from cpam_bayes.plate.layup import parse_layup
+from tests.plate_file import described
 
 SAVED = Path(__file__).parents[2] / "studies" / "results" / "16_theory_error.json"
 
 
 def carbon(layup: str, edges: str = "FFFF", thickness_mm: float = 3.6) -> Specimen:
-    return cb.read_plate(
-        {
-            "name": "plate",
-            "plate": {
-                "length_mm": 240.0,
-                "width_mm": 180.0,
-                "thickness_mm": thickness_mm,
-                "density_kg_m3": 1580.0,
-                "layup": layup,
-                "edges": edges,
-            },
-            "material": {"isotropic": False, "E1_GPa": 130.0, "E2_GPa": 9.0, "nu12": 0.3, "G12_GPa": 5.0},
-        }
-    )
-
-
-def test_shear_frequency_is_that_of_its_definition() -> None:
-    wave = np.sqrt(5e9 / 1580.0)
-    found = shear_frequency(carbon("[0]"), [100.0, 200.0])
-    assert_allclose(found, 2 * np.pi * np.array([100.0, 200.0]) * 3.6e-3 / wave, rtol=1e-12)
+    material = {"isotropic": False, "E1_GPa": 130.0, "E2_GPa": 9.0, "nu12": 0.3, "G12_GPa": 5.0}
+    size = 240.0, 180.0, thickness_mm
+    return cb.read_plate(described(size, 1580.0, material, layup=layup, edges=edges))
 
 
 @pytest.mark.parametrize("layup", ["[0]", "[30_4]", "[90]"])

@@ -1,4 +1,4 @@
-"""Sequences and constants of a specimen: the fuzzy swarm against plain enumeration, on a known plate."""
+"""Constants and angles of a specimen: least squares in stacks, and the swarm against enumeration."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from scipy.optimize import least_squares, lsq_linear
 
 from cpam_bayes.forward_model.model import reference_vector
 from cpam_bayes.forward_model.reduced import ReductionSettings
@@ -15,21 +16,106 @@ from cpam_bayes.identification import angle_search
 from cpam_bayes.identification.angle_search import (
     AngleSearchProblem,
     best_constants,
-    fuzzy_problem,
+    fit_constants,
     run_swarm,
     run_swarms,
     search_angles,
     search_parameters,
     search_starts,
 )
-from cpam_bayes.inference.swarm.pso import SwarmSettings
+from cpam_bayes.inference.swarm import SwarmSettings
 from cpam_bayes.plate import Specimen, builtin
 from cpam_bayes.plate.layup import parse_layup
 from cpam_bayes.plate.records import angle_grid
-from cpam_bayes.stacking.symmetry.classes import canonical, classes
-from cpam_bayes.stacking.symmetry.symmetries import plate_symmetries
+from cpam_bayes.stacking.symmetry import canonical, plate_symmetries
 
-CASES = ("B1", "B2", "C1", "C2", "C3", "C4", "D1", "D2", "D3", "D4", "F1", "F2", "G1", "G2")
+RNG = np.random.default_rng(5)
+SLOPES = RNG.normal(size=(7, 6, 3))  # one linear model a sequence
+MEASURED = RNG.normal(size=6)
+LOWER, UPPER = np.array([-0.3, -0.2, 0.0]), np.array([0.4, 0.5, 0.6])
+STARTS = np.array([[0.0, 0.0, 0.1], [0.3, 0.4, 0.5]])
+NUMBERS = np.arange(7.0)[:, None]
+
+
+def everywhere(x: np.ndarray) -> np.ndarray:
+    return np.ones(len(x), dtype=bool)
+
+
+def linear(constants: np.ndarray, numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    slope = SLOPES[numbers[:, 0].astype(int)]
+    return np.einsum("mij,mj->mi", slope, constants), slope
+
+
+def curved(constants: np.ndarray, numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    f, slope = linear(constants, numbers)
+    return f + 0.1 * f**2, slope * (1.0 + 0.2 * f)[..., None]
+
+
+@pytest.mark.parametrize("weighted", [False, True])
+def test_linear_problems_have_the_bounded_least_squares_solution(weighted: bool) -> None:
+    weight = np.linspace(0.5, 3.0, 6) if weighted else None
+    root = np.ones(6) if weight is None else np.sqrt(weight)
+    found = fit_constants(linear, everywhere, NUMBERS, STARTS, MEASURED, LOWER, UPPER, weight=weight)
+    assert found.settled.all()
+    on_bound = 0
+    for i, slope in enumerate(SLOPES):
+        exact = lsq_linear(root[:, None] * slope, root * MEASURED, bounds=(LOWER, UPPER), tol=1e-14)
+        # settled to 1e-9 of F, so to its root of the distance of the bounds
+        assert_allclose(found.values[i], 2.0 * exact.cost, rtol=1e-8)
+        assert_allclose(found.constants[i], exact.x, atol=1e-4)
+        on_bound += int(np.any((found.constants[i] == LOWER) | (found.constants[i] == UPPER)))
+    assert on_bound > 0, "some of the optima lie on a bound"
+
+
+def test_curved_problems_reach_what_scipy_reaches() -> None:
+    found = fit_constants(curved, everywhere, NUMBERS, STARTS, MEASURED, LOWER, UPPER)
+    for i in range(len(SLOPES)):
+        number = NUMBERS[i : i + 1]
+        best = min(
+            2.0
+            * least_squares(
+                lambda x, n=number: curved(x[None], n)[0][0] - MEASURED,
+                start,
+                bounds=(LOWER, UPPER),
+                xtol=1e-12,
+            ).cost
+            for start in STARTS
+        )
+        assert found.values[i] <= best * (1.0 + 1e-7)
+
+
+def test_steps_stay_where_the_constraints_hold() -> None:
+    def below(x: np.ndarray) -> np.ndarray:
+        return np.asarray(x[:, 0] + x[:, 1] < 0.35)
+
+    asked: list[np.ndarray] = []
+
+    def watched(constants: np.ndarray, numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        asked.append(constants)
+        return linear(constants, numbers)
+
+    found = fit_constants(watched, below, NUMBERS, STARTS[:1], MEASURED, LOWER, UPPER)
+    assert all(below(x).all() for x in asked)
+    assert all(np.all((x >= LOWER) & (x <= UPPER)) for x in asked)
+    assert found.evaluations == sum(len(x) for x in asked)
+
+
+def test_a_stack_gives_what_its_problems_give_alone() -> None:
+    whole = fit_constants(curved, everywhere, NUMBERS, STARTS, MEASURED, LOWER, UPPER)
+    for i in range(len(SLOPES)):
+        alone = fit_constants(curved, everywhere, NUMBERS[i : i + 1], STARTS, MEASURED, LOWER, UPPER)
+        assert_allclose(alone.constants[0], whole.constants[i], rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("start", [[0.0, 0.0, 0.7], [0.35, 0.3, 0.1]])
+def test_a_start_outside_is_refused(start: list[float]) -> None:
+    def below(x: np.ndarray) -> np.ndarray:
+        return np.asarray(x[:, 0] + x[:, 1] < 0.6)
+
+    with pytest.raises(ValueError, match="starts of the constants"):
+        fit_constants(linear, below, NUMBERS, np.array([start]), MEASURED, LOWER, UPPER)
+
+
 GRID = angle_grid(45.0)  # -45 0 45 90
 TRUTH = np.array([1, 3])  # 0, 90
 # What a reduced model this coarse leaves of F = 0 in laminates that are one by symmetry, Hz^2: its
@@ -75,18 +161,6 @@ def test_enumeration_finds_the_plates_own_sequence_and_its_images(
     assert same.sum() == 2, "0/90 and 90/0 on a square"
     assert np.all(enumerated[same] < COARSE)
     assert np.all(enumerated[~same] > 10 * COARSE)
-
-
-def test_classes_alone_need_to_be_enumerated(
-    specimen: Specimen, every: np.ndarray, enumerated: np.ndarray
-) -> None:
-    symmetries = plate_symmetries(specimen)
-    leaders = classes(every, symmetries).representative
-    assert 2 * len(leaders) <= len(every)
-    place = canonical(every, symmetries).representative @ [4, 1]
-    for row, value in enumerate(enumerated):
-        # F of another size than the model's error: relative errors of twice 1e-3 in f - measured
-        assert enumerated[place[row]] == pytest.approx(value, rel=0.05, abs=COARSE)
 
 
 def test_fitted_constants_are_the_true_ones(fit: AngleSearchProblem, specimen: Specimen) -> None:
@@ -139,17 +213,6 @@ def test_the_start_of_a_fit_meets_the_constraints(fit: AngleSearchProblem, speci
     assert_array_equal(starts, search_starts(fit, 5))
 
 
-@pytest.mark.parametrize("name", CASES)
-def test_a_case_of_table_9_is_a_problem_of_its_constants_and_angles(name: str) -> None:
-    specimen = builtin(name, sequence=True)
-    parameters = search_parameters(specimen)
-    n = specimen.unknowns.size
-    assert parameters.names[:n] == specimen.unknowns.names
-    assert parameters.names[n:] == specimen.plate.layup.unknown_names
-    assert ("G23" in parameters) == (name[0] in "DG")
-    assert len(specimen.measurement.frequencies) == (10 if name[0] in "DG" else 6)  # type: ignore[union-attr]
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["F2", "G1"])
 def test_a_built_in_case_is_searched_from_end_to_end(name: str) -> None:
@@ -168,15 +231,6 @@ def test_a_built_in_case_is_searched_from_end_to_end(name: str) -> None:
     assert np.sum((found.predicted - measured) ** 2) == pytest.approx(found.value, rel=0.02)
     assert found.rms == pytest.approx(np.sqrt(np.mean((found.predicted / measured - 1.0) ** 2)))
     assert np.all(found.error < 0.01)
-
-
-def test_a_fuzzy_problem_has_the_bounds_and_grid_of_the_specimen(
-    fit: AngleSearchProblem, specimen: Specimen
-) -> None:
-    own = fuzzy_problem(fit)
-    assert_array_equal(own.lower, specimen.unknowns.lower)
-    assert_array_equal(own.upper, specimen.unknowns.upper)
-    assert (own.n_plies, own.n_angles) == (2, 4)
 
 
 def test_what_cannot_be_searched_is_refused() -> None:

@@ -9,17 +9,15 @@ import numpy as np
 import pytest
 
 from cpam_bayes.forward_model.model import NO_PARAMETERS, converged_model, reference_vector, size_parameters
-from cpam_bayes.forward_model.reduced import DEFAULT_SETTINGS
-from cpam_bayes.forward_model.store import model_key, reduced_model
-from cpam_bayes.identification.sampled import SampledResult, sample
-from cpam_bayes.identification.starting import start_of
-from cpam_bayes.inference.chains.ensemble import EnsembleSettings
+from cpam_bayes.forward_model.store import reduced_model
+from cpam_bayes.identification.search import start_of
+from cpam_bayes.inference.ensemble import EnsembleSettings
 from cpam_bayes.inference.laplace import gauss_newton_covariance
 from cpam_bayes.inference.posterior import plate_posterior
-from cpam_bayes.inference.swarm.settings import SwarmSettings
+from cpam_bayes.inference.swarm import SwarmSettings
 from cpam_bayes.plate import Specimen, read_specimen
-from cpam_bayes.plate.laminate import ENERGY_CONSISTENT
 from cpam_bayes.priors import TruncatedNormal
+from cpam_bayes.questions.identify.emcee import sample
 
 NOISE = 0.002
 QUICK = SwarmSettings(particles=20, iterations=40)
@@ -34,7 +32,6 @@ def known(name: str, sd: Mapping[str, float], weighed: bool = False) -> Specimen
     sd : relative, by name. weighed : the plate's mass is given instead of its density.
     """
     specimen = read_specimen(name)
-    assert specimen.measurement is not None
     n = specimen.measurement.size
     f = converged_model(specimen, NO_PARAMETERS, n).predict(np.empty((1, 0))).frequencies[0]
     data = replace(specimen.measurement, frequencies=f, relative_std=NOISE, resolution=0.0)
@@ -47,7 +44,6 @@ def known(name: str, sd: Mapping[str, float], weighed: bool = False) -> Specimen
 
 def linear_sd(specimen: Specimen) -> dict[str, float]:
     """Relative standard deviations at the reference values, to first order."""
-    assert specimen.measurement is not None
     parameters = specimen.unknowns.union(size_parameters(specimen))
     n = specimen.measurement.size
     model = reduced_model(specimen, parameters, n)
@@ -106,19 +102,6 @@ def test_priors_of_sizes_are_normal_and_stay_positive() -> None:
     assert (density.lower, density.upper) == (rho / 4, pytest.approx(3.5 * rho))
 
 
-def test_models_with_and_without_sizes_or_mass_are_kept_apart() -> None:
-    keys = set()
-    for specimen in (
-        known("A1", {}),
-        known("A1", {"thickness": 0.01}),
-        known("A1", {"thickness": 0.02}),
-        known("A1", {"thickness": 0.01}, weighed=True),
-    ):
-        parameters = specimen.unknowns.union(size_parameters(specimen))
-        keys.add(model_key(specimen, parameters, 6, ENERGY_CONSISTENT, DEFAULT_SETTINGS, None))
-    assert len(keys) == 4
-
-
 @pytest.mark.parametrize("complete", [True, False])
 def test_the_start_has_the_sizes_after_the_constants_and_every_start_is_possible(complete: bool) -> None:
     specimen = known("A1", {"thickness": 0.01, "width": 0.001})
@@ -134,27 +117,13 @@ def test_the_start_has_the_sizes_after_the_constants_and_every_start_is_possible
     assert np.isfinite(begun.posterior.log_prob(begun.bests)).sum() > 10
 
 
-@pytest.fixture(scope="module")
-def thin() -> dict[str, SampledResult]:
-    settings = EnsembleSettings(effective=3000.0)
-    shares = {"without": {}, "one percent": {"thickness": 0.01}, "exact": {"thickness": 1e-6}}
-    return {case: sample(known("C1", sd), seed=0, settings=settings) for case, sd in shares.items()}
-
-
 @pytest.mark.slow
-def test_sampled_moduli_of_c1_widen_by_the_closed_form(thin: dict[str, SampledResult]) -> None:
-    without, found = ({c.name: c.sd / c.mean for c in thin[k].constants} for k in ("without", "one percent"))
-    # 3000 effective draws give each of two sd to 1.3 %, four standard errors of their ratio
+def test_sampled_moduli_of_c1_widen_as_to_first_order() -> None:
+    specimen = known("C1", {"thickness": 0.01})
+    found = sample(specimen, seed=0, settings=EnsembleSettings(effective=1500.0))
+    exact, expected = linear_sd(known("C1", {})), linear_sd(specimen)
+    for name, constant in found.constants.items():
+        # 1500 effective draws give an sd to 1.8 %, four standard errors
+        assert constant.sd / constant.value == pytest.approx(expected[name], rel=0.075)
     for name in ("E1", "E2", "G12"):
-        assert found[name] == pytest.approx(np.hypot(without[name], 0.02), rel=0.075)
-    assert found["nu12"] == pytest.approx(without["nu12"], rel=0.075)
-
-
-@pytest.mark.slow
-def test_sampled_constants_of_c1_do_not_change_for_a_thickness_that_is_known(
-    thin: dict[str, SampledResult],
-) -> None:
-    for a, b in zip(thin["without"].constants, thin["exact"].constants[:4], strict=True):
-        assert (a.name, b.sd) == (b.name, pytest.approx(a.sd, rel=0.075))
-        # four standard errors of the difference of two means of 3000 draws
-        assert abs(a.mean - b.mean) < 4.0 * a.sd * np.sqrt(2.0 / 3000.0)
+        assert expected[name] == pytest.approx(np.hypot(exact[name], 0.02), rel=0.02)

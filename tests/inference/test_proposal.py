@@ -1,21 +1,22 @@
-"""The density that chains jump by: normalised, the one that is drawn from, near the posterior."""
+"""Proposals that cover a density, and what importance sampling by them is worth."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
-from scipy.stats import norm
-from scipy.stats import t as t_density
 
-from cpam_bayes.inference.importance import effective_size
+from cpam_bayes.inference.derivatives import MAX_SCORE, Expansion, NormalScores
 from cpam_bayes.inference.posterior import Posterior, plate_posterior
-from cpam_bayes.inference.proposal import AdaptationSettings, Proposal, adapted
-from cpam_bayes.inference.standard_normal import MAX_SCORE, NormalScores
-from cpam_bayes.inference.student_mixture import Mixture, log_mixture
+from cpam_bayes.inference.proposal import AdaptationSettings, Proposal, Rounds, adapted, adaptive_importance
+from cpam_bayes.inference.student_mixture import (
+    Mixture,
+    effective_size,
+    shrunk_moments,
+    staged_importance,
+)
 from cpam_bayes.parameters import TruncatedNormal, Uniform
 from cpam_bayes.priors import Prior
 from tests.linear_model import LinearModel, measurement
@@ -76,20 +77,6 @@ def test_the_density_over_the_parameters_integrates_to_one(prior: Prior | None) 
     assert total == pytest.approx(1.0, abs=1e-3)
 
 
-def test_the_density_is_that_of_the_scores_times_the_change_of_variables() -> None:
-    """Both parameters by formulas of their own: a uniform prior, and half a Student-t for the noise."""
-    own, proposal = by_hand(None)
-    rng = np.random.default_rng(0)
-    lower, upper = own.parameters.lower, own.parameters.upper
-    x = np.stack((rng.uniform(-1.0, 3.0, 50), rng.uniform(lower[1], 0.05, 50)), axis=1)
-    student = t_density(4.0, scale=0.01)
-    below, mass = student.cdf(lower[1]), student.cdf(upper[1]) - student.cdf(lower[1])
-    z = norm.ppf(np.stack(((x[:, 0] + 1.0) / 4.0, (student.cdf(x[:, 1]) - below) / mass), axis=1))
-    log_prior = np.log(0.25) + student.logpdf(x[:, 1]) - np.log(mass)
-    expected = log_mixture(MIXTURE, z) - norm.logpdf(z).sum(axis=1) + log_prior
-    np.testing.assert_allclose(proposal.log_density(x), expected, rtol=1e-6)
-
-
 @pytest.mark.parametrize("prior", [*PRIORS.values(), None], ids=[*PRIORS, "the noise"])
 @pytest.mark.parametrize("make", [np.random.default_rng, np.random.RandomState], ids=["numpy's", "emcee's"])
 def test_draws_lie_in_bounds_and_follow_the_density(make: Callable[[int], Any], prior: Prior | None) -> None:
@@ -131,15 +118,84 @@ def test_an_adapted_proposal_is_near_its_posterior(name: str) -> None:
     assert effective_share(own, found) > 0.5
 
 
-def test_a_proposal_tells_the_solves_of_its_fit() -> None:
-    one = adapted(two_peaks(), np.array([[1.0, -0.7]]), 0, replace(BRIEF, rounds=1))
-    assert one.solves == BRIEF.draws
-    assert adapted(two_peaks(), np.array([[1.0, -0.7]]), 0, BRIEF).solves % BRIEF.draws == 0
-
-
 def test_a_seed_fixes_the_proposal_bit_for_bit() -> None:
     own, start = two_peaks(), np.array([[1.0, -0.7]])
     x = own.parameters.sample(np.random.default_rng(2), 20)
     one, again, other = (adapted(own, start, seed, BRIEF).log_density(x) for seed in (3, 3, 4))
     np.testing.assert_array_equal(one, again)
     assert np.any(one != other)
+
+
+LOG_Z = -12.0
+# A standard normal a, b, c seen as (a, SHARP b + BEND a^2, c): the Jacobian is SHARP.
+SHARP, BEND = 0.05, 0.7
+
+
+def straight(z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Where the standard normal variables are at points (m, 3), and their derivatives (m, 3, 3)."""
+    y = np.stack((z[:, 0], (z[:, 1] - BEND * z[:, 0] ** 2) / SHARP, z[:, 2]), axis=1)
+    slope = np.tile(np.diag([1.0, 1.0 / SHARP, 1.0]), (len(z), 1, 1))
+    slope[:, 1, 0] = -2.0 * BEND * z[:, 0] / SHARP
+    return y, slope
+
+
+def expand(z: np.ndarray) -> Expansion:
+    y, slope = straight(z)
+    value = LOG_Z - 0.5 * np.sum(y**2, axis=1) - 1.5 * np.log(2.0 * np.pi) - np.log(SHARP)
+    return Expansion(value, -np.einsum("mij,mi->mj", slope, y), np.swapaxes(slope, 1, 2) @ slope)
+
+
+def log_density(points: np.ndarray) -> np.ndarray:
+    return expand(points[0]).value[None]
+
+
+def about_the_optimum() -> Mixture:
+    """Laplace's approximation, which lies across the bend."""
+    factor = np.linalg.cholesky(np.linalg.inv(expand(np.zeros((1, 3))).curvature))
+    return Mixture(np.ones((1, 1)), np.zeros((1, 1, 3)), 1.15 * factor[None], 6.0)
+
+
+def refit(mixture: Mixture, points: np.ndarray, log_weight: np.ndarray) -> Mixture:
+    return shrunk_moments(mixture, points, log_weight, least=1e-3, wider=1.15, prior_points=4.0)
+
+
+def test_the_integral_along_a_bent_ridge_is_found_where_refitting_alone_does_not() -> None:
+    found = adaptive_importance(log_density, expand, about_the_optimum(), refit)
+    assert found.log_evidence[0] == pytest.approx(LOG_Z, abs=0.1)
+    assert found.effective_size[0] > 400.0
+    refitted = staged_importance(log_density, about_the_optimum(), 12, (0.125,) * 8, refit)
+    assert abs(refitted.log_evidence[0] - LOG_Z) > 0.2
+
+
+def test_moments_are_those_of_the_ridge() -> None:
+    found = adaptive_importance(log_density, expand, about_the_optimum(), refit)
+    y, _ = straight(found.points[0])
+    np.testing.assert_allclose(found.weight[0] @ y, 0.0, atol=0.2)
+    np.testing.assert_allclose(found.weight[0] @ y**2, 1.0, atol=0.3)
+
+
+def test_it_ends_as_soon_as_the_points_are_enough() -> None:
+    factor = np.linalg.cholesky(np.linalg.inv(expand(np.zeros((1, 3))).curvature))
+    gaussian = expand(np.zeros((1, 3)))
+
+    def value(points: np.ndarray) -> np.ndarray:
+        squared = np.einsum("mpi,ij,mpj->mp", points, gaussian.curvature[0], points)
+        return np.asarray(gaussian.value[0] - 0.5 * squared)
+
+    def of_gaussian(z: np.ndarray) -> Expansion:
+        curvature = np.tile(gaussian.curvature, (len(z), 1, 1))
+        return Expansion(value(z[None])[0], -z @ gaussian.curvature[0], curvature)
+
+    rounds = Rounds(log2_points=8)
+    proposal = Mixture(np.ones((1, 1)), np.zeros((1, 1, 3)), factor[None], 6.0)
+    found = adaptive_importance(value, of_gaussian, proposal, refit, rounds)
+    assert found.points.shape[1] == rounds.least << rounds.log2_points
+    assert found.log_evidence[0] == pytest.approx(LOG_Z, abs=0.02)
+
+
+def test_points_without_density_have_no_evidence() -> None:
+    def nowhere(points: np.ndarray) -> np.ndarray:
+        return np.full(points.shape[:2], -np.inf)
+
+    found = adaptive_importance(nowhere, expand, about_the_optimum(), refit)
+    assert found.log_evidence[0] == -np.inf

@@ -27,10 +27,9 @@ from cpam_bayes.mechanics.convergence import (
 )
 from cpam_bayes.mechanics.dense import discretise_at
 from cpam_bayes.mechanics.modes import solve
-from cpam_bayes.mechanics.problem import AREA, Field, Problem, Values
-from cpam_bayes.mechanics.spaces.ritz import RitzSettings, RitzSpace, ritz_space
+from cpam_bayes.mechanics.problem import Problem, Values
+from cpam_bayes.mechanics.spaces.ritz import RitzSettings, ritz_space
 from cpam_bayes.plate import read_specimen
-from tests.mechanics.test_closed_forms import CONVERGED_HZ
 from tests.plates import ANGLE_PLY_16S, CARBON, CROSS_PLY_16S, GLASS, plate
 
 ALUMINIUM = {"E1": 69e9, "nu12": 0.33}
@@ -55,6 +54,13 @@ CASES = {
     "off-axis": Case(lambda: plate(0.3, 0.2, 0.003, 1590.0, CARBON, (20.0,)), 6, 2e-4),
     "clamped": Case(lambda: plate(0.3, 0.2, 0.003, 1590.0, CARBON, CROSS_PLY_16S, "CCCC"), 6, 2e-4),
 }
+# Two bases of an independent program agree to 2e-6 (shear factor 5/6).
+CONVERGED_HZ = {
+    "C1": [100.366, 298.584, 324.574, 360.347, 381.139, 600.611],
+    "A2": [40.9165, 90.673, 240.069, 276.238, 340.704, 566.456],
+    "D1": [1351.155, 3015.301, 3150.239, 4044.149, 4055.798, 6775.498, 8143.114, 8273.099,
+           8849.348, 9154.067],
+}  # fmt: skip
 cases = pytest.mark.parametrize("name", CASES)
 
 
@@ -126,11 +132,6 @@ def unsymmetric() -> ConvergedOperator:
     return converge(plate(0.3, 0.2, 0.003, 1590.0, CARBON, (30.0, -45.0, 90.0)), {}, 6)
 
 
-@pytest.mark.slow
-def test_thin_unsymmetric_plate_is_within_what_is_promised() -> None:
-    np.testing.assert_allclose(frequencies(unsymmetric(), 6), UNSYMMETRIC_HZ, rtol=2e-4)
-
-
 def test_estimate_holds_for_a_thin_unsymmetric_plate() -> None:
     error = frequencies(unsymmetric(), 6) / UNSYMMETRIC_HZ - 1.0
     assert np.all(error <= unsymmetric().error + DIGITS)
@@ -174,78 +175,7 @@ def test_thickness_decides_the_tolerance() -> None:
     assert THICK.kept + THICK.rich < 5e-4
 
 
-def test_rich_frequencies_are_those_that_the_estimate_refers_to() -> None:
-    case = CASES["C1"]
-    rich = rich_frequencies(case.problem(), {}, case.n_modes)
-    error = rich.frequencies / richer(case.problem(), case.n_modes) - 1.0
-    assert rich.frequencies.shape == rich.error.shape == (1, 6)
-    assert np.all(error <= rich.error + DIGITS)
-    assert np.max(error) < THIN.rich
-
-
-# Rigid-body motions and many modes
-
-
-def residual_of_motion(space: RitzSpace, field: Field, motion: Callable[[np.ndarray], np.ndarray]) -> float:
-    """How far a field is from a motion (n, 2) -> (n,), at the quadrature points."""
-    rule = space.quadrature(AREA)
-    values = space.evaluate(field, rule, "")
-    wanted = motion(rule.points)
-    found = values @ np.linalg.lstsq(values, wanted, rcond=None)[0]
-    return float(np.abs(found - wanted).max())
-
-
-def one(points: np.ndarray) -> np.ndarray:
-    return np.ones(len(points))
-
-
-def along_x(points: np.ndarray) -> np.ndarray:
-    return np.asarray(points[:, 0])
-
-
-def along_y(points: np.ndarray) -> np.ndarray:
-    return np.asarray(points[:, 1])
-
-
-@pytest.mark.parametrize("name", ["C1", "D1", "angle-ply"])
-def test_trimmed_space_of_a_free_plate_moves_as_a_rigid_body(name: str) -> None:
-    space = converged(name).operator.space
-    motions: list[tuple[Field, Callable[[np.ndarray], np.ndarray]]] = [
-        ("u", one),
-        ("u", along_y),
-        ("v", one),
-        ("v", along_x),
-        ("w", one),
-        ("w", along_x),
-        ("w", along_y),
-        ("phi_x", one),
-        ("phi_y", one),
-    ]
-    for field, motion in motions:
-        assert residual_of_motion(space, field, motion) < 1e-10
-
-
-def test_trimmed_space_of_a_hinged_plate_turns_about_its_hinge() -> None:
-    found = converge(plate(0.26, 0.26, 0.0032, 1590.0, CARBON, CROSS_PLY_16S, "SFFF"), {}, 6)
-    motions: list[tuple[Field, Callable[[np.ndarray], np.ndarray]]] = [
-        ("u", one),
-        ("u", along_y),
-        ("v", along_x),
-        ("w", along_x),
-        ("phi_x", one),
-    ]
-    for field, motion in motions:
-        assert residual_of_motion(found.operator.space, field, motion) < 1e-10
-    spectrum = solve(found.operator, *found.operator.coefficients({}), 6)
-    assert spectrum.rigid.shape == (1, 3)
-    assert np.abs(spectrum.rigid).max() < 1e-6 * spectrum.eigenvalues[0, 0]
-
-
-def test_trimming_leaves_functions_out_and_never_raises_the_error_above_tolerance() -> None:
-    found = converged("C1")
-    assert 0.3 < found.keep.mean() < 1.0
-    assert sum(b.size for b in found.operator.blocks) == found.keep.sum()
-    assert sum(s.size for s in found.operator.space.sectors) == found.keep.sum()
+# Many modes
 
 
 @pytest.mark.slow
@@ -318,21 +248,14 @@ def at_corner_of_the_box(model: PlateModel) -> np.ndarray:
     return np.where(high, parameters.upper, parameters.lower)
 
 
-def test_discretisation_error_far_from_the_centre_is_near_the_true_one() -> None:
+def test_discretisation_error_far_from_the_centre_is_near_the_true_one_and_bounds_it() -> None:
     model = c1()
     x = at_corner_of_the_box(model)
     estimate = discretisation_error(model, x)
     exact = richer(model.operator.problem, 6, model.parameters.mapping(x[None]))
     error = (model.predict(x).frequencies / exact - 1.0)[0]
     np.testing.assert_allclose(estimate, error, rtol=0.1, atol=THIN.rich)
-
-
-def test_discretisation_error_far_from_the_centre_bounds_the_true_one() -> None:
-    model = c1()
-    x = at_corner_of_the_box(model)
-    exact = richer(model.operator.problem, 6, model.parameters.mapping(x[None]))
-    error = (model.predict(x).frequencies / exact - 1.0)[0]
-    assert np.all(error <= discretisation_error(model, x) + DIGITS)
+    assert np.all(error <= estimate + DIGITS)
 
 
 def test_convergence_is_the_same_on_every_run() -> None:

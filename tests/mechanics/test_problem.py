@@ -13,11 +13,7 @@ from cpam_bayes.mechanics.affine import DenseOperator
 from cpam_bayes.mechanics.dense import MATRICES, discretise
 from cpam_bayes.mechanics.problem import (
     AREA,
-    FIELDS,
-    LAMINATE_FORMS,
-    MASS_FORMS,
     Derivative,
-    Field,
     PlateState,
     Problem,
     Region,
@@ -25,6 +21,7 @@ from cpam_bayes.mechanics.problem import (
     rigid_body_count,
 )
 from cpam_bayes.mechanics.spaces.ritz import RitzSettings, RitzSpace, ritz_space
+from cpam_bayes.plate.edges import FIELDS, Field
 from tests.plates import CARBON, plate
 
 GENERAL = (30.0, -60.0, 10.0)  # every entry of A, B, D and A_s is there
@@ -110,22 +107,6 @@ def test_rigid_body_count_is_the_null_space_of_the_stiffness(edges: str) -> None
     assert lam[n] > 1e-7 * lam[-1]
 
 
-@pytest.mark.parametrize(
-    ("edges", "count"),
-    [
-        ("FFFF", 6),
-        ("SFFF", 3),  # a hinge along x = 0: the turn about it, the shift across it, the turn in the plane
-        ("FSFF", 3),
-        ("SFSF", 1),  # opposite hinges: the shift across both
-        ("SSFF", 1),  # hinges that meet: the turn in the plane about their corner
-        ("SSSF", 0),
-        ("CFFF", 0),
-    ],
-)
-def test_rigid_body_counts_are_those_of_statics(edges: str, count: int) -> None:
-    assert rigid_body_count(edges) == count
-
-
 def test_wrong_edges_are_refused_with_what_is_accepted() -> None:
     for edges in ("FFF", "FFFFF", "FFFX", "", "ffff"):
         with pytest.raises(ValueError, match="expected four of F, S, C") as caught:
@@ -173,55 +154,7 @@ def test_affine_sum_is_the_quadrature_of_strain_and_kinetic_energy(
     np.testing.assert_allclose(m, expected_m, rtol=0, atol=1e-12 * np.abs(expected_m).max())
 
 
-@pytest.mark.parametrize("edges", ["FFFF", "CSFS"])
-def test_every_form_is_symmetric_and_the_mass_is_definite(edges: str) -> None:
-    problem = add_known_mass(thick(edges), 0.01, 0.27, 0.16)
-    space = ritz_space(edges, problem.nominal, RitzSettings(6, 5, 1, True))
-    for block in discretise(problem, space, {}).blocks:
-        for matrix in (*block.stiffness.stack, *block.mass.stack):
-            np.testing.assert_allclose(matrix, matrix.T, rtol=0, atol=1e-13 * np.abs(matrix).max())
-        for matrix in block.mass.stack:
-            assert np.linalg.eigvalsh(matrix)[0] > -1e-13 * np.abs(matrix).max()
-        mass = block.mass.assemble(problem.coefficients({}, "mass"))
-        assert np.linalg.eigvalsh(mass)[0] > 0
-
-
-def test_strain_energy_has_every_pair_of_strains_once() -> None:
-    pairs = [frozenset((f.left, f.right)) for f in LAMINATE_FORMS]
-    assert len(set(pairs)) == len(pairs)
-    # 8 atoms of extension and bending, 4 of transverse shear, which couple among themselves only
-    assert len(pairs) == 8 * 9 // 2 + 4 * 5 // 2
-    assert [f.left.field for f in MASS_FORMS] == list(FIELDS)
-
-
 # Coefficients
-
-
-def test_coefficients_are_linear_in_the_moduli_and_in_the_density() -> None:
-    soft = thick()
-    hard = plate(0.3, 0.2, 0.03, 4800.0, {k: v * (1 if k == "nu12" else 2) for k, v in PLY.items()}, GENERAL)
-    stiffness = soft.coefficients({}, "stiffness")
-    np.testing.assert_allclose(hard.coefficients({}, "stiffness"), 2 * stiffness, rtol=1e-12)
-    np.testing.assert_allclose(hard.coefficients({}, "mass"), 3 * soft.coefficients({}, "mass"), rtol=1e-14)
-
-
-def test_coefficients_of_a_plate_twice_as_large_follow_its_dimensions() -> None:
-    # with lengths doubled K grows as E L for displacements, E L^2 between them and rotations, E L^3
-    # for rotations; M as rho L^3 and rho L^5
-    small, large = thick(), plate(0.6, 0.4, 0.06, 1600.0, PLY, GENERAL)
-    turning = [sum(a.field.startswith("phi") for a in (f.left, f.right)) for f in LAMINATE_FORMS]
-    expected = small.coefficients({}, "stiffness") * 2.0 ** (1 + np.array(turning))
-    np.testing.assert_allclose(
-        large.coefficients({}, "stiffness"), expected, rtol=1e-12, atol=1e-12 * expected.max()
-    )
-    ratio = large.coefficients({}, "mass") / small.coefficients({}, "mass")
-    np.testing.assert_allclose(ratio, [8, 8, 8, 32, 32], rtol=1e-13)
-
-
-def test_mass_coefficients_are_mass_and_rotary_inertia_of_the_plate() -> None:
-    total = 0.3 * 0.2 * 0.03 * 1600.0
-    rotary = total * 0.03**2 / 12
-    np.testing.assert_allclose(thick().coefficients({}, "mass"), [total] * 3 + [rotary] * 2, rtol=1e-14)
 
 
 def test_coefficients_of_a_stack_of_states_are_those_of_each() -> None:
@@ -240,11 +173,3 @@ def test_coefficients_of_a_stack_of_states_are_those_of_each() -> None:
             expected = one.coefficients({}, kind)
             assert found.shape == (3, len(one.forms(kind)))
             np.testing.assert_allclose(found[i], expected, rtol=1e-13)
-
-
-def test_every_term_of_a_problem_brings_as_many_coefficients_as_forms() -> None:
-    problem = add_known_mass(thick(), 0.01, 0.1, 0.1)
-    assert [t.name for t in problem.terms] == ["laminate", "inertia", "known_mass"]
-    for kind in MATRICES:
-        forms = problem.forms(kind)
-        assert problem.coefficients({}, kind).shape == (len(forms),)

@@ -1,15 +1,18 @@
-"""Names of executors, and what is said of those that cannot be had."""
+"""Where work is done, and what all items share."""
 
 from __future__ import annotations
 
 import argparse
 import sys
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
+import numpy as np
 import pytest
 
-from cpam_bayes.commands.options import add_executor_options
+from cpam_bayes.command import add_executor_options
 from cpam_bayes.parallel import executors, open_executor, read_spec
+from cpam_bayes.parallel.executors import copied, read_shared, write_shared
 
 
 @pytest.mark.parametrize("spec", ["processes", "serial", "dask://10.0.0.7:8786", "dask://[::1]:8786"])
@@ -78,15 +81,6 @@ def test_the_number_of_workers_is_what_the_executor_says() -> None:
         assert executors.workers_of(pool) == 2
 
 
-def test_the_options_of_the_command_line_are_read() -> None:
-    parser = argparse.ArgumentParser()
-    add_executor_options(parser)
-    args = parser.parse_args(["--executor", "dask://host:8786", "--workers", "3"])
-    assert (args.executor, args.workers) == ("dask://host:8786", 3)
-    args = parser.parse_args([])
-    assert (args.executor, args.workers) == (None, None)
-
-
 @pytest.mark.parametrize(
     ("options", "message"),
     [
@@ -104,3 +98,55 @@ def test_wrong_options_are_refused(
         parser.parse_args(options)
     assert left.value.code == 2
     assert message in capsys.readouterr().err
+
+
+LARGE = np.arange(1 << 19, dtype=float).reshape(-1, 64)
+SMALL = np.arange(3)
+
+
+def written(value: object, path: Path) -> Path:
+    with path.open("wb") as file:
+        write_shared(value, file)
+    return path
+
+
+@pytest.mark.parametrize(
+    "array", [LARGE, LARGE.T, LARGE[:, ::2], LARGE.astype(np.int32), SMALL, np.empty((0, 4))]
+)
+def test_arrays_of_any_order_size_and_type_come_back(array: np.ndarray, tmp_path: Path) -> None:
+    found = read_shared(written({"name": [array, SMALL, array + 1]}, tmp_path / "shared"))
+    for one, expected in zip(found["name"], (array, SMALL, array + 1), strict=True):
+        assert one.dtype == expected.dtype
+        np.testing.assert_array_equal(one, expected)
+
+
+def test_an_object_without_arrays_comes_back(tmp_path: Path) -> None:
+    assert read_shared(written({"a": (1, "b")}, tmp_path / "shared")) == {"a": (1, "b")}
+
+
+def test_the_arrays_outlive_the_name_of_the_file(tmp_path: Path) -> None:
+    path = written(LARGE, tmp_path / "shared")
+    found = read_shared(path)
+    path.unlink()
+    np.testing.assert_array_equal(found, LARGE)
+
+
+def test_who_writes_into_a_shared_array_has_a_copy(tmp_path: Path) -> None:
+    path = written(LARGE, tmp_path / "shared")
+    one, other = read_shared(path), read_shared(path)
+    one[0] = -1.0
+    np.testing.assert_array_equal(other, LARGE)
+    np.testing.assert_array_equal(read_shared(path), LARGE)
+
+
+def test_a_copy_in_this_process_shares_nothing() -> None:
+    small, large = copied((SMALL, LARGE))
+    assert not np.shares_memory(large, LARGE)
+    assert not np.shares_memory(small, SMALL)
+    large[0] = -1.0
+    np.testing.assert_array_equal(LARGE[0], np.arange(64.0))
+
+
+def test_the_pickle_beside_a_large_array_is_small(tmp_path: Path) -> None:
+    path = written((LARGE, LARGE), tmp_path / "shared")
+    assert path.stat().st_size < LARGE.nbytes + 1000, "the same array twice is written once"

@@ -20,7 +20,7 @@ import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from cpam_bayes.parallel import WorkersLostError, observed, open_executor, run
-from cpam_bayes.parallel.worker import Ticket, work_through
+from cpam_bayes.parallel.executors import Ticket, work_through
 from tests.parallel import work
 
 MATRIX = np.random.default_rng(0).normal(size=(30, 40))

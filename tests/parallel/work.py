@@ -15,7 +15,7 @@ import numpy as np
 from threadpoolctl import threadpool_info
 
 from cpam_bayes.inference.posterior import Posterior
-from cpam_bayes.parallel import worker
+from cpam_bayes.parallel import executors as worker
 
 
 def append(path: str, text: str) -> None:

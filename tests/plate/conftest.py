@@ -1,4 +1,4 @@
-"""A plate file with every key, and ways to spoil it."""
+"""A plate file with every key."""
 
 import pytest
 
@@ -66,15 +66,3 @@ complete = false
 @pytest.fixture
 def full_text():
     return FULL
-
-
-@pytest.fixture
-def plate_file(tmp_path):
-    """Write a plate file and return its path."""
-
-    def write(text):
-        path = tmp_path / "plate.toml"
-        path.write_text(text, encoding="utf-8")
-        return str(path)
-
-    return write

@@ -37,9 +37,8 @@ def test_each_material_meets_its_own_constraints() -> None:
     assert allowed.tolist() == [True, False]
     margins = material.margins({"glass.nu12": np.array([0.2, 0.6, 0.7])})
     assert margins.shape == (3, len(material.constraints))
-    broken = [text for text, m in zip(material.constraints, margins[1], strict=True) if m <= 0.0]
-    assert broken[0].endswith("of glass")
-    assert len(broken) == len([text for text in broken if "glass" in text])
+    broken = [c.of for c, m in zip(material.constraints, margins[1], strict=True) if m <= 0.0]
+    assert set(broken) == {"glass"}
 
 
 def test_the_plies_give_mass_and_heights() -> None:
@@ -47,7 +46,6 @@ def test_the_plies_give_mass_and_heights() -> None:
     # 6 plies of carbon of 0.25 mm, 4 of glass of 0.375 mm
     assert_allclose(plate.density, (1590.0 * 1.5 + 1900.0 * 1.5) / 3.0, rtol=1e-12)
     stack = plate.layup.plies
-    assert stack is not None
     assert_allclose(
         3.0 * np.diff(stack.interfaces), [0.25] * 2 + [0.375] * 2 + [0.25] * 2 + [0.375] * 2 + [0.25] * 2
     )
@@ -60,8 +58,6 @@ def test_a_weighed_plate_has_its_mass_in_the_proportion_of_the_densities() -> No
     plate = cb.read_plate(hybrid(mass_g=330.0)).plate
     assert_allclose(plate.density, 0.33 / (0.3 * 0.2 * 0.003), rtol=1e-12)
     stack, given = plate.layup.plies, cb.read_plate(HYBRID).plate.layup.plies
-    assert stack is not None
-    assert given is not None
     assert_allclose(stack.density, given.density)
 
 
@@ -71,7 +67,6 @@ def test_one_density_of_the_plate_is_one_density_of_all_plies() -> None:
         k: {n: v for n, v in m.items() if n != "density_kg_m3"} for k, m in file["material"].items()
     }
     stack = cb.read_plate(file).plate.layup.plies
-    assert stack is not None
     assert_allclose(stack.mass_moments, (0.0, 1.0), atol=1e-15)
 
 
@@ -81,7 +76,6 @@ def test_plies_of_one_material_may_differ_in_thickness() -> None:
     file["material"] = {k: v for k, v in file["material"]["carbon"].items() if k != "density_kg_m3"}
     plate = cb.read_plate(file)
     assert plate.material.constants["E1"] == 121.2e9
-    assert plate.plate.layup.plies is not None
     assert_allclose(plate.plate.layup.plies.interfaces, [-0.5, -0.1, 0.0, 0.1, 0.5])
 
 
@@ -145,7 +139,6 @@ SPOILT = {
         "ply item 1.material: no table [material.karbon], accepted: carbon glass",
     ),
     "ply without material": (lambda f: f["ply"][0].pop("material"), "ply item 1.material: missing"),
-    "digit": (lambda f: f["ply"][0].update(name="c1"), "ply item 1.name: malformed"),
     "no thickness": (lambda f: f["ply"][0].pop("thickness_mm"), "ply item 1.thickness_mm: missing"),
     "unused": (
         lambda f: f["material"].update(steel=GLASS),
@@ -159,23 +152,9 @@ SPOILT = {
         lambda f: f.update(unknowns={"E1_GPa": [80.0, 180.0]}),
         'unknowns.E1_GPa: of no material, received "E1_GPa", accepted: tables [unknowns.NAME]',
     ),
-    "bounds": (lambda f: f["unknowns"]["glass"].update(E1_GPa=[60.0, 20.0]), "unknowns.glass.E1_GPa: bounds"),
-    "prior": (lambda f: f["unknowns"]["glass"].update(E1_GPa=3.0), "unknowns.glass.E1_GPa: not a prior"),
-    "unknown constant": (
-        lambda f: f["unknowns"]["glass"].update(E3_GPa=[1.0, 2.0]),
-        "unknowns.glass.E3_GPa: unknown key, the nearest known key is E",
-    ),
-    "key of a material": (
-        lambda f: f["material"]["glass"].update(E3_GPa=2.0),
-        "material.glass.E3_GPa: unknown key, the nearest known key is E",
-    ),
     "impossible": (
         lambda f: f["material"]["glass"].update(E1_GPa=1.0),
         "material.glass.E1_GPa: impossible constants",
-    ),
-    "missing constant": (
-        lambda f: f["material"]["glass"].pop("G12_GPa"),
-        "material.glass.G12_GPa: missing",
     ),
     "sd": (
         lambda f: f["material"]["glass"].update(sd={"G23_GPa": 0.1}),

@@ -12,21 +12,10 @@ import pytest
 import cpam_bayes as cb
 from cpam_bayes.errors import PlateFileError
 from cpam_bayes.plate import Measurement
+from tests.plate_file import BAR
 from tests.universal import block, grid, mode_55, nodes_15, nodes_2411, units_164
 
-PLATE = """name = "bar"
-[plate]
-length_mm = 200
-width_mm = 100
-thickness_mm = 3
-density_kg_m3 = 2700
-edges = "FFFF"
-[material]
-isotropic = true
-E1_GPa = 69
-nu12 = 0.33
-[measurement]
-"""
+PLATE = f"{BAR}[measurement]\n"
 MM = grid(200.0, 100.0)
 SHAPE = np.stack((0.0 * MM[:, 0], 0.0 * MM[:, 0], (MM[:, 0] - 100.0) * (MM[:, 1] - 50.0)))
 OTHER = np.stack((0.0 * MM[:, 0], 0.0 * MM[:, 0], np.cos(2.0 * np.pi * MM[:, 0] / 200.0)))

@@ -11,26 +11,16 @@ import pytest
 from scipy.stats import t
 
 import cpam_bayes as cb
+from cpam_bayes.answer import as_written
 from cpam_bayes.errors import PlateFileError
 from cpam_bayes.plate import Measurement
-from cpam_bayes.plate.modes_table.hits import small_sample_factor
-from cpam_bayes.report.documents import plate_keys
-from cpam_bayes.report.plates.head import measured_facts
-from cpam_bayes.report.tables import Table
+from cpam_bayes.plate.modes_table import small_sample_factor
+from cpam_bayes.render.documents import plate_keys
+from cpam_bayes.render.plate import measured_facts
+from cpam_bayes.render.report import Table
+from tests.plate_file import BAR
 
-PLATE = """name = "bar"
-[plate]
-length_mm = 200
-width_mm = 100
-thickness_mm = 3
-density_kg_m3 = 2700
-edges = "FFFF"
-[material]
-isotropic = true
-E1_GPa = 69
-nu12 = 0.33
-[measurement]
-"""
+PLATE = f"{BAR}[measurement]\n"
 LINE = 1 + PLATE.count("\n")
 
 TABLE = """mode,hz,damping
@@ -96,7 +86,7 @@ def test_identical_hits_with_nothing_stated_are_told_of(read) -> None:
     assert plate.measurement.frequency_sd == pytest.approx(0.1 / np.sqrt(12.0))
     (remark,) = plate.measurement.remarks
     assert remark.startswith("modes.csv: the hits of each mode are equal to the last digit")
-    assert remark in cb.forward(plate).warnings
+    assert as_written([remark])[0] in cb.forward(plate).notices
     assert read(EQUAL_HITS.replace("1,2,101.5", "1,2,101.6")).measurement.remarks == ()
 
 
@@ -249,16 +239,12 @@ def test_a_number_that_is_lacking_is_a_gap(measured, refused) -> None:
     [
         ("mode,hz\n1,100\n2,abc\n", 'line 3, column hz: not a number, received "abc"'),
         ("mode;hz\n1;100\n\n2;-5\n", "line 4, column hz: out of range, received -5"),
-        ("mode;hz\n1;0\n", "line 2, column hz: out of range, received 0"),
         ("mode;hz\n1;nan\n", 'line 2, column hz: not a number, received "nan"'),
-        ("mode;hz\n1;1e999\n", "line 2, column hz: out of range"),
         ("mode;hz\n1;1.234,5\n", 'line 2, column hz: not a number, received "1.234,5"'),
         ("mode;hz\n1;100.5\n2;200,5\n", "line 3, column hz: another decimal mark than in line 2"),
         ("mode,hz\n1,100,5\n", "line 2: 3 cells for 2 columns, accepted: one for each head; decimal commas"),
         ("mode,hz,damping\n1,100,0.4\n2,200,1.2\n", "line 3, column damping: out of range, received 1.2"),
-        ("mode,hz,sd\n1,100,0\n", "line 2, column sd: out of range"),
         ("mode,hz,sd\n1,100,0.5\n2,200,\n", "line 3, column sd: missing"),
-        ("mode,hz,weight\n1,100,-1\n", "line 2, column weight: out of range"),
         ("mode,hz,weight\n1,100,0\n", "no frequency with a weight above 0"),
         ("mode,hz,dampng\n1,100,1\n", "line 1, column dampng: unknown head, the nearest is damping"),
         ("mode,hz,frequency\n1,100,100\n", "line 1, column frequency: a second column hz"),
@@ -270,8 +256,6 @@ def test_a_number_that_is_lacking_is_a_gap(measured, refused) -> None:
         ("mode,label,hz\n1,\x1b[31m,100\n", "line 2, column label: not a text that can be shown"),
         ("mode,hz\n", "line 1: no rows below the heads"),
         ("", "no column of frequencies"),
-        ("100\n200\n", "no column of frequencies"),
-        ("mode\n1\n", "no column of frequencies"),
         (b"\x00\x01\x02" * 50, "no column of frequencies"),
         ("hz\n" + "".join(f"{100 + i}\n" for i in range(101)), "too many modes, received 101"),
         ("hz\n" + "1" * 260_000, "too large"),
@@ -342,7 +326,6 @@ def test_a_table_stays_beside_its_plate_file_wherever_it_is_read_from(
     read(TABLE)
     monkeypatch.chdir(tmp_path.parent)
     found = cb.read_plate(Path(tmp_path.name) / "bar.toml").measurement
-    assert found is not None
     assert found.size == 3
 
 
@@ -354,10 +337,10 @@ def test_damping_is_shown_and_in_the_document(read) -> None:
     assert rows["loss factor"] == "0.00900, -"
     assert rows["read from"] == "modes.csv: means of 1 to 2 hits a mode; columns not used: comment"
     assert "of a single hit, from the table" in rows["repeatability"]
-    document = plate_keys(cb.forward(specimen, n_modes=2))
+    document = plate_keys("forward", 0, specimen)
     ratios = [row["damping_ratio"] for row in document["damping"]]
     np.testing.assert_allclose(ratios, [0.0045, np.nan], rtol=1e-12)
-    assert "damping" not in plate_keys(cb.forward("A1", n_modes=2))
+    assert "damping" not in plate_keys("forward", 0, cb.read_plate("A1"))
 
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "panel_hits.toml"
@@ -367,8 +350,6 @@ def test_the_example_of_a_table_is_the_panel_of_the_other_example() -> None:
     found, listed = (
         cb.read_plate(EXAMPLE.with_name(name)).measurement for name in (EXAMPLE.name, "panel.toml")
     )
-    assert found is not None
-    assert listed is not None
     # means of five hits that scatter by 0.2 %, one of them left out
     np.testing.assert_allclose(found.frequencies, listed.frequencies, rtol=2e-3)
     assert found.frequency_sd is not None

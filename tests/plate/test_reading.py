@@ -1,17 +1,30 @@
-"""A good plate file becomes records in SI."""
+"""Plate files are opened, parsed with the line of every key, and converted to SI."""
 
+import os
 import pickle
+import tomllib
 
 import numpy as np
 import pytest
 
+from cpam_bayes.errors import PlateFileError
 from cpam_bayes.parameters import TruncatedNormal, Uniform
-from cpam_bayes.plate import parse_specimen, read_specimen
+from cpam_bayes.plate import (
+    MAX_BYTES,
+    angle_grid,
+    parse_specimen,
+    read_specimen,
+    to_si,
+    to_user,
+    user_name,
+)
+from cpam_bayes.plate.text import line_numbers
+from tests.effort import calls, peak_memory
 
 
 @pytest.fixture
 def specimen(plate_file, full_text):
-    return read_specimen(plate_file(full_text))
+    return read_specimen(plate_file(text=full_text))
 
 
 def test_every_key_arrives_in_si(specimen):
@@ -63,9 +76,9 @@ def test_a_truncated_normal_modulus_is_scaled_in_every_number(full_text):
 
 
 def test_sequence_takes_the_layup_with_unknown_angles(plate_file, full_text):
-    path = plate_file(full_text)
+    path = plate_file(text=full_text)
     assert read_specimen(path).with_unknown_angles().plate.layup.text == "[(?/?/?/?)_4]_s"
-    path = plate_file(full_text.replace('sequence_layup = "[(?/?/?/?)_4]_s"\n', ""))
+    path = plate_file(text=full_text.replace('sequence_layup = "[(?/?/?/?)_4]_s"\n', ""))
     assert read_specimen(path).with_unknown_angles().plate.layup.text == "[(0/90)_8]_s"
 
 
@@ -126,7 +139,7 @@ def test_dotted_keys_and_inline_tables_say_the_same_as_tables(full_text):
 def test_a_mesh_is_found_from_the_plate_file(tmp_path, plate_file, full_text):
     (tmp_path / "plate.msh").write_text("mesh")
     text = full_text.replace("[plate]\n", '[plate]\nmesh = "plate.msh"\n')
-    assert read_specimen(plate_file(text)).plate.mesh == tmp_path / "plate.msh"
+    assert read_specimen(plate_file(text=text)).plate.mesh == tmp_path / "plate.msh"
 
 
 @pytest.mark.parametrize(
@@ -144,7 +157,7 @@ def test_files_written_on_windows_are_read(tmp_path, full_text, encode):
 
 def test_a_link_to_a_plate_file_is_a_plate_file(tmp_path, plate_file, full_text):
     link = tmp_path / "link.toml"
-    link.symlink_to(plate_file(full_text))
+    link.symlink_to(plate_file(text=full_text))
     assert read_specimen(str(link)).name == "plate 7"
 
 
@@ -190,3 +203,237 @@ def test_orthotropic_moduli_come_in_any_order(full_text, constants):
     assert specimen.unknowns["nu12"].prior == Uniform(-1.5, 1.5)
     complete = specimen.material.complete()
     assert complete["G13"] == complete["G23"] == specimen.material.constants["G12"]
+
+
+TEXT = '''# a comment with [brackets] and = signs
+top = """
+[not.a.table]
+no = "key"
+"""
+a.b = 1  # dotted
+"quoted key" = 'it''s' # odd
+[plate] # after
+  length = 3.2
+  "sd".x = 1_000
+  inline = { y = 1, z = [2,
+    3], "w" = { v = 4 } }
+[[sensor]]
+mass = 1
+[[sensor]]
+# nothing
+mass = [
+  1, # one
+  2.5e-3,
+
+  "a, ] b",
+]
+[sensor.place]
+x = 1979-05-27 07:32:00
+[last]
+y = 1
+'''.replace("'it''s'", "'it'")
+
+
+def test_lines_of_tables_keys_and_elements_are_found():
+    tomllib.loads(TEXT)
+    lines = line_numbers(TEXT)
+    expected = {
+        ("top",): 2,
+        ("a", "b"): 6,
+        ("quoted key",): 7,
+        ("plate",): 8,
+        ("plate", "length"): 9,
+        ("plate", "sd", "x"): 10,
+        ("plate", "inline"): 11,
+        ("plate", "inline", "y"): 11,
+        ("plate", "inline", "z", 0): 11,
+        ("plate", "inline", "z", 1): 12,
+        ("plate", "inline", "w", "v"): 12,
+        ("sensor",): 13,
+        ("sensor", 0, "mass"): 14,
+        ("sensor", 1): 15,
+        ("sensor", 1, "mass"): 17,
+        ("sensor", 1, "mass", 1): 19,
+        ("sensor", 1, "mass", 2): 21,
+        ("sensor", 1, "place"): 23,
+        ("sensor", 1, "place", "x"): 24,
+        ("last", "y"): 26,
+    }
+    assert {path: lines.get(path) for path in expected} == expected
+    assert ("not",) not in lines
+    assert ("no",) not in lines
+
+
+class Counted(str):
+    """A text that counts how many of its characters were searched for line ends."""
+
+    searched = 0
+
+    def count(self, part, start=0, end=None):
+        self.searched += (len(self) if end is None else end) - start
+        return super().count(part, start, end)
+
+
+def test_a_large_file_is_scanned_in_linear_time():
+    def effort(elements):
+        text = Counted("x = [\n" + "1.0, # one\n" * elements + "]\n")
+        with calls() as made:
+            assert line_numbers(text)[("x", elements - 1)] == elements + 1
+        assert text.searched <= len(text)
+        return made()
+
+    once, twice = effort(1000), effort(2000)
+    assert twice == pytest.approx(2 * once, rel=0.05)
+    text = "x = [\n" + "1.0, # one\n" * 60_000 + "]\n"
+    assert line_numbers(text)[("x", 59_999)] == 60_001
+
+
+def refused(path):
+    with peak_memory() as peak, pytest.raises(PlateFileError) as caught:
+        read_specimen(str(path))
+    assert peak() < 2 * MAX_BYTES  # the buffer of one file of that size, and little more
+    (problem,) = caught.value.problems
+    return problem
+
+
+def test_a_missing_file_is_refused(tmp_path):
+    assert "neither a file nor a built-in" in refused(tmp_path / "none.toml")
+    assert "neither a file nor a built-in" in refused("")
+
+
+@pytest.mark.parametrize(("name", "nearest"), [("C5", "C4"), ("c1", "C1"), ("d&g", "D&G")])
+def test_a_name_that_is_nearly_built_in_is_answered_with_the_nearest(name, nearest):
+    assert nearest in refused(name)
+
+
+def test_a_name_like_no_other_is_answered_with_the_list():
+    assert "D&G A1 A2 B1" in refused("specimen")
+
+
+def test_a_directory_is_refused(tmp_path):
+    assert "a directory" in refused(tmp_path)
+
+
+def test_a_binary_file_is_refused(tmp_path):
+    path = tmp_path / "plate.toml"
+    path.write_bytes(bytes(range(256)) * 10)
+    assert "binary" in refused(path)
+
+
+def test_text_that_is_not_utf_8_is_refused_with_its_line(tmp_path):
+    path = tmp_path / "plate.toml"
+    path.write_bytes(b"a = 1\nname = '\xe9'\n")
+    problem = refused(path)
+    assert problem.startswith(f"{path}:2: file: not UTF-8")
+    assert "0xe9" in problem
+
+
+def test_an_empty_file_says_what_is_missing(tmp_path):
+    path = tmp_path / "plate.toml"
+    path.write_bytes(b"")
+    with pytest.raises(PlateFileError) as caught:
+        read_specimen(str(path))
+    assert [problem.split(": ")[1] for problem in caught.value.problems] == [
+        "name",
+        "plate",
+        "material",
+    ]
+
+
+def test_a_file_of_a_gigabyte_is_refused_unread(tmp_path):
+    path = tmp_path / "plate.toml"
+    with open(path, "wb") as file:
+        file.truncate(10**9)
+    assert f"received 1000000000 bytes, accepted: up to {MAX_BYTES}" in refused(path)
+
+
+def test_a_large_file_of_too_many_frequencies_is_refused_with_one_message(tmp_path, full_text):
+    path = tmp_path / "plate.toml"
+    numbers = ", ".join(str(i + 1) for i in range(30_000))
+    path.write_text(full_text.replace("102, 311, 342, 342, 390, 612.5", numbers))
+    assert path.stat().st_size < MAX_BYTES
+    with pytest.raises(PlateFileError) as refusal:
+        read_specimen(str(path))
+    (said,) = refusal.value.problems
+    assert said.endswith("too many, received 30000, accepted: a list of 1 to 100 frequencies, ascending")
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no named pipes")
+def test_a_named_pipe_is_refused_without_waiting_for_a_writer(tmp_path):
+    path = tmp_path / "pipe"
+    os.mkfifo(path)
+    assert "pipe or device" in refused(path)
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/zero"), reason="this system has no /dev/zero")
+def test_a_device_is_refused():
+    assert "pipe or device" in refused("/dev/zero")
+
+
+def test_a_circle_of_links_is_refused(tmp_path):
+    (tmp_path / "a").symlink_to(tmp_path / "b")
+    (tmp_path / "b").symlink_to(tmp_path / "a")
+    assert "cannot be read" in refused(tmp_path / "a")
+
+
+@pytest.mark.parametrize("name", ["plate\0.toml", "x" * 5000, "\x1b[31m.toml"])
+def test_impossible_paths_are_refused_printably(name):
+    problem = refused(name)
+    assert "\0" not in problem
+    assert "\x1b" not in problem
+
+
+def test_a_file_that_may_not_be_read_is_refused(monkeypatch, tmp_path):
+    def forbidden(*_):
+        raise PermissionError(13, "Permission denied")
+
+    path = tmp_path / "plate.toml"
+    path.write_text("name = 'x'")
+    # not by chmod: root, who runs some CI, may read everything
+    monkeypatch.setattr(os, "open", forbidden)
+    assert "cannot be read: Permission denied" in refused(path)
+
+
+@pytest.mark.parametrize(
+    ("user", "value", "name", "si"),
+    [
+        ("E1_GPa", 121.2, "E1", 121.2e9),
+        ("nu12", 0.23, "nu12", 0.23),
+        ("length_mm", 3.2, "length", 0.0032),
+        ("mass_g", 1.2, "mass", 0.0012),
+        ("density_kg_m3", 1590.0, "density", 1590.0),
+    ],
+)
+def test_numbers_are_scaled_without_rounding_twice(user, value, name, si):
+    assert to_si(user, value) == si
+    assert user_name(name) == user
+    assert to_user(name, si) == value
+
+
+@pytest.mark.parametrize("act", [lambda: to_si("E1", 1.0), lambda: to_user("E1_GPa", 1.0)])
+def test_unknown_names_are_refused(act):
+    with pytest.raises(ValueError, match="accepted"):
+        act()
+
+
+def test_the_angle_grid_is_that_of_eq_10():
+    grid = angle_grid(5.0)
+    assert grid.size == 36
+    assert grid[0] == -85.0
+    assert grid[-1] == 90.0
+    assert 0.0 in grid
+    assert np.array_equal(np.diff(grid), np.full(35, 5.0))
+
+
+@pytest.mark.parametrize("step", [0.1, 0.3, 22.5, 36.0, 180.0])
+def test_every_angle_grid_ends_at_90_and_omits_minus_90(step):
+    grid = angle_grid(step)
+    assert grid[-1] == 90.0
+    assert grid[0] > -90.0
+    assert grid.size == round(180.0 / step)
+
+
+@pytest.mark.parametrize("step", [7.0, 0.0, -5.0, 1e-9, 200.0, float("nan"), float("inf")])
+def test_steps_that_do_not_divide_180_are_refused(step):
+    with pytest.raises(ValueError, match="accepted"):
+        angle_grid(step)

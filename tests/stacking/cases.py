@@ -1,15 +1,21 @@
-"""A small plate with two unknown angles, all its sequences and the mixture over them, computed once."""
+"""Plates with unknown plies: one with all its sequences and the mixture over them, computed once."""
+
+from __future__ import annotations
 
 from dataclasses import replace
 
 import numpy as np
 
-from cpam_bayes.forward_model.model import angle_parameters, reference_vector
+from cpam_bayes.forward_model.model import angle_parameters, plate_problem, reference_vector
 from cpam_bayes.forward_model.store import reduced_model
+from cpam_bayes.identification.angle_search import search_parameters
+from cpam_bayes.mechanics.dense import discretise_at
+from cpam_bayes.mechanics.modes import solve
+from cpam_bayes.mechanics.spaces.ritz import RitzSettings, ritz_space
 from cpam_bayes.plate import Measurement, Specimen, builtin
 from cpam_bayes.plate.layup import parse_layup
-from cpam_bayes.stacking.mixture import StackingMixture, sample_mixture
-from cpam_bayes.stacking.posterior import stacking_posterior
+from cpam_bayes.plate.records import Sensor
+from cpam_bayes.stacking.posterior import StackingMixture, sample_mixture, stacking_posterior
 from cpam_bayes.stacking.records import StackingPosterior, StackingSettings
 from tests.shared import once_a_run
 
@@ -18,20 +24,29 @@ STEP = 30.0
 FREQUENCIES = 6
 
 
-def specimen_with(frequencies: np.ndarray, layup: str, step: float) -> Specimen:
+def specimen_with(
+    frequencies: np.ndarray, layup: str, step: float, relative_std: float | None = 0.01
+) -> Specimen:
     own = builtin("C1")
     plate = replace(own.plate, layup=parse_layup(layup), width=0.19)
-    measurement = Measurement(frequencies, 0.0, 0.01, None, ("",) * len(frequencies), True)
+    measurement = Measurement(frequencies, 0.0, relative_std, None, ("",) * len(frequencies), True)
     return replace(own, plate=plate, measurement=measurement, angle_grid_deg=step)
 
 
 @once_a_run
-def specimen(layup: str = "[?/?]_s", step: float = STEP) -> Specimen:
-    """A thin rectangular plate with the noise-free list of one sequence, 1 % noise being stated."""
-    own = specimen_with(np.arange(1.0, FREQUENCIES + 1.0), layup, step)
+def listed(
+    layup: str, step: float, angles: tuple[float, ...] = TRUE, relative_std: float | None = 0.01
+) -> Specimen:
+    """A thin rectangular plate with the noise-free list of one sequence, and a stated noise."""
+    own = specimen_with(np.arange(1.0, FREQUENCIES + 1.0), layup, step, relative_std)
     model = reduced_model(own, angle_parameters(own).union(own.unknowns), FREQUENCIES)
-    x = np.concatenate((TRUE, reference_vector(own, own.unknowns)))
-    return specimen_with(model.predict(x[None]).frequencies[0], layup, step)
+    x = np.concatenate((angles, reference_vector(own, own.unknowns)))
+    return specimen_with(model.full.predict(x).frequencies[0], layup, step, relative_std)
+
+
+def specimen() -> Specimen:
+    """Two unknown angles on a coarse grid."""
+    return listed("[?/?]_s", STEP)
 
 
 @once_a_run
@@ -48,3 +63,35 @@ def mixture() -> StackingMixture:
 def shortened(n: int) -> StackingPosterior:
     """The answer with a list of its first n classes only."""
     return answer().listing(np.arange(n))
+
+
+SIDE = 0.2
+N_MODES = 8
+# Polynomials alone, as many along x as along y: a space that has every symmetry of the square.
+BASIS = RitzSettings(6, 6, layers=0)
+
+
+def unknown_plate(
+    layup: str, edges: str = "FFFF", width: float = SIDE, sensors: tuple[Sensor, ...] = (), step: float = 15.0
+) -> Specimen:
+    """A plate of SIDE by ``width`` m, 10 mm thick, of C1's material."""
+    specimen = builtin("C1")
+    plate = replace(
+        specimen.plate, length=SIDE, width=width, thickness=0.01, layup=parse_layup(layup), edges=edges
+    )
+    return replace(specimen, plate=plate, sensors=sensors, angle_grid_deg=step)
+
+
+def frequencies(specimen: Specimen, angles_deg: np.ndarray) -> np.ndarray:
+    """Frequencies of the full model for each row of angles (m, n_unknown), (m, N_MODES) Hz."""
+    parameters = search_parameters(specimen)
+    constants = reference_vector(specimen, specimen.unknowns)
+    x = np.hstack((np.tile(constants, (len(angles_deg), 1)), angles_deg))
+    problem = plate_problem(specimen, parameters)
+    found = []
+    for row in x:  # one at a time: the symmetries of each laminate are its own
+        values = parameters.mapping(row[None])
+        space = ritz_space(problem.edges, problem.nominal, BASIS)
+        operator = discretise_at(problem, space, values)
+        found.append(solve(operator, np.eye(1), np.eye(1), N_MODES).frequencies[0])
+    return np.array(found)

@@ -10,10 +10,9 @@ from cpam_bayes.forward_model.model import converged_model, reference_vector
 from cpam_bayes.plate import Specimen, builtin
 from cpam_bayes.plate.layup import parse_layup
 from cpam_bayes.plate.records import angle_grid
-from cpam_bayes.stacking.features import ply_sums
 from cpam_bayes.stacking.posterior import stacking_posterior
-from cpam_bayes.stacking.records import StackingPosterior, StackingSettings
-from cpam_bayes.stacking.symmetry.equal_bending import equal_bending
+from cpam_bayes.stacking.records import StackingPosterior, StackingSettings, equal_bending
+from cpam_bayes.stacking.symmetry import ply_sums
 
 # 6^3 - 5^3 + 2^3 - 1^3 = 5^3 - 3^3: the first and the fifth ply weigh as much as the second and the third.
 LAYUP = "[?/?/?/0/?/0]_s"
@@ -44,7 +43,7 @@ def answer(thickness: float) -> StackingPosterior:
     return stacking_posterior(specimen(thickness=thickness), 0, settings=settings)
 
 
-@pytest.mark.parametrize(("layup", "step"), [("[?/?/?/?/?/?]_s", 30.0), (LAYUP, 15.0), ("[?/?]_s", 15.0)])
+@pytest.mark.parametrize(("layup", "step"), [(LAYUP, 15.0), ("[?/?]_s", 15.0)])
 def test_what_is_found_is_what_a_look_at_all_finds(layup: str, step: float) -> None:
     grid = angle_grid(step)
     sums = ply_sums(parse_layup(layup), grid)
@@ -54,7 +53,7 @@ def test_what_is_found_is_what_a_look_at_all_finds(layup: str, step: float) -> N
     rng = np.random.default_rng(1)
     asked = every[rng.integers(len(every), size=12)]
     if k > 2:
-        asked[0, [0, 1, 2, {4: 3, 6: 4}[k]]] = 0, 3, 3, 0
+        asked[0] = 0, 3, 3, 0
     for target, found in zip(asked, equal_bending(sums, asked), strict=True):
         at = v[np.all(every == target, axis=1)][0]
         expected = every[np.all(np.abs(v - at) < 1e-9, axis=1)]

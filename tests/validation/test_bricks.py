@@ -14,8 +14,8 @@ import cpam_bayes as cb
 from cpam_bayes.forward_model.calculix import solve_specimen
 from cpam_bayes.forward_model.model import reference_constants
 from cpam_bayes.plate import Sensor, Specimen
-from cpam_bayes.validation.brick_cases import CASES, CONSTANTS, listed_frequencies, plate_file, plate_of
-from cpam_bayes.validation.bricks import (
+from validation.brick_cases import CASES, CONSTANTS, listed_frequencies, plate_file, plate_of
+from validation.bricks import (
     Flaws,
     Heat,
     Mass,

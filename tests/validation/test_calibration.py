@@ -12,27 +12,28 @@ import numpy as np
 import pytest
 from scipy.stats import binom, kstest
 
-from cpam_bayes.inference.chains.ensemble import EnsembleSettings
-from cpam_bayes.inference.chains.store import StoreError
-from cpam_bayes.inference.noise import NOISE_PRIOR
-from cpam_bayes.inference.swarm.pso import SwarmSettings
-from cpam_bayes.parallel import open_executor
-from cpam_bayes.validation import calibration
-from cpam_bayes.validation.calibration import (
+from cpam_bayes import calibration
+from cpam_bayes.calibration import (
     N_DRAWS,
     Experiment,
     Nature,
     PlateSource,
     Repetition,
     calibrate,
+    coverage,
+    holm,
     parameter_names,
+    rank_statistics,
     repeat,
     simulate,
     spread_draws,
 )
-from cpam_bayes.validation.draw_store import DrawStore
-from cpam_bayes.validation.rank_statistics import coverage, holm, rank_statistics
+from cpam_bayes.inference.ensemble import EnsembleSettings, StoreError
+from cpam_bayes.inference.posterior import NOISE_PRIOR
+from cpam_bayes.inference.swarm import SwarmSettings
+from cpam_bayes.parallel import open_executor
 from tests.linear_model import LinearModel, exact_gaussian
+from validation.draw_store import DrawStore, stored_calibration
 
 N_RANKS = N_DRAWS + 1
 # A short chain for a short test; the full study has longer ones.
@@ -231,7 +232,7 @@ def test_repetitions_are_the_same_bit_for_bit_whoever_computes_them(tmp_path: Pa
     assert [r.number for r in alone] == list(range(7))
     with ThreadPoolExecutor(1) as pool:
         assert calibrate(fast(), 7, executor=pool, batch_size=3) == alone
-    assert calibrate(fast(), 7, store=tmp_path / "store.jsonl") == alone
+    assert stored_calibration(fast(), 7, tmp_path / "store.jsonl") == alone
     assert calibrate(fast(4), 2)[0] != alone[0], "another seed, other lists"
     # a repetition depends on its number alone
     assert repeat(fast(), 5) == alone[5]
@@ -248,22 +249,24 @@ def test_a_killed_run_goes_on_from_its_last_whole_line(
     tmp_path: Path, cut: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "store.jsonl"
-    whole = calibrate(fast(), 5, store=path)
+    whole = stored_calibration(fast(), 5, path)
     content = path.read_bytes()
     path.write_bytes(content[:-cut])  # the last record and perhaps one before it are torn
     computed = []
     monkeypatch.setattr(calibration, "repeat", lambda own, i: computed.append(i) or repeat(own, i))
-    assert calibrate(fast(), 5, store=path) == whole
+    assert stored_calibration(fast(), 5, path) == whole
     assert 0 < len(computed) < 5
     assert sorted(path.read_bytes().splitlines()) == sorted(content.splitlines())
     computed.clear()
-    assert calibrate(fast(), 6, store=path)[:5] == whole
+    assert stored_calibration(fast(), 6, path)[:5] == whole
     assert computed == [5], "more repetitions of the same experiment join the store"
 
 
 def test_a_store_holds_a_line_for_each_repetition_as_soon_as_it_is_there(tmp_path: Path) -> None:
     path, lines = tmp_path / "store.jsonl", []
-    calibrate(fast(), 3, store=path, progress=lambda done: lines.append(len(path.read_bytes().splitlines())))
+    stored_calibration(
+        fast(), 3, path, progress=lambda done: lines.append(len(path.read_bytes().splitlines()))
+    )
     assert lines == [2, 3, 4]
     record = json.loads(path.read_text("utf-8").splitlines()[1].partition(" ")[2])
     assert set(record) == set(asdict(repeat(fast(), 0)))
@@ -271,7 +274,7 @@ def test_a_store_holds_a_line_for_each_repetition_as_soon_as_it_is_there(tmp_pat
 
 def test_a_store_of_another_experiment_is_refused_and_left_alone(tmp_path: Path) -> None:
     path = tmp_path / "store.jsonl"
-    calibrate(fast(), 2, store=path)
+    stored_calibration(fast(), 2, path)
     before = path.read_bytes()
     own = fast()
     others = [
@@ -283,7 +286,7 @@ def test_a_store_of_another_experiment_is_refused_and_left_alone(tmp_path: Path)
     ]
     for other in others:
         with pytest.raises(StoreError, match="holds another problem"):
-            calibrate(other, 2, store=path)
+            stored_calibration(other, 2, path)
     assert path.read_bytes() == before
 
 
@@ -292,7 +295,7 @@ def test_a_file_that_is_no_store_is_refused_and_left_alone(tmp_path: Path, conte
     path = tmp_path / "store.jsonl"
     path.write_bytes(content)
     with pytest.raises(StoreError, match=r"store\.jsonl: is damaged or no store"):
-        calibrate(fast(), 1, store=path)
+        stored_calibration(fast(), 1, path)
     assert path.read_bytes() == content
 
 
@@ -320,4 +323,4 @@ def test_a_store_begun_without_checksums_goes_on_without_them(tmp_path: Path) ->
 def test_a_store_that_cannot_be_made_is_refused(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("in the way")
     with pytest.raises(StoreError, match="cannot be used"):
-        calibrate(fast(), 1, store=tmp_path / "file" / "store.jsonl")
+        stored_calibration(fast(), 1, tmp_path / "file" / "store.jsonl")

@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 
 from cpam_bayes.diagnosis.cases import hypotheses_of, plate_case
+from cpam_bayes.diagnosis.comparison import SCATTER, comparison_of
 from cpam_bayes.diagnosis.evidence.sampled import sampled_near_the_best
 from cpam_bayes.diagnosis.evidence.scan import Scan, Trial
-from cpam_bayes.diagnosis.fitting import SCATTER, comparison_of
 from cpam_bayes.diagnosis.hypotheses import Hypothesis
 from cpam_bayes.plate import Measurement, builtin
-from cpam_bayes.validation.evidence_reference import ReferenceSettings, reference_evidence
 from tests.diagnosis.toy_plates import (
     BUMP,
     F0,
@@ -30,6 +29,7 @@ from tests.diagnosis.toy_plates import (
 from tests.diagnosis.toy_plates import (
     SCATTER as NOISE_DRAWN,
 )
+from validation.evidence_reference import ReferenceSettings, reference_evidence
 
 SMALL = ReferenceSettings(draws=256, nodes=41, log2_points=(11, 13))
 

@@ -11,19 +11,18 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import cpam_bayes as cb
-from cpam_bayes.modal_analysis.records import ModalTestError
-from cpam_bayes.plate.mode_shapes.read import MAX_UNIVERSAL_BYTES, read_shapes
-from cpam_bayes.plate.mode_shapes.universal import UniversalFileError
-from cpam_bayes.validation.hostile import (
+from cpam_bayes.modal_analysis.read import ModalTestError
+from cpam_bayes.plate.mode_shapes import MAX_UNIVERSAL_BYTES, UniversalFileError, read_shapes
+from tests.effort import calls
+from validation.hostile.files import crossed
+from validation.hostile.measurements import (
     LARGE_TABLES,
     LARGE_UNIVERSAL_FILES,
-    crossed,
     recordings,
     response_tables,
     universal_modes_files,
     universal_response_files,
 )
-from tests.effort import calls
 
 BOUNDED = settings(
     max_examples=100,

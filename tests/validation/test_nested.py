@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from cpam_bayes.inference.evidence import EvidenceSettings, importance_evidence
 from cpam_bayes.inference.proposal import AdaptationSettings
-from cpam_bayes.validation.nested import Lockstep, nested_evidence
+from cpam_bayes.inference.sampling import EvidenceSettings, importance_evidence
 from tests.toy_models import independent, two_peaks
+from validation.nested import Lockstep, nested_evidence
 
 
 def test_values_are_asked_for_in_stacks_and_answers_go_to_their_tasks() -> None:

@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from cpam_bayes.validation.stacking_coverage import (
+from tests.stacking.cases import specimen
+from validation.sequences import (
     CoverageSettings,
     Trial,
     randomised_place,
     stacking_coverage,
     summarised,
 )
-from tests.stacking.cases import specimen
 
 SINGLE, SIZE = np.array([0.3, 0.1, 0.1, 0.05]), np.array([2, 1, 2, 2])
 

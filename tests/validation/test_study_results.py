@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cpam_bayes.validation.study_results import save_results, saved_results, with_saved
+from validation.reporting import save_results, saved_results, with_saved
 
 ORDER = ("C1", "D1", "D3")
 

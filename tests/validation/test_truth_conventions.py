@@ -15,12 +15,11 @@ from cpam_bayes.mechanics.modes import solve
 from cpam_bayes.mechanics.spaces.fem import fem_space
 from cpam_bayes.mechanics.sparse import discretise_sparse
 from cpam_bayes.plate.records import Specimen
-from cpam_bayes.validation.independent import nominal
-from cpam_bayes.validation.independent.flaws import FLAWS
-from cpam_bayes.validation.independent.true_plate import TruePlate, natural_frequencies
 from tests.effects.cases import BY_NAME
+from validation.independent import lists
+from validation.independent.true_plate import FLAWS, TruePlate, natural_frequencies
 
-FREE, CLAMPED = nominal.TUNING[1], nominal.TUNING[3]
+FREE, CLAMPED = lists.TUNING[1], lists.TUNING[3]
 N = 6
 # Each with the names of its sizes in the catalogue. A clamp that slips ends abruptly in the truth and fades
 # in the catalogue, and a truth's mass is taller than a point: these agree less by intention.
@@ -48,7 +47,7 @@ CAUSES: dict[str, dict[str, float]] = {
 }
 
 
-def read(own: nominal.NominalPlate, folder: Path) -> Specimen:
+def read(own: lists.NominalPlate, folder: Path) -> Specimen:
     path = folder / f"{own.name}.toml"
     path.write_text(own.file([100.0 + 50 * i for i in range(own.n_modes)], stated=None), "utf-8")
     return cb.read_plate(str(path))

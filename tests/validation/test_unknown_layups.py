@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from cpam_bayes.validation.unknown_layups import known_angles, with_unknown_layup
+from validation.sequences import known_angles, with_unknown_layup
 
 
 def test_own_angles_stand_at_the_places_of_the_unknown_ones() -> None:

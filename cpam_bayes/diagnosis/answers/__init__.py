@@ -1,1 +1,1 @@
-"""What is said with a claim: its gain, its constants, its sensitivity to priors, what could be seen."""
+"""Answers of a diagnosis beside its claim: detection limits, averaged constants."""

@@ -1,16 +1,19 @@
-"""Optima of one model between which the lists do not decide, and the modes whose order they differ in."""
+"""The constants over all hypotheses and optima, and the answer with other scales of the priors."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.special import logsumexp
 
+from cpam_bayes.diagnosis.comparison import PlateCase
 from cpam_bayes.diagnosis.evidence.optima import maximised
-from cpam_bayes.diagnosis.evidence.tested import Tested
-from cpam_bayes.diagnosis.fitting import PlateCase
-from cpam_bayes.inference.optimise import Array
+from cpam_bayes.diagnosis.evidence.weighing import Tested, Weighed
+from cpam_bayes.diagnosis.hypotheses import Claim
 
 # Fraction of the posterior from which an optimum is reported; nodes that optima are sought from, and the
 # fraction that makes one worth it.
@@ -101,3 +104,110 @@ def _apart(z: Array, curvature: Array, columns: list[int], fraction: Array) -> t
         if not same:
             carry.append(int(k))
     return [k for k in carry if whole[k] > _LEAST_FRACTION], whole
+
+
+Array = NDArray[Any]
+
+FACTORS: Final = (3.0, 1.0 / 3.0)
+"""Of the scales of the causes' sizes and of an inferred repeatability."""
+
+
+@dataclass(frozen=True, slots=True)
+class PriorSensitivity:
+    """The answer with other scales of the priors.
+
+    probabilities : of every cause, its variants summed, for each of `FACTORS`
+    claims : for each of them
+    claim_stands : whether kind and causes of the claim are the same with all of them
+    """
+
+    probabilities: tuple[Mapping[str, float], ...]
+    claims: tuple[Claim, ...]
+    claim_stands: bool
+
+
+def prior_sensitivity(
+    weighed: Weighed, claim: Claim, claim_of: Callable[[Weighed], Claim]
+) -> PriorSensitivity:
+    """Probabilities and claims with every scale multiplied by each of `FACTORS`.
+
+    claim_of : the claim from hypotheses with their probabilities and Bayes factors.
+    """
+    others = [reweighed(weighed, factor) for factor in FACTORS]
+    claims = tuple(claim_of(other) for other in others)
+    stands = all(c.kind == claim.kind and set(c.causes) == set(claim.causes) for c in claims)
+    return PriorSensitivity(tuple(other.by_cause() for other in others), claims, stands)
+
+
+def reweighed(weighed: Weighed, factor: float) -> Weighed:
+    """All hypotheses with the probabilities and Bayes factors of other prior scales.
+
+    Z' = Z E[p'(x) / p(x)], the mean over the posterior: importance sampling from the posterior of the first
+    prior, as in power scaling (Kallioinen et al., Stat. Comput. 34, 2024).
+    """
+    log_ratio = np.array([_log_ratio(t, factor) for t in weighed.tested])
+    ratio_of = {id(t): r for t, r in zip(weighed.tested, log_ratio, strict=True)}
+    plain = weighed.plain
+    of_none = float(logsumexp([ratio_of[id(t)] for t, _ in plain], b=[fraction for _, fraction in plain]))
+    with np.errstate(divide="ignore"):
+        log_weight = np.log([t.probability for t in weighed.tested]) + log_ratio
+    probability = np.exp(log_weight - logsumexp(log_weight))
+    tested = [
+        replace(t, probability=float(p), log_bayes_factor=t.log_bayes_factor + float(r - of_none))
+        for t, p, r in zip(weighed.tested, probability, log_ratio, strict=True)
+    ]
+    return replace(weighed, tested=tuple(sorted(tested, key=lambda t: -t.probability)))
+
+
+def _log_ratio(t: Tested, factor: float) -> float:
+    """ln Z' / Z of one hypothesis."""
+    comparison, draws = t.marginal.comparison, t.marginal.draws
+    log_weight = np.array(t.marginal.log_weight)
+    columns = [*t.columns, *(c for c in comparison.amplitudes if c >= 0)]
+    for column in columns:
+        prior = comparison.parameters.parameters[column].prior
+        x = draws[:, column]
+        log_weight += prior.rescaled(factor).log_density(x) - prior.log_density(x)
+    return float(logsumexp(log_weight))
+
+
+# Hypotheses with less probability are dropped.
+_NEGLIGIBLE = 1e-6
+_QUANTILES = np.array([0.025, 0.975])
+
+
+def averaged_constants(weighed: Weighed) -> Mapping[str, tuple[float, float, float, float]]:
+    """The parameters of the plain model over all hypotheses: name -> mean, sd, 2.5 and 97.5 % quantile, SI.
+
+    The density is sum_h P(h | data) p(x | h, data), Bayesian model averaging (Hoeting et al., Stat. Sci. 14,
+    1999), by the draws of every hypothesis with their weights.
+    """
+    names, draws, weight = averaged_draws(weighed)
+    mean = weight @ draws
+    sd = np.sqrt(weight @ (draws - mean) ** 2)
+    quantiles = [weighted_quantiles(draws[:, i], weight, _QUANTILES) for i in range(len(names))]
+    return {
+        name: (float(mean[i]), float(sd[i]), float(quantiles[i][0]), float(quantiles[i][1]))
+        for i, name in enumerate(names)
+    }
+
+
+def averaged_draws(weighed: Weighed) -> tuple[tuple[str, ...], Array, Array]:
+    """Names, draws (d, n) and weights (d,) of the parameters of the plain model over all hypotheses."""
+    names = weighed.none.marginal.comparison.model.parameters.names
+    kept = [
+        t
+        for t in weighed.tested
+        if t.probability >= _NEGLIGIBLE and set(names) <= set(t.marginal.comparison.parameters.names)
+    ]
+    columns = [[t.marginal.comparison.parameters.names.index(n) for n in names] for t in kept]
+    draws = np.concatenate([t.marginal.draws[:, at] for t, at in zip(kept, columns, strict=True)])
+    weight = np.concatenate([t.probability * np.exp(t.marginal.log_weight) for t in kept])
+    return names, draws, weight / weight.sum()
+
+
+def weighted_quantiles(x: Array, weight: Array, p: Array) -> Array:
+    """Quantiles p of draws (d,) with weights (d,), linear between the draws."""
+    order = np.argsort(x, kind="stable")
+    cumulative = np.cumsum(weight[order]) - 0.5 * weight[order]
+    return np.interp(p, cumulative / weight.sum(), x[order])

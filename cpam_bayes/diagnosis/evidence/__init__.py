@@ -1,1 +1,1 @@
-"""Marginal likelihoods of hypotheses: screening, quadrature, probabilities."""
+"""Marginal likelihoods of hypotheses."""

@@ -5,10 +5,14 @@ Gaussian more. One that they do not determine has a density that no Gaussian des
 turned plies have zero slope at zero by symmetry, what can only add piles up at zero, and a place is anywhere.
 Such sizes are integrated over nodes, one size on a grid refined where the mass is, several on scattered
 points; the constants and the noise are integrated at each node by Laplace's method in normal scores.
+
+A tested hypothesis keeps its marginal likelihood, its best fit, and its shifts of the frequencies at the
+plain model's optimum.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -17,17 +21,23 @@ from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 from scipy.special import logsumexp
 
-from cpam_bayes.diagnosis.evidence.comparison import Comparison
-from cpam_bayes.diagnosis.evidence.nodes import Nodes, conditional_optima, joined
+from cpam_bayes.diagnosis.comparison import Comparison, PlateCase, effect_columns
 from cpam_bayes.diagnosis.evidence.optima import (
-    LOG2_DRAWS,
+    SEARCH,
     SIZE_RANGE,
+    Nodes,
     Optima,
+    conditional_optima,
     find_optima,
+    joined,
     size_points,
     spread_scores,
 )
+from cpam_bayes.diagnosis.hypotheses import Hypothesis
+from cpam_bayes.inference.derivatives import MAX_SCORE, Expansion
+from cpam_bayes.inference.laplace import maximise
 from cpam_bayes.inference.student_mixture import Mixture, sobol_points
+from cpam_bayes.parameters import Parameter
 from cpam_bayes.threads import single_blas_thread
 
 Array = NDArray[Any]
@@ -115,7 +125,7 @@ def laplace_marginal(
     known: Array,
     *,
     smooth: tuple[int, ...] = (),
-    log2_draws: int = LOG2_DRAWS,
+    log2_draws: int = SEARCH.log2_draws,
     least: float = -np.inf,
 ) -> Marginal:
     """The marginal likelihood over nodes of the sizes that the data leave open.
@@ -316,3 +326,161 @@ def _spacing(score: Array) -> Array:
     """Half the distance between the neighbours of every node, (k,)."""
     padded = np.concatenate((score[:1] - np.diff(score[:2]), score, score[-1:] + np.diff(score[-2:])))
     return np.asarray(0.5 * (padded[2:] - padded[:-2]))
+
+
+# Nodes of one size between the ends of the grid, sizes evenly spread over the prior that join them, and the
+# scattered nodes, log2, of several sizes.
+_SHIFT_NODES, _SHIFT_EVEN, _LOG2_SHIFTS = 19, 9, 7
+
+
+@dataclass(frozen=True, slots=True)
+class ShiftTable:
+    """Shifts of the log frequencies of the lists at nodes of an effect's sizes.
+
+    scores : (k, d) of the size and further coordinates
+    log_prior : (k,) log prior weights of the nodes, normalised
+    shift : (k, n_f)
+    """
+
+    scores: Array
+    log_prior: Array
+    shift: Array
+
+
+def size_nodes(comparison: Comparison, sizes: tuple[int, ...]) -> tuple[Array, Array]:
+    """Nodes (k, d) of an effect's sizes in normal scores and the logs (k,) of their prior weights."""
+    if len(sizes) == 1:
+        even = size_points(comparison, sizes[0], _SHIFT_EVEN)
+        score = np.concatenate((np.linspace(-SIZE_RANGE, SIZE_RANGE, _SHIFT_NODES), even))
+        score = np.unique(np.round(score, 6))
+        log_weight = np.log(np.gradient(score)) - 0.5 * score**2
+        return score[:, None], log_weight - logsumexp(log_weight)
+    scores = spread_scores(len(sizes), _LOG2_SHIFTS, 0)
+    log_weight = -0.5 * scores[:, 0] ** 2
+    return scores, log_weight - logsumexp(log_weight)
+
+
+def shift_table(
+    comparison: Comparison, effect: Sequence[Parameter], sizes: tuple[int, ...], about: Marginal
+) -> ShiftTable:
+    """Shifts by an effect at the optimum of another hypothesis.
+
+    What that hypothesis lacks is at its prior median.
+
+    Nodes at which the plate buckles or the constraints (9) are broken are left out, if need be all.
+
+    comparison : with the effect
+    effect, sizes : the d parameters of the effect, and their columns
+    about : the other hypothesis
+    """
+    medians = comparison.scores.to_x(np.zeros((1, comparison.parameters.size)))[0]
+    x = comparison.carried(about.comparison, about.best, medians)
+    x = np.clip(x, comparison.parameters.lower, comparison.parameters.upper)
+    null = [0.0 if p.null is None else p.null for p in effect]
+    scores, log_prior = size_nodes(comparison, sizes)
+    z = np.repeat(comparison.scores.to_z(x[None]), len(scores), axis=0)
+    z[:, list(sizes)] = scores
+    at = comparison.scores.to_x(z)
+    at[:, _others(len(x), sizes)] = x[_others(len(x), sizes)]
+    plain = x.copy()
+    plain[list(sizes)] = null
+    f, _ = comparison.predict(plain[None])
+    inside, shifted, _ = comparison.predict_inside(at)
+    log_prior = log_prior[inside]
+    if not len(inside):
+        return ShiftTable(scores[:0], log_prior, shifted)
+    return ShiftTable(scores[inside], log_prior - logsumexp(log_prior), np.log(shifted / f))
+
+
+def _others(n: int, sizes: tuple[int, ...]) -> Array:
+    return np.delete(np.arange(n), sizes)
+
+
+@dataclass(frozen=True, slots=True)
+class Tested:
+    """One hypothesis with its marginal likelihood; of an incomplete list, with one of its pairings.
+
+    plates : numbers of the plates that have it; all of them where they share it
+    probability : among all that were tested
+    log_bayes_factor : against none
+    shift : of the log frequencies, with the constants of the plain model; ``None`` where the list is paired
+        otherwise
+    cases : the plates with the pairing of incomplete lists; none where all lists are complete
+    as_plain : the hypothesis with the plain model's most probable pairing; ``None`` where lists are complete
+    """
+
+    hypothesis: Hypothesis
+    plates: tuple[int, ...]
+    marginal: Marginal
+    probability: float = 0.0
+    log_bayes_factor: float = 0.0
+    shift: ShiftTable | None = None
+    cases: tuple[PlateCase, ...] = ()
+    as_plain: Comparison | None = None
+
+    @property
+    def columns(self) -> tuple[int, ...]:
+        """Columns of the effect's parameters."""
+        return effect_columns(self.marginal.comparison, self.hypothesis)
+
+    @property
+    def key(self) -> tuple[str, str, tuple[int, ...]]:
+        """The same for all pairings of one hypothesis."""
+        return (self.hypothesis.cause, self.hypothesis.variant, self.plates)
+
+    @property
+    def log_weight(self) -> float:
+        """Log of prior times evidence."""
+        return float(np.log(self.hypothesis.prior) + self.marginal.log_evidence)
+
+
+def ranked(tested: Sequence[Tested]) -> list[Tested]:
+    """Hypotheses, those with most prior times evidence first."""
+    return sorted(tested, key=lambda t: t.log_weight, reverse=True)
+
+
+def distinct_hypotheses(tested: Sequence[Tested]) -> list[Hypothesis]:
+    """Every hypothesis once, whatever the number of its pairings."""
+    return list({t.key: t.hypothesis for t in tested}.values())
+
+
+def prior_of(tested: Sequence[Tested]) -> float:
+    """Sum of the priors, every hypothesis counted once."""
+    return float(sum(h.prior for h in distinct_hypotheses(tested)))
+
+
+# Fraction of the priors' weight that is kept: scores that nothing determines stay where they are.
+_KEPT = 1e-3
+# Optima and draws of the posterior that the search begins from.
+_OPTIMA, _DRAWS = 4, 4
+
+
+@single_blas_thread
+def best_log_likelihood(marginal: Marginal) -> float:
+    """The largest log likelihood within the bounds of the priors, noise and discrepancy at their priors.
+
+    What a prior says of constants and sizes is left out, so that hypotheses are compared by what the data
+    can tell of them.
+    """
+    comparison = marginal.comparison
+    n, n_model = comparison.parameters.size, comparison.model.parameters.size
+    weight = np.where(np.arange(n) < n_model, 1.0 - _KEPT, 0.0)
+
+    def target(z: Array, rows: Array) -> Expansion:
+        del rows
+        e = comparison.expand(z)
+        return Expansion(
+            e.value + 0.5 * np.sum(weight * z**2, axis=1),
+            e.gradient + weight * z,
+            e.curvature - np.diag(weight),
+        )
+
+    draws = comparison.scores.to_z(marginal.resampled(_DRAWS))
+    start = np.concatenate((marginal.z[:_OPTIMA], draws))
+    bound = np.full(n, MAX_SCORE)
+    maxima = maximise(target, start, -bound, bound, most_steps=30, promised=1e-2)
+    best = maxima.u[
+        int(np.argmax(np.where(np.isfinite(maxima.expansion.value), maxima.expansion.value, -np.inf)))
+    ]
+    log_prior = -0.5 * float(np.sum(best[n_model:] ** 2))
+    return float(comparison.log_likelihood(comparison.scores.to_x(best[None]))[0]) + log_prior

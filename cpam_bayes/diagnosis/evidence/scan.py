@@ -12,11 +12,24 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from cpam_bayes.deadline import cut_short, is_time_up, time_limit
-from cpam_bayes.diagnosis.composed import ComposedModel
-from cpam_bayes.diagnosis.evidence.comparison import Comparison
-from cpam_bayes.diagnosis.evidence.marginal import Marginal, laplace_marginal
-from cpam_bayes.diagnosis.evidence.optima import LOG2_DRAWS
+from cpam_bayes.diagnosis.cases import is_incomplete
+from cpam_bayes.diagnosis.comparison import (
+    SCATTER,
+    Comparison,
+    PlateCase,
+    comparison_of,
+    effect_columns,
+    smooth_columns,
+)
+from cpam_bayes.diagnosis.evidence.marginal import (
+    Marginal,
+    ShiftTable,
+    Tested,
+    laplace_marginal,
+    ranked,
+    shift_table,
+)
+from cpam_bayes.diagnosis.evidence.optima import SEARCH
 from cpam_bayes.diagnosis.evidence.pairing_search import (
     Cases,
     PairedLists,
@@ -25,17 +38,14 @@ from cpam_bayes.diagnosis.evidence.pairing_search import (
     pairing_at,
     plain_pairings,
     recounted,
+    repairings,
 )
-from cpam_bayes.diagnosis.evidence.repairing import repairings
-from cpam_bayes.diagnosis.evidence.sampled import sampled_marginal
-from cpam_bayes.diagnosis.evidence.sharing import shared_out
-from cpam_bayes.diagnosis.evidence.shifts import ShiftTable, shift_table
-from cpam_bayes.diagnosis.evidence.tested import Tested, ranked
-from cpam_bayes.diagnosis.fitting import SCATTER, PlateCase, comparison_of, effect_columns, smooth_columns
+from cpam_bayes.diagnosis.evidence.sampled import sampled_marginal, shared_out
 from cpam_bayes.diagnosis.hypotheses import OTHER, Hypothesis
-from cpam_bayes.diagnosis.pairings import is_incomplete
+from cpam_bayes.diagnosis.models import ComposedModel
 from cpam_bayes.effects import ListChange
 from cpam_bayes.mechanics.modes import RigidBodyError
+from cpam_bayes.running import cut_short, is_time_up, time_limit
 
 Array = NDArray[Any]
 
@@ -69,7 +79,7 @@ def marginal_of(
     left_out: int | None = None,
     model: ComposedModel | None = None,
     known: Array | None = None,
-    log2_draws: int = LOG2_DRAWS,
+    log2_draws: int = SEARCH.log2_draws,
     least: float = -np.inf,
 ) -> Marginal:
     """Marginal likelihood of one hypothesis about some plates.
@@ -237,8 +247,8 @@ class Scan:
         if skipped:
             self.is_cut_short = True
             self.not_tested += [f"{h.cause} {h.variant}".rstrip() + ": time was up" for h in skipped]
-            causes = ", ".join(dict.fromkeys(h.cause for h in skipped))
-            cut_short(f"{len(skipped)} hypotheses were not tested, of {causes}")
+            causes = tuple(dict.fromkeys(h.cause for h in skipped))
+            cut_short("cut_hypotheses", count=len(skipped), causes=causes)
         with time_limit(None):
             self._test_round([trial for trial in left if trial.hypothesis.cause == OTHER])
 
@@ -292,7 +302,7 @@ class Scan:
             scatter=self.scatter,
             none=none,
             known=known,
-            log2_draws=0 if few or self.is_explained else LOG2_DRAWS,
+            log2_draws=0 if few or self.is_explained else SEARCH.log2_draws,
             least=self.best - float(np.log(hypothesis.prior)) - _HOPELESS_NATS,
         )
         cases = recounted(lists.cases, about(self.cases, hypothesis, plates), marginal.best, self.scatter)

@@ -1,9 +1,15 @@
 """A plate as an ABAQUS-format input deck, and CalculiX run on it through files."""
 
 from cpam_bayes.forward_model.calculix.deck import Deck, Element, plate_deck, write_deck
-from cpam_bayes.forward_model.calculix.results import CalculixError, read_eigenvalues
-from cpam_bayes.forward_model.calculix.run import PROGRAM_VARIABLE, run_calculix
-from cpam_bayes.forward_model.calculix.solve import CalculixModes, solve_modes, solve_specimen
+from cpam_bayes.forward_model.calculix.run import (
+    PROGRAM_VARIABLE,
+    CalculixError,
+    CalculixModes,
+    read_eigenvalues,
+    run_calculix,
+    solve_modes,
+    solve_specimen,
+)
 
 __all__ = [
     "PROGRAM_VARIABLE",

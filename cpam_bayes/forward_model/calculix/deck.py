@@ -1,11 +1,15 @@
-"""The input deck of a plate in ABAQUS format, which ABAQUS and CalculiX both read.
+"""The input deck of a plate in ABAQUS format, which ABAQUS and CalculiX both read, and the mesh in it.
 
-Units are N, m, kg and s. The plate lies in x and y with its midplane at z = 0.
+Units are N, m, kg and s. The plate lies in x and y, its midplane at z = 0. The mesh has 8-node shells, or
+20-node bricks in layers through the thickness. Both are regular grids of vertices and of the middles
+between two neighbouring vertices; a node stands where at most one of its indices is a middle. Edge elements
+are narrow: a free edge has a twisting boundary layer as wide as the thickness, and the stress at a clamped
+face is singular.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -14,18 +18,161 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from cpam_bayes.forward_model.calculix.mesh import (
-    PlateMesh,
-    brick_mesh,
-    element_counts,
-    grid_lines,
-    layer_boundaries,
-    shell_mesh,
+from cpam_bayes.mechanics.problem import rigid_body_count
+from cpam_bayes.plate.edges import CONDITIONS, EDGES, conditions
+from cpam_bayes.plate.laminate import (
+    CONSTANTS,
+    MaterialSymmetry,
+    constants_of,
+    equal_plies,
+    run_starts,
+    through_thickness_poisson,
 )
-from cpam_bayes.mechanics.problem import EDGES, HELD, rigid_body_count
-from cpam_bayes.plate.elasticity import CONSTANTS, MaterialSymmetry, through_thickness_poisson
-from cpam_bayes.plate.laminate import constants_of, equal_plies, run_starts
 from cpam_bayes.plate.records import Plate, Specimen
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+_FEWEST_INSIDE = 2
+# Fewest layers of bricks: the shear stress of a homogeneous plate is a parabola in z.
+_LAYERS = 4
+# Below this fraction of the spacing a sensor is taken to sit on a grid line.
+_ON_LINE = 1e-9
+
+# Nodes of an element by their offset from its first vertex on the grid of half steps: vertices,
+# then middles, in the order that ABAQUS and CalculiX share.
+_FACE = [(0, 0), (2, 0), (2, 2), (0, 2)]
+_SIDES = [(1, 0), (2, 1), (1, 2), (0, 1)]
+_SHELL = np.array(_FACE + _SIDES)
+_BRICK = np.array(
+    [(*p, 0) for p in _FACE]
+    + [(*p, 2) for p in _FACE]
+    + [(*p, 0) for p in _SIDES]
+    + [(*p, 2) for p in _SIDES]
+    + [(*p, 1) for p in _FACE]
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlateMesh:
+    """Nodes and elements, numbered from 1.
+
+    nodes : (n, 3) m, z = 0 at the midplane.
+    elements : (n_layers, n_elements, 8 or 20) node numbers, layers from the bottom up, shells one layer.
+    edges : nodes of x0, y0, x1, y1.
+    surfaces : (2, nx, ny) vertices on the bottom and on top of bricks, (1, nx, ny) of shells.
+    x, y : (nx,), (ny,) m, where they stand.
+    """
+
+    nodes: Floats
+    elements: Integers
+    edges: dict[str, Integers]
+    surfaces: Integers
+    x: Floats
+    y: Floats
+
+    def node_at(self, x: float, y: float) -> int:
+        """The vertex nearest to a point, on top of bricks."""
+        i, j = np.argmin(np.abs(self.x - x)), np.argmin(np.abs(self.y - y))
+        return int(self.surfaces[-1, i, j])
+
+
+def element_counts(length: float, width: float, in_plane: int) -> tuple[int, int]:
+    """Elements along x and y, about square and about ``in_plane`` together, at least 4 each."""
+    along_x = round(np.sqrt(in_plane * length / width))
+    along_y = round(np.sqrt(in_plane * width / length))
+    return max(along_x, 4), max(along_y, 4)
+
+
+def grid_lines(
+    length: float, n: int, thickness: float, ends: tuple[str, str], points: Sequence[float] = ()
+) -> Floats:
+    """Element boundaries on [0, length], about n elements, one boundary at each of ``points``.
+
+    ends : letters of the conditions at 0 and at length. Edge elements are narrow where the
+    uniform spacing is wider than the boundary layer there.
+    """
+    spacing = length / n
+    low, high = (
+        np.cumsum([w * thickness for w in CONDITIONS[end].brick_widths if w * thickness < spacing])
+        for end in ends
+    )
+    first, last = (edge[-1] if edge.size else 0.0 for edge in (low, high))
+    inside = max(n - low.size - high.size, _FEWEST_INSIDE)
+    middle = np.linspace(first, length - last, inside + 1)
+    lines = np.unique(np.concatenate(([0.0], low, middle, length - high, [length])))
+    return _through(lines, points, _ON_LINE * spacing)
+
+
+def _through(lines: Floats, points: Sequence[float], tolerance: float) -> Floats:
+    """The lines, the nearest moved onto each point, or one added where that one must stay."""
+    fixed = [lines[0], lines[-1]]
+    for point in points:
+        nearest = int(np.argmin(np.abs(lines - point)))
+        if lines[nearest] not in fixed:
+            lines[nearest] = point
+        elif abs(lines[nearest] - point) > tolerance:
+            lines = np.sort(np.append(lines, point))
+        fixed.append(point)
+    return lines
+
+
+def layer_boundaries(heights: Floats) -> tuple[Floats, Integers]:
+    """Boundaries z (n_layers + 1,) of layers of bricks, and the run of plies each belongs to.
+
+    heights : (n_runs,) m, thicknesses of the runs of equal plies, bottom to top. A run has one
+    layer, more where it is thicker than a quarter of the plate.
+    """
+    fraction = heights / heights.sum()
+    counts = np.maximum(np.ceil(fraction * _LAYERS - 1e-9), 1).astype(np.int64)
+    owner = np.repeat(np.arange(len(heights)), counts)
+    z = np.concatenate(([0.0], np.cumsum((heights / counts)[owner])))
+    return z - z[-1] / 2, owner
+
+
+def shell_mesh(x: Floats, y: Floats) -> PlateMesh:
+    """8-node shells between the lines x and y."""
+    return _grid_mesh((x, y), _SHELL)
+
+
+def brick_mesh(x: Floats, y: Floats, z: Floats) -> PlateMesh:
+    """20-node bricks between the lines x, y and z, one layer of elements between two z."""
+    return _grid_mesh((x, y, z), _BRICK)
+
+
+def _grid_mesh(lines: tuple[Floats, ...], offsets: Integers) -> PlateMesh:
+    steps = [_with_middles(axis) for axis in lines]
+    index = np.indices([len(axis) for axis in steps])
+    is_node = (index % 2).sum(axis=0) <= 1
+    number = np.zeros(is_node.shape, dtype=np.int64)
+    number[is_node] = np.arange(1, np.count_nonzero(is_node) + 1)
+
+    nodes = np.zeros((np.count_nonzero(is_node), 3))
+    for k, axis in enumerate(steps):
+        nodes[:, k] = axis[index[k][is_node]]
+
+    # First vertex of every element, layer by layer.
+    firsts = np.indices([len(axis) - 1 for axis in lines]) * 2
+    corners = np.moveaxis(firsts, 0, -1).reshape(*firsts.shape[1:3], -1, len(lines))
+    at = np.moveaxis(corners, 2, 0).reshape(corners.shape[2], -1, 1, len(lines)) + offsets
+    elements = number[tuple(np.moveaxis(at, -1, 0))]
+
+    edges = {}
+    for name in EDGES:
+        side = -1 if name[1] == "1" else 0
+        on_edge = np.take(number, side, axis="xy".index(name[0]))
+        edges[name] = on_edge[on_edge > 0]
+    vertices = number[::2, ::2]
+    surfaces = vertices[None] if vertices.ndim == 2 else np.moveaxis(vertices[..., [0, -1]], -1, 0)
+    return PlateMesh(nodes, elements, edges, surfaces, x=lines[0], y=lines[1])
+
+
+def _with_middles(axis: Floats) -> Floats:
+    steps = np.empty(2 * len(axis) - 1)
+    steps[::2] = axis
+    steps[1::2] = (axis[1:] + axis[:-1]) / 2
+    return steps
+
 
 Element = Literal["shell", "brick"]
 
@@ -79,7 +226,7 @@ def plate_deck(
 
     Shells are S8R with a composite section. Bricks are C3D20R in layers: each run of equal plies
     has its own layers of elements, no ply is averaged with another. Plies are those of
-    `material_card`. Edges hold the fields that `problem.HELD` names,
+    `material_card`. Edges hold the fields that `plate.edges` names,
     bricks on the whole face.
 
     constants : E1, E2, nu12, G12, G13, G23, all six, Pa or dimensionless; of a hybrid those of each material.
@@ -334,9 +481,8 @@ def _masses(specimen: Specimen, mesh: PlateMesh) -> Iterable[str]:
 
 
 def _boundaries(edges: str, mesh: PlateMesh, element: Element) -> Iterable[str]:
-    for name, condition in zip(EDGES, edges, strict=True):
-        fields = HELD[condition][name[0]]
-        held = sorted(_DEGREE_OF_FREEDOM[f] for f in fields)
+    for name, condition in zip(EDGES, conditions(edges), strict=True):
+        held = sorted(_DEGREE_OF_FREEDOM[f] for f in condition.held(name))
         if element == "brick":  # a face that does not move does not turn
             held = [d for d in held if d <= 3]
         if not held:

@@ -1,1 +1,1 @@
-"""A plate with one local change of mass or stiffness at any place: its basis, and frequencies from it."""
+"""Reduced models of changes at any place of a plate."""

@@ -8,6 +8,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cpam_bayes.forward_model.local.fields import (
+    ATOMS,
+    BENT,
+    STRAIN_OF,
+    Parts,
+    PatchForm,
+    PatchPoints,
+    PatchRule,
+    patch_rules,
+)
 from cpam_bayes.forward_model.local.model import (
     LocalModel,
     bare_modes,
@@ -18,8 +28,6 @@ from cpam_bayes.forward_model.local.model import (
     prediction,
     ritz_basis,
 )
-from cpam_bayes.forward_model.local.patch_points import ATOMS, BENT, STRAIN_OF, Parts, PatchPoints
-from cpam_bayes.forward_model.local.patch_rule import PatchForm, PatchRule, patch_rules
 from cpam_bayes.forward_model.model import PlateModel, Prediction
 from cpam_bayes.mechanics.problem import (
     LAMINATE_ENTRIES,

@@ -20,10 +20,11 @@ from skfem import CellBasis, ElementQuadS2, MeshQuad1
 from skfem.mapping import MappingIsoparametric
 from skfem.quadrature import get_quadrature
 
-from cpam_bayes.mechanics.problem import AREA, EDGES, FIELDS, HELD, Derivative, Field, PlateState, Region
+from cpam_bayes.formatting import listed
+from cpam_bayes.mechanics.problem import AREA, Derivative, PlateState, Region
 from cpam_bayes.mechanics.spaces.mesh_file import read_mesh
-from cpam_bayes.mechanics.spaces.protocol import Quadrature
-from cpam_bayes.mechanics.spaces.ritz import layer_rates
+from cpam_bayes.mechanics.spaces.ritz import Quadrature, layer_rates
+from cpam_bayes.plate.edges import CONDITIONS, EDGES, FIELDS, STATED, Field, conditions
 
 Array = NDArray[Any]
 
@@ -257,14 +258,15 @@ def fem_space_from_mesh(path: str | Path, edges: str, nominal: PlateState, *, un
     Raises ``ValueError`` for a file or mesh that cannot be used, and says why.
     """
     size = _size(nominal)
-    held = tuple(name for name, c in zip(EDGES, edges, strict=True) if c != "F")
+    held = tuple(name for name, c in zip(EDGES, conditions(edges), strict=True) if not c.is_free)
     mesh, facets = read_mesh(Path(path), (unit / size[0], unit / size[1]), held)
     space = _space(mesh, facets, edges, size)
-    for name, condition in zip(EDGES, edges, strict=True):
-        if condition == "S" and not _along_its_axis(space, name):
+    anywhere = [letter for letter in STATED if not CONDITIONS[letter].follows_axis]
+    for name, condition in zip(EDGES, conditions(edges), strict=True):
+        if condition.follows_axis and not _along_its_axis(space, name):
             raise ValueError(
-                f"mesh {path}: edge {name!r} is simply supported but not one straight line of "
-                f"constant {name[0]}; accepted on other lines: F and C"
+                f"mesh {path}: edge {name!r} is {condition.name} but not one straight line of "
+                f"constant {name[0]}; accepted on other lines: {listed(anywhere, 'and')}"
             )
     return space
 
@@ -296,8 +298,8 @@ def _cuts(n: int, layer: float, grading: Grading | None) -> Array:
 def _space(mesh: Any, facets: Mapping[str, Array], edges: str, size: tuple[float, float]) -> FemSpace:
     basis = CellBasis(mesh, ElementQuadS2(), intorder=REDUCED)
     held: dict[Field, list[Array]] = {field: [] for field in FIELDS}
-    for name, condition in zip(EDGES, edges, strict=True):
-        for field in HELD[condition][name[0]]:
+    for name, condition in zip(EDGES, conditions(edges), strict=True):
+        for field in condition.held(name):
             held[field].append(basis.get_dofs(facets[name]).all())
     everything = np.arange(basis.N)
     free = {field: np.setdiff1d(everything, np.concatenate([[], *parts])) for field, parts in held.items()}

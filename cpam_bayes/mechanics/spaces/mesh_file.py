@@ -12,7 +12,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from skfem import MeshQuad1, MeshQuad2
 
-from cpam_bayes.mechanics.problem import EDGES
+from cpam_bayes.plate.edges import EDGES
 
 Array = NDArray[Any]
 

@@ -1,4 +1,4 @@
-"""Rayleigh-Ritz trial functions: Legendre polynomials enriched by edge exponentials.
+"""Discretisations in general, and Rayleigh-Ritz: Legendre polynomials enriched by edge exponentials.
 
 A free edge of a thin Mindlin plate has a twisting boundary layer as wide as the thickness, in
 which the tangential rotation decays like exp(-s d / h), d being the distance from the edge. A
@@ -9,25 +9,48 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
-from cpam_bayes.mechanics.problem import (
-    FIELDS,
-    HELD,
-    MEMBRANE_FIELDS,
-    Derivative,
-    Field,
-    MatrixKind,
-    PlateState,
-    Region,
-)
-from cpam_bayes.mechanics.spaces.protocol import Quadrature
+from cpam_bayes.mechanics.problem import MEMBRANE_FIELDS, Derivative, MatrixKind, PlateState, Region
+from cpam_bayes.plate.edges import FIELDS, Field, conditions
 
 Array = NDArray[Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Quadrature:
+    """Points (n, 2) in reference coordinates and weights (n,) of one region."""
+
+    region: Region
+    points: Array
+    weights: Array
+
+
+class Space(Protocol):
+    """Trial functions of the five fields on the reference square.
+
+    Every local form is ``B_left.T @ diag(W) @ B_right`` with B from ``evaluate`` and W from
+    ``quadrature``; an effect needs nothing else, so it is written once for every space.
+    """
+
+    def dimension(self, field: Field) -> int:
+        """Number of trial functions of a field."""
+        ...
+
+    def quadrature(self, region: Region, matrix: MatrixKind = "stiffness") -> Quadrature:
+        """Points and weights that integrate products of two trial functions over the region.
+
+        A space that underintegrates its stiffness says so by ``matrix``.
+        """
+        ...
+
+    def evaluate(self, field: Field, quadrature: Quadrature, derivative: Derivative) -> Any:
+        """Trial functions at points, (n_points, dimension): dense or sparse."""
+        ...
 
 
 # Fraction of an exponential that polynomials must lack for it to join a family.
@@ -314,12 +337,13 @@ def ritz_space(edges: str, nominal: PlateState, settings: RitzSettings) -> RitzS
     corner_rates = tuple(8.0 * 4.0**k for k in range(settings.corner_layers))
     degrees = {"x": settings.degree_x, "y": settings.degree_y}
     grids = {axis: graded_quadrature(rates[axis] + corner_rates, degrees[axis]) for axis in "xy"}
-    ends = {"x": (edges[0], edges[2]), "y": (edges[1], edges[3])}
+    x0, y0, x1, y1 = conditions(edges)
+    ends = {"x": (x0, x1), "y": (y0, y1)}
     made: dict[tuple[str, tuple[float, ...], tuple[bool, bool]], tuple[Family, ...]] = {}
 
     def families(field: Field, axis: str) -> tuple[Family, ...]:
         a, b = ends[axis]
-        held = (field in HELD[a][axis], field in HELD[b][axis])
+        held = (field in a.held(axis), field in b.held(axis))
         tangential = field == ("phi_y" if axis == "x" else "phi_x")
         if field in MEMBRANE_FIELDS:
             # where B is not zero, the layer of the twist pulls u and v along

@@ -9,7 +9,7 @@ import pytest
 from scipy.optimize import brentq
 from scipy.stats import norm
 
-from cpam_bayes.diagnosis.answers.averaged import averaged_constants, weighted_quantiles
+from cpam_bayes.diagnosis.answers.optima import averaged_constants, weighted_quantiles
 from cpam_bayes.diagnosis.evidence import weighing
 from cpam_bayes.diagnosis.hypotheses import NONE, Hypothesis
 from tests.diagnosis.toy_plates import F0, NOISE, a_list, case, cause, hypothesis, straight, whole_normal

@@ -9,11 +9,16 @@ import numpy as np
 import pytest
 
 from cpam_bayes.diagnosis.answers import detectability
-from cpam_bayes.diagnosis.answers.detectability import Detectable, detectable
-from cpam_bayes.diagnosis.answers.linear_oracle import LinearOracle, linear_oracle
-from cpam_bayes.diagnosis.answers.shift_lines import ShiftLine, shift_lines
+from cpam_bayes.diagnosis.answers.detectability import (
+    Detectable,
+    LinearOracle,
+    ShiftLine,
+    detectable,
+    linear_oracle,
+    shift_lines,
+)
+from cpam_bayes.diagnosis.comparison import PlateCase
 from cpam_bayes.diagnosis.evidence import weighing
-from cpam_bayes.diagnosis.fitting import PlateCase
 from cpam_bayes.diagnosis.hypotheses import DISCREPANCY, NONE, OTHER, Hypothesis
 from cpam_bayes.effects import Effect
 from cpam_bayes.parameters import Parameter, ParameterSet, ScaledStudentT, Uniform

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 from scipy.stats import chi2, kstest
 
-from cpam_bayes.diagnosis.answers.predictive import explains
+from cpam_bayes.diagnosis.comparison import REPEATABILITY_PRIOR, Comparison
 from cpam_bayes.diagnosis.evidence import weighing
-from cpam_bayes.diagnosis.evidence.comparison import Comparison
-from cpam_bayes.diagnosis.fitting import REPEATABILITY_PRIOR
+from cpam_bayes.diagnosis.fit import explains
 from cpam_bayes.diagnosis.hypotheses import DISCREPANCY, NONE, OTHER, Hypothesis
 from tests.diagnosis.toy_plates import (
     BUMP,

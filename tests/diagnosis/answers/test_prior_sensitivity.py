@@ -5,12 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cpam_bayes.diagnosis.answers.prior_sensitivity import FACTORS, prior_sensitivity, rescaled, reweighed
-from cpam_bayes.diagnosis.claim import Claim, claim_of
+from cpam_bayes.diagnosis.answers.optima import FACTORS, prior_sensitivity, reweighed
+from cpam_bayes.diagnosis.comparison import REPEATABILITY_PRIOR
 from cpam_bayes.diagnosis.evidence import weighing
-from cpam_bayes.diagnosis.fitting import REPEATABILITY_PRIOR
-from cpam_bayes.diagnosis.hypotheses import NONE, OTHER, Hypothesis
-from cpam_bayes.parameters import Mixture, ScaledStudentT, TruncatedLogNormal, TruncatedNormal, Uniform
+from cpam_bayes.diagnosis.hypotheses import NONE, OTHER, Claim, Hypothesis, claim_of
 from tests.diagnosis.toy_plates import (
     BUMP,
     F0,
@@ -62,7 +60,7 @@ def test_the_prior_of_an_inferred_repeatability_is_scaled_too(factor: float) -> 
 
     def over(factor: float, *directions: tuple[Array, float]) -> float:
         each = np.array([exact_log_evidence(f, s * f, *directions) for s in a])
-        density = np.exp(each + rescaled(REPEATABILITY_PRIOR, factor).log_density(a))
+        density = np.exp(each + REPEATABILITY_PRIOR.rescaled(factor).log_density(a))
         return float(np.log(np.trapezoid(density, a)))
 
     other = reweighed(found, factor)
@@ -83,15 +81,3 @@ def test_a_claim_stands_if_it_is_the_same_with_all_scales() -> None:
         assert sensitivity.claim_stands is stands
         assert len(sensitivity.claims) == len(sensitivity.probabilities) == len(FACTORS)
         assert all(sum(p.values()) == pytest.approx(1.0) for p in sensitivity.probabilities)
-
-
-def test_bounds_are_kept_and_places_stay_as_they_are() -> None:
-    student = ScaledStudentT(0.5, 4.0, 0.0, 8.0)
-    assert rescaled(student, 3.0) == ScaledStudentT(1.5, 4.0, 0.0, 8.0)
-    assert rescaled(TruncatedNormal(1.0, 0.5, 0.0, 2.0), 3.0) == TruncatedNormal(1.0, 1.5, 0.0, 2.0)
-    wider = TruncatedLogNormal(0.006, 0.8, 1e-5, 0.02)
-    assert rescaled(TruncatedLogNormal(0.002, 0.8, 1e-5, 0.02), 3.0) == wider
-    wide = Uniform(0.0, 8.0)
-    assert rescaled(Mixture(student, wide, 0.1), 3.0) == Mixture(rescaled(student, 3.0), wide, 0.1)
-    place = Uniform(0.0, 1.0)
-    assert rescaled(place, 3.0) is place

@@ -8,7 +8,7 @@ import pytest
 from cpam_bayes.diagnosis.cases import hypotheses_of, plate_case
 from cpam_bayes.diagnosis.evidence.weighing import weigh
 from cpam_bayes.plate import parse_specimen
-from cpam_bayes.validation.evidence_reference import ReferenceSettings, reference_evidence
+from validation.evidence_reference import ReferenceSettings, reference_evidence
 
 # Frequencies of bricks with an ideal clamp.
 CLAMPED = """

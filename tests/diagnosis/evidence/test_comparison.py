@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal, norm
 
-from cpam_bayes.diagnosis.evidence.comparison import Comparison
-from cpam_bayes.diagnosis.fitting import REPEATABILITY_PRIOR, comparison_of
+from cpam_bayes.diagnosis.comparison import REPEATABILITY_PRIOR, Comparison, comparison_of
 from cpam_bayes.diagnosis.hypotheses import DISCREPANCY, OTHER, Hypothesis
 from cpam_bayes.effects import ListChange
 from tests.diagnosis.toy_plates import (

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from cpam_bayes.diagnosis.cases import hypotheses_of, plate_case
+from cpam_bayes.diagnosis.comparison import PlateCase
 from cpam_bayes.diagnosis.evidence.sampled import sampled_marginal
 from cpam_bayes.diagnosis.evidence.scan import marginal_of
-from cpam_bayes.diagnosis.fitting import PlateCase
 from cpam_bayes.plate import Measurement, builtin
 from tests.shared import once_a_run
 

@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 from scipy.special import logsumexp
 
-from cpam_bayes.diagnosis.evidence.comparison import Comparison
+from cpam_bayes.diagnosis.comparison import Comparison, comparison_of
 from cpam_bayes.diagnosis.evidence.marginal import Marginal, laplace_marginal
 from cpam_bayes.diagnosis.evidence.sampled import sampled_marginal
-from cpam_bayes.diagnosis.fitting import comparison_of
 from cpam_bayes.diagnosis.hypotheses import Hypothesis
 from cpam_bayes.parameters import ScaledStudentT
 from cpam_bayes.priors import Prior

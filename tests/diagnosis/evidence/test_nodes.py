@@ -6,8 +6,8 @@ from typing import Any, cast
 
 import numpy as np
 
-from cpam_bayes.diagnosis.evidence.comparison import Comparison
-from cpam_bayes.diagnosis.evidence.nodes import Nodes
+from cpam_bayes.diagnosis.comparison import Comparison
+from cpam_bayes.diagnosis.evidence.optima import Nodes
 from cpam_bayes.inference.derivatives import Expansion
 
 

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from scipy.special import logsumexp
 
+from cpam_bayes.diagnosis.cases import neighbours, with_pairing
+from cpam_bayes.diagnosis.comparison import PlateCase
 from cpam_bayes.diagnosis.diagnose import diagnose_cases
 from cpam_bayes.diagnosis.evidence.weighing import Weighed, weigh
-from cpam_bayes.diagnosis.fitting import PlateCase
 from cpam_bayes.diagnosis.hypotheses import DISCREPANCY, NONE, OTHER, Hypothesis
-from cpam_bayes.diagnosis.pairings import neighbours, with_pairing
 from cpam_bayes.effects import ListChange
 from cpam_bayes.effects.frequency_list import MISREADING
 from tests.diagnosis.toy_plates import (

@@ -12,9 +12,9 @@ import pytest
 
 from cpam_bayes.diagnosis.cases import hypotheses_of
 from cpam_bayes.diagnosis.diagnose import Diagnosis, diagnose_cases
-from cpam_bayes.diagnosis.evidence import sharing
-from cpam_bayes.diagnosis.evidence.sharing import shared_out
-from cpam_bayes.diagnosis.next_test.next_measurement import next_measurements
+from cpam_bayes.diagnosis.evidence import sampled as sharing
+from cpam_bayes.diagnosis.evidence.sampled import shared_out
+from cpam_bayes.diagnosis.next_test import next_measurements
 from cpam_bayes.parallel import open_executor
 from tests.diagnosed import aluminium_case, listed
 

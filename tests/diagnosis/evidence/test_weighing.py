@@ -7,10 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cpam_bayes.diagnosis.composed import ComposedModel
-from cpam_bayes.diagnosis.evidence import pairs
+from cpam_bayes.diagnosis.comparison import PlateCase, comparison_of, effect_columns
+from cpam_bayes.diagnosis.evidence import weighing as pairs
 from cpam_bayes.diagnosis.evidence.weighing import Weighed, marginal_of, weigh
-from cpam_bayes.diagnosis.fitting import PlateCase, comparison_of, effect_columns
 from cpam_bayes.diagnosis.hypotheses import (
     DISCREPANCY,
     NONE,
@@ -22,6 +21,7 @@ from cpam_bayes.diagnosis.hypotheses import (
     causes_in,
     paired,
 )
+from cpam_bayes.diagnosis.models import ComposedModel
 from cpam_bayes.effects import ListChange
 from cpam_bayes.effects.frequency_list import MISREADING
 from cpam_bayes.mechanics.modes import RigidBodyError

@@ -11,38 +11,36 @@ import numpy as np
 import pytest
 
 from cpam_bayes.diagnosis import diagnose as diagnosing
+from cpam_bayes.diagnosis import next_test as further_tests
+from cpam_bayes.diagnosis import next_test as next_measurement
 from cpam_bayes.diagnosis.cases import plate_case
-from cpam_bayes.diagnosis.claim import Claim
+from cpam_bayes.diagnosis.comparison import PlateCase
 from cpam_bayes.diagnosis.diagnose import Diagnosis, diagnose_cases
 from cpam_bayes.diagnosis.evidence import weighing
 from cpam_bayes.diagnosis.evidence.sampled import sampled_marginal
 from cpam_bayes.diagnosis.evidence.weighing import Weighed, marginal_of
-from cpam_bayes.diagnosis.fitting import PlateCase
-from cpam_bayes.diagnosis.hypotheses import DISCREPANCY, NONE, OTHER, Hypothesis
+from cpam_bayes.diagnosis.hypotheses import DISCREPANCY, NONE, OTHER, Claim, Hypothesis
 from cpam_bayes.diagnosis.models import plate_models
-from cpam_bayes.diagnosis.next_test import further_tests, next_measurement
-from cpam_bayes.diagnosis.next_test.further_tests import (
+from cpam_bayes.diagnosis.next_test import (
     GAUGED,
     MORE_MODES,
     WEIGHED,
     FurtherTest,
-    Predicted,
-    places,
-)
-from cpam_bayes.diagnosis.next_test.next_measurement import (
     Outlook,
+    Predicted,
     information,
     leading_hypotheses,
     next_measurements,
     outlook_of,
+    places,
 )
 from cpam_bayes.effects import CATALOGUE, Effect
 from cpam_bayes.effects.effect import either_sign
-from cpam_bayes.effects.sizes import DENSITY, THICKNESS
+from cpam_bayes.effects.geometry import DENSITY, THICKNESS
 from cpam_bayes.forward_model.model import plate_problem
 from cpam_bayes.plate import Measurement
+from cpam_bayes.plate.reader import builtin
 from cpam_bayes.plate.records import Sensor
-from cpam_bayes.plate.specimens import builtin
 from tests.diagnosis.toy_plates import (
     BUMP,
     CONSTANTS,

@@ -15,12 +15,12 @@ from cpam_bayes.forward_model.calculix import (
     read_eigenvalues,
     run_calculix,
     solve_modes,
-    write_deck,
 )
-from cpam_bayes.forward_model.calculix.mesh import grid_lines
-from cpam_bayes.forward_model.calculix.results import deformation_modes, read_displacements
+from cpam_bayes.forward_model.calculix.deck import grid_lines
+from cpam_bayes.forward_model.calculix.run import deformation_modes, read_displacements
 from cpam_bayes.plate import Material, Sensor, Specimen, builtin
 from cpam_bayes.plate.layup import parse_layup
+from tests.plates import with_plate
 
 N_MODES = 6
 ELEMENTS: tuple[Element, ...] = ("shell", "brick")
@@ -39,9 +39,7 @@ class Card:
 
 
 def constants(specimen: Specimen) -> dict[str, float]:
-    material = specimen.material
-    complete = material.complete()
-    return {name: float(value) for name, value in complete.items()}
+    return {name: float(value) for name, value in specimen.material.complete().items()}
 
 
 def cards(specimen: Specimen, element: Element, **options: int) -> list[Card]:
@@ -78,11 +76,6 @@ def elements_of(deck: list[Card], n_nodes: int) -> dict[str, np.ndarray]:
             rows = np.array(card.numbers(), dtype=int).reshape(-1, n_nodes + 1)
             found.setdefault(card.parameters["ELSET"], []).append(rows[:, 1:])
     return {name: np.concatenate(rows) for name, rows in found.items()}
-
-
-def with_plate(name: str, **changes: object) -> Specimen:
-    specimen = builtin(name)
-    return replace(specimen, plate=replace(specimen.plate, **changes))
 
 
 def test_each_run_of_plies_has_bricks_of_its_thickness_and_its_axes() -> None:
@@ -243,17 +236,6 @@ def test_grid_lines_narrow_towards_edges_and_meet_every_point() -> None:
     assert (lines[0], lines[-1]) == (0.0, 1.0)
     assert_allclose(lines[:4], [0.0, 0.001, 0.005, 0.015])
     assert {0.5, 0.97} <= set(lines)
-
-
-def test_a_thick_plate_has_equal_elements() -> None:
-    assert_allclose(np.diff(grid_lines(1.0, 8, 0.3, ("C", "F"))), 1 / 8)
-
-
-def test_a_written_deck_is_the_text(tmp_path: Path) -> None:
-    specimen = builtin("A2")
-    write_deck(specimen, constants(specimen), "shell", N_MODES, tmp_path / "a.inp")
-    expected = plate_deck(specimen, constants(specimen), "shell", N_MODES).text
-    assert (tmp_path / "a.inp").read_text("ascii") == expected
 
 
 @pytest.mark.parametrize(

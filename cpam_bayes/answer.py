@@ -1,0 +1,123 @@
+"""What an answer is made of: constants, frequencies, notices. Made once by the verbs, in SI, used by all.
+
+Nothing here knows how an answer looks: `cpam_bayes.render` writes it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Any, Literal, TypeAlias
+
+from cpam_bayes.priors import Prior
+
+__all__ = ["Constant", "FrequencyRow", "Notice", "Severity", "Verdict", "as_written", "each_once"]
+
+Severity: TypeAlias = Literal["slip", "warning", "remark"]
+"""A slip most likely ruins the answer; a warning is a reason not to trust a number; a remark is neither."""
+
+
+class Verdict(Enum):
+    """What decides the value of a constant; the values are those of JSON documents."""
+
+    DATA = "determined by the data"
+    BOTH = "determined by data and prior"
+    PRIOR = "determined by the prior"
+    MISFIT = "not determined, the model misfits"
+    """The noise does not explain the misfit: what the frequencies determine is no constant of the plate."""
+
+
+@dataclass(frozen=True, slots=True)
+class Notice:
+    """A reason not to trust an answer as it stands.
+
+    code : names its sentence in `cpam_bayes.render.notices`
+    facts : what the sentence is made from, in SI or in words of the plate file
+    """
+
+    code: str
+    severity: Severity = "warning"
+    facts: Mapping[str, Any] = field(default_factory=dict)
+
+
+def each_once(notices: Iterable[Notice]) -> tuple[Notice, ...]:
+    """Equal notices of the parts of an answer once, in order."""
+    found: list[Notice] = []
+    for notice in notices:
+        if notice not in found:
+            found.append(notice)
+    return tuple(found)
+
+
+def as_written(texts: Iterable[str], severity: Severity = "warning") -> tuple[Notice, ...]:
+    """Sentences of a reader of files as notices."""
+    return tuple(Notice("as_written", severity, {"text": text}) for text in texts)
+
+
+@dataclass(frozen=True, slots=True)
+class Constant:
+    """An elastic constant in an answer, in SI.
+
+    name : as inside, "E1"; of a hybrid with its material, "c.E1"
+    value : the point estimate, or the mean of the posterior
+    sd : standard deviation, nan where not known
+    interval : 95 %, None where none can be given
+    prior : what was assumed before the measurement
+    reference : of the plate file, nan where it has none
+    verdict : what decides the value
+    bound : the bound of the prior that the value sits on
+    elsewhere : values at other optima that the noise does not exclude
+    rests_on : other constants whose priors the interval rests on too
+    """
+
+    name: str
+    value: float
+    sd: float
+    interval: tuple[float, float] | None
+    prior: Prior
+    reference: float
+    verdict: Verdict
+    bound: Literal["lower", "upper"] | None = None
+    elsewhere: tuple[float, ...] = ()
+    rests_on: tuple[str, ...] = ()
+
+    @property
+    def is_determined(self) -> bool:
+        """Whether the frequencies determine the constant."""
+        return self.verdict is Verdict.DATA and not self.is_open
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the frequencies leave the value open, so that it must not be used."""
+        held = self.bound is not None or bool(self.elsewhere) or not math.isfinite(self.sd)
+        return held or self.verdict is Verdict.PRIOR
+
+
+@dataclass(frozen=True, slots=True)
+class FrequencyRow:
+    """A measured frequency beside the model's, Hz.
+
+    measured : None for a mode in the range of the list that the list lacks
+    predicted, predicted_sd : None for a measured frequency that was paired with no mode; the sd nan where
+    not known
+    number : of the mode, ascending from 1, or 0
+    kind : bending, in-plane or coupled; label : by nodal lines, (1,1)
+    plate : name of the plate, for several
+    """
+
+    measured: float | None
+    predicted: float | None
+    kind: str | None = None
+    label: str | None = None
+    number: int = 0
+    predicted_sd: float = math.nan
+    plate: str = ""
+
+    @property
+    def residual(self) -> float | None:
+        """Predicted / measured - 1; None where one of them is missing."""
+        if self.measured is None or self.predicted is None:
+            return None
+        return self.predicted / self.measured - 1.0

@@ -1,1 +1,0 @@
-"""The paper's tables beside what this package computes: the question `paper`."""

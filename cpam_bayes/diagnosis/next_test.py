@@ -1,0 +1,520 @@
+"""Further tests of a laboratory, ranked by the information of their data about the cause."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import logsumexp, ndtri
+from scipy.stats import qmc
+
+from cpam_bayes.diagnosis.comparison import SCATTER, PlateCase
+from cpam_bayes.diagnosis.diagnose import Diagnosis
+from cpam_bayes.diagnosis.evidence.sampled import shared_out
+from cpam_bayes.diagnosis.evidence.weighing import Tested, Weighed
+from cpam_bayes.diagnosis.hypotheses import NONE, OTHER
+from cpam_bayes.diagnosis.models import (
+    Change,
+    ComposedModel,
+    Part,
+    PlateModels,
+    converged_plate,
+    effect_key,
+    extended_model,
+    extended_problem,
+    loaded_with,
+    needs_another_space,
+    plate_models,
+)
+from cpam_bayes.effects import Effect, extend
+from cpam_bayes.forward_model.local.model import LocalModel
+from cpam_bayes.forward_model.model import PlateModel, Samples, model_on_basis
+from cpam_bayes.forward_model.reduced import ReducedModel
+from cpam_bayes.forward_model.store import stored_plate_model
+from cpam_bayes.inference.posterior import ForwardModel
+from cpam_bayes.mechanics.convergence import Tolerance
+from cpam_bayes.mechanics.modes import RigidBodyError
+from cpam_bayes.mechanics.problem import Problem
+from cpam_bayes.parameters import ParameterSet
+from cpam_bayes.plate.edges import ALL_FREE, CANTILEVER, conditions
+from cpam_bayes.plate.records import Sensor
+from cpam_bayes.threads import single_blas_thread
+
+Array = NDArray[Any]
+
+# Further modes; a known mass over the plate's, and its distance from a corner over the sides.
+MORE_MODES = 4
+_MASS_SHARE, _CORNER = 0.02, 0.05
+# Relative standard deviations of weighing and of measuring the thickness at many points.
+WEIGHED, GAUGED = 1e-3, 3e-3
+# Draws that the model of a test is solved at, at least, and for each term of the response that carries it to
+# the other draws, as far as so many standard deviations beyond these.
+_SOLVED, _PER_TERM, _BEYOND = 20, 2.5, 1.0
+# Of spaces that are converged for a test alone: a tenth of a measurement's noise will do.
+_TOLERANCE = Tolerance(kept=3e-4, rich=2e-4)
+
+
+@dataclass(frozen=True, slots=True)
+class Predicted:
+    """Data of a test under one hypothesis.
+
+    y : (d, n) at its draws, frequencies in Hz. missing : (n, n) relative covariance that y lacks. noise :
+    (n,) relative standard deviations of data that are no frequencies, or ``None``. as_now : whether what
+    nothing explains in the present list is in these data too.
+    """
+
+    y: Array
+    missing: Array
+    noise: Array | None = None
+    as_now: bool = True
+
+
+Predict = Callable[[Tested], Predicted]
+
+
+@dataclass(frozen=True, slots=True)
+class FurtherTest:
+    """A test; ``prepare`` makes its models and gives what predicts its data."""
+
+    name: str
+    description: str
+    prepare: Callable[[], Predict]
+
+
+def further_tests(
+    cases: Sequence[PlateCase],
+    about: int,
+    last_mode: int,
+    scatter: float,
+    notify: Callable[[str], None] = lambda text: None,
+) -> list[FurtherTest]:
+    """The tests of one of the plates; last_mode : number of the last mode that any hypothesis has listed."""
+    case = cases[about]
+    present = case.models.specimen
+    plate, n = present.plate, case.measurement.size
+    tests: list[FurtherTest] = []
+    edges, held = (
+        (CANTILEVER, "clamped on the edge x = 0") if plate.edges == ALL_FREE else (ALL_FREE, "hung free")
+    )
+    tried = {c.models.specimen.plate.edges for c in cases if c.models.specimen.specimen == present.specimen}
+    if edges not in tried:
+
+        def other_edges() -> Predict:
+            specimen = replace(present, plate=replace(plate, edges=edges))
+            models = plate_models(specimen, n, notify)
+            return lambda t: _under_test(t, about, models, models.bare, np.arange(n))
+
+        tests.append(FurtherTest("edge_condition", f"the same plate {held}, {n} modes", other_edges))
+
+    def more_modes() -> Predict:
+        models = plate_models(present, last_mode + 1 + MORE_MODES, notify)
+        return lambda t: _under_test(t, about, models, models.bare, _next_modes(t, about))
+
+    tests.append(FurtherTest("more_modes", f"the next {MORE_MODES} modes of the same plate", more_modes))
+    mass = _MASS_SHARE * plate.density * plate.thickness * plate.area
+    for name, where, (x, y) in places(plate.edges):
+        sensor = Sensor(mass, x * plate.length, y * plate.width)
+
+        def loaded(sensor: Sensor = sensor) -> Predict:
+            models, bare = _loaded(case.models, sensor)
+            return lambda t: _under_test(t, about, models, bare, np.arange(n))
+
+        text = f"the same plate with a known mass of {1e3 * mass:.3g} g {where}, {n} modes"
+        tests.append(FurtherTest(name, text, loaded))
+    text = f"a sister plate of the same material, {n} modes"
+    tests.append(FurtherTest("sister_plate", text, lambda: lambda t: _sister(t, about, case, scatter)))
+    text = f"weighing the plate to {100 * WEIGHED:g} % and gauging its thickness to {100 * GAUGED:g} %"
+    tests.append(FurtherTest("weighing", text, lambda: lambda t: _weighing(t, about, case)))
+    return tests
+
+
+def places(edges: str) -> list[tuple[str, str, tuple[float, float]]]:
+    """Where a known mass can be put: a corner between two free edges, and the centre."""
+    held = conditions(edges)
+    corners = [
+        (x, y)
+        for x, of_x in ((1.0 - _CORNER, 2), (_CORNER, 0))
+        for y, of_y in ((1.0 - _CORNER, 3), (_CORNER, 1))
+        if held[of_x].is_free and held[of_y].is_free
+    ]
+    corner = [("mass_at_corner", "at a free corner", at) for at in corners[:1]]
+    return [*corner, ("mass_at_centre", "at the centre", (0.5, 0.5))]
+
+
+def _next_modes(t: Tested, about: int) -> Array:
+    """The modes after the last one that a hypothesis has listed."""
+    return int(t.marginal.comparison.model.parts[about].modes.max()) + 1 + np.arange(MORE_MODES)
+
+
+def _loaded(plate: PlateModels, sensor: Sensor) -> tuple[PlateModels, PlateModel]:
+    """A plate with a known mass, in the space of the plate without it."""
+    loaded = loaded_with(plate, sensor)
+    return loaded, _on_basis(loaded, loaded.problem, plate.samples.x)
+
+
+def _on_basis(plate: PlateModels, problem: Problem, samples: Array) -> PlateModel:
+    return model_on_basis(problem, samples, plate.n_modes, plate.error, (plate.settings, plate.keep))
+
+
+def _with_effect(plate: PlateModels, effect: Effect) -> PlateModel | ReducedModel | LocalModel:
+    """The full model of a plate with an effect: a reduced one would take more solves than it saves.
+
+    An effect at any place has its own model, which takes few. What a space is converged for is stored.
+    """
+    if effect.is_anywhere:
+        return extended_model(plate, effect)
+    problem, samples = extended_problem(plate, effect)
+    if not needs_another_space(problem, effect, plate):
+        return _on_basis(plate, problem, samples)
+
+    def build() -> PlateModel:
+        return converged_plate(problem, Samples(samples, np.ones(2)), plate.n_modes, _TOLERANCE)
+
+    return stored_plate_model(effect_key(plate, effect, "space"), problem, samples, plate.n_modes, build)
+
+
+@dataclass(frozen=True, slots=True)
+class _Drawn:
+    """What a hypothesis says of one plate: vectors (d, n) of its constants and sizes, then of its effects.
+
+    n_plate : number of the former
+    effects : of this plate, with the columns of their parameters
+    """
+
+    v: Array
+    n_plate: int
+    effects: tuple[tuple[Effect, tuple[int, ...]], ...]
+
+
+def _drawn(t: Tested, about: int) -> _Drawn:
+    part, x = t.marginal.comparison.model.parts[about], t.marginal.draws
+    columns, effects = [part.plate_vector(x)], []
+    n = at = columns[0].shape[1]
+    if part.changes:
+        for effect, change in zip(t.hypothesis.effects, part.changes, strict=True):
+            columns.append(x[:, list(change.columns)])
+            effects.append((effect, tuple(range(at, at + len(change.columns)))))
+            at += len(change.columns)
+    return _Drawn(np.concatenate(columns, axis=1), n, tuple(effects))
+
+
+def _composed(
+    drawn: _Drawn, parameters: ParameterSet, bare: ForwardModel, modes: Array, changes: Sequence[Change]
+) -> ComposedModel:
+    further = tuple(p for effect, _ in drawn.effects for p in effect.parameters)
+    every = ParameterSet((*parameters.parameters, *further))
+    part = Part(bare, np.arange(drawn.n_plate), np.full(drawn.n_plate, -1), tuple(changes), modes)
+    return ComposedModel(every, (part,))
+
+
+def _under_test(t: Tested, about: int, plate: PlateModels, bare: ForwardModel, modes: Array) -> Predicted:
+    """Frequencies of the plate with its effect under a test; an effect that it cannot have then is gone."""
+    drawn = _drawn(t, about)
+    changes = []
+    for effect, columns in drawn.effects:
+        names = tuple(p.name for p in effect.parameters)
+        if effect.change is None:
+            changes.append(Change(names, columns, None, effect.observe))
+        elif effect.applies_to(plate.facts):
+            changes.append(Change(names, columns, _with_effect(plate, effect)))
+    model = _composed(drawn, plate.parameters, bare, modes, changes)
+    return _response(model, drawn, np.exp(t.marginal.log_weight))
+
+
+def _response(model: ComposedModel, drawn: _Drawn, weight: Array) -> Predicted:
+    """Frequencies at all draws, from those at some where there are many.
+
+    The relative scatter of the latter about the response is missing then. Log frequencies are taken as
+    quadratic in each of the logarithms of constants and sizes and of the effects' parameters: they are linear
+    in the logarithm of what scales all stiffnesses, even in a skew.
+    """
+    v, weight = drawn.v.copy(), weight / weight.sum()
+    v[:, : drawn.n_plate] = np.log(v[:, : drawn.n_plate])
+    mean = weight @ v
+    sd = np.sqrt(weight @ (v - mean) ** 2)
+    varied = np.flatnonzero(sd > 1e-12)
+    n = 1 + 2 * len(varied)
+    size = max(_SOLVED, round(_PER_TERM * n))
+    if len(v) <= size:
+        f = model.predict(drawn.v).frequencies
+        return Predicted(f, np.zeros((f.shape[1], f.shape[1])))
+    cumulative = np.cumsum(weight)
+    levels = (np.arange(size) + 0.5) / size
+    rows = np.unique(np.searchsorted(cumulative / cumulative[-1], levels).clip(max=len(v) - 1))
+    if len(rows) < size:  # a few draws hold most of the weight, and a response needs more than these
+        rows = np.argsort(-weight, kind="stable")[:size]
+    u = (v[:, varied] - mean[varied]) / sd[varied]
+    u = np.clip(u, u[rows].min(axis=0) - _BEYOND, u[rows].max(axis=0) + _BEYOND)
+    terms = np.column_stack((np.ones(len(v)), u, u**2))
+    log_f = np.log(model.predict(drawn.v[rows]).frequencies)
+    slopes, *_ = np.linalg.lstsq(terms[rows], log_f, rcond=None)
+    left = log_f - terms[rows] @ slopes
+    missing = np.sum(left**2, axis=0) / max(len(rows) - n, 1)
+    return Predicted(np.exp(terms @ slopes), np.diag(missing))
+
+
+def _sister(t: Tested, about: int, case: PlateCase, scatter: float) -> Predicted:
+    """Frequencies of another plate: its constants scatter about these, and its sizes vary within theirs.
+
+    What that adds to the covariance is carried to the frequencies by their derivatives at the mean.
+    """
+    drawn = _drawn(t, about)
+    parameters, unknowns = case.models.parameters.parameters, case.models.specimen.unknowns
+    v = drawn.v.copy()
+    for j, parameter in enumerate(parameters):
+        if parameter.name not in unknowns:
+            v[:, j] = parameter.prior.mean
+    changes = []
+    for effect, columns in drawn.effects:
+        if effect.is_common_to_sisters:
+            names = tuple(p.name for p in effect.parameters)
+            own_model = None if effect.change is None else case.with_effect(effect)
+            changes.append(Change(names, columns, own_model, effect.observe))
+    modes = np.arange(case.measurement.size)
+    model = _composed(drawn, case.models.parameters, case.models.bare, modes, changes)
+    predicted = _response(model, replace(drawn, v=v), np.exp(t.marginal.log_weight))
+    mean = np.average(v, axis=0, weights=np.exp(t.marginal.log_weight))
+    at = model.predict(mean[None], jacobian=True)
+    assert at.jacobian is not None
+    spread = [scatter if p.name in unknowns else p.prior.sd / p.prior.mean for p in parameters]
+    slope = at.jacobian[0, :, : drawn.n_plate] * mean[: drawn.n_plate] / at.frequencies[0, :, None] * spread
+    return replace(predicted, missing=predicted.missing + slope @ slope.T, as_now=False)
+
+
+def _weighing(t: Tested, about: int, case: PlateCase) -> Predicted:
+    """Mass, kg, and thickness, m, of the plate; what a clamp holds is not weighed."""
+    drawn = _drawn(t, about)
+    problem, facts = case.models.problem, case.models.facts
+    names = list(case.models.parameters.names)
+    for effect, _ in drawn.effects:
+        names += [p.name for p in effect.parameters]
+        if effect.change is not None and effect.belongs_to != "test":
+            # where it is does not matter to a balance
+            anywhere = {p.name: np.asarray(p.prior.mean) for p in effect.coordinates}
+            problem = extend(problem, effect.fixed(anywhere), facts)
+    values = dict(zip(names, drawn.v.T, strict=True))
+    state = problem.state({name: values[name] for name in problem.parameters.names})
+    one = np.ones(len(drawn.v))
+    y = np.stack((state.density * state.thickness * state.area * one, state.thickness * one), axis=1)
+    return Predicted(y, np.zeros((2, 2)), np.array([WEIGHED, GAUGED]), as_now=False)
+
+
+# Causes that tests are to tell apart: until they have so much probability, so many at most, in so many
+# variants at most.
+_ENOUGH, _MOST_CAUSES, _MOST_VARIANTS = 0.99, 6, 10
+# Simulated data, log2, of each hypothesis; probability from which a cause counts as identified.
+_LOG2_DATA, _IDENTIFIED = 10, 0.9
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """A further test.
+
+    information : expected of its data about the cause, nats (mutual information)
+    possible : the most that data can say, the entropy of the cause, nats
+    decided : probability that the right cause is above 0.9 afterwards
+    """
+
+    name: str
+    description: str
+    information: float
+    possible: float
+    decided: float
+
+
+@dataclass(frozen=True, slots=True)
+class Outlook:
+    """Data of a test as k hypotheses predict them, each a Gaussian.
+
+    probability : (k,)
+    cause : (k,) number of the cause that a hypothesis is a variant of
+    mean : (k, n)
+    covariance : (k, n, n), noise included
+    """
+
+    probability: Array
+    cause: Array
+    mean: Array
+    covariance: Array
+
+
+@single_blas_thread
+def next_measurements(
+    diagnosis: Diagnosis,
+    *,
+    always: bool = False,
+    noise: float | None = None,
+    scatter: float = SCATTER,
+    executor: Executor | None = None,
+    notify: Callable[[str], None] = lambda text: None,
+) -> tuple[Candidate, ...]:
+    """Tests of the plate that the leading cause is about, the most informative first.
+
+    Another edge condition, four more modes, a known mass at a corner and at the centre, a sister plate of
+    the same material, weighing and gauging. always : also where nothing is wrong or the cause is named.
+    noise : relative standard deviation of a frequency in them; left out, that of the list or, where it was
+    inferred, what each hypothesis says of it. Every hypothesis predicts the data from its own posterior.
+    executor : where that is done.
+    """
+    if _is_settled(diagnosis) and not always:
+        return ()
+    leading = leading_hypotheses(diagnosis.weighed)
+    if len({t.hypothesis.cause for t in leading}) < 2:
+        return ()
+    about = next((t.plates[0] for t in leading if t.hypothesis.cause not in (NONE, OTHER)), 0)
+    last = max(int(t.marginal.comparison.model.parts[about].modes.max()) for t in leading)
+    tests = further_tests(diagnosis.cases, about, last, scatter)
+    notify(f"predicting {len(tests)} further tests")
+    asked = _Asked(diagnosis.cases, about, last, scatter, noise, leading)
+    items = [(asked, number) for number in range(len(tests))]
+    predicted = shared_out(_candidate, diagnosis.cases, items, executor, common=asked)
+    candidates = []
+    for test, candidate in zip(tests, predicted, strict=True):
+        if candidate is None:
+            notify(
+                f"{test.description}: a cause leaves a plate that cannot be told from a rigid body; left out"
+            )
+        else:
+            candidates.append(candidate)
+    return tuple(sorted(candidates, key=lambda c: -c.information))
+
+
+def _is_settled(diagnosis: Diagnosis) -> bool:
+    """Whether no causes are left to tell apart: none, or one, and nothing open beside it."""
+    claim = diagnosis.claim
+    alone = claim.probability - diagnosis.probability_beside
+    return claim.kind == NONE or (claim.kind == "named" and alone >= _IDENTIFIED)
+
+
+@dataclass(frozen=True, slots=True)
+class _Asked:
+    """What tests that could follow are predicted from, as in `further_tests` and `outlook_of`."""
+
+    cases: Sequence[PlateCase]
+    about: int
+    last_mode: int
+    scatter: float
+    noise: float | None
+    leading: tuple[Tested, ...]
+
+
+def _candidate(item: tuple[_Asked, int]) -> Candidate | None:
+    """What the test of some number would tell, ``None`` where it cannot be predicted."""
+    asked, number = item
+    test = further_tests(asked.cases, asked.about, asked.last_mode, asked.scatter)[number]
+    try:
+        outlook = outlook_of(asked.leading, asked.cases[asked.about], test.prepare(), asked.noise)
+    except RigidBodyError:
+        return None
+    return Candidate(test.name, test.description, *information(outlook))
+
+
+def leading_hypotheses(weighed: Weighed) -> tuple[Tested, ...]:
+    """The best variants of the most probable causes, which carry the whole probability of these.
+
+    Causes are taken until they hold 99 %, six at most, with ten variants in all at most.
+    """
+    causes: dict[str, float] = {}
+    for name, p in weighed.by_cause().items():
+        if sum(causes.values()) >= _ENOUGH or len(causes) == _MOST_CAUSES:
+            break
+        causes[name] = p
+    of_these = [t for t in weighed.tested if t.hypothesis.cause in causes]
+    best = [next(t for t in of_these if t.hypothesis.cause == name) for name in causes]
+    chosen = {
+        id(t) for t in [*best, *(t for t in of_these if all(t is not b for b in best))][:_MOST_VARIANTS]
+    }
+    kept = [t for t in of_these if id(t) in chosen]
+    held = {name: sum(t.probability for t in kept if t.hypothesis.cause == name) for name in causes}
+    whole = [
+        replace(t, probability=t.probability * causes[t.hypothesis.cause] / held[t.hypothesis.cause])
+        for t in kept
+        if held[t.hypothesis.cause] > 0.0
+    ]
+    return tuple(sorted(whole, key=lambda t: -t.probability))
+
+
+def information(outlook: Outlook, log2_data: int = _LOG2_DATA) -> tuple[float, float, float]:
+    """Mutual information of cause and data, the entropy of the cause, and how probably it is identified.
+
+    I = H(C) - E H(C | y), by data y drawn from every hypothesis, from one scrambled Sobol sequence. The cause
+    is identified where the one that is true has a probability above 0.9.
+    """
+    n_data = outlook.mean.shape[1]
+    p = outlook.probability / outlook.probability.sum()
+    of_cause = (outlook.cause[:, None] == np.unique(outlook.cause)).astype(float)  # (k, n_causes)
+    uniform = qmc.Sobol(n_data, rng=np.random.default_rng(0)).random_base2(log2_data)
+    normal = ndtri(np.clip(uniform, 1e-12, 1 - 1e-12))
+    factor = np.linalg.cholesky(outlook.covariance)
+    y = outlook.mean[:, None] + normal @ np.swapaxes(factor, 1, 2)  # (k, draws, n)
+    back = np.linalg.inv(factor)
+    log_det = np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1)
+    z = np.einsum("jab,kdjb->kdja", back, y[:, :, None] - outlook.mean)
+    log_joint = np.log(p) - log_det - 0.5 * np.sum(z**2, axis=-1)  # (k, draws, k)
+    after = np.exp(log_joint - logsumexp(log_joint, axis=-1, keepdims=True)) @ of_cause
+    possible = _entropy(p @ of_cause)
+    left = float(p @ _entropies(after).mean(axis=1))
+    right = np.take_along_axis(after, of_cause.argmax(axis=1)[:, None, None], axis=-1)[..., 0]
+    decided = float(p @ (right > _IDENTIFIED).mean(axis=1))
+    return max(possible - left, 0.0), possible, decided
+
+
+def _entropies(p: Array) -> Array:
+    return np.asarray(-np.sum(p * np.log(np.maximum(p, 1e-300)), axis=-1))
+
+
+def _entropy(p: Array) -> float:
+    return float(_entropies(p))
+
+
+def outlook_of(leading: Sequence[Tested], case: PlateCase, predict: Predict, noise: float | None) -> Outlook:
+    """The data of a test under each hypothesis, as relative deviations from what the first one predicts."""
+    means, covariances = [], []
+    unit: Array | None = None
+    for t in leading:
+        prediction = predict(t)
+        weight = np.exp(t.marginal.log_weight)
+        weight /= weight.sum()
+        if unit is None:
+            unit = np.asarray(weight @ prediction.y)
+        y = prediction.y / unit
+        mean = weight @ y
+        if prediction.noise is not None:
+            noise_variance = prediction.noise**2
+        else:
+            noise_variance = _noise(t, case, unit, noise, prediction.as_now)
+        spread = (y - mean).T @ ((y - mean) * weight[:, None])
+        covariances.append(spread + np.diag(noise_variance) + prediction.missing)
+        means.append(mean)
+    causes = list(dict.fromkeys(t.hypothesis.cause for t in leading))
+    return Outlook(
+        np.array([t.probability for t in leading]),
+        np.array([causes.index(t.hypothesis.cause) for t in leading]),
+        np.stack(means),
+        np.stack(covariances),
+    )
+
+
+def _noise(t: Tested, case: PlateCase, f: Array, noise: float | None, as_now: bool) -> Array:
+    """Relative variance of frequencies (n,) beyond the spread of the draws."""
+    comparison, measurement = t.marginal.comparison, case.measurement
+    weight = np.exp(t.marginal.log_weight)
+    weight /= weight.sum()
+    if noise is not None:
+        variance = noise**2
+    elif measurement.frequency_sd is not None:
+        variance = float(np.mean((measurement.frequency_sd / measurement.frequencies) ** 2))
+    elif measurement.relative_std is not None:
+        variance = measurement.relative_std**2
+    else:
+        # of all lists, where there are several: a further test is like any of them
+        inferred = [c for c in comparison.amplitudes if c >= 0]
+        variance = float(np.mean(weight @ t.marginal.draws[:, inferred] ** 2))
+    if comparison.discrepancy is not None and as_now:
+        variance += float(weight @ t.marginal.draws[:, comparison.discrepancy] ** 2)
+    variance += float(np.mean(case.models.error**2))
+    return np.asarray(variance + measurement.resolution**2 / 12 / f**2)

@@ -1,1 +1,0 @@
-"""Which further test would tell the causes apart best."""

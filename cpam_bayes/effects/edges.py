@@ -1,0 +1,244 @@
+"""Edges and supports that are not ideal: clamps that turn, move or slip, and the foam under a free plate.
+
+The fields of a clamped edge are set free and held by springs k = stiffness / ((c + c0) side). c0 stands for
+the rigid clamp; with it no frequency differs from that of the held edge by more than 1e-4.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from cpam_bayes.effects.effect import PERCENT, Effect, PlateFacts, one_sided, stacked
+from cpam_bayes.mechanics.problem import Array, Atom, Form, PlateState, Problem, Region, Term, Values
+from cpam_bayes.plate.edges import ALL_FREE, EDGES, FIELDS, Field, conditions, yielding
+
+# Compliances of the clamp that counts as rigid, in units of side / D (turning) and side^3 / D. Stiffer
+# springs would cost digits: their eigenvalues stand 1e12 above the lowest.
+_RIGID_TURN, _RIGID_SHIFT = 3e-5, 1e-7
+# Pieces of the edge with a compliance each, as fractions of it from its first end.
+_PIECES = (0.0, 0.01, 0.02, 0.035, 0.05, 0.07, 0.10, 0.14, 0.19, 0.24, 0.30)
+# Compliance of the loose part at a distance d side from where the grip begins: this fraction of that of a
+# strip as long, which is d side / D for rotations, d^3 side^3 / D for w and d side / A for u and v.
+_LOOSE: dict[Field, tuple[float, int]] = {
+    "u": (0.02, 1),
+    "v": (0.02, 1),
+    "w": (0.01, 3),
+    "phi_x": (0.1, 1),
+    "phi_y": (0.1, 1),
+}
+# Fields that stand on springs where a clamp gives way so.
+_SPRUNG: dict[str, tuple[Field, ...]] = {
+    "rotation": ("phi_x", "phi_y"),
+    "translation": ("u", "v", "w"),
+    "slip": FIELDS,
+}
+
+
+def _yielding(edges: str, clamped: Sequence[int], way: str) -> str:
+    letters = list(edges)
+    for i in clamped:
+        letter = yielding(edges[i], _SPRUNG[way])
+        if letter is None:
+            raise ValueError(
+                f"clamp_{way}: the edges are {edges} already; a clamp's slip does not go with another "
+                "clamp effect, and each effect goes once"
+            )
+        letters[i] = letter
+    return "".join(letters)
+
+
+def _spring(state: PlateState, axis: int, field: Field, compliance: Array) -> Array:
+    """Spring per length of a clamped edge across an axis (0: x, 1: y), times the edge's length.
+
+    D / (c a) on rotations, D / (c a^3) on w, A / (c a) on u and v.
+    """
+    stiffness = state.stiffness()
+    side, along = (state.length, state.width) if axis == 0 else (state.width, state.length)
+    bending, membrane = stiffness[..., 3 + axis, 3 + axis], stiffness[..., axis, axis]
+    if field in ("phi_x", "phi_y"):
+        return np.asarray(bending * along / ((compliance + _RIGID_TURN) * side))
+    if field == "w":
+        return np.asarray(bending * along / ((compliance + _RIGID_SHIFT) * side**3))
+    return np.asarray(membrane * along / ((compliance + _RIGID_SHIFT) * side))
+
+
+def _clamped(facts: PlateFacts) -> list[int]:
+    return [i for i, edge in enumerate(conditions(facts.edges)) if edge.is_clamp]
+
+
+def _compliant(parameter: str, way: str, problem: Problem, facts: PlateFacts) -> Problem:
+    clamped = _clamped(facts)
+    springs = [(i, field) for i in clamped for field in _SPRUNG[way]]
+    forms = tuple(Form(Atom(f), Atom(f), Region("edge", EDGES[i])) for i, f in springs)
+    coefficients = partial(_compliant_springs, parameter, springs)
+    relaxed = replace(problem, edges=_yielding(problem.edges, clamped, way))
+    return relaxed.with_terms(Term(f"clamp_{way}", "stiffness", forms, coefficients))
+
+
+def _compliant_springs(
+    parameter: str, springs: list[tuple[int, Field]], state: PlateState, values: Values
+) -> Array:
+    c = np.asarray(values[parameter])
+    return stacked(*(_spring(state, i % 2, field, c) for i, field in springs))
+
+
+def _soft(problem: Problem, facts: PlateFacts) -> Problem:
+    """Springs on the rotations and on the translations of the clamped edges."""
+    turning = _compliant("soft_rotation_compliance", "rotation", problem, facts)
+    return _compliant("soft_translation_compliance", "translation", turning, facts)
+
+
+def _slip(problem: Problem, facts: PlateFacts) -> Problem:
+    """The grip fades from a fraction of the edge towards its first end.
+
+    The compliance grows as that of a strip with the distance from where the grip begins, averaged over
+    pieces of the edge. Springs that end abruptly would leave a singularity that no global basis resolves.
+    """
+    clamped = _clamped(facts)
+    starts, ends = np.array(_PIECES), np.array([*_PIECES[1:], 1.0])
+    springs = [(i, field) for i in clamped for field in FIELDS]
+    forms = tuple(
+        Form(Atom(field), Atom(field), Region("edge", EDGES[i], span=(float(start), float(end))))
+        for i, field in springs
+        for start, end in zip(starts, ends, strict=True)
+    )
+
+    coefficients = partial(_fading_springs, springs, starts, ends)
+    relaxed = replace(problem, edges=_yielding(problem.edges, clamped, "slip"))
+    return relaxed.with_terms(Term("clamp_slip", "stiffness", forms, coefficients))
+
+
+def _fading_springs(
+    springs: list[tuple[int, Field]], starts: Array, ends: Array, state: PlateState, values: Values
+) -> Array:
+    slipped = np.asarray(values["slip_fraction"])
+
+    def mean_power(k: int) -> Array:
+        """Mean of d^k over every piece, d = 0 where the grip holds, (..., n_pieces)."""
+        parts = [slipped[..., None] - end for end in (starts, ends)]
+        above, below = (np.where(np.real(d) > 0.0, d, 0.0) ** (k + 1) for d in parts)
+        return np.asarray((above - below) / ((k + 1) * (ends - starts)))
+
+    distance = {k: mean_power(k) for k in (1, 3)}
+    stiffnesses = []
+    for i, field in springs:
+        fraction, k = _LOOSE[field]
+        stiffnesses += [
+            _spring(state, i % 2, field, fraction * distance[k][..., j]) for j in range(len(starts))
+        ]
+    return stacked(*stiffnesses)
+
+
+def _has_clamp(facts: PlateFacts) -> bool:
+    return bool(_clamped(facts))
+
+
+# The springs of one clamp replace its held fields: two of these effects cannot do so together.
+_WAYS = ("clamp_rotation", "clamp_translation", "soft_clamp", "clamp_slip")
+
+CLAMP_ROTATION = Effect(
+    name="clamp_rotation",
+    title="clamp flexible in rotation",
+    family="clamp",
+    belongs_to="test",
+    parameters=(one_sided("rotation_compliance", "", 0.02, 2.0, gross=0.2),),
+    note="edge springs D11 / (c a) on both rotations",
+    check="Tighten the clamp and measure again; rising frequencies confirm it.",
+    change=partial(_compliant, "rotation_compliance", "rotation"),
+    applies_to=_has_clamp,
+    sign=-1,
+    excludes=_WAYS,
+    drawn="held edges",
+)
+CLAMP_TRANSLATION = Effect(
+    name="clamp_translation",
+    title="clamp flexible in translation",
+    family="clamp",
+    belongs_to="test",
+    parameters=(one_sided("translation_compliance", "", 0.002, 0.2, gross=0.02),),
+    note="edge springs D11 / (c a^3) on w, A11 / (c a) on u and v",
+    check="Measure the motion of the clamp itself with a second accelerometer.",
+    change=partial(_compliant, "translation_compliance", "translation"),
+    applies_to=_has_clamp,
+    sign=-1,
+    excludes=_WAYS,
+    drawn="held edges",
+)
+SOFT_CLAMP = Effect(
+    name="soft_clamp",
+    title="clamp flexible in rotation and translation",
+    family="clamp",
+    belongs_to="test",
+    parameters=(
+        one_sided("soft_rotation_compliance", "", 0.02, 2.0, gross=0.2),
+        one_sided("soft_translation_compliance", "", 0.002, 0.2, gross=0.02),
+    ),
+    note="both springs at once: D11 / (c a) on the rotations, D11 / (c' a^3) on w, A11 / (c' a) on u and v",
+    check="Clamp the plate between stiffer jaws that reach over the whole edge, and measure again.",
+    change=_soft,
+    applies_to=_has_clamp,
+    sign=-1,
+    excludes=_WAYS,
+    drawn="held edges",
+)
+CLAMP_SLIP = Effect(
+    name="clamp_slip",
+    title="clamp grips part of the edge",
+    family="clamp",
+    belongs_to="test",
+    parameters=(one_sided("slip_fraction", "", 0.05, _PIECES[-1], shown=PERCENT),),
+    note="the grip fades over this fraction of the edge, from its first end",
+    check="Check the contact along the clamped edge with a feeler gauge or pressure-sensitive film.",
+    change=_slip,
+    applies_to=_has_clamp,
+    sign=-1,
+    excludes=_WAYS,
+    drawn="held edges",
+)
+
+
+# First frequency of the plate that the catalogue's size is given for, Hz.
+_TYPICAL = 80.0
+
+
+def _support(problem: Problem, facts: PlateFacts) -> Problem:
+    """K += k integral of w^2, k = (2 pi f_r)^2 rho h: f^2 becomes f^2 + f_r^2."""
+    del facts
+
+    form = Form(Atom("w"), Atom("w"))
+    supported = replace(problem, supported=True)
+    return supported.with_terms(Term("support", "stiffness", (form,), _foam))
+
+
+def _foam(state: PlateState, values: Values) -> Array:
+    omega = 2 * np.pi * np.asarray(values["support_frequency"])
+    return np.asarray(omega**2 * state.density * state.thickness * state.area)[..., None]
+
+
+def _is_free(facts: PlateFacts) -> bool:
+    return facts.edges == ALL_FREE
+
+
+def _per_first_frequency(facts: PlateFacts) -> float:
+    """A tenth of the first frequency, as modal tests ask of a suspension, and half of it at most."""
+    return (facts.first_frequency or _TYPICAL) / _TYPICAL
+
+
+SUPPORT = Effect(
+    name="support",
+    title="stiff suspension or foam",
+    family="surroundings",
+    belongs_to="plate",
+    parameters=(one_sided("support_frequency", "Hz", 8.0, 40.0),),
+    note="f^2 + f_r^2, free plates only: the lowest modes rise most",
+    check="Measure the frequency at which the plate bounces on its support, or support it more softly.",
+    change=_support,
+    applies_to=_is_free,
+    size_factor=_per_first_frequency,
+    sign=1,
+    even=True,
+)

@@ -1,0 +1,84 @@
+"""A fingerprint of the sources that a result depends on: the hash of a module and of all it imports.
+
+It tells results of today's code from those of another state of it, which a version does not. How an answer
+looks is no part of it: `cpam_bayes.render` and what stands above it are left out.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Iterable, Iterator
+from functools import cache
+from pathlib import Path
+from typing import Final
+
+__all__ = ["fingerprint", "fingerprint_of_script", "sources_of"]
+
+_PACKAGE: Final = Path(__file__).parent
+_DIGITS: Final = 12
+# Imports at any depth of a file; in parentheses they may stand in several lines.
+_FROM: Final = re.compile(r"^[ \t]*from (cpam_bayes[\w.]*) import (\([^)]*\)|[^\n]*)", re.MULTILINE)
+_IMPORT: Final = re.compile(r"^[ \t]*import (cpam_bayes[\w.]*)", re.MULTILINE)
+# What decides how an answer looks, and how it is asked for.
+_APPEARANCE: Final = frozenset({"render", "result", "command", "cli", "__main__", "__init__"})
+
+
+@cache
+def fingerprint(module: str) -> str:
+    """The first twelve hexadecimal digits of a SHA-256 over the sources of a module and of all it imports.
+
+    module : full name in this package
+    """
+    return _hash(sources_of(_imports_of(_file(module)), [_file(module)]))
+
+
+def fingerprint_of_script(script: Path) -> str:
+    """The same of a script outside of the package: of what it imports from the package, not of itself."""
+    return _hash(sources_of(_imports_of(script), []))
+
+
+def sources_of(modules: Iterable[str], start: Iterable[Path | None]) -> list[Path]:
+    """The files of modules and of all that these import, in the order of their names."""
+    found = {file for file in start if file is not None}
+    waiting = list(modules)
+    while waiting:
+        file = _file(waiting.pop())
+        if file is None or file in found or _room(file) in _APPEARANCE:
+            continue
+        found.add(file)
+        waiting += _imports_of(file)
+    return sorted(found)
+
+
+def _room(file: Path) -> str:
+    """The folder or file of the package that holds a file."""
+    return file.relative_to(_PACKAGE).parts[0].removesuffix(".py")
+
+
+def _hash(files: Iterable[Path]) -> str:
+    digest = hashlib.sha256()
+    for file in files:
+        digest.update(file.relative_to(_PACKAGE).as_posix().encode())
+        digest.update(file.read_bytes().replace(b"\r\n", b"\n"))
+    return digest.hexdigest()[:_DIGITS]
+
+
+def _imports_of(file: Path | None) -> Iterator[str]:
+    """Full names of modules of this package that a file imports, those of names in them included."""
+    if file is None:
+        return
+    text = file.read_text(encoding="utf-8")
+    for found in _FROM.finditer(text):
+        yield found[1]
+        yield from (f"{found[1]}.{name}" for name in re.findall(r"(?:^|[,(]\s*)(\w+)", found[2]))
+    yield from _IMPORT.findall(text)
+
+
+def _file(module: str) -> Path | None:
+    """The file of a module, None for a name that is none."""
+    place = _PACKAGE.joinpath(*module.split(".")[1:])
+    for file in (place.with_suffix(".py"), place / "__init__.py"):
+        if place != _PACKAGE and file.is_file():
+            return file
+    return None

@@ -1,0 +1,333 @@
+"""Specimens that could be made of the material of a plate, and what their frequencies would say of it.
+
+A specimen is a layup, a shape, a thickness and edges. What a list of its frequencies would say about the
+constants is Laplace's approximation at the reference constants.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cpam_bayes.answer import Verdict
+from cpam_bayes.errors import LayupError
+from cpam_bayes.forward_model.model import PlateModel, plate_problem, reference_vector, size_parameters
+from cpam_bayes.identification.point import verdict_of
+from cpam_bayes.mechanics.convergence import Tolerance, converge
+from cpam_bayes.parameters import ParameterSet
+from cpam_bayes.plate import Specimen
+from cpam_bayes.plate.edges import ALL_FREE, CANTILEVER, is_stated
+from cpam_bayes.plate.layup import Layup, parse_layup
+
+__all__ = [
+    "USUAL_STD",
+    "Candidate",
+    "Expected",
+    "Geometry",
+    "Response",
+    "Test",
+    "expected_information",
+    "geometries",
+    "layups_of",
+    "measured_like",
+    "needed_std",
+    "prior_sd",
+    "response_of",
+    "specimen_of",
+]
+
+Array = NDArray[Any]
+
+USUAL_STD: Final = 0.005
+"""Repeatability of a usual tap test, taken where neither the plate file nor the caller gives one."""
+# Repeatabilities that are tried for the one that determines the constants, from coarse to fine.
+_STDS: Final = tuple(step * 10.0**power for power in (-2, -3, -4, -5) for step in (5.0, 2.0, 1.0))
+
+# Usual layups of n plies, each with the number that its pattern takes.
+_PATTERNS: Final = (
+    (1, "[0_{n}]"),
+    (4, "[(0/90)_{n}]_s"),
+    (4, "[(45/-45)_{n}]_s"),
+    (8, "[(0/45/-45/90)_{n}]_s"),
+)
+_RATIOS: Final = (0.5, 0.7, 1.0, 1.4, 2.0, 2.8)
+# Shapes closer than this, relative, are one.
+_SAME: Final = 0.02
+
+
+@dataclass(frozen=True, slots=True)
+class Geometry:
+    """A specimen but for the number of its modes; length, width, thickness : m."""
+
+    length: float
+    width: float
+    thickness: float
+    layup: Layup
+    edges: str
+    is_present: bool
+
+    @property
+    def ratio(self) -> float:
+        """Length over width."""
+        return self.length / self.width
+
+
+def geometries(
+    specimen: Specimen,
+    *,
+    layups: Sequence[str] | None = None,
+    ratios: Sequence[float] | None = None,
+    thicknesses_mm: Sequence[float] | None = None,
+    edges: Sequence[str] | None = None,
+) -> tuple[Geometry, ...]:
+    """The plate as it is and all combinations of what may be varied; what is left out takes usual values.
+
+    ratios : of length to width, at the area of the plate
+    raises ValueError for a layup or edges that cannot be read
+    """
+    plate = specimen.plate
+    present = Geometry(plate.length, plate.width, plate.thickness, plate.layup, plate.edges, True)
+    shapes = _shapes(plate.length, plate.width, ratios)
+    thick = [1e-3 * t for t in thicknesses_mm] if thicknesses_mm else [plate.thickness]
+    held = (
+        [_edges(text) for text in edges]
+        if edges
+        else list(dict.fromkeys((plate.edges, ALL_FREE, CANTILEVER)))
+    )
+    found = [present]
+    for layup in layups_of(specimen, layups):
+        for thickness in thick:
+            for length, width in shapes:
+                found += [Geometry(length, width, thickness, layup, e, False) for e in held]
+    distinct = {_key(g): g for g in reversed(found)}  # the present plate stays
+    return tuple(distinct[key] for key in dict.fromkeys(map(_key, found)))
+
+
+def specimen_of(specimen: Specimen, geometry: Geometry) -> Specimen:
+    """The specimen made so; its mass follows the volume, known masses keep their place in proportion."""
+    plate = specimen.plate
+    along, across = geometry.length / plate.length, geometry.width / plate.width
+    volume = along * across * geometry.thickness / plate.thickness
+    made = replace(
+        plate,
+        length=geometry.length,
+        width=geometry.width,
+        thickness=geometry.thickness,
+        mass=None if plate.mass is None else plate.mass * volume,
+        layup=geometry.layup,
+        edges=geometry.edges,
+    )
+    sensors = tuple(replace(s, x=s.x * along, y=s.y * across) for s in specimen.sensors)
+    return replace(specimen, plate=made, sensors=sensors)
+
+
+def layups_of(specimen: Specimen, layups: Sequence[str] | None) -> tuple[Layup, ...]:
+    """The layups asked for, or the one of the plate and usual ones of as many plies."""
+    present = specimen.plate.layup
+    if present.kinds:
+        if layups:
+            raise ValueError(f"layups: received for {present.text}, accepted: for plates of equal plies")
+        return (present,)
+    if layups:
+        return tuple(_layup(text) for text in layups)
+    n = present.n_plies
+    if specimen.material.isotropic:
+        return (present,)
+    usual = [
+        parse_layup(re.sub(r"\((.*)\)_1\b", r"\1", pattern.format(n=n // plies)))
+        for plies, pattern in _PATTERNS
+        if n % plies == 0
+    ]
+    every = {tuple(layup.angles_deg): layup for layup in (*reversed(usual), present)}
+    others = [layup for layup in usual if every[tuple(layup.angles_deg)] is layup]
+    return (present, *others)
+
+
+def _layup(text: str) -> Layup:
+    try:
+        layup = parse_layup(text)
+    except LayupError as error:
+        raise ValueError(f"layups: received {text!r}: {error}") from None
+    if layup.n_unknown:
+        raise ValueError(f'layups: received {text!r}, accepted: known angles, no "?"')
+    return layup
+
+
+def _edges(text: str) -> str:
+    if not is_stated(text):
+        raise ValueError(
+            f"edges: received {text!r}, accepted: four letters F, S or C for x=0, y=0, x=length, y=width"
+        )
+    return text
+
+
+def _shapes(length: float, width: float, ratios: Sequence[float] | None) -> list[tuple[float, float]]:
+    """Lengths and widths of plates of one area, ascending by their ratio, the present one as it is."""
+    present, side = length / width, math.sqrt(length * width)
+    wanted = list(ratios) if ratios else [present, *_RATIOS]
+    shapes = []
+    for ratio in sorted(set(wanted)):
+        near = abs(ratio / present - 1.0) < _SAME
+        if near and ratio != present and not ratios:
+            continue
+        root = math.sqrt(ratio)
+        shapes.append((length, width) if near else (side * root, side / root))
+    return shapes
+
+
+def _key(g: Geometry) -> tuple[object, ...]:
+    return (g.length, g.width, g.thickness, tuple(g.layup.angles_deg), g.edges)
+
+
+# A tenth of a usual measurement's noise will do.
+_TOLERANCE = Tolerance(kept=3e-4, rich=2e-4)
+# Constants beside the reference ones, so that equal ones make no symmetry; relative.
+_BESIDE = 0.01
+
+
+@dataclass(frozen=True, slots=True)
+class Response:
+    """Frequencies of a specimen at the reference constants.
+
+    frequencies : (n_modes,) Hz
+    slopes : (n_modes, n) their derivatives by the constants, then by the sizes with a standard deviation, for
+        each standard deviation of the prior, Hz
+    error : (n_modes,) estimated relative error
+    """
+
+    frequencies: Array
+    slopes: Array
+    error: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Test:
+    """How frequencies would be measured; relative_std : repeatability, resolution : Hz."""
+
+    __test__ = False  # it is none of pytest's
+
+    relative_std: float
+    resolution: float
+
+
+@dataclass(frozen=True, slots=True)
+class Expected:
+    """What a list would leave.
+
+    information : about the constants asked for, nats
+    each : (n,) about each constant alone, nats
+    sd : (n,) standard deviations of the constants, SI
+    """
+
+    information: float
+    each: Array
+    sd: Array
+
+
+def response_of(specimen: Specimen, n_modes: int) -> Response:
+    """The frequencies of a specimen and their derivatives, on a Ritz space converged at the reference.
+
+    Raises ``RigidBodyError`` where bending cannot be told from rounding.
+    """
+    parameters = specimen.unknowns.union(size_parameters(specimen))
+    problem = plate_problem(specimen, parameters)
+    x = reference_vector(specimen, parameters)
+    beside = x * (1.0 + _BESIDE * np.linspace(-1.0, 1.0, len(x)))
+    samples = np.stack((x, np.clip(beside, parameters.lower, parameters.upper)))
+    samples = samples[problem.admissible(parameters.mapping(samples)) | np.array([True, False])]
+    converged = converge(problem, parameters.mapping(samples), n_modes, _TOLERANCE)
+    predicted = PlateModel(converged.operator, n_modes, converged.error).predict(x, jacobian=True)
+    assert predicted.jacobian is not None
+    return Response(
+        predicted.frequencies[0], predicted.jacobian[0] * prior_sd(parameters), converged.error[:n_modes]
+    )
+
+
+def prior_sd(parameters: ParameterSet) -> Array:
+    """Standard deviations of the priors, (n,)."""
+    return np.array([p.prior.sd for p in parameters.parameters])
+
+
+def expected_information(
+    response: Response, n_modes: int, test: Test, prior: Array, asked: Array
+) -> Expected:
+    """The information of the lowest modes about constants, with everything else integrated over.
+
+    The posterior at the reference is Gaussian with the precision F + P^-1, F = J^T S^-1 J the Fisher
+    information of the frequencies and P the variances of the priors. The expected information is
+    I = 1/2 (log det P_A - log det C_A), C_A the block of the constants asked for in (F + P^-1)^-1
+    (Lindley, 1956; Chaloner and Verdinelli, 1995). S = (relative_std f)^2 + resolution^2 / 12 +
+    (solver's error)^2.
+
+    prior : (n,) standard deviations of the constants' priors; asked : (n,) bool
+    """
+    f = response.frequencies[:n_modes]
+    noise = (test.relative_std * f) ** 2 + test.resolution**2 / 12.0 + (response.error[:n_modes] * f) ** 2
+    j = response.slopes[:n_modes] / np.sqrt(noise)[:, None]
+    covariance = np.linalg.inv(j.T @ j + np.eye(j.shape[1]))  # in units of the priors
+    n = len(prior)
+    of_constants = covariance[:n, :n]
+    spread = np.sqrt(np.diagonal(of_constants))
+    block = of_constants[np.ix_(asked, asked)]
+    return Expected(-0.5 * float(np.linalg.slogdet(block)[1]), -np.log(spread), spread * prior)
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """A specimen with a number of modes, and what its list would say.
+
+    is_present : whether it is the plate as it is, with as many modes as were measured, or 10
+    information : about the constants asked for, nats
+    """
+
+    geometry: Geometry
+    n_modes: int
+    is_present: bool
+    expected: Expected
+
+    @property
+    def information(self) -> float:
+        """About the constants asked for, nats."""
+        return self.expected.information
+
+    @property
+    def description(self) -> str:
+        """Size, layup, edges and number of modes."""
+        g = self.geometry
+        layup = f"{g.layup.text}, " if g.layup.n_plies > 1 else ""
+        return (
+            f"{1e3 * g.length:.4g} x {1e3 * g.width:.4g} x {1e3 * g.thickness:.4g} mm, {layup}{g.edges}, "
+            f"{self.n_modes} mode{'' if self.n_modes == 1 else 's'}"
+        )
+
+
+def needed_std(response: Response, n_modes: int, test: Test, prior: Array, asked: Array) -> float | None:
+    """The largest repeatability, of 1, 2 and 5 times powers of ten, by which the data determine all asked."""
+    for std in _STDS:
+        sd = expected_information(response, n_modes, Test(std, test.resolution), prior, asked).sd
+        verdicts = [
+            verdict_of(float(s), float(p), explained=True)
+            for s, p in zip(sd[asked], prior[asked], strict=True)
+        ]
+        if all(verdict is Verdict.DATA for verdict in verdicts):
+            return std
+    return None
+
+
+def measured_like(specimen: Specimen, relative_std: float | None) -> tuple[Test, bool]:
+    """How frequencies would be measured, and whether its noise is that of a usual tap test."""
+    measurement = specimen.measurement
+    resolution = 0.0 if measurement is None else measurement.resolution
+    if relative_std is not None:
+        return Test(relative_std, resolution), False
+    if measurement is not None and measurement.frequency_sd is not None:
+        return Test(float(np.mean(measurement.frequency_sd / measurement.frequencies)), resolution), False
+    if measurement is not None and measurement.relative_std is not None:
+        return Test(measurement.relative_std, resolution), False
+    return Test(USUAL_STD, resolution), True

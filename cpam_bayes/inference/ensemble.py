@@ -1,0 +1,480 @@
+"""Ensemble sampling by emcee, started from the particle swarm: independent ensembles side by side, in rounds.
+
+After every round the chains are looked at: sampling ends when the ensembles agree (R-hat) and hold enough
+effective samples, or at a budget. Finished rounds are stored, each in a sealed file, which is whole under its
+own name at whatever moment a run was killed: the run goes on from its last one, bit for bit as if nothing had
+happened. A round that was damaged since is set aside and sampled again, the same bit for bit.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cpam_bayes.inference.derivatives import prior_sd
+from cpam_bayes.inference.laplace import GaussianApproximation, optimise
+from cpam_bayes.inference.posterior import Posterior
+from cpam_bayes.inference.proposal import Proposal
+from cpam_bayes.parameters import ParameterSet
+from cpam_bayes.running import cut_short, is_time_up
+from cpam_bayes.storage import ARRAYS, read_arrays, write_arrays
+
+Array = NDArray[Any]
+
+# The window is so many times as long as the time itself.
+_WINDOW = 5.0
+
+
+def integrated_times(chain: Array) -> Array:
+    """Autocorrelation time of every parameter, (steps, walkers, n) -> (n,) steps.
+
+    tau = 1 + 2 sum_k rho(k) up to the first lag that is at least five times tau (Sokal, 1996), with the
+    autocovariance averaged over the walkers (Goodman and Weare, 2010). Deviations are taken from the mean
+    of the whole ensemble. From each walker's own mean, as in emcee's estimate, rho(k) would come out low by
+    about tau / steps and tau by 2 window tau / steps: half of it is lost where a chain is ten times as
+    long.
+
+    nan where a walker does not move. Where no lag is long enough, the largest sum, which tau exceeds.
+    """
+    steps = len(chain)
+    size = 1 << (2 * steps - 1).bit_length()  # zeros beyond the chain: no lag wraps round
+    frequency = np.fft.rfft(chain - chain.mean(axis=(0, 1)), n=size, axis=0)
+    covariance = np.fft.irfft(np.abs(frequency) ** 2, n=size, axis=0)[:steps].mean(axis=1)
+    found = np.full(chain.shape[2], np.nan)
+    for i in np.flatnonzero(np.all(np.ptp(chain, axis=0) > 0.0, axis=0)):
+        sums = 2.0 * np.cumsum(covariance[:, i] / covariance[0, i]) - 1.0
+        long_enough = np.arange(steps) >= _WINDOW * sums
+        found[i] = sums[np.argmax(long_enough)] if long_enough.any() else sums.max()
+    return found
+
+
+class StoreError(ValueError):
+    """A store that cannot be used: of another problem or version, damaged, or not to be written."""
+
+
+class Rounds:
+    """Finished rounds of one problem in a directory; a round of another problem is refused.
+
+    Raises ``StoreError`` where the directory cannot be made, or holds rounds of an earlier version.
+    """
+
+    def __init__(self, directory: Path, key: str) -> None:
+        self.directory, self.key = directory, key
+        try:
+            directory.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise StoreError(f"store {directory}: cannot be made: {error.strerror}") from error
+        self._refuse_earlier_rounds()
+
+    def path(self, i: int) -> Path:
+        """Where a round is or will be."""
+        return self.directory / f"round_{i:04d}{ARRAYS}"
+
+    def read(self, i: int) -> tuple[Array, Array, list[Any]] | None:
+        """A stored round, or ``None`` if it was not finished, or is damaged: it is set aside.
+
+        Raises ``StoreError`` for a round of another problem, and one that cannot be read.
+        """
+        import emcee
+
+        path = self.path(i)
+        try:
+            stored = read_arrays(path)
+        except OSError as error:
+            raise StoreError(f"store {path}: cannot be read: {error.strerror}") from error
+        if stored is None:
+            return None
+        if str(stored.get("problem")) != self.key:
+            raise StoreError(
+                f"store {path}: holds another problem (plate, priors, data, settings, seed "
+                "or version differ); choose another directory or remove it"
+            )
+        chain, log_prob = stored["chain"], stored["log_prob"]
+        states = [
+            emcee.State(
+                chain[e, -1],
+                log_prob=log_prob[e, -1],
+                random_state=(
+                    "MT19937",
+                    stored["random_keys"][e],
+                    int(stored["random_position"][e]),
+                    int(stored["random_has_gauss"][e]),
+                    float(stored["random_gauss"][e]),
+                ),
+            )
+            for e in range(len(chain))
+        ]
+        return chain, log_prob, states
+
+    def write(self, i: int, chain: Array, log_prob: Array, states: list[Any]) -> str | None:
+        """Store a round; what to say if it could not be."""
+        random = [s.random_state for s in states]
+        arrays = {
+            "problem": np.array(self.key),
+            "chain": chain,
+            "log_prob": log_prob,
+            "random_keys": np.stack([r[1] for r in random]),
+        }
+        for k, name in ((2, "position"), (3, "has_gauss"), (4, "gauss")):
+            arrays[f"random_{name}"] = np.array([r[k] for r in random])
+        path = self.path(i)
+        try:
+            write_arrays(path, arrays)
+        except OSError as error:
+            return (
+                f"store {path}: cannot be written ({error.strerror or error}); {i} rounds before it are kept "
+                "and the same command goes on from there, those from it on are in this answer alone"
+            )
+        return None
+
+    def _refuse_earlier_rounds(self) -> None:
+        earlier = sorted(self.directory.glob("round_*.h5"))
+        if earlier:
+            raise StoreError(
+                f"store {self.directory}: holds rounds of an earlier version ({earlier[0].name} and on), "
+                "which this one cannot go on from and leaves alone; choose another directory"
+            )
+
+
+class Density(Protocol):
+    """What is sampled: log probabilities of parameter vectors."""
+
+    @property
+    def parameters(self) -> ParameterSet:
+        """Parameters in the order of the vectors."""
+        ...
+
+    def log_prob(self, x: Array) -> Array:
+        """Log probability of vectors (m, n) but for a constant, (m,), -inf outside the support."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class EnsembleSettings:
+    """How long to sample.
+
+    ensembles, walkers : independent ensembles and walkers in each.
+    round_steps : steps between two looks at the chains.
+    r_hat, effective : what ends the sampling.
+    most_steps : the budget.
+    lengths : autocorrelation times that a chain has to be long. With a window of five times it, a time is
+    known to sqrt(20 / (lengths walkers)) (Sokal, 1996): 20 % from half of ten, that the diagnostics use, of a
+    hundred walkers.
+    jumps : share of the steps that jump to draws of a proposal, where there is one; the others are local
+    moves.
+    """
+
+    ensembles: int = 2
+    walkers: int = 100
+    round_steps: int = 100
+    r_hat: float = 1.01
+    effective: float = 1000.0
+    most_steps: int = 10_000
+    lengths: float = 10.0
+    jumps: float = 0.5
+
+
+DEFAULT_SETTINGS = EnsembleSettings()
+
+
+@dataclass(frozen=True, slots=True)
+class Diagnostics:
+    """State of the chains, the worst over the parameters.
+
+    autocorrelation_time : steps; where it is not known, all steps, which no chain is long enough for.
+    """
+
+    r_hat: float
+    ess_bulk: float
+    autocorrelation_time: float
+    converged: bool
+    steps: int
+    burn_in: int
+
+
+@dataclass(frozen=True, slots=True)
+class EnsembleResult:
+    """Chains of all ensembles after burn-in.
+
+    chain : (ensembles, steps, walkers, n).
+    log_prob : (ensembles, steps, walkers).
+    solves : forward solves of all steps and of the fit of the proposal.
+    not_stored : why rounds are missing in the store, ``None`` if none is.
+    """
+
+    chain: Array
+    log_prob: Array
+    diagnostics: Diagnostics
+    status: Literal["converged", "budget"]
+    solves: int
+    not_stored: str | None = None
+
+    @property
+    def draws(self) -> Array:
+        """All draws in one list, (n_draws, n)."""
+        return self.chain.reshape(-1, self.chain.shape[-1])
+
+
+def start_positions(
+    posterior: Posterior, swarm: Array, values: Array, n: int, rng: np.random.Generator
+) -> Array:
+    """Walker positions about the optima that a swarm found, (n, n_parameters).
+
+    The swarm's distinct personal bests, the best first, are carried to optima of the posterior. From
+    each optimum that is not hopeless walkers are drawn along the data's own covariance, as many as
+    its height and volume deserve: a collapsed swarm gives no degenerate ensemble. Raises
+    ``ValueError`` where no particle is in the support of the prior.
+
+    swarm : (m, n_plate) personal bests.
+    values : (m,) their misfits.
+    """
+    optima = _optima(posterior, swarm, values)
+    height = np.array([o.log_prob + 0.5 * np.linalg.slogdet(o.covariance)[1] for o in optima])
+    weight = np.exp(height - height.max())
+    chosen = rng.choice(len(optima), size=n, p=weight / weight.sum())
+    found = np.empty((n, posterior.parameters.size))
+    for i, k in enumerate(chosen):
+        factor = np.linalg.cholesky(optima[k].covariance)
+        widen = 1.0
+        while True:
+            x = optima[k].optimum + widen * factor @ rng.standard_normal(len(factor))
+            if np.isfinite(posterior.log_prob(x[None])[0]):
+                break
+            widen = max(0.9 * widen, 1e-3)  # at a bound most of the Gaussian lies outside
+        found[i] = x
+    return found
+
+
+def _optima(posterior: Posterior, swarm: Array, values: Array, most: int = 4) -> list[GaussianApproximation]:
+    """Distinct optima next to the best and most different personal bests of a swarm."""
+    parameters = posterior.parameters
+    order = np.argsort(values, kind="stable")
+    order = order[np.isfinite(values[order])]
+    scale = prior_sd(posterior)
+    starts: list[Array] = []
+    for i in order:
+        x = np.clip(swarm[i], parameters.lower[: swarm.shape[1]], parameters.upper[: swarm.shape[1]])
+        if posterior.noise_is_inferred:
+            x = np.append(x, _noise_of(posterior, x[None]))
+        far = all(np.linalg.norm((x - s) / scale) > 0.3 for s in starts)
+        if far and np.isfinite(posterior.log_prob(x[None])[0]):
+            starts.append(x)
+        if len(starts) == most:
+            break
+    if not starts:
+        raise ValueError(
+            "chains cannot start: no particle of the swarm is within the bounds and the constraints (9)"
+        )
+    return [optimise(posterior, x) for x in starts]
+
+
+def _noise_of(posterior: Posterior, x: Array) -> float:
+    """Amplitude of the noise that the residuals at a particle (1, n_plate) suggest."""
+    f = posterior.measurement.frequencies
+    predicted = posterior.predict(x)[0]
+    nearest = predicted[np.abs(predicted[None, :] - f[:, None]).argmin(axis=1)]
+    paired = predicted[: len(f)] if posterior.measurement.complete else nearest
+    return posterior.noise_model.suggested(paired - f)
+
+
+def problem_hash(posterior: Posterior, at: Array) -> str:
+    """Hash of a posterior: names, priors, data and the log probability at some vectors (m, n)."""
+    own = posterior.measurement
+    parts = [
+        posterior.parameters.names,
+        [repr(p.prior) for p in posterior.parameters.parameters],
+        own.frequencies.tolist(),
+        own.resolution,
+        own.relative_std,
+        None if own.frequency_sd is None else own.frequency_sd.tolist(),
+        own.complete,
+        own.labels,
+        posterior.degrees_of_freedom,
+        posterior.log_prob(at).tolist(),
+    ]
+    return hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:32]
+
+
+def chain_hash(
+    posterior: Posterior,
+    start: Array,
+    settings: EnsembleSettings,
+    seed: int,
+    proposal: Proposal | None = None,
+) -> str:
+    """Hash of all that a chain depends on: the posterior, where it starts, settings, seed and proposal."""
+    flat = start.reshape(-1, start.shape[-1])
+    parts = [
+        problem_hash(posterior, flat),
+        flat.tolist(),
+        [settings.ensembles, settings.walkers, settings.round_steps, settings.jumps],
+        seed,
+        None if proposal is None else proposal.log_density(flat).tolist(),
+    ]
+    return hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:32]
+
+
+def sample(
+    posterior: Posterior,
+    start: Array,
+    seed: int,
+    settings: EnsembleSettings = DEFAULT_SETTINGS,
+    *,
+    proposal: Proposal | None = None,
+    store: Path | None = None,
+    progress: Callable[[Diagnostics], None] = lambda diagnostics: None,
+) -> EnsembleResult:
+    """Sample a posterior until the ensembles agree or the budget ends.
+
+    start : (ensembles, walkers, n).
+    proposal : covers the posterior; without one there are local moves only.
+    store : a directory for the rounds; one that holds rounds of the same problem, proposal included, is gone
+    on with, one of another problem raises ``StoreError``. A round that cannot be written, on a full disk for
+    instance, ends the storing and not the sampling: the result says so. ``progress`` is told the diagnostics
+    after each round.
+
+    Moves: differential evolution (ter Braak, 2006), nine in ten with the usual factor, one in ten
+    with factor 1, which jumps between separate optima. They mixed two to three times as well as the
+    stretch move on the posteriors of B1, C1, A1 and D3. Mixed with them, Metropolis-Hastings jumps to
+    independent draws of a proposal (Tierney, 1994), fixed before the chains begin: where it is good,
+    they forget at once where they were; where it is bad, the other moves are left.
+    """
+    key = chain_hash(posterior, start, settings, seed, proposal)
+    rounds = Rounds(store, key) if store is not None else None
+    return sample_density(
+        posterior, start, seed, settings, proposal=proposal, rounds=rounds, progress=progress
+    )
+
+
+def sample_density(
+    density: Density,
+    start: Array,
+    seed: int,
+    settings: EnsembleSettings = DEFAULT_SETTINGS,
+    *,
+    proposal: Proposal | None = None,
+    rounds: Rounds | None = None,
+    progress: Callable[[Diagnostics], None] = lambda diagnostics: None,
+) -> EnsembleResult:
+    """Sample any density as ``sample`` does a posterior; rounds : of the store, if there is one."""
+    samplers = [_sampler(density, settings, proposal) for _ in range(settings.ensembles)]
+    states = [_state(start[e], density, seed, e) for e in range(settings.ensembles)]
+    chains: list[Array] = []
+    log_probs: list[Array] = []
+    not_stored: str | None = None
+    while True:
+        i = len(chains)
+        stored = rounds.read(i) if rounds is not None and not_stored is None else None
+        if stored is None:
+            pieces = [
+                _advance(s, state, settings.round_steps) for s, state in zip(samplers, states, strict=True)
+            ]
+            chain, log_prob = (np.stack([p[k] for p in pieces]) for k in (0, 1))
+            states = [p[2] for p in pieces]
+            if rounds is not None and not_stored is None:
+                not_stored = rounds.write(i, chain, log_prob, states)
+        else:
+            chain, log_prob, states = stored
+        chains.append(chain)
+        log_probs.append(log_prob)
+        found = diagnose_chains(np.concatenate(chains, axis=1), settings)
+        progress(found)
+        ended = is_time_up() and not found.converged
+        if ended:
+            cut_short("cut_chains", done=found.steps, of=settings.most_steps)
+        if found.converged or found.steps >= settings.most_steps or ended:
+            return EnsembleResult(
+                np.concatenate(chains, axis=1)[:, found.burn_in :],
+                np.concatenate(log_probs, axis=1)[:, found.burn_in :],
+                found,
+                "converged" if found.converged else "budget",
+                start[..., 0].size * found.steps + (0 if proposal is None else proposal.solves),
+                not_stored,
+            )
+
+
+def diagnose_chains(chain: Array, settings: EnsembleSettings) -> Diagnostics:
+    """Convergence of chains (ensembles, steps, walkers, n), the worst over the parameters.
+
+    R-hat is that of the split halves of whole ensembles: walkers of one ensemble are not independent
+    (Gelman and Rubin, 1992; Vehtari et al., 2021, without rank normalisation). The effective
+    number of samples is the number of draws over the integrated autocorrelation time (Goodman and
+    Weare, 2010), estimated from the latter halves of the chains; five such times are left out as burn-in.
+    A walker that does not move throughout that half leaves the time unknown: the chains then count as not
+    converged.
+    """
+    steps = chain.shape[1]
+    half = chain[:, steps // 2 :]
+    tau = np.max([integrated_times(e) for e in half], axis=0)
+    worst = float(np.max(tau)) if np.all(np.isfinite(tau)) else float(steps)
+    burn_in = min(int(np.ceil(5.0 * worst)), steps // 2)
+    kept = chain[:, burn_in:]
+    n_draws = kept.shape[0] * kept.shape[1] * kept.shape[2]
+    r_hat = float(np.max(_split_r_hat(kept)))
+    ess = n_draws / worst
+    long_enough = kept.shape[1] >= settings.lengths * worst
+    converged = bool(long_enough and r_hat <= settings.r_hat and ess >= settings.effective)
+    return Diagnostics(r_hat, ess, worst, converged, steps, burn_in)
+
+
+def _split_r_hat(chain: Array) -> Array:
+    """R-hat of every parameter over the halves of ensembles, (n,), infinite where no step can be halved."""
+    n_ensembles, steps, walkers, n = chain.shape
+    half = steps // 2
+    if not half:
+        return np.full(n, np.inf)
+    parts = chain[:, : 2 * half].reshape(n_ensembles * 2, half * walkers, n)
+    within = parts.var(axis=1, ddof=1).mean(axis=0)
+    between = parts.mean(axis=1).var(axis=0, ddof=1)
+    return np.asarray(np.sqrt(1.0 + between / within))
+
+
+def moves_of(proposal: Proposal | None, jumps: float) -> list[tuple[Any, float]]:
+    """emcee's moves and their shares: jumps to draws of a proposal q, where there is one, and local moves.
+
+    A jump from x to a draw y of q is accepted with the probability min(1, p(y) q(x) / (p(x) q(y))).
+    """
+    import emcee
+
+    local = [(emcee.moves.DEMove(), 0.9), (emcee.moves.DEMove(gamma0=1.0), 0.1)]
+    if proposal is None:
+        return local
+
+    def jump(x: Array, rng: np.random.RandomState) -> tuple[Array, Array]:
+        new = proposal.draw(len(x), rng)
+        return new, proposal.log_density(x) - proposal.log_density(new)
+
+    return [(emcee.moves.MHMove(jump), jumps), *((move, (1.0 - jumps) * share) for move, share in local)]
+
+
+def _sampler(density: Density, settings: EnsembleSettings, proposal: Proposal | None) -> Any:
+    import emcee
+
+    moves = moves_of(proposal, settings.jumps)
+    n = density.parameters.size
+    sampler = emcee.EnsembleSampler(settings.walkers, n, density.log_prob, moves=moves, vectorize=True)
+    # emcee wraps the function to print all parameters of a call that is interrupted or fails
+    sampler.log_prob_fn = density.log_prob
+    return sampler
+
+
+def _state(start: Array, density: Density, seed: int, ensemble: int) -> Any:
+    import emcee
+
+    words = np.random.SeedSequence([seed, ensemble]).generate_state(624)
+    random_state = np.random.RandomState(words).get_state()
+    return emcee.State(start, log_prob=density.log_prob(start), random_state=random_state)
+
+
+def _advance(sampler: Any, state: Any, steps: int) -> tuple[Array, Array, Any]:
+    """One round of one ensemble: chain (steps, walkers, n), log probabilities, final state."""
+    sampler.reset()
+    end = sampler.run_mcmc(state, steps, skip_initial_state_check=True)
+    return sampler.get_chain().copy(), sampler.get_log_prob().copy(), end

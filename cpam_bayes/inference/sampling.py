@@ -1,0 +1,301 @@
+"""From a posterior to an answer: converged chains, evidence by importance sampling, draws for arviz."""
+
+from __future__ import annotations
+
+import os
+import warnings
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cpam_bayes import __version__
+from cpam_bayes.fingerprint import fingerprint
+from cpam_bayes.inference.derivatives import NormalScores
+from cpam_bayes.inference.ensemble import (
+    DEFAULT_SETTINGS,
+    Diagnostics,
+    EnsembleResult,
+    EnsembleSettings,
+    problem_hash,
+    sample,
+    start_positions,
+)
+from cpam_bayes.inference.posterior import Posterior
+from cpam_bayes.inference.proposal import NOWHERE, AdaptationSettings, adapt, adapted, draw_round, refine
+from cpam_bayes.inference.student_mixture import RELIABLE_K, log_mixture, weighted
+from cpam_bayes.inference.swarm import SwarmSettings, minimise
+from cpam_bayes.plate import Specimen, to_user, unit_of, user_name
+from cpam_bayes.threads import single_blas_thread
+
+Array = NDArray[Any]
+
+# Of the proposal that chains jump to: it need not be as good as that of an evidence.
+JUMPS = AdaptationSettings()
+
+
+@single_blas_thread
+def sample_posterior(
+    posterior: Posterior,
+    seed: int,
+    *,
+    settings: EnsembleSettings = DEFAULT_SETTINGS,
+    swarm_settings: SwarmSettings | None = None,
+    store: Path | None = None,
+    progress: Callable[[Diagnostics], None] = lambda diagnostics: None,
+) -> EnsembleResult:
+    """Chains of a posterior by emcee, started from a swarm that maximises it.
+
+    Raises ``ValueError`` if no particle is in the support of the prior, ``StoreError`` if the store
+    cannot be used.
+    """
+    bests, values, _ = swarm_on_posterior(posterior, seed, swarm_settings or SwarmSettings())
+    return sample_from(posterior, bests, values, seed, settings=settings, store=store, progress=progress)
+
+
+def sample_from(
+    posterior: Posterior,
+    bests: Array,
+    values: Array,
+    seed: int,
+    *,
+    settings: EnsembleSettings = DEFAULT_SETTINGS,
+    store: Path | None = None,
+    progress: Callable[[Diagnostics], None] = lambda diagnostics: None,
+) -> EnsembleResult:
+    """Chains of a posterior by emcee, started from the personal bests of a swarm.
+
+    bests : (m, n_plate) parameters of the plate, without the noise.
+    values : (m,) their misfits.
+
+    Raises as ``sample_posterior`` does.
+    """
+    rng = np.random.default_rng([seed, 1])
+    n_walkers = settings.ensembles * settings.walkers
+    walkers = start_positions(posterior, bests, values, n_walkers, rng)
+    start = walkers.reshape(settings.ensembles, settings.walkers, -1)
+    best = walkers[np.argmax(posterior.log_prob(walkers))]
+    proposal = adapted(posterior, best[None], seed, JUMPS)
+    return sample(posterior, start, seed, settings, proposal=proposal, store=store, progress=progress)
+
+
+def swarm_on_posterior(posterior: Posterior, seed: int, settings: SwarmSettings) -> tuple[Array, Array, int]:
+    """Personal bests of the plate's parameters, their values and the solves of a swarm on -log p."""
+    rng = np.random.default_rng(seed)
+    n = posterior.model.parameters.size
+    swarm = minimise(
+        lambda x: -posterior.log_prob(x),
+        posterior.parameters.lower,
+        posterior.parameters.upper,
+        posterior.parameters.sample(rng, settings.particles),
+        settings,
+        rng,
+        feasible=lambda x: np.isfinite(posterior.log_prior(x)),
+    )
+    return swarm.personal_bests[:, :n], swarm.personal_values, swarm.evaluations
+
+
+# Weight of one draw above which the proposal has missed something.
+_OUTSTANDING_WEIGHT = 0.005
+
+
+@dataclass(frozen=True, slots=True)
+class EvidenceSettings:
+    """How an evidence is sampled.
+
+    draws : of the estimate.
+    adaptation : of the proposal before.
+    attempts : how often the estimate is made, each time from a proposal fitted to all draws before, until no
+    weight stands out.
+    """
+
+    draws: int = 20_000
+    adaptation: AdaptationSettings = field(default_factory=AdaptationSettings)
+    attempts: int = 3
+
+
+_USUAL = EvidenceSettings()
+
+
+@dataclass(frozen=True, slots=True)
+class Evidence:
+    """The integral of likelihood times prior density, and the draws it was estimated from.
+
+    standard_error : of log_evidence, from the spread of the weights.
+    effective_size : (sum w)^2 / sum w^2.
+    k_hat : Pareto shape of the largest weights.
+    status : reliable where k_hat is below 0.7 and the effective size above 100; elsewhere neither value nor
+    error are to be relied on.
+    n_draws : of the estimate.
+    solves : of the adaptation too.
+    mean, sd : (n,) of the parameters.
+    draws : (n_draws, n).
+    log_weights : (n_draws,), their normalised weights.
+
+    The prior is the product of the parameters' densities, zero where the constraints (9) are broken; it
+    is not normalised again for these.
+    """
+
+    log_evidence: float
+    standard_error: float
+    effective_size: float
+    k_hat: float
+    status: Literal["reliable", "unreliable"]
+    n_draws: int
+    solves: int
+    mean: Array
+    sd: Array
+    draws: Array
+    log_weights: Array
+
+
+def evidence_of(
+    posterior: Posterior,
+    result: EnsembleResult,
+    seed: int,
+    *,
+    settings: EvidenceSettings = _USUAL,
+) -> Evidence:
+    """The evidence of a posterior whose chains are there.
+
+    The proposal is fitted to draws of the chains and to the optima next to their best draw and to draws
+    from the prior, so that an optimum that the chains have missed counts.
+    """
+    best = result.draws[int(np.argmax(result.log_prob))]
+    return importance_evidence(posterior, best[None], seed, chain=result.draws, settings=settings)
+
+
+@single_blas_thread
+def importance_evidence(
+    posterior: Posterior,
+    starts: Array,
+    seed: int,
+    *,
+    chain: Array | None = None,
+    settings: EvidenceSettings = _USUAL,
+) -> Evidence:
+    """The evidence of a posterior by adaptive importance sampling.
+
+    Z = E_q[p / q], q a mixture of Student-t densities of 5 degrees of freedom over normal
+    scores. It begins as the Laplace approximations about the optima, and with the draws of a chain where
+    there are some; weighted draws refine it in rounds (population Monte Carlo: Cappe et al., 2008). The
+    estimate is made of fresh draws, for which q is fixed: its expectation is Z. If one draw carries more
+    than 0.5 % of the weight, or the tail of the weights is heavy, q has missed something that these
+    draws have found, and the estimate is made again from a q fitted to them. Raises ``ValueError`` where
+    nothing lies in the support of the prior.
+
+    starts : (m, n) where optima are looked for, besides draws from the prior; may be empty.
+    chain : (n_draws, n) draws of the posterior.
+    """
+    rng = np.random.default_rng([seed, 4])
+    state = adapt(posterior, starts, rng, settings.adaptation, chain)
+    scores, history = state.scores, state.history
+    for attempt in range(settings.attempts):
+        draw_round(state, settings.draws, rng)
+        log_weight = history.targets[-1] - log_mixture(state.proposal, history.points[-1])
+        evidence = _summarised(scores, history.points[-1], log_weight, sum(map(len, history.points)))
+        missed = np.exp(evidence.log_weights.max()) > _OUTSTANDING_WEIGHT
+        if (evidence.status == "reliable" and not missed) or attempt == settings.attempts - 1:
+            break
+        refine(state)
+    return evidence
+
+
+def _summarised(scores: NormalScores, z: Array, log_ratio: Array, solves: int) -> Evidence:
+    if not np.isfinite(log_ratio).any():
+        raise ValueError(NOWHERE)
+    x = scores.to_x(z)
+    sample = weighted(x[None], log_ratio[None])
+    weight, k_hat, effective = sample.weight[0], float(sample.k_hat[0]), float(sample.effective_size[0])
+    mean = weight @ x
+    with np.errstate(divide="ignore"):
+        log_weights = np.log(weight)
+    return Evidence(
+        log_evidence=float(sample.log_evidence[0]),
+        standard_error=float(sample.standard_error[0]),
+        effective_size=effective,
+        k_hat=k_hat,
+        status="reliable" if k_hat < RELIABLE_K and effective > 100.0 else "unreliable",
+        n_draws=len(z),
+        solves=solves,
+        mean=mean,
+        sd=np.sqrt(weight @ (x - mean) ** 2),
+        draws=x,
+        log_weights=log_weights,
+    )
+
+
+# Name of the attribute.
+_COMMAND: Final = "command"
+_LIBRARIES: Final = ("numpy", "scipy", "emcee", "arviz_base")
+
+
+def opened_draws(file: str | os.PathLike[str]) -> Any:
+    """The groups of a posterior's file as an ``xarray.DataTree``, in memory; the file is closed.
+
+    Raises ``OSError``, ``ValueError`` and others that the reader of a damaged file raises.
+    """
+    import xarray  # heavy
+
+    with xarray.open_datatree(os.fspath(file)) as data:
+        return data.load()
+
+
+def command_of_draws(file: Path) -> str | None:
+    """The command whose draws a file holds, None for a file of something else."""
+    try:
+        found = opened_draws(file).attrs.get(_COMMAND)
+    except (OSError, ValueError):  # not NetCDF
+        return None
+    return None if found is None else str(found)
+
+
+def by_user_name(names: tuple[str, ...], draws: np.typing.NDArray[Any]) -> dict[str, Any]:
+    """Draws (chains, draws, n) by their names in the plate file, in its units."""
+    return {user_name(name): draws[..., i] * to_user(name, 1.0) for i, name in enumerate(names)}
+
+
+def arviz_data(
+    command: str,
+    specimen: Specimen,
+    seed: int,
+    sampled: Any,
+    attributes: Mapping[str, Any],
+    groups: Mapping[str, Mapping[str, Any]],
+    dims: Mapping[str, list[str]],
+    coords: Mapping[str, Any],
+) -> Any:
+    """The groups as an ``xarray.DataTree`` in the conventions of arviz 1.
+
+    command : whose answer they are of, see `command_of_draws`.
+    sampled : the posterior that the hash of the problem is of.
+    attributes : beside command, versions, plate, seed and hash.
+    groups, dims, coords : as of ``arviz_base.from_dict``.
+    """
+    import arviz_base  # heavy
+
+    centre = np.array([[p.prior.mean for p in sampled.parameters.parameters]])
+    attrs = {
+        _COMMAND: command,
+        "cpam_bayes_version": __version__,
+        "cpam_bayes_fingerprint": fingerprint(__name__),
+        **{f"{library}_version": version(library) for library in _LIBRARIES},
+        "plate": specimen.name,
+        "source": specimen.source,
+        "seed": seed,
+        "problem_hash": problem_hash(sampled, centre),
+        **attributes,
+    }
+    with warnings.catch_warnings():  # many walkers with few thinned draws look like a slip
+        warnings.simplefilter("ignore", UserWarning)
+        data = arviz_base.from_dict(groups, dims=dims, coords=coords, attrs={"/": attrs})
+    for name, group in data.children.items():
+        group.attrs.pop("created_at", None)
+        if name in ("posterior", "prior"):
+            for constant in sampled.parameters.names:
+                group[user_name(constant)].attrs["unit"] = unit_of(constant)
+    return data

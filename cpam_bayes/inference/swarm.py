@@ -1,0 +1,584 @@
+"""Particle swarms for constants in a box and, beside them, ply angles on a grid: eq. (1) to (5).
+
+Constants move by eq. (1) and (2), memberships of the ply angles by eq. (5). Both have one personal best,
+the position of the smallest value, and one leader. A swarm without unknown plies has empty memberships and
+is the plain one. The objective is called once an iteration, on the stack of the feasible particles.
+Starting, stepping and stopping take a frozen state and return a new value.
+
+The memberships X and their velocities V of one particle are the matrices of eq. (3) and (4): a column for
+each unknown ply, a row for each angle of the grid (10). They are held as arrays of shape ``(particles,
+plies, angles)``, so that a column of the paper is the last axis. The paper leaves open how a matrix becomes
+a sequence, where the fuzzy swarm starts and what is done with a column that has lost all its members. H.
+Liu, A. Abraham and A. E. Hassanien (Future Generation Computer Systems 26, 2010, 1336-1343), whose
+scheduling problem section 3 describes, take the row of the largest membership and draw an empty column
+anew; both are done here. The start is drawn uniformly and at rest, as the constants are.
+
+The paper gives no settings. Those of `SwarmSettings` come from the literature:
+
+* w = 0.7298 and c1 = c2 = 1.49618 are the inertia form of the constriction coefficient with
+  phi = 4.1 (M. Clerc, J. Kennedy, IEEE Trans. Evol. Comput. 6, 2002, 58-73; R. C. Eberhart,
+  Y. Shi, Proc. CEC 2000, 84-88);
+* swarms of 20 to 100 particles differ little (D. Bratton, J. Kennedy, Proc. IEEE Swarm
+  Intelligence Symposium 2007, 120-127, who take 50); 40 is the size of the standard swarm of 2011
+  (M. Clerc, Standard particle swarm optimisation, 2012);
+* velocities start at zero (A. Engelbrecht, Proc. IEEE Swarm Intelligence Symposium 2012);
+* a particle that leaves the box is put back on the bound it crossed, and turns round with half
+  its speed in that component (Clerc 2012, as above; S. Helwig, J. Branke, S. Mostaghim, IEEE
+  Trans. Evol. Comput. 17, 2013, 259-271, compare the ways to do it). Stopping it there instead,
+  or keeping its speed, lets a swarm settle on a bound that holds no optimum.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any, Final, Literal, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cpam_bayes.parameters import ParameterSet
+from cpam_bayes.plate.laminate import MaterialSymmetry
+from cpam_bayes.plate.records import Hybrid, Material
+from cpam_bayes.plate.units import joined_name, split_name
+from cpam_bayes.running import cut_short, is_time_up
+
+FloatArray: TypeAlias = NDArray[np.float64]
+BoolArray: TypeAlias = NDArray[np.bool_]
+IndexArray: TypeAlias = NDArray[np.int64]
+Objective: TypeAlias = Callable[[FloatArray], FloatArray]
+SequenceObjective: TypeAlias = Callable[[FloatArray, IndexArray], FloatArray]
+Feasible: TypeAlias = Callable[[FloatArray], BoolArray]
+Status: TypeAlias = Literal["converged", "budget"]
+
+TEXTS: Final[Mapping[str, str]] = {
+    "converged": (
+        "the swarm converged after {iterations} iterations: nine in ten of its particles agree "
+        "to {spread:.1g} of the distance of the search bounds"
+    ),
+    "budget": (
+        "the swarm used its budget of {iterations} iterations before it converged: nine in ten "
+        "of its particles agree to no more than {spread:.1g} of the distance of the search "
+        "bounds; allow more iterations or narrow the bounds"
+    ),
+    "fuzzy converged": (
+        "the fuzzy swarm converged after {iterations} iterations: {agreeing} of its {particles} particles "
+        "agree on the sequence and on the constants"
+    ),
+    "fuzzy budget": (
+        "the fuzzy swarm used its budget of {iterations} iterations before it converged: {agreeing} of its "
+        "{particles} particles agree on the sequence and on the constants; allow more iterations, or "
+        "more particles"
+    ),
+    "no grid": (
+        "fuzzy swarm: received {n_plies} unknown plies and a grid of {n_angles} angles, "
+        "accepted: 1 or more of each"
+    ),
+    "nothing feasible": (
+        "no feasible particle among the {particles} of the initial swarm: each violates a "
+        "constraint of eq. (9); widen or move the search bounds"
+    ),
+    "nothing finite": (
+        "none of the {particles} feasible particles of the initial swarm has a finite objective; "
+        "the forward model fails over the whole search box, check the plate and the bounds"
+    ),
+    "empty range": (
+        "no start value for {name}: the bounds and eq. (9) leave {low:g} to {high:g}, which is "
+        "empty; widen the search bounds of the constants"
+    ),
+    "no particle": "a swarm needs at least one particle, got {particles}",
+    "bounds": (
+        "component {index}: the lower bound {low!r} and the upper bound {high!r} must be finite, "
+        "and the lower one below the upper one"
+    ),
+    "start shape": ("the start has shape {shape}; one row a particle and {size} components are expected"),
+    "start bounds": "particle {index} of the start lies outside the bounds or is not finite",
+    "reply shape": "{source} returned shape {shape} for {particles} particles, expected {expected}",
+    "setting": "{name} = {value!r} is not accepted: it must be {rule}",
+}
+"""All texts, by what happened."""
+
+
+@dataclass(frozen=True, slots=True)
+class SwarmSettings:
+    """Numerical settings of the swarm; the sources are named in `cpam_bayes.inference.swarm`.
+
+    particles : m of the paper, number of particles
+    iterations : N of the paper, the budget
+    inertia : w of eq. (1)
+    c1 : weight of a particle's own best in eq. (1)
+    c2 : weight of the swarm's best in eq. (1)
+    spread_tolerance : largest spread of the particles' best positions, see `swarm_spread`, that
+        counts as converged
+    value_tolerance : largest relative improvement of the best value over `patience` iterations
+        that counts as converged
+    patience : iterations over which the improvement is measured
+
+    Raises ``ValueError`` if a setting is out of its range.
+    """
+
+    particles: int = 40
+    iterations: int = 400
+    inertia: float = 0.7298
+    c1: float = 1.49618
+    c2: float = 1.49618
+    spread_tolerance: float = 1e-3
+    value_tolerance: float = 1e-6
+    patience: int = 15
+
+    def __post_init__(self) -> None:
+        for name in ("particles", "iterations", "patience"):
+            _require(name, getattr(self, name), getattr(self, name) >= 1, "1 or more")
+        for name in ("inertia", "c1", "c2", "spread_tolerance", "value_tolerance"):
+            value = getattr(self, name)
+            _require(name, value, 0.0 <= value < np.inf, "finite and not negative")
+
+
+def _require(name: str, value: float, accepted: bool, rule: str) -> None:
+    if not accepted:
+        raise ValueError(TEXTS["setting"].format(name=name, value=value, rule=rule))
+
+
+def decode(memberships: FloatArray) -> IndexArray:
+    """Sequences of fuzzy matrices: of each ply the angle of the largest membership.
+
+    memberships : (..., n_plies, n_angles) -> (..., n_plies) grid indices.
+    """
+    return np.asarray(np.argmax(memberships, axis=-1), dtype=np.int64)
+
+
+def normalised(memberships: FloatArray, rng: np.random.Generator) -> FloatArray:
+    """Memberships made lawful as section 3 says: none negative, those of one ply summing to 1.
+
+    A ply without any positive membership gets uniform random ones, see the module's text.
+
+    memberships : (..., n_plies, n_angles), any real numbers.
+    """
+    positive = np.maximum(memberships, 0.0)
+    total = positive.sum(axis=-1, keepdims=True)
+    empty = ~(total[..., 0] > 0.0)
+    if empty.any():
+        # 1 - [0, 1): never all zero
+        positive[empty] = 1.0 - rng.random((int(empty.sum()), memberships.shape[-1]))
+        total = positive.sum(axis=-1, keepdims=True)
+    return np.asarray(positive / total)
+
+
+_BOUNCE: Final = -0.5
+"""Fraction of the velocity kept by a component that was stopped at a bound (Clerc 2012)."""
+
+_MAJORITY: Final = 0.9
+"""Fraction of the particles that have to agree."""
+
+_FLOOR: Final = 1e-6
+"""Fraction of the start's best value that an improvement is measured against, beside the best value.
+
+Without it a misfit that goes to zero would improve by the same factor for ever.
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class SwarmProblem:
+    """What is minimised over constants in a box and, if there are unknown plies, sequences on a grid.
+
+    objective : constants (m, n_constants), grid indices (m, n_plies) -> (m,), called with feasible particles
+    only.
+    feasible : (m, n_constants) -> (m,) bool.
+    lower, upper : (n_constants,) bounds.
+    n_plies, n_angles : unknown plies and angles of the grid, 0 of both for constants alone.
+
+    Raises ``ValueError`` if bounds are not finite or not in order, or for plies without a grid.
+    """
+
+    objective: SequenceObjective
+    feasible: Feasible
+    lower: FloatArray
+    upper: FloatArray
+    n_plies: int = 0
+    n_angles: int = 0
+
+    def __post_init__(self) -> None:
+        for index, (low, high) in enumerate(zip(self.lower, self.upper, strict=True)):
+            if not (np.isfinite(low) and np.isfinite(high) and low < high):
+                raise ValueError(TEXTS["bounds"].format(index=index, low=float(low), high=float(high)))
+        if (self.n_plies, self.n_angles) != (0, 0) and min(self.n_plies, self.n_angles) < 1:
+            raise ValueError(TEXTS["no grid"].format(n_plies=self.n_plies, n_angles=self.n_angles))
+
+
+@dataclass(frozen=True, slots=True)
+class SwarmState:
+    """The swarm between two iterations; arrays begin with (particles, ...).
+
+    positions, velocities : (..., n_constants), x and v of eq. (1) and (2).
+    memberships, drifts : (..., n_plies, n_angles), X and V of eq. (5).
+    personal_bests, best_memberships : personal bests.
+    personal_values : (particles,), infinite for a particle that never was feasible.
+    history : best value after the start and after each iteration.
+    evaluations : particles sent to the objective until now.
+    """
+
+    positions: FloatArray
+    velocities: FloatArray
+    memberships: FloatArray
+    drifts: FloatArray
+    personal_bests: FloatArray
+    best_memberships: FloatArray
+    personal_values: FloatArray
+    history: tuple[float, ...]
+    evaluations: int
+
+    @property
+    def leader(self) -> int:
+        """Index of the particle that holds the best position of the swarm."""
+        return int(np.argmin(self.personal_values))
+
+
+@dataclass(frozen=True, slots=True)
+class SwarmResult:
+    """Where a swarm ended, and how.
+
+    best : (n_constants,) and sequence : (n_plies,) grid indices of the smallest value.
+    personal_bests, personal_sequences, personal_values : each particle's best, the values infinite for a
+    particle that never was feasible.
+    iterations : done after the start.
+    evaluations : forward solves; infeasible particles cost none.
+    agreeing : particles whose best is the leader's, to the tolerance.
+    history : (iterations + 1,) best value so far.
+    message : the status in words.
+    """
+
+    best: FloatArray = field(repr=False)
+    sequence: IndexArray
+    value: float
+    personal_bests: FloatArray = field(repr=False)
+    personal_sequences: IndexArray = field(repr=False)
+    personal_values: FloatArray = field(repr=False)
+    iterations: int
+    evaluations: int
+    agreeing: int
+    status: Status
+    history: FloatArray = field(repr=False)
+    message: str
+
+
+def confine(
+    positions: FloatArray, velocities: FloatArray, lower: FloatArray, upper: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Put particles that left the box back on its bounds and turn them round.
+
+    The position goes to the bound that was crossed, the velocity of that component changes sign
+    and halves (Clerc 2012, see ``pso``). An optimum on a bound is hit exactly, and a swarm that was
+    pressed onto a bound can still leave it.
+
+    positions, velocities : (particles, n_constants).
+    lower, upper : (n_constants,).
+    """
+    inside = np.clip(positions, lower, upper)
+    return inside, np.where(inside != positions, _BOUNCE * velocities, velocities)
+
+
+def start_swarm(problem: SwarmProblem, start: FloatArray, rng: np.random.Generator) -> SwarmState:
+    """Evaluate start constants beside uniformly drawn memberships, all at rest.
+
+    start : (particles, n_constants), inside the bounds, for instance of ``initial_swarm``.
+
+    Raises ``ValueError`` if the start does not fit the bounds, or if no particle is feasible with a
+    finite value.
+    """
+    positions = np.array(start, dtype=np.float64)
+    size = problem.lower.size
+    if positions.ndim != 2 or positions.shape[0] < 1 or positions.shape[1] != size:
+        raise ValueError(TEXTS["start shape"].format(shape=positions.shape, size=size))
+    outside = ~np.all((positions >= problem.lower) & (positions <= problem.upper), axis=1)
+    if outside.any():
+        raise ValueError(TEXTS["start bounds"].format(index=int(np.argmax(outside))))
+    # no plies draw nothing, whatever the number of angles
+    shape = (len(positions), problem.n_plies, max(problem.n_angles, 1))
+    memberships = normalised(1.0 - rng.random(shape), rng)
+    values, solves = _evaluate(problem, positions, memberships)
+    if not np.isfinite(values).any():
+        reason = "nothing finite" if solves else "nothing feasible"
+        raise ValueError(TEXTS[reason].format(particles=solves or len(positions)))
+    return SwarmState(
+        positions=positions,
+        velocities=np.zeros_like(positions),
+        memberships=memberships,
+        drifts=np.zeros_like(memberships),
+        personal_bests=positions,
+        best_memberships=memberships,
+        personal_values=values,
+        history=(float(values.min()),),
+        evaluations=solves,
+    )
+
+
+def step_swarm(
+    problem: SwarmProblem, state: SwarmState, settings: SwarmSettings, rng: np.random.Generator
+) -> SwarmState:
+    """Move every particle once, eq. (1), (2) and (5), and evaluate the feasible ones.
+
+    v <- w v + c1 r1 (p_i - x) + c2 r2 (p_g - x) and x <- x + v, then ``confine``; memberships likewise,
+    then ``normalised``. Drawn for every particle and component, in the order r1, r2 of the constants, R1,
+    R2 of the memberships.
+    """
+
+    def moved(x: FloatArray, v: FloatArray, best: FloatArray) -> tuple[FloatArray, FloatArray]:
+        r1, r2 = rng.random(x.shape), rng.random(x.shape)
+        v = settings.inertia * v + settings.c1 * r1 * (best - x) + settings.c2 * r2 * (best[state.leader] - x)
+        return x + v, v
+
+    positions, velocities = moved(state.positions, state.velocities, state.personal_bests)
+    positions, velocities = confine(positions, velocities, problem.lower, problem.upper)
+    memberships, drifts = moved(state.memberships, state.drifts, state.best_memberships)
+    memberships = normalised(memberships, rng)
+    values, solves = _evaluate(problem, positions, memberships)
+    better = values < state.personal_values
+    personal_values = np.where(better, values, state.personal_values)
+    return SwarmState(
+        positions=positions,
+        velocities=velocities,
+        memberships=memberships,
+        drifts=drifts,
+        personal_bests=np.where(better[:, None], positions, state.personal_bests),
+        best_memberships=np.where(better[:, None, None], memberships, state.best_memberships),
+        personal_values=personal_values,
+        history=(*state.history, float(personal_values.min())),
+        evaluations=state.evaluations + solves,
+    )
+
+
+def swarm_spread(problem: SwarmProblem, state: SwarmState) -> float:
+    """Distance from the swarm's best within which nine in ten of the best positions lie.
+
+    The distance is that of the component that differs most, as a fraction of its bounds' distance.
+    The last tenth is left out because a few particles stay behind for hundreds of iterations
+    without changing the answer. Particles that never were feasible count with their start.
+    """
+    away = np.abs(state.personal_bests - state.personal_bests[state.leader])
+    farthest = np.max(away / (problem.upper - problem.lower), axis=1)
+    return float(np.quantile(farthest, _MAJORITY))
+
+
+def stop_reason(problem: SwarmProblem, state: SwarmState, settings: SwarmSettings) -> Status | None:
+    """Say why the swarm stops here, or None if it goes on.
+
+    Converged: the particles agree and the best value improved by no more than ``value_tolerance`` over
+    the last ``patience`` iterations, relative to the value itself plus a millionth of the start's. They
+    agree if `swarm_spread` is at most ``spread_tolerance``; with unknown plies, if nine in ten personal
+    bests have the leader's sequence and its constants to ``spread_tolerance`` of the bounds.
+    """
+    done = len(state.history) - 1
+    if done >= settings.patience:
+        best = state.history[-1]
+        improvement = state.history[-1 - settings.patience] - best
+        settled = improvement <= settings.value_tolerance * (abs(best) + _FLOOR * abs(state.history[0]))
+        if settled and _agrees(problem, state, settings):
+            return "converged"
+    return "budget" if done >= settings.iterations else None
+
+
+def minimise_problem(
+    problem: SwarmProblem,
+    start: FloatArray,
+    settings: SwarmSettings,
+    rng: np.random.Generator,
+    *,
+    progress: Callable[[int, float], None] | None = None,
+) -> SwarmResult:
+    """Minimise a function of constants and a sequence by a particle swarm, eq. (1), (2) and (5).
+
+    Particles that are not feasible, or whose objective is not finite, get an infinite value, the
+    penalty of section 5.2; the former are not sent to the objective. The swarm stops when it converged
+    or when its budget is used, and says which; a time limit ends its budget. An interruption is not caught.
+
+    start : (particles, n_constants), sets the swarm's size; ``settings.particles`` is not read here.
+    progress : called with the iteration and the best value, the start first.
+
+    Raises ``ValueError`` if start or a returned array do not fit, or if no particle of the start is
+    feasible with a finite value.
+    """
+    state = start_swarm(problem, start, rng)
+    while True:
+        if progress is not None:
+            progress(len(state.history) - 1, state.history[-1])
+        status = stop_reason(problem, state, settings)
+        if status is None and is_time_up():
+            status = "budget"
+            cut_short("cut_swarm", done=len(state.history) - 1, of=settings.iterations)
+        if status is not None:
+            return _result(problem, state, settings, status)
+        state = step_swarm(problem, state, settings, rng)
+
+
+def _agrees(problem: SwarmProblem, state: SwarmState, settings: SwarmSettings) -> bool:
+    if problem.n_plies:
+        return _agreeing(problem, state, settings) >= _MAJORITY * len(state.personal_values)
+    return swarm_spread(problem, state) <= settings.spread_tolerance
+
+
+def _agreeing(problem: SwarmProblem, state: SwarmState, settings: SwarmSettings) -> int:
+    sequences = decode(state.best_memberships)
+    away = np.abs(state.personal_bests - state.personal_bests[state.leader])
+    near = np.all(away <= settings.spread_tolerance * (problem.upper - problem.lower), axis=1)
+    return int(np.sum(near & np.all(sequences == sequences[state.leader], axis=1)))
+
+
+def _result(problem: SwarmProblem, state: SwarmState, settings: SwarmSettings, status: Status) -> SwarmResult:
+    iterations = len(state.history) - 1
+    sequences = decode(state.best_memberships)
+    agreeing = _agreeing(problem, state, settings)
+    text = TEXTS[f"fuzzy {status}" if problem.n_plies else status]
+    return SwarmResult(
+        best=_read_only(state.personal_bests[state.leader]),
+        sequence=_read_only(sequences[state.leader]),
+        value=state.history[-1],
+        personal_bests=_read_only(state.personal_bests),
+        personal_sequences=_read_only(sequences),
+        personal_values=_read_only(state.personal_values),
+        iterations=iterations,
+        evaluations=state.evaluations,
+        agreeing=agreeing,
+        status=status,
+        history=_read_only(np.array(state.history)),
+        message=text.format(
+            iterations=iterations,
+            agreeing=agreeing,
+            particles=len(state.personal_values),
+            spread=swarm_spread(problem, state),
+        ),
+    )
+
+
+def _evaluate(
+    problem: SwarmProblem, positions: FloatArray, memberships: FloatArray
+) -> tuple[FloatArray, int]:
+    """The values, infinite where infeasible or not finite, and the number of solves."""
+    n = len(positions)
+    allowed = np.asarray(problem.feasible(positions), dtype=np.bool_)
+    _require_shape("feasible", allowed.shape, n)
+    values = np.full(n, np.inf)
+    solves = int(allowed.sum())
+    if solves:
+        reply = problem.objective(positions[allowed], decode(memberships[allowed]))
+        reply = np.asarray(reply, dtype=np.float64)
+        _require_shape("objective", reply.shape, solves)
+        values[allowed] = np.where(np.isfinite(reply), reply, np.inf)
+    return values, solves
+
+
+def _read_only(array: NDArray[Any]) -> NDArray[Any]:
+    copy = array.copy()
+    copy.flags.writeable = False
+    return copy
+
+
+def _require_shape(source: str, shape: tuple[int, ...], n: int) -> None:
+    if shape != (n,):
+        raise ValueError(TEXTS["reply shape"].format(source=source, shape=shape, particles=n, expected=(n,)))
+
+
+def material_swarm(
+    material: Material | Hybrid, unknowns: ParameterSet, n: int, rng: np.random.Generator
+) -> FloatArray:
+    """Draw the start positions of the unknown constants of a plate, `initial_swarm` for each material.
+
+    Constants that are not among the unknowns have their reference value.
+
+    Returns (n, unknowns.size), columns as in ``unknowns.names``.
+
+    Raises ``ValueError`` if the bounds leave no room for the constraints.
+    """
+    drawn: dict[str, FloatArray] = {}
+    for name, part in material.parts.items():
+        of_part = tuple(p for p in unknowns.parameters if split_name(p.name)[0] == name)
+        plain = ParameterSet(tuple(replace(p, name=split_name(p.name)[1]) for p in of_part))
+        known = tuple((k, v) for k, v in part.constants.items() if k not in plain)
+        swarm = initial_swarm(replace(plain, fixed=known), part.symmetry, n, rng)
+        drawn |= {joined_name(name, k): column for k, column in zip(plain.names, swarm.T, strict=True)}
+    return np.column_stack([drawn[name] for name in unknowns.names])
+
+
+def initial_swarm(
+    parameters: ParameterSet,
+    symmetry: MaterialSymmetry,
+    n: int,
+    rng: np.random.Generator,
+) -> FloatArray:
+    """Draw the start positions of section 5.1 within the bounds.
+
+    E2 is uniform in its bounds, E1 uniform between E2 and its upper bound, nu12 uniform in
+    [-sqrt(E1/E2), sqrt(E1/E2)] cut to its bounds, all others uniform in theirs. E2 is drawn below
+    the upper bound of E1, and E1 not below its own lower bound, so that every particle lies in
+    the box. The order of the two is that of a transversely isotropic ply: an isotropic one has E1 = E2 by
+    eq. (11), and of an orthotropic one both are uniform in their bounds.
+
+    parameters : the unknowns, SI units; a fixed E1 or E2 among them limits the other one.
+    symmetry : of the ply.
+    n : number of particles.
+
+    Returns (n, parameters.size), columns as in ``parameters.names``.
+
+    Raises ``ValueError`` if the bounds leave no room for the constraints.
+    """
+    if n < 1:
+        raise ValueError(TEXTS["no particle"].format(particles=n))
+    bounds = dict(zip(parameters.names, zip(parameters.lower, parameters.upper, strict=True), strict=True))
+    drawn = {name: np.full(n, value) for name, value in parameters.fixed}
+    edge = np.ones(n)  # sqrt(E1 / E2)
+    composite, ordered = symmetry != "isotropic", symmetry == "transversely_isotropic"
+    if composite and "E2" in bounds:
+        low, high = bounds["E2"]
+        top = bounds["E1"][1] if "E1" in bounds else drawn.get("E1", np.inf)
+        drawn["E2"] = _draw("E2", low, np.minimum(high, top) if ordered else high, n, rng)
+    if composite and "E1" in bounds:
+        low, high = bounds["E1"]
+        above = np.maximum(low, drawn.get("E2", low)) if ordered else low
+        drawn["E1"] = _draw("E1", above, high, n, rng)
+    if composite and "E1" in drawn and "E2" in drawn:
+        edge = np.sqrt(drawn["E1"] / drawn["E2"])
+    for name, (low, high) in bounds.items():
+        if name == "nu12":
+            drawn[name] = _draw(name, np.maximum(low, -edge), np.minimum(high, edge), n, rng)
+        elif name not in drawn:
+            drawn[name] = _draw(name, low, high, n, rng)
+    return np.column_stack([drawn[name] for name in parameters.names] or [np.empty((n, 0))])
+
+
+def minimise(
+    objective: Objective,
+    lower: FloatArray,
+    upper: FloatArray,
+    start: FloatArray,
+    settings: SwarmSettings,
+    rng: np.random.Generator,
+    *,
+    feasible: Feasible,
+    progress: Callable[[int, float], None] | None = None,
+) -> SwarmResult:
+    """Minimise a function over a box by a particle swarm, eq. (1) and (2), see ``minimise_problem``.
+
+    objective : (m, n_constants) -> (m,).
+    feasible : (m, n_constants) -> (m,) bool, the constraints of the material.
+    lower, upper : (n_constants,).
+    """
+
+    def without_sequence(constants: FloatArray, sequences: IndexArray) -> FloatArray:
+        return objective(constants)
+
+    lower, upper = (np.asarray(bound, dtype=np.float64) for bound in (lower, upper))
+    return minimise_problem(
+        SwarmProblem(without_sequence, feasible, lower, upper), start, settings, rng, progress=progress
+    )
+
+
+def _draw(
+    name: str, low: FloatArray | float, high: FloatArray | float, n: int, rng: np.random.Generator
+) -> FloatArray:
+    """Draw n values uniformly between two limits, each a number or one for every particle."""
+    low, high = np.broadcast_to(low, n), np.broadcast_to(high, n)
+    empty = ~(low <= high)
+    if empty.any():
+        worst = int(np.argmax(empty))
+        text = TEXTS["empty range"].format(name=name, low=low[worst], high=high[worst])
+        raise ValueError(text)
+    return np.clip(low + (high - low) * rng.random(n), low, high)

@@ -1,1 +1,0 @@
-"""Particle swarms: the paper's PSO for constants and FPSO for ply angles."""

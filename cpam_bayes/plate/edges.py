@@ -1,0 +1,129 @@
+"""Edges of a plate: one table of what each condition is called, what it holds, and how it is drawn.
+
+A new condition is one row of the table, and a figure of its own only where no mark that there is suits it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Final, Literal
+
+__all__ = [
+    "ALL_FREE",
+    "CANTILEVER",
+    "CONDITIONS",
+    "EDGES",
+    "EDGE_KEY",
+    "FIELDS",
+    "PLACES",
+    "STATED",
+    "EdgeCondition",
+    "Field",
+    "conditions",
+    "is_stated",
+    "yielding",
+]
+
+Field = Literal["u", "v", "w", "phi_x", "phi_y"]
+FIELDS: Final[tuple[Field, ...]] = ("u", "v", "w", "phi_x", "phi_y")
+# The edges in the order of their letters: by name in meshes and forms, and by place.
+EDGES: Final = ("x0", "y0", "x1", "y1")
+PLACES: Final = ("x = 0", "y = 0", "x = length", "y = width")
+
+
+@dataclass(frozen=True, slots=True)
+class EdgeCondition:
+    """How one edge is held.
+
+    name : in words; "" for one that no plate file states
+    held_x, held_y : fields at zero on an edge x = constant, and on an edge y = constant
+    sprung : fields on springs, which a term of an effect brings
+    is_clamp : built in, or a clamp that gives way
+    mark : how a drawing shows it
+    caption : what a caption says of that mark
+    brick_widths : of the elements at the edge, in thicknesses, from the edge inwards. Clamped bricks are
+        0.3 to 0.4 % too stiff with elements of 7 thicknesses there, and within 0.01 % of their limit so
+    """
+
+    name: str
+    held_x: tuple[Field, ...]
+    held_y: tuple[Field, ...]
+    sprung: tuple[Field, ...] = ()
+    is_clamp: bool = False
+    mark: Literal["line", "triangles", "hatching"] = "line"
+    caption: str = ""
+    brick_widths: tuple[float, ...] = ()
+
+    def held(self, edge: str) -> tuple[Field, ...]:
+        """Fields at zero on an edge of a name in `EDGES`, or of an axis."""
+        return self.held_x if edge[0] == "x" else self.held_y
+
+    @property
+    def is_free(self) -> bool:
+        """Whether nothing is held."""
+        return not (self.held_x or self.held_y or self.sprung)
+
+    @property
+    def follows_axis(self) -> bool:
+        """Whether what is held depends on the edge's direction, so that the edge must lie along an axis."""
+        return self.held_x != self.held_y
+
+
+CONDITIONS: Final[Mapping[str, EdgeCondition]] = MappingProxyType(
+    {
+        "F": EdgeCondition("free", (), (), brick_widths=(3.0,)),
+        # The hard simple support of Navier's solution: the tangential displacement and the tangential
+        # rotation are held, the normal ones free.
+        "S": EdgeCondition(
+            "simply supported",
+            ("v", "w", "phi_y"),
+            ("u", "w", "phi_x"),
+            mark="triangles",
+            caption="edges on triangles are simply supported",
+        ),
+        "C": EdgeCondition(
+            "clamped",
+            FIELDS,
+            FIELDS,
+            is_clamp=True,
+            mark="hatching",
+            caption="hatched edges are clamped",
+            brick_widths=(0.5, 1.0),
+        ),
+        # Clamps that give way: in rotation, in translation, in everything.
+        "R": EdgeCondition("", ("u", "v", "w"), ("u", "v", "w"), ("phi_x", "phi_y"), is_clamp=True),
+        "T": EdgeCondition("", ("phi_x", "phi_y"), ("phi_x", "phi_y"), ("u", "v", "w"), is_clamp=True),
+        "E": EdgeCondition("", (), (), FIELDS, is_clamp=True),
+    }
+)
+"""Letter -> condition."""
+
+STATED: Final = "".join(letter for letter, condition in CONDITIONS.items() if condition.name)
+EDGE_KEY: Final = ", ".join(f"{letter} {CONDITIONS[letter].name}" for letter in STATED)
+ALL_FREE: Final = "FFFF"
+CANTILEVER: Final = "CFFF"
+
+
+def conditions(edges: str) -> tuple[EdgeCondition, EdgeCondition, EdgeCondition, EdgeCondition]:
+    """The conditions of the four edges, in the order of `EDGES`."""
+    x0, y0, x1, y1 = (CONDITIONS[letter] for letter in edges)
+    return x0, y0, x1, y1
+
+
+def is_stated(edges: str) -> bool:
+    """Whether a text is what a plate file may state: four letters of `STATED`."""
+    return len(edges) == len(EDGES) and set(edges) <= set(STATED)
+
+
+def yielding(letter: str, fields: tuple[Field, ...]) -> str | None:
+    """The condition with ``fields`` on springs instead of held; None where it does not hold all of them."""
+    before, taken = CONDITIONS[letter], set(fields)
+    if not taken <= set(before.held_x) & set(before.held_y):
+        return None
+    wanted = (set(before.held_x) - taken, set(before.held_y) - taken, set(before.sprung) | taken)
+    for other, after in CONDITIONS.items():
+        if (set(after.held_x), set(after.held_y), set(after.sprung)) == wanted:
+            return other
+    return None

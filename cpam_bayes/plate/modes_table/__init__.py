@@ -1,1 +1,0 @@
-"""Tables of measured modes: rows as instruments write them, hits of a mode as one frequency."""

@@ -1,1 +1,0 @@
-"""The question `predict`: frequencies of another plate of a material whose posterior is stored."""

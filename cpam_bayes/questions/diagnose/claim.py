@@ -1,0 +1,383 @@
+"""The first screen of a diagnosis: the claim, the constants that allow for it, the fit, the next step."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from typing import Final
+
+import numpy as np
+
+from cpam_bayes.answer import Verdict
+from cpam_bayes.diagnosis.diagnose import EXPLAINED, Cause, Diagnosis
+from cpam_bayes.diagnosis.extension import left_aside
+from cpam_bayes.diagnosis.fit import inferred_noise
+from cpam_bayes.diagnosis.hypotheses import CLAIM_RULES, NONE, OTHER, Claim, causes_in
+from cpam_bayes.diagnosis.next_test import Candidate
+from cpam_bayes.effects import Effect
+from cpam_bayes.formatting import listed, significant
+from cpam_bayes.identification.point import ScaleError, number_of
+from cpam_bayes.plate import Specimen
+from cpam_bayes.plate.units import USER_UNITS
+from cpam_bayes.questions.diagnose.document import (
+    FEW,
+    DiagnosisResult,
+    absorbed_biases,
+    answer_constants,
+    detectable_rows,
+    detectable_size,
+    place_of,
+    probability_text,
+    size_text,
+    some_of,
+    title_of,
+)
+from cpam_bayes.render.report import (
+    Summary,
+)
+from cpam_bayes.render.sentences import (
+    attached_step,
+    constants_table,
+    fit_sentence,
+    gauge_step,
+    intervals_sentence,
+    mismatch_step,
+    stated_noise,
+)
+
+__all__ = [
+    "checked_effects",
+    "claim_sentence",
+    "next_steps",
+    "sensitivity_sentence",
+    "shown_constants",
+    "stated_levels",
+    "summary",
+]
+
+# Probability of deciding from which a further test is recommended as such.
+_DECIDES: Final = 0.3
+# Probability from which the check of a cause is named where nothing is claimed, and how many are.
+_LIKELY, _CHECKED = 0.1, 2
+# Bayes factor below which a list is no evidence of an error (Kass and Raftery, J. Am. Stat. Assoc. 90, 1995).
+_EVIDENCE: Final = 3.0
+# Probability from which a cause is told where time was up before all were tested.
+_TOLD: Final = 1e-3
+# Fraction of the answer from which it contains what hypotheses of it contain.
+_CONTAINED: Final = 0.5
+
+
+def summary(result: DiagnosisResult) -> Summary:
+    """The claim, the constants that allow for it, how well they fit, and what to do next."""
+    d = result.diagnosis
+    return Summary(
+        title=f"diagnose {result.title}",
+        headline=claim_sentence(d),
+        tables=(constants_table(answer_constants(d)),),
+        lines=(
+            _fit_sentence(d),
+            *_beside(d),
+            *_alike(d),
+            *_seen(d),
+            *_left_out(d),
+            *_contained(d, result.plates),
+        ),
+        next_step=next(iter(next_steps(result)), ""),
+        slips=result.slips,
+        warnings=(*_depends(d), *result.cautions),
+    )
+
+
+def claim_sentence(d: Diagnosis) -> str:
+    """The claim in one sentence, its size and its probability."""
+    p = probability_text(d.claim.probability)
+    by_name = {cause.name: cause for cause in d.causes}
+    match d.claim.kind:
+        case "none":
+            return f"No evidence of an error (Bayes factor {significant(d.bayes_factor, 2)})."
+        case "named":
+            cause = by_name[d.claim.causes[0]]
+            beside = d.probability_beside >= CLAIM_RULES.beside * d.claim.probability
+            said = _found(d, cause) if not beside else title_of(d, cause.name) + _of_plates(d, cause)
+            return f"{_capital(said)} (probability {p})."
+        case "class":
+            which = listed([title_of(d, name) for name in d.claim.causes], "or")
+            return (
+                f"Something is wrong: {which}, which these frequencies cannot tell apart (probability {p})."
+            )
+        case "pair":
+            pair = next(c for c in d.causes if set(causes_in(c.name)) == set(d.claim.causes))
+            return f"Two errors at once: {_found(d, pair)} (probability {p})."
+        case "other":
+            return f"Something is wrong that no known error explains (probability {p})."
+    return _undecided(d)
+
+
+def _undecided(d: Diagnosis) -> str:
+    """What is open where nothing is claimed: the cause, or whether there is one."""
+    causes = [c for c in d.causes if c.name != NONE][:FEW]
+    if d.weighed.is_cut_short:
+        causes = [c for c in causes if c.probability >= _TOLD]
+        begun = "Undecided: time was up before every cause was tested"
+        return f"{begun}; most probable so far: {_with_probabilities(d, causes)}." if causes else f"{begun}."
+    wrong, open_ = probability_text(d.something_wrong), _with_probabilities(d, causes)
+    if d.something_wrong >= CLAIM_RULES.sure:
+        return f"Something is wrong ({wrong}); what, is open: {open_}."
+    if d.baseline.predictive_p <= EXPLAINED:
+        return f"The misfit is more than noise; what is wrong, is open: {open_}."
+    factor = significant(d.bayes_factor, 2)
+    if d.bayes_factor < _EVIDENCE:
+        return f"No evidence of an error (Bayes factor {factor}); this test is too weak to exclude one."
+    return f"Perhaps something is wrong ({wrong}, Bayes factor {factor}); what, is open: {open_}."
+
+
+def _with_probabilities(d: Diagnosis, causes: Sequence[Cause]) -> str:
+    return ", ".join(f"{title_of(d, c.name)} {probability_text(c.probability)}" for c in causes)
+
+
+def _found(d: Diagnosis, cause: Cause) -> str:
+    """A cause with its size and where it is; of a pair, one after the other."""
+    plate = next(case for case in d.cases if case.name in cause.plates).models.specimen.plate
+    said, in_list = [], _in_list(d, cause)
+    for effect in cause.hypothesis.records:
+        size = size_text(cause, (effect,))
+        if effect.local == "point":
+            place = place_of(cause, plate)
+            near = f" near ({1e3 * place[0][0]:.0f}, {1e3 * place[0][1]:.0f}) mm" if place else ""
+            said.append(f"something heavy was on the plate, {size}{near}")
+        else:
+            title = in_list if effect in cause.hypothesis.unmodelled and in_list else effect.title
+            said.append(", ".join(t for t in (title, size) if t))
+    told = bool(in_list) or any(e.is_anywhere for e in cause.hypothesis.records)
+    where = f" ({cause.variant})" if cause.variant and not told else ""
+    return f"{'; '.join(said) or title_of(d, cause.name)}{where}{_of_plates(d, cause)}"
+
+
+def _in_list(d: Diagnosis, cause: Cause) -> str:
+    """What is wrong with the list, "" where nothing is."""
+    change = cause.hypothesis.listed
+    case = next(case for case in d.cases if case.name in cause.plates)
+    k = change.misread if change.spurious is None else change.spurious
+    hz = "" if k is None else f"{case.measurement.frequencies[k]:g} Hz"
+    missed = listed([str(k + 1) for k in change.missed], "and")
+    if change.misread is not None:
+        return f"misread frequency {hz}"
+    if missed and hz:
+        return f"{hz} is a misreading of mode {missed}"
+    if missed:
+        return f"the list lacks mode {missed}"
+    return f"{hz} is no mode of the plate" if hz else ""
+
+
+def _of_plates(d: Diagnosis, cause: Cause) -> str:
+    if len(d.cases) == 1:
+        return ""
+    return ", of all plates" if len(cause.plates) == len(d.cases) else f", of {listed(cause.plates, 'and')}"
+
+
+def _capital(text: str) -> str:
+    return text[:1].upper() + text[1:]
+
+
+def _fit_sentence(d: Diagnosis) -> str:
+    """How well the model fits, before and after what was found."""
+    before = significant(100.0 * d.baseline.rms, 2)
+    if d.extended is not None and d.claim.kind != OTHER:
+        allowing = {"class": "Allowing for one of them", "pair": "Allowing for both"}
+        after = significant(100.0 * d.extended.rms, 2)
+        return (
+            f"{allowing.get(d.claim.kind, 'Allowing for it')}, the misfit falls from {before} % to {after} %."
+        )
+    noise = inferred_noise(d.weighed.plain)
+    levels = [level for level, _ in stated_levels(d)]
+    return fit_sentence(
+        d.baseline.rms,
+        stated=max(levels, default=None),
+        inferred=None if noise is None else noise[0],
+        explained=d.plain_explained,
+    )
+
+
+def stated_levels(d: Diagnosis) -> list[tuple[float, str]]:
+    """The relative noise of each list that states one, and where it stands."""
+    found = []
+    for case in d.cases:
+        measurement, of = case.measurement, f" of {case.name}" if len(d.cases) > 1 else ""
+        if measurement.frequency_sd is not None:
+            level = float(np.mean(measurement.frequency_sd / measurement.frequencies))
+        elif measurement.relative_std is not None:
+            level = measurement.relative_std
+        else:
+            continue
+        found.append((level, f"{stated_noise(measurement)}{of}"))
+    return found
+
+
+def _beside(d: Diagnosis) -> tuple[str, ...]:
+    """What may act beside what is claimed."""
+    if d.probability_beside < CLAIM_RULES.beside * d.claim.probability:
+        return ()
+    said = some_of([f"{title_of(d, name)} {probability_text(p)}" for name, p in d.beside.items()])
+    return (f"Something else acts beside it ({probability_text(d.probability_beside)}): {said}.",)
+
+
+def _alike(d: Diagnosis) -> tuple[str, ...]:
+    """The causes that frequencies cannot tell from the one that is named."""
+    cause = next((c for c in d.causes if c.name in d.claim.causes), None)
+    if d.claim.kind != "named" or cause is None or not cause.indistinguishable_from:
+        return ()
+    others = [title_of(d, name) for name in cause.indistinguishable_from[:FEW]]
+    return (f"Only the usual sizes of errors speak against {listed(others, 'or')}.",)
+
+
+def _seen(d: Diagnosis) -> tuple[str, ...]:
+    """Whether a forgotten mass, or the error that shows best, would have been seen."""
+    if d.claim.kind not in (NONE, "undecided"):
+        return ()
+    rows = [row for row in detectable_rows(d) if row.probability is not None]
+    masses = {e.name for c in d.causes for e in c.hypothesis.records if e.local == "point"}
+    mass = next((row for row in rows if row.cause in masses), None)
+    if mass is not None and mass.smallest is not None:
+        return (f"A forgotten mass of {detectable_size(mass)} or more would have been seen.",)
+    seen = [row for row in rows if row.in_sd is not None]
+    best = min(seen, key=lambda row: row.in_sd or 0.0, default=None)
+    shown = f"{_capital(best.title)} of {detectable_size(best)} would have been seen" if best else ""
+    if mass is not None:
+        said = "a forgotten mass would not" if shown else "A forgotten mass would not have been seen"
+        return (f"{'; '.join(t for t in (shown, said) if t)}.",)
+    return (f"{shown}.",) if shown else ()
+
+
+def _left_out(d: Diagnosis) -> tuple[str, ...]:
+    """The frequencies that the pairing of an incomplete list gives no mode."""
+    if d.claim.kind != NONE:
+        return ()
+    plates = []
+    for case in d.cases:
+        left = [f"{f:g} Hz" for f in left_aside(case)]
+        if left:
+            plates.append(listed(left, "and") + (f" of {case.name}" if len(d.cases) > 1 else ""))
+    return (f"Left out as no mode of the plate: {listed(plates, 'and')}.",) if plates else ()
+
+
+def _contained(d: Diagnosis, plates: Sequence[Specimen]) -> tuple[str, ...]:
+    """Which errors of size, mass and scale the intervals contain, once where all plates are alike."""
+    said = [_contained_of(d, specimen) for specimen in plates]
+    if len(set(said)) == 1:
+        return (said[0],)
+    return tuple(f"{s.name}: {text}" for s, text in zip(plates, said, strict=True))
+
+
+def _contained_of(d: Diagnosis, specimen: Specimen) -> str:
+    plate = specimen.plate
+
+    def numbers(cause: str) -> set[str]:
+        return {n for part in causes_in(cause) if (n := number_of(part, plate))}
+
+    contained: dict[str, float] = defaultdict(float)
+    if d.claim.kind in ("named", "class", "pair"):
+        for claimed in d.claim.causes:
+            contained |= dict.fromkeys(numbers(claimed), 1.0)
+        for t, fraction in d.members:
+            for name in numbers(t.hypothesis.cause):
+                contained[name] += fraction
+    found = [name for name, fraction in contained.items() if fraction >= _CONTAINED]
+    return intervals_sentence(plate, _scale_errors(d, specimen), shown_constants(d), found=found)
+
+
+def shown_constants(d: Diagnosis) -> list[str]:
+    """The constants that the frequencies say something of."""
+    return [c.name for c in answer_constants(d) if c.verdict is not Verdict.PRIOR]
+
+
+def _depends(d: Diagnosis) -> tuple[str, ...]:
+    return () if d.sensitivity.claim_stands else (sensitivity_sentence(d),)
+
+
+def sensitivity_sentence(d: Diagnosis) -> str:
+    """What becomes of the claim with other scales of the priors."""
+    inferred = d.weighed.none.marginal.comparison.noise is not None
+    what = "errors and noise" if inferred else "errors"
+    if d.sensitivity.claim_stands:
+        return f"The claim does not depend on the assumed sizes of {what}."
+    each = zip(d.sensitivity.claims, d.sensitivity.probabilities, strict=True)
+    larger, smaller = (_short(d, claim, probability) for claim, probability in each)
+    return (
+        f"The claim depends on the assumed sizes of {what}: with three times as large ones {larger}; with a "
+        f"third of them {smaller}."
+    )
+
+
+def _short(d: Diagnosis, claim: Claim, probability: Mapping[str, float]) -> str:
+    """A claim in a few words; probability : of every cause, with its prior."""
+    if claim.kind == NONE:
+        return "no evidence of an error"
+    if claim.kind == "undecided":
+        return f"undecided, nothing wrong {probability_text(probability.get(NONE, 0.0))}"
+    if not claim.causes:
+        return "an unknown error"
+    return listed([title_of(d, name) for name in claim.causes], "or" if claim.kind == "class" else "and")
+
+
+def next_steps(result: DiagnosisResult) -> tuple[str, ...]:
+    """What to do now, the most useful first: mend the list, check what is claimed, or measure more."""
+    d, constants = result.diagnosis, answer_constants(result.diagnosis)
+    steps = [step for plate in result.plates for step in mismatch_step(plate, result.notices)]
+    if d.claim.kind == OTHER:
+        steps.append("see which modes are off: their shapes show where the cause acts.")
+    further, decides = _further_test(result.candidates)
+    one = result.plates[0]
+    gauge = gauge_step(one, _scale_errors(d, one), shown_constants(d)) if len(result.plates) == 1 else ()
+    repeat = ("repeat the tap test and state relative_std under [measurement]: smaller errors then show.",)
+    checks = tuple(effect.check[:1].lower() + effect.check[1:] for effect in checked_effects(d))
+    asks = d.claim.kind in (NONE, "undecided") and not any(e.local == "point" for e in checked_effects(d))
+    attached = attached_step(result.plates[0]) if asks and len(result.plates) == 1 else ()
+    if decides and d.claim.kind != "named":
+        steps += further
+    steps += checks
+    if inferred_noise(d.weighed.plain) is not None:
+        steps += repeat
+    steps += (*gauge, *attached)
+    left = listed([c.name for c in constants if c.verdict in (Verdict.PRIOR, Verdict.BOTH)], "and")
+    steps += [f"measure more modes: {left} may then be determined."] if left else []
+    return tuple(dict.fromkeys((*steps, *further)))
+
+
+def checked_effects(d: Diagnosis) -> tuple[Effect, ...]:
+    """The effects that the laboratory should check: those claimed, or the probable ones where none is."""
+    if d.claim.kind == NONE:
+        return ()
+    causes = [
+        c for c in d.causes if c.name in d.claim.causes or set(causes_in(c.name)) == set(d.claim.causes)
+    ]
+    if d.claim.kind in ("undecided", OTHER):
+        likely = [c for c in d.causes if c.name not in (NONE, OTHER) and c.probability >= _LIKELY]
+        causes = likely[:_CHECKED]
+    return tuple({e.name: e for cause in causes for e in cause.hypothesis.records}.values())
+
+
+def _further_test(candidates: Sequence[Candidate]) -> tuple[tuple[str, ...], bool]:
+    """The test that most probably decides which cause it is, and whether it probably does."""
+    if not candidates:
+        return (), False
+    best = max(candidates, key=lambda c: c.decided)
+    chance = f"{100 * best.decided:.0f} %"
+    if best.decided >= _DECIDES:
+        return (f"do a further test: {best.description}; it decides with probability {chance}.",), True
+    return (f"no single further test is likely to decide; the best is {best.description}, {chance}.",), False
+
+
+def _scale_errors(d: Diagnosis, specimen: Specimen) -> tuple[ScaleError, ...]:
+    """Errors of size, mass and scale that hide in the constants."""
+    errors = []
+    for cause in d.hidden_causes:
+        name = number_of(cause.name, specimen.plate)
+        _, unit, per_unit = absorbed_biases(d, cause)
+        if name is None or unit != "%":
+            continue
+        # An unmodelled excess of the true number shows as this error of the constants.
+        shift = {USER_UNITS[key][0]: value for key, value in per_unit.items()}
+        sd = specimen.plate.sd.get(name)
+        known = None if sd is None else float(sd / getattr(specimen.plate, name))
+        errors.append(ScaleError(name, shift, cause.visible, known))
+    return tuple(errors)

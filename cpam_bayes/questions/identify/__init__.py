@@ -1,0 +1,117 @@
+"""Elastic constants of a plate from its measured frequencies: the question `identify`.
+
+Two verbs answer it: `identify` by particle swarms, and `sample`, the posterior by emcee, which the command
+line calls ``identify --backend emcee``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, Final, Literal, get_args
+
+from cpam_bayes.command import PLATE, TIME_LIMIT, Command, option, whole
+from cpam_bayes.identification.search import MOST_SWARMS, Residual
+from cpam_bayes.inference.ensemble import DEFAULT_SETTINGS
+from cpam_bayes.inference.posterior import Likelihood
+from cpam_bayes.inference.swarm import SwarmSettings
+from cpam_bayes.plate import PlateLike
+from cpam_bayes.questions.identify import posterior as posterior  # how a posterior is shown
+from cpam_bayes.questions.identify.emcee import SampledResult, sample
+from cpam_bayes.questions.identify.pso import PointResult, identify
+from cpam_bayes.running import Watch
+
+__all__ = ["COMMAND", "PointResult", "SampledResult", "identify", "sample"]
+
+Backend = Literal["pso", "emcee"]
+
+# Options that one back end alone has.
+_OWN: Final[dict[Backend, tuple[str, ...]]] = {
+    "pso": ("residuals", "swarms", "particles", "iterations"),
+    "emcee": ("steps", "store", "likelihood", "noise"),
+}
+# Shape of the noise -> its degrees of freedom.
+_NOISE: Final = {"gaussian": float("inf"), "student-t": 4.0}
+
+
+def _answered(
+    plate: PlateLike, *, seed: int, watch: Watch, backend: Backend, **given: Any
+) -> PointResult | SampledResult:
+    """The answer of a back end to the options that were given; None for one that was left out."""
+    asked = {name: value for name, value in given.items() if value is not None}
+    foreign = [name for name in asked if name not in _OWN[backend]]
+    if foreign:
+        raise ValueError(f"--{foreign[0]}: not an option of the back end {backend}; leave it out")
+    if backend == "pso":
+        settings = {name: asked.pop(name) for name in ("particles", "iterations") if name in asked}
+        return identify(plate, seed=seed, settings=SwarmSettings(**settings), watch=watch, **asked)
+    if "noise" in asked:
+        asked["degrees_of_freedom"] = _NOISE[asked.pop("noise")]
+    if "steps" in asked:
+        steps = asked.pop("steps")
+        rounds = min(steps, DEFAULT_SETTINGS.round_steps)
+        asked["settings"] = replace(DEFAULT_SETTINGS, most_steps=steps, round_steps=rounds)
+    return sample(plate, seed=seed, watch=watch, **asked)
+
+
+COMMAND: Final = Command(
+    _answered,
+    (
+        PLATE,
+        option(
+            "--backend",
+            choices=get_args(Backend),
+            default="pso",
+            help="pso: the paper's particle swarm; emcee: the posterior, sampled from that swarm on, "
+            "`sample` in Python (default: pso)",
+        ),
+        option(
+            "--residuals",
+            choices=get_args(Residual),
+            help="pso: what the swarm minimises, squares of differences in Hz, eq. (7), or of relative ones "
+            "(default: absolute)",
+        ),
+        option(
+            "--swarms",
+            type=whole(1, 1000),
+            metavar="N",
+            help="pso: swarms at most, until two have found the best optimum, 1 to 1000; 1 is the paper's "
+            f"single swarm, not polished (default: {MOST_SWARMS})",
+        ),
+        option(
+            "--particles",
+            type=whole(5, 10_000),
+            metavar="N",
+            help="pso: particles of a swarm, 5 to 10000 (default: 40)",
+        ),
+        option(
+            "--iterations",
+            type=whole(1, 100_000),
+            metavar="N",
+            help="pso: budget of a swarm, 1 to 100000 iterations (default: 400)",
+        ),
+        option(
+            "--steps",
+            type=whole(1, 10_000_000),
+            metavar="N",
+            help="emcee: budget of the chains in steps, used in rounds of 100 (default: 10000)",
+        ),
+        option(
+            "--store",
+            metavar="DIR",
+            help="emcee: keep finished rounds in DIR; the same command goes on from there",
+        ),
+        option(
+            "--likelihood",
+            choices=get_args(Likelihood),
+            help="emcee: noise in proportion to a frequency, or one standard deviation in Hz for all modes, "
+            "which is inferred: eq. (7) (default: relative)",
+        ),
+        option(
+            "--noise",
+            choices=tuple(_NOISE),
+            help="emcee: gaussian, or student-t with 4 degrees of freedom, which a few bad frequencies do "
+            "not sway (default: gaussian)",
+        ),
+        TIME_LIMIT,
+    ),
+)

@@ -1,0 +1,721 @@
+"""What `identify --backend emcee` shows: a posterior, what determines it, and how far to trust it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from functools import partial
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+import numpy as np
+
+from cpam_bayes.answer import Constant, FrequencyRow
+from cpam_bayes.formatting import NOT_KNOWN, fixed, listed, signed, significant, with_spread
+from cpam_bayes.identification.point import BY_DATA, BY_PRIOR
+from cpam_bayes.inference.assessment import MOVED, Combination, MovedBound
+from cpam_bayes.inference.completeness import Profile
+from cpam_bayes.plate import to_user, user_name
+from cpam_bayes.questions.identify.emcee import Marginal, SampledResult
+from cpam_bayes.render.assurance import assurance_drawings, assurance_sections, shape_keys
+from cpam_bayes.render.documents import laminate_unit, plate_keys
+from cpam_bayes.render.figures import extent_of, new_figure, shapes_figure
+from cpam_bayes.render.plate import plate_section
+from cpam_bayes.render.posterior import Draws, marginals_figure, pairs_figure
+from cpam_bayes.render.report import (
+    COMPUTATION,
+    Caption,
+    Column,
+    Drawing,
+    Heading,
+    Report,
+    Rows,
+    Section,
+    Summary,
+    Table,
+    facts,
+    modes_caption,
+    remarks,
+)
+from cpam_bayes.render.sentences import (
+    attached_step,
+    constant_details,
+    constant_rows,
+    constants_headline,
+    constants_table,
+    diagnose_step,
+    errors_table,
+    fit_sentence,
+    frequency_columns,
+    further_steps,
+    gauge_step,
+    intervals_sentence,
+    mismatch_step,
+    more_modes_step,
+    reliance_sentences,
+)
+from cpam_bayes.result import present
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+__all__ = ["product_text"]
+
+# A mode this many standard deviations from what the others predict is marked.
+_MAX_DISTANCE_SD: Final = 3.0
+# Smaller exponents are left out of a product.
+_SMALL: Final = 0.05
+# Diagnoses that a reader must not overlook.
+_DOUBTFUL: Final = ("prior and data disagree", "prior is strong, likelihood weak", "likelihood is weak")
+# Shift of a mean, in sd, from which moving a bound is worth telling.
+_TOLD: Final = 0.1
+# Below this share of D11 a bending-twisting stiffness is rounding.
+_ROUNDING: Final = 1e-9
+
+_BLUE, _GREY, _ORANGE = "#4878a8", "#808080", "#c1440e"
+
+
+class _LeftOut(NamedTuple):
+    """A frequency predicted from all the others.
+
+    residual : predicted / measured - 1. sd : of prediction and noise together, relative. leverage : fraction
+    of the frequency in its own prediction. standardised : the residual in standard deviations.
+    """
+
+    residual: float
+    sd: float
+    leverage: float
+    standardised: float
+
+
+class _Mode(NamedTuple):
+    """A measured frequency, or a mode that the list lacks, with what the other frequencies predict for it."""
+
+    row: FrequencyRow
+    left_out: _LeftOut | None
+
+
+@present.register
+def _present(result: SampledResult) -> Report:
+    """The constants, how well the model fits, what the intervals contain, and what to do next."""
+    specimen, assessment = result.specimen, result.assessment
+    constants, sizes = tuple(result.constants.values()), tuple(result.sizes.values())
+    use = [c.name for c in constants if not c.is_open]
+    steps = _steps(result, use)
+    modes = _modes(result)
+    residuals = np.array([row.residual for row in result.frequencies if row.residual is not None])
+    rms = float(np.sqrt(np.mean(residuals**2))) if residuals.size else math.nan
+    headline = constants_headline(constants, result.posterior.measurement.size)
+    if result.status == "budget":
+        headline = f"The chains did not converge: do not use this answer. {headline}"
+    return Report(
+        summary=Summary(
+            title=f"identify {result.title}",
+            headline=headline,
+            tables=(constants_table(constants),),
+            lines=(
+                fit_sentence(
+                    rms, stated=_stated(result), inferred=_inferred(result), explained=result.explained
+                )
+                if residuals.size
+                else "None of the frequencies belongs to a mode of the plate model.",
+                *_gaps(result),
+                intervals_sentence(specimen.plate, result.scale_errors, use),
+            ),
+            next_step=next(iter(steps), ""),
+            slips=result.slips,
+            warnings=result.cautions,
+        ),
+        sections=(
+            plate_section(specimen, result.air_shifts),
+            Section(
+                "Posterior of the constants",
+                (
+                    constant_details((*constants, *sizes), specimen.material),
+                    remarks("At the bounds", _at_bounds(result)),
+                    errors_table(result.scale_errors, [c.name for c in constants]),
+                    remarks(
+                        "Intervals that depend on the range of another constant",
+                        reliance_sentences(
+                            result.reliances, lambda n: result.posterior.parameters[n].prior, use
+                        ),
+                    ),
+                    _laminate(result.laminate),
+                ),
+                ("marginals_and_profiles",),
+                folded=False,
+            ),
+            Section(
+                "Which constants move together, and what decides them",
+                (
+                    _combinations_table(result.posterior.model.parameters.names, assessment.combinations),
+                    _sensitivity_table(result),
+                ),
+                ("posterior",),
+            ),
+            Section(
+                "Measured and predicted frequencies",
+                (
+                    modes.table(
+                        "Frequencies, residual = predicted / measured - 1; left out: by the other modes"
+                    ),
+                ),
+                ("left_out",),
+            ),
+            *assurance_sections(result.by_shape, result.posterior.measurement),
+            Section("Mode shapes", figures=("modes",)),
+            further_steps(steps[1:]),
+            Section(COMPUTATION, (_chains(result),)),
+        ),
+        document=_document(result, modes),
+        drawings=_drawings(result, modes),
+        rows=(constant_rows(constants), modes),
+    )
+
+
+def _stated(result: SampledResult) -> float | None:
+    """The relative noise of the plate file, None where it is inferred."""
+    measurement = result.posterior.measurement
+    if result.noise is not None:
+        return None
+    if measurement.frequency_sd is not None:
+        return float(np.mean(measurement.frequency_sd / measurement.frequencies))
+    return measurement.relative_std
+
+
+def _inferred(result: SampledResult) -> float | None:
+    """The inferred noise, relative to a typical frequency; None where the plate file states it."""
+    if result.noise is None:
+        return None
+    name, marginal = result.noise
+    relative = name == "relative_std"
+    return marginal.mean / (1.0 if relative else float(np.mean(result.posterior.measurement.frequencies)))
+
+
+def _gaps(result: SampledResult) -> tuple[str, ...]:
+    """Modes that the list lacks, and frequencies that belong to no mode, in one line."""
+    missed = [f"{m.label or m.kind} near {significant(m.predicted or 0.0, 4)} Hz" for m in result.missed]
+    alone = [f"{row.measured:.6g} Hz" for row in result.frequencies if row.predicted is None]
+    said = [f"Missing in the list: {listed(missed, 'and')}."] if missed else []
+    said += [f"No mode of the plate: {listed(alone, 'and')}."] if alone else []
+    return (" ".join(said),) if said else ()
+
+
+def _steps(result: SampledResult, use: Sequence[str]) -> tuple[str, ...]:
+    """What to do, the most useful first."""
+    specimen = result.specimen
+    return (
+        *(("allow more steps: --steps N.",) if result.status == "budget" else ()),
+        *mismatch_step(specimen, result.notices, [row.label for row in result.frequencies]),
+        *diagnose_step(specimen),
+        *attached_step(specimen),
+        *gauge_step(specimen, result.scale_errors, use),
+        *more_modes_step(tuple(result.constants.values())),
+    )
+
+
+def _at_bounds(result: SampledResult) -> tuple[str, ...]:
+    """Constants whose posterior touches a bound, which then counts."""
+    touching = ((name, result.marginals[name]) for name in result.constants)
+    return tuple(
+        f"{name}: {100 * max(m.at_lower, m.at_upper):.0f} % of the draws lie at its {m.bound} bound; a wider "
+        "range would change it, and the other constants with it."
+        for name, m in touching
+        if m.bound is not None
+    )
+
+
+def _modes(result: SampledResult) -> Rows:
+    """The measured frequencies and the modes that the list lacks."""
+    rows, left = result.frequencies, result.assessment.left_out
+    others = iter(
+        _LeftOut(-float(r / f), float(sd / f), float(leverage), float(standardised))
+        for r, sd, leverage, standardised, f in zip(
+            left.residual,
+            left.sd,
+            left.leverage,
+            left.standardised,
+            (row.measured for row in rows if row.predicted is not None),
+            strict=True,
+        )
+    )
+    shown = [_Mode(row, None if row.predicted is None else next(others)) for row in rows]
+    shown += [_Mode(row, None) for row in result.missed]
+
+    def percent(name: str) -> Any:
+        return lambda m: None if m.left_out is None else 100.0 * getattr(m.left_out, name)
+
+    base = [
+        Column(c.heading, c.key, lambda m, c=c: c.value(m.row), c.text, c.number)  # type: ignore[misc]
+        for c in frequency_columns(rows)
+    ]
+    columns = (
+        *base,
+        Column("sd Hz", "predicted_sd_hz", _sd, lambda v: significant(v, 2), True),
+        Column("leverage", None, lambda m: m.left_out and m.left_out.leverage, lambda v: fixed(v, 2), True),
+        Column("left out %", None, percent("residual"), lambda v: signed(v, 2), True),
+        Column("sd %", None, percent("sd"), lambda v: fixed(v, 2), True),
+        Column("", None, _place),
+    )
+    return Rows("frequencies", columns, tuple(shown), _is_far)
+
+
+def _sd(m: _Mode) -> float | None:
+    return None if m.left_out is None else m.row.predicted_sd
+
+
+def _is_far(m: _Mode) -> bool:
+    return m.left_out is not None and abs(m.left_out.standardised) > _MAX_DISTANCE_SD
+
+
+def _place(m: _Mode) -> str | None:
+    if m.row.measured is None:
+        return "missing in the list"
+    if m.row.predicted is None:
+        return "no mode"
+    return "the others contradict it" if _is_far(m) else None
+
+
+def _laminate(laminate: Mapping[str, tuple[float, float]]) -> Table:
+    """D11 to D26, the engineering constants and nuxy, a line each."""
+    small = _ROUNDING * abs(laminate["D11"][0])
+    lines: dict[str, list[str]] = {"N m": [], "GPa": [], "": []}
+    for name, (mean, sd) in laminate.items():
+        factor = laminate_unit(name)[1]
+        unit = "GPa" if factor != 1.0 else "" if name == "nuxy" else "N m"
+        if unit == "N m" and abs(mean) < small:
+            continue
+        value, spread = with_spread(mean * factor, sd * factor)
+        lines[unit].append(f"{name} {value} +- {spread}")
+    rows = tuple((f"{', '.join(parts)} {unit}".strip(),) for unit, parts in lines.items() if parts)
+    return Table("Laminate in bending, mean and sd", (Heading(),), rows)
+
+
+_COMBINATIONS: Final = (
+    Heading("combination"),
+    *(Heading(text, number=True) for text in ("sd by data", "sd by prior", "prior / data")),
+    Heading("decided by"),
+)
+
+
+def _combinations_table(names: tuple[str, ...], combinations: Sequence[Combination]) -> Table:
+    """Products of constants, the best determined first, with their spread by data and by prior."""
+    rows = tuple(
+        (
+            product_text(names, c),
+            _percent(c.noise_sd),
+            _percent(c.prior_sd),
+            significant(c.singular_value, 2),
+            _decider(c),
+        )
+        for c in combinations
+    )
+    doubtful = frozenset(i for i, c in enumerate(combinations) if c.contraction < BY_PRIOR)
+    return Table("Combinations of constants, best determined first", _COMBINATIONS, rows, doubtful)
+
+
+def product_text(names: tuple[str, ...], combination: Combination) -> str:
+    """A product of powers, the largest first: ``E1 G12^0.32``; exponents below 0.05 are left out."""
+    order = np.argsort(-np.abs(combination.exponents), kind="stable")
+    parts = []
+    for k in order:
+        power = float(combination.exponents[k])
+        if abs(power) >= _SMALL:
+            parts.append(names[k] if round(power, 2) == 1.0 else f"{names[k]}^{power:.2g}")
+    return " ".join(parts)
+
+
+def _decider(combination: Combination) -> str:
+    if combination.contraction >= BY_DATA:
+        return "the data"
+    return "the prior" if combination.contraction < BY_PRIOR else "data and prior"
+
+
+def _percent(sd: float) -> str:
+    """A standard deviation of a logarithm."""
+    return f"{significant(100.0 * sd, 2)} %" if sd < 1.0 else "> 100 %"
+
+
+def _sensitivity_table(result: SampledResult) -> Table:
+    """What the likelihood says of each constant alone, and what prior and bounds add."""
+    assessment = result.assessment
+    by_name = {s.name: s for s in assessment.power_scaling}
+    columns = (
+        Heading("name"),
+        Heading("95 % by likelihood"),
+        Heading("likelihood", number=True),
+        Heading("prior", number=True),
+        Heading("noise prior", number=True),
+        Heading("diagnosis"),
+        Heading(f"a bound moved {100 * MOVED:.0f} %"),
+    )
+    names = result.posterior.parameters.names
+    rows, doubtful = [], []
+    for i, profile in enumerate(assessment.profiles):
+        s = by_name[profile.name]
+        sensitivities = (fixed(value, 2) for value in (s.likelihood, s.prior, s.noise_prior))
+        shift = _largest_shift(assessment.moved_bounds, names.index(profile.name))
+        rows.append((profile.name, _interval(profile), *sensitivities, s.diagnosis, shift))
+        if s.diagnosis in _DOUBTFUL:
+            doubtful.append(i)
+    title = "Profile likelihood, and sensitivity to powers of likelihood and priors (0.05 counts)"
+    return Table(title, columns, tuple(rows), frozenset(doubtful))
+
+
+def _interval(profile: Profile) -> str:
+    """The 95 % region of a profile, in the unit of the plate file."""
+    gaps = "" if profile.parts == 1 else f" in {profile.parts} parts"
+    if profile.lower_open and profile.upper_open:
+        return f"anything{gaps}"
+    width = profile.upper - profile.lower
+    digits = max(0, 1 - math.floor(math.log10(to_user(profile.name, width)))) if width > 0.0 else 3
+    lower, upper = (fixed(to_user(profile.name, v), digits) for v in (profile.lower, profile.upper))
+    if profile.lower_open:
+        return f"up to {upper}{gaps}"
+    return f"from {lower}{gaps}" if profile.upper_open else f"{lower} to {upper}{gaps}"
+
+
+def _largest_shift(moved: tuple[MovedBound, ...], k: int) -> str:
+    """The largest shift of the mean of parameter k by a bound, ``-`` where it is small."""
+    known = [m for m in moved if np.isfinite(m.shift[k])]
+    if not known:
+        return NOT_KNOWN
+    largest = max(known, key=lambda m: abs(m.shift[k]))
+    if abs(largest.shift[k]) < _TOLD:
+        return NOT_KNOWN
+    return f"{largest.shift[k]:+.1f} sd, {largest.bound} of {largest.name}"
+
+
+def _chains(result: SampledResult) -> Table:
+    d = result.result.diagnostics
+    ensembles, _, walkers, _ = result.result.chain.shape
+    rows = []
+    shape = "" if np.isinf(nu := result.posterior.degrees_of_freedom) else f", Student-t with {nu:g}"
+    if result.noise is not None:
+        name, noise = result.noise
+        factor, unit = (1.0, "Hz") if name == "absolute_sd" else (100.0, "% of a frequency")
+        level, spread = factor * noise.mean, factor * noise.sd
+        rows.append(("noise of the chains", f"{level:.2g} +- {spread:.2g} {unit}, inferred{shape}"))
+    elif shape:
+        rows.append(("noise of the chains", f"of the plate file{shape}"))
+    rows += [
+        ("p-value", _p_value(result)),
+        *_scores(result),
+        ("evidence", _evidence(result)),
+        ("chains", f"{ensembles} ensembles of {walkers} walkers, {d.steps} steps, burn-in {d.burn_in}"),
+        (
+            "convergence",
+            f"R-hat {d.r_hat:.4f} over ensembles, autocorrelation time {d.autocorrelation_time:.0f} steps, "
+            f"{d.ess_bulk:.0f} effective samples: {'converged' if d.converged else 'NOT converged'}",
+        ),
+        (
+            "solver",
+            f"error about {significant(100 * float(np.max(result.error)), 2)} % in the worst mode, "
+            "part of the noise",
+        ),
+        (
+            "work",
+            f"{result.forward_solves} forward solves in {result.seconds:.1f} s, seed {result.seed}; "
+            f"{result.ess_per_second:.0f} effective samples a second of sampling, "
+            f"{d.ess_bulk / result.seconds:.0f} in all",
+        ),
+    ]
+    return facts("Fit and sampling", tuple(rows))
+
+
+def _p_value(result: SampledResult) -> str:
+    """The p-value of the chains, and what it is the chance of."""
+    said = f"{result.p_value:.2f}, the chance of residuals as large with the noise of the chains"
+    if not result.posterior.noise_is_inferred:
+        return f"{said}; small speaks against the plate model"
+    return f"{said}, which is inferred from the same residuals: it checks the chains, not the plate model"
+
+
+def _scores(result: SampledResult) -> list[tuple[str, str]]:
+    """The log score of modes left out, by importance sampling where that can be relied on."""
+    left_out, psis = result.assessment.left_out, result.assessment.importance
+    closed = f"log score {left_out.log_score:.1f} in closed form"
+    if left_out.basis == "optimum":
+        closed += ", linearised at the optimum (the posterior is far from a Gaussian)"
+    if psis is None:
+        return [("left out", closed)]
+    if psis.reliable:
+        score = f"log score {psis.log_score:.1f} +- {psis.standard_error:.1f} by importance sampling"
+    else:
+        worst = int(np.argmax(psis.k_hat))
+        score = f"not reliable: k-hat {psis.k_hat[worst]:.2f} at frequency {worst + 1}, above 0.7"
+    return [("left out", closed), ("PSIS-LOO", score)]
+
+
+def _evidence(result: SampledResult) -> str:
+    e = result.evidence
+    value = f"log evidence {e.log_evidence:.3f} +- {e.standard_error:.3f}"
+    sizes = f"{e.effective_size:.0f} effective of {e.n_draws} draws, k-hat {e.k_hat:.2f}"
+    return f"{value}, importance sampling ({sizes}){'' if e.status == 'reliable' else ': NOT reliable'}"
+
+
+def _document(result: SampledResult, modes: Rows) -> dict[str, Any]:
+    """The JSON document of `identify` by sampling."""
+    noise = result.noise
+    return {
+        **plate_keys(result.command, result.seed, result.specimen),
+        "backend": "emcee",
+        "status": result.result.status,
+        "constants": _marginals(result, result.constants),
+        "nuisance": _marginals(result, result.sizes),
+        "noise": None if noise is None else {"name": user_name(noise[0]), **_quantiles(noise[1], 1.0)},
+        "degrees_of_freedom": result.posterior.degrees_of_freedom,
+        "frequencies": [
+            {**keys, "left_out": _left_out_keys(m)}
+            for m, keys in zip(modes.rows, modes.records(), strict=True)
+            if m.row.measured is not None
+        ],
+        "missed_modes": [
+            {"predicted_hz": m.predicted, "kind": m.kind, "label": m.label} for m in result.missed
+        ],
+        **shape_keys(result.by_shape, result.posterior.measurement),
+        "posterior_predictive_p_value": result.p_value,
+        "leave_one_out": _leave_one_out(result),
+        "log_evidence": result.evidence.log_evidence,
+        "evidence": {
+            "standard_error": result.evidence.standard_error,
+            "effective_size": result.evidence.effective_size,
+            "k_hat": result.evidence.k_hat,
+            "status": result.evidence.status,
+        },
+        "identifiability": {"combinations": _combinations(result), "profiles": _profiles(result)},
+        "power_scaling": {
+            user_name(s.name): {
+                "prior": s.prior,
+                "noise_prior": s.noise_prior,
+                "likelihood": s.likelihood,
+                "diagnosis": s.diagnosis,
+            }
+            for s in result.assessment.power_scaling
+        },
+        "bounds_moved": _bounds_moved(result),
+        "relative_error_estimate": float(np.max(result.error)),
+        "laminate": {
+            laminate_unit(name)[0]: {
+                "value": mean * laminate_unit(name)[1],
+                "sd": sd * laminate_unit(name)[1],
+            }
+            for name, (mean, sd) in result.laminate.items()
+        },
+        "diagnostics": _diagnostics(result),
+        "air_density_kg_m3": result.specimen.air_density,
+        "forward_solves": result.forward_solves,
+        "seconds": result.seconds,
+        "warnings": list(result.warnings),
+        "notes": list(result.specimen.notes),
+    }
+
+
+def _quantiles(m: Marginal, factor: float) -> dict[str, float]:
+    return {key: factor * float(getattr(m, key)) for key in ("mean", "sd", "q025", "median", "q975")}
+
+
+def _marginals(result: SampledResult, constants: Mapping[str, Constant]) -> dict[str, Any]:
+    return {user_name(name): _marginal(c, result.marginals[name]) for name, c in constants.items()}
+
+
+def _marginal(c: Constant, m: Marginal) -> dict[str, Any]:
+    prior = c.prior.describe(partial(to_user, c.name))
+    return {
+        **_quantiles(m, to_user(c.name, 1.0)),
+        "prior": {"kind": prior.kind, "mean": prior.mean, "sd": prior.sd},
+        "prior_contraction": m.contraction,
+        "share_at_lower_bound": m.at_lower,
+        "share_at_upper_bound": m.at_upper,
+        "bound": m.bound,
+        "lower": prior.lower,
+        "upper": prior.upper,
+        "verdict": c.verdict.value,
+        "reference": to_user(c.name, c.reference),
+    }
+
+
+def _left_out_keys(m: _Mode) -> dict[str, float] | None:
+    if m.left_out is None:
+        return None
+    return {
+        "residual_percent": 100.0 * m.left_out.residual,
+        "sd_percent": 100.0 * m.left_out.sd,
+        "leverage": m.left_out.leverage,
+    }
+
+
+def _leave_one_out(result: SampledResult) -> dict[str, Any]:
+    importance = result.assessment.importance
+    psis = None
+    if importance is not None:
+        psis = {
+            "reliable": importance.reliable,
+            "k_hat": importance.k_hat.tolist(),
+            "log_score": importance.log_score if importance.reliable else None,
+            "standard_error": importance.standard_error if importance.reliable else None,
+        }
+    left_out = result.assessment.left_out
+    return {"log_score": left_out.log_score, "basis": left_out.basis, "psis": psis}
+
+
+def _combinations(result: SampledResult) -> list[dict[str, Any]]:
+    names = [user_name(name) for name in result.posterior.model.parameters.names]
+    return [
+        {
+            "exponents": dict(zip(names, c.exponents.tolist(), strict=True)),
+            "singular_value": c.singular_value,
+            "sd_percent_by_data": 100.0 * c.noise_sd,
+            "sd_percent_by_prior": 100.0 * c.prior_sd,
+            "contraction": c.contraction,
+        }
+        for c in result.assessment.combinations
+    ]
+
+
+def _profiles(result: SampledResult) -> dict[str, Any]:
+    profiles = {}
+    for p in result.assessment.profiles:
+        profiles[user_name(p.name)] = {
+            "values": [to_user(p.name, float(v)) for v in p.values],
+            "drop": p.drop.tolist(),
+            "best": to_user(p.name, p.best),
+            "lower_95": to_user(p.name, p.lower),
+            "upper_95": to_user(p.name, p.upper),
+            "lower_open": p.lower_open,
+            "upper_open": p.upper_open,
+            "parts": p.parts,
+        }
+    return profiles
+
+
+def _bounds_moved(result: SampledResult) -> list[dict[str, Any]]:
+    names = [user_name(name) for name in result.posterior.parameters.names]
+    return [
+        {
+            "constant": user_name(m.name),
+            "bound": m.bound,
+            "share_cut": m.cut,
+            "shift_in_sd": dict(zip(names, m.shift.tolist(), strict=True)),
+        }
+        for m in result.assessment.moved_bounds
+    ]
+
+
+def _diagnostics(result: SampledResult) -> dict[str, Any]:
+    d = result.result.diagnostics
+    return {
+        "r_hat": d.r_hat,
+        "ess_bulk": d.ess_bulk,
+        "autocorrelation_time": d.autocorrelation_time,
+        "converged": d.converged,
+        "steps": d.steps,
+        "burn_in": d.burn_in,
+        "ess_per_second": result.ess_per_second,
+        "ess_per_second_in_all": d.ess_bulk / result.seconds,
+        "seconds_sampling": result.seconds_sampling,
+    }
+
+
+def _drawings(result: SampledResult, modes: Rows) -> tuple[Drawing, ...]:
+    """Marginals first, then pairs, modes left out, mode shapes."""
+    names = listed(list(result.posterior.parameters.names), "and")
+    constants = listed([p.name for p in result.assessment.profiles], "and")
+    rows = [m.row for m in modes.rows if m.left_out is not None]
+    title, draws = result.specimen.name, _draws(result)
+    return (
+        Drawing(
+            "marginals_and_profiles",
+            partial(marginals_figure, title, draws, result.assessment.profiles),
+            Caption(
+                "Above: a posterior (blue) much narrower than its prior (grey line) is determined by the "
+                "frequencies; one as wide as the prior is not. Below: the fit that the frequencies alone "
+                "leave at each value; a curve that stays above the dashed line over the whole interval "
+                "excludes no value.",
+                f"Marginal posteriors, priors and profile likelihoods of {constants}.",
+            ),
+        ),
+        Drawing(
+            "posterior",
+            partial(pairs_figure, title, draws),
+            Caption(
+                "Diagonal: the posterior of each parameter. Below: how two parameters go together; a slanted "
+                "cloud says that the frequencies determine a combination of both better than either.",
+                f"Pairs of posterior draws of {names}.",
+            ),
+        ),
+        Drawing(
+            "left_out",
+            partial(_left_out_figure, result, modes),
+            Caption(
+                "Blue: what the model with all frequencies predicts. Orange: what the other frequencies "
+                "predict for this one. A bar that misses zero is a frequency that the others contradict. "
+                "Leverage near one: no other frequency checks this one.",
+                f"Residuals of {len(rows)} modes by all and by the other modes, and the leverage of each.",
+            ),
+        ),
+        Drawing(
+            "modes",
+            partial(_modes_figure, result, rows),
+            modes_caption([(row.measured or 0.0, row.label or row.kind or "") for row in rows]),
+        ),
+        *assurance_drawings(result.specimen.name, result.by_shape, result.posterior.measurement),
+    )
+
+
+def _draws(result: SampledResult) -> Draws:
+    stated = {name: c.reference for name, c in (*result.constants.items(), *result.sizes.items())}
+    parameters = result.posterior.parameters.parameters
+    return Draws(
+        names=tuple(p.name for p in parameters),
+        values=result.result.draws,
+        priors=tuple(p.prior for p in parameters),
+        references=tuple(stated.get(p.name, math.nan) for p in parameters),
+    )
+
+
+def _left_out_figure(result: SampledResult, modes: Rows) -> Figure:
+    """Each frequency against the posterior and against what the other modes predict; its leverage."""
+    rows: list[_Mode] = [m for m in modes.rows if m.left_out is not None]
+    names = [f"{m.row.number}\n{m.row.label}" for m in rows]
+    x = np.arange(len(rows))
+    figure = new_figure(max(5.8, 0.8 * len(rows)), 4.8)
+    upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1))
+    upper.axhline(0.0, color="0.5", linewidth=1)
+    style = {"fmt": "o", "markersize": 5, "capsize": 0, "elinewidth": 1.6}
+    upper.errorbar(
+        x - 0.12,
+        [100 * (m.row.residual or 0.0) for m in rows],
+        [200 * m.row.predicted_sd / (m.row.measured or 1.0) for m in rows],
+        color=_BLUE,
+        label="predicted by all modes, 2 sd",
+        **style,
+    )
+    upper.errorbar(
+        x + 0.12,
+        [100 * m.left_out.residual for m in rows if m.left_out is not None],
+        [200 * m.left_out.sd for m in rows if m.left_out is not None],
+        color=_ORANGE,
+        label="by the other modes, 2 sd with noise",
+        **style,
+    )
+    upper.set_ylabel("predicted / measured - 1, %")
+    figure.legend(loc="outside lower center", ncols=2, frameon=False, fontsize="small")
+    lower.bar(x, [m.left_out.leverage for m in rows if m.left_out is not None], 0.5, color=_GREY)
+    lower.set(ylim=(0, 1), ylabel="leverage", xlabel="mode")
+    lower.set_xticks(x, names)
+    upper.set_title(f"{result.specimen.name}: each mode predicted by all, and by the others")
+    return figure
+
+
+def _modes_figure(result: SampledResult, rows: Sequence[FrequencyRow]) -> Figure:
+    """The shape of the mode that each measured frequency belongs to."""
+    plate = result.specimen.plate
+    return shapes_figure(
+        f"{result.specimen.name}: modes of the measured frequencies",
+        [f"{r.number}: {r.measured:g} Hz measured\n{r.kind} {r.label}" for r in rows],
+        [result.shapes[row.number - 1] for row in rows],
+        [result.modes[row.number - 1].in_plane_fraction > 0.5 for row in rows],
+        extent_of(plate.length, plate.width),
+        plate.edges,
+    )

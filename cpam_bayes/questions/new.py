@@ -1,0 +1,514 @@
+"""A commented plate file from what is known of a plate, and what is asked at a terminal: the question `new`.
+
+What is not known stands in the file as a comment with an example.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import re
+import shlex
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar, Final
+
+from cpam_bayes import __version__
+from cpam_bayes.command import Command, option, positive
+from cpam_bayes.errors import PlateFileError, checked
+from cpam_bayes.forward_model.preconditions import require_choice
+from cpam_bayes.plate.edges import ALL_FREE, EDGE_KEY, PLACES
+from cpam_bayes.plate.reader import parse_specimen
+from cpam_bayes.render.report import Report, Summary, remarks
+from cpam_bayes.result import Result
+from cpam_bayes.storage import draft_directory, put_in_place, replaceable
+
+__all__ = ["MATERIALS", "QUESTIONS", "NewPlateResult", "Question", "TypicalMaterial", "new"]
+
+
+@dataclass(frozen=True, slots=True)
+class TypicalMaterial:
+    """Typical constants to begin with; bounds : of the search, wide enough for the kind.
+
+    source : where the constants are from
+    """
+
+    name: str
+    symmetry: str
+    constants: Mapping[str, float]
+    bounds: Mapping[str, tuple[float, float]]
+    source: str
+
+
+MATERIALS: Final[Mapping[str, TypicalMaterial]] = {
+    "carbon": TypicalMaterial(
+        "carbon/epoxy",
+        "transversely_isotropic",
+        {"E1_GPa": 121.2, "E2_GPa": 9.34, "nu12": 0.23, "G12_GPa": 6.25},
+        {"E1_GPa": (60.0, 250.0), "E2_GPa": (4.0, 16.0), "nu12": (0.1, 0.45), "G12_GPa": (2.0, 10.0)},
+        "Table 3 of the paper",
+    ),
+    "glass": TypicalMaterial(
+        "glass/epoxy",
+        "transversely_isotropic",
+        {"E1_GPa": 40.1, "E2_GPa": 8.9, "nu12": 0.23, "G12_GPa": 4.23},
+        {"E1_GPa": (20.0, 60.0), "E2_GPa": (4.0, 18.0), "nu12": (0.1, 0.45), "G12_GPa": (2.0, 8.0)},
+        "Table 3 of the paper",
+    ),
+    "fabric": TypicalMaterial(
+        "carbon fabric/epoxy",
+        "orthotropic",
+        {"E1_GPa": 60.0, "E2_GPa": 60.0, "nu12": 0.05, "G12_GPa": 4.0},
+        {"E1_GPa": (30.0, 90.0), "E2_GPa": (30.0, 90.0), "nu12": (0.0, 0.3), "G12_GPa": (2.0, 8.0)},
+        "round numbers for a balanced weave",
+    ),
+    "spruce": TypicalMaterial(
+        "spruce",
+        "orthotropic",
+        {"E1_GPa": 11.0, "E2_GPa": 0.8, "nu12": 0.4, "G12_GPa": 0.7},
+        {"E1_GPa": (5.0, 20.0), "E2_GPa": (0.2, 2.0), "nu12": (0.0, 0.9), "G12_GPa": (0.3, 1.5)},
+        "round numbers for a quarter-sawn board",
+    ),
+    "metal": TypicalMaterial(
+        "aluminium",
+        "isotropic",
+        {"E1_GPa": 69.0, "nu12": 0.33},
+        {"E1_GPa": (20.0, 250.0), "nu12": (0.15, 0.45)},
+        "Table 3 of the paper",
+    ),
+}
+"""Materials by the name that the command takes."""
+_FIRST_MATERIAL: Final = next(iter(MATERIALS))
+
+
+@dataclass(frozen=True, slots=True)
+class KnownPlate:
+    """What is known of a plate; None and empty for what is not.
+
+    size_mm : length, width, thickness. mass_g : weighed. material : a name in `MATERIALS`.
+    frequencies_hz : ascending; table : path of a table of modes in their place.
+    """
+
+    name: str
+    size_mm: tuple[float, float, float] | None = None
+    mass_g: float | None = None
+    layup: str | None = None
+    edges: str | None = None
+    material: str = "carbon"
+    frequencies_hz: Sequence[float] = ()
+    table: str | None = None
+
+
+def plate_file_text(known: KnownPlate) -> str:
+    """A plate file; keys that are not known are comments, so that reading it names all it lacks."""
+    material = MATERIALS[known.material]
+    isotropic = material.symmetry == "isotropic"
+    length, width, thickness = known.size_mm or (None, None, None)
+    plate = [
+        _line("length_mm", length, 310.0, "along x, the direction of a ply at 0 deg"),
+        _line("width_mm", width, 228.0, "along y"),
+        _line("thickness_mm", thickness, 3.1, "mean of ten places"),
+        _line("mass_g", known.mass_g, 340.7, "weighed, nothing attached"),
+        *(
+            []
+            if isotropic
+            else [_line("layup", known.layup, "[0_8]", 'bottom to top; "?" is an unknown angle')]
+        ),
+        _line(
+            "edges",
+            known.edges,
+            ALL_FREE,
+            f"{', '.join(PLACES)}: {EDGE_KEY}",
+        ),
+    ]
+    measured = [
+        _line(
+            "frequencies_hz",
+            list(known.frequencies_hz) or None,
+            [80.2, 146.3, 218.6],
+            "ascending, from the first",
+        ),
+        _line(
+            "table", known.table, "modes.csv", "instead: columns mode, hz, and if present hit, sd, damping"
+        ),
+    ]
+    if known.table is not None or known.frequencies_hz:
+        measured = [line for line in measured if not line.startswith("#")]
+    of_material = [
+        _line("name", material.name, "", "plates of one name share their constants in `diagnose`"),
+        _line("symmetry", material.symmetry, "", "isotropic, transversely_isotropic or orthotropic"),
+        *(_line(key, value, 0.0, "") for key, value in material.constants.items()),
+    ]
+    unknown = [_line(key, list(pair), [], "") for key, pair in material.bounds.items()]
+    blocks = [
+        [f"name = {json.dumps(known.name, ensure_ascii=False)}"],
+        ["[plate]", *plate],
+        [
+            "# how well the plate was measured: the intervals of the constants then contain it",
+            "# [plate.sd]",
+            "# thickness_mm = 0.02",
+            "# mass_g = 0.1",
+        ],
+        [
+            f"# reference constants, {material.source}: put those of the data sheet here",
+            "[material]",
+            *of_material,
+        ],
+        ["# what to identify, with the bounds of the search", "[unknowns]", *unknown],
+        [
+            "# a mass that stays on the plate while it is tapped, such as an accelerometer",
+            "# [[sensor]]",
+            "# mass_g = 0.6",
+            "# x_mm = 300.0",
+            "# y_mm = 220.0",
+        ],
+        [
+            "[environment]",
+            _line("air_density_kg_m3", 1.2, 0.0, "the plate moves air; 0 is vacuum"),
+        ],
+        [
+            "[measurement]",
+            *measured,
+            "# resolution_hz = 0.1         # the step of the list, or the line spacing of the analyser",
+            "# relative_std = 0.002        # repeatability, a fraction of each frequency",
+            "# complete = false            # modes may be missing from the list",
+        ],
+    ]
+    return "\n\n".join("\n".join(block) for block in blocks) + "\n"
+
+
+def _line(key: str, value: object, example: object, comment: str) -> str:
+    """A key with its value, or in a comment with an example where there is none."""
+    said = f"{key} = {_toml(example if value is None else value)}"
+    marked = said if value is not None else f"# {said}"
+    return f"{marked:<28} # {comment}".rstrip() if comment else marked
+
+
+def _toml(value: object) -> str:
+    if isinstance(value, list):
+        return f"[{', '.join(map(_toml, value))}]"
+    return repr(float(value)) if isinstance(value, int | float) else json.dumps(value, ensure_ascii=False)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
+class NewPlateResult(Result):
+    """A plate file that was written; missing : what it still needs, a sentence each."""
+
+    command: ClassVar[str] = "new"
+
+    path: Path
+    text: str
+    missing: tuple[str, ...]
+
+    def report(self) -> Report:
+        """The file and what it lacks."""
+        return present(self)
+
+
+@checked
+def new(
+    path: str | Path,
+    *,
+    size_mm: Sequence[float] | None = None,
+    mass_g: float | None = None,
+    layup: str | None = None,
+    edges: str | None = None,
+    material: str = "carbon",
+    frequencies_hz: Sequence[float] = (),
+    table: str | None = None,
+) -> NewPlateResult:
+    """Write a commented plate file; a file that is there is never written over.
+
+    Parameters
+    ----------
+    path : the file to write; the plate has its name
+    size_mm : length, width and thickness
+    mass_g : of the bare plate
+    layup, edges : as in a plate file
+    material : a name in `MATERIALS`, whose typical constants and bounds it begins with
+    frequencies_hz, table : measured frequencies, or a table of modes in their place
+
+    Raises
+    ------
+    ValueError
+        If the file is there or cannot be written, or what is given contradicts itself.
+
+    Examples
+    --------
+    >>> import cpam_bayes as cb
+    >>> from tempfile import TemporaryDirectory
+    >>> with TemporaryDirectory() as directory:
+    ...     file = cb.new(f"{directory}/panel.toml", size_mm=(310, 228, 3.1), material="metal", edges="FFFF")
+    >>> [problem.partition(", ")[0] for problem in file.missing]
+    ['plate: density', 'measurement: frequencies']
+    """
+    target = require_new(path)
+    text, missing = plate_text(
+        target,
+        size_mm=size_mm,
+        mass_g=mass_g,
+        layup=layup,
+        edges=edges,
+        material=material,
+        frequencies_hz=frequencies_hz,
+        table=table,
+    )
+    try:
+        with draft_directory(target.parent) as draft:
+            written = draft / "file"
+            written.write_text(text, encoding="utf-8", newline="\n")
+            put_in_place(written, target)
+    except OSError as error:
+        raise ValueError(f"{target}: cannot be written to: {error.strerror}") from None
+    return NewPlateResult(seed=0, path=target, text=text, missing=missing)
+
+
+def require_new(path: str | Path) -> Path:
+    """The path of a file that can be written and is not there yet; raise ``ValueError`` for any other."""
+    target = Path(path)
+    if not target.name:
+        raise ValueError(f"FILE: received {str(path)!r}, accepted: the file to write")
+    if target.exists() or not replaceable(target):
+        raise ValueError(f"{target}: exists; give another name")
+    return target
+
+
+def plate_text(
+    path: str | Path,
+    *,
+    size_mm: Sequence[float] | None = None,
+    mass_g: float | None = None,
+    layup: str | None = None,
+    edges: str | None = None,
+    material: str = "carbon",
+    frequencies_hz: Sequence[float] = (),
+    table: str | None = None,
+) -> tuple[str, tuple[str, ...]]:
+    """The text of a new plate file, and what it lacks, a sentence each; arguments and errors as `new`."""
+    require_choice("material", material, tuple(MATERIALS))
+    size = None if size_mm is None else tuple(size_mm)
+    if size is not None and len(size) != 3:
+        raise ValueError(f"size: received {len(size)} numbers, accepted: length, width and thickness in mm")
+    target = Path(path)
+    known = KnownPlate(target.stem, size, mass_g, layup, edges, material, tuple(frequencies_hz), table)
+    text = plate_file_text(known)
+    return text, _missing(text, target)
+
+
+def _missing(text: str, path: Path) -> tuple[str, ...]:
+    """What the file lacks; raise ``PlateFileError`` for anything else that is wrong with what was given."""
+    try:
+        parse_specimen(text, path.name, path.parent)
+    except PlateFileError as error:
+        wrong = [problem for problem in error.problems if problem not in error.gaps]
+        if wrong:
+            raise PlateFileError(*map(_without_place, wrong)) from None
+        return tuple(map(_without_place, error.gaps))
+    return ()
+
+
+def _without_place(problem: str) -> str:
+    """A problem without the file, which is not written yet, and the line."""
+    return problem.partition(": ")[2]
+
+
+def present(result: NewPlateResult) -> Report:
+    """The file, what it lacks, and how it is read."""
+    many = len(result.missing)
+    lacks = f"it lacks {many} entr{'y' if many == 1 else 'ies'}" if many else "it can be read as it is"
+    return Report(
+        summary=Summary(
+            title="new",
+            headline=f"{result.path} is written; {lacks}.",
+            tables=(remarks("Missing", result.missing),),
+            lines=("Constants and bounds are typical of the material, not those of the plate.",),
+            next_step="fill in the lines that begin with #, put the constants of the data sheet, and see how "
+            f"the file is read:  cpam-bayes forward {shlex.quote(str(result.path))}",
+        ),
+        document={
+            "command": result.command,
+            "version": __version__,
+            "path": str(result.path),
+            "missing": list(result.missing),
+        },
+    )
+
+
+# Typed in place of an answer, it takes the one before back.
+_BACK: Final = "<"
+# Between numbers: spaces, a semicolon, a comma before a space, a sign of multiplication.
+_BETWEEN: Final = re.compile(r"(?:\s*[;x*\N{MULTIPLICATION SIGN}]\s*|,?\s+)", re.IGNORECASE)
+
+
+@dataclass(frozen=True, slots=True)
+class Question:
+    """A line that is asked for.
+
+    key : the argument of `cpam_bayes.new` that it fills
+    read : the line to its value; raises ValueError for what it is not
+    """
+
+    key: str
+    text: str
+    read: Callable[[str], Any]
+
+
+def _numbers(text: str) -> tuple[float, ...]:
+    """Numbers with points or, all of them, with commas; one alone with a comma may be two, and is refused."""
+    parts = _BETWEEN.split(text.strip())
+    both = "." in text and any("," in part for part in parts)
+    try:
+        if both or (len(parts) == 1 and "," in text):
+            raise ValueError
+        return tuple(_number(part) for part in parts)
+    except ValueError:
+        raise ValueError(
+            f"received {text!r}, accepted: numbers with spaces between them, such as 310 228 3.1"
+        ) from None
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text.replace(",", "."))
+    except ValueError:
+        raise ValueError(f"received {text!r}, accepted: one number, such as 340.7") from None
+
+
+QUESTIONS: Final = (
+    Question("size_mm", "Length (along x), width and thickness in mm, such as 310 228 3.1", _numbers),
+    Question("mass_g", "Mass of the bare plate in g", _number),
+    Question(
+        "material", f"Material, one of {' '.join(MATERIALS)}; left empty: {_FIRST_MATERIAL}", str.casefold
+    ),
+    Question("layup", 'Layup in degrees, bottom to top, such as [0/90]_2s or [0_8]; "?" is unknown', str),
+    Question(
+        "edges", "Edges x=0, y=0, x=length, y=width: F free, S supported, C clamped, such as FFFF", str.upper
+    ),
+    Question("table", "Table of measured modes, its path from the plate file; left empty: asked next", str),
+    Question("frequencies_hz", "Measured frequencies in Hz, ascending, with spaces between them", _numbers),
+)
+
+
+def asked(check: Callable[[dict[str, Any]], object]) -> dict[str, Any]:
+    """What a user at a terminal knows of a plate, as arguments of `cpam_bayes.new`.
+
+    check : raises ValueError for what cannot be; the question is then asked again
+    """
+    print(
+        f"What is known of the plate? An empty line for what is not; {_BACK} takes the answer before back; "
+        "Ctrl-C ends.",
+        file=sys.stderr,
+    )
+    at, before = 0, [dict[str, Any]()]  # what was known before each of the questions so far
+    while at < len(QUESTIONS):
+        given = before[at]
+        answered = given if _left_out(QUESTIONS[at], given) else _answer(QUESTIONS[at], given, check)
+        if answered is None:
+            at = max((i for i in range(at) if not _left_out(QUESTIONS[i], before[i])), default=0)
+            continue
+        at += 1
+        before[at:] = [answered]
+    return before[-1]
+
+
+def _left_out(question: Question, given: dict[str, Any]) -> bool:
+    """Whether what was said answers the question already."""
+    of_metal = question.key == "layup" and given.get("material") == "metal"
+    return of_metal or (question.key == "frequencies_hz" and "table" in given)
+
+
+def _answer(
+    question: Question, given: dict[str, Any], check: Callable[[dict[str, Any]], object]
+) -> dict[str, Any] | None:
+    """What is known with the answer, None where the answer before is to be given again."""
+    while True:
+        print(f"{question.text}: ", end="", file=sys.stderr, flush=True)
+        try:
+            text = input().strip()
+        except EOFError:
+            raise ValueError("the questions were not answered to the end; nothing is written") from None
+        if not text:
+            return given
+        if text == _BACK:
+            return None
+        try:
+            told = {**given, question.key: question.read(text)}
+            check(told)
+        except ValueError as error:
+            back = f" ({_BACK} goes back to the answer before)" if given else ""
+            print(f"  {error}{back}", file=sys.stderr)
+        else:
+            return told
+
+
+def _asked_at_a_terminal(path: str, **given: Any) -> dict[str, Any]:
+    """Answers at a terminal, where no option says anything of the plate."""
+    if given or sys.stdin is None or not sys.stdin.isatty():
+        return {}
+    target = require_new(path)
+    return asked(lambda told: plate_text(target, **told))
+
+
+_NUMBER: Final = positive(1e9)
+COMMAND: Final = Command(
+    new,
+    (
+        option("file", metavar="FILE", help="the plate file to write; never written over"),
+        option(
+            "--size",
+            "size_mm",
+            nargs=3,
+            type=_NUMBER,
+            default=argparse.SUPPRESS,
+            metavar=("LENGTH", "WIDTH", "THICKNESS"),
+            help="length (along x), width and thickness, mm",
+        ),
+        option(
+            "--mass",
+            "mass_g",
+            type=_NUMBER,
+            default=argparse.SUPPRESS,
+            metavar="GRAMS",
+            help="mass of the bare plate, g",
+        ),
+        option(
+            "--layup",
+            default=argparse.SUPPRESS,
+            metavar="LAYUP",
+            help='ply angles, bottom to top, such as "[0/90]_2s"',
+        ),
+        option(
+            "--edges",
+            default=argparse.SUPPRESS,
+            metavar="EDGES",
+            help="FFFF: free; F, S or C for x=0, y=0, x=length, y=width",
+        ),
+        option(
+            "--material",
+            choices=tuple(MATERIALS),
+            default=argparse.SUPPRESS,
+            help=f"whose typical constants and bounds it begins with (default: {_FIRST_MATERIAL})",
+        ),
+        option(
+            "--frequencies",
+            "frequencies_hz",
+            nargs="+",
+            type=_NUMBER,
+            default=argparse.SUPPRESS,
+            metavar="HZ",
+            help="ascending, Hz",
+        ),
+        option(
+            "--table",
+            default=argparse.SUPPRESS,
+            metavar="TABLE",
+            help="a table of modes in place of --frequencies, its path from FILE",
+        ),
+    ),
+    out=None,
+    watched=False,
+    seeded=False,
+    asks=_asked_at_a_terminal,
+)

@@ -1,0 +1,472 @@
+"""The paper's tables beside what this package computes: the question `paper`.
+
+Finished computations are stored, one for each plate and choice of unknowns, and the rows are made from them.
+"""
+
+from __future__ import annotations
+
+import shutil
+import time
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, ClassVar, Final
+
+from cpam_bayes import __version__
+from cpam_bayes.answer import Notice
+from cpam_bayes.command import EXECUTOR, TIME_LIMIT, WORKERS, Command, option, whole
+from cpam_bayes.diagnosis.comparison import REPEATABILITY_PRIOR
+from cpam_bayes.errors import checked
+from cpam_bayes.forward_model.preconditions import require_seed, require_whole
+from cpam_bayes.parallel import open_executor, run
+from cpam_bayes.printed.tables import (
+    AGREEMENTS,
+    NUMBERS,
+    PAPER,
+    TABLES,
+    PrintedTable,
+    percentage_checks,
+    printed_table,
+)
+from cpam_bayes.questions.paper.present import page, present, row_table
+from cpam_bayes.questions.paper.rows import (
+    BUILT_IN,
+    FOUR,
+    TWO,
+    VERDICTS,
+    Computed,
+    Cost,
+    Misfit,
+    Results,
+    Row,
+    SimulationError,
+    WellPosed,
+    constant_rows,
+    disagreements,
+    frequency_rows,
+    input_rows,
+    layup_rows,
+    means_of_ten,
+    noise_rows,
+)
+from cpam_bayes.questions.paper.work import (
+    FULL,
+    QUICK,
+    Effort,
+    Task,
+    calculix_frequencies,
+    diagnoses,
+    packaged,
+    read,
+    sequence_cases,
+    simulation_errors,
+    stamp,
+    work,
+    write,
+)
+from cpam_bayes.render.documents import csv_text, plain
+from cpam_bayes.render.report import Report
+from cpam_bayes.result import Result
+from cpam_bayes.running import SILENT, TimeIsUpError, Watch
+from cpam_bayes.storage import cache_directory
+
+__all__ = ["PaperResult", "paper", "tasks_of"]
+
+# Thick plates take longest: they begin first, so that no worker starts one at the end, and their constants
+# before their noise, which needs a model that these build.
+_LONGEST: Final = ("D4", "D3", "D1", "D2")
+_NOISE: Final = {number: name for name, number in TABLES.items()}
+
+
+def tasks_of(number: int, seed: int) -> tuple[Task, ...]:
+    """The computations that a table needs."""
+    if number in (1, 5):
+        names = dict.fromkeys(row.specimen for row in printed_table(number).rows)
+        return tuple(Task("forward", name, BUILT_IN, number, seed) for name in names)
+    if number in (6, 7):
+        return (Task("constants", "D&G", FOUR if number == 6 else TWO, number, seed),)
+    if number == 8:
+        return tuple(Task("constants", name, case, 8, seed) for name in ("A1", "A2") for case in (FOUR, TWO))
+    if number == 9:
+        rows = (row for row in printed_table(9).rows if row.part == "a" and row.source == PAPER)
+        return tuple(Task("constants", row.specimen, BUILT_IN, 9, seed) for row in rows)
+    if number in _NOISE:
+        name = _NOISE[number]
+        point = Task("constants", name, *((TWO, 8) if name == "A2" else (BUILT_IN, 9)), seed)
+        return (Task("noise", name, BUILT_IN, number, seed), point)
+    return ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
+class PaperResult(Result):
+    """Tables of the paper beside what this package computes.
+
+    Attributes
+    ----------
+    numbers : of the tables
+    rows : one for each printed value
+    misfits : of the printed constants, beside ours
+    well_posed : Hadamard's conditions, one for each plate and choice of unknowns
+    simulation_errors : what the simulation of Tables 1 and 5 gets wrong, by plate
+    costs : forward solves and seconds, one for each plate and choice of unknowns
+    computed : task -> version, date and seconds of the computation behind the rows
+    quick : whether the small effort was asked for
+    seconds : wall clock of this run, without what was stored
+    """
+
+    command: ClassVar[str] = "paper"
+
+    numbers: tuple[int, ...]
+    rows: tuple[Row, ...]
+    misfits: tuple[Misfit, ...]
+    well_posed: tuple[WellPosed, ...] = ()
+    simulation_errors: tuple[SimulationError, ...] = ()
+    costs: tuple[Cost, ...] = ()
+    computed: Mapping[str, Mapping[str, str | float]]
+    quick: bool
+    seconds: float
+
+    @property
+    def title(self) -> str:
+        """The table, where one was asked for."""
+        return f"{self.numbers[0]}" if len(self.numbers) == 1 else ""
+
+    def report(self) -> Report:
+        """The rows, the verdicts, and the largest disagreements."""
+        return present(_document(self), self.slips, self.cautions)
+
+    def texts(self) -> Mapping[str, str]:
+        """The rows as a CSV file, and the page as Markdown."""
+        document = _document(self)
+        return {"paper.csv": csv_text(row_table(document)), "comparison.md": page(plain(document))}
+
+
+@checked
+def paper(
+    number: int | None = None,
+    *,
+    quick: bool = False,
+    everything: bool = False,
+    seed: int = 0,
+    executor: str = "serial",
+    workers: int | None = None,
+    store: str | Path | None = None,
+    watch: Watch = SILENT,
+) -> PaperResult:
+    """The paper's tables, printed values beside computed ones, with a verdict on each.
+
+    Finished computations are stored, and the same call goes on from there. Posteriors over stacking
+    sequences, frequencies of CalculiX and diagnoses of the measured lists come with the package, with version
+    and date.
+
+    Parameters
+    ----------
+    number : of one table, 1 to 14; all where left out
+    quick : one small swarm for each plate, linearised intervals, three groups of perturbed lists, no finite
+        elements, and no rows of Tables 13 and 14: shows that it works
+    everything : compute anew what is stored, and what comes with the package, which takes hours
+    executor, workers : as for `cb.sequence`
+    store : directory of finished computations; in the cache of reduced models where left out
+    watch : is shown the progress
+
+    Raises
+    ------
+    ValueError
+        If the paper has no such table.
+
+    Examples
+    --------
+    >>> import cpam_bayes as cb
+    >>> result = cb.paper(2)
+    >>> result.rows[0].printed, result.rows[0].verdict
+    ('30.00', 'input')
+    """
+    require_seed(seed)
+    if number is not None:
+        require_whole("table", number, NUMBERS[0], NUMBERS[-1])
+    numbers = NUMBERS if number is None else (number,)
+    start = time.perf_counter()
+    effort = QUICK if quick else FULL
+    directory = cache_directory() / "paper" if store is None else Path(store)
+    computed = _computed(numbers, effort, seed, everything, executor, workers, directory, watch)
+    calculix, sequences, diagnosed = packaged("calculix"), packaged("sequences"), packaged("diagnoses")
+    if everything and not quick:
+        if shutil.which("ccx") is not None and {1, 5} & set(numbers):
+            calculix = calculix_frequencies(watch)
+        if set(numbers) & {9, 11, 12, 13, 14}:
+            sequences = sequence_cases(seed, executor, workers, watch)
+        if {1, 5} & set(numbers):
+            diagnosed = diagnoses(seed, watch)
+    by_task: Computed = {(task.kind, task.specimen, task.case): results for task, results in computed.items()}
+    rows = tuple(row for n in numbers for row in _rows(n, by_task, calculix, sequences))
+    records = {task.title: results for task, results in computed.items()}
+    return PaperResult(
+        seed=seed,
+        notices=tuple(_notices(computed, quick)),
+        numbers=numbers,
+        rows=rows,
+        misfits=tuple(_misfits(computed)),
+        well_posed=tuple(_well_posed(computed, sequences)),
+        simulation_errors=tuple(error for n in numbers for error in simulation_errors(n, diagnosed)),
+        costs=tuple(_costs(computed, calculix)),
+        computed={
+            **{title: {k: r[k] for k in ("version", "date", "seconds")} for title, r in records.items()},
+            **_stored_records(numbers, calculix, sequences, diagnosed),
+        },
+        quick=quick,
+        seconds=time.perf_counter() - start,
+    )
+
+
+def _computed(
+    numbers: tuple[int, ...],
+    effort: Effort,
+    seed: int,
+    everything: bool,
+    executor: str,
+    workers: int | None,
+    directory: Path,
+    watch: Watch,
+) -> dict[Task, Results]:
+    wanted = dict.fromkeys(task for n in reversed(numbers) for task in tasks_of(n, seed))
+    if not effort.full:
+        wanted = {task: None for task in wanted if task.kind != "noise" or task.specimen not in _LONGEST}
+    tasks = sorted(wanted, key=_turn)
+    stored = {} if everything else {task: read(directory, effort, task) for task in tasks}
+    computed = {task: results for task, results in stored.items() if results is not None}
+    missing = [task for task in tasks if task not in computed]
+    if not missing:
+        return computed
+    with (
+        watch.stage("paper", len(missing), lambda left: f"{left:.0f} computations left") as shown,
+        open_executor(executor, workers) as pool,
+    ):
+
+        def keep(index: int, results: Results) -> None:
+            task = missing[index]
+            computed[task] = stamp(results)
+            write(directory, effort, task, computed[task])
+            done = len(missing) - sum(t not in computed for t in missing)
+            shown.tick(done, float(len(missing) - done))
+            shown.notify(f"{task.title}: {results['seconds']:.0f} s")
+
+        try:
+            run(work, effort, missing, pool, batch_size=1, on_result=keep, is_limited=True)
+        except TimeIsUpError as error:
+            raise TimeIsUpError(f"{error}; the same command goes on from there") from error
+    return computed
+
+
+def _turn(task: Task) -> tuple[bool, bool, int]:
+    """What tasks are sorted by."""
+    if task.specimen not in _LONGEST:
+        return True, False, 0
+    return False, task.kind == "noise", _LONGEST.index(task.specimen)
+
+
+def _rows(
+    number: int, computed: Computed, calculix: Mapping[str, Any], sequences: Mapping[str, Any]
+) -> Iterator[Row]:
+    table = printed_table(number)
+    yield from input_rows(table)
+    if number in (1, 5):
+        yield from frequency_rows(table, computed, calculix)
+    elif number in (6, 7, 8, 9):
+        yield from constant_rows(table, computed)
+        yield from layup_rows(table, sequences)
+    elif number in _NOISE:
+        yield from noise_rows(table, computed, sequences)
+
+
+def _by_table(computed: Mapping[Task, Results], key: str) -> Iterator[tuple[Task, Results]]:
+    """Tasks whose results have a key, by table and specimen."""
+    ordered = sorted(computed.items(), key=lambda item: (item[0].table, item[0].specimen, item[0].case))
+    return ((task, results) for task, results in ordered if key in results)
+
+
+def _well_posed(computed: Mapping[Task, Results], sequences: Mapping[str, Any]) -> Iterator[WellPosed]:
+    for task, results in _by_table(computed, "well_posed"):
+        stored = sequences["cases"].get(task.specimen) if task.table == 9 else None
+        yield WellPosed(
+            table=task.table,
+            specimen=task.specimen,
+            case=task.case,
+            repeatability_percent=100.0 * float(REPEATABILITY_PRIOR.ppf(0.975)),
+            layups=None if stored is None else stored["credible_95_count"],
+            **results["well_posed"],
+        )
+
+
+def _costs(computed: Mapping[Task, Results], calculix: Mapping[str, Any]) -> Iterator[Cost]:
+    for task, results in _by_table(computed, "forward_solves"):
+        yield Cost(
+            task.specimen,
+            task.case,
+            results["forward_solves"],
+            results["seconds"],
+            calculix["seconds_each"].get(task.specimen),
+        )
+
+
+def _misfits(computed: Mapping[Task, Results]) -> Iterator[Misfit]:
+    for task, results in _by_table(computed, "printed"):
+        for printed in results["printed"]:
+            yield Misfit(
+                table=task.table,
+                specimen=task.specimen,
+                case=task.case,
+                source=printed["source"],
+                objective=printed["objective"],
+                rms_percent=printed["rms_percent"],
+                our_objective=results["objective"],
+                our_rms_percent=results["rms_percent"],
+                swarms=results["swarms"],
+                swarms_found=results["swarms_found"],
+                swarms_converged=results["swarms_converged"],
+                on_bounds=tuple(k for k, c in results["constants"].items() if c["bound"] is not None),
+            )
+
+
+def _stored_records(
+    numbers: tuple[int, ...],
+    calculix: Mapping[str, Any],
+    sequences: Mapping[str, Any],
+    diagnosed: Mapping[str, Any],
+) -> dict[str, dict[str, str | float]]:
+    records = {}
+    if {1, 5} & set(numbers):
+        records["CalculiX, 20-node bricks"] = calculix
+        records["diagnoses of the measured lists"] = diagnosed
+    if set(numbers) & {9, 11, 12, 13, 14}:
+        records["posteriors over stacking sequences"] = sequences
+    return {name: {k: r[k] for k in ("version", "date", "seconds")} for name, r in records.items()}
+
+
+def _notices(computed: Mapping[Task, Results], quick: bool) -> Iterator[Notice]:
+    if quick:
+        yield Notice("quick")
+    unconverged = sorted(t.title for t, r in computed.items() if not r.get("posterior_converged", True))
+    if unconverged and not quick:
+        yield Notice("unconverged_tasks", facts={"titles": tuple(unconverged)})
+    lonely = sorted(t.title for t, r in computed.items() if not r.get("optimum_found_again", True))
+    if lonely:
+        yield Notice("tasks_of_one_swarm", facts={"titles": tuple(lonely)})
+
+
+def _document(result: PaperResult) -> dict[str, Any]:
+    """The JSON document, from which all that is shown is written."""
+    checks = [check for number in result.numbers for check in percentage_checks(number)]
+    return {
+        "command": result.command,
+        "version": __version__,
+        "seed": result.seed,
+        "quick": result.quick,
+        "tables": [_counts(result.rows, number) for number in result.numbers],
+        "rows": [_record(row) for row in result.rows],
+        "disagreements": list(disagreements(result.rows, result.misfits)),
+        "audit": {
+            "misprints": [note for n in result.numbers for note in _misprints(printed_table(n))],
+            "means_of_ten": means_of_ten(result.rows) or None,
+            "percentages": [
+                {
+                    "table": check.table,
+                    "specimen": check.row.specimen,
+                    "source": check.row.source,
+                    "quantity": check.column,
+                    "printed_percent": float(check.printed),
+                    "recomputed_percent": check.recomputed,
+                    "possible_percent": [check.lowest, check.highest],
+                    "agreement": check.agreement,
+                }
+                for check in checks
+            ],
+            "misfits": [asdict(misfit) for misfit in result.misfits],
+        },
+        "hadamard": [{**asdict(w), "exists": w.exists, "unique": w.is_unique} for w in result.well_posed],
+        "simulation": [asdict(error) for error in result.simulation_errors],
+        "costs": [{**asdict(cost), "calculix_hours": cost.calculix_hours} for cost in result.costs],
+        "computed": {task: dict(record) for task, record in result.computed.items()},
+        "seconds": result.seconds,
+        "warnings": list(result.warnings),
+    }
+
+
+def _counts(rows: tuple[Row, ...], number: int) -> dict[str, Any]:
+    """Verdicts of a table's rows, and how many of its percentages follow from their digits."""
+    verdicts = Counter(row.verdict for row in rows if row.table == number)
+    percentages = Counter(check.agreement for check in percentage_checks(number))
+    return {
+        "table": number,
+        "title": printed_table(number).title,
+        "verdicts": {verdict: verdicts[verdict] for verdict in VERDICTS},
+        "percentages": {agreement: percentages[agreement] for agreement in AGREEMENTS},
+    }
+
+
+def _record(row: Row) -> dict[str, Any]:
+    try:
+        printed: float | str = float(row.printed)
+    except ValueError:
+        printed = row.printed
+    return {
+        "table": row.table,
+        "part": row.part,
+        "specimen": row.specimen,
+        "source": row.source,
+        "quantity": row.quantity,
+        "printed": printed,
+        "printed_text": row.printed,
+        "ours": list(row.ours) if isinstance(row.ours, tuple) else row.ours,
+        "difference_percent": row.difference_percent,
+        "q025": row.q025,
+        "q975": row.q975,
+        "verdict": f"{row.verdict}: {row.reason}" if row.reason else row.verdict,
+        "verdict_kind": row.verdict,
+        "details": dict(row.details),
+    }
+
+
+def _misprints(table: PrintedTable) -> Iterator[str]:
+    """Misprints of a table and what else contradicts itself in it, a sentence each."""
+    for row, column, misprint in table.misprints:
+        where = ", ".join(part for part in (row.specimen, row.source, column) if part)
+        cell = row.values[column]
+        said = cell.text if misprint.print == "value" else f"{cell.percent} %"
+        yield f"Table {table.number}, {where}, printed {said}: {misprint.note}"
+    yield from (f"Table {table.number}: {note}" for note in table.notes)
+
+
+COMMAND: Final = Command(
+    paper,
+    (
+        option(
+            "number",
+            metavar="N",
+            nargs="?",
+            type=whole(NUMBERS[0], NUMBERS[-1]),
+            help="one table, 1 to 14 (default: all)",
+        ),
+        option(
+            "--quick",
+            action="store_true",
+            help="small swarms, linearised intervals, no Tables 13 and 14: it works, and is not to be quoted",
+        ),
+        option(
+            "--all",
+            "everything",
+            action="store_true",
+            help="compute anew what was stored, and what comes with the package: posteriors over stacking "
+            "sequences and frequencies of CalculiX, which take hours",
+        ),
+        option(
+            "--store",
+            metavar="DIR",
+            help="keep finished computations in DIR; the same command goes on from there (default: in the "
+            "cache)",
+        ),
+        EXECUTOR,
+        WORKERS,
+        TIME_LIMIT,
+    ),
+)

@@ -1,0 +1,549 @@
+"""What is shown of a comparison with the paper, written from its JSON document: screen, page, Markdown.
+
+`docs/comparison.md` is `page` of a saved document.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
+from operator import itemgetter
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from cpam_bayes.formatting import signed, significant
+from cpam_bayes.printed.tables import AGREEMENTS, PAPER
+from cpam_bayes.questions.paper.rows import (
+    AGREES,
+    FOUR,
+    INPUT,
+    MISPRINTED,
+    NOT_REPRODUCIBLE,
+    TWO,
+    VERDICTS,
+    WITHIN,
+)
+from cpam_bayes.render.figures import new_figure
+from cpam_bayes.render.report import (
+    COMPUTATION,
+    Caption,
+    Column,
+    Drawing,
+    Report,
+    Rows,
+    Section,
+    Summary,
+    remarks,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["page", "present", "row_table"]
+
+Record = Mapping[str, Any]
+"""A row of the JSON document."""
+
+_OF_THE_PAPER: Final = (PAPER, f"{PAPER}, two constants")
+_FREQUENCY_TABLES: Final = (1, 5)
+
+
+def _of(
+    key: str, heading: str | None = None, text: Callable[[Any], str] = str, *, number: bool = False
+) -> Column:
+    return Column(heading, key, itemgetter(key), text, number)
+
+
+def _shown(heading: str, value: Callable[[Any], Any], *, number: bool = False) -> Column:
+    return Column(heading, None, value, number=number)
+
+
+_TWO_DIGITS, _THREE_DIGITS = (partial(significant, digits=n) for n in (2, 3))
+_ONE_DECIMAL: Final = partial(signed, decimals=1)
+
+
+def _ours(row: Record) -> str | None:
+    ours = row["ours"]
+    if isinstance(ours, list):
+        return f"[{', '.join(f'{angle:g}' for angle in ours)}]"
+    return None if ours is None else significant(ours, 5 if row["table"] in _FREQUENCY_TABLES else 4)
+
+
+def _plain_ours(row: Record) -> float | str | None:
+    """Angles as one text, for a file of rows."""
+    ours: float | list[float] | None = row["ours"]
+    return "/".join(f"{angle:g}" for angle in ours) if isinstance(ours, list) else ours
+
+
+def _interval(row: Record) -> str | None:
+    low, high = row["q025"], row["q975"]
+    return None if low is None or high is None else f"{significant(low)} to {significant(high)}"
+
+
+_VALUES: Final = (
+    _of("table"),
+    _of("part"),
+    _of("specimen", "specimen"),
+    _of("source", "by"),
+    _of("quantity", "quantity"),
+    _of("printed"),
+    _shown("printed", itemgetter("printed_text"), number=True),
+    Column(None, "ours", _plain_ours),
+    _shown("ours", _ours, number=True),
+    _of("difference_percent", "difference %", _ONE_DECIMAL, number=True),
+    _of("q025"),
+    _of("q975"),
+    _shown("95 % interval", _interval),
+)
+_ROWS: Final = (*_VALUES, _of("verdict", "verdict"))
+_BRIEF: Final = (*_VALUES, _of("verdict_kind", "verdict"))
+
+
+def _is_disputed(row: Record) -> bool:
+    return row.get("verdict_kind") == NOT_REPRODUCIBLE
+
+
+def row_table(document: Record) -> Rows:
+    """The rows of all tables."""
+    return Rows("rows", _ROWS, tuple(document["rows"]))
+
+
+def _rows_of(document: Record, number: int, columns: tuple[Column, ...] = _ROWS) -> Rows:
+    """The rows of a table that were computed."""
+    rows = (row for row in document["rows"] if row["table"] == number and row["verdict"] != INPUT)
+    return Rows("rows", columns, tuple(rows), _is_disputed)
+
+
+def _detail(key: str, row: Record) -> Any:
+    return row["details"][key]
+
+
+def _count(of: str, kind: str) -> Column:
+    return _shown(kind, lambda t: t[of][kind] or None, number=True)
+
+
+_TABLES: Final = (
+    _of("table", "table", number=True),
+    _of("title", "title"),
+    *(_count("verdicts", verdict) for verdict in VERDICTS),
+)
+_MISFITS: Final = (
+    _of("table", "table", number=True),
+    _of("specimen", "specimen"),
+    _of("case", "constants"),
+    _of("source", "by"),
+    _of("objective", "F", significant, number=True),
+    _of("our_objective", "least F", significant, number=True),
+    _of("rms_percent", "rms %", _THREE_DIGITS, number=True),
+    _of("our_rms_percent", "rms % at the least F", _THREE_DIGITS, number=True),
+    _shown("swarms that found it", lambda m: f"{m['swarms_found']} of {m['swarms']}", number=True),
+    _of("swarms"),
+    _of("swarms_found"),
+    _of("swarms_converged", "swarms converged", number=True),
+    _of("on_bounds", "on a bound", " ".join),
+)
+_SIMULATION: Final = (
+    _of("table", "table", number=True),
+    _of("specimen", "plate"),
+    _of("printed_rms_percent", "printed rms %", _THREE_DIGITS, number=True),
+    _of("plain_rms_percent", "plain rms %", _THREE_DIGITS, number=True),
+    _of("claim"),
+    _of("causes"),
+    _shown("claim", lambda e: f"{e['claim']}: {', '.join(e['causes'])}" if e["causes"] else e["claim"]),
+    _of("probability", "probability", "{:.2f}".format, number=True),
+    _of("extended_rms_percent", "extended rms %", _THREE_DIGITS, number=True),
+    _of("log_bayes_factor", "log Bayes factor", _ONE_DECIMAL, number=True),
+    _of("held_out"),
+    _of("held_out_se"),
+    _shown(
+        "frequencies left out",
+        lambda e: None if e["held_out"] is None else f"{signed(e['held_out'], 1)} +- {e['held_out_se']:.1f}",
+        number=True,
+    ),
+)
+_COSTS: Final = (
+    _of("specimen", "plate"),
+    _of("case", "constants"),
+    _of("forward_solves", "forward solves", number=True),
+    _of("seconds", "seconds", "{:.1f}".format, number=True),
+    _of("calculix_seconds", "seconds of one CalculiX run", "{:.1f}".format, number=True),
+    _of("calculix_hours", "CalculiX hours", "{:.0f}".format, number=True),
+)
+_PERCENTAGES: Final = (
+    _of("table", "table", number=True),
+    _of("specimen", "specimen"),
+    _of("source", "by"),
+    _of("quantity", "quantity"),
+    _of("printed_percent", "printed %", "{:g}".format, number=True),
+    _of("recomputed_percent", "recomputed %", "{:.1f}".format, number=True),
+    _of("possible_percent", "possible %", lambda ends: " to ".join(f"{v:.1f}" for v in ends)),
+    _of("agreement"),
+)
+_SOLVERS: Final = (
+    _of("table", "table", number=True),
+    _of("specimen", "plate"),
+    _shown("mode", lambda r: r["quantity"].removeprefix("f").removesuffix("_hz")),
+    _shown("ABAQUS, printed", itemgetter("printed_text"), number=True),
+    *(
+        Column(heading, None, partial(_detail, key), partial(significant, digits=6), True)
+        for heading, key in (("Ritz", "ritz_hz"), ("elements", "fem_hz"), ("CalculiX", "calculix_hz"))
+    ),
+    _of("difference_percent", "printed less Ritz %", _ONE_DECIMAL, number=True),
+)
+_COMPUTED: Final = (
+    _shown("what", lambda r: r[0]),
+    _shown("version", lambda r: str(r[1]["version"])),
+    _shown("date", lambda r: str(r[1]["date"])),
+    _shown("seconds", lambda r: f"{r[1]['seconds']:.0f}", number=True),
+)
+
+
+def _well_posed(conditions: Sequence[Record]) -> Rows:
+    names = dict.fromkeys(name for c in conditions for name in c["percent_per_percent"])
+    columns = (
+        _of("table", "table", number=True),
+        _of("specimen", "specimen"),
+        _shown("unknowns of frequencies", lambda c: f"{c['unknowns']} of {c['frequencies']}"),
+        _of("left_percent", "left %", _TWO_DIGITS, number=True),
+        _of("exists", "exists", lambda exists: "yes" if exists else "no"),
+        _shown("rank", lambda c: f"{c['rank']} of {c['unknowns']}"),
+        _of("condition", "condition number", _TWO_DIGITS, number=True),
+        _of("optima", "optima", number=True),
+        _of("layups", "stacking sequences", number=True),
+        *(
+            _shown(f"{name.partition('_')[0]}, % per %", partial(_amplified, name), number=True)
+            for name in names
+        ),
+    )
+    return Rows("hadamard", columns, tuple(conditions))
+
+
+def _amplified(name: str, condition: Record) -> str | None:
+    percent = condition["percent_per_percent"]
+    if name not in percent:
+        return None
+    return "not determined" if percent[name] is None else significant(percent[name], 2)
+
+
+def _wrong_percentages(document: Record) -> Rows:
+    wrong = (p for p in document["audit"]["percentages"] if p["agreement"] == AGREEMENTS[-1])
+    return Rows("percentages", _PERCENTAGES, tuple(wrong))
+
+
+def present(document: Record, slips: tuple[str, ...], cautions: tuple[str, ...]) -> Report:
+    """The rows of a table or the verdicts on all, then the audit of the print."""
+    numbers = [t["table"] for t in document["tables"]]
+    tables, misfits = (
+        Rows("tables", _TABLES, tuple(document["tables"])),
+        Rows("misfits", _MISFITS, tuple(document["audit"]["misfits"])),
+    )
+    simulation = Rows("simulation", _SIMULATION, tuple(document["simulation"]))
+    costs, well_posed = Rows("costs", _COSTS, tuple(document["costs"])), _well_posed(document["hadamard"])
+    drawings = _drawings(document)
+    drawn = {drawing.name for drawing in drawings}
+    titles = {t["table"]: f"Table {t['table']}: {t['title']}" for t in document["tables"]}
+    return Report(
+        summary=Summary(
+            title=f"paper {numbers[0]}" if len(numbers) == 1 else "paper",
+            headline=_headline(document),
+            tables=(_first_table(document, tables, titles),),
+            lines=(
+                *document["disagreements"][:1],
+                *(("Computed with --quick: do not quote these numbers.",) if document["quick"] else ()),
+            ),
+            next_step=_WHY if any(map(_is_disputed, document["rows"])) else "",
+            slips=slips,
+            warnings=cautions,
+        ),
+        sections=(
+            Section("Largest disagreements", (remarks("Largest disagreements", document["disagreements"]),)),
+            Section(
+                "Table by table",
+                tuple(_rows_of(document, n).table(titles[n]) for n in numbers),
+                tuple(name for name in ("differences", "frequencies") if name in drawn),
+                folded=False,
+            ),
+            Section(
+                "Misfit of the printed constants",
+                (misfits.table("Printed constants against their own frequencies, F in Hz2"),),
+                tuple(name for name in ("misfits",) if name in drawn),
+            ),
+            Section(
+                "Is the problem well posed",
+                (well_posed.table("Existence, uniqueness, stability (Hadamard)"),),
+            ),
+            Section(
+                "What the paper's simulation gets wrong",
+                (simulation.table("The simulation, diagnosed against the measured frequencies"),),
+            ),
+            Section(
+                "Audit of the print",
+                (
+                    _wrong_percentages(document).table("Percentages that cannot follow from their rows"),
+                    remarks("Misprints and contradictions", document["audit"]["misprints"]),
+                    remarks("What means of ten can show", filter(None, [document["audit"]["means_of_ten"]])),
+                ),
+            ),
+            Section(COMPUTATION, (_computed(document).table("Computations"), costs.table("Forward solves"))),
+        ),
+        document=document,
+        drawings=drawings,
+        rows=(row_table(document), misfits, well_posed, simulation, costs),
+    )
+
+
+_WHY: Final = "why values are not reproducible: --verbose, or paper.csv with --out DIR"
+
+
+def _first_table(document: Record, tables: Rows, titles: Mapping[int, str]) -> Any:
+    """The rows of one table, or the verdicts on several."""
+    if len(titles) > 1:
+        return tables.table("Printed values by verdict")
+    ((number, title),) = titles.items()
+    rows = _rows_of(document, number, _BRIEF)
+    return (rows if rows.rows else Rows("rows", _BRIEF, tuple(document["rows"]))).table(title)
+
+
+def _headline(document: Record) -> str:
+    counts = {kind: sum(t["verdicts"][kind] for t in document["tables"]) for kind in VERDICTS}
+    computed = sum(counts.values()) - counts[INPUT]
+    numbers = [t["table"] for t in document["tables"]]
+    of = f"Table {numbers[0]}" if len(numbers) == 1 else f"{len(numbers)} tables"
+    if not computed:
+        return f"{of} holds inputs only: {counts[INPUT]} printed values, nothing to be computed."
+    within = f", {counts[WITHIN]} lie within the 95 % interval or set" if counts[WITHIN] else ""
+    return (
+        f"{counts[AGREES]} of {computed} printed values of {of} agree{within}, {counts[NOT_REPRODUCIBLE]} "
+        "are not reproducible."
+    )
+
+
+def _computed(document: Record) -> Rows:
+    return Rows("computed", _COMPUTED, tuple(document["computed"].items()))
+
+
+_COLOURS: Final = {AGREES: "#4878a8", WITHIN: "#8a8a8a", NOT_REPRODUCIBLE: "#c1440e"}
+
+
+def _drawings(document: Record) -> tuple[Drawing, ...]:
+    """The figures that the computed tables give."""
+    compared = [row for row in document["rows"] if row["difference_percent"] is not None]
+    simulated = [row for row in compared if row["table"] == 5]
+    own = [m for m in document["audit"]["misfits"] if m["source"] in _OF_THE_PAPER]
+    drawn = (
+        (
+            compared,
+            "differences",
+            _draw_differences,
+            "Each point is a printed value: at zero the paper and the computation agree. Orange points "
+            "cannot be reproduced from the paper's own inputs.",
+            "Differences between printed and computed values in percent, by table of the paper.",
+        ),
+        (
+            simulated,
+            "frequencies",
+            _draw_frequencies,
+            "Each bar is a mode: how far a frequency of Table 5 lies from the converged one.",
+            "Differences of the frequencies of Table 5 from converged ones, by plate and mode.",
+        ),
+        (
+            own,
+            "misfits",
+            _draw_misfits,
+            "Where the orange bar is higher, other constants fit the plate's frequencies better than the "
+            "printed ones.",
+            "Misfit of the printed constants beside the least misfit found, by plate.",
+        ),
+    )
+    return tuple(
+        Drawing(name, partial(draw, rows), Caption(text, alt))
+        for rows, name, draw, text, alt in drawn
+        if rows
+    )
+
+
+def _draw_differences(rows: list[Record]) -> Figure:
+    numbers = sorted({row["table"] for row in rows})
+    figure = new_figure(7.0, 3.6)
+    axes = figure.subplots()
+    for kind, colour in _COLOURS.items():
+        of_kind = [row for row in rows if row["verdict_kind"] == kind]
+        # spread by their place in the table, so that rows do not hide each other
+        places = [numbers.index(r["table"]) + 0.35 * np.sin(7.0 * i) for i, r in enumerate(of_kind)]
+        values = [r["difference_percent"] for r in of_kind]
+        axes.plot(places, values, "o", ms=3, alpha=0.7, color=colour, label=kind)
+    axes.set_yscale("symlog", linthresh=1.0)
+    axes.axhline(0.0, color="0.4", linewidth=0.7)
+    axes.set_xticks(range(len(numbers)), [str(n) for n in numbers])
+    axes.set(xlabel="table of the paper", ylabel="printed over computed, less one, %")
+    axes.legend(fontsize="small", frameon=False)
+    return figure
+
+
+def _draw_frequencies(rows: list[Record]) -> Figure:
+    names = list(dict.fromkeys(row["specimen"] for row in rows))
+    figure = new_figure(7.0, 3.6)
+    axes = figure.subplots()
+    for i, name in enumerate(names):
+        off = [row["difference_percent"] for row in rows if row["specimen"] == name]
+        shown = [(k, v) for k, v in enumerate(off) if abs(v) < MISPRINTED]
+        places = [i + 0.8 * (k + 0.5) / len(off) - 0.4 for k, _ in shown]
+        axes.bar(places, [v for _, v in shown], 0.7 / len(off), color="#4878a8" if i % 2 else "#c1440e")
+    axes.axhline(0.0, color="0.4", linewidth=0.7)
+    axes.set_xticks(range(len(names)), names)
+    axes.set_xlabel("plate, its modes from the left; a misprinted frequency is left out")
+    axes.set_ylabel("Table 5 over converged, less one, %")
+    return figure
+
+
+def _draw_misfits(misfits: list[Record]) -> Figure:
+    figure = new_figure(7.0, 3.6)
+    axes = figure.subplots()
+    places = np.arange(len(misfits))
+    printed, ours = ([m[key] for m in misfits] for key in ("rms_percent", "our_rms_percent"))
+    axes.bar(places - 0.2, printed, 0.38, color="#c1440e", label="printed constants")
+    axes.bar(places + 0.2, ours, 0.38, color="#4878a8", label="least F found")
+    axes.set_yscale("log")
+    counts = {TWO: "\ntwo", FOUR: "\nfour"}
+    axes.set_xticks(places, [m["specimen"] + counts.get(m["case"], "") for m in misfits], fontsize="small")
+    axes.set_ylabel("rms misfit of the frequencies, %")
+    axes.legend(fontsize="small", frameon=False)
+    return figure
+
+
+def page(document: Record) -> str:
+    """The page docs/comparison.md of the document of `cpam-bayes paper --json`."""
+    return "\n".join(_lines(document)).rstrip() + "\n"
+
+
+def _lines(document: Record) -> Iterator[str]:
+    audit = document["audit"]
+    yield from (
+        "# The paper's tables, reproduced and audited",
+        "",
+        "This page is written by `python studies/19_paper.py` from `studies/results/19_paper.json`, the "
+        f"document of `cpam-bayes paper --json` (version {document['version']}, seed {document['seed']}); a "
+        "test holds the two together. Tables are those of Masoumi and Ghasemi Ghalebahman (2017).",
+        "",
+        "## The most important disagreements",
+        "",
+        *(f"{i}. {text}" for i, text in enumerate(document["disagreements"], 1)),
+        "",
+        "## Verdicts",
+        "",
+        "A frequency agrees up to 0.5 % or half a unit of its last digit, an identified constant up to 1 %, "
+        "a mean of ten up to two standard errors of the difference of two such means. *Within the "
+        "posterior*: in the 95 % interval, or the 95 % set of stacking sequences. *Input*: printed data that "
+        "are computed from, or references.",
+        "",
+    )
+    yield from _markdown(Rows("tables", _TABLES, tuple(document["tables"])))
+    agreements = [p["agreement"] for p in audit["percentages"]]
+    follows, before, never = (agreements.count(kind) for kind in AGREEMENTS)
+    yield from (
+        "## Audit of the print",
+        "",
+        f"Of {len(agreements)} printed percentages {follows} follow from the digits of their rows, {before} "
+        f"can follow from values before rounding, and {never} cannot:",
+        "",
+    )
+    yield from _markdown(_wrong_percentages(document))
+    yield from (f"- {note}" for note in audit["misprints"])
+    yield ""
+    if audit["means_of_ten"]:
+        yield from ("## What means of ten can show", "", audit["means_of_ten"], "")
+    yield from (
+        "## Printed constants against their own frequencies",
+        "",
+        "F is eq. (7), in Hz², of the plate with the printed constants and layup, by forward solves only; "
+        "beside it the least F that the swarms found within the bounds of eq. (8), and how many of them "
+        "found it.",
+        "",
+    )
+    yield from _markdown(Rows("misfits", _MISFITS, tuple(audit["misfits"])))
+    yield from _hadamard_lines(document["hadamard"])
+    yield from _simulation_lines(document["simulation"])
+    yield from _solver_lines(document["rows"])
+    for table in document["tables"]:
+        rows = _rows_of(document, table["table"])
+        if rows.rows:
+            yield from (f"## Table {table['table']}: {table['title']}", "")
+            yield from _markdown(rows)
+    yield from ("## Computations", "")
+    yield from _markdown(_computed(document))
+    if document["costs"]:
+        yield from (
+            "Forward solves of the optimum, the single swarms and the posterior of a plate, with their wall "
+            "time, and what as many runs of CalculiX with 20-node bricks would take one after another, at "
+            "the seconds of one run:",
+            "",
+        )
+        yield from _markdown(Rows("costs", _COSTS, tuple(document["costs"])))
+    yield from (f"- Warning: {text}" for text in document["warnings"])
+
+
+def _hadamard_lines(conditions: Sequence[Record]) -> Iterator[str]:
+    if not conditions:
+        return
+    exist, unique = ([c for c in conditions if c[key]] for key in ("exists", "unique"))
+    yield from (
+        "## Hadamard's conditions",
+        "",
+        "A problem is well posed where a solution exists, is the only one, and moves little when the data "
+        "do. *Existence*: what the best constants leave, the root of the residual sum of squares over the "
+        f"degrees of freedom, against the {conditions[0]['repeatability_percent']:.2g} % that 97.5 % of tap "
+        "tests repeat within. *Uniqueness*: rank and condition number of the sensitivities d ln f / d ln x "
+        "there, the optima whose misfits the noise does not tell apart, and the stacking sequences of the 95 "
+        "% set where the angles are unknown too. *Stability*: standard deviation of a constant in % for 1 % "
+        "of noise on each frequency, to first order and without bounds.",
+        "",
+        f"A solution exists in this sense for {len(exist)} of {len(conditions)} choices of plate and unknowns"
+        f"{_named(exist)}, and is the only one for {len(unique)}{_named(unique)}.",
+        "",
+    )
+    yield from _markdown(_well_posed(conditions))
+
+
+def _named(conditions: Sequence[Record]) -> str:
+    """The plates in brackets."""
+    named = dict.fromkeys(f"{c['specimen']} with {c['unknowns']} unknowns" for c in conditions)
+    return f" ({'; '.join(named)})" if named else ""
+
+
+def _simulation_lines(errors: Sequence[Record]) -> Iterator[str]:
+    if not errors:
+        return
+    yield from (
+        "## The paper's simulation, diagnosed",
+        "",
+        "Printed: ABAQUS with the reference constants against the measured list. Plain: this package's model "
+        "with the constants that the list and the bounds make probable. Extended: by what the diagnosis "
+        "claims. The gain is the log Bayes factor of the claim, and the log predictive density of "
+        "frequencies left out, in nats above the plain model.",
+        "",
+    )
+    yield from _markdown(Rows("simulation", _SIMULATION, tuple(errors)))
+
+
+def _solver_lines(rows: Sequence[Record]) -> Iterator[str]:
+    compared = tuple(row for row in rows if "ritz_hz" in row["details"])
+    if not compared:
+        return
+    yield from (
+        "## ABAQUS beside three converged solvers",
+        "",
+        "The package's Ritz method and finite elements are first-order shear deformation theory; CalculiX "
+        "has 20-node bricks. Frequencies in Hz.",
+        "",
+    )
+    yield from _markdown(Rows("solvers", _SOLVERS, compared))
+
+
+def _markdown(rows: Rows) -> Iterator[str]:
+    table = rows.table("")
+    yield f"| {' | '.join(table.headings or ())} |"
+    yield f"|{'---|' * len(table.columns)}"
+    for row in table.rows:
+        yield f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in row)} |"
+    yield ""

@@ -1,0 +1,508 @@
+"""The computations behind the rows: plain data in, plain data out, so that each is stored when it is done.
+
+A stopped comparison goes on from the finished ones. What takes long, CalculiX's bricks, diagnoses and
+posteriors over the stacking sequences of Table 9(b), comes with the package.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import asdict, dataclass, replace
+from datetime import UTC, datetime
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+from typing import Any, Final, Literal
+
+import numpy as np
+
+from cpam_bayes import __version__
+from cpam_bayes.answer import Constant
+from cpam_bayes.identification.search import search
+from cpam_bayes.inference.ensemble import DEFAULT_SETTINGS, EnsembleSettings
+from cpam_bayes.inference.swarm import SwarmSettings
+from cpam_bayes.plate import Specimen, builtin, read_plate, to_user, user_name
+from cpam_bayes.plate.units import to_si
+from cpam_bayes.printed.noise_study import ENSEMBLE_SETTINGS
+from cpam_bayes.printed.tables import PrintedRow, identified_layups, printed_table
+from cpam_bayes.questions.diagnose import diagnose
+from cpam_bayes.questions.forward import forward
+from cpam_bayes.questions.identify.emcee import SampledResult, sample
+from cpam_bayes.questions.identify.pso import PointResult, identify
+from cpam_bayes.questions.paper.rows import FOUR, TWO, Results, SimulationError
+from cpam_bayes.questions.sensitivity import sensitivity
+from cpam_bayes.questions.sequence import StackingResult, sequence
+from cpam_bayes.running import Watch
+from cpam_bayes.storage import read_sealed, set_aside, write_sealed
+
+__all__ = [
+    "FULL",
+    "QUICK",
+    "Effort",
+    "Task",
+    "calculix_frequencies",
+    "case_specimen",
+    "diagnoses",
+    "diagnosis_row",
+    "packaged",
+    "printed_rows",
+    "read",
+    "sequence_cases",
+    "simulation_errors",
+    "stamp",
+    "well_posed",
+    "work",
+    "write",
+]
+
+# Eq. (8) bounds E2 by 40 GPa and cannot have been used for aluminium, whose E2 is about 70 GPa.
+_BOUNDS: Final = {
+    "E1_GPa": [10.0, 200.0],
+    "E2_GPa": [10.0, 200.0],
+    "nu12": [0.15, 0.4],
+    "G12_GPa": [5.0, 30.0],
+}
+
+
+def case_specimen(name: str, case: str) -> Specimen:
+    """A built-in specimen, with four unknown constants where that is the case.
+
+    The fourth constraint of eq. (9), E1 > E2, holds for four constants, so that the reference E2 is a little
+    below E1.
+    """
+    specimen = builtin(name)
+    if case != FOUR:
+        return specimen
+    plate, measurement = specimen.plate, specimen.measurement
+    assert measurement is not None
+    E, nu = specimen.material.constants["E1"] / 1e9, specimen.material.constants["nu12"]
+    return read_plate(
+        {
+            "name": f"{name}, {FOUR}",
+            "plate": {
+                "length_mm": to_user("length", plate.length),
+                "width_mm": to_user("width", plate.width),
+                "thickness_mm": to_user("thickness", plate.thickness),
+                "density_kg_m3": plate.density,
+                "layup": "[0]",
+                "edges": plate.edges,
+            },
+            "material": {
+                "isotropic": False,
+                "E1_GPa": E,
+                "E2_GPa": 0.999 * E,
+                "nu12": nu,
+                "G12_GPa": E / (2.0 * (1.0 + nu)),
+            },
+            "unknowns": _BOUNDS,
+            "measurement": {
+                "frequencies_hz": measurement.frequencies.tolist(),
+                "resolution_hz": measurement.resolution,
+            },
+        }
+    )
+
+
+def with_constants(specimen: Specimen, row: PrintedRow) -> Specimen:
+    """A specimen with the printed constants of a row in place of its reference."""
+    printed: Mapping[str, float] = {
+        key: cell.number for key, cell in row.values.items() if cell.number is not None
+    }
+    constants = {key.partition("_")[0]: to_si(key, value) for key, value in printed.items()}
+    return replace(specimen, material=replace(specimen.material.parts[""], constants=constants, sd={}))
+
+
+# Singular values of the sensitivities below this fraction of the largest are zero.
+_RANK: Final = 1e-6
+
+
+def well_posed(point: PointResult) -> dict[str, Any]:
+    """Existence, uniqueness and stability of the solution at the best optimum, as plain data.
+
+    Existence: the misfit that is left, sqrt(sum r^2 / (n_f - n)), r the relative residuals. Uniqueness: the
+    rank and the condition number of S = d ln f / d ln x, (n_f, n), and the optima that the misfit does not
+    tell apart. Stability: sd of ln x for an independent relative noise of frequencies, over that noise:
+    the roots of the diagonal of (S^T S)^-1, bounds left out; None where the rank is not full.
+    """
+    estimate = point.estimate
+    measurement = estimate.specimen.measurement
+    assert measurement is not None
+    x = np.array([c.value for c in estimate.constants])
+    prediction = estimate.model.full.predict(x[None], jacobian=True)
+    assert prediction.jacobian is not None
+    slope = (prediction.jacobian[0] / prediction.frequencies[0, :, None] * x)[: measurement.size]
+    singular = np.linalg.svd(slope, compute_uv=False)
+    rank = int(np.sum(singular > _RANK * singular[0]))
+    amplified = np.full(len(x), np.nan)
+    if rank == len(x):
+        amplified = np.sqrt(np.diag(np.linalg.inv(slope.T @ slope)))
+    freedom = measurement.size - len(x)
+    left = math.sqrt(measurement.size / freedom) * estimate.rms if freedom > 0 else math.nan
+    names = [user_name(c.name) for c in estimate.constants]
+    return {
+        "frequencies": measurement.size,
+        "unknowns": len(x),
+        "left_percent": 100.0 * left if math.isfinite(left) else None,
+        "rank": rank,
+        "condition": float(singular[0] / singular[-1]) if rank == len(x) else None,
+        "optima": len(estimate.optima),
+        "percent_per_percent": {
+            name: float(a) if math.isfinite(a) else None for name, a in zip(names, amplified, strict=True)
+        },
+    }
+
+
+def simulation_errors(number: int, diagnosed: Mapping[str, Any]) -> Iterator[SimulationError]:
+    """Of Table 1's ABAQUS frequencies, or of all plates of Table 4 beside Table 5; none of another table.
+
+    A misprinted frequency is left out of the rms.
+
+    diagnosed : {"plates": name -> what ``diagnosis_row`` keeps}
+    """
+    if number not in (1, 5):
+        return
+    measured = printed_table(1 if number == 1 else 4).rows
+    printed = {row.specimen: row for row in printed_table(number).rows if row.source == "ABAQUS"}
+    for name in dict.fromkeys(row.specimen for row in measured):
+        stored = diagnosed["plates"].get(name)
+        if stored is not None:
+            rms = _rms_percent(printed[name]) if name in printed else None
+            yield SimulationError(
+                table=number,
+                specimen=name,
+                printed_rms_percent=rms,
+                **{**stored, "causes": tuple(stored["causes"])},
+            )
+
+
+def _rms_percent(row: PrintedRow) -> float:
+    """Root mean square of the printed frequencies over the measured ones, less one, %."""
+    measurement = builtin(row.specimen).measurement
+    assert measurement is not None
+    pairs = zip(row.values.values(), measurement.frequencies, strict=True)
+    off = [float(cell.text) / f - 1.0 for cell, f in pairs if not cell.misprinted("value")]
+    return 100.0 * float(np.sqrt(np.mean(np.square(off))))
+
+
+def diagnosis_row(document: Mapping[str, Any]) -> dict[str, Any]:
+    """What is kept of the JSON document of `diagnose` about one plate, or of a group of study 12."""
+    extended, gain = document["extended"], document["gain"]
+    return {
+        "plain_rms_percent": document["baseline"]["rms_percent"],
+        "claim": document["claim"],
+        "causes": document["causes"],
+        "probability": document["probability"],
+        "extended_rms_percent": None if extended is None else extended["rms_percent"],
+        "log_bayes_factor": None if gain is None else gain["log_bayes_factor"],
+        "held_out": None if gain is None else gain["held_out_log_score_difference"],
+        "held_out_se": None if gain is None else gain["held_out_log_score_se"],
+    }
+
+
+Kind = Literal["forward", "constants", "noise"]
+
+# F of two swarms that found the same optimum differs by no more than this fraction.
+_SAME_OPTIMUM: Final = 1e-3
+# Half the width of a 95 % interval of a normal distribution, in standard deviations.
+_NORMAL_95: Final = 1.96
+
+
+@dataclass(frozen=True, slots=True)
+class Effort:
+    """How much is computed.
+
+    swarms : single ones on each plate, each as the paper has it.
+    groups : of perturbed lists at each level.
+    full : finite elements beside the Ritz method, posteriors by emcee and not the linearised one, and the
+    noise studies of thick plates, which take longest.
+    """
+
+    swarms: int
+    groups: int
+    full: bool
+    swarm: SwarmSettings
+    chains: EnsembleSettings
+    noise_chains: EnsembleSettings
+
+
+FULL: Final = Effort(5, 10, True, SwarmSettings(), DEFAULT_SETTINGS, ENSEMBLE_SETTINGS)
+QUICK: Final = Effort(
+    swarms=1,
+    groups=3,
+    full=False,
+    swarm=SwarmSettings(particles=20, iterations=100),
+    chains=DEFAULT_SETTINGS,
+    noise_chains=EnsembleSettings(walkers=16, round_steps=150, most_steps=150),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """One computation. table : whose printed constants are held against the frequencies too."""
+
+    kind: Kind
+    specimen: str
+    case: str
+    table: int
+    seed: int
+
+    @property
+    def title(self) -> str:
+        """For the progress and the record: what is computed."""
+        return f"{self.kind} {self.specimen}" + (f", {self.case}" if self.kind == "constants" else "")
+
+
+def work(effort: Effort, task: Task) -> Results:
+    """Do one task and return plain data, with the seconds it took."""
+    start = time.perf_counter()
+    computed = {"forward": _forward, "constants": _constants, "noise": _noise}[task.kind](effort, task)
+    return {**computed, "seconds": time.perf_counter() - start}
+
+
+def _forward(effort: Effort, task: Task) -> Results:
+    """Frequencies from the reference constants by the Ritz method and finite elements."""
+    ritz = forward(task.specimen)
+    elements = forward(task.specimen, solver="fem") if effort.full else None
+    return {
+        "ritz_hz": ritz.frequencies.tolist(),
+        "ritz_error": ritz.error.tolist(),
+        "fem_hz": None if elements is None else elements.frequencies.tolist(),
+    }
+
+
+def _constants(effort: Effort, task: Task) -> Results:
+    """The optimum that several swarms find, single swarms, the posterior, the misfit of printed constants."""
+    specimen = case_specimen(task.specimen, task.case)
+    best = identify(specimen, seed=task.seed, settings=effort.swarm)
+    seeds = range(task.seed, task.seed + effort.swarms)
+    singles = [
+        search(specimen, seed, settings=effort.swarm, centre=best.estimate.centre).swarm for seed in seeds
+    ]
+    least = best.estimate.swarm.value
+    found = [single.value <= (1.0 + _SAME_OPTIMUM) * least for single in singles]
+    posterior = None
+    if effort.full:
+        posterior = sample(specimen, seed=task.seed, settings=effort.chains, swarm_settings=effort.swarm)
+    intervals = _linearised(best.estimate.constants) if posterior is None else _sampled(posterior)
+    return {
+        "constants": {
+            user_name(c.name): {
+                "value": to_user(c.name, c.value),
+                "bound": c.bound,
+                **{key: to_user(c.name, value) for key, value in intervals[c.name].items()},
+            }
+            for c in best.estimate.constants
+        },
+        "objective": float(least),
+        "rms_percent": 100.0 * best.estimate.rms,
+        "optimum_found_again": best.status == "converged",
+        "swarms": effort.swarms,
+        "swarms_found": sum(found),
+        "swarms_converged": sum(single.status == "converged" for single in singles),
+        "well_posed": well_posed(best),
+        "posterior_converged": posterior is None or posterior.reached_goal,
+        "forward_solves": sum(swarm.evaluations for swarm in (best.estimate.swarm, *singles))
+        + (0 if posterior is None else posterior.forward_solves),
+        "printed": [
+            {"source": row.source, **_misfit(specimen, row)}
+            for row in printed_rows(task.table, task.specimen, task.case)
+        ],
+    }
+
+
+def _sampled(posterior: SampledResult) -> dict[str, dict[str, float]]:
+    """Mean, sd and 95 % interval of each constant, SI, by emcee."""
+    keys = ("mean", "sd", "q025", "q975")
+    marginals = posterior.marginals
+    return {name: {k: float(getattr(marginals[name], k)) for k in keys} for name in posterior.constants}
+
+
+def _linearised(constants: Sequence[Constant]) -> dict[str, dict[str, float]]:
+    """To first order about the optimum, within the bounds; all between these where the sd is not known."""
+    computed = {}
+    for c in constants:
+        half = _NORMAL_95 * c.sd if math.isfinite(c.sd) else math.inf
+        low, high = max(c.value - half, c.prior.lower), min(c.value + half, c.prior.upper)
+        computed[c.name] = {
+            "mean": c.value,
+            "sd": min(half, c.prior.upper - c.prior.lower) / _NORMAL_95,
+            "q025": low,
+            "q975": high,
+        }
+    return computed
+
+
+def printed_rows(table: int, name: str, case: str) -> tuple[PrintedRow, ...]:
+    """Rows of a table with identified constants of a specimen, by the number of constants."""
+    rows = printed_table(table).rows
+    chosen = [r for r in rows if r.specimen == name and r.role == "identified" and "E1_GPa" in r.values]
+    return tuple(r for r in chosen if case not in (TWO, FOUR) or (case == FOUR) == ("E2_GPa" in r.values))
+
+
+def _misfit(specimen: Specimen, row: PrintedRow) -> Mapping[str, float]:
+    measurement = specimen.measurement
+    assert measurement is not None
+    measured = measurement.frequencies
+    computed = forward(with_constants(specimen, row), len(measured)).frequencies
+    return {
+        "objective": float(np.sum((computed - measured) ** 2)),
+        "rms_percent": 100.0 * float(np.sqrt(np.mean((computed / measured - 1.0) ** 2))),
+    }
+
+
+def _noise(effort: Effort, task: Task) -> Results:
+    """The paper's repetition on the measured list, eq. (12) on the root mean square frequency."""
+    result = sensitivity(
+        task.specimen,
+        seed=task.seed,
+        groups=effort.groups,
+        readings=("rms",),
+        source="measured",
+        settings=effort.swarm,
+        chains=effort.noise_chains,
+    )
+    study = result.study
+    names = [c.name for c in study.without_noise.constants]
+    return {
+        "without_noise": {user_name(c.name): to_user(c.name, c.value) for c in study.without_noise.constants},
+        "groups": effort.groups,
+        "swarms": study.starts,
+        "swarms_found": study.found_again,
+        "posterior_converged": result.reached_goal,
+        "levels": [
+            {
+                "level_percent": 100.0 * cell.level,
+                "missed": cell.repetition.missed,
+                "constants": {
+                    user_name(name): {
+                        "repetition_mean": to_user(name, float(cell.repetition.mean[i])),
+                        "repetition_sd": to_user(name, float(cell.repetition.sd[i])),
+                        "on_bound": float(cell.repetition.on_bound[:, i].mean()),
+                        "posterior_mean": to_user(name, float(cell.posterior.mean[i])),
+                        "q025": to_user(name, float(cell.posterior.q025[i])),
+                        "q975": to_user(name, float(cell.posterior.q975[i])),
+                    }
+                    for i, name in enumerate(names)
+                },
+            }
+            for cell in study.cells
+        ],
+    }
+
+
+# To be raised when the same inputs give other numbers.
+_FORMAT: Final = 2
+
+
+def task_key(effort: Effort, task: Task) -> str:
+    """Hash of all that a result depends on: version, effort, seed, plate and printed rows."""
+    specimen = case_specimen(task.specimen, task.case)
+    measured = specimen.measurement
+    content = {
+        "format": _FORMAT,
+        "version": __version__,
+        "effort": asdict(effort),
+        "task": asdict(task),
+        "plate": repr(specimen.plate),
+        "material": [repr(specimen.material), specimen.unknowns.names],
+        "bounds": [specimen.unknowns.lower.tolist(), specimen.unknowns.upper.tolist()],
+        "measured": None if measured is None else measured.frequencies.tolist(),
+        "printed": [repr(row) for row in printed_rows(task.table, task.specimen, task.case)],
+    }
+    text = json.dumps(content, sort_keys=True, default=repr)
+    return hashlib.sha256(text.encode()).hexdigest()[:32]
+
+
+def stamp(results: Results) -> Results:
+    """The results with version and date of the computation."""
+    return {"version": __version__, "date": datetime.now(UTC).date().isoformat(), **results}
+
+
+def read(directory: Path, effort: Effort, task: Task) -> Results | None:
+    """What was stored of a task, None where it was not, with other inputs, or is damaged: it is set aside."""
+    path = _path(directory, effort, task)
+    try:
+        content = read_sealed(path)
+    except OSError:
+        return None
+    if content is None:
+        return None
+    try:
+        computed: Results = json.loads(content)
+    except ValueError:
+        set_aside(path)
+        return None
+    return computed
+
+
+def write(directory: Path, effort: Effort, task: Task, results: Results) -> None:
+    """Store a finished task; a directory that cannot be written to ends the storing, not the work."""
+    with suppress(OSError):
+        directory.mkdir(parents=True, exist_ok=True)
+        write_sealed(_path(directory, effort, task), json.dumps(results, indent=1).encode())
+
+
+@cache
+def packaged(name: str) -> Mapping[str, Any]:
+    """What takes too long for every run, with version and date: "calculix", "diagnoses" or "sequences"."""
+    resource = files("cpam_bayes") / "data" / "paper" / "computed" / f"{name}.json"
+    computed: Mapping[str, Any] = json.loads(resource.read_text(encoding="utf-8"))
+    return computed
+
+
+def _path(directory: Path, effort: Effort, task: Task) -> Path:
+    return directory / f"{task_key(effort, task)}.results"
+
+
+def calculix_frequencies(watch: Watch) -> dict[str, Any]:
+    """Frequencies of the plates of Tables 1 and 5 by 20-node bricks, Hz, and seconds of each."""
+    computed, seconds = {}, {}
+    for name in dict.fromkeys(row.specimen for number in (1, 5) for row in printed_table(number).rows):
+        start = time.perf_counter()
+        computed[name] = forward(name, solver="ccx", watch=watch).frequencies.tolist()
+        seconds[name] = time.perf_counter() - start
+    return stamp({"seconds": sum(seconds.values()), "seconds_each": seconds, "frequencies_hz": computed})
+
+
+def diagnoses(seed: int, watch: Watch) -> dict[str, Any]:
+    """What the diagnosis says of the measured lists of Tables 1 and 4."""
+    start = time.perf_counter()
+    names = dict.fromkeys(row.specimen for number in (1, 4) for row in printed_table(number).rows)
+    answers = {name: diagnose(name, seed=seed, next_test="never", watch=watch) for name in names}
+    plates = {name: diagnosis_row(answer.to_dict()) for name, answer in answers.items()}
+    return stamp({"seconds": time.perf_counter() - start, "plates": plates})
+
+
+def sequence_cases(seed: int, executor: str, workers: int | None, watch: Watch) -> dict[str, Any]:
+    """The posterior over stacking sequences of every specimen of Table 9(b)."""
+    start = time.perf_counter()
+    cases = {
+        name: _case(sequence(name, seed=seed, executor=executor, workers=workers, watch=watch))
+        for name in identified_layups()
+    }
+    return stamp({"seconds": time.perf_counter() - start, "cases": cases})
+
+
+def _case(result: StackingResult) -> dict[str, Any]:
+    answer, given = result.answer, result.given
+    assert given is not None
+    return {
+        "enumerated": answer.enumerated,
+        "credible_95_count": answer.credible_count,
+        "unaccounted": answer.unaccounted,
+        "most_probable": {
+            "angles_deg": answer.top[0].tolist(),
+            "probability": float(answer.probability[0]),
+        },
+        "printed": {
+            "angles_deg": given.angles_deg.tolist(),
+            "probability": given.probability,
+            "rank": given.rank,
+            "log_evidence_below_best": float(answer.log_evidence[0] - given.log_evidence),
+        },
+    }

@@ -1,0 +1,424 @@
+"""Natural frequencies and damping from frequency responses or recorded hits: the question `poles`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from itertools import pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cpam_bayes import __version__
+from cpam_bayes.answer import Notice
+from cpam_bayes.command import Command, option, positive, whole
+from cpam_bayes.errors import checked
+from cpam_bayes.formatting import significant, with_spread
+from cpam_bayes.modal_analysis.fit import DEFAULT_ORDER, Pole, Stabilisation, fit_poles, stabilise
+from cpam_bayes.modal_analysis.read import (
+    WINDOWS,
+    FrequencyResponses,
+    ModalTestError,
+    Window,
+    peaks_of,
+    read_responses,
+    relative_power,
+)
+from cpam_bayes.render.figures import MEASURED, PREDICTED, new_figure
+from cpam_bayes.render.report import (
+    COMPUTATION,
+    Caption,
+    Column,
+    Drawing,
+    Report,
+    Rows,
+    Section,
+    Summary,
+    facts,
+)
+from cpam_bayes.result import Result
+from cpam_bayes.running import SILENT, Watch
+from cpam_bayes.threads import single_blas_thread
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["PolesResult", "poles"]
+
+TABLE: Final = "modes.csv"
+"""The table of modes among the files of `--out`."""
+# Orders that can be asked for.
+_LEAST_ORDER, _MOST_ORDER = 10, 200
+# Responses times lines: as many take some seconds and less than 1 GiB.
+_MOST_VALUES: Final = 2_000_000
+# Where the range begins, unless given: lines, and a fraction of its end.
+_FIRST_LINE, _FIRST_FRACTION = 10, 0.02
+# Lines at 0 Hz and beside it are drift.
+_FIRST_PEAK: Final = 3
+# A peak belongs to a mode within so many half widths.
+_PEAK: Final = 3.0
+# Modes closer than this many of their half widths together are told of, and a poor standard deviation.
+_CLOSE, _POOR = 2.0, 0.01
+_MOST_HZ: Final = 1e6
+_MOST_CHANNELS: Final = 256
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
+class PolesResult(Result):
+    """Poles of a test.
+
+    Attributes
+    ----------
+    files : that were read
+    responses : what was read
+    stabilisation : poles by model order
+    modes : ascending
+    low, high : Hz, the range
+    order : number of poles of the largest model
+    """
+
+    command: ClassVar[str] = "poles"
+
+    files: tuple[str, ...]
+    responses: FrequencyResponses
+    stabilisation: Stabilisation
+    modes: tuple[Pole, ...]
+    low: float
+    high: float
+    order: int
+
+    @property
+    def status(self) -> str:
+        """Whether there are modes."""
+        return "done" if self.modes else "no modes"
+
+    @property
+    def title(self) -> str:
+        """The files."""
+        return " ".join(Path(name).name for name in self.files[:3]) + (" ..." if len(self.files) > 3 else "")
+
+    def report(self) -> Report:
+        """The modes with their standard deviations, and the stability diagram."""
+        return present(self)
+
+    @property
+    def table(self) -> str:
+        """The modes as `[measurement] table` of a plate file reads them; a weight of 0 leaves a mode out."""
+        rows = [
+            f"{i},{mode.frequency:.6g},{mode.sd:.3g},{mode.damping:.4g},1"
+            for i, mode in enumerate(self.modes, 1)
+        ]
+        return "\n".join(["mode,hz,sd,damping,weight", *rows, ""])
+
+    def texts(self) -> Mapping[str, str]:
+        """The table of modes."""
+        return {TABLE: self.table} if self.modes else {}
+
+
+@checked
+@single_blas_thread
+def poles(
+    *files: str | Path,
+    force: int | None = None,
+    response: Sequence[int] = (),
+    window: Window | None = None,
+    low_hz: float | None = None,
+    high_hz: float | None = None,
+    order: int = DEFAULT_ORDER,
+    seed: int = 0,
+    watch: Watch = SILENT,
+) -> PolesResult:
+    """Natural frequencies and damping ratios with standard deviations, as a table of modes.
+
+    Poles by the least-squares complex frequency-domain estimator of sdypy-EMA over many orders; those that
+    stay are fitted again, in a band about each, for their standard deviations (`fit_poles`).
+
+    Parameters
+    ----------
+    files : universal files with datasets 58, tables of frequency responses (hz and then re, im or magnitude,
+        phase [deg] of each response), or .wav files of recorded hits; several are one test
+    force, response : channels of .wav files, from 1; without force each hit is a free decay
+    window : of .wav files, "none" or "exponential", whose damping is taken off again
+    low_hz, high_hz : the range; left out, all but the first lines, of hits up to where the force has fallen
+        to a tenth, of decays without a force a quarter above the last line that stands above noise
+    order : number of poles of the largest model, 10 to 200
+    seed : of the result's record; nothing is drawn at random
+
+    Raises
+    ------
+    ValueError
+        If a file cannot be read, or an argument is out of range.
+
+    Examples
+    --------
+    >>> import cpam_bayes as cb
+    >>> import numpy as np
+    >>> from tempfile import TemporaryDirectory
+    >>> f = np.arange(1.0, 200.0)
+    >>> h = 1.0 / (100.0**2 - f**2 + 2j * 0.01 * 100.0 * f)  # 100 Hz, 1 % of critical damping
+    >>> h = h + 1e-6 * np.random.default_rng(0).standard_normal((2, len(f))).T @ [1.0, 1j]
+    >>> with TemporaryDirectory() as directory:
+    ...     rows = np.stack((f, h.real, h.imag), axis=1)
+    ...     np.savetxt(f"{directory}/tap.csv", rows, delimiter=",", header="hz,re,im", comments="")
+    ...     result = cb.poles(f"{directory}/tap.csv", order=20)
+    >>> [(round(mode.frequency, 1), round(mode.damping, 3)) for mode in result.modes]
+    [(100.0, 0.01)]
+    """
+    if not files:
+        raise ModalTestError("no file, accepted: one or more")
+    if not _LEAST_ORDER <= order <= _MOST_ORDER:
+        raise ModalTestError(f"--order: received {order}, accepted: {_LEAST_ORDER} to {_MOST_ORDER}")
+    if window is not None and window not in WINDOWS:
+        raise ModalTestError(f"--window: received {window}, accepted: {' '.join(WINDOWS)}")
+    names = tuple(str(name) for name in files)
+    responses = read_responses(names, force=force, response=response, window=window, high=high_hz)
+    last = float(responses.frequencies[-1])
+    high = last if high_hz is None else min(high_hz, last)
+    low = max(_FIRST_LINE * responses.step, _FIRST_FRACTION * high) if low_hz is None else low_hz
+    if not 0.0 <= low < high:
+        raise ModalTestError(f"--range: received {low:g} to {high:g} Hz, accepted: within 0 to {last:g} Hz")
+    lines = int(np.sum((responses.frequencies >= low) & (responses.frequencies <= high)))
+    if lines < 2 * order:
+        raise ModalTestError(
+            f"{lines} lines from {low:g} to {high:g} Hz, accepted: {2 * order} or more for --order {order}"
+        )
+    if len(responses.frf) * lines > _MOST_VALUES:
+        raise ModalTestError(
+            f"{len(responses.frf)} responses of {lines} lines from {low:g} to {high:g} Hz, accepted: "
+            f"{_MOST_VALUES} values at most: a narrower --range, shorter records or fewer responses"
+        )
+    watch.announce(f"poles: {len(responses.frf)} responses, {lines} lines, up to {order} poles")
+    found = stabilise(responses, low, high, order)
+    modes = tuple(one for one in fit_poles(responses, found.candidates) if low <= one.frequency <= high)
+    return PolesResult(
+        seed=seed,
+        notices=(*responses.notices, *_notices(responses, modes, low, high)),
+        reached_goal=bool(modes),
+        files=names,
+        responses=responses,
+        stabilisation=found,
+        modes=modes,
+        low=low,
+        high=high,
+        order=order,
+    )
+
+
+def _is_under(peak: float, mode: Pole, step: float) -> bool:
+    """Whether a peak is that of a mode."""
+    return abs(peak - mode.frequency) < _PEAK * mode.damping * mode.frequency + 2.0 * step
+
+
+def _below(responses: FrequencyResponses, size: NDArray[np.float64], low: float) -> Iterator[Notice]:
+    """A peak below the range that is the largest of all; size : of the lines, (n,)."""
+    at = int(np.argmax(size[_FIRST_PEAK:])) + _FIRST_PEAK
+    if responses.frequencies[at] < low:
+        yield Notice("largest_below_range", facts={"frequency": float(responses.frequencies[at])})
+
+
+def _notices(
+    responses: FrequencyResponses, modes: Sequence[Pole], low: float, high: float
+) -> Iterator[Notice]:
+    size = np.sqrt(relative_power(responses.frf))
+    inside = (responses.frequencies >= low) & (responses.frequencies <= high)
+    peaks = peaks_of(responses.frequencies[inside], size[inside])
+    left = tuple(float(f) for f in peaks if not any(_is_under(f, one, responses.step) for one in modes))
+    yield from _below(responses, size, low)
+    if not modes:
+        yield Notice("no_poles", facts={"range": (low, high), "peaks": left})
+        return
+    if left:
+        yield Notice("peaks_without_pole", facts={"peaks": left})
+    close = tuple(
+        (a.frequency, b.frequency)
+        for a, b in pairwise(modes)
+        if b.frequency - a.frequency < _CLOSE * (a.damping * a.frequency + b.damping * b.frequency)
+    )
+    if close:
+        yield Notice("close_poles", facts={"pairs": close})
+    poor = tuple(one.frequency for one in modes if one.sd > _POOR * one.frequency)
+    if poor:
+        yield Notice("poor_poles", facts={"frequencies": poor, "limit": _POOR})
+
+
+_COLUMNS: Final = (
+    Column("mode", None, lambda row: row[0], number=True),
+    Column("Hz", None, lambda row: with_spread(row[1].frequency, row[1].sd)[0], number=True),
+    Column("sd", None, lambda row: with_spread(row[1].frequency, row[1].sd)[1], number=True),
+    Column("damping %", None, lambda row: _damping(row[1])[0], number=True),
+    Column("sd", None, lambda row: _damping(row[1])[1], number=True),
+    Column("loss factor", None, lambda row: significant(2.0 * row[1].damping, 3), number=True),
+    Column(None, "hz", lambda row: row[1].frequency),
+    Column(None, "sd", lambda row: row[1].sd),
+    Column(None, "damping", lambda row: row[1].damping),
+    Column(None, "damping_sd", lambda row: row[1].damping_sd),
+)
+
+
+def _damping(mode: Pole) -> tuple[str, str]:
+    return with_spread(100.0 * mode.damping, 100.0 * mode.damping_sd)
+
+
+def present(result: PolesResult) -> Report:
+    """The modes with their standard deviations, how they were found, and the stability diagram."""
+    found, modes = result.stabilisation, Rows("modes", _COLUMNS, tuple(enumerate(result.modes, 1)))
+    computed = (
+        ("files", ", ".join(result.files)),
+        ("read", result.responses.origin),
+        ("lines", f"{result.responses.step:.6g} Hz apart"),
+        ("range", f"{result.low:.6g} to {result.high:.6g} Hz"),
+        ("orders", f"1 to {result.order} poles, by sdypy-EMA (least-squares complex frequency domain)"),
+        ("poles", f"{len(found.orders)}, of which {int(found.stable.sum())} are in the order below as well"),
+        ("candidates", f"{len(found.candidates)} stay over many orders; {len(result.modes)} modes fitted"),
+    )
+    return Report(
+        summary=Summary(
+            title=f"poles {result.title}",
+            headline=_headline(result.modes),
+            tables=(modes.table("Modes"),),
+            lines=(
+                f"From {result.responses.origin}; range {result.low:.5g} to {result.high:.5g} Hz, lines "
+                f"{result.responses.step:.4g} Hz apart.",
+                *((_CONTAINED,) if result.modes else ()),
+            ),
+            next_step=_NEXT if result.modes else "",
+            slips=result.slips,
+            warnings=result.cautions,
+        ),
+        sections=(
+            Section("Stability diagram", figures=("stability",), folded=False),
+            Section(COMPUTATION, (facts("Computation", computed),)),
+        ),
+        document={
+            "command": result.command,
+            "version": __version__,
+            "files": list(result.files),
+            "read": result.responses.origin,
+            "responses": len(result.responses.frf),
+            "line_hz": result.responses.step,
+            "range_hz": [result.low, result.high],
+            "order": result.order,
+            "modes": modes.records(),
+            "seed": result.seed,
+            "warnings": list(result.warnings),
+        },
+        drawings=(Drawing("stability", partial(_stability, result), _caption(result)),),
+        rows=(modes,),
+    )
+
+
+_CONTAINED: Final = (
+    "The standard deviations contain the noise of these responses. Not contained: how the plate hangs, its "
+    "temperature, where it is hit."
+)
+_NEXT: Final = (
+    f"--out DIR writes {TABLE} and the stability diagram; weight 0 leaves a mode out. In the plate file: "
+    f'[measurement] table = "{TABLE}"'
+)
+
+
+def _headline(modes: Sequence[Pole]) -> str:
+    if not modes:
+        return "No modes found."
+    if len(modes) == 1:
+        return f"1 mode at {modes[0].frequency:.5g} Hz."
+    return f"{len(modes)} modes from {modes[0].frequency:.5g} to {modes[-1].frequency:.5g} Hz."
+
+
+def _caption(result: PolesResult) -> Caption:
+    return Caption(
+        "Each point is a pole of a model with as many poles as its height says; filled ones are in the order "
+        "below as well. A mode is a column of filled points at a peak of the responses (grey). Red lines are "
+        "the modes of the table: look at a line without a column, and at a column without one.",
+        f"Stability diagram of {len(result.stabilisation.orders)} poles with {len(result.modes)} modes.",
+    )
+
+
+def _stability(result: PolesResult) -> Figure:
+    """Poles by order over the responses."""
+    found, responses = result.stabilisation, result.responses
+    figure = new_figure(9.0, 4.8)
+    axes = figure.add_subplot()
+    behind = axes.twinx()
+    shown = (responses.frequencies >= result.low) & (responses.frequencies <= result.high)
+    size = np.sqrt(np.mean(np.abs(responses.frf[:, shown]) ** 2, axis=0))
+    behind.semilogy(
+        responses.frequencies[shown], np.maximum(size, size.max() * 1e-12), color="0.6", linewidth=0.8
+    )
+    behind.set_ylabel("root mean square of the responses")
+    axes.set_zorder(behind.get_zorder() + 1)
+    axes.patch.set_visible(False)
+    for mode in result.modes:
+        axes.axvline(mode.frequency, color=PREDICTED, linewidth=0.8)
+    for stable, filled in ((False, "none"), (True, MEASURED)):
+        at = found.stable == stable
+        axes.plot(
+            found.frequencies[at],
+            found.orders[at],
+            "o",
+            markersize=2.5,
+            markerfacecolor=filled,
+            markeredgecolor=MEASURED if stable else "0.7",
+            markeredgewidth=0.5,
+            rasterized=True,
+            label="in the order below as well" if stable else "new at this order",
+        )
+    axes.set(xlim=(result.low, result.high), ylim=(0, result.order + 1), xlabel="Hz", ylabel="poles")
+    axes.set_title(f"{result.title}: {len(result.modes)} modes", fontsize=10)
+    figure.legend(loc="outside lower center", ncols=2, frameon=False, fontsize="small")
+    return figure
+
+
+def _poles_in_range(*files: str, range_hz: Sequence[float] | None, **options: Any) -> PolesResult:
+    """The verb with the two ends of `--range`."""
+    low, high = range_hz or (None, None)
+    return poles(*files, low_hz=low, high_hz=high, **options)
+
+
+_CHANNEL: Final = whole(1, _MOST_CHANNELS)
+COMMAND: Final = Command(
+    _poles_in_range,
+    (
+        option(
+            "files",
+            nargs="+",
+            metavar="FILE",
+            help="universal files with datasets 58, tables of responses (.csv) or hits (.wav); of one test",
+        ),
+        option("--force", type=_CHANNEL, metavar="N", help=".wav: channel of the force, from 1"),
+        option(
+            "--response",
+            type=_CHANNEL,
+            nargs="+",
+            default=(),
+            metavar="N",
+            help=".wav: channels of the responses",
+        ),
+        option(
+            "--window",
+            choices=WINDOWS,
+            help=".wav: what records are multiplied by; exponential: a decay to 1 %% at their ends, taken "
+            "off again",
+        ),
+        option(
+            "--range",
+            "range_hz",
+            type=positive(_MOST_HZ, "frequency"),
+            nargs=2,
+            metavar=("LOW", "HIGH"),
+            help="Hz (default: all but the first lines; of hits up to where the force has fallen to a tenth, "
+            "of decays a quarter above the last line that stands above noise)",
+        ),
+        option(
+            "--order",
+            type=whole(_LEAST_ORDER, _MOST_ORDER),
+            default=DEFAULT_ORDER,
+            metavar="N",
+            help=f"poles of the largest model (default: {DEFAULT_ORDER})",
+        ),
+    ),
+    out="write modes.csv, the stability diagram and the page to DIR",
+)

@@ -1,0 +1,324 @@
+"""Constants, stacking sequences and diagnosis of one plate as one answer: the question `report`."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, Final
+
+import numpy as np
+
+from cpam_bayes.answer import Notice, each_once
+from cpam_bayes.command import EXECUTOR, PLATE, TIME_LIMIT, WORKERS, Command, option
+from cpam_bayes.errors import checked
+from cpam_bayes.forward_model.preconditions import require_diagnosable, require_seed, require_sequence
+from cpam_bayes.plate import PlateLike, Specimen, read_plate
+from cpam_bayes.questions.diagnose import DiagnosisResult, diagnose
+from cpam_bayes.questions.identify.emcee import SampledResult, sample
+from cpam_bayes.questions.identify.pso import PointResult, identify
+from cpam_bayes.questions.sequence import StackingResult, sequence
+from cpam_bayes.render.documents import json_text, plate_keys
+from cpam_bayes.render.notices import sentences
+from cpam_bayes.render.report import COMPUTATION, Drawing, Report, Rows, Section, Summary, remarks
+from cpam_bayes.render.sentences import plate_argument
+from cpam_bayes.result import PlateResult, Result, within_time
+from cpam_bayes.running import SILENT, Watch
+
+__all__ = ["FullReport", "report"]
+
+# Probability of a stacking sequence with its images below which more than a footnote says that it was taken.
+_SURE = 0.95
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
+class FullReport(PlateResult):
+    """All that is asked of one plate.
+
+    Attributes
+    ----------
+    specimen : as it was given, unknown angles included
+    identification : the posterior of the constants, or of a quick report their point estimates
+    diagnosis : what the plate model gets wrong
+    stacking : the posterior over stacking sequences, None where all angles are known and of a quick report
+    quick : whether the slow parts were left out
+    """
+
+    command: ClassVar[str] = "report"
+
+    identification: PointResult | SampledResult
+    diagnosis: DiagnosisResult
+    stacking: StackingResult | None
+    quick: bool
+    seconds: float
+
+    def report(self) -> Report:
+        """The diagnosis with its constants, the stacking sequences, and what the frequencies alone say."""
+        return present(self)
+
+    @property
+    def status(self) -> str:
+        """Either "done", or "not converged" where a sampler used all its steps."""
+        return "done" if self.reached_goal else "not converged"
+
+    @property
+    def parts(self) -> tuple[Result, ...]:
+        """The answers one by one: constants, stacking sequences, diagnosis."""
+        between = () if self.stacking is None else (self.stacking,)
+        return (self.identification, *between, self.diagnosis)
+
+    @property
+    def has_draws(self) -> bool:
+        """Whether the posterior of the constants was sampled."""
+        return self.identification.has_draws
+
+    def to_arviz(self) -> Any:
+        """The draws of the constants, see `SampledResult.to_arviz`.
+
+        Raises
+        ------
+        ValueError
+            If the report is a quick one.
+        """
+        return self.identification.to_arviz()
+
+    def texts(self) -> Mapping[str, str]:
+        """The JSON document of each part."""
+        return {f"{part.command}.json": json_text(part.to_dict()) for part in self.parts}
+
+
+@checked
+@within_time
+def report(
+    plate: PlateLike,
+    *,
+    seed: int = 0,
+    quick: bool = False,
+    executor: str = "serial",
+    workers: int | None = None,
+    watch: Watch = SILENT,
+) -> FullReport:
+    """Constants, stacking sequences and diagnosis of a plate as one answer, for one page.
+
+    Unknown ply angles are weighed by `sequence`; the constants and the diagnosis are then those of the most
+    probable stacking sequence.
+
+    Parameters
+    ----------
+    plate : what `read_plate` takes, or what it returns
+    quick : leave out what is slow: the constants are point estimates of `identify` instead of draws of
+        `sample`, unknown angles are those that the swarm finds, and no further test is ranked. A list that
+        may lack modes is sampled all the same
+    executor, workers : as for `diagnose`
+    watch : is shown the progress
+
+    Raises
+    ------
+    ValueError
+        If the plate cannot be read, identified or diagnosed.
+
+    Examples
+    --------
+    >>> import cpam_bayes as cb
+    >>> answer = cb.report("A1", quick=True)
+    >>> answer.diagnosis.claim, answer.identification.status
+    ('undecided', 'converged')
+    """
+    require_seed(seed)
+    start = time.perf_counter()
+    specimen = _answerable(read_plate(plate))
+    stacking: StackingResult | None = None
+    identification: PointResult | SampledResult | None = None
+    known = specimen
+    if specimen.plate.layup.n_unknown and not quick:
+        stacking = sequence(specimen, seed=seed, executor=executor, workers=workers, watch=watch)
+        known = stacking.most_probable
+    elif specimen.plate.layup.n_unknown:
+        identification = identify(specimen, seed=seed, watch=watch)
+        known = identification.specimen
+    diagnosis = diagnose(
+        known,
+        seed=seed,
+        next_test="never" if quick else "open",
+        executor=executor,
+        workers=workers,
+        watch=watch,
+    )
+    if identification is None:
+        identification = _constants(known, seed, quick, watch)
+    answer = FullReport(
+        seed=seed,
+        specimen=specimen,
+        air_shifts=diagnosis.air_shifts[0],
+        identification=identification,
+        diagnosis=diagnosis,
+        stacking=stacking,
+        quick=quick,
+        seconds=time.perf_counter() - start,
+    )
+    of_parts = (notice for part in answer.parts for notice in part.notices)
+    return replace(
+        answer,
+        notices=each_once((*_layup_notice(stacking), *of_parts)),
+        reached_goal=all(part.reached_goal for part in answer.parts),
+    )
+
+
+def _constants(specimen: Specimen, seed: int, quick: bool, watch: Watch) -> PointResult | SampledResult:
+    assert specimen.measurement is not None
+    if quick and specimen.measurement.complete:
+        return identify(specimen, seed=seed, watch=watch)
+    return sample(specimen, seed=seed, watch=watch)
+
+
+def _answerable(specimen: Specimen) -> Specimen:
+    """Return the specimen, or raise `PlateFileError` with all that one of the parts would refuse."""
+    layup = specimen.plate.layup
+    if not layup.n_unknown:
+        return require_diagnosable(specimen)
+    require_sequence(specimen)
+    known = replace(specimen.plate, layup=layup.with_angles(np.zeros(layup.n_unknown)))
+    require_diagnosable(replace(specimen, plate=known))
+    return specimen
+
+
+def _layup_notice(stacking: StackingResult | None) -> tuple[Notice, ...]:
+    """That one stacking sequence of several was taken for the constants and the diagnosis."""
+    if stacking is None:
+        return ()
+    answer = stacking.answer
+    probability = float(answer.probability[0] * answer.multiplicity[0])
+    if probability >= _SURE:
+        return ()
+    angles = tuple(float(a) for a in answer.top[0])
+    return (Notice("one_layup_taken", facts={"angles_deg": angles, "probability": probability}),)
+
+
+def _each_once(texts: Iterable[str]) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(texts))
+
+
+_PLATE: Final = "plate"
+"""Name of the drawing of the plate, which the parts share."""
+_ALONE: Final = "From the frequencies alone"
+_HOLDS: Final = (
+    "Here the plate model is taken as right and the reference constants are ignored: these are not the "
+    "constants of the answer."
+)
+
+
+def present(result: FullReport) -> Report:
+    """One answer: the diagnosis with its constants, and the stacking sequences where angles are unknown.
+
+    The constants of the identification, which allow for no error of the plate model, are folded away.
+    """
+    parts = {part.command: part.report() for part in result.parts}
+    alone = result.identification.command
+    answers = {name: shown for name, shown in parts.items() if name != alone}
+    main = parts[result.diagnosis.command]
+    behind = [
+        replace(section, figures=tuple(_figure_name(name, figure) for figure in section.figures))
+        for name, shown in answers.items()
+        for section in shown.sections
+        if name == result.diagnosis.command or _PLATE not in section.figures
+    ]
+    # the plate first, what is folded last
+    behind.sort(key=lambda section: (_PLATE not in section.figures, section.folded))
+    return Report(
+        summary=_summary(result, main.summary, [shown.summary for shown in answers.values()]),
+        sections=(*behind, *_frequencies_alone(alone, parts[alone])),
+        document={
+            **plate_keys(result.command, result.seed, result.specimen),
+            "quick": result.quick,
+            "status": result.status,
+            "identification": result.identification.to_dict(),
+            "stacking": None if result.stacking is None else result.stacking.to_dict(),
+            "diagnosis": result.diagnosis.to_dict(),
+            "seconds": result.seconds,
+            "warnings": list(result.warnings),
+            "notes": list(result.specimen.notes),
+        },
+        drawings=tuple(
+            Drawing(_figure_name(name, drawing.name), drawing.draw, drawing.caption)
+            for name, shown in parts.items()
+            for drawing in shown.drawings
+        ),
+        rows=(*main.rows, *_named_rows(parts, result.diagnosis.command)),
+    )
+
+
+def _summary(result: FullReport, main: Summary, answers: list[Summary]) -> Summary:
+    """That of the diagnosis, with the stacking sequences beside it."""
+    command = f"cpam-bayes report {plate_argument(result.specimen)} --out DIR"
+    taken = sentences(_layup_notice(result.stacking))
+    quick = f"get the posterior and a ranking of further tests.  {command}" if result.quick else ""
+    return Summary(
+        title=f"report {result.title}",
+        headline="\n".join(part.headline for part in answers),
+        tables=tuple(table for part in answers for table in part.tables),
+        lines=main.lines,
+        next_step=main.next_step or quick,
+        slips=_each_once(slip for part in answers for slip in part.slips),
+        warnings=_each_once((*taken, *(warning for part in answers for warning in part.warnings))),
+    )
+
+
+def _frequencies_alone(name: str, shown: Report) -> tuple[Section, ...]:
+    """The identification as one section, and how it was computed."""
+    summary = shown.summary
+    parts = [section for section in shown.sections if _PLATE not in section.figures]
+    computed = tuple(section for section in parts if section.title == COMPUTATION)
+    behind = [section for section in parts if section.title != COMPUTATION]
+    said = (_HOLDS, *summary.headline.splitlines(), *summary.lines, *summary.slips, *summary.warnings)
+    return (
+        Section(
+            _ALONE,
+            (
+                remarks(_ALONE, _each_once(said)),
+                *summary.tables,
+                *(table for section in behind for table in section.tables),
+            ),
+            tuple(_figure_name(name, figure) for section in behind for figure in section.figures),
+        ),
+        *computed,
+    )
+
+
+def _figure_name(command: str, name: str) -> str:
+    """The name of a part's figure, of which there is one in all parts."""
+    return name if name == _PLATE else f"{command}_{name}"
+
+
+def _named_rows(parts: Mapping[str, Report], main: str) -> tuple[Rows, ...]:
+    """The tables of the other parts, named after their command."""
+    return tuple(
+        replace(rows, name=f"{name}_{rows.name}")
+        for name, shown in parts.items()
+        if name != main
+        for rows in shown.rows
+    )
+
+
+COMMAND: Final = Command(
+    report,
+    (
+        PLATE,
+        option(
+            "--out",
+            None,
+            metavar="DIR",
+            required=True,
+            help="write report.html, result files and figures to DIR",
+        ),
+        option(
+            "--quick",
+            action="store_true",
+            help="leave out what is slow: emcee, the enumeration of stacking sequences, the ranking of "
+            "further tests",
+        ),
+        EXECUTOR,
+        WORKERS,
+        TIME_LIMIT,
+    ),
+    out=None,
+)

@@ -1,0 +1,621 @@
+"""The probability of every stacking sequence on the grid: the question `sequence`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, Final
+
+import numpy as np
+
+from cpam_bayes.answer import Constant, FrequencyRow, Notice
+from cpam_bayes.command import EXECUTOR, TIME_LIMIT, WORKERS, Command, option, whole
+from cpam_bayes.errors import checked
+from cpam_bayes.formatting import decimals_of, fixed, probable, signed, significant
+from cpam_bayes.forward_model.model import air_shifts
+from cpam_bayes.forward_model.preconditions import (
+    count_slips,
+    exchange_notices,
+    explained_failures,
+    misfit_over_noise,
+    misfit_slips,
+    reference_slips,
+    require_reachable,
+    require_seed,
+    require_sequence,
+    require_whole,
+    stated_noise_slips,
+)
+from cpam_bayes.identification.point import Reliance, reliances, thin_plate_errors, verdict_of
+from cpam_bayes.inference.posterior import NOISE
+from cpam_bayes.parallel import open_executor
+from cpam_bayes.plate import PlateLike, Specimen, read_plate, to_user, user_name
+from cpam_bayes.printed.tables import identified_layups
+from cpam_bayes.render.documents import plate_keys
+from cpam_bayes.render.plate import plate_section
+from cpam_bayes.render.report import (
+    COMPUTATION,
+    Column,
+    Report,
+    Rows,
+    Section,
+    Summary,
+    Table,
+    facts,
+    remarks,
+)
+from cpam_bayes.render.sentences import (
+    constant_rows,
+    constants_table,
+    errors_table,
+    fit_sentence,
+    intervals_sentence,
+    plate_argument,
+    reliance_sentences,
+)
+from cpam_bayes.render.stacking import (
+    FIRST_SCREEN,
+    SEQUENCES,
+    ListedSequence,
+    angle_table,
+    angles_text,
+    constants_by_name,
+    drawings,
+    mixture_table,
+    outer_and_inner,
+    same_bending,
+)
+from cpam_bayes.result import PlateResult, within_time
+from cpam_bayes.running import SILENT, Watch, time_limit
+from cpam_bayes.stacking.notices import stacking_notices
+from cpam_bayes.stacking.posterior import (
+    StackingMixture,
+    inference_data,
+    n_sampled_classes,
+    sample_mixture,
+    stacking_posterior,
+)
+from cpam_bayes.stacking.queries import (
+    AngleInformation,
+    BestFit,
+    GivenLayup,
+    angle_information,
+    best_fit,
+    given_layup,
+)
+from cpam_bayes.stacking.records import DEFAULT_SETTINGS, StackingPosterior
+
+# Pieces of the enumeration that progress is shown in.
+_PIECES = 64
+# Sequences that can be listed.
+MAX_LISTED = 2000
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
+class StackingResult(PlateResult):
+    """The posterior over stacking sequences, the constants integrated over.
+
+    Attributes
+    ----------
+    answer : the most probable sequences with their probabilities, marginals of the angles, sums
+    mixture : draws of the constants over all sequences
+    given : the sequence that the paper prints for a built-in specimen, None for other plates
+    fit : the most probable sequence beside the measured frequencies
+    information : what the frequencies tell about each ply
+    explained : whether noise as stated explains what the most probable sequence leaves of the list
+    reliances : intervals that rest on the bounds or the prior of another constant
+    top : sequences in the JSON document
+    """
+
+    command: ClassVar[str] = "sequence"
+
+    answer: StackingPosterior
+    mixture: StackingMixture
+    given: GivenLayup | None
+    fit: BestFit
+    information: AngleInformation
+    explained: bool
+    reliances: tuple[Reliance, ...]
+    top: int
+
+    def report(self) -> Report:
+        """The most probable stacking sequences, and the constants over all of them."""
+        return present(self)
+
+    @property
+    def has_draws(self) -> bool:
+        """There are draws of a posterior."""
+        return True
+
+    def to_arviz(self) -> Any:
+        """The draws with their log densities for arviz, as in ``posterior.nc``."""
+        return inference_data(self.answer, self.mixture, self.command, self.seed)
+
+    @property
+    def status(self) -> str:
+        """Either "converged", as all chains of the constants have, or "not converged"."""
+        return "converged" if self.mixture.converged else "not converged"
+
+    @property
+    def most_probable(self) -> Specimen:
+        """The specimen with the most probable angles."""
+        return _most_probable(self.answer)
+
+
+@checked
+@within_time
+def sequence(
+    plate: PlateLike,
+    *,
+    seed: int = 0,
+    top: int = 100,
+    executor: str = "serial",
+    workers: int | None = None,
+    watch: Watch = SILENT,
+) -> StackingResult:
+    """The posterior over every stacking sequence on the grid of the unknown angles, all equal a priori.
+
+    Parameters
+    ----------
+    plate : what `read_plate` takes, or what it returns, with "?" in its layup; built-in specimens take the
+        unknown angles of Table 9(b)
+    top : most probable sequences to list
+    executor, workers : "serial", in this process; "processes", as many as cores or ``workers``, which needs
+        the call under ``if __name__ == "__main__":`` in a script; or a Dask cluster, see
+        `cpam_bayes.parallel.open_executor`. The answer is the same
+    watch : is shown the progress
+
+    Raises
+    ------
+    ValueError
+        If the plate cannot be read, has no unknown angle, no measured frequencies or no unknowns.
+
+    Examples
+    --------
+    >>> import cpam_bayes as cb
+    >>> plate = {
+    ...     "name": "two unknown angles",
+    ...     "plate": {
+    ...         "length_mm": 260, "width_mm": 190, "thickness_mm": 3.2,
+    ...         "density_kg_m3": 1590, "layup": "[?/?]_s", "edges": "FFFF",
+    ...     },
+    ...     "material": {
+    ...         "isotropic": False, "E1_GPa": 121.2, "E2_GPa": 9.34, "nu12": 0.23, "G12_GPa": 6.25,
+    ...     },
+    ...     "unknowns": {
+    ...         "E1_GPa": [80, 160], "E2_GPa": [5, 20], "nu12": [0.15, 0.4], "G12_GPa": [4, 10],
+    ...         "angle_grid_deg": 30,
+    ...     },
+    ...     "measurement": {
+    ...         "frequencies_hz": [154.4, 286.9, 402.8, 414.4, 574.5, 749.3], "relative_std": 0.01,
+    ...     },
+    ... }
+    >>> result = cb.sequence(plate, executor="serial")
+    >>> result.answer.top[0].tolist(), int(result.answer.multiplicity[0])
+    ([-30.0, 60.0], 2)
+    """
+    require_seed(seed)
+    require_whole("top", top, 1, MAX_LISTED)
+    specimen = require_sequence(read_plate(plate).with_unknown_angles())
+    require_reachable(specimen)
+    settings = replace(DEFAULT_SETTINGS, listed=max(DEFAULT_SETTINGS.listed, top))
+    with open_executor(executor, workers) as pool:
+        with (
+            explained_failures(specimen),
+            watch.stage(f"sequence {specimen.name}", _PIECES, lambda done: "of the pieces") as shown,
+        ):
+            answer = stacking_posterior(
+                specimen,
+                seed,
+                settings=settings,
+                executor=pool,
+                notify=shown.notify,
+                progress=lambda done, _: shown.tick(done, float(done)),
+            )
+        with time_limit(None):  # one sequence, even if time is up
+            given = _printed(answer)
+        classes = n_sampled_classes(answer) + (given is not None)
+        with watch.stage("constants by emcee", classes, lambda done: "a class each") as shown:
+            mixture = sample_mixture(
+                answer,
+                seed,
+                given=given,
+                executor=pool,
+                progress=lambda done, _: shown.tick(done, float(done)),
+            )
+    with time_limit(None):
+        return stacking_result(answer, mixture, given, seed, top)
+
+
+def stacking_result(
+    answer: StackingPosterior, mixture: StackingMixture, given: GivenLayup | None, seed: int, top: int
+) -> StackingResult:
+    """The posterior over stacking sequences with what is shown beside it, and its warnings."""
+    specimen, fit = answer.specimen, best_fit(answer)
+    measurement = answer.conditional.template.measurement
+    return StackingResult(
+        seed=seed,
+        notices=(
+            *_slips(specimen, fit),
+            *stacking_notices(answer, mixture, fit),
+            *exchange_notices(specimen),
+        ),
+        reached_goal=mixture.converged,
+        specimen=specimen,
+        air_shifts=air_shifts(_most_probable(answer)),
+        answer=answer,
+        mixture=mixture,
+        given=given,
+        fit=fit,
+        information=angle_information(specimen.plate.layup, answer.marginals),
+        explained=misfit_over_noise(measurement, fit.residual, specimen.unknowns.size) == 1.0,
+        reliances=_reliances(answer, mixture),
+        top=top,
+    )
+
+
+def _reliances(answer: StackingPosterior, mixture: StackingMixture) -> tuple[Reliance, ...]:
+    """Of the constants over all sequences."""
+    parameters = answer.conditional.parameters
+    kept = [i for i, name in enumerate(parameters.names) if name != NOISE]
+    names = [parameters.names[i] for i in kept]
+    covariance = np.atleast_2d(np.cov(mixture.parameters[:, kept].T))
+    return reliances(names, covariance, np.array([parameters[name].prior.sd for name in names]))
+
+
+def _slips(specimen: Specimen, fit: BestFit) -> tuple[Notice, ...]:
+    """What most likely ruins the answer."""
+    residual = np.asarray(fit.residual)[np.isfinite(fit.residual)]
+    misfit = float(np.sqrt(np.mean(residual**2))) if residual.size else 0.0
+    measurement = specimen.measurement
+    assert measurement is not None
+    return (
+        *stated_noise_slips(measurement),
+        *count_slips(measurement.size, specimen.unknowns.size),
+        *misfit_slips(misfit),
+        *reference_slips(specimen),
+    )
+
+
+def _printed(answer: StackingPosterior) -> GivenLayup | None:
+    """What Table 9(b) prints for a built-in specimen."""
+    name = answer.specimen.name
+    printed = identified_layups().get(name)
+    if printed is None or answer.specimen.source != f"built-in {name}":
+        return None
+    return given_layup(answer, np.array(printed.angles_deg, dtype=float))
+
+
+def _most_probable(answer: StackingPosterior) -> Specimen:
+    """The specimen with the most probable angles."""
+    plate = answer.specimen.plate
+    return replace(answer.specimen, plate=replace(plate, layup=plate.layup.with_angles(answer.top[0])))
+
+
+# Sequences on the first screen, and in the table behind it.
+_SHOWN: Final = 10
+_LISTED: Final = 30
+# Probability of the first sequence with its equals from which on the layup counts as determined.
+_SURE: Final = 0.95
+
+
+def present(result: StackingResult) -> Report:
+    """The most probable stacking sequences, and the constants over all of them."""
+    answer, mixture, given = result.answer, result.mixture, result.given
+    every = tuple(ListedSequence(answer, mixture, i) for i in range(min(result.top, len(answer.top))))
+    sequences = Rows("sequences", SEQUENCES, every)
+    frequencies = _frequencies(result)
+    constants = _constants(result)
+    told = tuple(c.name for c in constants if not c.is_open)
+    errors = thin_plate_errors(result.specimen)
+    moved = tuple(name for name in told if name in errors[0].shift)
+    exact = replace(result.specimen.plate, sd={})  # [plate.sd] is not counted with
+    return Report(
+        summary=Summary(
+            title=f"sequence {result.title}",
+            headline=_headline(every[0]),
+            tables=(
+                constants_table(constants),
+                Rows("sequences", FIRST_SCREEN, every[:_SHOWN]).table("Most probable layups"),
+            ),
+            lines=(
+                _credible(answer),
+                _fit(result),
+                intervals_sentence(exact, errors, moved, also=("all sequences",)),
+            ),
+            next_step=_next_step(result, every[0]),
+            slips=result.slips,
+            warnings=result.cautions,
+        ),
+        sections=(
+            plate_section(result.specimen, result.air_shifts),
+            Section(
+                "Stacking sequences",
+                (Rows("sequences", SEQUENCES, every[:_LISTED]).table("Most probable stacking sequences"),),
+                ("credible_set",),
+                folded=False,
+            ),
+            Section(
+                "Angle by angle",
+                (
+                    angle_table(answer, result.information),
+                    remarks("Outer and inner plies", (outer_and_inner(result.information),)),
+                ),
+                ("angles",),
+                folded=False,
+            ),
+            Section(
+                "Measured frequencies and the most probable sequence",
+                (
+                    frequencies.table("Measured frequencies and the most probable sequence"),
+                    _missed(result),
+                ),
+            ),
+            Section(
+                "Constants over all sequences",
+                (
+                    mixture_table(answer, mixture, given),
+                    remarks("Bounds and priors that count", _reliance(result, told)),
+                    errors_table(errors, moved),
+                ),
+                ("constants",),
+            ),
+            Section(COMPUTATION, (facts("All stacking sequences", tuple(_work(result))),)),
+        ),
+        document=_document(result, sequences, frequencies),
+        drawings=drawings(answer, mixture, given),
+        rows=(sequences, constant_rows(constants), frequencies),
+    )
+
+
+def _headline(first: ListedSequence) -> str:
+    """The probability of the most probable layup, and what it is."""
+    equal = int(first.answer.multiplicity[first.i]) - 1
+    other = "another layup" if equal == 1 else f"one of {equal} layups"
+    others = f", or {other} with the same frequencies" if equal else ""
+    if first.together >= _SURE:
+        return f"Probability {first.together:.3g}: the unknown angles are {first.angles}{others}."
+    return (
+        f"Probability {probable(float(f'{first.together:.2g}'))}: the unknown angles are most likely "
+        f"{first.angles}{others}; the frequencies do not determine them."
+    )
+
+
+def _credible(answer: StackingPosterior) -> str:
+    verb = "holds" if answer.credible_count == 1 else "hold"
+    return f"{answer.credible_count} of {answer.enumerated} sequences {verb} 95 % of the probability."
+
+
+def _fit(result: StackingResult) -> str:
+    residual = np.asarray(result.fit.residual)[np.isfinite(result.fit.residual)]
+    if not residual.size:
+        return "No frequency is paired with a mode."
+    rms, noise = float(np.sqrt(np.mean(residual**2))), result.fit.noise
+    if result.answer.conditional.template.noise_is_inferred:
+        return fit_sentence(rms, inferred=noise)
+    return fit_sentence(rms, stated=noise, explained=result.explained)
+
+
+def _next_step(result: StackingResult, first: ListedSequence) -> str:
+    if first.together < _SURE:
+        return (
+            'write the angles that you know instead of "?", or bound the constants by a tensile test; then '
+            "measure more modes."
+        )
+    return (
+        "write these angles into the layup; is anything wrong with the plate or the list?  cpam-bayes "
+        f"diagnose {plate_argument(result.specimen)}"
+    )
+
+
+def _constants(result: StackingResult) -> tuple[Constant, ...]:
+    """The constants over all sequences."""
+    parameters, draws = result.answer.conditional.parameters, result.mixture.parameters
+    reference, constants = result.specimen.material.constants, []
+    for i, name in enumerate(parameters.names):
+        if name not in result.specimen.unknowns.names:
+            continue
+        low, high = np.quantile(draws[:, i], (0.025, 0.975))
+        prior, sd = parameters[name].prior, float(draws[:, i].std())
+        constants.append(
+            Constant(
+                name=name,
+                value=float(draws[:, i].mean()),
+                sd=sd,
+                interval=(float(low), float(high)),
+                prior=prior,
+                reference=float(reference.get(name, np.nan)),
+                verdict=verdict_of(sd, prior.sd, explained=result.explained),
+                rests_on=tuple(r.on for r in result.reliances if r.name == name),
+            )
+        )
+    return tuple(constants)
+
+
+def _reliance(result: StackingResult, told: Sequence[str]) -> tuple[str, ...]:
+    parameters = result.answer.conditional.parameters
+    return reliance_sentences(result.reliances, lambda name: parameters[name].prior, told)
+
+
+def _frequencies(result: StackingResult) -> Rows:
+    """The list beside the most probable sequence."""
+    measured = result.answer.conditional.template.measurement.frequencies
+    decimals = decimals_of(measured)
+    rows = tuple(
+        FrequencyRow(float(f), None if np.isnan(p) else float(p))
+        for f, p in zip(measured, result.fit.predicted, strict=True)
+    )
+
+    def percent(row: FrequencyRow) -> float | None:
+        return None if row.residual is None else 100.0 * row.residual
+
+    columns = (
+        Column("measured Hz", "measured_hz", lambda f: f.measured, lambda v: fixed(v, decimals), True),
+        Column("predicted Hz", "predicted_hz", lambda f: f.predicted, lambda v: fixed(v, decimals + 1), True),
+        Column("residual %", "residual_percent", percent, lambda v: signed(v, 2), True),
+    )
+    return Rows("frequencies", columns, rows)
+
+
+def _missed(result: StackingResult) -> Table:
+    decimals = decimals_of(result.answer.conditional.template.measurement.frequencies)
+    lacks = ", ".join(fixed(float(f), decimals + 1) for f in result.fit.missed)
+    said = (f"modes of the most probable sequence at {lacks} Hz",) if lacks else ()
+    return remarks("Missing from the measured frequencies", said)
+
+
+def _work(result: StackingResult) -> list[tuple[str, str]]:
+    answer, mixture, check, given = result.answer, result.mixture, result.answer.check, result.given
+    rows = [
+        (
+            "sequences",
+            f"{answer.enumerated} on the grid of {answer.specimen.angle_grid_deg:g} degrees, all equally "
+            "probable before the measurement",
+        ),
+        ("layup", answer.specimen.plate.layup.text),
+        ("noise", _noise(result)),
+        ("symmetries", ", ".join(s.name for s in answer.symmetries) or "none"),
+        *same_bending(answer),
+    ]
+    if given is not None:
+        place = f"number {given.rank}" if given.rank else f"not among the first {len(answer.top)}"
+        rows.append(
+            ("printed", f"{angles_text(given.angles_deg)}: probability {given.probability:.3g}, {place}")
+        )
+    rows += [
+        ("95 % set", f"{answer.credible_count} sequence" + ("s" if answer.credible_count > 1 else "")),
+        ("effective number", f"{significant(answer.effective_count, 3)} sequences, exp of the entropy"),
+        ("left out", f"{answer.unaccounted:.1g} of the probability at most"),
+        (
+            "constants",
+            f"emcee on the first {len(mixture.components)} of the list, "
+            f"{100 * mixture.emcee_fraction:.1f} % of the probability; importance sampling on the rest",
+        ),
+    ]
+    if check is not None:
+        rows.append(
+            (
+                "surrogate",
+                f"trained on {check.training_size} sequences; off by {check.rms:.2f} (rms), "
+                f"{check.largest:.2f} (most) in log evidence on draws from the result, which correct its sum",
+            )
+        )
+    took = f"{answer.seconds:.0f} s and {mixture.seconds:.0f} s for the constants, seed {result.seed}"
+    return [*rows, ("work", took)]
+
+
+def _noise(result: StackingResult) -> str:
+    """The noise that the probabilities assume, and how well the first sequence fits with it."""
+    level = f"{significant(100 * result.fit.noise, 2)} % of a frequency"
+    if result.answer.conditional.template.noise_is_inferred:
+        return f"{level}, inferred, given the most probable sequence"
+    said = f"{level}, from the plate file"
+    if result.fit.p_value is None:
+        return said
+    return f"{said}; alone it leaves residuals like these or larger with probability {result.fit.p_value:.2g}"
+
+
+def _document(result: StackingResult, sequences: Rows, frequencies: Rows) -> dict[str, Any]:
+    answer, mixture, check = result.answer, result.mixture, result.answer.check
+    information, fit = result.information, result.fit
+    return {
+        **plate_keys(result.command, result.seed, result.specimen),
+        "enumerated": answer.enumerated,
+        "classes": answer.classes,
+        "symmetries": [s.name for s in answer.symmetries],
+        "angle_grid_deg": answer.grid_deg.tolist(),
+        "log_evidence": answer.log_evidence_total,
+        "sequences": sequences.records(),
+        "credible_95_count": answer.credible_count,
+        "effective_count": answer.effective_count,
+        "unaccounted_probability": answer.unaccounted,
+        "angle_marginals": answer.marginals.tolist(),
+        "angle_entropy_bits": np.abs(information.entropy_bits).tolist(),
+        "angle_entropy_most_bits": information.most_bits,
+        "outer_plies_better_determined": information.outer_better,
+        "constants": _constant_keys(answer, mixture),
+        "mixture": {
+            "draws": len(mixture.parameters),
+            "sampled_by_emcee": len(mixture.components),
+            "probability_by_emcee": mixture.emcee_fraction,
+            "probability_by_importance_sampling": mixture.listed_fraction,
+            "probability_by_drawn_sequences": mixture.drawn_fraction,
+            "converged": mixture.converged,
+            "worst_difference_in_standard_errors": max((c.worst_z for c in mixture.sampled), default=None),
+            "seconds": mixture.seconds,
+        },
+        "frequencies": frequencies.records(),
+        "missed_modes": [{"predicted_hz": float(f)} for f in fit.missed],
+        "p_value": fit.p_value,
+        "noise_percent": 100.0 * fit.noise,
+        "noise_inferred": answer.conditional.template.noise_is_inferred,
+        "printed_sequence": None if result.given is None else _printed_keys(answer, mixture, result.given),
+        "learned": None
+        if check is None
+        else {
+            "from_sequences": check.training_size,
+            "rms_error_nats": check.rms,
+            "largest_error_nats": check.largest,
+            "overlooked_nats": check.overlooked,
+            "correction_nats": check.correction,
+            "effective_share": check.effective,
+        },
+        "seconds": answer.seconds,
+        "warnings": list(result.warnings),
+        "notes": list(result.specimen.notes),
+    }
+
+
+def _constant_keys(answer: StackingPosterior, mixture: StackingMixture) -> dict[str, dict[str, float]]:
+    """Mean, sd and quantiles of the constants over the mixture's draws."""
+    constants = {}
+    for i, name in enumerate(answer.conditional.parameters.names):
+        if name == NOISE:
+            continue
+        x = mixture.parameters[:, i] * to_user(name, 1.0)
+        q025, q975 = np.quantile(x, (0.025, 0.975))
+        constants[user_name(name)] = {
+            "mean": float(x.mean()),
+            "sd": float(x.std()),
+            "q025": float(q025),
+            "q975": float(q975),
+        }
+    return constants
+
+
+def _printed_keys(answer: StackingPosterior, mixture: StackingMixture, given: GivenLayup) -> dict[str, Any]:
+    chains = None if mixture.given is None else mixture.given.chains
+    return {
+        "angles_deg": given.angles_deg.tolist(),
+        "probability": given.probability,
+        "rank": given.rank,
+        "log_evidence": given.log_evidence,
+        "log_evidence_error": given.log_evidence_error,
+        "k_hat": given.k_hat,
+        "constants": None if chains is None else constants_by_name(answer, chains.mean),
+        "constants_sd": None if chains is None else constants_by_name(answer, chains.sd),
+    }
+
+
+COMMAND: Final = Command(
+    sequence,
+    (
+        option(
+            "plate",
+            metavar="PLATE",
+            help='built-in specimen, with the unknown angles of Table 9(b), or path of a plate file with "?" '
+            "in its layup",
+        ),
+        option(
+            "--top",
+            type=whole(1, MAX_LISTED),
+            default=100,
+            metavar="N",
+            help=f"most probable sequences in the JSON document, 1 to {MAX_LISTED}, of which the screen has "
+            f"the first {_SHOWN} (default: 100)",
+        ),
+        EXECUTOR,
+        WORKERS,
+        TIME_LIMIT,
+    ),
+)

@@ -1,0 +1,161 @@
+"""Result files: written beside their place and moved there when all of them are whole."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
+from typing import Any, ClassVar, Protocol
+
+from cpam_bayes.plate import Specimen
+from cpam_bayes.render.documents import json_text
+from cpam_bayes.render.page import PAGE, command_of, write_page
+from cpam_bayes.render.report import Drawing, Report
+from cpam_bayes.storage import draft_directory, put_in_place
+
+__all__ = ["Stage", "save", "staging"]
+
+_FIGURES = "figures"
+_DRAWS = "posterior.nc"
+
+# Where the files go in the end, and where they are written first.
+Stage = tuple[Path, Path]
+
+
+class Answer(Protocol):
+    """What is saved of the result of a question, `cpam_bayes.result.Result`."""
+
+    command: ClassVar[str]
+
+    @property
+    def seed(self) -> int: ...
+
+    @property
+    def title(self) -> str: ...
+
+    @property
+    def about(self) -> tuple[Specimen, ...]: ...
+
+    @property
+    def has_draws(self) -> bool: ...
+    def report(self) -> Report: ...
+    def drawings(self) -> tuple[Drawing, ...]: ...
+    def to_dict(self) -> dict[str, Any]: ...
+    def to_arviz(self) -> Any: ...
+    def texts(self) -> Mapping[str, str]: ...
+    def datasets(self) -> Mapping[str, Any]: ...
+
+
+@contextmanager
+def staging(out: str | None) -> Iterator[Stage | None]:
+    """Make the directory and a place to write in, before any work; leave nothing if the work fails.
+
+    Raises ``ValueError`` if `out` cannot be made or written to.
+    """
+    if out is None:
+        yield None
+        return
+    if not out:
+        raise ValueError("--out: received an empty name, accepted: a directory")
+    directory = Path(out)
+    made = _made(directory)
+    with ExitStack() as stack:
+        stack.callback(_remove_empty, made)
+        yield directory, _draft(directory, stack)
+
+
+def save(result: Answer, stage: Stage | None) -> tuple[str, ...]:
+    """Write NAME.json, the figures as PNG and SVG, other files; raise ``OSError`` where that fails.
+
+    Returns what became of the page and the draws of another command, a sentence each.
+    """
+    if stage is None:
+        return ()
+    directory, draft = stage
+    # What took longest goes to its place first: whatever fails after it, it is there.
+    document = result.to_dict()
+    (draft / f"{result.command}.json").write_text(json_text(document), encoding="utf-8")
+    _moved(draft, directory)
+    for name, text in result.texts().items():
+        (draft / name).write_text(text, encoding="utf-8")
+    for name, dataset in result.datasets().items():
+        dataset.to_netcdf(draft / name, engine="h5netcdf")
+    notes = _draws_written(result, draft, directory) if result.has_draws else ()
+    _moved(draft, directory)
+    drawings = result.drawings()
+    if drawings:
+        from cpam_bayes.render.figures import save_figures
+
+        (draft / _FIGURES).mkdir()
+        save_figures({d.name: d.draw() for d in drawings}, draft / _FIGURES)
+    write_page(
+        result.report(), document, drawings, draft, result.command, result.title, result.seed, result.about
+    )
+    notes += _other_kept(directory / PAGE, "page.html", result.command, command_of)
+    _moved(draft, directory)
+    return notes
+
+
+def _draws_written(result: Answer, draft: Path, directory: Path) -> tuple[str, ...]:
+    """Write the draws; what became of those of another command."""
+    from cpam_bayes.inference.sampling import command_of_draws
+
+    result.to_arviz().to_netcdf(str(draft / _DRAWS))
+    # those of `report` are of `identify`
+    command = command_of_draws(draft / _DRAWS) or result.command
+    return _other_kept(directory / _DRAWS, _DRAWS, command, command_of_draws)
+
+
+def _other_kept(
+    file: Path, name: str, command: str, command_of_file: Callable[[Path], str | None]
+) -> tuple[str, ...]:
+    """Keep a file of another command as COMMAND_NAME; an older one of this command goes."""
+    file.with_name(f"{command}_{name}").unlink(missing_ok=True)
+    other = command_of_file(file) if file.is_file() else None
+    if other is None or other == command:
+        return ()
+    kept = file.with_name(f"{other}_{name}")
+    put_in_place(file, kept)
+    return (f"{file} is now that of {command}, that of {other} is kept as {kept.name}",)
+
+
+def _moved(draft: Path, directory: Path) -> None:
+    written = sorted(path for path in draft.rglob("*") if path.is_file())
+    for path in written:
+        target = directory / path.relative_to(draft)
+        target.parent.mkdir(exist_ok=True)
+        put_in_place(path, target)
+
+
+def _made(directory: Path) -> list[Path]:
+    """Make a directory and return the ones that were not there, the innermost first."""
+    try:
+        missing = [path for path in (directory, *directory.parents) if not os.path.lexists(path)]
+        directory.mkdir(parents=True, exist_ok=True)
+    except FileExistsError:
+        raise ValueError(f"--out {directory}: a file, accepted: a directory") from None
+    except (OSError, ValueError) as error:
+        raise _refused(directory, error) from None
+    return missing
+
+
+def _draft(directory: Path, stack: ExitStack) -> Path:
+    figures = directory / _FIGURES
+    try:
+        if figures.exists() and not (figures.is_dir() and os.access(figures, os.W_OK | os.X_OK)):
+            raise ValueError(f"--out {directory}: {figures} is no directory to write to")
+        return stack.enter_context(draft_directory(directory))
+    except OSError as error:
+        raise _refused(directory, error) from None
+
+
+def _refused(directory: Path, error: Exception) -> ValueError:
+    reason = error.strerror if isinstance(error, OSError) else str(error)
+    return ValueError(f"--out {directory}: cannot be written to: {reason}")
+
+
+def _remove_empty(made: list[Path]) -> None:
+    for path in made:
+        with suppress(OSError):
+            path.rmdir()

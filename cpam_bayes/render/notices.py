@@ -1,0 +1,700 @@
+"""The sentence of each notice, written from its facts: the only place that does.
+
+A sentence says what is wrong, with its number, and what to do about it; nothing reads it back.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any, Final, TypeAlias
+
+from cpam_bayes.answer import Notice, Severity
+from cpam_bayes.formatting import listed, significant
+from cpam_bayes.forward_model.preconditions import likely_cure
+from cpam_bayes.plate import to_user, user_name
+from cpam_bayes.plate.records import Constraint
+
+__all__ = ["SENTENCES", "capitalised", "sentence_of", "sentences"]
+
+Facts: TypeAlias = Mapping[str, Any]
+
+# Frequencies and plates that are named before "and so on".
+_MOST_NAMED = 5
+
+
+def sentences(notices: Iterable[Notice], *severities: Severity) -> tuple[str, ...]:
+    """The sentences of the notices of some severities, of all where none is given, each once and in order."""
+    said = (sentence_of(n) for n in notices if not severities or n.severity in severities)
+    return tuple(dict.fromkeys(said))
+
+
+def sentence_of(notice: Notice) -> str:
+    """A notice in words, in the units of plate files.
+
+    Raises
+    ------
+    KeyError
+        If there is no sentence of its code.
+    """
+    return _written(notice.code, notice.facts)
+
+
+def _written(code: str, facts: Facts) -> str:
+    sentence = SENTENCES[code]
+    return sentence.format(**facts) if isinstance(sentence, str) else sentence(facts)
+
+
+def capitalised(text: str) -> str:
+    """A text as a sentence of its own: a capital letter first, a full stop last.
+
+    A first word that is written as in a plate file or a formula keeps its small letter.
+    """
+    first = text.split(" ", 1)[0].rstrip(",;:")
+    begun = text[:1].upper() + text[1:] if first.isalpha() and first.islower() else text
+    return begun if begun.endswith((".", "!", "?")) else f"{begun}."
+
+
+def _percent(fraction: float, digits: int = 2) -> str:
+    return f"{significant(100.0 * fraction, digits)} %"
+
+
+def _hz(frequencies: Iterable[float]) -> str:
+    each = [f"{f:.5g}" for f in frequencies]
+    more = f" and {len(each) - _MOST_NAMED} more" if len(each) > _MOST_NAMED else ""
+    return f"{', '.join(each[:_MOST_NAMED])} Hz{more}"
+
+
+def _names(names: Iterable[str]) -> str:
+    return listed(list(names), "and")
+
+
+# Of plate files and lists.
+
+
+def _as_written(facts: Facts) -> str:
+    return capitalised(facts["text"])
+
+
+def _units(facts: Facts) -> str:
+    cure = likely_cure(facts["median"], weighed=facts["weighed"])
+    return f"A predicted frequency is {significant(facts['ratio'], 3)} times the measured one: {cure}."
+
+
+def _reference_outside(facts: Facts) -> str:
+    each = []
+    for name, *values in facts["outside"]:
+        value, low, high = (f"{to_user(name, v):.5g}" for v in values)
+        each.append(f"{user_name(name)} = {value} lies outside its bounds {low} to {high}")
+    return f"[material] contradicts [unknowns]: {_names(each)}. Correct the value or widen the bounds."
+
+
+def _few_frequencies(facts: Facts) -> str:
+    n, unknowns = facts["frequencies"], facts["unknowns"]
+    return (
+        f"{n} {'frequency' if n == 1 else 'frequencies'} for {unknowns} unknowns: the bounds decide the "
+        f"answer. Measure at least {unknowns + 2} frequencies, or take known constants out of [unknowns]."
+    )
+
+
+def _no_frequency_over(facts: Facts) -> str:
+    n = facts["count"]
+    many = "1 frequency for 1 unknown" if n == 1 else f"{n} frequencies for {n} unknowns"
+    return f"{many}: none is left over to judge the fit, and bounds or priors decide what they leave open."
+
+
+def _large_stated_noise(facts: Facts) -> str:
+    noise = facts["noise"]
+    if "source" in facts:
+        hz, most = facts["most"]
+        what = f"{facts['source']} (largest at {hz:.6g} Hz, {_percent(most)})"
+        meant = ""
+    else:
+        what = f"relative_std = {noise:g}"
+        meant = f" If {noise:g} % is meant, write relative_std = {noise / 100.0:g}."
+    return (
+        f"The stated noise, {what}, is {_percent(noise)} of a frequency; a tap test repeats to 1 % or "
+        f"better, and with so much noise any misfit passes.{meant}"
+    )
+
+
+def _equal_lists(facts: Facts) -> str:
+    first, second = facts["plates"]
+    apart = facts["apart"]
+    how = "are equal" if apart == 0.0 else f"differ by at most {_percent(apart)}"
+    return (
+        f"The frequencies of {first} and {second} {how}: one plate measured twice is not two plates, and "
+        "makes the answer too sure. Give one plate file with the mean of both lists."
+    )
+
+
+def _axes_exchange(facts: Facts) -> str:
+    square = facts["square"]
+    why = "the plate is square with four equal edges" if square else "ply angles are unknown"
+    label = ", or label the modes" if square else ""
+    return (
+        f"E1 and E2 can change places without changing a frequency, because {why}: this is one of two "
+        f"answers. Give them bounds that do not overlap{label}."
+    )
+
+
+def _prior_not_fitted(facts: Facts) -> str:
+    return f"The swarm uses only the bounds of {_names(facts['names'])}, not their mean and sd in [unknowns]."
+
+
+def _prior_not_inverted(facts: Facts) -> str:
+    names = _names(facts["names"])
+    return f"The inversions use only the bounds of {names}; their mean and sd enter the posterior alone."
+
+
+def _sizes_exact(facts: Facts) -> str:
+    names = [user_name(name) for name in facts["names"]]
+    what = _names(names) if names else "sizes, density and mass"
+    return f"[plate.sd] is ignored here: {what} are assumed exact."
+
+
+# Of labels and shapes.
+
+
+def _shape_without_mode(facts: Facts) -> str:
+    return (
+        f"The shape at {facts['frequency']:.6g} Hz matches no mode (modal assurance at most "
+        f"{facts['assurance']:.2f}); the frequency is paired by its place in the list."
+    )
+
+
+_USES: Final = {
+    None: "",
+    "best": " The most probable pairing is used; --backend emcee weighs them all.",
+    "all": " All pairings are weighed by their probability.",
+}
+
+
+def _shapes_of_several(facts: Facts) -> str:
+    each = [
+        f"{f:.6g} Hz is {listed([f'{label} ({100.0 * p:.0f} %)' for label, p in likely], 'or')}"
+        for f, likely in facts["shapes"]
+    ]
+    return f"Some shapes match several modes: {'; '.join(each)}.{_USES[facts['use']]}"
+
+
+def _label_without_mode(facts: Facts) -> str:
+    lost = [f"{label} at {f:.6g} Hz" for label, f in facts["labels"]]
+    return (
+        f"No mode of the first {facts['modes']} has the label {_names(lost)}. Check the label and the "
+        "edges, or compute more modes (--modes N)."
+    )
+
+
+def _other_label(facts: Facts) -> str:
+    return (
+        f"Frequency {facts['frequency']} is labelled {facts['given']}, and its shape at these constants is "
+        f"rather {facts['found']}."
+    )
+
+
+def _doubtful_list(facts: Facts) -> str:
+    odds = f"{2.718281828 ** facts['log_odds']:.0f}" if facts["log_odds"] < 9.2 else "more than 10000"
+    if facts["missed"] is not None:
+        label, hz = facts["missed"]
+        what = f"to lack the mode {label} near {hz:.4g} Hz"
+    else:
+        what = f"to hold a frequency of no mode, {facts['spurious']:.6g} Hz"
+    return (
+        f"The list seems {what}: that is {odds} times as probable as a complete list. If so, set "
+        "complete = false in [measurement]."
+    )
+
+
+# Of the fit.
+
+
+def _large_misfit(facts: Facts) -> str:
+    return (
+        f"The plate model does not describe these frequencies: its best fit is {_percent(facts['misfit'])} "
+        "off, where a tap test repeats to 1 % or better. Do not use the constants before units, sizes, "
+        "edges, layup and the order of the list are checked."
+    )
+
+
+def _misfit_over_noise(facts: Facts) -> str:
+    return (
+        "The plate model does not describe these frequencies: its best fit is "
+        f"{significant(facts['times'], 2)} times the stated noise off, and the constants can be far outside "
+        "their intervals. Ask `diagnose` why."
+    )
+
+
+def _high_noise(facts: Facts) -> str:
+    return (
+        f"The noise inferred from the misfit is {_percent(facts['noise'])} of a frequency, high for a tap "
+        "test: the plate model may lack something, and then the intervals can miss the true constants."
+    )
+
+
+def _common_factor(facts: Facts) -> str:
+    distances, ratio = facts["distances"], facts["ratio"]
+    far = [f"{name} by {significant(abs(z), 2)}" for name, z in distances]
+    side = "above" if distances[0][1] > 0.0 else "below"
+    lie = "The modulus lies" if len(far) == 1 else "All determined moduli lie"
+    begun = f"{lie} far {side} the reference ({', '.join(far)} standard deviations)"
+    weighed = facts["weighed"]
+    mass = "mass_g" if weighed else "density_kg_m3"
+    if ratio is None:
+        return (
+            f"{begun}: check thickness_mm, {mass}, the analyser's frequency scale, and whether [material] is "
+            "this plate's material."
+        )
+    thickness = facts["thickness"] * 1e3
+    true_thickness = thickness * ratio ** (1.0 / (3.0 if weighed else 2.0))
+    attached = "a mass left on the plate, " if ratio < 1.0 else ""
+    return (
+        f"{begun}, all by a factor near {significant(ratio, 3)}. One wrong number does that: a thickness of "
+        f"{significant(true_thickness, 3)} mm instead of {thickness:g} mm, a {mass} "
+        f"{significant(1.0 / ratio, 3)} times as large, {attached}or frequencies "
+        f"{significant(ratio**0.5, 3)} times too high. Check these, and the material."
+    )
+
+
+def _search_model(facts: Facts) -> str:
+    unit, factor = ("%", 100.0) if facts["relative"] else ("Hz", 1.0)
+    reduced, full = (significant(factor * facts[name], 3) for name in ("reduced", "full"))
+    return (
+        f"The search model fits to {reduced} {unit} at these constants and the full model to {full} {unit}: "
+        "other constants fit better."
+    )
+
+
+def _poor_fit(facts: Facts) -> str:
+    return (
+        f"The best fit of mode {facts['mode']} is {100.0 * facts['residual']:+.1f} % off. Do not trust the "
+        "constants before the plate, the edges and the order of the list are checked."
+    )
+
+
+def _constraint(facts: Facts) -> str:
+    """A constraint with its material, and what lifts it."""
+    constraint: Constraint = facts["constraint"]
+    text = f"{constraint.text} of {constraint.of}" if constraint.of else constraint.text
+    lifted = ""
+    if constraint.symmetry == "transversely_isotropic":
+        lifted = ' For plies such as fabric, set symmetry = "orthotropic" in [material].'
+    return f"{text}: the frequencies ask for constants beyond it.{lifted}"
+
+
+def _optimum_on_constraint(facts: Facts) -> str:
+    return f"The best constants lie on the constraint {_constraint(facts)}"
+
+
+def _cut_posterior(facts: Facts) -> str:
+    return f"The posterior is cut by the constraint {_constraint(facts)}"
+
+
+def _solver_error(facts: Facts) -> str:
+    error = _percent(facts["error"])
+    return (
+        f"The solver's error reaches {error} of a frequency (mode {facts['mode']}), which is not small here."
+    )
+
+
+def _soft_core(facts: Facts) -> str:
+    error, limit = facts["error"], facts["limit"]
+    begun = (
+        "The faces of this sandwich bend by themselves about its soft core, which this theory lacks: the "
+        f"model's frequencies are up to about {_percent(error, 1)} too low"
+    )
+    if error > limit:
+        return f"{begun}, beyond its limit of {100.0 * limit:g} %. Do not use them; try forward --solver ccx."
+    return f"{begun}, and identified moduli too high by up to twice as much."
+
+
+def _unexplained_by_none(facts: Facts) -> str:
+    noise = "any believable repeatability" if facts["inferred"] else "the stated repeatability"
+    return (
+        f"The residuals are larger than {noise} explains (p = {facts['p']:.2g}), and no cause is more "
+        "probable than none."
+    )
+
+
+# Of diagnoses.
+
+
+def _single_frequencies(facts: Facts) -> str:
+    return (
+        f"Single frequencies decide the claim: it holds in {100.0 * facts['stable']:.0f} % of the cases when "
+        "one is left out."
+    )
+
+
+def _several_optima(facts: Facts) -> str:
+    percent = " and ".join(f"{100.0 * f:.0f} %" for f in facts["fractions"])
+    text = (
+        f"{facts['count']} optima fit the frequencies (probability of the first two {percent}), and "
+        f"{facts['constant']} differs by {100.0 * facts['apart']:.2g} % between the first two."
+    )
+    swapped = facts["swapped"]
+    if swapped is None:
+        return text
+    plate = f"{swapped['plate']}: " if swapped["plate"] else ""
+    a, b = swapped["modes"]
+    return (
+        f"{text} They differ in the order of two modes ({plate}frequency {swapped['frequency']} is {a} or "
+        f"{b}): look at its nodal lines and label it under [measurement]."
+    )
+
+
+def _differing_priors(facts: Facts) -> str:
+    return (
+        f"The files give different priors of {_names(facts['names'])}; those of {facts['taken']} are used "
+        "for all plates. Give all files the same."
+    )
+
+
+def _rough_evidences(facts: Facts) -> str:
+    return f"Log evidences are known only to {significant(facts['error'], 2)}: probabilities are rough."
+
+
+# Of stacking sequences.
+
+
+def _check_layup(facts: Facts) -> str:
+    missing = "A mode may be missing (complete = false). " if facts["complete"] else ""
+    return f"{missing}Check the list, the plate and the bounds, or `diagnose` a layup that you believe in."
+
+
+def _no_sequence_explains(facts: Facts) -> str:
+    return (
+        "No sequence explains the list: noise as stated leaves residuals as large as those of the best one "
+        f"with probability {facts['p']:.1g}. {_check_layup(facts)}"
+    )
+
+
+def _frequencies_without_mode(facts: Facts) -> str:
+    return (
+        f"{facts['alone']} of the {facts['of']} frequencies match no mode of the most probable sequence. "
+        f"{_check_layup(facts)}"
+    )
+
+
+def _sequence_noise(facts: Facts) -> str:
+    return f"No sequence fits the list better than {_percent(facts['noise'])}. {_check_layup(facts)}"
+
+
+def _sequence_at_bounds(facts: Facts) -> str:
+    ends = [f"{user_name(name)} at its {which} bound" for name, which in facts["bounds"]]
+    return f"The most probable sequence puts {_names(ends)}."
+
+
+def _chains_of(facts: Facts) -> str:
+    number = facts["number"]
+    return "The chains of the given sequence" if number is None else f"The chains of sequence {number}"
+
+
+def _sequence_chains(facts: Facts) -> str:
+    return (
+        f"{_chains_of(facts)} have not converged: R-hat {facts['r_hat']:.3f}, {facts['ess_bulk']:.0f} "
+        "effective samples."
+    )
+
+
+def _sequence_disagrees(facts: Facts) -> str:
+    return (
+        f"{_chains_of(facts)} and importance sampling differ by {facts['z']:.1f} standard errors in a mean "
+        "or an sd."
+    )
+
+
+def _one_layup_taken(facts: Facts) -> str:
+    angles = "/".join(f"{a:g}" for a in facts["angles_deg"])
+    return (
+        f"Constants and diagnosis assume the stacking sequence {angles}, whose probability with its images "
+        f"is {facts['probability']:.2g}."
+    )
+
+
+# Of noise studies.
+
+
+def _level(facts: Facts) -> str:
+    percent = f"{round(100.0 * facts['level'], 10):g} %"
+    if facts["reading"] == "rms":
+        return f"{percent} of the rms frequency ({significant(facts['noise_sd'], 3)} Hz for all modes)"
+    return f"{percent} of each frequency"
+
+
+def _misfit_beside_noise(facts: Facts) -> str:
+    return (
+        f"Without added noise the plate model misses this list by {_percent(facts['misfit'])} (rms), more "
+        f"than the noise of {round(100.0 * facts['level'], 10):g} %. --list model studies the noise alone."
+    )
+
+
+def _constants_not_found_again(facts: Facts) -> str:
+    names = _names(facts["names"])
+    return f"Without noise the swarm did not quite return to {names}: other constants fit nearly as well."
+
+
+def _inversions_missed(facts: Facts) -> str:
+    return (
+        f"{_level(facts)}: on {facts['count']} of {facts['of']} lists no swarm fitted as well as the "
+        "constants found without noise."
+    )
+
+
+def _noise_chains(facts: Facts) -> str:
+    return (
+        f"{_level(facts)}: the posterior's chains did not converge within their budget "
+        f"({facts['ess_bulk']:.0f} effective samples)."
+    )
+
+
+def _noise_posterior_cut(facts: Facts) -> str:
+    return f"{_level(facts)}: the posterior is cut by the constraint {_constraint(facts)}"
+
+
+def _noise_swarms(facts: Facts) -> str:
+    return f"{_level(facts)}: {facts['count']} of {facts['of']} swarms did not converge within their budget."
+
+
+def _noise_redrawn(facts: Facts) -> str:
+    return (
+        f"{_level(facts)}: {facts['count']} noisy frequencies were not positive and were drawn again, so the "
+        "noise is not quite Gaussian."
+    )
+
+
+# Of the paper, batches, predictions.
+
+
+def _unconverged_tasks(facts: Facts) -> str:
+    return f"Chains that have not converged: {'; '.join(facts['titles'])}."
+
+
+def _tasks_of_one_swarm(facts: Facts) -> str:
+    return f"The best fit was found by one swarm only: {'; '.join(facts['titles'])}."
+
+
+def _failed_plates(facts: Facts) -> str:
+    n = facts["count"]
+    return f"{n} {'plate has' if n == 1 else 'plates have'} no answer: the rows say why."
+
+
+def _undescribed_plates(facts: Facts) -> str:
+    worst = facts["plates"]
+    shown = [f"{name} ({significant(times, 2)} times the noise)" for name, times in worst[:_MOST_NAMED]]
+    more = f" and {len(worst) - _MOST_NAMED} more" if len(worst) > _MOST_NAMED else ""
+    return (
+        f"The plate model does not describe the frequencies of {', '.join(shown)}{more}. Do not trust their "
+        "constants, nor means and limits with them, until the cause is known."
+    )
+
+
+def _no_population(facts: Facts) -> str:
+    return capitalised(f"no mean and scatter of the material: {facts['reason']}")
+
+
+def _other_sizes(facts: Facts) -> str:
+    far = [
+        f"{user_name(name)} {to_user(name, here):.5g} instead of {to_user(name, there):.5g}"
+        for name, here, there in facts["sizes"]
+    ]
+    return (
+        f"{facts['plate']} has the name of the plate that was measured and other sizes, {', '.join(far)}: "
+        "those of its file are used. Give it a `specimen` of its own."
+    )
+
+
+def _other_constants(facts: Facts) -> str:
+    each = [
+        f"{user_name(name)} {to_user(name, there):.5g} there and {to_user(name, here):.5g} here"
+        for name, there, here in facts["constants"]
+    ]
+    return f"The posterior held constants fixed that have other values in the plate file: {_names(each)}."
+
+
+# Of measured responses.
+
+
+def _hum(facts: Facts) -> str:
+    mains = facts["mains"]
+    return (
+        f"The record ends in a steady tone of the mains, {mains:g} or {2.0 * mains:g} Hz, of "
+        f"{_percent(facts['size'])} of its largest value, which hides weak modes. Earth the sensor, keep "
+        "cables away from mains, or use a battery."
+    )
+
+
+def _no_poles(facts: Facts) -> str:
+    low, high = facts["range"]
+    peaks = facts["peaks"]
+    seen = f"peak at {_hz(peaks)}" if peaks else "have no clear peak"
+    return (
+        f"No mode found from {low:.4g} to {high:.4g} Hz, where the responses {seen}. Widen --range, raise "
+        "--order, or look at the responses."
+    )
+
+
+def _peaks_without_pole(facts: Facts) -> str:
+    return (
+        f"Peaks without a mode: {_hz(facts['peaks'])}. They are modes that were not found, or steady tones "
+        "such as hum: look at the stability diagram and try another --order."
+    )
+
+
+def _close_poles(facts: Facts) -> str:
+    close = ", ".join(f"{a:.5g} and {b:.5g} Hz" for a, b in facts["pairs"])
+    return (
+        f"Modes closer than their peaks are wide: {close}. They can be one mode that differs between hits; "
+        "keep both only where another response shows them."
+    )
+
+
+def _poor_poles(facts: Facts) -> str:
+    return f"A standard deviation above {100.0 * facts['limit']:g} %: {_hz(facts['frequencies'])}."
+
+
+# Of the time limit.
+
+
+def _time_up(facts: Facts) -> str:
+    missing = "; ".join(_written(code, known) for code, known in facts["missing"])
+    return f"The time limit of {facts['seconds']:g} s ended the work early: {missing}."
+
+
+def _cut_hypotheses(facts: Facts) -> str:
+    return f"{facts['count']} hypotheses were not tested, of {', '.join(facts['causes'])}"
+
+
+SENTENCES: Final[Mapping[str, str | Callable[[Facts], str]]] = {
+    "as_written": _as_written,
+    "units": _units,
+    "reference_outside": _reference_outside,
+    "few_frequencies": _few_frequencies,
+    "no_frequency_over": _no_frequency_over,
+    "large_stated_noise": _large_stated_noise,
+    "equal_lists": _equal_lists,
+    "axes_exchange": _axes_exchange,
+    "prior_not_fitted": _prior_not_fitted,
+    "prior_not_inverted": _prior_not_inverted,
+    "sizes_exact": _sizes_exact,
+    "labels_not_used": "Labels and shapes are ignored here: frequencies are paired in their order.",
+    "shape_without_mode": _shape_without_mode,
+    "shapes_of_several": _shapes_of_several,
+    "label_without_mode": _label_without_mode,
+    "other_label": _other_label,
+    "doubtful_list": _doubtful_list,
+    "large_misfit": _large_misfit,
+    "misfit_over_noise": _misfit_over_noise,
+    "high_noise": _high_noise,
+    "common_factor": _common_factor,
+    "search_model": _search_model,
+    "poor_fit": _poor_fit,
+    "optimum_on_constraint": _optimum_on_constraint,
+    "cut_posterior": _cut_posterior,
+    "solver_error": _solver_error,
+    "soft_core": _soft_core,
+    "swarms_disagree": (
+        "Only one swarm found the best fit: there may be a better one. Allow more swarms, or narrow the "
+        "bounds."
+    ),
+    "angles_disagree": (
+        "Only one swarm found the best angles: others may fit better. `sequence` compares all on the grid."
+    ),
+    "chains_not_converged": (
+        "The chains used their budget of {steps} steps before they converged (R-hat {r_hat:.3f}, "
+        "{ess_bulk:.0f} effective samples): do not rely on means and intervals. Allow more steps."
+    ),
+    "unexplained_residuals": (
+        "The residuals are larger than the stated noise explains (p = {p:.3f}): the plate model lacks "
+        "something, or the noise is larger."
+    ),
+    "nothing_to_sample": "Nothing is claimed, so there is no extended model for emcee to sample.",
+    "unexplained_by_none": _unexplained_by_none,
+    "unexplained_by_claim": "The claimed cause does not explain all of the residuals (p = {p:.2g}).",
+    "single_frequencies": _single_frequencies,
+    "several_optima": _several_optima,
+    "differing_priors": _differing_priors,
+    "rough_evidences": _rough_evidences,
+    "extended_chains": (
+        "The chains of the extended model did not converge within their budget: do not rely on its constants "
+        "by emcee."
+    ),
+    "rough_surrogate": (
+        "The log evidence of the surrogate is {rms:.2f} off (rms): the size of the credible set and the "
+        "marginals are rough. The listed sequences are computed without it."
+    ),
+    "overlooked_sequence": (
+        "A sequence drawn from the posterior is better by {better:.1f} in log evidence than every one "
+        "listed: the list is not complete."
+    ),
+    "sequences_left_out": "Sequences with up to {probability:.2g} of the probability were left out.",
+    "uncertain_evidences": (
+        "The log evidence of {count} listed sequences is uncertain by up to {error:.2f}, the first of them "
+        "number {first}."
+    ),
+    "no_sequence_explains": _no_sequence_explains,
+    "frequencies_without_mode": _frequencies_without_mode,
+    "sequence_noise": _sequence_noise,
+    "sequence_at_bounds": _sequence_at_bounds,
+    "sequence_chains": _sequence_chains,
+    "sequence_disagrees": _sequence_disagrees,
+    "one_layup_taken": _one_layup_taken,
+    "misfit_beside_noise": _misfit_beside_noise,
+    "constants_not_found_again": _constants_not_found_again,
+    "swarms_in_worse_optima": (
+        "Without noise only {found} of {of} swarms found the best constants: a single swarm often misses "
+        "them."
+    ),
+    "inversions_missed": _inversions_missed,
+    "noise_chains": _noise_chains,
+    "noise_posterior_cut": _noise_posterior_cut,
+    "noise_swarms": _noise_swarms,
+    "noise_redrawn": _noise_redrawn,
+    "quick": (
+        "Do not quote these numbers: --quick takes small swarms and linearised intervals, and leaves out "
+        "finite elements and Tables 13 and 14."
+    ),
+    "unconverged_tasks": _unconverged_tasks,
+    "tasks_of_one_swarm": _tasks_of_one_swarm,
+    "failed_plates": _failed_plates,
+    "mixed_materials": (
+        "The plates are of several materials: means and control limits are those of a mixture."
+    ),
+    "undescribed_plates": _undescribed_plates,
+    "no_population": _no_population,
+    "population_chains": (
+        "The chains of mean and scatter used their budget of {steps} steps before they converged (R-hat "
+        "{r_hat:.3f}, {ess_bulk:.0f} effective samples)."
+    ),
+    "other_sizes": _other_sizes,
+    "other_constants": _other_constants,
+    "hum": _hum,
+    "modes_beyond_range": (
+        "The responses stand above their noise up to {frequency:.4g} Hz: modes beyond the range are not "
+        "looked for."
+    ),
+    "largest_below_range": (
+        "The responses are largest at {frequency:.4g} Hz, below the range: a mode, the plate on its support, "
+        "or hum. Widen --range to include it."
+    ),
+    "no_poles": _no_poles,
+    "peaks_without_pole": _peaks_without_pole,
+    "close_poles": _close_poles,
+    "poor_poles": _poor_poles,
+    "time_up": _time_up,
+    # what is missing, as a part of the sentence above
+    "cut_swarm": "a swarm ended after {done} of {of} iterations",
+    "cut_swarms": "{done} of at least {of} swarms ran",
+    "cut_chains": "emcee ended after {done} of at most {of} steps",
+    "cut_hypotheses": _cut_hypotheses,
+    "cut_pairs": "no two causes were tested together",
+    "cut_pairs_of_the_best": "pairs about the best pair were not tested",
+    "cut_list_errors": "errors of the lists were not tested together with causes of the plates",
+    "cut_evidences": "the evidence of the leading causes is approximate",
+    "cut_gain": "neither the gain nor the detection limits were computed",
+    "cut_next_tests": "no further tests were ranked",
+    "cut_groups": "{done} of {of} groups of noisy lists were inverted",
+    "cut_plates": "{late} of {of} plates were not computed",
+    "cut_sequences": "the constants of {done} of {of} sequences were sampled by emcee",
+    "cut_rounds": "the probabilities of sequences are those of a round before the last",
+}
+"""Code -> its sentence, a template of its facts or a function of them."""

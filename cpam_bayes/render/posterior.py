@@ -1,0 +1,177 @@
+"""Figures of a sampled posterior: pairs of parameters, marginals beside profile likelihoods."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cpam_bayes.inference.completeness import DROP_95, Profile
+from cpam_bayes.inference.posterior import NOISE_NAMES
+from cpam_bayes.plate import to_user, unit_of, user_name
+from cpam_bayes.priors import Prior
+from cpam_bayes.render.figures import new_figure
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = ["Draws", "marginals_figure", "pairs_figure"]
+
+_BINS: Final = 40
+# Bins of a pair are wider, for its draws are spread over their square.
+_PAIR_BINS: Final = 26
+# Colour grows as this power of the count: tails and lesser optima are seen.
+_CONTRAST: Final = 0.6
+# Share of the draws beyond either end of the pairs.
+_TAIL: Final = 0.0005
+_BLUE, _GREY, _RED, _ORANGE = "#4878a8", "#808080", "#c0392b", "#c1440e"
+# Drops of log likelihood up to here are drawn.
+_DEEPEST: Final = 6.0
+
+
+@dataclass(frozen=True, slots=True)
+class Draws:
+    """Draws of a posterior, SI.
+
+    values : (n_draws, n)
+    priors, references : of each parameter; a reference is nan where there is none
+    """
+
+    names: tuple[str, ...]
+    values: NDArray[np.float64]
+    priors: tuple[Prior, ...]
+    references: tuple[float, ...]
+
+
+def pairs_figure(title: str, sampled: Draws) -> Figure:
+    """Draws of every two parameters, the marginal posteriors on the diagonal."""
+    from matplotlib.colors import PowerNorm
+
+    names, priors, references = sampled.names, sampled.priors, sampled.references
+    draws = sampled.values * np.array([to_user(name, 1.0) for name in names])
+    n = len(names)
+    ends = np.quantile(draws, (_TAIL, 1.0 - _TAIL), axis=0)
+    spans = [(float(low), float(high)) for low, high in ends.T]
+    figure = new_figure(1.9 * n, 1.9 * n)
+    axes = figure.subplots(n, n, squeeze=False)
+    for i in range(n):
+        for j in range(n):
+            here = axes[i, j]
+            if j > i:
+                here.set_axis_off()
+                continue
+            if i == j:
+                _draw_marginal(here, names[i], priors[i], references[i], draws[:, i], spans[i])
+            else:
+                both = [spans[j], spans[i]]
+                here.hist2d(
+                    *(draws[:, j], draws[:, i], _PAIR_BINS),
+                    range=both,
+                    cmap="Blues",
+                    norm=PowerNorm(_CONTRAST),
+                    rasterized=True,
+                )
+                at = [references[k] * to_user(names[k], 1.0) for k in (j, i)]
+                here.plot(*at, "+", color=_RED, markersize=8)  # nothing where one is nan
+                here.set(xlim=spans[j], ylim=spans[i])
+            here.tick_params(labelsize=7)
+            if i == n - 1:
+                here.set_xlabel(_label(names[j]), fontsize=8)
+            else:
+                here.set_xticklabels([])
+            if j == 0 and i > 0:
+                here.set_ylabel(_label(names[i]), fontsize=8)
+            elif j > 0:
+                here.set_yticklabels([])
+    figure.suptitle(f"{title}: posterior of the constants", fontsize=10)
+    if n > 1:
+        axes[0, n - 1].legend(handles=_key(), loc="upper right", frameon=False, fontsize=8)
+    return figure
+
+
+def _key() -> list[Any]:
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    return [
+        Patch(color=_BLUE, label="posterior"),
+        Line2D([], [], color=_GREY, label="prior"),
+        Line2D([], [], color=_RED, label="reference"),
+    ]
+
+
+def _draw_marginal(
+    axes: Axes,
+    name: str,
+    prior: Prior,
+    reference: float,
+    draws: NDArray[Any],
+    span: tuple[float, float],
+) -> None:
+    factor = to_user(name, 1.0)
+    axes.hist(draws, bins=_BINS, density=True, color=_BLUE, range=span)
+    grid = np.linspace(*span, 400)
+    axes.plot(grid, np.exp(prior.log_density(grid / factor)) / factor, color=_GREY)
+    if np.isfinite(reference):
+        axes.axvline(reference * factor, color=_RED, linewidth=1.2)
+    axes.set_xlim(*span)
+    axes.set_yticks([])
+
+
+def marginals_figure(title: str, sampled: Draws, profiles: Sequence[Profile]) -> Figure:
+    """One column a constant: its marginal posterior and prior, and below its profile likelihood."""
+    from matplotlib.lines import Line2D
+
+    names, priors, references = sampled.names, sampled.priors, sampled.references
+    figure = new_figure(max(5.0, 1.7 * len(profiles) + 0.4), 4.4)
+    axes = figure.subplots(2, len(profiles), squeeze=False, sharex="col")
+    for upper, lower, profile in zip(axes[0], axes[1], profiles, strict=True):
+        i, factor = names.index(profile.name), to_user(profile.name, 1.0)
+        prior, reference = priors[i], references[i]
+        draws = sampled.values[:, i] * factor
+        ends = profile.values[0] * factor, profile.values[-1] * factor
+        _draw_marginal(upper, profile.name, prior, reference, draws, ends)
+        _draw_profile(lower, profile, factor)
+        margin = 0.06 * (ends[1] - ends[0])
+        lower.set_xlim(ends[0] - margin, ends[1] + margin)
+        for here in (upper, lower):
+            for bound in (prior.lower * factor, prior.upper * factor):
+                here.axvline(bound, color="black", linewidth=1.4, linestyle=":")
+            here.tick_params(labelsize=8)
+        if np.isfinite(reference):
+            lower.axvline(reference * factor, color=_RED, linewidth=1.2)
+        lower.set_xlabel(_label(profile.name), fontsize=9)
+    axes[0, 0].set_ylabel("density", fontsize=9)
+    axes[1, 0].set_ylabel("profile log likelihood", fontsize=9)
+    for here in axes[1, 1:]:
+        here.set_yticklabels([])
+    key = [
+        *_key(),
+        Line2D([], [], color="black", linestyle=":", label="bound"),
+        Line2D([], [], color=_ORANGE, marker=".", label="profile"),
+        Line2D([], [], color=_ORANGE, linestyle="--", label="95 % interval"),
+    ]
+    figure.legend(handles=key, loc="outside lower center", ncols=3, frameon=False, fontsize=8)
+    figure.suptitle(f"{title}: marginal posteriors and profile likelihoods", fontsize=10)
+    return figure
+
+
+def _draw_profile(axes: Axes, profile: Profile, factor: float) -> None:
+    values, drop = profile.values, np.minimum(profile.drop, 1e3)
+    at = np.searchsorted(values, profile.best)
+    values, drop = np.insert(values, at, profile.best), np.insert(drop, at, 0.0)
+    axes.plot(values * factor, -drop, ".-", color=_ORANGE, markersize=5, linewidth=1.2)
+    axes.axhline(-DROP_95, color=_ORANGE, linewidth=1, linestyle="--")
+    axes.set_ylim(-_DEEPEST, 0.03 * _DEEPEST)
+
+
+def _label(parameter: str) -> str:
+    if parameter in NOISE_NAMES:
+        unit = unit_of(parameter)
+        return f"noise, {unit.replace('hz', 'Hz')}" if unit else "relative noise"
+    unit = unit_of(parameter)
+    return f"{parameter}, {unit.replace('kg_m3', 'kg/m3')}" if unit else user_name(parameter)

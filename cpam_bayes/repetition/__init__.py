@@ -1,1 +1,0 @@
-"""The paper's noise study: perturbed frequencies inverted again and again, beside the posterior."""

@@ -1,1 +1,0 @@
-"""What `report` shows: the answers of its parts on one page."""

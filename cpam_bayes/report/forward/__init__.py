@@ -1,1 +1,0 @@
-"""What `forward` and `export` show."""

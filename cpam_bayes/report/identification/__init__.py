@@ -1,1 +1,0 @@
-"""What `identify` by the swarm shows."""

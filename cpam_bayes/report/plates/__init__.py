@@ -1,1 +1,0 @@
-"""What `plates` shows, and the head of every screen."""

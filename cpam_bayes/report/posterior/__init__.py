@@ -1,1 +1,0 @@
-"""What `identify --backend emcee` shows."""

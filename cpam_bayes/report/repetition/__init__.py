@@ -1,1 +1,0 @@
-"""What `sensitivity` shows."""

@@ -1,1 +1,0 @@
-"""What `sequence` shows."""

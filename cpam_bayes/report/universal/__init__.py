@@ -1,1 +1,0 @@
-"""What `export --to uff` shows."""

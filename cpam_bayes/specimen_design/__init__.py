@@ -1,1 +1,0 @@
-"""The question `design`: which specimen and test would determine the constants."""

@@ -1,0 +1,451 @@
+"""Conditional posteriors of stacking sequences, many sequences at once.
+
+Given a sequence, what is left is a posterior of the constants and the noise. Its evidence is Laplace's about
+the best of a few optima (`fit_conditionals`), or that of importance sampling about the same optima
+(`importance_evidence`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import logsumexp, ndtri
+from scipy.stats import qmc
+
+from cpam_bayes.forward_model.model import PlateModel
+from cpam_bayes.forward_model.reduced import ReducedModel, focused
+from cpam_bayes.inference.derivatives import Expansion, NormalScores, expand_likelihood
+from cpam_bayes.inference.laplace import maximise
+from cpam_bayes.inference.posterior import ForwardModel, Posterior, plate_posterior
+from cpam_bayes.inference.student_mixture import Mixture, shrunk_moments, staged_importance
+from cpam_bayes.mechanics.problem import PlateState, StateFunction, Values
+from cpam_bayes.parameters import ParameterSet
+from cpam_bayes.plate.laminate import LaminateGeometry
+from cpam_bayes.threads import single_blas_thread
+
+Array = NDArray[Any]
+
+# Two optimisations of a sequence ended at one optimum if they are this near, in standard deviations.
+_SAME = 0.5
+# Optima this far below the best one of a sequence carry nothing.
+_NEGLIGIBLE_NATS = 12.0
+# Least curvature, against a flat direction that prior and data leave.
+CURVATURE_FLOOR = 1e-3
+# Optimisations end where a step promises less than this, nats, or after so many steps.
+_PROMISED, _MOST_STEPS = 1e-4, 30
+# Numbers in the matrices of sequences that are solved for together: they stay in the processor's cache.
+_CACHED = 1 << 19
+# Degrees of freedom and widening of the proposals of importance sampling. Light tails scatter less with few
+# points; the mean of 512 weights is too small with them where a constant is left open.
+_LIGHT, _HEAVY = (6.0, 1.1), (3.0, 1.3)
+# Draws of the constants that are kept of each sequence.
+_KEPT = 8
+# Points of importance sampling that are solved for together.
+_POINTS = 2048
+# Fractions of the points that each proposal gets where it is refitted.
+_STAGES = (0.25, 0.25, 0.5)
+# Unsure evidences get 2^m times as many points, for each m in turn while they stay so.
+_MORE = (2, 4)
+# Basis for one sequence: sets of constants that it is made from, how much wider than the posterior they
+# lie, its relative error, and the most of that in noises.
+_OWN_SETS, _OWN_WIDER, _OWN_ERROR, _OWN_SHARE = 64, 1.5, 1e-3, 0.05
+# Points a dimension that the first proposal counts as where it is refitted.
+_PRIOR_POINTS = 3.0
+# Least weight of an optimum that counts in a proposal, and the least fraction that it then gets.
+_USED, _LEAST_FRACTION = 1e-4, 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class ConditionalPosterior:
+    """The posterior of constants (and noise) that any sequence of one layup has.
+
+    model : reduced, of the unknown angles and then the constants.
+    template : a posterior of the constants alone, whose model is that of some sequence.
+    axes : coordinates in which the prior is a standard normal.
+    """
+
+    model: ReducedModel
+    template: Posterior
+    axes: NormalScores
+    n_angles: int
+
+    @property
+    def parameters(self) -> ParameterSet:
+        """Constants, and the noise where it is inferred."""
+        return self.template.parameters
+
+    def at(self, angles_deg: Array, rows: Array | None = None) -> Posterior:
+        """The posterior of stacks whose row i has the sequence i, or rows[i], of (m, n_angles) degrees."""
+        geometry = _geometry(self, angles_deg)
+        geometry = geometry if rows is None else _rows(geometry, rows)
+        return replace(self.template, model=_model_at(self.model, self.n_angles, geometry))
+
+    def relative_noise(self, x: Array) -> Array:
+        """Standard deviations of noise and rounding over the frequencies at parameters x (m, n), (m, n_f)."""
+        noise = self.template.noise_model
+        variance = (self.template.amplitude(x)[:, None] * noise.scale) ** 2 + noise.rounding
+        return np.asarray(np.sqrt(variance) / self.template.measurement.frequencies)
+
+    def least_noise(self, x: Array) -> float:
+        """The least of these at any of the parameters x (m, n)."""
+        return float(self.relative_noise(x).min())
+
+
+def conditional_posterior(
+    model: ReducedModel, n_angles: int, measurement: Any, solver_error: Array, **options: Any
+) -> ConditionalPosterior:
+    """The posterior of the constants of a model whose first ``n_angles`` parameters are ply angles.
+
+    options : as of ``plate_posterior``.
+    """
+    some = _model_at(model, n_angles, None)
+    template = plate_posterior(some, measurement, solver_error, **options)
+    return ConditionalPosterior(model, template, NormalScores(template.parameters), n_angles)
+
+
+def _geometry(conditional: ConditionalPosterior, angles_deg: Array) -> LaminateGeometry:
+    problem = conditional.model.fast.operator.problem
+    names = problem.parameters.names[: conditional.n_angles]
+    others = {p.name: np.asarray(p.prior.mean) for p in problem.parameters.parameters[conditional.n_angles :]}
+    values = {**others, **{name: angles_deg[:, i] for i, name in enumerate(names)}}
+    state = problem.state(values)
+    assert not isinstance(state.layup, LaminateGeometry)
+    return state.geometry()
+
+
+def _model_at(model: ReducedModel, n_angles: int, geometry: LaminateGeometry | None) -> ForwardModel:
+    """The reduced plate with the sequences of a geometry: row i of a stack has the layup i."""
+    operator = model.fast.operator
+    problem = operator.problem
+    constants = ParameterSet(problem.parameters.parameters[n_angles:], problem.parameters.fixed)
+    angles = {name: np.asarray(0.0) for name in problem.parameters.names[:n_angles]}
+    state = partial(_state_at, problem.state, angles, geometry)
+    admissible = partial(_admissible_at, problem.admissible, angles)
+    bound = replace(problem, parameters=constants, state=state, admissible=admissible)
+    return PlateModel(replace(operator, problem=bound), model.n_modes, model.fast.error)
+
+
+def _state_at(
+    state: StateFunction, angles: Values, geometry: LaminateGeometry | None, values: Values
+) -> PlateState:
+    found = state({**values, **angles})
+    if geometry is None or len(geometry.first) == 1:
+        return found if geometry is None else replace(found, layup=geometry)
+    size = int(np.prod(np.broadcast_shapes(*(np.shape(v) for v in values.values()))))
+    # derivatives ask for every row as often as there are parameters, one after the other
+    return replace(found, layup=_repeated(geometry, size // len(geometry.first)))
+
+
+def _admissible_at(admissible: Any, angles: Values, values: Values) -> Any:
+    return admissible({**values, **angles})
+
+
+def _repeated(geometry: LaminateGeometry, times: int) -> LaminateGeometry:
+    return geometry if times == 1 else _rows(geometry, np.repeat(np.arange(len(geometry.first)), times))
+
+
+def _rows(geometry: LaminateGeometry, rows: Array) -> LaminateGeometry:
+    """The geometry of some layups of a stack."""
+    return replace(
+        geometry,
+        in_plane=geometry.in_plane[rows],
+        coupling=geometry.coupling[rows],
+        flexural=geometry.flexural[rows],
+        ply=geometry.ply[rows],
+        first=geometry.first[rows],
+        zeroth=None if geometry.zeroth is None else geometry.zeroth[rows],
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class ConditionalFits:
+    """The conditional posteriors of m sequences about their optima.
+
+    log_evidence : (m,) Laplace's, summed over the distinct optima.
+    x : (m, n) parameters at the best optimum.
+    residual : (m, n_frequencies) measured / predicted - 1 there, modes in ascending order.
+    optima : (m, s, n) all optima, normal scores.
+    weight : (m, s) their shares of the evidence, zero for copies.
+    curvature : (m, s, n, n) negative Hessians (Gauss-Newton) there.
+    """
+
+    log_evidence: Array
+    x: Array
+    residual: Array
+    optima: Array
+    weight: Array
+    curvature: Array
+
+    def __getitem__(self, rows: Any) -> ConditionalFits:
+        """The fits of some of the sequences."""
+        return ConditionalFits(*(getattr(self, name)[rows] for name in self.__slots__))
+
+
+Stack = TypeVar("Stack")
+
+
+def joined(pieces: list[Stack]) -> Stack:
+    """What is known of several stacks as that of one."""
+    kind: Any = type(pieces[0])
+    found: Stack = kind(*(np.concatenate([getattr(p, name) for p in pieces]) for name in kind.__slots__))
+    return found
+
+
+@single_blas_thread
+def fit_conditionals(
+    conditional: ConditionalPosterior, angles_deg: Array, starts: Array, promised: float = _PROMISED
+) -> ConditionalFits:
+    """Laplace's evidence of sequences (m, n_angles), each optimised from every one of its starts.
+
+    Z = sum over optima of (2 pi)^(n/2) det(H)^(-1/2) p(z), z being normal scores: the prior has no
+    bounds there, and a constant that the data leave open is integrated exactly.
+
+    starts : (s, n) for all sequences, or (m, s, n), parameters.
+    promised : gain in nats below which one ends.
+    """
+    starts = np.broadcast_to(starts, (len(angles_deg), *starts.shape[-2:]))
+    largest = max(block.size for block in conditional.model.fast.operator.blocks)
+    each = int(np.clip(_CACHED // largest**2, 64, 512))
+    return joined(
+        [
+            _fit(conditional, angles_deg[i : i + each], starts[i : i + each], promised)
+            for i in range(0, len(angles_deg), each)
+        ]
+    )
+
+
+def _fit(
+    conditional: ConditionalPosterior, angles_deg: Array, starts: Array, promised: float
+) -> ConditionalFits:
+    m, s, n = starts.shape
+    axes = conditional.axes
+    geometry = _geometry(conditional, angles_deg)
+    of_start = np.repeat(np.arange(m), s)
+
+    def target(z: Array, rows: Array) -> Expansion:
+        return _expand(conditional, geometry, z, of_start[rows])
+
+    maxima = maximise(
+        target,
+        axes.to_z(starts.reshape(m * s, n)),
+        axes.lower,
+        axes.upper,
+        most_steps=_MOST_STEPS,
+        promised=promised,
+    )
+    e = maxima.expansion
+    value = np.where(np.isfinite(e.value), e.value, -1e300).reshape(m, s)
+    z = maxima.u.reshape(m, s, n)
+    curvature = e.curvature.reshape(m, s, n, n)
+    log_det = np.linalg.slogdet(curvature + CURVATURE_FLOOR * np.eye(n))[1]
+    log_z = value + 0.5 * n * np.log(2 * np.pi) - 0.5 * log_det
+    log_z[~_distinct(z, value, curvature)] = -np.inf
+    total = logsumexp(log_z, axis=1)
+    x = axes.to_x(z[np.arange(m), value.argmax(axis=1)])
+    at = replace(conditional.template, model=_model_at(conditional.model, conditional.n_angles, geometry))
+    measured = conditional.template.measurement.frequencies
+    residual = measured / at.predict(x)[:, : len(measured)] - 1.0
+    return ConditionalFits(total, x, residual, z, np.exp(log_z - total[:, None]), curvature)
+
+
+def _expand(
+    conditional: ConditionalPosterior, geometry: LaminateGeometry, z: Array, rows: Array
+) -> Expansion:
+    """Log density over normal scores of stacks whose rows have the sequences ``rows`` of a geometry."""
+    axes = conditional.axes
+    x = axes.to_x(z)
+    # rows outside the support go first: every row of a stack must have its parameter set
+    inside = np.flatnonzero(np.isfinite(conditional.template.log_prior(x)))
+    m, n = z.shape
+    found = Expansion(np.full(m, -np.inf), np.zeros((m, n)), np.zeros((m, n, n)))
+    if not len(inside):
+        return found
+    model = _model_at(conditional.model, conditional.n_angles, _rows(geometry, rows[inside]))
+    likelihood = expand_likelihood(replace(conditional.template, model=model), x[inside])
+    e = axes.with_prior(likelihood, x[inside], z[inside])
+    found.value[inside], found.gradient[inside], found.curvature[inside] = e.value, e.gradient, e.curvature
+    return found
+
+
+def _distinct(z: Array, value: Array, curvature: Array) -> Array:
+    """Which of the optima (m, s) count: no copies of better ones and not negligible, bool."""
+    m, s = value.shape
+    order = np.argsort(-value, axis=1, kind="stable")
+    keep = np.asarray(value > value.max(axis=1, keepdims=True) - _NEGLIGIBLE_NATS)
+    row = np.arange(m)
+    for a in range(s):
+        first = order[:, a]
+        for b in range(a + 1, s):
+            second = order[:, b]
+            away = z[row, first] - z[row, second]
+            near = np.einsum("mi,mij,mj->m", away, curvature[row, first], away) < _SAME**2
+            keep[row, second] &= ~(near & keep[row, first])
+    return keep
+
+
+@dataclass(frozen=True, slots=True)
+class RefinementSettings:
+    """When importance sampling of a stacking sequence takes more trouble.
+
+    refitted_from : log2 of the points from which on the proposal is refitted.
+    resampled_from : log2 of the points from which on the proposal has heavy tails, and an unsure evidence is
+        sampled again.
+    unsure : standard error of a log evidence that is.
+    large : functions in a block from which on an unsure sequence gets a basis for itself.
+    """
+
+    refitted_from: int = 7
+    resampled_from: int = 9
+    unsure: float = 0.08
+    large: int = 60
+
+
+DEFAULT_REFINEMENT = RefinementSettings()
+
+
+@dataclass(frozen=True, slots=True)
+class Conditionals:
+    """The conditional posteriors of m sequences by importance sampling.
+
+    log_evidence : (m,).
+    error, effective_size, k_hat : (m,) as in ``Weighted``.
+    mean, sd : (m, n) of the parameters.
+    draws : (m, 8, n), equally probable.
+    """
+
+    log_evidence: Array
+    error: Array
+    effective_size: Array
+    k_hat: Array
+    mean: Array
+    sd: Array
+    draws: Array
+
+    def __getitem__(self, rows: Any) -> Conditionals:
+        """Those of some of the sequences."""
+        return Conditionals(*(getattr(self, name)[rows] for name in self.__slots__))
+
+
+@single_blas_thread
+def importance_evidence(
+    conditional: ConditionalPosterior,
+    angles_deg: Array,
+    fits: ConditionalFits,
+    log2_points: int = 9,
+    *,
+    settings: RefinementSettings = DEFAULT_REFINEMENT,
+) -> Conditionals:
+    """Conditional posteriors of sequences by importance sampling about their optima.
+
+    The proposal is a mixture of Student-t densities about the optima. Of 128 points or more a quarter is
+    spent on it; its components then take mean and covariance of the posterior that these found, and
+    once more after the next quarter. All points are weighed against the blend of the proposals (Cornuet
+    et al., 2012). They are those of a Sobol sequence, scrambled in the same way for every sequence, so
+    that differences between sequences are known better than each alone. Evidences of 512 points and
+    more that stay unsure are sampled again with four times as many, and with sixteen times, where solves
+    are slow on bases that are made for each.
+    """
+    found = _in_parts(conditional, angles_deg, fits, log2_points, settings)
+    for more in _MORE if log2_points >= settings.resampled_from else ():
+        unsure = np.flatnonzero(found.error > settings.unsure)
+        if not len(unsure):
+            break
+        again = joined(
+            [
+                _importance(basis, angles_deg[[i]], fits[[i]], log2_points + more, settings)
+                for i in unsure
+                for basis in [_on_own_basis(conditional, angles_deg[i], found[i], settings.large)]
+            ]
+        )
+        place = np.arange(len(angles_deg))
+        place[unsure] = len(angles_deg) + np.arange(len(unsure))
+        found = joined([found, again])[place]
+    return found
+
+
+def _in_parts(
+    conditional: ConditionalPosterior,
+    angles_deg: Array,
+    fits: ConditionalFits,
+    log2_points: int,
+    settings: RefinementSettings,
+) -> Conditionals:
+    each = max(_POINTS >> log2_points, 1)
+    return joined(
+        [
+            _importance(conditional, angles_deg[i : i + each], fits[i : i + each], log2_points, settings)
+            for i in range(0, len(angles_deg), each)
+        ]
+    )
+
+
+def _on_own_basis(
+    conditional: ConditionalPosterior, angles_deg: Array, known: Conditionals, large: int
+) -> ConditionalPosterior:
+    """The posterior on a basis for one sequence (k,) and what is known of its constants.
+
+    These are spread independently, which covers the posterior whatever its correlations are.
+    """
+    if max(block.size for block in conditional.model.fast.operator.blocks) < large:
+        return conditional
+    p = conditional.parameters
+    spread = ndtri(qmc.Sobol(p.size, rng=np.random.default_rng(0)).random(_OWN_SETS))
+    some = np.clip(known.mean + _OWN_WIDER * known.sd * spread, p.lower, p.upper)
+    some = np.concatenate((known.draws, some[np.isfinite(conditional.template.log_prior(some))]))
+    noise = conditional.least_noise(known.draws)
+    constants = some[:, : conditional.template.model.parameters.size]
+    x = np.column_stack((np.broadcast_to(angles_deg, (len(some), len(angles_deg))), constants))
+    return replace(conditional, model=focused(conditional.model, x, min(_OWN_ERROR, _OWN_SHARE * noise)))
+
+
+def _about_optima(fits: ConditionalFits, freedom: float, wider: float) -> Mixture:
+    used = fits.weight > _USED
+    share = np.where(used, np.maximum(fits.weight, _LEAST_FRACTION), 0.0)
+    covariance = np.linalg.inv(fits.curvature + CURVATURE_FLOOR * np.eye(fits.optima.shape[2]))
+    factor = np.linalg.cholesky(covariance) * wider
+    return Mixture(share / share.sum(axis=1, keepdims=True), fits.optima, factor, freedom)
+
+
+def _importance(
+    conditional: ConditionalPosterior,
+    angles_deg: Array,
+    fits: ConditionalFits,
+    log2_points: int,
+    settings: RefinementSettings,
+) -> Conditionals:
+    stages = _STAGES if log2_points >= settings.refitted_from else (1.0,)
+    target = partial(_log_density, conditional, angles_deg)
+    freedom, wider = _HEAVY if log2_points >= settings.resampled_from else _LIGHT
+    refitted = partial(shrunk_moments, least=_LEAST_FRACTION, wider=wider, prior_points=_PRIOR_POINTS)
+    found = staged_importance(target, _about_optima(fits, freedom, wider), log2_points, stages, refitted)
+    x = conditional.axes.to_x(found.points)
+    mean = np.einsum("mp,mpj->mj", found.weight, x)
+    sd = np.sqrt(np.einsum("mp,mpj->mj", found.weight, (x - mean[:, None, :]) ** 2))
+    # systematic resampling over the points as the Sobol sequence has them, which is as good as at random
+    places = (np.arange(_KEPT) + 0.5) / _KEPT
+    kept = np.sum(np.cumsum(found.weight, axis=1)[:, :, None] < places, axis=1)
+    draws = x[np.arange(len(x))[:, None], np.minimum(kept, x.shape[1] - 1)]
+    return Conditionals(
+        found.log_evidence, found.standard_error, found.effective_size, found.k_hat, mean, sd, draws
+    )
+
+
+def _log_density(conditional: ConditionalPosterior, angles_deg: Array, z: Array) -> Array:
+    """Log density over normal scores z (m, p, n), row i having the sequence i, (m, p)."""
+    axes, (m, p, n) = conditional.axes, z.shape
+    z = z.reshape(m * p, n)
+    x = axes.to_x(z)
+    inside = np.all((z >= axes.lower) & (z <= axes.upper), axis=1) & np.isfinite(
+        conditional.template.log_prior(x)
+    )
+    found = np.full(m * p, -np.inf)
+    # every row of a stack must have its parameter set: those outside the support go first
+    rows = np.flatnonzero(inside)
+    if len(rows):
+        at = conditional.at(angles_deg, rows // p)
+        found[rows] = at.log_likelihood(x[rows]) + axes.log_prior(z[rows])
+    return found.reshape(m, p)

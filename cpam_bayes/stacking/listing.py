@@ -1,0 +1,597 @@
+"""The posterior over many stacking sequences in three parts: sampled, fitted, and summed by the surrogate.
+
+All sequences on the grid are enumerated by their first plies, the prefix: for each prefix all choices of the
+other plies at once. Those whose evidence, by the surrogate, can matter are listed and fitted one by one, and
+the evidence of those that carry the mass is sampled. The rest is summed; what lies outside the surrogate's
+cells is counted, and bounded by its lower bound.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cpam_bayes.parallel import run
+from cpam_bayes.stacking.evaluation import (
+    NEAR,
+    Evaluated,
+    Located,
+    Neighbours,
+    evaluate,
+    locate,
+    merged,
+    neighbours,
+)
+from cpam_bayes.stacking.records import CREDIBLE, StackingPosterior, StackingProblem, SurrogateCheck
+from cpam_bayes.stacking.surrogate import PiecewiseLinearSurrogate, Surrogate
+from cpam_bayes.stacking.symmetry import PlySums, all_choices, canonical, classes
+from cpam_bayes.stacking.training import TrainedSurrogate
+
+Array = NDArray[Any]
+
+# Unknown angles behind a prefix, whose choices are taken together.
+INNER = 3
+# Width of a bin of log evidence, nats, and number of bins.
+BIN, BINS = 0.01, 4000
+# Log evidence above the reference at which the bins begin, nats.
+BINS_BEGIN = 5.0
+# Fraction of the mass that the largest number of classes to sample must hold; where it holds less, a quarter
+# of them shows what sampling changes.
+_MIN_SAMPLED_FRACTION = 0.5
+# Nats, and root mean square errors of the surrogate, below it from which on an evidence may be that of a
+# lesser optimum.
+_SUSPECT_NATS, _SUSPECT_ERRORS = 0.3, 2.0
+# Of every so many listed sequences one is fitted first, for the others to start from.
+_FITTED_FIRST = 16
+# Pieces that a worker evaluates the surrogate for.
+_PIECES = 64
+# Draws at which the basis made for the posterior is compared with the whole one.
+_BASIS_SETS = 200
+# Fewest draws from a part that is not sampled.
+_MIN_DRAWS = 64
+# Weight of a draw, in mean weights, from which on its error counts: of others the surrogate was far too high.
+_MIN_WEIGHT = 1e-3
+
+
+@dataclass(frozen=True, slots=True)
+class Enumeration:
+    """The log evidence of all sequences, and which of them are to be listed.
+
+    table : log evidence on cells; ``None`` where ``every`` (n_prefixes, g^n_inner) holds that of every
+    sequence.
+    sums : over the plies.
+    reference : log evidence that weights are relative to, about the largest.
+    negation : (n_grid,) grid index of minus each angle where sequences and their mirror images are equally
+    probable, else ``None``.
+    threshold : sequences with this log evidence or more are listed one by one, the others are summed.
+    """
+
+    table: PiecewiseLinearSurrogate | None
+    sums: PlySums
+    reference: float
+    negation: Array | None
+    threshold: float
+    every: Array | None = None
+
+    @property
+    def n_inner(self) -> int:
+        """Unknown angles behind a prefix."""
+        return min(INNER, self.sums.n_unknown)
+
+    @property
+    def n_prefixes(self) -> int:
+        """Number of prefixes."""
+        return int(len(self.sums.grid_deg) ** (self.sums.n_unknown - self.n_inner))
+
+    @property
+    def lower_bound(self) -> float:
+        """Log evidence that sequences outside the cells do not exceed."""
+        return -np.inf if self.table is None else self.table.lower_bound
+
+
+@dataclass(frozen=True, slots=True)
+class PartialSums:
+    """Sums over the sequences of some prefixes without those listed; weights exp(log evidence - reference).
+
+    prefixes : (p,) their numbers.
+    mass : (p,) weight of each, mirror images included.
+    inner : (n_inner, n_grid) marginal weights of the last plies.
+    count, weight : (BINS,) sequences and their weight by log evidence below ``reference + BINS_BEGIN``.
+    entropy : sum of weight * (log evidence - reference).
+    listed : (b, k) grid indices.
+    log_evidence : (b,) of those listed.
+    times : (b,) 2 for those that stand for their mirror images as well, else 1.
+    kept, left_out : all sequences inside and outside the cells.
+    """
+
+    prefixes: Array
+    mass: Array
+    inner: Array
+    count: Array
+    weight: Array
+    entropy: float
+    listed: Array
+    log_evidence: Array
+    times: Array
+    kept: int
+    left_out: int
+
+
+def place_values(base: int, digits: int) -> Array:
+    """What each digit of a number counts, the first most, (digits,)."""
+    return np.asarray(base ** np.arange(digits - 1, -1, -1, dtype=np.int64))
+
+
+def prefixes_to_visit(enumeration: Enumeration) -> Array:
+    """Numbers of the prefixes that stand for all: the first of two mirror images."""
+    every = np.arange(enumeration.n_prefixes)
+    return every[every <= _mirror_images(enumeration, every)]
+
+
+def enumerate_prefixes(enumeration: Enumeration, prefixes: Array) -> PartialSums:
+    """All sequences that begin with some prefixes (p,)."""
+    g, n_inner, k = len(enumeration.sums.grid_deg), enumeration.n_inner, enumeration.sums.n_unknown
+    times = np.ones(len(prefixes), dtype=np.int64)
+    if enumeration.negation is not None and enumeration.n_prefixes > 1:
+        times = np.where(_mirror_images(enumeration, prefixes) == prefixes, 1, 2)
+    mass, inner = np.zeros(len(prefixes)), np.zeros(g**n_inner)
+    count, weight = np.zeros(BINS, dtype=np.int64), np.zeros(BINS)
+    kept, entropy = 0, 0.0
+    listed: list[Array] = [np.empty((0, k), dtype=np.int16)]
+    values: list[Array] = [np.empty(0)]
+    times_listed: list[Array] = [np.empty(0, dtype=np.int64)]
+    for p, (digits, rows, log_evidence) in enumerate(_values(enumeration, prefixes)):
+        kept += int(times[p]) * len(rows)
+        high = log_evidence >= enumeration.threshold
+        if high.any():
+            listed.append(_sequences(g, n_inner, digits, rows[high]).astype(np.int16))
+            values.append(log_evidence[high])
+            times_listed.append(np.full(len(values[-1]), times[p]))
+            rows, log_evidence = rows[~high], log_evidence[~high]
+        relative = log_evidence - enumeration.reference
+        w = np.exp(relative)
+        mass[p] = times[p] * w.sum()
+        inner[rows] += times[p] * w
+        entropy += float(times[p] * (w @ relative))
+        bins = np.clip(((BINS_BEGIN - relative) / BIN).astype(np.int64), 0, BINS - 1)
+        count += times[p] * np.bincount(bins, minlength=BINS)
+        weight += times[p] * np.bincount(bins, w, minlength=BINS)
+    marginal = inner.reshape((g,) * n_inner)
+    by_ply = np.stack([marginal.sum(axis=tuple(i for i in range(n_inner) if i != j)) for j in range(n_inner)])
+    return PartialSums(
+        prefixes=prefixes,
+        mass=mass,
+        inner=by_ply,
+        count=count,
+        weight=weight,
+        entropy=entropy,
+        listed=np.concatenate(listed),
+        log_evidence=np.concatenate(values),
+        times=np.concatenate(times_listed),
+        kept=kept,
+        left_out=int(times.sum()) * g**n_inner - kept,
+    )
+
+
+def combined(parts: Sequence[PartialSums]) -> PartialSums:
+    """The sums and lists of several parts as one."""
+    joined: dict[str, Any] = {
+        name: np.concatenate([getattr(part, name) for part in parts])
+        for name in ("prefixes", "mass", "listed", "log_evidence", "times")
+    }
+    added: dict[str, Any] = {
+        name: sum(getattr(part, name) for part in parts)
+        for name in ("inner", "count", "weight", "entropy", "kept", "left_out")
+    }
+    return PartialSums(**joined, **added)
+
+
+def values_of_prefix(enumeration: Enumeration, prefix: int) -> tuple[Array, Array]:
+    """Sequences (m, k) of one prefix that are summed, not listed, and their log evidence (m,)."""
+    digits, rows, log_evidence = next(_values(enumeration, np.array([prefix])))
+    low = log_evidence < enumeration.threshold
+    sequences = _sequences(len(enumeration.sums.grid_deg), enumeration.n_inner, digits, rows[low])
+    return sequences, log_evidence[low]
+
+
+def _values(enumeration: Enumeration, prefixes: Array) -> Iterator[tuple[Array, Array, Array]]:
+    """Of each prefix its grid indices, the inner choices inside cells (m,) and their log evidence (m,)."""
+    table, n_outer = enumeration.table, enumeration.sums.n_unknown - enumeration.n_inner
+    digits = _prefix_digits(enumeration, prefixes)
+    if table is None:
+        assert enumeration.every is not None
+        inner = np.arange(enumeration.every.shape[1])
+        yield from ((digits[p], inner, enumeration.every[prefix]) for p, prefix in enumerate(prefixes))
+        return
+    both = enumeration.sums.both
+    total = all_choices(both[n_outer:]).astype(np.float32)
+    v, sums = np.ascontiguousarray(total[:, :4].T), np.column_stack((np.ones_like(total[:, 0]), total))
+    outer = np.zeros((len(digits), 1 + both.shape[2]))
+    for j in range(n_outer):
+        outer[:, 1:] += both[j][digits[:, j]]
+    for p in range(len(prefixes)):
+        leaf = table.rows(v, outer[p, 1:5])
+        rows = np.flatnonzero(leaf >= 0)
+        yield digits[p], rows, table.values(leaf[rows], sums[rows] + outer[p].astype(np.float32))
+
+
+def _prefix_digits(enumeration: Enumeration, prefixes: Array) -> Array:
+    """Grid indices (p, k - n_inner) of prefixes by number."""
+    g = len(enumeration.sums.grid_deg)
+    return np.asarray(
+        prefixes[:, None] // place_values(g, enumeration.sums.n_unknown - enumeration.n_inner) % g
+    )
+
+
+def _mirror_images(enumeration: Enumeration, prefixes: Array) -> Array:
+    """Numbers of the mirror images of prefixes (p,), themselves where mirror images are not equal, (p,)."""
+    if enumeration.negation is None:
+        return prefixes
+    digits = _prefix_digits(enumeration, prefixes)
+    place = place_values(len(enumeration.sums.grid_deg), digits.shape[1])
+    return np.asarray(enumeration.negation[digits] @ place)
+
+
+def _sequences(n_grid: int, n_inner: int, outer: Array, rows: Array) -> Array:
+    """Grid indices (m, k) of the inner choices ``rows`` (m,) of one prefix."""
+    inner = rows[:, None] // place_values(n_grid, n_inner) % n_grid
+    return np.column_stack((np.tile(outer, (len(rows), 1)), inner))
+
+
+@dataclass(frozen=True, slots=True)
+class ListedClasses:
+    """The m classes that were fitted, in descending order of their log evidence as far as it is known.
+
+    sequences : (m, k) their first members.
+    size : (m,) sequences in each class.
+    count : (m,) sequences of each class on the list.
+    log_evidence : (m,) nats.
+    sampled : (m,) whether by sampling.
+    around : tree of their features.
+    evaluated : the classes that were sampled.
+    refined : the first of them, their evidence refined.
+    class_of_row : (b,) which class each row of the enumeration's list is of.
+    """
+
+    sequences: Array
+    size: Array
+    count: Array
+    log_evidence: Array
+    sampled: Array
+    around: Neighbours
+    evaluated: Evaluated
+    refined: Evaluated
+    class_of_row: Array
+
+
+def evaluate_listed(
+    problem: StackingProblem,
+    sums: PlySums,
+    trained: TrainedSurrogate,
+    totals: PartialSums,
+    images: Array,
+    notify: Callable[[str], None],
+) -> ListedClasses:
+    """Every listed class fitted, those that carry the mass sampled, the most probable ones refined."""
+    settings, top = problem.settings, trained.surrogate.top
+    distinct = classes(totals.listed.astype(np.int64), problem.symmetries)
+    sequences, label = distinct.representative, distinct.label
+    count = np.bincount(label, totals.times)
+    features = sums.features(sequences)
+    lengths = trained.surrogate.process.lengths
+    expected = surrogate_values(trained.surrogate, problem.executor, features)
+    fits = _fitted(problem, sums, trained, sequences, features, expected, images)
+    order = np.argsort(-fits.log_evidence, kind="stable")
+    some = order[: _number_to_sample(problem, fits, order, count, float(np.sum(totals.mass)), top)]
+    notify(f"evidence of {len(some)} classes of sequences")
+    around = neighbours(features, fits.x, lengths, images)
+    starts = around.starts(features[some], fits.x[some])
+    evaluated = evaluate(
+        trained.focused, problem.grid_deg, sequences[some], starts, settings.log2_sampled, problem.executor
+    )
+    log_evidence = fits.log_evidence.copy()
+    if len(some) < len(order):  # what sampling changes is much the same for neighbours
+        change = evaluated.log_evidence - log_evidence[some]
+        other = order[len(some) :]
+        near_sampled = neighbours(features[some], fits.x[some], lengths, images)
+        log_evidence[other] += near_sampled.mean(features[other], change)
+    log_evidence[some] = evaluated.log_evidence
+    sampled = np.zeros(len(order), dtype=bool)
+    sampled[some] = True
+    best = np.argsort(-evaluated.log_evidence, kind="stable")[: settings.listed]
+    leading = some[best]
+    refined_best = refined(problem, trained, around, sequences[leading], features[leading], fits.x[leading])
+    # few points miss the tails of a conditional posterior, of all sequences alike
+    log_evidence += np.median(refined_best.log_evidence - evaluated.log_evidence[best])
+    log_evidence[leading] = refined_best.log_evidence
+    order = np.argsort(-log_evidence, kind="stable")
+    rank = np.empty(len(order), dtype=np.int64)
+    rank[order] = np.arange(len(order))
+    return ListedClasses(
+        sequences=sequences[order],
+        size=distinct.size[order],
+        count=count[order],
+        log_evidence=log_evidence[order],
+        sampled=sampled[order],
+        around=around,
+        evaluated=evaluated,
+        refined=refined_best[np.argsort(-refined_best.log_evidence, kind="stable")],
+        class_of_row=rank[label],
+    )
+
+
+def _number_to_sample(
+    problem: StackingProblem, fits: Located, order: Array, count: Array, unlisted: float, reference: float
+) -> int:
+    """How many of the classes in ``order`` are sampled; unlisted : mass of the others, exp(-reference)."""
+    settings = problem.settings
+    top = float(fits.log_evidence.max())
+    mass = np.cumsum(count[order] * np.exp(fits.log_evidence[order] - top))
+    needed = int(np.searchsorted(mass, settings.sampled_fraction * mass[-1])) + 1
+    most, total = settings.max_sampled, mass[-1] + unlisted * np.exp(reference - top)
+    if needed > most and mass[most - 1] < _MIN_SAMPLED_FRACTION * total:
+        most = most // 4
+    return min(max(needed, settings.listed), most)
+
+
+def _fitted(
+    problem: StackingProblem,
+    sums: PlySums,
+    trained: TrainedSurrogate,
+    sequences: Array,
+    features: Array,
+    expected: Array,
+    images: Array,
+) -> Located:
+    """Laplace's evidence of sequences (m, k), from optima of the training set and then of one another.
+
+    expected : (m,) the surrogate's log evidence.
+    """
+    lengths = trained.surrogate.process.lengths
+    data, focused = trained.data, trained.focused
+    training_features = sums.features(data.sequences)
+    around = neighbours(training_features, data.fits.x, lengths, images)
+    # below this a lesser optimum may have been met
+    high = data.log_evidence > data.log_evidence.max() - NEAR
+    laplace = np.median((data.fits.log_evidence - data.log_evidence)[high])
+    least = expected + laplace - max(_SUSPECT_NATS, _SUSPECT_ERRORS * trained.surrogate.rms_error)
+    m = len(sequences)
+    log_evidence, x = np.empty(m), np.empty((m, data.fits.x.shape[1]))
+    every = np.arange(m)
+    for rows in (every[::_FITTED_FIRST], np.delete(every, np.s_[::_FITTED_FIRST])):
+        starts = around.nearest(features[rows])
+        fits = locate(
+            focused, problem.grid_deg, sequences[rows], starts, least[rows], problem.starts, problem.executor
+        )
+        log_evidence[rows], x[rows] = fits.log_evidence, fits.x
+        around = neighbours(
+            np.concatenate((training_features, features[rows])),
+            np.concatenate((data.fits.x, fits.x)),
+            lengths,
+            images,
+        )
+    return Located(log_evidence, x)
+
+
+def refined(
+    problem: StackingProblem,
+    trained: TrainedSurrogate,
+    around: Neighbours,
+    sequences: Array,
+    features: Array,
+    x: Array | None,
+) -> Evaluated:
+    """Sequences (m, k) optimised from optima nearby, the reference and the library, and sampled."""
+    near = around.starts(features, x)
+    common = np.broadcast_to(problem.starts[0], (len(sequences), 1, near.shape[2]))
+    return evaluate(
+        trained.focused,
+        problem.grid_deg,
+        sequences,
+        np.concatenate((near, common), axis=1),
+        problem.settings.log2_points,
+        problem.executor,
+        problem.library,
+    )
+
+
+def surrogate_values(surrogate: Surrogate, executor: Executor | None, features: Array) -> Array:
+    """The surrogate's log evidence at features (m, d), in parallel, (m,)."""
+    pieces = run(
+        Surrogate.values,
+        surrogate,
+        np.array_split(features, _PIECES),
+        executor,
+        batch_size=1,
+        is_limited=True,
+    )
+    return np.concatenate(pieces)
+
+
+@dataclass(frozen=True, slots=True)
+class DrawnPart:
+    """Draws from one part of the sequences, their evidence refined.
+
+    mass : weight of the part before it is corrected.
+    data : the draws.
+    error : (d,) refined log evidence less the one they were drawn by, nats.
+    """
+
+    mass: float
+    data: Evaluated
+    error: Array
+
+    @property
+    def correction(self) -> float:
+        """Log of the factor on the part's mass."""
+        return float(np.log(np.mean(np.exp(self.error - self.error.max()))) + self.error.max())
+
+
+def draw_parts(
+    problem: StackingProblem,
+    sums: PlySums,
+    trained: TrainedSurrogate,
+    enumeration: Enumeration,
+    totals: PartialSums,
+    listed: ListedClasses,
+    rng: np.random.Generator,
+) -> tuple[DrawnPart | None, ...]:
+    """Draws from the classes that were sampled, from those fitted only, and from all that is not listed."""
+    weight = listed.count * np.exp(listed.log_evidence - enumeration.reference)
+    rows = (np.flatnonzero(listed.sampled), np.flatnonzero(~listed.sampled))
+    masses = (*(float(weight[r].sum()) for r in rows), float(totals.mass.sum()))
+    draws = problem.settings.draws
+    parts: list[DrawnPart | None] = []
+    for i, mass in enumerate(masses):
+        if mass <= 0.0:
+            parts.append(None)
+            continue
+        n = max(round(draws * mass / sum(masses)), min(_MIN_DRAWS, draws))
+        if i < len(rows):
+            pick = rows[i][rng.choice(len(rows[i]), size=n, p=weight[rows[i]] / mass)]
+            sequences, value = listed.sequences[pick], listed.log_evidence[pick]
+        else:
+            sequences, value = _unlisted(enumeration, totals, n, rng)
+        distinct, index = np.unique(sequences, axis=0, return_inverse=True)
+        features = sums.features(distinct)
+        data = refined(problem, trained, listed.around, distinct, features, None)[index.ravel()]
+        parts.append(DrawnPart(mass, data, data.log_evidence - value))
+    return tuple(parts)
+
+
+def _unlisted(
+    enumeration: Enumeration, totals: PartialSums, n: int, rng: np.random.Generator
+) -> tuple[Array, Array]:
+    """Sequences (n, k) drawn from those that are not listed, and the surrogate's log evidence (n,)."""
+    prefix = rng.choice(len(totals.mass), size=n, p=totals.mass / totals.mass.sum())
+    sequences = np.empty((n, enumeration.sums.n_unknown), dtype=np.int64)
+    value = np.empty(n)
+    for p in np.unique(prefix):
+        rows = np.flatnonzero(prefix == p)
+        candidates, log_evidence = values_of_prefix(enumeration, int(totals.prefixes[p]))
+        weight = np.exp(log_evidence - log_evidence.max())
+        pick = rng.choice(len(candidates), size=len(rows), p=weight / weight.sum())
+        sequences[rows], value[rows] = candidates[pick], log_evidence[pick]
+    return sequences, value
+
+
+def combined_posterior(
+    problem: StackingProblem,
+    trained: TrainedSurrogate,
+    enumeration: Enumeration,
+    totals: PartialSums,
+    listed: ListedClasses,
+    parts: tuple[DrawnPart | None, ...],
+    rng: np.random.Generator,
+) -> StackingPosterior:
+    """The posterior of all parts together, those that were not sampled corrected by their draws."""
+    fitted, rest = (0.0 if part is None else part.correction for part in parts[1:])
+    relative = listed.log_evidence + np.where(listed.sampled, 0.0, fitted) - enumeration.reference
+    weight = np.exp(relative)
+    rest_mass = float(np.exp(rest) * totals.mass.sum())
+    total = float(listed.count @ weight) + rest_mass
+    log_total = float(np.log(total)) + enumeration.reference
+    entropy = float((listed.count * weight) @ relative) + np.exp(rest) * (
+        totals.entropy + rest * totals.mass.sum()
+    )
+    left_out = totals.left_out * np.exp(enumeration.lower_bound - enumeration.reference)
+    drawn_parts = [part for part in parts if part is not None]
+    # sampled classes count as they were drawn: a refined evidence differs by the noise of both
+    weights = [
+        np.exp(part.error) if part is not parts[0] else np.ones(len(part.error)) for part in drawn_parts
+    ]
+    fractions = [part.mass / total * (w / len(w)) for part, w in zip(drawn_parts, weights, strict=True)]
+    draw_weight = np.concatenate(fractions)
+    draw_weight = draw_weight / draw_weight.sum()
+    drawn = drawn_parts[0].data
+    for part in drawn_parts[1:]:
+        drawn = merged(drawn, part.data)
+    error = np.concatenate([part.error for part in drawn_parts])
+    top = listed.refined[np.arange(min(problem.settings.listed, len(listed.refined.sequences)))]
+    none = top.sequences[:0]
+    return StackingPosterior(
+        specimen=problem.specimen,
+        conditional=problem.conditional,
+        symmetries=problem.symmetries,
+        grid_deg=problem.grid_deg,
+        enumerated=problem.n_sequences,
+        classes=None,
+        log_evidence_total=log_total - float(np.log(problem.n_sequences)),
+        top=problem.grid_deg[top.sequences],
+        same_bending=(none,) * len(top.sequences),
+        alike=(none,) * len(top.sequences),
+        multiplicity=canonical(top.sequences, problem.symmetries).size,
+        probability=np.exp(top.log_evidence - log_total),
+        log_evidence=top.log_evidence,
+        log_evidence_error=top.conditionals.error,
+        components=top,
+        marginals=_marginals(enumeration, totals, listed, weight, float(np.exp(rest))),
+        credible_count=_credible_count(totals, listed, weight, rest, total),
+        effective_count=float(np.exp(np.log(total) - entropy / total)),
+        unaccounted=float(left_out / (left_out + total)),
+        drawn=problem.random_members(drawn, rng),
+        draw_weight=draw_weight,
+        check=SurrogateCheck(
+            training_size=len(trained.data.sequences),
+            rms=float(np.sqrt(np.sum(draw_weight * error**2))),
+            largest=float(np.abs(error[draw_weight > _MIN_WEIGHT * draw_weight.mean()]).max()),
+            overlooked=max(0.0, float(drawn.log_evidence.max() - listed.refined.log_evidence[0])),
+            correction=rest,
+            effective=float(1.0 / np.sum(draw_weight**2) / len(draw_weight)),
+            fitted=len(listed.size),
+            sampled=int(listed.sampled.sum()),
+            surrogate_probability=rest_mass / total,
+            basis_error=_basis_error(problem, trained, drawn, rng),
+        ),
+        seconds=0.0,
+    )
+
+
+def _basis_error(
+    problem: StackingProblem, trained: TrainedSurrogate, drawn: Evaluated, rng: np.random.Generator
+) -> float:
+    """Largest relative difference of the frequencies of the two bases at some constants drawn."""
+    rows = rng.permutation(len(drawn.sequences))[:_BASIS_SETS]
+    whole = problem.conditional
+    x = drawn.conditionals.draws[rows, 0, : whole.template.model.parameters.size]
+    sets = np.column_stack((problem.grid_deg[drawn.sequences[rows]], x))
+    ratio = trained.focused.model.predict(sets).frequencies / whole.model.predict(sets).frequencies
+    return float(np.abs(ratio - 1.0).max())
+
+
+def _credible_count(
+    totals: PartialSums, listed: ListedClasses, weight: Array, correction: float, total: float
+) -> int:
+    """Number of sequences in the smallest set with 95 %, the last group in proportion."""
+    value = np.exp(BINS_BEGIN - BIN * (np.arange(BINS) + 0.5) + correction)
+    each = np.concatenate((weight, value))
+    count = np.concatenate((listed.count, totals.count)).astype(float)
+    mass = np.concatenate((listed.count * weight, np.exp(correction) * totals.weight))
+    order = np.argsort(-each, kind="stable")
+    cumulative = np.cumsum(mass[order])
+    last = int(np.searchsorted(cumulative, CREDIBLE * total))
+    before = float(count[order[:last]].sum())
+    missing = CREDIBLE * total - (cumulative[last - 1] if last else 0.0)
+    fraction = missing / max(float(mass[order[last]]), 1e-300)
+    return int(np.ceil(before + fraction * count[order[last]] - 1e-9))
+
+
+def _marginals(
+    enumeration: Enumeration, totals: PartialSums, listed: ListedClasses, weight: Array, factor: float
+) -> Array:
+    """Probability of every angle, ply by ply, (k, n_grid)."""
+    g, n_outer = len(enumeration.sums.grid_deg), enumeration.sums.n_unknown - enumeration.n_inner
+    outer = [
+        np.bincount(totals.prefixes // p % g, totals.mass, minlength=g) for p in place_values(g, n_outer)
+    ]
+    summed = factor * np.concatenate((np.reshape(outer, (n_outer, g)), totals.inner))
+    row_weight = totals.times * weight[listed.class_of_row]
+    mass = summed + np.stack([np.bincount(column, row_weight, minlength=g) for column in totals.listed.T])
+    if enumeration.negation is not None:
+        mass = 0.5 * (mass + mass[:, enumeration.negation])
+    return np.asarray(mass / mass.sum(axis=1, keepdims=True))

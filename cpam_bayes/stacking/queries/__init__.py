@@ -1,1 +1,0 @@
-"""Questions to the posterior over stacking sequences."""

@@ -1,1 +1,0 @@
-"""Stacking sequences that no frequency can tell apart."""

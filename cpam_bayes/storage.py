@@ -1,0 +1,381 @@
+"""Files that are whole or not there: drafts, sealed files, arrays in them, and the cache of models.
+
+A draft stands beside the place of the finished file, under a name that says whose it is; drafts of killed
+processes are swept by the next one that makes a draft there. A sealed file is content behind a checksum,
+written to a draft, flushed to the disk and renamed; one that is damaged, foreign or in another file's place
+is never used, but set aside. The cache is a directory of limited size that the model used least recently
+leaves first. Several processes may use it at once: files appear and go whole, and one that another process
+took away is built again.
+"""
+
+from __future__ import annotations
+
+import errno
+import hashlib
+import hmac
+import io
+import logging
+import math
+import os
+import re
+import shutil
+import socket
+import tempfile
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from functools import cache
+from io import BufferedRandom
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = [
+    "ARRAYS",
+    "DAMAGED",
+    "DIRECTORY_VARIABLE",
+    "LIMIT_VARIABLE",
+    "CacheContent",
+    "cache_content",
+    "cache_directory",
+    "cache_limit",
+    "clear_cache",
+    "draft_directory",
+    "draft_file",
+    "make_room",
+    "model_file",
+    "put_in_place",
+    "read_arrays",
+    "read_model",
+    "read_sealed",
+    "replaceable",
+    "seal_of",
+    "set_aside",
+    "sweep",
+    "write_arrays",
+    "write_model",
+    "write_sealed",
+]
+
+_PREFIX: Final = ".cpam-bayes-"
+_OWNER: Final = re.compile(rf"{re.escape(_PREFIX)}(?P<machine>[0-9a-f]{{8}})-(?P<process>[0-9]{{1,10}})-")
+# Age at which a draft is swept whose owner is on another machine, or not known, s.
+_ABANDONED_SECONDS: Final = 86_400.0
+
+
+@contextmanager
+def draft_directory(parent: Path | None = None) -> Iterator[Path]:
+    """A directory to write in, removed at the end; parent : by default that of temporary files.
+
+    Raises ``OSError`` where it cannot be made.
+    """
+    place = Path(tempfile.gettempdir()) if parent is None else parent
+    _sweep_once(place)
+    draft = Path(tempfile.mkdtemp(prefix=_own_prefix(), dir=place))
+    try:
+        yield draft
+    finally:
+        shutil.rmtree(draft, ignore_errors=True)
+
+
+@contextmanager
+def draft_file(parent: Path | None = None) -> Iterator[tuple[Path, BufferedRandom]]:
+    """A file to write to and read from, open; removed at the end unless it was renamed.
+
+    parent : by default that of temporary files.
+
+    Raises ``OSError`` where it cannot be made.
+    """
+    place = Path(tempfile.gettempdir()) if parent is None else parent
+    _sweep_once(place)
+    handle, name = tempfile.mkstemp(prefix=_own_prefix(), dir=place)
+    draft = Path(name)
+    try:
+        with os.fdopen(handle, "w+b") as file:
+            yield draft, file
+    finally:
+        with suppress(OSError):
+            draft.unlink(missing_ok=True)
+
+
+def replaceable(path: Path) -> bool:
+    """Whether a file may be put there: nothing is, or a regular file, which no link stands for."""
+    return not os.path.lexists(path) or (path.is_file() and not path.is_symlink())
+
+
+def put_in_place(draft: Path, path: Path) -> None:
+    """Rename a finished draft; raise ``OSError`` where that fails or would replace anything but a file."""
+    if not replaceable(path):
+        raise FileExistsError(errno.EEXIST, "a directory, link, pipe or device is in its place", str(path))
+    draft.replace(path)
+
+
+def sweep(directory: Path) -> None:
+    """Remove the drafts of processes that ended, and those of other machines that are a day old."""
+    with suppress(OSError), os.scandir(directory) as entries:
+        for entry in entries:
+            if entry.name.startswith(_PREFIX):
+                with suppress(OSError):
+                    if _is_abandoned(entry):
+                        _remove(entry)
+
+
+def _is_abandoned(entry: os.DirEntry[str]) -> bool:
+    status = entry.stat(follow_symlinks=False)
+    if status.st_uid != os.geteuid():
+        return False
+    owner = _OWNER.match(entry.name)
+    if owner is not None and owner["machine"] == _machine():
+        return not _is_running(int(owner["process"]))
+    return time.time() - status.st_mtime > _ABANDONED_SECONDS
+
+
+def _is_running(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except (ProcessLookupError, OverflowError):
+        return False
+    except PermissionError:  # of another user
+        return True
+    return True
+
+
+def _remove(entry: os.DirEntry[str]) -> None:
+    if entry.is_dir(follow_symlinks=False):
+        shutil.rmtree(entry.path, ignore_errors=True)
+    else:
+        os.unlink(entry.path)
+
+
+@cache
+def _sweep_once(directory: Path) -> None:
+    sweep(directory)
+
+
+@cache
+def _machine() -> str:
+    """What process numbers belong to: a host, and there the container."""
+    space = Path("/proc/self/ns/pid")
+    name = f"{socket.gethostname()} {os.readlink(space) if space.is_symlink() else ''}"
+    return hashlib.sha256(name.encode()).hexdigest()[:8]
+
+
+def _own_prefix() -> str:
+    return f"{_PREFIX}{_machine()}-{os.getpid()}-"
+
+
+DAMAGED: Final = ".damaged"
+"""What is added to the name of a file that was set aside."""
+_HEAD: Final = b"cpam-bayes sealed 1 "
+_LOG: Final = logging.getLogger(__name__)
+
+
+def seal_of(name: str, *content: bytes | memoryview) -> str:
+    """SHA-256 of the name of a file and its content, in hexadecimal digits."""
+    digest = hashlib.sha256(name.encode(errors="surrogateescape") + b"\n")
+    for part in content:
+        digest.update(part)
+    return digest.hexdigest()
+
+
+def write_sealed(path: Path, content: bytes | memoryview) -> None:
+    """Put a sealed file in its place, whole; raise ``OSError`` where that fails."""
+    with draft_file(path.parent) as (draft, file):
+        file.write(_HEAD + seal_of(path.name, content).encode() + b"\n")
+        file.write(content)
+        file.flush()
+        os.fsync(file.fileno())
+        put_in_place(draft, path)
+    _flush_directory(path.parent)
+
+
+def read_sealed(path: Path) -> bytes | None:
+    """The content of a sealed file; ``None`` if there is none, or none that is whole: it is set aside.
+
+    Raises ``OSError`` where a file that is there cannot be read.
+    """
+    try:
+        with path.open("rb") as file:
+            head = file.read(len(_HEAD) + 64 + 1)
+            content = file.read()
+    except FileNotFoundError:
+        return None
+    expected = _HEAD + seal_of(path.name, content).encode() + b"\n"
+    if not hmac.compare_digest(head, expected):
+        set_aside(path)
+        return None
+    return content
+
+
+def set_aside(path: Path) -> None:
+    """Rename a file that cannot be used, so that it is built anew, and name it in one warning."""
+    aside = path.with_name(path.name + DAMAGED)
+    try:
+        path.replace(aside)
+    except FileNotFoundError:  # another process was first
+        return
+    except OSError as error:
+        _LOG.warning("%s is damaged and not used; it cannot be set aside: %s", path, error.strerror)
+        return
+    _LOG.warning(
+        "%s was damaged: it is set aside as %s, and what it held is computed again", path, aside.name
+    )
+
+
+def _flush_directory(directory: Path) -> None:
+    """Make a rename last; some file systems cannot."""
+    with suppress(OSError):
+        handle = os.open(directory, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
+
+
+Array = NDArray[Any]
+
+ARRAYS: Final = ".arrays"
+"""Ending of such files."""
+
+
+def write_arrays(path: Path, arrays: Mapping[str, Array]) -> None:
+    """Store arrays under their names; raise ``OSError`` where that fails."""
+    content = io.BytesIO()
+    np.savez(content, **arrays)  # type: ignore[arg-type]
+    write_sealed(path, content.getbuffer())
+
+
+def read_arrays(path: Path) -> dict[str, Array] | None:
+    """The arrays of a file; ``None`` if there is none or it is damaged. Nothing is unpickled.
+
+    Raises ``OSError`` where a file that is there cannot be read.
+    """
+    content = read_sealed(path)
+    if content is None:
+        return None
+    try:
+        with np.load(io.BytesIO(content), allow_pickle=False) as archive:
+            return {name: archive[name] for name in archive.files}
+    except Exception:  # noqa: BLE001 - zipfile and numpy raise many kinds for what another program sealed
+        set_aside(path)
+        return None
+
+
+DIRECTORY_VARIABLE: Final = "CPAM_BAYES_CACHE"
+LIMIT_VARIABLE: Final = "CPAM_BAYES_CACHE_GIB"
+_DEFAULT_LIMIT_GIB: Final = 4.0
+_GIB: Final = 2**30
+# Room is made down to this fraction of the limit, so that it is not made at every file.
+_KEPT_FRACTION: Final = 0.9
+# The files of this package alone, whatever else is in the directory; those of earlier versions end in .npz.
+_MODEL: Final = re.compile(
+    rf"[0-9a-f]{{32}}(-local[0-9]+)?({re.escape(ARRAYS)}|\.npz)({re.escape(DAMAGED)})?"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class CacheContent:
+    """Number of files of models, and what they take, bytes."""
+
+    files: int
+    size: int
+
+
+def cache_directory() -> Path:
+    """Where models are kept: $CPAM_BAYES_CACHE, or the system's place for the caches of a user."""
+    chosen = os.environ.get(DIRECTORY_VARIABLE)
+    if chosen:
+        return Path(chosen)
+    from platformdirs import user_cache_path
+
+    return user_cache_path("cpam_bayes", appauthor=False)
+
+
+def cache_limit() -> int:
+    """What models may take on disk, bytes: $CPAM_BAYES_CACHE_GIB, or 4 GiB.
+
+    Raises ``ValueError`` where the variable is no number above 0.
+    """
+    given = os.environ.get(LIMIT_VARIABLE)
+    try:
+        limit = float(given) if given else _DEFAULT_LIMIT_GIB
+    except ValueError:
+        limit = math.nan
+    if not 0.0 < limit < 1e9:
+        raise ValueError(
+            f"{LIMIT_VARIABLE}: received {given!r}, accepted: GiB that stored models may take, above 0"
+        )
+    return int(limit * _GIB)
+
+
+def model_file(name: str, directory: Path | None = None) -> Path:
+    """The file of a model, by default in the cache.
+
+    Raises ``ValueError`` for a limit that is none, before anything is built.
+    """
+    cache_limit()
+    return (directory or cache_directory()) / f"{name}{ARRAYS}"
+
+
+def read_model(path: Path) -> dict[str, NDArray[Any]] | None:
+    """The arrays of a stored model, which is then the one used last; ``None`` if it cannot be had."""
+    try:
+        stored = read_arrays(path)
+    except OSError:
+        return None
+    if stored is not None:
+        with suppress(OSError):
+            os.utime(path)
+    return stored
+
+
+def write_model(path: Path, model: Mapping[str, NDArray[Any]]) -> None:
+    """Store the arrays of a model and make room for it; a disk that is full or read-only is no error."""
+    with suppress(OSError):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_arrays(path, model)
+    make_room(path.parent, cache_limit(), path)
+
+
+def make_room(directory: Path, limit: int, kept: Path | None = None) -> None:
+    """Remove the models used least recently until the rest fits a limit, bytes; kept : not this one."""
+    found = _models(directory)
+    total = sum(status.st_size for _, status in found)
+    if total <= limit:
+        return
+    for path, status in sorted(found, key=lambda entry: entry[1].st_mtime_ns):
+        if total <= _KEPT_FRACTION * limit:
+            return
+        if path != kept:
+            with suppress(OSError):
+                path.unlink()
+            total -= status.st_size
+
+
+def cache_content(directory: Path) -> CacheContent:
+    """What models take in a directory."""
+    found = _models(directory)
+    return CacheContent(len(found), sum(status.st_size for _, status in found))
+
+
+def clear_cache(directory: Path) -> None:
+    """Remove all models of a directory and what killed processes left there, nothing else.
+
+    Raises ``OSError`` where a file cannot be removed.
+    """
+    sweep(directory)
+    for path, _ in _models(directory):
+        path.unlink(missing_ok=True)
+
+
+def _models(directory: Path) -> list[tuple[Path, os.stat_result]]:
+    found: list[tuple[Path, os.stat_result]] = []
+    with suppress(OSError), os.scandir(directory) as entries:
+        for entry in entries:
+            with suppress(OSError):
+                if _MODEL.fullmatch(entry.name) and entry.is_file(follow_symlinks=False):
+                    found.append((Path(entry.path), entry.stat(follow_symlinks=False)))
+    return found

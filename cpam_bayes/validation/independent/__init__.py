@@ -1,1 +1,0 @@
-"""Truths for benchmarks from elements of their own: nothing here knows the package's mechanics or effects."""

@@ -1,0 +1,238 @@
+"""The marginal likelihood of one hypothesis by brute force: what the diagnosis's quick way is held to.
+
+Starts, nodes and proposals are its own. Independent draws of the prior, many more than the quick way has, are
+ranked by likelihoods at several tempered noises and optimised to the end. At every node of a dense grid over
+the effect's size (of a cloud, where there are several sizes) the constants are optimised again, from the
+draws next to the node and from the optima. All of these are a proposal only: the integral is that of an
+importance sample, which is refitted and enlarged until its error is small.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import logsumexp
+
+from cpam_bayes.diagnosis.comparison import Comparison
+from cpam_bayes.inference.derivatives import MAX_SCORE, Expansion
+from cpam_bayes.inference.laplace import maximise
+from cpam_bayes.inference.student_mixture import Mixture, shrunk_moments, staged_importance
+from cpam_bayes.threads import single_blas_thread
+
+Array = NDArray[Any]
+
+# Relative noises at which draws are ranked, and the best of each ranking that are optimised.
+_TEMPERED, _BEST_OF_EACH = (0.1, 0.03, 0.01, 0.003), 12
+# Draws that are optimised as they come.
+_AS_THEY_COME = 16
+# Sizes of half of the draws, and the nodes, are spread evenly over scores this far.
+_REACH = 4.5
+# A node's draws: the nearest in size, and the best of these at two tempered noises.
+_NEAREST, _BEST_AT_NODE, _TEMPERED_AT_NODE = 64, 2, (0.03, 0.005)
+# Steps of an optimisation at most, and the gain in nats that ends it: jointly, and at a node.
+_TO_THE_END, _AT_NODES = (40, 1e-3), (16, 1e-2)
+# Optima are distinct beyond so many standard deviations; components this far below the best are left out.
+_DISTINCT, _DEPTH_NATS = 0.5, 14.0
+# The proposal: degrees of freedom, widening, share of one component that is the prior itself.
+_FREEDOM, _WIDER, _OF_PRIOR = 5.0, 1.25, 0.02
+_STAGES = (0.2, 0.2, 0.2, 0.4)
+
+
+@dataclass(frozen=True, slots=True)
+class ReferenceSettings:
+    """How hard the reference works.
+
+    draws : of the prior
+    nodes : of the grid over one size, or of the cloud over several
+    log2_points : of the importance sample, first and at most
+    error : of the log evidence, at which the sample is large enough
+    """
+
+    draws: int = 4096
+    nodes: int = 301
+    log2_points: tuple[int, int] = (13, 15)
+    error: float = 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class ReferenceEvidence:
+    """A log marginal likelihood with the standard error, effective size and k-hat of its sample.
+
+    optima : distinct joint optima within 14 nats of the best
+    """
+
+    log_evidence: float
+    error: float
+    effective_size: float
+    k_hat: float
+    optima: int
+
+
+@dataclass(frozen=True, slots=True)
+class _Drawn:
+    """Draws of the prior, scores (m, n), and their relative misfits (m, n_f)."""
+
+    z: Array
+    misfit: Array
+
+
+@single_blas_thread
+def reference_evidence(
+    comparison: Comparison,
+    sizes: tuple[int, ...],
+    seed: int,
+    settings: ReferenceSettings | None = None,
+    *,
+    hopeless: float = -np.inf,
+) -> ReferenceEvidence:
+    """The log marginal likelihood of a comparison, constants, noise and sizes integrated over their priors.
+
+    sizes : columns of the effect's size and further coordinates
+    hopeless : log evidence about the joint optima below which nodes are left out
+    """
+    settings = settings or ReferenceSettings()
+    rng = np.random.default_rng([seed, 18])
+    drawn = _draws(comparison, sizes, settings.draws, rng)
+    z, e = _optimised(comparison, _ranked(drawn), ())
+    z, e = _separate(z, e)
+    centre, factor, log_mass = [z], [np.linalg.cholesky(np.linalg.inv(e.curvature))], [_log_mass(e)]
+    if sizes and float(logsumexp(log_mass[0])) > hopeless:
+        at_nodes = _at_nodes(comparison, sizes, drawn, z, settings, rng)
+        for part, more in zip((centre, factor, log_mass), at_nodes, strict=True):
+            part.append(more)
+    mixture = _proposal(np.concatenate(centre), np.concatenate(factor), np.concatenate(log_mass))
+
+    def log_density(points: Array) -> Array:
+        return comparison.log_density(points[0])[None]
+
+    for log2 in range(settings.log2_points[0], settings.log2_points[1] + 1):
+        sample = staged_importance(log_density, mixture, log2, _STAGES, _refitted)
+        if sample.standard_error[0] < settings.error:
+            break
+    return ReferenceEvidence(
+        float(sample.log_evidence[0]),
+        float(sample.standard_error[0]),
+        float(sample.effective_size[0]),
+        float(sample.k_hat[0]),
+        len(z),
+    )
+
+
+def _draws(comparison: Comparison, sizes: tuple[int, ...], m: int, rng: np.random.Generator) -> _Drawn:
+    z = rng.standard_normal((m, comparison.parameters.size))
+    if sizes:
+        z[::2, sizes[0]] = rng.uniform(-_REACH, _REACH, len(z[::2]))
+    x = comparison.scores.to_x(z)
+    allowed = comparison.model.admissible(x)
+    f, _ = comparison.predict(x[allowed])
+    return _Drawn(z[allowed], f / comparison.listed.frequencies - 1.0)
+
+
+def _tempered(misfit: Array, noise: float) -> Array:
+    """Student-t log likelihood of relative misfits (m, n_f) at a large noise, (m,)."""
+    return np.asarray(-2.0 * np.sum(np.log1p((misfit / noise) ** 2 / 3.0), axis=1))
+
+
+def _ranked(drawn: _Drawn) -> Array:
+    """Starts: the best draws at every tempered noise, and some as they come."""
+    which = [np.arange(min(_AS_THEY_COME, len(drawn.z)))]
+    which += [np.argsort(-_tempered(drawn.misfit, s), kind="stable")[:_BEST_OF_EACH] for s in _TEMPERED]
+    return np.asarray(drawn.z[np.unique(np.concatenate(which))])
+
+
+def _optimised(comparison: Comparison, z: Array, held: tuple[int, ...]) -> tuple[Array, Expansion]:
+    """Where optimisations from scores (m, n) end, those of some columns held."""
+    free = np.delete(np.arange(z.shape[1]), held)
+    bound = np.full(len(free), MAX_SCORE)
+
+    def target(at: Array, rows: Array) -> Expansion:
+        whole = z[rows].copy()
+        whole[:, free] = at
+        e = comparison.expand(whole)
+        return Expansion(e.value, e.gradient[:, free], e.curvature[:, free][:, :, free])
+
+    steps, promised = _TO_THE_END if not held else _AT_NODES
+    maxima = maximise(target, z[:, free], -bound, bound, most_steps=steps, promised=promised)
+    ended = z.copy()
+    ended[:, free] = maxima.u
+    return ended, maxima.expansion
+
+
+def _separate(z: Array, e: Expansion) -> tuple[Array, Expansion]:
+    """The distinct ones of optima, the best first."""
+    order = np.argsort(-e.value, kind="stable")
+    kept: list[int] = []
+    for i in order[e.value[order] > e.value[order[0]] - _DEPTH_NATS]:
+        away = z[kept] - z[i]
+        distance = np.einsum("ki,kij,kj->k", away, e.curvature[kept], away)
+        if not len(kept) or distance.min() > _DISTINCT**2:
+            kept.append(int(i))
+    return z[kept], Expansion(e.value[kept], e.gradient[kept], e.curvature[kept])
+
+
+def _log_mass(e: Expansion) -> Array:
+    """Log of the integral about each optimum by Laplace's approximation, (k,)."""
+    n = e.curvature.shape[1]
+    return np.asarray(e.value + 0.5 * n * np.log(2 * np.pi) - 0.5 * np.linalg.slogdet(e.curvature)[1])
+
+
+def _at_nodes(
+    comparison: Comparison,
+    sizes: tuple[int, ...],
+    drawn: _Drawn,
+    optima: Array,
+    settings: ReferenceSettings,
+    rng: np.random.Generator,
+) -> tuple[Array, Array, Array]:
+    """Components at nodes of the sizes: centres (k, n), factors (k, n, n) and log masses (k,)."""
+    columns, d, n = list(sizes), len(sizes), comparison.parameters.size
+    if d == 1:
+        nodes = np.linspace(-_REACH, _REACH, settings.nodes)[:, None]
+        width = np.array([2.0 * _REACH / settings.nodes])
+    else:
+        nodes = rng.standard_normal((settings.nodes, d))
+        nodes[:, 0] = rng.uniform(-_REACH, _REACH, len(nodes))
+        width = np.full(d, 2.0 / settings.nodes ** (1.0 / d))
+    starts = np.concatenate([_starts_at(node, columns, drawn, optima) for node in nodes])
+    z, e = _optimised(comparison, starts, sizes)
+    log_mass = _log_mass(e) + float(np.log(width).sum())
+    kept = np.flatnonzero(log_mass > log_mass.max() - _DEPTH_NATS)
+    first = np.unique(np.round(np.column_stack((z[kept], log_mass[kept])), 2), axis=0, return_index=True)[1]
+    kept = kept[first]
+    factor = np.zeros((len(kept), n, n))
+    free = np.delete(np.arange(n), columns)
+    factor[:, free[:, None], free] = np.linalg.cholesky(np.linalg.inv(e.curvature[kept]))
+    factor[:, columns, columns] = 1.5 * width
+    return z[kept], factor, log_mass[kept]
+
+
+def _starts_at(node: Array, columns: list[int], drawn: _Drawn, optima: Array) -> Array:
+    """Starts (s, n) of a node (d,): the best of the draws nearest in size, and optima near it."""
+    away = np.sum((drawn.z[:, columns] - node) ** 2, axis=1)
+    near = np.argpartition(away, min(_NEAREST, len(away) - 1))[:_NEAREST]
+    best = [
+        near[np.argsort(-_tempered(drawn.misfit[near], s), kind="stable")[:_BEST_AT_NODE]]
+        for s in _TEMPERED_AT_NODE
+    ]
+    from_optima = optima[np.argsort(np.sum((optima[:, columns] - node) ** 2, axis=1), kind="stable")[:2]]
+    starts = np.concatenate((drawn.z[np.unique(np.concatenate(best))], from_optima))
+    starts[:, columns] = node
+    return np.asarray(starts)
+
+
+def _proposal(centre: Array, factor: Array, log_mass: Array) -> Mixture:
+    """A stack of one mixture of Student-t densities, the prior among them."""
+    kept = log_mass > log_mass.max() - _DEPTH_NATS
+    share = np.exp(0.7 * (log_mass[kept] - log_mass.max()))  # flatter than the masses: these may be wrong
+    n = centre.shape[1]
+    share = np.append((1.0 - _OF_PRIOR) * share / share.sum(), _OF_PRIOR)
+    centres = np.concatenate((centre[kept], np.zeros((1, n))))
+    factors = np.concatenate((_WIDER * factor[kept], np.eye(n)[None]))
+    return Mixture(share[None], centres[None], factors[None], _FREEDOM)
+
+
+def _refitted(mixture: Mixture, points: Array, log_weight: Array) -> Mixture:
+    return shrunk_moments(mixture, points, log_weight, least=1e-3, wider=1.1, prior_points=6.0)

@@ -1,0 +1,185 @@
+"""Saved results of studies, and the sections of documentation pages that are written from them.
+
+A page holds a section between two marks, each on a line of its own:
+
+    <!-- 08_sequences: cost -->
+    ...
+    <!-- /08_sequences -->
+
+The first name is the source, a study, a benchmark or ``figure``; the second is the section. All else in a
+page is typed.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import textwrap
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+from operator import itemgetter
+from os.path import relpath
+from pathlib import Path
+from typing import Any
+
+Results = dict[str, Any]
+
+
+def save_results(path: Path, results: Results) -> None:
+    """Write the results; raises ``ValueError`` for NaN or infinity, which JSON has not."""
+    path.parent.mkdir(exist_ok=True)
+    path.write_text(json.dumps(results, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def saved_results(path: Path) -> Results:
+    """What was saved before, empty if nothing was."""
+    results: Results = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
+    return results
+
+
+def with_saved(
+    results: Results,
+    path: Path,
+    order: Sequence[Hashable],
+    case_of: Callable[[Results], Hashable] = itemgetter("case"),
+) -> Results:
+    """The results with the cases that were saved before and not run again.
+
+    Every list among the results holds rows, each of one case; it is merged case by case and brought into
+    the given order, in which rows of cases that it lacks are dropped. All else is that of the results.
+    """
+    saved, place = saved_results(path), {case: i for i, case in enumerate(order)}
+    both = dict(results)
+    for key, rows in results.items():
+        if isinstance(rows, list):
+            new = {case_of(row) for row in rows}
+            stay = [row for row in saved.get(key, []) if case_of(row) not in new]
+            known = [row for row in (*stay, *rows) if case_of(row) in place]
+            both[key] = sorted(known, key=lambda row: place[case_of(row)])
+    return both
+
+
+FIGURE = "figure"
+_SECTION = re.compile(
+    r"^<!-- (?P<source>\w+): (?P<name>[^\n]+?) -->\n(?P<text>.*?)^<!-- /(?P=source) -->$",
+    re.MULTILINE | re.DOTALL,
+)
+
+
+def pages(project: Path) -> list[Path]:
+    """All pages that may hold sections: the README and docs/."""
+    return [project / "README.md", *sorted((project / "docs").glob("*.md"))]
+
+
+def marks(page: str) -> list[tuple[str, str]]:
+    """Source and name of each section, in order; raises ``ValueError`` for a mark without its pair."""
+    sections = [(section["source"], section["name"]) for section in _SECTION.finditer(page)]
+    sources = {source for source, _ in sections}
+    lone = [
+        line
+        for line in re.findall(r"^<!-- /?(\w+)(?:: .*)? -->$", page, re.MULTILINE)
+        if line not in sources and (line == FIGURE or line[:1].isdigit())
+    ]
+    if lone:
+        raise ValueError(
+            f"marks of {', '.join(lone)} without their pair: write <!-- x: name --> and <!-- /x -->"
+        )
+    return sections
+
+
+def with_sections(page: str, source: str, sections: Mapping[str, str]) -> str:
+    """A page with the sections of one source written anew.
+
+    Raises ``ValueError`` for a section that the page asks for and the source does not have.
+    """
+
+    def text(section: re.Match[str]) -> str:
+        if section["source"] != source:
+            return section[0]
+        name = section["name"]
+        if name not in sections:
+            known = ", ".join(sections) or "none"
+            raise ValueError(f"no section of {source} is named {name!r}; there are {known}")
+        content = sections[name].strip("\n")
+        return f"<!-- {source}: {name} -->\n\n{content}\n\n<!-- /{source} -->"
+
+    return _SECTION.sub(text, page)
+
+
+def write_sections(project: Path, source: str, sections: Mapping[str, str]) -> list[Path]:
+    """Write the sections of one source into all pages that ask for them; the pages that changed."""
+    changed = []
+    for path in pages(project):
+        before = path.read_text(encoding="utf-8")
+        after = with_sections(before, source, sections)
+        if after != before:
+            path.write_text(after, encoding="utf-8")
+            changed.append(path)
+    return changed
+
+
+def figure_section(caption: Path, page: Path) -> str:
+    """A figure with its caption, as a page shows it; from the caption file beside the figure."""
+    title, text, *_ = caption.read_text(encoding="utf-8").split("\n\n")
+    link = Path(relpath(caption.with_suffix(".png"), page.parent)).as_posix()
+    alternative = " ".join(title.strip("*").split())
+    return f"![{alternative}]({link})\n\n{paragraph(f'{title} {text}')}"
+
+
+def sections_of_figures(project: Path, page: Path) -> dict[str, str]:
+    """All figures by name, and those of a script as "all of NAME", for one page."""
+    written: dict[str, str] = {}
+    for path in sorted((project / "figures").glob("*.md")):
+        script = re.search(r"`python figures/draw\.py (\w+)`", path.read_text(encoding="utf-8"))
+        if script and path.with_suffix(".png").exists():
+            written[path.stem] = figure_section(path, page)
+            together = written.get(f"all of {script[1]}", "")
+            written[f"all of {script[1]}"] = f"{together}\n\n{written[path.stem]}".strip()
+    return written
+
+
+def paragraph(text: str, start: str = "") -> str:
+    """Text in lines of a page, the first after ``start`` ("- " for an item of a list)."""
+    return textwrap.fill(
+        " ".join(text.split()),
+        110,
+        initial_indent=start,
+        subsequent_indent=" " * len(start),
+        break_on_hyphens=False,
+        break_long_words=False,
+    )
+
+
+def markdown_table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A table of Markdown."""
+    lines = ("| " + " | ".join(cells) + " |" for cells in (head, *rows))
+    first, *others = lines
+    return "\n".join((first, "|" + "---|" * len(head), *others))
+
+
+def counted(number: float) -> str:
+    """A number of things in few digits: 1296, 46 656, 1.7 million, 844 million, 2.2 billion."""
+    for word, unit in (("billion", 1e9), ("million", 1e6)):
+        if number >= unit:
+            return f"{number / unit:.{0 if number >= 10 * unit else 1}f} {word}"
+    return f"{number:.0f}" if number < 1e4 else f"{number:,.0f}".replace(",", " ")
+
+
+def with_error(value: float, error: float, decimals: int = 3) -> str:
+    """A value with its standard error in units of the last digit: 0.970(12)."""
+    digits = round(error * 10**decimals)
+    return f"{value:.{decimals}f}" + (f"({digits})" if digits else "")
+
+
+def in_digits(value: float, digits: int = 2) -> str:
+    """A value in so many digits, with a short exponent: 2.3e-5, 1.1e4."""
+    return re.sub(r"e([+-])0*", lambda sign: "e" + sign[1].strip("+"), f"{value:.{digits}g}")
+
+
+def angles(angles_deg: Iterable[float]) -> str:
+    """A stacking sequence in short: 0/90/45."""
+    return "/".join(f"{angle:g}" for angle in angles_deg)
+
+
+def listed(names: Sequence[str]) -> str:
+    """Names in a sentence: a, b and c."""
+    return " and ".join(filter(None, (", ".join(names[:-1]), *names[-1:])))

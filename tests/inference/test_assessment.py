@@ -1,0 +1,344 @@
+"""The worth of a posterior: what determines it, what moves it, and whether it fits its data."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import norm, truncnorm
+
+from cpam_bayes.inference.assessment import (
+    PowerScaling,
+    cavity,
+    combinations,
+    cut_notices,
+    cutting_constraints,
+    importance_leave_one_out,
+    leave_one_out,
+    limiting_constraints,
+    moved_bounds,
+    power_scaling,
+)
+from cpam_bayes.inference.pairing import Pairing
+from cpam_bayes.inference.posterior import Posterior, plate_posterior
+from cpam_bayes.parameters import Parameter, ParameterSet, TruncatedNormal, Uniform
+from cpam_bayes.plate import Material, Measurement
+from tests.linear_model import MEAN_HZ, SLOPE_HZ, LinearModel, exact_gaussian, measurement
+
+X = np.array([0.4, -0.3])
+PRIOR_SD = 4.0 / np.sqrt(12.0)
+
+
+def one_to_one(n: int) -> Pairing:
+    return Pairing(np.arange(n), np.empty(0, dtype=int), 0.0)
+
+
+def test_singular_values_are_prior_over_noise_along_the_axes_of_the_covariance() -> None:
+    data = measurement(0.01)
+    found = combinations(plate_posterior(LinearModel(), data, np.zeros(4)), X, one_to_one(4))
+    _, covariance = exact_gaussian(data)
+    expected = PRIOR_SD / np.sqrt(np.linalg.eigvalsh(covariance))
+    np.testing.assert_allclose([c.singular_value for c in found], np.sort(expected)[::-1], rtol=1e-10)
+
+
+def test_spread_of_a_combination_is_that_of_its_logarithm_under_the_covariance() -> None:
+    data = measurement(0.01)
+    found = combinations(plate_posterior(LinearModel(), data, np.zeros(4)), X, one_to_one(4))
+    _, covariance = exact_gaussian(data)
+    for c in found:
+        slope = c.exponents / X  # d ln(product) / dx
+        assert c.noise_sd == pytest.approx(float(np.sqrt(slope @ covariance @ slope)), rel=1e-10)
+        assert c.prior_sd == pytest.approx(float(PRIOR_SD * np.linalg.norm(slope)), rel=1e-10)
+        assert c.exponents[np.abs(c.exponents).argmax()] == 1.0
+
+
+def test_fewer_frequencies_than_unknowns_leave_a_combination_to_the_prior() -> None:
+    data = replace(measurement(0.01), frequencies=measurement(0.01).frequencies[2:3], labels=("",))
+    # frequency 3 of the model sees 15 a + 15 b; here it is the only one
+    pairing = Pairing(np.array([2]), np.empty(0, dtype=int), 0.0)
+    found = combinations(plate_posterior(LinearModel(), data, np.zeros(4)), X, pairing)
+    assert len(found) == 2
+    assert found[1].singular_value < 1e-10
+    assert found[1].noise_sd == np.inf
+    assert found[1].contraction < 1e-15
+    np.testing.assert_allclose(found[0].exponents * PRIOR_SD / X, found[0].exponents[0] / X[0] * PRIOR_SD)
+
+
+def test_a_frequency_without_a_mode_does_not_count() -> None:
+    data = measurement(0.01)
+    spurious = Measurement(np.insert(data.frequencies, 2, 250.0), 0.0, 0.01, None, ("",) * 5, complete=False)
+    pairing = Pairing(np.array([0, 1, -1, 2, 3]), np.empty(0, dtype=int), 0.0)
+    found = combinations(plate_posterior(LinearModel(), spurious, np.zeros(4)), X, pairing)
+    clean = combinations(plate_posterior(LinearModel(), data, np.zeros(4)), X, one_to_one(4))
+    for f, c in zip(found, clean, strict=True):
+        assert f.singular_value == pytest.approx(c.singular_value, rel=1e-12)
+
+
+N = 20_000
+NOTHING = np.zeros(N)
+
+
+def cumulative_js_distance(p: np.ndarray, q: np.ndarray, x: np.ndarray) -> float:
+    """Square root of the cumulative Jensen-Shannon divergence of two distribution functions on a grid."""
+
+    def half(p: np.ndarray, q: np.ndarray) -> float:
+        integrand = p * np.log2(p / (0.5 * (p + q))) + 0.5 / np.log(2.0) * (q - p)
+        return float(np.trapezoid(integrand, x))
+
+    return np.sqrt((half(p, q) + half(q, p)) / float(np.trapezoid(p + q, x)))
+
+
+def test_sensitivity_to_the_likelihood_is_the_derivative_of_the_distance() -> None:
+    # even prior, likelihood N(0, 1): the power a makes the posterior N(0, 1 / a)
+    draws = np.random.default_rng(1).standard_normal((N, 1))
+    (found,) = power_scaling(("a",), draws, NOTHING, NOTHING, -0.5 * draws[:, 0] ** 2)
+    x = np.linspace(draws.min(), draws.max(), 20_001)
+    distances = [cumulative_js_distance(norm.cdf(x), norm.cdf(x * np.sqrt(a)), x) for a in (1 / 1.01, 1.01)]
+    expected = sum(distances) / (2.0 * np.log2(1.01))
+    # the tails that count are those of 20000 draws
+    assert found.likelihood == pytest.approx(expected, rel=0.1)
+    assert found.prior == 0.0
+    assert found.noise_prior == 0.0
+    assert found.diagnosis == "likelihood has a say"
+
+
+def test_a_prior_far_from_the_data_disagrees_with_them() -> None:
+    # N(0, 1) times N(8, 1) is N(4, 1 / 2)
+    draws = np.random.default_rng(1).normal(4.0, np.sqrt(0.5), size=(N, 1))
+    x = draws[:, 0]
+    (found,) = power_scaling(("a",), draws, -0.5 * x**2, NOTHING, -0.5 * (x - 8.0) ** 2)
+    assert found.diagnosis == "prior and data disagree"
+    assert found.prior == pytest.approx(found.likelihood, rel=0.1)  # by symmetry
+
+
+def test_each_parameter_has_its_own_sensitivity() -> None:
+    draws = np.random.default_rng(1).standard_normal((N, 2))
+    seen, unseen = power_scaling(("a", "b"), draws, NOTHING, NOTHING, -0.5 * draws[:, 0] ** 2)
+    assert seen.diagnosis == "likelihood has a say"
+    assert unseen.diagnosis == "likelihood is weak"
+
+
+@pytest.mark.parametrize(
+    ("prior", "noise", "likelihood", "expected"),
+    [
+        (0.0, 0.0, 0.2, "likelihood has a say"),
+        (0.0, 0.06, 0.2, "likelihood and noise prior have a say"),
+        (0.06, 0.06, 0.2, "prior and data disagree"),
+        (0.06, 0.06, 0.01, "prior is strong, likelihood weak"),
+        (0.0, 0.06, 0.01, "likelihood is weak"),
+    ],
+)
+def test_diagnoses_follow_the_published_threshold(
+    prior: float, noise: float, likelihood: float, expected: str
+) -> None:
+    assert PowerScaling("a", prior, noise, likelihood).diagnosis == expected
+
+
+def test_moving_a_bound_of_an_even_posterior_moves_its_mean_by_half_as_much() -> None:
+    parameters = ParameterSet(
+        (Parameter("a", "", Uniform(0.0, 1.0)), Parameter("b", "", TruncatedNormal(0.0, 1.0, -5.0, 5.0)))
+    )
+    rng = np.random.default_rng(3)
+    draws = np.column_stack((rng.uniform(0.0, 1.0, N), rng.standard_normal(N)))
+    lower, upper = moved_bounds(parameters, draws)  # b's prior is no interval
+    # a tenth cut off one side: the mean moves by 0.05 of sd 12^-1/2; known to 20000^-1/2 sd
+    for moved, sign in ((lower, 1.0), (upper, -1.0)):
+        assert moved.name == "a"
+        assert moved.cut == pytest.approx(0.1, abs=0.01)
+        assert moved.shift[0] == pytest.approx(sign * 0.05 * np.sqrt(12.0), abs=0.03)
+        assert moved.shift[1] == pytest.approx(0.0, abs=0.03)
+
+
+def test_a_bound_moved_past_all_draws_says_nothing() -> None:
+    parameters = ParameterSet((Parameter("a", "", Uniform(0.0, 1.0)),))
+    draws = np.random.default_rng(3).uniform(0.0, 0.05, size=(N, 1))
+    lower, upper = moved_bounds(parameters, draws)
+    assert lower.cut == 1.0
+    assert np.isnan(lower.shift[0])
+    assert upper.shift[0] == 0.0
+
+
+CARBON = {"E1": 121e9, "E2": 9.3e9, "nu12": 0.3, "G12": 6e9}
+ORTHOTROPIC = Material("orthotropic", CARBON, {}, None)
+N_DRAWS = 4000
+
+
+def cut_normal(beyond: float) -> np.ndarray:
+    """Draws above 0 of a normal density that has a fraction ``beyond`` of it below."""
+    mean = -truncnorm.ppf(beyond, -np.inf, np.inf)
+    return truncnorm.rvs(-mean, np.inf, loc=mean, size=N_DRAWS, random_state=np.random.default_rng(0))
+
+
+@pytest.mark.parametrize(
+    ("beyond", "cuts"), [(0.9, True), (0.5, True), (0.1, True), (0.01, False), (1e-3, False)]
+)
+def test_a_constraint_cuts_where_a_part_of_the_density_would_lie_beyond(beyond: float, cuts: bool) -> None:
+    found = cutting_constraints(cut_normal(beyond)[:, None], ORTHOTROPIC.constraints)
+    assert bool(found) == cuts
+
+
+def test_wide_margins_are_no_cut() -> None:
+    # E1 / E2 - 1 of wide priors has an sd as large as its mean, and no draw near 0
+    ratio = np.random.default_rng(1).lognormal(2.5, 0.7, size=N_DRAWS) + 2.0
+    draws = {"E1": 9.3e9 * ratio}
+    assert cut_notices(Material("transversely_isotropic", CARBON, {}, None), draws) == ()
+
+
+@pytest.mark.parametrize(
+    ("symmetry", "draws", "said"),
+    [
+        ("transversely_isotropic", {"nu12": 0.5 - 0.02 * cut_normal(0.3)}, "nu12 < 0.5"),
+        ("transversely_isotropic", {"E1": 9.3e9 + 1e9 * cut_normal(0.3)}, "E1 > E2, fourth of eq. (9)"),
+        ("orthotropic", {"nu12": 0.5 - 0.02 * cut_normal(0.3)}, None),
+        ("orthotropic", {"E1": 9.3e9 + 1e9 * cut_normal(0.3)}, None),
+        ("orthotropic", {"nu12": (121 / 9.3) ** 0.5 - 0.1 * cut_normal(0.3)}, "|nu12| < sqrt(E1/E2)"),
+        ("isotropic", {"nu12": 0.5 - 0.02 * cut_normal(0.3)}, "-1 < nu12 < 0.5"),
+    ],
+)
+def test_the_constraint_that_cuts_is_named(symmetry, draws, said) -> None:
+    constants = {k: CARBON[k] for k in ("E1", "nu12")} if symmetry == "isotropic" else CARBON
+    found = [n.facts["constraint"] for n in cut_notices(Material(symmetry, constants, {}, None), draws)]
+    assert [said in constraint.text for constraint in found] == [True] * (said is not None)
+    assert all(constraint.symmetry == symmetry for constraint in found)
+
+
+@pytest.mark.parametrize(
+    ("nu12", "limits"), [(0.4999, True), (0.4, False), (0.2, False)], ids=["on it", "off it", "on a bound"]
+)
+def test_an_optimum_on_a_constraint_is_found(nu12: float, limits: bool) -> None:
+    unknowns = ParameterSet(
+        (
+            Parameter("E1", "Pa", Uniform(50e9, 200e9)),
+            Parameter("nu12", "", Uniform(0.2, 0.6)),
+        )
+    )
+    material = Material("transversely_isotropic", CARBON, {}, None)
+    found = limiting_constraints(material, unknowns, np.array([121e9, nu12]))
+    assert bool(found) == limits
+
+
+@pytest.mark.parametrize("symmetry", ["transversely_isotropic", "orthotropic"])
+def test_a_shear_modulus_alone_is_cut_by_nothing(symmetry) -> None:
+    material = Material(symmetry, CARBON, {}, None)
+    unknowns = ParameterSet((Parameter("G12", "Pa", Uniform(1e9, 9e9)),))
+    assert limiting_constraints(material, unknowns, np.array([6e9])) == ()
+    assert cut_notices(material, {"G12": 6e9 + 1e8 * cut_normal(0.5)}) == ()
+
+
+ONE_TO_ONE = Pairing(np.arange(4), np.empty(0, dtype=int), 0.0)
+
+
+def refitted(relative_std: float) -> tuple[np.ndarray, np.ndarray]:
+    """Residuals and predictive sd of each frequency from a least-squares fit to the other three."""
+    data = measurement(relative_std)
+    sigma = relative_std * data.frequencies
+    residual, sd = [], []
+    for i in range(4):
+        kept = np.delete(np.arange(4), i)
+        slope, own = SLOPE_HZ[kept], sigma[kept]
+        covariance = np.linalg.inv(slope.T @ (slope / own[:, None] ** 2))
+        x = covariance @ slope.T @ ((data.frequencies - MEAN_HZ)[kept] / own**2)
+        residual.append(data.frequencies[i] - MEAN_HZ[i] - SLOPE_HZ[i] @ x)
+        sd.append(np.sqrt(SLOPE_HZ[i] @ covariance @ SLOPE_HZ[i] + sigma[i] ** 2))
+    return np.array(residual), np.array(sd)
+
+
+def test_closed_form_is_the_refit_of_a_linear_model() -> None:
+    data = measurement(0.01)
+    mean, covariance = exact_gaussian(data)
+    sigma = 0.01 * data.frequencies
+    residual = data.frequencies - MEAN_HZ - SLOPE_HZ @ mean
+    variance = np.einsum("ij,jk,ik->i", SLOPE_HZ, covariance, SLOPE_HZ)
+    found = cavity(residual, variance / sigma**2, sigma**2, "optimum")
+    expected, sd = refitted(0.01)
+    np.testing.assert_allclose(found.residual, expected, rtol=1e-10)
+    np.testing.assert_allclose(found.sd, sd, rtol=1e-10)
+    # the trace of a hat matrix is the number of parameters
+    assert found.leverage.sum() == pytest.approx(2.0, rel=1e-12)
+
+
+def exact_draws(relative_std: float, n: int) -> tuple[Posterior, np.ndarray, np.ndarray]:
+    data = measurement(relative_std)
+    draws = np.random.default_rng(2).multivariate_normal(*exact_gaussian(data), size=n)
+    posterior = plate_posterior(LinearModel(), data, np.zeros(4))
+    return posterior, draws, posterior.predict(draws)
+
+
+def test_closed_form_from_draws_is_the_refit_within_sampling_error() -> None:
+    posterior, draws, predicted = exact_draws(0.01, 40_000)
+    found = leave_one_out(posterior, draws, predicted, ONE_TO_ONE, draws[0])
+    expected, sd = refitted(0.01)
+    # leverages, at most 0.7 here, are known to sqrt(2 / 40000) = 0.7 %: 1 - h to 1.6 %, times three
+    np.testing.assert_allclose(found.residual, expected, rtol=0.05, atol=0.02 * sd.min())
+    np.testing.assert_allclose(found.sd, sd, rtol=0.025)
+
+
+def test_a_frequency_without_a_mode_is_not_left_out() -> None:
+    posterior, draws, predicted = exact_draws(0.01, 2000)
+    pairing = Pairing(np.array([0, -1, 2, 3]), np.array([1]), 0.0)
+    found = leave_one_out(posterior, draws, predicted, pairing, draws[0])
+    whole = leave_one_out(posterior, draws, predicted, ONE_TO_ONE, draws[0])
+    np.testing.assert_array_equal(found.residual, whole.residual[[0, 2, 3]])
+
+
+def test_heavy_tails_count_less_and_predict_wider() -> None:
+    data = measurement(0.01)
+    draws = np.random.default_rng(2).multivariate_normal(*exact_gaussian(data), size=2000)
+    gaussian, nearly, student = (
+        leave_one_out(
+            own := plate_posterior(LinearModel(), data, np.zeros(4), degrees_of_freedom=nu),
+            draws,
+            own.predict(draws),
+            ONE_TO_ONE,
+            draws[0],
+        )
+        for nu in (np.inf, 1e7, 4.0)
+    )
+    np.testing.assert_allclose(nearly.sd, gaussian.sd, rtol=1e-5)
+    # information (nu + 1) / (nu + 3) = 5 / 7 of a Gaussian's
+    np.testing.assert_allclose(student.leverage, 5 / 7 * gaussian.leverage, rtol=1e-12)
+    # v without the datum plus nu / (nu - 2) = 2 times the squared scale
+    own = (0.01 * data.frequencies) ** 2
+    without = 7 / 5 * own * student.leverage / (1 - student.leverage)
+    np.testing.assert_allclose(student.sd**2, without + 2.0 * own, rtol=1e-12)
+
+
+def test_of_two_optima_the_best_one_is_linearised() -> None:
+    posterior, draws, _ = exact_draws(0.01, 2000)
+    mean, covariance = exact_gaussian(posterior.measurement)
+    twice = np.concatenate((draws, draws + 1.0))
+    found = leave_one_out(posterior, twice, posterior.predict(twice), ONE_TO_ONE, mean)
+    assert found.basis == "optimum"
+    # a Gaussian of the prior's variance 4^2 / 12 about the optimum stands for the uniform prior
+    data = posterior.measurement
+    sigma = 0.01 * data.frequencies
+    with_prior = np.linalg.inv(np.linalg.inv(covariance) + 12 / 16 * np.eye(2))
+    leverage = np.einsum("ij,jk,ik->i", SLOPE_HZ, with_prior, SLOPE_HZ) / sigma**2
+    np.testing.assert_allclose(found.leverage, leverage, rtol=1e-10)
+    residual = data.frequencies - MEAN_HZ - SLOPE_HZ @ mean
+    np.testing.assert_allclose(found.residual, residual / (1 - leverage), rtol=1e-10)
+    np.testing.assert_allclose(found.sd, sigma / np.sqrt(1 - leverage), rtol=1e-10)
+
+
+def test_importance_sampling_agrees_with_the_closed_form_where_it_calls_itself_reliable() -> None:
+    # eight data of sd 1 about one mean: every leverage is 1 / 8
+    rng = np.random.default_rng(4)
+    y, theta = rng.standard_normal(8), rng.normal(0.0, np.sqrt(1 / 8), size=(4000, 1))
+    theta += y.mean()
+    found = importance_leave_one_out(-0.5 * (y - theta) ** 2 - 0.5 * np.log(2.0 * np.pi))
+    assert found.reliable
+    assert found.k_hat.shape == (8,)
+    exact = cavity(y - y.mean(), np.full(8, 1 / 8), np.ones(8), "optimum")
+    # eight weighted means over 4000 draws, each good to about 0.4 % of its density
+    assert found.log_score == pytest.approx(exact.log_score, abs=0.03)
+
+
+def test_importance_sampling_says_so_where_one_frequency_holds_everything() -> None:
+    # frequency 1 alone sees a here: without it the posterior is wider by orders of magnitude
+    rng = np.random.default_rng(0)
+    a = rng.normal(0.0, 1.0, size=4000)
+    log_density = np.column_stack((-0.5 * a**2 * 0.995, -0.5 * (0.05 * a) ** 2))
+    found = importance_leave_one_out(log_density)
+    assert not found.reliable
+    assert found.k_hat[0] > 0.7 > found.k_hat[1]

@@ -1,0 +1,230 @@
+"""Lists that seem to lack a mode, and profile likelihoods."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+from cpam_bayes.forward_model.model import Prediction, reference_vector
+from cpam_bayes.forward_model.reduced import ReducedModel
+from cpam_bayes.forward_model.store import reduced_model
+from cpam_bayes.inference.completeness import (
+    DROP_95,
+    AlternativePairing,
+    Profile,
+    TranscriptionError,
+    alternative_pairing,
+    profile_likelihoods,
+    transcription_error,
+)
+from cpam_bayes.inference.laplace import find_optima
+from cpam_bayes.inference.posterior import Posterior, plate_posterior
+from cpam_bayes.parameters import TruncatedNormal, Uniform
+from cpam_bayes.plate import Measurement, Specimen, read_specimen
+from tests.linear_model import MEAN_HZ, SLOPE_HZ, LinearModel, exact_gaussian, measurement
+from tests.toy_models import parameters
+
+LINEAR = LinearModel().predict(np.array([[0.4, -0.3]])).frequencies[0]
+
+
+def doubt_of_linear(listed: np.ndarray, labels: tuple[str, ...] | None = None) -> AlternativePairing | None:
+    data = Measurement(listed, 0.0, 0.005, None, labels or ("",) * len(listed), complete=True)
+    posterior = plate_posterior(LinearModel(), replace(data, labels=("",) * len(listed)), np.zeros(4))
+    marked = np.array([bool(label) for label in data.labels])
+    best = find_optima(posterior, np.zeros((1, 2)))[0]
+    return alternative_pairing(replace(posterior, labelled=marked), best.x, np.zeros((1, 2)))
+
+
+@pytest.mark.parametrize("missing", [0, 1, 2])
+def test_a_mode_that_is_not_in_the_list_is_named(missing: int) -> None:
+    found = doubt_of_linear(np.delete(LINEAR, missing))
+    assert (found.missed, found.spurious) == (missing, None)
+    assert found.log_odds > 100.0
+    # three exact frequencies and two constants: the slip's optimum is the truth
+    np.testing.assert_allclose(found.x, [0.4, -0.3], atol=1e-3)
+
+
+@pytest.mark.parametrize("extra", [150.0, 250.0])
+def test_a_frequency_that_is_no_mode_is_named(extra: float) -> None:
+    listed = np.sort(np.append(LINEAR[:3], extra))
+    found = doubt_of_linear(listed)
+    assert found.missed is None
+    assert listed[found.spurious] == extra
+
+
+def test_a_complete_list_is_in_no_doubt() -> None:
+    assert doubt_of_linear(LINEAR[:3]) is None
+    assert doubt_of_linear(LINEAR) is None
+
+
+def test_labelled_frequencies_are_not_in_question() -> None:
+    listed = np.delete(LINEAR, 1)
+    assert doubt_of_linear(listed, ("(1,1)", "(2,0)", "(0,2)")) is None
+
+
+@dataclass(frozen=True)
+class Case:
+    """A plate, a model of one mode more than its list has, and frequencies of its reference constants."""
+
+    specimen: Specimen
+    model: ReducedModel
+    frequencies: np.ndarray
+
+
+def case(name: str) -> Case:
+    specimen = read_specimen(name)
+    model = reduced_model(specimen, specimen.unknowns, specimen.measurement.size + 1)
+    return Case(specimen, model, model.predict(reference_vector(specimen, model.parameters)).frequencies[0])
+
+
+@pytest.fixture(scope="module")
+def aluminium() -> Case:
+    return case("A1")
+
+
+def examined(own: Case, frequencies: np.ndarray, relative_std: float | None) -> TranscriptionError | None:
+    data = Measurement(
+        np.sort(np.round(frequencies)), 1.0, relative_std, None, ("",) * len(frequencies), True
+    )
+    posterior = plate_posterior(own.model, data, np.full(own.model.n_modes, 1e-4))
+    start = reference_vector(own.specimen, own.model.parameters)
+    start = start if relative_std is not None else np.append(start, 0.01)
+    best = find_optima(posterior, start[None])[0]
+    return transcription_error(own.specimen, posterior, own.model, best.x)
+
+
+def noisy(own: Case, rng: np.random.Generator) -> np.ndarray:
+    return np.asarray(own.frequencies * (1.0 + 0.005 * rng.standard_normal(own.model.n_modes)))
+
+
+@pytest.mark.parametrize("relative_std", [0.005, None])
+@pytest.mark.parametrize("missing", [0, 2, 4])
+def test_the_mode_that_a_plate_list_lacks_is_named_by_its_label(
+    aluminium: Case, missing: int, relative_std: float | None
+) -> None:
+    f = noisy(aluminium, np.random.default_rng(missing))
+    found = examined(aluminium, np.delete(f, missing), relative_std)
+    modes = aluminium.model.full.modes(np.array([69e9, 0.33]))
+    assert found.missed.label == modes[missing].label
+    # noise of 0.5 % in six frequencies leaves the missed one to about that
+    assert found.missed.frequency == pytest.approx(modes[missing].frequency, rel=0.03)
+
+
+@pytest.mark.parametrize("relative_std", [0.005, None])
+def test_a_false_peak_in_a_plate_list_is_named(aluminium: Case, relative_std: float | None) -> None:
+    f = noisy(aluminium, np.random.default_rng(0))
+    found = examined(aluminium, np.append(f[:6], 400.0), relative_std)
+    assert found.spurious == 400.0
+
+
+def false_warnings(own: Case, n: int) -> int:
+    rng = np.random.default_rng(1)
+    n_listed = own.model.n_modes - 1
+    lists = [noisy(own, rng)[:n_listed] for _ in range(n)]
+    return sum(examined(own, f, (0.005, None)[i % 2]) is not None for i, f in enumerate(lists))
+
+
+@pytest.mark.slow
+def test_of_fifty_noisy_complete_lists_at_most_one_is_put_in_doubt(aluminium: Case) -> None:
+    assert false_warnings(aluminium, 50) <= 1
+
+
+@pytest.mark.slow
+def test_four_constants_and_six_frequencies_are_enough_to_miss_a_mode() -> None:
+    own = case("C1")
+    assert false_warnings(own, 6) == 0
+    f = noisy(own, np.random.default_rng(0))
+    found = examined(own, np.delete(f, 1), 0.005)
+    assert found.missed.label == "(0,2)"
+
+
+def profiles(posterior: Posterior, names: tuple[str, ...] = ("a", "b"), n: int = 21) -> tuple[Profile, ...]:
+    """Profiles that start from draws spread over the support, as of a poor chain."""
+    draws = posterior.parameters.sample(np.random.default_rng(5), 4000)
+    height = posterior.log_prob(draws)
+    kept = height > height.max() - 8.0
+    return profile_likelihoods(posterior, names, draws[kept], height[kept], n)
+
+
+def test_profiles_of_a_linear_model_are_parabolas() -> None:
+    data = measurement(0.01)
+    mean, covariance = exact_gaussian(data)
+    for k, found in enumerate(profiles(plate_posterior(LinearModel(), data, np.zeros(4)))):
+        expected = 0.5 * (found.values - mean[k]) ** 2 / covariance[k, k]
+        # an optimisation ends when steps promise less than 1e-7 nats
+        np.testing.assert_allclose(found.drop, expected, atol=2e-6)
+        sd = float(np.sqrt(covariance[k, k]))
+        assert found.best == pytest.approx(mean[k], abs=1e-3 * sd)
+        # linear in the root of the drop, which a parabola's is
+        ends = mean[k] + np.array([-1.0, 1.0]) * np.sqrt(2.0 * DROP_95) * sd
+        np.testing.assert_allclose((found.lower, found.upper), ends, atol=2e-3 * sd)
+        assert (found.lower_open, found.upper_open) == (False, False)
+
+
+def test_where_bounds_hold_the_other_parameter_the_profile_is_that_of_a_search() -> None:
+    # at 30 % noise the bounds of b at -2 and 2 are reached from both ends of a
+    posterior = plate_posterior(LinearModel(), measurement(0.3), np.zeros(4))
+    (found,) = profiles(posterior, ("a",))
+    b = np.linspace(-2.0, 2.0, 4001)
+    best = [posterior.log_likelihood(np.column_stack((np.full_like(b, a), b))).max() for a in found.values]
+    at_best = posterior.log_likelihood(np.column_stack((np.full_like(b, found.best), b))).max()
+    # the grids of the search miss a maximum by at most 1e-4 nats
+    np.testing.assert_allclose(found.drop, at_best - np.array(best), atol=2e-4)
+    assert np.all(found.drop >= 0.0)
+
+
+def test_inferred_noise_is_maximised_over_with_its_prior() -> None:
+    posterior = plate_posterior(LinearModel(), measurement(None), np.zeros(4))
+    (found,) = profiles(posterior, ("a",), n=7)
+    f = posterior.measurement.frequencies
+    height = []
+    for a in (*found.values, found.best):
+        # relative noise weighs by 1 / f^2 whatever its amplitude, so b is found first
+        residual, slope = (f - MEAN_HZ - SLOPE_HZ[:, 0] * a) / f, SLOPE_HZ[:, 1] / f
+        b = float(slope @ residual / (slope @ slope))
+        s = np.geomspace(1e-4, 0.1, 20_001)
+        x = np.column_stack((np.full_like(s, a), np.full_like(s, b), s))
+        height.append(float((posterior.log_prob(x) + np.log(s)).max()))
+    # an optimisation ends when steps promise less than 1e-7 nats
+    np.testing.assert_allclose(found.drop, height[-1] - np.array(height[:-1]), atol=2e-6)
+
+
+def test_the_prior_of_a_profiled_parameter_does_not_enter() -> None:
+    informed = parameters(a=TruncatedNormal(-1.0, 0.02, -2.0, 2.0), b=Uniform(-2.0, 2.0))
+    data = measurement(0.01)
+    mean, covariance = exact_gaussian(data)
+    (found, _) = profiles(plate_posterior(LinearModel(informed), data, np.zeros(4)))
+    expected = 0.5 * (found.values - mean[0]) ** 2 / covariance[0, 0]
+    np.testing.assert_allclose(found.drop, expected, rtol=1e-6, atol=2e-6)
+
+
+def test_an_interval_that_reaches_a_bound_is_open_there() -> None:
+    (found,) = profiles(plate_posterior(LinearModel(), measurement(3.0), np.zeros(4)), ("b",))
+    assert found.lower_open
+    assert found.upper_open
+    assert (found.lower, found.upper) == (-2.0, 2.0)
+    assert np.all(found.drop < DROP_95)
+
+
+def test_a_region_in_two_parts_is_spanned_and_counted() -> None:
+    @dataclass(frozen=True)
+    class Even(LinearModel):
+        def predict(self, x: np.ndarray, *, jacobian: bool = False) -> Prediction:
+            x = np.atleast_2d(x)
+            slope = np.repeat(SLOPE_HZ[None], len(x), axis=0)
+            slope[:, :, 0] *= 2.0 * x[:, :1]
+            square = np.column_stack((x[:, 0] ** 2, x[:, 1]))
+            return Prediction(MEAN_HZ + square @ SLOPE_HZ.T, slope if jacobian else None)
+
+    data = measurement(0.01)
+    mean, covariance = exact_gaussian(data)
+    (found,) = profiles(plate_posterior(Even(), data, np.zeros(4)), ("a",), n=201)
+    np.testing.assert_allclose(
+        found.drop, 0.5 * (found.values**2 - mean[0]) ** 2 / covariance[0, 0], atol=2e-6
+    )
+    assert found.parts == 2
+    end = float(np.sqrt(mean[0] + np.sqrt(2.0 * DROP_95 * covariance[0, 0])))
+    # the root of the drop is bent by a^2 between grid points 0.01 apart
+    assert (-found.lower, found.upper) == pytest.approx((end, end), abs=1e-3)

@@ -1,0 +1,436 @@
+"""Ensembles side by side, in rounds that are stored, until they agree."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from emcee.autocorr import integrated_time
+
+from cpam_bayes.forward_model.model import Prediction
+from cpam_bayes.inference.derivatives import NormalScores
+from cpam_bayes.inference.ensemble import (
+    EnsembleResult,
+    EnsembleSettings,
+    StoreError,
+    diagnose_chains,
+    integrated_times,
+    sample,
+    start_positions,
+)
+from cpam_bayes.inference.posterior import Posterior, plate_posterior
+from cpam_bayes.inference.proposal import AdaptationSettings, Proposal, adapted
+from cpam_bayes.inference.student_mixture import Mixture
+from cpam_bayes.parameters import TruncatedNormal, Uniform
+from tests.linear_model import LinearModel, exact_gaussian, measurement
+from tests.toy_models import ToyModel, integral, linear, listed, parameters, two_peaks
+
+SETTINGS = EnsembleSettings(walkers=16, round_steps=100, effective=2000.0, most_steps=6000)
+# Of a chain that forgets in a few steps.
+JUMPING = replace(SETTINGS, round_steps=100, effective=4000.0)
+ROOT = Path(__file__).parents[2]
+
+
+def posterior(relative_std: float | None = 0.01) -> Posterior:
+    return plate_posterior(LinearModel(), measurement(relative_std), np.zeros(4))
+
+
+def start(own: Posterior, settings: EnsembleSettings = SETTINGS) -> np.ndarray:
+    rng = np.random.default_rng(3)
+    swarm = rng.uniform(-1.0, 1.0, size=(20, 2))
+    values = -own.log_prob(swarm) if own.parameters.size == 2 else np.arange(20.0)
+    n = settings.ensembles * settings.walkers
+    return start_positions(own, swarm, values, n, rng).reshape(settings.ensembles, settings.walkers, -1)
+
+
+def run(
+    store: Path | None = None, settings: EnsembleSettings = SETTINGS, proposal: Proposal | None = None
+) -> EnsembleResult:
+    own = posterior()
+    return sample(own, start(own, settings), 7, settings, proposal=proposal, store=store)
+
+
+@cache
+def good_proposal() -> Proposal:
+    return adapted(posterior(), np.array([[0.4, -0.3]]), 0, AdaptationSettings(draws=500))
+
+
+def around(own: Posterior, x: np.ndarray, sd: np.ndarray) -> Proposal:
+    """A proposal of one component about a point (n,), sd (n,) wide over normal scores."""
+    scores = NormalScores(own.parameters)
+    return Proposal(scores, Mixture(np.ones(1), scores.to_z(x)[None], np.diag(sd)[None], 5.0))
+
+
+def test_means_and_covariance_are_those_of_the_closed_form() -> None:
+    found = run()
+    mean, covariance = exact_gaussian(measurement(0.01))
+    sd = np.sqrt(np.diag(covariance))
+    # four Monte Carlo standard errors at the effective number of samples
+    error = 4.0 / np.sqrt(found.diagnostics.ess_bulk)
+    assert found.status == "converged"
+    assert found.diagnostics.r_hat <= 1.01
+    np.testing.assert_array_less(np.abs(found.draws.mean(axis=0) - mean) / sd, error)
+    np.testing.assert_allclose(np.cov(found.draws.T), covariance, atol=error * 2 * sd.max() ** 2)
+
+
+def check_moments(found: EnsembleResult, mean: np.ndarray, covariance: np.ndarray) -> None:
+    """Within four Monte Carlo standard errors at the effective number of samples."""
+    sd = np.sqrt(np.diag(covariance))
+    error = 4.0 / np.sqrt(found.diagnostics.ess_bulk)
+    assert found.status == "converged"
+    np.testing.assert_array_less(np.abs(found.draws.mean(axis=0) - mean) / sd, error)
+    # the standard error of a covariance is below 1.5 products of standard deviations
+    scaled = (np.cov(found.draws.T).reshape(covariance.shape) - covariance) / np.outer(sd, sd)
+    np.testing.assert_array_less(np.abs(scaled), 1.5 * error)
+
+
+# Where a proposal is bad, it is off by so many standard deviations, or so many times as wide.
+BAD = {"far away": (40.0, 1.0), "off": (4.0, 1.0), "too narrow": (0.0, 0.1), "too wide": (0.0, 30.0)}
+
+
+@pytest.mark.parametrize("name", ["good", *BAD])
+def test_chains_that_jump_have_the_closed_form_however_good_the_proposal_is(name: str) -> None:
+    mean, covariance = exact_gaussian(measurement(0.01))
+    sd = np.sqrt(np.diag(covariance))
+    if name == "good":
+        proposal = good_proposal()
+    else:
+        away, width = BAD[name]
+        # v = logit((x + 2) / 4), so that dv / dx is near 1 about the middle
+        proposal = around(posterior(), mean + away * sd, width * sd)
+    found = run(settings=JUMPING, proposal=proposal)
+    check_moments(found, mean, covariance)
+    time = found.diagnostics.autocorrelation_time
+    # half the steps jump, and nearly all of these are accepted, or hardly any
+    assert time < 5.0 if name == "good" else time > 5.0
+
+
+def test_chains_that_only_jump_have_the_noise_that_they_infer() -> None:
+    """Its logarithm is what the proposal draws: a forgotten Jacobian would show."""
+    slope = np.array([[10.0], [30.0], [-20.0]])
+    f, off = np.array([100.0, 200.0, 300.0]), np.array([2.0, -3.0, 3.0])
+    model = linear(f, slope, parameters(a=Uniform(-2.0, 2.0)))
+    own = plate_posterior(model, listed(f + off, None), np.zeros(3))
+    lower, upper = own.parameters.lower[1], own.parameters.upper[1]
+    a, s = np.linspace(-1.0, 1.0, 1201), np.geomspace(lower * (1 + 1e-12), upper * (1 - 1e-12), 1500)
+    grid = np.stack(np.meshgrid(a, s, indexing="ij"), axis=-1).reshape(-1, 2)
+    weight = np.exp(own.log_prob(grid)).reshape(len(a), len(s))
+    moments = [np.trapezoid(np.trapezoid(weight, a, axis=0) * s**k, s) for k in range(3)]
+    mean, variance = moments[1] / moments[0], moments[2] / moments[0] - (moments[1] / moments[0]) ** 2
+    proposal = adapted(own, np.array([[0.0, 0.01]]), 0, AdaptationSettings(draws=500))
+    settings = replace(JUMPING, jumps=1.0)
+    rng = np.random.default_rng(0)
+    shape = (settings.ensembles, settings.walkers)
+    begun = np.stack((rng.uniform(-0.2, 0.2, shape), rng.uniform(0.005, 0.03, shape)), axis=-1)
+    found = sample(own, begun, 7, settings, proposal=proposal)
+    noise = replace(found, chain=found.chain[..., 1:])
+    check_moments(noise, np.array([mean]), np.array([[variance]]))
+
+
+def uneven_peaks() -> Posterior:
+    """Two peaks fifty nats above the dip between them, one with seven times the mass of the other."""
+    own = two_peaks()
+    assert isinstance(own.model, ToyModel)
+    uneven = parameters(a=TruncatedNormal(0.5, 0.7, -2.0, 2.0), b=Uniform(-2.0, 2.0))
+    return replace(own, model=replace(own.model, parameters=uneven), parameters=uneven)
+
+
+@pytest.mark.parametrize("jumps", [True, False], ids=["jumps", "local moves"])
+def test_separate_peaks_have_their_weights_though_all_walkers_start_on_the_lesser(jumps: bool) -> None:
+    own = uneven_peaks()
+    b = np.linspace(-2.0, 2.0, 801)
+    right, left = (integral(own, (a, b)) for a in (np.linspace(0.0, 2.0, 801), np.linspace(-2.0, 0.0, 801)))
+    weight = 1.0 / (1.0 + np.exp(right - left))
+    assert 0.1 < weight < 0.15
+    rng = np.random.default_rng(0)
+    begun = rng.normal([-1.0, 1.3], 0.05, (JUMPING.ensembles, JUMPING.walkers, 2))
+    proposal = adapted(own, np.array([[1.0, -0.7]]), 0, AdaptationSettings(draws=500)) if jumps else None
+    found = sample(own, begun, 7, JUMPING, proposal=proposal)
+    share = float(np.mean(found.draws[:, 0] < 0.0))
+    if jumps:
+        error = np.sqrt(weight * (1.0 - weight) / found.diagnostics.ess_bulk)
+        assert share == pytest.approx(weight, abs=4.0 * error)
+        assert found.status == "converged"
+    else:
+        assert share == 1.0, "local moves have no way over"
+
+
+def test_the_solves_of_steps_and_fit_are_counted() -> None:
+    few = replace(JUMPING, most_steps=100, effective=1e9)
+    assert run(settings=few).solves == 100 * 2 * 16
+    proposal = good_proposal()
+    assert run(settings=few, proposal=proposal).solves == 100 * 2 * 16 + proposal.solves
+
+
+def test_chains_with_a_walker_that_never_moves_have_no_time_and_are_not_converged() -> None:
+    chain = np.random.default_rng(0).standard_normal((2, 400, 16, 3))
+    settings = replace(SETTINGS, effective=1000.0)
+    free = diagnose_chains(chain, settings)
+    assert free.converged
+    assert free.autocorrelation_time < 1.3
+    chain[1, 200:, 5] = chain[1, 200, 5]
+    stuck = diagnose_chains(chain, settings)
+    assert not stuck.converged
+    assert stuck.autocorrelation_time == 400
+    assert stuck.burn_in == 200
+    assert stuck.ess_bulk == 2 * 200 * 16 / 400
+    # let go before the latter half, it counts no more
+    chain[1, 200:, 5] = np.random.default_rng(1).standard_normal((200, 3))
+    chain[1, :200, 5] = 0.0
+    assert diagnose_chains(chain, settings).autocorrelation_time < 1.3
+
+
+@pytest.mark.parametrize("steps", [1, 2, 3, 7])
+def test_a_few_steps_say_that_nothing_is_known_and_warn_of_nothing(steps: int) -> None:
+    found = run(settings=replace(SETTINGS, most_steps=steps, round_steps=steps))
+    assert found.status == "budget"
+    assert found.diagnostics.steps == steps
+    assert found.diagnostics.r_hat > 1.01
+    assert found.draws.shape[1] == 2
+
+
+def test_a_collapsed_swarm_still_gives_walkers_that_span_the_posterior() -> None:
+    own = posterior()
+    swarm = np.tile([0.4, -0.3], (20, 1))
+    found = start_positions(own, swarm, np.zeros(20), 60, np.random.default_rng(0))
+    _, covariance = exact_gaussian(measurement(0.01))
+    ratio = found.std(axis=0) / np.sqrt(np.diag(covariance))
+    assert np.all((ratio > 0.6) & (ratio < 1.6))
+    assert np.linalg.matrix_rank(found - found.mean(axis=0)) == 2
+
+
+def test_walkers_start_on_both_optima_of_a_swarm_with_duplicates_and_infeasible_particles() -> None:
+    own = two_peaks()
+    assert isinstance(own.model, ToyModel)
+    right = replace(own.model, allowed=lambda x: np.abs(x[:, 0]) > 0.5)
+    own = replace(own, model=right)
+    near, far = np.array([1.0, -0.7]), np.array([-1.02, 1.3])
+    swarm = np.concatenate((np.tile(near, (30, 1)), [[0.1, 0.2], [0.0, 0.0]], np.tile(far, (5, 1))))
+    # the first of the two infeasible particles has the best value of all, the second has none
+    values = np.concatenate((np.full(30, 1.0), [0.0, np.inf], np.full(5, 2.0)))
+    found = start_positions(own, swarm, values, 200, np.random.default_rng(0))
+    assert np.all(np.isfinite(own.log_prob(found)))
+    # equal peaks: a half within four binomial standard errors, whatever the numbers of particles
+    assert np.mean(found[:, 0] < 0.0) == pytest.approx(0.5, abs=4.0 * 0.5 / np.sqrt(200))
+    assert len(np.unique(found, axis=0)) == 200
+
+
+def test_infeasible_particles_start_nothing() -> None:
+    own = posterior()
+    never = np.full(20, np.inf)
+    with pytest.raises(ValueError, match="chains cannot start: no particle"):
+        start_positions(own, np.zeros((20, 2)), never, 8, np.random.default_rng(0))
+
+
+def test_noise_that_is_inferred_is_started_from_the_residuals() -> None:
+    own = posterior(None)
+    walkers = start(own).reshape(-1, 3)
+    assert np.all(np.isfinite(own.log_prob(walkers)))
+    assert 1e-4 < np.median(walkers[:, 2]) < 0.05
+
+
+def test_an_interrupted_call_prints_nothing(
+    capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """emcee prints all parameters of a call that ends in an exception, an interrupt too."""
+    own = posterior()
+    walkers = start(own)
+    predict, calls = LinearModel.predict, []
+
+    def interrupted(self: LinearModel, x: np.ndarray, *, jacobian: bool = False) -> Prediction:
+        calls.append(len(x))
+        if len(calls) > 5:
+            raise KeyboardInterrupt
+        return predict(self, x, jacobian=jacobian)
+
+    monkeypatch.setattr(LinearModel, "predict", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        sample(own, walkers, 7, SETTINGS)
+    assert capfd.readouterr() == ("", "")
+
+
+def test_the_same_seed_gives_the_same_chain_bit_for_bit(tmp_path: Path) -> None:
+    whole = run()
+    np.testing.assert_array_equal(run(tmp_path / "store").chain, whole.chain)
+
+
+@pytest.mark.parametrize("kept", [0, 1, 2])
+@pytest.mark.parametrize("jumps", [False, True], ids=["local moves", "jumps"])
+def test_a_store_with_some_rounds_goes_on_bit_for_bit(tmp_path: Path, jumps: bool, kept: int) -> None:
+    settings = replace(JUMPING, round_steps=50) if jumps else SETTINGS
+    proposal = good_proposal() if jumps else None
+    whole = run(tmp_path, settings, proposal)
+    rounds = sorted(tmp_path.glob("round_*.arrays"))
+    assert len(rounds) > 2
+    for path in rounds[kept:]:
+        path.unlink()
+    again = run(tmp_path, settings, proposal)
+    np.testing.assert_array_equal(again.chain, whole.chain)
+    assert again.solves == whole.solves
+
+
+def test_two_runs_on_one_store_at_once_have_the_chain_of_one_alone(tmp_path: Path) -> None:
+    own, others = posterior(), []
+
+    def another(diagnostics: object) -> None:
+        if not others:  # the other begins after the first round of this one, and overtakes it
+            others.append(run(tmp_path))
+
+    found = sample(own, start(own), 7, SETTINGS, store=tmp_path, progress=another)
+    whole = run()
+    np.testing.assert_array_equal(found.chain, whole.chain)
+    np.testing.assert_array_equal(others[0].chain, whole.chain)
+    assert {path.suffix for path in tmp_path.iterdir()} == {".arrays"}
+
+
+KILLED = """
+import os, sys
+from pathlib import Path
+import tests.inference.test_ensemble as t
+from cpam_bayes.inference.ensemble import sample
+own, rounds = t.posterior(), []
+def die(diagnostics):
+    rounds.append(diagnostics)
+    if len(rounds) == 2:
+        os.kill(os.getpid(), 9)
+proposal = t.good_proposal() if sys.argv[2] == "True" else None
+sample(own, t.start(own), 7, t.SETTINGS, proposal=proposal, store=Path(sys.argv[1]), progress=die)
+"""
+
+
+@pytest.mark.parametrize("jumps", [False, True], ids=["local moves", "jumps"])
+def test_a_run_that_is_killed_goes_on_bit_for_bit(tmp_path: Path, jumps: bool) -> None:
+    command = [sys.executable, "-c", KILLED, str(tmp_path), str(jumps)]
+    killed = subprocess.run(command, cwd=ROOT, check=False, capture_output=True)
+    assert killed.returncode == -9, killed.stderr.decode()
+    assert len(list(tmp_path.glob("round_*.arrays"))) == 2
+    proposal = good_proposal() if jumps else None
+    np.testing.assert_array_equal(
+        run(tmp_path, SETTINGS, proposal).chain, run(None, SETTINGS, proposal).chain
+    )
+
+
+def test_a_store_of_another_problem_is_refused_and_left_alone(tmp_path: Path) -> None:
+    run(tmp_path)
+    before = {p.name: p.read_bytes() for p in tmp_path.iterdir()}
+    own = posterior(0.02)
+    with pytest.raises(StoreError, match="holds another problem"):
+        sample(own, start(own), 7, SETTINGS, store=tmp_path)
+    assert {p.name: p.read_bytes() for p in tmp_path.iterdir()} == before
+
+
+@pytest.mark.parametrize("other", ["none", "a wider one", "fewer jumps"])
+def test_a_store_of_chains_with_other_jumps_is_refused(tmp_path: Path, other: str) -> None:
+    few, own = replace(JUMPING, most_steps=100), good_proposal()
+    run(tmp_path, few, own)
+    wider = replace(own, mixture=replace(own.mixture, factor=1.01 * own.mixture.factor))
+    settings, proposal = {
+        "none": (few, None),
+        "a wider one": (few, wider),
+        "fewer jumps": (replace(few, jumps=0.4), own),
+    }[other]
+    with pytest.raises(StoreError, match="holds another problem"):
+        run(tmp_path, settings, proposal)
+
+
+@pytest.mark.parametrize("content", [b"", b"no round at all", None], ids=["empty", "foreign", "truncated"])
+def test_a_damaged_round_is_set_aside_named_once_and_sampled_again_bit_for_bit(
+    tmp_path: Path, content: bytes | None, caplog: pytest.LogCaptureFixture
+) -> None:
+    whole = run(tmp_path)
+    second = tmp_path / "round_0001.arrays"
+    second.write_bytes(second.read_bytes()[:500] if content is None else content)
+    damaged = second.read_bytes()
+    np.testing.assert_array_equal(run(tmp_path).chain, whole.chain)
+    (said,) = caplog.messages
+    assert said.startswith(f"{second} was damaged: it is set aside as round_0001.arrays.damaged")
+    assert second.with_name("round_0001.arrays.damaged").read_bytes() == damaged
+
+
+def test_a_round_in_the_place_of_another_is_not_taken_for_it(tmp_path: Path) -> None:
+    whole = run(tmp_path)
+    (tmp_path / "round_0001.arrays").write_bytes((tmp_path / "round_0000.arrays").read_bytes())
+    np.testing.assert_array_equal(run(tmp_path).chain, whole.chain)
+
+
+def test_rounds_of_an_earlier_version_are_refused_and_left_alone(tmp_path: Path) -> None:
+    (tmp_path / "round_0000.h5").write_bytes(b"hours of work")
+    with pytest.raises(StoreError, match=r"rounds of an earlier version \(round_0000\.h5 and on\)"):
+        run(tmp_path)
+    assert [(p.name, p.read_bytes()) for p in tmp_path.iterdir()] == [("round_0000.h5", b"hours of work")]
+
+
+def test_a_store_that_is_a_file_is_refused(tmp_path: Path) -> None:
+    place = tmp_path / "file"
+    place.write_text("")
+    with pytest.raises(StoreError, match="cannot be made"):
+        run(place)
+
+
+FULL_DISK = """
+import resource, sys
+from pathlib import Path
+import tests.inference.test_ensemble as t
+from cpam_bayes.inference.ensemble import sample
+own, rounds = t.posterior(), []
+def fill(diagnostics):
+    rounds.append(diagnostics)
+    if len(rounds) == 2:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (1000, resource.RLIM_INFINITY))
+found = sample(own, t.start(own), 7, t.SETTINGS, store=Path(sys.argv[1]), progress=fill)
+print(found.status, len(rounds), found.chain.shape[1] + found.diagnostics.burn_in, found.not_stored)
+"""
+
+
+def test_on_a_full_disk_rounds_are_kept_sampling_goes_on_and_the_result_says_so(tmp_path: Path) -> None:
+    whole = run()
+    command = [sys.executable, "-c", FULL_DISK, str(tmp_path)]
+    done = subprocess.run(command, cwd=ROOT, check=False, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    status, rounds, steps, not_stored = done.stdout.strip().split(" ", 3)
+    assert status == "converged"
+    assert int(steps) == whole.diagnostics.steps == int(rounds) * SETTINGS.round_steps
+    assert "round_0002.arrays: cannot be written (File too large); 2 rounds before it are kept" in not_stored
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["round_0000.arrays", "round_0001.arrays"]
+    # with room again the same problem goes on from there
+    np.testing.assert_array_equal(run(tmp_path).chain, whole.chain)
+
+
+def autoregressive(factor: float, steps: int, walkers: int, seed: int) -> np.ndarray:
+    """x_(k+1) = factor x_k + noise, from its stationary density, (steps, walkers, 1)."""
+    rng = np.random.default_rng(seed)
+    x = np.empty((steps, walkers, 1))
+    x[0] = rng.standard_normal((walkers, 1))
+    for k in range(1, steps):
+        x[k] = factor * x[k - 1] + np.sqrt(1.0 - factor**2) * rng.standard_normal((walkers, 1))
+    return x
+
+
+@pytest.mark.parametrize("time", [1.0, 3.0, 6.0, 30.0])
+def test_the_time_of_an_autoregressive_chain_is_found(time: float) -> None:
+    factor = (time - 1.0) / (time + 1.0)
+    steps, walkers = int(50 * time), 100
+    found = [integrated_times(autoregressive(factor, steps, walkers, seed))[0] for seed in range(8)]
+    # Sokal's error of one is sqrt(20 tau / draws); the window and the lags' zeros leave some per cent
+    error = np.sqrt(20.0 / (50 * walkers * len(found)))
+    assert np.mean(found) == pytest.approx(time, rel=4.0 * error + 0.06)
+
+
+def test_a_chain_of_eight_times_is_long_enough_where_means_of_single_walkers_lose_half() -> None:
+    chains = [autoregressive(5.0 / 7.0, 50, 100, seed) for seed in range(8)]  # a time of 6 steps
+    assert np.mean([integrated_times(c)[0] for c in chains]) == pytest.approx(6.0, rel=0.2)
+    assert np.mean([integrated_time(c, tol=0, quiet=True)[0] for c in chains]) < 3.6
+
+
+def test_a_walker_that_does_not_move_leaves_the_time_unknown() -> None:
+    chain = autoregressive(0.5, 200, 20, 0)
+    chain[:, 3] = 0.7
+    other = autoregressive(0.5, 200, 20, 1)
+    found = integrated_times(np.concatenate((chain, other), axis=2))
+    assert np.isnan(found[0])
+    assert np.isfinite(found[1])

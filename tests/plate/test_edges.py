@@ -1,0 +1,57 @@
+"""The table of edge conditions, which plate files, models, decks and drawings read."""
+
+import re
+from itertools import product
+from pathlib import Path
+
+import pytest
+
+import cpam_bayes
+from cpam_bayes.mechanics.problem import rigid_body_count
+from cpam_bayes.plate.edges import CONDITIONS, FIELDS, STATED, conditions, is_stated, yielding
+
+
+def test_conditions_stand_in_the_order_of_the_letters() -> None:
+    x0, y0, x1, y1 = conditions("CFSF")
+    assert (x0.name, y0.name, x1.name, y1.name) == ("clamped", "free", "simply supported", "free")
+    assert y0.is_free
+    assert not x1.is_free
+
+
+@pytest.mark.parametrize("letter", CONDITIONS)
+def test_nothing_is_both_held_and_sprung(letter: str) -> None:
+    condition = CONDITIONS[letter]
+    for held in (condition.held_x, condition.held_y):
+        assert set(held) <= set(FIELDS)
+        assert not set(held) & set(condition.sprung)
+
+
+def test_only_conditions_with_a_name_are_stated_in_a_plate_file() -> None:
+    assert STATED == "FSC"
+    assert all(is_stated("".join(edges)) for edges in product(STATED, repeat=4))
+    assert not any(is_stated(text) for text in ("", "FFF", "FFFFF", "ffff", "FFFR"))
+
+
+def test_a_clamp_gives_way_once_in_each_way() -> None:
+    turning, moving = ("phi_x", "phi_y"), ("u", "v", "w")
+    softer = yielding("C", turning)
+    assert softer is not None
+    assert CONDITIONS[softer].sprung == turning
+    assert yielding(softer, turning) is None
+    assert yielding(softer, moving) == yielding("C", FIELDS)
+    assert yielding("F", turning) is None
+
+
+@pytest.mark.parametrize("letter", [letter for letter, c in CONDITIONS.items() if c.is_clamp])
+def test_a_clamp_leaves_no_rigid_motion_even_on_springs(letter: str) -> None:
+    assert rigid_body_count(f"{letter}FFF") == 0
+
+
+def test_no_other_module_decides_by_a_letter() -> None:
+    """A new condition is a row of the table: elsewhere its properties are asked for."""
+    package = Path(cpam_bayes.__file__).parent
+    sources = {path.relative_to(package): path.read_text("utf-8") for path in package.rglob("*.py")}
+    # the plates that a diagnosis is tested by are a model of their own
+    sources = {path: text for path, text in sources.items() if "validation" not in path.parts}
+    decides = re.compile(r"""[=!]= "[FSC]"|"[FSC]+" (not )?in [\w.]*edges|[=!]= "[FSC]{4}\"""")
+    assert [str(path) for path, text in sources.items() if decides.search(text)] == []

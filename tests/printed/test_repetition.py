@@ -1,0 +1,216 @@
+"""Noise on lists of frequencies, eq. (12), and why repeated inversions and a posterior differ."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cpam_bayes.printed.repetition import (
+    INTERPRETATIONS,
+    Evidence,
+    Interpretation,
+    clusters,
+    compare,
+    density_peaks,
+    perturbation_sd,
+    perturbed_list,
+    skewness,
+)
+
+FREQUENCIES = np.array([102.0, 311.0, 342.0, 364.0, 390.0, 612.0])
+
+
+def test_relative_disorder_is_a_share_of_each_frequency() -> None:
+    np.testing.assert_allclose(perturbation_sd(FREQUENCIES, 0.05, "relative"), 0.05 * FREQUENCIES, rtol=1e-15)
+
+
+def test_rms_disorder_is_a_share_of_the_root_mean_square_for_all_modes() -> None:
+    # Liu and Han's form by hand: sqrt((3^2 + 4^2) / 2) = 3.5355
+    np.testing.assert_allclose(perturbation_sd(np.array([3.0, 4.0]), 0.1, "rms"), 0.35355339, rtol=1e-8)
+
+
+@pytest.mark.parametrize("reading", INTERPRETATIONS)
+def test_noise_has_the_standard_deviation_asked_for(reading: Interpretation) -> None:
+    rng = np.random.default_rng(0)
+    spread = np.array([100.0, 300.0, 500.0, 700.0])  # far apart: sorting changes nothing at 1 %
+    sd = perturbation_sd(spread, 0.01, reading)
+    lists = np.array([perturbed_list(spread, sd, rng).frequencies for _ in range(4000)])
+    # an sd of 4000 draws is known to 1.1 %, a mean to 1.6 % of the sd; four of these
+    np.testing.assert_allclose(lists.std(axis=0), sd, rtol=0.045)
+    assert np.all(np.abs(lists.mean(axis=0) - spread) < 0.064 * sd)
+
+
+def test_a_noisy_list_rises_and_says_when_modes_changed_places() -> None:
+    rng = np.random.default_rng(1)
+    found = [
+        perturbed_list(FREQUENCIES, perturbation_sd(FREQUENCIES, 0.1, "relative"), rng) for _ in range(200)
+    ]
+    for one in found:
+        assert np.all(np.diff(one.frequencies) >= 0.0)
+    share = np.mean([one.reordered for one in found])
+    assert 0.5 < share < 1.0  # 342, 364 and 390 Hz are half a standard deviation apart
+    quiet = perturbed_list(FREQUENCIES, perturbation_sd(FREQUENCIES, 1e-6, "relative"), rng)
+    assert not quiet.reordered
+
+
+def test_frequencies_that_would_not_be_positive_are_drawn_again_and_counted() -> None:
+    rng = np.random.default_rng(2)
+    f = np.array([10.0, 1000.0])
+    found = [perturbed_list(f, perturbation_sd(f, 0.1, "rms"), rng) for _ in range(200)]
+    assert all(one.frequencies[0] > 0.0 for one in found)
+    # 10 Hz are 0.14 of the standard deviation: a normal draw is below zero with P = 0.444, and
+    # P / (1 - P) draws are thrown away on average
+    assert np.mean([one.redrawn for one in found]) == pytest.approx(0.444 / 0.556, abs=0.4)
+
+
+def test_noise_on_a_frequency_that_is_not_positive_is_refused() -> None:
+    with pytest.raises(ValueError, match="received -1e\\+06 Hz, accepted: above zero"):
+        perturbed_list(np.array([-1e6]), np.array([1.0]), np.random.default_rng(0))
+
+
+# Ten inversions that agree with a posterior N(1, 0.1) far from its bounds.
+PLAIN = Evidence(
+    groups=10,
+    repetition_mean=1.02,
+    repetition_sd=0.09,
+    posterior_mean=1.0,
+    posterior_sd=0.1,
+    effective=1000.0,
+    repetition_at_bound=0.0,
+    posterior_at_bound=0.0,
+    clusters=1,
+    peaks=1,
+    skewness=0.1,
+    contraction=0.1,
+    reordered=0.0,
+    missed=0.0,
+    weighting=1.0,
+    offset=0.0,
+    residual=1.0,
+)
+WIDE = replace(PLAIN, repetition_sd=0.2)
+NARROW = replace(PLAIN, repetition_sd=0.03)
+SHIFTED = replace(PLAIN, repetition_mean=1.2)
+
+
+def test_agreement_within_chance_has_no_cause_whatever_else_is_seen() -> None:
+    found = compare(replace(PLAIN, clusters=2, skewness=2.0, reordered=1.0, repetition_at_bound=0.5))
+    assert (found.means_agree, found.sds_agree, found.causes) == (True, True, ())
+    assert found.standard_error == pytest.approx(0.09 / np.sqrt(10))
+    assert found.sd_ratio == pytest.approx(0.9)
+
+
+@pytest.mark.parametrize("differing", [WIDE, NARROW, SHIFTED])
+def test_a_difference_without_a_sign_is_unexplained(differing: Evidence) -> None:
+    assert compare(differing).causes == ("unexplained",)
+
+
+@pytest.mark.parametrize(
+    ("sign", "cause"),
+    [
+        ({"repetition_at_bound": 0.1}, "bounds"),
+        ({"posterior_at_bound": 0.1}, "bounds"),
+        ({"contraction": 0.5}, "open"),
+        ({"clusters": 2}, "optima"),
+        ({"peaks": 2}, "optima"),
+        ({"skewness": -0.5}, "skewed"),
+        ({"reordered": 0.2}, "reordered"),
+        ({"missed": 0.1}, "missed"),
+        ({"offset": -0.3}, "misfit"),
+    ],
+)
+@pytest.mark.parametrize("differing", [WIDE, NARROW, SHIFTED])
+def test_each_sign_names_its_cause_and_no_other(
+    differing: Evidence, sign: dict[str, float], cause: str
+) -> None:
+    assert compare(replace(differing, **sign)).causes == (cause,)
+    (key, value) = next(iter(sign.items()))
+    below = value - 1 if isinstance(value, int) else 0.99 * value
+    assert compare(replace(differing, **{key: below})).causes == ("unexplained",)
+
+
+def test_an_inversion_off_the_optimum_of_a_list_that_it_repeats_stopped_early() -> None:
+    for differing in (WIDE, NARROW, SHIFTED):
+        assert compare(replace(differing, offset=0.5, residual=0.1)).causes == ("misfit",)
+        assert compare(replace(differing, offset=0.5, residual=0.09)).causes == ("stopped",)
+        assert compare(replace(differing, offset=0.29, residual=0.0)).causes == ("unexplained",)
+
+
+def test_other_weights_than_the_noise_explain_a_wider_scatter_only() -> None:
+    assert compare(replace(WIDE, weighting=1.25)).causes == ("weights",)
+    assert compare(replace(WIDE, weighting=1.2)).causes == ("unexplained",)
+    for differing in (NARROW, SHIFTED):
+        assert compare(replace(differing, weighting=2.0)).causes == ("unexplained",)
+
+
+def test_all_causes_that_show_are_listed() -> None:
+    found = compare(replace(WIDE, repetition_at_bound=0.3, clusters=2, skewness=1.0, weighting=2.0))
+    assert found.causes == ("bounds", "optima", "skewed", "weights")
+
+
+def test_both_tests_raise_a_false_alarm_in_one_per_cent() -> None:
+    rng = np.random.default_rng(0)
+    n, trials = 10, 4000
+    alarms = np.zeros(2)
+    for _ in range(trials):
+        x = rng.normal(1.0, 0.1, n)
+        found = compare(replace(PLAIN, repetition_mean=float(x.mean()), repetition_sd=float(x.std(ddof=1))))
+        alarms += (not found.means_agree, not found.sds_agree)
+    # binomial: 0.01 +- 0.0016; four of these
+    assert np.all(np.abs(alarms / trials - 0.01) < 0.0064)
+
+
+def test_inversions_that_all_end_on_one_bound_differ_from_a_posterior_with_a_width() -> None:
+    found = compare(replace(PLAIN, repetition_mean=1.3, repetition_sd=0.0, repetition_at_bound=1.0))
+    assert (found.means_agree, found.sds_agree) == (False, False)
+    assert found.causes == ("bounds",)
+
+
+def test_the_posterior_s_own_sampling_error_counts() -> None:
+    # the mean of 4 effective draws is known to 0.05, that of ten inversions to 0.028: 0.12 is 2.1 of both
+    shifted = replace(PLAIN, repetition_mean=1.12)
+    assert not compare(replace(shifted, effective=1e6)).means_agree
+    assert compare(replace(shifted, effective=4.0)).means_agree
+
+
+def test_a_gaussian_sample_is_one_cluster_and_two_separate_ones_are_two() -> None:
+    rng = np.random.default_rng(1)
+    one = [clusters(rng.standard_normal(10)) for _ in range(500)]
+    two = [clusters(np.r_[rng.standard_normal(5), 12.0 + rng.standard_normal(5)]) for _ in range(500)]
+    assert np.mean(np.array(one) == 2) < 0.03
+    assert np.mean(np.array(two) == 2) > 0.95
+
+
+def test_one_stray_value_is_no_cluster() -> None:
+    assert clusters(np.array([0.0, 0.1, 0.2, 0.3, 0.4, 50.0])) == 1
+    assert clusters(np.array([1.0, 1.0, 1.0, 1.0])) == 1
+    assert clusters(np.array([1.0, 1.0, 2.0, 2.0])) == 2
+
+
+def test_peaks_of_a_mixture_are_counted_where_they_are_separate() -> None:
+    rng = np.random.default_rng(2)
+    z = rng.standard_normal(20_000)
+    assert density_peaks(z) == 1
+    assert density_peaks(np.r_[z[:10_000], 6.0 + z[10_000:]]) == 2
+    # unit Gaussians two apart have one peak in common
+    assert density_peaks(np.r_[z[:10_000], 2.0 + z[10_000:]]) == 1
+    # a second peak of a fiftieth of the draws is less than a tenth as high
+    assert density_peaks(np.r_[z[:19_600], 8.0 + z[19_600:]]) == 1
+
+
+def test_densities_that_are_flat_or_piled_up_on_bounds_have_as_many_peaks_as_piles() -> None:
+    rng = np.random.default_rng(3)
+    u = rng.random(20_000)
+    assert density_peaks(u) == 1
+    assert density_peaks(u**4) == 1
+    assert density_peaks(np.r_[u[:10_000] ** 4, 1.0 - u[10_000:] ** 4]) == 2
+    assert density_peaks(np.ones(100)) == 1
+
+
+def test_skewness_is_that_of_known_distributions() -> None:
+    rng = np.random.default_rng(4)
+    assert skewness(rng.standard_normal(100_000)) == pytest.approx(0.0, abs=0.03)
+    assert skewness(rng.exponential(size=100_000)) == pytest.approx(2.0, abs=0.15)
+    assert skewness(np.ones(5)) == 0.0

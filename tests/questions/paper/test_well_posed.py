@@ -1,0 +1,79 @@
+"""Hadamard's conditions made concrete: against closed forms."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import cpam_bayes as cb
+from cpam_bayes.printed.tables import printed_table
+from cpam_bayes.questions.paper.rows import WellPosed
+from cpam_bayes.questions.paper.work import simulation_errors, well_posed
+from tests.plate_file import described
+
+REFERENCE_GPA = 70.0
+
+
+def isotropic(frequencies: list[float], **unknowns: list[float]) -> dict[str, Any]:
+    material = {"isotropic": True, "E1_GPa": REFERENCE_GPA, "nu12": 0.33}
+    tables = {"unknowns": unknowns, "measurement": {"frequencies_hz": frequencies}}
+    return described((300.0, 200.0, 2.0), 2700.0, material, **tables)
+
+
+@pytest.fixture(scope="module")
+def frequencies() -> list[float]:
+    plate = isotropic([100.0], E1_GPa=[50.0, 90.0])
+    return [float(f) for f in cb.forward(plate, n_modes=6).frequencies]
+
+
+def test_frequencies_grow_as_the_root_of_the_modulus(frequencies: list[float]) -> None:
+    """d ln f / d ln E = 1/2 for all n modes: sd(ln E) = 2 / sqrt(n) times the noise."""
+    off = [f * (1.0 + 0.01 * (-1) ** i) for i, f in enumerate(frequencies)]
+    answer = well_posed(cb.identify(isotropic(off, E1_GPa=[50.0, 90.0]), residuals="relative"))
+    assert answer["percent_per_percent"]["E1_GPa"] == pytest.approx(2.0 / math.sqrt(6.0), rel=1e-4)
+    assert (answer["rank"], answer["condition"], answer["optima"]) == (1, pytest.approx(1.0), 1)
+    # +-1 % about one modulus: sqrt(6 0.01^2 / 5), to the second order in 0.01
+    assert answer["left_percent"] == pytest.approx(math.sqrt(6.0 / 5.0), rel=1e-3)
+
+
+def test_two_constants_that_all_frequencies_see_alike_are_ill_conditioned(frequencies: list[float]) -> None:
+    """The amplification of the modulus grows when Poisson's ratio is unknown beside it."""
+    alone = well_posed(cb.identify(isotropic(frequencies, E1_GPa=[50.0, 90.0])))
+    both = well_posed(cb.identify(isotropic(frequencies, E1_GPa=[50.0, 90.0], nu12=[0.1, 0.45])))
+    assert both["rank"] == 2
+    assert both["condition"] > 2.0
+    assert both["percent_per_percent"]["E1_GPa"] > alone["percent_per_percent"]["E1_GPa"]
+
+
+def test_existence_needs_a_misfit_within_the_repeatability_and_uniqueness_one_optimum() -> None:
+    posed = WellPosed(9, "C1", "as built in", 6, 4, 0.5, 0.9, 4, 10.0, 1, None, {})
+    assert posed.exists
+    assert posed.is_unique
+    assert not replace(posed, left_percent=1.0).exists
+    assert replace(posed, left_percent=None).exists is None
+    for change in ({"rank": 3}, {"optima": 2}, {"layups": 3130}):
+        assert not replace(posed, **change).is_unique  # type: ignore[arg-type]
+
+
+def test_the_printed_simulation_is_held_against_the_measured_list() -> None:
+    answer = {
+        "plain_rms_percent": 1.0,
+        "claim": "named",
+        "causes": ["warp"],
+        "probability": 0.95,
+        "extended_rms_percent": 0.2,
+        "log_bayes_factor": 8.0,
+        "held_out": 5.0,
+        "held_out_se": 1.0,
+    }
+    (error,) = simulation_errors(5, {"plates": {"A1": answer}})
+    printed = np.array([float(v.text) for v in printed_table(5).row("A1", "ABAQUS").values.values()])
+    measured = cb.read_plate("A1").measurement
+    off = printed / measured.frequencies - 1.0
+    assert error.printed_rms_percent == pytest.approx(100.0 * float(np.sqrt(np.mean(off**2))))
+    assert error.causes == ("warp",)
+    assert list(simulation_errors(9, {"plates": {"A1": answer}})) == []

@@ -1,0 +1,185 @@
+"""What a list would say: closed forms, known physics, the swarm's own spread, refusals."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import numpy as np
+import pytest
+
+import cpam_bayes as cb
+from cpam_bayes.answer import Verdict
+from cpam_bayes.identification.point import linearised_covariance
+from cpam_bayes.identification.specimen_design import (
+    Test,
+    expected_information,
+    geometries,
+    response_of,
+    specimen_of,
+)
+from tests.plate_file import described
+
+CARBON = described(
+    (200.0, 200.0, 1.0),
+    1590.0,
+    {"E1_GPa": 121.0, "E2_GPa": 9.3, "nu12": 0.28, "G12_GPa": 6.0},
+    layup="[0_8]",
+    unknowns={"E1_GPa": [80, 160], "E2_GPa": [5, 14], "nu12": [0.15, 0.45], "G12_GPa": [3, 9]},
+)
+SUPPORTED = described(
+    (300.0, 200.0, 0.8),
+    2700.0,
+    {"isotropic": True, "E1_GPa": 69.0, "nu12": 0.33},
+    edges="SSSS",
+    unknowns={"E1_GPa": [60.0, 80.0], "nu12": [0.25, 0.4]},
+)
+
+
+def test_a_supported_plate_gives_the_information_of_its_closed_form() -> None:
+    """All its modes go with E / (1 - nu^2): n of them are one number known n^(1/2) times better."""
+    n, std = 5, 0.004
+    result = cb.design(SUPPORTED, layups=["[0]"], ratios=[1.5], edges=["SSSS"], modes=[n], relative_std=std)
+    (candidate,) = result.candidates
+    e, nu = 69.0, 0.33
+    prior = np.array([20.0, 0.15]) / np.sqrt(12.0)
+    slope = np.array([0.5 / e, nu / (1.0 - nu**2)])  # d log f
+    precision = n / std**2 * np.outer(slope, slope) + np.diag(prior**-2.0)
+    covariance = np.linalg.inv(precision)
+    expected = 0.5 * np.log(1.0 + n / std**2 * np.sum((slope * prior) ** 2))
+    # shear and rotary inertia of a plate of 1/250 change the slopes by less than 0.1 %
+    assert candidate.information == pytest.approx(expected, rel=2e-3)
+    sd = candidate.expected.sd * [1e-9, 1.0]
+    np.testing.assert_allclose(sd, np.sqrt(np.diagonal(covariance)), rtol=2e-3)
+    assert result.verdicts(candidate)["nu12"] is Verdict.PRIOR
+
+
+def test_information_about_some_constants_has_the_others_integrated_over() -> None:
+    response = response_of(cb.read_plate(CARBON), 8)
+    prior = np.array([p.prior.sd for p in cb.read_plate(CARBON).unknowns.parameters])
+    test = Test(0.002, 0.0)
+    every = expected_information(response, 8, test, prior, np.ones(4, bool))
+    alone = [expected_information(response, 8, test, prior, np.arange(4) == k) for k in range(4)]
+    np.testing.assert_allclose([a.information for a in alone], every.each, rtol=1e-12)
+    np.testing.assert_allclose(every.sd, prior * np.exp(-every.each), rtol=1e-12)
+    f, s = response.frequencies, response.slopes
+    noise = f**2 * (0.002**2 + response.error**2)
+    log_det = np.linalg.slogdet(s.T @ (s / noise[:, None]) + np.eye(4))[1]
+    assert every.information == pytest.approx(0.5 * log_det, rel=1e-9)
+
+
+def test_more_modes_and_less_noise_never_say_less() -> None:
+    response = response_of(cb.read_plate(CARBON), 12)
+    prior = np.ones(4)
+    told = [
+        expected_information(response, n, Test(std, 0.5), prior, np.ones(4, bool)).information
+        for std in (0.01, 0.003)
+        for n in (2, 5, 9, 12)
+    ]
+    assert told[:4] == sorted(told[:4])
+    assert told[4:] == sorted(told[4:])
+    assert all(less < more for less, more in zip(told[:4], told[4:], strict=True))
+
+
+def test_nu12_shows_most_where_the_bending_modes_along_and_across_the_fibres_meet() -> None:
+    """Length / width = (E1 / E2)^(1/4), here 1.90: the Poisson plate of Sol (1986)."""
+    ratios = [1.0, 1.4, 1.9, 2.6, 3.6]
+    only = {"layups": ["[0_8]"], "ratios": ratios, "edges": ["FFFF"], "modes": [5], "relative_std": 0.002}
+    result = cb.design(CARBON, constants=["nu12"], **only)
+    best = result.candidates[0].geometry
+    assert best.ratio == pytest.approx((121.0 / 9.3) ** 0.25, rel=0.02)
+    assert result.candidates[0].information > 3.0 * result.candidates[-1].information
+
+
+def test_the_standard_deviations_are_those_of_the_swarm_for_a_list_that_fits() -> None:
+    specimen = cb.read_plate(CARBON)
+    response = response_of(specimen, 8)
+    prior = np.array([p.prior.sd for p in specimen.unknowns.parameters])
+    found = expected_information(response, 8, Test(0.003, 0.0), prior, np.ones(4, bool)).sd
+    listed = {"frequencies_hz": response.frequencies.tolist(), "relative_std": 0.003}
+    measurement = cb.read_plate({**CARBON, "measurement": listed}).measurement
+    assert measurement is not None
+    swarm = np.sqrt(
+        np.diag(linearised_covariance(response.slopes / prior, prior, measurement, 0.003, "relative"))
+    )
+    np.testing.assert_allclose(found, swarm, rtol=2e-3)  # the solver's error is in one of them
+
+
+def test_a_thickness_that_is_not_known_well_takes_its_share() -> None:
+    uncertain = {**CARBON, "plate": {**CARBON["plate"], "sd": {"thickness_mm": 0.02}}}
+    only = {"layups": ["[0_8]"], "ratios": [1.0], "edges": ["FFFF"], "modes": [8], "relative_std": 0.001}
+    (exact,) = cb.design(CARBON, **only).candidates
+    (blurred,) = cb.design(uncertain, **only).candidates
+    e1 = blurred.expected.sd[0] / 121e9
+    # E1 goes with the square of the thickness, which is known to 2 %
+    assert e1 == pytest.approx(np.hypot(0.04, exact.expected.sd[0] / 121e9), rel=0.1)
+    assert blurred.information < exact.information
+
+
+def test_specimens_have_one_area_and_their_mass_follows_the_volume() -> None:
+    specimen = cb.read_plate(
+        {
+            **CARBON,
+            "plate": {k: v for k, v in CARBON["plate"].items() if k != "density_kg_m3"} | {"mass_g": 60.0},
+            "sensor": [{"mass_g": 1.0, "x_mm": 50.0, "y_mm": 150.0}],
+        }
+    )
+    found = geometries(specimen, ratios=[0.5, 2.0], thicknesses_mm=[1.0, 2.0], edges=["FFFF"])
+    assert sum(g.is_present for g in found) == 1
+    for g in found:
+        made = specimen_of(specimen, g)
+        assert made.plate.area == pytest.approx(0.04)
+        assert made.plate.mass == pytest.approx(0.06 * g.thickness / 1e-3)
+        assert made.plate.density == pytest.approx(specimen.plate.density)
+        (sensor,) = made.sensors
+        assert (sensor.x / g.length, sensor.y / g.width) == pytest.approx((0.25, 0.75))
+    texts = {g.layup.text for g in found}
+    assert texts == {"[0_8]", "[(0/90)_2]_s", "[(45/-45)_2]_s", "[0/45/-45/90]_s"}
+
+
+def test_the_plate_as_it_is_stands_among_the_candidates_with_its_number_of_modes(run: Any) -> None:
+    status, out, _ = run(
+        *("design", "A1", "--ratios", "1.5", "--edges", "CFFF", "--modes", "6", "9", "--json", "--quiet"),
+        *("--executor", "serial"),
+    )
+    document = json.loads(out)
+    candidates = document["candidates"]
+    assert status == 0
+    nats = [c["information_nats"] for c in candidates]
+    assert nats == sorted(nats, reverse=True)
+    (present,) = [c for c in candidates if c["is_present"]]
+    assert (present["length_mm"], present["edges"], present["modes"]) == (300.0, "FFFF", 6)
+    assert document["relative_std_is_usual"] is True
+    assert set(present["sd"]) == {"E1_GPa", "nu12"}
+
+
+def test_any_number_of_workers_gives_the_same_answer(tmp_path: Any) -> None:
+    only = {"ratios": [1.0, 1.5], "edges": ["FFFF"], "modes": [4]}
+    here, there = cb.design("A1", **only), cb.design("A1", **only, executor="processes", workers=2)
+    assert {**here.to_dict(), "seconds": 0} == {**there.to_dict(), "seconds": 0}
+    here.save(tmp_path)
+    written = {path.name for path in tmp_path.rglob("*")}
+    assert {"design.json", "report.html", "information.png", "nu12.svg"} <= written
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (("--layups", "[0/?]"), "layups: received '[0/?]', accepted: known angles"),
+        (("--layups", "[0/"), "layups: received '[0/'"),
+        (("--edges", "FFF"), "edges: received 'FFF', accepted: four letters"),
+        (("--constants", "E9"), "constants: received E9, accepted: E1_GPa E2_GPa nu12 G12_GPa"),
+        (("--ratios", "0"), "accepted: a number above 0 and at most 20"),
+        (("--modes", "101"), "accepted: a whole number from 1 to 100"),
+    ],
+)
+def test_what_cannot_be_a_specimen_is_refused(run: Any, options: tuple[str, ...], said: str) -> None:
+    status, out, err = run("design", "C1", *options)
+    assert (status, out) == (2, "")
+    assert said in err
+
+
+def test_a_plate_without_unknowns_is_refused() -> None:
+    without = {k: v for k, v in CARBON.items() if k != "unknowns"}
+    with pytest.raises(ValueError, match=r"\[unknowns\] is missing; name the constants to be determined"):
+        cb.design(without)

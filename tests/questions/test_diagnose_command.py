@@ -1,0 +1,137 @@
+"""`diagnose` as a user sees it: plates that it takes and refuses, documents, files, progress."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+import cpam_bayes as cb
+from tests.diagnosed import CHEAP
+from tests.plate_file import MEASURED
+from tests.plate_file import PLATE as WITHOUT_LIST
+
+PLATE = (WITHOUT_LIST + MEASURED).replace("[material]", '[material]\nname = "aluminium"')
+
+
+@pytest.fixture
+def plate_file(tmp_path):
+    def write(*changes, name="plate.toml", text=PLATE):
+        for old, new in changes:
+            assert old in text
+            text = text.replace(old, new, 1)
+        path = tmp_path / name
+        path.write_text(text, encoding="utf-8")
+        return str(path)
+
+    return write
+
+
+def refused(answer, *fragments):
+    status, out, err = answer
+    assert (status, out) == (2, "")
+    assert "Traceback" not in err
+    assert err.count("error: ") == 1
+    for fragment in fragments:
+        assert fragment in err
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ('edges = "FFFF"', 'edges = "FFFF"\nlayup = "[?/0]_s"', "unknown angles: 1; a known layup is needed"),
+        (MEASURED, "", "[measurement] is missing"),
+        ("[unknowns]\nE1_GPa = [10.0, 200.0]\nnu12 = [0.15, 0.4]\n", "", "[unknowns] is missing"),
+        (
+            "nu12 = 0.33\n",
+            "nu12 = 0.33\n[material.sd]\nE1_GPa = 0.1\n",
+            "its bounds leave nothing within 4 standard deviations",
+        ),
+    ],
+    ids=["unknown angles", "no list", "no unknowns", "bounds off the reference"],
+)
+def test_a_plate_that_cannot_be_diagnosed_is_refused(run, plate_file, old, new, said):
+    changes = [(old, new)]
+    if "material.sd" in new:
+        changes.append(("E1_GPa = [10.0, 200.0]", "E1_GPa = [10.0, 60.0]"))
+    refused(run("diagnose", plate_file(*changes), "--json", "--quiet"), "plate.toml", said)
+
+
+def test_a_mesh_is_refused(run, plate_file, tmp_path):
+    (tmp_path / "plate.msh").write_text("")
+    path = plate_file(('edges = "FFFF"', 'edges = "FFFF"\nmesh = "plate.msh"'))
+    refused(run("diagnose", path), "plate.mesh", "diagnose computes rectangular plates only")
+
+
+def test_the_same_plate_twice_is_refused(run, plate_file):
+    path = plate_file()
+    refused(run("diagnose", path, path), "received plate 7 twice")
+
+
+def test_plates_of_two_materials_are_refused(run):
+    refused(run("diagnose", "A1", "C1"), "material carbon/epoxy, while A1 has aluminium", "of one material")
+
+
+@pytest.mark.parametrize("value", ["0", "-0.1", "0.6", "nan", "much"])
+def test_a_scatter_out_of_range_is_refused(run, value):
+    status, out, err = run("diagnose", "A1", f"--scatter={value}")
+    assert (status, out) == (2, "")
+    assert "accepted: a number above 0 and at most 0.5" in err
+
+
+@pytest.mark.usefixtures("few_causes")
+def test_json_is_one_document_and_the_same_seed_gives_it_again(run, plate_file):
+    path = plate_file()
+    answers = [run("diagnose", path, "--json", "--seed", "5", "--quiet") for _ in range(2)]
+    first, again = (json.loads(out) for _, out, _ in answers)
+    assert [status for status, _, _ in answers] == [0, 0]
+    assert all(err.replace("warning: ", "") == "" or "warning: " in err for _, _, err in answers)
+    for document in (first, again):
+        document.pop("seconds")
+    assert first == again
+    assert {h["cause"] for h in first["hypotheses"]} == CHEAP
+    assert first["air_density_kg_m3"] == {"plate 7": None}
+    assert {entry["cause"] for entry in first["detectable"]} == CHEAP - {"none", "other"}
+    assert set(first["averaged"]) == set(first["baseline"]["constants"])
+    assert isinstance(first["claim_stands"], bool)
+    assert 0.0 <= first["baseline"]["predictive_p"] <= 1.0
+    scales = {"scales_times_3", "scales_divided_by_3"}
+    assert all(set(h["probability_range"]) == scales for h in first["hypotheses"])
+
+
+@pytest.mark.usefixtures("few_causes")
+def test_the_prior_of_none_is_an_option_and_the_others_keep_their_proportions(run, plate_file):
+    path = plate_file()
+    as_is, asked = (
+        json.loads(run("diagnose", path, "--json", "--quiet", "--next", "never", *more)[1])
+        for more in ((), ("--prior-none", "0.9"))
+    )
+    for document, prior in ((as_is, 0.5), (asked, 0.9)):
+        assert document["priors"]["none"] == prior
+        assert document["next_measurement"] == []
+    before, after = ({h["cause"]: h["prior"] for h in d["hypotheses"]} for d in (as_is, asked))
+    ratios = [after[name] / before[name] for name in before if name != "none"]
+    assert ratios == pytest.approx([0.2] * len(ratios))
+    # odds change as the priors do, but for the hypotheses that a first look then suffices for: 0.1 nats
+    odds = [next(h["probability"] for h in d["hypotheses"] if h["cause"] == "none") for d in (as_is, asked)]
+    assert odds[1] / (1 - odds[1]) == pytest.approx(9 * odds[0] / (1 - odds[0]), rel=0.15)
+
+
+@pytest.mark.usefixtures("few_causes")
+def test_progress_goes_to_standard_error_and_files_to_the_directory(run, plate_file, tmp_path):
+    out_dir = tmp_path / "out"
+    status, out, err = run("diagnose", plate_file(), "--verbose", "--out", out_dir)
+    assert status == 0
+    assert "of the hypotheses" in err
+    assert "Probability of each cause" in out
+    written = {str(p.relative_to(out_dir)) for p in out_dir.rglob("*") if p.is_file()}
+    assert {"diagnose.json", "report.html", "figures/residuals.png", "figures/causes.svg"} <= written
+    assert json.loads((out_dir / "diagnose.json").read_text(encoding="utf-8"))["command"] == "diagnose"
+
+
+@pytest.mark.usefixtures("few_causes")
+def test_air_in_the_file_is_part_of_the_model_and_no_cause(plate_file):
+    path = plate_file(("[measurement]", "[environment]\nair_density_kg_m3 = 1.2\n\n[measurement]"))
+    document = cb.diagnose(path, next_test="never").to_dict()
+    assert document["air_density_kg_m3"] == {"plate 7": 1.2}
+    assert "air" not in document["inclusion"]

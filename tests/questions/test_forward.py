@@ -1,0 +1,86 @@
+"""`forward` beside a frequency list: by label, by order, and by a factor where units must be wrong."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from cpam_bayes.forward_model.labels import label_notices
+from cpam_bayes.questions.forward import ForwardResult, forward
+from cpam_bayes.render.terminal import plain_text
+
+
+@pytest.fixture(scope="module")
+def carbon() -> ForwardResult:
+    """Three modes of three labels."""
+    result = forward("C1", 3)
+    assert len({mode.label for mode in result.modes}) == 3
+    return result
+
+
+def with_list(
+    result: ForwardResult, labels: tuple[str, ...], factor: float = 1.01, *, complete: bool = True
+) -> ForwardResult:
+    """The result beside a list of its own frequencies times a factor, in the order of the labels."""
+    measurement = result.specimen.measurement
+    assert measurement is not None
+    order = [[mode.label for mode in result.modes].index(label) if label else -1 for label in labels]
+    free = iter([j for j in range(len(result.modes)) if j not in order])
+    of = [next(free) if j < 0 else j for j in order]
+    listed = replace(
+        measurement, frequencies=factor * result.frequencies[of], labels=labels, complete=complete
+    )
+    return replace(result, specimen=replace(result.specimen, measurement=listed))
+
+
+def paired(result: ForwardResult) -> list[tuple[float | None, str | None]]:
+    """Measured frequency over the computed one, and how the two were paired."""
+    modes = result.to_dict()["modes"]
+    return [
+        (m["measured_hz"] and round(m["measured_hz"] / m["frequency_hz"], 6), m["paired_by"]) for m in modes
+    ]
+
+
+def test_without_labels_a_list_stands_beside_the_modes_in_order(carbon: ForwardResult) -> None:
+    assert paired(with_list(carbon, ("", "", ""))) == 3 * [(1.01, "order")]
+    assert paired(with_list(carbon, ("", "", ""), complete=False)) == 3 * [(None, None)]
+
+
+def test_a_label_puts_a_frequency_beside_its_mode_and_the_others_in_order(
+    carbon: ForwardResult,
+) -> None:
+    first, second, third = (mode.label for mode in carbon.modes)
+    shown = with_list(carbon, (second, first, ""))
+    assert paired(shown) == [(1.01, "label"), (1.01, "label"), (1.01, "order")]
+    (table,) = shown.report().summary.tables
+    assert [row[-1] for row in table.rows] == ["label", "label", "order"]
+    alone = with_list(carbon, (third,), complete=False)
+    assert paired(alone) == [(None, None), (None, None), (1.01, "label")]
+    gaps = with_list(carbon, (third, ""), complete=False)
+    assert paired(gaps) == paired(alone)
+    assert any("stands beside no mode" in said for said in gaps.report().summary.lines)
+
+
+def test_a_label_of_no_computed_mode_is_warned_of(carbon: ForwardResult) -> None:
+    shown = with_list(carbon, ("", "", ""))
+    measurement = shown.specimen.measurement
+    assert measurement is not None
+    assert label_notices(measurement, shown.modes) == ()
+    (said,) = label_notices(replace(measurement, labels=("(9,9)", "", "")), shown.modes)
+    assert said.facts["labels"] == (("(9,9)", measurement.frequencies[0]),)
+
+
+@pytest.mark.parametrize(
+    ("factor", "said", "cell"),
+    [
+        (1 / 985.0, "They are 985 times the measured ones.", "985 times"),
+        (1 / 1.02, "+2.0 to +2.0 %", "+2.00"),
+    ],
+)
+def test_a_difference_beyond_all_constants_is_a_factor(
+    carbon: ForwardResult, factor: float, said: str, cell: str
+) -> None:
+    words = with_list(carbon, ("", "", ""), factor).report().summary
+    assert said in words.headline
+    assert cell in plain_text(words.tables[0])

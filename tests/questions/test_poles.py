@@ -1,0 +1,423 @@
+"""Poles of known tests lie within their stated standard deviations, from every format that is read."""
+
+from __future__ import annotations
+
+import builtins
+import io
+import json
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+import pyuff
+from scipy.io import wavfile
+
+import cpam_bayes as cb
+from cpam_bayes.answer import Notice
+from cpam_bayes.modal_analysis.fit import fit_poles, stabilise
+from cpam_bayes.modal_analysis.read import FrequencyResponses, ModalTestError
+from tests.plate_file import BAR
+from tests.synthetic_poles import accelerance, eigenvalues, known_test
+
+FREQUENCIES, DAMPING = np.array([81.0, 147.3, 149.6, 220.4, 311.0]), np.array([5, 4, 5, 6, 3]) * 1e-3
+LINES = np.arange(0.5, 400.0, 0.5)
+
+
+def responses(noise: float = 1e-3, n_responses: int = 2, seed: int = 0) -> FrequencyResponses:
+    rng = np.random.default_rng(seed)
+    s = eigenvalues(FREQUENCIES, DAMPING)
+    frf = accelerance(LINES, s, rng.uniform(0.5, 1.5, (n_responses, len(s))) / (2j * s.imag))
+    sd = noise * np.abs(frf).max()
+    frf = frf + sd * (rng.standard_normal(frf.shape) + 1j * rng.standard_normal(frf.shape))
+    return FrequencyResponses(LINES, frf, 0.0, 0.0, "synthetic")
+
+
+def assert_known(modes, within: float = 4.0, rtol: float = 0.0) -> None:
+    """The five modes, each within so many standard deviations; a wrong one in 3000 at four of ten."""
+    assert len(modes) == len(FREQUENCIES)
+    for mode, f, damping in zip(modes, FREQUENCIES, DAMPING, strict=True):
+        assert abs(mode.frequency - f) < within * mode.sd + rtol * f
+        assert abs(mode.damping - damping) < within * mode.damping_sd + 20.0 * rtol * damping
+
+
+def test_poles_without_noise_are_exact_and_the_close_pair_is_two() -> None:
+    data = responses(noise=1e-6)
+    modes = fit_poles(data, stabilise(data, 20.0, 390.0, 40).candidates)
+    # the polynomial that stands for modes outside a band leaves some 1e-5 of a frequency
+    np.testing.assert_allclose([m.frequency for m in modes], FREQUENCIES, rtol=1e-5)
+    np.testing.assert_allclose([m.damping for m in modes], DAMPING, rtol=5e-3)
+
+
+def test_noise_without_modes_has_no_poles() -> None:
+    rng = np.random.default_rng(0)
+    noise = rng.standard_normal((2, len(LINES))) + 1j * rng.standard_normal((2, len(LINES)))
+    data = FrequencyResponses(LINES, noise, 0.0, 0.0, "noise")
+    assert fit_poles(data, stabilise(data, 20.0, 390.0, 40).candidates) == ()
+
+
+def calibrated(n_tests: int, n_responses: int, noise: float, seed: int) -> tuple[np.ndarray, float, int]:
+    """Errors over standard deviations, the fraction of clear modes that is found, and spurious ones."""
+    rng, errors, clear, spurious = np.random.default_rng(seed), [], [], 0
+    for _ in range(n_tests):
+        known = known_test(rng, n_responses, noise)
+        modes = fit_poles(known.responses, stabilise(known.responses, 20.0, 790.0, 40).candidates)
+        left = list(modes)
+        for f, damping, peak in zip(known.frequencies, known.damping, known.peak_over_noise, strict=True):
+            near = [mode for mode in left if abs(mode.frequency - f) < damping * f]
+            clear += [bool(near)] if peak > 10.0 else []
+            if near:
+                mode = min(near, key=lambda one: abs(one.frequency - f))
+                left.remove(mode)
+                errors.append((mode.frequency - f) / mode.sd)
+        spurious += len(left)
+    return np.abs(errors), float(np.mean(clear)), spurious
+
+
+def test_poles_lie_within_their_standard_deviations_in_a_few_tests() -> None:
+    errors, found, spurious = calibrated(6, 3, 0.01, 0)
+    assert found > 0.9
+    assert spurious <= 1
+    # 40 poles: 0.95 less three standard errors
+    assert np.mean(errors < 1.96) > 0.95 - 3.0 * np.sqrt(0.05 * 0.95 / len(errors))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("n_responses", "noise"), [(3, 0.01), (1, 0.01)])
+def test_poles_lie_within_their_standard_deviations_in_95_of_100(n_responses: int, noise: float) -> None:
+    errors, found, spurious = calibrated(100, n_responses, noise, 0)
+    assert found > 0.95
+    assert spurious <= 5
+    # 0.95 less three standard errors of 600 poles; one response tells a pair from one mode less well
+    assert np.mean(errors < 1.96) > (0.92 if n_responses > 1 else 0.90)
+
+
+def written_universal(path: Path, data: FrequencyResponses, binary: int) -> None:
+    sets = [
+        pyuff.prepare_58(
+            binary=binary,
+            func_type=4,
+            rsp_node=k + 1,
+            rsp_dir=3,
+            ref_node=1,
+            ref_dir=3,
+            data=frf,
+            x=data.frequencies,
+            id1=f"response {k + 1}",
+            rsp_ent_name="",
+            ref_ent_name="",
+            abscissa_spacing=1,
+            abscissa_spec_data_type=18,
+            ordinate_spec_data_type=12,
+            orddenom_spec_data_type=13,
+        )
+        for k, frf in enumerate(data.frf)
+    ]
+    pyuff.UFF(str(path)).write_sets(sets, "add")
+
+
+# pyuff leaves the file open that it writes binary data to
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+@pytest.mark.parametrize("binary", [0, 1])
+def test_datasets_58_are_read(tmp_path: Path, binary: int) -> None:
+    written_universal(tmp_path / "tap.unv", responses(), binary)
+    result = cb.poles(tmp_path / "tap.unv", order=40)
+    assert result.responses.origin == "dataset 58, 2 responses"
+    assert_known(result.modes)
+
+
+def test_tables_are_read_in_either_form(tmp_path: Path) -> None:
+    data = responses()
+    rows = [
+        ";".join(f"{v:.9e}".replace(".", ",") for v in (f, a.real, a.imag, b.real, b.imag))
+        for f, a, b in zip(data.frequencies, *data.frf, strict=True)
+    ]
+    comma = tmp_path / "comma.csv"
+    comma.write_text("\n".join(["from an analyser", "Frequency [Hz];Re 1;Im 1;Re 2;Im 2", *rows]))
+    rows = [
+        ",".join(f"{v:.9e}" for v in (f, *(w for c in pair for w in (np.abs(c), np.degrees(np.angle(c))))))
+        for f, *pair in zip(data.frequencies, *data.frf, strict=True)
+    ]
+    polar = tmp_path / "polar.csv"
+    polar.write_text("\n".join(["hz,magnitude 1,phase 1 [deg],magnitude 2,phase 2 [deg]", *rows]))
+    first, second = (cb.poles(path, order=40) for path in (comma, polar))
+    assert_known(first.modes)
+    np.testing.assert_allclose(first.responses.frf, data.frf, rtol=1e-8, atol=1e-12)
+    np.testing.assert_allclose(second.responses.frf, data.frf, rtol=1e-7, atol=1e-9)
+
+
+RATE, SECONDS = 4000, 2.0
+
+
+def hits(n: int, seed: int = 0) -> np.ndarray:
+    """Force and response of hits one after the other, half sines of 2 ms on a plate of the known modes."""
+    rng, t = np.random.default_rng(seed), np.arange(int(RATE * SECONDS)) / RATE
+    s = eigenvalues(FREQUENCIES, DAMPING)
+    impulse = np.sum(np.array([1.0, 0.8, -0.9, 1.1, 0.7])[:, None] * np.exp(s[:, None] * t).imag, axis=0)
+    records = []
+    for _ in range(n):
+        force = np.zeros_like(t)
+        pulse = rng.uniform(0.5, 1.0) * np.sin(np.pi * np.arange(8) / 8)
+        force[40:48] = pulse
+        response = np.convolve(force, impulse)[: len(t)]
+        records.append(np.stack((force, response)))
+    both = np.concatenate(records, axis=1)
+    both[0] += 1e-4 * rng.standard_normal(both.shape[1])
+    both[1] += 1e-3 * np.abs(both[1]).max() * rng.standard_normal(both.shape[1])
+    return np.asarray((30000.0 * both / np.abs(both).max(axis=1, keepdims=True)).astype(np.int16).T)
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("hits") / "hits.wav"
+    wavfile.write(path, RATE, hits(4))
+    return path
+
+
+@pytest.mark.parametrize("window", ["none", "exponential"])
+def test_recorded_hits_give_the_poles_and_a_window_adds_no_damping(recorded: Path, window: str) -> None:
+    result = cb.poles(recorded, force=1, response=[2], window=window, high_hz=390.0, order=40)
+    assert "4 hits of 1.99 s, 1 response over force" in result.responses.origin
+    # the samples of a decay and of its window are those of the plate to 1e-4
+    assert_known(result.modes, rtol=1e-4)
+
+
+def test_hits_in_files_of_their_own_are_the_same_test(recorded: Path, tmp_path: Path) -> None:
+    _, samples = wavfile.read(recorded)
+    paths = []
+    for i, part in enumerate(np.split(samples, 4)):
+        paths.append(tmp_path / f"hit_{i}.wav")
+        wavfile.write(paths[-1], RATE, part)
+    together = cb.poles(*paths, force=1, response=[2], window="none", high_hz=390.0, order=40)
+    assert_known(together.modes, rtol=1e-4)
+
+
+def test_without_force_every_hit_is_a_free_decay(recorded: Path) -> None:
+    result = cb.poles(recorded, response=[2], window="none", high_hz=390.0, order=40)
+    assert len(result.responses.frf) == 4
+    assert "free decays" in result.responses.origin
+    # the force that a free decay leaves out is smooth over a peak
+    assert_known(result.modes, rtol=2e-4)
+
+
+def test_the_range_of_hits_ends_where_the_force_has_fallen(recorded: Path) -> None:
+    result = cb.poles(recorded, force=1, response=[2], window="none", order=40)
+    # a half sine of 2 ms has fallen to a tenth at 1.27 / 2 ms, below its first zero at 1.5 / 2 ms
+    assert 550.0 < result.high < 750.0
+
+
+@pytest.mark.parametrize("kind", [np.int16, np.float32])
+@pytest.mark.parametrize("gain", [3.0, 30.0])
+def test_a_record_clipped_at_full_scale_is_refused(tmp_path: Path, kind: type, gain: float) -> None:
+    full = 32767.0 if kind is np.int16 else 1.0
+    samples = np.clip(gain / 30000.0 * hits(2)[:, 1], -1.0, 1.0) * full
+    wavfile.write(tmp_path / "clip.wav", RATE, samples.astype(kind))
+    with pytest.raises(ModalTestError, match=r"clip.wav: channel 1 is clipped: .* samples hold its largest"):
+        cb.poles(tmp_path / "clip.wav", response=[1], window="none")
+
+
+def test_flat_tops_below_full_scale_are_clipped_too(tmp_path: Path) -> None:
+    samples = np.clip(hits(2)[:, 1], -8000, 8000)  # an amplifier before the recorder
+    wavfile.write(tmp_path / "clip.wav", RATE, samples)
+    with pytest.raises(ModalTestError, match="is clipped"):
+        cb.poles(tmp_path / "clip.wav", response=[1], window="none")
+
+
+def test_a_force_that_rings_is_most_likely_a_response(recorded: Path) -> None:
+    with pytest.raises(ModalTestError, match=r"rings long after the hit.*exchange --force and --response"):
+        cb.poles(recorded, force=2, response=[1], window="none")
+    with pytest.raises(ModalTestError, match="received 2 for both"):
+        cb.poles(recorded, force=2, response=[2], window="none")
+
+
+def test_mains_hum_is_named_with_the_peaks_that_are_seen(tmp_path: Path) -> None:
+    samples = hits(1)[:, 1] / 30000.0
+    t = np.arange(len(samples)) / RATE
+    samples = 0.5 * samples + 0.2 * np.sin(2.0 * np.pi * 50.0 * t)
+    wavfile.write(tmp_path / "hum.wav", RATE, samples.astype(np.float32))
+    result = cb.poles(tmp_path / "hum.wav", response=[1], window="none", order=20)
+    assert [n.facts["mains"] for n in result.notices if n.code == "hum"] == [50.0]
+    wavfile.write(tmp_path / "clean.wav", RATE, hits(1)[:, 1])
+    clean = cb.poles(tmp_path / "clean.wav", response=[1], window="none", order=20)
+    assert clean.responses.notices == ()
+
+
+def test_decays_at_a_high_rate_are_searched_where_they_stand_above_noise(tmp_path: Path) -> None:
+    rate, rng = 44100, np.random.default_rng(0)
+    t = np.arange(3 * rate) / rate
+    decay = np.sum(np.exp(eigenvalues(FREQUENCIES, DAMPING)[:, None] * t).imag, axis=0)
+    samples = decay / np.abs(decay).max() + 0.01 * rng.standard_normal(len(t))
+    wavfile.write(tmp_path / "phone.wav", rate, (30000.0 / 1.1 * samples).astype(np.int16))
+    result = cb.poles(tmp_path / "phone.wav", response=[1], window="none", order=40)
+    assert FREQUENCIES[-1] < result.high < 2.0 * FREQUENCIES[-1]
+    assert result.low < 0.5 * FREQUENCIES[0]
+    assert_known(result.modes, rtol=2e-4)
+    cut = cb.poles(tmp_path / "phone.wav", response=[1], window="none", order=20, low_hz=100.0, high_hz=200.0)
+    assert "modes_beyond_range" in {notice.code for notice in cut.notices}
+
+
+def test_a_peak_without_a_mode_is_named(tmp_path: Path) -> None:
+    data = responses(n_responses=1)
+    frf = data.frf[0].copy()
+    frf[np.flatnonzero(LINES == 250.0)] = 0.3 * np.abs(frf).max()  # a steady tone
+    table = np.stack((LINES, frf.real, frf.imag), axis=1)
+    np.savetxt(tmp_path / "tap.csv", table, delimiter=",", header="hz,re,im", comments="")
+    result = cb.poles(tmp_path / "tap.csv", order=40, high_hz=390.0)
+    assert_known(result.modes)
+    assert result.notices[0] == Notice("peaks_without_pole", facts={"peaks": (250.0,)})
+
+
+@pytest.mark.parametrize(
+    ("heads", "row", "said"),
+    [
+        ("hz,magnitude,phase [deg]", lambda f: (-3.0, 100.0), "magnitudes below 0, down to -3, .*says .dB."),
+        ("hz,magnitude,phase", lambda f: (1.0, 3.1), "phases up to 3.1 of no unit, accepted: phase .rad."),
+        ("hz,re,im", lambda f: ("nan" if f == 150 else 1.0, 0.0), "no number at 150 Hz"),
+    ],
+)
+def test_a_column_that_cannot_be_what_its_head_says_is_refused(tmp_path, heads, row, said) -> None:
+    lines = [heads, *(",".join(map(str, (f, *row(f)))) for f in range(1, 300))]
+    (tmp_path / "tap.csv").write_text("\n".join(lines))
+    with pytest.raises(ModalTestError, match=said):
+        cb.poles(tmp_path / "tap.csv")
+
+
+def test_the_table_is_read_by_a_plate_file(run, tmp_path: Path) -> None:
+    written_universal(tmp_path / "tap.unv", responses(), 0)
+    out = tmp_path / "out"
+    status, text, err = run("poles", tmp_path / "tap.unv", "--order", "40", "--json", "--quiet", "--out", out)
+    assert status == 0, err
+    document = json.loads(text)
+    assert [set(mode) for mode in document["modes"]] == [{"hz", "sd", "damping", "damping_sd"}] * 5
+    assert all(a["hz"] < b["hz"] for a, b in pairwise(document["modes"]))
+    names = {str(path.relative_to(out)) for path in out.rglob("*") if path.is_file()}
+    assert {"modes.csv", "poles.json", "report.html", "figures/stability.png"} <= names
+    plate = f'{BAR}[measurement]\ntable = "out/modes.csv"\n'
+    (tmp_path / "bar.toml").write_text(plate, encoding="utf-8")
+    measurement = cb.read_plate(tmp_path / "bar.toml").measurement
+    assert measurement.frequency_sd is not None
+    assert measurement.damping is not None
+    np.testing.assert_allclose(measurement.frequencies, [m["hz"] for m in document["modes"]], rtol=1e-5)
+    np.testing.assert_allclose(measurement.frequency_sd, [m["sd"] for m in document["modes"]], rtol=1e-2)
+    np.testing.assert_allclose(measurement.damping, [m["damping"] for m in document["modes"]], rtol=1e-3)
+
+
+def test_the_screen_says_what_to_do_and_names_close_modes(run, tmp_path: Path) -> None:
+    written_universal(tmp_path / "tap.unv", responses(), 0)
+    status, out, err = run("poles", tmp_path / "tap.unv", "--order", "40", "--verbose")
+    assert status == 0
+    assert "5 modes from 81" in out
+    assert 'table = "modes.csv"' in out
+    assert "closer than their peaks are wide: 147.3 and 149.6 Hz" in err
+
+
+def test_no_mode_is_no_success_and_says_what_to_try(run, tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    rows = [f"{f},{a},{b}" for f, a, b in zip(LINES, *rng.standard_normal((2, len(LINES))), strict=True)]
+    (tmp_path / "noise.csv").write_text("\n".join(["hz,re,im", *rows]))
+    status, out, err = run("poles", tmp_path / "noise.csv", "--order", "20", "--out", tmp_path / "out")
+    assert status == 1
+    assert "No modes found." in out
+    assert "No mode found from" in err
+    assert not (tmp_path / "out" / "modes.csv").exists()
+
+
+def rows(*values: str) -> bytes:
+    return "\n".join(["hz,re,im", *values]).encode()
+
+
+def wave(rate: int, samples: np.ndarray) -> bytes:
+    file = io.BytesIO()
+    wavfile.write(file, rate, samples)
+    return file.getvalue()
+
+
+STEADY = [f"{i},1,0" for i in range(100)]
+HIT = {"response": [1], "window": "none"}
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "options", "said"),
+    [
+        ("tap.doc", b"", {}, "unknown ending, accepted: frequency responses"),
+        ("tap.unv", b"hello", {}, "no frequency response functions, accepted: datasets 58 of type 4"),
+        ("tap.csv", b"a,b\n1,2\n", {}, "no table of responses, accepted: a line of heads with hz"),
+        ("tap.csv", b"hz,re,im\n1,2,x\n", {}, "tap.csv:2: not a row of 3 numbers"),
+        ("tap.csv", b"hz,re,im\n1,2,3\n2,1,1\n9,1,1\n", {}, "lines that do not ascend by equal steps"),
+        (
+            "tap.csv",
+            b"hz,re,im\n" + b"".join(b"%d,1,0\n" % i for i in range(100)),
+            {},
+            "accepted: 120 or more for --order 60",
+        ),
+        ("tap.csv", b"hz,re,im\n1,2,3\n2,1,1\n", {"force": 1}, "accepted: with .wav files only"),
+        ("tap.wav", b"RIFF", {"response": [1], "window": "none"}, "not a .wav file that can be read"),
+        ("tap.wav", b"RIFF", {"response": [1]}, "--response and --window: not given"),
+        ("tap.csv", b"hz,re,im\n1,2,3\n2,1,1\n", {"order": 5}, "--order: received 5, accepted: 10 to 200"),
+        (
+            "tap.csv",
+            rows(*STEADY[:50], "50,nan,0", *STEADY[51:]),
+            {},
+            "no number at 50 Hz, accepted: one at each",
+        ),
+        ("tap.csv", rows("0,0,0", "1,0,0", "2,0,0"), {}, "response 1 that is zero at all lines"),
+        (
+            "tap.csv",
+            rows("0,0,0", "1,1e300,0"),
+            {},
+            "response 1 whose largest value is 1e+300, accepted: 1e-60",
+        ),
+        (
+            "tap.csv",
+            rows("0,1,0", "1e300,1,0"),
+            {},
+            "lines of frequency up to 1e+300 Hz, accepted: 0.001 to 1e+09",
+        ),
+        ("tap.csv", rows() + b"\n" * 500_000, {}, "received 500000 lines, accepted: 200000 at most"),
+        ("tap.unv", b"    -1\n" * 30_000, {}, "received 15000 datasets, accepted: 10000 at most"),
+        ("tap.wav", wave(0, np.ones(9, np.int16)), HIT, "9 samples, 0 a second, accepted: above 0"),
+        ("tap.wav", wave(8, np.full(99, np.nan)), HIT, "samples that are no numbers"),
+        ("tap.wav", wave(1, np.ones(2000, np.int16)), HIT, "2000 hits, accepted: 1000 at most"),
+    ],
+)
+def test_what_cannot_be_read_is_said(tmp_path, name, content, options, said) -> None:
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(ModalTestError) as caught:
+        cb.poles(tmp_path / name, **options)
+    assert said in str(caught.value)
+
+
+def test_more_values_than_fit_the_memory_are_refused_before_they_are_analysed(tmp_path: Path) -> None:
+    (tmp_path / "long.wav").write_bytes(wave(48_000, np.tile(np.array([255, 0], np.uint8), 4_100_000)))
+    with pytest.raises(ModalTestError, match=r"of .* lines from .* Hz, accepted: 2000000 values at most"):
+        cb.poles(tmp_path / "long.wav", response=[1], window="none")
+
+
+def test_a_record_whose_recorder_never_filled_in_its_length_is_read(recorded: Path, tmp_path: Path) -> None:
+    content = bytearray(recorded.read_bytes())
+    content[4:8] = b"\xff\xff\xff\x7f"
+    (tmp_path / "hits.wav").write_bytes(content)
+    result = cb.poles(tmp_path / "hits.wav", force=1, response=[2], window="none", high_hz=390.0, order=40)
+    assert_known(result.modes, rtol=1e-4)
+
+
+def test_a_channel_that_is_not_there_and_a_missing_file_are_named(recorded: Path, tmp_path: Path) -> None:
+    with pytest.raises(ModalTestError, match="no channel 3, accepted: 1 to 2"):
+        cb.poles(recorded, force=3, response=[2], window="none")
+    with pytest.raises(ModalTestError, match="no such file, accepted: frequency responses"):
+        cb.poles(tmp_path / "none.unv")
+    with pytest.raises(ModalTestError, match="no file, accepted: one or more"):
+        cb.poles()
+
+
+def test_without_the_library_the_extra_is_named(tmp_path, monkeypatch) -> None:
+    real = builtins.__import__
+
+    def missing(name, *args, **kwargs):
+        if name == "sdypy":
+            raise ImportError
+        return real(name, *args, **kwargs)
+
+    monkeypatch.setattr(builtins, "__import__", missing)
+    with pytest.raises(ModalTestError, match=r"cpam-bayes\[ema\]"):
+        stabilise(responses(), 20.0, 390.0, 20)

@@ -1,0 +1,200 @@
+"""Frequencies predicted from a stored posterior: closed forms, the truth, sizes of the plate, bad files."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import cpam_bayes as cb
+from cpam_bayes.questions.identify import SampledResult
+from tests.posteriors import write_posterior
+
+E_REFERENCE = 69.0
+SIMULATED = {
+    "name": "simulated",
+    "specimen": "simulated",
+    "plate": {
+        "length_mm": 300.0,
+        "width_mm": 280.0,
+        "thickness_mm": 3.0,
+        "density_kg_m3": 2700.0,
+        "edges": "FFFF",
+    },
+    "material": {"isotropic": True, "E1_GPa": E_REFERENCE, "nu12": 0.33},
+}
+UNKNOWN = {"unknowns": {"E1_GPa": [30.0, 120.0], "nu12": [0.15, 0.45]}}
+
+
+def cantilever(**sizes: Any) -> dict[str, Any]:
+    """Another plate of the same material, clamped on one edge."""
+    return {
+        **SIMULATED,
+        "name": "cantilever",
+        "specimen": "cantilever",
+        "plate": {**SIMULATED["plate"], "length_mm": 200.0, "width_mm": 100.0, "edges": "CFFF", **sizes},
+    }
+
+
+@pytest.fixture
+def modulus_only(tmp_path: Path) -> tuple[Path, np.ndarray]:
+    """Draws of E1 with everything else held, and the draws."""
+    e = E_REFERENCE * (1.0 + 0.05 * np.random.default_rng(1).standard_normal(800))
+    return write_posterior(tmp_path / "posterior.nc", {"E1_GPa": e, "relative_std": np.full(800, 0.01)}), e
+
+
+def test_frequencies_go_with_the_root_of_the_modulus_and_so_do_their_quantiles(modulus_only) -> None:
+    path, e = modulus_only
+    at_reference = cb.forward(cantilever(), 4).frequencies
+    result = cb.predict(path, cantilever(), 4)
+    expected = np.sqrt(e / E_REFERENCE)
+    for mode, f in zip(result.modes, at_reference, strict=True):
+        # the models are converged to 0.02 %, and a quantile of 800 draws is the same monotone map of theirs
+        assert mode.mean == pytest.approx(f * expected.mean(), rel=3e-4)
+        assert mode.sd == pytest.approx(f * expected.std(ddof=1), rel=5e-3)
+        assert mode.q025 == pytest.approx(f * np.quantile(expected, 0.025), rel=3e-4)
+        assert mode.q975 == pytest.approx(f * np.quantile(expected, 0.975), rel=3e-4)
+
+
+def test_the_noise_of_the_posterior_widens_the_interval_of_a_measurement(modulus_only) -> None:
+    path, e = modulus_only
+    (mode,) = cb.predict(path, cantilever(), 1).modes
+    spread = np.hypot((0.5 * e.std(ddof=1) / E_REFERENCE), 0.01)
+    # quantiles of 800 draws are good to some 6 % of their distance
+    assert mode.measured_q975 / mode.measured_q025 - 1.0 == pytest.approx(2 * 1.96 * spread, rel=0.15)
+    assert mode.measured_q025 < mode.q025 < mode.q975 < mode.measured_q975
+
+
+def test_a_thickness_with_a_standard_deviation_widens_a_thin_plate_in_proportion(modulus_only) -> None:
+    path, e = modulus_only
+    plate = cantilever(thickness_mm=1.0, sd={"thickness_mm": 0.03})
+    (mode,) = cb.predict(path, plate, 1).modes
+    expected = np.hypot(0.5 * e.std(ddof=1) / E_REFERENCE, 0.03)
+    assert mode.sd / mode.mean == pytest.approx(expected, rel=0.1)  # 800 draws know a spread to 2.5 %
+
+
+@pytest.fixture(scope="module")
+def sampled() -> SampledResult:
+    """The posterior of a plate with a list that its model computes exactly, its thickness not known well."""
+    f = cb.forward(SIMULATED, 6).frequencies
+    measured = {"frequencies_hz": f.tolist(), "relative_std": 0.003}
+    uncertain = {**SIMULATED["plate"], "sd": {"thickness_mm": 0.06}}
+    return cb.sample({**SIMULATED, **UNKNOWN, "plate": uncertain, "measurement": measured}, seed=0)
+
+
+def test_the_truth_of_another_plate_lies_in_the_intervals(sampled: SampledResult) -> None:
+    truth = cb.forward(cantilever(), 5).frequencies
+    result = cb.predict(sampled, cantilever(), 5)
+    assert not result.sizes_of_posterior
+    for mode, f in zip(result.modes, truth, strict=True):
+        assert mode.q025 < f < mode.q975
+
+
+@pytest.mark.slow
+def test_another_test_of_the_same_plate_has_the_sizes_of_the_draws(sampled: SampledResult) -> None:
+    """Thickness and modulus are known badly, what they do together well: the frequencies show that."""
+    clamped = {**SIMULATED, "name": "clamped", "plate": {**SIMULATED["plate"], "edges": "CFFF"}}
+    own = cb.predict(sampled, clamped, 3)
+    other = cb.predict(sampled, {**clamped, "specimen": "sister"}, 3)
+    assert own.sizes_of_posterior
+    for narrow, wide in zip(own.modes, other.modes, strict=True):
+        assert narrow.sd < 0.3 * wide.sd
+        assert wide.sd / wide.mean == pytest.approx(0.02, rel=0.2)  # of a thickness that is known to 2 %
+
+
+def test_a_plate_of_the_same_name_and_another_size_has_the_sizes_of_its_file(sampled: SampledResult) -> None:
+    thinner = {**SIMULATED, "plate": {**SIMULATED["plate"], "thickness_mm": 1.0, "length_mm": 150.0}}
+    result = cb.predict(sampled, thinner, 3)
+    assert not result.sizes_of_posterior
+    assert {name: here for name, here, _ in result.notices[0].facts["sizes"]} == {
+        "length": 0.15,
+        "thickness": 0.001,
+    }
+    named = cb.predict(sampled, {**thinner, "specimen": "sister"}, 3)
+    assert [m.mean for m in result.modes] == [m.mean for m in named.modes]
+    assert named.notices == result.notices[1:]
+
+
+def test_a_saved_posterior_predicts_its_own_list_as_the_result_does(
+    sampled: SampledResult, tmp_path: Path
+) -> None:
+    sampled.to_arviz().to_netcdf(str(tmp_path / "posterior.nc"))
+    plate = {**SIMULATED, "plate": {**SIMULATED["plate"], "sd": {"thickness_mm": 0.06}}}
+    from_file = cb.predict(tmp_path / "posterior.nc", plate, 6)
+    at_once = cb.predict(sampled, plate, 6)
+    assert from_file.posterior.repeatability == 0.003
+    np.testing.assert_array_equal(from_file.frequencies, at_once.frequencies)
+    mean = [mode.mean for mode in from_file.modes]
+    np.testing.assert_allclose(mean, sampled.predicted[:6], rtol=5e-4)
+    sd = [mode.sd for mode in from_file.modes]
+    np.testing.assert_allclose(sd, sampled.predicted_sd[:6], rtol=0.15)  # other draws of one posterior
+
+
+def test_a_constant_that_was_held_at_another_value_is_told(tmp_path: Path) -> None:
+    path = write_posterior(
+        tmp_path / "posterior.nc",
+        {"E1_GPa": np.linspace(68.0, 70.0, 50)},
+        held_constants=json.dumps({"nu12": 0.3}),
+        symmetry="isotropic",
+    )
+    (notice,) = cb.predict(path, cantilever(), 1).notices
+    assert notice.facts["constants"] == (("nu12", 0.3, 0.33),)
+
+
+def test_a_file_that_is_no_posterior_is_refused_with_what_is_accepted(run: Any, tmp_path: Path) -> None:
+    text = tmp_path / "text.nc"
+    text.write_text("no NetCDF", encoding="utf-8")
+    angles = write_posterior(tmp_path / "angles.nc", {"angle_1": np.zeros(9)})
+    nothing = write_posterior(tmp_path / "nan.nc", {"E1_GPa": np.full(9, np.nan)})
+    for path, said in (
+        (tmp_path, "a directory, accepted: the posterior.nc"),
+        (tmp_path / "none.nc", "no file there, accepted: the posterior.nc"),
+        (text, "cannot be read as NetCDF"),
+        (angles, "no draws of elastic constants"),
+        (nothing, "draws of E1 are too few or not finite"),
+    ):
+        status, out, err = run("predict", path, "A1")
+        assert (status, out) == (2, "")
+        assert err.startswith(f"error: {path}: ")
+        assert said in err
+        assert err.count("\n") == 1
+
+
+def test_a_material_of_another_kind_is_refused(run: Any, tmp_path: Path) -> None:
+    draws = {"E1_GPa": np.linspace(120.0, 125.0, 9), "E2_GPa": np.linspace(9.0, 9.4, 9)}
+    path = write_posterior(tmp_path / "posterior.nc", draws)
+    status, _, err = run("predict", path, "A1")
+    assert status == 2
+    assert "the material is isotropic, that of" in err
+    named = write_posterior(tmp_path / "named.nc", {"E1_GPa": draws["E1_GPa"]}, symmetry="isotropic")
+    status, _, err = run("predict", named, "C1")
+    assert status == 2
+    assert "the material is transversely_isotropic" in err
+
+
+def test_the_command_gives_the_document_of_the_library(run: Any, tmp_path: Path, modulus_only) -> None:
+    path, _ = modulus_only
+    status, out, _ = run(
+        "predict", path, "A1", "--modes", "3", "--json", "--quiet", "--out", tmp_path / "out"
+    )
+    document = json.loads(out)
+    assert status == 0
+    keys = {"mean_hz", "sd_hz", "q025", "q975", "kind", "label"}
+    assert all(keys <= set(f) for f in document["frequencies"])
+    assert [f["measured_hz"] for f in document["frequencies"]] == [114.0, 167.0, 218.0]
+    result = cb.predict(path, "A1", 3).to_dict()
+    assert {**result, "seconds": 0} == {**document, "seconds": 0}
+    written = {file.name for file in (tmp_path / "out").rglob("*") if file.is_file()}
+    assert {"predict.json", "report.html", "prediction.png", "modes.svg"} <= written
+
+
+def test_the_first_screen_compares_with_the_measured_frequencies(tmp_path: Path) -> None:
+    path = write_posterior(tmp_path / "posterior.nc", {"E1_GPa": np.linspace(66.0, 69.0, 50)})
+    shown = cb.predict(path, "A1", 3).report()
+    (rows, _) = shown.rows
+    outside = [not r.m.measured_q025 <= r.measured.hz <= r.m.measured_q975 for r in rows.rows]
+    assert f"{3 - sum(outside)} of 3 measured" in shown.summary.headline
+    assert shown.summary.tables[0].flagged == {i for i, out in enumerate(outside) if out}

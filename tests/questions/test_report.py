@@ -1,0 +1,110 @@
+"""`report` as a user sees it: one page of all that is asked of a plate, and the files of its parts."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import pytest
+
+import cpam_bayes as cb
+from cpam_bayes.inference.ensemble import DEFAULT_SETTINGS
+from cpam_bayes.questions import report as combined
+from cpam_bayes.questions.sequence import stacking_result
+from tests.plate_file import MEASURED, PLATE
+from tests.stacking.cases import TRUE, answer, mixture, specimen
+
+MAX_BYTES = 5_000_000
+
+
+@pytest.fixture
+def plate_file(tmp_path):
+    def write(*changes):
+        text = PLATE + MEASURED
+        for old, new in changes:
+            assert old in text
+            text = text.replace(old, new, 1)
+        path = tmp_path / "plate.toml"
+        path.write_text(text, encoding="utf-8")
+        return str(path)
+
+    return write
+
+
+def test_a_quick_report_is_one_page_with_the_files_of_its_parts(run, plate_file, few_causes, tmp_path):
+    out = tmp_path / "out"
+    status, shown, _ = run("report", plate_file(), "--quick", "--json", "--quiet", "--out", out)
+    assert status == 0
+    document = json.loads(shown)
+    assert (document["command"], document["quick"], document["stacking"]) == ("report", True, None)
+    assert document["identification"]["backend"] == "pso"
+    parts = {"identify": document["identification"], "diagnose": document["diagnosis"]}
+    for name, part in parts.items():
+        assert json.loads((out / f"{name}.json").read_text("utf-8")) == part
+    page = (out / "report.html").read_text("utf-8")
+    assert len(page.encode()) <= MAX_BYTES
+    drawn = {path.stem for path in (out / "figures").glob("*.png")}
+    assert {"plate", "identify_residuals", "identify_modes", "diagnose_causes"} <= drawn
+    assert page.count("<h1>") == 1
+    assert page.count("<img ") == len(drawn)
+    assert not (out / "posterior.nc").exists(), "a quick report has no draws"
+
+
+def test_the_answer_is_the_diagnosis_and_the_frequencies_alone_are_folded(plate_file, few_causes):
+    result = cb.report(plate_file(), quick=True)
+    report, diagnosis = result.report(), result.diagnosis.report()
+    alone = result.identification.report()
+    assert report.summary.headline == diagnosis.summary.headline
+    assert report.summary.tables == diagnosis.summary.tables
+    assert not set(alone.summary.tables) & {t for s in report.sections if not s.folded for t in s.tables}
+    (folded,) = (s for s in report.sections if set(alone.summary.tables) <= set(s.tables))
+    assert folded.folded
+    placed = [figure for section in report.sections for figure in section.figures]
+    assert placed[0] == "plate"
+    assert sorted(placed) == sorted(drawing.name for drawing in result.drawings())
+    assert len(set(result.warnings)) == len(result.warnings)
+
+
+@pytest.mark.slow
+def test_unknown_angles_are_weighed_and_the_most_probable_ones_diagnosed(few_causes, monkeypatch, tmp_path):
+    found = stacking_result(answer(), mixture(), None, 0, 5)
+    short = replace(DEFAULT_SETTINGS, most_steps=20, round_steps=20)
+    monkeypatch.setattr(combined, "sequence", lambda *args, **kwargs: found)
+    monkeypatch.setattr(
+        combined, "sample", lambda plate, **kwargs: cb.sample(plate, settings=short, **kwargs)
+    )
+    report = cb.report(specimen())
+    assert report.stacking is found
+    (known,) = report.diagnosis.plates
+    assert known.plate.layup.n_unknown == 0
+    assert known.plate.layup.angles_deg[:2].tolist() == found.answer.top[0].tolist()
+    assert sorted(map(abs, known.plate.layup.angles_deg[:2])) == sorted(map(abs, TRUE))
+    probability = float(found.answer.probability[0] * found.answer.multiplicity[0])
+    said = any(notice.code == "one_layup_taken" for notice in report.notices)
+    assert said == (probability < 0.95)
+    assert not report.reached_goal, "20 steps are too few"
+    report.save(tmp_path)
+    placed = {figure for section in report.report().sections for figure in section.figures}
+    assert {"sequence_angles", "identify_posterior", "diagnose_causes"} <= placed
+    assert (tmp_path / "posterior.nc").exists()
+    assert len(report.to_arviz().posterior.data_vars) == 4
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        (MEASURED, "", "[measurement] is missing"),
+        ("[unknowns]\nE1_GPa = [10.0, 200.0]\nnu12 = [0.15, 0.4]\n", "", "[unknowns] is missing"),
+    ],
+)
+def test_a_plate_that_a_part_refuses_is_refused_before_any_work(run, plate_file, tmp_path, old, new, said):
+    status, shown, err = run("report", plate_file((old, new)), "--out", tmp_path / "out")
+    assert (status, shown) == (2, "")
+    assert said in err
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_directory_must_be_given(run, plate_file):
+    status, _, err = run("report", plate_file())
+    assert status == 2
+    assert "--out" in err

@@ -1,0 +1,240 @@
+"""`identify --backend emcee` as a user sees it: noise, sizes, labels, priors, stores and their failures."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from contextlib import nullcontext
+from functools import partial
+from pathlib import Path
+
+import pytest
+
+from cpam_bayes.cli import prepare
+from cpam_bayes.errors import PlateFileError
+from cpam_bayes.inference.ensemble import DEFAULT_SETTINGS
+from cpam_bayes.plate import read_specimen
+from cpam_bayes.questions.identify import SampledResult
+from cpam_bayes.render.terminal import plain_text
+from tests.plate_file import MEASURED
+from tests.plate_file import PLATE as WITHOUT_LIST
+
+Run = Callable[..., tuple[int, str, str]]
+Write = Callable[..., str]
+
+PLATE = (WITHOUT_LIST + MEASURED).replace(
+    "nu12 = [0.15, 0.4]", "nu12 = { mean = 0.3, sd = 0.05, bounds = [0.15, 0.4] }"
+)
+SIZES = ("[material]", "[plate.sd]\nthickness_mm = 0.03\nwidth_mm = 0.1\n\n[material]")
+EMCEE = ("--backend", "emcee", "--quiet", "--steps", "200")
+
+
+@pytest.fixture
+def plate_file(tmp_path: Path) -> Write:
+    """Write the plate file with some words replaced and return its path."""
+
+    def write(*changes: tuple[str, str]) -> str:
+        text = PLATE
+        for old, new in changes:
+            assert old in text
+            text = text.replace(old, new)
+        path = tmp_path / "plate.toml"
+        path.write_text(text, encoding="utf-8")
+        return str(path)
+
+    return write
+
+
+@pytest.fixture(scope="module")
+def answer(tmp_path_factory: pytest.TempPathFactory) -> SampledResult:
+    """The answer for a plate with sizes that have sd, one noise in Hz, and Student-t residuals."""
+    path = tmp_path_factory.mktemp("plate") / "plate.toml"
+    path.write_text(PLATE.replace(*SIZES), encoding="utf-8")
+    options = ("--likelihood", "absolute", "--noise", "student-t")
+    argv = ("identify", str(path), *EMCEE, *options)
+    finish = prepare(argv)
+    assert isinstance(finish, partial)
+    found = finish.args[0]()
+    assert isinstance(found, SampledResult)
+    return found
+
+
+@pytest.mark.slow
+def test_sizes_stand_apart_from_the_constants_in_the_document(answer: SampledResult) -> None:
+    document = answer.to_dict()
+    assert list(document["constants"]) == ["E1_GPa", "nu12"]
+    assert list(document["nuisance"]) == ["width_mm", "thickness_mm"]
+    thickness = document["nuisance"]["thickness_mm"]
+    assert thickness["reference"] == pytest.approx(3.0)
+    assert thickness["mean"] == pytest.approx(3.0, abs=0.02)
+    assert thickness["sd"] == pytest.approx(0.03, rel=0.4)  # frequencies say nothing of it beside E1
+    (first,) = answer.report().summary.tables
+    assert [row[0] for row in first.rows] == ["E1", "nu12"]
+
+
+@pytest.mark.slow
+def test_noise_has_a_scale_and_a_shape(answer: SampledResult) -> None:
+    document = answer.to_dict()
+    assert document["noise"]["name"] == "absolute_sd_hz"
+    assert 0.5 < document["noise"]["mean"] < 20.0
+    assert document["degrees_of_freedom"] == 4.0
+    assert any(
+        "Hz, inferred, Student-t with 4" in plain_text(table)
+        for section in answer.report().sections
+        for table in section.tables
+        if table.rows
+    )
+
+
+REFUSED = {
+    "swarm and likelihood": (
+        (),
+        ("--likelihood", "absolute"),
+        "--likelihood: not an option of the back end pso",
+    ),
+    "swarm and noise": ((), ("--noise", "gaussian"), "--noise: not an option of the back end pso"),
+    "emcee and residuals": (
+        (),
+        ("--backend", "emcee", "--residuals", "relative"),
+        "--residuals: not an option of the back end emcee",
+    ),
+    "emcee and particles": (
+        (),
+        ("--backend", "emcee", "--particles", "40"),
+        "--particles: not an option of the back end emcee",
+    ),
+    "store without a name": (
+        (),
+        (*EMCEE, "--store", ""),
+        "store: received '', accepted: a directory",
+    ),
+    "absolute and relative_std": (
+        (("resolution_hz = 1.0", "relative_std = 0.01"),),
+        (*EMCEE, "--likelihood", "absolute"),
+        "measurement.relative_std: the absolute likelihood infers",
+    ),
+    "label": (
+        (("resolution_hz = 1.0", 'labels = ["(1,1)", "", "", "(9,9)", "", ""]'),),
+        EMCEE,
+        "measurement.labels: received '(9,9)' for one frequency, no mode of the model has it",
+    ),
+    "label and swarm": (
+        (("resolution_hz = 1.0", 'labels = ["(1,1)", "", "", "(9,9)", "", ""]'),),
+        ("--quiet",),
+        "(1,1) at 11",
+    ),
+    "control character": (
+        (("plate 7", "plate \\u001b[31m7"),),
+        EMCEE,
+        r'name: malformed, received "plate \u001b',
+    ),
+    "direction mark": ((("plate 7", "plate \\u202e7"),), EMCEE, r"\u202e7"),
+}
+
+
+@pytest.mark.parametrize(("changes", "options", "said"), REFUSED.values(), ids=REFUSED)
+def test_what_cannot_be_is_refused_in_one_line(
+    run: Run,
+    plate_file: Write,
+    changes: tuple[tuple[str, str], ...],
+    options: tuple[str, ...],
+    said: str,
+) -> None:
+    status, out, err = run("identify", plate_file(*changes), *options)
+    assert (status, out) == (2, "")
+    assert said in err
+    assert err.count("error:") == 1
+    assert err.isprintable() or err.replace("\n", "").isprintable()
+
+
+def test_a_store_that_is_a_file_is_refused_before_any_work(run: Run, plate_file: Write) -> None:
+    path = plate_file()
+    status, out, err = run("identify", path, "--backend", "emcee", "--store", path)
+    assert (status, out, err) == (2, "", f"error: store: received {path!r}, accepted: a directory\n")
+
+
+def test_the_help_names_the_settings_that_the_chains_have(run: Run) -> None:
+    _, out, _ = run("identify", "--help")
+    said = f"in rounds of {DEFAULT_SETTINGS.round_steps} (default: {DEFAULT_SETTINGS.most_steps})"
+    assert said in " ".join(out.split())
+
+
+@pytest.mark.slow
+def test_labels_put_modes_beside_their_frequencies(run: Run, plate_file: Write) -> None:
+    labels = 'labels = ["(1,1)", "", "", "(1,2)", "(2,1)", ""]'  # the model has them the other way round
+    _, out, _ = run("identify", plate_file(("resolution_hz = 1.0", labels)), *EMCEE, "--json")
+    rows = json.loads(out)["frequencies"]
+    assert [row["label"] for row in rows][3:5] == ["(1,2)", "(2,1)"]
+    assert rows[3]["predicted_hz"] > rows[4]["predicted_hz"]
+    _, out, _ = run("identify", plate_file(("resolution_hz = 1.0", labels)), "--quiet", "--json")
+    assert [row["label"] for row in json.loads(out)["frequencies"]][3:5] == ["(1,2)", "(2,1)"]
+
+
+@pytest.mark.slow
+def test_a_store_of_another_problem_is_refused_and_a_damaged_round_is_sampled_again(
+    run: Run, plate_file: Write, tmp_path: Path
+) -> None:
+    store = tmp_path / "store"
+    command = ("identify", plate_file(), *EMCEE, "--store", str(store))
+    answer = json.loads(run(*command, "--json")[1])
+    first = store / "round_0000.arrays"
+    whole = first.read_bytes()
+    status, out, err = run(*command, "--noise", "student-t")
+    assert (status, out) == (2, "")
+    assert "holds another problem" in err
+    for content in (b"no round at all", whole[:700]):
+        first.write_bytes(content)
+        status, out, err = run(*command, "--json")
+        assert json.loads(out)["constants"] == answer["constants"]
+        assert f"warning: {first} was damaged: it is set aside as round_0000.arrays.damaged" in err
+
+
+@pytest.mark.slow
+def test_a_full_disk_costs_the_store_and_not_the_answer(
+    run: Run, plate_file: Write, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    replace = Path.replace
+
+    def full(self: Path, target: Path) -> Path:
+        if self.parent.name == "store":
+            raise OSError(28, "No space left on device")
+        return replace(self, target)
+
+    monkeypatch.setattr(Path, "replace", full)
+    status, out, err = run(
+        "identify", plate_file(), *EMCEE, "--json", "--store", str(tmp_path / "store"), "--noise", "gaussian"
+    )
+    assert status == 1
+    document = json.loads(out)
+    assert document["constants"]["E1_GPa"]["mean"] == pytest.approx(68.0, abs=3.0)
+    assert any("cannot be written (No space left on device)" in text for text in document["warnings"])
+    assert "cannot be written" in err
+
+
+@pytest.mark.slow
+def test_more_unknowns_than_frequencies_are_allowed_and_said(run: Run, plate_file: Write) -> None:
+    few = ("[114, 167, 218, 289, 300, 497]", "[114]")
+    status, out, err = run("identify", plate_file(few), *EMCEE)
+    assert status in (0, 1)
+    assert "1 frequency for 2 unknowns" in err
+    assert "1 frequency for 2 unknowns" in out
+
+
+@pytest.mark.slow
+def test_a_list_that_lacks_a_mode_is_put_in_doubt(run: Run, plate_file: Write) -> None:
+    gap = ("[114, 167, 218, 289, 300, 497]", "[114, 167, 289, 300, 497]")
+    _, _, err = run("identify", plate_file(gap, ("resolution_hz = 1.0", "relative_std = 0.01")), *EMCEE)
+    assert "to lack the mode (2,0)+(0,2) near 2" in err
+    assert "complete = false" in err
+
+
+SENSOR = "[[sensor]]\nmass_g = {}\nx_mm = 10.0\ny_mm = 10.0\n\n[measurement]"
+
+
+@pytest.mark.parametrize(("masses", "refused"), [((680.0,), False), ((400.0, 281.0), True), ((681.0,), True)])
+def test_sensors_are_weighed_together(plate_file: Write, masses: tuple[float, ...], refused: bool) -> None:
+    tables = "".join(SENSOR.format(mass).removesuffix("[measurement]") for mass in masses)
+    path = plate_file(("[measurement]", f"{tables}[measurement]"))
+    said = "heavier than the plate, received 681 in all, accepted: up to 680.4, the mass of the plate in g"
+    with pytest.raises(PlateFileError, match=said) if refused else nullcontext():
+        read_specimen(path)

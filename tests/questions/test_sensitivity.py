@@ -1,0 +1,393 @@
+"""`sensitivity`: a study made of known numbers, shown, and the command as a user and a script see it."""
+
+import json
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cpam_bayes.inference.ensemble import EnsembleSettings
+from cpam_bayes.inference.swarm import SwarmSettings
+from cpam_bayes.parameters import ParameterSet, TruncatedNormal
+from cpam_bayes.printed.noise_study import Cell, Repetition, Sensitivity, printed_table, sensitivity_notices
+from cpam_bayes.printed.repetition import Comparison, PosteriorSummary
+from cpam_bayes.printed.tables import perturbation_table
+from cpam_bayes.questions import sensitivity
+from cpam_bayes.questions.identify.pso import identify
+from cpam_bayes.questions.sensitivity import SensitivityResult
+from cpam_bayes.render.documents import json_text
+from cpam_bayes.render.noise_study import ComparedRow, beside_paper, difference_sentences
+from tests.plate_file import MEASURED, PLATE
+
+# Means of two inversions, E1 in Pa and nu12: 71 GPa with an sd of 1.4142, 0.30 with 0.02828.
+CONSTANTS = np.array([[70e9, 0.28], [72e9, 0.32]])
+AGREE = Comparison(1e9, 0.5, 1.4, True, True, ())
+
+
+def cell(level, reading, comparisons=(AGREE, AGREE)):
+    repetition = Repetition(
+        constants=CONSTANTS,
+        on_bound=np.array([[False, True], [False, False]]),
+        lists=np.ones((2, 6)),
+        reordered=0.5,
+        redrawn=0,
+        converged=2,
+        restarted=1,
+        missed=0,
+        solves=100,
+    )
+    posterior = PosteriorSummary(
+        mean=np.array([70e9, 0.31]),
+        sd=np.array([1e9, 0.02]),
+        q025=np.array([68e9, 0.27]),
+        q975=np.array([72e9, 0.35]),
+        skewness=np.array([0.1, -0.7]),
+        contraction=np.array([0.02, 0.6]),
+        next_to_bound=np.array([0.0, 0.12]),
+        peaks=np.array([1, 1]),
+        best=np.array([69e9, 0.3]),
+        linearised_sd=np.array([1e9, 0.02]),
+        swarm_sd=np.array([1.5e9, 0.02]),
+        effective=1200.0,
+        converged=True,
+    )
+    return Cell(level, reading, np.full(6, 3.0), repetition, posterior, comparisons)
+
+
+@pytest.fixture(scope="module")
+def identification():
+    return identify("A1", seed=1).estimate
+
+
+@pytest.fixture
+def study(identification):
+    constants = tuple(
+        replace(c, value=value) for c, value in zip(identification.constants, (69.0e9, 0.33), strict=True)
+    )
+    without_noise = replace(identification, constants=constants, rms=0.001)
+    cells = tuple(cell(level, reading) for level in (0.01, 0.05) for reading in ("relative", "rms"))
+    return Sensitivity(
+        specimen=identification.specimen,
+        source="model",
+        without_noise=without_noise,
+        starts=10,
+        found_again=5,
+        cells=cells,
+        groups=2,
+        seconds=12.0,
+    )
+
+
+@pytest.fixture
+def aluminium(study):
+    """The study as if it were of A2, which Table 10 is about."""
+    return replace(study, specimen=replace(study.specimen, name="A2", source="built-in A2"))
+
+
+def result(study, table=None, seed=0):
+    return SensitivityResult(seed=seed, specimen=study.specimen, study=study, table=table)
+
+
+def with_cell(study, one):
+    return replace(study, cells=(one,))
+
+
+def test_the_document_has_the_keys_of_the_contract_in_the_units_of_the_names(study):
+    document = json.loads(json_text(result(study, seed=3).to_dict()))
+    assert [level["level_percent"] for level in document["levels"]] == [1.0, 5.0]
+    for level in document["levels"]:
+        assert set(level["readings"]) == {"relative", "rms"}
+        assert level["constants"] == level["readings"]["relative"]["constants"]
+        own = level["constants"]["E1_GPa"]
+        assert own["repetition_mean"] == pytest.approx(71.0)
+        assert own["repetition_sd"] == pytest.approx(2**0.5)
+        assert own["posterior_mean"] == pytest.approx(70.0)
+        assert own["posterior_sd"] == pytest.approx(1.0)
+        assert own["paper_percent_error"] is None
+        assert own["percent_error"] == pytest.approx(100 * (71 / 69 - 1))
+        assert own["percent_standard_error"] == pytest.approx(100 / 69)
+        assert own["repetitions"] == pytest.approx([70.0, 72.0])
+        assert level["constants"]["nu12"]["share_on_bound"] == 0.5
+    assert (document["groups"], document["list"], document["paper"]) == (2, "model", None)
+    assert document["without_noise"]["constants"]["nu12"]["value"] == 0.33
+
+
+def test_the_paper_stands_beside_its_own_specimen_only(study, aluminium):
+    table = perturbation_table("A2")
+    assert printed_table(aluminium, table) is table
+    assert printed_table(study, table) is None
+    other = replace(aluminium, specimen=replace(aluminium.specimen, source="A2.toml"))
+    assert printed_table(other, table) is None
+    assert printed_table(aluminium, None) is None
+
+
+def test_printed_percentages_are_measured_in_standard_errors_of_a_mean_of_ten(aluminium):
+    document = result(aluminium, perturbation_table("A2")).to_dict()
+    own = document["levels"][1]["constants"]["E1_GPa"]
+    assert own["paper_percent_error"] == -3.1
+    error = 100 * (2**0.5 / 10**0.5) / 69  # of ten, though there are two groups here
+    assert own["paper_in_standard_errors"] == pytest.approx(-3.1 / error)
+    assert document["paper"] == {"table": 10, "angles_deg": [], "contradictions": []}
+    # E1: -1.7 and -3.1 over 0.648 %; nu12: 2.3 and 7.2 over 100 * 0.0283 / sqrt(10) / 0.33 = 2.71 %
+    rms = ((1.7**2 + 3.1**2) / 0.6481**2 / 4 + (2.3**2 + 7.2**2) / 2.7104**2 / 4) ** 0.5
+    said = " ".join(beside_paper(aluminium, perturbation_table("A2")))
+    assert (
+        "relative: 1 of 4 printed percentages are smaller than the standard error that a mean of ten" in said
+    )
+    assert f"in these units their rms is {rms:.1f}" in said
+
+
+def tables(result):
+    """The tables of the report by title."""
+    return {t.title: t for section in result.report().sections for t in section.tables}
+
+
+def test_a_level_that_the_paper_lacks_has_no_column_of_it(aluminium):
+    table = perturbation_table("A2")
+    for level, printed in ((0.02, None), (0.05, ("-3.10", "+7.20"))):
+        shown = tables(result(with_cell(aluminium, cell(level, "rms")), table))
+        (own,) = (t for title, t in shown.items() if title.startswith("Noise"))
+        headings = [column.text for column in own.columns]
+        assert ("paper %" in headings) is (printed is not None)
+        if printed:
+            assert tuple(row[headings.index("paper %")] for row in own.rows) == printed
+
+
+def test_a_contradiction_in_print_is_said(study):
+    table = perturbation_table("D1")
+    d1 = replace(study, specimen=replace(study.specimen, name="D1", source="built-in D1"))
+    found = beside_paper(d1, table)
+    assert found[-1] == (
+        "E2_GPa at 10 %: the printed 7.41 % does not follow from its row, whose amounts allow 4.9 to 6.0 %."
+    )
+    assert any("sought the ply angles too" in sentence for sentence in found)
+    (own,) = result(d1, table).to_dict()["paper"]["contradictions"]
+    assert (own["constant"], own["printed_percent"]) == ("E2_GPa", 7.41)
+
+
+def rows_of(study):
+    return [ComparedRow(study, cell, i, None) for cell in study.cells for i in range(2)]
+
+
+def test_the_first_screen_has_a_row_for_each_level_and_reading(study):
+    summary = result(study).report().summary
+    (table,) = summary.tables
+    assert [row[:2] for row in table.rows] == [
+        ("1 %", "of each frequency"),
+        ("1 %", "of the rms frequency"),
+        ("5 %", "of each frequency"),
+        ("5 %", "of the rms frequency"),
+    ]
+    # of 69 GPa: inversions 1.414, posterior 1; of 0.33: 0.02828 and 0.02
+    assert [row[2:] for row in table.rows] == [("2.0 / 1.4", "8.6 / 6.1")] * 4
+    assert "nu12 a standard deviation of 6.1 %" in summary.headline
+    assert "8 of 8" in summary.lines[0]
+    assert difference_sentences(rows_of(study)) == ()
+    frame = result(study).to_dataframe()
+    assert (len(frame), frame["repetition_mean"][0]) == (8, pytest.approx(71.0))
+
+
+@pytest.mark.parametrize(
+    ("cause", "said"),
+    [
+        ("missed", "the swarms of 0 of 2 lists missed the minimum of eq. (7)"),
+        ("bounds", "1 of 2 inversions end on a bound, where 12 % of the posterior lies"),
+        ("open", "the posterior's sd is 60 % of its prior's"),
+        ("optima", "fall into separate groups"),
+        ("skewed", "the posterior is skewed (-0.7)"),
+        ("reordered", "in 50 % of the noisy lists modes have changed places"),
+        ("weights", "widens the scatter 1.0 times to first order"),
+        ("misfit", "settle at constants 1.5 sd apart"),
+        ("stopped", "the swarm stops 1.5 sd short of the optimum"),
+        ("unexplained", "no measured cause explains it"),
+    ],
+)
+def test_every_cause_is_told_with_its_number(study, cause, said):
+    differs = Comparison(0.02, -4.0, 2.5, False, False, (cause,))
+    found = difference_sentences(rows_of(with_cell(study, cell(0.05, "rms", (AGREE, differs)))))
+    assert len(found) == 1
+    assert found[0].startswith(
+        "5 % rms, nu12: means 4.0 standard errors apart and sd 2.5 times the posterior's"
+    )
+    assert said in found[0]
+
+
+def test_rows_that_differ_are_flagged_and_say_so(study):
+    differs = Comparison(0.02, -4.0, 2.5, False, True, ("bounds", "skewed"))
+    report = result(with_cell(study, cell(0.05, "relative", (AGREE, differs)))).report()
+    (first,) = report.summary.tables
+    assert (first.flagged, first.rows[0][-1]) == ({0}, "nu12")
+    (table,) = (t for s in report.sections for t in s.tables if t.title.startswith("Noise 5 %"))
+    assert table.flagged == {1}
+    assert [row[-1] for row in table.rows] == ["agree", "differ: bounds, skewed"]
+
+
+def notices(study):
+    """Code -> facts of every reason not to trust a study."""
+    return {notice.code: notice.facts for notice in sensitivity_notices(study)}
+
+
+def test_a_list_that_the_model_misses_by_more_than_the_noise_is_a_warning(study):
+    missed = replace(study, source="measured", without_noise=replace(study.without_noise, rms=0.02))
+    assert notices(missed) == {"misfit_beside_noise": {"misfit": 0.02, "level": 0.01}}
+    assert notices(replace(study, source="measured")) == {}
+
+
+def test_constants_that_the_swarm_does_not_find_again_are_a_warning(study):
+    constants = tuple(replace(c, value=1.1 * c.value) for c in study.without_noise.constants)
+    lost = replace(study, without_noise=replace(study.without_noise, constants=constants))
+    assert notices(lost)["constants_not_found_again"] == {"names": ("E1", "nu12")}
+    assert notices(study) == {}
+
+
+def test_budgets_and_frequencies_drawn_again_are_warnings(study):
+    one = study.cells[0]
+    short = replace(one.posterior, converged=False, effective=12.0)
+    repeated = replace(one.repetition, converged=1, redrawn=3, missed=2)
+    found = notices(with_cell(study, replace(one, posterior=short, repetition=repeated)))
+    at = {"level": 0.01, "reading": "relative", "noise_sd": 3.0}
+    assert found == {
+        "inversions_missed": {**at, "count": 2, "of": 2},
+        "noise_chains": {**at, "ess_bulk": 12.0},
+        "noise_swarms": {**at, "count": 1, "of": 2},
+        "noise_redrawn": {**at, "count": 3},
+    }
+
+
+def test_a_search_that_finds_the_best_constants_less_than_every_other_time_is_a_warning(study):
+    assert notices(replace(study, found_again=4)) == {"swarms_in_worse_optima": {"found": 4, "of": 10}}
+    assert notices(replace(study, found_again=5)) == {}
+
+
+def test_what_the_file_gives_and_the_study_leaves_aside_is_a_warning(study):
+    own = study.specimen
+    unknowns = ParameterSet(
+        tuple(replace(p, prior=TruncatedNormal(0.33, 0.02, 0.15, 0.4)) for p in own.unknowns.parameters)
+    )
+    labelled = replace(own.measurement, labels=("(1,1)", "", "", "", "", ""))
+    plate = replace(own.plate, sd={"thickness": 1e-5})
+    given = replace(own, unknowns=unknowns, measurement=labelled, plate=plate)
+    assert notices(replace(study, source="measured", specimen=given)) == {
+        "sizes_exact": {"names": ("thickness",)},
+        "labels_not_used": {},
+        "prior_not_inverted": {"names": ("E1", "nu12")},
+    }
+
+
+FEW = ("--groups", "3", "--executor", "serial", "--quiet")
+
+
+@pytest.fixture
+def short(monkeypatch):
+    """Swarms and chains that end long before they converge."""
+    full = sensitivity.noise_study
+
+    def hurried(*args, **kwargs):
+        chains = EnsembleSettings(walkers=12, round_steps=40, most_steps=40)
+        swarm = SwarmSettings(particles=10, iterations=30)
+        return full(*args, **{**kwargs, "chains": chains, "swarm_settings": swarm})
+
+    monkeypatch.setattr(sensitivity, "noise_study", hurried)
+
+
+@pytest.mark.slow
+def test_a_plate_without_a_measurement_gets_the_answer_of_the_contract(run, plate_file, tmp_path):
+    out_dir = tmp_path / "out"
+    argv = ("sensitivity", plate_file(), "--levels", "1", "--modes", "6", "--json", "--out", str(out_dir))
+    status, out, err = run(*argv, *FEW)
+    document = json.loads(out)
+    assert (status, err) == (0, "")
+    assert len(document["frequencies_hz"]) == 6
+    (level,) = document["levels"]
+    assert (level["level_percent"], level["reading"]) == (1.0, "relative")
+    assert set(level["constants"]) == {"E1_GPa", "nu12"}
+    for reading in ("relative", "rms"):
+        for name, truth in (("E1_GPa", 69.0), ("nu12", 0.33)):
+            own = level["readings"][reading]["constants"][name]
+            assert own["paper_percent_error"] is None
+            # three inversions at 1 %: within a few standard errors of a mean of three
+            spread = max(own["repetition_sd"], own["posterior_sd"]) / np.sqrt(3)
+            assert abs(own["repetition_mean"] - truth) < 5 * spread
+            assert abs(own["posterior_mean"] - truth) < own["posterior_sd"]
+            assert own["posterior_sd"] == pytest.approx(own["linearised_posterior_sd"], rel=0.25)
+    assert json.loads((out_dir / "sensitivity.json").read_text()) == document
+    assert (out_dir / "figures" / "sensitivity.png").stat().st_size > 0
+
+
+def test_chains_that_did_not_converge_end_with_status_1_and_say_so(run, plate_file, short):
+    status, out, err = run(
+        "sensitivity", plate_file(), "--levels", "5", "--reading", "rms", "--verbose", *FEW
+    )
+    assert status == 1
+    assert "did not converge within their budget" in err
+    assert re.search(r"Noise 5 % of the rms frequency \(rms\), [\d.]+ Hz for all modes", out)
+    assert "what the plate model gives at the constants of [material]" in out
+
+
+def test_noise_is_added_to_the_measured_list_where_that_is_asked_for(run, plate_file, short):
+    argv = ("sensitivity", plate_file(text=PLATE + MEASURED), "--levels", "5", "--reading", "rms")
+    document = json.loads(run(*argv, "--list", "measured", "--json", *FEW)[1])
+    assert document["frequencies_hz"] == [114, 167, 218, 289, 300, 497]
+    assert document["list"] == "measured"
+    model = json.loads(run(*argv, "--json", *FEW)[1])
+    assert model["frequencies_hz"] != document["frequencies_hz"]
+    assert len(model["frequencies_hz"]) == 6
+
+
+def test_the_same_seed_gives_the_same_document_and_another_seed_another(run, plate_file, short):
+    argv = ("sensitivity", plate_file(), "--levels", "5", "--reading", "rms", "--json", *FEW)
+    first, again, other = (json.loads(run(*argv, "--seed", seed)[1]) for seed in "334")
+    for document in (first, again, other):
+        document.pop("seconds")
+        document.pop("seed")
+    assert first == again
+    assert first["levels"] != other["levels"]
+
+
+def test_a_level_named_twice_is_studied_once(run, plate_file, short):
+    argv = ("sensitivity", plate_file(), "--levels", "5", "5.0", "--reading", "rms", "--json", *FEW)
+    assert [v["level_percent"] for v in json.loads(run(*argv)[1])["levels"]] == [5.0]
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (("--levels", "0"), "received '0', accepted: a percentage above 0 and at most 50"),
+        (("--levels", "nan"), "received 'nan'"),
+        (("--groups", "1"), "received '1', accepted: a whole number from 2 to 1000"),
+        (("--reading", "both ways"), "received 'both ways', accepted: both relative rms"),
+        (("--list", "measured"), "[measurement] is missing, which --list measured needs"),
+    ],
+)
+def test_options_out_of_range_are_refused_with_what_is_accepted(run, plate_file, options, said):
+    status, out, err = run("sensitivity", plate_file(), *options)
+    assert (status, out) == (2, "")
+    assert said in err
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "options", "said"),
+    [
+        ("[unknowns]\nE1_GPa = [10.0, 200.0]\nnu12 = [0.15, 0.4]\n", "", (), "[unknowns] is missing"),
+        ("E1_GPa = 69.0", "E1_GPa = 8.0", (), "material.E1_GPa: 8 lies outside its search bounds 10 to 200"),
+        (
+            "resolution_hz = 1.0",
+            "complete = false",
+            ("--list", "measured"),
+            "measurement.complete: received false",
+        ),
+        (
+            "",
+            "",
+            ("--list", "measured", "--modes", "4"),
+            "--modes: received 4, accepted: with --list model only",
+        ),
+        ("width_mm", 'mesh = "plate.msh"\nwidth_mm', (), "plate.mesh"),
+    ],
+)
+def test_plates_that_cannot_be_studied_are_refused(run, plate_file, old, new, options, said):
+    path = plate_file((old, new), text=PLATE + MEASURED)
+    status, out, err = run("sensitivity", path, "--executor", "serial", "--quiet", *options)
+    assert (status, out) == (2, "")
+    assert said in err

@@ -1,0 +1,225 @@
+"""`sequence`: its report, document, pictures and posterior file."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cpam_bayes.inference.sampling import command_of_draws
+from cpam_bayes.questions.sequence import StackingResult, stacking_result
+from cpam_bayes.render.figures import save_figures
+from cpam_bayes.render.files import save, staging
+from cpam_bayes.render.report import Table
+from cpam_bayes.stacking.notices import stacking_notices
+from cpam_bayes.stacking.posterior import EMCEE, StackingMixture, stacking_posterior
+from cpam_bayes.stacking.queries import best_fit, given_layup
+from cpam_bayes.stacking.records import StackingPosterior, StackingSettings, SurrogateCheck
+from tests.stacking.cases import TRUE, answer, mixture, specimen
+
+pytestmark = pytest.mark.slow
+
+
+def notices(answer: StackingPosterior, mixture: StackingMixture) -> dict[str, Any]:
+    """Code -> facts of every reason not to trust the probabilities."""
+    return {n.code: n.facts for n in stacking_notices(answer, mixture, best_fit(answer))}
+
+
+def tables(result: StackingResult) -> dict[str, Table]:
+    """The tables behind the answer by title."""
+    return {t.title: t for section in result.report().sections for t in section.tables}
+
+
+def work(result: StackingResult) -> dict[str, str]:
+    return dict(tables(result)["All stacking sequences"].rows)  # type: ignore[arg-type]
+
+
+SMALL = StackingSettings(draws=30, listed=12, log2_points=6)
+
+
+def test_the_document_has_what_the_contract_names() -> None:
+    own, mixed = answer(), mixture()
+    document = json.loads(json.dumps(stacking_result(own, mixed, None, 0, 5).to_dict(), allow_nan=False))
+    assert document["enumerated"] == 36
+    assert len(document["sequences"]) == 5
+    first = document["sequences"][0]
+    assert set(first) >= {"angles_deg", "probability", "log_evidence", "constants"}
+    assert first["sampled_by"] == "emcee"
+    assert document["sequences"][4]["sampled_by"] == "importance sampling"
+    assert set(first["constants"]) == {"E1_GPa", "E2_GPa", "nu12", "G12_GPa"}
+    assert document["credible_95_count"] == own.credible_count
+    assert document["unaccounted_probability"] == 0.0
+    np.testing.assert_allclose(np.sum(document["angle_marginals"], axis=1), 1.0)
+    assert document["outer_plies_better_determined"] is True
+    mean = document["constants"]["E1_GPa"]["mean"]
+    assert document["constants"]["E1_GPa"]["q025"] < mean < document["constants"]["E1_GPa"]["q975"]
+    assert mean == pytest.approx(mixed.parameters[:, 0].mean() / 1e9)
+
+
+def test_the_printed_sequence_stands_in_document_and_screen() -> None:
+    own, mixed = answer(), mixture()
+    given = given_layup(own, np.array(TRUE))
+    with_given = replace(mixed, given=mixed.components[0])
+    result = stacking_result(own, with_given, given, 0, 5)
+    document = result.to_dict()
+    assert document["printed_sequence"]["rank"] == 1
+    assert document["printed_sequence"]["constants"] == document["sequences"][0]["constants"]
+    assert work(result)["printed"].startswith("30/-60: probability")
+    headings = tables(result)["Constants over all sequences"].headings
+    assert headings is not None
+    assert "given the printed one" in headings
+
+
+def test_the_first_screen_has_the_layup_its_probability_and_the_constants() -> None:
+    own = answer()
+    report = stacking_result(own, mixture(), None, 0, 5).report()
+    constants, sequences = report.summary.tables
+    assert [row[0] for row in constants.rows] == ["E1", "E2", "nu12", "G12"]
+    together = float(own.probability[0] * own.multiplicity[0])
+    assert len(sequences.rows) == 5, "as many as were asked for"
+    assert sequences.rows[0] == ("1", "-30/60", f"{together:.3g}", str(own.multiplicity[0] - 1))
+    assert report.summary.headline.startswith(f"Probability {together:.2g}")
+    assert "-30/60, or another layup" in report.summary.headline
+    assert f"{own.credible_count} of 36 sequences" in report.summary.lines[0]
+    words = " ".join((report.summary.headline, *report.summary.lines, report.summary.next_step)).split()
+    assert len(words) <= 100  # and some in the table of constants
+    result = stacking_result(own, mixture(), None, 0, 5)
+    assert work(result)["constants"].startswith("emcee on the first 3 of the list")
+    (said,) = tables(result)["Outer and inner plies"].rows
+    assert said[0].startswith("outer angles are better determined than inner ones")
+    frame = result.to_dataframe()
+    assert frame["angles_deg"][0] == [-30.0, 60.0]
+
+
+def test_chains_that_failed_or_disagree_are_warned_of() -> None:
+    mixed = mixture()
+    own = replace(answer(), log_evidence_error=np.zeros(len(answer().top)))
+    assert notices(own, mixed) == {}
+    first, second = mixed.components[:2]
+    failed = replace(first, diagnostics=replace(first.diagnostics, converged=False))
+    wrong = replace(second, importance=first.importance)
+    found = notices(own, replace(mixed, components=(failed, wrong)))
+    assert (found["sequence_chains"]["number"], found["sequence_disagrees"]["number"]) == (1, 2)
+
+
+def test_the_noise_and_how_the_first_sequence_fits_with_it_are_told() -> None:
+    result = stacking_result(answer(), mixture(), None, 0, 5)
+    assert work(result)["noise"].startswith("1.0 % of a frequency, from the plate file; alone it leaves")
+    document = result.to_dict()
+    assert document["noise_percent"] == pytest.approx(1.0, rel=1e-3)
+    assert document["noise_inferred"] is False
+    assert document["p_value"] > 0.99, "the list is one of the plate's own, without noise"
+
+
+def test_a_list_that_lacks_a_mode_is_paired() -> None:
+    own = specimen()
+    assert own.measurement is not None
+    every = own.measurement.frequencies
+    few = replace(own.measurement, frequencies=np.delete(every, 2), labels=("",) * 5, complete=False)
+    found = stacking_posterior(
+        replace(own, measurement=replace(few, relative_std=1e-3)),
+        0,
+        settings=SMALL,
+    )
+    fit = best_fit(found)
+    np.testing.assert_allclose(fit.predicted, np.delete(every, 2), rtol=1e-3)
+    np.testing.assert_allclose(fit.missed, every[2:3], rtol=5e-3)
+    assert fit.p_value is not None
+    assert fit.p_value > 0.9
+    result = stacking_result(found, mixture(), None, 0, 5)
+    assert result.to_dict()["missed_modes"] == [{"predicted_hz": pytest.approx(fit.missed[0])}]
+    assert len(tables(result)["Missing from the measured frequencies"].rows) == 1
+    wrong = replace(
+        few, frequencies=np.sort(np.append(np.delete(every, 2), every[3] * 1.1)), labels=("",) * 6
+    )
+    stray = stacking_posterior(
+        replace(own, measurement=replace(wrong, relative_std=1e-3)),
+        0,
+        settings=SMALL,
+    )
+    beside = stacking_result(stray, mixture(), None, 0, 5).to_dict()["frequencies"]
+    assert [f["predicted_hz"] is None for f in beside].count(True) == 1
+    assert notices(stray, mixture())["frequencies_without_mode"]["alone"] == 1
+
+
+def test_what_was_learned_badly_or_overlooked_is_warned_of() -> None:
+    own = replace(answer(), log_evidence_error=np.zeros(len(answer().top)))
+    good = SurrogateCheck(
+        training_size=700,
+        rms=0.1,
+        largest=0.4,
+        overlooked=0.1,
+        correction=0.01,
+        effective=0.98,
+        fitted=500,
+        sampled=300,
+        surrogate_probability=1e-3,
+        basis_error=1e-5,
+    )
+    assert notices(replace(own, check=good), mixture()) == {}
+    bad = replace(own, check=replace(good, rms=2.5, overlooked=1.2), unaccounted=4e-3)
+    assert notices(bad, mixture()) == {
+        "rough_surrogate": {"rms": 2.5},
+        "overlooked_sequence": {"better": 1.2},
+        "sequences_left_out": {"probability": 4e-3},
+    }
+    document = stacking_result(bad, mixture(), None, 0, 5).to_dict()
+    assert document["learned"]["overlooked_nats"] == 1.2
+
+
+def test_draws_of_another_command_in_the_directory_are_kept_under_its_name(tmp_path: Path) -> None:
+    result = stacking_result(answer(), mixture(), None, 3, 5)
+    file, kept = tmp_path / "posterior.nc", tmp_path / "identify_posterior.nc"
+    file.write_text("no draws of anybody")
+    result.save(tmp_path)
+    assert command_of_draws(file) == "sequence"
+    of_identify = result.to_arviz()
+    of_identify.attrs["command"] = "identify"
+    of_identify.to_netcdf(str(file))
+    with staging(str(tmp_path)) as stage:
+        (note,) = save(result, stage)
+    assert note == f"{file} is now that of sequence, that of identify is kept as identify_posterior.nc"
+    result.save(tmp_path)
+    assert (command_of_draws(file), command_of_draws(kept)) == ("sequence", "identify")
+    assert sorted(path.name for path in tmp_path.glob("*.nc")) == ["identify_posterior.nc", "posterior.nc"]
+
+
+def test_the_posterior_file_opens_in_plain_arviz(tmp_path: Path) -> None:
+    import xarray
+
+    own, mixed = answer(), mixture()
+    stacking_result(own, mixed, None, 3, 5).to_arviz().to_netcdf(tmp_path / "posterior.nc")
+    data = xarray.open_datatree(str(tmp_path / "posterior.nc"))
+    posterior = data.posterior
+    assert posterior["angle_deg"].dims == ("chain", "draw", "ply")
+    assert posterior.sizes["draw"] == len(mixed.parameters)
+    np.testing.assert_allclose(posterior["E1_GPa"].values[0], mixed.parameters[:, 0] / 1e9)
+    assert posterior["E1_GPa"].attrs["unit"] == "GPa"
+    by = data.sample_stats["sampled_by"].values[0]
+    assert np.mean(by == EMCEE) == pytest.approx(mixed.emcee_fraction, abs=1e-3)
+    np.testing.assert_array_equal(posterior["component"].values[0], mixed.origin)
+    # a draw's angles are an image of its component's
+    listed = data.constant_data["sequence_angle_deg"].values
+    assert np.all(np.abs(posterior["angle_deg"].values[0][mixed.origin == 0]) == np.abs(listed[0]))
+    np.testing.assert_allclose(data.constant_data["angle_marginal"].sum("angle"), 1.0)
+    assert data.observed_data.sizes["mode"] == 6
+    assert data.attrs["seed"] == 3
+    assert len(data.attrs["problem_hash"]) == 32
+
+
+def test_the_same_answer_gives_the_same_pictures(tmp_path: Path) -> None:
+    result = stacking_result(answer(), mixture(), given_layup(answer(), np.array(TRUE)), 0, 5)
+    for name in ("first", "again"):
+        (tmp_path / name).mkdir()
+        save_figures(result.figures(), tmp_path / name)
+    files = sorted(p.name for p in (tmp_path / "first").iterdir())
+    assert {p.removesuffix(".png") for p in files if p.endswith(".png")} == {
+        "angles",
+        "constants",
+        "credible_set",
+        "plate",
+    }
+    for file in files:
+        assert (tmp_path / "first" / file).read_bytes() == (tmp_path / "again" / file).read_bytes()

@@ -1,0 +1,13 @@
+"""A quick solution, to be drawn and saved."""
+
+from __future__ import annotations
+
+import pytest
+
+from cpam_bayes.questions.forward import ForwardResult, forward
+
+
+@pytest.fixture(scope="package")
+def forward_result() -> ForwardResult:
+    """Three modes of a clamped plate."""
+    return forward("D1", 3)

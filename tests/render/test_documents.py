@@ -1,0 +1,41 @@
+"""Documents, CSV files and data frames: nothing that JSON does not know, one declaration of columns."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+from cpam_bayes.render.documents import csv_text, json_text, laminate_keys
+from tests.render.small import CONSTANTS, RESULT
+
+CSV = "name,value,sd\nE1,136.6,2.7\nE2,8.87,\n"
+
+
+def test_json_csv_and_data_frame_hold_the_columns_that_have_a_key() -> None:
+    records = [{"name": "E1", "value": 136.6, "sd": 2.7}, {"name": "E2", "value": 8.87, "sd": None}]
+    assert RESULT.to_dict()["constants"] == records
+    assert csv_text(CONSTANTS) == CSV
+    frame = RESULT.to_dataframe()
+    assert list(frame.columns) == ["name", "value", "sd"]
+    assert frame["value"].tolist() == [136.6, 8.87]
+    with pytest.raises(ValueError, match="to_dataframe: received 'modes', accepted: constants"):
+        RESULT.to_dataframe("modes")
+
+
+def test_what_is_not_a_finite_number_becomes_null() -> None:
+    document = {"a": math.nan, "b": [math.inf, 1.0], "c": ({"d": -math.inf},), "e": "nan"}
+    expected = {"a": None, "b": [None, 1.0], "c": [{"d": None}], "e": "nan"}
+    assert json.loads(json_text(document)) == expected
+
+
+def test_numbers_of_arrays_are_numbers() -> None:
+    document = {"f": np.float64(1.5), "n": np.int64(3), "nan": np.float64("nan")}
+    assert json.loads(json_text(document)) == {"f": 1.5, "n": 3, "nan": None}
+
+
+def test_the_bending_stiffness_is_in_newton_metres_and_moduli_in_gigapascals() -> None:
+    keys = laminate_keys({"D11": 172.6, "Ex": 67.3e9, "nuxy": 0.35})
+    assert keys == {"D11": {"value": 172.6}, "Ex_GPa": {"value": 67.3}, "nuxy": {"value": 0.35}}

@@ -1,0 +1,121 @@
+"""Result files appear when all of them are whole, or not at all."""
+
+import errno
+import json
+import os
+
+import pytest
+
+from cpam_bayes.questions.plates import plates
+from cpam_bayes.render.files import save, staging
+from cpam_bayes.render.page import PAGE, command_of
+
+RESULT = plates()
+
+
+def listed(directory):
+    return sorted(str(path.relative_to(directory)) for path in directory.rglob("*"))
+
+
+def test_without_a_directory_nothing_is_written(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with staging(None) as stage:
+        save(RESULT, stage)
+    assert listed(tmp_path) == []
+
+
+def test_an_older_result_is_replaced_and_other_files_stay(tmp_path):
+    (tmp_path / "plates.json").write_text("old")
+    (tmp_path / "notes.txt").write_text("mine")
+    with staging(str(tmp_path)) as stage:
+        assert (tmp_path / "plates.json").read_text() == "old"
+        save(RESULT, stage)
+    assert listed(tmp_path) == ["notes.txt", "plates.json", "report.html"]
+    assert json.loads((tmp_path / "plates.json").read_text()) == RESULT.to_dict()
+
+
+def test_two_runs_into_one_directory_leave_whole_files_of_the_last_and_no_drafts(tmp_path, forward_result):
+    with staging(str(tmp_path)) as one, staging(str(tmp_path)) as other:
+        save(RESULT, one)
+        save(RESULT, other)
+        notes = save(forward_result, one)
+    assert len(notes) == 1
+    assert json.loads((tmp_path / "plates.json").read_text()) == RESULT.to_dict()
+    assert json.loads((tmp_path / "forward.json").read_text()) == forward_result.to_dict()
+    assert command_of(tmp_path / PAGE) == "forward"
+    assert not [name for name in listed(tmp_path) if "cpam-bayes" in name]
+
+
+def test_the_page_of_another_command_is_kept_under_its_name(tmp_path, forward_result):
+    def saved(result):
+        with staging(str(tmp_path)) as stage:
+            return save(result, stage)
+
+    def command():
+        return command_of(tmp_path / PAGE)
+
+    assert saved(RESULT) == ()
+    assert saved(RESULT) == ()
+    first = (tmp_path / PAGE).read_text("utf-8")
+    (note,) = saved(forward_result)
+    assert note == f"{tmp_path / PAGE} is now that of forward, that of plates is kept as plates_page.html"
+    assert command() == "forward"
+    assert (tmp_path / "plates_page.html").read_text("utf-8") == first
+    # a page of one command stands at one place
+    assert len(saved(RESULT)) == 1
+    assert command() == "plates"
+    assert {path.name for path in tmp_path.glob("*.html")} == {PAGE, "forward_page.html"}
+
+
+def test_a_page_of_something_else_is_no_page_of_a_command(tmp_path):
+    (tmp_path / PAGE).write_text("<title>coverage</title>")
+    assert command_of(tmp_path / PAGE) is None
+
+
+@pytest.mark.parametrize("end", [KeyboardInterrupt, RuntimeError])
+def test_work_that_ends_early_leaves_everything_as_it_was(tmp_path, end):
+    (tmp_path / "old").mkdir()
+    (tmp_path / "old" / "plates.json").write_text("old")
+    for name in ("old", "new/deep"):
+        with pytest.raises(end), staging(str(tmp_path / name)):
+            raise end
+    assert listed(tmp_path) == ["old", "old/plates.json"]
+
+
+def test_a_file_where_the_figures_go_is_refused_before_the_work(tmp_path):
+    (tmp_path / "figures").write_text("mine")
+    with pytest.raises(ValueError, match="figures is no directory"), staging(str(tmp_path)):
+        raise AssertionError("the work has begun")
+    assert listed(tmp_path) == ["figures"]
+
+
+@pytest.mark.parametrize("name", ["", "a\0b", "x" * 5000])
+def test_an_impossible_directory_is_refused(name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ValueError, match="--out"), staging(name):
+        raise AssertionError("the work has begun")
+    assert listed(tmp_path) == []
+
+
+@pytest.mark.parametrize("number", [errno.EROFS, errno.EACCES])
+def test_a_directory_that_is_read_only_is_refused_before_the_work(number, tmp_path, monkeypatch):
+    def fails(*args, **kwargs):
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr("tempfile.mkdtemp", fails)
+    monkeypatch.setattr("os.unlink", fails)
+    refused = f"cannot be written to: {os.strerror(number)}"
+    for name in ("", "new"):
+        with pytest.raises(ValueError, match=refused), staging(str(tmp_path / name)):
+            raise AssertionError("the work has begun")
+    assert listed(tmp_path) == []
+
+
+def test_what_was_computed_is_there_when_a_figure_cannot_be_drawn(tmp_path, monkeypatch):
+    def fails(result):
+        raise ValueError("no such figure")
+
+    monkeypatch.setattr(type(RESULT), "drawings", fails)
+    with pytest.raises(ValueError, match="no such figure"), staging(str(tmp_path)) as stage:
+        save(RESULT, stage)
+    assert listed(tmp_path) == ["plates.json"]

@@ -1,0 +1,198 @@
+"""One page for every answer: whole in itself, the answer first, for every reader."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+
+from cpam_bayes.render.page import TERMS, page_text, terms_section
+from tests.browser import Browser, faults, open_browser
+from tests.render.small import REPORT, RESULT
+
+PROJECT = Path(__file__).parents[2]
+WIDE, PHONE = 1280, 390
+# Width of A4 between margins of 15 mm, CSS pixels.
+PAPER = 680
+
+# The text of the page and what holds it, without style, attributes of style and the figure's data.
+BODY = """\
+main section h1 identify D&G
+p.slip The list is in kHz, not Hz. Divide by 1000.
+p.headline 1 frequency < 2 constants: E1 is determined.
+h2 Constants
+div.scroll table thead tr th th.n value
+th 95 % interval
+th note
+tbody tr th E1
+td.n 136.6 GPa
+td 131 to 142
+td determined
+tr.flag th E2
+td.n 8.9 GPa
+td td not determined
+p Fit 0.19 %,
+code relative_std
+/ \N{PLUS-MINUS SIGN} 0.2 %.
+p.next b Next:
+/ is anything wrong?
+code cpam-bayes diagnose 'D&G'
+div.warnings h2 Warnings
+ul li The noise is high.
+div.open section h2 Fit of each mode
+div.figures figure div.scroll img figcaption A line <b>.
+details.numbers summary Layup
+h3 Layup
+div.scroll table.facts tbody tr th layup
+td [(0/90)_8]_s
+details summary h2 Details
+h3 In words
+ul li.flag [red]no colour[/red] <script>
+"""
+
+
+class Outline(HTMLParser):
+    """What a page says after its head, a line for each piece of text, with the elements that begin there."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.lines: list[str] = []
+        self.begun: list[str] = []
+        self.headings: list[int] = []
+        self.loaded: list[str] = []
+        self.alt: list[str] = []
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        given = dict(attrs)
+        kind = given.get("class")
+        self.begun.append(f"{tag}.{kind}" if kind and kind not in ("answer", "words") else tag)
+        if re.fullmatch("h[1-6]", tag):
+            self.headings.append(int(tag[1]))
+        if tag in ("img", "link", "script", "iframe"):
+            self.loaded.append(given.get("src") or given.get("href") or "")
+        if tag == "img":
+            self.alt.append(given.get("alt") or "")
+
+    def handle_data(self, data: str) -> None:
+        if data.strip():
+            self.lines.append(" ".join([*(self.begun or ["/"]), " ".join(data.split())]))
+            self.begun = []
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The page of the small answer, as `--out` writes it."""
+    out = tmp_path_factory.mktemp("small")
+    RESULT.save(out)
+    return out / "report.html"
+
+
+def test_a_page_says_the_answer_first_then_the_fit_and_folds_the_rest(page: Path) -> None:
+    body = page.read_text("utf-8").partition("<body>")[2]
+    lines = "\n".join(Outline(body).lines) + "\n"
+    assert lines[: len(BODY)] == BODY
+    assert "Empty" not in body
+
+
+def test_a_page_is_whole_in_itself(page: Path) -> None:
+    text = page.read_text("utf-8")
+    outline = Outline(text)
+    assert all(source.startswith("data:") for source in outline.loaded)
+    assert "<script" not in text
+    assert "default-src 'none'" in text
+    assert "url(" not in text
+    assert "<title>identify</title>" in text
+
+
+def test_a_page_can_be_read_aloud(page: Path) -> None:
+    text = page.read_text("utf-8")
+    outline = Outline(text)
+    assert '<html lang="en">' in text
+    assert '<meta name="viewport" content="width=device-width, initial-scale=1">' in text
+    assert outline.headings[0] == 1
+    assert outline.headings.count(1) == 1
+    steps = zip(outline.headings, outline.headings[1:], strict=False)
+    assert all(later <= earlier + 1 for earlier, later in steps)
+    assert outline.alt == ['A "straight" line, drawn as an example.']
+
+
+def test_a_notebook_shows_the_first_screen_alone() -> None:
+    html = RESULT._repr_html_()
+    lines = Outline(html).lines
+    assert lines[0] == "p b identify D&G"
+    assert any("136.6 GPa" in line for line in lines)
+    assert not any("Details" in line or "Computation" in line for line in lines)
+
+
+def test_a_page_explains_the_words_that_it_uses() -> None:
+    section = terms_section("The posterior, two walkers, evidences; a noisy interim.")
+    assert [word for word, _ in section.tables[0].rows] == ["evidence", "posterior", "walker"]
+    text = page_text("t", REPORT.summary, (section,), {})
+    assert all(meaning in text for word, meaning in TERMS.items() if word == "walker")
+
+
+def test_the_words_of_pages_are_those_of_the_glossary() -> None:
+    glossary = (PROJECT / "docs" / "glossary.md").read_text(encoding="utf-8")
+    rows = dict(re.findall(r"^\| ([^|]+) \| ([^|]+) \|$", glossary, re.MULTILINE))
+    assert {word: rows.get(word) for word in TERMS} == TERMS
+
+
+# In a browser
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    with open_browser() as opened:
+        yield opened
+
+
+@pytest.mark.needs_browser
+@pytest.mark.parametrize("width", [WIDE, PHONE])
+def test_a_page_in_a_browser(browser: Browser, page: Path, width: int) -> None:
+    assert faults(browser, page, width) == []
+
+
+@pytest.mark.needs_browser
+def test_letters_that_are_too_small_are_found(browser: Browser, page: Path, tmp_path: Path) -> None:
+    shrunk = tmp_path / "page.html"
+    shrunk.write_text(re.sub(r'style="min-width: \d+px"', "", page.read_text("utf-8")), encoding="utf-8")
+    assert any(fault.startswith("small letters") for fault in faults(browser, shrunk, PHONE))
+
+
+@pytest.mark.needs_browser
+def test_what_is_folded_is_printed(browser: Browser, page: Path) -> None:
+    browser.show(page, PAPER)
+    browser.call("Emulation.setEmulatedMedia", media="print")
+    closed = browser.value("[...document.querySelectorAll('details')].filter((d) => !d.open).length")
+    content = "[...document.querySelectorAll('img, table')]"
+    hidden = browser.value(f"{content}.filter((i) => !i.checkVisibility()).length")
+    width = browser.value("document.documentElement.scrollWidth")
+    browser.call("Emulation.setEmulatedMedia", media="")
+    assert closed > 0
+    assert hidden == 0
+    assert width <= PAPER
+
+
+@pytest.mark.needs_browser
+def test_a_folded_section_opens_by_key(browser: Browser, page: Path) -> None:
+    browser.show(page, WIDE)
+    browser.value("document.querySelector('summary').focus()")
+    for kind in ("keyDown", "keyUp"):
+        browser.call("Input.dispatchKeyEvent", type=kind, key="Enter", code="Enter", windowsVirtualKeyCode=13,
+                     text="\r" if kind == "keyDown" else "")  # fmt: skip
+    assert browser.value("document.querySelector('details').open") is True
+
+
+@pytest.mark.needs_browser
+def test_a_page_that_asks_the_network_is_found_out(browser: Browser, tmp_path: Path) -> None:
+    page = tmp_path / "page.html"
+    page.write_text('<img src="http://127.0.0.1:9/x.png"><script>console.log("said")</script>', "utf-8")
+    browser.requests.clear()
+    browser.console.clear()
+    browser.show(page, WIDE)
+    assert "http://127.0.0.1:9/x.png" in browser.requests
+    assert any("said" in text for text in browser.console)

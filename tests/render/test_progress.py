@@ -1,0 +1,169 @@
+"""Progress: a line now and then, a bar on a terminal, nothing when quiet."""
+
+import io
+import itertools
+import sys
+
+import pytest
+
+from cpam_bayes.parallel import run
+from cpam_bayes.render import progress as module
+from cpam_bayes.render.progress import Terminal as Watch
+from cpam_bayes.render.progress import announce, duration, forecasting, progress
+
+
+class Terminal(io.StringIO):
+    def isatty(self):
+        return True
+
+
+def work(total, quiet=False):
+    with progress("identify C1", total, quiet, lambda best: f"rms {best:.1f} Hz") as shown:
+        shown.notify("building the plate model")
+        for iteration in range(total + 1):
+            shown.tick(iteration, 10.0 / (iteration + 1))
+
+
+@pytest.mark.parametrize("total", [1, 7, 400])
+def test_a_file_gets_about_ten_lines(capsys, total):
+    work(total)
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[0] == f"identify C1: up to {total} iterations"
+    assert lines[1] == "identify C1: building the plate model"
+    assert lines[2] == f"identify C1: iteration 0 of {total}, rms 10.0 Hz"
+    assert len(lines) == min(total, 10) + 3
+
+
+def test_quiet_is_quiet(capsys):
+    work(20, quiet=True)
+    announce("forward C1", quiet=True)
+    assert capsys.readouterr() == ("", "")
+
+
+def test_a_terminal_gets_a_bar_that_goes_away(monkeypatch):
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setenv("COLUMNS", "120")
+    monkeypatch.setattr(sys, "stderr", Terminal())
+    work(5)
+    drawn = sys.stderr.getvalue()
+    assert "iteration 5 of 5, rms 1.7 Hz" in drawn
+    assert "\x1b[2K" in drawn  # the line is cleared in the end
+
+
+def test_without_standard_error_the_work_goes_on(monkeypatch):
+    monkeypatch.setattr(sys, "stderr", None)
+    announce("forward C1", quiet=False)
+    work(3)
+
+
+def a_clock(monkeypatch, seconds):
+    """A clock that goes on by so many seconds whenever it is looked at."""
+    looks = itertools.count()
+    monkeypatch.setattr(module.time, "monotonic", lambda: seconds * next(looks))
+
+
+def test_long_work_says_what_is_left(monkeypatch, capsys):
+    a_clock(monkeypatch, 30.0)
+    work(20)
+    lines = capsys.readouterr().err.splitlines()[2:]
+    assert lines[0] == "identify C1: iteration 0 of 20, rms 10.0 Hz"
+    assert lines[1] == "identify C1: iteration 2 of 20, rms 3.3 Hz, about 9 min left"
+    assert lines[-2] == "identify C1: iteration 18 of 20, rms 0.5 Hz, about 1 min left"
+    assert lines[-1] == "identify C1: iteration 20 of 20, rms 0.5 Hz"
+
+
+def expected(capsys):
+    """The lines that say how long a part takes, with the line before each."""
+    lines = capsys.readouterr().err.splitlines()
+    return [(lines[i - 1] if i else "", line) for i, line in enumerate(lines) if line.startswith("this part")]
+
+
+def test_what_takes_above_a_minute_is_said_once_as_soon_as_it_is_known(monkeypatch, capsys):
+    a_clock(monkeypatch, 30.0)
+    work(20)
+    ((before, said),) = expected(capsys)
+    assert said == "this part takes about 10 min"
+    assert before.startswith("identify C1: iteration 2 of 20")  # it is known after four iterations
+
+
+def test_what_takes_less_than_a_minute_is_not_said(monkeypatch, capsys):
+    a_clock(monkeypatch, 2.9)
+    work(20)
+    assert not expected(capsys)
+
+
+def doubled(shared, item):
+    return run(quadrupled, shared, range(50))[0] + 2 * item
+
+
+def quadrupled(shared, item):
+    return 4 * item
+
+
+def test_items_that_are_shared_out_count_whoever_shares_them_out(monkeypatch, capsys):
+    a_clock(monkeypatch, 20.0)
+    with forecasting():
+        announce("two by two", False)
+        assert run(doubled, None, range(30)) == list(range(0, 60, 2))
+    # what an item shares out itself does not look at the clock
+    assert expected(capsys) == [("two by two", "this part takes about 10 min")]
+    run(doubled, None, range(30))
+    assert not expected(capsys)
+
+
+def test_a_stage_whose_iterations_are_items_says_its_time_once(monkeypatch, capsys):
+    a_clock(monkeypatch, 20.0)
+    with forecasting(), Watch().stage("design", 30, lambda done: "specimens") as shown:
+        run(quadrupled, None, range(30), on_result=lambda index, _: shown.tick(index + 1, 0.0))
+    assert [said for _, said in expected(capsys)] == ["this part takes about 13 min"]
+
+
+def test_a_later_end_is_said_again(monkeypatch, capsys):
+    seconds = iter([0.0, 20.0, 40.0, 60.0, 80.0, 900.0, *(1000.0 + 100.0 * i for i in range(20))])
+    monkeypatch.setattr(module.time, "monotonic", lambda: next(seconds))
+    with forecasting():
+        run(quadrupled, None, range(10))
+    assert [said for _, said in expected(capsys)] == [
+        "this part takes about 4 min",
+        "this part takes about 30 min",
+    ]
+
+
+@pytest.mark.parametrize("options", [(), ("--quiet",)])
+def test_a_command_says_what_its_parts_take_unless_it_is_quiet(run, monkeypatch, options):
+    a_clock(monkeypatch, 30.0)
+    status, _, said = run("identify", "A1", "--swarms", "1", *options)
+    assert status == 0
+    assert ("this part takes about " in said) == (not options)
+
+
+def test_a_bar_says_what_is_left(monkeypatch):
+    a_clock(monkeypatch, 4000.0)
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setenv("COLUMNS", "140")
+    monkeypatch.setattr(sys, "stderr", Terminal())
+    with progress("identify C1", 5, False, lambda best: f"rms {best:.1f} Hz") as shown:
+        for iteration in range(3):
+            shown.tick(iteration, 3.3)
+    assert "iteration 2 of 5, rms 3.3 Hz, about 3 h 20 min left" in sys.stderr.getvalue()
+
+
+def test_short_work_has_no_estimate(monkeypatch, capsys):
+    a_clock(monkeypatch, 0.1)
+    work(20)
+    assert "left" not in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"),
+    [
+        (11.0, "15 s"),
+        (59.0, "1 min"),
+        (61.0, "2 min"),
+        (3599.0, "1 h"),
+        (3601.0, "1 h 1 min"),
+        (7200.0, "2 h"),
+    ],
+)
+def test_durations_are_rounded_up(seconds, text):
+    assert duration(seconds) == text

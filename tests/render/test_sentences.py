@@ -1,0 +1,97 @@
+"""What first screens share: constants, fit, and what intervals contain."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pytest
+
+from cpam_bayes.answer import Constant, Verdict
+from cpam_bayes.identification.point import FREQUENCY_SCALE, ScaleError
+from cpam_bayes.parameters import TruncatedNormal, Uniform
+from cpam_bayes.plate import builtin
+from cpam_bayes.render.sentences import (
+    constant_rows,
+    constants_headline,
+    constants_table,
+    determined_text,
+    errors_table,
+    fit_sentence,
+    gauge_step,
+    intervals_sentence,
+)
+
+E1 = Constant("E1", 136.6e9, 2.7e9, (131.4e9, 141.9e9), Uniform(80e9, 200e9), 132e9, Verdict.DATA)
+NU12 = Constant("nu12", 0.197, 0.056, (0.15, 0.307), Uniform(0.15, 0.45), 0.31, Verdict.BOTH)
+G12 = Constant("G12", 4.0e9, math.nan, None, Uniform(2e9, 8e9), math.nan, Verdict.PRIOR)
+
+
+def test_a_constant_has_its_unit_and_the_digits_of_its_spread() -> None:
+    rows = constants_table((E1, NU12)).rows
+    assert rows[0][:3] == ("E1", "136.6 GPa", "131.4 to 141.9")
+    assert rows[1][:3] == ("nu12", "0.197", "0.150 to 0.307")
+
+
+@pytest.mark.parametrize(
+    ("constant", "words"),
+    [
+        (E1, ("determined",)),
+        (NU12, ("partly", "0.15 to 0.45")),
+        (replace(NU12, prior=TruncatedNormal(0.3, 0.05, 0.15, 0.45)), ("partly", "0.3 +- 0.05")),
+        (replace(E1, verdict=Verdict.PRIOR), ("not determined",)),
+        (replace(E1, verdict=Verdict.MISFIT), ("not determined", "fit")),
+        (replace(E1, bound="lower"), ("not determined", "lower bound")),
+        (replace(E1, elsewhere=(100e9,)), ("not determined", "100.0")),
+        (replace(E1, rests_on=("nu12",)), ("determined", "nu12")),
+        (G12, ("not known",)),
+    ],
+)
+def test_what_decides_a_constant_is_said_in_few_words(constant: Constant, words: tuple[str, ...]) -> None:
+    said = determined_text(constant)
+    assert all(word in said for word in words)
+    assert len(said.split()) <= 8
+    assert constants_table((constant,)).flagged == (frozenset() if constant.is_determined else {0})
+
+
+def test_rows_are_in_the_units_of_the_plate_file() -> None:
+    first, _, last = constant_rows((E1, NU12, G12)).records()
+    assert (first["name"], first["value"], first["unit"]) == ("E1", pytest.approx(136.6), "GPa")
+    assert first["verdict"] == "determined by the data"
+    assert last["q025"] is None
+
+
+def test_the_headline_names_what_is_determined_and_what_is_left_open() -> None:
+    assert constants_headline((E1, NU12), 10) == "The 10 frequencies determine E1."
+    assert constants_headline((E1, G12), 10) == "The 10 frequencies determine E1, not G12."
+    assert constants_headline((NU12,), 1) == "The frequency determines none of the constants."
+
+
+def test_the_fit_is_told_against_the_noise() -> None:
+    assert "as good as the stated repeatability of 0.2 %" in fit_sentence(0.0019, stated=0.002)
+    assert "worse than" in fit_sentence(0.009, stated=0.002, explained=False)
+    assert "4.5 times the stated repeatability" in fit_sentence(0.009, stated=0.002)
+    assert "1.3 %, high for a tap test" in fit_sentence(0.01, inferred=0.013)
+    assert "nothing is left" in fit_sentence(0.0, inferred=math.nan, freedom=0)
+
+
+def test_intervals_name_what_they_contain_and_the_largest_error_that_they_do_not() -> None:
+    specimen = builtin("A1")
+    errors = (
+        ScaleError("length", {"E1": -3.0}, 0.9, None),  # shows in the frequencies
+        ScaleError("thickness", {"E1": 2.0}, 0.0, None),
+        ScaleError("density", {"E1": -1.0}, 0.0, None),
+        ScaleError(FREQUENCY_SCALE, {"E1": 2.0}, 0.0, None),
+    )
+    said = intervals_sentence(specimen.plate, errors, ["E1"])
+    assert "contain noise." in said
+    assert "thickness (1 % moves E1 by 2.0 %)" in said
+    gauged = replace(specimen.plate, sd={"thickness": 1e-5})
+    known = (errors[0], replace(errors[1], sd=0.003), *errors[2:])
+    assert "noise and thickness" in intervals_sentence(gauged, known, ["E1"])
+    assert "frequency scale" in intervals_sentence(gauged, known, ["E1"])
+    assert "thickness" in intervals_sentence(specimen.plate, (), ["E1"], found=["thickness"])
+    (step,) = gauge_step(specimen, errors, ["E1"])
+    assert "thickness_mm and density_kg_m3" in step
+    table = errors_table(known, ["E1"])
+    assert [row[1] for row in table.rows] == ["-3.0", "+2.0", "-1.0", "+2.0"]

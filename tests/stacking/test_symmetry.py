@@ -1,0 +1,295 @@
+"""Sequences that no frequency can tell apart: which motions count, and the classes that they make."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cpam_bayes.plate import Specimen, builtin
+from cpam_bayes.plate.records import Sensor, angle_grid
+from cpam_bayes.stacking.symmetry import (
+    Symmetry,
+    canonical,
+    classes,
+    image,
+    members,
+    plane_motions,
+    plate_symmetries,
+)
+from tests.stacking.cases import SIDE, frequencies, unknown_plate
+
+MIRROR, TURN, DIAGONAL = "mirror image", "quarter turn", "diagonal mirror image"
+CENTRE = Sensor(0.05, SIDE / 2, SIDE / 2)
+# A symmetry of the plate is one of the space too: only rounding is left, 1e-16 of the range of K.
+ROUNDING = 1e-9
+# Shifts of frequencies that are real: far above rounding.
+REAL = 1e-4
+
+
+def names(specimen: Specimen) -> list[str]:
+    return [symmetry.name for symmetry in plate_symmetries(specimen)]
+
+
+def find(specimen: Specimen, name: str) -> Symmetry:
+    return next(s for s in plate_symmetries(specimen) if s.name == name)
+
+
+# Every member of a class has the same frequencies. Cases: layup, edges, width, sensors, and the
+# symmetries that there must be.
+CASES = {
+    "square": ("[?/?]_s", "FFFF", SIDE, (), [MIRROR, TURN, DIAGONAL]),
+    "rectangle": ("[?/?]_s", "FFFF", 0.15, (), [MIRROR]),
+    "clamped on neighbouring edges": ("[?/?]_s", "CCFF", SIDE, (), [DIAGONAL]),
+    "clamped opposite a simple support": ("[?/?]_s", "CFSF", SIDE, (), [MIRROR]),
+    "no edge like another": ("[?/?]_s", "CSFF", SIDE, (), []),
+    "mass in the middle": ("[?/?]_s", "FFFF", SIDE, (CENTRE,), [MIRROR, TURN, DIAGONAL]),
+    "mass on the middle line": ("[?/?]_s", "FFFF", SIDE, (Sensor(0.05, 0.03, SIDE / 2),), [MIRROR]),
+    "mass in a corner": ("[?/?]_s", "FFFF", SIDE, (Sensor(0.05, 0.19, 0.19),), [DIAGONAL]),
+    "masses that turn into each other": (
+        "[?/?]_s",
+        "FFFF",
+        SIDE,
+        tuple(Sensor(0.05, x, y) for x, y in ((0.03, 0.07), (0.13, 0.03), (0.17, 0.13), (0.07, 0.17))),
+        [TURN],
+    ),
+    "unsymmetric": (
+        "[?/?/?]",
+        "FFFF",
+        0.15,
+        (),
+        [MIRROR, "upside down", f"{MIRROR} upside down"],
+    ),
+    "known plies that are mirrored": ("[0/?/90/?]_s", "FFFF", SIDE, (), [MIRROR]),
+    "known ply on the diagonal": ("[45/?]_s", "FFFF", SIDE, (), [DIAGONAL]),
+    "mirrored when upside down": ("[45/?/?/-45]", "FFFF", 0.15, (), [f"{MIRROR} upside down"]),
+    "turned when upside down": (
+        "[0/?/?/90]",
+        "FFFF",
+        SIDE,
+        (),
+        [MIRROR, f"{TURN} upside down", f"{DIAGONAL} upside down"],
+    ),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_sequences_of_one_class_have_equal_frequencies(case: str) -> None:
+    layup, edges, width, sensors, expected = CASES[case]
+    specimen = unknown_plate(layup, edges, width, sensors)
+    assert names(specimen) == expected
+    grid = angle_grid(specimen.angle_grid_deg)
+    for generic in ((1, 4, 8), (4, 2, 9)):
+        row = np.array(generic[: specimen.plate.layup.n_unknown])
+        found = frequencies(specimen, grid[members(row, plate_symmetries(specimen))])
+        assert len(found) == 1 + len(expected), "a sequence without a symmetry of its own"
+        np.testing.assert_allclose(found, np.broadcast_to(found[0], found.shape), rtol=ROUNDING)
+
+
+@pytest.mark.parametrize(
+    "case",
+    [
+        "rectangle",
+        "clamped on neighbouring edges",
+        "clamped opposite a simple support",
+        "mass in a corner",
+        "masses that turn into each other",
+    ],
+)
+def test_symmetries_that_the_plate_lacks_do_change_its_frequencies(case: str) -> None:
+    layup, edges, width, sensors, kept = CASES[case]
+    specimen = unknown_plate(layup, edges, width, sensors)
+    square = unknown_plate(layup)
+    grid = angle_grid(specimen.angle_grid_deg)
+    row = np.array([[3, 9]])
+    own = frequencies(specimen, grid[row])
+    for name in {MIRROR, TURN, DIAGONAL}.difference(kept):
+        other, _ = image(row, find(square, name))
+        assert np.max(np.abs(frequencies(specimen, grid[other]) / own - 1.0)) > REAL, name
+
+
+def test_a_motion_that_keeps_the_form_of_some_sequences_only_has_images_of_those_alone() -> None:
+    specimen = unknown_plate("[0/?/?]", width=0.15)
+    grid = angle_grid(specimen.angle_grid_deg)
+    upside_down = find(specimen, "upside down")
+    zero = int(np.flatnonzero(grid == 0.0)[0])
+    rows = np.array([[3, zero], [3, 6]])
+    moved, holds = image(rows, upside_down)
+    assert holds.tolist() == [True, False]
+    assert moved.tolist() == [[3, zero], [3, 6]]  # [0/a/0] is itself upside down
+
+
+def test_a_known_ply_exchanges_its_place_with_an_unknown_one() -> None:
+    specimen = unknown_plate("[0/?/?/?]", width=0.15)
+    grid = angle_grid(specimen.angle_grid_deg)
+    zero = int(np.flatnonzero(grid == 0.0)[0])
+    rows = np.array([[3, 8, zero], [3, 8, 4]])
+    found = members(rows[0], plate_symmetries(specimen))
+    assert [8, 3, zero] in found.tolist()
+    assert len(found) == 4, "mirrored, upside down, and both"
+    assert len(members(rows[1], plate_symmetries(specimen))) == 2, "mirrored alone"
+    f = frequencies(specimen, grid[found])
+    np.testing.assert_allclose(f, np.broadcast_to(f[0], f.shape), rtol=ROUNDING)
+
+
+def test_a_repeated_group_upside_down_ties_its_angles() -> None:
+    # upside down u0 u1 0 u0 u1 is u1 u0 0 u1 u0, and u0 u0 u1 is u1 u0 u0, which needs u0 = u1
+    specimen = unknown_plate("[?/?/0/?/?]", width=0.15)
+    assert find(specimen, "upside down").source.tolist() == [3, 2, 1, 0]
+    repeated = unknown_plate("[?_2/?]", width=0.15)
+    symmetry = find(repeated, "upside down")
+    assert symmetry.ties == ((0, 1),)
+    assert not symmetry.everywhere
+    assert image(np.array([[4, 4], [4, 5]]), symmetry)[1].tolist() == [True, False]
+
+
+@pytest.mark.parametrize("step", [1.0, 5.0, 7.5, 36.0, 60.0, 180.0])
+def test_angles_of_an_image_are_those_of_the_motion(step: float) -> None:
+    specimen = unknown_plate("[?/?]_s", step=step)
+    grid = angle_grid(step)
+    motions = {MIRROR: lambda t: -t, TURN: lambda t: t + 90.0, DIAGONAL: lambda t: 90.0 - t}
+    rows = np.stack(np.meshgrid(*[np.arange(len(grid))] * 2, indexing="ij"), axis=-1).reshape(-1, 2)
+    for symmetry in plate_symmetries(specimen):
+        moved, holds = image(rows, symmetry)
+        assert holds.all()
+        apart = grid[moved] - motions[symmetry.name](grid[rows])
+        np.testing.assert_allclose(np.abs((apart + 90.0) % 180.0 - 90.0), 0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("layup", "width", "step", "expected"),
+    [
+        # 18 turns into 108, that is -72, which is no angle of the grid -54 -18 18 54 90
+        ("[?/?]_s", SIDE, 36.0, [MIRROR]),
+        # mirroring changes neither 0 nor 90
+        ("[?/?]_s", SIDE, 90.0, [TURN]),
+        # a known angle off the grid
+        ("[22.5/?/?]", 0.15, 15.0, []),
+        ("[22.5/?/-22.5]", 0.15, 15.0, [f"{MIRROR} upside down"]),
+    ],
+)
+def test_a_grid_has_symmetries_of_its_own(layup: str, width: float, step: float, expected: list[str]) -> None:
+    assert names(unknown_plate(layup, width=width, step=step)) == expected
+
+
+def test_a_square_known_unequally_well_along_and_across_is_not_turned() -> None:
+    specimen = unknown_plate("[?/?]_s")
+    for sd, expected in (({"length": 1e-4, "width": 1e-4}, 3), ({"length": 1e-4}, 1)):
+        own = replace(specimen, plate=replace(specimen.plate, sd=sd))
+        assert len(plate_symmetries(own)) == expected
+
+
+def test_labels_of_modes_tell_along_from_across() -> None:
+    specimen = unknown_plate("[?/?]_s")
+    labels = ("(1,1)", *[""] * (specimen.measurement.size - 1))
+    own = replace(specimen, measurement=replace(specimen.measurement, labels=labels))
+    assert names(own) == [MIRROR]
+
+
+def test_a_mesh_is_not_looked_into() -> None:
+    specimen = unknown_plate("[?/?]")
+    own = replace(specimen, plate=replace(specimen.plate, mesh=Path("plate.msh")))
+    assert plane_motions(own) == ("",)
+    assert names(own) == ["upside down"]
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("C1", [MIRROR, TURN, DIAGONAL]),
+        *((name, [MIRROR]) for name in ("B1", "B2", "C2", "C3", "C4", "D1", "D2", "D3", "D4", "F1", "G1")),
+        *((name, []) for name in ("F2", "G2")),  # known plies at 45/-45 beside the unknown ones
+    ],
+)
+def test_symmetries_of_the_papers_cases(name: str, expected: list[str]) -> None:
+    assert names(builtin(name, sequence=True)) == expected
+
+
+@pytest.mark.parametrize(
+    "rows", [np.array([[0, 12]]), np.array([[-1, 0]]), np.array([[0]]), np.array([[0.0, 1.0]])]
+)
+def test_sequences_that_do_not_fit_are_refused(rows: np.ndarray) -> None:
+    symmetry = find(unknown_plate("[?/?]_s"), MIRROR)
+    with pytest.raises(ValueError, match="sequences: received"):
+        image(rows, symmetry)
+
+
+# with a square, and one rectangle
+PLATES = (
+    *((layup, SIDE) for layup in ("[?/?/?]_s", "[0/?/?/?]", "[?_2/?/?]", "[(?/?)_2]", "[0/?/?/90]")),
+    ("[45/?/?/-45]", 0.15),
+)
+
+
+def every_sequence(n_grid: int, n_unknown: int, dtype: type = np.int64) -> np.ndarray:
+    axes = [np.arange(n_grid, dtype=dtype)] * n_unknown
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, n_unknown)
+
+
+@pytest.mark.parametrize(("layup", "width"), PLATES)
+def test_classes_are_the_orbits_of_the_symmetries(layup: str, width: float) -> None:
+    specimen = unknown_plate(layup, width=width, step=30.0)
+    symmetries = plate_symmetries(specimen)
+    rows = every_sequence(6, specimen.plate.layup.n_unknown)
+    orbits = canonical(rows, symmetries)
+    # the slow way: images one row at a time
+    for i, row in enumerate(rows):
+        orbit = {tuple(row)}
+        for symmetry in symmetries:
+            moved, holds = image(row[None], symmetry)
+            if holds[0]:
+                orbit.add(tuple(moved[0]))
+        assert tuple(orbits.representative[i]) == min(orbit)
+        assert orbits.size[i] == len(orbit)
+        assert {tuple(m) for m in members(row, symmetries)} == orbit
+    # orbits that share a member are the same orbit
+    again = canonical(orbits.representative, symmetries)
+    assert np.array_equal(again.representative, orbits.representative)
+    assert np.array_equal(again.size, orbits.size)
+    found = classes(rows, symmetries)
+    assert found.size.sum() == len(rows)
+    assert np.array_equal(found.size, found.present)
+    assert np.array_equal(found.representative[found.label], orbits.representative)
+
+
+def test_a_class_is_counted_whole_when_few_of_its_members_are_there() -> None:
+    specimen = unknown_plate("[?/?/?]_s")
+    symmetries = plate_symmetries(specimen)
+    all_of_it = members(np.array([1, 2, 3]), symmetries)
+    found = classes(all_of_it[[0, 2]], symmetries)
+    assert (found.size.tolist(), found.present.tolist(), found.label.tolist()) == ([4], [2], [0, 0])
+
+
+def test_a_stack_longer_than_a_block_is_handled_alike() -> None:
+    specimen = unknown_plate("[0/?/?/?]", step=5.0)
+    symmetries = plate_symmetries(specimen)
+    rng = np.random.default_rng(0)
+    rows = rng.integers(0, 36, (300_000, 3)).astype(np.uint8)
+    orbits = canonical(rows, symmetries)
+    part = canonical(rows[140_000:140_100], symmetries)
+    assert orbits.representative.dtype == np.uint8
+    assert np.array_equal(orbits.representative[140_000:140_100], part.representative)
+    assert np.array_equal(orbits.size[140_000:140_100], part.size)
+
+
+def test_a_plate_without_symmetries_keeps_every_sequence_apart() -> None:
+    specimen = unknown_plate("[?/?]_s", edges="CSFF")
+    rows = every_sequence(12, 2)
+    assert plate_symmetries(specimen) == ()
+    found = classes(rows, ())
+    assert len(found.size) == len(rows)
+    assert np.array_equal(canonical(rows, ()).representative, rows)
+    assert members(rows[7], ()).tolist() == [rows[7].tolist()]
+
+
+def test_an_empty_stack_has_no_classes() -> None:
+    symmetries = plate_symmetries(unknown_plate("[?/?]_s"))
+    assert len(classes(np.empty((0, 2), dtype=int), symmetries).size) == 0
+
+
+def test_more_sequences_than_numbers_are_refused() -> None:
+    specimen = unknown_plate("[" + "/".join("?" * 13) + "]_s", step=5.0)
+    with pytest.raises(ValueError, match=r"13 unknown angles on a grid of 36: .*coarser"):
+        canonical(np.zeros((1, 13), dtype=int), plate_symmetries(specimen))

@@ -1,0 +1,59 @@
+"""A result names the sources that it depends on, and no others."""
+
+from pathlib import Path
+
+import pytest
+
+import cpam_bayes as cb
+from cpam_bayes import fingerprint as module
+from cpam_bayes.fingerprint import fingerprint, fingerprint_of_script, sources_of
+
+
+def names(of: str) -> set[str]:
+    package = Path(module.__file__).parent
+    return {file.relative_to(package).as_posix() for file in sources_of([of], [])}
+
+
+def test_the_sources_of_a_result_are_those_it_imports_at_any_depth() -> None:
+    found = names("cpam_bayes.forward_model.store")
+    assert {"forward_model/store.py", "mechanics/dense.py", "plate/laminate.py"} <= found
+    assert "diagnosis/models.py" not in found
+
+
+def test_how_an_answer_looks_is_no_part_of_its_fingerprint() -> None:
+    assert not any(
+        name.startswith(("render/", "cli", "command")) for name in names("cpam_bayes.questions.forward")
+    )
+
+
+def test_another_source_is_another_fingerprint(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    (tmp_path / "one.py").write_text("from cpam_bayes.two import (\n    a,\n    b,\n)\n")
+    (tmp_path / "two.py").write_text("a = b = 1\n")
+    (tmp_path / "apart.py").write_text("c = 1\n")
+    monkeypatch.setattr(module, "_PACKAGE", tmp_path)
+    fingerprint.cache_clear()
+    first = fingerprint("cpam_bayes.one")
+    for name, text, same in (
+        ("apart.py", "c = 2\n", True),
+        ("two.py", "a = b = 1\r\n", True),
+        ("two.py", "a = 2\n", False),
+    ):
+        (tmp_path / name).write_text(text, newline="")
+        fingerprint.cache_clear()
+        assert (fingerprint("cpam_bayes.one") == first) is same, name
+    fingerprint.cache_clear()
+
+
+def test_a_script_has_the_fingerprint_of_what_it_uses(tmp_path: Path) -> None:
+    script = tmp_path / "study.py"
+    script.write_text("from cpam_bayes.plate.units import to_user\n")
+    first = fingerprint_of_script(script)
+    script.write_text("from cpam_bayes.plate.units import to_user  # a remark\n")
+    assert fingerprint_of_script(script) == first
+    script.write_text("from cpam_bayes.plate.records import Plate\n")
+    assert fingerprint_of_script(script) != first
+
+
+def test_every_document_holds_the_fingerprint_of_its_question() -> None:
+    result = cb.plates()
+    assert result.to_dict()["fingerprint"] == fingerprint(type(result).__module__)

@@ -1,0 +1,227 @@
+"""One contract of all priors: a normalised density, its moments, scores, figures and text."""
+
+import math
+import pickle
+
+import numpy as np
+import pytest
+
+from cpam_bayes.priors import (
+    LogUniform,
+    Mixture,
+    ScaledStudentT,
+    TruncatedLogNormal,
+    TruncatedNormal,
+    Uniform,
+)
+
+INF = math.inf
+PRIORS = [
+    Uniform(-1.0, 3.0),
+    Uniform(1e10, 2e11),
+    TruncatedNormal(0.28, 0.03, 0.15, 0.4),
+    TruncatedNormal(0.0, 1.0, -INF, INF),
+    TruncatedNormal(1.0, 2.0, 0.0, INF),
+    TruncatedNormal(0.0, 1.0, 6.0, 9.0),
+    TruncatedNormal(0.0, 1.0, -INF, -5.0),
+    TruncatedNormal(0.0, 1e6, 1.0, 2.0),
+    TruncatedNormal(1.2, 0.06, 0.0, 1.5),
+    ScaledStudentT(2.0, 4.0, -INF, INF),
+    ScaledStudentT(0.02, 4.0, 0.0, INF),
+    ScaledStudentT(1.0, 4.0, -1.0, 5.0),
+    ScaledStudentT(1.0, 3.0, 8.0, 20.0),
+    ScaledStudentT(1.0, 4.0, 0.1, 0.2),
+    TruncatedLogNormal(0.002, 0.8, 1e-5, 0.02),
+    LogUniform(0.03, 0.35),
+    Mixture(ScaledStudentT(2.0, 4.0, -90.0, 90.0), Uniform(-90.0, 90.0), 0.1),
+    Mixture(ScaledStudentT(0.02, 4.0, 0.0, 2.0), ScaledStudentT(0.2, 4.0, 0.0, 2.0), 0.1),
+    Mixture(TruncatedNormal(0.0, 0.1, -0.6, 1.5), ScaledStudentT(0.2, 4.0, -0.6, 1.5), 0.3),
+]
+every_prior = pytest.mark.parametrize("prior", PRIORS, ids=str)
+
+
+def _expectation(prior, function):
+    """Composite Gauss quadrature over the support, or over 1e7 sd for a heavy tail."""
+    wide = 1e7 if prior.kind == "Student-t" else 40.0
+    centre, scale = prior.mean, prior.sd
+    low, high = max(prior.lower, centre - wide * scale), min(prior.upper, centre + wide * scale)
+    # panels in the inverse hyperbolic sine of the distance resolve tails of any length
+    edges = np.linspace(*np.arcsinh((np.array([low, high]) - centre) / scale), 2001)
+    nodes, weights = np.polynomial.legendre.leggauss(8)
+    half = 0.5 * np.diff(edges)[:, None]
+    t = 0.5 * (edges[1:] + edges[:-1])[:, None] + half * nodes
+    x = np.clip(centre + scale * np.sinh(t), prior.lower, prior.upper)
+    density = np.exp(prior.log_density(x)) * scale * np.cosh(t)
+    return float(np.sum(half * weights * density * function(x)))
+
+
+@every_prior
+def test_densities_integrate_to_one(prior):
+    # 1e-6: the density of a narrow slice of a wide normal is known to 1e-10 over its width
+    assert _expectation(prior, np.ones_like) == pytest.approx(1.0, rel=1e-6)
+
+
+@every_prior
+def test_mean_and_sd_are_those_of_the_truncated_distribution(prior):
+    mean, sd = prior.mean, prior.sd
+    assert _expectation(prior, lambda x: (x - mean) / sd) == pytest.approx(0.0, abs=1e-6)
+    # the second moment of a Student-t with 4 degrees of freedom lacks 1e-7 beyond 1e7 scales
+    second = _expectation(prior, lambda x: ((x - mean) / sd) ** 2)
+    assert second == pytest.approx(1.0, rel=1e-4)
+
+
+@every_prior
+def test_samples_stay_inside_and_average_to_the_mean(prior):
+    x = prior.sample(np.random.default_rng(1), 20_000)
+    assert x.shape == (20_000,)
+    assert np.all((x >= prior.lower) & (x <= prior.upper))
+    # five standard errors of the mean
+    assert x.mean() == pytest.approx(prior.mean, abs=5 * prior.sd / math.sqrt(x.size))
+
+
+@every_prior
+def test_sampled_quantiles_are_those_of_the_density(prior):
+    x = np.sort(prior.sample(np.random.default_rng(2), 20_000))
+    middle = x[x.size // 2]
+    below = _expectation(prior, lambda value: value <= middle)
+    # five standard errors of a median's probability, and one panel at the step
+    assert below == pytest.approx(0.5, abs=5 * 0.5 / math.sqrt(x.size) + 2e-3)
+
+
+@every_prior
+def test_density_is_minus_infinity_outside_and_at_nan(prior):
+    outside = [x for x in (prior.lower - 1.0, prior.upper + 1.0) if math.isfinite(x)]
+    values = prior.log_density(np.array([*outside, np.nan]))
+    assert np.all(values == -INF)
+    inside = prior.log_density(np.full((2, 3), prior.mean))
+    assert inside.shape == (2, 3)
+    assert np.all(np.isfinite(inside))
+
+
+def test_student_t_density_matches_its_textbook_form():
+    # t density with 4 degrees of freedom: 3 / (8 (1 + t^2/4)^(5/2))
+    prior = ScaledStudentT(1.0, 4.0, -INF, INF)
+    t = np.array([-3.0, 0.0, 0.7])
+    assert np.exp(prior.log_density(t)) == pytest.approx(3 / 8 * (1 + t**2 / 4) ** -2.5, rel=1e-13)
+    assert prior.sd == pytest.approx(math.sqrt(2.0), rel=1e-12)
+
+
+# Scores of the other kinds are good to what scipy's distribution functions are: tests of normal scores.
+SMOOTH = [p for p in PRIORS if p.kind in ("log-uniform", "mixture", "truncated log-normal")]
+
+
+@pytest.mark.parametrize("prior", SMOOTH, ids=str)
+def test_scores_and_back(prior):
+    z = np.linspace(-5.0, 5.0, 4001)
+    x = prior.from_normal(z)
+    assert np.all(np.diff(x) > 0.0)
+    np.testing.assert_allclose(prior.to_normal(x), z, rtol=0, atol=1e-9)
+    # the slope is that of the distribution functions, and ends are the bounds
+    h = 1e-4
+    slope = (prior.from_normal(z + h) - prior.from_normal(z - h)) / (2 * h)
+    expected = np.exp(-0.5 * z**2 - prior.log_density(x)) / math.sqrt(2 * math.pi)
+    np.testing.assert_allclose(slope, expected, rtol=1e-5)
+    assert prior.from_normal([-INF, INF]) == pytest.approx([prior.lower, prior.upper], rel=1e-12, abs=1e-15)
+    assert np.isnan(prior.from_normal(np.nan))
+    assert prior.from_normal(0.3).shape == ()
+
+
+@every_prior
+def test_quantiles_and_distribution_function_are_inverse(prior):
+    p = np.linspace(0.01, 0.99, 15)
+    # scipy's quantiles of Student's t are good to 3e-8
+    np.testing.assert_allclose(prior.cdf(prior.ppf(p)), p, atol=3e-8)
+    assert prior.cdf([prior.lower, prior.upper]).tolist() == [0.0, 1.0]
+
+
+@every_prior
+def test_a_prior_is_known_by_its_text(prior):
+    # texts of priors are in the keys of stored models
+    assert eval(repr(prior), {"inf": INF, **globals()}) == prior
+    assert pickle.loads(pickle.dumps(prior)) == prior
+    assert hash(pickle.loads(pickle.dumps(prior))) == hash(prior)
+
+
+@every_prior
+def test_numbers_of_a_prior_are_in_the_unit_asked_for(prior):
+    plain, milli = prior.describe(), prior.describe(lambda value: 1e3 * value)
+    assert (plain.mean, plain.sd, plain.lower, plain.upper) == (
+        prior.mean,
+        prior.sd,
+        prior.lower,
+        prior.upper,
+    )
+    assert plain.kind == milli.kind == prior.kind
+    assert (plain.centre is None) == prior.is_range
+    assert milli.scale == 1e3 * plain.scale > 0.0
+    assert milli.upper == 1e3 * prior.upper
+
+
+@every_prior
+def test_a_stretched_prior_is_that_of_the_stretched_quantity(prior):
+    wider = prior.stretched(2.0)
+    assert (wider.lower, wider.upper) == (2.0 * prior.lower, 2.0 * prior.upper)
+    x = prior.ppf(np.linspace(0.05, 0.95, 7))
+    np.testing.assert_allclose(wider.log_density(2.0 * x), prior.log_density(x) - math.log(2.0), atol=1e-9)
+    assert wider.typical == pytest.approx(2.0 * prior.typical)
+    assert type(wider) is type(prior)
+
+
+@every_prior
+def test_fractions_of_the_parts_sum_to_one_and_make_the_density(prior):
+    x = prior.ppf(np.array([0.2, 0.5, 0.9]))
+    together = sum(fraction * np.exp(part.log_density(x)) for fraction, part in prior.parts)
+    np.testing.assert_allclose(together, np.exp(prior.log_density(x)), rtol=1e-12)
+    assert sum(fraction for fraction, _ in prior.parts) == 1.0
+
+
+STUDENT = ScaledStudentT(0.5, 4.0, 0.0, 8.0)
+FLAT = Uniform(0.0, 8.0)
+
+
+@pytest.mark.parametrize(
+    ("prior", "expected"),
+    [
+        (STUDENT, ScaledStudentT(1.5, 4.0, 0.0, 8.0)),
+        (TruncatedNormal(1.0, 0.5, 0.0, 2.0), TruncatedNormal(1.0, 1.5, 0.0, 2.0)),
+        (TruncatedLogNormal(0.002, 0.8, 1e-5, 0.02), TruncatedLogNormal(0.006, 0.8, 1e-5, 0.02)),
+        (Mixture(STUDENT, FLAT, 0.1), Mixture(STUDENT.rescaled(3.0), FLAT, 0.1)),
+        (FLAT, FLAT),
+        (LogUniform(0.1, 1.0), LogUniform(0.1, 1.0)),
+    ],
+)
+def test_a_rescaled_prior_keeps_its_bounds(prior, expected):
+    assert prior.rescaled(3.0) == expected
+
+
+def test_half_normal_has_its_textbook_moments():
+    prior = TruncatedNormal(0.0, 1.0, 0.0, INF)
+    assert prior.mean == pytest.approx(math.sqrt(2 / math.pi), rel=1e-13)
+    assert prior.sd == pytest.approx(math.sqrt(1 - 2 / math.pi), rel=1e-13)
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: Uniform(1.0, 1.0),
+        lambda: Uniform(2.0, 1.0),
+        lambda: Uniform(0.0, INF),
+        lambda: Uniform(math.nan, 1.0),
+        lambda: TruncatedNormal(0.0, 0.0, -1.0, 1.0),
+        lambda: TruncatedNormal(0.0, -1.0, -1.0, 1.0),
+        lambda: TruncatedNormal(math.nan, 1.0, -1.0, 1.0),
+        lambda: TruncatedNormal(0.0, 1.0, 1.0, -1.0),
+        lambda: TruncatedNormal(0.0, 1.0, 50.0, 60.0),
+        lambda: ScaledStudentT(1.0, 2.0, -1.0, 1.0),
+        lambda: ScaledStudentT(0.0, 4.0, -1.0, 1.0),
+        lambda: ScaledStudentT(1.0, 4.0, 1.0, 1.0),
+        lambda: TruncatedLogNormal(0.002, 0.8, 0.0, 0.02),
+        lambda: LogUniform(0.0, 0.35),
+        lambda: Mixture(Uniform(0.0, 1.0), Uniform(0.0, 2.0), 0.1),
+        lambda: Mixture(ScaledStudentT(1.0, 4.0, 0.0, INF), ScaledStudentT(2.0, 4.0, 0.0, INF), 0.1),
+        lambda: Mixture(Uniform(0.0, 1.0), Uniform(0.0, 1.0), 0.0),
+    ],
+)
+def test_impossible_priors_are_refused(make):
+    with pytest.raises(ValueError, match="accepted"):
+        make()
