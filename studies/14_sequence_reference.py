@@ -79,8 +79,8 @@ CASES = {
 }
 # Of the reference: log2 of its points, its library, and the members of it that an optimisation begins at.
 LOG2_POINTS, LIBRARY, STARTS = 11, 768, 8
-# The last layer has no end that means anything.
-LARGEST_SHOWN_NATS = 1000.0
+# What lies further below the largest value of the surrogate, nats, is far.
+FAR_NATS = 12.0
 # Layers of the surrogate, nats below its top, and log2 of the points of what is drawn of them.
 LAYERS = (-10.0, 3.0, 6.0, 9.0, 12.0, 16.0, 22.0, 30.0, 45.0, np.inf)
 LAYER_POINTS = 9
@@ -332,33 +332,13 @@ def _sum(case: Results) -> str:
     total = sum(r["mass"] for r in case["layers"])
     drawn = sum(r["drawn"] for r in case["layers"])
     reference = with_error(case["sum"]["log_evidence"], case["sum"]["relative_error"], 3)
-    rows = (
-        (
-            f"{r['from']:g} to {r['to']:g}" if r["to"] < LARGEST_SHOWN_NATS else f"more than {r['from']:g}",
-            str(r["drawn"]),
-            counted(r["classes"]),
-            in_digits(r["mass"] / total),
-            in_digits(r["learned_mass"] / total),
-            f"{r['most_above']:.1f}",
-            f"{-r['highest']:.1f}",
-        )
-        for r in case["layers"]
-    )
-    head = (
-        "surrogate below its largest, nats",
-        "drawn",
-        "of classes",
-        "fraction of the sum",
-        "by the surrogate",
-    )
-    return (
-        paragraph(
-            f"{case['case']}: the sum over all {counted(case['enumerated'])} stacking sequences, estimated "
-            f"from {drawn} classes drawn layer by layer, has the log {reference}; `sequence` finds "
-            f"{case['log_evidence']:.3f}."
-        )
-        + "\n\n"
-        + markdown_table((*head, "above the surrogate at most, nats", "below the best at least, nats"), rows)
+    far = [r for r in case["layers"] if r["from"] >= FAR_NATS]
+    return paragraph(
+        f"{case['case']}: the sum over all {counted(case['enumerated'])} stacking sequences, estimated "
+        f"from {drawn} classes drawn layer by layer, has the log {reference}; `sequence` finds "
+        f"{case['log_evidence']:.3f}. What lies {FAR_NATS:g} nats and more below its largest value holds "
+        f" {in_digits(sum(r['mass'] for r in far) / total)} of it, by the surrogate "
+        f"{in_digits(sum(r['learned_mass'] for r in far) / total)}."
     )
 
 
