@@ -5,14 +5,14 @@ python studies/15_claims.py [--make SET ...] [--answer SET ...] [--references SE
 
 The lists are files with their truths, one JSON line each in studies/data/claims: "id", "file" (a plate
 file as text) and "truth". --make writes a set anew, --answer asks the diagnosis for what is not answered
-yet, --references adds the oracle and what users do instead. Without these the answers that there are
+yet, --references adds what users do instead. Without these the answers that there are
 become results, and the section of docs/hidden_effects.md. --engine NAME=TREE asks
 another version of the package for its answers. Another method is scored in the same way: write one JSON
 line a list with "id" and the keys of `cpam-bayes diagnose --json` into
 studies/data/claims/answers/SET_NAME.jsonl.
 
-Tuning looked at the set "tuning" alone; "final", with other plates and seeds, is answered once. "rows" are
-twenty plates each of the failures that earlier versions were known for.
+Tuning looked at the set "tuning" alone; "final" has other plates and seeds. "rows" are twenty plates each of
+the failures that earlier versions were known for.
 """
 
 from __future__ import annotations
@@ -48,13 +48,10 @@ KEYS = {
     "sets": "by set, of the diagnosis and of others on the same lists: figures, confusion of claims and more",
 }
 
-THIS, ORACLE = "diagnosis", "oracle"
-# What is kept of the oracle and of other methods.
+THIS = "diagnosis"
+# What is kept of other methods.
 BRIEF = ("lists", "by_kind", "figures")
-NAMES = {
-    ORACLE: "the oracle",
-    **{m: m.replace("_", " ") for m in references.METHODS},
-}
+NAMES = {m: m.replace("_", " ") for m in references.METHODS}
 QUICK_LISTS = ("clean-00", "taper_x-32-0")
 
 
@@ -94,15 +91,14 @@ def _results(quick: bool, found: dict[str, tuple[list[Results], dict[str, dict[s
     said: Results = {}
     for name, (entries, engines) in found.items():
         scores = {engine: scoring.scored(entries, answers) for engine, answers in engines.items()}
-        known = {r["id"]: r for r in scores.get(ORACLE, [])}
         mine = scores.get(THIS, [])
-        said[name] = {THIS: scoring.summary(mine, known)} if mine else {}
+        said[name] = {THIS: scoring.summary(mine)} if mine else {}
         for engine, records in scores.items():
             # beside another engine or method: the lists that both answered
             theirs = {r["id"] for r in records}
             both = {r["id"] for r in mine} & theirs if mine else theirs
             if engine != THIS and both:
-                own = scoring.summary([r for r in records if r["id"] in both], known)
+                own = scoring.summary([r for r in records if r["id"] in both])
                 said[name][engine] = {k: own[k] for k in BRIEF}
     return {
         "quick": quick,
@@ -156,8 +152,8 @@ def answer(
 
 
 def refer(name: str, limit: int | None) -> None:
-    """The oracle's answers and those of simpler methods."""
-    paths = {m: answers_path(name, m) for m in ("oracle", *references.METHODS)}
+    """The answers of simple methods."""
+    paths = {m: answers_path(name, m) for m in references.METHODS}
     for path in paths.values():
         path.parent.mkdir(parents=True, exist_ok=True)
     done = set.intersection(*(set(answering.answered(p)) for p in paths.values()))
@@ -172,15 +168,12 @@ def refer(name: str, limit: int | None) -> None:
         plate = entry["truth"]["plate"]
         if plate not in known:
             known[plate] = references.dictionary_of(plates[plate])
-        found = {
-            "oracle": references.claim(*references.weighed(known[plate], entry)),
-            **references.answers(known[plate], entry),
-        }
+        found = references.answers(known[plate], entry)
         for method, record in found.items():
             whole = {"constants": {}, "baseline": {}, **record}
             with paths[method].open("a", encoding="utf-8") as file:
                 file.write(sets.line_of({"id": entry["id"], **whole}))
-        print(name, entry["id"], found["oracle"]["claim"], found["oracle"]["causes"], flush=True)
+        print(name, entry["id"], flush=True)
 
 
 def sections(results: Results) -> dict[str, str]:

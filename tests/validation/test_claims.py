@@ -151,7 +151,7 @@ def test_the_summary_counts_wrong_claims_with_their_lists() -> None:
         {"id": "x-1", **scoring.score(truth("warp"), answer("named", "skew"))},
         {"id": "x-2", **scoring.score(truth("warp"), answer("named", "warp"))},
     ]
-    found = scoring.summary(records, {})
+    found = scoring.summary(records)
     assert [w["id"] for w in found["wrong"]] == ["x-1"]
     assert "x-1" in scoring.section(2, found, {}, {})
 
@@ -166,35 +166,12 @@ def test_saved_lists_are_those_that_their_seeds_make() -> None:
     assert again["file"] == first["file"]
 
 
-# What claims are measured by
+# What users do instead
 
 
 @pytest.fixture(scope="module")
 def signatures() -> references.Dictionary:
     return references.dictionary_of(PLATE, ("taper_x", "warp", "membrane_stress"))
-
-
-def oracle_of(signatures: references.Dictionary, listed: tuple[str, lists.Truth]) -> dict[str, Any]:
-    entry = json.loads(json.dumps({"file": listed[0], "truth": asdict(listed[1])}))
-    return references.claim(*references.weighed(signatures, entry))
-
-
-def test_the_oracle_names_what_is_hidden(
-    signatures: references.Dictionary, tapered: tuple[str, lists.Truth]
-) -> None:
-    found = oracle_of(signatures, tapered)
-    assert found["claim"] in ("named", "class")
-    assert "taper_x" in found["causes"]
-    assert found["hypotheses"][0]["cause"] == "taper_x"
-
-
-def test_the_oracle_claims_nothing_of_a_list_without_flaw_and_noise(
-    signatures: references.Dictionary,
-) -> None:
-    rng = np.random.default_rng(5)
-    _, truth = lists.listed(PLATE, PLATE.drawn(rng), "clean", {}, rng)
-    found = oracle_of(signatures, (PLATE.file(list(truth.true_hz), stated=lists.NOISE), truth))
-    assert found["claim"] == "none"
 
 
 def test_simpler_methods_name_a_cause_or_none(

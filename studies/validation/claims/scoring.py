@@ -70,7 +70,6 @@ def score(truth: Record, answer: Record) -> Scored:
         "whole": claim != "pair" or (len(causes) == 2 and named <= causes | accepted),
         "inside": coverage_of(truth, answer["constants"]),
         "inside_plain": coverage_of(truth, answer["baseline"]),
-        "told_what_could_be_seen": bool(answer.get("detectable")),
         "seconds": answer.get("seconds"),
     }
 
@@ -187,11 +186,8 @@ _STRONG = 8.0
 _CLEAN = ("clean", "coincident", "incomplete, clean")
 
 
-def summary(records: Sequence[Scored], oracle: Mapping[str, Scored]) -> Record:
-    """Everything that is said of one engine's answers to one set.
-
-    oracle : its scored answers by list, as far as they are known.
-    """
+def summary(records: Sequence[Scored]) -> Record:
+    """Everything that is said of one engine's answers to one set."""
     return {
         "lists": len(records),
         "plates": sorted({r["plate"] for r in records}),
@@ -201,7 +197,7 @@ def summary(records: Sequence[Scored], oracle: Mapping[str, Scored]) -> Record:
         "by_cause": confusion(
             [r for r in records if r["kind"] in ("one", "prior", "row")], lambda r: " + ".join(r["causes"])
         ),
-        "figures": figures(records, oracle),
+        "figures": figures(records),
         "reliability": {
             "claims": reliability(records, (*CLAIMS, "other")),
             "claims and none": reliability(records, (*CLAIMS, "other", "none")),
@@ -220,34 +216,15 @@ def summary(records: Sequence[Scored], oracle: Mapping[str, Scored]) -> Record:
     }
 
 
-def figures(records: Sequence[Scored], oracle: Mapping[str, Scored]) -> list[Record]:
+def figures(records: Sequence[Scored]) -> list[Record]:
     """The figures that were asked for: what, asked, reached, its standard error, number of lists."""
-    rows = []
-    for title, stated in (("noise stated", True), ("noise left out", False)):
-        known = [
-            r
-            for r in records
-            if r["stated"] == stated
-            and r["causes"]
-            and r["kind"] != "smooth"
-            and _strength(r) >= _STRONG
-            and oracle.get(r["id"], {}).get("category") == RIGHT
-        ]
-        rows.append(_row(f"claimed and right where the oracle claims, {title}", ">= 0.95", known, _is(RIGHT)))
     every = [r for r in records if r["causes"] and r["kind"] != "smooth" and _strength(r) >= _STRONG]
-    rows.append(_row("claimed and right, all with signal to noise 8 and above", "-", every, _is(RIGHT)))
-    with_oracle = [r for r in every if r["id"] in oracle]
-    outcomes = [oracle[r["id"]]["category"] == RIGHT for r in with_oracle]
-    rows.append(_of("  the oracle on the same lists", "-", outcomes))
+    rows = [_row("claimed and right, signal to noise 8 and above", "-", every, _is(RIGHT))]
     rows.append(_row("wrong claims, all lists", "<= 0.01", records, _is(WRONG)))
     smooth = [r for r in records if r["kind"] == "smooth"]
     rows.append(_row("wrong claims, smooth discrepancy", "<= 0.02", smooth, _is(WRONG)))
     clean = [r for r in records if not r["causes"]]
     rows.append(_row("false claims, nothing hidden", "<= 0.01", clean, _is(WRONG)))
-    silent = [r for r in records if r["category"] == NONE]
-    rows.append(
-        _row("none with what could have been seen", "1", silent, lambda r: r["told_what_could_be_seen"])
-    )
     calibration = reliability(records, (*CLAIMS, "other"))
     rows.append(
         _value(
