@@ -181,10 +181,8 @@ def sections(results: Results) -> dict[str, str]:
     together = [rows[group] for group in TOGETHER if group in rows]
     of_wood = [rows[name,] for name in wood if (name,) in rows]
     wood_together = [rows[group] for group in SPRUCE_TOGETHER if group in rows]
-    quiet = [row for row in alone if row["claim"] == "none"]
     parts = [
         (alone, [_HEAD, *_answers(alone), "", "## What is claimed, or nearly", "", *_stories(alone)]),
-        (quiet, [_UNSEEN, *_unseen(quiet), ""]),
         (together, [_TOGETHER, *_answers(together), "", *_stories(together)]),
         (of_wood, [_WOOD, *_answers(of_wood), "", *_published(of_wood), "", *_stories(of_wood)]),
         (wood_together, [_WOOD_TOGETHER, *_answers(wood_together), "", *_stories(wood_together)]),
@@ -297,7 +295,7 @@ def _value(constant: Mapping[str, float] | None) -> str:
 
 
 def _stories(rows: Sequence[Results]) -> Iterable[str]:
-    """Of each group with an answer other than none its sentence, its causes, and what they are worth."""
+    """Of each group with an answer other than none its sentence, and what the claim is worth."""
     for row in (row for row in rows if row["claim"] != "none"):
         yield f"### {' + '.join(row['plates'])}"
         yield ""
@@ -312,38 +310,6 @@ def _stories(rows: Sequence[Results]) -> Iterable[str]:
                 f"{difference:.1f} nats in all (standard error {se:.1f})."
             )
         yield ""
-        yield "| cause | P | P, scales x 3, / 3 | log Bayes factor | size |"
-        yield "|---|---|---|---|---|"
-        for h in row["hypotheses"][:_STORY]:
-            shown = h["probability_range"]
-            sizes = ", ".join(
-                f"{name} {p['mean']:.3g} +- {p['sd']:.2g} {p['unit']}".rstrip()
-                for name, p in h["parameters"].items()
-            )
-            where = "" if len(row["plates"]) == 1 or len(h["plates"]) > 1 else f" of {h['plates'][0]}"
-            cause = f"{h['cause']}{where}" + (f" ({h['variant']})" if h["variant"] else "")
-            yield (
-                f"| {cause} | {h['probability']:.3f} | {', '.join(f'{shown[key]:.3f}' for key in _SCALES)} | "
-                f"{h['log_bayes_factor']:.1f} | {sizes} |"
-            )
-        yield ""
-
-
-def _unseen(rows: Sequence[Results]) -> Iterable[str]:
-    """The smallest sizes that the lists of quiet plates would have shown."""
-    yield "| cause | " + " | ".join(row["plates"][0] for row in rows) + " |"
-    yield "|---|" + "---|" * len(rows)
-    by_plate = [{entry["cause"]: entry for entry in row["detectable"]} for row in rows]
-    for cause in sorted({cause for sizes in by_plate for cause in sizes}):
-        entries = [sizes.get(cause) for sizes in by_plate]
-        if any(entry is not None and entry["unit"] is not None for entry in entries):
-            yield f"| {cause} | " + " | ".join(map(_size, entries)) + " |"
-
-
-def _size(entry: Mapping[str, Any] | None) -> str:
-    if entry is None:
-        return "-"
-    return "no size" if entry["smallest"] is None else f"{entry['smallest']:.2g} {entry['unit']}".rstrip()
 
 
 def _published(rows: Sequence[Results]) -> Iterable[str]:
@@ -361,7 +327,6 @@ def _published(rows: Sequence[Results]) -> Iterable[str]:
 
 
 _PUBLISHED = ("E1_GPa", "E2_GPa", "G12_GPa", "nu12")
-_STORY = 4
 _SCALES = ("scales_times_3", "scales_divided_by_3")
 _CLAIMS = ("named", "class", "pair")
 _CONSTANTS = ("E1_GPa", "E2_GPa", "nu12", "G12_GPa")
@@ -370,11 +335,6 @@ _HEAD = """## Each plate alone
 
 95 % intervals of the constants are of the extended model where something is claimed, else averaged over all
 hypotheses.
-"""
-_UNSEEN = """## What the quiet lists would have shown
-
-The smallest size of each cause that the list of a plate with answer none would have shown with a
-probability of 95 %, at the median place ("no size": none up to the end of the prior).
 """
 _TOGETHER = """## Plates of one material together
 

@@ -52,7 +52,7 @@ from validation.hostile.measurements import (
     universal_modes_files,
     universal_response_files,
 )
-from validation.reporting import counted, markdown_table, paragraph, save_results, write_sections
+from validation.reporting import counted, listed, markdown_table, paragraph, save_results, write_sections
 
 Results = dict[str, Any]
 Content = TypeVar("Content", str, bytes)
@@ -399,28 +399,26 @@ def sections(results: Results) -> dict[str, str]:
         f"message. The slowest, one of the {slowest['kind']}, took {slowest['slowest_seconds']:.2g} s of a "
         f"processor; the process held {results['memory_gib']:.2g} GiB at most."
     )
-    signals = [
-        (
-            row["command"],
-            row["signal"],
-            str(row["status"]),
-            str(row["left"]),
-            str(row["next_status"]),
-            str(row["left_after_the_next"]),
+    commands = dict.fromkeys(row["command"] for row in results["signals"])
+    signals = []
+    for name in dict.fromkeys(row["signal"] for row in results["signals"]):
+        of = [row for row in results["signals"] if row["signal"] == name]
+        seen = (
+            listed(sorted({str(row[key]) for row in of}))
+            for key in ("status", "left", "next_status", "left_after_the_next")
         )
-        for row in results["signals"]
-    ]
+        signals.append((name, *seen))
     of_signals = (
-        "command",
         "signal",
         "exit status",
         "drafts left",
         "status of the next command",
         "drafts left after it",
     )
+    sent = paragraph(f"Each signal to each of {listed(list(commands))}:")
     return {
         "inputs": f"{said}\n\n{markdown_table(head, rows)}",
-        "signals": markdown_table(of_signals, signals),
+        "signals": f"{sent}\n\n{markdown_table(of_signals, signals)}",
     }
 
 
