@@ -366,7 +366,6 @@ def _claim(weighed: Weighed, causes: Sequence[Cause], checks: PredictiveChecks) 
     return claim_of(
         {c.name: c.probability for c in causes},
         {c.name: c.log_bayes_factor for c in causes},
-        {c.name: frozenset(c.indistinguishable_from) for c in causes},
         pairs,
         explained,
         is_cut_short=weighed.is_cut_short,
@@ -383,9 +382,7 @@ def _members(weighed: Weighed, claim: Claim) -> tuple[tuple[Tested, float], ...]
     if claim.kind == "other":
         claimed = list(weighed.tested)
     elif claim.kind == "pair":
-        claimed = [
-            t for t in weighed.tested if t.hypothesis.family == PAIR and t.hypothesis.causes == claim.causes
-        ]
+        claimed = [t for t in weighed.tested if set(claim.causes) <= set(t.hypothesis.causes)]
     else:
         names = set(claim.causes)
         claimed = [t for t in weighed.tested if names & {t.hypothesis.cause, *t.hypothesis.causes}]

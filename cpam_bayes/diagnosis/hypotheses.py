@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final, Literal
 
@@ -233,10 +233,10 @@ Kind = Literal["none", "named", "class", "pair", "other", "undecided"]
 class ClaimRules:
     """When something is claimed.
 
-    sure : least probability of a cause, plain : of nothing wrong
-    clear : least log Bayes factor of a class over the best outsider
-    rival : fraction of the leading cause's probability from which a member of its class is a rival: where the
-        data cannot tell them, a ratio of two priors below it is no evidence either
+    sure : least probability that a cause acts, plain : of nothing wrong
+    clear : least log Bayes factor of what is claimed over whatever is without it, so that priors alone claim
+        nothing
+    rival : fraction of the leading probability from which a cause that is not so far behind joins the claim
     beside : fraction of a claim's probability from which it is told that something else may act beside it
     negligible : probability below which it does not matter whether a cause explains the lists
     most, undecided : members of a class at most, and causes listed where nothing is decided
@@ -267,7 +267,6 @@ class Claim:
 def claim_of(
     probability: Mapping[str, float],
     log_evidence: Mapping[str, float],
-    alike: Mapping[str, frozenset[str]],
     pairs: Mapping[str, tuple[str, ...]],
     explains: Callable[[str], bool] = lambda name: True,
     *,
@@ -277,31 +276,25 @@ def claim_of(
 
     probability : of every cause, of pairs, none and other
     log_evidence : of each, its variants averaged over their priors
-    alike : by cause, the causes that frequencies cannot tell from it
     pairs : by name, the two causes of each pair
     explains : whether the model extended by a cause or a pair explains the lists
     is_cut_short : whether hypotheses are missing: then nothing is claimed
 
-    Nothing is wrong where none has half the probability. A cause is claimed with what cannot be told from
-    it, where together they have 0.9 and the best of them is 3 nats above the best outsider, none and other
-    among these; alone where it has 0.9 itself and the rest of its class have hardly any probability, so that
-    priors alone do not decide. Pairs count in the probabilities, with their priors. Then a pair is claimed
-    where it has 0.9 itself, or one cause where all hypotheses that contain it, alone or in pairs, have 0.9:
-    what acts beside it is open. No cause is
-    claimed whose extended model leaves a misfit that is no noise: where those that explain nothing hold 0.9
-    with other, it is other. The rest is undecided.
+    Nothing is wrong where none has half the probability. A cause acts with the probability of all hypotheses
+    that hold it, alone or in pairs. Two causes that act with 0.9 each are a pair. Else the fewest causes are
+    claimed of which one acts with 0.9: one is named, up to six are a class, whether or not they look alike.
+    What is claimed is 3 nats above every hypothesis without it: a cause that is not so far behind joins the
+    class, and where none or other is not, nothing is claimed. No cause is claimed whose extended model leaves
+    a misfit that is no noise: where those that explain nothing hold 0.9 with other, it is other. The rest is
+    undecided.
     """
     if is_cut_short:
         return _undecided(probability, pairs)
     if probability[NONE] >= CLAIM_RULES.plain and explains(NONE):
         return Claim("none", (), probability[NONE])
-    claim = _cause(probability, log_evidence, alike, pairs)
-    if claim is not None and explains(claim.causes[0]):
+    claim = _pair(probability, pairs) or _causes(probability, log_evidence, pairs)
+    if claim is not None and explains(_leading(probability, pairs, claim.causes)):
         return claim
-    if pairs and explains(_leading(probability, pairs)):
-        claim = _pair(probability, pairs) or _one_of_pairs(probability, alike, pairs)
-        if claim is not None:
-            return claim
     unexplained = [
         c for c in probability if c != OTHER and probability[c] > CLAIM_RULES.negligible and not explains(c)
     ]
@@ -311,66 +304,69 @@ def claim_of(
     return _undecided(probability, pairs)
 
 
+def _held(name: str, pairs: Mapping[str, tuple[str, ...]]) -> frozenset[str]:
+    """The causes that act in a hypothesis."""
+    return frozenset() if name in (NONE, OTHER) else frozenset(pairs.get(name, (name,)))
+
+
+def _acting(
+    probability: Mapping[str, float], pairs: Mapping[str, tuple[str, ...]], causes: Collection[str]
+) -> float:
+    """Probability that one of the causes acts."""
+    return min(sum(p for name, p in probability.items() if _held(name, pairs) & set(causes)), 1.0)
+
+
+def _ranked(probability: Mapping[str, float], pairs: Mapping[str, tuple[str, ...]]) -> list[str]:
+    """All causes, the one that acts with most probability first."""
+    causes = dict.fromkeys(c for name in probability for c in pairs.get(name, (name,)))
+    every = [c for c in causes if c not in (NONE, OTHER)]
+    return sorted(every, key=lambda c: -_acting(probability, pairs, (c,)))
+
+
+def _leading(
+    probability: Mapping[str, float], pairs: Mapping[str, tuple[str, ...]], causes: Collection[str]
+) -> str:
+    """The most probable hypothesis with one of the causes."""
+    return max((n for n in probability if _held(n, pairs) & set(causes)), key=lambda n: probability[n])
+
+
 def _undecided(probability: Mapping[str, float], pairs: Mapping[str, tuple[str, ...]]) -> Claim:
     """The most probable causes, with the probability that one of them acts; a pair stands for both of its."""
     named = sorted((c for c in probability if c not in (NONE, OTHER)), key=lambda c: -probability[c])
-    causes = tuple(dict.fromkeys(c for name in named for c in pairs.get(name, (name,))))[
-        : CLAIM_RULES.undecided
-    ]
-    whole = sum(probability[name] for name in named if set(causes) & set(pairs.get(name, (name,))))
-    return Claim("undecided", causes, whole)
-
-
-def _cause(
-    probability: Mapping[str, float],
-    log_evidence: Mapping[str, float],
-    alike: Mapping[str, frozenset[str]],
-    pairs: Mapping[str, tuple[str, ...]],
-) -> Claim | None:
-    """One cause or its class."""
-    singles = [c for c in probability if c not in (NONE, OTHER) and c not in pairs]
-    ranked = sorted(singles, key=lambda c: -probability[c])
-    if not ranked:
-        return None
-    best = ranked[0]
-    members = [best, *(c for c in ranked[1:] if c in alike[best])]
-    whole = sum(probability[c] for c in members)
-    outside = [e for c, e in log_evidence.items() if c not in members and c not in pairs]
-    ahead = max(log_evidence[c] for c in members) - max(outside, default=float("-inf"))
-    if whole < CLAIM_RULES.sure or ahead < CLAIM_RULES.clear:
-        return None
-    rivals = [c for c in members[1:] if probability[c] >= CLAIM_RULES.rival * probability[best]]
-    if probability[best] >= CLAIM_RULES.sure and not rivals:
-        return Claim("named", (best,), probability[best])
-    members = [best, *(rivals or members[1:])][: CLAIM_RULES.most]
-    whole = sum(probability[c] for c in members)
-    return Claim("class", tuple(members), whole) if whole >= CLAIM_RULES.sure else None
-
-
-def _leading(probability: Mapping[str, float], pairs: Mapping[str, tuple[str, ...]]) -> str:
-    return max(pairs, key=lambda name: probability[name])
+    causes = tuple(dict.fromkeys(c for name in named for c in pairs.get(name, (name,))))
+    causes = causes[: CLAIM_RULES.undecided]
+    return Claim("undecided", causes, _acting(probability, pairs, causes))
 
 
 def _pair(probability: Mapping[str, float], pairs: Mapping[str, tuple[str, ...]]) -> Claim | None:
-    """The leading pair, where it has the probability itself."""
-    leading = _leading(probability, pairs)
-    sure = probability[leading] >= CLAIM_RULES.sure
-    return Claim("pair", pairs[leading], probability[leading]) if sure else None
+    """Two causes that each act."""
+    sure = [c for c in _ranked(probability, pairs) if _acting(probability, pairs, (c,)) >= CLAIM_RULES.sure]
+    both = [name for name in pairs if name in probability and set(pairs[name]) <= set(sure)]
+    if not both:
+        return None
+    leading = max(both, key=lambda name: probability[name])
+    return Claim("pair", pairs[leading], probability[leading])
 
 
-def _one_of_pairs(
+def _causes(
     probability: Mapping[str, float],
-    alike: Mapping[str, frozenset[str]],
+    log_evidence: Mapping[str, float],
     pairs: Mapping[str, tuple[str, ...]],
 ) -> Claim | None:
-    """A cause, or its class, that acts in all that is probable, alone or beside one or another."""
-    leading = pairs[_leading(probability, pairs)]
-    for classes in ([(c,) for c in leading], [(c, *sorted(alike.get(c, ()))) for c in leading]):
-        totals = []
-        for members in classes:
-            total = sum(p for name, p in probability.items() if set(members) & set(pairs.get(name, (name,))))
-            totals.append((total, members))
-        total, members = max(totals, key=lambda entry: entry[0])
-        if total >= CLAIM_RULES.sure and len(members) <= CLAIM_RULES.most:
-            return Claim("named" if len(members) == 1 else "class", members, min(total, 1.0))
-    return None
+    """The fewest causes of which one acts, with those that only priors speak against."""
+    ranked, members = _ranked(probability, pairs), list[str]()
+    while _acting(probability, pairs, members) < CLAIM_RULES.sure:
+        gains = {c: _acting(probability, pairs, (*members, c)) for c in ranked if c not in members}
+        if not gains or len(members) == CLAIM_RULES.most:
+            return None
+        members.append(max(gains, key=lambda c: gains[c]))
+    best = max(log_evidence[name] for name in probability if _held(name, pairs) & set(members))
+    least = CLAIM_RULES.rival * _acting(probability, pairs, members[:1])
+    # priors of pairs are so low that their evidence may well be the larger one
+    near = [n for n, e in log_evidence.items() if n not in pairs and best - e < CLAIM_RULES.clear]
+    if NONE in near or OTHER in near:
+        return None
+    members += [c for c in ranked if c in near and c not in members and probability.get(c, 0.0) >= least]
+    members = members[: CLAIM_RULES.most]
+    kind: Kind = "named" if len(members) == 1 else "class"
+    return Claim(kind, tuple(members), _acting(probability, pairs, members))

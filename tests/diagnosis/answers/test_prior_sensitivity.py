@@ -73,7 +73,7 @@ def test_a_claim_stands_if_it_is_the_same_with_all_scales() -> None:
     def claim(w: weighing.Weighed) -> Claim:
         probability = {**w.by_cause(), OTHER: 0.0}
         factors = {c: w.log_bayes_factor((c,)) for c in w.by_cause()} | {OTHER: -np.inf}
-        return claim_of(probability, factors, {c: frozenset() for c in probability}, {})
+        return claim_of(probability, factors, {})
 
     for size, stands in ((0.0, True), (0.03, True), (0.006, False)):
         found = weighed(F0 * (1.0 + A @ [0.03, -0.04] + size * BUMP) * (1.0 + NOISE * SCATTER))
