@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from functools import cache
 from pathlib import Path
 from typing import Final
@@ -33,9 +33,13 @@ def fingerprint(module: str) -> str:
     return _hash(sources_of(_imports_of(_file(module)), [_file(module)]))
 
 
-def fingerprint_of_script(script: Path) -> str:
-    """The same of a script outside of the package: of what it imports from the package, not of itself."""
-    return _hash(sources_of(_imports_of(script), []))
+def fingerprint_of_script(script: Path, public: Mapping[str, str]) -> str:
+    """The same of a script outside of the package: of what it imports from the package, not of itself.
+
+    public : public name of the package -> the module that holds it; a script calls them as cb.NAME
+    """
+    called = re.findall(r"\bcb\.(\w+)", script.read_text(encoding="utf-8"))
+    return _hash(sources_of([*_imports_of(script), *(public[name] for name in called if name in public)], []))
 
 
 def sources_of(modules: Iterable[str], start: Iterable[Path | None]) -> list[Path]:

@@ -5,7 +5,6 @@ python studies/01_first_light.py [--quick]
 
 from __future__ import annotations
 
-import argparse
 import math
 import os
 import sys
@@ -29,7 +28,9 @@ from cpam_bayes.plate.layup import parse_layup
 from cpam_bayes.render.report import Heading, Table, remarks
 from cpam_bayes.render.terminal import screen_text
 from cpam_bayes.threads import single_blas_thread
-from validation.reporting import save_results
+from validation.reporting import (
+    study_main,
+)
 
 RESULTS = Path(__file__).parent / "results" / f"{Path(__file__).stem}.json"
 
@@ -367,13 +368,7 @@ def _solve_rows(solves: list[dict[str, Any]]) -> Rows:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="the small version; nothing is saved")
-    quick = parser.parse_args().quick
-    results = run(quick)
-    show(results)
-    if not quick:
-        save_results(RESULTS, results)
+    study_main(__doc__, run, show, RESULTS)
 
 
 if __name__ == "__main__":

@@ -5,8 +5,6 @@ python studies/02_agreement.py [--quick]
 
 from __future__ import annotations
 
-import argparse
-import json
 import shutil
 import sys
 import time
@@ -32,6 +30,7 @@ from cpam_bayes.questions.forward import ForwardResult
 from cpam_bayes.render.report import Heading, Table, facts
 from cpam_bayes.render.terminal import screen_text
 from cpam_bayes.threads import single_blas_thread
+from validation.reporting import study_main
 
 RESULTS = Path(__file__).parent / "results" / f"{Path(__file__).stem}.json"
 
@@ -334,26 +333,7 @@ def _summary(results: Mapping[str, Any]) -> tuple[tuple[str, str], ...]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="the small version; nothing is saved")
-    quick = parser.parse_args().quick
-    results = run(quick)
-    show(results)
-    if not quick:
-        RESULTS.parent.mkdir(exist_ok=True)
-        RESULTS.write_text(_json_by_entries(results), encoding="utf-8")
-
-
-def _json_by_entries(results: dict[str, Any]) -> str:
-    """One line for each entry of the lists below the top: readable, and small."""
-    parts = []
-    for key, value in results.items():
-        if isinstance(value, list):
-            lines = ",\n".join("  " + json.dumps(item, allow_nan=False) for item in value)
-            parts.append(f"{json.dumps(key)}: [\n{lines}\n ]")
-        else:
-            parts.append(f"{json.dumps(key)}: {json.dumps(value, allow_nan=False, separators=(',', ':'))}")
-    return "{\n " + ",\n ".join(parts) + "\n}\n"
+    study_main(__doc__, run, show, RESULTS)
 
 
 if __name__ == "__main__":

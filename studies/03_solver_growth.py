@@ -5,7 +5,6 @@ python studies/03_solver_growth.py [--quick]
 
 from __future__ import annotations
 
-import argparse
 import sys
 import time
 from collections.abc import Callable, Iterable, Mapping
@@ -34,7 +33,9 @@ from cpam_bayes.plate.layup import parse_layup
 from cpam_bayes.render.report import Heading, Table
 from cpam_bayes.render.terminal import screen_text
 from cpam_bayes.threads import single_blas_thread
-from validation.reporting import save_results
+from validation.reporting import (
+    study_main,
+)
 
 Array = NDArray[np.float64]
 Results = dict[str, Any]
@@ -289,14 +290,7 @@ def _columns(headings: tuple[str, ...], text: int = 0) -> tuple[Heading, ...]:
 
 
 def main() -> None:
-    """Run the study, print its tables and save the results."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="the small version; nothing is saved")
-    quick = parser.parse_args().quick
-    results = run(quick)
-    show(results)
-    if not quick:
-        save_results(RESULTS, results)
+    study_main(__doc__, run, show, RESULTS)
 
 
 if __name__ == "__main__":

@@ -5,7 +5,6 @@ python studies/04_sensitivity.py [--quick] [--workers N] [--executor SPEC]
 
 from __future__ import annotations
 
-import argparse
 import sys
 from pathlib import Path
 from typing import Any
@@ -16,7 +15,10 @@ from cpam_bayes.inference.ensemble import EnsembleSettings
 from cpam_bayes.inference.swarm import SwarmSettings
 from cpam_bayes.render.report import Heading, Table
 from cpam_bayes.render.terminal import screen_text
-from validation.reporting import save_results
+from validation.reporting import (
+    save_results,
+    study_parser,
+)
 
 Results = dict[str, Any]
 
@@ -97,8 +99,7 @@ def _rows(document: Results, percent: float, reading: str, constants: Results) -
 
 def main() -> None:
     """Run the study, print its tables and save the results."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="the small version; nothing is saved")
+    parser = study_parser(__doc__)
     add_executor_options(parser)
     args = parser.parse_args()
     results = run(args.quick, args.executor, args.workers)

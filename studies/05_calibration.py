@@ -9,7 +9,6 @@ Repetitions are kept as they come: a run that was stopped goes on where it was.
 
 from __future__ import annotations
 
-import argparse
 import sys
 from concurrent.futures import Executor
 from dataclasses import asdict, replace
@@ -37,7 +36,10 @@ from cpam_bayes.render.report import Heading, Table
 from cpam_bayes.render.terminal import screen_text
 from cpam_bayes.storage import cache_directory
 from validation.draw_store import stored_calibration
-from validation.reporting import save_results
+from validation.reporting import (
+    save_results,
+    study_parser,
+)
 
 Results = dict[str, Any]
 
@@ -160,8 +162,7 @@ def show(results: Results) -> None:
 
 def main() -> None:
     """Run the study, print its tables and save the results."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="the small version; nothing is saved")
+    parser = study_parser(__doc__)
     add_executor_options(parser)
     parser.add_argument(
         "--repetitions", type=int, metavar="N", help=f"of each plate (default: {REPETITIONS})"

@@ -5,7 +5,6 @@ python studies/06_evidence.py [--quick]
 
 from __future__ import annotations
 
-import argparse
 import sys
 import time
 from collections.abc import Sequence
@@ -27,7 +26,9 @@ from cpam_bayes.render.report import Heading, Table
 from cpam_bayes.render.terminal import screen_text
 from cpam_bayes.threads import single_blas_thread
 from validation.nested import NestedEvidence, nested_evidence
-from validation.reporting import save_results
+from validation.reporting import (
+    study_main,
+)
 
 RESULTS = Path(__file__).parent / "results" / f"{Path(__file__).stem}.json"
 
@@ -266,13 +267,7 @@ def _agreement_rows(specimens: list[dict[str, Any]]) -> Rows:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="the small version; nothing is saved")
-    quick = parser.parse_args().quick
-    results = run(quick)
-    show(results)
-    if not quick:
-        save_results(RESULTS, results)
+    study_main(__doc__, run, show, RESULTS)
 
 
 if __name__ == "__main__":

@@ -16,7 +16,6 @@ sequences closer than that are not told apart by such a list. The smallest F kno
 
 from __future__ import annotations
 
-import argparse
 import sys
 import time
 from collections.abc import Callable, Iterable, Sequence
@@ -58,6 +57,7 @@ from validation.reporting import (
     paragraph,
     save_results,
     saved_results,
+    study_parser,
     with_saved,
     write_sections,
 )
@@ -525,8 +525,7 @@ def _remarks(cases: Sequence[Results]) -> Iterable[str]:
 
 def main() -> None:
     """Run the study, print its tables and save the results, case by case."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="the small version; nothing is saved")
+    parser = study_parser(__doc__)
     names = (*FULL.cases, PARTICLES)
     parser.add_argument("--only", nargs="+", choices=names, metavar="CASE", help="of: " + "; ".join(names))
     add_executor_options(parser)

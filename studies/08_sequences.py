@@ -12,7 +12,6 @@ before are kept.
 
 from __future__ import annotations
 
-import argparse
 import os
 import sys
 import tempfile
@@ -45,6 +44,7 @@ from validation.reporting import (
     paragraph,
     save_results,
     saved_results,
+    study_parser,
     with_saved,
     write_sections,
 )
@@ -478,8 +478,7 @@ def _noise_table(cases: Sequence[Results]) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="the small version; nothing is saved")
+    parser = study_parser(__doc__)
     parser.add_argument(
         "--only", nargs="+", choices=NAMES, metavar="NAME", help="of: " + ", ".join(NAMES).replace("%", "%%")
     )

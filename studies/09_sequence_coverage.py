@@ -9,7 +9,6 @@ the evidences have too, and the place of the true sequence among all is noted
 
 from __future__ import annotations
 
-import argparse
 import sys
 import time
 from concurrent.futures import Executor
@@ -30,6 +29,7 @@ from validation.reporting import (
     markdown_table,
     save_results,
     saved_results,
+    study_parser,
     with_error,
     with_saved,
     write_sections,
@@ -211,8 +211,7 @@ def sections(results: Results) -> dict[str, str]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="the small version; nothing is saved")
+    parser = study_parser(__doc__)
     parser.add_argument("--only", nargs="+", choices=tuple(CASES), help="cases to run (default: all)")
     parser.add_argument("--trials", type=int, help="lists of each case")
     add_executor_options(parser)

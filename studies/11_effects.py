@@ -5,7 +5,6 @@ python studies/11_effects.py [--quick]
 
 from __future__ import annotations
 
-import argparse
 import sys
 from pathlib import Path
 from typing import Any
@@ -20,7 +19,9 @@ from cpam_bayes.effects import Effect, applicable, variants
 from cpam_bayes.forward_model.model import reference_vector
 from cpam_bayes.render.report import Heading, Table
 from cpam_bayes.render.terminal import screen_text
-from validation.reporting import save_results
+from validation.reporting import (
+    study_main,
+)
 
 Array = NDArray[Any]
 Results = dict[str, Any]
@@ -146,13 +147,7 @@ def show(results: Results) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="the small version; nothing is saved")
-    quick = parser.parse_args().quick
-    results = run(quick)
-    show(results)
-    if not quick:
-        save_results(RESULTS, results)
+    study_main(__doc__, run, show, RESULTS)
 
 
 if __name__ == "__main__":

@@ -7,7 +7,6 @@ Every group is diagnosed, saved, and written to docs/findings.md; --page writes 
 
 from __future__ import annotations
 
-import argparse
 import csv
 import sys
 import textwrap
@@ -22,7 +21,13 @@ import cpam_bayes as cb
 from cpam_bayes.effects import CATALOGUE
 from cpam_bayes.plate import Specimen
 from cpam_bayes.questions.diagnose.document import probability_text
-from validation.reporting import save_results, saved_results, with_saved, write_sections
+from validation.reporting import (
+    save_results,
+    saved_results,
+    study_parser,
+    with_saved,
+    write_sections,
+)
 
 Results = dict[str, Any]
 
@@ -356,8 +361,7 @@ one plate here may be wood.
 
 def main() -> None:
     """Diagnose, save and write the page."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="the small version; nothing is saved")
+    parser = study_parser(__doc__)
     parser.add_argument("--only", nargs="+", default=(), help="groups, plates of one joined by +")
     parser.add_argument("--page", action="store_true", help="write the page from what is saved, run nothing")
     args = parser.parse_args()

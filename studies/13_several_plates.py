@@ -12,7 +12,6 @@ with that of the same plate carrying a known mass near a corner. Lists are those
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Sequence
 from concurrent.futures import Executor
@@ -29,7 +28,13 @@ from cpam_bayes.render.terminal import screen_text
 from validation.claims import scoring
 from validation.independent.lists import NOISE, RESOLUTION_HZ, NominalPlate
 from validation.independent.true_plate import FLAWS, TruePlate
-from validation.reporting import markdown_table, save_results, saved_results, write_sections
+from validation.reporting import (
+    markdown_table,
+    save_results,
+    saved_results,
+    study_parser,
+    write_sections,
+)
 from validation.several_plates import ALONE, SETUPS, SISTER, Laboratory, spread, trial
 
 Results = dict[str, Any]
@@ -180,8 +185,7 @@ def sections(results: Results) -> dict[str, str]:
 
 def main() -> None:
     """Run the study, print its tables and save the results."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="the small version; nothing is saved")
+    parser = study_parser(__doc__)
     add_executor_options(parser)
     parser.add_argument("--per-cause", type=int, default=1, metavar="N", help="trials of each cause")
     parser.add_argument(

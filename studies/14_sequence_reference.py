@@ -12,7 +12,6 @@ sequences, and the most by which such a one exceeds the surrogate.
 
 from __future__ import annotations
 
-import argparse
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -43,6 +42,7 @@ from validation.reporting import (
     paragraph,
     save_results,
     saved_results,
+    study_parser,
     with_error,
     with_saved,
     write_sections,
@@ -344,8 +344,7 @@ def _sum(case: Results) -> str:
 
 def main() -> None:
     """Run the study, print its tables and save the results, case by case."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="the small version; nothing is saved")
+    parser = study_parser(__doc__)
     parser.add_argument(
         "--only", nargs="+", choices=CASES, metavar="NAME", help="of: " + "; ".join(CASES).replace("%", "%%")
     )

@@ -5,7 +5,6 @@ python studies/19_paper.py [--quick] [--page] [--stored] [--workers N] [--execut
 
 from __future__ import annotations
 
-import argparse
 import json
 from pathlib import Path
 from typing import Any
@@ -16,7 +15,11 @@ from cpam_bayes.printed.tables import identified_layups, printed_table
 from cpam_bayes.questions.paper.present import page
 from cpam_bayes.questions.paper.work import diagnosis_row
 from cpam_bayes.render.progress import Terminal
-from validation.reporting import save_results, write_sections
+from validation.reporting import (
+    save_results,
+    study_parser,
+    write_sections,
+)
 
 Results = dict[str, Any]
 
@@ -95,8 +98,7 @@ def stored() -> dict[str, Results]:
 
 def main() -> None:
     """Run the study, save the results and write the page."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="the small version; nothing is saved")
+    parser = study_parser(__doc__)
     parser.add_argument("--page", action="store_true", help="only write the page from the saved results")
     parser.add_argument(
         "--stored", action="store_true", help="only write the results that come with the package"

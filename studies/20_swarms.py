@@ -9,7 +9,6 @@ where its misfit is within 0.1 %.
 
 from __future__ import annotations
 
-import argparse
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -22,7 +21,11 @@ from scipy.stats import qmc
 
 from cpam_bayes.identification.search import MOST_SWARMS, Search, misfit, required, search
 from cpam_bayes.plate import Specimen, builtin, to_user, user_name
-from validation.reporting import save_results, with_saved
+from validation.reporting import (
+    save_results,
+    study_parser,
+    with_saved,
+)
 
 Results = dict[str, Any]
 
@@ -157,8 +160,7 @@ def line(row: Results) -> str:
 
 def main() -> None:
     """Run and save."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="the small version; nothing is saved")
+    parser = study_parser(__doc__)
     parser.add_argument("--only", nargs="+", default=(), help="names of plates")
     args = parser.parse_args()
 

@@ -11,7 +11,6 @@ part of the time that those before it left.
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import inspect
 import logging
@@ -52,7 +51,15 @@ from validation.hostile.measurements import (
     universal_modes_files,
     universal_response_files,
 )
-from validation.reporting import counted, listed, markdown_table, paragraph, save_results, write_sections
+from validation.reporting import (
+    counted,
+    listed,
+    markdown_table,
+    paragraph,
+    save_results,
+    study_parser,
+    write_sections,
+)
 
 Results = dict[str, Any]
 Content = TypeVar("Content", str, bytes)
@@ -444,8 +451,7 @@ def show(results: Results) -> None:
 
 def main() -> None:
     """Run, show, save and write the page."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="the small version; nothing is saved")
+    parser = study_parser(__doc__)
     parser.add_argument("--minutes", type=float, default=10.0, help="time for the inputs (default: 10)")
     parser.add_argument("--inputs", type=int, default=INPUTS, help=f"of a kind at most (default: {INPUTS})")
     options = parser.parse_args()

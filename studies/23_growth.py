@@ -14,7 +14,6 @@ kept.
 
 from __future__ import annotations
 
-import argparse
 import os
 import sys
 import tempfile
@@ -37,6 +36,7 @@ from validation.reporting import (
     paragraph,
     save_results,
     saved_results,
+    study_parser,
     with_saved,
     write_sections,
 )
@@ -435,8 +435,7 @@ def show(results: Results) -> None:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the study, print and save its results, and write the page."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="the small version; nothing is saved")
+    parser = study_parser(__doc__)
     parser.add_argument(
         "--only", nargs="+", default=(), choices=NAMES, metavar="NAME", help=f"of: {'; '.join(NAMES)}"
     )

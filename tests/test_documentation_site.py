@@ -14,6 +14,7 @@ import yaml
 
 import cpam_bayes as cb
 from tests.browser import open_browser
+from validation.reporting import outdated
 
 PROJECT = Path(__file__).parent.parent
 DOCS = PROJECT / "docs"
@@ -52,6 +53,14 @@ def test_the_navigation_names_every_page_once() -> None:
 def test_the_api_page_describes_every_public_name() -> None:
     described = re.findall(r"^::: cpam_bayes\.(\w+)$", (DOCS / "api.md").read_text("utf-8"), re.MULTILINE)
     assert set(cb.__all__) <= set(described)
+
+
+def test_a_page_of_the_site_names_results_of_another_state_of_the_code(site: Path) -> None:
+    for page in DOCS.glob("*.md"):
+        studies = outdated(page.read_text("utf-8"))
+        shown = (site / f"{page.stem}.html").read_text("utf-8")
+        assert ("Results of another state of the code" in shown) == bool(studies), page.name
+        assert all(f"python studies/{name}.py" in shown for name in studies)
 
 
 def test_the_site_builds_strictly_with_its_figures_and_the_api(site: Path) -> None:

@@ -47,11 +47,20 @@ def test_another_source_is_another_fingerprint(monkeypatch: pytest.MonkeyPatch, 
 def test_a_script_has_the_fingerprint_of_what_it_uses(tmp_path: Path) -> None:
     script = tmp_path / "study.py"
     script.write_text("from cpam_bayes.plate.units import to_user\n")
-    first = fingerprint_of_script(script)
+    first = fingerprint_of_script(script, cb._PUBLIC)
     script.write_text("from cpam_bayes.plate.units import to_user  # a remark\n")
-    assert fingerprint_of_script(script) == first
+    assert fingerprint_of_script(script, cb._PUBLIC) == first
     script.write_text("from cpam_bayes.plate.records import Plate\n")
-    assert fingerprint_of_script(script) != first
+    assert fingerprint_of_script(script, cb._PUBLIC) != first
+
+
+def test_a_script_that_calls_public_names_depends_on_what_answers_them(tmp_path: Path) -> None:
+    found = {}
+    for name in ("plates", "forward"):
+        script = tmp_path / f"{name}.py"
+        script.write_text(f"import cpam_bayes as cb\ncb.{name}()\n")
+        found[name] = fingerprint_of_script(script, cb._PUBLIC)
+    assert len(set(found.values())) == 2
 
 
 def test_every_document_holds_the_fingerprint_of_its_question() -> None:

@@ -9,15 +9,19 @@ from pathlib import Path
 import pytest
 
 from tests.test_studies import PROJECT, SAVED, STUDIES, script
+from validation import reporting
 from validation.reporting import (
     FIGURE,
     counted,
     figure_section,
+    fingerprint_of_study,
     in_digits,
     listed,
     markdown_table,
     marks,
+    outdated,
     pages,
+    save_results,
     sections_of_figures,
     with_error,
     with_sections,
@@ -132,3 +136,17 @@ def test_values_are_written_as_in_print() -> None:
     assert [in_digits(v) for v in (2.35e-5, 0.0014, 1.08e4, 41.0)] == ["2.3e-5", "0.0014", "1.1e4", "41"]
     assert [listed(names) for names in (["a"], ["a", "b"], ["a", "b", "c"])] == ["a", "a and b", "a, b and c"]
     assert markdown_table(("x", "y"), [("1", "2")]) == "| x | y |\n|---|---|\n| 1 | 2 |"
+
+
+def test_results_of_other_sources_are_named_until_the_study_is_run_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    name = "16_theory_error"
+    page = f"# Title\n\n<!-- {name}: plates -->\nold\n<!-- /{name} -->\n"
+    monkeypatch.setattr(reporting, "_FINGERPRINTS", tmp_path / "fingerprints.json")
+    assert outdated(page) == [name]
+    save_results(tmp_path / f"{name}.json", {"cases": []})
+    assert json.loads((tmp_path / "fingerprints.json").read_text()) == {name: fingerprint_of_study(name)}
+    assert outdated(page) == []
+    (tmp_path / "fingerprints.json").write_text(json.dumps({name: "0123456789ab"}))
+    assert outdated(page) == [name]

@@ -12,6 +12,7 @@ page is typed.
 
 from __future__ import annotations
 
+import argparse
 import json
 import re
 import textwrap
@@ -21,13 +22,56 @@ from os.path import relpath
 from pathlib import Path
 from typing import Any
 
+import cpam_bayes
+from cpam_bayes.fingerprint import fingerprint_of_script
+
 Results = dict[str, Any]
+
+STUDIES = Path(__file__).parents[1]
+_FINGERPRINTS = STUDIES / "results" / "fingerprints.json"
+
+
+def study_parser(doc: str | None) -> argparse.ArgumentParser:
+    """The command line of a study: its first line says what it is, and it has a small version."""
+    parser = argparse.ArgumentParser(description=(doc or "").splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="the small version; nothing is saved")
+    return parser
+
+
+def study_main(
+    doc: str | None, run: Callable[[bool], Results], show: Callable[[Results], None], path: Path
+) -> None:
+    """Run a study without further options, print its tables and save the results."""
+    quick = study_parser(doc).parse_args().quick
+    results = run(quick)
+    show(results)
+    if not quick:
+        save_results(path, results)
 
 
 def save_results(path: Path, results: Results) -> None:
-    """Write the results; raises ``ValueError`` for NaN or infinity, which JSON has not."""
+    """Write the results, of a study with the fingerprint of the code that computed them.
+
+    Raises ``ValueError`` for NaN or infinity, which JSON has not.
+    """
     path.parent.mkdir(exist_ok=True)
     path.write_text(json.dumps(results, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    if path.parent == _FINGERPRINTS.parent:
+        known = {**saved_results(_FINGERPRINTS), path.stem: fingerprint_of_study(path.stem)}
+        text = json.dumps(dict(sorted(known.items())), indent=1)
+        _FINGERPRINTS.write_text(text + "\n", encoding="utf-8")
+
+
+def fingerprint_of_study(name: str) -> str:
+    """That of the package's sources that a study uses today."""
+    return fingerprint_of_script(STUDIES / f"{name}.py", cpam_bayes._PUBLIC)
+
+
+def outdated(page: str) -> list[str]:
+    """Studies whose results in a page are of other sources than today's, or of unrecorded ones."""
+    known = saved_results(_FINGERPRINTS)
+    sources = {source for source, _ in marks(page) if (STUDIES / f"{source}.py").exists()}
+    return sorted(name for name in sources if known.get(name) != fingerprint_of_study(name))
 
 
 def saved_results(path: Path) -> Results:
