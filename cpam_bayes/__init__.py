@@ -14,6 +14,7 @@
     cb.report(plate)                # constants, stacking sequences and diagnosis, for one page
     cb.batch(plate, other_plate)    # many plates, one row each, with limits and a control chart
     cb.sensitivity(plate)           # the paper's noise study beside the posterior
+    cb.calibrate(plate)             # do its intervals hold the truth as often as they say?
     cb.paper(5)                     # a table of the paper beside what this package computes
 
 Every result has `summary()`, `to_dict()`, `plot()`, `save()`, `warnings` and `status`. Names are loaded
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
     from cpam_bayes.plate.reader import builtin_plates, read_plate
     from cpam_bayes.questions.batch import batch
     from cpam_bayes.questions.cache import cache
+    from cpam_bayes.questions.calibrate import calibrate
     from cpam_bayes.questions.design import design
     from cpam_bayes.questions.diagnose import diagnose
     from cpam_bayes.questions.export import export
@@ -54,6 +56,7 @@ _PUBLIC = {
     "batch": "cpam_bayes.questions.batch",
     "builtin_plates": "cpam_bayes.plate.reader",
     "cache": "cpam_bayes.questions.cache",
+    "calibrate": "cpam_bayes.questions.calibrate",
     "design": "cpam_bayes.questions.design",
     "diagnose": "cpam_bayes.questions.diagnose",
     "export": "cpam_bayes.questions.export",
@@ -79,6 +82,7 @@ __all__ = [
     "batch",
     "builtin_plates",
     "cache",
+    "calibrate",
     "design",
     "diagnose",
     "effects",

@@ -85,6 +85,17 @@ class PlateSource:
         return Nature(model, np.hypot(model.full.error, REDUCTION.tolerance))
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class NatureSource:
+    """A nature that is there already and goes to other processes as it is."""
+
+    nature: Nature
+
+    def __call__(self) -> Nature:
+        """The nature."""
+        return self.nature
+
+
 @dataclass(frozen=True, slots=True)
 class Experiment:
     """What every repetition does.
@@ -93,6 +104,7 @@ class Experiment:
     resolution : Hz.
     relative_std : of the noise, ``None`` to draw it from its prior and infer it.
     seed : of all repetitions; each depends on it and on its own number alone.
+    n_listed : lowest modes that a list has, ``None`` for all of the model.
     """
 
     source: Source
@@ -101,6 +113,7 @@ class Experiment:
     seed: int
     settings: EnsembleSettings = SETTINGS
     swarm: SwarmSettings = field(default_factory=SwarmSettings)
+    n_listed: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -194,7 +207,7 @@ def simulate(experiment: Experiment, nature: Nature, rng: np.random.Generator) -
     s = truth[-1] if experiment.relative_std is None else experiment.relative_std
     variance = (s * f) ** 2 + experiment.resolution**2 / 12 + (nature.solver_error * f) ** 2
     listed = f + np.sqrt(variance) * rng.standard_normal(len(f))
-    return truth, _measurement(experiment, listed)
+    return truth, _measurement(experiment, listed[: experiment.n_listed])
 
 
 def prior_draw(posterior: Posterior, rng: np.random.Generator) -> Array:
@@ -235,7 +248,7 @@ def nature_of(source: Source) -> Nature:
 
 def prior_of(experiment: Experiment, nature: Nature) -> Posterior:
     """A posterior with the priors of an experiment, whose list says nothing."""
-    listed = np.ones(len(nature.solver_error))
+    listed = np.ones(len(nature.solver_error))[: experiment.n_listed]
     return plate_posterior(nature.model, _measurement(experiment, listed), nature.solver_error)
 
 

@@ -37,6 +37,7 @@ COMMANDS: Final = {
     "report": "constants, stacking sequences and diagnosis on one page",
     "batch": "the constants of many plates, one row each, with limits and a control chart",
     "paper": "the paper's tables beside what this package computes",
+    "calibrate": "whether the intervals of a plate and its list hold the truth as often as they say",
     "cache": "the stored models of plates on disk",
 }
 """Command, and module of `cpam_bayes.questions` with its `COMMAND` -> what it answers."""
