@@ -313,7 +313,12 @@ def _draw_ranks(result: CalibrationResult) -> Figure:
     for panel, constant in zip(panels, result.constants, strict=False):
         panel.stairs(high, edges, baseline=low, fill=True, color="0.85")
         panel.stairs(constant.counts, edges, color="#4878a8")
-        panel.set(title=constant.name.partition("_")[0], xlim=(0.0, 1.0), ylim=(0.0, None), xlabel="rank of the truth")
+        panel.set(
+            title=constant.name.partition("_")[0],
+            xlim=(0.0, 1.0),
+            ylim=(0.0, None),
+            xlabel="rank of the truth",
+        )
     for panel in panels[len(result.constants) :]:
         panel.set_visible(False)
     return figure
