@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import csv
 import sys
-import textwrap
 import time
 import tomllib
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -179,7 +178,7 @@ def line_of(row: Results) -> str:
 
 
 def sections(results: Results) -> dict[str, str]:
-    """What docs/findings.md says of the plates, and docs/model_errors.md of C1."""
+    """What docs/findings.md says of the plates."""
     rows = {tuple(row["plates"]): row for row in results["groups"]}
     wood = tuple(spruce())
     alone = [rows[name,] for name in ALONE if (name,) in rows]
@@ -192,33 +191,7 @@ def sections(results: Results) -> dict[str, str]:
         (of_wood, [_WOOD, *_answers(of_wood), "", *_published(of_wood), "", *_stories(of_wood)]),
         (wood_together, [_WOOD_TOGETHER, *_answers(wood_together), "", *_stories(wood_together)]),
     ]
-    return {
-        "plates": "\n".join(line for of, lines in parts if of for line in lines),
-        **{row["plates"][0]: _in_short(row) for row in alone},
-    }
-
-
-def _in_short(row: Results) -> str:
-    """The answer about one plate as code, in the words of the screen."""
-    baseline = row["baseline"]
-    smallest = [d for d in row["detectable"] if d["smallest"] is not None]
-    sized = [d for d in row["detectable"] if d["probability_of_claim"] is not None]
-    unseen = [_titles()[d["cause"]] for d in sized if d["smallest"] is None]
-    lines = [
-        *textwrap.wrap(_claim(row), 100),
-        "",
-        *textwrap.wrap(
-            f"The plate model as it stands leaves a misfit of {baseline['rms_percent']:.2f} % (root mean "
-            f"square), p-value {baseline['predictive_p']:.3f}.",
-            100,
-        ),
-        "",
-        "How large an error must be to show in these frequencies, in 95 of 100 repetitions",
-        *(f"  {_titles()[d['cause']]:<50}{d['smallest']:8.3g} {d['unit']}".rstrip() for d in smallest),
-        "",
-        *textwrap.wrap(f"These causes need not show at any size: {'; '.join(unseen)}.", 100),
-    ]
-    return textwrap.indent("\n".join(lines), "    ")
+    return {"plates": "\n".join(line for of, lines in parts if of for line in lines)}
 
 
 def _claim(row: Results) -> str:
