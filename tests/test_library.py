@@ -456,7 +456,7 @@ def test_a_result_says_how_it_ended(point: PointResult, modes: ForwardResult) ->
 
 # Examples
 
-SLOW = ("diagnose", "report", "sample", "sensitivity", "sequence")
+SLOW = ("calibrate", "diagnose", "report", "sample", "sensitivity", "sequence")
 
 
 @pytest.mark.parametrize(

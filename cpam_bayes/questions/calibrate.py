@@ -133,6 +133,13 @@ def calibrate(
     ------
     ValueError
         If the plate cannot be read, or has no unknowns or no list.
+
+    Examples
+    --------
+    >>> import cpam_bayes as cb
+    >>> result = cb.calibrate("A1", 20, seed=1)
+    >>> [c.name for c in result.constants], result.constants[0].widest.level
+    (['E1_GPa', 'nu12', 'relative_std'], 0.95)
     """
     require_seed(seed)
     require_whole("n", n, 20, _MOST_LISTS)
