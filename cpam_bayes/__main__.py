@@ -13,8 +13,9 @@ for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
 
 INTERRUPTED = 130
-# Ctrl-C, a scheduler or `kill`, a terminal that is closed
-_ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+# Ctrl-C, a scheduler or `kill`, a terminal that is closed, on Windows Ctrl-Break: those that the system has
+_NAMES = ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK")
+_ENDING = tuple(signal.Signals(getattr(signal, name)) for name in _NAMES if hasattr(signal, name))
 _UNTOUCHED = (signal.SIG_DFL, signal.default_int_handler)
 _MESSAGE = "cpam-bayes: interrupted\n"
 

@@ -125,10 +125,12 @@ def sweep(directory: Path) -> None:
 
 def _is_abandoned(entry: os.DirEntry[str]) -> bool:
     status = entry.stat(follow_symlinks=False)
-    if status.st_uid != os.geteuid():
+    # Windows has no user numbers, and signal 0 would there interrupt the process: age alone decides.
+    user = getattr(os, "geteuid", None)
+    if user is not None and status.st_uid != user():
         return False
     owner = _OWNER.match(entry.name)
-    if owner is not None and owner["machine"] == _machine():
+    if user is not None and owner is not None and owner["machine"] == _machine():
         return not _is_running(int(owner["process"]))
     return time.time() - status.st_mtime > _ABANDONED_SECONDS
 
@@ -188,6 +190,7 @@ def write_sealed(path: Path, content: bytes | memoryview) -> None:
         file.write(content)
         file.flush()
         os.fsync(file.fileno())
+        file.close()  # Windows renames no open file
         put_in_place(draft, path)
     _flush_directory(path.parent)
 

@@ -15,6 +15,7 @@ import re
 import signal
 import socket
 import struct
+import sys
 import threading
 import time
 import traceback
@@ -36,6 +37,8 @@ from cpam_bayes.threads import cores, keep_to_one_core, single_blas_thread
 
 # Bytes of a buffer from which on it stands beside the pickle.
 _LARGE = 1 << 20
+# Processes that Windows lets one wait for.
+_MOST_WORKERS = 61
 # Buffers begin at multiples of this.
 _ALIGNED = 64
 _NUMBER = struct.Struct("<Q")
@@ -267,7 +270,8 @@ def start_worker(lifeline: Connection) -> None:
 
 
 def _leave_at_end_of(lifeline: Connection) -> None:
-    lifeline.poll(None)
+    with suppress(OSError):  # on Windows a closed end is an error
+        lifeline.poll(None)
     os._exit(1)
 
 
@@ -350,7 +354,7 @@ class ProcessPool(Executor):
     """Worker processes; after the death of one the next submission starts all of them anew."""
 
     def __init__(self, workers: int) -> None:
-        self.workers = workers
+        self.workers = min(workers, _MOST_WORKERS) if sys.platform == "win32" else workers
         # The workers hold the other end, and leave when this one is closed, by whatever death.
         self._reader, self._lifeline = get_context("spawn").Pipe(duplex=False)
         self._pool = self._new_pool()
@@ -369,7 +373,6 @@ class ProcessPool(Executor):
     def submit(self, fn: Callable[..., T], /, *args: Any, **kwargs: Any) -> Future[T]:
         """Hand a call to the workers."""
         # A worker inherits the mask: Ctrl-C does not reach it before it has learnt to ignore it.
-        resource_tracker.ensure_running()  # it would lift the mask
         with _interrupt_blocked():
             before = set(active_children())
             try:
@@ -400,6 +403,10 @@ class ProcessPool(Executor):
 
 @contextmanager
 def _interrupt_blocked() -> Iterator[None]:
+    if not hasattr(signal, "pthread_sigmask"):  # Windows has no masks
+        yield
+        return
+    resource_tracker.ensure_running()  # it would lift the mask
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
