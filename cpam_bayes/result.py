@@ -28,7 +28,7 @@ from cpam_bayes.running import current_limit
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["PlateResult", "Result", "present", "within_time"]
+__all__ = ["PlateResult", "Result", "document_of", "present", "within_time"]
 
 
 @singledispatch
@@ -111,9 +111,7 @@ class Result:
 
         It holds the fingerprint of the sources that the answer depends on.
         """
-        keys = dict(plain(self.report().document))
-        head = {key: keys.pop(key) for key in ("command", "version") if key in keys}
-        return {**head, "fingerprint": fingerprint(type(self).__module__), **keys}
+        return document_of(self, self.report())
 
     def to_dataframe(self, name: str | None = None) -> Any:
         """A table of the answer as a pandas data frame, in the units of the plate file.
@@ -131,11 +129,16 @@ class Result:
 
     def drawings(self) -> tuple[Drawing, ...]:
         """All drawings, one of them of the plate: the last where the report draws none itself."""
+        return self.saved_report().drawings
+
+    def saved_report(self) -> Report:
+        """The report as files hold it: the whole document and all drawings."""
         from cpam_bayes.render.plate_drawing import PLATE, plate_drawing
 
-        drawn = self.report().drawings
-        has_plate = any(drawing.name == PLATE for drawing in drawn)
-        return (*drawn, plate_drawing(self.about)) if self.about and not has_plate else drawn
+        report = self.report()
+        has_plate = any(drawing.name == PLATE for drawing in report.drawings)
+        plate = (plate_drawing(self.about),) if self.about and not has_plate else ()
+        return replace(report, document=document_of(self, report), drawings=(*report.drawings, *plate))
 
     def figures(self) -> Mapping[str, Figure]:
         """All figures by name, drawn anew."""
@@ -194,6 +197,13 @@ class Result:
         from cpam_bayes.render.page import fragment
 
         return fragment(self.report().summary)
+
+
+def document_of(result: Result, report: Report) -> dict[str, Any]:
+    """The JSON document of an answer whose report is made, with the fingerprint of its sources."""
+    keys = dict(plain(report.document))
+    head = {key: keys.pop(key) for key in ("command", "version") if key in keys}
+    return {**head, "fingerprint": fingerprint(type(result).__module__), **keys}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)

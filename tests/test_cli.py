@@ -657,12 +657,10 @@ def test_lost_workers_end_a_command_with_one_message_and_1(run, monkeypatch) -> 
 
 
 def test_the_answer_is_kept_and_shown_where_a_figure_fails(run, plate_file, tmp_path, monkeypatch):
-    from cpam_bayes.questions.forward import ForwardResult
-
-    def fails(result):
+    def fails(figures, directory):
         raise ValueError("drawn in vain")
 
-    monkeypatch.setattr(ForwardResult, "drawings", fails)
+    monkeypatch.setattr("cpam_bayes.render.figures.save_figures", fails)
     status, out, err = run("forward", plate_file(), "--modes", "2", "--out", tmp_path / "out", "--quiet")
     assert status == 1
     assert "natural frequencies" in out

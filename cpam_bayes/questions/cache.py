@@ -10,7 +10,7 @@ from cpam_bayes import __version__
 from cpam_bayes.command import Command, option
 from cpam_bayes.errors import checked
 from cpam_bayes.render.report import Report, Summary
-from cpam_bayes.result import Result
+from cpam_bayes.result import Result, present
 from cpam_bayes.storage import (
     DIRECTORY_VARIABLE,
     LIMIT_VARIABLE,
@@ -34,10 +34,6 @@ class CacheResult(Result):
     content: CacheContent
     removed: CacheContent
     limit: int
-
-    def report(self) -> Report:
-        """Number and size of the stored models, their place and their limit."""
-        return present(self)
 
 
 @checked
@@ -71,7 +67,8 @@ def cache(*, clear: bool = False) -> CacheResult:
     return CacheResult(seed=0, directory=directory, content=left, removed=removed, limit=limit)
 
 
-def present(result: CacheResult) -> Report:
+@present.register
+def _present(result: CacheResult) -> Report:
     """Number and size of the stored models, their place and their limit."""
     removed = f"{_text(result.removed)} removed; " if result.removed.files else ""
     return Report(

@@ -48,7 +48,7 @@ from cpam_bayes.render.report import (
     facts,
 )
 from cpam_bayes.render.sentences import plate_argument
-from cpam_bayes.result import PlateResult, within_time
+from cpam_bayes.result import PlateResult, present, within_time
 from cpam_bayes.running import SILENT, Watch
 
 if TYPE_CHECKING:
@@ -98,10 +98,6 @@ class CalibrationResult(PlateResult):
     repetitions: tuple[Repetition, ...]
     constants: tuple[CalibratedConstant, ...]
     band: tuple[tuple[int, int], ...]
-
-    def report(self) -> Report:
-        """How often intervals hold the truth."""
-        return present(self)
 
 
 @checked
@@ -231,7 +227,8 @@ _COLUMNS: Final = (
 )
 
 
-def present(result: CalibrationResult) -> Report:
+@present.register
+def _present(result: CalibrationResult) -> Report:
     """How often intervals hold the truth, and the ranks."""
     rows = Rows("calibration", _COLUMNS, result.constants, lambda c: c.p_value < _DOUBTFUL)
     n = len(result.repetitions)

@@ -57,7 +57,7 @@ from cpam_bayes.render.report import (
     facts,
 )
 from cpam_bayes.render.sentences import plate_argument
-from cpam_bayes.result import PlateResult
+from cpam_bayes.result import PlateResult, present
 from cpam_bayes.running import SILENT, Watch
 
 if TYPE_CHECKING:
@@ -106,10 +106,6 @@ class DesignResult(PlateResult):
     needed_std: float | None
     failed: tuple[tuple[Geometry, str], ...]
     seconds: float
-
-    def report(self) -> Report:
-        """The best specimens, the plate as it is beside them, and what the ranking assumes."""
-        return present(self)
 
     @property
     def present(self) -> Candidate | None:
@@ -319,7 +315,8 @@ _FAILED: Final = (
 )
 
 
-def present(result: DesignResult) -> Report:
+@present.register
+def _present(result: DesignResult) -> Report:
     """The best specimens, the plate as it is beside them, and what the ranking assumes."""
     every, best = _rows(result, result.candidates), result.candidates[0]
     shown = list(result.candidates[:_SHOWN])

@@ -37,7 +37,7 @@ from cpam_bayes.render.documents import plate_keys
 from cpam_bayes.render.plate import plate_section
 from cpam_bayes.render.report import Column, Report, Rows, Section, Summary, Table, facts
 from cpam_bayes.render.sentences import plate_argument
-from cpam_bayes.result import PlateResult
+from cpam_bayes.result import PlateResult, present
 from cpam_bayes.storage import draft_directory, put_in_place, replaceable
 from cpam_bayes.threads import single_blas_thread
 
@@ -176,10 +176,6 @@ class ExportResult(PlateResult):
     n_modes: int
     deck: Deck
 
-    def report(self) -> Report:
-        """The file, what it holds, and the next step."""
-        return present_deck(self)
-
     @property
     def n_elements(self) -> int:
         """Elements of the plate, known masses not counted."""
@@ -200,10 +196,6 @@ class UniversalResult(PlateResult):
 
     path: Path
     shapes: UniversalShapes
-
-    def report(self) -> Report:
-        """The file, what it holds, and the next step."""
-        return present_universal(self)
 
 
 @checked
@@ -341,7 +333,8 @@ def _report(
     )
 
 
-def present_deck(result: ExportResult) -> Report:
+@present.register
+def _present_deck(result: ExportResult) -> Report:
     """An input deck, its mesh, and how CalculiX solves it."""
     n_rigid, n_nodes = result.deck.n_rigid, len(result.deck.mesh.nodes)
     rigid = f" after {n_rigid} rigid-body motions" if n_rigid else ""
@@ -380,7 +373,8 @@ _MODES: Final = (
 )
 
 
-def present_universal(result: UniversalResult) -> Report:
+@present.register
+def _present_universal(result: UniversalResult) -> Report:
     """A universal file, its modes and nodes, and what it is for."""
     shapes = result.shapes
     where = "nodes of the measured shapes" if shapes.measured else "nodes of a grid"

@@ -71,7 +71,7 @@ from cpam_bayes.render.report import (
     modes_caption,
 )
 from cpam_bayes.render.sentences import plate_argument
-from cpam_bayes.result import PlateResult
+from cpam_bayes.result import PlateResult, present
 from cpam_bayes.running import SILENT, Watch
 
 if TYPE_CHECKING:
@@ -120,10 +120,6 @@ class ForwardResult(PlateResult):
     no_estimate: str = ""
     extent: tuple[tuple[float, float], tuple[float, float]] | None = None
     by_shape: ShapePairing | None = None
-
-    def report(self) -> Report:
-        """The frequencies, how exact they are, and how far they are from the measured ones."""
-        return present(self)
 
     @property
     def frequencies(self) -> Array:
@@ -355,7 +351,8 @@ _CONSTANTS: Final = (
 )
 
 
-def present(result: ForwardResult) -> Report:
+@present.register
+def _present(result: ForwardResult) -> Report:
     """The frequencies, how exact they are, and how far they are from the measured ones."""
     specimen, by_shape = result.specimen, result.by_shape
     measured = measured_of_modes(specimen, result.modes, by_shape)

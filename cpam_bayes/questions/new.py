@@ -22,7 +22,7 @@ from cpam_bayes.forward_model.preconditions import require_choice
 from cpam_bayes.plate.edges import ALL_FREE, EDGE_KEY, PLACES
 from cpam_bayes.plate.reader import parse_specimen
 from cpam_bayes.render.report import Report, Summary, remarks
-from cpam_bayes.result import Result
+from cpam_bayes.result import Result, present
 from cpam_bayes.storage import draft_directory, put_in_place, replaceable
 
 __all__ = ["MATERIALS", "QUESTIONS", "NewPlateResult", "Question", "TypicalMaterial", "new"]
@@ -202,10 +202,6 @@ class NewPlateResult(Result):
     text: str
     missing: tuple[str, ...]
 
-    def report(self) -> Report:
-        """The file and what it lacks."""
-        return present(self)
-
 
 @checked
 def new(
@@ -314,7 +310,8 @@ def _without_place(problem: str) -> str:
     return problem.partition(": ")[2]
 
 
-def present(result: NewPlateResult) -> Report:
+@present.register
+def _present(result: NewPlateResult) -> Report:
     """The file, what it lacks, and how it is read."""
     many = len(result.missing)
     lacks = f"it lacks {many} entr{'y' if many == 1 else 'ies'}" if many else "it can be read as it is"

@@ -11,7 +11,7 @@ from cpam_bayes.plate import Specimen, builtin_plates, to_user, user_name
 from cpam_bayes.plate.edges import EDGE_KEY, PLACES
 from cpam_bayes.render.plate import THIN, layup_text, size_text, thickness_class, thickness_ratio
 from cpam_bayes.render.report import Column, Report, Rows, Summary
-from cpam_bayes.result import Result
+from cpam_bayes.result import Result, present
 
 __all__ = ["BuiltinPlates", "plates"]
 
@@ -23,10 +23,6 @@ class BuiltinPlates(Result):
     command: ClassVar[str] = "plates"
 
     specimens: tuple[Specimen, ...]
-
-    def report(self) -> Report:
-        """One row for each specimen."""
-        return present(self)
 
 
 def plates() -> BuiltinPlates:
@@ -67,7 +63,8 @@ _COLUMNS: Final = (
 )
 
 
-def present(result: BuiltinPlates) -> Report:
+@present.register
+def _present(result: BuiltinPlates) -> Report:
     """One row for each specimen."""
     rows = Rows("plates", _COLUMNS, result.specimens)
     return Report(

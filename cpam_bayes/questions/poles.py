@@ -39,7 +39,7 @@ from cpam_bayes.render.report import (
     Summary,
     facts,
 )
-from cpam_bayes.result import Result
+from cpam_bayes.result import Result, present
 from cpam_bayes.running import SILENT, Watch
 from cpam_bayes.threads import single_blas_thread
 
@@ -99,10 +99,6 @@ class PolesResult(Result):
     def title(self) -> str:
         """The files."""
         return " ".join(Path(name).name for name in self.files[:3]) + (" ..." if len(self.files) > 3 else "")
-
-    def report(self) -> Report:
-        """The modes with their standard deviations, and the stability diagram."""
-        return present(self)
 
     @property
     def table(self) -> str:
@@ -262,7 +258,8 @@ def _damping(mode: Pole) -> tuple[str, str]:
     return with_spread(100.0 * mode.damping, 100.0 * mode.damping_sd)
 
 
-def present(result: PolesResult) -> Report:
+@present.register
+def _present(result: PolesResult) -> Report:
     """The modes with their standard deviations, how they were found, and the stability diagram."""
     found, modes = result.stabilisation, Rows("modes", _COLUMNS, tuple(enumerate(result.modes, 1)))
     computed = (

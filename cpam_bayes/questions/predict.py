@@ -49,7 +49,7 @@ from cpam_bayes.render.report import (
     modes_caption,
 )
 from cpam_bayes.render.sentences import further_steps, plate_argument
-from cpam_bayes.result import PlateResult
+from cpam_bayes.result import PlateResult, present
 from cpam_bayes.running import SILENT, Watch
 from cpam_bayes.threads import single_blas_thread
 
@@ -113,10 +113,6 @@ class PredictionResult(PlateResult):
     error: Array
     sizes_of_posterior: bool
     seconds: float
-
-    def report(self) -> Report:
-        """The frequencies with their intervals, beside the measured ones where there are some."""
-        return present(self)
 
 
 @checked
@@ -331,7 +327,8 @@ _CONSTANTS: Final = (
 )
 
 
-def present(result: PredictionResult) -> Report:
+@present.register
+def _present(result: PredictionResult) -> Report:
     """The frequencies with their intervals, beside the measured ones where there are some."""
     specimen, stored = result.specimen, result.posterior
     measured = measured_of_modes(specimen, [m.mode for m in result.modes])

@@ -22,7 +22,7 @@ from cpam_bayes.render.documents import json_text, plate_keys
 from cpam_bayes.render.notices import sentences
 from cpam_bayes.render.report import COMPUTATION, Drawing, Report, Rows, Section, Summary, remarks
 from cpam_bayes.render.sentences import plate_argument
-from cpam_bayes.result import PlateResult, Result, within_time
+from cpam_bayes.result import PlateResult, Result, document_of, present, within_time
 from cpam_bayes.running import SILENT, Watch
 
 __all__ = ["FullReport", "report"]
@@ -51,10 +51,6 @@ class FullReport(PlateResult):
     stacking: StackingResult | None
     quick: bool
     seconds: float
-
-    def report(self) -> Report:
-        """The diagnosis with its constants, the stacking sequences, and what the frequencies alone say."""
-        return present(self)
 
     @property
     def status(self) -> str:
@@ -207,12 +203,17 @@ _HOLDS: Final = (
 )
 
 
-def present(result: FullReport) -> Report:
+@present.register
+def _present(result: FullReport) -> Report:
     """One answer: the diagnosis with its constants, and the stacking sequences where angles are unknown.
 
     The constants of the identification, which allow for no error of the plate model, are folded away.
     """
     parts = {part.command: part.report() for part in result.parts}
+
+    def document(part: Result) -> Mapping[str, Any]:
+        return document_of(part, parts[part.command])
+
     alone = result.identification.command
     answers = {name: shown for name, shown in parts.items() if name != alone}
     main = parts[result.diagnosis.command]
@@ -231,9 +232,9 @@ def present(result: FullReport) -> Report:
             **plate_keys(result.command, result.seed, result.specimen),
             "quick": result.quick,
             "status": result.status,
-            "identification": result.identification.to_dict(),
-            "stacking": None if result.stacking is None else result.stacking.to_dict(),
-            "diagnosis": result.diagnosis.to_dict(),
+            "identification": document(result.identification),
+            "stacking": None if result.stacking is None else document(result.stacking),
+            "diagnosis": document(result.diagnosis),
             "seconds": result.seconds,
             "warnings": list(result.warnings),
             "notes": list(result.specimen.notes),

@@ -68,7 +68,7 @@ from cpam_bayes.render.report import (
     remarks,
 )
 from cpam_bayes.render.sentences import plate_argument
-from cpam_bayes.result import PlateResult, within_time
+from cpam_bayes.result import PlateResult, present, within_time
 from cpam_bayes.running import SILENT, Watch
 
 if TYPE_CHECKING:
@@ -94,10 +94,6 @@ class SensitivityResult(PlateResult):
 
     study: Sensitivity
     table: PerturbationTable | None
-
-    def report(self) -> Report:
-        """The spread of each constant at each level, by repetition and by one posterior."""
-        return present(self)
 
     @property
     def status(self) -> str:
@@ -234,7 +230,8 @@ def _rows(result: SensitivityResult, cell: Cell) -> tuple[ComparedRow, ...]:
     return tuple(ComparedRow(study, cell, i, result.table) for i in range(len(study.without_noise.constants)))
 
 
-def present(result: SensitivityResult) -> Report:
+@present.register
+def _present(result: SensitivityResult) -> Report:
     """The spread of each constant at each level, by repetition and by one posterior."""
     study = result.study
     by_cell = [_rows(result, cell) for cell in study.cells]

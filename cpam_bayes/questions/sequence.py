@@ -65,7 +65,7 @@ from cpam_bayes.render.stacking import (
     outer_and_inner,
     same_bending,
 )
-from cpam_bayes.result import PlateResult, within_time
+from cpam_bayes.result import PlateResult, present, within_time
 from cpam_bayes.running import SILENT, Watch, time_limit
 from cpam_bayes.stacking.notices import stacking_notices
 from cpam_bayes.stacking.posterior import (
@@ -117,10 +117,6 @@ class StackingResult(PlateResult):
     explained: bool
     reliances: tuple[Reliance, ...]
     top: int
-
-    def report(self) -> Report:
-        """The most probable stacking sequences, and the constants over all of them."""
-        return present(self)
 
     @property
     def has_draws(self) -> bool:
@@ -299,7 +295,8 @@ _LISTED: Final = 30
 _SURE: Final = 0.95
 
 
-def present(result: StackingResult) -> Report:
+@present.register
+def _present(result: StackingResult) -> Report:
     """The most probable stacking sequences, and the constants over all of them."""
     answer, mixture, given = result.answer, result.mixture, result.given
     every = tuple(ListedSequence(answer, mixture, i) for i in range(min(result.top, len(answer.top))))

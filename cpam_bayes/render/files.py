@@ -11,7 +11,7 @@ from typing import Any, ClassVar, Protocol
 from cpam_bayes.plate import Specimen
 from cpam_bayes.render.documents import json_text
 from cpam_bayes.render.page import PAGE, command_of, write_page
-from cpam_bayes.render.report import Drawing, Report
+from cpam_bayes.render.report import Report
 from cpam_bayes.storage import draft_directory, put_in_place
 
 __all__ = ["Stage", "save", "staging"]
@@ -39,9 +39,7 @@ class Answer(Protocol):
 
     @property
     def has_draws(self) -> bool: ...
-    def report(self) -> Report: ...
-    def drawings(self) -> tuple[Drawing, ...]: ...
-    def to_dict(self) -> dict[str, Any]: ...
+    def saved_report(self) -> Report: ...
     def to_arviz(self) -> Any: ...
     def texts(self) -> Mapping[str, str]: ...
     def datasets(self) -> Mapping[str, Any]: ...
@@ -74,8 +72,8 @@ def save(result: Answer, stage: Stage | None) -> tuple[str, ...]:
         return ()
     directory, draft = stage
     # What took longest goes to its place first: whatever fails after it, it is there.
-    document = result.to_dict()
-    (draft / f"{result.command}.json").write_text(json_text(document), encoding="utf-8")
+    report = result.saved_report()
+    (draft / f"{result.command}.json").write_text(json_text(report.document), encoding="utf-8")
     _moved(draft, directory)
     for name, text in result.texts().items():
         (draft / name).write_text(text, encoding="utf-8")
@@ -83,15 +81,12 @@ def save(result: Answer, stage: Stage | None) -> tuple[str, ...]:
         dataset.to_netcdf(draft / name, engine="h5netcdf")
     notes = _draws_written(result, draft, directory) if result.has_draws else ()
     _moved(draft, directory)
-    drawings = result.drawings()
-    if drawings:
+    if report.drawings:
         from cpam_bayes.render.figures import save_figures
 
         (draft / _FIGURES).mkdir()
-        save_figures({d.name: d.draw() for d in drawings}, draft / _FIGURES)
-    write_page(
-        result.report(), document, drawings, draft, result.command, result.title, result.seed, result.about
-    )
+        save_figures({d.name: d.draw() for d in report.drawings}, draft / _FIGURES)
+    write_page(report, draft, result.command, result.title, result.seed, result.about)
     notes += _other_kept(directory / PAGE, "page.html", result.command, command_of)
     _moved(draft, directory)
     return notes

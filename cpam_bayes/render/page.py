@@ -26,7 +26,6 @@ from cpam_bayes.render.documents import json_text
 from cpam_bayes.render.report import (
     COMPUTATION,
     Caption,
-    Drawing,
     Report,
     Section,
     Summary,
@@ -105,8 +104,6 @@ class Image:
 
 def write_page(
     report: Report,
-    document: Mapping[str, Any],
-    drawings: Sequence[Drawing],
     directory: Path,
     command: str,
     title: str,
@@ -115,9 +112,10 @@ def write_page(
 ) -> None:
     """Write the page with the figures that lie in the directory's ``figures``.
 
-    document : the JSON document that is saved beside the page
+    report : with the JSON document that is saved beside the page, and all drawings
     about : the plates that were asked about
     """
+    document, drawings = report.document, report.drawings
     images = {d.name: _image(directory / "figures" / d.name, d.caption) for d in drawings}
     terms = terms_section(_words(report, [d.caption for d in drawings]))
     text = page_text(

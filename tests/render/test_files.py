@@ -3,12 +3,14 @@
 import errno
 import json
 import os
+from dataclasses import replace
 
 import pytest
 
-from cpam_bayes.questions.plates import plates
+from cpam_bayes.questions.plates import BuiltinPlates, plates
 from cpam_bayes.render.files import save, staging
 from cpam_bayes.render.page import PAGE, command_of
+from cpam_bayes.render.report import Caption, Drawing
 
 RESULT = plates()
 
@@ -32,6 +34,18 @@ def test_an_older_result_is_replaced_and_other_files_stay(tmp_path):
         save(RESULT, stage)
     assert listed(tmp_path) == ["notes.txt", "plates.json", "report.html"]
     assert json.loads((tmp_path / "plates.json").read_text()) == RESULT.to_dict()
+
+
+def test_a_saved_answer_is_presented_once(tmp_path):
+    made = []
+
+    class Counted(BuiltinPlates):
+        def report(self):
+            made.append(self)
+            return super().report()
+
+    Counted(seed=0, specimens=RESULT.specimens).save(tmp_path)
+    assert len(made) == 1
 
 
 def test_two_runs_into_one_directory_leave_whole_files_of_the_last_and_no_drafts(tmp_path, forward_result):
@@ -112,10 +126,11 @@ def test_a_directory_that_is_read_only_is_refused_before_the_work(number, tmp_pa
 
 
 def test_what_was_computed_is_there_when_a_figure_cannot_be_drawn(tmp_path, monkeypatch):
-    def fails(result):
+    def fails():
         raise ValueError("no such figure")
 
-    monkeypatch.setattr(type(RESULT), "drawings", fails)
+    report = replace(RESULT.saved_report(), drawings=(Drawing("broken", fails, Caption("", "")),))
+    monkeypatch.setattr(type(RESULT), "saved_report", lambda result: report)
     with pytest.raises(ValueError, match="no such figure"), staging(str(tmp_path)) as stage:
         save(RESULT, stage)
     assert listed(tmp_path) == ["plates.json"]

@@ -73,7 +73,7 @@ from cpam_bayes.render.sentences import (
     plate_argument,
     reliance_sentences,
 )
-from cpam_bayes.result import PlateResult, within_time
+from cpam_bayes.result import PlateResult, present, within_time
 from cpam_bayes.running import SILENT, Watch
 
 if TYPE_CHECKING:
@@ -103,10 +103,6 @@ class PointResult(PlateResult):
     estimate: PointEstimate
     residuals: Residual
     angles: AngleSearchResult | None = None
-
-    def report(self) -> Report:
-        """The constants, how well the model fits, what the intervals contain, and what to do next."""
-        return present(self)
 
     @property
     def status(self) -> str:
@@ -270,7 +266,8 @@ _MISFIT: Final = {
 _ROUNDING: Final = 1e-9
 
 
-def present(result: PointResult) -> Report:
+@present.register
+def _present(result: PointResult) -> Report:
     """The constants, how well the model fits, what the intervals contain, and what to do next."""
     estimate, specimen = result.estimate, result.specimen
     constants, plate = estimate.constants, specimen.plate

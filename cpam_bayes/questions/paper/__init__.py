@@ -29,7 +29,7 @@ from cpam_bayes.printed.tables import (
     percentage_checks,
     printed_table,
 )
-from cpam_bayes.questions.paper.present import page, present, row_table
+from cpam_bayes.questions.paper.present import page, report_of, row_table
 from cpam_bayes.questions.paper.rows import (
     BUILT_IN,
     FOUR,
@@ -67,7 +67,7 @@ from cpam_bayes.questions.paper.work import (
 )
 from cpam_bayes.render.documents import csv_text, plain
 from cpam_bayes.render.report import Report
-from cpam_bayes.result import Result
+from cpam_bayes.result import Result, present
 from cpam_bayes.running import SILENT, TimeIsUpError, Watch
 from cpam_bayes.storage import cache_directory
 
@@ -132,14 +132,16 @@ class PaperResult(Result):
         """The table, where one was asked for."""
         return f"{self.numbers[0]}" if len(self.numbers) == 1 else ""
 
-    def report(self) -> Report:
-        """The rows, the verdicts, and the largest disagreements."""
-        return present(_document(self), self.slips, self.cautions)
-
     def texts(self) -> Mapping[str, str]:
         """The rows as a CSV file, and the page as Markdown."""
         document = _document(self)
         return {"paper.csv": csv_text(row_table(document)), "comparison.md": page(plain(document))}
+
+
+@present.register
+def _present(result: PaperResult) -> Report:
+    """The rows, the verdicts, and the largest disagreements."""
+    return report_of(_document(result), result.slips, result.cautions)
 
 
 @checked

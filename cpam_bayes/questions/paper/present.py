@@ -40,7 +40,7 @@ from cpam_bayes.render.report import (
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["page", "present", "row_table"]
+__all__ = ["page", "report_of", "row_table"]
 
 Record = Mapping[str, Any]
 """A row of the JSON document."""
@@ -231,7 +231,7 @@ def _wrong_percentages(document: Record) -> Rows:
     return Rows("percentages", _PERCENTAGES, tuple(wrong))
 
 
-def present(document: Record, slips: tuple[str, ...], cautions: tuple[str, ...]) -> Report:
+def report_of(document: Record, slips: tuple[str, ...], cautions: tuple[str, ...]) -> Report:
     """The rows of a table or the verdicts on all, then the audit of the print."""
     numbers = [t["table"] for t in document["tables"]]
     tables, misfits = (
