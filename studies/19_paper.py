@@ -1,4 +1,4 @@
-"""The paper's fourteen tables beside what this package computes; writes docs/comparison.md.
+"""The paper's fourteen tables beside what this package computes; writes docs/comparison.md and its rows.
 
 python studies/19_paper.py [--quick] [--page] [--stored] [--workers N] [--executor SPEC]
 """
@@ -12,8 +12,9 @@ from typing import Any
 import cpam_bayes as cb
 from cpam_bayes.command import add_executor_options
 from cpam_bayes.printed.tables import identified_layups, printed_table
-from cpam_bayes.questions.paper.present import page
+from cpam_bayes.questions.paper.present import page, row_table
 from cpam_bayes.questions.paper.work import diagnosis_row
+from cpam_bayes.render.documents import csv_text
 from cpam_bayes.render.progress import Terminal
 from validation.reporting import (
     save_results,
@@ -47,6 +48,11 @@ def run(quick: bool, executor: str | None = "serial", workers: int | None = None
 def sections(results: Results) -> dict[str, str]:
     """The content of docs/comparison.md."""
     return {"tables": page(results["paper"])}
+
+
+def rows_file(results: Results) -> str:
+    """The content of docs/comparison.csv."""
+    return csv_text(row_table(results["paper"]))
 
 
 def stored() -> dict[str, Results]:
@@ -115,7 +121,9 @@ def main() -> None:
             print(page(results["paper"]))
             return
         save_results(RESULTS, results)
-    write_sections(FOLDER.parent, RESULTS.stem, sections(json.loads(RESULTS.read_text("utf-8"))))
+    saved = json.loads(RESULTS.read_text("utf-8"))
+    write_sections(FOLDER.parent, RESULTS.stem, sections(saved))
+    (FOLDER.parent / "docs" / "comparison.csv").write_text(rows_file(saved), encoding="utf-8", newline="")
 
 
 if __name__ == "__main__":

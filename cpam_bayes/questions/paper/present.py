@@ -21,6 +21,7 @@ from cpam_bayes.questions.paper.rows import (
     MISPRINTED,
     NOT_REPRODUCIBLE,
     TWO,
+    UNTOLD,
     VERDICTS,
     WITHIN,
 )
@@ -96,7 +97,19 @@ _VALUES: Final = (
     _of("q975"),
     _shown("95 % interval", _interval),
 )
-_ROWS: Final = (*_VALUES, _of("verdict", "verdict"))
+
+
+def _detail(key: str, row: Record) -> float | None:
+    found: float | None = row["details"].get(key)
+    return found
+
+
+_SOLVERS: Final = ("ritz_hz", "fem_hz", "calculix_hz")
+_ROWS: Final = (
+    *_VALUES,
+    *(Column(None, key, partial(_detail, key)) for key in _SOLVERS),
+    _of("verdict", "verdict"),
+)
 _BRIEF: Final = (*_VALUES, _of("verdict_kind", "verdict"))
 
 
@@ -113,10 +126,6 @@ def _rows_of(document: Record, number: int, columns: tuple[Column, ...] = _ROWS)
     """The rows of a table that were computed."""
     rows = (row for row in document["rows"] if row["table"] == number and row["verdict"] != INPUT)
     return Rows("rows", columns, tuple(rows), _is_disputed)
-
-
-def _detail(key: str, row: Record) -> Any:
-    return row["details"][key]
 
 
 def _count(of: str, kind: str) -> Column:
@@ -179,17 +188,6 @@ _PERCENTAGES: Final = (
     _of("recomputed_percent", "recomputed %", "{:.1f}".format, number=True),
     _of("possible_percent", "possible %", lambda ends: " to ".join(f"{v:.1f}" for v in ends)),
     _of("agreement"),
-)
-_SOLVERS: Final = (
-    _of("table", "table", number=True),
-    _of("specimen", "plate"),
-    _shown("mode", lambda r: r["quantity"].removeprefix("f").removesuffix("_hz")),
-    _shown("ABAQUS, printed", itemgetter("printed_text"), number=True),
-    *(
-        Column(heading, None, partial(_detail, key), partial(significant, digits=6), True)
-        for heading, key in (("Ritz", "ritz_hz"), ("elements", "fem_hz"), ("CalculiX", "calculix_hz"))
-    ),
-    _of("difference_percent", "printed less Ritz %", _ONE_DECIMAL, number=True),
 )
 _COMPUTED: Final = (
     _shown("what", lambda r: r[0]),
@@ -282,7 +280,10 @@ def report_of(document: Record, slips: tuple[str, ...], cautions: tuple[str, ...
                 (
                     _wrong_percentages(document).table("Percentages that cannot follow from their rows"),
                     remarks("Misprints and contradictions", document["audit"]["misprints"]),
-                    remarks("What means of ten can show", filter(None, [document["audit"]["means_of_ten"]])),
+                    remarks(
+                        "What means of ten can show",
+                        filter(None, (document["audit"][key] for key in ("means_of_ten", "angles"))),
+                    ),
                 ),
             ),
             Section(COMPUTATION, (_computed(document).table("Computations"), costs.table("Forward solves"))),
@@ -313,9 +314,10 @@ def _headline(document: Record) -> str:
     if not computed:
         return f"{of} holds inputs only: {counts[INPUT]} printed values, nothing to be computed."
     within = f", {counts[WITHIN]} lie within the 95 % interval or set" if counts[WITHIN] else ""
+    untold = f", {counts[UNTOLD]} cannot be told apart" if counts[UNTOLD] else ""
     return (
-        f"{counts[AGREES]} of {computed} printed values of {of} agree{within}, {counts[NOT_REPRODUCIBLE]} "
-        "are not reproducible."
+        f"{counts[AGREES]} of {computed} printed values of {of} agree{within}{untold}, "
+        f"{counts[NOT_REPRODUCIBLE]} are not reproducible."
     )
 
 
@@ -323,7 +325,7 @@ def _computed(document: Record) -> Rows:
     return Rows("computed", _COMPUTED, tuple(document["computed"].items()))
 
 
-_COLOURS: Final = {AGREES: "#4878a8", WITHIN: "#8a8a8a", NOT_REPRODUCIBLE: "#c1440e"}
+_COLOURS: Final = {AGREES: "#4878a8", WITHIN: "#8a8a8a", UNTOLD: "#c9b458", NOT_REPRODUCIBLE: "#c1440e"}
 
 
 def _drawings(document: Record) -> tuple[Drawing, ...]:
@@ -413,7 +415,7 @@ def _draw_misfits(misfits: list[Record]) -> Figure:
 
 
 def page(document: Record) -> str:
-    """The page docs/comparison.md of the document of `cpam-bayes paper --json`."""
+    """The page docs/comparison.md, of the document of `cpam-bayes paper --json`; rows are in a file beside."""
     return "\n".join(_lines(document)).rstrip() + "\n"
 
 
@@ -422,23 +424,28 @@ def _lines(document: Record) -> Iterator[str]:
     yield from (
         "# The paper's tables, reproduced and audited",
         "",
-        "This page is written by `python studies/19_paper.py` from `studies/results/19_paper.json`, the "
-        f"document of `cpam-bayes paper --json` (version {document['version']}, seed {document['seed']}); a "
-        "test holds the two together. Tables are those of Masoumi and Ghasemi Ghalebahman (2017).",
+        "Written by `python studies/19_paper.py`. Tables are of Masoumi and Ghasemi Ghalebahman (2017). "
+        f"All {len(document['rows'])} printed values stand beside the computed ones in "
+        "[comparison.csv](comparison.csv), a table of them is shown by `cpam-bayes paper N`.",
         "",
         "## The most important disagreements",
         "",
         *(f"{i}. {text}" for i, text in enumerate(document["disagreements"], 1)),
         "",
+    )
+    yield from _simulation_lines(document["simulation"])
+    yield from (
         "## Verdicts",
         "",
-        "A frequency agrees up to 0.5 % or half a unit of its last digit, an identified constant up to 1 %, "
-        "a mean of ten up to two standard errors of the difference of two such means. *Within the "
-        "posterior*: in the 95 % interval, or the 95 % set of stacking sequences. *Input*: printed data that "
-        "are computed from, or references.",
+        "*Agrees*: a frequency to 0.5 % or half a unit of its last digit, an identified constant to 1 %, a "
+        "mean of ten to two standard errors of the difference of two such means and to 5 %. *Cannot be told "
+        "apart*: within the standard errors, but more than 5 % apart. *Within the posterior*: in the 95 % "
+        "interval, or the 95 % set of stacking sequences. *Input*: printed data that are computed from, or "
+        "references.",
         "",
     )
     yield from _markdown(Rows("tables", _TABLES, tuple(document["tables"])))
+    yield from _noise_lines(document)
     agreements = [p["agreement"] for p in audit["percentages"]]
     follows, before, never = (agreements.count(kind) for kind in AGREEMENTS)
     yield from (
@@ -450,10 +457,8 @@ def _lines(document: Record) -> Iterator[str]:
     )
     yield from _markdown(_wrong_percentages(document))
     yield from (f"- {note}" for note in audit["misprints"])
-    yield ""
-    if audit["means_of_ten"]:
-        yield from ("## What means of ten can show", "", audit["means_of_ten"], "")
     yield from (
+        "",
         "## Printed constants against their own frequencies",
         "",
         "F is eq. (7), in Hz², of the plate with the printed constants and layup, by forward solves only; "
@@ -463,24 +468,52 @@ def _lines(document: Record) -> Iterator[str]:
     )
     yield from _markdown(Rows("misfits", _MISFITS, tuple(audit["misfits"])))
     yield from _hadamard_lines(document["hadamard"])
-    yield from _simulation_lines(document["simulation"])
-    yield from _solver_lines(document["rows"])
-    for table in document["tables"]:
-        rows = _rows_of(document, table["table"])
-        if rows.rows:
-            yield from (f"## Table {table['table']}: {table['title']}", "")
-            yield from _markdown(rows)
-    yield from ("## Computations", "")
-    yield from _markdown(_computed(document))
-    if document["costs"]:
-        yield from (
-            "Forward solves of the optimum, the single swarms and the posterior of a plate, with their wall "
-            "time, and what as many runs of CalculiX with 20-node bricks would take one after another, at "
-            "the seconds of one run:",
-            "",
-        )
-        yield from _markdown(Rows("costs", _COSTS, tuple(document["costs"])))
+    yield from _cost_lines(document)
     yield from (f"- Warning: {text}" for text in document["warnings"])
+
+
+def _noise_lines(document: Record) -> Iterator[str]:
+    """What the tables of disorder show, and their angles beside the print."""
+    texts = [text for key in ("means_of_ten", "angles") if (text := document["audit"][key])]
+    if not texts:
+        return
+    yield from ("## What means of ten can show", "", " ".join(texts), "")
+    angles = (row for row in document["rows"] if row["details"].get("spread_1_deg") is not None)
+    rows = Rows("angles", _ANGLES, tuple(angles))
+    if rows.rows:
+        yield from _markdown(rows)
+
+
+def _spreads(row: Record) -> str:
+    return ", ".join(f"{v:.0f}" for k, v in row["details"].items() if k.startswith("spread_"))
+
+
+_ANGLES: Final = (
+    _of("table", "table", number=True),
+    _of("specimen", "plate"),
+    _of("source", "noise"),
+    _of("printed_text", "printed, degrees"),
+    _shown("mean of ten, ours", lambda r: f"[{', '.join(significant(round(a), 2) for a in r['ours'])}]"),
+    _shown("scatter by ply", _spreads),
+    _shown("ended there", lambda r: f"{r['details']['found']:.0f} of 10"),
+    _of("verdict_kind", "verdict"),
+)
+
+
+def _cost_lines(document: Record) -> Iterator[str]:
+    if not document["costs"]:
+        return
+    solves = sum(cost["forward_solves"] for cost in document["costs"])
+    hours = sum(cost["calculix_hours"] or 0.0 for cost in document["costs"])
+    seconds = sum(record["seconds"] for record in document["computed"].values())
+    yield from (
+        "## Computations",
+        "",
+        f"Seed {document['seed']}; {seconds / 60.0:.0f} min in all, what comes with the package included. "
+        f"{solves} forward solves went into optima, single swarms and posteriors; as runs of CalculiX with "
+        f"20-node bricks those of the plates that were timed would take {hours:.0f} h.",
+        "",
+    )
 
 
 def _hadamard_lines(conditions: Sequence[Record]) -> Iterator[str]:
@@ -524,20 +557,6 @@ def _simulation_lines(errors: Sequence[Record]) -> Iterator[str]:
         "",
     )
     yield from _markdown(Rows("simulation", _SIMULATION, tuple(errors)))
-
-
-def _solver_lines(rows: Sequence[Record]) -> Iterator[str]:
-    compared = tuple(row for row in rows if "ritz_hz" in row["details"])
-    if not compared:
-        return
-    yield from (
-        "## ABAQUS beside three converged solvers",
-        "",
-        "The package's Ritz method and finite elements are first-order shear deformation theory; CalculiX "
-        "has 20-node bricks. Frequencies in Hz.",
-        "",
-    )
-    yield from _markdown(Rows("solvers", _SOLVERS, compared))
 
 
 def _markdown(rows: Rows) -> Iterator[str]:

@@ -10,7 +10,7 @@ import hashlib
 import json
 import math
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
@@ -20,13 +20,17 @@ from pathlib import Path
 from typing import Any, Final, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cpam_bayes import __version__
 from cpam_bayes.answer import Constant
-from cpam_bayes.identification.search import search
+from cpam_bayes.forward_model.store import reduced_model
+from cpam_bayes.identification.angle_search import AngleSearchProblem, run_swarm, search_parameters
+from cpam_bayes.identification.search import required, search
 from cpam_bayes.inference.ensemble import DEFAULT_SETTINGS, EnsembleSettings
 from cpam_bayes.inference.swarm import SwarmSettings
 from cpam_bayes.plate import Specimen, builtin, read_plate, to_user, user_name
+from cpam_bayes.plate.records import angle_grid
 from cpam_bayes.plate.units import to_si
 from cpam_bayes.printed.noise_study import ENSEMBLE_SETTINGS
 from cpam_bayes.printed.tables import PrintedRow, identified_layups, printed_table
@@ -59,6 +63,8 @@ __all__ = [
     "work",
     "write",
 ]
+
+Array = NDArray[Any]
 
 # Eq. (8) bounds E2 by 40 GPa and cannot have been used for aluminium, whose E2 is about 70 GPa.
 _BOUNDS: Final = {
@@ -204,10 +210,12 @@ def diagnosis_row(document: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-Kind = Literal["forward", "constants", "noise"]
+Kind = Literal["forward", "constants", "noise", "angles"]
 
 # F of two swarms that found the same optimum differs by no more than this fraction.
 _SAME_OPTIMUM: Final = 1e-3
+# A constant this close to a bound, as a fraction of its interval, sits on it.
+_ON_BOUND: Final = 1e-3
 # Half the width of a 95 % interval of a normal distribution, in standard deviations.
 _NORMAL_95: Final = 1.96
 
@@ -218,8 +226,8 @@ class Effort:
 
     swarms : single ones on each plate, each as the paper has it.
     groups : of perturbed lists at each level.
-    full : finite elements beside the Ritz method, posteriors by emcee and not the linearised one, and the
-    noise studies of thick plates, which take longest.
+    full : finite elements beside the Ritz method, posteriors by emcee and not the linearised one, and
+    searches of angles and constants together.
     """
 
     swarms: int
@@ -260,7 +268,7 @@ class Task:
 def work(effort: Effort, task: Task) -> Results:
     """Do one task and return plain data, with the seconds it took."""
     start = time.perf_counter()
-    computed = {"forward": _forward, "constants": _constants, "noise": _noise}[task.kind](effort, task)
+    computed = _DONE_BY[task.kind](effort, task)
     return {**computed, "seconds": time.perf_counter() - start}
 
 
@@ -394,6 +402,66 @@ def _noise(effort: Effort, task: Task) -> Results:
         ],
     }
 
+
+def _angles(effort: Effort, task: Task) -> Results:
+    """Angles and constants together by one fuzzy swarm on each perturbed list, as the paper did."""
+    specimen = builtin(task.specimen, sequence=True)
+    measurement, unknowns = required(specimen)
+    model = reduced_model(specimen, search_parameters(specimen), measurement.size)
+    grid = angle_grid(specimen.angle_grid_deg)
+    width = unknowns.upper - unknowns.lower
+
+    def ended(measured: Array, seeds: Sequence[Sequence[int]]) -> tuple[Array, Array]:
+        """Angles (n, k) and constants (n, m) of the swarms on lists (n, n_modes)."""
+        fits = (AngleSearchProblem(specimen, model, np.sort(one), grid) for one in measured)
+        swarms = [run_swarm(fit, seed, effort.swarm) for fit, seed in zip(fits, seeds, strict=True)]
+        return np.array([grid[s.sequence] for s in swarms]), np.array([s.best for s in swarms])
+
+    f = measurement.frequencies
+    _, (free,) = ended(f[None], [(task.seed, 0, 0)])
+    levels = []
+    for level in printed_levels(task.table):
+        rng = np.random.default_rng((task.seed, int(level)))
+        noise = 0.01 * level * float(np.sqrt(np.mean(f**2)))
+        lists = np.abs(f + noise * rng.standard_normal((effort.groups, len(f))))
+        angles, constants = ended(lists, [(task.seed, int(level), i + 1) for i in range(effort.groups)])
+        from_bound = np.minimum(constants - unknowns.lower, unknowns.upper - constants)
+        on_bound = np.mean(from_bound <= _ON_BOUND * width, axis=0)
+        mean, sd = constants.mean(axis=0), constants.std(axis=0, ddof=1)
+        levels.append(
+            {
+                "level_percent": level,
+                "angles_deg": angles.tolist(),
+                "constants": {
+                    user_name(name): {
+                        "repetition_mean": to_user(name, float(mean[i])),
+                        "repetition_sd": to_user(name, float(sd[i])),
+                        "on_bound": float(on_bound[i]),
+                    }
+                    for i, name in enumerate(unknowns.names)
+                },
+            }
+        )
+    return {
+        "groups": effort.groups,
+        "without_noise": {
+            user_name(n): to_user(n, float(v)) for n, v in zip(unknowns.names, free, strict=True)
+        },
+        "levels": levels,
+    }
+
+
+def printed_levels(number: int) -> tuple[float, ...]:
+    """Levels of Tables 10 to 14, %."""
+    return tuple(float(row.source.split()[0]) for row in printed_table(number).rows[1:])
+
+
+_DONE_BY: Final[Mapping[Kind, Callable[[Effort, Task], Results]]] = {
+    "forward": _forward,
+    "constants": _constants,
+    "noise": _noise,
+    "angles": _angles,
+}
 
 # To be raised when the same inputs give other numbers.
 _FORMAT: Final = 2
