@@ -651,7 +651,7 @@ SENTENCES: Final[Mapping[str, str | Callable[[Facts], str]]] = {
     "noise_redrawn": _noise_redrawn,
     "quick": (
         "Do not quote these numbers: --quick takes small swarms and linearised intervals, and leaves out "
-        "finite elements and Tables 13 and 14."
+        "finite elements and searches of angles."
     ),
     "unconverged_tasks": _unconverged_tasks,
     "tasks_of_one_swarm": _tasks_of_one_swarm,

@@ -415,7 +415,7 @@ def _draw_misfits(misfits: list[Record]) -> Figure:
 
 
 def page(document: Record) -> str:
-    """The page docs/comparison.md, of the document of `cpam-bayes paper --json`; rows are in a file beside."""
+    """The page docs/comparison.md, from the document of `cpam-bayes paper --json`; rows are beside it."""
     return "\n".join(_lines(document)).rstrip() + "\n"
 
 
