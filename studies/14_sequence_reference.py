@@ -71,21 +71,31 @@ class Case(NamedTuple):
     noise: float
 
 
+class Effort(NamedTuple):
+    """Of the reference: log2 of its points, the members of its library that an optimisation begins at.
+
+    each : sequences drawn of a layer that weighs
+    """
+
+    log2_points: int = 11
+    starts: int = 8
+    each: int = 150
+
+
 CASES = {
     "C1, 4 angles, 1 %": Case("C1", "[(?/?/?/?)_4]_s", 0.01),
     "C1, 4 angles, 0.2 %": Case("C1", "[(?/?/?/?)_4]_s", 0.002),
     "F1, 6 angles, 1 %": Case("F1", "[?/?/?/?/?/?/(0/90)_5]_s", 0.01),
     "F1, 6 angles, 0.2 %": Case("F1", "[?/?/?/?/?/?/(0/90)_5]_s", 0.002),
 }
-# Of the reference: log2 of its points, its library, and the members of it that an optimisation begins at.
-LOG2_POINTS, LIBRARY, STARTS = 11, 768, 8
+LIBRARY = 768
 # What lies further below the largest value of the surrogate, nats, is far.
 FAR_NATS = 12.0
 # Layers of the surrogate, nats below its top, and log2 of the points of what is drawn of them.
 LAYERS = (-10.0, 3.0, 6.0, 9.0, 12.0, 16.0, 22.0, 30.0, 45.0, np.inf)
 LAYER_POINTS = 9
-# Sequences drawn of a layer that weighs, and the share of that of one that begins so far below, nats.
-EACH, FAR_SHARE, FAR = 150, 1 / 3, 12.0
+# The share of the sequences of a layer that are drawn of one that begins so far below, nats.
+FAR_SHARE, FAR = 1 / 3, 12.0
 # Of so many sequences the sum over all is estimated; of more the surrogate would have to be enumerated.
 MOST_SUMMED = 3_000_000
 QUICK = Case("C1", "[(?/?/?)_5/0]_s", 0.01)
@@ -105,10 +115,10 @@ def run(
 ) -> Results:
     """All cases or those named; quick: three angles on a coarse grid."""
     if quick:
-        return {"quick": True, "cases": [_case("C1, small", QUICK, 30.0, SMALL, 6, 10, executor, notify)]}
+        few = Effort(log2_points=6, starts=1, each=6)
+        return {"quick": True, "cases": [_case("C1, small", QUICK, 30.0, SMALL, few, executor, notify)]}
     cases = [
-        _case(name, CASES[name], None, DEFAULT_SETTINGS, LOG2_POINTS, EACH, executor, notify)
-        for name in only or CASES
+        _case(name, CASES[name], None, DEFAULT_SETTINGS, Effort(), executor, notify) for name in only or CASES
     ]
     return {"quick": False, "cases": cases}
 
@@ -118,8 +128,7 @@ def _case(
     case: Case,
     step: float | None,
     settings: StackingSettings,
-    log2_points: int,
-    each: int,
+    effort: Effort,
     executor: Executor | None,
     notify: Notify,
 ) -> Results:
@@ -129,8 +138,8 @@ def _case(
     answer = stacking_posterior(specimen, SEED, settings=settings, executor=executor, notify=notify)
     notify("the reference")
     problem = stacking_problem(specimen, SEED, settings=settings, executor=executor)
-    top = _reference(problem, answer.components.sequences, log2_points)
-    drawn = _reference(problem, answer.drawn.sequences, log2_points)
+    top = _reference(problem, answer.components.sequences, effort)
+    drawn = _reference(problem, answer.drawn.sequences, effort)
     miss = answer.drawn.log_evidence - drawn.log_evidence
     row: Results = {
         "case": name,
@@ -146,11 +155,11 @@ def _case(
     }
     if answer.enumerated <= MOST_SUMMED:
         notify("all layers")
-        row |= _summed(problem, each)
+        row |= _summed(problem, effort)
     return row | {"seconds": time.perf_counter() - start}
 
 
-def _reference(problem: StackingProblem, sequences: Array, log2_points: int) -> Evaluated:
+def _reference(problem: StackingProblem, sequences: Array, effort: Effort) -> Evaluated:
     """Sequences (m, k) by the slow way."""
     library = scan_library(problem.conditional, LIBRARY, np.random.default_rng([SEED, 77]))
     return evaluate(
@@ -158,10 +167,10 @@ def _reference(problem: StackingProblem, sequences: Array, log2_points: int) -> 
         problem.grid_deg,
         sequences,
         problem.starts,
-        log2_points,
+        effort.log2_points,
         problem.executor,
         library,
-        scanned=STARTS,
+        scanned=effort.starts,
     )
 
 
@@ -176,7 +185,7 @@ def _errors(miss: Array, reference: Evaluated) -> Results:
     }
 
 
-def _summed(problem: StackingProblem, each: int) -> Results:
+def _summed(problem: StackingProblem, effort: Effort) -> Results:
     """The sum over all sequences from layers of the surrogate, by ratio estimates."""
     rng = np.random.default_rng([SEED, 4])  # the surrogate is trained as for the answer
     sums = problem.sums
@@ -193,9 +202,9 @@ def _summed(problem: StackingProblem, each: int) -> Results:
         own = np.flatnonzero((below >= low) & (below < high))
         if not len(own):
             continue
-        drawn = each if low < FAR else round(FAR_SHARE * each)
+        drawn = effort.each if low < FAR else round(FAR_SHARE * effort.each)
         pick = np.sort(pick_rng.choice(own, size=min(drawn, len(own)), replace=False))
-        found = _reference(problem, sequences[pick], LAYER_POINTS)
+        found = _reference(problem, sequences[pick], effort._replace(log2_points=LAYER_POINTS))
         value = size[pick] * np.exp(found.log_evidence - known.max())
         expected = size[pick] * np.exp(known[pick] - known.max())
         ratio = float(value.sum() / expected.sum())

@@ -18,7 +18,7 @@ from matplotlib.text import Text
 from matplotlib.transforms import Bbox
 from PIL import Image
 
-from tests.test_studies import PROJECT, SAVED, STUDIES, listed, quick_text
+from tests.test_studies import PROJECT, SAVED, listed, quick_text
 
 FIGURES = PROJECT / "figures"
 QUICKLY_DRAWN = "20_swarms"
@@ -29,15 +29,6 @@ def source_of(path: Path) -> str:
     """The hash of the results that a PNG was drawn from."""
     with Image.open(path, formats=["PNG"]) as image:
         return str(image.info["Source"])
-
-
-@pytest.fixture(scope="module")
-def quick_results(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with the results of the small versions of all studies."""
-    folder = tmp_path_factory.mktemp("results")
-    for name in STUDIES:
-        (folder / f"{name}.json").write_text(quick_text(name), encoding="utf-8")
-    return folder
 
 
 @pytest.mark.parametrize("name", draw.NAMES)
@@ -66,8 +57,10 @@ def drawn_by(name: str) -> set[str]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", draw.NAMES)
-def test_a_figure_is_drawn_from_a_small_run(name: str, quick_results: Path, tmp_path: Path) -> None:
-    draw.drawing(name)(quick_results, tmp_path)
+def test_a_figure_is_drawn_from_a_small_run(name: str, tmp_path: Path) -> None:
+    drawing = draw.drawing(name)
+    (tmp_path / f"{drawing.study}.json").write_text(quick_text(drawing.study), encoding="utf-8")
+    assert drawing(tmp_path, tmp_path)
 
 
 @pytest.mark.parametrize("kind", journal.KINDS)

@@ -2,7 +2,8 @@
 
 The lists are those of elements that share nothing with the package, with noise of 0.2 %. A cause that the
 constants imitate cannot be claimed: then nothing may be, and the answer says that these data need not have
-shown it.
+shown it. Pairs of causes, most of the work, are weighed for one cause of each plate and wherever nothing is
+to be claimed.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import pytest
 
 import cpam_bayes as cb
 from cpam_bayes.diagnosis.cases import build_models, hypotheses_of, plate_case
+from cpam_bayes.diagnosis.diagnose import diagnose_cases
 from cpam_bayes.effects import CATALOGUE
 from cpam_bayes.plate import parse_specimen
 from tests.shared import once_a_run
@@ -50,7 +52,7 @@ Listed = tuple[str, Truth]
 class Case:
     """One list: the cause, the plate, and its size in SI with a place, or else how the list is made.
 
-    quick : whether it is run by default.
+    quick : whether it is run by default. pairs : whether two causes at once are weighed too.
     """
 
     cause: str
@@ -59,6 +61,7 @@ class Case:
     aux: Aux = field(default_factory=dict)
     made: Callable[[NominalPlate, np.random.Generator], Listed] | None = None
     quick: bool = False
+    pairs: bool = False
 
     def listed(self) -> Listed:
         """The plate's file and the truth."""
@@ -111,7 +114,7 @@ def _patch(x: float, y: float, plate: NominalPlate) -> Aux:
 
 # What frequencies can show, at sizes and places that no grid has.
 SHOWN = (
-    Case("sensor_mass", FREE, 0.031, {"x": 0.8437, "y": 0.2362}, quick=True),
+    Case("sensor_mass", FREE, 0.031, {"x": 0.8437, "y": 0.2362}, quick=True, pairs=True),
     Case("support", FREE, 34.0),
     Case("length", FREE, 0.0171),
     Case("width", FREE, -0.0233),
@@ -124,12 +127,12 @@ SHOWN = (
     Case("viscoelastic", FREE, 0.037),
     Case("mode_identity", FREE, made=_one_missed),
     Case("outlier", FREE, made=_one_misread, quick=True),
-    Case("clamp_rotation", CLAMPED, 0.071),
+    Case("clamp_rotation", CLAMPED, 0.071, pairs=True),
     Case("clamp_translation", CLAMPED, 0.0063),
     Case("soft_clamp", CLAMPED, 2.3, {"ratio": 1.55}),
     Case("clamp_slip", CLAMPED, 0.13),
     Case("clamp_length", CLAMPED, 4.1e-3),
-    Case("misorientation", THICK, 8.3),
+    Case("misorientation", THICK, 8.3, pairs=True),
     Case("outer_ply_angle", THICK, 17.0),
     Case("inner_ply_angle", THICK, 63.0),
     Case("transverse_shear", THICK, -0.87),
@@ -178,9 +181,13 @@ def test_every_cause_of_the_catalogue_is_hidden() -> None:
 
 @pytest.mark.parametrize("case", _marked(SHOWN))
 def test_the_claim_is_what_was_hidden(case: Case, tmp_path: Path) -> None:
-    found = _diagnosed(case, tmp_path)
-    assert found.claim in ("named", "class")
-    assert case.cause in found.causes
+    if case.pairs:
+        claim = _diagnosed(case, tmp_path).diagnosis.claim
+    else:
+        own = plate_case(parse_specimen(case.listed()[0], f"{_with_models(case.plate.name)}.toml"))
+        claim = diagnose_cases([own], pairs=False, gain=False, power=False).claim
+    assert claim.kind in ("named", "class")
+    assert case.cause in claim.causes
 
 
 @pytest.mark.parametrize("case", _marked(ABSORBED))
