@@ -45,6 +45,7 @@ class PlateFacts:
     air_is_known : whether the model contains the air already
     has_references : whether reference values narrow the priors of the constants
     first_frequency : of the bare plate at its reference constants, Hz, if known
+    weighed : whether the mass was measured: then it stays where a size is another one
     """
 
     length: float
@@ -58,6 +59,7 @@ class PlateFacts:
     air_is_known: bool = False
     has_references: bool = False
     first_frequency: float | None = None
+    weighed: bool = False
 
     @classmethod
     def of(
@@ -73,7 +75,8 @@ class PlateFacts:
         sides = (plate.length, plate.width, plate.thickness)
         mass = plate.density * plate.thickness * plate.area
         known = (loaded, air_is_known, has_references)
-        return cls(*sides, plate.layup, plate.edges, isotropic, mass, *known, first_frequency)
+        weighed = plate.mass is not None
+        return cls(*sides, plate.layup, plate.edges, isotropic, mass, *known, first_frequency, weighed)
 
 
 @dataclass(frozen=True, slots=True)

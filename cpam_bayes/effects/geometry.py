@@ -44,17 +44,20 @@ from cpam_bayes.plate.edges import Field, conditions
 
 
 def _scaled(size: str, parameter: str) -> Callable[[Problem, PlateFacts], Problem]:
-    """One of the plate's numbers times 1 + its relative deviation."""
+    """One of the plate's numbers times 1 + its relative deviation; a weighed plate keeps its mass."""
     return partial(_with_scaled, size, parameter)
 
 
 def _with_scaled(size: str, parameter: str, problem: Problem, facts: PlateFacts) -> Problem:
-    del facts
-    return with_state(problem, partial(_scaled_size, size, parameter))
+    return with_state(problem, partial(_scaled_size, size, parameter, facts.weighed and size != "density"))
 
 
-def _scaled_size(size: str, parameter: str, state: PlateState, values: Values) -> PlateState:
-    return replace(state, **{size: getattr(state, size) * (1.0 + values[parameter])})
+def _scaled_size(
+    size: str, parameter: str, keeps_mass: bool, state: PlateState, values: Values
+) -> PlateState:
+    factor = 1.0 + values[parameter]
+    scaled = replace(state, **{size: getattr(state, size) * factor})
+    return replace(scaled, density=state.density / factor) if keeps_mass else scaled
 
 
 def _relative(
@@ -194,15 +197,19 @@ def _taper_coefficients(
 
 
 def _skew(problem: Problem, facts: PlateFacts) -> Problem:
-    """A parallelogram: the edges x = 0 and x = length lean by an angle; see ``PlateState.skew``."""
-    del facts
+    """A parallelogram: the edges x = 0 and x = length lean by an angle; see ``PlateState.skew``.
+
+    A weighed plate keeps its mass.
+    """
     # turning in the plane, v is x, which changes along eta too
     content = (*problem.rigid_content, ("v", (0, 1)))
-    return replace(with_state(problem, _skewed), rigid_content=content)
+    return replace(with_state(problem, partial(_skewed, facts.weighed)), rigid_content=content)
 
 
-def _skewed(state: PlateState, values: Values) -> PlateState:
-    return replace(state, skew=np.deg2rad(1.0) * np.asarray(values["skew_deg"]))
+def _skewed(keeps_mass: bool, state: PlateState, values: Values) -> PlateState:
+    skew = np.deg2rad(1.0) * np.asarray(values["skew_deg"])
+    density = state.density / np.cos(skew) if keeps_mass else state.density
+    return replace(state, skew=skew, density=density)
 
 
 # Rows of the membrane strain that an initial deflection adds, eps' = w0,x w,x and so on: row, atom of w,

@@ -1,8 +1,6 @@
 """Point identification: the best optimum of particle swarms over a converged plate, and how far to trust it.
 
-What decides a constant, whose prior an interval rests on, and what an error of size, mass or frequency scale
-does: a plate that is 1 % thicker than stated has higher frequencies, which stiffer constants repeat, and no
-fit can tell.
+What decides a constant, and whose prior an interval rests on.
 """
 
 from __future__ import annotations
@@ -17,32 +15,24 @@ from numpy.typing import NDArray
 from scipy.stats import chi2, t
 
 from cpam_bayes.answer import Constant, Notice, Verdict
-from cpam_bayes.effects import frequency_list as observation
 from cpam_bayes.forward_model.labels import LabelledModel, ShapePairing, by_shape, list_order
-from cpam_bayes.forward_model.model import SIZES, PlateModel, model_on_basis, plate_problem
+from cpam_bayes.forward_model.model import plate_problem
 from cpam_bayes.forward_model.preconditions import count_notices, misfit_over_noise, units_notices
 from cpam_bayes.forward_model.reduced import ReducedModel
+from cpam_bayes.forward_model.tolerances import ScaleError, scale_errors, sizes_spread
 from cpam_bayes.identification.search import Optimum, Residual, Search, required, search
 from cpam_bayes.inference.swarm import SwarmResult, SwarmSettings
 from cpam_bayes.mechanics.modes import Mode
-from cpam_bayes.parameters import Parameter, ParameterSet, Uniform
-from cpam_bayes.plate import Measurement, Plate, Specimen
+from cpam_bayes.plate import Measurement, Specimen
 from cpam_bayes.plate.laminate import flexural_constants
-from cpam_bayes.plate.units import split_name
 from cpam_bayes.threads import single_blas_thread
 
 __all__ = [
     "BY_DATA",
     "BY_PRIOR",
-    "FREQUENCY_SCALE",
     "LEAST_WIDENING",
     "Reliance",
-    "ScaleError",
-    "number_of",
     "reliances",
-    "scale_errors",
-    "sizes_spread",
-    "thin_plate_errors",
     "verdict_of",
 ]
 
@@ -124,120 +114,12 @@ def reliances(
     return tuple(found)
 
 
-FREQUENCY_SCALE: Final = observation.FREQUENCY_SCALE.name
-# Range of a size about its value in which its derivative is taken, relative.
-_RANGE = 0.1
-
-
-@dataclass(frozen=True, slots=True)
-class ScaleError:
-    """What an error of one number that the model takes for exact does to the constants, to first order.
-
-    name : thickness, length, width, density or mass; "frequency_scale" of the analyser
-    shift : constant -> its relative error for each relative error of the number
-    visible : fraction of the frequencies' change that the constants do not repeat, 0 to 1
-    sd : relative standard deviation of the number in [plate.sd], None where it gives none
-    """
-
-    name: str
-    shift: Mapping[str, float]
-    visible: float
-    sd: float | None
-
-
-def scale_errors(
-    specimen: Specimen,
-    model: PlateModel,
-    constants: Mapping[str, float],
-    order: Array,
-    noise: Array,
-    spread: Mapping[str, float],
-) -> tuple[ScaleError, ...]:
-    """Of each size, the density or mass, and the frequency scale.
-
-    Parameters
-    ----------
-    model : converged on a Ritz space; of another one nothing is known and nothing returned
-    constants : unknown -> its value, SI
-    order : (n_f,) mode of each measured frequency
-    noise : (n_f,) relative standard deviations
-    spread : unknown -> standard deviation of its prior, SI
-    """
-    if model.basis is None:
-        return ()
-    names, sizes = list(constants), _size_values(specimen.plate)
-    values = {**constants, **sizes}
-    parameters = ParameterSet(tuple(_about(name, value) for name, value in values.items()))
-    x = np.array([list(values.values())])
-    problem = plate_problem(specimen, parameters)
-    varied = model_on_basis(problem, x, model.n_modes, model.error, model.basis)
-    predicted = varied.predict(x, jacobian=True)
-    assert predicted.jacobian is not None
-    # relative change of each frequency for each relative change of a parameter
-    relative = (predicted.jacobian[0] * x / predicted.frequencies[0][:, None])[order]
-    n = len(names)
-    prior = np.array([spread[name] / abs(constants[name]) for name in names])
-    weighted = relative[:, :n] / noise[:, None]
-    curvature = weighted.T @ weighted + np.diag(prior**-2.0)
-    # Frequencies follow the true size; the constants take up what the model lacks.
-    changes = {name: relative[:, n + i] for i, name in enumerate(sizes)}
-    changes[FREQUENCY_SCALE] = np.ones(len(order))
-    errors = []
-    for name, change in changes.items():
-        shift = np.linalg.solve(curvature, weighted.T @ (change / noise))
-        left = (change - relative[:, :n] @ shift) / noise
-        visible = float(np.linalg.norm(left) / np.linalg.norm(change / noise))
-        sd = specimen.plate.sd.get(name)
-        known = None if sd is None else float(sd / sizes[name])
-        errors.append(ScaleError(name, dict(zip(names, shift.tolist(), strict=True)), visible, known))
-    return tuple(errors)
-
-
-def thin_plate_errors(specimen: Specimen) -> tuple[ScaleError, ...]:
-    """The same of a thin plate whose layup is open: f^2 is proportional to E h^2 / rho, or E h^3 / m."""
-    plate = specimen.plate
-    moduli = [name for name in specimen.unknowns.names if split_name(name)[1] != "nu12"]
-    thickness, weighed = (2.0, "density") if plate.mass is None else (3.0, "mass")
-    powers = {"thickness": thickness, weighed: -1.0, FREQUENCY_SCALE: 2.0}
-    return tuple(ScaleError(name, dict.fromkeys(moduli, power), 0.0, None) for name, power in powers.items())
-
-
-def number_of(cause: str, plate: Plate) -> str | None:
-    """The number of a plate file, or the frequency scale, that a cause is an error of; None for other causes.
-
-    A plate that was weighed has a mass and no density of its own.
-    """
-    if cause == FREQUENCY_SCALE:
-        return cause
-    if cause not in SIZES:
-        return None
-    return cause if cause in _size_values(plate) else "mass"
-
-
-def sizes_spread(errors: tuple[ScaleError, ...], constant: str) -> float:
-    """Relative standard deviation of a constant by the standard deviations of [plate.sd] together."""
-    return float(np.sqrt(sum((e.sd * e.shift[constant]) ** 2 for e in errors if e.sd is not None)))
-
-
-def _size_values(plate: Plate) -> dict[str, float]:
-    weighed = "density" if plate.mass is None else "mass"
-    names = [name for name in SIZES if name not in ("density", "mass")]
-    return {name: float(getattr(plate, name)) for name in (*names, weighed)}
-
-
-def _about(name: str, value: float) -> Parameter:
-    low, high = sorted((value * (1.0 - _RANGE), value * (1.0 + _RANGE)))
-    return Parameter(name, SIZES.get(name, ""), Uniform(low, high))
-
-
 # A constant this close to a bound, as a fraction of the search interval, sits on it.
 _ON_BOUND = 1e-3
 # Probability of the noise that leaves the best optimum ahead of another one.
 _WITHIN = 0.95
 # Probability in each tail outside an interval of 95 %.
 _TAIL = 0.025
-# Relative noise that weighs the frequencies where none is known.
-_EVEN_NOISE = 0.01
 # Standard deviations beyond which a constant has another value at another optimum.
 _APART = 3.0
 
@@ -345,13 +227,11 @@ def summarise(
     )
     optima = _within_noise(searched, measurement, noise, residual)
     at_optima = np.array([optimum.x for optimum in optima])
-    level = noise if np.isfinite(noise) else _EVEN_NOISE
     scales = scale_errors(
         specimen,
         model.full,
         dict(zip(unknowns.names, best.tolist(), strict=True)),
         order,
-        measurement.noise_sd(level) / measurement.frequencies,
         dict(zip(unknowns.names, prior_sd.tolist(), strict=True)),
     )
     explained = excess == 1.0

@@ -316,13 +316,9 @@ def _one_density(data: Data) -> Problems:
                 "beside densities of the materials, accepted: these, with mass_g where the plate was weighed",
             )
         return
-    if len(given) != 1:
-        yield Problem(
-            ("plate", *given[1:]),
-            f"density, received {' and '.join(given) or 'neither'}, "
-            "accepted: one of density_kg_m3 and mass_g",
-            is_gap=not given,
-        )
+    if not given:
+        accepted = "accepted: density_kg_m3, mass_g, or both"
+        yield Problem(("plate",), f"density, received neither, {accepted}", is_gap=True)
 
 
 def _density(data: Data, owner: str) -> Problems:

@@ -7,6 +7,7 @@ passed becomes records in SI.
 from __future__ import annotations
 
 import difflib
+import math
 import os
 from collections.abc import Mapping
 from dataclasses import replace
@@ -207,12 +208,20 @@ def _specimen(file: PlateFile, source: str, directory: Path | None, measured: Ma
     )
 
 
+# Relative standard deviations of what is measured of a plate, where the file gives none: docs/priors.md.
+_USUAL_SD: Final = {"length": 0.001, "width": 0.001, "thickness": 0.01, "density": 0.01, "mass": 0.002}
+
+
 def _plate(model: PlateModel, kinds: Mapping[str, PlyKind], directory: Path | None) -> Plate:
     length = to_si("length_mm", model.length_mm)
     width = to_si("width_mm", model.width_mm)
     thickness = to_si("thickness_mm", model.thickness_mm)
     mass = None if model.mass_g is None else to_si("mass_g", model.mass_g)
     layup = parse_layup(model.layup or _ISOTROPIC_LAYUP, kinds)
+    sd = {} if model.sd is None else _in_si(model.sd.model_dump(exclude_none=True))
+    if mass is not None and model.density_kg_m3 is not None:
+        gauged = {"length": length, "width": width, "thickness": thickness, "mass": mass}
+        thickness, sd = _thickness(gauged, float(model.density_kg_m3), sd)
     if mass is not None:
         density = mass / (length * width * thickness)
     elif model.density_kg_m3 is not None:
@@ -227,9 +236,28 @@ def _plate(model: PlateModel, kinds: Mapping[str, PlyKind], directory: Path | No
         mass=mass,
         layup=layup,
         edges=model.edges,
-        sd={} if model.sd is None else _in_si(model.sd.model_dump(exclude_none=True)),
+        sd=sd,
         mesh=None if model.mesh is None else (directory or Path()) / model.mesh,
     )
+
+
+def _thickness(
+    gauged: Mapping[str, float], density: float, sd: Mapping[str, float]
+) -> tuple[float, dict[str, float]]:
+    """The thickness of a plate of which mass and density are given, m, and its standard deviations.
+
+    The mean of the gauged thickness and of m / (rho a b), each weighed by its precision. The mass, as it was
+    weighed, says what the density is then, which has no standard deviation of its own.
+    """
+    stated = {**gauged, "density": density}
+    relative = {name: sd[name] / value if name in sd else _USUAL_SD[name] for name, value in stated.items()}
+    by_mass = gauged["mass"] / (density * gauged["length"] * gauged["width"])
+    own = relative.pop("thickness") * gauged["thickness"]
+    other = by_mass * math.hypot(*relative.values())
+    weight = other**2 / (own**2 + other**2)
+    kept = {name: value for name, value in sd.items() if name != "density"}
+    kept["thickness"] = own * math.sqrt(weight)
+    return weight * gauged["thickness"] + (1.0 - weight) * by_mass, kept
 
 
 def _mean_density(layup: Layup) -> float:

@@ -26,7 +26,8 @@ from cpam_bayes.forward_model.preconditions import (
     require_whole,
     stated_noise_slips,
 )
-from cpam_bayes.identification.point import Reliance, reliances, thin_plate_errors, verdict_of
+from cpam_bayes.forward_model.tolerances import thin_plate_errors
+from cpam_bayes.identification.point import Reliance, reliances, verdict_of
 from cpam_bayes.inference.posterior import NOISE
 from cpam_bayes.parallel import open_executor
 from cpam_bayes.plate import PlateLike, Specimen, read_plate, to_user, user_name

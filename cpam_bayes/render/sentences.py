@@ -12,7 +12,8 @@ from cpam_bayes.answer import Constant, FrequencyRow, Notice, Verdict
 from cpam_bayes.formatting import NOT_KNOWN, decimals_of, fixed, listed, signed, significant, with_spread
 from cpam_bayes.forward_model.labels import same_label
 from cpam_bayes.forward_model.preconditions import USUAL_NOISE, contradicts_list
-from cpam_bayes.identification.point import FREQUENCY_SCALE, Reliance, ScaleError
+from cpam_bayes.forward_model.tolerances import FREQUENCY_SCALE, ScaleError
+from cpam_bayes.identification.point import Reliance
 from cpam_bayes.plate import Hybrid, Material, Measurement, Plate, Specimen, to_user, unit_of, user_name
 from cpam_bayes.plate.laminate import MaterialSymmetry
 from cpam_bayes.plate.units import split_name
@@ -227,17 +228,17 @@ def intervals_sentence(
     sizes = [_SCALE_WORDS[name] for name in _SCALE_WORDS if name in plate.sd or name in found]
     said = f"The intervals contain {listed(['noise', *sizes, *also], 'and')}."
     moved = [
-        (abs(e.shift[name]), e.name, name)
+        (e.shift[name], e.name, name)
         for e in errors
         if e.sd is None and e.name not in found and e.visible <= _VISIBLE
         for name in constants
         if name in e.shift
     ]
     # of equal ones the first, a size before the frequency scale
-    most, number, constant = max(moved, key=lambda m: round(m[0], 1), default=(0.0, "", ""))
-    if most < _WORTH_TELLING:
+    most, number, constant = max(moved, key=lambda m: round(abs(m[0]), 1), default=(0.0, "", ""))
+    if abs(most) < _WORTH_TELLING:
         return said
-    return f"{said} Not contained: {_SCALE_WORDS[number]} (1 % moves {constant} by {fixed(most, 1)} %)."
+    return f"{said} Not contained: {_SCALE_WORDS[number]} (1 % more moves {constant} by {signed(most, 1)} %)."
 
 
 def errors_table(errors: Sequence[ScaleError], constants: Sequence[str]) -> Table:

@@ -66,6 +66,18 @@ def test_sizes_thickness_and_density_are_those_of_a_plate_so_stated() -> None:
             np.testing.assert_allclose(found, other.coefficients({}, kind), rtol=1e-12, atol=1e-12)
 
 
+@pytest.mark.parametrize("name", ["thickness", "length", "width", "skew", "taper_x", "taper_y", "density"])
+def test_a_weighed_plate_keeps_its_mass_where_a_size_is_another_one(name: str) -> None:
+    original = plate(0.26, 0.2, 0.003, 1600.0, PLY, CROSS_PLY_16S)
+    weighed = replace(facts_of(original, CROSS_PLY_16S), weighed=True)
+    effect = placed(BY_NAME[name])
+    changed = extend(original, effect, weighed)
+    state = changed.state({p.name: np.asarray(0.04) for p in effect.parameters})
+    mass = float(state.density * state.thickness * state.area)
+    expected = 1.04 if name == "density" else 1.0  # of a weighed plate that is a wrong mass
+    assert mass == pytest.approx(expected * 1600.0 * 0.003 * 0.26 * 0.2, rel=1e-12)
+
+
 def test_clamp_length_is_the_length_across_the_clamp() -> None:
     for edges, longer in (("CFFF", (0.261, 0.2)), ("FFFC", (0.26, 0.201)), ("CFCF", (0.261, 0.2))):
         problem = applied(plate(0.26, 0.2, 0.003, 1600.0, PLY, edges=edges), "clamp_length")

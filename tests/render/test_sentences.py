@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 
 from cpam_bayes.answer import Constant, Verdict
-from cpam_bayes.identification.point import FREQUENCY_SCALE, ScaleError
+from cpam_bayes.forward_model.tolerances import FREQUENCY_SCALE, ScaleError
 from cpam_bayes.parameters import TruncatedNormal, Uniform
 from cpam_bayes.plate import builtin
 from cpam_bayes.render.sentences import (
@@ -79,13 +79,13 @@ def test_intervals_name_what_they_contain_and_the_largest_error_that_they_do_not
     specimen = builtin("A1")
     errors = (
         ScaleError("length", {"E1": -3.0}, 0.9, None),  # shows in the frequencies
-        ScaleError("thickness", {"E1": 2.0}, 0.0, None),
-        ScaleError("density", {"E1": -1.0}, 0.0, None),
-        ScaleError(FREQUENCY_SCALE, {"E1": 2.0}, 0.0, None),
+        ScaleError("thickness", {"E1": -2.0}, 0.0, None),
+        ScaleError("density", {"E1": 1.0}, 0.0, None),
+        ScaleError(FREQUENCY_SCALE, {"E1": -2.0}, 0.0, None),
     )
     said = intervals_sentence(specimen.plate, errors, ["E1"])
     assert "contain noise." in said
-    assert "thickness (1 % moves E1 by 2.0 %)" in said
+    assert "thickness (1 % more moves E1 by -2.0 %)" in said
     gauged = replace(specimen.plate, sd={"thickness": 1e-5})
     known = (errors[0], replace(errors[1], sd=0.003), *errors[2:])
     assert "noise and thickness" in intervals_sentence(gauged, known, ["E1"])
@@ -94,4 +94,4 @@ def test_intervals_name_what_they_contain_and_the_largest_error_that_they_do_not
     (step,) = gauge_step(specimen, errors, ["E1"])
     assert "thickness_mm and density_kg_m3" in step
     table = errors_table(known, ["E1"])
-    assert [row[1] for row in table.rows] == ["-3.0", "+2.0", "-1.0", "+2.0"]
+    assert [row[1] for row in table.rows] == ["-3.0", "-2.0", "+1.0", "-2.0"]

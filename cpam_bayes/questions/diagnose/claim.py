@@ -16,13 +16,11 @@ from cpam_bayes.diagnosis.hypotheses import CLAIM_RULES, NONE, OTHER, Claim, cau
 from cpam_bayes.diagnosis.next_test import Candidate
 from cpam_bayes.effects import Effect
 from cpam_bayes.formatting import listed, significant
-from cpam_bayes.identification.point import ScaleError, number_of
+from cpam_bayes.forward_model.tolerances import ScaleError, number_of, scale_errors
 from cpam_bayes.plate import Specimen
-from cpam_bayes.plate.units import USER_UNITS
 from cpam_bayes.questions.diagnose.document import (
     FEW,
     DiagnosisResult,
-    absorbed_biases,
     answer_constants,
     detectable_rows,
     detectable_size,
@@ -282,7 +280,7 @@ def _contained_of(d: Diagnosis, specimen: Specimen) -> str:
             for name in numbers(t.hypothesis.cause):
                 contained[name] += fraction
     found = [name for name, fraction in contained.items() if fraction >= _CONTAINED]
-    return intervals_sentence(plate, _scale_errors(d, specimen), shown_constants(d), found=found)
+    return intervals_sentence(plate, scale_errors_of(d, specimen), shown_constants(d), found=found)
 
 
 def shown_constants(d: Diagnosis) -> list[str]:
@@ -327,7 +325,7 @@ def next_steps(result: DiagnosisResult) -> tuple[str, ...]:
         steps.append("see which modes are off: their shapes show where the cause acts.")
     further, decides = _further_test(result.candidates)
     one = result.plates[0]
-    gauge = gauge_step(one, _scale_errors(d, one), shown_constants(d)) if len(result.plates) == 1 else ()
+    gauge = gauge_step(one, scale_errors_of(d, one), shown_constants(d)) if len(result.plates) == 1 else ()
     repeat = ("repeat the tap test and state relative_std under [measurement]: smaller errors then show.",)
     checks = tuple(effect.check[:1].lower() + effect.check[1:] for effect in checked_effects(d))
     asks = d.claim.kind in (NONE, "undecided") and not any(e.local == "point" for e in checked_effects(d))
@@ -367,17 +365,12 @@ def _further_test(candidates: Sequence[Candidate]) -> tuple[tuple[str, ...], boo
     return (f"no single further test is likely to decide; the best is {best.description}, {chance}.",), False
 
 
-def _scale_errors(d: Diagnosis, specimen: Specimen) -> tuple[ScaleError, ...]:
-    """Errors of size, mass and scale that hide in the constants."""
-    errors = []
-    for cause in d.hidden_causes:
-        name = number_of(cause.name, specimen.plate)
-        _, unit, per_unit = absorbed_biases(d, cause)
-        if name is None or unit != "%":
-            continue
-        # An unmodelled excess of the true number shows as this error of the constants.
-        shift = {USER_UNITS[key][0]: value for key, value in per_unit.items()}
-        sd = specimen.plate.sd.get(name)
-        known = None if sd is None else float(sd / getattr(specimen.plate, name))
-        errors.append(ScaleError(name, shift, cause.visible, known))
-    return tuple(errors)
+def scale_errors_of(d: Diagnosis, specimen: Specimen) -> tuple[ScaleError, ...]:
+    """Of the sizes, the mass and the frequency scale of one plate, at the constants of the answer."""
+    case = next(case for case in d.cases if case.models.specimen is specimen)
+    models, paired = case.models, np.flatnonzero(case.modes >= 0)
+    found = {c.name: c.value for c in answer_constants(d)}
+    # plates of several materials have no constants in common
+    constants = {n: found.get(n, models.parameters[n].prior.mean) for n in specimen.unknowns.names}
+    prior_sd = {name: models.parameters[name].prior.sd for name in constants}
+    return scale_errors(specimen, models.bare.full, constants, case.modes[paired], prior_sd, paired)

@@ -33,8 +33,9 @@ from cpam_bayes.forward_model.preconditions import (
     stated_noise_slips,
 )
 from cpam_bayes.forward_model.reduced import ReducedModel
+from cpam_bayes.forward_model.tolerances import ScaleError, scale_errors
 from cpam_bayes.identification.notices import sampled_notices
-from cpam_bayes.identification.point import Reliance, ScaleError, reliances, scale_errors, verdict_of
+from cpam_bayes.identification.point import Reliance, reliances, verdict_of
 from cpam_bayes.identification.search import NO_MESH, required, start_of
 from cpam_bayes.inference.assessment import (
     Assessment,
@@ -66,8 +67,6 @@ Array = NDArray[Any]
 _TOUCH = 0.01
 # Fraction of draws next to a bound that an even density over the interval would not put there.
 _AT_BOUND = 0.05
-# Relative noise that weighs the frequencies where none is stated; its level hardly matters.
-_EVEN_NOISE = 0.01
 # Draws that predictions and laminate constants are averaged over.
 _PREDICTIVE_DRAWS = 1000
 
@@ -432,18 +431,16 @@ def _scale_errors(
     order: Array,
 ) -> tuple[ScaleError, ...]:
     """Of the sizes, the mass and the frequency scale, at the most probable draw."""
-    measurement, unknowns = required(specimen)
+    _, unknowns = required(specimen)
     values = model.parameters.mapping(best[: model.parameters.size])
     known = pairing.mode >= 0
-    relative = _EVEN_NOISE if measurement.relative_std is None else measurement.relative_std
-    sd = measurement.noise_sd(relative)
     return scale_errors(
         specimen,
         model.full,
         {name: float(values[name]) for name in unknowns.names},
         order[pairing.mode[known]],
-        (sd / measurement.frequencies)[known],
         {name: unknowns[name].prior.sd for name in unknowns.names},
+        np.flatnonzero(known),
     )
 
 
