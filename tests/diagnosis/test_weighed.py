@@ -13,7 +13,7 @@ from cpam_bayes.inference.ensemble import EnsembleSettings
 from cpam_bayes.plate import parse_specimen
 from cpam_bayes.questions.diagnose.claim import scale_errors_of
 from tests.diagnosed import diagnosed
-from tests.plate_file import MEASURED, PLATE
+from tests.plate_file import PLATE
 
 WEIGHED = PLATE.replace("density_kg_m3 = 2700.0", "mass_g = 680.4")
 KNOWN = WEIGHED.replace("nu12 = 0.33\n", "nu12 = 0.33\n\n[material.sd]\nE1_GPa = 0.69\nnu12 = 0.0033\n", 1)
@@ -26,24 +26,25 @@ def test_a_weighed_plate_of_a_known_material_that_is_4_percent_thinner_is_found_
     found = diagnosed([plate_case(parse_specimen(KNOWN + listed, "x"))], ["thickness"], gain=False)
     cause = next(c for c in found.causes if c.name == "thickness")
     mean, sd, _ = cause.parameters["thickness_deviation"]
-    # f^2 goes with E h^3 / m: 1 % of E is 0.33 % of h
+    # f^2 goes with E h^3 / m: 1 % of E is 0.33 % of h, less what the prior of h says
     assert cause.probability > 0.95
-    assert sd == pytest.approx(0.0033, abs=0.0008)
+    assert sd == pytest.approx(0.0028, abs=0.0008)
     assert mean == pytest.approx(-0.04, abs=0.001)
 
 
 def test_all_commands_say_the_same_of_an_error_of_a_size(tmp_path: Path) -> None:
     path = tmp_path / "plate.toml"
-    path.write_text(WEIGHED + MEASURED + "relative_std = 0.002\n", encoding="utf-8")
+    f = cb.forward(parse_specimen(WEIGHED, "x"), n_modes=8).frequencies.tolist()
+    listed = f"\n[measurement]\nfrequencies_hz = {f}\nrelative_std = 0.002\n"
+    path.write_text(WEIGHED + listed, encoding="utf-8")
     settings = EnsembleSettings(walkers=16, round_steps=100, effective=200.0, most_steps=400)
     identified = cb.identify(path, seed=1).estimate.scale_errors
     sampled = cb.sample(path, seed=1, settings=settings).scale_errors
     specimen = cb.read_plate(path)
     found = diagnosed([plate_case(specimen)], ["frequency_scale"], gain=False)
     diagnosis = scale_errors_of(found, found.cases[0].models.specimen)
-
     for one, *others in zip(identified, sampled, diagnosis, strict=True):
         for other in others:
             assert other.name == one.name
             for constant in ("E1", "nu12"):
-                assert np.isclose(other.shift[constant], one.shift[constant], rtol=0.03, atol=0.02)
+                assert np.isclose(other.shift[constant], one.shift[constant], rtol=0.02, atol=0.02)
