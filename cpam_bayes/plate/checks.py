@@ -612,10 +612,15 @@ def _order(frequencies: list[float | None]) -> Problems:
         i, before, after = down[0]
         more = f", and at {len(down) - 1} more place{'s' if len(down) > 2 else ''}" if down[1:] else ""
         whole = len(down) == len(frequencies) - 1 and len(down) > 1
+        rest = [value for j, value in known if j not in {at for at, _, _ in down}]
+        cure = "; write the list the other way round" if whole else ""
+        # 80,2, 146,3 is four numbers: what falls is the part after the comma
+        if all(b < 1000 and b == int(b) for _, _, b in down) and rest == sorted(rest) and not whole:
+            cure = "; are these decimal commas? 80,2 is two numbers, write 80.2"
         yield Problem(
             ("measurement", "frequencies_hz", i),
             f"descending frequencies, received {after:g} after {before:g}{more}, accepted: ascending, equal "
-            f"ones for a degenerate pair{'; write the list the other way round' if whole else ''}",
+            f"ones for a degenerate pair{cure}",
         )
     elif len(known) > _EQUAL_AT_MOST and known[0][1] == known[-1][1]:
         yield Problem(

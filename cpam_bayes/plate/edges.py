@@ -5,10 +5,11 @@ A new condition is one row of the table, and a figure of its own only where no m
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Final, Literal
+from typing import Any, Final, Literal
 
 __all__ = [
     "ALL_FREE",
@@ -23,6 +24,7 @@ __all__ = [
     "Field",
     "conditions",
     "is_stated",
+    "letters_of",
     "yielding",
 ]
 
@@ -115,6 +117,33 @@ def conditions(edges: str) -> tuple[EdgeCondition, EdgeCondition, EdgeCondition,
 def is_stated(edges: str) -> bool:
     """Whether a text is what a plate file may state: four letters of `STATED`."""
     return len(edges) == len(EDGES) and set(edges) <= set(STATED)
+
+
+_WORDS: Final[Mapping[str, str]] = {
+    **{letter.casefold(): letter for letter in STATED},
+    **{CONDITIONS[letter].name: letter for letter in STATED},
+    "frei": "F",
+    "libre": "F",
+    "supported": "S",
+    "fixed": "C",
+}
+
+
+def letters_of(said: Any) -> Any:
+    """The letters of edges in words, in small letters, apart or in a list; all else as it is.
+
+    One word is of all four edges.
+    """
+    if isinstance(said, str):
+        text = re.sub(r"^all (edges )?", "", said.casefold().strip(" "))
+        if text in _WORDS and text not in tuple(STATED.casefold()):
+            return _WORDS[text] * len(EDGES)
+        parts = re.split(r"[ ,;/|-]+", text)
+        parts = list(text) if len(parts) == 1 else parts
+    else:
+        parts = [str(part).casefold() for part in said] if isinstance(said, list) else []
+    letters = "".join(_WORDS.get(part, "?") for part in parts)
+    return letters if is_stated(letters) else said
 
 
 def yielding(letter: str, fields: tuple[Field, ...]) -> str | None:

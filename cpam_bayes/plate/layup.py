@@ -1,4 +1,7 @@
-"""The notation of layups: "[(0/90)_8]_s", "[45/-45/0_2]_2s", "[(?/?/?/?)_4]_s", "[(c0/g45)_4]_s"."""
+"""The notation of layups: "[(0/90)_8]_s", "[45/-45/0_2]_2s", "[(?/?/?/?)_4]_s", "[(c0/g45)_4]_s".
+
+Plies may also stand apart by commas or spaces, one of these in a layup, and angles have a degree sign.
+"""
 
 from __future__ import annotations
 
@@ -19,6 +22,8 @@ _MAX_CHARACTERS: Final = 10_000
 _MAX_DEPTH: Final = 20
 
 _SPACE = re.compile(r"\s*")
+_DEGREES = re.compile("[\N{DEGREE SIGN}\N{MASCULINE ORDINAL INDICATOR}\N{RING ABOVE}]|deg(?![a-z])")
+_BETWEEN: Final = ("/", ",", ";")
 _ANGLE = re.compile(r"[0-9]+(?:\.[0-9]*)?|\.[0-9]+")
 _SIGN = re.compile("\N{PLUS-MINUS SIGN}|\N{MINUS-OR-PLUS SIGN}|\\+-|-\\+|\\+|-|\N{MINUS SIGN}|")
 _COUNT = re.compile(r"[0-9]+")
@@ -225,6 +230,7 @@ class _Reader:
         self.kinds = kinds
         self.at = 0
         self.unknowns = 0
+        self.between = ""
         if len(text) > _MAX_CHARACTERS:
             self.fail(
                 f"layup of {len(text)} characters, accepted: up to {_MAX_CHARACTERS}",
@@ -255,10 +261,21 @@ class _Reader:
             plies += item
             if self.take(closing):
                 return plies
-            if not self.take("/"):
-                if not self.peek():
-                    self.fail(f'"{self.text[opened]}" is never closed by "{closing}"', opened)
+            if not self.peek():
+                self.fail(f'"{self.text[opened]}" is never closed by "{closing}"', opened)
+            self.separator(closing)
+
+    def separator(self, closing: str) -> None:
+        """What stands between plies, the same in the whole layup."""
+        mark = self.peek()
+        if mark not in _BETWEEN:
+            if not self.text[self.at - 1].isspace() or mark in ("]", ")", "}", "_"):
                 self.fail(f'expected "/" or "{closing}"')
+            mark = " "
+        if self.between not in ("", mark):
+            self.fail(f'"{self.between}" and "{mark}" between plies, accepted: one of them; 22.5 has a point')
+        self.between = mark
+        self.at += mark != " "
 
     def item(self, depth: int) -> _Plies:
         if self.take("("):
@@ -298,6 +315,7 @@ class _Reader:
         value = float(digits)
         if value > 90.0:
             self.fail(f"angle {sign}{digits[:20]}, accepted: -90 to 90 degrees", start)
+        self.match(_DEGREES)
         signs = _PAIRS.get(sign, (-1.0,) if sign in _MINUS else (1.0,))
         return [(_normalised(s * value), -1, name) for s in signs]
 
@@ -309,6 +327,7 @@ class _Reader:
 
     def ending(self, plies: _Plies) -> _Plies:
         marked = self.take("_")
+        braced = marked and self.take("{")
         start = self.at
         counted = self.peek() in tuple("0123456789")
         if counted:
@@ -318,11 +337,13 @@ class _Reader:
             self.at += 1
             if 2 * len(plies) > MAX_PLIES:
                 self.too_many(2 * len(plies), start)
-            return plies + plies[::-1]
-        if letter in ("T", "t"):
+            plies = plies + plies[::-1]
+        elif letter in ("T", "t"):
             self.at += 1
         elif marked and not counted:
             self.fail('expected "s", "T" or a number after "_"')
+        if braced and not self.take("}"):
+            self.fail('"{" is never closed by "}"', start - 1)
         return plies
 
     def times(self, plies: _Plies) -> _Plies:

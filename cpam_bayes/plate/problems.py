@@ -40,6 +40,14 @@ class Problem:
             return self
         return Problem((self.path[0], name, *self.path[1:]), self.what, self.is_gap)
 
+    def under(self, misspelt: Mapping[KeyPath, str]) -> Problem:
+        """The same thing at the keys that the file has; misspelt : these -> the known key of each."""
+        for path, known in misspelt.items():
+            n = len(path)
+            if self.path[:n] == (*path[:-1], known):
+                return Problem((*path, *self.path[n:]), self.what, self.is_gap)
+        return self
+
     @property
     def text(self) -> str:
         """The phrase."""

@@ -23,7 +23,7 @@ from cpam_bayes.plate.checks import CONSTANT_KEYS, ply_kinds, relation_problems,
 from cpam_bayes.plate.layup import Layup, PlyKind, parse_layup
 from cpam_bayes.plate.mode_shapes import shapes_of
 from cpam_bayes.plate.modes_table import table_of
-from cpam_bayes.plate.problems import KeyPath, plate_file_error, received
+from cpam_bayes.plate.problems import KeyPath, Problem, plate_file_error, received
 from cpam_bayes.plate.records import Hybrid, Material, Measurement, Plate, Sensor, Specimen
 from cpam_bayes.plate.schema import (
     ConstantsModel,
@@ -35,9 +35,11 @@ from cpam_bayes.plate.schema import (
     PlateModel,
     SensorModel,
     UnknownsModel,
+    respelt,
     validated,
 )
 from cpam_bayes.plate.text import decode, line_numbers, parse, read_regular_file
+from cpam_bayes.plate.understood import understood
 from cpam_bayes.plate.units import USER_UNITS, joined_name, to_si
 
 __all__ = [
@@ -174,10 +176,16 @@ def _checked_specimen(
 
     lines : where each key stands, empty for what was not read from a text
     """
+    data, misspelt = respelt(understood(data))
     file, problems = validated(data)
     of_table, table_problems = table_of(data, directory)
     of_shapes, shape_problems = shapes_of(data, directory)
     problems += relation_problems(data, directory) + table_problems + shape_problems
+    # a value under another name is in another unit, or of another kind, more often than not
+    problems = [p for p in (problem.under(misspelt) for problem in problems) if p.path not in misspelt]
+    problems += [
+        Problem(path, f"unknown key, the nearest known key is {key}") for path, key in misspelt.items()
+    ]
     if file is None or problems:
         raise plate_file_error(source, problems, lines)
     measured: dict[str, Any] = {}

@@ -31,6 +31,7 @@ __all__ = [
     "SensorModel",
     "UnknownsModel",
     "is_hybrid",
+    "respelt",
     "validated",
 ]
 
@@ -39,6 +40,8 @@ MAX_FREQUENCIES: Final = 100
 _MAX_SENSORS: Final = 100
 _MAX_PLY_KINDS: Final = 100
 _MAX_NOTES: Final = 1000
+# A table with more unknown keys than this is none of a plate.
+_MAX_RESPELT: Final = 20
 # Beyond these, areas and masses would overflow or vanish.
 _SMALLEST: Final = 1e-12
 _LARGEST: Final = 1e12
@@ -369,6 +372,37 @@ def validated(data: Mapping[str, Any]) -> tuple[PlateFile | None, list[Problem]]
         ]
 
 
+def respelt(data: Mapping[str, Any]) -> tuple[dict[str, Any], dict[KeyPath, str]]:
+    """The file with the keys that were meant, and the unknown ones with the known key of each.
+
+    A key is meant where an unknown one is next to it and the table lacks it: what it holds is then checked
+    under its name, so that one slip is one problem.
+    """
+    changed: dict[KeyPath, str] = {}
+    return _respelt(data, (), changed), changed
+
+
+def _respelt(table: Mapping[str, Any], path: KeyPath, changed: dict[KeyPath, str]) -> dict[str, Any]:
+    known = _keys_of(PlateFile, path)
+    few = sum(key not in known for key in table) <= _MAX_RESPELT
+    meant: dict[str, Any] = {}
+    for key, value in table.items():
+        near = difflib.get_close_matches(key, known, n=1, cutoff=0.5) if few and key not in known else []
+        name = near[0] if near and key not in _TABLE_OF else key
+        other = meant.get(name, table.get(name)) if name != key else None
+        # [palte] beside [plate.sd]
+        joined = isinstance(value, dict) and isinstance(other, dict) and not value.keys() & other.keys()
+        if other is not None and not joined:
+            name = key
+        if name != key:
+            changed[(*path, key)] = name
+        inside = isinstance(value, dict) and not path and name in known and not is_hybrid(value)
+        value = _respelt(value, (*path, name), changed) if inside else value
+        before = meant.get(name)
+        meant[name] = {**before, **value} if isinstance(before, dict) and isinstance(value, dict) else value
+    return meant
+
+
 def _what(kind: str, path: KeyPath, value: object) -> str:
     if kind == "extra_forbidden":
         return _unknown_key(path)
@@ -376,6 +410,8 @@ def _what(kind: str, path: KeyPath, value: object) -> str:
     if kind == _MISSING:
         return f"missing, accepted: {accepted}"
     wrong = _WRONG.get(kind, "wrong type")
+    if kind == "float_type" and isinstance(value, str) and any(map(str.isdigit, value)):
+        accepted += ", with a point and no mark between thousands"
     if kind == "too_long" and isinstance(value, list) and len(value) > MAX_SHOWN:
         return f"too many, received {len(value)}, accepted: {accepted}"
     return f"{wrong}, received {received(value)}, accepted: {accepted}"

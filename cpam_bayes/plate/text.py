@@ -58,6 +58,8 @@ def read_named_file(
         return read_regular_file(str(path), received(name), accepted, most), []
     except FileNotFoundError:
         what = f"no such file, received {received(name)}, accepted: a path from the plate file"
+        if not name.isprintable():
+            what += r"; \t and \n in quotes are no path: write / for \ or use single quotes"
         return None, [Problem(key, what)]
     except (PlateFileError, ValueError) as error:
         return None, [Problem(key, str(error))]
@@ -77,7 +79,9 @@ def _too_large(source: str, size: str, most: int) -> str:
 
 
 def decode(content: bytes, source: str) -> str:
-    """The text of a plate file; raises PlateFileError where it is none."""
+    """The text of a plate file, UTF-8 or UTF-16 with its mark; raises PlateFileError where it is none."""
+    if content.startswith((b"\xff\xfe", b"\xfe\xff")) and len(content) % 2 == 0:
+        content = content.decode("utf-16", errors="replace").encode()
     if b"\0" in content:
         raise PlateFileError(f"{source}: a binary file, accepted: a TOML text")
     try:
@@ -115,6 +119,22 @@ def parse(text: str, source: str) -> Mapping[str, Any]:
         raise PlateFileError(f"{source}:1: file: not valid TOML: {error}") from None
 
 
+# What a line has that is no TOML, and the cure.
+_SLIPS: Final = (
+    (re.compile(r"=\s*[+-]?\d+,\d"), "; a decimal point, not a comma: 281.5"),
+    (re.compile(r"=\s*[+-]?\d[\d.]*\s*[A-Za-z°%]"), '; the unit is in the key, or a text in quotes: "185 g"'),
+    (
+        re.compile(
+            "[\N{LEFT DOUBLE QUOTATION MARK}\N{RIGHT DOUBLE QUOTATION MARK}\N{DOUBLE LOW-9 QUOTATION MARK}]"
+        ),
+        '; quotes are "',
+    ),
+    (re.compile(r'=\s*"[^"]*\\'), "; write / for \\ in a path, or put it in single quotes: 'C:\\data'"),
+    (re.compile(r"^[A-Za-z_0-9]+\s*:"), "; = stands between a key and its value"),
+    (re.compile(r"=\s*[A-Za-z(]"), '; texts stand in quotes: edges = "FFFF"'),
+)
+
+
 def _not_toml(message: str, text: str, source: str) -> str:
     place = _PLACE.search(message)
     what = _PLACE.sub("", message)
@@ -124,7 +144,8 @@ def _not_toml(message: str, text: str, source: str) -> str:
         line, where = text.rstrip().count("\n") + 1, " at the end of the file"
     shown = text.split("\n")[line - 1].strip() if line <= text.count("\n") + 1 else ""
     quoted = "".join(c if c.isprintable() else " " for c in shown[:60])
-    return f"{source}:{line}: file: not valid TOML, {what}{where}, received: {quoted}"
+    cure = next((said for slip, said in _SLIPS if slip.search(shown)), "")
+    return f"{source}:{line}: file: not valid TOML, {what}{where}, received: {quoted}{cure}"
 
 
 _BLANK = re.compile(r"(?:[ \t\r\n]|#[^\n]*)*")

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import re
 import shlex
 import sys
 from collections.abc import Callable, Mapping, Sequence
@@ -21,6 +20,7 @@ from cpam_bayes.errors import PlateFileError, checked
 from cpam_bayes.forward_model.preconditions import require_choice
 from cpam_bayes.plate.edges import ALL_FREE, EDGE_KEY, PLACES
 from cpam_bayes.plate.reader import parse_specimen
+from cpam_bayes.plate.understood import UNITS, number_of, numbers_of
 from cpam_bayes.render.report import Report, Summary, remarks
 from cpam_bayes.result import Result, present
 from cpam_bayes.storage import draft_directory, put_in_place, replaceable
@@ -335,8 +335,6 @@ def _present(result: NewPlateResult) -> Report:
 
 # Typed in place of an answer, it takes the one before back.
 _BACK: Final = "<"
-# Between numbers: spaces, a semicolon, a comma before a space, a sign of multiplication.
-_BETWEEN: Final = re.compile(r"(?:\s*[;x*\N{MULTIPLICATION SIGN}]\s*|,?\s+)", re.IGNORECASE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -354,23 +352,19 @@ class Question:
 
 def _numbers(text: str) -> tuple[float, ...]:
     """Numbers with points or, all of them, with commas; one alone with a comma may be two, and is refused."""
-    parts = _BETWEEN.split(text.strip())
-    both = "." in text and any("," in part for part in parts)
-    try:
-        if both or (len(parts) == 1 and "," in text):
-            raise ValueError
-        return tuple(_number(part) for part in parts)
-    except ValueError:
+    values = numbers_of(text)
+    if values is None:
         raise ValueError(
             f"received {text!r}, accepted: numbers with spaces between them, such as 310 228 3.1"
-        ) from None
+        )
+    return values
 
 
 def _number(text: str) -> float:
-    try:
-        return float(text.replace(",", "."))
-    except ValueError:
-        raise ValueError(f"received {text!r}, accepted: one number, such as 340.7") from None
+    value = number_of(text, UNITS["g"])
+    if value is None:
+        raise ValueError(f"received {text!r}, accepted: one number, such as 340.7")
+    return value
 
 
 QUESTIONS: Final = (

@@ -51,7 +51,7 @@ SPOILT = [
     ("width_mm = 250", "width_mm = 250\nresolution_hz = 1", "plate.resolution_hz", "[measurement]"),
     ("sd = 0.03, ", "sd = 0.03, men = 1, ", "unknowns.nu12.men", "nearest known key is mean"),
     # types
-    ("length_mm = 260.0", 'length_mm = "260"', "plate.length_mm", 'received "260"'),
+    ("length_mm = 260.0", 'length_mm = "1,260"', "plate.length_mm", 'received "1,260"'),
     ("length_mm = 260.0", "length_mm = 1979-05-27", "plate.length_mm", "received datetime.date"),
     ("length_mm = 260.0", f"length_mm = 1{'0' * 400}", "plate.length_mm", "wrong type"),
     ("isotropic = false", 'isotropic = "no"', "material.isotropic", "true or false"),
@@ -60,7 +60,7 @@ SPOILT = [
     ("[environment]\nair_density_kg_m3 = 1.2", "[[environment]]", "environment", "a table"),
     (
         "frequencies_hz = [102,",
-        'frequencies_hz = ["102",',
+        'frequencies_hz = ["102 V",',
         "measurement.frequencies_hz item 1",
         "Hz",
     ),
@@ -103,7 +103,7 @@ SPOILT = [
     ("density_kg_m3 = 15\n", "mass_g = 15\n", "plate.sd.mass_g", "does not give"),
     ("nu12 = 0.02", "G13_GPa = 0.02", "material.sd.G13_GPa", "does not give"),
     ('edges = "CFSF"', 'edges = "CFS"', "plate.edges", "four letters of F S C"),
-    ('edges = "CFSF"', 'edges = "cfsf"', "plate.edges", 'received "cfsf"'),
+    ('edges = "CFSF"', 'edges = "cfxf"', "plate.edges", 'received "cfxf"'),
     ('edges = "CFSF"', 'edges = "CFSF\\n"', "plate.edges", "four letters of F S C"),
     ('"[(0/90)_8]_s"', '"[(0/9x)_8]_s"', "plate.layup", "character 6"),
     ('"[(?/?/?/?)_4]_s"', '"[(0/90)_8]_s"', "plate.sequence_layup", "no unknown angle"),
