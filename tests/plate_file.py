@@ -1,4 +1,4 @@
-"""Plate files of the tests: an aluminium plate with the list measured on it, a bar, and any as a mapping."""
+"""Plate files of the tests: an aluminium plate with its list, a bar, any as a mapping; and a refusal."""
 
 from typing import Any
 
@@ -54,3 +54,13 @@ def described(
     sizes = dict(zip(("length_mm", "width_mm", "thickness_mm"), size_mm, strict=True))
     plate = {**sizes, "density_kg_m3": density_kg_m3, "layup": layup, "edges": edges}
     return {"name": "plate", "plate": plate, "material": material, **tables}
+
+
+def refused(answer: tuple[object, str, str], *fragments: str) -> None:
+    """A command ended with status 2 and one message that holds these fragments."""
+    status, out, err = answer
+    assert (status, out) == (2, "")
+    assert "Traceback" not in err
+    assert err.count("error: ") == 1
+    for fragment in fragments:
+        assert fragment in err

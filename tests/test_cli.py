@@ -7,13 +7,14 @@ import signal
 import subprocess
 import sys
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import pytest
 
 from cpam_bayes import __version__
 from cpam_bayes.cli import main
-from tests.plate_file import MEASURED
+from tests.plate_file import MEASURED, refused
 from tests.plate_file import PLATE as WITHOUT_LIST
 
 PROJECT = Path(__file__).parent.parent
@@ -21,6 +22,12 @@ PROJECT = Path(__file__).parent.parent
 SHORT = ("--swarms", "1", "--iterations", "8", "--quiet")
 
 PLATE = WITHOUT_LIST + MEASURED
+
+
+@pytest.fixture
+def plate_file(plate_file):
+    """Write the plate file with its list, some words replaced, and return its path."""
+    return partial(plate_file, text=PLATE)
 
 
 @pytest.fixture(scope="module")
@@ -31,21 +38,6 @@ def cache(tmp_path_factory):
 @pytest.fixture(autouse=True)
 def own_cache(cache, monkeypatch):
     monkeypatch.setenv("CPAM_BAYES_CACHE", str(cache))
-
-
-@pytest.fixture
-def plate_file(tmp_path):
-    """Write a plate file, by default with some words replaced, and return its path."""
-
-    def write(*changes, text=PLATE):
-        for old, new in changes:
-            assert old in text
-            text = text.replace(old, new)
-        path = tmp_path / "plate.toml"
-        path.write_text(text, encoding="utf-8")
-        return str(path)
-
-    return write
 
 
 def listen():
@@ -182,16 +174,6 @@ def test_identify_as_json_has_the_keys_of_the_contract(run):
     assert all(f"warning: {warning}" in err for warning in document["warnings"])
 
 
-def test_the_same_seed_gives_the_same_document_and_another_seed_another(run):
-    first, again, other = (
-        json.loads(run("identify", "A1", "--json", "--seed", seed, *SHORT)[1]) for seed in "334"
-    )
-    for document in (first, again):
-        document.pop("seconds")
-    assert first == again
-    assert first["constants"] != other["constants"]
-
-
 def test_relative_residuals_and_the_size_of_the_swarm_are_options(run):
     argv = ("identify", "A1", "--json", "--residuals", "relative", "--particles", "7", *SHORT)
     document = json.loads(run(*argv)[1])
@@ -278,14 +260,10 @@ def test_a_reference_outside_its_own_bounds_is_the_first_line(run, plate_file):
 
 def test_a_misfit_that_no_test_has_is_the_first_line(run, plate_file):
     path = plate_file(("[114, 167, 218", "[114, 130, 218"))
-    status, out, _ = run("identify", path, *SHORT)
+    status, out, err = run("identify", path, *SHORT)
     assert status == 0
     assert "does not describe these frequencies" in out.splitlines()[1]
-
-
-def test_a_fit_that_misses_a_frequency_is_not_to_be_trusted(run, plate_file):
-    path = plate_file(("[114, 167, 218", "[114, 130, 218"))
-    assert re.search(r"best fit is \d+ % off", run("identify", path, *SHORT)[2])
+    assert re.search(r"best fit is \d+ % off", err)
 
 
 def test_what_the_swarm_leaves_aside_is_said(run, plate_file):
@@ -299,26 +277,12 @@ def test_what_the_swarm_leaves_aside_is_said(run, plate_file):
 # Bad input: exit status 2, one message, nothing on standard output
 
 
-def refused(answer, *fragments):
-    status, out, err = answer
-    assert (status, out) == (2, "")
-    assert "Traceback" not in err
-    assert err.count("error: ") == 1
-    for fragment in fragments:
-        assert fragment in err
-
-
 BAD_FILES = {
-    "NaN": (("3.0", "nan"), ":6: plate.thickness_mm: not a finite number"),
     "infinity": (("2700.0", "inf"), ":7: plate.density_kg_m3: not a finite number"),
-    "zero": (("300.0", "0.0"), ":4: plate.length_mm: out of range"),
-    "negative": (("280.0", "-280.0"), ":5: plate.width_mm: out of range, received -280.0"),
-    "in metres, the other way": (("3.0", "3000"), ":6: plate.thickness_mm: not a plate"),
     "unknown key": (
         ("edges", "width_m = 0.28\nedges"),
         ":8: plate.width_m: unknown key, the nearest known key is width_mm",
     ),
-    "descending": (("218, 289", "289, 218"), "measurement.frequencies_hz item 4: descending"),
     "descending throughout": (
         ("[114, 167, 218, 289, 300, 497]", "[497, 300, 218]"),
         "item 2: descending frequencies, received 300 after 497, and at 1 more place, accepted: ascending, "
@@ -328,9 +292,6 @@ BAD_FILES = {
         ("[114, 167, 218, 289, 300, 497]", "[114, 114, 114, 114]"),
         "measurement.frequencies_hz: all 4 frequencies are equal, received 114 each time",
     ),
-    "impossible": (("nu12 = 0.33", "nu12 = 0.99"), ":13: material"),
-    "layup": (('edges = "FFFF"', 'edges = "FFFF"\nlayup = "[0/9x]"'), "(character 5)\n"),
-    "million plies": (('edges = "FFFF"', 'edges = "FFFF"\nlayup = "[0_1000000]"'), "plate.layup"),
     "invalid TOML": (("[plate]", "[plate"), ":3: file: not valid TOML"),
     "unknown angles": (
         ('edges = "FFFF"', 'edges = "FFFF"\nlayup = "[?/0]_s"'),
@@ -348,34 +309,14 @@ def test_a_bad_plate_file_is_refused_with_file_line_and_key(run, plate_file, com
 
 
 def test_an_impossible_path_is_refused(run, tmp_path):
-    refused(run("identify", str(tmp_path / "none.toml")), "neither a file nor a built-in")
     refused(run("identify", "C5"), "C5: neither a file nor a built-in specimen, the nearest", "C4")
     refused(run("forward", str(tmp_path)), str(tmp_path), "a directory")
-    binary = tmp_path / "binary.toml"
-    binary.write_bytes(bytes(range(256)))
-    refused(run("forward", str(binary)), "binary.toml", "a binary file")
-    huge = tmp_path / "huge.toml"
-    with open(huge, "wb") as file:
-        file.truncate(10**9)
-    refused(run("identify", str(huge)), "huge.toml", "too large")
-
-
-def test_constants_of_a_plate_with_a_mesh_are_refused(run, plate_file, tmp_path):
-    (tmp_path / "plate.msh").write_text("")
-    path = plate_file(('edges = "FFFF"', 'edges = "FFFF"\nmesh = "plate.msh"'))
-    refused(run("identify", path), "plate.mesh", "rectangular plates only")
 
 
 def test_a_list_with_gaps_can_be_computed_but_not_identified(run, plate_file):
     path = plate_file(("resolution_hz = 1.0", "complete = false"))
     refused(run("identify", path), "measurement.complete: received false")
     assert run("forward", path, "--modes", "2", "--quiet")[0] == 0
-
-
-@pytest.mark.parametrize("table", ["unknowns", "measurement"])
-def test_nothing_to_identify_is_refused(run, plate_file, table):
-    text = re.sub(rf"\[{table}\]\n(.+\n)+", "", PLATE)
-    refused(run("identify", plate_file(text=text), "--quiet"), f"[{table}] is missing")
 
 
 @pytest.mark.parametrize(
@@ -410,24 +351,13 @@ def test_an_unexpected_error_is_not_taken_for_bad_input(monkeypatch):
 # Result files
 
 
-def test_identify_writes_its_document_and_figures(run, tmp_path):
-    out = tmp_path / "new" / "results"
-    status, text, _ = run("identify", "A1", "--json", "--out", str(out), *SHORT)
-    assert status == 0
-    names = ("predicted_against_measured", "residuals", "modes", "plate")
-    expected = {"identify.json", "report.html"} | {
-        f"figures/{n}.{end}" for n in names for end in ("png", "svg")
-    }
-    assert {str(p.relative_to(out)) for p in out.rglob("*") if p.is_file()} == expected
-    assert list(out.glob(".*")) == []
-    assert (out / "identify.json").read_text(encoding="utf-8") == text
-
-
 def test_forward_writes_the_mode_shapes(run, tmp_path):
-    assert run("forward", "A1", "--modes", "2", "--out", str(tmp_path), "--quiet")[0] == 0
+    status, text, _ = run("forward", "A1", "--modes", "2", "--json", "--out", str(tmp_path), "--quiet")
+    assert status == 0
     assert (tmp_path / "figures" / "modes.png").read_bytes().startswith(b"\x89PNG")
     assert "<svg" in (tmp_path / "figures" / "modes.svg").read_text(encoding="utf-8")
-    assert len(json.loads((tmp_path / "forward.json").read_text())["modes"]) == 2
+    assert (tmp_path / "forward.json").read_text(encoding="utf-8") == text
+    assert list(tmp_path.glob(".*")) == []
 
 
 @pytest.mark.parametrize("below", ["", "deeper"])
@@ -448,9 +378,10 @@ def test_a_failed_run_leaves_no_directory(run, plate_file, tmp_path):
     assert not (tmp_path / "a").exists()
 
 
-def test_an_answer_that_cannot_be_saved_is_shown_all_the_same(run, tmp_path, monkeypatch):
+@pytest.mark.parametrize("error", [OSError(28, "No space left on device"), ValueError("drawn in vain")])
+def test_an_answer_that_cannot_be_saved_is_shown_all_the_same(run, tmp_path, monkeypatch, error):
     def full(*args):
-        raise OSError(28, "No space left on device")
+        raise error
 
     monkeypatch.setattr("cpam_bayes.render.figures.save_figures", full)
     out = tmp_path / "out"
@@ -458,7 +389,7 @@ def test_an_answer_that_cannot_be_saved_is_shown_all_the_same(run, tmp_path, mon
     status, text, err = run(*argv)
     assert status == 1
     assert json.loads(text)["modes"]
-    assert "No space left" in err
+    assert str(error.args[-1]) in err
     # what was computed is there, what could not be drawn is not
     assert [path.name for path in out.iterdir()] == ["forward.json"]
 
@@ -654,15 +585,3 @@ def test_lost_workers_end_a_command_with_one_message_and_1(run, monkeypatch) -> 
     monkeypatch.setattr(plates, "COMMAND", Command(lost, watched=False, seeded=False))
     status, out, err = run("plates")
     assert (status, out, err) == (1, "", "error: four workers died at item 3\n")
-
-
-def test_the_answer_is_kept_and_shown_where_a_figure_fails(run, plate_file, tmp_path, monkeypatch):
-    def fails(figures, directory):
-        raise ValueError("drawn in vain")
-
-    monkeypatch.setattr("cpam_bayes.render.figures.save_figures", fails)
-    status, out, err = run("forward", plate_file(), "--modes", "2", "--out", tmp_path / "out", "--quiet")
-    assert status == 1
-    assert "natural frequencies" in out
-    assert "drawn in vain; not all files are there" in err
-    assert (tmp_path / "out" / "forward.json").is_file()

@@ -8,6 +8,7 @@ import pytest
 
 from cpam_bayes.forward_model.calculix import PROGRAM_VARIABLE
 from tests.meshes import Quads, grid, rectangle
+from tests.plate_file import refused
 
 PLATE = """\
 name = "plate 7"
@@ -56,14 +57,6 @@ def frequencies(document):
 
 def described(document):
     return [(mode["kind"], mode["label"]) for mode in document["modes"]]
-
-
-def refused(found, *fragments):
-    status, out, err = found
-    assert (status, out) == (2, "")
-    assert err.count("error: ") == 1
-    for fragment in fragments:
-        assert fragment in err
 
 
 def holed():

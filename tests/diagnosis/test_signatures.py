@@ -153,9 +153,7 @@ def test_causes_whose_visible_shifts_are_parallel_are_alike() -> None:
 
 def test_the_cosine_is_that_of_what_the_constants_leave() -> None:
     found = signatures(F0 * (1.0 + 0.01 * (BUMP + DENT)))
-    a = weighted_slopes(F0)
     left = [d - A @ np.linalg.lstsq(A, d, rcond=None)[0] for d in (BUMP, DENT)]
-    del a
     expected = left[0] @ left[1] / np.linalg.norm(left[0]) / np.linalg.norm(left[1])
     sign = np.sign(found["bump"].shift @ BUMP) * np.sign(found["dent"].shift @ DENT)
     assert cosine(found["bump"], found["dent"]) == pytest.approx(sign * expected, abs=0.02)

@@ -20,48 +20,28 @@ def test_names_of_executors_are_accepted(spec: str) -> None:
     assert read_spec(spec) == spec
 
 
+SPECS = ("", "ray", "Serial", "dask", "dask://", "dask://host", "dask://:1", "dask://h:0", "dask://h:65536")
+NOBODY = "dask://127.0.0.1:1"
+
+
 @pytest.mark.parametrize(
-    "spec",
-    ["", "ray", "Serial", "dask", "dask://", "dask://host", "dask://:1", "dask://h:0", "dask://h:65536"],
+    ("spec", "workers", "said"),
+    [
+        *((s, None, f"executor: received '{s}', accepted: processes, serial or dask:") for s in SPECS),
+        ("serial", 2, "number of workers: received 2 with executor .* with processes only"),
+        (NOBODY, 2, "number of workers: received 2 with executor .* with processes only"),
+        (None, 0, "number of workers: received 0, accepted: 1"),
+        (NOBODY, None, "received dask://127.0.0.1:1, but no Dask scheduler answers"),
+    ],
 )
-def test_other_names_are_refused_with_those_accepted(spec: str) -> None:
-    with (
-        pytest.raises(ValueError, match=f"executor: received '{spec}', accepted: processes, serial or dask:"),
-        open_executor(spec),
-    ):
+def test_what_cannot_be_an_executor_is_refused(spec: str | None, workers: int | None, said: str) -> None:
+    with pytest.raises(ValueError, match=said), open_executor(spec, workers, patience=0.2):
         pass
 
 
 def test_serial_work_has_no_executor() -> None:
     with open_executor("serial") as executor:
         assert executor is None
-
-
-@pytest.mark.parametrize("spec", ["serial", "dask://127.0.0.1:1"])
-def test_a_number_of_workers_is_for_processes_only(spec: str) -> None:
-    with (
-        pytest.raises(
-            ValueError, match=r"number of workers: received 2 with executor .* with processes only"
-        ),
-        open_executor(spec, 2),
-    ):
-        pass
-
-
-def test_no_workers_are_refused() -> None:
-    with (
-        pytest.raises(ValueError, match="number of workers: received 0, accepted: 1"),
-        open_executor(None, 0),
-    ):
-        pass
-
-
-def test_a_scheduler_that_does_not_answer_is_an_error() -> None:
-    with (
-        pytest.raises(ValueError, match=r"received dask://127\.0\.0\.1:1, but no Dask scheduler answers"),
-        open_executor("dask://127.0.0.1:1", patience=0.2),
-    ):
-        pass
 
 
 def test_without_dask_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:

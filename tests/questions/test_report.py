@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from functools import partial
 
 import pytest
 
@@ -18,17 +19,9 @@ MAX_BYTES = 5_000_000
 
 
 @pytest.fixture
-def plate_file(tmp_path):
-    def write(*changes):
-        text = PLATE + MEASURED
-        for old, new in changes:
-            assert old in text
-            text = text.replace(old, new, 1)
-        path = tmp_path / "plate.toml"
-        path.write_text(text, encoding="utf-8")
-        return str(path)
-
-    return write
+def plate_file(plate_file):
+    """Write the plate file with its list, some words replaced, and return its path."""
+    return partial(plate_file, text=PLATE + MEASURED)
 
 
 def test_a_quick_report_is_one_page_with_the_files_of_its_parts(run, plate_file, few_causes, tmp_path):

@@ -30,19 +30,9 @@ EMCEE = ("--backend", "emcee", "--quiet", "--steps", "200")
 
 
 @pytest.fixture
-def plate_file(tmp_path: Path) -> Write:
-    """Write the plate file with some words replaced and return its path."""
-
-    def write(*changes: tuple[str, str]) -> str:
-        text = PLATE
-        for old, new in changes:
-            assert old in text
-            text = text.replace(old, new)
-        path = tmp_path / "plate.toml"
-        path.write_text(text, encoding="utf-8")
-        return str(path)
-
-    return write
+def plate_file(plate_file: Write) -> Write:
+    """Write the plate file with its list, some words replaced, and return its path."""
+    return partial(plate_file, text=PLATE)
 
 
 @pytest.fixture(scope="module")
