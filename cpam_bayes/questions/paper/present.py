@@ -129,7 +129,7 @@ def _rows_of(document: Record, number: int, columns: tuple[Column, ...] = _ROWS)
 
 
 def _count(of: str, kind: str) -> Column:
-    return _shown(kind, lambda t: t[of][kind] or None, number=True)
+    return _shown(kind, lambda t: t[of].get(kind) or None, number=True)
 
 
 _TABLES: Final = (
@@ -152,6 +152,7 @@ _MISFITS: Final = (
     _of("swarms_converged", "swarms converged", number=True),
     _of("on_bounds", "on a bound", " ".join),
 )
+_OWN_MISFITS: Final = tuple(c for c in _MISFITS if c.heading not in ("by", "swarms converged"))
 _SIMULATION: Final = (
     _of("table", "table", number=True),
     _of("specimen", "plate"),
@@ -466,7 +467,8 @@ def _lines(document: Record) -> Iterator[str]:
         "found it.",
         "",
     )
-    yield from _markdown(Rows("misfits", _MISFITS, tuple(audit["misfits"])))
+    own = tuple(m for m in audit["misfits"] if m["source"] in _OF_THE_PAPER)
+    yield from _markdown(Rows("misfits", _OWN_MISFITS, own))
     yield from _hadamard_lines(document["hadamard"])
     yield from _cost_lines(document)
     yield from (f"- Warning: {text}" for text in document["warnings"])
@@ -474,7 +476,7 @@ def _lines(document: Record) -> Iterator[str]:
 
 def _noise_lines(document: Record) -> Iterator[str]:
     """What the tables of disorder show, and their angles beside the print."""
-    texts = [text for key in ("means_of_ten", "angles") if (text := document["audit"][key])]
+    texts = [text for key in ("means_of_ten", "angles") if (text := document["audit"].get(key))]
     if not texts:
         return
     yield from ("## What means of ten can show", "", " ".join(texts), "")

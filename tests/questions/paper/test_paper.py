@@ -15,9 +15,10 @@ import cpam_bayes as cb
 from cpam_bayes.printed.tables import NUMBERS
 from cpam_bayes.questions import paper as module
 from cpam_bayes.questions.paper import PaperResult, tasks_of
-from cpam_bayes.questions.paper.present import page
+from cpam_bayes.questions.paper.present import page, row_table
 from cpam_bayes.questions.paper.rows import FOUR, INPUT, NOT_REPRODUCIBLE, TWO, VERDICTS
 from cpam_bayes.questions.paper.work import FULL, QUICK, case_specimen, packaged, printed_rows, read, write
+from cpam_bayes.render.documents import csv_text
 from cpam_bayes.render.terminal import plain_text, screen_tables
 
 Run = Callable[..., tuple[object, str, str]]
@@ -169,16 +170,21 @@ def document() -> dict[str, Any]:
 
 
 def test_a_changed_number_changes_the_page(document: dict[str, Any]) -> None:
-    rows = [dict(row) for row in document["rows"]]
-    place = next(i for i, row in enumerate(rows) if row["table"] == 9 and row["ours"] is not None)
-    rows[place]["ours"] = 1.2345
-    assert page({**document, "rows": rows}) != page(document)
+    misfits = [dict(misfit) for misfit in document["audit"]["misfits"]]
+    misfits[-1]["rms_percent"] = 1.2345
+    changed = {**document, "audit": {**document["audit"], "misfits": misfits}}
+    assert page(changed) != page(document)
+
+
+def test_the_rows_beside_the_page_are_those_of_the_saved_document(document: dict[str, Any]) -> None:
+    written = (PROJECT / "docs" / "comparison.csv").read_text("utf-8")
+    assert written == csv_text(row_table(document))
 
 
 def test_the_saved_document_has_every_printed_value_and_three_disagreements(document: dict[str, Any]) -> None:
     assert [t["table"] for t in document["tables"]] == list(NUMBERS)
     assert len(document["disagreements"]) == 3
     assert not document["quick"]
-    assert {row["verdict"].partition(":")[0] for row in document["rows"]} == set(VERDICTS)
+    assert {row["verdict_kind"] for row in document["rows"]} <= set(VERDICTS)
     # every printed value of tests/printed/test_tables.py
     assert len(document["rows"]) == 474
