@@ -445,7 +445,8 @@ def _lines(document: Record) -> Iterator[str]:
         "references.",
         "",
     )
-    yield from _markdown(Rows("tables", _TABLES, tuple(document["tables"])))
+    counts = tuple(column for column in _TABLES if column.key != "title")
+    yield from _markdown(Rows("tables", counts, tuple(document["tables"])))
     yield from _noise_lines(document)
     agreements = [p["agreement"] for p in audit["percentages"]]
     follows, before, never = (agreements.count(kind) for kind in AGREEMENTS)
