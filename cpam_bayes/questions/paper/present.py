@@ -152,7 +152,7 @@ _MISFITS: Final = (
     _of("swarms_converged", "swarms converged", number=True),
     _of("on_bounds", "on a bound", " ".join),
 )
-_OWN_MISFITS: Final = tuple(c for c in _MISFITS if c.heading not in ("by", "swarms converged"))
+_OWN_MISFITS: Final = tuple(c for c in _MISFITS if c.key not in ("source", "swarms_converged"))
 _SIMULATION: Final = (
     _of("table", "table", number=True),
     _of("specimen", "plate"),
