@@ -15,6 +15,7 @@
     cb.batch(plate, other_plate)    # many plates, one row each, with limits and a control chart
     cb.sensitivity(plate)           # the paper's noise study beside the posterior
     cb.calibrate(plate)             # do its intervals hold the truth as often as they say?
+    cb.app("plates")                # a page on this machine, the constants while one types
     cb.paper(5)                     # a table of the paper beside what this package computes
 
 Every result has `summary()`, `to_dict()`, `plot()`, `save()`, `warnings` and `status`. Names are loaded
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
     from cpam_bayes import effects as effects
     from cpam_bayes.identification.search import posterior
     from cpam_bayes.plate.reader import builtin_plates, read_plate
+    from cpam_bayes.questions.app import app
     from cpam_bayes.questions.batch import batch
     from cpam_bayes.questions.cache import cache
     from cpam_bayes.questions.calibrate import calibrate
@@ -53,6 +55,7 @@ if TYPE_CHECKING:
 # Public name -> the module that holds it.
 _PUBLIC = {
     "Result": "cpam_bayes.result",
+    "app": "cpam_bayes.questions.app",
     "batch": "cpam_bayes.questions.batch",
     "builtin_plates": "cpam_bayes.plate.reader",
     "cache": "cpam_bayes.questions.cache",
@@ -79,6 +82,7 @@ _PACKAGES = ("effects",)
 
 __all__ = [
     "Result",
+    "app",
     "batch",
     "builtin_plates",
     "cache",

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from cpam_bayes.result import Result
 
 COMMANDS: Final = {
+    "app": "a page on this machine: a plate, its frequencies, and the constants while one types",
     "plates": "the built-in specimens",
     "new": "a commented plate file to begin with",
     "poles": "natural frequencies and damping from frequency responses or recorded hits",

@@ -21,11 +21,18 @@ class PlateFileError(ValueError):
 
     problems : each "file:line: key: what was wrong, the value received, what is accepted"
     gaps : those of them that miss something and name nothing wrong
+    found : problem, path of its key and the phrase without the place, of those that are of a key
     """
 
-    def __init__(self, *problems: str, gaps: tuple[str, ...] = ()) -> None:
+    def __init__(
+        self,
+        *problems: str,
+        gaps: tuple[str, ...] = (),
+        found: tuple[tuple[str, tuple[str | int, ...], str], ...] = (),
+    ) -> None:
         super().__init__(*problems)
         self.gaps = gaps
+        self.found = found
 
     @property
     def problems(self) -> tuple[str, ...]:

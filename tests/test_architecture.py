@@ -39,6 +39,7 @@ LAYERS = (
     "render",
     "result",
     "command",
+    "workbench",
     "questions",
     "cli",
     "__main__",

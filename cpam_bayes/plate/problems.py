@@ -65,14 +65,20 @@ def plate_file_error(
         ((_line(problem.path, lines), problem) for problem in problems), key=lambda item: item[0]
     )
     said: dict[str, bool] = {}
+    found = []
     for i, (line, problem) in enumerate(located):
         if len(said) == _MAX_PROBLEMS:
             said[f"{source}: and {len(located) - i} more problems"] = False
             break
         # A mapping given instead of a file has no lines.
         where = f"{source}:{line}" if lines else source
-        said[f"{where}: {_key(problem.path)}: {problem.text}"] = problem.is_gap
-    return PlateFileError(*said, gaps=tuple(text for text, is_gap in said.items() if is_gap))
+        text = problem.text
+        whole = f"{where}: {_key(problem.path)}: {text}"
+        if whole not in said:
+            found.append((whole, problem.path, text))
+        said[whole] = problem.is_gap
+    gaps = tuple(text for text, is_gap in said.items() if is_gap)
+    return PlateFileError(*said, gaps=gaps, found=tuple(found))
 
 
 def received(value: object) -> str:

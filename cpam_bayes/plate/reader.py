@@ -141,10 +141,14 @@ def builtin(name: str, sequence: bool = False) -> Specimen:
     """
     if name not in _NAMES:
         raise ValueError(f"built-in specimen: received {name!r}, accepted: {' '.join(_NAMES)}")
-    resource = files("cpam_bayes") / "data" / "specimens" / f"{name.replace('&', '_and_')}.toml"
-    text = resource.read_text(encoding="utf-8")
-    specimen = parse_specimen(text, f"built-in {name}")
+    specimen = parse_specimen(builtin_text(name), f"built-in {name}")
     return specimen.with_unknown_angles() if sequence else specimen
+
+
+def builtin_text(name: str) -> str:
+    """The plate file of a built-in specimen."""
+    resource = files("cpam_bayes") / "data" / "specimens" / f"{name.replace('&', '_and_')}.toml"
+    return resource.read_text(encoding="utf-8")
 
 
 def builtin_plates() -> tuple[Specimen, ...]:

@@ -136,12 +136,7 @@ def plate_file_text(known: KnownPlate) -> str:
     ]
     if known.table is not None or known.frequencies_hz:
         measured = [line for line in measured if not line.startswith("#")]
-    of_material = [
-        _line("name", material.name, "", "plates of one name share their constants in `diagnose`"),
-        _line("symmetry", material.symmetry, "", "isotropic, transversely_isotropic or orthotropic"),
-        *(_line(key, value, 0.0, "") for key, value in material.constants.items()),
-    ]
-    unknown = [_line(key, list(pair), [], "") for key, pair in material.bounds.items()]
+    of_material, unknown = material_lines(material)
     blocks = [
         [f"name = {json.dumps(known.name, ensure_ascii=False)}"],
         ["[plate]", *plate],
@@ -177,6 +172,15 @@ def plate_file_text(known: KnownPlate) -> str:
         ],
     ]
     return "\n\n".join("\n".join(block) for block in blocks) + "\n"
+
+
+def material_lines(material: TypicalMaterial) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """The lines of [material] and of [unknowns]."""
+    return (
+        _line("name", material.name, "", "plates of one name share their constants in `diagnose`"),
+        _line("symmetry", material.symmetry, "", "isotropic, transversely_isotropic or orthotropic"),
+        *(_line(key, value, 0.0, "") for key, value in material.constants.items()),
+    ), tuple(_line(key, list(pair), [], "") for key, pair in material.bounds.items())
 
 
 def _line(key: str, value: object, example: object, comment: str) -> str:

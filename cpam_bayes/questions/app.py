@@ -1,0 +1,347 @@
+"""The local page: a plate, its frequencies, and what follows from them while one types: the question `app`.
+
+What the page computes is computed here, by the verbs that answer the commands, in processes of the page's own.
+"""
+
+from __future__ import annotations
+
+import webbrowser
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, ClassVar, Final
+
+import numpy as np
+
+from cpam_bayes import __version__
+from cpam_bayes.answer import Constant, FrequencyRow
+from cpam_bayes.command import Command, option, whole
+from cpam_bayes.diagnosis.hypotheses import NONE, OTHER
+from cpam_bayes.errors import checked
+from cpam_bayes.identification.point import bound_of, verdict_of
+from cpam_bayes.identification.search import posterior
+from cpam_bayes.inference.laplace import find_optima, gauss_newton_covariance
+from cpam_bayes.plate import Specimen, builtin_names, parse_specimen, to_user, unit_of
+from cpam_bayes.plate.reader import builtin_text
+from cpam_bayes.questions.diagnose import claim_sentence, diagnose
+from cpam_bayes.questions.diagnose.document import (
+    DiagnosisResult,
+    answer_constants,
+    place_of,
+    probability_text,
+    size_text,
+    title_of,
+)
+from cpam_bayes.questions.identify.pso import PointResult, identify
+from cpam_bayes.questions.new import MATERIALS, KnownPlate, TypicalMaterial, material_lines, plate_file_text
+from cpam_bayes.questions.report import report
+from cpam_bayes.render.page import PAGE
+from cpam_bayes.render.report import Report, Summary
+from cpam_bayes.render.sentences import determined_text, frequency_columns, interval_text, value_text
+from cpam_bayes.result import Result
+from cpam_bayes.workbench.work import Shown, Tell
+
+__all__ = ["COMMAND", "AppResult", "app"]
+
+_PORT: Final = 8377
+_REACH: Final = 1.959963984540054
+# Start points of the optimisation where there is no former optimum.
+_STARTS: Final = 4
+# Causes that are shown as bars.
+_BARS: Final = 8
+# Side of the grid of a mode shape in small.
+_GRID: Final = 13
+_SMALLEST: Final = 1e-3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
+class AppResult(Result):
+    """A page that was served, and has ended."""
+
+    command: ClassVar[str] = "app"
+
+    address: str
+    folder: Path
+
+    def report(self) -> Report:
+        """Where the work is."""
+        return present(self)
+
+
+def present(result: AppResult) -> Report:
+    """Where the work is."""
+    return Report(
+        summary=Summary(
+            title="app",
+            headline="The page has ended; nothing is lost.",
+            lines=(f"Plate files and unsaved work are in {result.folder}.",),
+        ),
+        document={
+            "command": result.command,
+            "version": __version__,
+            "address": result.address,
+            "folder": str(result.folder),
+        },
+    )
+
+
+@checked
+def app(
+    plate: str = ".",
+    *,
+    port: int = _PORT,
+    no_browser: bool = False,
+    announce: Callable[[str], None] = lambda address: print(address, flush=True),
+) -> AppResult:
+    """Serve the page of a plate, or of the plates of a folder, on this machine until Ctrl-C.
+
+    Parameters
+    ----------
+    plate : a folder, a plate file, whose folder is then that of the page, or a built-in specimen
+    port : of 127.0.0.1; 0 for any that is free
+    no_browser : do not open a browser
+    announce : is told the address with its token, which opens the page
+
+    Raises
+    ------
+    ValueError
+        If there is no such folder or plate, the port is taken, or the extra `app` is not installed.
+    """
+    try:
+        from cpam_bayes.workbench import server
+    except ModuleNotFoundError as error:
+        raise ValueError(
+            f"app: {error.name} is not installed, which the page needs; "
+            'python -m pip install "cpam-bayes[app]"'
+        ) from None
+    from cpam_bayes.workbench.visit import Desk, Material, Tasks, Visit
+    from cpam_bayes.workbench.work import Pool, Worker
+
+    folder, name, text = _place(plate)
+    where = server.free_port(port)
+    desk = Desk(
+        folder=folder,
+        tasks=Tasks(live, identified, diagnosed, reported),
+        materials={key: Material(m.name, *material_lines(m)) for key, m in MATERIALS.items()},
+        blank=plate_file_text(KnownPlate("plate", edges="FFFF", layup="[0_8]")),
+        example=(Path(server.__file__).parent / "pages" / "example.toml").read_text("utf-8"),
+        live=Worker(),
+        pool=Pool(2),
+    )
+    first = None if name is None else lambda: Visit.opened(desk, name, text)
+    told: list[str] = []
+
+    def ready(address: str) -> None:
+        told.append(address)
+        announce(address)
+        if not no_browser:
+            webbrowser.open(address)
+
+    server.serve(desk, where, ready, first)
+    return AppResult(seed=0, address=next(iter(told), "").partition("?")[0], folder=folder)
+
+
+def _place(plate: str) -> tuple[Path, str | None, str | None]:
+    """The folder, the name of the plate file, and its text where it is a built-in specimen."""
+    if plate in builtin_names():
+        return Path.cwd(), f"{plate.replace('&', '_and_')}.toml", builtin_text(plate)
+    path = Path(plate)
+    if path.is_dir():
+        return path.resolve(), None, None
+    if not path.is_file():
+        raise ValueError(f"app: received {plate!r:.80}, accepted: a folder, a plate file or a built-in specimen")
+    return path.resolve().parent, path.name, None
+
+
+# What the page computes, in other processes: plain data in and out.
+
+@lru_cache(maxsize=4)
+def _target(text: str, name: str, folder: str) -> tuple[Specimen, Any]:
+    specimen = parse_specimen(text, name, Path(folder))
+    return specimen, posterior(specimen)
+
+
+def live(text: str, name: str, folder: str, optimum: Mapping[str, float] | None, *, tell: Tell) -> Any:
+    """The constants by Laplace's approximation about the optimum next to the last one.
+
+    Shown while one types; what is shown at rest is `identified`.
+    """
+    del tell
+    specimen, target = _target(text, name, folder)
+    names, rng = target.parameters.names, np.random.default_rng(0)
+    if optimum is not None and set(optimum) == set(names):
+        found = find_optima(target, np.array([[optimum[n] for n in names]]))[0]
+    else:
+        found = find_optima(target, target.parameters.sample(rng, _STARTS), rng, draws=_STARTS)[0]
+    sd = np.sqrt(np.diag(gauss_newton_covariance(target, found.x)))
+    constants = []
+    for unknown in specimen.unknowns.names:
+        i, prior = names.index(unknown), specimen.unknowns[unknown].prior
+        value, spread = float(found.x[i]), float(sd[i])
+        bound = bound_of(value, prior.lower, prior.upper)
+        ends = (max(value - _REACH * spread, prior.lower), min(value + _REACH * spread, prior.upper))
+        reference = float(specimen.material.complete()[unknown])
+        verdict = verdict_of(spread, prior.sd, explained=True, at_bound=bound is not None)
+        constants.append(
+            Constant(unknown, value, spread, None if bound else ends, prior, reference, verdict, bound)
+        )
+    measured = target.measurement.frequencies
+    n = len(target.model.parameters.names)
+    predicted = target.model.predict(found.x[None, :n]).frequencies[0, : len(measured)]
+    rows = [FrequencyRow(float(f), float(p)) for f, p in zip(measured, predicted, strict=True)]
+    return {
+        "constants": _constants(constants),
+        "rows": _rows(rows),
+        "rms": 100.0 * float(np.sqrt(np.mean((predicted / measured - 1.0) ** 2))),
+        "optimum": dict(zip(names, found.x.tolist(), strict=True)),
+    }
+
+
+def identified(text: str, name: str, folder: str, *, tell: Tell) -> Any:
+    """The answer of ``cpam-bayes identify``, in the words and digits of its screen."""
+    result: PointResult = identify(parse_specimen(text, name, Path(folder)), watch=Shown(tell))
+    summary = result.report().summary
+    return {
+        "headline": summary.headline,
+        "slips": list(summary.slips),
+        "lines": list(summary.lines),
+        "next": summary.next_step,
+        "warnings": list(summary.warnings),
+        "constants": _constants(result.estimate.constants),
+        "rows": _rows(result.frequencies),
+        "rms": 100.0 * result.estimate.rms,
+        "shapes": [_small(shape, mode.in_plane_fraction > 0.5) for shape, mode in
+                   zip(result.estimate.shapes, result.estimate.predicted, strict=True)],
+    }  # fmt: skip
+
+
+def diagnosed(text: str, name: str, folder: str, *, tell: Tell) -> Any:
+    """The answer of ``cpam-bayes diagnose``, with the causes as bars and what of it a plate file can say."""
+    specimen = parse_specimen(text, name, Path(folder))
+    result = diagnose(specimen, next_test="never", watch=Shown(tell))
+    d, summary = result.diagnosis, result.report().summary
+    causes = [c for c in d.causes if c.name != NONE][:_BARS]
+    apply, said = _applied(result, specimen)
+    first = next((c for c in d.causes if c.name not in (NONE, OTHER)), None)
+    place = place_of(first, specimen.plate) if first is not None and first.name in d.claim.causes else None
+    return {
+        "claim": claim_sentence(d),
+        "kind": d.claim.kind,
+        "slips": list(summary.slips),
+        "lines": list(summary.lines),
+        "next": summary.next_step,
+        "constants": _constants(answer_constants(d)),
+        "causes": [
+            {"title": title_of(d, c.name), "probability": c.probability, "said": probability_text(c.probability)}
+            for c in causes
+        ],
+        "nothing": 1.0 - d.something_wrong,
+        "place": None if place is None else [[1e3 * v for v in part] for part in place],
+        "apply": apply,
+        "apply_said": said,
+    }
+
+
+def _applied(result: DiagnosisResult, specimen: Specimen) -> tuple[Any, str]:
+    """What a plate file can say of the cause that is claimed, and in words; None where it has no key for it."""
+    d = result.diagnosis
+    if d.claim.kind != "named":
+        return None, ""
+    cause = next(c for c in d.causes if c.name == d.claim.causes[0])
+    place = place_of(cause, specimen.plate)
+    if cause.name == "sensor_mass" and place is not None:
+        mass = to_user("mass", cause.parameters["sensor_mass"][0])
+        x, y = (1e3 * v for v in place[0])
+        return (
+            {"sensor": {"mass_g": f"{mass:.2f}", "x_mm": f"{x:.0f}", "y_mm": f"{y:.0f}"}},
+            f"state {mass:.2f} g at ({x:.0f}, {y:.0f}) mm as a mass on the plate",
+        )
+    if cause.name in ("thickness", "length", "width"):
+        relative = cause.parameters[f"{cause.name}_deviation"][0]
+        value = to_user(cause.name, getattr(specimen.plate, cause.name) * (1.0 + relative))
+        return (
+            {"key": f"plate.{cause.name}_mm", "value": f"{value:.5g}"},
+            f"state a {cause.name} of {value:.5g} mm ({size_text(cause)})",
+        )
+    return None, ""
+
+
+def reported(text: str, name: str, folder: str, *, tell: Tell) -> Any:
+    """The files of ``cpam-bayes report --quick``, in a folder named after the plate file."""
+    answer = report(parse_specimen(text, name, Path(folder)), quick=True, watch=Shown(tell))
+    target = Path(folder) / f"{Path(name).stem}-report"
+    if target.is_symlink():
+        raise ValueError(f"{target.name}: a link, accepted: a folder of this page")
+    answer.save(target)
+    return {"page": f"{target.name}/{PAGE}", "folder": target.name}
+
+
+def _constants(constants: Sequence[Constant]) -> list[dict[str, Any]]:
+    """Constants in the words of the screen, and their numbers in the units of the plate file."""
+    found = []
+    for c in constants:
+        interval = None if c.interval is None else [to_user(c.name, end) for end in c.interval]
+        found.append(
+            {
+                "name": c.name,
+                "unit": unit_of(c.name),
+                "value": to_user(c.name, c.value),
+                "interval": interval,
+                "bounds": [to_user(c.name, c.prior.lower), to_user(c.name, c.prior.upper)],
+                "reference": to_user(c.name, c.reference),
+                "is_determined": c.is_determined,
+                "words": [value_text(c), interval_text(c), determined_text(c)],
+            }
+        )
+    return found
+
+
+def _rows(rows: Sequence[FrequencyRow]) -> list[dict[str, Any]]:
+    """The frequencies in the words of the screen."""
+    columns = {c.key: c for c in frequency_columns(rows) if c.key is not None}
+    return [
+        {
+            "model": columns["predicted_hz"].cell(row),
+            "residual": columns["residual_percent"].cell(row),
+            "percent": None if row.residual is None else 100.0 * row.residual,
+            "label": row.label or "",
+            "kind": row.kind or "",
+        }
+        for row in rows
+    ]
+
+
+def _small(shape: Any, in_plane: bool) -> list[list[int]]:
+    """A mode shape (3, n, n) on a coarse grid, -3 to 3; of an in-plane mode the larger of u and v."""
+    fields = np.asarray(shape)
+    field = max(fields[:2], key=lambda f: float(np.abs(f).max())) if in_plane else fields[2]
+    pick = np.linspace(0, field.shape[0] - 1, _GRID).round().astype(int)
+    coarse = field[np.ix_(pick, pick)]
+    scaled = coarse / max(float(np.abs(coarse).max()), 1e-300)
+    return [[int(v) for v in line] for line in np.rint(3.0 * scaled)]
+
+
+COMMAND: Final = Command(
+    app,
+    (
+        option(
+            "plate",
+            nargs="?",
+            default=".",
+            metavar="PLATE|DIR",
+            help="a plate file, a folder of plate files, or a built-in specimen (default: this folder)",
+        ),
+        option(
+            "--port",
+            type=whole(0, 65535),
+            default=_PORT,
+            metavar="N",
+            help=f"port of 127.0.0.1, 0 for any that is free (default: {_PORT})",
+        ),
+        option("--no-browser", action="store_true", help="do not open a browser"),
+    ),
+    out=None,
+    watched=False,
+    seeded=False,
+)

@@ -1,0 +1,176 @@
+"""A plate file as a text that fields of a page change, key by key; comments and all other keys stay.
+
+Whatever is typed goes into the text: a number as it was typed, anything else as a string, of which the reader
+of plate files then says what is wrong.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import tomllib
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+
+__all__ = ["FIELDS", "SENSOR", "as_list", "content", "numbers_in", "value_at", "with_block", "with_sensors", "with_value"]
+
+NUMBER, WORDS, LIST = "number", "words", "list"
+FIELDS: Final[Mapping[str, str]] = {
+    "name": WORDS,
+    **{f"plate.{key}_mm": NUMBER for key in ("length", "width", "thickness")},
+    "plate.mass_g": NUMBER,
+    "plate.density_kg_m3": NUMBER,
+    "plate.layup": WORDS,
+    "plate.edges": WORDS,
+    **{f"material.{key}": NUMBER for key in ("E1_GPa", "E2_GPa", "nu12", "G12_GPa")},
+    **{f"unknowns.{key}": LIST for key in ("E1_GPa", "E2_GPa", "nu12", "G12_GPa")},
+    "environment.air_density_kg_m3": NUMBER,
+    "measurement.frequencies_hz": LIST,
+    "measurement.relative_std": NUMBER,
+    "measurement.resolution_hz": NUMBER,
+}
+"""Key of a plate file that a page may change -> how its text is written."""
+SENSOR: Final = ("mass_g", "x_mm", "y_mm")
+"""Keys of a mass on the plate."""
+
+_HEADER: Final = re.compile(r"^\s*\[\[?\s*([A-Za-z0-9_.-]+)\s*\]\]?\s*(?:#.*)?$")
+_NUMBER: Final = re.compile(r"[+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d{1,3})?")
+_SEPARATORS: Final = re.compile(r"[;\s|]+")
+
+
+def content(text: str) -> dict[str, Any]:
+    """The values of a plate file, empty for a text that is no TOML."""
+    try:
+        return tomllib.loads(text)
+    except (ValueError, RecursionError):
+        return {}
+
+
+def value_at(data: Mapping[str, Any], key: str) -> Any:
+    """The value under a dotted key, None where there is none."""
+    found: Any = data
+    for part in key.split("."):
+        found = found.get(part) if isinstance(found, Mapping) else None
+    return found
+
+
+def numbers_in(typed: str) -> list[str]:
+    """The numbers of a typed or pasted list, a comma between digits being a decimal one unless it parts a list.
+
+    "102, 311; 342", "102,5 311,2" and a column of a spreadsheet are all read.
+    """
+    parts = [part.strip(",") for part in _SEPARATORS.split(typed) if part.strip(",")]
+    if any(part.count(",") > 1 for part in parts) or (len(parts) == 1 and re.search(r"\.\d*,", parts[0])):
+        parts = [inner for part in parts for inner in part.split(",") if inner]
+    return parts
+
+
+def as_list(typed: str) -> str:
+    """A typed list in TOML, "" for an empty one."""
+    parts = numbers_in(typed)
+    return f"[{', '.join(map(_number, parts))}]" if parts else ""
+
+
+def _number(typed: str) -> str:
+    """A number as typed, with a decimal point; anything else as a string, which no number may be."""
+    plain = typed.strip().replace(",", ".")
+    if not _NUMBER.fullmatch(plain):
+        return json.dumps(typed, ensure_ascii=False)
+    return repr(float(plain)) if plain.startswith(("+", ".")) or plain.endswith(".") or _padded(plain) else plain
+
+
+def _padded(plain: str) -> bool:
+    """Whether zeros lead, or a point lacks digits, which TOML does not take."""
+    return bool(re.match(r"-?0\d", plain) or re.search(r"\.(?:e|E|$)", plain) or plain.startswith("-."))
+
+
+def with_value(text: str, key: str, typed: str) -> str:
+    """The text with what was typed under a key of `FIELDS`; the key goes where nothing was typed.
+
+    Raises ``KeyError`` for another key.
+    """
+    kind, plain = FIELDS[key], typed.strip()
+    literal = json.dumps(plain, ensure_ascii=False) if kind == WORDS else _number(plain)
+    if kind == LIST:
+        literal = as_list(plain)
+    return _with_literal(text, key, literal if plain else "")
+
+
+def _with_literal(text: str, key: str, literal: str) -> str:
+    table, _, name = key.rpartition(".")
+    lines = text.split("\n")
+    start, stop = _block(lines, table)
+    if start < 0:
+        head = [f"[{table}]", f"{name} = {literal}", ""]
+        return "\n".join([*lines, *([] if lines[-1] == "" else [""]), *head]) if literal else text
+    for i in range(start, stop):
+        if re.match(rf"\s*{re.escape(name)}\s*=", lines[i]):
+            end = _end_of_value(lines, i, stop)
+            comment = _comment(lines[i]) if end == i + 1 else ""
+            kept = [f"{name} = {literal}"] if literal else []
+            kept = [f"{kept[0]:<28} {comment}"] if kept and comment else kept
+            return "\n".join([*lines[:i], *kept, *lines[end:]])
+    if not literal:
+        return text
+    example = next((i for i in range(start, stop) if re.match(rf"\s*#\s*{re.escape(name)}\s*=", lines[i])), None)
+    if example is not None:
+        comment = _comment(lines[example].lstrip(" #"))
+        written = f"{name} = {literal}"
+        lines[example] = f"{written:<28} {comment}".rstrip()
+        return "\n".join(lines)
+    last = max((i + 1 for i in range(start, stop) if lines[i].strip() and not lines[i].startswith("#")), default=start)
+    return "\n".join([*lines[:last], f"{name} = {literal}", *lines[last:]])
+
+
+def _block(lines: Sequence[str], table: str) -> tuple[int, int]:
+    """The lines after the header of a table up to the next header; (-1, -1) where it has none."""
+    heads = [(i, found[1]) for i, line in enumerate(lines) if (found := _HEADER.match(line))]
+    if not table:
+        return 0, heads[0][0] if heads else len(lines)
+    for n, (i, name) in enumerate(heads):
+        if name == table and not lines[i].lstrip().startswith("[["):
+            return i + 1, heads[n + 1][0] if n + 1 < len(heads) else len(lines)
+    return -1, -1
+
+
+def _end_of_value(lines: Sequence[str], first: int, stop: int) -> int:
+    """The line after a value that begins in a line and may go on over several."""
+    for end in range(first + 1, stop + 1):
+        if content("\n".join(lines[first:end])):
+            return end
+    return first + 1
+
+
+def _comment(line: str) -> str:
+    """The comment behind a value, "" where there is none."""
+    for at in (i for i, sign in enumerate(line) if sign == "#"):
+        if content(line[:at]):
+            return line[at:].strip()
+    return ""
+
+
+def with_block(text: str, table: str, body: Sequence[str]) -> str:
+    """The text with other lines in a table; the comments above its header stay."""
+    lines = text.split("\n")
+    start, stop = _block(lines, table)
+    if start < 0:
+        return "\n".join([*lines, f"[{table}]", *body, ""])
+    while stop > start and (not lines[stop - 1].strip() or lines[stop - 1].startswith("#")):
+        stop -= 1
+    return "\n".join([*lines[:start], *body, *lines[stop:]])
+
+
+def with_sensors(text: str, sensors: Sequence[Mapping[str, str]]) -> str:
+    """The text with these masses on the plate in place of all that it had, as typed."""
+    kept: list[str] = []
+    inside = False
+    for line in text.split("\n"):
+        if found := _HEADER.match(line):
+            inside = found[1] == "sensor"
+        if not inside:
+            kept.append(line)
+    while kept and not kept[-1].strip():
+        kept.pop()
+    for sensor in sensors:
+        kept += ["", "[[sensor]]", *(f"{key} = {_number(sensor.get(key, ''))}" for key in SENSOR)]
+    return "\n".join([*kept, ""])

@@ -1,0 +1,437 @@
+"""A visit: one plate file on one page, its undo, its draft on disk, and the computations that follow an edit."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import re
+import secrets
+import time
+from collections.abc import Awaitable, Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+from cpam_bayes.errors import PlateFileError
+from cpam_bayes.plate import MAX_BYTES, Specimen, parse_specimen
+from cpam_bayes.plate.text import decode, read_regular_file
+from cpam_bayes.storage import draft_file, put_in_place, replaceable
+from cpam_bayes.workbench.plate_text import (
+    FIELDS,
+    SENSOR,
+    as_list,
+    content,
+    numbers_in,
+    value_at,
+    with_block,
+    with_sensors,
+    with_value,
+)
+from cpam_bayes.workbench.work import Pool, RefusedError, Task, Worker
+
+__all__ = ["DRAFTS", "Desk", "EditError", "Material", "Tasks", "Visit", "plate_names"]
+
+DRAFTS: Final = ".cpam-bayes"
+"""Folder of unsaved work beside the plate files."""
+_NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9 ._+&-]{0,79}\.toml")
+_VISIT: Final = re.compile(r"[0-9a-f]{16}")
+_MOST_TYPED, _MOST_UNDO, _MOST_DRAFTS, _MOST_VISITS, _MOST_LISTED = 20_000, 100, 50, 100, 200
+# Seconds within which edits of one field are one step of undo.
+_ONE_EDIT: Final = 3.0
+# Keys of a plate file that name another file.
+_PATHS: Final = ("plate.mesh", "material.posterior", *(f"measurement.{k}" for k in ("table", "shapes", "peaks", "recordings")))
+_EDGES: Final = "FSC"
+
+
+class EditError(ValueError):
+    """An edit that the page does not make: refused, with nothing changed."""
+
+
+@dataclass(frozen=True, slots=True)
+class Material:
+    """A typical material: the lines of [material] and [unknowns]."""
+
+    title: str
+    constants: tuple[str, ...]
+    unknowns: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Tasks:
+    """What is computed of a plate file, called with its text, its name and its folder.
+
+    live : the answer about the last optimum, which is its fourth argument
+    identify, diagnose, report : as the commands answer; report writes its folder
+    """
+
+    live: Task
+    identify: Task
+    diagnose: Task
+    report: Task
+
+
+@dataclass(frozen=True, slots=True)
+class Desk:
+    """What all visits share.
+
+    folder : of the plate files; nothing outside it is read or written
+    blank : text of an empty plate file; example : of one to look at
+    rest : seconds without an edit after which the long computations begin
+    """
+
+    folder: Path
+    tasks: Tasks
+    materials: Mapping[str, Material]
+    blank: str
+    example: str
+    live: Worker
+    pool: Pool
+    rest: float = 0.7
+
+
+def plate_names(folder: Path) -> list[str]:
+    """The plate files of a folder that the page can open."""
+    found = (p.name for p in folder.iterdir() if _NAME.fullmatch(p.name) and p.is_file() and not p.is_symlink())
+    return sorted(found)[:_MOST_LISTED]
+
+
+def _require_name(name: object) -> str:
+    if not isinstance(name, str) or not _NAME.fullmatch(name):
+        raise EditError(
+            f"file: received {name!r:.60}, accepted: a name of letters, digits, spaces and ._+&- that ends in .toml"
+        )
+    return name
+
+
+@dataclass(slots=True)
+class Visit:
+    """One plate file on one page.
+
+    key : names the visit in addresses
+    file : name of the plate file in the folder; saved : its text there, None while it is not there
+    structure : counts the edits after which the form is drawn anew
+    answers : of the tasks, by name, of the text as it is now; stale : the last ones of a former text
+    """
+
+    desk: Desk
+    key: str
+    file: str
+    text: str
+    saved: str | None = None
+    undone: list[str] = field(default_factory=list)
+    before: list[str] = field(default_factory=list)
+    version: int = 1
+    structure: int = 1
+    answers: dict[str, Any] = field(default_factory=dict)
+    stale: dict[str, Any] = field(default_factory=dict)
+    problems: tuple[str, ...] = ()
+    doing: tuple[str, float, str] = ("", -1.0, "")
+    fields: dict[str, str] = field(default_factory=dict)
+    gaps: tuple[str, ...] = ()
+    others: tuple[str, ...] = ()
+    specimen: Specimen | None = None
+    _last: tuple[str, float] = ("", 0.0)
+    _work: asyncio.Task[None] | None = None
+    _changed: asyncio.Event = field(default_factory=asyncio.Event)
+
+    @classmethod
+    def opened(cls, desk: Desk, name: str | None, text: str | None = None) -> Visit:
+        """A visit of a file of the folder, or of a text that is not saved yet; raises ``EditError``."""
+        key = secrets.token_hex(8)
+        if text is not None:
+            return cls(desk, key, _free_name(desk.folder, name or "plate.toml"), text)
+        path = desk.folder / _require_name(name)
+        if not replaceable(path):
+            raise EditError(f"{name}: a link or no file, accepted: a plate file of the folder")
+        try:
+            found = decode(read_regular_file(str(path), path.name, "a plate file"), path.name)
+        except (OSError, PlateFileError) as error:
+            raise EditError(str(error) or f"{name}: cannot be read") from None
+        return cls(desk, key, path.name, found, found)
+
+    @classmethod
+    def restored(cls, desk: Desk, key: str) -> Visit:
+        """A visit as it was left; raises ``EditError`` where nothing is kept of it."""
+        if not _VISIT.fullmatch(key):
+            raise EditError("no such visit")
+        try:
+            kept = json.loads((desk.folder / DRAFTS / f"{key}.json").read_text("utf-8"))
+            file, text, saved, before = (kept[k] for k in ("file", "text", "saved", "before"))
+            if not isinstance(text, str) or not all(isinstance(t, str) for t in before):
+                raise TypeError
+            return cls(desk, key, _require_name(file), text, saved, before=before)
+        except (OSError, ValueError, KeyError, TypeError):
+            raise EditError("this visit is not kept any more; open the plate again") from None
+
+    @property
+    def data(self) -> dict[str, Any]:
+        """The values of the plate file."""
+        return content(self.text)
+
+    def edit(self, change: Mapping[str, Any]) -> None:
+        """Make one edit and begin what follows from it; raises ``EditError``."""
+        what = change.get("do")
+        if what == "undo" or what == "redo":
+            source, other = (self.before, self.undone) if what == "undo" else (self.undone, self.before)
+            if not source:
+                return
+            other.append(self.text)
+            self._become(source.pop(), anew=True)
+            return
+        text = _edited(self, what, change)
+        if len(text.encode()) > MAX_BYTES:
+            raise EditError(f"the plate file: too large, accepted: up to {MAX_BYTES} bytes")
+        if text == self.text:
+            return
+        field_name, now = f"{what} {change.get('key')} {change.get('index')}", time.monotonic()
+        if self._last[0] != field_name or now - self._last[1] > _ONE_EDIT or not self.before:
+            self.before = [*self.before, self.text][-_MOST_UNDO:]
+        self._last, self.undone = (field_name, now), []
+        self._become(text, anew=what not in ("set", "row"))
+
+    def _become(self, text: str, *, anew: bool) -> None:
+        self.text = text
+        self.structure += anew
+        self.keep()
+        self.begin()
+
+    def begin(self) -> None:
+        """Check the text, and compute what it says, in place of all that was being computed."""
+        self.stop()
+        self.stale = {**self.stale, **self.answers}
+        self.answers = {}
+        self._check()
+        if self.specimen is not None and self.specimen.measurement is not None:
+            self._work = asyncio.get_running_loop().create_task(self._answered())
+        self.tell()
+
+    def stop(self) -> None:
+        """End what is being computed."""
+        work, self._work = self._work, None
+        if work is not None:
+            work.cancel()
+        self.doing = ("", -1.0, "")
+
+    def cancel(self) -> None:
+        """End what is being computed at a reader's wish."""
+        self.stop()
+        self.tell()
+
+    def ask(self, task: str) -> None:
+        """Compute one task again, or one that waits to be asked for; raises ``EditError``."""
+        if self.specimen is None or self.specimen.measurement is None:
+            raise EditError("the plate file is not complete yet")
+        self.stop()
+        self._work = asyncio.get_running_loop().create_task(self._asked(task))
+        self.tell()
+
+    async def _asked(self, task: str) -> None:
+        with suppress(RefusedError):
+            await self._long(task)
+
+    def _check(self) -> None:
+        self.fields, self.problems, self.specimen = {}, (), None
+        self.gaps = self.others = ()
+        data = self.data
+        for key in _PATHS:
+            if not _inside(value_at(data, key)):
+                self.others = (f"{key}: received a path that leaves the folder, accepted: a file in the folder",)
+                return
+        try:
+            self.specimen = parse_specimen(self.text, self.file, self.desk.folder)
+        except PlateFileError as error:
+            self.fields, gaps, others = {}, [], []
+            for said, key, phrase in error.found:
+                name = ".".join(str(part) for part in key[:2])
+                if said in error.gaps:
+                    gaps.append(f"{name}: {phrase}")
+                elif name in FIELDS or key[:1] == ("sensor",):
+                    whole = ".".join(map(str, key))
+                    self.fields.setdefault(whole if key[0] == "sensor" or name.endswith("frequencies_hz") else name, phrase)
+                else:
+                    others.append(said)
+            self.gaps, self.others = tuple(gaps), tuple(others) or (() if error.found else error.problems)
+
+    async def _answered(self) -> None:
+        """The live answer at once; after a rest that of the command, and then the diagnosis."""
+        desk = self.desk
+        try:
+            optimum = self.stale.get("optimum")
+            live = await desk.live.run(desk.tasks.live, self.text, self.file, str(desk.folder), optimum)
+            self.answers["live"] = live
+            self.stale["optimum"] = live["optimum"]
+            self.tell()
+        except RefusedError as error:
+            self.problems = error.args
+            self.tell()
+            return
+        await asyncio.sleep(desk.rest)
+        with suppress(RefusedError):
+            await self._long("identify")
+            await self._long("diagnose")
+
+    async def _long(self, task: str) -> None:
+        def tell(done: float, text: str) -> None:
+            self.doing = (task, done if done >= 0.0 else self.doing[1], text)
+            self.tell()
+
+        self.doing = (task, -1.0, "waiting")
+        self.tell()
+        try:
+            async with self.desk.pool.worker() as worker:
+                work = getattr(self.desk.tasks, task)
+                found = await worker.run(work, self.text, self.file, str(self.desk.folder), tell=tell)
+            self.answers[task] = found
+        except RefusedError as error:
+            self.problems = error.args
+            raise
+        finally:
+            if self.doing[0] == task:
+                self.doing = ("", -1.0, "")
+        self.tell()
+
+    def keep(self) -> None:
+        """Write the draft: what a reload or a killed server finds again."""
+        kept = {"file": self.file, "text": self.text, "saved": self.saved, "before": self.before[-20:]}
+        folder = self.desk.folder / DRAFTS
+        with suppress(OSError):  # a folder that cannot be written to: the page goes on without
+            folder.mkdir(exist_ok=True)
+            _write(folder / f"{self.key}.json", json.dumps(kept, ensure_ascii=False))
+            old = sorted(folder.glob("*.json"), key=os.path.getmtime)[:-_MOST_DRAFTS]
+            for path in old:
+                path.unlink()
+
+    def save(self, name: object) -> str:
+        """Write the plate file into the folder, and return what was done; raises ``EditError``."""
+        path = self.desk.folder / _require_name(name)
+        if path.name != self.file and os.path.lexists(path):
+            raise EditError(f"{path.name}: exists; give another name")
+        if self.saved is not None and path.name == self.file and path.exists() and path.read_text("utf-8") != self.saved:
+            raise EditError(f"{path.name}: was changed by another program; save under another name")
+        try:
+            _write(path, self.text)
+        except OSError as error:
+            raise EditError(f"{path.name}: cannot be written to: {error.strerror}") from None
+        self.file, self.saved = path.name, self.text
+        self.keep()
+        self.tell()
+        return f"saved as {path.name}"
+
+    def tell(self) -> None:
+        """Wake the pages that wait for news."""
+        self.version += 1
+        self._changed.set()
+        self._changed = asyncio.Event()
+
+    async def news(self, seen: int, seconds: float) -> None:
+        """Return when something is newer than what was seen, or the time is over."""
+        if self.version != seen:
+            return
+        changed = self._changed
+        with suppress(TimeoutError):
+            await asyncio.wait_for(changed.wait(), seconds)
+
+
+def _edited(visit: Visit, what: object, change: Mapping[str, Any]) -> str:
+    """The text after an edit; raises ``EditError``."""
+    text, data = visit.text, visit.data
+    match what:
+        case "set":
+            key = change.get("key")
+            if key not in FIELDS:
+                raise EditError(f"key: received {key!r:.60}, accepted: a field of the page")
+            return with_value(text, str(key), _typed(change.get("value")))
+        case "edge":
+            place, letter = change.get("index"), change.get("value")
+            edges = list(f"{value_at(data, 'plate.edges') or ''}"[:4].ljust(4, "F"))
+            if place not in (0, 1, 2, 3) or letter not in tuple(_EDGES):
+                raise EditError(f"edge: received {letter!r:.60}, accepted: F S C at 0 to 3")
+            edges[int(place)] = str(letter)
+            return with_value(text, "plate.edges", "".join(edges))
+        case "row":
+            listed = [_shown(v) for v in value_at(data, "measurement.frequencies_hz") or []]
+            index = _index(change.get("index"), len(listed) + 1)
+            typed = _typed(change.get("value")).strip()
+            listed[index : index + 1] = [typed] if typed else []
+            return with_value(text, "measurement.frequencies_hz", "\n".join(listed))
+        case "paste":
+            numbers = numbers_in(_typed(change.get("value")))
+            if not numbers:
+                raise EditError("frequencies: no number in what was pasted, accepted: a list in Hz")
+            return with_value(text, "measurement.frequencies_hz", "\n".join(numbers))
+        case "material":
+            material = visit.desk.materials.get(str(change.get("value")))
+            if material is None:
+                raise EditError(f"material: accepted: {' '.join(visit.desk.materials)}")
+            return with_block(with_block(text, "material", material.constants), "unknowns", material.unknowns)
+        case "sensor":
+            return _with_sensor(text, data, change)
+        case "apply":
+            apply = visit.answers.get("diagnose", {}).get("apply")
+            if not apply:
+                raise EditError("there is nothing to apply")
+            if "sensor" in apply:
+                sensors = [{k: _shown(s.get(k, "")) for k in SENSOR} for s in data.get("sensor", [])]
+                return with_sensors(text, [*sensors, apply["sensor"]])
+            return with_value(text, apply["key"], apply["value"])
+    raise EditError(f"do: received {what!r:.60}, accepted: set edge row paste material sensor apply undo redo")
+
+
+def _with_sensor(text: str, data: Mapping[str, Any], change: Mapping[str, Any]) -> str:
+    sensors = [{k: _shown(s.get(k, "")) for k in SENSOR} for s in data.get("sensor", [])]
+    index = _index(change.get("index"), len(sensors) + 1)
+    value = change.get("value")
+    if value is None:
+        del sensors[index : index + 1]
+    elif isinstance(value, Mapping) and set(value) <= set(SENSOR):
+        old = sensors[index] if index < len(sensors) else {}
+        sensors[index : index + 1] = [old | {k: _typed(v) for k, v in value.items()}]
+    else:
+        raise EditError(f"sensor: accepted: {' '.join(SENSOR)}")
+    return with_sensors(text, sensors)
+
+
+def _typed(value: object) -> str:
+    if not isinstance(value, str) or len(value) > _MOST_TYPED or not value.replace("\n", " ").replace("\t", " ").replace("\r", " ").isprintable():
+        raise EditError(f"value: accepted: up to {_MOST_TYPED} printable characters")
+    return value
+
+
+def _index(value: object, most: int) -> int:
+    if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < most:
+        raise EditError(f"index: received {value!r:.60}, accepted: 0 to {most - 1}")
+    return value
+
+
+def _shown(value: object) -> str:
+    """A value of a plate file as it is typed."""
+    return f"{value:.10g}" if isinstance(value, float) else str(value)
+
+
+def _inside(value: object) -> bool:
+    """Whether what a key names stays in the folder of the plate file."""
+    names: Sequence[object] = value if isinstance(value, list) else [value]
+    return all(
+        not isinstance(name, str) or not (Path(name).is_absolute() or ".." in Path(name).parts or "\\" in name)
+        for name in names
+    )
+
+
+def _free_name(folder: Path, name: str) -> str:
+    """A name of the folder that no file has yet."""
+    stem = Path(name).stem
+    for k in range(1, 1000):
+        free = f"{stem}.toml" if k == 1 else f"{stem}-{k}.toml"
+        if not os.path.lexists(folder / free):
+            return free
+    raise EditError(f"{folder.name}: too many files named {stem}")
+
+
+def _write(path: Path, text: str) -> None:
+    """Put a text in its place, whole."""
+    with draft_file(path.parent) as (draft, file):
+        file.write(text.encode())
+        file.flush()
+        put_in_place(draft, path)
