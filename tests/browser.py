@@ -112,6 +112,10 @@ class Browser:
 
     def show(self, page: Path, width: int, height: int = 900) -> None:
         """Open a page of the disk in a window of that width, and wait until it is whole."""
+        self.visit(page.resolve().as_uri(), width, height)
+
+    def visit(self, url: str, width: int, height: int = 900) -> None:
+        """Open an address in a window of that width, and wait until it is whole."""
         self.call(
             "Emulation.setDeviceMetricsOverride",
             width=width,
@@ -120,7 +124,7 @@ class Browser:
             mobile=width < 600,
         )
         self._events.clear()
-        self.call("Page.navigate", url=page.resolve().as_uri())
+        self.call("Page.navigate", url=url)
         while "Page.loadEventFired" not in self._events:
             self._next()
 

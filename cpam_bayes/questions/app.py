@@ -1,6 +1,6 @@
 """The local page: a plate, its frequencies, and what follows from them while one types: the question `app`.
 
-What the page computes is computed here, by the verbs that answer the commands, in processes of the page's own.
+What the page computes is computed here, by the verbs that answer the commands, in processes of its own.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from cpam_bayes.questions.diagnose.document import (
     title_of,
 )
 from cpam_bayes.questions.identify.pso import PointResult, identify
-from cpam_bayes.questions.new import MATERIALS, KnownPlate, TypicalMaterial, material_lines, plate_file_text
+from cpam_bayes.questions.new import MATERIALS, KnownPlate, material_lines, plate_file_text
 from cpam_bayes.questions.report import report
 from cpam_bayes.render.page import PAGE
 from cpam_bayes.render.report import Report, Summary
@@ -150,11 +150,14 @@ def _place(plate: str) -> tuple[Path, str | None, str | None]:
     if path.is_dir():
         return path.resolve(), None, None
     if not path.is_file():
-        raise ValueError(f"app: received {plate!r:.80}, accepted: a folder, a plate file or a built-in specimen")
+        raise ValueError(
+            f"app: received {plate!r:.80}, accepted: a folder, a plate file or a built-in specimen"
+        )
     return path.resolve().parent, path.name, None
 
 
 # What the page computes, in other processes: plain data in and out.
+
 
 @lru_cache(maxsize=4)
 def _target(text: str, name: str, folder: str) -> tuple[Specimen, Any]:
@@ -233,7 +236,11 @@ def diagnosed(text: str, name: str, folder: str, *, tell: Tell) -> Any:
         "next": summary.next_step,
         "constants": _constants(answer_constants(d)),
         "causes": [
-            {"title": title_of(d, c.name), "probability": c.probability, "said": probability_text(c.probability)}
+            {
+                "title": title_of(d, c.name),
+                "probability": c.probability,
+                "said": probability_text(c.probability),
+            }
             for c in causes
         ],
         "nothing": 1.0 - d.something_wrong,
@@ -244,7 +251,7 @@ def diagnosed(text: str, name: str, folder: str, *, tell: Tell) -> Any:
 
 
 def _applied(result: DiagnosisResult, specimen: Specimen) -> tuple[Any, str]:
-    """What a plate file can say of the cause that is claimed, and in words; None where it has no key for it."""
+    """What a plate file can say of the claimed cause, and in words; None where it has no key for it."""
     d = result.diagnosis
     if d.claim.kind != "named":
         return None, ""

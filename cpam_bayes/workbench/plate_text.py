@@ -12,7 +12,17 @@ import tomllib
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
-__all__ = ["FIELDS", "SENSOR", "as_list", "content", "numbers_in", "value_at", "with_block", "with_sensors", "with_value"]
+__all__ = [
+    "FIELDS",
+    "SENSOR",
+    "as_list",
+    "content",
+    "numbers_in",
+    "value_at",
+    "with_block",
+    "with_sensors",
+    "with_value",
+]
 
 NUMBER, WORDS, LIST = "number", "words", "list"
 FIELDS: Final[Mapping[str, str]] = {
@@ -55,7 +65,7 @@ def value_at(data: Mapping[str, Any], key: str) -> Any:
 
 
 def numbers_in(typed: str) -> list[str]:
-    """The numbers of a typed or pasted list, a comma between digits being a decimal one unless it parts a list.
+    """The numbers of a typed or pasted list; a comma in a number is a decimal one unless it parts a list.
 
     "102, 311; 342", "102,5 311,2" and a column of a spreadsheet are all read.
     """
@@ -76,7 +86,9 @@ def _number(typed: str) -> str:
     plain = typed.strip().replace(",", ".")
     if not _NUMBER.fullmatch(plain):
         return json.dumps(typed, ensure_ascii=False)
-    return repr(float(plain)) if plain.startswith(("+", ".")) or plain.endswith(".") or _padded(plain) else plain
+    return (
+        repr(float(plain)) if plain.startswith(("+", ".")) or plain.endswith(".") or _padded(plain) else plain
+    )
 
 
 def _padded(plain: str) -> bool:
@@ -112,13 +124,18 @@ def _with_literal(text: str, key: str, literal: str) -> str:
             return "\n".join([*lines[:i], *kept, *lines[end:]])
     if not literal:
         return text
-    example = next((i for i in range(start, stop) if re.match(rf"\s*#\s*{re.escape(name)}\s*=", lines[i])), None)
+    example = next(
+        (i for i in range(start, stop) if re.match(rf"\s*#\s*{re.escape(name)}\s*=", lines[i])), None
+    )
     if example is not None:
         comment = _comment(lines[example].lstrip(" #"))
         written = f"{name} = {literal}"
         lines[example] = f"{written:<28} {comment}".rstrip()
         return "\n".join(lines)
-    last = max((i + 1 for i in range(start, stop) if lines[i].strip() and not lines[i].startswith("#")), default=start)
+    last = max(
+        (i + 1 for i in range(start, stop) if lines[i].strip() and not lines[i].startswith("#")),
+        default=start,
+    )
     return "\n".join([*lines[:last], f"{name} = {literal}", *lines[last:]])
 
 

@@ -29,8 +29,8 @@ _MOST_BYTES, _MOST_VISITS = 64_000, 100
 _WAIT = 25.0
 _FILES: Final = {"app.css": "text/css", "app.js": "text/javascript"}
 _HEADERS: Final = {
-    "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; "
-    "connect-src 'self'; form-action 'self'; base-uri 'none'; frame-ancestors 'none'",
+    "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; "
+    "img-src 'self' data:; connect-src 'self'; form-action 'self'; base-uri 'none'; frame-ancestors 'none'",
     "X-Content-Type-Options": "nosniff",
     "Referrer-Policy": "no-referrer",
     "Cross-Origin-Opener-Policy": "same-origin",
@@ -213,16 +213,14 @@ async def _body(request: Request) -> Mapping[str, Any]:
     return asked
 
 
-def application(
-    desk: Desk, token: str, port: int, first: Callable[[], Visit] | None = None
-) -> Any:
+def application(desk: Desk, token: str, port: int, first: Callable[[], Visit] | None = None) -> Any:
     """The application; token : of the address, first : makes the visit that is shown first."""
     cookie = f"cpam_bayes_{port}"
     pages = _Pages(desk, token, cookie, first)
 
     async def refused(request: Request, error: Exception) -> Response:
         status, said = error.args if isinstance(error, _Refused) else (400, str(error))
-        return JSONResponse({"error": said}, status)
+        return _with_headers(JSONResponse({"error": said}, status))
 
     async def failed(request: Request, error: Exception) -> Response:
         return JSONResponse({"error": "the page has an error; reload it, nothing is lost"}, 500)
@@ -279,7 +277,13 @@ def serve(desk: Desk, port: int, announce: Callable[[str], None], first: Callabl
     token = secrets.token_urlsafe(24)
     app = application(desk, token, port, first)
     config = uvicorn.Config(
-        app, host=HOST, port=port, log_level="warning", access_log=False, server_header=False, timeout_graceful_shutdown=1
+        app,
+        host=HOST,
+        port=port,
+        log_level="warning",
+        access_log=False,
+        server_header=False,
+        timeout_graceful_shutdown=1,
     )
 
     class Announcing(uvicorn.Server):

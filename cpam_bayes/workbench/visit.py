@@ -1,4 +1,4 @@
-"""A visit: one plate file on one page, its undo, its draft on disk, and the computations that follow an edit."""
+"""A visit: one plate file on one page, its undo, its draft on disk, and what is computed after an edit."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import os
 import re
 import secrets
 import time
-from collections.abc import Awaitable, Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -21,7 +21,6 @@ from cpam_bayes.storage import draft_file, put_in_place, replaceable
 from cpam_bayes.workbench.plate_text import (
     FIELDS,
     SENSOR,
-    as_list,
     content,
     numbers_in,
     value_at,
@@ -41,7 +40,11 @@ _MOST_TYPED, _MOST_UNDO, _MOST_DRAFTS, _MOST_VISITS, _MOST_LISTED = 20_000, 100,
 # Seconds within which edits of one field are one step of undo.
 _ONE_EDIT: Final = 3.0
 # Keys of a plate file that name another file.
-_PATHS: Final = ("plate.mesh", "material.posterior", *(f"measurement.{k}" for k in ("table", "shapes", "peaks", "recordings")))
+_PATHS: Final = (
+    "plate.mesh",
+    "material.posterior",
+    *(f"measurement.{k}" for k in ("table", "shapes", "peaks", "recordings")),
+)
 _EDGES: Final = "FSC"
 
 
@@ -93,14 +96,17 @@ class Desk:
 
 def plate_names(folder: Path) -> list[str]:
     """The plate files of a folder that the page can open."""
-    found = (p.name for p in folder.iterdir() if _NAME.fullmatch(p.name) and p.is_file() and not p.is_symlink())
+    found = (
+        p.name for p in folder.iterdir() if _NAME.fullmatch(p.name) and p.is_file() and not p.is_symlink()
+    )
     return sorted(found)[:_MOST_LISTED]
 
 
 def _require_name(name: object) -> str:
     if not isinstance(name, str) or not _NAME.fullmatch(name):
         raise EditError(
-            f"file: received {name!r:.60}, accepted: a name of letters, digits, spaces and ._+&- that ends in .toml"
+            f"file: received {name!r:.60}, accepted: a name of letters, digits, spaces and ._+&- "
+            "that ends in .toml"
         )
     return name
 
@@ -189,7 +195,8 @@ class Visit:
         if self._last[0] != field_name or now - self._last[1] > _ONE_EDIT or not self.before:
             self.before = [*self.before, self.text][-_MOST_UNDO:]
         self._last, self.undone = (field_name, now), []
-        self._become(text, anew=what not in ("set", "row"))
+        rows = [len(value_at(d, "measurement.frequencies_hz") or ()) for d in (self.data, content(text))]
+        self._become(text, anew=what not in ("set", "row") or rows[0] != rows[1])
 
     def _become(self, text: str, *, anew: bool) -> None:
         self.text = text
@@ -237,19 +244,21 @@ class Visit:
         data = self.data
         for key in _PATHS:
             if not _inside(value_at(data, key)):
-                self.others = (f"{key}: received a path that leaves the folder, accepted: a file in the folder",)
+                self.others = (
+                    f"{key}: received a path that leaves the folder, accepted: a file in the folder",
+                )
                 return
         try:
             self.specimen = parse_specimen(self.text, self.file, self.desk.folder)
         except PlateFileError as error:
             self.fields, gaps, others = {}, [], []
-            for said, key, phrase in error.found:
-                name = ".".join(str(part) for part in key[:2])
+            for said, path, phrase in error.found:
+                name = ".".join(str(part) for part in path[:2])
                 if said in error.gaps:
                     gaps.append(f"{name}: {phrase}")
-                elif name in FIELDS or key[:1] == ("sensor",):
-                    whole = ".".join(map(str, key))
-                    self.fields.setdefault(whole if key[0] == "sensor" or name.endswith("frequencies_hz") else name, phrase)
+                elif name in FIELDS or path[:1] == ("sensor",):
+                    whole = name == "measurement.frequencies_hz" or path[0] == "sensor"
+                    self.fields.setdefault(".".join(map(str, path)) if whole else name, phrase)
                 else:
                     others.append(said)
             self.gaps, self.others = tuple(gaps), tuple(others) or (() if error.found else error.problems)
@@ -308,7 +317,12 @@ class Visit:
         path = self.desk.folder / _require_name(name)
         if path.name != self.file and os.path.lexists(path):
             raise EditError(f"{path.name}: exists; give another name")
-        if self.saved is not None and path.name == self.file and path.exists() and path.read_text("utf-8") != self.saved:
+        if (
+            self.saved is not None
+            and path.name == self.file
+            and path.exists()
+            and path.read_text("utf-8") != self.saved
+        ):
             raise EditError(f"{path.name}: was changed by another program; save under another name")
         try:
             _write(path, self.text)
@@ -376,7 +390,9 @@ def _edited(visit: Visit, what: object, change: Mapping[str, Any]) -> str:
                 sensors = [{k: _shown(s.get(k, "")) for k in SENSOR} for s in data.get("sensor", [])]
                 return with_sensors(text, [*sensors, apply["sensor"]])
             return with_value(text, apply["key"], apply["value"])
-    raise EditError(f"do: received {what!r:.60}, accepted: set edge row paste material sensor apply undo redo")
+    raise EditError(
+        f"do: received {what!r:.60}, accepted: set edge row paste material sensor apply undo redo"
+    )
 
 
 def _with_sensor(text: str, data: Mapping[str, Any], change: Mapping[str, Any]) -> str:
@@ -394,7 +410,11 @@ def _with_sensor(text: str, data: Mapping[str, Any], change: Mapping[str, Any]) 
 
 
 def _typed(value: object) -> str:
-    if not isinstance(value, str) or len(value) > _MOST_TYPED or not value.replace("\n", " ").replace("\t", " ").replace("\r", " ").isprintable():
+    if (
+        not isinstance(value, str)
+        or len(value) > _MOST_TYPED
+        or not value.replace("\n", " ").replace("\t", " ").replace("\r", " ").isprintable()
+    ):
         raise EditError(f"value: accepted: up to {_MOST_TYPED} printable characters")
     return value
 
@@ -414,7 +434,8 @@ def _inside(value: object) -> bool:
     """Whether what a key names stays in the folder of the plate file."""
     names: Sequence[object] = value if isinstance(value, list) else [value]
     return all(
-        not isinstance(name, str) or not (Path(name).is_absolute() or ".." in Path(name).parts or "\\" in name)
+        not isinstance(name, str)
+        or not (Path(name).is_absolute() or ".." in Path(name).parts or "\\" in name)
         for name in names
     )
 

@@ -12,7 +12,7 @@ import signal
 from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import asynccontextmanager, contextmanager, suppress
 from multiprocessing.connection import Connection
-from typing import Any, Protocol, TypeAlias
+from typing import Any, TypeAlias
 
 from cpam_bayes.running import Progress
 
@@ -22,11 +22,11 @@ Tell: TypeAlias = Callable[[float, str], None]
 """Is told the fraction that is done, negative where not known, and what is being done."""
 
 
-class Task(Protocol):
-    """A function of a module, called in another process; its answer and arguments are plain data."""
+Task: TypeAlias = Callable[..., Any]
+"""A function of a module, called in another process with plain data and ``tell``, a `Tell`.
 
-    def __call__(self, *args: Any, tell: Tell) -> Any:
-        """Compute; raise ``ValueError`` for what the user can mend."""
+It raises ``ValueError`` for what the user can mend.
+"""
 
 
 class RefusedError(Exception):

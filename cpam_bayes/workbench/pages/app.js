@@ -1,0 +1,129 @@
+// What is typed goes to the server; what it answers replaces the parts of the page by their identifiers.
+"use strict";
+const visit = document.body.dataset.visit;
+let version = +document.body.dataset.version || 0, structure = -1, pending = Promise.resolve();
+const $ = (id) => document.getElementById(id);
+const say = (text, wrong) => { const at = $("said"); at.textContent = text || ""; at.className = wrong ? "wrong" : ""; };
+
+async function ask(path, body) {
+  try {
+    const response = await fetch(path, body === undefined ? {} :
+      { method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(body) });
+    const said = response.headers.get("Content-Type").startsWith("application/json")
+      ? await response.json() : { error: await response.text() };
+    if (!response.ok) { say(said.error, true); return null; }
+    return said;
+  } catch { say("The server does not answer. Start cpam-bayes app again and open its address: nothing is lost.", true); return null; }
+}
+
+function show(news) {
+  if (!news || !news.parts || news.version < version) return;
+  version = news.version;
+  if ("form" in news.parts) {
+    const at = document.activeElement, key = at && at.closest("#form") && mark(at);
+    $("form").innerHTML = news.parts.form;
+    structure = news.structure;
+    const again = key && document.querySelector(key);
+    if (again) again.focus();
+  }
+  for (const [id, html] of Object.entries(news.parts)) {
+    const at = id !== "form" && $(id);
+    if (at && at.dataset.html !== html) {
+      const open = [...at.querySelectorAll("details")].map((d) => d.open);
+      at.innerHTML = html; at.dataset.html = html;
+      at.querySelectorAll("details").forEach((d, i) => { d.open = open[i]; });
+    }
+  }
+  document.querySelectorAll(".error").forEach((at) => {
+    if (!(at.id in news.parts)) { at.textContent = ""; delete at.dataset.html; }
+    const input = at.closest(".field, tr.errors, section");
+    const box = at.closest(".field") && at.closest(".field").querySelector("input");
+    if (box) box.setAttribute("aria-invalid", String(at.id in news.parts)); void input;
+  });
+}
+const mark = (at) => Object.entries(at.dataset).map(([k, v]) => `[data-${k.replace(/[A-Z]/g, (c) => "-" + c.toLowerCase())}="${CSS.escape(v)}"]`).join("");
+const edit = (change) => { pending = pending.then(async () => {
+  const news = await ask(`/visit/${visit}/edit`, { ...change, structure });
+  if (news) { say(""); show(news); } }); return pending; };
+async function act(change) {
+  await pending;
+  const news = await ask(`/visit/${visit}/act`, change);
+  if (news) { say(news.said); show(news); }
+}
+
+async function listen() {
+  for (;;) {
+    const response = await fetch(`/visit/${visit}/news?seen=${version}&structure=${structure}`).catch(() => null);
+    if (response && response.ok) show(await response.json());
+    else {
+      if (response) say((await response.json().catch(() => ({}))).error || "Open the address that cpam-bayes app printed.", true);
+      else say("The server does not answer. Start cpam-bayes app again and open its address: nothing is lost.", true);
+      await new Promise((done) => setTimeout(done, 3000));
+    }
+  }
+}
+
+async function save(name) {
+  await pending;
+  await act(name ? { do: "save", name } : { do: "save" });
+}
+
+const waiting = new Map();
+function later(at, send) {
+  clearTimeout(waiting.get(at));
+  waiting.set(at, setTimeout(() => { waiting.delete(at); send(); }, 120));
+}
+function changed(at) {
+  const d = at.dataset;
+  if ("key" in d) return () => edit({ do: "set", key: d.key, value: at.value });
+  if ("row" in d && at.value.trim()) return () => edit({ do: "row", index: +d.row, value: at.value });
+  if ("part" in d) return () => edit({ do: "sensor", index: +at.closest("[data-sensor]").dataset.sensor, value: { [d.part]: at.value } });
+  return null;
+}
+document.addEventListener("input", (event) => {
+  const send = changed(event.target);
+  if (send) later(event.target, send);
+});
+document.addEventListener("change", (event) => {
+  const at = event.target, d = at.dataset;
+  if ("edge" in d) edit({ do: "edge", index: +d.edge, value: at.value });
+  if ("material" in d && at.value) edit({ do: "material", value: at.value });
+  if ("row" in d && !at.value.trim()) edit({ do: "row", index: +d.row, value: "" });
+});
+document.addEventListener("paste", (event) => {
+  const at = event.target, text = event.clipboardData.getData("text");
+  if (at.dataset && "row" in at.dataset && /\d[\s;]+\d/.test(text.trim())) {
+    event.preventDefault();
+    edit({ do: "paste", value: text });
+  }
+});
+document.addEventListener("click", async (event) => {
+  const at = event.target.closest("button, #plate-view");
+  if (!at) return;
+  const d = at.dataset;
+  if ("open" in d) {
+    const news = await ask("/open", d.open === "blank" ? {} : d.open === "example" ? { example: true } : { file: d.open });
+    if (news) location.assign(news.go);
+  } else if ("edit" in d) edit({ do: d.edit });
+  else if (d.act === "save") save();
+  else if ("act" in d) act({ do: d.act });
+  else if ("remove" in d) edit({ do: "sensor", index: +d.remove, value: null });
+  else if ("addMass" in d) add(0, 0);
+  else if ("take" in d || "append" in d) {
+    const rows = "append" in d ? [...document.querySelectorAll("[data-row]")].map((r) => r.value) : [];
+    edit({ do: "paste", value: [...rows, document.querySelector("[data-paste]").value].join("\n") });
+  } else if (at.id === "plate-view") {
+    const point = new DOMPoint(event.clientX, event.clientY).matrixTransform(at.getScreenCTM().inverse());
+    const [x, y] = [point.x, d.width - point.y];
+    if (x >= 0 && y >= 0 && x <= +d.length && y <= +d.width) add(Math.round(x), Math.round(y));
+  }
+});
+const add = (x, y) => edit({ do: "sensor", index: document.querySelectorAll("[data-sensor]").length,
+  value: { mass_g: "1", x_mm: String(x), y_mm: String(y) } });
+document.addEventListener("keydown", (event) => {
+  if (!visit || !(event.ctrlKey || event.metaKey)) return;
+  const key = event.key.toLowerCase();
+  if (key === "s") { event.preventDefault(); save(); }
+  if (key === "z" && !event.target.matches("textarea")) { event.preventDefault(); edit({ do: event.shiftKey ? "redo" : "undo" }); }
+});
+if (visit) ask(`/visit/${visit}/news?seen=-1&structure=-1`).then((news) => { show(news); listen(); });
