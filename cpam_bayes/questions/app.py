@@ -19,6 +19,7 @@ from cpam_bayes.answer import Constant, FrequencyRow
 from cpam_bayes.command import Command, option, whole
 from cpam_bayes.diagnosis.hypotheses import NONE, OTHER
 from cpam_bayes.errors import checked
+from cpam_bayes.forward_model.preconditions import misfit_over_noise
 from cpam_bayes.identification.point import bound_of, verdict_of
 from cpam_bayes.identification.search import posterior
 from cpam_bayes.inference.laplace import find_optima, gauss_newton_covariance
@@ -107,6 +108,13 @@ def app(
     ------
     ValueError
         If there is no such folder or plate, the port is taken, or the extra `app` is not installed.
+
+    Examples
+    --------
+    >>> import cpam_bayes as cb
+    >>> cb.app("no_such_plate.toml")
+    Traceback (most recent call last):
+    ValueError: app: received 'no_such_plate.toml', accepted: a folder, a plate file or a built-in specimen
     """
     try:
         from cpam_bayes.workbench import server
@@ -177,7 +185,11 @@ def live(text: str, name: str, folder: str, optimum: Mapping[str, float] | None,
         found = find_optima(target, np.array([[optimum[n] for n in names]]))[0]
     else:
         found = find_optima(target, target.parameters.sample(rng, _STARTS), rng, draws=_STARTS)[0]
-    sd = np.sqrt(np.diag(gauss_newton_covariance(target, found.x)))
+    measured = target.measurement.frequencies
+    n = len(target.model.parameters.names)
+    predicted = target.model.predict(found.x[None, :n]).frequencies[0, : len(measured)]
+    excess = misfit_over_noise(target.measurement, predicted / measured - 1.0, specimen.unknowns.size)
+    sd = excess * np.sqrt(np.diag(gauss_newton_covariance(target, found.x)))
     constants = []
     for unknown in specimen.unknowns.names:
         i, prior = names.index(unknown), specimen.unknowns[unknown].prior
@@ -185,13 +197,10 @@ def live(text: str, name: str, folder: str, optimum: Mapping[str, float] | None,
         bound = bound_of(value, prior.lower, prior.upper)
         ends = (max(value - _REACH * spread, prior.lower), min(value + _REACH * spread, prior.upper))
         reference = float(specimen.material.complete()[unknown])
-        verdict = verdict_of(spread, prior.sd, explained=True, at_bound=bound is not None)
+        verdict = verdict_of(spread, prior.sd, explained=excess == 1.0, at_bound=bound is not None)
         constants.append(
             Constant(unknown, value, spread, None if bound else ends, prior, reference, verdict, bound)
         )
-    measured = target.measurement.frequencies
-    n = len(target.model.parameters.names)
-    predicted = target.model.predict(found.x[None, :n]).frequencies[0, : len(measured)]
     rows = [FrequencyRow(float(f), float(p)) for f, p in zip(measured, predicted, strict=True)]
     return {
         "constants": _constants(constants),

@@ -112,6 +112,7 @@ class _Pages:
         for key in list(self.visits)[: max(0, len(self.visits) - _MOST_VISITS + 1)]:
             self.visits.pop(key).stop()
         self.visits[visit.key] = visit
+        visit.keep()
         visit.begin()
         return visit
 

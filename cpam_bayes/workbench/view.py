@@ -128,11 +128,15 @@ def _parts(visit: Visit) -> dict[str, str]:
     answer = exact or live or visit.stale.get("identify") or visit.stale.get("live")
     settled = exact is not None
     diagnosis = answers.get("diagnose")
+    # one answer a page: where something is claimed, the plate as stated is how it was noticed
+    folded = settled and diagnosis is not None and diagnosis["kind"] in ("named", "class", "pair", "other")
     parts = {
         "title": str(module.title(visit)),
         "problems": str(module.problems(visit)),
         "answer": str(
-            module.answer(visit, answer, settled, [_bar(c) for c in answer["constants"]] if answer else [])
+            module.answer(
+                visit, answer, settled, [_bar(c) for c in answer["constants"]] if answer else [], folded
+            )
         ),
         "diagnosis": str(
             module.diagnosis(visit, diagnosis, [_bar(c) for c in diagnosis["constants"]] if diagnosis else [])

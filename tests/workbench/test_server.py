@@ -1,0 +1,311 @@
+"""The page's server: what it answers, what it refuses, what it keeps."""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from starlette.testclient import TestClient
+
+from cpam_bayes.workbench.server import application
+from cpam_bayes.workbench.visit import DRAFTS, Desk, Material, Tasks
+
+EXAMPLE = (Path(__file__).parents[2] / "cpam_bayes" / "workbench" / "pages" / "example.toml").read_text(
+    "utf-8"
+)
+TOKEN, PORT = "the-token-of-this-page", 8377
+HERE = f"http://127.0.0.1:{PORT}"
+POSTED = {"Origin": HERE}
+ANSWER = {"constants": [], "rows": [], "rms": 0.2, "optimum": {}}
+FOUND = {
+    "claim": "A mass.",
+    "kind": "named",
+    "slips": [],
+    "lines": [],
+    "next": "",
+    "constants": [],
+    "causes": [],
+    "nothing": 0.0,
+    "place": [[262.0, 171.0], [3.0, 3.0]],
+    "apply_said": "state it",
+    "apply": {"sensor": {"mass_g": "5.10", "x_mm": "262", "y_mm": "171"}},
+}
+SETTLED = {
+    **ANSWER,
+    "headline": "Determined.",
+    "slips": [],
+    "lines": [],
+    "next": "",
+    "warnings": [],
+    "shapes": [],
+}
+
+
+class Answers:
+    """A worker that answers at once."""
+
+    async def run(self, task: str, *args: Any, tell: Any = None) -> Any:
+        return {"live": ANSWER, "identify": SETTLED, "diagnose": FOUND}[task]
+
+    def stop(self) -> None:
+        pass
+
+
+class One:
+    """A pool of one of them."""
+
+    def worker(self) -> One:
+        return self
+
+    async def __aenter__(self) -> Answers:
+        return Answers()
+
+    async def __aexit__(self, *error: object) -> None:
+        pass
+
+    def stop(self) -> None:
+        pass
+
+
+def desk_of(folder: Path) -> Desk:
+    material = Material("aluminium", ('name = "aluminium"', "E1_GPa = 69.0"), ("E1_GPa = [20.0, 250.0]",))
+    tasks = Tasks("live", "identify", "diagnose", "report")
+    return Desk(folder, tasks, {"metal": material}, "name = 'plate'\n", EXAMPLE, Answers(), One(), rest=0.0)
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    inside = tmp_path / "plates"
+    inside.mkdir()
+    (inside / "panel.toml").write_text(EXAMPLE.replace('"example"', '"panel"'), "utf-8")
+    (tmp_path / "secret.toml").write_text("name = 'secret-outside'\n", "utf-8")
+    (inside / "link.toml").symlink_to(tmp_path / "secret.toml")
+    return inside
+
+
+@pytest.fixture
+def client(folder: Path) -> Iterator[TestClient]:
+    with TestClient(application(desk_of(folder), TOKEN, PORT), base_url=HERE) as made:
+        assert made.get(f"/?token={TOKEN}").status_code == 200
+        yield made
+
+
+def opened(client: TestClient, **asked: Any) -> str:
+    return client.post("/open", json=asked, headers=POSTED).json()["go"]
+
+
+def edit(client: TestClient, visit: str, **change: Any) -> dict[str, Any]:
+    answer = client.post(f"{visit}/edit", json={"structure": -1, **change}, headers=POSTED)
+    assert answer.status_code == 200, answer.text
+    return answer.json()
+
+
+def text_of(client: TestClient, visit: str) -> str:
+    return client.get(f"{visit}/plate.toml").text
+
+
+def news(client: TestClient, visit: str, holds: str) -> dict[str, Any]:
+    """The first news with an element of that content; the server tells whenever something changed."""
+    seen = -1
+    for _ in range(20):
+        said = client.get(f"{visit}/news?seen={seen}&structure=-1").json()
+        if any(holds in part for part in said["parts"].values()):
+            return said
+        seen = said["version"]
+    raise AssertionError(f"no news of {holds}")
+
+
+def test_the_first_page_explains_itself_in_three_steps_with_an_example_and_the_plates(
+    client: TestClient,
+) -> None:
+    page = client.get("/").text
+    assert page.count("<li><b>") == 3
+    assert 'data-open="example"' in page
+    assert 'data-open="panel.toml"' in page
+    assert "link.toml" not in page
+
+
+def test_an_error_stands_at_its_field_in_the_words_of_the_package(client: TestClient) -> None:
+    visit = opened(client, example=True)
+    parts = edit(client, visit, do="set", key="plate.length_mm", value="31o")["parts"]
+    assert "31o" in parts["error:plate.length_mm"]
+    assert "accepted" in parts["error:plate.length_mm"]
+    parts = edit(client, visit, do="set", key="plate.length_mm", value="310")["parts"]
+    assert "error:plate.length_mm" not in parts
+
+
+def test_the_command_that_is_shown_is_of_the_file_that_is_saved(client: TestClient, folder: Path) -> None:
+    visit = opened(client, example=True)
+    edit(client, visit, do="set", key="plate.mass_g", value="341.5")
+    said = client.post(f"{visit}/act", json={"do": "save"}, headers=POSTED).json()
+    assert said["said"] == "saved as example.toml"
+    assert "cpam-bayes identify example.toml" in said["parts"]["tools"]
+    assert tomllib.loads((folder / "example.toml").read_text("utf-8"))["plate"]["mass_g"] == 341.5
+
+
+def test_what_was_found_is_drawn_applied_and_undone(client: TestClient) -> None:
+    visit = opened(client, example=True)
+    said = news(client, visit, "A mass.")
+    assert 'class="found"' in said["parts"]["drawing"]
+    before = text_of(client, visit)
+    edit(client, visit, do="apply")
+    assert tomllib.loads(text_of(client, visit))["sensor"] == [{"mass_g": 5.10, "x_mm": 262, "y_mm": 171}]
+    edit(client, visit, do="undo")
+    assert text_of(client, visit) == before
+
+
+def test_a_killed_server_loses_nothing(client: TestClient, folder: Path) -> None:
+    visit = opened(client, file="panel.toml")
+    edit(client, visit, do="set", key="plate.width_mm", value="229.5")
+    kept = text_of(client, visit)
+    with TestClient(application(desk_of(folder), TOKEN, PORT), base_url=HERE) as again:
+        again.get(f"/?token={TOKEN}")
+        assert text_of(again, visit) == kept
+        edit(again, visit, do="undo")
+        assert tomllib.loads(text_of(again, visit))["plate"]["width_mm"] == 228.0
+
+
+def test_two_browsers_on_one_plate_do_not_mix(client: TestClient) -> None:
+    one, other = opened(client, file="panel.toml"), opened(client, file="panel.toml")
+    before = text_of(client, other)
+    edit(client, one, do="row", index=0, value="77.7")
+    assert "77.7" in text_of(client, one)
+    assert text_of(client, other) == before
+
+
+def test_a_file_that_another_program_changed_is_not_written_over(client: TestClient, folder: Path) -> None:
+    visit = opened(client, file="panel.toml")
+    (folder / "panel.toml").write_text("name = 'by hand'\n", "utf-8")
+    answer = client.post(f"{visit}/act", json={"do": "save"}, headers=POSTED)
+    assert answer.status_code == 400
+    assert "changed by another program" in answer.json()["error"]
+    assert (folder / "panel.toml").read_text("utf-8") == "name = 'by hand'\n"
+
+
+def test_every_page_forbids_what_is_not_from_here(client: TestClient) -> None:
+    for path in ("/", opened(client), "/file/app.js"):
+        policy = client.get(path).headers["content-security-policy"]
+        assert "default-src 'none'" in policy
+        assert "http" not in policy
+        assert "unsafe" not in policy
+
+
+# Values that a hostile request puts where a name, a path, a number or a list is expected.
+HOSTILE = (
+    "../secret.toml", "..%2fsecret.toml", "/etc/passwd", "link.toml", "a/../../secret.toml", "panel.toml\0",
+    "x" * 30_000, "\\\\host\\share.toml", ".toml", "", None, -1, 1e308, [], {}, [[[]]], True,
+    "<script>alert(1)</script>", "\x1b[2J", "C:panel.toml",
+)  # fmt: skip
+
+
+def requests(n: int, visit: str) -> Iterator[tuple[str, dict[str, Any], str]]:
+    """Method, arguments of the client, and why each must be refused."""
+    dice = random.Random(38)
+    for k in range(n):
+        value, path = (
+            dice.choice(HOSTILE),
+            dice.choice(("/", visit, f"{visit}/plate.toml", "/file/app.js", f"{visit}/news")),
+        )
+        kind = k % 8
+        if kind == 0:
+            yield (
+                "GET",
+                {"url": path, "headers": {"Cookie": f"cpam_bayes_{PORT}={value!r:.50}"}},
+                "token",
+            )
+        elif kind == 1:
+            host = dice.choice(
+                ("evil.example", "127.0.0.1:80", "127.0.0.1.evil.example:8377", "[::1]:8377", "")
+            )
+            yield "GET", {"url": path, "headers": {"Host": host}}, "host"
+        elif kind == 2:
+            origin = dice.choice(
+                ("http://evil.example", "null", "https://127.0.0.1:8377", "http://127.0.0.1:80")
+            )
+            yield "POST", {"url": "/open", "json": {}, "headers": {"Origin": origin}}, "origin"
+        elif kind == 3:
+            yield (
+                "POST",
+                {"url": dice.choice(("/open", f"{visit}/edit", f"{visit}/act")), "json": {}},
+                "no origin",
+            )
+        elif kind == 4:
+            big = dice.choice(
+                (b"[" * 70_000, b'{"do": "set"}' + b" " * 70_000, b"\xff\xfe", b"[" * 5000, b'"x"')
+            )
+            yield (
+                "POST",
+                {
+                    "url": f"{visit}/edit",
+                    "content": big,
+                    "headers": POSTED | {"Content-Type": "application/json"},
+                },
+                "body",
+            )
+        elif kind == 5:
+            file = value if value is not None else "../x.toml"
+            yield "POST", {"url": "/open", "json": {"file": file}, "headers": POSTED}, "file"
+        elif kind == 6:
+            name = value if value not in (None,) else "../x.toml"
+            yield (
+                "POST",
+                {"url": f"{visit}/act", "json": {"do": "save", "name": name}, "headers": POSTED},
+                "save",
+            )
+        else:
+            changes: tuple[dict[str, Any], ...] = (
+                {"do": value},
+                {"do": "set", "key": f"measurement.{value}", "value": "x"},
+                {"do": "set", "key": "measurement.table", "value": "../secret.toml"},
+                {"do": "row", "index": value, "value": []},
+                {"do": "sensor", "index": 0, "value": {"x": value}},
+                {"do": "edge", "index": 9, "value": "C"},
+                {"do": "material", "value": value},
+                {"do": "set", "key": "name", "value": "a\0b"},
+            )
+            change = dice.choice(changes)
+            yield "POST", {"url": f"{visit}/edit", "json": change, "headers": POSTED}, "edit"
+
+
+def listing(folder: Path) -> dict[str, bytes]:
+    found = (p for p in folder.rglob("*") if p.is_file() and DRAFTS not in p.parts)
+    return {str(p.relative_to(folder)): p.read_bytes() for p in found}
+
+
+def test_hostile_requests_are_answered_with_an_error_and_touch_no_file(
+    client: TestClient, folder: Path
+) -> None:
+    visit = opened(client, example=True)
+    before, text = listing(folder.parent), text_of(client, visit)
+    count = int(os.environ.get("CPAM_BAYES_HOSTILE", "240"))
+    for method, asked, why in requests(count, visit):
+        answer = client.request(method, follow_redirects=False, **asked)
+        assert 400 <= answer.status_code < 500, (why, asked, answer.status_code)
+        assert "secret-outside" not in answer.text
+        assert TOKEN not in answer.text
+    assert listing(folder.parent) == before
+    assert text_of(client, visit) == text
+
+
+@pytest.mark.parametrize(
+    "path", ["/file/../server.py", "/file/%2e%2e%2fserver.py", "/file/app.py", "/visit/../../etc/passwd"]
+)
+def test_no_file_is_served_but_the_style_and_the_script(client: TestClient, path: str) -> None:
+    assert client.get(path).status_code == 404
+
+
+def test_a_plate_file_that_names_a_file_outside_the_folder_is_not_followed(
+    client: TestClient, folder: Path
+) -> None:
+    table = EXAMPLE.partition("[measurement]")[0] + '[measurement]\ntable = "../secret.toml"\n'
+    (folder / "outside.toml").write_text(table, "utf-8")
+    visit = opened(client, file="outside.toml")
+    said = json.dumps(client.get(f"{visit}/news?seen=-1&structure=-1").json())
+    assert "leaves the folder" in said
+    assert "secret-outside" not in said
