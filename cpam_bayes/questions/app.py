@@ -40,7 +40,7 @@ from cpam_bayes.questions.report import report
 from cpam_bayes.render.page import PAGE
 from cpam_bayes.render.report import Report, Summary
 from cpam_bayes.render.sentences import determined_text, frequency_columns, interval_text, value_text
-from cpam_bayes.result import Result
+from cpam_bayes.result import Result, present
 from cpam_bayes.workbench.work import Shown, Tell
 
 __all__ = ["COMMAND", "AppResult", "app"]
@@ -65,12 +65,9 @@ class AppResult(Result):
     address: str
     folder: Path
 
-    def report(self) -> Report:
-        """Where the work is."""
-        return present(self)
 
-
-def present(result: AppResult) -> Report:
+@present.register
+def _present(result: AppResult) -> Report:
     """Where the work is."""
     return Report(
         summary=Summary(

@@ -81,7 +81,7 @@ def _module() -> Any:
 def _form(visit: Visit) -> str:
     data = visit.data
     shown = {key: _typed(value_at(data, key)) for key, *_ in _SIZES}
-    edges = f"{value_at(data, 'plate.edges') or ''}".ljust(4, "F")[:4]
+    edges = visit.edges
     listed = value_at(data, "measurement.frequencies_hz")
     sensors = data.get("sensor", [])
     sections = {
@@ -222,7 +222,7 @@ def _drawing(visit: Visit) -> Markup:
         return Markup('<p class="hint">Its drawing appears with length and width.</p>')
     m = _MARGIN * max(a, b)
     shape = [f'<rect class="plate" x="0" y="0" width="{a:g}" height="{b:g}"/>']
-    edges = f"{value_at(visit.data, 'plate.edges') or ''}".ljust(4, "F")[:4]
+    edges = visit.edges
     lines = ((0, 0, 0, b), (0, b, a, b), (a, 0, a, b), (0, 0, a, 0))
     for letter, (x1, y1, x2, y2), (dx, dy) in zip(
         edges, lines, ((-1, 0), (0, 1), (1, 0), (0, -1)), strict=True

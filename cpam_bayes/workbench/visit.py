@@ -176,6 +176,14 @@ class Visit:
         """The values of the plate file."""
         return content(self.text)
 
+    @property
+    def edges(self) -> str:
+        """The four letters of the edges; F where the text has none that can be read."""
+        if self.specimen is not None:
+            return self.specimen.plate.edges
+        given = value_at(self.data, "plate.edges")
+        return given if isinstance(given, str) and len(given) == 4 and set(given) <= set(_EDGES) else "FFFF"
+
     def edit(self, change: Mapping[str, Any]) -> None:
         """Make one edit and begin what follows from it; raises ``EditError``."""
         what = change.get("do")
@@ -359,7 +367,7 @@ def _edited(visit: Visit, what: object, change: Mapping[str, Any]) -> str:
             return with_value(text, str(key), _typed(change.get("value")))
         case "edge":
             place, letter = change.get("index"), change.get("value")
-            edges = list(f"{value_at(data, 'plate.edges') or ''}"[:4].ljust(4, "F"))
+            edges = list(visit.edges)
             if place not in (0, 1, 2, 3) or letter not in tuple(_EDGES):
                 raise EditError(f"edge: received {letter!r:.60}, accepted: F S C at 0 to 3")
             edges[int(place)] = str(letter)
