@@ -15,7 +15,7 @@ from scipy.optimize import least_squares
 from scipy.stats import f as f_distribution
 
 from cpam_bayes.modal_analysis.read import FrequencyResponses, ModalTestError
-from cpam_bayes.plate.modes_table import small_sample_factor
+from cpam_bayes.plate.hits import small_sample_factor
 
 __all__ = ["DEFAULT_ORDER", "Pole", "Stabilisation", "fit_poles", "stabilise"]
 

@@ -584,6 +584,8 @@ def _one_list(data: Data) -> Problems:
             "accepted: one of frequencies_hz, table and shapes",
             is_gap=not given,
         )
+    if "columns" in measurement and "table" not in measurement:
+        yield Problem(("measurement", "columns"), "beside no table, accepted: with table alone")
     for key, cure in _BESIDE.get(given[0], {}).items() if len(given) == 1 else ():
         if key in measurement:
             yield Problem(("measurement", key), cure)

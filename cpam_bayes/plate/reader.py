@@ -20,9 +20,9 @@ import numpy as np
 from cpam_bayes.errors import PlateFileError, checked
 from cpam_bayes.parameters import Parameter, ParameterSet, Prior, TruncatedNormal, Uniform
 from cpam_bayes.plate.checks import CONSTANT_KEYS, ply_kinds, relation_problems, symmetry_of
+from cpam_bayes.plate.hits import table_of
 from cpam_bayes.plate.layup import Layup, PlyKind, parse_layup
 from cpam_bayes.plate.mode_shapes import shapes_of
-from cpam_bayes.plate.modes_table import table_of
 from cpam_bayes.plate.problems import KeyPath, Problem, plate_file_error, received
 from cpam_bayes.plate.records import Hybrid, Material, Measurement, Plate, Sensor, Specimen
 from cpam_bayes.plate.schema import (

@@ -261,6 +261,25 @@ class SensorModel(_Table):
     y_mm: Place
 
 
+class ColumnsModel(_Table):
+    """The table [measurement.columns]: the heads of a table of modes."""
+
+    mode: Text | None = None
+    label: Text | None = None
+    hz: (
+        Annotated[
+            Annotated[str, Field(min_length=1, max_length=200)]
+            | Annotated[list[Text], Field(max_length=MAX_FREQUENCIES)],
+            Field(description="a head, or a list of the heads of all modes"),
+        ]
+        | None
+    ) = None
+    hit: Text | None = None
+    sd: Text | None = None
+    damping: Text | None = None
+    weight: Text | None = None
+
+
 class MeasurementModel(_Table):
     """The table [measurement]."""
 
@@ -278,6 +297,7 @@ class MeasurementModel(_Table):
     table: (
         Annotated[str, Field(min_length=1, description="the path of a table of modes, from this file")] | None
     ) = None
+    columns: Annotated[ColumnsModel, Field(description="a table [measurement.columns]")] | None = None
     shapes: (
         Annotated[
             str, Field(min_length=1, description="the path of a universal file of modes, from this file")

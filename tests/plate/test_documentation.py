@@ -147,6 +147,8 @@ def with_example(heading: str, key: str, value: Any) -> dict[str, Any]:
     if key == "mass_g" and heading.startswith("[plate"):
         del file["plate"]["density_kg_m3"]
         file["plate"]["mass_g"] = 340.7
+    if heading == "[measurement.columns]":
+        file["measurement"] = {"table": "named.csv"}
     if key in ("table", "shapes"):
         del file["measurement"]["frequencies_hz"]
     if heading == "[[ply]]" or (heading, key) == ("[material]", "density_kg_m3"):
@@ -177,6 +179,8 @@ def test_the_example_of_a_key_is_accepted(
     )
     (tmp_path / "modes.unv").write_text(nodes_15(points) + mode_55(80.2, twist), encoding="utf-8")
     (tmp_path / "modes.csv").write_text("mode,hz\n1,80.2\n2,146.3\n", encoding="utf-8")
+    named = "Nr;Form;Peak A [Hz];Tap;Streuung;Verlust;Wert\n1;a;80.2;1;0.1;0.01;1\n2;b;146.3;1;0.1;0.01;1\n"
+    (tmp_path / "named.csv").write_text(named, encoding="utf-8")
     example = tomllib.loads(documented(heading)[key]["example"].strip("`"))
     assert list(example) == [key]
     cb.read_plate(with_example(heading, key, example[key]))
