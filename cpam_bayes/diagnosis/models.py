@@ -14,7 +14,7 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from cpam_bayes.effects import Effect, PlateFacts, add_known_mass, extend
+from cpam_bayes.effects import Effect, PlateFacts, extend
 from cpam_bayes.forward_model.local.basis import (
     BarePlate,
     local_model_path,
@@ -37,14 +37,13 @@ from cpam_bayes.forward_model.reduced import ReducedModel, ReductionSettings, fo
 from cpam_bayes.forward_model.store import model_key, model_path, stored_model, without_matrices
 from cpam_bayes.forward_model.theory_error import theory_error
 from cpam_bayes.inference.posterior import ForwardModel
-from cpam_bayes.mechanics.convergence import Tolerance, converge
+from cpam_bayes.mechanics.convergence import converge
 from cpam_bayes.mechanics.problem import Problem, Values
-from cpam_bayes.mechanics.spaces.ritz import RitzSettings
+from cpam_bayes.mechanics.spaces.ritz import RitzSettings, ritz_space
 from cpam_bayes.parameters import Parameter, ParameterSet, TruncatedNormal
 from cpam_bayes.plate import Specimen
 from cpam_bayes.plate.edges import Field
 from cpam_bayes.plate.laminate import ENERGY_CONSISTENT
-from cpam_bayes.plate.records import Sensor
 from cpam_bayes.threads import single_blas_thread
 
 Array = NDArray[Any]
@@ -263,16 +262,13 @@ _REDUCTION = ReductionSettings(tolerance=1e-4, training=64, checks=240, rounds=2
 
 
 @dataclass(frozen=True, slots=True)
-class PlateModels:
+class ConvergedPlate:
     """A plate with its constants' priors, converged, and ready to be extended.
 
     parameters : constants, and sizes with a standard deviation
     problem : the bare plate
     settings, keep : its converged space
     error : (n_modes,) of that space, relative
-    theory_error : (n_modes,) of first-order theory at the reference constants, relative
-    bare : its reduced model
-    key : hash of all of that
     """
 
     specimen: Specimen
@@ -283,8 +279,19 @@ class PlateModels:
     settings: RitzSettings
     keep: Array
     error: Array
-    theory_error: Array
     n_modes: int
+
+
+@dataclass(frozen=True, slots=True)
+class PlateModels(ConvergedPlate):
+    """A converged plate with its reduced model.
+
+    theory_error : (n_modes,) of first-order theory at the reference constants, relative
+    bare : its reduced model
+    key : hash of all of that
+    """
+
+    theory_error: Array
     bare: ReducedModel
     key: str
 
@@ -340,37 +347,53 @@ def plate_models(
     key = model_key(specimen, parameters, n_modes, ENERGY_CONSISTENT, _REDUCTION, None)
     bare = stored_model(_hash(key, "bare"), problem, samples.x, n_modes, build, light=other_material)
     assert bare.full.basis is not None
-    settings, keep = bare.full.basis
-    middle = reference_vector(specimen, parameters)
-    facts = PlateFacts.of(
-        specimen.plate,
-        specimen.material.isotropic,
-        loaded=bool(specimen.sensors),
-        air_is_known=specimen.air_density is not None,
-        has_references=parameters != diagnosis_parameters(specimen, other_material=True),
-        first_frequency=float(bare.predict(middle[None]).frequencies[0, 0]),
-    )
     return PlateModels(
         specimen,
-        facts,
+        _facts(specimen, parameters, bare),
         parameters,
         problem,
         samples,
-        settings,
-        keep,
+        *bare.full.basis,
         bare.full.error,
-        theory_error(specimen, bare.predict(samples.x[:1]).frequencies[0]),
         n_modes,
+        theory_error(specimen, bare.predict(samples.x[:1]).frequencies[0]),
         bare,
         key,
     )
 
 
-def loaded_with(plate: PlateModels, sensor: Sensor) -> PlateModels:
-    """The plate with a known mass, in the space of the plate without it, whose ``bare`` stays without it."""
-    problem = add_known_mass(plate.problem, sensor.mass, sensor.x, sensor.y)
-    key = _hash(plate.key, json.dumps([sensor.mass, sensor.x, sensor.y]))
-    return replace(plate, problem=problem, facts=replace(plate.facts, loaded=True), key=key)
+def _facts(specimen: Specimen, parameters: ParameterSet, model: ForwardModel) -> PlateFacts:
+    middle = reference_vector(specimen, parameters)
+    return PlateFacts.of(
+        specimen.plate,
+        specimen.material.isotropic,
+        loaded=bool(specimen.sensors),
+        air_is_known=specimen.air_density is not None,
+        has_references=parameters != diagnosis_parameters(specimen, other_material=True),
+        first_frequency=float(model.predict(middle[None]).frequencies[0, 0]),
+    )
+
+
+@single_blas_thread
+def plate_under_test(specimen: Specimen, n_modes: int) -> tuple[ConvergedPlate, PlateModel]:
+    """A plate under a test that may follow, with its full model, converged at its reference constants."""
+    parameters, problem, samples = _bare(specimen, other_material=False)
+    samples = Samples(samples.x[:1], samples.allowance[:1])
+    full = converged_plate(problem, samples, n_modes)
+    assert full.basis is not None
+    facts = _facts(specimen, parameters, full)
+    plate = ConvergedPlate(specimen, facts, parameters, problem, samples, *full.basis, full.error, n_modes)
+    return plate, full
+
+
+def extended_on_space(plate: ConvergedPlate, effect: Effect) -> PlateModel:
+    """The full model of a plate with an effect, in its space, untrimmed where that lacks functions."""
+    problem, samples = extended_problem(plate, effect)
+    keep = plate.keep
+    if needs_another_space(problem, effect, plate):
+        space = ritz_space(problem.edges, problem.nominal, plate.settings)
+        keep = np.ones(sum(sector.size for sector in space.sectors), dtype=bool)
+    return model_on_basis(problem, samples, plate.n_modes, plate.error, (plate.settings, keep))
 
 
 @single_blas_thread
@@ -411,7 +434,7 @@ def extended_model(
         notify(f"{plate.specimen.name}: building {effect.name} {effect.variant}".rstrip())
         return built_model(plate, effect)
 
-    key = effect_key(plate, effect)
+    key = _effect_key(plate, effect)
     if effect.is_anywhere:
         return stored_local_model(
             key, plate.problem, effect.parameter_set, lambda: cast("LocalModel", build())
@@ -440,17 +463,17 @@ def built_model(plate: PlateModels, effect: Effect) -> ReducedModel | LocalModel
 
 def is_stored(plate: PlateModels, effect: Effect) -> bool:
     """Whether the model of a plate with an effect is on disk."""
-    key = effect_key(plate, effect)
+    key = _effect_key(plate, effect)
     return (local_model_path(key) if effect.is_anywhere else model_path(key)).exists()
 
 
-def effect_key(plate: PlateModels, effect: Effect, *parts: str) -> str:
-    """Hash of all that the model of a plate with an effect depends on, and of parts that name another one."""
+def _effect_key(plate: PlateModels, effect: Effect) -> str:
+    """Hash of all that the model of a plate with an effect depends on."""
     priors = [[p.name, repr(p.prior)] for p in effect.parameters]
-    return _hash(plate.key, json.dumps([effect.name, effect.variant, effect.place, priors]), *parts)
+    return _hash(plate.key, json.dumps([effect.name, effect.variant, effect.place, priors]))
 
 
-def extended_problem(plate: PlateModels, effect: Effect) -> tuple[Problem, Array]:
+def extended_problem(plate: ConvergedPlate, effect: Effect) -> tuple[Problem, Array]:
     """A plate with an effect, and parameter vectors (2, n) without and with it."""
     values = [effect.null, effect.scaled(1.0)]
     added = np.array([[v[p.name] for p in effect.parameters] for v in values])
@@ -468,12 +491,10 @@ def local_model(plate: PlateModels, effect: Effect) -> LocalModel:
     return patch_model(bare, effect.parameter_set, effect.local)
 
 
-def converged_plate(
-    problem: Problem, samples: Samples, n_modes: int, tolerance: Tolerance | None = None
-) -> PlateModel:
+def converged_plate(problem: Problem, samples: Samples, n_modes: int) -> PlateModel:
     """The full model of a problem on a space that is converged at samples, as of ``converge``."""
     x = problem.parameters.mapping(samples.x)
-    converged = converge(problem, x, n_modes, tolerance, samples.allowance)
+    converged = converge(problem, x, n_modes, allowance=samples.allowance)
     return PlateModel(converged.operator, n_modes, converged.error, (converged.settings, converged.keep))
 
 
@@ -482,7 +503,7 @@ def _reduced(full: PlateModel, *, light: bool = False) -> ReducedModel:
     return reduce(full, np.random.default_rng(0), _REDUCTION, light=light)
 
 
-def needs_another_space(problem: Problem, effect: Effect, plate: PlateModels) -> bool:
+def needs_another_space(problem: Problem, effect: Effect, plate: ConvergedPlate) -> bool:
     """Whether the bare plate's space lacks functions for the problem with an effect."""
     return problem.edges != plate.problem.edges or effect.couples_stretching
 

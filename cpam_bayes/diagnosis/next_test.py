@@ -20,25 +20,16 @@ from cpam_bayes.diagnosis.hypotheses import NONE, OTHER
 from cpam_bayes.diagnosis.models import (
     Change,
     ComposedModel,
+    ConvergedPlate,
     Part,
-    PlateModels,
-    converged_plate,
-    effect_key,
-    extended_model,
-    extended_problem,
-    loaded_with,
-    needs_another_space,
-    plate_models,
+    extended_on_space,
+    plate_under_test,
 )
 from cpam_bayes.effects import Effect, extend
-from cpam_bayes.forward_model.local.model import LocalModel
-from cpam_bayes.forward_model.model import PlateModel, Samples, model_on_basis
-from cpam_bayes.forward_model.reduced import ReducedModel
-from cpam_bayes.forward_model.store import stored_plate_model
+from cpam_bayes.forward_model.local.modal import ModalPlate, changed_on_modes, on_modes
+from cpam_bayes.forward_model.model import PlateModel, model_on_basis
 from cpam_bayes.inference.posterior import ForwardModel
-from cpam_bayes.mechanics.convergence import Tolerance
 from cpam_bayes.mechanics.modes import RigidBodyError
-from cpam_bayes.mechanics.problem import Problem
 from cpam_bayes.parameters import ParameterSet
 from cpam_bayes.plate.edges import ALL_FREE, CANTILEVER, conditions
 from cpam_bayes.plate.records import Sensor
@@ -53,9 +44,9 @@ _MASS_SHARE, _CORNER = 0.02, 0.05
 WEIGHED, GAUGED = 1e-3, 3e-3
 # Draws that the model of a test is solved at, at least, and for each term of the response that carries it to
 # the other draws, as far as so many standard deviations beyond these.
-_SOLVED, _PER_TERM, _BEYOND = 20, 2.5, 1.0
-# Of spaces that are converged for a test alone: a tenth of a measurement's noise will do.
-_TOLERANCE = Tolerance(kept=3e-4, rich=2e-4)
+_SOLVED, _PER_TERM, _BEYOND = 96, 2.5, 1.0
+# Weight of the draws beyond those at which the modes of a plate with an effect are taken, on either side.
+_TAIL = 0.02
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,14 +96,14 @@ def further_tests(
 
         def other_edges() -> Predict:
             specimen = replace(present, plate=replace(plate, edges=edges))
-            models = plate_models(specimen, n, notify)
-            return lambda t: _under_test(t, about, models, models.bare, np.arange(n))
+            converged, full = plate_under_test(specimen, n)
+            return lambda t: _under_test(t, about, converged, full, np.arange(n))
 
         tests.append(FurtherTest("edge_condition", f"the same plate {held}, {n} modes", other_edges))
 
     def more_modes() -> Predict:
-        models = plate_models(present, last_mode + 1 + MORE_MODES, notify)
-        return lambda t: _under_test(t, about, models, models.bare, _next_modes(t, about))
+        converged, full = plate_under_test(present, last_mode + 1 + MORE_MODES)
+        return lambda t: _under_test(t, about, converged, full, _next_modes(t, about))
 
     tests.append(FurtherTest("more_modes", f"the next {MORE_MODES} modes of the same plate", more_modes))
     mass = _MASS_SHARE * plate.density * plate.thickness * plate.area
@@ -120,8 +111,14 @@ def further_tests(
         sensor = Sensor(mass, x * plate.length, y * plate.width)
 
         def loaded(sensor: Sensor = sensor) -> Predict:
-            models, bare = _loaded(case.models, sensor)
-            return lambda t: _under_test(t, about, models, bare, np.arange(n))
+            full = model_on_basis(
+                case.models.problem,
+                case.models.samples.x,
+                case.models.n_modes,
+                case.models.error,
+                (case.models.settings, case.models.keep),
+            )
+            return lambda t: _under_test(t, about, case.models, full, np.arange(n), (sensor,))
 
         text = f"the same plate with a known mass of {1e3 * mass:.3g} g {where}, {n} modes"
         tests.append(FurtherTest(name, text, loaded))
@@ -148,33 +145,6 @@ def places(edges: str) -> list[tuple[str, str, tuple[float, float]]]:
 def _next_modes(t: Tested, about: int) -> Array:
     """The modes after the last one that a hypothesis has listed."""
     return int(t.marginal.comparison.model.parts[about].modes.max()) + 1 + np.arange(MORE_MODES)
-
-
-def _loaded(plate: PlateModels, sensor: Sensor) -> tuple[PlateModels, PlateModel]:
-    """A plate with a known mass, in the space of the plate without it."""
-    loaded = loaded_with(plate, sensor)
-    return loaded, _on_basis(loaded, loaded.problem, plate.samples.x)
-
-
-def _on_basis(plate: PlateModels, problem: Problem, samples: Array) -> PlateModel:
-    return model_on_basis(problem, samples, plate.n_modes, plate.error, (plate.settings, plate.keep))
-
-
-def _with_effect(plate: PlateModels, effect: Effect) -> PlateModel | ReducedModel | LocalModel:
-    """The full model of a plate with an effect: a reduced one would take more solves than it saves.
-
-    An effect at any place has its own model, which takes few. What a space is converged for is stored.
-    """
-    if effect.is_anywhere:
-        return extended_model(plate, effect)
-    problem, samples = extended_problem(plate, effect)
-    if not needs_another_space(problem, effect, plate):
-        return _on_basis(plate, problem, samples)
-
-    def build() -> PlateModel:
-        return converged_plate(problem, Samples(samples, np.ones(2)), plate.n_modes, _TOLERANCE)
-
-    return stored_plate_model(effect_key(plate, effect, "space"), problem, samples, plate.n_modes, build)
 
 
 @dataclass(frozen=True, slots=True)
@@ -211,18 +181,52 @@ def _composed(
     return ComposedModel(every, (part,))
 
 
-def _under_test(t: Tested, about: int, plate: PlateModels, bare: ForwardModel, modes: Array) -> Predicted:
-    """Frequencies of the plate with its effect under a test; an effect that it cannot have then is gone."""
-    drawn = _drawn(t, about)
+def _under_test(
+    t: Tested,
+    about: int,
+    plate: ConvergedPlate,
+    full: PlateModel,
+    modes: Array,
+    masses: tuple[Sensor, ...] = (),
+) -> Predicted:
+    """Frequencies of the plate with its effect under a test; an effect that it cannot have then is gone.
+
+    full : the plate without the known masses that the test adds
+    """
+    drawn, weight = _drawn(t, about), np.exp(t.marginal.log_weight)
+    bare = on_modes(full, (weight / weight.sum() @ drawn.v)[None, : drawn.n_plate], masses)
+    plate = replace(plate, facts=replace(plate.facts, loaded=plate.facts.loaded or bool(masses)))
     changes = []
     for effect, columns in drawn.effects:
         names = tuple(p.name for p in effect.parameters)
         if effect.change is None:
             changes.append(Change(names, columns, None, effect.observe))
         elif effect.applies_to(plate.facts):
-            changes.append(Change(names, columns, _with_effect(plate, effect)))
-    model = _composed(drawn, plate.parameters, bare, modes, changes)
-    return _response(model, drawn, np.exp(t.marginal.log_weight))
+            changes.append(
+                Change(names, columns, _with_effect(plate, bare, effect, drawn, columns, weight, masses))
+            )
+    model = _composed(drawn, plate.parameters, bare.model, modes, changes)
+    return _response(model, drawn, weight)
+
+
+def _with_effect(
+    plate: ConvergedPlate,
+    bare: ModalPlate,
+    effect: Effect,
+    drawn: _Drawn,
+    columns: tuple[int, ...],
+    weight: Array,
+    masses: tuple[Sensor, ...],
+) -> ForwardModel:
+    """The plate under a test with an effect: on its own modes, or on those of the bare one for any place."""
+    if effect.is_anywhere:
+        return changed_on_modes(bare, effect)
+    v = drawn.v[:, [*range(drawn.n_plate), *columns]]
+    order = np.argsort(v[:, drawn.n_plate], kind="stable")
+    below = np.cumsum(weight[order]) / weight.sum()
+    tails = order[np.searchsorted(below, (_TAIL, 1.0 - _TAIL)).clip(max=len(v) - 1)]
+    at = np.vstack((weight / weight.sum() @ v, v[tails]))
+    return on_modes(extended_on_space(plate, effect), at, masses).model
 
 
 def _response(model: ComposedModel, drawn: _Drawn, weight: Array) -> Predicted:
@@ -238,15 +242,16 @@ def _response(model: ComposedModel, drawn: _Drawn, weight: Array) -> Predicted:
     sd = np.sqrt(weight @ (v - mean) ** 2)
     varied = np.flatnonzero(sd > 1e-12)
     n = 1 + 2 * len(varied)
-    size = max(_SOLVED, round(_PER_TERM * n))
+    least = round(_PER_TERM * n)
+    size = max(_SOLVED, least)
     if len(v) <= size:
         f = model.predict(drawn.v).frequencies
         return Predicted(f, np.zeros((f.shape[1], f.shape[1])))
     cumulative = np.cumsum(weight)
     levels = (np.arange(size) + 0.5) / size
     rows = np.unique(np.searchsorted(cumulative / cumulative[-1], levels).clip(max=len(v) - 1))
-    if len(rows) < size:  # a few draws hold most of the weight, and a response needs more than these
-        rows = np.argsort(-weight, kind="stable")[:size]
+    if len(rows) < least:  # a few draws hold most of the weight, and a response needs more than these
+        rows = np.argsort(-weight, kind="stable")[:least]
     u = (v[:, varied] - mean[varied]) / sd[varied]
     u = np.clip(u, u[rows].min(axis=0) - _BEYOND, u[rows].max(axis=0) + _BEYOND)
     terms = np.column_stack((np.ones(len(v)), u, u**2))

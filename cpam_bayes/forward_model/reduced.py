@@ -220,7 +220,7 @@ def reduce(
             bases = [_orthonormal(v, b, mass[middle]) for v, b in zip(joined, operator.blocks, strict=True)]
     if _sides_vary(model, x):
         bases = [
-            _orthonormal(_by_field(operator, block, rigid), block, mass[middle])
+            _orthonormal(by_field(operator, block, rigid), block, mass[middle])
             for block, rigid in zip(operator.blocks, bases, strict=True)
         ]
     checks = np.vstack((_corners(model), training_sets(model.operator.problem, settings.checks, rng)))
@@ -300,7 +300,7 @@ def _sides_vary(model: PlateModel, x: Array) -> bool:
     return any(bool(np.ptp(np.atleast_1d(np.real(side))) > 0.0) for side in (state.length, state.width))
 
 
-def _by_field(operator: DenseOperator, block: DenseBlock, vectors: Array) -> Array:
+def by_field(operator: DenseOperator, block: DenseBlock, vectors: Array) -> Array:
     """Each column (n, k) cut into the parts of its fields, without those that are zero.
 
     On the reference square a rotation is w = length xi with phi_x = -1. Where the sides vary, so does

@@ -138,22 +138,6 @@ def stored_model(
     return without_matrices(reduced) if light else reduced
 
 
-def stored_plate_model(
-    key: str, problem: Problem, samples: Array, n_modes: int, build: Callable[[], PlateModel]
-) -> PlateModel:
-    """The full model of a problem on the trial functions that are on disk, or built and these stored.
-
-    samples : as in ``stored_model``
-    """
-    path = model_path(key)
-    stored = read_model(path)
-    if stored is not None and stored.keys() >= {"basis", "keep", "error"}:
-        return model_on_basis(problem, samples, n_modes, stored["error"], _basis(stored))
-    model = build()
-    write_model(path, _pack_basis(model))
-    return model
-
-
 def without_matrices(reduced: ReducedModel) -> ReducedModel:
     """A reduced model without the matrices of the full space; only predictions are asked of it."""
     full = reduced.full
@@ -179,15 +163,13 @@ def _basis(stored: dict[str, Array]) -> tuple[RitzSettings, Array]:
     return RitzSettings(**json.loads(str(stored["basis"]))), stored["keep"]
 
 
-def _pack_basis(model: PlateModel) -> dict[str, Array]:
-    assert model.basis is not None
-    settings, keep = model.basis
-    return {"basis": np.array(json.dumps(asdict(settings))), "keep": keep, "error": model.error}
-
-
 def _pack(reduced: ReducedModel) -> dict[str, Array]:
+    assert reduced.full.basis is not None
+    settings, keep = reduced.full.basis
     arrays = {
-        **_pack_basis(reduced.full),
+        "basis": np.array(json.dumps(asdict(settings))),
+        "keep": keep,
+        "error": reduced.full.error,
         "reference": reduced.reference,
         "rounding": reduced.rounding,
     }

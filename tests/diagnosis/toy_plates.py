@@ -130,8 +130,8 @@ def case(
         unused,
         unused,
         np.zeros(n_modes),
-        np.zeros(n_modes),
         n_modes,
+        np.zeros(n_modes),
         plate_model(n_modes),  # type: ignore[arg-type]
         name,
     )

@@ -26,7 +26,7 @@ from cpam_bayes.forward_model.reduced import (
     ReductionSettings,
     reduce,
 )
-from cpam_bayes.forward_model.store import model_key, reduced_model, stored_plate_model
+from cpam_bayes.forward_model.store import model_key, reduced_model
 from cpam_bayes.mechanics.convergence import Tolerance, rich_frequencies
 from cpam_bayes.mechanics.problem import rigid_body_count
 from cpam_bayes.parameters import ParameterSet
@@ -284,20 +284,6 @@ def same_bits(a: ReducedModel, b: ReducedModel) -> None:
     np.testing.assert_array_equal(a.full.predict(x).frequencies, b.full.predict(x).frequencies)
     np.testing.assert_array_equal(a.error(x), b.error(x))
     np.testing.assert_array_equal(a.full.error, b.full.error)
-
-
-def test_a_stored_space_gives_the_same_plate_model_bit_for_bit(
-    b1: Specimen, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("CPAM_BAYES_CACHE", str(tmp_path))
-    built = converged_model(b1, b1.unknowns, 3)
-    problem, samples = built.operator.problem, convergence_samples(b1, built.operator.problem).x
-    first = stored_plate_model("key", problem, samples, 3, lambda: built)
-    again = stored_plate_model("key", problem, samples, 3, lambda: pytest.fail("built twice"))
-    assert first is built
-    x = prior_draws(built, 5, 1)
-    np.testing.assert_array_equal(again.predict(x).frequencies, built.predict(x).frequencies)
-    np.testing.assert_array_equal(again.error, built.error)
 
 
 def test_a_stored_model_is_read_back_bit_for_bit(b1: Specimen, tmp_path: Path) -> None:

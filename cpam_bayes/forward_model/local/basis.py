@@ -97,7 +97,7 @@ def point_mass_model(
     added : the mass, kg, its place, and its radius of gyration, m
     """
     trained, rng = _training(plate, how)
-    rows = _rows(trained.operator, _training_places(rng, how.places))
+    rows = rows_at(trained.operator, _training_places(rng, how.places))
     # what a mass in rows of the fields adds: its translation, and its rotation about the midplane, of which a
     # part is enough: what the basis lacks of it is as if the radius of gyration, which is open, were less
     arm = np.hypot(
@@ -123,9 +123,7 @@ def patch_model(
 
     added : the fraction of stiffness lost, the place, and the extent over the shorter side
     """
-    nominal = plate.problem.nominal
-    sides = tuple(float(np.real(side)) for side in (nominal.length, nominal.width))
-    patch = Patch(form, (min(sides) / sides[0], min(sides) / sides[1]))
+    patch = patch_of(form, plate.problem)
     trained, rng = _training(plate, how)
     operator = trained.operator
     indices = [block.index for block in operator.blocks]
@@ -148,6 +146,12 @@ def patch_model(
         for b, index in enumerate(indices)
     ]
     return _assembled(trained, grown, added, patch)
+
+
+def patch_of(form: PatchForm, problem: Problem) -> Patch:
+    """Patches of a plate, whose extent is over its shorter side."""
+    sides = [float(np.real(side)) for side in (problem.nominal.length, problem.nominal.width)]
+    return Patch(form, (min(sides) / sides[0], min(sides) / sides[1]))
 
 
 @dataclass(frozen=True, slots=True)
@@ -261,7 +265,7 @@ def _training_places(rng: np.random.Generator, n: int) -> Array:
     return points
 
 
-def _rows(operator: DenseOperator, points: Array) -> list[Array]:
+def rows_at(operator: DenseOperator, points: Array) -> list[Array]:
     """The five fields of the trial functions of every block at points, (5, n_points, n) each."""
     whole = np.zeros((len(FIELDS), len(points), sum(s.size for s in operator.space.sectors)))
     first = 0

@@ -249,6 +249,11 @@ _BATCH = 64
 _AXES: tuple[Derivative, Derivative] = ("x", "y")
 
 
+def batches_of(rows: Array) -> list[Array]:
+    """Rows (m,) in batches that are solved together."""
+    return [rows[i : i + _BATCH] for i in range(0, len(rows), _BATCH)]
+
+
 @dataclass(frozen=True, slots=True)
 class PointMass:
     """A mass glued to the surface; parameters are the mass, its place and its radius of gyration.
@@ -260,16 +265,15 @@ class PointMass:
 
     def batches(self, added: Array) -> list[Array]:
         """Rows of the parameters of the change (m, 4) that are solved together."""
-        rows = np.arange(len(added))
-        return [rows[i : i + _BATCH] for i in range(0, len(rows), _BATCH)]
+        return batches_of(np.arange(len(added)))
 
     def predict(self, model: LocalModel, x: Array, jacobian: bool) -> Prediction:
         """Frequencies at parameter vectors (m, n) and, if asked, their derivatives."""
         plate, added = model.split(x)
         mass, gyration, m = added[:, 0], added[:, 3], len(x)
-        weights = _inertia(model, plate, mass, gyration)
+        weights = point_inertia(model, plate, mass, gyration)
         points = PointValues(added[:, 1]), PointValues(added[:, 2])
-        rows = _rows(model, points, "", m)
+        rows = rows_in_basis(model, points, "", m)
         basis = ritz_basis(bare_modes(model, plate), rows[:, self.loads])
         at_place = _at_place(model, rows, basis)
         mass_there = np.swapaxes(at_place, 1, 2) @ (weights[:, :, None] * at_place)
@@ -287,16 +291,16 @@ class PointMass:
         if "thickness" in model.bare.parameters:  # the rotary inertia of the mass
             i = model.bare.parameters.names.index("thickness")
             slope[..., i] -= lam * turning * (0.5 * mass * plate[:, i])[:, None]
-        of_one = _inertia(model, plate, np.ones(m), gyration)
+        of_one = point_inertia(model, plate, np.ones(m), gyration)
         slope[..., n_plate] = -lam * np.einsum("mif,mf->mi", u**2, of_one)
         for k, axis in enumerate(_AXES):
-            du = phi @ np.swapaxes(_rows(model, points, axis, m), 1, 2)
+            du = phi @ np.swapaxes(rows_in_basis(model, points, axis, m), 1, 2)
             slope[..., n_plate + 1 + k] = -2.0 * lam * np.einsum("mif,mif,mf->mi", u, du, weights)
         slope[..., n_plate + 3] = -2.0 * lam * turning * (mass * gyration)[:, None]
         return prediction(lam, slope)
 
 
-def _rows(
+def rows_in_basis(
     model: LocalModel, points: tuple[PointValues, PointValues], derivative: Derivative, m: int
 ) -> Array:
     """The five fields of the basis at one point a parameter set, (m, 5, n)."""
@@ -317,7 +321,7 @@ def _at_place(model: LocalModel, rows: Array, basis: RitzBasis) -> Array:
     return np.concatenate([*leading, answers], axis=-1)
 
 
-def _inertia(model: LocalModel, plate: Array, mass: Array, gyration: Array) -> Array:
+def point_inertia(model: LocalModel, plate: Array, mass: Array, gyration: Array) -> Array:
     """m for u, v, w and m ((h / 2)^2 + r^2) for the rotations, (m, 5)."""
     thickness = model.bare.operator.problem.state(model.bare.parameters.mapping(plate)).thickness
     rotary = mass * ((np.asarray(thickness) / 2) ** 2 + gyration**2)

@@ -134,6 +134,22 @@ class Patch:
         return _form_slopes(model, slopes, atoms, weights[:, :1]), np.swapaxes(of_change, 1, 2)
 
 
+def lost_energy(patch: Patch, model: LocalModel, plate: Array, added: Array, energy: Array) -> Array:
+    """What vectors of the basis, which stand in one block, lose in a patch at a depth of one, (m, r, r).
+
+    energy : of the vectors, (m, r, r)
+    """
+    m, _, r = energy.shape
+    sizes, roots = _sides(model.bare, plate)
+    at = PatchPoints(model.parts, patch.rules(added[:, 1:]), sizes)
+    rows = (roots @ at.rows([np.broadcast_to(np.eye(r), (m, r, r))], [slice(0, r)])).reshape(m, -1, r)
+    lost = np.swapaxes(rows, 1, 2) @ rows
+    deep = np.flatnonzero(added[:, 0] > _DEEP)
+    if len(deep):
+        lost[deep] = _bounded(energy[deep], lost[deep])
+    return np.asarray(lost)
+
+
 def _bounded(energy: Array, lost: Array) -> Array:
     """Energies (m, r, r) of a patch, none of which exceeds that of the plate.
 

@@ -379,7 +379,7 @@ def test_a_clamp_acts_on_the_clamped_plate_and_not_on_the_one_that_hangs() -> No
     own = cantilever(0.03)
     effect = BY_NAME["clamp_rotation"]
     t = made(hypothesis(effect, 0.1), own)
-    as_it_is = further_tests._under_test(t, 0, own.models, own.models.bare, np.arange(4))
+    as_it_is = further_tests._under_test(t, 0, own.models, own.models.bare.full, np.arange(4))
     assert_predicts(as_it_is, own.with_effect(effect), t)
     tests = {test.name: test for test in further_tests.further_tests([own], 0, 3, 0.02)}
     plate = own.models.specimen.plate
