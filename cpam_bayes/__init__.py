@@ -16,6 +16,7 @@
     cb.sensitivity(plate)           # the paper's noise study beside the posterior
     cb.calibrate(plate)             # do its intervals hold the truth as often as they say?
     cb.app("plates")                # a page on this machine, the constants while one types
+    cb.prove(plate, with_coin)      # what was stuck to the plate, how heavy, where?
     cb.paper(5)                     # a table of the paper beside what this package computes
 
 Every result has `summary()`, `to_dict()`, `plot()`, `save()`, `warnings` and `status`. Names are loaded
@@ -46,6 +47,7 @@ if TYPE_CHECKING:
     from cpam_bayes.questions.plates import plates
     from cpam_bayes.questions.poles import poles
     from cpam_bayes.questions.predict import predict
+    from cpam_bayes.questions.prove import prove
     from cpam_bayes.questions.report import report
     from cpam_bayes.questions.sensitivity import sensitivity
     from cpam_bayes.questions.sequence import sequence
@@ -72,6 +74,7 @@ _PUBLIC = {
     "poles": "cpam_bayes.questions.poles",
     "posterior": "cpam_bayes.identification.search",
     "predict": "cpam_bayes.questions.predict",
+    "prove": "cpam_bayes.questions.prove",
     "read_plate": "cpam_bayes.plate.reader",
     "sample": "cpam_bayes.questions.identify.emcee",
     "sensitivity": "cpam_bayes.questions.sensitivity",
@@ -99,6 +102,7 @@ __all__ = [
     "poles",
     "posterior",
     "predict",
+    "prove",
     "read_plate",
     "report",
     "sample",

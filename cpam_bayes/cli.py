@@ -38,6 +38,7 @@ COMMANDS: Final = {
     "report": "constants, stacking sequences and diagnosis on one page",
     "batch": "the constants of many plates, one row each, with limits and a control chart",
     "paper": "the paper's tables beside what this package computes",
+    "prove": "the coin test: was a mass stuck to the plate, how heavy, where",
     "calibrate": "whether the intervals of a plate and its list hold the truth as often as they say",
     "cache": "the stored models of plates on disk",
 }

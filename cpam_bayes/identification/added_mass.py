@@ -1,0 +1,495 @@
+"""A mass that was stuck to a plate between two lists of its frequencies: whether, how heavy, where.
+
+The second list is compared with the first, not with a model: d_i = ln(f'_i / f_i) holds none of the errors
+that both lists share. In the modes phi of the plate, of unit modal mass, a mass m at (x, y) gives the eigenproblem
+
+    (diag(lambda) - lambda' (I + m U U^T)) q = 0,  U = [u, v, w, r phi_x, r phi_y](x, y),
+
+with r its radius of gyration about the surface (Dowell, J. Appl. Mech. 46, 206, 1979). The lowest modes are
+kept; what the others answer to the mass is one vector a field. Places are weighed on a grid that is refined
+where the likelihood is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum
+from functools import partial
+from typing import Any, Final
+
+import numpy as np
+import scipy.linalg
+from numpy.typing import NDArray
+from scipy.special import logsumexp
+from scipy.stats import chi2
+
+from cpam_bayes.forward_model.model import PlateModel
+from cpam_bayes.inference.posterior import NOISE_PRIOR
+from cpam_bayes.mechanics.problem import rigid_body_count
+from cpam_bayes.mechanics.spaces.ritz import evaluate_sector
+from cpam_bayes.plate.edges import FIELDS
+from cpam_bayes.threads import single_blas_thread
+
+__all__ = ["AddedMass", "Finding", "LoadedPlate", "Repeatability", "find_mass", "loaded_plate"]
+
+Array = NDArray[Any]
+
+CLAIMED: Final = 0.95
+"""Probability of a mass from which it is said to be there."""
+# A point mass is not quite a coin: standard deviation of a shift, as a fraction of it.
+_FORM: Final = 0.02
+# Masses, of the plate's: log-uniform prior between them, where shifts are computed.
+_LEAST, _MOST, _NODES = 5e-4, 0.15, 11
+# Radii of gyration of coins, magnets and accelerometers about the surface, m, of equal probability.
+_GYRATIONS: Final = (2.5e-3, 5e-3, 8.5e-3)
+# Cells along each side, times that a cell may be divided, cells divided at a time at most and at least, and
+# the log likelihood below the best from which on the others are not.
+_CELLS, _LEVELS, _DIVIDED, _LEAST_DIVIDED, _UNLIKELY = 24, 4, 160, 24, 12.0
+# Modes that are kept over those of the list.
+_FURTHER: Final = 6
+# Masses between which a posterior is integrated, and the share of it that a smaller range may lose.
+_FINE, _LOST = 160, 1e-7
+# Repeatabilities between which one that is not stated is integrated.
+_LEVELS_OF_NOISE: Final = 24
+_DRAWS: Final = 4000
+_TAIL: Final = 0.025
+# Masses of a detection limit, and simulated lists at each.
+_STEPS, _LISTS = 9, 400
+# Share of a plate that a detection limit leaves out.
+_HIDDEN: Final = 0.2
+# Lists that no mass explains.
+_UNEXPLAINED: Final = 1e-3
+_ALIKE: Final = 1e-3
+
+
+class Finding(Enum):
+    """What the second list says; the values are those of JSON documents."""
+
+    ADDED = "mass added"
+    NOTHING = "nothing added"
+    OPEN = "undecided"
+    OTHER = "changed otherwise"
+    """Neither noise nor a mass anywhere explains the difference of the lists."""
+
+
+@dataclass(frozen=True, slots=True)
+class Repeatability:
+    """Noise of one list.
+
+    relative : (n,) standard deviations, None where the file states none; rounding : (n,)
+    """
+
+    relative: Array | None
+    rounding: Array
+
+    def variances(self) -> tuple[Array, Array]:
+        """Variances of ln f' - ln f (k, n) at the repeatabilities that may be, and their log priors (k,)."""
+        if self.relative is not None:
+            return (2.0 * (self.relative**2 + self.rounding**2))[None], np.zeros(1)
+        level = np.geomspace(NOISE_PRIOR.lower, 0.02, _LEVELS_OF_NOISE)
+        log_prior = NOISE_PRIOR.log_density(level) + np.log(level)
+        return 2.0 * (level[:, None] ** 2 + self.rounding**2), log_prior - logsumexp(log_prior)
+
+
+@dataclass(frozen=True, slots=True)
+class LoadedPlate:
+    """The modes of a plate as a mass meets them.
+
+    eigenvalues : (k,) of the modes that are kept, rigid-body motions first, (rad/s)^2
+    listed : (n,) those of the list
+    fields : points (p, 2) of 0 to 1 -> (5, p, N) of all N modes
+    every : (N,) eigenvalues of all modes
+    scatter : points -> (p, n) variance of phi^2 over the constants that the first list leaves open
+    sides : m; mass : kg, with its relative standard deviation
+    """
+
+    eigenvalues: Array
+    listed: Array
+    fields: Callable[[Array], Array]
+    every: Array
+    scatter: Callable[[Array], Array]
+    sides: tuple[float, float]
+    mass: float
+    mass_sd: float
+
+    def masses(self) -> Array:
+        """Masses at which shifts are computed, 0 first, kg, (_NODES + 1,)."""
+        return self.mass * np.concatenate(([0.0], np.geomspace(_LEAST, _MOST, _NODES)))
+
+    def shifts(self, points: Array, masses: Array, gyration: float) -> Array:
+        """ln f' - ln f of the list with masses (k,), kg, at points (p, 2), (p, k, n)."""
+        k = len(self.eigenvalues)
+        fields = self.fields(points)
+        fields[3:] *= gyration
+        low, high = fields[..., :k], fields[..., k:]
+        # the modes above answer w and the rotations as at the middle of the list, as three modes of unit mass
+        above = self.every[k:]
+        answer = high[2:] / (above - self.eigenvalues[self.listed].mean())
+        inertia = np.einsum("apj,bpj->pab", answer, answer)
+        stiffness = np.einsum("apj,bpj,j->pab", answer, answer, above)
+        scale = np.sqrt(np.einsum("paa->pa", inertia)) + 1e-300
+        unit = scale[:, :, None] * scale[:, None, :]
+        root = np.linalg.inv(np.linalg.cholesky(inertia / unit + 1e-9 * np.eye(3)))
+        lam, vectors = np.linalg.eigh(root @ (stiffness / unit) @ np.swapaxes(root, 1, 2))
+        lam = np.maximum(lam, above[0])
+        answered = np.einsum("apj,bpj->pba", high, answer) / scale[:, :, None]
+        answered = np.swapaxes(vectors, 1, 2) @ root @ answered
+        load = np.concatenate((np.moveaxis(low, 0, -1), answered), axis=1)
+        values = np.concatenate((np.broadcast_to(self.eigenvalues, (len(points), k)), lam), axis=1)
+        # (I + m L L^T)^-1/2 = I + Q ((1 + m s^2)^-1/2 - 1) Q^T of the singular vectors Q of L
+        q, singular, _ = np.linalg.svd(load, full_matrices=False)
+        out = np.zeros((len(points), len(masses), len(self.listed)))
+        start = np.log(values[:, self.listed])
+        for j, m in enumerate(masses):
+            if m > 0.0:
+                less = (1.0 + m * singular**2) ** -0.5 - 1.0
+                w = np.eye(k + 3) + (q * less[:, None, :]) @ np.swapaxes(q, 1, 2)
+                found = np.linalg.eigvalsh((w * values[:, None, :]) @ w)
+                out[:, j] = 0.5 * (np.log(found[:, self.listed]) - start)
+        return out
+
+
+@single_blas_thread
+def loaded_plate(
+    model: PlateModel,
+    best: Array,
+    draws: Array,
+    listed: Array,
+    sides: tuple[float, float],
+    mass: tuple[float, float],
+) -> LoadedPlate:
+    """The modes of a plate at its constants (n_parameters,), and their scatter over draws (m, n_parameters).
+
+    listed : (n,) mode of each frequency, from 0. mass : kg, and its relative standard deviation
+    """
+    lam, fields = _modes(model, best)
+    first = rigid_body_count(model.operator.problem.edges)
+    listed = listed + first
+    lam[:first] = 0.0
+    k = int(listed.max()) + 1 + _FURTHER
+
+    others = [_modes(model, x)[1] for x in draws]
+
+    def scatter(points: Array) -> Array:
+        squares = [np.sum(f(points)[:3, :, listed] ** 2, axis=0) for f in others]
+        return np.asarray(np.var(squares, axis=0))
+
+    return LoadedPlate(lam[:k], listed, fields, lam, scatter, sides, *mass)
+
+
+def _modes(model: PlateModel, x: Array) -> tuple[Array, Callable[[Array], Array]]:
+    """All eigenvalues of the space at a parameter vector, ascending, and the modes' fields at points."""
+    operator = model.operator
+    stiffness, mass = model.coefficients(np.atleast_2d(x))
+    pairs = [
+        scipy.linalg.eigh(b.stiffness.assemble(stiffness)[0], b.mass.assemble(mass)[0])
+        for b in operator.blocks
+    ]
+    values = np.concatenate([lam for lam, _ in pairs])
+    order = np.argsort(values, kind="stable")
+    sizes = [sector.size for sector in operator.space.sectors]
+    starts = np.cumsum([0, *sizes])
+    whole = np.zeros((starts[-1], len(values)))
+    at = 0
+    for block, (lam, vectors) in zip(operator.blocks, pairs, strict=True):
+        whole[np.ix_(block.index, range(at, at + len(lam)))] = vectors
+        at += len(lam)
+    whole = whole[:, order]
+
+    def fields(points: Array) -> Array:
+        out = np.zeros((len(FIELDS), len(points), len(order)))
+        for sector, a, b in zip(operator.space.sectors, starts[:-1], starts[1:], strict=True):
+            out[FIELDS.index(sector.field)] += evaluate_sector(sector, points, "") @ whole[a:b]
+        return out
+
+    return values[order], fields
+
+
+@dataclass(frozen=True, slots=True)
+class Cells:
+    """Rectangles of a plate with the shifts that a mass in their middle gives.
+
+    centre : (p, 2) of 0 to 1; half : (p,) half their sides, of the plate's
+    shifts : (p, n_gyrations, n_masses, n)
+    scatter : (p, n) as of `LoadedPlate`
+    """
+
+    centre: Array
+    half: Array
+    shifts: Array
+    scatter: Array
+
+    def joined(self, other: Cells, keep: Array) -> Cells:
+        """Those to keep (p,), and others."""
+        return Cells(
+            *(
+                np.concatenate((getattr(self, name)[keep], getattr(other, name)))
+                for name in ("centre", "half", "shifts", "scatter")
+            )
+        )
+
+
+def _cells(plate: LoadedPlate, centre: Array, half: Array) -> Cells:
+    masses = plate.masses()
+    shifts = np.stack([plate.shifts(centre, masses, r) for r in _GYRATIONS], axis=1)
+    return Cells(centre, half, shifts, plate.scatter(centre))
+
+
+@single_blas_thread
+def cells_of(plate: LoadedPlate) -> Cells:
+    """The whole plate, which every list begins with."""
+    middle = (np.arange(_CELLS) + 0.5) / _CELLS
+    centre = np.stack(np.meshgrid(middle, middle, indexing="ij"), axis=-1).reshape(-1, 2)
+    return _cells(plate, centre, np.full(len(centre), 0.5 / _CELLS))
+
+
+def _log_likelihood(d: Array, shift: Array, extra: Array, noise: tuple[Array, Array]) -> Array:
+    """Of differences (n,) at shifts (..., n) with further variances, integrated over the noise, (...)."""
+    away = (d - shift) ** 2
+    each = []
+    for variance, log_prior in zip(*noise, strict=True):
+        total = variance + extra
+        each.append(log_prior - 0.5 * np.sum(away / total + np.log(2 * np.pi * total), axis=-1))
+    return np.asarray(logsumexp(each, axis=0))
+
+
+def _between(plate: LoadedPlate, cells: Cells, masses: Array) -> tuple[Array, Array]:
+    """Shifts at masses (k,), linear between those that were computed, and their further variances.
+
+    (p, n_gyrations, k, n) each.
+    """
+    nodes = plate.masses()
+    right = np.clip(np.searchsorted(nodes, masses), 1, len(nodes) - 1)
+    part = ((masses - nodes[right - 1]) / (nodes[right] - nodes[right - 1]))[:, None]
+    shift = (1.0 - part) * cells.shifts[:, :, right - 1] + part * cells.shifts[:, :, right]
+    open_ = 0.25 * masses[:, None] ** 2 * cells.scatter[:, None, None, :]
+    return shift, (_FORM * shift) ** 2 + open_
+
+
+def _weighed(plate: LoadedPlate, cells: Cells, d: Array, noise: tuple[Array, Array], masses: Array) -> Array:
+    """Log of posterior times evidence, by cell, radius of gyration and mass (k,) of equal log steps."""
+    log_area = np.log(4.0 * cells.half**2)[:, None, None]
+    step = np.log(masses[1] / masses[0]) / np.log(_MOST / _LEAST)
+    shift, extra = _between(plate, cells, masses)
+    return np.asarray(_log_likelihood(d, shift, extra, noise) + log_area + np.log(step / len(_GYRATIONS)))
+
+
+@dataclass(frozen=True, slots=True)
+class AddedMass:
+    """What the second list says.
+
+    probability : that a mass was added; log_bayes_factor : of one against none
+    p_value : of what the best mass, or none, leaves of the differences
+    mass, sd, interval : kg, 95 %; what is there at most where nothing is
+    place : m; radius : about it or one of its images, in which the mass is with 95 %, m
+    images : other places that no list can tell from it, m
+    draws : (n, 3) of mass and place, SI
+    noise : relative repeatability of one list
+    """
+
+    finding: Finding
+    probability: float
+    log_bayes_factor: float
+    p_value: float
+    mass: float
+    sd: float
+    interval: tuple[float, float]
+    place: tuple[float, float]
+    radius: float
+    images: tuple[tuple[float, float], ...]
+    draws: Array
+    noise: float
+
+    def distance(self, x: float, y: float) -> float:
+        """From the place or the nearest of its images, m."""
+        return min(float(np.hypot(x - a, y - b)) for a, b in (self.place, *self.images))
+
+
+@single_blas_thread
+def find_mass(
+    plate: LoadedPlate, whole: Cells, d: Array, repeatability: Repeatability, rng: np.random.Generator
+) -> AddedMass:
+    """A mass from the differences d = ln f' - ln f (n,) of two lists of a plate.
+
+    whole : as of `cells_of`
+    """
+    noise = repeatability.variances()
+    none = float(_log_likelihood(d, np.zeros_like(d), np.zeros_like(d), noise))
+    cells, low, high = whole, _LEAST * plate.mass, _MOST * plate.mass
+    for _ in range(_LEVELS):
+        log_weight = logsumexp(_weighed(plate, cells, d, noise, np.geomspace(low, high, 60)), axis=(1, 2))
+        density = log_weight - 2.0 * np.log(cells.half)
+        order = np.argsort(-density)[:_DIVIDED]
+        likely = density[order] > density.max() - _UNLIKELY
+        likely[:_LEAST_DIVIDED] = True
+        # where even the best places are as good as all others, smaller cells say nothing more
+        if likely.all() and len(order) == _DIVIDED and density[order[-1]] > density.max() - 2.0:
+            break
+        chosen = order[likely]
+        quarter = 0.5 * cells.half[chosen]
+        corners = np.array([(-1, -1), (-1, 1), (1, -1), (1, 1)])
+        centre = (cells.centre[chosen][:, None] + quarter[:, None, None] * corners).reshape(-1, 2)
+        keep = np.ones(len(cells.half), dtype=bool)
+        keep[chosen] = False
+        cells = cells.joined(_cells(plate, centre, np.repeat(quarter, 4)), keep)
+    while True:
+        masses = np.geomspace(low, high, _FINE)
+        log_weight = _weighed(plate, cells, d, noise, masses)
+        of_mass = logsumexp(log_weight, axis=(0, 1))
+        share = np.exp(of_mass - logsumexp(of_mass))
+        carrying = np.flatnonzero(share > _LOST)
+        first, last = max(carrying[0] - 1, 0), min(carrying[-1] + 1, _FINE - 1)
+        if last - first > _FINE // 3:
+            break
+        low, high = masses[first], masses[last]
+    evidence = float(logsumexp(log_weight))
+    probability = float(1.0 / (1.0 + np.exp(np.clip(none - evidence, -700, 700))))
+    best = np.unravel_index(int(np.argmax(log_weight)), log_weight.shape)
+    shift, extra = (v[0, best[1], 0] for v in _between(plate, _one(cells, best[0]), masses[best[2]][None]))
+    of_level = [
+        lp - 0.5 * np.sum((d - shift) ** 2 / (v + extra) + np.log(v + extra))
+        for v, lp in zip(*noise, strict=True)
+    ]
+    variance = noise[0][int(np.argmax(of_level))]
+    p_value = 1.0
+    if repeatability.relative is not None:
+        left = min(np.sum((d - shift) ** 2 / (variance + extra)), np.sum(d**2 / variance))
+        p_value = float(chi2.sf(left, len(d)))
+    draws = _drawn(plate, cells, log_weight, masses, rng)
+    place, radius, images = _place(plate, whole, draws, cells.centre[best[0]])
+    finding = Finding.OPEN
+    if p_value < _UNEXPLAINED:
+        finding = Finding.OTHER
+    elif probability >= CLAIMED:
+        finding = Finding.ADDED
+    elif probability <= 0.5:
+        finding = Finding.NOTHING
+    mass = draws[:, 0]
+    return AddedMass(
+        finding,
+        probability,
+        evidence - none,
+        p_value,
+        float(mass.mean()),
+        float(mass.std()),
+        (float(np.quantile(mass, _TAIL)), float(np.quantile(mass, 1.0 - _TAIL))),
+        place,
+        radius,
+        images,
+        draws,
+        float(np.sqrt(0.5 * variance.mean())),
+    )
+
+
+def _one(cells: Cells, at: Any) -> Cells:
+    return Cells(*(getattr(cells, n)[at][None] for n in ("centre", "half", "shifts", "scatter")))
+
+
+def _drawn(
+    plate: LoadedPlate, cells: Cells, log_weight: Array, masses: Array, rng: np.random.Generator
+) -> Array:
+    """Draws of mass and place, SI, (n, 3): a cell, a radius of gyration and a mass, anywhere in the cell."""
+    weight = np.exp(log_weight - log_weight.max()).ravel()
+    chosen = rng.choice(len(weight), _DRAWS, p=weight / weight.sum())
+    cell, _, at = np.unravel_index(chosen, log_weight.shape)
+    within = rng.uniform(-1.0, 1.0, (_DRAWS, 3))
+    place = (cells.centre[cell] + within[:, :2] * cells.half[cell][:, None]) * plate.sides
+    step = 0.5 * np.log(masses[1] / masses[0])
+    # the list gives the mass as a fraction of the plate's
+    log_mass = np.log(masses[at]) + step * within[:, 2] + plate.mass_sd * rng.standard_normal(_DRAWS)
+    return np.column_stack((np.exp(log_mass), place))
+
+
+def _place(
+    plate: LoadedPlate, whole: Cells, draws: Array, best: Array
+) -> tuple[tuple[float, float], float, tuple[tuple[float, float], ...]]:
+    """The middle of the draws about the best place, all images laid on one, the radius, and the images."""
+    sides = np.array(plate.sides)
+    images = symmetries(plate, whole)
+    folded = np.array([image(draws[:, 1:] / sides) * sides for image in images])
+    distance = np.linalg.norm(folded - best * sides, axis=-1)
+    laid = folded[np.argmin(distance, axis=0), range(len(draws))]
+    near = np.quantile(np.linalg.norm(laid - best * sides, axis=1), 0.5)
+    close = np.linalg.norm(laid - best * sides, axis=1) <= 3.0 * near
+    middle = laid[close].mean(axis=0)
+    radius = float(np.quantile(np.linalg.norm(laid - middle, axis=1), 1.0 - 2 * _TAIL))
+    # an image within the uncertainty of the place is the place itself
+    others: list[tuple[float, float]] = []
+    for image in images[1:]:
+        at = image((middle / sides)[None])[0] * sides
+        if all(np.hypot(*(at - np.array(known))) > radius for known in (tuple(middle), *others)):
+            others.append((float(at[0]), float(at[1])))
+    return (float(middle[0]), float(middle[1])), radius, tuple(others)
+
+
+def symmetries(plate: LoadedPlate, whole: Cells) -> list[Callable[[Array], Array]]:
+    """What maps places (p, 2) of 0 to 1 to places that no list can tell from them, the identity first."""
+    field = whole.shifts[:, 0, 1].reshape(_CELLS, _CELLS, -1)
+    largest = np.abs(field).max()
+    found: list[Callable[[Array], Array]] = []
+    square = abs(plate.sides[0] / plate.sides[1] - 1.0) < _ALIKE
+    for turned in (False, True) if square else (False,):
+        for flip_x, flip_y in ((0, 0), (1, 0), (0, 1), (1, 1)):
+            other = np.swapaxes(field, 0, 1) if turned else field
+            other = other[:: -1 if flip_x else 1, :: -1 if flip_y else 1]
+            if np.abs(other - field).max() < _ALIKE * largest:
+                found.append(partial(_mapped, turned, np.array([flip_x, flip_y])))
+    return found
+
+
+def _mapped(turned: bool, flip: Array, places: Array) -> Array:
+    moved = np.where(flip > 0, 1.0 - places, places)
+    return moved[:, ::-1] if turned else moved
+
+
+def predicted_shifts(
+    plate: LoadedPlate, mass: float, place: tuple[float, float], noise: Array, rounding: Array
+) -> tuple[Array, Array]:
+    """ln f' - ln f of a list with a known mass, kg, at a place in m: mean and standard deviation, (n,).
+
+    noise, rounding : (n,) relative, of one list
+    """
+    point = np.array([place]) / plate.sides
+    each = np.array([plate.shifts(point, np.array([mass]), r)[0, 0] for r in _GYRATIONS])
+    shift = each.mean(axis=0)
+    variance = 2.0 * (noise**2 + rounding**2) + each.var(axis=0) + (0.5 * mass) ** 2 * plate.scatter(point)[0]
+    return shift, np.sqrt(variance + (_FORM**2 + plate.mass_sd**2) * shift**2)
+
+
+@single_blas_thread
+def detection_limit(
+    plate: LoadedPlate, whole: Cells, noise: float, rounding: Array, rng: np.random.Generator
+) -> float | None:
+    """The smallest mass that is claimed with 95 % probability, kg; None for none.
+
+    Over the places of the first grid but for the fifth of them where a mass shows least, beside a clamp for
+    instance; the repeatability is taken for known.
+    """
+    sd = np.sqrt(2.0 * (noise**2 + rounding**2))
+    grid = np.geomspace(_LEAST, _MOST, 40) * plate.mass
+    shift, _ = _between(plate, _middle_gyration(whole), grid)
+    white = (shift[:, 0] / sd).reshape(-1, len(sd))
+    half = 0.5 * np.sum(white**2, axis=1)
+    scatter = rng.standard_normal((_LISTS, len(sd)))
+    shown = np.argsort(half.reshape(len(whole.half), -1)[:, -1])[int(_HIDDEN * len(whole.half)) :]
+    where = rng.choice(shown, _LISTS)
+    odds = np.log(CLAIMED / (1.0 - CLAIMED))
+
+    def claimed(mass: float) -> bool:
+        shifts, _ = _between(plate, _middle_gyration(whole), np.array([mass]))
+        d = shifts[where, 0, 0] / sd + scatter
+        log_bayes = logsumexp(white @ d.T - half[:, None], axis=0) - np.log(len(half))
+        return bool(np.mean(log_bayes >= odds) >= 1.0 - 2 * _TAIL)
+
+    low, high = _LEAST * plate.mass, _MOST * plate.mass
+    if not claimed(high):
+        return None
+    for _ in range(_STEPS):
+        middle = float(np.sqrt(low * high))
+        low, high = (low, middle) if claimed(middle) else (middle, high)
+    return high
+
+
+def _middle_gyration(cells: Cells) -> Cells:
+    return Cells(cells.centre, cells.half, cells.shifts[:, 1:2], cells.scatter)
