@@ -1,7 +1,7 @@
 """A mass that was stuck to a plate between two lists of its frequencies: whether, how heavy, where.
 
 The second list is compared with the first, not with a model: d_i = ln(f'_i / f_i) holds none of the errors
-that both lists share. In the modes phi of the plate, of unit modal mass, a mass m at (x, y) gives the eigenproblem
+that both lists share. In the modes phi of the plate, of unit modal mass, a mass m at (x, y) gives
 
     (diag(lambda) - lambda' (I + m U U^T)) q = 0,  U = [u, v, w, r phi_x, r phi_y](x, y),
 

@@ -183,7 +183,7 @@ def prove(
     """
     if not 1 <= len(lists) <= _MOST_LISTS:
         raise ValueError(
-            f"lists: received {len(lists) or 'none'}, accepted: one with a mass or more, {_MOST_LISTS} at most"
+            f"lists: received {len(lists) or 'none'}, accepted: one or more, {_MOST_LISTS} at most"
         )
     specimen = read_plate(plate)
     first, _ = required(specimen)
@@ -541,7 +541,7 @@ def _computation(result: CoinResult) -> Any:
         "Computation",
         (
             ("modes", f"of the plate as identified from the first list, fit {fit} %"),
-            ("shifts", "of a point mass with a radius of gyration of 2.5 to 8.5 mm; 2 % of each for its form"),
+            ("shifts", "of a point mass, radius of gyration 2.5 to 8.5 mm; 2 % of each for its form"),
             ("repeatability", f"{noise} % of a frequency in each list"),
             ("prior", "0.5 for nothing; else 0.05 to 15 % of the plate's mass, even in its logarithm"),
             ("detection limit", "claimed in 95 % of simulated lists, but for the fifth of the plate where a "
