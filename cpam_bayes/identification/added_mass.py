@@ -5,7 +5,7 @@ that both lists share. In the modes phi of the plate, of unit modal mass, a mass
 
     (diag(lambda) - lambda' (I + m U U^T)) q = 0,  U = [u, v, w, r phi_x, r phi_y](x, y),
 
-with r its radius of gyration about the surface (Dowell, J. Appl. Mech. 46, 206, 1979). The lowest modes are
+with r its radius of gyration about the midplane (Dowell, J. Appl. Mech. 46, 206, 1979). The lowest modes are
 kept; what the others answer to the mass is one vector a field. Places are weighed on a grid that is refined
 where the likelihood is.
 """
@@ -13,7 +13,7 @@ where the likelihood is.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from functools import partial
 from typing import Any, Final
@@ -24,8 +24,10 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 from scipy.stats import chi2
 
+from cpam_bayes.forward_model.local.basis import local_space
 from cpam_bayes.forward_model.model import PlateModel
 from cpam_bayes.inference.posterior import NOISE_PRIOR
+from cpam_bayes.mechanics.dense import discretise
 from cpam_bayes.mechanics.problem import rigid_body_count
 from cpam_bayes.mechanics.spaces.ritz import evaluate_sector
 from cpam_bayes.plate.edges import FIELDS
@@ -40,14 +42,16 @@ CLAIMED: Final = 0.95
 # A point mass is not quite a coin: standard deviation of a shift, as a fraction of it.
 _FORM: Final = 0.02
 # Masses, of the plate's: log-uniform prior between them, where shifts are computed.
-_LEAST, _MOST, _NODES = 5e-4, 0.15, 11
-# Radii of gyration of coins, magnets and accelerometers about the surface, m, of equal probability.
+_LEAST, _MOST, _NODES = 5e-4, 0.15, 9
+# Radii of gyration of coins, magnets and accelerometers about the midplane, m, of equal probability.
 _GYRATIONS: Final = (2.5e-3, 5e-3, 8.5e-3)
 # Cells along each side, times that a cell may be divided, cells divided at a time at most and at least, and
 # the log likelihood below the best from which on the others are not.
-_CELLS, _LEVELS, _DIVIDED, _LEAST_DIVIDED, _UNLIKELY = 24, 4, 160, 24, 12.0
+_CELLS, _LEVELS, _DIVIDED, _LEAST_DIVIDED, _UNLIKELY = 24, 3, 96, 24, 12.0
 # Modes that are kept over those of the list.
 _FURTHER: Final = 6
+# Polynomials added in each direction.
+_DENT: Final = 4
 # Masses between which a posterior is integrated, and the share of it that a smaller range may lose.
 _FINE, _LOST = 160, 1e-7
 # Repeatabilities between which one that is not stated is integrated.
@@ -163,23 +167,36 @@ def loaded_plate(
 
     listed : (n,) mode of each frequency, from 0. mass : kg, and its relative standard deviation
     """
+    model = _richer(model, np.vstack((best, draws)))
     lam, fields = _modes(model, best)
     first = rigid_body_count(model.operator.problem.edges)
     listed = listed + first
     lam[:first] = 0.0
     k = int(listed.max()) + 1 + _FURTHER
 
-    others = [_modes(model, x)[1] for x in draws]
+    others = [_modes(model, x, listed)[1] for x in draws]
 
     def scatter(points: Array) -> Array:
-        squares = [np.sum(f(points)[:3, :, listed] ** 2, axis=0) for f in others]
+        squares = [np.sum(f(points)[:3] ** 2, axis=0) for f in others]
         return np.asarray(np.var(squares, axis=0))
 
     return LoadedPlate(lam[:k], listed, fields, lam, scatter, sides, *mass)
 
 
-def _modes(model: PlateModel, x: Array) -> tuple[Array, Callable[[Array], Array]]:
-    """All eigenvalues of the space at a parameter vector, ascending, and the modes' fields at points."""
+def _richer(model: PlateModel, samples: Array) -> PlateModel:
+    """The plate on more trial functions, which the dent under a mass needs and its own modes do not."""
+    if model.basis is None:
+        return model
+    problem, settings = model.operator.problem, model.basis[0]
+    degrees = {name: getattr(settings, name) + _DENT for name in ("degree_x", "degree_y")}
+    space = local_space(problem, replace(settings, **degrees))
+    return replace(model, operator=discretise(problem, space, problem.parameters.mapping(samples)))
+
+
+def _modes(
+    model: PlateModel, x: Array, kept: Array | slice = slice(None)
+) -> tuple[Array, Callable[[Array], Array]]:
+    """All eigenvalues of the space at a parameter vector, ascending, and fields of the modes to keep."""
     operator = model.operator
     stiffness, mass = model.coefficients(np.atleast_2d(x))
     pairs = [
@@ -195,10 +212,10 @@ def _modes(model: PlateModel, x: Array) -> tuple[Array, Callable[[Array], Array]
     for block, (lam, vectors) in zip(operator.blocks, pairs, strict=True):
         whole[np.ix_(block.index, range(at, at + len(lam)))] = vectors
         at += len(lam)
-    whole = whole[:, order]
+    whole = whole[:, order][:, kept]
 
     def fields(points: Array) -> Array:
-        out = np.zeros((len(FIELDS), len(points), len(order)))
+        out = np.zeros((len(FIELDS), len(points), whole.shape[1]))
         for sector, a, b in zip(operator.space.sectors, starts[:-1], starts[1:], strict=True):
             out[FIELDS.index(sector.field)] += evaluate_sector(sector, points, "") @ whole[a:b]
         return out

@@ -18,6 +18,7 @@ from cpam_bayes.command import PLATE, TIME_LIMIT, Command, option
 from cpam_bayes.errors import PlateFileError, checked
 from cpam_bayes.formatting import fixed, listed, significant, with_spread
 from cpam_bayes.forward_model.labels import labelled_model, list_order
+from cpam_bayes.forward_model.preconditions import rectangular_only, require_seed, require_supported
 from cpam_bayes.identification.added_mass import (
     AddedMass,
     Finding,
@@ -49,7 +50,7 @@ from cpam_bayes.render.report import (
     Summary,
     facts,
 )
-from cpam_bayes.result import PlateResult, within_time
+from cpam_bayes.result import PlateResult, present, within_time
 from cpam_bayes.running import SILENT, Watch
 
 if TYPE_CHECKING:
@@ -134,10 +135,6 @@ class CoinResult(PlateResult):
     detection_limit: float | None
     point: PointResult
 
-    def report(self) -> Report:
-        """What was found, what was stated, and how well they agree."""
-        return present(self)
-
     @property
     def coverage(self) -> Mapping[str, float] | None:
         """Shares of masses and of shifts inside their 95 % intervals; None without a seal."""
@@ -181,11 +178,12 @@ def prove(
     >>> result.coins[0].found.finding.value in ("mass added", "undecided")
     True
     """
+    require_seed(seed)
     if not 1 <= len(lists) <= _MOST_LISTS:
         raise ValueError(
             f"lists: received {len(lists) or 'none'}, accepted: one or more, {_MOST_LISTS} at most"
         )
-    specimen = read_plate(plate)
+    specimen = require_supported(read_plate(plate), rectangular_only("prove"))
     first, _ = required(specimen)
     _require_complete(specimen, first)
     further = [_list_of(given, specimen, first) for given in lists]
@@ -420,7 +418,8 @@ _COLUMNS: Final = (
 )
 
 
-def present(result: CoinResult) -> Report:
+@present.register
+def _present(result: CoinResult) -> Report:
     """What was found, what was stated, and how well they agree."""
     rows = Rows("coins", _COLUMNS, result.coins, lambda c: c.is_inside is False)
     limit = result.detection_limit

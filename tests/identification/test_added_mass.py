@@ -1,0 +1,135 @@
+"""A mass that was added to a plate: its shifts against whole models, and what lists say of it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import cpam_bayes as cb
+from cpam_bayes.forward_model.model import converged_model
+from cpam_bayes.identification.added_mass import (
+    AddedMass,
+    Cells,
+    Finding,
+    LoadedPlate,
+    Repeatability,
+    cells_of,
+    detection_limit,
+    find_mass,
+    loaded_plate,
+    symmetries,
+)
+from cpam_bayes.parameters import Parameter, ParameterSet, Uniform
+from tests.plate_file import described
+
+N, NOISE = 10, 0.002
+GLASS = {"E1_GPa": 40.0, "E2_GPa": 9.0, "nu12": 0.28, "G12_GPa": 4.0}
+SIZE = (240.0, 160.0, 2.6)
+MASS = 1900.0 * 0.24 * 0.16 * 0.0026
+
+
+def plate_of(edges: str, **tables: Any) -> dict[str, Any]:
+    return described(SIZE, 1900.0, GLASS, layup="[(0/90)_3]_s", edges=edges, **tables)
+
+
+def loaded(edges: str) -> LoadedPlate:
+    parameters = ParameterSet((Parameter("E1", "Pa", Uniform(20e9, 60e9)),))
+    model = converged_model(cb.read_plate(plate_of(edges)), parameters, N)
+    at = np.array([40e9])
+    return loaded_plate(model, at, at[None] * [[0.99], [1.01]], np.arange(N), (0.24, 0.16), (MASS, 0.002))
+
+
+@pytest.fixture(scope="module")
+def free() -> tuple[LoadedPlate, Cells]:
+    plate = loaded("FFFF")
+    return plate, cells_of(plate)
+
+
+def answer(
+    plate: tuple[LoadedPlate, Cells], d: np.ndarray, noise: float | None = NOISE, seed: int = 0
+) -> AddedMass:
+    relative = None if noise is None else np.full(N, noise)
+    return find_mass(*plate, d, Repeatability(relative, np.zeros(N)), np.random.default_rng(seed))
+
+
+def shifts_of_model(edges: str, mass: float, x: float, y: float) -> np.ndarray:
+    """Of a plate whose whole model holds the mass, half a thickness off the midplane."""
+    known = [{"mass_g": 1e3 * mass, "x_mm": x, "y_mm": y}]
+    with_mass = cb.forward(plate_of(edges, sensor=known), N).frequencies
+    return np.asarray(np.log(with_mass / cb.forward(plate_of(edges), N).frequencies))
+
+
+@pytest.mark.parametrize("edges", ["FFFF", "CFFF"])
+@pytest.mark.parametrize("fraction", [0.01, 0.08])
+def test_shifts_in_the_modes_are_those_of_a_model_that_holds_the_mass(edges: str, fraction: float) -> None:
+    exact = shifts_of_model(edges, fraction * MASS, 60.0, 35.0)
+    found = loaded(edges).shifts(np.array([[60 / 240, 35 / 160]]), np.array([fraction * MASS]), 1.3e-3)[0, 0]
+    # the form error that is counted with is 2 % of a shift
+    assert np.abs(found - exact).max() < 0.02 * np.abs(exact).max()
+
+
+def test_a_mass_is_found_where_it_is_up_to_mirror_images(free: tuple[LoadedPlate, Cells]) -> None:
+    mass, x, y = 0.03 * MASS, 60.0, 35.0
+    found = answer(free, shifts_of_model("FFFF", mass, x, y))
+    assert found.finding is Finding.ADDED
+    assert found.interval[0] < mass < found.interval[1]
+    # a cross-ply plate that is free all round looks alike from its four corners
+    assert len(found.images) == 3
+    assert found.distance(1e-3 * x, 1e-3 * y) < 0.5 * found.radius < 0.01
+
+
+def test_masses_lie_in_their_intervals_as_often_as_these_say(free: tuple[LoadedPlate, Cells]) -> None:
+    rng = np.random.default_rng(5)
+    inside = []
+    for seed in range(12):
+        mass, place = MASS * rng.uniform(0.02, 0.06), rng.uniform(size=(1, 2))
+        d = free[0].shifts(place, np.array([mass]), 5e-3)[0, 0]
+        found = answer(free, d + np.sqrt(2) * NOISE * rng.standard_normal(N), seed=seed)
+        inside.append(found.interval[0] < mass < found.interval[1])
+    # 12 trials of 0.95: below 9 with a probability of 0.002
+    assert sum(inside) >= 9
+
+
+def test_no_mass_is_claimed_of_repeats(free: tuple[LoadedPlate, Cells]) -> None:
+    rng = np.random.default_rng(1)
+    repeats = [answer(free, np.sqrt(2) * NOISE * rng.standard_normal(N)) for _ in range(12)]
+    assert sum(found.finding is Finding.ADDED for found in repeats) <= 1
+    assert sum(found.finding is Finding.NOTHING for found in repeats) >= 8
+
+
+def test_frequencies_that_all_rise_are_no_added_mass(free: tuple[LoadedPlate, Cells]) -> None:
+    assert answer(free, np.full(N, 0.01)).finding is Finding.OTHER
+
+
+def test_a_repeatability_that_is_not_stated_is_inferred(free: tuple[LoadedPlate, Cells]) -> None:
+    d = shifts_of_model("FFFF", 0.04 * MASS, 60.0, 35.0)
+    found = answer(free, d + np.sqrt(2) * NOISE * np.random.default_rng(3).standard_normal(N), noise=None)
+    assert found.finding is Finding.ADDED
+    assert NOISE / 3 < found.noise < 3 * NOISE
+
+
+def test_a_clamp_takes_one_mirror_image_away() -> None:
+    plate = loaded("CFFF")
+    assert len(symmetries(plate, cells_of(plate))) == 2
+
+
+def test_a_mass_at_the_detection_limit_is_mostly_claimed_and_half_of_it_less_often(
+    free: tuple[LoadedPlate, Cells],
+) -> None:
+    rng = np.random.default_rng(2)
+    limit = detection_limit(*free, NOISE, np.zeros(N), rng)
+    assert limit is not None
+
+    def claimed(mass: float) -> int:
+        count = 0
+        for _ in range(8):
+            d = free[0].shifts(rng.uniform(0.0, 0.15, (1, 2)), np.array([mass]), 5e-3)[0, 0]
+            d = d + np.sqrt(2) * NOISE * rng.standard_normal(N)
+            count += answer(free, d).finding is Finding.ADDED
+        return count
+
+    # beside a corner, where a mass shows best
+    assert claimed(limit) >= 7
+    assert claimed(0.1 * limit) <= 3

@@ -1,0 +1,106 @@
+"""The question `prove`: what it reads, what it seals, what it says."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import cpam_bayes as cb
+from cpam_bayes.cli import main
+from cpam_bayes.errors import PlateFileError
+from cpam_bayes.questions.prove import CoinResult
+from cpam_bayes.render.terminal import plain_text
+from tests.plate_file import PLATE
+
+N = 8
+COIN = {"mass_g": 20.0, "x_mm": 60.0, "y_mm": 50.0}
+SEAL = "[[coin]]\nmass_g = 20\nx_mm = 60\ny_mm = 50\n\n[[coin]]\nmass_g = 0\n"
+
+
+@pytest.fixture(scope="module")
+def lists(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str, str, str]:
+    """The plate file, a table with the coin on it, a TOML file without, and the seal."""
+    folder = tmp_path_factory.mktemp("coin")
+    plate = PLATE.replace("density_kg_m3 = 2700.0", "mass_g = 680.4")
+    (folder / "bare.toml").write_text(plate, encoding="utf-8")
+    data = cb.read_plate(folder / "bare.toml")
+    bare = cb.forward(data, N).frequencies
+    loaded = plate + "\n[[sensor]]\n" + "\n".join(f"{k} = {v}" for k, v in COIN.items())
+    (folder / "loaded.toml").write_text(loaded, encoding="utf-8")
+    with_coin = cb.forward(folder / "loaded.toml", N).frequencies
+    rng = np.random.default_rng(0)
+
+    def noisy(f: np.ndarray) -> list[float]:
+        return [float(v) for v in np.round(f * (1 + 0.001 * rng.standard_normal(N)), 2)]
+
+    measured = f"\n[measurement]\nfrequencies_hz = {noisy(bare)}\nrelative_std = 0.001\n"
+    (folder / "plate.toml").write_text(plate + measured, encoding="utf-8")
+    rows = "\n".join(f"{i},{f}" for i, f in enumerate(noisy(with_coin), 1))
+    (folder / "coin.csv").write_text(f"mode,hz\n{rows}\n", encoding="utf-8")
+    (folder / "none.toml").write_text(f"frequencies_hz = {noisy(bare)}\n", encoding="utf-8")
+    (folder / "seal.toml").write_text(SEAL, encoding="utf-8")
+    return folder, str(folder / "plate.toml"), str(folder / "coin.csv"), str(folder / "none.toml")
+
+
+@pytest.fixture(scope="module")
+def result(lists: tuple[Path, str, str, str]) -> CoinResult:
+    folder, plate, coin, none = lists
+    return cb.prove(plate, coin, none, sealed=folder / "seal.toml", seed=1)
+
+
+def test_a_table_and_a_list_are_answered_and_the_seal_is_compared(result: CoinResult) -> None:
+    document = result.to_dict()
+    coin, none = document["coins"]
+    assert coin["finding"] == "mass added"
+    assert coin["q025_g"] < 20.0 < coin["q975_g"]
+    assert coin["distance_mm"] < 15.0
+    assert coin["stated_g"] == pytest.approx(20.0)
+    # 95 % of 8 shifts
+    assert coin["shifts_inside"] >= 6
+    assert none["finding"] == "nothing added"
+    assert none["found_g"] is None
+    assert document["coverage"] == {"mass": 1.0, "shifts": pytest.approx(1.0, abs=0.2)}
+    assert 0.0 < document["detection_limit_g"] < 20.0
+
+
+def test_the_hash_is_that_of_the_sealed_file(result: CoinResult) -> None:
+    digest = hashlib.sha256(SEAL.encode()).hexdigest()
+    assert result.hash == digest
+    assert digest in plain_text(result.report().sections[0].tables[0])
+
+
+def test_the_hash_is_shown_before_the_work(
+    lists: tuple[Path, str, str, str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder, plate, coin, none = lists
+    assert main(["prove", plate, coin, none, "--sealed", str(folder / "seal.toml"), "--json"]) == 0
+    shown = capsys.readouterr()
+    digest = hashlib.sha256(SEAL.encode()).hexdigest()
+    assert shown.err.index(digest) < shown.err.index("identify plate 7")
+    assert json.loads(shown.out)["hash"] == digest
+
+
+@pytest.mark.parametrize(
+    ("seal", "said"),
+    [
+        ("[[coin]]\nmass_g = 1\nx_mm = 2\ny_mm = 3\n", "1 tables"),
+        ("[[coin]]\nmass_g = 1\nx_mm = 2\n[[coin]]\nmass_g = 0\n", "mass_g, x_mm and y_mm"),
+        ("[[coin]]\nmass_g = 1\nx_mm = 999\ny_mm = 3\n[[coin]]\nmass_g = 0\n", "on the plate"),
+    ],
+)
+def test_a_seal_that_fits_no_list_is_refused_before_the_work(
+    lists: tuple[Path, str, str, str], tmp_path: Path, seal: str, said: str
+) -> None:
+    _, plate, coin, none = lists
+    (tmp_path / "seal.toml").write_text(seal, encoding="utf-8")
+    with pytest.raises(PlateFileError, match=said):
+        cb.prove(plate, coin, none, sealed=tmp_path / "seal.toml")
+
+
+def test_a_list_of_another_length_is_refused(lists: tuple[Path, str, str, str]) -> None:
+    with pytest.raises(PlateFileError, match="the same modes in both"):
+        cb.prove(lists[1], [100.0, 200.0])
