@@ -80,6 +80,7 @@ def test_a_mass_is_found_where_it_is_up_to_mirror_images(free: tuple[LoadedPlate
     assert found.distance(1e-3 * x, 1e-3 * y) < 0.5 * found.radius < 0.01
 
 
+@pytest.mark.slow
 def test_masses_lie_in_their_intervals_as_often_as_these_say(free: tuple[LoadedPlate, Cells]) -> None:
     rng = np.random.default_rng(5)
     inside = []
@@ -103,6 +104,7 @@ def test_frequencies_that_all_rise_are_no_added_mass(free: tuple[LoadedPlate, Ce
     assert answer(free, np.full(N, 0.01)).finding is Finding.OTHER
 
 
+@pytest.mark.slow
 def test_a_repeatability_that_is_not_stated_is_inferred(free: tuple[LoadedPlate, Cells]) -> None:
     d = shifts_of_model("FFFF", 0.04 * MASS, 60.0, 35.0)
     found = answer(free, d + np.sqrt(2) * NOISE * np.random.default_rng(3).standard_normal(N), noise=None)
@@ -115,6 +117,7 @@ def test_a_clamp_takes_one_mirror_image_away() -> None:
     assert len(symmetries(plate, cells_of(plate))) == 2
 
 
+@pytest.mark.slow
 def test_a_mass_at_the_detection_limit_is_mostly_claimed_and_half_of_it_less_often(
     free: tuple[LoadedPlate, Cells],
 ) -> None:
