@@ -67,7 +67,7 @@ CAUSES = (
     *("sensor_mass", "length", "taper_x", "warp"),
     *("misorientation", "outer_ply_angle", "membrane_stress", "damage"),
 )
-QUICK_CAUSE = "warp"
+QUICK_CAUSE, QUICK_AMONG = "length", ("length", "frequency_scale", "viscoelastic")
 # The order of rows.
 ORDER = tuple(FLAWS)
 
@@ -79,7 +79,9 @@ def run(
     causes: Sequence[str] = CAUSES,
     path: Path | None = None,
 ) -> Results:
-    """The trials that are saved at a path and those that are not, saved one by one; quick: one, not saved."""
+    """The trials that are saved at a path and those that are not, saved one by one; quick: one, not saved,
+    among few causes.
+    """
     setups = (ALONE, SISTER) if quick else SETUPS
     items = [(cause, n) for n in range(1 if quick else per_cause) for cause in causes]
     items = [(QUICK_CAUSE, 0)] if quick else items
@@ -93,7 +95,7 @@ def run(
             save_results(path, as_results(records, setups, quick=quick))
             print(f"{len(records)} trials", file=sys.stderr, flush=True)
 
-    own = Laboratory(PLATE, RATIO, SEED, setups)
+    own = Laboratory(PLATE, RATIO, SEED, setups, QUICK_AMONG if quick else ())
     missing = [item for item in items if item not in known]
     if missing:
         share_out(trial, own, missing, executor, batch_size=1, on_result=keep)

@@ -22,6 +22,7 @@ import cpam_bayes as cb
 from cpam_bayes.diagnosis.answers.optima import averaged_draws, weighted_quantiles
 from cpam_bayes.diagnosis.comparison import SCATTER
 from cpam_bayes.diagnosis.evidence.weighing import Weighed
+from cpam_bayes.effects import CATALOGUE
 from validation.claims import scoring
 from validation.independent import lists
 from validation.independent.lists import NominalPlate, Truth
@@ -38,12 +39,16 @@ _MASS_SHARE, _PLACE = 0.02, {"x": 0.05, "y": 0.05}
 
 @dataclass(frozen=True, slots=True)
 class Laboratory:
-    """A plate with free edges, the signal to noise of a flaw in its list, and what else is measured."""
+    """A plate with free edges, the signal to noise of a flaw in its list, and what else is measured.
+
+    among : names of the causes that are weighed, all unless given
+    """
 
     plate: NominalPlate
     ratio: float
     seed: int
     setups: tuple[str, ...] = SETUPS
+    among: tuple[str, ...] = ()
 
 
 def files(laboratory: Laboratory, cause: str, number: int) -> tuple[Truth, dict[str, str]]:
@@ -99,14 +104,15 @@ def trial(laboratory: Laboratory, item: tuple[str, int]) -> Record:
             path.write_text(texts[setup], "utf-8")
         for setup in laboratory.setups:
             plates = dict.fromkeys((paths[ALONE], paths[setup]))
-            answers[setup] = answer(asdict(truth), truth.plate, list(plates))
+            answers[setup] = answer(asdict(truth), truth.plate, list(plates), laboratory.among)
     return head | {"truth": asdict(truth), "setups": answers}
 
 
-def answer(truth: Record, specimen: str, plates: list[Path]) -> Record:
+def answer(truth: Record, specimen: str, plates: list[Path], among: tuple[str, ...] = ()) -> Record:
     """The score of a diagnosis of these files, the true cause's probability, and the constants' spread."""
     start = time.process_time()
-    result = cb.diagnose(*map(str, plates), next_test="never")
+    catalogue = tuple(effect for effect in CATALOGUE if not among or effect.name in among)
+    result = cb.diagnose(*map(str, plates), next_test="never", catalogue=catalogue)
     seconds = time.process_time() - start
     names = {*truth["causes"], *truth["accepted"]}
     constants = constants_of(result.diagnosis.weighed, specimen, truth["constants"])

@@ -187,6 +187,7 @@ def test_inversions_scatter_as_wide_as_first_order_says(shared: Shared) -> None:
 
 # The whole study, short of convergence
 
+LEVELS: list[tuple[float, ...]] = [(), (0.0,), (0.51,), (float("nan"),)]
 
 SHORT = {
     "groups": 3,
@@ -266,15 +267,16 @@ def test_progress_counts_all_tasks(study: Sensitivity, told: list[tuple[int, int
     assert told == [(i, 16) for i in range(1, 17)]
 
 
-@pytest.mark.parametrize("levels", [(), (0.0,), (0.51,), (float("nan"),)])
-def test_levels_out_of_range_are_refused(plate: Specimen, levels: tuple[float, ...]) -> None:
-    with pytest.raises(ValueError, match=r"levels of noise: received .* accepted: above 0, at most 0.5"):
-        noise_study(plate, 0, source="model", levels=levels)
-
-
-def test_one_group_is_refused(plate: Specimen) -> None:
-    with pytest.raises(ValueError, match="groups: received 1, accepted: 2 or more"):
-        noise_study(plate, 0, source="model", groups=1)
+@pytest.mark.parametrize(
+    ("asked", "said"),
+    [
+        *(({"levels": v}, "levels of noise: received .* accepted: above 0, at most 0.5") for v in LEVELS),
+        ({"groups": 1}, "groups: received 1, accepted: 2 or more"),
+    ],
+)
+def test_options_out_of_range_are_refused(plate: Specimen, asked: dict[str, Any], said: str) -> None:
+    with pytest.raises(ValueError, match=said):
+        noise_study(plate, 0, source="model", **asked)
 
 
 def test_a_list_with_gaps_is_refused(plate: Specimen) -> None:

@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import xarray
 
 from cpam_bayes.answer import Notice
 from cpam_bayes.inference.ensemble import EnsembleSettings
@@ -190,17 +189,6 @@ def test_the_file_opens_in_arviz_without_this_package(sampled: SampledResult, tm
     # the constants' sensitivity to the likelihood, which takes no other draws, is that of the screen
     told = {s.name: s for s in sampled.assessment.power_scaling}
     assert psens["E1_GPa"] == pytest.approx(told["E1"].likelihood, rel=1e-6)
-
-
-def test_the_file_is_a_tree_as_arviz_1_reads_files(sampled: SampledResult, tmp_path: Path) -> None:
-    """As `xarray.open_datatree` gives them to arviz-base, arviz-stats and arviz-plots."""
-    path = tmp_path / "posterior.nc"
-    sampled.to_arviz().to_netcdf(path)
-    with xarray.open_datatree(path) as tree:
-        for group in ("posterior", "prior", "log_prior", "log_likelihood", "posterior_predictive"):
-            assert all(v.dims[:2] == ("chain", "draw") for v in tree[group].data_vars.values())
-        assert {"sample_stats", "prior_predictive", "observed_data", "constant_data"} <= set(tree.children)
-        assert tree["posterior"]["E1_GPa"].attrs["unit"] == "GPa"
 
 
 @pytest.mark.slow

@@ -7,9 +7,11 @@ from tests.stacking.cases import specimen
 from validation.sequences import (
     CoverageSettings,
     Trial,
+    known_angles,
     randomised_place,
     stacking_coverage,
     summarised,
+    with_unknown_layup,
 )
 
 SINGLE, SIZE = np.array([0.3, 0.1, 0.1, 0.05]), np.array([2, 1, 2, 2])
@@ -59,3 +61,20 @@ def test_sets_of_simulated_plates_hold_the_true_sequence() -> None:
     np.testing.assert_array_less([t.set_size for t in found], 36)
     again = stacking_coverage(specimen(), 2, 0, settings=settings)
     assert again == found[:2]
+
+
+# Built-in plates with unknown angles
+
+
+def test_own_angles_stand_at_the_places_of_the_unknown_ones() -> None:
+    # C1 is [(0/90)_8]_s
+    np.testing.assert_array_equal(known_angles(with_unknown_layup("C1", "[(?/?)_8]_s")), [0.0, 90.0])
+    np.testing.assert_array_equal(
+        known_angles(with_unknown_layup("C1", "[0/?/?/90/(0/90)_6]_s")), [90.0, 0.0]
+    )
+
+
+@pytest.mark.parametrize(("layup", "unknown"), [(None, 4), ("[(?/?)_8]_s", 2)])
+def test_a_plate_has_its_own_unknown_angles_or_those_of_a_layup(layup: str | None, unknown: int) -> None:
+    assert with_unknown_layup("C1", layup).plate.layup.n_unknown == unknown
+    assert with_unknown_layup("C1", layup, 30.0).angle_grid_deg == 30.0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import pairwise
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -11,8 +12,10 @@ from scipy.special import logsumexp
 
 from cpam_bayes.diagnosis.comparison import Comparison, comparison_of
 from cpam_bayes.diagnosis.evidence.marginal import Marginal, laplace_marginal
+from cpam_bayes.diagnosis.evidence.optima import Nodes
 from cpam_bayes.diagnosis.evidence.sampled import sampled_marginal
 from cpam_bayes.diagnosis.hypotheses import Hypothesis
+from cpam_bayes.inference.derivatives import Expansion
 from cpam_bayes.parameters import ScaledStudentT
 from cpam_bayes.priors import Prior
 from tests.diagnosis.toy_plates import (
@@ -222,3 +225,28 @@ def test_what_lies_outside_the_constraints_carries_nothing() -> None:
     # of 512 points
     assert found.log_evidence - whole.log_evidence == pytest.approx(np.log(share), abs=0.1)
     assert np.all(found.draws[np.isfinite(found.log_weight), 0] < middle)
+
+
+# Components of a mixture about the optima at held sizes
+
+
+class Bell:
+    """A standard normal density of two scores."""
+
+    def expand(self, z: np.ndarray) -> Expansion:
+        return Expansion(-0.5 * np.sum(z**2, axis=1), -z, np.tile(np.eye(2), (len(z), 1, 1)))
+
+
+def test_sizes_at_which_the_plate_buckles_have_no_component() -> None:
+    """Their densities are so low that a sum with the mass of any other node would be lost in rounding."""
+    value = np.array([[-1e300, -np.inf], [-20.0, -21.0], [-22.0, -np.inf]])
+    nodes = Nodes((0,), np.array([[-2.0], [0.0], [1.0]]), value, np.zeros((3, 2, 1)), np.ones((3, 2, 1, 1)))
+    log_mass = np.array([-720.0, -20.5, -22.0])
+    z, factor, each = nodes.components(
+        cast("Comparison", cast("Any", Bell())), log_mass, np.ones((3, 1)), 1e-4
+    )
+    np.testing.assert_array_equal(z[:, 0], [0.0, 0.0, 1.0])
+    # the two optima of a node divide its mass
+    np.testing.assert_allclose(np.logaddexp(each[0], each[1]), -20.5)
+    np.testing.assert_allclose(each[2], -22.0)
+    assert factor.shape == (3, 2, 2)
