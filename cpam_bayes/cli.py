@@ -66,6 +66,11 @@ def prepare(argv: Sequence[str]) -> Callable[[], int]:
         if args.out is not None:
             import_module("matplotlib.figure")  # before the work: what is missing is said at once
         assert command is not None, "argparse requires a command"
+        if args.csv is not None or args.xlsx is not None:
+            from cpam_bayes.render.files import require_table
+
+            require_table(args.csv, "csv")
+            require_table(args.xlsx, "xlsx")
         work = command.prepare(args)
     except ValueError as error:
         return partial(_refuse, error)
@@ -86,7 +91,7 @@ def _not_shown(error: OSError) -> int:
 def _finish(work: Callable[[], Result], args: argparse.Namespace) -> int:
     """Do the work, save its files, and show its answer even if they could not be saved."""
     from cpam_bayes.parallel import WorkersLostError
-    from cpam_bayes.render.files import save, staging
+    from cpam_bayes.render.files import save, save_tables, staging
     from cpam_bayes.render.progress import forecasting
     from cpam_bayes.running import TimeIsUpError, time_limit
 
@@ -100,6 +105,7 @@ def _finish(work: Callable[[], Result], args: argparse.Namespace) -> int:
                 answer = work()
             try:
                 notes = save(answer, stage)
+                save_tables(answer, args.csv, args.xlsx)
             except (OSError, ValueError) as error:  # no fault of the input: the answer is shown all the same
                 not_saved = error
     except KeyboardInterrupt:
@@ -124,7 +130,8 @@ def _finish(work: Callable[[], Result], args: argparse.Namespace) -> int:
     except OSError as error:
         return _not_shown(error)
     if not_saved is not None:
-        print(f"error: --out {args.out}: {not_saved}; not all files are there", file=sys.stderr)
+        where = ", ".join(f"--{n} {v}" for n, v in vars(args).items() if n in ("out", "csv", "xlsx") and v)
+        print(f"error: {where}: {not_saved}; not all files are there", file=sys.stderr)
         return NOT_WRITTEN
     return 0 if answer.reached_goal else NOT_DONE
 

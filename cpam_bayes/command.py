@@ -41,8 +41,6 @@ STATUS_TEXT: Final = """\
 exit status: 0 done, 1 ran and did not reach its goal, 2 bad input, 130 interrupted.
 PLATE is a built-in specimen (`cpam-bayes plates` lists them) or the path of a plate file.
 """
-# What the command line itself uses of the options.
-_OF_THE_SHELL: Final = ("command", "json", "out", "verbose", "quiet", "time_limit")
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,6 +112,8 @@ class Command:
             parser.set_defaults(out=None)
         else:
             parser.add_argument("--out", metavar="DIR", help=self.out)
+        parser.add_argument("--csv", metavar="FILE", help="write the main table to FILE")
+        parser.add_argument("--xlsx", metavar="FILE", help="write all tables to a workbook, a sheet each")
         parser.add_argument("--verbose", action="store_true", help="with the tables behind the answer")
         parser.add_argument("--quiet", action="store_true", help="no progress on standard error")
         for each in self.options:

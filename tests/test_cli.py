@@ -10,6 +10,7 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
+import openpyxl
 import pytest
 
 from cpam_bayes import __version__
@@ -585,3 +586,33 @@ def test_lost_workers_end_a_command_with_one_message_and_1(run, monkeypatch) -> 
     monkeypatch.setattr(plates, "COMMAND", Command(lost, watched=False, seeded=False))
     status, out, err = run("plates")
     assert (status, out, err) == (1, "", "error: four workers died at item 3\n")
+
+
+def test_tables_are_written_as_csv_and_workbook(run, tmp_path):
+    csv, xlsx = tmp_path / "modes.csv", tmp_path / "modes.xlsx"
+    status, out, _ = run("forward", "A1", "--modes", "3", "--quiet", "--json", "--csv", csv, "--xlsx", xlsx)
+    assert status == 0
+    meant = [mode["frequency_hz"] for mode in json.loads(out)["modes"]]
+    head, *rows = csv.read_text(encoding="utf-8-sig").splitlines()
+    at = head.split(",").index("frequency_hz")
+    assert [float(row.split(",")[at]) for row in rows] == meant
+    sheet = openpyxl.load_workbook(xlsx).worksheets[0]
+    head, *rows = sheet.values
+    # a workbook keeps 15 digits
+    assert [row[head.index("frequency_hz")] for row in rows] == pytest.approx(meant, rel=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("option", "name"), [("--csv", "modes.txt"), ("--xlsx", "none/modes.xlsx"), ("--xlsx", "modes.xls")]
+)
+def test_a_table_that_cannot_be_written_is_refused_before_the_work(run, tmp_path, option, name):
+    status, out, err = run("forward", "A1", option, tmp_path / name)
+    assert (status, out) == (2, "")
+    assert err.startswith(f"error: {option}")
+
+
+def test_a_command_without_a_table_says_so(run, tmp_path):
+    status, out, err = run("cache", "--csv", tmp_path / "a.csv")
+    assert status == 1
+    assert out
+    assert "cache has no table" in err

@@ -216,6 +216,11 @@ def _specimen(file: PlateFile, source: str, directory: Path | None, measured: Ma
         sensors=tuple(_sensor(sensor) for sensor in file.sensor),
         measurement=None if file.measurement is None else _measurement(file.measurement, measured),
         notes=tuple(file.notes),
+        certificate=tuple(
+            (key, str(getattr(file, key)))
+            for key in ("laboratory", "operator", "date")
+            if getattr(file, key) is not None
+        ),
         sequence_layup=None if sequence_layup is None else parse_layup(sequence_layup, kinds),
     )
 

@@ -282,6 +282,7 @@ class Specimen:
     angle_grid_deg : step of the grid of unknown ply angles
     air_density : kg/m3, None for vacuum
     notes : remarks to show beside results
+    certificate : laboratory, operator and date of the test, those that the file gives
     sequence_layup : the layup with unknown angles that the question `sequence` takes, where there is one
     """
 
@@ -297,6 +298,7 @@ class Specimen:
     measurement: Measurement | None
     notes: tuple[str, ...]
     sequence_layup: Layup | None = None
+    certificate: tuple[tuple[str, str], ...] = ()
 
     def with_unknown_angles(self) -> Specimen:
         """The specimen with its `sequence_layup`, where it has one."""

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Mapping
+from datetime import date as day
 from functools import partial
 from types import UnionType
 from typing import Annotated, Any, Final, Union, get_args, get_origin, get_type_hints
@@ -338,6 +339,9 @@ class PlateFile(_Table):
 
     name: Text
     specimen: Text | None = None
+    laboratory: Text | None = None
+    operator: Text | None = None
+    date: Annotated[day | Text, Field(description="a date such as 2026-03-05")] | None = None
     notes: Annotated[
         list[Annotated[str, Field(pattern=_PRINTABLE, description="a text of printable characters")]],
         Field(max_length=_MAX_NOTES, description=f"a list of at most {_MAX_NOTES} texts"),

@@ -17,6 +17,7 @@ from typing import Any, ClassVar, Final
 from cpam_bayes import __version__
 from cpam_bayes.command import Command, option, positive
 from cpam_bayes.errors import PlateFileError, checked
+from cpam_bayes.forward_model.model import ROOM_AIR
 from cpam_bayes.forward_model.preconditions import require_choice
 from cpam_bayes.plate.edges import ALL_FREE, EDGE_KEY, PLACES
 from cpam_bayes.plate.reader import parse_specimen
@@ -97,6 +98,9 @@ class KnownPlate:
     layup: str | None = None
     edges: str | None = None
     material: str = "carbon"
+    thickness_sd_mm: float | None = None
+    accelerometer: tuple[float, float, float] | None = None
+    air_density_kg_m3: float | None = None
     frequencies_hz: Sequence[float] = ()
     table: str | None = None
 
@@ -109,7 +113,7 @@ def plate_file_text(known: KnownPlate) -> str:
     plate = [
         _line("length_mm", length, 310.0, "along x, the direction of a ply at 0 deg"),
         _line("width_mm", width, 228.0, "along y"),
-        _line("thickness_mm", thickness, 3.1, "mean of ten places"),
+        _line("thickness_mm", thickness, 3.1, "mean of the places it was gauged at"),
         _line("mass_g", known.mass_g, 340.7, "weighed, nothing attached"),
         *(
             []
@@ -142,26 +146,32 @@ def plate_file_text(known: KnownPlate) -> str:
         ["[plate]", *plate],
         [
             "# how well the plate was measured: the intervals of the constants then contain it",
-            "# [plate.sd]",
-            "# thickness_mm = 0.02",
+            "[plate.sd]" if known.thickness_sd_mm is not None else "# [plate.sd]",
+            _line("thickness_mm", known.thickness_sd_mm, 0.02, "standard deviation of the mean thickness"),
             "# mass_g = 0.1",
         ],
         [
-            f"# reference constants, {material.source}: put those of the data sheet here",
+            f"# typical of {material.name} ({material.source}), not of this plate: put the data sheet's",
             "[material]",
             *of_material,
         ],
         ["# what to identify, with the bounds of the search", "[unknowns]", *unknown],
         [
             "# a mass that stays on the plate while it is tapped, such as an accelerometer",
-            "# [[sensor]]",
-            "# mass_g = 0.6",
-            "# x_mm = 300.0",
-            "# y_mm = 220.0",
+            "[[sensor]]" if known.accelerometer is not None else "# [[sensor]]",
+            *(
+                _line(key, value, example, "")
+                for key, value, example in zip(
+                    ("mass_g", "x_mm", "y_mm"),
+                    known.accelerometer or (None, None, None),
+                    (0.6, 300.0, 220.0),
+                    strict=True,
+                )
+            ),
         ],
         [
-            "[environment]",
-            _line("air_density_kg_m3", 1.2, 0.0, "the plate moves air; 0 is vacuum"),
+            "[environment]" if known.air_density_kg_m3 is not None else "# [environment]",
+            _line("air_density_kg_m3", known.air_density_kg_m3, ROOM_AIR, "of a room; left out: vacuum"),
         ],
         [
             "[measurement]",
@@ -216,6 +226,9 @@ def new(
     layup: str | None = None,
     edges: str | None = None,
     material: str = "carbon",
+    thickness_sd_mm: float | None = None,
+    accelerometer: Sequence[float] | None = None,
+    air_density_kg_m3: float | None = None,
     frequencies_hz: Sequence[float] = (),
     table: str | None = None,
 ) -> NewPlateResult:
@@ -228,6 +241,9 @@ def new(
     mass_g : of the bare plate
     layup, edges : as in a plate file
     material : a name in `MATERIALS`, whose typical constants and bounds it begins with
+    thickness_sd_mm : standard deviation of the mean thickness
+    accelerometer : its mass, g, and place x, y, mm; None for a microphone or a laser
+    air_density_kg_m3 : of the air about the plate, 1.2 in a room; None for none in the model
     frequencies_hz, table : measured frequencies, or a table of modes in their place
 
     Raises
@@ -252,6 +268,9 @@ def new(
         layup=layup,
         edges=edges,
         material=material,
+        thickness_sd_mm=thickness_sd_mm,
+        accelerometer=accelerometer,
+        air_density_kg_m3=air_density_kg_m3,
         frequencies_hz=frequencies_hz,
         table=table,
     )
@@ -283,6 +302,9 @@ def plate_text(
     layup: str | None = None,
     edges: str | None = None,
     material: str = "carbon",
+    thickness_sd_mm: float | None = None,
+    accelerometer: Sequence[float] | None = None,
+    air_density_kg_m3: float | None = None,
     frequencies_hz: Sequence[float] = (),
     table: str | None = None,
 ) -> tuple[str, tuple[str, ...]]:
@@ -291,8 +313,23 @@ def plate_text(
     size = None if size_mm is None else tuple(size_mm)
     if size is not None and len(size) != 3:
         raise ValueError(f"size: received {len(size)} numbers, accepted: length, width and thickness in mm")
+    held = None if accelerometer is None else tuple(accelerometer)
+    if held is not None and len(held) != 3:
+        raise ValueError(f"accelerometer: received {len(held)} numbers, accepted: mass in g, x and y in mm")
     target = Path(path)
-    known = KnownPlate(target.stem, size, mass_g, layup, edges, material, tuple(frequencies_hz), table)
+    known = KnownPlate(
+        target.stem,
+        size,
+        mass_g,
+        layup,
+        edges,
+        material,
+        thickness_sd_mm,
+        held,
+        air_density_kg_m3,
+        tuple(frequencies_hz),
+        table,
+    )
     text = plate_file_text(known)
     return text, _missing(text, target)
 
@@ -371,6 +408,14 @@ def _number(text: str) -> float:
     return value
 
 
+def _in_air(text: str) -> float | None:
+    """Density of the air of a room for a yes, None for a no."""
+    said = text.casefold()
+    if said not in ("yes", "y", "no", "n"):
+        raise ValueError(f"received {text!r}, accepted: yes or no")
+    return ROOM_AIR if said[0] == "y" else None
+
+
 QUESTIONS: Final = (
     Question("size_mm", "Length (along x), width and thickness in mm, such as 310 228 3.1", _numbers),
     Question("mass_g", "Mass of the bare plate in g", _number),
@@ -381,6 +426,17 @@ QUESTIONS: Final = (
     Question(
         "edges", "Edges x=0, y=0, x=length, y=width: F free, S supported, C clamped, such as FFFF", str.upper
     ),
+    Question(
+        "thickness_sd_mm",
+        "How well the mean thickness is known: its standard deviation in mm, such as 0.02",
+        _number,
+    ),
+    Question(
+        "accelerometer",
+        "Accelerometer: its mass in g and place x y in mm, such as 0.6 300 220; left empty: a microphone",
+        _numbers,
+    ),
+    Question("air_density_kg_m3", "Was it tapped in air? yes or no", _in_air),
     Question("table", "Table of measured modes, its path from the plate file; left empty: asked next", str),
     Question("frequencies_hz", "Measured frequencies in Hz, ascending, with spaces between them", _numbers),
 )
@@ -485,6 +541,30 @@ COMMAND: Final = Command(
             choices=tuple(MATERIALS),
             default=argparse.SUPPRESS,
             help=f"whose typical constants and bounds it begins with (default: {_FIRST_MATERIAL})",
+        ),
+        option(
+            "--thickness-sd",
+            "thickness_sd_mm",
+            type=_NUMBER,
+            default=argparse.SUPPRESS,
+            metavar="MM",
+            help="standard deviation of the mean thickness, mm",
+        ),
+        option(
+            "--accelerometer",
+            nargs=3,
+            type=float,
+            default=argparse.SUPPRESS,
+            metavar=("GRAMS", "X", "Y"),
+            help="a mass that stays on the plate, g, and its place, mm",
+        ),
+        option(
+            "--air",
+            "air_density_kg_m3",
+            type=_NUMBER,
+            default=argparse.SUPPRESS,
+            metavar="DENSITY",
+            help=f"density of the air about the plate, {ROOM_AIR:g} kg/m3 in a room",
         ),
         option(
             "--frequencies",

@@ -15,8 +15,19 @@ from cpam_bayes import __version__
 from cpam_bayes.plate import Specimen
 from cpam_bayes.render.report import Rows
 
-__all__ = ["csv_text", "data_frame", "json_text", "laminate_keys", "laminate_unit", "plain", "plate_keys"]
+__all__ = [
+    "csv_text",
+    "data_frame",
+    "json_text",
+    "laminate_keys",
+    "laminate_unit",
+    "plain",
+    "plate_keys",
+    "xlsx_bytes",
+]
 
+# Characters of the name of a sheet.
+_LONGEST_TITLE = 31
 _ENGINEERING_GPA = ("Ex", "Ey", "Gxy")
 
 
@@ -34,6 +45,7 @@ def plate_keys(command: str, seed: int, specimen: Specimen) -> dict[str, Any]:
         "specimen": specimen.specimen,
         "source": specimen.source,
         "seed": seed,
+        **dict(specimen.certificate),
         **_damping_keys(specimen),
     }
 
@@ -83,6 +95,27 @@ def csv_text(rows: Rows) -> str:
     writer.writeheader()
     writer.writerows({k: "" if v is None else v for k, v in plain(row).items()} for row in rows.records())
     return sheet.getvalue()
+
+
+def xlsx_bytes(tables: Sequence[Rows]) -> bytes:
+    """The tables as a workbook, a sheet each, with a head of keys; a text is never a formula."""
+    import openpyxl  # for workbooks alone
+
+    book = openpyxl.Workbook()
+    book.remove(book.active)
+    for rows in tables:
+        sheet = book.create_sheet(rows.name[:_LONGEST_TITLE])
+        sheet.append([c.key for c in rows.columns if c.key is not None])
+        for at, record in enumerate(rows.records(), 2):
+            for column, value in enumerate(plain(record).values(), 1):
+                is_plain = value is None or isinstance(value, bool | int | float | str)
+                cell = sheet.cell(at, column, value if is_plain else json.dumps(value, ensure_ascii=False))
+                if isinstance(cell.value, str):
+                    cell.data_type = "s"
+        sheet.freeze_panes = "A2"
+    held = io.BytesIO()
+    book.save(held)
+    return held.getvalue()
 
 
 def data_frame(tables: Sequence[Rows], name: str | None) -> Any:

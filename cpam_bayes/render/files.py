@@ -9,12 +9,12 @@ from pathlib import Path
 from typing import Any, ClassVar, Protocol
 
 from cpam_bayes.plate import Specimen
-from cpam_bayes.render.documents import json_text
+from cpam_bayes.render.documents import csv_text, json_text, xlsx_bytes
 from cpam_bayes.render.page import PAGE, command_of, write_page
 from cpam_bayes.render.report import Report
-from cpam_bayes.storage import draft_directory, put_in_place
+from cpam_bayes.storage import draft_directory, draft_file, put_in_place, replaceable
 
-__all__ = ["Stage", "save", "staging"]
+__all__ = ["Stage", "require_table", "save", "save_tables", "staging"]
 
 _FIGURES = "figures"
 _DRAWS = "posterior.nc"
@@ -39,6 +39,7 @@ class Answer(Protocol):
 
     @property
     def has_draws(self) -> bool: ...
+    def report(self) -> Report: ...
     def saved_report(self) -> Report: ...
     def to_arviz(self) -> Any: ...
     def texts(self) -> Mapping[str, str]: ...
@@ -90,6 +91,43 @@ def save(result: Answer, stage: Stage | None) -> tuple[str, ...]:
     notes += _other_kept(directory / PAGE, "page.html", result.command, command_of)
     _moved(draft, directory)
     return notes
+
+
+def require_table(path: str | None, ending: str) -> None:
+    """Raise ``ValueError``, before any work, for a file that a table cannot be written to."""
+    if path is None:
+        return
+    file = Path(path)
+    if file.suffix.casefold() != f".{ending}":
+        raise ValueError(f"--{ending}: received {path!r}, accepted: a file that ends in .{ending}")
+    if not file.parent.is_dir() or not replaceable(file):
+        raise ValueError(
+            f"--{ending} {path}: cannot be written to, accepted: a file in a directory that is there"
+        )
+
+
+def save_tables(result: Answer, csv: str | None, xlsx: str | None) -> None:
+    """Write the main table as CSV and all tables as a workbook; raise ``OSError`` where that fails.
+
+    Raises ``ValueError`` for an answer without tables.
+    """
+    if csv is None and xlsx is None:
+        return
+    tables = result.report().rows
+    if not tables:
+        raise ValueError(f"{result.command} has no table, accepted: --json")
+    if csv is not None:
+        # the mark tells Excel that it is UTF-8
+        _put(Path(csv), csv_text(tables[0]).encode("utf-8-sig"))
+    if xlsx is not None:
+        _put(Path(xlsx), xlsx_bytes(tables))
+
+
+def _put(path: Path, content: bytes) -> None:
+    with draft_file(path.parent) as (draft, file):
+        file.write(content)
+        file.close()
+        put_in_place(draft, path)
 
 
 def _draws_written(result: Answer, draft: Path, directory: Path) -> tuple[str, ...]:

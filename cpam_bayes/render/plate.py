@@ -46,6 +46,7 @@ def plate_head(specimen: Specimen, air_shifts: NDArray[np.float64] | None) -> Ta
     """
     plate = specimen.plate
     rows = [
+        *((("specimen", specimen.specimen), *specimen.certificate) if specimen.certificate else ()),
         ("source", specimen.source),
         ("size", f"{size_text(plate)} mm, {thickness_class(plate)} ({thickness_ratio(plate)})"),
         ("density", _density(plate)),

@@ -50,6 +50,14 @@ def test_what_is_not_known_is_said_and_stands_in_comments(capsys, tmp_path):
     assert len(caught.value.problems) == len(keys)
 
 
+def test_nothing_is_stated_of_the_plate_that_was_not_told(capsys, tmp_path):
+    path = tmp_path / "panel.toml"
+    answer(capsys, path, *FULL, "--layup", "[0]")
+    specimen = cb.read_plate(path)
+    assert (specimen.air_density, specimen.sensors, dict(specimen.plate.sd)) == (None, (), {})
+    assert "ten places" not in path.read_text(encoding="utf-8")
+
+
 def test_lines_in_comments_are_examples_that_fill_the_gaps(capsys, tmp_path):
     path = tmp_path / "panel.toml"
     answer(capsys, path)
@@ -58,6 +66,7 @@ def test_lines_in_comments_are_examples_that_fill_the_gaps(capsys, tmp_path):
     # of two ways to give frequencies a file takes one, and a list of sd or sensors needs its head
     text = "\n".join(line for line in filled if not line.startswith("table"))
     text = text.replace("# [plate.sd]", "[plate.sd]").replace("# [[sensor]]", "[[sensor]]")
+    text = text.replace("# [environment]", "[environment]")
     assert set(tomllib.loads(text)) >= {"plate", "material", "unknowns", "sensor", "measurement"}
     path.write_text(text, encoding="utf-8")
     specimen = cb.read_plate(path)

@@ -16,7 +16,18 @@ from cpam_bayes.questions.new import QUESTIONS
 
 Run = Callable[..., tuple[object, str, str]]
 
-ANSWERS = ("310 228 3.1", "340.7", "carbon", "[0/90]_2s", "ffff", "", "80.2 146.3 218.6")
+ANSWERS = (
+    "310 228 3.1",
+    "340.7",
+    "carbon",
+    "[0/90]_2s",
+    "ffff",
+    "0.02",
+    "0.6 300 220",
+    "yes",
+    "",
+    "80.2 146.3 218.6",
+)
 
 
 class Terminal(io.StringIO):
@@ -43,6 +54,8 @@ def test_the_answers_are_the_plate(run: Run, tmp_path: Path, monkeypatch: pytest
     assert (plate.plate.length, plate.plate.mass, plate.plate.layup.n_plies) == (0.31, 0.3407, 8)
     assert plate.measurement is not None
     assert plate.measurement.frequencies.tolist() == [80.2, 146.3, 218.6]
+    assert dict(plate.plate.sd) == {"thickness": 2e-5}
+    assert (plate.sensors[0].mass, plate.sensors[0].x, plate.air_density) == (6e-4, 0.3, 1.2)
 
 
 def test_the_file_is_that_of_the_options(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -61,7 +74,8 @@ def test_the_file_is_that_of_the_options(run: Run, tmp_path: Path, monkeypatch: 
         "--layup",
         "[0/90]_2s",
     )
-    listed = ("--edges", "FFFF", "--frequencies", "80.2", "146.3", "218.6")
+    measured = ("--thickness-sd", "0.02", "--accelerometer", "0.6", "300", "220", "--air", "1.2")
+    listed = (*measured, "--edges", "FFFF", "--frequencies", "80.2", "146.3", "218.6")
     status, _, err = run("new", tmp_path / "other" / "panel.toml", *options, *listed)
     assert (status, err) == (0, "")
     first, second = ((tmp_path / p).read_text("utf-8") for p in ("panel.toml", "other/panel.toml"))
@@ -79,8 +93,12 @@ def test_the_file_is_that_of_the_options(run: Run, tmp_path: Path, monkeypatch: 
         (2, "wood", "accepted: carbon glass"),
         (3, "[0/9x]", "malformed layup"),
         (4, "FFFX", "plate.edges: malformed"),
-        (5, "none.csv", "no such file"),
-        (6, "200 100", "descending frequencies"),
+        (5, "little", "accepted: one number"),
+        (6, "0.6", "accepted: mass in g, x and y in mm"),
+        (6, "0.6 400 220", "outside the plate"),
+        (7, "perhaps", "accepted: yes or no"),
+        (8, "none.csv", "no such file"),
+        (9, "200 100", "descending frequencies"),
     ],
 )
 def test_what_cannot_be_is_asked_again(
@@ -118,7 +136,7 @@ def test_back_passes_over_what_was_not_asked_and_ends_at_the_first_question(
 def test_numbers_are_read_as_they_are_written_by_hand(
     run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, size: str
 ) -> None:
-    typed(monkeypatch, size, "340,7", *ANSWERS[2:6], "80,2 146,3 218,6")
+    typed(monkeypatch, size, "340,7", *ANSWERS[2:9], "80,2 146,3 218,6")
     assert run("new", tmp_path / "panel.toml")[0] == 0
     read = cb.read_plate(tmp_path / "panel.toml")
     assert (read.plate.length, read.plate.thickness, read.plate.mass) == pytest.approx((0.31, 3.1e-3, 0.3407))
@@ -133,7 +151,7 @@ def test_a_comma_that_may_stand_between_numbers_is_asked_again(numbers: str) -> 
 
 
 def test_empty_lines_leave_all_open(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    typed(monkeypatch, *[""] * 7)
+    typed(monkeypatch, *[""] * 10)
     status, _, _ = run("new", tmp_path / "panel.toml")
     assert status == 0
     (tmp_path / "other").mkdir()
@@ -144,7 +162,7 @@ def test_a_metal_has_no_layup_and_a_table_no_list(
     run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "modes.csv").write_text("mode,hz\n1,80.2\n2,146.3\n", encoding="utf-8")
-    left = typed(monkeypatch, "300 280 3", "680", "Metal", "FFFF", "modes.csv", "not asked for")
+    left = typed(monkeypatch, "300 280 3", "680", "Metal", "FFFF", "", "", "no", "modes.csv", "not asked for")
     status, _, _ = run("new", tmp_path / "panel.toml")
     assert status == 0
     assert left.read() == "not asked for\n"

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import io
 import json
 import math
 
 import numpy as np
+import openpyxl
 import pytest
 
-from cpam_bayes.render.documents import csv_text, json_text, laminate_keys
+from cpam_bayes.render.documents import csv_text, json_text, laminate_keys, xlsx_bytes
+from cpam_bayes.render.report import Column, Rows
 from tests.render.small import CONSTANTS, RESULT
 
 CSV = "name,value,sd\nE1,136.6,2.7\nE2,8.87,\n"
@@ -39,3 +42,16 @@ def test_numbers_of_arrays_are_numbers() -> None:
 def test_the_bending_stiffness_is_in_newton_metres_and_moduli_in_gigapascals() -> None:
     keys = laminate_keys({"D11": 172.6, "Ex": 67.3e9, "nuxy": 0.35})
     assert keys == {"D11": {"value": 172.6}, "Ex_GPa": {"value": 67.3}, "nuxy": {"value": 0.35}}
+
+
+def test_a_workbook_has_a_sheet_for_each_table_and_no_formula() -> None:
+    names = Rows("names", (Column("name", "name", lambda row: row),), ("=1+1", "E1"))
+    book = openpyxl.load_workbook(io.BytesIO(xlsx_bytes((CONSTANTS, names))))
+    assert book.sheetnames == ["constants", "names"]
+    assert list(book["constants"].values) == [
+        ("name", "value", "sd"),
+        ("E1", 136.6, 2.7),
+        ("E2", 8.87, None),
+    ]
+    cell = book["names"]["A2"]
+    assert (cell.value, cell.data_type) == ("=1+1", "s")
