@@ -52,7 +52,8 @@ _CURES: Final = (
     (25.4, "sizes in inches for mm"),
     (10.0, "sizes in cm for mm, or a thickness 10 times too large"),
     (1.0 / (2.0 * math.pi), "frequencies in rad/s for Hz"),
-    (1.0 / 10.0, "a thickness 10 times too small, as of cm for mm"),
+    (1.0 / 10.0, "a thickness 10 times too small, as of cm for mm, or decimal commas that were lost"),
+    (1.0 / 100.0, "decimal commas that were lost, 8020 for 80,20"),
     (1.0 / 31.6, "constants in TPa for GPa"),
     (1.0 / 1000.0, "frequencies in mHz for Hz, or sizes in um for mm"),
 )
@@ -61,6 +62,8 @@ _CURES_WHEN_WEIGHED: Final = (
     (31.6, "a thickness 10 times too large, a mass in kg for g, or constants in MPa for GPa"),
     (25.4, "sizes in inches for mm"),
     (1.0 / (2.0 * math.pi), "frequencies in rad/s for Hz"),
+    (1.0 / 10.0, "decimal commas that were lost, 802 for 80,2"),
+    (1.0 / 100.0, "decimal commas that were lost, 8020 for 80,20"),
     (
         1.0 / 31.6,
         "a thickness 10 times too small, as of cm for mm, a mass 1000 times too large, or constants in TPa "

@@ -69,6 +69,18 @@ def test_a_ratio_that_no_unit_explains_has_no_likely_slip() -> None:
         assert "likely slip" not in likely_cure(3.5, weighed=weighed)
 
 
+@pytest.mark.parametrize("weighed", [True, False])
+@pytest.mark.parametrize(
+    ("factor", "said"),
+    [(1e-3, "in kHz"), (10.0, "decimal commas that were lost"), (100.0, "decimal commas that were lost")],
+)
+def test_frequencies_in_khz_and_without_their_commas_are_named(
+    weighed: bool, factor: float, said: str
+) -> None:
+    for constants in (0.9, 1.1):  # how far they may be from their reference
+        assert said in likely_cure(constants / factor, weighed=weighed)
+
+
 @pytest.mark.parametrize(("name", "weighed"), [("A1", False), ("C1", False), ("C1", True)])
 @pytest.mark.parametrize(("factor", "said"), [(0.1, "10 times too small"), (10.0, "10 times too large")])
 def test_a_thickness_ten_times_off_is_among_the_likely_slips(
