@@ -1,23 +1,37 @@
 """Poles of frequency responses, with standard deviations.
 
-Poles over many model orders, by sdypy-EMA; those that stay are candidates, and each is fitted by least
-squares in a band about it.
+Candidates are poles of rational models over many orders, an octave at a time, that stay. Each is fitted by
+least squares in a band of its own, hit by hit; a mode is what recurs in the hits and stands above the rest.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from enum import Enum
+from itertools import pairwise
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
+from scipy.ndimage import median_filter
 from scipy.stats import f as f_distribution
 
-from cpam_bayes.modal_analysis.read import FrequencyResponses, ModalTestError
+from cpam_bayes.modal_analysis.read import MAINS, FrequencyResponses
 from cpam_bayes.plate.hits import small_sample_factor
 
-__all__ = ["DEFAULT_ORDER", "Pole", "Stabilisation", "fit_poles", "stabilise"]
+__all__ = [
+    "DEFAULT_ORDER",
+    "LEAST_SD",
+    "Pole",
+    "Stabilisation",
+    "Taken",
+    "fit_poles",
+    "is_of_mains",
+    "modes_of_hits",
+    "stabilise",
+    "with_others",
+]
 
 Array = NDArray[Any]
 
@@ -31,28 +45,64 @@ _RESIDUAL_DEGREE: Final = 2
 _SIGNIFICANT: Final = 1e-6
 # A fit that moves a pole further than this, in half widths of its peak, has found another.
 _FAR: Final = 2.0
-# A second pole is looked for where residuals go together this much more from line to line than noise.
-_STRUCTURED: Final = 0.25
-_PASSES, _STEPS, _ROUNDS = 2, 50, 2
+_STEPS, _ROUNDS = 25, 1
+# A fit ends where steps are below this part of the half widths.
+_SMALL: Final = 1e-4
+# Columns of a basis are held by the others where no more than this is left of them.
+_DEPENDENT: Final = 1e-12
 # Residuals that go together more than this are no noise about a good fit.
 _MAX_CORRELATION: Final = 0.9
 _LEAST_FREEDOM: Final = 10
 # Poles this close, in half widths, are one.
 _MERGED: Final = 0.1
+# Peaks that are this many times what they add up to cancel: a degenerate fit.
+_CANCELLING: Final = 10.0
+# A peak of this part of the responses about it is a mode, one of less may be a fault of the fit.
+_STANDS_OUT: Final = 0.6
+_HIGHEST: Final = 1e3
+LEAST_SD: Final = 0.01
+"""Hz, below which no standard deviation is claimed: plates change by more from day to day."""
+# A tone that decays by no more than this exponent within a record is steady.
+_STEADY: Final = 3.0
+# The line of a single hit is known to this fraction at best.
+_OF_A_LINE: Final = 1.0 / 30.0
+# Modes of several hits are one up to this difference, as a fraction of the frequency.
+_DRIFT: Final = 0.025
+
+
+class Taken(Enum):
+    """What a pole was taken for; the values are those of tables and JSON documents."""
+
+    MODE = "mode"
+    WEAK = "weak"
+    RARE = "too few hits"
+    HUM = "hum"
 
 
 @dataclass(frozen=True, slots=True)
 class Pole:
     """One mode.
 
-    frequency, sd : Hz, undamped natural frequency |s| / 2 pi
+    frequency, sd : Hz, undamped natural frequency |s| / 2 pi, the mean over the hits
     damping, damping_sd : ratio -Re s / |s|
+    height : of its peak over what the other modes give there
+    peak : Hz, where the responses are largest within its half width, nan where they only pass through
+    hits : that show it
+    scatter : Hz, standard deviation from hit to hit, nan for one
+    each : (n_hits,) Hz in each hit, nan where it does not show
+    taken : for a mode, or for what it stands out or recurs too little to be one
     """
 
     frequency: float
     sd: float
     damping: float
     damping_sd: float
+    height: float = np.inf
+    peak: float = np.nan
+    hits: int = 1
+    scatter: float = np.nan
+    each: tuple[float, ...] = ()
+    taken: Taken = Taken.MODE
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,7 +110,7 @@ class _Band:
     """Responses in a band.
 
     omega : (n,) rad/s
-    data : (n_responses, 2 n) real parts, then imaginary parts
+    data : (n, n_responses)
     fixed : (n_fixed,) poles that stay where they are, rad/s
     """
 
@@ -68,16 +118,18 @@ class _Band:
     data: Array
     fixed: Array
 
-    def residual(self, poles: Array) -> Array:
-        """What is left of the responses beside poles (n_poles,) with their best residues, as ``data``."""
-        i_omega, poles = 1j * self.omega[:, None], np.concatenate((poles, self.fixed))
-        direct, mirrored = 1.0 / (i_omega - poles), 1.0 / (i_omega - poles.conj())
+    def fitted(self, poles: Array) -> tuple[Array, Array, Array]:
+        """What is left of the responses beside poles (n_poles,), their best residues, and a basis of all."""
         x = (self.omega - self.omega.mean()) / np.ptp(self.omega)
-        powers = np.vander(x, _RESIDUAL_DEGREE + 1)
-        columns = np.hstack((direct + mirrored, 1j * (direct - mirrored), powers, 1j * powers))
-        design = np.vstack((columns.real, columns.imag))
-        q, _ = np.linalg.qr(design / np.linalg.norm(design, axis=0))
-        return np.asarray(self.data - (self.data @ q) @ q.T)
+        peaks = 1.0 / (1j * self.omega[:, None] - np.concatenate((poles, self.fixed)))
+        columns = np.hstack((peaks, np.vander(x, _RESIDUAL_DEGREE + 1)))
+        norms = np.linalg.norm(columns, axis=0)
+        q, r = np.linalg.qr(columns / norms)
+        inside = q.conj().T @ self.data
+        diagonal = np.abs(np.diag(r))
+        r = r + np.diag(np.where(diagonal > _DEPENDENT, 0.0, 1.0))  # columns that others hold get nothing
+        residues = (np.linalg.solve(r, inside) / norms[:, None])[: len(poles)]
+        return self.data - q @ inside, residues, q
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,45 +137,56 @@ class _Fit:
     """Least squares in a band.
 
     poles : (n,) free ones
-    covariance : (2 n, 2 n) of their real and imaginary parts in turn, by the variance of the residuals
-    left : (n_responses, 2 n_lines) residuals over their standard deviations
+    variance : (n,) of real and of imaginary parts, by the variance of the residuals
+    peaks : (n, n_responses) complex, at each pole's own frequency
+    left : (n_lines, n_responses) residuals over their standard deviations
     weight : (n_responses,)
     freedom : degrees of freedom of the residuals
     """
 
     poles: Array
-    covariance: Array
+    variance: Array
+    peaks: Array
     left: Array
     weight: Array
     freedom: int
 
 
 def _solved(band: _Band, poles: Array) -> _Fit | None:
-    """The best poles from a start (n,), None where there are too few lines."""
-    linear = 2 * (len(poles) + len(band.fixed) + _RESIDUAL_DEGREE + 1)
-    freedom = band.data.size - len(band.data) * linear - 2 * len(poles)
+    """The best poles from a start (n,), None where there are too few lines or they do not stay poles.
+
+    Residues and polynomials are eliminated; steps of Gauss and Newton on the projected derivatives
+    A / (i w - s)^2 (Kaufman, BIT 15, 1975) are halved until the residual falls.
+    """
+    n, m = band.data.shape
+    freedom = 2 * (n * m - m * (len(poles) + len(band.fixed) + _RESIDUAL_DEGREE + 1) - len(poles))
     if freedom < _LEAST_FREEDOM:
         return None
-    scale = np.repeat(-poles.real, 2)
-
-    def poles_of(p: Array) -> Array:
-        real, imaginary = (p * scale).reshape(-1, 2).T
-        return np.asarray(real + 1j * imaginary)
-
-    p = np.column_stack((poles.real, poles.imag)).ravel() / scale
-    used = weight = 1.0 / np.sqrt(np.maximum(np.mean(band.data**2, axis=1), np.finfo(float).tiny))
-    for _ in range(_PASSES):  # even weights first, then those of the residuals
-
-        def weighted(p: Array, weight: Array = weight) -> Array:
-            return np.asarray((weight[:, None] * band.residual(poles_of(p))).ravel())
-
-        solved = least_squares(weighted, p, max_nfev=_STEPS)
-        p, left = solved.x, solved.fun.reshape(band.data.shape)
-        variance = np.sum((left / weight[:, None]) ** 2, axis=1) * len(left) / freedom
-        used, weight = weight, 1.0 / np.sqrt(np.maximum(variance, np.finfo(float).tiny))
-    jacobian = np.asarray(solved.jac)
-    covariance = np.linalg.pinv(jacobian.T @ jacobian) * np.sum(left**2) / freedom
-    return _Fit(poles_of(p), covariance * np.outer(scale, scale), left, used, freedom)
+    tiny = np.finfo(float).tiny
+    left, residues, q = band.fitted(poles)
+    for _ in range(_STEPS):
+        weight = 1.0 / np.sqrt(np.maximum(m * np.sum(np.abs(left) ** 2, axis=0) / freedom, tiny))
+        amplitudes = residues * weight
+        slopes = 1.0 / (1j * band.omega[:, None] - poles) ** 2
+        slopes = slopes - q @ (q.conj().T @ slopes)
+        normal = (slopes.conj().T @ slopes) * (amplitudes.conj() @ amplitudes.T)
+        gradient = np.sum(amplitudes.conj() * (slopes.conj().T @ (left * weight)), axis=1)
+        size = np.sqrt(np.maximum(np.abs(np.diag(normal)), tiny))
+        inverse = np.linalg.pinv(normal / np.outer(size, size), hermitian=True) / np.outer(size, size)
+        step, cost = inverse @ gradient, np.sum(np.abs(left * weight) ** 2)
+        for _ in range(_STEPS):
+            ahead = poles + step
+            if np.all(ahead.real < 0.0):
+                after = band.fitted(ahead)
+                if np.sum(np.abs(after[0] * weight) ** 2) <= cost:
+                    poles, (left, residues, q) = ahead, after
+                    break
+            step = 0.5 * step
+        if np.all(np.abs(step) < _SMALL * -poles.real):
+            break
+    weight = 1.0 / np.sqrt(np.maximum(m * np.sum(np.abs(left) ** 2, axis=0) / freedom, tiny))
+    peaks = residues / -poles.real[:, None]
+    return _Fit(poles, np.diag(inverse).real, peaks, left * weight, weight, freedom)
 
 
 def _band_about(responses: FrequencyResponses, candidates: Array, target: int) -> tuple[_Band, Array]:
@@ -132,64 +195,78 @@ def _band_about(responses: FrequencyResponses, candidates: Array, target: int) -
     reach = max(_WIDTHS * -s.real / (2.0 * np.pi), _LINES * responses.step)
     lines = np.abs(responses.frequencies - s.imag / (2.0 * np.pi)) <= reach
     away = np.abs(candidates.imag - s.imag) / (2.0 * np.pi)
-    frf = responses.frf[:, lines]
     fixed = candidates[(away > _FREE * reach) & (away <= _FIXED * reach)]
     omega = 2.0 * np.pi * responses.frequencies[lines]
-    return _Band(omega, np.hstack((frf.real, frf.imag)), fixed), away <= _FREE * reach
+    return _Band(omega, responses.frf[:, lines].T, fixed), away <= _FREE * reach
 
 
 def _explains(band: _Band, fit: _Fit, at: int) -> bool:
     """Whether noise alone does not explain what a pole explains, by an F test of independent lines."""
-    without, rest = band.residual(np.delete(fit.poles, at)), float(np.sum(fit.left**2))
-    added = 2 + 2 * len(fit.left)
-    ratio = (float(np.sum((fit.weight[:, None] * without) ** 2)) - rest) / added / (rest / fit.freedom)
+    without = np.sum(np.abs(band.fitted(np.delete(fit.poles, at))[0] * fit.weight) ** 2)
+    rest = float(np.sum(np.abs(fit.left) ** 2))
+    added = 2 + 2 * fit.left.shape[1]
     wider = _widening(fit.left)
+    ratio = (float(without) - rest) / added / max(rest / fit.freedom, np.finfo(float).tiny)
     return bool(f_distribution.sf(ratio / wider, added, fit.freedom / wider) < _SIGNIFICANT)
 
 
+def _height(band: _Band, fit: _Fit, at: int) -> float:
+    """The peak of a pole over what is there beside it."""
+    line = int(np.argmin(np.abs(band.omega - fit.poles[at].imag)))
+    own = fit.peaks[at] * -fit.poles[at].real / (1j * band.omega[line] - fit.poles[at])
+    beside = np.linalg.norm((band.data[line] - own) * fit.weight)
+    size = float(np.linalg.norm(own * fit.weight))
+    return size / max(float(beside), size / _HIGHEST, np.finfo(float).tiny)
+
+
+def _peak(responses: FrequencyResponses, pole: complex) -> float:
+    """Where the responses are largest within the half width of a pole, Hz, nan where that is at an end."""
+    step = responses.step
+    reach = max(int(np.ceil(-pole.real / (2.0 * np.pi) / step)), 2)
+    at = int(np.rint((pole.imag / (2.0 * np.pi) - responses.frequencies[0]) / step))
+    near = slice(max(at - reach, 0), at + reach + 1)
+    size = np.linalg.norm(responses.frf[:, near], axis=0)
+    top = int(np.argmax(size)) if len(size) else 0
+    return float(responses.frequencies[near][top]) if 0 < top < len(size) - 1 else np.nan
+
+
+def _cancels(band: _Band, fit: _Fit, at: int) -> bool:
+    """Whether a peak is many times what all add up to: it and a neighbour describe one thing."""
+    there = np.linalg.norm(band.data * fit.weight, axis=1).max()
+    return bool(np.linalg.norm(fit.peaks[at] * fit.weight) > _CANCELLING * there)
+
+
 def _is_at(found: complex, start: complex) -> bool:
-    return found.real < 0.0 and abs(found - start) < _FAR * -start.real
+    return abs(found - start) < _FAR * -start.real
 
 
 def _refined(responses: FrequencyResponses, candidates: Array) -> Array:
-    """Candidates moved to their fits, with a second pole beside those that one pole does not describe."""
+    """Candidates moved to their fits, without those that cancel a neighbour or have become one."""
     poles: list[complex] = []
-    for i, s in enumerate(candidates):
+    i = 0
+    while i < len(candidates):
         band, free = _band_about(responses, candidates, i)
-        fit = _solved(band, candidates[free])
-        if fit is None:
+        fit, at = _solved(band, candidates[free]), int(np.sum(free[:i]))
+        if fit is None or _cancels(band, fit, at):
+            candidates = np.delete(candidates, i)
             continue
-        at = int(np.sum(free[:i]))
-        kept = [complex(fit.poles[at])] if _is_at(fit.poles[at], s) else [complex(s)]
-        if _lag_one(fit.left) > responses.correlation + _STRUCTURED * (1.0 - responses.correlation):
-            kept = _split(band, fit, at) or kept
-        poles += [one for one in kept if all(abs(one - p) > _MERGED * -one.real for p in poles)]
+        s = complex(candidates[i])
+        one = complex(fit.poles[at]) if _is_at(fit.poles[at], s) else s
+        if all(abs(one - p) > _MERGED * -one.real for p in poles):
+            poles.append(one)
+        i += 1
     return np.array(sorted(poles, key=lambda one: one.imag), dtype=complex)
-
-
-def _split(band: _Band, fit: _Fit, at: int) -> list[complex]:
-    """The two poles that describe a band where one does not, none where two do no better."""
-    s, best = fit.poles[at], None
-    for side in (-1.0, 1.0):
-        both = _solved(band, np.append(fit.poles, s + 1j * side * -s.real))
-        if both is not None and (best is None or np.sum(both.left**2) < np.sum(best.left**2)):
-            best = both
-    if best is None or not (_explains(band, best, at) and _explains(band, best, len(best.poles) - 1)):
-        return []
-    pair = [complex(best.poles[at]), complex(best.poles[-1])]
-    return pair if all(_FAR * s.real < one.real < 0.2 * s.real for one in pair) else []
 
 
 def fit_poles(responses: FrequencyResponses, candidates: Array) -> tuple[Pole, ...]:
     """Every candidate (n,) fitted with those near it, without those that explain no more than noise.
 
-    H_k(i w) = sum_r [A_kr / (i w - s_r) + conj(A_kr) / (i w - conj(s_r))] + c_k0 + c_k1 w + c_k2 w^2 in a
-    band of six half widths of the peak, at least 14 lines, to either side. Residues and polynomials are
-    linear and eliminated (Golub and Pereyra, SIAM J. Numer. Anal. 10, 1973); least squares move the poles
-    near the band, further ones stay. The covariance is that of the residuals' variance, each response's
-    own, and wider by their correlation from line to line where there is one and as `small_sample_factor`
-    says. Where that is large, two
-    poles are tried for one.
+    H_k(i w) = sum_r A_kr / (i w - s_r) + c_k0 + c_k1 w + c_k2 w^2 in a band of six half widths of the peak,
+    at least 14 lines, to either side; the conjugate poles are far off and smooth there. Residues and
+    polynomials are linear and eliminated (Golub and Pereyra, SIAM J. Numer. Anal. 10, 1973); least squares
+    move the poles near the band, further ones stay. The covariance is that of the residuals' variance, each
+    response's own, and wider by their correlation from line to line where there is one and as
+    `small_sample_factor` says. Poles that cancel each other are refused.
     """
     for _ in range(_ROUNDS):
         candidates = _refined(responses, candidates)
@@ -199,49 +276,122 @@ def fit_poles(responses: FrequencyResponses, candidates: Array) -> tuple[Pole, .
         fit, at = _solved(band, candidates[free]), int(np.sum(free[:i]))
         if fit is None or not _is_at(fit.poles[at], s) or not _explains(band, fit, at):
             continue
-        own = slice(2 * at, 2 * at + 2)
+        if _cancels(band, fit, at):
+            continue
         wider = _widening(fit.left)
-        covariance = fit.covariance[own, own] * wider * small_sample_factor(fit.freedom / wider) ** 2
-        pole = _described(complex(fit.poles[at]), covariance, responses.added_decay)
-        poles += [] if pole is None else [pole]
+        variance = fit.variance[at] * wider * small_sample_factor(fit.freedom / wider) ** 2
+        pole = _described(complex(fit.poles[at]), variance, responses, _height(band, fit, at))
+        poles += [] if pole is None else [replace(pole, peak=_peak(responses, complex(fit.poles[at])))]
     return tuple(sorted(poles, key=lambda pole: pole.frequency))
-
-
-def _lag_one(left: Array) -> float:
-    """How much residuals go together from line to line, their correlation if it is above 0."""
-    parts = left.reshape(2 * len(left), -1)
-    r = float(np.sum(parts[:, 1:] * parts[:, :-1]) / np.sum(parts**2))
-    return float(np.clip(r, 0.0, _MAX_CORRELATION))
 
 
 def _widening(left: Array) -> float:
     """By what variances grow where noise goes together from line to line as r^k, (1 + r) / (1 - r)."""
-    r = _lag_one(left)
+    together = np.sum((left[1:] * left[:-1].conj()).real) / max(np.sum(np.abs(left) ** 2), 1e-300)
+    r = float(np.clip(together, 0.0, _MAX_CORRELATION))
     return (1.0 + r) / (1.0 - r)
 
 
-def _described(s: complex, covariance: Array, added_decay: float) -> Pole | None:
+def _described(s: complex, variance: float, responses: FrequencyResponses, height: float) -> Pole | None:
     """Frequency and damping of a pole less the decay that a window adds, None without any damping left."""
-    s += added_decay
+    s += responses.added_decay
     size = abs(s)
     if not s.real < 0.0:
         return None
-    of_frequency = np.array([s.real, s.imag]) / size / (2.0 * np.pi)
-    of_damping = np.array([-(s.imag**2), s.real * s.imag]) / size**3
-    sd, damping_sd = (float(np.sqrt(g @ covariance @ g)) for g in (of_frequency, of_damping))
-    return Pole(size / (2.0 * np.pi), sd, -s.real / size, damping_sd)
+    sd = float(np.sqrt(variance))
+    least = max(LEAST_SD, _OF_A_LINE * responses.step)
+    frequency = size / (2.0 * np.pi)
+    return Pole(frequency, max(sd / (2.0 * np.pi), least), -s.real / size, sd * abs(s.imag) / size**2, height)
 
 
-DEFAULT_ORDER: Final = 60
-"""Number of poles of the largest model."""
-_MISSING: Final = 'poles need the library sdypy-EMA, accepted: pip install "cpam-bayes[ema]"'
+def with_others(candidates: Array, others: Array) -> Array:
+    """Candidates (n,) and those of ``others`` that no candidate is within the half width of, ascending."""
+    new = [s for s in others if not np.any(np.abs(candidates - s) < _APART * -s.real)]
+    return np.array(sorted((*candidates, *new), key=lambda s: s.imag), dtype=complex)
+
+
+def modes_of_hits(each: Sequence[Sequence[Pole]], step: float) -> tuple[Pole, ...]:
+    """One table of the poles of every hit, ascending, each with what it was taken for.
+
+    Poles of different hits within 2.5 % are one, the nearest first. The standard deviation is that of the
+    mean over the hits, from their scatter and as `small_sample_factor` says, and not below that of the fits.
+    A mode shows in half the hits, at least in two of several, and its peak is more than 0.6 of what is there
+    beside it. A tone at a multiple of the mains that does not decay is hum.
+
+    step : between two lines, Hz
+    """
+    groups = [{number: pole} for number, poles in enumerate(each) for pole in poles]
+    groups.sort(key=lambda group: next(iter(group.values())).frequency)
+    while True:
+        gaps = [_apart(a, b) for a, b in pairwise(groups)]
+        if not gaps or min(gaps) > _DRIFT:
+            break
+        at = int(np.argmin(gaps))
+        groups[at : at + 2] = [groups[at] | groups[at + 1]]
+    needed = 1 if len(each) == 1 else max(2, (len(each) + 1) // 2)
+    return tuple(_classed(_mean(group, len(each)), needed, step) for group in groups)
+
+
+def is_of_mains(frequency: float, step: float) -> bool:
+    """Whether a frequency is a multiple of that of the mains, to a line."""
+    return any(abs(frequency - mains * np.rint(frequency / mains)) < step for mains in MAINS)
+
+
+def _classed(pole: Pole, needed: int, step: float) -> Pole:
+    """A pole with what it was taken for."""
+    if is_of_mains(pole.frequency, step) and pole.damping * 2.0 * np.pi * pole.frequency < _STEADY * step:
+        return replace(pole, taken=Taken.HUM)
+    if pole.hits < needed:
+        return replace(pole, taken=Taken.RARE)
+    return pole if pole.height > _STANDS_OUT else replace(pole, taken=Taken.WEAK)
+
+
+def _apart(a: dict[int, Pole], b: dict[int, Pole]) -> float:
+    """The largest relative difference of two groups' frequencies, infinite where a hit has both."""
+    if a.keys() & b.keys():
+        return np.inf
+    low = min(pole.frequency for pole in (*a.values(), *b.values()))
+    high = max(pole.frequency for pole in (*a.values(), *b.values()))
+    return high / low - 1.0
+
+
+def _mean(group: dict[int, Pole], n_hits: int) -> Pole:
+    poles = list(group.values())
+    n = len(poles)
+    each = tuple(group[k].frequency if k in group else np.nan for k in range(n_hits))
+    if n == 1:
+        return replace(poles[0], each=each)
+    f, damping = (np.array([getattr(p, name) for p in poles]) for name in ("frequency", "damping"))
+    of_fit, of_damping = (
+        float(np.sqrt(np.mean([getattr(p, name) ** 2 for p in poles]) / n)) for name in ("sd", "damping_sd")
+    )
+    enlarged = small_sample_factor(n - 1) / np.sqrt(n)
+    return Pole(
+        float(f.mean()),
+        max(float(np.std(f, ddof=1)) * enlarged, of_fit, LEAST_SD),
+        float(damping.mean()),
+        max(float(np.std(damping, ddof=1)) * enlarged, of_damping),
+        float(np.median([p.height for p in poles])),
+        float(np.median([p.peak for p in poles if np.isfinite(p.peak)] or [np.nan])),
+        n,
+        float(np.std(f, ddof=1)),
+        each,
+    )
+
+
+DEFAULT_ORDER: Final = 50
+"""Number of poles of the largest model of an octave."""
 # A pole stays where the order below has one this close: a fraction of the frequency, and of the damping.
 _SAME_FREQUENCY, _SAME_DAMPING = 0.005, 0.3
 # Poles of all orders are one where they are closer than this many half widths of their peaks.
 _APART: Final = 1.0
 # Fraction of the orders above the one that first shows a pole in which it has to stay.
 _LEAST_STABLE, _LEAST_ORDERS = 0.3, 5
-_MAX_DAMPING: Final = 0.2
+_MAX_DAMPING: Final = 0.1
+# A model is of an octave and this much beyond it, over this part of the unit circle; lines a pole at least.
+_BEYOND, _OF_CIRCLE, _LINES_A_POLE = 1.12, 0.8, 3
+# Lines are weighed by one over the median of their neighbourhood: a fraction of the frequency, and lines.
+_ABOUT, _ABOUT_LINES, _LEAST_SIZE = 0.02, 5, 1e-4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -263,51 +413,81 @@ class Stabilisation:
 
 
 def stabilise(responses: FrequencyResponses, low: float, high: float, order: int) -> Stabilisation:
-    """Poles of the least-squares complex frequency-domain estimator for 1 to ``order`` poles.
+    """Poles of least-squares complex frequency-domain models of 2 to ``order`` poles, an octave at a time.
 
-    Guillaume, Verboven and Vanlanduit, ISMA 23, 1998, as sdypy-EMA has it. A pole is stable where the order
-    below has one within 0.5 % of its frequency and 30 % of its damping. Stable poles of all orders that are
-    closer than the half width of their peaks are one.
+    Guillaume, Verboven and Vanlanduit, ISMA 23, 1998, with complex coefficients: lines of an octave are
+    angles on the unit circle, and conjugate poles lie outside. Lines are weighed by one over the median size
+    about them, so that weak modes count as strong ones do; models of evenly weighed lines, which noise biases
+    less, add their candidates. A pole is stable where the order below has one
+    within 0.5 % of its frequency and 30 % of its damping. Stable poles of all orders that are closer than the
+    half width of their peaks are one.
 
     low, high : Hz, the range
-    order : number of poles of the largest model
-
-    Raises ``ModalTestError`` where sdypy-EMA is missing, or where nothing determines poles.
     """
-    found = _poles(responses, low, high, order)
+    of_octaves = [_of_octave(responses, a, b, order) for a, b in _octaves(low, high)]
+    return Stabilisation(*(np.concatenate(arrays) for arrays in zip(*of_octaves, strict=True)))
+
+
+def _octaves(low: float, high: float) -> list[tuple[float, float]]:
+    n = max(int(np.ceil(np.log2(high / max(low, 1e-3 * high)) - 0.3)), 1)
+    edges = [low, *(high / 2.0**k for k in range(n - 1, 0, -1)), high]
+    return list(pairwise(edges))
+
+
+def _of_octave(
+    responses: FrequencyResponses, low: float, high: float, order: int
+) -> tuple[Array, Array, Array, Array, Array]:
+    """The fields of a `Stabilisation` of one band."""
+    even, plain = (_stable(_poles(responses, low, high, order, evenly)) for evenly in (True, False))
+    candidates = with_others(
+        *(_candidates(s[kept], orders[kept], order) for orders, s, kept in (even, plain))
+    )
+    orders, s, stable = even
+    return orders, np.abs(s) / (2.0 * np.pi), -s.real / np.abs(s), stable, candidates
+
+
+def _stable(found: list[tuple[int, Array]]) -> tuple[Array, Array, Array]:
+    """Orders and poles, (n,) each, and whether the order below has the pole too."""
     orders, s = np.concatenate([np.full(len(p), n) for n, p in found]), np.concatenate([p for _, p in found])
-    frequency, damping = np.abs(s) / (2.0 * np.pi), -s.real / np.abs(s)
     stable = np.zeros(len(s), dtype=bool)
     for n, _ in found[1:]:
         here, below = np.flatnonzero(orders == n), np.flatnonzero(orders == n - 1)
-        if len(below):
-            near = np.abs(frequency[here, None] / frequency[below] - 1.0) < _SAME_FREQUENCY
-            near &= np.abs(damping[here, None] - damping[below]) < _SAME_DAMPING * damping[here, None]
-            stable[here] = near.any(axis=1)
-    return Stabilisation(orders, frequency, damping, stable, _candidates(s[stable], orders[stable], order))
+        if len(below) and len(here):
+            near = np.abs(s[here, None].imag - s[below].imag) < _SAME_FREQUENCY * np.abs(s[here, None])
+            change = np.abs(s[here, None].real - s[below].real)
+            stable[here] = (near & (change < _SAME_DAMPING * -s[here, None].real)).any(axis=1)
+    return orders, s, stable
 
 
-def _poles(responses: FrequencyResponses, low: float, high: float, order: int) -> list[tuple[int, Array]]:
-    """Order and its stable poles s with positive frequency within the range, (n,) complex rad/s."""
-    try:
-        from sdypy import EMA
-    except ImportError:
-        raise ModalTestError(_MISSING) from None
-    model = EMA.Model(responses.frf, responses.frequencies, lower=low, upper=high, pol_order_high=order)
-    with np.errstate(all="ignore"):
-        try:
-            model.get_poles(method="lscf", show_progress=False)
-        except np.linalg.LinAlgError:
-            raise ModalTestError(
-                f"the responses from {low:g} to {high:g} Hz do not determine models of {order} poles, "
-                "accepted: measured responses, which have noise, and which are not zero there"
-            ) from None
+def _poles(
+    responses: FrequencyResponses, low: float, high: float, order: int, evenly: bool
+) -> list[tuple[int, Array]]:
+    """Order and its decaying poles s from ``low`` to ``high``, (n,) rad/s; evenly : weights of lines."""
+    f = responses.frequencies
+    lines = np.flatnonzero((f >= low / _BEYOND) & (f <= high * _BEYOND))
+    order = max(min(order, len(lines) // _LINES_A_POLE), 2)
+    start, span = f[lines[0]], np.ptp(f[lines])
+    delay = _OF_CIRCLE / span  # s: the angle of a line is 2 pi (f - start) delay
+    powers = np.exp(-2j * np.pi * np.outer((f[lines] - start) * delay, np.arange(order + 1)))
+    about = 2 * max(int(_ABOUT * 0.5 * (low + high) / responses.step), _ABOUT_LINES) + 1
+    normal = np.zeros((order + 1, order + 1), dtype=complex)
+    for frf in responses.frf[:, lines]:
+        size = np.abs(frf)
+        near = median_filter(size, about, mode="nearest") if evenly else np.full_like(size, size.mean())
+        weight = 1.0 / np.maximum(near, max(_LEAST_SIZE * size.max(), np.finfo(float).tiny))
+        numerator, denominator = powers * weight[:, None], powers * (-frf * weight)[:, None]
+        cross = numerator.conj().T @ denominator
+        own = np.linalg.lstsq(numerator.conj().T @ numerator, cross, rcond=None)[0]
+        normal += denominator.conj().T @ denominator - cross.conj().T @ own
     found = []
-    for n, poles in enumerate(model.all_poles, start=1):
-        s = np.asarray(poles)
-        s = s[np.isfinite(s) & (s.imag > 0.0) & (s.real < 0.0)]
-        frequency = np.abs(s) / (2.0 * np.pi)
-        kept = (frequency >= low) & (frequency <= high) & (-s.real / np.abs(s) < _MAX_DAMPING)
+    for n in range(2, order + 1):
+        coefficients = np.linalg.lstsq(normal[:n, :n], -normal[:n, n], rcond=None)[0]
+        roots = np.roots(np.append(1.0, coefficients[::-1]))
+        roots = roots[np.abs(roots) > 0.0]
+        turned = np.mod(-np.angle(roots), 2.0 * np.pi)
+        s = (-np.log(np.abs(roots)) + 1j * turned) / delay + 2j * np.pi * start
+        frequency = s.imag / (2.0 * np.pi)
+        kept = (frequency >= low) & (frequency < high) & (s.real < 0.0) & (-s.real < _MAX_DAMPING * np.abs(s))
         found.append((n, s[kept][np.argsort(frequency[kept])]))
     return found
 

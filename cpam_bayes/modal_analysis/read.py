@@ -10,7 +10,7 @@ import io
 import re
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final, Literal
 
@@ -25,6 +25,7 @@ from cpam_bayes.plate.spreadsheet import decode, read_delimited
 from cpam_bayes.plate.text import read_regular_file
 
 __all__ = [
+    "MAINS",
     "WINDOWS",
     "FrequencyResponses",
     "ModalTestError",
@@ -47,6 +48,10 @@ class ModalTestError(ValueError):
     """A test that cannot be read or analysed."""
 
 
+class ClippedError(ModalTestError):
+    """A record that holds its largest value."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class FrequencyResponses:
     """Frequency responses at equal steps of frequency.
@@ -57,6 +62,7 @@ class FrequencyResponses:
     correlation : of the noise of a line with that of the next one, by the window
     origin : the format and what was read, in words
     notices : what makes them doubtful
+    hit : (n_responses,) the number of the hit of each, from 0; empty where all are of one
     """
 
     frequencies: Array
@@ -65,6 +71,7 @@ class FrequencyResponses:
     correlation: float
     origin: str
     notices: tuple[Notice, ...] = ()
+    hit: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
         for name in ("frequencies", "frf"):
@@ -77,17 +84,31 @@ class FrequencyResponses:
         """Between two lines, Hz."""
         return float(self.frequencies[1] - self.frequencies[0])
 
+    @property
+    def each_hit(self) -> tuple[FrequencyResponses, ...]:
+        """Those of each hit."""
+        numbers = np.array(self.hit)
+        if len(set(self.hit)) < 2:
+            return (self,)
+        return tuple(replace(self, frf=self.frf[numbers == k], hit=()) for k in sorted(set(self.hit)))
+
 
 # A clipped channel holds its largest value for so many samples: once at full scale, else at several places.
 _HELD, _PLACES = 3, 3
 # A force that passes this fraction of its peak later than so many s, for so many s in all, is no hit's.
 _RINGS, _AFTER, _FOR = 0.2, 0.02, 0.01
 _BLOCK: Final = 0.002
-# Mains frequencies, Hz; the end of a record, as a fraction, and the least part of its power, and of the
+# A force has its power in so many times fewer samples than the responses.
+_SHORTER: Final = 5.0
+# A second stroke is this many times the loudest of so many blocks before it, and this part of the first.
+_JUMP, _BLOCKS_APART, _OF_STROKE = 3.0, 5, 0.1
+# The end of a record, as a fraction, and the least part of its power, and of the
 # largest value, that a steady tone has there.
-_MAINS: Final = (50.0, 60.0)
+MAINS: Final = (50.0, 60.0)
+"""Frequencies of the mains, Hz."""
 _TAIL, _OF_POWER, _OF_PEAK = 0.25, 0.5, 0.03
 _LEAST_TAIL: Final = 0.2
+_MULTIPLES: Final = np.arange(1.0, 6.0)
 # Lines of modes stand above the noise, the median, and above this part of the largest one, in power.
 _ABOVE_NOISE, _ABOVE_LEAST = 100.0, 1e-5
 # A peak is the largest line within this fraction of its frequency and so many lines, above the median of a
@@ -109,7 +130,7 @@ def require_unclipped(name: str, channel: int, samples: Array) -> None:
         if len(flat) >= (1 if at_full_scale else _PLACES) and extreme:
             held += int(flat.sum())
     if held:
-        raise ModalTestError(
+        raise ClippedError(
             f"{name}: channel {channel} is clipped: {held} samples hold its largest or smallest value, which "
             "makes modes that are none, accepted: records that stay below full scale; lower the gain and hit "
             "again"
@@ -143,7 +164,7 @@ def _rings(force: Array, rate: float, before: float) -> bool:
 
 
 def hum_notices(rate: float, channels: Array) -> tuple[Notice, ...]:
-    """A steady tone of the mains or its double at the end of a record (channels, n), where modes are gone."""
+    """A steady tone of the mains or a multiple at the end of a record (channels, n), where modes are gone."""
     tail = channels[:, int((1.0 - _TAIL) * channels.shape[1]) :]
     n = tail.shape[1]
     if n < _LEAST_TAIL * rate:
@@ -153,10 +174,8 @@ def hum_notices(rate: float, channels: Array) -> tuple[Notice, ...]:
     frequencies = np.fft.rfftfreq(n, 1.0 / rate)
     peak = np.abs(channels - np.median(channels, axis=1, keepdims=True)).max(axis=1)
     loud = np.sqrt(np.mean(tail**2, axis=1)) > _OF_PEAK * peak
-    for mains in _MAINS:
-        near = (
-            np.min(np.abs(frequencies[:, None] - mains * np.array([1.0, 2.0])), axis=1) < 2.5 * rate / n + 0.5
-        )
+    for mains in MAINS:
+        near = np.min(np.abs(frequencies[:, None] - mains * _MULTIPLES), axis=1) < 2.5 * rate / n + 0.5
         part = power[:, near].sum(axis=1) / np.maximum(power.sum(axis=1), np.finfo(float).tiny)
         hums = loud & (part > _OF_POWER)
         if hums.any():
@@ -225,7 +244,7 @@ class Recording:
 def responses_of_hits(
     recordings: Sequence[Recording], window: Window, high: float | None
 ) -> FrequencyResponses:
-    """Responses over force of all hits, H_1 = sum conj(F) X / sum |F|^2; without it, spectra of decays.
+    """Responses over force of every hit, H = conj(F) X / |F|^2; without it, spectra of decays.
 
     Each hit begins where its force, or its largest response, rises. All hits have the length of the shortest.
     Spectra end at ``high``, Hz, or where the force has fallen to a tenth, or a quarter above the last line of
@@ -242,11 +261,15 @@ def responses_of_hits(
     spectra = np.stack([np.fft.rfft(hit[:, :n] * weight, axis=1) for hit in hits])  # hits, channels, lines
     frequencies = np.fft.rfftfreq(n, 1.0 / rate)
     has_force, notices = recordings[0].force is not None, _hums(recordings)
+    twice = sum(_struck_twice(one) for one in recordings)
+    if twice:
+        notices += (Notice("double_hits", facts={"files": twice, "of": len(recordings)}),)
     if has_force:
         require_force_of_a_hit(hits, rate, _BEFORE)
         force, response = spectra[:, :1], spectra[:, 1:]
         power = np.sum(np.abs(force) ** 2, axis=0)
-        frf = np.sum(force.conj() * response, axis=0) / np.maximum(power, np.finfo(float).tiny)
+        each = np.maximum(np.abs(force) ** 2, np.finfo(float).tiny)
+        frf = (force.conj() * response / each).reshape(-1, len(frequencies))
         fallen = np.flatnonzero(power[0] < _FORCE_LEFT**2 * power[0].max())
         end = int(fallen[0]) if high is None and len(fallen) else len(frequencies)
     else:
@@ -271,15 +294,27 @@ def responses_of_hits(
         1.0 / (1.0 + (np.pi * rate / (decay * n)) ** 2) if decay else 0.0,
         f"{many} of {n / rate:.3g} s, {recordings[0].responses.shape[0]} response {over}; window: {window}",
         notices,
+        tuple(np.repeat(np.arange(len(hits)), recordings[0].responses.shape[0]).tolist()),
     )
+
+
+def _struck_twice(recording: Recording) -> bool:
+    """Whether the hammer touched the plate twice in a hit."""
+    if recording.force is None:
+        hits = _hits(recording, whole=True)
+        return any(_second_stroke(hit, recording.rate) > 0 for hit in hits)
+    return any(_second_stroke(hit[:1], recording.rate) > 0 for hit in _hits(recording))
 
 
 def _hums(recordings: Sequence[Recording]) -> tuple[Notice, ...]:
     return each_once(notice for one in recordings for notice in hum_notices(one.rate, one.responses))
 
 
-def _hits(recording: Recording) -> list[Array]:
-    """The channels (1 + n_responses, n), or (n_responses, n) without force, from each hit to the next."""
+def _hits(recording: Recording, whole: bool = False) -> list[Array]:
+    """The channels (1 + n_responses, n), or (n_responses, n) without force, from each hit to the next.
+
+    whole : with both strokes of a double hit where there is no force
+    """
     force, responses = recording.force, recording.responses
     trigger = np.abs(responses).max(axis=0) if force is None else np.abs(force - np.median(force))
     channels = responses if force is None else np.vstack((force, responses))
@@ -293,10 +328,30 @@ def _hits(recording: Recording) -> list[Array]:
         )
     starts = np.maximum(first - int(_BEFORE * recording.rate), 0)
     ends = np.append(starts[1:], channels.shape[1])
-    return [
+    hits = [
         channels[:, start:end] - np.median(channels[:, start:end], axis=1, keepdims=True)
         for start, end in zip(starts, ends, strict=True)
     ]
+    if force is None and not whole:  # what rings after the last of several strokes is a free decay
+        hits = [hit[:, _second_stroke(hit, recording.rate) :] for hit in hits]
+    return hits
+
+
+def _second_stroke(hit: Array, rate: float) -> int:
+    """The sample of a second stroke within a hit (channels, n), 0 where there is none.
+
+    High frequencies, by differences, decay from a stroke on: a block of 2 ms far above the 10 ms before it.
+    """
+    size = max(int(_BLOCK * rate), 2)
+    steps = np.abs(np.diff(hit, n=2, axis=1)).max(axis=0)
+    blocks = steps[: len(steps) // size * size].reshape(-1, size)
+    rms = np.sqrt(np.mean(blocks**2, axis=1))
+    first = int(np.argmax(rms > _OF_STROKE * rms.max(initial=0.0))) if len(rms) else 0
+    for k in range(len(rms) - 1, first + _BLOCKS_APART, -1):
+        before = rms[k - _BLOCKS_APART : k].max()
+        if rms[k] > _OF_STROKE * rms.max() and rms[k] > _JUMP * before:
+            return k * size
+    return 0
 
 
 # A file of this size takes some seconds and less than 1 GiB.
@@ -325,25 +380,24 @@ def read_responses(
     window: Window | None,
     high: float | None,
 ) -> FrequencyResponses:
-    """The frequency responses of files of one format; recorded hits are averaged.
+    """The frequency responses of files of one format; a folder is all recordings in it.
 
-    force, response : channels of a .wav file, from 1
-    window : what records are multiplied by
+    force, response : channels of a .wav file, from 1; without them a channel that is a pulse is the force
+    window : what records are multiplied by, nothing unless given
     high : Hz, end of the range of recorded hits
 
     Raises ``ModalTestError`` for what cannot be read, with the file.
     """
+    files = [path for name in files for path in _of_folder(name)]
     endings = {Path(name).suffix.casefold() for name in files}
     if endings <= set(_WAVES):
-        if window is None or not response:
-            raise ModalTestError(
-                "--response and --window: not given, accepted: the channels of the responses and the window "
-                "of .wav files, such as --force 1 --response 2 --window exponential"
-            )
-        recordings = [_recording(name, force, response) for name in files]
+        recordings, notices = _recordings(files, force, response)
         if len({one.rate for one in recordings}) > 1:
             raise ModalTestError("files of several sampling rates, accepted: one")
-        return responses_of_hits(recordings, window, high)
+        if len({(one.force is None, len(one.responses)) for one in recordings}) > 1:
+            raise ModalTestError("files of different channels, accepted: the same in all; say --response")
+        found = responses_of_hits(recordings, window or "none", high)
+        return replace(found, notices=(*notices, *found.notices))
     if force is not None or response or window is not None:
         raise ModalTestError("--force, --response and --window: accepted: with .wav files only")
     of_files = [_universal(n) if Path(n).suffix.casefold() in _UNIVERSAL else _table(n) for n in files]
@@ -353,6 +407,32 @@ def read_responses(
     origins = list(dict.fromkeys(one.origin for one in of_files))
     frf = np.vstack([one.frf for one in of_files])
     return FrequencyResponses(first.frequencies, frf, 0.0, 0.0, "; ".join(origins))
+
+
+def _of_folder(name: str) -> list[str]:
+    """The recordings of a folder in the order of their names, or the file itself."""
+    if not Path(name).is_dir():
+        return [name]
+    found = sorted(str(path) for path in Path(name).iterdir() if path.suffix.casefold() in _WAVES)
+    if not found:
+        raise ModalTestError(f"{name}: no recordings in this folder, accepted: .wav files")
+    return found
+
+
+def _recordings(
+    files: Sequence[str], force: int | None, response: Sequence[int]
+) -> tuple[list[Recording], tuple[Notice, ...]]:
+    """Files that are not clipped, with the names of those that are; ``ClippedError`` where all are."""
+    recordings, clipped = [], []
+    for name in files:
+        try:
+            recordings.append(_recording(name, force, response))
+        except ClippedError as error:
+            clipped.append((Path(name).name, error))
+    if not recordings:
+        raise clipped[0][1]
+    names = tuple(name for name, _ in clipped)
+    return recordings, (Notice("clipped_files", facts={"files": names}),) if names else ()
 
 
 def _content(name: str) -> bytes:
@@ -487,6 +567,16 @@ def _checked(name: str, frequencies: Array, frf: Array, origin: str) -> Frequenc
     return FrequencyResponses(frequencies, frf, 0.0, 0.0, origin)
 
 
+def _told(channels: Array, force: int | None) -> tuple[int | None, tuple[int, ...]]:
+    """The channels of the force and of the responses: one channel that lasts a pulse is the force."""
+    if force is None and len(channels) > 1:
+        power = (channels - np.median(channels, axis=1, keepdims=True).astype(float)) ** 2
+        samples = np.sum(power, axis=1) ** 2 / np.maximum(np.sum(power**2, axis=1), np.finfo(float).tiny)
+        shortest, second = np.argsort(samples)[:2]
+        force = int(shortest) + 1 if _SHORTER * samples[shortest] < samples[second] else None
+    return force, tuple(k for k in range(1, len(channels) + 1) if k != force)
+
+
 def _recording(name: str, force: int | None, response: Sequence[int]) -> Recording:
     content = _content(name)
     try:
@@ -498,6 +588,8 @@ def _recording(name: str, force: int | None, response: Sequence[int]) -> Recordi
     channels = np.atleast_2d(samples.T)
     if not channels.size or not rate > 0:
         raise ModalTestError(f"{name}: {channels.size} samples, {rate} a second, accepted: above 0")
+    if not response:
+        force, response = _told(channels, force)
     wanted = (*(() if force is None else (force,)), *response)
     for channel in wanted:
         if not 1 <= channel <= len(channels):

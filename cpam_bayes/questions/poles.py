@@ -17,7 +17,17 @@ from cpam_bayes.answer import Notice
 from cpam_bayes.command import Command, option, positive, whole
 from cpam_bayes.errors import checked
 from cpam_bayes.formatting import significant, with_spread
-from cpam_bayes.modal_analysis.fit import DEFAULT_ORDER, Pole, Stabilisation, fit_poles, stabilise
+from cpam_bayes.modal_analysis.fit import (
+    DEFAULT_ORDER,
+    Pole,
+    Stabilisation,
+    Taken,
+    fit_poles,
+    is_of_mains,
+    modes_of_hits,
+    stabilise,
+    with_others,
+)
 from cpam_bayes.modal_analysis.read import (
     WINDOWS,
     FrequencyResponses,
@@ -54,14 +64,19 @@ TABLE: Final = "modes.csv"
 _LEAST_ORDER, _MOST_ORDER = 10, 200
 # Responses times lines: as many take some seconds and less than 1 GiB.
 _MOST_VALUES: Final = 2_000_000
-# Where the range begins, unless given: lines, and a fraction of its end.
-_FIRST_LINE, _FIRST_FRACTION = 10, 0.02
+# Where the range begins, unless given: lines, and a fraction of its end or a frequency, the lower one.
+_FIRST_LINE, _FIRST_FRACTION, _FIRST_HZ = 10, 0.02, 20.0
 # Lines at 0 Hz and beside it are drift.
 _FIRST_PEAK: Final = 3
 # A peak belongs to a mode within so many half widths.
 _PEAK: Final = 3.0
 # Modes closer than this many of their half widths together are told of, and a poor standard deviation.
 _CLOSE, _POOR = 2.0, 0.01
+# Modes that scatter by more than this part from hit to hit drift.
+_DRIFTING: Final = 0.005
+# A hit is unlike the others where it is shifted by more than so many times what is usual, and this part.
+_LEAST_HITS, _UNLIKE, _LEAST_SHIFT = 3, 8.0, 0.002
+_MOST_DRAWN: Final = 12
 _MOST_HZ: Final = 1e6
 _MOST_CHANNELS: Final = 256
 
@@ -76,6 +91,7 @@ class PolesResult(Result):
     responses : what was read
     stabilisation : poles by model order
     modes : ascending
+    others : poles that were taken for something else, ascending
     low, high : Hz, the range
     order : number of poles of the largest model
     """
@@ -86,6 +102,7 @@ class PolesResult(Result):
     responses: FrequencyResponses
     stabilisation: Stabilisation
     modes: tuple[Pole, ...]
+    others: tuple[Pole, ...]
     low: float
     high: float
     order: int
@@ -129,17 +146,19 @@ def poles(
 ) -> PolesResult:
     """Natural frequencies and damping ratios with standard deviations, as a table of modes.
 
-    Poles by the least-squares complex frequency-domain estimator of sdypy-EMA over many orders; those that
-    stay are fitted again, in a band about each, for their standard deviations (`fit_poles`).
+    Poles of least-squares complex frequency-domain models over many orders (`stabilise`); those that stay
+    are fitted again hit by hit, each in a band of its own (`fit_poles`), and those that recur and stand out
+    are modes (`modes_of_hits`).
 
     Parameters
     ----------
     files : universal files with datasets 58, tables of frequency responses (hz and then re, im or magnitude,
-        phase [deg] of each response), or .wav files of recorded hits; several are one test
-    force, response : channels of .wav files, from 1; without force each hit is a free decay
-    window : of .wav files, "none" or "exponential", whose damping is taken off again
-    low_hz, high_hz : the range; left out, all but the first lines, of hits up to where the force has fallen
-        to a tenth, of decays without a force a quarter above the last line that stands above noise
+        phase [deg] of each response), or .wav files of recorded hits or a folder of them; all are one test
+    force, response : channels of .wav files, from 1; left out, one of several channels that is a pulse is
+        the force and the others are responses; without force each hit is a free decay
+    window : of .wav files, "none" (left out) or "exponential", whose damping is taken off again
+    low_hz, high_hz : the range; left out, from 20 Hz or above the first lines, of hits up to where the force
+        has fallen to a tenth, of decays without a force a quarter above the last line that stands above noise
     order : number of poles of the largest model, 10 to 200
     seed : of the result's record; nothing is drawn at random
 
@@ -173,7 +192,11 @@ def poles(
     responses = read_responses(names, force=force, response=response, window=window, high=high_hz)
     last = float(responses.frequencies[-1])
     high = last if high_hz is None else min(high_hz, last)
-    low = max(_FIRST_LINE * responses.step, _FIRST_FRACTION * high) if low_hz is None else low_hz
+    low = (
+        max(_FIRST_LINE * responses.step, min(_FIRST_FRACTION * high, _FIRST_HZ))
+        if low_hz is None
+        else low_hz
+    )
     if not 0.0 <= low < high:
         raise ModalTestError(f"--range: received {low:g} to {high:g} Hz, accepted: within 0 to {last:g} Hz")
     lines = int(np.sum((responses.frequencies >= low) & (responses.frequencies <= high)))
@@ -188,7 +211,8 @@ def poles(
         )
     watch.announce(f"poles: {len(responses.frf)} responses, {lines} lines, up to {order} poles")
     found = stabilise(responses, low, high, order)
-    modes = tuple(one for one in fit_poles(responses, found.candidates) if low <= one.frequency <= high)
+    peaks = _peaks(responses, found, low, high, order)
+    modes = tuple(one for one in peaks if one.taken is Taken.MODE)
     return PolesResult(
         seed=seed,
         notices=(*responses.notices, *_notices(responses, modes, low, high)),
@@ -197,10 +221,22 @@ def poles(
         responses=responses,
         stabilisation=found,
         modes=modes,
+        others=tuple(one for one in peaks if one.taken is not Taken.MODE),
         low=low,
         high=high,
         order=order,
     )
+
+
+def _peaks(
+    responses: FrequencyResponses, found: Stabilisation, low: float, high: float, order: int
+) -> tuple[Pole, ...]:
+    """The poles of all hits, each fitted on its own, within the range."""
+    each = []
+    for hit in responses.each_hit:
+        own = () if hit is responses else stabilise(hit, low, high, order).candidates
+        each.append(fit_poles(hit, with_others(np.array(own, dtype=complex), found.candidates)))
+    return tuple(one for one in modes_of_hits(each, responses.step) if low <= one.frequency <= high)
 
 
 def _is_under(peak: float, mode: Pole, step: float) -> bool:
@@ -235,9 +271,26 @@ def _notices(
     )
     if close:
         yield Notice("close_poles", facts={"pairs": close})
+    drifting = tuple(one.frequency for one in modes if one.scatter > _DRIFTING * one.frequency)
+    if drifting:
+        yield Notice("drifting_modes", facts={"frequencies": drifting, "limit": _DRIFTING})
+    yield from _unlike_hits(modes)
     poor = tuple(one.frequency for one in modes if one.sd > _POOR * one.frequency)
     if poor:
         yield Notice("poor_poles", facts={"frequencies": poor, "limit": _POOR})
+
+
+def _unlike_hits(modes: Sequence[Pole]) -> Iterator[Notice]:
+    """Hits in which all frequencies lie to one side by more than the scatter of the others."""
+    if not modes or len(modes[0].each) < _LEAST_HITS:
+        return
+    f = np.array([one.each for one in modes])
+    middle = np.nanmedian(f, axis=1, keepdims=True)
+    shift = np.nanmedian(f / middle - 1.0, axis=0)
+    usual = float(np.median(np.abs(shift - np.median(shift))))
+    far = np.abs(shift - np.median(shift)) > max(_UNLIKE * usual, _LEAST_SHIFT)
+    for k in np.flatnonzero(far):
+        yield Notice("unlike_hit", facts={"hit": int(k) + 1, "shift": float(shift[k])})
 
 
 _COLUMNS: Final = (
@@ -247,11 +300,26 @@ _COLUMNS: Final = (
     Column("damping %", None, lambda row: _damping(row[1])[0], number=True),
     Column("sd", None, lambda row: _damping(row[1])[1], number=True),
     Column("loss factor", None, lambda row: significant(2.0 * row[1].damping, 3), number=True),
+    Column("height", None, lambda row: _height(row[1]), number=True),
+    Column("hits", None, lambda row: str(row[1].hits) if len(row[1].each) > 1 else "", number=True),
     Column(None, "hz", lambda row: row[1].frequency),
     Column(None, "sd", lambda row: row[1].sd),
     Column(None, "damping", lambda row: row[1].damping),
     Column(None, "damping_sd", lambda row: row[1].damping_sd),
+    Column(None, "height", lambda row: row[1].height),
+    Column(None, "peak_hz", lambda row: row[1].peak if np.isfinite(row[1].peak) else None),
+    Column(None, "hits", lambda row: row[1].hits),
 )
+_OTHERS: Final = (
+    Column("Hz", "hz", lambda one: one.frequency, lambda f: f"{f:.5g}", number=True),
+    Column("height", "height", lambda one: one.height, lambda h: significant(h, 2), number=True),
+    Column("hits", "hits", lambda one: one.hits, number=True),
+    Column("taken for", "taken", lambda one: one.taken.value),
+)
+
+
+def _height(mode: Pole) -> str:
+    return significant(mode.height, 2)
 
 
 def _damping(mode: Pole) -> tuple[str, str]:
@@ -262,14 +330,15 @@ def _damping(mode: Pole) -> tuple[str, str]:
 def _present(result: PolesResult) -> Report:
     """The modes with their standard deviations, how they were found, and the stability diagram."""
     found, modes = result.stabilisation, Rows("modes", _COLUMNS, tuple(enumerate(result.modes, 1)))
+    others = Rows("others", _OTHERS, result.others)
     computed = (
         ("files", ", ".join(result.files)),
         ("read", result.responses.origin),
         ("lines", f"{result.responses.step:.6g} Hz apart"),
         ("range", f"{result.low:.6g} to {result.high:.6g} Hz"),
-        ("orders", f"1 to {result.order} poles, by sdypy-EMA (least-squares complex frequency domain)"),
+        ("orders", f"2 to {result.order} poles an octave, least-squares complex frequency domain"),
         ("poles", f"{len(found.orders)}, of which {int(found.stable.sum())} are in the order below as well"),
-        ("candidates", f"{len(found.candidates)} stay over many orders; {len(result.modes)} modes fitted"),
+        ("candidates", f"{len(found.candidates)} stay over many orders; {len(result.modes)} modes"),
     )
     return Report(
         summary=Summary(
@@ -286,7 +355,13 @@ def _present(result: PolesResult) -> Report:
             warnings=result.cautions,
         ),
         sections=(
-            Section("Stability diagram", figures=("stability",), folded=False),
+            Section("Spectrum", figures=("spectrum",), folded=False),
+            *(
+                (Section("Not taken for modes", (others.table("Not taken for modes"),)),)
+                if result.others
+                else ()
+            ),
+            Section("Stability diagram", figures=("stability",)),
             Section(COMPUTATION, (facts("Computation", computed),)),
         ),
         document={
@@ -299,17 +374,21 @@ def _present(result: PolesResult) -> Report:
             "range_hz": [result.low, result.high],
             "order": result.order,
             "modes": modes.records(),
+            "others": others.records(),
             "seed": result.seed,
             "warnings": list(result.warnings),
         },
-        drawings=(Drawing("stability", partial(_stability, result), _caption(result)),),
-        rows=(modes,),
+        drawings=(
+            Drawing("spectrum", partial(_spectrum, result), _spectrum_caption(result)),
+            Drawing("stability", partial(_stability, result), _caption(result)),
+        ),
+        rows=(modes, others),
     )
 
 
 _CONTAINED: Final = (
-    "The standard deviations contain the noise of these responses. Not contained: how the plate hangs, its "
-    "temperature, where it is hit."
+    "The standard deviations contain the noise and the scatter of hits. Not contained: how the plate hangs, "
+    "its temperature, where it is hit."
 )
 _NEXT: Final = (
     f"--out DIR writes {TABLE} and the stability diagram; weight 0 leaves a mode out. In the plate file: "
@@ -332,6 +411,49 @@ def _caption(result: PolesResult) -> Caption:
         "the modes of the table: look at a line without a column, and at a column without one.",
         f"Stability diagram of {len(result.stabilisation.orders)} poles with {len(result.modes)} modes.",
     )
+
+
+def _spectrum_caption(result: PolesResult) -> Caption:
+    return Caption(
+        "The responses (grey, of every hit) with what each peak was taken for. A mode stands "
+        "out of what the other modes give at its frequency and shows in half the hits at least; a grey mark "
+        "names what does not.",
+        f"Spectrum with {len(result.modes)} modes and {len(result.others)} other peaks.",
+    )
+
+
+def _spectrum(result: PolesResult) -> Figure:
+    """Every hit's spectrum with what each peak was taken for."""
+    responses, figure = result.responses, new_figure(9.0, 4.8)
+    axes = figure.add_subplot()
+    shown = (responses.frequencies >= result.low) & (responses.frequencies <= result.high)
+    x = responses.frequencies[shown]
+    for hit in responses.each_hit[:_MOST_DRAWN]:
+        size = np.sqrt(np.mean(np.abs(hit.frf[:, shown]) ** 2, axis=0))
+        axes.semilogy(x, np.maximum(size, size.max() * 1e-12), color="0.6", linewidth=0.7, rasterized=True)
+    marks = [(one.frequency, one.taken.value) for one in (*result.modes, *result.others)]
+    for notice in result.notices:
+        if notice.code == "peaks_without_pole":
+            hum = {True: Taken.HUM.value, False: "no mode"}
+            marks += [(f, hum[is_of_mains(f, responses.step)]) for f in notice.facts["peaks"]]
+    for frequency, taken in marks:
+        is_mode = taken == Taken.MODE.value
+        colour = PREDICTED if is_mode else "0.4"
+        axes.axvline(frequency, color=colour, linewidth=0.8, linestyle="-" if is_mode else ":")
+        axes.annotate(
+            f"{frequency:.4g}" if is_mode else f"{frequency:.4g} {taken}",
+            (frequency, 1.0),
+            xycoords=("data", "axes fraction"),
+            xytext=(2.0, -3.0),
+            textcoords="offset points",
+            rotation=90,
+            fontsize=6,
+            color=colour,
+            verticalalignment="top",
+        )
+    axes.set(xlim=(result.low, result.high), xlabel="Hz", ylabel="root mean square of the responses")
+    axes.set_title(f"{result.title}: {len(result.modes)} modes", fontsize=10)
+    return figure
 
 
 def _stability(result: PolesResult) -> Figure:
@@ -383,22 +505,27 @@ COMMAND: Final = Command(
             "files",
             nargs="+",
             metavar="FILE",
-            help="universal files with datasets 58, tables of responses (.csv) or hits (.wav); of one test",
+            help="universal files with datasets 58, tables of responses, hits (.wav) or a folder of hits",
         ),
-        option("--force", type=_CHANNEL, metavar="N", help=".wav: channel of the force, from 1"),
+        option(
+            "--force",
+            type=_CHANNEL,
+            metavar="N",
+            help=".wav: channel of the force, from 1 (default: the one that is a pulse)",
+        ),
         option(
             "--response",
             type=_CHANNEL,
             nargs="+",
             default=(),
             metavar="N",
-            help=".wav: channels of the responses",
+            help=".wav: channels of the responses (default: all others)",
         ),
         option(
             "--window",
             choices=WINDOWS,
-            help=".wav: what records are multiplied by; exponential: a decay to 1 %% at their ends, taken "
-            "off again",
+            help=".wav: what records are multiplied by (default: none); exponential: a decay to 1 %% at "
+            "their ends, taken off again",
         ),
         option(
             "--range",
@@ -406,8 +533,8 @@ COMMAND: Final = Command(
             type=positive(_MOST_HZ, "frequency"),
             nargs=2,
             metavar=("LOW", "HIGH"),
-            help="Hz (default: all but the first lines; of hits up to where the force has fallen to a tenth, "
-            "of decays a quarter above the last line that stands above noise)",
+            help="Hz (default: from 20 Hz or the first lines; of hits up to where the force has fallen to a "
+            "tenth, of decays a quarter above the last line that stands above noise)",
         ),
         option(
             "--order",

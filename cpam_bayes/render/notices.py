@@ -517,7 +517,7 @@ def _other_constants(facts: Facts) -> str:
 def _hum(facts: Facts) -> str:
     mains = facts["mains"]
     return (
-        f"The record ends in a steady tone of the mains, {mains:g} or {2.0 * mains:g} Hz, of "
+        f"The record ends in a steady tone of the mains, {mains:g} Hz or a multiple, of "
         f"{_percent(facts['size'])} of its largest value, which hides weak modes. Earth the sensor, keep "
         "cables away from mains, or use a battery."
     )
@@ -546,6 +546,24 @@ def _close_poles(facts: Facts) -> str:
         f"Modes closer than their peaks are wide: {close}. They can be one mode that differs between hits; "
         "keep both only where another response shows them."
     )
+
+
+def _drifting_modes(facts: Facts) -> str:
+    return (
+        f"Modes that differ by more than {_percent(facts['limit'])} from hit to hit: "
+        f"{_hz(facts['frequencies'])}. A loose clamp, a plate that warms up or too hard hits do that."
+    )
+
+
+def _unlike_hit(facts: Facts) -> str:
+    return (
+        f"All frequencies of hit {facts['hit']} differ from those of the other hits, by "
+        f"{_percent(facts['shift'])}. Was the plate moved, or something on it? Leave that hit out."
+    )
+
+
+def _clipped_files(facts: Facts) -> str:
+    return f"Clipped and not used: {', '.join(facts['files'])}. Lower the gain and hit again."
 
 
 def _poor_poles(facts: Facts) -> str:
@@ -680,6 +698,13 @@ SENTENCES: Final[Mapping[str, str | Callable[[Facts], str]]] = {
     "peaks_without_pole": _peaks_without_pole,
     "close_poles": _close_poles,
     "poor_poles": _poor_poles,
+    "drifting_modes": _drifting_modes,
+    "unlike_hit": _unlike_hit,
+    "double_hits": (
+        "The hammer struck twice in {files} of {of} records, which makes ripples that look like modes. Of "
+        "free decays what follows the last stroke was used; hit these again."
+    ),
+    "clipped_files": _clipped_files,
     "time_up": _time_up,
     # what is missing, as a part of the sentence above
     "cut_swarm": "a swarm ended after {done} of {of} iterations",
