@@ -27,6 +27,7 @@ from cpam_bayes.forward_model.model import (
     PlateModel,
     Prediction,
     Samples,
+    constant_parameters,
     convergence_samples,
     model_on_basis,
     plate_problem,
@@ -40,7 +41,7 @@ from cpam_bayes.inference.posterior import ForwardModel
 from cpam_bayes.mechanics.convergence import converge
 from cpam_bayes.mechanics.problem import Problem, Values
 from cpam_bayes.mechanics.spaces.ritz import RitzSettings, ritz_space
-from cpam_bayes.parameters import Parameter, ParameterSet, TruncatedNormal
+from cpam_bayes.parameters import ParameterSet
 from cpam_bayes.plate import Specimen
 from cpam_bayes.plate.edges import Field
 from cpam_bayes.plate.laminate import ENERGY_CONSISTENT
@@ -303,24 +304,8 @@ def diagnosis_parameters(specimen: Specimen, *, other_material: bool = False) ->
     at four standard deviations; others, and all of them where the material is another one, keep the prior
     of [unknowns].
     """
-    unknowns = specimen.unknowns.parameters
-    if not other_material:
-        unknowns = tuple(_with_sd(p, specimen) for p in unknowns)
-    return ParameterSet(unknowns, specimen.unknowns.fixed).union(size_parameters(specimen))
-
-
-def _with_sd(parameter: Parameter, specimen: Specimen) -> Parameter:
-    mean, sd = (source.get(parameter.name) for source in (specimen.material.constants, specimen.material.sd))
-    if mean is None or sd is None:
-        return parameter
-    prior = parameter.prior
-    low, high = max(prior.lower, mean - _CUT * sd), min(prior.upper, mean + _CUT * sd)
-    if not low < high:
-        raise ValueError(
-            f"{specimen.source}: unknowns.{parameter.name}: its bounds leave nothing within {_CUT:g} "
-            "standard deviations of [material.sd]; widen the bounds or the standard deviation"
-        )
-    return replace(parameter, prior=TruncatedNormal(mean, sd, low, high))
+    unknowns = specimen.unknowns if other_material else constant_parameters(specimen, _CUT)
+    return unknowns.union(size_parameters(specimen))
 
 
 @single_blas_thread

@@ -55,6 +55,31 @@ def angle_parameters(specimen: Specimen) -> ParameterSet:
     return ParameterSet(tuple(Parameter(name, "deg", Uniform(-90.0, 90.0)) for name in names))
 
 
+def constant_parameters(specimen: Specimen, cut: float = np.inf) -> ParameterSet:
+    """The unknown constants with what is known of them: the priors of [unknowns] and of [material.sd].
+
+    A constant whose reference has a standard deviation is normal about it, cut at its bounds and at ``cut``
+    standard deviations; others keep the prior of [unknowns]. Raises
+    ``ValueError`` where the bounds leave nothing of it.
+    """
+    unknowns = tuple(_with_sd(p, specimen, cut) for p in specimen.unknowns.parameters)
+    return ParameterSet(unknowns, specimen.unknowns.fixed)
+
+
+def _with_sd(parameter: Parameter, specimen: Specimen, cut: float) -> Parameter:
+    mean, sd = (source.get(parameter.name) for source in (specimen.material.constants, specimen.material.sd))
+    prior = parameter.prior
+    if mean is None or sd is None:
+        return parameter
+    low, high = max(prior.lower, mean - cut * sd), min(prior.upper, mean + cut * sd)
+    if not low < high:
+        raise ValueError(
+            f"{specimen.source}: unknowns.{parameter.name}: its bounds leave nothing within {cut:g} "
+            "standard deviations of [material.sd]; widen the bounds or the standard deviation"
+        )
+    return replace(parameter, prior=TruncatedNormal(mean, sd, low, high))
+
+
 def size_parameters(specimen: Specimen) -> ParameterSet:
     """Sizes, density and mass of a specimen that are known to a standard deviation, SI.
 

@@ -36,7 +36,7 @@ class ScaleError:
     shift : constant -> by how much it is another one, relative, for each relative excess of the true number
         over the stated one: as identified again with the true one
     visible : fraction of the frequencies' change that the constants do not repeat, 0 to 1
-    sd : relative standard deviation of the number in [plate.sd], None where it gives none
+    sd : relative standard deviation of the number that intervals contain, None where they do not
     """
 
     name: str
@@ -70,7 +70,7 @@ def powers(
     """
     if model.basis is None:
         return None
-    sizes = size_values(specimen.plate)
+    sizes = specimen.plate.sizes
     values = {**constants, **sizes}
     parameters = ParameterSet(tuple(_about(name, value) for name, value in values.items()))
     x = np.array([list(values.values())])
@@ -91,6 +91,8 @@ def scale_errors(
     order: Array,
     spread: Mapping[str, float],
     listed: Array | None = None,
+    *,
+    usual: bool = False,
 ) -> tuple[ScaleError, ...]:
     """Of each size, the density or mass, and the frequency scale.
 
@@ -101,6 +103,7 @@ def scale_errors(
     model, constants, order : as of ``powers``
     spread : unknown -> standard deviation of its prior, SI
     listed : (n_f,) numbers of the frequencies in the list; all of them if left out
+    usual : whether intervals contain, beside [plate.sd], the usual errors of what it leaves out
     """
     found = powers(specimen, model, constants, order)
     if found is None or specimen.measurement is None:
@@ -112,17 +115,27 @@ def scale_errors(
     prior = np.array([spread[name] / abs(value) for name, value in constants.items()])
     weighted = found.of_constants / noise[:, None]
     curvature = weighted.T @ weighted + np.diag(prior**-2.0)
-    sizes, errors = size_values(specimen.plate), []
+    known, errors = known_errors(specimen), []
     # frequencies follow the true size, and the constants have taken up what the model lacks
     for name, change in found.of_sizes.items():
         # what the analyser shows is no frequency of the plate: a scale too large shows as stiffer constants
         shift = -np.linalg.solve(curvature, weighted.T @ (change / noise))
         left = (change + found.of_constants @ shift) / noise
         visible = float(np.linalg.norm(left) / np.linalg.norm(change / noise))
-        sd = specimen.plate.sd.get(name)
-        known = None if sd is None else float(sd / sizes[name])
-        errors.append(ScaleError(name, dict(zip(constants, shift.tolist(), strict=True)), visible, known))
+        sd = known[name] if usual or name in specimen.plate.sd else None
+        errors.append(ScaleError(name, dict(zip(constants, shift.tolist(), strict=True)), visible, sd))
     return tuple(errors)
+
+
+def known_errors(specimen: Specimen) -> dict[str, float]:
+    """Relative standard deviations of the sizes, the mass or density, and the frequency scale.
+
+    Those that the file states, else the usual ones.
+    """
+    plate, measurement = specimen.plate, specimen.measurement
+    sizes = plate.sizes
+    known = {name: sd / sizes[name] for name, sd in plate.known_to.items()}
+    return known if measurement is None else {**known, FREQUENCY_SCALE: measurement.scale_sd}
 
 
 def thin_plate_errors(specimen: Specimen) -> tuple[ScaleError, ...]:
@@ -143,19 +156,12 @@ def number_of(cause: str, plate: Plate) -> str | None:
         return cause
     if cause not in SIZES:
         return None
-    return cause if cause in size_values(plate) else "mass"
+    return cause if cause in plate.sizes else "mass"
 
 
 def sizes_spread(errors: tuple[ScaleError, ...], constant: str) -> float:
     """Relative standard deviation of a constant by the standard deviations of [plate.sd] together."""
     return float(np.sqrt(sum((e.sd * e.shift[constant]) ** 2 for e in errors if e.sd is not None)))
-
-
-def size_values(plate: Plate) -> dict[str, float]:
-    """What the file states of a plate, SI: a weighed plate has a mass and no density of its own."""
-    weighed = "density" if plate.mass is None else "mass"
-    names = [name for name in SIZES if name not in ("density", "mass")]
-    return {name: float(getattr(plate, name)) for name in (*names, weighed)}
 
 
 def _about(name: str, value: float) -> Parameter:

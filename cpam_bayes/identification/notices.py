@@ -53,7 +53,7 @@ def point_notices(result: PointEstimate, residual: Residual) -> tuple[Notice, ..
         *_on_constraints(result),
         *_other_labels(result),
         *_of_shapes(result),
-        *_unused(result.specimen),
+        *_unused(result.specimen, residual),
         *sandwich_notices(result.specimen, result.predicted, found),
     )
 
@@ -63,6 +63,8 @@ def _other_misfit(result: PointEstimate, residual: Residual) -> Iterator[Notice]
     measurement = result.specimen.measurement
     assert measurement is not None
     predicted = np.array([mode.frequency for mode in result.predicted])
+    if residual == "whitened":  # a part in 1e4 of a frequency, over the noise, is for the density to say
+        return
     difference = predicted - measurement.frequencies
     scale = float(np.max(measurement.frequencies))
     if residual == "relative":
@@ -109,11 +111,11 @@ def _of_shapes(result: PointEstimate) -> tuple[Notice, ...]:
     return shape_notices(pairing, measurement, "best" if several else None)
 
 
-def _unused(specimen: Specimen) -> Iterator[Notice]:
+def _unused(specimen: Specimen, residual: Residual) -> Iterator[Notice]:
     """What the plate file gives and the swarm has no use for."""
     unknowns = specimen.unknowns
     names = tuple(name for name in unknowns.names if not unknowns[name].prior.is_range)
-    if names:
+    if names and residual != "whitened":
         yield Notice("prior_not_fitted", facts={"names": names})
 
 

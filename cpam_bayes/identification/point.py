@@ -17,9 +17,14 @@ from scipy.stats import chi2, t
 from cpam_bayes.answer import Constant, Notice, Verdict
 from cpam_bayes.forward_model.labels import LabelledModel, ShapePairing, by_shape, list_order
 from cpam_bayes.forward_model.model import plate_problem
-from cpam_bayes.forward_model.preconditions import count_notices, misfit_over_noise, units_notices
+from cpam_bayes.forward_model.preconditions import (
+    count_notices,
+    misfit_over_noise,
+    units_notices,
+)
 from cpam_bayes.forward_model.reduced import ReducedModel
 from cpam_bayes.forward_model.tolerances import ScaleError, scale_errors, sizes_spread
+from cpam_bayes.identification.density import Draws, list_density
 from cpam_bayes.identification.search import Optimum, Residual, Search, required, search
 from cpam_bayes.inference.swarm import SwarmResult, SwarmSettings
 from cpam_bayes.mechanics.modes import Mode
@@ -128,8 +133,9 @@ _APART = 3.0
 class PointEstimate:
     """Answer of the particle swarm for one specimen.
 
-    constants : SI, in the order of the unknowns. The sd is linearised and contains those of [plate.sd]; the
-        interval reaches over all optima that the noise leaves open
+    constants : SI, in the order of the unknowns: of whitened residuals moments and quantiles of the posterior
+        over all optima; else the sd is linearised and contains those of [plate.sd], and the interval reaches
+        over all optima that the noise leaves open
     predicted : one mode for each measured frequency
     shapes : (n_modes, 3, n, n) of these, u, v and w on a regular grid
     rms : root mean square of the relative residuals
@@ -222,9 +228,14 @@ def summarise(
     prior_sd = np.array([unknowns[name].prior.sd for name in unknowns.names])
     # a misfit that the stated noise does not explain widens it, Birge's ratio
     excess = misfit_over_noise(measurement, relative, unknowns.size)
-    covariance = linearised_covariance(
-        prediction.jacobian[0, order], prior_sd, measurement, noise, residual, excess
-    )
+    draws: Draws | None = None
+    if residual == "whitened":
+        density, excess = list_density(specimen, model, best)
+        draws = density.sampled(np.array([optimum.x for optimum in searched.optima]), noise)
+        covariance = draws.covariance
+    else:
+        jacobian = prediction.jacobian[0, order]
+        covariance = linearised_covariance(jacobian, prior_sd, measurement, noise, residual, excess)
     optima = _within_noise(searched, measurement, noise, residual)
     at_optima = np.array([optimum.x for optimum in optima])
     scales = scale_errors(
@@ -233,24 +244,31 @@ def summarise(
         dict(zip(unknowns.names, best.tolist(), strict=True)),
         order,
         dict(zip(unknowns.names, prior_sd.tolist(), strict=True)),
+        usual=residual == "whitened",
     )
     explained = excess == 1.0
     freedom = measurement.size - unknowns.size if inferred or not explained else np.inf
-    sd = _with_sizes(scales, unknowns.names, best, np.sqrt(np.diag(covariance)))
+    sd = np.sqrt(np.diag(covariance))
+    if draws is None:
+        sd = _with_sizes(scales, unknowns.names, best, sd)
     relied_on = reliances(unknowns.names, covariance, prior_sd, sd)
-    estimates = tuple(
-        _constant(
-            specimen,
-            name,
-            values,
-            its_sd,
-            freedom,
-            explained=explained,
-            rests_on=tuple(r.on for r in relied_on if r.name == name),
+    if draws is not None:
+        estimates = _sampled_constants(specimen, draws, relied_on, explained=explained)
+    else:
+        estimates = tuple(
+            _constant(
+                specimen,
+                name,
+                values,
+                its_sd,
+                freedom,
+                explained=explained,
+                rests_on=tuple(r.on for r in relied_on if r.name == name),
+            )
+            for name, values, its_sd in zip(unknowns.names, at_optima.T, sd.tolist(), strict=True)
         )
-        for name, values, its_sd in zip(unknowns.names, at_optima.T, sd.tolist(), strict=True)
-    )
-    state = plate_problem(specimen, unknowns).state(unknowns.mapping(best))
+    answer = np.array([c.value for c in estimates])
+    state = plate_problem(specimen, unknowns).state(unknowns.mapping(answer))
     return PointEstimate(
         specimen=specimen,
         constants=estimates,
@@ -286,7 +304,9 @@ def _within_noise(
     if not np.isfinite(noise):
         return (first,)
     f, sd = measurement.frequencies, measurement.noise_sd(noise)
-    variance = float(np.mean((sd / f if residual == "relative" else sd) ** 2))
+    variance = (
+        1.0 if residual == "whitened" else float(np.mean((sd / f if residual == "relative" else sd) ** 2))
+    )
     most = first.value + chi2.ppf(_WITHIN, len(first.x)) * variance
     return (first, *(o for o in others if o.value <= most))
 
@@ -386,6 +406,42 @@ def _constant(
         elsewhere=elsewhere,
         rests_on=rests_on,
     )
+
+
+# Fraction of a search interval that counts as touching a bound, and of the posterior there that an even one
+# would not have.
+_TOUCH, _AT_BOUND = 0.01, 0.05
+
+
+def _sampled_constants(
+    specimen: Specimen, draws: Draws, relied_on: tuple[Reliance, ...], *, explained: bool
+) -> tuple[Constant, ...]:
+    """The constants by their posterior; explained : whether the noise explains the misfit."""
+    reference, found = specimen.material.complete(), []
+    each = zip(specimen.unknowns.names, draws.mean.tolist(), np.diag(draws.covariance), strict=True)
+    for i, (name, mean, variance) in enumerate(each):
+        prior = specimen.unknowns[name].prior
+        touch = _TOUCH * (prior.upper - prior.lower)
+        below, above = draws.beyond(i, prior.lower + touch, prior.upper - touch)
+        bound: Literal["lower", "upper"] | None = None
+        if max(below, above) > _AT_BOUND:
+            bound = "lower" if below > above else "upper"
+        low, high = draws.quantiles(i, (_TAIL, 1.0 - _TAIL)).tolist()
+        sd = float(np.sqrt(variance))
+        found.append(
+            Constant(
+                name=name,
+                value=mean,
+                sd=sd,
+                interval=(low, high),
+                prior=prior,
+                reference=float(reference[name]),
+                verdict=verdict_of(sd, prior.sd, explained=explained, at_bound=bound is not None),
+                bound=bound,
+                rests_on=tuple(r.on for r in relied_on if r.name == name),
+            )
+        )
+    return tuple(found)
 
 
 def _notices(specimen: Specimen, predicted: Array) -> tuple[Notice, ...]:

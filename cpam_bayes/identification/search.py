@@ -18,11 +18,16 @@ from numpy.typing import NDArray
 
 from cpam_bayes.errors import checked
 from cpam_bayes.forward_model.labels import LabelledModel, labelled_model, spare_modes
-from cpam_bayes.forward_model.model import discretisation_error, reference_vector, size_parameters
+from cpam_bayes.forward_model.model import (
+    discretisation_error,
+    reference_vector,
+    size_parameters,
+)
 from cpam_bayes.forward_model.preconditions import explained_failures, require_choice, require_supported
 from cpam_bayes.forward_model.reduced import DEFAULT_SETTINGS as REDUCTION
 from cpam_bayes.forward_model.reduced import ReducedModel
 from cpam_bayes.forward_model.store import reduced_model
+from cpam_bayes.identification.density import residual_sd
 from cpam_bayes.inference.derivatives import Expansion
 from cpam_bayes.inference.laplace import maximise, polish
 from cpam_bayes.inference.posterior import Likelihood, Posterior, plate_posterior
@@ -39,7 +44,7 @@ NO_MESH: Final = (
 )
 
 Array = NDArray[Any]
-Residual = Literal["absolute", "relative"]
+Residual = Literal["absolute", "relative", "whitened"]
 Model = ReducedModel | LabelledModel
 
 # Swarms at most, at least, and how many of them have to find the best optimum.
@@ -145,7 +150,9 @@ def search(
     for attempt in range(1, _MOST_MODELS + 1):
         reduced = reduced_model(specimen, unknowns, n_modes, centre=centre, notify=notify)
         model = labelled_model(reduced, measurement, specimen)
-        task = _Task(specimen, model, measurement, unknowns, settings, residual)
+        at = reference_vector(specimen, unknowns) if centre is None else centre
+        sd = residual_sd(specimen, model, at) if residual == "whitened" else None
+        task = _Task(specimen, model, measurement, unknowns, settings, residual, sd)
         run = _Swarms(task, seed, swarms, progress)
         # the first swarm tells whether the model is converged where the answer lies: the others wait for that
         run.add()
@@ -176,16 +183,21 @@ class _Task:
     unknowns: ParameterSet
     settings: SwarmSettings
     residual: Residual
+    sd: Array | None
 
     def objective(self, x: Array) -> Array:
         """The misfit at constants (m, n), (m,)."""
         f = self.model.predict(x).frequencies[:, : self.measurement.size]
+        if self.sd is not None:
+            return np.asarray(np.sum(((f - self.measurement.frequencies) / self.sd) ** 2, axis=1))
         return misfit(f, self.measurement.frequencies, self.residual)
 
     @property
     def weight(self) -> Array:
         """Factors of the differences that are squared, (n_f,)."""
         measured = self.measurement.frequencies
+        if self.sd is not None:
+            return 1.0 / self.sd
         return 1.0 / measured if self.residual == "relative" else np.ones_like(measured)
 
     @property

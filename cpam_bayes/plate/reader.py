@@ -24,7 +24,7 @@ from cpam_bayes.plate.hits import table_of
 from cpam_bayes.plate.layup import Layup, PlyKind, parse_layup
 from cpam_bayes.plate.mode_shapes import shapes_of
 from cpam_bayes.plate.problems import KeyPath, Problem, plate_file_error, received
-from cpam_bayes.plate.records import Hybrid, Material, Measurement, Plate, Sensor, Specimen
+from cpam_bayes.plate.records import USUAL_SD, Hybrid, Material, Measurement, Plate, Sensor, Specimen
 from cpam_bayes.plate.schema import (
     ConstantsModel,
     HybridUnknownsModel,
@@ -225,10 +225,6 @@ def _specimen(file: PlateFile, source: str, directory: Path | None, measured: Ma
     )
 
 
-# Relative standard deviations of what is measured of a plate, where the file gives none: docs/priors.md.
-_USUAL_SD: Final = {"length": 0.001, "width": 0.001, "thickness": 0.01, "density": 0.01, "mass": 0.002}
-
-
 def _plate(model: PlateModel, kinds: Mapping[str, PlyKind], directory: Path | None) -> Plate:
     length = to_si("length_mm", model.length_mm)
     width = to_si("width_mm", model.width_mm)
@@ -267,7 +263,7 @@ def _thickness(
     weighed, says what the density is then, which has no standard deviation of its own.
     """
     stated = {**gauged, "density": density}
-    relative = {name: sd[name] / value if name in sd else _USUAL_SD[name] for name, value in stated.items()}
+    relative = {name: sd[name] / value if name in sd else USUAL_SD[name] for name, value in stated.items()}
     by_mass = gauged["mass"] / (density * gauged["length"] * gauged["width"])
     own = relative.pop("thickness") * gauged["thickness"]
     other = by_mass * math.hypot(*relative.values())
@@ -333,8 +329,10 @@ def _sensor(model: SensorModel) -> Sensor:
 
 def _measurement(model: MeasurementModel, measured: Mapping[str, Any]) -> Measurement:
     sd, listed = model.frequency_sd_hz, model.frequencies_hz or []
-    of_pairing = {name: getattr(model, name) for name in ("missed_probability", "false_peaks")}
-    stated: dict[str, Any] = {name: float(v) for name, v in of_pairing.items() if v is not None}
+    keys = {"missed_probability": "missed_probability", "false_peaks": "false_peaks"}
+    keys["scale_sd"] = "frequency_scale_sd"
+    given_keys = {name: getattr(model, key) for name, key in keys.items()}
+    stated: dict[str, Any] = {name: float(v) for name, v in given_keys.items() if v is not None}
     given = Measurement(
         frequencies=np.array(listed, dtype=float),
         resolution=float(model.resolution_hz),

@@ -32,6 +32,12 @@ Value = TypeVar("Value")
 _NONE_VARIED: Final[Mapping[str, ArrayLike]] = MappingProxyType({})
 
 
+USUAL_SD: Final[Mapping[str, float]] = MappingProxyType(
+    {"length": 0.001, "width": 0.001, "thickness": 0.01, "density": 0.01, "mass": 0.002}
+)
+"""Relative standard deviations of what is measured of a plate, where its file gives none: docs/priors.md."""
+
+
 @dataclass(frozen=True, slots=True)
 class Plate:
     """A rectangular plate, x along its length and y along its width.
@@ -58,6 +64,17 @@ class Plate:
     def area(self) -> float:
         """Length times width, m2."""
         return self.length * self.width
+
+    @property
+    def sizes(self) -> dict[str, float]:
+        """What the file states of a plate, SI: a weighed plate has a mass and no density of its own."""
+        weighed = {"density": self.density} if self.mass is None else {"mass": self.mass}
+        return {"thickness": self.thickness, "length": self.length, "width": self.width, **weighed}
+
+    @property
+    def known_to(self) -> dict[str, float]:
+        """How well each of these is known, SI: the standard deviation that is stated, else the usual one."""
+        return {name: self.sd.get(name, USUAL_SD[name] * value) for name, value in self.sizes.items()}
 
 
 @dataclass(frozen=True, slots=True)
@@ -207,6 +224,10 @@ class Sensor:
     y: float
 
 
+USUAL_SCALE_SD: Final = 1e-4
+"""Relative standard deviation of an analyser's frequency scale, where the file gives none."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Measurement:
     """Natural frequencies as the laboratory listed them, rigid-body motions left out.
@@ -219,6 +240,7 @@ class Measurement:
     complete : no mode is missing from the list
     missed_probability : of an incomplete list, that a mode in its range is not in it
     false_peaks : expected number of its frequencies that are no mode
+    scale_sd : relative standard deviation of the analyser's frequency scale, 0 where it is exact
     damping : (n,) ratios to critical damping, nan where not measured; None where none is
     shapes : of its modes, None where they were not measured
     origin : the file that it was read from and what was made of it, "" for a list in the plate file
@@ -233,6 +255,7 @@ class Measurement:
     complete: bool
     missed_probability: float = 0.1
     false_peaks: float = 0.1
+    scale_sd: float = USUAL_SCALE_SD
     damping: NDArray[np.float64] | None = None
     shapes: MeasuredShapes | None = None
     origin: str = ""

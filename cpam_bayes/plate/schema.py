@@ -68,6 +68,7 @@ GPa = Annotated[float, _positive("GPa")]
 Hertz = Annotated[float, _positive("Hz")]
 Poisson = Annotated[float, _finite("a number, Poisson's ratio")]
 Spread = Annotated[float, _positive("")]
+SizeSpread = Annotated[float, _not_negative("a number above 0, or 0 for a size that is exact")]
 Place = Annotated[float, _not_negative("a number, in mm from the corner x = y = 0")]
 # No control, formatting or line characters: texts are printed as they stand.
 _PRINTABLE: Final = r"^[^\p{Cc}\p{Cf}\p{Zl}\p{Zp}]*$"
@@ -90,11 +91,11 @@ class _Table(BaseModel):
 
 
 class PlateSpreads(_Table):
-    length_mm: Millimetres | None = None
-    width_mm: Millimetres | None = None
-    thickness_mm: Millimetres | None = None
-    density_kg_m3: Density | None = None
-    mass_g: Grams | None = None
+    length_mm: SizeSpread | None = None
+    width_mm: SizeSpread | None = None
+    thickness_mm: SizeSpread | None = None
+    density_kg_m3: SizeSpread | None = None
+    mass_g: SizeSpread | None = None
 
 
 class PlateModel(_Table):
@@ -311,6 +312,10 @@ class MeasurementModel(_Table):
             float,
             Field(gt=0, lt=1, allow_inf_nan=False, description="a fraction above 0 and below 1"),
         ]
+        | None
+    ) = None
+    frequency_scale_sd: (
+        Annotated[float, Field(ge=0, lt=1, allow_inf_nan=False, description="a fraction below 1, or 0")]
         | None
     ) = None
     frequency_sd_hz: (

@@ -225,7 +225,8 @@ def intervals_sentence(
     constants : those worth a word. found : sizes whose error the model of the answer contains, beside those
     of [plate.sd]. also : what else the intervals contain, in words.
     """
-    sizes = [_SCALE_WORDS[name] for name in _SCALE_WORDS if name in plate.sd or name in found]
+    within = {*plate.sd, *found, *(e.name for e in errors if e.sd is not None)}
+    sizes = [words for name, words in _SCALE_WORDS.items() if name in within]
     said = f"The intervals contain {listed(['noise', *sizes, *also], 'and')}."
     moved = [
         (e.shift[name], e.name, name)
@@ -267,8 +268,12 @@ def gauge_step(specimen: Specimen, errors: Sequence[ScaleError], constants: Sequ
     names = [
         "mass" if e.name == "density" and _densities_of_plies(specimen) else e.name
         for e in errors
-        if e.sd is None and e.visible <= _VISIBLE and e.name != FREQUENCY_SCALE
-        if any(abs(e.shift.get(name, 0.0)) >= _WORTH_TELLING for name in constants)
+        if e.name not in specimen.plate.sd and e.visible <= _VISIBLE and e.name != FREQUENCY_SCALE
+        # per cent of a constant: by 1 % of the number, or by what is assumed of it
+        if any(
+            abs(e.shift.get(name, 0.0)) * (1.0 if e.sd is None else 100.0 * e.sd) >= _WORTH_TELLING
+            for name in constants
+        )
     ]
     keys = listed([user_name(name) for name in names], "and")
     return (f"state how exactly the plate was gauged and weighed: [plate.sd] {keys}.",) if names else ()

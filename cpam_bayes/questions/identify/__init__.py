@@ -67,8 +67,8 @@ COMMAND: Final = Command(
         option(
             "--residuals",
             choices=get_args(Residual),
-            help="pso: what the swarm minimises, squares of differences in Hz, eq. (7), or of relative ones "
-            "(default: absolute)",
+            help="pso: what the swarm minimises, squares of differences in Hz, eq. (7), of relative ones, or "
+            "of whitened ones, whose posterior gives the intervals (default: absolute)",
         ),
         option(
             "--swarms",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar, Final, NamedTuple, TypeVar
 
@@ -14,7 +14,7 @@ from cpam_bayes.answer import Constant, FrequencyRow, Notice, Verdict
 from cpam_bayes.errors import checked
 from cpam_bayes.formatting import signed, significant
 from cpam_bayes.forward_model.labels import labelled_model
-from cpam_bayes.forward_model.model import air_shifts
+from cpam_bayes.forward_model.model import air_shifts, constant_parameters
 from cpam_bayes.forward_model.preconditions import (
     common_factor_slips,
     count_slips,
@@ -83,7 +83,7 @@ __all__ = ["PointResult", "identify"]
 
 Estimate = TypeVar("Estimate")
 
-RESIDUALS: Final = ("absolute", "relative")
+RESIDUALS: Final = ("absolute", "relative", "whitened")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
@@ -93,8 +93,8 @@ class PointResult(PlateResult):
     Attributes
     ----------
     specimen : with the angles that were found, where some were unknown
-    estimate : the constants with their linearised standard deviations, the fit, the swarm
-    residuals : what was minimised, "absolute" or "relative" differences of frequencies
+    estimate : the constants with their standard deviations, the fit, the swarm
+    residuals : what was minimised, see `identify`
     angles : the search of the unknown angles, None where all were known
     """
 
@@ -177,7 +177,10 @@ def identify(
     Parameters
     ----------
     plate : what `read_plate` takes, or what it returns
-    residuals : what is minimised: squared "absolute" differences of frequencies in Hz, or "relative" ones
+    residuals : what is minimised: squared "absolute" differences in Hz, eq. (7), or "relative" ones, at whose
+        optimum the constants are linearised; or "whitened" ones, over the scatter of noise, solver and
+        theory: the constants are then those of the posterior about all optima, with the usual errors of what
+        [plate.sd] leaves out and what [material.sd] says of the references
     swarms : swarms at most, three at least; 1 is the paper's single swarm as it ends, not polished
     settings : particles, iterations and weights of each swarm
     watch : is shown the progress
@@ -202,8 +205,10 @@ def identify(
     specimen = require_paired_list(require_supported(read_plate(plate), NO_MESH, angles=True))
     measurement, _ = required(specimen)
     require_reachable(specimen)
+    if residuals == "whitened":
+        specimen = replace(specimen, unknowns=constant_parameters(specimen))
     settings = settings or SwarmSettings()
-    unit, factor = ("%", 100.0) if residuals == "relative" else ("Hz", 1.0)
+    unit, factor = _UNITS[residuals]
 
     def described(value: float) -> str:
         return f"rms misfit {factor * math.sqrt(value / measurement.size):.4g} {unit}"
@@ -258,9 +263,12 @@ def identify(
     )
 
 
+# Of a residual as it is minimised, and the factor that makes it so.
+_UNITS: Final = {"absolute": ("Hz", 1.0), "relative": ("%", 100.0), "whitened": ("sd", 1.0)}
 _MISFIT: Final = {
     "absolute": "sum of squared differences in Hz, eq. (7)",
     "relative": "sum of squared relative differences",
+    "whitened": "sum of squared differences over what noise, solver and theory scatter",
 }
 # Below this share of D11 a bending-twisting stiffness is rounding.
 _ROUNDING: Final = 1e-9
@@ -304,7 +312,10 @@ def _present(result: PointResult) -> Report:
             plate_section(specimen, result.air_shifts),
             Section(
                 "Measured and predicted frequencies",
-                (frequencies.table("Frequencies, residual = predicted / measured - 1"), _fit(estimate)),
+                (
+                    frequencies.table("Frequencies, residual = predicted / measured - 1"),
+                    _fit(estimate, result.residuals),
+                ),
                 ("residuals",),
                 folded=False,
             ),
@@ -377,7 +388,7 @@ def _frequencies(result: PointResult) -> Rows:
 def _optima(result: PointResult) -> Rows:
     """Every optimum that the noise leaves open, the best one first: its constants, misfit and swarms."""
     size = required(result.specimen)[0].size
-    unit, factor = ("%", 100.0) if result.residuals == "relative" else ("Hz", 1.0)
+    unit, factor = _UNITS[result.residuals]
     constants = (
         Column(
             f"{name} {unit_of(name)}".rstrip(),
@@ -475,7 +486,7 @@ def _angles(angles: AngleSearchResult) -> Table:
     return facts("Angles", rows)
 
 
-def _fit(estimate: PointEstimate) -> Table:
+def _fit(estimate: PointEstimate, residuals: Residual) -> Table:
     measurement, _ = required(estimate.specimen)
     predicted = np.array([mode.frequency for mode in estimate.predicted])
     rms = float(np.sqrt(np.mean((predicted - measurement.frequencies) ** 2)))
@@ -483,7 +494,7 @@ def _fit(estimate: PointEstimate) -> Table:
     rows = (
         ("rms residual", f"{significant(100 * estimate.rms, 3)} %, {significant(rms, 3)} Hz"),
         ("noise", _noise(estimate, measurement)),
-        ("sd", "linearised, from this noise"),
+        ("sd", "of the posterior" if residuals == "whitened" else "linearised, from this noise"),
         ("solver", f"error about {worst} % in the worst mode, estimated at these constants"),
     )
     return facts("Fit", rows)
