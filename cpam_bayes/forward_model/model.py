@@ -89,7 +89,7 @@ def size_parameters(specimen: Specimen) -> ParameterSet:
     plate = specimen.plate
     parameters = []
     for name, unit in SIZES.items():
-        if name in plate.sd:
+        if plate.sd.get(name, 0.0) > 0.0:  # 0 is exact
             value, sd = float(getattr(plate, name)), plate.sd[name]
             lower = max(value - _SIZE_RANGE * sd, value / _SIZE_FACTOR)
             upper = min(value + _SIZE_RANGE * sd, value * _SIZE_FACTOR)

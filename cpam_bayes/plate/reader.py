@@ -267,7 +267,7 @@ def _thickness(
     by_mass = gauged["mass"] / (density * gauged["length"] * gauged["width"])
     own = relative.pop("thickness") * gauged["thickness"]
     other = by_mass * math.hypot(*relative.values())
-    weight = other**2 / (own**2 + other**2)
+    weight = other**2 / (own**2 + other**2) if own > 0.0 else 1.0
     kept = {name: value for name, value in sd.items() if name != "density"}
     kept["thickness"] = own * math.sqrt(weight)
     return weight * gauged["thickness"] + (1.0 - weight) * by_mass, kept

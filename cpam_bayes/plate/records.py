@@ -46,7 +46,7 @@ class Plate:
     density : kg/m3, from the mass when that was given
     mass : kg, None when the density was given
     edges : four of F (free), S (simply supported), C (clamped): x = 0, y = 0, x = length, y = width
-    sd : standard deviations of what was measured, SI, by length, width, thickness, density, mass
+    sd : standard deviations of what was measured, SI, by length, width, thickness, density, mass; 0: exact
     mesh : a mesh file to be used instead of the rectangle
     """
 

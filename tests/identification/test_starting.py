@@ -127,3 +127,9 @@ def test_sampled_moduli_of_c1_widen_as_to_first_order() -> None:
         assert constant.sd / constant.value == pytest.approx(expected[name], rel=0.075)
     for name in ("E1", "E2", "G12"):
         assert expected[name] == pytest.approx(np.hypot(exact[name], 0.02), rel=0.02)
+
+
+def test_a_size_that_is_exact_is_no_parameter() -> None:
+    c1 = builtin("C1")
+    plate = replace(c1, plate=replace(c1.plate, sd={"thickness": 2e-5, "density": 0.0}))
+    assert size_parameters(plate).names == ("thickness",)

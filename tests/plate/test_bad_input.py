@@ -71,7 +71,7 @@ SPOILT = [
     ("thickness_mm = 3.2", "thickness_mm = -3.2", "plate.thickness_mm", "above 0, in mm"),
     ("thickness_mm = 3.2", "thickness_mm = 1e-300", "plate.thickness_mm", "out of range"),
     ("length_mm = 260.0", "length_mm = 1e300", "plate.length_mm", "out of range"),
-    ("thickness_mm = 0.02", "thickness_mm = 0.0", "plate.sd.thickness_mm", "above 0"),
+    ("thickness_mm = 0.02", "thickness_mm = -0.02", "plate.sd.thickness_mm", "above 0"),
     ("nu12 = 0.23", "nu12 = nan", "material.nu12", "not a finite number"),
     ("resolution_hz = 0.5", "resolution_hz = -0.5", "measurement.resolution_hz", "0 or above"),
     ("relative_std = 0.005", "relative_std = 0.0", "measurement.relative_std", "fraction"),
