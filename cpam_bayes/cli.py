@@ -119,7 +119,9 @@ def _finish(work: Callable[[], Result], args: argparse.Namespace) -> int:
     except (WorkersLostError, TimeIsUpError) as error:
         print(f"error: {error}", file=sys.stderr)
         return NOT_DONE
-    for warning in answer.warnings:
+    # on a terminal the screen says the slips itself
+    shown = not args.json and _is_terminal(sys.stdout) and _is_terminal(sys.stderr)
+    for warning in answer.cautions if shown else answer.warnings:
         print(f"warning: {warning}", file=sys.stderr)
     for note in notes:
         print(f"note: {note}", file=sys.stderr)
@@ -134,6 +136,10 @@ def _finish(work: Callable[[], Result], args: argparse.Namespace) -> int:
         print(f"error: {where}: {not_saved}; not all files are there", file=sys.stderr)
         return NOT_WRITTEN
     return 0 if answer.reached_goal else NOT_DONE
+
+
+def _is_terminal(stream: TextIO | None) -> bool:
+    return stream is not None and stream.isatty()
 
 
 @contextmanager

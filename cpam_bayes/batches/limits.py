@@ -15,7 +15,7 @@ from typing import Final, Literal
 import numpy as np
 from scipy.stats import t
 
-from cpam_bayes.plate import USER_UNITS, to_si
+from cpam_bayes.plate import USER_UNITS, to_si, to_user, unit_of
 from cpam_bayes.plate.laminate import CONSTANTS
 
 __all__ = ["ControlChart", "Limit", "MarginalPosterior", "control_chart", "read_limit"]
@@ -32,6 +32,12 @@ class Limit:
     name: str
     side: Literal["at least", "at most"]
     value: float
+
+    @property
+    def shown(self) -> str:
+        """The limit as it is read: E1 >= 115 GPa."""
+        number = f"{to_user(self.name, self.value):.10g} {unit_of(self.name)}"
+        return f"{self.name} {'>=' if self.side == 'at least' else '<='} {number}".rstrip()
 
 
 @dataclass(frozen=True, slots=True)

@@ -326,7 +326,7 @@ def plate_models(
     def build() -> ReducedModel:
         if built is not None:
             return built
-        notify(f"{specimen.name}: converging the plate")
+        notify("converging the plate")
         return _reduced(converged_plate(problem, samples, n_modes))
 
     key = model_key(specimen, parameters, n_modes, ENERGY_CONSISTENT, _REDUCTION, None)
@@ -416,7 +416,7 @@ def extended_model(
     def build() -> ReducedModel | LocalModel:
         if built is not None:
             return built
-        notify(f"{plate.specimen.name}: building {effect.name} {effect.variant}".rstrip())
+        notify(f"building {effect.name} {effect.variant}".rstrip())
         return built_model(plate, effect)
 
     key = _effect_key(plate, effect)

@@ -411,7 +411,7 @@ def _noise(result: DesignResult) -> str:
 def _sizes(result: DesignResult) -> str:
     sd = list(result.specimen.plate.sd)
     if not sd:
-        return "Sizes and mass are assumed exact; [plate.sd] states how exactly they are known."
+        return "Sizes and mass are assumed exact; state in the plate file how exactly they are known."
     return f"The standard deviations contain the stated uncertainty of {listed(sd, 'and')}."
 
 
@@ -427,7 +427,7 @@ def _next_step(result: DesignResult) -> str:
             f"{significant(100.0 * result.needed_std, 1)} %."
         )
     return (
-        "ask for more modes, or give a prior from a tensile test in [unknowns]: at no repeatability does "
+        "ask for more modes, or give a prior from a tensile test: at no repeatability does "
         f"the best specimen determine {asked}."
     )
 
@@ -437,7 +437,7 @@ def _computation(result: DesignResult) -> tuple[tuple[str, str], ...]:
         ("model", "Ritz, first-order shear deformation, at the reference constants"),
         (
             "information",
-            "Laplace's approximation: the Fisher information of the list beside the priors of [unknowns]. It "
+            "Laplace's approximation: the Fisher information of the list beside the priors. It "
             "compares specimens; intervals come from `identify`",
         ),
         ("specimens", f"{len({id(c.geometry) for c in result.candidates})} computed"),
@@ -516,7 +516,7 @@ def _panel(
         if np.isfinite(v):
             colour = "white" if v > _DARK * top else "black"
             axes.text(j, i, f"{v:.1f}" if top >= 1.0 else f"{v:.2f}", ha="center", va="center",
-                      fontsize=7, color=colour)  # fmt: skip
+                      fontsize=8, color=colour)  # fmt: skip
     return image
 
 

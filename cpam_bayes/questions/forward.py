@@ -423,18 +423,16 @@ def _shapes(result: ForwardResult) -> Figure:
     )
 
 
-_UNPAIRED: Final = (
-    "The list may lack modes (complete = false): a frequency without label or shape stands beside no mode."
-)
+_UNPAIRED: Final = "The list may lack modes: a frequency without label or shape stands beside no mode."
 
 
 def _headline(rows: tuple[_Row, ...]) -> str:
     f = [row.mode.frequency for row in rows]
     if len(f) == 1:
-        said = f"1 natural frequency, {significant(f[0], 4)} Hz, from the constants of [material]."
+        said = f"1 natural frequency, {significant(f[0], 4)} Hz, from the reference constants."
     else:
         span = f"{significant(f[0], 4)} to {f[-1]:.4g}"
-        said = f"{len(f)} natural frequencies, {span} Hz, from the constants of [material]."
+        said = f"{len(f)} natural frequencies, {span} Hz, from the reference constants."
     return f"{said}{_beside(rows)}"
 
 
@@ -461,8 +459,8 @@ def _exactness(result: ForwardResult) -> str:
 def _next_step(result: ForwardResult) -> str:
     specimen = result.specimen
     if specimen.measurement is None or not specimen.unknowns.size:
-        missing = "[measurement]" if specimen.measurement is None else "[unknowns]"
-        return f"add {missing} to the plate file, and identify the constants from measured frequencies."
+        missing = "measured frequencies" if specimen.measurement is None else "the unknown constants"
+        return f"add {missing} to the plate file, and identify the constants."
     return f"which constants has the plate?  cpam-bayes identify {plate_argument(specimen)}"
 
 

@@ -32,6 +32,7 @@ from cpam_bayes.identification.stored_posterior import StoredPosterior, read_pos
 from cpam_bayes.mechanics.modes import Mode
 from cpam_bayes.parameters import Parameter, ParameterSet, Uniform
 from cpam_bayes.plate import PlateLike, Specimen, read_plate, to_user, unit_of, user_name
+from cpam_bayes.plate.reader import builtin_names
 from cpam_bayes.questions.identify.emcee import SampledResult
 from cpam_bayes.render.documents import plate_keys
 from cpam_bayes.render.figures import MEASURED, PREDICTED, extent_of, new_figure, shapes_figure
@@ -154,6 +155,7 @@ def predict(
     >>> print(first.q025 < first.mean < first.q975, first.mode.kind)
     True bending
     """
+    _require_order(posterior, plate)
     require_seed(seed)
     require_modes(n_modes)
     require_whole("draws", draws, 2, MAX_DRAWS)
@@ -167,6 +169,25 @@ def predict(
     watch.announce(f"predict {specimen.name} from {stored.source}: {stored.size} draws")
     with explained_failures(specimen):
         return _predicted(specimen, stored, n_modes or measured_modes(specimen), seed, watch.announce)
+
+
+def _require_order(posterior: PosteriorLike, plate: object) -> None:
+    """Refuse a plate in the place of the posterior and the posterior in that of the plate."""
+    if isinstance(plate, SampledResult) or (
+        isinstance(plate, str | os.PathLike) and os.fspath(plate).endswith(".nc")
+    ):
+        shown = f"of {plate.title}" if isinstance(plate, SampledResult) else os.fspath(plate)
+        raise ValueError(
+            f"plate: received the posterior {shown}, accepted: the posterior first, then the plate, as in "
+            "predict posterior.nc panel.toml"
+        )
+    if not isinstance(posterior, SampledResult) and (
+        os.fspath(posterior) in builtin_names() or os.fspath(posterior).endswith(".toml")
+    ):
+        raise ValueError(
+            f"posterior: received the plate {os.fspath(posterior)}, accepted: the posterior first, then the "
+            "plate, as in predict posterior.nc panel.toml"
+        )
 
 
 def _predicted(
@@ -430,7 +451,7 @@ def _contained(result: PredictionResult) -> str:
         sizes, exact = [*result.posterior.sizes], ""
     else:
         sizes = list(result.specimen.plate.sd)
-        exact = "" if sizes else ", sizes and mass being exact: [plate.sd] is not given"
+        exact = "" if sizes else ", sizes and mass taken as exact"
     return f"The intervals contain {listed(['the constants', *sizes], 'and')}{exact}."
 
 
@@ -454,7 +475,7 @@ def _steps(specimen: Specimen) -> tuple[str, ...]:
     plate = plate_argument(specimen)
     steps = []
     if specimen.measurement is None:
-        steps.append("measure the plate and add [measurement] to its file, to compare.")
+        steps.append("measure the plate and add its frequencies to its file, to compare.")
     elif specimen.unknowns.size:
         steps.append(f"do its own frequencies give the same constants?  cpam-bayes identify {plate}")
     if specimen.unknowns.size:

@@ -220,7 +220,7 @@ _READINGS: Final[Mapping[Interpretation, str]] = {
     "rms": "all modes have one standard deviation, the level times the root mean square frequency",
 }
 _LISTS: Final[Mapping[ListSource, str]] = {
-    "model": "what the plate model gives at the constants of [material]",
+    "model": "what the plate model gives at the reference constants",
     "measured": "the measured frequencies",
 }
 

@@ -117,7 +117,7 @@ def _matrix(title: str, pairing: ShapePairing, measurement: Measurement) -> Figu
         for (i, j), value in np.ndenumerate(pairing.assurance):
             if value >= 0.05:
                 color = "white" if value > 0.6 else "0.2"
-                axes.text(j, i, f"{value:.2f}", ha="center", va="center", fontsize=6, color=color)
+                axes.text(j, i, f"{value:.2f}", ha="center", va="center", fontsize=8, color=color)
     for i, j in np.argwhere(pairing.probability >= _MARKED):
         colour = PREDICTED if pairing.modes[i] == j else "0.45"
         axes.plot(j, i, "o", markersize=19, markerfacecolor="none", markeredgecolor=colour)

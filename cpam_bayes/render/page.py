@@ -43,6 +43,10 @@ _MAX_SVG_BYTES: Final = 150_000
 # Smallest scale of a figure on a page.
 _LEAST_SCALE: Final = 0.86
 _COMMAND: Final = re.compile(r'<meta name="generator" content="cpam-bayes (\w+)">')
+_JOINED: Final = re.compile(
+    r"(?<=\d) (?=%|(?:GPa|MPa|mm|um|Hz|kg|g)\b)|(?<=\d) (?=\+-)|(?<=\+-) (?=\d)|(?<=[<>]=) "
+)
+"""Spaces at which no line is broken: before units, within a tolerance, after a sign of order."""
 _LIBRARIES: Final = ("numpy", "scipy", "emcee")
 
 
@@ -65,7 +69,7 @@ TERMS: Final = {
     "posterior": "the probability of the constants after the measurement",
     "prior": "the probability of the constants, or of the size of a cause, before the measurement",
     "R-hat": "spread between chains over that within them: 1.01 and more means not converged",
-    "repeatability": "the scatter of a frequency from test to test of one plate: `relative_std`",
+    "repeatability": "the scatter of a frequency from test to test of one plate",
     "residual": "predicted / measured - 1",
     "rms": "root mean square, here of the relative residuals",
     "signature": "how a cause shifts the frequencies, less what the constants can imitate",
@@ -195,7 +199,8 @@ def _brief(title: str) -> str:
 
 def _typeset(text: str) -> Markup:
     """A text of the screen as print has it: signs of its own, and words of the command line as code."""
-    plain = str(escape(text.replace("+-", "\N{PLUS-MINUS SIGN}")))
+    kept = _JOINED.sub("\N{NO-BREAK SPACE}", text)
+    plain = str(escape(kept.replace("+-", "\N{PLUS-MINUS SIGN}")))
     return Markup(re.sub("`([^`]+)`", r"<code>\1</code>", plain))
 
 

@@ -78,7 +78,7 @@ def pairs_figure(title: str, sampled: Draws) -> Figure:
                 at = [references[k] * to_user(names[k], 1.0) for k in (j, i)]
                 here.plot(*at, "+", color=_RED, markersize=8)  # nothing where one is nan
                 here.set(xlim=spans[j], ylim=spans[i])
-            here.tick_params(labelsize=7)
+            here.tick_params(labelsize=8)
             if i == n - 1:
                 here.set_xlabel(_label(names[j]), fontsize=8)
             else:

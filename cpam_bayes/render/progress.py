@@ -104,11 +104,17 @@ class Forecast:
             self._items = _Clock(total, self)
         self._items.left(done)
 
-    def expect(self, now: float, whole: float, left: float) -> None:
-        """Say what a part takes, if it is long and does not end when it was said; all in seconds."""
-        if whole >= _LONG and now + left > self._end + _LATER * whole:
-            self._end = now + left
-            announce(f"this part takes about {duration(whole)}", False)
+    def expect(self, clock: _Clock, now: float, whole: float, left: float) -> None:
+        """Say what a part takes, if it is long and does not end when it was said; all in seconds.
+
+        What was said of the part before, or of the stage that it is in, is corrected.
+        """
+        if whole < _LONG or now + left <= self._end + _LATER * whole:
+            return
+        part = self._stage or clock
+        longer = f"longer than expected: about {duration(left)} left"
+        announce(longer if part.is_expected else f"this part takes about {duration(whole)}", False)
+        part.is_expected, self._end = True, now + left
 
 
 _forecast: ContextVar[Forecast | None] = ContextVar("forecast", default=None)
@@ -139,7 +145,7 @@ class _Clock:
     def __init__(self, total: int, forecast: Forecast) -> None:
         self._total, self._forecast = total, forecast
         self._first: tuple[int, float] | None = None
-        self.has_told = False
+        self.has_told = self.is_expected = False
 
     def left(self, iteration: int) -> str:
         """The time that is left, with a comma before it; nothing where it is short or not known."""
@@ -151,7 +157,7 @@ class _Clock:
             return ""
         seconds = past * (self._total - iteration) / done
         if past >= _ENOUGH_SECONDS and done >= min(_ENOUGH_DONE, self._total // 2):
-            self._forecast.expect(now, past + seconds, seconds)
+            self._forecast.expect(self, now, past + seconds, seconds)
         if seconds < _WORTH_SAYING:
             return ""
         self.has_told = True

@@ -14,7 +14,7 @@ from cpam_bayes.forward_model.labels import same_label
 from cpam_bayes.forward_model.preconditions import USUAL_NOISE, contradicts_list
 from cpam_bayes.forward_model.tolerances import FREQUENCY_SCALE, ScaleError
 from cpam_bayes.identification.point import Reliance
-from cpam_bayes.plate import Hybrid, Material, Measurement, Plate, Specimen, to_user, unit_of, user_name
+from cpam_bayes.plate import Hybrid, Material, Measurement, Plate, Specimen, to_user, unit_of
 from cpam_bayes.plate.laminate import MaterialSymmetry
 from cpam_bayes.plate.units import split_name
 from cpam_bayes.priors import Prior
@@ -264,7 +264,7 @@ def errors_table(errors: Sequence[ScaleError], constants: Sequence[str]) -> Tabl
 
 
 def gauge_step(specimen: Specimen, errors: Sequence[ScaleError], constants: Sequence[str]) -> tuple[str, ...]:
-    """The numbers of the plate that [plate.sd] should state; nothing where their errors do no harm."""
+    """The numbers of the plate whose tolerances the plate file should state; none where they do no harm."""
     names = [
         "mass" if e.name == "density" and _densities_of_plies(specimen) else e.name
         for e in errors
@@ -275,8 +275,8 @@ def gauge_step(specimen: Specimen, errors: Sequence[ScaleError], constants: Sequ
             for name in constants
         )
     ]
-    keys = listed([user_name(name) for name in names], "and")
-    return (f"state how exactly the plate was gauged and weighed: [plate.sd] {keys}.",) if names else ()
+    known = f"{listed(names, 'and')} {'is' if len(names) == 1 else 'are'} known"
+    return (f"state in the plate file how exactly {known}: gauge and weigh the plate.",) if names else ()
 
 
 def _digits(c: Constant, value: float) -> str:
@@ -394,7 +394,7 @@ def attached_step(specimen: Specimen) -> tuple[str, ...]:
     plate = specimen.plate
     percent = 0.1 / (plate.mass or plate.density * plate.area * plate.thickness)
     return (
-        "was an accelerometer, cable or tape on the plate? State it under [[sensor]]: 1 g is "
+        "was an accelerometer, cable or tape on the plate? State it in the plate file: 1 g is "
         f"{significant(percent, 2)} % of the plate's mass and makes the moduli too low.",
     )
 
@@ -443,9 +443,9 @@ def noise_word(level: float) -> str:
 
 def stated_noise(measurement: Measurement) -> str:
     """Where the noise of a measurement is stated."""
-    if measurement.frequency_sd is None:
-        return "relative_std of the plate file"
-    return f"{measurement.sd_source}{'' if measurement.origin else ' of the plate file'}"
+    if measurement.frequency_sd is None or not measurement.origin:
+        return "as stated in the plate file"
+    return measurement.sd_source
 
 
 def _densities_of_plies(specimen: Specimen) -> bool:

@@ -30,6 +30,7 @@ def row_alone(described: dict[str, Any]) -> PlateRow:
 def test_a_limit_is_read_in_the_unit_of_the_plate_file() -> None:
     limit = read_limit(" E1_GPa>=115 ")
     assert (limit.text, limit.name, limit.side, limit.value) == ("E1_GPa >= 115", "E1", "at least", 115e9)
+    assert limit.shown == "E1 >= 115 GPa"
     below = read_limit("nu12 < 0.4")
     assert (below.text, below.side, below.value) == ("nu12 <= 0.4", "at most", 0.4)
 

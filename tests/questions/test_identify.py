@@ -121,7 +121,7 @@ def test_the_origin_of_the_noise_is_named(identification: PointEstimate, with_es
         identification.specimen, measurement=replace(measurement, relative_std=0.005, resolution=0.0)
     )
     given = with_estimate(replace(identification, specimen=specimen, noise=0.005, noise_is_inferred=False))
-    assert cells(given, "Fit")["noise"][1] == "0.50 % of a frequency, from the plate file (relative_std)"
+    assert cells(given, "Fit")["noise"][1] == "0.50 % of a frequency, as stated in the plate file"
 
 
 def test_a_solver_error_that_is_not_small_beside_the_noise_is_told(identification: PointEstimate) -> None:

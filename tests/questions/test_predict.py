@@ -198,3 +198,12 @@ def test_the_first_screen_compares_with_the_measured_frequencies(tmp_path: Path)
     outside = [not r.m.measured_q025 <= r.measured.hz <= r.m.measured_q975 for r in rows.rows]
     assert f"{3 - sum(outside)} of 3 measured" in shown.summary.headline
     assert shown.summary.tables[0].flagged == {i for i, out in enumerate(outside) if out}
+
+
+@pytest.mark.parametrize(
+    ("posterior", "plate", "received"),
+    [("A1", "posterior.nc", "the posterior posterior.nc"), ("panel.toml", "A1", "the plate panel.toml")],
+)
+def test_a_plate_and_a_posterior_in_the_wrong_order_are_told_apart(posterior, plate, received) -> None:
+    with pytest.raises(ValueError, match=f"received {received}, accepted: the posterior first, then the"):
+        cb.predict(posterior, plate)

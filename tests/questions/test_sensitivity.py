@@ -322,7 +322,7 @@ def test_chains_that_did_not_converge_end_with_status_1_and_say_so(run, plate_fi
     assert status == 1
     assert "did not converge within their budget" in err
     assert re.search(r"Noise 5 % of the rms frequency \(rms\), [\d.]+ Hz for all modes", out)
-    assert "what the plate model gives at the constants of [material]" in out
+    assert "what the plate model gives at the reference constants" in out
 
 
 def test_noise_is_added_to_the_measured_list_where_that_is_asked_for(run, plate_file, short):

@@ -92,6 +92,6 @@ def test_intervals_name_what_they_contain_and_the_largest_error_that_they_do_not
     assert "frequency scale" in intervals_sentence(gauged, known, ["E1"])
     assert "thickness" in intervals_sentence(specimen.plate, (), ["E1"], found=["thickness"])
     (step,) = gauge_step(specimen, errors, ["E1"])
-    assert "thickness_mm and density_kg_m3" in step
+    assert "thickness and density are known" in step
     table = errors_table(known, ["E1"])
     assert [row[1] for row in table.rows] == ["-3.0", "-2.0", "+1.0", "-2.0"]

@@ -9,7 +9,7 @@ import numpy as np
 
 from cpam_bayes.answer import Verdict
 from cpam_bayes.batches.limits import Limit
-from cpam_bayes.batches.plate_row import RowConstant
+from cpam_bayes.batches.plate_row import PlateRow, RowConstant
 from cpam_bayes.batches.population import LEAST_PLATES, Population, PopulationConstant
 from cpam_bayes.formatting import listed, significant, with_spread
 from cpam_bayes.plate import to_user, unit_of
@@ -85,7 +85,7 @@ def _headline(result: BatchResult) -> str:
     said = [f"{done} of {n} plates have an answer." if n > 1 else f"{done} of 1 plate has an answer."]
     for limit in result.limits:
         known = len(_probabilities(result, limit))
-        said.append(f"{_met(result, limit)} of {known} meet {limit.text} with 95 % probability.")
+        said.append(f"{_met(result, limit)} of {known} meet {limit.shown} with 95 % probability.")
     if result.diagnosis and result.done:
         clean = sum(row.diagnosis is not None and row.diagnosis.claim == "none" for row in result.done)
         said.append(f"For {clean} the model fits.")
@@ -117,14 +117,22 @@ def _next_step(result: BatchResult) -> str:
     for limit in result.limits:
         for row in result.done:
             if 1.0 - SURE < (result.probability(row, limit) or 0.0) < SURE:
-                return f"repeat the test of {row.name}: {limit.text} is neither met nor missed."
+                return f"repeat the test of {row.name}: {limit.shown} is neither met nor missed."
     apart = next((row for name in result.constants for row in result.outside(name)), None)
     if apart is not None and not result.diagnosis:
         return f"what is wrong with {apart.name}?  cpam-bayes diagnose {apart.file}"
+    if not result.diagnosis and (missed := _missing(result)) is not None:
+        return f"is it the plate or the test of {missed.name}?  cpam-bayes diagnose {missed.file}"
     one_material = len({row.material for row in result.done}) == 1
     if result.population is None and one_material and len(result.done) >= LEAST_PLATES:
         return "add --hierarchical for the mean constants of the material and their scatter."
-    return ""
+    return "" if result.diagnosis else "add --diagnosis: is anything wrong with a plate or its list?"
+
+
+def _missing(result: BatchResult) -> PlateRow | None:
+    """The first plate that misses a limit."""
+    each = ((row, result.probability(row, limit)) for limit in result.limits for row in result.done)
+    return next((row for row, met in each if met is not None and met <= 1.0 - SURE), None)
 
 
 def _computation(result: BatchResult) -> Table:
@@ -235,7 +243,8 @@ def _undecided(result: BatchResult, limit: Limit) -> int:
 
 def _limits(result: BatchResult) -> Rows:
     columns = (
-        Column("limit", "limit", lambda limit: limit.text),
+        Column(None, "limit", lambda limit: limit.text),
+        Column("limit", None, lambda limit: limit.shown),
         Column(f"met, P >= {SURE:g}", "met", partial(_met, result), number=True),
         Column("undecided", "undecided", partial(_undecided, result), number=True),
         Column(f"not met, P <= {1 - SURE:.2g}", "not_met", partial(_not_met, result), number=True),

@@ -143,7 +143,7 @@ def plates(result: BatchResult, most: int | None = None) -> Rows:
     claim = [replace(c, value=partial(_of_claim, c)) for c in _OF_CLAIM]
     limits = [
         Column(
-            f"P({limit.text})",
+            f"P({limit.shown})",
             f"P({limit.text})",
             partial(_probability, result, limit),
             _probability_text,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
+from functools import partial
 from typing import Final, Literal
 
 from cpam_bayes.answer import Notice, as_written, each_once
@@ -105,17 +106,18 @@ def diagnose(
     _require_one_material(specimens)
     for specimen in specimens:
         require_reachable(specimen)
-    title = f"diagnose {' '.join(s.name for s in specimens)}"
+    names = " ".join(s.name for s in specimens)
+    title = f"diagnose {names}"
 
-    def announce(text: str) -> None:
-        watch.announce(f"{title}: {text}")
+    def announce(text: str, name: str = names) -> None:
+        watch.announce(f"diagnose {name}: {text}")
 
     cases = []
     with open_executor(executor, workers) as pool:
         ready(pool)
         for specimen in specimens:
             with explained_failures(specimen):
-                cases.append(plate_case(specimen, announce))
+                cases.append(plate_case(specimen, partial(announce, name=specimen.name)))
         diagnosis = _diagnosed(cases, title, scatter, prior_none, catalogue or CATALOGUE, pool, watch)
         candidates: tuple[Candidate, ...] = ()
         if next_test != "never" and is_time_up():

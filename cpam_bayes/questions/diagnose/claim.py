@@ -326,7 +326,7 @@ def next_steps(result: DiagnosisResult) -> tuple[str, ...]:
     further, decides = _further_test(result.candidates)
     one = result.plates[0]
     gauge = gauge_step(one, scale_errors_of(d, one), shown_constants(d)) if len(result.plates) == 1 else ()
-    repeat = ("repeat the tap test and state relative_std under [measurement]: smaller errors then show.",)
+    repeat = ("repeat the tap test and state its repeatability in the plate file: smaller errors then show.",)
     checks = tuple(effect.check[:1].lower() + effect.check[1:] for effect in checked_effects(d))
     asks = d.claim.kind in (NONE, "undecided") and not any(e.local == "point" for e in checked_effects(d))
     attached = attached_step(result.plates[0]) if asks and len(result.plates) == 1 else ()

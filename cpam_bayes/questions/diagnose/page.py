@@ -53,6 +53,7 @@ from cpam_bayes.render.report import (
     remarks,
 )
 from cpam_bayes.render.sentences import (
+    further_steps,
     noise_word,
     reliance_sentences,
 )
@@ -113,7 +114,7 @@ def _sections(result: DiagnosisResult) -> tuple[Section, ...]:
             figure("constants"),
         ),
         Section("Which causes look alike", figures=figure("signatures")),
-        Section("What to do after that", (remarks("Further steps", next_steps(result)[1:]), _next(result))),
+        Section("What to do after that", (*further_steps(next_steps(result)[1:]).tables, _next(result))),
         _plates_section(result),
         Section(COMPUTATION, (_work(d, result.seed),)),
     )
@@ -222,7 +223,7 @@ def _causes(result: DiagnosisResult) -> tuple[Table, ...]:
     """The most probable causes with their sizes, and what all others have together."""
     d = result.diagnosis
     shown = leading(d, _LEAST, _MOST)
-    rows = replace(_rows(result, "hypotheses"), rows=shown, flagged=lambda c: c.name in d.claimed)
+    rows = replace(_rows(result, "hypotheses"), rows=shown)
     rest = [c for c in d.causes if c not in shown]
     more = f"{len(rest)} more, {probability_text(sum(c.probability for c in rest))} together."
     return rows.table("Probability of each cause"), remarks("Further causes", (more,) if rest else ())

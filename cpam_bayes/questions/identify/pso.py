@@ -368,7 +368,7 @@ def _steps(result: PointResult, use: Sequence[str]) -> tuple[str, ...]:
         ]
     steps += [*attached_step(specimen), *gauge_step(specimen, result.estimate.scale_errors, use)]
     if result.estimate.noise_is_inferred:
-        steps.append("repeat the tap test and state relative_std in [measurement].")
+        steps.append("repeat the tap test and state its repeatability in the plate file.")
     return (*steps, *more_modes_step(result.estimate.constants))
 
 
@@ -507,8 +507,8 @@ def _noise(estimate: PointEstimate, measurement: Measurement) -> str:
     level = f"{significant(100 * estimate.noise, 2)} % of a frequency"
     rounding = f", and the rounding to {measurement.resolution:g} Hz" if measurement.resolution else ""
     if not estimate.noise_is_inferred:
-        key = f"{measurement.sd_source}, on average" if measurement.frequency_sd is not None else ""
-        return f"{level}, from the plate file ({key or 'relative_std'}){rounding}"
+        average = " on average" if measurement.frequency_sd is not None else ""
+        return f"{level}{average}, as stated in the plate file{rounding}"
     n, k = measurement.size, len(estimate.constants)
     return f"{level}, inferred from the residuals of {n} frequencies less {k} unknowns{rounding}"
 
@@ -613,7 +613,7 @@ def _pairs_figure(result: PointResult) -> Figure:
 def _residuals_figure(result: PointResult) -> Figure:
     """The residual of each frequency, and the band of the noise."""
     estimate, rows = result.estimate, result.frequencies
-    names = [f"{row.number}\n{row.label}" for row in rows]
+    names = [f"{row.number}\n{row.label}".replace("+", "\n+") for row in rows]
     figure = new_figure(max(5.2, 0.8 * len(names)), 3.6)
     axes = figure.add_subplot()
     if np.isfinite(estimate.noise):
