@@ -125,7 +125,7 @@ class Result:
         """
         from cpam_bayes.render.documents import data_frame
 
-        return data_frame(self.report().rows, name)
+        return data_frame(self.report().written, name)
 
     def drawings(self) -> tuple[Drawing, ...]:
         """All drawings, one of them of the plate: the last where the report draws none itself."""

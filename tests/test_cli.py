@@ -13,6 +13,7 @@ from pathlib import Path
 import openpyxl
 import pytest
 
+import cpam_bayes as cb
 from cpam_bayes import __version__
 from cpam_bayes.cli import main
 from tests.plate_file import MEASURED, refused
@@ -611,8 +612,10 @@ def test_a_table_that_cannot_be_written_is_refused_before_the_work(run, tmp_path
     assert err.startswith(f"error: {option}")
 
 
-def test_a_command_without_a_table_says_so(run, tmp_path):
-    status, out, err = run("cache", "--csv", tmp_path / "a.csv")
-    assert status == 1
-    assert out
-    assert "cache has no table" in err
+def test_a_command_without_a_table_writes_its_values(run, tmp_path):
+    csv = tmp_path / "cache.csv"
+    status, out, _ = run("cache", "--json", "--csv", csv)
+    assert status == 0
+    head, row = (line.split(",") for line in csv.read_text(encoding="utf-8-sig").splitlines())
+    assert dict(zip(head, row, strict=True))["files"] == str(json.loads(out)["files"])
+    assert list(cb.cache().to_dataframe().columns) == head

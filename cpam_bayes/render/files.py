@@ -107,15 +107,10 @@ def require_table(path: str | None, ending: str) -> None:
 
 
 def save_tables(result: Answer, csv: str | None, xlsx: str | None) -> None:
-    """Write the main table as CSV and all tables as a workbook; raise ``OSError`` where that fails.
-
-    Raises ``ValueError`` for an answer without tables.
-    """
+    """Write the main table as CSV and all tables as a workbook; raise ``OSError`` where that fails."""
     if csv is None and xlsx is None:
         return
-    tables = result.report().rows
-    if not tables:
-        raise ValueError(f"{result.command} has no table, accepted: --json")
+    tables = result.report().written
     if csv is not None:
         # the mark tells Excel that it is UTF-8
         _put(Path(csv), csv_text(tables[0]).encode("utf-8-sig"))

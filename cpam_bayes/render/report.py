@@ -195,6 +195,15 @@ class Report:
     drawings: tuple[Drawing, ...] = ()
     rows: tuple[Rows, ...] = ()
 
+    @property
+    def written(self) -> tuple[Rows, ...]:
+        """The tables that are written; where there is none, the single values of the document in one row."""
+        if self.rows:
+            return self.rows
+        single = {k: v for k, v in self.document.items() if not isinstance(v, list | tuple | Mapping)}
+        columns = tuple(Column(None, key, lambda row, key=key: row[key]) for key in single)  # type: ignore[misc]
+        return (Rows("answer", columns, (single,)),)
+
 
 def modes_caption(modes: Sequence[tuple[float, str]]) -> Caption:
     """The words beside mode shapes; modes : frequency, Hz, and label of each."""
