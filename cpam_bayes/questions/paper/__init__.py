@@ -74,6 +74,8 @@ from cpam_bayes.storage import cache_directory
 
 __all__ = ["PaperResult", "paper", "tasks_of"]
 
+# Of a computation; what was packaged before has no fingerprint.
+_STAMPED: Final = ("version", "fingerprint", "date", "seconds")
 # Thick plates take longest: they begin first, so that no worker starts one at the end, and their constants
 # before their noise, which needs a model that these build.
 _LONGEST: Final = ("D4", "D3", "D1", "D2")
@@ -113,7 +115,7 @@ class PaperResult(Result):
     well_posed : Hadamard's conditions, one for each plate and choice of unknowns
     simulation_errors : what the simulation of Tables 1 and 5 gets wrong, by plate
     costs : forward solves and seconds, one for each plate and choice of unknowns
-    computed : task -> version, date and seconds of the computation behind the rows
+    computed : task -> version, fingerprint, date and seconds of the computation behind the rows
     quick : whether the small effort was asked for
     seconds : wall clock of this run, without what was stored
     """
@@ -216,7 +218,7 @@ def paper(
         simulation_errors=tuple(error for n in numbers for error in simulation_errors(n, diagnosed)),
         costs=tuple(_costs(computed, calculix)),
         computed={
-            **{title: {k: r[k] for k in ("version", "date", "seconds")} for title, r in records.items()},
+            **{title: {k: r[k] for k in _STAMPED if k in r} for title, r in records.items()},
             **_stored_records(numbers, calculix, sequences, diagnosed),
         },
         quick=quick,
@@ -345,7 +347,7 @@ def _stored_records(
         records["diagnoses of the measured lists"] = diagnosed
     if set(numbers) & {9, 11, 12, 13, 14}:
         records["posteriors over stacking sequences"] = sequences
-    return {name: {k: r[k] for k in ("version", "date", "seconds")} for name, r in records.items()}
+    return {name: {k: r[k] for k in _STAMPED if k in r} for name, r in records.items()}
 
 
 def _notices(computed: Mapping[Task, Results], quick: bool) -> Iterator[Notice]:

@@ -193,6 +193,7 @@ _PERCENTAGES: Final = (
 _COMPUTED: Final = (
     _shown("what", lambda r: r[0]),
     _shown("version", lambda r: str(r[1]["version"])),
+    _shown("sources", lambda r: str(r[1].get("fingerprint", ""))),
     _shown("date", lambda r: str(r[1]["date"])),
     _shown("seconds", lambda r: f"{r[1]['seconds']:.0f}", number=True),
 )

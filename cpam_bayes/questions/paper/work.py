@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from cpam_bayes import __version__
 from cpam_bayes.answer import Constant
+from cpam_bayes.fingerprint import fingerprint
 from cpam_bayes.forward_model.store import reduced_model
 from cpam_bayes.identification.angle_search import AngleSearchProblem, run_swarm, search_parameters
 from cpam_bayes.identification.search import required, search
@@ -463,17 +464,13 @@ _DONE_BY: Final[Mapping[Kind, Callable[[Effort, Task], Results]]] = {
     "angles": _angles,
 }
 
-# To be raised when the same inputs give other numbers.
-_FORMAT: Final = 2
-
 
 def task_key(effort: Effort, task: Task) -> str:
-    """Hash of all that a result depends on: version, effort, seed, plate and printed rows."""
+    """Hash of all that a result depends on: sources, effort, seed, plate and printed rows."""
     specimen = case_specimen(task.specimen, task.case)
     measured = specimen.measurement
     content = {
-        "format": _FORMAT,
-        "version": __version__,
+        "sources": fingerprint(__name__),
         "effort": asdict(effort),
         "task": asdict(task),
         "plate": repr(specimen.plate),
@@ -487,8 +484,9 @@ def task_key(effort: Effort, task: Task) -> str:
 
 
 def stamp(results: Results) -> Results:
-    """The results with version and date of the computation."""
-    return {"version": __version__, "date": datetime.now(UTC).date().isoformat(), **results}
+    """The results with version, fingerprint and date of the computation."""
+    made = {"version": __version__, "fingerprint": fingerprint(__name__)}
+    return {**made, "date": datetime.now(UTC).date().isoformat(), **results}
 
 
 def read(directory: Path, effort: Effort, task: Task) -> Results | None:
