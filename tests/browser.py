@@ -28,6 +28,7 @@ _OPTIONS = (
     "--remote-debugging-pipe",
 )
 _TIME_LIMIT = 60.0
+_MOST_LOOKS = 6000
 # The browser reads from descriptor 3 and writes to 4, whatever the numbers of the two pipes are here.
 _LAUNCH = """
 import fcntl, os, sys
@@ -97,8 +98,8 @@ class Browser:
     _unread: bytes = b""
     _events: list[str] = field(default_factory=list)
 
-    def call(self, method: str, **params: Any) -> dict[str, Any]:
-        """The answer to one call of the protocol."""
+    def call(self, method: str, may_fail: bool = False, **params: Any) -> dict[str, Any]:
+        """The answer to one call of the protocol; {} of one that failed and may."""
         self._number += 1
         message: dict[str, Any] = {"id": self._number, "method": method, "params": params}
         if self.session:
@@ -107,8 +108,8 @@ class Browser:
         while True:
             said = self._next()
             if said.get("id") == self._number:
-                assert "error" not in said, said
-                return dict(said["result"])
+                assert may_fail or "error" not in said, said
+                return dict(said.get("result", {}))
 
     def show(self, page: Path, width: int, height: int = 900) -> None:
         """Open a page of the disk in a window of that width, and wait until it is whole."""
@@ -133,6 +134,17 @@ class Browser:
         result = self.call("Runtime.evaluate", expression=expression, returnByValue=True)
         assert "exceptionDetails" not in result, result
         return result["result"].get("value")
+
+    def until(self, expression: str) -> None:
+        """Wait until an expression on the page is true, over a change of the page too."""
+        later = f"new Promise((done) => setTimeout(() => done(!!({expression})), 100))"
+        for _ in range(_MOST_LOOKS):
+            said = self.call(
+                "Runtime.evaluate", True, expression=later, awaitPromise=True, returnByValue=True
+            )
+            if said.get("result", {}).get("value"):
+                return
+        raise AssertionError(f"never: {expression}")
 
     def picture(self, path: Path, *, whole: bool = True) -> None:
         """The page as PNG."""
@@ -217,6 +229,12 @@ def faults(browser: Browser, page: Path, width: int) -> list[str]:
     found += [f"console: {text}" for text in browser.console]
     asked = [url for url in browser.requests if not url.startswith("data:")]
     return found + [f"asked for {url}" for url in asked if url != page.as_uri()]
+
+
+def disturbing(browser: Browser, width: int) -> list[str]:
+    """What of the page that is open is wider than its window, too faint, or out of reach of the keys."""
+    found = _wider(browser, width, "page") + [f"faint: {text}" for text in browser.value(_FAINT)]
+    return found + ["a part scrolls that no key reaches"] * browser.value(_OUT_OF_REACH)
 
 
 def _wider(browser: Browser, width: int, state: str) -> list[str]:

@@ -147,7 +147,7 @@ def _parts(visit: Visit) -> dict[str, str]:
         "tools": str(module.tools(visit, _commands(visit))),
     }
     listed = value_at(visit.data, "measurement.frequencies_hz")
-    rows = answer["rows"] if answer else []
+    rows = diagnosis["rows"] if folded and diagnosis else answer["rows"] if answer else []
     shapes = (exact or visit.stale.get("identify") or {}).get("shapes", [])
     for i in range(len(listed) if isinstance(listed, list) else 0):
         row = rows[i] if i < len(rows) and len(rows) == len(listed) else None

@@ -31,6 +31,7 @@ FOUND = {
     "next": "",
     "constants": [],
     "causes": [],
+    "rows": [],
     "nothing": 0.0,
     "place": [[262.0, 171.0], [3.0, 3.0]],
     "apply_said": "state it",

@@ -1,0 +1,132 @@
+"""A whole visit in a browser: type a plate, paste its list, see the claim, apply it, save, report."""
+
+from __future__ import annotations
+
+import json
+import re
+import signal
+import subprocess
+import sys
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import cpam_bayes as cb
+from tests.browser import Browser, disturbing, open_browser
+
+pytestmark = pytest.mark.needs_browser
+
+SIZES = {
+    "plate.length_mm": "300",
+    "plate.width_mm": "210",
+    "plate.thickness_mm": "3",
+    "plate.mass_g": "510.3",
+}
+FORGOTTEN = {"mass_g": 12.0, "x_mm": 250.0, "y_mm": 160.0}
+
+
+@pytest.fixture
+def address(tmp_path: Path) -> Iterator[str]:
+    """The address that the command prints; it ends on Ctrl-C with status 0."""
+    process = subprocess.Popen(
+        [sys.executable, "-m", "cpam_bayes", "app", str(tmp_path), "--port", "0", "--no-browser"],
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    assert process.stdout is not None
+    yield process.stdout.readline().strip()
+    process.send_signal(signal.SIGINT)
+    said, _ = process.communicate(timeout=60)
+    assert process.returncode == 0
+    assert "nothing is lost" in said
+
+
+def frequencies() -> list[float]:
+    """Of the plate with a mass that its file will not state."""
+    sizes = {key.removeprefix("plate."): float(value) for key, value in SIZES.items()}
+    plate = {
+        "name": "tapped",
+        "plate": {**sizes, "edges": "FFFF"},
+        "material": {"isotropic": True, "E1_GPa": 70.0, "nu12": 0.335},
+        "sensor": [FORGOTTEN],
+        "environment": {"air_density_kg_m3": 1.2},
+    }
+    modes = cb.forward(plate, 10)
+    return [round(mode["frequency_hz"], 1) for mode in modes.to_dict()["modes"]]
+
+
+def typed(browser: Browser, values: dict[str, str]) -> None:
+    for key, value in values.items():
+        at = f"document.querySelector('[data-key=\"{key}\"]')"
+        browser.value(f"{at}.value = {json.dumps(value)}")
+        browser.value(f'{at}.dispatchEvent(new Event("input", {{ bubbles: true }}))')
+
+
+def click(browser: Browser, what: str) -> None:
+    browser.value(f"document.querySelector({json.dumps(what)}).click()")
+
+
+def text(browser: Browser, what: str) -> Any:
+    return browser.value(f"document.querySelector({json.dumps(what)})?.innerText")
+
+
+def there(browser: Browser, what: str) -> None:
+    browser.until(f"!!document.querySelector({json.dumps(what)})")
+
+
+def test_a_whole_visit(address: str, tmp_path: Path) -> None:
+    with open_browser() as browser:
+        browser.visit(address, 1280)
+        click(browser, "[data-open=blank]")
+        there(browser, "#form [data-paste]")
+        browser.value(
+            """(() => { const at = document.querySelector("[data-material]"); at.value = "metal";
+            at.dispatchEvent(new Event("change", { bubbles: true })); })()"""
+        )
+        browser.until("""document.querySelectorAll("[data-key^='material.']").length === 2""")
+        typed(browser, SIZES | {"plate.length_mm": "30o"})
+        browser.until("document.getElementById('error:plate.length_mm').textContent.includes('accepted')")
+        typed(browser, SIZES | {"measurement.relative_std": "0.001"})
+        pasted = json.dumps(" ".join(map(str, frequencies())))
+        browser.value(f"document.querySelector('[data-paste]').value = {pasted}")
+        click(browser, "[data-take]")
+        there(browser, "#answer .headline")
+        click(browser, "[data-act=save]")
+        browser.until("document.getElementById('said').textContent.startsWith('saved as')")
+
+        # at rest: what the command prints, to its digits
+        at_rest = text(browser, "#answer .constants")
+        printed = cb.identify(tmp_path / "plate.toml").summary()
+        for constant in re.findall(r"^  (E1|nu12)\s+(\S+)", printed, re.MULTILINE):
+            assert re.search(rf"{constant[0]}\s+{re.escape(constant[1])}", at_rest)
+
+        there(browser, "#diagnosis .headline")
+        assert "Something heavy was on the plate" in text(browser, "#diagnosis .headline")
+        there(browser, "#drawing .found")
+        click(browser, "[data-edit=apply]")
+        there(browser, "[data-sensor]")
+        click(browser, "[data-act=save]")
+        browser.until("document.querySelector('#title').innerText.includes('saved')")
+        (mass,) = tomllib.loads((tmp_path / "plate.toml").read_text("utf-8"))["sensor"]
+        assert abs(mass["mass_g"] / FORGOTTEN["mass_g"] - 1.0) < 0.2
+        assert abs(mass["x_mm"] - FORGOTTEN["x_mm"]) + abs(mass["y_mm"] - FORGOTTEN["y_mm"]) < 20.0
+
+        click(browser, "[data-act=report]")
+        there(browser, "#tools a[href$=report]")
+        assert (tmp_path / "plate-report" / "report.html").is_file()
+        assert browser.console == []
+        here = address.partition("?")[0]
+        assert [url for url in browser.requests if not url.startswith((here, "data:"))] == []
+
+
+@pytest.mark.parametrize("width", [1280, 390])
+def test_nothing_is_wider_than_the_window_and_no_text_is_faint(address: str, width: int) -> None:
+    with open_browser() as browser:
+        browser.visit(address, width)
+        assert disturbing(browser, width) == []
+        click(browser, "[data-open=example]")
+        there(browser, "#answer table")
+        assert disturbing(browser, width) == []
