@@ -294,7 +294,7 @@ class Visit:
             self.doing = (task, done if done >= 0.0 else self.doing[1], text)
             self.tell()
 
-        self.doing = (task, -1.0, "waiting")
+        self.doing = (task, -1.0, "")
         self.tell()
         try:
             async with self.desk.pool.worker() as worker:
