@@ -241,7 +241,9 @@ def diagnosed(text: str, name: str, folder: str, *, tell: Tell) -> Any:
         "lines": list(summary.lines),
         "next": summary.next_step,
         "constants": _constants(answer_constants(d)),
-        "rows": _rows((result.plain if result.extended is None else result.extended).frequencies),
+        "rows": _rows(
+            [FrequencyRow(r.measured, r.predicted) for r in (result.extended or result.plain).frequencies]
+        ),
         "causes": [
             {
                 "title": title_of(d, c.name),
