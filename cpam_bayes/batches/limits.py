@@ -20,7 +20,11 @@ from cpam_bayes.plate.laminate import CONSTANTS
 
 __all__ = ["ControlChart", "Limit", "MarginalPosterior", "control_chart", "read_limit"]
 
-_FORM: Final = re.compile(r"\s*(\w+)\s*(>=|<=|>|<)\s*([-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?)\s*")
+_FORM: Final = re.compile(r"\s*(\w+)\s*(>=|<=|>|<)\s*([-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?)\s*([a-zA-Z]*)\s*")
+# Units that a limit may be written in, and their size in that of the plate file.
+_UNITS: Final = {"GPa": {"": 1.0, "GPa": 1.0, "MPa": 1e-3, "Pa": 1e-9}, "": {"": 1.0}}
+# Stiffer than any ply, GPa: a number above it was meant in another unit.
+_STIFFEST: Final = 2000.0
 _NAMES: Final = {user: name for user, (name, _) in USER_UNITS.items() if name in CONSTANTS}
 
 
@@ -72,7 +76,7 @@ class MarginalPosterior:
 
 
 def read_limit(text: str) -> Limit:
-    """Read a limit such as ``E1_GPa >= 115``, in the unit of the plate file.
+    """Read a limit such as ``E1_GPa >= 115``, in the unit of the plate file or a stated one.
 
     raises ValueError for a text that is none
     """
@@ -81,14 +85,24 @@ def read_limit(text: str) -> Limit:
         raise ValueError(
             f'limit: received {text!r}, accepted: a constant, >= or <=, a number: "E1_GPa >= 115"'
         )
-    name, sign, value = match.groups()
+    name, sign, number, unit = match.groups()
     if name not in _NAMES:
         raise ValueError(f"limit: received {text!r}, constants that have limits: {' '.join(_NAMES)}")
+    units = _UNITS[unit_of(_NAMES[name])]
+    if unit not in units:
+        accepted = " ".join(each for each in units if each) or "a number without a unit"
+        raise ValueError(f"limit: received {text!r}, the unit {unit}, accepted: {accepted}")
+    value = float(number) * units[unit]
+    if len(units) > 1 and abs(value) > _STIFFEST:
+        raise ValueError(
+            f"limit: received {text!r}, {value:g} GPa, accepted: up to {_STIFFEST:g} GPa; write the unit "
+            f'if it is another one: "{name} {sign} {number} MPa"'
+        )
     return Limit(
-        f"{name} {sign[0]}= {float(value):.10g}",
+        f"{name} {sign[0]}= {value:.10g}",
         _NAMES[name],
         "at least" if sign[0] == ">" else "at most",
-        to_si(name, float(value)),
+        to_si(name, value),
     )
 
 

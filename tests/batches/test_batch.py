@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +34,26 @@ def test_a_limit_is_read_in_the_unit_of_the_plate_file() -> None:
     assert limit.shown == "E1 >= 115 GPa"
     below = read_limit("nu12 < 0.4")
     assert (below.text, below.side, below.value) == ("nu12 <= 0.4", "at most", 0.4)
+
+
+@pytest.mark.parametrize("text", ["E1_GPa >= 115 GPa", "E1_GPa >= 115000 MPa", "E1_GPa >= 115e9Pa"])
+def test_a_limit_may_state_its_unit(text: str) -> None:
+    limit = read_limit(text)
+    assert limit.value == pytest.approx(115e9)
+    assert limit.text == "E1_GPa >= 115"
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("E1_GPa >= 115000", 'write the unit if it is another one: "E1_GPa >= 115000 MPa"'),
+        ("E1_GPa >= 115 psi", "the unit psi, accepted: GPa MPa Pa"),
+        ("nu12 <= 0.3 GPa", "accepted: a number without a unit"),
+    ],
+)
+def test_a_limit_in_a_unit_that_cannot_be_meant_is_questioned(text: str, said: str) -> None:
+    with pytest.raises(ValueError, match=re.escape(said)):
+        read_limit(text)
 
 
 @pytest.mark.parametrize("text", ["E1 >= 115", "E1_GPa 115", "E1_GPa >= ", "E1_GPa == 1", "mass_g > 1", ""])
