@@ -392,6 +392,8 @@ _MAX_DAMPING: Final = 0.1
 _BEYOND, _OF_CIRCLE, _LINES_A_POLE = 1.12, 0.8, 3
 # Lines are weighed by one over the median of their neighbourhood: a fraction of the frequency, and lines.
 _ABOUT, _ABOUT_LINES, _LEAST_SIZE = 0.02, 5, 1e-4
+# Responses below this are none: one over their square would leave the range of numbers.
+_NOTHING: Final = 1e-70
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -473,8 +475,10 @@ def _poles(
     normal = np.zeros((order + 1, order + 1), dtype=complex)
     for frf in responses.frf[:, lines]:
         size = np.abs(frf)
+        if size.max() < _NOTHING:
+            continue
         near = median_filter(size, about, mode="nearest") if evenly else np.full_like(size, size.mean())
-        weight = 1.0 / np.maximum(near, max(_LEAST_SIZE * size.max(), np.finfo(float).tiny))
+        weight = 1.0 / np.maximum(near, _LEAST_SIZE * size.max())
         numerator, denominator = powers * weight[:, None], powers * (-frf * weight)[:, None]
         cross = numerator.conj().T @ denominator
         own = np.linalg.lstsq(numerator.conj().T @ numerator, cross, rcond=None)[0]

@@ -573,7 +573,8 @@ def _told(channels: Array, force: int | None) -> tuple[int | None, tuple[int, ..
         power = (channels - np.median(channels, axis=1, keepdims=True).astype(float)) ** 2
         samples = np.sum(power, axis=1) ** 2 / np.maximum(np.sum(power**2, axis=1), np.finfo(float).tiny)
         shortest, second = np.argsort(samples)[:2]
-        force = int(shortest) + 1 if _SHORTER * samples[shortest] < samples[second] else None
+        if 0.0 < _SHORTER * samples[shortest] < samples[second]:  # 0 of a channel without a signal
+            force = int(shortest) + 1
     return force, tuple(k for k in range(1, len(channels) + 1) if k != force)
 
 

@@ -493,6 +493,15 @@ def test_a_channel_that_is_a_pulse_is_the_force(recorded: Path) -> None:
     assert_known(result.modes, rtol=1e-4)
 
 
+def test_two_accelerometers_are_both_responses_and_so_is_a_channel_without_a_signal(tmp_path: Path) -> None:
+    one, other = recorded_hits(np.random.default_rng(8), PLATE, DAMPED, 2)
+    for name, second in (("two", other), ("dead", np.zeros_like(one))):
+        wavfile.write(tmp_path / f"{name}.wav", RATE_OF_HITS, np.stack((one, second), axis=1))
+        result = cb.poles(tmp_path / f"{name}.wav", high_hz=700.0)
+        assert "2 response alone: free decays" in result.responses.origin
+        assert_found(result, 0.003)
+
+
 def test_an_empty_folder_is_named(tmp_path: Path) -> None:
     with pytest.raises(ModalTestError, match=r"no recordings in this folder, accepted: .wav files"):
         cb.poles(tmp_path)
