@@ -263,15 +263,16 @@ def _marks(
     letter: str, start: tuple[float, float], end: tuple[float, float], out: tuple[float, float]
 ) -> Iterable[str]:
     """Hatching of a clamped edge, triangles of a simply supported one."""
-    if letter not in ("C", "S"):
+    condition = CONDITIONS[letter]
+    if condition.mark == "line":
         return
-    n = 15 if letter == "C" else 7
+    n = 15 if condition.is_clamp else 7
     (x1, y1), (x2, y2), (dx, dy) = start, end, out
     step = (x2 - x1) / n, (y2 - y1) / n
     path = []
     for i in range(n):
         x, y = x1 + (i + 0.5) * step[0], y1 + (i + 0.5) * step[1]
-        if letter == "C":
+        if condition.is_clamp:
             path.append(f"M{x:g} {y:g}l{dx + step[0] / 2:g} {dy + step[1] / 2:g}")
         else:
             half = step[0] / 4 + step[1] / 4
