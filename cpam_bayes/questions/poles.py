@@ -197,6 +197,8 @@ def poles(
         if low_hz is None
         else low_hz
     )
+    if low >= 0.0:
+        low = max(low, float(responses.frequencies[0]))  # responses may begin above it
     if not 0.0 <= low < high:
         raise ModalTestError(f"--range: received {low:g} to {high:g} Hz, accepted: within 0 to {last:g} Hz")
     lines = int(np.sum((responses.frequencies >= low) & (responses.frequencies <= high)))

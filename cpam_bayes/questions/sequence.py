@@ -396,10 +396,7 @@ def _fit(result: StackingResult) -> str:
 
 def _next_step(result: StackingResult, first: ListedSequence) -> str:
     if first.together < _SURE:
-        return (
-            'write the angles that you know instead of "?", or bound the constants by a tensile test; then '
-            "measure more modes."
-        )
+        return 'write known angles instead of "?", bound the constants, or measure more modes.'
     return (
         "write these angles into the layup; is anything wrong with the plate or the list?  cpam-bayes "
         f"diagnose {plate_argument(result.specimen)}"
