@@ -25,7 +25,7 @@ from benchmarks.targets import models, speeds
 from benchmarks.timing import busy_processes, interleaved, ratio
 from cpam_bayes.render.report import Heading, Table, remarks
 from cpam_bayes.render.terminal import screen_text
-from cpam_bayes.threads import single_blas_thread
+from cpam_bayes.running import single_blas_thread
 
 Results = dict[str, Any]
 

@@ -30,7 +30,7 @@ from cpam_bayes.inference.sampling import JUMPS as FIT
 from cpam_bayes.inference.sampling import sample_posterior
 from cpam_bayes.render.report import Heading, Table, remarks
 from cpam_bayes.render.terminal import screen_text
-from cpam_bayes.threads import single_blas_thread
+from cpam_bayes.running import single_blas_thread
 
 Array = NDArray[Any]
 Results = dict[str, Any]

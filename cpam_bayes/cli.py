@@ -92,7 +92,7 @@ def _finish(work: Callable[[], Result], args: argparse.Namespace) -> int:
     """Do the work, save its files, and show its answer even if they could not be saved."""
     from cpam_bayes.parallel import WorkersLostError
     from cpam_bayes.render.files import save, save_tables, staging
-    from cpam_bayes.render.progress import forecasting
+    from cpam_bayes.render.terminal import forecasting
     from cpam_bayes.running import TimeIsUpError, time_limit
 
     not_saved: Exception | None = None
@@ -162,7 +162,7 @@ def _give_up(stream: TextIO, error: OSError) -> None:
 
 
 def _show(answer: Result, as_json: bool, verbose: bool) -> None:
-    from cpam_bayes.render.documents import json_text
+    from cpam_bayes.render.report import json_text
     from cpam_bayes.render.terminal import screen_tables, screen_text
 
     stream = sys.stdout

@@ -134,7 +134,7 @@ class Command:
         if self.asks is not None and not args.json:
             named |= self.asks(*positional, **named)
         if self.watched:
-            from cpam_bayes.render.progress import Terminal
+            from cpam_bayes.render.terminal import Terminal
 
             named["watch"] = Terminal(args.quiet)
         return partial(self.verb, *positional, **named)

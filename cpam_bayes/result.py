@@ -18,10 +18,9 @@ from numpy.typing import NDArray
 from cpam_bayes.answer import Notice, as_written, each_once
 from cpam_bayes.errors import checked
 from cpam_bayes.fingerprint import fingerprint
-from cpam_bayes.plate.records import Specimen
-from cpam_bayes.render.documents import plain
+from cpam_bayes.plate import Specimen
 from cpam_bayes.render.notices import sentences
-from cpam_bayes.render.report import Drawing, Report
+from cpam_bayes.render.report import Drawing, Report, plain
 from cpam_bayes.render.terminal import plain_text, screen_tables
 from cpam_bayes.running import current_limit
 
@@ -123,7 +122,7 @@ class Result:
         ValueError
             If there is no table of that name.
         """
-        from cpam_bayes.render.documents import data_frame
+        from cpam_bayes.render.report import data_frame
 
         return data_frame(self.report().written, name)
 
@@ -133,7 +132,7 @@ class Result:
 
     def saved_report(self) -> Report:
         """The report as files hold it: the whole document and all drawings."""
-        from cpam_bayes.render.plate_drawing import PLATE, plate_drawing
+        from cpam_bayes.render.plate import PLATE, plate_drawing
 
         report = self.report()
         has_plate = any(drawing.name == PLATE for drawing in report.drawings)

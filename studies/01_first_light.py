@@ -27,7 +27,7 @@ from cpam_bayes.plate.laminate import ENERGY_CONSISTENT, FIVE_SIXTHS, ShearModel
 from cpam_bayes.plate.layup import parse_layup
 from cpam_bayes.render.report import Heading, Table, remarks
 from cpam_bayes.render.terminal import screen_text
-from cpam_bayes.threads import single_blas_thread
+from cpam_bayes.running import single_blas_thread
 from validation.reporting import (
     study_main,
 )

@@ -21,15 +21,14 @@ import numpy as np
 
 import cpam_bayes as cb
 from cpam_bayes.forward_model.model import NO_PARAMETERS, PlateModel, converged_model, plate_problem
+from cpam_bayes.mechanics.fem import default_counts, discretise_sparse, fem_space
 from cpam_bayes.mechanics.modes import shapes_on_grid
-from cpam_bayes.mechanics.spaces.fem import default_counts, fem_space
-from cpam_bayes.mechanics.sparse import discretise_sparse
 from cpam_bayes.plate import Specimen
 from cpam_bayes.plate.layup import parse_layup
 from cpam_bayes.questions.forward import ForwardResult
 from cpam_bayes.render.report import Heading, Table, facts
 from cpam_bayes.render.terminal import screen_text
-from cpam_bayes.threads import single_blas_thread
+from cpam_bayes.running import single_blas_thread
 from validation.reporting import study_main
 
 RESULTS = Path(__file__).parent / "results" / f"{Path(__file__).stem}.json"

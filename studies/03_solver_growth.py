@@ -24,15 +24,15 @@ from cpam_bayes.forward_model.model import (
     training_sets,
 )
 from cpam_bayes.forward_model.reduced import DEFAULT_SETTINGS, ReducedModel, ReductionSettings, reduce
+from cpam_bayes.mechanics.affine import discretise
 from cpam_bayes.mechanics.convergence import Tolerance, rich_frequencies
-from cpam_bayes.mechanics.dense import discretise
-from cpam_bayes.mechanics.spaces.ritz import RitzSettings, ritz_space
+from cpam_bayes.mechanics.ritz import RitzSettings, ritz_space
 from cpam_bayes.parameters import ParameterSet
 from cpam_bayes.plate import Specimen
 from cpam_bayes.plate.layup import parse_layup
 from cpam_bayes.render.report import Heading, Table
 from cpam_bayes.render.terminal import screen_text
-from cpam_bayes.threads import single_blas_thread
+from cpam_bayes.running import single_blas_thread
 from validation.reporting import (
     study_main,
 )

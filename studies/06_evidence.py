@@ -24,7 +24,7 @@ from cpam_bayes.inference.swarm import SwarmSettings
 from cpam_bayes.plate import to_user, user_name
 from cpam_bayes.render.report import Heading, Table
 from cpam_bayes.render.terminal import screen_text
-from cpam_bayes.threads import single_blas_thread
+from cpam_bayes.running import single_blas_thread
 from validation.nested import NestedEvidence, nested_evidence
 from validation.reporting import (
     study_main,

@@ -41,14 +41,12 @@ from cpam_bayes.identification.angle_search import (
 )
 from cpam_bayes.inference.swarm import SwarmResult, SwarmSettings
 from cpam_bayes.parallel import open_executor
-from cpam_bayes.plate import Specimen, to_si
-from cpam_bayes.plate.records import angle_grid
+from cpam_bayes.plate import Specimen, angle_grid, to_si
 from cpam_bayes.printed.tables import identified_layups
-from cpam_bayes.render.progress import timed_lines
 from cpam_bayes.render.report import Heading, Table
-from cpam_bayes.render.terminal import screen_text
+from cpam_bayes.render.terminal import screen_text, timed_lines
+from cpam_bayes.running import single_blas_thread
 from cpam_bayes.stacking.symmetry import Symmetry, canonical, classes, plate_symmetries
-from cpam_bayes.threads import single_blas_thread
 from validation.reporting import (
     counted,
     in_digits,

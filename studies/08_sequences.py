@@ -29,9 +29,8 @@ from cpam_bayes.command import add_executor_options
 from cpam_bayes.parallel import open_executor
 from cpam_bayes.plate import Specimen
 from cpam_bayes.printed.tables import identified_layups
-from cpam_bayes.render.progress import timed_lines
 from cpam_bayes.render.report import Heading, Table
-from cpam_bayes.render.terminal import screen_text
+from cpam_bayes.render.terminal import screen_text, timed_lines
 from cpam_bayes.stacking.posterior import stacking_posterior
 from cpam_bayes.stacking.queries import angle_information, given_layup
 from cpam_bayes.stacking.records import DEFAULT_SETTINGS, StackingPosterior, StackingSettings

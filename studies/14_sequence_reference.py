@@ -25,9 +25,8 @@ from numpy.typing import NDArray
 
 from cpam_bayes.command import add_executor_options
 from cpam_bayes.parallel import open_executor
-from cpam_bayes.render.progress import timed_lines
 from cpam_bayes.render.report import Heading, Table
-from cpam_bayes.render.terminal import screen_text
+from cpam_bayes.render.terminal import screen_text, timed_lines
 from cpam_bayes.stacking.evaluation import Evaluated, evaluate, scan_library
 from cpam_bayes.stacking.listing import surrogate_values
 from cpam_bayes.stacking.posterior import stacking_posterior, stacking_problem

@@ -14,8 +14,8 @@ from cpam_bayes.command import add_executor_options
 from cpam_bayes.printed.tables import identified_layups, printed_table
 from cpam_bayes.questions.paper.present import page, row_table
 from cpam_bayes.questions.paper.work import diagnosis_row
-from cpam_bayes.render.documents import csv_text
-from cpam_bayes.render.progress import Terminal
+from cpam_bayes.render.report import csv_text
+from cpam_bayes.render.terminal import Terminal
 from validation.reporting import (
     save_results,
     study_parser,

@@ -35,10 +35,9 @@ import cpam_bayes as cb
 from cpam_bayes.errors import ArgumentError, LayupError, PlateFileError
 from cpam_bayes.modal_analysis.read import ModalTestError
 from cpam_bayes.plate import parse_specimen
-from cpam_bayes.plate.hits import modes_of
+from cpam_bayes.plate.instruments import MAX_UNIVERSAL_BYTES, UniversalFileError, read_shapes
 from cpam_bayes.plate.layup import parse_layup
-from cpam_bayes.plate.mode_shapes import MAX_UNIVERSAL_BYTES, UniversalFileError, read_shapes
-from cpam_bayes.plate.modes_table import read_modes_table
+from cpam_bayes.plate.modes_table import modes_of, read_modes_table
 from cpam_bayes.render.report import Heading, Table
 from cpam_bayes.render.terminal import screen_text
 from cpam_bayes.storage import read_arrays, write_arrays

@@ -12,8 +12,8 @@ import pytest
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from cpam_bayes import threads
-from cpam_bayes.threads import single_blas_thread
+from cpam_bayes import running
+from cpam_bayes.running import single_blas_thread
 
 Array = NDArray[Any]
 
@@ -88,8 +88,8 @@ def test_a_stack_is_shared_out_and_its_answer_is_that_of_one_thread_to_the_last_
         sizes.append(len(stack))
         return np.linalg.eigvalsh(stack)
 
-    monkeypatch.setattr(threads, "cores", lambda: 3)
-    found = threads.matrix_by_matrix(counted, matrices)
+    monkeypatch.setattr(running, "cores", lambda: 3)
+    found = running.matrix_by_matrix(counted, matrices)
     assert sorted(sizes) == [33, 34, 34]
     np.testing.assert_array_equal(found, expected)
 
@@ -101,11 +101,11 @@ def test_a_worker_shares_out_nothing(matrices: Array, monkeypatch: pytest.Monkey
         names.add(current_thread().name)
         return np.linalg.eigvalsh(stack)
 
-    monkeypatch.setattr(threads, "cores", lambda: 3)
-    with threads.keep_to_one_core():
-        threads.matrix_by_matrix(named, matrices)
+    monkeypatch.setattr(running, "cores", lambda: 3)
+    with running.keep_to_one_core():
+        running.matrix_by_matrix(named, matrices)
         assert names == {current_thread().name}
-    threads.matrix_by_matrix(named, matrices)
+    running.matrix_by_matrix(named, matrices)
     assert len(names) > 1
 
 
@@ -117,6 +117,6 @@ def test_an_error_in_a_helping_thread_reaches_the_caller(
             raise np.linalg.LinAlgError("no convergence")
         return np.linalg.eigvalsh(stack)
 
-    monkeypatch.setattr(threads, "cores", lambda: 2)
+    monkeypatch.setattr(running, "cores", lambda: 2)
     with pytest.raises(np.linalg.LinAlgError, match="no convergence"):
-        threads.matrix_by_matrix(fails_at_the_end, matrices)
+        running.matrix_by_matrix(fails_at_the_end, matrices)

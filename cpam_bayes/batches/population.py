@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from cpam_bayes.batches.plate_row import LocalLikelihood, PlateRow
 from cpam_bayes.inference.ensemble import Diagnostics, EnsembleSettings, sample_density
 from cpam_bayes.parameters import Parameter, ParameterSet, ScaledStudentT, Uniform
-from cpam_bayes.threads import single_blas_thread
+from cpam_bayes.running import single_blas_thread
 
 __all__ = [
     "LEAST_PLATES",

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from cpam_bayes.diagnosis.hypotheses import OTHER, Hypothesis
 from cpam_bayes.diagnosis.models import Change, ComposedModel, Part, PlateModels, extended_model, plate_models
 from cpam_bayes.effects import Effect
-from cpam_bayes.effects.frequency_list import MISREADING
+from cpam_bayes.effects.effect import MISREADING
 from cpam_bayes.forward_model.labels import ShapePairing
 from cpam_bayes.forward_model.local.model import LocalModel
 from cpam_bayes.forward_model.reduced import ReducedModel

@@ -49,8 +49,7 @@ from cpam_bayes.diagnosis.signatures import (
     with_equal_fits,
 )
 from cpam_bayes.identification.point import Reliance, reliances
-from cpam_bayes.running import cut_short, is_time_up
-from cpam_bayes.threads import single_blas_thread
+from cpam_bayes.running import cut_short, is_time_up, single_blas_thread
 
 Array = NDArray[Any]
 

@@ -19,7 +19,7 @@ from cpam_bayes.inference.posterior import NoiseModel, Posterior
 from cpam_bayes.inference.proposal import AdaptationSettings, adapted
 from cpam_bayes.mechanics.modes import Mode
 from cpam_bayes.plate import Measurement
-from cpam_bayes.threads import single_blas_thread
+from cpam_bayes.running import single_blas_thread
 
 __all__ = ["FrequencyRow", "MissedMode", "PairedFit", "left_aside", "paired_fit", "plain_mode_shapes"]
 

@@ -22,7 +22,7 @@ from cpam_bayes.diagnosis.evidence.scan import marginal_of
 from cpam_bayes.diagnosis.evidence.weighing import Weighed
 from cpam_bayes.diagnosis.hypotheses import NONE, OTHER, Claim, Hypothesis
 from cpam_bayes.diagnosis.models import ComposedModel
-from cpam_bayes.effects.frequency_list import MISREADING
+from cpam_bayes.effects.effect import MISREADING
 from cpam_bayes.forward_model.preconditions import birge_ratio
 from cpam_bayes.inference.student_mixture import RELIABLE_K, effective_size, pareto_shape
 from cpam_bayes.parameters import Parameter

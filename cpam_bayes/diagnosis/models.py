@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cpam_bayes.effects import Effect, PlateFacts, extend
+from cpam_bayes.forward_model.known_errors import theory_error
 from cpam_bayes.forward_model.local.basis import (
     BarePlate,
     local_model_path,
@@ -36,16 +37,15 @@ from cpam_bayes.forward_model.model import (
 )
 from cpam_bayes.forward_model.reduced import ReducedModel, ReductionSettings, focused, reduce
 from cpam_bayes.forward_model.store import model_key, model_path, stored_model, without_matrices
-from cpam_bayes.forward_model.theory_error import theory_error
 from cpam_bayes.inference.posterior import ForwardModel
 from cpam_bayes.mechanics.convergence import converge
 from cpam_bayes.mechanics.problem import Problem, Values
-from cpam_bayes.mechanics.spaces.ritz import RitzSettings, ritz_space
+from cpam_bayes.mechanics.ritz import RitzSettings, ritz_space
 from cpam_bayes.parameters import ParameterSet
 from cpam_bayes.plate import Specimen
 from cpam_bayes.plate.edges import Field
 from cpam_bayes.plate.laminate import ENERGY_CONSISTENT
-from cpam_bayes.threads import single_blas_thread
+from cpam_bayes.running import single_blas_thread
 
 Array = NDArray[Any]
 

@@ -31,9 +31,9 @@ from cpam_bayes.forward_model.model import PlateModel, model_on_basis
 from cpam_bayes.inference.posterior import ForwardModel
 from cpam_bayes.mechanics.modes import RigidBodyError
 from cpam_bayes.parameters import ParameterSet
+from cpam_bayes.plate import Sensor
 from cpam_bayes.plate.edges import ALL_FREE, CANTILEVER, conditions
-from cpam_bayes.plate.records import Sensor
-from cpam_bayes.threads import single_blas_thread
+from cpam_bayes.running import single_blas_thread
 
 Array = NDArray[Any]
 

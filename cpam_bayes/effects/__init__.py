@@ -5,6 +5,10 @@ A new effect is one file and one line in ``CATALOGUE``; ``docs/effects.md`` show
 
 from cpam_bayes.effects.edges import CLAMP_ROTATION, CLAMP_SLIP, CLAMP_TRANSLATION, SOFT_CLAMP, SUPPORT
 from cpam_bayes.effects.effect import (
+    FREQUENCY_SCALE,
+    MODE_IDENTITY,
+    OUTLIER,
+    VISCOELASTIC,
     Effect,
     ListChange,
     ListVariant,
@@ -13,7 +17,6 @@ from cpam_bayes.effects.effect import (
     scale_of,
     variants,
 )
-from cpam_bayes.effects.frequency_list import FREQUENCY_SCALE, MODE_IDENTITY, OUTLIER, VISCOELASTIC
 from cpam_bayes.effects.geometry import (
     CLAMP_LENGTH,
     DENSITY,

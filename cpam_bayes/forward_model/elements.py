@@ -9,18 +9,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cpam_bayes.forward_model.model import PlateModel, plate_problem
-from cpam_bayes.mechanics.modes import solve
-from cpam_bayes.mechanics.problem import Problem
-from cpam_bayes.mechanics.spaces.fem import (
+from cpam_bayes.mechanics.fem import (
     DEFAULT_GRADING,
     FemSpace,
+    SparseOperator,
     default_counts,
+    discretise_sparse,
     fem_space,
     fem_space_from_mesh,
 )
-from cpam_bayes.mechanics.sparse import SparseOperator, discretise_sparse
-from cpam_bayes.plate.records import Specimen
-from cpam_bayes.threads import single_blas_thread
+from cpam_bayes.mechanics.modes import solve
+from cpam_bayes.mechanics.problem import Problem
+from cpam_bayes.plate import Specimen
+from cpam_bayes.running import single_blas_thread
 
 Array = NDArray[Any]
 

@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cpam_bayes.effects import add_air, add_known_mass
-from cpam_bayes.mechanics.affine import AffineOperator
+from cpam_bayes.mechanics.affine import AffineOperator, discretise
 from cpam_bayes.mechanics.convergence import Tolerance, converge, rich_frequencies
-from cpam_bayes.mechanics.dense import discretise
 from cpam_bayes.mechanics.modes import (
     Mode,
     RigidBodyError,
@@ -24,11 +23,11 @@ from cpam_bayes.mechanics.modes import (
     solve,
 )
 from cpam_bayes.mechanics.problem import PlateState, Problem, Values, bare_plate
-from cpam_bayes.mechanics.spaces.ritz import RitzSettings, ritz_space
+from cpam_bayes.mechanics.ritz import RitzSettings, ritz_space
 from cpam_bayes.parameters import Parameter, ParameterSet, TruncatedNormal, Uniform
+from cpam_bayes.plate import Hybrid, Material, Plate, Specimen
 from cpam_bayes.plate.laminate import ENERGY_CONSISTENT, ShearModel, laminate_geometry
-from cpam_bayes.plate.records import Hybrid, Material, Plate, Specimen
-from cpam_bayes.threads import single_blas_thread
+from cpam_bayes.running import single_blas_thread
 
 Array = NDArray[Any]
 

@@ -23,14 +23,13 @@ from cpam_bayes.answer import Notice, Severity
 from cpam_bayes.errors import PlateFileError
 from cpam_bayes.formatting import listed, significant
 from cpam_bayes.forward_model.model import NO_PARAMETERS, plate_problem, reference_constants
-from cpam_bayes.mechanics.dense import discretise
+from cpam_bayes.mechanics.affine import discretise
 from cpam_bayes.mechanics.modes import RigidBodyError, solve
-from cpam_bayes.mechanics.spaces.ritz import RitzSettings, ritz_space
+from cpam_bayes.mechanics.ritz import RitzSettings, ritz_space
 from cpam_bayes.parameters import ParameterSet
-from cpam_bayes.plate import Material, Measurement, Specimen, unit_of
+from cpam_bayes.plate import Material, Measurement, Specimen, joined_name, unit_of
 from cpam_bayes.plate.edges import conditions
-from cpam_bayes.plate.units import joined_name
-from cpam_bayes.threads import single_blas_thread
+from cpam_bayes.running import single_blas_thread
 
 LARGE_ERROR: Final = 1e-3
 """Relative error of the solver from which it is no longer small, where the noise is not known."""

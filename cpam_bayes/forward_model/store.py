@@ -29,12 +29,12 @@ from cpam_bayes.forward_model.reduced import (
 )
 from cpam_bayes.mechanics.affine import AffineMatrix, AffineOperator, DenseBlock
 from cpam_bayes.mechanics.problem import Problem
-from cpam_bayes.mechanics.spaces.ritz import RitzSettings, ritz_space
+from cpam_bayes.mechanics.ritz import RitzSettings, ritz_space
 from cpam_bayes.parameters import ParameterSet
 from cpam_bayes.plate import Specimen
 from cpam_bayes.plate.laminate import ENERGY_CONSISTENT, ShearModel
+from cpam_bayes.running import single_blas_thread
 from cpam_bayes.storage import model_file, read_model, write_model
-from cpam_bayes.threads import single_blas_thread
 
 Array = NDArray[Any]
 

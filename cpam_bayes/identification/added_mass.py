@@ -27,11 +27,11 @@ from scipy.stats import chi2
 from cpam_bayes.forward_model.local.basis import local_space
 from cpam_bayes.forward_model.model import PlateModel
 from cpam_bayes.inference.posterior import NOISE_PRIOR
-from cpam_bayes.mechanics.dense import discretise
+from cpam_bayes.mechanics.affine import discretise
 from cpam_bayes.mechanics.problem import rigid_body_count
-from cpam_bayes.mechanics.spaces.ritz import evaluate_sector
+from cpam_bayes.mechanics.ritz import evaluate_sector
 from cpam_bayes.plate.edges import FIELDS
-from cpam_bayes.threads import single_blas_thread
+from cpam_bayes.running import single_blas_thread
 
 __all__ = ["AddedMass", "Finding", "LoadedPlate", "Repeatability", "find_mass", "loaded_plate"]
 

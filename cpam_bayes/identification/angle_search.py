@@ -50,9 +50,8 @@ from cpam_bayes.inference.swarm import (
 )
 from cpam_bayes.parallel import run
 from cpam_bayes.parameters import ParameterSet
-from cpam_bayes.plate import Specimen
-from cpam_bayes.plate.records import angle_grid
-from cpam_bayes.threads import single_blas_thread
+from cpam_bayes.plate import Specimen, angle_grid
+from cpam_bayes.running import single_blas_thread
 
 __all__ = [
     "AngleSearchProblem",

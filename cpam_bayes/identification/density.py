@@ -13,12 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import logsumexp
 
+from cpam_bayes.forward_model.known_errors import Array, known_errors, powers, theory_error
 from cpam_bayes.forward_model.labels import LabelledModel, list_order
 from cpam_bayes.forward_model.preconditions import birge_ratio
 from cpam_bayes.forward_model.reduced import DEFAULT_SETTINGS as REDUCTION
 from cpam_bayes.forward_model.reduced import ReducedModel
-from cpam_bayes.forward_model.theory_error import theory_error
-from cpam_bayes.forward_model.tolerances import Array, known_errors, powers
 from cpam_bayes.inference.derivatives import Expansion, NormalScores, apart
 from cpam_bayes.inference.laplace import maximise
 from cpam_bayes.inference.posterior import NOISE, NOISE_PRIOR
@@ -26,8 +25,7 @@ from cpam_bayes.inference.proposal import Rounds, adaptive_importance
 from cpam_bayes.inference.student_mixture import Mixture, shrunk_moments
 from cpam_bayes.mechanics.modes import RigidBodyError
 from cpam_bayes.parameters import Parameter, ParameterSet
-from cpam_bayes.plate import Measurement, Specimen
-from cpam_bayes.plate.records import Material
+from cpam_bayes.plate import Material, Measurement, Specimen
 
 Model = ReducedModel | LabelledModel
 

@@ -35,8 +35,7 @@ from cpam_bayes.inference.sampling import swarm_on_posterior
 from cpam_bayes.inference.swarm import SwarmResult, SwarmSettings, material_swarm, minimise
 from cpam_bayes.parameters import ParameterSet
 from cpam_bayes.plate import Measurement, PlateLike, Specimen, read_plate
-from cpam_bayes.running import cut_short, is_time_up
-from cpam_bayes.threads import single_blas_thread
+from cpam_bayes.running import cut_short, is_time_up, single_blas_thread
 
 NO_MESH: Final = (
     "identify computes rectangular plates only; leave mesh out, or compute this plate's frequencies "

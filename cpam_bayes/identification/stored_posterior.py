@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 from cpam_bayes.forward_model.model import SIZES
 from cpam_bayes.inference.posterior import NOISE_NAMES
 from cpam_bayes.inference.sampling import opened_draws
-from cpam_bayes.plate import USER_UNITS, to_si, user_name
+from cpam_bayes.plate import USER_UNITS, joined_name, split_name, to_si, user_name
 from cpam_bayes.plate.laminate import CONSTANTS
-from cpam_bayes.plate.units import joined_name, split_name
 
 __all__ = ["StoredPosterior", "read_posterior", "stored_posterior"]
 

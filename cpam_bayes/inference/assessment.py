@@ -17,7 +17,7 @@ from cpam_bayes.inference.ensemble import EnsembleResult
 from cpam_bayes.inference.pairing import Pairing
 from cpam_bayes.inference.posterior import Posterior
 from cpam_bayes.parameters import ParameterSet
-from cpam_bayes.plate.records import Constraint, Hybrid, Material
+from cpam_bayes.plate import Constraint, Hybrid, Material
 
 Array = NDArray[Any]
 

@@ -30,7 +30,7 @@ from cpam_bayes.inference.proposal import NOWHERE, AdaptationSettings, adapt, ad
 from cpam_bayes.inference.student_mixture import RELIABLE_K, log_mixture, weighted
 from cpam_bayes.inference.swarm import SwarmSettings, minimise
 from cpam_bayes.plate import Specimen, to_user, unit_of, user_name
-from cpam_bayes.threads import single_blas_thread
+from cpam_bayes.running import single_blas_thread
 
 Array = NDArray[Any]
 

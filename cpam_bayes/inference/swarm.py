@@ -38,9 +38,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cpam_bayes.parameters import ParameterSet
+from cpam_bayes.plate import Hybrid, Material, joined_name, split_name
 from cpam_bayes.plate.laminate import MaterialSymmetry
-from cpam_bayes.plate.records import Hybrid, Material
-from cpam_bayes.plate.units import joined_name, split_name
 from cpam_bayes.running import cut_short, is_time_up
 
 FloatArray: TypeAlias = NDArray[np.float64]

@@ -14,11 +14,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cpam_bayes.mechanics.affine import DenseOperator, restricted
-from cpam_bayes.mechanics.dense import discretise, discretise_at
+from cpam_bayes.mechanics.affine import DenseOperator, discretise, discretise_at, restricted
 from cpam_bayes.mechanics.modes import RigidBodyError, Spectrum, solve
 from cpam_bayes.mechanics.problem import Problem, Values
-from cpam_bayes.mechanics.spaces.ritz import RitzSettings, RitzSpace, ritz_space
+from cpam_bayes.mechanics.ritz import RitzSettings, RitzSpace, ritz_space
 from cpam_bayes.plate.edges import conditions
 
 Array = NDArray[Any]

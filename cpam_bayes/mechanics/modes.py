@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from cpam_bayes.mechanics.affine import AffineOperator, ModeVectors
 from cpam_bayes.mechanics.problem import MEMBRANE_FIELDS, Region, rigid_body_count
-from cpam_bayes.mechanics.spaces.ritz import Quadrature
+from cpam_bayes.mechanics.ritz import Quadrature
 from cpam_bayes.plate.edges import EDGES, FIELDS, Field, conditions
 
 Array = NDArray[Any]

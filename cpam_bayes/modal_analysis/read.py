@@ -20,8 +20,7 @@ from scipy.io import wavfile
 
 from cpam_bayes.answer import Notice, each_once
 from cpam_bayes.errors import PlateFileError
-from cpam_bayes.plate.mode_shapes import UniversalFileError, read_sets
-from cpam_bayes.plate.spreadsheet import decode, read_delimited
+from cpam_bayes.plate.instruments import UniversalFileError, decode, read_delimited, read_sets
 from cpam_bayes.plate.text import read_regular_file
 
 __all__ = [

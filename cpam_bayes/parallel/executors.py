@@ -33,7 +33,7 @@ from pathlib import Path
 from typing import Any, TypeVar, cast
 
 from cpam_bayes import __version__
-from cpam_bayes.threads import cores, keep_to_one_core, single_blas_thread
+from cpam_bayes.running import cores, keep_to_one_core, single_blas_thread
 
 # Bytes of a buffer from which on it stands beside the pickle.
 _LARGE = 1 << 20

@@ -36,9 +36,8 @@ from cpam_bayes.parallel.executors import (
     workers_of,
     write_shared,
 )
-from cpam_bayes.running import TimeIsUpError, is_time_up, time_is_up_error, time_limit
+from cpam_bayes.running import TimeIsUpError, is_time_up, single_blas_thread, time_is_up_error, time_limit
 from cpam_bayes.storage import draft_file
-from cpam_bayes.threads import single_blas_thread
 
 T = TypeVar("T")
 Shared = TypeVar("Shared")

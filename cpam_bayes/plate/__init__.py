@@ -9,13 +9,29 @@ from cpam_bayes.plate.reader import (
     read_plate,
     read_specimen,
 )
-from cpam_bayes.plate.records import Hybrid, Material, Measurement, Plate, Sensor, Specimen, angle_grid
+from cpam_bayes.plate.records import (
+    USER_UNITS,
+    Constraint,
+    Hybrid,
+    Material,
+    Measurement,
+    Plate,
+    Sensor,
+    Specimen,
+    angle_grid,
+    joined_name,
+    split_name,
+    to_si,
+    to_user,
+    unit_of,
+    user_name,
+)
 from cpam_bayes.plate.text import MAX_BYTES
-from cpam_bayes.plate.units import USER_UNITS, to_si, to_user, unit_of, user_name
 
 __all__ = [
     "MAX_BYTES",
     "USER_UNITS",
+    "Constraint",
     "Hybrid",
     "Material",
     "Measurement",
@@ -27,9 +43,11 @@ __all__ = [
     "builtin",
     "builtin_names",
     "builtin_plates",
+    "joined_name",
     "parse_specimen",
     "read_plate",
     "read_specimen",
+    "split_name",
     "to_si",
     "to_user",
     "unit_of",

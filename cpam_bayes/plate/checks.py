@@ -19,10 +19,9 @@ import numpy as np
 from cpam_bayes.errors import LayupError
 from cpam_bayes.plate.laminate import CONSTRAINTS, MaterialSymmetry, constraint_violations, is_admissible
 from cpam_bayes.plate.layup import Layup, PlyKind, parse_layup
-from cpam_bayes.plate.problems import Data, Problem, Problems, number, numbers, real, received, table
-from cpam_bayes.plate.records import angle_grid
+from cpam_bayes.plate.records import USER_UNITS, angle_grid, to_si, user_name
 from cpam_bayes.plate.schema import MAX_FREQUENCIES, NAME, is_hybrid
-from cpam_bayes.plate.units import USER_UNITS, to_si, user_name
+from cpam_bayes.plate.text import Data, Problem, Problems, number, numbers, real, received, table
 
 __all__ = ["CONSTANT_KEYS", "ply_kinds", "relation_problems", "symmetry_of"]
 

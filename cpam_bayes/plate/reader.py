@@ -20,11 +20,21 @@ import numpy as np
 from cpam_bayes.errors import PlateFileError, checked
 from cpam_bayes.parameters import Parameter, ParameterSet, Prior, TruncatedNormal, Uniform
 from cpam_bayes.plate.checks import CONSTANT_KEYS, ply_kinds, relation_problems, symmetry_of
-from cpam_bayes.plate.hits import table_of
+from cpam_bayes.plate.instruments import shapes_of
 from cpam_bayes.plate.layup import Layup, PlyKind, parse_layup
-from cpam_bayes.plate.mode_shapes import shapes_of
-from cpam_bayes.plate.problems import KeyPath, Problem, plate_file_error, received
-from cpam_bayes.plate.records import USUAL_SD, Hybrid, Material, Measurement, Plate, Sensor, Specimen
+from cpam_bayes.plate.modes_table import table_of
+from cpam_bayes.plate.records import (
+    USER_UNITS,
+    USUAL_SD,
+    Hybrid,
+    Material,
+    Measurement,
+    Plate,
+    Sensor,
+    Specimen,
+    joined_name,
+    to_si,
+)
 from cpam_bayes.plate.schema import (
     ConstantsModel,
     HybridUnknownsModel,
@@ -38,9 +48,17 @@ from cpam_bayes.plate.schema import (
     respelt,
     validated,
 )
-from cpam_bayes.plate.text import decode, line_numbers, parse, read_regular_file
-from cpam_bayes.plate.understood import understood
-from cpam_bayes.plate.units import USER_UNITS, joined_name, to_si
+from cpam_bayes.plate.text import (
+    KeyPath,
+    Problem,
+    decode,
+    line_numbers,
+    parse,
+    plate_file_error,
+    read_regular_file,
+    received,
+    understood,
+)
 
 __all__ = [
     "PlateLike",

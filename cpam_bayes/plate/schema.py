@@ -17,7 +17,7 @@ from pydantic.fields import FieldInfo
 
 from cpam_bayes.plate.edges import STATED
 from cpam_bayes.plate.laminate import MaterialSymmetry
-from cpam_bayes.plate.problems import MAX_SHOWN, KeyPath, Problem, received
+from cpam_bayes.plate.text import MAX_SHOWN, KeyPath, Problem, received
 
 __all__ = [
     "MAX_FREQUENCIES",

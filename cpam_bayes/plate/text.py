@@ -1,20 +1,171 @@
-"""Texts of plate files: opened whatever the path turns out to be, parsed, and with the line of every key."""
+"""Texts of plate files: opened whatever the path turns out to be, parsed, understood; what is wrong there.
+
+Values as users write them become those of the schema: numbers with units or commas, edges in words, lists.
+Only what can mean one thing is changed; all else is left to the schema, which refuses it. What is wrong is a
+`Problem` with its place; all problems of a file are one error.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import json
+import math
 import os
 import re
+import reprlib
 import stat
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
 from cpam_bayes.errors import PlateFileError
-from cpam_bayes.plate.problems import KeyPath, Problem, received
+from cpam_bayes.plate.edges import letters_of
 
-__all__ = ["MAX_BYTES", "decode", "line_numbers", "parse", "read_named_file", "read_regular_file"]
+__all__ = [
+    "MAX_BYTES",
+    "UNITS",
+    "decode",
+    "line_numbers",
+    "number_of",
+    "numbers_of",
+    "parse",
+    "read_named_file",
+    "read_regular_file",
+    "understood",
+]
+
+
+KeyPath = tuple[str | int, ...]
+Data = Mapping[str, Any]
+
+_BARE = re.compile(r"[A-Za-z0-9_-]+")
+_MAX_PROBLEMS: Final = 100
+# Items of a list that a message shows.
+MAX_SHOWN: Final = 6
+
+
+@dataclass(frozen=True, slots=True)
+class Problem:
+    """One thing that is wrong: where in the file, and a phrase that says it all, or what makes the phrase.
+
+    A file can be wrong in ten thousand places; only what is shown is put in words.
+
+    is_gap : whether something is missing and nothing wrong
+    """
+
+    path: KeyPath
+    what: str | Callable[[], str]
+    is_gap: bool = False
+
+    def of_material(self, name: str) -> Problem:
+        """The same thing, found in a file that was looked at as if it had this material alone."""
+        if not name or self.path[0] not in ("material", "unknowns"):
+            return self
+        return Problem((self.path[0], name, *self.path[1:]), self.what, self.is_gap)
+
+    def under(self, misspelt: Mapping[KeyPath, str]) -> Problem:
+        """The same thing at the keys that the file has; misspelt : these -> the known key of each."""
+        for path, known in misspelt.items():
+            n = len(path)
+            if self.path[:n] == (*path[:-1], known):
+                return Problem((*path, *self.path[n:]), self.what, self.is_gap)
+        return self
+
+    @property
+    def text(self) -> str:
+        """The phrase."""
+        return self.what if isinstance(self.what, str) else self.what()
+
+
+Problems = Iterator[Problem]
+
+
+def plate_file_error(
+    source: str, problems: Iterable[Problem], lines: Mapping[KeyPath, int]
+) -> PlateFileError:
+    """All problems of a file as one error, in the order of their lines."""
+    located = sorted(
+        ((_line(problem.path, lines), problem) for problem in problems), key=lambda item: item[0]
+    )
+    said: dict[str, bool] = {}
+    found = []
+    for i, (line, problem) in enumerate(located):
+        if len(said) == _MAX_PROBLEMS:
+            said[f"{source}: and {len(located) - i} more problems"] = False
+            break
+        # A mapping given instead of a file has no lines.
+        where = f"{source}:{line}" if lines else source
+        text = problem.text
+        whole = f"{where}: {_key(problem.path)}: {text}"
+        if whole not in said:
+            found.append((whole, problem.path, text))
+        said[whole] = problem.is_gap
+    gaps = tuple(text for text, is_gap in said.items() if is_gap)
+    return PlateFileError(*said, gaps=gaps, found=tuple(found))
+
+
+def received(value: object) -> str:
+    """A value as it may stand in a message: short, one line, printable."""
+    short = reprlib.Repr()
+    short.maxstring = short.maxother = short.maxlong = 60
+    short.maxlevel = 2
+    short.maxlist = MAX_SHOWN
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    return json.dumps(value) if isinstance(value, str) and len(value) <= 60 else short.repr(value)
+
+
+def _line(path: KeyPath, lines: Mapping[KeyPath, int]) -> int:
+    while path and path not in lines:
+        path = path[:-1]
+    return lines.get(path, 1)
+
+
+def _key(path: KeyPath) -> str:
+    said = ""
+    for part in path:
+        if isinstance(part, int):
+            said += f" item {part + 1}"
+        else:
+            name = part if _BARE.fullmatch(part) else received(part)
+            said += f".{name}" if said else name
+    return said or "file"
+
+
+def table(data: Data, *path: str) -> Data:
+    """The table at a path, empty when it is missing or no table."""
+    for key in path:
+        inner = data.get(key)
+        data = inner if isinstance(inner, dict) else {}
+    return data
+
+
+def number(source: Data, key: str) -> float | None:
+    """A finite number of a table, None when it is missing or no such number."""
+    return real(source.get(key))
+
+
+def real(value: object) -> float | None:
+    """A value as a finite number, None when it is none."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return None
+    try:
+        finite = float(value)
+    except OverflowError:
+        return None
+    return finite if math.isfinite(finite) else None
+
+
+def numbers(source: Data, key: str) -> list[float] | None:
+    """A list of finite numbers of a table, None when it is missing or no such list."""
+    values = source.get(key)
+    if not isinstance(values, list):
+        return None
+    numbers_read = [real(value) for value in values]
+    return None if None in numbers_read else [value for value in numbers_read if value is not None]
+
 
 MAX_BYTES: Final = 250_000
 
@@ -150,7 +301,6 @@ def _not_toml(message: str, text: str, source: str) -> str:
 
 _BLANK = re.compile(r"(?:[ \t\r\n]|#[^\n]*)*")
 _SPACE = re.compile(r"[ \t]*")
-_BARE = re.compile(r"[A-Za-z0-9_-]+")
 _PLAIN = re.compile(r"[^\s,\]}#]+(?: \d[^\s,\]}#]*)?")
 _STRINGS: Final = (
     re.compile(r'"""(?:[^"\\]|\\.|"(?!""))*"{3,5}', re.DOTALL),
@@ -307,3 +457,95 @@ class _Scan:
         self._line += self.text.count("\n", self._counted, self.at)
         self._counted = self.at
         return self._line
+
+
+UNITS: Final[Mapping[str, Mapping[str, float]]] = {
+    "kg_m3": {
+        "kg/m3": 1.0,
+        "kg/m^3": 1.0,
+        "kg/m³": 1.0,
+        "g/cm3": 1e3,
+        "g/cm^3": 1e3,
+        "g/cm³": 1e3,
+        "g/cc": 1e3,
+    },
+    "mm": {"mm": 1.0, "cm": 10.0, "m": 1e3, "um": 1e-3, "µm": 1e-3, "in": 25.4, "inch": 25.4},
+    "GPa": {"gpa": 1.0, "mpa": 1e-3, "pa": 1e-9, "n/mm2": 1e-3, "n/mm²": 1e-3},
+    "hz": {"hz": 1.0, "khz": 1e3},
+    "deg": {"deg": 1.0, "°": 1.0},
+    "g": {"g": 1.0, "kg": 1e3, "mg": 1e-3},
+    "std": {"%": 0.01},
+    "nu12": {},
+}
+"""Ending of a key -> the units that a text may have instead, and their factor; the first that fits counts."""
+_LISTS: Final = ("frequencies_hz", "frequency_sd_hz")
+_LAYUPS: Final = ("layup", "sequence_layup")
+_NUMBER: Final = re.compile(r"\s*([+-]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][+-]?\d+)?)\s*(\S.*?)?\s*")
+# As many digits after a comma as thousands have, and a number before it: 1,234 may be either.
+_THOUSANDS: Final = re.compile(r"[+-]?[1-9]\d{0,2},\d{3}")
+# Between numbers: spaces, a semicolon, a comma before a space, a sign of multiplication.
+_BETWEEN: Final = re.compile(r"(?:\s*[;x*\N{MULTIPLICATION SIGN}]\s*|,?\s+)", re.IGNORECASE)
+# Tables in tables of a plate file, and its priors, are no deeper.
+_DEEPEST: Final = 5
+
+
+def number_of(text: str, units: Mapping[str, float] | None = None) -> float | None:
+    """A number with a point or a comma and perhaps a unit; None where it is none, or may be two."""
+    match = _NUMBER.fullmatch(text)
+    if match is None or _THOUSANDS.fullmatch(match[1]):
+        return None
+    factor = 1.0 if match[2] is None else (units or {}).get(match[2].casefold())
+    value = float(match[1].replace(",", "."))
+    # 9.8 mm are no 9.799999999999999 mm: a factor below 1 divides
+    return None if factor is None else value * factor if factor >= 1.0 else value / round(1.0 / factor)
+
+
+def numbers_of(text: str) -> tuple[float, ...] | None:
+    """Numbers with points or, all of them, with commas; None for anything else.
+
+    One number alone with a comma may be two.
+    """
+    parts = _BETWEEN.split(text.strip())
+    if ("." in text and any("," in part for part in parts)) or (len(parts) == 1 and "," in text):
+        return None
+    values = [number_of(part) for part in parts]
+    return None if None in values else tuple(value for value in values if value is not None)
+
+
+def understood(data: Mapping[str, Any], depth: int = 0) -> dict[str, Any]:
+    """The content of a plate file, or of a table in it, with the values that the schema has for them."""
+    return {key: _value(key, value, depth) for key, value in data.items()} if depth < _DEEPEST else dict(data)
+
+
+def _value(key: str, value: Any, depth: int) -> Any:
+    if key == "edges":
+        return letters_of(value)
+    if key in _LAYUPS:
+        is_list = isinstance(value, list) and all(isinstance(ply, int | float | str) for ply in value)
+        return f"[{'/'.join(f'{ply}' for ply in value)}]" if is_list and value else value
+    unit = next((UNITS[u] for u in UNITS if key == u or key.endswith(f"_{u}")), None)
+    if isinstance(value, str) and key in _LISTS:
+        listed = numbers_of(value)
+        return value if listed is None else list(listed)
+    if unit is not None:
+        return _numbers(value, unit)
+    if isinstance(value, Mapping):
+        return understood(value, depth + 1)
+    if isinstance(value, list):
+        return [understood(item, depth + 1) if isinstance(item, Mapping) else item for item in value]
+    return value
+
+
+def _numbers(value: Any, units: Mapping[str, float]) -> Any:
+    """A number, a list of numbers or a prior."""
+    if isinstance(value, str):
+        found = number_of(value, units)
+        return value if found is None else found
+    if isinstance(value, list):
+        return [_numbers(item, units) if isinstance(item, str) else item for item in value]
+    if isinstance(value, Mapping):
+        return {
+            key: _numbers(item, units) if isinstance(item, str | list) else item
+            for key, item in value.items()
+        }
+    return value

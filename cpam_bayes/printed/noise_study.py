@@ -55,8 +55,7 @@ from cpam_bayes.printed.repetition import (
     swarm_value,
 )
 from cpam_bayes.printed.tables import PerturbationTable
-from cpam_bayes.running import TimeIsUpError, cut_short
-from cpam_bayes.threads import single_blas_thread
+from cpam_bayes.running import TimeIsUpError, cut_short, single_blas_thread
 
 Array = NDArray[Any]
 ListSource = Literal["measured", "model"]

@@ -26,9 +26,8 @@ from cpam_bayes.inference.posterior import ForwardModel, Posterior, plate_poster
 from cpam_bayes.inference.sampling import sample_posterior
 from cpam_bayes.inference.swarm import SwarmResult, SwarmSettings, material_swarm, minimise
 from cpam_bayes.parameters import ParameterSet
-from cpam_bayes.plate import Hybrid, Material, Measurement
-from cpam_bayes.plate.records import Constraint
-from cpam_bayes.threads import single_blas_thread
+from cpam_bayes.plate import Constraint, Hybrid, Material, Measurement
+from cpam_bayes.running import single_blas_thread
 
 Array = NDArray[Any]
 Cause = Literal[

@@ -33,7 +33,6 @@ from cpam_bayes.forward_model.preconditions import (
 from cpam_bayes.identification.search import posterior
 from cpam_bayes.parallel import open_executor
 from cpam_bayes.plate import PlateLike, Specimen, read_plate, user_name
-from cpam_bayes.render.documents import plate_keys
 from cpam_bayes.render.figures import new_figure
 from cpam_bayes.render.plate import plate_section
 from cpam_bayes.render.report import (
@@ -46,6 +45,7 @@ from cpam_bayes.render.report import (
     Section,
     Summary,
     facts,
+    plate_keys,
 )
 from cpam_bayes.render.sentences import plate_argument
 from cpam_bayes.result import PlateResult, present, within_time

@@ -42,7 +42,6 @@ from cpam_bayes.identification.specimen_design import (
 from cpam_bayes.mechanics.modes import RigidBodyError
 from cpam_bayes.parallel import counted, open_executor, run
 from cpam_bayes.plate import PlateLike, Specimen, read_plate, to_user, unit_of, user_name
-from cpam_bayes.render.documents import plate_keys
 from cpam_bayes.render.figures import new_figure
 from cpam_bayes.render.plate import plate_section
 from cpam_bayes.render.report import (
@@ -55,6 +54,7 @@ from cpam_bayes.render.report import (
     Section,
     Summary,
     facts,
+    plate_keys,
 )
 from cpam_bayes.render.sentences import plate_argument
 from cpam_bayes.result import PlateResult, present

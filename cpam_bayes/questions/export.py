@@ -30,16 +30,14 @@ from cpam_bayes.forward_model.preconditions import (
     require_supported,
 )
 from cpam_bayes.mechanics.modes import Mode, describe_modes, shapes_at
-from cpam_bayes.plate import PlateLike, read_plate
-from cpam_bayes.plate.mode_shapes import pyuff
-from cpam_bayes.plate.records import Specimen
-from cpam_bayes.render.documents import plate_keys
+from cpam_bayes.plate import PlateLike, Specimen, read_plate
+from cpam_bayes.plate.instruments import pyuff
 from cpam_bayes.render.plate import plate_section
-from cpam_bayes.render.report import Column, Report, Rows, Section, Summary, Table, facts
+from cpam_bayes.render.report import Column, Report, Rows, Section, Summary, Table, facts, plate_keys
 from cpam_bayes.render.sentences import plate_argument
 from cpam_bayes.result import PlateResult, present
+from cpam_bayes.running import single_blas_thread
 from cpam_bayes.storage import draft_directory, put_in_place, replaceable
-from cpam_bayes.threads import single_blas_thread
 
 __all__ = ["ExportResult", "UniversalResult", "UniversalShapes", "export"]
 

@@ -15,6 +15,7 @@ from cpam_bayes.answer import Notice
 from cpam_bayes.command import MODES, PLATE, Command, option
 from cpam_bayes.errors import checked
 from cpam_bayes.formatting import NOT_KNOWN, signed, significant
+from cpam_bayes.forward_model.known_errors import sandwich_notices
 from cpam_bayes.forward_model.labels import (
     MeasuredFrequency,
     ShapePairing,
@@ -41,7 +42,6 @@ from cpam_bayes.forward_model.preconditions import (
     require_supported,
     units_notices,
 )
-from cpam_bayes.forward_model.theory_error import sandwich_notices
 from cpam_bayes.mechanics.modes import (
     UNIT_SQUARE,
     Extent,
@@ -51,13 +51,19 @@ from cpam_bayes.mechanics.modes import (
     shapes_at,
     shapes_on_grid,
 )
-from cpam_bayes.plate import Material, PlateLike, Specimen, read_plate, to_user, unit_of, user_name
+from cpam_bayes.plate import (
+    Material,
+    PlateLike,
+    Specimen,
+    joined_name,
+    read_plate,
+    to_user,
+    unit_of,
+    user_name,
+)
 from cpam_bayes.plate.edges import ALL_FREE
-from cpam_bayes.plate.units import joined_name
-from cpam_bayes.render.assurance import assurance_drawings, assurance_sections, shape_keys
-from cpam_bayes.render.documents import plate_keys
 from cpam_bayes.render.figures import extent_of, shapes_figure
-from cpam_bayes.render.plate import plate_section
+from cpam_bayes.render.plate import assurance_drawings, assurance_sections, plate_section, shape_keys
 from cpam_bayes.render.report import (
     COMPUTATION,
     Column,
@@ -69,6 +75,7 @@ from cpam_bayes.render.report import (
     Table,
     facts,
     modes_caption,
+    plate_keys,
 )
 from cpam_bayes.render.sentences import plate_argument
 from cpam_bayes.result import PlateResult, present

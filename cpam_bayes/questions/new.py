@@ -21,7 +21,7 @@ from cpam_bayes.forward_model.model import ROOM_AIR
 from cpam_bayes.forward_model.preconditions import require_choice
 from cpam_bayes.plate.edges import ALL_FREE, EDGE_KEY, PLACES
 from cpam_bayes.plate.reader import parse_specimen
-from cpam_bayes.plate.understood import UNITS, number_of, numbers_of
+from cpam_bayes.plate.text import UNITS, number_of, numbers_of
 from cpam_bayes.render.report import Report, Summary, remarks
 from cpam_bayes.result import Result, present
 from cpam_bayes.storage import draft_directory, put_in_place, replaceable

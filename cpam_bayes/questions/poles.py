@@ -50,8 +50,7 @@ from cpam_bayes.render.report import (
     facts,
 )
 from cpam_bayes.result import Result, present
-from cpam_bayes.running import SILENT, Watch
-from cpam_bayes.threads import single_blas_thread
+from cpam_bayes.running import SILENT, Watch, single_blas_thread
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -34,7 +34,6 @@ from cpam_bayes.parameters import Parameter, ParameterSet, Uniform
 from cpam_bayes.plate import PlateLike, Specimen, read_plate, to_user, unit_of, user_name
 from cpam_bayes.plate.reader import builtin_names
 from cpam_bayes.questions.identify.emcee import SampledResult
-from cpam_bayes.render.documents import plate_keys
 from cpam_bayes.render.figures import MEASURED, PREDICTED, extent_of, new_figure, shapes_figure
 from cpam_bayes.render.plate import plate_section
 from cpam_bayes.render.report import (
@@ -48,11 +47,11 @@ from cpam_bayes.render.report import (
     Summary,
     facts,
     modes_caption,
+    plate_keys,
 )
 from cpam_bayes.render.sentences import further_steps, plate_argument
 from cpam_bayes.result import PlateResult, present
-from cpam_bayes.running import SILENT, Watch
-from cpam_bayes.threads import single_blas_thread
+from cpam_bayes.running import SILENT, Watch, single_blas_thread
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

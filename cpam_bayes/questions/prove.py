@@ -34,11 +34,9 @@ from cpam_bayes.identification.search import required
 from cpam_bayes.plate import Measurement, Plate, PlateLike, Specimen, read_plate
 from cpam_bayes.plate.text import decode, parse, read_regular_file
 from cpam_bayes.questions.identify.pso import PointResult, identify
-from cpam_bayes.render.documents import plate_keys
 from cpam_bayes.render.figures import MEASURED, PREDICTED
-from cpam_bayes.render.plate import plate_section
-from cpam_bayes.render.plate_drawing import PLATE as DRAWING
-from cpam_bayes.render.plate_drawing import plate_figure
+from cpam_bayes.render.plate import PLATE as DRAWING
+from cpam_bayes.render.plate import plate_figure, plate_section
 from cpam_bayes.render.report import (
     COMPUTATION,
     Caption,
@@ -49,6 +47,7 @@ from cpam_bayes.render.report import (
     Section,
     Summary,
     facts,
+    plate_keys,
 )
 from cpam_bayes.result import PlateResult, present, within_time
 from cpam_bayes.running import SILENT, Watch

@@ -18,9 +18,18 @@ from cpam_bayes.questions.diagnose import DiagnosisResult, diagnose
 from cpam_bayes.questions.identify.emcee import SampledResult, sample
 from cpam_bayes.questions.identify.pso import PointResult, identify
 from cpam_bayes.questions.sequence import StackingResult, sequence
-from cpam_bayes.render.documents import json_text, plate_keys
 from cpam_bayes.render.notices import sentences
-from cpam_bayes.render.report import COMPUTATION, Drawing, Report, Rows, Section, Summary, remarks
+from cpam_bayes.render.report import (
+    COMPUTATION,
+    Drawing,
+    Report,
+    Rows,
+    Section,
+    Summary,
+    json_text,
+    plate_keys,
+    remarks,
+)
 from cpam_bayes.render.sentences import plate_argument
 from cpam_bayes.result import PlateResult, Result, document_of, present, within_time
 from cpam_bayes.running import SILENT, Watch

@@ -43,7 +43,6 @@ from cpam_bayes.printed.noise_study import (
 )
 from cpam_bayes.printed.repetition import INTERPRETATIONS, Interpretation
 from cpam_bayes.printed.tables import PerturbationTable, contradictions, perturbation_table
-from cpam_bayes.render.documents import plain, plate_keys
 from cpam_bayes.render.noise_study import (
     COMPARED,
     PLACE,
@@ -65,6 +64,8 @@ from cpam_bayes.render.report import (
     Summary,
     Table,
     facts,
+    plain,
+    plate_keys,
     remarks,
 )
 from cpam_bayes.render.sentences import plate_argument

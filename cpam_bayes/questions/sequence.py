@@ -12,6 +12,7 @@ from cpam_bayes.answer import Constant, FrequencyRow, Notice
 from cpam_bayes.command import EXECUTOR, TIME_LIMIT, WORKERS, Command, option, whole
 from cpam_bayes.errors import checked
 from cpam_bayes.formatting import decimals_of, fixed, probable, signed, significant
+from cpam_bayes.forward_model.known_errors import thin_plate_errors
 from cpam_bayes.forward_model.model import air_shifts
 from cpam_bayes.forward_model.preconditions import (
     count_slips,
@@ -26,13 +27,11 @@ from cpam_bayes.forward_model.preconditions import (
     require_whole,
     stated_noise_slips,
 )
-from cpam_bayes.forward_model.tolerances import thin_plate_errors
 from cpam_bayes.identification.point import Reliance, reliances, verdict_of
 from cpam_bayes.inference.posterior import NOISE
 from cpam_bayes.parallel import open_executor
 from cpam_bayes.plate import PlateLike, Specimen, read_plate, to_user, user_name
 from cpam_bayes.printed.tables import identified_layups
-from cpam_bayes.render.documents import plate_keys
 from cpam_bayes.render.plate import plate_section
 from cpam_bayes.render.report import (
     COMPUTATION,
@@ -43,6 +42,7 @@ from cpam_bayes.render.report import (
     Summary,
     Table,
     facts,
+    plate_keys,
     remarks,
 )
 from cpam_bayes.render.sentences import (

@@ -9,9 +9,8 @@ from pathlib import Path
 from typing import Any, ClassVar, Protocol
 
 from cpam_bayes.plate import Specimen
-from cpam_bayes.render.documents import csv_text, json_text, xlsx_bytes
 from cpam_bayes.render.page import PAGE, command_of, write_page
-from cpam_bayes.render.report import Report
+from cpam_bayes.render.report import Report, csv_text, json_text, xlsx_bytes
 from cpam_bayes.storage import draft_directory, draft_file, put_in_place, replaceable
 
 __all__ = ["Stage", "require_table", "save", "save_tables", "staging"]

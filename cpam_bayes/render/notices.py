@@ -11,8 +11,7 @@ from typing import Any, Final, TypeAlias
 from cpam_bayes.answer import Notice, Severity
 from cpam_bayes.formatting import listed, significant
 from cpam_bayes.forward_model.preconditions import likely_cure
-from cpam_bayes.plate import to_user, user_name
-from cpam_bayes.plate.records import Constraint
+from cpam_bayes.plate import Constraint, to_user, user_name
 
 __all__ = ["SENTENCES", "capitalised", "sentence_of", "sentences"]
 

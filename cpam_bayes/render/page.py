@@ -22,7 +22,6 @@ from markupsafe import Markup, escape
 
 from cpam_bayes import __version__
 from cpam_bayes.plate import Specimen
-from cpam_bayes.render.documents import json_text
 from cpam_bayes.render.report import (
     COMPUTATION,
     Caption,
@@ -30,6 +29,7 @@ from cpam_bayes.render.report import (
     Section,
     Summary,
     facts,
+    json_text,
     merged,
 )
 

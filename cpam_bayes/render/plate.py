@@ -1,29 +1,52 @@
-"""A plate in words and numbers: the head of every screen."""
+"""A plate and what was measured of it: in words, drawn to scale, and its measured shapes beside the modes."""
 
 from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cpam_bayes.formatting import fixed, significant
+from cpam_bayes.formatting import fixed, listed, significant
+from cpam_bayes.forward_model.labels import ShapePairing
 from cpam_bayes.forward_model.model import ROOM_AIR
 from cpam_bayes.plate import Measurement, Plate, Specimen
-from cpam_bayes.plate.edges import CONDITIONS, PLACES
-from cpam_bayes.render.report import Section, Table, facts
+from cpam_bayes.plate.edges import CONDITIONS, PLACES, EdgeCondition, conditions
+from cpam_bayes.plate.laminate import equal_plies
+from cpam_bayes.plate.layup import Layup
+from cpam_bayes.render.figures import PREDICTED, new_figure
+from cpam_bayes.render.report import Caption, Column, Drawing, Rows, Section, Table, facts
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 __all__ = [
+    "FIGURE",
     "NO_AIR",
+    "PLATE",
     "THIN",
+    "Overlay",
     "air_text",
+    "assurance_drawings",
+    "assurance_sections",
     "edges_text",
     "layup_text",
     "measured_facts",
+    "plate_caption",
+    "plate_drawing",
+    "plate_figure",
     "plate_head",
     "plate_section",
+    "plate_sentence",
+    "shape_keys",
     "size_text",
     "thickness_class",
     "thickness_ratio",
 ]
+
 
 NO_AIR = "none given: vacuum, no air in the model"
 # Shorter side over thickness from which transverse shear hardly shows in the lowest modes.
@@ -155,6 +178,24 @@ def edges_text(edges: str) -> str:
     return "; ".join(said)
 
 
+def plate_sentence(specimen: Specimen) -> str:
+    """The plate as the model has it: what is not named here is not in the model."""
+    plate = specimen.plate
+    mass = plate.mass if plate.mass is not None else plate.density * plate.area * plate.thickness
+    weight = f", {mass * 1e3:.4g} g" if plate.mesh is None or plate.mass is not None else ""
+    layup = "" if specimen.material.isotropic else f", layup {layup_text(specimen)}"
+    air = f"air of {specimen.air_density:g} kg/m3" if specimen.air_density else "no air"
+    if specimen.sensors:
+        masses = [f"{s.mass * 1e3:g} g at ({s.x * 1e3:g}, {s.y * 1e3:g}) mm" for s in specimen.sensors]
+        attached = f"with {listed(masses, 'and')} attached"
+    else:
+        attached = "nothing attached to the plate"
+    return (
+        f"The plate in the model: {size_text(plate)} mm{weight}{layup}, {edges_text(plate.edges)}, "
+        f"{attached}, {air}."
+    )
+
+
 def size_text(plate: Plate) -> str:
     """Length, width and thickness, mm."""
     return " x ".join(f"{v * 1e3:.10g}" for v in (plate.length, plate.width, plate.thickness))
@@ -173,3 +214,285 @@ def _density(plate: Plate) -> str:
     if plate.mesh is not None:
         return f"{density} as given"
     return f"{density} as given, {plate.density * plate.area * plate.thickness * 1e3:.5g} g"
+
+
+_INK, _SURFACE, _SENSOR = "#333333", "#eef2f6", "#b3261e"
+# Width of a held edge's band and room for its words, fractions of the longer side.
+_BAND, _ROOM = 0.045, 0.2
+# Plies whose angles are written on them; more are told by colour alone.
+_MOST_WRITTEN = 20
+_MOST_KEYS = 10
+
+
+PLATE: Final = "plate"
+"""Name of the drawing of the plate."""
+Overlay = Callable[["Axes", int], None]
+"""Draws something onto the plate of a number, millimetres."""
+
+
+def plate_figure(specimens: Sequence[Specimen], overlay: Overlay | None = None) -> Figure:
+    """The plates, one below the other, each with its plies beside it; overlay : what else is on them."""
+    figure = new_figure(6.0, 3.5 * len(specimens))
+    panels = figure.subfigures(len(specimens), 1, squeeze=False).ravel()
+    for i, (panel, specimen) in enumerate(zip(panels, specimens, strict=True)):
+        top, plies = panel.subplots(1, 2, width_ratios=(3.4, 1.0))
+        _draw_top(top, specimen)
+        if overlay is not None:
+            overlay(top, i)
+        if specimen.material.isotropic:
+            _draw_isotropic(plies, specimen.plate)
+        else:
+            _draw_plies(plies, specimen.plate.layup)
+        panel.suptitle(specimen.name, fontsize=10)
+    return figure
+
+
+def _draw_top(axes: Axes, specimen: Specimen) -> None:
+    """The plate from above, millimetres."""
+    from matplotlib.patches import Rectangle
+
+    plate = specimen.plate
+    a, b = 1e3 * plate.length, 1e3 * plate.width
+    longer = max(a, b)
+    band, room = _BAND * longer, _ROOM * longer
+    axes.add_patch(Rectangle((0, 0), a, b, facecolor=_SURFACE, edgecolor="none"))
+    ends = (((0, 0), (0, b)), ((0, 0), (a, 0)), ((a, 0), (a, b)), ((0, b), (a, b)))
+    bands = (
+        ((-band, 0), band, b),
+        ((0, -band), a, band),
+        ((a, 0), band, b),
+        ((0, b), a, band),
+    )
+    words = (
+        (-1.6 * band, b / 2, "right", "center", 90),
+        (a / 2, -1.6 * band, "center", "top", 0),
+        (a + 1.6 * band, b / 2, "left", "center", 90),
+        (a / 2, b + 1.6 * band, "center", "bottom", 0),
+    )
+    for edge, ((x0, y0), (x1, y1)), strip, (x, y, ha, va, turn) in zip(
+        conditions(plate.edges), ends, bands, words, strict=True
+    ):
+        _draw_edge(axes, edge, (x0, x1), (y0, y1), strip)
+        axes.text(x, y, edge.name, ha=ha, va=va, rotation=turn, fontsize=9, color=_INK)
+    if plate.mesh is not None:
+        axes.text(a / 2, b / 2, "outline: the mesh file", ha="center", va="center", fontsize=9, color=_INK)
+    for sensor in specimen.sensors:
+        x, y = 1e3 * sensor.x, 1e3 * sensor.y
+        axes.plot(x, y, "o", color=_SENSOR, markersize=8)
+        side = "right" if x > a / 2 else "left"
+        said = f" {1e3 * sensor.mass:g} g "
+        axes.annotate(said, (x, y), (0, 7 if y < b / 2 else -7), textcoords="offset points", ha=side,
+                      va="bottom" if y < b / 2 else "top", fontsize=9, color=_SENSOR)  # fmt: skip
+    _draw_axes(axes, 0.22 * min(a, b))
+    size = f"{a:.10g} x {b:.10g} x {1e3 * plate.thickness:.10g} mm"
+    axes.text(a / 2, b / 2 if plate.mesh is None else 0.62 * b, size, ha="center", va="center", fontsize=10)
+    axes.set(xlim=(-room, a + room), ylim=(-room, b + room), aspect="equal")
+    axes.set_axis_off()
+
+
+def _draw_edge(
+    axes: Axes,
+    edge: EdgeCondition,
+    x: tuple[float, float],
+    y: tuple[float, float],
+    strip: tuple[tuple[float, float], float, float],
+) -> None:
+    from matplotlib.patches import Rectangle
+
+    axes.plot(x, y, color=_INK, linewidth=2.4 if edge.mark == "hatching" else 1.2, zorder=3)
+    if edge.mark == "hatching":
+        axes.add_patch(
+            Rectangle(*strip, facecolor="white", edgecolor=_INK, hatch="////", linewidth=0.0, zorder=2)
+        )
+    elif edge.mark == "triangles":
+        n = 9
+        (x0, y0), width, height = strip
+        along_x = width > height
+        places = (np.arange(n) + 0.5) / n
+        px = x0 + (places * width if along_x else width / 2)
+        py = y0 + (height / 2 if along_x else places * height)
+        axes.plot(*np.broadcast_arrays(px, py), "^", mfc="white", mec=_INK, markersize=5, zorder=2)
+
+
+def _draw_axes(axes: Axes, reach: float) -> None:
+    arrow = {"arrowstyle": "->", "color": _INK, "linewidth": 1.2}
+    axes.annotate("", (reach, 0), (0, 0), arrowprops=arrow)
+    axes.annotate("", (0, reach), (0, 0), arrowprops=arrow)
+    axes.text(reach, 0.1 * reach, "x", fontsize=9, ha="center", va="bottom", color=_INK)
+    axes.text(0.1 * reach, reach, "y", fontsize=9, ha="left", va="center", color=_INK)
+
+
+def _draw_isotropic(axes: Axes, plate: Plate) -> None:
+    from matplotlib.patches import Rectangle
+
+    axes.add_patch(Rectangle((0, 0), 1, 1, facecolor=_SURFACE, edgecolor=_INK, linewidth=0.8))
+    axes.text(0.5, 0.5, "isotropic", ha="center", va="center", rotation=90, fontsize=9)
+    axes.set(xlim=(0, 1), ylim=(-0.02, 1.02))
+    axes.set_axis_off()
+    axes.set_title(f"{1e3 * plate.thickness:g} mm", fontsize=9)
+
+
+def _draw_plies(axes: Axes, layup: Layup) -> None:
+    """The plies as a stack, the lowest at the bottom, coloured by angle; unknown ones hatched."""
+    from matplotlib.patches import Patch, Rectangle
+
+    n = layup.n_plies
+    stack = layup.plies or equal_plies(n)
+    levels = n * (stack.interfaces + 0.5)
+    for k, (angle, unknown) in enumerate(zip(layup.angles_deg, layup.unknown_index, strict=True)):
+        style: dict[str, Any] = {"facecolor": "white", "hatch": ".."} if unknown >= 0 else {
+            "facecolor": _colour(float(angle))
+        }  # fmt: skip
+        bottom, height = levels[k], levels[k + 1] - levels[k]
+        axes.add_patch(Rectangle((0, bottom), 1, height, edgecolor=_INK, linewidth=0.5, **style))
+        if n <= _MOST_WRITTEN:
+            name = layup.kinds[k].name if layup.kinds else ""
+            said = name + ("?" if unknown >= 0 else f"{angle:g}")
+            box = {"facecolor": "white", "edgecolor": "none", "pad": 0.6}
+            axes.text(0.5, bottom + height / 2, said, ha="center", va="center", fontsize=8, bbox=box)
+    axes.set(xlim=(0, 1), ylim=(-0.02 * n, 1.02 * n))
+    axes.set_axis_off()
+    axes.set_title(f"{n} plies", fontsize=9)
+    if n > _MOST_WRITTEN:
+        known = sorted({float(a) for a in layup.angles_deg if np.isfinite(a)})
+        keys = [Patch(facecolor=_colour(a), edgecolor=_INK, label=f"{a:g} deg") for a in known[:_MOST_KEYS]]
+        if layup.n_unknown:
+            keys.append(Patch(facecolor="white", edgecolor=_INK, hatch="..", label="unknown"))
+        axes.legend(handles=keys, loc="upper center", bbox_to_anchor=(0.5, 0.0), frameon=False, fontsize=9)
+
+
+def _colour(angle_deg: float) -> Any:
+    """The same colour for -90 and 90 degrees, as in the figures of `sequence`."""
+    from matplotlib import colormaps
+
+    return colormaps["twilight_shifted"]((angle_deg + 90.0) / 180.0, alpha=0.55)
+
+
+def plate_caption(specimens: Sequence[Specimen]) -> Caption:
+    """What the drawing of one plate, or of several, shows."""
+    stated = {letter for s in specimens for letter in s.plate.edges}
+    sensors = any(s.sensors for s in specimens)
+    parts = ["The plate as the model has it, seen from above"]
+    parts += [c.caption for letter, c in CONDITIONS.items() if letter in stated and c.caption]
+    if sensors:
+        parts.append("a red dot is a mass attached to the plate")
+    if not all(s.material.isotropic for s in specimens):
+        parts.append("beside it the plies from the bottom to the top, like colours at like angles")
+    text = (
+        "; ".join(parts)
+        + ". Whatever was on the plate in the laboratory and is not drawn is not in the model."
+    )
+    return Caption(text, " ".join(plate_sentence(s) for s in specimens))
+
+
+def plate_drawing(
+    specimens: Sequence[Specimen], overlay: Overlay | None = None, caption: Caption | None = None
+) -> Drawing:
+    """The plates that were asked about; overlay : what else is drawn on them, with its caption."""
+    return Drawing(PLATE, partial(plate_figure, specimens, overlay), caption or plate_caption(specimens))
+
+
+FIGURE = "modal_assurance"
+
+
+def assurance_sections(pairing: ShapePairing | None, measurement: Measurement | None) -> tuple[Section, ...]:
+    """Which measured shape is which mode, none without shapes."""
+    if pairing is None or measurement is None:
+        return ()
+    return (Section("Measured shapes", (_table(pairing, measurement),), (FIGURE,)),)
+
+
+def _table(pairing: ShapePairing, measurement: Measurement) -> Table:
+    rows = tuple(
+        (float(f), pairing.candidates[j] if j >= 0 else None, int(j), mac, p)
+        for f, j, mac, p in zip(
+            measurement.frequencies, pairing.modes, pairing.assurance, pairing.probability, strict=True
+        )
+    )
+    return Rows("shapes", _ROWS, rows).table("Modal assurance at the reference constants")
+
+
+_ROWS = (
+    Column("measured Hz", value=lambda r: r[0], text=lambda f: f"{f:.10g}", number=True),
+    Column("mode", value=lambda r: "none" if r[1] is None else r[1].label),
+    Column(
+        "model Hz", value=lambda r: r[1] and r[1].frequency, text=lambda f: significant(f, 5), number=True
+    ),
+    Column("MAC", value=lambda r: r[1] and r[3][r[2]], text=lambda v: f"{v:.3f}", number=True),
+    Column(
+        "next MAC",
+        value=lambda r: (np.delete(r[3], r[2]) if r[1] else r[3]).max(initial=0.0),
+        text=lambda v: f"{v:.3f}",
+        number=True,
+    ),
+    Column(
+        "probability",
+        value=lambda r: r[1] and float(r[4][r[2]]),
+        text=lambda v: significant(v, 3),
+        number=True,
+    ),
+)
+
+
+def shape_keys(pairing: ShapePairing | None, measurement: Measurement | None) -> dict[str, Any]:
+    """The pairing in a JSON document, nothing without shapes."""
+    if pairing is None or measurement is None:
+        return {}
+    rows = zip(measurement.frequencies, pairing.modes, pairing.probability, strict=True)
+    return {
+        "modal_assurance": pairing.assurance.tolist(),
+        "shapes": [
+            {
+                "measured_hz": float(f),
+                "mode": None if j < 0 else int(j) + 1,
+                "label": None if j < 0 else pairing.candidates[j].label,
+                "probability": None if j < 0 else float(p[j]),
+            }
+            for f, j, p in rows
+        ],
+    }
+
+
+# Numbers are written in the squares of matrices up to this size; candidates are marked from this probability.
+_MOST_SQUARES, _MARKED = 20, 0.01
+
+
+def assurance_drawings(
+    title: str, pairing: ShapePairing | None, measurement: Measurement | None
+) -> tuple[Drawing, ...]:
+    """Measured shapes against modes, none without shapes."""
+    if pairing is None or measurement is None:
+        return ()
+    n, k = pairing.assurance.shape
+    paired = int(np.sum(pairing.modes >= 0))
+    caption = Caption(
+        "Each row is a measured shape, each column a mode of the model at the reference constants; dark is "
+        "like, 1 is the same shape. A red ring marks the mode that a frequency is taken for, a grey one a "
+        "mode that it may be as well. Two dark squares in a row: the nodes do not tell these modes apart, or "
+        "the constants differ so much from the reference that the modes have mixed.",
+        f"Modal assurance of {n} measured shapes with {k} modes; {paired} are paired.",
+    )
+    return (Drawing(FIGURE, partial(_matrix, title, pairing, measurement), caption),)
+
+
+def _matrix(title: str, pairing: ShapePairing, measurement: Measurement) -> Figure:
+    n, k = pairing.assurance.shape
+    figure = new_figure(1.9 + 0.42 * k, 1.5 + 0.36 * n)
+    axes = figure.add_subplot()
+    image = axes.imshow(pairing.assurance, cmap="Blues", vmin=0.0, vmax=1.0, aspect="auto")
+    figure.colorbar(image, ax=axes, label="modal assurance")
+    axes.set_xticks(
+        range(k), [f"{m.label} {m.frequency:.4g}" for m in pairing.candidates], rotation=90, fontsize=8
+    )
+    axes.set_yticks(range(n), [f"{f:.5g}" for f in measurement.frequencies], fontsize=8)
+    axes.set(xlabel="mode of the model, Hz", ylabel="measured, Hz")
+    axes.set_title(f"{title}: measured shapes and the model's", fontsize=10)
+    if max(n, k) <= _MOST_SQUARES:
+        for (i, j), value in np.ndenumerate(pairing.assurance):
+            if value >= 0.05:
+                color = "white" if value > 0.6 else "0.2"
+                axes.text(j, i, f"{value:.2f}", ha="center", va="center", fontsize=8, color=color)
+    for i, j in np.argwhere(pairing.probability >= _MARKED):
+        colour = PREDICTED if pairing.modes[i] == j else "0.45"
+        axes.plot(j, i, "o", markersize=19, markerfacecolor="none", markeredgecolor=colour)
+    return figure

@@ -10,15 +10,14 @@ from typing import Final
 
 from cpam_bayes.answer import Constant, FrequencyRow, Notice, Verdict
 from cpam_bayes.formatting import NOT_KNOWN, decimals_of, fixed, listed, signed, significant, with_spread
+from cpam_bayes.forward_model.known_errors import FREQUENCY_SCALE, ScaleError
 from cpam_bayes.forward_model.labels import same_label
 from cpam_bayes.forward_model.preconditions import USUAL_NOISE, contradicts_list
-from cpam_bayes.forward_model.tolerances import FREQUENCY_SCALE, ScaleError
 from cpam_bayes.identification.point import Reliance
-from cpam_bayes.plate import Hybrid, Material, Measurement, Plate, Specimen, to_user, unit_of
+from cpam_bayes.plate import Hybrid, Material, Measurement, Plate, Specimen, split_name, to_user, unit_of
 from cpam_bayes.plate.laminate import MaterialSymmetry
-from cpam_bayes.plate.units import split_name
 from cpam_bayes.priors import Prior
-from cpam_bayes.render.plate import edges_text, layup_text, size_text
+from cpam_bayes.render.plate import edges_text
 from cpam_bayes.render.report import Column, Heading, Rows, Section, Table, remarks
 
 __all__ = [
@@ -40,7 +39,6 @@ __all__ = [
     "more_modes_step",
     "noise_word",
     "plate_argument",
-    "plate_sentence",
     "prior_text",
     "reliance_sentences",
     "stated_noise",
@@ -367,24 +365,6 @@ def further_steps(steps: Sequence[str]) -> Section:
 def plate_argument(specimen: Specimen) -> str:
     """What a command takes for a plate, quoted for a shell."""
     return shlex.quote(specimen.source.removeprefix("built-in "))
-
-
-def plate_sentence(specimen: Specimen) -> str:
-    """The plate as the model has it: what is not named here is not in the model."""
-    plate = specimen.plate
-    mass = plate.mass if plate.mass is not None else plate.density * plate.area * plate.thickness
-    weight = f", {mass * 1e3:.4g} g" if plate.mesh is None or plate.mass is not None else ""
-    layup = "" if specimen.material.isotropic else f", layup {layup_text(specimen)}"
-    air = f"air of {specimen.air_density:g} kg/m3" if specimen.air_density else "no air"
-    if specimen.sensors:
-        masses = [f"{s.mass * 1e3:g} g at ({s.x * 1e3:g}, {s.y * 1e3:g}) mm" for s in specimen.sensors]
-        attached = f"with {listed(masses, 'and')} attached"
-    else:
-        attached = "nothing attached to the plate"
-    return (
-        f"The plate in the model: {size_text(plate)} mm{weight}{layup}, {edges_text(plate.edges)}, "
-        f"{attached}, {air}."
-    )
 
 
 def attached_step(specimen: Specimen) -> tuple[str, ...]:

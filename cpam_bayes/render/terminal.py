@@ -1,18 +1,39 @@
-"""Tables of text, for a terminal and for a file or a pipe."""
+"""A terminal: tables of text, for a file or a pipe too, and progress on standard error.
+
+Progress is a bar on a terminal, a line now and then elsewhere.
+"""
 
 from __future__ import annotations
 
 import io
+import math
 import os
 import re
 import shutil
+import sys
 import textwrap
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager
+from contextvars import ContextVar
+from dataclasses import dataclass
 from typing import Final, TextIO
 
+from cpam_bayes.parallel import observed
 from cpam_bayes.render.report import Heading, Report, Summary, Table
+from cpam_bayes.running import Progress
 
-__all__ = ["plain_text", "screen_tables", "screen_text"]
+__all__ = [
+    "Terminal",
+    "announce",
+    "forecasting",
+    "plain_text",
+    "progress",
+    "screen_tables",
+    "screen_text",
+    "timed_lines",
+]
+
 
 _JOINED: Final = re.compile(r"(?<=\d) (?=%|[A-Za-z]{1,3}\b)|(?<=cpam-bayes) | (?=\+- )|(?<=\+-) ")
 """Spaces at which no line is broken: before units, within a tolerance, after the name of the command."""
@@ -107,3 +128,202 @@ def _rich_table(table: Table) -> object:
     for i, row in enumerate(table.rows):
         drawn.add_row(*row, style="yellow" if i in table.flagged else None)
     return drawn
+
+
+_LINES = 10
+# What takes longer is said as soon as it is known, seconds: from so many iterations and seconds on.
+_LONG, _ENOUGH_DONE, _ENOUGH_SECONDS = 60.0, 4, 3.0
+# It is said again where the end is expected later than was said by this fraction of the time.
+_LATER = 0.5
+# Less than this is not worth an estimate, seconds.
+_WORTH_SAYING = 10.0
+
+
+@dataclass(frozen=True, slots=True)
+class Terminal:
+    """Shows progress on standard error unless told to be quiet; a `cpam_bayes.running.Watch`."""
+
+    quiet: bool = False
+
+    def announce(self, text: str) -> None:
+        """Show one line about what begins."""
+        announce(text, self.quiet)
+
+    def stage(
+        self, title: str, total: int, described: Callable[[float], str]
+    ) -> AbstractContextManager[Progress]:
+        """Show one stage of the work until it ends."""
+        return progress(title, total, self.quiet, described)
+
+
+def announce(text: str, quiet: bool) -> None:
+    """One line about what begins."""
+    if not quiet and sys.stderr is not None:
+        print(text, file=sys.stderr, flush=True)
+
+
+def timed_lines() -> Callable[[str], None]:
+    """A teller of lines on standard error, each with the seconds since it was made."""
+    begun = time.perf_counter()
+
+    def tell(text: str) -> None:
+        print(f"{time.perf_counter() - begun:7.1f} s  {text}", file=sys.stderr, flush=True)
+
+    return tell
+
+
+@contextmanager
+def progress(
+    description: str, total: int, quiet: bool, described: Callable[[float], str]
+) -> Iterator[Progress]:
+    """Show the progress of a work until it ends.
+
+    total : the budget of iterations, which a search need not use. described : the misfit in words.
+    """
+    if quiet or sys.stderr is None:
+        yield Progress(lambda iteration, best: None, lambda text: None)
+        return
+    with forecasting() as forecast, forecast.stage(total) as clock:
+        if sys.stderr.isatty() and os.environ.get("TERM") not in {None, "dumb", "unknown"}:
+            yield from _bar(description, total, described, clock)
+        else:
+            yield _said_in_lines(description, total, described, clock)
+
+
+class Forecast:
+    """Says what takes longer than a minute, once for each time that it moves the end.
+
+    Whatever has a number of parts counts: the iterations of a stage, and items that are shared out.
+    """
+
+    def __init__(self) -> None:
+        self._end = -math.inf
+        self._items: _Clock | None = None
+        self._stage: _Clock | None = None
+
+    @contextmanager
+    def stage(self, total: int) -> Iterator[_Clock]:
+        """The clock of a stage; what is shared out inside it says no other time."""
+        before, self._stage = self._stage, _Clock(total, self)
+        try:
+            yield self._stage
+        finally:
+            self._stage = before
+
+    def shared_out(self, done: int, total: int) -> None:
+        """Take note of items that are shared out."""
+        if self._stage is not None and self._stage.has_told:
+            return
+        if not done or self._items is None:
+            self._items = _Clock(total, self)
+        self._items.left(done)
+
+    def expect(self, clock: _Clock, now: float, whole: float, left: float) -> None:
+        """Say what a part takes, if it is long and does not end when it was said; all in seconds.
+
+        What was said of the part before, or of the stage that it is in, is corrected.
+        """
+        if whole < _LONG or now + left <= self._end + _LATER * whole:
+            return
+        part = self._stage or clock
+        longer = f"longer than expected: about {duration(left)} left"
+        announce(longer if part.is_expected else f"this part takes about {duration(whole)}", False)
+        part.is_expected, self._end = True, now + left
+
+
+_forecast: ContextVar[Forecast | None] = ContextVar("forecast", default=None)
+
+
+@contextmanager
+def forecasting() -> Iterator[Forecast]:
+    """Say on standard error how long parts of the work inside take, where it is above a minute.
+
+    It is measured: the time of the first iterations or items times their number.
+    """
+    current = _forecast.get()
+    if current is not None:
+        yield current
+        return
+    current = Forecast()
+    before = _forecast.set(current)
+    try:
+        with observed(current.shared_out):
+            yield current
+    finally:
+        _forecast.reset(before)
+
+
+class _Clock:
+    """Estimates from what is done how long the rest of a budget takes."""
+
+    def __init__(self, total: int, forecast: Forecast) -> None:
+        self._total, self._forecast = total, forecast
+        self._first: tuple[int, float] | None = None
+        self.has_told = self.is_expected = False
+
+    def left(self, iteration: int) -> str:
+        """The time that is left, with a comma before it; nothing where it is short or not known."""
+        now = time.monotonic()
+        if self._first is None or iteration < self._first[0]:
+            self._first = (iteration, now)
+        done, past = iteration - self._first[0], now - self._first[1]
+        if done <= 0:
+            return ""
+        seconds = past * (self._total - iteration) / done
+        if past >= _ENOUGH_SECONDS and done >= min(_ENOUGH_DONE, self._total // 2):
+            self._forecast.expect(self, now, past + seconds, seconds)
+        if seconds < _WORTH_SAYING:
+            return ""
+        self.has_told = True
+        return f", about {duration(seconds)} left"
+
+
+def duration(seconds: float) -> str:
+    """A time in words: 40 s, 12 min, 3 h 20 min."""
+    if seconds <= 55.0:
+        return f"{math.ceil(seconds / 5.0) * 5} s"
+    minutes = math.ceil(seconds / 60.0)
+    hours, rest = divmod(minutes, 60)
+    if not hours:
+        return f"{minutes} min"
+    return f"{hours} h {rest} min" if rest else f"{hours} h"
+
+
+def _said_in_lines(
+    description: str, total: int, described: Callable[[float], str], clock: _Clock
+) -> Progress:
+    step = max(1, total // _LINES)
+    announce(f"{description}: up to {total} iterations", False)
+
+    def tick(iteration: int, best: float) -> None:
+        left = clock.left(iteration)
+        if iteration % step == 0:
+            announce(f"{description}: iteration {iteration} of {total}, {described(best)}{left}", False)
+
+    return Progress(tick, lambda text: announce(f"{description}: {text}", False))
+
+
+def _bar(
+    description: str, total: int, described: Callable[[float], str], clock: _Clock
+) -> Iterator[Progress]:
+    from rich.console import Console
+    from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
+    from rich.progress import Progress as Bar
+
+    columns = (
+        TextColumn("{task.description}", markup=False),
+        BarColumn(),
+        TextColumn("{task.fields[what]}", markup=False),
+        TimeElapsedColumn(),
+    )
+    with Bar(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(description, total=None, what="plate model")
+
+        def tick(iteration: int, best: float) -> None:
+            what = f"iteration {iteration} of {total}, {described(best)}{clock.left(iteration)}"
+            bar.update(task, total=total, completed=iteration, what=what)
+
+        def notify(text: str) -> None:
+            bar.update(task, total=None, what=text)
+
+        yield Progress(tick, notify)

@@ -25,7 +25,7 @@ from cpam_bayes.inference.student_mixture import Mixture, shrunk_moments, staged
 from cpam_bayes.mechanics.problem import PlateState, StateFunction, Values
 from cpam_bayes.parameters import ParameterSet
 from cpam_bayes.plate.laminate import LaminateGeometry
-from cpam_bayes.threads import single_blas_thread
+from cpam_bayes.running import single_blas_thread
 
 Array = NDArray[Any]
 

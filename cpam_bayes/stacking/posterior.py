@@ -35,9 +35,8 @@ from cpam_bayes.inference.sampling import arviz_data, by_user_name, swarm_on_pos
 from cpam_bayes.inference.student_mixture import Weighted, weighted
 from cpam_bayes.inference.swarm import SwarmSettings
 from cpam_bayes.parallel import counted, run
-from cpam_bayes.plate import Specimen
-from cpam_bayes.plate.records import angle_grid
-from cpam_bayes.running import TimeIsUpError, cut_short, time_limit
+from cpam_bayes.plate import Specimen, angle_grid
+from cpam_bayes.running import TimeIsUpError, cut_short, single_blas_thread, time_limit
 from cpam_bayes.stacking.conditional import ConditionalFits, ConditionalPosterior, conditional_posterior
 from cpam_bayes.stacking.evaluation import of_sequence, scan_library
 from cpam_bayes.stacking.queries import GivenLayup
@@ -50,7 +49,6 @@ from cpam_bayes.stacking.records import (
 )
 from cpam_bayes.stacking.search import by_surrogate, exhaustive
 from cpam_bayes.stacking.symmetry import members, plate_symmetries, ply_sums
-from cpam_bayes.threads import single_blas_thread
 
 Array = NDArray[Any]
 

@@ -11,10 +11,10 @@ from scipy.stats import chi2
 
 from cpam_bayes.identification.point import bound_of
 from cpam_bayes.plate.layup import Layup
+from cpam_bayes.running import single_blas_thread
 from cpam_bayes.stacking.conditional import ConditionalFits, fit_conditionals, importance_evidence
 from cpam_bayes.stacking.evaluation import of_sequence
 from cpam_bayes.stacking.records import StackingPosterior
-from cpam_bayes.threads import single_blas_thread
 
 Array = NDArray[Any]
 

@@ -27,8 +27,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from cpam_bayes.plate import Plate, Specimen, angle_grid
 from cpam_bayes.plate.layup import Layup
-from cpam_bayes.plate.records import Plate, Specimen, angle_grid
 
 Array = NDArray[Any]
 Point = tuple[float, float]

@@ -28,7 +28,7 @@ from cpam_bayes.workbench.plate_text import (
     with_sensors,
     with_value,
 )
-from cpam_bayes.workbench.work import Pool, RefusedError, Task, Worker
+from cpam_bayes.workbench.server import Pool, RefusedError, Task, Worker
 
 __all__ = ["DRAFTS", "Desk", "EditError", "Material", "Tasks", "Visit", "plate_names"]
 

@@ -20,7 +20,7 @@ from cpam_bayes.diagnosis.comparison import Comparison
 from cpam_bayes.inference.derivatives import MAX_SCORE, Expansion
 from cpam_bayes.inference.laplace import maximise
 from cpam_bayes.inference.student_mixture import Mixture, shrunk_moments, staged_importance
-from cpam_bayes.threads import single_blas_thread
+from cpam_bayes.running import single_blas_thread
 
 Array = NDArray[Any]
 

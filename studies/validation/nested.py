@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from cpam_bayes.inference.derivatives import coordinates, log_density
 from cpam_bayes.inference.posterior import Posterior
-from cpam_bayes.threads import single_blas_thread
+from cpam_bayes.running import single_blas_thread
 
 Array = NDArray[Any]
 

@@ -22,9 +22,9 @@ from cpam_bayes.forward_model.reduced import DEFAULT_SETTINGS as REDUCTION
 from cpam_bayes.forward_model.reduced import ReducedModel
 from cpam_bayes.forward_model.store import reduced_model
 from cpam_bayes.parallel import counted, run
-from cpam_bayes.plate import Measurement, Specimen, builtin
+from cpam_bayes.plate import Measurement, Specimen, angle_grid, builtin
 from cpam_bayes.plate.layup import parse_layup
-from cpam_bayes.plate.records import angle_grid
+from cpam_bayes.running import single_blas_thread
 from cpam_bayes.stacking.conditional import (
     ConditionalPosterior,
     conditional_posterior,
@@ -32,7 +32,6 @@ from cpam_bayes.stacking.conditional import (
     importance_evidence,
 )
 from cpam_bayes.stacking.symmetry import Symmetry, all_sequences, canonical, classes, plate_symmetries
-from cpam_bayes.threads import single_blas_thread
 
 Array = NDArray[Any]
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cpam_bayes.diagnosis.models import Change, ComposedModel, Part
-from cpam_bayes.effects.frequency_list import FREQUENCY_SCALE, VISCOELASTIC
+from cpam_bayes.effects.effect import FREQUENCY_SCALE, VISCOELASTIC
 from cpam_bayes.parameters import Parameter, ParameterSet
 from tests.diagnosis.toy_plates import (
     BUMP,

@@ -17,7 +17,7 @@ from cpam_bayes.diagnosis.evidence.sampled import sampled_marginal
 from cpam_bayes.diagnosis.extension import resample
 from cpam_bayes.diagnosis.hypotheses import DISCREPANCY, NONE, OTHER, Claim, Hypothesis
 from cpam_bayes.effects import CATALOGUE, Effect, ListChange
-from cpam_bayes.effects.frequency_list import MISREADING
+from cpam_bayes.effects.effect import MISREADING
 from cpam_bayes.inference.ensemble import EnsembleSettings
 from cpam_bayes.parameters import ScaledStudentT
 from cpam_bayes.plate import Measurement

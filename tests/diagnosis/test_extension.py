@@ -20,7 +20,7 @@ from cpam_bayes.diagnosis.extension import (
 )
 from cpam_bayes.diagnosis.hypotheses import DISCREPANCY, NONE, OTHER, Hypothesis
 from cpam_bayes.effects import ListChange
-from cpam_bayes.effects.frequency_list import MISREADING
+from cpam_bayes.effects.effect import MISREADING
 from cpam_bayes.inference.derivatives import expand
 from cpam_bayes.inference.ensemble import EnsembleSettings
 from tests.diagnosis.toy_plates import (

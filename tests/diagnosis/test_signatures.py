@@ -21,7 +21,7 @@ from cpam_bayes.diagnosis.signatures import (
     with_equal_fits,
 )
 from cpam_bayes.effects import Effect, ListChange
-from cpam_bayes.effects.frequency_list import MISREADING
+from cpam_bayes.effects.effect import MISREADING
 from tests.diagnosis.toy_plates import (
     BUMP,
     DENT,

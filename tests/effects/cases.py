@@ -9,13 +9,11 @@ import numpy as np
 
 from cpam_bayes.effects import CATALOGUE, Effect, PlateFacts, extend, variants
 from cpam_bayes.forward_model.model import plate_problem
-from cpam_bayes.mechanics.affine import DenseOperator
-from cpam_bayes.mechanics.dense import discretise
+from cpam_bayes.mechanics.affine import DenseOperator, discretise
+from cpam_bayes.mechanics.fem import discretise_sparse, fem_space
 from cpam_bayes.mechanics.modes import solve
 from cpam_bayes.mechanics.problem import Problem
-from cpam_bayes.mechanics.spaces.fem import fem_space
-from cpam_bayes.mechanics.spaces.ritz import RitzSettings, ritz_space
-from cpam_bayes.mechanics.sparse import discretise_sparse
+from cpam_bayes.mechanics.ritz import RitzSettings, ritz_space
 from cpam_bayes.plate.reader import builtin
 
 MODES = {"C1": 6, "A2": 6, "D3": 10}

@@ -20,8 +20,7 @@ from cpam_bayes.effects import CATALOGUE, Effect, applicable, extend, scale_of, 
 from cpam_bayes.effects.effect import GROSS_FRACTION
 from cpam_bayes.effects.table import BEGIN, END, catalogue_tables
 from cpam_bayes.forward_model.model import PlateModel
-from cpam_bayes.mechanics.affine import AffineMatrix
-from cpam_bayes.mechanics.dense import MATRICES
+from cpam_bayes.mechanics.affine import MATRICES, AffineMatrix
 from cpam_bayes.mechanics.problem import Problem
 from cpam_bayes.parameters import Mixture, Parameter, ScaledStudentT
 from cpam_bayes.plate.edges import conditions

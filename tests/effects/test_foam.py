@@ -15,10 +15,9 @@ from cpam_bayes.effects import CATALOGUE, Effect, PlateFacts, extend
 from cpam_bayes.effects.effect import one_sided, stacked
 from cpam_bayes.effects.table import catalogue_tables
 from cpam_bayes.mechanics.affine import ONE, Bell, Product
+from cpam_bayes.mechanics.fem import discretise_sparse, fem_space
 from cpam_bayes.mechanics.modes import solve
 from cpam_bayes.mechanics.problem import Array, Atom, Form, PlateState, Problem, Term, Values
-from cpam_bayes.mechanics.spaces.fem import fem_space
-from cpam_bayes.mechanics.sparse import discretise_sparse
 from cpam_bayes.plate import Measurement, builtin
 from cpam_bayes.questions.diagnose import DiagnosisResult, diagnose
 from tests.effects import test_catalogue as contract

@@ -10,9 +10,9 @@ import pytest
 
 from cpam_bayes.forward_model.elements import element_model
 from cpam_bayes.forward_model.model import plate_problem
+from cpam_bayes.mechanics import fem
+from cpam_bayes.mechanics.fem import discretise_sparse
 from cpam_bayes.mechanics.modes import grid_points, shapes_on_grid, solve
-from cpam_bayes.mechanics.spaces import fem
-from cpam_bayes.mechanics.sparse import discretise_sparse
 from cpam_bayes.plate import Specimen, builtin
 from cpam_bayes.plate.layup import parse_layup
 from tests.meshes import Quads, grid, rectangle

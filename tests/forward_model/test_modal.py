@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from cpam_bayes.effects import CATALOGUE, PlateFacts, add_known_mass, extend, variants
 from cpam_bayes.forward_model.local.modal import changed_on_modes, on_modes
 from cpam_bayes.forward_model.model import PlateModel, converged_model, model_on_basis
+from cpam_bayes.plate import Sensor, Specimen
 from cpam_bayes.plate.reader import builtin
-from cpam_bayes.plate.records import Sensor, Specimen
 
 Array = NDArray[Any]
 N_MODES = 6

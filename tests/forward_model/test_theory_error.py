@@ -12,8 +12,8 @@ from numpy.testing import assert_allclose
 
 import cpam_bayes as cb
 from cpam_bayes.forward_model.calculix import solve_specimen
+from cpam_bayes.forward_model.known_errors import edge_layer, theory_error
 from cpam_bayes.forward_model.model import reference_constants
-from cpam_bayes.forward_model.theory_error import edge_layer, theory_error
 from cpam_bayes.plate import Specimen
 from cpam_bayes.plate.layup import parse_layup
 from tests.plate_file import described

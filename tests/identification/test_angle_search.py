@@ -24,9 +24,8 @@ from cpam_bayes.identification.angle_search import (
     search_starts,
 )
 from cpam_bayes.inference.swarm import SwarmSettings
-from cpam_bayes.plate import Specimen, builtin
+from cpam_bayes.plate import Specimen, angle_grid, builtin
 from cpam_bayes.plate.layup import parse_layup
-from cpam_bayes.plate.records import angle_grid
 from cpam_bayes.stacking.symmetry import canonical, plate_symmetries
 
 RNG = np.random.default_rng(5)

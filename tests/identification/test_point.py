@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import cpam_bayes as cb
-from cpam_bayes.forward_model.tolerances import ScaleError
+from cpam_bayes.forward_model.known_errors import ScaleError
 from cpam_bayes.identification.point import LEAST_WIDENING, reliances
 from cpam_bayes.plate import parse_specimen
 from cpam_bayes.questions.identify.pso import PointResult

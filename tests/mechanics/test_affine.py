@@ -16,7 +16,7 @@ from cpam_bayes.mechanics.affine import (
     _iterated,
     power,
 )
-from cpam_bayes.mechanics.spaces.ritz import broken_quadrature
+from cpam_bayes.mechanics.ritz import broken_quadrature
 
 T = np.linspace(0.0, 1.0, 11)
 

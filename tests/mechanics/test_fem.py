@@ -10,12 +10,11 @@ import numpy as np
 import pytest
 
 from cpam_bayes.effects import add_known_mass
-from cpam_bayes.mechanics.dense import discretise
+from cpam_bayes.mechanics.affine import discretise
+from cpam_bayes.mechanics.fem import FULL, FemSpace, discretise_sparse, fem_space, fem_space_from_mesh
 from cpam_bayes.mechanics.modes import RigidBodyError, Spectrum, solve
 from cpam_bayes.mechanics.problem import AREA, Atom, Form, Problem, Region, Term
-from cpam_bayes.mechanics.spaces.fem import FULL, FemSpace, fem_space, fem_space_from_mesh
-from cpam_bayes.mechanics.spaces.ritz import Quadrature, RitzSettings, ritz_space
-from cpam_bayes.mechanics.sparse import discretise_sparse
+from cpam_bayes.mechanics.ritz import Quadrature, RitzSettings, ritz_space
 from cpam_bayes.plate.edges import EDGES, FIELDS
 from cpam_bayes.plate.laminate import FIVE_SIXTHS, ShearModel
 from tests.mechanics.test_closed_forms import navier

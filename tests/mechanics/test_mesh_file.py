@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cpam_bayes.mechanics.spaces.mesh_file import read_mesh
+from cpam_bayes.mechanics.mesh_file import read_mesh
 from tests.meshes import Quads, grid, rectangle
 
 MM = (1 / 40.0, 1 / 20.0)  # a plate of 40 x 20

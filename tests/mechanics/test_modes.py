@@ -17,8 +17,7 @@ from cpam_bayes.forward_model.model import (
     plate_problem,
     training_sets,
 )
-from cpam_bayes.mechanics.affine import _LARGE, AffineOperator
-from cpam_bayes.mechanics.dense import discretise
+from cpam_bayes.mechanics.affine import _LARGE, AffineOperator, discretise
 from cpam_bayes.mechanics.modes import (
     Mode,
     RigidBodyError,
@@ -29,7 +28,7 @@ from cpam_bayes.mechanics.modes import (
     track_modes,
 )
 from cpam_bayes.mechanics.problem import PlateState, Problem, Values, bare_plate
-from cpam_bayes.mechanics.spaces.ritz import RitzSettings, ritz_space
+from cpam_bayes.mechanics.ritz import RitzSettings, ritz_space
 from cpam_bayes.parameters import Parameter, ParameterSet, Uniform
 from cpam_bayes.plate import Specimen, parse_specimen, read_specimen
 from cpam_bayes.plate.laminate import complete_constants

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from cpam_bayes.effects import add_known_mass
-from cpam_bayes.mechanics.affine import DenseOperator
-from cpam_bayes.mechanics.dense import MATRICES, discretise
+from cpam_bayes.mechanics.affine import MATRICES, DenseOperator, discretise
 from cpam_bayes.mechanics.problem import (
     AREA,
     Derivative,
@@ -20,7 +19,7 @@ from cpam_bayes.mechanics.problem import (
     bare_plate,
     rigid_body_count,
 )
-from cpam_bayes.mechanics.spaces.ritz import RitzSettings, RitzSpace, ritz_space
+from cpam_bayes.mechanics.ritz import RitzSettings, RitzSpace, ritz_space
 from cpam_bayes.plate.edges import FIELDS, Field
 from tests.plates import CARBON, plate
 

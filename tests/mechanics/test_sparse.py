@@ -10,12 +10,11 @@ import scipy.linalg
 from scipy.sparse.linalg import splu
 
 from cpam_bayes.effects import add_known_mass
-from cpam_bayes.mechanics.dense import MATRICES, discretise
+from cpam_bayes.mechanics.affine import MATRICES, discretise
+from cpam_bayes.mechanics.fem import FemSpace, SparseBlock, SparseOperator, discretise_sparse, fem_space
 from cpam_bayes.mechanics.modes import RigidBodyError, describe_modes, energy_terms, solve
 from cpam_bayes.mechanics.problem import PlateState, Problem, Values, bare_plate
-from cpam_bayes.mechanics.spaces.fem import FemSpace, fem_space
-from cpam_bayes.mechanics.spaces.ritz import RitzSettings, ritz_space
-from cpam_bayes.mechanics.sparse import SparseBlock, SparseOperator, discretise_sparse
+from cpam_bayes.mechanics.ritz import RitzSettings, ritz_space
 from cpam_bayes.parameters import Parameter, ParameterSet, Uniform
 from cpam_bayes.plate.edges import FIELDS
 from cpam_bayes.plate.laminate import complete_constants

@@ -11,9 +11,8 @@ from numpy.testing import assert_allclose
 
 import cpam_bayes as cb
 from cpam_bayes.errors import LayupError, PlateFileError
-from cpam_bayes.plate import Hybrid, user_name
+from cpam_bayes.plate import Hybrid, to_si, to_user, unit_of, user_name
 from cpam_bayes.plate.layup import PlyKind, parse_layup
-from cpam_bayes.plate.units import to_si, to_user, unit_of
 from tests.hybrids import GLASS, HYBRID, hybrid
 
 UNKNOWNS = {"carbon": {"E1_GPa": [80.0, 180.0]}, "glass": {"E1_GPa": [20.0, 60.0], "nu12": [0.1, 0.4]}}

@@ -14,10 +14,9 @@ import cpam_bayes as cb
 from cpam_bayes.answer import as_written
 from cpam_bayes.errors import PlateFileError
 from cpam_bayes.plate import Measurement
-from cpam_bayes.plate.hits import small_sample_factor
-from cpam_bayes.render.documents import plate_keys
+from cpam_bayes.plate.modes_table import small_sample_factor
 from cpam_bayes.render.plate import measured_facts
-from cpam_bayes.render.report import Table
+from cpam_bayes.render.report import Table, plate_keys
 from tests.plate_file import BAR
 
 PLATE = f"{BAR}[measurement]\n"

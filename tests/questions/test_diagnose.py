@@ -26,7 +26,7 @@ from cpam_bayes.questions.diagnose.document import (
     probability_text,
     size_text,
 )
-from cpam_bayes.render.documents import json_text
+from cpam_bayes.render.report import json_text
 from tests import diagnosed as known
 from tests.diagnosed import DRAWN, MISREAD, aluminium_case, diagnosed, listed
 

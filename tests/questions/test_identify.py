@@ -12,11 +12,10 @@ import numpy as np
 import pytest
 
 from cpam_bayes.answer import Notice, Verdict
-from cpam_bayes.identification.notices import point_notices
-from cpam_bayes.identification.point import PointEstimate
+from cpam_bayes.identification.point import PointEstimate, point_notices
 from cpam_bayes.plate import builtin
 from cpam_bayes.questions.identify import PointResult, identify
-from cpam_bayes.render.documents import json_text
+from cpam_bayes.render.report import json_text
 
 Shown = Callable[[PointEstimate], PointResult]
 

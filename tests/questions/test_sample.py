@@ -17,8 +17,8 @@ from cpam_bayes.parameters import Parameter, ParameterSet, TruncatedNormal, Unif
 from cpam_bayes.plate import builtin
 from cpam_bayes.questions.identify import SampledResult, sample
 from cpam_bayes.questions.identify.posterior import product_text
-from cpam_bayes.render.documents import json_text
 from cpam_bayes.render.figures import save_figures
+from cpam_bayes.render.report import json_text
 
 SETTINGS = EnsembleSettings(walkers=16, round_steps=300, effective=100.0, most_steps=600)
 

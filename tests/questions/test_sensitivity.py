@@ -16,8 +16,8 @@ from cpam_bayes.printed.tables import perturbation_table
 from cpam_bayes.questions import sensitivity
 from cpam_bayes.questions.identify.pso import identify
 from cpam_bayes.questions.sensitivity import SensitivityResult
-from cpam_bayes.render.documents import json_text
 from cpam_bayes.render.noise_study import ComparedRow, beside_paper, difference_sentences
+from cpam_bayes.render.report import json_text
 from tests.plate_file import MEASURED, PLATE
 
 # Means of two inversions, E1 in Pa and nu12: 71 GPa with an sd of 1.4142, 0.30 with 0.02828.

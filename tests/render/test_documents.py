@@ -10,8 +10,7 @@ import numpy as np
 import openpyxl
 import pytest
 
-from cpam_bayes.render.documents import csv_text, json_text, laminate_keys, xlsx_bytes
-from cpam_bayes.render.report import Column, Rows
+from cpam_bayes.render.report import Column, Rows, csv_text, json_text, laminate_keys, xlsx_bytes
 from tests.render.small import CONSTANTS, RESULT
 
 CSV = "name,value,sd\nE1,136.6,2.7\nE2,8.87,\n"

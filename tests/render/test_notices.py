@@ -11,7 +11,7 @@ import pytest
 
 import cpam_bayes
 from cpam_bayes.answer import Notice, as_written, each_once
-from cpam_bayes.plate.records import Constraint
+from cpam_bayes.plate import Constraint
 from cpam_bayes.render.notices import SENTENCES, capitalised, sentence_of, sentences
 
 PACKAGE = Path(cpam_bayes.__file__).parent

@@ -7,8 +7,8 @@ import pytest
 
 import cpam_bayes as cb
 from cpam_bayes.plate import builtin
-from cpam_bayes.render.documents import plate_keys
 from cpam_bayes.render.plate import edges_text, plate_head
+from cpam_bayes.render.report import plate_keys
 from cpam_bayes.render.terminal import plain_text
 from tests.plate_file import described
 

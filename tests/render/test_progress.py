@@ -7,9 +7,9 @@ import sys
 import pytest
 
 from cpam_bayes.parallel import run
-from cpam_bayes.render import progress as module
-from cpam_bayes.render.progress import Terminal as Watch
-from cpam_bayes.render.progress import announce, duration, forecasting, progress
+from cpam_bayes.render import terminal as module
+from cpam_bayes.render.terminal import Terminal as Watch
+from cpam_bayes.render.terminal import announce, duration, forecasting, progress
 
 
 class Terminal(io.StringIO):

@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 
 from cpam_bayes.answer import Constant, Verdict
-from cpam_bayes.forward_model.tolerances import FREQUENCY_SCALE, ScaleError
+from cpam_bayes.forward_model.known_errors import FREQUENCY_SCALE, ScaleError
 from cpam_bayes.parameters import TruncatedNormal, Uniform
 from cpam_bayes.plate import builtin
 from cpam_bayes.render.sentences import (

@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from cpam_bayes.forward_model.model import converged_model, reference_vector
-from cpam_bayes.plate import Specimen, builtin
+from cpam_bayes.plate import Specimen, angle_grid, builtin
 from cpam_bayes.plate.layup import parse_layup
-from cpam_bayes.plate.records import angle_grid
 from cpam_bayes.stacking.posterior import stacking_posterior
 from cpam_bayes.stacking.records import StackingPosterior, StackingSettings, equal_bending
 from cpam_bayes.stacking.symmetry import ply_sums

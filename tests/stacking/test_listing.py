@@ -6,9 +6,9 @@ from itertools import product
 import numpy as np
 import pytest
 
+from cpam_bayes.plate import angle_grid
 from cpam_bayes.plate.laminate import laminate_geometry
 from cpam_bayes.plate.layup import parse_layup
-from cpam_bayes.plate.records import angle_grid
 from cpam_bayes.stacking.listing import (
     Enumeration,
     combined,

@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cpam_bayes.plate import Specimen, builtin
-from cpam_bayes.plate.records import Sensor, angle_grid
+from cpam_bayes.plate import Sensor, Specimen, angle_grid, builtin
 from cpam_bayes.stacking.symmetry import (
     Symmetry,
     canonical,

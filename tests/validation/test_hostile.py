@@ -11,9 +11,8 @@ from hypothesis import HealthCheck, given, settings
 
 from cpam_bayes.errors import LayupError, PlateFileError
 from cpam_bayes.plate import MAX_BYTES, parse_specimen
-from cpam_bayes.plate.hits import modes_of
 from cpam_bayes.plate.layup import MAX_PLIES, format_angles, parse_layup
-from cpam_bayes.plate.modes_table import read_modes_table
+from cpam_bayes.plate.modes_table import modes_of, read_modes_table
 from cpam_bayes.storage import read_arrays, write_arrays
 from tests.effort import calls
 from validation.hostile.files import DAMAGES, LARGE_FILES, layups, plate_texts

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 import cpam_bayes as cb
 from cpam_bayes.modal_analysis.read import ModalTestError
-from cpam_bayes.plate.mode_shapes import MAX_UNIVERSAL_BYTES, UniversalFileError, read_shapes
+from cpam_bayes.plate.instruments import MAX_UNIVERSAL_BYTES, UniversalFileError, read_shapes
 from tests.effort import calls
 from validation.hostile.files import crossed
 from validation.hostile.measurements import (

@@ -11,10 +11,9 @@ import pytest
 import cpam_bayes as cb
 from cpam_bayes.effects import Effect, PlateFacts, extend
 from cpam_bayes.forward_model.model import plate_problem
+from cpam_bayes.mechanics.fem import discretise_sparse, fem_space
 from cpam_bayes.mechanics.modes import solve
-from cpam_bayes.mechanics.spaces.fem import fem_space
-from cpam_bayes.mechanics.sparse import discretise_sparse
-from cpam_bayes.plate.records import Specimen
+from cpam_bayes.plate import Specimen
 from tests.effects.cases import BY_NAME
 from validation.independent import lists
 from validation.independent.true_plate import FLAWS, TruePlate, natural_frequencies

@@ -30,7 +30,7 @@ from cpam_bayes.diagnosis.evidence.weighing import Tested, Weighed
 from cpam_bayes.diagnosis.hypotheses import CLAIM_RULES, NONE, OTHER, PAIR, causes_in, prior_by_cause
 from cpam_bayes.diagnosis.signatures import ABSORBED, ALIKE, AS_WELL, HARDLY
 from cpam_bayes.parameters import Parameter
-from cpam_bayes.threads import single_blas_thread
+from cpam_bayes.running import single_blas_thread
 
 Array = NDArray[Any]
 

@@ -38,7 +38,7 @@ from cpam_bayes.inference.derivatives import MAX_SCORE, Expansion
 from cpam_bayes.inference.laplace import maximise
 from cpam_bayes.inference.student_mixture import Mixture, sobol_points
 from cpam_bayes.parameters import Parameter
-from cpam_bayes.threads import single_blas_thread
+from cpam_bayes.running import single_blas_thread
 
 Array = NDArray[Any]
 

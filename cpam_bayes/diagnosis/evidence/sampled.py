@@ -27,7 +27,7 @@ from cpam_bayes.inference.student_mixture import (
     staged_importance,
 )
 from cpam_bayes.parallel import ProcessPool, run
-from cpam_bayes.threads import single_blas_thread
+from cpam_bayes.running import single_blas_thread
 
 Item = TypeVar("Item")
 Answer = TypeVar("Answer")

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cpam_bayes.mechanics.problem import rigid_body_count
+from cpam_bayes.plate import Plate, Specimen
 from cpam_bayes.plate.edges import CONDITIONS, EDGES, conditions
 from cpam_bayes.plate.laminate import (
     CONSTANTS,
@@ -28,7 +29,6 @@ from cpam_bayes.plate.laminate import (
     run_starts,
     through_thickness_poisson,
 )
-from cpam_bayes.plate.records import Plate, Specimen
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from cpam_bayes.forward_model.calculix.deck import Deck, Element, PlateMesh, plate_deck
 from cpam_bayes.mechanics.modes import Mode, label_of_shape, mode_kind
+from cpam_bayes.plate import Specimen
 from cpam_bayes.plate.edges import Field
-from cpam_bayes.plate.records import Specimen
 from cpam_bayes.storage import draft_directory
 
 # A rigid-body motion has eigenvalue zero but for rounding, which grows as plies get thinner: at

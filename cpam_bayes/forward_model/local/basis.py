@@ -20,14 +20,13 @@ from cpam_bayes.forward_model.local.model import Change, LocalModel, PointMass
 from cpam_bayes.forward_model.local.patch import FURTHER, Patch, loads_of_modes
 from cpam_bayes.forward_model.model import PlateModel, training_sets
 from cpam_bayes.forward_model.reduced import compressed
-from cpam_bayes.mechanics.affine import AffineMatrix, AffineOperator, DenseBlock, DenseOperator
-from cpam_bayes.mechanics.dense import discretise
+from cpam_bayes.mechanics.affine import AffineMatrix, AffineOperator, DenseBlock, DenseOperator, discretise
 from cpam_bayes.mechanics.problem import MEMBRANE_FIELDS, Problem, rigid_body_count
-from cpam_bayes.mechanics.spaces.ritz import RitzSettings, RitzSpace, evaluate_sector, ritz_space
+from cpam_bayes.mechanics.ritz import RitzSettings, RitzSpace, evaluate_sector, ritz_space
 from cpam_bayes.parameters import ParameterSet
 from cpam_bayes.plate.edges import FIELDS
+from cpam_bayes.running import single_blas_thread
 from cpam_bayes.storage import model_file, read_model, write_model
-from cpam_bayes.threads import single_blas_thread
 
 Array = NDArray[Any]
 

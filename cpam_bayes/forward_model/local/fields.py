@@ -12,7 +12,7 @@ from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
 from cpam_bayes.mechanics.problem import STRAIN_ATOMS, Atom
-from cpam_bayes.mechanics.spaces.ritz import Family, RitzSpace, legendre_values
+from cpam_bayes.mechanics.ritz import Family, RitzSpace, legendre_values
 from cpam_bayes.plate.edges import Field
 
 Array = NDArray[Any]

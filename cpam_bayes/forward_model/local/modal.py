@@ -34,7 +34,7 @@ from cpam_bayes.forward_model.reduced import by_field
 from cpam_bayes.mechanics.affine import AffineMatrix, AffineOperator, DenseBlock
 from cpam_bayes.mechanics.modes import SUPPORTED_TOLERANCE
 from cpam_bayes.mechanics.problem import rigid_body_count
-from cpam_bayes.plate.records import Sensor
+from cpam_bayes.plate import Sensor
 
 Array = NDArray[Any]
 

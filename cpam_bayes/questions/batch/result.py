@@ -17,8 +17,7 @@ from cpam_bayes.batches.population import Population
 from cpam_bayes.diagnosis.hypotheses import CLAIM_RULES
 from cpam_bayes.formatting import fixed, with_spread
 from cpam_bayes.plate import to_user, unit_of, user_name
-from cpam_bayes.render.documents import csv_text
-from cpam_bayes.render.report import Column, Rows
+from cpam_bayes.render.report import Column, Rows, csv_text
 from cpam_bayes.result import Result
 
 __all__ = ["SURE", "BatchResult", "dataset", "document", "plates", "population_dataset"]

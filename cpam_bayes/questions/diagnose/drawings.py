@@ -39,7 +39,7 @@ from cpam_bayes.render.figures import (
     extent_of,
     new_figure,
 )
-from cpam_bayes.render.plate_drawing import plate_caption, plate_drawing
+from cpam_bayes.render.plate import plate_caption, plate_drawing
 from cpam_bayes.render.report import Caption, Drawing
 
 if TYPE_CHECKING:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from cpam_bayes.answer import Constant, FrequencyRow, Notice, Verdict
 from cpam_bayes.errors import checked
+from cpam_bayes.forward_model.known_errors import ScaleError, scale_errors
 from cpam_bayes.forward_model.labels import LabelledModel, ShapePairing, by_shape, list_order
 from cpam_bayes.forward_model.model import SIZES, air_shifts, discretisation_error
 from cpam_bayes.forward_model.preconditions import (
@@ -33,9 +34,7 @@ from cpam_bayes.forward_model.preconditions import (
     stated_noise_slips,
 )
 from cpam_bayes.forward_model.reduced import ReducedModel
-from cpam_bayes.forward_model.tolerances import ScaleError, scale_errors
-from cpam_bayes.identification.notices import sampled_notices
-from cpam_bayes.identification.point import Reliance, reliances, verdict_of
+from cpam_bayes.identification.point import Reliance, reliances, sampled_notices, verdict_of
 from cpam_bayes.identification.search import NO_MESH, required, start_of
 from cpam_bayes.inference.assessment import (
     Assessment,
@@ -56,8 +55,7 @@ from cpam_bayes.plate import Measurement, PlateLike, Specimen, read_plate, to_us
 from cpam_bayes.plate.laminate import flexural_constants
 from cpam_bayes.priors import Prior
 from cpam_bayes.result import PlateResult, within_time
-from cpam_bayes.running import SILENT, Watch
-from cpam_bayes.threads import single_blas_thread
+from cpam_bayes.running import SILENT, Watch, single_blas_thread
 
 __all__ = ["Marginal", "SampledResult", "inference_data", "sample"]
 

@@ -16,10 +16,8 @@ from cpam_bayes.inference.assessment import MOVED, Combination, MovedBound
 from cpam_bayes.inference.completeness import Profile
 from cpam_bayes.plate import to_user, user_name
 from cpam_bayes.questions.identify.emcee import Marginal, SampledResult
-from cpam_bayes.render.assurance import assurance_drawings, assurance_sections, shape_keys
-from cpam_bayes.render.documents import laminate_unit, plate_keys
 from cpam_bayes.render.figures import extent_of, new_figure, shapes_figure
-from cpam_bayes.render.plate import plate_section
+from cpam_bayes.render.plate import assurance_drawings, assurance_sections, plate_section, shape_keys
 from cpam_bayes.render.posterior import Draws, marginals_figure, pairs_figure
 from cpam_bayes.render.report import (
     COMPUTATION,
@@ -33,7 +31,9 @@ from cpam_bayes.render.report import (
     Summary,
     Table,
     facts,
+    laminate_unit,
     modes_caption,
+    plate_keys,
     remarks,
 )
 from cpam_bayes.render.sentences import (

@@ -32,15 +32,12 @@ from cpam_bayes.forward_model.preconditions import (
     stated_noise_slips,
 )
 from cpam_bayes.identification.angle_search import AngleSearchResult, search_angles
-from cpam_bayes.identification.notices import point_notices
-from cpam_bayes.identification.point import PointEstimate, estimate_constants
+from cpam_bayes.identification.point import PointEstimate, estimate_constants, point_notices
 from cpam_bayes.identification.search import MOST_SWARMS, NO_MESH, Optimum, Residual, required
 from cpam_bayes.inference.swarm import SwarmResult, SwarmSettings
 from cpam_bayes.plate import Measurement, PlateLike, Specimen, read_plate, to_user, unit_of, user_name
-from cpam_bayes.render.assurance import assurance_drawings, assurance_sections, shape_keys
-from cpam_bayes.render.documents import laminate_keys, plate_keys
 from cpam_bayes.render.figures import PREDICTED, extent_of, new_figure, shapes_figure
-from cpam_bayes.render.plate import plate_section
+from cpam_bayes.render.plate import assurance_drawings, assurance_sections, plate_section, shape_keys
 from cpam_bayes.render.report import (
     COMPUTATION,
     Caption,
@@ -52,7 +49,9 @@ from cpam_bayes.render.report import (
     Summary,
     Table,
     facts,
+    laminate_keys,
     modes_caption,
+    plate_keys,
     remarks,
 )
 from cpam_bayes.render.sentences import (

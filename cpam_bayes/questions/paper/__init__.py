@@ -66,8 +66,7 @@ from cpam_bayes.questions.paper.work import (
     work,
     write,
 )
-from cpam_bayes.render.documents import csv_text, plain
-from cpam_bayes.render.report import Report
+from cpam_bayes.render.report import Report, csv_text, plain
 from cpam_bayes.result import Result, present
 from cpam_bayes.running import SILENT, TimeIsUpError, Watch
 from cpam_bayes.storage import cache_directory

@@ -30,9 +30,7 @@ from cpam_bayes.identification.angle_search import AngleSearchProblem, run_swarm
 from cpam_bayes.identification.search import required, search
 from cpam_bayes.inference.ensemble import DEFAULT_SETTINGS, EnsembleSettings
 from cpam_bayes.inference.swarm import SwarmSettings
-from cpam_bayes.plate import Specimen, builtin, read_plate, to_user, user_name
-from cpam_bayes.plate.records import angle_grid
-from cpam_bayes.plate.units import to_si
+from cpam_bayes.plate import Specimen, angle_grid, builtin, read_plate, to_si, to_user, user_name
 from cpam_bayes.printed.noise_study import ENSEMBLE_SETTINGS
 from cpam_bayes.printed.tables import PrintedRow, identified_layups, printed_table
 from cpam_bayes.questions.diagnose import diagnose

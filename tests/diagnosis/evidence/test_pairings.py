@@ -16,7 +16,7 @@ from cpam_bayes.diagnosis.diagnose import diagnose_cases
 from cpam_bayes.diagnosis.evidence.weighing import Weighed, weigh
 from cpam_bayes.diagnosis.hypotheses import DISCREPANCY, NONE, OTHER, Hypothesis
 from cpam_bayes.effects import ListChange
-from cpam_bayes.effects.frequency_list import MISREADING
+from cpam_bayes.effects.effect import MISREADING
 from tests.diagnosis.toy_plates import (
     BUMP,
     DENT,

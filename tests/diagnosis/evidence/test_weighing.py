@@ -23,7 +23,7 @@ from cpam_bayes.diagnosis.hypotheses import (
 )
 from cpam_bayes.diagnosis.models import ComposedModel
 from cpam_bayes.effects import ListChange
-from cpam_bayes.effects.frequency_list import MISREADING
+from cpam_bayes.effects.effect import MISREADING
 from cpam_bayes.mechanics.modes import RigidBodyError
 from tests.diagnosis.toy_plates import (
     BUMP,

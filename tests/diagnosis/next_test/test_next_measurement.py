@@ -38,9 +38,8 @@ from cpam_bayes.effects import CATALOGUE, Effect
 from cpam_bayes.effects.effect import either_sign
 from cpam_bayes.effects.geometry import DENSITY, THICKNESS
 from cpam_bayes.forward_model.model import plate_problem
-from cpam_bayes.plate import Measurement
+from cpam_bayes.plate import Measurement, Sensor
 from cpam_bayes.plate.reader import builtin
-from cpam_bayes.plate.records import Sensor
 from tests.diagnosis.toy_plates import (
     BUMP,
     CONSTANTS,

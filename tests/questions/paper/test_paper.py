@@ -18,7 +18,7 @@ from cpam_bayes.questions.paper import PaperResult, tasks_of
 from cpam_bayes.questions.paper.present import page, row_table
 from cpam_bayes.questions.paper.rows import FOUR, INPUT, NOT_REPRODUCIBLE, TWO, VERDICTS
 from cpam_bayes.questions.paper.work import FULL, QUICK, case_specimen, packaged, printed_rows, read, write
-from cpam_bayes.render.documents import csv_text
+from cpam_bayes.render.report import csv_text
 from cpam_bayes.render.terminal import plain_text, screen_tables
 
 Run = Callable[..., tuple[object, str, str]]
