@@ -13,7 +13,7 @@ from typing import Any, Literal, TypeAlias
 
 from cpam_bayes.priors import Prior
 
-__all__ = ["Constant", "FrequencyRow", "Notice", "Severity", "Verdict", "as_written", "each_once"]
+__all__ = ["Constant", "FrequencyRow", "Notice", "Reliance", "Severity", "Verdict", "as_written", "each_once"]
 
 Severity: TypeAlias = Literal["slip", "warning", "remark"]
 """A slip most likely ruins the answer; a warning is a reason not to trust a number; a remark is neither."""
@@ -121,3 +121,17 @@ class FrequencyRow:
         if self.measured is None or self.predicted is None:
             return None
         return self.predicted / self.measured - 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Reliance:
+    """A constant whose interval rests on the prior, or the bounds, of another one.
+
+    name : of the constant
+    on : the constant whose prior it is
+    widening : relative growth of the standard deviation of ``name`` were the prior of ``on`` twice as wide
+    """
+
+    name: str
+    on: str
+    widening: float

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cpam_bayes.answer import Reliance
 from cpam_bayes.diagnosis.answers.detectability import Detectable, detectable
 from cpam_bayes.diagnosis.answers.optima import (
     OpenOptimum,
@@ -48,7 +49,7 @@ from cpam_bayes.diagnosis.signatures import (
     signature_of,
     with_equal_fits,
 )
-from cpam_bayes.identification.point import Reliance, reliances
+from cpam_bayes.identification.point import reliances
 from cpam_bayes.running import cut_short, is_time_up, single_blas_thread
 
 Array = NDArray[Any]

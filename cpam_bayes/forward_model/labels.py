@@ -23,7 +23,7 @@ from cpam_bayes.forward_model.reduced import ReducedModel
 from cpam_bayes.mechanics.modes import Mode, Spectrum
 from cpam_bayes.parameters import ParameterSet
 from cpam_bayes.plate import Measurement, Specimen
-from cpam_bayes.plate.instruments import MeasuredShapes
+from cpam_bayes.plate.records import MeasuredShapes
 
 DEFAULT_MODES: Final = 10
 """Number of modes where none were measured."""

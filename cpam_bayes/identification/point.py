@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2, t
 
-from cpam_bayes.answer import Constant, Notice, Verdict, as_written
+from cpam_bayes.answer import Constant, Notice, Reliance, Verdict, as_written
 from cpam_bayes.forward_model.known_errors import ScaleError, sandwich_notices, scale_errors, sizes_spread
 from cpam_bayes.forward_model.labels import (
     LabelledModel,
@@ -51,7 +51,6 @@ __all__ = [
     "BY_DATA",
     "BY_PRIOR",
     "LEAST_WIDENING",
-    "Reliance",
     "point_notices",
     "reliances",
     "sampled_notices",
@@ -90,20 +89,6 @@ LEAST_WIDENING: Final = 0.1
 
 # 1 - 1/4: what a prior of twice the width takes off its precision
 _LESS_PRECISION = 0.75
-
-
-@dataclass(frozen=True, slots=True)
-class Reliance:
-    """A constant whose interval rests on the prior, or the bounds, of another one.
-
-    name : of the constant
-    on : the constant whose prior it is
-    widening : relative growth of the standard deviation of ``name`` were the prior of ``on`` twice as wide
-    """
-
-    name: str
-    on: str
-    widening: float
 
 
 def reliances(

@@ -22,13 +22,13 @@ from typing import Any, Final, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from cpam_bayes.plate.records import MeasuredShapes
 from cpam_bayes.plate.schema import MAX_FREQUENCIES
 from cpam_bayes.plate.text import Data, Problem, number, read_named_file, table
 
 __all__ = [
     "MAX_UNIVERSAL_BYTES",
     "Delimited",
-    "MeasuredShapes",
     "Row",
     "SheetError",
     "UniversalFileError",
@@ -348,31 +348,6 @@ _POSSIBLE_UNITS: Final = (1.0, 1e-3)
 # How far beyond an edge a node may lie, and how much of the plate nodes must span, fractions of a side.
 _BEYOND, _LEAST_SPAN = 0.02, 0.1
 _MIN_NODES: Final = 3
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class MeasuredShapes:
-    """Shapes of measured modes, in the order of their frequencies.
-
-    nodes : (n,) numbers
-    points : (n, 2) x and y, m from the corner x = y = 0
-    values : (n_modes, 3, n) displacements along x, y and z, of any scale, real or complex
-    """
-
-    nodes: Array
-    points: Array
-    values: Array
-
-    def __post_init__(self) -> None:
-        for name in ("nodes", "points", "values"):
-            array = np.array(getattr(self, name))
-            array.flags.writeable = False
-            object.__setattr__(self, name, array)
-
-    @property
-    def directions(self) -> Array:
-        """Directions in which some mode moves, (3,) bool; the others were not measured."""
-        return np.asarray(np.any(self.values != 0.0, axis=(0, 2)))
 
 
 def placed_shapes(modes: UniversalModes, length: float, width: float) -> tuple[MeasuredShapes, str]:

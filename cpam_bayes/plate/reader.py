@@ -20,9 +20,7 @@ import numpy as np
 from cpam_bayes.errors import PlateFileError, checked
 from cpam_bayes.parameters import Parameter, ParameterSet, Prior, TruncatedNormal, Uniform
 from cpam_bayes.plate.checks import CONSTANT_KEYS, ply_kinds, relation_problems, symmetry_of
-from cpam_bayes.plate.instruments import shapes_of
 from cpam_bayes.plate.layup import Layup, PlyKind, parse_layup
-from cpam_bayes.plate.modes_table import table_of
 from cpam_bayes.plate.records import (
     USER_UNITS,
     USUAL_SD,
@@ -57,6 +55,7 @@ from cpam_bayes.plate.text import (
     plate_file_error,
     read_regular_file,
     received,
+    table,
     understood,
 )
 
@@ -200,9 +199,8 @@ def _checked_specimen(
     """
     data, misspelt = respelt(understood(data))
     file, problems = validated(data)
-    of_table, table_problems = table_of(data, directory)
-    of_shapes, shape_problems = shapes_of(data, directory)
-    problems += relation_problems(data, directory) + table_problems + shape_problems
+    measured, file_problems = _measured(data, directory)
+    problems += relation_problems(data, directory) + file_problems
     # a value under another name is in another unit, or of another kind, more often than not
     problems = [p for p in (problem.under(misspelt) for problem in problems) if p.path not in misspelt]
     problems += [
@@ -210,12 +208,26 @@ def _checked_specimen(
     ]
     if file is None or problems:
         raise plate_file_error(source, problems, lines)
-    measured: dict[str, Any] = {}
-    if file.measurement is not None and of_table is not None:
-        measured = of_table.fields(str(file.measurement.table))
-    if file.measurement is not None and of_shapes is not None:
-        measured = of_shapes.fields(str(file.measurement.shapes))
     return _specimen(file, source, directory, measured)
+
+
+def _measured(data: Mapping[str, Any], directory: Path | None) -> tuple[Mapping[str, Any], list[Problem]]:
+    """Fields of `Measurement` from the file that [measurement] names, and what is wrong with it."""
+    measurement = table(data, "measurement")
+    fields: Mapping[str, Any] = {}
+    problems: list[Problem] = []
+    if measurement.get("table"):
+        from cpam_bayes.plate.modes_table import table_of  # for plates with a table alone
+
+        of_table, problems = table_of(data, directory)
+        fields = {} if of_table is None else of_table.fields(str(measurement["table"]))
+    if measurement.get("shapes"):
+        from cpam_bayes.plate.instruments import shapes_of  # for plates with a universal file alone
+
+        of_shapes, of_file = shapes_of(data, directory)
+        problems = problems + of_file
+        fields = fields if of_shapes is None else of_shapes.fields(str(measurement["shapes"]))
+    return fields, problems
 
 
 def _specimen(file: PlateFile, source: str, directory: Path | None, measured: Mapping[str, Any]) -> Specimen:

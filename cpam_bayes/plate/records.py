@@ -17,7 +17,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from cpam_bayes.formatting import listed
 from cpam_bayes.parameters import ParameterSet, read_only
-from cpam_bayes.plate.instruments import MeasuredShapes
 from cpam_bayes.plate.laminate import (
     CONSTANTS,
     CONSTRAINTS,
@@ -304,6 +303,31 @@ class Sensor:
     mass: float
     x: float
     y: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MeasuredShapes:
+    """Shapes of measured modes, in the order of their frequencies.
+
+    nodes : (n,) numbers
+    points : (n, 2) x and y, m from the corner x = y = 0
+    values : (n_modes, 3, n) displacements along x, y and z, of any scale, real or complex
+    """
+
+    nodes: Array
+    points: Array
+    values: Array
+
+    def __post_init__(self) -> None:
+        for name in ("nodes", "points", "values"):
+            array = np.array(getattr(self, name))
+            array.flags.writeable = False
+            object.__setattr__(self, name, array)
+
+    @property
+    def directions(self) -> Array:
+        """Directions in which some mode moves, (3,) bool; the others were not measured."""
+        return np.asarray(np.any(self.values != 0.0, axis=(0, 2)))
 
 
 USUAL_SCALE_SD: Final = 1e-4

@@ -41,7 +41,7 @@ from cpam_bayes.render.page import PAGE
 from cpam_bayes.render.report import Report, Summary
 from cpam_bayes.render.sentences import determined_text, frequency_columns, interval_text, value_text
 from cpam_bayes.result import Result, present
-from cpam_bayes.workbench.server import Shown, Tell
+from cpam_bayes.workbench.visit import Shown, Tell
 
 __all__ = ["COMMAND", "AppResult", "app"]
 
@@ -120,8 +120,7 @@ def app(
             f"app: {error.name} is not installed, which the page needs; "
             'python -m pip install "cpam-bayes[app]"'
         ) from None
-    from cpam_bayes.workbench.server import Pool, Worker
-    from cpam_bayes.workbench.visit import Desk, Material, Tasks, Visit
+    from cpam_bayes.workbench.visit import Desk, Material, Pool, Tasks, Visit, Worker
 
     folder, name, text = _place(plate)
     where = server.free_port(port)

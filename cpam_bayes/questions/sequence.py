@@ -8,7 +8,7 @@ from typing import Any, ClassVar, Final
 
 import numpy as np
 
-from cpam_bayes.answer import Constant, FrequencyRow, Notice
+from cpam_bayes.answer import Constant, FrequencyRow, Notice, Reliance
 from cpam_bayes.command import EXECUTOR, TIME_LIMIT, WORKERS, Command, option, whole
 from cpam_bayes.errors import checked
 from cpam_bayes.formatting import decimals_of, fixed, probable, signed, significant
@@ -27,7 +27,7 @@ from cpam_bayes.forward_model.preconditions import (
     require_whole,
     stated_noise_slips,
 )
-from cpam_bayes.identification.point import Reliance, reliances, verdict_of
+from cpam_bayes.identification.point import reliances, verdict_of
 from cpam_bayes.inference.posterior import NOISE
 from cpam_bayes.parallel import open_executor
 from cpam_bayes.plate import PlateLike, Specimen, read_plate, to_user, user_name

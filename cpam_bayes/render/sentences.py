@@ -8,12 +8,11 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import partial
 from typing import Final
 
-from cpam_bayes.answer import Constant, FrequencyRow, Notice, Verdict
+from cpam_bayes.answer import Constant, FrequencyRow, Notice, Reliance, Verdict
 from cpam_bayes.formatting import NOT_KNOWN, decimals_of, fixed, listed, signed, significant, with_spread
 from cpam_bayes.forward_model.known_errors import FREQUENCY_SCALE, ScaleError
 from cpam_bayes.forward_model.labels import same_label
 from cpam_bayes.forward_model.preconditions import USUAL_NOISE, contradicts_list
-from cpam_bayes.identification.point import Reliance
 from cpam_bayes.plate import Hybrid, Material, Measurement, Plate, Specimen, split_name, to_user, unit_of
 from cpam_bayes.plate.laminate import MaterialSymmetry
 from cpam_bayes.priors import Prior

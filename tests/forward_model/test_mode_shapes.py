@@ -29,7 +29,7 @@ from cpam_bayes.inference.swarm import SwarmSettings
 from cpam_bayes.mechanics.modes import Mode
 from cpam_bayes.parameters import ParameterSet
 from cpam_bayes.plate import Measurement, Specimen, read_specimen
-from cpam_bayes.plate.instruments import MeasuredShapes
+from cpam_bayes.plate.records import MeasuredShapes
 from tests.plate_file import BAR
 from tests.universal import grid, mode_55, nodes_15
 

@@ -9,12 +9,11 @@ import numpy as np
 import pytest
 from matplotlib.container import BarContainer, ErrorbarContainer
 
-from cpam_bayes.answer import Notice, Verdict
+from cpam_bayes.answer import Notice, Reliance, Verdict
 from cpam_bayes.diagnosis.answers.detectability import Detectable
 from cpam_bayes.diagnosis.hypotheses import Claim
 from cpam_bayes.diagnosis.next_test import Candidate
 from cpam_bayes.effects import CATALOGUE
-from cpam_bayes.identification.point import Reliance
 from cpam_bayes.questions.diagnose import claim_sentence, diagnosis_result
 from cpam_bayes.questions.diagnose.document import (
     absorbed_biases,

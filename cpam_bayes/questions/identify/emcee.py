@@ -12,7 +12,7 @@ from typing import Any, ClassVar, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from cpam_bayes.answer import Constant, FrequencyRow, Notice, Verdict
+from cpam_bayes.answer import Constant, FrequencyRow, Notice, Reliance, Verdict
 from cpam_bayes.errors import checked
 from cpam_bayes.forward_model.known_errors import ScaleError, scale_errors
 from cpam_bayes.forward_model.labels import LabelledModel, ShapePairing, by_shape, list_order
@@ -34,7 +34,7 @@ from cpam_bayes.forward_model.preconditions import (
     stated_noise_slips,
 )
 from cpam_bayes.forward_model.reduced import ReducedModel
-from cpam_bayes.identification.point import Reliance, reliances, sampled_notices, verdict_of
+from cpam_bayes.identification.point import reliances, sampled_notices, verdict_of
 from cpam_bayes.identification.search import NO_MESH, required, start_of
 from cpam_bayes.inference.assessment import (
     Assessment,

@@ -1,1 +1,0 @@
-"""Many plates: shared models, rows, limits, the scatter of a material."""

@@ -1,1 +1,0 @@
-"""Causes of a misfit weighed against each other: the claim, its gain, further tests."""

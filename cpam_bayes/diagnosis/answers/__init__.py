@@ -1,1 +1,0 @@
-"""Answers of a diagnosis beside its claim: detection limits, averaged constants."""

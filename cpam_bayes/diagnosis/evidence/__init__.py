@@ -1,1 +1,0 @@
-"""Marginal likelihoods of hypotheses."""

@@ -1,1 +1,0 @@
-"""Frequencies of a plate from its parameters."""

@@ -1,1 +1,0 @@
-"""Reduced models of changes at any place of a plate."""

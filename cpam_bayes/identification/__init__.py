@@ -1,1 +1,0 @@
-"""Constants and angles of one plate from its list."""

@@ -1,1 +1,0 @@
-"""One log probability of a plate's parameters, its optima, integrals and draws."""

@@ -1,1 +1,0 @@
-"""Plates as affine operators, discretised by Ritz or finite elements."""

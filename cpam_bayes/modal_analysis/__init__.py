@@ -1,1 +1,0 @@
-"""Frequency responses and recorded hits to poles."""

@@ -1,1 +1,0 @@
-"""The paper's tables in the digits of the print, and its noise study."""

@@ -1,1 +1,0 @@
-"""One module a question, named as its command."""

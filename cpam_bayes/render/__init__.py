@@ -1,1 +1,0 @@
-"""Reports as screens, pages, documents, tables and figures; computes nothing."""

@@ -1,1 +1,0 @@
-"""The posterior over stacking sequences."""
