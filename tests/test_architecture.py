@@ -122,8 +122,8 @@ ANNOTATIONS = "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n"
         ("cpam_bayes.plate.laminate", False, "from cpam_bayes import mechanics"),
         ("cpam_bayes.plate.laminate", False, "import cpam_bayes.cli"),
         ("cpam_bayes.plate.laminate", False, "def late():\n    from ..mechanics.problem import Problem"),
-        ("cpam_bayes.mechanics.ritz", False, "from ...effects import CATALOGUE"),
-        ("cpam_bayes.mechanics", True, "from ..effects import CATALOGUE"),
+        ("cpam_bayes.forward_model.calculix.run", False, "from ...inference import swarm"),
+        ("cpam_bayes.forward_model.calculix", True, "from ...inference import swarm"),
         ("cpam_bayes", True, "from cpam_bayes.errors import LayupError"),
         ("cpam_bayes", True, "def late():\n    from cpam_bayes.errors import LayupError"),
         ("cpam_bayes", True, f"{ANNOTATIONS}    import numpy\nelse:\n    from cpam_bayes.plate import Plate"),
@@ -139,8 +139,8 @@ def test_a_wrong_import_is_found(module: str, is_package: bool, source: str) -> 
 @pytest.mark.parametrize(
     ("module", "is_package", "source"),
     [
-        ("cpam_bayes.mechanics.ritz", False, "from .problem import Region"),
-        ("cpam_bayes.mechanics", True, "from .problem import Region\nfrom . import ritz"),
+        ("cpam_bayes.forward_model.calculix.run", False, "from .deck import Deck"),
+        ("cpam_bayes.forward_model.calculix", True, "from .deck import Deck\nfrom . import run"),
         ("cpam_bayes.mechanics.problem", False, "import numpy\nfrom ..plate.laminate import Laminate"),
         ("cpam_bayes.errors", False, "from cpam_bayes import __version__"),
         ("cpam_bayes", True, f"{ANNOTATIONS}    from cpam_bayes.cli import main as main"),

@@ -46,11 +46,11 @@ def test_another_source_is_another_fingerprint(monkeypatch: pytest.MonkeyPatch, 
 
 def test_a_script_has_the_fingerprint_of_what_it_uses(tmp_path: Path) -> None:
     script = tmp_path / "study.py"
-    script.write_text("from cpam_bayes.plate import to_user\n")
+    script.write_text("from cpam_bayes.formatting import fixed\n")
     first = fingerprint_of_script(script, cb._PUBLIC)
-    script.write_text("from cpam_bayes.plate import to_user  # a remark\n")
+    script.write_text("from cpam_bayes.formatting import fixed  # a remark\n")
     assert fingerprint_of_script(script, cb._PUBLIC) == first
-    script.write_text("from cpam_bayes.plate import Plate\n")
+    script.write_text("from cpam_bayes.plate.records import Plate\n")
     assert fingerprint_of_script(script, cb._PUBLIC) != first
 
 

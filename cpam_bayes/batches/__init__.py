@@ -1,0 +1,1 @@
+"""Many plates: shared models, rows, limits, the scatter of a material."""

@@ -1,0 +1,1 @@
+"""Causes of a misfit weighed against each other: the claim, its gain, further tests."""

@@ -1,0 +1,1 @@
+"""Answers of a diagnosis beside its claim: detection limits, averaged constants."""

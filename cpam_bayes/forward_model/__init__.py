@@ -1,0 +1,1 @@
+"""Frequencies of a plate from its parameters."""

@@ -1,0 +1,1 @@
+"""Reduced models of changes at any place of a plate."""

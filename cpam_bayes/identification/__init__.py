@@ -1,0 +1,1 @@
+"""Constants and angles of one plate from its list."""

@@ -1,0 +1,1 @@
+"""One log probability of a plate's parameters, its optima, integrals and draws."""

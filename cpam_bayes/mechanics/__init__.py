@@ -1,0 +1,1 @@
+"""Plates as affine operators, discretised by Ritz or finite elements."""

@@ -1,0 +1,1 @@
+"""The paper's tables in the digits of the print, and its noise study."""

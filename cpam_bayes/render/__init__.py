@@ -1,0 +1,1 @@
+"""Reports as screens, pages, documents, tables and figures; computes nothing."""
