@@ -1,4 +1,4 @@
-"""What every answer can do: be read, drawn, saved, and given on as numbers.
+"""The abilities of every answer: it is read, drawn, saved, and given on as numbers.
 
 A verb (`forward`, `identify`, `diagnose`, ...) returns a subclass of `Result`: all numbers, the notices and
 the status, computed and complete. How it looks is its `report()`, made when it is asked for.
@@ -83,7 +83,7 @@ class Result:
 
     @property
     def title(self) -> str:
-        """What was asked about, for headings."""
+        """The name of what was asked about, for headings."""
         return ""
 
     @property

@@ -14,7 +14,7 @@ from cpam_bayes.errors import checked
 
 @dataclass(frozen=True, slots=True)
 class Progress:
-    """How a computation reports while it runs.
+    """The reports of a computation while it runs.
 
     tick : called with (iterations done, value to show). notify : called with what begins that takes long.
     """
@@ -24,7 +24,7 @@ class Progress:
 
 
 class Watch(Protocol):
-    """Somebody who is shown the progress of long work: a terminal, a notebook, nobody."""
+    """A display of the progress of long work: a terminal, a notebook, or none."""
 
     def announce(self, text: str) -> None:
         """Show one line about what begins."""
@@ -58,7 +58,7 @@ class TimeIsUpError(RuntimeError):
 
 @dataclass(slots=True)
 class TimeLimit:
-    """What a limit did.
+    """A time limit and the work that it cut.
 
     seconds : the limit
     end : when it is reached, by the clock of ``time.monotonic``

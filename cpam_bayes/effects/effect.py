@@ -1,4 +1,4 @@
-"""What an effect is: one record that holds all that the package asks of a cause."""
+"""The record of an effect, with all that the package asks of a cause."""
 
 from __future__ import annotations
 

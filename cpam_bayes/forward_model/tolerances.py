@@ -1,4 +1,4 @@
-"""What a plate file states of sizes, mass and the analyser is not exact: what errors of it do.
+"""Tolerances of sizes, mass and the analyser, and the errors of the constants that they cause.
 
 A plate that is 1 % thicker than stated has higher frequencies, which stiffer constants repeat, and no fit can
 tell. What was weighed stays as weighed: a plate of other sizes has another density.
@@ -30,7 +30,7 @@ _USUAL_NOISE = 0.002
 
 @dataclass(frozen=True, slots=True)
 class ScaleError:
-    """What an error of one number that the model takes for exact does to the constants, to first order.
+    """Errors of the constants by one number that the model assumes exact, to first order.
 
     name : thickness, length, width, density or mass; "frequency_scale" of the analyser
     shift : constant -> by how much it is another one, relative, for each relative excess of the true number
@@ -94,7 +94,7 @@ def scale_errors(
     *,
     usual: bool = False,
 ) -> tuple[ScaleError, ...]:
-    """Of each size, the density or mass, and the frequency scale.
+    """Errors by each size, the density or mass, and the frequency scale.
 
     The frequencies are weighed by the noise that the file states.
 

@@ -213,7 +213,7 @@ def summarise(
     residual: Residual,
     start: float,
 ) -> PointEstimate:
-    """What an engineer needs to know about the best optimum of a search."""
+    """Summary of the best optimum of a search for an engineer."""
     measurement, unknowns = required(specimen)
     model, swarm, error = searched.model, searched.swarm, searched.error
     best = swarm.best

@@ -81,7 +81,7 @@ class Optimum:
 
 @dataclass(frozen=True, slots=True)
 class Search:
-    """What swarms found and the plate model that they ran on.
+    """The optima that swarms found and the plate model that they ran on.
 
     swarm : the single swarm, or the first of several with the best optimum and the status of them all
     error : (n_modes,) relative error of the solver at its best particle
@@ -175,7 +175,7 @@ Progress = Callable[[int, float], None] | None
 
 @dataclass(frozen=True, slots=True)
 class _Task:
-    """What swarms minimise."""
+    """The objective of a swarm."""
 
     specimen: Specimen
     model: Model

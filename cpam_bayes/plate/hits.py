@@ -53,7 +53,7 @@ class TableModes:
     remarks: tuple[str, ...]
 
     def fields(self, name: str) -> dict[str, Any]:
-        """What of a `Measurement` the table gives; name : of the table, as the plate file has it."""
+        """The fields of a `Measurement` that the table gives; name : of the table, as in the plate file."""
         return {
             "frequencies": self.frequencies,
             "frequency_sd": self.sd,
@@ -65,7 +65,7 @@ class TableModes:
 
     @property
     def origin(self) -> str:
-        """What the frequencies are made of, in words."""
+        """The origin of the frequencies, in words."""
         fewest, most = int(self.hits.min()), int(self.hits.max())
         span = f"{most}" if fewest == most else f"{fewest} to {most}"
         said = ["one hit a mode" if most == 1 else f"means of {span} hits a mode"]

@@ -328,7 +328,7 @@ class ShapeModes:
     origin: str
 
     def fields(self, name: str) -> dict[str, Any]:
-        """What of a `Measurement` the file gives; name : of the file, as the plate file has it."""
+        """The fields of a `Measurement` that the file gives; name : of the file, as in the plate file."""
         return {
             "frequencies": self.frequencies,
             "labels": ("",) * len(self.frequencies),

@@ -321,7 +321,7 @@ _ACCEPTED: Final[Mapping[str, str]] = {
 
 
 def _wrong(cell: str, name: str, unit: str) -> str:
-    """What is wrong with a cell, "" for nothing."""
+    """The problem with a cell, "" for none."""
     if not (cell.isprintable() and len(cell) <= _LONGEST):
         return f"not a text that can be shown, accepted: up to {_LONGEST} printable characters"
     if name not in _ACCEPTED or not cell:

@@ -1,4 +1,4 @@
-"""What is wrong with a plate file and how it is said, and raw tables that are not trusted yet."""
+"""Problems of a plate file and their wording, and raw tables that are not trusted yet."""
 
 from __future__ import annotations
 

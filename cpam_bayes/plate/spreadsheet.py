@@ -72,7 +72,7 @@ def sheets(content: bytes) -> tuple[str, ...]:
 
 
 def _cell(value: Any) -> str:
-    """What a cell of a sheet holds; numbers without the rounding of a computed one."""
+    """The text of a cell of a sheet; numbers without the rounding of a computed one."""
     if value is None:
         return ""
     if isinstance(value, float):

@@ -1,4 +1,4 @@
-"""Whether intervals hold the truth as often as they say, for one plate and list: the question `calibrate`."""
+"""Coverage of the intervals of one plate and list, by simulated lists: the question `calibrate`."""
 
 from __future__ import annotations
 

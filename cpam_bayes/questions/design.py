@@ -1,4 +1,4 @@
-"""Which specimen and test would determine the constants of a material: the question `design`."""
+"""Specimens and tests ranked by how well they would determine the constants: the question `design`."""
 
 from __future__ import annotations
 
@@ -134,7 +134,7 @@ def design(
     workers: int | None = None,
     watch: Watch = SILENT,
 ) -> DesignResult:
-    """Which layup, shape, thickness, edges and number of modes would determine the constants.
+    """Layups, shapes, thicknesses, edges and numbers of modes, ranked by how well they determine constants.
 
     Every combination is computed at the reference constants. Its expected information about the constants is
     that of Laplace's approximation there, with the priors of [unknowns], and the standard deviations of
@@ -377,7 +377,7 @@ def _keys(result: DesignResult, candidate: Candidate, record: Mapping[str, Any])
 
 
 def _verdict(result: DesignResult, best: Candidate) -> str:
-    """What the best candidate determines of the constants asked for."""
+    """The constants that the best candidate determines, of those asked for."""
     determined = _determined(result, best)
     yes = [name for name in result.asked if name in determined]
     no = [name for name in result.asked if name not in determined]

@@ -109,7 +109,7 @@ class PolesResult(Result):
 
     @property
     def status(self) -> str:
-        """Whether there are modes."""
+        """Either "done", or "no modes"."""
         return "done" if self.modes else "no modes"
 
     @property

@@ -446,7 +446,7 @@ def _origin(stored: StoredPosterior) -> str:
 
 
 def _contained(result: PredictionResult) -> str:
-    """What the intervals contain beside the constants."""
+    """The contents of the intervals beside the constants."""
     if result.sizes_of_posterior:
         sizes, exact = [*result.posterior.sizes], ""
     else:

@@ -74,7 +74,7 @@ _SEALED_KEYS: Final = ("mass_g", "x_mm", "y_mm")
 
 @dataclass(frozen=True, slots=True)
 class Stated:
-    """What the seal held, SI. shifts, sd : (n,) of ln f' - ln f that the first list predicts for it."""
+    """The content of the seal, SI. shifts, sd : (n,) of ln f' - ln f that the first list predicts for it."""
 
     mass: float
     place: tuple[float, float]
@@ -118,7 +118,7 @@ class Coin:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class CoinResult(PlateResult):
-    """What was stuck to a plate after its first list, by each further list.
+    """The mass stuck to a plate after its first list, by each further list.
 
     Attributes
     ----------
@@ -338,7 +338,7 @@ def _loaded(point: PointResult, rng: np.random.Generator) -> LoadedPlate:
 
 
 def _repeatability(first: Measurement, second: Measurement) -> Repeatability:
-    """Of both lists together, as that of each."""
+    """The repeatability of both lists together, as that of each."""
     stated = [
         m.noise_sd(m.relative_std or 0.0) / m.frequencies
         for m in (first, second)
@@ -420,7 +420,7 @@ _COLUMNS: Final = (
 
 @present.register
 def _present(result: CoinResult) -> Report:
-    """What was found, what was stated, and how well they agree."""
+    """The mass found, the mass stated, and their agreement."""
     rows = Rows("coins", _COLUMNS, result.coins, lambda c: c.is_inside is False)
     limit = result.detection_limit
     return Report(
@@ -499,7 +499,7 @@ def _headline(result: CoinResult) -> str:
 
 
 def _agreement(result: CoinResult) -> tuple[str, ...]:
-    """Of several coins: coverage, and found over stated masses, which check weight and sizes of the plate."""
+    """Agreement of several coins: coverage, and found over stated masses, a check of weight and sizes."""
     known = [c for c in result.coins if c.stated is not None and c.stated.mass and _is_added(c)]
     coverage = result.coverage
     if coverage is None or len(result.coins) < 2:

@@ -252,7 +252,7 @@ def stacking_result(
 
 
 def _reliances(answer: StackingPosterior, mixture: StackingMixture) -> tuple[Reliance, ...]:
-    """Of the constants over all sequences."""
+    """Reliances of the constants over all sequences."""
     parameters = answer.conditional.parameters
     kept = [i for i, name in enumerate(parameters.names) if name != NOISE]
     names = [parameters.names[i] for i in kept]
@@ -261,7 +261,7 @@ def _reliances(answer: StackingPosterior, mixture: StackingMixture) -> tuple[Rel
 
 
 def _slips(specimen: Specimen, fit: BestFit) -> tuple[Notice, ...]:
-    """What most likely ruins the answer."""
+    """Likely slips that ruin the answer."""
     residual = np.asarray(fit.residual)[np.isfinite(fit.residual)]
     misfit = float(np.sqrt(np.mean(residual**2))) if residual.size else 0.0
     measurement = specimen.measurement
@@ -275,7 +275,7 @@ def _slips(specimen: Specimen, fit: BestFit) -> tuple[Notice, ...]:
 
 
 def _printed(answer: StackingPosterior) -> GivenLayup | None:
-    """What Table 9(b) prints for a built-in specimen."""
+    """The layup of Table 9(b) of a built-in specimen."""
     name = answer.specimen.name
     printed = identified_layups().get(name)
     if printed is None or answer.specimen.source != f"built-in {name}":

@@ -1,4 +1,4 @@
-"""Which measured shape is which mode of the model: as a section, in a document, drawn."""
+"""The pairing of measured shapes with modes of the model: as a section, in a document, drawn."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ FIGURE = "modal_assurance"
 
 
 def assurance_sections(pairing: ShapePairing | None, measurement: Measurement | None) -> tuple[Section, ...]:
-    """Which measured shape is which mode, none without shapes."""
+    """The mode of each measured shape, no section without shapes."""
     if pairing is None or measurement is None:
         return ()
     return (Section("Measured shapes", (_table(pairing, measurement),), (FIGURE,)),)

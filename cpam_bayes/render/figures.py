@@ -1,4 +1,4 @@
-"""What all figures share: how they are made and saved, their colours; and the shapes of modes.
+"""The common part of all figures: how they are made and saved, their colours, the shapes of modes.
 
 A mode is a deflection in colours with its nodal lines, or the deformed grid of a mode in the plane.
 Matplotlib loads when a figure is drawn.

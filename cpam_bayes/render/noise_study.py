@@ -56,7 +56,7 @@ class ComparedRow(NamedTuple):
 
     @property
     def comparison(self) -> Comparison:
-        """Of repetition and posterior."""
+        """The comparison of repetition and posterior."""
         return self.cell.comparisons[self.i]
 
     @property
@@ -199,7 +199,7 @@ def _reason(row: ComparedRow, cause: Cause) -> str:
 
 
 def beside_paper(study: Sensitivity, table: PerturbationTable | None) -> tuple[str, ...]:
-    """What the printed percentages mean beside the scatter of a mean of ten, and what is odd about them."""
+    """The printed percentages beside the scatter of a mean of ten, and what is odd about them."""
     if table is None:
         return ()
     n = len(study.without_noise.constants)

@@ -40,7 +40,7 @@ def plate_section(specimen: Specimen, air_shifts: NDArray[np.float64] | None) ->
 
 
 def plate_head(specimen: Specimen, air_shifts: NDArray[np.float64] | None) -> Table:
-    """What was computed: the plate as the file gives it, and where the file says more.
+    """The plate as the file gives it, and where the file says more.
 
     air_shifts : see `PlateResult.air_shifts`
     """

@@ -175,7 +175,7 @@ def _colour(angle_deg: float) -> Any:
 
 
 def plate_caption(specimens: Sequence[Specimen]) -> Caption:
-    """What the drawing of one plate, or of several, shows."""
+    """Caption of the drawing of one plate, or of several."""
     stated = {letter for s in specimens for letter in s.plate.edges}
     sensors = any(s.sensors for s in specimens)
     parts = ["The plate as the model has it, seen from above"]

@@ -48,7 +48,7 @@ class ListedSequence(NamedTuple):
 
     @property
     def angles(self) -> str:
-        """Of its first member, from the bottom."""
+        """Angles of its first member, from the bottom."""
         return angles_text(self.answer.top[self.i])
 
     @property
@@ -121,7 +121,7 @@ SEQUENCES: Final = (
 
 
 def angle_table(answer: StackingPosterior, information: AngleInformation) -> Table:
-    """What is known of each unknown angle."""
+    """The posterior of each unknown angle."""
 
     def best(j: int) -> str:
         p = answer.marginals[j]
@@ -147,7 +147,7 @@ def angle_table(answer: StackingPosterior, information: AngleInformation) -> Tab
 
 
 def outer_and_inner(information: AngleInformation) -> str:
-    """Whether the list tells more about the outer plies."""
+    """A comparison of the information about outer and inner plies."""
     bits = information.entropy_bits[information.outer_first]
     each = ", ".join(f"{abs(b):.2f}" for b in bits)
     if len(bits) < 2:

@@ -63,7 +63,7 @@ class Material:
 
 @dataclass(frozen=True, slots=True)
 class Tasks:
-    """What is computed of a plate file, called with its text, its name and its folder.
+    """Computations of a plate file, called with its text, its name and its folder.
 
     live : the answer about the last optimum, which is its fourth argument
     identify, diagnose, report : as the commands answer; report writes its folder
@@ -77,7 +77,7 @@ class Tasks:
 
 @dataclass(frozen=True, slots=True)
 class Desk:
-    """What all visits share.
+    """The state that all visits share.
 
     folder : of the plate files; nothing outside it is read or written
     blank : text of an empty plate file; example : of one to look at

@@ -30,7 +30,7 @@ It raises ``ValueError`` for what the user can mend.
 
 
 class RefusedError(Exception):
-    """What a computation said that it cannot do, one problem each."""
+    """A computation's problems, one each, for which there is no answer."""
 
     def __init__(self, *problems: str) -> None:
         super().__init__(*problems)

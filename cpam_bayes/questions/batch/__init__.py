@@ -138,7 +138,7 @@ def batch(
 
 
 def _not_described(rows: Sequence[PlateRow]) -> Iterator[Notice]:
-    """Which plates have a misfit that the stated noise does not explain."""
+    """Notices of plates with a misfit that the stated noise does not explain."""
     worst = sorted((row for row in rows if row.misfit > 1.0), key=lambda row: -row.misfit)
     if worst:
         yield Notice("undescribed_plates", facts={"plates": tuple((row.name, row.misfit) for row in worst)})

@@ -1,4 +1,4 @@
-"""What is shown of a batch: its plates, limits and control chart."""
+"""The presentation of a batch: its plates, limits and control chart."""
 
 from __future__ import annotations
 
@@ -224,7 +224,7 @@ def _next_plate_text(c: PopulationConstant) -> str:
 
 
 def _probabilities(result: BatchResult, limit: Limit) -> list[float]:
-    """Of meeting a limit, of all plates that have the constant."""
+    """Probabilities of meeting a limit, of all plates that have the constant."""
     return [p for row in result.done if (p := result.probability(row, limit)) is not None]
 
 

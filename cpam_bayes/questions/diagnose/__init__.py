@@ -1,4 +1,4 @@
-"""What the simulation of one or several plates gets wrong: the question `diagnose`."""
+"""Errors of the plate, the list or the model, weighed by probability: the question `diagnose`."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def diagnose(
     workers: int | None = None,
     watch: Watch = SILENT,
 ) -> DiagnosisResult:
-    """What the simulation gets wrong, its cause by probability, the extended model and what it gains.
+    """The probable errors of the plate, the list or the model, and the constants that allow for them.
 
     Parameters
     ----------
@@ -137,13 +137,13 @@ def diagnose(
 
 
 def _remarks(specimens: Sequence[Specimen]) -> tuple[Notice, ...]:
-    """What reading the measurements left doubtful."""
+    """Doubts from reading the measurements."""
     measurements = [s.measurement for s in specimens if s.measurement is not None]
     return as_written(remark for m in measurements for remark in m.remarks)
 
 
 def _slips(diagnosis: Diagnosis, specimens: Sequence[Specimen]) -> tuple[Notice, ...]:
-    """What most likely ruins the diagnosis."""
+    """Likely slips that ruin the diagnosis."""
     fit = diagnosis.extended or diagnosis.baseline
     unknowns = {name for specimen in specimens for name in specimen.unknowns.names}
     measurements = [s.measurement for s in specimens if s.measurement is not None]
@@ -244,7 +244,7 @@ def _require_one_material(specimens: Sequence[Specimen]) -> None:
 
 
 def _sizes(specimen: Specimen) -> tuple[float | str, ...]:
-    """What does not change from test to test of a plate."""
+    """The sizes that do not change from test to test of a plate."""
     plate = specimen.plate
     return (plate.length, plate.width, plate.thickness, plate.density, plate.layup.text)
 

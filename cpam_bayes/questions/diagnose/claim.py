@@ -112,7 +112,7 @@ def claim_sentence(d: Diagnosis) -> str:
 
 
 def _undecided(d: Diagnosis) -> str:
-    """What is open where nothing is claimed: the cause, or whether there is one."""
+    """The headline where nothing is claimed: open is the cause, or whether there is one."""
     causes = [c for c in d.causes if c.name != NONE][:FEW]
     if d.weighed.is_cut_short:
         causes = [c for c in causes if c.probability >= _TOLD]
@@ -152,7 +152,7 @@ def _found(d: Diagnosis, cause: Cause) -> str:
 
 
 def _in_list(d: Diagnosis, cause: Cause) -> str:
-    """What is wrong with the list, "" where nothing is."""
+    """The error of the list in words, "" where there is none."""
     change = cause.hypothesis.listed
     case = next(case for case in d.cases if case.name in cause.plates)
     k = change.misread if change.spurious is None else change.spurious
@@ -212,7 +212,7 @@ def stated_levels(d: Diagnosis) -> list[tuple[float, str]]:
 
 
 def _beside(d: Diagnosis) -> tuple[str, ...]:
-    """What may act beside what is claimed."""
+    """Possible further errors beside the claimed one."""
     if d.probability_beside < CLAIM_RULES.beside * d.claim.probability:
         return ()
     said = some_of([f"{title_of(d, name)} {probability_text(p)}" for name, p in d.beside.items()])
@@ -229,7 +229,7 @@ def _alike(d: Diagnosis) -> tuple[str, ...]:
 
 
 def _seen(d: Diagnosis) -> tuple[str, ...]:
-    """Whether a forgotten mass, or the error that shows best, would have been seen."""
+    """The smallest forgotten mass, or of the error that shows best, that would have been seen."""
     if d.claim.kind not in (NONE, "undecided"):
         return ()
     rows = [row for row in detectable_rows(d) if row.probability is not None]
@@ -259,7 +259,7 @@ def _left_out(d: Diagnosis) -> tuple[str, ...]:
 
 
 def _contained(d: Diagnosis, plates: Sequence[Specimen]) -> tuple[str, ...]:
-    """Which errors of size, mass and scale the intervals contain, once where all plates are alike."""
+    """Errors of size, mass and scale inside the intervals, once where all plates are alike."""
     said = [_contained_of(d, specimen) for specimen in plates]
     if len(set(said)) == 1:
         return (said[0],)
@@ -293,7 +293,7 @@ def _depends(d: Diagnosis) -> tuple[str, ...]:
 
 
 def sensitivity_sentence(d: Diagnosis) -> str:
-    """What becomes of the claim with other scales of the priors."""
+    """The dependence of the claim on the scales of the priors."""
     inferred = d.weighed.none.marginal.comparison.noise is not None
     what = "errors and noise" if inferred else "errors"
     if d.sensitivity.claim_stands:
@@ -318,7 +318,7 @@ def _short(d: Diagnosis, claim: Claim, probability: Mapping[str, float]) -> str:
 
 
 def next_steps(result: DiagnosisResult) -> tuple[str, ...]:
-    """What to do now, the most useful first: mend the list, check what is claimed, or measure more."""
+    """Next steps, the most useful first: mend the list, check what is claimed, or measure more."""
     d, constants = result.diagnosis, answer_constants(result.diagnosis)
     steps = [step for plate in result.plates for step in mismatch_step(plate, result.notices)]
     if d.claim.kind == OTHER:
@@ -366,7 +366,7 @@ def _further_test(candidates: Sequence[Candidate]) -> tuple[tuple[str, ...], boo
 
 
 def scale_errors_of(d: Diagnosis, specimen: Specimen) -> tuple[ScaleError, ...]:
-    """Of the sizes, the mass and the frequency scale of one plate, at the constants of the answer."""
+    """Errors by the sizes, the mass and the frequency scale of one plate, at the constants of the answer."""
     case = next(case for case in d.cases if case.models.specimen is specimen)
     models, paired = case.models, np.flatnonzero(case.modes >= 0)
     found = {c.name: c.value for c in answer_constants(d)}

@@ -112,7 +112,7 @@ class DiagnosisResult(Result):
 
     @property
     def probability(self) -> float:
-        """Of the claim."""
+        """The probability of the claim."""
         return self.diagnosis.claim.probability
 
 

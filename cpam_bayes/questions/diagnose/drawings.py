@@ -95,7 +95,7 @@ def _claimed(d: Diagnosis) -> tuple[Cause, ...]:
 
 
 def _draw_found(result: DiagnosisResult, found: Sequence[Cause], axes: Axes, i: int) -> None:
-    """What was found on the plate of a number, millimetres."""
+    """Marks of what was found on the i-th plate, millimetres."""
     d, plate = result.diagnosis, result.plates[i].plate
     texts = []
     for cause in found:
@@ -269,7 +269,7 @@ def _sd_percent(row: FrequencyRow) -> float:
 
 
 def _limits(rows: Sequence[FrequencyRow]) -> tuple[float, float]:
-    """Of the residuals, with room for the key; whiskers may be cut."""
+    """Limits of the axis of residuals, with room for the key; whiskers may be cut."""
     shown = [row for row in rows if row.predicted is not None]
     largest = max((abs(row.residual_percent or 0.0) for row in shown), default=0.0)
     whisker = float(np.median([2.0 * _sd_percent(row) for row in shown])) if shown else 1.0

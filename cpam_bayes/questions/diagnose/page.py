@@ -79,7 +79,7 @@ def _present(result: DiagnosisResult) -> Report:
 
 
 def _sections(result: DiagnosisResult) -> tuple[Section, ...]:
-    """What was found and the fit of each mode, then all that stands behind the claim, folded."""
+    """The finding and the fit of each mode, then all that stands behind the claim, folded."""
     d = result.diagnosis
     drawn = {drawing.name for drawing in drawings(result)}
 
@@ -208,7 +208,7 @@ def _is_far(row: FrequencyRow) -> bool:
 
 
 def _other_mode(row: tuple[FrequencyRow, FrequencyRow]) -> str | None:
-    """What a frequency is without what was found, where that is another mode."""
+    """The mode of a frequency without what was found, where that is another mode."""
     before, after = row
     if after.number == before.number:
         return None
@@ -314,7 +314,7 @@ def _sampled(d: Diagnosis, resampled: Resampled | None) -> Table:
 
 
 def _gain(d: Diagnosis) -> Table:
-    """What modelling the claimed cause is worth."""
+    """The gain of modelling the claimed cause."""
     if d.gain is None or d.extended is None:
         return facts("Gain", ())
     gain = d.gain

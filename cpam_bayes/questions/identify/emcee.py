@@ -401,7 +401,7 @@ def _slips(
     *,
     inferred: bool,
 ) -> tuple[Notice, ...]:
-    """What most likely ruins the posterior.
+    """Likely slips that ruin the posterior.
 
     residuals : (n,) of the mean, nan where a frequency belongs to no mode. noise : relative, if inferred.
     """
@@ -430,7 +430,7 @@ def _scale_errors(
     pairing: Pairing,
     order: Array,
 ) -> tuple[ScaleError, ...]:
-    """Of the sizes, the mass and the frequency scale, at the most probable draw."""
+    """Errors by the sizes, the mass and the frequency scale, at the most probable draw."""
     _, unknowns = required(specimen)
     values = model.parameters.mapping(best[: model.parameters.size])
     known = pairing.mode >= 0
@@ -445,7 +445,7 @@ def _scale_errors(
 
 
 def _reliances(posterior: Posterior, draws: Array, names: tuple[str, ...]) -> tuple[Reliance, ...]:
-    """Of the elastic constants; draws : (m, n) of all parameters."""
+    """Reliances of the elastic constants; draws : (m, n) of all parameters."""
     kept = [posterior.parameters.names.index(name) for name in names]
     prior_sd = np.array([posterior.parameters[name].prior.sd for name in names])
     return reliances(names, np.atleast_2d(np.cov(draws[:, kept].T)), prior_sd)

@@ -106,7 +106,7 @@ class PointResult(PlateResult):
 
     @property
     def status(self) -> str:
-        """Whether two swarms found the best optimum, "converged", or not, "budget".
+        """Either "converged", two swarms found the best optimum, or "budget".
 
         A single swarm has converged when its particles agree. Where angles were unknown, their search has to
         have converged too.
@@ -354,7 +354,7 @@ def _headline(result: PointResult) -> str:
 
 
 def _steps(result: PointResult, use: Sequence[str]) -> tuple[str, ...]:
-    """What to do, the most useful first."""
+    """Next steps, the most useful first."""
     specimen = result.specimen
     plate = plate_argument(specimen)
     steps = [*mismatch_step(specimen, result.notices, [row.label for row in result.frequencies])]

@@ -266,7 +266,7 @@ def _computed(
 
 
 def _turn(task: Task) -> tuple[bool, bool, int]:
-    """What tasks are sorted by."""
+    """The order of tasks."""
     if task.specimen not in _LONGEST:
         return True, False, 0
     return False, task.kind == "noise", _LONGEST.index(task.specimen)
