@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, field
-from typing import Any, Final, Protocol
+from typing import Any, Final, Protocol, TypeAlias
 
 from cpam_bayes.errors import checked
 
@@ -23,6 +23,10 @@ class Progress:
     notify: Callable[[str], None]
 
 
+Described: TypeAlias = Callable[[float], str]
+"""The ticked value of a stage in words."""
+
+
 class Watch(Protocol):
     """A display of the progress of long work: a terminal, a notebook, or none."""
 
@@ -30,11 +34,12 @@ class Watch(Protocol):
         """Show one line about what begins."""
 
     def stage(
-        self, title: str, total: int, described: Callable[[float], str]
+        self, title: str, total: int, described: Described | None = None, counted: str = ""
     ) -> AbstractContextManager[Progress]:
         """Show one stage of the work until it ends.
 
-        total : the budget of iterations, which need not be used up. described : the ticked value in words.
+        total : the budget of iterations, which need not be used up, or the number of ``counted``, such as
+        "plates", all of which are done.
         """
 
 
@@ -43,8 +48,10 @@ class _Silent:
         del text
 
     @contextmanager
-    def stage(self, title: str, total: int, described: Callable[[float], str]) -> Iterator[Progress]:
-        del title, total, described
+    def stage(
+        self, title: str, total: int, described: Described | None = None, counted: str = ""
+    ) -> Iterator[Progress]:
+        del title, total, described, counted
         yield Progress(lambda done, value: None, lambda text: None)
 
 

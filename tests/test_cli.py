@@ -447,7 +447,7 @@ IDENTIFY = ("identify", "A1", "--swarms", "1", "--particles", "10000", "--iterat
         (IDENTIFY, "iteration 0 of 100000", signal.SIGINT),
         (IDENTIFY, "iteration 0 of 100000", signal.SIGTERM),
         (IDENTIFY, "iteration 0 of 100000", signal.SIGHUP),
-        (("batch", "C1", "C3"), "batch: up to 2 iterations", signal.SIGTERM),
+        (("batch", "C1", "C3"), "batch: 2 plates", signal.SIGTERM),
         (("design", "C1", "--modes", "40"), "design C1: up to", signal.SIGHUP),
     ],
 )

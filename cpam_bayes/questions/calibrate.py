@@ -143,7 +143,7 @@ def calibrate(
     measurement = specimen.measurement
     assert measurement is not None
     with (
-        watch.stage(f"calibrate {specimen.name}", n, lambda left: f"{left:.0f} lists left") as shown,
+        watch.stage(f"calibrate {specimen.name}", n, counted="lists") as shown,
         open_executor(executor, workers) as pool,
         explained_failures(specimen),
     ):

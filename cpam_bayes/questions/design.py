@@ -43,7 +43,7 @@ from cpam_bayes.mechanics.modes import RigidBodyError
 from cpam_bayes.parallel import counted, open_executor, run
 from cpam_bayes.plate import PlateLike, Specimen, read_plate, to_user, unit_of, user_name
 from cpam_bayes.render.documents import plate_keys
-from cpam_bayes.render.figures import new_figure
+from cpam_bayes.render.figures import headed, new_figure
 from cpam_bayes.render.plate import plate_section
 from cpam_bayes.render.report import (
     COMPUTATION,
@@ -192,7 +192,7 @@ def design(
     test, usual = measured_like(specimen, relative_std)
     with (
         open_executor(executor, workers) as pool,
-        watch.stage(f"design {specimen.name}", len(made), lambda done: "specimens") as shown,
+        watch.stage(f"design {specimen.name}", len(made), counted="specimens") as shown,
     ):
         done = counted(lambda n, total: shown.tick(n, float(n)), len(made))
         responses = run(_response, (specimen, max(numbers)), made, pool, on_result=done)
@@ -501,7 +501,7 @@ def _map(result: DesignResult, what: str, value: Value) -> Figure:
     for axes in grid[:, 0]:
         axes.set_yticks(range(len(layups)), layups, fontsize=8)
     figure.colorbar(image, ax=grid, label="expected information, nats", shrink=0.9)
-    figure.suptitle(f"What the frequencies would say about {what}: material of {result.specimen.name}")
+    headed(figure, f"Expected information about {what}: material of {result.specimen.name}")
     return figure
 
 

@@ -535,7 +535,9 @@ def _intervals_figure(result: PredictionResult, rows: Sequence[_Row]) -> Figure:
     axes.set(ylim=(len(modes) - 0.4, -0.6), xlabel="frequency / predicted mean - 1, %")
     axes.grid(axis="x", color="0.9")
     axes.set_axisbelow(True)
-    axes.set_title(f"{result.specimen.name}: predicted from {result.posterior.plate or 'the posterior'}")
+    axes.set_title(
+        f"{result.specimen.name}: predicted from {result.posterior.plate or 'the posterior'}", loc="left"
+    )
     figure.legend(loc="outside lower center", ncols=3, frameon=False, fontsize="small")
     return figure
 

@@ -169,12 +169,9 @@ def sensitivity(
         if n_modes is not None:
             raise ValueError(f"--modes: received {n_modes}, accepted: with --list model only")
     total = len(levels) * len(readings) * (groups + 1)
-
-    def described(done: float) -> str:
-        return "posteriors first, then inversions" if done < total else "done"
-
+    title = f"sensitivity {specimen.name}"
     with (
-        watch.stage(f"sensitivity {specimen.name}", total, described) as shown,
+        watch.stage(title, total, counted="posteriors and inversions") as shown,
         open_executor(executor, workers) as pool,
         explained_failures(specimen),
     ):

@@ -199,7 +199,7 @@ def sequence(
     with open_executor(executor, workers) as pool:
         with (
             explained_failures(specimen),
-            watch.stage(f"sequence {specimen.name}", _PIECES, lambda done: "of the pieces") as shown,
+            watch.stage(f"sequence {specimen.name}", _PIECES, counted="pieces of the work") as shown,
         ):
             answer = stacking_posterior(
                 specimen,
@@ -212,7 +212,7 @@ def sequence(
         with time_limit(None):  # one sequence, even if time is up
             given = _printed(answer)
         classes = n_sampled_classes(answer) + (given is not None)
-        with watch.stage("constants by emcee", classes, lambda done: "a class each") as shown:
+        with watch.stage("constants by emcee", classes, counted="layups") as shown:
             mixture = sample_mixture(
                 answer,
                 seed,

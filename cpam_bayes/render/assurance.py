@@ -112,7 +112,7 @@ def _matrix(title: str, pairing: ShapePairing, measurement: Measurement) -> Figu
     )
     axes.set_yticks(range(n), [f"{f:.5g}" for f in measurement.frequencies], fontsize=8)
     axes.set(xlabel="mode of the model, Hz", ylabel="measured, Hz")
-    axes.set_title(f"{title}: measured shapes and the model's", fontsize=10)
+    axes.set_title(f"{title}: measured shapes and the model's", fontsize=10, loc="left")
     if max(n, k) <= _MOST_WRITTEN:
         for (i, j), value in np.ndenumerate(pairing.assurance):
             if value >= 0.05:

@@ -12,7 +12,7 @@ from cpam_bayes.plate import Plate, Specimen
 from cpam_bayes.plate.edges import CONDITIONS, EdgeCondition, conditions
 from cpam_bayes.plate.laminate import equal_plies
 from cpam_bayes.plate.layup import Layup
-from cpam_bayes.render.figures import new_figure
+from cpam_bayes.render.figures import headed, new_figure
 from cpam_bayes.render.report import Caption, Drawing
 from cpam_bayes.render.sentences import plate_sentence
 
@@ -49,7 +49,7 @@ def plate_figure(specimens: Sequence[Specimen], overlay: Overlay | None = None) 
             _draw_isotropic(plies, specimen.plate)
         else:
             _draw_plies(plies, specimen.plate.layup)
-        panel.suptitle(specimen.name, fontsize=10)
+        headed(panel, specimen.name)
     return figure
 
 

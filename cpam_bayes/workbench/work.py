@@ -14,7 +14,7 @@ from contextlib import asynccontextmanager, contextmanager, suppress
 from multiprocessing.connection import Connection
 from typing import Any, TypeAlias
 
-from cpam_bayes.running import Progress
+from cpam_bayes.running import Described, Progress
 
 __all__ = ["Pool", "RefusedError", "Shown", "Task", "Tell", "Worker"]
 
@@ -47,7 +47,9 @@ class Shown:
         self._tell(-1.0, text)
 
     @contextmanager
-    def stage(self, title: str, total: int, described: Callable[[float], str]) -> Iterator[Progress]:
+    def stage(
+        self, title: str, total: int, described: Described | None = None, counted: str = ""
+    ) -> Iterator[Progress]:
         """Tell how far one stage is."""
         self._tell(0.0, title)
         yield Progress(

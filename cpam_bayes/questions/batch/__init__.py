@@ -231,7 +231,7 @@ def _computed(
 
     with (
         open_executor(executor, workers) as pool,
-        watch.stage("batch", len(items), lambda left: f"{left:.0f} plates left") as shown,
+        watch.stage("batch", len(items), counted="plates") as shown,
     ):
         if diagnosis:
             _build_models([items[i][1] for i in missing], pool, shown.notify)

@@ -14,7 +14,7 @@ from cpam_bayes.batches.population import LEAST_PLATES, Population, PopulationCo
 from cpam_bayes.formatting import listed, significant, with_spread
 from cpam_bayes.plate import to_user, unit_of
 from cpam_bayes.questions.batch.result import SURE, BatchResult, document, plates
-from cpam_bayes.render.figures import MEASURED, new_figure
+from cpam_bayes.render.figures import MEASURED, headed, new_figure
 from cpam_bayes.render.report import (
     COMPUTATION,
     Caption,
@@ -288,11 +288,11 @@ def _control_charts(result: BatchResult) -> Figure:
         axes.plot(place[red], value[red], "o", color=_OUTSIDE, markersize=4.5)
         for limit in result.limits:
             if limit.name == name:
-                axes.axhline(to_user(name, limit.value), color=_OUTSIDE, linestyle="--", linewidth=1)
+                axes.axhline(to_user(name, limit.value), color=MEASURED, linestyle="--", linewidth=1)
         axes.set_ylabel(f"{name}, {unit_of(name)}" if unit_of(name) else name)
     if len(rows) <= _MOST_TICKS:
         grid[-1].set_xticks(range(len(rows)), [row.name for row in rows], rotation=90, fontsize="small")
     else:
         grid[-1].set_xlabel("plate, in the order of the batch")
-    figure.suptitle(f"Constants of {len(rows)} plates")
+    headed(figure, f"Constants of {len(rows)} plates")
     return figure

@@ -193,7 +193,7 @@ def _diagnosed(
     if prior_none is not None:
         hypotheses = with_prior_of_none(hypotheses, prior_none)
     n = len(hypotheses)
-    with watch.stage(title, n, lambda done: "of the hypotheses") as shown:
+    with watch.stage(title, n, counted="hypotheses") as shown:
 
         def progress(done: int, total: int) -> None:
             if done <= n:

@@ -37,6 +37,7 @@ from cpam_bayes.render.figures import (
     REFERENCE,
     draw_shape,
     extent_of,
+    headed,
     new_figure,
 )
 from cpam_bayes.render.plate_drawing import plate_caption, plate_drawing
@@ -211,7 +212,7 @@ def _residuals_figure(result: DiagnosisResult) -> Figure:
     title = f"{_names(d)}: misfit {100 * d.baseline.rms:.2f} %"
     if d.extended is not None:
         title += f", with what was found {100 * d.extended.rms:.2f} %"
-    panels[0].suptitle(title, fontsize=10)
+    headed(panels[0], title)
     return figure
 
 
@@ -310,7 +311,7 @@ def _causes_figure(d: Diagnosis) -> Figure:
     figure.legend(loc="outside lower center", frameon=False, fontsize=9)
     axes.spines[["top", "right", "left"]].set_visible(False)
     axes.tick_params(axis="y", length=0)
-    figure.suptitle(f"{_names(d)}: probability of each cause", fontsize=10)
+    headed(figure, f"{_names(d)}: probability of each cause")
     return figure
 
 
@@ -361,7 +362,7 @@ def _signatures_figure(d: Diagnosis) -> Figure:
     titles = [title_of(d, name) for name in names]
     axes.set_xticks(range(len(names)), titles, rotation=90, fontsize=9)
     axes.set_yticks(range(len(names)), titles, fontsize=9)
-    figure.suptitle(f"{_names(d)}: which causes look alike", fontsize=10)
+    headed(figure, f"{_names(d)}: which causes look alike")
     bar = figure.colorbar(drawn, ax=axes, shrink=0.8)
     bar.set_label(f"|cosine| of signatures; framed: above {ALIKE:g}", fontsize=9)
     return figure
@@ -396,7 +397,7 @@ def _detectable_figure(d: Diagnosis) -> Figure:
     axes.set(xscale="log", xlim=(left, 2.0 * right), xlabel="smallest size, in usual sizes (dotted: one)")
     axes.spines[["top", "right", "left"]].set_visible(False)
     axes.tick_params(axis="y", length=0)
-    figure.suptitle(f"{_names(d)}: detection limits", fontsize=10)
+    headed(figure, f"{_names(d)}: detection limits")
     return figure
 
 
@@ -426,7 +427,7 @@ def _constants_figure(d: Diagnosis) -> Figure:
         axes.spines[["top", "right", "bottom"]].set_visible(False)
     handles, labels = figure.axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", frameon=False, fontsize=9, ncols=3)
-    figure.suptitle(f"{_names(d)}: constants", fontsize=10)
+    headed(figure, f"{_names(d)}: constants")
     return figure
 
 

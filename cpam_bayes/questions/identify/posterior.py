@@ -704,7 +704,7 @@ def _left_out_figure(result: SampledResult, modes: Rows) -> Figure:
     lower.bar(x, [m.left_out.leverage for m in rows if m.left_out is not None], 0.5, color=_GREY)
     lower.set(ylim=(0, 1), ylabel="leverage", xlabel="mode")
     lower.set_xticks(x, names)
-    upper.set_title(f"{result.specimen.name}: each mode predicted by all, and by the others")
+    upper.set_title(f"{result.specimen.name}: each mode predicted by all, and by the others", loc="left")
     return figure
 
 

@@ -605,7 +605,7 @@ def _pairs_figure(result: PointResult) -> Figure:
             row.label or "", (at[0], at[1]), place, textcoords="offset points", ha=side, fontsize="small"
         )
     axes.set(xlim=ends, ylim=ends, xlabel="measured, Hz", ylabel="predicted, Hz", aspect="equal")
-    axes.set_title(f"{result.specimen.name}: predicted against measured")
+    axes.set_title(f"{result.specimen.name}: predicted against measured", loc="left")
     axes.legend(loc="upper left", frameon=False)
     return figure
 
@@ -626,7 +626,7 @@ def _residuals_figure(result: PointResult) -> Figure:
     axes.set_xticks(np.arange(len(names)), names)
     axes.set(xlabel="mode", ylabel="predicted / measured - 1, %")
     axes.margins(y=0.25)
-    axes.set_title(f"{result.specimen.name}: residuals, rms {100.0 * estimate.rms:.2f} %")
+    axes.set_title(f"{result.specimen.name}: residuals, rms {100.0 * estimate.rms:.2f} %", loc="left")
     return figure
 
 
@@ -668,6 +668,6 @@ def _optima_figure(result: PointResult) -> Figure:
     axes.set_yticks(range(len(constants)), [c.name for c in constants])
     axes.set(xlim=(-0.03, 1.03), ylim=(len(constants) - 0.4, -0.7), xlabel="place in the search interval")
     axes.grid(axis="x", color="0.9")
-    axes.set_title(f"{result.specimen.name}: optima that the noise does not tell apart")
+    axes.set_title(f"{result.specimen.name}: optima that the noise does not tell apart", loc="left")
     figure.legend(loc="outside lower center", ncols=3, frameon=False, fontsize="small")
     return figure

@@ -246,7 +246,7 @@ def _computed(
     if not missing:
         return computed
     with (
-        watch.stage("paper", len(missing), lambda left: f"{left:.0f} computations left") as shown,
+        watch.stage("paper", len(missing), counted="computations") as shown,
         open_executor(executor, workers) as pool,
     ):
 
