@@ -451,7 +451,7 @@ def _contained(result: PredictionResult) -> str:
         sizes, exact = [*result.posterior.sizes], ""
     else:
         sizes = list(result.specimen.plate.sd)
-        exact = "" if sizes else ", sizes and mass taken as exact"
+        exact = "" if sizes else "; sizes and mass are assumed exact"
     return f"The intervals contain {listed(['the constants', *sizes], 'and')}{exact}."
 
 

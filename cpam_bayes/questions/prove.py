@@ -69,6 +69,8 @@ _DRAWS: Final = 12
 # How well plates are weighed and gauged where the file does not say, relative.
 _WEIGHED, _THICKNESS, _DENSITY = 0.002, 0.01, 0.01
 _GRAM, _MILLIMETRE = 1e3, 1e3
+# Probability above which a claim is written as nearly certain.
+_SURE: Final = 0.9995
 _SEALED_KEYS: Final = ("mass_g", "x_mm", "y_mm")
 
 
@@ -495,7 +497,8 @@ def _headline(result: CoinResult) -> str:
             f"{shown} was found for {significant(_GRAM * stated.mass, 3)} g{off}; {coin.shifts_inside} of "
             f"{len(coin.shifts)} shifts lie inside their 95 % intervals."
         )
-    return f"{shown} was added at {_where(found.place)} mm (probability {found.probability:.3f})."
+    sure = "> 0.999" if found.probability > _SURE else fixed(found.probability, 3)
+    return f"{shown} was added at {_where(found.place)} mm (probability {sure})."
 
 
 def _agreement(result: CoinResult) -> tuple[str, ...]:

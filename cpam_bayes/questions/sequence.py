@@ -307,7 +307,7 @@ def _present(result: StackingResult) -> Report:
     told = tuple(c.name for c in constants if not c.is_open)
     errors = thin_plate_errors(result.specimen)
     moved = tuple(name for name in told if name in errors[0].shift)
-    exact = replace(result.specimen.plate, sd={})  # [plate.sd] is not counted with
+    exact = replace(result.specimen.plate, sd={})  # tolerances are ignored here
     return Report(
         summary=Summary(
             title=f"sequence {result.title}",

@@ -25,7 +25,7 @@ __all__ = [
     "thickness_ratio",
 ]
 
-NO_AIR = "none given: vacuum, no air in the model"
+NO_AIR = "not in the model"
 # Shorter side over thickness from which transverse shear hardly shows in the lowest modes.
 THIN = 20.0
 
@@ -120,7 +120,7 @@ def air_text(specimen: Specimen, air_shifts: NDArray[np.float64] | None) -> str:
     """The air in the model, or what it would change by ``air_shifts``, relative, None where not computed."""
     if specimen.air_density:
         return f"{specimen.air_density:.6g} kg/m3, in the model"
-    stated = NO_AIR if specimen.air_density is None else "none: vacuum"
+    stated = NO_AIR if specimen.air_density is None else "vacuum"
     if air_shifts is None:
         return stated
     lower = -100.0 * air_shifts
@@ -169,7 +169,7 @@ def _density(plate: Plate) -> str:
     """Density and, unless only the mesh would tell it, mass."""
     density = f"{plate.density:.6g} kg/m3"
     if plate.mass is not None:
-        return f"{density} from mass_g, {plate.mass * 1e3:.5g} g"
+        return f"{density} from the weighed mass, {plate.mass * 1e3:.5g} g"
     if plate.mesh is not None:
         return f"{density} as given"
     return f"{density} as given, {plate.density * plate.area * plate.thickness * 1e3:.5g} g"

@@ -355,7 +355,7 @@ def test_detection_limits_and_what_cannot_be_seen_are_two_tables(clean, misread)
     d = replace(clean, detectable=entries)
     ((title, size, *_),) = table(d, "Detection limits")
     assert (title, size) == (TITLES["outlier"], "1.2 %")
-    assert [row[0] for row in table(d, "Not seen with 95 %")] == [TITLES["air"], TITLES["mode_identity"]]
+    assert [row[0] for row in table(d, "Cannot be seen")] == [TITLES["air"], TITLES["mode_identity"]]
 
 
 def test_a_claim_that_depends_on_assumed_sizes_is_warned_of(misread):

@@ -225,7 +225,8 @@ def _alike(d: Diagnosis) -> tuple[str, ...]:
     if d.claim.kind != "named" or cause is None or not cause.indistinguishable_from:
         return ()
     others = [title_of(d, name) for name in cause.indistinguishable_from[:FEW]]
-    return (f"Only the usual sizes of errors speak against {listed(others, 'or')}.",)
+    which = listed(others, "or")
+    return (f"These frequencies cannot exclude {which}: only the assumed sizes of errors speak against it.",)
 
 
 def _seen(d: Diagnosis) -> tuple[str, ...]:

@@ -179,12 +179,12 @@ def _draw_angle(axes: Axes, cause: Cause, effect: Effect, plate: Plate) -> None:
 def _residuals(result: DiagnosisResult) -> Drawing:
     claimed = result.extended is not None
     text = (
-        "Blue: what the model leaves of each frequency without what was found; orange: with it. "
+        "Residual of each frequency. Blue: without what was found; orange: with it. "
         if claimed
-        else "What the model leaves of each frequency. "
+        else "Residual of each frequency. "
     )
     text += (
-        "A bar whose whisker reaches zero is noise. Below each bar stands the shape of its mode, red up and "
+        "Noise explains a bar whose whisker reaches zero. Below each bar: the shape of its mode, red up and "
         "blue down."
     )
     rows = result.plain.frequencies if result.extended is None else result.extended.frequencies
@@ -370,15 +370,15 @@ def _signatures_figure(d: Diagnosis) -> Figure:
 
 def _detectable(d: Diagnosis) -> Drawing:
     caption = Caption(
-        "The shorter the bar, the smaller the error that would have shown. Pale: cannot be seen in this "
-        "test, however large.",
+        "The shorter the bar, the smaller the error that would have shown. Dotted: the standard deviation "
+        "that is assumed for the error. Pale: cannot be seen in this test.",
         "The smallest size of each cause that these frequencies would have shown with 95 % probability.",
     )
     return Drawing("detectable", partial(_detectable_figure, d), caption)
 
 
 def _detectable_figure(d: Diagnosis) -> Figure:
-    """The smallest size of each cause that these data would have shown, in usual sizes."""
+    """The smallest size of each cause that these data would have shown, in assumed standard deviations."""
     rows = [row for row in detectable_rows(d) if row.probability is not None]
     rows.sort(key=lambda row: (row.in_sd is None, row.in_sd))
     sizes = [row.in_sd for row in rows if row.in_sd is not None]
@@ -394,7 +394,7 @@ def _detectable_figure(d: Diagnosis) -> Figure:
     axes.axvline(1.0, color=REFERENCE, linewidth=0.8, linestyle=":")
     axes.set_yticks(range(len(rows)), [row.title for row in rows], fontsize=9)
     axes.invert_yaxis()
-    axes.set(xscale="log", xlim=(left, 2.0 * right), xlabel="smallest size, in usual sizes (dotted: one)")
+    axes.set(xscale="log", xlim=(left, 2.0 * right), xlabel="smallest size / assumed sd")
     axes.spines[["top", "right", "left"]].set_visible(False)
     axes.tick_params(axis="y", length=0)
     headed(figure, f"{_names(d)}: detection limits")

@@ -114,7 +114,7 @@ def _sections(result: DiagnosisResult) -> tuple[Section, ...]:
             figure("constants"),
         ),
         Section("Which causes look alike", figures=figure("signatures")),
-        Section("What to do after that", (*further_steps(next_steps(result)[1:]).tables, _next(result))),
+        Section("Further steps", (*further_steps(next_steps(result)[1:]).tables, _next(result))),
         _plates_section(result),
         Section(COMPUTATION, (_work(d, result.seed),)),
     )
@@ -148,7 +148,7 @@ def _misfit(d: Diagnosis, fit: Fit, title: str) -> Table:
 def _p_value(d: Diagnosis, fit: Fit) -> str:
     inferred = d.weighed.none.marginal.comparison.noise is not None
     noise = "the assumed repeatability" if inferred else "the stated repeatability"
-    return f"{probability_text(fit.predictive_p)}, the chance of residuals as large with {noise}"
+    return f"{probability_text(fit.predictive_p)}, the probability of residuals as large with {noise}"
 
 
 def _frequencies(result: DiagnosisResult) -> Table:
@@ -236,9 +236,9 @@ def _detectable(result: DiagnosisResult) -> tuple[Table, Table]:
     unseen = tuple(row for row in rows.rows if row.smallest is None)
     return (
         replace(rows, rows=seen).table(
-            "Detection limits, 95 of 100 repetitions; usual size: one standard deviation of the catalogue"
+            "Detection limits: smallest size that shows in 95 of 100 tests; sd: as assumed for the error"
         ),
-        replace(rows, rows=unseen).table("Not seen with 95 % probability at any size"),
+        replace(rows, rows=unseen).table("Cannot be seen in this test"),
     )
 
 
