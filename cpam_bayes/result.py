@@ -107,7 +107,7 @@ class Result:
         return "\n".join(plain_text(table) for table in shown if table.rows)
 
     def to_dict(self) -> dict[str, Any]:
-        """The JSON document of the command: what is not a finite number is None.
+        """The JSON document of the command, in units of the plate file; None for what is no finite number.
 
         It holds the fingerprint of the sources that the answer depends on.
         """

@@ -44,6 +44,10 @@ class Watch(Protocol):
 
 
 class _Silent:
+    def __repr__(self) -> str:
+        """As signatures in `help` show the default."""
+        return "SILENT"
+
     def announce(self, text: str) -> None:
         del text
 

@@ -442,7 +442,7 @@ def posterior(
 
     Parameters
     ----------
-    plate : what `read_plate` takes, or what it returns
+    plate : a built-in name, a path, a table or a `Specimen`, see `read_plate`
     likelihood, degrees_of_freedom : of the noise, see `sample`
 
     Raises

@@ -120,10 +120,10 @@ def calibrate(
 
     Parameters
     ----------
-    plate : what `read_plate` takes, or what it returns
+    plate : a built-in name, a path, a table or a `Specimen`, see `read_plate`
     n : lists, 20 to 10000
     executor, workers : as for `cb.sequence`
-    watch : is shown the progress
+    watch : display of the progress; none where left out
 
     Raises
     ------

@@ -143,7 +143,8 @@ def design(
 
     Parameters
     ----------
-    plate : what `read_plate` takes, or what it returns; with [unknowns], a measurement is not needed
+    plate : a built-in name, a path, a table or a `Specimen`, see `read_plate`, with
+        [unknowns]; a measurement is not needed
     constants : those that the information is about, by their names in [unknowns]; all where left out
     layups : in the notation of plate files; left out: the plate's, and usual ones of as many plies
     ratios : of length to width, at the area of the plate; left out: the plate's, and 0.5 to 2.8
@@ -153,7 +154,7 @@ def design(
         more
     relative_std : repeatability of a frequency; left out: that of the plate file, or 0.005
     executor, workers : where the work is done, see `cpam_bayes.parallel.open_executor`
-    watch : is shown the progress
+    watch : display of the progress; none where left out
 
     Raises
     ------

@@ -137,10 +137,10 @@ def predict(
     Parameters
     ----------
     posterior : the path of a ``posterior.nc``, or what `sample` returns
-    plate : what `read_plate` takes, or what it returns
+    plate : a built-in name, a path, a table or a `Specimen`, see `read_plate`
     n_modes : number of modes; as many as were measured, or 10, where left out
     draws : draws of the posterior at most, at even distances
-    watch : is shown the progress
+    watch : display of the progress; none where left out
 
     Raises
     ------

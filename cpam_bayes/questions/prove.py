@@ -165,7 +165,7 @@ def prove(
         modes as the first list
     sealed : a TOML file with a [[coin]] for each list: mass_g, x_mm, y_mm. Its SHA-256 is shown first, and it
         is opened after the answer; mass_g = 0 is a list without a mass
-    watch : is shown the progress
+    watch : display of the progress; none where left out
 
     Raises
     ------

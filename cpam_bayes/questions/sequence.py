@@ -154,13 +154,13 @@ def sequence(
 
     Parameters
     ----------
-    plate : what `read_plate` takes, or what it returns, with "?" in its layup; built-in specimens take the
-        unknown angles of Table 9(b)
+    plate : a built-in name, a path, a table or a `Specimen`, see `read_plate`, with "?" in its
+        layup; built-in specimens take the unknown angles of Table 9(b)
     top : most probable sequences to list
     executor, workers : "serial", in this process; "processes", as many as cores or ``workers``, which needs
         the call under ``if __name__ == "__main__":`` in a script; or a Dask cluster, see
         `cpam_bayes.parallel.open_executor`. The answer is the same
-    watch : is shown the progress
+    watch : display of the progress; none where left out
 
     Raises
     ------

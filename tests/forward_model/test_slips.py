@@ -185,7 +185,7 @@ def test_moduli_with_one_factor_in_common_are_a_wrong_size_mass_or_scale() -> No
     # weighed: f^2 goes as E h^3 / m, and nothing that is attached makes a plate stiffer
     said = sentence_of(slip)
     assert "4.03 mm instead of 3.2 mm" in said
-    assert "a mass_g 0.500 times" in said
+    assert "a mass 0.500 times" in said
     assert "left on the plate" not in said
 
 

@@ -68,8 +68,9 @@ def diagnose(
 
     Parameters
     ----------
-    plates : what `read_plate` takes, or what it returns; several plates are of one material and share
-        their constants, those with equal ``specimen`` are one plate under several tests
+    plates : of each a built-in name, a path, a table or a `Specimen`, see `read_plate`;
+        several plates are of one material and share their constants, those with equal ``specimen`` are one
+        plate under several tests
     scatter : relative standard deviation of a constant from plate to plate of one material
     prior_none : prior probability that nothing is wrong, 0.5 where left out
     next_test : when to rank further tests: while the cause is "open", "always", or "never"
@@ -79,7 +80,7 @@ def diagnose(
         "processes", as many as cores or ``workers``, which needs the call under
         ``if __name__ == "__main__":`` in a script; or a Dask cluster, see
         `cpam_bayes.parallel.open_executor`. The answer is the same
-    watch : is shown the progress
+    watch : display of the progress; none where left out
 
     Raises
     ------

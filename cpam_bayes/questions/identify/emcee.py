@@ -210,13 +210,13 @@ def sample(
 
     Parameters
     ----------
-    plate : what `read_plate` takes, or what it returns
+    plate : a built-in name, a path, a table or a `Specimen`, see `read_plate`
     likelihood : "relative" noise, in proportion to a frequency, or "absolute", one standard deviation in Hz
         for all modes, which is inferred: eq. (7)
     degrees_of_freedom : of Student-t noise; infinite for Gaussian noise
     settings : of the ensembles
     store : a directory that keeps finished rounds; the same call goes on from there
-    watch : is shown the progress
+    watch : display of the progress; none where left out
 
     Raises
     ------

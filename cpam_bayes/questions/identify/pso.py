@@ -176,14 +176,14 @@ def identify(
 
     Parameters
     ----------
-    plate : what `read_plate` takes, or what it returns
+    plate : a built-in name, a path, a table or a `Specimen`, see `read_plate`
     residuals : what is minimised: squared "absolute" differences in Hz, eq. (7), or "relative" ones, at whose
         optimum the constants are linearised; or "whitened" ones, over the scatter of noise, solver and
         theory: the constants are then those of the posterior about all optima, with the usual errors of what
         [plate.sd] leaves out and what [material.sd] says of the references
     swarms : swarms at most, three at least; 1 is the paper's single swarm as it ends, not polished
     settings : particles, iterations and weights of each swarm
-    watch : is shown the progress
+    watch : display of the progress; none where left out
 
     Raises
     ------

@@ -175,7 +175,7 @@ def paper(
     everything : compute anew what is stored, and what comes with the package, which takes hours
     executor, workers : as for `cb.sequence`
     store : directory of finished computations; in the cache of reduced models where left out
-    watch : is shown the progress
+    watch : display of the progress; none where left out
 
     Raises
     ------
