@@ -95,9 +95,10 @@ def claim_sentence(d: Diagnosis) -> str:
             return f"No evidence of an error (Bayes factor {significant(d.bayes_factor, 2)})."
         case "named":
             cause = by_name[d.claim.causes[0]]
-            beside = d.probability_beside >= CLAIM_RULES.beside * d.claim.probability
-            said = _found(d, cause) if not beside else title_of(d, cause.name) + _of_plates(d, cause)
-            return f"{_capital(said)} (probability {p})."
+            if d.probability_beside < CLAIM_RULES.beside * d.claim.probability:
+                return f"{_capital(_found(d, cause))} (probability {p})."
+            said = _capital(title_of(d, cause.name) + _of_plates(d, cause))
+            return f"{said} (probability {p}){_alone(d, cause)}."
         case "class":
             which = listed([title_of(d, name) for name in d.claim.causes], "or")
             return (
@@ -135,20 +136,30 @@ def _with_probabilities(d: Diagnosis, causes: Sequence[Cause]) -> str:
 
 def _found(d: Diagnosis, cause: Cause) -> str:
     """A cause with its size and where it is; of a pair, one after the other."""
-    plate = next(case for case in d.cases if case.name in cause.plates).models.specimen.plate
     said, in_list = [], _in_list(d, cause)
     for effect in cause.hypothesis.records:
         size = size_text(cause, (effect,))
         if effect.local == "point":
-            place = place_of(cause, plate)
-            near = f" near ({1e3 * place[0][0]:.0f}, {1e3 * place[0][1]:.0f}) mm" if place else ""
-            said.append(f"something heavy was on the plate, {size}{near}")
+            said.append(f"something heavy was on the plate, {size}{_near(d, cause)}")
         else:
             title = in_list if effect in cause.hypothesis.unmodelled and in_list else effect.title
             said.append(", ".join(t for t in (title, size) if t))
     told = bool(in_list) or any(e.is_anywhere for e in cause.hypothesis.records)
     where = f" ({cause.variant})" if cause.variant and not told else ""
     return f"{'; '.join(said) or title_of(d, cause.name)}{where}{_of_plates(d, cause)}"
+
+
+def _alone(d: Diagnosis, cause: Cause) -> str:
+    """Size and place of a cause that something else may act beside."""
+    size = size_text(cause)
+    return f": {size}{_near(d, cause)} if alone" if size else ""
+
+
+def _near(d: Diagnosis, cause: Cause) -> str:
+    """The place of a cause of one place, "" for another cause."""
+    plate = next(case for case in d.cases if case.name in cause.plates).models.specimen.plate
+    place = place_of(cause, plate)
+    return f" near ({1e3 * place[0][0]:.0f}, {1e3 * place[0][1]:.0f}) mm" if place else ""
 
 
 def _in_list(d: Diagnosis, cause: Cause) -> str:
@@ -216,7 +227,7 @@ def _beside(d: Diagnosis) -> tuple[str, ...]:
     if d.probability_beside < CLAIM_RULES.beside * d.claim.probability:
         return ()
     said = some_of([f"{title_of(d, name)} {probability_text(p)}" for name, p in d.beside.items()])
-    return (f"Something else acts beside it ({probability_text(d.probability_beside)}): {said}.",)
+    return (f"Perhaps also {said}.",)
 
 
 def _alike(d: Diagnosis) -> tuple[str, ...]:
@@ -240,7 +251,7 @@ def _seen(d: Diagnosis) -> tuple[str, ...]:
         return (f"A forgotten mass of {detectable_size(mass)} or more would have been seen.",)
     seen = [row for row in rows if row.in_sd is not None]
     best = min(seen, key=lambda row: row.in_sd or 0.0, default=None)
-    shown = f"{_capital(best.title)} of {detectable_size(best)} would have been seen" if best else ""
+    shown = f"{_capital(best.title)}: {detectable_size(best)} or more would have been seen" if best else ""
     if mass is not None:
         said = "a forgotten mass would not" if shown else "A forgotten mass would not have been seen"
         return (f"{'; '.join(t for t in (shown, said) if t)}.",)

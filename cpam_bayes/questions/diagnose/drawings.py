@@ -111,7 +111,8 @@ def _draw_found(result: DiagnosisResult, found: Sequence[Cause], axes: Axes, i: 
                 _draw_angle(axes, cause, effect, plate)
             size = size_text(cause, (effect,))
             texts.append(f"{effect.title}{', ' if size else ''}{size}")
-    axes.set_title("\n".join(texts), fontsize=9, color=PREDICTED)
+    said = "\n".join(texts).replace("+-", "\N{PLUS-MINUS SIGN}")
+    axes.set_title(said, fontsize=9, color=PREDICTED)
 
 
 def _draw_place(axes: Axes, cause: Cause, effect: Effect, plate: Plate) -> None:
