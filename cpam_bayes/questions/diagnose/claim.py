@@ -150,8 +150,8 @@ def _found(d: Diagnosis, cause: Cause) -> str:
 
 
 def _alone(d: Diagnosis, cause: Cause) -> str:
-    """Size and place of a cause that something else may act beside."""
-    size = size_text(cause)
+    """Size and place of a cause that something else may act beside, "" where it hardly acts alone."""
+    size = size_text(cause) if cause.probability >= _CONTAINED * d.claim.probability else ""
     return f": {size}{_near(d, cause)} if alone" if size else ""
 
 
@@ -227,7 +227,7 @@ def _beside(d: Diagnosis) -> tuple[str, ...]:
     if d.probability_beside < CLAIM_RULES.beside * d.claim.probability:
         return ()
     said = some_of([f"{title_of(d, name)} {probability_text(p)}" for name, p in d.beside.items()])
-    return (f"Perhaps also {said}.",)
+    return (f"Perhaps also: {said}.",)
 
 
 def _alike(d: Diagnosis) -> tuple[str, ...]:
