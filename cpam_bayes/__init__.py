@@ -10,7 +10,7 @@
     cb.predict(posterior, plate)    # frequencies of another plate of the same material
     cb.design(plate)                # which specimen would determine the constants
     cb.sequence(plate)              # the probability of every stacking sequence
-    cb.diagnose(plate)              # what the simulation gets wrong, and why
+    cb.diagnose(plate)              # what is wrong with plate, list or model
     cb.report(plate)                # constants, stacking sequences and diagnosis, for one page
     cb.batch(plate, other_plate)    # many plates, one row each, with limits and a control chart
     cb.sensitivity(plate)           # the paper's noise study beside the posterior

@@ -1,4 +1,4 @@
-"""What an answer is made of: constants, frequencies, notices. Made once by the verbs, in SI, used by all.
+"""The parts of an answer: constants, frequencies, notices. Made once by the verbs, in SI, used by all.
 
 Nothing here knows how an answer looks: `cpam_bayes.render` writes it.
 """
@@ -20,7 +20,7 @@ Severity: TypeAlias = Literal["slip", "warning", "remark"]
 
 
 class Verdict(Enum):
-    """What decides the value of a constant; the values are those of JSON documents."""
+    """The source of a constant's value: data, prior or both; the values are those of JSON documents."""
 
     DATA = "determined by the data"
     BOTH = "determined by data and prior"

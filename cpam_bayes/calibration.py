@@ -49,7 +49,7 @@ SETTINGS = EnsembleSettings(walkers=40, round_steps=80, r_hat=1.05, effective=2.
 
 @dataclass(frozen=True, slots=True)
 class Nature:
-    """What frequencies come from: a forward model and its own relative errors (n_modes,)."""
+    """The source of frequencies: a forward model and its own relative errors (n_modes,)."""
 
     model: ForwardModel
     solver_error: Array
@@ -63,7 +63,7 @@ class Source(Protocol):
         ...
 
     def __hash__(self) -> int:
-        """Of what it is made from: a process makes each nature once."""
+        """Hash of the parts that it is made from: a process makes each nature once."""
         ...
 
 
@@ -98,7 +98,7 @@ class NatureSource:
 
 @dataclass(frozen=True, slots=True)
 class Experiment:
-    """What every repetition does.
+    """The common settings of all repetitions.
 
     source : of the frequencies.
     resolution : Hz.
@@ -242,7 +242,7 @@ def parameter_names(experiment: Experiment) -> tuple[str, ...]:
 
 @lru_cache(maxsize=4)
 def nature_of(source: Source) -> Nature:
-    """What a source makes, once a process."""
+    """The nature that a source makes, once a process."""
     return source()
 
 

@@ -31,15 +31,15 @@ COMMANDS: Final = {
     "export": "an input file for CalculiX and ABAQUS, or predicted modes for modal software",
     "identify": "constants from the measured frequencies",
     "predict": "frequencies of another plate from a stored posterior",
-    "design": "which specimen and test would determine the constants",
+    "design": "specimens and tests ranked by how well they would determine the constants",
     "sensitivity": "the paper's repetition on perturbed frequencies beside the posterior",
     "sequence": "the probability of every stacking sequence on the grid",
-    "diagnose": "what the simulation gets wrong, the cause, and the gain of modelling it",
+    "diagnose": "errors of plate, list or model by their probability, and constants that allow for them",
     "report": "constants, stacking sequences and diagnosis on one page",
     "batch": "the constants of many plates, one row each, with limits and a control chart",
     "paper": "the paper's tables beside what this package computes",
     "prove": "the coin test: was a mass stuck to the plate, how heavy, where",
-    "calibrate": "whether the intervals of a plate and its list hold the truth as often as they say",
+    "calibrate": "how often the intervals of a plate hold the true constants, by simulated lists",
     "cache": "the stored models of plates on disk",
 }
 """Command, and module of `cpam_bayes.questions` with its `COMMAND` -> what it answers."""

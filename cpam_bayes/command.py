@@ -141,7 +141,7 @@ class Command:
 
 
 def whole(low: int, high: int) -> Callable[[str], int]:
-    """What reads a whole number between two bounds; it raises argparse's error for anything else."""
+    """A reader of whole numbers between two bounds; it raises argparse's error for anything else."""
 
     def read(text: str) -> int:
         # int() also takes "1_000", and a number of a million digits takes it minutes.
@@ -154,7 +154,7 @@ def whole(low: int, high: int) -> Callable[[str], int]:
 
 
 def positive(most: float, what: str = "number") -> Callable[[str], float]:
-    """What reads a number above 0 and at most ``most``; it raises argparse's error for anything else."""
+    """A reader of numbers above 0 and at most ``most``; it raises argparse's error for anything else."""
 
     def read(text: str) -> float:
         try:

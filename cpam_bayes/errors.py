@@ -72,7 +72,7 @@ class LayupError(ValueError):
 
     @property
     def what(self) -> str:
-        """What was wrong and what is accepted."""
+        """The problem, and the values that are accepted."""
         return str(self.args[2])
 
     def __str__(self) -> str:
@@ -172,7 +172,7 @@ def _members(protocol: Any) -> list[str]:
 
 
 def _words(hint: Any) -> Iterator[str]:
-    """What an annotation accepts, in words."""
+    """The values that an annotation accepts, in words."""
     origin, inner = get_origin(hint), get_args(hint)
     if origin in (Union, UnionType):
         for option in inner:

@@ -133,7 +133,7 @@ class Prior(Protocol):
 
 
 class _Density:
-    """What follows from a density's own numbers and its map from standard normal scores."""
+    """A prior that follows from a density's own numbers and its map from standard normal scores."""
 
     __slots__ = ()
     kind: ClassVar[str]

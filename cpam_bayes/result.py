@@ -1,4 +1,4 @@
-"""What every answer can do: be read, drawn, saved, and given on as numbers.
+"""The abilities of every answer: it is read, drawn, saved, and given on as numbers.
 
 A verb (`forward`, `identify`, `diagnose`, ...) returns a subclass of `Result`: all numbers, the notices and
 the status, computed and complete. How it looks is its `report()`, made when it is asked for.
@@ -82,7 +82,7 @@ class Result:
 
     @property
     def title(self) -> str:
-        """What was asked about, for headings."""
+        """The name of what was asked about, for headings."""
         return ""
 
     @property
@@ -106,7 +106,7 @@ class Result:
         return "\n".join(plain_text(table) for table in shown if table.rows)
 
     def to_dict(self) -> dict[str, Any]:
-        """The JSON document of the command: what is not a finite number is None.
+        """The JSON document of the command, in units of the plate file; None for what is no finite number.
 
         It holds the fingerprint of the sources that the answer depends on.
         """

@@ -17,7 +17,7 @@ from contextvars import ContextVar
 from dataclasses import dataclass, field
 from functools import cache, wraps
 from threading import Lock, local
-from typing import Any, Final, ParamSpec, Protocol, TypeVar
+from typing import Any, Final, ParamSpec, Protocol, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +27,7 @@ from cpam_bayes.errors import checked
 
 @dataclass(frozen=True, slots=True)
 class Progress:
-    """How a computation reports while it runs.
+    """The reports of a computation while it runs.
 
     tick : called with (iterations done, value to show). notify : called with what begins that takes long.
     """
@@ -36,28 +36,39 @@ class Progress:
     notify: Callable[[str], None]
 
 
+Described: TypeAlias = Callable[[float], str]
+"""The ticked value of a stage in words."""
+
+
 class Watch(Protocol):
-    """Somebody who is shown the progress of long work: a terminal, a notebook, nobody."""
+    """A display of the progress of long work: a terminal, a notebook, or none."""
 
     def announce(self, text: str) -> None:
         """Show one line about what begins."""
 
     def stage(
-        self, title: str, total: int, described: Callable[[float], str]
+        self, title: str, total: int, described: Described | None = None, counted: str = ""
     ) -> AbstractContextManager[Progress]:
         """Show one stage of the work until it ends.
 
-        total : the budget of iterations, which need not be used up. described : the ticked value in words.
+        total : the budget of iterations, which need not be used up, or the number of ``counted``, such as
+        "plates", all of which are done.
         """
 
 
 class _Silent:
+    def __repr__(self) -> str:
+        """As signatures in `help` show the default."""
+        return "SILENT"
+
     def announce(self, text: str) -> None:
         del text
 
     @contextmanager
-    def stage(self, title: str, total: int, described: Callable[[float], str]) -> Iterator[Progress]:
-        del title, total, described
+    def stage(
+        self, title: str, total: int, described: Described | None = None, counted: str = ""
+    ) -> Iterator[Progress]:
+        del title, total, described, counted
         yield Progress(lambda done, value: None, lambda text: None)
 
 
@@ -71,7 +82,7 @@ class TimeIsUpError(RuntimeError):
 
 @dataclass(slots=True)
 class TimeLimit:
-    """What a limit did.
+    """A time limit and the work that it cut.
 
     seconds : the limit
     end : when it is reached, by the clock of ``time.monotonic``

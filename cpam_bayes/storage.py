@@ -159,7 +159,7 @@ def _sweep_once(directory: Path) -> None:
 
 @cache
 def _machine() -> str:
-    """What process numbers belong to: a host, and there the container."""
+    """The scope of process numbers: a host, and there the container."""
     space = Path("/proc/self/ns/pid")
     name = f"{socket.gethostname()} {os.readlink(space) if space.is_symlink() else ''}"
     return hashlib.sha256(name.encode()).hexdigest()[:8]
@@ -170,7 +170,7 @@ def _own_prefix() -> str:
 
 
 DAMAGED: Final = ".damaged"
-"""What is added to the name of a file that was set aside."""
+"""Ending of the name of a file that was set aside."""
 _HEAD: Final = b"cpam-bayes sealed 1 "
 _LOG: Final = logging.getLogger(__name__)
 
@@ -298,7 +298,7 @@ def cache_directory() -> Path:
 
 
 def cache_limit() -> int:
-    """What models may take on disk, bytes: $CPAM_BAYES_CACHE_GIB, or 4 GiB.
+    """The limit of models on disk, bytes: $CPAM_BAYES_CACHE_GIB, or 4 GiB.
 
     Raises ``ValueError`` where the variable is no number above 0.
     """
@@ -359,7 +359,7 @@ def make_room(directory: Path, limit: int, kept: Path | None = None) -> None:
 
 
 def cache_content(directory: Path) -> CacheContent:
-    """What models take in a directory."""
+    """The models in a directory."""
     found = _models(directory)
     return CacheContent(len(found), sum(status.st_size for _, status in found))
 

@@ -16,7 +16,7 @@ import cpam_bayes as cb
 from cpam_bayes import running as limits
 from cpam_bayes.inference.ensemble import EnsembleSettings
 from cpam_bayes.parallel import run
-from cpam_bayes.running import TimeIsUpError, cut_short, is_time_up, time_limit
+from cpam_bayes.running import Described, TimeIsUpError, cut_short, is_time_up, time_limit
 from tests.plate_file import MEASURED, PLATE
 
 AT_ONCE = 1e-9
@@ -177,7 +177,7 @@ def test_a_noise_study_has_the_groups_that_were_inverted(done: int, monkeypatch:
         def announce(self, text: str) -> None:
             del text
 
-        def stage(self, title: str, total: int, described: Callable[[float], str]) -> Any:
+        def stage(self, title: str, total: int, described: Described | None = None, counted: str = "") -> Any:
             from contextlib import nullcontext
 
             from cpam_bayes.running import Progress

@@ -30,7 +30,7 @@ _NAMES: Final = {user: name for user, (name, _) in USER_UNITS.items() if name in
 
 @dataclass(frozen=True, slots=True)
 class Limit:
-    """What a constant has to meet; text : as written, name : of the constant, value : SI."""
+    """A limit on a constant; text : as written, name : of the constant, value : SI."""
 
     text: str
     name: str

@@ -320,7 +320,7 @@ def _shapes(measurement: Measurement) -> str | None:
 
 
 def read_row(directory: Path | None, key: str) -> PlateRow | None:
-    """What was stored of a plate; None where nothing was, or it is damaged: it is set aside."""
+    """The stored row of a plate; None where there is none, or it is damaged: it is set aside."""
     if directory is None:
         return None
     path = _path(directory, key)

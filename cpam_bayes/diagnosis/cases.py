@@ -275,7 +275,7 @@ def pairing_prior(measurement: Measurement) -> PairingPrior:
 
 
 def labelled(case: PlateCase) -> Array:
-    """Which frequencies keep the mode of their label or of their shape, (n,) bool."""
+    """True for frequencies that keep the mode of their label or of their shape, (n,) bool."""
     if case.by_shape is not None:
         return np.asarray(case.by_shape.modes >= 0)
     return np.array([bool(label) for label in case.measurement.labels])

@@ -75,7 +75,7 @@ class Listed:
 
 
 def kept_of(whole: Array, listed: Array) -> Array:
-    """Which frequencies (n,) of a list are in a shorter one of the same order, bool.
+    """True for the frequencies (n,) of a list that are in a shorter one of the same order, bool.
 
     Equal frequencies are told apart by their order.
     """

@@ -142,7 +142,7 @@ class Diagnosis:
 
     @property
     def bayes_factor(self) -> float:
-        """Of an error, whichever, against none: posterior odds over prior odds."""
+        """Bayes factor of any error against none: posterior odds over prior odds."""
         prior = self.weighed.none.hypothesis.prior
         none = next(c.probability for c in self.causes if c.name == NONE)
         return (1.0 - none) / none * prior / (1.0 - prior) if none > 0.0 else float("inf")
@@ -171,7 +171,7 @@ class Diagnosis:
 
     @property
     def beside(self) -> Mapping[str, float]:
-        """What may act beside a claimed cause, and the probability of the two, the most probable first."""
+        """Possible causes beside a claimed one, with the probability of the two, the most probable first."""
         partners: dict[str, float] = defaultdict(float)
         if self.claim.kind in ("named", "class"):
             for cause in self.causes:
@@ -261,7 +261,7 @@ def diagnose_cases(
 
 
 def _reliances(cases: Sequence[PlateCase], weighed: Weighed) -> tuple[Reliance, ...]:
-    """Of the constants of the answer, which are averaged over all hypotheses."""
+    """Reliances of the constants of the answer, which are averaged over all hypotheses."""
     names, draws, weight = averaged_draws(weighed)
     prior_sd = {
         name: case.models.parameters[name].prior.sd

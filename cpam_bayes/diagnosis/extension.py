@@ -290,7 +290,7 @@ def start_positions(marginal: Marginal, posterior: Posterior, size: int, rng: np
 
 
 def note_of(tested: Tested) -> str:
-    """What of a hypothesis is no parameter of the plate, in words."""
+    """The part of a hypothesis that is no parameter of the plate, in words."""
     listed, notes = tested.hypothesis.listed, []
     if listed.missed and listed.spurious is not None:
         notes.append(

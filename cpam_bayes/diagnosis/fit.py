@@ -146,7 +146,7 @@ _DRAWS = 1024
 
 @dataclass(frozen=True, slots=True)
 class Fit:
-    """What a model makes of the lists.
+    """The fit of one model to the lists.
 
     constants : name -> mean, sd, 2.5 % and 97.5 % quantile, SI.
     predicted, predicted_sd, sigma : of all frequencies, plate by plate.
@@ -277,7 +277,7 @@ _FOLDS: Final = FoldSettings()
 
 @dataclass(frozen=True, slots=True)
 class Gain:
-    """What the claimed cause is worth.
+    """The gain of the claimed cause over the plain model.
 
     log_bayes_factor : of the claimed causes, their variants averaged over their priors
     held_out : (n_f,) log predictive density of each frequency from all others, of the hypotheses near the

@@ -122,7 +122,7 @@ class ComposedModel:
         )
 
     def admissible(self, x: Array) -> Array:
-        """Whether parameter vectors (m, n) satisfy the constraints (9) of every plate and of its effects."""
+        """True where parameter vectors (m, n) satisfy the constraints (9) of each plate and its effects."""
         x = np.atleast_2d(x)
         admissible = np.ones(len(x), dtype=bool)
         for part in self.parts:
@@ -232,7 +232,7 @@ def _log_prediction(
 
 
 def _observed(change: Change, f: Array, slope: Array, x: Array, jacobian: bool) -> tuple[Array, Array]:
-    """What an effect on the frequencies makes of them; derivatives by complex step along each parameter."""
+    """Frequencies under an effect on the list; derivatives by complex step along each parameter."""
     assert change.observe is not None
     values = {name: x[:, column] for name, column in zip(change.names, change.columns, strict=True)}
     new = change.observe(f, values)

@@ -149,7 +149,7 @@ def _next_modes(t: Tested, about: int) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class _Drawn:
-    """What a hypothesis says of one plate: vectors (d, n) of its constants and sizes, then of its effects.
+    """Draws of a hypothesis for one plate: vectors (d, n) of constants and sizes, then of its effects.
 
     n_plate : number of the former
     effects : of this plate, with the columns of their parameters
@@ -397,7 +397,7 @@ def _is_settled(diagnosis: Diagnosis) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class _Asked:
-    """What tests that could follow are predicted from, as in `further_tests` and `outlook_of`."""
+    """The basis for predicting further tests, as in `further_tests` and `outlook_of`."""
 
     cases: Sequence[PlateCase]
     about: int
@@ -408,7 +408,7 @@ class _Asked:
 
 
 def _candidate(item: tuple[_Asked, int]) -> Candidate | None:
-    """What the test of some number would tell, ``None`` where it cannot be predicted."""
+    """The information of the test of some number, ``None`` where it cannot be predicted."""
     asked, number = item
     test = further_tests(asked.cases, asked.about, asked.last_mode, asked.scatter)[number]
     try:

@@ -1,4 +1,4 @@
-"""What a cause does to the frequencies, and how much of it the constants cannot imitate."""
+"""Signatures: the shifts of the frequencies by a cause, and the part that no constants can imitate."""
 
 from __future__ import annotations
 
@@ -198,7 +198,7 @@ def with_equal_fits(
 
 @dataclass(frozen=True, slots=True)
 class Menu:
-    """What one variant of a cause can do to the frequencies.
+    """Possible shifts of the frequencies by one variant of a cause.
 
     visible : (k, n_f) what is left of its shifts at k sizes, in units of the noise
     visible_fraction : (k,) their norms over those of the whole shifts
@@ -217,7 +217,7 @@ class Menu:
 
 
 def nearest_of(visible: Array, target: Array) -> int:
-    """Which of some visible shifts (k, n_f) is nearest to one (n_f,).
+    """Index of the visible shift, of some (k, n_f), that is nearest to one (n_f,).
 
     Those that are hardly there are passed over: they have no direction. A cause that can only do the
     opposite is met where it begins to be seen.

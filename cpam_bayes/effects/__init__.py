@@ -1,4 +1,4 @@
-"""What a plate model or a frequency list may lack: one record an effect, one file a family.
+"""Effects that a plate model or a frequency list may lack: one record an effect, one file a family.
 
 A new effect is one file and one line in ``CATALOGUE``; ``docs/effects.md`` shows how.
 """

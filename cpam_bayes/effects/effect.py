@@ -1,4 +1,4 @@
-"""What an effect is: one record that holds all that the package asks of a cause.
+"""The record of an effect, with all that the package asks of a cause.
 
 Those on a frequency list instead of the plate stand here too: missed modes, misread values, scale, loss
 tangent.

@@ -382,7 +382,7 @@ def _membrane_stress(problem: Problem, facts: PlateFacts) -> Problem:
 
 
 def _unbuckled(plate: StateFunction, admissible: Callable[[Values], Array], values: Values) -> Array:
-    """Whether the plate stays flat under the stress: beyond, its frequencies are those of another shape."""
+    """True where the plate stays flat under the stress; beyond, it has another shape and frequencies."""
     state, stress = plate(values), np.real(values["residual_stress"])
     d = np.real(state.stiffness())
     a, b = np.real(state.length), np.real(state.width)

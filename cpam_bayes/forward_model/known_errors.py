@@ -264,7 +264,7 @@ _USUAL_NOISE = 0.002
 
 @dataclass(frozen=True, slots=True)
 class ScaleError:
-    """What an error of one number that the model takes for exact does to the constants, to first order.
+    """Errors of the constants by one number that the model assumes exact, to first order.
 
     name : thickness, length, width, density or mass; "frequency_scale" of the analyser
     shift : constant -> by how much it is another one, relative, for each relative excess of the true number
@@ -328,7 +328,7 @@ def scale_errors(
     *,
     usual: bool = False,
 ) -> tuple[ScaleError, ...]:
-    """Of each size, the density or mass, and the frequency scale.
+    """Errors by each size, the density or mass, and the frequency scale.
 
     The frequencies are weighed by the noise that the file states.
 

@@ -1,4 +1,4 @@
-"""Which mode is which: by labels and by measured shapes, followed through the parameters.
+"""Identity of modes: by labels and by measured shapes, followed through the parameters.
 
 A label is that of a mode at one place, the reference constants. Elsewhere the mode is the one whose
 shape is most like it, by modal assurance, so that modes which change their order keep their labels. A
@@ -62,7 +62,7 @@ class Assignment:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ShapePairing:
-    """Which measured shape is which of k modes.
+    """Probabilities that each measured shape is each of k modes.
 
     assurance : (n, k) modal assurance
     candidates : (k,) the modes, at the reference constants
@@ -305,7 +305,7 @@ class LabelledModel:
         return self.reduced.parameters
 
     def admissible(self, x: Array) -> Array:
-        """Whether parameter vectors (m, n) satisfy the constraints of the material, (m,) bool."""
+        """True where parameter vectors (m, n) satisfy the constraints of the material, (m,) bool."""
         return self.reduced.admissible(x)
 
     def predict(self, x: Array, *, jacobian: bool = False) -> Prediction:
@@ -407,7 +407,7 @@ def labelled_model(
 def paired_shapes(
     shapes: MeasuredShapes, predicted: Array, modes: tuple[Mode, ...], specimen: Specimen
 ) -> ShapePairing:
-    """What measured shapes say against predicted ones (k, 3, n_nodes).
+    """The pairing of measured shapes with predicted ones (k, 3, n_nodes).
 
     Raises ``LabelError`` where they are like no mode or do not tell modes apart.
     """
@@ -453,7 +453,7 @@ def list_order(model: ReducedModel | LabelledModel, x: Array) -> Array:
 
 
 def by_shape(model: ReducedModel | LabelledModel) -> ShapePairing | None:
-    """What measured shapes say against a model, None without them."""
+    """The pairing of measured shapes with those of a model, None without them."""
     return model.by_shape if isinstance(model, LabelledModel) else None
 
 

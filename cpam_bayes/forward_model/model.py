@@ -33,7 +33,7 @@ Array = NDArray[Any]
 
 NO_PARAMETERS = ParameterSet(())
 SIZES = {"length": "m", "width": "m", "thickness": "m", "density": "kg/m3", "mass": "kg"}
-"""What is measured of a plate beside its frequencies, with its unit."""
+"""Quantities of a plate that are measured beside its frequencies, with their units."""
 # A size varies within this many standard deviations and within these factors of its value.
 _SIZE_RANGE, _SIZE_FACTOR = 5.0, 4.0
 # Points of a shape along each side.
@@ -221,7 +221,7 @@ class PlateModel:
         return self.operator.problem.parameters
 
     def admissible(self, x: Array) -> Array:
-        """Whether parameter vectors (m, n) satisfy the constraints of the material, (m,) bool."""
+        """True where parameter vectors (m, n) satisfy the constraints of the material, (m,) bool."""
         return self.operator.problem.admissible(self.parameters.mapping(x))
 
     def spectrum(self, x: Array, *, vectors: bool = False) -> Spectrum:

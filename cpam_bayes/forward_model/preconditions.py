@@ -1,4 +1,4 @@
-"""What a plate file says beyond what can be computed or believed: refused, or warned of.
+"""Checks of a plate file against what can be computed or believed: refused, or warned of.
 
 A list that no constants within the bounds come near is refused before any work, with the likely cure.
 
@@ -262,7 +262,7 @@ def explained_failures(specimen: Specimen) -> Iterator[None]:
 
 
 def likely_cure(ratio: float, *, weighed: bool) -> str:
-    """What slip of units makes predicted frequencies so many times the measured ones.
+    """The slip of units that makes predicted frequencies so many times the measured ones.
 
     weighed : whether the plate file has a mass, and the density follows from it
     """

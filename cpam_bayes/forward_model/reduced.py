@@ -85,7 +85,7 @@ class ReducedModel:
         return self.full.parameters
 
     def admissible(self, x: Array) -> Array:
-        """Whether parameter vectors (m, n) satisfy the constraints of the material, (m,) bool."""
+        """True where parameter vectors (m, n) satisfy the constraints of the material, (m,) bool."""
         return self.full.admissible(x)
 
     def predict(self, x: Array, *, jacobian: bool = False) -> Prediction:
@@ -266,7 +266,7 @@ class _Reference:
 
 
 def _rounding(operator: DenseOperator, stiffness: Array, mass: Array) -> Array:
-    """What rounding may add to an eigenvalue: machine precision times the largest one."""
+    """Largest error of an eigenvalue by rounding: machine precision times the largest eigenvalue."""
     largest = [block.eigenvalues(stiffness[None], mass[None], block.size).max() for block in operator.blocks]
     return np.asarray(_ROUNDING_FACTOR * np.finfo(float).eps * max(largest))
 

@@ -68,7 +68,7 @@ _ALIKE: Final = 1e-3
 
 
 class Finding(Enum):
-    """What the second list says; the values are those of JSON documents."""
+    """The verdict on the second list; the values are those of JSON documents."""
 
     ADDED = "mass added"
     NOTHING = "nothing added"
@@ -262,7 +262,7 @@ def cells_of(plate: LoadedPlate) -> Cells:
 
 
 def _log_likelihood(d: Array, shift: Array, extra: Array, noise: tuple[Array, Array]) -> Array:
-    """Of differences (n,) at shifts (..., n) with further variances, integrated over the noise, (...)."""
+    """Log likelihood of differences (n,) at shifts (..., n), further variances, over the noise, (...)."""
     away = (d - shift) ** 2
     each = []
     for variance, log_prior in zip(*noise, strict=True):
@@ -294,7 +294,7 @@ def _weighed(plate: LoadedPlate, cells: Cells, d: Array, noise: tuple[Array, Arr
 
 @dataclass(frozen=True, slots=True)
 class AddedMass:
-    """What the second list says.
+    """The mass that the second list shows.
 
     probability : that a mass was added; log_bayes_factor : of one against none
     p_value : of what the best mass, or none, leaves of the differences
@@ -441,7 +441,7 @@ def _place(
 
 
 def symmetries(plate: LoadedPlate, whole: Cells) -> list[Callable[[Array], Array]]:
-    """What maps places (p, 2) of 0 to 1 to places that no list can tell from them, the identity first."""
+    """Maps of places (p, 2) of 0 to 1 to places that no list can tell from them, the identity first."""
     field = whole.shifts[:, 0, 1].reshape(_CELLS, _CELLS, -1)
     largest = np.abs(field).max()
     found: list[Callable[[Array], Array]] = []

@@ -157,7 +157,7 @@ _SAME_F = 1e-3
 
 @dataclass(frozen=True, slots=True)
 class AngleSearchProblem:
-    """What is minimised: frequencies of a plate against a list.
+    """The objective of the search: frequencies of a plate against a list.
 
     model : of the constants, then the angles of ``specimen``. measured : (n,) Hz, paired with the
     first n modes. grid_deg : (n_angles,).
@@ -180,7 +180,7 @@ class AngleSearchProblem:
         return self.specimen.plate.layup.n_unknown
 
     def admissible(self, constants: Array) -> NDArray[np.bool_]:
-        """Whether constants (m, n_constants) meet the constraints (9), (m,)."""
+        """True where constants (m, n_constants) meet the constraints (9), (m,)."""
         angles = np.zeros((len(constants), self.n_plies))
         return np.asarray(self.model.admissible(np.hstack((constants, angles))))
 

@@ -92,12 +92,12 @@ class Draws:
 
     @property
     def mean(self) -> Array:
-        """Of each constant, (n,)."""
+        """Mean of each constant, (n,)."""
         return np.asarray(self.weight @ self.x)
 
     @property
     def covariance(self) -> Array:
-        """Of the constants, (n, n)."""
+        """Covariance of the constants, (n, n)."""
         away = self.x - self.mean
         return np.asarray((self.weight[:, None] * away).T @ away)
 

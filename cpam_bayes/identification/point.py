@@ -216,7 +216,7 @@ def summarise(
     residual: Residual,
     start: float,
 ) -> PointEstimate:
-    """What an engineer needs to know about the best optimum of a search."""
+    """Summary of the best optimum of a search for an engineer."""
     measurement, unknowns = required(specimen)
     model, swarm, error = searched.model, searched.swarm, searched.error
     best = swarm.best
@@ -538,7 +538,7 @@ def _of_shapes(result: PointEstimate) -> tuple[Notice, ...]:
 
 
 def _unused(specimen: Specimen, residual: Residual) -> Iterator[Notice]:
-    """What the plate file gives and the swarm has no use for."""
+    """Notices of entries of the plate file that the swarm does not use."""
     unknowns = specimen.unknowns
     names = tuple(name for name in unknowns.names if not unknowns[name].prior.is_range)
     if names and residual != "whitened":

@@ -80,7 +80,7 @@ class Optimum:
 
 @dataclass(frozen=True, slots=True)
 class Search:
-    """What swarms found and the plate model that they ran on.
+    """The optima that swarms found and the plate model that they ran on.
 
     swarm : the single swarm, or the first of several with the best optimum and the status of them all
     error : (n_modes,) relative error of the solver at its best particle
@@ -174,7 +174,7 @@ Progress = Callable[[int, float], None] | None
 
 @dataclass(frozen=True, slots=True)
 class _Task:
-    """What swarms minimise."""
+    """The objective of a swarm."""
 
     specimen: Specimen
     model: Model
@@ -441,7 +441,7 @@ def posterior(
 
     Parameters
     ----------
-    plate : what `read_plate` takes, or what it returns
+    plate : a built-in name, a path, a table or a `Specimen`, see `read_plate`
     likelihood, degrees_of_freedom : of the noise, see `sample`
 
     Raises

@@ -218,7 +218,7 @@ class Test:
 
 @dataclass(frozen=True, slots=True)
 class Expected:
-    """What a list would leave.
+    """The expected answer from a list.
 
     information : about the constants asked for, nats
     each : (n,) about each constant alone, nats

@@ -128,7 +128,7 @@ class PowerScaling:
 
     @property
     def diagnosis(self) -> Diagnosis:
-        """What they say together, by the published threshold of 0.05."""
+        """The verdict of both, by the published threshold of 0.05."""
         if self.likelihood < THRESHOLD:
             return "prior is strong, likelihood weak" if self.prior >= THRESHOLD else "likelihood is weak"
         if self.prior >= THRESHOLD:
@@ -140,7 +140,7 @@ class PowerScaling:
 
 @dataclass(frozen=True, slots=True)
 class MovedBound:
-    """What moving one bound of a uniform prior inwards by a tenth of its interval does.
+    """The change by moving one bound of a uniform prior inwards by a tenth of its interval.
 
     cut : fraction of the draws that lies beyond.
     shift : (n,) of every parameter's mean, in its posterior standard deviation, ``nan`` where too few draws
@@ -190,7 +190,7 @@ def power_scaling(
 
 
 def moved_bounds(parameters: ParameterSet, draws: Array) -> tuple[MovedBound, ...]:
-    """What each bound of the uniform priors does to the means, by leaving out the draws beyond.
+    """Changes of the means by each bound of the uniform priors, by leaving out the draws beyond.
 
     draws : (m, n).
     """
@@ -397,7 +397,7 @@ def importance_leave_one_out(log_density: Array) -> ImportanceLeftOut:
 
 @dataclass(frozen=True, slots=True)
 class Assessment:
-    """What determines a posterior and how it fits, from the draws and from the optimum.
+    """The sources of a posterior and its fit, from the draws and from the optimum.
 
     combinations : best determined first.
     profiles : of the constants.

@@ -172,7 +172,7 @@ def expand_likelihood(posterior: Posterior, x: Array) -> Expansion:
 
 
 def _one_to_one(posterior: Posterior, x: Array) -> Expansion:
-    """Of a complete list: every frequency depends on its own mode alone.
+    """Expansion for a complete list: every frequency depends on its own mode alone.
 
     The Fisher information of location and log scale of a Student-t density of nu degrees of freedom is
     (nu + 1) / (nu + 3) / sigma^2 and 2 nu / (nu + 3) (Lange, Little and Taylor, 1989).

@@ -144,7 +144,7 @@ class Rounds:
 
 
 class Density(Protocol):
-    """What is sampled: log probabilities of parameter vectors."""
+    """The target of the sampler: log probabilities of parameter vectors."""
 
     @property
     def parameters(self) -> ParameterSet:

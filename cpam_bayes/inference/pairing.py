@@ -1,4 +1,4 @@
-"""Which measured frequency belongs to which mode of the model.
+"""Pairings of measured frequencies with modes of the model.
 
 A complete list is paired one to one. Otherwise modes may be missing from the list and peaks may be
 spurious; every pairing that keeps the order is possible, each missed mode and each spurious peak at

@@ -159,7 +159,7 @@ class SolverError(ValueError):
 
 
 class ForwardModel(Protocol):
-    """What a posterior asks of a plate."""
+    """The plate model as a posterior uses it."""
 
     @property
     def parameters(self) -> ParameterSet:
@@ -171,7 +171,7 @@ class ForwardModel(Protocol):
         ...
 
     def admissible(self, x: Array) -> Array:
-        """Whether parameter vectors (m, n) are physical, (m,) bool."""
+        """True where parameter vectors (m, n) are physical, (m,) bool."""
         ...
 
 
@@ -205,7 +205,7 @@ class Posterior:
 
     @property
     def degrees_of_freedom(self) -> float:
-        """Of Student-t noise, infinite for Gaussian noise."""
+        """Degrees of freedom of Student-t noise, infinite for Gaussian noise."""
         return self.noise_model.degrees_of_freedom
 
     def amplitude(self, x: Array) -> Array:
@@ -272,7 +272,7 @@ class Posterior:
         return self.noise_model.log_density(z) - np.log(sigma)
 
     def most_probable_pairing(self, x: Array) -> Pairing:
-        """Which frequency is which of the model's modes at one parameter vector (n_parameters,)."""
+        """The most probable pairing of frequencies and modes at one parameter vector (n_parameters,)."""
         measurement = self.measurement
         if self.is_one_to_one:
             return Pairing(np.arange(measurement.size), np.empty(0, dtype=int), 0.0)

@@ -449,7 +449,7 @@ def pareto_shape(log_weight: Array) -> float:
 
 
 def _generalised_pareto_shape(tail: Array) -> float:
-    """Of exceedances (m,) in ascending order."""
+    """Shape of a generalised Pareto distribution of exceedances (m,) in ascending order."""
     m = len(tail)
     n_grid = 30 + int(np.sqrt(m))
     b = 1.0 - np.sqrt(n_grid / (np.arange(1, n_grid + 1) - 0.5))

@@ -178,7 +178,7 @@ Without it a misfit that goes to zero would improve by the same factor for ever.
 
 @dataclass(frozen=True, slots=True)
 class SwarmProblem:
-    """What is minimised over constants in a box and, if there are unknown plies, sequences on a grid.
+    """An objective over constants in a box and, if there are unknown plies, sequences on a grid.
 
     objective : constants (m, n_constants), grid indices (m, n_plies) -> (m,), called with feasible particles
     only.

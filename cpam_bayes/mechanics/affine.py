@@ -490,7 +490,7 @@ def form_pieces(form: Form, space: RitzSpace, values: FamilyValues | None = None
 
 
 def active_terms(problem: Problem, samples: Values, matrix: MatrixKind) -> Array:
-    """Which forms have a coefficient that is not zero at all samples, (n_forms,) bool."""
+    """True for the forms whose coefficient is not zero at all samples, (n_forms,) bool."""
     c = np.abs(np.atleast_2d(problem.coefficients(samples, matrix)))
     c = c.reshape(-1, c.shape[-1])
     return np.asarray(c.max(axis=0) > 1e-12 * _comparable(problem.forms(matrix), c))

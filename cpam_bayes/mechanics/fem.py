@@ -119,7 +119,7 @@ class FemSpace:
         return float(self._area(AREA, FULL).weights.sum()) * self.size[0] * self.size[1]
 
     def covers(self, points: Array) -> Array:
-        """Whether points (n, 2) in reference coordinates are on the mesh, (n,) bool."""
+        """True where points (n, 2) in reference coordinates are on the mesh, (n,) bool."""
         on_mesh = np.zeros(len(points), dtype=bool)
         on_mesh[self._locate(points)[0]] = True
         return on_mesh
@@ -208,7 +208,7 @@ class FemSpace:
         return ElementQuadrature(region, points, np.ones(1), cells, local)
 
     def _locate(self, points: Array) -> tuple[Array, Array, Array]:
-        """Which points (n, 2) are on the mesh, the element of each and its local coordinates."""
+        """True for points (n, 2) on the mesh, with the element of each and its local coordinates."""
         mesh = self.basis.mesh
         nodes = mesh.doflocs[:, mesh.dofs.element_dofs]
         low, high = nodes.min(axis=1), nodes.max(axis=1)
@@ -542,7 +542,7 @@ def _form_entries(
 
 
 def _sorted_unique(parts: list[Array]) -> Array:
-    """What ``np.unique`` gives, ten times sooner: numpy hashes integers, millions of them here."""
+    """Sorted unique integers, millions of them: by hashing, as ``np.unique`` does, it is ten times slower."""
     keys = np.sort(np.concatenate(parts))
     return keys[np.concatenate(([True], keys[1:] > keys[:-1]))]
 

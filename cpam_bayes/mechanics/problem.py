@@ -132,7 +132,7 @@ class PlateState:
     plies: PlyStack | None = None
 
     def geometry(self) -> LaminateGeometry:
-        """What of the layup does not depend on the constants."""
+        """The part of the layup that does not depend on the constants."""
         if isinstance(self.layup, LaminateGeometry):
             return self.layup
         return laminate_geometry(self.layup, symmetric=self.symmetric, plies=self.plies)
@@ -273,7 +273,7 @@ MASS_OFFSET_TERM = Term(
     (Form(Atom("u"), Atom("phi_x")), Form(Atom("v"), Atom("phi_y"))),
     mass_offset_coefficients,
 )
-"""Of a plate whose upper half is heavier or lighter than the lower."""
+"""Mass of a plate whose upper half is heavier or lighter than the lower."""
 # Distance of the centre of mass from the midplane over the thickness that is rounding.
 _CENTRED = 1e-9
 

@@ -71,7 +71,7 @@ _DRIFT: Final = 0.025
 
 
 class Taken(Enum):
-    """What a pole was taken for; the values are those of tables and JSON documents."""
+    """The kinds of a pole; the values are those of tables and JSON documents."""
 
     MODE = "mode"
     WEAK = "weak"
@@ -119,7 +119,7 @@ class _Band:
     fixed: Array
 
     def fitted(self, poles: Array) -> tuple[Array, Array, Array]:
-        """What is left of the responses beside poles (n_poles,), their best residues, and a basis of all."""
+        """The responses less poles (n_poles,), their best residues, and a basis of all."""
         x = (self.omega - self.omega.mean()) / np.ptp(self.omega)
         peaks = 1.0 / (1j * self.omega[:, None] - np.concatenate((poles, self.fixed)))
         columns = np.hstack((peaks, np.vander(x, _RESIDUAL_DEGREE + 1)))

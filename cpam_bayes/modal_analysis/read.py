@@ -212,7 +212,7 @@ def peaks_of(frequencies: Array, size: Array) -> Array:
 Window = Literal["none", "exponential"]
 
 WINDOWS: Final[tuple[Window, ...]] = ("none", "exponential")
-"""What records are multiplied by: nothing, or a decay to 1 % at their ends, which is taken off again."""
+"""Windows of a record: none, or a decay to 1 % at its end, which is taken off again."""
 _END: Final = 0.01
 # A hit begins where the signal passes this fraction of its largest value, for the first time in so many s.
 _ONSET, _APART, _BEFORE = 0.3, 0.25, 0.002

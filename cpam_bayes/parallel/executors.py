@@ -113,7 +113,7 @@ _delivered: OrderedDict[str, bytes] = OrderedDict()
 
 @dataclass(frozen=True, slots=True)
 class Ticket:
-    """What names the shared object to a worker.
+    """The name of the shared object for a worker.
 
     digest : SHA-256 of its pickle.
     path : a file that holds the pickle, for workers of this machine.
@@ -129,7 +129,7 @@ class Ticket:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What became of a batch.
+    """The outcome of a batch.
 
     results : of the items before the first that failed.
     error : what that one raised.
@@ -198,7 +198,7 @@ def _portable(error: Exception) -> Exception:
 
 
 def _shared(ticket: Ticket) -> tuple[bool, Any]:
-    """Whether the shared object could be had, and the object."""
+    """The shared object, after True where it could be had."""
     # Threads of one process wait for the one that restores it.
     with _lock:
         restored = _restored.get(ticket.digest)
@@ -224,7 +224,7 @@ def _drop_withdrawn() -> None:
 
 
 def _from_file(ticket: Ticket) -> _Restored | None:
-    """What the ticket's file holds, unless this machine has no such file."""
+    """The content of the ticket's file, None where this machine has no such file."""
     if not ticket.path:
         return None
     path = Path(ticket.path)
@@ -309,7 +309,7 @@ def _dask_address(text: str) -> str | None:
 def open_executor(
     spec: str | None = None, processes: int | None = None, *, patience: float = PATIENCE
 ) -> Iterator[Executor | None]:
-    """What ``run`` shares work out over, closed at the end; its workers are stopped after an exception.
+    """An executor for ``run``, closed at the end; its workers are stopped after an exception.
 
     spec : ``None`` or "processes": worker processes of this machine, ``processes`` of them or as many as
     there are cores; where there is one core, work in this process. "serial": ``None``, for work in this

@@ -295,7 +295,7 @@ def _cancel_on_exception(pending: dict[Future[Outcome], _Batch]) -> Callable[...
 
 @contextmanager
 def _issued(shared: Any, executor: Executor) -> Iterator[Ticket]:
-    """What leads workers to a shared object, as long as it is needed."""
+    """A ticket that leads workers to a shared object, as long as it is needed."""
     if isinstance(executor, DaskCluster):
         pickled = executor.pickled(shared)
         digest = digest_of(pickled)

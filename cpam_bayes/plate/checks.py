@@ -1,4 +1,4 @@
-"""What relates several values of a plate file, checked on the raw tables.
+"""Checks that relate several values of a plate file, on the raw tables.
 
 Each check leaves aside what is missing or of the wrong type, which the schema reports, so that one reading
 finds every error.
@@ -93,7 +93,7 @@ def symmetry_of(material: Data) -> MaterialSymmetry | None:
 
 
 def _known_symmetry(data: Data) -> Problems:
-    """Whether [material] says once what its symmetry is."""
+    """Problems with the symmetry of [material], which must be stated once."""
     material = table(data, "material")
     if not material:
         return
@@ -113,7 +113,7 @@ def _known_symmetry(data: Data) -> Problems:
 
 
 def _constants_of_symmetry(data: Data) -> Problems:
-    """Which constants a material of this symmetry has."""
+    """Problems with the constants that a material of this symmetry has."""
     material, unknowns = table(data, "material"), table(data, "unknowns")
     symmetry = symmetry_of(material)
     if symmetry == "isotropic":

@@ -102,7 +102,7 @@ def sheets(content: bytes) -> tuple[str, ...]:
 
 
 def _cell(value: Any) -> str:
-    """What a cell of a sheet holds; numbers without the rounding of a computed one."""
+    """The text of a cell of a sheet; numbers without the rounding of a computed one."""
     if value is None:
         return ""
     if isinstance(value, float):
@@ -438,7 +438,7 @@ class ShapeModes:
     origin: str
 
     def fields(self, name: str) -> dict[str, Any]:
-        """What of a `Measurement` the file gives; name : of the file, as the plate file has it."""
+        """The fields of a `Measurement` that the file gives; name : of the file, as in the plate file."""
         return {
             "frequencies": self.frequencies,
             "labels": ("",) * len(self.frequencies),

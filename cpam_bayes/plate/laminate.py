@@ -194,7 +194,7 @@ def run_starts(angles_deg: Array, plies: PlyStack) -> Array:
 
 @dataclass(frozen=True)
 class LaminateGeometry:
-    """What of a layup does not depend on the elastic constants, for unit thickness.
+    """The part of a layup that does not depend on the elastic constants, for unit thickness.
 
     in_plane, coupling, flexural : (..., 5), lamination parameters: integrals of the angle functions times
     1, z and z^2; of n materials (..., 5 n), each integrated over its own plies.
@@ -494,7 +494,7 @@ CONSTRAINTS: Final[Mapping[MaterialSymmetry, tuple[str, ...]]] = {
     ),
     "orthotropic": ("|nu12| < sqrt(E1/E2), a positive definite stiffness",),
 }
-"""What the constants of a ply must satisfy, in the order of `constraint_margins`."""
+"""The constraints on the constants of a ply, in the order of `constraint_margins`."""
 
 
 def through_thickness_poisson(
@@ -570,7 +570,7 @@ def constraint_margins(constants: Mapping[str, ArrayLike], symmetry: MaterialSym
 def constraint_violations(
     constants: Mapping[str, ArrayLike], symmetry: MaterialSymmetry
 ) -> NDArray[np.bool_]:
-    """Which of its `CONSTRAINTS` a set of constants breaks; NaN breaks all that it enters.
+    """True for each of its `CONSTRAINTS` that a set of constants breaks; NaN breaks all that it enters.
 
     constants : as for `constraint_margins`, (...); returns (..., n_constraints)
     raises ValueError for a missing or an unknown constant
@@ -579,7 +579,7 @@ def constraint_violations(
 
 
 def is_admissible(constants: Mapping[str, ArrayLike], symmetry: MaterialSymmetry) -> NDArray[np.bool_]:
-    """Whether constants meet all their `CONSTRAINTS` and every modulus is positive.
+    """True where constants meet all their `CONSTRAINTS` and every modulus is positive.
 
     constants : as for `constraint_margins`, (...); returns (...)
     raises ValueError for a missing or an unknown constant

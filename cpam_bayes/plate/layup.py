@@ -266,7 +266,7 @@ class _Reader:
             self.separator(closing)
 
     def separator(self, closing: str) -> None:
-        """What stands between plies, the same in the whole layup."""
+        """The sign between plies, the same in the whole layup."""
         mark = self.peek()
         if mark not in _BETWEEN:
             if not self.text[self.at - 1].isspace() or mark in ("]", ")", "}", "_"):

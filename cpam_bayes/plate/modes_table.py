@@ -337,7 +337,7 @@ _ACCEPTED: Final[Mapping[str, str]] = {
 
 
 def _wrong(cell: str, name: str, unit: str) -> str:
-    """What is wrong with a cell, "" for nothing."""
+    """The problem with a cell, "" for none."""
     if not (cell.isprintable() and len(cell) <= _LONGEST):
         return f"not a text that can be shown, accepted: up to {_LONGEST} printable characters"
     if name not in _ACCEPTED or not cell:
@@ -416,7 +416,7 @@ class TableModes:
     remarks: tuple[str, ...]
 
     def fields(self, name: str) -> dict[str, Any]:
-        """What of a `Measurement` the table gives; name : of the table, as the plate file has it."""
+        """The fields of a `Measurement` that the table gives; name : of the table, as in the plate file."""
         return {
             "frequencies": self.frequencies,
             "frequency_sd": self.sd,
@@ -428,7 +428,7 @@ class TableModes:
 
     @property
     def origin(self) -> str:
-        """What the frequencies are made of, in words."""
+        """The origin of the frequencies, in words."""
         fewest, most = int(self.hits.min()), int(self.hits.max())
         span = f"{most}" if fewest == most else f"{fewest} to {most}"
         said = ["one hit a mode" if most == 1 else f"means of {span} hits a mode"]

@@ -79,7 +79,7 @@ _NAMES: Final = (
 
 
 PlateLike: TypeAlias = str | os.PathLike[str] | Mapping[str, Any] | Specimen
-"""What a plate can be given as, see `read_plate`."""
+"""The forms of a plate that verbs take, see `read_plate`."""
 
 
 @checked
@@ -112,7 +112,7 @@ def read_plate(plate: PlateLike) -> Specimen:
 
 
 def _as_of_a_file(value: Any) -> Any:
-    """What Python or numpy hold, as TOML has it: tables, lists and single values."""
+    """Values of Python or numpy as TOML has them: tables, lists and single values."""
     if isinstance(value, Mapping):
         return {key: _as_of_a_file(inner) for key, inner in value.items()}
     if isinstance(value, np.ndarray | np.generic):

@@ -1,4 +1,4 @@
-"""What a plate file says, in SI: plate, material, sensors, measured frequencies.
+"""The content of a plate file, in SI: plate, material, sensors, measured frequencies.
 
 At the border stand the names of the plate file, which carry their unit.
 """
@@ -148,7 +148,7 @@ class Plate:
 
     @property
     def sizes(self) -> dict[str, float]:
-        """What the file states of a plate, SI: a weighed plate has a mass and no density of its own."""
+        """The stated sizes of a plate, SI: a weighed plate has a mass and no density of its own."""
         weighed = {"density": self.density} if self.mass is None else {"mass": self.mass}
         return {"thickness": self.thickness, "length": self.length, "width": self.width, **weighed}
 
@@ -200,7 +200,7 @@ class Material:
 
     @property
     def constraints(self) -> tuple[Constraint, ...]:
-        """What the constants must satisfy, in the order of `margins`."""
+        """The constraints on the constants, in the order of `margins`."""
         return tuple(Constraint(text, self.symmetry) for text in CONSTRAINTS[self.symmetry])
 
     def complete(self, values: Mapping[str, ArrayLike] = _NONE_VARIED) -> dict[str, Array]:
@@ -211,7 +211,7 @@ class Material:
         return complete_constants(self._with(values), self.symmetry)
 
     def admissible(self, values: Mapping[str, ArrayLike]) -> NDArray[np.bool_]:
-        """Whether the constants can be, with ``values`` (...) in place of the reference; (...)."""
+        """True where constants are possible, with ``values`` (...) in place of the reference; (...)."""
         return is_admissible(self._with(values), self.symmetry)
 
     def margins(self, values: Mapping[str, ArrayLike]) -> NDArray[np.float64]:
@@ -263,7 +263,7 @@ class Hybrid:
 
     @property
     def constraints(self) -> tuple[Constraint, ...]:
-        """What the constants must satisfy, in the order of `margins`."""
+        """The constraints on the constants, in the order of `margins`."""
         return tuple(replace(each, of=name) for name, part in self.parts.items() for each in part.constraints)
 
     def complete(self, values: Mapping[str, ArrayLike] = _NONE_VARIED) -> dict[str, Array]:
@@ -273,7 +273,7 @@ class Hybrid:
         )
 
     def admissible(self, values: Mapping[str, ArrayLike]) -> NDArray[np.bool_]:
-        """Whether the constants of all materials can be, see `Material.admissible`; (...)."""
+        """True where the constants of all materials are possible, see `Material.admissible`; (...)."""
         each = (part.admissible(constants_of(values, name)) for name, part in self.parts.items())
         return np.asarray(reduce(np.logical_and, each))
 

@@ -527,7 +527,7 @@ _LISTS: Final = ("sensor", "ply")
 
 
 def _tables() -> dict[str, str]:
-    """Which single table a key belongs in, for keys that only one table has."""
+    """The table of each key that only one table has."""
     homes: dict[str, list[str]] = {}
     for table in PlateFile.model_fields:
         for key in _keys_of(PlateFile, (table,)) + _keys_of(PlateFile, (table, 0)):

@@ -362,7 +362,7 @@ def _of_the_list(result: Sensitivity) -> Iterator[Notice]:
 
 
 def _of_cell(cell: Cell, groups: int) -> Iterator[Notice]:
-    """What a level of noise by one reading has against it."""
+    """Notices against a level of noise by one reading."""
     at = {"level": cell.level, "reading": cell.reading, "noise_sd": float(cell.noise_sd[0])}
     found = cell.repetition
     if found.missed:
@@ -378,7 +378,7 @@ def _of_cell(cell: Cell, groups: int) -> Iterator[Notice]:
 
 
 def _left_aside(result: Sensitivity) -> Iterator[Notice]:
-    """What the plate file gives and a noise study has no use for."""
+    """Notices of entries of the plate file that a noise study does not use."""
     specimen = result.specimen
     if specimen.plate.sd:
         yield Notice("sizes_exact", facts={"names": tuple(specimen.plate.sd)})

@@ -85,7 +85,7 @@ DEFAULT_AGREEMENT: Final = AgreementSettings()
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
-    """What was measured of one constant at one level of noise.
+    """The results of one constant at one level of noise.
 
     groups : number of inversions.
     repetition_mean, repetition_sd : over these (sd with groups - 1).
@@ -124,7 +124,7 @@ class Evidence:
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """Whether repetition and posterior agree.
+    """Agreement of repetition and posterior.
 
     standard_error : of the mean over the groups, sd / sqrt(groups).
     shift : mean of the inversions less the posterior's, in combined standard errors.
@@ -163,7 +163,7 @@ def compare(evidence: Evidence, settings: AgreementSettings = DEFAULT_AGREEMENT)
 
 
 def _causes(evidence: Evidence, ratio: float, sds: bool, at: AgreementSettings) -> tuple[Cause, ...]:
-    """What can explain a difference; sds : whether the standard deviations agree."""
+    """Possible causes of a difference; sds : whether the standard deviations agree."""
     at_bound = max(evidence.repetition_at_bound, evidence.posterior_at_bound) >= at.at_bound
     signs: dict[Cause, bool] = {
         "missed": evidence.missed >= at.missed,
@@ -307,7 +307,7 @@ class PosteriorSummary:
 
 @dataclass(frozen=True, slots=True)
 class InverseProblem:
-    """What a list is inverted with. unknowns : with the known constants fixed in it."""
+    """The problem that a list is inverted with. unknowns : with the known constants fixed in it."""
 
     model: ForwardModel
     unknowns: ParameterSet
@@ -317,7 +317,7 @@ class InverseProblem:
 
 @dataclass(frozen=True, slots=True)
 class Shared:
-    """What every task needs. reference : (n,) constants found without noise."""
+    """The common input of all tasks. reference : (n,) constants found without noise."""
 
     problem: InverseProblem
     measurement: Measurement

@@ -45,7 +45,7 @@ Role = Literal["input", "measured", "computed", "identified"]
 
 @dataclass(frozen=True, slots=True)
 class Misprint:
-    """What is certainly wrong in the print, and why; the printed digits stay as they are.
+    """A certain error of the print, and its reason; the printed digits stay as they are.
 
     print : the value that cannot be right, the percentage beside it, or only its sign "%".
     """
@@ -270,7 +270,7 @@ def identified_layups() -> Mapping[str, IdentifiedLayup]:
 
 Agreement = Literal["follows", "before rounding", "does not follow"]
 AGREEMENTS: Final[tuple[Agreement, ...]] = get_args(Agreement)
-"""Whether a percentage follows from the digits of its row, could follow before rounding, or cannot."""
+"""Relations of a percentage to the digits of its row: it follows, could before rounding, or cannot."""
 
 # Table -> row that its percentages refer to. Table 9 has the row of carbon/epoxy; glass/epoxy stands in
 # Table 3.

@@ -259,7 +259,7 @@ def diagnosed(text: str, name: str, folder: str, *, tell: Tell) -> Any:
 
 
 def _applied(result: DiagnosisResult, specimen: Specimen) -> tuple[Any, str]:
-    """What a plate file can say of the claimed cause, and in words; None where it has no key for it."""
+    """The claimed cause as an entry of a plate file, and in words; None where it has no key for it."""
     d = result.diagnosis
     if d.claim.kind != "named":
         return None, ""

@@ -1,4 +1,4 @@
-"""Whether intervals hold the truth as often as they say, for one plate and list: the question `calibrate`."""
+"""Coverage of the intervals of one plate and list, by simulated lists: the question `calibrate`."""
 
 from __future__ import annotations
 
@@ -23,6 +23,7 @@ from cpam_bayes.calibration import (
 from cpam_bayes.calibration import calibrate as repeated
 from cpam_bayes.command import EXECUTOR, PLATE, TIME_LIMIT, WORKERS, Command, option, whole
 from cpam_bayes.errors import PlateFileError, checked
+from cpam_bayes.formatting import listed
 from cpam_bayes.forward_model.preconditions import (
     explained_failures,
     rectangular_only,
@@ -120,10 +121,10 @@ def calibrate(
 
     Parameters
     ----------
-    plate : what `read_plate` takes, or what it returns
+    plate : a built-in name, a path, a table or a `Specimen`, see `read_plate`
     n : lists, 20 to 10000
     executor, workers : as for `cb.sequence`
-    watch : is shown the progress
+    watch : display of the progress; none where left out
 
     Raises
     ------
@@ -143,7 +144,7 @@ def calibrate(
     measurement = specimen.measurement
     assert measurement is not None
     with (
-        watch.stage(f"calibrate {specimen.name}", n, lambda left: f"{left:.0f} lists left") as shown,
+        watch.stage(f"calibrate {specimen.name}", n, counted="lists") as shown,
         open_executor(executor, workers) as pool,
         explained_failures(specimen),
     ):
@@ -218,8 +219,13 @@ def _share(level: int) -> Column:
     )
 
 
+def _shown(name: str) -> str:
+    """A parameter without the unit of the plate file; the repeatability in words."""
+    return "noise" if name == "relative_std" else name.partition("_")[0]
+
+
 _COLUMNS: Final = (
-    Column("parameter", "name", lambda c: c.name),
+    Column("", "name", lambda c: c.name, _shown),
     *(_share(level) for level in range(3)),
     Column(None, "coverage_95", lambda c: c.widest.share),
     Column(None, "standard_error", lambda c: c.widest.standard_error),
@@ -234,7 +240,7 @@ def _present(result: CalibrationResult) -> Report:
     n = len(result.repetitions)
     converged = sum(r.converged for r in result.repetitions)
     least, most = (pick(100 * c.widest.share for c in result.constants) for pick in (min, max))
-    doubtful = [c.name for c in result.constants if c.p_value < _DOUBTFUL]
+    doubtful = [_shown(c.name) for c in result.constants if c.p_value < _DOUBTFUL]
     return Report(
         summary=Summary(
             title=f"calibrate {result.title}",
@@ -244,7 +250,7 @@ def _present(result: CalibrationResult) -> Report:
             ),
             tables=(rows.table("True values inside their intervals"),),
             lines=(
-                f"Ranks are not uniform for {' '.join(doubtful)}: do not rely on these intervals."
+                f"Ranks are not uniform for {listed(doubtful, 'and')}: do not rely on these intervals."
                 if doubtful
                 else "Ranks are uniform within chance.",
                 "Judged are priors, likelihood and sampler; in these lists the plate model is right.",
@@ -318,7 +324,7 @@ def _draw_ranks(result: CalibrationResult) -> Figure:
         panel.stairs(high, edges, baseline=low, fill=True, color="0.85")
         panel.stairs(constant.counts, edges, color="#4878a8")
         panel.set(
-            title=constant.name.partition("_")[0],
+            title=_shown(constant.name),
             xlim=(0.0, 1.0),
             ylim=(0.0, None),
             xlabel="rank of the truth",

@@ -1,4 +1,4 @@
-"""Which specimen and test would determine the constants of a material: the question `design`."""
+"""Specimens and tests ranked by how well they would determine the constants: the question `design`."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ from cpam_bayes.identification.specimen_design import (
 from cpam_bayes.mechanics.modes import RigidBodyError
 from cpam_bayes.parallel import counted, open_executor, run
 from cpam_bayes.plate import PlateLike, Specimen, read_plate, to_user, unit_of, user_name
-from cpam_bayes.render.figures import new_figure
+from cpam_bayes.render.figures import headed, new_figure
 from cpam_bayes.render.plate import plate_section
 from cpam_bayes.render.report import (
     COMPUTATION,
@@ -134,7 +134,7 @@ def design(
     workers: int | None = None,
     watch: Watch = SILENT,
 ) -> DesignResult:
-    """Which layup, shape, thickness, edges and number of modes would determine the constants.
+    """Layups, shapes, thicknesses, edges and numbers of modes, ranked by how well they determine constants.
 
     Every combination is computed at the reference constants. Its expected information about the constants is
     that of Laplace's approximation there, with the priors of [unknowns], and the standard deviations of
@@ -143,7 +143,8 @@ def design(
 
     Parameters
     ----------
-    plate : what `read_plate` takes, or what it returns; with [unknowns], a measurement is not needed
+    plate : a built-in name, a path, a table or a `Specimen`, see `read_plate`, with
+        [unknowns]; a measurement is not needed
     constants : those that the information is about, by their names in [unknowns]; all where left out
     layups : in the notation of plate files; left out: the plate's, and usual ones of as many plies
     ratios : of length to width, at the area of the plate; left out: the plate's, and 0.5 to 2.8
@@ -153,7 +154,7 @@ def design(
         more
     relative_std : repeatability of a frequency; left out: that of the plate file, or 0.005
     executor, workers : where the work is done, see `cpam_bayes.parallel.open_executor`
-    watch : is shown the progress
+    watch : display of the progress; none where left out
 
     Raises
     ------
@@ -192,7 +193,7 @@ def design(
     test, usual = measured_like(specimen, relative_std)
     with (
         open_executor(executor, workers) as pool,
-        watch.stage(f"design {specimen.name}", len(made), lambda done: "specimens") as shown,
+        watch.stage(f"design {specimen.name}", len(made), counted="specimens") as shown,
     ):
         done = counted(lambda n, total: shown.tick(n, float(n)), len(made))
         responses = run(_response, (specimen, max(numbers)), made, pool, on_result=done)
@@ -377,7 +378,7 @@ def _keys(result: DesignResult, candidate: Candidate, record: Mapping[str, Any])
 
 
 def _verdict(result: DesignResult, best: Candidate) -> str:
-    """What the best candidate determines of the constants asked for."""
+    """The constants that the best candidate determines, of those asked for."""
     determined = _determined(result, best)
     yes = [name for name in result.asked if name in determined]
     no = [name for name in result.asked if name not in determined]
@@ -501,7 +502,7 @@ def _map(result: DesignResult, what: str, value: Value) -> Figure:
     for axes in grid[:, 0]:
         axes.set_yticks(range(len(layups)), layups, fontsize=8)
     figure.colorbar(image, ax=grid, label="expected information, nats", shrink=0.9)
-    figure.suptitle(f"What the frequencies would say about {what}: material of {result.specimen.name}")
+    headed(figure, f"Expected information about {what}: material of {result.specimen.name}")
     return figure
 
 

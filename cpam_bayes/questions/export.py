@@ -211,7 +211,7 @@ def export(
 
     Parameters
     ----------
-    plate : what `read_plate` takes, or what it returns
+    plate : a built-in name, a path, a table or a `Specimen`, see `read_plate`
     path : the file to write, by default the name of the plate with the ending ".inp" or ".unv"
     to : "ccx", an input deck for CalculiX and ABAQUS, or "uff", predicted modes as a universal file
         (datasets 15 and 55), at the nodes of measured shapes where there are some

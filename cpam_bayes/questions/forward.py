@@ -167,7 +167,7 @@ def forward(
 
     Parameters
     ----------
-    plate : what `read_plate` takes, or what it returns
+    plate : a built-in name, a path, a table or a `Specimen`, see `read_plate`
     n_modes : number of modes; as many as were measured, or 10, where left out
     solver : "ritz", "fem" (finite elements, which also take a mesh) or "ccx" (the program CalculiX);
         "fem" for a plate with a mesh and "ritz" for the others where left out

@@ -86,7 +86,7 @@ _FIRST_MATERIAL: Final = next(iter(MATERIALS))
 
 @dataclass(frozen=True, slots=True)
 class KnownPlate:
-    """What is known of a plate; None and empty for what is not.
+    """The known entries of a plate file; None and empty for unknown ones.
 
     size_mm : length, width, thickness. mass_g : weighed. material : a name in `MATERIALS`.
     frequencies_hz : ascending; table : path of a table of modes in their place.
@@ -335,7 +335,7 @@ def plate_text(
 
 
 def _missing(text: str, path: Path) -> tuple[str, ...]:
-    """What the file lacks; raise ``PlateFileError`` for anything else that is wrong with what was given."""
+    """The missing entries; raise ``PlateFileError`` for anything else that is wrong with what was given."""
     try:
         parse_specimen(text, path.name, path.parent)
     except PlateFileError as error:
@@ -443,7 +443,7 @@ QUESTIONS: Final = (
 
 
 def asked(check: Callable[[dict[str, Any]], object]) -> dict[str, Any]:
-    """What a user at a terminal knows of a plate, as arguments of `cpam_bayes.new`.
+    """Answers of a user at a terminal, as arguments of `cpam_bayes.new`.
 
     check : raises ValueError for what cannot be; the question is then asked again
     """
@@ -473,7 +473,7 @@ def _left_out(question: Question, given: dict[str, Any]) -> bool:
 def _answer(
     question: Question, given: dict[str, Any], check: Callable[[dict[str, Any]], object]
 ) -> dict[str, Any] | None:
-    """What is known with the answer, None where the answer before is to be given again."""
+    """The known entries with the answer, None where the answer before is to be given again."""
     while True:
         print(f"{question.text}: ", end="", file=sys.stderr, flush=True)
         try:

@@ -108,7 +108,7 @@ class PolesResult(Result):
 
     @property
     def status(self) -> str:
-        """Whether there are modes."""
+        """Either "done", or "no modes"."""
         return "done" if self.modes else "no modes"
 
     @property
@@ -448,12 +448,12 @@ def _spectrum(result: PolesResult) -> Figure:
             xytext=(2.0, -3.0),
             textcoords="offset points",
             rotation=90,
-            fontsize=6,
+            fontsize=8,
             color=colour,
             verticalalignment="top",
         )
     axes.set(xlim=(result.low, result.high), xlabel="Hz", ylabel="root mean square of the responses")
-    axes.set_title(f"{result.title}: {len(result.modes)} modes", fontsize=10)
+    axes.set_title(f"{result.title}: {len(result.modes)} modes", fontsize=10, loc="left")
     return figure
 
 
@@ -487,7 +487,7 @@ def _stability(result: PolesResult) -> Figure:
             label="in the order below as well" if stable else "new at this order",
         )
     axes.set(xlim=(result.low, result.high), ylim=(0, result.order + 1), xlabel="Hz", ylabel="poles")
-    axes.set_title(f"{result.title}: {len(result.modes)} modes", fontsize=10)
+    axes.set_title(f"{result.title}: {len(result.modes)} modes", fontsize=10, loc="left")
     figure.legend(loc="outside lower center", ncols=2, frameon=False, fontsize="small")
     return figure
 

@@ -136,10 +136,10 @@ def predict(
     Parameters
     ----------
     posterior : the path of a ``posterior.nc``, or what `sample` returns
-    plate : what `read_plate` takes, or what it returns
+    plate : a built-in name, a path, a table or a `Specimen`, see `read_plate`
     n_modes : number of modes; as many as were measured, or 10, where left out
     draws : draws of the posterior at most, at even distances
-    watch : is shown the progress
+    watch : display of the progress; none where left out
 
     Raises
     ------
@@ -445,12 +445,12 @@ def _origin(stored: StoredPosterior) -> str:
 
 
 def _contained(result: PredictionResult) -> str:
-    """What the intervals contain beside the constants."""
+    """The contents of the intervals beside the constants."""
     if result.sizes_of_posterior:
         sizes, exact = [*result.posterior.sizes], ""
     else:
         sizes = list(result.specimen.plate.sd)
-        exact = "" if sizes else ", sizes and mass taken as exact"
+        exact = "" if sizes else "; sizes and mass are assumed exact"
     return f"The intervals contain {listed(['the constants', *sizes], 'and')}{exact}."
 
 
@@ -534,7 +534,9 @@ def _intervals_figure(result: PredictionResult, rows: Sequence[_Row]) -> Figure:
     axes.set(ylim=(len(modes) - 0.4, -0.6), xlabel="frequency / predicted mean - 1, %")
     axes.grid(axis="x", color="0.9")
     axes.set_axisbelow(True)
-    axes.set_title(f"{result.specimen.name}: predicted from {result.posterior.plate or 'the posterior'}")
+    axes.set_title(
+        f"{result.specimen.name}: predicted from {result.posterior.plate or 'the posterior'}", loc="left"
+    )
     figure.legend(loc="outside lower center", ncols=3, frameon=False, fontsize="small")
     return figure
 

@@ -68,12 +68,14 @@ _DRAWS: Final = 12
 # How well plates are weighed and gauged where the file does not say, relative.
 _WEIGHED, _THICKNESS, _DENSITY = 0.002, 0.01, 0.01
 _GRAM, _MILLIMETRE = 1e3, 1e3
+# Probability above which a claim is written as nearly certain.
+_SURE: Final = 0.9995
 _SEALED_KEYS: Final = ("mass_g", "x_mm", "y_mm")
 
 
 @dataclass(frozen=True, slots=True)
 class Stated:
-    """What the seal held, SI. shifts, sd : (n,) of ln f' - ln f that the first list predicts for it."""
+    """The content of the seal, SI. shifts, sd : (n,) of ln f' - ln f that the first list predicts for it."""
 
     mass: float
     place: tuple[float, float]
@@ -117,7 +119,7 @@ class Coin:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class CoinResult(PlateResult):
-    """What was stuck to a plate after its first list, by each further list.
+    """The mass stuck to a plate after its first list, by each further list.
 
     Attributes
     ----------
@@ -162,7 +164,7 @@ def prove(
         modes as the first list
     sealed : a TOML file with a [[coin]] for each list: mass_g, x_mm, y_mm. Its SHA-256 is shown first, and it
         is opened after the answer; mass_g = 0 is a list without a mass
-    watch : is shown the progress
+    watch : display of the progress; none where left out
 
     Raises
     ------
@@ -337,7 +339,7 @@ def _loaded(point: PointResult, rng: np.random.Generator) -> LoadedPlate:
 
 
 def _repeatability(first: Measurement, second: Measurement) -> Repeatability:
-    """Of both lists together, as that of each."""
+    """The repeatability of both lists together, as that of each."""
     stated = [
         m.noise_sd(m.relative_std or 0.0) / m.frequencies
         for m in (first, second)
@@ -419,7 +421,7 @@ _COLUMNS: Final = (
 
 @present.register
 def _present(result: CoinResult) -> Report:
-    """What was found, what was stated, and how well they agree."""
+    """The mass found, the mass stated, and their agreement."""
     rows = Rows("coins", _COLUMNS, result.coins, lambda c: c.is_inside is False)
     limit = result.detection_limit
     return Report(
@@ -494,11 +496,12 @@ def _headline(result: CoinResult) -> str:
             f"{shown} was found for {significant(_GRAM * stated.mass, 3)} g{off}; {coin.shifts_inside} of "
             f"{len(coin.shifts)} shifts lie inside their 95 % intervals."
         )
-    return f"{shown} was added at {_where(found.place)} mm (probability {found.probability:.3f})."
+    sure = "> 0.999" if found.probability > _SURE else fixed(found.probability, 3)
+    return f"{shown} was added at {_where(found.place)} mm (probability {sure})."
 
 
 def _agreement(result: CoinResult) -> tuple[str, ...]:
-    """Of several coins: coverage, and found over stated masses, which check weight and sizes of the plate."""
+    """Agreement of several coins: coverage, and found over stated masses, a check of weight and sizes."""
     known = [c for c in result.coins if c.stated is not None and c.stated.mass and _is_added(c)]
     coverage = result.coverage
     if coverage is None or len(result.coins) < 2:

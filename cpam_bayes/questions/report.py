@@ -110,12 +110,12 @@ def report(
 
     Parameters
     ----------
-    plate : what `read_plate` takes, or what it returns
+    plate : a built-in name, a path, a table or a `Specimen`, see `read_plate`
     quick : leave out what is slow: the constants are point estimates of `identify` instead of draws of
         `sample`, unknown angles are those that the swarm finds, and no further test is ranked. A list that
         may lack modes is sampled all the same
     executor, workers : as for `diagnose`
-    watch : is shown the progress
+    watch : display of the progress; none where left out
 
     Raises
     ------

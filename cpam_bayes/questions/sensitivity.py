@@ -123,7 +123,7 @@ def sensitivity(
 
     Parameters
     ----------
-    plate : what `read_plate` takes, or what it returns
+    plate : a built-in name, a path, a table or a `Specimen`, see `read_plate`
     levels : of noise, as fractions, above 0 and at most 0.5
     groups : perturbed frequency lists at each level
     readings : interpretations of eq. (12): noise as a fraction of each frequency ("relative"), or of the
@@ -135,7 +135,7 @@ def sensitivity(
     executor, workers : "serial", in this process; "processes", as many as cores or ``workers``, which needs
         the call under ``if __name__ == "__main__":`` in a script; or a Dask cluster, see
         `cpam_bayes.parallel.open_executor`. The answer is the same
-    watch : is shown the progress
+    watch : display of the progress; none where left out
 
     Raises
     ------
@@ -170,12 +170,9 @@ def sensitivity(
         if n_modes is not None:
             raise ValueError(f"--modes: received {n_modes}, accepted: with --list model only")
     total = len(levels) * len(readings) * (groups + 1)
-
-    def described(done: float) -> str:
-        return "posteriors first, then inversions" if done < total else "done"
-
+    title = f"sensitivity {specimen.name}"
     with (
-        watch.stage(f"sensitivity {specimen.name}", total, described) as shown,
+        watch.stage(title, total, counted="posteriors and inversions") as shown,
         open_executor(executor, workers) as pool,
         explained_failures(specimen),
     ):

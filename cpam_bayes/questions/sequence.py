@@ -154,13 +154,13 @@ def sequence(
 
     Parameters
     ----------
-    plate : what `read_plate` takes, or what it returns, with "?" in its layup; built-in specimens take the
-        unknown angles of Table 9(b)
+    plate : a built-in name, a path, a table or a `Specimen`, see `read_plate`, with "?" in its
+        layup; built-in specimens take the unknown angles of Table 9(b)
     top : most probable sequences to list
     executor, workers : "serial", in this process; "processes", as many as cores or ``workers``, which needs
         the call under ``if __name__ == "__main__":`` in a script; or a Dask cluster, see
         `cpam_bayes.parallel.open_executor`. The answer is the same
-    watch : is shown the progress
+    watch : display of the progress; none where left out
 
     Raises
     ------
@@ -199,7 +199,7 @@ def sequence(
     with open_executor(executor, workers) as pool:
         with (
             explained_failures(specimen),
-            watch.stage(f"sequence {specimen.name}", _PIECES, lambda done: "of the pieces") as shown,
+            watch.stage(f"sequence {specimen.name}", _PIECES, counted="pieces of the work") as shown,
         ):
             answer = stacking_posterior(
                 specimen,
@@ -212,7 +212,7 @@ def sequence(
         with time_limit(None):  # one sequence, even if time is up
             given = _printed(answer)
         classes = n_sampled_classes(answer) + (given is not None)
-        with watch.stage("constants by emcee", classes, lambda done: "a class each") as shown:
+        with watch.stage("constants by emcee", classes, counted="layups") as shown:
             mixture = sample_mixture(
                 answer,
                 seed,
@@ -252,7 +252,7 @@ def stacking_result(
 
 
 def _reliances(answer: StackingPosterior, mixture: StackingMixture) -> tuple[Reliance, ...]:
-    """Of the constants over all sequences."""
+    """Reliances of the constants over all sequences."""
     parameters = answer.conditional.parameters
     kept = [i for i, name in enumerate(parameters.names) if name != NOISE]
     names = [parameters.names[i] for i in kept]
@@ -261,7 +261,7 @@ def _reliances(answer: StackingPosterior, mixture: StackingMixture) -> tuple[Rel
 
 
 def _slips(specimen: Specimen, fit: BestFit) -> tuple[Notice, ...]:
-    """What most likely ruins the answer."""
+    """Likely slips that ruin the answer."""
     residual = np.asarray(fit.residual)[np.isfinite(fit.residual)]
     misfit = float(np.sqrt(np.mean(residual**2))) if residual.size else 0.0
     measurement = specimen.measurement
@@ -275,7 +275,7 @@ def _slips(specimen: Specimen, fit: BestFit) -> tuple[Notice, ...]:
 
 
 def _printed(answer: StackingPosterior) -> GivenLayup | None:
-    """What Table 9(b) prints for a built-in specimen."""
+    """The layup of Table 9(b) of a built-in specimen."""
     name = answer.specimen.name
     printed = identified_layups().get(name)
     if printed is None or answer.specimen.source != f"built-in {name}":
@@ -307,7 +307,7 @@ def _present(result: StackingResult) -> Report:
     told = tuple(c.name for c in constants if not c.is_open)
     errors = thin_plate_errors(result.specimen)
     moved = tuple(name for name in told if name in errors[0].shift)
-    exact = replace(result.specimen.plate, sd={})  # [plate.sd] is not counted with
+    exact = replace(result.specimen.plate, sd={})  # tolerances are ignored here
     return Report(
         summary=Summary(
             title=f"sequence {result.title}",

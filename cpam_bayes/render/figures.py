@@ -1,4 +1,4 @@
-"""What all figures share: how they are made and saved, their colours; and the shapes of modes.
+"""The common part of all figures: how they are made and saved, their colours, the shapes of modes.
 
 A mode is a deflection in colours with its nodal lines, or the deformed grid of a mode in the plane.
 Matplotlib loads when a figure is drawn.
@@ -18,7 +18,7 @@ from cpam_bayes.plate.edges import conditions
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+    from matplotlib.figure import Figure, FigureBase
 
 __all__ = [
     "BEFORE",
@@ -29,6 +29,7 @@ __all__ = [
     "Extent",
     "draw_shape",
     "extent_of",
+    "headed",
     "new_figure",
     "save_figures",
     "shapes_figure",
@@ -45,6 +46,11 @@ def new_figure(width: float, height: float) -> Figure:
     from matplotlib.figure import Figure
 
     return Figure(figsize=(width, height), layout="constrained")
+
+
+def headed(figure: FigureBase, title: str) -> None:
+    """Give a figure its title, at the left, where a narrow screen shows it."""
+    figure.suptitle(title, x=0.01, horizontalalignment="left", fontsize=10)
 
 
 def save_figures(figures: Mapping[str, Figure], directory: Path) -> None:
@@ -92,7 +98,7 @@ def shapes_figure(
     x0, x1, y0, y1 = extent
     tall = float(np.clip((y1 - y0) / (x1 - x0), 0.3, 3.0))
     figure = new_figure(max(2.0 * columns, 3.0), rows * (1.75 * tall + 0.65))
-    figure.suptitle(title, fontsize=10)
+    headed(figure, title)
     grid = figure.subplots(rows, columns, squeeze=False).ravel()
     for axes in grid[len(shapes) :]:
         axes.set_axis_off()

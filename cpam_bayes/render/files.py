@@ -23,7 +23,7 @@ Stage = tuple[Path, Path]
 
 
 class Answer(Protocol):
-    """What is saved of the result of a question, `cpam_bayes.result.Result`."""
+    """The result of a question as it is saved, `cpam_bayes.result.Result`."""
 
     command: ClassVar[str]
 

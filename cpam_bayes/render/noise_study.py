@@ -56,7 +56,7 @@ class ComparedRow(NamedTuple):
 
     @property
     def comparison(self) -> Comparison:
-        """Of repetition and posterior."""
+        """The comparison of repetition and posterior."""
         return self.cell.comparisons[self.i]
 
     @property
@@ -199,7 +199,7 @@ def _reason(row: ComparedRow, cause: Cause) -> str:
 
 
 def beside_paper(study: Sensitivity, table: PerturbationTable | None) -> tuple[str, ...]:
-    """What the printed percentages mean beside the scatter of a mean of ten, and what is odd about them."""
+    """The printed percentages beside the scatter of a mean of ten, and what is odd about them."""
     if table is None:
         return ()
     n = len(study.without_noise.constants)
@@ -277,7 +277,9 @@ def draw_constant(axes: Axes, document: Mapping[str, Any], name: str) -> None:
     axes.set_xticks(range(len(document["levels"])), [f"{v['level_percent']:g}" for v in document["levels"]])
     axes.set_xlim(-0.6, len(document["levels"]) - 0.4)
     constant, _, unit = name.partition("_")
-    axes.set_title(f"{document['plate']}: {constant} = {reference:.4g} {unit}".rstrip(), fontsize="medium")
+    axes.set_title(
+        f"{document['plate']}: {constant} = {reference:.4g} {unit}".rstrip(), fontsize="medium", loc="left"
+    )
 
 
 def legend_entries(readings: Sequence[str]) -> list[Any]:

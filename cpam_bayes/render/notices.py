@@ -84,14 +84,14 @@ def _reference_outside(facts: Facts) -> str:
     for name, *values in facts["outside"]:
         value, low, high = (f"{to_user(name, v):.5g}" for v in values)
         each.append(f"{user_name(name)} = {value} lies outside its bounds {low} to {high}")
-    return f"[material] contradicts [unknowns]: {_names(each)}. Correct the value or widen the bounds."
+    return f"A reference is outside the search: {_names(each)}. Correct the value or widen the bounds."
 
 
 def _few_frequencies(facts: Facts) -> str:
     n, unknowns = facts["frequencies"], facts["unknowns"]
     return (
         f"{n} {'frequency' if n == 1 else 'frequencies'} for {unknowns} unknowns: the bounds decide the "
-        f"answer. Measure at least {unknowns + 2} frequencies, or take known constants out of [unknowns]."
+        f"answer. Measure at least {unknowns + 2} frequencies, or state known constants as known."
     )
 
 
@@ -108,11 +108,11 @@ def _large_stated_noise(facts: Facts) -> str:
         what = f"{facts['source']} (largest at {hz:.6g} Hz, {_percent(most)})"
         meant = ""
     else:
-        what = f"relative_std = {noise:g}"
-        meant = f" If {noise:g} % is meant, write relative_std = {noise / 100.0:g}."
+        what = f"{noise:g}"
+        meant = f" If {noise:g} % is meant, write {noise / 100.0:g}."
     return (
-        f"The stated noise, {what}, is {_percent(noise)} of a frequency; a tap test repeats to 1 % or "
-        f"better, and with so much noise any misfit passes.{meant}"
+        f"The stated repeatability, {what}, is {_percent(noise)} of a frequency; a tap test repeats to 1 % "
+        f"or better, and with so much noise any misfit passes.{meant}"
     )
 
 
@@ -137,7 +137,7 @@ def _axes_exchange(facts: Facts) -> str:
 
 
 def _prior_not_fitted(facts: Facts) -> str:
-    return f"The swarm uses only the bounds of {_names(facts['names'])}, not their mean and sd in [unknowns]."
+    return f"The swarm uses only the bounds of {_names(facts['names'])}, not their mean and sd."
 
 
 def _prior_not_inverted(facts: Facts) -> str:
@@ -148,7 +148,7 @@ def _prior_not_inverted(facts: Facts) -> str:
 def _sizes_exact(facts: Facts) -> str:
     names = [user_name(name) for name in facts["names"]]
     what = _names(names) if names else "sizes, density and mass"
-    return f"[plate.sd] is ignored here: {what} are assumed exact."
+    return f"{capitalised(what)[:-1]} are assumed exact here: their stated tolerances are ignored."
 
 
 # Of labels and shapes.
@@ -199,8 +199,8 @@ def _doubtful_list(facts: Facts) -> str:
     else:
         what = f"to hold a frequency of no mode, {facts['spurious']:.6g} Hz"
     return (
-        f"The list seems {what}: that is {odds} times as probable as a complete list. If so, set "
-        "complete = false in [measurement]."
+        f"The list seems {what}: that is {odds} times as probable as a complete list. If so, state "
+        "that modes may be missing from it."
     )
 
 
@@ -237,10 +237,10 @@ def _common_factor(facts: Facts) -> str:
     lie = "The modulus lies" if len(far) == 1 else "All determined moduli lie"
     begun = f"{lie} far {side} the reference ({', '.join(far)} standard deviations)"
     weighed = facts["weighed"]
-    mass = "mass_g" if weighed else "density_kg_m3"
+    mass = "mass" if weighed else "density"
     if ratio is None:
         return (
-            f"{begun}: check thickness_mm, {mass}, the analyser's frequency scale, and whether [material] is "
+            f"{begun}: check thickness, {mass}, the analyser's frequency scale, and whether the reference is "
             "this plate's material."
         )
     thickness = facts["thickness"] * 1e3
@@ -276,7 +276,7 @@ def _constraint(facts: Facts) -> str:
     text = f"{constraint.text} of {constraint.of}" if constraint.of else constraint.text
     lifted = ""
     if constraint.symmetry == "transversely_isotropic":
-        lifted = ' For plies such as fabric, set symmetry = "orthotropic" in [material].'
+        lifted = " Plies such as fabric need the orthotropic model of the material."
     return f"{text}: the frequencies ask for constants beyond it.{lifted}"
 
 
@@ -337,7 +337,7 @@ def _several_optima(facts: Facts) -> str:
     a, b = swapped["modes"]
     return (
         f"{text} They differ in the order of two modes ({plate}frequency {swapped['frequency']} is {a} or "
-        f"{b}): look at its nodal lines and label it under [measurement]."
+        f"{b}): look at its nodal lines and label it in the list."
     )
 
 
@@ -356,7 +356,7 @@ def _rough_evidences(facts: Facts) -> str:
 
 
 def _check_layup(facts: Facts) -> str:
-    missing = "A mode may be missing (complete = false). " if facts["complete"] else ""
+    missing = "A mode may be missing from the list. " if facts["complete"] else ""
     return f"{missing}Check the list, the plate and the bounds, or `diagnose` a layup that you believe in."
 
 

@@ -16,7 +16,7 @@ from cpam_bayes.plate import Measurement, Plate, Specimen
 from cpam_bayes.plate.edges import CONDITIONS, PLACES, EdgeCondition, conditions
 from cpam_bayes.plate.laminate import equal_plies
 from cpam_bayes.plate.layup import Layup
-from cpam_bayes.render.figures import PREDICTED, new_figure
+from cpam_bayes.render.figures import PREDICTED, headed, new_figure
 from cpam_bayes.render.report import Caption, Column, Drawing, Rows, Section, Table, facts
 
 if TYPE_CHECKING:
@@ -48,7 +48,7 @@ __all__ = [
 ]
 
 
-NO_AIR = "none given: vacuum, no air in the model"
+NO_AIR = "not in the model"
 # Shorter side over thickness from which transverse shear hardly shows in the lowest modes.
 THIN = 20.0
 
@@ -63,7 +63,7 @@ def plate_section(specimen: Specimen, air_shifts: NDArray[np.float64] | None) ->
 
 
 def plate_head(specimen: Specimen, air_shifts: NDArray[np.float64] | None) -> Table:
-    """What was computed: the plate as the file gives it, and where the file says more.
+    """The plate as the file gives it, and where the file says more.
 
     air_shifts : see `PlateResult.air_shifts`
     """
@@ -143,7 +143,7 @@ def air_text(specimen: Specimen, air_shifts: NDArray[np.float64] | None) -> str:
     """The air in the model, or what it would change by ``air_shifts``, relative, None where not computed."""
     if specimen.air_density:
         return f"{specimen.air_density:.6g} kg/m3, in the model"
-    stated = NO_AIR if specimen.air_density is None else "none: vacuum"
+    stated = NO_AIR if specimen.air_density is None else "vacuum"
     if air_shifts is None:
         return stated
     lower = -100.0 * air_shifts
@@ -210,7 +210,7 @@ def _density(plate: Plate) -> str:
     """Density and, unless only the mesh would tell it, mass."""
     density = f"{plate.density:.6g} kg/m3"
     if plate.mass is not None:
-        return f"{density} from mass_g, {plate.mass * 1e3:.5g} g"
+        return f"{density} from the weighed mass, {plate.mass * 1e3:.5g} g"
     if plate.mesh is not None:
         return f"{density} as given"
     return f"{density} as given, {plate.density * plate.area * plate.thickness * 1e3:.5g} g"
@@ -243,7 +243,7 @@ def plate_figure(specimens: Sequence[Specimen], overlay: Overlay | None = None) 
             _draw_isotropic(plies, specimen.plate)
         else:
             _draw_plies(plies, specimen.plate.layup)
-        panel.suptitle(specimen.name, fontsize=10)
+        headed(panel, specimen.name)
     return figure
 
 
@@ -369,7 +369,7 @@ def _colour(angle_deg: float) -> Any:
 
 
 def plate_caption(specimens: Sequence[Specimen]) -> Caption:
-    """What the drawing of one plate, or of several, shows."""
+    """Caption of the drawing of one plate, or of several."""
     stated = {letter for s in specimens for letter in s.plate.edges}
     sensors = any(s.sensors for s in specimens)
     parts = ["The plate as the model has it, seen from above"]
@@ -396,7 +396,7 @@ FIGURE = "modal_assurance"
 
 
 def assurance_sections(pairing: ShapePairing | None, measurement: Measurement | None) -> tuple[Section, ...]:
-    """Which measured shape is which mode, none without shapes."""
+    """The mode of each measured shape, no section without shapes."""
     if pairing is None or measurement is None:
         return ()
     return (Section("Measured shapes", (_table(pairing, measurement),), (FIGURE,)),)
@@ -486,7 +486,7 @@ def _matrix(title: str, pairing: ShapePairing, measurement: Measurement) -> Figu
     )
     axes.set_yticks(range(n), [f"{f:.5g}" for f in measurement.frequencies], fontsize=8)
     axes.set(xlabel="mode of the model, Hz", ylabel="measured, Hz")
-    axes.set_title(f"{title}: measured shapes and the model's", fontsize=10)
+    axes.set_title(f"{title}: measured shapes and the model's", fontsize=10, loc="left")
     if max(n, k) <= _MOST_SQUARES:
         for (i, j), value in np.ndenumerate(pairing.assurance):
             if value >= 0.05:

@@ -13,7 +13,7 @@ from cpam_bayes.inference.completeness import DROP_95, Profile
 from cpam_bayes.inference.posterior import NOISE_NAMES
 from cpam_bayes.plate import to_user, unit_of, user_name
 from cpam_bayes.priors import Prior
-from cpam_bayes.render.figures import new_figure
+from cpam_bayes.render.figures import headed, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -87,7 +87,7 @@ def pairs_figure(title: str, sampled: Draws) -> Figure:
                 here.set_ylabel(_label(names[i]), fontsize=8)
             elif j > 0:
                 here.set_yticklabels([])
-    figure.suptitle(f"{title}: posterior of the constants", fontsize=10)
+    headed(figure, f"{title}: posterior of the constants")
     if n > 1:
         axes[0, n - 1].legend(handles=_key(), loc="upper right", frameon=False, fontsize=8)
     return figure
@@ -156,7 +156,7 @@ def marginals_figure(title: str, sampled: Draws, profiles: Sequence[Profile]) ->
         Line2D([], [], color=_ORANGE, linestyle="--", label="95 % interval"),
     ]
     figure.legend(handles=key, loc="outside lower center", ncols=3, frameon=False, fontsize=8)
-    figure.suptitle(f"{title}: marginal posteriors and profile likelihoods", fontsize=10)
+    headed(figure, f"{title}: marginal posteriors and profile likelihoods")
     return figure
 
 

@@ -1,4 +1,4 @@
-"""What is shown of an answer: one record, of which a screen, a page, a document and tables are renderings.
+"""The report of an answer: one record, of which screen, page, document and tables are renderings.
 
 A question's `present(result)` makes the `Report`. Nothing here knows a screen or HTML; of a report come JSON
 documents, CSV files, workbooks and data frames.
@@ -108,7 +108,7 @@ class Column:
     number: bool = False
 
     def cell(self, row: Any) -> str:
-        """What a reader sees of a row; "" where there is nothing."""
+        """The text of a row's cell; "" where there is nothing."""
         value = self.value(row)
         return "" if value is None else self.text(value)
 

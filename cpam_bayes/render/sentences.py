@@ -1,4 +1,4 @@
-"""What the first screens of several questions share: constants, fit, intervals, the next step."""
+"""Sentences and tables of several first screens: constants, fit, intervals, the next step."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ def interval_text(c: Constant) -> str:
 
 
 def determined_text(c: Constant) -> str:
-    """Whether the frequencies determine a constant, and what else counts."""
+    """The verdict on a constant in words: determined or not, and what else counts."""
     if c.bound is not None:
         return f"not determined: at its {c.bound} bound"
     if not math.isfinite(c.sd):
@@ -168,7 +168,7 @@ def frequency_columns(rows: Sequence[FrequencyRow]) -> tuple[Column, ...]:
 
 
 def constants_headline(constants: Sequence[Constant], n_frequencies: int) -> str:
-    """Which constants the frequencies determine, and which they leave open."""
+    """Headline of the constants that the frequencies determine, and of those that they leave open."""
     determined = listed([c.name for c in constants if c.is_determined], "and")
     left = listed([c.name for c in constants if c.is_open], "or")
     subject = (
@@ -217,7 +217,7 @@ def intervals_sentence(
     found: Collection[str] = (),
     also: Sequence[str] = (),
 ) -> str:
-    """What the intervals contain, and the largest error that they do not.
+    """The contents of the intervals, and the largest error that they do not contain.
 
     constants : those worth a word. found : sizes whose error the model of the answer contains, beside those
     of [plate.sd]. also : what else the intervals contain, in words.
@@ -324,7 +324,7 @@ def constant_title(name: str, material: Material | Hybrid) -> str:
 def reliance_sentences(
     reliances: Sequence[Reliance], prior_of: Callable[[str], Prior], shown: Sequence[str]
 ) -> tuple[str, ...]:
-    """What the prior of one constant does to the interval of another.
+    """Sentences on how the prior of one constant widens the interval of another.
 
     prior_of : a constant. shown : constants that are worth a word.
     """
@@ -348,7 +348,7 @@ def prior_text(name: str, prior: Prior) -> str:
 
 
 def _prior_text(name: str, prior: Prior) -> tuple[str, str]:
-    """What a prior is called, and its numbers in the unit of the plate file."""
+    """The name of a prior, and its numbers in the unit of the plate file."""
     unit = f" {unit_of(name)}".rstrip()
     numbers = prior.describe(partial(to_user, name))
     if numbers.centre is None:
@@ -362,12 +362,12 @@ def further_steps(steps: Sequence[str]) -> Section:
 
 
 def plate_argument(specimen: Specimen) -> str:
-    """What a command takes for a plate, quoted for a shell."""
+    """The plate as an argument of a command, quoted for a shell."""
     return shlex.quote(specimen.source.removeprefix("built-in "))
 
 
 def attached_step(specimen: Specimen) -> tuple[str, ...]:
-    """What to ask about masses on the plate, where the file gives none."""
+    """A question about masses on the plate, where the file gives none."""
     if specimen.sensors:
         return ()
     plate = specimen.plate
@@ -394,7 +394,7 @@ def more_modes_step(constants: Sequence[Constant]) -> tuple[str, ...]:
 def mismatch_step(
     specimen: Specimen, notices: Sequence[Notice], found: Sequence[str | None] = ()
 ) -> tuple[str, ...]:
-    """What to check before all else where the frequency list contradicts the plate.
+    """The first check where the frequency list contradicts the plate.
 
     notices : of the answer. found : label of the mode that each frequency was paired with, None for no mode.
     """

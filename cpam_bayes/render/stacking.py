@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from cpam_bayes.formatting import fixed, probable, significant, with_spread
 from cpam_bayes.inference.posterior import NOISE
 from cpam_bayes.plate import to_user, unit_of, user_name
-from cpam_bayes.render.figures import new_figure
+from cpam_bayes.render.figures import headed, new_figure
 from cpam_bayes.render.report import Caption, Column, Drawing, Rows, Table
 from cpam_bayes.stacking.posterior import EMCEE, IMPORTANCE, StackingMixture
 from cpam_bayes.stacking.queries import AngleInformation, GivenLayup, angle_information
@@ -48,7 +48,7 @@ class ListedSequence(NamedTuple):
 
     @property
     def angles(self) -> str:
-        """Of its first member, from the bottom."""
+        """Angles of its first member, from the bottom."""
         return angles_text(self.answer.top[self.i])
 
     @property
@@ -121,7 +121,7 @@ SEQUENCES: Final = (
 
 
 def angle_table(answer: StackingPosterior, information: AngleInformation) -> Table:
-    """What is known of each unknown angle."""
+    """The posterior of each unknown angle."""
 
     def best(j: int) -> str:
         p = answer.marginals[j]
@@ -147,7 +147,7 @@ def angle_table(answer: StackingPosterior, information: AngleInformation) -> Tab
 
 
 def outer_and_inner(information: AngleInformation) -> str:
-    """Whether the list tells more about the outer plies."""
+    """A comparison of the information about outer and inner plies."""
     bits = information.entropy_bits[information.outer_first]
     each = ", ".join(f"{abs(b):.2f}" for b in bits)
     if len(bits) < 2:
@@ -282,7 +282,9 @@ def angle_map(answer: StackingPosterior, given: GivenLayup | None = None) -> Fig
     if given is not None:
         axes.plot(given.angles_deg, plies, "x", ms=6, color=_BLUE, mew=2, label="printed sequence")
     axes.set(xlabel="angle, degrees", ylabel="unknown angle", xticks=np.arange(-90, 91, 30))
-    axes.set_title(f"{answer.specimen.name}: {_counted(answer.credible_count)} in the 95 % set", fontsize=11)
+    axes.set_title(
+        f"{answer.specimen.name}: {_counted(answer.credible_count)} in the 95 % set", fontsize=11, loc="left"
+    )
     labels = [
         f"{j}: {bits:.1f} of {information.most_bits:.1f} bits open"
         for j, bits in zip(plies, information.entropy_bits, strict=True)
@@ -333,9 +335,9 @@ def credible_set(answer: StackingPosterior, given: GivenLayup | None = None) -> 
     curve.set(xscale="log", xlabel="number of sequences", ylabel="probability of the set", ylim=(0.0, 1.03))
     curve.spines[["top", "right"]].set_visible(False)
     curve.legend(loc="lower right", bbox_to_anchor=(1.0, 0.1), frameon=False, fontsize=8)
-    figure.suptitle(
+    headed(
+        figure,
         f"{answer.specimen.name}: 95 % set of {_counted(answer.credible_count)} of {answer.enumerated}",
-        fontsize=11,
     )
     return figure
 

@@ -21,7 +21,7 @@ from typing import Final, TextIO
 
 from cpam_bayes.parallel import observed
 from cpam_bayes.render.report import Heading, Report, Summary, Table
-from cpam_bayes.running import Progress
+from cpam_bayes.running import Described, Progress
 
 __all__ = [
     "Terminal",
@@ -150,10 +150,10 @@ class Terminal:
         announce(text, self.quiet)
 
     def stage(
-        self, title: str, total: int, described: Callable[[float], str]
+        self, title: str, total: int, described: Described | None = None, counted: str = ""
     ) -> AbstractContextManager[Progress]:
         """Show one stage of the work until it ends."""
-        return progress(title, total, self.quiet, described)
+        return progress(title, total, self.quiet, described, counted)
 
 
 def announce(text: str, quiet: bool) -> None:
@@ -174,20 +174,41 @@ def timed_lines() -> Callable[[str], None]:
 
 @contextmanager
 def progress(
-    description: str, total: int, quiet: bool, described: Callable[[float], str]
+    description: str, total: int, quiet: bool, described: Described | None = None, counted: str = ""
 ) -> Iterator[Progress]:
     """Show the progress of a work until it ends.
 
-    total : the budget of iterations, which a search need not use. described : the misfit in words.
+    total : the budget of iterations, which a search need not use, or the number of ``counted``, such as
+    "plates", all of which are done. described : the misfit in words.
     """
     if quiet or sys.stderr is None:
         yield Progress(lambda iteration, best: None, lambda text: None)
         return
-    with forecasting() as forecast, forecast.stage(total) as clock:
+    with forecasting() as forecast, forecast.stage(total, is_budget=not counted) as clock:
         if sys.stderr.isatty() and os.environ.get("TERM") not in {None, "dumb", "unknown"}:
-            yield from _bar(description, total, described, clock)
+            yield from _bar(description, _Count(total, described, counted), clock)
         else:
-            yield _said_in_lines(description, total, described, clock)
+            yield _said_in_lines(description, _Count(total, described, counted), clock)
+
+
+@dataclass(frozen=True, slots=True)
+class _Count:
+    """How far a stage is, in words; counted : "" for the iterations of a search."""
+
+    total: int
+    described: Described | None
+    counted: str
+
+    @property
+    def begun(self) -> str:
+        """The size of the stage."""
+        return f"{self.total} {self.counted}" if self.counted else f"up to {self.total} iterations"
+
+    def at(self, iteration: int, best: float) -> str:
+        """The iteration, or the number of what is done, and the value that goes with it."""
+        number = f"{iteration} of {self.total}"
+        done = f"{number} {self.counted}" if self.counted else f"iteration {number}"
+        return done if self.described is None else f"{done}, {self.described(best)}"
 
 
 class Forecast:
@@ -202,9 +223,9 @@ class Forecast:
         self._stage: _Clock | None = None
 
     @contextmanager
-    def stage(self, total: int) -> Iterator[_Clock]:
+    def stage(self, total: int, *, is_budget: bool = False) -> Iterator[_Clock]:
         """The clock of a stage; what is shared out inside it says no other time."""
-        before, self._stage = self._stage, _Clock(total, self)
+        before, self._stage = self._stage, _Clock(total, self, is_budget=is_budget)
         try:
             yield self._stage
         finally:
@@ -226,8 +247,9 @@ class Forecast:
         if whole < _LONG or now + left <= self._end + _LATER * whole:
             return
         part = self._stage or clock
-        longer = f"longer than expected: about {duration(left)} left"
-        announce(longer if part.is_expected else f"this part takes about {duration(whole)}", False)
+        longer = f"longer than expected: {clock.about} {duration(left)} left"
+        takes = f"this part takes {clock.about} {duration(whole)}"
+        announce(longer if part.is_expected else takes, False)
         part.is_expected, self._end = True, now + left
 
 
@@ -254,10 +276,11 @@ def forecasting() -> Iterator[Forecast]:
 
 
 class _Clock:
-    """Estimates from what is done how long the rest of a budget takes."""
+    """Estimates from what is done how long the rest takes, of a budget of iterations at most."""
 
-    def __init__(self, total: int, forecast: Forecast) -> None:
+    def __init__(self, total: int, forecast: Forecast, *, is_budget: bool = False) -> None:
         self._total, self._forecast = total, forecast
+        self.about = "at most about" if is_budget else "about"
         self._first: tuple[int, float] | None = None
         self.has_told = self.is_expected = False
 
@@ -275,7 +298,7 @@ class _Clock:
         if seconds < _WORTH_SAYING:
             return ""
         self.has_told = True
-        return f", about {duration(seconds)} left"
+        return f", {self.about} {duration(seconds)} left"
 
 
 def duration(seconds: float) -> str:
@@ -289,23 +312,19 @@ def duration(seconds: float) -> str:
     return f"{hours} h {rest} min" if rest else f"{hours} h"
 
 
-def _said_in_lines(
-    description: str, total: int, described: Callable[[float], str], clock: _Clock
-) -> Progress:
-    step = max(1, total // _LINES)
-    announce(f"{description}: up to {total} iterations", False)
+def _said_in_lines(description: str, count: _Count, clock: _Clock) -> Progress:
+    step = max(1, count.total // _LINES)
+    announce(f"{description}: {count.begun}", False)
 
     def tick(iteration: int, best: float) -> None:
         left = clock.left(iteration)
         if iteration % step == 0:
-            announce(f"{description}: iteration {iteration} of {total}, {described(best)}{left}", False)
+            announce(f"{description}: {count.at(iteration, best)}{left}", False)
 
     return Progress(tick, lambda text: announce(f"{description}: {text}", False))
 
 
-def _bar(
-    description: str, total: int, described: Callable[[float], str], clock: _Clock
-) -> Iterator[Progress]:
+def _bar(description: str, count: _Count, clock: _Clock) -> Iterator[Progress]:
     from rich.console import Console
     from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
     from rich.progress import Progress as Bar
@@ -320,8 +339,8 @@ def _bar(
         task = bar.add_task(description, total=None, what="plate model")
 
         def tick(iteration: int, best: float) -> None:
-            what = f"iteration {iteration} of {total}, {described(best)}{clock.left(iteration)}"
-            bar.update(task, total=total, completed=iteration, what=what)
+            what = f"{count.at(iteration, best)}{clock.left(iteration)}"
+            bar.update(task, total=count.total, completed=iteration, what=what)
 
         def notify(text: str) -> None:
             bar.update(task, total=None, what=text)

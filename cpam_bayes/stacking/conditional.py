@@ -189,7 +189,7 @@ Stack = TypeVar("Stack")
 
 
 def joined(pieces: list[Stack]) -> Stack:
-    """What is known of several stacks as that of one."""
+    """Several stacks as one."""
     kind: Any = type(pieces[0])
     found: Stack = kind(*(np.concatenate([getattr(p, name) for p in pieces]) for name in kind.__slots__))
     return found
@@ -272,7 +272,7 @@ def _expand(
 
 
 def _distinct(z: Array, value: Array, curvature: Array) -> Array:
-    """Which of the optima (m, s) count: no copies of better ones and not negligible, bool."""
+    """True for the optima (m, s) that count: no copies of better ones and not negligible, bool."""
     m, s = value.shape
     order = np.argsort(-value, axis=1, kind="stable")
     keep = np.asarray(value > value.max(axis=1, keepdims=True) - _NEGLIGIBLE_NATS)

@@ -123,7 +123,7 @@ class PartialSums:
 
 
 def place_values(base: int, digits: int) -> Array:
-    """What each digit of a number counts, the first most, (digits,)."""
+    """The value of each digit of a number, the largest first, (digits,)."""
     return np.asarray(base ** np.arange(digits - 1, -1, -1, dtype=np.int64))
 
 
@@ -200,7 +200,7 @@ def values_of_prefix(enumeration: Enumeration, prefix: int) -> tuple[Array, Arra
 
 
 def _values(enumeration: Enumeration, prefixes: Array) -> Iterator[tuple[Array, Array, Array]]:
-    """Of each prefix its grid indices, the inner choices inside cells (m,) and their log evidence (m,)."""
+    """Grid indices of each prefix, the inner choices inside cells (m,) and their log evidence (m,)."""
     table, n_outer = enumeration.table, enumeration.sums.n_unknown - enumeration.n_inner
     digits = _prefix_digits(enumeration, prefixes)
     if table is None:

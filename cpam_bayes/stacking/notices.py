@@ -63,7 +63,7 @@ def _of_chains(mixture: StackingMixture) -> Iterator[Notice]:
 
 
 def _of_fit(result: StackingPosterior, fit: BestFit) -> Iterator[Notice]:
-    """What the fit of the most probable sequence says against all of them."""
+    """Notices against all sequences, from the fit of the most probable one."""
     template = result.conditional.template
     complete = template.measurement.complete
     if fit.p_value is not None and fit.p_value < _UNEXPLAINED:

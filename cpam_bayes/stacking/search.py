@@ -311,7 +311,7 @@ def training_problem(problem: StackingProblem, sums: PlySums) -> TrainingProblem
 def _joining(
     parts: tuple[DrawnPart | None, ...], listed: ListedClasses, n_listed: int, rng: np.random.Generator
 ) -> Evaluated:
-    """What joins the training set when the surrogate proves wrong: draws from it, and some of the best."""
+    """Additions to the training set where the surrogate is wrong: draws from it, and some of the best."""
     some = rng.permutation(len(listed.evaluated.sequences))[:n_listed]
     data = listed.evaluated[np.sort(some)]
     for part in parts[1:]:

@@ -434,7 +434,7 @@ def _mesh(axis: Array) -> Array:
 
 
 def _realisable(v: Array, width: float) -> Array:
-    """Whether a cell about v may hold sums of unit vectors: its Toeplitz matrix is nearly positive."""
+    """True where a cell about v may hold sums of unit vectors: its Toeplitz matrix is nearly positive."""
     a, b = v[:, 0] + 1j * v[:, 1], v[:, 2] + 1j * v[:, 3]
     unit = np.ones(len(v), dtype=complex)
     rows = ((unit, a, b), (a.conj(), unit, a), (b.conj(), a.conj(), unit))

@@ -174,7 +174,7 @@ def _same_masses(before: list[tuple[float, float, float]], after: list[tuple[flo
 def _compiled(
     name: str, layup: Layup, grid: Array, turned: Callable[[Array], Array], upside_down: bool
 ) -> Symmetry | None:
-    """What a motion does to the unknown angles; None if no sequence keeps the layup's form."""
+    """The unknown angles under a motion; None if no sequence keeps the layup's form."""
     permutation = np.array([_on_grid(float(turned(angle)), grid) for angle in grid])
     if np.any(permutation < 0):  # the grid is not mapped onto itself
         return None
@@ -238,7 +238,7 @@ def _content(symmetry: Symmetry) -> Any:
 
 
 def has_image(sequences: Array, symmetry: Symmetry) -> NDArray[np.bool_]:
-    """Whether sequences (m, n_unknown) meet the conditions of a symmetry, (m,)."""
+    """True where sequences (m, n_unknown) meet the conditions of a symmetry, (m,)."""
     holds = np.ones(len(sequences), dtype=bool)
     for k, index in symmetry.conditions:
         holds &= sequences[:, k] == index

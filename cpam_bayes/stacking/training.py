@@ -227,7 +227,7 @@ def _possibly_high(
 
 
 def _new(sequences: Array, data: Evaluated) -> NDArray[np.bool_]:
-    """Whether sequences (m, k) are not in the training set, (m,)."""
+    """True where sequences (m, k) are not in the training set, (m,)."""
     known = {tuple(s) for s in data.sequences}
     return np.array([tuple(s) not in known for s in sequences], dtype=bool)
 

@@ -92,7 +92,7 @@ def _with_headers(response: Response) -> Response:
 
 
 class _Pages:
-    """What is answered to a request that the guard let through."""
+    """The answers to requests that the guard let through."""
 
     def __init__(self, desk: Desk, token: str, cookie: str, first: Callable[[], Visit] | None) -> None:
         self.desk, self.token, self.cookie, self.first = desk, token, cookie, first
@@ -143,7 +143,7 @@ class _Pages:
         return HTMLResponse(visit_page(self._visit(request)))
 
     async def news(self, request: Request) -> Response:
-        """What changed since a version, as soon as something did."""
+        """The changes since a version, as soon as there is one."""
         visit = self._visit(request)
         await visit.news(_number(request, "seen"), _WAIT)
         return JSONResponse(news_of(visit, _number(request, "structure")))

@@ -24,7 +24,7 @@ from typing import Any, Final, TypeAlias
 from cpam_bayes.errors import PlateFileError
 from cpam_bayes.plate import MAX_BYTES, Specimen, parse_specimen
 from cpam_bayes.plate.text import decode, read_regular_file
-from cpam_bayes.running import Progress
+from cpam_bayes.running import Described, Progress
 from cpam_bayes.storage import draft_file, put_in_place, replaceable
 from cpam_bayes.workbench.plate_text import (
     FIELDS,
@@ -66,7 +66,7 @@ It raises ``ValueError`` for what the user can mend.
 
 
 class RefusedError(Exception):
-    """What a computation said that it cannot do, one problem each."""
+    """A computation's problems, one each, for which there is no answer."""
 
     def __init__(self, *problems: str) -> None:
         super().__init__(*problems)
@@ -83,7 +83,9 @@ class Shown:
         self._tell(-1.0, text)
 
     @contextmanager
-    def stage(self, title: str, total: int, described: Callable[[float], str]) -> Iterator[Progress]:
+    def stage(
+        self, title: str, total: int, described: Described | None = None, counted: str = ""
+    ) -> Iterator[Progress]:
         """Tell how far one stage is."""
         self._tell(0.0, title)
         yield Progress(
@@ -215,7 +217,7 @@ class Material:
 
 @dataclass(frozen=True, slots=True)
 class Tasks:
-    """What is computed of a plate file, called with its text, its name and its folder.
+    """Computations of a plate file, called with its text, its name and its folder.
 
     live : the answer about the last optimum, which is its fourth argument
     identify, diagnose, report : as the commands answer; report writes its folder
@@ -229,7 +231,7 @@ class Tasks:
 
 @dataclass(frozen=True, slots=True)
 class Desk:
-    """What all visits share.
+    """The state that all visits share.
 
     folder : of the plate files; nothing outside it is read or written
     blank : text of an empty plate file; example : of one to look at

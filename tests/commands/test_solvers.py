@@ -131,7 +131,7 @@ def test_a_holed_plate_that_was_weighed_is_denser_than_its_rectangle(run, with_m
     # 20000 mm2 less an ellipse of 40 x 20 mm, 32 chords round
     area = 20000.0 - 16 * np.sin(np.pi / 16) * 40 * 20
     density = 0.1 / (area * 1e-6 * 3e-3)
-    assert f"{density:.6g} kg/m3 from mass_g, 100 g" in out
+    assert f"{density:.6g} kg/m3 from the weighed mass, 100 g" in out
     assert (tmp_path / "out" / "figures" / "modes.png").stat().st_size > 10_000
 
 

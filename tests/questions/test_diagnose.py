@@ -323,10 +323,14 @@ def test_what_acts_beside_the_claim_is_told(clean):
     found = with_causes(clean, (*causes, *two), Claim("named", ("warp",), 0.95))
     assert found.beside == {"skew": 0.5, "damage": 0.4}
     assert claim_sentence(found) == f"{TITLES['warp'].capitalize()} (probability 0.950)."
-    (line,) = (text for text in summary(found).lines if "beside" in text)
+    (line,) = (text for text in summary(found).lines if "Perhaps also" in text)
     assert TITLES["skew"] in line
+    mostly = replace(
+        found, causes=tuple(replace(c, probability=0.6) if c.name == "warp" else c for c in found.causes)
+    )
+    assert f": {size_text(alone)} if alone." in claim_sentence(mostly)
     faint = replace(found, causes=(*causes, replace(two[0], probability=0.01)))
-    assert not any("beside" in text for text in summary(faint).lines)
+    assert not any("Perhaps also" in text for text in summary(faint).lines)
     assert replace(found, claim=Claim("class", ("warp", "skew"), 0.95)).beside == {"skew": 0.5, "damage": 0.4}
 
 
@@ -354,7 +358,7 @@ def test_detection_limits_and_what_cannot_be_seen_are_two_tables(clean, misread)
     d = replace(clean, detectable=entries)
     ((title, size, *_),) = table(d, "Detection limits")
     assert (title, size) == (TITLES["outlier"], "1.2 %")
-    assert [row[0] for row in table(d, "Not seen with 95 %")] == [TITLES["air"], TITLES["mode_identity"]]
+    assert [row[0] for row in table(d, "Cannot be seen")] == [TITLES["air"], TITLES["mode_identity"]]
 
 
 def test_a_claim_that_depends_on_assumed_sizes_is_warned_of(misread):

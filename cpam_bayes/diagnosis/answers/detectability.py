@@ -45,7 +45,7 @@ _OFFSETS = np.array([-1.5, -0.5, 0.0, 0.5, 1.5])
 
 @dataclass(frozen=True, slots=True)
 class ShiftLine:
-    """What a cause at one place does to the log frequencies at the plain model's optimum.
+    """Shifts of the log frequencies by a cause at one place, at the plain model's optimum.
 
     log_prior : of the cause and the place
     score : (k,) normal scores of the size
@@ -163,7 +163,7 @@ class _Gaussians:
         return _Gaussians(log_weight - log_det - float(np.log(len(covariances))), mean, np.linalg.inv(factor))
 
     def log_density(self, noise: Array, shift: Array) -> Array:
-        """Of residuals noise + shift, (n, n_f) and (m, n_f) -> (n, m)."""
+        """Log density of residuals noise + shift, (n, n_f) and (m, n_f) -> (n, m)."""
         turned = np.swapaxes(self.roots, 1, 2)
         a, b = (noise - self.mean) @ turned, shift @ turned
         squares = 2.0 * a @ np.swapaxes(b, 1, 2)
@@ -200,7 +200,7 @@ class _Level:
     others: tuple[tuple[_Gaussians, ...], ...]
 
     def log_evidences(self, noise: Array, shift: Array) -> Array:
-        """Of all causes, (n_causes, n, m), for noise (n, n_f) and shifts (m, n_f)."""
+        """Log evidences of all causes, (n_causes, n, m), for noise (n, n_f) and shifts (m, n_f)."""
         plain = self.plain.log_density(noise, shift)
         exponent = self.nodes @ (shift @ self.plain.roots[0].T).T + self.log_prior[:, None]
         top = exponent.max(axis=0, initial=-np.inf)
@@ -241,7 +241,7 @@ class LinearOracle:
         return _log_sum(np.stack([level.log_evidences(self.noise, shift) for level in self.levels]))
 
     def alike(self, shift: Array) -> Array:
-        """Whether a cause cannot be told from the one that shifts by (m, n_f), (n_causes, m).
+        """True where a cause cannot be distinguished from the one that shifts by (m, n_f), (n_causes, m).
 
         By the rules of `signatures`: the cosine with the nearest shift that it has, the constants' part
         taken out of both, or a fit without noise that is as good.
@@ -273,7 +273,7 @@ class _Paths:
     firsts: Array
 
     def nearest(self, target: Array) -> tuple[Array, Array]:
-        """Of targets (m, n_f) and the nearest node: largest cosine, squared distance, (n_causes, m) each."""
+        """Largest cosine with targets (m, n_f), squared distance to the nearest node, (n_causes, m) each."""
         if not len(self.starts):
             return np.zeros((0, len(target))), np.zeros((0, len(target)))
         norm, size = np.linalg.norm(self.nodes, axis=1), np.linalg.norm(target, axis=1)
@@ -380,7 +380,7 @@ def _sd(comparison: Comparison, x: Array) -> Array:
 
 
 def _covariance(comparison: Comparison, x: Array) -> Array:
-    """Of the log frequencies at parameters (n,), (n_f, n_f)."""
+    """Covariance of the log frequencies at parameters (n,), (n_f, n_f)."""
     f = comparison.listed.frequencies
     return np.asarray(comparison.covariance(x[None])[0] / np.outer(f, f))
 
@@ -412,7 +412,7 @@ def _noise_levels(none: Marginal, n: int) -> tuple[Array, Array, Array]:
 
 
 def _densities(t: Tested, none: Marginal, at: Array, log_weight: float) -> _Gaussians:
-    """Of the residuals under a hypothesis that scatters them, or lets the constants vary more.
+    """Densities of the residuals under a hypothesis that scatters them, or lets the constants vary more.
 
     at : (n,) parameters of the plain model, with a level of the noise
     """
@@ -466,7 +466,7 @@ _EVEN = 1e-3
 
 @dataclass(frozen=True, slots=True)
 class Detectable:
-    """What the lists would have shown of one cause.
+    """Detection limit of one cause in these lists.
 
     parameter : its size, ``None`` for a cause that has none
     smallest : distance of the size from its null, SI, from which the cause or its class would have been

@@ -109,7 +109,7 @@ def _apart(z: Array, curvature: Array, columns: list[int], fraction: Array) -> t
 Array = NDArray[Any]
 
 FACTORS: Final = (3.0, 1.0 / 3.0)
-"""Of the scales of the causes' sizes and of an inferred repeatability."""
+"""Factors on the scales of the causes' sizes and of an inferred repeatability."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -70,7 +70,7 @@ _HALF_LOG_2PI = 0.5 * np.log(2 * np.pi)
 
 @dataclass(frozen=True, slots=True)
 class Marginal:
-    """What one hypothesis says of the data, and what the data say of its parameters.
+    """The evidence of one hypothesis and the posterior of its parameters.
 
     sizes : columns of the effect's size and further coordinates
     log_evidence : log marginal likelihood
@@ -272,7 +272,7 @@ def _from_neighbours(comparison: Comparison, column: int, nodes: Nodes) -> Nodes
 
 
 def _bent(nodes: Nodes) -> Array:
-    """Whether the optimum of a node is off the line between those of its neighbours, (k,) bool.
+    """True where the optimum of a node is off the line between those of its neighbours, (k,) bool.
 
     Optima that move with the size on one branch are on it, those of two branches are not.
     """

@@ -354,7 +354,7 @@ def _along_tangents(columns: tuple[int, ...], rest: Array, scores: Array, optima
 
 
 def _best_of(value: Array, rest: Array, curvature: Array) -> tuple[Array, Array, Array]:
-    """Of candidates (k, s, ...) the best one of each node, and the best that is another optimum."""
+    """The best of candidates (k, s, ...) at each node, and the best that is another optimum."""
     k = len(value)
     rows = np.arange(k)
     first = value.argmax(axis=1)

@@ -344,7 +344,7 @@ class _EveryMode:
 
     @staticmethod
     def of(comparison: Comparison, i: int, cases: Sequence[PlateCase]) -> _EveryMode:
-        """Of the i-th plate."""
+        """The modes of the i-th plate."""
         wide, offsets = all_modes(comparison)
         last = offsets[i] + len(wide.model.parts[i].modes)
         first = sum(case.measurement.size for case in cases[:i])

@@ -77,7 +77,7 @@ def ready(executor: Executor | None) -> None:
 
 
 def _loaded() -> None:
-    """What a worker has done once it has this module."""
+    """Empty task, after which a worker has loaded this module."""
 
 
 def _worked(shared: tuple[Callable[[Any], Any], Held], item: bytes) -> bytes:
@@ -86,7 +86,7 @@ def _worked(shared: tuple[Callable[[Any], Any], Held], item: bytes) -> bytes:
 
 
 def _held(cases: Sequence[PlateCase]) -> Held:
-    """What stays where it is: models of the plates, and where a plate keeps them."""
+    """The objects that stay where they are: models of the plates, and where a plate keeps them."""
     held: Held = []
     for case in cases:
         held += [case.models, case.models.bare, case.extended, *case.extended.values()]

@@ -141,7 +141,7 @@ class Trial:
 
 @dataclass(frozen=True, slots=True)
 class Tried:
-    """What became of a trial.
+    """The outcome of a trial.
 
     tested : with every pairing that carries probability; none where it could not be tested
     best : largest log of prior times evidence so far

@@ -57,7 +57,7 @@ Array = NDArray[Any]
 
 @dataclass(frozen=True, slots=True)
 class PairSettings:
-    """Which two causes at once are fitted, and which are hypotheses of their own.
+    """Limits that say which two causes at once are fitted, and which are hypotheses of their own.
 
     fitted, fitted_further : pairs of the ranking about a point, and about the best pair
     promising : nats below the best hypothesis; where the lists are explained, pairs that promise less are not
@@ -119,7 +119,7 @@ class _Linear:
 
 @dataclass(frozen=True, slots=True)
 class _Shifts:
-    """What a cause does to the log frequencies of a point.
+    """Shifts of the log frequencies of a point by a cause.
 
     scores, log_prior : (k, d) of its sizes, and (k,) log prior weights; d = 0 for the leader of the point
     shift : (k, n_f)
@@ -473,7 +473,7 @@ class Weighed:
         return dict(sorted(probability.items(), key=lambda item: -item[1]))
 
     def log_bayes_factor(self, causes: Collection[str]) -> float:
-        """Of causes against none, all variants averaged over their priors and pairings summed."""
+        """Log Bayes factor of causes against none, variants averaged over their priors, pairings summed."""
         variants = [t for t in self.tested if t.hypothesis.cause in causes]
         prior = np.array([t.hypothesis.prior for t in variants])
         whole = sum(self.prior.get(cause, 0.0) for cause in {t.hypothesis.cause for t in variants})

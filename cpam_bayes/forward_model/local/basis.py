@@ -178,7 +178,7 @@ class _Training:
 
     @property
     def operator(self) -> DenseOperator:
-        """Of the full space."""
+        """The operator of the full space."""
         return self.plain.operator
 
 

@@ -20,7 +20,7 @@ Array = NDArray[Any]
 
 @dataclass(frozen=True, slots=True)
 class FieldPart:
-    """What one sector of trial functions contributes to a field of the basis vectors of one block.
+    """Contribution of one sector of trial functions to a field of the basis vectors of one block.
 
     sector : its number in the space
     block, columns : number of the block, and of its vectors in the whole basis
@@ -269,7 +269,7 @@ class PatchPoints:
     """The points of patches, in rows of n in y by n in x."""
 
     def __init__(self, parts: Parts, rules: Rules, sizes: dict[str, Array] | None = None) -> None:
-        """What fields have there.
+        """Fields at the points of some rules.
 
         sizes : lengths (m,) that divide derivatives. With them the rows are strains times the roots of the
             points' weights; without them they are derivatives.
@@ -318,7 +318,7 @@ class PatchPoints:
         return out.reshape(m, self.n_rows, -1)
 
     def loads(self, stresses: Array, k: int) -> Array:
-        """What stresses (m, n_rows, n_points k) do on the vectors of the common basis, (m, k, n)."""
+        """Work of stresses (m, n_rows, n_points k) on the vectors of the common basis, (m, k, n)."""
         m, n = self.shape
         stresses = stresses.reshape(m, self.n_rows, n, n * k)
         out = np.zeros((m, max(part.columns.stop for part in self.parts), k))
@@ -338,7 +338,7 @@ class PatchPoints:
 
 
 def _coefficients(part: FieldPart, vectors: Array) -> Array:
-    """Of vectors (m, n, k) of the common basis in the products of functions of a part, (m, nx, ny, k).
+    """Coefficients of vectors (m, n, k) of the basis in a part's products of functions, (m, nx, ny, k).
 
     Vectors may be shorter than the basis: the leading ones.
     """

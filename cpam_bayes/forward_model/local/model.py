@@ -29,7 +29,7 @@ _NUGGET = 1e-11
 
 
 class Change(Protocol):
-    """What is changed: a point mass, a softer patch."""
+    """A local change: a point mass, a softer patch."""
 
     def batches(self, added: Array) -> list[Array]:
         """Rows of the parameters of the change (m, k) that are solved together."""
@@ -79,7 +79,7 @@ class LocalModel:
         return self.bare.parameters.union(self.added)
 
     def admissible(self, x: Array) -> Array:
-        """Whether parameter vectors (m, n) satisfy the constraints of the material, (m,) bool."""
+        """True where parameter vectors (m, n) satisfy the constraints of the material, (m,) bool."""
         return self.bare.admissible(np.atleast_2d(x)[:, : self.bare.parameters.size])
 
     def predict(self, x: Array, *, jacobian: bool = False) -> Prediction:

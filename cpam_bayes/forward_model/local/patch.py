@@ -135,7 +135,7 @@ class Patch:
 
 
 def lost_energy(patch: Patch, model: LocalModel, plate: Array, added: Array, energy: Array) -> Array:
-    """What vectors of the basis, which stand in one block, lose in a patch at a depth of one, (m, r, r).
+    """Energy that the basis vectors of one block lose in a patch at a depth of one, (m, r, r).
 
     energy : of the vectors, (m, r, r)
     """
@@ -222,7 +222,7 @@ def _lowest(model: LocalModel, masses: list[Array]) -> Array:
 def loads_of_modes(
     patch: Patch, plain: PlateModel, parts: Parts, plate: Array, where: Array, modes: list[Array]
 ) -> Array:
-    """What the stresses of modes do over patches, if all stiffness were lost, (m, k, n).
+    """Work of the stresses of modes over patches, if all stiffness were lost, (m, k, n).
 
     plate : the plate's parameters, (n_plate,)
     where : place and extent, (m, 3)

@@ -73,7 +73,7 @@ def batch(
 
     Parameters
     ----------
-    plates : what `read_plate` takes, or what it returns
+    plates : of each a built-in name, a path, a table or a `Specimen`, see `read_plate`
     limits : such as "E1_GPa >= 115"; each row has the probability of meeting them
     diagnosis : whether to ask what the plate model gets wrong, as `diagnose` does
     hierarchical : whether to ask for the mean constants of the material and their scatter from plate to
@@ -82,7 +82,7 @@ def batch(
     store : a directory that keeps finished plates; the same call goes on from there
     executor, workers : where the plates are computed, see `cpam_bayes.parallel.open_executor`; the answer is
         the same
-    watch : is shown the progress
+    watch : display of the progress; none where left out
 
     Raises
     ------
@@ -138,7 +138,7 @@ def batch(
 
 
 def _not_described(rows: Sequence[PlateRow]) -> Iterator[Notice]:
-    """Which plates have a misfit that the stated noise does not explain."""
+    """Notices of plates with a misfit that the stated noise does not explain."""
     worst = sorted((row for row in rows if row.misfit > 1.0), key=lambda row: -row.misfit)
     if worst:
         yield Notice("undescribed_plates", facts={"plates": tuple((row.name, row.misfit) for row in worst)})
@@ -231,7 +231,7 @@ def _computed(
 
     with (
         open_executor(executor, workers) as pool,
-        watch.stage("batch", len(items), lambda left: f"{left:.0f} plates left") as shown,
+        watch.stage("batch", len(items), counted="plates") as shown,
     ):
         if diagnosis:
             _build_models([items[i][1] for i in missing], pool, shown.notify)

@@ -1,4 +1,4 @@
-"""What is shown of a batch: its plates, limits and control chart."""
+"""The presentation of a batch: its plates, limits and control chart."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from cpam_bayes.batches.population import LEAST_PLATES, Population, PopulationCo
 from cpam_bayes.formatting import listed, significant, with_spread
 from cpam_bayes.plate import to_user, unit_of
 from cpam_bayes.questions.batch.result import SURE, BatchResult, document, plates
-from cpam_bayes.render.figures import MEASURED, new_figure
+from cpam_bayes.render.figures import MEASURED, headed, new_figure
 from cpam_bayes.render.report import (
     COMPUTATION,
     Caption,
@@ -34,8 +34,8 @@ if TYPE_CHECKING:
 
 # Rows of a first screen, and names in a sentence.
 _MOST_ROWS, _MOST_NAMES = 40, 10
-# Plates whose names stand below the axis of the control chart.
-_MOST_TICKS = 40
+# Plates whose names stand below the axis of the control chart, and beside each other there.
+_MOST_TICKS, _MOST_UPRIGHT = 40, 6
 _OUTSIDE: Final = "#b3261e"
 _FAILED: Final = (Column("file", "file", lambda row: row.file), Column("why", "why", lambda row: row.message))
 
@@ -162,6 +162,12 @@ def _mean(result: BatchResult, name: str) -> float:
     return float(np.mean([to_user(name, c.value) for c in _values(result, name)]))
 
 
+def _mean_text(result: BatchResult, name: str) -> str:
+    """The mean to the digits of the scatter of the plates, or of a single one."""
+    scatter = _scatter(result, name)
+    return with_spread(_mean(result, name), scatter if np.isfinite(scatter) else _own_sd(result, name))[0]
+
+
 def _scatter(result: BatchResult, name: str) -> float:
     values = [to_user(name, c.value) for c in _values(result, name)]
     return float(np.std(values, ddof=1)) if len(values) > 1 else float("nan")
@@ -185,7 +191,8 @@ def _constants(result: BatchResult) -> Rows:
     of = partial
     columns = (
         Column("", "name", str),
-        Column("mean", "mean", of(_mean, result), lambda v: significant(v, 4), number=True),
+        Column("mean", None, of(_mean_text, result), number=True),
+        Column(None, "mean", of(_mean, result)),
         Column(
             "sd of plates", "sd_of_plates", of(_scatter, result), lambda v: significant(v, 2), number=True
         ),
@@ -224,7 +231,7 @@ def _next_plate_text(c: PopulationConstant) -> str:
 
 
 def _probabilities(result: BatchResult, limit: Limit) -> list[float]:
-    """Of meeting a limit, of all plates that have the constant."""
+    """Probabilities of meeting a limit, of all plates that have the constant."""
     return [p for row in result.done if (p := result.probability(row, limit)) is not None]
 
 
@@ -288,11 +295,12 @@ def _control_charts(result: BatchResult) -> Figure:
         axes.plot(place[red], value[red], "o", color=_OUTSIDE, markersize=4.5)
         for limit in result.limits:
             if limit.name == name:
-                axes.axhline(to_user(name, limit.value), color=_OUTSIDE, linestyle="--", linewidth=1)
+                axes.axhline(to_user(name, limit.value), color=MEASURED, linestyle="--", linewidth=1)
         axes.set_ylabel(f"{name}, {unit_of(name)}" if unit_of(name) else name)
     if len(rows) <= _MOST_TICKS:
-        grid[-1].set_xticks(range(len(rows)), [row.name for row in rows], rotation=90, fontsize="small")
+        turned = 90 if len(rows) > _MOST_UPRIGHT else 0
+        grid[-1].set_xticks(range(len(rows)), [row.name for row in rows], rotation=turned, fontsize="small")
     else:
         grid[-1].set_xlabel("plate, in the order of the batch")
-    figure.suptitle(f"Constants of {len(rows)} plates")
+    headed(figure, f"Constants of {len(rows)} plates")
     return figure

@@ -33,7 +33,7 @@ _OF_CONSTANT: Final = (
     Column(None, "q975", lambda c: to_user(c.name, 1.0) * c.high),
     Column(None, "verdict", lambda c: c.verdict.value),
 )
-"""Of a `RowConstant`, in the unit of the plate file."""
+"""Columns of a `RowConstant`, in the unit of the plate file."""
 _OF_CLAIM: Final = (
     Column(None, "claim", lambda d: d.claim),
     Column(None, "causes", lambda d: list(d.causes)),
@@ -41,7 +41,7 @@ _OF_CLAIM: Final = (
     Column(None, "probability_beside", lambda d: d.probability_beside),
     Column(None, "probability_none", lambda d: d.probability_none),
 )
-"""Of a `PlateDiagnosis`."""
+"""Columns of a `PlateDiagnosis`."""
 _OF_PLATE: Final = (
     Column(None, "file", lambda row: row.file),
     Column("plate", "name", lambda row: row.name),
@@ -184,7 +184,7 @@ def _probability(result: BatchResult, limit: Limit, row: PlateRow) -> float | No
 
 
 def _verdict(result: BatchResult, row: PlateRow) -> BatchVerdict | None:
-    """Whether a plate meets all limits with enough probability; None where there are none."""
+    """The verdict of a plate on all limits; None where there are none."""
     if not result.limits:
         return None
     limited = [row.constant(limit.name) for limit in result.limits]

@@ -1,4 +1,4 @@
-"""What the simulation of one or several plates gets wrong: the question `diagnose`."""
+"""Errors of the plate, the list or the model, weighed by probability: the question `diagnose`."""
 
 from __future__ import annotations
 
@@ -64,12 +64,13 @@ def diagnose(
     workers: int | None = None,
     watch: Watch = SILENT,
 ) -> DiagnosisResult:
-    """What the simulation gets wrong, its cause by probability, the extended model and what it gains.
+    """The probable errors of the plate, the list or the model, and the constants that allow for them.
 
     Parameters
     ----------
-    plates : what `read_plate` takes, or what it returns; several plates are of one material and share
-        their constants, those with equal ``specimen`` are one plate under several tests
+    plates : of each a built-in name, a path, a table or a `Specimen`, see `read_plate`;
+        several plates are of one material and share their constants, those with equal ``specimen`` are one
+        plate under several tests
     scatter : relative standard deviation of a constant from plate to plate of one material
     prior_none : prior probability that nothing is wrong, 0.5 where left out
     next_test : when to rank further tests: while the cause is "open", "always", or "never"
@@ -79,7 +80,7 @@ def diagnose(
         "processes", as many as cores or ``workers``, which needs the call under
         ``if __name__ == "__main__":`` in a script; or a Dask cluster, see
         `cpam_bayes.parallel.open_executor`. The answer is the same
-    watch : is shown the progress
+    watch : display of the progress; none where left out
 
     Raises
     ------
@@ -137,13 +138,13 @@ def diagnose(
 
 
 def _remarks(specimens: Sequence[Specimen]) -> tuple[Notice, ...]:
-    """What reading the measurements left doubtful."""
+    """Doubts from reading the measurements."""
     measurements = [s.measurement for s in specimens if s.measurement is not None]
     return as_written(remark for m in measurements for remark in m.remarks)
 
 
 def _slips(diagnosis: Diagnosis, specimens: Sequence[Specimen]) -> tuple[Notice, ...]:
-    """What most likely ruins the diagnosis."""
+    """Likely slips that ruin the diagnosis."""
     fit = diagnosis.extended or diagnosis.baseline
     unknowns = {name for specimen in specimens for name in specimen.unknowns.names}
     measurements = [s.measurement for s in specimens if s.measurement is not None]
@@ -193,7 +194,7 @@ def _diagnosed(
     if prior_none is not None:
         hypotheses = with_prior_of_none(hypotheses, prior_none)
     n = len(hypotheses)
-    with watch.stage(title, n, lambda done: "of the hypotheses") as shown:
+    with watch.stage(title, n, counted="hypotheses") as shown:
 
         def progress(done: int, total: int) -> None:
             if done <= n:
@@ -244,7 +245,7 @@ def _require_one_material(specimens: Sequence[Specimen]) -> None:
 
 
 def _sizes(specimen: Specimen) -> tuple[float | str, ...]:
-    """What does not change from test to test of a plate."""
+    """The sizes that do not change from test to test of a plate."""
     plate = specimen.plate
     return (plate.length, plate.width, plate.thickness, plate.density, plate.layup.text)
 

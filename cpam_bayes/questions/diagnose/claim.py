@@ -95,9 +95,10 @@ def claim_sentence(d: Diagnosis) -> str:
             return f"No evidence of an error (Bayes factor {significant(d.bayes_factor, 2)})."
         case "named":
             cause = by_name[d.claim.causes[0]]
-            beside = d.probability_beside >= CLAIM_RULES.beside * d.claim.probability
-            said = _found(d, cause) if not beside else title_of(d, cause.name) + _of_plates(d, cause)
-            return f"{_capital(said)} (probability {p})."
+            if d.probability_beside < CLAIM_RULES.beside * d.claim.probability:
+                return f"{_capital(_found(d, cause))} (probability {p})."
+            said = _capital(title_of(d, cause.name) + _of_plates(d, cause))
+            return f"{said} (probability {p}){_alone(d, cause)}."
         case "class":
             which = listed([title_of(d, name) for name in d.claim.causes], "or")
             return (
@@ -112,7 +113,7 @@ def claim_sentence(d: Diagnosis) -> str:
 
 
 def _undecided(d: Diagnosis) -> str:
-    """What is open where nothing is claimed: the cause, or whether there is one."""
+    """The headline where nothing is claimed: open is the cause, or whether there is one."""
     causes = [c for c in d.causes if c.name != NONE][:FEW]
     if d.weighed.is_cut_short:
         causes = [c for c in causes if c.probability >= _TOLD]
@@ -135,14 +136,11 @@ def _with_probabilities(d: Diagnosis, causes: Sequence[Cause]) -> str:
 
 def _found(d: Diagnosis, cause: Cause) -> str:
     """A cause with its size and where it is; of a pair, one after the other."""
-    plate = next(case for case in d.cases if case.name in cause.plates).models.specimen.plate
     said, in_list = [], _in_list(d, cause)
     for effect in cause.hypothesis.records:
         size = size_text(cause, (effect,))
         if effect.local == "point":
-            place = place_of(cause, plate)
-            near = f" near ({1e3 * place[0][0]:.0f}, {1e3 * place[0][1]:.0f}) mm" if place else ""
-            said.append(f"something heavy was on the plate, {size}{near}")
+            said.append(f"something heavy was on the plate, {size}{_near(d, cause)}")
         else:
             title = in_list if effect in cause.hypothesis.unmodelled and in_list else effect.title
             said.append(", ".join(t for t in (title, size) if t))
@@ -151,8 +149,21 @@ def _found(d: Diagnosis, cause: Cause) -> str:
     return f"{'; '.join(said) or title_of(d, cause.name)}{where}{_of_plates(d, cause)}"
 
 
+def _alone(d: Diagnosis, cause: Cause) -> str:
+    """Size and place of a cause that something else may act beside, "" where it hardly acts alone."""
+    size = size_text(cause) if cause.probability >= _CONTAINED * d.claim.probability else ""
+    return f": {size}{_near(d, cause)} if alone" if size else ""
+
+
+def _near(d: Diagnosis, cause: Cause) -> str:
+    """The place of a cause of one place, "" for another cause."""
+    plate = next(case for case in d.cases if case.name in cause.plates).models.specimen.plate
+    place = place_of(cause, plate)
+    return f" near ({1e3 * place[0][0]:.0f}, {1e3 * place[0][1]:.0f}) mm" if place else ""
+
+
 def _in_list(d: Diagnosis, cause: Cause) -> str:
-    """What is wrong with the list, "" where nothing is."""
+    """The error of the list in words, "" where there is none."""
     change = cause.hypothesis.listed
     case = next(case for case in d.cases if case.name in cause.plates)
     k = change.misread if change.spurious is None else change.spurious
@@ -212,11 +223,11 @@ def stated_levels(d: Diagnosis) -> list[tuple[float, str]]:
 
 
 def _beside(d: Diagnosis) -> tuple[str, ...]:
-    """What may act beside what is claimed."""
+    """Possible further errors beside the claimed one."""
     if d.probability_beside < CLAIM_RULES.beside * d.claim.probability:
         return ()
     said = some_of([f"{title_of(d, name)} {probability_text(p)}" for name, p in d.beside.items()])
-    return (f"Something else acts beside it ({probability_text(d.probability_beside)}): {said}.",)
+    return (f"Perhaps also: {said}.",)
 
 
 def _alike(d: Diagnosis) -> tuple[str, ...]:
@@ -225,11 +236,12 @@ def _alike(d: Diagnosis) -> tuple[str, ...]:
     if d.claim.kind != "named" or cause is None or not cause.indistinguishable_from:
         return ()
     others = [title_of(d, name) for name in cause.indistinguishable_from[:FEW]]
-    return (f"Only the usual sizes of errors speak against {listed(others, 'or')}.",)
+    which = listed(others, "or")
+    return (f"These frequencies cannot exclude {which}: only the assumed sizes of errors speak against it.",)
 
 
 def _seen(d: Diagnosis) -> tuple[str, ...]:
-    """Whether a forgotten mass, or the error that shows best, would have been seen."""
+    """The smallest forgotten mass, or of the error that shows best, that would have been seen."""
     if d.claim.kind not in (NONE, "undecided"):
         return ()
     rows = [row for row in detectable_rows(d) if row.probability is not None]
@@ -239,7 +251,7 @@ def _seen(d: Diagnosis) -> tuple[str, ...]:
         return (f"A forgotten mass of {detectable_size(mass)} or more would have been seen.",)
     seen = [row for row in rows if row.in_sd is not None]
     best = min(seen, key=lambda row: row.in_sd or 0.0, default=None)
-    shown = f"{_capital(best.title)} of {detectable_size(best)} would have been seen" if best else ""
+    shown = f"{_capital(best.title)}: {detectable_size(best)} or more would have been seen" if best else ""
     if mass is not None:
         said = "a forgotten mass would not" if shown else "A forgotten mass would not have been seen"
         return (f"{'; '.join(t for t in (shown, said) if t)}.",)
@@ -259,7 +271,7 @@ def _left_out(d: Diagnosis) -> tuple[str, ...]:
 
 
 def _contained(d: Diagnosis, plates: Sequence[Specimen]) -> tuple[str, ...]:
-    """Which errors of size, mass and scale the intervals contain, once where all plates are alike."""
+    """Errors of size, mass and scale inside the intervals, once where all plates are alike."""
     said = [_contained_of(d, specimen) for specimen in plates]
     if len(set(said)) == 1:
         return (said[0],)
@@ -293,7 +305,7 @@ def _depends(d: Diagnosis) -> tuple[str, ...]:
 
 
 def sensitivity_sentence(d: Diagnosis) -> str:
-    """What becomes of the claim with other scales of the priors."""
+    """The dependence of the claim on the scales of the priors."""
     inferred = d.weighed.none.marginal.comparison.noise is not None
     what = "errors and noise" if inferred else "errors"
     if d.sensitivity.claim_stands:
@@ -318,7 +330,7 @@ def _short(d: Diagnosis, claim: Claim, probability: Mapping[str, float]) -> str:
 
 
 def next_steps(result: DiagnosisResult) -> tuple[str, ...]:
-    """What to do now, the most useful first: mend the list, check what is claimed, or measure more."""
+    """Next steps, the most useful first: mend the list, check what is claimed, or measure more."""
     d, constants = result.diagnosis, answer_constants(result.diagnosis)
     steps = [step for plate in result.plates for step in mismatch_step(plate, result.notices)]
     if d.claim.kind == OTHER:
@@ -366,7 +378,7 @@ def _further_test(candidates: Sequence[Candidate]) -> tuple[tuple[str, ...], boo
 
 
 def scale_errors_of(d: Diagnosis, specimen: Specimen) -> tuple[ScaleError, ...]:
-    """Of the sizes, the mass and the frequency scale of one plate, at the constants of the answer."""
+    """Errors by the sizes, the mass and the frequency scale of one plate, at the constants of the answer."""
     case = next(case for case in d.cases if case.models.specimen is specimen)
     models, paired = case.models, np.flatnonzero(case.modes >= 0)
     found = {c.name: c.value for c in answer_constants(d)}

@@ -112,7 +112,7 @@ class DiagnosisResult(Result):
 
     @property
     def probability(self) -> float:
-        """Of the claim."""
+        """The probability of the claim."""
         return self.diagnosis.claim.probability
 
 
@@ -384,7 +384,7 @@ _DETECTABLE: Final = (
     Column(None, "cause", lambda r: r.cause),
     Column("error", None, lambda r: r.title),
     Column("smallest size that shows", None, lambda r: r.smallest and detectable_size(r), number=True),
-    Column("in usual sizes", None, lambda r: r.in_sd, lambda v: significant(v, 2), True),
+    Column("in assumed sd", None, lambda r: r.in_sd, lambda v: significant(v, 2), True),
     Column(None, "smallest", lambda r: r.smallest),
     Column(None, "unit", lambda r: r.unit),
     Column(
@@ -412,7 +412,9 @@ def _hypothesis_columns(d: Diagnosis) -> tuple[Column, ...]:
         text = size_text(cause)
         return f"{text} (hidden)" if cause.absorbed and text else text
 
-    def where(cause: Cause) -> str:
+    def where(cause: Cause) -> str | None:
+        if cause.name in (NONE, OTHER):
+            return None
         at = place_text(cause, plates[cause.plates[0]]) if cause.plates else ""
         return "; ".join(t for t in (at, cause.variant) if t)
 

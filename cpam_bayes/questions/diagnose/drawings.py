@@ -37,6 +37,7 @@ from cpam_bayes.render.figures import (
     REFERENCE,
     draw_shape,
     extent_of,
+    headed,
     new_figure,
 )
 from cpam_bayes.render.plate import plate_caption, plate_drawing
@@ -95,7 +96,7 @@ def _claimed(d: Diagnosis) -> tuple[Cause, ...]:
 
 
 def _draw_found(result: DiagnosisResult, found: Sequence[Cause], axes: Axes, i: int) -> None:
-    """What was found on the plate of a number, millimetres."""
+    """Marks of what was found on the i-th plate, millimetres."""
     d, plate = result.diagnosis, result.plates[i].plate
     texts = []
     for cause in found:
@@ -110,7 +111,8 @@ def _draw_found(result: DiagnosisResult, found: Sequence[Cause], axes: Axes, i: 
                 _draw_angle(axes, cause, effect, plate)
             size = size_text(cause, (effect,))
             texts.append(f"{effect.title}{', ' if size else ''}{size}")
-    axes.set_title("\n".join(texts), fontsize=9, color=PREDICTED)
+    said = "\n".join(texts).replace("+-", "\N{PLUS-MINUS SIGN}")
+    axes.set_title(said, fontsize=9, color=PREDICTED)
 
 
 def _draw_place(axes: Axes, cause: Cause, effect: Effect, plate: Plate) -> None:
@@ -178,12 +180,12 @@ def _draw_angle(axes: Axes, cause: Cause, effect: Effect, plate: Plate) -> None:
 def _residuals(result: DiagnosisResult) -> Drawing:
     claimed = result.extended is not None
     text = (
-        "Blue: what the model leaves of each frequency without what was found; orange: with it. "
+        "Residual of each frequency. Blue: without what was found; orange: with it. "
         if claimed
-        else "What the model leaves of each frequency. "
+        else "Residual of each frequency. "
     )
     text += (
-        "A bar whose whisker reaches zero is noise. Below each bar stands the shape of its mode, red up and "
+        "Noise explains a bar whose whisker reaches zero. Below each bar: the shape of its mode, red up and "
         "blue down."
     )
     rows = result.plain.frequencies if result.extended is None else result.extended.frequencies
@@ -211,7 +213,7 @@ def _residuals_figure(result: DiagnosisResult) -> Figure:
     title = f"{_names(d)}: misfit {100 * d.baseline.rms:.2f} %"
     if d.extended is not None:
         title += f", with what was found {100 * d.extended.rms:.2f} %"
-    panels[0].suptitle(title, fontsize=10)
+    headed(panels[0], title)
     return figure
 
 
@@ -269,7 +271,7 @@ def _sd_percent(row: FrequencyRow) -> float:
 
 
 def _limits(rows: Sequence[FrequencyRow]) -> tuple[float, float]:
-    """Of the residuals, with room for the key; whiskers may be cut."""
+    """Limits of the axis of residuals, with room for the key; whiskers may be cut."""
     shown = [row for row in rows if row.predicted is not None]
     largest = max((abs(row.residual_percent or 0.0) for row in shown), default=0.0)
     whisker = float(np.median([2.0 * _sd_percent(row) for row in shown])) if shown else 1.0
@@ -310,7 +312,7 @@ def _causes_figure(d: Diagnosis) -> Figure:
     figure.legend(loc="outside lower center", frameon=False, fontsize=9)
     axes.spines[["top", "right", "left"]].set_visible(False)
     axes.tick_params(axis="y", length=0)
-    figure.suptitle(f"{_names(d)}: probability of each cause", fontsize=10)
+    headed(figure, f"{_names(d)}: probability of each cause")
     return figure
 
 
@@ -361,7 +363,7 @@ def _signatures_figure(d: Diagnosis) -> Figure:
     titles = [title_of(d, name) for name in names]
     axes.set_xticks(range(len(names)), titles, rotation=90, fontsize=9)
     axes.set_yticks(range(len(names)), titles, fontsize=9)
-    figure.suptitle(f"{_names(d)}: which causes look alike", fontsize=10)
+    headed(figure, f"{_names(d)}: which causes look alike")
     bar = figure.colorbar(drawn, ax=axes, shrink=0.8)
     bar.set_label(f"|cosine| of signatures; framed: above {ALIKE:g}", fontsize=9)
     return figure
@@ -369,15 +371,15 @@ def _signatures_figure(d: Diagnosis) -> Figure:
 
 def _detectable(d: Diagnosis) -> Drawing:
     caption = Caption(
-        "The shorter the bar, the smaller the error that would have shown. Pale: cannot be seen in this "
-        "test, however large.",
+        "The shorter the bar, the smaller the error that would have shown. Dotted: the standard deviation "
+        "that is assumed for the error. Pale: cannot be seen in this test.",
         "The smallest size of each cause that these frequencies would have shown with 95 % probability.",
     )
     return Drawing("detectable", partial(_detectable_figure, d), caption)
 
 
 def _detectable_figure(d: Diagnosis) -> Figure:
-    """The smallest size of each cause that these data would have shown, in usual sizes."""
+    """The smallest size of each cause that these data would have shown, in assumed standard deviations."""
     rows = [row for row in detectable_rows(d) if row.probability is not None]
     rows.sort(key=lambda row: (row.in_sd is None, row.in_sd))
     sizes = [row.in_sd for row in rows if row.in_sd is not None]
@@ -393,10 +395,10 @@ def _detectable_figure(d: Diagnosis) -> Figure:
     axes.axvline(1.0, color=REFERENCE, linewidth=0.8, linestyle=":")
     axes.set_yticks(range(len(rows)), [row.title for row in rows], fontsize=9)
     axes.invert_yaxis()
-    axes.set(xscale="log", xlim=(left, 2.0 * right), xlabel="smallest size, in usual sizes (dotted: one)")
+    axes.set(xscale="log", xlim=(left, 2.0 * right), xlabel="smallest size / assumed sd")
     axes.spines[["top", "right", "left"]].set_visible(False)
     axes.tick_params(axis="y", length=0)
-    figure.suptitle(f"{_names(d)}: detection limits", fontsize=10)
+    headed(figure, f"{_names(d)}: detection limits")
     return figure
 
 
@@ -426,7 +428,7 @@ def _constants_figure(d: Diagnosis) -> Figure:
         axes.spines[["top", "right", "bottom"]].set_visible(False)
     handles, labels = figure.axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", frameon=False, fontsize=9, ncols=3)
-    figure.suptitle(f"{_names(d)}: constants", fontsize=10)
+    headed(figure, f"{_names(d)}: constants")
     return figure
 
 

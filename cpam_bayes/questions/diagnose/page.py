@@ -79,7 +79,7 @@ def _present(result: DiagnosisResult) -> Report:
 
 
 def _sections(result: DiagnosisResult) -> tuple[Section, ...]:
-    """What was found and the fit of each mode, then all that stands behind the claim, folded."""
+    """The finding and the fit of each mode, then all that stands behind the claim, folded."""
     d = result.diagnosis
     drawn = {drawing.name for drawing in drawings(result)}
 
@@ -114,7 +114,7 @@ def _sections(result: DiagnosisResult) -> tuple[Section, ...]:
             figure("constants"),
         ),
         Section("Which causes look alike", figures=figure("signatures")),
-        Section("What to do after that", (*further_steps(next_steps(result)[1:]).tables, _next(result))),
+        Section("Further steps", (*further_steps(next_steps(result)[1:]).tables, _next(result))),
         _plates_section(result),
         Section(COMPUTATION, (_work(d, result.seed),)),
     )
@@ -148,7 +148,7 @@ def _misfit(d: Diagnosis, fit: Fit, title: str) -> Table:
 def _p_value(d: Diagnosis, fit: Fit) -> str:
     inferred = d.weighed.none.marginal.comparison.noise is not None
     noise = "the assumed repeatability" if inferred else "the stated repeatability"
-    return f"{probability_text(fit.predictive_p)}, the chance of residuals as large with {noise}"
+    return f"{probability_text(fit.predictive_p)}, the probability of residuals as large with {noise}"
 
 
 def _frequencies(result: DiagnosisResult) -> Table:
@@ -208,7 +208,7 @@ def _is_far(row: FrequencyRow) -> bool:
 
 
 def _other_mode(row: tuple[FrequencyRow, FrequencyRow]) -> str | None:
-    """What a frequency is without what was found, where that is another mode."""
+    """The mode of a frequency without what was found, where that is another mode."""
     before, after = row
     if after.number == before.number:
         return None
@@ -236,9 +236,9 @@ def _detectable(result: DiagnosisResult) -> tuple[Table, Table]:
     unseen = tuple(row for row in rows.rows if row.smallest is None)
     return (
         replace(rows, rows=seen).table(
-            "Detection limits, 95 of 100 repetitions; usual size: one standard deviation of the catalogue"
+            "Detection limits: smallest size that shows in 95 of 100 tests; sd: as assumed for the error"
         ),
-        replace(rows, rows=unseen).table("Not seen with 95 % probability at any size"),
+        replace(rows, rows=unseen).table("Cannot be seen in this test"),
     )
 
 
@@ -314,7 +314,7 @@ def _sampled(d: Diagnosis, resampled: Resampled | None) -> Table:
 
 
 def _gain(d: Diagnosis) -> Table:
-    """What modelling the claimed cause is worth."""
+    """The gain of modelling the claimed cause."""
     if d.gain is None or d.extended is None:
         return facts("Gain", ())
     gain = d.gain

@@ -208,13 +208,13 @@ def sample(
 
     Parameters
     ----------
-    plate : what `read_plate` takes, or what it returns
+    plate : a built-in name, a path, a table or a `Specimen`, see `read_plate`
     likelihood : "relative" noise, in proportion to a frequency, or "absolute", one standard deviation in Hz
         for all modes, which is inferred: eq. (7)
     degrees_of_freedom : of Student-t noise; infinite for Gaussian noise
     settings : of the ensembles
     store : a directory that keeps finished rounds; the same call goes on from there
-    watch : is shown the progress
+    watch : display of the progress; none where left out
 
     Raises
     ------
@@ -399,7 +399,7 @@ def _slips(
     *,
     inferred: bool,
 ) -> tuple[Notice, ...]:
-    """What most likely ruins the posterior.
+    """Likely slips that ruin the posterior.
 
     residuals : (n,) of the mean, nan where a frequency belongs to no mode. noise : relative, if inferred.
     """
@@ -428,7 +428,7 @@ def _scale_errors(
     pairing: Pairing,
     order: Array,
 ) -> tuple[ScaleError, ...]:
-    """Of the sizes, the mass and the frequency scale, at the most probable draw."""
+    """Errors by the sizes, the mass and the frequency scale, at the most probable draw."""
     _, unknowns = required(specimen)
     values = model.parameters.mapping(best[: model.parameters.size])
     known = pairing.mode >= 0
@@ -443,7 +443,7 @@ def _scale_errors(
 
 
 def _reliances(posterior: Posterior, draws: Array, names: tuple[str, ...]) -> tuple[Reliance, ...]:
-    """Of the elastic constants; draws : (m, n) of all parameters."""
+    """Reliances of the elastic constants; draws : (m, n) of all parameters."""
     kept = [posterior.parameters.names.index(name) for name in names]
     prior_sd = np.array([posterior.parameters[name].prior.sd for name in names])
     return reliances(names, np.atleast_2d(np.cov(draws[:, kept].T)), prior_sd)

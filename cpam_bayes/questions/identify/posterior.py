@@ -1,4 +1,4 @@
-"""What `identify --backend emcee` shows: a posterior, what determines it, and how far to trust it."""
+"""The presentation of `identify --backend emcee`: a posterior, its sources, and its reliability."""
 
 from __future__ import annotations
 
@@ -202,7 +202,7 @@ def _gaps(result: SampledResult) -> tuple[str, ...]:
 
 
 def _steps(result: SampledResult, use: Sequence[str]) -> tuple[str, ...]:
-    """What to do, the most useful first."""
+    """Next steps, the most useful first."""
     specimen = result.specimen
     return (
         *(("allow more steps: --steps N.",) if result.status == "budget" else ()),
@@ -337,7 +337,7 @@ def _percent(sd: float) -> str:
 
 
 def _sensitivity_table(result: SampledResult) -> Table:
-    """What the likelihood says of each constant alone, and what prior and bounds add."""
+    """The likelihood of each constant alone, and the share of prior and bounds."""
     assessment = result.assessment
     by_name = {s.name: s for s in assessment.power_scaling}
     columns = (
@@ -704,7 +704,7 @@ def _left_out_figure(result: SampledResult, modes: Rows) -> Figure:
     lower.bar(x, [m.left_out.leverage for m in rows if m.left_out is not None], 0.5, color=_GREY)
     lower.set(ylim=(0, 1), ylabel="leverage", xlabel="mode")
     lower.set_xticks(x, names)
-    upper.set_title(f"{result.specimen.name}: each mode predicted by all, and by the others")
+    upper.set_title(f"{result.specimen.name}: each mode predicted by all, and by the others", loc="left")
     return figure
 
 

@@ -105,7 +105,7 @@ class PointResult(PlateResult):
 
     @property
     def status(self) -> str:
-        """Whether two swarms found the best optimum, "converged", or not, "budget".
+        """Either "converged", two swarms found the best optimum, or "budget".
 
         A single swarm has converged when its particles agree. Where angles were unknown, their search has to
         have converged too.
@@ -175,14 +175,14 @@ def identify(
 
     Parameters
     ----------
-    plate : what `read_plate` takes, or what it returns
+    plate : a built-in name, a path, a table or a `Specimen`, see `read_plate`
     residuals : what is minimised: squared "absolute" differences in Hz, eq. (7), or "relative" ones, at whose
         optimum the constants are linearised; or "whitened" ones, over the scatter of noise, solver and
         theory: the constants are then those of the posterior about all optima, with the usual errors of what
         [plate.sd] leaves out and what [material.sd] says of the references
     swarms : swarms at most, three at least; 1 is the paper's single swarm as it ends, not polished
     settings : particles, iterations and weights of each swarm
-    watch : is shown the progress
+    watch : display of the progress; none where left out
 
     Raises
     ------
@@ -353,7 +353,7 @@ def _headline(result: PointResult) -> str:
 
 
 def _steps(result: PointResult, use: Sequence[str]) -> tuple[str, ...]:
-    """What to do, the most useful first."""
+    """Next steps, the most useful first."""
     specimen = result.specimen
     plate = plate_argument(specimen)
     steps = [*mismatch_step(specimen, result.notices, [row.label for row in result.frequencies])]
@@ -604,7 +604,7 @@ def _pairs_figure(result: PointResult) -> Figure:
             row.label or "", (at[0], at[1]), place, textcoords="offset points", ha=side, fontsize="small"
         )
     axes.set(xlim=ends, ylim=ends, xlabel="measured, Hz", ylabel="predicted, Hz", aspect="equal")
-    axes.set_title(f"{result.specimen.name}: predicted against measured")
+    axes.set_title(f"{result.specimen.name}: predicted against measured", loc="left")
     axes.legend(loc="upper left", frameon=False)
     return figure
 
@@ -625,7 +625,7 @@ def _residuals_figure(result: PointResult) -> Figure:
     axes.set_xticks(np.arange(len(names)), names)
     axes.set(xlabel="mode", ylabel="predicted / measured - 1, %")
     axes.margins(y=0.25)
-    axes.set_title(f"{result.specimen.name}: residuals, rms {100.0 * estimate.rms:.2f} %")
+    axes.set_title(f"{result.specimen.name}: residuals, rms {100.0 * estimate.rms:.2f} %", loc="left")
     return figure
 
 
@@ -667,6 +667,6 @@ def _optima_figure(result: PointResult) -> Figure:
     axes.set_yticks(range(len(constants)), [c.name for c in constants])
     axes.set(xlim=(-0.03, 1.03), ylim=(len(constants) - 0.4, -0.7), xlabel="place in the search interval")
     axes.grid(axis="x", color="0.9")
-    axes.set_title(f"{result.specimen.name}: optima that the noise does not tell apart")
+    axes.set_title(f"{result.specimen.name}: optima that the noise does not tell apart", loc="left")
     figure.legend(loc="outside lower center", ncols=3, frameon=False, fontsize="small")
     return figure

@@ -174,7 +174,7 @@ def paper(
     everything : compute anew what is stored, and what comes with the package, which takes hours
     executor, workers : as for `cb.sequence`
     store : directory of finished computations; in the cache of reduced models where left out
-    watch : is shown the progress
+    watch : display of the progress; none where left out
 
     Raises
     ------
@@ -245,7 +245,7 @@ def _computed(
     if not missing:
         return computed
     with (
-        watch.stage("paper", len(missing), lambda left: f"{left:.0f} computations left") as shown,
+        watch.stage("paper", len(missing), counted="computations") as shown,
         open_executor(executor, workers) as pool,
     ):
 
@@ -265,7 +265,7 @@ def _computed(
 
 
 def _turn(task: Task) -> tuple[bool, bool, int]:
-    """What tasks are sorted by."""
+    """The order of tasks."""
     if task.specimen not in _LONGEST:
         return True, False, 0
     return False, task.kind == "noise", _LONGEST.index(task.specimen)

@@ -1,4 +1,4 @@
-"""What is shown of a comparison with the paper, written from its JSON document: screen, page, Markdown.
+"""The presentation of the comparison with the paper, from its JSON document: screen, page, Markdown.
 
 `docs/comparison.md` is `page` of a saved document.
 """
@@ -477,7 +477,7 @@ def _lines(document: Record) -> Iterator[str]:
 
 
 def _noise_lines(document: Record) -> Iterator[str]:
-    """What the tables of disorder show, and their angles beside the print."""
+    """Findings in the tables of noise, and their angles beside the print."""
     texts = [text for key in ("means_of_ten", "angles") if (text := document["audit"].get(key))]
     if not texts:
         return

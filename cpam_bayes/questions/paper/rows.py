@@ -178,7 +178,7 @@ class WellPosed:
 
 @dataclass(frozen=True, slots=True)
 class SimulationError:
-    """What the simulation of Table 5, or 1, gets wrong on a plate, by the diagnosis of its measured list.
+    """The error of the simulation of Table 5, or 1, on a plate, by the diagnosis of its measured list.
 
     printed_rms_percent : of the printed simulation, with the reference constants, against the measured list;
         None where none is printed
@@ -217,7 +217,7 @@ class Cost:
 
     @property
     def calculix_hours(self) -> float | None:
-        """What as many runs of CalculiX take one after another."""
+        """The time of as many runs of CalculiX one after another."""
         return None if self.calculix_seconds is None else self.forward_solves * self.calculix_seconds / 3600.0
 
 
@@ -530,7 +530,7 @@ def _away(angles_deg: Any, goal: Any) -> float:
 
 
 def noisy_angles(rows: Iterable[Row]) -> str:
-    """What the means of angles of Tables 11 to 14 are worth, in words; "" where none was computed."""
+    """The worth of the means of angles of Tables 11 to 14, in words; "" where none was computed."""
     of_angles = [row for row in rows if "spread_1_deg" in row.details]
     if not of_angles:
         return ""
@@ -579,7 +579,7 @@ def _row(
 
 @dataclass(frozen=True, slots=True)
 class MeansOfTen:
-    """What the printed means of ten inversions of Tables 10 to 14 can show.
+    """The information in the printed means of ten inversions of Tables 10 to 14.
 
     changes, hidden : printed changes, and those below one standard error of such a mean as repeated here
     constants : series over the levels; printed_grow, ours_grow : of which the change keeps its sign and grows
@@ -610,7 +610,7 @@ class MeansOfTen:
 
 
 def means_of_ten(rows: Iterable[Row]) -> str:
-    """What the printed means of ten inversions can show, in words; "" where none was computed."""
+    """The information in the printed means of ten inversions, in words; "" where none was computed."""
     found = MeansOfTen.of(rows)
     if found is None:
         return ""

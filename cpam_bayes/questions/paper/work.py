@@ -163,7 +163,7 @@ def well_posed(point: PointResult) -> dict[str, Any]:
 
 
 def simulation_errors(number: int, diagnosed: Mapping[str, Any]) -> Iterator[SimulationError]:
-    """Of Table 1's ABAQUS frequencies, or of all plates of Table 4 beside Table 5; none of another table.
+    """Errors of Table 1's ABAQUS frequencies, or of Table 4 beside Table 5; none of another table.
 
     A misprinted frequency is left out of the rms.
 
@@ -195,7 +195,7 @@ def _rms_percent(row: PrintedRow) -> float:
 
 
 def diagnosis_row(document: Mapping[str, Any]) -> dict[str, Any]:
-    """What is kept of the JSON document of `diagnose` about one plate, or of a group of study 12."""
+    """The part that is kept of the document of `diagnose` about one plate, or of a group of study 12."""
     extended, gain = document["extended"], document["gain"]
     return {
         "plain_rms_percent": document["baseline"]["rms_percent"],
@@ -488,7 +488,7 @@ def stamp(results: Results) -> Results:
 
 
 def read(directory: Path, effort: Effort, task: Task) -> Results | None:
-    """What was stored of a task, None where it was not, with other inputs, or is damaged: it is set aside."""
+    """The stored results of a task, None where there are none or other inputs, or set aside as damaged."""
     path = _path(directory, effort, task)
     try:
         content = read_sealed(path)
@@ -513,7 +513,7 @@ def write(directory: Path, effort: Effort, task: Task, results: Results) -> None
 
 @cache
 def packaged(name: str) -> Mapping[str, Any]:
-    """What takes too long for every run, with version and date: "calculix", "diagnoses" or "sequences"."""
+    """Packaged results of slow work, with version and date: "calculix", "diagnoses" or "sequences"."""
     resource = files("cpam_bayes") / "data" / "paper" / "computed" / f"{name}.json"
     computed: Mapping[str, Any] = json.loads(resource.read_text(encoding="utf-8"))
     return computed
@@ -534,7 +534,7 @@ def calculix_frequencies(watch: Watch) -> dict[str, Any]:
 
 
 def diagnoses(seed: int, watch: Watch) -> dict[str, Any]:
-    """What the diagnosis says of the measured lists of Tables 1 and 4."""
+    """Diagnoses of the measured lists of Tables 1 and 4."""
     start = time.perf_counter()
     names = dict.fromkeys(row.specimen for number in (1, 4) for row in printed_table(number).rows)
     answers = {name: diagnose(name, seed=seed, next_test="never", watch=watch) for name in names}
