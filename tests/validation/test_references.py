@@ -1,14 +1,39 @@
-"""Nested sampling as a second opinion, and the pool that asks for values in stacks."""
+"""Second opinions on evidences: nested sampling, and a slow reference of the quick way of the diagnosis."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.stats import norm
 
+from cpam_bayes.diagnosis.cases import hypotheses_of, plate_case
+from cpam_bayes.diagnosis.comparison import SCATTER, comparison_of
+from cpam_bayes.diagnosis.evidence.sampled import sampled_near_the_best
+from cpam_bayes.diagnosis.evidence.scan import Scan, Trial
+from cpam_bayes.diagnosis.hypotheses import Hypothesis
 from cpam_bayes.inference.proposal import AdaptationSettings
 from cpam_bayes.inference.sampling import EvidenceSettings, importance_evidence
+from cpam_bayes.plate import Measurement, builtin
+from tests.diagnosis.toy_plates import (
+    BUMP,
+    F0,
+    NOISE,
+    A,
+    a_list,
+    case,
+    cause,
+    exact_log_evidence,
+    hypothesis,
+    straight,
+    whole_normal,
+)
+from tests.diagnosis.toy_plates import (
+    SCATTER as NOISE_DRAWN,
+)
 from tests.toy_models import independent, two_peaks
+from validation.evidence_reference import ReferenceSettings, reference_evidence
 from validation.nested import Lockstep, nested_evidence
 
 
@@ -32,7 +57,7 @@ def test_values_are_asked_for_in_stacks_and_answers_go_to_their_tasks() -> None:
     assert pool.value(np.array([3.0])) == 9.0
 
 
-def test_a_task_that_fails_fails_the_whole_and_hangs_nothing() -> None:
+def test_a_task_or_a_likelihood_that_fails_fails_the_whole_and_hangs_nothing() -> None:
     pool = Lockstep(lambda points: points[:, 0], 3)
 
     def task(i: int) -> float:
@@ -44,14 +69,12 @@ def test_a_task_that_fails_fails_the_whole_and_hangs_nothing() -> None:
         pool.map(task, range(3))
     assert pool.map(task, [4, 5]) == [4.0, 5.0]
 
-
-def test_a_likelihood_that_fails_fails_the_whole_and_hangs_nothing() -> None:
     def broken(points: np.ndarray) -> np.ndarray:
         raise FloatingPointError("no value")
 
-    pool = Lockstep(broken, 3)
+    without = Lockstep(broken, 3)
     with pytest.raises(FloatingPointError, match="no value"):
-        pool.map(lambda i: pool.value(np.array([float(i)])), range(3))
+        without.map(lambda i: without.value(np.array([float(i)])), range(3))
 
 
 @pytest.mark.slow
@@ -85,3 +108,43 @@ def test_nested_and_importance_sampling_agree_on_two_peaks() -> None:
     # the shares of two equal peaks drift in nested sampling, their common shape does not
     root_mean_square = [np.hypot(found.mean[0], found.sd[0]) for found in (nested, sampled)]
     assert root_mean_square[0] == pytest.approx(root_mean_square[1], rel=0.02)
+
+
+SMALL = ReferenceSettings(draws=256, nodes=41, log2_points=(11, 13))
+
+
+@pytest.mark.parametrize("size", [0.0, 0.01, -0.05])
+def test_the_reference_finds_the_evidence_of_a_linear_plate(size: float) -> None:
+    sd = 0.02
+    f = F0 * (1.0 + A @ np.array([0.03, -0.04]) + size * BUMP) * (1.0 + NOISE * NOISE_DRAWN)
+    bent = cause("bent", whole_normal(sd))
+    comparison = comparison_of([case(a_list(f, NOISE), [(bent, straight(BUMP))])], hypothesis(bent, 0.1))
+    found = reference_evidence(comparison, (2,), 0, SMALL)
+    # three of its standard errors
+    assert found.error < 0.05
+    assert found.log_evidence == pytest.approx(exact_log_evidence(f, NOISE * f, (BUMP, sd)), abs=0.15)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("hidden", ["none", "damage", "taper_x"])
+def test_the_quick_way_agrees_with_the_reference_on_a_plate(hidden: str) -> None:
+    waiting = Measurement(np.arange(1.0, 11.0), 0.1, 0.002, None, ("",) * 10, complete=True)
+    plate = plate_case(replace(builtin("C1"), measurement=waiting))
+    known = {h.cause: h for h, _ in hypotheses_of([plate])}
+    chosen: list[Hypothesis] = [known[name] for name in dict.fromkeys(("none", hidden, "thickness"))]
+    truth = comparison_of([plate], known[hidden])
+    rng = np.random.default_rng(3)
+    x = truth.scores.to_x(rng.standard_normal((1, truth.parameters.size)))
+    f = truth.predict(x)[0][0] * (1.0 + 0.002 * rng.standard_normal(10))
+    plate = replace(plate, measurement=replace(waiting, frequencies=np.sort(f)))
+    scan = Scan([plate], SCATTER)
+    scan.begin(chosen[0], (0,))
+    scan.test([Trial(h, (0,)) for h in chosen[1:]])
+    tested = sampled_near_the_best(scan.tested, [plate]) or scan.tested
+    slow = [reference_evidence(t.marginal.comparison, t.marginal.sizes, 0, SMALL) for t in tested]
+    highest = max(s.log_evidence for s in slow)
+    for t, s in zip(tested, slow, strict=True):
+        if s.log_evidence > highest - 8.0:
+            assert t.marginal.log_evidence == pytest.approx(s.log_evidence, abs=0.3)
+        else:
+            assert t.marginal.log_evidence < highest - 8.0
