@@ -190,8 +190,10 @@ AGREEING = {
 for _name, _layup in (("cross", (0.0, 90.0)), ("angle", (45.0, -45.0))):
     for _edges in ("FFFF", "CFFF", "SSSS", "CSFC"):
         AGREEING[f"{_name}-{_edges}"] = plate(0.2, 0.15, 0.004, 1600.0, CARBON, _layup, _edges), 10
-# No reflection of the plate turns two of these into each other: 36 of 81.
-for (_x0, _x1), (_y0, _y1) in product(combinations_with_replacement("FSC", 2), repeat=2):
+# Every pair of opposite edges along x beside two of those along y; reflections of a plate are left out.
+_PAIRS = list(combinations_with_replacement("FSC", 2))
+for _i, _j in product(range(6), (1, 4)):
+    (_x0, _x1), (_y0, _y1) = _PAIRS[_i], _PAIRS[(_i + _j) % 6]
     _edges = _x0 + _y0 + _x1 + _y1
     AGREEING[_edges] = plate(0.2, 0.15, 0.006, 1600.0, GLASS, (0.0, 90.0, 90.0, 0.0), _edges), 6
 
