@@ -190,15 +190,16 @@ def test_a_hopeless_hypothesis_is_not_refined() -> None:
 
 
 def test_nodes_ascend_with_shares_that_sum_to_one_and_are_the_same_each_time() -> None:
-    warp = cause("warp", ScaledStudentT(0.1, 4.0, -0.8, 0.8))
-    comparison = comparison_of(
-        [case(a_list(measured(0.012 * BUMP), None), [(warp, even(BUMP))])], hypothesis(warp, 0.1)
+    f, warp = measured(0.012 * BUMP), cause("warp", ScaledStudentT(0.1, 4.0, -0.8, 0.8))
+    given, inferred = (
+        comparison_of([case(a_list(f, noise), [(warp, even(BUMP))])], hypothesis(warp, 0.1))
+        for noise in (NOISE, None)
     )
-    found = weighed(comparison)
+    found = weighed(given)
     assert all(a < b for a, b in pairwise(found.z[:, 2]))
     assert found.weight.sum() == pytest.approx(1.0, abs=1e-12)
     assert np.exp(found.log_weight).sum() == pytest.approx(1.0, abs=1e-12)
-    first, second = (sampled_marginal(weighed(comparison)) for _ in range(2))
+    first, second = (sampled_marginal(weighed(inferred)) for _ in range(2))
     assert first.log_evidence == second.log_evidence
     np.testing.assert_array_equal(first.draws, second.draws)
 

@@ -12,7 +12,6 @@ import pytest
 
 from cpam_bayes.diagnosis import diagnose as diagnosing
 from cpam_bayes.diagnosis import next_test as further_tests
-from cpam_bayes.diagnosis import next_test as next_measurement
 from cpam_bayes.diagnosis.cases import plate_case
 from cpam_bayes.diagnosis.comparison import PlateCase
 from cpam_bayes.diagnosis.diagnose import Diagnosis, diagnose_cases
@@ -289,7 +288,7 @@ def a_diagnosis(kind: str, monkeypatch: pytest.MonkeyPatch, beside: float = 0.0)
             for name, by in (("useless", 0.0), ("sharp", 0.05), ("vague", 0.002))
         ]
 
-    monkeypatch.setattr(next_measurement, "further_tests", tests)
+    monkeypatch.setattr(further_tests, "further_tests", tests)
     found: Any = SimpleNamespace(
         claim=Claim(kind, (), 0.95),
         weighed=Weighed(tested=leading, not_tested=()),
