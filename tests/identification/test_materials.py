@@ -52,7 +52,6 @@ def test_the_swarm_finds_the_constants_of_both_materials(measured: dict[str, Any
     assert "Young's modulus along the fibres, glass" in behind
     # no advice that a hybrid cannot follow
     assert "cpam-bayes diagnose" not in shown.summary.next_step + behind
-    assert result.constants == cb.identify(measured, seed=0).constants
 
 
 @pytest.mark.slow

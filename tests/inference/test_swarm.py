@@ -14,6 +14,7 @@ from cpam_bayes.inference.swarm import (
     decode,
     initial_swarm,
     minimise,
+    minimise_problem,
     normalised,
     start_swarm,
     step_swarm,
@@ -273,10 +274,10 @@ def test_bad_settings_are_refused(name: str, value: float) -> None:
         SwarmSettings(**{name: value})  # type: ignore[arg-type]
 
 
-TRUTH = np.array([4, 17, 30])
+TRUTH = np.array([1, 3, 5])
 CENTRE = np.array([0.3, -0.2])
 LOWER, UPPER = np.array([-1.0, -1.0]), np.array([1.0, 1.0])
-N_ANGLES = 36
+N_ANGLES = 6
 
 
 def valley(constants: np.ndarray, sequences: np.ndarray) -> np.ndarray:
@@ -353,6 +354,21 @@ def test_one_step_is_eq_5_for_angles_and_eq_1_and_2_for_constants() -> None:
 
 
 # Constraints and ends
+
+
+def test_most_swarms_find_a_sequence_on_a_coarse_grid_and_its_constants() -> None:
+    settings, found = SwarmSettings(particles=160), []
+    for rng in map(np.random.default_rng, range(10)):
+        start = rng.uniform(LOWER, UPPER, (settings.particles, 2))
+        result = minimise_problem(problem(), start, settings, rng)
+        if np.array_equal(result.sequence, TRUTH):
+            found.append(result)
+    # 18 of 20 other seeds did: 6 of 10 or fewer has a probability of 1 %
+    assert len(found) >= 7
+    for result in found:
+        assert result.status == "converged"
+        # nine in ten particles agree to spread_tolerance = 1e-3 of the bounds
+        assert_allclose(result.best, CENTRE, atol=2e-3)
 
 
 def test_agreement_on_constants_alone_is_not_convergence() -> None:

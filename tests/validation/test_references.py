@@ -13,8 +13,6 @@ from cpam_bayes.diagnosis.comparison import SCATTER, comparison_of
 from cpam_bayes.diagnosis.evidence.sampled import sampled_near_the_best
 from cpam_bayes.diagnosis.evidence.scan import Scan, Trial
 from cpam_bayes.diagnosis.hypotheses import Hypothesis
-from cpam_bayes.inference.proposal import AdaptationSettings
-from cpam_bayes.inference.sampling import EvidenceSettings, importance_evidence
 from cpam_bayes.plate import Measurement, builtin
 from tests.diagnosis.toy_plates import (
     BUMP,
@@ -32,7 +30,7 @@ from tests.diagnosis.toy_plates import (
 from tests.diagnosis.toy_plates import (
     SCATTER as NOISE_DRAWN,
 )
-from tests.toy_models import independent, two_peaks
+from tests.toy_models import independent
 from validation.evidence_reference import ReferenceSettings, reference_evidence
 from validation.nested import Lockstep, nested_evidence
 
@@ -90,24 +88,6 @@ def test_nested_sampling_finds_the_closed_form_of_a_cut_gaussian() -> None:
     # three runs: their scatter, where it is the larger, is a t of two degrees of freedom
     assert found.mean[0] == pytest.approx(mean, abs=5.0 * found.mean_error[0])
     assert found.sd[0] == pytest.approx(sd, abs=5.0 * found.sd_error[0])
-
-
-@pytest.mark.slow
-def test_nested_and_importance_sampling_agree_on_two_peaks() -> None:
-    pytest.importorskip("dynesty")
-    own = two_peaks()
-    nested = nested_evidence(own, 1, runs=3, live_points=80)
-    sampled = importance_evidence(
-        own,
-        np.empty((0, 2)),
-        1,
-        settings=EvidenceSettings(draws=6000, adaptation=AdaptationSettings(draws=1000)),
-    )
-    error = np.hypot(nested.standard_error, sampled.standard_error)
-    assert nested.log_evidence == pytest.approx(sampled.log_evidence, abs=3.0 * error)
-    # the shares of two equal peaks drift in nested sampling, their common shape does not
-    root_mean_square = [np.hypot(found.mean[0], found.sd[0]) for found in (nested, sampled)]
-    assert root_mean_square[0] == pytest.approx(root_mean_square[1], rel=0.02)
 
 
 SMALL = ReferenceSettings(draws=256, nodes=41, log2_points=(11, 13))
