@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
+import scipy.linalg
 
 from cpam_bayes.mechanics.convergence import Tolerance, converge
 from cpam_bayes.mechanics.modes import solve
@@ -54,6 +56,34 @@ def frequencies(problem: Problem, n_modes: int, tolerance: Tolerance | None = No
     return solve(found, *found.coefficients({}), n_modes).frequencies[0]
 
 
+def navier(
+    stiffness: np.ndarray, mass: np.ndarray, sides: tuple[float, float], n_modes: int, highest: int = 12
+) -> np.ndarray:
+    """Frequencies of a simply supported cross-ply plate, Navier's solution of the Mindlin equations, Hz.
+
+    u = U cos(ax) sin(by), v = V sin cos, w = W sin sin, phi_x = X cos sin, phi_y = Y sin cos make
+    every generalised strain one trigonometric product, so each (m, n) is a 5 x 5 eigenproblem
+    (Reddy, Mechanics of Laminated Composite Plates, section 7.2), in-plane modes included.
+
+    stiffness : of the eight generalised strains (8, 8). mass : of U, V, W, X, Y (5, 5), per area.
+    """
+    found = []
+    for m, n in product(range(highest + 1), repeat=2):
+        a, b = m * np.pi / sides[0], n * np.pi / sides[1]
+        strain = np.zeros((8, 5))
+        for row, (x, y) in ((0, (0, 1)), (3, (3, 4))):
+            strain[row, x], strain[row + 1, y] = -a, -b
+            strain[row + 2, x], strain[row + 2, y] = b, a
+        strain[6, 2], strain[6, 4], strain[7, 2], strain[7, 3] = b, 1, a, 1
+        present = np.array([n > 0, m > 0, m > 0 and n > 0, n > 0, m > 0])
+        if present.any():
+            k, own = (w[np.ix_(present, present)] for w in (strain.T @ stiffness @ strain, mass))
+            scale = 1 / np.sqrt(np.diag(own))
+            both = (w * scale[:, None] * scale for w in (k, own))
+            found.append(scipy.linalg.eigh(*both, eigvals_only=True))
+    return np.sqrt(np.sort(np.concatenate(found))[:n_modes]) / (2 * np.pi)
+
+
 def with_plate(name: str, **changes: object) -> Specimen:
     """A built-in specimen with other entries of its plate."""
     specimen = builtin(name)
@@ -68,6 +98,7 @@ __all__ = [
     "FIVE_SIXTHS",
     "GLASS",
     "frequencies",
+    "navier",
     "plate",
     "with_plate",
 ]

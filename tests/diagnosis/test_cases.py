@@ -1,14 +1,16 @@
-"""Which hypotheses plates have, how probable each is beforehand, and how a list is paired."""
+"""Which hypotheses plates have and how probable each is, how a list is paired, and the models they need."""
 
 from __future__ import annotations
 
 from collections import defaultdict
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from cpam_bayes.diagnosis.cases import differing_priors, hypotheses_of, plate_case, with_list
+from cpam_bayes.diagnosis.cases import build_models, differing_priors, hypotheses_of, plate_case, with_list
 from cpam_bayes.diagnosis.comparison import PlateCase
 from cpam_bayes.diagnosis.evidence.pairing_search import plain_pairings
 from cpam_bayes.diagnosis.hypotheses import (
@@ -17,17 +19,22 @@ from cpam_bayes.diagnosis.hypotheses import (
     P_NONE,
     P_OTHER,
     P_PAIR,
+    PAIR,
     Hypothesis,
     single_hypotheses,
 )
+from cpam_bayes.diagnosis.models import diagnosis_parameters
 from cpam_bayes.effects import ListChange, PlateFacts, applicable
-from cpam_bayes.plate.reader import builtin, builtin_names
-from tests.diagnosis.toy_plates import F0, a_list, case
+from cpam_bayes.effects.plies import MATERIAL
+from cpam_bayes.plate import builtin, read_plate
+from cpam_bayes.plate.reader import builtin_names
+from cpam_bayes.storage import read_arrays
+from tests.diagnosis.toy_plates import F0, a_list, case, pairs_of
 
 
-def facts_of(name: str, *, air: bool = False) -> PlateFacts:
-    specimen = builtin(name)
-    return PlateFacts.of(specimen.plate, specimen.material.isotropic, air_is_known=air)
+def facts_of(name: str, *, air: bool = False, references: bool = False) -> PlateFacts:
+    of = builtin(name)
+    return PlateFacts.of(of.plate, of.material.isotropic, air_is_known=air, has_references=references)
 
 
 def singles(name: str, n: int = 8, *, complete: bool = True, air: bool = False) -> tuple[Hypothesis, ...]:
@@ -106,28 +113,18 @@ def test_any_frequency_may_be_misread_any_mode_missed_or_false() -> None:
     assert sum(h.prior for h in of_list if len(h.listed.missed) == 2) == pytest.approx(0.1 * whole)
 
 
-def test_an_incomplete_list_has_missed_modes_in_its_pairing() -> None:
+def test_air_that_the_file_states_is_no_cause_and_an_incomplete_list_lacks_modes_by_its_pairing() -> None:
+    assert any(h.cause == "air" for h in singles("C1"))
+    assert all(h.cause != "air" for h in singles("C1", air=True))
     found = singles("C1", complete=False)
     assert all(h.cause != "mode_identity" for h in found)
     # and a frequency in another place is a false one and a missed one
     assert [h.listed.misread for h in found if h.cause == "outlier"] == list(range(8))
 
 
-def test_air_that_the_file_states_is_no_cause() -> None:
-    assert any(h.cause == "air" for h in singles("C1"))
-    assert all(h.cause != "air" for h in singles("C1", air=True))
-
-
 def toys(*plates: tuple[str, str]) -> list[PlateCase]:
     """Free aluminium plates by their names and specimens."""
     return [case(a_list(F0, 0.002), name=name, specimen=specimen) for name, specimen in plates]
-
-
-def test_one_plate_has_its_single_hypotheses_none_first() -> None:
-    found = hypotheses_of(toys(("one", "one")))
-    assert found[0][0].cause == NONE
-    assert all(plates == (0,) for _, plates in found)
-    assert sum(h.prior for h, _ in found) == pytest.approx(1.0 - P_PAIR)
 
 
 def test_plates_of_one_material_have_causes_of_their_own_and_in_common() -> None:
@@ -169,10 +166,20 @@ def test_a_flaw_is_about_the_tests_in_which_it_can_act() -> None:
 
 @pytest.mark.parametrize(
     "plates",
-    [(("one", "one"), ("two", "two")), (("one", "same"), ("two", "same"), ("three", "three"))],
+    [
+        (("one", "one"),),
+        (("one", "one"), ("two", "two")),
+        (("one", "same"), ("two", "same"), ("three", "three")),
+    ],
 )
-def test_several_plates_share_all_the_probability(plates: tuple[tuple[str, str], ...]) -> None:
-    assert sum(h.prior for h, _ in hypotheses_of(toys(*plates))) == pytest.approx(1.0 - P_PAIR)
+def test_hypotheses_of_plates_begin_with_none_and_share_all_the_probability(
+    plates: tuple[tuple[str, str], ...],
+) -> None:
+    found = hypotheses_of(toys(*plates))
+    assert found[0][0].cause == NONE
+    assert sum(h.prior for h, _ in found) == pytest.approx(1.0 - P_PAIR)
+    if len(plates) == 1:
+        assert all(of == (0,) for _, of in found)
 
 
 def test_constants_that_files_give_different_priors_are_named() -> None:
@@ -195,16 +202,15 @@ def test_another_list_shares_the_models() -> None:
     assert second.measurement.relative_std == 0.003
 
 
-def test_a_plate_without_a_list_is_refused() -> None:
-    with pytest.raises(ValueError, match=r"\[measurement\] is missing"):
-        plate_case(replace(builtin("A1"), measurement=None))
-
-
-def test_a_plate_without_unknowns_is_refused() -> None:
+def test_a_plate_without_a_list_or_without_unknowns_is_refused() -> None:
     own = builtin("A1")
     nothing = own.unknowns.without(*own.unknowns.names)
-    with pytest.raises(ValueError, match=r"\[unknowns\] is missing"):
-        plate_case(replace(own, unknowns=nothing))
+    for of, said in (
+        (replace(own, measurement=None), "measurement"),
+        (replace(own, unknowns=nothing), "unknowns"),
+    ):
+        with pytest.raises(ValueError, match=rf"\[{said}\] is missing"):
+            plate_case(of)
 
 
 @pytest.mark.slow
@@ -225,3 +231,73 @@ def test_a_plates_list_is_paired_in_order_and_an_incomplete_one_by_what_is_proba
     # constants are normal about the reference where its standard deviation is given
     prior = found.models.parameters["E1"].prior
     assert prior.sd / prior.mean == pytest.approx(0.1, rel=0.02)
+
+
+CAUSES = ("air", "shear_ratio", "sensor_mass")
+
+
+@pytest.fixture
+def c1(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> PlateCase:
+    monkeypatch.setenv("CPAM_BAYES_CACHE", str(tmp_path))
+    return plate_case(read_plate("C1"))
+
+
+def some_of(c1: PlateCase) -> list[tuple[Hypothesis, tuple[int, ...]]]:
+    return [entry for entry in hypotheses_of([c1]) if entry[0].cause in CAUSES]
+
+
+def stored(directory: Path) -> dict[str, dict[str, np.ndarray]]:
+    found = {path.name: read_arrays(path) for path in directory.iterdir()}
+    return {name: arrays for name, arrays in found.items() if arrays is not None}
+
+
+def test_models_are_the_same_from_workers_and_on_demand(c1: PlateCase, tmp_path: Path) -> None:
+    seen: list[tuple[int, int]] = []
+    with ThreadPoolExecutor(2) as pool:
+        build_models([c1], some_of(c1), pool, lambda done, total: seen.append((done, total)))
+    assert seen == [(0, 3), (1, 3), (2, 3), (3, 3)]
+    from_workers = stored(tmp_path)
+    again = replace(c1, extended={})
+    for path in tmp_path.iterdir():
+        path.unlink()
+    for hypothesis, _ in some_of(c1):
+        again.with_effect(hypothesis.effects[0])
+    on_demand = stored(tmp_path)
+    assert len(on_demand) == 3
+    for name, arrays in on_demand.items():
+        assert arrays.keys() == from_workers[name].keys()
+        assert all(np.array_equal(value, from_workers[name][key]) for key, value in arrays.items())
+
+
+def test_stored_models_are_not_built_again(c1: PlateCase) -> None:
+    build_models([c1], some_of(c1))
+    seen: list[tuple[int, int]] = []
+    build_models([replace(c1, extended={})], some_of(c1), None, lambda *n: seen.append(n))
+    assert not seen
+
+
+def test_effect_that_cannot_be_sent_is_left_to_be_built_when_asked_for(c1: PlateCase) -> None:
+    hypothesis, plates = some_of(c1)[0]
+    effect = replace(hypothesis.effects[0], change=lambda problem, facts: problem)
+    build_models([c1], [(replace(hypothesis, effects=(effect,)), plates)])
+    assert not c1.extended
+
+
+def test_only_the_search_bounds_are_left_of_the_constants() -> None:
+    specimen = builtin("C2")
+    wide = diagnosis_parameters(specimen, other_material=True)
+    assert wide.names == specimen.unknowns.names
+    assert [p.prior for p in wide.parameters] == [p.prior for p in specimen.unknowns.parameters]
+    assert wide.parameters[0].prior != diagnosis_parameters(specimen).parameters[0].prior
+
+
+def test_it_is_as_probable_as_another_slip_of_the_pen_and_pairs_with_nothing() -> None:
+    found = single_hypotheses(facts_of("C2", references=True), 6, complete=True)
+    material = next(h for h in found if h.cause == MATERIAL.name)
+    assert material.other_material
+    alone = next(h for h in found if h.cause == "viscoelastic")  # the one cause of its family
+    assert material.prior == pytest.approx(0.1 * alone.prior)
+    assert all(MATERIAL.name not in p.causes for p in pairs_of((*found[2:6], material), found))
+    assert all(h.family != PAIR for h in found)
+    without = single_hypotheses(facts_of("C2"), 6, complete=True)
+    assert MATERIAL.name not in {h.cause for h in without}

@@ -2,7 +2,7 @@
 
 The lists are those of elements that share nothing with the package, with noise of 0.2 %. A cause that the
 constants imitate cannot be claimed: then nothing may be, and the answer says that these data need not have
-shown it. Pairs of causes, most of the work, are weighed for a cause or two of each plate and for clean ones.
+shown it. Pairs of causes, most of the work, are weighed for a cause of each plate and for clean ones.
 """
 
 from __future__ import annotations
@@ -140,11 +140,11 @@ SHOWN = (
 )
 # What the constants imitate: thin plates have nothing else that moves their modes alike.
 ABSORBED = (
-    Case("air", FREE, 1.2, made=_in_air, pairs=True),
+    Case("air", FREE, 1.2, made=_in_air),
     Case("thickness", FREE, 0.027),
     Case("density", FREE, -0.034),
     Case("frequency_scale", FREE, 0.0083),
-    Case("resin_skin", THICK, 8.3e-5, pairs=True),
+    Case("resin_skin", THICK, 8.3e-5),
 )
 
 

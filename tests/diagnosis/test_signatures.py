@@ -34,6 +34,7 @@ from tests.diagnosis.toy_plates import (
     cause,
     even,
     hypothesis,
+    misread,
     straight,
     whole_normal,
 )
@@ -48,9 +49,6 @@ SHIFTS = {
     "stiffer": A @ [0.6, 0.3],
 }
 EFFECTS = {name: cause(name, PRIOR) for name in SHIFTS}
-FALSE = Hypothesis("mode_identity", "list", listed=ListChange(spurious=3))
-MISSED = Hypothesis("mode_identity", "list", listed=ListChange(missed=(5,)))
-MISREAD = Hypothesis("outlier", "list", listed=ListChange(misread=3), parameters=(MISREADING,))
 
 
 def plate(f: Array, noise: float = NOISE, *, n_modes: int = 8) -> tuple[Marginal, Projector, object]:
@@ -72,33 +70,25 @@ def weighted_slopes(f: Array, noise: float = NOISE) -> Array:
     return np.asarray(SD * A * F0[:, None] / (noise * f)[:, None])
 
 
-def test_the_projection_is_the_precision_with_the_constants_integrated() -> None:
+def test_the_projection_is_the_precision_with_the_constants_integrated_and_absorbs_their_mean() -> None:
     _, projector, _ = plate(F0)
     a = weighted_slopes(F0)
     marginal = np.linalg.inv(np.eye(8) + a @ a.T)  # of a linear model with Gaussian priors
     shift = np.random.default_rng(0).standard_normal(8)
     visible = projector.visible(shift)
     assert visible @ visible == pytest.approx(shift @ marginal @ shift, rel=1e-9)
-
-
-def test_what_the_constants_take_up_is_their_posterior_mean() -> None:
-    _, projector, _ = plate(F0)
-    a = weighted_slopes(F0)
     shift = a @ [0.8, -0.3]
     expected = np.linalg.solve(a.T @ a + np.eye(2), a.T @ shift)
     np.testing.assert_allclose(projector.absorb @ shift, expected, rtol=1e-9)
 
 
-def test_a_shift_that_the_constants_can_make_is_absorbed() -> None:
-    found = signature(EFFECTS["stiffer"], F0 * (1.0 + A @ [0.02, 0.01]))
-    assert found.is_absorbed
+def test_a_shift_that_the_constants_can_make_is_absorbed_and_another_is_visible() -> None:
+    absorbed = signature(EFFECTS["stiffer"], F0 * (1.0 + A @ [0.02, 0.01]))
+    assert absorbed.is_absorbed
     # a standard deviation of the constants is 25 to 50 of the noise
-    assert found.visible_fraction < 0.05
-    size = found.bias / SD  # scores per relative change of a constant
+    assert absorbed.visible_fraction < 0.05
+    size = absorbed.bias / SD  # scores per relative change of a constant
     assert size[0] / size[1] == pytest.approx(2.0, rel=0.02)
-
-
-def test_a_shift_that_the_constants_cannot_make_is_visible() -> None:
     found = signature(EFFECTS["dent"], F0 * (1.0 + 0.01 * DENT))
     assert not found.is_absorbed
     a = weighted_slopes(F0)
@@ -106,6 +96,7 @@ def test_a_shift_that_the_constants_cannot_make_is_visible() -> None:
     left = direction - a @ np.linalg.lstsq(a, direction, rcond=None)[0]
     # the constants' priors are wide against the noise: nearly a plain projection
     assert found.visible_fraction == pytest.approx(np.linalg.norm(left) / np.linalg.norm(direction), abs=0.01)
+    assert cosine(absorbed, found) == 0.0
 
 
 def test_the_shift_has_the_size_and_sign_that_the_data_suggest() -> None:
@@ -118,7 +109,7 @@ def test_the_largest_shift_is_that_of_one_catalogue_standard_deviation() -> None
     found = signature(EFFECTS["bump"], F0)
     # the catalogue's size of a parameter that is normal is its mean, zero here: nothing is shifted
     assert found.largest == pytest.approx(0.0, abs=1e-12)
-    assert signature(MISREAD, F0).largest == pytest.approx(MISREADING.prior.scale, rel=0.01)  # type: ignore[attr-defined]
+    assert signature(misread(3), F0).largest == pytest.approx(MISREADING.prior.scale, rel=0.01)  # type: ignore[attr-defined]
 
 
 def test_the_size_of_an_even_cause_is_no_mean_of_both_its_peaks() -> None:
@@ -170,40 +161,24 @@ def test_the_nearest_shift_is_one_that_is_there() -> None:
     assert nearest_of(1e-3 * size * target, target) == 20
 
 
-def test_an_absorbed_cause_is_like_none() -> None:
-    found = signatures(F0)
-    assert cosine(found["stiffer"], found["bump"]) == 0.0
-
-
 def test_a_missed_mode_shifts_all_that_follow() -> None:
-    f = F0 * (1.0 + A @ [0.01, 0.02])
-    listed = np.delete(f, 5)
-    none, projector, own = plate(listed)
-    marginal = marginal_of([own], MISSED, (0,), none=none)  # type: ignore[list-item]
-    found = signature_of(weighing.Tested(MISSED, (0,), marginal), none, projector)
+    found = signature(
+        Hypothesis("mode_identity", "list", listed=ListChange(missed=(5,))),
+        np.delete(F0 * (1.0 + A @ [0.01, 0.02]), 5),
+    )
     assert found.shift.shape == (7,)
     # the plain model is bent by the wrong pairing: by the noise's measure both ends are far off
     assert np.abs(found.shift[5:]).min() > 10.0 * NOISE
     assert found.visible_fraction > 0.3
 
 
-def test_a_false_peak_shifts_what_lies_above_it() -> None:
-    f = F0 * (1.0 + A @ [0.01, 0.02])
-    listed = np.insert(f[:7], 4, 350.0)
-    false = Hypothesis("mode_identity", "list", listed=ListChange(spurious=4))
-    found = signature(false, listed)
+@pytest.mark.parametrize(("at", "peak"), [(4, 350.0), (3, F0[3]), (4, F0[3])])
+def test_a_false_peak_has_a_signature_and_may_equal_its_neighbour(at: int, peak: float) -> None:
+    """Two frequencies of a list that are rounded to the same number are two frequencies."""
+    false = Hypothesis("mode_identity", "list", listed=ListChange(spurious=at))
+    found = signature(false, np.insert(F0[:7], 4, peak))
     assert found.shift.shape == (8,)
     assert np.all(np.isfinite(found.shift))
-
-
-def test_a_false_peak_may_equal_its_neighbour() -> None:
-    """Two frequencies of a list that are rounded to the same number are two frequencies."""
-    f = np.insert(F0[:7], 4, F0[3])
-    for i in (3, 4):
-        false = Hypothesis("mode_identity", "list", listed=ListChange(spurious=i))
-        found = signature(false, f)
-        assert found.shift.shape == (8,)
-        assert np.all(np.isfinite(found.shift))
 
 
 def test_causes_with_one_signature_are_told_apart_by_fits() -> None:

@@ -10,12 +10,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cpam_bayes.diagnosis.comparison import Comparison, PlateCase
-from cpam_bayes.diagnosis.hypotheses import Hypothesis, go_together, pair_scale, paired
+from cpam_bayes.diagnosis.comparison import PlateCase
+from cpam_bayes.diagnosis.hypotheses import (
+    DISCREPANCY,
+    NONE,
+    OTHER,
+    Hypothesis,
+    go_together,
+    pair_scale,
+    paired,
+)
 from cpam_bayes.diagnosis.models import PlateModels
-from cpam_bayes.effects import Effect, PlateFacts
-from cpam_bayes.effects.effect import PERCENT
-from cpam_bayes.parameters import Parameter, ParameterSet, TruncatedNormal
+from cpam_bayes.effects import Effect, ListChange, PlateFacts
+from cpam_bayes.effects.effect import MISREADING, PERCENT
+from cpam_bayes.parameters import Parameter, ParameterSet, ScaledStudentT, TruncatedNormal
 from cpam_bayes.plate import Measurement
 from cpam_bayes.plate.reader import builtin
 from cpam_bayes.priors import Prior
@@ -104,6 +112,43 @@ def hypothesis(effect: Effect, prior: float) -> Hypothesis:
     )
 
 
+def misread(i: int, prior: float = 0.01) -> Hypothesis:
+    return Hypothesis(
+        "outlier",
+        "list",
+        f"frequency {i + 1}",
+        listed=ListChange(misread=i),
+        parameters=(MISREADING,),
+        prior=prior,
+    )
+
+
+def with_slip(i: int, size: float) -> Array:
+    """Relative shifts by one frequency that is misread."""
+    return np.where(np.arange(len(F0)) == i, size, 0.0)
+
+
+NOTHING = Hypothesis(NONE, NONE, prior=0.5)
+ANYTHING = Hypothesis(OTHER, OTHER, parameters=(DISCREPANCY,), prior=0.06)
+BENT, TWIN, DENTED, STIFF = (cause(name, whole_normal(0.02)) for name in ("bent", "twin", "dented", "stiff"))
+WARP = cause("warp", ScaledStudentT(0.1, 4.0, -0.8, 0.8), is_even=True)
+HEAVY = cause("heavy", ScaledStudentT(0.02, 4.0, 0.0, 0.16))
+# How they shift the modes: the twin as bent does, nearly, and stiff as constants do.
+SHIFTS = {
+    "bent": straight(BUMP),
+    "twin": straight(BUMP + 0.02 * DENT),
+    "dented": straight(DENT),
+    "warp": even(DENT),
+    "stiff": straight(A @ [0.5, 0.5]),
+    "heavy": straight(-np.abs(DENT)),
+}
+
+
+def measured(shift: Array | float = 0.0, noise: float = NOISE) -> Array:
+    """Frequencies of constants 3 % above and 4 % below their means, shifted, with a draw of noise."""
+    return np.asarray(F0 * (1.0 + A @ [0.03, -0.04] + shift) * (1.0 + noise * SCATTER))
+
+
 def a_list(f: Array, relative: float | None, resolution: float = 0.0) -> Measurement:
     return Measurement(np.asarray(f, float), resolution, relative, None, ("",) * len(f), complete=True)
 
@@ -141,6 +186,11 @@ def case(
     return PlateCase(models, measurement, np.arange(measurement.size), extended)
 
 
+def with_causes(f: Array, *effects: Effect, relative: float | None = NOISE, name: str = "toy") -> PlateCase:
+    """A plate with a list, which may have some of the causes above."""
+    return case(a_list(f, relative), [(e, SHIFTS[e.name]) for e in effects], name=name)
+
+
 def log_normal_density(x: Array, mean: Array, covariance: Array) -> float:
     away = x - mean
     return float(
@@ -164,10 +214,6 @@ def differences(function: Callable[[Array], Array], x: Array, step: float = 1e-6
     return np.stack(
         [(function((x + d)[None])[0] - function((x - d)[None])[0]) / (2 * step) for d in h], axis=-1
     )
-
-
-def at_prior_means(comparison: Comparison) -> Array:
-    return np.array([p.prior.mean for p in comparison.parameters.parameters])
 
 
 def pairs_of(causes: Sequence[Hypothesis], singles: Sequence[Hypothesis]) -> tuple[Hypothesis, ...]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -27,6 +28,7 @@ from cpam_bayes.plate.layup import from_angles
 from cpam_bayes.plate.reader import builtin
 from tests.effects.cases import BY_NAME, bare, facts, placed, ritz, ritz_operator, values_at, with_effect
 from tests.mechanics.test_problem import strains as strains_of_a_flat_plate
+from tests.mechanics.test_problem import whole
 from tests.plates import CARBON, CROSS_PLY_16S, plate
 
 PLY = CARBON | {"G13": 5.1e9, "G23": 3.0e9}
@@ -85,26 +87,29 @@ def test_clamp_length_is_the_length_across_the_clamp() -> None:
         np.testing.assert_allclose((found.length, found.width), longer, rtol=1e-14)
 
 
-@pytest.mark.parametrize("layup", [CROSS_PLY_16S, (30.0, -60.0, 10.0)])
-def test_misorientation_is_the_layup_with_every_angle_turned(layup: tuple[float, ...]) -> None:
-    for alpha in (-7.0, 3.0):
-        original = plate(0.26, 0.2, 0.003, 1600.0, PLY, layup, shear=bare("C1").nominal.shear)
-        turned = plate(
-            0.26, 0.2, 0.003, 1600.0, PLY, tuple(a + alpha for a in layup), shear=bare("C1").nominal.shear
-        )
-        found = applied(original, "misorientation", layup).state({"misorientation_deg": np.asarray(alpha)})
-        expected = turned.nominal.stiffness()
-        np.testing.assert_allclose(found.stiffness(), expected, rtol=0, atol=1e-12 * expected.max())
+EVERY_PLY = slice(None)
 
 
-@pytest.mark.parametrize(("name", "ply"), [("outer_ply", 0), ("inner_ply", 14)])
-def test_a_turned_pair_of_plies_is_the_layup_so_written(name: str, ply: int) -> None:
-    angles = list(CROSS_PLY_16S)
-    angles[ply] += 12.0
-    angles[31 - ply] += 12.0
-    original = plate(0.26, 0.2, 0.003, 1600.0, PLY, CROSS_PLY_16S)
-    turned = plate(0.26, 0.2, 0.003, 1600.0, PLY, tuple(angles))
-    found = applied(original, f"{name}_angle", CROSS_PLY_16S).state({f"{name}_deg": np.asarray(12.0)})
+@pytest.mark.parametrize(
+    ("effect", "layup", "plies", "turn"),
+    [
+        ("misorientation", CROSS_PLY_16S, EVERY_PLY, -7.0),
+        ("misorientation", (30.0, -60.0, 10.0), EVERY_PLY, 3.0),
+        ("outer_ply_angle", CROSS_PLY_16S, [0, 31], 12.0),
+        ("inner_ply_angle", CROSS_PLY_16S, [14, 17], 12.0),
+    ],
+)
+def test_turned_plies_are_the_layup_so_written(
+    effect: str, layup: tuple[float, ...], plies: slice | list[int], turn: float
+) -> None:
+    angles = np.array(layup)
+    angles[plies] += turn
+    original, turned = (
+        plate(0.26, 0.2, 0.003, 1600.0, PLY, of, shear=bare("C1").nominal.shear)
+        for of in (layup, tuple(angles.tolist()))
+    )
+    (parameter,) = BY_NAME[effect].parameters
+    found = applied(original, effect, layup).state({parameter.name: np.asarray(turn)})
     expected = turned.nominal.stiffness()
     np.testing.assert_allclose(found.stiffness(), expected, rtol=0, atol=1e-12 * expected.max())
 
@@ -134,22 +139,19 @@ def test_resin_skin_is_a_thinner_laminate_between_two_resin_plies() -> None:
     np.testing.assert_allclose(found[6:, 6:], core[6:, 6:], rtol=1e-12)
 
 
-def test_sensor_mass_is_a_known_mass_of_that_size() -> None:
-    n = bare("D3").nominal
-    effect = BY_NAME["sensor_mass"].at((0.95, 0.275, 0.0))  # type: ignore[misc]
-    problem = extend(bare("D3"), effect, facts("D3"))
-    known = add_known_mass(bare("D3"), 2e-3, 0.95 * float(n.length), 0.275 * float(n.width))
-    found = problem.coefficients({"sensor_mass": np.asarray(2e-3)}, "mass")
+def test_sensor_mass_is_a_known_mass_of_that_size_and_turns_with_its_radius_about_the_surface() -> None:
+    n, m, r = bare("D3").nominal, 2e-3, 4e-3
+    point, wide = (
+        extend(bare("D3"), BY_NAME["sensor_mass"].at((0.95, 0.275, of)), facts("D3"))  # type: ignore[misc]
+        for of in (0.0, r)
+    )
+    known = add_known_mass(bare("D3"), m, 0.95 * float(n.length), 0.275 * float(n.width))
+    found, turning = (p.coefficients({"sensor_mass": np.asarray(m)}, "mass") for p in (point, wide))
     np.testing.assert_allclose(found, known.coefficients({}, "mass"), rtol=1e-14)
-    places = [np.array([f.region.point for f in p.forms("mass")]) for p in (problem, known)]
+    places = [np.array([f.region.point for f in p.forms("mass")]) for p in (point, known)]
     np.testing.assert_allclose(*places, rtol=1e-14)
-
-
-def test_a_sensor_turns_with_its_radius_of_gyration_about_the_surface() -> None:
-    m, r, h = 2e-3, 4e-3, float(bare("D3").nominal.thickness)
-    problem = extend(bare("D3"), BY_NAME["sensor_mass"].at((0.95, 0.275, r)), facts("D3"))  # type: ignore[misc]
-    found = problem.coefficients({"sensor_mass": np.asarray(m)}, "mass")
-    np.testing.assert_allclose(found[-5:], [m, m, m, *[m * (h**2 / 4 + r**2)] * 2], rtol=1e-14)
+    inertia = m * (float(n.thickness) ** 2 / 4 + r**2)
+    np.testing.assert_allclose(turning[-5:], [m, m, m, inertia, inertia], rtol=1e-14)
 
 
 @pytest.mark.parametrize("edges", ["FFFF", "CFFF"])
@@ -174,33 +176,27 @@ def test_a_square_turned_to_a_rhombus_has_its_area_in_the_mass() -> None:
 # Closed forms
 
 
-@pytest.mark.parametrize("c", [0.0, 0.02, 0.1])
-def test_a_strip_on_a_rotational_spring_has_the_frequencies_of_a_beam(c: float) -> None:
-    # 1 + cos b cosh b + c b (cos b sinh b - sin b cosh b) = 0 for a root spring EI / (c L)
+# Of a root spring EI / (c L), and of one EI / (c L^3): what is zero at b = (frequency parameter)^(1/2).
+ROOTS: dict[str, Callable[[float, float], float]] = {
+    "rotation": lambda b, c: (
+        1 + np.cos(b) * np.cosh(b) + c * b * (np.cos(b) * np.sinh(b) - np.sin(b) * np.cosh(b))
+    ),
+    "translation": lambda b, c: (
+        1 + np.cos(b) * np.cosh(b) - c * b**3 * (np.cos(b) * np.sinh(b) + np.sin(b) * np.cosh(b))
+    ),
+}
+
+
+@pytest.mark.parametrize(
+    ("way", "c"), [("rotation", 0.0), ("rotation", 0.02), ("rotation", 0.1), ("translation", 0.01)]
+)
+def test_a_strip_on_a_spring_has_the_frequency_of_a_beam(way: str, c: float) -> None:
     length, h, e, rho = 0.4, 2e-3, 70e9, 2700.0
     strip = plate(length, 0.02, h, rho, {"E1": e, "nu12": 0.0}, edges="CFFF")
-    found = frequencies(applied(strip, "clamp_rotation"), {"rotation_compliance": c}, n=1, degree=7)[0]
-    b = brentq(
-        lambda b: 1 + np.cos(b) * np.cosh(b) + c * b * (np.cos(b) * np.sinh(b) - np.sin(b) * np.cosh(b)),
-        1.0,
-        2.5,
-    )
+    found = frequencies(applied(strip, f"clamp_{way}"), {f"{way}_compliance": c}, n=1, degree=7)[0]
+    b = brentq(ROOTS[way], 1.0, 2.0, args=(c,))
     expected = b**2 / (2 * np.pi * length**2) * np.sqrt(e * h**2 / (12 * rho))
     # the plate's shear and rotary inertia are worth 1e-4, the rigid clamp's own spring 6e-5
-    assert found == pytest.approx(expected, rel=5e-4)
-
-
-def test_a_strip_on_a_translational_spring_has_the_frequency_of_a_beam() -> None:
-    # (1 + cos b cosh b) - c b^3 (cos b sinh b + sin b cosh b) = 0 for a root spring EI / (c L^3)
-    length, h, e, rho, c = 0.4, 2e-3, 70e9, 2700.0, 0.01
-    strip = plate(length, 0.02, h, rho, {"E1": e, "nu12": 0.0}, edges="CFFF")
-    found = frequencies(applied(strip, "clamp_translation"), {"translation_compliance": c}, n=1, degree=7)[0]
-    b = brentq(
-        lambda b: 1 + np.cos(b) * np.cosh(b) - c * b**3 * (np.cos(b) * np.sinh(b) + np.sin(b) * np.cosh(b)),
-        1.0,
-        2.0,
-    )
-    expected = b**2 / (2 * np.pi * length**2) * np.sqrt(e * h**2 / (12 * rho))
     assert found == pytest.approx(expected, rel=5e-4)
 
 
@@ -301,16 +297,6 @@ def strains(problem: Problem, space: RitzSpace, sags: tuple[float, float]) -> tu
     return found, area
 
 
-def whole(problem: Problem, space: RitzSpace, values: dict[str, np.ndarray]) -> np.ndarray:
-    operator = discretise(problem, space, values)
-    c = np.atleast_2d(operator.coefficients(values)[0])[0]
-    n = sum(block.size for block in operator.blocks)
-    found = np.zeros((n, n))
-    for block in operator.blocks:
-        found[np.ix_(block.index, block.index)] = block.stiffness.assemble(c)
-    return found
-
-
 SAGS = (4e-3, -2.5e-3)
 
 
@@ -324,7 +310,8 @@ def test_stiffness_with_an_effect_is_the_energy_of_its_strains_by_quadrature(nam
     values = {effect.parameters.names[0]: value}
     if name == "warp":
         values |= {"sag": np.hypot(*SAGS) / 2**0.5, "sag_direction_deg": np.degrees(np.arctan2(*SAGS[::-1]))}
-    found = whole(effect, space, {name: np.array([v]) for name, v in values.items()})
+    stack = {name: np.array([v]) for name, v in values.items()}
+    found, _ = whole(discretise(effect, space, stack), stack)
     b, area = strains(problem, space, SAGS if name == "warp" else (0.0, 0.0))
     points = space.quadrature(AREA).points
     stiffness = np.broadcast_to(problem.nominal.stiffness(), (len(points), 8, 8)).copy()

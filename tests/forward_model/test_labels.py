@@ -1,21 +1,39 @@
-"""Known labels: the mode keeps its name where modes cross, and a label decides between two pairings."""
+"""Labels and measured shapes say which mode a frequency is, where modes cross and with a probability."""
 
 from __future__ import annotations
 
+import itertools
+import tomllib
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import special_ortho_group
 
-from cpam_bayes.forward_model.labels import LabelError, LabelledModel, labelled_model, same_label
+import cpam_bayes as cb
+from cpam_bayes.forward_model.labels import (
+    AmbiguousShapesError,
+    LabelError,
+    LabelledModel,
+    ShapePairing,
+    labelled_model,
+    modal_assurance,
+    pair_by_assurance,
+    same_label,
+)
 from cpam_bayes.forward_model.reduced import ReducedModel
 from cpam_bayes.forward_model.store import reduced_model
 from cpam_bayes.identification.point import estimate_constants
-from cpam_bayes.identification.search import start_of
-from cpam_bayes.inference.posterior import plate_posterior
+from cpam_bayes.identification.search import search, start_of
+from cpam_bayes.inference.derivatives import expand
+from cpam_bayes.inference.posterior import Posterior, plate_posterior
 from cpam_bayes.inference.swarm import SwarmSettings
+from cpam_bayes.mechanics.modes import Mode
 from cpam_bayes.parameters import ParameterSet
 from cpam_bayes.plate import Measurement, Specimen, read_specimen
+from cpam_bayes.plate.instruments import MeasuredShapes
+from tests.plate_file import BAR
+from tests.universal import grid, mode_55, nodes_15
 
 TWISTED_FIRST = ("(1,1)", "(0,2)")
 BENT_FIRST = ("(0,2)", "(1,1)")
@@ -134,11 +152,10 @@ def test_a_label_of_two_modes_names_them_in_ascending_order_and_not_one_of_them(
         labelled_model(model, listed(f, ("", both, both, both, "", "")), plate)
 
 
-def test_a_list_without_labels_leaves_the_model_alone(plate: Specimen, model: ReducedModel) -> None:
+def test_a_list_without_labels_leaves_the_model_alone_and_a_posterior_does_not_pass_over_labels(
+    plate: Specimen, model: ReducedModel
+) -> None:
     assert labelled_model(model, listed(np.array([60.0, 84.0]), ("", "")), plate) is model
-
-
-def test_a_posterior_does_not_pass_over_labels(model: ReducedModel) -> None:
     with pytest.raises(ValueError, match="labelled_model"):
         plate_posterior(model, listed(np.array([60.0, 84.0]), TWISTED_FIRST), np.zeros(6))
 
@@ -146,3 +163,271 @@ def test_a_posterior_does_not_pass_over_labels(model: ReducedModel) -> None:
 @pytest.mark.parametrize("label", ["(2,0)+(0,2)", "(0,2)+(2,0)", " (0, 2) + (2,0) "])
 def test_spaces_and_the_order_of_parts_do_not_matter(label: str) -> None:
     assert same_label(label) == "(2,0)+(0,2)"
+
+
+K = 8
+MODES = tuple(Mode(100.0 * (i + 1), "bending", f"({i},0)", 0.0) for i in range(K))
+
+
+def measured(w: np.ndarray) -> MeasuredShapes:
+    """Shapes (n_modes, n) that move along z alone."""
+    values = np.zeros((len(w), 3, w.shape[1]), dtype=w.dtype)
+    values[:, 2] = w
+    return MeasuredShapes(np.arange(w.shape[1]), np.zeros((w.shape[1], 2)), values)
+
+
+def predicted(w: np.ndarray) -> np.ndarray:
+    return np.array(measured(w).values)
+
+
+@pytest.fixture
+def shapes() -> np.ndarray:
+    """Orthogonal shapes at 30 nodes, (8, 30)."""
+    return np.linalg.qr(np.random.default_rng(1).standard_normal((30, K)))[0].T
+
+
+def paired(w: np.ndarray, of: np.ndarray) -> ShapePairing:
+    return pair_by_assurance(measured(w), predicted(of), MODES[: len(of)])
+
+
+def test_assurance_is_the_squared_cosine_of_the_angle_between_shapes_of_any_scale_and_phase(shapes):
+    turned = np.array([2.0, -0.3, 1j, np.exp(0.7j)])[:, None] * shapes[:4]
+    np.testing.assert_allclose(modal_assurance(measured(turned), predicted(shapes)), np.eye(4, K), atol=1e-14)
+    at = np.radians(25.0)
+    between = np.cos(at) * shapes[0] + np.sin(at) * shapes[1]
+    found = modal_assurance(measured(between[None]), predicted(shapes))[0]
+    np.testing.assert_allclose(found[:2], [np.cos(at) ** 2, np.sin(at) ** 2])
+
+
+def test_directions_that_were_not_measured_are_left_out_and_modes_in_the_plane_are_like_none(shapes):
+    model = predicted(shapes)
+    model[0, 0], model[0, 2] = model[0, 2], 0.0  # a mode in the plane
+    model[1, 0] = 0.4 * model[1, 2]  # one that moves in both, seen along z
+    found = modal_assurance(measured(shapes), model)
+    assert np.all(found[:, 0] == 0.0)
+    assert found[1, 1] == pytest.approx(1.0)
+
+
+def test_shapes_that_are_sure_fix_their_modes_in_any_order(shapes):
+    order = [3, 0, 7, 5]
+    noise = 0.03 * np.random.default_rng(0).standard_normal((4, 30))
+    found = paired(shapes[order] + noise, shapes)
+    assert found.modes.tolist() == order
+    assert found.fixed.all()
+    assert len(found.assignments) == 1
+    np.testing.assert_array_equal(found.probability, np.eye(K)[order])
+
+
+def test_two_shapes_halfway_between_two_modes_leave_both_pairings_with_equal_probability(shapes):
+    first, second = shapes[2] + shapes[3], shapes[2] - shapes[3]
+    found = paired(np.stack((shapes[0], first, second)), shapes)
+    assert found.fixed.tolist() == [True, False, False]
+    assert sorted(one.modes.tolist() for one in found.assignments) == [[0, 2, 3], [0, 3, 2]]
+    np.testing.assert_allclose(found.probability[1:, 2:4], 0.5)
+
+
+def test_the_weight_of_a_pairing_is_that_of_its_assurances_with_the_directions_that_nodes_tell_apart(shapes):
+    """Against all permutations, with (0.02 + 1 - MAC)^(-(d - 1)/2) and d = 8 orthogonal shapes."""
+    rotation = special_ortho_group(3, seed=4).rvs()
+    rotation = np.linalg.qr(2.0 * np.eye(3) + rotation)[0]
+    mixed = np.vstack((rotation @ shapes[:3], shapes[5:7]))
+    found = paired(mixed, shapes)
+    assert found.directions == pytest.approx(K)
+    weight = (1.02 - found.assurance) ** (-0.5 * (K - 1))
+    # modes with less assurance than 0.3 are none
+    weight[found.assurance < 0.3] = 0.0
+    p = np.zeros((5, K))
+    for modes in itertools.permutations(range(K), 5):
+        rows = np.arange(5), list(modes)
+        p[rows] += np.prod(weight[rows])
+    # pairings a thousand times less probable than the best are left out
+    np.testing.assert_allclose(found.probability, p / p[0].sum(), atol=2e-3)
+
+
+def test_a_shape_that_is_like_no_mode_has_none(shapes):
+    strange = np.random.default_rng(3).standard_normal(30)
+    strange -= shapes.T @ (shapes @ strange)
+    found = paired(np.stack((shapes[1], strange)), shapes)
+    assert found.modes.tolist() == [1, -1]
+    assert np.all(found.probability[1] == 0.0)
+
+
+def test_stated_probabilities_are_those_of_being_right(shapes):
+    """Shapes in pairs that are mixed at random, with errors of the usual size in the model's directions."""
+    rng = np.random.default_rng(5)
+    stated, right = [], []
+    for _ in range(400):
+        error = rng.standard_normal((2, K)) @ shapes * np.sqrt(0.02 / K)
+        truth = rng.permutation(2)
+        angle = rng.uniform(-0.25, 0.25) * np.pi + 0.5 * np.pi * truth[0]
+        turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+        found = paired(turn @ shapes[:2] + error, shapes)
+        p = found.probability
+        stated.append(float(p[0].max()))
+        right.append(found.modes[0] == truth[0])
+    stated_of_unsure = np.array(stated)[np.array(stated) < 0.99]
+    assert len(stated_of_unsure) > 50
+    # the mean of what is stated is no more than the fraction that is right: 3 standard errors of 400 trials
+    assert np.mean(stated) <= np.mean(right) + 3.0 * np.std(right) / np.sqrt(len(right))
+
+
+def test_nodes_that_do_not_tell_modes_apart_are_refused(shapes):
+    few = np.linalg.qr(np.random.default_rng(2).standard_normal((3, 3)))[0]
+    same = np.repeat(few[:1], K, axis=0) + 0.01 * np.random.default_rng(0).standard_normal((K, 3))
+    with pytest.raises(AmbiguousShapesError, match="accepted: shapes at more nodes"):
+        paired(same, same)
+
+
+@pytest.fixture(scope="module")
+def of_four(plate: Specimen) -> ReducedModel:
+    return reduced_model(plate, plate.unknowns, 4)
+
+
+TRUTH = np.array([9.34e9, 16e9])
+
+
+@pytest.fixture(scope="module")
+def tested(plate: Specimen, of_four: ReducedModel) -> Specimen:
+    """The plate with frequencies and shapes of its crossed modes at 5 x 4 nodes, with errors of 5 %."""
+    points = grid(plate.plate.length, plate.plate.width)
+    shapes = of_four.full.shapes_at(TRUTH, points / (plate.plate.length, plate.plate.width))[:2]
+    noise = np.random.default_rng(0).standard_normal(shapes.shape)
+    shapes = shapes + 0.05 * shapes.std(axis=(1, 2), keepdims=True) * noise
+    shapes[:, :2] = 0.0
+    modes = of_four.full.modes(TRUTH)
+    assert [mode.label for mode in modes[:2]] == ["(0,2)", "(1,1)"]
+    frequencies = np.array([mode.frequency for mode in modes[:2]])
+    at = MeasuredShapes(np.arange(len(points)), points, shapes)
+    measurement = Measurement(frequencies, 0.0, 0.003, None, ("", ""), complete=True, shapes=at)
+    return replace(plate, measurement=measurement)
+
+
+def measurement_of(specimen: Specimen) -> Measurement:
+    assert specimen.measurement is not None
+    return specimen.measurement
+
+
+def with_values(specimen: Specimen, values: np.ndarray) -> Specimen:
+    measurement = measurement_of(specimen)
+    assert measurement.shapes is not None
+    shapes = replace(measurement.shapes, values=values)
+    return replace(specimen, measurement=replace(measurement, shapes=shapes))
+
+
+def test_shapes_replace_labels_where_modes_have_crossed(tested, of_four):
+    own = labelled_model(of_four, measurement_of(tested), tested)
+    labels = replace(measurement_of(tested), shapes=None, labels=("(0,2)", "(1,1)"))
+    by_label = labelled_model(of_four, labels, tested)
+    assert isinstance(own, LabelledModel)
+    assert own.alternatives == ()
+    x = tested.unknowns.sample(np.random.default_rng(0), 20)
+    np.testing.assert_array_equal(own.predict(x).frequencies, by_label.predict(x).frequencies)
+
+
+def test_the_swarm_finds_the_constants_that_the_order_of_the_list_would_hide(tested):
+    settings = SwarmSettings(particles=20, iterations=60)
+    found = search(tested, 0, spare=2, settings=settings).swarm.best
+    np.testing.assert_allclose(found, TRUTH, rtol=0.02)
+
+
+@pytest.fixture(scope="module")
+def unsure(tested: Specimen, of_four: ReducedModel) -> Specimen:
+    """The plate with shapes that are nearly halfway between the two modes."""
+    measurement = measurement_of(tested)
+    first, second = (v / np.linalg.norm(v) for v in measurement.shapes.values)
+    return with_values(tested, np.stack((first + 0.97 * second, second - 0.97 * first)))
+
+
+def posterior_of(specimen: Specimen, of_four: ReducedModel, complete: bool = True) -> Posterior:
+    measurement = replace(measurement_of(specimen), complete=complete)
+    own = labelled_model(of_four, measurement, specimen)
+    return plate_posterior(own, measurement, np.zeros(of_four.n_modes))
+
+
+@pytest.mark.parametrize("complete", [True, False])
+def test_the_likelihood_is_the_sum_over_pairings_by_their_probability(unsure, of_four, complete):
+    posterior = posterior_of(unsure, of_four, complete)
+    own = posterior.model
+    assert isinstance(own, LabelledModel)
+    assert len(posterior.alternatives) == 2
+    measurement, total = measurement_of(unsure), 0.0
+    x = np.array([[9.34e9, 15e9]])
+    for one in own.by_shape.assignments:
+        labels = tuple(own.by_shape.candidates[j].label for j in one.modes)
+        known = replace(measurement, shapes=None, labels=labels, complete=complete)
+        fixed = plate_posterior(labelled_model(of_four, known, unsure), known, np.zeros(of_four.n_modes))
+        total += np.exp(one.log_probability + fixed.log_likelihood(x)[0])
+    assert posterior.log_likelihood(x)[0] == pytest.approx(np.log(total), rel=1e-10)
+
+
+@pytest.mark.parametrize("complete", [True, False])
+def test_the_gradient_of_a_sum_over_pairings_is_that_of_differences(unsure, of_four, complete):
+    posterior = posterior_of(unsure, of_four, complete)
+    x = np.array([9.4e9, 13.3e9])  # where both pairings count
+    step = np.diag(1e-5 * x)
+    up, down = (posterior.log_prob(x + s * step) for s in (1, -1))
+    np.testing.assert_allclose(expand(posterior, x).gradient[0], (up - down) / (2e-5 * x), rtol=1e-4)
+
+
+def test_the_most_probable_pairing_follows_the_frequencies_where_shapes_leave_it_open(unsure, of_four):
+    posterior = posterior_of(unsure, of_four)
+    crossed = posterior.most_probable_pairing(TRUTH)
+    assert sorted(crossed.mode.tolist()) == [0, 1]
+    assert crossed.log_probability == pytest.approx(0.0, abs=1e-3)
+    predicted_hz = posterior.predict(TRUTH[None])[0, crossed.mode]
+    np.testing.assert_allclose(predicted_hz, measurement_of(unsure).frequencies, rtol=1e-3)
+
+
+def test_shapes_like_no_mode_are_refused_with_what_to_check(tested, of_four):
+    strange = np.zeros((2, 3, 20))
+    strange[:, 2, 0] = 1.0
+    specimen = with_values(tested, strange)
+    with pytest.raises(LabelError, match=r"like one of the first 4 modes.*check the edges, the layup"):
+        labelled_model(of_four, measurement_of(specimen), specimen)
+
+
+FILE = f"{BAR}[unknowns]\nE1_GPa = [50, 90]\nnu12 = [0.2, 0.45]\n"
+
+
+def test_predicted_modes_written_as_a_universal_file_are_read_back_as_their_own(run, tmp_path):
+    plate = tmp_path / "bar.toml"
+    plate.write_text(FILE, encoding="utf-8")
+    status, out, err = run("export", plate, "--to", "uff", "--modes", "5", "--out", tmp_path / "modes.unv")
+    assert (status, err) == (0, "")
+    assert "5 predicted modes" in " ".join(out.split())  # the path before it may break the line
+    plate.write_text(f'{FILE}[measurement]\nshapes = "modes.unv"\n', encoding="utf-8")
+    result = cb.forward(plate)
+    computed = cb.forward(tomllib.loads(FILE), n_modes=5)
+    # frequencies are written with six digits
+    np.testing.assert_allclose(result.specimen.measurement.frequencies, computed.frequencies, rtol=1e-5)
+    assert result.by_shape.modes.tolist() == [0, 1, 2, 3, 4]
+    # the plate is computed anew with more modes, on a space that is converged for them
+    np.testing.assert_allclose(np.diag(result.by_shape.assurance), 1.0, atol=1e-5)
+    document = result.to_dict()
+    assert [one["label"] for one in document["shapes"]] == [m.label for m in computed.modes]
+    assert [mode["paired_by"] for mode in document["modes"][:6]] == ["shape"] * 5 + [None]
+    assert set(result.figures()) == {"modes", "modal_assurance", "plate"}
+    assert "Modal assurance at the reference constants" in result.summary(verbose=True)
+
+
+def test_modes_are_written_at_the_nodes_of_measured_shapes(tmp_path):
+    points = grid(200.0, 100.0)
+    shape = np.stack((0 * points[:, 0], 0 * points[:, 0], (points[:, 0] - 100) * (points[:, 1] - 50)))
+    numbers = [100 + 3 * i for i in range(20)]
+    content = nodes_15(points - (100, 50), numbers) + mode_55(331.0, shape, nodes=numbers)
+    (tmp_path / "measured.unv").write_text(content)
+    plate = tmp_path / "bar.toml"
+    plate.write_text(f'{FILE}[measurement]\nshapes = "measured.unv"\n', encoding="utf-8")
+    result = cb.export(plate, tmp_path / "predicted.unv", to="uff", n_modes=3)
+    assert result.shapes.nodes.tolist() == numbers
+    plate.write_text(f'{FILE}[measurement]\nshapes = "predicted.unv"\n', encoding="utf-8")
+    again = cb.read_plate(plate).measurement
+    assert again.shapes.nodes.tolist() == numbers
+    # coordinates are written with six digits
+    np.testing.assert_allclose(again.shapes.points, 1e-3 * points, rtol=2e-6)
+
+
+def test_an_element_is_of_decks_alone(run, tmp_path):
+    status, _, err = run("export", "A1", "--to", "uff", "--element", "brick", "--out", tmp_path / "x.unv")
+    assert status == 2
+    assert "with --to ccx only" in err

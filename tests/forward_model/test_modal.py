@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cpam_bayes.effects import CATALOGUE, PlateFacts, add_known_mass, extend, variants
+from cpam_bayes.effects import PlateFacts, add_known_mass, extend, variants
 from cpam_bayes.forward_model.local.modal import changed_on_modes, on_modes
 from cpam_bayes.forward_model.model import PlateModel, converged_model, model_on_basis
-from cpam_bayes.plate import Sensor, Specimen
 from cpam_bayes.plate.reader import builtin
+from cpam_bayes.plate.records import Sensor, Specimen
+from tests.effects.cases import BY_NAME
 
 Array = NDArray[Any]
 N_MODES = 6
-BY_NAME = {effect.name: effect for effect in CATALOGUE}
 
 
 @lru_cache
@@ -90,7 +90,7 @@ def test_a_change_anywhere_moves_the_modes_as_it_moves_the_full_plate(effect: st
     assert np.sqrt(np.mean(error**2)) < 0.05 * np.sqrt(np.mean(moved**2))
 
 
-def test_derivatives_are_refused() -> None:
+def test_an_effect_without_a_place_and_derivatives_are_refused() -> None:
     specimen, full, x = plate("C1")
     facts = PlateFacts.of(
         specimen.plate, specimen.material.isotropic, loaded=False, air_is_known=True, has_references=True
@@ -98,9 +98,5 @@ def test_derivatives_are_refused() -> None:
     mass = changed_on_modes(on_modes(full, x[0]), variants(BY_NAME["sensor_mass"], facts)[0])
     with pytest.raises(ValueError, match="no derivatives"):
         mass.predict(np.column_stack((x, np.tile([0.01, 0.5, 0.5, 0.01], (len(x), 1)))), jacobian=True)
-
-
-def test_an_effect_without_a_place_is_refused() -> None:
-    _, full, x = plate("C1")
     with pytest.raises(ValueError, match="not given in `local`"):
         changed_on_modes(on_modes(full, x[0]), BY_NAME["thickness"])

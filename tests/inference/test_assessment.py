@@ -28,24 +28,15 @@ from tests.linear_model import MEAN_HZ, SLOPE_HZ, LinearModel, exact_gaussian, m
 
 X = np.array([0.4, -0.3])
 PRIOR_SD = 4.0 / np.sqrt(12.0)
+ONE_TO_ONE = Pairing(np.arange(4), np.empty(0, dtype=int), 0.0)
 
 
-def one_to_one(n: int) -> Pairing:
-    return Pairing(np.arange(n), np.empty(0, dtype=int), 0.0)
-
-
-def test_singular_values_are_prior_over_noise_along_the_axes_of_the_covariance() -> None:
+def test_combinations_have_prior_over_noise_along_the_axes_of_the_covariance_and_its_spreads() -> None:
     data = measurement(0.01)
-    found = combinations(plate_posterior(LinearModel(), data, np.zeros(4)), X, one_to_one(4))
+    found = combinations(plate_posterior(LinearModel(), data, np.zeros(4)), X, ONE_TO_ONE)
     _, covariance = exact_gaussian(data)
     expected = PRIOR_SD / np.sqrt(np.linalg.eigvalsh(covariance))
     np.testing.assert_allclose([c.singular_value for c in found], np.sort(expected)[::-1], rtol=1e-10)
-
-
-def test_spread_of_a_combination_is_that_of_its_logarithm_under_the_covariance() -> None:
-    data = measurement(0.01)
-    found = combinations(plate_posterior(LinearModel(), data, np.zeros(4)), X, one_to_one(4))
-    _, covariance = exact_gaussian(data)
     for c in found:
         slope = c.exponents / X  # d ln(product) / dx
         assert c.noise_sd == pytest.approx(float(np.sqrt(slope @ covariance @ slope)), rel=1e-10)
@@ -70,7 +61,7 @@ def test_a_frequency_without_a_mode_does_not_count() -> None:
     spurious = Measurement(np.insert(data.frequencies, 2, 250.0), 0.0, 0.01, None, ("",) * 5, complete=False)
     pairing = Pairing(np.array([0, 1, -1, 2, 3]), np.empty(0, dtype=int), 0.0)
     found = combinations(plate_posterior(LinearModel(), spurious, np.zeros(4)), X, pairing)
-    clean = combinations(plate_posterior(LinearModel(), data, np.zeros(4)), X, one_to_one(4))
+    clean = combinations(plate_posterior(LinearModel(), data, np.zeros(4)), X, ONE_TO_ONE)
     for f, c in zip(found, clean, strict=True):
         assert f.singular_value == pytest.approx(c.singular_value, rel=1e-12)
 
@@ -89,11 +80,11 @@ def cumulative_js_distance(p: np.ndarray, q: np.ndarray, x: np.ndarray) -> float
     return np.sqrt((half(p, q) + half(q, p)) / float(np.trapezoid(p + q, x)))
 
 
-def test_sensitivity_to_the_likelihood_is_the_derivative_of_the_distance() -> None:
+def test_sensitivity_to_the_likelihood_is_the_derivative_of_the_distance_of_each_parameter() -> None:
     # even prior, likelihood N(0, 1): the power a makes the posterior N(0, 1 / a)
-    draws = np.random.default_rng(1).standard_normal((N, 1))
-    (found,) = power_scaling(("a",), draws, NOTHING, NOTHING, -0.5 * draws[:, 0] ** 2)
-    x = np.linspace(draws.min(), draws.max(), 20_001)
+    draws = np.random.default_rng(1).standard_normal((N, 2))
+    found, unseen = power_scaling(("a", "b"), draws, NOTHING, NOTHING, -0.5 * draws[:, 0] ** 2)
+    x = np.linspace(draws[:, 0].min(), draws[:, 0].max(), 20_001)
     distances = [cumulative_js_distance(norm.cdf(x), norm.cdf(x * np.sqrt(a)), x) for a in (1 / 1.01, 1.01)]
     expected = sum(distances) / (2.0 * np.log2(1.01))
     # the tails that count are those of 20000 draws
@@ -101,6 +92,7 @@ def test_sensitivity_to_the_likelihood_is_the_derivative_of_the_distance() -> No
     assert found.prior == 0.0
     assert found.noise_prior == 0.0
     assert found.diagnosis == "likelihood has a say"
+    assert unseen.diagnosis == "likelihood is weak"
 
 
 def test_a_prior_far_from_the_data_disagrees_with_them() -> None:
@@ -110,13 +102,6 @@ def test_a_prior_far_from_the_data_disagrees_with_them() -> None:
     (found,) = power_scaling(("a",), draws, -0.5 * x**2, NOTHING, -0.5 * (x - 8.0) ** 2)
     assert found.diagnosis == "prior and data disagree"
     assert found.prior == pytest.approx(found.likelihood, rel=0.1)  # by symmetry
-
-
-def test_each_parameter_has_its_own_sensitivity() -> None:
-    draws = np.random.default_rng(1).standard_normal((N, 2))
-    seen, unseen = power_scaling(("a", "b"), draws, NOTHING, NOTHING, -0.5 * draws[:, 0] ** 2)
-    assert seen.diagnosis == "likelihood has a say"
-    assert unseen.diagnosis == "likelihood is weak"
 
 
 @pytest.mark.parametrize(
@@ -148,12 +133,8 @@ def test_moving_a_bound_of_an_even_posterior_moves_its_mean_by_half_as_much() ->
         assert moved.cut == pytest.approx(0.1, abs=0.01)
         assert moved.shift[0] == pytest.approx(sign * 0.05 * np.sqrt(12.0), abs=0.03)
         assert moved.shift[1] == pytest.approx(0.0, abs=0.03)
-
-
-def test_a_bound_moved_past_all_draws_says_nothing() -> None:
-    parameters = ParameterSet((Parameter("a", "", Uniform(0.0, 1.0)),))
-    draws = np.random.default_rng(3).uniform(0.0, 0.05, size=(N, 1))
-    lower, upper = moved_bounds(parameters, draws)
+    # past all draws it says nothing
+    lower, upper = moved_bounds(parameters, draws * [0.05, 1.0])
     assert lower.cut == 1.0
     assert np.isnan(lower.shift[0])
     assert upper.shift[0] == 0.0
@@ -224,9 +205,6 @@ def test_a_shear_modulus_alone_is_cut_by_nothing(symmetry) -> None:
     unknowns = ParameterSet((Parameter("G12", "Pa", Uniform(1e9, 9e9)),))
     assert limiting_constraints(material, unknowns, np.array([6e9])) == ()
     assert cut_notices(material, {"G12": 6e9 + 1e8 * cut_normal(0.5)}) == ()
-
-
-ONE_TO_ONE = Pairing(np.arange(4), np.empty(0, dtype=int), 0.0)
 
 
 def refitted(relative_std: float) -> tuple[np.ndarray, np.ndarray]:

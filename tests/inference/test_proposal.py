@@ -159,19 +159,15 @@ def refit(mixture: Mixture, points: np.ndarray, log_weight: np.ndarray) -> Mixtu
     return shrunk_moments(mixture, points, log_weight, least=1e-3, wider=1.15, prior_points=4.0)
 
 
-def test_the_integral_along_a_bent_ridge_is_found_where_refitting_alone_does_not() -> None:
+def test_integral_and_moments_of_a_bent_ridge_are_found_where_refitting_alone_does_not() -> None:
     found = adaptive_importance(log_density, expand, about_the_optimum(), refit)
     assert found.log_evidence[0] == pytest.approx(LOG_Z, abs=0.1)
     assert found.effective_size[0] > 400.0
-    refitted = staged_importance(log_density, about_the_optimum(), 12, (0.125,) * 8, refit)
-    assert abs(refitted.log_evidence[0] - LOG_Z) > 0.2
-
-
-def test_moments_are_those_of_the_ridge() -> None:
-    found = adaptive_importance(log_density, expand, about_the_optimum(), refit)
     y, _ = straight(found.points[0])
     np.testing.assert_allclose(found.weight[0] @ y, 0.0, atol=0.2)
     np.testing.assert_allclose(found.weight[0] @ y**2, 1.0, atol=0.3)
+    refitted = staged_importance(log_density, about_the_optimum(), 12, (0.125,) * 8, refit)
+    assert abs(refitted.log_evidence[0] - LOG_Z) > 0.2
 
 
 def test_it_ends_as_soon_as_the_points_are_enough() -> None:

@@ -97,20 +97,15 @@ SCALE = np.array([[1.0, 0.6, -0.2], [0.6, 2.0, 0.5], [-0.2, 0.5, 0.7]])
 LOWER, UPPER = np.array([-1.0, -np.inf, 0.0]), np.array([2.0, 0.4, np.inf])
 
 
-def test_gaussian_mass_is_that_of_an_independent_program() -> None:
-    expected = multivariate_normal.cdf(UPPER, CENTRE, SCALE, lower_limit=LOWER, abseps=1e-8, releps=1e-8)
-    # the error of 2^10 points that the docstring states
-    assert log_box_mass(CENTRE[None], SCALE[None], LOWER, UPPER)[0] == pytest.approx(
-        np.log(expected), abs=1e-3
-    )
-
-
-def test_a_stack_gives_what_each_gives_alone() -> None:
+def test_gaussian_masses_of_a_stack_are_those_of_an_independent_program() -> None:
     centres, scales = np.stack((CENTRE, -CENTRE)), np.stack((SCALE, 3.0 * SCALE))
-    together = log_box_mass(centres, scales, LOWER, UPPER)
-    for i in range(2):
-        alone = log_box_mass(centres[i : i + 1], scales[i : i + 1], LOWER, UPPER)
-        assert together[i] == pytest.approx(alone[0], abs=1e-12)
+    found = log_box_mass(centres, scales, LOWER, UPPER)
+    for i, (centre, scale) in enumerate(zip(centres, scales, strict=True)):
+        expected = multivariate_normal.cdf(UPPER, centre, scale, lower_limit=LOWER, abseps=1e-8, releps=1e-8)
+        # the error of 2^10 points that the docstring states
+        assert found[i] == pytest.approx(np.log(expected), abs=1e-3)
+        alone = log_box_mass(centre[None], scale[None], LOWER, UPPER)
+        assert found[i] == pytest.approx(alone[0], abs=1e-12)
 
 
 def test_student_t_mass_is_that_of_the_gaussians_it_mixes() -> None:
@@ -172,17 +167,13 @@ def refit(mixture: Mixture, points: np.ndarray, log_weight: np.ndarray) -> Mixtu
     return shrunk_moments(mixture, points, log_weight, least=0.1, wider=1.1, prior_points=3.0)
 
 
-@pytest.mark.parametrize("stages", [(1.0,), (0.25, 0.25, 0.5)], ids=["at once", "refitted"])
-def test_evidences_of_a_stack_are_found_within_their_errors(stages: tuple[float, ...]) -> None:
-    found = staged_importance(target, proposal(), 11, stages, refit)
-    assert np.all(np.abs(found.log_evidence - LOG_Z) < 4.0 * found.standard_error)
-    assert np.all(found.standard_error < 0.04)
-    assert np.all(found.k_hat < 0.7)
-    np.testing.assert_allclose(found.weight.sum(axis=1), 1.0, rtol=1e-12)
-
-
-def test_refitting_makes_the_weights_more_even() -> None:
+def test_evidences_of_a_stack_are_found_within_their_errors_and_refitting_makes_weights_more_even() -> None:
     once, thrice = (staged_importance(target, proposal(), 11, s, refit) for s in ((1.0,), (0.25, 0.25, 0.5)))
+    for found in (once, thrice):
+        assert np.all(np.abs(found.log_evidence - LOG_Z) < 4.0 * found.standard_error)
+        assert np.all(found.standard_error < 0.04)
+        assert np.all(found.k_hat < 0.7)
+        np.testing.assert_allclose(found.weight.sum(axis=1), 1.0, rtol=1e-12)
     assert np.all(thrice.effective_size[1:] > 1.2 * once.effective_size[1:])
 
 

@@ -12,7 +12,7 @@ from scipy.sparse.linalg import splu
 from cpam_bayes.effects import add_known_mass
 from cpam_bayes.mechanics.affine import MATRICES, discretise
 from cpam_bayes.mechanics.fem import FemSpace, SparseBlock, SparseOperator, discretise_sparse, fem_space
-from cpam_bayes.mechanics.modes import RigidBodyError, describe_modes, energy_terms, solve
+from cpam_bayes.mechanics.modes import RigidBodyError, describe_modes, solve
 from cpam_bayes.mechanics.problem import PlateState, Problem, Values, bare_plate
 from cpam_bayes.mechanics.ritz import RitzSettings, ritz_space
 from cpam_bayes.parameters import Parameter, ParameterSet, Uniform
@@ -101,23 +101,6 @@ def spectrum_of(operator: SparseOperator, values: Values, n_modes: int) -> np.nd
     return solve(operator, *operator.coefficients(values), n_modes).eigenvalues
 
 
-def test_eigenvalues_and_vectors_are_those_of_the_dense_problem() -> None:
-    problem = plate(0.2, 0.15, 0.006, 1600.0, CARBON, (30.0, -75.0))
-    operator = discretise_sparse(problem, small(problem), {})
-    (block,) = operator.blocks
-    k, m = operator.coefficients({})
-    dense_k, dense_m = (matrix.assemble(c).toarray() for matrix, c in ((block.stiffness, k), (block.mass, m)))
-    expected = scipy.linalg.eigh(dense_k, dense_m, eigvals_only=True)
-    values, vectors = block.eigenpairs(k[None], m[None], 16)
-    np.testing.assert_allclose(values[0, 6:], expected[6:16], rtol=1e-9)
-    np.testing.assert_array_equal(values, block.eigenvalues(k[None], m[None], 16))
-    modes = np.array([15, 6, 7, 0])
-    phi = vectors(np.zeros(4, dtype=int), modes).T
-    np.testing.assert_allclose(phi.T @ dense_m @ phi, np.eye(4), atol=1e-9)
-    residual = dense_k @ phi - dense_m @ phi * values[0, modes]
-    assert np.abs(residual).max() < 1e-8 * np.abs(dense_k @ phi).max()
-
-
 def test_a_block_as_small_as_what_is_asked_of_it_is_solved() -> None:
     problem = plate(0.2, 0.15, 0.006, 1600.0, CARBON, (0.0,), "CCCC")
     space = small(problem, 2)
@@ -167,22 +150,6 @@ def test_no_mode_of_a_square_plate_is_missed(edges: str, thickness: float) -> No
             np.testing.assert_allclose(fewer, lam[:n], rtol=1e-8, atol=1e-9 * lam[10])
 
 
-def test_a_stack_of_parameter_sets_is_solved_set_by_set() -> None:
-    problem = free_parameters((0.0, 90.0))
-    rng = np.random.default_rng(0)
-    x = problem.parameters.sample(rng, 4)
-    values = problem.parameters.mapping(x)
-    operator = discretise_sparse(problem, small(problem), values)
-    stack = spectrum_of(operator, values, 5)
-    for i in range(4):
-        one = {name: v[i] for name, v in values.items()}
-        np.testing.assert_array_equal(spectrum_of(operator, one, 5)[0], stack[i])
-    k, m = operator.coefficients(values)
-    same_mass = solve(operator, k, m[:1], 5).eigenvalues
-    np.testing.assert_array_equal(same_mass[0], stack[0])
-    assert same_mass.shape == stack.shape
-
-
 def test_solving_twice_gives_the_same_bits_and_leaves_the_operator_alone() -> None:
     problem = plate(0.2, 0.2, 0.004, 1600.0, ALUMINIUM)
     operator = discretise_sparse(problem, small(problem, 6), {})
@@ -203,31 +170,6 @@ def test_the_shift_serves_stiffnesses_far_from_the_nominal_one(scale: float) -> 
     k, m = operator.coefficients({})
     found = solve(operator, scale**2 * k, m, 6).frequencies
     np.testing.assert_allclose(found, scale * solve(operator, k, m, 6).frequencies, rtol=1e-8)
-
-
-def test_energies_add_up_to_the_eigenvalue_and_give_its_derivative() -> None:
-    problem = free_parameters((30.0, -75.0), "CFFF")
-    x = np.array([120e9, 6e9, 0.006])
-    values = problem.parameters.mapping(x)
-    samples = problem.parameters.mapping(problem.parameters.sample(np.random.default_rng(1), 3))
-    operator = discretise_sparse(problem, small(problem, 5), samples)
-    k, m = operator.coefficients(values)
-    found = solve(operator, k, m, 6, vectors=True)
-    stiffness, mass = (e[0] for e in energy_terms(operator, found))
-    lam = found.eigenvalues[0]
-    np.testing.assert_allclose(stiffness @ k, lam, rtol=1e-9)
-    np.testing.assert_allclose(mass @ m, 1.0, rtol=1e-9)
-    h = 1e-4
-
-    def along(i: int, step: complex) -> dict[str, np.ndarray]:
-        return problem.parameters.mapping(x * (1 + step * np.eye(3)[i]))
-
-    for i in range(3):
-        dk, dm = (c.imag / 1e-30 for c in operator.coefficients(along(i, 1e-30j)))
-        analytic = stiffness @ dk - lam * (mass @ dm)
-        ends = [spectrum_of(operator, along(i, sign * h), 6)[0] for sign in (-1, 1)]
-        # differences err by h^2 and by the digits of lambda over h
-        np.testing.assert_allclose(analytic / lam, (ends[1] - ends[0]) / (2 * h * lam), atol=5e-6)
 
 
 def test_modes_have_the_kinds_and_labels_that_they_have_with_ritz() -> None:

@@ -1,16 +1,27 @@
-"""Many sequences at once: importance sampling against known integrals."""
+"""One sequence given: importance sampling against known integrals, bases and starts, questions to it."""
 
+from __future__ import annotations
+
+from functools import cache
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+import pytest
 
+from cpam_bayes.forward_model.model import training_sets
+from cpam_bayes.plate.layup import parse_layup
+from cpam_bayes.stacking import posterior as stacking_mixture
 from cpam_bayes.stacking.conditional import (
     ConditionalFits,
     Conditionals,
     RefinementSettings,
     importance_evidence,
 )
+from cpam_bayes.stacking.evaluation import of_sequence, scan_library, scanned_starts
+from cpam_bayes.stacking.posterior import MixtureSettings, sample_mixture
+from cpam_bayes.stacking.queries import angle_information, bending_fractions, entropies, given_layup
+from tests.stacking.cases import TRUE, answer, shortened
 
 N = 3
 LOG_Z = np.array([0.0, -7.0, 3.0])
@@ -58,12 +69,12 @@ def fits(centre: float, sd: float) -> ConditionalFits:
     return ConditionalFits(LOG_Z, optima[:, 0], np.zeros((m, 1)), optima, weight, curvature)
 
 
-ANGLES = np.arange(3.0)[:, None]
+NUMBERS = np.arange(3.0)[:, None]
 
 
 def test_the_evidence_of_a_known_density_is_found_within_its_error() -> None:
     own: Any = Known()
-    found = importance_evidence(own, ANGLES, fits(0.0, 1.0), 13)
+    found = importance_evidence(own, NUMBERS, fits(0.0, 1.0), 13)
     assert np.all(np.abs(found.log_evidence - LOG_Z) <= 4.0 * found.error)
     assert found.error.max() < 0.03
     # mean and sd of the third coordinate, a normal about 2 with sd 2
@@ -74,9 +85,9 @@ def test_the_evidence_of_a_known_density_is_found_within_its_error() -> None:
 
 def test_a_proposal_that_lies_badly_is_refitted() -> None:
     own: Any = Known()
-    refitted = importance_evidence(own, ANGLES, fits(0.5, 0.6), 12)
+    refitted = importance_evidence(own, NUMBERS, fits(0.5, 0.6), 12)
     as_it_was = RefinementSettings(refitted_from=99, resampled_from=99)
-    left = importance_evidence(own, ANGLES, fits(0.5, 0.6), 12, settings=as_it_was)
+    left = importance_evidence(own, NUMBERS, fits(0.5, 0.6), 12, settings=as_it_was)
     assert np.all(refitted.error < 0.7 * left.error)
     assert np.all(np.abs(refitted.log_evidence - LOG_Z) <= 4.0 * refitted.error)
 
@@ -85,7 +96,7 @@ def test_what_stays_unsure_is_sampled_with_more_and_more_points() -> None:
     def sampled(unsure: float, points: int) -> Conditionals:
         own: Any = Known()
         settings = RefinementSettings(unsure=unsure)
-        found = importance_evidence(own, ANGLES, fits(0.0, 1.0), 9, settings=settings)
+        found = importance_evidence(own, NUMBERS, fits(0.0, 1.0), 9, settings=settings)
         assert own.points == 3 * points
         return found
 
@@ -93,3 +104,131 @@ def test_what_stays_unsure_is_sampled_with_more_and_more_points() -> None:
     sampled(0.75 * first.error.min(), 2**9 + 2**11)  # four times as many points halve the error
     found = sampled(0.0, 2**9 + 2**11 + 2**13)
     assert found.error.max() < 0.03
+
+
+ANGLES = np.array([TRUE, (60.0, 0.0)])
+
+
+@pytest.mark.parametrize(("noise", "error"), [(0.1, 2e-4), (0.005, 1e-4), (0.001, 2e-5), (1e-5, 2e-5)])
+def test_a_basis_for_one_sequence_is_good_for_all_constants(noise: float, error: float) -> None:
+    whole = answer().conditional
+    small = of_sequence(whole, ANGLES[0], noise)
+    sets = training_sets(whole.model.full.operator.problem, 300, np.random.default_rng(1))
+    sets[:, : whole.n_angles] = TRUE
+    sizes = [max(block.size for block in c.model.fast.operator.blocks) for c in (whole, small)]
+    assert sizes[1] < (0.5 if noise > 1e-3 else 1.0) * sizes[0]
+    off = small.model.predict(sets).frequencies / whole.model.predict(sets).frequencies - 1.0
+    assert off.min() > -1e-9, "projection makes no frequency lower"
+    assert np.quantile(off, 0.97) < error
+    assert off.max() < 3e-4, "in a corner of the box that no set came near"
+
+
+@pytest.mark.slow
+def test_moments_by_emcee_on_the_basis_of_a_sequence_are_those_on_the_whole_one(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    own, one = answer(), MixtureSettings(max_classes=1)
+    small = sample_mixture(own, 0, settings=one).components[0]
+    monkeypatch.setattr(stacking_mixture, "of_sequence", lambda conditional, angles, noise: conditional)
+    whole = sample_mixture(own, 0, settings=one).components[0]
+    # a fiftieth of the noise of a frequency is nothing beside the errors of sampling
+    for a, b in ((small.chains, whole.chains), (small.importance, whole.importance)):
+        moved = (a.mean - b.mean) / np.hypot(a.mean_error, b.mean_error)
+        assert np.abs(moved).max() < 4.0
+    assert abs(small.log_evidence - whole.log_evidence) < 4.0 * np.hypot(
+        small.log_evidence_error, whole.log_evidence_error
+    )
+
+
+@cache
+def library() -> np.ndarray:
+    return scan_library(answer().conditional, 40, np.random.default_rng(0))
+
+
+def test_starts_are_within_the_bounds_and_ordered_by_misfit() -> None:
+    own = answer().conditional
+    assert library().shape == (40, own.template.model.parameters.size)
+    assert np.all(np.isfinite(own.template.log_prior(library())))
+    starts = scanned_starts(own, ANGLES, library(), 5)
+    assert starts.shape == (2, 5, own.parameters.size)
+    assert np.all((starts >= own.parameters.lower) & (starts <= own.parameters.upper))
+    measured = own.template.measurement.frequencies
+    for angles, row in zip(ANGLES, starts, strict=True):
+        found = own.at(np.repeat(angles[None], len(row), axis=0)).predict(row)[:, : len(measured)]
+        misfit = np.sqrt(np.mean(np.log(measured / found) ** 2, axis=1))
+        assert np.all(np.diff(misfit) >= -1e-12)
+
+
+def test_a_member_counts_with_the_factor_on_its_stiffnesses_that_suits_the_list() -> None:
+    own = answer().conditional
+    n = own.template.model.parameters.size
+    truth = answer().components.fits.x[0, :n]
+    angles = answer().top[:1]
+    moduli = np.array([name[0] in "EG" for name in own.template.model.parameters.names])
+    scaled = np.where(moduli, 0.9 * truth, truth)
+    start = scanned_starts(own, angles, scaled[None], 1)[0, 0, :n]
+    # all stiffnesses together set the level of all frequencies: the factor brings back the optimum,
+    # whose own residuals have a mean of less than the noise of 1 %, 2 % of a stiffness
+    np.testing.assert_allclose(start, truth, rtol=0.02)
+
+
+def test_entropy_is_zero_for_a_known_angle_and_the_log_of_the_grid_for_an_open_one() -> None:
+    p = np.array([[0.0, 1.0, 0.0, 0.0], [0.25, 0.25, 0.25, 0.25], [0.5, 0.5, 0.0, 0.0]])
+    np.testing.assert_allclose(entropies(p), [0.0, np.log(4.0), np.log(2.0)], atol=1e-15)
+
+
+def test_plies_weigh_in_bending_as_their_second_moments() -> None:
+    # two plies on either side of the middle: 1 - (1/2)^3 outside, (1/2)^3 inside
+    np.testing.assert_allclose(bending_fractions(parse_layup("[?/?]_s")), [7 / 8, 1 / 8], rtol=1e-12)
+    # a known ply in the middle of three: 1 - (2/3)^3 and (1/3)^3
+    np.testing.assert_allclose(bending_fractions(parse_layup("[?/0/?]_s")), [19 / 27, 1 / 27], rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("certain", "better"), [((0.9, 0.6), True), ((0.6, 0.9), False), ((0.9, 0.9), False)]
+)
+def test_outer_angles_are_better_only_if_less_of_them_is_open(
+    certain: tuple[float, float], better: bool
+) -> None:
+    p = np.array([[c, 1.0 - c] for c in certain])
+    found = angle_information(parse_layup("[?/?]_s"), p)
+    assert found.outer_better is better
+    assert found.most_bits == 1.0
+    np.testing.assert_array_equal(found.outer_first, [0, 1])
+
+
+@pytest.mark.slow
+def test_the_outer_angle_of_a_plate_is_better_determined_than_the_inner_one() -> None:
+    own = answer()
+    found = angle_information(own.specimen.plate.layup, own.marginals)
+    assert found.outer_better
+    # the outer ply has seven eighths of D: its angle is known but for the mirror image, the inner one is not
+    assert found.entropy_bits[0] == pytest.approx(1.0, abs=0.05)
+    assert found.entropy_bits[1] > 1.3
+
+
+def test_a_listed_sequence_has_the_place_and_probability_of_its_class() -> None:
+    own = answer()
+    found = given_layup(own, np.array(TRUE))  # the list has its mirror image
+    assert found.rank == 1
+    assert found.probability == own.probability[0]
+    assert found.log_evidence == own.log_evidence[0]
+
+
+def test_one_that_is_not_listed_is_computed() -> None:
+    own = answer()
+    found = given_layup(shortened(2), own.top[2])
+    assert found.rank is None
+    # two estimates of one integral, their errors, and one point in a thousand more
+    tolerance = 4.0 * np.hypot(found.log_evidence_error, own.log_evidence_error[2]) + 0.01
+    assert found.log_evidence == pytest.approx(own.log_evidence[2], abs=tolerance)
+    assert np.log(found.probability) == pytest.approx(np.log(own.probability[2]), abs=tolerance)
+
+
+@pytest.mark.parametrize("angles", [(10.0, 0.0), (0.0, 30.0, 60.0)])
+def test_minus_ninety_degrees_is_ninety_and_a_sequence_off_the_grid_is_refused(
+    angles: tuple[float, ...],
+) -> None:
+    np.testing.assert_array_equal(given_layup(answer(), np.array([-90.0, 30.0])).angles_deg, [90.0, 30.0])
+    with pytest.raises(ValueError, match="accepted: 2 angles on the grid of 30 degrees"):
+        given_layup(answer(), np.array(angles))

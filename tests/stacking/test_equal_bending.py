@@ -76,11 +76,7 @@ def test_classes_of_equal_bending_are_merged_where_the_plate_is_thin() -> None:
     assert sorted(members) == [[0, 90, 90, 0], [90, 0, 0, 90]]
     assert found.multiplicity[row] == 2
     assert len(found.same_bending[row]) == len(found.alike[row]) == 1
-
-
-@pytest.mark.slow
-def test_what_is_merged_stands_in_one_class_only() -> None:
-    found = answer(THIN)
+    # what is merged stands in one class only
     everyone = np.concatenate([found.class_members(i) for i in range(len(found.top))])
     assert len(np.unique(everyone, axis=0)) == len(everyone) == found.multiplicity.sum()
     assert np.all(np.diff(found.probability) <= 1e-15)

@@ -49,22 +49,19 @@ def distribution(answer: StackingPosterior) -> dict[tuple[float, ...], float]:
     return found
 
 
-def test_probabilities_and_marginals_add_up(answer: StackingPosterior) -> None:
+def test_probabilities_add_up_and_marginals_are_those_of_the_sequences(answer: StackingPosterior) -> None:
     assert answer.enumerated == 12**2
     assert answer.classes is not None
     assert answer.unaccounted == 0.0
     np.testing.assert_allclose(answer.marginals.sum(axis=1), 1.0, rtol=1e-12)
     assert np.all(np.diff(answer.probability) <= 0.0)
     assert float(np.sum(answer.probability * answer.multiplicity)) <= 1.0 + 1e-12
-
-
-def test_marginals_are_those_of_the_sequences(answer: StackingPosterior) -> None:
     whole = distribution(answer)
     left = 1.0 - sum(whole.values())
-    for j in range(2):
-        for i, angle in enumerate(answer.grid_deg):
+    for j, angles in enumerate(answer.marginals):
+        for angle, found in zip(answer.grid_deg, angles, strict=True):
             own = sum(p for s, p in whole.items() if s[j] == angle)
-            assert own - 1e-9 <= answer.marginals[j, i] <= own + left + 1e-9
+            assert own - 1e-9 <= found <= own + left + 1e-9
 
 
 def known_layup(specimen: Specimen, angles: tuple[float, ...]) -> Posterior:

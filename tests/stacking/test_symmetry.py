@@ -109,22 +109,14 @@ def test_symmetries_that_the_plate_lacks_do_change_its_frequencies(case: str) ->
         assert np.max(np.abs(frequencies(specimen, grid[other]) / own - 1.0)) > REAL, name
 
 
-def test_a_motion_that_keeps_the_form_of_some_sequences_only_has_images_of_those_alone() -> None:
-    specimen = unknown_plate("[0/?/?]", width=0.15)
-    grid = angle_grid(specimen.angle_grid_deg)
-    upside_down = find(specimen, "upside down")
-    zero = int(np.flatnonzero(grid == 0.0)[0])
-    rows = np.array([[3, zero], [3, 6]])
-    moved, holds = image(rows, upside_down)
-    assert holds.tolist() == [True, False]
-    assert moved.tolist() == [[3, zero], [3, 6]]  # [0/a/0] is itself upside down
-
-
-def test_a_known_ply_exchanges_its_place_with_an_unknown_one() -> None:
+def test_a_known_ply_exchanges_its_place_with_an_unknown_one_of_its_angle_alone() -> None:
     specimen = unknown_plate("[0/?/?/?]", width=0.15)
     grid = angle_grid(specimen.angle_grid_deg)
     zero = int(np.flatnonzero(grid == 0.0)[0])
     rows = np.array([[3, 8, zero], [3, 8, 4]])
+    moved, holds = image(rows, find(specimen, "upside down"))
+    assert holds.tolist() == [True, False]
+    assert moved[0].tolist() == [8, 3, zero]
     found = members(rows[0], plate_symmetries(specimen))
     assert [8, 3, zero] in found.tolist()
     assert len(found) == 4, "mirrored, upside down, and both"
@@ -173,25 +165,18 @@ def test_a_grid_has_symmetries_of_its_own(layup: str, width: float, step: float,
     assert names(unknown_plate(layup, width=width, step=step)) == expected
 
 
-def test_a_square_known_unequally_well_along_and_across_is_not_turned() -> None:
-    specimen = unknown_plate("[?/?]_s")
+def test_sizes_labels_and_a_mesh_may_leave_fewer_symmetries() -> None:
+    square = unknown_plate("[?/?]_s")
     for sd, expected in (({"length": 1e-4, "width": 1e-4}, 3), ({"length": 1e-4}, 1)):
-        own = replace(specimen, plate=replace(specimen.plate, sd=sd))
-        assert len(plate_symmetries(own)) == expected
-
-
-def test_labels_of_modes_tell_along_from_across() -> None:
-    specimen = unknown_plate("[?/?]_s")
-    labels = ("(1,1)", *[""] * (specimen.measurement.size - 1))
-    own = replace(specimen, measurement=replace(specimen.measurement, labels=labels))
-    assert names(own) == [MIRROR]
-
-
-def test_a_mesh_is_not_looked_into() -> None:
-    specimen = unknown_plate("[?/?]")
-    own = replace(specimen, plate=replace(specimen.plate, mesh=Path("plate.msh")))
-    assert plane_motions(own) == ("",)
-    assert names(own) == ["upside down"]
+        assert len(plate_symmetries(replace(square, plate=replace(square.plate, sd=sd)))) == expected
+    # labels tell along from across
+    labels = ("(1,1)", *[""] * (square.measurement.size - 1))
+    assert names(replace(square, measurement=replace(square.measurement, labels=labels))) == [MIRROR]
+    # a mesh is not looked into
+    unsymmetric = unknown_plate("[?/?]")
+    meshed = replace(unsymmetric, plate=replace(unsymmetric.plate, mesh=Path("plate.msh")))
+    assert plane_motions(meshed) == ("",)
+    assert names(meshed) == ["upside down"]
 
 
 @pytest.mark.parametrize(
@@ -210,15 +195,18 @@ def test_symmetries_of_the_papers_cases(name: str, expected: list[str]) -> None:
     "rows", [np.array([[0, 12]]), np.array([[-1, 0]]), np.array([[0]]), np.array([[0.0, 1.0]])]
 )
 def test_sequences_that_do_not_fit_are_refused(rows: np.ndarray) -> None:
-    symmetry = find(unknown_plate("[?/?]_s"), MIRROR)
     with pytest.raises(ValueError, match="sequences: received"):
-        image(rows, symmetry)
+        image(rows, find(unknown_plate("[?/?]_s"), MIRROR))
+    many = plate_symmetries(unknown_plate("[" + "/".join("?" * 13) + "]_s", step=5.0))
+    with pytest.raises(ValueError, match=r"13 unknown angles on a grid of 36: .*coarser"):
+        canonical(np.zeros((1, 13), dtype=int), many)
 
 
-# with a square, and one rectangle
+# with a square, with a rectangle, and with no symmetry at all
 PLATES = (
     *((layup, SIDE) for layup in ("[?/?/?]_s", "[0/?/?/?]", "[?_2/?/?]", "[(?/?)_2]", "[0/?/?/90]")),
     ("[45/?/?/-45]", 0.15),
+    ("[22.5/?/?]", 0.15),
 )
 
 
@@ -254,11 +242,11 @@ def test_classes_are_the_orbits_of_the_symmetries(layup: str, width: float) -> N
 
 
 def test_a_class_is_counted_whole_when_few_of_its_members_are_there() -> None:
-    specimen = unknown_plate("[?/?/?]_s")
-    symmetries = plate_symmetries(specimen)
+    symmetries = plate_symmetries(unknown_plate("[?/?/?]_s"))
     all_of_it = members(np.array([1, 2, 3]), symmetries)
     found = classes(all_of_it[[0, 2]], symmetries)
     assert (found.size.tolist(), found.present.tolist(), found.label.tolist()) == ([4], [2], [0, 0])
+    assert len(classes(all_of_it[:0], symmetries).size) == 0
 
 
 def test_a_stack_longer_than_a_block_is_handled_alike() -> None:
@@ -271,24 +259,3 @@ def test_a_stack_longer_than_a_block_is_handled_alike() -> None:
     assert orbits.representative.dtype == np.uint8
     assert np.array_equal(orbits.representative[140_000:140_100], part.representative)
     assert np.array_equal(orbits.size[140_000:140_100], part.size)
-
-
-def test_a_plate_without_symmetries_keeps_every_sequence_apart() -> None:
-    specimen = unknown_plate("[?/?]_s", edges="CSFF")
-    rows = every_sequence(12, 2)
-    assert plate_symmetries(specimen) == ()
-    found = classes(rows, ())
-    assert len(found.size) == len(rows)
-    assert np.array_equal(canonical(rows, ()).representative, rows)
-    assert members(rows[7], ()).tolist() == [rows[7].tolist()]
-
-
-def test_an_empty_stack_has_no_classes() -> None:
-    symmetries = plate_symmetries(unknown_plate("[?/?]_s"))
-    assert len(classes(np.empty((0, 2), dtype=int), symmetries).size) == 0
-
-
-def test_more_sequences_than_numbers_are_refused() -> None:
-    specimen = unknown_plate("[" + "/".join("?" * 13) + "]_s", step=5.0)
-    with pytest.raises(ValueError, match=r"13 unknown angles on a grid of 36: .*coarser"):
-        canonical(np.zeros((1, 13), dtype=int), plate_symmetries(specimen))

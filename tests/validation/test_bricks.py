@@ -14,6 +14,7 @@ import cpam_bayes as cb
 from cpam_bayes.forward_model.calculix import solve_specimen
 from cpam_bayes.forward_model.model import reference_constants
 from cpam_bayes.plate import Sensor, Specimen
+from tests.plate_file import described
 from validation.brick_cases import CASES, CONSTANTS, listed_frequencies, plate_file, plate_of
 from validation.bricks import (
     Flaws,
@@ -32,20 +33,9 @@ IN_PLANE = 30
 
 
 def plate(edges: str = "FFFF") -> Specimen:
-    return cb.read_plate(
-        {
-            "name": "plate",
-            "plate": {
-                "length_mm": 1e3 * A,
-                "width_mm": 1e3 * B,
-                "thickness_mm": 1e3 * H,
-                "density_kg_m3": 1560.0,
-                "layup": "[0/90]_s",
-                "edges": edges,
-            },
-            "material": {"isotropic": False, "E1_GPa": 128.0, "E2_GPa": 8.6, "nu12": 0.31, "G12_GPa": 4.7},
-        }
-    )
+    constants = {"E1_GPa": 128.0, "E2_GPa": 8.6, "nu12": 0.31, "G12_GPa": 4.7}
+    size, material = (1e3 * A, 1e3 * B, 1e3 * H), {"isotropic": False, **constants}
+    return cb.read_plate(described(size, 1560.0, material, layup="[0/90]_s", edges=edges))
 
 
 def nodes(flaws: Flaws) -> np.ndarray:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, replace
-from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -32,7 +31,7 @@ from cpam_bayes.inference.ensemble import EnsembleSettings, StoreError
 from cpam_bayes.inference.posterior import NOISE_PRIOR
 from cpam_bayes.inference.swarm import SwarmSettings
 from cpam_bayes.parallel import open_executor
-from tests.linear_model import LinearModel, exact_gaussian
+from tests.linear_model import LinearModel
 from validation.draw_store import DrawStore, stored_calibration
 
 N_RANKS = N_DRAWS + 1
@@ -149,45 +148,6 @@ def test_truths_follow_the_prior_and_lists_the_noise_model() -> None:
     assert kstest(z.ravel(), "norm").pvalue > 0.01
 
 
-@cache
-def closed_form_ranks(n: int, sd: float = 1.0, solver_error: float = 0.0) -> np.ndarray:
-    """Ranks among draws of the closed-form posterior, (n, 2).
-
-    sd : factor by which its spread is wrong. solver_error : of the lists, unknown to the posterior.
-    """
-    own = replace(linear(0.002, seed=9, solver_error=solver_error), resolution=0.0)
-    nature, rng = own.source(), np.random.default_rng(9)
-    ranks = []
-    while len(ranks) < n:
-        truth, data = simulate(own, nature, rng)
-        mean, covariance = exact_gaussian(data)
-        draws = rng.multivariate_normal(mean, sd**2 * covariance, size=4000)
-        draws = draws[np.all(np.abs(draws) <= 2.0, axis=1)][:N_DRAWS]
-        # so near to a bound, ten to fifteen sd wide, that the cut Gaussian takes more draws
-        if len(draws) == N_DRAWS:
-            ranks.append(np.sum(draws < truth, axis=0))
-    return np.array(ranks)
-
-
-def smallest_and_largest_p(ranks: np.ndarray) -> tuple[float, float]:
-    found = rank_statistics(ranks, N_RANKS, np.random.default_rng(0), n_bins=10)
-    corrected = [p.corrected_p for p in found.parameters]
-    return min(corrected), max(corrected)
-
-
-def test_the_closed_form_posterior_of_a_linear_model_is_calibrated() -> None:
-    assert smallest_and_largest_p(closed_form_ranks(800))[0] > 0.01
-
-
-@pytest.mark.parametrize("sd", [0.8, 1.2])
-def test_a_closed_form_posterior_with_a_wrong_spread_is_not(sd: float) -> None:
-    assert smallest_and_largest_p(closed_form_ranks(500, sd))[1] < 0.01
-
-
-def test_an_error_of_the_solver_that_the_posterior_does_not_know_is_found() -> None:
-    assert smallest_and_largest_p(closed_form_ranks(300, 1.0, solver_error=0.003))[1] < 0.01
-
-
 # Sampled posteriors
 
 
@@ -296,7 +256,16 @@ def test_a_file_that_is_no_store_is_refused_and_left_alone(tmp_path: Path, conte
     path.write_bytes(content)
     with pytest.raises(StoreError, match=r"store\.jsonl: is damaged or no store"):
         stored_calibration(fast(), 1, path)
+    with pytest.raises(StoreError, match="cannot be used"):
+        stored_calibration(fast(), 1, path / "store.jsonl")
     assert path.read_bytes() == content
+
+
+def test_a_store_begun_without_checksums_goes_on_without_them(tmp_path: Path) -> None:
+    path = tmp_path / "store.jsonl"
+    path.write_text('{"problem": "a"}\n{"number": 0}\n', encoding="utf-8")
+    DrawStore.open(path, "a").append({"number": 1})
+    assert DrawStore.open(path, "a").records == ({"number": 0}, {"number": 1})
 
 
 @pytest.mark.parametrize("line", [0, 1, 2])
@@ -311,16 +280,3 @@ def test_a_changed_digit_before_the_end_of_a_store_is_found(tmp_path: Path, line
     with pytest.raises(StoreError, match="is damaged"):
         DrawStore.open(path, "0" * 8)
     assert path.read_bytes() == b"".join(lines)
-
-
-def test_a_store_begun_without_checksums_goes_on_without_them(tmp_path: Path) -> None:
-    path = tmp_path / "store.jsonl"
-    path.write_text('{"problem": "a"}\n{"number": 0}\n', encoding="utf-8")
-    DrawStore.open(path, "a").append({"number": 1})
-    assert DrawStore.open(path, "a").records == ({"number": 0}, {"number": 1})
-
-
-def test_a_store_that_cannot_be_made_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("in the way")
-    with pytest.raises(StoreError, match="cannot be used"):
-        stored_calibration(fast(), 1, tmp_path / "file" / "store.jsonl")

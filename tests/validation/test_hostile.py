@@ -1,22 +1,35 @@
-"""Whatever is written into a plate file or a layup: a record or one clear refusal, never a traceback."""
+"""Whatever is written into a file or a layup: a record or one clear refusal, no traceback, no warning."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
+import cpam_bayes as cb
 from cpam_bayes.errors import LayupError, PlateFileError
+from cpam_bayes.modal_analysis.read import ModalTestError
 from cpam_bayes.plate import MAX_BYTES, parse_specimen
+from cpam_bayes.plate.instruments import MAX_UNIVERSAL_BYTES, UniversalFileError, read_shapes
 from cpam_bayes.plate.layup import MAX_PLIES, format_angles, parse_layup
 from cpam_bayes.plate.modes_table import modes_of, read_modes_table
 from cpam_bayes.storage import read_arrays, write_arrays
 from tests.effort import calls
-from validation.hostile.files import DAMAGES, LARGE_FILES, layups, plate_texts
-from validation.hostile.measurements import mode_tables
+from validation.hostile.files import DAMAGES, LARGE_FILES, crossed, layups, plate_texts
+from validation.hostile.measurements import (
+    LARGE_TABLES,
+    LARGE_UNIVERSAL_FILES,
+    mode_tables,
+    recordings,
+    response_tables,
+    universal_modes_files,
+    universal_response_files,
+)
 
 BOUNDED = settings(
     max_examples=200,
@@ -27,6 +40,10 @@ BOUNDED = settings(
 )
 # Functions called for each byte of a file: the parser of the standard library takes about 10.
 CALLS_A_BYTE = 60
+
+
+def is_short_and_printable(said: str) -> bool:
+    return len(said) < 1000 and said.isprintable()
 
 
 def refused(text: str) -> tuple[str, ...]:
@@ -43,7 +60,7 @@ def refused(text: str) -> tuple[str, ...]:
 def test_a_plate_file_is_read_or_refused_in_short_printable_lines(text: str) -> None:
     for problem in refused(text):
         assert problem.startswith("plate.toml:")
-        assert all(line.isprintable() and len(line) < 1000 for line in problem.splitlines())
+        assert all(map(is_short_and_printable, problem.splitlines()))
 
 
 @BOUNDED
@@ -72,7 +89,7 @@ def test_a_table_of_modes_is_read_or_refused_in_short_printable_lines(text: str)
         modes, problems = modes_of(rows, complete=True)
     assert (modes is None) == bool(problems)
     for problem in problems:
-        assert all(line.isprintable() and len(line) < 1000 for line in str(problem).splitlines())
+        assert all(map(is_short_and_printable, str(problem).splitlines()))
     if modes is not None:
         assert np.all(np.diff(modes.frequencies) >= 0.0)
         assert np.all(np.isfinite(modes.frequencies))
@@ -109,3 +126,88 @@ def test_no_damaged_file_is_accepted_and_none_raises(
         assert [str(path) in said for said in caplog.messages] == [True]
         assert not path.exists()
         assert (tmp_path / "model.arrays.damaged").read_bytes() == content
+
+
+FEWER = settings(
+    BOUNDED,
+    max_examples=100,
+    suppress_health_check=[
+        *BOUNDED.suppress_health_check,
+        HealthCheck.function_scoped_fixture,
+        HealthCheck.data_too_large,
+    ],
+)
+LENGTH, WIDTH = 0.2, 0.1
+OF_HITS: dict[str, Any] = {"force": 1, "response": (2,), "window": "exponential"}
+
+
+def poles_of(path: Path, content: bytes) -> str:
+    """What is said of a file of a test, nothing where its modes are sound."""
+    path.write_bytes(content)
+    options = OF_HITS if path.suffix == ".wav" else {}
+    try:
+        result = cb.poles(path, order=10, **options)
+    except ModalTestError as refusal:
+        return str(refusal)
+    assert all(
+        np.isfinite([one.frequency, one.sd, one.damping, one.damping_sd]).all() for one in result.modes
+    )
+    assert all(one.frequency > 0.0 and one.damping > 0.0 for one in result.modes)
+    return ""
+
+
+@FEWER
+@given(universal_modes_files())
+def test_modes_of_a_universal_file_are_read_or_refused(content: bytes) -> None:
+    found, said = None, ""
+    try:
+        found = read_shapes(content, LENGTH, WIDTH)
+    except UniversalFileError as refusal:
+        said = str(refusal)
+    if found is None:
+        assert said
+        assert is_short_and_printable(said)
+        return
+    assert np.all(np.isfinite(found.frequencies))
+    assert np.all(np.diff(found.frequencies) >= 0.0)
+    assert np.all(np.isfinite(found.shapes.values))
+    assert np.all((found.shapes.points >= 0.0) & (found.shapes.points <= (LENGTH, WIDTH)))
+
+
+@FEWER
+@given(content=st.one_of(universal_response_files().map(lambda c: (".unv", c)),
+                         response_tables().map(lambda text: (".csv", text.encode())),
+                         recordings().map(lambda c: (".wav", c))))  # fmt: skip
+def test_responses_and_records_have_poles_or_are_refused(tmp_path: Path, content: tuple[str, bytes]) -> None:
+    ending, written = content
+    said = poles_of(tmp_path / f"tap{ending}", written)
+    assert not said or is_short_and_printable(said.replace(str(tmp_path), ""))
+
+
+def test_pieces_of_two_files_make_others_of_a_bounded_size() -> None:
+    rng = np.random.default_rng(0)
+    one, other = b"a\nbb\nccc\n" * 20, b"1,2,3\n" * 50
+    made = [crossed(one, other, rng) for _ in range(200)]
+    assert len(set(made)) > 150
+    assert max(map(len, made)) <= 2 * max(len(one), len(other))
+    assert {type(crossed(text, "", rng)) for text in ("", "[0/90]_s")} == {str}
+
+
+# Functions called for each kB of a file, where reading short lines of universal files takes some 200, and for
+# each row of a table, where splitting it into cells takes some 30.
+CALLS_A_KB, CALLS_A_ROW = 1000, 50
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [*LARGE_UNIVERSAL_FILES, *LARGE_TABLES])
+def test_a_large_file_of_measurements_takes_an_effort_in_proportion(tmp_path: Path, name: str) -> None:
+    is_table = name in LARGE_TABLES
+    content = {**LARGE_UNIVERSAL_FILES, **LARGE_TABLES}[name](MAX_UNIVERSAL_BYTES // 10)
+    most = CALLS_A_KB * len(content) // 1000 + (CALLS_A_ROW * content.count(b"\n") if is_table else 0)
+    with calls() as made:
+        poles_of(tmp_path / ("tap.csv" if is_table else "tap.unv"), content)
+    assert made() < most
+    if not is_table:
+        with calls() as made, pytest.raises(UniversalFileError):
+            read_shapes(content, LENGTH, WIDTH)
+        assert made() < most

@@ -7,45 +7,30 @@ import pytest
 
 from cpam_bayes.diagnosis.cases import hypotheses_of, plate_case
 from cpam_bayes.diagnosis.evidence.weighing import weigh
-from cpam_bayes.plate import parse_specimen
+from cpam_bayes.plate import read_plate
+from tests.plate_file import described
 from validation.evidence_reference import ReferenceSettings, reference_evidence
 
 # Frequencies of bricks with an ideal clamp.
-CLAMPED = """
-name = "clamped"
-[plate]
-length_mm = 262.0
-width_mm = 148.0
-thickness_mm = 2.4
-density_kg_m3 = 1570.0
-layup = "[0/90]_2s"
-edges = "CFFF"
-[material]
-isotropic = false
-E1_GPa = 126.0
-E2_GPa = 8.7
-nu12 = 0.3
-G12_GPa = 4.9
-[material.sd]
-E1_GPa = 8.82
-E2_GPa = 0.609
-nu12 = 0.021
-G12_GPa = 0.343
-[unknowns]
-E1_GPa = [80.0, 200.0]
-E2_GPa = [5.0, 16.0]
-nu12 = [0.15, 0.45]
-G12_GPa = [2.5, 10.0]
-[measurement]
-frequencies_hz = [42.2, 81.2, 263.7, 326.6, 616.0, 731.9, 759.9, 792.5, 1126.3, 1311.0]
-resolution_hz = 0.1
-relative_std = 0.002
-"""
+CONSTANTS = {"E1_GPa": 126.0, "E2_GPa": 8.7, "nu12": 0.3, "G12_GPa": 4.9}
+CLAMPED = described(
+    (262.0, 148.0, 2.4),
+    1570.0,
+    {"isotropic": False, **CONSTANTS, "sd": {name: 0.07 * value for name, value in CONSTANTS.items()}},
+    layup="[0/90]_2s",
+    edges="CFFF",
+    unknowns={"E1_GPa": [80.0, 200.0], "E2_GPa": [5.0, 16.0], "nu12": [0.15, 0.45], "G12_GPa": [2.5, 10.0]},
+    measurement={
+        "frequencies_hz": [42.2, 81.2, 263.7, 326.6, 616.0, 731.9, 759.9, 792.5, 1126.3, 1311.0],
+        "resolution_hz": 0.1,
+        "relative_std": 0.002,
+    },
+)
 SPRINGS = ("clamp_rotation", "clamp_translation", "soft_clamp")
 
 
 def test_springs_of_a_stiff_clamp_have_the_evidence_of_the_reference() -> None:
-    case = plate_case(parse_specimen(CLAMPED, "clamped.toml"))
+    case = plate_case(read_plate(CLAMPED))
     chosen = [(h, plates) for h, plates in hypotheses_of([case]) if h.cause in ("none", *SPRINGS)]
     tested = {t.hypothesis.cause: t for t in weigh([case], chosen).tested}
     assert set(tested) == {"none", *SPRINGS}

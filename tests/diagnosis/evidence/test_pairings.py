@@ -14,14 +14,15 @@ from cpam_bayes.diagnosis.cases import neighbours, with_pairing
 from cpam_bayes.diagnosis.comparison import PlateCase
 from cpam_bayes.diagnosis.diagnose import diagnose_cases
 from cpam_bayes.diagnosis.evidence.weighing import Weighed, weigh
-from cpam_bayes.diagnosis.hypotheses import DISCREPANCY, NONE, OTHER, Hypothesis
-from cpam_bayes.effects import ListChange
-from cpam_bayes.effects.effect import MISREADING
+from cpam_bayes.diagnosis.hypotheses import NONE, Hypothesis
 from tests.diagnosis.toy_plates import (
+    ANYTHING,
+    BENT,
     BUMP,
     DENT,
     F0,
     NOISE,
+    NOTHING,
     SCATTER,
     SD,
     A,
@@ -31,14 +32,13 @@ from tests.diagnosis.toy_plates import (
     cause,
     hypothesis,
     log_normal_density,
+    misread,
     straight,
     whole_normal,
 )
 
-BENT = cause("bent", whole_normal(0.02))
 DENTED = cause("dented", whole_normal(0.01))
 SHIFTS = {"bent": (BUMP, 0.02), "dented": (DENT, 0.01)}
-NOTHING = Hypothesis(NONE, NONE, prior=0.5)
 SINGLES = tuple(hypothesis(effect, 0.1) for effect in (BENT, DENTED))
 MISSED, FALSE = 0.1, 0.1
 
@@ -172,18 +172,8 @@ def test_a_wrong_label_is_believed() -> None:
 def test_a_misread_frequency_of_an_incomplete_list_is_found() -> None:
     f = measured(0.0 * BUMP, (5,), ())
     f[2] *= 1.06
-    misread = [
-        Hypothesis(
-            "outlier",
-            "list",
-            f"frequency {i + 1}",
-            listed=ListChange(misread=i),
-            parameters=(MISREADING,),
-            prior=0.02,
-        )
-        for i in range(len(f))
-    ]
-    found = weigh([plate(f)], of_one(NOTHING, *SINGLES, *misread), pairs=False)
+    errors = [misread(i, 0.02) for i in range(len(f))]
+    found = weigh([plate(f)], of_one(NOTHING, *SINGLES, *errors), pairs=False)
     best = found.best_of("outlier")
     assert best.hypothesis.listed.misread == 2
     np.testing.assert_array_equal(best.cases[0].modes, np.delete(np.arange(8), 5))
@@ -207,8 +197,7 @@ def test_a_complete_list_beside_an_incomplete_one_keeps_its_pairing() -> None:
 
 def test_the_answer_shows_false_peaks_and_missed_modes_of_each_fit() -> None:
     f = measured(0.03 * BUMP, (3,), (555.0,))
-    anything = Hypothesis(OTHER, OTHER, parameters=(DISCREPANCY,), prior=0.05)
-    d = diagnose_cases([plate(f)], hypotheses=of_one(NOTHING, anything, *SINGLES), pairs=False)
+    d = diagnose_cases([plate(f)], hypotheses=of_one(NOTHING, ANYTHING, *SINGLES), pairs=False)
     assert d.claim.causes == ("bent",)
     assert d.extended is not None
     assert d.gain is not None

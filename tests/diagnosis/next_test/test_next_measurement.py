@@ -12,14 +12,13 @@ import pytest
 
 from cpam_bayes.diagnosis import diagnose as diagnosing
 from cpam_bayes.diagnosis import next_test as further_tests
-from cpam_bayes.diagnosis import next_test as next_measurement
 from cpam_bayes.diagnosis.cases import plate_case
 from cpam_bayes.diagnosis.comparison import PlateCase
 from cpam_bayes.diagnosis.diagnose import Diagnosis, diagnose_cases
 from cpam_bayes.diagnosis.evidence import weighing
 from cpam_bayes.diagnosis.evidence.sampled import sampled_marginal
 from cpam_bayes.diagnosis.evidence.weighing import Weighed, marginal_of
-from cpam_bayes.diagnosis.hypotheses import DISCREPANCY, NONE, OTHER, Claim, Hypothesis
+from cpam_bayes.diagnosis.hypotheses import DISCREPANCY, OTHER, Claim, Hypothesis
 from cpam_bayes.diagnosis.models import plate_models
 from cpam_bayes.diagnosis.next_test import (
     GAUGED,
@@ -34,33 +33,31 @@ from cpam_bayes.diagnosis.next_test import (
     outlook_of,
     places,
 )
-from cpam_bayes.effects import CATALOGUE, Effect
+from cpam_bayes.effects import Effect
 from cpam_bayes.effects.effect import either_sign
 from cpam_bayes.effects.geometry import DENSITY, THICKNESS
 from cpam_bayes.forward_model.model import plate_problem
 from cpam_bayes.plate import Measurement, Sensor
 from cpam_bayes.plate.reader import builtin
 from tests.diagnosis.toy_plates import (
+    BENT,
     BUMP,
     CONSTANTS,
     DENT,
+    DENTED,
     F0,
+    NOISE,
+    NOTHING,
     SD,
     A,
     Array,
     a_list,
     case,
-    cause,
     hypothesis,
     plate_model,
     straight,
-    whole_normal,
 )
-
-NOISE = 0.002
-BY_NAME = {effect.name: effect for effect in CATALOGUE}
-BENT, DENTED = cause("bent", whole_normal(0.02)), cause("dented", whole_normal(0.02))
-NOTHING = Hypothesis(NONE, NONE, prior=0.5)
+from tests.effects.cases import BY_NAME
 
 
 def outlook(means: Any, sd: Any, p: Any = None, cause_of: Any = None) -> Outlook:
@@ -87,38 +84,34 @@ def by_quadrature(means: Array, sds: Array, p: Array, cause_of: Array) -> float:
     return float(np.trapezoid(np.sum(of_cause * ratio, axis=1), y))
 
 
-@pytest.mark.parametrize("distance", [0.5, 1.0, 2.0, 4.0])
-@pytest.mark.parametrize("p", [0.5, 0.2])
-def test_the_information_of_two_gaussians_is_that_of_quadrature(distance: float, p: float) -> None:
-    means, sds, probability = np.array([0.0, distance]), np.ones(2), np.array([p, 1.0 - p])
-    found, possible, _ = information(outlook(means[:, None], 1.0, probability))
+# Means and standard deviations of one datum, probabilities, and which cause each belongs to.
+GAUSSIANS: dict[str, tuple[list[float], list[float], list[float], list[int]]] = {
+    **{
+        f"{d} apart, {p}": ([0.0, d], [1.0, 1.0], [p, 1.0 - p], [0, 1])
+        for d in (0.5, 1.0, 2.0, 4.0)
+        for p in (0.5, 0.2)
+    },
+    "of other widths": ([0.0, 0.0], [1.0, 5.0], [0.5, 0.5], [0, 1]),
+    # variants of one cause are not to be told apart
+    "variants": ([-3.0, 0.0, 3.0], [1.0, 1.0, 1.0], [0.3, 0.4, 0.3], [0, 1, 0]),
+}
+
+
+@pytest.mark.parametrize("of", GAUSSIANS.values(), ids=GAUSSIANS)
+def test_the_information_of_gaussians_is_that_of_quadrature(of: tuple[list[float], ...]) -> None:
+    means, sds, p, cause_of = map(np.array, of)
+    found, possible, _ = information(outlook(means[:, None], sds[:, None], p, cause_of))
     # 1024 points of a Sobol sequence
-    assert found == pytest.approx(by_quadrature(means, sds, probability, np.arange(2)), abs=2e-3)
-    assert possible == pytest.approx(-p * np.log(p) - (1 - p) * np.log(1 - p), rel=1e-12)
-
-
-def test_widths_tell_hypotheses_apart_too() -> None:
-    means, sds, p = np.zeros(2), np.array([1.0, 5.0]), np.array([0.5, 0.5])
-    found, _, _ = information(outlook(means[:, None], sds[:, None]))
-    assert found == pytest.approx(by_quadrature(means, sds, p, np.arange(2)), abs=2e-3)
-
-
-def test_variants_of_one_cause_are_not_to_be_told_apart() -> None:
-    means, sds = np.array([-3.0, 0.0, 3.0]), np.ones(3)
-    p, cause_of = np.array([0.3, 0.4, 0.3]), np.array([0, 1, 0])
-    found, possible, _ = information(outlook(means[:, None], 1.0, p, cause_of))
     assert found == pytest.approx(by_quadrature(means, sds, p, cause_of), abs=2e-3)
-    assert possible == pytest.approx(-0.6 * np.log(0.6) - 0.4 * np.log(0.4), rel=1e-12)
+    share = np.bincount(cause_of, p)
+    assert possible == pytest.approx(-np.sum(share * np.log(share)), rel=1e-12)
 
 
-def test_equal_predictions_tell_nothing() -> None:
+def test_equal_predictions_tell_nothing_and_those_that_do_not_overlap_tell_all() -> None:
     found, possible, decided = information(outlook([[1.0, 2.0]] * 3, 0.1, [0.5, 0.3, 0.2]))
     assert found == pytest.approx(0.0, abs=1e-12)
     assert possible > 1.0
     assert decided == 0.0
-
-
-def test_predictions_that_do_not_overlap_tell_all() -> None:
     found, possible, decided = information(outlook(10.0 * np.eye(3), 0.1, [0.5, 0.3, 0.2]))
     assert found == pytest.approx(possible, abs=1e-9)
     assert decided == 1.0
@@ -294,7 +287,7 @@ def a_diagnosis(kind: str, monkeypatch: pytest.MonkeyPatch, beside: float = 0.0)
             for name, by in (("useless", 0.0), ("sharp", 0.05), ("vague", 0.002))
         ]
 
-    monkeypatch.setattr(next_measurement, "further_tests", tests)
+    monkeypatch.setattr(further_tests, "further_tests", tests)
     found: Any = SimpleNamespace(
         claim=Claim(kind, (), 0.95),
         weighed=Weighed(tested=leading, not_tested=()),
@@ -316,16 +309,16 @@ def test_tests_are_ranked_by_what_they_tell(kind: str, monkeypatch: pytest.Monke
     assert found[2].information == pytest.approx(0.0, abs=1e-9)
 
 
-@pytest.mark.parametrize("kind", ["none", "named"])
-def test_nothing_is_asked_where_all_is_settled(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    diagnosis = a_diagnosis(kind, monkeypatch)
-    assert next_measurements(diagnosis) == ()
+@pytest.mark.parametrize(
+    ("kind", "beside", "asked"), [("none", 0.0, 0), ("named", 0.0, 0), ("named", 0.03, 0), ("named", 0.7, 3)]
+)
+def test_nothing_is_asked_where_all_is_settled(
+    kind: str, beside: float, asked: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What acts beside a named cause is not settled."""
+    diagnosis = a_diagnosis(kind, monkeypatch, beside)
+    assert len(next_measurements(diagnosis)) == asked
     assert len(next_measurements(diagnosis, always=True)) == 3
-
-
-def test_what_acts_beside_a_named_cause_is_not_settled(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert len(next_measurements(a_diagnosis("named", monkeypatch, beside=0.7))) == 3
-    assert next_measurements(a_diagnosis("named", monkeypatch, beside=0.03)) == ()
 
 
 def test_known_masses_go_where_the_plate_is_free() -> None:

@@ -255,21 +255,20 @@ def test_constants_of_no_material_are_refused(change: dict[str, float | None], m
         plate_deck(specimen, given, "brick", N_MODES)
 
 
-def test_what_has_no_deck_is_refused() -> None:
-    known = constants(builtin("C1"))
-    unknown = with_plate("C1", layup=parse_layup("[(?/?)_2]_s"))
-    with pytest.raises(ValueError, match="2 unknown angles"):
-        plate_deck(unknown, known, "brick", N_MODES)
-    outline = with_plate("C1", mesh=Path("plate.msh"))
-    with pytest.raises(ValueError, match=r"outline from plate\.msh"):
-        plate_deck(outline, known, "brick", N_MODES)
-    with pytest.raises(ValueError, match="element: received 'tube', accepted: shell, brick"):
-        plate_deck(builtin("C1"), known, "tube", N_MODES)  # type: ignore[arg-type]
-    with pytest.raises(ValueError, match="number of modes: received 0"):
-        plate_deck(builtin("C1"), known, "brick", 0)
-    many = with_plate("C1", layup=parse_layup("[(0/90)_400]"))
-    with pytest.raises(ValueError, match="800 layers"):
-        plate_deck(many, known, "brick", N_MODES)
+NO_DECK: dict[str, tuple[Specimen, str, int]] = {
+    "2 unknown angles": (with_plate("C1", layup=parse_layup("[(?/?)_2]_s")), "brick", N_MODES),
+    r"outline from plate\.msh": (with_plate("C1", mesh=Path("plate.msh")), "brick", N_MODES),
+    "element: received 'tube', accepted: shell, brick": (builtin("C1"), "tube", N_MODES),
+    "number of modes: received 0": (builtin("C1"), "brick", 0),
+    "800 layers": (with_plate("C1", layup=parse_layup("[(0/90)_400]")), "brick", N_MODES),
+}
+
+
+@pytest.mark.parametrize("said", NO_DECK)
+def test_what_has_no_deck_is_refused(said: str) -> None:
+    specimen, element, n_modes = NO_DECK[said]
+    with pytest.raises(ValueError, match=said):
+        plate_deck(specimen, constants(builtin("C1")), element, n_modes)  # type: ignore[arg-type]
 
 
 # Typed by hand after the layout of CalculiX 2.20: a free plate with two deformation modes.
@@ -326,10 +325,6 @@ def test_an_eigenvalue_that_is_no_number_is_named(number: str) -> None:
         read_eigenvalues(RESULTS.replace("0.3947842E+06", number))
 
 
-def test_rigid_body_motions_are_taken_off_by_their_number() -> None:
-    assert_array_equal(deformation_modes(np.array([5e5, -0.3, 4e5, 0.1]), 2), [2, 0])
-
-
 @pytest.mark.parametrize(
     ("eigenvalues", "n_rigid"),
     [
@@ -341,6 +336,7 @@ def test_rigid_body_motions_are_taken_off_by_their_number() -> None:
     ],
 )
 def test_a_wrong_number_of_rigid_body_motions_is_an_error(eigenvalues: list[float], n_rigid: int) -> None:
+    assert_array_equal(deformation_modes(np.array([5e5, -0.3, 4e5, 0.1]), 2), [2, 0])
     with pytest.raises(CalculixError, match=f"the edges leave {n_rigid} rigid-body motions"):
         deformation_modes(np.array(eigenvalues), n_rigid)
 
@@ -356,7 +352,7 @@ def program(folder: Path, monkeypatch: pytest.MonkeyPatch, script: str) -> Path:
     return deck
 
 
-def test_a_missing_program_is_a_message_that_says_where_to_get_it(
+def test_a_missing_program_is_a_message_that_says_where_to_get_it_and_a_wrong_path_is_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("PATH", str(tmp_path))
@@ -364,13 +360,9 @@ def test_a_missing_program_is_a_message_that_says_where_to_get_it(
     specimen = builtin("A2")
     with pytest.raises(CalculixError, match=r"calculix-ccx; .* CPAM_BAYES_CCX"):
         solve_modes(specimen, constants(specimen), N_MODES)
-
-
-def test_a_wrong_path_of_the_program_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(PROGRAM_VARIABLE, str(tmp_path / "nowhere"))
-    (tmp_path / "deck.inp").write_text("*HEADING\n")
     with pytest.raises(CalculixError, match=r"CPAM_BAYES_CCX: received .*nowhere"):
-        run_calculix(tmp_path / "deck.inp", 0)
+        solve_modes(specimen, constants(specimen), N_MODES)
 
 
 def test_frequencies_come_back_through_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -380,24 +372,18 @@ def test_frequencies_come_back_through_files(tmp_path: Path, monkeypatch: pytest
     assert_allclose(run_calculix(deck, 2), [100.0, 200.0], rtol=1e-6)
 
 
-def test_a_failure_shows_the_last_lines_of_the_program(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("script", "said"),
+    [
+        ("echo '*ERROR reading *NODE'; exit 201", r"status 201; (?s:.*)\*ERROR reading \*NODE"),
+        ("kill -9 $$", "signal 9"),
+        ("echo 'no step in this deck'", r"no eigenvalues; (?s:.*)no step in this deck"),
+        ("exec sleep 60", r"within 0\.2 s"),
+    ],
+)
+def test_a_run_that_fails_shows_why_and_the_last_lines_of_the_program(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, script: str, said: str
 ) -> None:
-    deck = program(tmp_path, monkeypatch, "echo '*ERROR reading *NODE'; exit 201")
-    with pytest.raises(CalculixError, match=r"status 201; (?s:.*)\*ERROR reading \*NODE"):
-        run_calculix(deck, 0)
-    deck = program(tmp_path, monkeypatch, "kill -9 $$")
-    with pytest.raises(CalculixError, match="signal 9"):
-        run_calculix(deck, 0)
-
-
-def test_a_run_without_eigenvalues_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    deck = program(tmp_path, monkeypatch, "echo 'no step in this deck'")
-    with pytest.raises(CalculixError, match=r"no eigenvalues; (?s:.*)no step in this deck"):
-        run_calculix(deck, 0)
-
-
-def test_a_run_that_takes_too_long_is_ended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    deck = program(tmp_path, monkeypatch, "exec sleep 60")
-    with pytest.raises(CalculixError, match=r"within 0\.2 s"):
-        run_calculix(deck, 0, timeout=0.2)
+    deck = program(tmp_path, monkeypatch, script)
+    with pytest.raises(CalculixError, match=said):
+        run_calculix(deck, 0, timeout=0.2 if "sleep" in script else 60.0)

@@ -79,7 +79,7 @@ def test_shells_run_and_agree_as_far_as_their_shear_allows(name: str, n_modes: i
 
 
 @pytest.mark.parametrize("element", ["shell", "brick"])
-@pytest.mark.parametrize("edges", ["FFFF", "SFFF", "SFSF", "SSFF", "CFFF", "SSSS"])
+@pytest.mark.parametrize("edges", ["SFFF", "SFSF", "SSFF"])  # others stand above
 def test_the_rigid_body_count_is_that_of_the_edges(edges: str, element: Element) -> None:
     # `solve_specimen` refuses eigenvalues that show another number.
     specimen = with_plate("B1", edges=edges)

@@ -1,4 +1,4 @@
-"""The reference of marginal likelihoods against closed forms, and the diagnosis's quick way against it."""
+"""Second opinions on evidences: nested sampling, and a slow reference of the quick way of the diagnosis."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 from cpam_bayes.diagnosis.cases import hypotheses_of, plate_case
 from cpam_bayes.diagnosis.comparison import SCATTER, comparison_of
@@ -29,7 +30,65 @@ from tests.diagnosis.toy_plates import (
 from tests.diagnosis.toy_plates import (
     SCATTER as NOISE_DRAWN,
 )
+from tests.toy_models import independent
 from validation.evidence_reference import ReferenceSettings, reference_evidence
+from validation.nested import Lockstep, nested_evidence
+
+
+def test_values_are_asked_for_in_stacks_and_answers_go_to_their_tasks() -> None:
+    sizes = []
+
+    def batched(points: np.ndarray) -> np.ndarray:
+        sizes.append(len(points))
+        return np.sum(points**2, axis=1)
+
+    pool = Lockstep(batched, 4)
+
+    def walk(start: int) -> list[float]:
+        """As many values as the start says: tasks end at different times."""
+        return [pool.value(np.array([float(start), float(i)])) for i in range(start)]
+
+    found = pool.map(walk, range(6))
+    assert found == [[float(s**2 + i**2) for i in range(s)] for s in range(6)]
+    # tasks 0 to 3 go together, then 4 and 5: stacks as long as tasks are left
+    assert sizes == [3, 2, 1, 2, 2, 2, 2, 1]
+    assert pool.value(np.array([3.0])) == 9.0
+
+
+def test_a_task_or_a_likelihood_that_fails_fails_the_whole_and_hangs_nothing() -> None:
+    pool = Lockstep(lambda points: points[:, 0], 3)
+
+    def task(i: int) -> float:
+        if i == 1:
+            raise ValueError("no likelihood here")
+        return pool.value(np.array([float(i)]))
+
+    with pytest.raises(ValueError, match="no likelihood here"):
+        pool.map(task, range(3))
+    assert pool.map(task, [4, 5]) == [4.0, 5.0]
+
+    def broken(points: np.ndarray) -> np.ndarray:
+        raise FloatingPointError("no value")
+
+    without = Lockstep(broken, 3)
+    with pytest.raises(FloatingPointError, match="no value"):
+        without.map(lambda i: without.value(np.array([float(i)])), range(3))
+
+
+@pytest.mark.slow
+def test_nested_sampling_finds_the_closed_form_of_a_cut_gaussian() -> None:
+    pytest.importorskip("dynesty")
+    found = nested_evidence(independent((-1.0, 5.0)), 0, runs=3, live_points=60)
+    exact = norm.logsf(1.0) + np.log(norm.cdf(5) - norm.cdf(-5)) + 2 * np.log(0.1)
+    assert found.standard_error < 0.25
+    assert found.log_evidence == pytest.approx(exact, abs=3.0 * found.standard_error)
+    ratio = norm.pdf(1.0) / norm.sf(1.0)
+    mean, sd = 0.1 * (ratio - 1.0), 0.1 * np.sqrt(1.0 + ratio - ratio**2)
+    assert 0.0 < found.mean_error[0] < 0.15 * sd
+    # three runs: their scatter, where it is the larger, is a t of two degrees of freedom
+    assert found.mean[0] == pytest.approx(mean, abs=5.0 * found.mean_error[0])
+    assert found.sd[0] == pytest.approx(sd, abs=5.0 * found.sd_error[0])
+
 
 SMALL = ReferenceSettings(draws=256, nodes=41, log2_points=(11, 13))
 

@@ -1,4 +1,4 @@
-"""Hybrid plates against closed forms, other discretisations and bricks."""
+"""Hybrids and plies of any order of moduli against closed forms, other discretisations and bricks."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import scipy.linalg
 from numpy.testing import assert_allclose
 
 import cpam_bayes as cb
@@ -16,18 +15,15 @@ from cpam_bayes.errors import PlateFileError
 from cpam_bayes.forward_model.calculix import solve_modes
 from cpam_bayes.forward_model.known_errors import LIMIT, sandwich_error
 from cpam_bayes.forward_model.model import NO_PARAMETERS, plate_problem, reference_constants
+from cpam_bayes.forward_model.preconditions import exchange_notices
 from cpam_bayes.forward_model.reduced import DEFAULT_SETTINGS
 from cpam_bayes.forward_model.store import model_key
 from cpam_bayes.mechanics.convergence import Tolerance
-from cpam_bayes.plate.laminate import ENERGY_CONSISTENT
+from cpam_bayes.plate.laminate import ENERGY_CONSISTENT, flexural_constants
+from cpam_bayes.render.notices import sentence_of
 from tests.hybrids import CARBON, GLASS, HYBRID, hybrid, isotropic, of_layers, sandwich
-from tests.plates import frequencies
-
-TIGHT = Tolerance(kept=1e-6, rich=1e-6)
-
-
-def lowest(plate: dict[str, Any], n_modes: int) -> np.ndarray:
-    return frequencies(plate_problem(cb.read_plate(plate)), n_modes, TIGHT)
+from tests.plate_file import described
+from tests.plates import frequencies, navier
 
 
 @pytest.mark.parametrize("edges", ["FFFF", "CFFF"])
@@ -45,11 +41,12 @@ def test_a_hybrid_of_two_equal_materials_is_the_plain_plate(edges: str) -> None:
     assert [m.label for m in found.modes] == [m.label for m in expected.modes]
 
 
-def navier(layers: list[tuple[float, float, float]], a: float, b: float, shear: np.ndarray) -> np.ndarray:
+def coupled_navier(
+    layers: list[tuple[float, float, float]], a: float, b: float, shear: np.ndarray
+) -> np.ndarray:
     """Frequencies of a supported plate of isotropic layers with nu = 0.3, first-order theory, Hz.
 
-    u = U cos sin, v = V sin cos, w = W sin sin, phi_x = X cos sin, phi_y = Y sin cos solve it exactly (Reddy,
-    Mechanics of Laminated Composite Plates and Shells, section 6.3), with all coupling and inertia.
+    With all coupling and inertia (Reddy, Mechanics of Laminated Composite Plates and Shells, section 6.3).
 
     layers : thickness m, E Pa, density kg/m3, bottom to top. shear : A_s, N/m
     """
@@ -63,20 +60,9 @@ def navier(layers: list[tuple[float, float, float]], a: float, b: float, shear: 
     stiffness = np.zeros((8, 8))
     stiffness[:6, :6] = np.block([[a_ * plane, b_ * plane], [b_ * plane, d_ * plane]])
     stiffness[6:, 6:] = shear
-    found = []
-    for m in range(1, 4):
-        for n in range(1, 4):
-            p, r = m * np.pi / a, n * np.pi / b
-            strain = np.zeros((8, 5))  # amplitudes of the strains for U, V, W, X, Y
-            for row, (i, j) in ((0, (0, 1)), (3, (3, 4))):
-                strain[row, i], strain[row + 1, j] = -p, -r
-                strain[row + 2, i], strain[row + 2, j] = r, p
-            strain[6, 2], strain[6, 4] = r, 1.0
-            strain[7, 2], strain[7, 3] = p, 1.0
-            mass = np.diag([i0, i0, i0, i2, i2])
-            mass[0, 3] = mass[3, 0] = mass[1, 4] = mass[4, 1] = i1
-            found += scipy.linalg.eigh(strain.T @ stiffness @ strain, mass)[0].tolist()
-    return np.sort(np.sqrt(found)) / (2 * np.pi)
+    mass = np.diag([i0, i0, i0, i2, i2])
+    mass[0, 3] = mass[3, 0] = mass[1, 4] = mass[4, 1] = i1
+    return navier(stiffness, mass, (a, b), 12)
 
 
 @pytest.mark.parametrize(
@@ -91,11 +77,8 @@ def navier(layers: list[tuple[float, float, float]], a: float, b: float, shear: 
 def test_thick_layers_have_the_frequencies_of_navier(layers: list[tuple[float, float, float]]) -> None:
     plate = of_layers([(t, isotropic(e, rho)) for t, e, rho in layers], (200.0, 150.0), "SSSS")
     shear = np.real(plate_problem(cb.read_plate(plate)).nominal.stiffness())[6:, 6:]
-    closed = navier([(1e-3 * t, 1e9 * e, rho) for t, e, rho in layers], 0.2, 0.15, shear)
-    # in-plane modes without a node across one side are not among those with m, n > 0
-    found = lowest(plate, 5)
-    assert all(np.abs(closed / f - 1.0).min() < 1e-5 for f in (found[0], found[1], found[2]))
-    assert_allclose(found[0], closed[0], rtol=1e-5)
+    closed = coupled_navier([(1e-3 * t, 1e9 * e, rho) for t, e, rho in layers], 0.2, 0.15, shear)
+    assert_allclose(lowest(plate, 5), closed[:5], rtol=1e-5)
 
 
 def test_elements_agree_where_the_halves_weigh_differently() -> None:
@@ -231,3 +214,118 @@ def test_the_saved_study_of_sandwiches_is_that_of_the_rule_as_it_is() -> None:
     assert len(ratios) > 50
     assert max(ratios) < 2.0
     assert 0.7 < np.median(ratios) < 1.1
+
+
+FABRIC = {"E1_GPa": 62.0, "E2_GPa": 62.0, "nu12": 0.05, "G12_GPa": 4.2, "G13_GPa": 3.5, "G23_GPa": 3.0}
+SPRUCE = {"E1_GPa": 11.2, "E2_GPa": 0.91, "nu12": 0.51, "G12_GPa": 0.72}
+ACROSS = {"E1_GPa": 0.91, "E2_GPa": 11.2, "nu12": 0.04, "G12_GPa": 0.72, "G13_GPa": 0.1, "G23_GPa": 0.6}
+TIGHT = Tolerance(kept=1e-6, rich=1e-6)
+
+
+def orthotropic(
+    constants: dict[str, float],
+    size: tuple[float, float, float] = (300.0, 200.0, 4.0),
+    layup: str = "[0]",
+    edges: str = "FFFF",
+    **tables: Any,
+) -> dict[str, Any]:
+    material = {"symmetry": "orthotropic", **constants}
+    return described(size, 450.0, material, layup=layup, edges=edges, **tables)
+
+
+def axes_exchanged(constants: dict[str, float]) -> dict[str, float]:
+    """The same ply with its axis 1 called 2: nu21 = nu12 E2 / E1, G13 and G23 change places."""
+    exchanged = dict(constants)
+    exchanged["E1_GPa"], exchanged["E2_GPa"] = constants["E2_GPa"], constants["E1_GPa"]
+    exchanged["nu12"] = constants["nu12"] * constants["E2_GPa"] / constants["E1_GPa"]
+    g13, g23 = (constants.get(key, constants["G12_GPa"]) for key in ("G13_GPa", "G23_GPa"))
+    return exchanged | {"G13_GPa": g23, "G23_GPa": g13}
+
+
+def lowest(plate: dict[str, Any], n_modes: int = 8) -> np.ndarray:
+    return frequencies(plate_problem(cb.read_plate(plate)), n_modes, TIGHT)
+
+
+def stiffness(constants: dict[str, float], layup: str) -> np.ndarray:
+    return np.asarray(plate_problem(cb.read_plate(orthotropic(constants, layup=layup))).nominal.stiffness())
+
+
+@pytest.mark.parametrize(
+    ("constants", "layup", "turned"),
+    [
+        (FABRIC, "[0/45]_s", "[90/-45]_s"),
+        (SPRUCE, "[0]", "[90]"),
+        (ACROSS, "[0/90/0]", "[90/0/90]"),
+        (ACROSS, "[0/30]", "[90/-60]"),
+    ],
+)
+def test_exchanged_axes_are_plies_turned_by_90_degrees(
+    constants: dict[str, float], layup: str, turned: str
+) -> None:
+    as_given, exchanged = stiffness(constants, layup), stiffness(axes_exchanged(constants), turned)
+    np.testing.assert_allclose(exchanged, as_given, rtol=1e-12, atol=1e-12 * np.abs(as_given).max())
+
+
+@pytest.mark.parametrize("constants", [FABRIC, SPRUCE, ACROSS], ids=["fabric", "spruce", "across"])
+def test_a_thin_simply_supported_plate_has_the_frequencies_of_kirchhoff(constants: dict[str, float]) -> None:
+    a, b, rho = 0.3, 0.2, 450.0
+
+    def over_thickness(h: float) -> np.ndarray:
+        return lowest(orthotropic(constants, (300.0, 200.0, 1e3 * h), edges="SSSS"), 5) / h
+
+    h = 1.2e-3
+    # shear deformation lowers them in proportion to (h / a)^2: extrapolated away with two thicknesses
+    thin = (4.0 * over_thickness(h / 2) - over_thickness(h)) / 3.0
+    e1, e2, g12 = (1e9 * constants[key] for key in ("E1_GPa", "E2_GPa", "G12_GPa"))
+    nu12 = constants["nu12"]
+    scale = 12.0 * rho * (1.0 - nu12**2 * e2 / e1)
+    d11, d22, d12, d66 = e1 / scale, e2 / scale, nu12 * e2 / scale, g12 / (12.0 * rho)
+    exact = sorted(
+        0.5
+        * np.pi
+        * np.sqrt(d11 * (m / a) ** 4 + 2 * (d12 + 2 * d66) * (m * n / a / b) ** 2 + d22 * (n / b) ** 4)
+        for m in range(1, 9)
+        for n in range(1, 9)
+    )[:5]
+    np.testing.assert_allclose(thin, exact, rtol=5e-6)
+
+
+def test_a_balanced_fabric_has_one_modulus_along_both_axes_and_another_between() -> None:
+    def flexural(layup: str) -> dict[str, float]:
+        return flexural_constants(stiffness(FABRIC, layup), 0.004)
+
+    along, across, between = (flexural(layup) for layup in ("[0]", "[90]", "[45]"))
+    e, nu, g = 62e9, FABRIC["nu12"], 4.2e9
+    assert along["Ex"] == pytest.approx(across["Ex"], rel=1e-12)
+    assert along["Ex"] == pytest.approx(e, rel=1e-12)
+    # Jones, eq. 2.97 at 45 degrees
+    assert between["Ex"] == pytest.approx(4.0 / (2.0 * (1.0 - nu) / e + 1.0 / g), rel=1e-12)
+
+
+BOTH = {"E1_GPa": [5.0, 80.0], "E2_GPa": [5.0, 80.0], "nu12": [0.0, 0.3], "G12_GPa": [2.0, 8.0]}
+LISTED = {"frequencies_hz": [100.0, 200.0, 300.0, 400.0, 500.0]}
+SQUARE = (200.0, 200.0, 3.0)
+
+
+@pytest.mark.parametrize(
+    ("plate", "said"),
+    [
+        (orthotropic(FABRIC, SQUARE, unknowns=BOTH, measurement=LISTED), "the plate is square"),
+        (orthotropic(FABRIC, layup="[?/?]_s", unknowns=BOTH, measurement=LISTED), "ply angles are unknown"),
+        (orthotropic(FABRIC, unknowns=BOTH, measurement=LISTED), None),
+        (orthotropic(FABRIC, layup="[0/?]_s", unknowns=BOTH, measurement=LISTED), None),
+        (orthotropic(FABRIC, SQUARE, edges="CFFF", unknowns=BOTH, measurement=LISTED), None),
+        (orthotropic(FABRIC, SQUARE, unknowns=BOTH | {"E2_GPa": [1.0, 5.0]}, measurement=LISTED), None),
+        (
+            orthotropic(
+                FABRIC, SQUARE, unknowns=BOTH, measurement=LISTED | {"labels": ["", "(2,0)", "", "", ""]}
+            ),
+            None,
+        ),
+    ],
+    ids=["square", "unknown angles", "oblong", "one known angle", "clamped", "bounds apart", "labelled"],
+)
+def test_moduli_that_can_change_places_are_said_to(plate: dict[str, Any], said: str | None) -> None:
+    notices = exchange_notices(cb.read_plate(plate))
+    assert len(notices) == (said is not None)
+    assert said is None or said in sentence_of(notices[0])

@@ -1,0 +1,393 @@
+"""What is read off weighed hypotheses: other priors, constants, p-values and what lists would have shown."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+from scipy.stats import chi2, kstest, norm
+
+from cpam_bayes.diagnosis.answers import detectability
+from cpam_bayes.diagnosis.answers.detectability import (
+    Detectable,
+    LinearOracle,
+    ShiftLine,
+    detectable,
+    linear_oracle,
+    shift_lines,
+)
+from cpam_bayes.diagnosis.answers.optima import (
+    FACTORS,
+    averaged_constants,
+    prior_sensitivity,
+    reweighed,
+    weighted_quantiles,
+)
+from cpam_bayes.diagnosis.comparison import REPEATABILITY_PRIOR, Comparison, PlateCase
+from cpam_bayes.diagnosis.evidence import weighing
+from cpam_bayes.diagnosis.fit import explains
+from cpam_bayes.diagnosis.hypotheses import NONE, OTHER, Claim, Hypothesis, claim_of
+from cpam_bayes.effects import Effect
+from cpam_bayes.parameters import Parameter, ParameterSet, Uniform
+from tests.diagnosis.toy_plates import (
+    ANYTHING,
+    BENT,
+    BUMP,
+    CONSTANTS,
+    DENT,
+    DENTED,
+    F0,
+    HEAVY,
+    NOISE,
+    NOTHING,
+    SCATTER,
+    SD,
+    SHIFTS,
+    STIFF,
+    TWIN,
+    WARP,
+    A,
+    Array,
+    a_list,
+    case,
+    cause,
+    exact_log_evidence,
+    hypothesis,
+    measured,
+    plate_model,
+    straight,
+    whole_normal,
+    with_causes,
+)
+from tests.toy_models import ToyModel
+
+
+def with_and_without(f: Array, relative: float | None = NOISE) -> weighing.Weighed:
+    own = with_causes(f, BENT, relative=relative)
+    return weighing.weigh([own], [(NOTHING, (0,)), (hypothesis(BENT, 0.1), (0,))], pairs=False)
+
+
+@pytest.mark.parametrize("factor", FACTORS)
+@pytest.mark.parametrize("size", [0.0, 0.006, 0.02])
+def test_probabilities_are_those_of_the_other_prior(size: float, factor: float) -> None:
+    f = measured(size * BUMP)
+    found = with_and_without(f)
+    other = reweighed(found, factor)
+    plain = exact_log_evidence(f, NOISE * f)
+    expected = exact_log_evidence(f, NOISE * f, (BUMP, factor * 0.02)) - plain
+    exact = exact_log_evidence(f, NOISE * f, (BUMP, 0.02)) - plain
+    bent = other.best_of("bent")
+    # the approximation of the evidence itself is not what is tested
+    missed = found.best_of("bent").log_bayes_factor - exact
+    assert bent.log_bayes_factor - missed == pytest.approx(expected, abs=0.08)
+    odds = 0.2 * np.exp(bent.log_bayes_factor)
+    assert bent.probability == pytest.approx(odds / (1.0 + odds), rel=1e-9)
+    assert sum(t.probability for t in other.tested) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("factor", FACTORS)
+def test_the_prior_of_an_inferred_repeatability_is_scaled_too(factor: float) -> None:
+    f = measured()
+    found = with_and_without(f, None)
+    a = np.geomspace(1e-5, 0.3, 2001)
+
+    def over(factor: float, *directions: tuple[Array, float]) -> float:
+        each = np.array([exact_log_evidence(f, s * f, *directions) for s in a])
+        density = np.exp(each + REPEATABILITY_PRIOR.rescaled(factor).log_density(a))
+        return float(np.log(np.trapezoid(density, a)))
+
+    other = reweighed(found, factor)
+    expected = over(factor, (BUMP, factor * 0.02)) - over(factor)
+    missed = found.best_of("bent").log_bayes_factor - (over(1.0, (BUMP, 0.02)) - over(1.0))
+    assert other.best_of("bent").log_bayes_factor - missed == pytest.approx(expected, abs=0.1)
+
+
+def test_a_claim_stands_if_it_is_the_same_with_all_scales() -> None:
+    def claim(w: weighing.Weighed) -> Claim:
+        probability = {**w.by_cause(), OTHER: 0.0}
+        factors = {c: w.log_bayes_factor((c,)) for c in w.by_cause()} | {OTHER: -np.inf}
+        return claim_of(probability, factors, {})
+
+    for size, stands in ((0.0, True), (0.03, True), (0.006, False)):
+        found = with_and_without(measured(size * BUMP))
+        sensitivity = prior_sensitivity(found, claim(found), claim)
+        assert sensitivity.claim_stands is stands
+        assert len(sensitivity.claims) == len(sensitivity.probabilities) == len(FACTORS)
+        assert all(sum(p.values()) == pytest.approx(1.0) for p in sensitivity.probabilities)
+
+
+# Constants over all hypotheses: the mixture of their posteriors
+
+
+def test_constants_are_those_of_the_mixture_of_all_hypotheses() -> None:
+    """Two normal posteriors, 0.7 and 0.3, and one that is negligible, far away."""
+    bent = cause("bent", whole_normal(0.02))
+    own = case(a_list(F0, NOISE), [(bent, straight(np.ones(8)))])
+    p = (np.arange(20000) + 0.5) / 20000
+    tested = []
+    for of, probability, mean, sd in (
+        (Hypothesis(NONE, NONE, prior=0.5), 0.7, 1.0, 0.01),
+        (hypothesis(bent, 0.1), 0.3, 1.1, 0.03),
+        (hypothesis(bent, 0.1), 1e-7, 9.0, 0.1),
+    ):
+        marginal = weighing.marginal_of([own], of, (0,))
+        draws = np.tile(norm.ppf(p, mean, sd)[:, None], (1, marginal.draws.shape[1]))
+        marginal = replace(marginal, draws=draws, log_weight=np.full(len(p), -np.log(len(p))))
+        tested.append(weighing.Tested(of, (0,), marginal, probability=probability))
+    found = averaged_constants(weighing.Weighed(tuple(tested), ()))
+    assert set(found) == {"E1", "G12"}
+
+    def quantile(q: float) -> float:
+        def excess(x: float) -> float:
+            return float(0.7 * norm.cdf(x, 1.0, 0.01) + 0.3 * norm.cdf(x, 1.1, 0.03) - q)
+
+        return float(brentq(excess, 0.5, 1.5))
+
+    mean, sd, low, high = found["E1"]
+    assert mean == pytest.approx(1.03, abs=1e-6)
+    assert sd == pytest.approx(np.sqrt(0.7 * 0.01**2 + 0.3 * 0.03**2 + 0.21 * 0.1**2), rel=1e-3)
+    assert low == pytest.approx(quantile(0.025), abs=1e-4)
+    assert high == pytest.approx(quantile(0.975), abs=1e-4)
+
+
+def test_quantiles_of_equal_weights_are_those_of_the_draws() -> None:
+    x = np.array([3.0, 1.0, 2.0, 4.0])
+    found = weighted_quantiles(x, np.full(4, 0.25), np.array([0.125, 0.5, 0.875]))
+    np.testing.assert_allclose(found, [1.0, 2.5, 4.0])
+
+
+def weighed_list(f: Array, of: Hypothesis, relative: float | None) -> weighing.Tested:
+    return weighing.Tested(
+        of, (0,), weighing.marginal_of([with_causes(f, BENT, relative=relative)], of, (0,))
+    )
+
+
+def direct(f: Array, sigma: Array, *directions: tuple[Array, float]) -> float:
+    """Of the linear plate with normal priors: ridge regression and its trace."""
+    slope = np.column_stack([SD * A, *(sd * d for d, sd in directions)]) * F0[:, None] / sigma[:, None]
+    hat = slope @ np.linalg.inv(slope.T @ slope + np.eye(slope.shape[1])) @ slope.T
+    r = (f - F0) / sigma
+    r = r - hat @ r
+    return float(chi2.sf(r @ r, len(f) - np.trace(hat)))
+
+
+@pytest.mark.parametrize("size", [0.0, 0.004, 0.01])
+def test_a_stated_repeatability_gives_the_chi_square_of_the_residuals(size: float) -> None:
+    f = measured(size * BUMP)
+    sigma = NOISE * f
+    assert explains(weighed_list(f, NOTHING, NOISE)) == pytest.approx(direct(f, sigma), rel=1e-3)
+    extended = explains(weighed_list(f, hypothesis(BENT, 0.1), NOISE))
+    assert extended == pytest.approx(direct(f, sigma, (BUMP, 0.02)), rel=0.02)
+    assert extended > 0.05
+
+
+def test_an_inferred_repeatability_is_averaged_over_its_prior() -> None:
+    f = F0 * (1.0 + A @ [0.03, -0.04] + 0.03 * BUMP)
+    found = explains(weighed_list(f, NOTHING, None))
+    # the tail near the end of the prior explains it best: many points
+    p = (np.arange(8000) + 0.5) / 8000
+    expected = np.mean([direct(f, a * f) for a in REPEATABILITY_PRIOR.ppf(p)])
+    assert found == pytest.approx(expected, rel=0.03)
+
+
+def test_a_misfit_of_many_times_any_repeatability_is_not_explained_by_noise() -> None:
+    f = F0 * (1.0 + 0.45 * np.array([1.0, -1.0, 1.0, 1.0, -1.0, -1.0, 1.0, -1.0]))
+    assert explains(weighed_list(f, NOTHING, None)) < 1e-6
+    assert explains(weighed_list(f, NOTHING, NOISE)) < 1e-12
+    # a scatter of all modes that nothing explains is part of that hypothesis
+    assert explains(weighed_list(f, ANYTHING, NOISE)) > explains(weighed_list(f, NOTHING, NOISE))
+
+
+def test_p_values_of_lists_by_the_model_itself_are_uniform() -> None:
+    rng = np.random.default_rng(1)
+    found = []
+    for _ in range(200):
+        constants = SD * rng.standard_normal(2)
+        f = F0 * (1.0 + A @ constants) * (1.0 + NOISE * rng.standard_normal(8))
+        found.append(explains(weighed_list(f, NOTHING, NOISE)))
+    assert kstest(found, "uniform").pvalue > 0.01
+
+
+def test_a_step_to_where_the_plate_buckles_is_not_taken(monkeypatch: pytest.MonkeyPatch) -> None:
+    f = measured()
+    tested = weighed_list(f, NOTHING, NOISE)
+    whole = explains(tested)
+
+    def buckled(self: Comparison, x: Array) -> tuple[Array, Array, None]:
+        return np.empty(0, dtype=int), np.empty((0, len(f))), None
+
+    monkeypatch.setattr(Comparison, "predict_inside", buckled)
+    # the optimum itself is left, a step of Gauss and Newton from it changes nothing
+    assert explains(tested) == pytest.approx(whole, rel=1e-3)
+
+
+def weighed(
+    *effects: Effect, relative: float | None = NOISE, other: bool = False, scatter: float = 0.0
+) -> weighing.Weighed:
+    """Of a list at the prior means."""
+    own = with_causes(F0 * (1.0 + scatter * SCATTER), *effects, relative=relative)
+    some = [NOTHING, *([ANYTHING] if other else []), *(hypothesis(e, 0.1) for e in effects)]
+    return weighing.weigh([own], [(h, (0,)) for h in some], pairs=False)
+
+
+def oracle_of(found: weighing.Weighed, n: int = 64) -> tuple[LinearOracle, tuple[ShiftLine, ...]]:
+    lines = shift_lines(found.tested, found.none.marginal)
+    return linear_oracle(found, lines, n, np.random.default_rng(0)), lines
+
+
+def by_cause(found: tuple[Detectable, ...]) -> dict[str, Detectable]:
+    return {entry.cause: entry for entry in found}
+
+
+def test_evidences_of_simulated_lists_are_exact() -> None:
+    found = weighed(BENT, DENTED)
+    oracle, _ = oracle_of(found, 16)
+    shift = np.stack([np.zeros(8), 0.01 * BUMP, 0.02 * BUMP - 0.005 * DENT])
+    log_weight = oracle.log_weights(shift)
+    assert set(oracle.causes) == {NONE, "bent", "dented"}
+    at = {name: i for i, name in enumerate(oracle.causes)}
+    for i in range(16):
+        for j in range(3):
+            f = F0 * np.exp(oracle.noise[i] + shift[j])
+            plain = exact_log_evidence(f, NOISE * F0)
+            for name, direction in (("bent", BUMP), ("dented", DENT)):
+                expected = (
+                    exact_log_evidence(f, NOISE * F0, (direction, 0.02)) + np.log(0.1) - plain - np.log(0.5)
+                )
+                odds = log_weight[at[name], i, j] - log_weight[at[NONE], i, j]
+                # the toy's frequencies are linear, the oracle's are so in their logarithm
+                assert odds == pytest.approx(expected, abs=0.03 + 0.02 * abs(expected))
+
+
+def test_an_inferred_noise_is_integrated_over_its_prior() -> None:
+    found = weighed(BENT, relative=None, scatter=NOISE)
+    oracle, _ = oracle_of(found, 8)
+    prior = found.none.marginal.comparison.parameters.parameters[-1].prior
+    a = np.geomspace(prior.lower, prior.upper, 3001)
+    shift = 0.01 * BUMP
+    log_weight = oracle.log_weights(shift[None])
+    at = {name: i for i, name in enumerate(oracle.causes)}
+    for i in range(8):
+        f = F0 * np.exp(oracle.noise[i] + shift)
+
+        def integral(*directions: tuple[Array, float], f: Array = f) -> float:
+            each = np.array([exact_log_evidence(f, s * F0, *directions) for s in a])
+            each += prior.log_density(a)
+            return float(np.log(np.trapezoid(np.exp(each - each.max()), a)) + each.max())
+
+        expected = integral((BUMP, 0.02)) - integral() + np.log(0.2)
+        odds = float(log_weight[at["bent"], i, 0] - log_weight[at[NONE], i, 0])
+        assert odds == pytest.approx(expected, abs=0.5 + 0.1 * abs(expected))
+
+
+def test_the_power_of_a_claim_is_that_of_lists_that_are_simulated() -> None:
+    """The claim's rule on exact evidences of 400 lists of their own noise, at the size that was found."""
+    found = weighed(BENT, DENTED)
+    entry = by_cause(detectable(found))["bent"]
+    assert entry.smallest is not None
+    assert entry.probability_of_claim == pytest.approx(0.95, abs=0.02)
+    rng = np.random.default_rng(7)
+
+    def power(size: float) -> float:
+        claims = []
+        for _ in range(400):
+            f = F0 * (1.0 + size * BUMP) * (1.0 + NOISE * rng.standard_normal(8))
+            plain = exact_log_evidence(f, NOISE * F0)
+            with_it = [exact_log_evidence(f, NOISE * F0, (d, 0.02)) for d in (BUMP, DENT)]
+            log_odds = [v - plain + np.log(0.2) for v in with_it]
+            weight = np.exp([*log_odds, 0.0])
+            # 3 nats before none follow from the probability; of equal priors the other one must be told apart
+            claims.append(weight[0] / weight.sum() >= 0.9 and log_odds[0] >= log_odds[1] + 3.0)
+        return float(np.mean(claims))
+
+    # 400 lists: one per cent
+    assert power(entry.smallest) == pytest.approx(0.95, abs=0.035)
+    assert power(0.8 * entry.smallest) < 0.85
+
+
+def test_a_cause_that_cannot_be_told_from_another_is_seen_as_their_class() -> None:
+    alone = by_cause(detectable(weighed(BENT)))["bent"].smallest
+    both = by_cause(detectable(weighed(BENT, TWIN)))
+    assert alone is not None
+    for name in ("bent", "twin"):
+        smallest = both[name].smallest
+        assert smallest is not None
+        assert smallest == pytest.approx(alone, rel=0.15)
+
+
+def test_sizes_are_those_of_the_cause_with_its_sign_and_slope_and_none_of_what_constants_absorb() -> None:
+    found = by_cause(detectable(weighed(WARP, BENT, HEAVY, STIFF, other=True)))
+    for name, slope in (("warp", 2), ("heavy", 1), ("bent", 1)):
+        entry = found[name]
+        assert entry.smallest is not None
+        assert entry.parameter is not None
+        direction = SHIFTS[name](np.array([1.0]))[0][0]
+        # between three and ten standard deviations of what the constants leave
+        visible = np.linalg.norm(oracle_of(weighed(BENT))[0].root @ direction)
+        assert 3.0 < visible * entry.smallest**slope < 12.0
+    assert {NONE, OTHER}.isdisjoint(found)
+    assert found["stiff"].smallest is None
+    assert found["stiff"].probability_of_claim is not None
+    assert found["stiff"].probability_of_claim < 0.05
+
+
+def test_noise_that_is_larger_hides_larger_sizes_and_the_answer_is_the_same_again() -> None:
+    precise, rough = (by_cause(detectable(weighed(BENT, relative=r)))["bent"] for r in (0.001, 0.004))
+    assert precise.smallest is not None
+    assert rough.smallest is not None
+    assert rough.smallest / precise.smallest == pytest.approx(4.0, rel=0.2)
+    assert detectable(weighed(BENT)) == detectable(weighed(BENT))
+
+
+def test_what_is_wrong_with_a_list_has_no_size_and_a_cause_that_of_a_variant_that_has_one() -> None:
+    found = weighed(BENT)
+    missed = Hypothesis("mode_identity", "list", "mode 1 missed", prior=0.1)
+    of_list = replace(found.none, hypothesis=missed)
+    entry = by_cause(detectable(replace(found, tested=(*found.tested, of_list))))["mode_identity"]
+    assert entry == Detectable("mode_identity", None, None, None)
+    sized = found.best_of("bent")
+    gross = replace(sized.hypothesis, variant="gross", parameters=())
+    first = replace(sized, hypothesis=gross, shift=None, probability=0.9)
+    both = by_cause(detectable(replace(found, tested=(first, *found.tested))))
+    assert both["bent"].parameter == sized.hypothesis.parameters[0]
+    assert both["bent"].smallest is not None
+
+
+def test_a_cause_with_a_place_has_the_size_at_the_median_place(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Half of the places show the cause only half as well."""
+    place = Parameter("place", "", Uniform(0.0, 1.0), 0.5)
+    local = replace(BENT, parameters=(*BENT.parameters, place))
+
+    def function(x: Array) -> tuple[Array, Array]:
+        size, where = x[:, 2], x[:, 3]
+        factor = np.where(where > 0.5, 0.5, 1.0)
+        bare, slope = plate_model().function(x[:, :2])
+        f = bare + F0 * (size * factor)[:, None] * BUMP
+        of_size = F0 * factor[:, None] * BUMP
+        return f, np.concatenate((slope, of_size[..., None], np.zeros_like(of_size)[..., None]), axis=2)
+
+    own = case(a_list(F0, NOISE), [])
+    own.extended[(local.name, "")] = ToyModel(CONSTANTS.union(ParameterSet(local.parameters)), function)  # type: ignore[assignment]
+    tested = weighed_by_hand(own, local)
+    lines = shift_lines(tested.tested, tested.none.marginal)
+    assert len(lines) == 16
+    assert np.exp([line.log_prior for line in lines]).sum() == pytest.approx(0.1)
+    steep = [np.abs(line.shift[-1]).max() / line.size[-1] for line in lines]
+    np.testing.assert_allclose(sorted(steep), [0.5] * 8 + [1.0] * 8, rtol=0.05)
+    monkeypatch.setattr(detectability, "_PLACES", 16)
+    here = by_cause(detectable(tested))["bent"].smallest
+    everywhere = by_cause(detectable(weighed(BENT)))["bent"].smallest
+    assert here is not None
+    assert everywhere is not None
+    assert here == pytest.approx(2.0 * everywhere, rel=0.1)
+
+
+def weighed_by_hand(own: PlateCase, effect: Effect) -> weighing.Weighed:
+    of: Any = [
+        weighing.Tested(h, (0,), weighing.marginal_of([own], h, (0,)), probability=p, shift=s)
+        for h, p, s in ((NOTHING, 0.8, None), (hypothesis(effect, 0.1), 0.2, np.zeros((19, 8))))
+    ]
+    return weighing.Weighed(tuple(of), ())
