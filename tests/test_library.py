@@ -142,41 +142,93 @@ def test_every_verb_works_twice_after_all_modules_are_imported() -> None:
 
 # Refusals
 
-UNKNOWNS = "[unknowns]\nE1_GPa = [10.0, 200.0]\nnu12 = [0.15, 0.4]\n"
+# What is changed in the aluminium plate and its list.
+NO_LIST = (MEASURED, "")
+NO_UNKNOWNS = ("[unknowns]\nE1_GPa = [10.0, 200.0]\nnu12 = [0.15, 0.4]\n", "")
+GAPS = ("resolution_hz = 1.0", "complete = false")
+LABELS = ("resolution_hz = 1.0", 'labels = ["(1,1)", "", "", "", "", ""]')
+ANGLES = ('edges = "FFFF"', 'edges = "FFFF"\nlayup = "[?/0]_s"')
+CARBON = ("isotropic = true\nE1_GPa = 69.0\n", "E1_GPa = 121.2\nE2_GPa = 9.34\nG12_GPa = 6.25\n")
+MESH = ('edges = "FFFF"', 'edges = "FFFF"\nmesh = "plate.msh"')
+AIR = ("[measurement]", "[environment]\nair_density_kg_m3 = 1.2\n[measurement]")
+THIN = ("thickness_mm = 3.0", "thickness_mm = 0.003")
+NARROW = ("E1_GPa = [10.0, 200.0]", "E1_GPa = [10.0, 60.0]")
+KNOWN = ("nu12 = 0.33\n", "nu12 = 0.33\n[material.sd]\nE1_GPa = 0.1\n")
+NO_SIZES = (("300.0", "0.0"), ("280.0", "nan"))
+TO_CCX = partial(cb.export, path="x.inp"), "export --to ccx --out x.inp"
+BY_CCX = partial(cb.forward, solver="ccx"), "forward --solver ccx"
+BY_EMCEE = cb.sample, "identify --backend emcee"
+OF_THE_LIST = partial(cb.sensitivity, source="measured"), "sensitivity --list measured"
+IDENTIFY, DIAGNOSE, REPORT = (
+    (cb.identify, "identify"),
+    (cb.diagnose, "diagnose"),
+    (cb.report, "report --out out"),
+)
+FORWARD, SEQUENCE, CALIBRATE = (cb.forward, "forward"), (cb.sequence, "sequence"), (cb.calibrate, "calibrate")
+SENSITIVITY = cb.sensitivity, "sensitivity"
+
+REFUSED_PLATES: list[tuple[tuple[tuple[str, str], ...], tuple[Callable[..., object], str], str]] = [
+    ((GAPS,), IDENTIFY, "measurement.complete: received false, this version pairs the first model mode"),
+    ((GAPS,), OF_THE_LIST, "measurement.complete: received false, --list measured adds noise to a list"),
+    ((NO_LIST,), IDENTIFY, "[measurement] is missing, nothing to identify from"),
+    ((NO_LIST,), BY_EMCEE, "[measurement] is missing"),
+    ((NO_LIST,), DIAGNOSE, "[measurement] is missing, nothing to be compared with the model"),
+    ((NO_LIST,), REPORT, "[measurement] is missing"),
+    ((NO_LIST,), OF_THE_LIST, "[measurement] is missing, which --list measured needs"),
+    ((NO_LIST,), CALIBRATE, "calibrate needs [unknowns], and a list in [measurement]"),
+    ((NO_UNKNOWNS,), IDENTIFY, "[unknowns] is missing, nothing to identify"),
+    ((NO_UNKNOWNS,), DIAGNOSE, "[unknowns] is missing; name the constants that may differ"),
+    ((NO_UNKNOWNS,), REPORT, "[unknowns] is missing"),
+    ((NO_UNKNOWNS,), SENSITIVITY, "[unknowns] is missing, nothing to identify"),
+    ((NO_UNKNOWNS,), (cb.design, "design"), "[unknowns] is missing; name the constants to be determined"),
+    (
+        (("resolution_hz = 1.0", "frequency_sd_hz = [1, 1, 1, 1, 1, 1]"),),
+        CALIBRATE,
+        "measurement.frequency_sd_hz: calibrate takes one repeatability for all modes; state relative_std",
+    ),
+    ((MESH,), IDENTIFY, "plate.msh, identify computes rectangular plates only; leave mesh out, or"),
+    ((MESH,), BY_EMCEE, "identify computes rectangular plates only; leave mesh out, or"),
+    ((MESH,), DIAGNOSE, "diagnose computes rectangular plates only; leave mesh out"),
+    ((MESH,), SENSITIVITY, "sensitivity computes rectangular plates only; leave mesh out"),
+    ((MESH,), (partial(cb.forward, solver="ritz"), "forward --solver ritz"), "--solver ritz computes rect"),
+    ((MESH,), BY_CCX, "--solver ccx computes rectangular plates only; use --solver fem"),
+    ((MESH,), TO_CCX, "files are written for rectangular plates only; leave mesh out"),
+    ((MESH, AIR), FORWARD, "air_density_kg_m3: received 1.2, the air about a plate with a mesh is not"),
+    ((AIR,), BY_CCX, "air_density_kg_m3: received 1.2, CalculiX computes plates in vacuum"),
+    ((AIR,), TO_CCX, "air_density_kg_m3: received 1.2, decks hold a plate in vacuum"),
+    ((ANGLES,), FORWARD, "plate.layup: received [?/0]_s, unknown angles: 1; a known layup is needed"),
+    ((ANGLES,), DIAGNOSE, "unknown angles: 1; a known layup is needed"),
+    ((ANGLES, CARBON), BY_EMCEE, "let `sequence` or `identify --backend pso` find them"),
+    ((ANGLES,), IDENTIFY, "the material is isotropic, which has no ply angles; leave layup out"),
+    ((ANGLES,), SEQUENCE, "the material is isotropic, which has no ply angles; leave layup out"),
+    ((ANGLES, CARBON, LABELS), IDENTIFY, "measurement.labels: received beside unknown angles"),
+    ((ANGLES, CARBON, LABELS), SEQUENCE, "measurement.labels: received beside unknown angles"),
+    ((), SEQUENCE, 'plate.layup: received [0], none of its angles is "?"'),
+    ((("E1_GPa = 69.0", "E1_GPa = 8.0"),), SENSITIVITY, "material.E1_GPa: 8 lies outside its search bounds"),
+    ((NARROW, KNOWN), DIAGNOSE, "unknowns.E1: its bounds leave nothing within 4 standard deviations"),
+    ((THIN,), IDENTIFY, "plate.thickness_mm: received 0.003, 1/100000 of the longer side, too thin"),
+    (NO_SIZES, FORWARD, "plate.width_mm: not a finite number"),
+]
 
 
 @pytest.mark.parametrize(
-    ("changes", "call", "argv"),
-    [
-        ([("resolution_hz = 1.0", "complete = false")], cb.identify, ("identify",)),
-        ([(MEASURED, "")], cb.identify, ("identify",)),
-        ([(MEASURED, "")], cb.sample, ("identify", "--backend", "emcee")),
-        ([(MEASURED, "")], cb.diagnose, ("diagnose",)),
-        ([('edges = "FFFF"', 'edges = "FFFF"\nmesh = "plate.msh"')], cb.sample, ("identify",)),
-        ([('edges = "FFFF"', 'edges = "FFFF"\nlayup = "[?/0]_s"')], cb.forward, ("forward",)),
-        ([], cb.sequence, ("sequence",)),
-        ([(UNKNOWNS, "")], cb.sensitivity, ("sensitivity",)),
-        ([(UNKNOWNS, "")], cb.identify, ("identify",)),
-        (
-            [("resolution_hz = 1.0", "complete = false")],
-            partial(cb.sensitivity, source="measured"),
-            ("sensitivity", "--list", "measured"),
-        ),
-        ([("thickness_mm = 3.0", "thickness_mm = 0.003")], cb.identify, ("identify",)),
-        ([("300.0", "0.0"), ("280.0", "nan")], cb.forward, ("forward",)),
-    ],
+    ("changes", "question", "said"), REFUSED_PLATES, ids=[f"{q[1]}: {said}" for _, q, said in REFUSED_PLATES]
 )
-def test_a_caller_is_refused_with_the_text_of_the_command(
+def test_a_plate_is_refused_by_a_question_with_the_text_of_its_command(
     run: Run,
     plate_file: Write,
-    changes: list[tuple[str, str]],
-    call: Callable[[str], object],
-    argv: tuple[str, ...],
+    tmp_path: Path,
+    changes: tuple[tuple[str, str], ...],
+    question: tuple[Callable[..., object], str],
+    said: str,
 ) -> None:
+    call, (name, *options) = question[0], question[1].split()
+    (tmp_path / "plate.msh").touch()
     path = plate_file(*changes)
     with pytest.raises(ValueError, match=r"plate\.toml") as refused:
         call(path)
-    status, out, err = run(*argv[:1], path, *argv[1:], "--quiet")
+    assert said in str(refused.value)
+    status, out, err = run(name, path, *options, "--quiet")
     assert (status, out) == (2, "")
     assert err == "".join(f"error: {line}\n" for line in str(refused.value).splitlines())
 

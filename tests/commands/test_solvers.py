@@ -144,22 +144,6 @@ def test_an_oblique_clamped_plate_is_stiffer_than_the_rectangle_of_its_sides(run
     assert np.all(oblique > 1.1 * rectangular)
 
 
-@pytest.mark.parametrize("solver", ["ritz", "ccx"])
-def test_a_mesh_needs_elements(run, with_mesh, solver):
-    path = with_mesh(rectangle(200.0, 100.0, 4, 2))
-    refused(
-        run("forward", path, "--solver", solver),
-        "plate.mesh: received",
-        f"--solver {solver} computes rectangular plates only; use --solver fem",
-    )
-
-
-@pytest.mark.parametrize("backend", ["pso", "emcee"])
-def test_a_mesh_is_not_identified_yet(run, with_mesh, backend):
-    path = with_mesh(rectangle(200.0, 100.0, 4, 2))
-    refused(run("identify", path, "--backend", backend), "plate.mesh: received", "forward --solver fem")
-
-
 def test_a_mesh_that_is_no_plate_is_refused(run, with_mesh):
     path = with_mesh(rectangle(0.2, 0.1, 4, 2))
     refused(run("forward", path, "--quiet"), "mesh ", "plate.msh: it extends over 0.2 x 0.1, the plate over")
@@ -185,10 +169,6 @@ def test_a_missing_calculix_is_said(run, monkeypatch, tmp_path):
     monkeypatch.delenv(PROGRAM_VARIABLE)
     monkeypatch.setenv("PATH", str(tmp_path))
     refused(run("forward", "A1", "--solver", "ccx", "--quiet"), "not installed", "calculix-ccx")
-
-
-def test_an_element_is_for_calculix_alone(run):
-    refused(run("forward", "A1", "--element", "brick"), "--element: received brick", "--solver ccx only")
 
 
 @pytest.mark.needs_ccx
@@ -277,14 +257,6 @@ def test_export_never_writes_over_the_plate_file(run, with_mesh):
     path.write_text(before)
     refused(run("export", path, "--to", "ccx", "--force", "--out", path), "the plate file itself")
     assert path.read_text() == before
-
-
-def test_export_says_what_it_cannot_write(run, with_mesh, tmp_path):
-    path = with_mesh(rectangle(200.0, 100.0, 4, 2))
-    out = tmp_path / "a.inp"
-    refused(run("export", path, "--to", "ccx", "--out", out), "plate.mesh", "rectangular plates only")
-    refused(run("export", "A1", "--out", out), "--to")
-    assert not out.exists()
 
 
 def test_export_help_says_that_out_is_a_file(run):

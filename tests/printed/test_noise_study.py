@@ -284,18 +284,3 @@ def test_a_list_with_gaps_is_refused(plate: Specimen) -> None:
     gaps = replace(plate, measurement=replace(plate.measurement, complete=False))
     with pytest.raises(ValueError, match="a list without gaps is needed"):
         noise_study(gaps, 0, source="measured")
-
-
-def test_reference_constants_outside_the_search_bounds_are_refused() -> None:
-    specimen = read_specimen("A1")
-    constants = {**specimen.material.constants, "E1": 250e9}
-    stiff = replace(specimen, material=replace(specimen.material, constants=constants))
-    with pytest.raises(ValueError, match=r"material\.E1_GPa: 250 lies outside its search bounds 10 to 200"):
-        model_list(stiff, 6)
-
-
-def test_a_plate_without_unknowns_is_refused() -> None:
-    specimen = read_specimen("A1")
-    known = replace(specimen, unknowns=specimen.unknowns.without("E1", "nu12"))
-    with pytest.raises(ValueError, match=r"\[unknowns\] is missing"):
-        model_list(known, 6)

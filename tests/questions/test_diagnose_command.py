@@ -21,32 +21,6 @@ def plate_file(plate_file):
     return partial(plate_file, text=PLATE)
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "said"),
-    [
-        ('edges = "FFFF"', 'edges = "FFFF"\nlayup = "[?/0]_s"', "unknown angles: 1; a known layup is needed"),
-        ("[unknowns]\nE1_GPa = [10.0, 200.0]\nnu12 = [0.15, 0.4]\n", "", "[unknowns] is missing"),
-        (
-            "nu12 = 0.33\n",
-            "nu12 = 0.33\n[material.sd]\nE1_GPa = 0.1\n",
-            "its bounds leave nothing within 4 standard deviations",
-        ),
-    ],
-    ids=["unknown angles", "no unknowns", "bounds off the reference"],
-)
-def test_a_plate_that_cannot_be_diagnosed_is_refused(run, plate_file, old, new, said):
-    changes = [(old, new)]
-    if "material.sd" in new:
-        changes.append(("E1_GPa = [10.0, 200.0]", "E1_GPa = [10.0, 60.0]"))
-    refused(run("diagnose", plate_file(*changes), "--json", "--quiet"), "plate.toml", said)
-
-
-def test_a_mesh_is_refused(run, plate_file, tmp_path):
-    (tmp_path / "plate.msh").write_text("")
-    path = plate_file(('edges = "FFFF"', 'edges = "FFFF"\nmesh = "plate.msh"'))
-    refused(run("diagnose", path), "plate.mesh", "diagnose computes rectangular plates only")
-
-
 def test_the_same_plate_twice_is_refused(run, plate_file):
     path = plate_file()
     refused(run("diagnose", path, path), "received plate 7 twice")
@@ -54,13 +28,6 @@ def test_the_same_plate_twice_is_refused(run, plate_file):
 
 def test_plates_of_two_materials_are_refused(run):
     refused(run("diagnose", "A1", "C1"), "material carbon/epoxy, while A1 has aluminium", "of one material")
-
-
-@pytest.mark.parametrize("value", ["0", "-0.1", "0.6", "nan", "much"])
-def test_a_scatter_out_of_range_is_refused(run, value):
-    status, out, err = run("diagnose", "A1", f"--scatter={value}")
-    assert (status, out) == (2, "")
-    assert "accepted: a number above 0 and at most 0.5" in err
 
 
 @pytest.mark.usefixtures("few_causes")

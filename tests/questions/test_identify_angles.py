@@ -89,34 +89,3 @@ def test_the_screen_says_who_found_the_angles(run: Run, path: Path) -> None:
     assert "Best angles found: " in out
     assert "[?/?]_s asked for" in out
     assert re.search(r"found by \d+ fuzzy swarms", out)
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "said"),
-    [
-        ("isotropic = false", "isotropic = true", "the material is isotropic, which has no ply angles"),
-        (
-            "[measurement]",
-            '[measurement]\nlabels = ["(1,1)", "", "", "", "", ""]',
-            "labels: received beside unknown angles",
-        ),
-    ],
-    ids=["isotropic", "labels"],
-)
-@pytest.mark.parametrize("command", ["identify", "sequence"])
-def test_angles_that_cannot_be_asked_for_are_refused(
-    run: Run, path: Path, command: str, old: str, new: str, said: str
-) -> None:
-    text = path.read_text(encoding="utf-8").replace(old, new)
-    if "isotropic" in old:
-        text = "\n".join(line for line in text.splitlines() if not line.startswith(("E2_", "G12_")))
-    path.write_text(text + "\n", encoding="utf-8")
-    status, out, err = run(command, path, "--quiet")
-    assert (status, out) == (2, "")
-    assert said in err
-
-
-def test_emcee_leaves_unknown_angles_to_the_mixture(run: Run, path: Path) -> None:
-    status, out, err = run("identify", path, "--backend", "emcee", "--quiet")
-    assert (status, out) == (2, "")
-    assert "let `sequence` or `identify --backend pso` find them" in err

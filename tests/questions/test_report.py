@@ -81,23 +81,3 @@ def test_unknown_angles_are_weighed_and_the_most_probable_ones_diagnosed(few_cau
     assert {"sequence_angles", "identify_posterior", "diagnose_causes"} <= placed
     assert (tmp_path / "posterior.nc").exists()
     assert len(report.to_arviz().posterior.data_vars) == 4
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "said"),
-    [
-        (MEASURED, "", "[measurement] is missing"),
-        ("[unknowns]\nE1_GPa = [10.0, 200.0]\nnu12 = [0.15, 0.4]\n", "", "[unknowns] is missing"),
-    ],
-)
-def test_a_plate_that_a_part_refuses_is_refused_before_any_work(run, plate_file, tmp_path, old, new, said):
-    status, shown, err = run("report", plate_file((old, new)), "--out", tmp_path / "out")
-    assert (status, shown) == (2, "")
-    assert said in err
-    assert not (tmp_path / "out").exists()
-
-
-def test_a_directory_must_be_given(run, plate_file):
-    status, _, err = run("report", plate_file())
-    assert status == 2
-    assert "--out" in err
