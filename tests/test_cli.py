@@ -229,20 +229,6 @@ def test_a_list_that_no_constants_come_near_is_refused_with_the_likely_cure(
     refused(run(name, plate_file((old, new)), "--quiet", *options), "frequencies_hz", "come near", cure)
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "cure"),
-    [
-        ("density_kg_m3 = 2700.0", "density_kg_m3 = 2.7", "2.7 g/cm3 are 2700 kg/m3"),
-        ("density_kg_m3 = 2700.0", "mass_g = 0.68", "0.68 kg are 680 g"),
-        ("E1_GPa = 69.0", "E1_GPa = 69000.0", "69000 MPa are 69 GPa"),
-        ("E1_GPa = [10.0, 200.0]", "E1_GPa = [10e3, 200e3]", "10000 MPa are 10 GPa"),
-        ("length_mm = 300.0", "length_mm = 0.3", "not a plate"),
-    ],
-)
-def test_a_number_in_another_unit_is_refused_where_it_is_read(run, plate_file, old, new, cure):
-    refused(run("forward", plate_file((old, new)), "--quiet"), cure)
-
-
 def test_a_reference_outside_its_own_bounds_is_the_first_line(run, plate_file):
     path = plate_file(("E1_GPa = [10.0, 200.0]", "E1_GPa = [70.0, 200.0]"))
     status, out, _ = run("identify", path, *SHORT)
