@@ -251,7 +251,6 @@ def test_a_plate_can_be_given_as_its_content_and_a_wrong_key_is_named(plate_file
     [
         (lambda: cb.diagnose(), "plates: received none, accepted: one plate or more"),
         (lambda: cb.diagnose(*["A1"] * 51), "plates: received 51, accepted: one plate or more, 50 at most"),
-        (lambda: cb.diagnose("A1", "A1"), "received A1 twice"),
         (lambda: cb.forward("A1", solver="abaqus"), "solver: received 'abaqus', accepted: ritz fem ccx"),
         (lambda: cb.forward("A1", element="brick"), "received brick, accepted: with --solver ccx only"),
         (

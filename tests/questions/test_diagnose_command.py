@@ -21,13 +21,15 @@ def plate_file(plate_file):
     return partial(plate_file, text=PLATE)
 
 
-def test_the_same_plate_twice_is_refused(run, plate_file):
-    path = plate_file()
-    refused(run("diagnose", path, path), "received plate 7 twice")
-
-
-def test_plates_of_two_materials_are_refused(run):
-    refused(run("diagnose", "A1", "C1"), "material carbon/epoxy, while A1 has aluminium", "of one material")
+@pytest.mark.parametrize(
+    ("plates", "said"),
+    [
+        (("A1", "A1"), "received A1 twice"),
+        (("A1", "C1"), "material carbon/epoxy, while A1 has aluminium"),
+    ],
+)
+def test_plates_that_are_not_several_of_one_material_are_refused(run, plates, said):
+    refused(run("diagnose", *plates), said)
 
 
 @pytest.mark.usefixtures("few_causes")
@@ -39,11 +41,7 @@ def test_json_is_one_document(run, plate_file):
     assert {h["cause"] for h in first["hypotheses"]} == CHEAP
     assert first["air_density_kg_m3"] == {"plate 7": None}
     assert {entry["cause"] for entry in first["detectable"]} == CHEAP - {"none", "other"}
-    assert set(first["averaged"]) == set(first["baseline"]["constants"])
     assert isinstance(first["claim_stands"], bool)
-    assert 0.0 <= first["baseline"]["predictive_p"] <= 1.0
-    scales = {"scales_times_3", "scales_divided_by_3"}
-    assert all(set(h["probability_range"]) == scales for h in first["hypotheses"])
 
 
 @pytest.mark.usefixtures("few_causes")
