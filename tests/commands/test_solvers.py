@@ -257,10 +257,3 @@ def test_export_never_writes_over_the_plate_file(run, with_mesh):
     path.write_text(before)
     refused(run("export", path, "--to", "ccx", "--force", "--out", path), "the plate file itself")
     assert path.read_text() == before
-
-
-def test_export_help_says_that_out_is_a_file(run):
-    status, out, _ = run("export", "--help")
-    assert status == 0
-    assert re.search(r"--out FILE +the file to write, not a directory", out)
-    assert all(option in out for option in ("--json", "--seed", "--quiet", "exit status"))
