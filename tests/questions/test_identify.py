@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -14,9 +15,11 @@ import pytest
 from cpam_bayes.answer import Verdict
 from cpam_bayes.identification.notices import point_notices
 from cpam_bayes.identification.point import PointEstimate
+from cpam_bayes.inference.swarm import SwarmSettings
 from cpam_bayes.plate import builtin
 from cpam_bayes.questions.identify import PointResult, identify
 from cpam_bayes.render.documents import json_text
+from tests.stacking.cases import specimen as two_unknown_angles
 
 Shown = Callable[[PointEstimate], PointResult]
 
@@ -174,3 +177,21 @@ def test_a_noise_of_a_fifth_is_the_first_line_of_the_screen() -> None:
     noisy = replace(specimen, measurement=replace(specimen.measurement, relative_std=0.2))
     first = identify(noisy, seed=0).summary().splitlines()[1]
     assert first.startswith("  The stated noise, relative_std = 0.2, is 20 % of a frequency")
+
+
+@pytest.mark.slow
+def test_unknown_angles_come_with_the_constants_of_the_sequence_that_is_found() -> None:
+    own, short = two_unknown_angles(), SwarmSettings(particles=12, iterations=15)
+    result = identify(own, settings=short)
+    found, text = result.to_dict(), result.summary(verbose=True)
+    assert len(found["angles_deg"]) == 2
+    assert set(found["angles_deg"]) <= {-60.0, -30.0, 0.0, 30.0, 60.0, 90.0}
+    # the swarm may stop at a lesser sequence: the constants are those of what it says
+    known = replace(own.plate, layup=own.plate.layup.with_angles(found["angles_deg"]))
+    again = identify(replace(own, plate=known), settings=short).to_dict()
+    assert again["constants"] == found["constants"]
+    assert found["forward_solves"] > again["forward_solves"]
+    assert "angles_deg" not in again
+    assert "Best angles found: " in text
+    assert "[?/?]_s asked for" in text
+    assert re.search(r"found by \d+ fuzzy swarms", text)
