@@ -228,17 +228,28 @@ def notices(study):
     return {notice.code: notice.facts for notice in sensitivity_notices(study)}
 
 
-def test_a_list_that_the_model_misses_by_more_than_the_noise_is_a_warning(study):
-    missed = replace(study, source="measured", without_noise=replace(study.without_noise, rms=0.02))
-    assert notices(missed) == {"misfit_beside_noise": {"misfit": 0.02, "level": 0.01}}
-    assert notices(replace(study, source="measured")) == {}
+def misfit(study):
+    return replace(study, source="measured", without_noise=replace(study.without_noise, rms=0.02))
 
 
-def test_constants_that_the_swarm_does_not_find_again_are_a_warning(study):
+def lost(study):
     constants = tuple(replace(c, value=1.1 * c.value) for c in study.without_noise.constants)
-    lost = replace(study, without_noise=replace(study.without_noise, constants=constants))
-    assert notices(lost)["constants_not_found_again"] == {"names": ("E1", "nu12")}
-    assert notices(study) == {}
+    return replace(study, without_noise=replace(study.without_noise, constants=constants))
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda study: study, {}),
+        (misfit, {"misfit_beside_noise": {"misfit": 0.02, "level": 0.01}}),
+        (lambda study: replace(study, source="measured"), {}),
+        (lost, {"constants_not_found_again": {"names": ("E1", "nu12")}}),
+        (lambda study: replace(study, found_again=4), {"swarms_in_worse_optima": {"found": 4, "of": 10}}),
+        (lambda study: replace(study, found_again=5), {}),
+    ],
+)
+def test_what_a_study_cannot_be_trusted_for_is_a_warning(study, change, said):
+    assert notices(change(study)) == said
 
 
 def test_budgets_and_frequencies_drawn_again_are_warnings(study):
@@ -253,11 +264,6 @@ def test_budgets_and_frequencies_drawn_again_are_warnings(study):
         "noise_swarms": {**at, "count": 1, "of": 2},
         "noise_redrawn": {**at, "count": 3},
     }
-
-
-def test_a_search_that_finds_the_best_constants_less_than_every_other_time_is_a_warning(study):
-    assert notices(replace(study, found_again=4)) == {"swarms_in_worse_optima": {"found": 4, "of": 10}}
-    assert notices(replace(study, found_again=5)) == {}
 
 
 def test_what_the_file_gives_and_the_study_leaves_aside_is_a_warning(study):
