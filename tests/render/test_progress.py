@@ -2,7 +2,6 @@
 
 import io
 import itertools
-import re
 import sys
 
 import pytest
@@ -46,11 +45,13 @@ def test_a_terminal_gets_a_bar_that_says_what_is_left_and_goes_away(monkeypatch)
     monkeypatch.setenv("TERM", "xterm")
     monkeypatch.setenv("COLUMNS", "140")
     monkeypatch.setattr(sys, "stderr", Terminal())
+    with progress("identify C1", 5, False, lambda best: f"rms {best:.1f} Hz") as shown:
+        for iteration in range(3):
+            shown.tick(iteration, 3.3)
+    assert "iteration 2 of 5, rms 3.3 Hz, about 3 h 20 min left" in sys.stderr.getvalue()
     work(5)
-    drawn = sys.stderr.getvalue()
-    assert re.search(r"iteration 2 of 5, rms 3.3 Hz, about \d h \d\d min left", drawn)
-    assert "iteration 5 of 5, rms 1.7 Hz" in drawn
-    assert "\x1b[2K" in drawn  # the line is cleared in the end
+    assert "iteration 5 of 5, rms 1.7 Hz" in sys.stderr.getvalue()
+    assert "\x1b[2K" in sys.stderr.getvalue()  # the line is cleared in the end
 
 
 def test_without_standard_error_the_work_goes_on(monkeypatch):
