@@ -7,7 +7,6 @@ import signal
 import subprocess
 import sys
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import openpyxl
@@ -16,20 +15,11 @@ import pytest
 import cpam_bayes as cb
 from cpam_bayes import __version__
 from cpam_bayes.cli import COMMANDS, main
-from tests.plate_file import MEASURED, refused
-from tests.plate_file import PLATE as WITHOUT_LIST
+from tests.plate_file import refused
 
 PROJECT = Path(__file__).parent.parent
 # a single swarm and a few steps of it say all that is asked here
 SHORT = ("--swarms", "1", "--iterations", "8", "--quiet")
-
-PLATE = WITHOUT_LIST + MEASURED
-
-
-@pytest.fixture
-def plate_file(plate_file):
-    """Write the plate file with its list, some words replaced, and return its path."""
-    return partial(plate_file, text=PLATE)
 
 
 @pytest.fixture(scope="module")

@@ -17,11 +17,10 @@ from cpam_bayes import running as limits
 from cpam_bayes.inference.ensemble import EnsembleSettings
 from cpam_bayes.parallel import run
 from cpam_bayes.running import Progress, TimeIsUpError, cut_short, is_time_up, time_limit
-from tests.plate_file import MEASURED, PLATE
+from tests.plate_file import MEASURED, PLATE, Run
 from tests.stacking.cases import STEP, TRUE, listed
 
 AT_ONCE = 1e-9
-Run = Callable[..., tuple[object, str, str]]
 
 
 @pytest.fixture

@@ -25,20 +25,11 @@ from cpam_bayes.errors import ArgumentError, PlateFileError
 from cpam_bayes.inference.ensemble import DEFAULT_SETTINGS
 from cpam_bayes.questions.forward import ForwardResult
 from cpam_bayes.questions.identify.pso import PointResult
-from tests.plate_file import MEASURED, PLATE
-
-Run = Callable[..., tuple[object, str, str]]
-Write = Callable[..., str]
+from tests.plate_file import MEASURED, PLATE, Run, Write
 
 # A limit on the time is no question.
 VERBS = [name for name in cb.__all__ if inspect.isfunction(getattr(cb, name)) and name != "time_limit"]
 EXAMPLES = [*VERBS, "time_limit"]
-
-
-@pytest.fixture
-def plate_file(plate_file: Write) -> Write:
-    """Write the plate file with its list, some words replaced, and return its path."""
-    return partial(plate_file, text=PLATE + MEASURED)
 
 
 @pytest.fixture(scope="module")

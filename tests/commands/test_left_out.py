@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import cpam_bayes as cb
-from tests.plate_file import described
-
-Run = Callable[..., tuple[object, str, str]]
+from tests.plate_file import Run, described
 
 PROJECT = Path(__file__).parent.parent.parent
 TRUE_E1 = 121.2
@@ -80,13 +77,3 @@ def test_a_misfit_of_several_times_the_stated_noise_is_the_first_line(run: Run, 
         _, out, _ = run("identify", path, "--quiet")
         first = out.splitlines()[1]
         assert ("times the stated noise" in first) == expected
-
-
-def test_one_frequency_is_no_error_of_linear_algebra(run: Run, tmp_path: Path) -> None:
-    text = (PROJECT / "examples" / "panel.toml").read_text("utf-8")
-    begun, _, rest = text.partition("frequencies_hz = [")
-    path = tmp_path / "one.toml"
-    path.write_text(f"{begun}frequencies_hz = [80.2]{rest.partition(']')[2]}", "utf-8")
-    status, out, _ = run("identify", path, "--quiet")
-    assert status in (0, 1)
-    assert "1 frequency for 4 unknowns" in out

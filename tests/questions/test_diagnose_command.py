@@ -3,22 +3,12 @@
 from __future__ import annotations
 
 import json
-from functools import partial
 
 import pytest
 
 import cpam_bayes as cb
 from tests.diagnosed import CHEAP
-from tests.plate_file import MEASURED, refused
-from tests.plate_file import PLATE as WITHOUT_LIST
-
-PLATE = (WITHOUT_LIST + MEASURED).replace("[material]", '[material]\nname = "aluminium"')
-
-
-@pytest.fixture
-def plate_file(plate_file):
-    """Write the plate file with its list, some words replaced, and return its path."""
-    return partial(plate_file, text=PLATE)
+from tests.plate_file import refused
 
 
 @pytest.mark.parametrize(

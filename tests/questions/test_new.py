@@ -8,7 +8,6 @@ import os
 import subprocess
 import sys
 import tomllib
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -16,7 +15,7 @@ import pytest
 import cpam_bayes as cb
 from cpam_bayes.errors import PlateFileError
 from cpam_bayes.questions.new import MATERIALS, QUESTIONS
-from tests.plate_file import refused
+from tests.plate_file import Run, refused
 
 FULL = ("--size", "310", "228", "3.1", "--mass", "340.7", "--edges", "FFFF", "--frequencies", "80.2", "146.3")
 
@@ -90,7 +89,6 @@ def test_what_is_wrong_is_refused_and_nothing_is_written(run, tmp_path, argv, sa
 
 # At a terminal
 
-Run = Callable[..., tuple[object, str, str]]
 
 ANSWERS = (
     "310 228 3.1",

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from functools import partial
 
 import pytest
 
@@ -12,16 +11,9 @@ import cpam_bayes as cb
 from cpam_bayes.inference.ensemble import DEFAULT_SETTINGS
 from cpam_bayes.questions import report as combined
 from cpam_bayes.questions.sequence import stacking_result
-from tests.plate_file import MEASURED, PLATE
 from tests.stacking.cases import TRUE, answer, mixture, specimen
 
 MAX_BYTES = 5_000_000
-
-
-@pytest.fixture
-def plate_file(plate_file):
-    """Write the plate file with its list, some words replaced, and return its path."""
-    return partial(plate_file, text=PLATE + MEASURED)
 
 
 def test_a_quick_report_is_one_page_with_the_files_of_its_parts(run, plate_file, few_causes, tmp_path):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
@@ -13,11 +12,8 @@ from cpam_bayes.cli import prepare
 from cpam_bayes.inference.ensemble import DEFAULT_SETTINGS
 from cpam_bayes.questions.identify import SampledResult
 from cpam_bayes.render.terminal import plain_text
-from tests.plate_file import MEASURED, refused
+from tests.plate_file import MEASURED, Run, Write, refused
 from tests.plate_file import PLATE as WITHOUT_LIST
-
-Run = Callable[..., tuple[int, str, str]]
-Write = Callable[..., str]
 
 PLATE = (WITHOUT_LIST + MEASURED).replace(
     "nu12 = [0.15, 0.4]", "nu12 = { mean = 0.3, sd = 0.05, bounds = [0.15, 0.4] }"

@@ -18,7 +18,7 @@ from cpam_bayes.questions.identify.pso import identify
 from cpam_bayes.questions.sensitivity import SensitivityResult
 from cpam_bayes.render.documents import json_text
 from cpam_bayes.render.noise_study import ComparedRow, beside_paper, difference_sentences
-from tests.plate_file import MEASURED, PLATE
+from tests.plate_file import MEASURED
 
 # Means of two inversions, E1 in Pa and nu12: 71 GPa with an sd of 1.4142, 0.30 with 0.02828.
 CONSTANTS = np.array([[70e9, 0.28], [72e9, 0.32]])
@@ -300,7 +300,17 @@ def short(monkeypatch):
 @pytest.mark.slow
 def test_a_plate_without_a_measurement_gets_the_answer_of_the_contract(run, plate_file, tmp_path):
     out_dir = tmp_path / "out"
-    argv = ("sensitivity", plate_file(), "--levels", "1", "--modes", "6", "--json", "--out", str(out_dir))
+    argv = (
+        "sensitivity",
+        plate_file((MEASURED, "")),
+        "--levels",
+        "1",
+        "--modes",
+        "6",
+        "--json",
+        "--out",
+        str(out_dir),
+    )
     status, out, err = run(*argv, *FEW)
     document = json.loads(out)
     assert (status, err) == (0, "")
@@ -323,7 +333,7 @@ def test_a_plate_without_a_measurement_gets_the_answer_of_the_contract(run, plat
 
 def test_chains_that_did_not_converge_end_with_status_1_and_say_so(run, plate_file, short):
     status, out, err = run(
-        "sensitivity", plate_file(), "--levels", "5", "--reading", "rms", "--verbose", *FEW
+        "sensitivity", plate_file((MEASURED, "")), "--levels", "5", "--reading", "rms", "--verbose", *FEW
     )
     assert status == 1
     assert "did not converge within their budget" in err
@@ -332,25 +342,22 @@ def test_chains_that_did_not_converge_end_with_status_1_and_say_so(run, plate_fi
 
 
 def test_noise_is_added_to_the_measured_list_where_that_is_asked_for(run, plate_file, short):
-    argv = ("sensitivity", plate_file(text=PLATE + MEASURED), "--levels", "5", "--reading", "rms")
-    document = json.loads(run(*argv, "--list", "measured", "--json", *FEW)[1])
-    assert document["frequencies_hz"] == [114, 167, 218, 289, 300, 497]
-    assert document["list"] == "measured"
-    model = json.loads(run(*argv, "--json", *FEW)[1])
-    assert model["frequencies_hz"] != document["frequencies_hz"]
-    assert len(model["frequencies_hz"]) == 6
-
-
-def test_the_same_seed_gives_the_same_document_and_another_seed_another(run, plate_file, short):
     argv = ("sensitivity", plate_file(), "--levels", "5", "--reading", "rms", "--json", *FEW)
-    first, again, other = (json.loads(run(*argv, "--seed", seed)[1]) for seed in "334")
+    measured, model = (json.loads(run(*argv, "--list", name)[1]) for name in ("measured", "model"))
+    assert (measured["list"], measured["frequencies_hz"]) == ("measured", [114, 167, 218, 289, 300, 497])
+    assert len(model["frequencies_hz"]) == 6
+    assert model["frequencies_hz"] != measured["frequencies_hz"]
+
+
+def test_the_same_seed_gives_the_same_document_and_a_level_named_twice_is_studied_once(
+    run, plate_file, short
+):
+    argv = ("sensitivity", plate_file((MEASURED, "")), "--reading", "rms", "--json", *FEW, "--levels")
+    asked = (("5", "--seed", "3"), ("5", "5.0", "--seed", "3"), ("5", "--seed", "4"))
+    first, again, other = (json.loads(run(*argv, *more)[1]) for more in asked)
     for document in (first, again, other):
         document.pop("seconds")
         document.pop("seed")
+    assert [level["level_percent"] for level in first["levels"]] == [5.0]
     assert first == again
     assert first["levels"] != other["levels"]
-
-
-def test_a_level_named_twice_is_studied_once(run, plate_file, short):
-    argv = ("sensitivity", plate_file(), "--levels", "5", "5.0", "--reading", "rms", "--json", *FEW)
-    assert [v["level_percent"] for v in json.loads(run(*argv)[1])["levels"]] == [5.0]

@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import importlib.util
 import json
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +18,7 @@ from cpam_bayes.questions.paper.present import page, row_table
 from cpam_bayes.questions.paper.rows import FOUR, INPUT, NOT_REPRODUCIBLE, TWO, VERDICTS
 from cpam_bayes.questions.paper.work import FULL, QUICK, case_specimen, packaged, printed_rows, read, write
 from cpam_bayes.render.documents import csv_text
-
-Run = Callable[..., tuple[object, str, str]]
+from tests.plate_file import Run
 
 ROW_KEYS = {
     "table",
