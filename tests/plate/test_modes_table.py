@@ -101,11 +101,6 @@ def test_a_hit_far_from_the_others_of_its_mode_is_named_before_it_is_averaged(re
     assert "weight of 0" in problem
 
 
-def test_a_hit_without_weight_may_be_anything(measured) -> None:
-    weighed = EQUAL_HITS.replace("hz\n", "hz,weight\n").replace("2,2,305.2\n", "2,2,3.052,0\n")
-    assert measured(weighed).frequencies == pytest.approx([101.5, 305.2])
-
-
 def test_damping_that_no_composite_has_is_said_to_be_read_as_a_ratio(measured) -> None:
     (remark,) = measured("mode,hz,damping\n1,101.5,0.4\n2,305.2,0.3\n").remarks
     assert "damping up to 0.4 is read as a ratio, 40 % of critical damping" in remark
@@ -146,14 +141,11 @@ def test_a_table_says_the_same_however_it_is_written(measured, content: str | by
     assert found.labels == ("", "", "")
 
 
-def test_a_table_needs_no_more_than_frequencies(measured) -> None:
-    found = measured("hz\n311\n102,5\n")
-    assert found.frequencies.tolist() == [102.5, 311.0]
-    assert found.damping is None
-    assert found.loss_factors is None
-
-
-def test_labels_name_modes_and_fix_them(measured) -> None:
+def test_labels_name_modes_and_fix_them_and_a_table_needs_no_more_than_frequencies(measured) -> None:
+    heads = ["(1,1)", "(2,0)", "(0,2)"]
+    assert measured(wide(";", heads, first="hit", mark=",")).labels == tuple(heads)
+    bare = measured("hz\n311\n102,5\n")
+    assert (bare.frequencies.tolist(), bare.damping, bare.loss_factors) == ([102.5, 311.0], None, None)
     found = measured('label;hit;hz\n"(1,1)";1;102\n"(2,0)";1;311\n"(1,1)";2;104\n"(2,0)";2;311,6\n')
     assert found.labels == ("(1,1)", "(2,0)")
     np.testing.assert_allclose(found.frequencies, [103.0, 311.3], rtol=1e-12)
@@ -209,6 +201,8 @@ def test_a_weight_of_0_leaves_a_hit_out_and_others_weigh(measured) -> None:
     )
     assert found.frequencies[0] == pytest.approx(102.0, rel=1e-12)
     assert found.damping[0] == pytest.approx(0.03, rel=1e-12)
+    weighed = EQUAL_HITS.replace("hz\n", "hz,weight\n").replace("2,2,305.2\n", "2,2,3.052,0\n")
+    assert measured(weighed).frequencies == pytest.approx([101.5, 305.2])
 
 
 @pytest.mark.parametrize(
@@ -467,11 +461,6 @@ def test_a_wide_table_has_the_scatter_of_its_hits(measured) -> None:
     np.testing.assert_allclose(found, meant, rtol=1e-12)
 
 
-def test_labels_as_heads_name_the_modes(measured) -> None:
-    heads = ["(1,1)", "(2,0)", "(0,2)"]
-    assert measured(wide(";", heads, first="hit", mark=",")).labels == tuple(heads)
-
-
 @pytest.mark.parametrize(
     ("content", "columns"),
     [
@@ -480,11 +469,8 @@ def test_labels_as_heads_name_the_modes(measured) -> None:
         ("mode;left [Hz];right [Hz]\n1;101,5;9\n2;305,25;9\n3;333;9\n", 'hz = "left [Hz]"'),
     ],
 )
-def test_heads_are_named_in_the_plate_file(measured, content: str, columns: str) -> None:
-    found = measured(content, f"[measurement.columns]\n{columns}\n")
-    np.testing.assert_allclose(found.frequencies, MODES, rtol=1e-9)
-
-
-def test_a_head_that_the_table_lacks_is_named_with_those_it_has(read) -> None:
+def test_heads_are_named_in_the_plate_file(measured, read, content: str, columns: str) -> None:
     with pytest.raises(PlateFileError, match="column sigma: no such head, accepted: a, b"):
         read("a;b\n1;101,5\n", '[measurement.columns]\nhz = "b"\nsd = "sigma"\n')
+    found = measured(content, f"[measurement.columns]\n{columns}\n")
+    np.testing.assert_allclose(found.frequencies, MODES, rtol=1e-9)

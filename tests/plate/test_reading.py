@@ -51,12 +51,6 @@ def test_every_key_arrives_in_si(specimen):
     assert (measurement.missed_probability, measurement.false_peaks) == (0.1, 0.1)
 
 
-def test_how_complete_a_list_is_can_be_said(full_text):
-    more = "complete = false\nmissed_probability = 0.3\nfalse_peaks = 0"
-    measurement = parse_specimen(full_text.replace("complete = false", more), "x").measurement
-    assert (measurement.missed_probability, measurement.false_peaks) == (0.3, 0.0)
-
-
 def test_unknowns_carry_priors_in_si(specimen):
     unknowns = specimen.unknowns
     assert unknowns.names == ("E1", "E2", "nu12", "G12")
@@ -65,12 +59,19 @@ def test_unknowns_carry_priors_in_si(specimen):
     assert unknowns["nu12"].prior == TruncatedNormal(0.28, 0.03, 0.15, 0.4)
 
 
-def test_a_truncated_normal_modulus_is_scaled_in_every_number(full_text):
-    spoilt = full_text.replace(
-        "E1_GPa = [10.0, 200.0]", "E1_GPa = { mean = 120, sd = 10, bounds = [80, 160] }"
-    )
-    prior = parse_specimen(spoilt, "x").unknowns["E1"].prior
-    assert prior == TruncatedNormal(120e9, 10e9, 80e9, 160e9)
+def test_a_normal_modulus_a_mesh_beside_the_file_and_how_complete_a_list_is_can_be_said(
+    tmp_path, plate_file, full_text
+):
+    (tmp_path / "plate.msh").write_text("mesh")
+    more = "complete = false\nmissed_probability = 0.3\nfalse_peaks = 0"
+    normal = "E1_GPa = { mean = 120, sd = 10, bounds = [80, 160] }"
+    changes = (("complete = false", more), ("[plate]\n", '[plate]\nmesh = "plate.msh"\n'))
+    path = plate_file(*changes, ("E1_GPa = [10.0, 200.0]", normal), text=full_text)
+    specimen = read_specimen(path)
+    assert specimen.unknowns["E1"].prior == TruncatedNormal(120e9, 10e9, 80e9, 160e9)
+    assert specimen.plate.mesh == tmp_path / "plate.msh"
+    measurement = specimen.measurement
+    assert (measurement.missed_probability, measurement.false_peaks) == (0.3, 0.0)
 
 
 def test_sequence_takes_the_layup_with_unknown_angles(full_text):
@@ -138,12 +139,6 @@ def test_dotted_keys_and_inline_tables_say_the_same_as_tables(full_text):
     specimen = parse_specimen(text, "x")
     assert specimen.plate.sd == {"thickness": 2e-5, "density": 15.0}
     assert specimen.air_density == 1.1
-
-
-def test_a_mesh_is_found_from_the_plate_file(tmp_path, plate_file, full_text):
-    (tmp_path / "plate.msh").write_text("mesh")
-    text = full_text.replace("[plate]\n", '[plate]\nmesh = "plate.msh"\n')
-    assert read_specimen(plate_file(text=text)).plate.mesh == tmp_path / "plate.msh"
 
 
 @pytest.mark.parametrize(

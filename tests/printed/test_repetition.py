@@ -168,12 +168,8 @@ def test_a_gaussian_sample_is_one_cluster_and_two_separate_ones_are_two() -> Non
     two = [clusters(np.r_[rng.standard_normal(5), 12.0 + rng.standard_normal(5)]) for _ in range(500)]
     assert np.mean(np.array(one) == 2) < 0.03
     assert np.mean(np.array(two) == 2) > 0.95
-
-
-def test_one_stray_value_is_no_cluster() -> None:
-    assert clusters(np.array([0.0, 0.1, 0.2, 0.3, 0.4, 50.0])) == 1
-    assert clusters(np.array([1.0, 1.0, 1.0, 1.0])) == 1
-    assert clusters(np.array([1.0, 1.0, 2.0, 2.0])) == 2
+    stray, equal, pairs = [0.0, 0.1, 0.2, 0.3, 0.4, 50.0], [1.0] * 4, [1.0, 1.0, 2.0, 2.0]
+    assert [clusters(np.array(values)) for values in (stray, equal, pairs)] == [1, 1, 2]
 
 
 def test_peaks_of_a_mixture_are_counted_where_they_are_separate() -> None:
@@ -185,15 +181,10 @@ def test_peaks_of_a_mixture_are_counted_where_they_are_separate() -> None:
     assert density_peaks(np.r_[z[:10_000], 2.0 + z[10_000:]]) == 1
     # a second peak of a fiftieth of the draws is less than a tenth as high
     assert density_peaks(np.r_[z[:19_600], 8.0 + z[19_600:]]) == 1
-
-
-def test_densities_that_are_flat_or_piled_up_on_bounds_have_as_many_peaks_as_piles() -> None:
-    rng = np.random.default_rng(3)
+    # flat, or piled up on bounds: as many as piles
     u = rng.random(20_000)
-    assert density_peaks(u) == 1
-    assert density_peaks(u**4) == 1
-    assert density_peaks(np.r_[u[:10_000] ** 4, 1.0 - u[10_000:] ** 4]) == 2
-    assert density_peaks(np.ones(100)) == 1
+    piles = (u, u**4, np.r_[u[:10_000] ** 4, 1.0 - u[10_000:] ** 4], np.ones(100))
+    assert [density_peaks(x) for x in piles] == [1, 1, 2, 1]
 
 
 def test_skewness_is_that_of_known_distributions() -> None:

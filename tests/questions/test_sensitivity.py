@@ -300,18 +300,8 @@ def short(monkeypatch):
 @pytest.mark.slow
 def test_a_plate_without_a_measurement_gets_the_answer_of_the_contract(run, plate_file, tmp_path):
     out_dir = tmp_path / "out"
-    argv = (
-        "sensitivity",
-        plate_file((MEASURED, "")),
-        "--levels",
-        "1",
-        "--modes",
-        "6",
-        "--json",
-        "--out",
-        str(out_dir),
-    )
-    status, out, err = run(*argv, *FEW)
+    asked = ("--levels", "1", "--modes", "6", "--json", "--out", out_dir)
+    status, out, err = run("sensitivity", plate_file((MEASURED, "")), *asked, *FEW)
     document = json.loads(out)
     assert (status, err) == (0, "")
     assert len(document["frequencies_hz"]) == 6

@@ -2,6 +2,7 @@
 
 import io
 import itertools
+import re
 import sys
 
 import pytest
@@ -48,7 +49,8 @@ def test_a_terminal_gets_a_bar_that_says_what_is_left_and_goes_away(monkeypatch)
     with progress("identify C1", 5, False, lambda best: f"rms {best:.1f} Hz") as shown:
         for iteration in range(3):
             shown.tick(iteration, 3.3)
-    assert "iteration 2 of 5, rms 3.3 Hz, about 3 h 20 min left" in sys.stderr.getvalue()
+    # the bar looks at the clock by itself now and then
+    assert re.search(r"iteration 2 of 5, rms 3.3 Hz, about \d+ h \d\d min left", sys.stderr.getvalue())
     work(5)
     assert "iteration 5 of 5, rms 1.7 Hz" in sys.stderr.getvalue()
     assert "\x1b[2K" in sys.stderr.getvalue()  # the line is cleared in the end
