@@ -25,6 +25,7 @@ from cpam_bayes.errors import ArgumentError, PlateFileError
 from cpam_bayes.inference.ensemble import DEFAULT_SETTINGS
 from cpam_bayes.questions.forward import ForwardResult
 from cpam_bayes.questions.identify.pso import PointResult
+from tests.answers import answered
 from tests.plate_file import MEASURED, PLATE, Run, Write
 
 # A limit on the time is no question.
@@ -34,7 +35,7 @@ EXAMPLES = [*VERBS, "time_limit"]
 
 @pytest.fixture(scope="module")
 def point() -> PointResult:
-    return cb.identify("A1", seed=1)
+    return answered("identify")
 
 
 @pytest.fixture(scope="module")

@@ -19,6 +19,7 @@ from cpam_bayes.inference.swarm import SwarmSettings
 from cpam_bayes.plate import builtin
 from cpam_bayes.questions.identify import PointResult, identify
 from cpam_bayes.render.documents import json_text
+from tests.answers import answered
 from tests.stacking.cases import specimen as two_unknown_angles
 
 Shown = Callable[[PointEstimate], PointResult]
@@ -26,7 +27,7 @@ Shown = Callable[[PointEstimate], PointResult]
 
 @pytest.fixture(scope="module")
 def point() -> PointResult:
-    return identify("A1", seed=1)
+    return answered("identify")
 
 
 @pytest.fixture(scope="module")

@@ -14,10 +14,10 @@ from cpam_bayes.printed.noise_study import Cell, Repetition, Sensitivity, printe
 from cpam_bayes.printed.repetition import Comparison, PosteriorSummary
 from cpam_bayes.printed.tables import perturbation_table
 from cpam_bayes.questions import sensitivity
-from cpam_bayes.questions.identify.pso import identify
 from cpam_bayes.questions.sensitivity import SensitivityResult
 from cpam_bayes.render.documents import json_text
 from cpam_bayes.render.noise_study import ComparedRow, beside_paper, difference_sentences
+from tests.answers import answered
 from tests.plate_file import MEASURED
 
 # Means of two inversions, E1 in Pa and nu12: 71 GPa with an sd of 1.4142, 0.30 with 0.02828.
@@ -57,7 +57,7 @@ def cell(level, reading, comparisons=(AGREE, AGREE)):
 
 @pytest.fixture(scope="module")
 def identification():
-    return identify("A1", seed=1).estimate
+    return answered("identify").estimate
 
 
 @pytest.fixture

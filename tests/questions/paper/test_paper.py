@@ -18,6 +18,7 @@ from cpam_bayes.questions.paper.present import page, row_table
 from cpam_bayes.questions.paper.rows import FOUR, INPUT, NOT_REPRODUCIBLE, TWO, VERDICTS
 from cpam_bayes.questions.paper.work import FULL, QUICK, case_specimen, packaged, printed_rows, read, write
 from cpam_bayes.render.documents import csv_text
+from tests.answers import table_7
 from tests.plate_file import Run
 
 ROW_KEYS = {
@@ -35,10 +36,8 @@ PROJECT = Path(__file__).parents[3]
 
 
 @pytest.fixture(scope="module")
-def aluminium(tmp_path_factory: pytest.TempPathFactory) -> tuple[PaperResult, Path]:
-    """Table 7 with the small effort, and where it was stored."""
-    store = tmp_path_factory.mktemp("store")
-    return cb.paper(7, quick=True, store=store), store
+def aluminium() -> tuple[PaperResult, Path]:
+    return table_7()
 
 
 def test_every_table_has_rows_for_all_its_printed_values() -> None:
