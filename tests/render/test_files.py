@@ -3,14 +3,12 @@
 import errno
 import json
 import os
-from dataclasses import replace
 
 import pytest
 
 from cpam_bayes.questions.plates import BuiltinPlates, plates
 from cpam_bayes.render.files import save, staging
 from cpam_bayes.render.page import PAGE, command_of
-from cpam_bayes.render.report import Caption, Drawing
 
 RESULT = plates()
 
@@ -118,14 +116,3 @@ def test_a_directory_that_cannot_be_written_to_is_refused_before_the_work(tmp_pa
     with pytest.raises(ValueError, match=said), staging(name):
         raise AssertionError("the work has begun")
     assert listed(tmp_path) == ["figures", "read only"]
-
-
-def test_what_was_computed_is_there_when_a_figure_cannot_be_drawn(tmp_path, monkeypatch):
-    def fails():
-        raise ValueError("no such figure")
-
-    report = replace(RESULT.saved_report(), drawings=(Drawing("broken", fails, Caption("", "")),))
-    monkeypatch.setattr(type(RESULT), "saved_report", lambda result: report)
-    with pytest.raises(ValueError, match="no such figure"), staging(str(tmp_path)) as stage:
-        save(RESULT, stage)
-    assert listed(tmp_path) == ["plates.json"]
