@@ -251,14 +251,14 @@ NOTHING = object()
 def test_an_argument_of_a_wrong_type_is_named_before_any_work(name: str) -> None:
     verb = getattr(cb, name)
     parameters = inspect.signature(verb).parameters.values()
-    several = any(p.kind is p.VAR_POSITIONAL for p in parameters)
-    needed = {p.name: "A1" for p in parameters if p.default is p.empty and not several}
+    several = [p.name for p in parameters if p.kind is p.VAR_POSITIONAL]
+    needed = [*(p.name for p in parameters if p.default is p.empty and p.name not in several), *several]
     for parameter in parameters:
-        wrong = NOTHING, 1j, b"C1"
-        for value in wrong:
-            given = {} if parameter.kind is parameter.VAR_POSITIONAL else needed | {parameter.name: value}
+        for value in (NOTHING, 1j, b"C1"):
+            given = [value if name == parameter.name else "A1" for name in needed]
+            more = {} if parameter.name in needed else {parameter.name: value}
             with pytest.raises(ValueError, match=f"^{parameter.name}: received .*, accepted: ") as refused:
-                verb(*(("A1",) * several), **given) if given else verb(value)
+                verb(*given, **more)
             assert isinstance(refused.value, TypeError)
 
 

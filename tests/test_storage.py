@@ -58,20 +58,21 @@ def kill_a_writer(place: Path) -> list[Path]:
     return sorted(set(place.iterdir()) - before)
 
 
-@pytest.mark.parametrize("by_hand", [True, False])
-def test_what_a_killed_process_left_is_swept_now_or_by_the_next_draft_and_nothing_else(
-    tmp_path: Path, by_hand: bool
-) -> None:
+def test_what_a_killed_process_left_is_swept_and_nothing_else(tmp_path: Path) -> None:
     others = {tmp_path / "results.json", tmp_path / ".cpam-bayes.toml"}
     with draft_directory(tmp_path) as own, draft_file(tmp_path) as (mine, _):
         for path in others:
             path.write_text("")
         assert len(kill_a_writer(tmp_path)) == 2
-        if by_hand:
-            sweep(tmp_path)
-        with draft_file(tmp_path) as (next_one, _):
-            assert set(tmp_path.iterdir()) == {own, mine, next_one, *others}
+        sweep(tmp_path)
+        assert set(tmp_path.iterdir()) == {own, mine, *others}
     assert set(tmp_path.iterdir()) == others
+
+
+def test_the_next_draft_in_a_directory_sweeps_it(tmp_path: Path) -> None:
+    left = kill_a_writer(tmp_path)
+    with draft_file(tmp_path):
+        assert not any(path.exists() for path in left)
 
 
 @pytest.mark.parametrize(
