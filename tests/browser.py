@@ -151,11 +151,6 @@ class Browser:
         shot = self.call("Page.captureScreenshot", captureBeyondViewport=whole)
         path.write_bytes(base64.b64decode(shot["data"]))
 
-    def print_to(self, path: Path) -> None:
-        """The page as a printer gets it, PDF of A4."""
-        done = self.call("Page.printToPDF", paperWidth=8.27, paperHeight=11.69, preferCSSPageSize=True)
-        path.write_bytes(base64.b64decode(done["data"]))
-
     def start(self) -> None:
         """Open a page and listen to it."""
         target = self.call("Target.createTarget", url="about:blank")["targetId"]

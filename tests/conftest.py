@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from tests import shared
-from tests.plate_file import PLATE
+from tests.plate_file import MEASURED, PLATE
 
 # Before a test module loads numpy: two threads slow stacked eigenproblems down.
 for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
@@ -56,9 +56,9 @@ def run(capsys: pytest.CaptureFixture[str]) -> Callable[..., tuple[object, str, 
 
 @pytest.fixture
 def plate_file(tmp_path: Path) -> Callable[..., str]:
-    """Write a plate file with some words replaced, by default the aluminium plate's, and return its path."""
+    """Write a plate file with some words replaced, by default the aluminium plate and its list; its path."""
 
-    def write(*changes: tuple[str, str], text: str = PLATE) -> str:
+    def write(*changes: tuple[str, str], text: str = PLATE + MEASURED) -> str:
         for old, new in changes:
             assert old in text
             text = text.replace(old, new)

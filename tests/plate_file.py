@@ -1,6 +1,11 @@
 """Plate files of the tests: an aluminium plate with its list, a bar, any as a mapping; and a refusal."""
 
+from collections.abc import Callable
 from typing import Any
+
+# The fixtures `run` and `plate_file`.
+Run = Callable[..., tuple[object, str, str]]
+Write = Callable[..., str]
 
 PLATE = """\
 name = "plate 7"

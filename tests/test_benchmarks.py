@@ -1,58 +1,52 @@
-"""The benchmark runs on what is installed with the package alone and says what it left out."""
+"""Benchmarks run small, on what is installed with the package alone, and give what their README says."""
 
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
 import pytest
 
-from benchmarks import forward_solvers, peers
+from benchmarks import forward_solvers, fresh, peers, samplers, waits
+from benchmarks.plain_likelihood import cross_ply_stiffness, plain_frequencies
+from benchmarks.wait_tables import sections, tables
+from cpam_bayes.forward_model.model import plate_problem
+from cpam_bayes.plate import read_plate, read_specimen
+from cpam_bayes.plate.laminate import FIVE_SIXTHS
+from tests.mechanics.test_convergence import CONVERGED_HZ
+from validation.reporting import with_sections
 
+README = (waits.ROOT / "benchmarks" / "README.md").read_text("utf-8")
+PAGE = waits.ROOT / "docs" / "speed.md"
 OURS = {
-    "ours, full",
-    "ours, full with derivatives",
-    "ours, reduced",
-    "ours, reduced with derivatives",
-    "ours, reduced with error estimates",
-    "LAPACK alone, sizes of full",
-    "LAPACK alone, sizes of reduced",
+    *("ours, full", "ours, full with derivatives", "ours, reduced", "ours, reduced with derivatives"),
+    *("ours, reduced with error estimates", "LAPACK alone, sizes of full", "LAPACK alone, sizes of reduced"),
 }
 WRITTEN_HERE = {
-    "scikit-fem S2",
-    "scikit-fem S2, bending only",
-    "polynomial Ritz",
-    "polynomial Ritz, bending only",
+    *("scikit-fem S2", "scikit-fem S2, bending only"),
+    *("polynomial Ritz", "polynomial Ritz, bending only"),
 }
-# As benchmarks/README.md has them.
-KEYS = {
-    "quick",
-    "rounds",
-    "stack",
-    "accuracy",
-    "load",
-    "converged",
-    "rows",
-    "building",
-    "targets",
-    "missing",
+ROW_KEYS = {"case", "what", "reach_s", "reach_gib", "load", "before", "after"}
+WAIT_KEYS = {
+    *("commit", "rounds", "stopped", "exit_status", "seconds"),
+    *("processor_seconds", "peak_gib", "answer"),
 }
-ROW_KEYS = {
-    "case",
-    "solver",
-    "size",
-    "sets",
-    "rounds",
-    "median_s",
-    "ratio",
-    "ratio_quartiles",
-    "error",
-}
-BUILDING_KEYS = {
-    "case",
-    "parameters",
-    "seconds",
-    "peak_mib",
-    "full_sizes",
-    "reduced_sizes",
-    "reduction_error",
-    "estimated_error",
-}
+SOLVER_KEYS = {"case", "unit", "reach", "at_least", "before", "after"}
+
+
+def documented(script: str) -> tuple[set[str], set[str]]:
+    """The keys of the results of a benchmark and of one of their rows, as the README has them."""
+    section = README.partition(f"## {script}\n")[2].partition("\n## ")[0]
+    table = section.partition("| key | what |")[2]
+    keys = re.findall(r"^\| (`[^|]*) \|", table, re.MULTILINE)
+    row = section.partition("\nA row has ")[2].partition("\n\n")[0]
+    return set(re.findall(r"`(\w+)`", " ".join(keys))), set(re.findall(r"`(\w+)`", row))
+
+
+def cells(shown: list) -> list[str]:
+    return [cell for table in shown for row in table.rows for cell in row]
 
 
 @pytest.mark.slow
@@ -60,14 +54,126 @@ def test_the_forward_benchmark_runs_without_the_optional_peers(monkeypatch: pyte
     monkeypatch.setattr(peers, "has_panels", lambda: False)
     monkeypatch.setattr(peers, "has_calculix", lambda: False)
     results = forward_solvers.run(quick=True)
-    assert set(results) == KEYS
-    assert all(set(row) == ROW_KEYS for row in results["rows"])
-    assert all(set(built) == BUILDING_KEYS for built in results["building"])
+    keys, row_keys = documented("forward_solvers.py")
+    assert set(results) == keys
+    assert all(set(row) == row_keys for row in results["rows"])
+    built = {"case", "parameters", "seconds", "peak_mib", "full_sizes", "reduced_sizes"}
+    assert {frozenset(one) for one in results["building"]} == {built | {"reduction_error", "estimated_error"}}
     assert {row["solver"] for row in results["rows"]} == OURS | WRITTEN_HERE
     assert [line.split(":")[0] for line in results["missing"]] == ["panels", "CalculiX"]
     # a peer is as coarse as the accuracy allows, ours is as exact as ever
     errors = {row["solver"]: row["error"] for row in results["rows"]}
     assert all(errors[solver] <= results["accuracy"] for solver in WRITTEN_HERE)
     assert errors["ours, full"] < 2e-4
-    text = [cell for table in forward_solvers.tables(results) for row in table.rows for cell in row]
-    assert "panels: not installed; pip install panels==0.14" in text
+    assert "panels: not installed; pip install panels==0.14" in cells(forward_solvers.tables(results))
+
+
+# Samplers
+
+
+def test_the_plain_solver_has_the_plate_and_its_two_forms_agree() -> None:
+    specimen = read_specimen("C1")
+    assembling, summing = plain_frequencies(specimen, 6, 8)
+    constants = dict(specimen.material.constants)
+    # 8 x 8 elements are 0.06 % high; the references have six digits
+    np.testing.assert_allclose(assembling(constants), CONVERGED_HZ["C1"], rtol=1e-3)
+    np.testing.assert_allclose(summing(constants), assembling(constants), rtol=1e-7)
+
+
+def test_the_plain_stiffness_is_that_of_the_laminate_and_of_plies_along_the_axes_alone() -> None:
+    specimen = read_specimen("C1")
+    plate, constants = specimen.plate, specimen.material.constants
+    found = cross_ply_stiffness(plate.layup.angles(np.empty(0)), plate.thickness, constants)
+    whole = np.real(plate_problem(specimen, shear=FIVE_SIXTHS).nominal.stiffness())
+    expected = [whole[i, j] for i, j in ((3, 3), (3, 4), (4, 4), (5, 5), (6, 6), (7, 7))]
+    np.testing.assert_allclose(found, expected, rtol=1e-12)
+    with pytest.raises(ValueError, match="accepted: 0 and 90"):
+        cross_ply_stiffness(np.array([45.0]), 1e-3, constants)
+
+
+@pytest.mark.slow
+def test_a_small_run_of_samplers_has_the_documented_keys() -> None:
+    results = samplers.run(quick=True)
+    keys, row_keys = documented("samplers.py")
+    assert set(results) == keys
+    assert all(set(row) == row_keys for row in results["rows"])
+    ratios = {(row["sampler"], row["moves"]): row["ratio"] for row in results["rows"]}
+    assert ratios[samplers.OURS, samplers.JUMPS] == 1.0
+    local = (samplers.DE, samplers.STRETCH)
+    ours = {(s, m) for s in (samplers.OURS, samplers.OURS_MANY) for m in (samplers.JUMPS, *local)}
+    assert set(ratios) == ours | {(s, m) for s in (samplers.ASSEMBLING, samplers.SUMMING) for m in local}
+    times = {(row["moves"], row["walkers"]): row["autocorrelation_time"] for row in results["rows"]}
+    # three against forty steps on longer chains
+    assert all(times[samplers.JUMPS, n] < 0.5 * times[samplers.DE, n] for n in {n for _, n in times})
+    assert results["fit"]["solves"] >= 2 * 2500, "two rounds at least"
+    for row in results["rows"]:
+        per_second = 1.0 / (row["evaluation_s"] * row["autocorrelation_time"])
+        # the same numbers, medians taken before or after the division
+        assert row["effective_per_s"] == pytest.approx(per_second, rel=1e-6)
+    assert not results["targets"], "coarse meshes and short chains reach nothing"
+    assert samplers.ASSEMBLING in cells(samplers.tables(results))
+
+
+# Waits: commands from nothing, stopped at a limit, and the page that is written
+
+
+def test_a_small_run_of_waits_compares_two_trees() -> None:
+    results = waits.run(quick=True, before=waits.ROOT)
+    assert list(results) == list(waits.KEYS)
+    (row,) = results["waits"]
+    assert set(row) == ROW_KEYS
+    assert set(row["before"]) == set(row["after"]) == WAIT_KEYS
+    assert row["before"]["exit_status"] == row["after"]["exit_status"] == 0
+    assert row["before"]["answer"] == row["after"]["answer"] != ""
+    # Python with numpy and scipy alone holds 50 MiB
+    assert row["after"]["peak_gib"] > 0.05
+    assert row["after"]["processor_seconds"] > 0.0
+    assert [len(table.rows) for table in tables(results)] == [1]
+
+
+def test_a_command_over_the_limit_is_stopped_and_said_so() -> None:
+    row = waits._row(waits.QUICK, {"before": None, "after": waits.ROOT}, rounds=2, limit=0.0)
+    assert row["before"] is None
+    assert row["after"]["stopped"]
+    assert row["after"]["rounds"] == 1, "not tried again"
+    assert "| over 0 |" in sections({"waits": [row], "solver": []})["waits"]
+
+
+def test_a_command_runs_in_the_tree_with_an_empty_cache(tmp_path: Path) -> None:
+    package = tmp_path / "told"
+    package.mkdir()
+    (package / "__init__.py").write_text("")
+    (package / "__main__.py").write_text(
+        "import json, os, pathlib, sys\n"
+        "kept = list(pathlib.Path(os.environ['CPAM_BAYES_CACHE']).iterdir())\n"
+        "print(json.dumps({'given': sys.argv[1:], 'cached': len(kept), 'file': __file__}))\n"
+        "sys.exit(3)\n"
+    )
+    found = fresh.waited("told", ("a", "b"), tmp_path, 60.0)
+    assert found.exit_status == 3
+    assert found.document == {"given": ["a", "b"], "cached": 0, "file": str(package / "__main__.py")}
+
+
+@pytest.mark.parametrize("name", ["cross_ply", "cross_ply_sensor"])
+def test_plates_of_the_benchmark_have_twelve_modes(name: str) -> None:
+    plate = read_plate(waits.PLATES / f"{name}.toml")
+    assert plate.measurement is not None
+    assert plate.measurement.size == 12
+    assert len(plate.sensors) == ("sensor" in name)
+
+
+def test_a_tree_that_is_none_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as stop:
+        waits.main(["--before", str(tmp_path)])
+    assert stop.value.code == 2
+    assert "accepted: a checkout of this project" in capsys.readouterr().err
+
+
+def test_the_page_says_what_was_measured() -> None:
+    results = json.loads(waits.RESULTS.read_text(encoding="utf-8"))
+    assert list(results) == list(waits.KEYS)
+    assert not results["quick"]
+    assert all(set(row) == ROW_KEYS for row in results["waits"])
+    assert all(set(row) == SOLVER_KEYS for row in results["solver"])
+    page = PAGE.read_text(encoding="utf-8")
+    assert with_sections(page, "waits", sections(results)) == page

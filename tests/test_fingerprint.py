@@ -18,12 +18,8 @@ def test_the_sources_of_a_result_are_those_it_imports_at_any_depth() -> None:
     found = names("cpam_bayes.forward_model.store")
     assert {"forward_model/store.py", "mechanics/affine.py", "plate/laminate.py"} <= found
     assert "diagnosis/models.py" not in found
-
-
-def test_how_an_answer_looks_is_no_part_of_its_fingerprint() -> None:
-    assert not any(
-        name.startswith(("render/", "cli", "command")) for name in names("cpam_bayes.questions.forward")
-    )
+    # how an answer looks is no part of it
+    assert not any(n.startswith(("render/", "cli", "command")) for n in names("cpam_bayes.questions.forward"))
 
 
 def test_another_source_is_another_fingerprint(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

@@ -43,15 +43,9 @@ def test_a_value_stops_at_the_second_digit_of_its_standard_deviation(value, sd, 
     assert with_spread(value, sd) == shown
 
 
-def test_there_is_no_minus_before_zero():
-    assert fixed(-0.004, 2) == "0.00"
-    assert fixed(-0.006, 2) == "-0.01"
-
-
-def test_a_list_has_the_decimals_it_was_written_with():
-    assert decimals_of([102.0, 311.0]) == 0
-    assert decimals_of([156.7, 232.25, 300.0]) == 2
-    assert decimals_of([1 / 3]) == 6
+def test_a_list_has_the_decimals_it_was_written_with_and_no_minus_before_zero():
+    assert [decimals_of(f) for f in ([102.0, 311.0], [156.7, 232.25, 300.0], [1 / 3])] == [0, 2, 6]
+    assert (fixed(-0.004, 2), fixed(-0.006, 2)) == ("0.00", "-0.01")
 
 
 @pytest.mark.parametrize(

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import itertools
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 import cpam_bayes as cb
+from tests import plate_file
 from tests.test_studies import script
 
 STUDY = script("studies", "23_growth")
@@ -59,29 +61,16 @@ def test_a_plate_has_as_many_unknowns_as_are_asked_for(
     parameters: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # its list needs a solve, and is of no interest here
-    monkeypatch.setattr(STUDY.cb, "forward", lambda plate, n: _Frequencies())
+    monkeypatch.setattr(STUDY.cb, "forward", lambda plate, n: SimpleNamespace(frequencies=100.0))
     specimen = cb.read_plate(STUDY.plate(parameters=parameters, modes=3))
     assert specimen.unknowns.size + len(specimen.plate.sd) == parameters
 
 
-class _Frequencies:
-    frequencies = 100.0
-
-
 def test_plies_of_known_layups_are_counted() -> None:
-    assert [len(cb.read_plate(_plate(n)).plate.layup.angles_deg) for n in (4, 16, 64)] == [4, 16, 64]
+    layups = [cb.read_plate(described(STUDY.cross_ply(n))).plate.layup for n in (4, 16, 64)]
+    assert [layup.n_plies for layup in layups] == [4, 16, 64]
 
 
-def _plate(plies: int) -> dict[str, Any]:
-    return {
-        "name": "counted",
-        "plate": {
-            "length_mm": 260.0,
-            "width_mm": 220.0,
-            "thickness_mm": 3.2,
-            "density_kg_m3": 1590.0,
-            "layup": STUDY.cross_ply(plies),
-            "edges": "FFFF",
-        },
-        "material": {"isotropic": False, **STUDY.CONSTANTS},
-    }
+def described(layup: str) -> dict[str, Any]:
+    material = {"isotropic": False, **STUDY.CONSTANTS}
+    return plate_file.described((260.0, 220.0, 3.2), 1590.0, material, layup=layup)

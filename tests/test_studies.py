@@ -98,10 +98,17 @@ def test_the_forward_solver_meets_its_references() -> None:
             assert abs(error["worst_percent"]) <= error["allowed_percent"]
 
 
-def test_swarms_of_the_full_study_converge() -> None:
+def test_saved_studies_converge_and_agree() -> None:
     found = saved("01_first_light")["identifications"]
     assert {f["swarm"] for f in found} == {"converged"}
     assert all(f["solver_error_percent"] <= 0.05 for f in found)
+    evidences = saved("06_evidence")["specimens"]
+    assert [s["agrees"] for s in evidences] == [True] * 3
+    # thin plates: the error of the mesh; thick ones: as much again from the theory itself
+    for row in saved(AGREEMENT)["specimens"]:
+        if row["bricks"] is not None:
+            assert row["bricks"]["same_kinds"]
+            assert abs(row["bricks"]["worst_percent"]) <= (0.17 if row["modes"] == 10 else 0.06)
 
 
 @pytest.mark.slow
@@ -111,20 +118,6 @@ def test_solvers_agree_within_the_limit() -> None:
         rows += [row for plate in found["edges"] for row in plate["rows"]]
         apart = {(r["edges"], r["worst_percent"]) for r in rows if not r["passes"]}
         assert apart == set()
-
-
-def test_evidences_and_moments_of_three_methods_agree() -> None:
-    specimens = saved("06_evidence")["specimens"]
-    assert len(specimens) == 3
-    assert all(s["agrees"] for s in specimens)
-
-
-def test_bricks_agree_as_far_as_their_mesh_and_the_theory_allow() -> None:
-    # thin plates: the error of the mesh; thick ones: as much again from the theory itself
-    for row in saved(AGREEMENT)["specimens"]:
-        if row["bricks"] is not None:
-            assert row["bricks"]["same_kinds"]
-            assert abs(row["bricks"]["worst_percent"]) <= (0.17 if row["modes"] == 10 else 0.06)
 
 
 def test_edges_are_reduced_by_the_symmetry_of_the_plate() -> None:

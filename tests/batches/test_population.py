@@ -134,7 +134,7 @@ def test_lists_of_simulated_plates_give_the_constants_of_their_material(run: Any
 
 
 def test_a_batch_that_has_no_scatter_says_why_and_keeps_its_rows(run: Any) -> None:
-    status, out, err = run("batch", "A1", "A2", "--hierarchical", "--quiet", "--executor", "serial")
+    status, out, err = run("batch", "A1", "A1", "--hierarchical", "--quiet", "--executor", "serial")
     assert status == 1
     assert "2 plates have an answer, a scatter needs 3 or more" in err
     assert "A1" in out

@@ -2,43 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import cpam_bayes as cb
-
-Run = Callable[..., tuple[object, str, str]]
+from tests.plate_file import Run, described
 
 PROJECT = Path(__file__).parent.parent.parent
 TRUE_E1 = 121.2
-PLATE = {
-    "name": "accelerometer left out",
-    "plate": {
-        "length_mm": 260.0,
-        "width_mm": 190.0,
-        "thickness_mm": 3.2,
-        "density_kg_m3": 1590.0,
-        "layup": "[(0/90)_8]_s",
-        "edges": "FFFF",
-    },
-    "material": {
-        "isotropic": False,
-        "E1_GPa": TRUE_E1,
-        "E2_GPa": 9.34,
-        "nu12": 0.23,
-        "G12_GPa": 6.25,
-        "sd": {"E1_GPa": 12.0, "E2_GPa": 0.93, "nu12": 0.03, "G12_GPa": 0.63},
-    },
-    "unknowns": {
-        "E1_GPa": [50.0, 200.0],
-        "E2_GPa": [5.0, 20.0],
-        "nu12": [0.15, 0.4],
-        "G12_GPa": [3.0, 12.0],
-    },
-}
+CONSTANTS = {"E1_GPa": TRUE_E1, "E2_GPa": 9.34, "nu12": 0.23, "G12_GPa": 6.25}
+PLATE = described(
+    (260.0, 190.0, 3.2),
+    1590.0,
+    {**CONSTANTS, "sd": {"E1_GPa": 12.0, "E2_GPa": 0.93, "nu12": 0.03, "G12_GPa": 0.63}},
+    layup="[(0/90)_8]_s",
+    unknowns={"E1_GPa": [50, 200], "E2_GPa": [5, 20], "nu12": [0.15, 0.4], "G12_GPa": [3, 12]},
+)
 # 12.6 g on a plate of 251 g
 SENSOR = {"mass_g": 12.6, "x_mm": 190.0, "y_mm": 130.0}
 
@@ -96,13 +77,3 @@ def test_a_misfit_of_several_times_the_stated_noise_is_the_first_line(run: Run, 
         _, out, _ = run("identify", path, "--quiet")
         first = out.splitlines()[1]
         assert ("times the stated noise" in first) == expected
-
-
-def test_one_frequency_is_no_error_of_linear_algebra(run: Run, tmp_path: Path) -> None:
-    text = (PROJECT / "examples" / "panel.toml").read_text("utf-8")
-    begun, _, rest = text.partition("frequencies_hz = [")
-    path = tmp_path / "one.toml"
-    path.write_text(f"{begun}frequencies_hz = [80.2]{rest.partition(']')[2]}", "utf-8")
-    status, out, _ = run("identify", path, "--quiet")
-    assert status in (0, 1)
-    assert "1 frequency for 4 unknowns" in out

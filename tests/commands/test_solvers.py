@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from cpam_bayes.forward_model.calculix import PROGRAM_VARIABLE
-from tests.meshes import Quads, grid, rectangle
+from tests.meshes import grid, rectangle
 from tests.plate_file import refused
 
 PLATE = """\
@@ -74,31 +74,15 @@ def holed():
 # Finite elements
 
 
-@pytest.mark.parametrize("plate", ["A1", "D3"])
-def test_elements_and_ritz_agree_with_kinds_and_labels(run, plate):
-    elements = answer(run, "forward", plate, "--solver", "fem")
-    ritz = answer(run, "forward", plate, "--solver", "ritz")
-    np.testing.assert_allclose(frequencies(elements), frequencies(ritz), rtol=5e-4)
+def test_elements_and_ritz_agree_with_kinds_and_labels(run):
+    elements = answer(run, "forward", "A1", "--solver", "fem")
+    ritz = answer(run, "forward", "A1", "--solver", "ritz")
     assert described(elements) == described(ritz)
     # each says how far it may be off, and they are not further apart
     apart = np.abs(frequencies(elements) / frequencies(ritz) - 1.0)
     assert np.all(apart < elements["relative_error_estimate"] + ritz["relative_error_estimate"])
     assert elements["solver"].startswith("finite elements")
     assert elements["no_error_estimate"] is None
-
-
-def test_a_known_mass_is_felt_by_elements_as_by_ritz(run, tmp_path):
-    text = re.sub("mesh = .*\n", "", PLATE).format(edges="CFFF", weight="density_kg_m3 = 2700.0")
-    path = tmp_path / "plate.toml"
-    path.write_text(text, encoding="utf-8")
-    bare = frequencies(answer(run, "forward", path, "--modes", "3"))
-    path.write_text(text + "[[sensor]]\nmass_g = 5.0\nx_mm = 190.0\ny_mm = 80.0\n", encoding="utf-8")
-    ritz, elements = (
-        frequencies(answer(run, "forward", path, "--solver", solver, "--modes", "3"))
-        for solver in ("ritz", "fem")
-    )
-    np.testing.assert_allclose(elements, ritz, rtol=5e-4)
-    assert np.all(ritz < 0.98 * bare)
 
 
 def test_a_plate_with_a_mesh_is_computed_with_elements(run, with_mesh, tmp_path):
@@ -135,42 +119,9 @@ def test_a_holed_plate_that_was_weighed_is_denser_than_its_rectangle(run, with_m
     assert (tmp_path / "out" / "figures" / "modes.png").stat().st_size > 10_000
 
 
-def test_an_oblique_clamped_plate_is_stiffer_than_the_rectangle_of_its_sides(run, with_mesh):
-    straight = rectangle(200.0, 100.0, 16, 8)
-    moved = straight.points * [1.0, 0.8, 1.0] + 0.6 * straight.points[:, [1, 2, 2]]
-    path = with_mesh(Quads(moved, straight.cells, straight.lines), edges="CCCC")
-    oblique = frequencies(answer(run, "forward", path))
-    rectangular = frequencies(answer(run, "forward", with_mesh(straight, edges="CCCC")))
-    assert np.all(oblique > 1.1 * rectangular)
-
-
-@pytest.mark.parametrize("solver", ["ritz", "ccx"])
-def test_a_mesh_needs_elements(run, with_mesh, solver):
-    path = with_mesh(rectangle(200.0, 100.0, 4, 2))
-    refused(
-        run("forward", path, "--solver", solver),
-        "plate.mesh: received",
-        f"--solver {solver} computes rectangular plates only; use --solver fem",
-    )
-
-
-@pytest.mark.parametrize("backend", ["pso", "emcee"])
-def test_a_mesh_is_not_identified_yet(run, with_mesh, backend):
-    path = with_mesh(rectangle(200.0, 100.0, 4, 2))
-    refused(run("identify", path, "--backend", backend), "plate.mesh: received", "forward --solver fem")
-
-
-def test_a_mesh_that_is_no_plate_is_refused(run, with_mesh):
+def test_a_mesh_that_is_no_plate_is_refused_as_is_a_sensor_over_a_hole(run, with_mesh):
     path = with_mesh(rectangle(0.2, 0.1, 4, 2))
     refused(run("forward", path, "--quiet"), "mesh ", "plate.msh: it extends over 0.2 x 0.1, the plate over")
-    path = with_mesh(rectangle(200.0, 100.0, 4, 2).without("x1"), edges="CFCF")
-    refused(run("forward", path, "--quiet"), "edges ['x1'] are held but no group of lines is named so")
-    path = with_mesh(rectangle(200.0, 100.0, 4, 2))
-    (path.parent / "plate.msh").write_text("no mesh")
-    refused(run("forward", path, "--quiet"), "plate.msh: not a Gmsh file")
-
-
-def test_a_sensor_over_a_hole_is_refused(run, with_mesh):
     path = with_mesh(holed())
     path.write_text(path.read_text() + "[[sensor]]\nmass_g = 1.0\nx_mm = 100.0\ny_mm = 50.0\n")
     refused(run("forward", path, "--quiet"), "point (x, y) = (0.1, 0.05) m is not on the plate's mesh")
@@ -185,10 +136,6 @@ def test_a_missing_calculix_is_said(run, monkeypatch, tmp_path):
     monkeypatch.delenv(PROGRAM_VARIABLE)
     monkeypatch.setenv("PATH", str(tmp_path))
     refused(run("forward", "A1", "--solver", "ccx", "--quiet"), "not installed", "calculix-ccx")
-
-
-def test_an_element_is_for_calculix_alone(run):
-    refused(run("forward", "A1", "--element", "brick"), "--element: received brick", "--solver ccx only")
 
 
 @pytest.mark.needs_ccx
@@ -277,18 +224,3 @@ def test_export_never_writes_over_the_plate_file(run, with_mesh):
     path.write_text(before)
     refused(run("export", path, "--to", "ccx", "--force", "--out", path), "the plate file itself")
     assert path.read_text() == before
-
-
-def test_export_says_what_it_cannot_write(run, with_mesh, tmp_path):
-    path = with_mesh(rectangle(200.0, 100.0, 4, 2))
-    out = tmp_path / "a.inp"
-    refused(run("export", path, "--to", "ccx", "--out", out), "plate.mesh", "rectangular plates only")
-    refused(run("export", "A1", "--out", out), "--to")
-    assert not out.exists()
-
-
-def test_export_help_says_that_out_is_a_file(run):
-    status, out, _ = run("export", "--help")
-    assert status == 0
-    assert re.search(r"--out FILE +the file to write, not a directory", out)
-    assert all(option in out for option in ("--json", "--seed", "--quiet", "exit status"))

@@ -16,7 +16,6 @@ import numpy as np
 import pytest
 from distributed import Client
 
-import cpam_bayes as cb
 from cpam_bayes import __version__
 from cpam_bayes.forward_model.store import reduced_model
 from cpam_bayes.inference.posterior import Posterior, plate_posterior
@@ -132,13 +131,6 @@ def test_a_worker_killed_in_the_middle_changes_no_bit(
     there = run(work.log_probabilities, shared, SEEDS, cluster, batch_size=4)
     assert flag.exists()
     assert np.array_equal(_values(here), _values(there))
-
-
-def test_a_batch_of_plates_has_the_same_rows(spec: str) -> None:
-    plates = ("A1", "no such plate", "D&G")
-    here, there = cb.batch(*plates), cb.batch(*plates, executor=spec)
-    assert {**here.to_dict(), "seconds": 0} == {**there.to_dict(), "seconds": 0}
-    assert [row.status for row in there.rows] == ["done", "failed", "done"]
 
 
 def _values(results: list[np.ndarray]) -> np.ndarray:

@@ -10,6 +10,7 @@ import sys
 import textwrap
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from contextlib import nullcontext
 from multiprocessing import get_context
 from pathlib import Path
 from types import SimpleNamespace
@@ -75,12 +76,10 @@ def test_an_observer_is_told_of_all_that_is_shared_out(executor: Executor) -> No
 
 @pytest.mark.parametrize("executor", ["two", "threads"], indirect=True)
 def test_every_result_is_told_once_with_its_index(executor: Executor) -> None:
-    told: list[tuple[int, int]] = []
     for where in (None, executor):
-        told.clear()
-        found = run(
-            work.square_or_kill_always, -1, range(N), where, on_result=lambda *pair: told.append(pair)
-        )
+        told: list[tuple[int, int]] = []
+        asked = (work.square_or_kill_always, -1, range(N), where)
+        found = run(*asked, on_result=lambda *pair, told=told: told.append(pair))
         assert sorted(told) == list(enumerate(found))
 
 
@@ -99,16 +98,10 @@ def test_memory_layout_does_not_tell_the_serial_run_from_a_shared_one(
     assert np.array_equal(here, there)
 
 
-def test_a_serial_run_leaves_its_items_as_they_were() -> None:
+def test_a_serial_run_leaves_its_items_as_they_were_and_takes_what_cannot_be_pickled(two: Executor) -> None:
     items = [np.random.default_rng(i) for i in range(3)]
     assert run(work.draw, None, items) == run(work.draw, None, items)
-
-
-def test_a_serial_run_takes_what_cannot_be_pickled() -> None:
     assert run(lambda shared, item: shared(item), lambda x: x + 1, [1, 2]) == [2, 3]
-
-
-def test_no_items_give_no_results(two: Executor) -> None:
     assert run(work.noisy_norm, MATRIX, [], two) == run(work.noisy_norm, MATRIX, []) == []
 
 
@@ -186,20 +179,11 @@ def test_what_the_scheduler_of_dask_gives_up_is_sent_again_three_times(losses: i
 
     told: dict[int, int] = {}
     with Unlucky(2) as executor:
-        if losses > 3:
-            with pytest.raises(WorkersLostError, match=r"items 2 to 2 of 6 .* lost 4 times .*KilledWorker"):
-                run(
-                    work.square_or_kill_always,
-                    -1,
-                    range(6),
-                    executor,
-                    batch_size=1,
-                    on_result=told.__setitem__,
-                )
-            assert told == {item: item * item for item in range(6) if item != 2}
-        else:
-            found = run(work.square_or_kill_always, -1, range(6), executor, batch_size=1)
-            assert found == [item * item for item in range(6)]
+        lost = pytest.raises(WorkersLostError, match=r"items 2 to 2 of 6 .* lost 4 times .*KilledWorker")
+        with lost if losses > 3 else nullcontext():
+            asked = (work.square_or_kill_always, -1, range(6), executor)
+            run(*asked, batch_size=1, on_result=told.__setitem__)
+        assert told == {item: item * item for item in range(6) if losses <= 3 or item != 2}
         assert executor.deaths == losses
 
 
@@ -224,10 +208,7 @@ def test_an_error_of_the_work_shows_where_in_the_worker_it_was_raised(tmp_path: 
     with pytest.raises(LookupError) as caught:
         run(work.fail_at, (0, str(tmp_path / "log")), [0], one)
     assert "in fail_at" in caught.value.__notes__[0]
-
-
-def test_an_error_that_cannot_be_pickled_keeps_its_text(one: Executor) -> None:
-    with pytest.raises(RuntimeError, match="OddError: odd indeed"):
+    with pytest.raises(RuntimeError, match="OddError: odd indeed"):  # which cannot be pickled
         run(work.fail_oddly, None, [0], one)
 
 

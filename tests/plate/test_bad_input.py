@@ -22,10 +22,6 @@ def one_problem(text):
     return problems[0]
 
 
-def line_of(text, fragment):
-    return text[: text.index(fragment)].count("\n") + 1
-
-
 PLATE = """name = "x"
 [plate]
 length_mm = 100
@@ -51,7 +47,6 @@ SPOILT = [
     ("width_mm = 250", "width_mm = 250\nresolution_hz = 1", "plate.resolution_hz", "[measurement]"),
     ("sd = 0.03, ", "sd = 0.03, men = 1, ", "unknowns.nu12.men", "nearest known key is mean"),
     # types
-    ("length_mm = 260.0", 'length_mm = "1,260"', "plate.length_mm", 'received "1,260"'),
     ("length_mm = 260.0", "length_mm = 1979-05-27", "plate.length_mm", "received datetime.date"),
     ("length_mm = 260.0", f"length_mm = 1{'0' * 400}", "plate.length_mm", "wrong type"),
     ("isotropic = false", 'isotropic = "no"', "material.isotropic", "true or false"),
@@ -90,6 +85,7 @@ SPOILT = [
     ),
     ("[0.2, 0.5,", "[0.2, 0.0,", "measurement.frequency_sd_hz item 2", "above 0"),
     ("[102, 311", "[0, 311", "measurement.frequencies_hz item 1", "above 0"),
+    ("[102, 311, 342, 342, 390, 612.5]", "[342, 342, 342, 342, 342, 342]", None, "all 6 frequencies"),
     ("sd = 0.03", "sd = 0", "unknowns.nu12.sd", "above 0"),
     # missing
     ('edges = "CFSF"\n', "", "plate.edges", "missing, accepted: four letters"),
@@ -147,11 +143,6 @@ def test_each_error_names_file_line_key_and_what_is_accepted(full_text, good, ba
     assert last in line or ("missing" in said and table in line)
 
 
-def test_a_material_of_two_constants_that_names_no_symmetry_lacks_only_that():
-    text = PLATE + "[material]\nE1_GPa = 69\nnu12 = 0.3\n"
-    assert "material.symmetry: missing" in one_problem(text)
-
-
 @pytest.mark.parametrize("nu12", [-1.8, 1.8])
 def test_an_orthotropic_material_is_refused_where_it_is_not_positive_definite_only(nu12):
     text = (
@@ -199,12 +190,6 @@ def test_the_message_holds_every_problem_one_a_line(full_text):
     assert str(pickle.loads(pickle.dumps(caught.value))) == str(caught.value)
 
 
-def test_a_malformed_layup_is_shown_with_a_caret(full_text):
-    problem = one_problem(full_text.replace('"[(0/90)_8]_s"', '"[(0/9x)_8]_s"'))
-    _, shown, caret = problem.split("\n")
-    assert shown[caret.index("^")] == "x"
-
-
 def test_an_isotropic_plate_has_two_constants(full_text):
     key = "G12_GPa"
     start = full_text.index("[material]")
@@ -225,12 +210,17 @@ def test_an_isotropic_plate_has_two_constants(full_text):
     assert all("E1_GPa and nu12 only" in problem for problem in problems)
 
 
-@pytest.mark.parametrize("said", ["isotropic = true", 'symmetry = "isotropic"'])
-def test_an_isotropic_poissons_ratio_stays_below_one_half(said):
-    text = f"{PLATE}[material]\n{said}\nE1_GPa = 69\nnu12 = 0.5\n"
-    assert "-1 < nu12 < 0.5" in one_problem(text)
-    text = text.replace("0.5", "0.3") + "[unknowns]\nnu12 = [0.6, 0.7]\n"
-    assert "no physical constants" in one_problem(text)
+@pytest.mark.parametrize(
+    ("tables", "said"),
+    [
+        ("isotropic = true\nE1_GPa = 69\nnu12 = 0.5\n", "-1 < nu12 < 0.5"),
+        ('symmetry = "isotropic"\nE1_GPa = 69\nnu12 = 0.5\n', "-1 < nu12 < 0.5"),
+        ("isotropic = true\nE1_GPa = 69\nnu12 = 0.3\n[unknowns]\nnu12 = [0.6, 0.7]\n", "no physical const"),
+        ("E1_GPa = 69\nnu12 = 0.3\n", "material.symmetry: missing"),
+    ],
+)
+def test_an_isotropic_material_says_so_and_keeps_poissons_ratio_below_one_half(tables, said):
+    assert said in one_problem(f"{PLATE}[material]\n{tables}")
 
 
 @pytest.mark.parametrize("missing", ["plate", "material"])
@@ -242,7 +232,7 @@ def test_a_missing_table_is_one_problem(full_text, missing):
 def test_a_plate_without_density_and_mass_is_refused(full_text):
     text = full_text.replace("density_kg_m3 = 1590.0\n", "").replace("density_kg_m3 = 15\n", "")
     problem = one_problem(text)
-    assert problem.startswith(f"plate.toml:{line_of(text, '[plate]')}: plate: density")
+    assert problem.startswith(f"plate.toml:{text.partition('[plate]')[0].count(chr(10)) + 1}: plate: density")
     assert "neither" in problem
 
 
@@ -267,8 +257,9 @@ def test_only_the_problems_that_are_shown_are_put_in_words(monkeypatch):
             f"[measurement]\nfrequencies_hz = [{'-1, ' * 100_000}]",
             "too many, received 100000, accepted: a list of 1 to 100 frequencies, ascending",
         ),
+        (f"[measurement]\nfrequencies_hz = {[*range(1, 30_000)]}", "too many, received 29999, accepted: a "),
     ],
-    ids=["empty sensors", "wrong sensors", "wrong frequencies"],
+    ids=["empty sensors", "wrong sensors", "wrong frequencies", "frequencies"],
 )
 def test_too_many_of_a_kind_are_one_problem(text, said):
     found = [problem for problem in problems_of(text) if "too many" in problem]
@@ -296,10 +287,7 @@ def test_received_values_are_shown_short_and_printable(full_text):
     assert "\x1b" not in "".join(key)
 
 
-LONG_KEYS = [
-    (".".join("a" * 50_000) + " = 1", 1),
-    ("b = 1\nx = {" + ".".join("a" * 50_000) + " = 1}", 2),
-]
+LONG_KEY = ".".join("a" * 50_000)
 
 
 @pytest.mark.parametrize(
@@ -312,18 +300,17 @@ LONG_KEYS = [
         ("a = 1\n\nb = [1, 2\n", 3),
         ("x = 1" + "0" * 5000, 1),
         ("a = " + "[" * 100_000, 1),
-        *LONG_KEYS,
+        (f"{LONG_KEY} = 1", 1),
+        (f"b = 1\nx = {{{LONG_KEY} = 1}}", 2),
     ],
+    ids=lambda given: f"{given!r:.20}",
 )
-def test_invalid_toml_is_one_message_with_its_line(text, line):
+def test_invalid_toml_is_one_message_with_its_line(monkeypatch, text, line):
+    if LONG_KEY in text:  # never reaches the parser, which is quadratic in its parts
+        monkeypatch.setattr(tomllib, "loads", lambda text: pytest.fail("parsed"))
     problem = one_problem(text)
+    assert ("a key of 50000 parts, accepted: up to 100" in problem) == (LONG_KEY in text)
     assert problem.startswith(f"plate.toml:{line}: file: ")
     assert "\n" not in problem
     assert "\x1b" not in problem
     assert len(problem) < 300
-
-
-@pytest.mark.parametrize("text", [text for text, _ in LONG_KEYS])
-def test_a_key_of_many_parts_never_reaches_the_parser_that_is_quadratic_in_them(text, monkeypatch):
-    monkeypatch.setattr(tomllib, "loads", lambda text: pytest.fail("parsed"))
-    assert "a key of 50000 parts, accepted: up to 100" in one_problem(text)

@@ -27,7 +27,7 @@ from cpam_bayes.plate.laminate import (
     laminate_stiffness,
     reduced_stiffness,
 )
-from tests.plates import ANGLE_PLY_16S, CARBON, CROSS_PLY_16S, GLASS
+from tests.plates import ANGLE_PLY_16S, CARBON, GLASS
 
 Constants = Mapping[str, ArrayLike]
 
@@ -149,46 +149,29 @@ def close(found: np.ndarray, expected: np.ndarray, digits: float = 1e-12) -> Non
 
 @pytest.mark.parametrize("angle", [-90.0, -63.0, -45.0, -10.0, 0.0, 30.0, 45.0, 77.0, 90.0])
 def test_a_turned_ply_is_the_turned_tensor(angle: float) -> None:
-    found = stiffness((angle,))
-    q = rotated_ply(angle)
     expected = np.zeros((8, 8))
-    expected[MEMBRANE, MEMBRANE] = q * THICKNESS
-    expected[CURVATURE, CURVATURE] = q * THICKNESS**3 / 12
+    expected[MEMBRANE, MEMBRANE] = rotated_ply(angle) * THICKNESS
+    expected[CURVATURE, CURVATURE] = rotated_ply(angle) * THICKNESS**3 / 12
     expected[SHEAR, SHEAR] = rotated_shear(angle) * THICKNESS
     close(stiffness((angle,), shear=UNCORRECTED), expected)
-    close(found[:6, :6], expected[:6, :6])
 
 
 @layups
-def test_a_b_and_d_are_the_sums_over_the_plies(layup: tuple[float, ...]) -> None:
+def test_a_b_and_d_are_the_sums_over_the_plies_and_a_symmetric_layup_has_no_coupling_at_all(
+    layup: tuple[float, ...],
+) -> None:
     found = stiffness(layup)
-    expected = summed(layup)
-    close(found[:6, :6], expected)
+    close(found[:6, :6], summed(layup))
     assert np.all(found[:6, 6:] == 0.0)
-    assert np.all(found[6:, :6] == 0.0)
     np.testing.assert_array_equal(found, found.T)
-
-
-@pytest.mark.parametrize(
-    "layup",
-    [CROSS_PLY_16S, ANGLE_PLY_16S, (20.0, -70.0, 20.0), (0.0,)],
-    ids=["cross", "angle", "odd", "one"],
-)
-def test_symmetric_layup_has_no_coupling_at_all(layup: tuple[float, ...]) -> None:
-    assert np.all(stiffness(layup)[MEMBRANE, CURVATURE] == 0.0)
+    assert np.all(found[MEMBRANE, CURVATURE] == 0.0) == (layup == layup[::-1])
 
 
 # A_s
 
 
-def test_single_ply_has_five_sixths_of_its_shear_moduli() -> None:
-    found = stiffness((0.0,))[SHEAR, SHEAR]
-    expected = 5 / 6 * THICKNESS * np.diag([PLY["G23"], PLY["G13"]])
-    np.testing.assert_allclose(found, expected, rtol=1e-13, atol=1e-13 * expected.max())
-
-
 @pytest.mark.parametrize(
-    "name", ["off-axis", "cross", "angle", "symmetric-cross", "odd-symmetric", "general"]
+    "name", ["single", "off-axis", "cross", "angle", "symmetric-cross", "odd-symmetric", "general"]
 )
 def test_shear_stiffness_is_the_energy_of_the_equilibrium_stresses(name: str) -> None:
     expected = integrated_shear(LAYUPS[name], THICKNESS)
@@ -311,28 +294,16 @@ def test_a_stack_of_layups_and_constants_equals_the_loop(shear: ShearModel, symm
 # Engineering constants
 
 
-def test_flexural_constants_of_an_isotropic_plate_are_its_own() -> None:
+def test_flexural_constants_of_one_material_are_its_own() -> None:
     found = flexural_constants(stiffness((0.0,), ISOTROPIC), THICKNESS)
     d = 70e9 * THICKNESS**3 / 12 / (1 - 0.3**2)
-    expected = {
-        "Ex": 70e9,
-        "Ey": 70e9,
-        "Gxy": float(ISOTROPIC["G12"]),
-        "nuxy": 0.3,
-        "D11": d,
-        "D22": d,
-        "D12": 0.3 * d,
-        "D66": 0.35 * d,
-    }
+    rigidity = {"D11": d, "D22": d, "D12": 0.3 * d, "D66": 0.35 * d}
+    expected = {"Ex": 70e9, "Ey": 70e9, "Gxy": float(ISOTROPIC["G12"]), "nuxy": 0.3, **rigidity}
     assert {name: found[name] for name in expected} == pytest.approx(expected, rel=1e-12)
-    assert abs(found["D16"]) < 1e-12 * d
-    assert abs(found["D26"]) < 1e-12 * d
-
-
-def test_flexural_constants_of_a_unidirectional_plate_are_its_plys() -> None:
-    found = flexural_constants(stiffness((0.0,) * 4), THICKNESS)
+    assert max(abs(found["D16"]), abs(found["D26"])) < 1e-12 * d
+    plies = flexural_constants(stiffness((0.0,) * 4), THICKNESS)
     expected = {"Ex": PLY["E1"], "Ey": PLY["E2"], "Gxy": PLY["G12"], "nuxy": PLY["nu12"]}
-    assert {name: found[name] for name in expected} == pytest.approx(expected, rel=1e-12)
+    assert {name: plies[name] for name in expected} == pytest.approx(expected, rel=1e-12)
 
 
 def test_flexural_modulus_of_an_unsymmetric_strip_lets_it_stretch() -> None:
@@ -376,16 +347,6 @@ def test_two_equal_materials_are_one(angles: list[float], shear: ShearModel) -> 
     assert_allclose(both, plain, rtol=1e-12, atol=1e-12 * np.abs(plain).max())
 
 
-@pytest.mark.parametrize("angles", [[0, 45, 45, 0], [0, 45, 90, -30]])
-def test_a_thick_ply_is_two_thin_ones(angles: list[float]) -> None:
-    constants = named(a=CARBON, b=GLASS)
-    thick = laminate_geometry(angles, plies=stack([2.0, 1.0, 1.0, 2.0], [0, 1, 1, 0], ("a", "b")))
-    twice = [angles[i] for i in (0, 0, 1, 2, 3, 3)]
-    thin = laminate_geometry(twice, plies=stack([1.0] * 6, [0, 0, 1, 1, 0, 0], ("a", "b")))
-    first, second = (laminate_stiffness(constants, g, H) for g in (thick, thin))
-    assert_allclose(first, second, rtol=1e-12, atol=1e-12 * np.abs(first).max())
-
-
 def test_extension_and_bending_are_sums_over_the_plies() -> None:
     heights, owner = [0.4, 0.25, 0.35], [0, 1, 0]
     geometry = laminate_geometry([0.0, 90.0, 0.0], plies=stack(heights, owner, ("c", "g")))
@@ -422,19 +383,20 @@ def test_constants_of_one_material_may_vary_and_of_the_other_not() -> None:
 
 
 COMPOSITE = "transversely_isotropic"
-BARE_PLY = {"E1": 121.2e9, "E2": 9.34e9, "nu12": 0.23, "G12": 6.25e9}
+FABRIC = {"E1": 60e9, "E2": 60e9, "nu12": 0.05, "G12": 4e9}
+SPRUCE = {"E1": 11e9, "E2": 0.9e9, "nu12": 0.51, "G12": 0.8e9}
 
 
-def test_left_out_shear_moduli_follow_eq_6():
-    full = complete_constants(BARE_PLY, COMPOSITE)
+def test_left_out_shear_moduli_follow_eq_6_or_are_the_in_plane_one_and_given_ones_are_kept():
+    full = complete_constants(CARBON, COMPOSITE)
     nu23 = 0.23 * (1 - 0.23 * 9.34 / 121.2) / (1 - 0.23)
-    assert full["G13"] == BARE_PLY["G12"]
+    assert full["G13"] == CARBON["G12"]
     assert full["G23"] == pytest.approx(9.34e9 / (2 * (1 + nu23)), rel=1e-14)
-
-
-def test_given_shear_moduli_are_kept():
-    full = complete_constants(BARE_PLY | {"G13": 5e9, "G23": 3e9}, COMPOSITE)
-    assert (full["G13"], full["G23"]) == (5e9, 3e9)
+    woven = complete_constants(FABRIC, "orthotropic")
+    assert woven["G13"] == woven["G23"] == FABRIC["G12"]
+    for constants, symmetry in ((CARBON, COMPOSITE), (FABRIC, "orthotropic")):
+        given = complete_constants(constants | {"G13": 5e9, "G23": 3e9}, symmetry)
+        assert (given["G13"], given["G23"]) == (5e9, 3e9)
 
 
 def test_isotropic_constants_follow_eq_11_and_the_printed_shear_modulus():
@@ -446,7 +408,7 @@ def test_isotropic_constants_follow_eq_11_and_the_printed_shear_modulus():
 
 @pytest.mark.parametrize("symmetry", CONSTRAINTS)
 def test_complex_step_derivatives_match_central_differences(symmetry):
-    base = {"E1": 121.2, "nu12": 0.23} if symmetry == "isotropic" else {**BARE_PLY, "E1": 121.2e9}
+    base = {"E1": 121.2, "nu12": 0.23} if symmetry == "isotropic" else {**CARBON, "E1": 121.2e9}
     for name, value in base.items():
         step = 1e-6 * value
         up, down = (complete_constants(base | {name: value + sign * step}, symmetry) for sign in (1, -1))
@@ -460,7 +422,7 @@ def test_complex_step_derivatives_match_central_differences(symmetry):
 
 def test_arrays_keep_their_shape():
     E1 = np.linspace(50e9, 150e9, 6).reshape(2, 3)
-    constants = BARE_PLY | {"E1": E1}
+    constants = CARBON | {"E1": E1}
     assert complete_constants(constants, COMPOSITE)["G23"].shape == (2, 3)
     assert constraint_violations(constants, COMPOSITE).shape == (2, 3, 4)
     assert is_admissible(constants, COMPOSITE).all()
@@ -471,19 +433,15 @@ def test_arrays_keep_their_shape():
     [
         ({}, []),
         ({"E2": 130e9}, [3]),
+        ({"E1": 9.34e9}, [3]),
         ({"nu12": 0.6}, [0, 1]),
         ({"E1": 10e9, "E2": 9e9, "nu12": 1.2}, [0, 2]),
         ({"nu12": float("nan")}, [0, 1, 2]),
     ],
 )
 def test_each_constraint_of_eq_9_is_seen(change, broken):
-    found = constraint_violations(BARE_PLY | change, COMPOSITE)
+    found = constraint_violations(CARBON | change, COMPOSITE)
     assert list(np.flatnonzero(found)) == broken
-
-
-def test_equal_moduli_break_eq_9_only_for_orthotropic_plies():
-    assert constraint_violations(BARE_PLY | {"E1": 9.34e9}, COMPOSITE)[3]
-    assert not constraint_violations({"E1": 69e9, "nu12": 0.33}, "isotropic").any()
 
 
 @pytest.mark.parametrize("nu", [-1.01, -0.99, 0.0, 0.499, 0.501, 1.0])
@@ -493,7 +451,7 @@ def test_isotropic_poissons_ratios_lie_within_minus_one_and_half(nu):
 
 @pytest.mark.parametrize("name", ["E1", "E2", "G12", "G13", "G23"])
 def test_a_modulus_that_is_not_positive_is_not_admissible(name):
-    constants = BARE_PLY | {"G13": 5e9, "G23": 3e9}
+    constants = CARBON | {"G13": 5e9, "G23": 3e9}
     assert is_admissible(constants, COMPOSITE)
     assert not is_admissible(constants | {name: 0.0}, COMPOSITE)
     assert not is_admissible(constants | {name: -1e9}, COMPOSITE)
@@ -513,10 +471,6 @@ def test_missing_and_unknown_constants_are_refused(constants, symmetry):
         complete_constants(constants, symmetry)
 
 
-FABRIC = {"E1": 60e9, "E2": 60e9, "nu12": 0.05, "G12": 4e9}
-SPRUCE = {"E1": 11e9, "E2": 0.9e9, "nu12": 0.51, "G12": 0.8e9}
-
-
 @pytest.mark.parametrize("constants", [FABRIC, SPRUCE, FABRIC | {"E1": 30e9}])
 def test_fabrics_and_wood_are_orthotropic_and_break_eq_9(constants):
     assert is_admissible(constants, "orthotropic")
@@ -534,9 +488,3 @@ def test_an_orthotropic_ply_is_positive_definite_and_no_more_is_asked_of_it(rati
     for nu12 in (-4.0, -1.5, -0.9, -0.2, 0.0, 0.2, 0.6, 0.99, 1.7, 4.0):
         constants = {"E1": ratio, "E2": 1.0, "nu12": nu12, "G12": 0.1}
         assert is_admissible(constants, "orthotropic") == plane_stress_is_positive_definite(constants)
-
-
-def test_left_out_shear_moduli_of_an_orthotropic_ply_are_the_in_plane_one():
-    full = complete_constants(FABRIC, "orthotropic")
-    assert full["G13"] == full["G23"] == FABRIC["G12"]
-    assert complete_constants(FABRIC | {"G23": 3e9}, "orthotropic")["G23"] == 3e9

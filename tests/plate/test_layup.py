@@ -88,26 +88,23 @@ def test_unknown_angles_fill_every_ply_they_stand_for():
     known = layup.with_angles([-90.0, 45.0])
     assert known.n_unknown == 0
     assert known.text == "[(90/0/45)_2]_s"
+    assert parse_layup("[0/90]").angles(np.empty((3, 0))).tolist() == [[0, 90]] * 3
+    assert parse_layup("[0/90]").unknown_names == ()
 
 
-def test_a_known_layup_takes_no_angles():
-    layup = parse_layup("[0/90]")
-    assert layup.angles(np.empty((3, 0))).tolist() == [[0, 90]] * 3
-    assert layup.unknown_names == ()
-
-
-@pytest.mark.parametrize("received", [np.zeros(3), np.zeros((2, 1)), 5.0])
-def test_a_wrong_number_of_unknown_angles_is_refused(received):
-    with pytest.raises(ValueError, match="accepted"):
-        parse_layup("[?/?]").angles(received)
-
-
-def test_with_angles_takes_one_choice_within_the_range():
-    layup = parse_layup("[?/?]")
-    with pytest.raises(ValueError, match="accepted"):
-        layup.with_angles(np.zeros((2, 2)))
-    with pytest.raises(ValueError, match="-90 to 90"):
-        layup.with_angles([0.0, 95.0])
+@pytest.mark.parametrize(
+    ("act", "accepted"),
+    [
+        (lambda layup: layup.angles(np.zeros(3)), "accepted"),
+        (lambda layup: layup.angles(np.zeros((2, 1))), "accepted"),
+        (lambda layup: layup.angles(5.0), "accepted"),
+        (lambda layup: layup.with_angles(np.zeros((2, 2))), "accepted"),
+        (lambda layup: layup.with_angles([0.0, 95.0]), "-90 to 90"),
+    ],
+)
+def test_a_wrong_choice_of_unknown_angles_is_refused(act, accepted):
+    with pytest.raises(ValueError, match=accepted):
+        act(parse_layup("[?/?]"))
 
 
 @pytest.mark.parametrize(
@@ -138,6 +135,7 @@ def test_malformed_layups_are_refused_at_their_position(text, position):
     assert f"character {position + 1}" in first
     assert shown == f"  {text}"
     assert caret == f"  {' ' * position}^"
+    assert str(pickle.loads(pickle.dumps(caught.value))) == str(caught.value)
 
 
 @pytest.mark.parametrize(
@@ -155,21 +153,15 @@ def test_layups_of_too_many_plies_are_refused_before_they_are_built(text):
         parse_layup(text)
     # a list of a million plies has 8 MB
     assert peak() < 1e6
-
-
-def test_the_largest_layup_is_read():
     assert parse_layup("[0_1000]_s").n_plies == MAX_PLIES
 
 
-def test_long_and_deep_texts_are_refused():
+def test_long_and_deep_texts_are_refused_and_nothing_unprintable_is_shown():
     with pytest.raises(LayupError, match="characters") as caught:
         parse_layup("[" + "0/" * 10_000_000 + "0]")
     assert len(str(caught.value)) < 400
     with pytest.raises(LayupError, match="nested too deeply"):
         parse_layup("[" + "(" * 3000 + "0" + ")" * 3000 + "]")
-
-
-def test_unprintable_characters_do_not_reach_the_message():
     with pytest.raises(LayupError) as caught:
         parse_layup("[0/\x1b[31m]")
     assert "\x1b" not in str(caught.value)
@@ -217,8 +209,3 @@ def test_layup_arrays_are_read_only_and_travel_between_processes():
     again = pickle.loads(pickle.dumps(layup))
     assert again.text == layup.text
     assert again.unknown_index.tolist() == [0, -1, -1, 0]
-
-
-def test_layup_errors_travel_between_processes():
-    error = LayupError("[x]", 1, "what")
-    assert str(pickle.loads(pickle.dumps(error))) == str(error)

@@ -58,6 +58,8 @@ def test_nodes_and_normal_modes_are_read_in_the_order_of_their_frequencies(read)
     assert np.allclose(found.shapes.values, [3.0 * SHAPE, OTHER], rtol=1e-5)
     assert found.shapes.directions.tolist() == [False, False, True]
     assert "datasets 15 55; 2 real modes at 20 nodes in mm, by the size of the plate" in found.origin
+    of_another_system = (nodes_15(MM) + mode_55(101.5, SHAPE)).replace("\n", "\r\n")
+    assert read(of_another_system, "relative_std = 0.01\n").relative_std == 0.01
 
 
 def test_a_file_that_is_cut_short_inside_a_mode_is_refused(read, refused):
@@ -106,10 +108,6 @@ def test_datasets_that_are_not_needed_need_not_be_readable(read):
     assert found.frequencies.tolist() == [101.5]
 
 
-def test_lines_of_another_system_are_read(read):
-    assert read((nodes_15(MM) + mode_55(101.5, SHAPE)).replace("\n", "\r\n")).size == 1
-
-
 def test_shapes_are_taken_at_the_nodes_that_all_modes_have(read):
     some = [3, 1, 20, 7]
     at = np.array(some) - 1
@@ -123,7 +121,6 @@ def test_shapes_are_taken_at_the_nodes_that_all_modes_have(read):
     ("content", "said"),
     [
         ("", "no modes, accepted: datasets 55"),
-        ("hello", "no modes, accepted: datasets 55"),
         (nodes_15(MM), "no modes, accepted: datasets 55"),
         (mode_55(101.5, SHAPE), "no nodes, accepted: a dataset 15 or 2411"),
         (nodes_15(MM[:4]) + mode_55(101.5, SHAPE), "no coordinates of the nodes 5 6 7 8 9 10, accepted"),
@@ -184,7 +181,3 @@ def test_without_the_library_the_extra_is_named(refused, monkeypatch):
 
     monkeypatch.setattr(builtins, "__import__", missing)
     assert 'pip install "cpam-bayes[uff]"' in refused(nodes_15(MM) + mode_55(101.5, SHAPE))
-
-
-def test_a_relative_std_stands_beside_shapes(read):
-    assert read(nodes_15(MM) + mode_55(101.5, SHAPE), "relative_std = 0.01\n").relative_std == 0.01

@@ -1,12 +1,15 @@
-"""A table of modes is read as instruments write it, hits become frequencies, and errors have their place."""
+"""A table of modes is read as instruments and laboratories write it, and errors have their place."""
 
 from __future__ import annotations
 
+import io
 import itertools
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import openpyxl
 import pytest
 from scipy.stats import t
 
@@ -97,11 +100,6 @@ def test_a_hit_far_from_the_others_of_its_mode_is_named_before_it_is_averaged(re
     assert "weight of 0" in problem
 
 
-def test_a_hit_without_weight_may_be_anything(measured) -> None:
-    weighed = EQUAL_HITS.replace("hz\n", "hz,weight\n").replace("2,2,305.2\n", "2,2,3.052,0\n")
-    assert measured(weighed).frequencies == pytest.approx([101.5, 305.2])
-
-
 def test_damping_that_no_composite_has_is_said_to_be_read_as_a_ratio(measured) -> None:
     (remark,) = measured("mode,hz,damping\n1,101.5,0.4\n2,305.2,0.3\n").remarks
     assert "damping up to 0.4 is read as a ratio, 40 % of critical damping" in remark
@@ -142,14 +140,11 @@ def test_a_table_says_the_same_however_it_is_written(measured, content: str | by
     assert found.labels == ("", "", "")
 
 
-def test_a_table_needs_no_more_than_frequencies(measured) -> None:
-    found = measured("hz\n311\n102,5\n")
-    assert found.frequencies.tolist() == [102.5, 311.0]
-    assert found.damping is None
-    assert found.loss_factors is None
-
-
-def test_labels_name_modes_and_fix_them(measured) -> None:
+def test_labels_name_modes_and_fix_them_and_a_table_needs_no_more_than_frequencies(measured) -> None:
+    heads = ["(1,1)", "(2,0)", "(0,2)"]
+    assert measured(wide(";", heads, first="hit", mark=",")).labels == tuple(heads)
+    bare = measured("hz\n311\n102,5\n")
+    assert (bare.frequencies.tolist(), bare.damping, bare.loss_factors) == ([102.5, 311.0], None, None)
     found = measured('label;hit;hz\n"(1,1)";1;102\n"(2,0)";1;311\n"(1,1)";2;104\n"(2,0)";2;311,6\n')
     assert found.labels == ("(1,1)", "(2,0)")
     np.testing.assert_allclose(found.frequencies, [103.0, 311.3], rtol=1e-12)
@@ -191,14 +186,12 @@ def test_the_order_of_rows_changes_nothing(measured) -> None:
         np.testing.assert_allclose(found.frequency_sd, expected.frequency_sd, rtol=1e-9)
 
 
-def test_equal_hits_scatter_by_the_rounding_of_the_table(measured) -> None:
+def test_equal_hits_scatter_by_the_rounding_of_the_table_and_stated_standard_deviations_are_taken(
+    measured,
+) -> None:
     found = measured("mode;hz\n1;100,2\n1;100,2\n2;300,1\n2;300,1\n")
     np.testing.assert_allclose(found.frequency_sd, 0.1 / np.sqrt(12.0), rtol=1e-12)
-
-
-def test_standard_deviations_of_the_table_are_taken(measured) -> None:
-    found = measured("mode,hz,sd\n1,100,0.3\n2,300,0.5\n")
-    assert found.frequency_sd.tolist() == [0.3, 0.5]
+    assert measured("mode,hz,sd\n1,100,0.3\n2,300,0.5\n").frequency_sd.tolist() == [0.3, 0.5]
 
 
 def test_a_weight_of_0_leaves_a_hit_out_and_others_weigh(measured) -> None:
@@ -207,66 +200,26 @@ def test_a_weight_of_0_leaves_a_hit_out_and_others_weigh(measured) -> None:
     )
     assert found.frequencies[0] == pytest.approx(102.0, rel=1e-12)
     assert found.damping[0] == pytest.approx(0.03, rel=1e-12)
-
-
-LEFT_OUT = "mode,hz,weight\n1,100,1\n2,200,0\n3,300,1\n"
-
-
-def test_a_mode_left_out_makes_a_gap_that_must_be_said(measured, refused) -> None:
-    (problem,) = refused(LEFT_OUT)
-    assert problem.startswith("modes.csv line 3, column hz: mode 2 is left out, accepted: complete = false")
-    found = measured(LEFT_OUT, "complete = false\n")
-    assert found.frequencies.tolist() == [100.0, 300.0]
-    assert "left out: 2" in found.origin
-
-
-def test_a_last_mode_left_out_is_no_gap(measured) -> None:
-    assert measured(LEFT_OUT.replace("200,0", "400,0")).frequencies.tolist() == [100.0, 300.0]
-
-
-def test_a_number_that_is_lacking_is_a_gap(measured, refused) -> None:
-    content = "mode,hz\n7,100\n8,200\n10,300\n"
-    assert refused(content) == [
-        "modes.csv column mode: the numbers lack 9, accepted: complete = false in [measurement], as the list "
-        "then lacks a mode"
-    ]
-    assert measured(content, "complete = false\n").size == 3
+    weighed = EQUAL_HITS.replace("hz\n", "hz,weight\n").replace("2,2,305.2\n", "2,2,3.052,0\n")
+    assert measured(weighed).frequencies == pytest.approx([101.5, 305.2])
 
 
 @pytest.mark.parametrize(
-    ("content", "said"),
+    ("content", "gap", "left"),
     [
-        ("mode,hz\n1,100\n2,abc\n", 'line 3, column hz: not a number, received "abc"'),
-        ("mode;hz\n1;100\n\n2;-5\n", "line 4, column hz: out of range, received -5"),
-        ("mode;hz\n1;nan\n", 'line 2, column hz: not a number, received "nan"'),
-        ("mode;hz\n1;1.234,5\n", 'line 2, column hz: not a number, received "1.234,5"'),
-        ("mode;hz\n1;100.5\n2;200,5\n", "line 3, column hz: another decimal mark than in line 2"),
-        ("mode,hz\n1,100,5\n", "line 2: 3 cells for 2 columns, accepted: one for each head; decimal commas"),
-        ("mode,hz,damping\n1,100,0.4\n2,200,1.2\n", "line 3, column damping: out of range, received 1.2"),
-        ("mode,hz,sd\n1,100,0.5\n2,200,\n", "line 3, column sd: missing"),
-        ("mode,hz,weight\n1,100,0\n", "no frequency with a weight above 0"),
-        ("mode,hz,dampng\n1,100,1\n", "line 1, column dampng: unknown head, the nearest is damping"),
-        ("mode,hz,frequency\n1,100,100\n", "line 1, column frequency: a second column hz"),
-        ("mode,Frequency [rpm]\n1,100\n", "line 1, column Frequency [rpm]: unknown unit rpm"),
-        ("hit,hz\n1,100\n", "line 1, column hit: hits of no mode"),
-        ("mode,hit,hz\n1,1,100\n1,1,101\n", "line 3, column hit: hit 1 of mode 1 a second time"),
-        ("mode,hit,hz\n,1,100\n", "line 2, column mode: missing"),
-        ("mode,label,hz\n1,a,100\n1,b,101\n", "line 3, column label: mode 1 has the labels a and b"),
-        ("mode,label,hz\n1,\x1b[31m,100\n", "line 2, column label: not a text that can be shown"),
-        ("mode,hz\n", "line 1: no rows below the heads"),
-        ("", "no column of frequencies"),
-        (b"\x00\x01\x02" * 50, "no column of frequencies"),
-        ("hz\n" + "".join(f"{100 + i}\n" for i in range(101)), "too many modes, received 101"),
-        ("hz\n" + "1" * 260_000, "too large"),
-        ('hz\n"' + "1" * 200_000, None),
+        ("mode,hz,weight\n1,100,1\n2,200,0\n3,300,1\n", "line 3, column hz: mode 2 is left out", [100, 300]),
+        ("mode,hz,weight\n1,100,1\n2,400,0\n3,300,1\n", None, [100, 300]),
+        ("mode,hz\n7,100\n8,200\n10,300\n", "column mode: the numbers lack 9", [100, 200, 300]),
     ],
+    ids=["left out", "the last one left out", "a number is lacking"],
 )
-def test_what_is_wrong_has_its_line_and_column(refused, content: str | bytes, said: str | None) -> None:
-    problems = refused(content)
-    assert len(problems) == 1
-    assert "\x1b" not in problems[0]
-    assert said is None or said in problems[0]
-    assert len(problems[0]) < 400
+def test_a_mode_left_out_makes_a_gap_that_must_be_said(measured, refused, content, gap, left) -> None:
+    if gap:
+        (problem,) = refused(content)
+        assert problem.startswith(f"modes.csv {gap}, accepted: complete = false")
+    found = measured(content, "complete = false\n" if gap else "")
+    assert found.frequencies.tolist() == left
+    assert ("left out: 2" in found.origin) == ("weight" in content)
 
 
 def test_everything_that_is_wrong_with_a_table_comes_at_once(refused) -> None:
@@ -310,12 +263,19 @@ def test_a_table_stands_alone(read, more: str, said: str) -> None:
         read(TABLE, more)
 
 
-def test_a_measurement_without_frequencies_is_refused(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("tables", "said"),
+    [
+        ("resolution_hz = 1\n", "received none, accepted: one of frequencies_hz, table and shapes"),
+        ('frequencies_hz = [100]\n[measurement.columns]\nhz = "b"\n', "beside no table"),
+    ],
+)
+def test_a_measurement_without_a_table_needs_frequencies_and_no_columns(
+    tmp_path: Path, tables: str, said: str
+) -> None:
     path = tmp_path / "bar.toml"
-    path.write_text(f"{PLATE}resolution_hz = 1\n", encoding="utf-8")
-    with pytest.raises(
-        PlateFileError, match="received none, accepted: one of frequencies_hz, table and shapes"
-    ):
+    path.write_text(f"{PLATE}{tables}", encoding="utf-8")
+    with pytest.raises(PlateFileError, match=said):
         cb.read_plate(path)
 
 
@@ -354,3 +314,162 @@ def test_the_example_of_a_table_is_the_panel_of_the_other_example() -> None:
     assert found.frequency_sd is not None
     assert np.all(found.frequency_sd < 0.006 * found.frequencies)
     assert found.origin == "panel_hits.csv: means of 4 to 5 hits a mode"
+
+
+# Tables of laboratories, wide and long, in their languages
+
+
+MODES = [101.5, 305.25, 333.0]
+# hits of three modes, whose means are these
+TAPPED = [[101.4, 305.2, 333.1], [101.6, 305.3, 332.9]]
+
+
+def wide(separator: str, heads: list[str], *, first: str = "", mark: str = ".", more: str = "") -> str:
+    lines = [separator.join(([first] if first else []) + heads)]
+    for i, hit in enumerate(TAPPED, 1):
+        lines.append(separator.join(([str(i)] if first else []) + [f"{f}".replace(".", mark) for f in hit]))
+    return "\n".join(lines) + f"\n{more}"
+
+
+def across(separator: str, heads: list[str]) -> str:
+    rows = [[str(i), *(f"{hit[i - 1]}" for hit in TAPPED)] for i in (1, 2, 3)]
+    return "\n".join(separator.join(row) for row in [heads, *rows]) + "\n"
+
+
+def sheet(rows: list[list[Any]], *, before: list[list[Any]] | None = None) -> bytes:
+    book = openpyxl.Workbook()
+    if before is not None:
+        for row in before:
+            book.active.append(row)
+    page = book.active if before is None else book.create_sheet("data")
+    for row in rows:
+        page.append(row)
+    held = io.BytesIO()
+    book.save(held)
+    return held.getvalue()
+
+
+LONG = [["Mode", "Frequenz [Hz]"], *([i, f] for i, f in enumerate(MODES, 1))]
+WIDE = [["Schlag", "Mode 1", "Mode 2", "Mode 3"], *([i, *hit] for i, hit in enumerate(TAPPED, 1))]
+THREE = ["1", "2", "3"]
+
+WRITTEN_IN_LABORATORIES: dict[str, str | bytes] = {
+    "long, English": "Mode,Natural frequency (Hz)\n1,101.5\n2,305.25\n3,333\n",
+    "long, German, decimal commas": "Modus;Frequenz [Hz]\n1;101,5\n2;305,25\n3;333,0\n",
+    "long, German, cp1252": "Nr;Eigenfrequenz in Hz;D\u00e4mpfung\n1;101,5;0,01\n2;305,25;\n3;333;\n".encode(
+        "cp1252"
+    ),
+    "long, French": "Ordre;Fr\u00e9quence propre (Hz)\n1;101,5\n2;305,25\n3;333\n",
+    "long, Spanish": "modo\tfrecuencia\n1\t101,5\n2\t305,25\n3\t333\n",
+    "long, Italian": "modo|frequenza [kHz]\n1|0.1015\n2|0.30525\n3|0.333\n",
+    "long, Russian": "\u0447\u0430\u0441\u0442\u043e\u0442\u0430\n101,5\n305,25\n333\n",
+    "long, Chinese": "\u9891\u7387\n101.5\n305.25\n333\n".encode("utf-16"),
+    "a head that is not known, in Hz": "Mode;Messwert [Hz]\n1;101,5\n2;305,25\n3;333\n",
+    "units after a slash": "Mode;Frequenz/Hz\n1;101,5\n2;305,25\n3;333\n",
+    "a line of units": "Mode;Frequenz\n;Hz\n1;101,5\n2;305,25\n3;333\n",
+    "a line of units in brackets": "Mode;f\n[-];[kHz]\n1;0,1015\n2;0,30525\n3;0,333\n",
+    "long, hits in any language": "Schlag;Mode;Frequenz\n" + "".join(
+        f"{i};{m};{f}\n" for i, hit in enumerate(TAPPED, 1) for m, f in enumerate(hit, 1)
+    ),
+    "wide, numbers as heads": wide(",", THREE, first="hit"),
+    "wide, no column of hits": wide(",", THREE),
+    "wide, mode 1": wide(";", ["Mode 1", "Mode 2", "Mode 3"], first="Schlag", mark=","),
+    "wide, Mode_1 [Hz]": wide("\t", ["Mode_1 [Hz]", "Mode_2 [Hz]", "Mode_3 [Hz]"], first="Messung"),
+    "wide, f1": wide(" ", ["f1", "f2", "f3"], first="tap"),
+    "wide, f1 (Hz)": wide(",", ["f1 (Hz)", "f2 (Hz)", "f3 (Hz)"], first="Run"),
+    "wide, f_1": wide(",", ["f_1", "f_2", "f_3"], first=""),
+    "wide, Frequenz 1": wide(";", ["Frequenz 1", "Frequenz 2", "Frequenz 3"], first="Versuch", mark=","),
+    "wide, Eigenform 1": wide(";", ["Eigenform 1", "Eigenform 2", "Eigenform 3"], first="Nr"),
+    "wide, coup": wide(";", ["ordre 1", "ordre 2", "ordre 3"], first="coup", mark=","),
+    "wide, a head that is not known for the hits": wide(";", THREE, first="wer"),
+    "wide, a line of units": wide(";", THREE, first="hit").replace("\n", "\n;Hz;Hz;Hz\n", 1),
+    "wide, mean and sd below": wide(
+        ";", THREE, first="hit", mark=",", more="Mittelwert;101,5;305,2;333\nStabw;0,1;0,1;0\n"
+    ),
+    "long, rates above": "Samples 2000 Hz\nMode;Messwert [Hz]\n1;101,5\n2;305,25\n3;333\n",
+    "wide, lines above": "Projekt;Platte 7\nDatum;3.4.\n\n" + wide(";", THREE, first="Schlag", mark=","),
+    "wide, a declared separator": "sep=;\n" + wide(";", THREE, first="hit", mark=","),
+    "wide, a hit that shows no mode": wide(";", THREE, first="hit", more="3;-;305,25;n/a\n", mark=","),
+    "wide, quoted": wide(",", ['"1"', '"2"', '"3"'], first='"hit"'),
+    "across, hit 1": across(",", ["Mode", "hit 1", "hit 2"]),
+    "across, Messung 1": across(";", ["Nr", "Messung 1 [Hz]", "Messung 2 [Hz]"]),
+    "xlsx, long": sheet(LONG),
+    "xlsx, wide": sheet(WIDE),
+    "xlsx, lines above": sheet([["Platte 7"], [], *WIDE]),
+    "xlsx, the second sheet": sheet(LONG, before=[["notes"], ["tapped on foam"]]),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        ("mode,hz\n1,100\n2,abc\n", 'line 3, column hz: not a number, received "abc"'),
+        ("mode;hz\n1;100\n\n2;-5\n", "line 4, column hz: out of range, received -5"),
+        ("mode;hz\n1;nan\n", 'line 2, column hz: not a number, received "nan"'),
+        ("mode;hz\n1;1.234,5\n", 'line 2, column hz: not a number, received "1.234,5"'),
+        ("mode;hz\n1;100.5\n2;200,5\n", "line 3, column hz: another decimal mark than in line 2"),
+        ("mode,hz\n1,100,5\n", "line 2: 3 cells for 2 columns, accepted: one for each head; decimal commas"),
+        ("mode,hz,damping\n1,100,0.4\n2,200,1.2\n", "line 3, column damping: out of range, received 1.2"),
+        ("mode,hz,sd\n1,100,0.5\n2,200,\n", "line 3, column sd: missing"),
+        ("mode,hz,weight\n1,100,0\n", "no frequency with a weight above 0"),
+        ("mode,hz,dampng\n1,100,1\n", "line 1, column dampng: unknown head, the nearest is damping"),
+        ("mode,hz,frequency\n1,100,100\n", "line 1, column frequency: a second column hz"),
+        ("mode,Frequency [rpm]\n1,100\n", "line 1, column Frequency [rpm]: unknown unit rpm"),
+        ("hit,hz\n1,100\n", "line 1, column hit: hits of no mode"),
+        ("mode,hit,hz\n1,1,100\n1,1,101\n", "line 3, column hit: hit 1 of mode 1 a second time"),
+        ("mode,hit,hz\n,1,100\n", "line 2, column mode: missing"),
+        ("mode,label,hz\n1,a,100\n1,b,101\n", "line 3, column label: mode 1 has the labels a and b"),
+        ("mode,label,hz\n1,\x1b[31m,100\n", "line 2, column label: not a text that can be shown"),
+        ("mode,hz\n", "line 1: no rows below the heads"),
+        ("", "no column of frequencies"),
+        (b"\x00\x01\x02" * 50, "no column of frequencies"),
+        ("hz\n" + "".join(f"{100 + i}\n" for i in range(101)), "too many modes, received 101"),
+        ("1;101,5\n2;305,25\n", "no column of frequencies"),
+        ("mode;left [Hz];right [Hz]\n1;101,5;101,6\n", "name it in [measurement.columns]"),
+        ("hit,1,2\n1,101,5,305,2\n", "decimal commas need another separator"),
+        (wide(";", THREE, first="hit").replace("305.2", "1.305,2"), "not a number"),
+        (wide(";", THREE, first="hit").replace("305.2", "305 ?"), "not a number"),
+        ("hit;f1 [Hz];f2 [kHz]\n1;101,5;0,305\n", "units hz and khz beside each other"),
+        ("hit;1;2\n1;101;305\n2;305;306\n", "hits of one mode, which agree to 20 %"),
+        (b"\xd0\xcf\x11\xe0" + bytes(2000), "an .xls file or one with a password"),
+        (sheet(WIDE)[:900], "no workbook that can be read"),
+        (b"PK\x03\x04" + bytes(500), "no workbook that can be read"),
+        (sheet([["tapped on foam"]]), "no column of frequencies"),
+        ("hit;1;2;3\n", "no rows below the heads"),
+        ("hz\n" + "1" * 260_000, "too large"),
+        ('hz\n"' + "1" * 200_000, None),
+    ],
+)
+def test_what_is_wrong_has_its_line_and_column(refused, content: str | bytes, said: str | None) -> None:
+    problems = refused(content)
+    assert len(problems) == 1
+    assert "\x1b" not in problems[0]
+    assert said is None or said in problems[0]
+    assert len(problems[0]) < 400
+
+
+@pytest.mark.parametrize("content", WRITTEN_IN_LABORATORIES.values(), ids=WRITTEN_IN_LABORATORIES)
+def test_a_table_of_a_laboratory_gives_its_frequencies(measured, content: str | bytes) -> None:
+    np.testing.assert_allclose(measured(content).frequencies, MODES, rtol=1e-9)
+
+
+def test_a_wide_table_has_the_scatter_of_its_hits(measured) -> None:
+    rows = (f"{m},{i},{f}" for i, hit in enumerate(TAPPED, 1) for m, f in enumerate(hit, 1))
+    meant = measured("\n".join(["mode,hit,hz", *rows, ""])).frequency_sd
+    found = measured(wide(";", THREE, first="hit", mark=",")).frequency_sd
+    np.testing.assert_allclose(found, meant, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("content", "columns"),
+    [
+        ("a;b\n1;101,5\n2;305,25\n3;333\n", 'mode = "a"\nhz = "b"'),
+        (wide(";", ["erste", "zweite", "dritte"], first="wer"), 'hz = ["erste", "zweite", "dritte"]'),
+        ("mode;left [Hz];right [Hz]\n1;101,5;9\n2;305,25;9\n3;333;9\n", 'hz = "left [Hz]"'),
+    ],
+)
+def test_heads_are_named_in_the_plate_file(measured, read, content: str, columns: str) -> None:
+    with pytest.raises(PlateFileError, match="column sigma: no such head, accepted: a, b"):
+        read("a;b\n1;101,5\n", '[measurement.columns]\nhz = "b"\nsd = "sigma"\n')
+    found = measured(content, f"[measurement.columns]\n{columns}\n")
+    np.testing.assert_allclose(found.frequencies, MODES, rtol=1e-9)

@@ -106,12 +106,9 @@ def test_a_swarm_that_misses_the_minimum_is_started_anew(
     np.testing.assert_array_equal(found.frequencies, straight.frequencies)
     np.testing.assert_allclose(found.constants, straight.constants, atol=8e-3)
     assert found.solves > 2 * straight.solves
-
-
-def test_a_minimum_that_no_swarm_finds_is_said(shared: Shared, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(noise_tasks, "minimise", elsewhere(99))
     found = inversion(shared, 0.01, "rms", 0)
-    assert (found.swarms, found.missed) == (5, True)
+    assert (found.swarms, found.missed) == (5, True), "a minimum that no swarm finds"
 
 
 def test_values_that_a_swarm_cannot_tell_apart_are_as_good_as_each_other() -> None:
@@ -187,13 +184,15 @@ def test_inversions_scatter_as_wide_as_first_order_says(shared: Shared) -> None:
 
 # The whole study, short of convergence
 
-LEVELS: list[tuple[float, ...]] = [(), (0.0,), (0.51,), (float("nan"),)]
 
 SHORT = {
     "groups": 3,
     "swarm_settings": SwarmSettings(particles=12, iterations=40),
     "chains": EnsembleSettings(walkers=12, round_steps=60, most_steps=60),
 }
+
+
+LEVELS: list[tuple[float, ...]] = [(), (0.0,), (0.51,), (float("nan"),)]
 
 
 @pytest.fixture(scope="module")
@@ -233,18 +232,18 @@ def test_the_model_s_own_list_gives_its_constants_back(plate: Specimen) -> None:
     np.testing.assert_allclose(found.cells[0].repetition.mean, [69e9, 0.33], rtol=2e-3)
 
 
-def test_cells_come_level_by_level_and_reading_by_reading(study: Sensitivity) -> None:
-    assert [(c.level, c.reading) for c in study.cells] == [
-        (0.01, "relative"),
-        (0.01, "rms"),
-        (0.05, "relative"),
-        (0.05, "rms"),
-    ]
+def test_cells_come_level_by_level_and_reading_by_reading_and_progress_counts_all_tasks(
+    study: Sensitivity, told: list[tuple[int, int]]
+) -> None:
+    order = [(level, reading) for level in (0.01, 0.05) for reading in ("relative", "rms")]
+    assert [(c.level, c.reading) for c in study.cells] == order
     for cell in study.cells:
         assert cell.repetition.constants.shape == (3, 2)
         assert cell.repetition.lists.shape == (3, 6)
         assert len(cell.comparisons) == 2
         np.testing.assert_allclose(cell.repetition.sd, cell.repetition.constants.std(axis=0, ddof=1))
+    # three inversions and a posterior at either level in either reading
+    assert told == [(i, 16) for i in range(1, 17)]
 
 
 def test_other_levels_and_more_groups_do_not_change_a_level(plate: Specimen, study: Sensitivity) -> None:
@@ -262,40 +261,16 @@ def test_workers_do_not_change_a_bit(plate: Specimen, study: Sensitivity) -> Non
     assert equal(shared_out, study)
 
 
-def test_progress_counts_all_tasks(study: Sensitivity, told: list[tuple[int, int]]) -> None:
-    # three inversions and a posterior at either level in either reading
-    assert told == [(i, 16) for i in range(1, 17)]
-
-
 @pytest.mark.parametrize(
     ("asked", "said"),
     [
         *(({"levels": v}, "levels of noise: received .* accepted: above 0, at most 0.5") for v in LEVELS),
         ({"groups": 1}, "groups: received 1, accepted: 2 or more"),
+        ({"source": "measured"}, "a list without gaps is needed"),
     ],
 )
-def test_options_out_of_range_are_refused(plate: Specimen, asked: dict[str, Any], said: str) -> None:
-    with pytest.raises(ValueError, match=said):
-        noise_study(plate, 0, source="model", **asked)
-
-
-def test_a_list_with_gaps_is_refused(plate: Specimen) -> None:
+def test_what_cannot_be_studied_is_refused(plate: Specimen, asked: dict[str, Any], said: str) -> None:
     assert plate.measurement is not None
     gaps = replace(plate, measurement=replace(plate.measurement, complete=False))
-    with pytest.raises(ValueError, match="a list without gaps is needed"):
-        noise_study(gaps, 0, source="measured")
-
-
-def test_reference_constants_outside_the_search_bounds_are_refused() -> None:
-    specimen = read_specimen("A1")
-    constants = {**specimen.material.constants, "E1": 250e9}
-    stiff = replace(specimen, material=replace(specimen.material, constants=constants))
-    with pytest.raises(ValueError, match=r"material\.E1_GPa: 250 lies outside its search bounds 10 to 200"):
-        model_list(stiff, 6)
-
-
-def test_a_plate_without_unknowns_is_refused() -> None:
-    specimen = read_specimen("A1")
-    known = replace(specimen, unknowns=specimen.unknowns.without("E1", "nu12"))
-    with pytest.raises(ValueError, match=r"\[unknowns\] is missing"):
-        model_list(known, 6)
+    with pytest.raises(ValueError, match=said):
+        noise_study(gaps, 0, **{"source": "model", **asked})

@@ -22,13 +22,12 @@ from cpam_bayes.printed.repetition import (
 FREQUENCIES = np.array([102.0, 311.0, 342.0, 364.0, 390.0, 612.0])
 
 
-def test_relative_disorder_is_a_share_of_each_frequency() -> None:
+def test_disorder_is_a_share_of_each_frequency_or_of_the_root_mean_square_for_all_modes() -> None:
     np.testing.assert_allclose(perturbation_sd(FREQUENCIES, 0.05, "relative"), 0.05 * FREQUENCIES, rtol=1e-15)
-
-
-def test_rms_disorder_is_a_share_of_the_root_mean_square_for_all_modes() -> None:
     # Liu and Han's form by hand: sqrt((3^2 + 4^2) / 2) = 3.5355
     np.testing.assert_allclose(perturbation_sd(np.array([3.0, 4.0]), 0.1, "rms"), 0.35355339, rtol=1e-8)
+    with pytest.raises(ValueError, match="received -1e\\+06 Hz, accepted: above zero"):
+        perturbed_list(np.array([-1e6]), np.array([1.0]), np.random.default_rng(0))
 
 
 @pytest.mark.parametrize("reading", INTERPRETATIONS)
@@ -63,11 +62,6 @@ def test_frequencies_that_would_not_be_positive_are_drawn_again_and_counted() ->
     # 10 Hz are 0.14 of the standard deviation: a normal draw is below zero with P = 0.444, and
     # P / (1 - P) draws are thrown away on average
     assert np.mean([one.redrawn for one in found]) == pytest.approx(0.444 / 0.556, abs=0.4)
-
-
-def test_noise_on_a_frequency_that_is_not_positive_is_refused() -> None:
-    with pytest.raises(ValueError, match="received -1e\\+06 Hz, accepted: above zero"):
-        perturbed_list(np.array([-1e6]), np.array([1.0]), np.random.default_rng(0))
 
 
 # Ten inversions that agree with a posterior N(1, 0.1) far from its bounds.
@@ -143,11 +137,10 @@ def test_other_weights_than_the_noise_explain_a_wider_scatter_only() -> None:
     assert compare(replace(WIDE, weighting=1.2)).causes == ("unexplained",)
     for differing in (NARROW, SHIFTED):
         assert compare(replace(differing, weighting=2.0)).causes == ("unexplained",)
-
-
-def test_all_causes_that_show_are_listed() -> None:
     found = compare(replace(WIDE, repetition_at_bound=0.3, clusters=2, skewness=1.0, weighting=2.0))
-    assert found.causes == ("bounds", "optima", "skewed", "weights")
+    assert found.causes == ("bounds", "optima", "skewed", "weights"), "all that show are listed"
+    stuck = compare(replace(PLAIN, repetition_mean=1.3, repetition_sd=0.0, repetition_at_bound=1.0))
+    assert (stuck.means_agree, stuck.sds_agree, stuck.causes) == (False, False, ("bounds",))
 
 
 def test_both_tests_raise_a_false_alarm_in_one_per_cent() -> None:
@@ -160,12 +153,6 @@ def test_both_tests_raise_a_false_alarm_in_one_per_cent() -> None:
         alarms += (not found.means_agree, not found.sds_agree)
     # binomial: 0.01 +- 0.0016; four of these
     assert np.all(np.abs(alarms / trials - 0.01) < 0.0064)
-
-
-def test_inversions_that_all_end_on_one_bound_differ_from_a_posterior_with_a_width() -> None:
-    found = compare(replace(PLAIN, repetition_mean=1.3, repetition_sd=0.0, repetition_at_bound=1.0))
-    assert (found.means_agree, found.sds_agree) == (False, False)
-    assert found.causes == ("bounds",)
 
 
 def test_the_posterior_s_own_sampling_error_counts() -> None:
@@ -181,12 +168,8 @@ def test_a_gaussian_sample_is_one_cluster_and_two_separate_ones_are_two() -> Non
     two = [clusters(np.r_[rng.standard_normal(5), 12.0 + rng.standard_normal(5)]) for _ in range(500)]
     assert np.mean(np.array(one) == 2) < 0.03
     assert np.mean(np.array(two) == 2) > 0.95
-
-
-def test_one_stray_value_is_no_cluster() -> None:
-    assert clusters(np.array([0.0, 0.1, 0.2, 0.3, 0.4, 50.0])) == 1
-    assert clusters(np.array([1.0, 1.0, 1.0, 1.0])) == 1
-    assert clusters(np.array([1.0, 1.0, 2.0, 2.0])) == 2
+    stray, equal, pairs = [0.0, 0.1, 0.2, 0.3, 0.4, 50.0], [1.0] * 4, [1.0, 1.0, 2.0, 2.0]
+    assert [clusters(np.array(values)) for values in (stray, equal, pairs)] == [1, 1, 2]
 
 
 def test_peaks_of_a_mixture_are_counted_where_they_are_separate() -> None:
@@ -198,15 +181,10 @@ def test_peaks_of_a_mixture_are_counted_where_they_are_separate() -> None:
     assert density_peaks(np.r_[z[:10_000], 2.0 + z[10_000:]]) == 1
     # a second peak of a fiftieth of the draws is less than a tenth as high
     assert density_peaks(np.r_[z[:19_600], 8.0 + z[19_600:]]) == 1
-
-
-def test_densities_that_are_flat_or_piled_up_on_bounds_have_as_many_peaks_as_piles() -> None:
-    rng = np.random.default_rng(3)
+    # flat, or piled up on bounds: as many as piles
     u = rng.random(20_000)
-    assert density_peaks(u) == 1
-    assert density_peaks(u**4) == 1
-    assert density_peaks(np.r_[u[:10_000] ** 4, 1.0 - u[10_000:] ** 4]) == 2
-    assert density_peaks(np.ones(100)) == 1
+    piles = (u, u**4, np.r_[u[:10_000] ** 4, 1.0 - u[10_000:] ** 4], np.ones(100))
+    assert [density_peaks(x) for x in piles] == [1, 1, 2, 1]
 
 
 def test_skewness_is_that_of_known_distributions() -> None:

@@ -42,35 +42,6 @@ def test_intervals_that_are_too_narrow_are_flagged_and_right_ones_are_not() -> N
     assert any("nu12" in line and "do not rely" in line for line in report.summary.lines)
 
 
-@pytest.mark.parametrize(
-    ("change", "said"),
-    [
-        ({"measurement": None}, "measurement"),
-        ({"frequency_sd_hz": [1.0, 1.0]}, "relative_std"),
-    ],
-)
-def test_a_plate_without_a_list_of_one_repeatability_is_refused(change: dict, said: str) -> None:
-    plate = {
-        "name": "strip",
-        "plate": {
-            "length_mm": 200.0,
-            "width_mm": 100.0,
-            "thickness_mm": 2.0,
-            "density_kg_m3": 2700.0,
-            "edges": "FFFF",
-        },
-        "material": {"isotropic": True, "E1_GPa": 69.0, "nu12": 0.33},
-        "unknowns": {"E1_GPa": [50.0, 90.0]},
-        "measurement": {"frequencies_hz": [250.0, 270.0]},
-    }
-    if "measurement" in change:
-        del plate["measurement"]
-    else:
-        plate["measurement"] |= change
-    with pytest.raises(ValueError, match=said):
-        cb.calibrate(plate)
-
-
 @pytest.mark.slow
 def test_the_answer_is_the_same_on_any_number_of_processes() -> None:
     alone = cb.calibrate("A1", 20, seed=3)

@@ -160,26 +160,3 @@ def test_any_number_of_workers_gives_the_same_answer(tmp_path: Any) -> None:
     here.save(tmp_path)
     written = {path.name for path in tmp_path.rglob("*")}
     assert {"design.json", "report.html", "information.png", "nu12.svg"} <= written
-
-
-@pytest.mark.parametrize(
-    ("options", "said"),
-    [
-        (("--layups", "[0/?]"), "layups: received '[0/?]', accepted: known angles"),
-        (("--layups", "[0/"), "layups: received '[0/'"),
-        (("--edges", "FFF"), "edges: received 'FFF', accepted: four letters"),
-        (("--constants", "E9"), "constants: received E9, accepted: E1_GPa E2_GPa nu12 G12_GPa"),
-        (("--ratios", "0"), "accepted: a number above 0 and at most 20"),
-        (("--modes", "101"), "accepted: a whole number from 1 to 100"),
-    ],
-)
-def test_what_cannot_be_a_specimen_is_refused(run: Any, options: tuple[str, ...], said: str) -> None:
-    status, out, err = run("design", "C1", *options)
-    assert (status, out) == (2, "")
-    assert said in err
-
-
-def test_a_plate_without_unknowns_is_refused() -> None:
-    without = {k: v for k, v in CARBON.items() if k != "unknowns"}
-    with pytest.raises(ValueError, match=r"\[unknowns\] is missing; name the constants to be determined"):
-        cb.design(without)

@@ -1,73 +1,16 @@
-"""The first screen of every command: at most 12 lines and 120 words besides rows that were asked for."""
+"""What every command shows: at most 12 lines and 120 words besides rows asked for, and its figures."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from itertools import chain
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-import cpam_bayes as cb
 from cpam_bayes.cli import COMMANDS
-from cpam_bayes.inference.ensemble import EnsembleSettings
-from cpam_bayes.inference.swarm import SwarmSettings
-from cpam_bayes.questions.diagnose import diagnosis_result
-from cpam_bayes.questions.sequence import stacking_result
+from cpam_bayes.render.figures import save_figures
 from cpam_bayes.render.report import Summary
-from cpam_bayes.result import Result
-from tests.diagnosed import clean, misread
-from tests.stacking.cases import answer, mixture
-
-CHAINS = EnsembleSettings(walkers=16, round_steps=300, effective=100.0, most_steps=600)
-SWARM = SwarmSettings(particles=20, iterations=30)
-LIST = "frequencies_hz = [113.0, 166.0, 216.0, 287.0, 298.0, 494.0]\n"
-
-
-def predicted(folder: Path) -> Result:
-    return cb.predict(cb.sample("A1", settings=CHAINS), "A2")
-
-
-def proved(folder: Path) -> Result:
-    (folder / "with.toml").write_text(LIST, encoding="utf-8")
-    return cb.prove("A1", folder / "with.toml")
-
-
-def poles(folder: Path) -> Result:
-    """Of one mode at 120 Hz, as a table of its accelerance."""
-    f = np.arange(50.0, 200.0, 0.5)
-    h = -((f / 120.0) ** 2) / (1.0 - (f / 120.0) ** 2 + 0.02j * f / 120.0)
-    h = h + 1e-3 * np.random.default_rng(0).standard_normal((2, f.size)).T @ [1.0, 1.0j]
-    rows = "\n".join(f"{x},{y.real:.8g},{y.imag:.8g}" for x, y in zip(f, h, strict=True))
-    (folder / "tap.csv").write_text(f"hz,real,imag\n{rows}\n", encoding="utf-8")
-    return cb.poles(folder / "tap.csv")
-
-
-QUICK: dict[str, Callable[[Path], Result]] = {
-    "batch": lambda folder: cb.batch("A1", "no such plate", limits=["E1_GPa >= 60"]),
-    "cache": lambda folder: cb.cache(),
-    "design": lambda folder: cb.design("A1"),
-    "diagnose": lambda folder: diagnosis_result(clean(), 0),
-    "diagnose, named": lambda folder: diagnosis_result(misread(), 0),
-    "export": lambda folder: cb.export("A1", folder / "A1.inp"),
-    "forward": lambda folder: cb.forward("D1", 3),
-    "identify": lambda folder: cb.identify("A1"),
-    "new": lambda folder: cb.new(folder / "plate.toml"),
-    "paper": lambda folder: cb.paper(1, quick=True, store=folder),
-    "plates": lambda folder: cb.plates(),
-    "poles": poles,
-    "sequence": lambda folder: stacking_result(answer(), mixture(), None, 0, 5),
-}
-SLOW: dict[str, Callable[[Path], Result]] = {
-    "calibrate": lambda folder: cb.calibrate("A1", 20),
-    "predict": predicted,
-    "prove": proved,
-    "report": lambda folder: cb.report("A1", quick=True),
-    "sensitivity": lambda folder: cb.sensitivity(
-        "A1", levels=(0.01,), groups=3, settings=SWARM, chains=CHAINS
-    ),
-}
+from tests.answers import EVERY, QUICK, SLOW, answered
 
 
 def size(summary: Summary) -> tuple[int, int]:
@@ -84,8 +27,23 @@ def test_every_command_that_answers_on_the_screen_is_among_them() -> None:
     assert named == set(COMMANDS) - {"app"}  # whose answer is its page
 
 
-@pytest.mark.parametrize("name", [*QUICK, *(pytest.param(name, marks=pytest.mark.slow) for name in SLOW)])
-def test_a_first_screen_has_at_most_12_lines_and_120_words(name: str, tmp_path: Path) -> None:
-    lines, words = size({**QUICK, **SLOW}[name](tmp_path).report().summary)
+@pytest.mark.parametrize("name", EVERY)
+def test_a_first_screen_has_at_most_12_lines_and_120_words(name: str) -> None:
+    lines, words = size(answered(name).report().summary)
     assert 1 < lines <= 12
     assert words <= 120
+
+
+@pytest.mark.parametrize("name", EVERY)
+def test_the_same_answer_gives_the_same_bytes_of_every_figure_and_each_has_its_place(
+    name: str, tmp_path: Path
+) -> None:
+    result, written = answered(name), []
+    placed = [figure for section in result.report().sections for figure in section.figures]
+    assert sorted(placed) == sorted(drawing.name for drawing in result.drawings())
+    for place in ("first", "again"):
+        (tmp_path / place).mkdir()
+        save_figures(result.figures(), tmp_path / place)
+        written.append({path.name: path.read_bytes() for path in (tmp_path / place).iterdir()})
+    assert set(written[0]) == {f"{name}.{ending}" for name in placed for ending in ("png", "svg")}
+    assert written[0] == written[1]

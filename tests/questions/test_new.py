@@ -1,32 +1,32 @@
-"""A new plate file is a good one, or says all that it lacks."""
+"""A new plate file is a good one, or says all that it lacks; at a terminal `new` asks, and asks again."""
 
+from __future__ import annotations
+
+import io
 import json
+import os
+import subprocess
+import sys
 import tomllib
+from pathlib import Path
 
 import pytest
 
 import cpam_bayes as cb
-from cpam_bayes.cli import main
 from cpam_bayes.errors import PlateFileError
-from cpam_bayes.questions.new import MATERIALS
+from cpam_bayes.questions.new import MATERIALS, QUESTIONS
+from tests.plate_file import Run, refused
 
 FULL = ("--size", "310", "228", "3.1", "--mass", "340.7", "--edges", "FFFF", "--frequencies", "80.2", "146.3")
 
 
-def answer(capsys, *argv):
-    status = main(["new", *map(str, argv), "--json"])
-    out, err = capsys.readouterr()
-    return status, json.loads(out) if out else None, err
-
-
 @pytest.mark.parametrize("material", MATERIALS)
-def test_a_file_of_a_plate_that_is_known_is_read_as_it_is(capsys, tmp_path, material):
+def test_a_file_of_a_plate_that_is_known_is_read_as_it_is(run, tmp_path, material):
     path = tmp_path / "panel 12.toml"
     layup = () if material == "metal" else ("--layup", "[0/90]_s")
-    status, document, err = answer(capsys, path, *FULL, *layup, "--material", material)
+    status, out, err = run("new", path, *FULL, *layup, "--material", material, "--json")
     assert (status, err) == (0, "")
-    assert document["path"] == str(path)
-    assert document["missing"] == []
+    assert (json.loads(out)["path"], json.loads(out)["missing"]) == (str(path), [])
     specimen = cb.read_plate(path)
     assert specimen.name == "panel 12"
     assert (specimen.plate.length, specimen.plate.mass) == (0.31, 0.3407)
@@ -36,13 +36,14 @@ def test_a_file_of_a_plate_that_is_known_is_read_as_it_is(capsys, tmp_path, mate
     for parameter in specimen.unknowns.parameters:
         assert parameter.prior.lower < reference[parameter.name] < parameter.prior.upper
     assert [p.name for p in specimen.unknowns.parameters] == list(specimen.material.constants)
+    # nothing is stated of the plate that was not told
+    assert (specimen.air_density, specimen.sensors, dict(specimen.plate.sd)) == (None, (), {})
+    assert "ten places" not in path.read_text(encoding="utf-8")
 
 
-def test_what_is_not_known_is_said_and_stands_in_comments(capsys, tmp_path):
+def test_what_is_not_known_is_said_and_stands_in_comments(tmp_path):
     path = tmp_path / "panel.toml"
-    status, document, _ = answer(capsys, path)
-    assert status == 0
-    keys = [problem.partition(":")[0] for problem in document["missing"]]
+    keys = [problem.partition(":")[0] for problem in cb.new(path).to_dict()["missing"]]
     of_plate = ("plate.length_mm", "plate.width_mm", "plate.thickness_mm", "plate.edges", "plate.layup")
     assert sorted(keys) == sorted(("plate", *of_plate, "measurement"))
     with pytest.raises(PlateFileError) as caught:
@@ -50,23 +51,14 @@ def test_what_is_not_known_is_said_and_stands_in_comments(capsys, tmp_path):
     assert len(caught.value.problems) == len(keys)
 
 
-def test_nothing_is_stated_of_the_plate_that_was_not_told(capsys, tmp_path):
+def test_lines_in_comments_are_examples_that_fill_the_gaps(tmp_path):
     path = tmp_path / "panel.toml"
-    answer(capsys, path, *FULL, "--layup", "[0]")
-    specimen = cb.read_plate(path)
-    assert (specimen.air_density, specimen.sensors, dict(specimen.plate.sd)) == (None, (), {})
-    assert "ten places" not in path.read_text(encoding="utf-8")
-
-
-def test_lines_in_comments_are_examples_that_fill_the_gaps(capsys, tmp_path):
-    path = tmp_path / "panel.toml"
-    answer(capsys, path)
-    lines = path.read_text(encoding="utf-8").splitlines()
+    lines = cb.new(path).text.splitlines()
     filled = [line[2:] if line.startswith("# ") and " = " in line else line for line in lines]
     # of two ways to give frequencies a file takes one, and a list of sd or sensors needs its head
     text = "\n".join(line for line in filled if not line.startswith("table"))
-    text = text.replace("# [plate.sd]", "[plate.sd]").replace("# [[sensor]]", "[[sensor]]")
-    text = text.replace("# [environment]", "[environment]")
+    for head in ("[plate.sd]", "[[sensor]]", "[environment]"):
+        text = text.replace(f"# {head}", head)
     assert set(tomllib.loads(text)) >= {"plate", "material", "unknowns", "sensor", "measurement"}
     path.write_text(text, encoding="utf-8")
     specimen = cb.read_plate(path)
@@ -74,11 +66,10 @@ def test_lines_in_comments_are_examples_that_fill_the_gaps(capsys, tmp_path):
     assert specimen.plate.sd
 
 
-def test_a_table_takes_the_place_of_the_frequencies(capsys, tmp_path):
+def test_a_table_takes_the_place_of_the_frequencies(run, tmp_path):
     (tmp_path / "modes.csv").write_text("mode;hz\n1;80,2\n2;146,3\n", encoding="utf-8")
     path = tmp_path / "panel.toml"
-    status, document, _ = answer(capsys, path, *FULL[:8], "--layup", "[0]", "--table", "modes.csv")
-    assert (status, document["missing"]) == (0, [])
+    assert run("new", path, *FULL[:8], "--layup", "[0]", "--table", "modes.csv", "--quiet")[0] == 0
     assert cb.read_plate(path).measurement.frequencies.tolist() == [80.2, 146.3]
 
 
@@ -91,18 +82,190 @@ def test_a_table_takes_the_place_of_the_frequencies(capsys, tmp_path):
         (("--table", "none.csv"), "no such file"),
     ],
 )
-def test_what_is_wrong_is_refused_and_nothing_is_written(capsys, tmp_path, argv, said):
-    path = tmp_path / "panel.toml"
-    status, document, err = answer(capsys, path, *argv)
-    assert (status, document) == (2, None)
-    assert said in err
+def test_what_is_wrong_is_refused_and_nothing_is_written(run, tmp_path, argv, said):
+    refused(run("new", tmp_path / "panel.toml", *argv), said)
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_file_that_is_there_is_never_written_over(capsys, tmp_path):
+# At a terminal
+
+
+ANSWERS = (
+    "310 228 3.1",
+    "340.7",
+    "carbon",
+    "[0/90]_2s",
+    "ffff",
+    "0.02",
+    "0.6 300 220",
+    "yes",
+    "",
+    "80.2 146.3 218.6",
+)
+
+
+class Terminal(io.StringIO):
+    """Lines as they are typed."""
+
+    def isatty(self) -> bool:
+        return True
+
+
+def typed(monkeypatch: pytest.MonkeyPatch, *lines: str) -> Terminal:
+    terminal = Terminal("".join(f"{line}\n" for line in lines))
+    monkeypatch.setattr(sys, "stdin", terminal)
+    return terminal
+
+
+def test_the_answers_are_the_plate(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    typed(monkeypatch, *ANSWERS)
     path = tmp_path / "panel.toml"
-    path.write_text("mine", encoding="utf-8")
-    status, _, err = answer(capsys, path, *FULL)
+    status, out, err = run("new", path)
+    assert status == 0
+    assert cb.read_plate(path).name == "panel"
+    assert all(q.text in err and q.text not in out for q in QUESTIONS)
+    plate = cb.read_plate(path)
+    assert (plate.plate.length, plate.plate.mass, plate.plate.layup.n_plies) == (0.31, 0.3407, 8)
+    assert plate.measurement is not None
+    assert plate.measurement.frequencies.tolist() == [80.2, 146.3, 218.6]
+    assert dict(plate.plate.sd) == {"thickness": 2e-5}
+    assert (plate.sensors[0].mass, plate.sensors[0].x, plate.air_density) == (6e-4, 0.3, 1.2)
+
+
+def test_the_file_is_that_of_the_options(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    typed(monkeypatch, *ANSWERS)
+    run("new", tmp_path / "panel.toml")
+    (tmp_path / "other").mkdir()
+    measured = ("--thickness-sd", "0.02", "--accelerometer", "0.6", "300", "220", "--air", "1.2")
+    options = (*FULL, "218.6", "--material", "carbon", "--layup", "[0/90]_2s", *measured)
+    status, _, err = run("new", tmp_path / "other" / "panel.toml", *options)
+    assert (status, err) == (0, "")
+    first, second = ((tmp_path / p).read_text("utf-8") for p in ("panel.toml", "other/panel.toml"))
+    assert first == second
+
+
+@pytest.mark.parametrize(
+    ("at", "wrong", "said"),
+    [
+        (0, "310 by 228", "accepted: numbers with spaces"),
+        (9, "80,146", "accepted: numbers with spaces"),
+        (9, "80,146,218", "accepted: numbers with spaces"),
+        (9, "80,2 146.3", "accepted: numbers with spaces"),
+        (0, "310 228", "accepted: length, width and thickness"),
+        (0, "3.1 2.2 310", "not a plate"),
+        (1, "1 2", "accepted: one number"),
+        (1, "0.3407", "is the mass in kg?"),
+        (2, "wood", "accepted: carbon glass"),
+        (3, "[0/9x]", "malformed layup"),
+        (4, "FFFX", "plate.edges: malformed"),
+        (5, "little", "accepted: one number"),
+        (6, "0.6", "accepted: mass in g, x and y in mm"),
+        (6, "0.6 400 220", "outside the plate"),
+        (7, "perhaps", "accepted: yes or no"),
+        (8, "none.csv", "no such file"),
+        (9, "200 100", "descending frequencies"),
+    ],
+)
+def test_what_cannot_be_is_asked_again(
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, at: int, wrong: str, said: str
+) -> None:
+    typed(monkeypatch, *ANSWERS[:at], wrong, *ANSWERS[at:])
+    status, _, err = run("new", tmp_path / "panel.toml")
+    assert status == 0
+    assert said in err
+    assert cb.read_plate(tmp_path / "panel.toml").plate.mass == 0.3407
+
+
+def test_back_passes_over_what_was_not_asked_and_ends_at_the_first_question(
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    in_cm = ("31 22.8 0.31", "340.7", "<")
+    typed(monkeypatch, "<", *in_cm, "300 280 3", "680", "metal", "<", *ANSWERS[2:])
+    status, _, err = run("new", tmp_path / "panel.toml")
+    assert status == 0
+    assert "are the sizes in mm? (< goes back to the answer before)" in err
+    plate = cb.read_plate(tmp_path / "panel.toml")
+    assert (plate.plate.thickness, plate.material.isotropic) == (0.003, False)
+
+
+@pytest.mark.parametrize(
+    "size", ["310 x 228 x 3.1", "310x228x3,1", "310 228 3,1", "310, 228, 3.1", "310;228;3.1"]
+)
+def test_numbers_are_read_as_they_are_written_by_hand(
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, size: str
+) -> None:
+    typed(monkeypatch, size, "340,7", *ANSWERS[2:9], "80,2 146,3 218,6")
+    assert run("new", tmp_path / "panel.toml")[0] == 0
+    read = cb.read_plate(tmp_path / "panel.toml")
+    assert (read.plate.length, read.plate.thickness, read.plate.mass) == pytest.approx((0.31, 3.1e-3, 0.3407))
+    assert read.measurement is not None
+    assert read.measurement.frequencies.tolist() == [80.2, 146.3, 218.6]
+
+
+def test_empty_lines_leave_all_open(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    typed(monkeypatch, *[""] * 10)
+    status, _, _ = run("new", tmp_path / "panel.toml")
+    assert status == 0
+    (tmp_path / "other").mkdir()
+    assert (tmp_path / "panel.toml").read_text("utf-8") == cb.new(tmp_path / "other" / "panel.toml").text
+
+
+def test_a_metal_has_no_layup_and_a_table_no_list(
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "modes.csv").write_text("mode,hz\n1,80.2\n2,146.3\n", encoding="utf-8")
+    left = typed(monkeypatch, "300 280 3", "680", "Metal", "FFFF", "", "", "no", "modes.csv", "not asked for")
+    status, _, _ = run("new", tmp_path / "panel.toml")
+    assert status == 0
+    assert left.read() == "not asked for\n"
+    plate = cb.read_plate(tmp_path / "panel.toml")
+    assert plate.material.isotropic
+    assert plate.measurement is not None
+    assert plate.measurement.size == 2
+
+
+def test_an_end_of_the_answers_writes_nothing(
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    typed(monkeypatch, *ANSWERS[:3])
+    status, out, err = run("new", tmp_path / "panel.toml")
+    assert (status, out) == (2, "")
+    assert "not answered to the end" in err
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("argv", [(), FULL])
+def test_a_file_that_is_there_is_refused_before_the_first_question(
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, argv: tuple[str, ...]
+) -> None:
+    (tmp_path / "panel.toml").write_text("mine", encoding="utf-8")
+    typed(monkeypatch, *ANSWERS)
+    status, _, err = run("new", tmp_path / "panel.toml", *argv)
     assert status == 2
-    assert "exists; give another name" in err
-    assert path.read_text(encoding="utf-8") == "mine"
+    assert err == f"error: {tmp_path / 'panel.toml'}: exists; give another name\n"
+    assert (tmp_path / "panel.toml").read_text("utf-8") == "mine"
+
+
+@pytest.mark.parametrize("argv", [("--json",), ("--edges", "FFFF")])
+def test_a_script_is_asked_nothing(
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, argv: tuple[str, ...]
+) -> None:
+    left = typed(monkeypatch, *ANSWERS)
+    status, _, err = run("new", tmp_path / "panel.toml", *argv)
+    assert (status, err) == (0, "")
+    assert left.tell() == 0
+
+
+@pytest.mark.skipif(not hasattr(os, "openpty"), reason="a terminal of POSIX")
+def test_a_real_terminal_is_asked(tmp_path: Path) -> None:
+    terminal, stdin = os.openpty()
+    command = [sys.executable, "-m", "cpam_bayes", "new", "panel.toml"]
+    pipe = subprocess.PIPE
+    with subprocess.Popen(command, stdin=stdin, stdout=pipe, stderr=pipe, cwd=tmp_path) as running:
+        os.write(terminal, "".join(f"{line}\n" for line in ANSWERS).encode())
+        _, err = running.communicate(timeout=60)
+    os.close(terminal)
+    os.close(stdin)
+    assert running.returncode == 0
+    assert b"Length (along x)" in err
+    assert cb.read_plate(tmp_path / "panel.toml").plate.edges == "FFFF"

@@ -6,6 +6,7 @@ import io
 import json
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -50,13 +51,6 @@ def test_poles_without_noise_are_exact_and_the_close_pair_is_two() -> None:
     np.testing.assert_allclose([m.damping for m in modes], DAMPING, rtol=5e-3)
 
 
-def test_noise_without_modes_has_no_poles() -> None:
-    rng = np.random.default_rng(0)
-    noise = rng.standard_normal((2, len(LINES))) + 1j * rng.standard_normal((2, len(LINES)))
-    data = FrequencyResponses(LINES, noise, 0.0, 0.0, "noise")
-    assert fit_poles(data, stabilise(data, 20.0, 390.0, 40).candidates) == ()
-
-
 def calibrated(n_tests: int, n_responses: int, noise: float, seed: int) -> tuple[np.ndarray, float, int]:
     """Errors over standard deviations, the fraction of clear modes that is found, and spurious ones."""
     rng, errors, clear, spurious = np.random.default_rng(seed), [], [], 0
@@ -75,44 +69,41 @@ def calibrated(n_tests: int, n_responses: int, noise: float, seed: int) -> tuple
     return np.abs(errors), float(np.mean(clear)), spurious
 
 
-def test_poles_lie_within_their_standard_deviations_in_a_few_tests() -> None:
-    errors, found, spurious = calibrated(6, 3, 0.01, 0)
-    assert found > 0.9
-    assert spurious <= 1
-    # 40 poles: 0.95 less three standard errors
-    assert np.mean(errors < 1.96) > 0.95 - 3.0 * np.sqrt(0.05 * 0.95 / len(errors))
+@pytest.mark.parametrize(
+    ("n_tests", "n_responses", "least", "inside"),
+    [
+        (6, 3, 0.9, 0.84),  # 40 poles: 0.95 less three standard errors
+        pytest.param(100, 3, 0.95, 0.92, marks=pytest.mark.slow),
+        # one response tells a pair from one mode less well
+        pytest.param(100, 1, 0.95, 0.90, marks=pytest.mark.slow),
+    ],
+)
+def test_poles_lie_within_their_standard_deviations_in_95_of_100(
+    n_tests: int, n_responses: int, least: float, inside: float
+) -> None:
+    errors, found, spurious = calibrated(n_tests, n_responses, 0.01, 0)
+    assert found > least
+    assert spurious <= max(1, n_tests // 20)
+    assert np.mean(errors < 1.96) > inside
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("n_responses", "noise"), [(3, 0.01), (1, 0.01)])
-def test_poles_lie_within_their_standard_deviations_in_95_of_100(n_responses: int, noise: float) -> None:
-    errors, found, spurious = calibrated(100, n_responses, noise, 0)
-    assert found > 0.95
-    assert spurious <= 5
-    # 0.95 less three standard errors of 600 poles; one response tells a pair from one mode less well
-    assert np.mean(errors < 1.96) > (0.92 if n_responses > 1 else 0.90)
+# Accelerations over a force, even steps, double precision.
+DATASET_58 = {
+    "func_type": 4,
+    "rsp_dir": 3,
+    "ref_node": 1,
+    "ref_dir": 3,
+    "rsp_ent_name": "",
+    "ref_ent_name": "",
+}
+TYPES_58 = {"abscissa_spec_data_type": 18, "ordinate_spec_data_type": 12, "orddenom_spec_data_type": 13}
 
 
 def written_universal(path: Path, data: FrequencyResponses, binary: int) -> None:
+    common = DATASET_58 | TYPES_58 | {"binary": binary, "abscissa_spacing": 1, "x": data.frequencies}
     sets = [
-        pyuff.prepare_58(
-            binary=binary,
-            func_type=4,
-            rsp_node=k + 1,
-            rsp_dir=3,
-            ref_node=1,
-            ref_dir=3,
-            data=frf,
-            x=data.frequencies,
-            id1=f"response {k + 1}",
-            rsp_ent_name="",
-            ref_ent_name="",
-            abscissa_spacing=1,
-            abscissa_spec_data_type=18,
-            ordinate_spec_data_type=12,
-            orddenom_spec_data_type=13,
-        )
-        for k, frf in enumerate(data.frf)
+        pyuff.prepare_58(**common, rsp_node=k, data=frf, id1=f"response {k}")
+        for k, frf in enumerate(data.frf, 1)
     ]
     pyuff.UFF(str(path)).write_sets(sets, "add")
 
@@ -175,20 +166,34 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-@pytest.mark.parametrize("window", ["none", "exponential"])
-def test_recorded_hits_give_the_poles_and_a_window_adds_no_damping(recorded: Path, window: str) -> None:
-    result = cb.poles(recorded, force=1, response=[2], window=window, high_hz=390.0, order=40)
+@pytest.mark.parametrize(
+    "asked",
+    [
+        {"force": 1, "response": [2], "window": "none"},
+        {"force": 1, "response": [2], "window": "exponential"},
+        {},  # a channel that is a pulse is the force
+    ],
+)
+def test_recorded_hits_give_the_poles_and_a_window_adds_no_damping(recorded: Path, asked: dict) -> None:
+    result = cb.poles(recorded, **asked, high_hz=390.0, order=40)
     assert "4 hits of 1.99 s, 1 response over force" in result.responses.origin
     # the samples of a decay and of its window are those of the plate to 1e-4
     assert_known(result.modes, rtol=1e-4)
+    if asked.get("window") == "none":
+        # a half sine of 2 ms has fallen to a tenth at 1.27 / 2 ms, below its first zero at 1.5 / 2 ms
+        assert 550.0 < cb.poles(recorded, **asked, order=40).high < 750.0
 
 
-def test_hits_in_files_of_their_own_are_the_same_test(recorded: Path, tmp_path: Path) -> None:
+def test_hits_in_files_of_their_own_and_without_a_length_are_the_same_test(
+    recorded: Path, tmp_path: Path
+) -> None:
     _, samples = wavfile.read(recorded)
-    paths = []
-    for i, part in enumerate(np.split(samples, 4)):
-        paths.append(tmp_path / f"hit_{i}.wav")
-        wavfile.write(paths[-1], RATE, part)
+    paths = [tmp_path / f"hit_{i}.wav" for i in range(4)]
+    for path, part in zip(paths, np.split(samples, 4), strict=True):
+        wavfile.write(path, RATE, part)
+        content = bytearray(path.read_bytes())
+        content[4:8] = b"\xff\xff\xff\x7f"  # the recorder never filled it in
+        path.write_bytes(content)
     together = cb.poles(*paths, force=1, response=[2], window="none", high_hz=390.0, order=40)
     assert_known(together.modes, rtol=1e-4)
 
@@ -201,34 +206,40 @@ def test_without_force_every_hit_is_a_free_decay(recorded: Path) -> None:
     assert_known(result.modes, rtol=2e-4)
 
 
-def test_the_range_of_hits_ends_where_the_force_has_fallen(recorded: Path) -> None:
-    result = cb.poles(recorded, force=1, response=[2], window="none", order=40)
-    # a half sine of 2 ms has fallen to a tenth at 1.27 / 2 ms, below its first zero at 1.5 / 2 ms
-    assert 550.0 < result.high < 750.0
-
-
-@pytest.mark.parametrize("kind", [np.int16, np.float32])
-@pytest.mark.parametrize("gain", [3.0, 30.0])
-def test_a_record_clipped_at_full_scale_is_refused(tmp_path: Path, kind: type, gain: float) -> None:
+@pytest.mark.parametrize(
+    ("kind", "gain", "top"),
+    [
+        *((kind, gain, 32767) for kind in (np.int16, np.float32) for gain in (3.0, 30.0)),
+        (np.int16, 1.0, 8000),  # an amplifier before the recorder
+    ],
+)
+def test_a_record_clipped_at_its_top_is_refused(tmp_path: Path, kind: type, gain: float, top: int) -> None:
     full = 32767.0 if kind is np.int16 else 1.0
-    samples = np.clip(gain / 30000.0 * hits(2)[:, 1], -1.0, 1.0) * full
+    samples = np.clip(gain / 30000.0 * hits(2)[:, 1], -top / 32767, top / 32767) * full
     wavfile.write(tmp_path / "clip.wav", RATE, samples.astype(kind))
     with pytest.raises(ModalTestError, match=r"clip.wav: channel 1 is clipped: .* samples hold its largest"):
         cb.poles(tmp_path / "clip.wav", response=[1], window="none")
 
 
-def test_flat_tops_below_full_scale_are_clipped_too(tmp_path: Path) -> None:
-    samples = np.clip(hits(2)[:, 1], -8000, 8000)  # an amplifier before the recorder
-    wavfile.write(tmp_path / "clip.wav", RATE, samples)
-    with pytest.raises(ModalTestError, match="is clipped"):
-        cb.poles(tmp_path / "clip.wav", response=[1], window="none")
-
-
-def test_a_force_that_rings_is_most_likely_a_response(recorded: Path) -> None:
-    with pytest.raises(ModalTestError, match=r"rings long after the hit.*exchange --force and --response"):
-        cb.poles(recorded, force=2, response=[1], window="none")
-    with pytest.raises(ModalTestError, match="received 2 for both"):
-        cb.poles(recorded, force=2, response=[2], window="none")
+@pytest.mark.parametrize(
+    ("files", "options", "said"),
+    [
+        (
+            ("hits.wav",),
+            {"force": 2, "response": [1]},
+            "rings long after the hit.*exchange --force and --resp",
+        ),
+        (("hits.wav",), {"force": 2, "response": [2]}, "received 2 for both"),
+        (("hits.wav",), {"force": 3, "response": [2]}, "no channel 3, accepted: 1 to 2"),
+        (("none.unv",), {}, "no such file, accepted: frequency responses"),
+        (("",), {}, "no recordings in this folder, accepted: .wav files"),
+        ((), {}, "no file, accepted: one or more"),
+    ],
+)
+def test_channels_and_files_that_are_not_there_are_named(recorded, tmp_path, files, options, said) -> None:
+    folder = recorded.parent if options else tmp_path
+    with pytest.raises(ModalTestError, match=said):
+        cb.poles(*(folder / name for name in files), **options, **({"window": "none"} if options else {}))
 
 
 def test_mains_hum_is_named_with_the_peaks_that_are_seen(tmp_path: Path) -> None:
@@ -268,21 +279,6 @@ def test_a_peak_without_a_mode_is_named(tmp_path: Path) -> None:
     assert result.notices[0] == Notice("peaks_without_pole", facts={"peaks": (250.0,)})
 
 
-@pytest.mark.parametrize(
-    ("heads", "row", "said"),
-    [
-        ("hz,magnitude,phase [deg]", lambda f: (-3.0, 100.0), "magnitudes below 0, down to -3, .*says .dB."),
-        ("hz,magnitude,phase", lambda f: (1.0, 3.1), "phases up to 3.1 of no unit, accepted: phase .rad."),
-        ("hz,re,im", lambda f: ("nan" if f == 150 else 1.0, 0.0), "no number at 150 Hz"),
-    ],
-)
-def test_a_column_that_cannot_be_what_its_head_says_is_refused(tmp_path, heads, row, said) -> None:
-    lines = [heads, *(",".join(map(str, (f, *row(f)))) for f in range(1, 300))]
-    (tmp_path / "tap.csv").write_text("\n".join(lines))
-    with pytest.raises(ModalTestError, match=said):
-        cb.poles(tmp_path / "tap.csv")
-
-
 def test_the_table_is_read_by_a_plate_file(run, tmp_path: Path) -> None:
     written_universal(tmp_path / "tap.unv", responses(), 0)
     out = tmp_path / "out"
@@ -314,8 +310,8 @@ def test_the_screen_says_what_to_do_and_names_close_modes(run, tmp_path: Path) -
 
 def test_no_mode_is_no_success_and_says_what_to_try(run, tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
-    rows = [f"{f},{a},{b}" for f, a, b in zip(LINES, *rng.standard_normal((2, len(LINES))), strict=True)]
-    (tmp_path / "noise.csv").write_text("\n".join(["hz,re,im", *rows]))
+    noise = [f"{f},{a},{b}" for f, a, b in zip(LINES, *rng.standard_normal((2, len(LINES))), strict=True)]
+    (tmp_path / "noise.csv").write_bytes(rows(*noise))
     status, out, err = run("poles", tmp_path / "noise.csv", "--order", "20", "--out", tmp_path / "out")
     assert status == 1
     assert "No modes found." in out
@@ -336,8 +332,12 @@ def wave(rate: int, samples: np.ndarray) -> bytes:
     return file.getvalue()
 
 
+def listed(heads: str, row: str) -> bytes:
+    return "\n".join([heads, *(f"{f},{row}" for f in range(1, 300))]).encode()
+
+
 STEADY = [f"{i},1,0" for i in range(100)]
-HIT = {"response": [1], "window": "none"}
+HIT: dict[str, Any] = {"response": [1], "window": "none"}
 
 
 @pytest.mark.parametrize(
@@ -348,21 +348,11 @@ HIT = {"response": [1], "window": "none"}
         ("tap.csv", b"a,b\n1,2\n", {}, "no table of responses, accepted: a line of heads with hz"),
         ("tap.csv", b"hz,re,im\n1,2,x\n", {}, "tap.csv:2: not a row of 3 numbers"),
         ("tap.csv", b"hz,re,im\n1,2,3\n2,1,1\n9,1,1\n", {}, "lines that do not ascend by equal steps"),
-        (
-            "tap.csv",
-            b"hz,re,im\n" + b"".join(b"%d,1,0\n" % i for i in range(100)),
-            {},
-            "accepted: 100 or more for --order 50",
-        ),
+        ("tap.csv", rows(*STEADY), {}, "accepted: 100 or more for --order 50"),
         ("tap.csv", b"hz,re,im\n1,2,3\n2,1,1\n", {"force": 1}, "accepted: with .wav files only"),
-        ("tap.wav", b"RIFF", {"response": [1], "window": "none"}, "not a .wav file that can be read"),
+        ("tap.wav", b"RIFF", HIT, "not a .wav file that can be read"),
         ("tap.csv", b"hz,re,im\n1,2,3\n2,1,1\n", {"order": 5}, "--order: received 5, accepted: 10 to 200"),
-        (
-            "tap.csv",
-            rows(*STEADY[:50], "50,nan,0", *STEADY[51:]),
-            {},
-            "no number at 50 Hz, accepted: one at each",
-        ),
+        ("tap.csv", rows(*STEADY[:50], "50,nan,0", *STEADY[51:]), {}, "no number at 50 Hz, accepted: one at"),
         ("tap.csv", rows("0,0,0", "1,0,0", "2,0,0"), {}, "response 1 that is zero at all lines"),
         (
             "tap.csv",
@@ -370,17 +360,30 @@ HIT = {"response": [1], "window": "none"}
             {},
             "response 1 whose largest value is 1e+300, accepted: 1e-60",
         ),
-        (
-            "tap.csv",
-            rows("0,1,0", "1e300,1,0"),
-            {},
-            "lines of frequency up to 1e+300 Hz, accepted: 0.001 to 1e+09",
-        ),
+        ("tap.csv", rows("0,1,0", "1e300,1,0"), {}, "lines of frequency up to 1e+300 Hz, accepted: 0.001 to"),
         ("tap.csv", rows() + b"\n" * 500_000, {}, "received 500000 lines, accepted: 200000 at most"),
         ("tap.unv", b"    -1\n" * 30_000, {}, "received 15000 datasets, accepted: 10000 at most"),
         ("tap.wav", wave(0, np.ones(9, np.int16)), HIT, "9 samples, 0 a second, accepted: above 0"),
         ("tap.wav", wave(8, np.full(99, np.nan)), HIT, "samples that are no numbers"),
         ("tap.wav", wave(1, np.ones(2000, np.int16)), HIT, "2000 hits, accepted: 1000 at most"),
+        (
+            "tap.wav",
+            wave(48_000, np.tile(np.array([255, 0], np.uint8), 4_100_000)),
+            HIT,
+            "Hz, accepted: 2000000 values at most",
+        ),
+        (
+            "tap.csv",
+            listed("hz,magnitude,phase [deg]", "-3.0,100.0"),
+            {},
+            "magnitudes below 0, down to -3, ",
+        ),
+        (
+            "tap.csv",
+            listed("hz,magnitude,phase", "1.0,3.1"),
+            {},
+            "phases up to 3.1 of no unit, accepted: phas",
+        ),
     ],
 )
 def test_what_cannot_be_read_is_said(tmp_path, name, content, options, said) -> None:
@@ -388,29 +391,6 @@ def test_what_cannot_be_read_is_said(tmp_path, name, content, options, said) -> 
     with pytest.raises(ModalTestError) as caught:
         cb.poles(tmp_path / name, **options)
     assert said in str(caught.value)
-
-
-def test_more_values_than_fit_the_memory_are_refused_before_they_are_analysed(tmp_path: Path) -> None:
-    (tmp_path / "long.wav").write_bytes(wave(48_000, np.tile(np.array([255, 0], np.uint8), 4_100_000)))
-    with pytest.raises(ModalTestError, match=r"of .* lines from .* Hz, accepted: 2000000 values at most"):
-        cb.poles(tmp_path / "long.wav", response=[1], window="none")
-
-
-def test_a_record_whose_recorder_never_filled_in_its_length_is_read(recorded: Path, tmp_path: Path) -> None:
-    content = bytearray(recorded.read_bytes())
-    content[4:8] = b"\xff\xff\xff\x7f"
-    (tmp_path / "hits.wav").write_bytes(content)
-    result = cb.poles(tmp_path / "hits.wav", force=1, response=[2], window="none", high_hz=390.0, order=40)
-    assert_known(result.modes, rtol=1e-4)
-
-
-def test_a_channel_that_is_not_there_and_a_missing_file_are_named(recorded: Path, tmp_path: Path) -> None:
-    with pytest.raises(ModalTestError, match="no channel 3, accepted: 1 to 2"):
-        cb.poles(recorded, force=3, response=[2], window="none")
-    with pytest.raises(ModalTestError, match="no such file, accepted: frequency responses"):
-        cb.poles(tmp_path / "none.unv")
-    with pytest.raises(ModalTestError, match="no file, accepted: one or more"):
-        cb.poles()
 
 
 PLATE, DAMPED = np.array([63.0, 118.0, 176.0, 244.0, 331.0, 452.0, 587.0]), np.full(7, 6e-3)
@@ -487,12 +467,6 @@ def test_a_clipped_file_is_left_out_and_a_hit_on_another_plate_is_named(tmp_path
     assert len(result.modes[0].each) == 5
 
 
-def test_a_channel_that_is_a_pulse_is_the_force(recorded: Path) -> None:
-    result = cb.poles(recorded, high_hz=390.0, order=40)
-    assert "4 hits of 1.99 s, 1 response over force" in result.responses.origin
-    assert_known(result.modes, rtol=1e-4)
-
-
 def test_two_accelerometers_are_both_responses_and_so_is_a_channel_without_a_signal(tmp_path: Path) -> None:
     one, other = recorded_hits(np.random.default_rng(8), PLATE, DAMPED, 2)
     for name, second in (("two", other), ("dead", np.zeros_like(one))):
@@ -500,8 +474,3 @@ def test_two_accelerometers_are_both_responses_and_so_is_a_channel_without_a_sig
         result = cb.poles(tmp_path / f"{name}.wav", high_hz=700.0)
         assert "2 response alone: free decays" in result.responses.origin
         assert_found(result, 0.003)
-
-
-def test_an_empty_folder_is_named(tmp_path: Path) -> None:
-    with pytest.raises(ModalTestError, match=r"no recordings in this folder, accepted: .wav files"):
-        cb.poles(tmp_path)

@@ -11,21 +11,12 @@ import pytest
 
 import cpam_bayes as cb
 from cpam_bayes.questions.identify import SampledResult
+from tests.plate_file import described, refused
 from tests.posteriors import write_posterior
 
 E_REFERENCE = 69.0
-SIMULATED = {
-    "name": "simulated",
-    "specimen": "simulated",
-    "plate": {
-        "length_mm": 300.0,
-        "width_mm": 280.0,
-        "thickness_mm": 3.0,
-        "density_kg_m3": 2700.0,
-        "edges": "FFFF",
-    },
-    "material": {"isotropic": True, "E1_GPa": E_REFERENCE, "nu12": 0.33},
-}
+ALUMINIUM = {"isotropic": True, "E1_GPa": E_REFERENCE, "nu12": 0.33}
+SIMULATED = described((300.0, 280.0, 3.0), 2700.0, ALUMINIUM, specimen="simulated")
 UNKNOWN = {"unknowns": {"E1_GPa": [30.0, 120.0], "nu12": [0.15, 0.45]}}
 
 
@@ -144,35 +135,28 @@ def test_a_constant_that_was_held_at_another_value_is_told(tmp_path: Path) -> No
     assert notice.facts["constants"] == (("nu12", 0.3, 0.33),)
 
 
-def test_a_file_that_is_no_posterior_is_refused_with_what_is_accepted(run: Any, tmp_path: Path) -> None:
+def test_what_is_no_posterior_of_this_material_is_refused_with_what_is_accepted(
+    run: Any, tmp_path: Path
+) -> None:
     text = tmp_path / "text.nc"
     text.write_text("no NetCDF", encoding="utf-8")
     angles = write_posterior(tmp_path / "angles.nc", {"angle_1": np.zeros(9)})
     nothing = write_posterior(tmp_path / "nan.nc", {"E1_GPa": np.full(9, np.nan)})
-    for path, said in (
-        (tmp_path, "a directory, accepted: the posterior.nc"),
-        (tmp_path / "none.nc", "no file there, accepted: the posterior.nc"),
-        (text, "cannot be read as NetCDF"),
-        (angles, "no draws of elastic constants"),
-        (nothing, "draws of E1 are too few or not finite"),
+    e1, e2 = np.linspace(120.0, 125.0, 9), np.linspace(9.0, 9.4, 9)
+    carbon = write_posterior(tmp_path / "carbon.nc", {"E1_GPa": e1, "E2_GPa": e2})
+    named = write_posterior(tmp_path / "named.nc", {"E1_GPa": e1}, symmetry="isotropic")
+    for path, plate, said in (
+        (tmp_path, "A1", f"{tmp_path}: a directory, accepted: the posterior.nc"),
+        (tmp_path / "none.nc", "A1", "none.nc: no file there, accepted: the posterior.nc"),
+        (text, "A1", f"{text}: cannot be read as NetCDF"),
+        (angles, "A1", "no draws of elastic constants"),
+        (nothing, "A1", "draws of E1 are too few or not finite"),
+        (carbon, "A1", "the material is isotropic, that of"),
+        (named, "C1", "the material is transversely_isotropic"),
+        ("A1", named, f"received the posterior {named}, accepted: the posterior first, then the"),
+        ("panel.toml", "A1", "received the plate panel.toml, accepted: the posterior first, then the"),
     ):
-        status, out, err = run("predict", path, "A1")
-        assert (status, out) == (2, "")
-        assert err.startswith(f"error: {path}: ")
-        assert said in err
-        assert err.count("\n") == 1
-
-
-def test_a_material_of_another_kind_is_refused(run: Any, tmp_path: Path) -> None:
-    draws = {"E1_GPa": np.linspace(120.0, 125.0, 9), "E2_GPa": np.linspace(9.0, 9.4, 9)}
-    path = write_posterior(tmp_path / "posterior.nc", draws)
-    status, _, err = run("predict", path, "A1")
-    assert status == 2
-    assert "the material is isotropic, that of" in err
-    named = write_posterior(tmp_path / "named.nc", {"E1_GPa": draws["E1_GPa"]}, symmetry="isotropic")
-    status, _, err = run("predict", named, "C1")
-    assert status == 2
-    assert "the material is transversely_isotropic" in err
+        refused(run("predict", path, plate), said)
 
 
 def test_the_command_gives_the_document_of_the_library(run: Any, tmp_path: Path, modulus_only) -> None:
@@ -198,12 +182,3 @@ def test_the_first_screen_compares_with_the_measured_frequencies(tmp_path: Path)
     outside = [not r.m.measured_q025 <= r.measured.hz <= r.m.measured_q975 for r in rows.rows]
     assert f"{3 - sum(outside)} of 3 measured" in shown.summary.headline
     assert shown.summary.tables[0].flagged == {i for i, out in enumerate(outside) if out}
-
-
-@pytest.mark.parametrize(
-    ("posterior", "plate", "received"),
-    [("A1", "posterior.nc", "the posterior posterior.nc"), ("panel.toml", "A1", "the plate panel.toml")],
-)
-def test_a_plate_and_a_posterior_in_the_wrong_order_are_told_apart(posterior, plate, received) -> None:
-    with pytest.raises(ValueError, match=f"received {received}, accepted: the posterior first, then the"):
-        cb.predict(posterior, plate)

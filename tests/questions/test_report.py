@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from functools import partial
 
 import pytest
 
@@ -12,16 +11,9 @@ import cpam_bayes as cb
 from cpam_bayes.inference.ensemble import DEFAULT_SETTINGS
 from cpam_bayes.questions import report as combined
 from cpam_bayes.questions.sequence import stacking_result
-from tests.plate_file import MEASURED, PLATE
 from tests.stacking.cases import TRUE, answer, mixture, specimen
 
 MAX_BYTES = 5_000_000
-
-
-@pytest.fixture
-def plate_file(plate_file):
-    """Write the plate file with its list, some words replaced, and return its path."""
-    return partial(plate_file, text=PLATE + MEASURED)
 
 
 def test_a_quick_report_is_one_page_with_the_files_of_its_parts(run, plate_file, few_causes, tmp_path):
@@ -81,23 +73,3 @@ def test_unknown_angles_are_weighed_and_the_most_probable_ones_diagnosed(few_cau
     assert {"sequence_angles", "identify_posterior", "diagnose_causes"} <= placed
     assert (tmp_path / "posterior.nc").exists()
     assert len(report.to_arviz().posterior.data_vars) == 4
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "said"),
-    [
-        (MEASURED, "", "[measurement] is missing"),
-        ("[unknowns]\nE1_GPa = [10.0, 200.0]\nnu12 = [0.15, 0.4]\n", "", "[unknowns] is missing"),
-    ],
-)
-def test_a_plate_that_a_part_refuses_is_refused_before_any_work(run, plate_file, tmp_path, old, new, said):
-    status, shown, err = run("report", plate_file((old, new)), "--out", tmp_path / "out")
-    assert (status, shown) == (2, "")
-    assert said in err
-    assert not (tmp_path / "out").exists()
-
-
-def test_a_directory_must_be_given(run, plate_file):
-    status, _, err = run("report", plate_file())
-    assert status == 2
-    assert "--out" in err

@@ -17,7 +17,6 @@ from cpam_bayes.parameters import Parameter, ParameterSet, TruncatedNormal, Unif
 from cpam_bayes.plate import builtin
 from cpam_bayes.questions.identify import SampledResult, sample
 from cpam_bayes.questions.identify.posterior import product_text
-from cpam_bayes.render.figures import save_figures
 from cpam_bayes.render.report import json_text
 
 SETTINGS = EnsembleSettings(walkers=16, round_steps=300, effective=100.0, most_steps=600)
@@ -49,27 +48,21 @@ def screen(result: SampledResult) -> str:
 
 def test_the_document_is_json_with_what_is_promised(sampled: SampledResult) -> None:
     document = json.loads(json_text(sampled.to_dict()))
-    promised = {
-        "constants",
-        "frequencies",
-        "forward_solves",
-        "seconds",
-        "diagnostics",
-        "laminate",
-        "posterior_predictive_p_value",
-        "leave_one_out",
-        "log_evidence",
-        "evidence",
-        "identifiability",
-        "power_scaling",
-        "bounds_moved",
-    }
-    assert promised <= set(document)
+    promised = "constants frequencies forward_solves seconds diagnostics laminate leave_one_out evidence"
+    more = "posterior_predictive_p_value log_evidence identifiability power_scaling bounds_moved"
+    assert {*promised.split(), *more.split()} <= set(document)
+    drawn = {drawing.name for drawing in sampled.drawings()}
+    assert drawn == {"posterior", "marginals_and_profiles", "left_out", "modes", "plate"}
     assert {"mean", "sd", "q025", "q975", "prior_contraction", "verdict", "bound", "prior"} <= set(
         document["constants"]["E1_GPa"]
     )
+    e1 = sampled.constants["E1"]
+    assert (e1.value, *e1.interval) == pytest.approx(
+        [1e9 * document["constants"]["E1_GPa"][key] for key in ("mean", "q025", "q975")], rel=1e-12
+    )
     assert document["constants"]["nu12"]["prior"]["kind"] == "truncated normal"
     assert document["constants"]["nu12"]["prior"]["sd"] == pytest.approx(0.01, rel=0.01)
+    assert "0.33 +- 0.01 in 0.15 to 0.4" in screen(sampled)
     d = document["diagnostics"]
     assert d["ess_per_second"] == pytest.approx(d["ess_bulk"] / d["seconds_sampling"], rel=1e-12)
     assert d["ess_per_second_in_all"] < d["ess_per_second"]
@@ -80,27 +73,6 @@ def test_the_document_is_json_with_what_is_promised(sampled: SampledResult) -> N
         assert 0.0 < row["left_out"]["leverage"] < 1.0
         # a mode left out is predicted no better than one that is not, on the same side
         assert row["left_out"]["residual_percent"] / row["residual_percent"] > 1.0
-
-
-def test_the_first_screen_is_short(sampled: SampledResult, gappy: SampledResult) -> None:
-    for result in (sampled, gappy):
-        text = result.summary()
-        assert len([line for line in text.splitlines() if line]) <= 12
-        assert len(text.split()) <= 120
-
-
-def test_a_prior_stands_beside_its_posterior(sampled: SampledResult) -> None:
-    (details,) = (t for s in sampled.report().sections for t in s.tables if t.title == "Constants in detail")
-    (row,) = (row for row in details.rows if row[0] == "nu12")
-    assert "0.33 +- 0.01 in 0.15 to 0.4" in row
-
-
-def test_constants_are_records_in_si_and_rows_in_the_units_of_the_plate_file(sampled: SampledResult) -> None:
-    e1, document = sampled.constants["E1"], sampled.to_dict()["constants"]["E1_GPa"]
-    assert e1.value == pytest.approx(1e9 * document["mean"], rel=1e-12)
-    assert e1.interval == pytest.approx((1e9 * document["q025"], 1e9 * document["q975"]), rel=1e-12)
-    frame = sampled.to_dataframe().set_index("name")
-    assert frame.loc["E1", "value"] == pytest.approx(document["mean"], rel=1e-12)
 
 
 def test_importance_sampling_is_quoted_where_it_is_reliable_alone(sampled: SampledResult) -> None:
@@ -118,18 +90,6 @@ def test_importance_sampling_is_quoted_where_it_is_reliable_alone(sampled: Sampl
 def test_products_of_constants_leave_small_exponents_out(sampled: SampledResult) -> None:
     c = replace(sampled.assessment.combinations[0], exponents=np.array([0.03, 1.0, -0.5]))
     assert product_text(("E1", "E2", "G12"), c) == "E2 G12^-0.5"
-
-
-def test_the_same_posterior_gives_the_same_figures(sampled: SampledResult, tmp_path: Path) -> None:
-    written = []
-    for name in ("first", "again"):
-        (tmp_path / name).mkdir()
-        save_figures(sampled.figures(), tmp_path / name)
-        written.append({p.name: p.read_bytes() for p in (tmp_path / name).iterdir()})
-    drawn = ("posterior", "marginals_and_profiles", "left_out", "modes", "plate")
-    names = {f"{n}.{e}" for n in drawn for e in ("png", "svg")}
-    assert set(written[0]) == names
-    assert written[0] == written[1]
 
 
 _PLAIN = """
@@ -249,16 +209,9 @@ def test_a_list_that_may_lack_modes_has_one_likelihood_and_no_pareto_diagnostics
     document = gappy.to_dict()
     assert document["leave_one_out"]["psis"] is None
     assert len(gappy.assessment.left_out.residual) == 5
-
-
-@pytest.mark.slow
-def test_the_first_screen_names_the_mode_that_a_list_lacks(
-    gappy: SampledResult, sampled: SampledResult
-) -> None:
-    (missed,) = gappy.to_dict()["missed_modes"]
+    (missed,) = document["missed_modes"]
     (said,) = (line for line in gappy.report().summary.lines if missed["label"] in line)
     assert f"{missed['label']} near {missed['predicted_hz']:.3g}" in said
-    assert len(sampled.report().summary.lines) == len(gappy.report().summary.lines) - 1
 
 
 @pytest.mark.slow

@@ -14,11 +14,11 @@ from cpam_bayes.printed.noise_study import Cell, Repetition, Sensitivity, printe
 from cpam_bayes.printed.repetition import Comparison, PosteriorSummary
 from cpam_bayes.printed.tables import perturbation_table
 from cpam_bayes.questions import sensitivity
-from cpam_bayes.questions.identify.pso import identify
 from cpam_bayes.questions.sensitivity import SensitivityResult
 from cpam_bayes.render.noise_study import ComparedRow, beside_paper, difference_sentences
 from cpam_bayes.render.report import json_text
-from tests.plate_file import MEASURED, PLATE
+from tests.answers import answered
+from tests.plate_file import MEASURED
 
 # Means of two inversions, E1 in Pa and nu12: 71 GPa with an sd of 1.4142, 0.30 with 0.02828.
 CONSTANTS = np.array([[70e9, 0.28], [72e9, 0.32]])
@@ -57,7 +57,7 @@ def cell(level, reading, comparisons=(AGREE, AGREE)):
 
 @pytest.fixture(scope="module")
 def identification():
-    return identify("A1", seed=1).estimate
+    return answered("identify").estimate
 
 
 @pytest.fixture
@@ -228,17 +228,28 @@ def notices(study):
     return {notice.code: notice.facts for notice in sensitivity_notices(study)}
 
 
-def test_a_list_that_the_model_misses_by_more_than_the_noise_is_a_warning(study):
-    missed = replace(study, source="measured", without_noise=replace(study.without_noise, rms=0.02))
-    assert notices(missed) == {"misfit_beside_noise": {"misfit": 0.02, "level": 0.01}}
-    assert notices(replace(study, source="measured")) == {}
+def misfit(study):
+    return replace(study, source="measured", without_noise=replace(study.without_noise, rms=0.02))
 
 
-def test_constants_that_the_swarm_does_not_find_again_are_a_warning(study):
+def lost(study):
     constants = tuple(replace(c, value=1.1 * c.value) for c in study.without_noise.constants)
-    lost = replace(study, without_noise=replace(study.without_noise, constants=constants))
-    assert notices(lost)["constants_not_found_again"] == {"names": ("E1", "nu12")}
-    assert notices(study) == {}
+    return replace(study, without_noise=replace(study.without_noise, constants=constants))
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda study: study, {}),
+        (misfit, {"misfit_beside_noise": {"misfit": 0.02, "level": 0.01}}),
+        (lambda study: replace(study, source="measured"), {}),
+        (lost, {"constants_not_found_again": {"names": ("E1", "nu12")}}),
+        (lambda study: replace(study, found_again=4), {"swarms_in_worse_optima": {"found": 4, "of": 10}}),
+        (lambda study: replace(study, found_again=5), {}),
+    ],
+)
+def test_what_a_study_cannot_be_trusted_for_is_a_warning(study, change, said):
+    assert notices(change(study)) == said
 
 
 def test_budgets_and_frequencies_drawn_again_are_warnings(study):
@@ -253,11 +264,6 @@ def test_budgets_and_frequencies_drawn_again_are_warnings(study):
         "noise_swarms": {**at, "count": 1, "of": 2},
         "noise_redrawn": {**at, "count": 3},
     }
-
-
-def test_a_search_that_finds_the_best_constants_less_than_every_other_time_is_a_warning(study):
-    assert notices(replace(study, found_again=4)) == {"swarms_in_worse_optima": {"found": 4, "of": 10}}
-    assert notices(replace(study, found_again=5)) == {}
 
 
 def test_what_the_file_gives_and_the_study_leaves_aside_is_a_warning(study):
@@ -294,8 +300,8 @@ def short(monkeypatch):
 @pytest.mark.slow
 def test_a_plate_without_a_measurement_gets_the_answer_of_the_contract(run, plate_file, tmp_path):
     out_dir = tmp_path / "out"
-    argv = ("sensitivity", plate_file(), "--levels", "1", "--modes", "6", "--json", "--out", str(out_dir))
-    status, out, err = run(*argv, *FEW)
+    asked = ("--levels", "1", "--modes", "6", "--json", "--out", out_dir)
+    status, out, err = run("sensitivity", plate_file((MEASURED, "")), *asked, *FEW)
     document = json.loads(out)
     assert (status, err) == (0, "")
     assert len(document["frequencies_hz"]) == 6
@@ -317,7 +323,7 @@ def test_a_plate_without_a_measurement_gets_the_answer_of_the_contract(run, plat
 
 def test_chains_that_did_not_converge_end_with_status_1_and_say_so(run, plate_file, short):
     status, out, err = run(
-        "sensitivity", plate_file(), "--levels", "5", "--reading", "rms", "--verbose", *FEW
+        "sensitivity", plate_file((MEASURED, "")), "--levels", "5", "--reading", "rms", "--verbose", *FEW
     )
     assert status == 1
     assert "did not converge within their budget" in err
@@ -326,68 +332,22 @@ def test_chains_that_did_not_converge_end_with_status_1_and_say_so(run, plate_fi
 
 
 def test_noise_is_added_to_the_measured_list_where_that_is_asked_for(run, plate_file, short):
-    argv = ("sensitivity", plate_file(text=PLATE + MEASURED), "--levels", "5", "--reading", "rms")
-    document = json.loads(run(*argv, "--list", "measured", "--json", *FEW)[1])
-    assert document["frequencies_hz"] == [114, 167, 218, 289, 300, 497]
-    assert document["list"] == "measured"
-    model = json.loads(run(*argv, "--json", *FEW)[1])
-    assert model["frequencies_hz"] != document["frequencies_hz"]
-    assert len(model["frequencies_hz"]) == 6
-
-
-def test_the_same_seed_gives_the_same_document_and_another_seed_another(run, plate_file, short):
     argv = ("sensitivity", plate_file(), "--levels", "5", "--reading", "rms", "--json", *FEW)
-    first, again, other = (json.loads(run(*argv, "--seed", seed)[1]) for seed in "334")
+    measured, model = (json.loads(run(*argv, "--list", name)[1]) for name in ("measured", "model"))
+    assert (measured["list"], measured["frequencies_hz"]) == ("measured", [114, 167, 218, 289, 300, 497])
+    assert len(model["frequencies_hz"]) == 6
+    assert model["frequencies_hz"] != measured["frequencies_hz"]
+
+
+def test_the_same_seed_gives_the_same_document_and_a_level_named_twice_is_studied_once(
+    run, plate_file, short
+):
+    argv = ("sensitivity", plate_file((MEASURED, "")), "--reading", "rms", "--json", *FEW, "--levels")
+    asked = (("5", "--seed", "3"), ("5", "5.0", "--seed", "3"), ("5", "--seed", "4"))
+    first, again, other = (json.loads(run(*argv, *more)[1]) for more in asked)
     for document in (first, again, other):
         document.pop("seconds")
         document.pop("seed")
+    assert [level["level_percent"] for level in first["levels"]] == [5.0]
     assert first == again
     assert first["levels"] != other["levels"]
-
-
-def test_a_level_named_twice_is_studied_once(run, plate_file, short):
-    argv = ("sensitivity", plate_file(), "--levels", "5", "5.0", "--reading", "rms", "--json", *FEW)
-    assert [v["level_percent"] for v in json.loads(run(*argv)[1])["levels"]] == [5.0]
-
-
-@pytest.mark.parametrize(
-    ("options", "said"),
-    [
-        (("--levels", "0"), "received '0', accepted: a percentage above 0 and at most 50"),
-        (("--levels", "nan"), "received 'nan'"),
-        (("--groups", "1"), "received '1', accepted: a whole number from 2 to 1000"),
-        (("--reading", "both ways"), "received 'both ways', accepted: both relative rms"),
-        (("--list", "measured"), "[measurement] is missing, which --list measured needs"),
-    ],
-)
-def test_options_out_of_range_are_refused_with_what_is_accepted(run, plate_file, options, said):
-    status, out, err = run("sensitivity", plate_file(), *options)
-    assert (status, out) == (2, "")
-    assert said in err
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "options", "said"),
-    [
-        ("[unknowns]\nE1_GPa = [10.0, 200.0]\nnu12 = [0.15, 0.4]\n", "", (), "[unknowns] is missing"),
-        ("E1_GPa = 69.0", "E1_GPa = 8.0", (), "material.E1_GPa: 8 lies outside its search bounds 10 to 200"),
-        (
-            "resolution_hz = 1.0",
-            "complete = false",
-            ("--list", "measured"),
-            "measurement.complete: received false",
-        ),
-        (
-            "",
-            "",
-            ("--list", "measured", "--modes", "4"),
-            "--modes: received 4, accepted: with --list model only",
-        ),
-        ("width_mm", 'mesh = "plate.msh"\nwidth_mm', (), "plate.mesh"),
-    ],
-)
-def test_plates_that_cannot_be_studied_are_refused(run, plate_file, old, new, options, said):
-    path = plate_file((old, new), text=PLATE + MEASURED)
-    status, out, err = run("sensitivity", path, "--executor", "serial", "--quiet", *options)
-    assert (status, out) == (2, "")
-    assert said in err

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import pytest
 
-from cpam_bayes.questions.forward import ForwardResult, forward
+from cpam_bayes.questions.forward import ForwardResult
+from tests.answers import answered
 
 
 @pytest.fixture(scope="package")
 def forward_result() -> ForwardResult:
     """Three modes of a clamped plate."""
-    return forward("D1", 3)
+    return answered("forward")

@@ -27,15 +27,11 @@ def test_json_csv_and_data_frame_hold_the_columns_that_have_a_key() -> None:
         RESULT.to_dataframe("modes")
 
 
-def test_what_is_not_a_finite_number_becomes_null() -> None:
+def test_what_is_not_a_finite_number_becomes_null_and_numbers_of_arrays_are_numbers() -> None:
     document = {"a": math.nan, "b": [math.inf, 1.0], "c": ({"d": -math.inf},), "e": "nan"}
-    expected = {"a": None, "b": [None, 1.0], "c": [{"d": None}], "e": "nan"}
-    assert json.loads(json_text(document)) == expected
-
-
-def test_numbers_of_arrays_are_numbers() -> None:
-    document = {"f": np.float64(1.5), "n": np.int64(3), "nan": np.float64("nan")}
-    assert json.loads(json_text(document)) == {"f": 1.5, "n": 3, "nan": None}
+    arrays = {"f": np.float64(1.5), "n": np.int64(3), "g": np.float64("nan")}
+    expected = {"a": None, "b": [None, 1.0], "c": [{"d": None}], "e": "nan", "f": 1.5, "n": 3, "g": None}
+    assert json.loads(json_text(document | arrays)) == expected
 
 
 def test_the_bending_stiffness_is_in_newton_metres_and_moduli_in_gigapascals() -> None:

@@ -128,17 +128,14 @@ def test_a_notebook_shows_the_first_screen_alone() -> None:
     assert not any("Details" in line or "Computation" in line for line in lines)
 
 
-def test_a_page_explains_the_words_that_it_uses() -> None:
+def test_a_page_explains_the_words_that_it_uses_as_the_glossary_does() -> None:
+    glossary = (PROJECT / "docs" / "glossary.md").read_text(encoding="utf-8")
+    rows = dict(re.findall(r"^\| ([^|]+) \| ([^|]+) \|$", glossary, re.MULTILINE))
+    assert {word: rows.get(word) for word in TERMS} == TERMS
     section = terms_section("The posterior, two walkers, evidences; a noisy interim.")
     assert [word for word, _ in section.tables[0].rows] == ["evidence", "posterior", "walker"]
     text = page_text("t", REPORT.summary, (section,), {})
     assert all(meaning in text for word, meaning in TERMS.items() if word == "walker")
-
-
-def test_the_words_of_pages_are_those_of_the_glossary() -> None:
-    glossary = (PROJECT / "docs" / "glossary.md").read_text(encoding="utf-8")
-    rows = dict(re.findall(r"^\| ([^|]+) \| ([^|]+) \|$", glossary, re.MULTILINE))
-    assert {word: rows.get(word) for word in TERMS} == TERMS
 
 
 # In a browser

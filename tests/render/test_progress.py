@@ -2,6 +2,7 @@
 
 import io
 import itertools
+import re
 import sys
 
 import pytest
@@ -46,14 +47,21 @@ def test_quiet_is_quiet(capsys):
     assert capsys.readouterr() == ("", "")
 
 
-def test_a_terminal_gets_a_bar_that_goes_away(monkeypatch):
+def test_a_terminal_gets_a_bar_that_says_what_is_left_and_goes_away(monkeypatch):
+    a_clock(monkeypatch, 4000.0)
     monkeypatch.setenv("TERM", "xterm")
-    monkeypatch.setenv("COLUMNS", "120")
+    monkeypatch.setenv("COLUMNS", "140")
     monkeypatch.setattr(sys, "stderr", Terminal())
+    with progress("identify C1", 5, False, lambda best: f"rms {best:.1f} Hz") as shown:
+        for iteration in range(3):
+            shown.tick(iteration, 3.3)
+    # the bar looks at the clock by itself now and then
+    assert re.search(
+        r"iteration 2 of 5, rms 3.3 Hz, at most about \d+ h \d\d min left", sys.stderr.getvalue()
+    )
     work(5)
-    drawn = sys.stderr.getvalue()
-    assert "iteration 5 of 5, rms 1.7 Hz" in drawn
-    assert "\x1b[2K" in drawn  # the line is cleared in the end
+    assert "iteration 5 of 5, rms 1.7 Hz" in sys.stderr.getvalue()
+    assert "\x1b[2K" in sys.stderr.getvalue()  # the line is cleared in the end
 
 
 def test_without_standard_error_the_work_goes_on(monkeypatch):
@@ -85,18 +93,19 @@ def expected(capsys):
     return [(lines[i - 1] if i else "", line) for i, line in enumerate(lines) if line.startswith(said)]
 
 
-def test_what_takes_above_a_minute_is_said_once_as_soon_as_it_is_known(monkeypatch, capsys):
-    a_clock(monkeypatch, 30.0)
+@pytest.mark.parametrize(
+    ("seconds", "said"), [(30.0, ["this part takes at most about 10 min"]), (2.9, []), (0.1, [])]
+)
+def test_what_takes_above_a_minute_is_said_once_as_soon_as_it_is_known(monkeypatch, capsys, seconds, said):
+    a_clock(monkeypatch, seconds)
     work(20)
-    ((before, said),) = expected(capsys)
-    assert said == "this part takes at most about 10 min"
-    assert before.startswith("identify C1: iteration 2 of 20")  # it is known after four iterations
-
-
-def test_what_takes_less_than_a_minute_is_not_said(monkeypatch, capsys):
-    a_clock(monkeypatch, 2.9)
-    work(20)
-    assert not expected(capsys)
+    text = capsys.readouterr().err
+    lines = text.splitlines()
+    told = [i for i, line in enumerate(lines) if line.startswith("this part")]
+    assert [lines[i] for i in told] == said
+    # it is known after four iterations
+    assert all(lines[i - 1].startswith("identify C1: iteration 2 of 20") for i in told)
+    assert ("left" in text) == (seconds > 1.0)
 
 
 def doubled(shared, item):
@@ -142,23 +151,6 @@ def test_a_command_says_what_its_parts_take_unless_it_is_quiet(run, monkeypatch,
     status, _, said = run("identify", "A1", "--swarms", "1", *options)
     assert status == 0
     assert ("this part takes at most about " in said) == (not options)
-
-
-def test_a_bar_says_what_is_left(monkeypatch):
-    a_clock(monkeypatch, 4000.0)
-    monkeypatch.setenv("TERM", "xterm")
-    monkeypatch.setenv("COLUMNS", "140")
-    monkeypatch.setattr(sys, "stderr", Terminal())
-    with progress("identify C1", 5, False, lambda best: f"rms {best:.1f} Hz") as shown:
-        for iteration in range(3):
-            shown.tick(iteration, 3.3)
-    assert "iteration 2 of 5, rms 3.3 Hz, at most about 3 h 20 min left" in sys.stderr.getvalue()
-
-
-def test_short_work_has_no_estimate(monkeypatch, capsys):
-    a_clock(monkeypatch, 0.1)
-    work(20)
-    assert "left" not in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

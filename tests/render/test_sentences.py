@@ -31,6 +31,10 @@ def test_a_constant_has_its_unit_and_the_digits_of_its_spread() -> None:
     rows = constants_table((E1, NU12)).rows
     assert rows[0][:3] == ("E1", "136.6 GPa", "131.4 to 141.9")
     assert rows[1][:3] == ("nu12", "0.197", "0.150 to 0.307")
+    first, _, last = constant_rows((E1, NU12, G12)).records()
+    assert (first["name"], first["value"], first["unit"]) == ("E1", pytest.approx(136.6), "GPa")
+    assert first["verdict"] == "determined by the data"
+    assert last["q025"] is None
 
 
 @pytest.mark.parametrize(
@@ -52,13 +56,6 @@ def test_what_decides_a_constant_is_said_in_few_words(constant: Constant, words:
     assert all(word in said for word in words)
     assert len(said.split()) <= 8
     assert constants_table((constant,)).flagged == (frozenset() if constant.is_determined else {0})
-
-
-def test_rows_are_in_the_units_of_the_plate_file() -> None:
-    first, _, last = constant_rows((E1, NU12, G12)).records()
-    assert (first["name"], first["value"], first["unit"]) == ("E1", pytest.approx(136.6), "GPa")
-    assert first["verdict"] == "determined by the data"
-    assert last["q025"] is None
 
 
 def test_the_headline_names_what_is_determined_and_what_is_left_open() -> None:

@@ -22,6 +22,9 @@ HERE = f"http://127.0.0.1:{PORT}"
 POSTED = {"Origin": HERE}
 
 
+JSON = {"Content-Type": "application/json"}
+
+
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     inside = tmp_path / "plates"
@@ -147,62 +150,21 @@ HOSTILE = (
 )  # fmt: skip
 
 
+HOSTS = ("evil.example", "127.0.0.1:80", "127.0.0.1.evil.example:8377", "[::1]:8377", "")
+ORIGINS = ("http://evil.example", "null", "https://127.0.0.1:8377", "http://127.0.0.1:80")
+BODIES = (b"[" * 70_000, b'{"do": "set"}' + b" " * 70_000, b"\xff\xfe", b"[" * 5000, b'"x"')
+
+
 def requests(n: int, visit: str) -> Iterator[tuple[str, dict[str, Any], str]]:
     """Method, arguments of the client, and why each must be refused."""
     dice = random.Random(38)
     for k in range(n):
-        value, path = (
-            dice.choice(HOSTILE),
-            dice.choice(("/", visit, f"{visit}/plate.toml", "/file/app.js", f"{visit}/news")),
-        )
-        kind = k % 8
-        if kind == 0:
-            yield (
-                "GET",
-                {"url": path, "headers": {"Cookie": f"cpam_bayes_{PORT}={value!r:.50}"}},
-                "token",
-            )
-        elif kind == 1:
-            host = dice.choice(
-                ("evil.example", "127.0.0.1:80", "127.0.0.1.evil.example:8377", "[::1]:8377", "")
-            )
-            yield "GET", {"url": path, "headers": {"Host": host}}, "host"
-        elif kind == 2:
-            origin = dice.choice(
-                ("http://evil.example", "null", "https://127.0.0.1:8377", "http://127.0.0.1:80")
-            )
-            yield "POST", {"url": "/open", "json": {}, "headers": {"Origin": origin}}, "origin"
-        elif kind == 3:
-            yield (
-                "POST",
-                {"url": dice.choice(("/open", f"{visit}/edit", f"{visit}/act")), "json": {}},
-                "no origin",
-            )
-        elif kind == 4:
-            big = dice.choice(
-                (b"[" * 70_000, b'{"do": "set"}' + b" " * 70_000, b"\xff\xfe", b"[" * 5000, b'"x"')
-            )
-            yield (
-                "POST",
-                {
-                    "url": f"{visit}/edit",
-                    "content": big,
-                    "headers": POSTED | {"Content-Type": "application/json"},
-                },
-                "body",
-            )
-        elif kind == 5:
-            file = value if value is not None else "../x.toml"
-            yield "POST", {"url": "/open", "json": {"file": file}, "headers": POSTED}, "file"
-        elif kind == 6:
-            name = value if value not in (None,) else "../x.toml"
-            yield (
-                "POST",
-                {"url": f"{visit}/act", "json": {"do": "save", "name": name}, "headers": POSTED},
-                "save",
-            )
-        else:
-            changes: tuple[dict[str, Any], ...] = (
+        value = dice.choice(HOSTILE)
+        path = dice.choice(("/", visit, f"{visit}/plate.toml", "/file/app.js", f"{visit}/news"))
+        posted_to = dice.choice(("/open", f"{visit}/edit", f"{visit}/act"))
+        name = "../x.toml" if value is None else value
+        change: dict[str, Any] = dice.choice(
+            (
                 {"do": value},
                 {"do": "set", "key": f"measurement.{value}", "value": "x"},
                 {"do": "set", "key": "measurement.table", "value": "../secret.toml"},
@@ -212,8 +174,19 @@ def requests(n: int, visit: str) -> Iterator[tuple[str, dict[str, Any], str]]:
                 {"do": "material", "value": value},
                 {"do": "set", "key": "name", "value": "a\0b"},
             )
-            change = dice.choice(changes)
-            yield "POST", {"url": f"{visit}/edit", "json": change, "headers": POSTED}, "edit"
+        )
+        asked: tuple[tuple[str, str, dict[str, Any]], ...] = (
+            ("token", path, {"headers": {"Cookie": f"cpam_bayes_{PORT}={value!r:.50}"}}),
+            ("host", path, {"headers": {"Host": dice.choice(HOSTS)}}),
+            ("origin", "/open", {"json": {}, "headers": {"Origin": dice.choice(ORIGINS)}}),
+            ("no origin", posted_to, {"json": {}}),
+            ("body", f"{visit}/edit", {"content": dice.choice(BODIES), "headers": POSTED | JSON}),
+            ("file", "/open", {"json": {"file": name}, "headers": POSTED}),
+            ("save", f"{visit}/act", {"json": {"do": "save", "name": name}, "headers": POSTED}),
+            ("edit", f"{visit}/edit", {"json": change, "headers": POSTED}),
+        )
+        why, url, options = asked[k % len(asked)]
+        yield "GET" if why in ("token", "host") else "POST", {"url": url, **options}, why
 
 
 def listing(folder: Path) -> dict[str, bytes]:
