@@ -244,13 +244,22 @@ class Uniform(_Density):
 class _Logarithmic(_Density):
     """A density of which that of the logarithm is known."""
 
-    __slots__ = ()
+    __slots__ = ("_known_logarithm",)
+    _known_logarithm: Uniform | TruncatedNormal
     lower: float
     upper: float
 
     @property
+    def _of_logarithm(self) -> Uniform | TruncatedNormal:
+        # made once, as the cut of a truncated density
+        try:
+            return self._known_logarithm
+        except AttributeError:
+            object.__setattr__(self, "_known_logarithm", self._made_of_logarithm())
+            return self._known_logarithm
+
     @abstractmethod
-    def _of_logarithm(self) -> Uniform | TruncatedNormal: ...
+    def _made_of_logarithm(self) -> Uniform | TruncatedNormal: ...
 
     def sample(self, rng: np.random.Generator, size: int) -> Floats:
         """Independent draws, (size,)."""
@@ -285,8 +294,7 @@ class LogUniform(_Logarithmic):
             raise ValueError(f"a log-uniform prior: received {self}, accepted: a positive lower bound")
         _ = self._of_logarithm
 
-    @property
-    def _of_logarithm(self) -> Uniform:
+    def _made_of_logarithm(self) -> Uniform:
         return Uniform(math.log(self.lower), math.log(self.upper))
 
     @property
@@ -558,8 +566,7 @@ class TruncatedLogNormal(_Logarithmic):
             raise ValueError(f"a log-normal prior: received {self}, accepted: positive and finite values")
         _ = self._of_logarithm
 
-    @property
-    def _of_logarithm(self) -> TruncatedNormal:
+    def _made_of_logarithm(self) -> TruncatedNormal:
         ends = (math.log(self.lower), math.log(self.upper))
         return TruncatedNormal(math.log(self.median), self.log_sd, *ends)
 

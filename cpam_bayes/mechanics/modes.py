@@ -210,8 +210,8 @@ def eigenvalue_derivatives(
 def _coincident(spectrum: Spectrum) -> list[tuple[int, list[int]]]:
     """Groups of modes of one block whose eigenvalues coincide: (parameter set, modes)."""
     lam = spectrum.eigenvalues
-    close = np.diff(lam, axis=1) < COINCIDENT * lam[:, 1:]
-    groups = []
+    close = lam[:, 1:] - lam[:, :-1] < COINCIDENT * lam[:, 1:]
+    groups: list[tuple[int, list[int]]] = []
     for s in np.flatnonzero(close.any(axis=1)):
         starts = np.flatnonzero(np.concatenate(([True], ~close[s])))
         for run in np.split(np.arange(lam.shape[1]), starts[1:]):
