@@ -106,10 +106,11 @@ def solve(
 def _vectors(mode_vectors: ModeVectors, size: int, where: tuple[Array, ...], column: Array) -> Array:
     """Vectors of the modes ``where`` (parameter sets, modes) of one block; zero in other columns."""
     sets, modes = where
+    if not len(sets):
+        return np.zeros((len(column), size, 0))
     columns = column[sets, modes]
-    vectors = np.zeros((len(column), size, int(columns.max(initial=-1)) + 1))
-    if len(sets):
-        vectors[sets, :, columns] = mode_vectors(sets, columns)
+    vectors = np.zeros((len(column), size, int(columns.max()) + 1))
+    vectors[sets, :, columns] = mode_vectors(sets, columns)
     return vectors
 
 

@@ -656,7 +656,11 @@ def constraint_margins(constants: Mapping[str, ArrayLike], symmetry: MaterialSym
     returns (..., n_constraints), NaN where a constant is
     raises ValueError for a missing or an unknown constant
     """
-    full = complete_constants(constants, symmetry)
+    return _margins(complete_constants(constants, symmetry), symmetry)
+
+
+def _margins(full: Mapping[str, Array], symmetry: MaterialSymmetry) -> NDArray[np.float64]:
+    """``constraint_margins`` of all six constants."""
     E1, E2, nu12 = np.broadcast_arrays(*(np.real(full[name]) for name in ("E1", "E2", "nu12")))
     if symmetry == "isotropic":
         return np.asarray(np.minimum(0.5 - nu12, 1.0 + nu12)[..., None])
@@ -690,7 +694,7 @@ def is_admissible(constants: Mapping[str, ArrayLike], symmetry: MaterialSymmetry
     raises ValueError for a missing or an unknown constant
     """
     full = complete_constants(constants, symmetry)
-    allowed = ~constraint_violations(constants, symmetry).any(axis=-1)
+    allowed = (_margins(full, symmetry) > 0.0).all(axis=-1)
     for name in _MODULI:
         allowed = allowed & (np.real(full[name]) > 0.0)
     return np.asarray(allowed)
