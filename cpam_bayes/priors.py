@@ -9,7 +9,7 @@ import math
 from abc import abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any, ClassVar, Protocol
 
 import numpy as np
@@ -21,6 +21,7 @@ __all__ = [
     "Mixture",
     "Prior",
     "PriorNumbers",
+    "Priors",
     "ScaledStudentT",
     "TruncatedLogNormal",
     "TruncatedNormal",
@@ -223,8 +224,8 @@ class Uniform(_Density):
 
     def log_density(self, x: ArrayLike) -> Floats:
         """Log density of x, (...) -> (...), -inf outside the bounds and at NaN."""
-        height = -math.log(self.upper - self.lower)
-        return _inside(np.asarray(x, dtype=float), self.lower, self.upper, np.float64(height))
+        height = -np.log(self.upper - self.lower)
+        return _inside(np.asarray(x, dtype=float), self.lower, self.upper, height)
 
     def sample(self, rng: np.random.Generator, size: int) -> Floats:
         """Independent draws, (size,)."""
@@ -244,13 +245,22 @@ class Uniform(_Density):
 class _Logarithmic(_Density):
     """A density of which that of the logarithm is known."""
 
-    __slots__ = ()
+    __slots__ = ("_known_logarithm",)
+    _known_logarithm: Uniform | TruncatedNormal
     lower: float
     upper: float
 
     @property
+    def _of_logarithm(self) -> Uniform | TruncatedNormal:
+        # made once, as the cut of a truncated density
+        try:
+            return self._known_logarithm
+        except AttributeError:
+            object.__setattr__(self, "_known_logarithm", self._made_of_logarithm())
+            return self._known_logarithm
+
     @abstractmethod
-    def _of_logarithm(self) -> Uniform | TruncatedNormal: ...
+    def _made_of_logarithm(self) -> Uniform | TruncatedNormal: ...
 
     def sample(self, rng: np.random.Generator, size: int) -> Floats:
         """Independent draws, (size,)."""
@@ -285,8 +295,7 @@ class LogUniform(_Logarithmic):
             raise ValueError(f"a log-uniform prior: received {self}, accepted: a positive lower bound")
         _ = self._of_logarithm
 
-    @property
-    def _of_logarithm(self) -> Uniform:
+    def _made_of_logarithm(self) -> Uniform:
         return Uniform(math.log(self.lower), math.log(self.upper))
 
     @property
@@ -558,8 +567,7 @@ class TruncatedLogNormal(_Logarithmic):
             raise ValueError(f"a log-normal prior: received {self}, accepted: positive and finite values")
         _ = self._of_logarithm
 
-    @property
-    def _of_logarithm(self) -> TruncatedNormal:
+    def _made_of_logarithm(self) -> TruncatedNormal:
         ends = (math.log(self.lower), math.log(self.upper))
         return TruncatedNormal(math.log(self.median), self.log_sd, *ends)
 
@@ -705,6 +713,51 @@ class Mixture(_Density):
         return np.asarray(np.where(below < above, ndtri(below), -ndtri(above)))
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Ranges(Uniform):
+    """Uniform densities side by side, their bounds (n,)."""
+
+    def __post_init__(self) -> None:
+        """Each has been checked by itself."""
+
+
+@dataclass(frozen=True)
+class Priors:
+    """Independent priors side by side, each asked about its part of the last axis, uniform ones at once."""
+
+    priors: tuple[Prior, ...]
+
+    @cached_property
+    def _parts_of_axis(self) -> tuple[tuple[Any, Prior], ...]:
+        uniform = [i for i, prior in enumerate(self.priors) if isinstance(prior, Uniform)]
+        if len(uniform) < 2:
+            return tuple(enumerate(self.priors))
+        ends: Any = np.array([(self.priors[i].lower, self.priors[i].upper) for i in uniform]).T
+        others = tuple((i, prior) for i, prior in enumerate(self.priors) if i not in uniform)
+        return ((np.array(uniform), _Ranges(*ends)), *others)
+
+    def from_normal(self, z: Floats) -> Floats:
+        """x with F(x) = Phi(z), accurate in both tails, (..., n) -> (..., n)."""
+        x = np.empty(z.shape)
+        for at, prior in self._parts_of_axis:
+            x[..., at] = prior.from_normal(z[..., at])
+        return x
+
+    def to_normal(self, x: Floats) -> Floats:
+        """z with Phi(z) = F(x), accurate in both tails, infinite on the bounds, (..., n) -> (..., n)."""
+        z = np.empty(x.shape)
+        for at, prior in self._parts_of_axis:
+            z[..., at] = prior.to_normal(x[..., at])
+        return z
+
+    def log_densities(self, x: Floats) -> Floats:
+        """Log density of each, (..., n) -> (..., n), -inf outside its bounds and at NaN."""
+        density = np.empty(x.shape)
+        for at, prior in self._parts_of_axis:
+            density[..., at] = prior.log_density(x[..., at])
+        return density
+
+
 # Nodes and weights of Gauss-Legendre quadratures.
 _GAUSS_40 = np.polynomial.legendre.leggauss(40)
 _GAUSS_64 = np.polynomial.legendre.leggauss(64)
@@ -779,7 +832,7 @@ def _first_moment(nu: float, t: float) -> float:
     return nu / (nu - 1.0) * math.exp(_student_log_norm(nu) + decay)
 
 
-def _clipped(x: Floats, lower: float, upper: float) -> Floats:
+def _clipped(x: Floats, lower: float | Floats, upper: float | Floats) -> Floats:
     """As ``np.clip``, whose checks take longer than the work on short arrays."""
     return np.asarray(np.minimum(np.maximum(x, lower), upper))
 

@@ -235,11 +235,12 @@ class PlateModel:
         d f / d p = phi^T (dK/dp - lambda dM/dp) phi / (8 pi^2 f), phi M-normalised.
         """
         x = np.atleast_2d(x)
-        spectrum = self.spectrum(x, vectors=jacobian)
-        f = spectrum.frequencies
         if not jacobian:
-            return Prediction(f, None)
-        derivative = eigenvalue_derivatives(self.operator, spectrum, *self.coefficient_derivatives(x))
+            return Prediction(self.spectrum(x).frequencies, None)
+        coefficients, slopes = self._with_derivatives(x)
+        spectrum = solve(self.operator, *coefficients, self.n_modes, vectors=True)
+        f = spectrum.frequencies
+        derivative = eigenvalue_derivatives(self.operator, spectrum, *slopes)
         return Prediction(f, derivative / (8 * np.pi**2 * f[..., None]))
 
     def modes(self, x: Array) -> tuple[Mode, ...]:
@@ -266,15 +267,25 @@ class PlateModel:
         return k, m
 
     def coefficient_derivatives(self, x: Array) -> tuple[Array, Array]:
-        """d theta_q / d p_j by complex step, (m, n_terms, n_parameters) each."""
+        """d theta_q / d p_j, (m, n_terms, n_parameters) each."""
+        return self._with_derivatives(x)[1]
+
+    def _with_derivatives(self, x: Array) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+        """Coefficients of K and M at parameter vectors (m, n), as of ``coefficients``, and their derivatives.
+
+        The plate's numbers are derived by complex step, the laminate's stiffness in closed form.
+        """
         m, n = x.shape
+        if not n:
+            k, mass = self.coefficients(x)
+            return (k, mass), (np.zeros((*k.shape, 0)), np.zeros((*mass.shape, 0)))
         step = _STEP * np.maximum(np.abs(x), np.finfo(float).tiny ** 0.25)
-        shifted = x[:, None, :] + 1j * step[:, None, :] * np.eye(n)
-        shifted_coefficients = self.coefficients(shifted.reshape(m * n, n))
-        k, mass = (
-            np.swapaxes(c.imag.reshape(m, n, -1) / step[:, :, None], 1, 2) for c in shifted_coefficients
-        )
-        return k, mass
+        shifted = np.repeat(x[:, None, :].astype(complex), n, axis=1)
+        shifted[:, np.arange(n), np.arange(n)] += 1j * step
+        stepped = self.operator.problem.both_coefficients(self.parameters.mapping(shifted), steps=True)
+        k, mass = (np.broadcast_to(c, (m, n, c.shape[-1])) for c in stepped)
+        d_k, d_mass = (np.swapaxes(c.imag / step[:, :, None], 1, 2) for c in (k, mass))
+        return (k.real[:, 0], mass.real[:, 0]), (d_k, d_mass)
 
 
 def training_sets(problem: Problem, n: int, rng: np.random.Generator) -> Array:

@@ -6,6 +6,7 @@ Over normal scores every prior is standard normal: no bounds, and flat direction
 from __future__ import annotations
 
 from dataclasses import dataclass, field, fields
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 from cpam_bayes.forward_model.model import Prediction
 from cpam_bayes.inference.posterior import Posterior
 from cpam_bayes.parameters import ParameterSet
+from cpam_bayes.priors import Priors
 
 Array = NDArray[Any]
 
@@ -295,7 +297,7 @@ MAX_SCORE = 7.0
 _HALF_LOG_2PI = 0.5 * float(np.log(2.0 * np.pi))
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class NormalScores:
     """z with Phi(z) = F(x), F the distribution function of a parameter's prior.
 
@@ -303,6 +305,10 @@ class NormalScores:
     """
 
     parameters: ParameterSet
+
+    @cached_property
+    def _priors(self) -> Priors:
+        return Priors(tuple(p.prior for p in self.parameters.parameters))
 
     @property
     def lower(self) -> Array:
@@ -316,25 +322,16 @@ class NormalScores:
 
     def to_x(self, z: Array) -> Array:
         """Parameters of scores (..., n), within their bounds."""
-        x = np.empty(z.shape)
         # cut, for half-bounded parameters have no finite value at the end
-        z = np.clip(z, -MAX_SCORE, MAX_SCORE)
-        for i, parameter in enumerate(self.parameters.parameters):
-            x[..., i] = parameter.prior.from_normal(z[..., i])
-        return x
+        return self._priors.from_normal(np.minimum(np.maximum(z, -MAX_SCORE), MAX_SCORE))
 
     def to_z(self, x: Array) -> Array:
         """Scores of parameters (..., n)."""
-        z = np.empty(x.shape)
-        for i, parameter in enumerate(self.parameters.parameters):
-            z[..., i] = parameter.prior.to_normal(x[..., i])
-        return np.clip(z, -MAX_SCORE, MAX_SCORE)
+        return np.clip(self._priors.to_normal(x), -MAX_SCORE, MAX_SCORE)
 
     def slope(self, x: Array, z: Array) -> Array:
         """d x / d z, (..., n): the density of the standard normal over that of the prior."""
-        log_density = np.empty(x.shape)
-        for i, parameter in enumerate(self.parameters.parameters):
-            log_density[..., i] = parameter.prior.log_density(x[..., i])
+        log_density = self._priors.log_densities(x)
         return np.asarray(np.exp(-0.5 * z**2 - _HALF_LOG_2PI - log_density))
 
     def log_prior(self, z: Array) -> Array:

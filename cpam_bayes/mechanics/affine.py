@@ -131,7 +131,7 @@ class DenseBlock:
 
     def eigenvalues(self, stiffness: Array, mass: Array, n: int) -> Array:
         """The n lowest eigenvalues of m coefficient sets, (m, n)."""
-        return matrix_by_matrix(np.linalg.eigvalsh, self._whitened(stiffness, mass)[0])[..., :n]
+        return _lowest(self._whitened(stiffness, mass)[0], n)
 
     def eigenpairs(self, stiffness: Array, mass: Array, n: int) -> tuple[Array, ModeVectors]:
         """The n lowest eigenvalues of m coefficient sets, (m, n), and what gives their vectors.
@@ -144,7 +144,7 @@ class DenseBlock:
             values = np.stack([pair[0] for pair in pairs])
             vectors = np.stack([pair[1].T for pair in pairs])
             return values, lambda sets, column: _mapped(back, sets, vectors[sets, column])
-        values = matrix_by_matrix(np.linalg.eigvalsh, k)[..., :n]
+        values = _lowest(k, n)
         return values, lambda sets, column: _mapped(back, sets, _iterated(k, values, sets, column))
 
     def energies(self, vectors: Array) -> tuple[Array, Array]:
@@ -157,6 +157,13 @@ class DenseBlock:
             energy[:, matrix.active] = np.sum(images * vectors.T, axis=1).T
             terms.append(energy)
         return terms[0], terms[1]
+
+
+def _lowest(stack: Array, n: int) -> Array:
+    """The n lowest eigenvalues of symmetric matrices (m, size, size), (m, n)."""
+    if stack.shape[-1] == 1:
+        return np.asarray(stack[..., 0])
+    return matrix_by_matrix(np.linalg.eigvalsh, stack)[..., :n]
 
 
 def _lowest_pairs(matrix: Array, n: int) -> tuple[Array, Array]:
@@ -185,25 +192,27 @@ def _iterated(k: Array, eigenvalues: Array, sets: Array, column: Array) -> Array
 
     One inverse iteration from a fixed vector; LAPACK's vectors where two eigenvalues are close.
     """
-    lam = eigenvalues[sets, column]
-    distance = np.abs(eigenvalues[sets] - lam[:, None])
-    distance[np.arange(len(sets)), column] = np.inf
-    close = distance.min(axis=1, initial=np.inf) < _CLOSE * np.abs(lam)
-    size = k.shape[-1]
+    lam, size = eigenvalues[sets, column], k.shape[-1]
+    if size == 1:
+        return np.ones((len(sets), 1))
+    between = np.full((len(eigenvalues), eigenvalues.shape[1] + 1), np.inf)
+    between[:, 1:-1] = np.diff(eigenvalues, axis=1)
+    distance = np.minimum(between[sets, column], between[sets, column + 1])
+    close = distance < _CLOSE * np.abs(lam)
     phi, i = np.empty((len(sets), size)), np.arange(size)
     apart = np.flatnonzero(~close)
     if len(apart):
         shifted = k[sets[apart]]
-        shifted[:, i, i] -= (lam[apart] * (1.0 + _SHIFT))[:, None]
+        shifted.reshape(len(apart), -1)[:, :: size + 1] -= (lam[apart] * (1.0 + _SHIFT))[:, None]
         try:
             phi[apart] = np.linalg.solve(shifted, np.cos(1.0 + i * i)[:, None])[..., 0]
         except np.linalg.LinAlgError:  # a shifted value that is an eigenvalue to its last digit
             close[:] = True
-    for s in np.unique(sets[close]):
+    for s in np.unique(sets[close]) if close.any() else ():
         rows = np.flatnonzero(close & (sets == s))
         every = scipy.linalg.eigh(k[s], subset_by_index=(0, int(column[rows].max())))[1]
         phi[rows] = every[:, column[rows]].T
-    phi /= np.linalg.norm(phi, axis=1, keepdims=True)
+    phi /= np.sqrt(np.sum(phi * phi, axis=1, keepdims=True))
     return phi
 
 
@@ -227,10 +236,7 @@ class AffineOperator(Generic[SpaceT, BlockT]):
 
     def coefficients(self, values: Values) -> tuple[Array, Array]:
         """Coefficients of K and of M at parameter values, (..., n_stiffness) and (..., n_mass)."""
-        return (
-            self.problem.coefficients(values, "stiffness"),
-            self.problem.coefficients(values, "mass"),
-        )
+        return self.problem.both_coefficients(values)
 
 
 def restricted(operator: DenseOperator, keep: Array) -> DenseOperator:

@@ -106,10 +106,11 @@ def solve(
 def _vectors(mode_vectors: ModeVectors, size: int, where: tuple[Array, ...], column: Array) -> Array:
     """Vectors of the modes ``where`` (parameter sets, modes) of one block; zero in other columns."""
     sets, modes = where
+    if not len(sets):
+        return np.zeros((len(column), size, 0))
     columns = column[sets, modes]
-    vectors = np.zeros((len(column), size, int(columns.max(initial=-1)) + 1))
-    if len(sets):
-        vectors[sets, :, columns] = mode_vectors(sets, columns)
+    vectors = np.zeros((len(column), size, int(columns.max()) + 1))
+    vectors[sets, :, columns] = mode_vectors(sets, columns)
     return vectors
 
 
@@ -210,8 +211,8 @@ def eigenvalue_derivatives(
 def _coincident(spectrum: Spectrum) -> list[tuple[int, list[int]]]:
     """Groups of modes of one block whose eigenvalues coincide: (parameter set, modes)."""
     lam = spectrum.eigenvalues
-    close = np.diff(lam, axis=1) < COINCIDENT * lam[:, 1:]
-    groups = []
+    close = lam[:, 1:] - lam[:, :-1] < COINCIDENT * lam[:, 1:]
+    groups: list[tuple[int, list[int]]] = []
     for s in np.flatnonzero(close.any(axis=1)):
         starts = np.flatnonzero(np.concatenate(([True], ~close[s])))
         for run in np.split(np.arange(lam.shape[1]), starts[1:]):

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from itertools import combinations_with_replacement
 from typing import Any, Literal
 
@@ -19,9 +20,11 @@ from cpam_bayes.parameters import ParameterSet
 from cpam_bayes.plate.edges import EDGES, FIELDS, Field, conditions, is_stated
 from cpam_bayes.plate.laminate import (
     ENERGY_CONSISTENT,
+    N_STRAINS,
     LaminateGeometry,
     PlyStack,
     ShearModel,
+    first_order_stiffness,
     laminate_geometry,
     laminate_stiffness,
 )
@@ -101,6 +104,9 @@ def _strain_energy() -> tuple[tuple[Form, ...], NDArray[np.intp], NDArray[np.int
 
 # Which entry of the laminate's stiffness each form has, (2, n_forms), and its powers of 1/length, 1/width.
 LAMINATE_FORMS, LAMINATE_ENTRIES, _POWER = _strain_energy()
+# The same entry in a flat 8 x 8 matrix, and where its product of sides stands in those of `_side_products`.
+_FLAT_ENTRIES = np.ravel_multi_index(tuple(LAMINATE_ENTRIES), (N_STRAINS, N_STRAINS))
+_SIDES = np.array([[0, 2, 5], [1, 3, -1], [4, -1, -1]])[tuple(_POWER)]
 MASS_FORMS = tuple(Form(Atom(f), Atom(f)) for f in FIELDS)
 _ATOMS = tuple(dict.fromkeys(atom for row in STRAIN_ATOMS for atom, _ in row))
 _LEFT = np.array([_ATOMS.index(f.left) for f in LAMINATE_FORMS])
@@ -116,7 +122,8 @@ class PlateState:
     ``layup`` is (n_plies,) or (..., n_plies) degrees, or a precomputed ``LaminateGeometry``.
     ``changes`` are applied to the laminate's stiffness (..., 8, 8), first to last. ``skew`` is the
     angle in radians by which the edges x = 0 and x = length lean towards x; sides keep their lengths.
-    ``plies`` : what they are, ``None`` where all are alike.
+    ``plies`` : what they are, ``None`` where all are alike. ``known`` : the stiffness with its changes, where
+    it has been computed.
     """
 
     length: Array
@@ -130,6 +137,7 @@ class PlateState:
     changes: tuple[Callable[[Array], Array], ...] = ()
     skew: Array | None = None
     plies: PlyStack | None = None
+    known: Array | None = None
 
     def geometry(self) -> LaminateGeometry:
         """The part of the layup that does not depend on the constants."""
@@ -139,7 +147,23 @@ class PlateState:
 
     def stiffness(self) -> Array:
         """The 8 x 8 laminate stiffness, (..., 8, 8)."""
-        stiffness = laminate_stiffness(self.constants, self.geometry(), self.thickness, self.shear)
+        if self.known is not None:
+            return self.known
+        return self._changed(laminate_stiffness(*self._laminate))
+
+    def computed(self, *, steps: bool = False) -> PlateState:
+        """The state with its stiffness, which several terms ask for.
+
+        steps : whether the last axis are complex steps that have their real parts in common
+        """
+        stiffness = (first_order_stiffness if steps else laminate_stiffness)(*self._laminate)
+        return replace(self, known=self._changed(stiffness))
+
+    @property
+    def _laminate(self) -> tuple[Mapping[str, Array], LaminateGeometry, Array, ShearModel]:
+        return self.constants, self.geometry(), self.thickness, self.shear
+
+    def _changed(self, stiffness: Array) -> Array:
         for change in self.changes:
             stiffness = change(stiffness)
         return stiffness
@@ -192,6 +216,18 @@ class Problem:
     def coefficients(self, values: Values, matrix: MatrixKind) -> Array:
         """Coefficients of every form of K or M at the given values, (..., n_forms)."""
         state = self.state(values)
+        return self._coefficients(state.computed() if matrix == "stiffness" else state, values, matrix)
+
+    def both_coefficients(self, values: Values, *, steps: bool = False) -> tuple[Array, Array]:
+        """Coefficients of K and of M at the given values, (..., n_stiffness) and (..., n_mass).
+
+        steps : whether the last axis of the values are complex steps from one set of values: what comes out
+            is then of first order in them, and exact
+        """
+        state = self.state(values).computed(steps=steps)
+        return self._coefficients(state, values, "stiffness"), self._coefficients(state, values, "mass")
+
+    def _coefficients(self, state: PlateState, values: Values, matrix: MatrixKind) -> Array:
         parts = [t.coefficients(state, values) for t in self.terms if t.matrix == matrix]
         if len(parts) == 1:
             return parts[0]
@@ -212,9 +248,15 @@ def laminate_coefficients(state: PlateState, values: Values) -> Array:
     del values
     if state.skew is not None:
         return _skewed_coefficients(state)
-    length, width = np.asarray(state.length)[..., None], np.asarray(state.width)[..., None]
-    sizes = length ** (1 - _POWER[0]) * width ** (1 - _POWER[1])
-    return np.asarray(state.stiffness()[..., LAMINATE_ENTRIES[0], LAMINATE_ENTRIES[1]] * sizes)
+    stiffness = state.stiffness()
+    entries = stiffness.reshape(*stiffness.shape[:-2], N_STRAINS**2).take(_FLAT_ENTRIES, axis=-1)
+    return np.asarray(entries * _side_products(state.length, state.width).take(_SIDES, axis=-1))
+
+
+def _side_products(length: Array, width: Array) -> Array:
+    """a b, b, a, 1, b/a and a/b of sides a, b (...), (..., 6): the area times powers of 1/a and 1/b."""
+    a, b = np.broadcast_arrays(length, width)
+    return np.stack((a * b, b, a, np.ones_like(a), b / a, a / b), axis=-1)
 
 
 def _skewed_coefficients(state: PlateState) -> Array:
@@ -254,7 +296,8 @@ def inertia_coefficients(state: PlateState, values: Values) -> Array:
     rotation = translation * state.thickness**2 / 12
     if state.plies is not None:
         rotation = rotation * state.plies.mass_moments[1]
-    return np.stack(np.broadcast_arrays(*[translation] * 3, *[rotation] * 2), axis=-1)
+    both = np.stack(np.broadcast_arrays(translation, rotation), axis=-1)
+    return both.take((0, 0, 0, 1, 1), axis=-1)
 
 
 def mass_offset_coefficients(state: PlateState, values: Values) -> Array:
@@ -301,6 +344,7 @@ def bare_plate(
     return Problem(parameters, edges, nominal, state, terms, admissible)
 
 
+@lru_cache(maxsize=1024)
 def rigid_body_count(edges: str) -> int:
     """Number of rigid-body motions that the edges leave, by the rank of what they hold or spring.
 

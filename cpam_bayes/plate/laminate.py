@@ -16,7 +16,7 @@ The symmetry of a ply says which constants it has and what they must satisfy:
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Final, Literal, TypeAlias, TypeVar
@@ -53,7 +53,7 @@ ENERGY_CONSISTENT = ShearModel()
 FIVE_SIXTHS = ShearModel(5.0 / 6.0)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class PlyStack:
     """Where plies lie and what they are made of, whatever their angles are.
 
@@ -74,7 +74,7 @@ class PlyStack:
         even = np.allclose(self.interfaces, -self.interfaces[::-1], rtol=0.0, atol=1e-12)
         return bool(even and np.array_equal(self.material, self.material[::-1]))
 
-    @property
+    @cached_property
     def mass_moments(self) -> tuple[float, float]:
         """Integrals of density times z and times 12 z^2 over the thickness, of unit thickness and density.
 
@@ -219,47 +219,148 @@ class LaminateGeometry:
         """A number for each material, (..., n_materials), at the points, (..., n_points), or one for all."""
         return values if len(self.names) == 1 else np.asarray(values[..., self.material])
 
+    @property
+    def is_one_layup(self) -> bool:
+        """Whether it is one layup of known angles, whose stiffness has a closed form."""
+        return self.in_plane.ndim == 1 and not np.iscomplexobj(self.in_plane)
+
     @cached_property
-    def shear_energy(self) -> Array:
-        """Shear energy of one layup as quadratic forms, (n_materials, 2, 3, n, n).
+    def closed_form(self) -> ClosedForm:
+        """The stiffness of one layup over the constants of its plies."""
+        n = len(self.names)
+        units = np.zeros((4 * n, _INVARIANTS * n))
+        for k in range(n):
+            at = slice(4 * k, 4 * k + 4), slice(_INVARIANTS * k, _INVARIANTS * (k + 1))
+            units[at] = stiffness_invariants(np.eye(4))
+        linear = _membrane_and_bending(self, units)
+        running = [self.first] if self.zeroth is None else [self.zeroth, self.first]
+        rows = np.concatenate([_running_rows(units, each) for each in running], axis=-1)
+        return ClosedForm(linear.reshape(4 * n, -1), self._shear_energy(rows))
 
-        The shear stresses are linear in the products of an invariant U_i with a compliance d_jk (or
-        b_jk): with these in a vector X_k of length n = 15 (30 with b) for each material, the entries (yy, xx,
-        xy) of the shear compliance are m X^T T_0 X + d X^T T_1 X with m the mean and d half the difference
-        of 1/G23 and 1/G13, summed over the materials. Only for a single layup: it replaces sums over plies by
-        small products.
+    def _shear_energy(self, rows: Array) -> Array:
+        """Shear energy as quadratic forms, (2 n_materials, 3, k, k); see ``ClosedForm``.
+
+        rows : (3, n_points, 4 n_materials, r), rows x, y and xy of the running stiffness that each reduced
+            stiffness times an entry of a compliance gives.
         """
-        columns = [self.first] if self.zeroth is None else [self.first, self.zeroth]
-        # rows x, y, xy of the running stiffness that each product of U_i with row j gives, (3, p, n)
-        rows = np.concatenate([_running_rows(c) for c in columns], axis=-1)
+        n_points, stress = rows.shape[1], {}
+        for column, (yz, xz) in enumerate(((2, 0), (1, 2))):  # of Qx, of Qy
+            for name, row in (("yz", yz), ("xz", xz)):
+                placed = np.zeros((n_points, rows.shape[2], 2, rows.shape[3]))
+                placed[:, :, column] = rows[row]
+                stress["xy"[column] + name] = placed.reshape(n_points, -1)
         forms = []
-        for s_yz, s_xz, s_mix in self._shear_weights():
-            along_y, along_x = (rows[1], rows[2]), (rows[2], rows[0])  # (tau_yz, tau_xz) of Qy, of Qx
-            for (a_yz, a_xz), (b_yz, b_xz) in (
-                (along_y, along_y),
-                (along_x, along_x),
-                (along_y, along_x),
-            ):
-                form = a_yz.T @ (s_yz[:, None] * b_yz) + a_xz.T @ (s_xz[:, None] * b_xz)
-                forms.append(form + a_yz.T @ (s_mix[:, None] * b_xz) + a_xz.T @ (s_mix[:, None] * b_yz))
-        return np.array(forms).reshape(-1, 2, 3, *forms[0].shape)
-
-    def _shear_weights(self) -> Iterator[tuple[Array, Array, Array]]:
-        """Weights of tau_yz^2, tau_xz^2 and their product at the points, for m, then d of each material."""
         for k in range(len(self.names)):
-            weight = self.weight * (self.material == k)
+            weight = 0.5 * self.weight * (self.material == k)
             c2, s2 = self.ply[:, 1] * weight, self.ply[:, 3] * weight
-            yield weight, weight, 0.0 * c2
-            yield c2, -c2, -s2
+            for sign in (1.0, -1.0):  # 1 / G23, 1 / G13
+                s_yz, s_xz, s_mix = (
+                    (w[:, None]) for w in (weight + sign * c2, weight - sign * c2, -sign * s2)
+                )
+                for i, j in ("yy", "xx", "yx"):
+                    left, right = (stress[i + "yz"], stress[i + "xz"]), (stress[j + "yz"], stress[j + "xz"])
+                    form = left[0].T @ (s_yz * right[0] + s_mix * right[1])
+                    form = form + left[1].T @ (s_xz * right[1] + s_mix * right[0])
+                    forms.append(0.5 * (form + form.T))
+        return np.array(forms).reshape(-1, 3, *forms[0].shape)
 
 
-def _running_rows(running: Array) -> Array:
-    """Rows x, y and xy of the running stiffness (n_points, 5 n) for unit invariants, (3, n_points, 15 n)."""
-    n = running.shape[-1]
-    entries = np.stack([rotated_stiffness(unit, running) for unit in np.eye(n)], axis=1)
-    x11, x12, x22, x66, x16, x26 = np.moveaxis(entries, -1, 0)
-    rows = ((x11, x12, x16), (x12, x22, x26), (x16, x26, x66))
-    return np.stack([np.stack(row, axis=-1).reshape(len(running), 3 * n) for row in rows])
+@dataclass(frozen=True, slots=True, eq=False)
+class ClosedForm:
+    """Stiffness of one layup of unit thickness over the reduced stiffnesses q of its materials.
+
+    [A B; B D] is linear in q. The shear stresses are linear in the products of q with the compliances c of
+    bending along x and along y, so that the entries (yy, xx, xy) of the shear compliance are the sum
+    over s_k of s_k X^T T_k X with s = (1/G23, 1/G13) and X_ab = q_a c_b.
+
+    linear : (4 n_materials, 64) entries of the 8 x 8 stiffness that each of q gives.
+    energy : (2 n_materials, 3, k, k), the T_k, symmetric; k is 24 n_materials, 48 where A and D couple.
+    """
+
+    linear: Array
+    energy: Array
+
+    @property
+    def _coupled(self) -> slice:
+        """The strains that the compliance is of: curvatures, with the membrane strains where they couple."""
+        r = self.energy.shape[-1] // (2 * len(self.linear))
+        return slice(6 - r, 6)
+
+    def values(self, q: Array, s: Array) -> Array:
+        """The 8 x 8 stiffness at q (..., 4 n_materials) and s (..., 2 n_materials), real or complex."""
+        unit = (q @ self.linear).reshape(*q.shape[:-1], N_STRAINS, N_STRAINS)
+        compliance = np.linalg.inv(unit[..., self._coupled, self._coupled])
+        x, images = self._products(q, compliance)
+        h = (s[..., None, :] @ np.sum(images * x[..., None, None, :], axis=-1))[..., 0, :]
+        shape = np.broadcast_shapes(unit.shape[:-2], h.shape[:-1])
+        if shape != unit.shape[:-2] or h.dtype != unit.dtype:
+            unit = np.array(np.broadcast_to(unit, (*shape, N_STRAINS, N_STRAINS)), dtype=h.dtype)
+        unit[..., SHEAR, SHEAR] = _inverse2(h[..., _ENTRIES_2])
+        return np.asarray(unit)
+
+    def _products(self, q: Array, compliance: Array) -> tuple[Array, Array]:
+        """X (..., k) and T X (..., 2 n_materials, 3, k)."""
+        columns = np.swapaxes(compliance[..., :, -3:-1], -1, -2)
+        x = q[..., :, None] * columns.reshape(*columns.shape[:-2], 1, -1)
+        x = x.reshape(*x.shape[:-2], -1)
+        k = x.shape[-1]
+        return x, (x @ self.energy.reshape(-1, k).T).reshape(*x.shape[:-1], *self.energy.shape[:-1])
+
+    def first_order(self, q: Array, s: Array) -> Array:
+        """The same at complex steps q (..., n, 4 n_materials) and s (..., n, 2 n_materials), to first order.
+
+        The n sets of a row have their real parts in common. With H = Y^-1 the shear compliance and X that of
+        bending, dY = -Y dH Y and dc = -X (d[A B; B D]) X.
+        """
+        q0, s0 = q.real[..., 0, :], s.real[..., 0, :]
+        unit = (q0 @ self.linear).reshape(*q0.shape[:-1], N_STRAINS, N_STRAINS)
+        at = self._coupled
+        r = at.stop - at.start
+        compliance = np.linalg.inv(unit[..., at, at])
+        x, images = self._products(q0, compliance)
+        by_s = np.sum(images * x[..., None, None, :], axis=-1)
+        shear = _inverse2((s0[..., None, :] @ by_s)[..., 0, _ENTRIES_2])
+        columns = np.swapaxes(compliance[..., :, -3:-1], -1, -2)
+        # by X, (..., 3, 4 n_materials, 2 r), then by q at fixed c and by c at fixed q
+        k = x.shape[-1]
+        by_x = 2.0 * (s0[..., None, :] @ images.reshape(*images.shape[:-3], -1, 3 * k))
+        by_x = by_x.reshape(*x.shape[:-1], 3, len(self.linear), 2 * r)
+        by_q = (by_x @ columns.reshape(*columns.shape[:-2], 1, -1, 1))[..., 0]
+        by_c = (q0[..., None, None, :] @ by_x).reshape(*x.shape[:-1], 3, 2, r)
+        by_stiffness = np.swapaxes(by_c @ compliance[..., None, :, :], -1, -2) @ columns[..., None, :, :]
+        entries = self.linear.reshape(-1, N_STRAINS, N_STRAINS)[:, at, at].reshape(len(self.linear), -1)
+        by_q -= by_stiffness.reshape(*by_q.shape[:-1], r * r) @ entries.T
+        h = q.imag @ np.swapaxes(by_q, -1, -2) + s.imag @ by_s
+        steps = np.empty((*h.shape[:-1], N_STRAINS, N_STRAINS), dtype=complex)
+        unit[..., SHEAR, SHEAR] = shear
+        steps.real = unit[..., None, :, :]
+        steps.imag = (q.imag @ self.linear).reshape(*q.shape[:-1], N_STRAINS, N_STRAINS)
+        shear = shear[..., None, :, :]
+        steps.imag[..., SHEAR, SHEAR] = -shear @ h[..., _ENTRIES_2] @ shear
+        return steps
+
+
+def _running_rows(units: Array, running: Array) -> Array:
+    """Rows x, y and xy of the running stiffness (n_points, 5 n) for the invariants (4 n, 5 n) of unit plies.
+
+    Returns (3, n_points, 4 n, 3).
+    """
+    entries = np.stack([rotated_stiffness(unit, running) for unit in units], axis=1)
+    return np.stack([entries[..., row] for row in _ENTRIES_3])
+
+
+def _membrane_and_bending(geometry: LaminateGeometry, invariants: Array) -> Array:
+    """[A B 0; B D 0; 0 0 0] of unit thickness, (..., 8, 8)."""
+    a, b, d = (
+        _symmetric3(rotated_stiffness(invariants, weights))
+        for weights in (geometry.in_plane, geometry.coupling, geometry.flexural)
+    )
+    unit = np.zeros((*a.shape[:-2], N_STRAINS, N_STRAINS), dtype=np.result_type(a, b, d))
+    unit[..., MEMBRANE, MEMBRANE] = a
+    unit[..., CURVATURE, CURVATURE] = d
+    unit[..., MEMBRANE, CURVATURE] = b
+    unit[..., CURVATURE, MEMBRANE] = b
+    return unit
 
 
 def laminate_geometry(
@@ -343,32 +444,8 @@ def _shear_compliance(
         b, d = inverse[..., :3, 3:], inverse[..., 3:, 3:]
 
     mean, half = 0.5 / g23 + 0.5 / g13, 0.5 / g23 - 0.5 / g13
-    if geometry.first.ndim == 2:
-        h_yy, h_xx, h_xy = _energy_of_one_layup(geometry, invariants, d, b, mean, half)
-    else:
-        h_yy, h_xx, h_xy = _energy_of_layups(geometry, invariants, d, b, mean, half)
+    h_yy, h_xx, h_xy = _energy_of_layups(geometry, invariants, d, b, mean, half)
     return np.asarray(_on_last_axis(h_yy, h_xx, h_xy)[..., _ENTRIES_2])
-
-
-def _energy_of_one_layup(
-    geometry: LaminateGeometry, invariants: Array, d: Array, b: Array | None, mean: Array, half: Array
-) -> Array:
-    """Entries (yy, xx, xy) of the shear compliance of one layup for a stack of constants, (3, ...)."""
-
-    def products(column: int) -> Array:
-        parts = [d] if b is None else [d, b]
-        x = [invariants[..., :, None] * part[..., None, :, column] for part in parts]
-        return np.concatenate([y.reshape(*y.shape[:-2], 3 * y.shape[-2]) for y in x], axis=-1)
-
-    of_x, of_y = products(0), products(1)
-    terms = []
-    for k, (left, right) in enumerate(((of_y, of_y), (of_x, of_x), (of_y, of_x))):
-        term: Array | float = 0.0
-        for material, forms in enumerate(geometry.shear_energy):
-            at_mean, at_half = (np.sum((left @ form[k]) * right, axis=-1) for form in forms)
-            term = term + (mean[..., material] * at_mean + half[..., material] * at_half)
-        terms.append(np.asarray(term))
-    return np.stack(np.broadcast_arrays(*terms))
 
 
 def _energy_of_layups(
@@ -426,17 +503,17 @@ def laminate_stiffness(
     geometry = layup if isinstance(layup, LaminateGeometry) else laminate_geometry(layup)
     h = np.asarray(thickness)
     plies = [constants_of(constants, name) for name in geometry.names]
-    invariants = _side_by_side([stiffness_invariants(reduced_stiffness(ply)) for ply in plies])
-    a = _symmetric3(rotated_stiffness(invariants, geometry.in_plane))
-    d = _symmetric3(rotated_stiffness(invariants, geometry.flexural))
-    b = _symmetric3(rotated_stiffness(invariants, geometry.coupling))
+    reduced = [reduced_stiffness(ply) for ply in plies]
+    if geometry.is_one_layup and shear.factor is None:
+        return geometry.closed_form.values(
+            _side_by_side(reduced), _shear_compliances(plies)
+        ) * thickness_powers(h)
+    invariants = _side_by_side([stiffness_invariants(each) for each in reduced])
     g13, g23 = (_side_by_side([np.asarray(ply[g])[..., None] for ply in plies]) for g in ("G13", "G23"))
-    shape = np.broadcast_shapes(a.shape[:-2], h.shape, g13.shape[:-1], g23.shape[:-1])
-    unit = np.zeros((*shape, N_STRAINS, N_STRAINS), dtype=np.result_type(a, h, g13, g23))
-    unit[..., MEMBRANE, MEMBRANE] = a
-    unit[..., CURVATURE, CURVATURE] = d
-    unit[..., MEMBRANE, CURVATURE] = b
-    unit[..., CURVATURE, MEMBRANE] = b
+    coupled = _membrane_and_bending(geometry, invariants)
+    shape = np.broadcast_shapes(coupled.shape[:-2], h.shape, g13.shape[:-1], g23.shape[:-1])
+    kind = np.result_type(coupled, h, g13, g23)
+    unit = np.array(np.broadcast_to(coupled, (*shape, N_STRAINS, N_STRAINS)), dtype=kind)
     if shear.factor is None:
         compliance = _shear_compliance(geometry, invariants, unit, g13, g23)
         unit[..., SHEAR, SHEAR] = _inverse2(compliance)
@@ -450,13 +527,41 @@ def laminate_stiffness(
     return np.asarray(unit * thickness_powers(h))
 
 
+def first_order_stiffness(
+    constants: Mapping[str, ArrayLike],
+    layup: ArrayLike | LaminateGeometry,
+    thickness: ArrayLike,
+    shear: ShearModel = ENERGY_CONSISTENT,
+) -> Array:
+    """``laminate_stiffness`` at n complex steps (..., n) from one set of constants, to first order.
+
+    Of one layup in closed form, with the real part that the steps have in common computed once.
+    """
+    geometry = layup if isinstance(layup, LaminateGeometry) else laminate_geometry(layup)
+    plies = [constants_of(constants, name) for name in geometry.names]
+    varied = any(np.iscomplexobj(value) for ply in plies for value in ply.values())
+    if not (varied and geometry.is_one_layup and shear.factor is None):
+        return laminate_stiffness(constants, geometry, thickness, shear)
+    q, s = _side_by_side([reduced_stiffness(ply) for ply in plies]), _shear_compliances(plies)
+    shape = np.broadcast_shapes(q.shape[:-1], s.shape[:-1])
+    q, s = (np.broadcast_to(each, (*shape, each.shape[-1])) for each in (q, s))
+    return np.asarray(geometry.closed_form.first_order(q, s) * thickness_powers(thickness))
+
+
+def _shear_compliances(plies: list[Mapping[str, ArrayLike]]) -> Array:
+    """1/G23 and 1/G13 of each material, (..., 2 n_materials)."""
+    return _on_last_axis(*(1.0 / np.asarray(ply[name]) for ply in plies for name in ("G23", "G13")))
+
+
 def thickness_powers(thickness: ArrayLike) -> Array:
     """Power of h that each entry of the 8 x 8 stiffness of a similar laminate carries, (..., 8, 8)."""
-    h = np.asarray(thickness)[..., None]
-    per_strain = np.concatenate(
-        np.broadcast_arrays(*[np.ones_like(h)] * 3, *[h] * 3, *[np.ones_like(h)] * 2), -1
-    )
-    return np.asarray(per_strain[..., :, None] * per_strain[..., None, :] * h[..., None])
+    h = np.asarray(thickness)
+    return np.asarray(_on_last_axis(h, h * h, h * h * h)[..., _THICKNESS_POWERS])
+
+
+# Of h that the entries carry, less one: 0 of A and A_s, 1 of B, 2 of D.
+_OF_STRAIN = np.isin(np.arange(N_STRAINS), (3, 4, 5)).astype(int)
+_THICKNESS_POWERS = _OF_STRAIN[:, None] + _OF_STRAIN
 
 
 def flexural_constants(stiffness: Array, thickness: float) -> dict[str, float]:
@@ -551,7 +656,11 @@ def constraint_margins(constants: Mapping[str, ArrayLike], symmetry: MaterialSym
     returns (..., n_constraints), NaN where a constant is
     raises ValueError for a missing or an unknown constant
     """
-    full = complete_constants(constants, symmetry)
+    return _margins(complete_constants(constants, symmetry), symmetry)
+
+
+def _margins(full: Mapping[str, Array], symmetry: MaterialSymmetry) -> NDArray[np.float64]:
+    """``constraint_margins`` of all six constants."""
     E1, E2, nu12 = np.broadcast_arrays(*(np.real(full[name]) for name in ("E1", "E2", "nu12")))
     if symmetry == "isotropic":
         return np.asarray(np.minimum(0.5 - nu12, 1.0 + nu12)[..., None])
@@ -585,7 +694,7 @@ def is_admissible(constants: Mapping[str, ArrayLike], symmetry: MaterialSymmetry
     raises ValueError for a missing or an unknown constant
     """
     full = complete_constants(constants, symmetry)
-    allowed = ~constraint_violations(constants, symmetry).any(axis=-1)
+    allowed = (_margins(full, symmetry) > 0.0).all(axis=-1)
     for name in _MODULI:
         allowed = allowed & (np.real(full[name]) > 0.0)
     return np.asarray(allowed)

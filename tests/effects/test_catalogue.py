@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import pickle
 from dataclasses import replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from itertools import combinations, product
 from pathlib import Path
 from typing import Any
@@ -19,10 +19,14 @@ import pytest
 from cpam_bayes.effects import CATALOGUE, Effect, applicable, extend, scale_of, variants
 from cpam_bayes.effects.effect import GROSS_FRACTION
 from cpam_bayes.effects.table import BEGIN, END, catalogue_tables
-from cpam_bayes.mechanics.affine import MATRICES
+from cpam_bayes.forward_model.model import PlateModel, constant_parameters, plate_problem
+from cpam_bayes.mechanics.affine import MATRICES, AffineOperator
+from cpam_bayes.mechanics.problem import PlateState, StateFunction, Values
 from cpam_bayes.parameters import Mixture, ScaledStudentT
 from cpam_bayes.plate.edges import conditions
-from cpam_bayes.plate.layup import parse_layup
+from cpam_bayes.plate.laminate import laminate_geometry
+from cpam_bayes.plate.layup import Layup, parse_layup
+from cpam_bayes.plate.reader import builtin, builtin_names
 from tests.effects.cases import (
     BY_NAME,
     MODES,
@@ -336,6 +340,41 @@ def test_complex_step_of_the_coefficients_is_their_difference_quotient(
         # rounding of the coefficient over the step
         noise = 1e-14 * np.abs(at).max() / h
         assert np.all(np.abs(analytic - quotient) <= tolerance * np.abs(analytic) + noise)
+
+
+def of_a_stack(layup: Layup, before: StateFunction, values: Values) -> PlateState:
+    """The state with its layup as a stack of one, whose stiffness is integrated ply by ply."""
+    geometry = laminate_geometry(layup.angles_deg[None], symmetric=layup.is_symmetric, plies=layup.plies)
+    return replace(before(values), layup=geometry)
+
+
+@pytest.mark.parametrize(
+    "plate", [name for name in builtin_names() if not builtin(name).plate.layup.n_unknown]
+)
+def test_coefficients_in_closed_form_are_those_of_the_general_laminate(plate: str) -> None:
+    specimen, of_plate, rng = builtin(plate), facts(plate), np.random.default_rng(0)
+    problem = plate_problem(specimen, constant_parameters(specimen))
+    general = replace(problem, state=partial(of_a_stack, specimen.plate.layup, problem.state))
+    for effect in (None, *(e for e in applicable(of_plate) if e.change is not None)):
+        both = [p if effect is None else extend(p, placed(effect), of_plate) for p in (problem, general)]
+        parameters = both[0].parameters
+        x = parameters.sample(rng, 12)
+        x = x[both[0].admissible(parameters.mapping(x))][:3]
+        assert len(x)
+        n, step = parameters.size, 1e-25 * np.abs(x)
+        model = PlateModel(AffineOperator(both[0], None, ()), 1, np.zeros(1))
+        stepped = parameters.mapping(x[:, None] + 1j * step[:, None] * np.eye(n))
+        for kind, value, slope in zip(
+            MATRICES, model.coefficients(x), model.coefficient_derivatives(x), strict=True
+        ):
+            full = both[1].coefficients(stepped, kind)
+            full = np.broadcast_to(full, (len(x), n, full.shape[-1]))
+            expected = np.swapaxes(full.imag / step[..., None], 1, 2)
+            size = np.abs(value).max(axis=1)[:, None]
+            assert np.all(np.abs(value - full.real[:, 0]) <= 1e-12 * size)
+            # of the largest slope along a parameter, or of what rounding leaves of none
+            largest = np.maximum(np.abs(expected).max(axis=1), 1e-3 * size / np.abs(x))
+            assert np.all(np.abs(slope - expected) <= 1e-12 * largest[:, None])
 
 
 # The discretisations

@@ -21,6 +21,7 @@ from cpam_bayes.plate.laminate import (
     ShearModel,
     complete_constants,
     constraint_violations,
+    first_order_stiffness,
     flexural_constants,
     is_admissible,
     laminate_geometry,
@@ -380,6 +381,25 @@ def test_constants_of_one_material_may_vary_and_of_the_other_not() -> None:
     for k, value in zip(together, e1, strict=True):
         one = laminate_stiffness({**constants, "a.E1": np.asarray(value)}, geometry, H)
         assert_allclose(k, one, rtol=1e-13, atol=1e-13 * np.abs(one).max())
+
+
+@pytest.mark.parametrize("angles", [[0, 45, 45, 0], [0, 45, 90, -30]])
+def test_first_order_of_a_hybrid_is_its_complex_step(angles: list[float]) -> None:
+    geometry = laminate_geometry(angles, plies=stack([2.0, 1.0, 1.0, 2.0], [0, 1, 1, 0], ("a", "b")))
+    constants = named(a=CARBON, b=GLASS)
+    names = ["a.E1", "a.nu12", "a.G23", "b.E2", "b.G12", "b.G13"]
+    along = {name: constants[name] * (1.0 + 1e-25j * np.eye(7)[i]) for i, name in enumerate(names)}
+    h = H * (1.0 + 1e-25j * np.eye(7)[6])
+    found = first_order_stiffness({**constants, **along}, geometry, h)
+    # a stack of layups has no closed form
+    many = laminate_geometry(
+        np.array([angles], dtype=float), plies=stack([2.0, 1.0, 1.0, 2.0], [0, 1, 1, 0], ("a", "b"))
+    )
+    expected = laminate_stiffness({**constants, **along}, many, h)
+    for part in (np.real, np.imag):
+        size = np.abs(part(expected)).max(axis=(1, 2), keepdims=True)
+        assert np.all(size > 0.0)
+        assert np.all(np.abs(part(found) - part(expected)) <= 1e-12 * size)
 
 
 COMPOSITE = "transversely_isotropic"
