@@ -251,6 +251,8 @@ class Rounds(NamedTuple):
     least : rounds before which it does not end
     enough : effective size that is enough
     steady : change of the log evidence by the last round that is small enough
+    good : effective fraction of the points of the first round with which the proposal is left as it is, and
+        twice its points are enough
     """
 
     log2_points: int = 8
@@ -258,6 +260,7 @@ class Rounds(NamedTuple):
     least: int = 4
     enough: float = 400.0
     steady: float = 0.05
+    good: float = 1.0
 
 
 def adaptive_importance(
@@ -294,6 +297,10 @@ def adaptive_importance(
         if i + 1 >= rounds.least and is_steady:
             break
         before = log_evidence
+        if found.effective_size[0] > rounds.good * size * (i + 1):
+            if i:
+                break
+            continue
         mixture = _with_heaviest(refit(mixture, points, log_weight), expand, points[0], log_weight[0])
     return found
 
