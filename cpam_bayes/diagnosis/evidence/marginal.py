@@ -131,6 +131,7 @@ def laplace_marginal(
         z, factor, log_mass = (
             np.concatenate(pair) for pair in zip((z, factor, log_mass), at_nodes, strict=True)
         )
+        log_mass = log_mass - np.log(2.0)  # optima and nodes are two counts of one mass
     return _marginal(comparison, sizes, z, factor, log_mass)
 
 

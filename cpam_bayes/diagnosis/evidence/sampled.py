@@ -134,7 +134,7 @@ _LOG2_TRAINING, _TOLERANCE, _FRACTION = 6, 2e-5, 0.95
 _COMPARED, _ALIKE_NATS = 16, 0.05
 # Hypotheses within so many nats of the most probable one are sampled, as roughly as is enough beyond _NEAR.
 _NEAR, _IN_SIGHT = 4.0, 10.0
-CLOSE = Rounds(least=2, good=0.4)
+CLOSE = Rounds(least=2, good=0.5)
 ROUGH = Rounds(log2_points=6, most=6, least=2, enough=50.0, steady=0.2, good=0.3)
 
 
