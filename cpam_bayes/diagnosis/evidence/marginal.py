@@ -46,6 +46,8 @@ _DETERMINED_SD, _CARRIES = 0.15, 1e-3
 _GRID, _EVEN_SIZES = np.linspace(-3.3, 3.3, 9), 5
 _LOG2_SCATTERED = {2: 5, 3: 5, 4: 6}
 _MOST_SCATTERED = 7
+# Part of the nodes' mass that an optimum has at most where it leaves the sizes open.
+_OF_OPEN_OPTIMUM = 0.2
 # Components with less of the mass propose nothing.
 _NEGLIGIBLE_FRACTION = 1e-4
 # Degrees of freedom and widening of the mixture that importance sampling proposes, log2 of its points.
@@ -128,10 +130,13 @@ def laplace_marginal(
     factor = np.linalg.cholesky(np.linalg.inv(optima.curvature))
     if open_sizes:
         at_nodes = _over_nodes(comparison, open_sizes, open_sizes[0] == sizes[0], optima)
+        # an optimum that does not determine the sizes is the mass of its nodes once more
+        sd = np.sqrt(np.diagonal(np.linalg.inv(optima.curvature), axis1=1, axis2=2)[:, list(open_sizes)])
+        most = logsumexp(at_nodes[2]) + np.log(_OF_OPEN_OPTIMUM)
+        log_mass = np.where(sd.max(axis=1) > _DETERMINED_SD, np.minimum(log_mass, most), log_mass)
         z, factor, log_mass = (
             np.concatenate(pair) for pair in zip((z, factor, log_mass), at_nodes, strict=True)
         )
-        log_mass = log_mass - np.log(2.0)  # optima and nodes are two counts of one mass
     return _marginal(comparison, sizes, z, factor, log_mass)
 
 

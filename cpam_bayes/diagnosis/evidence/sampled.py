@@ -129,7 +129,7 @@ Array = NDArray[Any]
 
 # Models are projected once more, on modes at so many points of the proposal, log2, so that this fraction of
 # their frequencies has a relative error below the tolerance.
-_LOG2_TRAINING, _TOLERANCE, _FRACTION = 6, 2e-5, 0.95
+_LOG2_TRAINING, _TOLERANCE, _FRACTION = 6, 2e-5, 0.98
 # Points of most weight at which the log densities of both are compared, and how far they may be apart.
 _COMPARED, _ALIKE_NATS = 16, 0.05
 # Hypotheses within so many nats of the most probable one are sampled, as roughly as is enough beyond _NEAR.
