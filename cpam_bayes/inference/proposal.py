@@ -28,6 +28,7 @@ from cpam_bayes.inference.student_mixture import (
     fit,
     log_blend,
     log_mixture,
+    shrunk_moments,
     single,
     sobol_points,
     split,
@@ -261,6 +262,11 @@ class Rounds(NamedTuple):
     enough: float = 400.0
     steady: float = 0.05
     good: float = 1.0
+
+
+def refitted_moments(mixture: Mixture, points: Array, log_weight: Array) -> Mixture:
+    """The mixture with the moments of its components taken from weighted points, shrunk to what they were."""
+    return shrunk_moments(mixture, points, log_weight, least=1e-3, wider=_WIDER, prior_points=4.0)
 
 
 def adaptive_importance(

@@ -10,11 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cpam_bayes.diagnosis.comparison import Comparison, PlateCase
+from cpam_bayes.diagnosis.comparison import PlateCase
 from cpam_bayes.diagnosis.hypotheses import Hypothesis, go_together, pair_scale, paired
 from cpam_bayes.diagnosis.models import PlateModels
 from cpam_bayes.effects import Effect, PlateFacts
 from cpam_bayes.effects.effect import PERCENT
+from cpam_bayes.inference.log_density import LogDensity
 from cpam_bayes.parameters import Parameter, ParameterSet, TruncatedNormal
 from cpam_bayes.plate import Measurement
 from cpam_bayes.plate.reader import builtin
@@ -166,7 +167,7 @@ def differences(function: Callable[[Array], Array], x: Array, step: float = 1e-6
     )
 
 
-def at_prior_means(comparison: Comparison) -> Array:
+def at_prior_means(comparison: LogDensity) -> Array:
     return np.array([p.prior.mean for p in comparison.parameters.parameters])
 
 

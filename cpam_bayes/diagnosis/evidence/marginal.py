@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from cpam_bayes.diagnosis.comparison import Comparison, PlateCase, effect_columns
+from cpam_bayes.diagnosis.comparison import PlateCase, effect_columns
 from cpam_bayes.diagnosis.evidence.optima import (
     SEARCH,
     SIZE_RANGE,
@@ -33,6 +33,7 @@ from cpam_bayes.diagnosis.evidence.optima import (
 from cpam_bayes.diagnosis.hypotheses import Hypothesis
 from cpam_bayes.inference.derivatives import MAX_SCORE, Expansion
 from cpam_bayes.inference.laplace import maximise
+from cpam_bayes.inference.log_density import LogDensity
 from cpam_bayes.inference.student_mixture import Mixture, sobol_points
 from cpam_bayes.parameters import Parameter
 from cpam_bayes.threads import single_blas_thread
@@ -51,7 +52,7 @@ _OF_OPEN_OPTIMUM = 0.2
 # Components with less of the mass propose nothing.
 _NEGLIGIBLE_FRACTION = 1e-4
 # Degrees of freedom and widening of the mixture that importance sampling proposes, log2 of its points.
-_FREEDOM, WIDER, LOG2_POINTS = 6.0, 1.15, 9
+_FREEDOM, _WIDER, LOG2_POINTS = 6.0, 1.15, 9
 _HALF_LOG_2PI = 0.5 * np.log(2 * np.pi)
 
 
@@ -68,7 +69,7 @@ class Marginal:
     draws, log_weight : (d, n) parameters and (d,) their normalised log weights
     """
 
-    comparison: Comparison
+    comparison: LogDensity
     sizes: tuple[int, ...]
     log_evidence: float
     error: float
@@ -105,7 +106,7 @@ class Marginal:
 
 @single_blas_thread
 def laplace_marginal(
-    comparison: Comparison,
+    comparison: LogDensity,
     sizes: tuple[int, ...],
     known: Array,
     *,
@@ -153,7 +154,7 @@ def _not_determined(optima: Optima, sizes: tuple[int, ...]) -> tuple[int, ...]:
 
 
 def _over_nodes(
-    comparison: Comparison, columns: tuple[int, ...], has_size: bool, optima: Optima
+    comparison: LogDensity, columns: tuple[int, ...], has_size: bool, optima: Optima
 ) -> tuple[Array, Array, Array]:
     """Centres, square roots of covariances and log masses of components that fill the priors of open sizes.
 
@@ -183,7 +184,7 @@ def _over_nodes(
 
 
 def _marginal(
-    comparison: Comparison, sizes: tuple[int, ...], z: Array, factor: Array, log_mass: Array
+    comparison: LogDensity, sizes: tuple[int, ...], z: Array, factor: Array, log_mass: Array
 ) -> Marginal:
     """Of components about optima and nodes, with their log masses (k,)."""
     kept = np.flatnonzero(log_mass > log_mass.max() + np.log(_NEGLIGIBLE_FRACTION))
@@ -198,7 +199,7 @@ def _marginal(
         error=np.nan,
         z=z[kept],
         weight=weight,
-        proposal=replace(proposal, factor=WIDER * proposal.factor, degrees_of_freedom=_FREEDOM),
+        proposal=replace(proposal, factor=_WIDER * proposal.factor, degrees_of_freedom=_FREEDOM),
         draws=draws,
         log_weight=np.full(len(draws), -np.log(len(draws))),
     )
@@ -229,7 +230,7 @@ class ShiftTable:
     shift: Array
 
 
-def size_nodes(comparison: Comparison, sizes: tuple[int, ...]) -> tuple[Array, Array]:
+def size_nodes(comparison: LogDensity, sizes: tuple[int, ...]) -> tuple[Array, Array]:
     """Nodes (k, d) of an effect's sizes in normal scores and the logs (k,) of their prior weights."""
     if len(sizes) == 1:
         even = size_points(comparison, sizes[0], _SHIFT_EVEN)
@@ -243,7 +244,7 @@ def size_nodes(comparison: Comparison, sizes: tuple[int, ...]) -> tuple[Array, A
 
 
 def shift_table(
-    comparison: Comparison, effect: Sequence[Parameter], sizes: tuple[int, ...], about: Marginal
+    comparison: LogDensity, effect: Sequence[Parameter], sizes: tuple[int, ...], about: Marginal
 ) -> ShiftTable:
     """Shifts by an effect at the optimum of another hypothesis.
 
@@ -298,7 +299,7 @@ class Tested:
     log_bayes_factor: float = 0.0
     shift: ShiftTable | None = None
     cases: tuple[PlateCase, ...] = ()
-    as_plain: Comparison | None = None
+    as_plain: LogDensity | None = None
 
     @property
     def columns(self) -> tuple[int, ...]:

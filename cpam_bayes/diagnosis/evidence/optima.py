@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 from scipy.stats import qmc
 
-from cpam_bayes.diagnosis.comparison import Comparison
-from cpam_bayes.inference.derivatives import MAX_SCORE, Expansion, apart
+from cpam_bayes.inference.derivatives import MAX_SCORE, Expansion, distinct
 from cpam_bayes.inference.laplace import maximise
+from cpam_bayes.inference.log_density import LogDensity
 from cpam_bayes.mechanics.modes import RigidBodyError
 
 Array = NDArray[Any]
@@ -96,7 +96,7 @@ class Optima:
 
 
 def find_optima(
-    comparison: Comparison,
+    comparison: LogDensity,
     sizes: tuple[int, ...],
     known: Array,
     *,
@@ -129,7 +129,7 @@ def find_optima(
     return Optima(optima.z[near], optima.value[near], optima.curvature[near])
 
 
-def prior_draws(comparison: Comparison, sizes: tuple[int, ...], log2_draws: int) -> Array:
+def prior_draws(comparison: LogDensity, sizes: tuple[int, ...], log2_draws: int) -> Array:
     """Scores (m, n) that fill the prior; those of the first size are spread evenly, noise starts large."""
     z = spread_scores(comparison.parameters.size, log2_draws, sizes[0] if sizes else None)
     z[:, comparison.model.parameters.size :] = SEARCH.first_noise
@@ -152,7 +152,7 @@ def _unit_points(n: int, log2_points: int) -> Array:
     return np.asarray(np.clip(points, 1e-6, 1.0 - 1e-6))
 
 
-def size_points(comparison: Comparison, column: int, n: int) -> Array:
+def size_points(comparison: LogDensity, column: int, n: int) -> Array:
     """Scores of n sizes that are evenly spread between the bounds of their prior, (n,)."""
     lower, upper = comparison.parameters.lower[column], comparison.parameters.upper[column]
     prior = comparison.parameters.parameters[column].prior
@@ -160,7 +160,7 @@ def size_points(comparison: Comparison, column: int, n: int) -> Array:
     return np.clip(np.asarray(prior.to_normal(x)), -MAX_SCORE, MAX_SCORE)
 
 
-def _misfit_at(comparison: Comparison, z: Array) -> Array:
+def _misfit_at(comparison: LogDensity, z: Array) -> Array:
     """A misfit that ranks far-off scores (m, n), infinite where the constraints (9) are broken, (m,)."""
     x = comparison.scores.to_x(z)
     misfit = np.full(len(z), np.inf)
@@ -177,7 +177,7 @@ def coarse_misfit(r: Array) -> Array:
 
 
 def maximised(
-    comparison: Comparison, z: Array, most_steps: int, promised: float = SEARCH.promised
+    comparison: LogDensity, z: Array, most_steps: int, promised: float = SEARCH.promised
 ) -> tuple[Optima, Array]:
     """Distinct ends of optimisations from scores (s, n), and the gain that one more step promises each.
 
@@ -187,18 +187,10 @@ def maximised(
     maxima = maximise(
         lambda at, rows: comparison.expand(at), z, -bound, bound, most_steps=most_steps, promised=promised
     )
-    kept = _distinct(maxima.u, maxima.expansion)
+    kept = distinct(maxima.u, maxima.expansion, SEARCH.distinct_sd)
     g, c = maxima.expansion.gradient[kept], maxima.expansion.curvature[kept]
     promise = 0.5 * np.einsum("ki,ki->k", g, np.linalg.solve(c, g[..., None])[..., 0])
     return Optima(maxima.u[kept], maxima.expansion.value[kept], c), promise
-
-
-def _distinct(z: Array, expansion: Expansion) -> list[int]:
-    """Where optimisations ended, the best first, without those that ended at the same place."""
-    value = np.where(np.isfinite(expansion.value), expansion.value, -np.inf)
-    order = np.argsort(-value, kind="stable")
-    order = order[value[order] > -np.inf]
-    return [int(order[i]) for i in apart(z[order], expansion.curvature[order], SEARCH.distinct_sd)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -226,7 +218,7 @@ class Nodes:
             self.value + 0.5 * n * np.log(2 * np.pi) - 0.5 * np.linalg.slogdet(self.curvature)[1]
         )
 
-    def components(self, comparison: Comparison, kept: Array, width: Array) -> tuple[Array, Array]:
+    def components(self, comparison: LogDensity, kept: Array, width: Array) -> tuple[Array, Array]:
         """Centres (p, n) and square roots (p, n, n) of the covariances of a mixture about some nodes.
 
         Along the sizes a component is as wide as its node is far from the next ones; the optimum of the rest
@@ -260,7 +252,7 @@ def inserted(columns: tuple[int, ...], scores: Array, rest: Array) -> Array:
 
 
 def conditional_optima(
-    comparison: Comparison, columns: tuple[int, ...], scores: Array, optima: Optima
+    comparison: LogDensity, columns: tuple[int, ...], scores: Array, optima: Optima
 ) -> Nodes:
     """The optima of the rest at sizes (k, d), approached from the joint optimum nearest in size."""
     rest = np.delete(np.arange(comparison.parameters.size), columns)

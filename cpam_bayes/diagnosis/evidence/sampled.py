@@ -15,14 +15,13 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from cpam_bayes.diagnosis.comparison import Comparison, PlateCase
-from cpam_bayes.diagnosis.evidence.marginal import WIDER, Marginal, Tested
+from cpam_bayes.diagnosis.comparison import PlateCase
+from cpam_bayes.diagnosis.evidence.marginal import Marginal, Tested
 from cpam_bayes.diagnosis.hypotheses import NONE
-from cpam_bayes.inference.proposal import Rounds, adaptive_importance
+from cpam_bayes.inference.log_density import LogDensity
+from cpam_bayes.inference.proposal import Rounds, adaptive_importance, refitted_moments
 from cpam_bayes.inference.student_mixture import (
-    Mixture,
     Weighted,
-    shrunk_moments,
     sobol_points,
 )
 from cpam_bayes.parallel import ProcessPool, run
@@ -161,13 +160,13 @@ def sampled_marginal(marginal: Marginal, rounds: Rounds = CLOSE) -> Marginal:
     )
 
 
-def about_optima(marginal: Marginal) -> Comparison:
+def about_optima(marginal: Marginal) -> LogDensity:
     """The comparison with models that are enough where the mixture about its optima proposes points."""
     points = sobol_points(marginal.proposal, _LOG2_TRAINING)[0]
     return marginal.comparison.about(points, _TOLERANCE, _FRACTION)
 
 
-def about_draws(marginal: Marginal) -> Comparison:
+def about_draws(marginal: Marginal) -> LogDensity:
     """As ``about_optima``; the marginal's own comparison where that is not enough at its draws."""
     near = about_optima(marginal)
     x = marginal.draws[np.argsort(-marginal.log_weight, kind="stable")[:_COMPARED]]
@@ -175,21 +174,17 @@ def about_draws(marginal: Marginal) -> Comparison:
     return near if apart.max() < _ALIKE_NATS else marginal.comparison
 
 
-def _sample(marginal: Marginal, comparison: Comparison, rounds: Rounds) -> Weighted:
+def _sample(marginal: Marginal, comparison: LogDensity, rounds: Rounds) -> Weighted:
     def log_density(z: Array) -> Array:
         return comparison.log_density(z[0])[None]
 
-    return adaptive_importance(log_density, comparison.expand, marginal.proposal, _refitted, rounds)
+    return adaptive_importance(log_density, comparison.expand, marginal.proposal, refitted_moments, rounds)
 
 
-def _are_alike(near: Comparison, comparison: Comparison, sample: Weighted) -> bool:
+def _are_alike(near: LogDensity, comparison: LogDensity, sample: Weighted) -> bool:
     """Whether two comparisons have the same log density at the points of most weight."""
     z = sample.points[0][np.argsort(-sample.weight[0], kind="stable")[:_COMPARED]]
     return bool(np.abs(near.log_density(z) - comparison.log_density(z)).max() < _ALIKE_NATS)
-
-
-def _refitted(mixture: Mixture, points: Array, log_weight: Array) -> Mixture:
-    return shrunk_moments(mixture, points, log_weight, least=1e-3, wider=WIDER, prior_points=4.0)
 
 
 def sampled_near_the_best(

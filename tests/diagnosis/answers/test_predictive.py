@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from scipy.stats import chi2, kstest
 
-from cpam_bayes.diagnosis.comparison import REPEATABILITY_PRIOR, Comparison
+from cpam_bayes.diagnosis.comparison import REPEATABILITY_PRIOR
 from cpam_bayes.diagnosis.evidence import weighing
 from cpam_bayes.diagnosis.fit import explains
 from cpam_bayes.diagnosis.hypotheses import DISCREPANCY, NONE, OTHER, Hypothesis
+from cpam_bayes.inference.log_density import LogDensity
 from tests.diagnosis.toy_plates import (
     BUMP,
     F0,
@@ -87,9 +88,9 @@ def test_a_step_to_where_the_plate_buckles_is_not_taken(monkeypatch: pytest.Monk
     tested = weighed_list(f, NOTHING, NOISE)
     whole = explains(tested)
 
-    def buckled(self: Comparison, x: Array) -> tuple[Array, Array, None]:
+    def buckled(self: LogDensity, x: Array) -> tuple[Array, Array, None]:
         return np.empty(0, dtype=int), np.empty((0, len(f))), None
 
-    monkeypatch.setattr(Comparison, "predict_inside", buckled)
+    monkeypatch.setattr(LogDensity, "predict_inside", buckled)
     # the optimum itself is left, a step of Gauss and Newton from it changes nothing
     assert explains(tested) == pytest.approx(whole, rel=1e-3)

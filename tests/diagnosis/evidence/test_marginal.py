@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from scipy.special import logsumexp
 
-from cpam_bayes.diagnosis.comparison import Comparison, comparison_of
+from cpam_bayes.diagnosis.comparison import comparison_of
 from cpam_bayes.diagnosis.evidence.marginal import Marginal, laplace_marginal
 from cpam_bayes.diagnosis.evidence.sampled import sampled_marginal
 from cpam_bayes.diagnosis.hypotheses import Hypothesis
+from cpam_bayes.inference.log_density import LogDensity
 from cpam_bayes.parameters import ScaledStudentT
 from cpam_bayes.priors import Prior
 from tests.diagnosis.toy_plates import (
@@ -42,7 +43,7 @@ def measured(shift: np.ndarray, noise: float = NOISE) -> np.ndarray:
     return F0 * (1.0 + A @ TRUTH + shift) * (1.0 + noise * SCATTER)
 
 
-def weighed(comparison: Comparison, sizes: tuple[int, ...] = (2,), least: float = -np.inf) -> Marginal:
+def weighed(comparison: LogDensity, sizes: tuple[int, ...] = (2,), least: float = -np.inf) -> Marginal:
     return laplace_marginal(comparison, sizes, np.zeros((1, comparison.parameters.size)), least=least)
 
 
