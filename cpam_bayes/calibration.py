@@ -30,10 +30,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import binom, chi2
 
+from cpam_bayes.forward_model.model import ForwardModel
 from cpam_bayes.forward_model.reduced import DEFAULT_SETTINGS as REDUCTION
 from cpam_bayes.forward_model.store import reduced_model
 from cpam_bayes.inference.ensemble import EnsembleResult, EnsembleSettings
-from cpam_bayes.inference.posterior import ForwardModel, Posterior, plate_posterior
+from cpam_bayes.inference.posterior import Posterior, plate_posterior
 from cpam_bayes.inference.sampling import sample_posterior
 from cpam_bayes.inference.swarm import SwarmSettings
 from cpam_bayes.parallel import run

@@ -21,11 +21,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cpam_bayes.diagnosis.cases import hypotheses_of, plate_case
-from cpam_bayes.diagnosis.comparison import SCATTER, Comparison, PlateCase, comparison_of
+from cpam_bayes.diagnosis.comparison import SCATTER, PlateCase, comparison_of
 from cpam_bayes.diagnosis.evidence.marginal import Tested
 from cpam_bayes.diagnosis.evidence.weighing import weigh
 from cpam_bayes.diagnosis.hypotheses import NONE, OTHER, Hypothesis
 from cpam_bayes.inference.derivatives import NormalScores
+from cpam_bayes.inference.log_density import LogDensity
 from cpam_bayes.plate import Measurement, Specimen, builtin, read_plate
 from validation.evidence_reference import ReferenceSettings, reference_evidence
 from validation.reporting import save_results, saved_results
@@ -126,7 +127,7 @@ def at_random_place(h: Hypothesis, rng: np.random.Generator) -> Hypothesis:
 
 
 def size_for(
-    case: PlateCase, comparison: Comparison, x: Array, column: int, most: float, signal: float
+    case: PlateCase, comparison: LogDensity, x: Array, column: int, most: float, signal: float
 ) -> float | None:
     """The smallest size with a signal to noise; None where it is not reached by ``most``.
 

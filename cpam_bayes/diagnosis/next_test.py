@@ -17,18 +17,11 @@ from cpam_bayes.diagnosis.diagnose import Diagnosis
 from cpam_bayes.diagnosis.evidence.sampled import shared_out
 from cpam_bayes.diagnosis.evidence.weighing import Tested, Weighed
 from cpam_bayes.diagnosis.hypotheses import NONE, OTHER
-from cpam_bayes.diagnosis.models import (
-    Change,
-    ComposedModel,
-    ConvergedPlate,
-    Part,
-    extended_on_space,
-    plate_under_test,
-)
+from cpam_bayes.diagnosis.models import ConvergedPlate, extended_on_space, plate_under_test
 from cpam_bayes.effects import Effect, extend
+from cpam_bayes.forward_model.composed import Change, ComposedModel, Part
 from cpam_bayes.forward_model.local.modal import ModalPlate, changed_on_modes, on_modes
-from cpam_bayes.forward_model.model import PlateModel, model_on_basis
-from cpam_bayes.inference.posterior import ForwardModel
+from cpam_bayes.forward_model.model import ForwardModel, PlateModel, model_on_basis
 from cpam_bayes.mechanics.modes import RigidBodyError
 from cpam_bayes.parameters import ParameterSet
 from cpam_bayes.plate import Sensor

@@ -9,7 +9,6 @@ import numpy as np
 from cpam_bayes.answer import Notice, each_once
 from cpam_bayes.diagnosis.cases import differing_priors
 from cpam_bayes.diagnosis.diagnose import Diagnosis
-from cpam_bayes.diagnosis.extension import Resampled
 from cpam_bayes.diagnosis.hypotheses import NONE
 from cpam_bayes.forward_model.labels import shape_notices
 from cpam_bayes.forward_model.preconditions import count_notices
@@ -25,19 +24,13 @@ _STABLE = 0.8
 _ROUGH = 0.3
 
 
-def diagnosis_notices(
-    d: Diagnosis, resampled: Resampled | None = None, *, emcee: bool = False
-) -> tuple[Notice, ...]:
-    """Every reason not to trust a diagnosis, or its constants by emcee, as they stand.
-
-    emcee : whether it was asked for.
-    """
+def diagnosis_notices(d: Diagnosis) -> tuple[Notice, ...]:
+    """Every reason not to trust a diagnosis as it stands."""
     material = d.cases[0].models.specimen.material
     fit = d.baseline if d.extended is None else d.extended
     draws = dict(zip(fit.constants, fit.draws.T, strict=True))
     unknowns = _unknowns(d) & set(d.baseline.constants)
     return (
-        *([Notice("nothing_to_sample")] if emcee and resampled is None else []),
         *count_notices(len(d.baseline.measured), len(unknowns)),
         *_of_residuals(d),
         *cut_notices(material, draws),
@@ -46,7 +39,6 @@ def diagnosis_notices(
         *each_once(n for case in d.cases for n in shape_notices(case.by_shape, case.measurement, "best")),
         *_of_priors(d),
         *_of_evidences(d),
-        *([Notice("extended_chains")] if resampled is not None and not resampled.converged else []),
     )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -199,6 +199,23 @@ class Prediction:
 
     frequencies: Array
     jacobian: Array | None
+
+
+class ForwardModel(Protocol):
+    """What a density asks of a plate."""
+
+    @property
+    def parameters(self) -> ParameterSet:
+        """Parameters of the plate, in the order of the vectors."""
+        ...
+
+    def predict(self, x: Array, *, jacobian: bool = False) -> Prediction:
+        """Frequencies at parameter vectors (m, n)."""
+        ...
+
+    def admissible(self, x: Array) -> Array:
+        """Whether parameter vectors (m, n) are physical, (m,) bool."""
+        ...
 
 
 @dataclass(frozen=True, slots=True)

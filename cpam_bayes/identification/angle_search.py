@@ -25,7 +25,12 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cpam_bayes.forward_model.model import angle_parameters, discretisation_error, reference_vector
+from cpam_bayes.forward_model.model import (
+    ForwardModel,
+    angle_parameters,
+    discretisation_error,
+    reference_vector,
+)
 from cpam_bayes.forward_model.reduced import ReducedModel
 from cpam_bayes.forward_model.store import reduced_model
 from cpam_bayes.identification.search import (
@@ -40,7 +45,6 @@ from cpam_bayes.identification.search import (
 )
 from cpam_bayes.inference.derivatives import Expansion
 from cpam_bayes.inference.laplace import maximise
-from cpam_bayes.inference.posterior import ForwardModel
 from cpam_bayes.inference.swarm import (
     SwarmProblem,
     SwarmResult,

@@ -13,17 +13,18 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import logsumexp
 
+from cpam_bayes.forward_model.composed import ComposedModel, Part
 from cpam_bayes.forward_model.known_errors import Array, known_errors, powers, theory_error
 from cpam_bayes.forward_model.labels import LabelledModel, list_order
 from cpam_bayes.forward_model.preconditions import birge_ratio
 from cpam_bayes.forward_model.reduced import DEFAULT_SETTINGS as REDUCTION
 from cpam_bayes.forward_model.reduced import ReducedModel
-from cpam_bayes.inference.derivatives import Expansion, NormalScores, apart
+from cpam_bayes.inference.derivatives import NormalScores, distinct
 from cpam_bayes.inference.laplace import maximise
+from cpam_bayes.inference.log_density import Listed, LogDensity
 from cpam_bayes.inference.posterior import NOISE, NOISE_PRIOR
-from cpam_bayes.inference.proposal import Rounds, adaptive_importance
-from cpam_bayes.inference.student_mixture import Mixture, shrunk_moments
-from cpam_bayes.mechanics.modes import RigidBodyError
+from cpam_bayes.inference.proposal import Rounds, adaptive_importance, refitted_moments
+from cpam_bayes.inference.student_mixture import Mixture
 from cpam_bayes.parameters import Parameter, ParameterSet
 from cpam_bayes.plate import Material, Measurement, Specimen
 
@@ -113,107 +114,38 @@ class Draws:
         return float(self.weight[x < low].sum()), float(self.weight[x > high].sum())
 
 
-@dataclass(frozen=True, slots=True)
-class ListDensity:
-    """Log density of constants, and of the noise where it is not stated, over normal scores.
+def sampled(density: LogDensity, starts: Array, noise: float) -> Draws:
+    """Draws about all optima that carry weight, next to constants (m, n).
 
-    model : of the plate, its modes in the places of the list
-    frequencies : (n_f,) Hz
-    covariance : (n_f, n_f) Hz^2, with the noise where it is stated
-    parameters : the constants, then the relative noise
+    noise : where an inferred noise begins, relative
     """
-
-    model: Model
-    frequencies: Array
-    covariance: Array
-    parameters: ParameterSet
-    scores: NormalScores
-
-    @property
-    def _n(self) -> int:
-        return self.model.parameters.size
-
-    def log_density(self, z: Array) -> Array:
-        """At scores (m, n), (m,); -inf where the constants cannot be."""
-        return self._expanded(z, derivatives=False).value
-
-    def expand(self, z: Array) -> Expansion:
-        """With gradient and Fisher information, at scores (m, n)."""
-        return self._expanded(z, derivatives=True)
-
-    def _expanded(self, z: Array, *, derivatives: bool) -> Expansion:
-        m, n = z.shape
-        x = self.scores.to_x(z)
-        value, gradient, curvature = np.full(m, -np.inf), np.zeros((m, n)), np.zeros((m, n, n))
-        inside = np.flatnonzero(self.model.full.admissible(x[:, : self._n]))
-        if len(inside):
-            try:
-                found = self._of_likelihood(x[inside], derivatives=derivatives)
-                value[inside], gradient[inside], curvature[inside] = found
-            except RigidBodyError:
-                pass  # no modes: no density
-        if not derivatives:
-            return Expansion(value + self.scores.log_prior(z), gradient, curvature)
-        return self.scores.with_prior(Expansion(value, gradient, curvature), x, z)
-
-    def _of_likelihood(self, x: Array, *, derivatives: bool) -> tuple[Array, Array, Array]:
-        f, n_f = self.frequencies, len(self.frequencies)
-        prediction = self.model.predict(x[:, : self._n], jacobian=derivatives)
-        covariance = np.broadcast_to(self.covariance, (len(x), n_f, n_f))
-        has_noise = x.shape[1] > self._n
-        if has_noise:
-            covariance = covariance + (x[:, -1, None] * f)[:, :, None] ** 2 * np.eye(n_f)
-        back = np.linalg.inv(np.linalg.cholesky(covariance))
-        white = np.einsum("mij,mj->mi", back, f - prediction.frequencies[:, :n_f])
-        log_determinant = np.log(np.diagonal(back, axis1=1, axis2=2)).sum(axis=1)
-        value = log_determinant - 0.5 * np.sum(white**2, axis=1) - 0.5 * n_f * np.log(2.0 * np.pi)
-        gradient, curvature = np.zeros(x.shape), np.zeros((len(x), x.shape[1], x.shape[1]))
-        if prediction.jacobian is not None:
-            slope = back @ prediction.jacobian[:, :n_f]
-            gradient[:, : self._n] = np.einsum("mi,mij->mj", white, slope)
-            curvature[:, : self._n, : self._n] = np.swapaxes(slope, 1, 2) @ slope
-            if has_noise:
-                d = back * (2.0 * x[:, -1, None] * f**2)[:, None, :] @ np.swapaxes(back, 1, 2)
-                gradient[:, -1] = 0.5 * (
-                    np.einsum("mi,mij,mj->m", white, d, white) - np.trace(d, axis1=1, axis2=2)
-                )
-                curvature[:, -1, -1] = 0.5 * np.einsum("mij,mij->m", d, d)
-        return value, gradient, curvature
-
-    def sampled(self, starts: Array, noise: float) -> Draws:
-        """Draws about all optima that carry weight, next to constants (m, n); noise : where it begins."""
-        if self.parameters.size > self._n:
-            prior = self.parameters.parameters[-1].prior
-            level = np.clip(noise, 2.0 * prior.lower, 0.5 * prior.upper)
-            starts = np.column_stack((starts, np.full(len(starts), level)))
-        z = np.vstack((self.scores.to_z(starts), np.zeros(self.parameters.size)))
-        ends = maximise(
-            lambda z, rows: self.expand(z),
-            np.clip(z, -3.0, 3.0),  # off the ends of a prior, where its density over scores is flat
-            self.scores.lower,
-            self.scores.upper,
-            most_steps=_STEPS,
-        )
-        order = np.argsort(-ends.expansion.value, kind="stable")
-        order = order[np.isfinite(ends.expansion.value[order])]
-        u, curvature, height = ends.u[order], ends.expansion.curvature[order], ends.expansion.value[order]
-        kept = apart(u, curvature, _SAME, _MOST)
-        log_share = height[kept] - 0.5 * np.linalg.slogdet(curvature[kept])[1]
-        share = np.maximum(np.exp(log_share - logsumexp(log_share)), 0.02)
-        factor = _WIDER * np.linalg.cholesky(np.linalg.inv(curvature[kept]))
-        proposal = Mixture((share / share.sum())[None], u[kept][None], factor[None], _FREEDOM)
-        found = adaptive_importance(
-            lambda z: self.log_density(z[0])[None], self.expand, proposal, _refitted, _ROUNDS
-        )
-        x = self.scores.to_x(found.points[0])[:, : self._n]
-        return Draws(x, found.weight[0], float(found.effective_size[0]))
+    n = density.model.parameters.size
+    if density.noise is not None:
+        prior = density.parameters.parameters[density.noise].prior
+        level = np.clip(noise, 2.0 * prior.lower, 0.5 * prior.upper)
+        starts = np.column_stack((starts, np.full(len(starts), level)))
+    z = np.vstack((density.scores.to_z(starts), np.zeros(density.parameters.size)))
+    ends = maximise(
+        lambda z, rows: density.expand(z),
+        np.clip(z, -3.0, 3.0),  # off the ends of a prior, where its density over scores is flat
+        density.scores.lower,
+        density.scores.upper,
+        most_steps=_STEPS,
+    )
+    kept = distinct(ends.u, ends.expansion, _SAME, _MOST)
+    u, curvature, height = ends.u[kept], ends.expansion.curvature[kept], ends.expansion.value[kept]
+    log_share = height - 0.5 * np.linalg.slogdet(curvature)[1]
+    share = np.maximum(np.exp(log_share - logsumexp(log_share)), 0.02)
+    factor = _WIDER * np.linalg.cholesky(np.linalg.inv(curvature))
+    proposal = Mixture((share / share.sum())[None], u[None], factor[None], _FREEDOM)
+    found = adaptive_importance(
+        lambda z: density.log_density(z[0])[None], density.expand, proposal, refitted_moments, _ROUNDS
+    )
+    x = density.scores.to_x(found.points[0])[:, :n]
+    return Draws(x, found.weight[0], float(found.effective_size[0]))
 
 
-def _refitted(mixture: Mixture, points: Array, log_weight: Array) -> Mixture:
-    return shrunk_moments(mixture, points, log_weight, least=1e-3, wider=_WIDER, prior_points=4.0)
-
-
-def list_density(specimen: Specimen, model: Model, best: Array) -> tuple[ListDensity, float]:
+def list_density(specimen: Specimen, model: Model, best: Array) -> tuple[LogDensity, float]:
     """The density of the list of a specimen, and the factor by which the stated noise is widened in it.
 
     best : (n,) constants of the best optimum, where the covariance is taken. A misfit there that the stated
@@ -222,15 +154,26 @@ def list_density(specimen: Specimen, model: Model, best: Array) -> tuple[ListDen
     measurement = specimen.measurement
     assert measurement is not None
     f = measurement.frequencies
+    n_f, n = len(f), len(best)
     is_stated = measurement.relative_std is not None or measurement.frequency_sd is not None
-    relative = common_covariance(specimen, model, best) + np.diag(scatter(specimen, model, best) ** 2)
-    covariance, noise = np.outer(f, f) * relative, np.diag(noise_variance(measurement, 0.0))
+    common = np.outer(f, f) * common_covariance(specimen, model, best)
+    by_model, noise = (f * scatter(specimen, model, best)) ** 2, noise_variance(measurement, 0.0)
     excess, parameters = 1.0, specimen.unknowns
     if is_stated:
-        left = f - model.predict(best[None]).frequencies[0, : len(f)]
-        white = np.linalg.solve(np.linalg.cholesky(covariance + noise), left)
-        excess = birge_ratio(np.asarray(white, dtype=np.float64), len(best))
+        left = f - model.predict(best[None]).frequencies[0, :n_f]
+        covariance = common + np.diag(by_model + noise)
+        white = np.linalg.solve(np.linalg.cholesky(covariance), left)
+        excess = birge_ratio(np.asarray(white, dtype=np.float64), n)
     else:
         parameters = parameters.union(ParameterSet((Parameter(NOISE, "", NOISE_PRIOR),)))
-    density = ListDensity(model, f, covariance + excess**2 * noise, parameters, NormalScores(parameters))
+    part = Part(model, np.arange(n), np.full(n, -1), (), np.arange(n_f))
+    listed = Listed(f, by_model + excess**2 * noise, np.zeros(n_f) if is_stated else f, common=common)
+    density = LogDensity(
+        ComposedModel(specimen.unknowns, (part,)),
+        listed,
+        parameters,
+        NormalScores(parameters),
+        amplitudes=(-1 if is_stated else n,),
+        discrepancy=None,
+    )
     return density, excess

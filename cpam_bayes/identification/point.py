@@ -35,7 +35,7 @@ from cpam_bayes.forward_model.preconditions import (
     units_notices,
 )
 from cpam_bayes.forward_model.reduced import ReducedModel
-from cpam_bayes.identification.density import Draws, list_density
+from cpam_bayes.identification.density import Draws, list_density, sampled
 from cpam_bayes.identification.search import Optimum, Residual, Search, required, search
 from cpam_bayes.inference.assessment import cut_notices, limiting_constraints
 from cpam_bayes.inference.completeness import TranscriptionError
@@ -234,7 +234,7 @@ def summarise(
     draws: Draws | None = None
     if residual == "whitened":
         density, excess = list_density(specimen, model, best)
-        draws = density.sampled(np.array([optimum.x for optimum in searched.optima]), noise)
+        draws = sampled(density, np.array([optimum.x for optimum in searched.optima]), noise)
         covariance = draws.covariance
     else:
         jacobian = prediction.jacobian[0, order]

@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cpam_bayes.forward_model.labels import LabelledModel, list_order
-from cpam_bayes.forward_model.model import Prediction, reference_vector
+from cpam_bayes.forward_model.model import ForwardModel, Prediction, reference_vector
 from cpam_bayes.forward_model.reduced import ReducedModel
 from cpam_bayes.inference.derivatives import Coordinates, Expansion, coordinates, expand_u
 from cpam_bayes.inference.laplace import laplace_log_evidence, maximise
-from cpam_bayes.inference.posterior import ForwardModel, Posterior
+from cpam_bayes.inference.posterior import Posterior
 from cpam_bayes.mechanics.modes import Mode
 from cpam_bayes.parameters import ParameterSet, Uniform
 from cpam_bayes.plate import Specimen

@@ -361,3 +361,11 @@ def apart(z: Array, curvature: Array, distance: float, most: int | None = None) 
         if np.all(np.einsum("ki,kij,kj->k", away, curvature[kept], away) > distance**2):
             kept.append(i)
     return kept
+
+
+def distinct(z: Array, expansion: Expansion, distance: float, most: int | None = None) -> list[int]:
+    """Indices of the ends (k, n) of optimisations that are different optima, the best first."""
+    value = np.where(np.isfinite(expansion.value), expansion.value, -np.inf)
+    order = np.argsort(-value, kind="stable")
+    order = order[value[order] > -np.inf]
+    return [int(order[i]) for i in apart(z[order], expansion.curvature[order], distance, most)]

@@ -8,14 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, Final, Literal, Protocol
+from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaln, logsumexp
 
 from cpam_bayes.forward_model.labels import Alternative, LabelledModel
-from cpam_bayes.forward_model.model import Prediction
+from cpam_bayes.forward_model.model import ForwardModel
 from cpam_bayes.inference.pairing import (
     DEFAULT_PAIRING,
     Pairing,
@@ -156,23 +156,6 @@ NOISE = "relative_std"
 
 class SolverError(ValueError):
     """A forward model returned something that is no frequency."""
-
-
-class ForwardModel(Protocol):
-    """The plate model as a posterior uses it."""
-
-    @property
-    def parameters(self) -> ParameterSet:
-        """Parameters of the plate, in the order of the vectors."""
-        ...
-
-    def predict(self, x: Array, *, jacobian: bool = False) -> Prediction:
-        """Frequencies at parameter vectors (m, n)."""
-        ...
-
-    def admissible(self, x: Array) -> Array:
-        """True where parameter vectors (m, n) are physical, (m,) bool."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)

@@ -28,6 +28,7 @@ from cpam_bayes.inference.student_mixture import (
     fit,
     log_blend,
     log_mixture,
+    shrunk_moments,
     single,
     sobol_points,
     split,
@@ -251,6 +252,8 @@ class Rounds(NamedTuple):
     least : rounds before which it does not end
     enough : effective size that is enough
     steady : change of the log evidence by the last round that is small enough
+    good : effective fraction of the points of the first round with which the proposal is left as it is, and
+        twice its points are enough
     """
 
     log2_points: int = 8
@@ -258,6 +261,12 @@ class Rounds(NamedTuple):
     least: int = 4
     enough: float = 400.0
     steady: float = 0.05
+    good: float = 1.0
+
+
+def refitted_moments(mixture: Mixture, points: Array, log_weight: Array) -> Mixture:
+    """The mixture with the moments of its components taken from weighted points, shrunk to what they were."""
+    return shrunk_moments(mixture, points, log_weight, least=1e-3, wider=_WIDER, prior_points=4.0)
 
 
 def adaptive_importance(
@@ -294,6 +303,10 @@ def adaptive_importance(
         if i + 1 >= rounds.least and is_steady:
             break
         before = log_evidence
+        if found.effective_size[0] > rounds.good * size * (i + 1):
+            if i:
+                break
+            continue
         mixture = _with_heaviest(refit(mixture, points, log_weight), expand, points[0], log_weight[0])
     return found
 

@@ -16,13 +16,14 @@ from scipy.signal import find_peaks
 from scipy.stats import f as f_distribution
 from scipy.stats import t as t_distribution
 
+from cpam_bayes.forward_model.model import ForwardModel
 from cpam_bayes.identification.point import linearised_covariance
 from cpam_bayes.identification.search import misfit
 from cpam_bayes.inference.assessment import cutting_constraints
 from cpam_bayes.inference.derivatives import prior_sd
 from cpam_bayes.inference.ensemble import EnsembleSettings
 from cpam_bayes.inference.laplace import gauss_newton_covariance, optimise
-from cpam_bayes.inference.posterior import ForwardModel, Posterior, plate_posterior
+from cpam_bayes.inference.posterior import Posterior, plate_posterior
 from cpam_bayes.inference.sampling import sample_posterior
 from cpam_bayes.inference.swarm import SwarmResult, SwarmSettings, material_swarm, minimise
 from cpam_bayes.parameters import ParameterSet

@@ -624,17 +624,12 @@ SENTENCES: Final[Mapping[str, str | Callable[[Facts], str]]] = {
         "The residuals are larger than the stated noise explains (p = {p:.3f}): the plate model lacks "
         "something, or the noise is larger."
     ),
-    "nothing_to_sample": "Nothing is claimed, so there is no extended model for emcee to sample.",
     "unexplained_by_none": _unexplained_by_none,
     "unexplained_by_claim": "The claimed cause does not explain all of the residuals (p = {p:.2g}).",
     "single_frequencies": _single_frequencies,
     "several_optima": _several_optima,
     "differing_priors": _differing_priors,
     "rough_evidences": _rough_evidences,
-    "extended_chains": (
-        "The chains of the extended model did not converge within their budget: do not rely on its constants "
-        "by emcee."
-    ),
     "rough_surrogate": (
         "The log evidence of the surrogate is {rms:.2f} off (rms): the size of the credible set and the "
         "marginals are rough. The listed sequences are computed without it."

@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp, ndtri
 from scipy.stats import qmc
 
-from cpam_bayes.forward_model.model import PlateModel
+from cpam_bayes.forward_model.model import ForwardModel, PlateModel
 from cpam_bayes.forward_model.reduced import ReducedModel, focused
 from cpam_bayes.inference.derivatives import Expansion, NormalScores, expand_likelihood
 from cpam_bayes.inference.laplace import maximise
-from cpam_bayes.inference.posterior import ForwardModel, Posterior, plate_posterior
+from cpam_bayes.inference.posterior import Posterior, plate_posterior
 from cpam_bayes.inference.student_mixture import Mixture, shrunk_moments, staged_importance
 from cpam_bayes.mechanics.problem import PlateState, StateFunction, Values
 from cpam_bayes.parameters import ParameterSet

@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from cpam_bayes.diagnosis.comparison import Comparison
 from cpam_bayes.inference.derivatives import MAX_SCORE, Expansion
 from cpam_bayes.inference.laplace import maximise
+from cpam_bayes.inference.log_density import LogDensity
 from cpam_bayes.inference.student_mixture import Mixture, shrunk_moments, staged_importance
 from cpam_bayes.running import single_blas_thread
 
@@ -81,7 +81,7 @@ class _Drawn:
 
 @single_blas_thread
 def reference_evidence(
-    comparison: Comparison,
+    comparison: LogDensity,
     sizes: tuple[int, ...],
     seed: int,
     settings: ReferenceSettings | None = None,
@@ -121,7 +121,7 @@ def reference_evidence(
     )
 
 
-def _draws(comparison: Comparison, sizes: tuple[int, ...], m: int, rng: np.random.Generator) -> _Drawn:
+def _draws(comparison: LogDensity, sizes: tuple[int, ...], m: int, rng: np.random.Generator) -> _Drawn:
     z = rng.standard_normal((m, comparison.parameters.size))
     if sizes:
         z[::2, sizes[0]] = rng.uniform(-_REACH, _REACH, len(z[::2]))
@@ -143,7 +143,7 @@ def _ranked(drawn: _Drawn) -> Array:
     return np.asarray(drawn.z[np.unique(np.concatenate(which))])
 
 
-def _optimised(comparison: Comparison, z: Array, held: tuple[int, ...]) -> tuple[Array, Expansion]:
+def _optimised(comparison: LogDensity, z: Array, held: tuple[int, ...]) -> tuple[Array, Expansion]:
     """Where optimisations from scores (m, n) end, those of some columns held."""
     free = np.delete(np.arange(z.shape[1]), held)
     bound = np.full(len(free), MAX_SCORE)
@@ -180,7 +180,7 @@ def _log_mass(e: Expansion) -> Array:
 
 
 def _at_nodes(
-    comparison: Comparison,
+    comparison: LogDensity,
     sizes: tuple[int, ...],
     drawn: _Drawn,
     optima: Array,

@@ -26,11 +26,12 @@ from cpam_bayes.diagnosis.answers.optima import (
     reweighed,
     weighted_quantiles,
 )
-from cpam_bayes.diagnosis.comparison import REPEATABILITY_PRIOR, Comparison, PlateCase
+from cpam_bayes.diagnosis.comparison import REPEATABILITY_PRIOR, PlateCase
 from cpam_bayes.diagnosis.evidence import weighing
 from cpam_bayes.diagnosis.fit import explains
 from cpam_bayes.diagnosis.hypotheses import NONE, OTHER, Claim, Hypothesis, claim_of
 from cpam_bayes.effects import Effect
+from cpam_bayes.inference.log_density import LogDensity
 from cpam_bayes.parameters import Parameter, ParameterSet, Uniform
 from tests.diagnosis.toy_plates import (
     ANYTHING,
@@ -216,10 +217,10 @@ def test_a_step_to_where_the_plate_buckles_is_not_taken(monkeypatch: pytest.Monk
     tested = weighed_list(f, NOTHING, NOISE)
     whole = explains(tested)
 
-    def buckled(self: Comparison, x: Array) -> tuple[Array, Array, None]:
+    def buckled(self: LogDensity, x: Array) -> tuple[Array, Array, None]:
         return np.empty(0, dtype=int), np.empty((0, len(f))), None
 
-    monkeypatch.setattr(Comparison, "predict_inside", buckled)
+    monkeypatch.setattr(LogDensity, "predict_inside", buckled)
     # the optimum itself is left, a step of Gauss and Newton from it changes nothing
     assert explains(tested) == pytest.approx(whole, rel=1e-3)
 

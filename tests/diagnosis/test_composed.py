@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cpam_bayes.diagnosis.models import Change, ComposedModel, Part
 from cpam_bayes.effects import Effect
 from cpam_bayes.effects.effect import FREQUENCY_SCALE, VISCOELASTIC
+from cpam_bayes.forward_model.composed import Change, ComposedModel, Part
 from cpam_bayes.parameters import Parameter, ParameterSet
 from tests.diagnosis.toy_plates import (
     BUMP,

@@ -5,23 +5,23 @@ several degrees move the constants as far as the effect itself. Draws of the pri
 the reduced model, the best of them optimised in rounds, fewer and further each time, together with what is
 known already (the plain model's optima, the reference).
 
-The nodes of an effect's integral are optima of constants and noise at held values of its sizes.
+Where the data leave sizes open, optima of constants and noise at held sizes are centres of a proposal.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import logsumexp, ndtri
+from scipy.special import ndtri
 from scipy.stats import qmc
 
-from cpam_bayes.diagnosis.comparison import Comparison
-from cpam_bayes.inference.derivatives import MAX_SCORE, Expansion, apart
+from cpam_bayes.inference.derivatives import MAX_SCORE, Expansion, distinct
 from cpam_bayes.inference.laplace import maximise
+from cpam_bayes.inference.log_density import LogDensity
 from cpam_bayes.mechanics.modes import RigidBodyError
 
 Array = NDArray[Any]
@@ -47,8 +47,8 @@ class SearchSettings:
     """
 
     log2_draws: int = 9
-    rounds: tuple[tuple[int, int], ...] = ((40, 3), (12, 6), (6, 25))
-    promised: float = 3e-3
+    rounds: tuple[tuple[int, int], ...] = ((40, 3), (12, 6), (6, 20))
+    promised: float = 3e-2
     coarse: float = 0.02
     forgiven: float = 0.9
     first_noise: float = 1.5
@@ -59,20 +59,14 @@ class SearchSettings:
 
 @dataclass(frozen=True, slots=True)
 class NodeSettings:
-    """The optima of constants and noise at held sizes.
+    """The optima of constants and noise at held sizes, centres of a proposal.
 
-    promised : optimisations end where a step promises less, nats, or after most_steps; few_steps where they
-        only come nearer
-    from_optima : joint optima that each node is approached from
-    distinct_sd : optima of one node are the same within this distance, standard deviations
+    promised, steps : optimisations end where a step promises less, nats, or after so many steps
     steepest : a node's optimum moves with the size by no more than this, scores per score
     """
 
-    promised: float = 3e-3
-    most_steps: int = 12
-    few_steps: int = 6
-    from_optima: int = 2
-    distinct_sd: float = 1.0
+    promised: float = 3e-2
+    steps: int = 5
     steepest: float = 3.0
 
 
@@ -102,7 +96,7 @@ class Optima:
 
 
 def find_optima(
-    comparison: Comparison,
+    comparison: LogDensity,
     sizes: tuple[int, ...],
     known: Array,
     *,
@@ -135,7 +129,7 @@ def find_optima(
     return Optima(optima.z[near], optima.value[near], optima.curvature[near])
 
 
-def prior_draws(comparison: Comparison, sizes: tuple[int, ...], log2_draws: int) -> Array:
+def prior_draws(comparison: LogDensity, sizes: tuple[int, ...], log2_draws: int) -> Array:
     """Scores (m, n) that fill the prior; those of the first size are spread evenly, noise starts large."""
     z = spread_scores(comparison.parameters.size, log2_draws, sizes[0] if sizes else None)
     z[:, comparison.model.parameters.size :] = SEARCH.first_noise
@@ -158,7 +152,7 @@ def _unit_points(n: int, log2_points: int) -> Array:
     return np.asarray(np.clip(points, 1e-6, 1.0 - 1e-6))
 
 
-def size_points(comparison: Comparison, column: int, n: int) -> Array:
+def size_points(comparison: LogDensity, column: int, n: int) -> Array:
     """Scores of n sizes that are evenly spread between the bounds of their prior, (n,)."""
     lower, upper = comparison.parameters.lower[column], comparison.parameters.upper[column]
     prior = comparison.parameters.parameters[column].prior
@@ -166,7 +160,7 @@ def size_points(comparison: Comparison, column: int, n: int) -> Array:
     return np.clip(np.asarray(prior.to_normal(x)), -MAX_SCORE, MAX_SCORE)
 
 
-def _misfit_at(comparison: Comparison, z: Array) -> Array:
+def _misfit_at(comparison: LogDensity, z: Array) -> Array:
     """A misfit that ranks far-off scores (m, n), infinite where the constraints (9) are broken, (m,)."""
     x = comparison.scores.to_x(z)
     misfit = np.full(len(z), np.inf)
@@ -183,7 +177,7 @@ def coarse_misfit(r: Array) -> Array:
 
 
 def maximised(
-    comparison: Comparison, z: Array, most_steps: int, promised: float = SEARCH.promised
+    comparison: LogDensity, z: Array, most_steps: int, promised: float = SEARCH.promised
 ) -> tuple[Optima, Array]:
     """Distinct ends of optimisations from scores (s, n), and the gain that one more step promises each.
 
@@ -193,32 +187,21 @@ def maximised(
     maxima = maximise(
         lambda at, rows: comparison.expand(at), z, -bound, bound, most_steps=most_steps, promised=promised
     )
-    kept = _distinct(maxima.u, maxima.expansion)
+    kept = distinct(maxima.u, maxima.expansion, SEARCH.distinct_sd)
     g, c = maxima.expansion.gradient[kept], maxima.expansion.curvature[kept]
     promise = 0.5 * np.einsum("ki,ki->k", g, np.linalg.solve(c, g[..., None])[..., 0])
     return Optima(maxima.u[kept], maxima.expansion.value[kept], c), promise
 
 
-def _distinct(z: Array, expansion: Expansion) -> list[int]:
-    """Where optimisations ended, the best first, without those that ended at the same place."""
-    value = np.where(np.isfinite(expansion.value), expansion.value, -np.inf)
-    order = np.argsort(-value, kind="stable")
-    order = order[value[order] > -np.inf]
-    return [int(order[i]) for i in apart(z[order], expansion.curvature[order], SEARCH.distinct_sd)]
-
-
-_HALF_LOG_2PI = 0.5 * np.log(2 * np.pi)
-
-
 @dataclass(frozen=True, slots=True)
 class Nodes:
-    """Conditional optima at held sizes, up to two a node, the better one first.
+    """Conditional optima at held sizes.
 
     columns : of the sizes that are held
     scores : (k, d)
-    value : (k, c), -inf where there is no further optimum
-    rest : (k, c, n - d)
-    curvature : (k, c, n - d, n - d)
+    value : (k,)
+    rest : (k, n - d)
+    curvature : (k, n - d, n - d)
     """
 
     columns: tuple[int, ...]
@@ -228,58 +211,35 @@ class Nodes:
     curvature: Array
 
     @property
-    def log_mass(self) -> Array:
-        """Log density of the sizes and the data about each optimum, the rest integrated, (k, c)."""
-        n = self.rest.shape[2]
-        return np.asarray(self.value + n * _HALF_LOG_2PI - 0.5 * np.linalg.slogdet(self.curvature)[1])
-
-    @property
     def log_density(self) -> Array:
-        """The same over all optima of each node, (k,)."""
-        return np.asarray(logsumexp(self.log_mass, axis=1))
-
-    def z(self) -> Array:
-        """Scores of all optima, (k, c, n)."""
-        return inserted(self.columns, np.repeat(self.scores[:, None], self.rest.shape[1], axis=1), self.rest)
-
-    def merged(self, rows: Array, again: Nodes) -> Nodes:
-        """The nodes with further optima (as many nodes as rows) of some of them."""
-        value, rest, curvature = self.value.copy(), self.rest.copy(), self.curvature.copy()
-        value[rows], rest[rows], curvature[rows] = _best_of(
-            np.concatenate((self.value[rows], again.value), axis=1),
-            np.concatenate((self.rest[rows], again.rest), axis=1),
-            np.concatenate((self.curvature[rows], again.curvature), axis=1),
+        """Log density of the sizes and the data, the rest integrated by Laplace's method, (k,)."""
+        n = self.rest.shape[1]
+        return np.asarray(
+            self.value + 0.5 * n * np.log(2 * np.pi) - 0.5 * np.linalg.slogdet(self.curvature)[1]
         )
-        return replace(self, value=value, rest=rest, curvature=curvature)
 
-    def components(
-        self, comparison: Comparison, log_mass: Array, width: Array, negligible: float
-    ) -> tuple[Array, Array, Array]:
-        """Optima (p, n), square roots (p, n, n) of their covariances and log masses (p,) of a mixture.
+    def components(self, comparison: LogDensity, kept: Array, width: Array) -> tuple[Array, Array]:
+        """Centres (p, n) and square roots (p, n, n) of the covariances of a mixture about some nodes.
 
         Along the sizes a component is as wide as its node is far from the next ones; the optimum of the rest
         moves with the sizes as dr/ds = -C_rr^-1 C_rs.
 
-        log_mass : (k,) of the nodes
+        kept : (p,) numbers of the nodes
         width : (k, d)
         """
-        # in this order: where the plate buckles both densities are so low that they swallow the mass
-        each = log_mass[:, None] + (self.log_mass - self.log_density[:, None])
-        which = np.nonzero(each > each.max() + np.log(negligible))
-        z, log_each = self.z()[which], each[which]
+        z = inserted(self.columns, self.scores[kept], self.rest[kept])
         curvature = comparison.expand(z).curvature
         d, n = len(self.columns), z.shape[1]
         columns = np.array(self.columns)
         rest = np.delete(np.arange(n), columns)
-        inverse = np.linalg.inv(self.curvature[which])
+        inverse = np.linalg.inv(self.curvature[kept])
         cross = curvature[:, rest][:, :, columns]
         slope = np.clip(-inverse @ cross, -_NODE.steepest, _NODE.steepest)
         factor = np.zeros((len(z), n, n))
         factor[:, rest[:, None], np.arange(n - d)] = np.linalg.cholesky(inverse)
-        spread = width[which[0]]
-        factor[:, columns, n - d + np.arange(d)] = spread
-        factor[:, rest[:, None], n - d + np.arange(d)] = slope * spread[:, None, :]
-        return z, factor, log_each
+        factor[:, columns, n - d + np.arange(d)] = width[kept]
+        factor[:, rest[:, None], n - d + np.arange(d)] = slope * width[kept][:, None, :]
+        return z, factor
 
 
 def inserted(columns: tuple[int, ...], scores: Array, rest: Array) -> Array:
@@ -292,95 +252,33 @@ def inserted(columns: tuple[int, ...], scores: Array, rest: Array) -> Array:
 
 
 def conditional_optima(
-    comparison: Comparison,
-    columns: tuple[int, ...],
-    scores: Array,
-    optima: Optima | None,
-    known: Array,
-    *,
-    few: bool = False,
+    comparison: LogDensity, columns: tuple[int, ...], scores: Array, optima: Optima
 ) -> Nodes:
-    """The best optima of the rest at sizes (k, d).
-
-    optima : joint ones; the nearest of them are approached from along their tangents
-    known : further starts, (s, n) whole scores, or (k, s, n - d) for each node
-    few : only from the nearest joint optimum, which is near enough for a few steps
-    """
-    k, n = len(scores), comparison.parameters.size
-    rest = np.delete(np.arange(n), columns)
-    starts = [] if known.ndim == 2 else [known]
-    if known.ndim == 2:
-        used = known[:0] if few and optima is not None else known
-        starts.append(np.broadcast_to(used[:, rest], (k, len(used), len(rest))))
-    if optima is not None:
-        starts.append(_along_tangents(columns, rest, scores, optima, 1 if few else _NODE.from_optima))
-    begin = np.concatenate(starts, axis=1)
-    s = begin.shape[1]
-    held = np.repeat(scores, s, axis=0)
+    """The optima of the rest at sizes (k, d), approached from the joint optimum nearest in size."""
+    rest = np.delete(np.arange(comparison.parameters.size), columns)
 
     def target(r: Array, rows: Array) -> Expansion:
-        e = comparison.expand(inserted(columns, held[rows], r))
+        e = comparison.expand(inserted(columns, scores[rows], r))
         return Expansion(e.value, e.gradient[:, rest], e.curvature[:, rest][:, :, rest])
 
     bound = np.full(len(rest), MAX_SCORE)
-    flat = begin.reshape(k * s, len(rest))
-    maxima = maximise(
-        target,
-        flat,
-        -bound,
-        bound,
-        most_steps=_NODE.few_steps if few else _NODE.most_steps,
-        promised=_NODE.promised,
-    )
+    start = _along_tangents(columns, rest, scores, optima)
+    maxima = maximise(target, start, -bound, bound, most_steps=_NODE.steps, promised=_NODE.promised)
     e = maxima.expansion
-    value = np.where(np.isfinite(e.value), e.value, -1e300).reshape(k, s)
-    value, r, curvature = _best_of(
-        value, maxima.u.reshape(k, s, -1), e.curvature.reshape(k, s, len(rest), len(rest))
-    )
-    return Nodes(columns, scores, value, r, curvature)
+    value = np.where(np.isfinite(e.value), e.value, -1e300)
+    return Nodes(columns, scores, value, maxima.u, e.curvature)
 
 
-def _along_tangents(columns: tuple[int, ...], rest: Array, scores: Array, optima: Optima, most: int) -> Array:
-    """Starts (k, most, n - d) for the rest from the joint optima nearest in size."""
-    at = optima.z[:, list(columns)]
-    away = scores[:, None] - at  # (k, optima, d)
+def _along_tangents(columns: tuple[int, ...], rest: Array, scores: Array, optima: Optima) -> Array:
+    """Starts (k, n - d) for the rest from the joint optimum nearest in size."""
+    away = scores[:, None] - optima.z[:, list(columns)]  # (k, optima, d)
     far = np.sum(away**2, axis=2) - 2e-2 * (optima.value - optima.value.max())
-    nearest = np.argsort(far, axis=1, kind="stable")[:, :most]
+    nearest = far.argmin(axis=1)
     c_rr = optima.curvature[:, rest][:, :, rest]
     slope = -np.linalg.solve(c_rr, optima.curvature[:, rest][:, :, list(columns)])
-    step = np.take_along_axis(away, nearest[..., None], axis=1)
-    moved = np.einsum("ksrd,ksd->ksr", np.clip(slope, -_NODE.steepest, _NODE.steepest)[nearest], step)
-    return np.asarray(np.clip(optima.z[nearest][..., rest] + np.clip(moved, -2.0, 2.0), -6.0, 6.0))
-
-
-def _best_of(value: Array, rest: Array, curvature: Array) -> tuple[Array, Array, Array]:
-    """The best of candidates (k, s, ...) at each node, and the best that is another optimum."""
-    k = len(value)
-    rows = np.arange(k)
-    first = value.argmax(axis=1)
-    away = rest - rest[rows, first][:, None]
-    distance = np.einsum("ksi,kij,ksj->ks", away, curvature[rows, first], away)
-    others = np.where(distance > _NODE.distinct_sd**2, value, -np.inf)
-    second = others.argmax(axis=1)
-    which = np.stack((first, second), axis=1)
-    kept = np.take_along_axis(value, which, axis=1)
-    kept[:, 1] = others[rows, second]
-    return (
-        kept,
-        np.take_along_axis(rest, which[..., None], axis=1),
-        np.take_along_axis(curvature, which[..., None, None], axis=1),
+    moved = np.einsum(
+        "krd,kd->kr",
+        np.clip(slope, -_NODE.steepest, _NODE.steepest)[nearest],
+        away[np.arange(len(scores)), nearest],
     )
-
-
-def joined(a: Nodes, b: Nodes) -> Nodes:
-    """The nodes of both, by their first size."""
-    scores = np.concatenate((a.scores, b.scores))
-    order = np.argsort(scores[:, 0], kind="stable")
-    return Nodes(
-        a.columns,
-        scores[order],
-        *(
-            np.concatenate((getattr(a, name), getattr(b, name)))[order]
-            for name in ("value", "rest", "curvature")
-        ),
-    )
+    return np.asarray(np.clip(optima.z[nearest][:, rest] + np.clip(moved, -2.0, 2.0), -6.0, 6.0))

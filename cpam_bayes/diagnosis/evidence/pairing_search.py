@@ -27,11 +27,12 @@ from cpam_bayes.diagnosis.cases import (
     with_missed_modes,
     with_pairing,
 )
-from cpam_bayes.diagnosis.comparison import Comparison, PlateCase, comparison_of, kept_of
+from cpam_bayes.diagnosis.comparison import PlateCase, comparison_of
 from cpam_bayes.diagnosis.evidence.optima import SEARCH, coarse_misfit, prior_draws
 from cpam_bayes.diagnosis.hypotheses import NONE, Hypothesis
 from cpam_bayes.inference.derivatives import MAX_SCORE, Expansion
 from cpam_bayes.inference.laplace import maximise
+from cpam_bayes.inference.log_density import LogDensity, kept_of
 
 Array = NDArray[Any]
 
@@ -54,7 +55,7 @@ class Repairing:
 
 
 def repairings(
-    plain: Comparison, variants: Sequence[Comparison], known: Array, sizes: tuple[int, ...] = ()
+    plain: LogDensity, variants: Sequence[LogDensity], known: Array, sizes: tuple[int, ...] = ()
 ) -> list[Repairing]:
     """Fits of pairings that have the parameters of a model, without any cause or with one.
 
@@ -93,7 +94,7 @@ def repairings(
     return fits
 
 
-def all_modes(plain: Comparison) -> tuple[Comparison, list[int]]:
+def all_modes(plain: LogDensity) -> tuple[LogDensity, list[int]]:
     """The comparison with every mode of every plate as if it were listed, and where each plate's begin."""
     sizes = [
         len(part.bare.predict(_middle(plain, i)).frequencies[0]) for i, part in enumerate(plain.model.parts)
@@ -106,13 +107,13 @@ def all_modes(plain: Comparison) -> tuple[Comparison, list[int]]:
     return replace(plain, model=replace(plain.model, parts=parts)), offsets
 
 
-def _middle(plain: Comparison, i: int) -> Array:
+def _middle(plain: LogDensity, i: int) -> Array:
     x = plain.scores.to_x(np.zeros((1, plain.parameters.size)))
     return plain.model.parts[i].plate_vector(x)
 
 
 def _indices(
-    plain: Comparison, variants: Sequence[Comparison], offsets: Sequence[int]
+    plain: LogDensity, variants: Sequence[LogDensity], offsets: Sequence[int]
 ) -> tuple[Array, Array, Array]:
     """Mode of every frequency (v, n_f), whether the model explains it, and log constants (v,)."""
     n = len(plain.listed.frequencies)
@@ -134,7 +135,7 @@ def _indices(
 
 
 def _maximised(
-    plain: Comparison, wide: Comparison, z: Array, index: Array, mask: Array, steps: int
+    plain: LogDensity, wide: LogDensity, z: Array, index: Array, mask: Array, steps: int
 ) -> tuple[Array, Array]:
     """Optima of constants at held noise, one pairing a row."""
     n = plain.parameters.size
@@ -165,7 +166,7 @@ def _maximised(
     return maxima.u, np.where(np.isfinite(maxima.expansion.value), maxima.expansion.value, -1e300)
 
 
-def _over_noise(plain: Comparison, wide: Comparison, z: Array, index: Array, mask: Array) -> Array:
+def _over_noise(plain: LogDensity, wide: LogDensity, z: Array, index: Array, mask: Array) -> Array:
     """Log density of each fit at the best amplitude of an inferred noise, (m,)."""
     n_model = plain.model.parameters.size
     f = np.take_along_axis(wide.predict(plain.scores.to_x(z))[0], index, axis=1)
@@ -337,13 +338,13 @@ class _EveryMode:
     modes, frequencies : of the plate, among those of all plates
     """
 
-    listed: Comparison
-    wide: Comparison
+    listed: LogDensity
+    wide: LogDensity
     modes: slice
     frequencies: slice
 
     @staticmethod
-    def of(comparison: Comparison, i: int, cases: Sequence[PlateCase]) -> _EveryMode:
+    def of(comparison: LogDensity, i: int, cases: Sequence[PlateCase]) -> _EveryMode:
         """The modes of the i-th plate."""
         wide, offsets = all_modes(comparison)
         last = offsets[i] + len(wide.model.parts[i].modes)
@@ -360,7 +361,7 @@ class _EveryMode:
         return np.asarray(np.sqrt(self.listed.variance(x))[:, self.frequencies])
 
 
-def _forgiving(comparison: Comparison, relative: float) -> Comparison:
+def _forgiving(comparison: LogDensity, relative: float) -> LogDensity:
     listed = comparison.listed
     variance = listed.variance + (relative * listed.frequencies) ** 2
     return replace(comparison, listed=replace(listed, variance=variance))

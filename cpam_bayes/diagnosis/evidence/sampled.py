@@ -15,16 +15,14 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from cpam_bayes.diagnosis.comparison import Comparison, PlateCase
-from cpam_bayes.diagnosis.evidence.marginal import LOG2_POINTS, WIDER, Marginal, Tested
+from cpam_bayes.diagnosis.comparison import PlateCase
+from cpam_bayes.diagnosis.evidence.marginal import Marginal, Tested
 from cpam_bayes.diagnosis.hypotheses import NONE
-from cpam_bayes.inference.proposal import adaptive_importance
+from cpam_bayes.inference.log_density import LogDensity
+from cpam_bayes.inference.proposal import Rounds, adaptive_importance, refitted_moments
 from cpam_bayes.inference.student_mixture import (
-    Mixture,
     Weighted,
-    shrunk_moments,
     sobol_points,
-    staged_importance,
 )
 from cpam_bayes.parallel import ProcessPool, run
 from cpam_bayes.running import single_blas_thread
@@ -128,29 +126,25 @@ class _Unpacker(pickle.Unpickler):
 
 Array = NDArray[Any]
 
-# Where the error is larger, or the proposal a scattered one, it grows where the weights are heavy.
-_LARGE_ERROR = 0.1
 # Models are projected once more, on modes at so many points of the proposal, log2, so that this fraction of
 # their frequencies has a relative error below the tolerance.
-_LOG2_TRAINING, _TOLERANCE, _FRACTION = 6, 2e-5, 0.95
+_LOG2_TRAINING, _TOLERANCE, _FRACTION = 6, 2e-5, 0.98
 # Points of most weight at which the log densities of both are compared, and how far they may be apart.
 _COMPARED, _ALIKE_NATS = 16, 0.05
-# Hypotheses within so many nats of the most probable one are sampled; those over several sizes that the data
-# leave open need it from further off. Within _IN_SIGHT fewer points, 2^_LOG2_FEW, correct Laplace's method.
-_NEAR, _NEAR_SCATTERED, _IN_SIGHT, _LOG2_FEW = 4.0, 10.0, 10.0, 7
+# Hypotheses within so many nats of the most probable one are sampled, as roughly as is enough beyond _NEAR.
+_NEAR, _IN_SIGHT = 4.0, 10.0
+CLOSE = Rounds(least=2, good=0.5)
+ROUGH = Rounds(log2_points=6, most=6, least=2, enough=50.0, steady=0.2, good=0.3)
 
 
 @single_blas_thread
-def sampled_marginal(marginal: Marginal, log2_points: int = LOG2_POINTS) -> Marginal:
-    """A marginal likelihood by importance sampling about its Laplace approximation.
-
-    log2_points : of the sample about optima; more where its error is large
-    """
+def sampled_marginal(marginal: Marginal, rounds: Rounds = CLOSE) -> Marginal:
+    """A marginal likelihood by importance sampling from the proposal about its optima and nodes."""
     comparison = marginal.comparison
     near = about_optima(marginal)
-    sample = _sample(marginal, near, log2_points)
+    sample = _sample(marginal, near, rounds)
     if near is not comparison and not _are_alike(near, comparison, sample):
-        sample = _sample(marginal, comparison, log2_points)
+        sample = _sample(marginal, comparison, rounds)
     if not np.isfinite(sample.log_evidence[0]):
         return marginal
     with np.errstate(divide="ignore"):
@@ -166,13 +160,13 @@ def sampled_marginal(marginal: Marginal, log2_points: int = LOG2_POINTS) -> Marg
     )
 
 
-def about_optima(marginal: Marginal) -> Comparison:
+def about_optima(marginal: Marginal) -> LogDensity:
     """The comparison with models that are enough where the mixture about its optima proposes points."""
     points = sobol_points(marginal.proposal, _LOG2_TRAINING)[0]
     return marginal.comparison.about(points, _TOLERANCE, _FRACTION)
 
 
-def about_draws(marginal: Marginal) -> Comparison:
+def about_draws(marginal: Marginal) -> LogDensity:
     """As ``about_optima``; the marginal's own comparison where that is not enough at its draws."""
     near = about_optima(marginal)
     x = marginal.draws[np.argsort(-marginal.log_weight, kind="stable")[:_COMPARED]]
@@ -180,25 +174,17 @@ def about_draws(marginal: Marginal) -> Comparison:
     return near if apart.max() < _ALIKE_NATS else marginal.comparison
 
 
-def _sample(marginal: Marginal, comparison: Comparison, log2_points: int) -> Weighted:
+def _sample(marginal: Marginal, comparison: LogDensity, rounds: Rounds) -> Weighted:
     def log_density(z: Array) -> Array:
         return comparison.log_density(z[0])[None]
 
-    if not marginal.is_scattered:
-        sample = staged_importance(log_density, marginal.proposal, log2_points)
-        if sample.standard_error[0] < _LARGE_ERROR:
-            return sample
-    return adaptive_importance(log_density, comparison.expand, marginal.proposal, _refitted)
+    return adaptive_importance(log_density, comparison.expand, marginal.proposal, refitted_moments, rounds)
 
 
-def _are_alike(near: Comparison, comparison: Comparison, sample: Weighted) -> bool:
+def _are_alike(near: LogDensity, comparison: LogDensity, sample: Weighted) -> bool:
     """Whether two comparisons have the same log density at the points of most weight."""
     z = sample.points[0][np.argsort(-sample.weight[0], kind="stable")[:_COMPARED]]
     return bool(np.abs(near.log_density(z) - comparison.log_density(z)).max() < _ALIKE_NATS)
-
-
-def _refitted(mixture: Mixture, points: Array, log_weight: Array) -> Mixture:
-    return shrunk_moments(mixture, points, log_weight, least=1e-3, wider=WIDER, prior_points=4.0)
 
 
 def sampled_near_the_best(
@@ -206,24 +192,21 @@ def sampled_near_the_best(
 ) -> list[Tested] | None:
     """Hypotheses, of which those near the best are known by importance sampling; ``None`` if all were."""
     best = max(t.log_weight for t in tested)
-    near = [i for i, t in enumerate(tested) if _points_near(t, best)]
-    if not near:
+    rounds = [_rounds_of(t, best) for t in tested]
+    items = [(t, each) for t, each in zip(tested, rounds, strict=True) if each is not None]
+    if not items:
         return None
-    items = [(tested[i], _points_near(tested[i], best)) for i in near]
-    sampled = dict(zip(near, shared_out(_sampled, cases, items, executor), strict=True))
-    return [sampled.get(i, t) for i, t in enumerate(tested)]
+    sampled = iter(shared_out(_sampled, cases, items, executor))
+    return [t if each is None else next(sampled) for t, each in zip(tested, rounds, strict=True)]
 
 
-def _sampled(item: tuple[Tested, int]) -> Tested:
-    t, log2_points = item
-    return replace(t, marginal=sampled_marginal(t.marginal, log2_points))
+def _sampled(item: tuple[Tested, Rounds]) -> Tested:
+    t, rounds = item
+    return replace(t, marginal=sampled_marginal(t.marginal, rounds))
 
 
-def _points_near(t: Tested, best: float) -> int:
-    """Points, log2, by which a hypothesis is sampled for its distance from the best; 0: it stays as it is."""
-    if t.marginal.is_sampled:
-        return 0
-    within = _NEAR_SCATTERED if t.marginal.is_scattered else _NEAR
-    if t.log_weight >= best - within or t.hypothesis.cause == NONE:
-        return LOG2_POINTS
-    return _LOG2_FEW if t.log_weight >= best - _IN_SIGHT else 0
+def _rounds_of(t: Tested, best: float) -> Rounds | None:
+    """How closely a hypothesis is sampled for its distance from the best; None: it stays as it is."""
+    if t.marginal.is_sampled or t.log_weight < best - _IN_SIGHT:
+        return None
+    return CLOSE if t.log_weight >= best - _NEAR or t.hypothesis.cause == NONE else ROUGH

@@ -13,14 +13,7 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from cpam_bayes.diagnosis.cases import is_incomplete
-from cpam_bayes.diagnosis.comparison import (
-    SCATTER,
-    Comparison,
-    PlateCase,
-    comparison_of,
-    effect_columns,
-    smooth_columns,
-)
+from cpam_bayes.diagnosis.comparison import SCATTER, PlateCase, comparison_of, effect_columns, smooth_columns
 from cpam_bayes.diagnosis.evidence.marginal import (
     Marginal,
     ShiftTable,
@@ -42,8 +35,9 @@ from cpam_bayes.diagnosis.evidence.pairing_search import (
 )
 from cpam_bayes.diagnosis.evidence.sampled import sampled_marginal, shared_out
 from cpam_bayes.diagnosis.hypotheses import OTHER, Hypothesis
-from cpam_bayes.diagnosis.models import ComposedModel
 from cpam_bayes.effects import ListChange
+from cpam_bayes.forward_model.composed import ComposedModel
+from cpam_bayes.inference.log_density import LogDensity
 from cpam_bayes.mechanics.modes import RigidBodyError
 from cpam_bayes.running import cut_short, is_time_up, time_limit
 
@@ -102,7 +96,7 @@ def marginal_of(
     return laplace_marginal(comparison, sizes, starts, smooth=smooth, log2_draws=log2_draws, least=least)
 
 
-def plain_starts(comparison: Comparison, none: Marginal | None) -> Array:
+def plain_starts(comparison: LogDensity, none: Marginal | None) -> Array:
     """Scores (s, n) of the plain model's optima and of the prior medians, zero for what it lacks.
 
     Sizes that can only add begin from hardly anything too: where the median is a gross error, optimisations
@@ -429,7 +423,7 @@ def is_repairing(hypothesis: Hypothesis) -> bool:
     return hypothesis.listed != ListChange() and not hypothesis.effects
 
 
-def with_misreading(comparison: Comparison, starts: Array) -> Array:
+def with_misreading(comparison: LogDensity, starts: Array) -> Array:
     """Starts (s, n) of a pairing, with a misread frequency off by what the model lacks there."""
     starts, at = starts.copy(), 0
     for part in comparison.model.parts:

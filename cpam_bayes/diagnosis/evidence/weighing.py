@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from cpam_bayes.diagnosis.comparison import SCATTER, Comparison, PlateCase, comparison_of, effect_columns
+from cpam_bayes.diagnosis.comparison import SCATTER, PlateCase, comparison_of, effect_columns
 from cpam_bayes.diagnosis.evidence.marginal import Marginal, Tested, prior_of, ranked, shift_table
 from cpam_bayes.diagnosis.evidence.pairing_search import Cases, repairings
 from cpam_bayes.diagnosis.evidence.sampled import sampled_near_the_best, shared_out
@@ -47,6 +47,7 @@ from cpam_bayes.diagnosis.hypotheses import (
     paired,
     prior_by_cause,
 )
+from cpam_bayes.inference.log_density import LogDensity
 from cpam_bayes.mechanics.modes import RigidBodyError
 from cpam_bayes.running import cut_short, is_time_up
 
@@ -146,7 +147,7 @@ class _Candidate:
     pair: Hypothesis
     plates: tuple[int, ...]
     cases: Cases
-    known: Comparison
+    known: LogDensity
     scores: Array
     sizes: tuple[tuple[Hypothesis, Array], ...]
 

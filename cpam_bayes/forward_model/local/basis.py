@@ -46,7 +46,7 @@ class LocalSettings:
     constants: int = 16
     places: int = 60
     leading: float = 1e-4
-    rest: float = 1e-3
+    rest: float = 5e-3
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +66,7 @@ class BarePlate:
 
 
 DEFAULT_SETTINGS = LocalSettings()
-PATCH_SETTINGS = LocalSettings(further=8, modes=6, constants=10, places=24, leading=3e-4, rest=3e-4)
+PATCH_SETTINGS = LocalSettings(further=8, modes=6, constants=10, places=24, leading=3e-4, rest=1e-3)
 # Shift of the energy over the lowest eigenvalue: it makes a free plate stiff.
 _SHIFT = 0.3
 _RIGID = 1e-4

@@ -14,7 +14,7 @@ from cpam_bayes.diagnosis.cases import build_models, hypotheses_of, plate_case
 from cpam_bayes.diagnosis.comparison import PlateCase
 from cpam_bayes.diagnosis.diagnose import Diagnosis, diagnose_cases
 from cpam_bayes.diagnosis.evidence.sampled import ready
-from cpam_bayes.diagnosis.extension import Resampled, paired_fit, plain_mode_shapes, resample
+from cpam_bayes.diagnosis.extension import paired_fit, plain_mode_shapes
 from cpam_bayes.diagnosis.hypotheses import with_prior_of_none
 from cpam_bayes.diagnosis.next_test import Candidate, next_measurements
 from cpam_bayes.diagnosis.notices import diagnosis_notices
@@ -58,7 +58,6 @@ def diagnose(
     scatter: float = DEFAULT_SCATTER,
     prior_none: float | None = None,
     next_test: Literal["open", "always", "never"] = "open",
-    emcee: bool = False,
     catalogue: tuple[Effect, ...] | None = None,
     executor: str = "serial",
     workers: int | None = None,
@@ -74,7 +73,6 @@ def diagnose(
     scatter : relative standard deviation of a constant from plate to plate of one material
     prior_none : prior probability that nothing is wrong, 0.5 where left out
     next_test : when to rank further tests: while the cause is "open", "always", or "never"
-    emcee : whether to sample the constants of the extended model by emcee too
     catalogue : the effects that the plates may have; those of the package where left out
     executor, workers : where models are built and hypotheses are fitted: "serial", in this process;
         "processes", as many as cores or ``workers``, which needs the call under
@@ -128,12 +126,10 @@ def diagnose(
             candidates = next_measurements(
                 diagnosis, always=always, scatter=scatter, executor=pool, notify=announce
             )
-    resampled = resample(diagnosis, seed, notify=announce) if emcee else None
-    notices = (*_slips(diagnosis, specimens), *diagnosis_notices(diagnosis, resampled, emcee=emcee))
+    notices = (*_slips(diagnosis, specimens), *diagnosis_notices(diagnosis))
     return replace(
-        diagnosis_result(diagnosis, seed, scatter, candidates, resampled),
+        diagnosis_result(diagnosis, seed, scatter, candidates),
         notices=each_once((*notices, *_remarks(specimens))),
-        reached_goal=resampled is None or resampled.converged,
     )
 
 
@@ -162,7 +158,6 @@ def diagnosis_result(
     seed: int,
     scatter: float = DEFAULT_SCATTER,
     candidates: tuple[Candidate, ...] = (),
-    resampled: Resampled | None = None,
 ) -> DiagnosisResult:
     """A diagnosis with what is shown of it: the mode of each frequency, mode shapes, what air would do."""
     specimens = tuple(case.models.specimen for case in diagnosis.cases)
@@ -177,7 +172,6 @@ def diagnosis_result(
         mode_shapes=plain_mode_shapes(diagnosis),
         scatter=scatter,
         candidates=candidates,
-        resampled=resampled,
     )
 
 
@@ -282,11 +276,6 @@ COMMAND: Final = Command(
             default="open",
             help="when to rank further tests by what they tell about the cause: while the cause is open, "
             "always, or never (default: open)",
-        ),
-        option(
-            "--emcee",
-            action="store_true",
-            help="sample the constants of the extended model by emcee too",
         ),
         EXECUTOR,
         WORKERS,

@@ -14,7 +14,7 @@ from cpam_bayes import __version__
 from cpam_bayes.answer import Constant
 from cpam_bayes.diagnosis.diagnose import Cause, Diagnosis
 from cpam_bayes.diagnosis.evidence.marginal import Tested, distinct_hypotheses, prior_of
-from cpam_bayes.diagnosis.extension import FrequencyRow, PairedFit, Resampled
+from cpam_bayes.diagnosis.extension import FrequencyRow, PairedFit
 from cpam_bayes.diagnosis.fit import Fit, inferred_noise
 from cpam_bayes.diagnosis.hypotheses import NONE, OTHER, Claim, causes_in
 from cpam_bayes.diagnosis.next_test import Candidate
@@ -42,7 +42,6 @@ __all__ = [
     "place_of",
     "place_text",
     "probability_text",
-    "sampled_constants",
     "size_text",
     "some_of",
     "tables",
@@ -75,7 +74,6 @@ class DiagnosisResult(Result):
         is most probable
     scatter : relative standard deviation of a constant from plate to plate
     candidates : further tests, the most informative first
-    resampled : the constants of the extended model by emcee, where asked for
     """
 
     command: ClassVar[str] = "diagnose"
@@ -88,7 +86,6 @@ class DiagnosisResult(Result):
     mode_shapes: tuple[NDArray[np.float64], ...]
     scatter: float
     candidates: tuple[Candidate, ...] = ()
-    resampled: Resampled | None = None
 
     @property
     def title(self) -> str:
@@ -258,11 +255,6 @@ def answer_constants(d: Diagnosis) -> tuple[Constant, ...]:
 def fit_constants(d: Diagnosis, fit: Fit) -> tuple[Constant, ...]:
     """The constants that all plates share, by one fit."""
     return _constants_of(d, fit.constants, explained=_explained(d, fit))
-
-
-def sampled_constants(d: Diagnosis, resampled: Resampled) -> tuple[Constant, ...]:
-    """The constants that all plates share, of the extended model by emcee."""
-    return _constants_of(d, resampled.constants, explained=d.explained)
 
 
 def _plate_constants(d: Diagnosis, fit: Fit, i: int) -> tuple[Constant, ...]:
@@ -531,12 +523,11 @@ def _claim(claim: Claim) -> dict[str, Any]:
 
 
 def _extended(result: DiagnosisResult) -> dict[str, Any] | None:
-    d, resampled = result.diagnosis, result.resampled
+    d = result.diagnosis
     if d.extended is None or result.extended is None:
         return None
     return {
         **_fit(d, d.extended, d.members, result.extended),
-        "emcee": None if resampled is None else _emcee(d, resampled),
         "members": [
             {
                 "cause": t.hypothesis.cause,
@@ -546,20 +537,6 @@ def _extended(result: DiagnosisResult) -> dict[str, Any] | None:
             }
             for t, weight in d.members
         ],
-    }
-
-
-def _emcee(d: Diagnosis, resampled: Resampled) -> dict[str, Any]:
-    return {
-        "constants": _constants(sampled_constants(d, resampled)),
-        "diagnostics": {
-            "r_hat": max(m.diagnostics.r_hat for m in resampled.members),
-            "ess_bulk": min(m.diagnostics.ess_bulk for m in resampled.members),
-            "autocorrelation_time": max(m.diagnostics.autocorrelation_time for m in resampled.members),
-            "converged": resampled.converged,
-        },
-        "share_not_sampled": resampled.not_sampled,
-        "forward_solves": resampled.solves,
     }
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from cpam_bayes.answer import Constant
 from cpam_bayes.diagnosis.diagnose import Diagnosis
 from cpam_bayes.diagnosis.evidence.marginal import distinct_hypotheses, prior_of
-from cpam_bayes.diagnosis.extension import FrequencyRow, Resampled
+from cpam_bayes.diagnosis.extension import FrequencyRow
 from cpam_bayes.diagnosis.fit import Fit, inferred_noise
 from cpam_bayes.diagnosis.hypotheses import NONE, OTHER, P_NONE, P_PAIR
 from cpam_bayes.formatting import decimals_of, fixed, signed, significant, with_spread
@@ -35,7 +35,6 @@ from cpam_bayes.questions.diagnose.document import (
     fit_constants,
     leading,
     probability_text,
-    sampled_constants,
     tables,
     title_of,
 )
@@ -110,7 +109,7 @@ def _sections(result: DiagnosisResult) -> tuple[Section, ...]:
         Section("Detection limits", (*_detectable(result), _hidden(d)), figure("detectable")),
         Section(
             "Constants and gain",
-            (_constants(d), _relied(d), _sampled(d, result.resampled), _gain(d)),
+            (_constants(d), _relied(d), _gain(d)),
             figure("constants"),
         ),
         Section("Which causes look alike", figures=figure("signatures")),
@@ -297,20 +296,6 @@ def _relied(d: Diagnosis) -> Table:
     priors = {c.name: c.prior for c in answer_constants(d)}
     said = reliance_sentences(d.reliances, priors.__getitem__, shown_constants(d))
     return remarks("What the intervals depend on", said)
-
-
-def _sampled(d: Diagnosis, resampled: Resampled | None) -> Table:
-    """The extended model's constants by emcee, and how its chains did."""
-    if resampled is None:
-        return facts("With what was found, by emcee", ())
-    rows = [
-        (f"{c.name} {unit_of(c.name)}".rstrip(), _with_interval(c)) for c in sampled_constants(d, resampled)
-    ]
-    worst = max(m.diagnostics.r_hat for m in resampled.members)
-    size = min(m.diagnostics.ess_bulk for m in resampled.members)
-    state = "converged" if resampled.converged else "NOT converged"
-    rows.append(("chains", f"R-hat {worst:.4f}, {size:.0f} effective samples: {state}"))
-    return facts("With what was found, by emcee", rows)
 
 
 def _gain(d: Diagnosis) -> Table:

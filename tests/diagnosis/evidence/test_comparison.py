@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal, norm
 
-from cpam_bayes.diagnosis.comparison import REPEATABILITY_PRIOR, Comparison, comparison_of
+from cpam_bayes.diagnosis.comparison import REPEATABILITY_PRIOR, comparison_of
 from cpam_bayes.diagnosis.hypotheses import DISCREPANCY, OTHER, Hypothesis
 from cpam_bayes.effects import ListChange
+from cpam_bayes.inference.log_density import LogDensity
 from tests.diagnosis.toy_plates import (
     BUMP,
     F0,
@@ -30,12 +31,12 @@ SHIFTED = Hypothesis(OTHER, OTHER, parameters=(DISCREPANCY,), prior=0.06)
 SMOOTH = replace(SHIFTED, correlation_length=0.8)
 
 
-def compared(relative: float | None, of: Hypothesis | None = None, resolution: float = 1.0) -> Comparison:
+def compared(relative: float | None, of: Hypothesis | None = None, resolution: float = 1.0) -> LogDensity:
     plate = case(a_list(NOISY, relative, resolution), [(WARP, even(BUMP))])
     return comparison_of([plate], of or hypothesis(WARP, 0.1))
 
 
-def two_lists(of: Hypothesis | None = None) -> Comparison:
+def two_lists(of: Hypothesis | None = None) -> LogDensity:
     plates = [
         case(a_list(f, None), name=name, specimen="one") for name, f in (("a", NOISY), ("b", 1.001 * F0))
     ]
@@ -59,12 +60,12 @@ CASES = {
 EVERY = pytest.mark.parametrize("comparison", CASES.values(), ids=CASES.keys())
 
 
-def scores(comparison: Comparison, m: int = 3) -> np.ndarray:
+def scores(comparison: LogDensity, m: int = 3) -> np.ndarray:
     return 0.7 * np.random.default_rng(1).standard_normal((m, comparison.parameters.size))
 
 
 @EVERY
-def test_the_gradient_is_the_difference_quotient(comparison: Comparison) -> None:
+def test_the_gradient_is_the_difference_quotient(comparison: LogDensity) -> None:
     for z in scores(comparison):
         expected = differences(lambda v: comparison.log_density(v)[:, None], z, 1e-5)[0]
         found = comparison.expand(z[None])
@@ -73,7 +74,7 @@ def test_the_gradient_is_the_difference_quotient(comparison: Comparison) -> None
 
 
 @EVERY
-def test_a_frequency_given_the_others_is_the_ratio_of_two_densities(comparison: Comparison) -> None:
+def test_a_frequency_given_the_others_is_the_ratio_of_two_densities(comparison: LogDensity) -> None:
     x = comparison.scores.to_x(scores(comparison))
     f, _ = comparison.predict(x)
     covariance, listed = comparison.covariance(x), comparison.listed.frequencies
@@ -88,7 +89,7 @@ def test_a_frequency_given_the_others_is_the_ratio_of_two_densities(comparison: 
 
 
 @EVERY
-def test_the_curvature_is_the_mean_of_the_gradients_square_over_lists(comparison: Comparison) -> None:
+def test_the_curvature_is_the_mean_of_the_gradients_square_over_lists(comparison: LogDensity) -> None:
     """Fisher's identity, with the prior's own curvature, which is one in every score."""
     z, rng, m = scores(comparison, 1), np.random.default_rng(2), 20_000
     x = comparison.scores.to_x(z)
@@ -141,7 +142,7 @@ def test_a_discrepancy_adds_to_the_variance() -> None:
 
 
 @EVERY
-def test_the_likelihood_is_that_of_the_covariance(comparison: Comparison) -> None:
+def test_the_likelihood_is_that_of_the_covariance(comparison: LogDensity) -> None:
     x = comparison.scores.to_x(scores(comparison))
     f, covariance = comparison.predict(x)[0], comparison.covariance(x)
     listed = comparison.listed.frequencies

@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import pairwise
-from typing import Any, cast
 
 import numpy as np
 import pytest
 from scipy.special import logsumexp
 
-from cpam_bayes.diagnosis.comparison import Comparison, comparison_of
+from cpam_bayes.diagnosis.comparison import comparison_of
 from cpam_bayes.diagnosis.evidence.marginal import Marginal, laplace_marginal
-from cpam_bayes.diagnosis.evidence.optima import Nodes
 from cpam_bayes.diagnosis.evidence.sampled import sampled_marginal
 from cpam_bayes.diagnosis.hypotheses import Hypothesis
-from cpam_bayes.inference.derivatives import Expansion
+from cpam_bayes.inference.log_density import LogDensity
 from cpam_bayes.parameters import ScaledStudentT
 from cpam_bayes.priors import Prior
 from tests.diagnosis.toy_plates import (
@@ -37,9 +34,11 @@ from tests.diagnosis.toy_plates import (
 )
 
 PLAIN = Hypothesis("none", "none")
+# Error, nats, of the evidence by optima and nodes: hypotheses ten nats from the best are sampled.
+ROUGHLY = 1.5
 
 
-def weighed(comparison: Comparison, sizes: tuple[int, ...] = (2,), least: float = -np.inf) -> Marginal:
+def weighed(comparison: LogDensity, sizes: tuple[int, ...] = (2,), least: float = -np.inf) -> Marginal:
     return laplace_marginal(comparison, sizes, np.zeros((1, comparison.parameters.size)), least=least)
 
 
@@ -88,20 +87,20 @@ def test_with_a_linear_effect_the_evidence_is_exact(size: float) -> None:
     bent = cause("bent", whole_normal(sd))
     comparison = comparison_of([case(a_list(f, NOISE), [(bent, straight(BUMP))])], hypothesis(bent, 0.1))
     expected = exact_log_evidence(f, NOISE * f, (BUMP, sd))
-    # the interpolation between the nodes of a Gaussian of any width
-    assert weighed(comparison).log_evidence == pytest.approx(expected, abs=0.02)
+    found = sampled_marginal(weighed(comparison))
+    assert found.log_evidence == pytest.approx(expected, abs=3.0 * found.error)
+    assert found.error < 0.05
 
 
 @pytest.mark.parametrize("noise", [0.01, 1e-3, 1e-4, 2e-5])
-def test_the_grid_is_refined_where_the_posterior_is_narrow(noise: float) -> None:
+def test_a_posterior_may_be_narrow(noise: float) -> None:
     sd = 0.02
     f = measured(0.017 * BUMP, noise)
     bent = cause("bent", whole_normal(sd))
     comparison = comparison_of([case(a_list(f, noise), [(bent, straight(BUMP))])], hypothesis(bent, 0.1))
     expected = exact_log_evidence(f, noise * f, (BUMP, sd))
     found = weighed(comparison)
-    # at the last noise the posterior is 6e-4 scores wide, a tenth of the finest interval
-    assert found.log_evidence == pytest.approx(expected, abs=0.03 if noise > 5e-5 else 0.7)
+    # at the last noise the posterior is 6e-4 scores wide
     sampled = sampled_marginal(found)
     assert sampled.log_evidence == pytest.approx(expected, abs=3.0 * sampled.error)
 
@@ -116,8 +115,8 @@ def test_an_even_effect_has_both_its_peaks_in_the_evidence(size: float, prior: P
     comparison = comparison_of([case(a_list(f, NOISE), [(warp, even(BUMP))])], hypothesis(warp, 0.1))
     expected = by_quadrature(f, NOISE, prior, BUMP)
     found = weighed(comparison)
-    # the interpolation over two peaks that stand a nat above the trough between the nodes
-    assert found.log_evidence == pytest.approx(expected, abs=0.15)
+    # what decides which hypotheses are sampled
+    assert found.log_evidence == pytest.approx(expected, abs=ROUGHLY)
     sampled = sampled_marginal(found)
     assert sampled.log_evidence == pytest.approx(expected, abs=3.0 * sampled.error)
     assert sampled.error < 0.05
@@ -143,8 +142,7 @@ def test_a_one_sided_effect_may_pile_up_at_zero(size: float) -> None:
     total = np.trapezoid(weight, t)
     expected = np.log(total) + log_p.max()
     laplace = weighed(comparison)
-    # half the mass may lie beyond the grid, where the prior alone is carried on
-    assert laplace.log_evidence == pytest.approx(expected, abs=0.3)
+    assert laplace.log_evidence == pytest.approx(expected, abs=ROUGHLY)
     found = sampled_marginal(laplace)
     assert found.log_evidence == pytest.approx(expected, abs=3.0 * found.error)
     mean = np.trapezoid(weight * t, t) / total
@@ -189,14 +187,14 @@ def test_a_hopeless_hypothesis_is_not_refined() -> None:
     assert len(weighed(comparison, least=1e6).z) < len(weighed(comparison).z)
 
 
-def test_nodes_ascend_with_shares_that_sum_to_one_and_are_the_same_each_time() -> None:
+def test_shares_of_optima_and_nodes_sum_to_one_and_are_the_same_each_time() -> None:
     f, warp = measured(0.012 * BUMP), cause("warp", ScaledStudentT(0.1, 4.0, -0.8, 0.8))
     given, inferred = (
         comparison_of([case(a_list(f, noise), [(warp, even(BUMP))])], hypothesis(warp, 0.1))
         for noise in (NOISE, None)
     )
     found = weighed(given)
-    assert all(a < b for a, b in pairwise(found.z[:, 2]))
+    assert np.all(np.diff(found.weight) <= 0.0)
     assert found.weight.sum() == pytest.approx(1.0, abs=1e-12)
     assert np.exp(found.log_weight).sum() == pytest.approx(1.0, abs=1e-12)
     first, second = (sampled_marginal(weighed(inferred)) for _ in range(2))
@@ -216,28 +214,3 @@ def test_what_lies_outside_the_constraints_carries_nothing() -> None:
     # of 512 points
     assert found.log_evidence - whole.log_evidence == pytest.approx(np.log(share), abs=0.1)
     assert np.all(found.draws[np.isfinite(found.log_weight), 0] < middle)
-
-
-# Components of a mixture about the optima at held sizes
-
-
-class Bell:
-    """A standard normal density of two scores."""
-
-    def expand(self, z: np.ndarray) -> Expansion:
-        return Expansion(-0.5 * np.sum(z**2, axis=1), -z, np.tile(np.eye(2), (len(z), 1, 1)))
-
-
-def test_sizes_at_which_the_plate_buckles_have_no_component() -> None:
-    """Their densities are so low that a sum with the mass of any other node would be lost in rounding."""
-    value = np.array([[-1e300, -np.inf], [-20.0, -21.0], [-22.0, -np.inf]])
-    nodes = Nodes((0,), np.array([[-2.0], [0.0], [1.0]]), value, np.zeros((3, 2, 1)), np.ones((3, 2, 1, 1)))
-    log_mass = np.array([-720.0, -20.5, -22.0])
-    z, factor, each = nodes.components(
-        cast("Comparison", cast("Any", Bell())), log_mass, np.ones((3, 1)), 1e-4
-    )
-    np.testing.assert_array_equal(z[:, 0], [0.0, 0.0, 1.0])
-    # the two optima of a node divide its mass
-    np.testing.assert_allclose(np.logaddexp(each[0], each[1]), -20.5)
-    np.testing.assert_allclose(each[2], -22.0)
-    assert factor.shape == (3, 2, 2)

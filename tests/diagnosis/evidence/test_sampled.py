@@ -28,12 +28,13 @@ def tapered() -> Marginal:
     """A plate whose list is that of a tapered one, nearly, under the hypothesis that it is."""
     case = listed(aluminium_case(), np.array([1.004, 0.998, 1.002, 0.997, 1.003, 1.001]))
     hypothesis = next(h for h, _ in hypotheses_of([case]) if h.cause == "taper_x")
-    return marginal_of([case], hypothesis, (0,))
+    return sampled_marginal(marginal_of([case], hypothesis, (0,)))
 
 
 def test_a_model_about_a_posterior_has_fewer_vectors_and_its_frequencies(tapered: Marginal) -> None:
     comparison = tapered.comparison
-    training, other = np.split(comparison.scores.to_x(sobol_points(tapered.proposal, 8)[0]), [64])
+    draws = np.random.default_rng(0).permutation(tapered.resampled(512))
+    training, other = np.split(draws, [128])
     near = comparison.model.about(training, TOLERANCE, 0.95, least_size=0)
     before, after = (model.parts[0].changes[0].model for model in (comparison.model, near))
     assert largest(after) < 0.8 * largest(before)
@@ -45,7 +46,8 @@ def test_a_model_about_a_posterior_has_fewer_vectors_and_its_frequencies(tapered
     assert found.jacobian is not None
     assert expected.jacobian is not None
     apart = np.abs(found.jacobian - expected.jacobian) / np.abs(expected.jacobian).max(axis=(0, 1))
-    assert np.quantile(apart, 0.99) < 5e-3
+    # derivatives only direct the proposal; over the posterior of an even effect they change sign
+    assert np.quantile(apart, 0.99) < 1e-2
 
 
 def test_evidence_and_moments_are_those_of_the_whole_models(tapered: Marginal) -> None:

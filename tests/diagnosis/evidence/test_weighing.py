@@ -17,8 +17,8 @@ from cpam_bayes.diagnosis.hypotheses import (
     causes_in,
     paired,
 )
-from cpam_bayes.diagnosis.models import ComposedModel
 from cpam_bayes.effects import ListChange
+from cpam_bayes.forward_model.composed import ComposedModel
 from cpam_bayes.mechanics.modes import RigidBodyError
 from tests.diagnosis.toy_plates import (
     ANYTHING,

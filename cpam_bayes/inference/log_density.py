@@ -1,0 +1,338 @@
+"""The log density of frequency lists: a model, the noise, what the frequencies have in common, a discrepancy.
+
+One density for `identify` and `diagnose`: its optima are sought over normal scores of the parameters, and its
+integral is the marginal likelihood.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cpam_bayes.forward_model.composed import ComposedModel
+from cpam_bayes.inference.derivatives import Expansion, NormalScores
+from cpam_bayes.mechanics.modes import RigidBodyError
+from cpam_bayes.parameters import ParameterSet
+
+Array = NDArray[Any]
+
+# Fraction of a smooth discrepancy's variance that is common to neighbouring modes; the rest is white.
+SMOOTH_FRACTION = 0.95
+
+
+@dataclass(frozen=True, slots=True)
+class Listed:
+    """Measured frequencies of all lists and their noise.
+
+    sigma_i^2 = variance_i + (a scale_i)^2, with the amplitude a of the list where it is inferred.
+    common : (n, n) Hz^2, covariance of what the frequencies have in common, sizes and mass for instance, None
+        where it is in the parameters.
+    log_constant : log probability of what the model does not predict, false peaks for instance.
+
+    frequencies, variance, scale : (n,) Hz, Hz^2, Hz; scale is zero where the noise is given.
+    lists : (n,) number of the list that each is from.
+    """
+
+    frequencies: Array
+    variance: Array
+    scale: Array
+    log_constant: float = 0.0
+    lists: Array | None = None
+    common: Array | None = None
+
+    @property
+    def of(self) -> Array:
+        """Number of the list that each frequency is from, (n,)."""
+        return np.zeros(len(self.frequencies), dtype=int) if self.lists is None else self.lists
+
+    def without(self, i: int) -> Listed:
+        """The list less one frequency."""
+        kept = np.arange(len(self.frequencies)) != i
+        common = None if self.common is None else self.common[np.ix_(kept, kept)]
+        return Listed(
+            self.frequencies[kept],
+            self.variance[kept],
+            self.scale[kept],
+            self.log_constant,
+            self.of[kept],
+            common,
+        )
+
+    def correlation(self, length: float) -> Array:
+        """Correlation of a discrepancy between the frequencies, (n, n); length over ln f, 0 if white.
+
+        rho exp(-(ln f_i - ln f_j)^2 / (2 length^2)) + (1 - rho) delta_ij within a list, none between lists.
+        """
+        n = len(self.frequencies)
+        if length == 0.0:
+            return np.eye(n)
+        apart = np.subtract.outer(np.log(self.frequencies), np.log(self.frequencies)) / length
+        alike = np.exp(-0.5 * apart**2) * np.equal.outer(self.of, self.of)
+        return np.asarray(SMOOTH_FRACTION * alike + (1.0 - SMOOTH_FRACTION) * np.eye(n))
+
+
+def kept_of(whole: Array, listed: Array) -> Array:
+    """Which frequencies (n,) of a list are in a shorter one of the same order, bool.
+
+    Equal frequencies are told apart by their order.
+    """
+    kept, at = np.zeros(len(whole), dtype=bool), 0
+    for i, f in enumerate(whole):
+        if at < len(listed) and f == listed[at]:
+            kept[i], at = True, at + 1
+    return kept
+
+
+@dataclass(frozen=True, slots=True)
+class LogDensity:
+    """The log density of lists under a model, over its parameters or their normal scores.
+
+    Residuals are Gaussian with the covariance diag(sigma^2) + C + tau^2 F R F: C of what the frequencies have
+    in common, F = diag(f) and R the correlation of a discrepancy between the model and the plate (Kennedy
+    and O'Hagan, J. R. Statist. Soc. B 63, 2001).
+
+    parameters : those of the model, then those of the noise.
+    amplitudes : column of each list's repeatability, -1 where it is given.
+    discrepancy : column of tau, or ``None``.
+    correlation_length : of the discrepancy over ln f, 0 where it is white.
+    left_out : a frequency of the model that the list lacks on purpose, or ``None``.
+    """
+
+    model: ComposedModel
+    listed: Listed
+    parameters: ParameterSet
+    scores: NormalScores
+    amplitudes: tuple[int, ...]
+    discrepancy: int | None
+    correlation_length: float = 0.0
+    left_out: int | None = None
+
+    @property
+    def noise(self) -> int | None:
+        """Column of the first repeatability that is inferred, or ``None``."""
+        return next((column for column in self.amplitudes if column >= 0), None)
+
+    @property
+    def nuisance(self) -> tuple[int, ...]:
+        """Columns of all amplitudes of noise and discrepancy."""
+        of_noise = tuple(column for column in self.amplitudes if column >= 0)
+        return of_noise if self.discrepancy is None else (*of_noise, self.discrepancy)
+
+    def carried(self, other: LogDensity, values: Array, rest: Array | float = 0.0) -> Array:
+        """Values (..., n) of the parameters of the same name in another comparison.
+
+        values : (..., n_other) parameters, or scores, of the other one
+        rest : (n,) or one value, for the parameters that it lacks
+        """
+        column_of = {name: column for column, name in enumerate(other.parameters.names)}
+        carried = np.empty((*values.shape[:-1], self.parameters.size))
+        carried[...] = rest
+        for column, name in enumerate(self.parameters.names):
+            if name in column_of:
+                carried[..., column] = values[..., column_of[name]]
+        return carried
+
+    def predict(self, x: Array, *, jacobian: bool = False) -> tuple[Array, Array | None]:
+        """Frequencies (m, n_f) of the list at parameters (m, n), derivatives over these."""
+        prediction = self.model.predict(x, jacobian=jacobian)
+        f, slope = prediction.frequencies, prediction.jacobian
+        if self.left_out is not None:
+            kept = np.arange(f.shape[1]) != self.left_out
+            f, slope = f[:, kept], None if slope is None else slope[:, kept]
+        if slope is not None and x.shape[1] > slope.shape[2]:
+            further = np.zeros((*slope.shape[:2], x.shape[1] - slope.shape[2]))
+            slope = np.concatenate((slope, further), axis=2)
+        return f, slope
+
+    def predict_inside(self, x: Array, *, jacobian: bool = False) -> tuple[Array, Array, Array | None]:
+        """Rows of parameters (m, n) at which the plates have modes, and the predictions there.
+
+        Rows that break the constraints (9) or buckle a plate are left out, also those that are found to be
+        unsound only by solving.
+        """
+        rows = np.flatnonzero(self.model.admissible(x))
+        if not len(rows):
+            n = len(self.listed.frequencies)
+            return rows, np.empty((0, n)), np.empty((0, n, x.shape[1]))
+        try:
+            return rows, *self.predict(x[rows], jacobian=jacobian)
+        except RigidBodyError:
+            if len(rows) == 1:
+                return self.predict_inside(x[:0], jacobian=jacobian)
+        halves = []
+        for part in np.array_split(rows, 2):
+            inside, f, slope = self.predict_inside(x[part], jacobian=jacobian)
+            halves.append((part[inside], f, slope))
+        slopes = [slope for _, _, slope in halves if slope is not None]
+        return (
+            np.concatenate([inside for inside, _, _ in halves]),
+            np.concatenate([f for _, f, _ in halves]),
+            np.concatenate(slopes) if jacobian else None,
+        )
+
+    def about(self, z: Array, tolerance: float, fraction: float = 1.0) -> LogDensity:
+        """The same with models that are enough about scores z (m, n), as of ``ComposedModel.about``."""
+        x = self.scores.to_x(z)
+        x = x[self.model.admissible(x)]
+        if not len(x):
+            return self
+        try:
+            return replace(self, model=self.model.about(x, tolerance, fraction))
+        except RigidBodyError:
+            return self
+
+    def variance(self, x: Array) -> Array:
+        """sigma^2 of every frequency at parameters (m, n), discrepancy included, (m, n_f) Hz^2."""
+        variance = self._independent(x)
+        if self.listed.common is not None:
+            variance = variance + np.diagonal(self.listed.common)
+        if self.discrepancy is not None:
+            variance = variance + (x[:, self.discrepancy, None] * self.listed.frequencies) ** 2
+        return variance
+
+    def covariance(self, x: Array) -> Array:
+        """Covariance of all frequencies at parameters (m, n), (m, n_f, n_f) Hz^2."""
+        covariance = self._independent(x)[:, :, None] * np.eye(len(self.listed.frequencies))
+        if self.listed.common is not None:
+            covariance = covariance + self.listed.common
+        if self.discrepancy is not None:
+            covariance = covariance + x[:, self.discrepancy, None, None] ** 2 * self._discrepant
+        return np.asarray(covariance)
+
+    def log_likelihood(self, x: Array) -> Array:
+        """Log likelihood at parameters (m, n), -inf where the constraints (9) are broken, (m,)."""
+        value = np.full(len(x), -np.inf)
+        inside, f, _ = self.predict_inside(x)
+        if len(inside):
+            r = self.listed.frequencies - f
+            if self._is_correlated:
+                value[inside] = self._correlated(r, self.covariance(x[inside]))[0]
+            else:
+                value[inside] = self._gaussian(r, self.variance(x[inside]))
+        return value
+
+    def log_conditional(self, x: Array) -> Array:
+        """Log density of each frequency given the others and the parameters (m, n), (m, n_f).
+
+        With Q the inverse covariance and r the residuals, r_i given the others is Gaussian with the variance
+        1 / Q_ii and lies (Q r)_i / Q_ii off its mean (Rue and Held, Gaussian Markov Random Fields, theorem
+        2.3). Not a number where the constraints (9) are broken.
+        """
+        value = np.full((len(x), len(self.listed.frequencies)), np.nan)
+        inside, f, _ = self.predict_inside(x)
+        if len(inside):
+            r = self.listed.frequencies - f
+            precision = np.linalg.inv(self.covariance(x[inside]))
+            own = np.diagonal(precision, axis1=1, axis2=2)
+            off = np.einsum("mij,mj->mi", precision, r) / own
+            value[inside] = 0.5 * (np.log(own / (2.0 * np.pi)) - own * off**2)
+        return value
+
+    def log_density(self, z: Array) -> Array:
+        """Log of likelihood times prior density over scores (m, n), (m,)."""
+        return self.scores.log_prior(z) + self.log_likelihood(self.scores.to_x(z))
+
+    def expand(self, z: Array) -> Expansion:
+        """Log density over scores (m, n), its gradient, and its curvature with the Fisher information."""
+        m, n = z.shape
+        x = self.scores.to_x(z)
+        value, gradient, curvature = np.full(m, -np.inf), np.zeros((m, n)), np.zeros((m, n, n))
+        inside, f, slope = self.predict_inside(x, jacobian=True)
+        if len(inside):
+            assert slope is not None
+            expand = self._expand_correlated if self._is_correlated else self._expand_independent
+            value[inside], gradient[inside], curvature[inside] = expand(
+                x[inside], self.listed.frequencies - f, slope
+            )
+        return self.scores.with_prior(Expansion(value, gradient, curvature), x, z)
+
+    @property
+    def _is_correlated(self) -> bool:
+        return self.listed.common is not None or (
+            self.discrepancy is not None and self.correlation_length > 0.0
+        )
+
+    def _independent(self, x: Array) -> Array:
+        """sigma^2 without the discrepancy, (m, n_f) Hz^2."""
+        variance = np.broadcast_to(self.listed.variance, (len(x), len(self.listed.variance)))
+        if self.noise is not None:
+            # scale is zero where there is no amplitude, and any column will do
+            variance = variance + (x[:, self._amplitude_columns] * self.listed.scale) ** 2
+        return variance
+
+    @property
+    def _amplitude_columns(self) -> Array:
+        return np.array(self.amplitudes)[self.listed.of]
+
+    def _expand_independent(self, x: Array, r: Array, slope: Array) -> tuple[Array, Array, Array]:
+        variance = self.variance(x)
+        log_sigma = self._log_sigma_slope(x, variance)
+        gradient = np.einsum("mi,mij->mj", r / variance, slope)
+        gradient += np.einsum("mi,mij->mj", r**2 / variance - 1.0, log_sigma)
+        weighted = slope / np.sqrt(variance)[..., None]
+        curvature = np.swapaxes(weighted, 1, 2) @ weighted
+        curvature += 2.0 * np.swapaxes(log_sigma, 1, 2) @ log_sigma
+        return self._gaussian(r, variance), gradient, curvature
+
+    def _gaussian(self, r: Array, variance: Array) -> Array:
+        log_density = -0.5 * np.sum(r**2 / variance + np.log(2 * np.pi * variance), axis=1)
+        return np.asarray(log_density + self.listed.log_constant)
+
+    def _log_sigma_slope(self, x: Array, variance: Array) -> Array:
+        """d ln sigma_i / d x_j, (m, n_f, n)."""
+        slope = np.zeros((*variance.shape, x.shape[1]))
+        if self.noise is not None:
+            rows, columns = np.arange(variance.shape[1]), self._amplitude_columns
+            slope[:, rows, columns] = x[:, columns] * self.listed.scale**2 / variance
+        if self.discrepancy is not None:
+            tau = x[:, self.discrepancy, None]
+            slope[:, :, self.discrepancy] = tau * self.listed.frequencies**2 / variance
+        return slope
+
+    @property
+    def _discrepant(self) -> Array:
+        """F R F, (n_f, n_f) Hz^2."""
+        f = self.listed.frequencies
+        return f[:, None] * self.listed.correlation(self.correlation_length) * f
+
+    def _correlated(self, r: Array, covariance: Array) -> tuple[Array, Array]:
+        """Log density of residuals (m, n_f) and L^-1 with L L^T the covariance, (m, n_f, n_f)."""
+        back = np.linalg.inv(np.linalg.cholesky(covariance))
+        white = np.einsum("mij,mj->mi", back, r)
+        log_determinant = -2.0 * np.log(np.diagonal(back, axis1=1, axis2=2)).sum(axis=1)
+        quadratic = np.sum(white**2, axis=1) + log_determinant + r.shape[1] * np.log(2 * np.pi)
+        return np.asarray(self.listed.log_constant - 0.5 * quadratic), back
+
+    def _expand_correlated(self, x: Array, r: Array, slope: Array) -> tuple[Array, Array, Array]:
+        """Value, gradient and Fisher information of a Gaussian with the covariance S.
+
+        d/dp = J_p^T S^-1 r + (a^T S_p a - tr S^-1 S_p) / 2 with a = S^-1 r; the information is
+        J_p^T S^-1 J_q + tr(S^-1 S_p S^-1 S_q) / 2 (Kay, Estimation Theory, section 3.9).
+        """
+        value, back = self._correlated(r, self.covariance(x))
+        white, weighted = np.einsum("mij,mj->mi", back, r), back @ slope
+        gradient = np.einsum("mi,mij->mj", white, weighted)
+        curvature = np.swapaxes(weighted, 1, 2) @ weighted
+        columns = self.nuisance
+        turned = [back @ d @ np.swapaxes(back, 1, 2) for d in self._covariance_slopes(x)]
+        for p, first in zip(columns, turned, strict=True):
+            gradient[:, p] += 0.5 * np.einsum("mi,mij,mj->m", white, first, white)
+            gradient[:, p] -= 0.5 * np.trace(first, axis1=1, axis2=2)
+            for q, second in zip(columns, turned, strict=True):
+                curvature[:, p, q] += 0.5 * np.einsum("mij,mij->m", first, second)
+        return value, gradient, curvature
+
+    def _covariance_slopes(self, x: Array) -> list[Array]:
+        """Derivatives of the covariance over every column of ``nuisance``, (m, n_f, n_f) each."""
+        n, slopes = len(self.listed.frequencies), []
+        for column in self.nuisance:
+            twice = 2.0 * x[:, column, None, None]
+            if column == self.discrepancy:
+                slopes.append(twice * self._discrepant)
+            else:
+                scale = np.where(self._amplitude_columns == column, self.listed.scale, 0.0)
+                slopes.append(twice * (scale**2 * np.eye(n)))
+        return slopes
