@@ -69,7 +69,6 @@ def test_a_clean_plate_has_nothing_claimed(monkeypatch: pytest.MonkeyPatch) -> N
     assert found.extended is None
     assert found.gain is None
     assert found.members == ()
-    assert resample(found, 0, FAST) is None
     assert sum(c.probability for c in found.causes) == pytest.approx(1.0)
     assert {NONE, OTHER, "bent", "dented"} == {c.name for c in found.causes}
 
