@@ -62,6 +62,45 @@ class AffineMatrix:
         """The sum on the span of ``basis`` (n, r)."""
         return AffineMatrix(basis.T @ (self.stack @ basis), self.active)
 
+    def diagonals(self, n_terms: int) -> Array:
+        """Diagonal of the matrix of every term, (n_terms, n)."""
+        out = np.zeros((n_terms, self.stack.shape[-1]))
+        out[self.active] = np.diagonal(self.stack, axis1=1, axis2=2)
+        return out
+
+    def norms(self, n_terms: int) -> Array:
+        """Norm of the matrix of every term, (n_terms,)."""
+        out = np.zeros(n_terms)
+        out[self.active] = np.linalg.norm(self.stack, axis=(1, 2))
+        return out
+
+    def combined(self, kept: Array, relation: Array) -> AffineMatrix:
+        """The sum in fewer terms, where coefficients are those kept (n_kept,) times ``relation``."""
+        return AffineMatrix(np.einsum("eq,qij->eij", relation[:, self.active], self.stack), kept)
+
+
+def relations(coefficients: Array, norms: Array) -> tuple[Array, Array]:
+    """Independent terms of a sum, (n_kept,), and all coefficients as sums of theirs, (n_kept, n_terms).
+
+    coefficients : at many parameter sets (m, n_terms), which show the linear relations between them. norms :
+    of the matrices, (n_terms,): what is too small to matter is left out
+    """
+    size = np.abs(coefficients).max(axis=0)
+    norm = norms * size
+    (present,) = np.nonzero(norm > 1e-14 * norm.max(initial=0.0))
+    if not len(present):  # rigid-body motions alone
+        return present, np.zeros((0, len(norms)))
+    c = coefficients[:, present]
+    scaled = c / size[present] * (norm[present] / norm.max())
+    _, r, pivots = scipy.linalg.qr(scaled, mode="economic", pivoting=True)
+    rank = int(np.count_nonzero(np.abs(np.diagonal(r)) > 1e-11 * abs(r[0, 0])))
+    kept = np.sort(pivots[:rank])
+    found = np.linalg.lstsq(c[:, kept], c, rcond=None)[0]  # c = c[:, kept] @ found
+    found[np.abs(found) < 1e-13 * np.abs(found).max(axis=0)] = 0.0
+    relation = np.zeros((rank, len(norms)))
+    relation[:, present] = found
+    return present[kept], relation
+
 
 # M-normalised eigenvectors (k, size) of some modes: (k,) the coefficient set of each, (k,) which of its
 # eigenvalues it has.
@@ -89,6 +128,48 @@ class Block(Protocol):
 
     def energies(self, vectors: Array) -> tuple[Array, Array]:
         """phi^T K_q phi and phi^T M_q phi of vectors (k, size) for every term, (k, n_terms) each."""
+        ...
+
+
+class RitzBlock(Block, Protocol):
+    """A block of a dense space."""
+
+    @property
+    def index(self) -> Array:
+        """Positions of the trial functions in the whole space, (n,)."""
+        ...
+
+    @property
+    def n_terms(self) -> tuple[int, int]:
+        """Numbers of coefficients of K and M."""
+        ...
+
+    def modes(self, stiffness: Array, mass: Array, n: int) -> tuple[Array, Array]:
+        """The n lowest eigenvalues of m coefficient sets, (m, n), and their vectors, (m, n, size)."""
+        ...
+
+    def mass_at(self, mass: Array) -> Array:
+        """M at one coefficient set (n_terms,), (n, n)."""
+        ...
+
+    def diagonals(self) -> tuple[Array, Array]:
+        """Diagonals of K and M for every term, (n_terms, n) each."""
+        ...
+
+    def restricted(self, keep: Array, number: Array) -> RitzBlock:
+        """The block on the trial functions marked in ``keep``, which have these numbers in another space."""
+        ...
+
+    def compressed(self, stiffness: Array, mass: Array) -> RitzBlock:
+        """The block with as few terms as coefficients (m, n_terms) have independent directions."""
+        ...
+
+    def project(self, basis: Array) -> DenseBlock:
+        """The block on the span of ``basis`` (n, r)."""
+        ...
+
+    def dense(self) -> DenseBlock:
+        """The same with all its matrices."""
         ...
 
 
@@ -143,6 +224,45 @@ class DenseBlock:
             return values, lambda sets, column: _mapped(back, sets, vectors[sets, column])
         values = matrix_by_matrix(np.linalg.eigvalsh, k)[..., :n]
         return values, lambda sets, column: _mapped(back, sets, _iterated(k, values, sets, column))
+
+    def modes(self, stiffness: Array, mass: Array, n: int) -> tuple[Array, Array]:
+        """The n lowest eigenvalues of m coefficient sets, (m, n), and their vectors, (m, n, size)."""
+        k, back = self._whitened(stiffness, mass)
+        pairs = [_lowest_pairs(matrix, n) for matrix in k]
+        values, vectors = np.stack([lam for lam, _ in pairs]), np.stack([v.T for _, v in pairs])
+        sets = np.repeat(np.arange(len(k)), n)
+        return values, _mapped(back, sets, vectors.reshape(-1, self.size)).reshape(vectors.shape)
+
+    def mass_at(self, mass: Array) -> Array:
+        """M at one coefficient set (n_terms,), (n, n)."""
+        return self.mass.assemble(mass)
+
+    def diagonals(self) -> tuple[Array, Array]:
+        """Diagonals of K and M for every term, (n_terms, n) each."""
+        return self.stiffness.diagonals(self.n_terms[0]), self.mass.diagonals(self.n_terms[1])
+
+    def restricted(self, keep: Array, number: Array) -> DenseBlock:
+        """The block on the trial functions marked in ``keep``, which have these numbers in another space."""
+        k = keep[self.index]
+        index = number[self.index[k]]
+        return DenseBlock(self.stiffness.restricted(k), self.mass.restricted(k), index, self.n_terms)
+
+    def compressed(self, stiffness: Array, mass: Array) -> DenseBlock:
+        """The block with as few terms as coefficients (m, n_terms) have independent directions."""
+        k, m = (
+            matrix.combined(*relations(c, matrix.norms(c.shape[1])))
+            for matrix, c in ((self.stiffness, stiffness), (self.mass, mass))
+        )
+        return DenseBlock(k, m, self.index, self.n_terms)
+
+    def project(self, basis: Array) -> DenseBlock:
+        """The block on the span of ``basis`` (n, r)."""
+        index = np.arange(basis.shape[1])
+        return DenseBlock(self.stiffness.project(basis), self.mass.project(basis), index, self.n_terms)
+
+    def dense(self) -> DenseBlock:
+        """The same."""
+        return self
 
     def energies(self, vectors: Array) -> tuple[Array, Array]:
         """phi^T K_q phi and phi^T M_q phi of vectors (k, size) for every term, (k, n_terms) each."""
@@ -233,15 +353,11 @@ class AffineOperator(Generic[SpaceT, BlockT]):
 def restricted(operator: DenseOperator, keep: Array) -> DenseOperator:
     """The operator on the trial functions marked in ``keep`` (n_functions,) bool."""
     number = np.cumsum(keep) - 1
-    blocks = [
-        DenseBlock(b.stiffness.restricted(k), b.mass.restricted(k), number[b.index[k]], b.n_terms)
-        for b, k in ((b, keep[b.index]) for b in operator.blocks)
-        if k.any()
-    ]
+    blocks = [block.restricted(keep, number) for block in operator.blocks if keep[block.index].any()]
     return AffineOperator(operator.problem, operator.space.restricted(keep), tuple(blocks))
 
 
-DenseOperator = AffineOperator[RitzSpace, DenseBlock]
+DenseOperator = AffineOperator[RitzSpace, RitzBlock]
 
 
 class Profile(Protocol):

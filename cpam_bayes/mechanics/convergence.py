@@ -305,8 +305,7 @@ def _importance(operator: DenseOperator, spectrum: Spectrum, n_modes: int) -> Ar
     n_in_plane = operator.space.dimension("u") + operator.space.dimension("v")
     assert spectrum.vectors is not None
     for b, block in enumerate(operator.blocks):
-        k = np.diagonal(block.stiffness.stack, axis1=1, axis2=2)
-        m = np.diagonal(block.mass.stack, axis1=1, axis2=2)
+        k, m = block.diagonals()
         in_plane = block.index.max() < n_in_plane
         for i, n in zip(*np.nonzero(spectrum.block == b), strict=True):
             if n >= n_modes and not in_plane:

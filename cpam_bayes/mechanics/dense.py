@@ -11,6 +11,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from cpam_bayes.mechanics.affine import AffineMatrix, AffineOperator, DenseBlock, DenseOperator, Product
+from cpam_bayes.mechanics.loaded import loaded_blocks
 from cpam_bayes.mechanics.problem import Atom, Form, MatrixKind, Problem, Values
 from cpam_bayes.mechanics.spaces.ritz import Family, Quadrature, RitzSpace, broken_quadrature, evaluate_sector
 
@@ -201,10 +202,13 @@ def _discretise(
     pieces: list[dict[int, list[Piece]]] = []
     values = FamilyValues()
     links = {(i, i) for i in range(len(space.sectors))}
+    masses: list[int] = []
     for kind in MATRICES:
-        active = active_terms(problem, samples, kind)
+        (active,) = np.nonzero(active_terms(problem, samples, kind))
         forms = problem.forms(kind)
-        pieces.append({q: form_pieces(f, space, values) for q, f in enumerate(forms) if active[q]})
+        if kind == "mass":
+            masses = [q for q in active if _is_point_mass(forms[q])]
+        pieces.append({q: form_pieces(forms[q], space, values) for q in active if q not in masses})
         links |= {(i, j) for parts in pieces[-1].values() for i, j, _ in parts}
     n_terms = (combine[0].shape[0], combine[1].shape[0])
     starts = np.cumsum([0, *(s.size for s in space.sectors)])
@@ -217,7 +221,26 @@ def _discretise(
         matrices = [_stack(p, c, place, int(local[-1])) for p, c in zip(pieces, combine, strict=True)]
         index = np.concatenate([np.arange(starts[i], starts[i + 1]) for i in members])
         blocks.append(DenseBlock(matrices[0], matrices[1], index, n_terms))
-    return AffineOperator(problem, space, tuple(blocks))
+    if not masses:
+        return AffineOperator(problem, space, tuple(blocks))
+    rows = np.stack([_row(problem.forms("mass")[q], space) for q in masses])
+    return AffineOperator(problem, space, loaded_blocks(blocks, rows, combine[1][:, masses]))
+
+
+def _is_point_mass(form: Form) -> bool:
+    return form.region.kind == "point" and form.left == form.right and form.weight is None
+
+
+def _row(form: Form, space: RitzSpace) -> Array:
+    """What a form at a point takes of every trial function, (n_functions,)."""
+    point = np.array([form.region.point])
+    row = np.zeros(sum(s.size for s in space.sectors))
+    start = 0
+    for sector in space.sectors:
+        if sector.field == form.left.field:
+            row[start : start + sector.size] = evaluate_sector(sector, point, form.left.derivative)[0]
+        start += sector.size
+    return row
 
 
 def _stack(pieces: dict[int, list[Piece]], combine: Array, place: dict[int, slice], n: int) -> AffineMatrix:
