@@ -20,6 +20,7 @@ from cpam_bayes.forward_model.model import PlateModel, Prediction, training_sets
 from cpam_bayes.mechanics.affine import AffineMatrix, AffineOperator, DenseBlock, DenseOperator, RitzBlock
 from cpam_bayes.mechanics.loaded import symmetry_parts
 from cpam_bayes.mechanics.modes import SUPPORTED_TOLERANCE, Spectrum, solve
+from cpam_bayes.mechanics.spaces.ritz import RitzSpace
 from cpam_bayes.parameters import ParameterSet
 from cpam_bayes.plate.edges import FIELDS
 
@@ -119,7 +120,7 @@ def coercivity(stiffness: Array, reference: Array) -> Array:
 
 def _residual_norms(
     residuals: tuple[ResidualForm, ...],
-    operator: DenseOperator,
+    operator: AffineOperator[RitzSpace, DenseBlock],
     stiffness: Array,
     mass: Array,
     spectrum: Spectrum,

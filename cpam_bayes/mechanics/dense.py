@@ -204,7 +204,7 @@ def _discretise(
     links = {(i, i) for i in range(len(space.sectors))}
     masses: list[int] = []
     for kind in MATRICES:
-        (active,) = np.nonzero(active_terms(problem, samples, kind))
+        active = np.flatnonzero(active_terms(problem, samples, kind)).tolist()
         forms = problem.forms(kind)
         if kind == "mass":
             masses = [q for q in active if _is_point_mass(forms[q])]

@@ -1,7 +1,7 @@
 """A plate with loads at points: on its modes and its static responses there, block by block of symmetry.
 
 A mass at a point is M + u m u^T. It joins all symmetries of a plate, but the plate without it keeps them: its
-few lowest modes in each block and one response to a unit load for each u hold the plate with the mass as
+few lowest modes in each block and its responses to a unit load for each u hold the plate with the mass as
 well (component mode synthesis with residual flexibility: Craig and Bampton, AIAA J. 6, 1968; MacNeal, Comput.
 Struct. 1, 1971).
 """
@@ -142,7 +142,7 @@ def lowest_modes(
 
 
 # Modes of all parts together that a loaded block is solved in, over those asked for.
-_FURTHER = 40
+_FURTHER = 24
 # Shift of the energy over the highest eigenvalue asked for: it makes a free plate stiff.
 _SHIFT = 0.1
 # Fraction of its modes from which on a part is taken with all of them, and no response is left to it.
@@ -167,7 +167,7 @@ class LoadedBlock:
     @property
     def size(self) -> int:
         """Number of trial functions."""
-        return self.rows.shape[1]
+        return sum(part.size for part in self.parts)
 
     @property
     def index(self) -> Array:
@@ -197,7 +197,7 @@ class LoadedBlock:
 
         vectors : none where they are not wanted
         """
-        step = max(1, _STACK // sum(part.size**2 for part in self.parts))
+        step = int(max(1, _STACK // sum(part.size**2 for part in self.parts)))
         batches = [
             self._modes(stiffness[i : i + step], mass[i : i + step], n, vectors)
             for i in range(0, len(mass), step)
@@ -210,19 +210,25 @@ class LoadedBlock:
         pooled = np.sort(np.concatenate([lam for lam, _ in pairs], axis=1), axis=1)
         shift = _SHIFT * np.abs(pooled[:, n - 1 : n])
         highest = pooled[:, min(n + _FURTHER, pooled.shape[1]) - 1, None]
-        plate, loads = PlateModes([], [], [], []), self.rows.copy()
-        for part, load, (lam, phi) in zip(self.parts, self.split(loads), pairs, strict=True):
+        plate, loads = PlateModes([], [], [], []), []
+        for part, row, (lam, phi) in zip(self.parts, self.split(self.rows), pairs, strict=True):
             k = int(np.sum(lam <= highest, axis=1).max())
             if k > _MOST * part.size:
-                k, load[...] = part.size, 0.0
+                k, row = part.size, 0.0 * row
                 lam, phi = part.modes(stiffness, mass, k)
             inertia = part.mass.assemble(mass)
             mu = 1.0 / (lam[:, :k] + shift)
-            plate.energy.append(part.stiffness.assemble(stiffness) + shift[..., None] * inertia)
-            plate.mass.append(inertia)
-            plate.vectors.append(np.swapaxes(phi[:, :k] * np.sqrt(mu)[..., None], 1, 2))
-            plate.masses.append(mu)
-        basis = ritz_basis(plate, np.broadcast_to(loads, (len(mass), *loads.shape)))
+            energy = part.stiffness.assemble(stiffness) + shift[..., None] * inertia
+            v = np.swapaxes(phi[:, :k] * np.sqrt(mu)[..., None], 1, 2)
+            for of, one in zip(
+                (plate.energy, plate.mass, plate.vectors, plate.masses), (energy, inertia, v, mu), strict=True
+            ):
+                of.append(one)
+            # unit loads, then the inertia of what of their responses no mode has
+            load = np.broadcast_to(row.T, (len(mass), *row.T.shape))
+            beside = np.linalg.solve(energy, load) - v @ (np.swapaxes(v, 1, 2) @ load)
+            loads.append(np.concatenate((load, inertia @ beside), axis=2))
+        basis = ritz_basis(plate, np.swapaxes(np.concatenate(loads, axis=1), 1, 2))
         there = at_points(self.rows, basis)
         added = np.swapaxes(there, 1, 2) @ ((mass @ self.inertia)[..., None] * there)
         energy = basis.energy + shift[..., None] * added
@@ -320,7 +326,7 @@ def loaded_blocks(parts: Sequence[DenseBlock], rows: Array, inertia: Array) -> t
         (members,) = np.nonzero(label == number)
         (there,) = np.nonzero(moved[:, members].any(axis=1))
         one = LoadedBlock(
-            tuple(parts[i] for i in members),
+            tuple(parts[i] for i in members.tolist()),
             np.concatenate(
                 [np.where(moved[there, i, None], of_parts[i][there], 0.0) for i in members], axis=1
             ),
@@ -337,7 +343,8 @@ def loaded_blocks(parts: Sequence[DenseBlock], rows: Array, inertia: Array) -> t
 
 def symmetry_parts(operator: DenseOperator) -> LoadedBlock:
     """All parts of an operator as if they were joined, and the masses that join some of them."""
-    parts, rows, inertia = [], [], []
+    parts: list[DenseBlock] = []
+    rows, inertia = [], []
     for block in operator.blocks:
         loaded = block if isinstance(block, LoadedBlock) else _unloaded(block.dense())
         parts += loaded.parts
