@@ -208,7 +208,7 @@ def _measured(models: list[tuple[Built, Results]], rounds: int) -> list[Results]
 def _lapack(model: PlateModel, x: Array) -> Call:
     """Eigenvalues of the model's own matrices, once assembled."""
     stiffness, _ = model.coefficients(x)
-    stacks = [block.stiffness.assemble(stiffness) for block in model.operator.blocks]
+    stacks = [block.dense().stiffness.assemble(stiffness) for block in model.operator.blocks]
     return lambda: [np.linalg.eigvalsh(stack) for stack in stacks]
 
 
