@@ -83,7 +83,7 @@ def _sizes(model: PlateModel) -> str:
 def _lapack(model: PlateModel, x: Array) -> Call:
     """Eigenvalues of the model's own matrices, once assembled: what no arrangement of ours goes below."""
     stiffness, _ = model.coefficients(x)
-    stacks = [block.stiffness.assemble(stiffness) for block in model.operator.blocks]
+    stacks = [block.dense().stiffness.assemble(stiffness) for block in model.operator.blocks]
     return lambda: [np.linalg.eigvalsh(stack) for stack in stacks]
 
 

@@ -24,8 +24,8 @@ from cpam_bayes.forward_model.model import (
     training_sets,
 )
 from cpam_bayes.forward_model.reduced import DEFAULT_SETTINGS, ReducedModel, ReductionSettings, reduce
-from cpam_bayes.mechanics.affine import discretise
 from cpam_bayes.mechanics.convergence import Tolerance, rich_frequencies
+from cpam_bayes.mechanics.dense import discretise
 from cpam_bayes.mechanics.ritz import RitzSettings, ritz_space
 from cpam_bayes.parameters import ParameterSet
 from cpam_bayes.plate import Specimen
@@ -208,7 +208,7 @@ def _measured(models: list[tuple[Built, Results]], rounds: int) -> list[Results]
 def _lapack(model: PlateModel, x: Array) -> Call:
     """Eigenvalues of the model's own matrices, once assembled."""
     stiffness, _ = model.coefficients(x)
-    stacks = [block.stiffness.assemble(stiffness) for block in model.operator.blocks]
+    stacks = [block.dense().stiffness.assemble(stiffness) for block in model.operator.blocks]
     return lambda: [np.linalg.eigvalsh(stack) for stack in stacks]
 
 

@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cpam_bayes.effects import add_air, add_known_mass
-from cpam_bayes.mechanics.affine import AffineOperator, discretise
+from cpam_bayes.mechanics.affine import AffineOperator
 from cpam_bayes.mechanics.convergence import Tolerance, converge, rich_frequencies
+from cpam_bayes.mechanics.dense import discretise
 from cpam_bayes.mechanics.modes import (
     Mode,
     RigidBodyError,

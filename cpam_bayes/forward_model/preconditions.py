@@ -23,7 +23,7 @@ from cpam_bayes.answer import Notice, Severity
 from cpam_bayes.errors import PlateFileError
 from cpam_bayes.formatting import listed, significant
 from cpam_bayes.forward_model.model import NO_PARAMETERS, plate_problem, reference_constants
-from cpam_bayes.mechanics.affine import discretise
+from cpam_bayes.mechanics.dense import discretise
 from cpam_bayes.mechanics.modes import RigidBodyError, solve
 from cpam_bayes.mechanics.ritz import RitzSettings, ritz_space
 from cpam_bayes.parameters import ParameterSet

@@ -17,8 +17,10 @@ import scipy.linalg
 from numpy.typing import NDArray
 
 from cpam_bayes.forward_model.model import PlateModel, Prediction, training_sets
-from cpam_bayes.mechanics.affine import AffineMatrix, AffineOperator, DenseBlock, DenseOperator
+from cpam_bayes.mechanics.affine import AffineMatrix, AffineOperator, DenseBlock, DenseOperator, RitzBlock
+from cpam_bayes.mechanics.loaded import symmetry_parts
 from cpam_bayes.mechanics.modes import SUPPORTED_TOLERANCE, Spectrum, solve
+from cpam_bayes.mechanics.ritz import RitzSpace
 from cpam_bayes.parameters import ParameterSet
 from cpam_bayes.plate.edges import FIELDS
 
@@ -118,7 +120,7 @@ def coercivity(stiffness: Array, reference: Array) -> Array:
 
 def _residual_norms(
     residuals: tuple[ResidualForm, ...],
-    operator: DenseOperator,
+    operator: AffineOperator[RitzSpace, DenseBlock],
     stiffness: Array,
     mass: Array,
     spectrum: Spectrum,
@@ -158,28 +160,8 @@ def compressed(operator: DenseOperator, stiffness: Array, mass: Array) -> DenseO
     relations between them. A fixed layup of orthotropic plies has six stiffness terms, a fixed
     thickness and density one mass term.
     """
-    blocks = [
-        DenseBlock(_compress(b.stiffness, stiffness), _compress(b.mass, mass), b.index, b.n_terms)
-        for b in operator.blocks
-    ]
+    blocks = [block.compressed(stiffness, mass) for block in operator.blocks]
     return AffineOperator(operator.problem, operator.space, tuple(blocks))
-
-
-def _compress(matrix: AffineMatrix, coefficients: Array) -> AffineMatrix:
-    size = np.abs(coefficients[:, matrix.active]).max(axis=0)
-    norm = np.linalg.norm(matrix.stack, axis=(1, 2)) * size
-    present = norm > 1e-14 * norm.max(initial=0.0)
-    matrix = AffineMatrix(matrix.stack[present], matrix.active[present])
-    if not present.any():  # rigid-body motions alone
-        return matrix
-    c = coefficients[:, matrix.active]
-    scaled = c / size[present] * (norm[present] / norm.max())
-    _, r, pivots = scipy.linalg.qr(scaled, mode="economic", pivoting=True)
-    rank = int(np.count_nonzero(np.abs(np.diagonal(r)) > 1e-11 * abs(r[0, 0])))
-    kept = np.sort(pivots[:rank])
-    relation = np.linalg.lstsq(c[:, kept], c, rcond=None)[0]  # c = c[:, kept] @ relation
-    relation[np.abs(relation) < 1e-13 * np.abs(relation).max(axis=0)] = 0.0
-    return AffineMatrix(np.einsum("eq,qij->eij", relation, matrix.stack), matrix.active[kept])
 
 
 def reduce(
@@ -267,7 +249,9 @@ class _Reference:
 
 def _rounding(operator: DenseOperator, stiffness: Array, mass: Array) -> Array:
     """Largest error of an eigenvalue by rounding: machine precision times the largest eigenvalue."""
-    largest = [block.eigenvalues(stiffness[None], mass[None], block.size).max() for block in operator.blocks]
+    # that of a plate with known masses is less
+    parts = symmetry_parts(operator).parts
+    largest = [part.eigenvalues(stiffness[None], mass[None], part.size).max() for part in parts]
     return np.asarray(_ROUNDING_FACTOR * np.finfo(float).eps * max(largest))
 
 
@@ -275,11 +259,10 @@ def _log_trace(stiffness: Array) -> Array:
     return np.asarray(np.log(np.sum(np.abs(stiffness), axis=-1)))
 
 
-def _factor(block: DenseBlock, stiffness: Array, mass: Array, shift: float) -> Array:
+def _factor(block: RitzBlock, stiffness: Array, mass: Array, shift: float) -> Array:
     """Lower Cholesky factor of K + shift M, definite also where there are rigid-body motions."""
-    return np.asarray(
-        np.linalg.cholesky(block.stiffness.assemble(stiffness) + shift * block.mass.assemble(mass))
-    )
+    one = block.dense()
+    return np.asarray(np.linalg.cholesky(one.stiffness.assemble(stiffness) + shift * one.mass.assemble(mass)))
 
 
 def _rigid_vectors(operator: DenseOperator, stiffness: Array, mass: Array, first: float) -> list[Array]:
@@ -288,9 +271,8 @@ def _rigid_vectors(operator: DenseOperator, stiffness: Array, mass: Array, first
     highest = (SUPPORTED_TOLERANCE if operator.problem.supported else 1e-3) * first
     vectors = []
     for block in operator.blocks:
-        m = block.mass.assemble(mass)
-        lam, phi = scipy.linalg.eigh(block.stiffness.assemble(stiffness), m)
-        vectors.append(phi[:, np.abs(lam) < highest])
+        lam, phi = block.modes(stiffness[None], mass[None], min(block.size, 7))  # of rigid ones there are six
+        vectors.append(phi[0, np.abs(lam[0]) < highest].T)
     return vectors
 
 
@@ -300,7 +282,7 @@ def _sides_vary(model: PlateModel, x: Array) -> bool:
     return any(bool(np.ptp(np.atleast_1d(np.real(side))) > 0.0) for side in (state.length, state.width))
 
 
-def by_field(operator: DenseOperator, block: DenseBlock, vectors: Array) -> Array:
+def by_field(operator: DenseOperator, block: RitzBlock, vectors: Array) -> Array:
     """Each column (n, k) cut into the parts of its fields, without those that are zero.
 
     On the reference square a rotation is w = length xi with phi_x = -1. Where the sides vary, so does
@@ -361,9 +343,9 @@ def _greedy_basis(
         rest = rest[np.isin(sets[rest], sets[rest[bad]])]
 
 
-def _orthonormal(vectors: Array, block: DenseBlock, mass: Array) -> Array:
+def _orthonormal(vectors: Array, block: RitzBlock, mass: Array) -> Array:
     """The span of columns (n, k), orthonormal in the mass of one parameter set; dependent ones go."""
-    m = block.mass.assemble(mass)
+    m = block.mass_at(mass)
     kept = np.empty((len(vectors), 0))
     for column in vectors.T:
         size = np.sqrt(column @ m @ column)
@@ -375,13 +357,9 @@ def _orthonormal(vectors: Array, block: DenseBlock, mass: Array) -> Array:
     return kept
 
 
-def _projected_block(block: DenseBlock, basis: Array) -> DenseBlock:
-    return DenseBlock(
-        block.stiffness.project(basis),
-        _cleaned(block.mass.project(basis)),
-        np.arange(basis.shape[1]),
-        block.n_terms,
-    )
+def _projected_block(block: RitzBlock, basis: Array) -> DenseBlock:
+    small = block.project(basis)
+    return replace(small, mass=_cleaned(small.mass))
 
 
 def _cleaned(mass: AffineMatrix) -> AffineMatrix:
@@ -408,8 +386,9 @@ def _assemble(
     )
 
 
-def _residual_form(block: DenseBlock, basis: Array, factor: Array) -> ResidualForm:
-    images = np.concatenate((block.stiffness.stack @ basis, block.mass.stack @ basis))
+def _residual_form(block: RitzBlock, basis: Array, factor: Array) -> ResidualForm:
+    one = block.dense()
+    images = np.concatenate((one.stiffness.stack @ basis, one.mass.stack @ basis))
     n_terms, n, r = images.shape
     columns = np.moveaxis(images, 0, 1).reshape(n, n_terms * r)
     columns = scipy.linalg.solve_triangular(factor, columns, lower=True)
@@ -441,7 +420,7 @@ def focused(model: ReducedModel, x: Array, tolerance: float, fraction: float = 1
         for b, block in enumerate(operator.blocks)
     ]
     used = [b for b, basis in enumerate(bases) if basis.shape[1]]
-    blocks = tuple(_projected(operator.blocks[b], bases[b]) for b in used)
+    blocks = tuple(operator.blocks[b].project(bases[b]) for b in used)
     fast = replace(model.fast, operator=AffineOperator(operator.problem, operator.space, blocks))
     residuals = tuple(ResidualForm(model.residuals[b].images @ bases[b]) for b in used if model.residuals)
     return replace(model, fast=fast, residuals=residuals)
@@ -470,7 +449,7 @@ def _basis(
     distinct, place = np.unique(sets, return_inverse=True)
 
     def error(size: int) -> float:
-        small = _projected(block, np.linalg.solve(root, every[:, :size]))
+        small = block.project(np.linalg.solve(root, every[:, :size]))
         eigenvalues = small.eigenvalues(stiffness[distinct], mass[distinct], size)[place, column]
         return float(np.quantile(np.sqrt(np.abs(eigenvalues) / lam) - 1.0, fraction, method="higher"))
 
@@ -497,9 +476,3 @@ def _principal(columns: Array) -> Array:
         return np.empty((len(columns), 0))
     vectors, size, _ = np.linalg.svd(columns, full_matrices=False)
     return np.asarray(vectors[:, size > _RANK * size.max(initial=0.0)])
-
-
-def _projected(block: DenseBlock, basis: Array) -> DenseBlock:
-    return DenseBlock(
-        block.stiffness.project(basis), block.mass.project(basis), np.arange(basis.shape[1]), block.n_terms
-    )

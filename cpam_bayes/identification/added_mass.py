@@ -27,7 +27,7 @@ from scipy.stats import chi2
 from cpam_bayes.forward_model.local.basis import local_space
 from cpam_bayes.forward_model.model import PlateModel
 from cpam_bayes.inference.posterior import NOISE_PRIOR
-from cpam_bayes.mechanics.affine import discretise
+from cpam_bayes.mechanics.dense import discretise
 from cpam_bayes.mechanics.problem import rigid_body_count
 from cpam_bayes.mechanics.ritz import evaluate_sector
 from cpam_bayes.plate.edges import FIELDS
@@ -199,17 +199,15 @@ def _modes(
     """All eigenvalues of the space at a parameter vector, ascending, and fields of the modes to keep."""
     operator = model.operator
     stiffness, mass = model.coefficients(np.atleast_2d(x))
-    pairs = [
-        scipy.linalg.eigh(b.stiffness.assemble(stiffness)[0], b.mass.assemble(mass)[0])
-        for b in operator.blocks
-    ]
+    blocks = [block.dense() for block in operator.blocks]
+    pairs = [scipy.linalg.eigh(b.stiffness.assemble(stiffness)[0], b.mass.assemble(mass)[0]) for b in blocks]
     values = np.concatenate([lam for lam, _ in pairs])
     order = np.argsort(values, kind="stable")
     sizes = [sector.size for sector in operator.space.sectors]
     starts = np.cumsum([0, *sizes])
     whole = np.zeros((starts[-1], len(values)))
     at = 0
-    for block, (lam, vectors) in zip(operator.blocks, pairs, strict=True):
+    for block, (lam, vectors) in zip(blocks, pairs, strict=True):
         whole[np.ix_(block.index, range(at, at + len(lam)))] = vectors
         at += len(lam)
     whole = whole[:, order][:, kept]

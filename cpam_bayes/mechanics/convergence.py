@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cpam_bayes.mechanics.affine import DenseOperator, discretise, discretise_at, restricted
+from cpam_bayes.mechanics.affine import DenseOperator, restricted
+from cpam_bayes.mechanics.dense import discretise, discretise_at
 from cpam_bayes.mechanics.modes import RigidBodyError, Spectrum, solve
 from cpam_bayes.mechanics.problem import Problem, Values
 from cpam_bayes.mechanics.ritz import RitzSettings, RitzSpace, ritz_space
@@ -304,8 +305,7 @@ def _importance(operator: DenseOperator, spectrum: Spectrum, n_modes: int) -> Ar
     n_in_plane = operator.space.dimension("u") + operator.space.dimension("v")
     assert spectrum.vectors is not None
     for b, block in enumerate(operator.blocks):
-        k = np.diagonal(block.stiffness.stack, axis1=1, axis2=2)
-        m = np.diagonal(block.mass.stack, axis1=1, axis2=2)
+        k, m = block.diagonals()
         in_plane = block.index.max() < n_in_plane
         for i, n in zip(*np.nonzero(spectrum.block == b), strict=True):
             if n >= n_modes and not in_plane:

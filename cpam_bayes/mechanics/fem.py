@@ -24,13 +24,8 @@ from skfem.mapping import MappingIsoparametric
 from skfem.quadrature import get_quadrature
 
 from cpam_bayes.formatting import listed
-from cpam_bayes.mechanics.affine import (
-    MATRICES,
-    AffineOperator,
-    ModeVectors,
-    active_terms,
-    projected_functions,
-)
+from cpam_bayes.mechanics.affine import AffineOperator, ModeVectors
+from cpam_bayes.mechanics.dense import MATRICES, active_terms, projected_functions
 from cpam_bayes.mechanics.mesh_file import read_mesh
 from cpam_bayes.mechanics.problem import (
     AREA,

@@ -9,7 +9,8 @@ import numpy as np
 
 from cpam_bayes.effects import CATALOGUE, Effect, PlateFacts, extend, variants
 from cpam_bayes.forward_model.model import plate_problem
-from cpam_bayes.mechanics.affine import DenseOperator, discretise
+from cpam_bayes.mechanics.affine import DenseOperator
+from cpam_bayes.mechanics.dense import discretise
 from cpam_bayes.mechanics.fem import discretise_sparse, fem_space
 from cpam_bayes.mechanics.modes import solve
 from cpam_bayes.mechanics.problem import Problem

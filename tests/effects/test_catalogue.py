@@ -20,7 +20,8 @@ from cpam_bayes.effects import CATALOGUE, Effect, applicable, extend, scale_of, 
 from cpam_bayes.effects.effect import GROSS_FRACTION
 from cpam_bayes.effects.table import BEGIN, END, catalogue_tables
 from cpam_bayes.forward_model.model import PlateModel, constant_parameters, plate_problem
-from cpam_bayes.mechanics.affine import MATRICES, AffineOperator
+from cpam_bayes.mechanics.affine import AffineOperator
+from cpam_bayes.mechanics.dense import MATRICES
 from cpam_bayes.mechanics.problem import PlateState, StateFunction, Values
 from cpam_bayes.parameters import Mixture, ScaledStudentT
 from cpam_bayes.plate.edges import conditions

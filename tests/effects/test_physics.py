@@ -19,7 +19,7 @@ from cpam_bayes.effects import (
 from cpam_bayes.effects.masses import PressureJumps, jump_energy
 from cpam_bayes.effects.plies import _G
 from cpam_bayes.forward_model.model import angle_parameters, plate_problem
-from cpam_bayes.mechanics.affine import discretise
+from cpam_bayes.mechanics.dense import discretise
 from cpam_bayes.mechanics.modes import solve
 from cpam_bayes.mechanics.problem import AREA, Problem
 from cpam_bayes.mechanics.ritz import RitzSettings, RitzSpace, ritz_space

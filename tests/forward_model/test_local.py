@@ -13,7 +13,7 @@ from cpam_bayes.diagnosis.models import PlateModels, local_model, plate_models
 from cpam_bayes.effects import CATALOGUE, Effect, extend, variants
 from cpam_bayes.forward_model.local.basis import local_space, stored_local_model
 from cpam_bayes.forward_model.local.model import LocalModel
-from cpam_bayes.mechanics.affine import discretise
+from cpam_bayes.mechanics.dense import discretise
 from cpam_bayes.mechanics.fem import discretise_sparse, fem_space
 from cpam_bayes.mechanics.modes import solve
 from cpam_bayes.plate import Sensor, Specimen, builtin, layup

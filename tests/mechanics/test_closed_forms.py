@@ -12,8 +12,8 @@ import scipy.optimize
 
 from cpam_bayes.effects import add_known_mass
 from cpam_bayes.forward_model.model import NO_PARAMETERS, converged_model
-from cpam_bayes.mechanics.affine import discretise_at
 from cpam_bayes.mechanics.convergence import Tolerance
+from cpam_bayes.mechanics.dense import discretise_at
 from cpam_bayes.mechanics.modes import solve
 from cpam_bayes.mechanics.problem import Problem, Region
 from cpam_bayes.mechanics.ritz import Quadrature, RitzSettings, RitzSpace, ritz_space

@@ -16,7 +16,6 @@ from cpam_bayes.forward_model.model import (
     discretisation_error,
     plate_problem,
 )
-from cpam_bayes.mechanics.affine import discretise_at
 from cpam_bayes.mechanics.convergence import (
     THICK,
     THIN,
@@ -26,6 +25,7 @@ from cpam_bayes.mechanics.convergence import (
     default_tolerance,
     rich_frequencies,
 )
+from cpam_bayes.mechanics.dense import discretise_at
 from cpam_bayes.mechanics.modes import solve
 from cpam_bayes.mechanics.problem import Problem, Values
 from cpam_bayes.mechanics.ritz import RitzSettings, ritz_space

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from cpam_bayes.effects import add_known_mass
-from cpam_bayes.mechanics.affine import discretise
+from cpam_bayes.mechanics.dense import discretise
 from cpam_bayes.mechanics.fem import FULL, FemSpace, discretise_sparse, fem_space, fem_space_from_mesh
 from cpam_bayes.mechanics.modes import RigidBodyError, Spectrum, solve
 from cpam_bayes.mechanics.problem import AREA, Atom, Form, Problem, Region, Term

@@ -16,7 +16,8 @@ from cpam_bayes.forward_model.model import (
     plate_problem,
     training_sets,
 )
-from cpam_bayes.mechanics.affine import _LARGE, AffineOperator, discretise
+from cpam_bayes.mechanics.affine import _LARGE, AffineOperator
+from cpam_bayes.mechanics.dense import discretise
 from cpam_bayes.mechanics.fem import discretise_sparse, fem_space
 from cpam_bayes.mechanics.modes import (
     Mode,

@@ -11,7 +11,6 @@ import pytest
 from cpam_bayes.effects import add_known_mass
 from cpam_bayes.mechanics.affine import (
     LINE,
-    MATRICES,
     ONE,
     AffineMatrix,
     Bell,
@@ -20,9 +19,9 @@ from cpam_bayes.mechanics.affine import (
     Polynomial,
     Product,
     _iterated,
-    discretise,
     power,
 )
+from cpam_bayes.mechanics.dense import MATRICES, discretise
 from cpam_bayes.mechanics.problem import (
     AREA,
     Derivative,

@@ -10,7 +10,7 @@ import scipy.linalg
 from scipy.sparse.linalg import splu
 
 from cpam_bayes.effects import add_known_mass
-from cpam_bayes.mechanics.affine import MATRICES, discretise
+from cpam_bayes.mechanics.dense import MATRICES, discretise
 from cpam_bayes.mechanics.fem import FemSpace, SparseBlock, SparseOperator, discretise_sparse, fem_space
 from cpam_bayes.mechanics.modes import RigidBodyError, describe_modes, solve
 from cpam_bayes.mechanics.problem import PlateState, Problem, Values, bare_plate

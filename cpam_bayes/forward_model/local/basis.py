@@ -6,7 +6,7 @@ It is stored on disk beside the reduced models.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -20,7 +20,9 @@ from cpam_bayes.forward_model.local.model import Change, LocalModel, PointMass
 from cpam_bayes.forward_model.local.patch import FURTHER, Patch, loads_of_modes
 from cpam_bayes.forward_model.model import PlateModel, training_sets
 from cpam_bayes.forward_model.reduced import compressed
-from cpam_bayes.mechanics.affine import AffineMatrix, AffineOperator, DenseBlock, DenseOperator, discretise
+from cpam_bayes.mechanics.affine import AffineMatrix, AffineOperator, DenseBlock
+from cpam_bayes.mechanics.dense import discretise
+from cpam_bayes.mechanics.loaded import LoadedBlock, symmetry_parts
 from cpam_bayes.mechanics.problem import MEMBRANE_FIELDS, Problem, rigid_body_count
 from cpam_bayes.mechanics.ritz import RitzSettings, RitzSpace, evaluate_sector, ritz_space
 from cpam_bayes.parameters import ParameterSet
@@ -72,6 +74,8 @@ _SHIFT = 0.3
 _RIGID = 1e-4
 # Of the mean radius of gyration of a point mass, for its responses.
 _ROTATION = 0.3
+# Of the loads of known masses: they are at known places, and what is missed of their answers is an error.
+_KNOWN = 10.0
 
 
 def local_space(problem: Problem, settings: RitzSettings) -> RitzSpace:
@@ -96,7 +100,8 @@ def point_mass_model(
     added : the mass, kg, its place, and its radius of gyration, m
     """
     trained, rng = _training(plate, how)
-    rows = rows_at(trained.operator, _training_places(rng, how.places))
+    space, parts = trained.plain.operator.space, trained.block.parts
+    rows = rows_at(space, parts, _training_places(rng, how.places))
     # what a mass in rows of the fields adds: its translation, and its rotation about the midplane, of which a
     # part is enough: what the basis lacks of it is as if the radius of gyration, which is open, were less
     arm = np.hypot(
@@ -124,9 +129,8 @@ def patch_model(
     """
     patch = patch_of(form, plate.problem)
     trained, rng = _training(plate, how)
-    operator = trained.operator
-    indices = [block.index for block in operator.blocks]
-    parts = field_parts(operator.space, indices, [np.eye(len(index)) for index in indices])
+    indices = [part.index for part in trained.block.parts]
+    parts = field_parts(trained.plain.operator.space, indices, [np.eye(len(index)) for index in indices])
     low, high = added.parameters[3].prior.lower, added.parameters[3].prior.upper
     by_set = []
     for s, row in enumerate(trained.sets):
@@ -158,15 +162,17 @@ class _Training:
     """A plate at the sets of constants that its basis is made from.
 
     plain : in the full space
+    block : its symmetries as parts, with known masses
     sets : (m, n_parameters)
     stiffness, mass : (m, n_terms) coefficients
-    modes : eigenvalues (m, k) and vectors (m, n, k) of every block
+    modes : eigenvalues (m, k) and vectors (m, n, k) of every part
     last, highest : (m,) eigenvalues of the last mode of the leading basis, and of the last one predicted
     first : lowest eigenvalue of a deformation mode
     shift : of the energy in which loads are answered
     """
 
     plain: PlateModel
+    block: LoadedBlock
     sets: Array
     stiffness: Array
     mass: Array
@@ -175,11 +181,6 @@ class _Training:
     highest: Array
     first: float
     shift: float
-
-    @property
-    def operator(self) -> DenseOperator:
-        """The operator of the full space."""
-        return self.plain.operator
 
 
 def _training(plate: BarePlate, how: LocalSettings) -> tuple[_Training, np.random.Generator]:
@@ -191,21 +192,21 @@ def _training(plate: BarePlate, how: LocalSettings) -> tuple[_Training, np.rando
     operator = discretise(problem, local_space(problem, settings), problem.parameters.mapping(plate.samples))
     plain = PlateModel(operator, n_modes, plate.error, (settings, np.empty(0, dtype=bool)))
     operator = compressed(operator, *plain.coefficients(training_sets(problem, 160, rng)))
-    plain = replace(plain, operator=operator)
+    plain, block = replace(plain, operator=operator), symmetry_parts(operator)
     x = np.vstack((plate.samples[:1], training_sets(problem, how.constants, rng)))
     stiffness, mass = plain.coefficients(x)
     n_rigid = rigid_body_count(problem.edges)
     wanted = n_rigid + n_modes + how.modes
-    modes = [_modes(block, stiffness, mass, wanted) for block in operator.blocks]
+    modes = [_modes(part, stiffness, mass, wanted) for part in block.parts]
     lowest = np.sort(np.concatenate([lam for lam, _ in modes], axis=1), axis=1)
     first = float(lowest[0, n_rigid])
     last, highest = lowest[:, wanted - 1], lowest[:, n_rigid + n_modes - 1]
-    return _Training(plain, x, stiffness, mass, modes, last, highest, first, _SHIFT * first), rng
+    return _Training(plain, block, x, stiffness, mass, modes, last, highest, first, _SHIFT * first), rng
 
 
 def _lowest(trained: _Training, s: int, k: int) -> list[Array]:
     """The k lowest modes that deform the plate at one set of constants, of unit energy, by block (n, k)."""
-    first = rigid_body_count(trained.operator.problem.edges)
+    first = rigid_body_count(trained.plain.operator.problem.edges)
     order = np.argsort(np.concatenate([lam[s] for lam, _ in trained.modes]))[first : first + k]
     out, start = [], 0
     for lam, vectors in trained.modes:
@@ -219,11 +220,21 @@ def _lowest(trained: _Training, s: int, k: int) -> list[Array]:
 
 
 def _basis(trained: _Training, b: int, loads: list[Array], how: LocalSettings) -> tuple[Array, int]:
-    """The basis of one block (n, r) and how many of its vectors are the bare plate's own.
+    """The basis of one part (n, r) and how many of its vectors are the bare plate's own.
 
-    loads : (n_loads, n) for every set of constants, as large as they act on a mode of unit energy
+    loads : (n_loads, n) for every set of constants, as large as they act on a mode of unit energy; those of
+    known masses come on top
     """
-    block = trained.operator.blocks[b]
+    block = trained.block.parts[b]
+    known = (
+        _KNOWN
+        * np.sqrt(trained.mass @ trained.block.inertia)[..., None]
+        * trained.block.split(trained.block.rows)[b]
+    )
+    loads = [
+        np.concatenate((load, np.sqrt(top) * own))
+        for load, top, own in zip(loads, trained.highest, known, strict=True)
+    ]
     k, m = block.stiffness.assemble(trained.stiffness), block.mass.assemble(trained.mass)
     root = np.linalg.cholesky(k[0] + trained.shift * m[0]).T
     lam, vectors = trained.modes[b]
@@ -264,15 +275,15 @@ def _training_places(rng: np.random.Generator, n: int) -> Array:
     return points
 
 
-def rows_at(operator: DenseOperator, points: Array) -> list[Array]:
-    """The five fields of the trial functions of every block at points, (5, n_points, n) each."""
-    whole = np.zeros((len(FIELDS), len(points), sum(s.size for s in operator.space.sectors)))
+def rows_at(space: RitzSpace, parts: Sequence[DenseBlock], points: Array) -> list[Array]:
+    """The five fields of the trial functions of every part at points, (5, n_points, n) each."""
+    whole = np.zeros((len(FIELDS), len(points), sum(s.size for s in space.sectors)))
     first = 0
-    for sector in operator.space.sectors:
+    for sector in space.sectors:
         values = evaluate_sector(sector, points, "")
         whole[FIELDS.index(sector.field), :, first : first + sector.size] = values
         first += sector.size
-    return [whole[:, :, block.index] for block in operator.blocks]
+    return [whole[:, :, part.index] for part in parts]
 
 
 def _grown(basis: Array, snapshots: Array, tolerance: float) -> Array:
@@ -292,25 +303,31 @@ def _grown(basis: Array, snapshots: Array, tolerance: float) -> Array:
 def _assembled(
     trained: _Training, grown: list[tuple[Array, int]], added: ParameterSet, change: Change
 ) -> LocalModel:
-    operator = trained.operator
-    # as many modes of a block as any set of constants has in range
+    operator, block = trained.plain.operator, trained.block
+    # as many modes of a part as any set of constants has in range
     in_range = [int((lam <= trained.last[:, None]).sum(axis=1).max()) for lam, _ in trained.modes]
-    kept = [min(k, n) for k, (_, n) in zip(in_range, grown, strict=True)]
     used = [
-        (block, *pair, k) for block, pair, k in zip(operator.blocks, grown, kept, strict=True) if pair[0].size
+        (part, rows, v, leading, min(k, leading))
+        for part, rows, (v, leading), k in zip(
+            block.parts, block.split(block.rows), grown, in_range, strict=True
+        )
+        if v.size
     ]
-    blocks = tuple(
-        DenseBlock(b.stiffness.project(v), b.mass.project(v), np.arange(v.shape[1]), b.n_terms)
-        for b, v, *_ in used
+    # known masses where only rigid-body motions are change no mode
+    there = np.any([(v.shape[1] > n) & rows.any(axis=1) for _, rows, v, n, _ in used], axis=0)
+    loaded = LoadedBlock(
+        tuple(part.project(v) for part, _, v, *_ in used),
+        np.concatenate([rows[there] @ v for _, rows, v, *_ in used], axis=1),
+        block.inertia[:, there],
     )
-    parts = field_parts(operator.space, [b.index for b, *_ in used], [v for _, v, *_ in used])
-    bare = replace(trained.plain, operator=AffineOperator(operator.problem, operator.space, blocks))
-    leading, modes = tuple(n for _, _, n, _ in used), tuple(k for *_, k in used)
+    parts = field_parts(operator.space, [p.index for p, *_ in used], [v for _, _, v, *_ in used])
+    bare = replace(trained.plain, operator=AffineOperator(operator.problem, operator.space, (loaded,)))
+    leading, modes = (tuple(of) for of in zip(*((n, k) for *_, n, k in used), strict=True))
     return LocalModel(bare, leading, modes, parts, added, trained.shift, change)
 
 
 # To be raised when the same inputs give other numbers.
-_FORMAT = 4
+_FORMAT = 5
 
 
 @single_blas_thread
@@ -353,7 +370,8 @@ def _pack(model: LocalModel) -> dict[str, Array]:
             [[p.sector, p.block, p.columns.start, p.columns.stop] for p in model.parts], dtype=int
         ),
     }
-    for i, block in enumerate(model.bare.operator.blocks):
+    arrays |= {"rows": model.block.rows, "inertia": model.block.inertia}
+    for i, block in enumerate(model.block.parts):
         arrays[f"{i}_n_terms"] = np.array(block.n_terms)
         for name, matrix in (("stiffness", block.stiffness), ("mass", block.mass)):
             arrays[f"{i}_{name}"], arrays[f"{i}_{name}_active"] = matrix.stack, matrix.active
@@ -379,7 +397,8 @@ def _unpack(stored: dict[str, Array], problem: Problem, added: ParameterSet) -> 
         for s in (space.sectors[number],)
     )
     error = stored["error"]
-    operator = AffineOperator(problem, space, tuple(blocks))
+    loaded = LoadedBlock(tuple(blocks), stored["rows"], stored["inertia"])
+    operator = AffineOperator(problem, space, (loaded,))
     bare = PlateModel(operator, len(error), error, (settings, np.empty(0, dtype=bool)))
     shift = float(stored["scalars"][0])
     leading, modes = (tuple(of) for of in stored["leading"].tolist())

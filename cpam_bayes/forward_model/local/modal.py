@@ -8,8 +8,7 @@ For questions that can do without more digits: which further test tells causes a
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from itertools import accumulate, pairwise
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -31,7 +30,8 @@ from cpam_bayes.forward_model.local.model import (
 from cpam_bayes.forward_model.local.patch import Patch, lost_energy
 from cpam_bayes.forward_model.model import PlateModel, Prediction
 from cpam_bayes.forward_model.reduced import by_field
-from cpam_bayes.mechanics.affine import AffineMatrix, AffineOperator, DenseBlock
+from cpam_bayes.mechanics.affine import AffineOperator, DenseBlock
+from cpam_bayes.mechanics.loaded import LoadedBlock, symmetry_parts
 from cpam_bayes.mechanics.modes import SUPPORTED_TOLERANCE
 from cpam_bayes.mechanics.problem import rigid_body_count
 from cpam_bayes.plate import Sensor
@@ -68,47 +68,50 @@ def on_modes(full: PlateModel, x: Array, masses: Sequence[Sensor] = ()) -> Modal
     Of each parameter set its n_modes + 16 lowest modes are taken.
     """
     operator, problem = full.operator, full.operator.problem
+    block = symmetry_parts(operator)
     stiffness, mass = full.coefficients(np.atleast_2d(x))
     wanted = rigid_body_count(problem.edges) + full.n_modes + _FURTHER
     pairs = [
-        [_lowest(block, k, m, wanted) for block in operator.blocks]
-        for k, m in zip(stiffness, mass, strict=True)
+        [_lowest(part, k, m, wanted) for part in block.parts] for k, m in zip(stiffness, mass, strict=True)
     ]
     ranked = [np.sort(np.concatenate([lam for lam, _ in of_set]))[:wanted] for of_set in pairs]
     first = float(ranked[0][rigid_body_count(problem.edges)])
     places = [(s.x / float(problem.nominal.length), s.y / float(problem.nominal.width)) for s in masses]
-    loads = rows_at(operator, np.array(places).reshape(-1, 2))
+    at_places = rows_at(operator.space, block.parts, np.array(places).reshape(-1, 2))
+    # those of the plate itself first, then the five fields of each mass that is added
+    loads = [
+        np.concatenate((own, np.swapaxes(rows, 0, 1).reshape(-1, own.shape[1])))
+        for own, rows in zip(block.split(block.rows), at_places, strict=True)
+    ]
     highest = (SUPPORTED_TOLERANCE if problem.supported else _RIGID) * first
     bases: list[Array] = []
-    for b, (block, load) in enumerate(zip(operator.blocks, loads, strict=True)):
-        energy = block.stiffness.assemble(stiffness[0]) + _SHIFT * first * block.mass.assemble(mass[0])
+    for b, (part, load) in enumerate(zip(block.parts, loads, strict=True)):
+        energy = part.stiffness.assemble(stiffness[0]) + _SHIFT * first * part.mass.assemble(mass[0])
         own = [
             (lam, v, lam <= last[-1]) for (lam, v), last in zip((p[b] for p in pairs), ranked, strict=True)
         ]
         rigid = np.concatenate([v[:, np.abs(lam) < highest] for lam, v, _ in own], axis=1)
         modes = [v[:, inside & (np.abs(lam) >= highest)] for lam, v, inside in own]
-        answers = scipy.linalg.solve(energy, load.reshape(-1, block.size).T, assume_a="pos")
+        answers = scipy.linalg.solve(energy, load.T, assume_a="pos")
         root = np.linalg.cholesky(energy).T
-        basis = _with_directions(np.empty((block.size, 0)), root @ by_field(operator, block, rigid), _SAME)
+        basis = _with_directions(np.empty((part.size, 0)), root @ by_field(operator, part, rigid), _SAME)
         basis = _with_directions(basis, root @ np.concatenate((*modes, answers), axis=1), _RANK)
         bases.append(scipy.linalg.solve_triangular(root, basis))
     for sensor in masses:
         problem = add_known_mass(problem, sensor.mass, sensor.x, sensor.y)
-    ends = list(accumulate((v.shape[1] for v in bases), initial=0))
-    whole = scipy.linalg.block_diag(*bases)
-    at_masses = np.concatenate([rows @ v for rows, v in zip(loads, bases, strict=True)], axis=2)
-    of_masses = np.swapaxes(at_masses, 0, 1).reshape(-1, ends[-1])
-    n_k, n_m = next(block.n_terms for block in operator.blocks)
-    inside = [slice(a, b) for a, b in pairwise(ends)]
-    k = _joined([block.stiffness.project(v) for block, v in zip(operator.blocks, bases, strict=True)], inside)
-    m = _joined([block.mass.project(v) for block, v in zip(operator.blocks, bases, strict=True)], inside)
-    m = AffineMatrix(
-        np.concatenate((m.stack, of_masses[:, :, None] * of_masses[:, None, :])),
-        np.concatenate((m.active, n_m + np.arange(len(of_masses)))),
-    )
-    block = DenseBlock(k, m, np.arange(ends[-1]), (n_k, n_m + len(of_masses)))
-    parts = field_parts(operator.space, [np.concatenate([b.index for b in operator.blocks])], [whole])
-    projected = AffineOperator(problem, operator.space, (block,))
+    n_k, n_m = block.n_terms
+    n_added = 5 * len(masses)
+    joined = LoadedBlock(
+        tuple(
+            replace(part.project(v), n_terms=(n_k, n_m + n_added))
+            for part, v in zip(block.parts, bases, strict=True)
+        ),
+        np.concatenate([load @ v for load, v in zip(loads, bases, strict=True)], axis=1),
+        scipy.linalg.block_diag(block.inertia, np.eye(n_added)),
+    ).dense()
+    index, whole = np.concatenate([part.index for part in block.parts]), scipy.linalg.block_diag(*bases)
+    projected = AffineOperator(problem, operator.space, (replace(joined, index=np.arange(joined.size)),))
+    parts = field_parts(operator.space, [index], [whole])
     return ModalPlate(PlateModel(projected, full.n_modes, full.error), parts, _SHIFT * first)
 
 
@@ -130,24 +133,17 @@ def _with_directions(basis: Array, columns: Array, least: float) -> Array:
     return np.asarray(np.linalg.qr(np.column_stack((basis, directions[:, size > least])))[0])
 
 
-def _joined(matrices: Sequence[AffineMatrix], inside: Sequence[slice]) -> AffineMatrix:
-    """The sums of several blocks as one on all of their vectors, which stand in these slices."""
-    active = np.unique(np.concatenate([m.active for m in matrices]))
-    stack = np.zeros((len(active), inside[-1].stop, inside[-1].stop))
-    for matrix, at in zip(matrices, inside, strict=True):
-        stack[np.searchsorted(active, matrix.active), at, at] = matrix.stack
-    return AffineMatrix(stack, active)
-
-
 def changed_on_modes(plate: ModalPlate, effect: Effect) -> LocalModel:
     """A plate on its modes with an effect whose place is a parameter."""
     if effect.local is None:
         raise ValueError(f"effect {effect.name}: at any place, but its form is not given in `local`")
-    n = plate.model.operator.blocks[0].size
+    (block,) = plate.model.operator.blocks
+    n, loaded = block.size, symmetry_parts(plate.model.operator)
+    model = replace(plate.model, operator=replace(plate.model.operator, blocks=(loaded,)))
     change: Change = MassOnModes()
     if effect.local != "point":
         change = PatchOnModes(patch_of(effect.local, plate.model.operator.problem))
-    return LocalModel(plate.model, (n,), (n,), plate.parts, effect.parameter_set, plate.shift, change)
+    return LocalModel(model, (n,), (n,), plate.parts, effect.parameter_set, plate.shift, change)
 
 
 @dataclass(frozen=True, slots=True)
@@ -191,7 +187,7 @@ def _plain(model: LocalModel, plate: Array, jacobian: bool) -> tuple[Array, Arra
     """K + shift M and M of a plate without its change at parameter vectors (m, n)."""
     if jacobian:
         raise ValueError("a plate on its modes has no derivatives; use its reduced model")
-    (block,) = model.bare.operator.blocks
+    (block,) = model.block.parts
     stiffness, inert = model.bare.coefficients(plate)
     mass = block.mass.assemble(inert)
     return block.stiffness.assemble(stiffness) + model.shift * mass, mass

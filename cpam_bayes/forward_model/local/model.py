@@ -1,16 +1,14 @@
 """Frequencies of a plate with a local change anywhere: a small basis that fits each parameter set.
 
 Per parameter set the Ritz basis is that of the bare plate and the plate's static responses to loads
-where the change is (component mode synthesis with residual flexibility: Craig and Bampton, AIAA J. 6, 1968;
-MacNeal, Comput. Struct. 1, 1971). Both stand in one larger basis, common to all places, in which
-the bare plate is a few small blocks.
+where the change is, as of ``mechanics.loaded``. Both stand in one larger basis, common to all places, in
+which the bare plate is a few small blocks.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
 from typing import Any, Protocol
 
 import numpy as np
@@ -18,14 +16,20 @@ from numpy.typing import NDArray
 
 from cpam_bayes.forward_model.local.fields import FieldPart, PointValues, values_at_points
 from cpam_bayes.forward_model.model import PlateModel, Prediction
+from cpam_bayes.mechanics.loaded import (
+    LoadedBlock,
+    PlateModes,
+    RitzBasis,
+    at_points,
+    in_common_basis,
+    lowest_modes,
+    ritz_basis,
+)
 from cpam_bayes.mechanics.problem import Atom, Derivative, rigid_body_count
 from cpam_bayes.parameters import ParameterSet
 from cpam_bayes.plate.edges import FIELDS
 
 Array = NDArray[Any]
-
-# Of a response that the bare basis holds already, relative to its flexibility.
-_NUGGET = 1e-11
 
 
 class Change(Protocol):
@@ -45,9 +49,9 @@ class LocalModel:
     """A plate with a local change at any place: parameter vectors in, frequencies out.
 
     bare : the bare plate on the basis common to all places, orthonormal in a reference energy; parameters
-        are the plate's
-    leading : number of vectors of each block that are the bare plate's own
-    modes : of the bare plate in these, how many of each block a parameter set's basis holds
+        are the plate's. Its symmetries are the parts of one block, with its known masses.
+    leading : number of vectors of each part that are the bare plate's own
+    modes : of the bare plate in these, how many of each part a parameter set's basis holds
     parts : fields of the basis
     added : parameters of the change: its size, its place as fractions of length and width, its extent or its
         radius of gyration
@@ -67,6 +71,13 @@ class LocalModel:
     def n_modes(self) -> int:
         """Number of modes predicted."""
         return self.bare.n_modes
+
+    @property
+    def block(self) -> LoadedBlock:
+        """The bare plate's."""
+        (block,) = self.bare.operator.blocks
+        assert isinstance(block, LoadedBlock)
+        return block
 
     @property
     def error(self) -> Array:
@@ -103,52 +114,11 @@ class LocalModel:
         return x[:, :n], x[:, n:]
 
 
-@dataclass(frozen=True, slots=True)
-class RitzBasis:
-    """The bare plate on the Ritz bases of m parameter sets: its modes, then its responses to loads.
-
-    energy, mass : K + shift M and M, (m, r, r)
-    modes : of each block in its leading vectors, (m, n_leading, n_modes) with an energy of one
-    responses : of each block to the loads, (m, n, n_loads)
-    """
-
-    energy: Array
-    mass: Array
-    modes: list[Array]
-    responses: list[Array]
-
-    @property
-    def n_modes(self) -> int:
-        """Number of modes of all blocks."""
-        return sum(v.shape[2] for v in self.modes)
-
-
-def columns_of(modes: list[Array]) -> list[slice]:
-    """Where the modes of each block (m, n, k) stand among all of them."""
-    ends = np.cumsum([0, *(v.shape[2] for v in modes)]).tolist()
-    return [slice(a, b) for a, b in pairwise(ends)]
-
-
-@dataclass(frozen=True, slots=True)
-class BareModes:
-    """The bare plate at m parameter sets, and its modes in the leading vectors, block by block.
-
-    energy, mass : K + shift M and M, (m, n, n)
-    vectors : (m, n_leading, n_modes) with an energy of one
-    masses : (m, n_modes)
-    """
-
-    energy: list[Array]
-    mass: list[Array]
-    vectors: list[Array]
-    masses: list[Array]
-
-
-def bare_modes(model: LocalModel, plate: Array) -> BareModes:
-    """The bare plate at parameter vectors (m, n)."""
+def bare_modes(model: LocalModel, plate: Array) -> PlateModes:
+    """The bare plate without its known masses at parameter vectors (m, n)."""
     stiffness, inertia = model.bare.coefficients(plate)
-    modes = BareModes([], [], [], [])
-    for block, n, k in zip(model.bare.operator.blocks, model.leading, model.modes, strict=True):
+    modes = PlateModes([], [], [], [])
+    for block, n, k in zip(model.block.parts, model.leading, model.modes, strict=True):
         b = block.mass.assemble(inertia)
         a = block.stiffness.assemble(stiffness) + model.shift * b
         v, mu = _whitened(a[:, :n, :n], b[:, :n, :n], k)
@@ -159,32 +129,30 @@ def bare_modes(model: LocalModel, plate: Array) -> BareModes:
     return modes
 
 
-def ritz_basis(bare: BareModes, loads: Array) -> RitzBasis:
-    """The bare plate on its modes, and its responses to loads (m, n_loads, n)."""
-    (m, n_loads, _), r = loads.shape, sum(mu.shape[1] for mu in bare.masses)
-    energy, mass = (np.zeros((m, r + n_loads, r + n_loads)) for _ in range(2))
-    responses = []
-    start, column = 0, 0
-    for a, b, v, mu in zip(bare.energy, bare.mass, bare.vectors, bare.masses, strict=True):
-        n, k = v.shape[1:]
-        load = np.swapaxes(loads[:, :, start : start + a.shape[1]], 1, 2)
-        g = np.linalg.solve(a, load)
-        responses.append(g)
-        lead, at = slice(column, column + k), np.arange(column, column + k)
-        start, column = start + a.shape[1], lead.stop
-        pushed, across = b @ g, np.swapaxes(v, 1, 2)
-        energy[:, at, at], mass[:, at, at] = 1.0, mu
-        # (K + shift M) g is the load itself
-        energy[:, lead, r:], mass[:, lead, r:] = across @ load[:, :n], across @ pushed[:, :n]
-        energy[:, r:, r:] += np.swapaxes(g, 1, 2) @ load
-        mass[:, r:, r:] += np.swapaxes(g, 1, 2) @ pushed
-    for matrix in (energy, mass):
-        matrix[:, r:, :r] = np.swapaxes(matrix[:, :r, r:], 1, 2)
-    i = np.arange(r, r + n_loads)
-    diagonal = energy[:, i, i]
-    # where an edge holds the field, the load does nothing
-    energy[:, i, i] += np.where(diagonal > 0.0, _NUGGET * diagonal, 1.0)
-    return RitzBasis(energy, mass, bare.vectors, responses)
+@dataclass(frozen=True, slots=True)
+class ChangedPlate:
+    """The bare plate on its modes and its responses to what its known masses and a change do.
+
+    basis : without either
+    energy, mass : K + shift M and M with the known masses, (m, r, r)
+    """
+
+    basis: RitzBasis
+    energy: Array
+    mass: Array
+
+
+def changed_plate(model: LocalModel, bare: PlateModes, plate: Array, loads: Array) -> ChangedPlate:
+    """The bare plate at parameter vectors (m, n), ready for a change with loads (m, n_loads, n)."""
+    block, m = model.block, len(plate)
+    known = np.broadcast_to(block.rows, (m, *block.rows.shape))
+    basis = ritz_basis(bare, np.concatenate((loads, known), axis=1))
+    if not len(block.rows):
+        return ChangedPlate(basis, basis.energy, basis.mass)
+    there = at_points(block.rows, basis)
+    _, mass = model.bare.coefficients(plate)
+    added = np.swapaxes(there, 1, 2) @ ((mass @ block.inertia)[..., None] * there)
+    return ChangedPlate(basis, basis.energy + model.shift * added, basis.mass + added)
 
 
 def _whitened(energy: Array, mass: Array, k: int) -> tuple[Array, Array]:
@@ -196,16 +164,9 @@ def _whitened(energy: Array, mass: Array, k: int) -> tuple[Array, Array]:
 
 def eigenvalues(model: LocalModel, energy: Array, mass: Array, vectors: bool) -> tuple[Array, Array | None]:
     """Eigenvalues (m, n_modes) of deformation modes and, if asked, M-normalised vectors (m, n_modes, r)."""
-    back = np.swapaxes(np.linalg.inv(np.linalg.cholesky(energy)), 1, 2)
-    whitened = np.swapaxes(back, 1, 2) @ mass @ back
     n_rigid = rigid_body_count(model.bare.operator.problem.edges)
-    wanted = slice(-1 - n_rigid, -1 - n_rigid - model.n_modes, -1)
-    if not vectors:
-        return 1.0 / np.linalg.eigvalsh(whitened)[:, wanted] - model.shift, None
-    mu, every = np.linalg.eigh(whitened)
-    mu = mu[:, wanted]
-    # phi^T M phi = mu for phi^T (K + shift M) phi = 1
-    return 1.0 / mu - model.shift, np.swapaxes(back @ every[:, :, wanted] / np.sqrt(mu)[:, None], 1, 2)
+    modes = slice(n_rigid, n_rigid + model.n_modes)
+    return lowest_modes(energy, mass, model.shift, modes, vectors=vectors)
 
 
 def prediction(lam: Array, slope: Array | None) -> Prediction:
@@ -214,33 +175,15 @@ def prediction(lam: Array, slope: Array | None) -> Prediction:
     return Prediction(f, None if slope is None else slope / (8 * np.pi**2 * f[..., None]))
 
 
-def in_common_basis(z: Array, basis: RitzBasis) -> Array:
-    """Vectors (m, k, r) of the Ritz basis in the basis common to all places, (m, k, n)."""
-    r = basis.n_modes
-    blocks = []
-    for v, g, columns in zip(basis.modes, basis.responses, columns_of(basis.modes), strict=True):
-        phi = z[:, :, r:] @ np.swapaxes(g, 1, 2)
-        phi[:, :, : v.shape[1]] += z[:, :, columns] @ np.swapaxes(v, 1, 2)
-        blocks.append(phi)
-    return np.concatenate(blocks, axis=-1)
-
-
 def plate_slopes(model: LocalModel, slopes: tuple[Array, Array], phi: Array, lam: Array) -> Array:
     """Derivatives of the bare plate's energies over its parameters, (m, n_modes, n_plate).
 
     slopes : of the coefficients of K and M, (m, n_terms, n_plate) each
     """
-    operator, (m, n_modes, _) = model.bare.operator, phi.shape
+    m, n_modes, n = phi.shape
     d_stiffness, d_mass = slopes
-    k_terms = np.zeros((m, n_modes, d_stiffness.shape[1]))
-    m_terms = np.zeros((m, n_modes, d_mass.shape[1]))
-    start = 0
-    for block in operator.blocks:
-        vectors = phi[:, :, start : start + block.size].reshape(m * n_modes, block.size)
-        start += block.size
-        k, mass_terms = block.energies(vectors)
-        k_terms += k.reshape(k_terms.shape)
-        m_terms += mass_terms.reshape(m_terms.shape)
+    energies = model.block.energies(phi.reshape(m * n_modes, n))
+    k_terms, m_terms = (e.reshape(m, n_modes, -1) for e in energies)
     return np.asarray(k_terms @ d_stiffness - lam[..., None] * (m_terms @ d_mass))
 
 
@@ -274,11 +217,12 @@ class PointMass:
         weights = point_inertia(model, plate, mass, gyration)
         points = PointValues(added[:, 1]), PointValues(added[:, 2])
         rows = rows_in_basis(model, points, "", m)
-        basis = ritz_basis(bare_modes(model, plate), rows[:, self.loads])
-        at_place = _at_place(model, rows, basis)
+        changed = changed_plate(model, bare_modes(model, plate), plate, rows[:, self.loads])
+        basis = changed.basis
+        at_place = at_points(rows, basis)
         mass_there = np.swapaxes(at_place, 1, 2) @ (weights[:, :, None] * at_place)
         lam, z = eigenvalues(
-            model, basis.energy + model.shift * mass_there, basis.mass + mass_there, jacobian
+            model, changed.energy + model.shift * mass_there, changed.mass + mass_there, jacobian
         )
         if z is None:
             return prediction(lam, None)
@@ -304,21 +248,10 @@ def rows_in_basis(
     model: LocalModel, points: tuple[PointValues, PointValues], derivative: Derivative, m: int
 ) -> Array:
     """The five fields of the basis at one point a parameter set, (m, 5, n)."""
-    n_basis = sum(b.size for b in model.bare.operator.blocks)
+    n_basis = model.block.size
     return np.stack(
         [values_at_points(model.parts, n_basis, Atom(f, derivative), *points, m) for f in FIELDS], axis=1
     )
-
-
-def _at_place(model: LocalModel, rows: Array, basis: RitzBasis) -> Array:
-    """The five fields of the Ritz basis at the place, (m, 5, r)."""
-    leading, answers = [], np.zeros((*rows.shape[:2], basis.responses[0].shape[-1]))
-    start = 0
-    for v, g in zip(basis.modes, basis.responses, strict=True):
-        leading.append(rows[:, :, start : start + v.shape[1]] @ v)
-        answers += rows[:, :, start : start + g.shape[1]] @ g
-        start += g.shape[1]
-    return np.concatenate([*leading, answers], axis=-1)
 
 
 def point_inertia(model: LocalModel, plate: Array, mass: Array, gyration: Array) -> Array:

@@ -21,14 +21,13 @@ from cpam_bayes.forward_model.local.fields import (
 from cpam_bayes.forward_model.local.model import (
     LocalModel,
     bare_modes,
-    columns_of,
+    changed_plate,
     eigenvalues,
-    in_common_basis,
     plate_slopes,
     prediction,
-    ritz_basis,
 )
 from cpam_bayes.forward_model.model import PlateModel, Prediction
+from cpam_bayes.mechanics.loaded import columns_of, in_common_basis
 from cpam_bayes.mechanics.problem import (
     LAMINATE_ENTRIES,
     LAMINATE_FORMS,
@@ -83,14 +82,16 @@ class Patch:
         chosen = _lowest(model, bare.masses)
         n_loads = chosen.shape[1]
         strained = np.take_along_axis(of_modes, chosen[:, None], axis=2).reshape(len(x), len(BENT), -1)
-        basis = ritz_basis(bare, at.loads(np.swapaxes(roots, 1, 2) @ strained, n_loads))
-        of_answers = roots @ at.rows(basis.responses, [slice(0, n_loads)] * len(basis.responses))
-        rows = np.concatenate((of_modes, of_answers.reshape(len(x), -1, n_loads)), axis=2)
+        loads = at.loads(np.swapaxes(roots, 1, 2) @ strained, n_loads)
+        changed = changed_plate(model, bare, plate, loads)
+        basis, n_answers = changed.basis, n_loads + len(model.block.rows)
+        of_answers = roots @ at.rows(basis.responses, [slice(0, n_answers)] * len(basis.responses))
+        rows = np.concatenate((of_modes, of_answers.reshape(len(x), -1, n_answers)), axis=2)
         lost = np.swapaxes(rows, 1, 2) @ rows
         deep = np.flatnonzero(added[:, 0] > _DEEP)
         if len(deep):
             lost[deep] = _bounded(basis.energy[deep], lost[deep])
-        lam, z = eigenvalues(model, basis.energy - depth * lost, basis.mass, jacobian)
+        lam, z = eigenvalues(model, changed.energy - depth * lost, changed.mass, jacobian)
         if z is None:
             return prediction(lam, None)
         phi = in_common_basis(z, basis)
@@ -122,7 +123,7 @@ class Patch:
         """
         (m, n_modes, _), n_blocks = phi.shape, len(model.leading)
         rules = self.rules(added[:, 1:], with_ends=True)
-        ends = np.cumsum([0, *(block.size for block in model.bare.operator.blocks)]).tolist()
+        ends = np.cumsum([0, *(block.size for block in model.block.parts)]).tolist()
         vectors = [
             np.ascontiguousarray(np.swapaxes(phi[:, :, ends[b] : ends[b + 1]], 1, 2)) for b in range(n_blocks)
         ]

@@ -1,0 +1,179 @@
+"""Plates with masses at points: against all their matrices at once, and against the plate without masses."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cpam_bayes.effects import add_air, add_known_mass
+from cpam_bayes.forward_model.model import PlateModel, plate_problem, size_parameters, training_sets
+from cpam_bayes.mechanics.affine import AffineOperator, DenseBlock, restricted
+from cpam_bayes.mechanics.dense import discretise, discretise_at
+from cpam_bayes.mechanics.loaded import LoadedBlock, symmetry_parts
+from cpam_bayes.mechanics.modes import solve
+from cpam_bayes.mechanics.problem import Problem
+from cpam_bayes.mechanics.ritz import RitzSettings, ritz_space
+from cpam_bayes.plate.reader import builtin
+from tests.shared import once_a_run
+
+N_MODES, N_SETS = 8, 4
+EDGES = ("FFFF", "CFFF", "SSSS", "CCCC")
+# Of the plate's mass, at fractions of its sides: light near a corner, heavy, several, two on a centre line.
+MASSES = {
+    "light": ((0.01, 0.95, 0.925),),
+    "heavy": ((0.2, 0.3, 0.4),),
+    "several": ((0.02, 0.2, 0.3), (0.05, 0.7, 0.6), (0.01, 0.72, 0.6)),
+    "centred": ((0.03, 0.5, 0.3), (0.02, 0.5, 0.8)),
+}
+every_edge = pytest.mark.parametrize("edges", EDGES)
+every_mass = pytest.mark.parametrize("masses", MASSES)
+
+
+def problem_of(edges: str, masses: str, *, air: bool = False) -> Problem:
+    """C1 with other edges and masses, its constants and its thickness open."""
+    one = builtin("C1")
+    one = replace(one, plate=replace(one.plate, edges=edges, sd={"thickness": 0.02 * one.plate.thickness}))
+    plate = one.plate
+    problem = plate_problem(one, one.unknowns.union(size_parameters(one)))
+    for share, x, y in MASSES.get(masses, ()):
+        whole = plate.density * plate.thickness * plate.area
+        problem = add_known_mass(problem, share * whole, x * plate.length, y * plate.width)
+    return add_air(problem, 1.2) if air else problem
+
+
+def sets_of(problem: Problem) -> np.ndarray:
+    return training_sets(problem, N_SETS, np.random.default_rng(0))
+
+
+@once_a_run
+def model_of(edges: str, masses: str, air: bool = False) -> PlateModel:
+    problem = problem_of(edges, masses, air=air)
+    held = "C" in edges
+    space = ritz_space(problem.edges, problem.nominal, RitzSettings(9, 9, 1, held, int(held)))
+    operator = discretise(problem, space, problem.parameters.mapping(sets_of(problem)))
+    return PlateModel(operator, N_MODES, np.zeros(N_MODES))
+
+
+def with_all_matrices(model: PlateModel) -> PlateModel:
+    operator = model.operator
+    blocks = tuple(block.dense() for block in operator.blocks)
+    return replace(model, operator=AffineOperator(operator.problem, operator.space, blocks))
+
+
+def loaded_blocks_of(model: PlateModel) -> list[LoadedBlock]:
+    return [block for block in model.operator.blocks if isinstance(block, LoadedBlock)]
+
+
+@every_edge
+@every_mass
+def test_frequencies_and_derivatives_are_those_of_all_matrices(edges: str, masses: str) -> None:
+    model = model_of(edges, masses)
+    assert loaded_blocks_of(model), "masses join symmetries here"
+    x = sets_of(model.operator.problem)
+    found, expected = (m.predict(x, jacobian=True) for m in (model, with_all_matrices(model)))
+    np.testing.assert_allclose(found.frequencies, expected.frequencies, rtol=1e-6)
+    assert found.jacobian is not None
+    assert expected.jacobian is not None
+    scale = x[:, None] / expected.frequencies[..., None]
+    np.testing.assert_allclose(found.jacobian * scale, expected.jacobian * scale, atol=5e-6)
+    shift = expected.frequencies / model_of(edges, "none").predict(x).frequencies - 1.0
+    assert shift.min() < -3e-5, "the masses are felt"
+
+
+def test_masses_in_air_are_those_of_all_matrices() -> None:
+    model = model_of("FFFF", "light", True)
+    (block, *_) = loaded_blocks_of(model)
+    assert len(block.parts) == 4, "air keeps the symmetries"
+    x = sets_of(model.operator.problem)
+    expected = with_all_matrices(model).predict(x).frequencies
+    np.testing.assert_allclose(model.predict(x).frequencies, expected, rtol=1e-6)
+
+
+@every_edge
+def test_vectors_are_modes_of_the_joined_space(edges: str) -> None:
+    model = model_of(edges, "several")
+    x = sets_of(model.operator.problem)
+    stiffness, mass = model.coefficients(x)
+    spectrum = model.spectrum(x, vectors=True)
+    assert spectrum.vectors is not None
+    for b, block in enumerate(model.operator.blocks):
+        whole = block.dense()
+        for s, i in zip(*np.nonzero(spectrum.block == b), strict=True):
+            _, phi = spectrum.vector(s, i)
+            k, m = whole.stiffness.assemble(stiffness[s]), whole.mass.assemble(mass[s])
+            np.testing.assert_allclose(m, block.mass_at(mass[s]), atol=1e-12 * m.max())
+            lam = spectrum.eigenvalues[s, i]
+            assert phi @ m @ phi == pytest.approx(1.0, abs=1e-6)
+            assert phi @ k @ phi == pytest.approx(lam, rel=1e-6)
+            energies = block.energies(phi[None])
+            for energy, of_all in zip(energies, whole.energies(phi[None]), strict=True):
+                np.testing.assert_allclose(energy, of_all, rtol=1e-9, atol=1e-12 * np.abs(of_all).max())
+
+
+def test_a_mass_of_nothing_leaves_the_plate_as_it_is() -> None:
+    bare = problem_of("FFFF", "none")
+    model, plain = model_of("FFFF", "light"), model_of("FFFF", "none")
+    x = sets_of(bare)
+    stiffness, mass = model.coefficients(x)
+    n_own = plain.coefficients(x)[1].shape[1]
+    mass = np.where(np.arange(mass.shape[1]) < n_own, mass, 0.0)
+    found = solve(model.operator, stiffness, mass, N_MODES).frequencies
+    np.testing.assert_allclose(found, plain.predict(x).frequencies, rtol=1e-9)
+
+
+def test_fewer_terms_and_functions_and_a_basis_leave_the_same_matrices() -> None:
+    model = model_of("CFFF", "several")
+    x = sets_of(model.operator.problem)
+    coefficients = model.coefficients(x)
+    block = loaded_blocks_of(model)[-1]
+    rng = np.random.default_rng(1)
+    basis = rng.normal(size=(block.size, 12))
+    small, of_all = block.project(basis), block.dense().project(basis)
+    fewer = block.compressed(*coefficients)
+    assert len(fewer.project(basis).mass.active) < len(small.mass.active)
+    for other in (small, fewer.project(basis), block.compressed(*coefficients).dense().project(basis)):
+        for a, b, c in zip(
+            (other.stiffness, other.mass), (of_all.stiffness, of_all.mass), coefficients, strict=True
+        ):
+            expected = b.assemble(c)
+            np.testing.assert_allclose(a.assemble(c), expected, atol=1e-9 * np.abs(expected).max())
+    for found, expected in zip(block.diagonals(), block.dense().diagonals(), strict=True):
+        np.testing.assert_allclose(found, expected)
+    keep = rng.uniform(size=sum(b.size for b in model.operator.blocks)) < 0.9
+    less = restricted(model.operator, keep)
+    joined = next(b for b in less.blocks if isinstance(b, LoadedBlock))
+    of_less = restricted(with_all_matrices(model).operator, keep)
+    whole = next(b for b in of_less.blocks if np.array_equal(b.index, joined.index))
+    np.testing.assert_allclose(joined.mass_at(coefficients[1][0]), whole.mass_at(coefficients[1][0]))
+
+
+def test_samples_alone_are_solved_as_all_matrices_are() -> None:
+    problem = problem_of("FFFF", "several")
+    x = problem.parameters.mapping(sets_of(problem))
+    space = ritz_space(problem.edges, problem.nominal, RitzSettings(9, 9))
+    eye = np.eye(N_SETS)
+    found = solve(discretise_at(problem, space, x), eye, eye, N_MODES).frequencies
+    expected = model_of("FFFF", "several").predict(sets_of(problem)).frequencies
+    np.testing.assert_allclose(found, expected, rtol=1e-9)
+
+
+def test_a_mass_in_the_middle_and_many_masses_join_no_parts() -> None:
+    one, plate = problem_of("FFFF", "none"), builtin("C1").plate
+    x = one.parameters.mapping(sets_of(one))
+    space = ritz_space(one.edges, one.nominal, RitzSettings(5, 5))
+    middle = add_known_mass(one, 0.01, plate.length / 2, plate.width / 2)
+    blocks = discretise(middle, space, x).blocks
+    assert len(blocks) == len(discretise(one, space, x).blocks)
+    assert all(isinstance(block, DenseBlock) for block in blocks)
+    for place in np.random.default_rng(2).uniform(size=(12, 2)):
+        one = add_known_mass(one, 1e-4, *(place * (plate.length, plate.width)))
+    assert all(isinstance(block, DenseBlock) for block in discretise(one, space, x).blocks)
+
+
+def test_parts_of_all_blocks_hold_each_function_once() -> None:
+    model = model_of("SSSS", "centred")
+    parts = symmetry_parts(model.operator)
+    assert sorted(parts.index) == list(range(parts.size))
+    assert parts.rows.shape == (parts.inertia.shape[1], parts.size)
