@@ -91,7 +91,7 @@ def solve(
     pooled = np.concatenate(values, axis=-1)
     order = np.argsort(pooled, axis=-1, kind="stable")[..., : n_rigid + n_modes]
     ranked = np.take_along_axis(pooled, order, axis=-1)
-    _check_rigid(ranked, n_rigid, SUPPORTED_TOLERANCE if operator.problem.supported else RIGID_TOLERANCE)
+    check_rigid(ranked, n_rigid, supported=operator.problem.supported)
     order = order[..., n_rigid:]
     block, column = owner[order], place[order]
     shapes = None
@@ -113,7 +113,12 @@ def _vectors(mode_vectors: ModeVectors, size: int, where: tuple[Array, ...], col
     return vectors
 
 
-def _check_rigid(ranked: Array, n_rigid: int, tolerance: float) -> None:
+def check_rigid(ranked: Array, n_rigid: int, *, supported: bool) -> None:
+    """Raise ``RigidBodyError`` where lowest eigenvalues (..., n) are not those of so many rigid-body motions.
+
+    supported : whether the plate lies on a soft support
+    """
+    tolerance = SUPPORTED_TOLERANCE if supported else RIGID_TOLERANCE
     first = ranked[..., n_rigid]
     largest = np.abs(ranked[..., :n_rigid]).max(axis=-1, initial=0.0)
     least = LEAST_SHARE * ranked[..., -1]
