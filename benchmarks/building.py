@@ -18,9 +18,9 @@ from typing import Any
 import numpy as np
 
 from benchmarks.cases import CASES, Array, Case, parameters, reference_vector
+from cpam_bayes.forward_model.build import reduced_model
 from cpam_bayes.forward_model.model import PlateModel, training_sets
 from cpam_bayes.forward_model.reduced import DEFAULT_SETTINGS, ReducedModel, ReductionSettings
-from cpam_bayes.forward_model.store import reduced_model
 from cpam_bayes.threads import single_blas_thread
 
 # Parameter sets that are solved together.

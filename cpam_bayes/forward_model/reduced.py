@@ -1,8 +1,8 @@
 """A reduced model of a plate: principal directions of the modes of a few full solves.
 
-Projection leaves the affine sum as it is, only smaller, so a stack of parameter sets is solved at once. The basis
-for the whole prior box is checked on fresh full solves and grows where it represents them badly. On the part of
-the box where a posterior lies fewer directions say as much.
+Projection leaves the affine sum as it is, only smaller, so a stack of parameter sets is solved at once. The
+basis for the whole prior box is checked on fresh full solves and grows where it represents them badly. On the
+part of the box where a posterior lies fewer directions say as much.
 """
 
 from __future__ import annotations
@@ -77,8 +77,8 @@ class ReducedModel:
 
 # Parameter sets that show the linear relations between the coefficients.
 _RELATIONS = 160
-# For each fresh set that is solved so many are looked at: those where a rougher basis differs most are solved, and
-# of the first ones this fraction of all.
+# For each fresh set that is solved so many are looked at: those where a rougher basis differs most are
+# solved, and this fraction of all at random.
 _LOOKED_AT, _AT_RANDOM = 8, 0.25
 # Directions of the rougher basis over those of the basis.
 _ROUGHER = 0.8
@@ -103,8 +103,8 @@ def reduce(
 ) -> ReducedModel:
     """A reduced model that holds over the prior box of a converged plate.
 
-    Its basis comes from full solves at ``settings.training`` sets. In every round ``settings.checks`` fresh sets
-    are solved, most of them where the basis is least certain. Those whose error exceeds
+    Its basis comes from full solves at ``settings.training`` sets. In every round ``settings.checks`` fresh
+    sets are solved, most of them where the basis is least certain. Those whose error exceeds
     ``settings.tolerance`` join the training, and with each of them another one near it.
     """
     problem, tolerance = model.operator.problem, settings.tolerance
@@ -307,8 +307,8 @@ def _solved_at_once(model: PlateModel, x: Array, further: int) -> _Solved:
 def _directions(operator: DenseOperator, known: _Solved) -> list[tuple[int, DenseBlock]]:
     """Every block on its rigid-body motions, counted, and the principal directions of its modes.
 
-    Modes have the same energy; directions are orthonormal in the energy of the first set, so that what is left
-    out of a mode is what its eigenvalue loses. Those with the largest part in all modes come first.
+    Modes have the same energy; directions are orthonormal in the energy of the first set, so that what is
+    left out of a mode is the error of its eigenvalue. Those with the largest part in all modes come first.
     """
     projected = []
     shift = _SHIFT * known.ranked[0, known.n_rigid]
@@ -333,8 +333,8 @@ def _rigid(block: DenseBlock, known: _Solved) -> Array:
     for i in np.unique(np.linspace(0, len(known.ranked) - 1, _RIGID_SETS).astype(int)) if last >= 0 else ():
         k, m = block.stiffness.assemble(known.stiffness[i]), block.mass.assemble(known.mass[i])
         lam, phi = scipy.linalg.eigh(k, m, subset_by_index=(0, last))
-        size = 1.0 / np.sqrt(known.ranked[i, known.n_rigid])
-        vectors.append(size * phi[:, lam <= 0.5 * known.ranked[i, known.n_rigid - 1 : known.n_rigid + 1].sum()])
+        highest, first = known.ranked[i, known.n_rigid - 1 : known.n_rigid + 1]
+        vectors.append(phi[:, lam <= 0.5 * (highest + first)] / np.sqrt(first))
     return np.concatenate(vectors, axis=1)
 
 
@@ -418,4 +418,5 @@ def _leading(block: DenseBlock, size: int, known: _Solved) -> DenseBlock:
     mass = small.mass.project(basis).stack
     # a mass that is diagonal but for rounding, made so, needs no factorisation
     mass[np.abs(mass) < 1e-12 * np.abs(mass).max(initial=0.0)] = 0.0
-    return replace(small, stiffness=small.stiffness.project(basis), mass=AffineMatrix(mass, small.mass.active))
+    stiffness = small.stiffness.project(basis)
+    return DenseBlock(stiffness, AffineMatrix(mass, small.mass.active), small.index, small.n_terms)

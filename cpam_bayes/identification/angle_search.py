@@ -25,9 +25,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from cpam_bayes.forward_model.build import reduced_model
 from cpam_bayes.forward_model.model import angle_parameters, discretisation_error, reference_vector
 from cpam_bayes.forward_model.reduced import ReducedModel
-from cpam_bayes.forward_model.store import reduced_model
 from cpam_bayes.identification.search import (
     FOUND_AGAIN,
     LEAST_RMS,

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.linalg
+from cpam_bayes.forward_model.store import model_key
 from numpy.testing import assert_allclose
 
 import cpam_bayes as cb
@@ -16,7 +17,6 @@ from cpam_bayes.errors import PlateFileError
 from cpam_bayes.forward_model.calculix import solve_modes
 from cpam_bayes.forward_model.model import NO_PARAMETERS, plate_problem, reference_constants
 from cpam_bayes.forward_model.reduced import DEFAULT_SETTINGS
-from cpam_bayes.forward_model.store import model_key
 from cpam_bayes.forward_model.theory_error import LIMIT, sandwich_error
 from cpam_bayes.mechanics.convergence import Tolerance
 from cpam_bayes.plate.laminate import ENERGY_CONSISTENT

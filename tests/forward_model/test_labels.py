@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from cpam_bayes.forward_model.build import reduced_model
 from cpam_bayes.forward_model.labels import LabelError, LabelledModel, labelled_model, same_label
 from cpam_bayes.forward_model.reduced import ReducedModel
-from cpam_bayes.forward_model.store import reduced_model
 from cpam_bayes.identification.point import estimate_constants
 from cpam_bayes.identification.search import start_of
 from cpam_bayes.inference.posterior import plate_posterior

@@ -11,6 +11,7 @@ import pytest
 from scipy.stats import special_ortho_group
 
 import cpam_bayes as cb
+from cpam_bayes.forward_model.build import reduced_model
 from cpam_bayes.forward_model.labels import (
     AmbiguousShapesError,
     LabelError,
@@ -21,7 +22,6 @@ from cpam_bayes.forward_model.labels import (
     pair_by_assurance,
 )
 from cpam_bayes.forward_model.reduced import ReducedModel
-from cpam_bayes.forward_model.store import reduced_model
 from cpam_bayes.identification.search import search
 from cpam_bayes.inference.derivatives import expand
 from cpam_bayes.inference.posterior import Posterior, plate_posterior

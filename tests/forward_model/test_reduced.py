@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cpam_bayes.forward_model.store import model_key, reduced_model
 
 from cpam_bayes.forward_model.model import (
     PlateModel,
@@ -26,7 +27,6 @@ from cpam_bayes.forward_model.reduced import (
     ReductionSettings,
     reduce,
 )
-from cpam_bayes.forward_model.store import model_key, reduced_model
 from cpam_bayes.mechanics.convergence import Tolerance, rich_frequencies
 from cpam_bayes.mechanics.problem import rigid_body_count
 from cpam_bayes.parameters import ParameterSet

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from cpam_bayes.forward_model.build import reduced_model
 from cpam_bayes.forward_model.model import NO_PARAMETERS, converged_model, reference_vector, size_parameters
-from cpam_bayes.forward_model.store import reduced_model
 from cpam_bayes.identification.search import start_of
 from cpam_bayes.inference.ensemble import EnsembleSettings
 from cpam_bayes.inference.laplace import gauss_newton_covariance

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm, t
 
+from cpam_bayes.forward_model.build import reduced_model
 from cpam_bayes.forward_model.model import (
     Prediction,
     plate_problem,
@@ -15,7 +16,6 @@ from cpam_bayes.forward_model.model import (
     reference_vector,
 )
 from cpam_bayes.forward_model.reduced import DEFAULT_SETTINGS
-from cpam_bayes.forward_model.store import reduced_model
 from cpam_bayes.inference.ensemble import EnsembleSettings
 from cpam_bayes.inference.posterior import (
     NOISE,

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from cpam_bayes.forward_model.build import reduced_model
 from cpam_bayes.forward_model.model import angle_parameters, reference_vector, training_sets
 from cpam_bayes.forward_model.reduced import ReducedModel, focused
-from cpam_bayes.forward_model.store import reduced_model
 from cpam_bayes.inference.posterior import Posterior, plate_posterior
 from cpam_bayes.inference.sampling import importance_evidence as known_evidence
 from cpam_bayes.parallel import open_executor
