@@ -282,5 +282,5 @@ def name_unused_models() -> None:
     if size and parent_process() is None:
         mib = size / 2**20
         _LOG.warning(
-            "%s holds %.0f MiB of plate models that are not used any more: remove them", directory, mib
+            "%s holds %.1f MiB of plate models that are not used any more: remove them", directory, mib
         )

@@ -51,7 +51,6 @@ BUILDING_KEYS = {
     "full_sizes",
     "reduced_sizes",
     "reduction_error",
-    "estimated_error",
 }
 
 

@@ -13,7 +13,6 @@ from pathlib import Path
 import openpyxl
 import pytest
 
-import cpam_bayes as cb
 from cpam_bayes import __version__
 from cpam_bayes.cli import main
 from tests.plate_file import MEASURED, refused
@@ -30,16 +29,6 @@ PLATE = WITHOUT_LIST + MEASURED
 def plate_file(plate_file):
     """Write the plate file with its list, some words replaced, and return its path."""
     return partial(plate_file, text=PLATE)
-
-
-@pytest.fixture(scope="module")
-def cache(tmp_path_factory):
-    return tmp_path_factory.mktemp("cache")
-
-
-@pytest.fixture(autouse=True)
-def own_cache(cache, monkeypatch):
-    monkeypatch.setenv("CPAM_BAYES_CACHE", str(cache))
 
 
 def listen():
@@ -610,12 +599,3 @@ def test_a_table_that_cannot_be_written_is_refused_before_the_work(run, tmp_path
     status, out, err = run("forward", "A1", option, tmp_path / name)
     assert (status, out) == (2, "")
     assert err.startswith(f"error: {option}")
-
-
-def test_a_command_without_a_table_writes_its_values(run, tmp_path):
-    csv = tmp_path / "cache.csv"
-    status, out, _ = run("cache", "--json", "--csv", csv)
-    assert status == 0
-    head, row = (line.split(",") for line in csv.read_text(encoding="utf-8-sig").splitlines())
-    assert dict(zip(head, row, strict=True))["files"] == str(json.loads(out)["files"])
-    assert list(cb.cache().to_dataframe().columns) == head
