@@ -9,7 +9,6 @@ from itertools import product
 
 import numpy as np
 import pytest
-from cpam_bayes.forward_model.store import model_key, reduced_model
 
 from cpam_bayes.forward_model.build import basis_tolerance, model_key, reduced_model, without_matrices
 from cpam_bayes.forward_model.model import (
@@ -25,6 +24,8 @@ from cpam_bayes.forward_model.reduced import (
     DEFAULT_SETTINGS,
     ReducedModel,
     ReductionSettings,
+    checked,
+    focused,
     reduce,
 )
 from cpam_bayes.mechanics.convergence import Tolerance, rich_frequencies
