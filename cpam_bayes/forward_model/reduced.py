@@ -15,7 +15,7 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
-from cpam_bayes.forward_model.model import PlateModel, Prediction, training_sets
+from cpam_bayes.forward_model.model import PlateModel, Prediction, model_on_basis, training_sets
 from cpam_bayes.mechanics.affine import AffineMatrix, AffineOperator, DenseBlock, DenseOperator
 from cpam_bayes.mechanics.modes import check_rigid
 from cpam_bayes.mechanics.problem import rigid_body_count
@@ -145,9 +145,16 @@ def focused(model: ReducedModel, x: Array, tolerance: float, fraction: float = 1
     return replace(model, fast=_projected(model.fast, known, directions, sizes))
 
 
-def checked(model: ReducedModel, x: Array) -> Array:
-    """Relative errors of the basis at parameter vectors (m, n), by as many full solves, (m, n_modes)."""
-    return np.asarray(np.abs(model.predict(x).frequencies / model.full.predict(x).frequencies - 1.0))
+def basis_error(model: ReducedModel, x: Array) -> Array:
+    """Relative errors of the basis at parameter vectors (m, n), by as many full solves, (m, n_modes).
+
+    Matrices of the full space that a model was sent or kept without are made anew.
+    """
+    x, full = np.atleast_2d(x), model.full
+    if not full.operator.blocks:
+        assert full.basis is not None
+        full = model_on_basis(full.operator.problem, x, full.n_modes, full.error, full.basis)
+    return np.asarray(np.abs(model.predict(x).frequencies / full.predict(x).frequencies - 1.0))
 
 
 def _near(model: PlateModel, x: Array, rng: np.random.Generator) -> Array:

@@ -217,8 +217,7 @@ def _largest_by_krylov(
         for _ in range(2):
             y = y - left @ (left.T @ y)
             y = y - basis @ (basis.T @ y)
-            y = np.linalg.qr(y)[0]
-        return y
+        return np.asarray(np.linalg.qr(y)[0])
 
     basis = orthonormal(start, np.empty((len(start), 0)))
     last, images, before = basis, np.empty((len(start), 0)), np.full(n, np.nan)

@@ -24,7 +24,7 @@ from cpam_bayes.forward_model.reduced import (
     DEFAULT_SETTINGS,
     ReducedModel,
     ReductionSettings,
-    checked,
+    basis_error,
     focused,
     reduce,
 )
@@ -110,13 +110,13 @@ def test_error_on_the_corners_of_the_prior_box_is_small(name: str) -> None:
     corners = np.array(list(product(*zip(lower, upper, strict=True))))
     corners = corners[model.full.admissible(corners)][:: 1 + len(corners) // 64]
     assert len(corners) >= 8
-    assert checked(model, corners).max() < 5e-3
+    assert basis_error(model, corners).max() < 5e-3
 
 
 @cases
-def test_checked_errors_are_those_of_full_solves(name: str) -> None:
+def test_basis_errors_are_those_of_full_solves(name: str) -> None:
     x = compared(name).x[:16]
-    np.testing.assert_allclose(checked(reduced(name), x), np.abs(compared(name).error[:16]), atol=1e-9)
+    np.testing.assert_allclose(basis_error(reduced(name), x), np.abs(compared(name).error[:16]), atol=1e-9)
 
 
 def test_checks_find_a_mode_that_the_first_training_lacks() -> None:
@@ -153,7 +153,7 @@ def test_lengths_that_vary_keep_their_rigid_body_motions() -> None:
     full = converged_model(gauged, parameters, 6)
     model = reduce(full, np.random.default_rng(0))
     x = prior_draws(full, 100, seed=3)
-    assert np.quantile(checked(model, x).max(axis=1), 0.99) < 2e-4
+    assert np.quantile(basis_error(model, x).max(axis=1), 0.99) < 2e-4
 
 
 def test_usual_layups_are_among_the_samples_of_unknown_angles() -> None:
