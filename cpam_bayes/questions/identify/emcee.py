@@ -111,8 +111,8 @@ class SampledResult(PlateResult):
     p_value : posterior predictive p-value of the sum of squared standardised residuals
     explained : whether the noise as stated explains the misfit
     laminate : name -> (mean, sd)
-    error : relative error of the solver at the most probable draw, and of its reduced basis at a few draws, in
-        the modes that have a frequency
+    error : relative error of the solver at the most probable draw, and of its basis at a few draws, in the
+        modes that have a frequency
     scale_errors : what errors of sizes, mass and frequency scale do to the constants
     reliances : intervals that rest on the bounds or the prior of another constant
     doubt : a pairing of a complete list that is far more probable than one to one
