@@ -1,6 +1,6 @@
 """Our models of a case: built in a process of its own, which tells its time and memory.
 
-python -m benchmarks.building CASE DIRECTORY [--quick]
+python -m benchmarks.building CASE [--quick]
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from typing import Any
 import numpy as np
 
 from benchmarks.cases import CASES, Array, Case, parameters, reference_vector
+from cpam_bayes.forward_model.build import reduced_model
 from cpam_bayes.forward_model.model import PlateModel, training_sets
 from cpam_bayes.forward_model.reduced import DEFAULT_SETTINGS, ReducedModel, ReductionSettings
-from cpam_bayes.forward_model.store import reduced_model
 from cpam_bayes.running import single_blas_thread
 
 # Parameter sets that are solved together.
@@ -50,28 +50,27 @@ class Ours:
         return self.reduced.full
 
 
-def prepare(case: Case, directory: Path, quick: bool) -> Ours:
-    """Build the models of a case in another process and read them from the directory."""
-    built = _built_elsewhere(case, directory, quick)
-    reduced = _reduced(case, directory, quick)
+def prepare(case: Case, quick: bool) -> Ours:
+    """Build the models of a case in another process, to see what it takes, and here."""
+    built = _built_elsewhere(case, quick)
+    reduced = _reduced(case, quick)
     drawn = training_sets(reduced.full.operator.problem, STACK - 1, np.random.default_rng(7))
     x = np.concatenate((reference_vector(case)[None], drawn))
     return Ours(case, reduced, x, built["seconds"], built["peak_mib"])
 
 
-def _reduced(case: Case, directory: Path, quick: bool) -> ReducedModel:
+def _reduced(case: Case, quick: bool) -> ReducedModel:
     specimen = case.specimen()
     return reduced_model(
         specimen,
         parameters(specimen),
         case.n_modes,
         settings=_QUICK if quick else DEFAULT_SETTINGS,
-        directory=directory,
     )
 
 
-def _built_elsewhere(case: Case, directory: Path, quick: bool) -> dict[str, Any]:
-    command = [sys.executable, "-m", "benchmarks.building", case.name, str(directory)]
+def _built_elsewhere(case: Case, quick: bool) -> dict[str, Any]:
+    command = [sys.executable, "-m", "benchmarks.building", case.name]
     path = os.pathsep.join([str(_ROOT), *(p for p in sys.path if p)])
     done = subprocess.run(
         [*command, "--quick"] if quick else command,
@@ -98,12 +97,11 @@ def main() -> None:
     """Build the models of one case and print what it took."""
     parser = argparse.ArgumentParser(description="Build the models of a case, print its time and memory.")
     parser.add_argument("case", choices=[case.name for case in CASES])
-    parser.add_argument("directory", type=Path)
     parser.add_argument("--quick", action="store_true")
     given = parser.parse_args()
     case = next(c for c in CASES if c.name == given.case)
     start = time.perf_counter()
-    single_blas_thread(_reduced)(case, given.directory, given.quick)
+    single_blas_thread(_reduced)(case, given.quick)
     seconds = time.perf_counter() - start
     print(json.dumps({"seconds": seconds, "peak_mib": _peak_memory()}))
 

@@ -20,7 +20,6 @@ SizeT = TypeVar("SizeT")
 
 FULL, FULL_DERIVATIVES = "ours, full", "ours, full with derivatives"
 REDUCED, REDUCED_DERIVATIVES = "ours, reduced", "ours, reduced with derivatives"
-REDUCED_ERRORS = "ours, reduced with error estimates"
 LAPACK_FULL, LAPACK_REDUCED = "LAPACK alone, sizes of full", "LAPACK alone, sizes of reduced"
 BENDING = ", bending only"
 POLYNOMIAL = "polynomial Ritz"
@@ -70,7 +69,6 @@ def our_entries(ours: Ours, known: Converged) -> list[Entry]:
         Entry(name, LAPACK_FULL, _lapack(full, one), None, size),
         Entry(name, REDUCED, lambda: reduced.predict(x), few_error, few, STACK),
         Entry(name, REDUCED_DERIVATIVES, lambda: reduced.predict(x, jacobian=True), few_error, few, STACK),
-        Entry(name, REDUCED_ERRORS, lambda: reduced.error(x), few_error, few, STACK),
         Entry(name, LAPACK_REDUCED, _lapack(reduced.fast, x), None, few, STACK),
     ]
 

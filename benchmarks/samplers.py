@@ -7,9 +7,7 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import sys
-import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
@@ -23,6 +21,7 @@ import cpam_bayes as cb
 from benchmarks.plain_likelihood import Frequencies, plain_frequencies
 from benchmarks.targets import Target
 from benchmarks.timing import busy_processes, interleaved, ratio
+from cpam_bayes.forward_model.build import forget_models
 from cpam_bayes.inference.ensemble import DEFAULT_SETTINGS, integrated_times, moves_of
 from cpam_bayes.inference.posterior import Posterior
 from cpam_bayes.inference.proposal import adapted
@@ -219,18 +218,10 @@ def _agreement(name: str, log_prob: LogProb, posterior: Posterior, draws: Array)
 
 def _converged(name: str) -> Results:
     """An identification from nothing, its models built anew, to a converged posterior."""
-    with tempfile.TemporaryDirectory() as directory:
-        before = os.environ.get("CPAM_BAYES_CACHE")
-        os.environ["CPAM_BAYES_CACHE"] = directory
-        try:
-            start, used = time.perf_counter(), time.process_time()
-            found = cb.sample(name).result
-            seconds, processor = time.perf_counter() - start, time.process_time() - used
-        finally:
-            if before is None:
-                del os.environ["CPAM_BAYES_CACHE"]
-            else:
-                os.environ["CPAM_BAYES_CACHE"] = before
+    forget_models()
+    start, used = time.perf_counter(), time.process_time()
+    found = cb.sample(name).result
+    seconds, processor = time.perf_counter() - start, time.process_time() - used
     own = found.diagnostics
     return {
         "plate": name,

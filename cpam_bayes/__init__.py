@@ -34,7 +34,6 @@ if TYPE_CHECKING:
     from cpam_bayes.plate.reader import builtin_plates, read_plate
     from cpam_bayes.questions.app import app
     from cpam_bayes.questions.batch import batch
-    from cpam_bayes.questions.cache import cache
     from cpam_bayes.questions.calibrate import calibrate
     from cpam_bayes.questions.design import design
     from cpam_bayes.questions.diagnose import diagnose
@@ -60,7 +59,6 @@ _PUBLIC = {
     "app": "cpam_bayes.questions.app",
     "batch": "cpam_bayes.questions.batch",
     "builtin_plates": "cpam_bayes.plate.reader",
-    "cache": "cpam_bayes.questions.cache",
     "calibrate": "cpam_bayes.questions.calibrate",
     "design": "cpam_bayes.questions.design",
     "diagnose": "cpam_bayes.questions.diagnose",
@@ -88,7 +86,6 @@ __all__ = [
     "app",
     "batch",
     "builtin_plates",
-    "cache",
     "calibrate",
     "design",
     "diagnose",

@@ -30,9 +30,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import binom, chi2
 
+from cpam_bayes.forward_model.build import reduced_model
 from cpam_bayes.forward_model.model import ForwardModel
-from cpam_bayes.forward_model.reduced import DEFAULT_SETTINGS as REDUCTION
-from cpam_bayes.forward_model.store import reduced_model
 from cpam_bayes.inference.ensemble import EnsembleResult, EnsembleSettings
 from cpam_bayes.inference.posterior import Posterior, plate_posterior
 from cpam_bayes.inference.sampling import sample_posterior
@@ -83,7 +82,7 @@ class PlateSource:
         """The reduced model over the specimen's unknowns, its error that of an identification."""
         specimen = read_specimen(self.plate)
         model = reduced_model(specimen, specimen.unknowns, self.n_modes)
-        return Nature(model, np.hypot(model.full.error, REDUCTION.tolerance))
+        return Nature(model, np.hypot(model.full.error, model.tolerance))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -40,7 +40,6 @@ COMMANDS: Final = {
     "paper": "the paper's tables beside what this package computes",
     "prove": "the coin test: was a mass stuck to the plate, how heavy, where",
     "calibrate": "how often the intervals of a plate hold the true constants, by simulated lists",
-    "cache": "the stored models of plates on disk",
 }
 """Command, and module of `cpam_bayes.questions` with its `COMMAND` -> what it answers."""
 BAD_INPUT: Final = 2

@@ -1,11 +1,9 @@
-"""Files that are whole or not there: drafts, sealed files, arrays in them, and the cache of models.
+"""Files that are whole or not there: drafts, sealed files, arrays in them, and the directory of the cache.
 
 A draft stands beside the place of the finished file, under a name that says whose it is; drafts of killed
 processes are swept by the next one that makes a draft there. A sealed file is content behind a checksum,
 written to a draft, flushed to the disk and renamed; one that is damaged, foreign or in another file's place
-is never used, but set aside. The cache is a directory of limited size that the model used least recently
-leaves first. Several processes may use it at once: files appear and go whole, and one that another process
-took away is built again.
+is never used, but set aside. Several processes may write to one directory at once: files appear and go whole.
 """
 
 from __future__ import annotations
@@ -15,7 +13,6 @@ import hashlib
 import hmac
 import io
 import logging
-import math
 import os
 import re
 import shutil
@@ -24,9 +21,9 @@ import tempfile
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from functools import cache
 from io import BufferedRandom
+from multiprocessing import parent_process
 from pathlib import Path
 from typing import Any, Final
 
@@ -37,26 +34,18 @@ __all__ = [
     "ARRAYS",
     "DAMAGED",
     "DIRECTORY_VARIABLE",
-    "LIMIT_VARIABLE",
-    "CacheContent",
-    "cache_content",
     "cache_directory",
-    "cache_limit",
-    "clear_cache",
     "draft_directory",
     "draft_file",
-    "make_room",
-    "model_file",
+    "name_unused_models",
     "put_in_place",
     "read_arrays",
-    "read_model",
     "read_sealed",
     "replaceable",
     "seal_of",
     "set_aside",
     "sweep",
     "write_arrays",
-    "write_model",
     "write_sealed",
 ]
 
@@ -268,27 +257,14 @@ def read_arrays(path: Path) -> dict[str, Array] | None:
 
 
 DIRECTORY_VARIABLE: Final = "CPAM_BAYES_CACHE"
-LIMIT_VARIABLE: Final = "CPAM_BAYES_CACHE_GIB"
-_DEFAULT_LIMIT_GIB: Final = 4.0
-_GIB: Final = 2**30
-# Room is made down to this fraction of the limit, so that it is not made at every file.
-_KEPT_FRACTION: Final = 0.9
-# The files of this package alone, whatever else is in the directory; those of earlier versions end in .npz.
+# Files of models that earlier versions kept there, of all that the directory holds.
 _MODEL: Final = re.compile(
     rf"[0-9a-f]{{32}}(-local[0-9]+)?({re.escape(ARRAYS)}|\.npz)({re.escape(DAMAGED)})?"
 )
 
 
-@dataclass(frozen=True, slots=True)
-class CacheContent:
-    """Number of files of models, and what they take, bytes."""
-
-    files: int
-    size: int
-
-
 def cache_directory() -> Path:
-    """Where models are kept: $CPAM_BAYES_CACHE, or the system's place for the caches of a user."""
+    """Where results are kept by default: $CPAM_BAYES_CACHE, or the system's place for caches of a user."""
     chosen = os.environ.get(DIRECTORY_VARIABLE)
     if chosen:
         return Path(chosen)
@@ -297,88 +273,14 @@ def cache_directory() -> Path:
     return user_cache_path("cpam_bayes", appauthor=False)
 
 
-def cache_limit() -> int:
-    """The limit of models on disk, bytes: $CPAM_BAYES_CACHE_GIB, or 4 GiB.
-
-    Raises ``ValueError`` where the variable is no number above 0.
-    """
-    given = os.environ.get(LIMIT_VARIABLE)
-    try:
-        limit = float(given) if given else _DEFAULT_LIMIT_GIB
-    except ValueError:
-        limit = math.nan
-    if not 0.0 < limit < 1e9:
-        raise ValueError(
-            f"{LIMIT_VARIABLE}: received {given!r}, accepted: GiB that stored models may take, above 0"
-        )
-    return int(limit * _GIB)
-
-
-def model_file(name: str, directory: Path | None = None) -> Path:
-    """The file of a model, by default in the cache.
-
-    Raises ``ValueError`` for a limit that is none, before anything is built.
-    """
-    cache_limit()
-    return (directory or cache_directory()) / f"{name}{ARRAYS}"
-
-
-def read_model(path: Path) -> dict[str, NDArray[Any]] | None:
-    """The arrays of a stored model, which is then the one used last; ``None`` if it cannot be had."""
-    try:
-        stored = read_arrays(path)
-    except OSError:
-        return None
-    if stored is not None:
-        with suppress(OSError):
-            os.utime(path)
-    return stored
-
-
-def write_model(path: Path, model: Mapping[str, NDArray[Any]]) -> None:
-    """Store the arrays of a model and make room for it; a disk that is full or read-only is no error."""
-    with suppress(OSError):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_arrays(path, model)
-    make_room(path.parent, cache_limit(), path)
-
-
-def make_room(directory: Path, limit: int, kept: Path | None = None) -> None:
-    """Remove the models used least recently until the rest fits a limit, bytes; kept : not this one."""
-    found = _models(directory)
-    total = sum(status.st_size for _, status in found)
-    if total <= limit:
-        return
-    for path, status in sorted(found, key=lambda entry: entry[1].st_mtime_ns):
-        if total <= _KEPT_FRACTION * limit:
-            return
-        if path != kept:
-            with suppress(OSError):
-                path.unlink()
-            total -= status.st_size
-
-
-def cache_content(directory: Path) -> CacheContent:
-    """The models in a directory."""
-    found = _models(directory)
-    return CacheContent(len(found), sum(status.st_size for _, status in found))
-
-
-def clear_cache(directory: Path) -> None:
-    """Remove all models of a directory and what killed processes left there, nothing else.
-
-    Raises ``OSError`` where a file cannot be removed.
-    """
-    sweep(directory)
-    for path, _ in _models(directory):
-        path.unlink(missing_ok=True)
-
-
-def _models(directory: Path) -> list[tuple[Path, os.stat_result]]:
-    found: list[tuple[Path, os.stat_result]] = []
+@cache
+def name_unused_models() -> None:
+    """Say once where models of earlier versions are and what they take, in a process that has no parent."""
+    directory, size = cache_directory(), 0
     with suppress(OSError), os.scandir(directory) as entries:
-        for entry in entries:
-            with suppress(OSError):
-                if _MODEL.fullmatch(entry.name) and entry.is_file(follow_symlinks=False):
-                    found.append((Path(entry.path), entry.stat(follow_symlinks=False)))
-    return found
+        size = sum(e.stat(follow_symlinks=False).st_size for e in entries if _MODEL.fullmatch(e.name))
+    if size and parent_process() is None:
+        mib = size / 2**20
+        _LOG.warning(
+            "%s holds %.1f MiB of plate models that are not used any more: remove them", directory, mib
+        )

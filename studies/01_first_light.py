@@ -6,12 +6,9 @@ python studies/01_first_light.py [--quick]
 from __future__ import annotations
 
 import math
-import os
 import sys
-import tempfile
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,6 +16,7 @@ from typing import Any
 import numpy as np
 
 import cpam_bayes as cb
+from cpam_bayes.forward_model.build import forget_models
 from cpam_bayes.forward_model.model import NO_PARAMETERS, PlateModel, converged_model, plate_problem
 from cpam_bayes.inference.swarm import SwarmSettings
 from cpam_bayes.mechanics.convergence import Tolerance
@@ -95,9 +93,9 @@ def run(quick: bool) -> dict[str, Any]:
 
 
 def _identified(specimen: Specimen, settings: SwarmSettings) -> dict[str, Any]:
-    """One plate, first with the reduced model still to be built, then with it on disk."""
-    with _empty_cache():
-        first, again = (cb.identify(specimen, seed=SEED, settings=settings).to_dict() for _ in range(2))
+    """One plate, first with the reduced model still to be built, then with it at hand."""
+    forget_models()
+    first, again = (cb.identify(specimen, seed=SEED, settings=settings).to_dict() for _ in range(2))
     keys = ("frequencies", "rms_percent", "noise_percent", "forward_solves", "seconds", "warnings")
     material_sd = {name: to_user(name, sd) for name, sd in specimen.material.sd.items()}
     return {
@@ -125,21 +123,6 @@ def _constant(found: dict[str, Any], reference_sd: float) -> dict[str, Any]:
         "percent": 100.0 * (value / reference - 1.0),
         "agrees": abs(value - reference) <= 2.0 * math.hypot(found["sd"], reference_sd) if decided else None,
     }
-
-
-@contextmanager
-def _empty_cache() -> Iterator[None]:
-    """A cache of reduced models of its own, so that the time to build them is seen."""
-    before = os.environ.get("CPAM_BAYES_CACHE")
-    with tempfile.TemporaryDirectory() as folder:
-        os.environ["CPAM_BAYES_CACHE"] = folder
-        try:
-            yield
-        finally:
-            if before is None:
-                del os.environ["CPAM_BAYES_CACHE"]
-            else:
-                os.environ["CPAM_BAYES_CACHE"] = before
 
 
 # The forward solver against references

@@ -29,9 +29,9 @@ from numpy.typing import NDArray
 from scipy.stats import beta
 
 from cpam_bayes.command import add_executor_options
+from cpam_bayes.forward_model.build import reduced_model
 from cpam_bayes.forward_model.model import reference_vector
 from cpam_bayes.forward_model.reduced import DEFAULT_SETTINGS, ReductionSettings
-from cpam_bayes.forward_model.store import reduced_model
 from cpam_bayes.identification.angle_search import (
     AngleSearchProblem,
     best_constants,

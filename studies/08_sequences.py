@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import os
 import sys
-import tempfile
 import time
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Executor
@@ -26,6 +25,7 @@ from typing import Any
 import numpy as np
 
 from cpam_bayes.command import add_executor_options
+from cpam_bayes.forward_model.build import forget_models
 from cpam_bayes.parallel import open_executor
 from cpam_bayes.plate import Specimen
 from cpam_bayes.printed.tables import identified_layups
@@ -255,19 +255,11 @@ def _measured(
 
     Memory is that of this process and its workers; pages that they share are counted once for each.
     """
-    with tempfile.TemporaryDirectory() as folder:
-        kept = os.environ.get("CPAM_BAYES_CACHE")
-        os.environ["CPAM_BAYES_CACHE"] = folder
-        _forget_peak()
-        start = time.process_time()
-        try:
-            answer = stacking_posterior(specimen, SEED, settings=settings, executor=executor, notify=notify)
-        finally:
-            if kept is None:
-                del os.environ["CPAM_BAYES_CACHE"]
-            else:
-                os.environ["CPAM_BAYES_CACHE"] = kept
-        return answer, time.process_time() - start, _peak_gib()
+    forget_models()
+    _forget_peak()
+    start = time.process_time()
+    answer = stacking_posterior(specimen, SEED, settings=settings, executor=executor, notify=notify)
+    return answer, time.process_time() - start, _peak_gib()
 
 
 def _processes() -> list[Path]:

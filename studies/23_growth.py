@@ -14,12 +14,9 @@ kept.
 
 from __future__ import annotations
 
-import os
 import sys
-import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -27,6 +24,7 @@ import numpy as np
 
 import cpam_bayes as cb
 from cpam_bayes.effects import CATALOGUE
+from cpam_bayes.forward_model.build import forget_models
 from cpam_bayes.stacking.posterior import stacking_posterior
 from validation.reporting import (
     counted,
@@ -248,20 +246,6 @@ def row(question: str, size: str, points: Sequence[tuple[int, float]], source: s
 # Measuring
 
 
-@contextmanager
-def empty_cache() -> Iterator[None]:
-    """No model at hand."""
-    kept = os.environ.get("CPAM_BAYES_CACHE")
-    with tempfile.TemporaryDirectory() as folder:
-        os.environ["CPAM_BAYES_CACHE"] = folder
-        try:
-            yield
-        finally:
-            del os.environ["CPAM_BAYES_CACHE"]
-            if kept is not None:
-                os.environ["CPAM_BAYES_CACHE"] = kept
-
-
 def measured(curve: Curve, most: float) -> Results:
     """The processor's seconds of two sizes and of more, until one is expected to take more than ``most``."""
     points: list[tuple[int, float]] = []
@@ -269,10 +253,10 @@ def measured(curve: Curve, most: float) -> Results:
         if len(points) > 1 and _expected(points, size) > most:
             break
         call = curve.call(size)
-        with empty_cache():
-            start = time.process_time()
-            call()
-            points.append((size, time.process_time() - start))
+        forget_models()
+        start = time.process_time()
+        call()
+        points.append((size, time.process_time() - start))
         print(f"{curve.name} {size}: {points[-1][1]:.1f} s", file=sys.stderr, flush=True)
     return row(curve.question, curve.size, points)
 
@@ -289,8 +273,8 @@ def on_cluster(n: int, workers: int) -> Results:
     from distributed import Client, LocalCluster
 
     given = plates(n)
+    forget_models()
     with (
-        empty_cache(),
         LocalCluster(
             n_workers=workers, threads_per_worker=1, dashboard_address=None, host="127.0.0.1"
         ) as cluster,

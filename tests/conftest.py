@@ -25,10 +25,10 @@ def pytest_configure() -> None:
 
 @pytest.fixture(scope="session", autouse=True)
 def _run_directory(tmp_path_factory: pytest.TempPathFactory) -> None:
-    """Reduced models of the tests are built by the code under test, never read from a user's cache.
+    """What commands keep by default is kept in the directory of the run, never in a user's cache.
 
-    The processes of pytest-xdist share one cache, and the results of ``tests.shared``: their
-    directories lie in that of the whole run.
+    The processes of pytest-xdist share the results of ``tests.shared``: their directory lies in that of the
+    whole run.
     """
     process = tmp_path_factory.getbasetemp()
     run = process.parent if "PYTEST_XDIST_WORKER" in os.environ else process

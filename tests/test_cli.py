@@ -12,7 +12,6 @@ from pathlib import Path
 import openpyxl
 import pytest
 
-import cpam_bayes as cb
 from cpam_bayes import __version__
 from cpam_bayes.cli import COMMANDS, main
 from cpam_bayes.command import Command
@@ -23,16 +22,6 @@ from tests.plate_file import refused
 PROJECT = Path(__file__).parent.parent
 # a single swarm and a few steps of it say all that is asked here
 SHORT = ("--swarms", "1", "--iterations", "8", "--quiet")
-
-
-@pytest.fixture(scope="module")
-def cache(tmp_path_factory):
-    return tmp_path_factory.mktemp("cache")
-
-
-@pytest.fixture(autouse=True)
-def own_cache(cache, monkeypatch):
-    monkeypatch.setenv("CPAM_BAYES_CACHE", str(cache))
 
 
 def listen():
@@ -537,12 +526,3 @@ def test_tables_are_written_as_csv_and_workbook(run, tmp_path):
 )
 def test_a_table_that_cannot_be_written_is_refused_before_the_work(run, tmp_path, option, name):
     refused(run("forward", "A1", option, tmp_path / name), f"error: {option}")
-
-
-def test_a_command_without_a_table_writes_its_values(run, tmp_path):
-    csv = tmp_path / "cache.csv"
-    status, out, _ = run("cache", "--json", "--csv", csv)
-    assert status == 0
-    head, row = (line.split(",") for line in csv.read_text(encoding="utf-8-sig").splitlines())
-    assert dict(zip(head, row, strict=True))["files"] == str(json.loads(out)["files"])
-    assert list(cb.cache().to_dataframe().columns) == head

@@ -15,8 +15,8 @@ def names(of: str) -> set[str]:
 
 
 def test_the_sources_of_a_result_are_those_it_imports_at_any_depth() -> None:
-    found = names("cpam_bayes.forward_model.store")
-    assert {"forward_model/store.py", "mechanics/affine.py", "plate/laminate.py"} <= found
+    found = names("cpam_bayes.forward_model.build")
+    assert {"forward_model/build.py", "mechanics/affine.py", "plate/laminate.py"} <= found
     assert "diagnosis/models.py" not in found
     # how an answer looks is no part of it
     assert not any(n.startswith(("render/", "cli", "command")) for n in names("cpam_bayes.questions.forward"))

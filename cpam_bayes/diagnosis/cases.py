@@ -19,20 +19,16 @@ from cpam_bayes.diagnosis.comparison import PlateCase
 from cpam_bayes.diagnosis.hypotheses import NONE, OTHER, Hypothesis, prior_by_cause, single_hypotheses
 from cpam_bayes.diagnosis.models import (
     PlateModels,
-    built_bare,
-    built_model,
     extended_model,
-    is_bare_stored,
-    is_stored,
     needs_another_space,
     plate_models,
 )
 from cpam_bayes.effects import CATALOGUE, Effect, extend
+from cpam_bayes.forward_model.build import without_matrices
 from cpam_bayes.forward_model.labels import by_shape, labelled_model, list_order, spare_modes
 from cpam_bayes.forward_model.local.model import LocalModel
 from cpam_bayes.forward_model.model import reference_vector
 from cpam_bayes.forward_model.reduced import ReducedModel
-from cpam_bayes.forward_model.store import without_matrices
 from cpam_bayes.inference.pairing import PairingPrior, monotone_log_likelihood, most_probable_pairing
 from cpam_bayes.mechanics.modes import RigidBodyError
 from cpam_bayes.parallel import counted, run
@@ -170,7 +166,7 @@ def _of_specimen(
     return [(replace(h, prior=h.prior * alone[h.cause] / whole[h.cause]), at) for h, at in causes]
 
 
-Model = ReducedModel | LocalModel
+Model = ReducedModel | LocalModel | PlateModels
 
 
 def build_models(
@@ -179,10 +175,9 @@ def build_models(
     executor: Executor | None = None,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> None:
-    """Build the models that hypotheses need and that are not on disk, on all workers of an executor.
+    """Build the models that hypotheses need, on all workers of an executor.
 
-    Workers hand the models back and this process stores them, so that a worker that is stopped leaves no
-    file. The models are the same bit for bit on any executor. What cannot be sent to a worker, an effect of a
+    The models are the same bit for bit on any executor. What cannot be sent to a worker, an effect of a
     script for instance, is left to be built when it is asked for.
     """
     wanted = _wanted(cases, hypotheses)
@@ -195,12 +190,10 @@ def build_models(
     def store(index: int, built: Model | None) -> None:
         i, effect = wanted[index]
         case = cases[i]
-        if effect is None and isinstance(built, ReducedModel):
-            specimen, n_modes = case.models.specimen, case.models.n_modes
-            case.of_another_material.append(plate_models(specimen, n_modes, other_material=True, built=built))
+        if isinstance(built, PlateModels):
+            case.of_another_material.append(built)
         elif effect is not None and built is not None:
-            model = extended_model(case.models, effect, built=built)
-            case.extended[effect.name, effect.variant] = model
+            case.extended[effect.name, effect.variant] = built
         count(index, None)
 
     progress(0, len(wanted))
@@ -213,8 +206,8 @@ def _built(plates: Sequence[PlateModels], item: tuple[int, Effect | None]) -> Mo
     i, effect = item
     try:
         if effect is None:
-            return built_bare(plates[i].specimen, plates[i].n_modes)
-        return built_model(plates[i], effect)
+            return plate_models(plates[i].specimen, plates[i].n_modes, other_material=True)
+        return extended_model(plates[i], effect)
     except RigidBodyError:  # it is said where the hypothesis is tested
         return None
 
@@ -228,13 +221,12 @@ def _wanted(
         for i in plates:
             case = cases[i]
             models = case.models
-            of_another = hypothesis.other_material and not case.of_another_material
-            if of_another and not is_bare_stored(models.specimen, models.n_modes):
+            if hypothesis.other_material and not case.of_another_material:
                 wanted[i, "", ""] = (0, i, None)
             for effect in hypothesis.effects:
                 key = (i, effect.name, effect.variant)
                 known = key in wanted or key[1:] in case.extended or effect.change is None
-                if not known and not is_stored(models, effect) and _can_be_sent(effect):
+                if not known and _can_be_sent(effect):
                     wanted[key] = (1 - int(_is_converged_anew(models, effect)), i, effect)
     return [(i, effect) for _, i, effect in sorted(wanted.values(), key=lambda entry: entry[0])]
 

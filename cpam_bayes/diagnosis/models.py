@@ -5,24 +5,18 @@ Each plate has reduced models, bare and with its effects, over the priors of its
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cpam_bayes.effects import Effect, PlateFacts, extend
+from cpam_bayes.forward_model.build import basis_tolerance, model_key, remembered, without_matrices
 from cpam_bayes.forward_model.known_errors import theory_error
-from cpam_bayes.forward_model.local.basis import (
-    BarePlate,
-    local_model_path,
-    patch_model,
-    point_mass_model,
-    stored_local_model,
-)
+from cpam_bayes.forward_model.local.basis import BarePlate, patch_model, point_mass_model
 from cpam_bayes.forward_model.local.model import LocalModel
 from cpam_bayes.forward_model.model import (
     ForwardModel,
@@ -36,7 +30,6 @@ from cpam_bayes.forward_model.model import (
     size_parameters,
 )
 from cpam_bayes.forward_model.reduced import ReducedModel, ReductionSettings, reduce
-from cpam_bayes.forward_model.store import model_key, model_path, stored_model, without_matrices
 from cpam_bayes.mechanics.convergence import converge
 from cpam_bayes.mechanics.problem import Problem
 from cpam_bayes.mechanics.ritz import RitzSettings, ritz_space
@@ -58,8 +51,6 @@ _CONTENT: tuple[tuple[Field, tuple[int, int]], ...] = (
 )
 # A normal prior from the plate file is cut here, standard deviations from its mean.
 _CUT = 4.0
-# Of the models: checks enough to see, at the corners of the box, modes that a basis lacks altogether.
-_REDUCTION = ReductionSettings(tolerance=1e-4, training=64, checks=240, rounds=2)
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,7 +80,7 @@ class PlateModels(ConvergedPlate):
 
     theory_error : (n_modes,) of first-order theory at the reference constants, relative
     bare : its reduced model
-    key : hash of all of that
+    key : all that it depends on, as a text
     """
 
     theory_error: Array
@@ -115,22 +106,22 @@ def plate_models(
     notify: Callable[[str], None] = lambda text: None,
     *,
     other_material: bool = False,
-    built: ReducedModel | None = None,
 ) -> PlateModels:
-    """Converge a plate over its priors and reduce it.
+    """Converge a plate over its priors and reduce it to what its list asks for.
 
-    built : what ``built_bare`` gave elsewhere, to be stored in place of one built here
+    other_material : over the search bounds of its constants, without the matrices of the full space
     """
+    assert specimen.measurement is not None
     parameters, problem, samples = _bare(specimen, other_material)
+    settings = ReductionSettings(basis_tolerance(specimen.measurement))
 
-    def build() -> ReducedModel:
-        if built is not None:
-            return built
+    def make() -> ReducedModel:
         notify("converging the plate")
-        return _reduced(converged_plate(problem, samples, n_modes))
+        reduced = _reduced(converged_plate(problem, samples, n_modes), settings.tolerance)
+        return without_matrices(reduced) if other_material else reduced
 
-    key = model_key(specimen, parameters, n_modes, ENERGY_CONSISTENT, _REDUCTION, None)
-    bare = stored_model(_hash(key, "bare"), problem, samples.x, n_modes, build, light=other_material)
+    key = model_key(specimen, parameters, n_modes, ENERGY_CONSISTENT, settings, None)
+    bare = remembered(json.dumps([key, "bare", other_material]), make)
     assert bare.full.basis is not None
     return PlateModels(
         specimen,
@@ -181,20 +172,6 @@ def extended_on_space(plate: ConvergedPlate, effect: Effect) -> PlateModel:
     return model_on_basis(problem, samples, plate.n_modes, plate.error, (plate.settings, keep))
 
 
-@single_blas_thread
-def built_bare(specimen: Specimen, n_modes: int) -> ReducedModel:
-    """The plate over the search bounds of its constants, built anew and not stored."""
-    _, problem, samples = _bare(specimen, other_material=True)
-    return without_matrices(_reduced(converged_plate(problem, samples, n_modes)))
-
-
-def is_bare_stored(specimen: Specimen, n_modes: int) -> bool:
-    """Whether the plate over the search bounds of its constants is on disk."""
-    parameters = diagnosis_parameters(specimen, other_material=True)
-    key = model_key(specimen, parameters, n_modes, ENERGY_CONSISTENT, _REDUCTION, None)
-    return model_path(_hash(key, "bare")).exists()
-
-
 def _bare(specimen: Specimen, other_material: bool) -> tuple[ParameterSet, Problem, Samples]:
     parameters = diagnosis_parameters(specimen, other_material=other_material)
     problem = replace(plate_problem(specimen, parameters), rigid_content=_CONTENT)
@@ -203,59 +180,29 @@ def _bare(specimen: Specimen, other_material: bool) -> tuple[ParameterSet, Probl
 
 @single_blas_thread
 def extended_model(
-    plate: PlateModels,
-    effect: Effect,
-    notify: Callable[[str], None] = lambda text: None,
-    built: ReducedModel | LocalModel | None = None,
+    plate: PlateModels, effect: Effect, notify: Callable[[str], None] = lambda text: None
 ) -> ReducedModel | LocalModel:
-    """The reduced model of a plate with an effect, over the priors of both, from disk or built.
-
-    built : what ``built_model`` gave elsewhere, to be stored in place of one built here
-    """
-
-    def build() -> ReducedModel | LocalModel:
-        if built is not None:
-            return built
-        notify(f"building {effect.name} {effect.variant}".rstrip())
-        return built_model(plate, effect)
-
-    key = _effect_key(plate, effect)
-    if effect.is_anywhere:
-        return stored_local_model(
-            key, plate.problem, effect.parameter_set, lambda: cast("LocalModel", build())
-        )
-    problem, samples = extended_problem(plate, effect)
-    reduced = cast("Callable[[], ReducedModel]", build)
-    return stored_model(key, problem, samples, plate.n_modes, reduced, light=True)
-
-
-@single_blas_thread
-def built_model(plate: PlateModels, effect: Effect) -> ReducedModel | LocalModel:
-    """The model of a plate with an effect, built anew and not stored; the matrices of ``plate`` are not used.
+    """The reduced model of a plate with an effect, over the priors of both, without matrices of a full space.
 
     Where the effect changes the edges or couples bending with stretching the space is converged anew. An
-    effect at any place has one model for all places.
+    effect at any place has one model for all places. The matrices of ``plate`` are not used.
     """
-    if effect.is_anywhere:
-        return local_model(plate, effect)
-    problem, samples = extended_problem(plate, effect)
-    if needs_another_space(problem, effect, plate):
-        full = converged_plate(problem, Samples(samples, np.ones(2)), plate.n_modes)
-    else:
-        full = model_on_basis(problem, samples, plate.n_modes, plate.error, (plate.settings, plate.keep))
-    return without_matrices(_reduced(full, light=True))
 
+    def make() -> ReducedModel | LocalModel:
+        notify(f"building {effect.name} {effect.variant}".rstrip())
+        if effect.is_anywhere:
+            return local_model(plate, effect)
+        problem, samples = extended_problem(plate, effect)
+        if needs_another_space(problem, effect, plate):
+            full = converged_plate(problem, Samples(samples, np.ones(2)), plate.n_modes)
+        else:
+            full = model_on_basis(problem, samples, plate.n_modes, plate.error, (plate.settings, plate.keep))
+        return without_matrices(_reduced(full, plate.bare.tolerance))
 
-def is_stored(plate: PlateModels, effect: Effect) -> bool:
-    """Whether the model of a plate with an effect is on disk."""
-    key = _effect_key(plate, effect)
-    return (local_model_path(key) if effect.is_anywhere else model_path(key)).exists()
-
-
-def _effect_key(plate: PlateModels, effect: Effect) -> str:
-    """Hash of all that the model of a plate with an effect depends on."""
     priors = [[p.name, repr(p.prior)] for p in effect.parameters]
-    return _hash(plate.key, json.dumps([effect.name, effect.variant, effect.place, priors]))
+    # effects of scripts may have one name and do different things
+    key = [plate.key, effect.name, effect.variant, effect.place, repr(effect.change), priors]
+    return remembered(json.dumps(key), make)
 
 
 def extended_problem(plate: ConvergedPlate, effect: Effect) -> tuple[Problem, Array]:
@@ -283,15 +230,11 @@ def converged_plate(problem: Problem, samples: Samples, n_modes: int) -> PlateMo
     return PlateModel(converged.operator, n_modes, converged.error, (converged.settings, converged.keep))
 
 
-def _reduced(full: PlateModel, *, light: bool = False) -> ReducedModel:
+def _reduced(full: PlateModel, tolerance: float) -> ReducedModel:
     # the seed is fixed: a model does not depend on the run that first needed it
-    return reduce(full, np.random.default_rng(0), _REDUCTION, light=light)
+    return reduce(full, np.random.default_rng(0), ReductionSettings(tolerance))
 
 
 def needs_another_space(problem: Problem, effect: Effect, plate: ConvergedPlate) -> bool:
     """Whether the bare plate's space lacks functions for the problem with an effect."""
     return problem.edges != plate.problem.edges or effect.couples_stretching
-
-
-def _hash(*parts: str) -> str:
-    return hashlib.sha256(json.dumps(["diagnosis", *parts]).encode()).hexdigest()[:32]

@@ -295,6 +295,11 @@ class LabelledModel:
         return self.reduced.fast
 
     @property
+    def tolerance(self) -> float:
+        """Relative error of a frequency that the basis was made to."""
+        return self.reduced.tolerance
+
+    @property
     def n_modes(self) -> int:
         """Number of modes predicted."""
         return self.reduced.n_modes

@@ -25,14 +25,14 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from cpam_bayes.forward_model.build import reduced_model
 from cpam_bayes.forward_model.model import (
     ForwardModel,
     angle_parameters,
     discretisation_error,
     reference_vector,
 )
-from cpam_bayes.forward_model.reduced import ReducedModel
-from cpam_bayes.forward_model.store import reduced_model
+from cpam_bayes.forward_model.reduced import ReducedModel, basis_error
 from cpam_bayes.identification.search import (
     FOUND_AGAIN,
     LEAST_RMS,
@@ -204,7 +204,7 @@ class AngleSearchResult:
     value : F, Hz^2, or without unit where residuals are relative
     predicted : (n,) Hz on the full model
     rms : root mean square of its relative residuals
-    error : (n,) estimated relative error of the solver there
+    error : (n,) estimated relative error of the solver and of its reduced basis there
     swarm : the single one, or of several the one with the least F and the status of them all
     values : (n_swarms,) least F for the angles that each swarm ended at, ascending
     """
@@ -328,7 +328,7 @@ def search_angles(
         value=swarm.value,
         predicted=predicted,
         rms=float(np.sqrt(np.mean((predicted / measurement.frequencies - 1.0) ** 2))),
-        error=discretisation_error(model.full, best),
+        error=discretisation_error(model.full, best) + basis_error(model, best)[0],
         model=model,
         swarm=swarm,
         values=values,

@@ -17,7 +17,6 @@ from cpam_bayes.forward_model.composed import ComposedModel, Part
 from cpam_bayes.forward_model.known_errors import Array, known_errors, powers, theory_error
 from cpam_bayes.forward_model.labels import LabelledModel, list_order
 from cpam_bayes.forward_model.preconditions import birge_ratio
-from cpam_bayes.forward_model.reduced import DEFAULT_SETTINGS as REDUCTION
 from cpam_bayes.forward_model.reduced import ReducedModel
 from cpam_bayes.inference.derivatives import NormalScores, distinct
 from cpam_bayes.inference.laplace import maximise
@@ -60,7 +59,7 @@ def scatter(specimen: Specimen, model: Model, x: Array) -> Array:
     measurement, full = specimen.measurement, model.full
     assert measurement is not None
     order = list_order(model, x)[: measurement.size]
-    by_solver = np.hypot(full.error, REDUCTION.tolerance)[order]
+    by_solver = np.hypot(full.error, model.tolerance)[order]
     if not isinstance(specimen.material, Material):
         return np.asarray(by_solver)
     return np.hypot(by_solver, theory_error(specimen, full.predict(x[None]).frequencies[0, order]))

@@ -34,7 +34,7 @@ from cpam_bayes.forward_model.preconditions import (
     misfit_over_noise,
     units_notices,
 )
-from cpam_bayes.forward_model.reduced import ReducedModel
+from cpam_bayes.forward_model.reduced import ReducedModel, basis_error
 from cpam_bayes.identification.density import Draws, list_density, sampled
 from cpam_bayes.identification.search import Optimum, Residual, Search, required, search
 from cpam_bayes.inference.assessment import cut_notices, limiting_constraints
@@ -145,7 +145,7 @@ class PointEstimate:
     noise : relative standard deviation used for the linearised ones, the file's or, where that is left out,
         the residuals' own
     misfit : over the stated noise, as of ``misfit_over_noise``; 1 where that explains it
-    error : (n_modes,) estimated relative error of the solver at the answer
+    error : (n_modes,) estimated relative error of the solver and of its reduced basis at the answer
     laminate : flexural stiffness and constants, SI
     model, centre : what the swarm ran on, and its centre, as of ``reduced_model``
     swarm : the single one, or of several the first with the best optimum
@@ -218,8 +218,9 @@ def summarise(
 ) -> PointEstimate:
     """Summary of the best optimum of a search for an engineer."""
     measurement, unknowns = required(specimen)
-    model, swarm, error = searched.model, searched.swarm, searched.error
-    best = swarm.best
+    model, swarm = searched.model, searched.swarm
+    best, reduced = swarm.best, model.reduced if isinstance(model, LabelledModel) else model
+    error = searched.error + basis_error(reduced, best)[0]
     prediction = model.full.predict(best, jacobian=True)
     order = list_order(model, best)[: measurement.size]
     modes = model.full.modes(best)
@@ -283,7 +284,7 @@ def summarise(
         misfit=excess,
         error=error[order],
         laminate=flexural_constants(np.real(state.stiffness()), float(state.thickness)),
-        model=model.reduced if isinstance(model, LabelledModel) else model,
+        model=reduced,
         centre=searched.centre,
         swarm=swarm,
         swarms=searched.swarms,

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cpam_bayes.errors import checked
+from cpam_bayes.forward_model.build import basis_tolerance, reduced_model
 from cpam_bayes.forward_model.labels import LabelledModel, labelled_model, spare_modes
 from cpam_bayes.forward_model.model import (
     discretisation_error,
@@ -24,9 +25,7 @@ from cpam_bayes.forward_model.model import (
     size_parameters,
 )
 from cpam_bayes.forward_model.preconditions import explained_failures, require_choice, require_supported
-from cpam_bayes.forward_model.reduced import DEFAULT_SETTINGS as REDUCTION
-from cpam_bayes.forward_model.reduced import ReducedModel
-from cpam_bayes.forward_model.store import reduced_model
+from cpam_bayes.forward_model.reduced import ReducedModel, ReductionSettings
 from cpam_bayes.identification.density import residual_sd
 from cpam_bayes.inference.derivatives import Expansion
 from cpam_bayes.inference.laplace import maximise, polish
@@ -146,8 +145,9 @@ def search(
     settings = settings or SwarmSettings()
     n_modes = measurement.size + max(spare, spare_modes(measurement))
     stays, solves, least = centre is not None, 0, np.inf
+    reduction = ReductionSettings(basis_tolerance(measurement))
     for attempt in range(1, _MOST_MODELS + 1):
-        reduced = reduced_model(specimen, unknowns, n_modes, centre=centre, notify=notify)
+        reduced = reduced_model(specimen, unknowns, n_modes, settings=reduction, centre=centre, notify=notify)
         model = labelled_model(reduced, measurement, specimen)
         at = reference_vector(specimen, unknowns) if centre is None else centre
         sd = residual_sd(specimen, model, at) if residual == "whitened" else None
@@ -465,11 +465,12 @@ def posterior(
     spare = max(_ONE_MORE if measurement.complete else _SPARE_MODES, spare_modes(measurement))
     parameters = unknowns.union(size_parameters(specimen))
     with explained_failures(specimen):
-        reduced = reduced_model(specimen, parameters, measurement.size + spare)
+        reduction = ReductionSettings(basis_tolerance(measurement))
+        reduced = reduced_model(specimen, parameters, measurement.size + spare, settings=reduction)
     return plate_posterior(
         labelled_model(reduced, measurement, specimen),
         measurement,
-        np.hypot(reduced.full.error, REDUCTION.tolerance),
+        np.hypot(reduced.full.error, reduced.tolerance),
         likelihood=likelihood,
         degrees_of_freedom=degrees_of_freedom,
     )
@@ -494,19 +495,22 @@ def start_of(
     measurement, unknowns = required(specimen)
     sizes = size_parameters(specimen)
     parameters = unknowns.union(sizes)
+    reduction = ReductionSettings(basis_tolerance(measurement))
 
     def posterior_on(model: ReducedModel | LabelledModel, error: Array) -> Posterior:
         return plate_posterior(
             model,
             measurement,
-            np.hypot(error, REDUCTION.tolerance),
+            np.hypot(error, model.tolerance),
             likelihood=likelihood,
             degrees_of_freedom=degrees_of_freedom,
         )
 
     if not measurement.complete:
         spare = max(_SPARE_MODES, spare_modes(measurement))
-        reduced = reduced_model(specimen, parameters, measurement.size + spare, notify=notify)
+        reduced = reduced_model(
+            specimen, parameters, measurement.size + spare, settings=reduction, notify=notify
+        )
         model = labelled_model(reduced, measurement, specimen)
         target = posterior_on(model, reduced.full.error)
         bests, values, solves = swarm_on_posterior(target, seed, swarm_settings or SwarmSettings())
@@ -518,7 +522,9 @@ def start_of(
         nominal = reference_vector(specimen, sizes)
         bests = np.column_stack((bests, np.tile(nominal, (len(bests), 1))))
         centre = None if searched.centre is None else np.append(searched.centre, nominal)
-        reduced = reduced_model(specimen, parameters, model.n_modes, centre=centre, notify=notify)
+        reduced = reduced_model(
+            specimen, parameters, model.n_modes, settings=reduction, centre=centre, notify=notify
+        )
         model = labelled_model(reduced, measurement, specimen)
         error = discretisation_error(reduced.full, np.append(swarm.best, nominal))
     return Start(posterior_on(model, error), model, bests, swarm.personal_values, swarm.evaluations)

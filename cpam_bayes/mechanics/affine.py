@@ -6,7 +6,7 @@ tensor structure of a Ritz space; the parities of the factors say which symmetri
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Generic, Protocol, TypeVar
@@ -148,6 +148,14 @@ class RitzBlock(Block, Protocol):
         """The n lowest eigenvalues of m coefficient sets, (m, n), and their vectors, (m, n, size)."""
         ...
 
+    def lowest(self, near: Array, n: int, kept: Sequence[Array]) -> list[Array]:
+        """The n lowest eigenvalues of each term of K with that of M, on some functions, (m, n) each."""
+        ...
+
+    def stiffness_at(self, stiffness: Array) -> Array:
+        """K at one coefficient set (n_terms,), (n, n)."""
+        ...
+
     def mass_at(self, mass: Array) -> Array:
         """M at one coefficient set (n_terms,), (n, n)."""
         ...
@@ -233,6 +241,10 @@ class DenseBlock:
         sets = np.repeat(np.arange(len(k)), n)
         return values, _mapped(back, sets, vectors.reshape(-1, self.size)).reshape(vectors.shape)
 
+    def stiffness_at(self, stiffness: Array) -> Array:
+        """K at one coefficient set (n_terms,), (n, n)."""
+        return self.stiffness.assemble(stiffness)
+
     def mass_at(self, mass: Array) -> Array:
         """M at one coefficient set (n_terms,), (n, n)."""
         return self.mass.assemble(mass)
@@ -264,6 +276,28 @@ class DenseBlock:
         """The same."""
         return self
 
+    def lowest(self, near: Array, n: int, kept: Sequence[Array]) -> list[Array]:
+        """The n lowest eigenvalues of each term of K with that of M, on some of the functions, (m, n) each.
+
+        near : (m,) eigenvalues of about the size of the first one of a deformation mode
+        kept : (size,) bool each
+        """
+        eye = np.eye(len(near))
+        if self.size < _FEW_OF_MANY * n:
+            blocks = [self if k.all() else self.subset(k) for k in kept]
+            return [b.eigenvalues(eye, eye, min(n, b.size)) for b in blocks]
+        stiffness, mass = self.stiffness.assemble(eye), self.mass.assemble(eye)
+        each = [
+            _lowest_by_krylov(k, m, _KRYLOV_SHIFT * first, n, kept)
+            for k, m, first in zip(stiffness, mass, near, strict=True)
+        ]
+        return [np.stack(values) for values in zip(*each, strict=True)]
+
+    def subset(self, keep: Array) -> DenseBlock:
+        """The block on some of its functions, ``keep`` (n,) bool, which are counted anew."""
+        matrices = self.stiffness.restricted(keep), self.mass.restricted(keep)
+        return DenseBlock(*matrices, np.arange(np.count_nonzero(keep)), self.n_terms)
+
     def energies(self, vectors: Array) -> tuple[Array, Array]:
         """phi^T K_q phi and phi^T M_q phi of vectors (k, size) for every term, (k, n_terms) each."""
         terms = []
@@ -281,6 +315,63 @@ def _lowest(stack: Array, n: int) -> Array:
     if stack.shape[-1] == 1:
         return np.asarray(stack[..., 0])
     return matrix_by_matrix(np.linalg.eigvalsh, stack)[..., :n]
+
+
+def _lowest_by_krylov(k: Array, m: Array, shift: float, n: int, kept: Sequence[Array]) -> list[Array]:
+    """The n lowest eigenvalues (n,) of K phi = lambda M phi on all functions and on those of each mask.
+
+    With K + shift M = L L^T they are 1 / mu - shift, mu the largest eigenvalues of L^-1 M L^-T, by a block
+    Krylov method (Golub and Underwood, in Mathematical Software III, 1977). Functions are left out by a
+    projection: phi_c = 0 where y = L^T phi is orthogonal to the columns c of L^-1. A restriction begins from
+    the modes of all functions.
+    """
+    factor = np.linalg.cholesky(k + shift * m)
+
+    def image(y: Array) -> Array:
+        phi = solve_triangular(factor, y, trans="T", lower=True, check_finite=False)
+        return np.asarray(solve_triangular(factor, m @ phi, lower=True, check_finite=False))
+
+    size = np.arange(len(k))
+    # a fixed start without a symmetry
+    start = np.cos(np.outer(1.0 + size, 1.0 + np.sqrt(np.arange(n))))
+    found = []
+    for mask in kept:
+        gone = np.flatnonzero(~mask)
+        left = np.linalg.qr(solve_triangular(factor, np.eye(len(k))[:, gone], lower=True))[0]
+        mu, vectors = _largest_by_krylov(image, start, left, n, shift)
+        found.append(1.0 / mu - shift)
+        start = vectors if mask.all() else start
+    return found
+
+
+def _largest_by_krylov(
+    image: Callable[[Array], Array], start: Array, left: Array, n: int, shift: float
+) -> tuple[Array, Array]:
+    """The n largest eigenvalues (n,) of a symmetric image, and their vectors (size, n), without ``left``.
+
+    start, left : (size, k) vectors to begin with, and orthonormal ones to which all vectors are orthogonal
+    """
+
+    def orthonormal(y: Array, basis: Array) -> Array:
+        for _ in range(2):
+            y = y - left @ (left.T @ y)
+            y = y - basis @ (basis.T @ y)
+        return np.asarray(np.linalg.qr(y)[0])
+
+    basis = orthonormal(start, np.empty((len(start), 0)))
+    last, images, before = basis, np.empty((len(start), 0)), np.full(n, np.nan)
+    while True:
+        images = np.column_stack((images, image(last)))
+        product = basis.T @ images
+        mu, vectors = np.linalg.eigh(0.5 * (product + product.T))
+        mu, vectors = mu[::-1][:n], vectors[:, ::-1][:, :n]
+        if len(mu) == n and np.all(np.abs(mu - before) <= _SAME_VALUE * mu * (shift * mu)):
+            return mu, basis @ vectors
+        before = mu if len(mu) == n else before
+        if basis.shape[1] + last.shape[1] > len(start) - left.shape[1]:
+            return mu, basis @ vectors
+        last = orthonormal(images[:, -last.shape[1] :], basis)
+        basis = np.column_stack((basis, last))
 
 
 def _lowest_pairs(matrix: Array, n: int) -> tuple[Array, Array]:
@@ -335,6 +426,9 @@ def _iterated(k: Array, eigenvalues: Array, sets: Array, column: Array) -> Array
 
 # Size beyond which inverse iterations do not pay: with ten modes it is 40, with five 70.
 _LARGE = 60
+# Functions for each wanted eigenvalue from which on a Krylov method costs less; the shift over the first
+# eigenvalue, and the change of an eigenvalue over it with which the method ends.
+_FEW_OF_MANY, _KRYLOV_SHIFT, _SAME_VALUE = 20, 0.5, 1e-8
 # Fraction of the eigenpairs of a large block above which all of them, by divide and conquer, cost less.
 _FEW = 1 / 6
 # Relative distance of eigenvalues under which an inverse iteration does not tell their vectors apart.

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from cpam_bayes.mechanics.affine import DenseOperator, restricted
 from cpam_bayes.mechanics.dense import discretise, discretise_at
-from cpam_bayes.mechanics.modes import RigidBodyError, Spectrum, solve
+from cpam_bayes.mechanics.modes import RigidBodyError, Spectrum, lowest_frequencies, solve
 from cpam_bayes.mechanics.problem import Problem, Values
 from cpam_bayes.mechanics.ritz import RitzSettings, RitzSpace, ritz_space
 from cpam_bayes.plate.edges import conditions
@@ -47,6 +47,8 @@ _THINNEST = 700.0
 # Edge exponentials, from few to many: (exponentials at each edge, carried by all bending fields).
 _UNCOUPLED_LAYERS = ((1, False), (2, False), (3, False))
 _COUPLED_LAYERS = ((1, False), (1, True), (2, True), (3, True))
+# Fractions of a mode's energy under which trial functions are left out.
+_THRESHOLDS = 10.0 ** np.arange(-7.0, -4.0, 0.25)
 _MAX_LAYERS = 3
 _MAX_CORNER_LAYERS = 3
 
@@ -93,23 +95,26 @@ def converge(
     n_samples = _count(samples)
     allowed = (np.ones(n_samples) if allowance is None else allowance)[:, None]
     rich, rich_error, rich_settings = _rich(problem, samples, n_modes, tolerance, allowed)
-    settings = _grow(problem, samples, rich.frequencies, rich_settings, tolerance, allowed)
+    settings = _grow(problem, samples, rich, rich_settings, tolerance, allowed)
     space = ritz_space(problem.edges, problem.nominal, settings)
     sampled = discretise_at(problem, space, samples)
-    eye = np.eye(len(rich.eigenvalues))
+    eye = np.eye(len(rich))
     sampled_modes = solve(sampled, eye, eye, _more_modes(n_modes), vectors=True)
     importance, rigid = _importance(sampled, sampled_modes, n_modes), _rigid_functions(space, problem)
     keep, error = (
         np.ones(len(importance), dtype=bool),
-        sampled_modes.frequencies[:, :n_modes] / rich.frequencies - 1.0,
+        sampled_modes.frequencies[:, :n_modes] / rich - 1.0,
     )
-    for threshold in 10.0 ** np.arange(-7.0, -4.0, 0.25):
-        candidate = (importance > threshold) | rigid
-        frequencies = solve(restricted(sampled, candidate), eye, eye, n_modes).frequencies
-        its_error = frequencies / rich.frequencies - 1.0
+    # a smaller space errs more: the highest threshold that is allowed is found by halving
+    low, high = -1, len(_THRESHOLDS)
+    while high - low > 1:
+        middle = (low + high) // 2
+        candidate = (importance > _THRESHOLDS[middle]) | rigid
+        its_error = solve(restricted(sampled, candidate), eye, eye, n_modes).frequencies / rich - 1.0
         if np.max(its_error / allowed) > tolerance.kept:
-            break
-        keep, error = candidate, its_error
+            high = middle
+        else:
+            low, keep, error = middle, candidate, its_error
     return ConvergedOperator(
         operator=discretise(problem, space.restricted(keep), samples),
         error=np.maximum(_strictest(error, allowed), 0.0) + _strictest(rich_error, allowed),
@@ -131,14 +136,22 @@ def rich_frequencies(
 ) -> RichFrequencies:
     """Frequencies as exact as ``converge`` would compare with, at parameter samples (n_samples,)."""
     allowed = np.ones((_count(samples), 1))
-    spectrum, error, _ = _rich(problem, samples, n_modes, tolerance or default_tolerance(problem), allowed)
-    return RichFrequencies(spectrum.frequencies, error)
+    frequencies, error, _ = _rich(problem, samples, n_modes, tolerance or default_tolerance(problem), allowed)
+    return RichFrequencies(frequencies, error)
 
 
-def _sampled_frequencies(problem: Problem, samples: Values, settings: RitzSettings, n_modes: int) -> Array:
+def _sampled_frequencies(
+    problem: Problem, samples: Values, settings: RitzSettings, n_modes: int, near: Array | None = None
+) -> Array:
     operator = discretise_at(problem, ritz_space(problem.edges, problem.nominal, settings), samples)
+    if near is not None:
+        return lowest_frequencies(operator, near, n_modes)[0]
     eye = np.eye(_count(samples))
     return solve(operator, eye, eye, n_modes).frequencies
+
+
+def _some(samples: Values, which: Array) -> dict[str, Array]:
+    return {name: np.atleast_1d(values)[which] for name, values in samples.items()}
 
 
 def _strictest(error: Array, allowed: Array) -> Array:
@@ -169,8 +182,7 @@ def _grow(
     current, level = RitzSettings(start, start, *ladder[0]), 0
 
     def error(settings: RitzSettings, which: Array) -> Array:
-        chosen = {name: np.atleast_1d(values)[which] for name, values in samples.items()}
-        frequencies = _sampled_frequencies(problem, chosen, settings, n_modes)
+        frequencies = _sampled_frequencies(problem, _some(samples, which), settings, n_modes)
         return np.asarray(np.max(frequencies / reference[which] - 1.0, axis=1) / allowed[which, 0])
 
     everywhere = np.arange(len(reference))
@@ -215,11 +227,11 @@ def _basis_size(settings: RitzSettings) -> int:
 
 def _rich(
     problem: Problem, samples: Values, n_modes: int, tolerance: Tolerance, allowed: Array
-) -> tuple[Spectrum, Array, RitzSettings]:
-    """Modes of a rich space at the samples, its own relative errors (n_samples, n_modes), its settings.
+) -> tuple[Array, Array, RitzSettings]:
+    """Frequencies of a rich space at the samples, their relative errors (n_samples, n_modes), its settings.
 
     The error is what a polynomial less in x, one less in y and one exponential less would add; the
-    space grows where that is too much.
+    space grows where that is too much, where fields are coupled first for one sample alone.
     """
     _refuse_too_thin(problem)
     stiffness = np.abs(problem.state(samples).stiffness()).reshape(-1, 8, 8).max(axis=0)
@@ -227,27 +239,38 @@ def _rich(
     clamped = any(edge.is_clamp for edge in conditions(problem.edges))
     degree = 10 + int(np.sqrt(n_modes))
     settings = RitzSettings(degree, degree, 2, clamped or not orthotropic, 2 if clamped else 0)
-    eye = np.eye(_count(samples))
+    n_samples = _count(samples)
+    # where stretching and bending are coupled a solve costs more than an assembly
+    one = settings.coupled and n_samples > 1
+    which = np.arange(1 if one else n_samples)
+    rough = RitzSettings(7, 7, 1, settings.coupled, min(settings.corner_layers, 1))
+    near = _first_eigenvalues(problem, samples, rough)
     while True:
+        some = _some(samples, which)
         space = ritz_space(problem.edges, problem.nominal, settings)
-        operator = discretise_at(problem, space, samples)
-        spectrum = solve(operator, eye, eye, n_modes)
-        less = [
-            solve(restricted(operator, _without_highest(space, axis)), eye, eye, n_modes).frequencies
-            for axis in (0, 1)
-        ]
+        masks = [_without_highest(space, axis) for axis in (0, 1)]
+        operator = discretise_at(problem, space, some)
+        frequencies, *less = lowest_frequencies(operator, near[which], n_modes, masks)
         fewer = replace(
             settings,
             layers=settings.layers - 1,
             corner_layers=max(settings.corner_layers - 1, 0),
         )
-        less.append(_sampled_frequencies(problem, samples, fewer, n_modes))
-        error = [np.maximum(f / spectrum.frequencies - 1.0, 0.0) for f in less]
-        wanting = [bool(np.max(e / allowed) > tolerance.rich) for e in error]
+        less.append(_sampled_frequencies(problem, some, fewer, n_modes, near[which]))
+        error = [np.maximum(f / frequencies - 1.0, 0.0) for f in less]
+        wanting = [bool(np.max(e / allowed[which]) > tolerance.rich) for e in error]
         grown = _grown(settings, wanting, tolerance)
-        if grown == settings:
-            return spectrum, np.sum(error, axis=0), settings
-        settings = grown
+        if grown != settings:
+            settings = grown
+        elif one:
+            one, which = False, np.arange(n_samples)
+        else:
+            return frequencies, np.sum(error, axis=0), settings
+
+
+def _first_eigenvalues(problem: Problem, samples: Values, settings: RitzSettings) -> Array:
+    """The lowest eigenvalue of a deformation mode at each sample, roughly, (n_samples,)."""
+    return np.asarray((2 * np.pi * _sampled_frequencies(problem, samples, settings, 1)[:, 0]) ** 2)
 
 
 def _refuse_too_thin(problem: Problem) -> None:

@@ -241,6 +241,25 @@ class LoadedBlock:
         k, m = (np.sum(terms, axis=0) for terms in zip(*of_parts, strict=True))
         return k, m + (vectors @ self.rows.T) ** 2 @ self.inertia.T
 
+    def lowest(self, near: Array, n: int, kept: Sequence[Array]) -> list[Array]:
+        """The n lowest eigenvalues of each term of K with that of M, on some of the functions, (m, n) each.
+
+        near : (m,) the number of terms counts; kept : (size,) bool each
+        """
+        eye = np.eye(len(near))
+        blocks = [self if k.all() else self.subset(k) for k in kept]
+        return [block.eigenvalues(eye, eye, n) for block in blocks]
+
+    def subset(self, keep: Array) -> LoadedBlock:
+        """The block on some of its functions, ``keep`` (n,) bool, which are counted anew."""
+        of_parts = zip(self.parts, self.split(keep), strict=True)
+        parts = tuple(part.subset(k) for part, k in of_parts if k.any())
+        return LoadedBlock(parts, self.rows[:, keep], self.inertia)
+
+    def stiffness_at(self, stiffness: Array) -> Array:
+        """K at one coefficient set (n_terms,), (n, n)."""
+        return np.asarray(scipy.linalg.block_diag(*[part.stiffness_at(stiffness) for part in self.parts]))
+
     def mass_at(self, mass: Array) -> Array:
         """M at one coefficient set (n_terms,), (n, n)."""
         of_parts = scipy.linalg.block_diag(*[part.mass_at(mass) for part in self.parts])

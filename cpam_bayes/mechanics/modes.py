@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -10,7 +11,7 @@ import scipy.optimize
 from numpy.polynomial.legendre import legvander
 from numpy.typing import NDArray
 
-from cpam_bayes.mechanics.affine import AffineOperator, ModeVectors
+from cpam_bayes.mechanics.affine import AffineOperator, DenseOperator, ModeVectors
 from cpam_bayes.mechanics.problem import MEMBRANE_FIELDS, Region, rigid_body_count
 from cpam_bayes.mechanics.ritz import Quadrature
 from cpam_bayes.plate.edges import EDGES, FIELDS, Field, conditions
@@ -91,7 +92,7 @@ def solve(
     pooled = np.concatenate(values, axis=-1)
     order = np.argsort(pooled, axis=-1, kind="stable")[..., : n_rigid + n_modes]
     ranked = np.take_along_axis(pooled, order, axis=-1)
-    _check_rigid(ranked, n_rigid, SUPPORTED_TOLERANCE if operator.problem.supported else RIGID_TOLERANCE)
+    check_rigid(ranked, n_rigid, supported=operator.problem.supported)
     order = order[..., n_rigid:]
     block, column = owner[order], place[order]
     shapes = None
@@ -101,6 +102,31 @@ def solve(
             for i, (b, (_, block_vectors)) in enumerate(zip(operator.blocks, pairs, strict=True))
         )
     return Spectrum(ranked[..., n_rigid:], block, column, shapes, ranked[..., :n_rigid])
+
+
+def lowest_frequencies(
+    operator: DenseOperator, near: Array, n_modes: int, masks: Sequence[Array] = ()
+) -> list[Array]:
+    """The lowest frequencies of each matrix of an operator, and of its restrictions, (m, n_modes) Hz each.
+
+    The operator is that of ``discretise_at``. A large block is not solved for all its eigenvalues.
+
+    near : (m,) eigenvalues of about the size of the first ones
+    masks : the trial functions of every restriction, (n_functions,) bool each
+    """
+    n_rigid = rigid_body_count(operator.problem.edges)
+    wanted = n_rigid + n_modes
+    values: list[list[Array]] = [[] for _ in range(len(masks) + 1)]
+    for block in operator.blocks:
+        kept = [np.ones(block.size, bool), *(mask[block.index] for mask in masks)]
+        for of_all, of_block in zip(values, block.lowest(near, wanted, kept), strict=True):
+            of_all.append(of_block)
+    ranked = [np.sort(np.concatenate(of_all, axis=1), axis=1)[:, :wanted] for of_all in values]
+    for lam in ranked:
+        if lam.shape[1] < wanted:
+            raise ValueError(f"{n_modes} modes asked for, the space has {lam.shape[1] - n_rigid}")
+        check_rigid(lam, n_rigid, supported=operator.problem.supported)
+    return [np.sqrt(np.maximum(lam[:, n_rigid:], 0.0)) / (2 * np.pi) for lam in ranked]
 
 
 def _vectors(mode_vectors: ModeVectors, size: int, where: tuple[Array, ...], column: Array) -> Array:
@@ -114,7 +140,12 @@ def _vectors(mode_vectors: ModeVectors, size: int, where: tuple[Array, ...], col
     return vectors
 
 
-def _check_rigid(ranked: Array, n_rigid: int, tolerance: float) -> None:
+def check_rigid(ranked: Array, n_rigid: int, *, supported: bool) -> None:
+    """Raise ``RigidBodyError`` where lowest eigenvalues (..., n) are not those of so many rigid-body motions.
+
+    supported : whether the plate lies on a soft support
+    """
+    tolerance = SUPPORTED_TOLERANCE if supported else RIGID_TOLERANCE
     first = ranked[..., n_rigid]
     largest = np.abs(ranked[..., :n_rigid]).max(axis=-1, initial=0.0)
     least = LEAST_SHARE * ranked[..., -1]

@@ -28,8 +28,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cpam_bayes.answer import Notice
+from cpam_bayes.forward_model.build import reduced_model
 from cpam_bayes.forward_model.model import reference_constants
-from cpam_bayes.forward_model.store import reduced_model
 from cpam_bayes.identification.point import PointEstimate, estimate_constants
 from cpam_bayes.identification.search import required
 from cpam_bayes.inference.ensemble import EnsembleSettings

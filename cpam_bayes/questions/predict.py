@@ -16,6 +16,7 @@ from cpam_bayes.answer import Notice
 from cpam_bayes.command import MODES, PLATE, Command, option, whole
 from cpam_bayes.errors import PlateFileError, checked
 from cpam_bayes.formatting import listed, significant, with_spread
+from cpam_bayes.forward_model.build import reduced_model
 from cpam_bayes.forward_model.labels import MeasuredFrequency, measured_modes, measured_of_modes
 from cpam_bayes.forward_model.model import SIZES, air_shifts, size_parameters
 from cpam_bayes.forward_model.preconditions import (
@@ -27,7 +28,6 @@ from cpam_bayes.forward_model.preconditions import (
     require_supported,
     require_whole,
 )
-from cpam_bayes.forward_model.store import reduced_model
 from cpam_bayes.identification.stored_posterior import StoredPosterior, read_posterior, stored_posterior
 from cpam_bayes.mechanics.modes import Mode
 from cpam_bayes.parameters import Parameter, ParameterSet, Uniform

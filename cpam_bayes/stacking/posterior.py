@@ -17,9 +17,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cpam_bayes.forward_model.build import reduced_model
 from cpam_bayes.forward_model.model import angle_parameters, reference_vector
-from cpam_bayes.forward_model.reduced import DEFAULT_SETTINGS as REDUCTION
-from cpam_bayes.forward_model.store import reduced_model
 from cpam_bayes.identification.search import required
 from cpam_bayes.inference.assessment import thinned
 from cpam_bayes.inference.ensemble import (
@@ -114,7 +113,7 @@ def stacking_problem(
     n_modes = measurement.size + (0 if measurement.complete else _SPARE_MODES)
     parameters = angle_parameters(specimen).union(unknowns)
     model = reduced_model(specimen, parameters, n_modes, notify=notify)
-    error = np.asarray(np.hypot(model.full.error, REDUCTION.tolerance))
+    error = np.asarray(np.hypot(model.full.error, model.tolerance))
     conditional = conditional_posterior(model, layup.n_unknown, measurement, error)
     return StackingProblem(
         specimen=specimen,

@@ -17,10 +17,9 @@ from numpy.typing import NDArray
 from scipy.stats import kstest
 
 from cpam_bayes.calibration import prior_draw
+from cpam_bayes.forward_model.build import reduced_model
 from cpam_bayes.forward_model.model import angle_parameters, reference_vector
-from cpam_bayes.forward_model.reduced import DEFAULT_SETTINGS as REDUCTION
 from cpam_bayes.forward_model.reduced import ReducedModel
-from cpam_bayes.forward_model.store import reduced_model
 from cpam_bayes.parallel import counted, run
 from cpam_bayes.plate import Measurement, Specimen, angle_grid, builtin
 from cpam_bayes.plate.layup import parse_layup
@@ -237,7 +236,7 @@ def _posterior(
     measurement = Measurement(
         frequencies, 0.0, settings.relative_std, None, ("",) * len(frequencies), complete=True
     )
-    error = np.asarray(np.hypot(model.full.error, REDUCTION.tolerance))
+    error = np.asarray(np.hypot(model.full.error, model.tolerance))
     return conditional_posterior(model, n_angles, measurement, error)
 
 

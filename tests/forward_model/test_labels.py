@@ -11,6 +11,7 @@ import pytest
 from scipy.stats import special_ortho_group
 
 import cpam_bayes as cb
+from cpam_bayes.forward_model.build import reduced_model
 from cpam_bayes.forward_model.labels import (
     AmbiguousShapesError,
     LabelError,
@@ -22,7 +23,6 @@ from cpam_bayes.forward_model.labels import (
     same_label,
 )
 from cpam_bayes.forward_model.reduced import ReducedModel
-from cpam_bayes.forward_model.store import reduced_model
 from cpam_bayes.identification.point import estimate_constants
 from cpam_bayes.identification.search import search, start_of
 from cpam_bayes.inference.derivatives import expand

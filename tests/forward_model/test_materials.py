@@ -12,12 +12,12 @@ from numpy.testing import assert_allclose
 
 import cpam_bayes as cb
 from cpam_bayes.errors import PlateFileError
+from cpam_bayes.forward_model.build import model_key
 from cpam_bayes.forward_model.calculix import solve_modes
 from cpam_bayes.forward_model.known_errors import LIMIT, sandwich_error
 from cpam_bayes.forward_model.model import NO_PARAMETERS, plate_problem, reference_constants
 from cpam_bayes.forward_model.preconditions import exchange_notices
 from cpam_bayes.forward_model.reduced import DEFAULT_SETTINGS
-from cpam_bayes.forward_model.store import model_key
 from cpam_bayes.mechanics.convergence import Tolerance
 from cpam_bayes.plate.laminate import ENERGY_CONSISTENT, flexural_constants
 from cpam_bayes.render.notices import sentence_of
@@ -121,7 +121,7 @@ def test_bricks_agree_where_the_halves_weigh_differently() -> None:
     assert_allclose(ritz, bricks, rtol=1e-3)
 
 
-def test_a_stored_model_is_of_one_hybrid() -> None:
+def test_a_model_is_of_one_hybrid() -> None:
     def key(plate: dict[str, Any]) -> str:
         specimen = cb.read_plate(plate)
         return model_key(specimen, NO_PARAMETERS, 5, ENERGY_CONSISTENT, DEFAULT_SETTINGS, None)

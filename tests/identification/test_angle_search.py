@@ -9,9 +9,9 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.optimize import least_squares, lsq_linear
 
+from cpam_bayes.forward_model.build import reduced_model
 from cpam_bayes.forward_model.model import reference_vector
 from cpam_bayes.forward_model.reduced import ReductionSettings
-from cpam_bayes.forward_model.store import reduced_model
 from cpam_bayes.identification import angle_search
 from cpam_bayes.identification.angle_search import (
     AngleSearchProblem,

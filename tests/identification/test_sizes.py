@@ -11,9 +11,9 @@ import pytest
 
 import cpam_bayes as cb
 from cpam_bayes.diagnosis.cases import plate_case
+from cpam_bayes.forward_model.build import reduced_model
 from cpam_bayes.forward_model.known_errors import ScaleError
 from cpam_bayes.forward_model.model import NO_PARAMETERS, converged_model, reference_vector, size_parameters
-from cpam_bayes.forward_model.store import reduced_model
 from cpam_bayes.identification.point import LEAST_WIDENING, reliances
 from cpam_bayes.identification.search import start_of
 from cpam_bayes.inference.ensemble import EnsembleSettings

@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
+from cpam_bayes.forward_model.build import reduced_model
 from cpam_bayes.forward_model.model import Prediction, reference_vector
 from cpam_bayes.forward_model.reduced import ReducedModel
-from cpam_bayes.forward_model.store import reduced_model
 from cpam_bayes.inference.completeness import (
     DROP_95,
     AlternativePairing,

@@ -8,14 +8,13 @@ import numpy as np
 import pytest
 from scipy.stats import norm, t
 
+from cpam_bayes.forward_model.build import reduced_model
 from cpam_bayes.forward_model.model import (
     Prediction,
     plate_problem,
     reference_constants,
     reference_vector,
 )
-from cpam_bayes.forward_model.reduced import DEFAULT_SETTINGS
-from cpam_bayes.forward_model.store import reduced_model
 from cpam_bayes.inference.ensemble import EnsembleSettings
 from cpam_bayes.inference.posterior import (
     NOISE,
@@ -298,7 +297,7 @@ def test_the_reduced_model_changes_no_mean() -> None:
     f = model.full.predict(reference_vector(specimen, specimen.unknowns)).frequencies[0]
     f = f * (1.0 + 0.002 * np.random.default_rng(3).standard_normal(len(f)))
     listed = replace(specimen.measurement, frequencies=f, relative_std=0.002, resolution=0.0)
-    error = np.hypot(model.full.error, DEFAULT_SETTINGS.tolerance)
+    error = np.hypot(model.full.error, model.tolerance)
     own = plate_posterior(model, listed, error)
     # both models are compared on the same draws, so these need not be many
     brief = EnsembleSettings(walkers=24, round_steps=400, r_hat=1.1, effective=300.0, lengths=10.0)

@@ -17,7 +17,7 @@ import pytest
 from distributed import Client
 
 from cpam_bayes import __version__
-from cpam_bayes.forward_model.store import reduced_model
+from cpam_bayes.forward_model.build import reduced_model
 from cpam_bayes.inference.posterior import Posterior, plate_posterior
 from cpam_bayes.parallel import WorkersLostError, open_executor, run
 from cpam_bayes.plate import read_specimen

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from cpam_bayes.forward_model.build import reduced_model
 from cpam_bayes.forward_model.model import angle_parameters, plate_problem, reference_vector
-from cpam_bayes.forward_model.store import reduced_model
 from cpam_bayes.identification.angle_search import search_parameters
 from cpam_bayes.mechanics.dense import discretise_at
 from cpam_bayes.mechanics.modes import solve

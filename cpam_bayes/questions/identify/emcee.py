@@ -33,7 +33,7 @@ from cpam_bayes.forward_model.preconditions import (
     require_supported,
     stated_noise_slips,
 )
-from cpam_bayes.forward_model.reduced import ReducedModel
+from cpam_bayes.forward_model.reduced import ReducedModel, basis_error
 from cpam_bayes.identification.point import reliances, sampled_notices, verdict_of
 from cpam_bayes.identification.search import NO_MESH, required, start_of
 from cpam_bayes.inference.assessment import (
@@ -67,6 +67,8 @@ _TOUCH = 0.01
 _AT_BOUND = 0.05
 # Draws that predictions and laminate constants are averaged over.
 _PREDICTIVE_DRAWS = 1000
+# Of these the draws at which the basis is checked by full solves.
+_CHECKED_DRAWS = 8
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,7 +109,8 @@ class SampledResult(PlateResult):
     p_value : posterior predictive p-value of the sum of squared standardised residuals
     explained : whether the noise as stated explains the misfit
     laminate : name -> (mean, sd)
-    error : relative error of the solver at the most probable draw in the modes that have a frequency
+    error : relative error of the solver at the most probable draw, and of its basis at a few draws, in the
+        modes that have a frequency
     scale_errors : what errors of sizes, mass and frequency scale do to the constants
     reliances : intervals that rest on the bounds or the prior of another constant
     doubt : a pairing of a complete list that is far more probable than one to one
@@ -331,6 +334,8 @@ def _summarise(
         p.name: _marginal(p.prior, x) for p, x in zip(posterior.parameters.parameters, draws.T, strict=True)
     }
     relied_on = _reliances(posterior, draws, names)
+    reduced = model.reduced if isinstance(model, LabelledModel) else model
+    by_basis = basis_error(reduced, few[:_CHECKED_DRAWS, :n]).max(axis=0)
     constants = {
         name: replace(
             _constant(specimen, posterior, name, marginals[name], explained=explained),
@@ -364,7 +369,7 @@ def _summarise(
         p_value=p_value,
         explained=explained,
         laminate=_laminate(model, few[:, :n]),
-        error=discretisation_error(model.full, best[:n])[paired],
+        error=(discretisation_error(model.full, best[:n]) + by_basis)[paired],
         scale_errors=_scale_errors(specimen, posterior, model, best, pairing, order),
         reliances=relied_on,
         doubt=doubt,

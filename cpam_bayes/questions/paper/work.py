@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from cpam_bayes import __version__
 from cpam_bayes.answer import Constant
 from cpam_bayes.fingerprint import fingerprint
-from cpam_bayes.forward_model.store import reduced_model
+from cpam_bayes.forward_model.build import reduced_model
 from cpam_bayes.identification.angle_search import AngleSearchProblem, run_swarm, search_parameters
 from cpam_bayes.identification.search import required, search
 from cpam_bayes.inference.ensemble import DEFAULT_SETTINGS, EnsembleSettings

@@ -1,0 +1,135 @@
+"""Reduced models of specimens, as accurate as their lists ask for; a process makes each of them once."""
+
+from __future__ import annotations
+
+import json
+from collections import OrderedDict
+from collections.abc import Callable
+from dataclasses import asdict, astuple, replace
+from threading import Lock
+from typing import Any, Final, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cpam_bayes.forward_model.model import converged_model
+from cpam_bayes.forward_model.reduced import DEFAULT_SETTINGS, ReducedModel, ReductionSettings, reduce
+from cpam_bayes.mechanics.affine import AffineOperator
+from cpam_bayes.parameters import ParameterSet
+from cpam_bayes.plate import Measurement, Specimen
+from cpam_bayes.plate.laminate import ENERGY_CONSISTENT, ShearModel
+from cpam_bayes.running import single_blas_thread
+from cpam_bayes.storage import name_unused_models
+
+Array = NDArray[Any]
+T = TypeVar("T")
+
+# Error of a basis over the least noise, and between which it lies.
+_SHARE, _LEAST, _MOST = 0.05, 2e-5, 1e-3
+# Relative noise that an inferred one may be as small as: what exact lists have left of it is the fit's.
+_INFERRED = 1e-3
+# Models that a process keeps, those used last.
+_KEPT: Final = 48
+
+
+def basis_tolerance(measurement: Measurement) -> float:
+    """Relative error of a basis that does not show beside the noise of a list.
+
+    0.05 of the least relative standard deviation of a frequency, by noise and rounding together; where the
+    noise is inferred it may be 0.1 %.
+    """
+    stated = _INFERRED if measurement.relative_std is None else measurement.relative_std
+    sd = np.hypot(measurement.noise_sd(stated), measurement.resolution / np.sqrt(12.0))
+    return float(np.clip(_SHARE * np.min(sd / measurement.frequencies, initial=np.inf), _LEAST, _MOST))
+
+
+def model_key(
+    specimen: Specimen,
+    parameters: ParameterSet,
+    n_modes: int,
+    shear: ShearModel,
+    settings: ReductionSettings,
+    centre: Array | None,
+) -> str:
+    """All that a reduced model depends on, as a text: the plate, not what was measured of it."""
+    plate = specimen.plate
+    content = {
+        "sizes": [plate.length, plate.width, plate.thickness, plate.density, plate.mass],
+        "layup": [
+            [repr(float(a)) for a in plate.layup.angles_deg],
+            plate.layup.unknown_index.tolist(),
+            *(astuple(kind) for kind in plate.layup.kinds),
+        ],
+        "edges": plate.edges,
+        "symmetry": specimen.material.symmetry,
+        "constants": sorted(specimen.material.constants.items()),
+        "sensors": [[s.mass, s.x, s.y] for s in specimen.sensors],
+        "air": specimen.air_density,
+        "parameters": [[p.name, repr(p.prior)] for p in parameters.parameters],
+        "fixed": sorted(parameters.fixed),
+        "n_modes": n_modes,
+        "shear": shear.factor,
+        "settings": asdict(settings),
+        "centre": None if centre is None else [repr(float(c)) for c in centre],
+    }
+    return json.dumps(content, sort_keys=True)
+
+
+_made: OrderedDict[str, Any] = OrderedDict()
+_lock = Lock()
+
+
+def remembered(key: str, make: Callable[[], T]) -> T:
+    """What was made under a key in this process, made now if it was not or is long past."""
+    with _lock:
+        if key in _made:
+            _made.move_to_end(key)
+            kept: T = _made[key]
+            return kept
+    name_unused_models()
+    model = make()
+    with _lock:
+        _made[key] = model
+        while len(_made) > _KEPT:
+            _made.popitem(last=False)
+    return model
+
+
+def forget_models() -> None:
+    """Let go of all models that this process keeps, to see how long it takes to make them."""
+    with _lock:
+        _made.clear()
+
+
+@single_blas_thread
+def reduced_model(
+    specimen: Specimen,
+    parameters: ParameterSet,
+    n_modes: int,
+    *,
+    shear: ShearModel = ENERGY_CONSISTENT,
+    settings: ReductionSettings = DEFAULT_SETTINGS,
+    centre: Array | None = None,
+    notify: Callable[[str], None] = lambda text: None,
+) -> ReducedModel:
+    """The reduced model of a specimen over the prior box of its parameters.
+
+    centre : the parameter vector about which the plate model is converged most tightly, by default
+    the reference constants. ``notify`` is called with what takes long. The same request gives the same model.
+    """
+
+    def make() -> ReducedModel:
+        notify("converging the plate model")
+        full = converged_model(specimen, parameters, n_modes, shear, centre=centre)
+        notify("building the reduced model")
+        # the seed is fixed: a model does not depend on the run that first needed it
+        return reduce(full, np.random.default_rng(0), settings)
+
+    return remembered(model_key(specimen, parameters, n_modes, shear, settings, centre), make)
+
+
+def without_matrices(reduced: ReducedModel) -> ReducedModel:
+    """A reduced model without the matrices of the full space, to be sent or kept: it predicts alone."""
+    operator = reduced.full.operator
+    full = replace(reduced.full, operator=AffineOperator(operator.problem, operator.space, ()))
+    return replace(reduced, full=full)
