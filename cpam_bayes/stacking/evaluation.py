@@ -50,7 +50,7 @@ _MOST, _NOISY = 0.98, 8e-3
 _BOX_SHARE, _NEAR_SHARE = 0.3, 0.05
 # The basis for one sequence and all constants: sets, the least and the largest relative error, and the share
 # of the noise that it is between them.
-_SEQUENCE_SETS, _SEQUENCE_ERRORS, _SEQUENCE_SHARE = 300, (2e-5, 2e-4), 0.02
+_SEQUENCE_SETS, _SEQUENCE_ERRORS, _SEQUENCE_SHARE = 600, (2e-5, 2e-4), 0.02
 # Share of the draws whose noise may be less than the one that counts where it is inferred.
 _LEAST_NOISE = 0.01
 
