@@ -2,24 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
 from functools import partial
 from typing import Final, Literal
 
-from cpam_bayes.answer import Notice, as_written, each_once
+import numpy as np
+
+from cpam_bayes.answer import Constant, Notice, as_written, each_once
 from cpam_bayes.command import EXECUTOR, TIME_LIMIT, WORKERS, Command, option, positive
 from cpam_bayes.diagnosis.cases import build_models, hypotheses_of, plate_case
 from cpam_bayes.diagnosis.comparison import PlateCase
 from cpam_bayes.diagnosis.diagnose import Diagnosis, diagnose_cases
+from cpam_bayes.diagnosis.evidence.marginal import distinct_hypotheses, prior_of
 from cpam_bayes.diagnosis.evidence.sampled import ready
-from cpam_bayes.diagnosis.extension import paired_fit, plain_mode_shapes
-from cpam_bayes.diagnosis.hypotheses import with_prior_of_none
+from cpam_bayes.diagnosis.extension import FrequencyRow, paired_fit, plain_mode_shapes
+from cpam_bayes.diagnosis.fit import Fit, inferred_noise
+from cpam_bayes.diagnosis.hypotheses import NONE, OTHER, P_NONE, P_PAIR, with_prior_of_none
 from cpam_bayes.diagnosis.next_test import Candidate, next_measurements
 from cpam_bayes.diagnosis.notices import diagnosis_notices
 from cpam_bayes.effects import CATALOGUE, Effect
 from cpam_bayes.errors import checked
+from cpam_bayes.formatting import decimals_of, fixed, signed, significant, with_spread
 from cpam_bayes.forward_model.model import air_shifts
 from cpam_bayes.forward_model.preconditions import (
     count_slips,
@@ -35,11 +40,48 @@ from cpam_bayes.forward_model.preconditions import (
     stated_noise_slips,
 )
 from cpam_bayes.parallel import open_executor
-from cpam_bayes.plate import PlateLike, Specimen, read_plate
-from cpam_bayes.questions.diagnose import page as page  # how it is shown
-from cpam_bayes.questions.diagnose.claim import claim_sentence
-from cpam_bayes.questions.diagnose.document import DiagnosisResult
-from cpam_bayes.result import within_time
+from cpam_bayes.plate import PlateLike, Specimen, read_plate, to_user, unit_of, user_name
+from cpam_bayes.questions.diagnose.claim import (
+    checked_effects,
+    claim_sentence,
+    next_steps,
+    sensitivity_sentence,
+    shown_constants,
+    stated_levels,
+    summary,
+)
+from cpam_bayes.questions.diagnose.document import (
+    FEW,
+    DiagnosisResult,
+    absorbed_biases,
+    answer_constants,
+    catalogue_sd,
+    document,
+    fit_constants,
+    leading,
+    probability_text,
+    tables,
+    title_of,
+)
+from cpam_bayes.questions.diagnose.drawings import drawings
+from cpam_bayes.render.plate import air_text, plate_section
+from cpam_bayes.render.report import (
+    COMPUTATION,
+    Column,
+    Heading,
+    Report,
+    Rows,
+    Section,
+    Table,
+    facts,
+    remarks,
+)
+from cpam_bayes.render.sentences import (
+    further_steps,
+    noise_word,
+    reliance_sentences,
+)
+from cpam_bayes.result import present, within_time
 from cpam_bayes.running import SILENT, Watch, cut_short, is_time_up
 
 __all__ = ["COMMAND", "DiagnosisResult", "claim_sentence", "diagnose", "diagnosis_result"]
@@ -242,6 +284,312 @@ def _sizes(specimen: Specimen) -> tuple[float | str, ...]:
     """The sizes that do not change from test to test of a plate."""
     plate = specimen.plate
     return (plate.length, plate.width, plate.thickness, plate.density, plate.layup.text)
+
+
+# A residual of so many standard deviations is marked.
+_FAR_SD: Final = 2.5
+# Causes shown: those with this probability, so many at most.
+_LEAST, _MOST = 0.005, 10
+_TESTS_SHOWN: Final = 5
+
+
+@present.register
+def _present(result: DiagnosisResult) -> Report:
+    """The claim and the constants that allow for it, what it stands on, and what to do next."""
+    return Report(
+        summary=summary(result),
+        sections=_sections(result),
+        document=document(result, claim_sentence(result.diagnosis)),
+        drawings=drawings(result),
+        rows=tables(result),
+    )
+
+
+def _sections(result: DiagnosisResult) -> tuple[Section, ...]:
+    """The finding and the fit of each mode, then all that stands behind the claim, folded."""
+    d = result.diagnosis
+    drawn = {drawing.name for drawing in drawings(result)}
+
+    def figure(name: str) -> tuple[str, ...]:
+        return (name,) if name in drawn else ()
+
+    claimed = d.extended is not None
+    return (
+        Section(
+            "What was found" if claimed else "The plate and the fit of each mode",
+            (_laboratory(d), _frequencies(result)),
+            ("plate", "residuals"),
+            folded=False,
+        ),
+        Section(
+            "How it was noticed" if claimed else "How well the model fits",
+            (_misfit(d, d.baseline, "The model without it" if claimed else "The model"),),
+        ),
+        Section(
+            "Probability of each cause",
+            (
+                *_causes(result),
+                remarks("Assumed sizes of errors", (sensitivity_sentence(d),)),
+                remarks("Not tested", d.weighed.not_tested),
+            ),
+            figure("causes"),
+        ),
+        Section("Detection limits", (*_detectable(result), _hidden(d)), figure("detectable")),
+        Section(
+            "Constants and gain",
+            (_constants(d), _relied(d), _gain(d)),
+            figure("constants"),
+        ),
+        Section("Which causes look alike", figures=figure("signatures")),
+        Section("Further steps", (*further_steps(next_steps(result)[1:]).tables, _next(result))),
+        _plates_section(result),
+        Section(COMPUTATION, (_work(d, result.seed),)),
+    )
+
+
+def _laboratory(d: Diagnosis) -> Table:
+    """How the laboratory can check what was found, where one check does not suffice."""
+    found = checked_effects(d) if d.claim.kind not in ("undecided", OTHER) else ()
+    return facts("Laboratory checks", ((e.title, e.check) for e in found) if len(found) > 1 else ())
+
+
+def _misfit(d: Diagnosis, fit: Fit, title: str) -> Table:
+    """How large the residuals are, and whether noise alone explains them."""
+    rows = [
+        ("misfit", f"{significant(100 * fit.rms, 3)} %, root mean square of the residuals"),
+        ("p-value", f"{_p_value(d, fit)}; small speaks against the model"),
+    ]
+    noise = inferred_noise(d.weighed.plain if fit is d.baseline else d.members)
+    if noise is not None:
+        level, spread = with_spread(100 * noise[0], 100 * noise[1])
+        rows.append(("noise", f"{level} +- {spread} % of a frequency, inferred; {noise_word(noise[0])}"))
+    rows += [
+        ("noise", f"{significant(100 * level, 2)} % of a frequency, {source}; {noise_word(level)}")
+        for level, source in stated_levels(d)
+    ]
+    far = sorted(zip(np.abs(fit.standardised), fit.measured, strict=True), reverse=True)[:FEW]
+    rows.append(("farthest off", ", ".join(f"{f:g} Hz by {z:.1f} sd" for z, f in far)))
+    return facts(title, rows)
+
+
+def _p_value(d: Diagnosis, fit: Fit) -> str:
+    inferred = d.weighed.none.marginal.comparison.noise is not None
+    noise = "the assumed repeatability" if inferred else "the stated repeatability"
+    return f"{probability_text(fit.predictive_p)}, the probability of residuals as large with {noise}"
+
+
+def _frequencies(result: DiagnosisResult) -> Table:
+    """Each frequency with its mode, without what was found and, where something was, with it."""
+    d, before = result.diagnosis, result.plain.frequencies
+    after = before if result.extended is None else result.extended.frequencies
+    decimals = decimals_of(d.baseline.measured)
+
+    def hertz(value: float) -> str:
+        return fixed(value, decimals + 1)
+
+    columns = [
+        Column("plate", value=lambda r: r[0].plate if len(d.cases) > 1 else None),
+        Column("mode", value=lambda r: r[1].number or "-", number=True),
+        Column("label", value=lambda r: r[1].mode and r[1].mode.label),
+        Column("kind", value=lambda r: r[1].mode.kind if r[1].mode else "no mode"),
+        Column("measured Hz", value=lambda r: r[0].measured, text=lambda f: fixed(f, decimals), number=True),
+        *_fit_columns(0, "predicted Hz" if result.extended is None else "without it Hz", hertz),
+    ]
+    if result.extended is not None:
+        columns += [*_fit_columns(1, "with it Hz", hertz), Column("", value=_other_mode)]
+    pairs = tuple(zip(before, after, strict=True))
+    shown = Rows("frequencies", tuple(columns), pairs, lambda r: _is_far(r[1])).table(
+        "Fit of each mode, residual = predicted / measured - 1"
+    )
+    missed = (result.extended or result.plain).missed
+    if not missed:
+        return shown
+    heads = shown.headings or ()
+    rows = []
+    for m in missed:
+        cells = {
+            "plate": m.plate, "mode": str(m.number), "label": m.mode.label, "kind": m.mode.kind,
+            "measured Hz": "missed", heads[heads.index("measured Hz") + 1]: hertz(m.mode.frequency),
+        }  # fmt: skip
+        rows.append(tuple(cells.get(head, "") for head in heads))
+    return Table(shown.title, shown.columns, (*shown.rows, *rows), shown.flagged)
+
+
+def _fit_columns(i: int, heading: str, hertz: Callable[[float], str]) -> tuple[Column, ...]:
+    """The columns of one of two fits of a frequency."""
+
+    def of(row: tuple[FrequencyRow, FrequencyRow], value: str) -> float | None:
+        return None if row[i].predicted is None else getattr(row[i], value)
+
+    return (
+        Column(heading, value=lambda r: of(r, "predicted"), text=hertz, number=True),
+        Column(
+            "residual %", value=lambda r: of(r, "residual_percent"), text=lambda v: signed(v, 2), number=True
+        ),
+        Column("in sd", value=lambda r: of(r, "standardised"), text=lambda v: signed(v, 1), number=True),
+    )
+
+
+def _is_far(row: FrequencyRow) -> bool:
+    return row.predicted is not None and abs(row.standardised) > _FAR_SD
+
+
+def _other_mode(row: tuple[FrequencyRow, FrequencyRow]) -> str | None:
+    """The mode of a frequency without what was found, where that is another mode."""
+    before, after = row
+    if after.number == before.number:
+        return None
+    return "was no mode" if before.mode is None else f"was mode {before.number}, {before.mode.label}"
+
+
+def _rows(result: DiagnosisResult, name: str) -> Rows:
+    return next(rows for rows in tables(result) if rows.name == name)
+
+
+def _causes(result: DiagnosisResult) -> tuple[Table, ...]:
+    """The most probable causes with their sizes, and what all others have together."""
+    d = result.diagnosis
+    shown = leading(d, _LEAST, _MOST)
+    rows = replace(_rows(result, "hypotheses"), rows=shown)
+    rest = [c for c in d.causes if c not in shown]
+    more = f"{len(rest)} more, {probability_text(sum(c.probability for c in rest))} together."
+    return rows.table("Probability of each cause"), remarks("Further causes", (more,) if rest else ())
+
+
+def _detectable(result: DiagnosisResult) -> tuple[Table, Table]:
+    """The smallest size of each cause that these data would have shown, and what they would not have."""
+    rows = _rows(result, "detectable")
+    seen = tuple(row for row in rows.rows if row.smallest is not None)
+    unseen = tuple(row for row in rows.rows if row.smallest is None)
+    return (
+        replace(rows, rows=seen).table(
+            "Detection limits: smallest size that shows in 95 of 100 tests; sd: as assumed for the error"
+        ),
+        replace(rows, rows=unseen).table("Cannot be seen in this test"),
+    )
+
+
+def _hidden(d: Diagnosis) -> Table:
+    """Causes that the constants imitate, and by how much each constant moves."""
+    names = [c.name for c in answer_constants(d)]
+    columns = (
+        Heading("error"),
+        Heading("of size"),
+        Heading("visible", number=True),
+        *(Heading(f"{name} %", number=True) for name in names),
+    )
+    rows = []
+    for cause in d.hidden_causes:
+        _, unit, per_unit = absorbed_biases(d, cause)
+        one = catalogue_sd(cause)
+        moved = [f"{one * per_unit.get(user_name(name), 0.0):+.2g}" for name in names]
+        size = f"{one:g} {unit}".strip()
+        rows.append((title_of(d, cause.name), size, f"{100 * cause.visible:.0f} %", *moved))
+    return Table("Errors that hide in the constants, and how far they move them", columns, tuple(rows))
+
+
+def _constants(d: Diagnosis) -> Table:
+    """Mean and 95 % interval without what was found, with it, and of the answer."""
+    without = {c.name: c for c in fit_constants(d, d.baseline)}
+    extended = {c.name: c for c in fit_constants(d, d.extended)} if d.extended is not None else {}
+    columns = (
+        Column("constant", value=lambda c: c.name),
+        Column("unit", value=lambda c: unit_of(c.name)),
+        Column("reference", value=lambda c: to_user(c.name, c.reference), text=_reference, number=True),
+        Column("plain model", value=lambda c: without.get(c.name), text=_with_interval, number=True),
+        Column("with what was found", value=lambda c: extended.get(c.name), text=_with_interval, number=True),
+        Column("answer", value=lambda c: c, text=_with_interval, number=True),
+        Column("", value=lambda c: c.verdict.value),
+    )
+    rows = answer_constants(d)
+    return Rows("constants", columns, rows).table(
+        "Constants, mean and 95 % interval; the answer: averaged over all causes by their probability"
+    )
+
+
+def _reference(value: float) -> str:
+    return f"{value:.5g}"
+
+
+def _with_interval(c: Constant) -> str:
+    assert c.interval is not None
+    mean, low, high = (
+        with_spread(to_user(c.name, v), to_user(c.name, c.sd))[0] for v in (c.value, *c.interval)
+    )
+    return f"{mean} ({low} to {high})"
+
+
+def _relied(d: Diagnosis) -> Table:
+    """Priors of other constants that intervals depend on."""
+    priors = {c.name: c.prior for c in answer_constants(d)}
+    said = reliance_sentences(d.reliances, priors.__getitem__, shown_constants(d))
+    return remarks("What the intervals depend on", said)
+
+
+def _gain(d: Diagnosis) -> Table:
+    """The gain of modelling the claimed cause."""
+    if d.gain is None or d.extended is None:
+        return facts("Gain", ())
+    gain = d.gain
+    before, after = (significant(100 * rms, 3) for rms in (gain.rms_before, gain.rms_after))
+    score, se = with_spread(gain.held_out_difference, gain.held_out_se)
+    score = score if score.startswith("-") else f"+{score}"
+    rows = (
+        ("rms misfit", f"{before} % before, {after} % after"),
+        ("log Bayes factor", f"{signed(gain.log_bayes_factor, 1)} against the plain model"),
+        ("held-out modes", f"log score {score} +- {se}, each predicted from the others"),
+        ("selection", f"repeated without each frequency, among {gain.n_hypotheses} hypotheses"),
+        ("stable", f"ahead without one frequency in {100 * gain.stable:.0f} % of the cases"),
+        ("p-value", f"{_p_value(d, d.extended)}, with what was found"),
+    )
+    return facts("Gain of the extended model", rows)
+
+
+def _next(result: DiagnosisResult) -> Table:
+    rows = _rows(result, "next_measurement")
+    further = len(rows.rows) - _TESTS_SHOWN
+    more = f", {further} more tell less" if further > 0 else ""
+    shown = replace(rows, rows=rows.rows[:_TESTS_SHOWN])
+    return shown.table(f"Further tests by what they tell about the cause{more}")
+
+
+def _plates_section(result: DiagnosisResult) -> Section:
+    specimens = result.plates
+    if len(specimens) == 1:
+        plate = plate_section(specimens[0], result.air_shifts[0])
+        return Section("The plate and its measurement", plate.tables)
+    columns = (
+        Column("plate", value=lambda r: r[0].name),
+        Column("specimen", value=lambda r: r[0].specimen),
+        Column("edges", value=lambda r: r[0].plate.edges),
+        Column("frequencies", value=lambda r: r[1].measurement.size, number=True),
+    )
+    rows = tuple(zip(specimens, result.diagnosis.cases, strict=True))
+    shifts = zip(specimens, result.air_shifts, strict=True)
+    air = facts("Air", tuple((s.name, air_text(s, shift)) for s, shift in shifts))
+    notes = tuple(f"{s.name}: {note}" for s in specimens for note in s.notes)
+    material = specimens[0].material.name or "not named"
+    table = Rows("plates", columns, rows).table(f"Plates of one material, {material}")
+    return Section("The plates and their measurements", (table, air, remarks("Notes", notes)))
+
+
+def _work(d: Diagnosis, seed: int) -> Table:
+    families = {t.hypothesis.family for t in d.weighed.tested} - {NONE, OTHER, "pair"}
+    prior = d.weighed.none.hypothesis.prior
+    other = prior_of([t for t in d.weighed.tested if t.hypothesis.cause == OTHER])
+    pairs = P_PAIR * (1.0 - prior) / (1.0 - P_NONE)
+    rows = (
+        (
+            "prior probabilities",
+            f"nothing wrong {prior:g}, unknown error {other:.3g}, two at once {pairs:.3g}, the rest evenly "
+            f"over {len(families)} families of causes",
+        ),
+        (
+            "work",
+            f"{len(distinct_hypotheses(d.weighed.tested))} hypotheses in {d.seconds:.1f} s, seed {seed}",
+        ),
+    )
+    return facts("Computation", rows)
 
 
 COMMAND: Final = Command(
