@@ -131,10 +131,11 @@ def laplace_marginal(
     factor = np.linalg.cholesky(np.linalg.inv(optima.curvature))
     if open_sizes:
         at_nodes = _over_nodes(comparison, open_sizes, open_sizes[0] == sizes[0], optima)
-        # an optimum that does not determine the sizes is the mass of its nodes once more
-        sd = np.sqrt(np.diagonal(np.linalg.inv(optima.curvature), axis1=1, axis2=2)[:, list(open_sizes)])
-        most = logsumexp(at_nodes[2]) + np.log(_OF_OPEN_OPTIMUM)
-        log_mass = np.where(sd.max(axis=1) > _DETERMINED_SD, np.minimum(log_mass, most), log_mass)
+        if len(open_sizes) == 1:
+            # its nodes are close: an optimum that does not determine the size is their mass once more
+            sd = np.sqrt(np.linalg.inv(optima.curvature)[:, open_sizes[0], open_sizes[0]])
+            most = logsumexp(at_nodes[2]) + np.log(_OF_OPEN_OPTIMUM)
+            log_mass = np.where(sd > _DETERMINED_SD, np.minimum(log_mass, most), log_mass)
         z, factor, log_mass = (
             np.concatenate(pair) for pair in zip((z, factor, log_mass), at_nodes, strict=True)
         )
