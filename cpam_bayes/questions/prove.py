@@ -443,7 +443,7 @@ def _present(result: CoinResult) -> Report:
         ),
         sections=(
             Section("Certificate", (facts("Coin test", _certificate(result)),), (DRAWING,), folded=False),
-            plate_section(result.specimen, result.air_shifts),
+            replace(plate_section(result.specimen, result.air_shifts), figures=()),
             Section(COMPUTATION, (_computation(result),)),
         ),
         document={

@@ -135,20 +135,16 @@ def _state_at(
     found = state({**values, **angles})
     if geometry is None or len(geometry.first) == 1:
         return found if geometry is None else replace(found, layup=geometry)
-    size = int(np.prod(np.broadcast_shapes(*(np.shape(v) for v in values.values()))))
-    # derivatives ask for every row as often as there are parameters, one after the other
-    return replace(found, layup=_repeated(geometry, size // len(geometry.first)))
+    shape = np.broadcast_shapes(*(np.shape(v) for v in values.values()))
+    # derivatives ask for every row as often as there are parameters, along a further axis
+    return replace(found, layup=_rows(geometry, np.s_[:, None] if len(shape) > 1 else np.s_[:]))
 
 
 def _admissible_at(admissible: Any, angles: Values, values: Values) -> Any:
     return admissible({**values, **angles})
 
 
-def _repeated(geometry: LaminateGeometry, times: int) -> LaminateGeometry:
-    return geometry if times == 1 else _rows(geometry, np.repeat(np.arange(len(geometry.first)), times))
-
-
-def _rows(geometry: LaminateGeometry, rows: Array) -> LaminateGeometry:
+def _rows(geometry: LaminateGeometry, rows: Any) -> LaminateGeometry:
     """The geometry of some layups of a stack."""
     return replace(
         geometry,

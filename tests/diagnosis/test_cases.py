@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import defaultdict
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -26,9 +25,9 @@ from cpam_bayes.diagnosis.hypotheses import (
 from cpam_bayes.diagnosis.models import diagnosis_parameters
 from cpam_bayes.effects import ListChange, PlateFacts, applicable
 from cpam_bayes.effects.plies import MATERIAL
+from cpam_bayes.forward_model.build import forget_models
 from cpam_bayes.plate import builtin, read_plate
 from cpam_bayes.plate.reader import builtin_names
-from cpam_bayes.storage import read_arrays
 from tests.diagnosis.toy_plates import F0, a_list, case, pairs_of
 
 
@@ -236,43 +235,42 @@ def test_a_plates_list_is_paired_in_order_and_an_incomplete_one_by_what_is_proba
 CAUSES = ("air", "shear_ratio", "sensor_mass")
 
 
-@pytest.fixture
-def c1(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> PlateCase:
-    monkeypatch.setenv("CPAM_BAYES_CACHE", str(tmp_path))
+@pytest.fixture(scope="module")
+def whole() -> PlateCase:
     return plate_case(read_plate("C1"))
+
+
+@pytest.fixture
+def c1(whole: PlateCase) -> PlateCase:
+    return replace(whole, extended={}, of_another_material=[])
 
 
 def some_of(c1: PlateCase) -> list[tuple[Hypothesis, tuple[int, ...]]]:
     return [entry for entry in hypotheses_of([c1]) if entry[0].cause in CAUSES]
 
 
-def stored(directory: Path) -> dict[str, dict[str, np.ndarray]]:
-    found = {path.name: read_arrays(path) for path in directory.iterdir()}
-    return {name: arrays for name, arrays in found.items() if arrays is not None}
-
-
-def test_models_are_the_same_from_workers_and_on_demand(c1: PlateCase, tmp_path: Path) -> None:
+def test_models_are_the_same_from_workers_and_on_demand(c1: PlateCase) -> None:
     seen: list[tuple[int, int]] = []
+    forget_models()
     with ThreadPoolExecutor(2) as pool:
         build_models([c1], some_of(c1), pool, lambda done, total: seen.append((done, total)))
     assert seen == [(0, 3), (1, 3), (2, 3), (3, 3)]
-    from_workers = stored(tmp_path)
-    again = replace(c1, extended={})
-    for path in tmp_path.iterdir():
-        path.unlink()
+    assert len(c1.extended) == 3
+    forget_models()
+    on_demand = replace(c1, extended={})
     for hypothesis, _ in some_of(c1):
-        again.with_effect(hypothesis.effects[0])
-    on_demand = stored(tmp_path)
-    assert len(on_demand) == 3
-    for name, arrays in on_demand.items():
-        assert arrays.keys() == from_workers[name].keys()
-        assert all(np.array_equal(value, from_workers[name][key]) for key, value in arrays.items())
+        (effect,) = hypothesis.effects
+        model, built = on_demand.with_effect(effect), c1.extended[effect.name, effect.variant]
+        assert model is not built
+        x = model.parameters.sample(np.random.default_rng(0), 20)
+        x = x[model.admissible(x)]
+        np.testing.assert_array_equal(model.predict(x).frequencies, built.predict(x).frequencies)
 
 
-def test_stored_models_are_not_built_again(c1: PlateCase) -> None:
+def test_models_at_hand_are_not_built_again(c1: PlateCase) -> None:
     build_models([c1], some_of(c1))
     seen: list[tuple[int, int]] = []
-    build_models([replace(c1, extended={})], some_of(c1), None, lambda *n: seen.append(n))
+    build_models([c1], some_of(c1), None, lambda *n: seen.append(n))
     assert not seen
 
 

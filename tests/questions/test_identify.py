@@ -176,7 +176,7 @@ def test_a_noise_of_a_fifth_is_the_first_line_of_the_screen() -> None:
     assert specimen.measurement is not None
     noisy = replace(specimen, measurement=replace(specimen.measurement, relative_std=0.2))
     first = identify(noisy, seed=0).summary().splitlines()[1]
-    assert first.startswith("  The stated noise, relative_std = 0.2, is 20 % of a frequency")
+    assert first.startswith("  The stated repeatability, 0.2, is 20 % of a frequency")
 
 
 @pytest.mark.slow
