@@ -397,7 +397,7 @@ def test_a_result_is_one_line_where_it_is_echoed_and_equal_to_itself_alone(
 
 def test_a_figure_is_asked_for_by_its_name(point: PointResult, modes: ForwardResult) -> None:
     assert list(point.figures()) == ["residuals", "predicted_against_measured", "modes", "plate"]
-    assert "residuals" in point.plot().axes[0].get_title()
+    assert "residuals" in point.plot().axes[0].get_title("left")
     assert point.plot("predicted_against_measured").axes[0].get_xlabel() == "measured, Hz"
     assert len(modes.plot().axes) == 2
     with pytest.raises(ValueError, match="received 'causes', accepted: residuals predicted_against_measured"):

@@ -435,7 +435,10 @@ def _place(
         at = image((middle / sides)[None])[0] * sides
         if all(np.hypot(*(at - np.array(known))) > radius for known in (tuple(middle), *others)):
             others.append((float(at[0]), float(at[1])))
-    return (float(middle[0]), float(middle[1])), radius, tuple(others)
+    # of places that no list tells apart the one furthest along x, then y, whatever rounding prefers
+    every = [(float(middle[0]), float(middle[1])), *others]
+    place = max(every, key=lambda at: (round(at[0] / sides[0], 3), round(at[1] / sides[1], 3)))
+    return place, radius, tuple(at for at in every if at is not place)
 
 
 def symmetries(plate: LoadedPlate, whole: Cells) -> list[Callable[[Array], Array]]:

@@ -265,8 +265,9 @@ def _applied(result: DiagnosisResult, specimen: Specimen) -> tuple[Any, str]:
         return None, ""
     cause = next(c for c in d.causes if c.name == d.claim.causes[0])
     place = place_of(cause, specimen.plate)
-    if cause.name == "sensor_mass" and place is not None:
-        mass = to_user("mass", cause.parameters["sensor_mass"][0])
+    (effect, *_) = (*cause.hypothesis.effects, None)
+    if effect is not None and effect.local == "point" and place is not None:
+        mass = to_user("mass", cause.parameters[effect.parameters[0].name][0])
         x, y = (1e3 * v for v in place[0])
         return (
             {"sensor": {"mass_g": f"{mass:.2f}", "x_mm": f"{x:.0f}", "y_mm": f"{y:.0f}"}},

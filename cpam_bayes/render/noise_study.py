@@ -277,9 +277,7 @@ def draw_constant(axes: Axes, document: Mapping[str, Any], name: str) -> None:
     axes.set_xticks(range(len(document["levels"])), [f"{v['level_percent']:g}" for v in document["levels"]])
     axes.set_xlim(-0.6, len(document["levels"]) - 0.4)
     constant, _, unit = name.partition("_")
-    axes.set_title(
-        f"{document['plate']}: {constant} = {reference:.4g} {unit}".rstrip(), fontsize="medium", loc="left"
-    )
+    axes.set_title(f"{document['plate']}: {constant} = {reference:.4g} {unit}".rstrip(), fontsize="medium")
 
 
 def legend_entries(readings: Sequence[str]) -> list[Any]:

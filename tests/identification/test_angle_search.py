@@ -147,7 +147,7 @@ def every() -> np.ndarray:
 @pytest.fixture(scope="module")
 def enumerated(fit: AngleSearchProblem, every: np.ndarray) -> np.ndarray:
     """F of every sequence, its constants fitted."""
-    return best_constants(fit, every, search_starts(fit, 3)).values
+    return best_constants(fit, every, search_starts(fit, 8)).values
 
 
 def test_enumeration_finds_the_plates_own_sequence_and_its_images(
