@@ -203,18 +203,21 @@ def test_reduced_derivatives_are_the_full_ones(name: str) -> None:
 
 
 def test_derivatives_are_those_of_differences() -> None:
-    # of fourth order: 1e-6 by the step, and rounding of an eigenvalue, 1e-16 of the largest one, over it
+    # of fourth order; of three steps one keeps both its own error and rounding over it small
     model = reduced("B1").fast
     x = compared("B1").x[:5]
     jacobian = model.predict(x, jacobian=True).jacobian
     assert jacobian is not None
     for i, one in enumerate(x):
         for j in range(len(one)):
-            step = 2e-2 * one[j] * np.eye(len(one))[j]
-            f = model.predict(np.stack((one - 2 * step, one - step, one + step, one + 2 * step))).frequencies
-            slope = (f[0] - 8 * f[1] + 8 * f[2] - f[3]) / (12 * step[j])
-            scale = np.abs(jacobian[i, :, j]).max()
-            np.testing.assert_allclose(jacobian[i, :, j], slope, rtol=0, atol=1e-5 * scale)
+            scale, apart = np.abs(jacobian[i, :, j]).max(), []
+            for relative in (3e-3, 8e-3, 2e-2):
+                step = relative * one[j] * np.eye(len(one))[j]
+                at = np.stack((one - 2 * step, one - step, one + step, one + 2 * step))
+                f = model.predict(at).frequencies
+                slope = (f[0] - 8 * f[1] + 8 * f[2] - f[3]) / (12 * step[j])
+                apart.append(np.abs(jacobian[i, :, j] - slope) / scale)
+            np.testing.assert_array_less(np.min(apart, axis=0), 1e-5)
 
 
 @cases
