@@ -169,7 +169,7 @@ def test_a_full_disk_costs_the_store_and_not_the_answer(
         (((LISTED, "[114]"),), ("1 frequency for 2 unknowns",)),
         (
             ((LISTED, "[114, 167, 289, 300, 497]"), ("resolution_hz = 1.0", "relative_std = 0.01")),
-            ("to lack the mode (2,0)+(0,2) near 2", "complete = false"),
+            ("to lack the mode (2,0)+(0,2) near 2", "modes may be missing from it"),
         ),
     ],
 )
@@ -178,4 +178,4 @@ def test_a_list_that_is_too_short_or_lacks_a_mode_is_put_in_doubt(
 ) -> None:
     status, _, err = run("identify", plate_file(*changes), *EMCEE)
     assert status in (0, 1)
-    assert all(part in err for part in said)
+    assert [part for part in said if part not in err] == []
