@@ -58,7 +58,7 @@ def test_the_forward_benchmark_runs_without_the_optional_peers(monkeypatch: pyte
     assert set(results) == keys
     assert all(set(row) == row_keys for row in results["rows"])
     built = {"case", "parameters", "seconds", "peak_mib", "full_sizes", "reduced_sizes"}
-    assert {frozenset(one) for one in results["building"]} == {built | {"reduction_error", "estimated_error"}}
+    assert all(set(one) == built | {"reduction_error"} for one in results["building"])
     assert {row["solver"] for row in results["rows"]} == OURS | WRITTEN_HERE
     assert [line.split(":")[0] for line in results["missing"]] == ["panels", "CalculiX"]
     # a peer is as coarse as the accuracy allows, ours is as exact as ever
