@@ -30,6 +30,9 @@ def main() -> int:
     except KeyboardInterrupt:
         _listen(heard, signal.SIG_IGN)
         os.write(2, _MESSAGE.encode())
+        # An interrupt inside exec of a text, as in the making of a dataclass, marks the process to die of
+        # SIGINT though it was caught here; the next exec takes the mark away (CPython, `run_eval_code_obj`).
+        exec("")
         status = INTERRUPTED
     except SystemExit as leaving:  # argparse: help, version, or options it refuses
         status = leaving.code if isinstance(leaving.code, int) else 0

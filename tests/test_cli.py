@@ -394,6 +394,18 @@ def test_an_interrupted_run_ends_with_130_one_line_and_no_files(argv, line, numb
     assert not out.exists()
 
 
+def test_an_interrupt_inside_exec_ends_with_130_too():
+    # as Ctrl-C while a module is imported that makes dataclasses
+    code = (
+        "import cpam_bayes.cli, cpam_bayes.__main__ as run\n"
+        "cpam_bayes.cli.prepare = lambda argv: lambda: exec('raise KeyboardInterrupt')\n"
+        "print(run.main())"
+    )
+    process = start(code=code)
+    rest, err = process.communicate(timeout=60)
+    assert (process.returncode, rest, err) == (0, "130\n", "cpam-bayes: interrupted\n")
+
+
 def test_what_a_killed_run_left_is_gone_after_the_next_one(run, plate_file, tmp_path):
     out = tmp_path / "out"
     process = start(*IDENTIFY, "--out", str(out))
