@@ -21,9 +21,9 @@ def pictures(data: dict[str, Any]) -> list[Picture]:
         Picture(
             "24_nested_evidence",
             _differences(data["cases"]),
-            "Log marginal likelihoods by the importance sampler of the diagnosis less those of nested sampling.",
-            f"Hypotheses near the best of {summary['cases']} simulated lists, with two standard errors of both "
-            f"ways together; nested sampling has {data['live_points']} live points. Grey: {AGREED:g} nats. "
+            "Log marginal likelihoods by the importance sampler less those of nested sampling.",
+            f"Hypotheses near the best of {summary['cases']} simulated lists, with two standard errors of "
+            f"both together; nested sampling has {data['live_points']} live points. Grey: {AGREED:g} nats. "
             f"{summary['agreed']} of {summary['compared']} agree to {AGREED:g} nats and two standard errors.",
         )
     ]
