@@ -60,6 +60,8 @@ EXPLAINED = 1e-3
 _HIDDEN = 0.3
 # Variants of the claimed causes that carry less than this fraction of the claim are not averaged over.
 _LEAST_FRACTION = 1e-3
+# Claimed hypotheses, and draws of each, at which the bases are checked by full solves.
+_CHECKED_MEMBERS, _CHECKED_DRAWS = 3, 8
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,6 +117,8 @@ class Diagnosis:
     explained, plain_explained : whether noise as stated explains what the model of the answer, or the plain
         one, leaves of the lists; of constants averaged over all hypotheses, what the most probable one leaves
     reliances : intervals of the answer that rest on the bounds or the prior of another constant
+    basis_error : largest relative error of a frequency by the reduced bases, from full solves at posterior
+        draws of what is claimed, or of the plain model; ``None`` where what is claimed has no such basis
     """
 
     cases: tuple[PlateCase, ...]
@@ -133,6 +137,7 @@ class Diagnosis:
     explained: bool
     plain_explained: bool
     reliances: tuple[Reliance, ...]
+    basis_error: float | None
     seconds: float
 
     @property
@@ -256,8 +261,15 @@ def diagnose_cases(
         claim.kind != OTHER and within_stated_noise(leading, n_constants),
         within_stated_noise(weighed.none, n_constants),
         _reliances(cases, weighed),
+        basis_error_of([t for t, _ in members[:_CHECKED_MEMBERS]] or [weighed.none]),
         time.perf_counter() - start,
     )
+
+
+def basis_error_of(tested: Sequence[Tested]) -> float | None:
+    """Largest relative error of a frequency by the reduced bases, of full solves at draws of hypotheses."""
+    each = [t.marginal.comparison.model.basis_error(t.marginal.resampled(_CHECKED_DRAWS)) for t in tested]
+    return max((error for error in each if error is not None), default=None)
 
 
 def _reliances(cases: Sequence[PlateCase], weighed: Weighed) -> tuple[Reliance, ...]:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cpam_bayes.forward_model.model import ForwardModel, Prediction
-from cpam_bayes.forward_model.reduced import ReducedModel, focused
+from cpam_bayes.forward_model.reduced import ReducedModel, basis_error, focused
 from cpam_bayes.mechanics.problem import Values
 from cpam_bayes.parameters import ParameterSet
 
@@ -99,6 +99,27 @@ class ComposedModel:
                 if change.model is not None:
                     admissible &= change.model.admissible(_extended(vector, x, change))
         return admissible
+
+    def basis_error(self, x: Array) -> float | None:
+        """Largest relative error of a listed frequency by the reduced bases, from full solves at x (m, n).
+
+        ``None`` where no model that is asked is a ``ReducedModel``.
+        """
+        x = np.atleast_2d(x)[:, : self.parameters.size]
+        errors = []
+        for part in self.parts:
+            vector = part.plate_vector(x)
+            of_plate = [change for change in part.changes if change.model is not None]
+            asked = [(change.model, _extended(vector, x, change)) for change in of_plate]
+            if len(of_plate) != 1:
+                asked.append((part.bare, vector))
+            modes = part.modes[part.modes >= 0]
+            errors += [
+                basis_error(model, at)[:, modes].max(initial=0.0)
+                for model, at in asked
+                if isinstance(model, ReducedModel)
+            ]
+        return float(max(errors)) if errors else None
 
     def about(
         self, x: Array, tolerance: float, fraction: float, *, least_size: int = LARGE_BASIS

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from cpam_bayes.forward_model.model import PlateModel, Prediction, model_on_basis, training_sets
 from cpam_bayes.mechanics.affine import AffineMatrix, AffineOperator, DenseBlock, DenseOperator, RitzBlock
+from cpam_bayes.mechanics.loaded import unloaded
 from cpam_bayes.mechanics.modes import check_rigid
 from cpam_bayes.mechanics.problem import rigid_body_count
 from cpam_bayes.parameters import ParameterSet
@@ -35,7 +36,7 @@ class ReductionSettings:
     """
 
     tolerance: float = 5e-5
-    training: int = 48
+    training: int = 32
     checks: int = 16
     rounds: int = 3
 
@@ -88,6 +89,8 @@ _NEAR = 0.1
 _FURTHER, _ABOVE, _MOST_ABOVE = 1, 0.3, 0.1
 # First step in the search for the number of directions; modes whose sets decide it.
 _FIRST_STEP, _HARDEST = 6, 12
+# Blocks up to this size take as long together as one of them.
+_TINY = 5
 # Entries of a stack of matrices that are held at once.
 _ENTRIES = 4_000_000
 # Parameter sets at which rigid-body motions are computed: they depend on sizes alone.
@@ -120,13 +123,11 @@ def reduce(
         doubt = np.abs(np.log(rough.predict(sets).frequencies / fine.predict(sets).frequencies)).max(axis=1)
         doubt[: round(_AT_RANDOM * settings.checks)] = np.inf
         sets = sets[np.argsort(-doubt, kind="stable")[: settings.checks]]
-        fresh = _solved(full, sets, _FURTHER)
-        error = np.abs(fine.predict(sets).frequencies / fresh.frequencies - 1.0).max(axis=1)
-        bad = error > tolerance
-        if not bad.any():
+        error = np.abs(fine.predict(sets).frequencies / full.predict(sets).frequencies - 1.0).max(axis=1)
+        bad = sets[error > tolerance]
+        if not len(bad):
             return ReducedModel(full, fine, tolerance)
-        about = _solved(full, _near(full, sets[bad], rng), _FURTHER)
-        known = known.joined(fresh.only(bad)).joined(about)
+        known = known.joined(_solved(full, np.concatenate((bad, _near(full, bad, rng))), _FURTHER))
     directions = _directions(full.operator, known)
     return ReducedModel(
         full, _projected(full, known, directions, _sizes(directions, known, tolerance)), tolerance
@@ -207,14 +208,6 @@ class _Modes:
     away: Array
     vectors: Array
 
-    def only(self, kept: Array) -> _Modes:
-        """Those at the sets that are kept, (m,) bool."""
-        of = kept[self.sets]
-        number = np.cumsum(kept) - 1
-        return _Modes(
-            number[self.sets[of]], self.column[of], self.eigenvalues[of], self.away[of], self.vectors[of]
-        )
-
     def joined(self, other: _Modes, n_sets: int) -> _Modes:
         """These and those at other sets, which are counted after n_sets."""
         return _Modes(
@@ -246,11 +239,6 @@ class _Solved:
     def frequencies(self) -> Array:
         """Natural frequencies, (m, n_modes), Hz."""
         return np.asarray(np.sqrt(np.maximum(self.ranked[:, self.n_rigid :], 0.0)) / (2 * np.pi))
-
-    def only(self, kept: Array) -> _Solved:
-        """The sets that are kept, (m,) bool."""
-        blocks = tuple(modes.only(kept) for modes in self.blocks)
-        return _Solved(self.stiffness[kept], self.mass[kept], self.ranked[kept], self.n_rigid, blocks)
 
     def joined(self, other: _Solved) -> _Solved:
         """The sets of both."""
@@ -326,8 +314,8 @@ def _principal(columns: Array) -> Array:
     """Orthonormal principal directions of columns (n, k), the largest first, (n, rank)."""
     if not columns.shape[1]:
         return np.empty((len(columns), 0))
-    vectors, size, _ = np.linalg.svd(columns, full_matrices=False)
-    return np.asarray(vectors[:, size > _LEAST])
+    squares, vectors = np.linalg.eigh(columns @ columns.T)
+    return np.asarray(vectors[:, squares > _LEAST**2][:, ::-1])
 
 
 def _sizes(
@@ -343,9 +331,13 @@ def _sizes(
 def _projected(
     model: PlateModel, known: _Solved, directions: list[tuple[int, DenseBlock]], sizes: list[int]
 ) -> PlateModel:
-    """A model on the leading directions of each block."""
+    """A model on the leading directions of each block; the smallest, of rigid-body motions, are one."""
     pairs = zip((block for _, block in directions), sizes, strict=True)
-    blocks = tuple(_leading(block, size, known) for block, size in pairs if size)
+    every = [_leading(block, size, known) for block, size in pairs if size]
+    small = tuple(block for block in every if block.size <= _TINY)
+    blocks = tuple(block for block in every if block.size > _TINY)
+    if small:
+        blocks = (unloaded(small).dense(), *blocks)
     return replace(model, operator=AffineOperator(model.operator.problem, model.operator.space, blocks))
 
 
@@ -380,11 +372,15 @@ def _enough(
     low, rows = max(int(modes.column.max()), n_rigid), np.arange(len(modes.sets))
     if fraction < 1.0:
         return least(low, _FIRST_STEP, rows)
-    # a few sets are the hardest ones, whatever the number
-    at_first = excess(min(low + _FIRST_STEP, block.size), rows)
-    hard = np.unique(modes.sets[np.argsort(-at_first, kind="stable")][:_HARDEST])
-    size = least(low, _FIRST_STEP, np.flatnonzero(np.isin(modes.sets, hard)))
-    return size if size == block.size or is_enough(size, rows) else least(size, 2, rows)
+    # a few sets are the hardest ones, whatever the number: those that are found to be harder join them
+    error, size = excess(min(low + _FIRST_STEP, block.size), rows), low
+    hard = np.empty(0, dtype=int)
+    while True:
+        hard = np.union1d(hard, modes.sets[np.argsort(-error, kind="stable")[:_HARDEST]])
+        size = least(size, _FIRST_STEP, np.flatnonzero(np.isin(modes.sets, hard)))
+        error = excess(size, rows)
+        if size == block.size or error.max() <= 1.0:
+            return size
 
 
 def _cut(block: DenseBlock, size: int) -> DenseBlock:

@@ -11,19 +11,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import logsumexp
 
 from cpam_bayes.forward_model.composed import ComposedModel, Part
 from cpam_bayes.forward_model.known_errors import Array, known_errors, powers, theory_error
 from cpam_bayes.forward_model.labels import LabelledModel, list_order
 from cpam_bayes.forward_model.preconditions import birge_ratio
 from cpam_bayes.forward_model.reduced import ReducedModel
-from cpam_bayes.inference.derivatives import NormalScores, distinct
-from cpam_bayes.inference.laplace import maximise
+from cpam_bayes.inference.derivatives import NormalScores
 from cpam_bayes.inference.log_density import Listed, LogDensity
 from cpam_bayes.inference.posterior import NOISE, NOISE_PRIOR
-from cpam_bayes.inference.proposal import Rounds, adaptive_importance, refitted_moments
-from cpam_bayes.inference.student_mixture import Mixture
+from cpam_bayes.inference.proposal import Rounds, about, adaptive_importance, maximised, refitted_moments
 from cpam_bayes.parameters import Parameter, ParameterSet
 from cpam_bayes.plate import Material, Measurement, Specimen
 
@@ -31,12 +28,11 @@ Model = ReducedModel | LabelledModel
 
 # Noise that residuals are weighed by where none is stated, relative.
 _USUAL_NOISE = 0.002
-# Optima nearer than this, standard deviations, are one; so many are sampled about at most.
-_SAME, _MOST = 1.0, 8
-# Degrees of freedom of the proposal, and by how much it is wider than the Gaussian at an optimum.
-_FREEDOM, _WIDER = 5.0, 1.2
+# Optima that are sampled about at most.
+_MOST = 8
 _ROUNDS = Rounds(log2_points=8, most=10, least=3, enough=600.0)
-_STEPS = 40
+# Steps of an optimisation at most, and the gain, nats, that ends it.
+_STEPS, _PROMISED = 40, 1e-9
 
 
 def common_covariance(specimen: Specimen, model: Model, x: Array) -> Array:
@@ -124,19 +120,9 @@ def sampled(density: LogDensity, starts: Array, noise: float) -> Draws:
         level = np.clip(noise, 2.0 * prior.lower, 0.5 * prior.upper)
         starts = np.column_stack((starts, np.full(len(starts), level)))
     z = np.vstack((density.scores.to_z(starts), np.zeros(density.parameters.size)))
-    ends = maximise(
-        lambda z, rows: density.expand(z),
-        np.clip(z, -3.0, 3.0),  # off the ends of a prior, where its density over scores is flat
-        density.scores.lower,
-        density.scores.upper,
-        most_steps=_STEPS,
-    )
-    kept = distinct(ends.u, ends.expansion, _SAME, _MOST)
-    u, curvature, height = ends.u[kept], ends.expansion.curvature[kept], ends.expansion.value[kept]
-    log_share = height - 0.5 * np.linalg.slogdet(curvature)[1]
-    share = np.maximum(np.exp(log_share - logsumexp(log_share)), 0.02)
-    factor = _WIDER * np.linalg.cholesky(np.linalg.inv(curvature))
-    proposal = Mixture((share / share.sum())[None], u[None], factor[None], _FREEDOM)
+    # off the ends of a prior, where its density over scores is flat
+    optima = maximised(density, np.clip(z, -3.0, 3.0), _STEPS, _PROMISED, _MOST)
+    _, proposal = about(optima.z, optima.factor, optima.log_mass)
     found = adaptive_importance(
         lambda z: density.log_density(z[0])[None], density.expand, proposal, refitted_moments, _ROUNDS
     )

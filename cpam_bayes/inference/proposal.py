@@ -15,9 +15,18 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import logsumexp
 
-from cpam_bayes.inference.derivatives import Expansion, NormalScores, apart, coordinates
-from cpam_bayes.inference.laplace import Approximation, approximate, find_optima
+from cpam_bayes.inference.derivatives import (
+    MAX_SCORE,
+    Expansion,
+    NormalScores,
+    apart,
+    coordinates,
+    distinct,
+)
+from cpam_bayes.inference.laplace import Approximation, approximate, find_optima, maximise
+from cpam_bayes.inference.log_density import LogDensity
 from cpam_bayes.inference.posterior import Posterior
 from cpam_bayes.inference.student_mixture import (
     Mixture,
@@ -235,6 +244,79 @@ def _tempered(log_weight: Array, least: float) -> Array:
         power *= 0.7
     w = np.exp(np.where(finite, power * (log_weight - log_weight[finite].max()), -np.inf))
     return np.asarray(w / w.sum())
+
+
+# Optima are the same within this distance, standard deviations.
+_DISTINCT_SD = 1.0
+# Components with less of the mass propose nothing; degrees of freedom and widening of the others.
+_NEGLIGIBLE, _FREEDOM_ABOUT, _WIDER_ABOUT = 1e-4, 6.0, 1.15
+
+
+@dataclass(frozen=True, slots=True)
+class Optima:
+    """Distinct optima of a log density over normal scores, the best one first.
+
+    z : (k, n)
+    value : (k,)
+    gradient : (k, n)
+    curvature : (k, n, n)
+    """
+
+    z: Array
+    value: Array
+    gradient: Array
+    curvature: Array
+
+    def only(self, kept: Any) -> Optima:
+        """Some of them."""
+        return Optima(self.z[kept], self.value[kept], self.gradient[kept], self.curvature[kept])
+
+    @property
+    def log_mass(self) -> Array:
+        """Log of the integral about each by Laplace's approximation, (k,)."""
+        n = self.z.shape[1]
+        log_det = np.linalg.slogdet(self.curvature)[1]
+        return np.asarray(self.value + 0.5 * n * np.log(2 * np.pi) - 0.5 * log_det)
+
+    @property
+    def factor(self) -> Array:
+        """Square root of the covariance about each, (k, n, n)."""
+        return np.linalg.cholesky(np.linalg.inv(self.curvature))
+
+    @property
+    def promise(self) -> Array:
+        """Gain, nats, that one more step promises each, (k,)."""
+        step = np.linalg.solve(self.curvature, self.gradient[..., None])[..., 0]
+        return np.asarray(0.5 * np.einsum("ki,ki->k", self.gradient, step))
+
+
+def maximised(
+    density: LogDensity, z: Array, most_steps: int, promised: float, most: int | None = None
+) -> Optima:
+    """Distinct ends of optimisations from scores (s, n), ``most`` at the most.
+
+    most_steps, promised : as in ``maximise``
+    """
+    bound = np.full(z.shape[1], MAX_SCORE)
+    maxima = maximise(
+        lambda at, rows: density.expand(at), z, -bound, bound, most_steps=most_steps, promised=promised
+    )
+    kept = distinct(maxima.u, maxima.expansion, _DISTINCT_SD, most)
+    e = maxima.expansion
+    return Optima(maxima.u[kept], e.value[kept], e.gradient[kept], e.curvature[kept])
+
+
+def about(z: Array, factor: Array, log_mass: Array) -> tuple[Array, Mixture]:
+    """Numbers of the components that carry mass, the largest first, and the proposal about them.
+
+    z : (k, n) centres of Gaussians
+    factor : (k, n, n) square roots of their covariances
+    log_mass : (k,)
+    """
+    kept = np.flatnonzero(log_mass > log_mass.max() + np.log(_NEGLIGIBLE))
+    kept = kept[np.argsort(-log_mass[kept], kind="stable")]
+    share = np.exp(log_mass[kept] - logsumexp(log_mass[kept]))
+    return kept, Mixture(share[None], z[None, kept], _WIDER_ABOUT * factor[None, kept], _FREEDOM_ABOUT)
 
 
 # Gaussians that join after a round, chosen from so many times as many points; they are so far apart at least,

@@ -365,12 +365,13 @@ def symmetry_parts(operator: DenseOperator) -> LoadedBlock:
     parts: list[DenseBlock] = []
     rows, inertia = [], []
     for block in operator.blocks:
-        loaded = block if isinstance(block, LoadedBlock) else _unloaded(block.dense())
+        loaded = block if isinstance(block, LoadedBlock) else unloaded((block.dense(),))
         parts += loaded.parts
         rows.append(loaded.rows)
         inertia.append(loaded.inertia)
     return LoadedBlock(tuple(parts), scipy.linalg.block_diag(*rows), np.concatenate(inertia, axis=1))
 
 
-def _unloaded(block: DenseBlock) -> LoadedBlock:
-    return LoadedBlock((block,), np.zeros((0, block.size)), np.zeros((block.n_terms[1], 0)))
+def unloaded(parts: tuple[DenseBlock, ...]) -> LoadedBlock:
+    """Blocks side by side, without masses that join them."""
+    return LoadedBlock(parts, np.zeros((0, sum(p.size for p in parts))), np.zeros((parts[0].n_terms[1], 0)))

@@ -46,6 +46,7 @@ from cpam_bayes.render.report import (
     remarks,
 )
 from cpam_bayes.render.sentences import (
+    basis_error_text,
     constant_rows,
     constants_table,
     errors_table,
@@ -495,6 +496,7 @@ def _work(result: StackingResult) -> list[tuple[str, str]]:
                 f"{check.largest:.2f} (most) in log evidence on draws from the result, which correct its sum",
             )
         )
+    rows.append(("reduced basis", basis_error_text(answer.basis_error)))
     took = f"{answer.seconds:.0f} s and {mixture.seconds:.0f} s for the constants, seed {result.seed}"
     return [*rows, ("work", took)]
 
@@ -555,6 +557,7 @@ def _document(result: StackingResult, sequences: Rows, frequencies: Rows) -> dic
             "correction_nats": check.correction,
             "effective_share": check.effective,
         },
+        "basis_error": answer.basis_error,
         "seconds": answer.seconds,
         "warnings": list(result.warnings),
         "notes": list(result.specimen.notes),

@@ -21,6 +21,7 @@ from cpam_bayes.render.report import Column, Heading, Rows, Section, Table, rema
 
 __all__ = [
     "attached_step",
+    "basis_error_text",
     "constant_details",
     "constant_rows",
     "constant_title",
@@ -177,6 +178,11 @@ def constants_headline(constants: Sequence[Constant], n_frequencies: int) -> str
     if not determined:
         return f"{subject} none of the constants."
     return f"{subject} {determined}{f', not {left}' if left else ''}."
+
+
+def basis_error_text(error: float) -> str:
+    """The largest relative error of a frequency by reduced bases, at draws of the answer."""
+    return f"off by {significant(100 * error, 2)} % of a frequency at most, by full solves at draws"
 
 
 def fit_sentence(

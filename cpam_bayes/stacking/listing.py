@@ -16,7 +16,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cpam_bayes.forward_model.reduced import basis_error
 from cpam_bayes.parallel import run
+from cpam_bayes.stacking.conditional import ConditionalPosterior
 from cpam_bayes.stacking.evaluation import (
     NEAR,
     Evaluated,
@@ -50,8 +52,8 @@ _SUSPECT_NATS, _SUSPECT_ERRORS = 0.3, 2.0
 _FITTED_FIRST = 16
 # Pieces that a worker evaluates the surrogate for.
 _PIECES = 64
-# Draws at which the basis made for the posterior is compared with the whole one.
-_BASIS_SETS = 200
+# Draws at which the basis made for the posterior is compared with full solves.
+_BASIS_SETS = 24
 # Fewest draws from a part that is not sampled.
 _MIN_DRAWS = 64
 # Weight of a draw, in mean weights, from which on its error counts: of others the surrogate was far too high.
@@ -546,22 +548,19 @@ def combined_posterior(
             fitted=len(listed.size),
             sampled=int(listed.sampled.sum()),
             surrogate_probability=rest_mass / total,
-            basis_error=_basis_error(problem, trained, drawn, rng),
+        ),
+        basis_error=basis_error_at(
+            trained.focused, problem.grid_deg, drawn, rng.permutation(len(drawn.sequences))
         ),
         seconds=0.0,
     )
 
 
-def _basis_error(
-    problem: StackingProblem, trained: TrainedSurrogate, drawn: Evaluated, rng: np.random.Generator
-) -> float:
-    """Largest relative difference of the frequencies of the two bases at some constants drawn."""
-    rows = rng.permutation(len(drawn.sequences))[:_BASIS_SETS]
-    whole = problem.conditional
-    x = drawn.conditionals.draws[rows, 0, : whole.template.model.parameters.size]
-    sets = np.column_stack((problem.grid_deg[drawn.sequences[rows]], x))
-    ratio = trained.focused.model.predict(sets).frequencies / whole.model.predict(sets).frequencies
-    return float(np.abs(ratio - 1.0).max())
+def basis_error_at(focused: ConditionalPosterior, grid_deg: Array, drawn: Evaluated, rows: Array) -> float:
+    """Largest relative error of a frequency by the basis for the posterior, from full solves at draws."""
+    rows = rows[:_BASIS_SETS]
+    x = drawn.conditionals.draws[rows, 0, : focused.template.model.parameters.size]
+    return float(basis_error(focused.model, np.column_stack((grid_deg[drawn.sequences[rows]], x))).max())
 
 
 def _credible_count(

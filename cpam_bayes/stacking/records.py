@@ -120,7 +120,6 @@ class SurrogateCheck:
     fitted : classes fitted one by one.
     sampled : classes of these whose evidence was sampled.
     surrogate_probability : of all sequences known from the surrogate alone.
-    basis_error : largest relative error of a frequency, at constants drawn, by the basis for the posterior.
     """
 
     training_size: int
@@ -132,7 +131,6 @@ class SurrogateCheck:
     fitted: int
     sampled: int
     surrogate_probability: float
-    basis_error: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,6 +157,7 @@ class StackingPosterior:
     drawn : sequences drawn from the posterior, with their conditional posteriors.
     draw_weight : (d,) weight of each draw.
     check : ``None`` where every evidence was computed.
+    basis_error : largest relative error of a frequency by the basis for the posterior, from full solves.
     """
 
     specimen: Specimen
@@ -183,6 +182,7 @@ class StackingPosterior:
     drawn: Evaluated
     draw_weight: Array
     check: SurrogateCheck | None
+    basis_error: float
     seconds: float
 
     def listing(self, rows: Array) -> StackingPosterior:

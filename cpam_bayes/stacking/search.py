@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from cpam_bayes.parallel import counted, run
 from cpam_bayes.running import TimeIsUpError, cut_short
+from cpam_bayes.stacking.conditional import ConditionalPosterior
 from cpam_bayes.stacking.evaluation import (
     NEAR,
     Evaluated,
@@ -40,6 +41,7 @@ from cpam_bayes.stacking.listing import (
     Enumeration,
     ListedClasses,
     PartialSums,
+    basis_error_at,
     combined,
     combined_posterior,
     draw_parts,
@@ -77,7 +79,7 @@ def exhaustive(
     distinct = classes(every, problem.symmetries)
     n, size = len(distinct.size), distinct.size
     notify(f"evidence of {n} sequences")
-    data = _evaluated(problem, distinct.representative, rng)
+    data, focused = _evaluated(problem, distinct.representative, rng)
     best = float(data.log_evidence.max())
     total = float(np.log(np.sum(size * np.exp(data.log_evidence - best)))) + best
     single = np.exp(data.log_evidence - total)
@@ -111,12 +113,15 @@ def exhaustive(
         drawn=problem.random_members(data[drawn], rng),
         draw_weight=np.full(len(drawn), 1.0 / len(drawn)),
         check=None,
+        basis_error=basis_error_at(focused, problem.grid_deg, data, drawn),
         seconds=0.0,
     )
 
 
-def _evaluated(problem: StackingProblem, sequences: Array, rng: np.random.Generator) -> Evaluated:
-    """The evidence of sequences (m, k), in their order."""
+def _evaluated(
+    problem: StackingProblem, sequences: Array, rng: np.random.Generator
+) -> tuple[Evaluated, ConditionalPosterior]:
+    """The evidence of sequences (m, k), in their order, and the posterior on the basis that it is from."""
     settings, grid, executor, library = problem.settings, problem.grid_deg, problem.executor, problem.library
     rough = roughly(problem.conditional, rng)
     screened = evaluate(rough, grid, sequences, problem.starts, _SCREENING_POINTS, executor, library)
@@ -129,7 +134,8 @@ def _evaluated(problem: StackingProblem, sequences: Array, rng: np.random.Genera
     focused = about(problem.conditional, grid, screened, rng)
     refined = evaluate(focused, grid, sequences[high], starts, settings.log2_points, executor, library)
     both = merged(refined, with_optima(screened[~high], refined.fits.weight.shape[1]))
-    return both[np.argsort(np.concatenate((np.flatnonzero(high), np.flatnonzero(~high))), kind="stable")]
+    order = np.argsort(np.concatenate((np.flatnonzero(high), np.flatnonzero(~high))), kind="stable")
+    return both[order], focused
 
 
 def _angle_functions(angles_deg: Array) -> Array:

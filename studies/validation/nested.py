@@ -9,8 +9,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtri
 
 from cpam_bayes.inference.derivatives import coordinates, log_density
+from cpam_bayes.inference.log_density import LogDensity
 from cpam_bayes.inference.posterior import Posterior
 from cpam_bayes.running import single_blas_thread
 
@@ -88,7 +90,6 @@ def _error(values: Array, errors: Array) -> Array:
 
 
 def _run(posterior: Posterior, rng: np.random.Generator, live_points: int, batch: int) -> _Run:
-    import dynesty
     from dynesty.utils import resample_run
 
     axes = coordinates(posterior)
@@ -102,19 +103,7 @@ def _run(posterior: Posterior, rng: np.random.Generator, live_points: int, batch
         values = log_density(posterior, axes, u) + np.log(width).sum()
         return np.where(np.isfinite(values), values, _NOTHING)
 
-    lockstep = Lockstep(batched, batch)
-    sampler = dynesty.NestedSampler(
-        lockstep.value,
-        lambda cube: lower + width * cube,
-        parameters.size,
-        nlive=live_points,
-        sample="rslice",
-        pool=lockstep,
-        queue_size=batch,
-        rstate=rng,
-    )
-    sampler.run_nested(dlogz=0.01, print_progress=False)
-    results = sampler.results
+    results = _sampled(batched, lambda cube: lower + width * cube, parameters.size, rng, live_points, batch)
     again = [resample_run(results, rstate=rng) for _ in range(_RESAMPLINGS)]
     spread = [_moments(axes.to_x(r.samples), r.logwt) for r in again]
     return _Run(
@@ -124,6 +113,49 @@ def _run(posterior: Posterior, rng: np.random.Generator, live_points: int, batch
         moments_error=np.std(spread, axis=0),
         calls=int(np.sum(results.ncall)),
     )
+
+
+def _sampled(
+    batched: Callable[[Array], Array],
+    from_cube: Callable[[Array], Array],
+    n: int,
+    rng: np.random.Generator,
+    live_points: int,
+    batch: int,
+) -> Any:
+    """What dynesty says of a likelihood of stacks of points (m, n) that are drawn from the unit cube."""
+    import dynesty
+
+    lockstep = Lockstep(batched, batch)
+    sampler = dynesty.NestedSampler(
+        lockstep.value,
+        from_cube,
+        n,
+        nlive=live_points,
+        sample="rslice",
+        pool=lockstep,
+        queue_size=batch,
+        rstate=rng,
+    )
+    sampler.run_nested(dlogz=0.01, print_progress=False)
+    return sampler.results
+
+
+@single_blas_thread
+def nested_of_density(
+    density: LogDensity, rng: np.random.Generator, *, live_points: int = 200, batch: int = 32
+) -> tuple[float, float]:
+    """The log evidence of a log density over normal scores, and its error by nested sampling itself.
+
+    The cube is the prior: z = Phi^-1(u), by which scores are standard normal.
+    """
+
+    def batched(z: Array) -> Array:
+        values = density.log_likelihood(density.scores.to_x(z))
+        return np.where(np.isfinite(values), values, _NOTHING)
+
+    results = _sampled(batched, ndtri, density.parameters.size, rng, live_points, batch)
+    return float(results.logz[-1]), float(results.logzerr[-1])
 
 
 def _moments(x: Array, log_weight: Array) -> Array:

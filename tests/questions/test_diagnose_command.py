@@ -45,6 +45,7 @@ def test_the_prior_of_none_is_an_option_and_the_others_keep_their_proportions(ru
     for document, prior in ((as_is, 0.5), (asked, 0.9)):
         assert document["priors"]["none"] == prior
         assert document["next_measurement"] == []
+        assert 0.0 < document["basis_error"] < 1e-4
     before, after = ({h["cause"]: h["prior"] for h in d["hypotheses"]} for d in (as_is, asked))
     ratios = [after[name] / before[name] for name in before if name != "none"]
     assert ratios == pytest.approx([0.2] * len(ratios))

@@ -52,6 +52,7 @@ def test_the_document_has_what_the_contract_names() -> None:
     assert set(first["constants"]) == {"E1_GPa", "E2_GPa", "nu12", "G12_GPa"}
     assert document["credible_95_count"] == own.credible_count
     assert document["unaccounted_probability"] == 0.0
+    assert 0.0 < document["basis_error"] < 1e-3
     np.testing.assert_allclose(np.sum(document["angle_marginals"], axis=1), 1.0)
     assert document["outer_plies_better_determined"] is True
     mean = document["constants"]["E1_GPa"]["mean"]
@@ -150,7 +151,6 @@ def test_what_was_learned_badly_or_overlooked_is_warned_of() -> None:
         fitted=500,
         sampled=300,
         surrogate_probability=1e-3,
-        basis_error=1e-5,
     )
     assert notices(replace(own, check=good), mixture()) == {}
     bad = replace(own, check=replace(good, rms=2.5, overlooked=1.2), unaccounted=4e-3)

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from cpam_bayes.diagnosis.comparison import PlateCase
-from cpam_bayes.diagnosis.evidence.optima import maximised
 from cpam_bayes.diagnosis.evidence.weighing import Tested, Weighed
 from cpam_bayes.diagnosis.hypotheses import Claim
+from cpam_bayes.inference.proposal import maximised
 
 # Fraction of the posterior from which an optimum is reported; nodes that optima are sought from, and the
 # fraction that makes one worth it.
@@ -56,7 +56,7 @@ def open_optima(t: Tested, cases: Sequence[PlateCase]) -> tuple[OpenOptimum, ...
     starts = marginal.z[:_MOST_STARTS][marginal.weight[:_MOST_STARTS] > _START_FRACTION]
     if len(starts) < 2:
         return ()
-    optima, _ = maximised(comparison, starts, _MOST_STEPS, _PROMISED)
+    optima = maximised(comparison, starts, _MOST_STEPS, _PROMISED)
     z, curvature = optima.z, optima.curvature
     draws = comparison.scores.to_z(marginal.draws)
     away = draws[:, None] - z

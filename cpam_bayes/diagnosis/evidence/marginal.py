@@ -24,7 +24,6 @@ from cpam_bayes.diagnosis.comparison import PlateCase, effect_columns
 from cpam_bayes.diagnosis.evidence.optima import (
     SEARCH,
     SIZE_RANGE,
-    Optima,
     conditional_optima,
     find_optima,
     size_points,
@@ -34,6 +33,7 @@ from cpam_bayes.diagnosis.hypotheses import Hypothesis
 from cpam_bayes.inference.derivatives import MAX_SCORE, Expansion
 from cpam_bayes.inference.laplace import maximise
 from cpam_bayes.inference.log_density import LogDensity
+from cpam_bayes.inference.proposal import Optima, about
 from cpam_bayes.inference.student_mixture import Mixture, sobol_points
 from cpam_bayes.parameters import Parameter
 from cpam_bayes.running import single_blas_thread
@@ -49,10 +49,10 @@ _LOG2_SCATTERED = {2: 5, 3: 5, 4: 6}
 _MOST_SCATTERED = 7
 # Part of the nodes' mass that an optimum has at most where it leaves the sizes open.
 _OF_OPEN_OPTIMUM = 0.2
-# Components with less of the mass propose nothing.
+# Nodes with less of the mass are left out.
 _NEGLIGIBLE_FRACTION = 1e-4
-# Degrees of freedom and widening of the mixture that importance sampling proposes, log2 of its points.
-_FREEDOM, _WIDER, LOG2_POINTS = 6.0, 1.15, 9
+# Draws of Laplace's approximation, log2.
+LOG2_POINTS = 9
 _HALF_LOG_2PI = 0.5 * np.log(2 * np.pi)
 
 
@@ -128,7 +128,7 @@ def laplace_marginal(
     if float(logsumexp(optima.log_mass)) < least:
         open_sizes = ()
     z, log_mass = optima.z, optima.log_mass
-    factor = np.linalg.cholesky(np.linalg.inv(optima.curvature))
+    factor = optima.factor
     if open_sizes:
         at_nodes = _over_nodes(comparison, open_sizes, open_sizes[0] == sizes[0], optima)
         if len(open_sizes) == 1:
@@ -188,19 +188,17 @@ def _marginal(
     comparison: LogDensity, sizes: tuple[int, ...], z: Array, factor: Array, log_mass: Array
 ) -> Marginal:
     """Of components about optima and nodes, with their log masses (k,)."""
-    kept = np.flatnonzero(log_mass > log_mass.max() + np.log(_NEGLIGIBLE_FRACTION))
-    kept = kept[np.argsort(-log_mass[kept], kind="stable")]
-    weight = np.exp(log_mass[kept] - logsumexp(log_mass[kept]))
-    proposal = Mixture(weight[None], z[None, kept], factor[None, kept], np.inf)
-    draws = comparison.scores.to_x(sobol_points(proposal, LOG2_POINTS)[0])
+    kept, proposal = about(z, factor, log_mass)
+    gaussians = replace(proposal, factor=factor[None, kept], degrees_of_freedom=np.inf)
+    draws = comparison.scores.to_x(sobol_points(gaussians, LOG2_POINTS)[0])
     return Marginal(
         comparison=comparison,
         sizes=sizes,
         log_evidence=float(logsumexp(log_mass)),
         error=np.nan,
         z=z[kept],
-        weight=weight,
-        proposal=replace(proposal, factor=_WIDER * proposal.factor, degrees_of_freedom=_FREEDOM),
+        weight=proposal.share[0],
+        proposal=proposal,
         draws=draws,
         log_weight=np.full(len(draws), -np.log(len(draws))),
     )

@@ -19,9 +19,10 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 from scipy.stats import qmc
 
-from cpam_bayes.inference.derivatives import MAX_SCORE, Expansion, distinct
+from cpam_bayes.inference.derivatives import MAX_SCORE, Expansion
 from cpam_bayes.inference.laplace import maximise
 from cpam_bayes.inference.log_density import LogDensity
+from cpam_bayes.inference.proposal import Optima, maximised
 from cpam_bayes.mechanics.modes import RigidBodyError
 
 Array = NDArray[Any]
@@ -42,7 +43,6 @@ class SearchSettings:
     first_noise : score of an inferred noise that optimisations begin with: large noise makes the first steps
         long
     overshoot : an optimisation under way may gain so many times what its next step promises
-    distinct_sd : optima are the same within this distance, standard deviations
     depth_nats : optima are kept within so much of the best
     """
 
@@ -53,7 +53,6 @@ class SearchSettings:
     forgiven: float = 0.9
     first_noise: float = 1.5
     overshoot: float = 10.0
-    distinct_sd: float = 1.0
     depth_nats: float = 25.0
 
 
@@ -72,27 +71,6 @@ class NodeSettings:
 
 SEARCH: Final = SearchSettings()
 _NODE: Final = NodeSettings()
-
-
-@dataclass(frozen=True, slots=True)
-class Optima:
-    """Distinct optima of a log density over normal scores, the best one first.
-
-    z : (k, n)
-    value : (k,)
-    curvature : (k, n, n)
-    """
-
-    z: Array
-    value: Array
-    curvature: Array
-
-    @property
-    def log_mass(self) -> Array:
-        """Log of the integral about each by Laplace's approximation, (k,)."""
-        n = self.z.shape[1]
-        log_det = np.linalg.slogdet(self.curvature)[1]
-        return np.asarray(self.value + 0.5 * n * np.log(2 * np.pi) - 0.5 * log_det)
 
 
 def find_optima(
@@ -117,16 +95,15 @@ def find_optima(
         order = np.argsort(_misfit_at(comparison, draws), kind="stable")
         z = np.concatenate((known, draws[order[: SEARCH.rounds[0][0]]]))
         for keep, steps in SEARCH.rounds[:-1]:
-            optima, promise = maximised(comparison, z[: keep + first], steps)
+            optima = maximised(comparison, z[: keep + first], steps, SEARCH.promised)
             z, first = optima.z, 0
-        if len(z) and (optima.value + SEARCH.overshoot * promise).max() < least - SEARCH.depth_nats:
-            return Optima(optima.z[:1], optima.value[:1], optima.curvature[:1])
+        if len(z) and (optima.value + SEARCH.overshoot * optima.promise).max() < least - SEARCH.depth_nats:
+            return optima.only(slice(1))
     most, steps = SEARCH.rounds[-1]
-    optima, _ = maximised(comparison, z[: max(most, first)], steps)
+    optima = maximised(comparison, z[: max(most, first)], steps, SEARCH.promised)
     if not len(optima.value):
         raise RigidBodyError("at no start the plate has modes, or the constraints are satisfied")
-    near = optima.value > optima.value[0] - SEARCH.depth_nats
-    return Optima(optima.z[near], optima.value[near], optima.curvature[near])
+    return optima.only(optima.value > optima.value[0] - SEARCH.depth_nats)
 
 
 def prior_draws(comparison: LogDensity, sizes: tuple[int, ...], log2_draws: int) -> Array:
@@ -174,23 +151,6 @@ def coarse_misfit(r: Array) -> Array:
     """A misfit that ranks far-off residuals (m, n_f) of the log frequencies, (m,)."""
     r = r - SEARCH.forgiven * r.mean(axis=1, keepdims=True)
     return np.asarray(np.sum(np.log1p((r / SEARCH.coarse) ** 2), axis=1))
-
-
-def maximised(
-    comparison: LogDensity, z: Array, most_steps: int, promised: float = SEARCH.promised
-) -> tuple[Optima, Array]:
-    """Distinct ends of optimisations from scores (s, n), and the gain that one more step promises each.
-
-    most_steps, promised : as in ``maximise``
-    """
-    bound = np.full(z.shape[1], MAX_SCORE)
-    maxima = maximise(
-        lambda at, rows: comparison.expand(at), z, -bound, bound, most_steps=most_steps, promised=promised
-    )
-    kept = distinct(maxima.u, maxima.expansion, SEARCH.distinct_sd)
-    g, c = maxima.expansion.gradient[kept], maxima.expansion.curvature[kept]
-    promise = 0.5 * np.einsum("ki,ki->k", g, np.linalg.solve(c, g[..., None])[..., 0])
-    return Optima(maxima.u[kept], maxima.expansion.value[kept], c), promise
 
 
 @dataclass(frozen=True, slots=True)

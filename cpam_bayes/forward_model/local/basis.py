@@ -159,7 +159,7 @@ class _Training:
     block : its symmetries as parts, with known masses
     sets : (m, n_parameters)
     stiffness, mass : (m, n_terms) coefficients
-    modes : eigenvalues (m, k) and vectors (m, n, k) of every part
+    modes : eigenvalues (m, k) and vectors (m, k, n) of every part
     last, highest : (m,) eigenvalues of the last mode of the leading basis, and of the last one predicted
     first : lowest eigenvalue of a deformation mode
     shift : of the energy in which loads are answered
@@ -191,7 +191,7 @@ def _training(plate: BarePlate, how: LocalSettings) -> tuple[_Training, np.rando
     stiffness, mass = plain.coefficients(x)
     n_rigid = rigid_body_count(problem.edges)
     wanted = n_rigid + n_modes + how.modes
-    modes = [_modes(part, stiffness, mass, wanted) for part in block.parts]
+    modes = [part.modes(stiffness, mass, min(wanted, part.size)) for part in block.parts]
     lowest = np.sort(np.concatenate([lam for lam, _ in modes], axis=1), axis=1)
     first = float(lowest[0, n_rigid])
     last, highest = lowest[:, wanted - 1], lowest[:, n_rigid + n_modes - 1]
@@ -206,8 +206,8 @@ def _lowest(trained: _Training, s: int, k: int) -> list[Array]:
     for lam, vectors in trained.modes:
         at = order - start
         inside = (at >= 0) & (at < lam.shape[1])
-        of_block = np.zeros((vectors.shape[1], k))
-        of_block[:, inside] = vectors[s][:, at[inside]] / np.sqrt(lam[s][at[inside]])
+        of_block = np.zeros((vectors.shape[2], k))
+        of_block[:, inside] = vectors[s, at[inside]].T / np.sqrt(lam[s, at[inside]])
         start += lam.shape[1]
         out.append(of_block)
     return out
@@ -234,9 +234,9 @@ def _basis(trained: _Training, b: int, loads: list[Array], how: LocalSettings) -
     lam, vectors = trained.modes[b]
     # the frequency of a rigid-body motion is rounding
     rigid = np.abs(lam) < _RIGID * trained.first
-    basis = _grown(np.empty((block.size, 0)), root @ vectors[0][:, rigid[0]], 0.0)
+    basis = _grown(np.empty((block.size, 0)), root @ vectors[0, rigid[0]].T, 0.0)
     bare_modes = [
-        v[:, chosen] / np.sqrt(one[chosen])
+        (v[chosen] / np.sqrt(one[chosen])[:, None]).T
         for one, v, chosen in zip(lam, vectors, ~rigid & (lam <= trained.last[:, None]), strict=True)
     ]
     basis = _grown(basis, root @ np.concatenate(bare_modes, axis=1), how.leading)
@@ -248,13 +248,6 @@ def _basis(trained: _Training, b: int, loads: list[Array], how: LocalSettings) -
         ]
         basis = _grown(basis, root @ np.concatenate(responses, axis=1), how.rest)
     return scipy.linalg.solve_triangular(root, basis), leading
-
-
-def _modes(block: DenseBlock, stiffness: Array, mass: Array, n: int) -> tuple[Array, Array]:
-    n = min(n, block.size)
-    k, m = block.stiffness.assemble(stiffness), block.mass.assemble(mass)
-    pairs = [scipy.linalg.eigh(a, b, subset_by_index=(0, n - 1)) for a, b in zip(k, m, strict=True)]
-    return np.stack([p[0] for p in pairs]), np.stack([p[1] for p in pairs])
 
 
 def _training_places(rng: np.random.Generator, n: int) -> Array:

@@ -77,6 +77,7 @@ from cpam_bayes.render.report import (
     remarks,
 )
 from cpam_bayes.render.sentences import (
+    basis_error_text,
     further_steps,
     noise_word,
     reliance_sentences,
@@ -588,6 +589,7 @@ def _work(d: Diagnosis, seed: int) -> Table:
             "work",
             f"{len(distinct_hypotheses(d.weighed.tested))} hypotheses in {d.seconds:.1f} s, seed {seed}",
         ),
+        *(() if d.basis_error is None else (("reduced bases", basis_error_text(d.basis_error)),)),
     )
     return facts("Computation", rows)
 

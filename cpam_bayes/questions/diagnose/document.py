@@ -512,6 +512,7 @@ def document(result: DiagnosisResult, sentence: str) -> dict[str, Any]:
         "priors": _priors(d),
         "material_scatter": result.scatter if len({s.specimen for s in specimens}) > 1 else None,
         "air_density_kg_m3": {s.name: s.air_density for s in specimens},
+        "basis_error": d.basis_error,
         "seconds": d.seconds,
         "warnings": list(result.warnings),
         "notes": [note for s in specimens for note in s.notes],

@@ -1,0 +1,136 @@
+"""Are the marginal likelihoods of the diagnosis those of nested sampling?
+
+python studies/24_nested_evidence.py [--quick] [--cases N] [--minutes M]
+
+The lists are those of 18_evidence_reference.py. What the importance sampler says of hypotheses near the best
+is compared with static nested sampling (dynesty, the extra `audit`), which shares the density alone with it.
+Runs go on from the saved cases, --minutes ends one early.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cpam_bayes.diagnosis.cases import hypotheses_of
+from cpam_bayes.diagnosis.evidence.marginal import Tested
+from cpam_bayes.diagnosis.hypotheses import NONE
+from validation.nested import nested_of_density
+from validation.reporting import save_results, saved_results
+
+Results = dict[str, Any]
+
+LISTS = import_module("18_evidence_reference")
+RESULTS = Path(__file__).parent / "results" / f"{Path(__file__).stem}.json"
+
+KEYS = {
+    "quick": "whether this is the small version",
+    "live_points": "of every run of nested sampling",
+    "summary": "hypotheses compared, and how far both ways differ",
+    "cases": "one each: plate, modes, what is hidden, hypotheses with both log evidences and their errors",
+}
+
+CASES, QUICK_CASES = 60, 1
+LIVE_POINTS, QUICK_LIVE_POINTS = 200, 30
+# Hypotheses this far below the best are not compared, and how far both ways may be apart beyond their errors.
+NEAR_NATS, AGREED_NATS = 8.0, 0.1
+
+
+def weighed_list(number: int) -> tuple[Results, list[Tested]]:
+    """One list of study 18 with none, what is hidden and another cause, as the diagnosis weighs them."""
+    rng = np.random.default_rng([LISTS.SEED, number])
+    name, most, with_sd, lengths = LISTS.PLATES[number % len(LISTS.PLATES)]
+    n, stated = int(rng.choice(lengths)), bool(rng.random() < 0.5)
+    case = LISTS.plate(name, most, with_sd)
+    hidden, size, meant, f = LISTS.drawn(case, n, rng)
+    case = LISTS.with_frequencies(case, f * (1.0 + LISTS.NOISE * rng.standard_normal(n)), stated=stated)
+    singles = [h for h, _ in hypotheses_of([case])]
+    others = [h for h in singles if h.cause not in (NONE, hidden.cause)]
+    chosen = [singles[0], *([hidden] if hidden.cause != NONE else []), others[int(rng.integers(len(others)))]]
+    what = {"case": number, "plate": name, "modes": n, "hidden": hidden.cause, "size": size, "meant": meant}
+    return what, LISTS.weighed(case, chosen)
+
+
+def run_case(number: int, *, quick: bool) -> Results:
+    """One list, its hypotheses near the best weighed both ways."""
+    what, tested = weighed_list(number)
+    best = max(t.marginal.log_evidence for t in tested)
+    rows, begin = [], time.process_time()
+    for i, t in enumerate(tested):
+        if t.marginal.log_evidence < best - NEAR_NATS or not t.marginal.is_sampled:
+            continue
+        log_evidence, error = nested_of_density(
+            t.marginal.comparison,
+            np.random.default_rng([number, i, 24]),
+            live_points=QUICK_LIVE_POINTS if quick else LIVE_POINTS,
+        )
+        rows.append(
+            {
+                "cause": t.hypothesis.cause,
+                "variant": t.hypothesis.variant,
+                "importance": round(t.marginal.log_evidence, 4),
+                "importance_error": round(t.marginal.error, 4),
+                "nested": round(log_evidence, 4),
+                "nested_error": round(error, 4),
+            }
+        )
+    return {**what, "seconds": round(time.process_time() - begin, 1), "hypotheses": rows}
+
+
+def summary(cases: list[Results]) -> Results:
+    """How far both ways differ, in nats and in standard errors of both."""
+    rows = [row for case in cases for row in case["hypotheses"]]
+    difference = np.array([row["importance"] - row["nested"] for row in rows])
+    error = np.array([np.hypot(row["importance_error"], row["nested_error"]) for row in rows])
+    z = difference / error
+    return {
+        "cases": len(cases),
+        "compared": len(rows),
+        "agreed": int(np.sum(np.abs(difference) <= AGREED_NATS + 2.0 * error)),
+        "mean_difference": round(float(difference.mean()), 3) if rows else None,
+        "largest_difference": round(float(np.abs(difference).max()), 3) if rows else None,
+        "mean_error": round(float(error.mean()), 3) if rows else None,
+        "rms_over_error": round(float(np.sqrt(np.mean(z**2))), 2) if rows else None,
+    }
+
+
+def run(quick: bool, cases: int = CASES, minutes: float = np.inf, path: Path | None = None) -> Results:
+    """The cases that are saved at a path and those that are not, saved one by one."""
+    known = {c["case"]: c for c in saved_results(path).get("cases", [])} if path else {}
+    end = time.monotonic() + 60.0 * minutes
+    for number in range(QUICK_CASES if quick else cases):
+        if number in known:
+            continue
+        if time.monotonic() > end:
+            break
+        known[number] = run_case(number, quick=quick)
+        if path:
+            save_results(path, as_results(known, quick=quick))
+        print(known[number], flush=True)
+    return as_results(known, quick=quick)
+
+
+def as_results(cases: dict[int, Results], *, quick: bool) -> Results:
+    """What is saved of cases by their numbers."""
+    rows = [cases[number] for number in sorted(cases)]
+    points = QUICK_LIVE_POINTS if quick else LIVE_POINTS
+    return {"quick": quick, "live_points": points, "summary": summary(rows), "cases": rows}
+
+
+def main() -> None:
+    """Run the cases that are not saved yet."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--quick", action="store_true", help="one list with few live points, not saved")
+    parser.add_argument("--cases", type=int, default=CASES, help="lists in all")
+    parser.add_argument("--minutes", type=float, default=np.inf, help="no further list is begun after these")
+    options = parser.parse_args()
+    print(run(options.quick, options.cases, options.minutes, None if options.quick else RESULTS)["summary"])
+
+
+if __name__ == "__main__":
+    main()
