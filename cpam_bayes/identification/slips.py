@@ -12,7 +12,7 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final, Literal, TypeAlias
+from typing import Any, Final, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,7 +47,7 @@ _CLEAR, _FAR = 3.0, 4.0
 # Places of a decimal point that was lost or put wrong.
 _FACTORS: Final = (10.0, 100.0, 1000.0)
 # Constants that are drawn, and those of the least misfit that a refit begins from.
-_DRAWN, _STARTS = 60, 4
+_DRAWN, _STARTS = 100, 3
 # A key with its value, up to a comment.
 _VALUE: Final = re.compile(r"""[^=\n]*=\s*(\[[^\]]*\]|"[^"\n]*"|'[^'\n]*'|[^#\s]+)""")
 _LISTED, _COMPLETE = ("measurement", "frequencies_hz"), ("measurement", "complete")
@@ -72,6 +72,13 @@ class Slip:
     edits: Mapping[tuple[str, str], Any]
     rms: float = math.nan
     score: float = -math.inf
+
+
+class _Starts(NamedTuple):
+    """Constants that a refit may begin from, (m, n), and their frequencies, (m, n_modes)."""
+
+    constants: Array
+    predicted: Array
 
 
 @single_blas_thread
@@ -151,17 +158,18 @@ def _of_list(specimen: Specimen, seed: int) -> Iterator[Slip]:
             yield _weighed(slip, PairedModel(model, every[:n]), starts, 2 * len(_FACTORS))
 
 
-def _model(specimen: Specimen, n_modes: int, seed: int) -> tuple[ReducedModel, Array]:
-    """A model of a plate about its reference constants, and constants to begin from, (m, n)."""
+def _model(specimen: Specimen, n_modes: int, seed: int) -> tuple[ReducedModel, _Starts]:
+    """A model of a plate about its reference constants, and constants to begin from."""
     measurement, unknowns = required(specimen)
     reduction = ReductionSettings(max(basis_tolerance(measurement), 0.1 * _REFIT_ERROR))
     model = reduced_model(specimen, unknowns, n_modes, settings=reduction)
     drawn = material_swarm(specimen.material, unknowns, _DRAWN, np.random.default_rng([seed, 37]))
     centre = np.clip(reference_vector(specimen, unknowns), unknowns.lower, unknowns.upper)
-    return model, np.vstack((centre, drawn))
+    constants = np.vstack((centre, drawn))
+    return model, _Starts(constants, model.predict(constants).frequencies)
 
 
-def _weighed(slip: Slip, model: PairedModel, starts: Array, variants: int) -> Slip:
+def _weighed(slip: Slip, model: PairedModel, starts: _Starts, variants: int) -> Slip:
     """A slip with its fit and score; -inf where the corrected file is not fitted to the noise.
 
     A frequency that is not compared with a mode could be anywhere within a factor of e. variants : places
@@ -172,9 +180,9 @@ def _weighed(slip: Slip, model: PairedModel, starts: Array, variants: int) -> Sl
     freedom = len(f) - k
     if freedom < _LEAST_FREEDOM:
         return slip
-    predicted = model.predict(starts).frequencies[:, : len(f)]
+    predicted = starts.predicted[:, model.modes]
     nearest = np.argsort(np.sum((predicted / f - 1.0) ** 2, axis=1), kind="stable")[:_STARTS]
-    x = refitted(slip.corrected, model, starts[nearest])
+    x = refitted(slip.corrected, model, starts.constants[nearest])
     relative = model.predict(x[None]).frequencies[0, : len(f)] / f - 1.0
     rms = float(np.sqrt(np.mean(relative**2)))
     inferred = float(np.sqrt(np.sum(relative**2) / freedom))
