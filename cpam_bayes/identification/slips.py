@@ -25,6 +25,7 @@ from cpam_bayes.forward_model.reduced import ReducedModel, ReductionSettings
 from cpam_bayes.identification.search import PairedModel, refitted, required
 from cpam_bayes.inference.swarm import material_swarm
 from cpam_bayes.mechanics.modes import RigidBodyError
+from cpam_bayes.parameters import ParameterSet
 from cpam_bayes.plate import Measurement, Plate, Specimen, to_user
 from cpam_bayes.plate.layup import Layup
 from cpam_bayes.plate.text import decode, line_numbers
@@ -46,8 +47,9 @@ _REFIT_ERROR, _LOW_NOISE = 1e-3, 0.005
 _CLEAR, _FAR = 3.0, 4.0
 # Places of a decimal point that was lost or put wrong.
 _FACTORS: Final = (10.0, 100.0, 1000.0)
-# Constants that are drawn, and those of the least misfit that a refit begins from.
-_DRAWN, _STARTS = 100, 3
+# Constants that are drawn, those of them that a step is made from, its ridge over the trace of the square,
+# and slips of the list that are refitted, those of which a step leaves least.
+_DRAWN, _NEAR, _RIDGE, _REFITTED = 100, 12, 1e-6, 8
 # A key with its value, up to a comment.
 _VALUE: Final = re.compile(r"""[^=\n]*=\s*(\[[^\]]*\]|"[^"\n]*"|'[^'\n]*'|[^#\s]+)""")
 _LISTED, _COMPLETE = ("measurement", "frequencies_hz"), ("measurement", "complete")
@@ -75,10 +77,29 @@ class Slip:
 
 
 class _Starts(NamedTuple):
-    """Constants that a refit may begin from, (m, n), and their frequencies, (m, n_modes)."""
+    """Constants that a refit may begin from, (m, n), their frequencies, (m, n_modes), and their slopes."""
 
     constants: Array
     predicted: Array
+    slopes: Array
+
+    def led_on(self, f: Array, modes: Array, unknowns: ParameterSet) -> tuple[float, Array]:
+        """What a Gauss-Newton step leaves of the logarithms of a list (n,), rms, and where it leads, (k, n).
+
+        Of the constants whose frequencies are nearest; their best one and its start.
+        """
+        away = np.log(self.predicted[:, modes] / f)
+        near = np.argsort(np.sum(away**2, axis=1), kind="stable")[:_NEAR]
+        half = 0.5 * (unknowns.upper - unknowns.lower)
+        slope = self.slopes[near][:, modes] / self.predicted[near][:, modes, None] * half
+        square = np.swapaxes(slope, 1, 2) @ slope
+        ridge = _RIDGE * np.trace(square, axis1=1, axis2=2)[:, None, None] * np.eye(len(half))
+        step = -np.linalg.solve(square + ridge, np.einsum("mij,mi->mj", slope, away[near])[..., None])[..., 0]
+        x = np.clip(self.constants[near] + half * step, unknowns.lower, unknowns.upper)
+        left = away[near] + np.einsum("mij,mj->mi", slope, (x - self.constants[near]) / half)
+        rms = np.sqrt(np.mean(left**2, axis=1))
+        best = int(np.argmin(rms))
+        return float(rms[best]), np.vstack((x[best], self.constants[near[[0, best]]]))
 
 
 @single_blas_thread
@@ -114,7 +135,7 @@ def _plates(specimen: Specimen) -> Iterator[tuple[SlipKind, Plate, dict[tuple[st
     plate = specimen.plate
     other = {"length": "width", "width": "length"}
     even = len(set(plate.edges)) == 1
-    if plate.length != plate.width:
+    if plate.length != plate.width and not (even and specimen.material.isotropic):
         sd = {other.get(name, name): value for name, value in plate.sd.items()}
         sizes = {"length_mm": plate.width, "width_mm": plate.length}
         edits = {("plate", key): round(to_user(key[:-3], value), 9) for key, value in sizes.items()}
@@ -134,28 +155,46 @@ def _plates(specimen: Specimen) -> Iterator[tuple[SlipKind, Plate, dict[tuple[st
 def _of_list(specimen: Specimen, seed: int) -> Iterator[Slip]:
     """Corrected lists, all with the model of the plate as it is stated."""
     measurement, _ = required(specimen)
+    model, starts = _model(specimen, measurement.size + 1, seed)
+    each = [
+        (slip, modes, variants)
+        for slip, modes, variants in _lists(specimen)
+        if len(modes) - specimen.unknowns.size >= _LEAST_FREEDOM
+    ]
+    left = [
+        starts.led_on(required(slip.corrected)[0].frequencies, modes, specimen.unknowns)[0]
+        for slip, modes, _ in each
+    ]
+    for i in np.argsort(left, kind="stable")[:_REFITTED]:
+        slip, modes, variants = each[i]
+        yield _weighed(slip, PairedModel(model, modes), starts, variants)
+
+
+def _lists(specimen: Specimen) -> Iterator[tuple[Slip, Array, int]]:
+    """Slips of a list, with the rank of the mode of each frequency and the number of slips of the kind."""
+    measurement, _ = required(specimen)
     f, n = measurement.frequencies, measurement.size
-    model, starts = _model(specimen, n + 1, seed)
     every = np.arange(n + 1)
     for k in range(n):
-        slip = Slip("missed", k + 1, 0.0, specimen, {("measurement", "complete"): False})
-        yield _weighed(slip, PairedModel(model, np.delete(every, k)), starts, n)
+        yield (
+            Slip("missed", k + 1, 0.0, specimen, {("measurement", "complete"): False}),
+            np.delete(every, k),
+            n,
+        )
     for i in range(n):
         less = replace(specimen, measurement=_without(measurement, i))
         edits = {("measurement", "frequencies_hz"): np.delete(f, i).tolist()}
         if i < n - 1:
-            slip = Slip("false", i + 1, float(f[i]), less, edits)
-            yield _weighed(slip, PairedModel(model, every[: n - 1]), starts, n)
-        slip = Slip("misread", i + 1, float(f[i]), less, {**edits, ("measurement", "complete"): False})
-        yield _weighed(slip, PairedModel(model, np.delete(every[:n], i)), starts, n)
+            yield Slip("false", i + 1, float(f[i]), less, edits), every[: n - 1], n
+        edits = {**edits, ("measurement", "complete"): False}
+        yield Slip("misread", i + 1, float(f[i]), less, edits), np.delete(every[:n], i), n
     # in a list that ascends, a wrong decimal point makes a frequency the first or the last
     for i, factors in ((0, _FACTORS), (n - 1, tuple(1.0 / factor for factor in _FACTORS))):
         for value in (factor * float(f[i]) for factor in factors):
             right = replace(specimen, measurement=_replaced(measurement, i, value))
-            assert right.measurement is not None
-            edits = {("measurement", "frequencies_hz"): right.measurement.frequencies.tolist()}
-            slip = Slip("decimal", i + 1, value, right, edits)
-            yield _weighed(slip, PairedModel(model, every[:n]), starts, 2 * len(_FACTORS))
+            listed = required(right)[0].frequencies.tolist()
+            slip = Slip("decimal", i + 1, value, right, {("measurement", "frequencies_hz"): listed})
+            yield slip, every[:n], 2 * len(_FACTORS)
 
 
 def _model(specimen: Specimen, n_modes: int, seed: int) -> tuple[ReducedModel, _Starts]:
@@ -166,7 +205,9 @@ def _model(specimen: Specimen, n_modes: int, seed: int) -> tuple[ReducedModel, _
     drawn = material_swarm(specimen.material, unknowns, _DRAWN, np.random.default_rng([seed, 37]))
     centre = np.clip(reference_vector(specimen, unknowns), unknowns.lower, unknowns.upper)
     constants = np.vstack((centre, drawn))
-    return model, _Starts(constants, model.predict(constants).frequencies)
+    found = model.predict(constants, jacobian=True)
+    assert found.jacobian is not None
+    return model, _Starts(constants, found.frequencies, found.jacobian)
 
 
 def _weighed(slip: Slip, model: PairedModel, starts: _Starts, variants: int) -> Slip:
@@ -180,9 +221,8 @@ def _weighed(slip: Slip, model: PairedModel, starts: _Starts, variants: int) -> 
     freedom = len(f) - k
     if freedom < _LEAST_FREEDOM:
         return slip
-    predicted = starts.predicted[:, model.modes]
-    nearest = np.argsort(np.sum((predicted / f - 1.0) ** 2, axis=1), kind="stable")[:_STARTS]
-    x = refitted(slip.corrected, model, starts.constants[nearest])
+    _, start = starts.led_on(f, model.modes, unknowns)
+    x = refitted(slip.corrected, model, start)
     relative = model.predict(x[None]).frequencies[0, : len(f)] / f - 1.0
     rms = float(np.sqrt(np.mean(relative**2)))
     inferred = float(np.sqrt(np.sum(relative**2) / freedom))

@@ -30,6 +30,7 @@ __all__ = [
     "document",
     "plates",
     "population_dataset",
+    "probability_text",
     "verdict",
 ]
 
@@ -171,7 +172,7 @@ def plates(result: BatchResult, most: int | None = None) -> Rows:
             f"P({limit.shown})",
             f"P({limit.text})",
             partial(_probability, result, limit),
-            _probability_text,
+            probability_text,
             number=True,
         )
         for limit in result.limits
@@ -230,7 +231,8 @@ def _constant_text(row: PlateRow, name: str) -> str:
     return f"{value} +- {sd}{'' if constant.verdict is Verdict.DATA else ' (open)'}"
 
 
-def _probability_text(p: float) -> str:
+def probability_text(p: float) -> str:
+    """A probability to three digits after the point, or as beyond them."""
     return fixed(p, 3) if 0.001 <= p <= 0.999 else ("< 0.001" if p < 0.5 else "> 0.999")
 
 
