@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final, Literal, NamedTuple, TypeAlias
@@ -26,7 +26,7 @@ from cpam_bayes.identification.search import PairedModel, refitted, required
 from cpam_bayes.inference.swarm import material_swarm
 from cpam_bayes.mechanics.modes import RigidBodyError
 from cpam_bayes.parameters import ParameterSet
-from cpam_bayes.plate import Measurement, Plate, Specimen, to_user
+from cpam_bayes.plate import Measurement, Plate, Specimen, to_user, unit_of
 from cpam_bayes.plate.layup import Layup
 from cpam_bayes.plate.text import decode, line_numbers
 from cpam_bayes.running import single_blas_thread
@@ -176,14 +176,11 @@ def _lists(specimen: Specimen) -> Iterator[tuple[Slip, Array, int]]:
     f, n = measurement.frequencies, measurement.size
     every = np.arange(n + 1)
     for k in range(n):
-        yield (
-            Slip("missed", k + 1, 0.0, specimen, {("measurement", "complete"): False}),
-            np.delete(every, k),
-            n,
-        )
+        slip = Slip("missed", k + 1, 0.0, specimen, {("measurement", "complete"): False})
+        yield slip, np.delete(every, k), n
     for i in range(n):
-        less = replace(specimen, measurement=_without(measurement, i))
-        edits = {("measurement", "frequencies_hz"): np.delete(f, i).tolist()}
+        less = replace(specimen, measurement=_listed(measurement, f, np.delete(every[:n], i)))
+        edits: dict[tuple[str, str], Any] = {("measurement", "frequencies_hz"): np.delete(f, i).tolist()}
         if i < n - 1:
             yield Slip("false", i + 1, float(f[i]), less, edits), every[: n - 1], n
         edits = {**edits, ("measurement", "complete"): False}
@@ -191,9 +188,10 @@ def _lists(specimen: Specimen) -> Iterator[tuple[Slip, Array, int]]:
     # in a list that ascends, a wrong decimal point makes a frequency the first or the last
     for i, factors in ((0, _FACTORS), (n - 1, tuple(1.0 / factor for factor in _FACTORS))):
         for value in (factor * float(f[i]) for factor in factors):
-            right = replace(specimen, measurement=_replaced(measurement, i, value))
-            listed = required(right)[0].frequencies.tolist()
-            slip = Slip("decimal", i + 1, value, right, {("measurement", "frequencies_hz"): listed})
+            moved = np.where(every[:n] == i, value, f)
+            right = replace(specimen, measurement=_listed(measurement, moved, np.argsort(moved)))
+            edits = {("measurement", "frequencies_hz"): np.sort(moved).tolist()}
+            slip = Slip("decimal", i + 1, value, right, edits)
             yield slip, every[:n], 2 * len(_FACTORS)
 
 
@@ -237,36 +235,21 @@ def _weighed(slip: Slip, model: PairedModel, starts: _Starts, variants: int) -> 
 
 
 def _is_far(specimen: Specimen, x: Array) -> bool:
-    """Whether constants (n,) are none that [material.sd] allows."""
+    """Whether moduli among constants (n,) are none that [material.sd] allows."""
     reference, known = reference_constants(specimen), specimen.material.sd
-    away = [
-        abs(value - reference[name]) / known[name]
-        for name, value in zip(specimen.unknowns.names, x.tolist(), strict=True)
-        if known.get(name)
-    ]
-    return max(away, default=0.0) > _FAR
+    each = zip(specimen.unknowns.names, x.tolist(), strict=True)
+    return any(unit_of(n) and abs(v - reference[n]) > _FAR * known.get(n, math.inf) for n, v in each)
 
 
-def _without(measurement: Measurement, i: int) -> Measurement:
-    """A list without one of its frequencies."""
-    return _listed(measurement, np.delete(np.arange(measurement.size), i))
-
-
-def _replaced(measurement: Measurement, i: int, frequency: float) -> Measurement:
-    """A list with another value of one frequency, in its place."""
-    f = np.array(measurement.frequencies)
-    f[i] = frequency
-    return _listed(replace(measurement, frequencies=f), np.argsort(f, kind="stable"))
-
-
-def _listed(measurement: Measurement, at: Sequence[int] | Array) -> Measurement:
+def _listed(measurement: Measurement, f: Array, at: Array) -> Measurement:
+    """A list of other frequencies (n,), of which those at some places are left, with what belongs to them."""
     sd, damping = measurement.frequency_sd, measurement.damping
     return replace(
         measurement,
-        frequencies=measurement.frequencies[at],
+        frequencies=f[at],
         frequency_sd=None if sd is None else sd[at],
         damping=None if damping is None else damping[at],
-        labels=tuple(measurement.labels[int(j)] for j in at),
+        labels=("",) * len(at),
     )
 
 

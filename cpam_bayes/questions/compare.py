@@ -23,6 +23,7 @@ from cpam_bayes.running import SILENT, Watch
 __all__ = ["CompareResult", "Difference", "compare"]
 
 _DRAWS: Final = 40_000
+_LARGER: Final = "probability_larger"
 # Probability that one is larger from which two constants are said to differ, as of a 95 % interval.
 _SURE: Final = 0.975
 
@@ -31,15 +32,12 @@ _SURE: Final = 0.975
 class Difference:
     """A constant of the second plate against that of the first.
 
-    first, second : values, SI
     percent, sd_percent : of the second over the first, less 100 %, median and standard deviation
     probability_larger : that the second plate has the larger one
     is_open : whether the frequencies of one of the plates leave it open
     """
 
     name: str
-    first: float
-    second: float
     percent: float
     sd_percent: float
     probability_larger: float
@@ -53,13 +51,7 @@ class Difference:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class CompareResult(Result):
-    """The differences of the constants of two plates.
-
-    Attributes
-    ----------
-    rows : both plates, as of `batch`
-    differences : name -> how the second differs from the first
-    """
+    """The differences of the constants of two plates; rows : both, as of `batch`."""
 
     command: ClassVar[str] = "compare"
 
@@ -121,8 +113,6 @@ def _difference(name: str, first: PlateRow, second: PlateRow, rng: np.random.Gen
     low, middle, high = np.quantile(ratio, (0.16, 0.5, 0.84))
     return Difference(
         name,
-        a.value,
-        b.value,
         100.0 * float(middle),
         50.0 * float(high - low),
         float(np.mean(y > x)),
@@ -156,7 +146,7 @@ def _present(result: CompareResult) -> Report:
                 user_name(d.name): {
                     "percent": d.percent,
                     "sd_percent": d.sd_percent,
-                    "probability_larger": d.probability_larger,
+                    _LARGER: d.probability_larger,
                     "determined": not d.is_open,
                 }
                 for d in result.differences.values()
@@ -170,26 +160,12 @@ def _present(result: CompareResult) -> Report:
 def _columns(first: PlateRow, second: PlateRow) -> tuple[Column, ...]:
     return (
         Column("", "name", lambda d: d.name),
-        *(
-            Column(
-                row.name,
-                None,
-                lambda d, row=row: row.constant(d.name),  # type: ignore[misc]
-                _value_text,
-                number=True,
-            )
-            for row in (first, second)
-        ),
+        Column(first.name, None, lambda d: first.constant(d.name), _value_text, number=True),
+        Column(second.name, None, lambda d: second.constant(d.name), _value_text, number=True),
         Column("difference", None, _percent_text, number=True),
         Column(None, "percent", lambda d: d.percent),
         Column(None, "sd_percent", lambda d: d.sd_percent),
-        Column(
-            f"P({second.name} larger)",
-            "probability_larger",
-            lambda d: d.probability_larger,
-            probability_text,
-            number=True,
-        ),
+        Column(f"P({second.name} larger)", _LARGER, lambda d: d.probability_larger, probability_text, True),
         Column("", None, lambda d: "not determined" if d.is_open else "differ" if d.differs else ""),
     )
 

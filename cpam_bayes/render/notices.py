@@ -242,6 +242,7 @@ def _explained(facts: Facts) -> str:
         return ""
     said = [
         _OF_SLIP[kind].format(number=number, frequency=frequency, edges=edges)
+        + (" (or the layup turned by 90 degrees)" if kind == "sides" and len(set(edges)) == 1 else "")
         for kind, number, frequency, edges in facts["slips"]
     ]
     return f". With {listed(said, 'or')} it fits to {_percent(facts['fit'])}."

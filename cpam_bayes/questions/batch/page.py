@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from cpam_bayes.answer import Verdict
-from cpam_bayes.batches.limits import Limit
 from cpam_bayes.batches.plate_row import PlateRow, RowConstant
 from cpam_bayes.batches.population import LEAST_PLATES, Population, PopulationConstant
 from cpam_bayes.formatting import listed, significant, with_spread
@@ -51,7 +50,7 @@ _FAILED: Final = (Column("file", "file", lambda row: row.file), Column("why", "w
 @present.register
 def _present(result: BatchResult) -> Report:
     """How many plates have an answer, which meet their limits, which differ from the others."""
-    table, constants, limits = plates(result), _constants(result), _limits(result)
+    table, constants = plates(result), _constants(result)
     failed = Rows("failed", _FAILED, result.failed)
     first = "Plates" if len(result.rows) <= _MOST_ROWS else f"The first {_MOST_ROWS} plates"
     remarks = facts(
@@ -65,7 +64,6 @@ def _present(result: BatchResult) -> Report:
             tables=(
                 constants.table("The batch"),
                 _scatters(result.population).table("The material: means and scatter from plate to plate"),
-                limits.table("Limits"),
                 plates(result, _MOST_ROWS).table(first),
                 failed.table("Plates without an answer"),
             ),
@@ -85,7 +83,7 @@ def _present(result: BatchResult) -> Report:
         ),
         document=document(result),
         drawings=drawings,
-        rows=(table, constants, limits),
+        rows=(table, constants),
     )
 
 
@@ -242,35 +240,6 @@ def _scatter_text(c: PopulationConstant) -> str:
 def _next_plate_text(c: PopulationConstant) -> str:
     _, sd, *ends = (to_user(c.name, v) for v in c.next_plate)
     return " to ".join(with_spread(end, sd)[0] for end in ends)
-
-
-def _probabilities(result: BatchResult, limit: Limit) -> list[float]:
-    """Probabilities of meeting a limit, of all plates that are judged and have the constant."""
-    return [p for row in result.judged if (p := result.probability(row, limit)) is not None]
-
-
-def _met(result: BatchResult, limit: Limit) -> int:
-    return sum(p >= SURE for p in _probabilities(result, limit))
-
-
-def _not_met(result: BatchResult, limit: Limit) -> int:
-    return sum(p <= 1.0 - SURE for p in _probabilities(result, limit))
-
-
-def _undecided(result: BatchResult, limit: Limit) -> int:
-    known = len(_probabilities(result, limit))
-    return known - _met(result, limit) - _not_met(result, limit)
-
-
-def _limits(result: BatchResult) -> Rows:
-    columns = (
-        Column(None, "limit", lambda limit: limit.text),
-        Column("limit", None, lambda limit: limit.shown),
-        Column(f"met, P >= {SURE:g}", "met", partial(_met, result), number=True),
-        Column("undecided", "undecided", partial(_undecided, result), number=True),
-        Column(f"not met, P <= {1 - SURE:.2g}", "not_met", partial(_not_met, result), number=True),
-    )
-    return Rows("limits", columns, result.limits, lambda limit: _undecided(result, limit) > 0)
 
 
 def _drawings(result: BatchResult) -> tuple[Drawing, ...]:
