@@ -13,6 +13,7 @@
     cb.diagnose(plate)              # what is wrong with plate, list or model
     cb.report(plate)                # constants, stacking sequences and diagnosis, for one page
     cb.batch(plate, other_plate)    # many plates, one row each, with limits and a control chart
+    cb.compare(plate, other_plate)  # do their constants differ?
     cb.sensitivity(plate)           # the paper's noise study beside the posterior
     cb.calibrate(plate)             # do its intervals hold the truth as often as they say?
     cb.app("plates")                # a page on this machine, the constants while one types
@@ -35,6 +36,7 @@ if TYPE_CHECKING:
     from cpam_bayes.questions.app import app
     from cpam_bayes.questions.batch import batch
     from cpam_bayes.questions.calibrate import calibrate
+    from cpam_bayes.questions.compare import compare
     from cpam_bayes.questions.design import design
     from cpam_bayes.questions.diagnose import diagnose
     from cpam_bayes.questions.export import export
@@ -60,6 +62,7 @@ _PUBLIC = {
     "batch": "cpam_bayes.questions.batch",
     "builtin_plates": "cpam_bayes.plate.reader",
     "calibrate": "cpam_bayes.questions.calibrate",
+    "compare": "cpam_bayes.questions.compare",
     "design": "cpam_bayes.questions.design",
     "diagnose": "cpam_bayes.questions.diagnose",
     "export": "cpam_bayes.questions.export",
@@ -87,6 +90,7 @@ __all__ = [
     "batch",
     "builtin_plates",
     "calibrate",
+    "compare",
     "design",
     "diagnose",
     "effects",

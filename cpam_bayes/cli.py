@@ -37,6 +37,7 @@ COMMANDS: Final = {
     "diagnose": "errors of plate, list or model by their probability, and constants that allow for them",
     "report": "constants, stacking sequences and diagnosis on one page",
     "batch": "the constants of many plates, one row each, with limits and a control chart",
+    "compare": "do two plates differ? Their constants against each other",
     "paper": "the paper's tables beside what this package computes",
     "prove": "the coin test: was a mass stuck to the plate, how heavy, where",
     "calibrate": "how often the intervals of a plate hold the true constants, by simulated lists",

@@ -42,6 +42,7 @@ def poles(folder: Path) -> Result:
 
 QUICK: dict[str, Callable[[Path], Result]] = {
     "batch": lambda folder: cb.batch("A1", "no such plate", limits=["E1_GPa >= 60"]),
+    "compare": lambda folder: cb.compare("A1", "A2"),
     "design": lambda folder: cb.design("A1"),
     "diagnose": lambda folder: diagnosis_result(clean(), 0),
     "diagnose, named": lambda folder: diagnosis_result(misread(), 0),

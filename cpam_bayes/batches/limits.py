@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from typing import Final, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.stats import t
 
 from cpam_bayes.plate import USER_UNITS, to_si, to_user, unit_of
@@ -70,6 +71,12 @@ class MarginalPosterior:
         """Probability of meeting a limit."""
         below = self.below(limit.value)
         return 1.0 - below if limit.side == "at least" else below
+
+    def draws(self, rng: np.random.Generator, n: int) -> NDArray[np.float64]:
+        """Draws of the constant, (n,)."""
+        u = rng.uniform(self._mass(self.lower), self._mass(self.upper), n)
+        drawn = self.centre + self.sd * t.ppf(u, self.freedom)
+        return np.asarray(np.clip(drawn, self.lower, self.upper))
 
     def _mass(self, value: float) -> float:
         return float(t.cdf((value - self.centre) / self.sd, self.freedom))

@@ -54,6 +54,7 @@ class RowConstant:
     value, sd, low, high, verdict : as `identify` gives them by relative residuals; low and high are the 95 %
         interval, nan where none can be given
     posterior : Laplace's approximation of its marginal posterior
+    decided_by : the size of the plate whose standard deviation is most of the sd, "" where noise is
     """
 
     name: str
@@ -63,6 +64,12 @@ class RowConstant:
     high: float
     verdict: Verdict
     posterior: MarginalPosterior
+    decided_by: str = ""
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the frequencies leave it open."""
+        return self.verdict not in (Verdict.DATA, Verdict.BOTH)
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,6 +92,7 @@ class PlateDiagnosis:
     """The claim about one plate, as of `diagnose`.
 
     probability_beside : that anything acts beside a claimed cause
+    size : of the most probable of the causes in its most probable variant, SI, None where it has none
     """
 
     claim: str
@@ -92,6 +100,7 @@ class PlateDiagnosis:
     probability: float
     probability_none: float
     probability_beside: float = 0.0
+    size: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,6 +111,9 @@ class PlateRow:
     message : why it failed, or the warnings of its identification
     rms : of the relative residuals; noise : relative standard deviation that the intervals assume
     misfit : over the stated noise, as of `PointEstimate`; 1 where that explains it
+    slip : of the plate file without which it fits, with the number of its mode or frequency
+    areal_mass : kg/m2 of a plate that was weighed
+    certificate : laboratory, operator and date of its file
     """
 
     file: str
@@ -116,6 +128,14 @@ class PlateRow:
     noise: float = float("nan")
     search: str = ""
     misfit: float = 1.0
+    slip: tuple[str, int] | None = None
+    areal_mass: float | None = None
+    certificate: tuple[tuple[str, str], ...] = ()
+
+    @property
+    def is_judged(self) -> bool:
+        """Whether the plate model describes its list, so that its constants count."""
+        return self.status == "done" and self.misfit == 1.0
 
     def constant(self, name: str) -> RowConstant | None:
         """A constant by its name."""
@@ -141,6 +161,8 @@ def row_of(content: bytes) -> PlateRow:
             **raw,
             "constants": constants,
             "likelihood": None if likelihood is None else _likelihood(likelihood),
+            "slip": None if raw["slip"] is None else tuple(raw["slip"]),
+            "certificate": tuple(map(tuple, raw["certificate"])),
             "diagnosis": None
             if diagnosis is None
             else PlateDiagnosis(**{**diagnosis, "causes": tuple(diagnosis["causes"])}),
@@ -165,10 +187,11 @@ def computed_row(
     message: str = "",
     search: str = "",
     diagnosis: PlateDiagnosis | None = None,
+    slip: tuple[str, int] | None = None,
 ) -> PlateRow:
     """The row of a plate with its point estimates by relative residuals.
 
-    message : what the identification warns of; search : how its swarms ended
+    message : what the identification warns of; search : how its swarms ended; slip : as of `PlateRow`
     """
     specimen = estimate.specimen
     likelihood = local_likelihood(estimate)
@@ -187,6 +210,7 @@ def computed_row(
                 *((float("nan"),) * 2 if c.interval is None else c.interval),
                 c.verdict,
                 marginal,
+                _decided_by(estimate, c.name, c.sd / c.value),
             )
             for c, marginal in zip(estimate.constants, marginals, strict=True)
         ),
@@ -196,7 +220,15 @@ def computed_row(
         noise=estimate.noise,
         search=search,
         misfit=estimate.misfit,
+        slip=slip,
     )
+
+
+def _decided_by(estimate: PointEstimate, constant: str, sd: float) -> str:
+    """The size whose standard deviation makes most of a constant's relative one, "" where none does."""
+    parts = {e.name: abs((e.sd or 0.0) * e.shift[constant]) for e in estimate.scale_errors}
+    name = max(parts, key=lambda name: parts[name], default="")
+    return name if name and parts[name] > sd / np.sqrt(2.0) else ""
 
 
 def local_likelihood(estimate: PointEstimate) -> LocalLikelihood:
@@ -257,28 +289,38 @@ def _marginals(estimate: PointEstimate, likelihood: LocalLikelihood) -> list[Mar
     ]
 
 
-def diagnosed(specimen: Specimen) -> PlateDiagnosis:
-    """The claim, without what `diagnose` adds to it: the gain, detectable sizes, further tests."""
+def diagnosed(specimen: Specimen, *, pairs: bool = True) -> PlateDiagnosis:
+    """The claim, without what `diagnose` adds to it: the gain, detectable sizes, further tests.
+
+    pairs : whether two causes at once are weighed
+    """
     cases = [plate_case(specimen)]
-    found = diagnose_cases(cases, hypotheses=hypotheses_of(cases, CATALOGUE), gain=False, power=False)
+    hypotheses = hypotheses_of(cases, CATALOGUE)
+    found = diagnose_cases(cases, hypotheses=hypotheses, pairs=pairs, gain=False, power=False)
     none = found.weighed.by_cause().get("none", 0.0)
     claim = found.claim
+    first = next((c for c in found.causes if c.name in claim.causes), None)
+    sizes = [] if first is None else [first.parameters[p.name][0] for p in first.hypothesis.parameters[:1]]
+    # the most probable first, as the causes of the diagnosis are
+    named = [c.name for c in found.causes if c.name in claim.causes]
     return PlateDiagnosis(
         claim.kind,
-        tuple(claim.causes),
+        tuple(named) if len(named) == len(claim.causes) else tuple(claim.causes),
         float(claim.probability),
         float(none),
         float(found.probability_beside),
+        float(sizes[0]) if sizes else None,
     )
 
 
 # To be raised when the same inputs give other numbers.
-_FORMAT: Final = 1
+_FORMAT: Final = 2
 
 
-def row_key(specimen: Specimen, seed: int, diagnosis: bool, sources: str) -> str:
+def row_key(specimen: Specimen, seed: int, diagnosis: bool | Literal["brief"], sources: str) -> str:
     """Hash of all that a row depends on: the plate as it is computed, its list, the seed.
 
+    diagnosis : "brief" for that of a plate that misfits, without pairs of causes
     sources : fingerprint of the code that computes it
     """
     measurement, plate = specimen.measurement, specimen.plate

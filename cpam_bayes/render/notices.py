@@ -209,8 +209,11 @@ def _doubtful_list(facts: Facts) -> str:
 
 def _large_misfit(facts: Facts) -> str:
     return (
-        f"The plate model does not describe these frequencies: its best fit is {_percent(facts['misfit'])} "
-        "off, where a tap test repeats to 1 % or better. Do not use the constants before units, sizes, "
+        "The plate model does not describe these frequencies: its best fit is "
+        f"{_percent(facts['misfit'])} off"
+    ) + (
+        _explained(facts)
+        or ", where a tap test repeats to 1 % or better. Do not use the constants before units, sizes, "
         "edges, layup and the order of the list are checked."
     )
 
@@ -218,9 +221,31 @@ def _large_misfit(facts: Facts) -> str:
 def _misfit_over_noise(facts: Facts) -> str:
     return (
         "The plate model does not describe these frequencies: its best fit is "
-        f"{significant(facts['times'], 2)} times the stated noise off, and the constants can be far outside "
-        "their intervals. Ask `diagnose` why."
-    )
+        f"{significant(facts['times'], 2)} times the stated noise off"
+    ) + (_explained(facts) or ", and the constants can be far outside their intervals. Ask `diagnose` why.")
+
+
+_OF_SLIP: Final = {
+    "sides": "length and width exchanged",
+    "layup": "the layup turned by 90 degrees",
+    "edges": "the neighbouring edge held ({edges})",
+    "missed": "mode {number} missing from the list",
+    "false": "frequency {number} ({frequency:.6g} Hz) left out",
+    "misread": "frequency {number} ({frequency:.6g} Hz) misread",
+    "decimal": "frequency {number} read as {frequency:.6g} Hz",
+}
+
+
+def _explained(facts: Facts) -> str:
+    """The slips without which a list fits."""
+    if not facts.get("slips"):
+        return ""
+    said = [
+        _OF_SLIP[kind].format(number=number, frequency=frequency, edges=edges)
+        + (" (or the layup turned by 90 degrees)" if kind == "sides" and len(set(edges)) == 1 else "")
+        for kind, number, frequency, edges in facts["slips"]
+    ]
+    return f". With {listed(said, 'or')} it fits to {_percent(facts['fit'])}."
 
 
 def _high_noise(facts: Facts) -> str:

@@ -284,6 +284,74 @@ def test_an_error_that_nobody_foresaw_is_a_row_too(monkeypatch: pytest.MonkeyPat
     assert result.report().summary.headline.startswith("0 of 1 ")
 
 
+LIMIT = "E1_GPa >= 68"
+
+
+def in_a_folder(folder: Path, described: list[dict[str, Any]]) -> str:
+    for each in described:
+        written(folder / f"{each['name']}.toml", each)
+    return str(folder)
+
+
+def test_a_folder_of_plates_has_its_four_verdicts_first_and_a_certificate(tmp_path: Path) -> None:
+    rng = np.random.default_rng(2)
+    (tmp_path / "notes.txt").write_text("no plate", encoding="utf-8")
+    plates = [with_noise(plate(f"b{i}", e1=70.0 + 0.3 * (i % 3)), rng) for i in range(4)]
+    plates += [plate("b4", e1=61.0), plate("b5", e1=68.05)]
+    shifted = plate("b6")
+    shifted["measurement"]["frequencies_hz"][-1] *= 10.0
+    result = cb.batch(in_a_folder(tmp_path, [*plates, shifted]), limits=[LIMIT])
+    assert [row.name for row in result.rows] == [f"b{i}" for i in range(7)]
+    assert result.report().summary.headline.startswith(
+        "4 pass, 1 fails (b4: thinner or softer; gauge it), "
+        "1 cannot be judged (b6: a decimal point of frequency 6?), 1 too close to call."
+    )
+    assert [row.is_judged for row in result.rows] == [True] * 6 + [False]
+    page = result.texts()["certificate.html"]
+    assert "the probability of meeting every limit is 0.95 or more" in page
+    assert "a guard band by probability: a plate passes" in page
+    assert "certificate.html" not in cb.batch("A1").texts()
+
+
+def test_a_folder_without_plates_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="a folder without plate files"):
+        cb.batch(tmp_path)
+
+
+def test_moduli_and_mass_that_go_together_are_a_thickness() -> None:
+    """A weighed plate that is 4 % thinner than stated has 4 % less mass and moduli 11 to 12 % too low."""
+
+    def weighed(name: str, e1: float, thin: float = 1.0) -> dict[str, Any]:
+        described = plate(name, e1, thickness_mm=3.0 * thin)
+        mass = 0.3 * 0.26 * 0.003 * thin * 2700.0 * 1e3
+        described["plate"] = {**described["plate"], "thickness_mm": 3.0, "mass_g": mass}
+        del described["plate"]["density_kg_m3"]
+        return with_noise(described, np.random.default_rng(int(e1)))
+
+    plates = [weighed(f"b{i}", 69.0 + i) for i in range(4)]
+    result = cb.batch(*plates, weighed("thin", 70.0, 0.96), limits=["E1_GPa >= 66"])
+    assert "1 fails (thin: thinner by about 4 %; gauge it)" in result.report().summary.headline
+
+
+def test_a_repeat_is_no_advice_where_the_thickness_decides() -> None:
+    close = plate("close", e1=70.2)
+    for sd, step in ((0.06, "gauge close more exactly, its thickness decides"), (0.001, "repeat the test")):
+        close["plate"] = {**close["plate"], "sd": {"thickness_mm": sd, "density_kg_m3": 0.1}}
+        close["measurement"] = {**close["measurement"], "relative_std": 0.002 if sd > 0.01 else 0.01}
+        result = cb.batch(close, limits=["E1_GPa >= 70"])
+        assert result.report().summary.next_step.startswith(step)
+
+
+@pytest.mark.slow
+def test_a_plate_that_misfits_is_diagnosed_unasked_and_kept(tmp_path: Path) -> None:
+    odd = plate("odd")
+    odd["measurement"]["frequencies_hz"][3] *= 1.01
+    first = cb.batch(plate("good"), odd, store=tmp_path)
+    assert first.rows[0].diagnosis is None
+    assert first.rows[1].diagnosis is not None
+    assert without_store(cb.batch(plate("good"), odd, store=tmp_path)) == without_store(first)
+
+
 @pytest.mark.slow
 def test_a_batch_with_diagnosis_has_the_claims_of_diagnose() -> None:
     quiet = with_noise(plate("quiet"), np.random.default_rng(1))

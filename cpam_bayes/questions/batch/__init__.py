@@ -14,6 +14,7 @@ from cpam_bayes.answer import Notice
 from cpam_bayes.batches.geometry import with_shared_sizes
 from cpam_bayes.batches.limits import Limit, read_limit
 from cpam_bayes.batches.plate_row import (
+    PlateDiagnosis,
     PlateRow,
     computed_row,
     diagnosed,
@@ -47,6 +48,8 @@ from cpam_bayes.running import SILENT, TimeIsUpError, Watch, cut_short, is_time_
 __all__ = ["BatchResult", "batch"]
 
 MAX_PLATES: Final = 10_000
+# Plates that misfit and are diagnosed without being asked, those of the largest misfit.
+MOST_DIAGNOSED: Final = 6
 # A plate as it is computed, or why it cannot be.
 _Item: TypeAlias = "tuple[str, Specimen | PlateRow]"
 
@@ -67,15 +70,18 @@ def batch(
 ) -> BatchResult:
     """The constants of many plates by swarm and Laplace's approximation, and their diagnosis.
 
-    A plate that fails has a row with the reason, and the others are done. Plates of one geometry whose
-    thickness and density are within 5 % of the first, length and width within 1 %, share its models: their
-    lists are carried to its sizes by d log f / d log s at the reference constants.
+    A plate that fails has a row with the reason, and the others are done. Of up to six plates that the
+    model does not describe it is said why: a slip of the file, or the claim of a diagnosis without pairs.
+    Plates of one geometry whose thickness and density are within 5 % of the first, length and width within
+    1 %, share its models: their lists are carried to its sizes by d log f / d log s at the reference
+    constants.
 
     Parameters
     ----------
-    plates : of each a built-in name, a path, a table or a `Specimen`, see `read_plate`
+    plates : of each a built-in name, a path, a table or a `Specimen`, see `read_plate`; of a folder, all its
+        plate files in the order of their names
     limits : such as "E1_GPa >= 115"; each row has the probability of meeting them
-    diagnosis : whether to ask what the plate model gets wrong, as `diagnose` does
+    diagnosis : whether to ask of every plate what the plate model gets wrong, as `diagnose` does
     hierarchical : whether to ask for the mean constants of the material and their scatter from plate to
         plate, by emcee
     share_models : False computes each plate with its own sizes
@@ -101,6 +107,7 @@ def batch(
     """
     require_seed(seed)
     start = time.perf_counter()
+    plates = tuple(each for plate in plates for each in _of_folder(plate))
     if not 1 <= len(plates) <= MAX_PLATES:
         raise ValueError(
             f"plates: received {len(plates) or 'none'}, accepted: one plate or more, {MAX_PLATES} at most"
@@ -114,8 +121,13 @@ def batch(
     rows, from_store = _computed(
         items, seed, diagnosis, None if store is None else Path(store), executor, workers, watch
     )
+    if not diagnosis:
+        rows = _explained(rows, items, seed, None if store is None else Path(store), executor, workers, watch)
+    rows = [_as_given(row, plate) for row, (_, plate) in zip(rows, read_items, strict=True)]
     failed = sum(row.status == "failed" for row in rows)
-    population, not_pooled = _population(rows, seed, watch) if hierarchical else (None, ())
+    population, not_pooled = (
+        _population([row for row in rows if row.is_judged], seed, watch) if hierarchical else (None, ())
+    )
     materials = {row.material for row in rows if row.status == "done"}
     return BatchResult(
         seed=seed,
@@ -158,6 +170,25 @@ def _population(
     d = population.diagnostics
     facts = {"steps": d.steps, "r_hat": d.r_hat, "ess_bulk": d.ess_bulk}
     return population, (Notice("population_chains", facts=facts),)
+
+
+def _of_folder(plate: PlateLike) -> Sequence[PlateLike]:
+    """The plate files of a folder; of anything else, itself."""
+    if not isinstance(plate, str | Path) or not Path(plate).is_dir():
+        return (plate,)
+    found = sorted(str(path) for path in Path(plate).glob("*.toml"))
+    if not found:
+        raise ValueError(f"{plate}: a folder without plate files, accepted: files that end in .toml")
+    return found
+
+
+def _as_given(row: PlateRow, plate: Specimen | PlateRow) -> PlateRow:
+    """A row with what its file says of the plate and the test."""
+    if isinstance(plate, PlateRow):
+        return row
+    of = plate.plate
+    areal = None if of.mass is None else of.mass / (of.length * of.width)
+    return replace(row, areal_mass=areal, certificate=(("specimen", plate.specimen), *plate.certificate))
 
 
 def _read(plate: PlateLike, diagnosis: bool) -> _Item:
@@ -249,6 +280,51 @@ def _computed(
     return [rows[i] for i in range(len(items))], from_store
 
 
+def _explained(
+    rows: Sequence[PlateRow],
+    items: Sequence[_Item],
+    seed: int,
+    store: Path | None,
+    executor: str,
+    workers: int | None,
+    watch: Watch,
+) -> list[PlateRow]:
+    """The rows with a brief diagnosis of those that misfit without a slip."""
+    done, sources = list(rows), fingerprint(__name__)
+    wrong = [i for i, row in enumerate(rows) if row.misfit > 1.0 and row.slip is None]
+    wrong = sorted(sorted(wrong, key=lambda i: -rows[i].misfit)[:MOST_DIAGNOSED])
+    plates = {i: plate for i in wrong if isinstance(plate := items[i][1], Specimen)}
+    keys = {i: row_key(plate, seed, "brief", sources) for i, plate in plates.items()}
+    for i, key in keys.items():
+        kept = read_row(store, key)
+        done[i] = done[i] if kept is None else replace(kept, file=done[i].file)
+    missing = [i for i in keys if done[i].diagnosis is None]
+    if not missing:
+        return done
+
+    def keep(index: int, found: PlateDiagnosis | None) -> None:
+        i = missing[index]
+        done[i] = replace(done[i], diagnosis=found)
+        write_row(store, keys[i], done[i])
+        shown.tick(index + 1, float(len(missing) - index - 1))
+
+    with (
+        open_executor(executor, workers) as pool,
+        watch.stage("plates that misfit", len(missing), counted="plates") as shown,
+        suppress(TimeIsUpError),
+    ):
+        run(_brief, None, [plates[i] for i in missing], pool, batch_size=1, on_result=keep, is_limited=True)
+    return done
+
+
+def _brief(shared: None, specimen: Specimen) -> PlateDiagnosis | None:
+    """The diagnosis of a plate without pairs; None where it cannot be asked for."""
+    try:
+        return diagnosed(require_diagnosable(specimen), pairs=False)
+    except (ValueError, ArithmeticError, RuntimeError):
+        return None
+
+
 def _build_models(
     plates: Sequence[Specimen | PlateRow], pool: Executor | None, notify: Callable[[str], None]
 ) -> None:
@@ -295,6 +371,7 @@ def _identified_row(file: str, specimen: Specimen, seed: int, diagnosis: bool) -
         message=" ".join(point.warnings),
         search=point.status,
         diagnosis=diagnosed(specimen) if diagnosis else None,
+        slip=next(((s.kind, s.number) for s in point.explained_by), None),
     )
 
 
@@ -305,7 +382,7 @@ COMMAND: Final = Command(
             "files",
             nargs="+",
             metavar="FILE",
-            help="plate files, or built-in specimens; one that fails stops no other",
+            help="plate files, folders of them, or built-in specimens; one that fails stops no other",
         ),
         option(
             "--limit",
@@ -313,9 +390,13 @@ COMMAND: Final = Command(
             action="append",
             default=[],
             metavar="LIMIT",
-            help='such as "E1_GPa >= 115": the probability that each plate meets it; may be given again',
+            help='such as "E1_GPa >= 115 GPa": the probability that each plate meets it; may be given again',
         ),
-        option("--diagnosis", action="store_true", help="ask of each plate what the plate model gets wrong"),
+        option(
+            "--diagnosis",
+            action="store_true",
+            help="ask of each plate what the plate model gets wrong; left out, of those that misfit",
+        ),
         option(
             "--hierarchical",
             action="store_true",
@@ -334,5 +415,5 @@ COMMAND: Final = Command(
         WORKERS,
         TIME_LIMIT,
     ),
-    out="write results.csv, results.nc, report.html and figures to DIR",
+    out="write results.csv, results.nc, certificate.html, report.html and figures to DIR",
 )

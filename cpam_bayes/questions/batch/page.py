@@ -8,12 +8,17 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from cpam_bayes.answer import Verdict
-from cpam_bayes.batches.limits import Limit
 from cpam_bayes.batches.plate_row import PlateRow, RowConstant
 from cpam_bayes.batches.population import LEAST_PLATES, Population, PopulationConstant
 from cpam_bayes.formatting import listed, significant, with_spread
 from cpam_bayes.plate import to_user, unit_of
 from cpam_bayes.questions.batch.result import SURE, BatchResult, document, plates
+from cpam_bayes.questions.batch.verdicts import (
+    certificate_section,
+    four_verdicts,
+    limit_step,
+    why_not_judged,
+)
 from cpam_bayes.render.figures import MEASURED, headed, new_figure
 from cpam_bayes.render.report import (
     COMPUTATION,
@@ -33,9 +38,11 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 # Rows of a first screen, and names in a sentence.
-_MOST_ROWS, _MOST_NAMES = 40, 10
+_MOST_ROWS, _MOST_NAMES, _MOST_WRONG = 40, 10, 3
 # Plates whose names stand below the axis of the control chart, and beside each other there.
 _MOST_TICKS, _MOST_UPRIGHT = 40, 6
+# Standard deviation of normal values over their median distance from the median.
+_NORMAL: Final = 1.4826
 _OUTSIDE: Final = "#b3261e"
 _FAILED: Final = (Column("file", "file", lambda row: row.file), Column("why", "why", lambda row: row.message))
 
@@ -43,7 +50,7 @@ _FAILED: Final = (Column("file", "file", lambda row: row.file), Column("why", "w
 @present.register
 def _present(result: BatchResult) -> Report:
     """How many plates have an answer, which meet their limits, which differ from the others."""
-    table, constants, limits = plates(result), _constants(result), _limits(result)
+    table, constants = plates(result), _constants(result)
     failed = Rows("failed", _FAILED, result.failed)
     first = "Plates" if len(result.rows) <= _MOST_ROWS else f"The first {_MOST_ROWS} plates"
     remarks = facts(
@@ -57,7 +64,6 @@ def _present(result: BatchResult) -> Report:
             tables=(
                 constants.table("The batch"),
                 _scatters(result.population).table("The material: means and scatter from plate to plate"),
-                limits.table("Limits"),
                 plates(result, _MOST_ROWS).table(first),
                 failed.table("Plates without an answer"),
             ),
@@ -67,6 +73,7 @@ def _present(result: BatchResult) -> Report:
             warnings=result.cautions,
         ),
         sections=(
+            certificate_section(result),
             Section("Control chart", (), tuple(drawing.name for drawing in drawings), folded=False),
             Section(
                 "All plates",
@@ -76,16 +83,19 @@ def _present(result: BatchResult) -> Report:
         ),
         document=document(result),
         drawings=drawings,
-        rows=(table, constants, limits),
+        rows=(table, constants),
     )
 
 
 def _headline(result: BatchResult) -> str:
     n, done = len(result.rows), len(result.done)
     said = [f"{done} of {n} plates have an answer." if n > 1 else f"{done} of 1 plate has an answer."]
-    for limit in result.limits:
-        known = len(_probabilities(result, limit))
-        said.append(f"{_met(result, limit)} of {known} meet {limit.shown} with 95 % probability.")
+    if result.limits:
+        said = [four_verdicts(result)]
+    elif wrong := [row for row in result.done if not row.is_judged]:
+        each = [f"{row.name} ({why_not_judged(result, row)})" for row in wrong[:_MOST_WRONG]]
+        more = [f"{len(wrong) - _MOST_WRONG} more"] if len(wrong) > _MOST_WRONG else []
+        said.append(f"The model does not describe {listed([*each, *more], 'and')}.")
     if result.diagnosis and result.done:
         clean = sum(row.diagnosis is not None and row.diagnosis.claim == "none" for row in result.done)
         said.append(f"For {clean} the model fits.")
@@ -114,10 +124,8 @@ def _next_step(result: BatchResult) -> str:
     """The most useful of the steps that are left."""
     if result.failed:
         return "correct the files that failed and run the batch again; with --store the others are kept."
-    for limit in result.limits:
-        for row in result.done:
-            if 1.0 - SURE < (result.probability(row, limit) or 0.0) < SURE:
-                return f"repeat the test of {row.name}: {limit.shown} is neither met nor missed."
+    if step := limit_step(result):
+        return step
     apart = next((row for name in result.constants for row in result.outside(name)), None)
     if apart is not None and not result.diagnosis:
         return f"what is wrong with {apart.name}?  cpam-bayes diagnose {apart.file}"
@@ -131,7 +139,7 @@ def _next_step(result: BatchResult) -> str:
 
 def _missing(result: BatchResult) -> PlateRow | None:
     """The first plate that misses a limit."""
-    each = ((row, result.probability(row, limit)) for limit in result.limits for row in result.done)
+    each = ((row, result.probability(row, limit)) for limit in result.limits for row in result.judged)
     return next((row for row, met in each if met is not None and met <= 1.0 - SURE), None)
 
 
@@ -154,23 +162,27 @@ def _computation(result: BatchResult) -> Table:
 
 
 def _values(result: BatchResult, name: str) -> list[RowConstant]:
-    """One constant of all plates that have it."""
-    return [c for row in result.done if (c := row.constant(name)) is not None]
+    """One constant of all plates that are judged and have it."""
+    return [c for row in result.judged if (c := row.constant(name)) is not None]
 
 
-def _mean(result: BatchResult, name: str) -> float:
-    return float(np.mean([to_user(name, c.value) for c in _values(result, name)]))
+def _median(result: BatchResult, name: str) -> float:
+    return float(np.median([to_user(name, c.value) for c in _values(result, name)]))
 
 
-def _mean_text(result: BatchResult, name: str) -> str:
-    """The mean to the digits of the scatter of the plates, or of a single one."""
+def _median_text(result: BatchResult, name: str) -> str:
+    """The median to the digits of the scatter of the plates, or of a single one."""
     scatter = _scatter(result, name)
-    return with_spread(_mean(result, name), scatter if np.isfinite(scatter) else _own_sd(result, name))[0]
+    spread = scatter if np.isfinite(scatter) and scatter > 0.0 else _own_sd(result, name)
+    return with_spread(_median(result, name), spread)[0]
 
 
 def _scatter(result: BatchResult, name: str) -> float:
-    values = [to_user(name, c.value) for c in _values(result, name)]
-    return float(np.std(values, ddof=1)) if len(values) > 1 else float("nan")
+    """The scatter of the plates by the median of their distances from the median."""
+    values = np.array([to_user(name, c.value) for c in _values(result, name)])
+    if len(values) < LEAST_PLATES:
+        return float("nan")
+    return _NORMAL * float(np.median(np.abs(values - np.median(values))))
 
 
 def _own_sd(result: BatchResult, name: str) -> float:
@@ -191,8 +203,8 @@ def _constants(result: BatchResult) -> Rows:
     of = partial
     columns = (
         Column("", "name", str),
-        Column("mean", None, of(_mean_text, result), number=True),
-        Column(None, "mean", of(_mean, result)),
+        Column("median", None, of(_median_text, result), number=True),
+        Column(None, "median", of(_median, result)),
         Column(
             "sd of plates", "sd_of_plates", of(_scatter, result), lambda v: significant(v, 2), number=True
         ),
@@ -201,7 +213,7 @@ def _constants(result: BatchResult) -> Rows:
         Column("determined in", "determined_in", of(_determined, result)),
         Column("outside the control limits", "outside", of(_outside, result)),
     )
-    return Rows("constants", columns, result.constants)
+    return Rows("constants", columns, tuple(name for name in result.constants if _values(result, name)))
 
 
 def _scatters(population: Population | None) -> Rows:
@@ -230,42 +242,13 @@ def _next_plate_text(c: PopulationConstant) -> str:
     return " to ".join(with_spread(end, sd)[0] for end in ends)
 
 
-def _probabilities(result: BatchResult, limit: Limit) -> list[float]:
-    """Probabilities of meeting a limit, of all plates that have the constant."""
-    return [p for row in result.done if (p := result.probability(row, limit)) is not None]
-
-
-def _met(result: BatchResult, limit: Limit) -> int:
-    return sum(p >= SURE for p in _probabilities(result, limit))
-
-
-def _not_met(result: BatchResult, limit: Limit) -> int:
-    return sum(p <= 1.0 - SURE for p in _probabilities(result, limit))
-
-
-def _undecided(result: BatchResult, limit: Limit) -> int:
-    known = len(_probabilities(result, limit))
-    return known - _met(result, limit) - _not_met(result, limit)
-
-
-def _limits(result: BatchResult) -> Rows:
-    columns = (
-        Column(None, "limit", lambda limit: limit.text),
-        Column("limit", None, lambda limit: limit.shown),
-        Column(f"met, P >= {SURE:g}", "met", partial(_met, result), number=True),
-        Column("undecided", "undecided", partial(_undecided, result), number=True),
-        Column(f"not met, P <= {1 - SURE:.2g}", "not_met", partial(_not_met, result), number=True),
-    )
-    return Rows("limits", columns, result.limits, lambda limit: _undecided(result, limit) > 0)
-
-
 def _drawings(result: BatchResult) -> tuple[Drawing, ...]:
     if not result.done:
         return ()
     caption = Caption(
         "Dots: the constants of each plate, bars their 95 % intervals. Line and band: the median of the "
-        "batch, and three standard deviations of a plate as neighbours in the list scatter; a red dot lies "
-        "outside. Dashed: a limit.",
+        "plates that the model describes, and three standard deviations of a plate as neighbours in the "
+        "list scatter; a red dot lies outside. Dashed: a limit.",
         f"Control chart of {listed(list(result.constants), 'and')} over {len(result.done)} plates.",
     )
     return (Drawing("control_chart", partial(_control_charts, result), caption),)
@@ -286,7 +269,8 @@ def _control_charts(result: BatchResult) -> Figure:
         chart = result.chart(name)
         red = np.zeros(len(having), dtype=bool)
         if chart is not None:
-            red[list(chart.outside)] = True
+            beyond = result.outside(name)
+            red[[k for k, (i, _) in enumerate(having) if rows[i] in beyond]] = True
             lower, upper = (to_user(name, v) for v in chart.limits)
             axes.axhspan(lower, upper, color="0.93")
             axes.axhline(to_user(name, chart.median), color="0.5", linewidth=1)

@@ -17,14 +17,28 @@ from cpam_bayes.batches.population import Population
 from cpam_bayes.diagnosis.hypotheses import CLAIM_RULES
 from cpam_bayes.formatting import fixed, with_spread
 from cpam_bayes.plate import to_user, unit_of, user_name
+from cpam_bayes.render.page import page_text
 from cpam_bayes.render.report import Column, Rows, csv_text
 from cpam_bayes.result import Result
 
-__all__ = ["SURE", "BatchResult", "dataset", "document", "plates", "population_dataset"]
+__all__ = [
+    "CERTIFICATE",
+    "SURE",
+    "BatchResult",
+    "BatchVerdict",
+    "dataset",
+    "document",
+    "plates",
+    "population_dataset",
+    "probability_text",
+    "verdict",
+]
 
 BatchVerdict: TypeAlias = Literal["pass", "fail", "too close to call", "cannot be judged"]
 SURE: Final = 0.95
 """Probability of meeting a limit from which a plate is said to, and 1 - it to fail."""
+CERTIFICATE: Final = "Certificate"
+"""Title of the section that a certificate is printed from."""
 
 _OF_CONSTANT: Final = (
     Column(None, "value", lambda c: to_user(c.name, 1.0) * c.value),
@@ -98,6 +112,11 @@ class BatchResult(Result):
         return tuple(row for row in self.rows if row.status == "done")
 
     @property
+    def judged(self) -> tuple[PlateRow, ...]:
+        """The plates whose lists the plate model describes: medians, scatter and charts are theirs."""
+        return tuple(row for row in self.rows if row.is_judged)
+
+    @property
     def failed(self) -> tuple[PlateRow, ...]:
         """The plates that have none."""
         return tuple(row for row in self.rows if row.status == "failed")
@@ -108,13 +127,13 @@ class BatchResult(Result):
         return tuple(dict.fromkeys(c.name for row in self.done for c in row.constants))
 
     def chart(self, name: str) -> ControlChart | None:
-        """The control chart of one constant over the plates that have it."""
-        found = [row.constant(name) for row in self.done]
+        """The control chart of one constant over the plates that are judged and have it."""
+        found = [row.constant(name) for row in self.judged]
         return control_chart([c.value for c in found if c is not None])
 
     def outside(self, name: str) -> tuple[PlateRow, ...]:
         """The plates beyond the limits of the control chart of one constant."""
-        chart, having = self.chart(name), [row for row in self.done if row.constant(name) is not None]
+        chart, having = self.chart(name), [row for row in self.judged if row.constant(name) is not None]
         return () if chart is None else tuple(having[i] for i in chart.outside)
 
     def probability(self, row: PlateRow, limit: Limit) -> float | None:
@@ -123,8 +142,16 @@ class BatchResult(Result):
         return None if constant is None else constant.posterior.meets(limit)
 
     def texts(self) -> Mapping[str, str]:
-        """The table for a spreadsheet."""
-        return {"results.csv": csv_text(plates(self))}
+        """The table for a spreadsheet, and where there are limits a certificate of one page."""
+        table = {"results.csv": csv_text(plates(self))}
+        report = self.report()
+        sections = [replace(s, folded=False) for s in report.sections if s.title == CERTIFICATE and s.tables]
+        if not sections:
+            return table
+        title, rows = f"{CERTIFICATE}: {report.summary.title}", plates(self).table("Plates")
+        shown = replace(report.summary, title=title, tables=(rows,), next_step="")
+        page = page_text(title, shown, sections, {})
+        return {**table, "certificate.html": page}
 
     def datasets(self) -> Mapping[str, Any]:
         """The table as an xarray dataset, and the draws of means and scatters."""
@@ -145,18 +172,18 @@ def plates(result: BatchResult, most: int | None = None) -> Rows:
             f"P({limit.shown})",
             f"P({limit.text})",
             partial(_probability, result, limit),
-            _probability_text,
+            probability_text,
             number=True,
         )
         for limit in result.limits
     ]
-    judged = [Column("verdict", "verdict", partial(_verdict, result))]
+    judged = [Column("verdict", "verdict", partial(verdict, result))]
     wrong = [Column("model error", None, lambda row: row.diagnosis and _claim_text(row.diagnosis))]
     return Rows(
         "plates",
         (*_OF_PLATE, *constants, *_OF_FIT, *claim, *limits, *judged, *wrong),
         result.rows[:most],
-        lambda row: _verdict(result, row) in ("cannot be judged", "too close to call"),
+        lambda row: verdict(result, row) in ("cannot be judged", "too close to call"),
     )
 
 
@@ -183,13 +210,12 @@ def _probability(result: BatchResult, limit: Limit, row: PlateRow) -> float | No
     return result.probability(row, limit)
 
 
-def _verdict(result: BatchResult, row: PlateRow) -> BatchVerdict | None:
+def verdict(result: BatchResult, row: PlateRow) -> BatchVerdict | None:
     """The verdict of a plate on all limits; None where there are none."""
     if not result.limits:
         return None
     limited = [row.constant(limit.name) for limit in result.limits]
-    decided = all(c is not None and c.verdict in (Verdict.DATA, Verdict.BOTH) for c in limited)
-    if not decided or row.misfit > 1.0:
+    if not row.is_judged or not all(c is not None and not c.is_open for c in limited):
         return "cannot be judged"
     probabilities = [result.probability(row, limit) or 0.0 for limit in result.limits]
     if min(probabilities) <= 1.0 - SURE:
@@ -205,7 +231,8 @@ def _constant_text(row: PlateRow, name: str) -> str:
     return f"{value} +- {sd}{'' if constant.verdict is Verdict.DATA else ' (open)'}"
 
 
-def _probability_text(p: float) -> str:
+def probability_text(p: float) -> str:
+    """A probability to three digits after the point, or as beyond them."""
     return fixed(p, 3) if 0.001 <= p <= 0.999 else ("< 0.001" if p < 0.5 else "> 0.999")
 
 
@@ -241,10 +268,12 @@ def _row_keys(result: BatchResult, row: PlateRow) -> dict[str, Any]:
     probabilities = {limit.text: result.probability(row, limit) for limit in result.limits}
     return {
         **_record(_OF_PLATE, row),
+        **dict(row.certificate),
         "constants": {user_name(c.name): _constant_keys(c) for c in row.constants},
         "limits": probabilities if row.status == "done" else {},
-        "verdict": _verdict(result, row),
+        "verdict": verdict(result, row),
         **_record(_OF_FIT, row),
+        "slip": None if row.slip is None else row.slip[0],
         "diagnosis": None if row.diagnosis is None else _record(_OF_CLAIM, row.diagnosis),
     }
 

@@ -34,6 +34,7 @@ from cpam_bayes.forward_model.preconditions import (
 from cpam_bayes.identification.angle_search import AngleSearchResult, search_angles
 from cpam_bayes.identification.point import PointEstimate, estimate_constants, point_notices
 from cpam_bayes.identification.search import MOST_SWARMS, NO_MESH, Optimum, Residual, required
+from cpam_bayes.identification.slips import GROSS, Slip, corrected_file, explaining_slips
 from cpam_bayes.inference.swarm import SwarmResult, SwarmSettings
 from cpam_bayes.plate import Measurement, PlateLike, Specimen, read_plate, to_user, unit_of, user_name
 from cpam_bayes.render.figures import PREDICTED, extent_of, new_figure, shapes_figure
@@ -73,7 +74,7 @@ from cpam_bayes.render.sentences import (
     reliance_sentences,
 )
 from cpam_bayes.result import PlateResult, present, within_time
-from cpam_bayes.running import SILENT, Watch
+from cpam_bayes.running import SILENT, Watch, is_time_up
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -95,6 +96,7 @@ class PointResult(PlateResult):
     estimate : the constants with their standard deviations, the fit, the swarm
     residuals : what was minimised, see `identify`
     angles : the search of the unknown angles, None where all were known
+    explained_by : slips of the plate file without which it fits, the most probable first
     """
 
     command: ClassVar[str] = "identify"
@@ -102,6 +104,7 @@ class PointResult(PlateResult):
     estimate: PointEstimate
     residuals: Residual
     angles: AngleSearchResult | None = None
+    explained_by: tuple[Slip, ...] = ()
 
     @property
     def status(self) -> str:
@@ -133,6 +136,11 @@ class PointResult(PlateResult):
         """The best optimum and those that the noise does not tell from it, with their constants, SI."""
         names = [c.name for c in self.estimate.constants]
         return tuple((o, dict(zip(names, o.x.tolist(), strict=True))) for o in self.estimate.optima)
+
+    def texts(self) -> Mapping[str, str]:
+        """The plate file without the slip that explains the misfit, where it can be written."""
+        found = corrected_file(self.specimen, self.explained_by[0]) if self.explained_by else None
+        return {} if found is None else {"corrected.toml": found}
 
     def rms_of_optima(self) -> list[float]:
         """Root mean square of the relative residuals at every optimum."""
@@ -233,6 +241,13 @@ def identify(
     unsure = [Notice("angles_disagree")] if angles is not None and angles.swarm.status == "budget" else []
     left = np.array([mode.frequency for mode in estimate.predicted]) / measurement.frequencies - 1.0
     excess = misfit_slips(misfit) or noise_slips(measurement, left, k)
+    explained_by: tuple[Slip, ...] = ()
+    if excess and estimate.rms > GROSS and not is_time_up():
+        watch.announce("the misfit is gross: trying slips of the plate file")
+        explained_by = explaining_slips(specimen, seed)
+        of_slips = tuple((s.kind, s.number, s.frequency, s.corrected.plate.edges) for s in explained_by)
+        fit = max((s.rms for s in explained_by), default=0.0)
+        excess = tuple(replace(n, facts={**n.facts, "slips": of_slips, "fit": fit}) for n in excess)
     determined = {
         c.name: (c.value, c.sd)
         for c in estimate.constants
@@ -259,6 +274,7 @@ def identify(
         estimate=estimate,
         residuals=residuals,
         angles=angles,
+        explained_by=explained_by,
     )
 
 
@@ -357,6 +373,9 @@ def _steps(result: PointResult, use: Sequence[str]) -> tuple[str, ...]:
     specimen = result.specimen
     plate = plate_argument(specimen)
     steps = [*mismatch_step(specimen, result.notices, [row.label for row in result.frequencies])]
+    if result.explained_by:
+        written = "; --out DIR writes it as corrected.toml" if result.texts() else ""
+        steps = [f"correct the plate file{written}."]
     posterior = f"get the posterior of the constants.  cpam-bayes identify {plate} --backend emcee"
     if result.angles is None:
         steps += [*diagnose_step(specimen), posterior]
@@ -442,6 +461,10 @@ def _document(result: PointResult, frequencies: Rows, optima: Rows) -> dict[str,
             for row in optima.rows
         ],
         **shape_keys(estimate.by_shape, specimen.measurement),
+        "explained_by": [
+            {"slip": s.kind, "number": s.number, "frequency_hz": s.frequency, "rms_percent": 100.0 * s.rms}
+            for s in result.explained_by
+        ],
         "rms_percent": 100.0 * estimate.rms,
         "noise_percent": 100.0 * estimate.noise,
         "noise_source": "residuals" if estimate.noise_is_inferred else "plate file",

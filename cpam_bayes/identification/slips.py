@@ -1,0 +1,276 @@
+"""Slips of a plate file that explain a gross misfit: a few corrected files are refitted and weighed.
+
+Sides exchanged, a layup turned by 90 degrees, the neighbouring edges held, one error of the list. A slip is
+named where the corrected file fits to the noise and every other slip that does is far less probable.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Final, Literal, NamedTuple, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cpam_bayes.errors import PlateFileError
+from cpam_bayes.forward_model.build import basis_tolerance, reduced_model
+from cpam_bayes.forward_model.model import reference_constants, reference_vector
+from cpam_bayes.forward_model.preconditions import USUAL_NOISE, birge_ratio
+from cpam_bayes.forward_model.reduced import ReducedModel, ReductionSettings
+from cpam_bayes.identification.search import PairedModel, refitted, required
+from cpam_bayes.inference.swarm import material_swarm
+from cpam_bayes.mechanics.modes import RigidBodyError
+from cpam_bayes.parameters import ParameterSet
+from cpam_bayes.plate import Measurement, Plate, Specimen, to_user, unit_of
+from cpam_bayes.plate.layup import Layup
+from cpam_bayes.plate.text import decode, line_numbers
+from cpam_bayes.running import single_blas_thread
+
+__all__ = ["GROSS", "Slip", "SlipKind", "corrected_file", "explaining_slips"]
+
+Array = NDArray[Any]
+SlipKind: TypeAlias = Literal["sides", "layup", "edges", "missed", "false", "misread", "decimal"]
+
+GROSS: Final = USUAL_NOISE
+"""Relative misfit above which slips are tried."""
+# Frequencies beyond the unknowns that a corrected list has at least, so that its fit says something.
+_LEAST_FREEDOM: Final = 2
+# Relative error of the refits; noise that is inferred is below the second of a list without errors.
+_REFIT_ERROR, _LOW_NOISE = 1e-3, 0.005
+# Log odds of what is named over every other slip; standard deviations of [material.sd] that constants may be
+# off.
+_CLEAR, _FAR = 3.0, 4.0
+# Places of a decimal point that was lost or put wrong.
+_FACTORS: Final = (10.0, 100.0, 1000.0)
+# Constants that are drawn, those of them that a step is made from, its ridge over the trace of the square,
+# and slips of the list that are refitted, those of which a step leaves least.
+_DRAWN, _NEAR, _RIDGE, _REFITTED = 100, 12, 1e-6, 8
+# A key with its value, up to a comment.
+_VALUE: Final = re.compile(r"""[^=\n]*=\s*(\[[^\]]*\]|"[^"\n]*"|'[^'\n]*'|[^#\s]+)""")
+_LISTED, _COMPLETE = ("measurement", "frequencies_hz"), ("measurement", "complete")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Slip:
+    """One slip, and the file without it.
+
+    number : of the mode that is missed or of the frequency that is wrong, from 1; 0 for the plate
+    frequency : Hz, as listed, or as it should be for a wrong decimal point
+    corrected : the plate without the slip
+    edits : (table, key) -> value of the corrected plate file
+    rms : relative, of the corrected fit
+    score : log probability of the list, up to a constant
+    """
+
+    kind: SlipKind
+    number: int
+    frequency: float
+    corrected: Specimen
+    edits: Mapping[tuple[str, str], Any]
+    rms: float = math.nan
+    score: float = -math.inf
+
+
+class _Starts(NamedTuple):
+    """Constants that a refit may begin from, (m, n), their frequencies, (m, n_modes), and their slopes."""
+
+    constants: Array
+    predicted: Array
+    slopes: Array
+
+    def led_on(self, f: Array, modes: Array, unknowns: ParameterSet) -> tuple[float, Array]:
+        """What a Gauss-Newton step leaves of the logarithms of a list (n,), rms, and where it leads, (k, n).
+
+        Of the constants whose frequencies are nearest; their best one and its start.
+        """
+        away = np.log(self.predicted[:, modes] / f)
+        near = np.argsort(np.sum(away**2, axis=1), kind="stable")[:_NEAR]
+        half = 0.5 * (unknowns.upper - unknowns.lower)
+        slope = self.slopes[near][:, modes] / self.predicted[near][:, modes, None] * half
+        square = np.swapaxes(slope, 1, 2) @ slope
+        ridge = _RIDGE * np.trace(square, axis1=1, axis2=2)[:, None, None] * np.eye(len(half))
+        step = -np.linalg.solve(square + ridge, np.einsum("mij,mi->mj", slope, away[near])[..., None])[..., 0]
+        x = np.clip(self.constants[near] + half * step, unknowns.lower, unknowns.upper)
+        left = away[near] + np.einsum("mij,mj->mi", slope, (x - self.constants[near]) / half)
+        rms = np.sqrt(np.mean(left**2, axis=1))
+        best = int(np.argmin(rms))
+        return float(rms[best]), np.vstack((x[best], self.constants[near[[0, best]]]))
+
+
+@single_blas_thread
+def explaining_slips(specimen: Specimen, seed: int) -> tuple[Slip, ...]:
+    """The slips that explain a list, the most probable first; empty where none does or three and more do.
+
+    Two are as probable where they are one spectrum: a square cantilever with its layup turned, or held at
+    the neighbouring edge. Nothing is tried of unknown angles and of frequencies whose modes are labelled.
+    """
+    measurement, _ = required(specimen)
+    if specimen.plate.layup.n_unknown or measurement.names_modes or specimen.plate.mesh is not None:
+        return ()
+    tried = [*_of_plate(specimen, seed), *_of_list(specimen, seed)]
+    found = sorted((slip for slip in tried if slip.score > -math.inf), key=lambda slip: -slip.score)
+    first = [slip for slip in found if slip.score > found[0].score - _CLEAR]
+    return tuple(first) if len(first) < 3 else ()
+
+
+def _of_plate(specimen: Specimen, seed: int) -> Iterator[Slip]:
+    """Corrected plates, each with a model of its own."""
+    measurement, _ = required(specimen)
+    n = measurement.size
+    for kind, plate, edits in _plates(specimen):
+        corrected = replace(specimen, plate=plate)
+        try:
+            model, starts = _model(corrected, n, seed)
+        except (PlateFileError, RigidBodyError, np.linalg.LinAlgError):
+            continue
+        yield _weighed(Slip(kind, 0, 0.0, corrected, edits), PairedModel(model, np.arange(n)), starts, 1)
+
+
+def _plates(specimen: Specimen) -> Iterator[tuple[SlipKind, Plate, dict[tuple[str, str], Any]]]:
+    plate = specimen.plate
+    other = {"length": "width", "width": "length"}
+    even = len(set(plate.edges)) == 1
+    if plate.length != plate.width and not (even and specimen.material.isotropic):
+        sd = {other.get(name, name): value for name, value in plate.sd.items()}
+        sizes = {"length_mm": plate.width, "width_mm": plate.length}
+        edits = {("plate", key): round(to_user(key[:-3], value), 9) for key, value in sizes.items()}
+        yield "sides", replace(plate, length=plate.width, width=plate.length, sd=sd), edits
+    # of equal edges that is the same spectrum as sides exchanged, or as the plate itself
+    if not even and not specimen.material.isotropic:
+        angles = np.array([a + 90.0 if a <= 0.0 else a - 90.0 for a in plate.layup.angles_deg])
+        if not np.array_equal(angles, plate.layup.angles_deg):
+            text = f"[{'/'.join(f'{a:g}' for a in angles)}]"
+            turned = Layup(text, angles, plate.layup.unknown_index, plate.layup.kinds)
+            yield "layup", replace(plate, layup=turned), {("plate", "layup"): text}
+    if not even:
+        edges = plate.edges[-1] + plate.edges[:-1]
+        yield "edges", replace(plate, edges=edges), {("plate", "edges"): edges}
+
+
+def _of_list(specimen: Specimen, seed: int) -> Iterator[Slip]:
+    """Corrected lists, all with the model of the plate as it is stated."""
+    measurement, _ = required(specimen)
+    model, starts = _model(specimen, measurement.size + 1, seed)
+    each = [
+        (slip, modes, variants)
+        for slip, modes, variants in _lists(specimen)
+        if len(modes) - specimen.unknowns.size >= _LEAST_FREEDOM
+    ]
+    left = [
+        starts.led_on(required(slip.corrected)[0].frequencies, modes, specimen.unknowns)[0]
+        for slip, modes, _ in each
+    ]
+    for i in np.argsort(left, kind="stable")[:_REFITTED]:
+        slip, modes, variants = each[i]
+        yield _weighed(slip, PairedModel(model, modes), starts, variants)
+
+
+def _lists(specimen: Specimen) -> Iterator[tuple[Slip, Array, int]]:
+    """Slips of a list, with the rank of the mode of each frequency and the number of slips of the kind."""
+    measurement, _ = required(specimen)
+    f, n = measurement.frequencies, measurement.size
+    every = np.arange(n + 1)
+    for k in range(n):
+        slip = Slip("missed", k + 1, 0.0, specimen, {("measurement", "complete"): False})
+        yield slip, np.delete(every, k), n
+    for i in range(n):
+        less = replace(specimen, measurement=_listed(measurement, f, np.delete(every[:n], i)))
+        edits: dict[tuple[str, str], Any] = {("measurement", "frequencies_hz"): np.delete(f, i).tolist()}
+        if i < n - 1:
+            yield Slip("false", i + 1, float(f[i]), less, edits), every[: n - 1], n
+        edits = {**edits, ("measurement", "complete"): False}
+        yield Slip("misread", i + 1, float(f[i]), less, edits), np.delete(every[:n], i), n
+    # in a list that ascends, a wrong decimal point makes a frequency the first or the last
+    for i, factors in ((0, _FACTORS), (n - 1, tuple(1.0 / factor for factor in _FACTORS))):
+        for value in (factor * float(f[i]) for factor in factors):
+            moved = np.where(every[:n] == i, value, f)
+            right = replace(specimen, measurement=_listed(measurement, moved, np.argsort(moved)))
+            edits = {("measurement", "frequencies_hz"): np.sort(moved).tolist()}
+            slip = Slip("decimal", i + 1, value, right, edits)
+            yield slip, every[:n], 2 * len(_FACTORS)
+
+
+def _model(specimen: Specimen, n_modes: int, seed: int) -> tuple[ReducedModel, _Starts]:
+    """A model of a plate about its reference constants, and constants to begin from."""
+    measurement, unknowns = required(specimen)
+    reduction = ReductionSettings(max(basis_tolerance(measurement), 0.1 * _REFIT_ERROR))
+    model = reduced_model(specimen, unknowns, n_modes, settings=reduction)
+    drawn = material_swarm(specimen.material, unknowns, _DRAWN, np.random.default_rng([seed, 37]))
+    centre = np.clip(reference_vector(specimen, unknowns), unknowns.lower, unknowns.upper)
+    constants = np.vstack((centre, drawn))
+    found = model.predict(constants, jacobian=True)
+    assert found.jacobian is not None
+    return model, _Starts(constants, found.frequencies, found.jacobian)
+
+
+def _weighed(slip: Slip, model: PairedModel, starts: _Starts, variants: int) -> Slip:
+    """A slip with its fit and score; -inf where the corrected file is not fitted to the noise.
+
+    A frequency that is not compared with a mode could be anywhere within a factor of e. variants : places
+    that a slip of this kind may have.
+    """
+    measurement, unknowns = required(slip.corrected)
+    f, k = measurement.frequencies, unknowns.size
+    freedom = len(f) - k
+    if freedom < _LEAST_FREEDOM:
+        return slip
+    _, start = starts.led_on(f, model.modes, unknowns)
+    x = refitted(slip.corrected, model, start)
+    relative = model.predict(x[None]).frequencies[0, : len(f)] / f - 1.0
+    rms = float(np.sqrt(np.mean(relative**2)))
+    inferred = float(np.sqrt(np.sum(relative**2) / freedom))
+    stated = measurement.relative_std is not None or measurement.frequency_sd is not None
+    noise = measurement.noise_sd(measurement.relative_std or inferred) / f
+    sd = np.sqrt(noise**2 + (measurement.resolution / f) ** 2 / 12.0 + _REFIT_ERROR**2)
+    is_noise = birge_ratio(relative / sd, k) == 1.0 if stated else inferred <= _LOW_NOISE
+    if not is_noise or _is_far(slip.corrected, x):
+        return replace(slip, rms=rms)
+    fitted = -np.log(sd * math.sqrt(2.0 * math.pi)) - 0.5 * (relative / sd) ** 2
+    return replace(slip, rms=rms, score=float(np.sum(fitted)) - math.log(variants))
+
+
+def _is_far(specimen: Specimen, x: Array) -> bool:
+    """Whether moduli among constants (n,) are none that [material.sd] allows."""
+    reference, known = reference_constants(specimen), specimen.material.sd
+    each = zip(specimen.unknowns.names, x.tolist(), strict=True)
+    return any(unit_of(n) and abs(v - reference[n]) > _FAR * known.get(n, math.inf) for n, v in each)
+
+
+def _listed(measurement: Measurement, f: Array, at: Array) -> Measurement:
+    """A list of other frequencies (n,), of which those at some places are left, with what belongs to them."""
+    sd, damping = measurement.frequency_sd, measurement.damping
+    return replace(
+        measurement,
+        frequencies=f[at],
+        frequency_sd=None if sd is None else sd[at],
+        damping=None if damping is None else damping[at],
+        labels=("",) * len(at),
+    )
+
+
+def corrected_file(specimen: Specimen, slip: Slip) -> str | None:
+    """The text of a plate file without a slip; None where the file lacks what is to be changed."""
+    source = Path(specimen.source)
+    if not source.is_file():
+        return None
+    text = decode(source.read_bytes(), specimen.source)
+    lines = line_numbers(text)
+    begin = [0, *(end.end() for end in re.finditer("\n", text))]
+    # from the last line on, so that those before keep their places
+    for path in sorted(slip.edits, key=lambda path: -lines.get(path, len(begin))):
+        written = json.dumps(slip.edits[path])
+        if path == _COMPLETE and path not in lines and _LISTED in lines:
+            continue
+        found = _VALUE.match(text, begin[lines[path] - 1]) if path in lines else None
+        if found is None:
+            return None
+        text = f"{text[: found.start(1)]}{written}{text[found.end(1) :]}"
+    if _COMPLETE in slip.edits and _COMPLETE not in lines:
+        start = begin[lines[_LISTED] - 1]
+        text = f"{text[:start]}complete = false\n{text[start:]}"
+    return text

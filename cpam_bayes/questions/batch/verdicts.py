@@ -1,0 +1,195 @@
+"""The four verdicts of a batch on its limits, the reason of each that is no pass, and the certificate."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+from scipy.stats import chi2, norm
+
+from cpam_bayes import __version__
+from cpam_bayes.batches.limits import LEAST_PLATES, Limit
+from cpam_bayes.batches.plate_row import PlateRow
+from cpam_bayes.effects import CATALOGUE
+from cpam_bayes.formatting import listed, significant, with_spread
+from cpam_bayes.plate import to_user, unit_of
+from cpam_bayes.questions.batch.result import CERTIFICATE, SURE, BatchResult, BatchVerdict, verdict
+from cpam_bayes.render.report import Section, facts
+
+__all__ = ["certificate_section", "four_verdicts", "limit_step", "why_not_judged"]
+
+# Plates of one verdict that are named, and causes of one plate.
+_MOST_NAMED, _MOST_CAUSES = 3, 2
+_VERBS: Final[dict[BatchVerdict, tuple[str, str]]] = {
+    "pass": ("passes", "pass"),
+    "fail": ("fails", "fail"),
+    "cannot be judged": ("cannot be judged", "cannot be judged"),
+    "too close to call": ("too close to call", "too close to call"),
+}
+_SLIPS: Final = {
+    "sides": "length and width exchanged?",
+    "layup": "the layup turned by 90 degrees?",
+    "edges": "the neighbouring edge held?",
+    "missed": "mode {number} missing from the list?",
+    "false": "frequency {number} no mode?",
+    "misread": "frequency {number} misread?",
+    "decimal": "a decimal point of frequency {number}?",
+}
+# Probability below which moduli do not go together, and relative scatter that they may have for all that;
+# masses and thicknesses that differ by less, relative, say nothing of each other.
+_TOGETHER, _APART, _SAME = 0.01, 0.01, 0.005
+
+
+def four_verdicts(result: BatchResult) -> str:
+    """How many plates pass, fail, cannot be judged and are too close to call, and why."""
+    said = []
+    for which, (one, many) in _VERBS.items():
+        rows = [row for row in result.rows if verdict(result, row) == which]
+        if not rows:
+            continue
+        text = f"{len(rows)} {one if len(rows) == 1 else many}"
+        if which in ("fail", "cannot be judged"):
+            each = [f"{row.name}: {_why(result, row, which)}" for row in rows[:_MOST_NAMED]]
+            more = [f"{len(rows) - _MOST_NAMED} more"] if len(rows) > _MOST_NAMED else []
+            text += f" ({'; '.join([*each, *more])})"
+        said.append(text)
+    return f"{', '.join(said)}."
+
+
+def _why(result: BatchResult, row: PlateRow, which: BatchVerdict) -> str:
+    return why_failed(result, row) if which == "fail" else why_not_judged(result, row)
+
+
+def why_failed(result: BatchResult, row: PlateRow) -> str:
+    """The pattern of a plate that fails: all moduli off by one factor, and its mass; or the modulus."""
+    factor = common_factor(result, row)
+    if factor is not None:
+        thin = factor < 1.0
+        change = _of_thickness(result, row, factor)
+        if change is None:
+            return f"{'thinner or softer' if thin else 'thicker or stiffer'}; gauge it"
+        return (
+            f"{'thinner' if thin else 'thicker'} by about {significant(100.0 * abs(change), 1)} %; gauge it"
+        )
+    limit = min(result.limits, key=lambda limit: result.probability(row, limit) or 0.0)
+    constant = row.constant(limit.name)
+    assert constant is not None
+    value, sd = with_spread(to_user(limit.name, constant.value), to_user(limit.name, constant.sd))
+    return f"{limit.name} {value} +- {sd} {unit_of(limit.name)}".rstrip()
+
+
+def common_factor(result: BatchResult, row: PlateRow) -> float | None:
+    """The factor by which all moduli of a plate are off the medians of the batch; None where there is none.
+
+    A thickness h that is stated wrongly makes all moduli of a thin plate wrong by one factor.
+    """
+    logs, sd = [], []
+    for c in row.constants:
+        chart = result.chart(c.name)
+        if unit_of(c.name) and not c.is_open and chart is not None:
+            logs.append(math.log(c.value / chart.median))
+            sd.append(math.hypot(c.sd / c.value, chart.sigma / chart.median, _APART))
+    if not logs:
+        return None
+    x, weight = np.array(logs), np.array(sd) ** -2.0
+    mean = float(x @ weight / weight.sum())
+    together = len(x) == 1 or chi2.sf(float(weight @ (x - mean) ** 2), len(x) - 1) >= _TOGETHER
+    return math.exp(mean) if together and abs(mean) > 2.0 / math.sqrt(weight.sum()) else None
+
+
+def _of_thickness(result: BatchResult, row: PlateRow, factor: float) -> float | None:
+    """The relative change of thickness that moduli and mass agree on; None where they do not.
+
+    With the mass weighed moduli go with h^3, and the mass with h.
+    """
+    known = [other.areal_mass for other in result.judged if other.areal_mass is not None]
+    if row.areal_mass is None or len(known) < LEAST_PLATES:
+        return None
+    by_mass = math.log(row.areal_mass / float(np.median(known)))
+    by_moduli = math.log(factor) / 3.0
+    agree = abs(by_mass) > _SAME and abs(by_mass - by_moduli) < max(_SAME, 0.5 * abs(by_moduli))
+    return math.expm1(by_mass) if agree else None
+
+
+def why_not_judged(result: BatchResult, row: PlateRow) -> str:
+    """What stands against judging a plate: no answer, a slip, a cause, a misfit, constants left open."""
+    if row.status == "failed":
+        return "no answer"
+    if row.slip is not None:
+        return _SLIPS[row.slip[0]].format(number=row.slip[1])
+    if row.misfit > 1.0:
+        return _cause(row) or f"misfit {significant(row.misfit, 2)} times the noise"
+    names = [limit.name for limit in result.limits]
+    left = [n for n in dict.fromkeys(names) if (c := row.constant(n)) is None or c.is_open]
+    return f"{listed(left, 'and')} not determined"
+
+
+def _cause(row: PlateRow) -> str:
+    """The causes that a diagnosis names, as a question; "" where it names none."""
+    found = row.diagnosis
+    if found is None or found.claim not in ("named", "class", "pair") or len(found.causes) > 3:
+        return ""
+    effects = {effect.name: effect for effect in CATALOGUE}
+    titles = [effects[name].title if name in effects else name for name in found.causes]
+    first = effects.get(found.causes[0])
+    if first is not None and found.size is not None and first.parameters:
+        unit, factor = first.parameters[0].display
+        size = f"{significant(abs(factor * found.size), 1)} {unit}".rstrip()
+        is_mass = first.local == "point"
+        titles[0] = f"a mass of about {size} left on" if is_mass else f"{titles[0]}, about {size}"
+    said = listed(titles[:_MOST_CAUSES], "and" if found.claim == "pair" else "or")
+    return f"{said}{', or another' if len(titles) > _MOST_CAUSES else ''}?"
+
+
+def limit_step(result: BatchResult) -> str:
+    """What can close the first limit that is neither met nor missed; "" where there is none.
+
+    A repeat of the test does not where a size of the plate makes most of the standard deviation.
+    """
+    for limit in result.limits:
+        for row in result.judged:
+            p, constant = result.probability(row, limit), row.constant(limit.name)
+            if p is None or constant is None or constant.is_open or not 1.0 - SURE < p < SURE:
+                continue
+            name, open_ = constant.decided_by, f"{limit.shown} is neither met nor missed"
+            if not name:
+                return f"repeat the test of {row.name}: {open_}."
+            how = "weigh" if name in ("mass", "density") else "gauge"
+            return f"{how} {row.name} more exactly, its {name} decides: {open_}, and a repeat does not help."
+    return ""
+
+
+def certificate_section(result: BatchResult) -> Section:
+    """Who tested what and when, and how the limits were judged; empty without limits."""
+    if not result.limits:
+        return Section(CERTIFICATE)
+    given = [dict(row.certificate) for row in result.rows]
+    names = ("laboratory", "operator", "date", "specimen")
+    found = {n: list(dict.fromkeys(each[n] for each in given if n in each)) for n in names}
+    rows = [(name, _some(values)) for name, values in found.items() if values]
+    rows += [(limit.shown, _guard(result, limit)) for limit in result.limits]
+    rows += [
+        ("pass", f"the probability of meeting every limit is {SURE:g} or more"),
+        ("fail", f"that of one limit is {1.0 - SURE:.2g} or less"),
+        ("too close to call", "between these: neither is shown"),
+        ("cannot be judged", "the plate model does not describe the list, or the constant is left open"),
+        ("computed by", f"cpam_bayes {__version__}, seed {result.seed}"),
+    ]
+    return Section(CERTIFICATE, (facts("Test, and how limits were judged", rows),))
+
+
+def _some(values: Sequence[str]) -> str:
+    more = [f"{len(values) - 12} more"] if len(values) > 12 else []
+    return listed([*values[:12], *more], "and")
+
+
+def _guard(result: BatchResult, limit: Limit) -> str:
+    """The guard band of a limit: how far inside it a plate of usual sd passes."""
+    sd = [c.sd for row in result.judged if (c := row.constant(limit.name)) is not None and not c.is_open]
+    if not sd:
+        return "judged for no plate"
+    band = significant(to_user(limit.name, float(norm.ppf(SURE)) * float(np.median(sd))), 2)
+    unit = unit_of(limit.name)
+    return f"a guard band by probability: a plate passes {band} {unit}".rstrip() + " or more inside the limit"

@@ -1,0 +1,148 @@
+"""Slips of a plate file that explain a gross misfit: named where they do, not where something else does."""
+
+from __future__ import annotations
+
+import functools
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import cpam_bayes as cb
+from cpam_bayes.identification.slips import Slip, corrected_file, explaining_slips
+
+NOISE = 0.001
+PLATE: dict[str, Any] = {
+    "name": "p",
+    "plate": {
+        "length_mm": 310.0,
+        "width_mm": 228.0,
+        "thickness_mm": 3.1,
+        "density_kg_m3": 1550.0,
+        "layup": "[0_8]",
+        "edges": "FFFF",
+    },
+    "material": {"E1_GPa": 132.0, "E2_GPa": 9.1, "nu12": 0.31, "G12_GPa": 4.8},
+    "unknowns": {
+        "E1_GPa": [80.0, 200.0],
+        "E2_GPa": [5.0, 16.0],
+        "nu12": [0.15, 0.45],
+        "G12_GPa": [2.5, 10.0],
+    },
+}
+
+EXCHANGED = """
+[plate]
+length_mm = 228.0   # x
+width_mm = 310
+thickness_mm = 3.1
+density_kg_m3 = 1550
+layup = "[0_8]"
+edges = "FFFF"
+[material]
+E1_GPa = 132.0
+E2_GPa = 9.1
+nu12 = 0.31
+G12_GPa = 4.8
+[unknowns]
+E1_GPa = [80, 200]
+E2_GPa = [5, 16]
+nu12 = [0.15, 0.45]
+G12_GPa = [2.5, 10]
+[measurement]
+"""
+
+
+def stated(frequencies: Any, **plate: Any) -> dict[str, Any]:
+    """The plate file of a list, with what it states of the plate."""
+    measured = {"frequencies_hz": [float(f) for f in np.sort(frequencies)], "relative_std": NOISE}
+    return {**PLATE, "plate": {**PLATE["plate"], **plate}, "measurement": measured}
+
+
+@functools.cache
+def _frequencies(n: int, file: str) -> Any:
+    return cb.forward(json.loads(file), n, solver="fem").frequencies
+
+
+def listed(n: int = 10, sensor: Any = None, **plate: Any) -> Any:
+    """A list of the plate with 0.1 % of noise, made by the other discretisation; sensor : left on it."""
+    true = {**PLATE, "plate": {**PLATE["plate"], **plate}, "sensor": sensor or []}
+    return _frequencies(n, json.dumps(true)) * (1.0 + NOISE * np.random.default_rng(5).standard_normal(n))
+
+
+def found(file: dict[str, Any]) -> list[tuple[str, int]]:
+    return [(slip.kind, slip.number) for slip in explaining_slips(cb.read_plate(file), 0)]
+
+
+def test_sides_exchanged_are_named_and_written_anew(tmp_path: Path) -> None:
+    path = tmp_path / "p.toml"
+    measured = f"frequencies_hz = {np.sort(listed()).tolist()}\nrelative_std = {NOISE}\n"
+    path.write_text(f'name = "p"\n{EXCHANGED}{measured}', encoding="utf-8")
+    answer = cb.identify(str(path), seed=0)
+    assert [slip.kind for slip in answer.explained_by] == ["sides"]
+    assert answer.explained_by[0].rms < 2.0 * NOISE < 0.1 * answer.estimate.rms
+    assert "With length and width exchanged (or the layup turned by 90 degrees) it fits to" in answer.slips[0]
+    corrected = tmp_path / "corrected.toml"
+    corrected.write_text(answer.texts()["corrected.toml"], encoding="utf-8")
+    assert "length_mm = 310.0   # x\nwidth_mm = 228.0\n" in corrected.read_text(encoding="utf-8")
+    again = cb.read_plate(corrected)
+    assert (again.plate.length, again.plate.width) == (0.31, 0.228)
+    assert explaining_slips(again, 0) == ()
+
+
+@pytest.mark.parametrize(
+    ("file", "expected"),
+    [
+        pytest.param(
+            lambda: stated(listed(edges="CFFF"), edges="FCFF"), ("edges", 0), marks=pytest.mark.slow
+        ),
+        pytest.param(
+            lambda: stated(listed(edges="CFFF"), edges="CFFF", layup="[90_8]"),
+            ("layup", 0),
+            marks=pytest.mark.slow,
+        ),
+        (lambda: stated(np.delete(listed(11), 3)), ("missed", 4)),
+        (lambda: stated(np.append(listed(11)[:10], 250.0)), ("false", 4)),
+        (lambda: stated(listed(11) * np.where(np.arange(11) == 10, 10.0, 1.0)), ("decimal", 11)),
+        (lambda: stated(listed(11) * np.where(np.arange(11) == 2, 1.12, 1.0)), ("misread", 3)),
+    ],
+    ids=("edges", "layup", "missed", "false", "decimal", "misread"),
+)
+def test_a_slip_is_named(file: Any, expected: tuple[str, int]) -> None:
+    assert found(file()) == [expected]
+
+
+@pytest.mark.parametrize(
+    "sensor",
+    [
+        pytest.param(
+            {"mass_g": 12.0, "x_mm": 260.0, "y_mm": 60.0}, id="a light mass", marks=pytest.mark.slow
+        ),
+        pytest.param({"mass_g": 60.0, "x_mm": 40.0, "y_mm": 200.0}, id="a heavy mass"),
+    ],
+)
+def test_a_mass_left_on_the_plate_is_no_slip_of_its_file(sensor: dict[str, float]) -> None:
+    assert found(stated(listed(sensor=[sensor]))) == []
+
+
+@pytest.mark.slow
+def test_two_slips_of_one_spectrum_are_both_named() -> None:
+    square = {"width_mm": 310.0, "edges": "CFFF"}
+    both = found(stated(listed(**square), **{**square, "edges": "FCFF"}))
+    assert sorted(kind for kind, _ in both) == ["edges", "layup"]
+
+
+def test_a_missed_mode_makes_the_list_incomplete(tmp_path: Path) -> None:
+    missed = {("measurement", "complete"): False}
+    slip = Slip("missed", 4, 0.0, cb.read_plate(stated(listed(11))), missed)
+    path = tmp_path / "p.toml"
+    path.write_text("[measurement]\nfrequencies_hz = [\n 1.0,\n 2.0,\n]\n", encoding="utf-8")
+    specimen = replace(slip.corrected, source=str(path))
+    assert corrected_file(specimen, slip) == (
+        "[measurement]\ncomplete = false\nfrequencies_hz = [\n 1.0,\n 2.0,\n]\n"
+    )
+    path.write_text('[measurement]\ntable = "modes.csv"\n', encoding="utf-8")
+    assert corrected_file(specimen, slip) is None
