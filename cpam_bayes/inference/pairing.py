@@ -189,19 +189,17 @@ class _Prices:
             if maximise:
                 for j in range(self.k):
                     came_from[i, j] = source[j] if reach[0, j] > first[0, j] else (-1, -1)
-            along = np.full(self.m, -np.inf)
-            within: tuple[int, int] = (-1, -1)
-            following = np.empty_like(reach)
-            for j in range(self.k):
-                down = reach[:, j] + self.extra[i]
-                following[:, j] = join(along, down)
-                if maximise and along[0] > down[0]:
-                    source[j] = within
-                stays = along + self.miss[:, j]
-                if maximise and ends[0, i, j] > stays[0]:
-                    within = (i, j)
-                along = join(stays, ends[:, i, j])
-            reach = following
+            # pairs of this row, less the price of the columns up to theirs, which the sum adds again
+            carried = ends[:, i] - before - self.miss
+            best = join.accumulate(carried, axis=1)
+            along = np.concatenate((np.full((self.m, 1), -np.inf), before[:, 1:] + best[:, :-1]), axis=1)
+            down = reach + self.extra[i]
+            if maximise:
+                is_new = carried[0] > np.append(-np.inf, best[0, :-1])
+                last = np.maximum.accumulate(np.where(is_new, np.arange(self.k), -1))
+                for j in np.flatnonzero(along[0] > down[0]).tolist():
+                    source[j] = (i, int(last[j - 1]))
+            reach = join(along, down)
         return ends, came_from
 
     def tail(self) -> Array:
