@@ -98,6 +98,8 @@ def modal_test(
 
     Raises ``ModalTestError`` for files that cannot be read, and for arguments out of range.
     """
+    if not LEAST_ORDER <= order <= MOST_ORDER:
+        raise ModalTestError(f"--order: received {order}, accepted: {LEAST_ORDER} to {MOST_ORDER}")
     responses = read_responses(files, force=force, response=response, window=window, high=high)
     last = float(responses.frequencies[-1])
     high = last if high is None else min(high, last)
@@ -107,8 +109,6 @@ def modal_test(
         low = max(low, float(responses.frequencies[0]))  # responses may begin above it
     if not 0.0 <= low < high:
         raise ModalTestError(f"--range: received {low:g} to {high:g} Hz, accepted: within 0 to {last:g} Hz")
-    if not LEAST_ORDER <= order <= MOST_ORDER:
-        raise ModalTestError(f"--order: received {order}, accepted: {LEAST_ORDER} to {MOST_ORDER}")
     lines = int(np.sum((responses.frequencies >= low) & (responses.frequencies <= high)))
     if lines < 2 * order:
         raise ModalTestError(
