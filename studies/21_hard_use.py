@@ -33,10 +33,10 @@ from hypothesis import strategies as st
 
 import cpam_bayes as cb
 from cpam_bayes.errors import ArgumentError, LayupError, PlateFileError
-from cpam_bayes.modal_analysis.read import ModalTestError
 from cpam_bayes.plate import parse_specimen
 from cpam_bayes.plate.instruments import MAX_UNIVERSAL_BYTES, UniversalFileError, read_shapes
 from cpam_bayes.plate.layup import parse_layup
+from cpam_bayes.plate.modal_analysis.read import ModalTestError
 from cpam_bayes.plate.modes_table import modes_of, read_modes_table
 from cpam_bayes.render.report import Heading, Table
 from cpam_bayes.render.terminal import screen_text

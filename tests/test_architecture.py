@@ -22,9 +22,8 @@ LAYERS = (
     "parallel",
     "priors",
     "parameters",
-    "plate",
     "answer",
-    "modal_analysis",
+    "plate",
     "mechanics",
     "effects",
     "forward_model",
@@ -258,7 +257,7 @@ def test_what_renders_solves_nothing(path: Path) -> None:
 
 
 # What reads files that others wrote, whose words are all there is to go by.
-READERS = {"plate", "modal_analysis", "storage"}
+READERS = {"plate", "storage"}
 READS = {"startswith", "endswith", "removeprefix", "removesuffix", "partition", "rpartition", "split", "find"}
 # Literals that are asked for and are shown to nobody, or are cut off what another layer has written.
 ASKED_FOR = {

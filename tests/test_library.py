@@ -116,6 +116,7 @@ NO_SIZES = (("300.0", "0.0"), ("280.0", "nan"))
 TO_CCX = partial(cb.export, path="x.inp"), "export --to ccx --out x.inp"
 BY_CCX = partial(cb.forward, solver="ccx"), "forward --solver ccx"
 BY_EMCEE = cb.sample, "identify --backend emcee"
+BY_PSO = cb.identify, "identify --backend pso"
 OF_THE_LIST = partial(cb.sensitivity, source="measured"), "sensitivity --list measured"
 IDENTIFY, DIAGNOSE, REPORT = (
     (cb.identify, "identify"),
@@ -126,7 +127,7 @@ FORWARD, SEQUENCE, CALIBRATE = (cb.forward, "forward"), (cb.sequence, "sequence"
 SENSITIVITY = cb.sensitivity, "sensitivity"
 
 REFUSED_PLATES: list[tuple[tuple[tuple[str, str], ...], tuple[Callable[..., object], str], str]] = [
-    ((GAPS,), IDENTIFY, "measurement.complete: received false, this version pairs the first model mode"),
+    ((GAPS,), BY_PSO, "measurement.complete: received false, this version pairs the first model mode"),
     ((GAPS,), OF_THE_LIST, "measurement.complete: received false, --list measured adds noise to a list"),
     ((NO_LIST,), IDENTIFY, "[measurement] is missing, nothing to identify from"),
     ((NO_LIST,), BY_EMCEE, "[measurement] is missing"),

@@ -261,11 +261,6 @@ def is_open_ended(case: PlateCase) -> bool:
     return is_incomplete(case) and bool(case.modes[-1] < 0)
 
 
-def pairing_prior(measurement: Measurement) -> PairingPrior:
-    """Probabilities of missed modes and of false peaks that the plate file gives."""
-    return PairingPrior(measurement.missed_probability, measurement.false_peaks)
-
-
 def labelled(case: PlateCase) -> Array:
     """True for frequencies that keep the mode of their label or of their shape, (n,) bool."""
     if case.by_shape is not None:
@@ -285,15 +280,12 @@ def with_pairing(case: PlateCase, modes: Array, missed_above: int = 0) -> PlateC
     """
     if case.measurement.complete:
         return replace(case, modes=modes)
-    prior, paired = pairing_prior(case.measurement), modes[modes >= 0]
-    n_false = len(modes) - len(paired)
+    prior, paired = PairingPrior.of(case.measurement), modes[modes >= 0]
     n_missed = int(paired.max(initial=-1)) + 1 - len(paired) + missed_above
     log_prior = len(paired) * np.log1p(-prior.missed)
-    with np.errstate(divide="ignore"):
-        if n_missed:
-            log_prior += n_missed * np.log(prior.missed)
-        if n_false:
-            log_prior += n_false * (np.log(prior.spurious) - np.log(case.measurement.frequencies[-1]))
+    if n_missed:
+        log_prior += n_missed * np.log(prior.missed)
+    log_prior += prior.log_false(len(modes), case.measurement.frequencies[-1])[modes < 0].sum()
     return replace(case, modes=modes, log_pairing=float(log_prior))
 
 
@@ -313,7 +305,10 @@ def most_probable(case: PlateCase, predicted: Array, sigma: Array) -> Array:
     f = case.measurement.frequencies
     density = log_density(f[~fixed], predicted[None, columns], sigma[~fixed])[0]
     pairing = most_probable_pairing(
-        density, predicted[columns] <= f[-1], f[-1], pairing_prior(case.measurement)
+        density,
+        predicted[columns] <= f[-1],
+        f[-1],
+        PairingPrior.of(case.measurement).among(np.flatnonzero(~fixed)),
     )
     modes = np.array(case.modes)
     modes[~fixed] = np.where(pairing.mode >= 0, columns[pairing.mode], -1)
@@ -326,7 +321,10 @@ def log_sum(case: PlateCase, predicted: Array, relative: float) -> Array:
     columns = np.setdiff1d(np.arange(predicted.shape[1]), case.modes[fixed])
     density = log_density(f[~fixed], predicted[:, columns], relative * f[~fixed])
     value = monotone_log_likelihood(
-        density, predicted[:, columns] <= f[-1], f[-1], pairing_prior(case.measurement)
+        density,
+        predicted[:, columns] <= f[-1],
+        f[-1],
+        PairingPrior.of(case.measurement).among(np.flatnonzero(~fixed)),
     )
     away = (f[fixed] - predicted[:, case.modes[fixed]]) / (relative * f[fixed])
     return np.asarray(value - 0.5 * np.sum(away**2, axis=1))

@@ -170,7 +170,7 @@ def _pairings(posterior: Posterior, n_modes: int) -> Iterator[_Pairing]:
         columns = rows.copy()
         columns[np.delete(free, k)] = places[: len(free) - 1]
         kept = np.delete(rows, free[k])
-        price = (n - 1) * paired + float(np.log(prior.spurious / posterior.span))
+        price = (n - 1) * paired + float(prior.log_false(n, posterior.span)[free[k]])
         yield _Pairing(kept, columns[kept], price, spurious=int(free[k]))
 
 

@@ -7,13 +7,17 @@ a price, and the likelihood is the sum over all of them.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cpam_bayes.plate import Measurement
+
 Array = NDArray[Any]
+# Log price of a false peak where there are none: finite, so that none times it is nothing.
+_IMPOSSIBLE: Final = -1e300
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,16 +25,35 @@ class PairingPrior:
     """Prices of an incomplete list.
 
     missed : probability that a mode in the measured range is not in the list.
-    spurious : expected number of listed frequencies that belong to no mode, evenly spread over the range.
+    spurious : expected number of listed frequencies that belong to no mode, evenly spread over the range; one
+    for each frequency where they are candidates, of false ones such as it is.
     """
 
     missed: float = 0.1
-    spurious: float = 0.1
+    spurious: float | tuple[float, ...] = 0.1
+
+    @staticmethod
+    def of(measurement: Measurement) -> PairingPrior:
+        """That of a measurement."""
+        false = measurement.false_peaks
+        return PairingPrior(
+            measurement.missed_probability, false if isinstance(false, float) else tuple(false.tolist())
+        )
+
+    def among(self, rows: Array) -> PairingPrior:
+        """That of some frequencies (m,)."""
+        if isinstance(self.spurious, float):
+            return self
+        return replace(self, spurious=tuple(self.spurious[i] for i in rows))
+
+    def log_false(self, n: int, span: float) -> Array:
+        """Log price of each of n frequencies as a false one, (n,); span : of the measured range, Hz."""
+        number = np.broadcast_to(np.asarray(self.spurious, dtype=float), n)
+        with np.errstate(divide="ignore"):
+            return np.asarray(np.log(number / span))
 
 
 DEFAULT_PAIRING = PairingPrior()
-# Log price of a false peak where there are none: finite, so that none times it is nothing.
-_IMPOSSIBLE = -1e300
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,7 +131,7 @@ def labelled_log_likelihood(
     known = np.flatnonzero(labelled)
     rows, columns = _others(log_density, labelled)
     others = monotone_log_likelihood(
-        log_density[:, rows][:, :, columns], in_range[:, columns], measured_range, prior
+        log_density[:, rows][:, :, columns], in_range[:, columns], measured_range, prior.among(rows)
     )
     return np.asarray(others + np.sum(np.log1p(-prior.missed) + log_density[:, known, known], axis=1))
 
@@ -122,7 +145,9 @@ def most_probable_labelled_pairing(
 ) -> Pairing:
     """The most probable pairing of one parameter set that respects labels (log_density (n, k))."""
     rows, columns = _others(log_density, labelled)
-    others = most_probable_pairing(log_density[rows][:, columns], in_range[columns], measured_range, prior)
+    others = most_probable_pairing(
+        log_density[rows][:, columns], in_range[columns], measured_range, prior.among(rows)
+    )
     mode = np.arange(len(log_density))
     mode[rows] = np.where(others.mode >= 0, columns[others.mode], -1)
     return Pairing(mode, columns[others.missed], others.log_probability)
@@ -142,8 +167,8 @@ class _Prices:
         self.m, self.n, self.k = log_density.shape
         self.pair = np.log1p(-prior.missed) + log_density
         self.miss = np.where(in_range, np.log(prior.missed), 0.0)
-        self.extra = float(np.log(prior.spurious / span)) if prior.spurious > 0 else _IMPOSSIBLE
-        self.nothing = self.n * self.extra + self.miss.sum(axis=1)
+        self.extra = np.maximum(prior.log_false(self.n, span), _IMPOSSIBLE)
+        self.nothing = self.extra.sum() + self.miss.sum(axis=1)
 
     def sums(self, *, maximise: bool = False) -> tuple[Array, dict[tuple[int, int], tuple[int, int]]]:
         """Log sum (or maximum) over all pairings that end with the pair (i, j), (m, n, k).
@@ -159,31 +184,29 @@ class _Prices:
         reach = np.full((self.m, self.k), -np.inf)
         source: list[tuple[int, int]] = [(-1, -1)] * self.k
         for i in range(self.n):
-            first = i * self.extra + before
+            first = self.extra[:i].sum() + before
             ends[:, i] = self.pair[:, i] + join(reach, first)
             if maximise:
                 for j in range(self.k):
                     came_from[i, j] = source[j] if reach[0, j] > first[0, j] else (-1, -1)
-            along = np.full(self.m, -np.inf)
-            within: tuple[int, int] = (-1, -1)
-            following = np.empty_like(reach)
-            for j in range(self.k):
-                down = reach[:, j] + self.extra
-                following[:, j] = join(along, down)
-                if maximise and along[0] > down[0]:
-                    source[j] = within
-                stays = along + self.miss[:, j]
-                if maximise and ends[0, i, j] > stays[0]:
-                    within = (i, j)
-                along = join(stays, ends[:, i, j])
-            reach = following
+            # pairs of this row, less the price of the columns up to theirs, which the sum adds again
+            carried = ends[:, i] - before - self.miss
+            best = join.accumulate(carried, axis=1)
+            along = np.concatenate((np.full((self.m, 1), -np.inf), before[:, 1:] + best[:, :-1]), axis=1)
+            down = reach + self.extra[i]
+            if maximise:
+                is_new = carried[0] > np.append(-np.inf, best[0, :-1])
+                last = np.maximum.accumulate(np.where(is_new, np.arange(self.k), -1))
+                for j in np.flatnonzero(along[0] > down[0]).tolist():
+                    source[j] = (i, int(last[j - 1]))
+            reach = join(along, down)
         return ends, came_from
 
     def tail(self) -> Array:
         """Log price of what is left after the pair (i, j), (m, n, k)."""
         after = self.miss.sum(axis=1, keepdims=True) - np.cumsum(self.miss, axis=1)
-        rows = np.arange(self.n - 1, -1, -1.0)
-        return np.asarray(after[:, None, :] + (rows * self.extra)[None, :, None])
+        below = np.append(np.cumsum(self.extra[:0:-1])[::-1], 0.0)
+        return np.asarray(after[:, None, :] + below[None, :, None])
 
 
 def _log_sum(values: Array, axes: tuple[int, ...]) -> Array:

@@ -347,5 +347,5 @@ def plate_posterior(
             "labelled_model"
         )
     if pairing is None:
-        pairing = PairingPrior(measurement.missed_probability, measurement.false_peaks)
+        pairing = PairingPrior.of(measurement)
     return Posterior(model, measurement, parameters, noise, labelled, pairing, alternatives)

@@ -42,11 +42,20 @@ _EQUAL_AT_MOST: Final = 3
 _LIGHTEST: Final = 1e-6
 # Part of the stated thickness by which the plies may miss it; they fill it in proportion.
 _THICKNESS_TOLERANCE: Final = 0.01
+SOURCES: Final = ("frequencies_hz", "table", "recordings", "peaks", "shapes")
+"""Keys of [measurement] of which one says where the frequencies come from."""
+_BESIDE_PEAKS: Final = {
+    "frequency_sd_hz": "beside candidate peaks, which have their own, accepted: relative_std",
+    "labels": "beside candidate peaks, accepted: no labels",
+    "false_peaks": "beside candidate peaks, whose heights tell it, accepted: missed_probability",
+}
 _BESIDE: Final[Mapping[str, Mapping[str, str]]] = {
     "table": {
         "frequency_sd_hz": "beside a table, accepted: a column sd in the table instead",
         "labels": "beside a table, accepted: a column label in the table instead",
     },
+    "recordings": _BESIDE_PEAKS,
+    "peaks": _BESIDE_PEAKS,
     "shapes": {
         "frequency_sd_hz": "beside shapes, accepted: relative_std or resolution_hz",
         "labels": "beside shapes, which say what mode a frequency is, accepted: no labels",
@@ -575,16 +584,17 @@ def _one_list(data: Data) -> Problems:
     measurement = table(data, "measurement")
     if "measurement" not in data or not isinstance(data["measurement"], dict):
         return
-    given = [key for key in ("frequencies_hz", "table", "shapes") if key in measurement]
+    given = [key for key in SOURCES if key in measurement]
     if len(given) != 1:
         yield Problem(
             ("measurement", *given[1:2]),
             f"frequencies, received {' and '.join(given) or 'none'}, "
-            "accepted: one of frequencies_hz, table and shapes",
+            f"accepted: one of {', '.join(SOURCES[:-1])} and {SOURCES[-1]}",
             is_gap=not given,
         )
-    if "columns" in measurement and "table" not in measurement:
-        yield Problem(("measurement", "columns"), "beside no table, accepted: with table alone")
+    for key, source in (("columns", "table"), ("range_hz", "recordings")):
+        if key in measurement and source not in measurement:
+            yield Problem(("measurement", key), f"beside no {source}, accepted: with {source} alone")
     for key, cure in _BESIDE.get(given[0], {}).items() if len(given) == 1 else ():
         if key in measurement:
             yield Problem(("measurement", key), cure)
@@ -635,7 +645,7 @@ def _order(frequencies: list[float | None]) -> Problems:
 
 def _incomplete(data: Data) -> Problems:
     measurement = table(data, "measurement")
-    if measurement.get("complete") is False:
+    if measurement.get("complete") is False or "recordings" in measurement or "peaks" in measurement:
         return
     for key in ("missed_probability", "false_peaks"):
         if key in measurement:

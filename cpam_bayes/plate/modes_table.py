@@ -46,6 +46,7 @@ hit: mesure, golpe, ensayo, medición, colpo, prova, misura, slag, meting
 sd: sd, std, std dev, stdev, standard deviation, standardabweichung, stabw, écart-type, ecart-type, ecart type
 damping: damping, damping ratio, zeta, dämpfung, dämpfungsgrad, amortissement, smorzamento
 weight: weight, gewicht, poids
+height: height, peak height, höhe, hauteur, signal to noise, snr
 """
 _LINES: Final = [line.partition(": ") for line in _HEADS.strip().splitlines()]
 COLUMNS: Final[Mapping[str, tuple[str, ...]]] = {
@@ -87,7 +88,8 @@ class Hit:
     """One row: a frequency of a mode in one hit.
 
     line : in the file. mode, label, hit : as written, "" where not given. hz : None where the hit does not
-    show the mode. sd : Hz, damping : ratio, both None where not given. weight : 0 leaves the row out.
+    show the mode. sd : Hz, damping : ratio, height : of its peak over what is there beside it, None where not
+    given. weight : 0 leaves the row out.
     """
 
     line: int
@@ -98,6 +100,7 @@ class Hit:
     sd: float | None
     damping: float | None
     weight: float
+    height: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -333,6 +336,7 @@ _ACCEPTED: Final[Mapping[str, str]] = {
     "sd": "a standard deviation above 0",
     "damping": "a damping ratio of 0 or above and below 1; of values in % the head says [%]",
     "weight": "a number, 0 or above",
+    "height": "a height above 0",
 }
 
 
@@ -371,6 +375,7 @@ def _hit(row: Row, columns: Sequence[tuple[str, str]]) -> Hit:
         sd=values.get("sd"),
         damping=values.get("damping"),
         weight=values.get("weight", 1.0),
+        height=values.get("height"),
     )
 
 

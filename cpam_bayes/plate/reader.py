@@ -221,6 +221,10 @@ def _measured(data: Mapping[str, Any], directory: Path | None) -> tuple[Mapping[
 
         of_table, problems = table_of(data, directory)
         fields = {} if of_table is None else of_table.fields(str(measurement["table"]))
+    if measurement.get("recordings") or measurement.get("peaks"):
+        from cpam_bayes.plate.modal_analysis.peaks import candidates_of  # for plates with peaks alone
+
+        fields, problems = candidates_of(data, directory)
     if measurement.get("shapes"):
         from cpam_bayes.plate.instruments import shapes_of  # for plates with a universal file alone
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from functools import reduce
 from pathlib import Path
 from types import MappingProxyType
-from typing import Final, TypeVar
+from typing import Any, Final, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -345,7 +345,9 @@ class Measurement:
     labels : n mode labels, "" where the mode is not known
     complete : no mode is missing from the list
     missed_probability : of an incomplete list, that a mode in its range is not in it
-    false_peaks : expected number of its frequencies that are no mode
+    false_peaks : expected number of its frequencies that are no mode; (n,) such as each of candidate peaks
+    mode_probability : (n,) of candidate peaks, before the plate model is asked; None of a list
+    test : the `ModalTest` that candidate peaks are of, None where there are no recordings
     scale_sd : relative standard deviation of the analyser's frequency scale, 0 where it is exact
     damping : (n,) ratios to critical damping, nan where not measured; None where none is
     shapes : of its modes, None where they were not measured
@@ -360,7 +362,9 @@ class Measurement:
     labels: tuple[str, ...]
     complete: bool
     missed_probability: float = 0.1
-    false_peaks: float = 0.1
+    false_peaks: float | NDArray[np.float64] = 0.1
+    mode_probability: NDArray[np.float64] | None = None
+    test: Any = None
     scale_sd: float = USUAL_SCALE_SD
     damping: NDArray[np.float64] | None = None
     shapes: MeasuredShapes | None = None

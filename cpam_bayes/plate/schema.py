@@ -300,6 +300,23 @@ class MeasurementModel(_Table):
         Annotated[str, Field(min_length=1, description="the path of a table of modes, from this file")] | None
     ) = None
     columns: Annotated[ColumnsModel, Field(description="a table [measurement.columns]")] | None = None
+    recordings: (
+        Annotated[
+            list[Annotated[str, Field(min_length=1, description="a path from this file")]],
+            Field(min_length=1, description="a list of recorded hits, of responses or of folders of hits"),
+        ]
+        | None
+    ) = None
+    range_hz: (
+        Annotated[
+            list[Hertz],
+            Field(min_length=2, max_length=2, description="the two ends of the range of recordings"),
+        ]
+        | None
+    ) = None
+    peaks: (
+        Annotated[str, Field(min_length=1, description="the path of a table of peaks, from this file")] | None
+    ) = None
     shapes: (
         Annotated[
             str, Field(min_length=1, description="the path of a universal file of modes, from this file")

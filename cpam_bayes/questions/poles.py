@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Final
+from typing import Any, ClassVar, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,54 +16,33 @@ from cpam_bayes.answer import Notice
 from cpam_bayes.command import Command, option, positive, whole
 from cpam_bayes.errors import checked
 from cpam_bayes.formatting import significant, with_spread
-from cpam_bayes.modal_analysis.fit import (
-    DEFAULT_ORDER,
-    Pole,
-    Stabilisation,
-    Taken,
-    fit_poles,
-    is_of_mains,
-    modes_of_hits,
-    stabilise,
-    with_others,
-)
-from cpam_bayes.modal_analysis.read import (
+from cpam_bayes.plate.modal_analysis.fit import DEFAULT_ORDER, Pole, Taken, is_of_mains
+from cpam_bayes.plate.modal_analysis.peaks import LEAST_ORDER, MOST_ORDER, ModalTest, modal_test
+from cpam_bayes.plate.modal_analysis.read import (
     WINDOWS,
     FrequencyResponses,
     ModalTestError,
     Window,
     peaks_of,
-    read_responses,
     relative_power,
 )
-from cpam_bayes.render.figures import MEASURED, PREDICTED, new_figure
 from cpam_bayes.render.report import (
     COMPUTATION,
-    Caption,
     Column,
-    Drawing,
     Report,
     Rows,
     Section,
     Summary,
     facts,
 )
+from cpam_bayes.render.spectrum import Mark, test_drawings
 from cpam_bayes.result import Result, present
 from cpam_bayes.running import SILENT, Watch, single_blas_thread
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 __all__ = ["PolesResult", "poles"]
 
 TABLE: Final = "modes.csv"
 """The table of modes among the files of `--out`."""
-# Orders that can be asked for.
-_LEAST_ORDER, _MOST_ORDER = 10, 200
-# Responses times lines: as many take some seconds and less than 1 GiB.
-_MOST_VALUES: Final = 2_000_000
-# Where the range begins, unless given: lines, and a fraction of its end or a frequency, the lower one.
-_FIRST_LINE, _FIRST_FRACTION, _FIRST_HZ = 10, 0.02, 20.0
 # Lines at 0 Hz and beside it are drift.
 _FIRST_PEAK: Final = 3
 # A peak belongs to a mode within so many half widths.
@@ -75,7 +53,6 @@ _CLOSE, _POOR = 2.0, 0.01
 _DRIFTING: Final = 0.005
 # A hit is unlike the others where it is shifted by more than so many times what is usual, and this part.
 _LEAST_HITS, _UNLIKE, _LEAST_SHIFT = 3, 8.0, 0.002
-_MOST_DRAWN: Final = 12
 _MOST_HZ: Final = 1e6
 _MOST_CHANNELS: Final = 256
 
@@ -87,24 +64,23 @@ class PolesResult(Result):
     Attributes
     ----------
     files : that were read
-    responses : what was read
-    stabilisation : poles by model order
-    modes : ascending
-    others : poles that were taken for something else, ascending
-    low, high : Hz, the range
-    order : number of poles of the largest model
+    test : what was read, the poles by model order, and the range
     """
 
     command: ClassVar[str] = "poles"
 
     files: tuple[str, ...]
-    responses: FrequencyResponses
-    stabilisation: Stabilisation
-    modes: tuple[Pole, ...]
-    others: tuple[Pole, ...]
-    low: float
-    high: float
-    order: int
+    test: ModalTest
+
+    @property
+    def modes(self) -> tuple[Pole, ...]:
+        """The modes, ascending."""
+        return self.test.modes
+
+    @property
+    def others(self) -> tuple[Pole, ...]:
+        """Poles that were taken for something else, ascending."""
+        return self.test.others
 
     @property
     def status(self) -> str:
@@ -183,61 +159,27 @@ def poles(
     """
     if not files:
         raise ModalTestError("no file, accepted: one or more")
-    if not _LEAST_ORDER <= order <= _MOST_ORDER:
-        raise ModalTestError(f"--order: received {order}, accepted: {_LEAST_ORDER} to {_MOST_ORDER}")
     if window is not None and window not in WINDOWS:
         raise ModalTestError(f"--window: received {window}, accepted: {' '.join(WINDOWS)}")
     names = tuple(str(name) for name in files)
-    responses = read_responses(names, force=force, response=response, window=window, high=high_hz)
-    last = float(responses.frequencies[-1])
-    high = last if high_hz is None else min(high_hz, last)
-    low = (
-        max(_FIRST_LINE * responses.step, min(_FIRST_FRACTION * high, _FIRST_HZ))
-        if low_hz is None
-        else low_hz
+    test = modal_test(
+        names,
+        force=force,
+        response=response,
+        window=window,
+        low=low_hz,
+        high=high_hz,
+        order=order,
+        announce=watch.announce,
     )
-    if low >= 0.0:
-        low = max(low, float(responses.frequencies[0]))  # responses may begin above it
-    if not 0.0 <= low < high:
-        raise ModalTestError(f"--range: received {low:g} to {high:g} Hz, accepted: within 0 to {last:g} Hz")
-    lines = int(np.sum((responses.frequencies >= low) & (responses.frequencies <= high)))
-    if lines < 2 * order:
-        raise ModalTestError(
-            f"{lines} lines from {low:g} to {high:g} Hz, accepted: {2 * order} or more for --order {order}"
-        )
-    if len(responses.frf) * lines > _MOST_VALUES:
-        raise ModalTestError(
-            f"{len(responses.frf)} responses of {lines} lines from {low:g} to {high:g} Hz, accepted: "
-            f"{_MOST_VALUES} values at most: a narrower --range, shorter records or fewer responses"
-        )
-    watch.announce(f"poles: {len(responses.frf)} responses, {lines} lines, up to {order} poles")
-    found = stabilise(responses, low, high, order)
-    peaks = _peaks(responses, found, low, high, order)
-    modes = tuple(one for one in peaks if one.taken is Taken.MODE)
+    modes = test.modes
     return PolesResult(
         seed=seed,
-        notices=(*responses.notices, *_notices(responses, modes, low, high)),
+        notices=(*test.responses.notices, *_notices(test.responses, modes, test.low, test.high)),
         reached_goal=bool(modes),
         files=names,
-        responses=responses,
-        stabilisation=found,
-        modes=modes,
-        others=tuple(one for one in peaks if one.taken is not Taken.MODE),
-        low=low,
-        high=high,
-        order=order,
+        test=test,
     )
-
-
-def _peaks(
-    responses: FrequencyResponses, found: Stabilisation, low: float, high: float, order: int
-) -> tuple[Pole, ...]:
-    """The poles of all hits, each fitted on its own, within the range."""
-    each = []
-    for hit in responses.each_hit:
-        own = () if hit is responses else stabilise(hit, low, high, order).candidates
-        each.append(fit_poles(hit, with_others(np.array(own, dtype=complex), found.candidates)))
-    return tuple(one for one in modes_of_hits(each, responses.step) if low <= one.frequency <= high)
 
 
 def _is_under(peak: float, mode: Pole, step: float) -> bool:
@@ -330,16 +272,23 @@ def _damping(mode: Pole) -> tuple[str, str]:
 @present.register
 def _present(result: PolesResult) -> Report:
     """The modes with their standard deviations, how they were found, and the stability diagram."""
-    found, modes = result.stabilisation, Rows("modes", _COLUMNS, tuple(enumerate(result.modes, 1)))
+    test, found = result.test, result.test.stabilisation
+    modes = Rows("modes", _COLUMNS, tuple(enumerate(result.modes, 1)))
     others = Rows("others", _OTHERS, result.others)
     computed = (
         ("files", ", ".join(result.files)),
-        ("read", result.responses.origin),
-        ("lines", f"{result.responses.step:.6g} Hz apart"),
-        ("range", f"{result.low:.6g} to {result.high:.6g} Hz"),
-        ("orders", f"2 to {result.order} poles an octave, least-squares complex frequency domain"),
-        ("poles", f"{len(found.orders)}, of which {int(found.stable.sum())} are in the order below as well"),
-        ("candidates", f"{len(found.candidates)} stay over many orders; {len(result.modes)} modes"),
+        ("read", test.responses.origin),
+        ("lines", f"{test.responses.step:.6g} Hz apart"),
+        ("range", f"{test.low:.6g} to {test.high:.6g} Hz"),
+        ("orders", f"2 to {test.order} poles an octave, least-squares complex frequency domain"),
+        (
+            "poles",
+            f"{len(found.orders)}, of which {int(found.stable.sum())} are in the order below as well",
+        ),
+        (
+            "candidates",
+            f"{len(found.candidates)} stay over many orders; {len(result.modes)} modes",
+        ),
     )
     return Report(
         summary=Summary(
@@ -347,8 +296,8 @@ def _present(result: PolesResult) -> Report:
             headline=_headline(result.modes),
             tables=(modes.table("Modes"),),
             lines=(
-                f"From {result.responses.origin}; range {result.low:.5g} to {result.high:.5g} Hz, lines "
-                f"{result.responses.step:.4g} Hz apart.",
+                f"From {test.responses.origin}; range {test.low:.5g} to {test.high:.5g} Hz, lines "
+                f"{test.responses.step:.4g} Hz apart.",
                 *((_CONTAINED,) if result.modes else ()),
             ),
             next_step=_NEXT if result.modes else "",
@@ -369,20 +318,17 @@ def _present(result: PolesResult) -> Report:
             "command": result.command,
             "version": __version__,
             "files": list(result.files),
-            "read": result.responses.origin,
-            "responses": len(result.responses.frf),
-            "line_hz": result.responses.step,
-            "range_hz": [result.low, result.high],
-            "order": result.order,
+            "read": test.responses.origin,
+            "responses": len(test.responses.frf),
+            "line_hz": test.responses.step,
+            "range_hz": [test.low, test.high],
+            "order": test.order,
             "modes": modes.records(),
             "others": others.records(),
             "seed": result.seed,
             "warnings": list(result.warnings),
         },
-        drawings=(
-            Drawing("spectrum", partial(_spectrum, result), _spectrum_caption(result)),
-            Drawing("stability", partial(_stability, result), _caption(result)),
-        ),
+        drawings=test_drawings(result.test, result.title, _marks(result)),
         rows=(modes, others),
     )
 
@@ -405,91 +351,19 @@ def _headline(modes: Sequence[Pole]) -> str:
     return f"{len(modes)} modes from {modes[0].frequency:.5g} to {modes[-1].frequency:.5g} Hz."
 
 
-def _caption(result: PolesResult) -> Caption:
-    return Caption(
-        "Each point is a pole of a model with as many poles as its height says; filled ones are in the order "
-        "below as well. A mode is a column of filled points at a peak of the responses (grey). Red lines are "
-        "the modes of the table: look at a line without a column, and at a column without one.",
-        f"Stability diagram of {len(result.stabilisation.orders)} poles with {len(result.modes)} modes.",
-    )
-
-
-def _spectrum_caption(result: PolesResult) -> Caption:
-    return Caption(
-        "The responses (grey, of every hit) with what each peak was taken for. A mode stands "
-        "out of what the other modes give at its frequency and shows in half the hits at least; a grey mark "
-        "names what does not.",
-        f"Spectrum with {len(result.modes)} modes and {len(result.others)} other peaks.",
-    )
-
-
-def _spectrum(result: PolesResult) -> Figure:
-    """Every hit's spectrum with what each peak was taken for."""
-    responses, figure = result.responses, new_figure(9.0, 4.8)
-    axes = figure.add_subplot()
-    shown = (responses.frequencies >= result.low) & (responses.frequencies <= result.high)
-    x = responses.frequencies[shown]
-    for hit in responses.each_hit[:_MOST_DRAWN]:
-        size = np.sqrt(np.mean(np.abs(hit.frf[:, shown]) ** 2, axis=0))
-        axes.semilogy(x, np.maximum(size, size.max() * 1e-12), color="0.6", linewidth=0.7, rasterized=True)
-    marks = [(one.frequency, one.taken.value) for one in (*result.modes, *result.others)]
+def _marks(result: PolesResult) -> list[Mark]:
+    """What each peak was taken for, with peaks that no pole explains."""
+    poles = sorted((*result.modes, *result.others), key=lambda one: one.frequency)
+    marks = [
+        Mark(one.frequency, "" if one.taken is Taken.MODE else one.taken.value, one.taken is Taken.MODE)
+        for one in poles
+    ]
+    step = result.test.responses.step
     for notice in result.notices:
         if notice.code == "peaks_without_pole":
             hum = {True: Taken.HUM.value, False: "no mode"}
-            marks += [(f, hum[is_of_mains(f, responses.step)]) for f in notice.facts["peaks"]]
-    for frequency, taken in marks:
-        is_mode = taken == Taken.MODE.value
-        colour = PREDICTED if is_mode else "0.4"
-        axes.axvline(frequency, color=colour, linewidth=0.8, linestyle="-" if is_mode else ":")
-        axes.annotate(
-            f"{frequency:.4g}" if is_mode else f"{frequency:.4g} {taken}",
-            (frequency, 1.0),
-            xycoords=("data", "axes fraction"),
-            xytext=(2.0, -3.0),
-            textcoords="offset points",
-            rotation=90,
-            fontsize=8,
-            color=colour,
-            verticalalignment="top",
-        )
-    axes.set(xlim=(result.low, result.high), xlabel="Hz", ylabel="root mean square of the responses")
-    axes.set_title(f"{result.title}: {len(result.modes)} modes", fontsize=10, loc="left")
-    return figure
-
-
-def _stability(result: PolesResult) -> Figure:
-    """Poles by order over the responses."""
-    found, responses = result.stabilisation, result.responses
-    figure = new_figure(9.0, 4.8)
-    axes = figure.add_subplot()
-    behind = axes.twinx()
-    shown = (responses.frequencies >= result.low) & (responses.frequencies <= result.high)
-    size = np.sqrt(np.mean(np.abs(responses.frf[:, shown]) ** 2, axis=0))
-    behind.semilogy(
-        responses.frequencies[shown], np.maximum(size, size.max() * 1e-12), color="0.6", linewidth=0.8
-    )
-    behind.set_ylabel("root mean square of the responses")
-    axes.set_zorder(behind.get_zorder() + 1)
-    axes.patch.set_visible(False)
-    for mode in result.modes:
-        axes.axvline(mode.frequency, color=PREDICTED, linewidth=0.8)
-    for stable, filled in ((False, "none"), (True, MEASURED)):
-        at = found.stable == stable
-        axes.plot(
-            found.frequencies[at],
-            found.orders[at],
-            "o",
-            markersize=2.5,
-            markerfacecolor=filled,
-            markeredgecolor=MEASURED if stable else "0.7",
-            markeredgewidth=0.5,
-            rasterized=True,
-            label="in the order below as well" if stable else "new at this order",
-        )
-    axes.set(xlim=(result.low, result.high), ylim=(0, result.order + 1), xlabel="Hz", ylabel="poles")
-    axes.set_title(f"{result.title}: {len(result.modes)} modes", fontsize=10, loc="left")
-    figure.legend(loc="outside lower center", ncols=2, frameon=False, fontsize="small")
-    return figure
+            marks += [Mark(f, hum[is_of_mains(f, step)], False) for f in notice.facts["peaks"]]
+    return marks
 
 
 def _poles_in_range(*files: str, range_hz: Sequence[float] | None, **options: Any) -> PolesResult:
@@ -539,7 +413,7 @@ COMMAND: Final = Command(
         ),
         option(
             "--order",
-            type=whole(_LEAST_ORDER, _MOST_ORDER),
+            type=whole(LEAST_ORDER, MOST_ORDER),
             default=DEFAULT_ORDER,
             metavar="N",
             help=f"poles of the largest model (default: {DEFAULT_ORDER})",

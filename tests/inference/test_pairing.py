@@ -29,7 +29,7 @@ def every_pairing(
                     np.log1p(-prior.missed) + log_density[i, j] for i, j in zip(rows, columns, strict=True)
                 )
                 value += np.log(prior.missed) * sum(in_range[j] and j not in columns for j in range(k))
-                value += (n - size) * np.log(prior.spurious / span)
+                value += np.sum(np.delete(prior.log_false(n, span), rows))
                 mode = np.full(n, -1)
                 mode[list(rows)] = columns
                 found.append((value, mode))
@@ -42,7 +42,8 @@ def test_sum_and_maximum_over_pairings_equal_those_of_an_enumeration(seed: int) 
     n, k = rng.integers(1, 5), rng.integers(1, 6)
     log_density = 4.0 * rng.normal(size=(n, k)) - 3.0
     in_range = np.arange(k) < rng.integers(1, k + 1)
-    prior = PairingPrior(rng.uniform(0.01, 0.5), rng.uniform(0.01, 1.0))
+    false = rng.uniform(0.01, 1.0) if seed % 2 else tuple(rng.uniform(0.01, 30.0, n).tolist())
+    prior = PairingPrior(rng.uniform(0.01, 0.5), false)
     expected = every_pairing(log_density, in_range, 7.0, prior)
     values = np.array([v for v, _ in expected])
     total = np.logaddexp.reduce(values)
@@ -72,12 +73,15 @@ def test_labelled_frequencies_keep_their_modes_and_the_others_are_summed_over(se
     labelled = rng.uniform(size=n) < 0.5
     log_density = 4.0 * rng.normal(size=(n, k)) - 3.0
     in_range = rng.uniform(size=k) < 0.7
-    prior = PairingPrior(rng.uniform(0.01, 0.5), rng.uniform(0.01, 1.0))
+    false = rng.uniform(0.01, 1.0) if seed % 2 else tuple(rng.uniform(0.01, 30.0, n).tolist())
+    prior = PairingPrior(rng.uniform(0.01, 0.5), false)
     own = np.flatnonzero(labelled)
     rows, columns = np.setdiff1d(np.arange(n), own), np.setdiff1d(np.arange(k), own)
     fixed = sum(np.log1p(-prior.missed) + log_density[i, i] for i in own)
     expected = []
-    for value, mode in every_pairing(log_density[np.ix_(rows, columns)], in_range[columns], 7.0, prior):
+    for value, mode in every_pairing(
+        log_density[np.ix_(rows, columns)], in_range[columns], 7.0, prior.among(rows)
+    ):
         whole = np.arange(n)
         whole[rows] = np.where(mode >= 0, columns[mode], -1)
         expected.append((value + fixed, whole))

@@ -253,7 +253,7 @@ def test_a_table_that_cannot_be_read_is_said(tmp_path: Path, name: str, said: st
 @pytest.mark.parametrize(
     ("more", "said"),
     [
-        ("frequencies_hz = [100]\n", "one of frequencies_hz, table and shapes"),
+        ("frequencies_hz = [100]\n", "one of frequencies_hz, table, recordings, peaks and shapes"),
         ("frequency_sd_hz = [1, 1, 1]\n", "a column sd in the table"),
         ('labels = ["", "", ""]\n', "a column label in the table"),
     ],
@@ -266,7 +266,10 @@ def test_a_table_stands_alone(read, more: str, said: str) -> None:
 @pytest.mark.parametrize(
     ("tables", "said"),
     [
-        ("resolution_hz = 1\n", "received none, accepted: one of frequencies_hz, table and shapes"),
+        (
+            "resolution_hz = 1\n",
+            "received none, accepted: one of frequencies_hz, table, recordings, peaks and shapes",
+        ),
         ('frequencies_hz = [100]\n[measurement.columns]\nhz = "b"\n', "beside no table"),
     ],
 )

@@ -15,8 +15,8 @@ from scipy.io import wavfile
 
 import cpam_bayes as cb
 from cpam_bayes.answer import Notice
-from cpam_bayes.modal_analysis.fit import fit_poles, is_of_mains, stabilise
-from cpam_bayes.modal_analysis.read import FrequencyResponses, ModalTestError
+from cpam_bayes.plate.modal_analysis.fit import fit_poles, is_of_mains, stabilise
+from cpam_bayes.plate.modal_analysis.read import FrequencyResponses, ModalTestError
 from tests.faulty_hits import RATE as RATE_OF_HITS
 from tests.faulty_hits import Faults, recorded_hits
 from tests.plate_file import BAR
@@ -114,7 +114,7 @@ def written_universal(path: Path, data: FrequencyResponses, binary: int) -> None
 def test_datasets_58_are_read(tmp_path: Path, binary: int) -> None:
     written_universal(tmp_path / "tap.unv", responses(), binary)
     result = cb.poles(tmp_path / "tap.unv", order=40)
-    assert result.responses.origin == "dataset 58, 2 responses"
+    assert result.test.responses.origin == "dataset 58, 2 responses"
     assert_known(result.modes)
 
 
@@ -134,8 +134,8 @@ def test_tables_are_read_in_either_form(tmp_path: Path) -> None:
     polar.write_text("\n".join(["hz,magnitude 1,phase 1 [deg],magnitude 2,phase 2 [deg]", *rows]))
     first, second = (cb.poles(path, order=40) for path in (comma, polar))
     assert_known(first.modes)
-    np.testing.assert_allclose(first.responses.frf, data.frf, rtol=1e-8, atol=1e-12)
-    np.testing.assert_allclose(second.responses.frf, data.frf, rtol=1e-7, atol=1e-9)
+    np.testing.assert_allclose(first.test.responses.frf, data.frf, rtol=1e-8, atol=1e-12)
+    np.testing.assert_allclose(second.test.responses.frf, data.frf, rtol=1e-7, atol=1e-9)
 
 
 RATE, SECONDS = 4000, 2.0
@@ -176,12 +176,12 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
 )
 def test_recorded_hits_give_the_poles_and_a_window_adds_no_damping(recorded: Path, asked: dict) -> None:
     result = cb.poles(recorded, **asked, high_hz=390.0, order=40)
-    assert "4 hits of 1.99 s, 1 response over force" in result.responses.origin
+    assert "4 hits of 1.99 s, 1 response over force" in result.test.responses.origin
     # the samples of a decay and of its window are those of the plate to 1e-4
     assert_known(result.modes, rtol=1e-4)
     if asked.get("window") == "none":
         # a half sine of 2 ms has fallen to a tenth at 1.27 / 2 ms, below its first zero at 1.5 / 2 ms
-        assert 550.0 < cb.poles(recorded, **asked, order=40).high < 750.0
+        assert 550.0 < cb.poles(recorded, **asked, order=40).test.high < 750.0
 
 
 def test_hits_in_files_of_their_own_and_without_a_length_are_the_same_test(
@@ -200,8 +200,8 @@ def test_hits_in_files_of_their_own_and_without_a_length_are_the_same_test(
 
 def test_without_force_every_hit_is_a_free_decay(recorded: Path) -> None:
     result = cb.poles(recorded, response=[2], window="none", high_hz=390.0, order=40)
-    assert len(result.responses.frf) == 4
-    assert "free decays" in result.responses.origin
+    assert len(result.test.responses.frf) == 4
+    assert "free decays" in result.test.responses.origin
     # the force that a free decay leaves out is smooth over a peak
     assert_known(result.modes, rtol=2e-4)
 
@@ -251,7 +251,7 @@ def test_mains_hum_is_named_with_the_peaks_that_are_seen(tmp_path: Path) -> None
     assert [n.facts["mains"] for n in result.notices if n.code == "hum"] == [50.0]
     wavfile.write(tmp_path / "clean.wav", RATE, hits(1)[:, 1])
     clean = cb.poles(tmp_path / "clean.wav", response=[1], window="none", order=20)
-    assert clean.responses.notices == ()
+    assert clean.test.responses.notices == ()
 
 
 def test_decays_at_a_high_rate_are_searched_where_they_stand_above_noise(tmp_path: Path) -> None:
@@ -261,8 +261,8 @@ def test_decays_at_a_high_rate_are_searched_where_they_stand_above_noise(tmp_pat
     samples = decay / np.abs(decay).max() + 0.01 * rng.standard_normal(len(t))
     wavfile.write(tmp_path / "phone.wav", rate, (30000.0 / 1.1 * samples).astype(np.int16))
     result = cb.poles(tmp_path / "phone.wav", response=[1], window="none", order=40)
-    assert FREQUENCIES[-1] < result.high < 2.0 * FREQUENCIES[-1]
-    assert result.low < 0.5 * FREQUENCIES[0]
+    assert FREQUENCIES[-1] < result.test.high < 2.0 * FREQUENCIES[-1]
+    assert result.test.low < 0.5 * FREQUENCIES[0]
     assert_known(result.modes, rtol=2e-4)
     cut = cb.poles(tmp_path / "phone.wav", response=[1], window="none", order=20, low_hz=100.0, high_hz=200.0)
     assert "modes_beyond_range" in {notice.code for notice in cut.notices}
@@ -425,7 +425,7 @@ def test_a_folder_of_hits_is_one_table_with_the_scatter_of_its_hits(tmp_path: Pa
 def test_no_standard_deviation_is_below_a_thirtieth_of_a_line_of_one_hit(tmp_path: Path) -> None:
     faults = Faults(drift=0.0, noise=1e-4)
     one = of_hits(tmp_path, recorded_hits(np.random.default_rng(1), PLATE, DAMPED, 1, faults))
-    assert min(mode.sd for mode in one.modes) >= one.responses.step / 30.0 > 0.01
+    assert min(mode.sd for mode in one.modes) >= one.test.responses.step / 30.0 > 0.01
     many = of_hits(tmp_path, recorded_hits(np.random.default_rng(1), PLATE, DAMPED, 9, faults))
     assert min(mode.sd for mode in many.modes) >= 0.01
 
@@ -437,7 +437,7 @@ def test_hum_is_no_mode(tmp_path: Path) -> None:
     assert "hum" in codes(result)
     assert not any(abs(mode.frequency - f) < 1.0 for mode in result.modes for f in (50.0, 150.0))
     peaks = next(notice.facts["peaks"] for notice in result.notices if notice.code == "peaks_without_pole")
-    assert all(is_of_mains(f, result.responses.step) for f in peaks)
+    assert all(is_of_mains(f, result.test.responses.step) for f in peaks)
 
 
 def test_what_follows_a_second_stroke_is_the_free_decay(tmp_path: Path) -> None:
@@ -472,5 +472,5 @@ def test_two_accelerometers_are_both_responses_and_so_is_a_channel_without_a_sig
     for name, second in (("two", other), ("dead", np.zeros_like(one))):
         wavfile.write(tmp_path / f"{name}.wav", RATE_OF_HITS, np.stack((one, second), axis=1))
         result = cb.poles(tmp_path / f"{name}.wav", high_hz=700.0)
-        assert "2 response alone: free decays" in result.responses.origin
+        assert "2 response alone: free decays" in result.test.responses.origin
         assert_found(result, 0.003)

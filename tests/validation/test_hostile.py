@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 
 import cpam_bayes as cb
 from cpam_bayes.errors import LayupError, PlateFileError
-from cpam_bayes.modal_analysis.read import ModalTestError
 from cpam_bayes.plate import MAX_BYTES, parse_specimen
 from cpam_bayes.plate.instruments import MAX_UNIVERSAL_BYTES, UniversalFileError, read_shapes
 from cpam_bayes.plate.layup import MAX_PLIES, format_angles, parse_layup
+from cpam_bayes.plate.modal_analysis.read import ModalTestError
 from cpam_bayes.plate.modes_table import modes_of, read_modes_table
 from cpam_bayes.storage import read_arrays, write_arrays
 from tests.effort import calls

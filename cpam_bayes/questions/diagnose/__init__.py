@@ -61,6 +61,7 @@ from cpam_bayes.questions.diagnose.document import (
     leading,
     probability_text,
     tables,
+    taken_peaks,
     title_of,
 )
 from cpam_bayes.questions.diagnose.drawings import drawings
@@ -82,6 +83,7 @@ from cpam_bayes.render.sentences import (
     noise_word,
     reliance_sentences,
 )
+from cpam_bayes.render.spectrum import peak_sections
 from cpam_bayes.result import present, within_time
 from cpam_bayes.running import SILENT, Watch, cut_short, is_time_up
 
@@ -322,6 +324,7 @@ def _sections(result: DiagnosisResult) -> tuple[Section, ...]:
             ("plate", "residuals"),
             folded=False,
         ),
+        *peak_sections(result.plates[0], taken_peaks(result)),
         Section(
             "How it was noticed" if claimed else "How well the model fits",
             (_misfit(d, d.baseline, "The model without it" if claimed else "The model"),),

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from cpam_bayes import __version__
 from cpam_bayes.answer import Constant
+from cpam_bayes.answer import FrequencyRow as AnswerRow
 from cpam_bayes.diagnosis.diagnose import Cause, Diagnosis
 from cpam_bayes.diagnosis.evidence.marginal import Tested, distinct_hypotheses, prior_of
 from cpam_bayes.diagnosis.extension import FrequencyRow, PairedFit
@@ -25,6 +26,7 @@ from cpam_bayes.identification.point import verdict_of
 from cpam_bayes.parameters import Parameter, Prior
 from cpam_bayes.plate import Plate, Specimen, to_user, user_name
 from cpam_bayes.render.report import Column, Rows
+from cpam_bayes.render.spectrum import peak_keys, peak_rows
 from cpam_bayes.result import Result
 
 __all__ = [
@@ -45,6 +47,7 @@ __all__ = [
     "size_text",
     "some_of",
     "tables",
+    "taken_peaks",
     "title_of",
     "titles_of",
 ]
@@ -463,7 +466,20 @@ def tables(result: DiagnosisResult) -> tuple[Rows, ...]:
         Rows("frequencies", _FREQUENCY, fit.frequencies),
         Rows("detectable", _DETECTABLE, detectable_rows(d)),
         Rows("next_measurement", _CANDIDATE, result.candidates),
+        *((peaks,) if (peaks := taken_peaks(result)).rows else ()),
     )
+
+
+def taken_peaks(result: DiagnosisResult) -> Rows:
+    """Candidate peaks with what each was taken for; empty for lists and for several plates."""
+    fit = result.plain if result.extended is None else result.extended
+    several = len(result.plates) > 1
+    rows = (
+        AnswerRow(r.measured, r.predicted, None, r.mode.label, r.number or 0)
+        for r in fit.frequencies
+        if r.mode is not None
+    )
+    return peak_rows(None if several else result.plates[0].measurement, rows)
 
 
 def document(result: DiagnosisResult, sentence: str) -> dict[str, Any]:
@@ -513,6 +529,7 @@ def document(result: DiagnosisResult, sentence: str) -> dict[str, Any]:
         "material_scatter": result.scatter if len({s.specimen for s in specimens}) > 1 else None,
         "air_density_kg_m3": {s.name: s.air_density for s in specimens},
         "basis_error": d.basis_error,
+        **peak_keys(taken_peaks(result)),
         "seconds": d.seconds,
         "warnings": list(result.warnings),
         "notes": [note for s in specimens for note in s.notes],

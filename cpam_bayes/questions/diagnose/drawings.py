@@ -28,6 +28,7 @@ from cpam_bayes.questions.diagnose.document import (
     place_of,
     probability_text,
     size_text,
+    taken_peaks,
     title_of,
 )
 from cpam_bayes.render.figures import (
@@ -42,6 +43,7 @@ from cpam_bayes.render.figures import (
 )
 from cpam_bayes.render.plate import plate_caption, plate_drawing
 from cpam_bayes.render.report import Caption, Drawing
+from cpam_bayes.render.spectrum import peak_drawings
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -67,7 +69,7 @@ def drawings(result: DiagnosisResult) -> tuple[Drawing, ...]:
         drawn.append(_detectable(d))
     if answer_constants(d):
         drawn.append(_constants(d))
-    return tuple(drawn)
+    return (*drawn, *peak_drawings(result.plates[0], taken_peaks(result)))
 
 
 def _names(d: Diagnosis) -> str:

@@ -14,7 +14,7 @@ from cpam_bayes.identification.search import MOST_SWARMS, Residual
 from cpam_bayes.inference.ensemble import DEFAULT_SETTINGS
 from cpam_bayes.inference.posterior import Likelihood
 from cpam_bayes.inference.swarm import SwarmSettings
-from cpam_bayes.plate import PlateLike
+from cpam_bayes.plate import PlateLike, read_plate
 from cpam_bayes.questions.identify import posterior as posterior  # how a posterior is shown
 from cpam_bayes.questions.identify.emcee import SampledResult, sample
 from cpam_bayes.questions.identify.pso import PointResult, identify
@@ -34,9 +34,13 @@ _NOISE: Final = {"gaussian": float("inf"), "student-t": 4.0}
 
 
 def _answered(
-    plate: PlateLike, *, seed: int, watch: Watch, backend: Backend, **given: Any
+    plate: PlateLike, *, seed: int, watch: Watch, backend: Backend | None, **given: Any
 ) -> PointResult | SampledResult:
     """The answer of a back end to the options that were given; None for one that was left out."""
+    if backend is None:
+        plate = read_plate(plate)
+        is_complete = plate.measurement is None or plate.measurement.complete
+        backend = "pso" if is_complete else "emcee"
     asked = {name: value for name, value in given.items() if value is not None}
     foreign = [name for name in asked if name not in _OWN[backend]]
     if foreign:
@@ -60,9 +64,8 @@ COMMAND: Final = Command(
         option(
             "--backend",
             choices=get_args(Backend),
-            default="pso",
             help="pso: the paper's particle swarm; emcee: the posterior, sampled from that swarm on, "
-            "`sample` in Python (default: pso)",
+            "`sample` in Python (default: pso, and emcee where modes may be missing)",
         ),
         option(
             "--residuals",

@@ -53,6 +53,7 @@ from cpam_bayes.render.sentences import (
     more_modes_step,
     reliance_sentences,
 )
+from cpam_bayes.render.spectrum import peak_drawings, peak_keys, peak_rows, peak_sections
 from cpam_bayes.result import present
 
 if TYPE_CHECKING:
@@ -102,7 +103,7 @@ def _present(result: SampledResult) -> Report:
     constants, sizes = tuple(result.constants.values()), tuple(result.sizes.values())
     use = [c.name for c in constants if not c.is_open]
     steps = _steps(result, use)
-    modes = _modes(result)
+    modes, peaks = _modes(result), peak_rows(specimen.measurement, result.frequencies)
     residuals = np.array([row.residual for row in result.frequencies if row.residual is not None])
     rms = float(np.sqrt(np.mean(residuals**2))) if residuals.size else math.nan
     headline = constants_headline(constants, result.posterior.measurement.size)
@@ -162,14 +163,15 @@ def _present(result: SampledResult) -> Report:
                 ),
                 ("left_out",),
             ),
+            *peak_sections(specimen, peaks),
             *assurance_sections(result.by_shape, result.posterior.measurement),
             Section("Mode shapes", figures=("modes",)),
             further_steps(steps[1:]),
             Section(COMPUTATION, (_chains(result),)),
         ),
-        document=_document(result, modes),
-        drawings=_drawings(result, modes),
-        rows=(constant_rows(constants), modes),
+        document=_document(result, modes) | peak_keys(peaks),
+        drawings=(*_drawings(result, modes), *peak_drawings(specimen, peaks)),
+        rows=(constant_rows(constants), modes, *((peaks,) if peaks.rows else ())),
     )
 
 

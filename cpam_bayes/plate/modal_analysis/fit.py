@@ -17,12 +17,13 @@ from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 from scipy.stats import f as f_distribution
 
-from cpam_bayes.modal_analysis.read import MAINS, FrequencyResponses
+from cpam_bayes.plate.modal_analysis.read import MAINS, FrequencyResponses
 from cpam_bayes.plate.modes_table import small_sample_factor
 
 __all__ = [
     "DEFAULT_ORDER",
     "LEAST_SD",
+    "STANDS_OUT",
     "Pole",
     "Stabilisation",
     "Taken",
@@ -57,8 +58,8 @@ _LEAST_FREEDOM: Final = 10
 _MERGED: Final = 0.1
 # Peaks that are this many times what they add up to cancel: a degenerate fit.
 _CANCELLING: Final = 10.0
-# A peak of this part of the responses about it is a mode, one of less may be a fault of the fit.
-_STANDS_OUT: Final = 0.6
+STANDS_OUT: Final = 0.6
+"""A peak of this part of the responses about it is a mode, one of less may be a fault of the fit."""
 _HIGHEST: Final = 1e3
 LEAST_SD: Final = 0.01
 """Hz, below which no standard deviation is claimed: plates change by more from day to day."""
@@ -343,7 +344,7 @@ def _classed(pole: Pole, needed: int, step: float) -> Pole:
         return replace(pole, taken=Taken.HUM)
     if pole.hits < needed:
         return replace(pole, taken=Taken.RARE)
-    return pole if pole.height > _STANDS_OUT else replace(pole, taken=Taken.WEAK)
+    return pole if pole.height > STANDS_OUT else replace(pole, taken=Taken.WEAK)
 
 
 def _apart(a: dict[int, Pole], b: dict[int, Pole]) -> float:

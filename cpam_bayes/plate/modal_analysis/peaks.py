@@ -1,0 +1,253 @@
+"""Peaks of a modal test: the poles within a range, and each as a candidate that a plate model weighs.
+
+A candidate has the probability of being a mode that its height gives. `[measurement]` of a plate file names
+recordings, or a table of peaks that other software found.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cpam_bayes.plate.instruments import SheetError, sheets
+from cpam_bayes.plate.modal_analysis.fit import (
+    DEFAULT_ORDER,
+    STANDS_OUT,
+    Pole,
+    Stabilisation,
+    Taken,
+    fit_poles,
+    modes_of_hits,
+    stabilise,
+    with_others,
+)
+from cpam_bayes.plate.modal_analysis.read import FrequencyResponses, ModalTestError, Window, read_responses
+from cpam_bayes.plate.modes_table import is_texts, read_modes_table
+from cpam_bayes.plate.schema import MAX_FREQUENCIES
+from cpam_bayes.plate.text import Data, Problem, numbers, read_named_file, table
+
+__all__ = [
+    "LEAST_ORDER",
+    "MOST_ORDER",
+    "ModalTest",
+    "candidates_of",
+    "false_peaks",
+    "modal_test",
+    "mode_probability",
+]
+
+Array = NDArray[Any]
+
+LEAST_ORDER: Final = 10
+MOST_ORDER: Final = 200
+"""Orders that can be asked for, from the least to the most."""
+# Responses times lines: as many take some seconds and less than 1 GiB.
+_MOST_VALUES: Final = 2_000_000
+# Where the range begins, unless given: lines, and a fraction of its end or a frequency, the lower one.
+_FIRST_LINE, _FIRST_FRACTION, _FIRST_HZ = 10, 0.02, 20.0
+# No height makes a peak a mode, or none, for certain.
+_LEAST_PROBABILITY: Final = 0.02
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ModalTest:
+    """The poles of a test within a range.
+
+    responses : that were read
+    stabilisation : poles by model order
+    poles : ascending, each with what it was taken for
+    low, high : Hz, the range
+    order : number of poles of the largest model
+    """
+
+    responses: FrequencyResponses
+    stabilisation: Stabilisation
+    poles: tuple[Pole, ...]
+    low: float
+    high: float
+    order: int
+
+    @property
+    def modes(self) -> tuple[Pole, ...]:
+        """The poles that were taken for modes."""
+        return tuple(one for one in self.poles if one.taken is Taken.MODE)
+
+    @property
+    def others(self) -> tuple[Pole, ...]:
+        """The poles that were taken for something else."""
+        return tuple(one for one in self.poles if one.taken is not Taken.MODE)
+
+
+def modal_test(
+    files: Sequence[str],
+    *,
+    force: int | None = None,
+    response: Sequence[int] = (),
+    window: Window | None = None,
+    low: float | None = None,
+    high: float | None = None,
+    order: int = DEFAULT_ORDER,
+    announce: Callable[[str], None] = lambda text: None,
+) -> ModalTest:
+    """The poles of files of one test; arguments as of `poles`, low and high in Hz.
+
+    Raises ``ModalTestError`` for files that cannot be read, and for arguments out of range.
+    """
+    if not LEAST_ORDER <= order <= MOST_ORDER:
+        raise ModalTestError(f"--order: received {order}, accepted: {LEAST_ORDER} to {MOST_ORDER}")
+    responses = read_responses(files, force=force, response=response, window=window, high=high)
+    last = float(responses.frequencies[-1])
+    high = last if high is None else min(high, last)
+    if low is None:
+        low = max(_FIRST_LINE * responses.step, min(_FIRST_FRACTION * high, _FIRST_HZ))
+    if low >= 0.0:
+        low = max(low, float(responses.frequencies[0]))  # responses may begin above it
+    if not 0.0 <= low < high:
+        raise ModalTestError(f"--range: received {low:g} to {high:g} Hz, accepted: within 0 to {last:g} Hz")
+    lines = int(np.sum((responses.frequencies >= low) & (responses.frequencies <= high)))
+    if lines < 2 * order:
+        raise ModalTestError(
+            f"{lines} lines from {low:g} to {high:g} Hz, accepted: {2 * order} or more for --order {order}"
+        )
+    if len(responses.frf) * lines > _MOST_VALUES:
+        raise ModalTestError(
+            f"{len(responses.frf)} responses of {lines} lines from {low:g} to {high:g} Hz, accepted: "
+            f"{_MOST_VALUES} values at most: a narrower --range, shorter records or fewer responses"
+        )
+    announce(f"poles: {len(responses.frf)} responses, {lines} lines, up to {order} poles")
+    found = stabilise(responses, low, high, order)
+    each = []
+    for hit in responses.each_hit:
+        own = () if hit is responses else stabilise(hit, low, high, order).candidates
+        each.append(fit_poles(hit, with_others(np.array(own, dtype=complex), found.candidates)))
+    poles = tuple(one for one in modes_of_hits(each, responses.step) if low <= one.frequency <= high)
+    return ModalTest(responses, found, poles, low, high, order)
+
+
+def mode_probability(height: Array, recurring: Array) -> Array:
+    """Probability that peaks are modes before a plate model is asked, (n,).
+
+    Its odds are the height over that from which a peak stands out, times the fraction of the hits that show
+    it, between 0.02 and 0.98.
+
+    height : (n,) of a peak over what is there beside it
+    recurring : (n,) fraction of the hits that show it
+    """
+    odds = np.asarray(height) / STANDS_OUT * np.asarray(recurring)
+    return np.asarray(np.clip(odds / (1.0 + odds), _LEAST_PROBABILITY, 1.0 - _LEAST_PROBABILITY))
+
+
+def false_peaks(probability: Array) -> Array:
+    """Expected numbers of false peaks as each of n is, (n,), for the price of a false one in a pairing.
+
+    As many modes as probabilities add up to are in the range, and at their density a peak that matches no
+    more than any is a mode with its probability q: (sum q) (1 - q) / q.
+    """
+    return np.asarray(probability.sum() * (1.0 - probability) / probability)
+
+
+def candidates_of(data: Data, directory: Path | None) -> tuple[dict[str, Any], list[Problem]]:
+    """Fields of a `Measurement` from the recordings or the peaks that a plate file names, and what is wrong.
+
+    Hum is no candidate. Where the file states `relative_std`, the standard deviation of a candidate is that
+    of the test and of the repeatability together; where it does not, the scatter about the plate model is
+    inferred.
+
+    directory : where relative paths begin
+    """
+    measurement = table(data, "measurement")
+    if "recordings" in measurement:
+        return _of_recordings(measurement, directory)
+    return _of_table(measurement, directory)
+
+
+def _of_recordings(measurement: Data, directory: Path | None) -> tuple[dict[str, Any], list[Problem]]:
+    key = ("measurement", "recordings")
+    names, between = measurement["recordings"], numbers(measurement, "range_hz")
+    if not is_texts(names) or not names or not all(names):
+        return {}, []  # a wrong type, which the schema tells
+    low, high = between if between is not None and len(between) == 2 else (None, None)
+    try:
+        test = modal_test([str((directory or Path()) / name) for name in names], low=low, high=high)
+    except (ModalTestError, ValueError) as error:
+        return {}, [Problem(key, str(error).replace("--range", "range_hz"))]
+    poles = [pole for pole in test.poles if pole.taken is not Taken.HUM]
+    if not poles:
+        return {}, [Problem(key, f"no peak from {test.low:g} to {test.high:g} Hz, accepted: one or more")]
+    n_hits = len(test.responses.each_hit)
+    candidates = _Candidates(
+        np.array([pole.frequency for pole in poles]),
+        np.array([pole.sd for pole in poles]),
+        np.array([pole.damping for pole in poles]),
+        mode_probability(
+            np.array([pole.height for pole in poles]), np.array([pole.hits / n_hits for pole in poles])
+        ),
+    )
+    fields = candidates.fields(measurement, f"{', '.join(names)}: {test.responses.origin}", key)
+    return fields[0] | {"test": test}, fields[1]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Candidates:
+    """Candidate peaks, ascending: frequency and sd in Hz (nan where not known), damping, probability."""
+
+    frequency: Array
+    sd: Array
+    damping: Array
+    probability: Array
+
+    def fields(
+        self, measurement: Data, origin: str, key: tuple[str, ...]
+    ) -> tuple[dict[str, Any], list[Problem]]:
+        """Those of a `Measurement`; a range that has more than a plate file may list is refused."""
+        n = len(self.frequency)
+        if n > MAX_FREQUENCIES:
+            what = f"{n} peaks, accepted: up to {MAX_FREQUENCIES}"
+            return {}, [Problem(key, f"{what}; state range_hz, or leave out the lowest peaks")]
+        relative = measurement.get("relative_std")
+        stated = isinstance(relative, float) and np.all(np.isfinite(self.sd))
+        sd = np.hypot(self.sd, float(relative or 0.0) * self.frequency) if stated else None
+        return {
+            "frequencies": self.frequency,
+            "frequency_sd": sd,
+            "labels": ("",) * n,
+            "complete": False,
+            "false_peaks": false_peaks(self.probability),
+            "mode_probability": self.probability,
+            "damping": None if np.all(np.isnan(self.damping)) else self.damping,
+            "origin": origin,
+        }, []
+
+
+def _of_table(measurement: Data, directory: Path | None) -> tuple[dict[str, Any], list[Problem]]:
+    key, name = ("measurement", "peaks"), measurement.get("peaks")
+    if not isinstance(name, str) or not name:
+        return {}, []
+    content, unread = read_named_file(key, name, directory, "a table of peaks")
+    if content is None:
+        return {}, unread
+    try:
+        read = [read_modes_table(text) for text in sheets(content)]
+    except SheetError as error:
+        return {}, [Problem(key, f"{Path(name).name} {error}")]
+    found, problems = next((one for one in read if one[0] is not None), read[0])
+    if found is None:
+        return {}, [Problem(key, f"{Path(name).name} {problem}") for problem in problems]
+    rows = sorted((row for row in found.hits if row.hz and row.weight > 0.0), key=lambda row: row.hz or 0.0)
+    if not rows or any(row.height is None for row in rows):
+        lacking = next((row.line for row in rows if row.height is None), 0)
+        place = f"line {lacking}: no height" if rows else "no peak"
+        what = "accepted: hz and height, of the peak over what is there beside it, in each row; sd if known"
+        return {}, [Problem(key, f"{Path(name).name} {place}, {what}")]
+    columns = (
+        np.array([np.nan if value is None else value for value in values], dtype=float)
+        for values in zip(*((row.hz, row.sd, row.damping, row.height) for row in rows), strict=True)
+    )
+    f, sd, damping, height = columns
+    probability = mode_probability(height, np.ones(len(f)))
+    return _Candidates(f, sd, damping, probability).fields(measurement, f"{name}: peaks", key)

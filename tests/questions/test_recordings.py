@@ -1,0 +1,122 @@
+"""Plates are identified from recordings and from tables of peaks: the plate model picks the modes."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.io import wavfile
+
+import cpam_bayes as cb
+from cpam_bayes.errors import PlateFileError
+from cpam_bayes.plate.modal_analysis.peaks import false_peaks, mode_probability
+from tests.faulty_hits import RATE, Faults, recorded_hits
+from tests.plate_file import PLATE
+
+# Peaks that are no modes of the aluminium plate of the tests, whose E is 69 GPa.
+NO_MODES = (193.0, 420.0)
+EXACT = "\n[plate.sd]\nlength_mm = 0\nwidth_mm = 0\nthickness_mm = 0\ndensity_kg_m3 = 0\n"
+
+
+@pytest.fixture(scope="module")
+def plate(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A plate file beside a folder of three hits with hum and two peaks that are no modes."""
+    folder = tmp_path_factory.mktemp("recorded")
+    (folder / "hits").mkdir()
+    modes = [mode.frequency for mode in cb.forward(tomllib.loads(PLATE), n_modes=8).modes]
+    f = np.sort(np.append(modes, NO_MODES))
+    hits = recorded_hits(np.random.default_rng(11), f, np.full(len(f), 0.006), 3, Faults(hum=0.02))
+    for i, hit in enumerate(hits):
+        wavfile.write(folder / "hits" / f"{i}.wav", RATE, hit)
+    measured = f'recordings = ["hits"]\nrange_hz = [60, {modes[-1] + 15.0:.0f}]\nrelative_std = 0.003\n'
+    path = folder / "plate.toml"
+    path.write_text(f"{PLATE}{EXACT}[measurement]\n{measured}", encoding="utf-8")
+    return path
+
+
+def test_recordings_beside_a_plate_file_are_candidates_with_probabilities(
+    plate: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(plate.parent.parent)
+    measurement = cb.read_plate(Path(plate.parent.name) / "plate.toml").measurement
+    assert not measurement.complete
+    assert not any(abs(f - hum) < 0.5 for f in measurement.frequencies for hum in (50.0, 150.0))
+    assert np.all((measurement.mode_probability >= 0.02) & (measurement.mode_probability <= 0.98))
+    assert np.all(measurement.frequency_sd >= 0.003 * measurement.frequencies)
+    assert measurement.damping == pytest.approx(0.006, rel=0.2)
+
+
+def test_the_model_takes_no_peak_for_a_mode_where_it_has_none(plate: Path) -> None:
+    posterior = cb.posterior(plate)
+    pairing = posterior.most_probable_pairing(np.array([69e9, 0.33]))
+    alone = posterior.measurement.frequencies[pairing.mode < 0]
+    assert all(np.min(np.abs(alone - f)) < 1.0 for f in NO_MODES)
+    assert set(pairing.mode[pairing.mode >= 0]) | set(pairing.missed) == set(range(8))
+
+
+@pytest.mark.slow
+def test_the_model_picks_the_modes_among_the_peaks_in_one_command(run, plate: Path, tmp_path: Path) -> None:
+    status, out, _ = run("identify", str(plate), "--seed", "0", "--json", "--out", str(tmp_path / "out"))
+    document = json.loads(out)
+    assert status == 0
+    assert document["backend"] == "emcee"
+    e1 = document["constants"]["E1_GPa"]
+    assert e1["q025"] < 69.0 < e1["q975"]
+    taken = {round(peak["hz"]): peak for peak in document["peaks"]}
+    for f in NO_MODES:
+        at = min(taken, key=lambda hz: abs(hz - f))
+        assert abs(at - f) <= 1
+        assert taken[at]["predicted_hz"] is None
+        assert taken[at]["taken"] == "no mode"
+    paired = [peak for peak in document["peaks"] if peak["predicted_hz"] is not None]
+    # the noise of 0.3 % and three or four standard deviations of it
+    assert all(abs(peak["predicted_hz"] / peak["hz"] - 1.0) < 0.01 for peak in paired)
+    assert len(paired) + len(document["missed_modes"]) == 8
+    page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert "What each peak was taken for" in page
+    assert (tmp_path / "out" / "figures" / "spectrum.svg").exists()
+
+
+def test_a_peak_of_its_own_probability_is_a_mode_with_it_where_modes_are_as_dense_as_peaks() -> None:
+    q = mode_probability(np.array([0.6, 1.8, 1e9, 1e-9, 0.6]), np.array([1.0, 1.0, 1.0, 1.0, 0.5]))
+    np.testing.assert_allclose(q, [0.5, 0.75, 0.98, 0.02, 1.0 / 3.0])
+    # a mode anywhere in the range with density (sum q) / range, against a false peak at its price
+    np.testing.assert_allclose(q.sum() / (q.sum() + false_peaks(q)), q)
+
+
+def test_a_table_of_peaks_is_weighed_as_recordings_are(tmp_path: Path) -> None:
+    (tmp_path / "peaks.csv").write_text("hz;sd;height\n300;0,1;9\n114;0,1;3\n218;0,2;0,6\n", encoding="utf-8")
+    path = tmp_path / "plate.toml"
+    path.write_text(f'{PLATE}[measurement]\npeaks = "peaks.csv"\nrelative_std = 0.01\n', encoding="utf-8")
+    found = cb.read_plate(path).measurement
+    np.testing.assert_allclose(found.frequencies, [114.0, 218.0, 300.0])
+    np.testing.assert_allclose(found.mode_probability, [5.0 / 6.0, 0.5, 15.0 / 16.0])
+    np.testing.assert_allclose(found.frequency_sd, np.hypot([0.1, 0.2, 0.1], 0.01 * found.frequencies))
+    assert not found.complete
+
+
+@pytest.mark.parametrize(
+    ("measured", "said"),
+    [
+        ('recordings = ["none.wav"]', r"measurement\.recordings: .*none\.wav: no such file"),
+        ('recordings = ["noise.wav"]', r"measurement\.recordings: .*noise\.wav: not a \.wav file"),
+        ("recordings = []", "measurement.recordings: wrong length"),
+        ('recordings = ["empty"]', "no recordings in this folder"),
+        ('recordings = ["noise.wav"]\nlabels = [""]', "beside candidate peaks, accepted: no labels"),
+        ('peaks = "peaks.csv"\nrange_hz = [1, 2]', "beside no recordings"),
+        ('peaks = "none.csv"', r"measurement\.peaks: no such file"),
+        ('peaks = "peaks.csv"', "line 2: no height"),
+        ('peaks = "peaks.csv"\nfrequencies_hz = [100]', "one of frequencies_hz, table, recordings, peaks"),
+    ],
+)
+def test_what_cannot_be_read_is_one_clear_error(tmp_path: Path, measured: str, said: str) -> None:
+    (tmp_path / "noise.wav").write_bytes(b"no sound")
+    (tmp_path / "peaks.csv").write_text("hz,sd\n100,0.1\n", encoding="utf-8")
+    (tmp_path / "empty").mkdir()
+    path = tmp_path / "plate.toml"
+    path.write_text(f"{PLATE}[measurement]\n{measured}\n", encoding="utf-8")
+    with pytest.raises(PlateFileError, match=said):
+        cb.read_plate(path)
