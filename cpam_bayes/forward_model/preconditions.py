@@ -180,8 +180,10 @@ def _unknown_angles(specimen: Specimen) -> list[str]:
 def require_paired_list(specimen: Specimen) -> Specimen:
     """Return the specimen, or raise `PlateFileError` if its list may lack modes."""
     if specimen.measurement is not None and not specimen.measurement.complete:
-        received = "complete: received false" if specimen.measurement.whole is None else (
-            "left_out: the list then lacks modes in between"
+        received = (
+            "complete: received false"
+            if specimen.measurement.whole is None
+            else ("left_out: the list then lacks modes in between")
         )
         _raise(
             specimen,

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from functools import reduce
 from pathlib import Path
 from types import MappingProxyType
-from typing import Final, TypeVar
+from typing import Any, Final, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -400,7 +400,7 @@ class Measurement:
     def without(self, rows: Collection[int]) -> Measurement:
         """The list without rows, numbers from 0; it may lack modes then, unless its last ones go."""
         kept = [i for i in range(self.size) if i not in rows]
-        of_kept = {
+        of_kept: dict[str, Any] = {
             name: None if values is None else values[kept]
             for name, values in (("frequency_sd", self.frequency_sd), ("damping", self.damping))
         }
