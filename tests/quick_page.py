@@ -43,7 +43,7 @@ HELD = {
     "modes": [],
 }
 SPECTRUM = [[50.0 + 10.0 * i, -20.0 if i % 10 else 0.0] for i in range(100)]
-PICKED = {"modes": [[76.4, 0.1], [144.4, 0.1], [212.6, 0.2]], "spectrum": SPECTRUM, "said": []}
+PICKED = {"modes": [76.4, 144.4, 212.6], "spectrum": SPECTRUM, "said": []}
 
 
 class Answers:

@@ -335,7 +335,10 @@ def reported(text: str, name: str, folder: str, *, tell: Tell) -> Any:
 
 
 def picked(text: str, name: str, folder: str, recording: str, *, tell: Tell) -> Any:
-    """The modes that ``cpam-bayes poles`` picks from a recording, its other peaks and its spectrum."""
+    """The modes, Hz, that ``cpam-bayes poles`` picks from a recording, and its spectrum.
+
+    Their standard deviations are those of one recording, not of the test, and stay with the command.
+    """
     del text, name
     result = poles(Path(folder) / recording, watch=Shown(tell))
     hz = result.responses.frequencies
@@ -346,7 +349,7 @@ def picked(text: str, name: str, folder: str, recording: str, *, tell: Tell) -> 
     level = 20.0 * np.log10(np.maximum(size, 1e-6 * size.max()) / size.max())
     return {
         "recording": recording,
-        "modes": [[float(f"{m.frequency:.6g}"), float(f"{m.sd:.3g}")] for m in result.modes],
+        "modes": [float(f"{m.frequency:.5g}") for m in result.modes],
         "spectrum": [[round(float(hz[shown][i]), 3), round(float(level[i]), 1)] for i in peaks],
         "said": [result.report().summary.headline, *result.warnings],
     }

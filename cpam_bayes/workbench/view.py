@@ -158,7 +158,7 @@ def _parts(visit: Visit) -> dict[str, str]:
             module.answer(
                 visit, answer, settled, [_bar(c) for c in answer["constants"]] if answer else [], folded
             )
-            if answer or "hold" not in answers
+            if "hold" not in answers or (answer and not answers["hold"])
             else module.guide(answers["hold"])
         ),
         "diagnosis": str(

@@ -511,10 +511,10 @@ class Visit(Work):
             raise
         self.stale["pick"], self.dropped = self.answers.pop("pick"), ""
         if is_new:
-            modes = self.stale["pick"]["modes"]
+            picked = [Row(repr(hz)) for hz in self.stale["pick"]["modes"]]
             text = with_file(self.text, "picked_from", name)
             self.before = [*self.before, self.text][-_MOST_UNDO:]
-            self._become(with_rows(text, [Row(repr(hz), repr(sd)) for hz, sd in modes]), anew=True)
+            self._become(with_rows(text, picked), anew=True)
         self.tell()
 
     def cancel(self) -> None:
