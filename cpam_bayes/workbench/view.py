@@ -328,12 +328,12 @@ def _spectrum(visit: Visit) -> Markup:
                 f'<path class="{kind}" d="M{x:.1f} 0v{height:g}"><title>{hz:g} Hz, {said}</title></path>'
             )
     ticks = "".join(
-        f'<text x="{width * k / 4:g}" y="{height + 13:g}" class="tick{k}">'
+        f'<text x="{width * k / 4:g}" y="{height + 16:g}" class="tick{k}">'
         f"{low + (high - low) * k / 4:.0f}</text>"
         for k in range(5)
     )
     return Markup(
-        f'<svg class="spectrum" viewBox="0 0 {width:g} {height + 16:g}" role="img" data-low="{low:g}" '
+        f'<svg class="spectrum" viewBox="0 0 {width:g} {height + 18:g}" role="img" data-low="{low:g}" '
         f'data-high="{high:g}" aria-label="spectrum of {{}}, {low:.0f} to {high:.0f} Hz">'
         f'{"".join(marks)}<polyline points="{line}"/>{ticks}</svg>'
         '<p class="hint">Click a line to leave it out, a peak to '
@@ -370,7 +370,7 @@ def _stack(visit: Visit) -> Markup:
         return Markup("")
     n = layup.n_plies
     angles, unknown = layup.angles_deg.tolist(), layup.unknown_index.tolist()
-    height = max(min(11.0, 132.0 / n), 2.0)
+    height = max(min(13.0, 132.0 / n), 2.0)
     shape = []
     for k in range(min(n, _MOST_PLIES)):
         y = (min(n, _MOST_PLIES) - 1 - k) * height
@@ -379,8 +379,8 @@ def _stack(visit: Visit) -> Markup:
         shape.append(
             f'<rect class="ply" x="0" y="{y:g}" width="64" height="{height:g}" fill-opacity="{tone:.2f}"/>'
         )
-        if height >= 8.0:
-            shape.append(f'<text x="72" y="{y + height - 2:g}" font-size="9">{said}</text>')
+        if height >= 11.0:
+            shape.append(f'<text x="72" y="{y + height - 2:g}" font-size="11">{said}</text>')
     total = min(n, _MOST_PLIES) * height
     return Markup(
         f'<svg class="stack" viewBox="-1 -1 100 {total + 2:g}" height="{total + 2:g}" role="img" '

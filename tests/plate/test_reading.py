@@ -51,7 +51,9 @@ def test_a_frequency_that_is_left_out_is_not_used_and_every_answer_says_so(row, 
     measurement = parse_specimen(f"{STRIP}left_out = [{row}]\nby_hand = [2]\n", "strip.toml").measurement
     assert measurement.frequencies.tolist() == kept
     assert len(measurement.labels) == len(measurement.frequency_sd) == 2
-    assert measurement.complete is complete, "a list that lacks its last rows has every mode from the first on"
+    assert measurement.complete is complete, (
+        "a list that lacks its last rows has every mode from the first on"
+    )
     assert measurement.whole.frequencies.tolist() == [115.0, 317.0, 622.0]
     left, added = measurement.remarks
     assert f"frequency {row} of the list" in left

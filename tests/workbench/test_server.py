@@ -159,7 +159,9 @@ def test_where_to_hold_and_hit_stands_on_the_page_before_there_are_frequencies(c
 def test_the_plates_of_the_folder_are_listed_with_the_table_of_batch(client: TestClient) -> None:
     assert client.post("/folder/act", json={"do": "batch"}, headers=POSTED).status_code == 200
     seen = -1
-    while 'class="n">136.6' not in (said := client.get(f"/folder/news?seen={seen}").json())["parts"]["plates"]:
+    while (
+        'class="n">136.6' not in (said := client.get(f"/folder/news?seen={seen}").json())["parts"]["plates"]
+    ):
         seen = said["version"]
     assert 'data-open="panel.toml"' in said["parts"]["plates"]
 
@@ -257,7 +259,7 @@ def requests(n: int, visit: str) -> Iterator[tuple[str, dict[str, Any], str]]:
             ("file", "/open", {"json": {"file": name}, "headers": POSTED}),
             ("save", f"{visit}/act", {"json": {"do": "save", "name": name}, "headers": POSTED}),
             ("edit", f"{visit}/edit", {"json": change, "headers": POSTED}),
-            ("upload name", f"{visit}/file", dropped(f"{name}.wav" if k % 3 else name, b"x")),
+            ("upload name", f"{visit}/file", dropped(f"../{name}.wav" if k % 3 else f"{name}.toml", b"x")),
             ("upload of another", f"{visit}/file", dropped("panel.csv.exe", b"x")),
             ("upload that is no table", f"{visit}/file", dropped("t.csv", dice.randbytes(40))),
             ("upload over a link", f"{visit}/file", dropped("link.csv", b"hz\n1\n")),
