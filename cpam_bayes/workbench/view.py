@@ -146,7 +146,7 @@ def _parts(visit: Visit) -> dict[str, str]:
     """Identifier of an element -> its HTML."""
     module, answers = _module(), visit.answers
     exact, live = answers.get("identify"), answers.get("live")
-    answer = exact or live or visit.stale.get("identify") or visit.stale.get("live")
+    answer = exact or live or visit.stale.get("shown")
     settled = exact is not None
     diagnosis = answers.get("diagnose")
     # one answer a page: where something is claimed, the plate as stated is how it was noticed

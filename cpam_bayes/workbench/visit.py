@@ -531,7 +531,8 @@ class Visit(Work):
     def begin(self) -> None:
         """Check the text, and compute what it says, in place of all that was being computed."""
         self.stop()
-        self.stale = {**self.stale, **self.answers}
+        shown = self.answers.get("identify") or self.answers.get("live") or self.stale.get("shown")
+        self.stale = {**self.stale, **self.answers, "shown": shown}
         self.answers = {}
         self._check()
         is_measured = self.specimen is not None and self.specimen.measurement is not None

@@ -4,7 +4,7 @@
     python docs/build/screenshots.py --app RECORDING
 
 computes the report with seed 0, or takes the page of one that was computed, and needs the program chromium.
-With `--app` the pictures are those of `cpam-bayes app`: its example, and a recorded hit of it with a pick left out.
+With `--app` the pictures are those of `cpam-bayes app`: its example, and a recorded hit with a pick left out.
 """
 
 from __future__ import annotations
