@@ -33,7 +33,17 @@ SETTLED = {
     "next": "",
     "warnings": [],
     "shapes": [],
+    "all_rows": None,
 }
+HELD = {
+    "said": "Hold it on four soft pads.",
+    "pads_mm": [[100.0, 60.0]],
+    "hits_mm": [[10.0, 10.0]],
+    "sensor_mm": [10.0, 200.0],
+    "modes": [],
+}
+SPECTRUM = [[50.0 + 10.0 * i, -20.0 if i % 10 else 0.0] for i in range(100)]
+PICKED = {"modes": [76.4, 144.4, 212.6], "spectrum": SPECTRUM, "said": []}
 
 
 class Answers:
@@ -43,8 +53,16 @@ class Answers:
         if task == "report":
             page = Path(args[2]) / "report.html"
             page.write_text("<!doctype html><title>report</title>", "utf-8")
-            return {"page": page.name, "folder": "."}
-        return {"live": ANSWER, "identify": SETTLED, "diagnose": FOUND}[task]
+            (page.parent / "report.json").write_text("{}", "utf-8")
+            (page.parent / "report.xlsx").write_bytes(b"PK")
+            return {"page": page.name, "json": "report.json", "xlsx": "report.xlsx"}
+        if task == "pick":
+            return {"recording": args[3], **PICKED}
+        if task == "batch":
+            rows = [{"file": name, "cells": ["panel", "136.6"], "why": ""} for name in args[0].split("\n")]
+            heads = [["plate", False], ["E1, GPa", True]]
+            return {"headline": "1 plate.", "heads": heads, "rows": rows, "lines": [], "page": "report.html"}
+        return {"live": ANSWER, "hold": HELD, "identify": SETTLED, "diagnose": FOUND}[task]
 
     def stop(self) -> None:
         pass
@@ -68,5 +86,5 @@ class One:
 
 def desk_of(folder: Path) -> Desk:
     material = Material("aluminium", ('name = "aluminium"', "E1_GPa = 69.0"), ("E1_GPa = [20.0, 250.0]",))
-    tasks = Tasks("live", "identify", "diagnose", "report")
+    tasks = Tasks("live", "hold", "identify", "diagnose", "pick", "report", "batch")
     return Desk(folder, tasks, {"metal": material}, "name = 'plate'\n", EXAMPLE, Answers(), One(), rest=0.0)

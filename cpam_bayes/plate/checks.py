@@ -59,6 +59,7 @@ _BESIDE: Final[Mapping[str, Mapping[str, str]]] = {
     "shapes": {
         "frequency_sd_hz": "beside shapes, accepted: relative_std or resolution_hz",
         "labels": "beside shapes, which say what mode a frequency is, accepted: no labels",
+        "left_out": "beside shapes, accepted: a universal file without that mode",
     },
 }
 

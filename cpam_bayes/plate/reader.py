@@ -9,7 +9,7 @@ from __future__ import annotations
 import difflib
 import math
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
@@ -231,7 +231,22 @@ def _measured(data: Mapping[str, Any], directory: Path | None) -> tuple[Mapping[
         of_shapes, of_file = shapes_of(data, directory)
         problems = problems + of_file
         fields = fields if of_shapes is None else of_shapes.fields(str(measurement["shapes"]))
-    return fields, problems
+    listed = fields.get("frequencies", measurement.get("frequencies_hz"))
+    return fields, [*problems, *_rows_by_hand(measurement, listed)]
+
+
+def _rows_by_hand(measurement: Mapping[str, Any], listed: object) -> Iterator[Problem]:
+    """Numbers of frequencies that the list has not, and a list of which nothing is left."""
+    if not isinstance(listed, list | np.ndarray):
+        return
+    for key in ("left_out", "by_hand"):
+        given = measurement.get(key)
+        rows = [row for row in given if isinstance(row, int)] if isinstance(given, list) else []
+        if any(row > len(listed) for row in rows):
+            what = f"received {max(rows)}, accepted: 1 to {len(listed)}, the numbers of the frequencies"
+            yield Problem(("measurement", key), what)
+        elif key == "left_out" and len(set(rows)) == len(listed):
+            yield Problem(("measurement", key), "all frequencies, accepted: at least one is left")
 
 
 def _specimen(file: PlateFile, source: str, directory: Path | None, measured: Mapping[str, Any]) -> Specimen:
@@ -375,7 +390,18 @@ def _measurement(model: MeasurementModel, measured: Mapping[str, Any]) -> Measur
         labels=tuple(model.labels or ("",) * len(listed)),
         complete=model.complete,
     )
-    return replace(given, **stated, **measured)
+    whole = replace(given, **stated, **measured)
+    if not (model.left_out or model.by_hand):
+        return whole
+    listed_hz = whole.frequencies
+    recording = f" to those of {model.picked_from}" if model.picked_from else ""
+    said = tuple(
+        f"frequency {row} of the list, {listed_hz[row - 1]:.10g} Hz, was {done} by hand"
+        for rows, done in ((model.left_out, "left out"), (model.by_hand, f"added{recording}"))
+        for row in sorted(set(rows))
+    )
+    used = whole.without({row - 1 for row in model.left_out}) if model.left_out else whole
+    return replace(used, remarks=(*whole.remarks, *said))
 
 
 def _in_si(values: dict[str, float]) -> dict[str, float]:

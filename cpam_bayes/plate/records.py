@@ -5,7 +5,7 @@ At the border stand the names of the plate file, which carry their unit.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from functools import reduce
 from pathlib import Path
@@ -352,7 +352,8 @@ class Measurement:
     damping : (n,) ratios to critical damping, nan where not measured; None where none is
     shapes : of its modes, None where they were not measured
     origin : the file that it was read from and what was made of it, "" for a list in the plate file
-    remarks : what in that file may be a slip, a sentence each
+    remarks : what in that file may be a slip, and what was done by hand, a sentence each
+    whole : the list with all its rows, None where none was left out
     """
 
     frequencies: NDArray[np.float64]
@@ -370,6 +371,7 @@ class Measurement:
     shapes: MeasuredShapes | None = None
     origin: str = ""
     remarks: tuple[str, ...] = ()
+    whole: Measurement | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "frequencies", read_only(self.frequencies))
@@ -398,6 +400,22 @@ class Measurement:
     def size(self) -> int:
         """Number of measured frequencies."""
         return int(self.frequencies.size)
+
+    def without(self, rows: Collection[int]) -> Measurement:
+        """The list without rows, numbers from 0; it may lack modes then, unless its last ones go."""
+        kept = [i for i in range(self.size) if i not in rows]
+        of_kept: dict[str, Any] = {
+            name: None if values is None else values[kept]
+            for name, values in (("frequency_sd", self.frequency_sd), ("damping", self.damping))
+        }
+        return replace(
+            self,
+            **of_kept,
+            frequencies=self.frequencies[kept],
+            labels=tuple(self.labels[i] for i in kept),
+            complete=self.complete and kept == list(range(len(kept))),
+            whole=self,
+        )
 
     def noise_sd(self, relative: float) -> NDArray[np.float64]:
         """Standard deviations of the frequencies, (n,) Hz: ``frequency_sd``, or ``relative`` of each."""

@@ -282,6 +282,12 @@ class ColumnsModel(_Table):
     weight: Text | None = None
 
 
+RowNumbers = Annotated[
+    list[Annotated[int, Field(ge=1, le=MAX_FREQUENCIES, description="the number of a frequency, from 1")]],
+    Field(max_length=MAX_FREQUENCIES, description="a list of numbers of frequencies, from 1"),
+]
+
+
 class MeasurementModel(_Table):
     """The table [measurement]."""
 
@@ -349,6 +355,11 @@ class MeasurementModel(_Table):
         | None
     ) = None
     complete: Flag = True
+    left_out: RowNumbers = []
+    by_hand: RowNumbers = []
+    picked_from: (
+        Annotated[str, Field(min_length=1, description="the file of the recording, from this file")] | None
+    ) = None
     missed_probability: (
         Annotated[float, Field(gt=0, lt=1, allow_inf_nan=False, description="a number above 0 and below 1")]
         | None

@@ -5,9 +5,10 @@ What the page computes is computed here, by the verbs that answer the commands, 
 
 from __future__ import annotations
 
+import tomllib
 import webbrowser
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, ClassVar, Final
@@ -25,6 +26,7 @@ from cpam_bayes.identification.search import posterior
 from cpam_bayes.inference.laplace import find_optima, gauss_newton_covariance
 from cpam_bayes.plate import Specimen, builtin_names, parse_specimen, to_user, unit_of
 from cpam_bayes.plate.reader import builtin_text
+from cpam_bayes.questions.batch import batch
 from cpam_bayes.questions.diagnose import claim_sentence, diagnose
 from cpam_bayes.questions.diagnose.document import (
     DiagnosisResult,
@@ -34,9 +36,13 @@ from cpam_bayes.questions.diagnose.document import (
     size_text,
     title_of,
 )
+from cpam_bayes.questions.forward import handling_before
+from cpam_bayes.questions.identify.emcee import SampledResult, sample
 from cpam_bayes.questions.identify.pso import PointResult, identify
 from cpam_bayes.questions.new import MATERIALS, KnownPlate, material_lines, plate_file_text
+from cpam_bayes.questions.poles import poles
 from cpam_bayes.questions.report import report
+from cpam_bayes.render.files import save_tables
 from cpam_bayes.render.page import PAGE
 from cpam_bayes.render.report import Report, Summary
 from cpam_bayes.render.sentences import determined_text, frequency_columns, interval_text, value_text
@@ -51,9 +57,10 @@ _REACH: Final = 1.959963984540054
 _STARTS: Final = 4
 # Causes that are shown as bars.
 _BARS: Final = 8
+# Points of a spectrum.
+_LINES: Final = 800
 # Side of the grid of a mode shape in small.
 _GRID: Final = 13
-_SMALLEST: Final = 1e-3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
@@ -126,7 +133,7 @@ def app(
     where = server.free_port(port)
     desk = Desk(
         folder=folder,
-        tasks=Tasks(live, identified, diagnosed, reported),
+        tasks=Tasks(live, held, identified, diagnosed, picked, reported, listed),
         materials={key: Material(m.name, *material_lines(m)) for key, m in MATERIALS.items()},
         blank=plate_file_text(KnownPlate("plate", edges="FFFF", layup="[0_8]")),
         example=(Path(server.__file__).parent / "pages" / "example.toml").read_text("utf-8"),
@@ -183,7 +190,9 @@ def live(text: str, name: str, folder: str, optimum: Mapping[str, float] | None,
         found = find_optima(target, target.parameters.sample(rng, _STARTS), rng, draws=_STARTS)[0]
     measured = target.measurement.frequencies
     n = len(target.model.parameters.names)
-    predicted = target.model.predict(found.x[None, :n]).frequencies[0, : len(measured)]
+    predicted = target.model.predict(found.x[None, :n]).frequencies[0]
+    nearest = np.abs(np.log(predicted[:, None] / measured)).argmin(axis=0)
+    predicted = predicted[: len(measured)] if target.measurement.complete else predicted[nearest]
     excess = misfit_over_noise(target.measurement, predicted / measured - 1.0, specimen.unknowns.size)
     sd = excess * np.sqrt(np.diag(gauss_newton_covariance(target, found.x)))
     constants = []
@@ -206,9 +215,36 @@ def live(text: str, name: str, folder: str, optimum: Mapping[str, float] | None,
     }
 
 
+def held(text: str, name: str, folder: str, *, tell: Tell) -> Any:
+    """Where to hold a plate that is not measured yet, and where to hit it; None where it lacks more."""
+    del name, folder, tell
+    handling = handling_before(tomllib.loads(text))
+    return None if handling is None else {"said": handling.sentence, **handling.keys}
+
+
+def _identified(specimen: Specimen, tell: Tell) -> PointResult | SampledResult:
+    measurement = specimen.measurement
+    if measurement is None or measurement.complete:
+        return identify(specimen, watch=Shown(tell))
+    return sample(specimen, watch=Shown(tell))
+
+
 def identified(text: str, name: str, folder: str, *, tell: Tell) -> Any:
-    """The answer of ``cpam-bayes identify``, in the words and digits of its screen."""
-    result: PointResult = identify(parse_specimen(text, name, Path(folder)), watch=Shown(tell))
+    """The answer of ``cpam-bayes identify``, in the words and digits of its screen.
+
+    Of a list that may lack modes that of ``--backend emcee``; of one with rows left out by hand the constants
+    with all rows too.
+    """
+    specimen = parse_specimen(text, name, Path(folder))
+    result = _identified(specimen, tell)
+    whole = None if specimen.measurement is None else specimen.measurement.whole
+    of_all = None if whole is None else _identified(replace(specimen, measurement=whole), tell)
+    shapes, modes = (
+        (result.estimate.shapes, result.estimate.predicted)
+        if isinstance(result, PointResult)
+        else (result.shapes, result.modes)
+    )
+    percent = [100.0 * r.residual for r in result.frequencies if r.residual is not None]
     summary = result.report().summary
     return {
         "headline": summary.headline,
@@ -216,12 +252,15 @@ def identified(text: str, name: str, folder: str, *, tell: Tell) -> Any:
         "lines": list(summary.lines),
         "next": summary.next_step,
         "warnings": list(summary.warnings),
-        "constants": _constants(result.estimate.constants),
+        "constants": _constants([*result.constants.values()]),
+        "all_rows": None if of_all is None else _constants([*of_all.constants.values()]),
         "rows": _rows(result.frequencies),
-        "rms": 100.0 * result.estimate.rms,
-        "shapes": [_small(shape, mode.in_plane_fraction > 0.5) for shape, mode in
-                   zip(result.estimate.shapes, result.estimate.predicted, strict=True)],
-    }  # fmt: skip
+        "rms": float(np.sqrt(np.mean(np.square(percent)))),
+        "shapes": [
+            _small(shapes[r.number - 1], modes[r.number - 1].in_plane_fraction > 0.5) if r.number else None
+            for r in result.frequencies
+        ],
+    }
 
 
 def diagnosed(text: str, name: str, folder: str, *, tell: Tell) -> Any:
@@ -290,7 +329,54 @@ def reported(text: str, name: str, folder: str, *, tell: Tell) -> Any:
     if target.is_symlink():
         raise ValueError(f"{target.name}: a link, accepted: a folder of this page")
     answer.save(target)
-    return {"page": f"{target.name}/{PAGE}", "folder": target.name}
+    save_tables(answer, None, str(target / "report.xlsx"))
+    files = {"page": PAGE, "json": "report.json", "xlsx": "report.xlsx"}
+    return {kind: f"{target.name}/{file}" for kind, file in files.items()}
+
+
+def picked(text: str, name: str, folder: str, recording: str, *, tell: Tell) -> Any:
+    """The modes, Hz, that ``cpam-bayes poles`` picks from a recording, and its spectrum.
+
+    Their standard deviations are those of one recording, not of the test, and stay with the command.
+    """
+    del text, name
+    result = poles(Path(folder) / recording, watch=Shown(tell))
+    hz = result.responses.frequencies
+    shown = (hz >= result.low) & (hz <= result.high)
+    size = np.sqrt(np.mean(np.abs(result.responses.frf[:, shown]) ** 2, axis=0))
+    parts = np.array_split(np.arange(len(size)), min(len(size), _LINES))
+    peaks = [part[int(np.argmax(size[part]))] for part in parts]
+    level = 20.0 * np.log10(np.maximum(size, 1e-6 * size.max()) / size.max())
+    return {
+        "recording": recording,
+        "modes": [float(f"{m.frequency:.5g}") for m in result.modes],
+        "spectrum": [[round(float(hz[shown][i]), 3), round(float(level[i]), 1)] for i in peaks],
+        "said": [result.report().summary.headline, *result.warnings],
+    }
+
+
+def listed(text: str, name: str, folder: str, *, tell: Tell) -> Any:
+    """The table of ``cpam-bayes batch`` over plate files of a folder, text : their names, a line each."""
+    del name
+    files = text.split("\n")
+    result = batch(*(str(Path(folder) / file) for file in files), watch=Shown(tell))
+    report = result.report()
+    target = Path(folder) / "batch"
+    if target.is_symlink():
+        raise ValueError(f"{target.name}: a link, accepted: a folder of this page")
+    result.save(target)
+    save_tables(result, None, str(target / "results.xlsx"))
+    table = report.rows[0].table("")
+    return {
+        "headline": report.summary.headline,
+        "heads": [[h.text, h.number] for h in table.columns],
+        "rows": [
+            {"file": file, "cells": list(cells), "why": row.message if row.status == "failed" else ""}
+            for file, cells, row in zip(files, table.rows, result.rows, strict=True)
+        ],
+        "lines": [*report.summary.lines, *report.summary.warnings],
+        "page": f"{target.name}/{PAGE}",
+    }
 
 
 def _constants(constants: Sequence[Constant]) -> list[dict[str, Any]]:

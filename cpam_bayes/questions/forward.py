@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, ClassVar, Final, Literal, NamedTuple, get_args
+from typing import TYPE_CHECKING, Any, ClassVar, Final, Literal, NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,6 +64,7 @@ from cpam_bayes.plate import (
 )
 from cpam_bayes.plate.edges import ALL_FREE
 from cpam_bayes.render.figures import extent_of, shapes_figure
+from cpam_bayes.render.handling import Handling, handling_drawing, handling_of, handling_section
 from cpam_bayes.render.plate import assurance_drawings, assurance_sections, plate_section, shape_keys
 from cpam_bayes.render.report import (
     COMPUTATION,
@@ -132,6 +134,11 @@ class ForwardResult(PlateResult):
     def frequencies(self) -> Array:
         """Natural frequencies, (n_modes,) Hz."""
         return np.array([mode.frequency for mode in self.modes])
+
+    @property
+    def handling(self) -> Handling | None:
+        """Where to hold the plate, where to hit it and where to measure these modes."""
+        return handling_of(self.specimen, self.modes, self.shapes)
 
 
 @dataclass(frozen=True, slots=True)
@@ -229,6 +236,14 @@ def forward(
         extent=solution.extent,
         by_shape=pairing,
     )
+
+
+def handling_before(plate: Mapping[str, Any]) -> Handling | None:
+    """Where to hold and hit a plate that is to be measured, from its table; None where it lacks more."""
+    try:
+        return forward({key: value for key, value in plate.items() if key != "measurement"}).handling
+    except ValueError:
+        return None
 
 
 def _slips(specimen: Specimen, solution: _Solution) -> tuple[Notice, ...]:
@@ -369,6 +384,7 @@ def _present(result: ForwardResult) -> Report:
     modes = Rows("modes", (*_MODES, *((_PAIRED_BY,) if named else ())), rows)
     constants = Rows("constants", _CONSTANTS, tuple(_constants_with_origin(specimen)))
     worst = float(np.max(result.error))
+    handling = result.handling
     return Report(
         summary=Summary(
             title=f"forward {result.title}",
@@ -382,6 +398,7 @@ def _present(result: ForwardResult) -> Report:
         sections=(
             plate_section(specimen, result.air_shifts),
             Section("Modes", (constants.table("Reference constants"),), ("modes",), folded=False),
+            *handling_section(handling),
             *assurance_sections(by_shape, specimen.measurement),
             Section(COMPUTATION, (_computation(result),)),
         ),
@@ -390,6 +407,7 @@ def _present(result: ForwardResult) -> Report:
             "solver": result.solver,
             "modes": modes.records(),
             **shape_keys(by_shape, specimen.measurement),
+            "handling": None if handling is None else handling.keys,
             "relative_error_estimate": worst,
             "no_error_estimate": result.no_estimate or None,
             "constants": {
@@ -407,6 +425,7 @@ def _present(result: ForwardResult) -> Report:
                 partial(_shapes, result),
                 modes_caption([(m.frequency, m.label or m.kind) for m in result.modes]),
             ),
+            *handling_drawing(specimen, handling),
             *assurance_drawings(specimen.name, by_shape, specimen.measurement),
         ),
         rows=(modes, constants),

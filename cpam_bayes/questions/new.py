@@ -9,6 +9,7 @@ import argparse
 import json
 import shlex
 import sys
+import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,6 +23,8 @@ from cpam_bayes.forward_model.preconditions import require_choice
 from cpam_bayes.plate.edges import ALL_FREE, EDGE_KEY, PLACES
 from cpam_bayes.plate.reader import parse_specimen
 from cpam_bayes.plate.text import UNITS, number_of, numbers_of
+from cpam_bayes.questions.forward import handling_before
+from cpam_bayes.render.handling import Handling
 from cpam_bayes.render.report import Report, Summary, remarks
 from cpam_bayes.result import Result, present
 from cpam_bayes.storage import draft_directory, put_in_place, replaceable
@@ -208,13 +211,18 @@ def _toml(value: object) -> str:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class NewPlateResult(Result):
-    """A plate file that was written; missing : what it still needs, a sentence each."""
+    """A plate file that was written.
+
+    missing : what it still needs, a sentence each
+    handling : where to hold the plate and where to hit it, None where the file lacks more than frequencies
+    """
 
     command: ClassVar[str] = "new"
 
     path: Path
     text: str
     missing: tuple[str, ...]
+    handling: Handling | None = None
 
 
 @checked
@@ -281,7 +289,8 @@ def new(
             put_in_place(written, target)
     except OSError as error:
         raise ValueError(f"{target}: cannot be written to: {error.strerror}") from None
-    return NewPlateResult(seed=0, path=target, text=text, missing=missing)
+    handling = handling_before(tomllib.loads(text))
+    return NewPlateResult(seed=0, path=target, text=text, missing=missing, handling=handling)
 
 
 def require_new(path: str | Path) -> Path:
@@ -361,7 +370,10 @@ def _present(result: NewPlateResult) -> Report:
             title="new",
             headline=f"{result.path} is written; {lacks}.",
             tables=(remarks("Missing", result.missing),),
-            lines=("Constants and bounds are typical of the material, not those of the plate.",),
+            lines=(
+                "Constants and bounds are typical of the material, not those of the plate.",
+                *(() if result.handling is None else (result.handling.sentence,)),
+            ),
             next_step="fill in the lines that begin with #, put the constants of the data sheet, and see how "
             f"the file is read:  cpam-bayes forward {shlex.quote(str(result.path))}",
         ),
@@ -370,6 +382,7 @@ def _present(result: NewPlateResult) -> Report:
             "version": __version__,
             "path": str(result.path),
             "missing": list(result.missing),
+            "handling": None if result.handling is None else result.handling.keys,
         },
     )
 

@@ -51,6 +51,7 @@ class FullReport(PlateResult):
     diagnosis : what the plate model gets wrong
     stacking : the posterior over stacking sequences, None where all angles are known and of a quick report
     quick : whether the slow parts were left out
+    all_rows : the constants with all frequencies of a list that some were left out of; None for another list
     """
 
     command: ClassVar[str] = "report"
@@ -60,6 +61,7 @@ class FullReport(PlateResult):
     stacking: StackingResult | None
     quick: bool
     seconds: float
+    all_rows: PointResult | SampledResult | None = None
 
     @property
     def status(self) -> str:
@@ -151,6 +153,10 @@ def report(
     )
     if identification is None:
         identification = _constants(known, seed, quick, watch)
+    whole = None if known.measurement is None else known.measurement.whole
+    all_rows = None
+    if whole is not None:
+        all_rows = _constants(replace(known, measurement=whole), seed, quick, watch)
     answer = FullReport(
         seed=seed,
         specimen=specimen,
@@ -159,6 +165,7 @@ def report(
         diagnosis=diagnosis,
         stacking=stacking,
         quick=quick,
+        all_rows=all_rows,
         seconds=time.perf_counter() - start,
     )
     of_parts = (notice for part in answer.parts for notice in part.notices)
@@ -236,7 +243,7 @@ def _present(result: FullReport) -> Report:
     behind.sort(key=lambda section: (_PLATE not in section.figures, section.folded))
     return Report(
         summary=_summary(result, main.summary, [shown.summary for shown in answers.values()]),
-        sections=(*behind, *_frequencies_alone(alone, parts[alone])),
+        sections=(*_all_rows(result), *behind, *_frequencies_alone(alone, parts[alone])),
         document={
             **plate_keys(result.command, result.seed, result.specimen),
             "quick": result.quick,
@@ -244,6 +251,7 @@ def _present(result: FullReport) -> Report:
             "identification": document(result.identification),
             "stacking": None if result.stacking is None else document(result.stacking),
             "diagnosis": document(result.diagnosis),
+            "all_rows": None if result.all_rows is None else result.all_rows.to_dict(),
             "seconds": result.seconds,
             "warnings": list(result.warnings),
             "notes": list(result.specimen.notes),
@@ -270,6 +278,24 @@ def _summary(result: FullReport, main: Summary, answers: list[Summary]) -> Summa
         next_step=main.next_step or quick,
         slips=_each_once(slip for part in answers for slip in part.slips),
         warnings=_each_once((*taken, *(warning for part in answers for warning in part.warnings))),
+    )
+
+
+def _all_rows(result: FullReport) -> tuple[Section, ...]:
+    """The constants with the frequencies that were left out by hand, and without them."""
+    if result.all_rows is None:
+        return ()
+    used, of_both = result.specimen.measurement, (result.all_rows, result.identification)
+    tables = zip(("With all frequencies", "With those that were used"), of_both, strict=True)
+    return (
+        Section(
+            "Frequencies were left out by hand",
+            (
+                remarks("By hand", () if used is None else used.remarks),
+                *(replace(part.report().summary.tables[0], title=title) for title, part in tables),
+            ),
+            folded=False,
+        ),
     )
 
 

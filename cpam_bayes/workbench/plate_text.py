@@ -10,16 +10,21 @@ import json
 import re
 import tomllib
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, Final
 
 __all__ = [
     "FIELDS",
     "SENSOR",
+    "Row",
     "as_list",
     "content",
     "numbers_in",
+    "rows_in",
     "value_at",
     "with_block",
+    "with_file",
+    "with_rows",
     "with_sensors",
     "with_value",
 ]
@@ -40,6 +45,9 @@ FIELDS: Final[Mapping[str, str]] = {
     "measurement.resolution_hz": NUMBER,
 }
 """Key of a plate file that a page may change -> how its text is written."""
+_BESIDE_ROWS: Final = ("frequency_sd_hz", "labels", "left_out", "by_hand")
+"""Keys of [measurement] that follow its list row by row."""
+_MEASURED: Final = ("frequencies_hz", "table", "shapes")
 SENSOR: Final = ("mass_g", "x_mm", "y_mm")
 """Keys of a mass on the plate."""
 
@@ -164,6 +172,63 @@ def _comment(line: str) -> str:
         if content(line[:at]):
             return line[at:].strip()
     return ""
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """A frequency as typed, with what belongs to it; sd, label : in TOML, "" where the file has none."""
+
+    hz: str
+    sd: str = ""
+    label: str = ""
+    left_out: bool = False
+    by_hand: bool = False
+
+
+def rows_in(data: Mapping[str, Any]) -> list[Row]:
+    """The rows of the list in a plate file."""
+    measurement = data.get("measurement")
+    found = measurement if isinstance(measurement, Mapping) else {}
+    listed, sds, labels, left_out, by_hand = (
+        values if isinstance(values := found.get(key), list) else []
+        for key in ("frequencies_hz", *_BESIDE_ROWS)
+    )
+    return [
+        Row(
+            f"{hz:.10g}" if isinstance(hz, float) else str(hz),
+            repr(sds[i]) if i < len(sds) and isinstance(sds[i], int | float) else "",
+            json.dumps(labels[i], ensure_ascii=False) if i < len(labels) else "",
+            i + 1 in left_out,
+            i + 1 in by_hand,
+        )
+        for i, hz in enumerate(listed)
+    ]
+
+
+def with_rows(text: str, rows: Sequence[Row], *, listed: bool = True) -> str:
+    """The text with these rows as its list; a standard deviation that a row lacks is the usual one.
+
+    listed : False where another file has the list, and only what was done by hand is written
+    """
+    sds = sorted(float(row.sd) for row in rows if row.sd)
+    usual = repr(sds[len(sds) // 2]) if sds else ""
+    beside = {
+        "frequencies_hz": [_number(row.hz) for row in rows],
+        "frequency_sd_hz": [row.sd or usual for row in rows] if sds else [],
+        "labels": [row.label or '""' for row in rows] if any(row.label for row in rows) else [],
+        "left_out": [str(i) for i, row in enumerate(rows, 1) if row.left_out],
+        "by_hand": [str(i) for i, row in enumerate(rows, 1) if row.by_hand],
+    }
+    for key, values in list(beside.items())[0 if listed else 3 :]:
+        text = _with_literal(text, f"measurement.{key}", f"[{', '.join(values)}]" if values else "")
+    return text
+
+
+def with_file(text: str, key: str, name: str) -> str:
+    """The text without its list, and with a file under a key of [measurement] where it has a name."""
+    for other in (*_MEASURED, *_BESIDE_ROWS, "picked_from"):
+        text = _with_literal(text, f"measurement.{other}", "")
+    return _with_literal(text, f"measurement.{key}", json.dumps(name, ensure_ascii=False) if name else "")
 
 
 def with_block(text: str, table: str, body: Sequence[str]) -> str:

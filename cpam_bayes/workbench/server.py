@@ -19,14 +19,18 @@ from starlette.requests import Request
 from starlette.responses import HTMLResponse, JSONResponse, PlainTextResponse, RedirectResponse, Response
 from starlette.routing import Route
 
-from cpam_bayes.workbench.view import begin_page, news_of, visit_page
-from cpam_bayes.workbench.visit import Desk, EditError, Visit, plate_names
+from cpam_bayes.workbench.view import begin_page, folder_news, news_of, visit_page
+from cpam_bayes.workbench.visit import MOST_BYTES, Desk, EditError, Visit, Work, plate_names
 
 __all__ = ["HOST", "application", "free_port", "serve"]
 
 HOST: Final = "127.0.0.1"
 _MOST_BYTES, _MOST_VISITS = 64_000, 100
 _WAIT = 25.0
+_RESULTS: Final = {
+    "json": "application/json",
+    "xlsx": "application/vnd.openxmlformats-officedocument.spreadsheetml.sheet",
+}
 _FILES: Final = {"app.css": "text/css", "app.js": "text/javascript"}
 _HEADERS: Final = {
     "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; "
@@ -51,8 +55,8 @@ class _Refused(Exception):
 class _Guard:
     """Lets through what comes from the page itself; everything else gets an error and no more."""
 
-    def __init__(self, app: Any, hosts: frozenset[str], token: str, cookie: str) -> None:
-        self.app, self.hosts, self.token, self.cookie = app, hosts, token, cookie
+    def __init__(self, app: Any, hosts: frozenset[str], token: str, cookie: str, pages: _Pages) -> None:
+        self.app, self.hosts, self.token, self.cookie, self.pages = app, hosts, token, cookie, pages
 
     async def __call__(self, scope: Any, receive: Any, send: Any) -> None:
         if scope["type"] != "http":
@@ -97,6 +101,19 @@ class _Pages:
     def __init__(self, desk: Desk, token: str, cookie: str, first: Callable[[], Visit] | None) -> None:
         self.desk, self.token, self.cookie, self.first = desk, token, cookie, first
         self.visits: dict[str, Visit] = {}
+        self.list = Work(desk=desk, file="batch")
+
+    def wake(self) -> None:
+        """Answer all who wait for news."""
+        for work in (self.list, *self.visits.values()):
+            work.tell()
+
+    def stop(self) -> None:
+        """End all that is computed."""
+        for work in (self.list, *self.visits.values()):
+            work.stop()
+        self.desk.live.stop()
+        self.desk.pool.stop()
 
     def _visit(self, request: Request) -> Visit:
         key = str(request.path_params["visit"])
@@ -125,7 +142,28 @@ class _Pages:
         if self.first is not None:
             visit, self.first = self._added(self.first()), None
             return RedirectResponse(f"/visit/{visit.key}", 303)
-        return HTMLResponse(begin_page(self.desk.folder, plate_names(self.desk.folder)))
+        return HTMLResponse(begin_page(self.desk.folder, plate_names(self.desk.folder), self.list))
+
+    async def folder_news(self, request: Request) -> Response:
+        """The changes of the list of plates, as soon as there is one."""
+        await self.list.news(_number(request, "seen"), _WAIT)
+        return JSONResponse(folder_news(plate_names(self.desk.folder), self.list))
+
+    async def folder_act(self, request: Request) -> Response:
+        """Compute the table of all plates of the folder, or end that."""
+        asked, names = await _body(request), plate_names(self.desk.folder)
+        if asked.get("do") == "cancel":
+            self.list.cancel()
+        elif asked.get("do") == "batch" and names:
+            self.list.text, self.list.problems = "\n".join(names), ()
+            self.list.begin_task("batch")
+        else:
+            raise EditError(f"do: received {asked.get('do')!r:.60}, accepted: batch cancel")
+        return JSONResponse({"said": "", **folder_news(names, self.list)})
+
+    async def folder_report(self, request: Request) -> Response:
+        """The page of the table of plates that was computed last."""
+        return self._page_of(self.list.answers.get("batch"))
 
     async def open(self, request: Request) -> Response:
         """A new visit: of a file, of an empty plate or of the example."""
@@ -173,15 +211,38 @@ class _Pages:
         """The plate file as it is now."""
         return PlainTextResponse(self._visit(request).text)
 
+    async def drop(self, request: Request) -> Response:
+        """A file that was dropped on the page."""
+        visit = self._visit(request)
+        content = await _content(request, "application/octet-stream", MOST_BYTES)
+        said = visit.take(request.query_params.get("name", ""), content)
+        return JSONResponse({"said": said, **news_of(visit, -1)})
+
     async def report(self, request: Request) -> Response:
         """The report that was written last."""
         visit = self._visit(request)
-        name = visit.answers.get("report", visit.stale.get("report", {})).get("page")
-        if name is None:
-            raise _Refused(404, "no report is written yet")
-        response = HTMLResponse((self.desk.folder / name).read_text("utf-8"))
+        return self._page_of(visit.answers.get("report", visit.stale.get("report")))
+
+    def _page_of(self, written: Mapping[str, Any] | None) -> Response:
+        response = HTMLResponse(self._written(written, "page").decode())
         response.headers["Content-Security-Policy"] = _REPORT_POLICY
         return response
+
+    def _written(self, written: Mapping[str, Any] | None, kind: str) -> bytes:
+        """A file of an answer that was written."""
+        path = None if written is None else self.desk.folder / str(written[kind])
+        if path is None or not path.is_file() or path.is_symlink():
+            raise _Refused(404, "no report is written yet")
+        return bytes(path.read_bytes())
+
+    async def results(self, request: Request) -> Response:
+        """The results of the report as JSON or a workbook."""
+        visit, kind = self._visit(request), str(request.path_params["kind"])
+        if kind not in _RESULTS:
+            raise _Refused(404, "no such file")
+        content = self._written(visit.answers.get("report", visit.stale.get("report")), kind)
+        name = f'attachment; filename="{Path(visit.file).stem}.{kind}"'
+        return Response(content, media_type=_RESULTS[kind], headers={"Content-Disposition": name})
 
     async def file(self, request: Request) -> Response:
         """The style and the script."""
@@ -196,17 +257,22 @@ def _number(request: Request, name: str) -> int:
     return int(given) if given.isascii() and given.isdigit() and len(given) < 10 else -1
 
 
-async def _body(request: Request) -> Mapping[str, Any]:
-    """The object of a request of at most 64 kB."""
-    if request.headers.get("content-type", "").partition(";")[0] != "application/json":
-        raise _Refused(415, "accepted: application/json")
-    content = b""
+async def _content(request: Request, kind: str, most: int) -> bytes:
+    """The content of a request, of one kind and at most so many bytes."""
+    if request.headers.get("content-type", "").partition(";")[0] != kind:
+        raise _Refused(415, f"accepted: {kind}")
+    content = bytearray()
     async for chunk in request.stream():
         content += chunk
-        if len(content) > _MOST_BYTES:
-            raise _Refused(413, f"accepted: up to {_MOST_BYTES} bytes")
+        if len(content) > most:
+            raise _Refused(413, f"accepted: up to {most} bytes")
+    return bytes(content)
+
+
+async def _body(request: Request) -> Mapping[str, Any]:
+    """The object of a request of at most 64 kB."""
     try:
-        asked = json.loads(content)
+        asked = json.loads(await _content(request, "application/json", _MOST_BYTES))
     except (ValueError, RecursionError):
         raise _Refused(400, "accepted: JSON") from None
     if not isinstance(asked, dict):
@@ -229,10 +295,7 @@ def application(desk: Desk, token: str, port: int, first: Callable[[], Visit] | 
     @asynccontextmanager
     async def lifespan(app: Starlette) -> AsyncIterator[None]:
         yield
-        for visit in pages.visits.values():
-            visit.stop()
-        desk.live.stop()
-        desk.pool.stop()
+        pages.stop()
 
     def route(path: str, answer: Callable[[Request], Awaitable[Response]], method: str = "GET") -> Route:
         async def endpoint(request: Request) -> Response:
@@ -245,17 +308,22 @@ def application(desk: Desk, token: str, port: int, first: Callable[[], Visit] | 
             route("/", pages.begin),
             route("/file/{name}", pages.file),
             route("/open", pages.open, "POST"),
+            route("/folder/news", pages.folder_news),
+            route("/folder/act", pages.folder_act, "POST"),
+            route("/folder/report", pages.folder_report),
             route("/visit/{visit}", pages.page),
             route("/visit/{visit}/news", pages.news),
             route("/visit/{visit}/plate.toml", pages.plate_file),
             route("/visit/{visit}/report", pages.report),
+            route("/visit/{visit}/results.{kind}", pages.results),
+            route("/visit/{visit}/file", pages.drop, "POST"),
             route("/visit/{visit}/edit", pages.edit, "POST"),
             route("/visit/{visit}/act", pages.act, "POST"),
         ],
         exception_handlers={_Refused: refused, EditError: refused, Exception: failed},
         lifespan=lifespan,
     )
-    return _Guard(app, frozenset({f"{HOST}:{port}", f"localhost:{port}"}), token, cookie)
+    return _Guard(app, frozenset({f"{HOST}:{port}", f"localhost:{port}"}), token, cookie, pages)
 
 
 def free_port(port: int) -> int:
@@ -292,10 +360,13 @@ def serve(desk: Desk, port: int, announce: Callable[[str], None], first: Callabl
             await super().startup(sockets)
             announce(f"http://{HOST}:{port}/?token={token}")
 
+        async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+            app.pages.wake()
+            await super().shutdown(sockets)
+
     try:
         Announcing(config).run()
     except KeyboardInterrupt:
         pass
     finally:
-        desk.live.stop()
-        desk.pool.stop()
+        app.pages.stop()

@@ -15,9 +15,9 @@ from markupsafe import Markup
 from cpam_bayes.plate.edges import CONDITIONS, PLACES
 from cpam_bayes.plate.layup import Layup
 from cpam_bayes.workbench.plate_text import SENSOR, value_at
-from cpam_bayes.workbench.visit import Visit
+from cpam_bayes.workbench.visit import Visit, Work
 
-__all__ = ["begin_page", "news_of", "visit_page"]
+__all__ = ["begin_page", "folder_news", "news_of", "visit_page"]
 
 _EDGES: Final = {letter: CONDITIONS[letter].name for letter in "FSC"}
 _SIZES: Final = (
@@ -26,8 +26,11 @@ _SIZES: Final = (
     ("plate.thickness_mm", "Thickness", "mm"),
     ("plate.mass_g", "Mass, weighed", "g"),
 )
+_SOURCES: Final = ("measurement.picked_from", "measurement.table", "measurement.shapes")
 _CONSTANTS: Final = (("E1_GPa", "GPa"), ("E2_GPa", "GPa"), ("nu12", ""), ("G12_GPa", "GPa"))
 _DOING: Final = {
+    "pick": "Looking for modes in the recording",
+    "batch": "Computing the plates of the folder",
     "identify": "Computing the answer of the command",
     "diagnose": "Looking for what is wrong",
     "report": "Writing the report",
@@ -35,6 +38,7 @@ _DOING: Final = {
 # Width and height of an interval bar, and the margin of a drawing as a share of the longer side.
 _BAR: Final = (160.0, 16.0)
 _MARGIN: Final = 0.13
+_SPECTRUM: Final = (640.0, 150.0)
 _MOST_PLIES: Final = 40
 
 
@@ -52,9 +56,25 @@ def _environment() -> Environment:
     return environment
 
 
-def begin_page(folder: Path, names: Sequence[str]) -> str:
-    """The first page: three steps, an example, the plates of the folder."""
-    return _environment().get_template("begin.html").render(folder=folder.name or str(folder), names=names)
+def begin_page(folder: Path, names: Sequence[str], work: Work) -> str:
+    """The first page: three steps, an example, the plates of the folder; work : on their table."""
+    parts = folder_news(names, work)["parts"]
+    return (
+        _environment()
+        .get_template("begin.html")
+        .render(folder=folder.name or str(folder), names=names, parts=parts, work=work)
+    )
+
+
+def folder_news(names: Sequence[str], work: Work) -> dict[str, Any]:
+    """The list of plates as it is now, with what was computed of them, and what is being computed."""
+    module, table = _module(), work.answers.get("batch")
+    cells = {row["file"]: row for row in table["rows"]} if table else {}
+    parts = {
+        "plates": str(module.plates(names, table, cells, work.problems)),
+        "doing": str(module.progress(work, _DOING)),
+    }
+    return {"version": work.version, "structure": 0, "parts": parts}
 
 
 def visit_page(visit: Visit) -> str:
@@ -82,7 +102,6 @@ def _form(visit: Visit) -> str:
     data = visit.data
     shown = {key: _typed(value_at(data, key)) for key, *_ in _SIZES}
     edges = visit.edges
-    listed = value_at(data, "measurement.frequencies_hz")
     sensors = data.get("sensor", [])
     sections = {
         key: value_at(data, key) or {} for key in ("material", "unknowns", "measurement", "environment")
@@ -105,7 +124,9 @@ def _form(visit: Visit) -> str:
             repeatability=_typed(sections["measurement"].get("relative_std")),
             resolution=_typed(sections["measurement"].get("resolution_hz")),
             air=_typed(sections["environment"].get("air_density_kg_m3")),
-            frequencies=[_typed(f) for f in listed] if isinstance(listed, list) else [],
+            rows=visit.rows,
+            source=next((n for k in _SOURCES if isinstance(n := value_at(data, k), str)), ""),
+            is_typed=not any(value_at(data, key) for key in _SOURCES[1:]),
             sensors=[{k: _typed(s.get(k)) for k in SENSOR} for s in sensors if isinstance(s, Mapping)],
         )
     )
@@ -125,7 +146,7 @@ def _parts(visit: Visit) -> dict[str, str]:
     """Identifier of an element -> its HTML."""
     module, answers = _module(), visit.answers
     exact, live = answers.get("identify"), answers.get("live")
-    answer = exact or live or visit.stale.get("identify") or visit.stale.get("live")
+    answer = exact or live or visit.stale.get("shown")
     settled = exact is not None
     diagnosis = answers.get("diagnose")
     # one answer a page: where something is claimed, the plate as stated is how it was noticed
@@ -137,6 +158,8 @@ def _parts(visit: Visit) -> dict[str, str]:
             module.answer(
                 visit, answer, settled, [_bar(c) for c in answer["constants"]] if answer else [], folded
             )
+            if "hold" not in answers or (answer and not answers["hold"])
+            else module.guide(answers["hold"])
         ),
         "diagnosis": str(
             module.diagnosis(visit, diagnosis, [_bar(c) for c in diagnosis["constants"]] if diagnosis else [])
@@ -146,14 +169,18 @@ def _parts(visit: Visit) -> dict[str, str]:
         "stack": str(_stack(visit)),
         "tools": str(module.tools(visit, _commands(visit))),
     }
-    listed = value_at(visit.data, "measurement.frequencies_hz")
+    listed = visit.rows
+    parts["spectrum"] = str(_spectrum(visit))
+    used = [i for i, row in enumerate(listed) if not row.left_out]
     rows = diagnosis["rows"] if folded and diagnosis else answer["rows"] if answer else []
     shapes = (exact or visit.stale.get("identify") or {}).get("shapes", [])
-    for i in range(len(listed) if isinstance(listed, list) else 0):
-        row = rows[i] if i < len(rows) and len(rows) == len(listed) else None
-        parts[f"model{i}"] = row["model"] if row else ""
-        parts[f"residual{i}"] = str(module.residual(row)) if row else ""
-        parts[f"shape{i}"] = str(_shape(shapes[i])) if i < len(shapes) == len(listed) else ""
+    for i in range(len(listed)):
+        at = used.index(i) if i in used else -1
+        row = rows[at] if at >= 0 and len(rows) == len(used) else None
+        shape = shapes[at] if at >= 0 and len(shapes) == len(used) else None
+        parts[f"model{i}"] = (row["model"] or "no mode") if row else ""
+        parts[f"residual{i}"] = str(module.residual(row)) if row and row["residual"] else ""
+        parts[f"shape{i}"] = str(_shape(shape)) if shape else ""
     for key in visit.fields:
         parts[f"error:{key}"] = str(Markup.escape(visit.fields[key]))
     return parts
@@ -163,8 +190,10 @@ def _commands(visit: Visit) -> list[tuple[str, str]]:
     """The same on the command line."""
     name = shlex.quote(visit.file)
     report = f"cpam-bayes report {name} --quick --out {shlex.quote(f'{Path(visit.file).stem}-report')}"
+    measurement = None if visit.specimen is None else visit.specimen.measurement
+    backend = "" if measurement is None or measurement.complete else " --backend emcee"
     return [
-        ("constants", f"cpam-bayes identify {name}"),
+        ("constants", f"cpam-bayes identify {name}{backend}"),
         ("diagnosis", f"cpam-bayes diagnose {name} --next never"),
         ("report", report),
     ]
@@ -246,6 +275,7 @@ def _drawing(visit: Visit) -> Markup:
             f'rx="{max(2 * sx, r):g}" ry="{max(2 * sy, r):g}"/>'
             f'<path d="M{x - r:g} {b - y:g}h{2 * r:g}M{x:g} {b - y - r:g}v{2 * r:g}"/></g>'
         )
+    shape += _places(visit.answers.get("hold"), b, r)
     shape.append(
         f'<path class="axes" d="M{m / 4:g} {b - m / 4:g}v{-m:g}M{m / 4:g} {b - m / 4:g}h{m:g}"/>'
         f'<text class="axes" x="{m * 1.35:g}" y="{b - m / 8:g}" font-size="{m / 2.6:g}">x</text>'
@@ -257,6 +287,58 @@ def _drawing(visit: Visit) -> Markup:
         f'aria-label="the plate from above, {a:g} by {b:g} mm">'
         f"{''.join(shape)}</svg>"
     )
+
+
+def _places(hold: Mapping[str, Any] | None, width: float, r: float) -> Iterable[str]:
+    """Soft pads as rings, hits as crosses, the sensor as a ring with a point."""
+    if not hold:
+        return
+    for x, y in hold["pads_mm"]:
+        yield f'<circle class="pad" cx="{x:g}" cy="{width - y:g}" r="{r:g}"><title>soft pad</title></circle>'
+    for x, y in hold["hits_mm"]:
+        d = f"M{x - r:g} {width - y - r:g}l{2 * r:g} {2 * r:g}m0 {-2 * r:g}l{-2 * r:g} {2 * r:g}"
+        yield f'<path class="hit" d="{d}"><title>hit here</title></path>'
+    x, y = hold["sensor_mm"]
+    at = f'cx="{x:g}" cy="{width - y:g}"'
+    yield f'<circle class="listen" {at} r="{r:g}"><title>measure here</title></circle>'
+    yield f'<circle class="mass" {at} r="{r / 3:g}"/>'
+
+
+def _spectrum(visit: Visit) -> Markup:
+    """The spectrum of the recording with the rows of the list; a click adds a peak or leaves one out."""
+    found = visit.stale.get("pick")
+    if not found or found["recording"] != value_at(visit.data, "measurement.picked_from"):
+        return Markup("")
+    (low, _), (high, _) = found["spectrum"][0], found["spectrum"][-1]
+    width, height = _SPECTRUM
+
+    def across(hz: float) -> float:
+        return float(width * (hz - low) / (high - low))
+
+    floor = min(level for _, level in found["spectrum"])
+    line = " ".join(f"{across(hz):.1f},{height * level / floor:.1f}" for hz, level in found["spectrum"])
+    marks = []
+    for row in visit.rows:
+        hz = _number(float(row.hz)) if row.hz.replace(".", "", 1).isdigit() else None
+        if hz is not None and low <= hz <= high:
+            kind = "left" if row.left_out else "hand" if row.by_hand else "used"
+            said = {"left": "left out", "hand": "added by hand", "used": "picked"}[kind]
+            x = across(hz)
+            marks.append(
+                f'<path class="{kind}" d="M{x:.1f} 0v{height:g}"><title>{hz:g} Hz, {said}</title></path>'
+            )
+    ticks = "".join(
+        f'<text x="{width * k / 4:g}" y="{height + 16:g}" class="tick{k}">'
+        f"{low + (high - low) * k / 4:.0f}</text>"
+        for k in range(5)
+    )
+    return Markup(
+        f'<svg class="spectrum" viewBox="0 0 {width:g} {height + 18:g}" role="img" data-low="{low:g}" '
+        f'data-high="{high:g}" aria-label="spectrum of {{}}, {low:.0f} to {high:.0f} Hz">'
+        f'{"".join(marks)}<polyline points="{line}"/>{ticks}</svg>'
+        '<p class="hint">Click a line to leave it out, a peak to '
+        "add it; both are logged in the plate file.</p>"
+    ).format(found["recording"])
 
 
 def _marks(
@@ -288,7 +370,7 @@ def _stack(visit: Visit) -> Markup:
         return Markup("")
     n = layup.n_plies
     angles, unknown = layup.angles_deg.tolist(), layup.unknown_index.tolist()
-    height = max(min(11.0, 132.0 / n), 2.0)
+    height = max(min(13.0, 132.0 / n), 2.0)
     shape = []
     for k in range(min(n, _MOST_PLIES)):
         y = (min(n, _MOST_PLIES) - 1 - k) * height
@@ -297,8 +379,8 @@ def _stack(visit: Visit) -> Markup:
         shape.append(
             f'<rect class="ply" x="0" y="{y:g}" width="64" height="{height:g}" fill-opacity="{tone:.2f}"/>'
         )
-        if height >= 8.0:
-            shape.append(f'<text x="72" y="{y + height - 2:g}" font-size="9">{said}</text>')
+        if height >= 11.0:
+            shape.append(f'<text x="72" y="{y + height - 2:g}" font-size="11">{said}</text>')
     total = min(n, _MOST_PLIES) * height
     return Markup(
         f'<svg class="stack" viewBox="-1 -1 100 {total + 2:g}" height="{total + 2:g}" role="img" '

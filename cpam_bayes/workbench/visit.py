@@ -16,7 +16,7 @@ import signal
 import time
 from collections.abc import AsyncIterator, Callable, Iterator, Mapping, Sequence
 from contextlib import asynccontextmanager, contextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, Final, TypeAlias
@@ -29,16 +29,21 @@ from cpam_bayes.storage import draft_file, put_in_place, replaceable
 from cpam_bayes.workbench.plate_text import (
     FIELDS,
     SENSOR,
+    Row,
     content,
     numbers_in,
+    rows_in,
     value_at,
     with_block,
+    with_file,
+    with_rows,
     with_sensors,
     with_value,
 )
 
 __all__ = [
     "DRAFTS",
+    "MOST_BYTES",
     "Desk",
     "EditError",
     "Material",
@@ -49,6 +54,7 @@ __all__ = [
     "Tasks",
     "Tell",
     "Visit",
+    "Work",
     "Worker",
     "plate_names",
 ]
@@ -197,9 +203,17 @@ _ONE_EDIT: Final = 3.0
 _PATHS: Final = (
     "plate.mesh",
     "material.posterior",
+    "measurement.picked_from",
     *(f"measurement.{k}" for k in ("table", "shapes", "peaks", "recordings")),
 )
 _EDGES: Final = "FSC"
+_DROPPED: Final = re.compile(
+    r"[A-Za-z0-9][A-Za-z0-9 ._+&()-]{0,79}\.(csv|txt|xlsx|unv|uff|wav)", re.IGNORECASE
+)
+MOST_BYTES: Final = 32_000_000
+"""Of a file that is dropped."""
+# A click on a spectrum is at a frequency that is listed within this part of it, or at the highest line near.
+_AT: Final = 0.008
 
 
 class EditError(ValueError):
@@ -220,13 +234,19 @@ class Tasks:
     """Computations of a plate file, called with its text, its name and its folder.
 
     live : the answer about the last optimum, which is its fourth argument
+    hold : where to hold and hit a plate that is not measured yet
     identify, diagnose, report : as the commands answer; report writes its folder
+    pick : the modes of a recording, which is its fourth argument, and its spectrum
+    batch : the table of plate files, whose names are its text
     """
 
     live: Task
+    hold: Task
     identify: Task
     diagnose: Task
+    pick: Task
     report: Task
+    batch: Task
 
 
 @dataclass(frozen=True, slots=True)
@@ -265,43 +285,112 @@ def _require_name(name: object) -> str:
     return name
 
 
-@dataclass(slots=True)
-class Visit:
+@dataclass(slots=True, kw_only=True)
+class Work:
+    """What is being computed for a page, and the pages that wait for news of it.
+
+    file, text : what the tasks are called with
+    answers : of the tasks, by name, of the text as it is now
+    doing : the task, the fraction that is done, negative where not known, and its stage
+    """
+
+    desk: Desk
+    file: str = ""
+    text: str = ""
+    version: int = 1
+    answers: dict[str, Any] = field(default_factory=dict)
+    problems: tuple[str, ...] = ()
+    doing: tuple[str, float, str] = ("", -1.0, "")
+    _work: asyncio.Task[None] | None = None
+    _changed: asyncio.Event = field(default_factory=asyncio.Event)
+
+    def stop(self) -> None:
+        """End what is being computed."""
+        work, self._work = self._work, None
+        if work is not None:
+            work.cancel()
+        self.doing = ("", -1.0, "")
+
+    def cancel(self) -> None:
+        """End what is being computed at a reader's wish."""
+        self.stop()
+        self.tell()
+
+    def begin_task(self, task: str, *more: Any) -> None:
+        """Compute one task in place of what is being computed."""
+        self.stop()
+        self._work = asyncio.get_running_loop().create_task(self._asked(task, *more))
+        self.tell()
+
+    async def _asked(self, task: str, *more: Any) -> None:
+        with suppress(RefusedError):
+            await self._long(task, *more)
+
+    async def _long(self, task: str, *more: Any) -> None:
+        def tell(done: float, text: str) -> None:
+            self.doing = (task, done if done >= 0.0 else self.doing[1], text)
+            self.tell()
+
+        self.doing = (task, -1.0, "")
+        self.tell()
+        try:
+            async with self.desk.pool.worker() as worker:
+                work, folder = getattr(self.desk.tasks, task), str(self.desk.folder)
+                found = await worker.run(work, self.text, self.file, folder, *more, tell=tell)
+            self.answers[task] = found
+        except RefusedError as error:
+            self.problems = error.args
+            raise
+        finally:
+            if self.doing[0] == task:
+                self.doing = ("", -1.0, "")
+        self.tell()
+
+    def tell(self) -> None:
+        """Wake the pages that wait for news."""
+        self.version += 1
+        self._changed.set()
+        self._changed = asyncio.Event()
+
+    async def news(self, seen: int, seconds: float) -> None:
+        """Return when something is newer than what was seen, or the time is over."""
+        if self.version != seen:
+            return
+        changed = self._changed
+        with suppress(TimeoutError):
+            await asyncio.wait_for(changed.wait(), seconds)
+
+
+@dataclass(slots=True, kw_only=True)
+class Visit(Work):
     """One plate file on one page.
 
     key : names the visit in addresses
     file : name of the plate file in the folder; saved : its text there, None while it is not there
     structure : counts the edits after which the form is drawn anew
-    answers : of the tasks, by name, of the text as it is now; stale : the last ones of a former text
+    stale : the last answers of a former text, and the spectrum of the recording
+    dropped : recording whose modes are looked for
     """
 
-    desk: Desk
     key: str
-    file: str
-    text: str
     saved: str | None = None
     undone: list[str] = field(default_factory=list)
     before: list[str] = field(default_factory=list)
-    version: int = 1
     structure: int = 1
-    answers: dict[str, Any] = field(default_factory=dict)
     stale: dict[str, Any] = field(default_factory=dict)
-    problems: tuple[str, ...] = ()
-    doing: tuple[str, float, str] = ("", -1.0, "")
     fields: dict[str, str] = field(default_factory=dict)
     gaps: tuple[str, ...] = ()
     others: tuple[str, ...] = ()
     specimen: Specimen | None = None
+    dropped: str = ""
     _last: tuple[str, float] = ("", 0.0)
-    _work: asyncio.Task[None] | None = None
-    _changed: asyncio.Event = field(default_factory=asyncio.Event)
 
     @classmethod
     def opened(cls, desk: Desk, name: str | None, text: str | None = None) -> Visit:
         """A visit of a file of the folder, or of a text that is not saved yet; raises ``EditError``."""
         key = secrets.token_hex(8)
         if text is not None:
-            return cls(desk, key, _free_name(desk.folder, name or "plate.toml"), text)
+            return cls(desk=desk, key=key, file=_free_name(desk.folder, name or "plate.toml"), text=text)
         path = desk.folder / _require_name(name)
         if not replaceable(path):
             raise EditError(f"{name}: a link or no file, accepted: a plate file of the folder")
@@ -309,7 +398,7 @@ class Visit:
             found = decode(read_regular_file(str(path), path.name, "a plate file"), path.name)
         except (OSError, PlateFileError) as error:
             raise EditError(str(error) or f"{name}: cannot be read") from None
-        return cls(desk, key, path.name, found, found)
+        return cls(desk=desk, key=key, file=path.name, text=found, saved=found)
 
     @classmethod
     def restored(cls, desk: Desk, key: str) -> Visit:
@@ -321,7 +410,8 @@ class Visit:
             file, text, saved, before = (kept[k] for k in ("file", "text", "saved", "before"))
             if not isinstance(text, str) or not all(isinstance(t, str) for t in before):
                 raise TypeError
-            return cls(desk, key, _require_name(file), text, saved, before=before)
+            name = _require_name(file)
+            return cls(desk=desk, key=key, file=name, text=text, saved=saved, before=before)
         except (OSError, ValueError, KeyError, TypeError):
             raise EditError("this visit is not kept any more; open the plate again") from None
 
@@ -357,8 +447,80 @@ class Visit:
         if self._last[0] != field_name or now - self._last[1] > _ONE_EDIT or not self.before:
             self.before = [*self.before, self.text][-_MOST_UNDO:]
         self._last, self.undone = (field_name, now), []
-        rows = [len(value_at(d, "measurement.frequencies_hz") or ()) for d in (self.data, content(text))]
-        self._become(text, anew=what not in ("set", "row") or rows[0] != rows[1])
+        before, after = (self._rows_of(content(t)) for t in (self.text, text))
+        self._become(text, anew=what not in ("set", "row") or before != after)
+
+    @staticmethod
+    def _rows_of(data: Mapping[str, Any]) -> list[tuple[bool, bool]]:
+        return [(row.left_out, row.by_hand) for row in rows_in(data)]
+
+    @property
+    def rows(self) -> list[Row]:
+        """The rows of the list, in the plate file or in the file that it names."""
+        measurement = self.specimen.measurement if self.specimen is not None else None
+        if measurement is None or value_at(self.data, "measurement.frequencies_hz") is not None:
+            return rows_in(self.data)
+        whole = measurement.whole or measurement
+        out = value_at(self.data, "measurement.left_out") or []
+        return [Row(f"{f:.10g}", left_out=i in out) for i, f in enumerate(whole.frequencies, 1)]
+
+    def take(self, name: str, content_of: bytes) -> str:
+        """Put a dropped file into the folder and its frequencies into the plate; raises ``EditError``.
+
+        A table or a universal file is named in the plate file; a recording's modes become its list.
+        """
+        if not _DROPPED.fullmatch(name):
+            accepted = "a file .csv .txt .xlsx .unv .uff or .wav whose name has letters, digits and ._+&()-"
+            raise EditError(f"file: received {name!r:.60}, accepted: {accepted}")
+        path = self.desk.folder / name
+        if os.path.lexists(path) and not (replaceable(path) and path.read_bytes() == content_of):
+            raise EditError(f"{name}: another file of that name is in the folder; give it another name")
+        ending = path.suffix.lower()
+        key = {".wav": "", ".unv": "shapes", ".uff": "shapes"}.get(ending, "table")
+        is_new = not path.exists()
+        _write(path, content_of)
+        if not key:
+            self.dropped = name
+            self.stale.pop("pick", None)
+            self.begin()
+            return f"looking for modes in {name}"
+        text = with_file(self.text, key, name)
+        try:
+            parse_specimen(text, self.file, self.desk.folder)
+        except PlateFileError as error:
+            wrong = [p for p, where, _ in error.found if where[:1] == ("measurement",)]
+            if wrong:
+                if is_new:
+                    path.unlink()
+                raise EditError("; ".join(wrong[:3])) from None
+        self.before = [*self.before, self.text][-_MOST_UNDO:]
+        self.undone = []
+        self._become(text, anew=True)
+        return f"{name} is the list"
+
+    async def _picked(self) -> None:
+        """The spectrum of the recording; of one that was dropped now the modes become the list."""
+        name = self.dropped or value_at(self.data, "measurement.picked_from")
+        if not isinstance(name, str) or (self.stale.get("pick") or {}).get("recording") == name:
+            return
+        is_new = bool(self.dropped)
+        try:
+            await self._long("pick", name)
+        except RefusedError:
+            self.dropped = ""
+            raise
+        self.stale["pick"], self.dropped = self.answers.pop("pick"), ""
+        if is_new:
+            picked = [Row(repr(hz)) for hz in self.stale["pick"]["modes"]]
+            text = with_file(self.text, "picked_from", name)
+            self.before = [*self.before, self.text][-_MOST_UNDO:]
+            self._become(with_rows(text, picked), anew=True)
+        self.tell()
+
+    def cancel(self) -> None:
+        """End what is being computed at a reader's wish."""
+        self.dropped = ""
+        Work.cancel(self)
 
     def _become(self, text: str, *, anew: bool) -> None:
         self.text = text
@@ -369,36 +531,32 @@ class Visit:
     def begin(self) -> None:
         """Check the text, and compute what it says, in place of all that was being computed."""
         self.stop()
-        self.stale = {**self.stale, **self.answers}
+        shown = self.answers.get("identify") or self.answers.get("live") or self.stale.get("shown")
+        self.stale = {**self.stale, **self.answers, "shown": shown}
         self.answers = {}
         self._check()
-        if self.specimen is not None and self.specimen.measurement is not None:
-            self._work = asyncio.get_running_loop().create_task(self._answered())
+        is_measured = self.specimen is not None and self.specimen.measurement is not None
+        if is_measured or not self.others or self.dropped:
+            work = self._answered() if is_measured else self._guided()
+            self._work = asyncio.get_running_loop().create_task(work)
         self.tell()
 
-    def stop(self) -> None:
-        """End what is being computed."""
-        work, self._work = self._work, None
-        if work is not None:
-            work.cancel()
-        self.doing = ("", -1.0, "")
-
-    def cancel(self) -> None:
-        """End what is being computed at a reader's wish."""
-        self.stop()
-        self.tell()
+    async def _guided(self) -> None:
+        """Where to hold and hit, while the plate has no frequencies."""
+        desk = self.desk
+        with suppress(RefusedError):
+            self.answers["hold"] = await desk.live.run(
+                desk.tasks.hold, self.text, self.file, str(desk.folder)
+            )
+            self.tell()
+        with suppress(RefusedError):
+            await self._picked()
 
     def ask(self, task: str) -> None:
         """Compute one task again, or one that waits to be asked for; raises ``EditError``."""
         if self.specimen is None or self.specimen.measurement is None:
             raise EditError("the plate file is not complete yet")
-        self.stop()
-        self._work = asyncio.get_running_loop().create_task(self._asked(task))
-        self.tell()
-
-    async def _asked(self, task: str) -> None:
-        with suppress(RefusedError):
-            await self._long(task)
+        self.begin_task(task)
 
     def _check(self) -> None:
         self.fields, self.problems, self.specimen = {}, (), None
@@ -440,28 +598,9 @@ class Visit:
             return
         await asyncio.sleep(desk.rest)
         with suppress(RefusedError):
+            await self._picked()
             await self._long("identify")
             await self._long("diagnose")
-
-    async def _long(self, task: str) -> None:
-        def tell(done: float, text: str) -> None:
-            self.doing = (task, done if done >= 0.0 else self.doing[1], text)
-            self.tell()
-
-        self.doing = (task, -1.0, "")
-        self.tell()
-        try:
-            async with self.desk.pool.worker() as worker:
-                work = getattr(self.desk.tasks, task)
-                found = await worker.run(work, self.text, self.file, str(self.desk.folder), tell=tell)
-            self.answers[task] = found
-        except RefusedError as error:
-            self.problems = error.args
-            raise
-        finally:
-            if self.doing[0] == task:
-                self.doing = ("", -1.0, "")
-        self.tell()
 
     def keep(self) -> None:
         """Write the draft: what a reload or a killed server finds again."""
@@ -469,7 +608,7 @@ class Visit:
         folder = self.desk.folder / DRAFTS
         with suppress(OSError):  # a folder that cannot be written to: the page goes on without
             folder.mkdir(exist_ok=True)
-            _write(folder / f"{self.key}.json", json.dumps(kept, ensure_ascii=False))
+            _write(folder / f"{self.key}.json", json.dumps(kept, ensure_ascii=False).encode())
             old = sorted(folder.glob("*.json"), key=os.path.getmtime)[:-_MOST_DRAFTS]
             for path in old:
                 path.unlink()
@@ -487,27 +626,13 @@ class Visit:
         ):
             raise EditError(f"{path.name}: was changed by another program; save under another name")
         try:
-            _write(path, self.text)
+            _write(path, self.text.encode())
         except OSError as error:
             raise EditError(f"{path.name}: cannot be written to: {error.strerror}") from None
         self.file, self.saved = path.name, self.text
         self.keep()
         self.tell()
         return f"saved as {path.name}"
-
-    def tell(self) -> None:
-        """Wake the pages that wait for news."""
-        self.version += 1
-        self._changed.set()
-        self._changed = asyncio.Event()
-
-    async def news(self, seen: int, seconds: float) -> None:
-        """Return when something is newer than what was seen, or the time is over."""
-        if self.version != seen:
-            return
-        changed = self._changed
-        with suppress(TimeoutError):
-            await asyncio.wait_for(changed.wait(), seconds)
 
 
 def _edited(visit: Visit, what: object, change: Mapping[str, Any]) -> str:
@@ -526,17 +651,18 @@ def _edited(visit: Visit, what: object, change: Mapping[str, Any]) -> str:
                 raise EditError(f"edge: received {letter!r:.60}, accepted: F S C at 0 to 3")
             edges[int(place)] = str(letter)
             return with_value(text, "plate.edges", "".join(edges))
-        case "row":
-            listed = [_shown(v) for v in value_at(data, "measurement.frequencies_hz") or []]
-            index = _index(change.get("index"), len(listed) + 1)
-            typed = _typed(change.get("value")).strip()
-            listed[index : index + 1] = [typed] if typed else []
-            return with_value(text, "measurement.frequencies_hz", "\n".join(listed))
-        case "paste":
+        case "row" | "leave" | "peak":
+            listed = value_at(data, "measurement.frequencies_hz") is not None or what != "leave"
+            rows = rows_in(data) if listed else visit.rows
+            return with_rows(text, _with_row(visit, rows, str(what), change), listed=listed)
+        case "paste" | "append":
             numbers = numbers_in(_typed(change.get("value")))
             if not numbers:
                 raise EditError("frequencies: no number in what was pasted, accepted: a list in Hz")
-            return with_value(text, "measurement.frequencies_hz", "\n".join(numbers))
+            if what == "paste":
+                return with_rows(with_file(text, "frequencies_hz", ""), [Row(hz) for hz in numbers])
+            is_picked = value_at(data, "measurement.picked_from") is not None
+            return with_rows(text, _sorted([*rows_in(data), *(Row(hz, by_hand=is_picked) for hz in numbers)]))
         case "material":
             material = visit.desk.materials.get(str(change.get("value")))
             if material is None:
@@ -553,8 +679,60 @@ def _edited(visit: Visit, what: object, change: Mapping[str, Any]) -> str:
                 return with_sensors(text, [*sensors, apply["sensor"]])
             return with_value(text, apply["key"], apply["value"])
     raise EditError(
-        f"do: received {what!r:.60}, accepted: set edge row paste material sensor apply undo redo"
+        f"do: received {what!r:.60}, accepted: set edge row leave peak paste append material sensor apply "
+        "undo redo"
     )
+
+
+def _with_row(visit: Visit, rows: list[Row], what: str, change: Mapping[str, Any]) -> list[Row]:
+    """The rows with one typed anew, switched, or put or taken away by a click on the spectrum.
+
+    What was picked from a recording is left out and not deleted, so that the file tells.
+    """
+    is_picked = value_at(visit.data, "measurement.picked_from") is not None
+    if what == "peak":
+        hz = change.get("value")
+        if isinstance(hz, bool) or not isinstance(hz, int | float) or not 0.0 < hz < 1e6:
+            raise EditError(f"peak: received {hz!r:.60}, accepted: a frequency in Hz")
+        near = [i for i, row in enumerate(rows) if abs(_hz(row) / hz - 1.0) < _AT]
+        if not near:
+            lines = (visit.stale.get("pick") or {}).get("spectrum", [])
+            peak = max((p for p in lines if abs(p[0] / hz - 1.0) < _AT), key=lambda p: p[1], default=(hz,))[0]
+            return _sorted([*rows, Row(f"{peak:.6g}", by_hand=True)])
+        index = min(near, key=lambda i: abs(_hz(rows[i]) - hz))
+        return _switched(rows, index, not rows[index].left_out)
+    index = _index(change.get("index"), len(rows) + (what == "row"))
+    if what == "leave":
+        if not isinstance(change.get("value"), bool):
+            raise EditError("leave: accepted: true or false")
+        return _switched(rows, index, bool(change["value"]))
+    typed = _typed(change.get("value")).strip()
+    if index == len(rows):
+        return [*rows, Row(typed, by_hand=is_picked)] if typed else rows
+    if not typed:
+        return _switched(rows, index, True) if is_picked else [*rows[:index], *rows[index + 1 :]]
+    edited = replace(
+        rows[index], hz=typed, by_hand=rows[index].by_hand or (is_picked and typed != rows[index].hz)
+    )
+    return [*rows[:index], edited, *rows[index + 1 :]]
+
+
+def _switched(rows: list[Row], index: int, left_out: bool) -> list[Row]:
+    """The rows with one left out or not; one that was added by hand goes when it is left out."""
+    if left_out and rows[index].by_hand:
+        return [*rows[:index], *rows[index + 1 :]]
+    return [*rows[:index], replace(rows[index], left_out=left_out), *rows[index + 1 :]]
+
+
+def _hz(row: Row) -> float:
+    try:
+        return float(row.hz.replace(",", "."))
+    except ValueError:
+        return float("inf")
+
+
+def _sorted(rows: list[Row]) -> list[Row]:
+    return sorted(rows, key=_hz)
 
 
 def _with_sensor(text: str, data: Mapping[str, Any], change: Mapping[str, Any]) -> str:
@@ -612,9 +790,9 @@ def _free_name(folder: Path, name: str) -> str:
     raise EditError(f"{folder.name}: too many files named {stem}")
 
 
-def _write(path: Path, text: str) -> None:
-    """Put a text in its place, whole."""
+def _write(path: Path, content: bytes) -> None:
+    """Put a file in its place, whole."""
     with draft_file(path.parent) as (draft, file):
-        file.write(text.encode())
+        file.write(content)
         file.flush()
         put_in_place(draft, path)

@@ -2,6 +2,7 @@
 
 import os
 import pickle
+import re
 import tomllib
 
 import numpy as np
@@ -25,6 +26,47 @@ from tests.effort import calls, peak_memory
 @pytest.fixture
 def specimen(plate_file, full_text):
     return read_specimen(plate_file(text=full_text))
+
+
+STRIP = """name = "strip"
+[plate]
+length_mm = 300
+width_mm = 20
+thickness_mm = 2
+density_kg_m3 = 2700
+edges = "FFFF"
+[material]
+E1_GPa = 70
+nu12 = 0.33
+isotropic = true
+[measurement]
+frequencies_hz = [115.0, 317.0, 622.0]
+labels = ["a", "b", "c"]
+frequency_sd_hz = [0.1, 0.2, 0.3]
+"""
+
+
+@pytest.mark.parametrize(("row", "kept", "complete"), [(3, [115.0, 317.0], True), (1, [317.0, 622.0], False)])
+def test_a_frequency_that_is_left_out_is_not_used_and_every_answer_says_so(row, kept, complete):
+    measurement = parse_specimen(f"{STRIP}left_out = [{row}]\nby_hand = [2]\n", "strip.toml").measurement
+    assert measurement.frequencies.tolist() == kept
+    assert len(measurement.labels) == len(measurement.frequency_sd) == 2
+    assert measurement.complete is complete, (
+        "a list that lacks its last rows has every mode from the first on"
+    )
+    assert measurement.whole.frequencies.tolist() == [115.0, 317.0, 622.0]
+    left, added = measurement.remarks
+    assert f"frequency {row} of the list" in left
+    assert "317 Hz, was added by hand" in added
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [("[4]", "accepted: 1 to 3"), ("[1, 2, 3]", "at least one is left"), ("[0]", "out of range")],
+)
+def test_rows_that_the_list_has_not_cannot_be_left_out(given, said):
+    with pytest.raises(PlateFileError, match=re.escape(said)):
+        parse_specimen(f"{STRIP}left_out = {given}\n", "strip.toml")
 
 
 def test_every_key_arrives_in_si(specimen):

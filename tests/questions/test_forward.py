@@ -84,3 +84,46 @@ def test_a_difference_beyond_all_constants_is_a_factor(
     words = with_list(carbon, ("", "", ""), factor).report().summary
     assert said in words.headline
     assert cell in plain_text(words.tables[0])
+
+
+def strip(edges: str, n: int) -> ForwardResult:
+    """The first modes of a slender aluminium strip."""
+    return forward(
+        {
+            "name": "strip",
+            "plate": {
+                "length_mm": 300,
+                "width_mm": 20,
+                "thickness_mm": 2,
+                "density_kg_m3": 2700,
+                "edges": edges,
+            },
+            "material": {"isotropic": True, "E1_GPa": 70.0, "nu12": 0.0},
+        },
+        n,
+    )
+
+
+def test_a_strip_is_held_on_the_nodal_lines_of_its_first_mode_and_hit_where_all_modes_move() -> None:
+    # nodes of the first mode of a free beam at 0.2242 of its length; the grid has 40 steps
+    alone = strip("FFFF", 1).handling
+    assert alone is not None
+    (mode,) = alone.modes
+    assert (mode.across, mode.lines) == ("x", pytest.approx((67.3, 232.7), abs=300 / 80))
+    # the first mode moves 0.7678 of its end there
+    assert mode.at_hit == pytest.approx(0.7678, abs=1e-3)
+    assert sorted({x for x, _ in alone.pads}) == pytest.approx(mode.lines)
+    several = strip("FFFF", 4).handling
+    assert several is not None
+    # at 0.05 of its length, the grid point next to the end, the fourth mode of a beam moves 0.302 of its end,
+    # the first three move more; the place that was chosen is no worse
+    assert min(m.at_hit for m in several.modes) >= 0.302
+    assert "four soft pads" in several.sentence
+
+
+def test_a_clamped_strip_needs_no_pads_and_is_hit_at_its_free_end() -> None:
+    held = strip("CFFF", 2).handling
+    assert held is not None
+    assert held.pads == ()
+    assert held.hits[0][0] > 270
+    assert "pads" not in held.sentence

@@ -41,6 +41,13 @@ def test_a_file_of_a_plate_that_is_known_is_read_as_it_is(run, tmp_path, materia
     assert "ten places" not in path.read_text(encoding="utf-8")
 
 
+def test_where_to_hold_and_to_hit_is_said_as_soon_as_the_plate_is_known(tmp_path):
+    known = cb.new(tmp_path / "known.toml", size_mm=(300, 200, 3), mass_g=486, material="metal", edges="FFFF")
+    assert known.handling is not None
+    assert known.handling.sentence in known.summary().replace("\n  ", " ")
+    assert cb.new(tmp_path / "size.toml", size_mm=(300, 200, 3)).handling is None
+
+
 def test_what_is_not_known_is_said_and_stands_in_comments(tmp_path):
     path = tmp_path / "panel.toml"
     keys = [problem.partition(":")[0] for problem in cb.new(path).to_dict()["missing"]]

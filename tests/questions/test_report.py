@@ -50,6 +50,20 @@ def test_the_answer_is_the_diagnosis_and_the_frequencies_alone_are_folded(plate_
     assert len(set(result.warnings)) == len(result.warnings)
 
 
+def test_the_answer_of_all_frequencies_stands_beside_that_of_those_that_were_used(plate_file, few_causes):
+    plate = cb.read_plate(plate_file())
+    used = plate.measurement.without({plate.measurement.size - 1})
+    result = cb.report(replace(plate, measurement=used), quick=True)
+    everything = cb.identify(plate)
+    section = next(s for s in result.report().sections if s.title == "Frequencies were left out by hand")
+    assert not section.folded
+    assert [table.rows for table in section.tables[1:]] == [
+        everything.report().summary.tables[0].rows,
+        result.identification.report().summary.tables[0].rows,
+    ]
+    assert result.to_dict()["all_rows"]["constants"] == everything.to_dict()["constants"]
+
+
 @pytest.mark.slow
 def test_unknown_angles_are_weighed_and_the_most_probable_ones_diagnosed(few_causes, monkeypatch, tmp_path):
     found = stacking_result(answer(), mixture(), None, 0, 5)

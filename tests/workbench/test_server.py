@@ -32,6 +32,7 @@ def folder(tmp_path: Path) -> Path:
     (inside / "panel.toml").write_text(EXAMPLE.replace('"example"', '"panel"'), "utf-8")
     (tmp_path / "secret.toml").write_text("name = 'secret-outside'\n", "utf-8")
     (inside / "link.toml").symlink_to(tmp_path / "secret.toml")
+    (inside / "link.csv").symlink_to(tmp_path / "secret.toml")
     return inside
 
 
@@ -106,6 +107,74 @@ def test_what_was_found_is_drawn_applied_and_undone(client: TestClient) -> None:
     assert text_of(client, visit) == before
 
 
+def drop(client: TestClient, visit: str, name: str, content: bytes) -> dict[str, Any]:
+    answer = client.post(f"{visit}/file", **dropped(name, content))
+    assert answer.status_code == 200, answer.text
+    return answer.json()
+
+
+def test_a_table_that_is_dropped_is_the_list_and_its_rows_can_be_left_out(
+    client: TestClient, folder: Path
+) -> None:
+    visit = opened(client, file="panel.toml")
+    said = drop(client, visit, "modes.csv", b"mode,hz,sd\n1,80.2,0.1\n2,146.3,0.2\n3,218.6,0.2\n")
+    assert 'value="218.6"' in said["parts"]["form"]
+    edit(client, visit, do="leave", index=2, value=True)
+    measurement = tomllib.loads(text_of(client, visit))["measurement"]
+    assert (measurement["table"], measurement["left_out"]) == ("modes.csv", [3])
+    assert "frequencies_hz" not in measurement
+    assert (folder / "modes.csv").read_bytes().startswith(b"mode,hz")
+    wrong = client.post(f"{visit}/file", **dropped("other.csv", b"mode,hz\n1,abc\n"))
+    assert wrong.status_code == 400
+    assert "accepted: a frequency above 0" in wrong.json()["error"]
+    assert not (folder / "other.csv").exists()
+
+
+def test_picks_of_a_recording_are_left_out_added_and_logged(client: TestClient) -> None:
+    visit = opened(client, file="panel.toml")
+    drop(client, visit, "tap.wav", b"RIFF")
+    assert 'data-low="50"' in news(client, visit, 'class="spectrum"')["parts"]["spectrum"]
+    edit(client, visit, do="peak", value=144.5)  # at a pick: left out
+    edit(client, visit, do="peak", value=349.0)  # between picks: the highest line near, added
+    edit(client, visit, do="row", index=0, value="")  # a pick that is deleted is left out
+    measurement = tomllib.loads(text_of(client, visit))["measurement"]
+    assert measurement["picked_from"] == "tap.wav"
+    assert measurement["frequencies_hz"] == [76.4, 144.4, 212.6, 350]
+    assert (measurement["left_out"], measurement["by_hand"]) == ([1, 2], [4])
+    edit(client, visit, do="peak", value=350.0)  # what was added by hand goes again
+    edit(client, visit, do="leave", index=0, value=False)
+    measurement = tomllib.loads(text_of(client, visit))["measurement"]
+    assert measurement["left_out"] == [2]
+    assert "by_hand" not in measurement
+
+
+def test_where_to_hold_and_hit_stands_on_the_page_before_there_are_frequencies(client: TestClient) -> None:
+    visit = opened(client, file="panel.toml")
+    edit(client, visit, do="set", key="measurement.frequencies_hz", value="")
+    parts = news(client, visit, "Hold it on four soft pads.")["parts"]
+    assert parts["drawing"].count('class="pad"') == 1
+    assert 'class="hit"' in parts["drawing"]
+
+
+def test_the_plates_of_the_folder_are_listed_with_the_table_of_batch(client: TestClient) -> None:
+    assert client.post("/folder/act", json={"do": "batch"}, headers=POSTED).status_code == 200
+    seen = -1
+    while (
+        'class="n">136.6' not in (said := client.get(f"/folder/news?seen={seen}").json())["parts"]["plates"]
+    ):
+        seen = said["version"]
+    assert 'data-open="panel.toml"' in said["parts"]["plates"]
+
+
+def test_a_report_is_taken_away_as_page_workbook_and_json(client: TestClient) -> None:
+    visit = opened(client, example=True)
+    assert client.get(f"{visit}/results.xlsx").status_code == 404
+    client.post(f"{visit}/act", json={"do": "report"}, headers=POSTED)
+    news(client, visit, f"{visit}/report")
+    assert client.get(f"{visit}/results.xlsx").content.startswith(b"PK")
+    assert client.get(f"{visit}/results.json").json() == {}
+
+
 def test_a_killed_server_loses_nothing(client: TestClient, folder: Path) -> None:
     visit = opened(client, file="panel.toml")
     edit(client, visit, do="set", key="plate.width_mm", value="229.5")
@@ -155,6 +224,12 @@ ORIGINS = ("http://evil.example", "null", "https://127.0.0.1:8377", "http://127.
 BODIES = (b"[" * 70_000, b'{"do": "set"}' + b" " * 70_000, b"\xff\xfe", b"[" * 5000, b'"x"')
 
 
+def dropped(name: Any, content: bytes, headers: dict[str, str] = POSTED) -> dict[str, Any]:
+    """Arguments of the client for a file that is dropped on the page."""
+    kind = {"Content-Type": "application/octet-stream"}
+    return {"params": {"name": str(name)[:200]}, "content": content, "headers": headers | kind}
+
+
 def requests(n: int, visit: str) -> Iterator[tuple[str, dict[str, Any], str]]:
     """Method, arguments of the client, and why each must be refused."""
     dice = random.Random(38)
@@ -184,9 +259,16 @@ def requests(n: int, visit: str) -> Iterator[tuple[str, dict[str, Any], str]]:
             ("file", "/open", {"json": {"file": name}, "headers": POSTED}),
             ("save", f"{visit}/act", {"json": {"do": "save", "name": name}, "headers": POSTED}),
             ("edit", f"{visit}/edit", {"json": change, "headers": POSTED}),
+            ("upload name", f"{visit}/file", dropped(f"../{name}.wav" if k % 3 else f"{name}.toml", b"x")),
+            ("upload of another", f"{visit}/file", dropped("panel.csv.exe", b"x")),
+            ("upload that is no table", f"{visit}/file", dropped("t.csv", dice.randbytes(40))),
+            ("upload over a link", f"{visit}/file", dropped("link.csv", b"hz\n1\n")),
+            ("upload, no origin", f"{visit}/file", dropped("t.csv", b"hz\n80\n", {})),
+            ("folder", "/folder/act", {"json": {"do": value}, "headers": POSTED}),
+            ("results", f"{visit}/results.{dice.choice(('toml', 'json', 'xlsx', '../x'))}", {}),
         )
         why, url, options = asked[k % len(asked)]
-        yield "GET" if why in ("token", "host") else "POST", {"url": url, **options}, why
+        yield "GET" if why in ("token", "host", "results") else "POST", {"url": url, **options}, why
 
 
 def listing(folder: Path) -> dict[str, bytes]:

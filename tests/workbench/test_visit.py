@@ -149,6 +149,36 @@ def test_a_claim_is_seen_drawn_applied_saved_and_reported(quick_address: str, tm
         assert browser.console == []
 
 
+def test_a_recording_is_dropped_a_pick_left_out_and_a_peak_added_by_clicks(
+    quick_address: str, tmp_path: Path
+) -> None:
+    def clicked(hz: float) -> None:
+        browser.value(
+            f"""(() => {{ const at = document.querySelector(".spectrum"), box = at.getBoundingClientRect(),
+            x = box.left + box.width * ({hz} - at.dataset.low) / (at.dataset.high - at.dataset.low);
+            at.dispatchEvent(new MouseEvent("click", {{ clientX: x, clientY: box.top + 9, bubbles: true }}));
+            }})()"""
+        )
+
+    with open_browser() as browser:
+        browser.visit(quick_address, 390)
+        click(browser, "[data-open=example]")
+        there(browser, "#answer .headline")
+        browser.value("""drop(new File(["RIFF"], "tap.wav")) && 1""")
+        there(browser, ".spectrum")
+        clicked(144.4)
+        there(browser, "tr.out [data-row='1']")
+        clicked(349.0)
+        there(browser, ".spectrum .hand")
+        assert disturbing(browser, 390) == []
+        click(browser, "[data-act=save]")
+        browser.until("document.getElementById('said').textContent.startsWith('saved as')")
+        measurement = tomllib.loads((tmp_path / "example.toml").read_text("utf-8"))["measurement"]
+        assert measurement["frequencies_hz"] == [76.4, 144.4, 212.6, 350]
+        assert (measurement["left_out"], measurement["by_hand"]) == ([2], [4])
+        assert browser.console == []
+
+
 @pytest.mark.parametrize("width", [1280, 390])
 def test_nothing_is_wider_than_the_window_and_no_text_is_faint(address: str, width: int) -> None:
     with open_browser() as browser:

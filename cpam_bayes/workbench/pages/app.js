@@ -1,6 +1,6 @@
 // What is typed goes to the server; what it answers replaces the parts of the page by their identifiers.
 "use strict";
-const visit = document.body.dataset.visit;
+const base = document.body.dataset.base, visit = base !== "/folder";
 let version = +document.body.dataset.version || 0, structure = -1, pending = Promise.resolve();
 const $ = (id) => document.getElementById(id);
 const say = (text, wrong) => { const at = $("said"); at.textContent = text || ""; at.className = wrong ? "wrong" : ""; };
@@ -43,17 +43,17 @@ function show(news) {
 }
 const mark = (at) => Object.entries(at.dataset).map(([k, v]) => `[data-${k.replace(/[A-Z]/g, (c) => "-" + c.toLowerCase())}="${CSS.escape(v)}"]`).join("");
 const edit = (change) => { pending = pending.then(async () => {
-  const news = await ask(`/visit/${visit}/edit`, { ...change, structure });
+  const news = await ask(`${base}/edit`, { ...change, structure });
   if (news) { say(""); show(news); } }); return pending; };
 async function act(change) {
   await pending;
-  const news = await ask(`/visit/${visit}/act`, change);
+  const news = await ask(`${base}/act`, change);
   if (news) { say(news.said); show(news); }
 }
 
 async function listen() {
   for (;;) {
-    const response = await fetch(`/visit/${visit}/news?seen=${version}&structure=${structure}`).catch(() => null);
+    const response = await fetch(`${base}/news?seen=${version}&structure=${structure}`).catch(() => null);
     if (response && response.ok) show(await response.json());
     else {
       if (response) say((await response.json().catch(() => ({}))).error || "Open the address that cpam-bayes app printed.", true);
@@ -86,6 +86,8 @@ document.addEventListener("input", (event) => {
 });
 document.addEventListener("change", (event) => {
   const at = event.target, d = at.dataset;
+  if ("leave" in d) edit({ do: "leave", index: +d.leave, value: !at.checked });
+  if ("file" in d && at.files[0]) drop(at.files[0]);
   if ("edge" in d) edit({ do: "edge", index: +d.edge, value: at.value });
   if ("material" in d && at.value) edit({ do: "material", value: at.value });
   if ("row" in d && !at.value.trim()) edit({ do: "row", index: +d.row, value: "" });
@@ -98,7 +100,7 @@ document.addEventListener("paste", (event) => {
   }
 });
 document.addEventListener("click", async (event) => {
-  const at = event.target.closest("button, #plate-view");
+  const at = event.target.closest("button, #plate-view, .spectrum");
   if (!at) return;
   const d = at.dataset;
   if ("open" in d) {
@@ -110,13 +112,35 @@ document.addEventListener("click", async (event) => {
   else if ("remove" in d) edit({ do: "sensor", index: +d.remove, value: null });
   else if ("addMass" in d) add(0, 0);
   else if ("take" in d || "append" in d) {
-    const rows = "append" in d ? [...document.querySelectorAll("[data-row]")].map((r) => r.value) : [];
-    edit({ do: "paste", value: [...rows, document.querySelector("[data-paste]").value].join("\n") });
+    edit({ do: "append" in d ? "append" : "paste", value: document.querySelector("[data-paste]").value });
+  } else if ("print" in d) {
+    const page = window.open(d.print);
+    page.addEventListener("load", () => page.print());
+  } else if (at.classList.contains("spectrum")) {
+    const box = at.getBoundingClientRect();
+    edit({ do: "peak", value: +d.low + (+d.high - +d.low) * (event.clientX - box.left) / box.width });
   } else if (at.id === "plate-view") {
     const point = new DOMPoint(event.clientX, event.clientY).matrixTransform(at.getScreenCTM().inverse());
     const [x, y] = [point.x, d.width - point.y];
     if (x >= 0 && y >= 0 && x <= +d.length && y <= +d.width) add(Math.round(x), Math.round(y));
   }
+});
+async function drop(file) {
+  await pending;
+  say(`reading ${file.name}`);
+  try {
+    const response = await fetch(`${base}/file?name=${encodeURIComponent(file.name)}`,
+      { method: "POST", headers: { "Content-Type": "application/octet-stream" }, body: file });
+    const said = await response.json();
+    say(said.said || said.error, !response.ok);
+    if (response.ok) show(said);
+  } catch { say("The server does not answer, or the file is too large.", true); }
+}
+document.addEventListener("dragover", (event) => { if (visit) event.preventDefault(); });
+document.addEventListener("drop", (event) => {
+  if (!visit || !event.dataTransfer.files.length) return;
+  event.preventDefault();
+  drop(event.dataTransfer.files[0]);
 });
 const add = (x, y) => edit({ do: "sensor", index: document.querySelectorAll("[data-sensor]").length,
   value: { mass_g: "1", x_mm: String(x), y_mm: String(y) } });
@@ -126,4 +150,4 @@ document.addEventListener("keydown", (event) => {
   if (key === "s") { event.preventDefault(); save(); }
   if (key === "z" && !event.target.matches("textarea")) { event.preventDefault(); edit({ do: event.shiftKey ? "redo" : "undo" }); }
 });
-if (visit) ask(`/visit/${visit}/news?seen=-1&structure=-1`).then((news) => { show(news); listen(); });
+ask(`${base}/news?seen=-1&structure=-1`).then((news) => { show(news); listen(); });
