@@ -26,7 +26,7 @@ from cpam_bayes.identification.search import PairedModel, refitted, required
 from cpam_bayes.inference.swarm import material_swarm
 from cpam_bayes.mechanics.modes import RigidBodyError
 from cpam_bayes.parameters import ParameterSet
-from cpam_bayes.plate import Measurement, Plate, Specimen, to_user, unit_of
+from cpam_bayes.plate import Plate, Specimen, to_user, unit_of
 from cpam_bayes.plate.layup import Layup
 from cpam_bayes.plate.text import decode, line_numbers
 from cpam_bayes.running import single_blas_thread
@@ -179,7 +179,7 @@ def _lists(specimen: Specimen) -> Iterator[tuple[Slip, Array, int]]:
         slip = Slip("missed", k + 1, 0.0, specimen, {("measurement", "complete"): False})
         yield slip, np.delete(every, k), n
     for i in range(n):
-        less = replace(specimen, measurement=_listed(measurement, f, np.delete(every[:n], i)))
+        less = replace(specimen, measurement=measurement.of_rows(np.delete(every[:n], i)))
         edits: dict[tuple[str, str], Any] = {("measurement", "frequencies_hz"): np.delete(f, i).tolist()}
         if i < n - 1:
             yield Slip("false", i + 1, float(f[i]), less, edits), every[: n - 1], n
@@ -189,7 +189,8 @@ def _lists(specimen: Specimen) -> Iterator[tuple[Slip, Array, int]]:
     for i, factors in ((0, _FACTORS), (n - 1, tuple(1.0 / factor for factor in _FACTORS))):
         for value in (factor * float(f[i]) for factor in factors):
             moved = np.where(every[:n] == i, value, f)
-            right = replace(specimen, measurement=_listed(measurement, moved, np.argsort(moved)))
+            listed = replace(measurement, frequencies=moved).of_rows(np.argsort(moved))
+            right = replace(specimen, measurement=listed)
             edits = {("measurement", "frequencies_hz"): np.sort(moved).tolist()}
             slip = Slip("decimal", i + 1, value, right, edits)
             yield slip, every[:n], 2 * len(_FACTORS)
@@ -239,18 +240,6 @@ def _is_far(specimen: Specimen, x: Array) -> bool:
     reference, known = reference_constants(specimen), specimen.material.sd
     each = zip(specimen.unknowns.names, x.tolist(), strict=True)
     return any(unit_of(n) and abs(v - reference[n]) > _FAR * known.get(n, math.inf) for n, v in each)
-
-
-def _listed(measurement: Measurement, f: Array, at: Array) -> Measurement:
-    """A list of other frequencies (n,), of which those at some places are left, with what belongs to them."""
-    sd, damping = measurement.frequency_sd, measurement.damping
-    return replace(
-        measurement,
-        frequencies=f[at],
-        frequency_sd=None if sd is None else sd[at],
-        damping=None if damping is None else damping[at],
-        labels=("",) * len(at),
-    )
 
 
 def corrected_file(specimen: Specimen, slip: Slip) -> str | None:

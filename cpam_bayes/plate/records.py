@@ -5,7 +5,7 @@ At the border stand the names of the plate file, which carry their unit.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
 from pathlib import Path
@@ -401,21 +401,18 @@ class Measurement:
         """Number of measured frequencies."""
         return int(self.frequencies.size)
 
+    def of_rows(self, rows: Sequence[int] | NDArray[np.intp]) -> Measurement:
+        """The frequencies of some rows, numbers from 0 in this order, with what belongs to each."""
+        of_each = ("frequencies", "frequency_sd", "damping", "mode_probability", "false_peaks")
+        values = {name: getattr(self, name) for name in of_each}
+        chosen: dict[str, Any] = {name: v[rows] for name, v in values.items() if isinstance(v, np.ndarray)}
+        return replace(self, **chosen, labels=tuple(self.labels[i] for i in rows))
+
     def without(self, rows: Collection[int]) -> Measurement:
         """The list without rows, numbers from 0; it may lack modes then, unless its last ones go."""
         kept = [i for i in range(self.size) if i not in rows]
-        of_kept: dict[str, Any] = {
-            name: None if values is None else values[kept]
-            for name, values in (("frequency_sd", self.frequency_sd), ("damping", self.damping))
-        }
-        return replace(
-            self,
-            **of_kept,
-            frequencies=self.frequencies[kept],
-            labels=tuple(self.labels[i] for i in kept),
-            complete=self.complete and kept == list(range(len(kept))),
-            whole=self,
-        )
+        complete = self.complete and kept == list(range(len(kept)))
+        return replace(self.of_rows(kept), complete=complete, whole=self)
 
     def noise_sd(self, relative: float) -> NDArray[np.float64]:
         """Standard deviations of the frequencies, (n,) Hz: ``frequency_sd``, or ``relative`` of each."""

@@ -46,6 +46,7 @@ from cpam_bayes.render.files import save_tables
 from cpam_bayes.render.page import PAGE
 from cpam_bayes.render.report import Report, Summary
 from cpam_bayes.render.sentences import determined_text, frequency_columns, interval_text, value_text
+from cpam_bayes.render.spectrum import line_sizes
 from cpam_bayes.result import Result, present
 from cpam_bayes.workbench.visit import Shown, Tell
 
@@ -341,16 +342,14 @@ def picked(text: str, name: str, folder: str, recording: str, *, tell: Tell) -> 
     """
     del text, name
     result = poles(Path(folder) / recording, watch=Shown(tell))
-    hz = result.responses.frequencies
-    shown = (hz >= result.low) & (hz <= result.high)
-    size = np.sqrt(np.mean(np.abs(result.responses.frf[:, shown]) ** 2, axis=0))
+    hz, size = line_sizes(result.test, result.test.responses.frf)
     parts = np.array_split(np.arange(len(size)), min(len(size), _LINES))
     peaks = [part[int(np.argmax(size[part]))] for part in parts]
     level = 20.0 * np.log10(np.maximum(size, 1e-6 * size.max()) / size.max())
     return {
         "recording": recording,
         "modes": [float(f"{m.frequency:.5g}") for m in result.modes],
-        "spectrum": [[round(float(hz[shown][i]), 3), round(float(level[i]), 1)] for i in peaks],
+        "spectrum": [[round(float(hz[i]), 3), round(float(level[i]), 1)] for i in peaks],
         "said": [result.report().summary.headline, *result.warnings],
     }
 

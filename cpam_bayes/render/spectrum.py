@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["Mark", "peak_drawings", "peak_keys", "peak_rows", "peak_sections", "test_drawings"]
+__all__ = ["Mark", "line_sizes", "peak_drawings", "peak_keys", "peak_rows", "peak_sections", "test_drawings"]
 
 _MOST_DRAWN: Final = 12
 # The lowest value that is drawn, as a part of the largest one.
@@ -144,7 +144,9 @@ def peak_drawings(specimen: Specimen, peaks: Rows) -> tuple[Drawing, ...]:
     return test_drawings(test, specimen.name, marks)
 
 
-def _size(test: ModalTest, frf: NDArray[np.complex128]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def line_sizes(
+    test: ModalTest, frf: NDArray[np.complex128]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Lines of the range and the root mean square of responses (m, n) there."""
     f = test.responses.frequencies
     shown = (f >= test.low) & (f <= test.high)
@@ -157,7 +159,7 @@ def _spectrum(test: ModalTest, title: str, marks: Sequence[Mark]) -> Figure:
     figure = new_figure(9.0, 4.8)
     axes = figure.add_subplot()
     for hit in test.responses.each_hit[:_MOST_DRAWN]:
-        axes.semilogy(*_size(test, hit.frf), color="0.6", linewidth=0.7, rasterized=True)
+        axes.semilogy(*line_sizes(test, hit.frf), color="0.6", linewidth=0.7, rasterized=True)
     for frequency, said, is_mode in marks:
         colour = PREDICTED if is_mode else "0.4"
         axes.axvline(frequency, color=colour, linewidth=0.8, linestyle="-" if is_mode else ":")
@@ -182,7 +184,7 @@ def _stability(test: ModalTest, title: str, modes: Sequence[float]) -> Figure:
     found, figure = test.stabilisation, new_figure(9.0, 4.8)
     axes = figure.add_subplot()
     behind = axes.twinx()
-    behind.semilogy(*_size(test, test.responses.frf), color="0.6", linewidth=0.8)
+    behind.semilogy(*line_sizes(test, test.responses.frf), color="0.6", linewidth=0.8)
     behind.set_ylabel("root mean square of the responses")
     axes.set_zorder(behind.get_zorder() + 1)
     axes.patch.set_visible(False)

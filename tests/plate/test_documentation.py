@@ -14,9 +14,11 @@ import numpy as np
 import pytest
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
+from scipy.io import wavfile
 
 import cpam_bayes as cb
 from cpam_bayes.plate.schema import PlateFile
+from tests.faulty_hits import RATE, Faults, recorded_hits
 from tests.hybrids import HYBRID
 from tests.universal import grid, mode_55, nodes_15
 
@@ -149,8 +151,10 @@ def with_example(heading: str, key: str, value: Any) -> dict[str, Any]:
         file["plate"]["mass_g"] = 340.7
     if heading == "[measurement.columns]":
         file["measurement"] = {"table": "named.csv"}
-    if key in ("table", "shapes"):
+    if key in ("table", "shapes", "recordings", "peaks", "range_hz"):
         del file["measurement"]["frequencies_hz"]
+    if key == "range_hz":
+        file["measurement"]["recordings"] = ["hits"]
     if heading == "[[ply]]" or (heading, key) == ("[material]", "density_kg_m3"):
         return _hybrid_with(heading, key, value)
     if key in ("missed_probability", "false_peaks"):
@@ -181,6 +185,11 @@ def test_the_example_of_a_key_is_accepted(
     (tmp_path / "modes.csv").write_text("mode,hz\n1,80.2\n2,146.3\n", encoding="utf-8")
     named = "Nr;Form;Peak A [Hz];Tap;Streuung;Verlust;Wert\n1;a;80.2;1;0.1;0.01;1\n2;b;146.3;1;0.1;0.01;1\n"
     (tmp_path / "named.csv").write_text(named, encoding="utf-8")
+    (tmp_path / "peaks.csv").write_text("hz,height\n80.2,5\n146.3,2\n", encoding="utf-8")
+    if key in ("recordings", "range_hz"):
+        (tmp_path / "hits").mkdir()
+        hit = recorded_hits(np.random.default_rng(0), np.array([80.2, 146.3]), np.full(2, 0.01), 1, Faults())
+        wavfile.write(tmp_path / "hits" / "1.wav", RATE, hit[0])
     example = tomllib.loads(documented(heading)[key]["example"].strip("`"))
     assert list(example) == [key]
     cb.read_plate(with_example(heading, key, example[key]))
