@@ -179,16 +179,18 @@ def _unknown_angles(specimen: Specimen) -> list[str]:
 
 def require_paired_list(specimen: Specimen) -> Specimen:
     """Return the specimen, or raise `PlateFileError` if its list may lack modes."""
-    if specimen.measurement is not None and not specimen.measurement.complete:
-        received = (
-            "complete: received false"
-            if specimen.measurement.whole is None
-            else ("left_out: the list then lacks modes in between")
-        )
+    measurement = specimen.measurement
+    if measurement is not None and not measurement.complete:
+        if measurement.mode_probability is not None:
+            received = ": candidate peaks, which may be no modes"
+        elif measurement.whole is not None and measurement.whole.complete:
+            received = ".left_out: the list then lacks modes in between"
+        else:
+            received = ".complete: received false"
         _raise(
             specimen,
             [
-                f"measurement.{received}, this version pairs the first model mode "
+                f"measurement{received}, this version pairs the first model mode "
                 "with the first frequency and so on; use --backend emcee, which sums over all pairings"
             ],
         )

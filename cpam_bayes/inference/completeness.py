@@ -206,14 +206,8 @@ def _evidence(
 def _paired(posterior: Posterior, pairing: _Pairing) -> Posterior:
     """The posterior given that the rows of the list are these columns of the model, in order."""
     full_list, noise = posterior.measurement, posterior.noise_model
-    sd = None if full_list.frequency_sd is None else full_list.frequency_sd[pairing.rows]
-    measurement = replace(
-        full_list,
-        frequencies=full_list.frequencies[pairing.rows],
-        frequency_sd=sd,
-        labels=("",) * len(pairing.rows),
-        shapes=None,
-    )
+    unnamed = replace(full_list, labels=("",) * full_list.size, shapes=None)
+    measurement = unnamed.of_rows(pairing.rows)
     return replace(
         posterior,
         model=_Selected(posterior.model, pairing.columns),

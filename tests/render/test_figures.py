@@ -18,7 +18,8 @@ def written(figures, directory):
 
 def test_two_figures_on_one_page_share_no_element_name(forward_result, tmp_path):
     files = written(forward_result.figures(), tmp_path / "figures")
-    assert set(files) == {f"{name}.{ending}" for name in ("modes", "plate") for ending in ("png", "svg")}
+    names = ("handling", "modes", "plate")
+    assert set(files) == {f"{name}.{ending}" for name in names for ending in ("png", "svg")}
     assert not any(b"<dc:date>" in content for content in files.values())
     ids = [
         set(re.findall(rb'id="(m[0-9a-f]{10}|p[0-9a-f]{10})"', content))
