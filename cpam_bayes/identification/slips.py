@@ -53,6 +53,8 @@ _DRAWN, _NEAR, _RIDGE, _REFITTED = 100, 12, 1e-6, 8
 # A key with its value, up to a comment.
 _VALUE: Final = re.compile(r"""[^=\n]*=\s*(\[[^\]]*\]|"[^"\n]*"|'[^'\n]*'|[^#\s]+)""")
 _LISTED, _COMPLETE = ("measurement", "frequencies_hz"), ("measurement", "complete")
+# Keys that number the rows of the list.
+_NUMBERED: Final = (("measurement", "left_out"), ("measurement", "by_hand"))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -243,12 +245,17 @@ def _is_far(specimen: Specimen, x: Array) -> bool:
 
 
 def corrected_file(specimen: Specimen, slip: Slip) -> str | None:
-    """The text of a plate file without a slip; None where the file lacks what is to be changed."""
+    """The text of a plate file without a slip; None where the file lacks what is to be changed.
+
+    None too of a list that is changed and whose rows are numbered elsewhere in the file.
+    """
     source = Path(specimen.source)
     if not source.is_file():
         return None
     text = decode(source.read_bytes(), specimen.source)
     lines = line_numbers(text)
+    if _LISTED in slip.edits and any(path in lines for path in _NUMBERED):
+        return None
     begin = [0, *(end.end() for end in re.finditer("\n", text))]
     # from the last line on, so that those before keep their places
     for path in sorted(slip.edits, key=lambda path: -lines.get(path, len(begin))):

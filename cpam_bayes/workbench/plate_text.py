@@ -13,6 +13,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
+from cpam_bayes.plate.checks import SOURCES
+
 __all__ = [
     "FIELDS",
     "SENSOR",
@@ -47,7 +49,6 @@ FIELDS: Final[Mapping[str, str]] = {
 """Key of a plate file that a page may change -> how its text is written."""
 _BESIDE_ROWS: Final = ("frequency_sd_hz", "labels", "left_out", "by_hand")
 """Keys of [measurement] that follow its list row by row."""
-_MEASURED: Final = ("frequencies_hz", "table", "shapes")
 SENSOR: Final = ("mass_g", "x_mm", "y_mm")
 """Keys of a mass on the plate."""
 
@@ -226,7 +227,7 @@ def with_rows(text: str, rows: Sequence[Row], *, listed: bool = True) -> str:
 
 def with_file(text: str, key: str, name: str) -> str:
     """The text without its list, and with a file under a key of [measurement] where it has a name."""
-    for other in (*_MEASURED, *_BESIDE_ROWS, "picked_from"):
+    for other in (*SOURCES, "range_hz", *_BESIDE_ROWS, "picked_from"):
         text = _with_literal(text, f"measurement.{other}", "")
     return _with_literal(text, f"measurement.{key}", json.dumps(name, ensure_ascii=False) if name else "")
 

@@ -146,3 +146,6 @@ def test_a_missed_mode_makes_the_list_incomplete(tmp_path: Path) -> None:
     )
     path.write_text('[measurement]\ntable = "modes.csv"\n', encoding="utf-8")
     assert corrected_file(specimen, slip) is None
+    path.write_text("[measurement]\nfrequencies_hz = [1.0, 2.0, 3.0]\nleft_out = [3]\n", encoding="utf-8")
+    fewer = replace(slip, edits={("measurement", "frequencies_hz"): [1.0]})
+    assert corrected_file(specimen, fewer) is None, "left_out would number another row of the shorter list"

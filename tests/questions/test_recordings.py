@@ -98,6 +98,19 @@ def test_a_table_of_peaks_is_weighed_as_recordings_are(tmp_path: Path) -> None:
     assert not found.complete
 
 
+def test_a_candidate_that_is_left_out_takes_what_belongs_to_it_along(tmp_path: Path) -> None:
+    (tmp_path / "peaks.csv").write_text("hz,sd,height\n114,1,3\n218,2,0.6\n300,3,9\n", encoding="utf-8")
+    path = tmp_path / "plate.toml"
+    path.write_text(f'{PLATE}[measurement]\npeaks = "peaks.csv"\n', encoding="utf-8")
+    every = cb.read_plate(path).measurement
+    path.write_text(f'{PLATE}[measurement]\npeaks = "peaks.csv"\nleft_out = [2]\n', encoding="utf-8")
+    left = cb.read_plate(path).measurement
+    np.testing.assert_array_equal(left.frequencies, [114.0, 300.0])
+    np.testing.assert_array_equal(left.mode_probability, every.mode_probability[[0, 2]])
+    np.testing.assert_array_equal(left.false_peaks, every.false_peaks[[0, 2]])
+    assert cb.posterior(path).pairing.spurious == tuple(left.false_peaks)
+
+
 @pytest.mark.parametrize(
     ("measured", "said"),
     [

@@ -5,7 +5,14 @@ from pathlib import Path
 
 import pytest
 
-from cpam_bayes.workbench.plate_text import FIELDS, numbers_in, with_block, with_sensors, with_value
+from cpam_bayes.workbench.plate_text import (
+    FIELDS,
+    numbers_in,
+    with_block,
+    with_file,
+    with_sensors,
+    with_value,
+)
 
 PANEL = (Path(__file__).parents[2] / "examples" / "panel.toml").read_text("utf-8")
 
@@ -75,3 +82,10 @@ def test_masses_and_the_material_are_replaced_as_a_whole() -> None:
     other = tomllib.loads(with_block(PANEL, "material", ["E1_GPa = 70.0"]))
     assert other["material"].pop("E1_GPa") == 70.0
     assert without(other, "material") == without(tomllib.loads(PANEL), "material")
+
+
+@pytest.mark.parametrize("source", ['recordings = ["hits"]\nrange_hz = [20.0, 900.0]', 'peaks = "peaks.csv"'])
+def test_a_file_that_is_dropped_takes_the_place_of_whatever_the_list_was(source: str) -> None:
+    text = f"[measurement]\n{source}\nleft_out = [2]\nrelative_std = 0.002\n"
+    measured = tomllib.loads(with_file(text, "table", "modes.csv"))["measurement"]
+    assert measured == {"table": "modes.csv", "relative_std": 0.002}
