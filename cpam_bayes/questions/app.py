@@ -37,8 +37,7 @@ from cpam_bayes.questions.diagnose.document import (
     title_of,
 )
 from cpam_bayes.questions.forward import handling_before
-from cpam_bayes.questions.identify.emcee import SampledResult, sample
-from cpam_bayes.questions.identify.pso import PointResult, identify
+from cpam_bayes.questions.identify import PointResult, answered
 from cpam_bayes.questions.new import MATERIALS, KnownPlate, material_lines, plate_file_text
 from cpam_bayes.questions.poles import poles
 from cpam_bayes.questions.report import report
@@ -223,23 +222,17 @@ def held(text: str, name: str, folder: str, *, tell: Tell) -> Any:
     return None if handling is None else {"said": handling.sentence, **handling.keys}
 
 
-def _identified(specimen: Specimen, tell: Tell) -> PointResult | SampledResult:
-    measurement = specimen.measurement
-    if measurement is None or measurement.complete:
-        return identify(specimen, watch=Shown(tell))
-    return sample(specimen, watch=Shown(tell))
-
-
 def identified(text: str, name: str, folder: str, *, tell: Tell) -> Any:
     """The answer of ``cpam-bayes identify``, in the words and digits of its screen.
 
-    Of a list that may lack modes that of ``--backend emcee``; of one with rows left out by hand the constants
-    with all rows too.
+    Of a list with rows left out by hand the constants with all rows too.
     """
     specimen = parse_specimen(text, name, Path(folder))
-    result = _identified(specimen, tell)
+    result = answered(specimen, watch=Shown(tell))
     whole = None if specimen.measurement is None else specimen.measurement.whole
-    of_all = None if whole is None else _identified(replace(specimen, measurement=whole), tell)
+    of_all = None
+    if whole is not None:
+        of_all = answered(replace(specimen, measurement=whole), watch=Shown(tell))
     shapes, modes = (
         (result.estimate.shapes, result.estimate.predicted)
         if isinstance(result, PointResult)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, ClassVar, Final
 
 import numpy as np
@@ -15,8 +16,7 @@ from cpam_bayes.errors import checked
 from cpam_bayes.forward_model.preconditions import require_diagnosable, require_seed, require_sequence
 from cpam_bayes.plate import PlateLike, Specimen, read_plate
 from cpam_bayes.questions.diagnose import DiagnosisResult, diagnose
-from cpam_bayes.questions.identify.emcee import SampledResult, sample
-from cpam_bayes.questions.identify.pso import PointResult, identify
+from cpam_bayes.questions.identify import PointResult, SampledResult, answered, identify
 from cpam_bayes.questions.sequence import StackingResult, sequence
 from cpam_bayes.render.notices import sentences
 from cpam_bayes.render.report import (
@@ -151,12 +151,11 @@ def report(
         workers=workers,
         watch=watch,
     )
+    constants = partial(answered, seed=seed, watch=watch, backend=None if quick else "emcee")
     if identification is None:
-        identification = _constants(known, seed, quick, watch)
+        identification = constants(known)
     whole = None if known.measurement is None else known.measurement.whole
-    all_rows = None
-    if whole is not None:
-        all_rows = _constants(replace(known, measurement=whole), seed, quick, watch)
+    all_rows = None if whole is None else constants(replace(known, measurement=whole))
     answer = FullReport(
         seed=seed,
         specimen=specimen,
@@ -174,13 +173,6 @@ def report(
         notices=each_once((*_layup_notice(stacking), *of_parts)),
         reached_goal=all(part.reached_goal for part in answer.parts),
     )
-
-
-def _constants(specimen: Specimen, seed: int, quick: bool, watch: Watch) -> PointResult | SampledResult:
-    assert specimen.measurement is not None
-    if quick and specimen.measurement.complete:
-        return identify(specimen, seed=seed, watch=watch)
-    return sample(specimen, seed=seed, watch=watch)
 
 
 def _answerable(specimen: Specimen) -> Specimen:

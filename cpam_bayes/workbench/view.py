@@ -12,6 +12,7 @@ from typing import Any, Final
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
+from cpam_bayes.plate.checks import SOURCES
 from cpam_bayes.plate.edges import CONDITIONS, PLACES
 from cpam_bayes.plate.layup import Layup
 from cpam_bayes.workbench.plate_text import SENSOR, value_at
@@ -26,7 +27,7 @@ _SIZES: Final = (
     ("plate.thickness_mm", "Thickness", "mm"),
     ("plate.mass_g", "Mass, weighed", "g"),
 )
-_SOURCES: Final = ("measurement.picked_from", "measurement.table", "measurement.shapes")
+_SOURCES: Final = ("measurement.picked_from", *(f"measurement.{key}" for key in SOURCES[1:]))
 _CONSTANTS: Final = (("E1_GPa", "GPa"), ("E2_GPa", "GPa"), ("nu12", ""), ("G12_GPa", "GPa"))
 _DOING: Final = {
     "pick": "Looking for modes in the recording",
@@ -125,7 +126,7 @@ def _form(visit: Visit) -> str:
             resolution=_typed(sections["measurement"].get("resolution_hz")),
             air=_typed(sections["environment"].get("air_density_kg_m3")),
             rows=visit.rows,
-            source=next((n for k in _SOURCES if isinstance(n := value_at(data, k), str)), ""),
+            source=next((_names(n) for k in _SOURCES if (n := value_at(data, k))), ""),
             is_typed=not any(value_at(data, key) for key in _SOURCES[1:]),
             sensors=[{k: _typed(s.get(k)) for k in SENSOR} for s in sensors if isinstance(s, Mapping)],
         )
@@ -140,6 +141,10 @@ def _typed(value: object) -> str:
     if value is None:
         return ""
     return f"{value:.10g}" if isinstance(value, float) else str(value)
+
+
+def _names(given: object) -> str:
+    return ", ".join(map(str, given)) if isinstance(given, list) else str(given)
 
 
 def _parts(visit: Visit) -> dict[str, str]:
@@ -190,10 +195,8 @@ def _commands(visit: Visit) -> list[tuple[str, str]]:
     """The same on the command line."""
     name = shlex.quote(visit.file)
     report = f"cpam-bayes report {name} --quick --out {shlex.quote(f'{Path(visit.file).stem}-report')}"
-    measurement = None if visit.specimen is None else visit.specimen.measurement
-    backend = "" if measurement is None or measurement.complete else " --backend emcee"
     return [
-        ("constants", f"cpam-bayes identify {name}{backend}"),
+        ("constants", f"cpam-bayes identify {name}"),
         ("diagnosis", f"cpam-bayes diagnose {name} --next never"),
         ("report", report),
     ]

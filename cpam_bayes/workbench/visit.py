@@ -23,6 +23,7 @@ from typing import Any, Final, TypeAlias
 
 from cpam_bayes.errors import PlateFileError
 from cpam_bayes.plate import MAX_BYTES, Specimen, parse_specimen
+from cpam_bayes.plate.checks import SOURCES
 from cpam_bayes.plate.text import decode, read_regular_file
 from cpam_bayes.running import Described, Progress
 from cpam_bayes.storage import draft_file, put_in_place, replaceable
@@ -204,7 +205,7 @@ _PATHS: Final = (
     "plate.mesh",
     "material.posterior",
     "measurement.picked_from",
-    *(f"measurement.{k}" for k in ("table", "shapes", "peaks", "recordings")),
+    *(f"measurement.{key}" for key in SOURCES[1:]),
 )
 _EDGES: Final = "FSC"
 _DROPPED: Final = re.compile(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import tomllib
 from pathlib import Path
 
@@ -47,6 +48,14 @@ def test_recordings_beside_a_plate_file_are_candidates_with_probabilities(
     assert np.all((measurement.mode_probability >= 0.02) & (measurement.mode_probability <= 0.98))
     assert np.all(measurement.frequency_sd >= 0.003 * measurement.frequencies)
     assert measurement.damping == pytest.approx(0.006, rel=0.2)
+
+
+def test_recordings_are_read_once_and_again_when_they_change(plate: Path, tmp_path: Path) -> None:
+    copy = shutil.copytree(plate.parent, tmp_path / "copy") / plate.name
+    first, again = (cb.read_plate(copy).measurement.test for _ in range(2))
+    assert again is first
+    (copy.parent / "hits" / "2.wav").unlink()
+    assert len(cb.read_plate(copy).measurement.test.responses.each_hit) == 2
 
 
 def test_the_model_takes_no_peak_for_a_mode_where_it_has_none(plate: Path) -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final
 
@@ -26,7 +27,13 @@ from cpam_bayes.plate.modal_analysis.fit import (
     stabilise,
     with_others,
 )
-from cpam_bayes.plate.modal_analysis.read import FrequencyResponses, ModalTestError, Window, read_responses
+from cpam_bayes.plate.modal_analysis.read import (
+    FrequencyResponses,
+    ModalTestError,
+    Window,
+    of_folder,
+    read_responses,
+)
 from cpam_bayes.plate.modes_table import is_texts, read_modes_table
 from cpam_bayes.plate.schema import MAX_FREQUENCIES
 from cpam_bayes.plate.text import Data, Problem, numbers, read_named_file, table
@@ -172,9 +179,13 @@ def _of_recordings(measurement: Data, directory: Path | None) -> tuple[dict[str,
     if not is_texts(names) or not names or not all(names):
         return {}, []  # a wrong type, which the schema tells
     low, high = between if between is not None and len(between) == 2 else (None, None)
+    files = tuple(str((directory or Path()) / name) for name in names)
     try:
-        test = modal_test([str((directory or Path()) / name) for name in names], low=low, high=high)
-    except (ModalTestError, ValueError) as error:
+        each = [Path(path).absolute() for name in files for path in of_folder(name)]
+        read = [(str(path), path.stat()) for path in each if path.is_file()]
+        stamps = tuple((path, stat.st_mtime_ns, stat.st_size) for path, stat in read)
+        test = _unchanged(files, low, high, stamps)
+    except (ValueError, OSError) as error:
         return {}, [Problem(key, str(error).replace("--range", "range_hz"))]
     poles = [pole for pole in test.poles if pole.taken is not Taken.HUM]
     if not poles:
@@ -190,6 +201,15 @@ def _of_recordings(measurement: Data, directory: Path | None) -> tuple[dict[str,
     )
     fields = candidates.fields(measurement, f"{', '.join(names)}: {test.responses.origin}", key)
     return fields[0] | {"test": test}, fields[1]
+
+
+@lru_cache(maxsize=4)
+def _unchanged(
+    files: tuple[str, ...], low: float | None, high: float | None, stamps: tuple[tuple[str, int, int], ...]
+) -> ModalTest:
+    """The test of files, which is read once while they stay as they are: path, time and size of each."""
+    del stamps
+    return modal_test(files, low=low, high=high)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

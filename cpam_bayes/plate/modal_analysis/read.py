@@ -32,6 +32,7 @@ __all__ = [
     "Window",
     "hum_notices",
     "last_line_of_modes",
+    "of_folder",
     "peaks_of",
     "read_responses",
     "relative_power",
@@ -387,7 +388,7 @@ def read_responses(
 
     Raises ``ModalTestError`` for what cannot be read, with the file.
     """
-    files = [path for name in files for path in _of_folder(name)]
+    files = [path for name in files for path in of_folder(name)]
     endings = {Path(name).suffix.casefold() for name in files}
     if endings <= set(_WAVES):
         recordings, notices = _recordings(files, force, response)
@@ -408,7 +409,7 @@ def read_responses(
     return FrequencyResponses(first.frequencies, frf, 0.0, 0.0, "; ".join(origins))
 
 
-def _of_folder(name: str) -> list[str]:
+def of_folder(name: str) -> list[str]:
     """The recordings of a folder in the order of their names, or the file itself."""
     if not Path(name).is_dir():
         return [name]

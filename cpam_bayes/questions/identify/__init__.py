@@ -18,9 +18,9 @@ from cpam_bayes.plate import PlateLike, read_plate
 from cpam_bayes.questions.identify import posterior as posterior  # how a posterior is shown
 from cpam_bayes.questions.identify.emcee import SampledResult, sample
 from cpam_bayes.questions.identify.pso import PointResult, identify
-from cpam_bayes.running import Watch
+from cpam_bayes.running import SILENT, Watch
 
-__all__ = ["COMMAND", "PointResult", "SampledResult", "identify", "sample"]
+__all__ = ["COMMAND", "PointResult", "SampledResult", "answered", "identify", "sample"]
 
 Backend = Literal["pso", "emcee"]
 
@@ -33,10 +33,13 @@ _OWN: Final[dict[Backend, tuple[str, ...]]] = {
 _NOISE: Final = {"gaussian": float("inf"), "student-t": 4.0}
 
 
-def _answered(
-    plate: PlateLike, *, seed: int, watch: Watch, backend: Backend | None, **given: Any
+def answered(
+    plate: PlateLike, *, seed: int = 0, watch: Watch = SILENT, backend: Backend | None = None, **given: Any
 ) -> PointResult | SampledResult:
-    """The answer of a back end to the options that were given; None for one that was left out."""
+    """The answer of a back end to the options that were given; None for one that was left out.
+
+    backend : left out, the swarm, and emcee where modes may be missing
+    """
     if backend is None:
         plate = read_plate(plate)
         is_complete = plate.measurement is None or plate.measurement.complete
@@ -58,7 +61,7 @@ def _answered(
 
 
 COMMAND: Final = Command(
-    _answered,
+    answered,
     (
         PLATE,
         option(
