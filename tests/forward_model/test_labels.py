@@ -406,7 +406,7 @@ def test_predicted_modes_written_as_a_universal_file_are_read_back_as_their_own(
     document = result.to_dict()
     assert [one["label"] for one in document["shapes"]] == [m.label for m in computed.modes]
     assert [mode["paired_by"] for mode in document["modes"][:6]] == ["shape"] * 5 + [None]
-    assert set(result.figures()) == {"modes", "modal_assurance", "plate"}
+    assert set(result.figures()) == {"handling", "modes", "modal_assurance", "plate"}
     assert "Modal assurance at the reference constants" in result.summary(verbose=True)
 
 
