@@ -21,10 +21,16 @@ function show(news) {
   version = news.version;
   if ("form" in news.parts) {
     const at = document.activeElement, key = at && at.closest("#form") && mark(at);
+    const places = key && typeof at.selectionStart === "number" ? [at.selectionStart, at.selectionEnd] : null;
     $("form").innerHTML = news.parts.form;
     structure = news.structure;
+    for (const [of, value] of typed) {
+      const box = document.querySelector(of);
+      if (box) box.value = value;
+    }
     const again = key && document.querySelector(key);
     if (again) again.focus();
+    if (again && places) again.setSelectionRange(...places);
   }
   for (const [id, html] of Object.entries(news.parts)) {
     const at = id !== "form" && $(id);
@@ -36,16 +42,19 @@ function show(news) {
   }
   document.querySelectorAll(".error").forEach((at) => {
     if (!(at.id in news.parts)) { at.textContent = ""; delete at.dataset.html; }
-    const input = at.closest(".field, tr.errors, section");
-    const box = at.closest(".field") && at.closest(".field").querySelector("input");
-    if (box) box.setAttribute("aria-invalid", String(at.id in news.parts)); void input;
+    document.querySelectorAll(`[aria-describedby="${CSS.escape(at.id)}"]`).forEach((box) => box.setAttribute("aria-invalid", String(at.id in news.parts)));
   });
 }
-const mark = (at) => Object.entries(at.dataset).map(([k, v]) => `[data-${k.replace(/[A-Z]/g, (c) => "-" + c.toLowerCase())}="${CSS.escape(v)}"]`).join("");
-const edit = (change) => { pending = pending.then(async () => {
+// What names a field, over a form that is drawn anew; what was typed there and no answer has seen yet.
+const typed = new Map();
+const mark = (at) => (at.closest("[data-sensor]") ? `[data-sensor="${at.closest("[data-sensor]").dataset.sensor}"] ` : "") + Object.entries(at.dataset).map(([k, v]) => `[data-${k.replace(/[A-Z]/g, (c) => "-" + c.toLowerCase())}="${CSS.escape(v)}"]`).join("");
+const edit = (change) => { flush(); return send(change); };
+const send = (change, of, text) => { pending = pending.then(async () => {
   const news = await ask(`${base}/edit`, { ...change, structure });
+  if (news && of && typed.get(of) === text) typed.delete(of);
   if (news) { say(""); show(news); } }); return pending; };
 async function act(change) {
+  flush();
   await pending;
   const news = await ask(`${base}/act`, change);
   if (news) { say(news.said); show(news); }
@@ -63,26 +72,29 @@ async function listen() {
   }
 }
 
-async function save(name) {
-  await pending;
-  await act(name ? { do: "save", name } : { do: "save" });
-}
-
+// Edits of fields that are typed in wait a moment, and go before every other one.
 const waiting = new Map();
-function later(at, send) {
-  clearTimeout(waiting.get(at));
-  waiting.set(at, setTimeout(() => { waiting.delete(at); send(); }, 120));
+let timer = 0;
+function flush() {
+  clearTimeout(timer);
+  for (const [of, change] of waiting) send(change, of, typed.get(of));
+  waiting.clear();
 }
 function changed(at) {
   const d = at.dataset;
-  if ("key" in d) return () => edit({ do: "set", key: d.key, value: at.value });
-  if ("row" in d && at.value.trim()) return () => edit({ do: "row", index: +d.row, value: at.value });
-  if ("part" in d) return () => edit({ do: "sensor", index: +at.closest("[data-sensor]").dataset.sensor, value: { [d.part]: at.value } });
+  if ("key" in d) return { do: "set", key: d.key, value: at.value };
+  if ("row" in d && at.value.trim()) return { do: "row", index: +d.row, value: at.value };
+  if ("part" in d) return { do: "sensor", index: +at.closest("[data-sensor]").dataset.sensor, value: { [d.part]: at.value } };
   return null;
 }
 document.addEventListener("input", (event) => {
-  const send = changed(event.target);
-  if (send) later(event.target, send);
+  const at = event.target, change = changed(at), of = mark(at);
+  waiting.delete(of);
+  if (change || "paste" in at.dataset) typed.set(of, at.value); else typed.delete(of);
+  if (!change) return;
+  waiting.set(of, change);
+  clearTimeout(timer);
+  timer = setTimeout(flush, 120);
 });
 document.addEventListener("change", (event) => {
   const at = event.target, d = at.dataset;
@@ -94,7 +106,8 @@ document.addEventListener("change", (event) => {
 });
 document.addEventListener("paste", (event) => {
   const at = event.target, text = event.clipboardData.getData("text");
-  if (at.dataset && "row" in at.dataset && /\d[\s;]+\d/.test(text.trim())) {
+  const takes = at.dataset && ("row" in at.dataset || ("paste" in at.dataset && !at.value && !document.querySelector("[data-row]")));
+  if (takes && /\d[\s;]+\d/.test(text.trim())) {
     event.preventDefault();
     edit({ do: "paste", value: text });
   }
@@ -107,12 +120,13 @@ document.addEventListener("click", async (event) => {
     const news = await ask("/open", d.open === "blank" ? {} : d.open === "example" ? { example: true } : { file: d.open });
     if (news) location.assign(news.go);
   } else if ("edit" in d) edit({ do: d.edit });
-  else if (d.act === "save") save();
   else if ("act" in d) act({ do: d.act });
   else if ("remove" in d) edit({ do: "sensor", index: +d.remove, value: null });
   else if ("addMass" in d) add(0, 0);
   else if ("take" in d || "append" in d) {
-    edit({ do: "append" in d ? "append" : "paste", value: document.querySelector("[data-paste]").value });
+    const box = document.querySelector("[data-paste]");
+    typed.delete(mark(box));
+    edit({ do: "append" in d ? "append" : "paste", value: box.value });
   } else if ("print" in d) {
     const page = window.open(d.print);
     page.addEventListener("load", () => page.print());
@@ -126,6 +140,7 @@ document.addEventListener("click", async (event) => {
   }
 });
 async function drop(file) {
+  flush();
   await pending;
   say(`reading ${file.name}`);
   try {
@@ -147,7 +162,7 @@ const add = (x, y) => edit({ do: "sensor", index: document.querySelectorAll("[da
 document.addEventListener("keydown", (event) => {
   if (!visit || !(event.ctrlKey || event.metaKey)) return;
   const key = event.key.toLowerCase();
-  if (key === "s") { event.preventDefault(); save(); }
+  if (key === "s") { event.preventDefault(); act({ do: "save" }); }
   if (key === "z" && !event.target.matches("textarea")) { event.preventDefault(); edit({ do: event.shiftKey ? "redo" : "undo" }); }
 });
 ask(`${base}/news?seen=-1&structure=-1`).then((news) => { show(news); listen(); });
