@@ -30,10 +30,12 @@ class Progress:
     """The reports of a computation while it runs.
 
     tick : called with (iterations done, value to show). notify : called with what begins that takes long.
+    found : called with shares of what is compared, so far, by its title
     """
 
     tick: Callable[[int, float], None]
     notify: Callable[[str], None]
+    found: Callable[[Mapping[str, float]], None] = lambda shares: None
 
 
 Described: TypeAlias = Callable[[float], str]

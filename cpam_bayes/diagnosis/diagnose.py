@@ -205,6 +205,7 @@ def diagnose_cases(
     executor: Executor | None = None,
     notify: Callable[[str], None] = lambda text: None,
     progress: Callable[[int, int], None] = lambda done, total: None,
+    so_far: Callable[[Mapping[str, float]], None] = lambda shares: None,
 ) -> Diagnosis:
     """Diagnose plates of one material, or one, from their frequency lists.
 
@@ -213,12 +214,15 @@ def diagnose_cases(
     gain : whether to leave out each frequency in turn
     power : whether to say what sizes the lists would have shown
     executor : where hypotheses are fitted, ``None`` for this process; the answer is the same
+    so_far : is told the shares of the causes while hypotheses are fitted
     """
     start = time.perf_counter()
     if hypotheses is None:
         hypotheses = hypotheses_of(cases)
     notify(f"weighing {len(hypotheses)} hypotheses")
-    weighed = weigh(cases, hypotheses, scatter=scatter, pairs=pairs, executor=executor, progress=progress)
+    weighed = weigh(
+        cases, hypotheses, scatter=scatter, pairs=pairs, executor=executor, progress=progress, so_far=so_far
+    )
     best = {name: weighed.best_of(name) for name in weighed.by_cause()}
     projector = projector_of(weighed.none.marginal)
     signatures = {

@@ -14,7 +14,7 @@ from markupsafe import Markup
 
 from cpam_bayes.plate.checks import SOURCES
 from cpam_bayes.plate.edges import CONDITIONS, PLACES
-from cpam_bayes.plate.layup import Layup
+from cpam_bayes.plate.layup import LayupError, parse_layup
 from cpam_bayes.workbench.plate_text import SENSOR, value_at
 from cpam_bayes.workbench.visit import Visit, Work
 
@@ -40,7 +40,7 @@ _DOING: Final = {
 _BAR: Final = (160.0, 16.0)
 _MARGIN: Final = 0.13
 _SPECTRUM: Final = (640.0, 150.0)
-_MOST_PLIES: Final = 40
+_MOST_PLIES, _MOST_BARS = 40, 8
 
 
 @cache
@@ -154,8 +154,10 @@ def _parts(visit: Visit) -> dict[str, str]:
     answer = exact or live or visit.stale.get("shown")
     settled = exact is not None
     diagnosis = answers.get("diagnose")
-    # one answer a page: where something is claimed, the plate as stated is how it was noticed
-    folded = settled and diagnosis is not None and diagnosis["kind"] in ("named", "class", "pair", "other")
+    # one answer a page: where something is wrong, the plate as stated is how it was noticed
+    folded = settled and diagnosis is not None and diagnosis["kind"] != "none" and diagnosis["nothing"] < 0.5
+    shares = [*visit.shares.items()][:_MOST_BARS] if visit.doing[0] == "diagnose" else []
+    weighed = [{"title": title, "probability": p, "said": f"{p:.2f}"} for title, p in shares]
     parts = {
         "title": str(module.title(visit)),
         "problems": str(module.problems(visit)),
@@ -169,7 +171,7 @@ def _parts(visit: Visit) -> dict[str, str]:
         "diagnosis": str(
             module.diagnosis(visit, diagnosis, [_bar(c) for c in diagnosis["constants"]] if diagnosis else [])
         ),
-        "doing": str(module.doing(visit, _DOING)),
+        "doing": str(module.doing(visit, _DOING, weighed)),
         "drawing": str(_drawing(visit)),
         "stack": str(_stack(visit)),
         "tools": str(module.tools(visit, _commands(visit))),
@@ -368,8 +370,12 @@ def _marks(
 
 def _stack(visit: Visit) -> Markup:
     """The plies, the lowest at the bottom, each with a line along its fibres."""
-    layup: Layup | None = None if visit.specimen is None else visit.specimen.plate.layup
-    if layup is None or (visit.specimen is not None and visit.specimen.material.isotropic):
+    try:
+        known = visit.specimen
+        layup = known.plate.layup if known else parse_layup(str(value_at(visit.data, "plate.layup")))
+    except LayupError:
+        return Markup("")
+    if value_at(visit.data, "material.isotropic"):
         return Markup("")
     n = layup.n_plies
     angles, unknown = layup.angles_deg.tolist(), layup.unknown_index.tolist()

@@ -61,8 +61,8 @@ __all__ = [
 ]
 
 
-Tell: TypeAlias = Callable[[float, str], None]
-"""Is told the fraction that is done, negative where not known, and what is being done."""
+Tell: TypeAlias = Callable[..., None]
+"""Is told the fraction that is done, negative where not known, what is being done, and shares so far."""
 
 
 Task: TypeAlias = Callable[..., Any]
@@ -98,6 +98,7 @@ class Shown:
         yield Progress(
             lambda done, value: self._tell(min(done / total, 1.0) if total else -1.0, title),
             lambda text: self._tell(-1.0, text),
+            lambda shares: self._tell(-1.0, title, shares),
         )
 
 
@@ -112,7 +113,7 @@ def _serve(pipe: Connection) -> None:
         except (EOFError, OSError):
             return
         try:
-            said = ("done", task(*args, tell=lambda done, text: pipe.send(("progress", (done, text)))))
+            said = ("done", task(*args, tell=lambda *said: pipe.send(("progress", said))))
         except (ValueError, RuntimeError) as error:
             said = ("refused", tuple(getattr(error, "problems", (str(error),))))
         pipe.send(said)
@@ -126,7 +127,7 @@ class Worker:
         self._pipe: Connection | None = None
         self._turn = asyncio.Lock()
 
-    async def run(self, task: Task, *args: Any, tell: Tell = lambda done, text: None) -> Any:
+    async def run(self, task: Task, *args: Any, tell: Tell = lambda *said: None) -> Any:
         """The answer of a task; ended with its process if this call is cancelled.
 
         Raises ``RefusedError`` with what the task refused, or that its process was lost.
@@ -293,6 +294,7 @@ class Work:
     file, text : what the tasks are called with
     answers : of the tasks, by name, of the text as it is now
     doing : the task, the fraction that is done, negative where not known, and its stage
+    shares : of what it compares, so far
     """
 
     desk: Desk
@@ -302,6 +304,7 @@ class Work:
     answers: dict[str, Any] = field(default_factory=dict)
     problems: tuple[str, ...] = ()
     doing: tuple[str, float, str] = ("", -1.0, "")
+    shares: Mapping[str, float] = field(default_factory=dict)
     _work: asyncio.Task[None] | None = None
     _changed: asyncio.Event = field(default_factory=asyncio.Event)
 
@@ -328,11 +331,12 @@ class Work:
             await self._long(task, *more)
 
     async def _long(self, task: str, *more: Any) -> None:
-        def tell(done: float, text: str) -> None:
+        def tell(done: float, text: str, shares: Mapping[str, float] | None = None) -> None:
+            self.shares = self.shares if shares is None else shares
             self.doing = (task, done if done >= 0.0 else self.doing[1], text)
             self.tell()
 
-        self.doing = (task, -1.0, "")
+        self.doing, self.shares = (task, -1.0, ""), {}
         self.tell()
         try:
             async with self.desk.pool.worker() as worker:

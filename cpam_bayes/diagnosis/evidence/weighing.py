@@ -494,20 +494,28 @@ def weigh(
     pairs: bool = True,
     executor: Executor | None = None,
     progress: Callable[[int, int], None] = lambda done, total: None,
+    so_far: Callable[[Mapping[str, float]], None] = lambda shares: None,
 ) -> Weighed:
     """Marginal likelihoods of hypotheses, each about some of the plates, none first, and of pairs.
 
     Where none is not the most probable of all, the best pairs of causes are tested too.
 
     executor : where hypotheses are fitted, ``None`` for this process
+    so_far : is told the shares of the causes among the hypotheses that are tested
     """
     scan = Scan(cases, scatter, executor)
+
+    def tell(done: int) -> None:
+        progress(done, total)
+        so_far(Weighed(tuple(_with_shares(ranked(scan.tested))), ()).by_cause())
+
     scan.begin(*hypotheses[0])
     total = len(hypotheses)
     on_list = [entry for entry in hypotheses[1:] if is_repairing(entry[0])]
     on_plate = [Trial(h, plates) for h, plates in hypotheses[1:] if not is_repairing(h)]
     scan.test_pairings(on_list)
-    scan.test(on_plate, lambda done: progress(done, total))
+    scan.test(on_plate, tell)
+    tell(len(on_plate))
     if pairs and ranked(scan.tested)[0].hypothesis.cause != NONE:
         if is_time_up():
             scan.is_cut_short = True
@@ -525,16 +533,17 @@ def weigh(
             break
         order = ranked(sampled)
     log_none = float(logsumexp([t.marginal.log_evidence for t in order if t.hypothesis.cause == NONE]))
-    log_weight = np.array([t.log_weight for t in order])
-    probability = np.exp(log_weight - log_weight.max())
-    probability /= probability.sum()
-    tested = [
-        replace(t, probability=float(p), log_bayes_factor=t.marginal.log_evidence - log_none)
-        for t, p in zip(order, probability, strict=True)
-    ]
+    tested = [replace(t, log_bayes_factor=t.marginal.log_evidence - log_none) for t in _with_shares(order)]
     prior = prior_by_cause([h for h, _ in hypotheses])
     not_tested = tuple(dict.fromkeys(scan.not_tested))
     return Weighed(_credited(tested), not_tested, prior, scan.is_cut_short)
+
+
+def _with_shares(order: Sequence[Tested]) -> list[Tested]:
+    """Hypotheses, the best first, with the share of each in prior times evidence as its probability."""
+    share = np.exp(np.array([t.log_weight for t in order]) - order[0].log_weight)
+    share /= share.sum()
+    return [replace(t, probability=float(p)) for t, p in zip(order, share, strict=True)]
 
 
 def _credited(tested: Sequence[Tested]) -> tuple[Tested, ...]:

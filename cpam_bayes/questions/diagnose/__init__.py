@@ -56,7 +56,9 @@ from cpam_bayes.questions.diagnose.document import (
     absorbed_biases,
     answer_constants,
     catalogue_sd,
+    cause_title,
     document,
+    effect_titles,
     fit_constants,
     leading,
     probability_text,
@@ -232,7 +234,7 @@ def _diagnosed(
     hypotheses = hypotheses_of(cases, catalogue)
     if prior_none is not None:
         hypotheses = with_prior_of_none(hypotheses, prior_none)
-    n = len(hypotheses)
+    n, titles = len(hypotheses), effect_titles(h for h, _ in hypotheses)
     with watch.stage(title, n, counted="hypotheses") as shown:
 
         def progress(done: int, total: int) -> None:
@@ -253,6 +255,7 @@ def _diagnosed(
             executor=executor,
             notify=shown.notify,
             progress=progress,
+            so_far=lambda shares: shown.found({cause_title(name, titles): p for name, p in shares.items()}),
         )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Final
 
@@ -17,7 +17,7 @@ from cpam_bayes.diagnosis.diagnose import Cause, Diagnosis
 from cpam_bayes.diagnosis.evidence.marginal import Tested, distinct_hypotheses, prior_of
 from cpam_bayes.diagnosis.extension import FrequencyRow, PairedFit
 from cpam_bayes.diagnosis.fit import Fit, inferred_noise
-from cpam_bayes.diagnosis.hypotheses import NONE, OTHER, Claim, causes_in
+from cpam_bayes.diagnosis.hypotheses import NONE, OTHER, Claim, Hypothesis, causes_in
 from cpam_bayes.diagnosis.next_test import Candidate
 from cpam_bayes.effects import CATALOGUE, Effect, scale_of
 from cpam_bayes.formatting import fixed, signed, significant, with_spread
@@ -151,7 +151,12 @@ def detectable_rows(d: Diagnosis) -> tuple[DetectableRow, ...]:
 
 def titles_of(d: Diagnosis) -> dict[str, str]:
     """Name of a single cause -> the cause in words, of the catalogue and of what was tested."""
-    tested = (effect for cause in d.causes for effect in cause.hypothesis.records)
+    return effect_titles(cause.hypothesis for cause in d.causes)
+
+
+def effect_titles(hypotheses: Iterable[Hypothesis]) -> dict[str, str]:
+    """Name of a single cause -> the cause in words, of the catalogue and of hypotheses."""
+    tested = (effect for hypothesis in hypotheses for effect in hypothesis.records)
     return {effect.name: effect.title for effect in (*CATALOGUE, *tested)}
 
 
@@ -172,11 +177,15 @@ def some_of(names: Sequence[str]) -> str:
 
 def title_of(d: Diagnosis, name: str) -> str:
     """A cause in words; a pair with both."""
+    return cause_title(name, titles_of(d))
+
+
+def cause_title(name: str, titles: Mapping[str, str]) -> str:
+    """A cause in words; a pair with both."""
     if name == NONE:
         return "nothing wrong"
     if name == OTHER:
         return "an unknown error"
-    titles = titles_of(d)
     return " and ".join(titles.get(part, part) for part in causes_in(name))
 
 
