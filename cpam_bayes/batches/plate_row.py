@@ -114,6 +114,8 @@ class PlateRow:
     slip : of the plate file without which it fits, with the number of its mode or frequency
     areal_mass : kg/m2 of a plate that was weighed
     certificate : laboratory, operator and date of its file
+    remarks : what its list may have wrong, and what was left out or added by hand
+    all_rows : the constants with all rows of a list that some were left out of
     """
 
     file: str
@@ -131,6 +133,8 @@ class PlateRow:
     slip: tuple[str, int] | None = None
     areal_mass: float | None = None
     certificate: tuple[tuple[str, str], ...] = ()
+    remarks: tuple[str, ...] = ()
+    all_rows: tuple[RowConstant, ...] = ()
 
     @property
     def is_judged(self) -> bool:
@@ -149,17 +153,22 @@ class PlateRow:
 def row_of(content: bytes) -> PlateRow:
     """The row of a stored text; raises ``ValueError``, ``KeyError`` or ``TypeError`` for others."""
     raw: dict[str, Any] = json.loads(content)
-    constants = tuple(
-        RowConstant(
-            **{**c, "verdict": Verdict(c["verdict"]), "posterior": MarginalPosterior(**c["posterior"])}
+    constants, all_rows = (
+        tuple(
+            RowConstant(
+                **{**c, "verdict": Verdict(c["verdict"]), "posterior": MarginalPosterior(**c["posterior"])}
+            )
+            for c in raw[key]
         )
-        for c in raw["constants"]
+        for key in ("constants", "all_rows")
     )
     likelihood, diagnosis = raw["likelihood"], raw["diagnosis"]
     return PlateRow(
         **{
             **raw,
             "constants": constants,
+            "all_rows": all_rows,
+            "remarks": tuple(raw["remarks"]),
             "likelihood": None if likelihood is None else _likelihood(likelihood),
             "slip": None if raw["slip"] is None else tuple(raw["slip"]),
             "certificate": tuple(map(tuple, raw["certificate"])),
@@ -348,6 +357,7 @@ def row_key(specimen: Specimen, seed: int, diagnosis: bool | Literal["brief"], s
             list(measurement.labels),
             measurement.complete,
             _shapes(measurement),
+            None if measurement.whole is None else measurement.whole.frequencies.tolist(),
         ],
     }
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:32]

@@ -16,6 +16,7 @@ from cpam_bayes.batches.geometry import carried, groups_of, size_powers
 from cpam_bayes.batches.limits import MarginalPosterior, control_chart, read_limit
 from cpam_bayes.batches.plate_row import PlateRow, computed_row, row_key, row_of
 from cpam_bayes.plate import Specimen
+from cpam_bayes.questions.batch.result import constant_text
 from tests.batches.plates import N_MODES, plate, with_noise, written
 from tests.hybrids import hybrid
 from tests.plate_file import refused
@@ -300,6 +301,7 @@ def test_a_folder_of_plates_has_its_four_verdicts_first_and_a_certificate(tmp_pa
     plates += [plate("b4", e1=61.0), plate("b5", e1=68.05)]
     shifted = plate("b6")
     shifted["measurement"]["frequencies_hz"][-1] *= 10.0
+    plates[4]["measurement"]["left_out"] = [6]
     result = cb.batch(in_a_folder(tmp_path, [*plates, shifted]), limits=[LIMIT])
     assert [row.name for row in result.rows] == [f"b{i}" for i in range(7)]
     assert result.report().summary.headline.startswith(
@@ -310,6 +312,12 @@ def test_a_folder_of_plates_has_its_four_verdicts_first_and_a_certificate(tmp_pa
     page = result.texts()["certificate.html"]
     assert "the probability of meeting every limit is 0.95 or more" in page
     assert "a guard band by probability: a plate passes" in page
+    assert "frequency 6 of the list, " in page
+    assert "was left out by hand" in page
+    del plates[4]["measurement"]["left_out"]
+    whole = cb.batch(plates[4]).rows[0].constant("E1")
+    assert "b4 with all rows" in page
+    assert f"E1: {constant_text(whole)} GPa".replace("+-", "±") in page
     assert "certificate.html" not in cb.batch("A1").texts()
 
 

@@ -188,7 +188,12 @@ def _as_given(row: PlateRow, plate: Specimen | PlateRow) -> PlateRow:
         return row
     of = plate.plate
     areal = None if of.mass is None else of.mass / (of.length * of.width)
-    return replace(row, areal_mass=areal, certificate=(("specimen", plate.specimen), *plate.certificate))
+    return replace(
+        row,
+        areal_mass=areal,
+        certificate=(("specimen", plate.specimen), *plate.certificate),
+        remarks=() if plate.measurement is None else plate.measurement.remarks,
+    )
 
 
 def _read(plate: PlateLike, diagnosis: bool) -> _Item:
@@ -365,7 +370,8 @@ def _identified_row(file: str, specimen: Specimen, seed: int, diagnosis: bool) -
     """The constants of a plate by swarms, and the claim where it is asked for."""
     # relative residuals: their optimum is that of the posterior, which the limits are asked of
     point = identify(specimen, seed=seed, residuals="relative")
-    return computed_row(
+    whole = None if specimen.measurement is None else specimen.measurement.whole
+    row = computed_row(
         file,
         point.estimate,
         message=" ".join(point.warnings),
@@ -373,6 +379,10 @@ def _identified_row(file: str, specimen: Specimen, seed: int, diagnosis: bool) -
         diagnosis=diagnosed(specimen) if diagnosis else None,
         slip=next(((s.kind, s.number) for s in point.explained_by), None),
     )
+    if whole is None:
+        return row
+    of_all = _identified_row(file, replace(specimen, measurement=whole), seed, False)
+    return replace(row, all_rows=of_all.constants)
 
 
 COMMAND: Final = Command(

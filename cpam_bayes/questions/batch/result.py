@@ -26,6 +26,7 @@ __all__ = [
     "SURE",
     "BatchResult",
     "BatchVerdict",
+    "constant_text",
     "dataset",
     "document",
     "plates",
@@ -227,7 +228,12 @@ def _constant_text(row: PlateRow, name: str) -> str:
     constant = row.constant(name)
     if constant is None:
         return "failed" if row.status == "failed" else ""
-    value, sd = with_spread(to_user(name, constant.value), to_user(name, constant.sd))
+    return constant_text(constant)
+
+
+def constant_text(constant: RowConstant) -> str:
+    """A constant of a plate, in the unit of the plate file."""
+    value, sd = with_spread(to_user(constant.name, constant.value), to_user(constant.name, constant.sd))
     return f"{value} +- {sd}{'' if constant.verdict is Verdict.DATA else ' (open)'}"
 
 

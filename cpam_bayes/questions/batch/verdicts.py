@@ -15,7 +15,14 @@ from cpam_bayes.batches.plate_row import PlateRow
 from cpam_bayes.effects import CATALOGUE
 from cpam_bayes.formatting import listed, significant, with_spread
 from cpam_bayes.plate import to_user, unit_of
-from cpam_bayes.questions.batch.result import CERTIFICATE, SURE, BatchResult, BatchVerdict, verdict
+from cpam_bayes.questions.batch.result import (
+    CERTIFICATE,
+    SURE,
+    BatchResult,
+    BatchVerdict,
+    constant_text,
+    verdict,
+)
 from cpam_bayes.render.report import Section, facts
 
 __all__ = ["certificate_section", "four_verdicts", "limit_step", "why_not_judged"]
@@ -169,6 +176,13 @@ def certificate_section(result: BatchResult) -> Section:
     names = ("laboratory", "operator", "date", "specimen")
     found = {n: list(dict.fromkeys(each[n] for each in given if n in each)) for n in names}
     rows = [(name, _some(values)) for name, values in found.items() if values]
+    for row in result.rows:
+        rows += [(f"list of {row.name}", remark) for remark in row.remarks]
+        if row.all_rows:
+            of_all = "; ".join(
+                f"{c.name}: {constant_text(c)} {unit_of(c.name)}".rstrip() for c in row.all_rows
+            )
+            rows.append((f"{row.name} with all rows", of_all))
     rows += [(limit.shown, _guard(result, limit)) for limit in result.limits]
     rows += [
         ("pass", f"the probability of meeting every limit is {SURE:g} or more"),
