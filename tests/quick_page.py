@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -88,3 +89,9 @@ def desk_of(folder: Path) -> Desk:
     material = Material("aluminium", ('name = "aluminium"', "E1_GPa = 69.0"), ("E1_GPa = [20.0, 250.0]",))
     tasks = Tasks("live", "hold", "identify", "diagnose", "pick", "report", "batch")
     return Desk(folder, tasks, {"metal": material}, "name = 'plate'\n", EXAMPLE, Answers(), One(), rest=0.0)
+
+
+def echo(value: Any, *, tell: Any) -> tuple[Any, int]:
+    """A task of a worker: what it was given, and the process that answers."""
+    del tell
+    return value, os.getpid()

@@ -55,6 +55,8 @@ _PORT: Final = 8377
 _REACH: Final = 1.959963984540054
 # Start points of the optimisation where there is no former optimum.
 _STARTS: Final = 4
+# Seconds that the live answer to a former edit may take before that to the last one.
+_PATIENCE: Final = 3.0
 # Causes that are shown as bars.
 _BARS: Final = 8
 # Points of a spectrum.
@@ -137,7 +139,7 @@ def app(
         materials={key: Material(m.name, *material_lines(m)) for key, m in MATERIALS.items()},
         blank=plate_file_text(KnownPlate("plate", edges="FFFF", layup="[0_8]")),
         example=(Path(server.__file__).parent / "pages" / "example.toml").read_text("utf-8"),
-        live=Worker(),
+        live=Worker(patience=_PATIENCE),
         pool=Pool(2),
     )
     first = None if name is None else lambda: Visit.opened(desk, name, text)

@@ -120,35 +120,56 @@ def _serve(pipe: Connection) -> None:
 
 
 class Worker:
-    """One process at most, made when it is first needed."""
+    """One process at most, made when it is first needed.
 
-    def __init__(self) -> None:
+    patience : seconds for which a task that was given up may go on before its process is ended; a process
+        that stays has its models, so that short work is answered sooner after a short wait
+    """
+
+    def __init__(self, patience: float = 0.0) -> None:
+        self._patience = patience
         self._process: Any = None
         self._pipe: Connection | None = None
         self._turn = asyncio.Lock()
+        self._given_up: asyncio.Future[tuple[str, Any]] | None = None
 
     async def run(self, task: Task, *args: Any, tell: Tell = lambda *said: None) -> Any:
-        """The answer of a task; ended with its process if this call is cancelled.
+        """The answer of a task, which is given up if this call is cancelled.
 
         Raises ``RefusedError`` with what the task refused, or that its process was lost.
         """
         async with self._turn:
+            while self._given_up is not None:
+                await asyncio.wait({self._given_up}, timeout=max(self._patience, 0.05))
+                if self._given_up.done():
+                    self._given_up = None
+                else:
+                    self.stop()
+            work = asyncio.ensure_future(self._answered(task, args, tell))
             try:
-                await asyncio.to_thread(self._send, task, args)
-                while True:
-                    assert self._pipe is not None
-                    kind, said = await asyncio.to_thread(self._pipe.recv)
-                    if kind == "done":
-                        return said
-                    if kind == "refused":
-                        raise RefusedError(*said)
-                    tell(*said)
+                kind, said = await asyncio.shield(work)
             except asyncio.CancelledError:
-                self.stop()
+                self._given_up = work
+                if not self._patience:
+                    self.stop()
                 raise
-            except (EOFError, OSError):
-                self.stop()
-                raise RefusedError("the computation was lost; change a value to begin again") from None
+        if kind == "refused":
+            raise RefusedError(*said)
+        return said
+
+    async def _answered(self, task: Task, args: tuple[Any, ...], tell: Tell) -> tuple[str, Any]:
+        try:
+            await asyncio.to_thread(self._send, task, args)
+            while True:
+                assert self._pipe is not None
+                kind, said = await asyncio.to_thread(self._pipe.recv)
+                if kind != "progress":
+                    return kind, said
+                if self._given_up is None:
+                    tell(*said)
+        except (EOFError, OSError):
+            self.stop()
+            return "refused", ("the computation was lost; change a value to begin again",)
 
     def _send(self, task: Task, args: tuple[Any, ...]) -> None:
         if self._process is None or not self._process.is_alive():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import os
 import random
@@ -14,8 +15,8 @@ import pytest
 from starlette.testclient import TestClient
 
 from cpam_bayes.workbench.server import application
-from cpam_bayes.workbench.visit import DRAFTS
-from tests.quick_page import EXAMPLE, desk_of
+from cpam_bayes.workbench.visit import DRAFTS, Worker
+from tests.quick_page import EXAMPLE, desk_of, echo
 
 TOKEN, PORT = "the-token-of-this-page", 8377
 HERE = f"http://127.0.0.1:{PORT}"
@@ -173,6 +174,28 @@ def test_a_report_is_taken_away_as_page_workbook_and_json(client: TestClient) ->
     news(client, visit, f"{visit}/report")
     assert client.get(f"{visit}/results.xlsx").content.startswith(b"PK")
     assert client.get(f"{visit}/results.json").json() == {}
+
+
+@pytest.mark.parametrize("patience", [0.0, 60.0])
+def test_an_edit_is_never_answered_with_what_a_former_one_asked(patience: float) -> None:
+    async def asked() -> tuple[list[Any], set[int]]:
+        worker = Worker(patience)
+        _, first = await worker.run(echo, "first")
+        values, processes = [], {first}
+        for value in range(3):
+            former = asyncio.ensure_future(worker.run(echo, "former"))
+            for _ in range(value + 1):  # given up before, while and after it is sent
+                await asyncio.sleep(0)
+            former.cancel()
+            value, process = await worker.run(echo, value)
+            values.append(value)
+            processes.add(process)
+        worker.stop()
+        return values, processes
+
+    values, processes = asyncio.run(asked())
+    assert values == [0, 1, 2]
+    assert len(processes) == 1 or not patience
 
 
 def test_a_killed_server_loses_nothing(client: TestClient, folder: Path) -> None:
