@@ -21,11 +21,12 @@ from cpam_bayes.batches.limits import MarginalPosterior
 from cpam_bayes.diagnosis.cases import hypotheses_of, plate_case
 from cpam_bayes.diagnosis.diagnose import diagnose_cases
 from cpam_bayes.effects import CATALOGUE
+from cpam_bayes.formatting import with_spread
 from cpam_bayes.forward_model.labels import labelled_model
 from cpam_bayes.identification.point import PointEstimate
 from cpam_bayes.inference.derivatives import expand_likelihood
 from cpam_bayes.inference.posterior import plate_posterior
-from cpam_bayes.plate import Measurement, Specimen
+from cpam_bayes.plate import Measurement, Specimen, to_user
 from cpam_bayes.storage import read_sealed, set_aside, write_sealed
 
 __all__ = [
@@ -70,6 +71,12 @@ class RowConstant:
     def is_open(self) -> bool:
         """Whether the frequencies leave it open."""
         return self.verdict not in (Verdict.DATA, Verdict.BOTH)
+
+    @property
+    def text(self) -> str:
+        """In the unit of the plate file."""
+        value, sd = with_spread(to_user(self.name, self.value), to_user(self.name, self.sd))
+        return f"{value} +- {sd}{'' if self.verdict is Verdict.DATA else ' (open)'}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,15 +160,7 @@ class PlateRow:
 def row_of(content: bytes) -> PlateRow:
     """The row of a stored text; raises ``ValueError``, ``KeyError`` or ``TypeError`` for others."""
     raw: dict[str, Any] = json.loads(content)
-    constants, all_rows = (
-        tuple(
-            RowConstant(
-                **{**c, "verdict": Verdict(c["verdict"]), "posterior": MarginalPosterior(**c["posterior"])}
-            )
-            for c in raw[key]
-        )
-        for key in ("constants", "all_rows")
-    )
+    constants, all_rows = (tuple(map(_row_constant, raw[key])) for key in ("constants", "all_rows"))
     likelihood, diagnosis = raw["likelihood"], raw["diagnosis"]
     return PlateRow(
         **{
@@ -177,6 +176,11 @@ def row_of(content: bytes) -> PlateRow:
             else PlateDiagnosis(**{**diagnosis, "causes": tuple(diagnosis["causes"])}),
         }
     )
+
+
+def _row_constant(raw: Mapping[str, Any]) -> RowConstant:
+    read = {"verdict": Verdict(raw["verdict"]), "posterior": MarginalPosterior(**raw["posterior"])}
+    return RowConstant(**{**raw, **read})
 
 
 def _likelihood(raw: Mapping[str, Any]) -> LocalLikelihood:

@@ -24,7 +24,7 @@ from cpam_bayes.forward_model.preconditions import misfit_over_noise
 from cpam_bayes.identification.point import bound_of, verdict_of
 from cpam_bayes.identification.search import posterior
 from cpam_bayes.inference.laplace import find_optima, gauss_newton_covariance
-from cpam_bayes.plate import Specimen, builtin_names, parse_specimen, to_user, unit_of
+from cpam_bayes.plate import Specimen, builtin_names, parse_specimen, to_user
 from cpam_bayes.plate.reader import builtin_text
 from cpam_bayes.questions.batch import batch
 from cpam_bayes.questions.diagnose import claim_sentence, diagnose
@@ -246,7 +246,6 @@ def identified(text: str, name: str, folder: str, *, tell: Tell) -> Any:
         "headline": summary.headline,
         "slips": list(summary.slips),
         "lines": list(summary.lines),
-        "next": summary.next_step,
         "warnings": list(summary.warnings),
         "constants": _constants([*result.constants.values()]),
         "all_rows": None if of_all is None else _constants([*of_all.constants.values()]),
@@ -264,7 +263,6 @@ def diagnosed(text: str, name: str, folder: str, *, tell: Tell) -> Any:
     specimen = parse_specimen(text, name, Path(folder))
     result = diagnose(specimen, next_test="never", watch=Shown(tell))
     d, summary = result.diagnosis, result.report().summary
-    causes = [c for c in d.causes if c.name != NONE][:_BARS]
     apply, said = _applied(result, specimen)
     first = next((c for c in d.causes if c.name not in (NONE, OTHER)), None)
     place = place_of(first, specimen.plate) if first is not None and first.name in d.claim.causes else None
@@ -284,7 +282,7 @@ def diagnosed(text: str, name: str, folder: str, *, tell: Tell) -> Any:
                 "probability": c.probability,
                 "said": probability_text(c.probability),
             }
-            for c in causes
+            for c in d.causes[:_BARS]
         ],
         "nothing": 1.0 - d.something_wrong,
         "place": None if place is None else [[1e3 * v for v in part] for part in place],
@@ -345,7 +343,6 @@ def picked(text: str, name: str, folder: str, recording: str, *, tell: Tell) -> 
         "recording": recording,
         "modes": [float(f"{m.frequency:.5g}") for m in result.modes],
         "spectrum": [[round(float(hz[i]), 3), round(float(level[i]), 1)] for i in peaks],
-        "said": [result.report().summary.headline, *result.warnings],
     }
 
 
@@ -381,7 +378,6 @@ def _constants(constants: Sequence[Constant]) -> list[dict[str, Any]]:
         found.append(
             {
                 "name": c.name,
-                "unit": unit_of(c.name),
                 "value": to_user(c.name, c.value),
                 "interval": interval,
                 "bounds": [to_user(c.name, c.prior.lower), to_user(c.name, c.prior.upper)],
@@ -401,8 +397,6 @@ def _rows(rows: Sequence[FrequencyRow]) -> list[dict[str, Any]]:
             "model": columns["predicted_hz"].cell(row),
             "residual": columns["residual_percent"].cell(row),
             "percent": None if row.residual is None else 100.0 * row.residual,
-            "label": row.label or "",
-            "kind": row.kind or "",
         }
         for row in rows
     ]

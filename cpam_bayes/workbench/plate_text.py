@@ -20,9 +20,11 @@ __all__ = [
     "SENSOR",
     "Row",
     "as_list",
+    "as_typed",
     "content",
     "numbers_in",
     "rows_in",
+    "sensors_in",
     "value_at",
     "with_block",
     "with_file",
@@ -71,6 +73,16 @@ def value_at(data: Mapping[str, Any], key: str) -> Any:
     for part in key.split("."):
         found = found.get(part) if isinstance(found, Mapping) else None
     return found
+
+
+def as_typed(value: object) -> str:
+    """A value of a plate file as it is typed, "" for None."""
+    return f"{value:.10g}" if isinstance(value, float) else "" if value is None else str(value)
+
+
+def sensors_in(data: Mapping[str, Any]) -> list[dict[str, str]]:
+    """The masses on the plate, as typed."""
+    return [{k: as_typed(s.get(k)) for k in SENSOR} for s in data.get("sensor", []) if isinstance(s, Mapping)]
 
 
 def numbers_in(typed: str) -> list[str]:
@@ -196,7 +208,7 @@ def rows_in(data: Mapping[str, Any]) -> list[Row]:
     )
     return [
         Row(
-            f"{hz:.10g}" if isinstance(hz, float) else str(hz),
+            as_typed(hz),
             repr(sds[i]) if i < len(sds) and isinstance(sds[i], int | float) else "",
             json.dumps(labels[i], ensure_ascii=False) if i < len(labels) else "",
             i + 1 in left_out,

@@ -15,7 +15,7 @@ from markupsafe import Markup
 from cpam_bayes.plate.checks import SOURCES
 from cpam_bayes.plate.edges import CONDITIONS, PLACES
 from cpam_bayes.plate.layup import LayupError, parse_layup
-from cpam_bayes.workbench.plate_text import SENSOR, value_at
+from cpam_bayes.workbench.plate_text import as_typed, sensors_in, value_at
 from cpam_bayes.workbench.visit import Visit, Work
 
 __all__ = ["begin_page", "folder_news", "news_of", "visit_page"]
@@ -101,46 +101,39 @@ def _module() -> Any:
 
 def _form(visit: Visit) -> str:
     data = visit.data
-    shown = {key: _typed(value_at(data, key)) for key, *_ in _SIZES}
+    shown = {key: as_typed(value_at(data, key)) for key, *_ in _SIZES}
     edges = visit.edges
-    sensors = data.get("sensor", [])
     sections = {
         key: value_at(data, key) or {} for key in ("material", "unknowns", "measurement", "environment")
     }
     return str(
         _module().form(
             visit=visit,
-            name=_typed(data.get("name")),
+            name=as_typed(data.get("name")),
             sizes=[(key, label, unit, shown[key]) for key, label, unit in _SIZES],
-            layup=_typed(value_at(data, "plate.layup")),
+            layup=as_typed(value_at(data, "plate.layup")),
             edges=list(zip(PLACES, edges, strict=True)),
             conditions=_EDGES,
             materials=visit.desk.materials,
             material=sections["material"].get("name", ""),
             constants=[
-                (key, unit, _typed(sections["material"].get(key)), _bounds(sections["unknowns"].get(key)))
+                (key, unit, as_typed(sections["material"].get(key)), _bounds(sections["unknowns"].get(key)))
                 for key, unit in _CONSTANTS
                 if key in sections["material"] or key in sections["unknowns"]
             ],
-            repeatability=_typed(sections["measurement"].get("relative_std")),
-            resolution=_typed(sections["measurement"].get("resolution_hz")),
-            air=_typed(sections["environment"].get("air_density_kg_m3")),
+            repeatability=as_typed(sections["measurement"].get("relative_std")),
+            resolution=as_typed(sections["measurement"].get("resolution_hz")),
+            air=as_typed(sections["environment"].get("air_density_kg_m3")),
             rows=visit.rows,
             source=next((_names(n) for k in _SOURCES if (n := value_at(data, k))), ""),
             is_typed=not any(value_at(data, key) for key in _SOURCES[1:]),
-            sensors=[{k: _typed(s.get(k)) for k in SENSOR} for s in sensors if isinstance(s, Mapping)],
+            sensors=sensors_in(data),
         )
     )
 
 
 def _bounds(value: object) -> str:
-    return ", ".join(map(_typed, value)) if isinstance(value, list) else ("" if value is None else "normal")
-
-
-def _typed(value: object) -> str:
-    if value is None:
-        return ""
-    return f"{value:.10g}" if isinstance(value, float) else str(value)
+    return ", ".join(map(as_typed, value)) if isinstance(value, list) else ("" if value is None else "normal")
 
 
 def _names(given: object) -> str:
@@ -169,7 +162,7 @@ def _parts(visit: Visit) -> dict[str, str]:
             else module.guide(answers["hold"])
         ),
         "diagnosis": str(
-            module.diagnosis(visit, diagnosis, [_bar(c) for c in diagnosis["constants"]] if diagnosis else [])
+            module.diagnosis(visit, diagnosis, [_bar(c) for c in diagnosis["constants"]] if folded else [])
         ),
         "doing": str(module.doing(visit, _DOING, weighed)),
         "drawing": str(_drawing(visit)),
@@ -268,7 +261,7 @@ def _drawing(visit: Visit) -> Markup:
     for sensor in visit.data.get("sensor", []):
         x, y = (_number(sensor.get(k)) for k in ("x_mm", "y_mm"))
         if x is not None and y is not None:
-            said = Markup.escape(_typed(sensor.get("mass_g")))
+            said = Markup.escape(as_typed(sensor.get("mass_g")))
             shape.append(
                 f'<circle class="mass" cx="{x:g}" cy="{b - y:g}" r="{r:g}"><title>{said} g</title></circle>'
             )

@@ -34,6 +34,7 @@ from cpam_bayes.workbench.plate_text import (
     content,
     numbers_in,
     rows_in,
+    sensors_in,
     value_at,
     with_block,
     with_file,
@@ -470,15 +471,11 @@ class Visit(Work):
         if text == self.text:
             return
         field_name, now = f"{what} {change.get('key')} {change.get('index')}", time.monotonic()
-        if self._last[0] != field_name or now - self._last[1] > _ONE_EDIT or not self.before:
-            self.before = [*self.before, self.text][-_MOST_UNDO:]
-        self._last, self.undone = (field_name, now), []
-        before, after = (self._rows_of(content(t)) for t in (self.text, text))
-        self._become(text, anew=what not in ("set", "row") or before != after)
-
-    @staticmethod
-    def _rows_of(data: Mapping[str, Any]) -> list[tuple[bool, bool]]:
-        return [(row.left_out, row.by_hand) for row in rows_in(data)]
+        is_step = self._last[0] != field_name or now - self._last[1] > _ONE_EDIT or not self.before
+        self._last = (field_name, now)
+        before, after = ([(r.left_out, r.by_hand) for r in rows_in(content(t))] for t in (self.text, text))
+        self.undone = []
+        self._become(text, anew=what not in ("set", "row") or before != after, is_step=is_step)
 
     @property
     def rows(self) -> list[Row]:
@@ -519,9 +516,7 @@ class Visit(Work):
                 if is_new:
                     path.unlink()
                 raise EditError("; ".join(wrong[:3])) from None
-        self.before = [*self.before, self.text][-_MOST_UNDO:]
-        self.undone = []
-        self._become(text, anew=True)
+        self._become(text, anew=True, is_step=True)
         return f"{name} is the list"
 
     async def _picked(self) -> None:
@@ -539,8 +534,7 @@ class Visit(Work):
         if is_new:
             picked = [Row(repr(hz)) for hz in self.stale["pick"]["modes"]]
             text = with_file(self.text, "picked_from", name)
-            self.before = [*self.before, self.text][-_MOST_UNDO:]
-            self._become(with_rows(text, picked), anew=True)
+            self._become(with_rows(text, picked), anew=True, is_step=True)
         self.tell()
 
     def cancel(self) -> None:
@@ -548,7 +542,9 @@ class Visit(Work):
         self.dropped = ""
         Work.cancel(self)
 
-    def _become(self, text: str, *, anew: bool) -> None:
+    def _become(self, text: str, *, anew: bool, is_step: bool = False) -> None:
+        if is_step:
+            self.before, self.undone = [*self.before, self.text][-_MOST_UNDO:], []
         self.text = text
         self.structure += anew
         self.keep()
@@ -701,8 +697,7 @@ def _edited(visit: Visit, what: object, change: Mapping[str, Any]) -> str:
             if not apply:
                 raise EditError("there is nothing to apply")
             if "sensor" in apply:
-                sensors = [{k: _shown(s.get(k, "")) for k in SENSOR} for s in data.get("sensor", [])]
-                return with_sensors(text, [*sensors, apply["sensor"]])
+                return with_sensors(text, [*sensors_in(data), apply["sensor"]])
             return with_value(text, apply["key"], apply["value"])
     raise EditError(
         f"do: received {what!r:.60}, accepted: set edge row leave peak paste append material sensor apply "
@@ -762,7 +757,7 @@ def _sorted(rows: list[Row]) -> list[Row]:
 
 
 def _with_sensor(text: str, data: Mapping[str, Any], change: Mapping[str, Any]) -> str:
-    sensors = [{k: _shown(s.get(k, "")) for k in SENSOR} for s in data.get("sensor", [])]
+    sensors = sensors_in(data)
     index = _index(change.get("index"), len(sensors) + 1)
     value = change.get("value")
     if value is None:
@@ -789,11 +784,6 @@ def _index(value: object, most: int) -> int:
     if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < most:
         raise EditError(f"index: received {value!r:.60}, accepted: 0 to {most - 1}")
     return value
-
-
-def _shown(value: object) -> str:
-    """A value of a plate file as it is typed."""
-    return f"{value:.10g}" if isinstance(value, float) else str(value)
 
 
 def _inside(value: object) -> bool:

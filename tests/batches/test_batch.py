@@ -16,7 +16,6 @@ from cpam_bayes.batches.geometry import carried, groups_of, size_powers
 from cpam_bayes.batches.limits import MarginalPosterior, control_chart, read_limit
 from cpam_bayes.batches.plate_row import PlateRow, computed_row, row_key, row_of
 from cpam_bayes.plate import Specimen
-from cpam_bayes.questions.batch.result import constant_text
 from tests.batches.plates import N_MODES, plate, with_noise, written
 from tests.hybrids import hybrid
 from tests.plate_file import refused
@@ -317,7 +316,7 @@ def test_a_folder_of_plates_has_its_four_verdicts_first_and_a_certificate(tmp_pa
     used, whole = result.rows[4].constants[0], result.rows[4].all_rows[0]
     assert whole.sd < used.sd  # of six frequencies, not five
     assert "b4 with all rows" in page
-    shown = f"{constant_text(whole)} GPa".replace("+-", "±").replace(" ", "\N{NO-BREAK SPACE}")
+    shown = f"{whole.text} GPa".replace("+-", "±").replace(" ", "\N{NO-BREAK SPACE}")
     assert f"E1: {shown}" in page
     assert "certificate.html" not in cb.batch("A1").texts()
 

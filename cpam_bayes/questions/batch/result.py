@@ -10,12 +10,11 @@ from typing import Any, ClassVar, Final, Literal, TypeAlias
 import numpy as np
 
 from cpam_bayes import __version__
-from cpam_bayes.answer import Verdict
 from cpam_bayes.batches.limits import ControlChart, Limit, control_chart
 from cpam_bayes.batches.plate_row import PlateDiagnosis, PlateRow, RowConstant
 from cpam_bayes.batches.population import Population
 from cpam_bayes.diagnosis.hypotheses import CLAIM_RULES
-from cpam_bayes.formatting import fixed, with_spread
+from cpam_bayes.formatting import fixed
 from cpam_bayes.plate import to_user, unit_of, user_name
 from cpam_bayes.render.page import page_text
 from cpam_bayes.render.report import Column, Rows, csv_text
@@ -26,7 +25,6 @@ __all__ = [
     "SURE",
     "BatchResult",
     "BatchVerdict",
-    "constant_text",
     "dataset",
     "document",
     "plates",
@@ -228,13 +226,7 @@ def _constant_text(row: PlateRow, name: str) -> str:
     constant = row.constant(name)
     if constant is None:
         return "failed" if row.status == "failed" else ""
-    return constant_text(constant)
-
-
-def constant_text(constant: RowConstant) -> str:
-    """A constant of a plate, in the unit of the plate file."""
-    value, sd = with_spread(to_user(constant.name, constant.value), to_user(constant.name, constant.sd))
-    return f"{value} +- {sd}{'' if constant.verdict is Verdict.DATA else ' (open)'}"
+    return constant.text
 
 
 def probability_text(p: float) -> str:

@@ -15,14 +15,7 @@ from cpam_bayes.batches.plate_row import PlateRow
 from cpam_bayes.effects import CATALOGUE
 from cpam_bayes.formatting import listed, significant, with_spread
 from cpam_bayes.plate import to_user, unit_of
-from cpam_bayes.questions.batch.result import (
-    CERTIFICATE,
-    SURE,
-    BatchResult,
-    BatchVerdict,
-    constant_text,
-    verdict,
-)
+from cpam_bayes.questions.batch.result import CERTIFICATE, SURE, BatchResult, BatchVerdict, verdict
 from cpam_bayes.render.report import Section, facts
 
 __all__ = ["certificate_section", "four_verdicts", "limit_step", "why_not_judged"]
@@ -179,9 +172,7 @@ def certificate_section(result: BatchResult) -> Section:
     for row in result.rows:
         rows += [(f"list of {row.name}", remark) for remark in row.remarks]
         if row.all_rows:
-            of_all = "; ".join(
-                f"{c.name}: {constant_text(c)} {unit_of(c.name)}".rstrip() for c in row.all_rows
-            )
+            of_all = "; ".join(f"{c.name}: {c.text} {unit_of(c.name)}".rstrip() for c in row.all_rows)
             rows.append((f"{row.name} with all rows", of_all))
     rows += [(limit.shown, _guard(result, limit)) for limit in result.limits]
     rows += [
