@@ -19,7 +19,6 @@ __all__ = [
     "FIELDS",
     "SENSOR",
     "Row",
-    "as_list",
     "as_typed",
     "content",
     "numbers_in",
@@ -96,12 +95,6 @@ def numbers_in(typed: str) -> list[str]:
     return parts
 
 
-def as_list(typed: str) -> str:
-    """A typed list in TOML, "" for an empty one."""
-    parts = numbers_in(typed)
-    return f"[{', '.join(map(_number, parts))}]" if parts else ""
-
-
 def _number(typed: str) -> str:
     """A number as typed, with a decimal point; anything else as a string, which no number may be."""
     plain = typed.strip().replace(",", ".")
@@ -125,7 +118,8 @@ def with_value(text: str, key: str, typed: str) -> str:
     kind, plain = FIELDS[key], typed.strip()
     literal = json.dumps(plain, ensure_ascii=False) if kind == WORDS else _number(plain)
     if kind == LIST:
-        literal = as_list(plain)
+        parts = numbers_in(plain)
+        literal = f"[{', '.join(map(_number, parts))}]" if parts else ""
     return _with_literal(text, key, literal if plain else "")
 
 

@@ -12,9 +12,10 @@ from typing import Any, Final
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
+from cpam_bayes.errors import LayupError
 from cpam_bayes.plate.checks import SOURCES
 from cpam_bayes.plate.edges import CONDITIONS, PLACES
-from cpam_bayes.plate.layup import LayupError, parse_layup
+from cpam_bayes.plate.layup import parse_layup
 from cpam_bayes.workbench.plate_text import as_typed, sensors_in, value_at
 from cpam_bayes.workbench.visit import Visit, Work
 
@@ -150,6 +151,7 @@ def _parts(visit: Visit) -> dict[str, str]:
     # one answer a page: where something is wrong, the plate as stated is how it was noticed
     folded = settled and diagnosis is not None and diagnosis["kind"] != "none" and diagnosis["nothing"] < 0.5
     shares = [*visit.shares.items()][:_MOST_BARS] if visit.doing[0] == "diagnose" else []
+    allowing = [_bar(c) for c in diagnosis["constants"]] if diagnosis and folded else []
     weighed = [{"title": title, "probability": p, "said": f"{p:.2f}"} for title, p in shares]
     parts = {
         "title": str(module.title(visit)),
@@ -161,9 +163,7 @@ def _parts(visit: Visit) -> dict[str, str]:
             if "hold" not in answers or (answer and not answers["hold"])
             else module.guide(answers["hold"])
         ),
-        "diagnosis": str(
-            module.diagnosis(visit, diagnosis, [_bar(c) for c in diagnosis["constants"]] if folded else [])
-        ),
+        "diagnosis": str(module.diagnosis(visit, diagnosis, allowing)),
         "doing": str(module.doing(visit, _DOING, weighed)),
         "drawing": str(_drawing(visit)),
         "stack": str(_stack(visit)),

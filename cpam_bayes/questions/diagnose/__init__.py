@@ -56,15 +56,14 @@ from cpam_bayes.questions.diagnose.document import (
     absorbed_biases,
     answer_constants,
     catalogue_sd,
-    cause_title,
     document,
-    effect_titles,
     fit_constants,
     leading,
     probability_text,
     tables,
     taken_peaks,
     title_of,
+    titles_of,
 )
 from cpam_bayes.questions.diagnose.drawings import drawings
 from cpam_bayes.render.plate import air_text, plate_section
@@ -234,7 +233,7 @@ def _diagnosed(
     hypotheses = hypotheses_of(cases, catalogue)
     if prior_none is not None:
         hypotheses = with_prior_of_none(hypotheses, prior_none)
-    n, titles = len(hypotheses), effect_titles(h for h, _ in hypotheses)
+    n, titles = len(hypotheses), titles_of(h for h, _ in hypotheses)
     with watch.stage(title, n, counted="hypotheses") as shown:
 
         def progress(done: int, total: int) -> None:
@@ -255,7 +254,7 @@ def _diagnosed(
             executor=executor,
             notify=shown.notify,
             progress=progress,
-            so_far=lambda shares: shown.found({cause_title(name, titles): p for name, p in shares.items()}),
+            so_far=lambda shares: shown.found({titles.get(name, name): p for name, p in shares.items()}),
         )
 
 

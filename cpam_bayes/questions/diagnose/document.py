@@ -136,7 +136,7 @@ class DetectableRow:
 
 def detectable_rows(d: Diagnosis) -> tuple[DetectableRow, ...]:
     """Detection limits of all causes that were tested, in the units of a workshop."""
-    titles = titles_of(d)
+    titles = titles_of(cause.hypothesis for cause in d.causes)
     rows = []
     for entry in d.detectable:
         p, smallest, in_sd, unit = entry.parameter, None, None, None
@@ -149,15 +149,11 @@ def detectable_rows(d: Diagnosis) -> tuple[DetectableRow, ...]:
     return tuple(rows)
 
 
-def titles_of(d: Diagnosis) -> dict[str, str]:
-    """Name of a single cause -> the cause in words, of the catalogue and of what was tested."""
-    return effect_titles(cause.hypothesis for cause in d.causes)
-
-
-def effect_titles(hypotheses: Iterable[Hypothesis]) -> dict[str, str]:
-    """Name of a single cause -> the cause in words, of the catalogue and of hypotheses."""
+def titles_of(hypotheses: Iterable[Hypothesis]) -> dict[str, str]:
+    """Name of a single cause -> the cause in words, of the catalogue and of what is tested."""
     tested = (effect for hypothesis in hypotheses for effect in hypothesis.records)
-    return {effect.name: effect.title for effect in (*CATALOGUE, *tested)}
+    effects = {effect.name: effect.title for effect in (*CATALOGUE, *tested)}
+    return effects | {NONE: "nothing wrong", OTHER: "an unknown error"}
 
 
 def leading(d: Diagnosis, least: float, most: int) -> tuple[Cause, ...]:
@@ -177,15 +173,7 @@ def some_of(names: Sequence[str]) -> str:
 
 def title_of(d: Diagnosis, name: str) -> str:
     """A cause in words; a pair with both."""
-    return cause_title(name, titles_of(d))
-
-
-def cause_title(name: str, titles: Mapping[str, str]) -> str:
-    """A cause in words; a pair with both."""
-    if name == NONE:
-        return "nothing wrong"
-    if name == OTHER:
-        return "an unknown error"
+    titles = titles_of(cause.hypothesis for cause in d.causes)
     return " and ".join(titles.get(part, part) for part in causes_in(name))
 
 
