@@ -61,11 +61,8 @@ def _environment() -> Environment:
 def begin_page(folder: Path, names: Sequence[str], work: Work) -> str:
     """The first page: three steps, an example, the plates of the folder; work : on their table."""
     parts = folder_news(names, work)["parts"]
-    return (
-        _environment()
-        .get_template("begin.html")
-        .render(folder=folder.name or str(folder), names=names, parts=parts, work=work)
-    )
+    page = _environment().get_template("begin.html")
+    return page.render(folder=folder.name or str(folder), names=names, parts=parts, work=work)
 
 
 def folder_news(names: Sequence[str], work: Work) -> dict[str, Any]:
@@ -81,11 +78,8 @@ def folder_news(names: Sequence[str], work: Work) -> dict[str, Any]:
 
 def visit_page(visit: Visit) -> str:
     """The whole page of a visit."""
-    return (
-        _environment()
-        .get_template("visit.html")
-        .render(visit=visit, parts=_parts(visit), form=Markup(_form(visit)))
-    )
+    page = _environment().get_template("visit.html")
+    return page.render(visit=visit, parts=_parts(visit), form=Markup(_form(visit)))
 
 
 def news_of(visit: Visit, structure: int) -> dict[str, Any]:

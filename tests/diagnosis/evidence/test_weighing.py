@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -72,7 +73,10 @@ def exact(case: PlateCase, name: str) -> float:
 @pytest.mark.parametrize("size", [0.0, 0.004, 0.01])
 def test_probabilities_are_priors_times_exact_evidences(size: float) -> None:
     own = plate(size * BUMP)
-    found = weigh([own], of_one(NOTHING, *SINGLES), pairs=False)
+    told: list[Mapping[str, float]] = []
+    found = weigh([own], of_one(NOTHING, *SINGLES), pairs=False, so_far=told.append)
+    assert set(told[-1]) == set(found.by_cause())
+    assert all(sum(shares.values()) == pytest.approx(1.0) for shares in told)
     log_weight = {h.cause: np.log(h.prior) + exact(own, h.cause) for h in (NOTHING, *SINGLES)}
     top = max(log_weight.values())
     total = sum(np.exp(v - top) for v in log_weight.values())
