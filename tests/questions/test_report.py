@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from functools import partial
 
 import pytest
 
 import cpam_bayes as cb
-from cpam_bayes.inference.ensemble import DEFAULT_SETTINGS
 from cpam_bayes.questions import report as combined
+from cpam_bayes.questions.identify import answered
 from cpam_bayes.questions.sequence import stacking_result
 from tests.stacking.cases import TRUE, answer, mixture, specimen
 
@@ -67,11 +68,8 @@ def test_the_answer_of_all_frequencies_stands_beside_that_of_those_that_were_use
 @pytest.mark.slow
 def test_unknown_angles_are_weighed_and_the_most_probable_ones_diagnosed(few_causes, monkeypatch, tmp_path):
     found = stacking_result(answer(), mixture(), None, 0, 5)
-    short = replace(DEFAULT_SETTINGS, most_steps=20, round_steps=20)
     monkeypatch.setattr(combined, "sequence", lambda *args, **kwargs: found)
-    monkeypatch.setattr(
-        combined, "sample", lambda plate, **kwargs: cb.sample(plate, settings=short, **kwargs)
-    )
+    monkeypatch.setattr(combined, "answered", partial(answered, steps=20))
     report = cb.report(specimen())
     assert report.stacking is found
     (known,) = report.diagnosis.plates
