@@ -309,6 +309,10 @@ def _require_name(name: object) -> str:
     return name
 
 
+# Fraction of a stage from which it is said how long the rest takes.
+_LEAST_DONE = 0.1
+
+
 @dataclass(slots=True, kw_only=True)
 class Work:
     """What is being computed for a page, and the pages that wait for news of it.
@@ -317,6 +321,7 @@ class Work:
     answers : of the tasks, by name, of the text as it is now
     doing : the task, the fraction that is done, negative where not known, and its stage
     shares : of what it compares, so far
+    began : when its stage began, s, and the fraction that was done then
     """
 
     desk: Desk
@@ -327,6 +332,7 @@ class Work:
     problems: tuple[str, ...] = ()
     doing: tuple[str, float, str] = ("", -1.0, "")
     shares: Mapping[str, float] = field(default_factory=dict)
+    began: tuple[float, float] = (0.0, 0.0)
     _work: asyncio.Task[None] | None = None
     _changed: asyncio.Event = field(default_factory=asyncio.Event)
 
@@ -354,9 +360,7 @@ class Work:
 
     async def _long(self, task: str, *more: Any) -> None:
         def tell(done: float, text: str, shares: Mapping[str, float] | None = None) -> None:
-            self.shares = self.shares if shares is None else shares
-            self.doing = (task, done if done >= 0.0 else self.doing[1], text)
-            self.tell()
+            self.told(task, done, text, shares)
 
         self.doing, self.shares = (task, -1.0, ""), {}
         self.tell()
@@ -372,6 +376,23 @@ class Work:
             if self.doing[0] == task:
                 self.doing = ("", -1.0, "")
         self.tell()
+
+    def told(self, task: str, done: float, text: str, shares: Mapping[str, float] | None) -> None:
+        """Take what a task says of itself; done : the fraction, negative where not known."""
+        self.shares = self.shares if shares is None else shares
+        if 0.0 <= done < self.doing[1] or self.doing[1] < 0.0 <= done:
+            self.began = (time.monotonic(), done)
+        self.doing = (task, done if done >= 0.0 else self.doing[1], text)
+        self.tell()
+
+    @property
+    def seconds_left(self) -> float | None:
+        """Of the stage, as fast as it has gone so far; ``None`` where too little is done to say."""
+        at, before = self.began
+        done = self.doing[1] - before
+        if done < _LEAST_DONE:
+            return None
+        return (time.monotonic() - at) * (1.0 - self.doing[1]) / done
 
     def tell(self) -> None:
         """Wake the pages that wait for news."""

@@ -15,7 +15,8 @@ import pytest
 from starlette.testclient import TestClient
 
 from cpam_bayes.workbench.server import application
-from cpam_bayes.workbench.visit import DRAFTS, Worker
+from cpam_bayes.workbench.view import folder_news
+from cpam_bayes.workbench.visit import DRAFTS, Work, Worker
 from tests.quick_page import EXAMPLE, desk_of, echo
 
 TOKEN, PORT = "the-token-of-this-page", 8377
@@ -330,3 +331,18 @@ def test_a_plate_file_that_names_a_file_outside_the_folder_is_not_followed(
     said = json.dumps(client.get(f"{visit}/news?seen=-1&structure=-1").json())
     assert "leaves the folder" in said
     assert "secret-outside" not in said
+
+
+def test_what_takes_long_says_how_long_the_rest_of_its_stage_takes(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now = 100.0
+    monkeypatch.setattr("cpam_bayes.workbench.visit.time.monotonic", lambda: now)
+    work = Work(desk=desk_of(folder), file="batch")
+    assert work.seconds_left is None
+    work.told("diagnose", 0.0, "weighing", None)
+    assert work.seconds_left is None
+    now = 130.0
+    work.told("diagnose", 0.25, "weighing", None)
+    assert work.seconds_left == pytest.approx(90.0)
+    assert "about 2 min left" in folder_news([], work)["parts"]["doing"]
