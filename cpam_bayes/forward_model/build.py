@@ -5,14 +5,20 @@ from __future__ import annotations
 import json
 from collections import OrderedDict
 from collections.abc import Callable
-from dataclasses import asdict, astuple, replace
+from dataclasses import asdict, astuple, dataclass, replace
 from threading import Lock
 from typing import Any, Final, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cpam_bayes.forward_model.model import converged_model
+from cpam_bayes.forward_model.model import (
+    PlateModel,
+    converged_model,
+    convergence_samples,
+    model_on_basis,
+    plate_problem,
+)
 from cpam_bayes.forward_model.reduced import DEFAULT_SETTINGS, ReducedModel, ReductionSettings, reduce
 from cpam_bayes.mechanics.affine import AffineOperator
 from cpam_bayes.parameters import ParameterSet
@@ -28,6 +34,8 @@ T = TypeVar("T")
 _SHARE, _LEAST, _MOST = 0.05, 2e-5, 1e-3
 # Relative noise that an inferred one may be as small as: what exact lists have left of it is the fit's.
 _INFERRED = 1e-3
+# Relative change of a side from which trial functions are sought anew.
+_SAME_SPACE: Final = 0.1
 # Models that a process keeps, those used last.
 _KEPT: Final = 48
 
@@ -110,22 +118,52 @@ def reduced_model(
     shear: ShearModel = ENERGY_CONSISTENT,
     settings: ReductionSettings = DEFAULT_SETTINGS,
     centre: Array | None = None,
+    near: Neighbour | None = None,
     notify: Callable[[str], None] = lambda text: None,
 ) -> ReducedModel:
     """The reduced model of a specimen over the prior box of its parameters.
 
     centre : the parameter vector about which the plate model is converged most tightly, by default
-    the reference constants. ``notify`` is called with what takes long. The same request gives the same model.
+    the reference constants. near : where it suits the plate is not converged anew, with the neighbour's
+    error. ``notify`` is called with what takes long. The same request gives the same model.
     """
+    basis = near.model.basis if near is not None and near.suits(specimen, parameters, n_modes) else None
 
     def make() -> ReducedModel:
         notify("converging the plate model")
-        full = converged_model(specimen, parameters, n_modes, shear, centre=centre)
+        if basis is None or near is None:
+            full = converged_model(specimen, parameters, n_modes, shear, centre=centre)
+        else:
+            problem = plate_problem(specimen, parameters, shear)
+            samples = convergence_samples(specimen, problem, centre).x
+            full = model_on_basis(problem, samples, n_modes, near.model.error, basis)
         notify("building the reduced model")
         # the seed is fixed: a model does not depend on the run that first needed it
         return reduce(full, np.random.default_rng(0), settings)
 
-    return remembered(model_key(specimen, parameters, n_modes, shear, settings, centre), make)
+    key = model_key(specimen, parameters, n_modes, shear, settings, centre)
+    with _lock:
+        is_made = key in _made
+    return remembered(key if basis is None or is_made else f"{key} on {basis[0]}", make)
+
+
+@dataclass(frozen=True, slots=True)
+class Neighbour:
+    """A plate of slightly other sizes with its converged model, whose trial functions serve again."""
+
+    specimen: Specimen
+    model: PlateModel
+
+    def suits(self, specimen: Specimen, parameters: ParameterSet, n_modes: int) -> bool:
+        """Whether they serve a plate: of the same edges, layup and modes, and nearly the same sides."""
+        mine, other = self.specimen.plate, specimen.plate
+        sides = ((mine.length, other.length), (mine.width, other.width), (mine.thickness, other.thickness))
+        return (
+            self.model.basis is not None
+            and (mine.edges, mine.layup.text, mine.mesh) == (other.edges, other.layup.text, other.mesh)
+            and (self.model.parameters.names, self.model.n_modes) == (parameters.names, n_modes)
+            and all(abs(b / a - 1.0) < _SAME_SPACE for a, b in sides)
+        )
 
 
 def without_matrices(reduced: ReducedModel) -> ReducedModel:

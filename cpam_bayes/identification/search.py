@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cpam_bayes.errors import checked
-from cpam_bayes.forward_model.build import basis_tolerance, reduced_model
+from cpam_bayes.forward_model.build import Neighbour, basis_tolerance, reduced_model
 from cpam_bayes.forward_model.labels import LabelledModel, labelled_model, spare_modes
 from cpam_bayes.forward_model.model import (
     PlateModel,
@@ -464,7 +464,11 @@ class Start:
 @checked
 @single_blas_thread
 def posterior(
-    plate: PlateLike, *, likelihood: Likelihood = "relative", degrees_of_freedom: float = np.inf
+    plate: PlateLike,
+    *,
+    likelihood: Likelihood = "relative",
+    degrees_of_freedom: float = np.inf,
+    near: Neighbour | None = None,
 ) -> Posterior:
     """The posterior of the unknowns of a plate, and of its sizes that have a standard deviation.
 
@@ -476,6 +480,7 @@ def posterior(
     ----------
     plate : a built-in name, a path, a table or a `Specimen`, see `read_plate`
     likelihood, degrees_of_freedom : of the noise, see `sample`
+    near : a plate of slightly other sizes, whose trial functions are taken unconverged where they suit
 
     Raises
     ------
@@ -499,7 +504,7 @@ def posterior(
     parameters = unknowns.union(size_parameters(specimen))
     with explained_failures(specimen):
         reduction = ReductionSettings(basis_tolerance(measurement))
-        reduced = reduced_model(specimen, parameters, measurement.size + spare, settings=reduction)
+        reduced = reduced_model(specimen, parameters, measurement.size + spare, settings=reduction, near=near)
     return plate_posterior(
         labelled_model(reduced, measurement, specimen),
         measurement,

@@ -20,7 +20,10 @@ from cpam_bayes.answer import Constant, FrequencyRow
 from cpam_bayes.command import Command, option, whole
 from cpam_bayes.diagnosis.hypotheses import NONE, OTHER
 from cpam_bayes.errors import checked
+from cpam_bayes.forward_model.build import Neighbour
+from cpam_bayes.forward_model.labels import LabelledModel
 from cpam_bayes.forward_model.preconditions import misfit_over_noise
+from cpam_bayes.forward_model.reduced import ReducedModel
 from cpam_bayes.identification.point import bound_of, verdict_of
 from cpam_bayes.identification.search import posterior
 from cpam_bayes.inference.laplace import find_optima, gauss_newton_covariance
@@ -175,7 +178,16 @@ def _place(plate: str) -> tuple[Path, str | None, str | None]:
 @lru_cache(maxsize=4)
 def _target(text: str, name: str, folder: str) -> tuple[Specimen, Any]:
     specimen = parse_specimen(text, name, Path(folder))
-    return specimen, posterior(specimen)
+    near = _converged[0] if _converged else None
+    target = posterior(specimen, near=near)
+    assert isinstance(target.model, ReducedModel | LabelledModel)
+    if near is None or target.model.full.basis is not near.model.basis:
+        _converged[:] = [Neighbour(specimen, target.model.full)]
+    return specimen, target
+
+
+# The plate that was converged last: its trial functions serve while a size is typed.
+_converged: list[Neighbour] = []
 
 
 def live(text: str, name: str, folder: str, optimum: Mapping[str, float] | None, *, tell: Tell) -> Any:

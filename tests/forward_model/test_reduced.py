@@ -10,7 +10,13 @@ from itertools import product
 import numpy as np
 import pytest
 
-from cpam_bayes.forward_model.build import basis_tolerance, model_key, reduced_model, without_matrices
+from cpam_bayes.forward_model.build import (
+    Neighbour,
+    basis_tolerance,
+    model_key,
+    reduced_model,
+    without_matrices,
+)
 from cpam_bayes.forward_model.model import (
     PlateModel,
     angle_parameters,
@@ -31,8 +37,9 @@ from cpam_bayes.forward_model.reduced import (
 from cpam_bayes.mechanics.convergence import Tolerance, rich_frequencies
 from cpam_bayes.mechanics.problem import rigid_body_count
 from cpam_bayes.parameters import ParameterSet
-from cpam_bayes.plate import Specimen, read_specimen
+from cpam_bayes.plate import Specimen, builtin, read_specimen
 from cpam_bayes.plate.laminate import ENERGY_CONSISTENT, FIVE_SIXTHS, ShearModel
+from cpam_bayes.plate.layup import parse_layup
 
 N_DRAWS = 1000
 FIXED = ("B1", "D1")
@@ -378,3 +385,29 @@ def test_whatever_changes_the_model_changes_its_key(b1: Specimen) -> None:
 
 def test_what_was_measured_is_no_part_of_the_key(b1: Specimen) -> None:
     assert key(replace(b1, measurement=None, name="other", source="elsewhere", notes=())) == key(b1)
+
+
+def test_a_plate_of_nearly_the_same_sides_is_as_exact_on_the_space_of_its_neighbour() -> None:
+    plate = builtin("C1")
+    converged = reduced_model(plate, plate.unknowns, 8)
+    neighbour = Neighbour(plate, converged.full)
+    wider = replace(plate, plate=replace(plate.plate, width=1.03 * plate.plate.width))
+    assert neighbour.suits(wider, plate.unknowns, 8)
+    x = reference_vector(plate, plate.unknowns)[None]
+    near = reduced_model(wider, plate.unknowns, 8, near=neighbour)
+    anew = reduced_model(wider, plate.unknowns, 8)
+    assert near.full.basis is converged.full.basis
+    np.testing.assert_allclose(near.predict(x).frequencies, anew.predict(x).frequencies, rtol=3e-4)
+    assert reduced_model(wider, plate.unknowns, 8, near=neighbour) is anew
+
+
+def test_the_space_of_another_plate_is_not_taken() -> None:
+    plate = builtin("C1")
+    neighbour = Neighbour(plate, reduced_model(plate, plate.unknowns, 8).full)
+    others = (
+        replace(plate.plate, width=1.2 * plate.plate.width),
+        replace(plate.plate, edges="CFFF"),
+        replace(plate.plate, layup=parse_layup("[0/90]_4s")),
+    )
+    assert not any(neighbour.suits(replace(plate, plate=of), plate.unknowns, 8) for of in others)
+    assert not neighbour.suits(plate, plate.unknowns, 9)
