@@ -13,7 +13,7 @@ from __future__ import annotations
 import argparse
 import time
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +29,7 @@ from cpam_bayes.inference.derivatives import NormalScores
 from cpam_bayes.inference.log_density import LogDensity
 from cpam_bayes.plate import Measurement, Specimen, builtin, read_plate
 from validation.evidence_reference import ReferenceSettings, reference_evidence
-from validation.reporting import save_results, saved_results
+from validation.reporting import case_by_case
 
 Array = NDArray[Any]
 Results = dict[str, Any]
@@ -244,23 +244,19 @@ def summary(cases: list[Results]) -> Results:
 
 def run(quick: bool, cases: int = CASES, minutes: float = np.inf, path: Path | None = None) -> Results:
     """The cases that are saved at a path and those that are not, saved one by one."""
-    known = {c["case"]: c for c in saved_results(path).get("cases", [])} if path else {}
-    end = time.monotonic() + 60.0 * minutes
-    for number in range(QUICK_CASES if quick else cases):
-        if number in known:
-            continue
-        if time.monotonic() > end:
-            break
-        known[number] = run_case(number, quick=quick)
-        if path:
-            save_results(path, as_results(known, quick=quick))
-        _say(known[number])
-    return as_results(known, quick=quick)
+    numbers = range(QUICK_CASES if quick else cases)
+    return case_by_case(
+        numbers,
+        partial(run_case, quick=quick),
+        partial(as_results, quick=quick),
+        minutes=minutes,
+        path=path,
+        say=_say,
+    )
 
 
-def as_results(cases: dict[int, Results], *, quick: bool) -> Results:
+def as_results(rows: list[Results], *, quick: bool) -> Results:
     """What is saved of cases by their numbers."""
-    rows = [cases[number] for number in sorted(cases)]
     return {"quick": quick, "summary": summary(rows), "cases": rows}
 
 

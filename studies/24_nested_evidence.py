@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import time
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -21,7 +22,7 @@ from cpam_bayes.diagnosis.cases import hypotheses_of
 from cpam_bayes.diagnosis.evidence.marginal import Tested
 from cpam_bayes.diagnosis.hypotheses import NONE
 from validation.nested import nested_of_density
-from validation.reporting import save_results, saved_results
+from validation.reporting import case_by_case
 
 Results = dict[str, Any]
 
@@ -101,23 +102,18 @@ def summary(cases: list[Results]) -> Results:
 
 def run(quick: bool, cases: int = CASES, minutes: float = np.inf, path: Path | None = None) -> Results:
     """The cases that are saved at a path and those that are not, saved one by one."""
-    known = {c["case"]: c for c in saved_results(path).get("cases", [])} if path else {}
-    end = time.monotonic() + 60.0 * minutes
-    for number in range(QUICK_CASES if quick else cases):
-        if number in known:
-            continue
-        if time.monotonic() > end:
-            break
-        known[number] = run_case(number, quick=quick)
-        if path:
-            save_results(path, as_results(known, quick=quick))
-        print(known[number], flush=True)
-    return as_results(known, quick=quick)
+    numbers = range(QUICK_CASES if quick else cases)
+    return case_by_case(
+        numbers,
+        partial(run_case, quick=quick),
+        partial(as_results, quick=quick),
+        minutes=minutes,
+        path=path,
+    )
 
 
-def as_results(cases: dict[int, Results], *, quick: bool) -> Results:
+def as_results(rows: list[Results], *, quick: bool) -> Results:
     """What is saved of cases by their numbers."""
-    rows = [cases[number] for number in sorted(cases)]
     points = QUICK_LIVE_POINTS if quick else LIVE_POINTS
     return {"quick": quick, "live_points": points, "summary": summary(rows), "cases": rows}
 

@@ -14,8 +14,10 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import re
 import textwrap
+import time
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from operator import itemgetter
 from os.path import relpath
@@ -100,6 +102,39 @@ def with_saved(
             known = [row for row in (*stay, *rows) if case_of(row) in place]
             both[key] = sorted(known, key=lambda row: place[case_of(row)])
     return both
+
+
+def case_by_case(
+    numbers: Iterable[int],
+    run_case: Callable[[int], Results],
+    as_results: Callable[[list[Results]], Results],
+    *,
+    minutes: float = math.inf,
+    path: Path | None = None,
+    say: Callable[[Results], None] = lambda case: print(case, flush=True),
+) -> Results:
+    """The results of the cases that are saved at a path and of those that are not, saved one by one.
+
+    as_results : what is saved of cases, by their numbers
+    minutes : no further case is begun after these
+    say : is told each case that was run
+    """
+    known = {c["case"]: c for c in saved_results(path).get("cases", [])} if path else {}
+    end = time.monotonic() + 60.0 * minutes
+
+    def found() -> Results:
+        return as_results([known[number] for number in sorted(known)])
+
+    for number in numbers:
+        if number in known:
+            continue
+        if time.monotonic() > end:
+            break
+        known[number] = run_case(number)
+        if path:
+            save_results(path, found())
+        say(known[number])
+    return found()
 
 
 FIGURE = "figure"
