@@ -127,24 +127,25 @@ def reduced_model(
     the reference constants. near : where it suits the plate is not converged anew, with the neighbour's
     error. ``notify`` is called with what takes long. The same request gives the same model.
     """
-    basis = near.model.basis if near is not None and near.suits(specimen, parameters, n_modes) else None
+    key = model_key(specimen, parameters, n_modes, shear, settings, centre)
+    with _lock:
+        is_made = key in _made
+    if near is not None and (is_made or not near.suits(specimen, parameters, n_modes)):
+        near = None
 
     def make() -> ReducedModel:
         notify("converging the plate model")
-        if basis is None or near is None:
+        if near is None or near.model.basis is None:
             full = converged_model(specimen, parameters, n_modes, shear, centre=centre)
         else:
             problem = plate_problem(specimen, parameters, shear)
             samples = convergence_samples(specimen, problem, centre).x
-            full = model_on_basis(problem, samples, n_modes, near.model.error, basis)
+            full = model_on_basis(problem, samples, n_modes, near.model.error, near.model.basis)
         notify("building the reduced model")
         # the seed is fixed: a model does not depend on the run that first needed it
         return reduce(full, np.random.default_rng(0), settings)
 
-    key = model_key(specimen, parameters, n_modes, shear, settings, centre)
-    with _lock:
-        is_made = key in _made
-    return remembered(key if basis is None or is_made else f"{key} on {basis[0]}", make)
+    return remembered(key if near is None else f"{key} near {near.key}", make)
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,15 +155,27 @@ class Neighbour:
     specimen: Specimen
     model: PlateModel
 
+    @property
+    def key(self) -> str:
+        """All that its trial functions depend on."""
+        return self._key_of(self.specimen)
+
     def suits(self, specimen: Specimen, parameters: ParameterSet, n_modes: int) -> bool:
-        """Whether they serve a plate: of the same edges, layup and modes, and nearly the same sides."""
+        """Whether they serve a plate: one that differs by its sizes alone, and by little."""
         mine, other = self.specimen.plate, specimen.plate
         sides = ((mine.length, other.length), (mine.width, other.width), (mine.thickness, other.thickness))
+        sizes = {name: getattr(mine, name) for name in ("length", "width", "thickness", "density", "mass")}
+        resized = replace(specimen, plate=replace(other, **sizes))
         return (
             self.model.basis is not None
-            and (mine.edges, mine.layup.text, mine.mesh) == (other.edges, other.layup.text, other.mesh)
             and (self.model.parameters.names, self.model.n_modes) == (parameters.names, n_modes)
             and all(abs(b / a - 1.0) < _SAME_SPACE for a, b in sides)
+            and self._key_of(resized) == self.key
+        )
+
+    def _key_of(self, specimen: Specimen) -> str:
+        return model_key(
+            specimen, specimen.unknowns, self.model.n_modes, ENERGY_CONSISTENT, DEFAULT_SETTINGS, None
         )
 
 

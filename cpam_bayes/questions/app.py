@@ -181,8 +181,9 @@ def _target(text: str, name: str, folder: str) -> tuple[Specimen, Any]:
     near = _converged[0] if _converged else None
     target = posterior(specimen, near=near)
     assert isinstance(target.model, ReducedModel | LabelledModel)
-    if near is None or target.model.full.basis is not near.model.basis:
-        _converged[:] = [Neighbour(specimen, target.model.full)]
+    model = target.model.full
+    if near is None or not near.suits(specimen, model.parameters, model.n_modes):
+        _converged[:] = [Neighbour(specimen, model)]
     return specimen, target
 
 

@@ -37,7 +37,7 @@ from cpam_bayes.forward_model.reduced import (
 from cpam_bayes.mechanics.convergence import Tolerance, rich_frequencies
 from cpam_bayes.mechanics.problem import rigid_body_count
 from cpam_bayes.parameters import ParameterSet
-from cpam_bayes.plate import Specimen, builtin, read_specimen
+from cpam_bayes.plate import Sensor, Specimen, builtin, read_specimen
 from cpam_bayes.plate.laminate import ENERGY_CONSISTENT, FIVE_SIXTHS, ShearModel
 from cpam_bayes.plate.layup import parse_layup
 
@@ -411,3 +411,5 @@ def test_the_space_of_another_plate_is_not_taken() -> None:
     )
     assert not any(neighbour.suits(replace(plate, plate=of), plate.unknowns, 8) for of in others)
     assert not neighbour.suits(plate, plate.unknowns, 9)
+    # a mass on the plate asks for functions that the bare plate has no use for
+    assert not neighbour.suits(replace(plate, sensors=(Sensor(1e-3, 0.1, 0.1),)), plate.unknowns, 8)
