@@ -219,13 +219,13 @@ class Forecast:
 
     def __init__(self) -> None:
         self._end = -math.inf
-        self._items: _Clock | None = None
-        self._stage: _Clock | None = None
+        self._items: Clock | None = None
+        self._stage: Clock | None = None
 
     @contextmanager
-    def stage(self, total: int, *, is_budget: bool = False) -> Iterator[_Clock]:
+    def stage(self, total: int, *, is_budget: bool = False) -> Iterator[Clock]:
         """The clock of a stage; what is shared out inside it says no other time."""
-        before, self._stage = self._stage, _Clock(total, self, is_budget=is_budget)
+        before, self._stage = self._stage, Clock(total, self, is_budget=is_budget)
         try:
             yield self._stage
         finally:
@@ -236,10 +236,10 @@ class Forecast:
         if self._stage is not None and self._stage.has_told:
             return
         if not done or self._items is None:
-            self._items = _Clock(total, self)
+            self._items = Clock(total, self)
         self._items.left(done)
 
-    def expect(self, clock: _Clock, now: float, whole: float, left: float) -> None:
+    def expect(self, clock: Clock, now: float, whole: float, left: float) -> None:
         """Say what a part takes, if it is long and does not end when it was said; all in seconds.
 
         What was said of the part before, or of the stage that it is in, is corrected.
@@ -275,10 +275,13 @@ def forecasting() -> Iterator[Forecast]:
         _forecast.reset(before)
 
 
-class _Clock:
-    """Estimates from what is done how long the rest takes, of a budget of iterations at most."""
+class Clock:
+    """Estimates from what is done how long the rest takes, of a budget of iterations at most.
 
-    def __init__(self, total: int, forecast: Forecast, *, is_budget: bool = False) -> None:
+    forecast : is told what takes long, nobody where left out
+    """
+
+    def __init__(self, total: int, forecast: Forecast | None = None, *, is_budget: bool = False) -> None:
         self._total, self._forecast = total, forecast
         self.about = "at most about" if is_budget else "about"
         self._first: tuple[int, float] | None = None
@@ -293,7 +296,8 @@ class _Clock:
         if done <= 0:
             return ""
         seconds = past * (self._total - iteration) / done
-        if past >= _ENOUGH_SECONDS and done >= min(_ENOUGH_DONE, self._total // 2):
+        is_known = past >= _ENOUGH_SECONDS and done >= min(_ENOUGH_DONE, self._total // 2)
+        if is_known and self._forecast is not None:
             self._forecast.expect(self, now, past + seconds, seconds)
         if seconds < _WORTH_SAYING:
             return ""
@@ -312,7 +316,7 @@ def duration(seconds: float) -> str:
     return f"{hours} h {rest} min" if rest else f"{hours} h"
 
 
-def _said_in_lines(description: str, count: _Count, clock: _Clock) -> Progress:
+def _said_in_lines(description: str, count: _Count, clock: Clock) -> Progress:
     step = max(1, count.total // _LINES)
     announce(f"{description}: {count.begun}", False)
 
@@ -324,7 +328,7 @@ def _said_in_lines(description: str, count: _Count, clock: _Clock) -> Progress:
     return Progress(tick, lambda text: announce(f"{description}: {text}", False))
 
 
-def _bar(description: str, count: _Count, clock: _Clock) -> Iterator[Progress]:
+def _bar(description: str, count: _Count, clock: Clock) -> Iterator[Progress]:
     from rich.console import Console
     from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
     from rich.progress import Progress as Bar

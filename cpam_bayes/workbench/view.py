@@ -16,7 +16,6 @@ from cpam_bayes.errors import LayupError
 from cpam_bayes.plate.checks import SOURCES
 from cpam_bayes.plate.edges import CONDITIONS, PLACES
 from cpam_bayes.plate.layup import parse_layup
-from cpam_bayes.render.terminal import duration
 from cpam_bayes.workbench.plate_text import as_typed, sensors_in, value_at
 from cpam_bayes.workbench.visit import Visit, Work
 
@@ -55,7 +54,6 @@ def _environment() -> Environment:
         lstrip_blocks=True,
     )
     environment.filters["typeset"] = lambda text: str(text).replace("+-", "\N{PLUS-MINUS SIGN}")
-    environment.filters["duration"] = duration
     environment.filters["said"] = lambda text: str(text).partition("  ")
     return environment
 

@@ -25,6 +25,7 @@ from cpam_bayes.errors import PlateFileError
 from cpam_bayes.plate import MAX_BYTES, Specimen, parse_specimen
 from cpam_bayes.plate.checks import SOURCES
 from cpam_bayes.plate.text import decode, read_regular_file
+from cpam_bayes.render.terminal import Clock
 from cpam_bayes.running import Described, Progress
 from cpam_bayes.storage import draft_file, put_in_place, replaceable
 from cpam_bayes.workbench.plate_text import (
@@ -94,10 +95,15 @@ class Shown:
     def stage(
         self, title: str, total: int, described: Described | None = None, counted: str = ""
     ) -> Iterator[Progress]:
-        """Tell how far one stage is."""
-        self._tell(0.0, title)
+        """Tell how far one stage is, and how long the rest takes."""
+        clock = Clock(total)
+
+        def tick(done: int, value: float) -> None:
+            self._tell(min(done / total, 1.0) if total else -1.0, title + clock.left(done))
+
+        tick(0, 0.0)
         yield Progress(
-            lambda done, value: self._tell(min(done / total, 1.0) if total else -1.0, title),
+            tick,
             lambda text: self._tell(-1.0, text),
             lambda shares: self._tell(-1.0, title, shares),
         )
@@ -309,10 +315,6 @@ def _require_name(name: object) -> str:
     return name
 
 
-# Fraction of a stage from which it is said how long the rest takes.
-_LEAST_DONE = 0.1
-
-
 @dataclass(slots=True, kw_only=True)
 class Work:
     """What is being computed for a page, and the pages that wait for news of it.
@@ -321,7 +323,6 @@ class Work:
     answers : of the tasks, by name, of the text as it is now
     doing : the task, the fraction that is done, negative where not known, and its stage
     shares : of what it compares, so far
-    began : when its stage began, s, and the fraction that was done then
     """
 
     desk: Desk
@@ -332,7 +333,6 @@ class Work:
     problems: tuple[str, ...] = ()
     doing: tuple[str, float, str] = ("", -1.0, "")
     shares: Mapping[str, float] = field(default_factory=dict)
-    began: tuple[float, float] = (0.0, 0.0)
     _work: asyncio.Task[None] | None = None
     _changed: asyncio.Event = field(default_factory=asyncio.Event)
 
@@ -360,7 +360,9 @@ class Work:
 
     async def _long(self, task: str, *more: Any) -> None:
         def tell(done: float, text: str, shares: Mapping[str, float] | None = None) -> None:
-            self.told(task, done, text, shares)
+            self.shares = self.shares if shares is None else shares
+            self.doing = (task, done if done >= 0.0 else self.doing[1], text)
+            self.tell()
 
         self.doing, self.shares = (task, -1.0, ""), {}
         self.tell()
@@ -376,23 +378,6 @@ class Work:
             if self.doing[0] == task:
                 self.doing = ("", -1.0, "")
         self.tell()
-
-    def told(self, task: str, done: float, text: str, shares: Mapping[str, float] | None) -> None:
-        """Take what a task says of itself; done : the fraction, negative where not known."""
-        self.shares = self.shares if shares is None else shares
-        if 0.0 <= done < self.doing[1] or self.doing[1] < 0.0 <= done:
-            self.began = (time.monotonic(), done)
-        self.doing = (task, done if done >= 0.0 else self.doing[1], text)
-        self.tell()
-
-    @property
-    def seconds_left(self) -> float | None:
-        """Of the stage, as fast as it has gone so far; ``None`` where too little is done to say."""
-        at, before = self.began
-        done = self.doing[1] - before
-        if done < _LEAST_DONE:
-            return None
-        return (time.monotonic() - at) * (1.0 - self.doing[1]) / done
 
     def tell(self) -> None:
         """Wake the pages that wait for news."""

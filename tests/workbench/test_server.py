@@ -16,7 +16,7 @@ from starlette.testclient import TestClient
 
 from cpam_bayes.workbench.server import application
 from cpam_bayes.workbench.view import folder_news
-from cpam_bayes.workbench.visit import DRAFTS, Work, Worker
+from cpam_bayes.workbench.visit import DRAFTS, Shown, Work, Worker
 from tests.quick_page import EXAMPLE, desk_of, echo
 
 TOKEN, PORT = "the-token-of-this-page", 8377
@@ -336,13 +336,12 @@ def test_a_plate_file_that_names_a_file_outside_the_folder_is_not_followed(
 def test_what_takes_long_says_how_long_the_rest_of_its_stage_takes(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    now = 100.0
-    monkeypatch.setattr("cpam_bayes.workbench.visit.time.monotonic", lambda: now)
-    work = Work(desk=desk_of(folder), file="batch")
-    assert work.seconds_left is None
-    work.told("diagnose", 0.0, "weighing", None)
-    assert work.seconds_left is None
-    now = 130.0
-    work.told("diagnose", 0.25, "weighing", None)
-    assert work.seconds_left == pytest.approx(90.0)
+    now, said = 100.0, list[tuple[float, str]]()
+    monkeypatch.setattr("cpam_bayes.render.terminal.time.monotonic", lambda: now)
+    with Shown(lambda done, text: said.append((done, text))).stage("weighing", 80) as shown:
+        now = 130.0
+        shown.tick(20, 0.0)
+    # 60 of 80 at 1.5 s each
+    assert said == [(0.0, "weighing"), (0.25, "weighing, about 2 min left")]
+    work = Work(desk=desk_of(folder), file="batch", doing=("diagnose", *said[1]))
     assert "about 2 min left" in folder_news([], work)["parts"]["doing"]
