@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks import forward_solvers, fresh, peers, samplers, waits
+from benchmarks import forward_solvers, fresh, page_edits, peers, samplers, waits
 from benchmarks.plain_likelihood import cross_ply_stiffness, plain_frequencies
 from benchmarks.wait_tables import sections, tables
 from cpam_bayes.forward_model.model import plate_problem
@@ -177,3 +177,15 @@ def test_the_page_says_what_was_measured() -> None:
     assert all(set(row) == SOLVER_KEYS for row in results["solver"])
     page = PAGE.read_text(encoding="utf-8")
     assert with_sections(page, "waits", sections(results)) == page
+
+
+@pytest.mark.slow
+def test_edits_on_the_page_are_timed(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("sys.argv", ["page_edits", "--edits", "1", "--more", "1"])
+    page_edits.main()
+    said = capsys.readouterr().out.splitlines()
+    assert [line.partition(":")[0] for line in said] == [
+        *("frequency", "width", "memory", "memory after 1 edits more"),
+    ]
