@@ -12,30 +12,21 @@ from __future__ import annotations
 
 import argparse
 import time
-from dataclasses import replace
-from functools import cache, partial
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from cpam_bayes.diagnosis.cases import hypotheses_of, plate_case
-from cpam_bayes.diagnosis.comparison import SCATTER, PlateCase, comparison_of
-from cpam_bayes.diagnosis.evidence.marginal import Tested
-from cpam_bayes.diagnosis.evidence.weighing import weigh
-from cpam_bayes.diagnosis.hypotheses import NONE, OTHER, Hypothesis
-from cpam_bayes.inference.derivatives import NormalScores
-from cpam_bayes.inference.log_density import LogDensity
-from cpam_bayes.plate import Measurement, Specimen, builtin, read_plate
+from cpam_bayes.diagnosis.cases import hypotheses_of
+from cpam_bayes.diagnosis.hypotheses import NONE
+from validation.evidence_lists import listed, weighed
 from validation.evidence_reference import ReferenceSettings, reference_evidence
 from validation.reporting import case_by_case
 
-Array = NDArray[Any]
 Results = dict[str, Any]
 
 RESULTS = Path(__file__).parent / "results" / f"{Path(__file__).stem}.json"
-CLAMPED = Path(__file__).parent / "data" / "bricks" / "clean_clamped.toml"
 
 KEYS = {
     "quick": "whether this is the small version",
@@ -43,12 +34,7 @@ KEYS = {
     "cases": "one each: plate, modes, noise, what is hidden, hypotheses with both log evidences",
 }
 
-SEED = 0
-NOISE, RESOLUTION_HZ = 0.002, 0.1
-# Plates with the frequencies that their models have, whether [material.sd] is kept, and list lengths.
-PLATES = (("C1", 10, True, (6, 10)), ("C1", 10, False, (6, 10)), ("clamped", 12, False, (6, 10, 12)))
 CASES, QUICK_CASES = 200, 2
-SIGNALS = (4.0, 8.0, 16.0, 32.0, 100.0)
 # A hypothesis this far below the best is hopeless: the quick way may only be too low there.
 NEAR_NATS = 8.0
 AGREED_NATS = 0.3
@@ -59,116 +45,9 @@ SETTINGS = ReferenceSettings(draws=768, nodes=61, log2_points=(11, 14))
 QUICK = ReferenceSettings(draws=512, nodes=41, log2_points=(11, 13))
 
 
-@cache
-def plate(name: str, n: int, with_sd: bool) -> PlateCase:
-    """A plate with a list that stands in for those to be drawn."""
-    specimen: Specimen = read_plate(CLAMPED) if name == "clamped" else builtin(name)
-    if not with_sd:
-        specimen = replace(specimen, material=replace(specimen.material, sd={}))
-    return plate_case(replace(specimen, measurement=a_list(np.arange(1.0, n + 1.0), stated=True)))
-
-
-def a_list(frequencies: Array, *, stated: bool) -> Measurement:
-    """A complete list, its noise stated or left out."""
-    labels = ("",) * len(frequencies)
-    f = np.sort(np.round(frequencies / RESOLUTION_HZ) * RESOLUTION_HZ)
-    return Measurement(f, RESOLUTION_HZ, NOISE if stated else None, None, labels, complete=True)
-
-
-def with_frequencies(case: PlateCase, f: Array, *, stated: bool) -> PlateCase:
-    """The plate with a list of its lowest frequencies."""
-    return replace(case, measurement=a_list(f, stated=stated), modes=np.arange(len(f)))
-
-
-def drawn(case: PlateCase, n: int, rng: np.random.Generator) -> tuple[Hypothesis, float, str, Array]:
-    """What is hidden, its size, how large it was meant to be, and the frequencies without noise, (n,)."""
-    case = with_frequencies(case, np.arange(1.0, n + 1.0), stated=True)
-    singles = [h for h, _ in hypotheses_of([case])]
-    causes = sorted({h.cause for h in singles})
-    while True:
-        cause = causes[int(rng.integers(len(causes)))]
-        variants = [h for h in singles if h.cause == cause]
-        h = variants[int(rng.integers(len(variants)))]
-        own = at_random_place(h, rng)
-        comparison = comparison_of([case], own)
-        x = comparison.scores.to_x(rng.standard_normal((1, comparison.parameters.size)))
-        if not comparison.model.admissible(x)[0]:
-            continue
-        size, meant = 0.0, "prior"
-        if own.parameters:
-            column = comparison.parameters.names.index(own.parameters[0].name)
-            signal = rng.choice((0.0, *SIGNALS))
-            if signal and cause != OTHER and len(own.parameters) == 1:
-                prior = own.parameters[0].prior
-                side = 1.0 if prior.lower >= 0.0 else float(rng.choice((-1.0, 1.0)))
-                most = prior.upper if side > 0.0 else prior.lower
-                reached = size_for(case, comparison, x[0], column, most, float(signal))
-                if reached is not None:
-                    x[0, column], meant = reached, f"signal to noise {signal:g}"
-            size = float(x[0, column])
-        if not comparison.model.admissible(x)[0]:
-            continue
-        f = comparison.predict(x)[0][0]
-        if cause == OTHER:
-            alike = comparison.listed.correlation(own.correlation_length)
-            f = f * np.exp(size * np.linalg.cholesky(alike) @ rng.standard_normal(n))
-        if h.listed.spurious is not None:  # the model has the others: a false peak lies anywhere among them
-            f = np.sort(np.append(f, rng.uniform(0.7 * f[0], f[-1])))
-        return h, size, meant, f
-
-
-def at_random_place(h: Hypothesis, rng: np.random.Generator) -> Hypothesis:
-    """A hypothesis with its effect at a place drawn from its prior; itself where it has none."""
-    if not h.effects or not h.effects[0].is_anywhere:
-        return h
-    effect = h.effects[0]
-    fixed = effect.fixed({p.name: p.prior.sample(rng, 1)[0] for p in effect.coordinates})
-    return replace(h, effects=(fixed,), parameters=fixed.parameters, variant=fixed.variant)
-
-
-def size_for(
-    case: PlateCase, comparison: LogDensity, x: Array, column: int, most: float, signal: float
-) -> float | None:
-    """The smallest size with a signal to noise; None where it is not reached by ``most``.
-
-    The signal is the shift of ln f less what the constants imitate within their priors.
-    x : (n,) parameters; column : of the size.
-    """
-    scores = NormalScores(case.models.parameters)
-    constants = x[None, : case.models.parameters.size]
-    plain = case.models.bare.predict(constants, jacobian=True)
-    assert plain.jacobian is not None
-    z = scores.to_z(constants)
-    slope = plain.jacobian[0] / plain.frequencies[0][:, None] * scores.slope(scores.to_x(z), z)[0]
-    a = slope[case.modes] / NOISE
-    values, vectors = np.linalg.eigh(np.eye(len(a)) + a @ a.T)
-    # effects of second order grow as squares
-    sizes = most * np.linspace(0.0, 1.0, 97) ** 2
-    at = np.tile(x, (len(sizes), 1))
-    at[:, column] = sizes
-    shift = np.log(comparison.predict(at)[0] / plain.frequencies[0][case.modes]) / NOISE
-    highest = np.maximum.accumulate(np.linalg.norm(shift @ vectors / np.sqrt(values), axis=1))
-    if highest[-1] < signal:
-        return None
-    i = int(np.argmax(highest >= signal))
-    part = (signal - highest[i - 1]) / (highest[i] - highest[i - 1])
-    return float(sizes[i - 1] + part * (sizes[i] - sizes[i - 1]))
-
-
-def weighed(case: PlateCase, chosen: list[Hypothesis]) -> list[Tested]:
-    """Hypotheses, none first, as the diagnosis weighs them."""
-    every = [(h, (0,)) for h in chosen]
-    return list(weigh([case], every, scatter=SCATTER, pairs=False).tested)
-
-
 def run_case(number: int, *, quick: bool) -> Results:
     """One list, weighed both ways."""
-    rng = np.random.default_rng([SEED, number])
-    name, most, with_sd, lengths = PLATES[number % len(PLATES)]
-    n, stated = int(rng.choice(lengths)), bool(rng.random() < 0.5)
-    case = plate(name, most, with_sd)
-    hidden, size, meant, f = drawn(case, n, rng)
-    case = with_frequencies(case, f * (1.0 + NOISE * rng.standard_normal(n)), stated=stated)
+    rng, of_list, case, hidden = listed(number)
     singles = [h for h, _ in hypotheses_of([case])]
     others = [h for h in singles if h.cause not in (NONE, hidden.cause)]
     causes = sorted({h.cause for h in others})
@@ -199,15 +78,7 @@ def run_case(number: int, *, quick: bool) -> Results:
             }
         )
     return {
-        "case": number,
-        "plate": name,
-        "sd": with_sd,
-        "modes": n,
-        "noise_stated": stated,
-        "hidden": hidden.cause,
-        "variant": hidden.variant,
-        "size": size,
-        "meant": meant,
+        **of_list,
         "seconds_fast": round(fast, 2),
         "seconds_slow": round(time.process_time() - begin, 2),
         "hypotheses": rows,

@@ -12,7 +12,6 @@ from __future__ import annotations
 import argparse
 import time
 from functools import partial
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -21,19 +20,19 @@ import numpy as np
 from cpam_bayes.diagnosis.cases import hypotheses_of
 from cpam_bayes.diagnosis.evidence.marginal import Tested
 from cpam_bayes.diagnosis.hypotheses import NONE
+from validation.evidence_lists import listed, weighed
 from validation.nested import nested_of_density
 from validation.reporting import case_by_case
 
 Results = dict[str, Any]
 
-LISTS = import_module("18_evidence_reference")
 RESULTS = Path(__file__).parent / "results" / f"{Path(__file__).stem}.json"
 
 KEYS = {
     "quick": "whether this is the small version",
     "live_points": "of every run of nested sampling",
     "summary": "hypotheses compared, and how far both ways differ",
-    "cases": "one each: plate, modes, what is hidden, hypotheses with both log evidences and their errors",
+    "cases": "one each: plate, modes, noise, what is hidden, both log evidences and their errors",
 }
 
 CASES, QUICK_CASES = 60, 1
@@ -43,18 +42,12 @@ NEAR_NATS, AGREED_NATS = 8.0, 0.1
 
 
 def weighed_list(number: int) -> tuple[Results, list[Tested]]:
-    """One list of study 18 with none, what is hidden and another cause, as the diagnosis weighs them."""
-    rng = np.random.default_rng([LISTS.SEED, number])
-    name, most, with_sd, lengths = LISTS.PLATES[number % len(LISTS.PLATES)]
-    n, stated = int(rng.choice(lengths)), bool(rng.random() < 0.5)
-    case = LISTS.plate(name, most, with_sd)
-    hidden, size, meant, f = LISTS.drawn(case, n, rng)
-    case = LISTS.with_frequencies(case, f * (1.0 + LISTS.NOISE * rng.standard_normal(n)), stated=stated)
+    """One list with none, what is hidden and another cause, as the diagnosis weighs them."""
+    rng, of_list, case, hidden = listed(number)
     singles = [h for h, _ in hypotheses_of([case])]
     others = [h for h in singles if h.cause not in (NONE, hidden.cause)]
     chosen = [singles[0], *([hidden] if hidden.cause != NONE else []), others[int(rng.integers(len(others)))]]
-    what = {"case": number, "plate": name, "modes": n, "hidden": hidden.cause, "size": size, "meant": meant}
-    return what, LISTS.weighed(case, chosen)
+    return of_list, weighed(case, chosen)
 
 
 def run_case(number: int, *, quick: bool) -> Results:
