@@ -17,17 +17,11 @@ COLUMNS = 3
 
 def pictures(found: dict[str, Any]) -> list[Picture]:
     cases, noise = found["cases"], found["noise"]
-    widest = max(cases, key=lambda c: c["credible_95_count"])
-    narrowest = min(cases, key=lambda c: c["credible_95_count"])
     likely = sum(
         c["printed"] is not None and c["printed"]["angles_deg"] == c["most_probable"]["angles_deg"]
         for c in cases
     )
     printed = sum(c["printed"] is not None for c in cases)
-    sizes = (
-        f"The 95 % set of {narrowest['case']} has {counted(narrowest['credible_95_count'])} stacking "
-        f"sequences, that of {widest['case']} {counted(widest['credible_95_count'])}."
-    )
     drawn = [
         Picture(
             "08_sequences",
@@ -44,9 +38,8 @@ def pictures(found: dict[str, Any]) -> list[Picture]:
             "How many stacking sequences the frequencies leave, and the noise that would determine that of "
             "C1.",
             "Left: stacking sequences on the grid, in the 95 % set, and their effective number "
-            f"(exponential of the entropy). {sizes} Right: posterior probability of the class of C1's true "
-            "layup over the noise that is stated; "
-            "dashed: 0.95. " + " ".join(_determined(n) for n in noise),
+            "(exponential of the entropy). Right: posterior probability of the class of C1's true layup over "
+            "the noise that is stated; dashed: 0.95.",
         ),
     ]
     if found["cost"]:
@@ -65,11 +58,6 @@ def pictures(found: dict[str, Any]) -> list[Picture]:
             )
         )
     return drawn
-
-
-def _determined(noise: dict[str, Any]) -> str:
-    at = noise["determined_at"]
-    return f"{noise['layup']}: " + (f"determined at {100 * at:g} %." if at else "not determined at any.")
 
 
 def _maps(cases: list[dict[str, Any]]) -> Figure:

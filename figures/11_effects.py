@@ -31,11 +31,9 @@ def pictures(found: dict[str, Any]) -> list[Picture]:
         Picture(
             "11_effects",
             _all(found),
-            "Relative shift of each mode by every cause of the catalogue, and the part that the constants "
-            "cannot absorb.",
-            "Bars of a panel: modes of the plate that its title names, by their labels; the size of the "
-            "cause is in the title. Grey: shift; orange: what is left when the constants have absorbed "
-            f"what they can, priors aside.{said}",
+            "Relative shift of each mode by every cause.",
+            "A title names cause, size and plate; bars are modes by their labels. Grey: shift; orange: what "
+            f"the constants cannot absorb, priors aside.{said}",
         )
     ]
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from journal import DARK, DOUBLE_MM, GREY, ORANGE, SKY, Drawing, Picture, claimed, figure, listed
+from journal import DARK, DOUBLE_MM, GREY, ORANGE, SKY, Drawing, Picture, figure
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
@@ -20,18 +20,13 @@ LETTER = 0.0115
 
 def pictures(data: dict[str, Any]) -> list[Picture]:
     groups = data["groups"]
-    claims = [
-        f"{' + '.join(g['plates'])}: {claimed(g)}" for g in groups if g["claim"] not in ("none", "undecided")
-    ]
     return [
         Picture(
             "12_findings",
             _all(groups),
-            f"What the diagnosis finds on {listed([' + '.join(g['plates']) for g in groups])}.",
-            "Left: posterior probability that nothing is wrong, that something outside the catalogue is, "
-            "and of the three most probable causes, named where there is room. Right: rms residual of the "
-            "plain model, and an arrow to that of the extended model where something is claimed. "
-            + (f"Claimed: {'; '.join(claims)}." if claims else "Nothing is claimed."),
+            "The plates, diagnosed.",
+            "Left: posterior probabilities. Right: rms residual of the plain model, and an arrow to that of "
+            "the extended model where something is claimed.",
         )
     ]
 

@@ -7,8 +7,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from journal import BLUE, DOUBLE_MM, ORANGE, SKY, Drawing, Picture, bare, figure
-from matplotlib.axes import Axes
+from journal import BLUE, DOUBLE_MM, ORANGE, SKY, Drawing, Picture, figure, stacked
 from matplotlib.figure import Figure
 
 STUDY = "15_claims"
@@ -47,9 +46,8 @@ def _picture(name: str, engines: dict[str, Any], lists: int | None, noise: float
         _panels(engines),
         f"What is claimed of lists with hidden causes, {SETS.get(name, name)}.",
         f"Lists of independent elements with {100 * noise:g} % noise. Left: this diagnosis by what was "
-        "hidden. Right: this diagnosis and other methods, each on the lists that it and this diagnosis "
-        f"both answered; their number in brackets. Of {total}{asked} lists answered so far {right} are "
-        f"claimed and right, {wrong} claimed and wrong.",
+        "hidden. Right: this diagnosis and others on the same lists. Number of lists in brackets. Of "
+        f"{total}{asked} lists answered {right} are claimed and right, {wrong} claimed and wrong.",
     )
 
 
@@ -58,9 +56,9 @@ def _panels(engines: dict[str, Any]) -> Figure:
     kinds, methods = _by_kind(engines), _by_method(engines)
     new = figure(DOUBLE_MM, 28 + BAR_MM * max(len(kinds), len(methods)))
     left, right = new.subplots(1, 2)
-    _bars(left, kinds)
+    stacked(left, kinds, COLOURS, "lists")
     left.set_title("This diagnosis, by what was hidden")
-    _bars(right, methods)
+    stacked(right, methods, COLOURS, "lists")
     right.set_title("By method")
     handles, labels = left.get_legend_handles_labels()
     new.legend(handles, labels, loc="outside lower center", ncols=len(COLOURS))
@@ -80,20 +78,6 @@ def _by_method(engines: dict[str, Any]) -> dict[str, dict[str, int]]:
         }
         for name in order
     }
-
-
-def _bars(ax: Axes, rows: dict[str, dict[str, int]]) -> None:
-    """Fraction of each category, one bar a row, stacked."""
-    names = list(rows)
-    base = [0.0] * len(names)
-    for category, colour in COLOURS.items():
-        percent = [100.0 * rows[n][category] / max(sum(rows[n].values()), 1) for n in names]
-        ax.barh(range(len(names)), percent, 0.75, left=base, color=colour, label=category)
-        base = [b + s for b, s in zip(base, percent, strict=True)]
-    ax.set_yticks(range(len(names)), names)
-    ax.set_ylim(len(names) - 0.5, -0.5)
-    ax.set(xlim=(0.0, 100.0), xlabel="fraction of the lists, %")
-    bare(ax)
 
 
 draw = Drawing(__file__, STUDY, "seed 0", pictures)

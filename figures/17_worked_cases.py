@@ -26,6 +26,12 @@ LABELS = {
 def pictures(data: dict[str, Any]) -> list[Picture]:
     cases = data["cases"]
     verdicts = ", ".join(f"{word} {n}" for word, n in Counter(c["verdict"] for c in cases).items())
+    said = (
+        "Two panels a plate. Left: residual of each mode by the plain model and, where something is claimed, "
+        "by the extended model; the title says what is wrong. Right: posterior probability of the "
+        f"{MOST_CAUSES} most probable hypotheses and of the true one; the title says the claim, its "
+        f"probability and whether it is right. Claims on all {len(cases)} plates: {verdicts}."
+    )
     parts = [cases[i : i + CASES_A_FIGURE] for i in range(0, len(cases), CASES_A_FIGURE)]
     return [
         Picture(
@@ -33,10 +39,7 @@ def pictures(data: dict[str, Any]) -> list[Picture]:
             _all(part),
             "Diagnoses of plates of three-dimensional bricks with one thing wrong, or nothing"
             + (f", part {number} of {len(parts)}." if len(parts) > 1 else "."),
-            "Two panels a plate. Left: residual of each mode by the plain model and, where something is "
-            "claimed, by the extended model; the title says what is wrong. Right: posterior probability of "
-            f"the {MOST_CAUSES} most probable hypotheses and of the true one; the title says the claim, its "
-            f"probability and whether it is right. Claims on all {len(cases)} plates: {verdicts}.",
+            said if number == 1 else "As in part 1.",
         )
         for number, part in enumerate(parts, 1)
     ]

@@ -8,10 +8,15 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from journal import BLUE, DOUBLE_MM, GREY, LIGHT, ORANGE, Drawing, Picture, figure
+from journal import BLUE, DOUBLE_MM, GREEN, GREY, LIGHT, ORANGE, Drawing, Picture, figure
 from matplotlib.figure import Figure
 
-MARKS = {"agrees": (BLUE, "o"), "within the posterior": (GREY, "D"), "not reproducible": (ORANGE, "^")}
+MARKS = {
+    "agrees": (BLUE, "o"),
+    "within the posterior": (GREY, "D"),
+    "cannot be told apart": (GREEN, "s"),
+    "not reproducible": (ORANGE, "^"),
+}
 # Beyond this a printed frequency lacks a digit.
 MISPRINTED_PERCENT = 50.0
 
@@ -27,8 +32,7 @@ def pictures(data: dict[str, Any]) -> list[Picture]:
             "19_paper",
             _differences(rows),
             "Printed values of the paper over those computed here, by table.",
-            f"Relative difference of every printed value that has a computed one, {len(rows)} in all: "
-            f"{verdicts}. The axis is linear within 1 % and logarithmic beyond.",
+            f"{len(rows)} printed values: {verdicts}. The axis is linear within 1 % and logarithmic beyond.",
         )
     ]
     if table_5:
@@ -87,7 +91,7 @@ def _differences(rows: list[dict[str, Any]]) -> Figure:
         axes.axvline(place - 0.5, color=LIGHT, linewidth=0.4)
     axes.tick_params(axis="x", length=0)
     axes.set(xlabel="table of the paper", ylabel="printed / computed - 1, %", xlim=(-0.5, len(tables) - 0.5))
-    new.legend(loc="outside upper center", ncols=3)
+    new.legend(loc="outside upper center", ncols=4)
     return new
 
 

@@ -41,9 +41,8 @@ def pictures(data: dict[str, Any]) -> list[Picture]:
             _panels(curves),
             "Cost of answers against modes, parameters, plies, causes, plates and stacking sequences.",
             "Processor's seconds of one process that has no model at hand, of a free cross-ply; of a solve, "
-            "those of one parameter set. Stacking sequences by their number: seconds of two cores. On the "
-            "right of each panel the exponents p of cost ~ size^p, by least squares, in the order in which "
-            f"the curves end; {len(curves)} curves.",
+            "those of one parameter set. Stacking sequences: seconds of two cores. At the right of a panel: "
+            "the exponents p of cost ~ size^p, by least squares, in the order in which the curves end.",
         )
     ]
 

@@ -21,8 +21,6 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-import cpam_bayes
-
 FIGURES = Path(__file__).parent
 RESULTS = FIGURES.parent / "studies" / "results"
 
@@ -153,7 +151,7 @@ class Drawing:
         source = (
             f"Data: `studies/results/{self.study}.json`{computed}, SHA-256 "
             f"{hashlib.sha256(content).hexdigest()[:16]}, written by `python studies/{self.study}.py`; "
-            f"{self.seeds}. Figure: cpam_bayes {cpam_bayes.__version__}, `python figures/draw.py "
+            f"{self.seeds}. Figure: `python figures/draw.py "
             f"{Path(self.script).stem}`."
         )
         parts = (f"**{picture.title}**", picture.text, source)
@@ -187,6 +185,24 @@ def figure(width_mm: float, height_mm: float) -> Figure:
     new = Figure(figsize=(width_mm / 25.4, height_mm / 25.4), dpi=DPI, layout="constrained")
     FigureCanvasAgg(new)
     return new
+
+
+def stacked(
+    axes: Axes, rows: Mapping[str, Mapping[str, int]], colours: Mapping[str, str], of: str, **bars: Any
+) -> None:
+    """Shares of each category in percent, one stacked bar a row.
+
+    rows : name -> category -> count. of : what is counted. bars : as of ``Axes.barh``.
+    """
+    names, base = list(rows), [0.0] * len(rows)
+    for category, colour in colours.items():
+        percent = [100.0 * rows[n][category] / max(sum(rows[n][c] for c in colours), 1) for n in names]
+        axes.barh(range(len(names)), percent, 0.75, left=base, color=colour, label=category, **bars)
+        base = [b + s for b, s in zip(base, percent, strict=True)]
+    axes.set_yticks(range(len(names)), names)
+    axes.set_ylim(len(names) - 0.5, -0.5)
+    axes.set(xlim=(0.0, 100.0), xlabel=f"fraction of the {of}, %")
+    bare(axes)
 
 
 def bare(axes: Axes) -> None:

@@ -48,10 +48,6 @@ from cpam_bayes.render.terminal import screen_text, timed_lines
 from cpam_bayes.running import single_blas_thread
 from cpam_bayes.stacking.symmetry import Symmetry, canonical, classes, plate_symmetries
 from validation.reporting import (
-    counted,
-    in_digits,
-    listed,
-    markdown_table,
     paragraph,
     save_results,
     saved_results,
@@ -466,44 +462,18 @@ def _columns(headings: tuple[str, ...], text: tuple[int, ...]) -> tuple[Heading,
     return tuple(Heading(heading, i not in text) for i, heading in enumerate(headings))
 
 
-# Sections of docs/sequences.md
+# Sections of docs/unknown_angles.md
 
 
 def sections(results: Results) -> dict[str, str]:
-    """What docs/sequences.md says of the fuzzy swarm."""
-    cases = results["cases"]
-    names = list(dict.fromkeys(c["case"] for c in cases))
-    of = {(c["case"], c["data"]): c for c in cases}
-    both = [(of[name, "synthetic"], of[name, "printed"]) for name in names if (name, "printed") in of]
-    head = ("case", "stacking sequences", "simulated list: rounding", "1 %", "printed list: rounding", "1 %")
-    rows = (
-        (
-            simulated["case"],
-            counted(simulated["sequences"]),
-            *(
-                str(c["success"][m]["count"])
-                for c in (simulated, printed)
-                for m in ("rounding", "one_percent")
-            ),
-        )
-        for simulated, printed in both
-    )
-    return {
-        "success": markdown_table(head, rows),
-        "remarks": "\n".join(paragraph(text, "- ") for text in _remarks(cases)),
-    }
+    """What docs/unknown_angles.md says of the fuzzy swarm."""
+    return {"remarks": "\n".join(paragraph(text, "- ") for text in _remarks(results["cases"]))}
 
 
 def _remarks(cases: Sequence[Results]) -> Iterable[str]:
     runs = sum(c["success"]["rounding"]["of"] for c in cases)
     exact, near = (sum(c["success"][m]["count"] for c in cases) for m in ("rounding", "one_percent"))
     solves = [c["cost"]["swarm_solves"] for c in cases]
-    by_angles: dict[int, list[float]] = {}
-    for c in cases:
-        by_angles.setdefault(c["unknown_angles"], []).append(c["cost"]["enumeration_solves"])
-    costs = listed(
-        [f"{in_digits(min(v))} to {in_digits(max(v))} with {n}" for n, v in sorted(by_angles.items())]
-    )
     c1 = next((c for c in cases if (c["case"], c["data"]) == ("C1", "printed")), None)
     printed = ""
     if c1:
@@ -515,9 +485,8 @@ def _remarks(cases: Sequence[Results]) -> Iterable[str]:
         f"sequences that the list allows.{printed}"
     )
     yield (
-        f"**Cost.** A run takes {min(solves):.0f} to {max(solves):.0f} solves. Fitting constants to every "
-        f"class takes {costs} angles. With two angles plain enumeration costs as much as a few runs and is "
-        "certain; with more, `sequence` takes minutes for all stacking sequences, see above."
+        f"**Cost.** A run takes {min(solves):.0f} to {max(solves):.0f} solves. With two angles plain "
+        "enumeration costs as much as a few runs and is certain."
     )
 
 

@@ -35,11 +35,8 @@ from cpam_bayes.stacking.posterior import stacking_posterior
 from cpam_bayes.stacking.queries import angle_information, given_layup
 from cpam_bayes.stacking.records import DEFAULT_SETTINGS, StackingPosterior, StackingSettings
 from validation.reporting import (
-    angles,
     counted,
-    in_digits,
     listed,
-    markdown_table,
     paragraph,
     save_results,
     saved_results,
@@ -354,118 +351,52 @@ def _row(c: Results) -> tuple[str, ...]:
     )
 
 
-# Sections of docs/sequences.md
+# Sections of docs/unknown_angles.md
 
 
 def sections(results: Results) -> dict[str, str]:
-    """What docs/sequences.md says of the lists of the paper, of cost, and of noise."""
+    """What docs/unknown_angles.md says of the lists of the paper and of noise."""
     cases = [c for c in results["cases"] if c["printed"]]
     return {
-        "cases": _cases_table(cases),
         "remarks": "\n".join(paragraph(text, "- ") for text in _remarks(cases)),
-        "cost": _cost_table(results["cost"]),
-        "noise": _noise_table(results["noise"]),
+        "noise": "\n".join(_determined(results["noise"])),
     }
-
-
-def _cases_table(cases: Sequence[Results]) -> str:
-    head = ("case", "frequencies", "printed stacking sequence", "its probability", "rank", "95 % set", "of")
-    rows = (
-        (
-            c["case"],
-            str(c["frequencies"]),
-            angles(c["printed"]["angles_deg"]),
-            in_digits(c["printed"]["probability"]),
-            "beyond 200" if c["printed"]["rank"] is None else str(c["printed"]["rank"]),
-            counted(c["credible_95_count"]),
-            counted(c["enumerated"]),
-            angles(c["most_probable"]["angles_deg"]),
-            in_digits(c["most_probable"]["probability"]),
-            f"{c['seconds']:.0f}",
-        )
-        for c in cases
-    )
-    return markdown_table((*head, "most probable", "its probability", "s"), rows)
 
 
 def _remarks(cases: Sequence[Results]) -> Iterable[str]:
     by_name = {c["case"]: c for c in cases}
     if {"C1", "D1"} <= set(by_name):
         c1, d1 = by_name["C1"], by_name["D1"]
+        likely = sum(c["printed"]["angles_deg"] == c["most_probable"]["angles_deg"] for c in cases)
         ratio = c1["most_probable"]["probability"] / c1["printed"]["probability"]
         yield (
-            f"**One printed stacking sequence stands for many.** The most probable one of C1 is {ratio:.1f} "
-            f"times as probable as the printed one, and {counted(c1['credible_95_count'])} are needed to "
-            f"hold 95 %. D1's list leaves {100 * d1['credible_95_count'] / d1['enumerated']:.0f} % of the "
-            "grid: where the noise is inferred, residuals twice as large cost ten frequencies 10 log 2 = 7 "
-            "nats, and many stacking sequences have such a fit."
+            "**One printed stacking sequence stands for many.** The most probable stacking sequence is the "
+            f"printed one in {likely} of {len(cases)} cases. That of C1 is {ratio:.1f} times as probable as "
+            f"the printed one, and {counted(c1['credible_95_count'])} are needed to hold 95 %. D1's list "
+            f"leaves {100 * d1['credible_95_count'] / d1['enumerated']:.0f} % of the grid."
         )
     if "D3" in by_name:
         below = by_name["D3"]["printed"]["log_evidence_below_best"]
         yield (
             "**A list that lacks a mode.** Of D3, whose list lacks the eighth mode "
             f"([findings](findings.md)), the printed stacking sequence is {below:.1f} nats below the best: "
-            "with the list taken as complete, others suit it better than the true one. A list should be "
-            "diagnosed before its stacking sequence is sought."
+            "with the list taken as complete, others suit it better than the true one."
         )
     heavy = sorted((c for c in cases if c["peak_gib"] >= 3.0), key=lambda c: -c["peak_gib"])
     most = listed([f"{c['case']} ({c['peak_gib']:.1f})" for c in heavy])
     yield "**Memory.** " + (
         f"Above 3 GiB at their peak: {most}; the others less." if heavy else "Below 3 GiB."
     )
-    bits = "; ".join(f"{c['case']} " + ", ".join(f"{b:.1f}" for b in c["entropy_bits"]) for c in cases)
-    not_so = listed([c["case"] for c in cases if not c["outer_better"]])
-    yield (
-        "**Outer plies.** The paper states that outer plies are better determined than inner ones. The "
-        f"entropy of an angle, {cases[0]['most_bits']:.1f} bits where nothing is known, from the outermost "
-        f"in: {bits}."
-        + (
-            f" {not_so} are exceptions: an inner angle closes what the others leave of the bending stiffness."
-            if not_so
-            else ""
-        )
-        + " One of the bits is the mirror image."
-    )
 
 
-def _cost_table(runs: Sequence[Results]) -> str:
-    noises = sorted({r["relative_std"] for r in runs}, reverse=True)
-    known = {(r["unknown_angles"], r["relative_std"]): r for r in runs}
-    head = ["angles", "stacking sequences"]
-    for noise in noises:
-        head += [f"{100 * noise:g} %: s", "GiB", "95 % set", "error"]
-    rows = []
-    for n in sorted({r["unknown_angles"] for r in runs}):
-        row = [str(n), counted(next(r["enumerated"] for r in runs if r["unknown_angles"] == n))]
-        for noise in noises:
-            r = known.get((n, noise))
-            error = f"{r['check']['rms']:.2f}" if r and r["check"] else "-"
-            if r is None:
-                row += ["-"] * 4
-            else:
-                row += [f"{r['seconds']:.0f}", f"{r['peak_gib']:.1f}", counted(r["credible_95_count"]), error]
-        rows.append(row)
-    return markdown_table(head, rows)
-
-
-def _probability(p: float) -> str:
-    return f"{p:.3f}" if p > 0.95 else f"{p:.2g}"
-
-
-def _noise_table(cases: Sequence[Results]) -> str:
-    levels = sorted({r["relative_std"] for c in cases for r in c["levels"]}, reverse=True)
-    rows = []
-    said = []
+def _determined(cases: Sequence[Results]) -> Iterable[str]:
     for c in cases:
-        known = {r["relative_std"]: r for r in c["levels"]}
-        name, layup = f"{c['layup'].count('?')} unknown angles", c["layup"]
-        p = [_probability(known[v]["class_probability"]) if v in known else "-" for v in levels]
-        sizes = [str(known[v]["credible_95_count"]) if v in known else "-" for v in levels]
-        rows += [(f"{name} `{layup}`: probability of the class", *p), ("its 95 % set", *sizes)]
         at = c["determined_at"]
         reached = f"a noise of {100 * at:g} %" if at else "none of these levels"
-        said.append(f"With {name} {reached} determines the class of C1's true stacking sequence with 0.95.")
-    return markdown_table(("noise", *(f"{100 * v:g} %" for v in levels)), rows) + "\n\n" + "\n".join(said)
+        yield (
+            f"With {c['layup'].count('?')} unknown angles {reached} determines the class of C1's true "
+            "stacking sequence with 0.95."
+        )
 
 
 def main() -> None:

@@ -185,14 +185,13 @@ def show(results: Results) -> None:
 
 
 def sections(results: Results) -> dict[str, str]:
-    """The table of docs/sequences.md: how often sets hold the true stacking sequence."""
+    """The table of docs/unknown_angles.md: how often sets hold the true stacking sequence."""
     cases = results["cases"]
     levels = [row["level"] for row in cases[0]["coverage"]]
     head = (
         "plates",
         "lists",
         *(f"{100 * level:g} % sets" for level in levels),
-        "p",
         "median 95 % set",
         "first",
     )
@@ -201,7 +200,6 @@ def sections(results: Results) -> dict[str, str]:
             f"{c['case']}, `{c['layup']}`, {c['modes']} frequencies, grid of {c['step_deg']:g} degrees",
             str(len(c["trials"])),
             *(with_error(row["covered"], row["sd"]) for row in c["coverage"]),
-            f"{c['p_uniform']:.2f}",
             f"{c['median_set_size']:g}",
             f"{100 * c['truth_ranked_first']:.0f} %",
         )

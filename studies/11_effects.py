@@ -6,6 +6,7 @@ python studies/11_effects.py [--quick]
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from cpam_bayes.diagnosis.cases import plate_case
 from cpam_bayes.diagnosis.comparison import PlateCase
 from cpam_bayes.effects import Effect, applicable, variants
 from cpam_bayes.forward_model.model import reference_vector
+from cpam_bayes.plate import Specimen
 from cpam_bayes.render.report import Heading, Table
 from cpam_bayes.render.terminal import screen_text
 from validation.reporting import (
@@ -34,8 +36,8 @@ KEYS = {
     "effects": "one a cause: plate, size, relative shift of every mode in %, before and after projection",
 }
 
-# The free plate, and the clamped one for what the first cannot have.
-FREE, CLAMPED = "C1", "A2"
+# The free plate, and the clamped and the supported one for what the first cannot have.
+FREE, CLAMPED, SUPPORTED = "C1", "A2", "C1 SSSS"
 # Where a mass and a flaw are put, and the frequency that is misread, the mode that is missed.
 PLACES = {"sensor_mass": (0.95, 0.95, 0.0), "damage": (0.5, 0.5, 0.05)}
 LISTED = 2
@@ -47,13 +49,22 @@ QUICK = ("frequency_scale", "viscoelastic", "mode_identity", "outlier")
 
 def run(quick: bool) -> Results:
     """Shifts at one standard deviation of the catalogue at the reference constants."""
-    plates = {name: plate_case(cb.read_plate(name)) for name in ((FREE,) if quick else (FREE, CLAMPED))}
-    effects = [e for e in cb.effects.CATALOGUE if not e.drops_references and (not quick or e.name in QUICK)]
+    plates = {
+        name: plate_case(_specimen(name)) for name in ((FREE,) if quick else (FREE, CLAMPED, SUPPORTED))
+    }
+    every = [e for e in cb.effects.CATALOGUE if not (e.drops_references or e.on_plate)]
+    effects = [e for e in every if not quick or e.name in QUICK]
     return {
         "quick": quick,
         "plates": {name: _plate(case) for name, case in plates.items()},
         "effects": [_shifts(plates, effect) for effect in effects],
     }
+
+
+def _specimen(name: str) -> Specimen:
+    specimen = cb.read_plate(name.partition(" ")[0])
+    _, _, edges = name.partition(" ")
+    return replace(specimen, plate=replace(specimen.plate, edges=edges)) if edges else specimen
 
 
 def _plate(case: PlateCase) -> dict[str, Any]:
@@ -83,19 +94,20 @@ def _shifts(plates: dict[str, PlateCase], effect: Effect) -> dict[str, Any]:
 def _own(case: PlateCase, effect: Effect) -> tuple[Array, float, str]:
     """Relative shift by an effect on the plate or on its frequencies, the size and its unit as shown."""
     x = _reference(case)
+    effect, *_ = variants(effect, case.models.facts)
     if effect.name in PLACES:
-        effect, *_ = variants(effect, case.models.facts)
         place = dict(zip((p.name for p in effect.coordinates), PLACES[effect.name], strict=False))
         effect = effect.fixed({name: np.asarray(value) for name, value in place.items()})
-    (parameter,) = effect.parameters
-    null, one = (values[parameter.name] for values in (effect.null, effect.scaled(1.0)))
+    parameter, names = effect.parameters[0], [p.name for p in effect.parameters]
+    values = [effect.null, effect.scaled(1.0)]
+    one = values[1][parameter.name]
     unit, factor = parameter.display
     if effect.observe is not None:
         bare = case.models.bare.predict(x[None]).frequencies[0]
         found = effect.observe(bare, {parameter.name: np.asarray(one)})
         return found / bare - 1.0, factor * one, unit
     model = case.with_effect(effect)
-    f = model.predict(np.array([[*x, null], [*x, one]])).frequencies
+    f = model.predict(np.array([[*x, *(v[name] for name in names)] for v in values])).frequencies
     return f[1] / f[0] - 1.0, factor * one, unit
 
 

@@ -12,14 +12,11 @@ import sys
 import time
 import tomllib
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from functools import cache
 from pathlib import Path
 from typing import Any
 
 import cpam_bayes as cb
-from cpam_bayes.effects import CATALOGUE
 from cpam_bayes.plate import Specimen
-from cpam_bayes.questions.diagnose.document import probability_text
 from validation.reporting import (
     save_results,
     saved_results,
@@ -186,108 +183,27 @@ def sections(results: Results) -> dict[str, str]:
     of_wood = [rows[name,] for name in wood if (name,) in rows]
     wood_together = [rows[group] for group in SPRUCE_TOGETHER if group in rows]
     parts = [
-        (alone, [_HEAD, *_answers(alone), "", "## What is claimed, or nearly", "", *_stories(alone)]),
-        (together, [_TOGETHER, *_answers(together), "", *_stories(together)]),
-        (of_wood, [_WOOD, *_answers(of_wood), "", *_published(of_wood), "", *_stories(of_wood)]),
-        (wood_together, [_WOOD_TOGETHER, *_answers(wood_together), "", *_stories(wood_together)]),
+        (alone, [_HEAD, *_answers(alone), ""]),
+        (together, [_TOGETHER, *_answers(together), ""]),
+        (of_wood, [_WOOD, *_answers(of_wood), "", *_published(of_wood), ""]),
+        (wood_together, [_WOOD_TOGETHER, *_answers(wood_together), ""]),
     ]
     return {"plates": "\n".join(line for of, lines in parts if of for line in lines)}
 
 
-def _claim(row: Results) -> str:
-    """The claim as the screen words it."""
-    p = probability_text(row["probability"])
-    by_cause = {h["cause"]: h for h in row["hypotheses"]}
-    if row["claim"] == "none":
-        return f"No evidence of a model error: the plate model as it stands has probability {p}."
-    if row["claim"] == "other":
-        return (
-            "The plate model lacks something that no cause of the catalogue explains: probability "
-            f"{p}. The residuals by mode show where."
-        )
-    if row["claim"] == "undecided":
-        none, other = (
-            probability_text(by_cause[key]["probability"]) if key in by_cause else "< 0.001"
-            for key in ("none", "other")
-        )
-        leaders = [f"{_with_title(c)}, {probability_text(by_cause[c]['probability'])}" for c in row["causes"]]
-        return (
-            "Undecided: nothing is probable enough to be claimed. The plate model as it stands has "
-            f"probability {none}, an error that is not in the catalogue {other}; the most probable causes "
-            f"are: {'; '.join(leaders)}."
-        )
-    causes = [_with_title(c) for c in row["causes"]]
-    if row["claim"] == "class":
-        return (
-            f"The plate model lacks one thing of {len(causes)}, and these frequencies cannot tell which: "
-            f"{'; '.join(causes)}. Together they have probability {p}."
-        )
-    variant = by_cause[row["causes"][0]]["variant"] if row["claim"] == "named" else None
-    return (
-        f"The plate model lacks {'one thing' if row['claim'] == 'named' else 'two things at once'}: "
-        f"{'; '.join(causes)}{f' ({variant})' if variant else ''}; probability {p}."
-    )
-
-
-def _with_title(cause: str) -> str:
-    return " together with ".join(f"{_titles()[name]} ({name})" for name in cause.split(" + "))
-
-
-@cache
-def _titles() -> dict[str, str]:
-    """Key of a cause -> the cause in words."""
-    return {effect.name: effect.title for effect in CATALOGUE}
-
-
 def _answers(rows: Sequence[Results]) -> Iterable[str]:
-    """A table: one group a line, with what other scales of the priors would claim."""
-    yield (
-        "| plates | answer | P | rms %, plain, extended | P(none) | scales x 3 | scales / 3 | "
-        + " | ".join(_CONSTANTS)
-        + " |"
-    )
-    yield "|" + "---|" * (7 + len(_CONSTANTS))
+    """A table: one group a line, the answer as the screen has it."""
+    yield f"| plates | answer | misfit %, plain, extended | {' | '.join(_CONSTANTS)} |"
+    yield "|" + "---|" * (3 + len(_CONSTANTS))
     for row in rows:
         after = row["extended"]
-        rms = f"{row['baseline']['rms_percent']:.2f}" + (f", {after['rms_percent']:.2f}" if after else "")
-        none = next((h["probability"] for h in row["hypotheses"] if h["cause"] == "none"), None)
-        constants = (row["extended"] or {"constants": row["averaged"]})["constants"]
-        cells = (
-            " + ".join(row["plates"]),
-            _answer(row),
-            f"{row['probability']:.2f}",
-            rms,
-            "< 0.01" if none is None or none < 0.01 else f"{none:.2f}",
-            *(_answer(row["claims_by_prior_scales"][key]) for key in _SCALES),
-            *(_value(constants.get(name)) for name in _CONSTANTS),
-        )
-        yield f"| {' | '.join(cells)} |"
-
-
-def _answer(row: Mapping[str, Any]) -> str:
-    return row["claim"] + (f": {', '.join(row['causes'])}" if row["claim"] in _CLAIMS else "")
+        misfit = f"{row['baseline']['rms_percent']:.2f}" + (f", {after['rms_percent']:.2f}" if after else "")
+        intervals = (_value(row["averaged"].get(name)) for name in _CONSTANTS)
+        yield f"| {' | '.join((' + '.join(row['plates']), row['sentence'], misfit, *intervals))} |"
 
 
 def _value(constant: Mapping[str, float] | None) -> str:
     return "" if constant is None else f"{constant['q025']:.4g} to {constant['q975']:.4g}"
-
-
-def _stories(rows: Sequence[Results]) -> Iterable[str]:
-    """Of each group with an answer other than none its sentence, and what the claim is worth."""
-    for row in (row for row in rows if row["claim"] != "none"):
-        yield f"### {' + '.join(row['plates'])}"
-        yield ""
-        times, divided = (_answer(row["claims_by_prior_scales"][key]) for key in _SCALES)
-        scales = f"With all scales of the priors times 3 the answer is {times}, divided by 3 {divided}."
-        yield f"{_claim(row)} {scales}"
-        if row["gain"] is not None:
-            difference = row["gain"]["held_out_log_score_difference"]
-            se = row["gain"]["held_out_log_score_se"]
-            yield (
-                "The extended model predicts each frequency from the others better, by "
-                f"{difference:.1f} nats in all (standard error {se:.1f})."
-            )
-        yield ""
 
 
 def _published(rows: Sequence[Results]) -> Iterable[str]:
@@ -297,7 +213,7 @@ def _published(rows: Sequence[Results]) -> Iterable[str]:
         table = csv.DictReader(line for line in file if not line.startswith("#"))
         published = {row["plate"]: row["published_Ex_Ey_Gxy_nu"].split(";") for row in table}
     for row in rows:
-        constants = (row["extended"] or {"constants": row["averaged"]})["constants"]
+        constants = row["averaged"]
         values = dict(zip(_PUBLISHED, published[row["plates"][0]], strict=True))
         within = {name: (constants[name]["q025"], constants[name]["q975"]) for name in values}
         inside = [name for name, v in values.items() if within[name][0] <= float(v) <= within[name][1]]
@@ -305,14 +221,9 @@ def _published(rows: Sequence[Results]) -> Iterable[str]:
 
 
 _PUBLISHED = ("E1_GPa", "E2_GPa", "G12_GPa", "nu12")
-_SCALES = ("scales_times_3", "scales_divided_by_3")
-_CLAIMS = ("named", "class", "pair")
 _CONSTANTS = ("E1_GPa", "E2_GPa", "nu12", "G12_GPa")
 
-_HEAD = """## Each plate alone
-
-95 % intervals of the constants are of the extended model where something is claimed, else averaged over all
-hypotheses.
+_HEAD = """95 % intervals are averaged over all sets of causes.
 """
 _TOGETHER = """## Plates of one material together
 

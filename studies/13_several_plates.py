@@ -143,9 +143,8 @@ def _summary(setup: str, records: list[Results]) -> Results:
 
 
 HEAD = (
-    *("measured", "trials", "claimed and right", "of these one cause named", "claimed and wrong"),
-    *("other, undecided or none", "probability of the cause, mean", "constants in their 95 % intervals"),
-    *("spread of the constants", "processor s"),
+    *("measured", "trials", "claimed and right", "claimed and wrong", "other, undecided or none"),
+    *("probability of the cause, mean", "constants in their 95 % intervals", "spread of the constants"),
 )
 
 
@@ -155,13 +154,11 @@ def _rows(results: Results) -> list[tuple[str, ...]]:
             s["setup"],
             str(s["trials"]),
             str(s[scoring.RIGHT]),
-            str(s["named"]),
             str(s[scoring.WRONG]),
             str(s[scoring.OTHER] + s[scoring.UNDECIDED] + s[scoring.NONE]),
             f"{s['cause_probability']:.2f}",
             f"{s['inside']} of {s['constants']}",
             f"{s['constants_spread']:.2f}",
-            f"{s['processor_seconds']:.0f}",
         )
         for s in results["setups"]
     ]

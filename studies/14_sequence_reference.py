@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from concurrent.futures import Executor
 from itertools import pairwise
 from pathlib import Path
@@ -35,14 +35,10 @@ from cpam_bayes.stacking.search import training_problem
 from cpam_bayes.stacking.symmetry import all_sequences, classes
 from cpam_bayes.stacking.training import TrainingSettings, train
 from validation.reporting import (
-    counted,
-    in_digits,
     markdown_table,
-    paragraph,
     save_results,
     saved_results,
     study_parser,
-    with_error,
     with_saved,
     write_sections,
 )
@@ -88,8 +84,6 @@ CASES = {
     "F1, 6 angles, 0.2 %": Case("F1", "[?/?/?/?/?/?/(0/90)_5]_s", 0.002),
 }
 LIBRARY = 768
-# What lies further below the largest value of the surrogate, nats, is far.
-FAR_NATS = 12.0
 # Layers of the surrogate, nats below its top, and log2 of the points of what is drawn of them.
 LAYERS = (-10.0, 3.0, 6.0, 9.0, 12.0, 16.0, 22.0, 30.0, 45.0, np.inf)
 LAYER_POINTS = 9
@@ -291,63 +285,23 @@ def show(results: Results) -> None:
     print(screen_text(tuple(found), sys.stdout))
 
 
-# Sections of docs/sequences.md
+# Sections of docs/unknown_angles.md
 
 
 def sections(results: Results) -> dict[str, str]:
-    """What docs/sequences.md says of errors of log evidences and of the sum over all stacking sequences."""
-    cases = results["cases"]
-    layered = [c for c in cases if c["layers"]]
-    return {
-        "errors": _errors_table(cases) + "\n\n" + paragraph(" ".join(map(_scatter, cases))),
-        "sums": "\n\n".join(_sum(c) for c in layered),
-    }
-
-
-def _errors_table(cases: Sequence[Results]) -> str:
-    head = ("list", "most probable classes", "rms", "largest", "draws", "rms", "within 0.1", "largest")
+    """What docs/unknown_angles.md says of errors of log evidences."""
+    head = ("list", "stacking sequences", "rms", "within 0.1", "largest")
     rows = (
         (
             c["case"],
-            str(c["top"]["n"]),
-            f"{c['top']['rms']:.3f}",
-            f"{c['top']['largest']:.2f}",
             str(c["drawn_with_care"]["n"]),
             f"{c['drawn_with_care']['rms']:.3f}",
             f"{100 * c['drawn_with_care']['within']:.1f} %",
             f"{c['drawn_with_care']['largest']:.2f}",
-            "-" if c["drawn_as_known"] is None else f"{c['drawn_as_known']:.2f}",
-            f"{c['laplace']['rms']:.2f}",
-            f"{c['drawn_with_care']['reference_error']:.3f}",
         )
-        for c in cases
+        for c in results["cases"]
     )
-    tail = ("before refinement, rms", "Laplace, rms", "standard error of the reference")
-    return markdown_table((*head, *tail), rows)
-
-
-def _scatter(case: Results) -> str:
-    of_top, of_draws = (
-        f"{e['mean']:+.3f} and {max(e['rms'] ** 2 - e['mean'] ** 2, 0.0) ** 0.5:.3f}"
-        for e in (case["top"], case["drawn_with_care"])
-    )
-    return (
-        f"Mean and scatter about it, {case['case']}: most probable classes {of_top}, draws {of_draws} nats."
-    )
-
-
-def _sum(case: Results) -> str:
-    total = sum(r["mass"] for r in case["layers"])
-    drawn = sum(r["drawn"] for r in case["layers"])
-    reference = with_error(case["sum"]["log_evidence"], case["sum"]["relative_error"], 3)
-    far = [r for r in case["layers"] if r["from"] >= FAR_NATS]
-    return paragraph(
-        f"{case['case']}: the sum over all {counted(case['enumerated'])} stacking sequences, estimated "
-        f"from {drawn} classes drawn layer by layer, has the log {reference}; `sequence` finds "
-        f"{case['log_evidence']:.3f}. What lies {FAR_NATS:g} nats and more below its largest value holds "
-        f" {in_digits(sum(r['mass'] for r in far) / total)} of it, by the surrogate "
-        f"{in_digits(sum(r['learned_mass'] for r in far) / total)}."
-    )
+    return {"errors": markdown_table(head, rows)}
 
 
 def main() -> None:

@@ -12,7 +12,7 @@ the cause is among several that it calls indistinguishable; `other`, `undecided`
 though something is wrong; and else `wrong`.
 
 Cases that are saved are not diagnosed again unless they are named with --only, which alone runs none. The
-page docs/worked_cases.md is written from the saved results.
+page docs/hidden_effects.md is written from the saved results.
 """
 
 from __future__ import annotations
@@ -51,7 +51,8 @@ NAMED = {effect.name for effect in CATALOGUE}
 # Answers that say the same as the cause.
 SAME = {"soft_clamp": {"clamp_rotation", "clamp_translation"}}
 SHOWN_CAUSES = 6
-_QUICK, _QUICK_CATALOGUE = "clean_clamped", tuple(effect for effect in CATALOGUE if effect.change is None)
+_QUICK = "clean_clamped"
+_QUICK_CATALOGUE = tuple(effect for effect in CATALOGUE if effect.change is effect.on_plate is None)
 
 
 def verdict(cause: str, claim: str, causes: Iterable[str]) -> str:
@@ -77,7 +78,7 @@ def row_of(truth: Mapping[str, Any], document: Mapping[str, Any]) -> Results:
     document : the JSON document of `diagnose`
     """
     extended = document["extended"]
-    constants = document["averaged"] if extended is None else extended["constants"]
+    constants = document["averaged"]
     before, after = (None if fit is None else _residuals(fit) for fit in (document["baseline"], extended))
     return {
         "case": truth["case"],
@@ -154,45 +155,40 @@ def measure(names: Iterable[str]) -> None:
 
 
 def sections(results: Results) -> dict[str, str]:
-    """What docs/worked_cases.md says of the cases."""
+    """What docs/hidden_effects.md says of the cases."""
     rows = results["cases"]
     words = [row["verdict"] for row in rows]
     counts = ", ".join(f"{word} {words.count(word)}" for word in dict.fromkeys(sorted(words)))
     covered = [c["covered"] for row in rows for c in row["constants"]]
     summary = (
         f"{len(rows)} plates: {counts}. {sum(covered)} of {len(covered)} true constants lie in their 95 % "
-        "intervals."
+        f"intervals{_missed(rows)}."
     )
-    lines = [summary, "", _TABLE, *map(_line, rows), "", _CONSTANTS, *_constants(rows)]
-    return {"cases": "\n".join(lines)}
+    return {"cases": "\n".join([summary, "", _TABLE, *map(_line, rows)])}
 
 
 def _line(row: Results) -> str:
-    answer = row["claim"] + (f": {', '.join(row['causes'])}" if row["causes"] else "")
     after = row["rms_percent_after"]
     rms = f"{row['rms_percent_before']:.2f}" + ("" if after is None else f", {after:.2f}")
     size = (
         f"{row['truth']['cause']}: {row['truth']['size']}" if row["truth"]["cause"] != "none" else "nothing"
     )
-    cells = (row["case"], size, answer, f"{row['probability']:.3f}", rms, row["verdict"])
+    cells = (row["case"], size, row["sentence"], rms, row["verdict"])
     return f"| {' | '.join(cells)} |"
 
 
-def _constants(rows: Iterable[Results]) -> Iterable[str]:
-    for row in rows:
-        cells = [
-            f"{c['truth']:.4g} in {c['q025']:.4g} to {c['q975']:.4g}" + ("" if c["covered"] else " (missed)")
-            for c in row["constants"]
-        ]
-        yield f"| {row['case']} | {' | '.join(cells)} |"
+def _missed(rows: Iterable[Results]) -> str:
+    """The true constants outside their intervals, in brackets."""
+    said = [
+        f"{row['case']} {c['name']} {c['truth']:.4g}, {c['q025']:.4g} to {c['q975']:.4g}"
+        for row in rows
+        for c in row["constants"]
+        if not c["covered"]
+    ]
+    return f" (not {'; '.join(said)})" if said else ""
 
 
-_TABLE = """| case | what is wrong | answer | probability | rms before, after, % | verdict |
-|---|---|---|---|---|---|"""
-_CONSTANTS = """True constants (GPa) and 95 % intervals, of the extended model where something is claimed,
-else averaged over all hypotheses:
-
-| case | E1 | E2 | nu12 | G12 |
+_TABLE = """| case | what is wrong | answer | rms before, after, % | verdict |
 |---|---|---|---|---|"""
 
 

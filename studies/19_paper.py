@@ -1,6 +1,6 @@
 """The paper's fourteen tables beside what this package computes; writes docs/comparison.md and its rows.
 
-python studies/19_paper.py [--quick] [--page] [--stored] [--workers N] [--executor SPEC]
+python studies/19_paper.py [--quick] [--missing] [--page] [--stored] [--workers N] [--executor SPEC]
 """
 
 from __future__ import annotations
@@ -11,11 +11,21 @@ from typing import Any
 
 import cpam_bayes as cb
 from cpam_bayes.command import add_executor_options
-from cpam_bayes.printed.tables import identified_layups, printed_table
+from cpam_bayes.printed.tables import NUMBERS, identified_layups, printed_table
+from cpam_bayes.questions.paper import compared, computations, tasks_of
 from cpam_bayes.questions.paper.present import page, row_table
-from cpam_bayes.questions.paper.work import diagnosis_row
+from cpam_bayes.questions.paper.work import (
+    FULL,
+    QUICK,
+    Task,
+    comes_with_the_package,
+    diagnosis_row,
+    packaged,
+    read,
+)
 from cpam_bayes.render.report import csv_text
 from cpam_bayes.render.terminal import Terminal
+from cpam_bayes.storage import cache_directory
 from validation.reporting import (
     save_results,
     study_parser,
@@ -23,6 +33,7 @@ from validation.reporting import (
 )
 
 Results = dict[str, Any]
+Tasks = dict[Task, Results]
 
 FOLDER = Path(__file__).parent
 RESULTS = FOLDER / "results" / f"{Path(__file__).stem}.json"
@@ -33,16 +44,39 @@ KEYS = {
     "paper": "the document of `cpam-bayes paper --json`",
 }
 SEED = 0
-# When the studies that the package's stored results are taken from were run.
-DATES = {"02_agreement": "2026-11-21", "08_sequences": "2026-11-22", "12_findings": "2026-11-23"}
+# By which version and when the studies were run that the package's stored results are taken from.
+RUNS = {
+    "02_agreement": {"version": "0.1.0", "date": "2026-11-21"},
+    "08_sequences": {"version": "0.1.0", "date": "2026-11-22"},
+    "12_findings": {"version": "0.2.0", "date": "2026-11-27"},
+}
 
 
 def run(quick: bool, executor: str | None = "serial", workers: int | None = None) -> Results:
     """All tables; quick: Table 7 with the small effort."""
-    number = 7 if quick else None
-    spec = executor or "processes"
-    result = cb.paper(number, quick=quick, seed=SEED, executor=spec, workers=workers, watch=Terminal(quick))
-    return {"quick": quick, "paper": result.to_dict()}
+    numbers = (7,) if quick else NUMBERS
+    tasks = computed(quick, False, executor, workers)
+    return {"quick": quick, "paper": compared(numbers, tasks, seed=SEED, quick=quick).to_dict()}
+
+
+def computed(quick: bool, missing: bool, executor: str | None, workers: int | None) -> Tasks:
+    """The computations, where a stopped run goes on; missing : only those that the package lacks."""
+    directory, effort = cache_directory() / "paper", QUICK if quick else FULL
+
+    def known(task: Task) -> Results | None:
+        return read(directory, effort, task) or (comes_with_the_package(task) if missing else None)
+
+    numbers = (7,) if quick else NUMBERS
+    spec, watch = executor or "processes", Terminal(quick)
+    return computations(numbers, effort, SEED, known, directory, spec, workers, watch)
+
+
+def from_package() -> Results:
+    """The results from the computations that come with the package; nothing is computed."""
+    packaged.cache_clear()
+    tasks = dict.fromkeys(task for number in NUMBERS for task in tasks_of(number, SEED))
+    found = {task: results for task in tasks if (results := comes_with_the_package(task)) is not None}
+    return {"quick": False, "paper": compared(NUMBERS, found, seed=SEED).to_dict()}
 
 
 def sections(results: Results) -> dict[str, str]:
@@ -58,17 +92,16 @@ def rows_file(results: Results) -> str:
 def stored() -> dict[str, Results]:
     """The results that come with the package, from those of studies 02, 08 and 12."""
     agreement, sequences, findings = (
-        json.loads((FOLDER / "results" / f"{name}.json").read_text("utf-8")) for name in DATES
+        json.loads((FOLDER / "results" / f"{name}.json").read_text("utf-8")) for name in RUNS
     )
     plates = {row["plate"]: row for row in agreement["specimens"] if row["bricks"] is not None}
     cases = {row["case"]: row for row in sequences["cases"] if row["case"] in identified_layups()}
     measured = {row.specimen for n in (1, 4) for row in printed_table(n).rows}
     alone = {row["plates"][0]: row for row in findings["groups"] if len(row["plates"]) == 1}
     diagnosed = {name: row for name, row in alone.items() if name in measured}
-    common = {name: {"version": cb.__version__, "date": DATES[name]} for name in DATES}
     return {
         "calculix": {
-            **common["02_agreement"],
+            **RUNS["02_agreement"],
             "command": "python studies/02_agreement.py",
             "seconds": sum(row["bricks"]["seconds"] for row in plates.values()),
             "seconds_each": {name: row["bricks"]["seconds"] for name, row in plates.items()},
@@ -81,7 +114,7 @@ def stored() -> dict[str, Results]:
             },
         },
         "sequences": {
-            **common["08_sequences"],
+            **RUNS["08_sequences"],
             "command": "python studies/08_sequences.py",
             "seconds": sum(row["seconds"] for row in cases.values()),
             "cases": {
@@ -94,7 +127,7 @@ def stored() -> dict[str, Results]:
             },
         },
         "diagnoses": {
-            **common["12_findings"],
+            **RUNS["12_findings"],
             "command": "python studies/12_findings.py",
             "seconds": sum(row["seconds"] for row in diagnosed.values()),
             "plates": {name: diagnosis_row(row) for name, row in diagnosed.items()},
@@ -105,7 +138,10 @@ def stored() -> dict[str, Results]:
 def main() -> None:
     """Run the study, save the results and write the page."""
     parser = study_parser(__doc__)
-    parser.add_argument("--page", action="store_true", help="only write the page from the saved results")
+    parser.add_argument("--missing", action="store_true", help="compute only what the package lacks")
+    parser.add_argument(
+        "--page", action="store_true", help="only judge what comes with the package, and write the page"
+    )
     parser.add_argument(
         "--stored", action="store_true", help="only write the results that come with the package"
     )
@@ -115,13 +151,19 @@ def main() -> None:
         for name, content in stored().items():
             save_results(STORED / f"{name}.json", content)
         return
+    if args.quick:
+        print(page(run(True, args.executor, args.workers)["paper"]))
+        return
     if not args.page:
-        results = run(args.quick, args.executor, args.workers)
-        if args.quick:
-            print(page(results["paper"]))
-            return
-        save_results(RESULTS, results)
-    saved = json.loads(RESULTS.read_text("utf-8"))
+        tasks = computed(False, args.missing, args.executor, args.workers)
+        content = {"seed": SEED, "tasks": {task.title: results for task, results in tasks.items()}}
+        save_results(STORED / "tasks.json", content)
+    saved = from_package()
+    if args.page or args.missing:
+        # of other sources than today's: each computation has its own fingerprint
+        RESULTS.write_text(json.dumps(saved, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    else:
+        save_results(RESULTS, saved)
     write_sections(FOLDER.parent, RESULTS.stem, sections(saved))
     (FOLDER.parent / "docs" / "comparison.csv").write_text(rows_file(saved), encoding="utf-8", newline="")
 

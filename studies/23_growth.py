@@ -343,25 +343,8 @@ def model_of(cluster: Sequence[Results]) -> tuple[float, float, float]:
 
 
 def sections(results: Results) -> dict[str, str]:
-    """The table of exponents and the cost of a thousand plates, for docs/speed.md."""
-    return {"exponents": _table(results), "thousand": _thousand(results["cluster"])}
-
-
-def _table(results: Results) -> str:
-    head = (
-        "cost of",
-        "with the number of",
-        "from",
-        "to",
-        "s at first",
-        "s at last",
-        "exponent",
-        "not reached",
-    )
-    table = markdown_table(head, [_line(curve) for curve in results["curves"]])
-    found = {curve["case"] for curve in results["curves"]}
-    missing = [c.name for c in curves(quick=False) if c.name not in found]
-    return f"{table}\n\n{paragraph(f'Not measured yet: {listed(missing)}.')}" if missing else table
+    """The cost of a thousand plates, for docs/speed.md."""
+    return {"thousand": _thousand(results["cluster"])}
 
 
 def _line(curve: Results) -> tuple[str, ...]:
@@ -395,14 +378,11 @@ def _thousand(cluster: Sequence[Results]) -> str:
     numbers, workers = (sorted({r[key] for r in cluster}) for key in ("plates", "workers"))
     own = max(r["here_s"] / r["plates"] for r in cluster if r["plates"] == max(numbers))
     text = (
-        f"Batches of {numbers[0]} to {numbers[-1]} plates on {listed([str(n) for n in workers])} workers "
-        "of a Dask cluster that had just started, as if each had a core to itself: the processor's seconds "
-        "of the busiest worker and of the process that hands out the plates are t = a + b n / N for n "
-        "plates on N "
-        f"workers, a = {a:.1f} s, b = {b:.1f} s, within {100 * worst:.0f} % of all that was measured. It is "
-        f"a model: with more than {workers[-1]} workers nothing was measured, and time on the network is not "
-        f"in it. The process that hands out the plates used {own:.2f} s a plate at most, its own start "
-        f"included, so that more than about {b / own:.0f} workers would wait for it. {counted(THOUSAND)} "
+        f"Batches of {numbers[0]} to {numbers[-1]} plates on {listed([str(n) for n in workers])} workers of "
+        "a new Dask cluster, as if each had a core to itself (processor's seconds): t = a + b n / N for n "
+        f"plates on N workers, a = {a:.1f} s, b = {b:.1f} s, within {100 * worst:.0f} %. With more than "
+        f"{workers[-1]} workers nothing was measured, and time on the network is not in it. More than about "
+        f"{b / own:.0f} workers would wait for the process that hands out the plates. {counted(THOUSAND)} "
         "plates by the model:"
     )
     rows = [(str(n), f"{(a + b * THOUSAND / n) / 60.0:.0f}") for n in WORKERS]

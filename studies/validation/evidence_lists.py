@@ -107,7 +107,7 @@ def drawn(case: PlateCase, n: int, rng: np.random.Generator) -> tuple[Hypothesis
             continue
         f = comparison.predict(x)[0][0]
         if cause == OTHER:
-            alike = comparison.listed.correlation(own.correlation_length)
+            alike = comparison.listed.correlation(own.correlation_length or 0.0)
             f = f * np.exp(size * np.linalg.cholesky(alike) @ rng.standard_normal(n))
         if h.listed.spurious is not None:  # the model has the others: a false peak lies anywhere among them
             f = np.sort(np.append(f, rng.uniform(0.7 * f[0], f[-1])))
@@ -155,4 +155,4 @@ def size_for(
 def weighed(case: PlateCase, chosen: list[Hypothesis]) -> list[Tested]:
     """Hypotheses, none first, as the diagnosis weighs them."""
     every = [(h, (0,)) for h in chosen]
-    return list(weigh([case], every, scatter=SCATTER, pairs=False).tested)
+    return list(weigh([case], every, scatter=SCATTER, sets=False).tested)

@@ -137,6 +137,30 @@ def case_by_case(
     return found()
 
 
+def cases_main(
+    doc: str | None,
+    run: Callable[[bool, float], Results],
+    show: Callable[[Results], None],
+    path: Path,
+    others: Callable[..., Results],
+) -> None:
+    """The command line of a study of drawn cases, which are saved one by one.
+
+    others : the results of other cases for ``--development``, which are printed and not saved; takes minutes
+    """
+    parser = study_parser(doc)
+    parser.add_argument("--minutes", type=float, default=math.inf, help="begin no further case after these")
+    parser.add_argument("--development", action="store_true", help="other cases; nothing is saved")
+    args = parser.parse_args()
+    if args.development:
+        show(others(minutes=args.minutes))
+        return
+    results = run(args.quick, args.minutes)
+    show(results)
+    if not args.quick:
+        save_results(path, results)
+
+
 FIGURE = "figure"
 _SECTION = re.compile(
     r"^<!-- (?P<source>\w+): (?P<name>[^\n]+?) -->\n(?P<text>.*?)^<!-- /(?P=source) -->$",
@@ -196,21 +220,25 @@ def write_sections(project: Path, source: str, sections: Mapping[str, str]) -> l
     return changed
 
 
-def figure_section(caption: Path, page: Path) -> str:
-    """A figure with its caption, as a page shows it; from the caption file beside the figure."""
+def figure_section(caption: Path, page: Path, *, titled: bool = False) -> str:
+    """A figure with its caption, as a page shows it; from the caption file beside the figure.
+
+    titled : with the title of the caption alone
+    """
     title, text, *_ = caption.read_text(encoding="utf-8").split("\n\n")
     link = Path(relpath(caption.with_suffix(".png"), page.parent)).as_posix()
     alternative = " ".join(title.strip("*").split())
-    return f"![{alternative}]({link})\n\n{paragraph(f'{title} {text}')}"
+    return f"![{alternative}]({link})\n\n{paragraph(title if titled else f'{title} {text}')}"
 
 
 def sections_of_figures(project: Path, page: Path) -> dict[str, str]:
-    """All figures by name, and those of a script as "all of NAME", for one page."""
+    """All figures by name, as "picture NAME" with the title alone, and those of a script as "all of NAME"."""
     written: dict[str, str] = {}
     for path in sorted((project / "figures").glob("*.md")):
         script = re.search(r"`python figures/draw\.py (\w+)`", path.read_text(encoding="utf-8"))
         if script and path.with_suffix(".png").exists():
             written[path.stem] = figure_section(path, page)
+            written[f"picture {path.stem}"] = figure_section(path, page, titled=True)
             together = written.get(f"all of {script[1]}", "")
             written[f"all of {script[1]}"] = f"{together}\n\n{written[path.stem]}".strip()
     return written

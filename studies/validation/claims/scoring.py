@@ -260,65 +260,47 @@ def ratio_of(r: Scored) -> str:
 
 
 def section(total: int, scores: Record, others: Mapping[str, Record], names: Mapping[str, str]) -> str:
-    """Markdown of a set: figures, the confusion of claims beside other engines and methods, wrong claims."""
-    plates = ", ".join(scores["plates"])
-    answered = f"{scores['lists']} of {total} lists answered, of {plates}, at random within a plate."
+    """Markdown of a set: figures, claims by signal to noise, wrong claims, and those of other methods."""
     lines = [
-        answered,
+        f"{scores['lists']} of {total} lists answered, at random within a plate.",
         "",
-        "| | asked | reached (standard error) | lists |",
-        "|---|---|---|---|",
+        "| | reached (standard error) | lists |",
+        "|---|---|---|",
     ]
-    for row in scores["figures"]:
-        lines.append(f"| {row['what']} | {row['asked']} | {_shown(row)} | {row['lists']} |")
-    lines += ["", _confusion_table("hidden", scores["by_kind"]), ""]
-    if any(r["what"] != "-" for r in scores["by_ratio"]):
-        lines += [
-            "Single causes by signal to noise:",
-            "",
-            _confusion_table("signal to noise", scores["by_ratio"]),
-            "",
-        ]
+    lines += [f"| {row['what']} | {_shown(row)} | {row['lists']} |" for row in scores["figures"]]
+    cover = scores["coverage"]["plain model"]
+    if cover["constants"]:
+        lines += ["", f"Of the 95 % intervals of the plain model {_number(cover['share'])} hold the truth."]
     if others:
-        lines += ["On the same lists:", "", _side_by_side(scores, others, names), ""]
-    cover = scores["coverage"]
-    lines += [
-        "Coverage of 95 % intervals: "
-        + "; ".join(
-            f"{k} {_number(c['share'])} of {c['constants']}" for k, c in cover.items() if c["constants"]
-        )
-        + ".",
-        "",
-    ]
+        wrong = [f"{names.get(name, name)} {_claimed_and_wrong(of)}" for name, of in others.items()]
+        own = f"this diagnosis {_claimed_and_wrong(scores)}"
+        lines += ["", f"Wrong on the same lists: {', '.join([own, *wrong])}."]
+    if any(r["what"] != "-" for r in scores["by_ratio"]):
+        said = "Single causes by signal to noise:"
+        lines += ["", said, "", _confusion_table("signal to noise", scores["by_ratio"])]
     if scores["wrong"]:
-        lines += ["Wrong claims:", "", "| list | hidden | claimed | probability |", "|---|---|---|---|"]
+        lines += ["", "Wrong claims:", "", "| list | hidden | claimed | probability |", "|---|---|---|---|"]
         lines += [
             f"| {w['id']} | {', '.join(w['causes']) or 'nothing'} "
             f"| {w['claim']}: {', '.join(w['claimed'])} | {w['probability']:.3f} |"
             for w in scores["wrong"]
         ]
-        lines.append("")
-    return "\n".join(lines)
+    return "\n".join([*lines, ""])
 
 
 def _confusion_table(what: str, rows: Sequence[Record]) -> str:
     shown = [c for c in CATEGORIES if any(r[c] for r in rows)]
-    head = [what, "lists", *shown, "mean class size"]
+    head = [what, "lists", *shown]
     lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
-    for r in rows:
-        cells = [r["what"], r["lists"], *(r[c] for c in shown), r["mean class size"] or "-"]
-        lines.append("| " + " | ".join(str(c) for c in cells) + " |")
+    lines += [
+        "| " + " | ".join(str(c) for c in (r["what"], r["lists"], *(r[c] for c in shown))) + " |"
+        for r in rows
+    ]
     return "\n".join(lines)
 
 
-def _side_by_side(scores: Record, others: Mapping[str, Record], names: Mapping[str, str]) -> str:
-    head = ["method", "lists", *CATEGORIES]
-    lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
-    for name, of_method in {"": scores, **others}.items():
-        total = [sum(r[c] for r in of_method["by_kind"]) for c in CATEGORIES]
-        said = names.get(name, name) or "this diagnosis"
-        lines.append("| " + " | ".join(str(c) for c in (said, of_method["lists"], *total)) + " |")
-    return "\n".join(lines)
+def _claimed_and_wrong(scores: Record) -> int:
+    return sum(int(row[WRONG]) for row in scores["by_kind"])
 
 
 def _strength(r: Scored) -> float:

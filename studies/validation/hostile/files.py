@@ -198,7 +198,7 @@ def _piece(content: Content, rng: np.random.Generator, by_lines: bool) -> tuple[
     start, stop = sorted(rng.integers(len(content) + 1, size=2).tolist())
     if not by_lines:
         return start, min(stop, start + int(rng.integers(1, 40)))
-    mark = "\n" if isinstance(content, str) else b"\n"
+    mark = "\n" if isinstance(content, str) else b"\n"  # type: ignore[redundant-expr]  # checked for each kind
     return content.rfind(mark, 0, start) + 1, content.find(mark, stop) + 1 or len(content)
 
 

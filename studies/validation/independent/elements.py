@@ -169,9 +169,10 @@ def edge_form(mesh: Elements, edge: str, density: Callable[[Array], Array]) -> c
     return csr_array(value.T @ scaled(weights * density(along), value))
 
 
-def at_point(mesh: Elements, place: tuple[float, float]) -> csr_array[Any]:
-    """Shape functions at a place of the unit square, (1, n)."""
-    return _point(mesh.shape, place)
+def at_points(mesh: Elements, places: Array) -> csr_array[Any]:
+    """Shape functions at places (2, p) of the unit square, (p, n)."""
+    # a place on the outline itself may be found in no element
+    return csr_array(_unit_basis(mesh.shape).probes(np.clip(places, 1e-9, 1.0 - 1e-9)))
 
 
 def frequencies(
@@ -208,10 +209,9 @@ def _unit_mesh(n: tuple[int, int]) -> Any:
     return MeshQuad1.init_tensor(divisions(n[0]), divisions(n[1]))
 
 
-@lru_cache(maxsize=256)
-def _point(n: tuple[int, int], place: tuple[float, float]) -> csr_array[Any]:
-    basis = CellBasis(_unit_mesh(n), ElementQuadS2(), intorder=3)
-    return csr_array(basis.probes(np.array(place)[:, None]))
+@lru_cache(maxsize=8)
+def _unit_basis(n: tuple[int, int]) -> CellBasis:
+    return CellBasis(_unit_mesh(n), ElementQuadS2(), intorder=3)
 
 
 def _sampled(basis: Any) -> list[csr_array[Any]]:

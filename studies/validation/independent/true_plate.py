@@ -19,6 +19,8 @@ Aux = dict[str, Any]
 
 # Springs of what still counts as held, in units of side / D, side^3 / D and side / A.
 _RIGID = {"turn": 1e-6, "shift": 1e-8}
+# What a simple support across an axis holds: w, and what lies along it.
+_SUPPORTED = {"x": ("v", "w", "phi_y"), "y": ("u", "w", "phi_x")}
 # Modes of a foundation or a mass that stand for rigid-body motions of a free plate.
 _RIGID_MOTIONS = 6
 
@@ -64,7 +66,7 @@ class TruePlate:
 
     length, width, thickness : m.
     density : kg/m3.
-    edges : F or C at x=0, y=0, x=length, y=width.
+    edges : F, S or C at x=0, y=0, x=length, y=width; all F, or such that no rigid-body motion is left.
     angles_deg : plies of equal thickness, bottom to top.
     constants : of the ply, Pa.
     correction : shear correction factor; None: energy-consistent.
@@ -75,8 +77,10 @@ class TruePlate:
     sag : of a shallow cap over its middle, m.
     stress : largest residual normal stress, Pa.
     masses, patches : where they are.
+    strips : edges with a mass along them, kg.
     foundation_hz : frequency at which the plate bounces on a uniform soft bed.
-    turn, shift : compliances of the clamp, in units of side / D and side^3 / D (w), side / A (u, v).
+    turn, shift : compliances of the clamp, in units of side / D and side^3 / D (w), side / A (u, v); shift
+        of a simple support is that of w.
     loose : fraction of each clamped edge, from its first end, that is not gripped.
     tilt : of the frequencies after the plate: ln f + scale + tan_delta / pi * ln(f / f_1).
     """
@@ -97,6 +101,7 @@ class TruePlate:
     stress: float = 0.0
     masses: tuple[Mass, ...] = ()
     patches: tuple[Patch, ...] = ()
+    strips: tuple[tuple[str, float], ...] = ()
     foundation_hz: float = 0.0
     turn: float = 0.0
     shift: float = 0.0
@@ -125,7 +130,7 @@ def observed(plate: TruePlate, f: Array) -> Array:
 def modes(plate: TruePlate, n_modes: int) -> tuple[Array, Array]:
     """Natural frequencies of the plate itself, Hz, and its modes (5 n, n_modes) at the nodes."""
     k, m, held = matrices(plate)
-    rigid = _RIGID_MOTIONS if "C" not in plate.edges else 0
+    rigid = _RIGID_MOTIONS if _is_free(plate) else 0
     return elements.frequencies(k, m, held, n_modes, rigid, _about(plate))
 
 
@@ -162,25 +167,29 @@ def matrices(plate: TruePlate) -> tuple[csr_array[Any], csr_array[Any], NDArray[
         )
     m = elements.mass(mesh, per_area, per_area * _thickness(plate, mesh.mass_unit) ** 2 / 12.0)
     for mass in plate.masses:
-        at = elements.at_point(mesh, _on_square(plate, mass))
+        at = elements.at_points(mesh, np.array([[mass.x / plate.length], [mass.y / plate.width]]))
         spread = csr_array(at.T @ at)
         for name in ("u", "v", "w"):
             m = m + mass.mass * elements.on_field(mesh, name, spread)
         for name in ("phi_x", "phi_y"):
             turning = mass.rotary + mass.mass * (plate.thickness / 2.0) ** 2
             m = m + turning * elements.on_field(mesh, name, spread)
+    for edge, kg in plate.strips:
+        line = kg * elements.edge_form(mesh, edge, np.ones_like) / mesh.edges[edge][1].sum()
+        for name in ("u", "v", "w"):
+            m = m + elements.on_field(mesh, name, line)
     springs, held = _supports(plate, mesh)
     return csr_array(k + springs), csr_array(m), held
 
 
 def _supports(plate: TruePlate, mesh: Elements) -> tuple[csr_array[Any], NDArray[np.int64]]:
-    """Springs of clamps that give, and the unknowns of those that do not."""
+    """Springs of clamps and supports that give, and the unknowns of those that do not."""
     soft = plate.turn > 0.0 or plate.shift > 0.0 or plate.loose > 0.0
     springs = csr_array((5 * mesh.n, 5 * mesh.n))
     held: list[NDArray[np.int64]] = [np.array([], dtype=np.int64)]
     c = _nominal(plate)
     for edge, kind in zip(EDGES, plate.edges, strict=True):
-        if kind != "C":
+        if kind == "F":
             continue
         axis = "xy".index(edge[0])
         side = (plate.length, plate.width)[axis]
@@ -192,8 +201,11 @@ def _supports(plate: TruePlate, mesh: Elements) -> tuple[csr_array[Any], NDArray
         }
         density |= {"v": density["u"], "phi_y": density["phi_x"]}
         for i, name in enumerate(elements.FIELDS):
+            if kind == "S" and name not in _SUPPORTED[edge[0]]:
+                continue
             gives = plate.shift if name in ("u", "v", "w") else plate.turn
-            if not soft or (gives == 0.0 and plate.loose == 0.0):
+            firm = gives == 0.0 and plate.loose == 0.0 if kind == "C" else gives == 0.0 or name != "w"
+            if not soft or firm:
                 held.append(i * mesh.n + mesh.held[edge])
                 continue
             grip = lambda along, k=density[name]: k * (along >= plate.loose)  # noqa: E731
@@ -300,10 +312,6 @@ def _meshed(
     return mesh, elements.strains(mesh, (slopes[0], slopes[1]))
 
 
-def _on_square(plate: TruePlate, mass: Mass) -> tuple[float, float]:
-    return float(mass.x / plate.length), float(mass.y / plate.width)
-
-
 def _with(plate: TruePlate, name: str, step: float) -> TruePlate:
     """The plate with a constant times 1 + step."""
     return replace(plate, constants={**plate.constants, name: plate.constants[name] * (1.0 + step)})
@@ -362,7 +370,7 @@ def _is_clamped(plate: TruePlate) -> bool:
 
 
 def _is_free(plate: TruePlate) -> bool:
-    return "C" not in plate.edges
+    return set(plate.edges) == {"F"}
 
 
 def _has_plies(plate: TruePlate) -> bool:

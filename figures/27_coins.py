@@ -1,0 +1,55 @@
+"""Masses of coins as sealed and as the coin test finds them, on plates of independent elements.
+
+python figures/27_coins.py [--help]
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from journal import BLUE, LIGHT, SINGLE_MM, Drawing, Picture, figure
+from matplotlib.figure import Figure
+
+CLAIMED = "mass added"
+
+
+def pictures(data: dict[str, Any]) -> list[Picture]:
+    lists = [c for one in data["cases"] for c in one["lists"]]
+    coins, repeats = ([c for c in lists if bool(c["sealed_g"]) is there] for there in (True, False))
+    inside = sum(c["low_g"] <= c["sealed_g"] <= c["high_g"] for c in coins)
+    return [
+        Picture(
+            "27_coins",
+            _masses(coins),
+            "Coins on plates of independent elements, found over sealed.",
+            f"95 % intervals of the mass, blue where one is claimed; {inside} of {len(coins)} hold the "
+            "sealed mass. To the left of 1 a coin is lighter than what the plate's list can show. Of "
+            f"{len(repeats)} repeats without a coin {sum(c['finding'] == CLAIMED for c in repeats)} were "
+            "said to have one.",
+        )
+    ]
+
+
+def _masses(coins: list[dict[str, Any]]) -> Figure:
+    new = figure(SINGLE_MM, 70)
+    axes = new.subplots()
+    for claimed, colour, label in ((False, LIGHT, "not claimed"), (True, BLUE, "claimed")):
+        those = [c for c in coins if (c["finding"] == CLAIMED) is claimed and c["limit_g"]]
+        sealed, found, low, high, limit = (
+            np.array([c[f"{key}_g"] for c in those]) for key in ("sealed", "found", "low", "high", "limit")
+        )
+        away = np.abs(np.stack((low, high)) - found) / sealed
+        axes.errorbar(sealed / limit, found / sealed, away, fmt="o", ms=3, lw=0.7, color=colour, label=label)
+    axes.axhline(1.0, color="0.3", lw=0.7)
+    axes.axvline(1.0, color="0.3", lw=0.7, ls=":")
+    axes.set(xscale="log", yscale="log", ylim=(0.05, 20.0))
+    axes.set(xlabel="sealed mass over the detection limit", ylabel="found over sealed")
+    new.legend(loc="outside lower center", ncols=2)
+    return new
+
+
+draw = Drawing(__file__, "27_coins", "seed 31", pictures)
+
+if __name__ == "__main__":
+    draw.main()
